@@ -8,6 +8,7 @@ import numpy as np
 
 from autopilot.core.camera import CameraModel
 from autopilot.core.frames import FloatArray
+from autopilot.core.robust import MAD_TO_SIGMA
 
 RANGE_BAND = (0.75, 1.35)
 """The dot is looked for within these factors of the predicted range."""
@@ -53,7 +54,7 @@ def find_dot(image_bgr: Any, camera: CameraModel, range_m: float | None) -> Floa
     slope = float((blue_off * green_off).sum()) / max(float((blue_off * blue_off).sum()), 1.0)
     smooth = cv2.GaussianBlur(green_off - slope * blue_off, (0, 0), SMOOTH_SIGMA_PX)
     level = float(np.median(smooth))
-    spread = max(1.4826 * float(np.median(np.abs(smooth - level))), 0.5)
+    spread = max(MAD_TO_SIGMA * float(np.median(np.abs(smooth - level))), 0.5)
     inner = _near_line(smooth, line, left, top)
     row, column = (int(v) for v in np.unravel_index(int(inner.argmax()), smooth.shape))
     peak = float(inner[row, column]) - level

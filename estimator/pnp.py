@@ -18,6 +18,7 @@ import numpy as np
 
 from autopilot.core.camera import CameraModel
 from autopilot.core.frames import FloatArray, r_ned_from_frd, rpy_from_r
+from autopilot.core.robust import PLANAR_MEDIAN
 from autopilot.estimator.measure_pose import MIN_SIGMA_POS_M, MIN_SIGMA_YAW_RAD
 
 STEPS = 10
@@ -153,15 +154,13 @@ def expected_px(sigma_px: FloatArray | None, corners: int) -> FloatArray:
 
 def corners_that_fit(residual: FloatArray) -> np.ndarray:
     """Which residuals (8n,), over what is expected of them, belong to corners that lie where they should; all, if less
-    than three corners would stay.
-
-    The median of the length of a normally distributed two-dimensional error is 1.18 standard deviations."""
+    than three corners would stay."""
     x, y = residual[0::2], residual[1::2]
     off = np.sqrt(x * x + y * y)
     half = len(off) // 2
     middle = np.partition(off, (half - 1, half))  # an even number: four of each marker
     median = 0.5 * float(middle[half - 1] + middle[half])
-    fits = off <= max(CORNER_FLOOR, CORNER_SIGMAS * median / 1.1774)
+    fits = off <= max(CORNER_FLOOR, CORNER_SIGMAS * median / PLANAR_MEDIAN)
     if 4 * int(fits.sum()) < 3 * len(fits):
         fits[:] = True
     return np.repeat(fits, 2)

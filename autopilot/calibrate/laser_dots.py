@@ -16,6 +16,7 @@ from autopilot.calibrate.views import image_files, read_images
 from autopilot.core.camera import CameraModel
 from autopilot.core.errors import ConfigError, LogError
 from autopilot.core.frames import FloatArray
+from autopilot.core.robust import MAD_TO_SIGMA
 from autopilot.log.reader import Log, open_log
 
 PER_PICTURE = 3
@@ -43,7 +44,7 @@ def green_dots(image_bgr: Any) -> FloatArray:
     slope = float((blue_off * green_off).sum()) / max(float((blue_off * blue_off).sum()), 1.0)
     excess = green_off - slope * blue_off
     smooth = cv2.GaussianBlur(excess, (0, 0), SMOOTH_PX) - cv2.GaussianBlur(excess, (0, 0), 6.0 * SMOOTH_PX)
-    spread = max(1.4826 * float(np.median(np.abs(smooth))), 0.3)
+    spread = max(MAD_TO_SIGMA * float(np.median(np.abs(smooth))), 0.3)
     limit = max(MIN_EXCESS, MIN_SIGMAS * spread)
     work = smooth.copy()
     work[:EDGE_PX], work[-EDGE_PX:], work[:, :EDGE_PX], work[:, -EDGE_PX:] = 0.0, 0.0, 0.0, 0.0

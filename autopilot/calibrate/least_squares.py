@@ -3,10 +3,10 @@
 import numpy as np
 
 from autopilot.core.frames import FloatArray
+from autopilot.core.robust import MAD_TO_SIGMA
 
 HUBER = 2.0
 """Standard deviations from which a residual counts only linearly."""
-MAD_TO_SIGMA = 1.4826
 LEAST_SIGMA = 1e-12
 
 

@@ -12,6 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from autopilot.core.camera import CameraModel
 from autopilot.core.frames import FloatArray
+from autopilot.core.robust import PLANAR_MEDIAN
 
 STEPS = 8
 CONVERGED = 1e-7
@@ -58,7 +59,7 @@ def fit_pose(
             return None
         off = np.linalg.norm(residual, axis=1)
         if step >= 3:
-            keep = off <= max(CORNER_FLOOR_PX, CORNER_SIGMAS * float(np.median(off)) / 1.1774)
+            keep = off <= max(CORNER_FLOOR_PX, CORNER_SIGMAS * float(np.median(off)) / PLANAR_MEDIAN)
         jac = np.empty((len(pixels), 2, 7))
         jac[:, :, :3] = -slopes @ r.T
         jac[:, :, 3:6] = np.cross(slopes, cam[:, None, :])

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 import click
 
 from autopilot.cli.finite import FiniteRange
+from autopilot.cli.options import CAMPAIGN_OUT, CAMPAIGN_PARAM, ENGINE, JOBS, JSON, SCENARIO_VEHICLE
 from autopilot.cli.output import emit_json, print_table
 from autopilot.cli.service_options import part_name
 from autopilot.run.config import SENSORS
@@ -70,7 +71,7 @@ def campaign() -> None:
     "folders", nargs=-1, required=True, type=click.Path(exists=True, file_okay=False, path_type=Path), metavar="DIR..."
 )
 @click.option("--markdown", is_flag=True, help="As docs/campaign.md has it.")
-@click.option("--json", "as_json", is_flag=True, help="Machine-readable output.")
+@JSON
 def table(folders: tuple[Path, ...], markdown: bool, as_json: bool) -> None:
     """Campaigns of the folders DIR beside each other, as far as they are flown.
 
@@ -95,21 +96,21 @@ def table(folders: tuple[Path, ...], markdown: bool, as_json: bool) -> None:
 )
 @click.argument("scenario")
 @click.option("--runs", type=click.IntRange(min=1), required=True, help="Runs in all; more than before goes on.")
-@click.option("--out", type=click.Path(path_type=Path, file_okay=False), required=True, help="Folder of the campaign.")
-@click.option("--engine", default="local", show_default=True, help="local, dask or dask+tcp://HOST:PORT.")
-@click.option("--jobs", type=click.IntRange(min=1), help="Runs at a time (default: one per core).")
+@CAMPAIGN_OUT
+@ENGINE
+@JOBS
 @click.option("--shard", default="1/1", show_default=True, help="I/N: only every N-th run, from the I-th on.")
 @click.option("--seed", type=click.IntRange(min=0), help="Seed of the campaign (default: the scenario's).")
-@click.option("--vehicle", help="Another vehicle than the scenario's: a shipped name or a vehicle file.")
+@SCENARIO_VEHICLE
 @click.option("--duration", type=FiniteRange(min=0.0, min_open=True), help="End every run after so many seconds.")
 @click.option("--estimator", callback=part_name, help="Default: the scenario's, else ekf.")
 @click.option("--sensors", type=click.Choice(SENSORS), help="Default: the scenario's.")
-@click.option("--param", multiple=True, metavar="NAME=VALUE", help="Set a parameter in all runs; repeatable.")
+@CAMPAIGN_PARAM
 @click.option("--figures/--no-figures", default=True, show_default=True, help="Figures in the folder.")
 @click.option(
     "--logs", type=click.IntRange(min=0), default=3, show_default=True, help="Fly the N worst runs again with a log."
 )
-@click.option("--json", "as_json", is_flag=True, help="Machine-readable output.")
+@JSON
 def fly(
     scenario: str,
     runs: int,

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import click
 
+from autopilot.cli.options import CAMPAIGN_OUT, JSON, MARKDOWN_TABLE, ONLY_TABLE
 from autopilot.cli.output import emit_json, print_table
 
 HEADS = ("failsafe", "scenario", "flights", "effect", "slowest reaction s", "ends", "closest m", "contacts", "kept")
@@ -12,12 +13,12 @@ HEADS = ("failsafe", "scenario", "flights", "effect", "slowest reaction s", "end
 
 @click.command()
 @click.option("--runs", type=click.IntRange(min=1), default=20, show_default=True, help="Flights per row and scenario.")
-@click.option("--out", type=click.Path(path_type=Path, file_okay=False), required=True, help="Folder of the campaign.")
+@CAMPAIGN_OUT
 @click.option("--row", "rows", multiple=True, metavar="NAME", help="Only this failsafe; repeatable.")
 @click.option("--scenario", "scenarios", multiple=True, help="paper-tank or harbour; repeatable (default: both).")
-@click.option("--table", "only_table", is_flag=True, help="Fly nothing, print what is there.")
-@click.option("--markdown", is_flag=True, help="As a Markdown table.")
-@click.option("--json", "as_json", is_flag=True, help="Machine-readable output.")
+@ONLY_TABLE
+@MARKDOWN_TABLE
+@JSON
 def faults(
     runs: int,
     out: Path,

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from autopilot.cli.options import CAMPAIGN_OUT, ENGINE, JOBS, JSON
 from autopilot.cli.output import emit_json, print_table
 from autopilot.core.extras import need_analysis
 
@@ -19,13 +20,13 @@ MODE_NAMES = {"quadratic": 0, "energy": 1}
 
 @click.command("rooms")
 @click.option("--runs", type=click.IntRange(min=1), default=200, show_default=True, help="Rooms; more goes on.")
-@click.option("--out", type=click.Path(path_type=Path, file_okay=False), required=True, help="Folder of the campaign.")
+@CAMPAIGN_OUT
 @click.option("--seed", type=click.IntRange(min=0), default=1, show_default=True, help="Seed of the campaign.")
 @click.option("--modes", type=click.Choice(("both", *MODE_NAMES)), default="both", show_default=True)
 @click.option("--only", type=click.IntRange(min=0), multiple=True, help="Fly this room alone, with log and picture.")
-@click.option("--engine", default="local", show_default=True, help="local, dask or dask+tcp://HOST:PORT.")
-@click.option("--jobs", type=click.IntRange(min=1), help="Flights at a time (default: one per core).")
-@click.option("--json", "as_json", is_flag=True, help="Machine-readable output.")
+@ENGINE
+@JOBS
+@JSON
 def rooms(
     runs: int,
     out: Path,

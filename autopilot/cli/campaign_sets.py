@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+from autopilot.cli.options import CAMPAIGN_PARAM, ENGINE, JOBS, JSON, MARKDOWN_TABLE, ONLY_TABLE
 from autopilot.cli.output import emit_json, print_table
 
 if TYPE_CHECKING:
@@ -18,17 +19,17 @@ if TYPE_CHECKING:
 @click.option("--set", "names", multiple=True, metavar="SCENARIO", help="Repeatable (default: r1 r2 r3 r4).")
 @click.option("--runs", type=click.IntRange(min=1), default=300, show_default=True, help="Runs of each; more goes on.")
 @click.option("--out", type=click.Path(path_type=Path, file_okay=False), required=True, help="Folder of all folders.")
-@click.option("--engine", default="local", show_default=True, help="local, dask or dask+tcp://HOST:PORT.")
-@click.option("--jobs", type=click.IntRange(min=1), help="Runs at a time (default: one per core).")
+@ENGINE
+@JOBS
 @click.option("--seed", type=click.IntRange(min=0), help="Seed of the campaigns (default: the scenarios').")
-@click.option("--param", multiple=True, metavar="NAME=VALUE", help="Set a parameter in all runs; repeatable.")
+@CAMPAIGN_PARAM
 @click.option("--figures/--no-figures", default=True, show_default=True, help="Figures in the folders.")
 @click.option(
     "--logs", type=click.IntRange(min=0), default=3, show_default=True, help="Fly the N worst runs of each with a log."
 )
-@click.option("--table", "only_table", is_flag=True, help="Fly nothing, print what is there.")
-@click.option("--markdown", is_flag=True, help="As a Markdown table.")
-@click.option("--json", "as_json", is_flag=True, help="Machine-readable output.")
+@ONLY_TABLE
+@MARKDOWN_TABLE
+@JSON
 def sets(
     names: tuple[str, ...],
     runs: int,

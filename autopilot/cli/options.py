@@ -17,3 +17,13 @@ INSTANCE = click.option("--instance", type=click.IntRange(0, 99), default=0, sho
 SEED = click.option("--seed", type=click.IntRange(min=0), help="Seed of all randomness (default: the scenario's).")
 PARAM = click.option("--param", multiple=True, metavar="NAME=VALUE", help="Set a parameter for this run; repeatable.")
 QUIET = click.option("--quiet", is_flag=True, help="Print only errors.")
+CAMPAIGN_OUT = click.option(
+    "--out", type=click.Path(path_type=Path, file_okay=False), required=True, help="Folder of the campaign."
+)
+CAMPAIGN_PARAM = click.option(
+    "--param", multiple=True, metavar="NAME=VALUE", help="Set a parameter in all runs; repeatable."
+)
+ENGINE = click.option("--engine", default="local", show_default=True, help="local, dask or dask+tcp://HOST:PORT.")
+JOBS = click.option("--jobs", type=click.IntRange(min=1), help="Runs at a time (default: one per core).")
+MARKDOWN_TABLE = click.option("--markdown", is_flag=True, help="As a Markdown table.")
+ONLY_TABLE = click.option("--table", "only_table", is_flag=True, help="Fly nothing, print what is there.")

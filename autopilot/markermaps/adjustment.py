@@ -16,6 +16,7 @@ import numpy as np
 from autopilot.core.camera import CameraModel
 from autopilot.core.frames import FloatArray
 from autopilot.core.markers import CORNER_SIGNS, IntArray
+from autopilot.core.robust import PLANAR_MEDIAN
 
 STEPS = 40
 FIRST_DAMPING, LAST_DAMPING = 1e-10, 1e-13
@@ -156,7 +157,7 @@ def _residuals(network: Network) -> FloatArray:
 
 def _robust_sigma(residual_px: FloatArray) -> float:
     """Standard deviation along one axis from the median length of the errors."""
-    return float(np.median(np.linalg.norm(residual_px, axis=2))) / 1.1774
+    return float(np.median(np.linalg.norm(residual_px, axis=2))) / PLANAR_MEDIAN
 
 
 def _cost(network: Network, sigma_px: float) -> tuple[float, FloatArray]:
