@@ -10,7 +10,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 from autopilot.core.messages import Event, Outputs, Severity
-from autopilot.run.config import gather, sitl_defaults
+from autopilot.run.config import flight_settings
 from autopilot.run.sitl_session import open_sitl
 from autopilot.sitl.operator import ScriptedOperator
 from autopilot.sitl.scenario import load_scenario, plan_path
@@ -93,9 +93,7 @@ def fly_quietly(
 
     with tempfile.TemporaryDirectory(prefix="autopilot-") as name:
         given = {"scenario": scenario, "speed": 0.0, "sensors": sensors, "duration": duration_s, "seed": seed}
-        settings = gather(sitl_defaults(0), {**given, "vehicle": vehicle, "plan": plan and str(plan)}, {})
-        settings.put("connect", (), "alarms")
-        settings.put("state_dir", name, "alarms")
+        settings = flight_settings(name, {**given, "vehicle": vehicle, "plan": plan and str(plan)})
         operator = PatientOperator(duration_s / PHASES, mission=plan is not None)
         open_sitl(settings, {}, log=False, peers=[operator] if armed else [], on_tick=hear).run()
     alarms = tuple(f"{1e-6 * event.t_us:.1f} s: {event.text}" for event in heard)

@@ -25,7 +25,7 @@ from autopilot.log.analysis import Track, load_flight, wrap
 from autopilot.log.reader import open_log
 from autopilot.mission.paper import paper_plan
 from autopilot.mission.plan_files import write_plan
-from autopilot.run.config import gather, sitl_defaults
+from autopilot.run.config import flight_settings
 from autopilot.run.sitl_session import SitlSession, open_sitl
 from autopilot.sitl.floor import told_markers
 from autopilot.sitl.scenario import scenario_path
@@ -170,10 +170,7 @@ def open_flight(spec: FlightSpec, folder: Path, log: Path) -> SitlSession:
     scenario.write_text(toml_text(tables), encoding="utf-8")
     write_plan(plan, paper_plan())
     given = {"scenario": str(scenario), "speed": spec.speed, "sensors": spec.sensors, "duration": spec.duration_s}
-    settings = gather(sitl_defaults(0), {**given, "seed": spec.seed, "plan": str(plan), "start": True}, {})
-    settings.put("connect", (), "bench")
-    settings.put("state_dir", str(folder), "bench")
-    settings.put("log", str(log), "bench")
+    settings = flight_settings(folder, {**given, "seed": spec.seed, "plan": str(plan), "start": True, "log": str(log)})
     return open_sitl(settings, {})
 
 

@@ -17,7 +17,7 @@ import numpy as np
 
 from autopilot.core.frames import wrap_pi
 from autopilot.core.messages import AidStatus, Failsafe, NavHealth, Outputs, Severity
-from autopilot.run.config import gather, sitl_defaults
+from autopilot.run.config import flight_settings
 from autopilot.run.sitl_session import SitlSession, open_sitl
 from autopilot.sitl.scenario import scenario_path
 from autopilot.sitl.toml_text import toml_text
@@ -176,9 +176,7 @@ def fly_fault(flight: FaultFlight) -> FaultResult:
         scenario = Path(folder) / "scenario.toml"
         scenario.write_text(toml_text(tables), encoding="utf-8")
         given = {"scenario": str(scenario), "speed": 0.0, "sensors": flight.sensors, "duration": flight.duration_s}
-        settings = gather(sitl_defaults(0), {**given, "seed": flight.seed, "start": True}, {})
-        settings.put("connect", (), "bench")
-        settings.put("state_dir", folder, "bench")
+        settings = flight_settings(folder, {**given, "seed": flight.seed, "start": True})
         watches: list[_Watch] = []
         session = open_sitl(settings, PLAIN_WAY, log=False, on_tick=lambda outputs: watches[0].tick(outputs))
         until_s = math.inf if flight.lasts_s is None else flight.at_s + flight.lasts_s

@@ -17,7 +17,7 @@ from autopilot.core.clock import TICK_US
 from autopilot.core.messages import Outputs
 from autopilot.mission.paper import paper_plan
 from autopilot.mission.qgc_plan import write_qgc_plan
-from autopilot.run.config import gather, sitl_defaults
+from autopilot.run.config import flight_settings
 from autopilot.run.sitl_session import open_sitl
 
 LAPS = 1000
@@ -109,8 +109,6 @@ def soak(duration_s: float, seed: int, show: Callable[[Look], None] = lambda _: 
             "seed": seed,
             "log": str(folder / "run.mcap"),
         }
-        settings = gather(sitl_defaults(0), given, {})
-        settings.put("connect", (), "soak")
-        settings.put("state_dir", str(folder / "state"), "soak")
+        settings = flight_settings(folder / "state", given)
         open_sitl(settings, {}, on_tick=look).run()
     return Soak(looks=tuple(looks))

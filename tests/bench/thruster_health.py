@@ -15,7 +15,7 @@ import numpy as np
 
 from autopilot.campaign.definition import define
 from autopilot.core.messages import Outputs
-from autopilot.run.config import gather, sitl_defaults
+from autopilot.run.config import flight_settings
 from autopilot.run.provenance import revision
 from autopilot.run.sitl_session import open_sitl
 from tests.bench.thruster_loops import Loss, fly
@@ -220,9 +220,7 @@ def _fly_campaign(flight: HealthFlight) -> Outcome:
         scenario.write_text(toml, encoding="utf-8")
         (folder / task.plan_name).write_bytes(task.plan)
         given = {"scenario": str(scenario), "speed": 0.0, "seed": task.seed, "start": True, "duration": flight.seconds}
-        settings = gather(sitl_defaults(0), given, {})
-        settings.put("connect", (), "bench")
-        settings.put("state_dir", str(folder), "bench")
+        settings = flight_settings(folder, given)
         watch = _Watch(flight)
         session = open_sitl(settings, {"MPC_COST": float(flight.cost)}, log=False, on_tick=watch.tick)
         session.run(lambda: False)

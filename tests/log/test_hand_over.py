@@ -16,7 +16,7 @@ from autopilot.log.description import RunDescription
 from autopilot.log.reader import open_log
 from autopilot.log.session import RunLog, World
 from autopilot.log.writer import LogWriter, Payload
-from autopilot.run.config import gather, sitl_defaults
+from autopilot.run.config import flight_settings
 from autopilot.run.recorder import RunRecorder
 from autopilot.run.sitl_session import open_sitl
 
@@ -87,9 +87,7 @@ def test_nobody_changes_what_was_handed_over(tmp_path: Path, monkeypatch: pytest
     monkeypatch.setattr(RunLog, "tick", both)
     duration_s = 4.0 if sensors == "pose" else 2.0
     given = {"speed": 0.0, "sensors": sensors, "start": True, "duration": duration_s, "log": str(tmp_path / "a.mcap")}
-    made = gather(sitl_defaults(0), given, {})
-    for name, value in {"connect": (), "state_dir": str(tmp_path)}.items():
-        made.put(name, value, "test")
+    made = flight_settings(tmp_path, given)
     open_sitl(made, {}).run()
     assert not late.messages
     late.pack()

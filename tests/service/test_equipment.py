@@ -13,7 +13,7 @@ from autopilot.core.errors import ConfigError
 from autopilot.core.toml_table import convert
 from autopilot.core.vehicle import PayloadTable
 from autopilot.log.reader import open_log
-from autopilot.run.config import gather, sitl_defaults
+from autopilot.run.config import flight_settings
 from autopilot.run.sitl_session import open_sitl
 
 LIGHTS, GRABBER, RELAY = 0, 1, 2
@@ -123,9 +123,7 @@ def test_a_wrong_table_is_told(table: dict[str, object], said: str) -> None:
 
 def test_a_simulated_gripper_moves_and_its_state_is_in_the_log(tmp_path: Path) -> None:
     log = tmp_path / "run.mcap"
-    settings = gather(sitl_defaults(0), {"scenario": "paper-tank", "sensors": "pose", "speed": 0.0}, {})
-    for name, value in (("connect", ()), ("state_dir", str(tmp_path)), ("log", str(log))):
-        settings.put(name, value, "test")
+    settings = flight_settings(tmp_path, {"scenario": "paper-tank", "sensors": "pose", "log": str(log)})
     client = WireGripper()
     session = open_sitl(settings, {}, peers=(client,))
     for tick in range(1, 351):

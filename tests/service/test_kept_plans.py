@@ -18,15 +18,13 @@ from autopilot.core.state_file import StateFile
 from autopilot.mission.paper import paper_plan
 from autopilot.mission.sequencer import Position
 from autopilot.mission.store import Plans
-from autopilot.run.config import gather, sitl_defaults
+from autopilot.run.config import flight_settings
 from autopilot.run.kept_plans import KeptPlans
 from autopilot.run.sitl_session import open_sitl
 
 
 def _parts(folder: Path) -> Parts:
-    values = gather(sitl_defaults(0), {"speed": 0.0, "sensors": "pose"}, {})
-    for name, value in {"connect": (), "state_dir": str(folder / "state"), "log_dir": str(folder / "logs")}.items():
-        values.put(name, value, "test")
+    values = flight_settings(folder / "state", {"sensors": "pose", "log_dir": str(folder / "logs")})
     return open_sitl(values, {}, log=False).parts
 
 

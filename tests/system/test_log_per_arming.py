@@ -8,7 +8,7 @@ import pytest
 from pymavlink.dialects.v20 import development as mav
 
 from autopilot.log.reader import open_log
-from autopilot.run.config import gather, sitl_defaults
+from autopilot.run.config import flight_settings, gather, sitl_defaults
 from autopilot.run.sitl_session import open_sitl
 
 
@@ -29,9 +29,9 @@ class Switch:
 
 
 def test_one_log_per_arming(tmp_path: Path) -> None:
-    settings = gather(sitl_defaults(0), {"speed": 0.0, "sensors": "pose", "duration": 7.0}, {})
-    for name, value in {"connect": (), "state_dir": str(tmp_path / "state"), "log_dir": str(tmp_path / "logs")}.items():
-        settings.put(name, value, "test")
+    settings = flight_settings(
+        tmp_path / "state", {"sensors": "pose", "duration": 7.0, "log_dir": str(tmp_path / "logs")}
+    )
     open_sitl(settings, {"FENCE_REQUIRED": 0.0}, peers=[Switch({2.0: 1, 3.5: 0, 4.5: 1, 6.0: 0})]).run()
     logs = sorted((tmp_path / "logs").rglob("*.mcap"))
     assert len(logs) == 2

@@ -18,7 +18,7 @@ from autopilot.estimator.vision import Hint, MarkerDetector
 from autopilot.log import writer
 from autopilot.log.reader import open_log
 from autopilot.run.children import free_port
-from autopilot.run.config import gather, sitl_defaults
+from autopilot.run.config import flight_settings
 from autopilot.run.sitl_session import SitlSession, open_sitl
 
 SPEED = 5.0
@@ -82,9 +82,9 @@ class Operator:
 
 def _session(folder: Path, *, on_tick: Callable[[Outputs], None] = lambda _: None, **given: Any) -> SitlSession:
     peers = given.pop("peers", ())
-    settings = gather(sitl_defaults(0), {"speed": SPEED, "sensors": "pose", **given}, {})
-    for name, value in {"connect": (), "state_dir": str(folder / "state"), "log_dir": str(folder / "logs")}.items():
-        settings.put(name, value, "test")
+    settings = flight_settings(
+        folder / "state", {"speed": SPEED, "sensors": "pose", **given, "log_dir": str(folder / "logs")}
+    )
     return open_sitl(settings, {"FENCE_REQUIRED": 0.0}, peers=peers, on_tick=on_tick)
 
 

@@ -15,7 +15,7 @@ from autopilot.control.way.planner import Planner
 from autopilot.core.errors import ConfigError, LogError
 from autopilot.core.geometry import Circle, Fence, Polygon
 from autopilot.log.reader import open_log
-from autopilot.run.config import gather, sitl_defaults
+from autopilot.run.config import flight_settings
 from autopilot.run.sitl_session import open_sitl
 from tests.bench.reference_flights import Release, changes, keep, read_release
 
@@ -25,9 +25,7 @@ def flown(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("looks")
     path = folder / "flown.mcap"
     given = {"scenario": "paper-tank", "speed": 0.0, "sensors": "pose", "start": True, "duration": 4.0}
-    settings = gather(sitl_defaults(0), given, {})
-    for name, value in (("connect", ()), ("state_dir", str(folder)), ("log", str(path))):
-        settings.put(name, value, "test")
+    settings = flight_settings(folder, {**given, "log": str(path)})
     open_sitl(settings, {}).run()
     return path
 

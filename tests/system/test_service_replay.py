@@ -17,7 +17,7 @@ from autopilot.log.reader import Log, open_log
 from autopilot.mavlink.dialect import mav
 from autopilot.replay import service_inputs as replay_service
 from autopilot.replay.service import replay_service as replayed
-from autopilot.run.config import gather, sitl_defaults
+from autopilot.run.config import flight_settings
 from autopilot.run.signing_files import SigningFiles
 from autopilot.run.sitl_session import open_sitl
 
@@ -79,9 +79,7 @@ def flown(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("replay")
     path = folder / "flown.mcap"
     given = {"scenario": "paper-tank", "speed": 0.0, "sensors": "pose", "start": True, "duration": 3.0}
-    settings = gather(sitl_defaults(0), given, {})
-    for name, value in (("connect", ()), ("state_dir", str(folder)), ("log", str(path))):
-        settings.put(name, value, "test")
+    settings = flight_settings(folder, {**given, "log": str(path)})
     open_sitl(settings, {}).run()
     return path
 

@@ -11,7 +11,7 @@ from autopilot.control.energy.power import PowerModel
 from autopilot.control.fence.obstacles import clearance_m
 from autopilot.core.frames import FloatArray, wrap_pi
 from autopilot.core.messages import Outputs
-from autopilot.run.config import gather, sitl_defaults
+from autopilot.run.config import flight_settings
 from autopilot.run.sitl_session import SitlSession, open_sitl
 from autopilot.sitl.scenario import scenario_path
 from tests.bench.energy.cases import REGION_M, REGION_YAW_RAD, Case
@@ -87,9 +87,7 @@ def fly_service(case: Case, scenario: str, drag: float, currents: str = "estimat
         altered.write_text(text)
         limit_s = LEG_LIMIT_S * len(case.goals) * case.laps
         given = {"speed": 0.0, "sensors": "pose", "duration": limit_s, "start": True, "scenario": str(altered)}
-        settings = gather(sitl_defaults(0), given, {})
-        settings.put("connect", (), "bench")
-        settings.put("state_dir", folder, "bench")
+        settings = flight_settings(folder, given)
         session = open_sitl(settings, {}, log=False, on_tick=score.tick)
         score.session = session
         session.run(stop=lambda: score.finished)

@@ -158,15 +158,13 @@ def _console() -> Measured:
 
 def _texts() -> Measured:
     """STATUSTEXTs of the first lap of the paper's mission, with a client that asks for the impossible ten times."""
-    from autopilot.run.config import gather, sitl_defaults
+    from autopilot.run.config import flight_settings
     from autopilot.run.sitl_session import open_sitl
     from tests.bench.faults.pilot import Pilot
 
     given = {"scenario": "paper-tank", "speed": 0.0, "start": True, "sensors": "pose"}
     with _folder() as folder:
-        settings = gather(sitl_defaults(0), given, {})
-        settings.put("connect", (), "bench")
-        settings.put("state_dir", str(folder), "bench")
+        settings = flight_settings(folder, given)
         pilot = Pilot()
         session = open_sitl(settings, {}, log=False, peers=(pilot,))
         try:

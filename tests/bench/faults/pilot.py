@@ -24,7 +24,7 @@ from autopilot.mission.local_plan import (
     plan_of_local,
 )
 from autopilot.mission.plan_model import PlanFile
-from autopilot.run.config import gather, sitl_defaults
+from autopilot.run.config import flight_settings
 from autopilot.run.sitl_session import SitlSession, open_sitl
 
 ARM, START, REPOSITION = 400, 300, 192
@@ -166,9 +166,7 @@ class PilotedFlight:
 def piloted(scenario: str, params: dict[str, float] | None = None) -> Iterator[PilotedFlight]:
     """A flight in lockstep, nothing shared, no log."""
     with tempfile.TemporaryDirectory() as folder:
-        settings = gather(sitl_defaults(0), {"scenario": scenario, "speed": 0.0, "sensors": "pose"}, {})
-        settings.put("connect", (), "bench")
-        settings.put("state_dir", folder, "bench")
+        settings = flight_settings(folder, {"scenario": scenario, "sensors": "pose"})
         pilot = Pilot()
         session = open_sitl(settings, params or {}, log=False, peers=(pilot,))
         flight = PilotedFlight(session=session, pilot=pilot)

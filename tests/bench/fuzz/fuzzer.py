@@ -28,7 +28,7 @@ from autopilot.mavlink.dialect import mav
 from autopilot.mavlink.vehicle_commands import FORCE_ARM, FORCE_DISARM
 from autopilot.mission.fence import fence_clearance_m
 from autopilot.mission.paper import paper_plan
-from autopilot.run.config import gather, sitl_defaults
+from autopilot.run.config import flight_settings
 from autopilot.run.sitl_session import SitlSession, open_sitl
 from tests.bench.fuzz.messages import Sender, Traffic
 from tests.bench.fuzz.result import Result
@@ -254,9 +254,7 @@ def _clients(key: bytes | None) -> tuple[Sender, ...]:
 
 
 def _session(seed: int, folder: Path, key: bytes | None = None) -> SitlSession:
-    settings = gather(sitl_defaults(0), {"scenario": "paper-tank", "speed": 0.0, "sensors": "pose", "seed": seed}, {})
-    settings.put("connect", (), "fuzz")
-    settings.put("state_dir", str(folder), "fuzz")
+    settings = flight_settings(folder, {"scenario": "paper-tank", "sensors": "pose", "seed": seed})
     # Clients may erase logs: not those of whoever runs this.
     settings.put("log_dir", str(folder / "logs"), "fuzz")
     day = folder / "logs" / "2026-01-01"
