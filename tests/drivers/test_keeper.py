@@ -7,6 +7,7 @@ import signal
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from itertools import count
 from pathlib import Path
 
 import pytest
@@ -117,8 +118,12 @@ def another_program(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
 
 @contextmanager
 def no_more_files(_: pytest.MonkeyPatch) -> Iterator[None]:
+    """But one, which the output needs to look at its own files now and then; a process takes several."""
     before = resource.getrlimit(resource.RLIMIT_NOFILE)
-    resource.setrlimit(resource.RLIMIT_NOFILE, (len(os.listdir("/proc/self/fd")) - 1, before[1]))
+    used = {name for name in os.listdir("/proc/self/fd") if os.path.lexists(f"/proc/self/fd/{name}")}
+    free = (number for number in count() if str(number) not in used)
+    next(free)
+    resource.setrlimit(resource.RLIMIT_NOFILE, (next(free), before[1]))
     try:
         yield
     finally:
