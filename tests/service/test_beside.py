@@ -9,26 +9,11 @@ import pytest
 from autopilot.control.energy.search import EnergyPlanner
 from autopilot.control.robust import regions
 from autopilot.control.way.planner import Planner
-from autopilot.core.geodesy import geodetic_from_ned
 from autopilot.core.messages import Outputs, Severity
-from autopilot.core.plan import PlanKind
-from autopilot.mission.paper import paper_plan
-from tests.bench.faults.pilot import PilotedFlight, piloted
+from tests.bench.faults.beside import go_to, on_its_way
+from tests.bench.faults.pilot import piloted
 
 WARNING = "No energy plan: flying the plain route"
-
-
-def on_its_way(flight: PilotedFlight, seconds: float) -> None:
-    plan = paper_plan(1)
-    flight.upload(PlanKind.FENCE, plan.fence)
-    flight.upload(PlanKind.MISSION, plan.mission)
-    flight.start()
-    flight.fly(seconds)
-
-
-def go_to(flight: PilotedFlight, place_ned_m: tuple[float, float, float]) -> None:
-    lat, lon, _ = geodetic_from_ned(flight.session.parts.plans.origin, np.array(place_ned_m))
-    flight.pilot.go_to(lat, lon, place_ned_m[2])
 
 
 @pytest.mark.parametrize("cost", [0.0, 1.0])

@@ -1,9 +1,18 @@
 """What the estimator says beside the state: how good it is, and what it was made from."""
 
 from autopilot.core.frames import FloatArray
-from autopilot.core.messages import AID_SENSORS, AidStatus, MarkerFit, NavCounters, NavDoubt, NavState, ShadowStatus
+from autopilot.core.messages import (
+    AID_SENSORS,
+    MAX_THRUSTERS,
+    AidStatus,
+    MarkerFit,
+    NavCounters,
+    NavDoubt,
+    NavState,
+    ShadowStatus,
+)
 from autopilot.log.cdr import ENCAPSULATION
-from autopilot.log.packing.parts import FRD, NS, UINT32, clip, eight
+from autopilot.log.packing.parts import FRD, NS, UINT32, clip, padded
 from autopilot.log.packing.records import packer_of
 from autopilot.log.schemas import layout
 
@@ -83,7 +92,7 @@ _PLACED = frozenset((*COUNTER_NAMES, FIELD_DISTURBANCES))
 
 def acting_thrust(stamp_ns: int, thrust_n: FloatArray) -> bytes:
     """ActingThrust."""
-    return _acting_thrust(ENCAPSULATION, *divmod(stamp_ns, NS), *FRD, *eight(thrust_n))
+    return _acting_thrust(ENCAPSULATION, *divmod(stamp_ns, NS), *FRD, *padded(thrust_n, MAX_THRUSTERS))
 
 
 def nav_counters(stamp_ns: int, value: NavCounters) -> bytes:

@@ -1,7 +1,10 @@
 """What the packers of all topics have in common: frames of the header, and values cut to what a field holds."""
 
+from collections.abc import Sequence
+
+import numpy as np
+
 from autopilot.core.frames import FloatArray
-from autopilot.core.messages import MAX_THRUSTERS
 
 NED = (4, b"ned\0")
 FRD = (4, b"frd\0")
@@ -16,7 +19,7 @@ def clip(value: int, largest: int) -> int:
     return 0 if value < 0 else min(value, largest)
 
 
-def eight(values: FloatArray) -> list[float]:
-    """Values (n,) per thruster as the MAX_THRUSTERS of a message, the rest 0."""
-    out: list[float] = values.tolist()
-    return out if len(out) == MAX_THRUSTERS else (out + [0.0] * MAX_THRUSTERS)[:MAX_THRUSTERS]
+def padded(values: FloatArray | Sequence[float], count: int) -> Sequence[float]:
+    """So many values: zeros behind them, or the first ones."""
+    flat: Sequence[float] = values.tolist() if isinstance(values, np.ndarray) else values
+    return flat if len(flat) == count else [*flat, *[0] * count][:count]

@@ -5,8 +5,8 @@ from collections.abc import Sequence
 from autopilot.core.payload import MAX_PAYLOAD, PayloadState
 from autopilot.core.stills import StillRecord
 from autopilot.log.cdr import ENCAPSULATION
-from autopilot.log.packing.parts import FRD, NED, NS, UINT16, UINT32, clip
-from autopilot.log.packing.records import packer_of, padded
+from autopilot.log.packing.parts import FRD, NED, NS, UINT16, UINT32, clip, padded
+from autopilot.log.packing.records import packer_of
 from autopilot.log.schemas import layout
 
 outputs = packer_of(
@@ -43,4 +43,4 @@ def still(stamp_ns: int, record: StillRecord) -> bytes:
 
 def truth(stamp_ns: int, shares: Sequence[float]) -> bytes:
     """PayloadTruth: where simulated equipment really is."""
-    return _truth(ENCAPSULATION, *divmod(stamp_ns, NS), *FRD, *(*shares, *(0.0,) * MAX_PAYLOAD)[:MAX_PAYLOAD])
+    return _truth(ENCAPSULATION, *divmod(stamp_ns, NS), *FRD, *padded(shares, MAX_PAYLOAD))

@@ -6,15 +6,14 @@ stands in a field of its own. What does not follow these rules is given as a fun
 """
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from enum import Enum
 from types import NoneType, UnionType
 from typing import Any, get_args, get_origin, get_type_hints
 
-from autopilot.core.frames import FloatArray
 from autopilot.core.messages import MAX_THRUSTERS
 from autopilot.log.cdr import ENCAPSULATION, Field
-from autopilot.log.packing.parts import NS, clip
+from autopilot.log.packing.parts import NS, clip, padded
 from autopilot.log.schemas import layout, types_of
 
 Pack = Callable[[int, Any], bytes]
@@ -75,12 +74,6 @@ def reader_of(
         parts.append(f"{name}={read}")
     made: Callable[[Any], Any] = eval(f"lambda row: of({', '.join(parts)})", scope)
     return made
-
-
-def padded(values: FloatArray | Sequence[float], count: int) -> Sequence[float]:
-    """So many values: zeros behind them, or the first ones."""
-    flat: Sequence[float] = values if isinstance(values, tuple) else values.tolist()  # type: ignore[union-attr]
-    return flat if len(flat) == count else [*flat, *[0] * count][:count]
 
 
 def absent(value: float) -> float | None:

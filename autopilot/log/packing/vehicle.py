@@ -3,9 +3,9 @@
 from typing import Protocol
 
 from autopilot.core.frames import FloatArray
-from autopilot.core.messages import NavState
+from autopilot.core.messages import MAX_THRUSTERS, NavState
 from autopilot.log.cdr import ENCAPSULATION
-from autopilot.log.packing.parts import FRD, NED, NS, UINT32, clip, eight
+from autopilot.log.packing.parts import FRD, NED, NS, UINT32, clip, padded
 from autopilot.log.packing.records import packer_of
 from autopilot.log.schemas import layout
 
@@ -43,7 +43,9 @@ class TruthLike(Protocol):
 
 def thruster_state(stamp_ns: int, truth: TruthLike) -> bytes:
     """ThrusterState: acting forces and electrical power."""
-    return _thruster_state(ENCAPSULATION, *divmod(stamp_ns, NS), *FRD, *eight(truth.thrust_n), float(truth.power_w))
+    return _thruster_state(
+        ENCAPSULATION, *divmod(stamp_ns, NS), *FRD, *padded(truth.thrust_n, MAX_THRUSTERS), float(truth.power_w)
+    )
 
 
 def contact_state(stamp_ns: int, count: int, penetration_m: float) -> bytes:

@@ -58,7 +58,7 @@ def _on_the_loop(cost: int) -> Measured:
         patch("autopilot.control.robust.regions.certify", counted(terminal.certify, "certificate")),
         piloted("paper-tank", {"MPC_COST": cost}) as flight,
     ):
-        _paper(flight, 4.0)
+        on_its_way(flight, 4.0)
     text = ", ".join(f"{kind} {beside} beside, {on_it} on the loop" for kind, (beside, on_it) in seen.items())
     done = sum(beside for beside, _ in seen.values())
     return Measured(text=text, kept=done > 0 and not any(on_it for _, on_it in seen.values()))
@@ -74,7 +74,7 @@ def _many_go_tos() -> Measured:
         return made
 
     with patch.object(EnergyPlanner, "plan", plan), piloted("paper-tank", {"MPC_COST": 1.0}) as flight:
-        _paper(flight, 1.0)
+        on_its_way(flight, 1.0)
         done.clear()
         for i in range(GO_TOS):
             go_to(flight, (1.2 + 0.02 * i, 0.9, 0.4))
@@ -93,7 +93,7 @@ def _failing_planner() -> Measured:
         raise RuntimeError("planner broken on purpose")
 
     with patch.object(EnergyPlanner, "plan", plan), piloted("paper-tank", {"MPC_COST": 1.0}) as flight:
-        _paper(flight, 1.0)
+        on_its_way(flight, 1.0)
         begin = flight.session.device.truth.pos_ned_m.copy()
         flight.fly(6.0)
         moved = float(np.linalg.norm(flight.session.device.truth.pos_ned_m - begin))
@@ -112,13 +112,14 @@ def _certificate_texts() -> Measured:
 
     with piloted("paper-tank") as flight:
         flight.on_tick = note
-        _paper(flight, 4.0)
+        on_its_way(flight, 4.0)
         told = [text for text in flight.pilot.texts() if "alpha" in text or "violate" in text]
     certificates = sum("alpha" in text for text in logged)
     return Measured(text=f"{len(told)} told, {certificates} in the log", kept=not told and certificates > 0)
 
 
-def _paper(flight: PilotedFlight, seconds: float) -> None:
+def on_its_way(flight: PilotedFlight, seconds: float) -> None:
+    """Upload the paper's plan, start it and fly for a while."""
     plan = paper_plan(1)
     flight.upload(PlanKind.FENCE, plan.fence)
     flight.upload(PlanKind.MISSION, plan.mission)
