@@ -77,7 +77,7 @@ class Goals:
     def hold(self, nav: NavState) -> Goal:
         """Where the vehicle comes to rest, with its heading."""
         place = self._stopping_place(nav)
-        place[2] = self._in_band(place[2])
+        place[2] = self.in_band(place[2])
         return self.at(place, float(nav.rpy_rad[2]))
 
     def surface(self, nav: NavState) -> Goal:
@@ -89,7 +89,7 @@ class Goals:
     def home(self, nav: NavState) -> Goal:
         """Home at the present depth, heading free."""
         place = self._plans.home_ned_m.copy()
-        place[2] = self._in_band(float(nav.pos_ned_m[2]))
+        place[2] = self.in_band(float(nav.pos_ned_m[2]))
         return self.at(place, None)
 
     def refuse_home(self) -> str:
@@ -99,11 +99,20 @@ class Goals:
             return f"home is {-clearance_m:.2f} m beyond the fence: set another"
         return ""
 
+    def in_band(self, depth_m: float) -> float:
+        """The next depth between DEPTH_MIN and DEPTH_MAX."""
+        return min(max(float(depth_m), self._params["DEPTH_MIN"]), self._params["DEPTH_MAX"])
+
+    def refuse_depth(self, depth_m: float) -> str:
+        """Why a depth cannot be gone to, "" if it can."""
+        low, high = self._params["DEPTH_MIN"], self._params["DEPTH_MAX"]
+        return "" if low <= depth_m <= high else f"depth {depth_m:.2f} m is outside {low:g} to {high:g} m"
+
     def refuse(self, pos_ned_m: FloatArray) -> str:
         """Why a place (3,) cannot be a goal, "" if it can."""
-        low, high = self._params["DEPTH_MIN"], self._params["DEPTH_MAX"]
-        if not low <= pos_ned_m[2] <= high:
-            return f"depth {pos_ned_m[2]:.2f} m is outside {low:g} to {high:g} m"
+        reason = self.refuse_depth(float(pos_ned_m[2]))
+        if reason:
+            return reason
         clearance_m = self.clearance_m(pos_ned_m)
         if clearance_m < self._keep_m():
             where = "from" if clearance_m >= 0.0 else "outside of"
@@ -130,9 +139,6 @@ class Goals:
     def _keep_m(self) -> float:
         """What the controller keeps from every boundary."""
         return self._vehicle.radius_m + self._params["MPC_MARGIN"]
-
-    def _in_band(self, depth_m: float) -> float:
-        return min(max(float(depth_m), self._params["DEPTH_MIN"]), self._params["DEPTH_MAX"])
 
     def _stopping_place(self, nav: NavState) -> FloatArray:
         """(3,) end of the braking distance v^2 / 2a over ground, or the last place on the way that the fence allows."""

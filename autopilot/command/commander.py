@@ -16,14 +16,14 @@ from autopilot.command.decision import Decision
 from autopilot.command.disarming import Disarming
 from autopilot.command.failsafes import FailsafeRules
 from autopilot.command.mission_run import MissionRun
-from autopilot.command.modes import Modes
+from autopilot.command.mode_machine import ModeMachine
+from autopilot.command.modes.automatic import TakeoffMode
+from autopilot.command.modes.circle import CircleMode
+from autopilot.command.modes.guided import GuidedMode
+from autopilot.command.modes.mode import Tools, denied
 from autopilot.command.motor_tests import MotorTests
-from autopilot.command.offboard import Offboard
-from autopilot.command.piloting import Piloting
 from autopilot.command.plan_watch import FenceGuard, PlanCheckNews
-from autopilot.command.refusals import Refusals, denied
 from autopilot.command.situation import Situation
-from autopilot.command.steering import Steering
 from autopilot.command.watch import Watch
 from autopilot.core.errors import ConfigError
 from autopilot.core.frames import FloatArray
@@ -34,7 +34,7 @@ from autopilot.core.params import ParamSet
 from autopilot.core.phrases import NO_FENCE
 from autopilot.core.plan import PlanKind, PlanRejection
 from autopilot.core.vehicle import Vehicle
-from autopilot.mavlink.api import BLIND, Answer, Circling, CommandResult, FlightMode, MotorTest, SetPoint
+from autopilot.mavlink.api import Answer, Circling, CommandResult, FlightMode, MotorTest, SetPoint
 from autopilot.mission.goals import Goals
 from autopilot.mission.judgement import Verdict
 from autopilot.mission.sequencer import Position
@@ -50,7 +50,7 @@ _ACCEPTED = Answer(result=CommandResult.ACCEPTED)
 
 
 class Commander:
-    """Says which orders may be given to the state machine (:class:`autopilot.command.modes.Modes`), and gives them."""
+    """Says which orders may be given to the state machine (:class:`~autopilot.command.mode_machine.ModeMachine`)."""
 
     def __init__(
         self,
@@ -70,12 +70,17 @@ class Commander:
         self._mission = MissionRun(params, plans, self._operator, speed_m_s or (lambda _: params["SPD_PLANAR_MAX"]))
         self._situation = Situation(vehicle, params, plans, self._goals, self._mission.sequencer)
         self._failsafes = FailsafeRules(params, self._situation)
-        piloting, self._offboard = Piloting(vehicle, params, self._goals), Offboard(params, self._goals)
-        self._modes = Modes(self._goals, self._mission, self._failsafes, self._operator, piloting, self._offboard)
-        self._steering = Steering(vehicle, params, plans, self._goals, self._modes)
+        tools = Tools(
+            vehicle=vehicle,
+            params=params,
+            plans=plans,
+            goals=self._goals,
+            mission=self._mission,
+            operator=self._operator,
+        )
+        self._modes = ModeMachine(tools, self._failsafes)
         self._disarming = Disarming(self._operator)
         self._tests = MotorTests(vehicle, self._goals, self._modes, self._operator)
-        self._refusals = Refusals(plans, self._goals, self._mission, self._modes, self._failsafes, self._offboard)
         self._watch = Watch(vehicle, plans, self._goals)
         self._arming = ArmingChecks(params, plans, self._goals, self._failsafes, controller_check)
         self._check_news = PlanCheckNews(plans, self._operator)
@@ -149,7 +154,7 @@ class Commander:
 
     def prearm_reasons(self) -> tuple[str, ...]:
         """Why arming would be refused now; empty when ready."""
-        return self._arming.reasons(self._modes.conditions, blind=self._modes.chosen in BLIND)
+        return self._arming.reasons(self._modes.conditions, blind=self._modes.blind)
 
     # Requests: arming and modes
 
@@ -168,7 +173,7 @@ class Commander:
         self._disarming.give_up()
         self._ending = None
         mode = self._modes.chosen
-        allowed = self._refusals.of_mode(mode) is None and not self._steering.prepare(mode)
+        allowed = self._modes.refusal(mode) is None and not self._modes.prepare(mode)
         self._modes.enter(mode if allowed else FlightMode.HOLD)
         self._operator.say(Severity.INFO, "Armed")
         if not self._arming.fenced:
@@ -191,10 +196,10 @@ class Commander:
 
     def set_mode(self, mode: FlightMode) -> Answer:
         """Change the mode, or say why not."""
-        refusal = self._refusals.of_mode(mode)
+        refusal = self._modes.refusal(mode)
         if refusal is not None:
             return refusal
-        reason = self._steering.prepare(mode)
+        reason = self._modes.prepare(mode)
         if reason:
             return denied(reason)
         self._modes.choose(mode)
@@ -213,7 +218,7 @@ class Commander:
     def start_mission(self, first_seq: int | None) -> Answer:
         """Enter MISSION at an item, None = where it is."""
         armed = self._modes.armed
-        refusal = self._refusals.of_mode(FlightMode.MISSION) if armed else denied("Mission start denied: arm first")
+        refusal = self._modes.refusal(FlightMode.MISSION) if armed else denied("Mission start denied: arm first")
         if refusal is not None:
             return refusal
         if first_seq is not None and first_seq > 0:
@@ -255,15 +260,16 @@ class Commander:
 
     def set_point(self, point: SetPoint) -> Answer:
         """Follow it in GUIDED. One that cannot be followed ends the mode."""
-        refusal = self._offboard.refusal(point)
+        guided = self._modes.of_kind(GuidedMode)
+        refusal = guided.refuse_point(point)
         if not refusal:
-            self._offboard.take(point)
+            guided.take(point)
             return _ACCEPTED
         return self.refuse_set_point(refusal)
 
     def refuse_set_point(self, reason: str) -> Answer:
         """A set point that is not followed: GUIDED ends."""
-        self._offboard.take(None, f"set point refused, {reason}")
+        self._modes.of_kind(GuidedMode).take(None, f"set point refused, {reason}")
         if self._modes.armed and self._modes.chosen is FlightMode.GUIDED:
             self._modes.interrupt()
         return denied(f"Set point refused: {reason}")
@@ -272,10 +278,10 @@ class Commander:
         """Round a place."""
         if not self._modes.armed:
             return denied("Orbit denied: arm first")
-        refusal = self._refusals.of_mode(FlightMode.CIRCLE)
+        refusal = self._modes.refusal(FlightMode.CIRCLE)
         if refusal is not None:
             return refusal
-        reason = self._steering.choose_circle(circle)
+        reason = self._modes.of_kind(CircleMode).choose(circle, self._modes.nav)
         if reason:
             return denied(f"Orbit denied: {reason}")
         self._modes.choose(FlightMode.CIRCLE)
@@ -293,14 +299,13 @@ class Commander:
             return denied("Change of depth denied: arm first")
         if nav is None:
             return denied("Change of depth denied: no position")
-        if self._modes.mode in (FlightMode.MISSION, FlightMode.RETURN, FlightMode.SURFACE):
+        if not self._modes.active.changes_depth:
             return denied(f"Change of depth denied in {self._modes.mode.name}: hold first")
-        if self._modes.mode is FlightMode.CIRCLE:
-            reason = self._steering.circle_at(depth_m)
-        else:
+        reason = self._modes.active.go_to_depth(depth_m)
+        if reason is None:
             goal = self._goals.hold(nav)
             place = np.array([*goal.pos_ned_m[:2], depth_m])
-            reason = self._steering.depth_refusal(depth_m)
+            reason = self._goals.refuse_depth(depth_m)
             if not reason:
                 answer = self.set_mode(FlightMode.HOLD)
                 if answer.result is not CommandResult.ACCEPTED:
@@ -310,10 +315,10 @@ class Commander:
 
     def take_off(self, depth_m: float | None) -> Answer:
         """Dive and hold; at arming when disarmed."""
-        refusal = self._refusals.of_mode(FlightMode.TAKEOFF)
+        refusal = self._modes.refusal(FlightMode.TAKEOFF)
         if refusal is not None:
             return refusal
-        reason = self._steering.choose_dive(depth_m)
+        reason = self._modes.of_kind(TakeoffMode).choose_depth(depth_m)
         if reason:
             return denied(reason)
         self._modes.choose(FlightMode.TAKEOFF)
@@ -408,7 +413,7 @@ class Commander:
             armed=modes.armed,
             surfacing=mode is FlightMode.SURFACE,
             on_mission=mode is FlightMode.MISSION,
-            blind=modes.armed and mode in BLIND,
+            blind=modes.armed and not modes.active.needs_position,
         )
         modes.apply_failsafes(conditions)
         if not modes.armed and self._ticks % READINESS_EVERY_TICKS == 0:
@@ -444,7 +449,7 @@ class Commander:
 
     def _may_resume(self) -> bool:
         """Whether a mission that a pilot has interrupted goes on."""
-        return self._params["PILOT_BACK"] > 0.0 and self._refusals.of_mode(FlightMode.MISSION) is None
+        return self._params["PILOT_BACK"] > 0.0 and self._modes.refusal(FlightMode.MISSION) is None
 
     def _watch_plan(self) -> None:
         """A new mission is loaded at once; one that replaces a running mission is not started."""

@@ -3,7 +3,7 @@
 from dataclasses import dataclass, field
 
 from autopilot.command.facts import Facts
-from autopilot.core.messages import Below, NavDoubt, NavState
+from autopilot.core.messages import Below, NavDoubt, NavHealth, NavState
 from autopilot.core.samples import PowerSample
 from autopilot.mavlink.api import Sticks
 
@@ -49,3 +49,8 @@ class Conditions:
     """Of the pilot, None = nobody steers (any more)."""
     facts: Facts = field(default_factory=Facts)
     """What has been heard beside the estimate."""
+
+    @property
+    def estimate(self) -> NavState | None:
+        """The estimate, None when there is none or it is lost."""
+        return None if self.nav is None or self.nav.health is NavHealth.INVALID else self.nav

@@ -83,6 +83,12 @@ class MissionRun:
             self.sequencer.set_home(home_ned_m)
         return refusal
 
+    def move_home(self, pos_ned_m: FloatArray) -> None:
+        """Home where nobody has asked for it."""
+        refusal = self.set_home(pos_ned_m)
+        if refusal:
+            self._operator.say(Severity.WARNING, f"Home stays where it was: {refusal}")
+
     def step(self, t_us: int, nav: NavState) -> SequencerOutput:
         """One tick while the mission is flown."""
         out = self.sequencer.step(t_us, nav)

@@ -6,6 +6,7 @@ from collections.abc import Callable
 import numpy as np
 
 from autopilot.command.decision import Decision, Pose
+from autopilot.command.modes.table import STEERED
 from autopilot.control.fence.tracks import Tracks
 from autopilot.control.protocol import Controller, sound, sound_thrust_n
 from autopilot.control.robust.fallback import station_keeping_thrust
@@ -19,11 +20,8 @@ from autopilot.core.model4 import NX, YAW
 from autopilot.core.params import ParamSet
 from autopilot.core.sharing import Sharing
 from autopilot.core.vehicle import Vehicle
-from autopilot.mavlink.api import PILOTED, FlightMode
+from autopilot.mavlink.api import FlightMode
 
-STEERED = PILOTED | {FlightMode.GUIDED, FlightMode.CIRCLE, FlightMode.TAKEOFF}
-"""Modes that somebody steers in: coming and going they give the vehicle another goal at once, and thrust follows it no
-faster than a pilot's own."""
 BLIND_ASCENT_SHARE = 0.35
 """Share of the thrust limit that lifts a vehicle without a position: about 0.2 m/s for the LBV150."""
 

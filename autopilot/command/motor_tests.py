@@ -6,7 +6,7 @@ fence. What it may do at most is what :mod:`autopilot.run.motor_test` may on boa
 
 from autopilot.command.announcements import Announcements
 from autopilot.command.conditions import Conditions
-from autopilot.command.modes import Modes
+from autopilot.command.mode_machine import ModeMachine
 from autopilot.core.messages import Severity
 from autopilot.core.vehicle import Vehicle
 from autopilot.mavlink.api import FlightMode, MotorTest, Sticks
@@ -27,7 +27,7 @@ AWAY_M = 0.2
 class MotorTests:
     """The test that runs, if one does."""
 
-    def __init__(self, vehicle: Vehicle, goals: Goals, modes: Modes, operator: Announcements) -> None:
+    def __init__(self, vehicle: Vehicle, goals: Goals, modes: ModeMachine, operator: Announcements) -> None:
         self._thrusters = vehicle.thrusters
         self._goals, self._modes, self._operator = goals, modes, operator
         self._now: tuple[int, int] | None = None

@@ -15,6 +15,7 @@ from autopilot.core.orbit import OrbitYaw as OrbitYaw
 from autopilot.core.params import Saved
 from autopilot.core.samples import PowerSample
 from autopilot.core.sensed import Sensed
+from autopilot.mavlink.flight_modes import FlightMode as FlightMode
 
 
 class CommandResult(IntEnum):
@@ -31,39 +32,6 @@ class CommandResult(IntEnum):
     COMMAND_INT_ONLY = 8
     UNSUPPORTED_FRAME = 9
     NOT_IN_CONTROL = 10
-
-
-class FlightMode(IntEnum):
-    """What the vehicle can be told to do. Numbers are internal; a profile maps them to its custom_mode."""
-
-    HOLD = 0
-    """Station keeping."""
-    MISSION = 1
-    RETURN = 2
-    """Back to home, then hold."""
-    SURFACE = 3
-    """Up at the present position, then disarm."""
-    MANUAL = 4
-    """Sticks are thrust."""
-    STABILIZE = 5
-    """As MANUAL, heading held."""
-    ALT_HOLD = 6
-    """As STABILIZE, depth held."""
-    POSHOLD = 7
-    """Sticks are velocities; released, the vehicle holds its place."""
-    GUIDED = 8
-    """Set points of a client, one after the other."""
-    CIRCLE = 9
-    """Round a place."""
-    TAKEOFF = 10
-    """Down to a depth, then hold: what taking off is under water."""
-
-
-PILOTED = frozenset({FlightMode.MANUAL, FlightMode.STABILIZE, FlightMode.ALT_HOLD, FlightMode.POSHOLD})
-"""Modes in which a pilot steers."""
-
-BLIND = frozenset({FlightMode.MANUAL, FlightMode.STABILIZE, FlightMode.ALT_HOLD})
-"""Modes that need no position."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

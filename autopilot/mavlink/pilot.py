@@ -7,10 +7,11 @@ that moment only; then the sticks are released, and what that means says the mod
 from dataclasses import dataclass
 
 from autopilot.core.messages import Severity
-from autopilot.mavlink.api import Answer, FlightMode, Sticks
+from autopilot.mavlink.api import Answer, Sticks
 from autopilot.mavlink.camera_api import CameraOrders
 from autopilot.mavlink.context import Context, Peer
 from autopilot.mavlink.equipment_api import EquipmentOrders
+from autopilot.mavlink.flight_modes import MODE_BUTTONS
 from autopilot.mavlink.wire import Message
 
 STALE_US = 500_000
@@ -35,22 +36,10 @@ LEAST_US, MOST_US = 800, 2200
 """Of RC channels; other numbers mean "not this channel"."""
 
 TO_ARM, ARM, DISARM = 2, 3, 4
-_MODE_BUTTONS = {
-    5: FlightMode.MANUAL,
-    6: FlightMode.STABILIZE,
-    7: FlightMode.ALT_HOLD,
-    8: FlightMode.POSHOLD,
-    9: FlightMode.MISSION,
-    10: FlightMode.CIRCLE,
-    11: FlightMode.GUIDED,
-    14: FlightMode.HOLD,
-    15: FlightMode.RETURN,
-    16: FlightMode.SURFACE,
-}
 GAIN_UP, GAIN_DOWN = 42, 43
 PHOTO, LIGHTS, BRIGHTER, DARKER = 24, 31, 32, 33
 RELAY_ON, RELAY_OFF, RELAY_OVER = 51, 52, 53
-"""Values of BTNn_FUNCTION; those that ArduSub has too are the same there."""
+"""Values of BTNn_FUNCTION; those that ArduSub has too are the same there, as are those of the modes."""
 LIGHT_STEP = 0.125
 """Share by which a button makes lights brighter or darker."""
 
@@ -182,8 +171,8 @@ class Pilot:
             answer = vehicle.arm(False)
         elif function in (DISARM, TO_ARM):
             answer = vehicle.disarm(False)
-        elif function in _MODE_BUTTONS:
-            answer = vehicle.set_mode(_MODE_BUTTONS[function])
+        elif function in MODE_BUTTONS:
+            answer = vehicle.set_mode(MODE_BUTTONS[function])
         elif function in (GAIN_UP, GAIN_DOWN):
             step = GAIN_STEP if function == GAIN_UP else -GAIN_STEP
             self._gain = min(max(round(self.gain + step, 3), LEAST_GAIN), MOST_GAIN)

@@ -5,9 +5,9 @@ from collections.abc import Mapping
 from pymavlink.dialects.v20 import development as mav
 
 from autopilot.core.messages import Failsafe, NavDoubt, NavHealth
-from autopilot.mavlink.api import PILOTED, FlightMode
 from autopilot.mavlink.context import Context, Identity, i16, i32, limited, u16
-from autopilot.mavlink.profiles import NON_STANDARD, STANDARD_MODE_OF, ParamEncoding, Profile
+from autopilot.mavlink.flight_modes import MODE_ROWS, PILOTED, FlightMode
+from autopilot.mavlink.profiles import ParamEncoding, Profile
 from autopilot.mavlink.telemetry import Builder
 from autopilot.mavlink.wire import Message, RawMessage
 
@@ -108,7 +108,7 @@ def available_mode(profile: Profile, index: int) -> Message:
     return mav.MAVLink_available_modes_message(
         len(profile.listed),
         index,
-        STANDARD_MODE_OF.get(mode, NON_STANDARD),
+        MODE_ROWS[mode].standard,
         profile.custom_modes[mode],
         0,
         profile.mode_names[mode].encode("ascii"),
@@ -265,7 +265,7 @@ class Status:
         """CURRENT_MODE: what it does and what the operator asked for."""
         view, modes = self._ctx.view, self._ctx.profile.custom_modes
         return mav.MAVLink_current_mode_message(
-            STANDARD_MODE_OF.get(view.mode, NON_STANDARD), modes[view.mode], modes[view.intended_mode]
+            MODE_ROWS[view.mode].standard, modes[view.mode], modes[view.intended_mode]
         )
 
     def available_modes_monitor(self) -> Message | None:

@@ -13,7 +13,8 @@ from autopilot.mavlink import home_item
 from autopilot.mavlink.api import Answer, Circling, CommandResult, FlightMode, OrbitYaw
 from autopilot.mavlink.commands import ACCEPTED, Call, Entry, Reply, denied
 from autopilot.mavlink.context import Context
-from autopilot.mavlink.profiles import CUSTOM_MODE_FLAG, STANDARD_MODES
+from autopilot.mavlink.flight_modes import STANDARD_MODES
+from autopilot.mavlink.profiles import CUSTOM_MODE_FLAG
 from autopilot.mavlink.progress import Progress
 from autopilot.mavlink.telemetry import Telemetry
 
@@ -139,7 +140,7 @@ class VehicleService:
         that older and newer clients do not mean the same mode by."""
         mode = STANDARD_MODES.get(call.whole(1) or 0)
         if mode is None:
-            known = ", ".join(str(n) for n in STANDARD_MODES)
+            known = ", ".join(str(n) for n in sorted(STANDARD_MODES))
             reason = f"standard mode {call.param(1):g} is not available: use {known} or DO_SET_MODE"
             return Reply(Answer(result=CommandResult.FAILED, reason=reason))
         return Reply(self._ctx.vehicle.set_mode(mode))

@@ -10,7 +10,7 @@ from mavlink_harness import NAN, ORIGIN, Client, World, mav, nav_state, upload, 
 
 from autopilot.core.geodesy import Place
 from autopilot.mavlink.api import Answer, CommandResult, FlightMode
-from autopilot.mavlink.profiles import STANDARD_MODE_OF
+from autopilot.mavlink.flight_modes import MODE_ROWS
 
 R = CommandResult
 PROFILES = ("generic", "px4", "ardusub")
@@ -438,7 +438,7 @@ def test_available_modes(profile: str) -> None:
     listed = [mode for mode in FlightMode if profile != "ardusub" or mode is not FlightMode.GUIDED]
     assert [(m.mode_index, m.number_modes) for m in modes] == [(n + 1, len(listed)) for n in range(len(listed))]
     numbers = {m.custom_mode: m.standard_mode for m in modes}
-    assert numbers == {world.server.custom_mode(mode): STANDARD_MODE_OF.get(mode, 0) for mode in listed}
+    assert numbers == {world.server.custom_mode(mode): MODE_ROWS[mode].standard for mode in listed}
     assert [m.mode_name for m in modes[1:4]] == ["Mission", "Return", "Surface"]
     assert len({m.mode_name for m in modes}) == len(modes)
     assert client.command(512, 435, 3) == R.ACCEPTED

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from autopilot.command.piloting import _moved
+from autopilot.command.modes.piloted import _moved
 from autopilot.core.messages import Drive, Goal
 
 

@@ -7,17 +7,17 @@ would, but is slowed down where a boundary comes.
 
 import math
 from dataclasses import dataclass, replace
+from typing import ClassVar
 
 import numpy as np
 
+from autopilot.command.conditions import Conditions
+from autopilot.command.modes.mode import RELEASED, Mode, Step, Tools, denied
 from autopilot.control.thrust.by_hand import ByHand
 from autopilot.core.frames import FloatArray
 from autopilot.core.messages import Drive, Goal, NavState
-from autopilot.core.params import ParamSet
 from autopilot.core.sharing import Sharing
-from autopilot.core.vehicle import Vehicle
-from autopilot.mavlink.api import FlightMode, Sticks
-from autopilot.mission.goals import Goals
+from autopilot.mavlink.api import Answer, FlightMode, Sticks
 
 FRESH_TICKS = 5
 """While something moves the goal follows heading and current so often: once a control step."""
@@ -27,9 +27,6 @@ TURN_STOP_RAD_S2 = 0.6
 
 YAW_SHARE = 0.85
 """Share of SPD_YAW_MAX that a stick can ask for."""
-
-RELEASED = Sticks()
-"""Nobody steers."""
 
 
 def steady_speed(force: float, linear: float, quadratic: float) -> float:
@@ -51,53 +48,66 @@ class _Held:
     yaw_rad: float | None = None
 
 
-class Piloting:
-    """Sticks to goals and forces. One instance per vehicle."""
+class PilotedMode(Mode):
+    """Sticks to goals and forces."""
 
-    def __init__(self, vehicle: Vehicle, params: ParamSet, goals: Goals) -> None:
-        self._params = params
-        self._goals = goals
-        self._model = vehicle.to_model()
-        self._sharing = Sharing.of(vehicle)
-        self._limits_n = np.array([thruster.limit_n for thruster in vehicle.thrusters])
+    steered = True
+    holds_heading: ClassVar[bool] = True
+    """With its stick released."""
+    holds_depth: ClassVar[bool] = True
+    holds_place: ClassVar[bool] = False
+    """The planar sticks are velocities over ground."""
+
+    def __init__(self, tools: Tools) -> None:
+        super().__init__(tools)
+        self._model = tools.vehicle.to_model()
+        self._sharing = Sharing.of(tools.vehicle)
+        self._limits_n = np.array([thruster.limit_n for thruster in tools.vehicle.thrusters])
         self._reach: tuple[float, FloatArray] | None = None
-        self.begin()
+        self.enter(None)
 
-    def begin(self) -> None:
-        """A mode has been entered: what is held is held from here."""
+    def enter(self, nav: NavState | None) -> None:
+        """What is held is held from here."""
         self._held = _Held()
         self._goal: Goal | None = None
-        self._asked: tuple[FlightMode, Sticks] | None = None
+        self._asked: Sticks | None = None
         self._age = 0
 
-    def goal(self, mode: FlightMode, sticks: Sticks, nav: NavState) -> Goal:
-        """Where there is a position. The same object while nothing changes."""
+    def position_came_or_went(self) -> None:
+        """What is held is another thing with a position than without."""
+        self.enter(None)
+
+    def step(self, conditions: Conditions, nav: NavState) -> Step:
+        """The motion that the sticks ask for."""
+        return Step(goal=self._goal_of(conditions.sticks or RELEASED, nav))
+
+    def _goal_of(self, sticks: Sticks, nav: NavState) -> Goal:
+        """The same object while nothing changes."""
         self._age += 1
-        if self._goal is not None and self._asked == (mode, sticks) and self._age < FRESH_TICKS:
+        if self._goal is not None and self._asked == sticks and self._age < FRESH_TICKS:
             return self._goal
-        self._asked, self._age = (mode, sticks), 0
-        made = self._made(mode, sticks, nav)
+        self._asked, self._age = sticks, 0
+        made = self._made(sticks, nav)
         old = self._goal
         if old is None or made.drive != old.drive or made.yaw_rad != old.yaw_rad or _moved(made, old):
             self._goal = made
         assert self._goal is not None
         return self._goal
 
-    def by_hand(self, mode: FlightMode, sticks: Sticks) -> ByHand:
-        """Where there is none."""
+    def by_hand(self, sticks: Sticks) -> ByHand | None:
+        """Forces, and what of depth and heading can be held."""
         reach = self._reach_n()
         wish = np.array([sticks.ahead, sticks.starboard, -sticks.up, sticks.turn])
-        holds_depth, holds_yaw = mode is FlightMode.ALT_HOLD, mode is not FlightMode.MANUAL
         return ByHand(
             force=wish * reach,
-            yaw_rate_rad_s=sticks.turn * self._yaw_rate() if holds_yaw else None,
-            down_m_s=-sticks.up * self._params["PILOT_SPD_Z"] if holds_depth else None,
+            yaw_rate_rad_s=sticks.turn * self._yaw_rate() if self.holds_heading else None,
+            down_m_s=-sticks.up * self._params["PILOT_SPD_Z"] if self.holds_depth else None,
         )
 
-    def _made(self, mode: FlightMode, sticks: Sticks, nav: NavState) -> Goal:
+    def _made(self, sticks: Sticks, nav: NavState) -> Goal:
         rest = self._goals.hold(nav)
-        down_m_s, turn_rad_s = self._others(mode, sticks, nav, rest)
-        planar = self._planar(mode, sticks, nav, rest)
+        down_m_s, turn_rad_s = self._others(sticks, nav, rest)
+        planar = self._planar(sticks, nav, rest)
         drive = replace(planar, down_m_s=down_m_s, yaw_rate_rad_s=turn_rad_s)
         here = nav.pos_ned_m if self._held.place is None else self._held.place
         depth_m = float(nav.pos_ned_m[2]) if self._held.depth_m is None else self._held.depth_m
@@ -109,12 +119,12 @@ class Piloting:
             drive=drive,
         )
 
-    def _planar(self, mode: FlightMode, sticks: Sticks, nav: NavState, rest: Goal) -> Drive:
+    def _planar(self, sticks: Sticks, nav: NavState, rest: Goal) -> Drive:
         """North and east."""
         yaw, held = float(nav.rpy_rad[2]), self._held
         ahead, starboard = sticks.ahead, sticks.starboard
         north, east = 0.0, 0.0
-        if mode is FlightMode.POSHOLD:
+        if self.holds_place:
             if not (ahead or starboard):
                 held.place = rest.pos_ned_m[:2].copy() if held.place is None else held.place
                 return Drive()
@@ -130,12 +140,12 @@ class Piloting:
         c, s = math.cos(yaw), math.sin(yaw)
         return Drive(north_m_s=north + c * u - s * v, east_m_s=east + s * u + c * v)
 
-    def _others(self, mode: FlightMode, sticks: Sticks, nav: NavState, rest: Goal) -> tuple[float | None, float | None]:
+    def _others(self, sticks: Sticks, nav: NavState, rest: Goal) -> tuple[float | None, float | None]:
         """Rates of depth and heading, or what of them is held."""
         held, model = self._held, self._model
         down: float | None
         turn: float | None = sticks.turn * self._yaw_rate()
-        if mode in (FlightMode.MANUAL, FlightMode.STABILIZE):
+        if not self.holds_depth:
             reach = float(self._reach_n()[2])
             down = -steady_speed(sticks.up * reach, model.linear_drag[2], model.quadratic_drag[2])
             held.depth_m = None
@@ -144,7 +154,7 @@ class Piloting:
         else:
             down = None
             held.depth_m = float(rest.pos_ned_m[2]) if held.depth_m is None else held.depth_m
-        if mode is FlightMode.MANUAL or sticks.turn:
+        if not self.holds_heading or sticks.turn:
             held.yaw_rad = None
         else:
             rate = float(nav.rate_frd_rad_s[2])
@@ -162,6 +172,41 @@ class Piloting:
         if self._reach is None or self._reach[0] != limit:
             self._reach = (limit, self._sharing.reach(np.minimum(self._limits_n, limit)))
         return self._reach[1]
+
+
+class ManualMode(PilotedMode):
+    """Sticks are thrust."""
+
+    name = FlightMode.MANUAL
+    needs_position = holds_heading = holds_depth = False
+
+
+class StabilizeMode(PilotedMode):
+    """As manual, heading held."""
+
+    name = FlightMode.STABILIZE
+    needs_position = holds_depth = False
+
+
+class DepthHoldMode(PilotedMode):
+    """As stabilize, depth held: without a position by the pressure sensor."""
+
+    name = FlightMode.ALT_HOLD
+    needs_position = False
+
+    def refusal(self, conditions: Conditions | None, *, armed: bool) -> Answer | None:
+        """Neither position nor depth."""
+        if not armed or conditions is None or conditions.estimate is not None:
+            return None
+        felt = conditions.facts.felt(conditions.t_us)
+        return denied(f"{self.name.name} denied: no depth, use STABILIZE") if felt.depth_m is None else None
+
+
+class PositionMode(PilotedMode):
+    """Sticks are velocities; released, the vehicle holds its place."""
+
+    name = FlightMode.POSHOLD
+    holds_place = True
 
 
 def _moved(made: Goal, old: Goal) -> bool:

@@ -5,11 +5,11 @@ from dataclasses import replace
 
 import numpy as np
 
+from autopilot.command.conditions import Conditions
+from autopilot.command.modes.mode import Mode, Step, Tools, denied
 from autopilot.core.frames import FloatArray, wrap_pi
-from autopilot.core.messages import Drive, Goal, NavState
-from autopilot.core.params import ParamSet
-from autopilot.mavlink.api import SetPoint
-from autopilot.mission.goals import Goals
+from autopilot.core.messages import Drive, Goal, NavState, Severity
+from autopilot.mavlink.api import Answer, FlightMode, SetPoint
 
 NONE_YET = "send set points first"
 
@@ -17,14 +17,16 @@ FRESH_TICKS = 5
 """Velocities of the body follow the heading so often."""
 
 
-class Offboard:
+class GuidedMode(Mode):
     """The newest set point, and the goal that it makes."""
 
-    def __init__(self, params: ParamSet, goals: Goals) -> None:
-        self._params = params
-        self._goals = goals
+    name = FlightMode.GUIDED
+    steered = True
+
+    def __init__(self, tools: Tools) -> None:
+        super().__init__(tools)
         self._point: SetPoint | None = None
-        self.lacks = NONE_YET
+        self._lacks = NONE_YET
         """Why there is nothing to follow."""
         self._forget()
 
@@ -36,30 +38,41 @@ class Offboard:
         self._made_of: SetPoint | None = None
         self._age = 0
 
-    def begin(self) -> None:
-        """The mode has been entered: what set points leave open is held from here."""
+    def refusal(self, conditions: Conditions | None, *, armed: bool) -> Answer | None:
+        """No position, or nothing to follow."""
+        refusal = super().refusal(conditions, armed=armed)
+        if refusal is None and armed and conditions is not None and not self._alive(conditions.t_us):
+            refusal = denied(f"Offboard denied: {self._lacks}")
+        return refusal
+
+    def enter(self, nav: NavState | None) -> None:
+        """What set points leave open is held from here."""
         self._forget()
 
-    def refusal(self, point: SetPoint) -> str:
+    def step(self, conditions: Conditions, nav: NavState) -> Step:
+        """As long as they come."""
+        if self._alive(conditions.t_us):
+            return Step(goal=self._followed(nav))
+        self._operator.say(Severity.WARNING, "Set points stopped: holding")
+        return Step(enter=FlightMode.HOLD)
+
+    def refuse_point(self, point: SetPoint) -> str:
         """Why it cannot be followed, "" if it can."""
-        if point.depth_m is not None:
-            low, high = self._params["DEPTH_MIN"], self._params["DEPTH_MAX"]
-            if not low <= point.depth_m <= high:
-                return f"depth {point.depth_m:.2f} m is outside {low:g} to {high:g} m"
-        if point.place_ned_m is None:
-            return ""
+        reason = "" if point.depth_m is None else self._goals.refuse_depth(point.depth_m)
+        if reason or point.place_ned_m is None:
+            return reason
         depth_m = self._params["DEPTH_MIN"] if point.depth_m is None else point.depth_m
         return self._goals.refuse(np.array([*point.place_ned_m, depth_m]))
 
     def take(self, point: SetPoint | None, lacks: str = NONE_YET) -> None:
         """The newest one; None = there is none that may be followed, and why."""
-        self._point, self.lacks = point, lacks
+        self._point, self._lacks = point, lacks
 
-    def alive(self, t_us: int) -> bool:
-        """Whether there is one that is not too old."""
+    def _alive(self, t_us: int) -> bool:
+        """Whether there is a set point that is not too old."""
         return self._point is not None and t_us <= self._point.until_us
 
-    def goal(self, nav: NavState) -> Goal:
+    def _followed(self, nav: NavState) -> Goal:
         """Of the newest set point; the same object while nothing changes."""
         point, made_of = self._point, self._made_of
         self._age += 1

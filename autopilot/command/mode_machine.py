@@ -1,54 +1,33 @@
 """The state machine: armed or not, which mode is in force, and where it goes."""
 
 from collections.abc import Callable
-from dataclasses import replace
+from typing import TypeVar
 
-import numpy as np
-
-from autopilot.command.announcements import Announcements
 from autopilot.command.conditions import Conditions
 from autopilot.command.decision import Pose
 from autopilot.command.failsafe_table import Effect
 from autopilot.command.failsafes import FailsafeRules
-from autopilot.command.mission_run import MissionRun
-from autopilot.command.offboard import Offboard
-from autopilot.command.piloting import RELEASED, Piloting
+from autopilot.command.modes.mode import RELEASED, Mode, Step, Tools, denied
+from autopilot.command.modes.table import MODES
 from autopilot.control.thrust.by_hand import ByHand
-from autopilot.core.frames import FloatArray
-from autopilot.core.messages import Authority, Below, Failsafe, Goal, NavHealth, NavState, Severity
-from autopilot.mavlink.api import BLIND, PILOTED, FlightMode
-from autopilot.mission.circling import Circle
-from autopilot.mission.goals import Goals
+from autopilot.core.messages import Authority, Below, Failsafe, Goal, NavState, Severity
+from autopilot.mavlink.api import Answer, FlightMode
 from autopilot.mission.items import Order
-from autopilot.mission.sequencer import Action, is_inside
 
-DIVED_M = 0.1
-"""TAKEOFF is over within this distance of its depth."""
-
-SURFACED_M = 0.05
-"""The vehicle counts as surfaced within this distance of where it floats."""
+M = TypeVar("M", bound=Mode)
 
 
-class Modes:
+class ModeMachine:
     """Does what it is told: whether it may is asked before (:mod:`autopilot.command.commander`)."""
 
-    def __init__(
-        self,
-        goals: Goals,
-        mission: MissionRun,
-        failsafes: FailsafeRules,
-        operator: Announcements,
-        piloting: Piloting,
-        offboard: Offboard,
-    ) -> None:
-        self._goals = goals
-        self._piloting = piloting
-        self._offboard = offboard
+    def __init__(self, tools: Tools, failsafes: FailsafeRules) -> None:
+        self._goals = tools.goals
+        self._mission = tools.mission
+        self._operator = tools.operator
+        self._modes = {kind.name: kind(tools) for kind in MODES}
+        self._failsafes = failsafes
         self._seen = True
         """Whether there was a position on the last tick."""
-        self._mission = mission
-        self._failsafes = failsafes
-        self._operator = operator
         self._under_way = False
         self._override: FlightMode | None = None
         self.conditions: Conditions | None = None
@@ -62,10 +41,6 @@ class Modes:
         """The operator's mode."""
         self.goal: Goal | None = None
         """Where the mode in force goes, None as long as it has not been asked."""
-        self.circle: Circle | None = None
-        """What mode CIRCLE flies."""
-        self.dive_m = 0.0
-        """Depth that mode TAKEOFF goes to."""
         self.drop_weight = False
         """A failsafe has let the drop weight go, since the last arming."""
         self.stops_below = False
@@ -97,8 +72,36 @@ class Modes:
     @property
     def nav(self) -> NavState | None:
         """The estimate of the last tick, None when there is none or it is lost."""
-        nav = None if self.conditions is None else self.conditions.nav
-        return None if nav is None or nav.health is NavHealth.INVALID else nav
+        return None if self.conditions is None else self.conditions.estimate
+
+    @property
+    def active(self) -> Mode:
+        """The mode in force."""
+        return self._modes[self.mode]
+
+    @property
+    def blind(self) -> bool:
+        """Whether the operator's mode needs no position."""
+        return not self._modes[self.chosen].needs_position
+
+    def of_kind(self, kind: type[M]) -> M:
+        """The mode of that class."""
+        mode = self._modes[kind.name]
+        assert isinstance(mode, kind)
+        return mode
+
+    def refusal(self, mode: FlightMode) -> Answer | None:
+        """Why a mode is not entered, None if it can be."""
+        if self.yielded:
+            return denied("Denied: the pilot has the vehicle below us")
+        steers = not self._modes[mode].needs_position and not self._failsafes.acts_beside(Failsafe.NAV_LOST)
+        if self.overridden and mode is not FlightMode.SURFACE and self._failsafes.acting and not steers:
+            return denied(f"Mode change denied: failsafe active ({self._failsafes.describe()})")
+        return self._modes[mode].refusal(self.conditions, armed=self.armed)
+
+    def prepare(self, mode: FlightMode) -> str:
+        """Before a mode is chosen without more words: why that is not possible, "" if it is."""
+        return self._modes[mode].prepare(self.nav, armed=self.armed)
 
     # Orders
 
@@ -108,7 +111,7 @@ class Modes:
         self.drop_weight = self.handed_back = False
         self._failsafes.clear()
         if self.nav is not None:
-            self._move_home(self.nav.pos_ned_m)
+            self._mission.move_home(self.nav.pos_ned_m)
         self._under_way = False
 
     def disarm(self, *, force: bool) -> None:
@@ -138,12 +141,9 @@ class Modes:
         self.orders += 1
         self.ascent = None
         self._under_way |= mode is not FlightMode.HOLD
-        self._piloting.begin()
-        self._offboard.begin()
-        if mode is FlightMode.MISSION:
-            self._mission.start(self._operator.t_us, self.nav)
-        else:
-            self._mission.sequencer.pause()
+        if mode is not self.chosen:
+            self._modes[self.chosen].leave()
+        self._modes[mode].enter(self.nav)
         self.goal = self._goal_here(mode)
         self.chosen = mode
 
@@ -208,8 +208,8 @@ class Modes:
             self._operator.say(Severity.CRITICAL, f"Failsafe drops weight: {self._failsafes.describe()}")
         mode = self._mode_of(action)
         if self._override is not mode and self._override is not FlightMode.SURFACE:
+            self.active.leave()
             self._override = mode
-            self._mission.sequencer.pause()
             self.goal = self._goal_here(mode)
             self._operator.say(Severity.CRITICAL, f"Failsafe {mode.name}: {self._failsafes.describe()}")
         unsolved = self._failsafes.bits >> Failsafe.SOLVER & 1
@@ -233,98 +233,46 @@ class Modes:
         self._mission.tell(conditions.t_us)
         if not self.armed or self.yielded or nav is None:
             return None, ()
-        reached: tuple[int, ...] = ()
-        if self.mode is FlightMode.MISSION:
-            reached = self._fly_mission(conditions.t_us, nav)
-        elif self.mode in PILOTED:
-            self.goal = self._piloting.goal(self.mode, conditions.sticks or RELEASED, nav)
-        elif self.mode is FlightMode.GUIDED:
-            self._follow(conditions.t_us, nav)
-        elif self.mode is FlightMode.CIRCLE:
-            self._go_round(nav)
+        step = self.active.step(conditions, nav)
+        self._follow(step)
         if self.goal is None:
-            self.goal = self._goal_of(self.mode, nav)
-        if self.mode is FlightMode.TAKEOFF and abs(nav.pos_ned_m[2] - self.goal.pos_ned_m[2]) < DIVED_M:
-            self._operator.say(Severity.INFO, f"Dived to {self.goal.pos_ned_m[2]:.2f} m: holding")
+            self.goal = self.active.place(nav)
+        goal, end = self.goal, self.active.watch(conditions, self.goal, nav)
+        self._follow(end)
+        if self.armed:
+            goal = self.goal
+        return goal if self.ascent is None else None, step.reached
+
+    def _follow(self, step: Step) -> None:
+        """Do what a mode wants."""
+        self.equipment_orders += step.orders
+        if step.goal is not None:
+            self.goal = step.goal
+        if step.choose is not None:
+            self.choose(step.choose)
+        elif step.enter is not None:
+            self.enter(step.enter)
+        elif step.settle:
             self.chosen = FlightMode.HOLD
-        self._watch_way(conditions, self.goal, nav)
-        goal = self.goal
-        if self.mode is FlightMode.SURFACE and nav.pos_ned_m[2] <= self._goals.top_m + SURFACED_M:
-            self._operator.say(Severity.INFO, "Surfaced")
+        elif step.disarm:
             self.disarm(force=False)
-        return goal if self.ascent is None else None, reached
 
     def by_hand(self, conditions: Conditions) -> ByHand | None:
         """What a pilot asks for where there is no position, None where the mode needs one or there is one."""
-        if not self.armed or self.yielded or self.nav is not None or self.mode not in BLIND:
+        if not self.armed or self.yielded or self.nav is not None:
             return None
-        return self._piloting.by_hand(self.mode, conditions.sticks or RELEASED)
+        return self.active.by_hand(conditions.sticks or RELEASED)
 
     def _watch_position(self) -> None:
         """A pilot is told when fence and limits no longer hold, and when they do again."""
-        seen, piloted = self.nav is not None, self.armed and self.mode in BLIND
+        seen, piloted = self.nav is not None, self.armed and not self.active.needs_position
         if piloted and self._seen and not seen:
             self._operator.say(Severity.CRITICAL, "Position lost: no fence, no limits, steer by hand")
         elif piloted and seen and not self._seen:
             self._operator.say(Severity.INFO, "Position is back: fence and limits hold")
         if seen != self._seen:
-            self._piloting.begin()
+            self.active.position_came_or_went()
         self._seen = seen
 
-    def _follow(self, t_us: int, nav: NavState) -> None:
-        """Set points, as long as they come."""
-        if self._offboard.alive(t_us):
-            self.goal = self._offboard.goal(nav)
-        else:
-            self._operator.say(Severity.WARNING, "Set points stopped: holding")
-            self.enter(FlightMode.HOLD)
-
-    def _go_round(self, nav: NavState) -> None:
-        """The circle, until its turns are made."""
-        if self.circle is None:
-            return
-        self.goal = self.circle.goal(nav)
-        if self.circle.over:
-            self._operator.say(Severity.INFO, "Circle done: holding")
-            self.enter(FlightMode.HOLD)
-
-    def _fly_mission(self, t_us: int, nav: NavState) -> tuple[int, ...]:
-        """The mission's goal of this tick, or what it ends with. The result is the items that have been reached."""
-        out = self._mission.step(t_us, nav)
-        self.equipment_orders += out.orders
-        if out.goal is not None:
-            self.goal = out.goal
-        if out.home_ned_m is not None:
-            self._move_home(out.home_ned_m)
-        if out.action is Action.SURFACE:
-            self.choose(FlightMode.SURFACE)
-        elif out.action is Action.HOLD:
-            self.chosen = FlightMode.HOLD
-            return self._mission.completed(t_us, out.progress.lap, out.reached)
-        return out.reached
-
-    def _watch_way(self, conditions: Conditions, goal: Goal, nav: NavState) -> None:
-        returns = self.mode is FlightMode.RETURN and not is_inside(goal, nav)
-        flies = self.mode is FlightMode.MISSION and self._mission.sequencer.travelling
-        if not (returns or flies):
-            self._mission.forget_progress()
-        elif self._mission.watch_way(conditions, goal, nav, flies=flies):
-            self.enter(FlightMode.HOLD)
-
     def _goal_here(self, mode: FlightMode) -> Goal | None:
-        return None if self.nav is None else self._goal_of(mode, self.nav)
-
-    def _goal_of(self, mode: FlightMode, nav: NavState) -> Goal:
-        """Where a mode goes from here; a mission says so itself, until then it holds."""
-        if mode is FlightMode.RETURN:
-            return self._goals.home(nav)
-        if mode is FlightMode.TAKEOFF:
-            rest = self._goals.hold(nav)
-            return replace(rest, pos_ned_m=np.array([*rest.pos_ned_m[:2], self.dive_m]))
-        return self._goals.surface(nav) if mode is FlightMode.SURFACE else self._goals.hold(nav)
-
-    def _move_home(self, pos_ned_m: FloatArray) -> None:
-        """Home where nobody has asked for it."""
-        refusal = self._mission.set_home(pos_ned_m)
-        if refusal:
-            self._operator.say(Severity.WARNING, f"Home stays where it was: {refusal}")
+        return None if self.nav is None else self._modes[mode].place(self.nav)

@@ -1,0 +1,149 @@
+"""Modes that fly by themselves: hold, mission, return, surface, dive."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from autopilot.command.arming import CHECKING
+from autopilot.command.conditions import Conditions
+from autopilot.command.modes.mode import GO_ON, Mode, Step, Tools, denied
+from autopilot.core.messages import Goal, NavState, Severity
+from autopilot.core.plan import PlanKind
+from autopilot.mavlink.api import Answer, CommandResult, FlightMode
+from autopilot.mission.sequencer import Action, is_inside
+
+DIVED_M = 0.1
+"""TAKEOFF is over within this distance of its depth."""
+
+SURFACED_M = 0.05
+"""The vehicle counts as surfaced within this distance of where it floats."""
+
+
+class HoldMode(Mode):
+    """Station keeping, and go-to."""
+
+    name = FlightMode.HOLD
+
+
+class MissionMode(Mode):
+    """The items of the plan in force."""
+
+    name = FlightMode.MISSION
+    changes_depth = False
+
+    def refusal(self, conditions: Conditions | None, *, armed: bool) -> Answer | None:
+        """However it is to be begun."""
+        if not self._plans.items(PlanKind.MISSION):
+            return denied("No mission: upload one first")
+        if self._plans.checking:
+            return Answer(result=CommandResult.TEMPORARILY_REJECTED, reason=f"Mission denied: {CHECKING}")
+        reason, nav = self._plans.problem, None if conditions is None else conditions.estimate
+        if armed:
+            if not reason and nav is not None and self._goals.clearance_m(nav.pos_ned_m) < 0.0:
+                reason = "outside the fence or in an obstacle: go to a free place first"
+            reason = reason or self._mission.refusal(nav)
+        return denied(f"Mission denied: {reason}") if reason else None
+
+    def enter(self, nav: NavState | None) -> None:
+        """Go on where it stands."""
+        self._mission.start(self._operator.t_us, nav)
+
+    def leave(self) -> None:
+        """It stays where it stands."""
+        self._mission.sequencer.pause()
+
+    def step(self, conditions: Conditions, nav: NavState) -> Step:
+        """The goal of this tick, or what the mission ends with."""
+        t_us = conditions.t_us
+        out = self._mission.step(t_us, nav)
+        if out.home_ned_m is not None:
+            self._mission.move_home(out.home_ned_m)
+        if out.action is Action.HOLD:
+            reached = self._mission.completed(t_us, out.progress.lap, out.reached)
+            return Step(goal=out.goal, settle=True, reached=reached, orders=out.orders)
+        surface = FlightMode.SURFACE if out.action is Action.SURFACE else None
+        return Step(goal=out.goal, choose=surface, reached=out.reached, orders=out.orders)
+
+    def watch(self, conditions: Conditions, goal: Goal, nav: NavState) -> Step:
+        """An item that the vehicle gets no nearer to."""
+        travels = self._mission.sequencer.travelling
+        return self._watch_way(conditions, goal, nav, flies=True) if travels else super().watch(conditions, goal, nav)
+
+
+class ReturnMode(Mode):
+    """Back to home at the present depth, then hold."""
+
+    name = FlightMode.RETURN
+    changes_depth = False
+
+    def refusal(self, conditions: Conditions | None, *, armed: bool) -> Answer | None:
+        """Home beyond the fence."""
+        refusal = self._goals.refuse_home()
+        return denied(f"Return denied: {refusal}") if refusal else None
+
+    def place(self, nav: NavState) -> Goal:
+        """Home."""
+        return self._goals.home(nav)
+
+    def watch(self, conditions: Conditions, goal: Goal, nav: NavState) -> Step:
+        """A home that the vehicle gets no nearer to."""
+        there = is_inside(goal, nav)
+        return super().watch(conditions, goal, nav) if there else self._watch_way(conditions, goal, nav, flies=False)
+
+
+class SurfaceMode(Mode):
+    """Up where the vehicle is, then disarm."""
+
+    name = FlightMode.SURFACE
+    changes_depth = False
+
+    def place(self, nav: NavState) -> Goal:
+        """Above where the vehicle comes to rest."""
+        return self._goals.surface(nav)
+
+    def watch(self, conditions: Conditions, goal: Goal, nav: NavState) -> Step:
+        """At the surface it is over."""
+        super().watch(conditions, goal, nav)
+        if nav.pos_ned_m[2] > self._goals.top_m + SURFACED_M:
+            return GO_ON
+        self._operator.say(Severity.INFO, "Surfaced")
+        return Step(disarm=True)
+
+
+class TakeoffMode(Mode):
+    """Down to a depth, then hold."""
+
+    name = FlightMode.TAKEOFF
+    steered = True
+
+    def __init__(self, tools: Tools) -> None:
+        super().__init__(tools)
+        self._asked_m: float | None = None
+        self._depth_m = 0.0
+
+    def prepare(self, nav: NavState | None, *, armed: bool) -> str:
+        """To the depth that was asked for before arming, or TKOFF_DEPTH."""
+        return self.choose_depth(None if armed else self._asked_m)
+
+    def choose_depth(self, depth_m: float | None) -> str:
+        """Depth of the next dive, None = TKOFF_DEPTH; why not, "" when it is taken."""
+        self._asked_m = depth_m
+        wanted_m = self._params["TKOFF_DEPTH"] if depth_m is None else depth_m
+        reason = self._goals.refuse_depth(wanted_m)
+        if reason:
+            return f"Takeoff denied: {reason}" + (", set TKOFF_DEPTH" if depth_m is None else "")
+        self._depth_m = wanted_m
+        return ""
+
+    def place(self, nav: NavState) -> Goal:
+        """Below where the vehicle comes to rest."""
+        rest = self._goals.hold(nav)
+        return replace(rest, pos_ned_m=np.array([*rest.pos_ned_m[:2], self._depth_m]))
+
+    def watch(self, conditions: Conditions, goal: Goal, nav: NavState) -> Step:
+        """At its depth it is over."""
+        super().watch(conditions, goal, nav)
+        if abs(nav.pos_ned_m[2] - goal.pos_ned_m[2]) >= DIVED_M:
+            return GO_ON
+        self._operator.say(Severity.INFO, f"Dived to {goal.pos_ned_m[2]:.2f} m: holding")
+        return Step(settle=True)

@@ -1,0 +1,91 @@
+"""Mode CIRCLE: round a place, as DO_ORBIT says, or by itself round one ahead."""
+
+import math
+
+from autopilot.command.conditions import Conditions
+from autopilot.command.modes.mode import GO_ON, Mode, Step, Tools
+from autopilot.core.geodesy import refuse_place
+from autopilot.core.messages import NavState, Severity
+from autopilot.mavlink.api import Circling, FlightMode
+from autopilot.mission.circling import Circle
+
+
+class CircleMode(Mode):
+    """The circle that was chosen last."""
+
+    name = FlightMode.CIRCLE
+    steered = True
+
+    def __init__(self, tools: Tools) -> None:
+        super().__init__(tools)
+        self._circle: Circle | None = None
+
+    def prepare(self, nav: NavState | None, *, armed: bool) -> str:
+        """By itself its centre lies ahead of the vehicle."""
+        if not armed:
+            return ""
+        reason = self._choose_ahead(nav)
+        return f"Circle denied: {reason}" if reason else ""
+
+    def step(self, conditions: Conditions, nav: NavState) -> Step:
+        """Until its turns are made."""
+        if self._circle is None:
+            return GO_ON
+        goal = self._circle.goal(nav)
+        if not self._circle.over:
+            return Step(goal=goal)
+        self._operator.say(Severity.INFO, "Circle done: holding")
+        return Step(goal=goal, enter=FlightMode.HOLD)
+
+    def go_to_depth(self, depth_m: float) -> str | None:
+        """The circle at another depth."""
+        if self._circle is None:
+            return "there is no circle"
+        reason = self._goals.refuse_depth(depth_m)
+        if not reason:
+            self._circle.depth_m = depth_m
+        return reason
+
+    def choose(self, asked: Circling, nav: NavState | None) -> str:
+        """The circle of a command: why it cannot be flown, "" when it is taken."""
+        params = self._params
+        if nav is None:
+            return "no position"
+        centre_m, depth_m = nav.pos_ned_m[:2].tolist(), float(nav.pos_ned_m[2])
+        if asked.centre is not None:
+            place = asked.centre
+            refusal = refuse_place(self._plans.origin, place.lat_deg, place.lon_deg)
+            if refusal:
+                return refusal
+            local = self._plans.local_ned_m(place.lat_deg, place.lon_deg, place.alt_m)
+            centre_m, depth_m = local[:2].tolist(), depth_m if asked.depth_held else float(local[2])
+        radius_m = params["CIRCLE_RADIUS"] if asked.radius_m is None else asked.radius_m
+        speed = abs(params["CIRCLE_SPEED"]) if asked.speed_m_s is None else abs(asked.speed_m_s)
+        clockwise = params["CIRCLE_SPEED"] >= 0.0 if asked.clockwise is None else asked.clockwise
+        circle = Circle(
+            params,
+            (centre_m[0], centre_m[1]),
+            radius_m,
+            speed if clockwise else -speed,
+            depth_m=self._goals.in_band(depth_m) if asked.depth_held else depth_m,
+            yaw=asked.yaw,
+            turns=asked.turns,
+        )
+        return self._take(circle)
+
+    def _choose_ahead(self, nav: NavState | None) -> str:
+        params = self._params
+        if nav is None:
+            return "no position"
+        x, y, z = nav.pos_ned_m.tolist()
+        radius_m, yaw = params["CIRCLE_RADIUS"], float(nav.rpy_rad[2])
+        centre_m = (x + radius_m * math.cos(yaw), y + radius_m * math.sin(yaw))
+        speed = params["CIRCLE_SPEED"] or 0.1
+        return self._take(Circle(params, centre_m, radius_m, speed, depth_m=self._goals.in_band(z)))
+
+    def _take(self, circle: Circle) -> str:
+        keep_m = self._vehicle.radius_m + self._params["MPC_MARGIN"]
+        reason = circle.refusal(self._goals.room, keep_m)
+        if not reason:
+            self._circle = circle
+        return reason

@@ -1,0 +1,124 @@
+"""What every flight mode can be asked, and what it is given to work with."""
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+from autopilot.command.announcements import Announcements
+from autopilot.command.conditions import Conditions
+from autopilot.command.mission_run import MissionRun
+from autopilot.control.thrust.by_hand import ByHand
+from autopilot.core.messages import Goal, NavState
+from autopilot.core.params import ParamSet
+from autopilot.core.vehicle import Vehicle
+from autopilot.mavlink.api import Answer, CommandResult, FlightMode, Sticks
+from autopilot.mission.goals import Goals
+from autopilot.mission.items import Order
+from autopilot.mission.store import Plans
+
+RELEASED = Sticks()
+"""Nobody steers."""
+
+
+def denied(reason: str) -> Answer:
+    """No, and why."""
+    return Answer(result=CommandResult.DENIED, reason=reason)
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class Tools:
+    """What modes are made of."""
+
+    vehicle: Vehicle
+    params: ParamSet
+    plans: Plans
+    goals: Goals
+    mission: MissionRun
+    operator: Announcements
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class Step:
+    """What a mode wants on a tick."""
+
+    goal: Goal | None = None
+    """None = the one that there is."""
+    enter: FlightMode | None = None
+    """The mode that begins here instead,"""
+    settle: bool = False
+    """or HOLD with the goal that there is,"""
+    choose: FlightMode | None = None
+    """or one that is told as if the operator had chosen it,"""
+    disarm: bool = False
+    """or nothing more: it has come to its end."""
+    reached: tuple[int, ...] = ()
+    """Mission items."""
+    orders: tuple[Order, ...] = ()
+    """Of mission items passed, for what the vehicle carries."""
+
+
+GO_ON = Step()
+
+
+class Mode:
+    """One flight mode; one instance per vehicle. This one holds its place: the others say what they do differently."""
+
+    name: ClassVar[FlightMode]
+    needs_position: ClassVar[bool] = True
+    """False: a pilot without a position may arm and steer in it."""
+    steered: ClassVar[bool] = False
+    """Somebody steers: coming and going it gives the vehicle another goal at once."""
+    changes_depth: ClassVar[bool] = True
+    """A command may send the vehicle to another depth out of it."""
+
+    def __init__(self, tools: Tools) -> None:
+        self._vehicle = tools.vehicle
+        self._params = tools.params
+        self._plans = tools.plans
+        self._goals = tools.goals
+        self._mission = tools.mission
+        self._operator = tools.operator
+
+    def refusal(self, conditions: Conditions | None, *, armed: bool) -> Answer | None:
+        """Why it cannot be entered, None if it can. ``conditions`` are None before the first tick."""
+        if self.steered and self.needs_position and armed and conditions is not None and conditions.estimate is None:
+            return denied(f"{self.name.name} denied: no position, use STABILIZE")
+        return None
+
+    def prepare(self, nav: NavState | None, *, armed: bool) -> str:
+        """Before it is chosen without more words: why that is not possible, "" if it is."""
+        return ""
+
+    def enter(self, nav: NavState | None) -> None:
+        """It begins here."""
+
+    def leave(self) -> None:
+        """Another one begins, or a failsafe acts."""
+
+    def place(self, nav: NavState) -> Goal:
+        """Where it goes from here, until a step says otherwise."""
+        return self._goals.hold(nav)
+
+    def step(self, conditions: Conditions, nav: NavState) -> Step:
+        """One tick with a position."""
+        return GO_ON
+
+    def watch(self, conditions: Conditions, goal: Goal, nav: NavState) -> Step:
+        """After the goal of the tick is known: does it end?"""
+        self._mission.forget_progress()
+        return GO_ON
+
+    def by_hand(self, sticks: Sticks) -> ByHand | None:
+        """What a pilot asks for where there is no position, None = nothing can be done without one."""
+        return None
+
+    def position_came_or_went(self) -> None:
+        """There is a position as of now, or none any more."""
+
+    def go_to_depth(self, depth_m: float) -> str | None:
+        """Another depth within the mode: why not, "" when it is gone to; None = the mode has no way of its own."""
+        return None
+
+    def _watch_way(self, conditions: Conditions, goal: Goal, nav: NavState, *, flies: bool) -> Step:
+        """A goal that is travelled to, ``flies``: an item of the mission, else home."""
+        stuck = self._mission.watch_way(conditions, goal, nav, flies=flies)
+        return Step(enter=FlightMode.HOLD) if stuck else GO_ON

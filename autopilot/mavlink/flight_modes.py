@@ -1,0 +1,102 @@
+"""Flight modes as ground stations know them: numbers, names and buttons, one row per mode.
+
+What a mode does is in :mod:`autopilot.command.modes`.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from enum import IntEnum
+from types import MappingProxyType
+
+
+class FlightMode(IntEnum):
+    """What the vehicle can be told to do. Numbers are internal; a profile maps them to its custom_mode."""
+
+    HOLD = 0
+    """Station keeping."""
+    MISSION = 1
+    RETURN = 2
+    """Back to home, then hold."""
+    SURFACE = 3
+    """Up at the present position, then disarm."""
+    MANUAL = 4
+    """Sticks are thrust."""
+    STABILIZE = 5
+    """As MANUAL, heading held."""
+    ALT_HOLD = 6
+    """As STABILIZE, depth held."""
+    POSHOLD = 7
+    """Sticks are velocities; released, the vehicle holds its place."""
+    GUIDED = 8
+    """Set points of a client, one after the other."""
+    CIRCLE = 9
+    """Round a place."""
+    TAKEOFF = 10
+    """Down to a depth, then hold: what taking off is under water."""
+
+
+def px4_mode(main: int, sub: int = 0) -> int:
+    """PX4's custom_mode (px4_custom_mode.h): main mode in byte 2, sub mode in byte 3."""
+    return (main << 16) | (sub << 24)
+
+
+_AUTO = 4
+"""PX4's main mode of everything that flies by itself."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ModeRow:
+    """One mode on the wire."""
+
+    label: str
+    px4: int
+    """custom_mode of px4_custom_mode.h."""
+    ardusub: int
+    """custom_mode of ArduSub, or where it has none of ArduPilot's other vehicles."""
+    ardusub_label: str = ""
+    """Where ArduSub has another."""
+    standard: int = 0
+    """MAV_STANDARD_MODE, 0 = none. Position hold is the one with sticks. Only numbers that mean the same in common.xml
+    of 2025 and in development.xml of 2022, which ground stations of that time go by: one that means one mode to this
+    side and another to the other (7: land, or mission) would surface a vehicle that is to start."""
+    button: int | None = None
+    """Value of BTNn_FUNCTION that chooses it, as in ArduSub where it has one."""
+    piloted: bool = False
+    """A pilot steers."""
+
+
+MODE_ROWS: Mapping[FlightMode, ModeRow] = MappingProxyType(
+    {
+        # ArduSub's GUIDED holds its place, takes go-to and set points; QGroundControl waits for it before a mission
+        # start. The first of two with one number is what the number means.
+        FlightMode.HOLD: ModeRow(label="Hold", px4=px4_mode(_AUTO, 3), ardusub=4, ardusub_label="Guided", button=14),
+        FlightMode.MISSION: ModeRow(label="Mission", px4=px4_mode(_AUTO, 4), ardusub=3, button=9),
+        FlightMode.RETURN: ModeRow(label="Return", px4=px4_mode(_AUTO, 5), ardusub=6, button=15),
+        FlightMode.SURFACE: ModeRow(label="Surface", px4=px4_mode(_AUTO, 6), ardusub=9, button=16),
+        FlightMode.MANUAL: ModeRow(label="Manual", px4=px4_mode(1), ardusub=19, button=5, piloted=True),
+        FlightMode.STABILIZE: ModeRow(label="Stabilize", px4=px4_mode(7), ardusub=0, button=6, piloted=True),
+        FlightMode.ALT_HOLD: ModeRow(
+            label="Depth hold", px4=px4_mode(2), ardusub=2, standard=4, button=7, piloted=True
+        ),
+        FlightMode.POSHOLD: ModeRow(label="Position", px4=px4_mode(3), ardusub=16, standard=1, button=8, piloted=True),
+        FlightMode.GUIDED: ModeRow(label="Offboard", px4=px4_mode(6), ardusub=4, button=11),
+        FlightMode.CIRCLE: ModeRow(
+            label="Orbit", px4=px4_mode(3, 1), ardusub=7, ardusub_label="Circle", standard=2, button=10
+        ),
+        FlightMode.TAKEOFF: ModeRow(label="Takeoff", px4=px4_mode(_AUTO, 2), ardusub=13),
+    }
+)
+"""In the order in which operators are told of them."""
+
+PILOTED = frozenset(mode for mode, row in MODE_ROWS.items() if row.piloted)
+"""Modes in which a pilot steers."""
+
+MODE_BUTTONS: Mapping[int, FlightMode] = MappingProxyType(
+    {row.button: mode for mode, row in MODE_ROWS.items() if row.button is not None}
+)
+"""Values of BTNn_FUNCTION that choose a mode."""
+
+STANDARD_MODES: Mapping[int, FlightMode] = MappingProxyType(
+    {row.standard: mode for mode, row in MODE_ROWS.items() if row.standard}
+)
+"""The mode of each MAV_STANDARD_MODE that there is one for."""
