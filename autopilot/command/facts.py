@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from autopilot.command.floor_ranges import FloorRanges
 from autopilot.control.thrust.by_hand import Felt
 from autopilot.core.frames import FloatArray
 from autopilot.core.messages import Inputs
@@ -87,6 +88,8 @@ class Facts:
     depth_m: float = NEVER
     """Of the pressure sensor."""
     depth_us: float = NEVER
+    floor: FloorRanges = field(default_factory=FloorRanges)
+    """What looks down."""
     thrust_n: FloatArray | None = None
     """(n,) commanded now."""
     sensors: dict[str, _Heard] = field(default_factory=dict)

@@ -7,7 +7,7 @@ from autopilot.command.conditions import Conditions
 from autopilot.command.decision import Pose
 from autopilot.command.failsafe_table import Effect
 from autopilot.command.failsafes import FailsafeRules
-from autopilot.command.modes.mode import RELEASED, Mode, Step, Tools, denied
+from autopilot.command.modes.mode import Mode, Step, Tools, denied
 from autopilot.command.modes.table import MODES
 from autopilot.control.thrust.by_hand import ByHand
 from autopilot.core.messages import Authority, Below, Failsafe, Goal, NavState, Severity
@@ -261,7 +261,7 @@ class ModeMachine:
         """What a pilot asks for where there is no position, None where the mode needs one or there is one."""
         if not self.armed or self.yielded or self.nav is not None:
             return None
-        return self.active.by_hand(conditions.sticks or RELEASED)
+        return self.active.by_hand(conditions)
 
     def _watch_position(self) -> None:
         """A pilot is told when fence and limits no longer hold, and when they do again."""

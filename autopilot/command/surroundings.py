@@ -63,6 +63,8 @@ class Surroundings:
         """That the vehicle would be deep inside of an obstacle."""
         self.sensed = Sensed()
         """The newest of each sensor."""
+        if vehicle.laser is not None:
+            self.facts.floor.mount("laser", vehicle.laser.position_frd_m, vehicle.laser.direction_frd)
         with_laser = vehicle.camera is not None and vehicle.laser is not None
         self._camera = CameraModel.of(vehicle.eye, vehicle.laser) if with_laser else None
 
@@ -134,7 +136,7 @@ class Surroundings:
         if isinstance(sample, DepthSample):
             sensed.depth = sample
         elif isinstance(sample, LaserSample):
-            sensed.laser = sample
+            self._show_laser(t_us, sample)
         elif isinstance(sample, HullSample):
             sensed.hull = sample
         elif isinstance(sample, MarkerSighting) and sample.laser_px is not None and self._camera is not None:
@@ -142,7 +144,11 @@ class Surroundings:
             if shown is None or t_us - shown.t_us >= RANGE_US:
                 found = dot_range(self._camera, sample.laser_px)
                 if found is not None:
-                    sensed.laser = LaserSample(t_us=sample.t_us, range_m=found[0], sigma_m=found[1])
+                    self._show_laser(t_us, LaserSample(t_us=sample.t_us, range_m=found[0], sigma_m=found[1]))
+
+    def _show_laser(self, t_us: int, sample: LaserSample) -> None:
+        self.sensed.laser = sample
+        self.facts.floor.note("laser", t_us, sample.range_m)
 
     def _power_share(self, t_us: int) -> float:
         """Share that a new sample has of the mean power."""

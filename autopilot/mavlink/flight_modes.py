@@ -33,6 +33,8 @@ class FlightMode(IntEnum):
     """Round a place."""
     TAKEOFF = 10
     """Down to a depth, then hold: what taking off is under water."""
+    SURFTRAK = 11
+    """As ALT_HOLD, but the height over the floor is held."""
 
 
 def px4_mode(main: int, sub: int = 0) -> int:
@@ -84,6 +86,8 @@ MODE_ROWS: Mapping[FlightMode, ModeRow] = MappingProxyType(
             label="Orbit", px4=px4_mode(3, 1), ardusub=7, ardusub_label="Circle", standard=2, button=10
         ),
         FlightMode.TAKEOFF: ModeRow(label="Takeoff", px4=px4_mode(_AUTO, 2), ardusub=13),
+        # PX4 has no such mode: EXTERNAL1, of those for modes of one's own
+        FlightMode.SURFTRAK: ModeRow(label="Surftrak", px4=px4_mode(_AUTO, 11), ardusub=21, button=13, piloted=True),
     }
 )
 """In the order in which operators are told of them."""

@@ -107,7 +107,7 @@ class Mode:
         self._mission.forget_progress()
         return GO_ON
 
-    def by_hand(self, sticks: Sticks) -> ByHand | None:
+    def by_hand(self, conditions: Conditions) -> ByHand | None:
         """What a pilot asks for where there is no position, None = nothing can be done without one."""
         return None
 

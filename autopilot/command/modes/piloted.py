@@ -94,8 +94,9 @@ class PilotedMode(Mode):
         assert self._goal is not None
         return self._goal
 
-    def by_hand(self, sticks: Sticks) -> ByHand | None:
+    def by_hand(self, conditions: Conditions) -> ByHand | None:
         """Forces, and what of depth and heading can be held."""
+        sticks = conditions.sticks or RELEASED
         reach = self._reach_n()
         wish = np.array([sticks.ahead, sticks.starboard, -sticks.up, sticks.turn])
         return ByHand(
@@ -150,10 +151,10 @@ class PilotedMode(Mode):
             down = -steady_speed(sticks.up * reach, model.linear_drag[2], model.quadratic_drag[2])
             held.depth_m = None
         elif sticks.up:
-            down, held.depth_m = -sticks.up * self._params["PILOT_SPD_Z"], None
+            down = -sticks.up * self._params["PILOT_SPD_Z"]
+            self._let_go_of_depth()
         else:
-            down = None
-            held.depth_m = float(rest.pos_ned_m[2]) if held.depth_m is None else held.depth_m
+            down, held.depth_m = None, self._held_depth_m(rest)
         if not self.holds_heading or sticks.turn:
             held.yaw_rad = None
         else:
@@ -161,6 +162,14 @@ class PilotedMode(Mode):
             stop = float(nav.rpy_rad[2]) + rate * abs(rate) / (2.0 * TURN_STOP_RAD_S2)
             turn, held.yaw_rad = None, stop if held.yaw_rad is None else held.yaw_rad
         return down, turn
+
+    def _held_depth_m(self, rest: Goal) -> float:
+        """With the stick released, ``rest``: where the vehicle comes to rest."""
+        return float(rest.pos_ned_m[2]) if self._held.depth_m is None else self._held.depth_m
+
+    def _let_go_of_depth(self) -> None:
+        """The stick is out."""
+        self._held.depth_m = None
 
     def _yaw_rate(self) -> float:
         """At a full stick."""

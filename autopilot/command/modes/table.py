@@ -5,6 +5,7 @@ from autopilot.command.modes.circle import CircleMode
 from autopilot.command.modes.guided import GuidedMode
 from autopilot.command.modes.mode import Mode
 from autopilot.command.modes.piloted import DepthHoldMode, ManualMode, PositionMode, StabilizeMode
+from autopilot.command.modes.surftrak import SurftrakMode
 
 MODES: tuple[type[Mode], ...] = (
     HoldMode,
@@ -15,6 +16,7 @@ MODES: tuple[type[Mode], ...] = (
     ManualMode,
     StabilizeMode,
     DepthHoldMode,
+    SurftrakMode,
     PositionMode,
     GuidedMode,
     CircleMode,

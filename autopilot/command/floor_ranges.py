@@ -1,0 +1,70 @@
+"""How high the vehicle is over what lies below it, by the sensors that look down."""
+
+import math
+from collections import deque
+from dataclasses import dataclass, field
+from statistics import median
+
+from autopilot.core.frames import FloatArray
+
+FRESH_US = 1_000_000
+"""A range that is older says nothing: the vehicle is somewhere else."""
+
+READINGS = 5
+"""The median of so many is used: a fish, or an echo that has come back twice, is not the floor."""
+
+SENSORS = ("altimeter", "laser")
+"""The first of them that has spoken of late is asked: a sonar's wide beam sees the floor also through silt."""
+
+_NOWHERE = (math.nan, math.nan, math.nan)
+
+
+@dataclass(slots=True, eq=False)
+class _Ranges:
+    """Of one sensor."""
+
+    position_frd_m: tuple[float, float, float] = _NOWHERE
+    direction_frd: tuple[float, float, float] = _NOWHERE
+    heard: deque[tuple[int, float]] = field(default_factory=lambda: deque(maxlen=READINGS))
+    """Time and range."""
+
+
+class FloorRanges:
+    """The newest ranges of each sensor."""
+
+    def __init__(self) -> None:
+        self._ranges = {name: _Ranges() for name in SENSORS}
+
+    def mount(
+        self, name: str, position_frd_m: tuple[float, float, float], direction_frd: tuple[float, float, float]
+    ) -> None:
+        """Where a sensor sits and which way it looks; the direction is of any length."""
+        x, y, z = direction_frd
+        length = math.hypot(x, y, z)
+        self._ranges[name] = _Ranges(position_frd_m, (x / length, y / length, z / length))
+
+    def note(self, name: str, t_us: int, range_m: float) -> None:
+        """One reading of a sensor, along its beam."""
+        if math.isfinite(range_m) and range_m > 0.0:
+            self._ranges[name].heard.append((t_us, range_m))
+
+    def height_m(self, t_us: int, rpy_rad: FloatArray | None) -> float | None:
+        """Of the vehicle's centre over the floor, None = not known; ``rpy_rad`` (3,), None = level."""
+        for name in SENSORS:
+            ranges = self._ranges[name]
+            heard = [range_m for then_us, range_m in ranges.heard if t_us - then_us <= FRESH_US]
+            if heard:
+                below_m = median(heard) * _below(rpy_rad, ranges.direction_frd)
+                height_m = below_m + _below(rpy_rad, ranges.position_frd_m)
+                return height_m if height_m > 0.0 else None
+        return None
+
+
+def _below(rpy_rad: FloatArray | None, frd: tuple[float, float, float]) -> float:
+    """The part of a vector that points down."""
+    forward, right, down = frd
+    if rpy_rad is None:
+        return down
+    roll, pitch, _ = rpy_rad.tolist()
+    sideways = right * math.sin(roll) + down * math.cos(roll)
+    return float(sideways * math.cos(pitch) - forward * math.sin(pitch))

@@ -1,0 +1,147 @@
+"""Mode SURFTRAK: as depth hold, but what is held is the height over the floor (ArduSub's mode 21)."""
+
+import math
+from dataclasses import replace
+
+from autopilot.command.conditions import Conditions
+from autopilot.command.modes.mode import RELEASED, Step, Tools, denied
+from autopilot.command.modes.piloted import DepthHoldMode
+from autopilot.control.thrust.by_hand import ByHand
+from autopilot.core.clock import TICK_US
+from autopilot.core.frames import FloatArray
+from autopilot.core.messages import Drive, Goal, NavState, Severity
+from autopilot.mavlink.api import Answer, FlightMode, Sticks
+
+PLAY_M = 0.01
+"""The floor has to be so much higher or lower than it was for the depth to change: ranges are noisy."""
+
+SLOWED, STOPPED = 0.8, 0.5
+"""Below the first share of the height that is to be held sticks ahead and sideways count less, below the second not at
+all: a floor that rises faster than the vehicle can is not run into."""
+
+HEIGHT_GAIN_1_S = 1.5
+"""Climb per error of the height."""
+
+CHASE_M, CAUGHT_M = 0.02, 0.005
+"""An error of the height beyond the first is made good by climbing or sinking until it is below the second; within that
+the depth is held,"""
+LEVEL_M_S = 0.02
+"""as long as the floor below rises or falls no faster than that."""
+
+FLOOR_RATE_S = 0.3
+"""Time constant of how fast the floor rises or falls."""
+
+
+class SurftrakMode(DepthHoldMode):
+    """Over a floor that rises and falls. Without a range to it the depth is held, until there is one again."""
+
+    name = FlightMode.SURFTRAK
+
+    def __init__(self, tools: Tools) -> None:
+        self._height_m: float | None = None
+        """What is held, None = its stick is out, or nothing has been seen of the floor."""
+        self._floor_m: float | None = None
+        """Depth of the floor below, None = not known."""
+        self._now_m: float | None = None
+        """Height of now, None = not known."""
+        self._told: bool | None = None
+        """Whether the floor was known when that was last told."""
+        self._floor_m_s = 0.0
+        """How fast it falls below us, as we move over it."""
+        self._chases = False
+        """The height is being made good."""
+        super().__init__(tools)
+
+    def refusal(self, conditions: Conditions | None, *, armed: bool) -> Answer | None:
+        """Nothing looks down, or the floor is too far."""
+        refusal = super().refusal(conditions, armed=armed)
+        if refusal is None and armed and conditions is not None and self._height_of(conditions) is None:
+            refusal = denied("SURFTRAK denied: no range to the floor, use ALT_HOLD")
+        return refusal
+
+    def enter(self, nav: NavState | None) -> None:
+        """The height of here is held."""
+        super().enter(nav)
+        self._height_m = self._floor_m = self._now_m = self._told = None
+        self._floor_m_s, self._chases = 0.0, False
+
+    def step(self, conditions: Conditions, nav: NavState) -> Step:
+        """The motion that the sticks ask for, over the floor of now."""
+        self._look(conditions, float(nav.pos_ned_m[2]))
+        return super().step(conditions, nav)
+
+    def by_hand(self, conditions: Conditions) -> ByHand | None:
+        """Without a position: the height by the rate of climb."""
+        wish = super().by_hand(conditions)
+        self._look(conditions, 0.0)
+        up = (conditions.sticks or RELEASED).up
+        if wish is None or up or self._now_m is None:
+            self._height_m = None if up else self._height_m
+            return wish
+        self._height_m = self._now_m if self._height_m is None else self._height_m
+        most = self._params["PILOT_SPD_Z"]
+        error_m = self._now_m - self._height_m
+        sinks = max(-most, min(most, HEIGHT_GAIN_1_S * error_m)) if abs(error_m) > PLAY_M else 0.0
+        return replace(wish, down_m_s=sinks)
+
+    def _look(self, conditions: Conditions, depth_m: float) -> None:
+        """Where the floor is, as fast as the vehicle may follow it."""
+        self._now_m = self._height_of(conditions)
+        known = self._now_m is not None
+        if self._told is not None and known is not self._told:
+            self._operator.say(*_BACK if known else _GONE)
+        self._told = known
+        if self._now_m is None:
+            return
+        seen_m = depth_m + self._now_m
+        if self._floor_m is None:
+            self._floor_m = seen_m
+            return
+        off_m, most_m = seen_m - self._floor_m, self._params["PILOT_SPD_Z"] * TICK_US * 1e-6
+        beyond_m = off_m - math.copysign(min(abs(off_m), PLAY_M), off_m)
+        moved_m = max(-most_m, min(most_m, beyond_m))
+        self._floor_m += moved_m
+        tick_s = TICK_US * 1e-6
+        self._floor_m_s += tick_s / FLOOR_RATE_S * (moved_m / tick_s - self._floor_m_s)
+
+    def _held_depth_m(self, rest: Goal) -> float:
+        """Over the floor; the pilot's stick has moved the height."""
+        if self._floor_m is None:
+            return super()._held_depth_m(rest)
+        if self._height_m is None:
+            self._height_m = self._floor_m - float(rest.pos_ned_m[2])
+        return self._goals.in_band(self._floor_m - self._height_m)
+
+    def _others(self, sticks: Sticks, nav: NavState, rest: Goal) -> tuple[float | None, float | None]:
+        """What is off by more than a little is climbed or sunk to, as fast as a stick may."""
+        down_m_s, turn_rad_s = super()._others(sticks, nav, rest)
+        depth_m, most_m_s = self._held.depth_m, self._params["PILOT_SPD_Z"]
+        if down_m_s is not None or depth_m is None:
+            return down_m_s, turn_rad_s
+        off_m = depth_m - float(nav.pos_ned_m[2])
+        near_m = CAUGHT_M if self._chases else CHASE_M
+        self._chases = abs(off_m) > near_m or abs(self._floor_m_s) > LEVEL_M_S
+        if self._chases:
+            down_m_s = max(-most_m_s, min(most_m_s, HEIGHT_GAIN_1_S * off_m + self._floor_m_s))
+        return down_m_s, turn_rad_s
+
+    def _let_go_of_depth(self) -> None:
+        super()._let_go_of_depth()
+        self._height_m = None
+
+    def _planar(self, sticks: Sticks, nav: NavState, rest: Goal) -> Drive:
+        """Slower where the floor comes near."""
+        if self._height_m is not None and self._now_m is not None:
+            share = (self._now_m / self._height_m - STOPPED) / (SLOWED - STOPPED)
+            share = max(0.0, min(1.0, share))
+            sticks = replace(sticks, ahead=share * sticks.ahead, starboard=share * sticks.starboard)
+        return super()._planar(sticks, nav, rest)
+
+    @staticmethod
+    def _height_of(conditions: Conditions) -> float | None:
+        attitude: FloatArray | None = None if conditions.nav is None else conditions.nav.rpy_rad
+        return conditions.facts.floor.height_m(conditions.t_us, attitude)
+
+
+_GONE = (Severity.WARNING, "No range to the floor: holding depth")
+_BACK = (Severity.INFO, "Range to the floor is back: holding height")
