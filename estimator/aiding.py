@@ -3,17 +3,22 @@
 Every source goes through the same: gate, counts, report. What a reset means is the only difference. A source with an
 offset that is a state of the filter (heading, laser, depth) or that measures one kind of state alone (velocity) has
 these states reopened, when it has been rejected for a while and its residuals agree among themselves. A source of
-positions moves the whole filter (:mod:`autopilot.estimator.relocation`).
+positions moves the whole filter (:mod:`autopilot.estimator.fix_aid`).
+
+Each source is a class beside its measurement in ``measure_*.py``; :mod:`autopilot.estimator.sources` lists them.
 """
 
+from abc import ABC, abstractmethod
 from collections import deque
 from collections.abc import Iterator
+from typing import Any, ClassVar, Generic, TypeVar
 
 import numpy as np
 
 from autopilot.core.frames import FloatArray
 from autopilot.core.messages import AidState, AidStatus, MarkerFit
 from autopilot.estimator.filter_core import Innovation
+from autopilot.estimator.measurement import Measurement
 
 START_COUNT = 5
 """Measurements used in a row before a sensor counts as active."""
@@ -29,13 +34,24 @@ COUNTS = ("received", "fused", "rejected", "late", "duplicate", "future", "malfo
 """What is counted of every sensor."""
 
 
+S_contra = TypeVar("S_contra", contravariant=True)
+M = TypeVar("M")
+
+
 class Aid:
     """Bookkeeping of one sensor."""
 
-    def __init__(self, sensor: str, own: slice | None = None) -> None:
-        """``own``: states that are reopened when the sensor is reset, None = it is not reset here."""
-        self.sensor = sensor
-        self.own = own
+    sensor: ClassVar[str]
+    """One of ``AID_SENSORS``."""
+    samples: ClassVar[tuple[type, ...]] = ()
+    """Kinds of samples that it makes measurements of. The first source that names a kind counts its samples."""
+    own: ClassVar[slice | None] = None
+    """States that are reopened when the sensor is reset, None = it is not reset like that."""
+    of_pictures: ClassVar[bool] = False
+    """Whether its samples are made of pictures: stamped as these are, and believed as the camera is."""
+
+    def __init__(self, time_offset_s: float = 0.0) -> None:
+        self._offset_us = round(1e6 * time_offset_s)
         self.counts = dict.fromkeys(COUNTS, 0)
         self.rejected_in_row = 0
         self.last_fused_us: int | None = None
@@ -44,6 +60,17 @@ class Aid:
         self._state = AidState.STOPPED
         self._last_us: int | None = None
         self._rejected: deque[FloatArray] = deque(maxlen=REJECT_COUNT)
+
+    @property
+    def offset_us(self) -> int:
+        """What is to be added to the stamps of its samples."""
+        return self._offset_us
+
+    def counted(self, measurement: M | None) -> M | None:
+        """What was made of a sample; None = it is malformed."""
+        if measurement is None:
+            self.counts["malformed"] += 1
+        return measurement
 
     def state(self, now_us: int) -> AidState:
         """Where the sensor is in its life cycle."""
@@ -111,6 +138,24 @@ class Aid:
         """Counts as ``sensor.what``."""
         for what, count in self.counts.items():
             yield f"{self.sensor}.{what}", count
+
+
+class ScalarAid(Aid, ABC, Generic[S_contra]):
+    """A sensor that does not tell a pose."""
+
+    @abstractmethod
+    def measured(self, sample: S_contra) -> Measurement | None:
+        """The measurement of a sample; None = there is none in it, or none that can be used."""
+        ...
+
+    def reopened(self, measurement: Any, *, fixed: bool) -> slice | None:
+        """States to forget when it is reset after this measurement was rejected, None = it is not.
+
+        ``fixed``: a fix has been used of late."""
+        return self.own
+
+    def used(self, measurement: Any) -> None:
+        """A measurement has met its gate."""
 
 
 def _three(values: FloatArray) -> FloatArray:

@@ -24,7 +24,7 @@ from autopilot.estimator.inertial import Mode, Step
 from autopilot.estimator.kalman import RELOCATED_SIGMA_VEL_M_S, VERTICAL_CURRENT_VARIANCE
 from autopilot.estimator.measure_depth import Depth
 from autopilot.estimator.measure_laser import LaserRange
-from autopilot.estimator.measure_model import ModelAid
+from autopilot.estimator.measure_model import ModelAcceleration
 from autopilot.estimator.measure_pose import PoseFix
 from autopilot.estimator.measurement import CHI2_999, Measurement, Moment
 from autopilot.estimator.motion import moved
@@ -118,7 +118,7 @@ class ObserverCore:
         """Gate on the sum of squares of the normalised residuals."""
         x, p = state.x, state.p
         y = measurement.residual(measurement.z, measurement.predicted(x, moment, after_s))
-        if isinstance(measurement, ModelAid):
+        if isinstance(measurement, ModelAcceleration):
             return self._result(y, _MODEL_GATE_VARIANCE, _model_gain(x), _MODEL_SPREAD)
         noise = measurement.noise.diagonal()
         ground = ground_of(measurement)

@@ -9,6 +9,7 @@ import math
 from collections import deque
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -16,43 +17,30 @@ from autopilot.core.camera import CameraModel
 from autopilot.core.frames import FloatArray, wrap_pi
 from autopilot.core.markers import MarkerMap
 from autopilot.core.messages import AidStatus, NavDoubt, NavHealth, NavState, ShadowStatus
-from autopilot.core.samples import (
-    AhrsSample,
-    DepthSample,
-    ExternalPoseSample,
-    ImuSample,
-    LaserSample,
-    MarkerSighting,
-    PoseSample,
-    Sample,
-    VelocityLock,
-    VelocitySample,
-)
+from autopilot.core.samples import AhrsSample, ImuSample, LaserSample, MarkerSighting, PoseSample, Sample
 from autopilot.core.vehicle import Vehicle
-from autopilot.estimator.aiding import Aid
+from autopilot.estimator.aiding import Aid, ScalarAid
 from autopilot.estimator.attitude import AttitudeSource
 from autopilot.estimator.camera_doubt import NO_CAMERA, CameraWatch
 from autopilot.estimator.doubt import STEADY_M_S2, STEADY_RAD_S
 from autopilot.estimator.evidence import Evidence
 from autopilot.estimator.filter_core import FilterCore, Innovation
+from autopilot.estimator.fix_aid import FixAid
 from autopilot.estimator.fix_motion import Seen, drift_variance, plausible
 from autopilot.estimator.fix_trust import DENYING, FixTrust
 from autopilot.estimator.history import History, Loosening, Node, Reopening
 from autopilot.estimator.imu_watch import GYRO_STATE, HEADING_STATES, NOTHING_NEW, ImuWatch
 from autopilot.estimator.inertial import AhrsDoor, AhrsMount, Inertial, Mode, level, made_up, step_between
-from autopilot.estimator.intake import AidingSample, Intake
+from autopilot.estimator.intake import Intake
 from autopilot.estimator.map_watch import LOOSE_VARIANCE, MapWatch
 from autopilot.estimator.markers_pose import MarkerSolver
-from autopilot.estimator.measure_heading import heading_of
-from autopilot.estimator.measure_model import VehicleAcceleration, added_share, idle, model_aid_of
+from autopilot.estimator.measure_model import MODEL_EVERY
 from autopilot.estimator.measure_pose import PoseFix
-from autopilot.estimator.measure_velocity import BodyVelocity
 from autopilot.estimator.measurement import Measurement, Moment
 from autopilot.estimator.options import DEFAULT_OPTIONS, EstimatorOptions
 from autopilot.estimator.output import judge_health, nav_state
 from autopilot.estimator.refined import refined_map
-from autopilot.estimator.relocation import Relocation
-from autopilot.estimator.sources import OF_PICTURES, Sources
+from autopilot.estimator.sources import Sources
 from autopilot.estimator.startup import StartUp
 from autopilot.estimator.states import (
     ACCEL_BIAS,
@@ -73,10 +61,6 @@ from autopilot.estimator.states import (
 from autopilot.estimator.thrust import ThrustLag
 from autopilot.estimator.tilt import TiltTrim
 
-HEADING_EVERY = 20
-"""AHRS samples per heading measurement: 5 Hz, its errors are slow."""
-MODEL_EVERY = 2
-"""AHRS samples per look at the vehicle model: 50 Hz."""
 AHRS_WAIT_US = 60_000
 """After so long without AHRS data the filter goes on without."""
 BLIND_STEP_US = 20_000
@@ -89,12 +73,8 @@ COAST_AFTER_US = 300_000
 TRACKED_US = 1_000_000
 """So recent a velocity over ground keeps dead reckoning going."""
 INERTIAL = (AhrsSample, ImuSample)
-FIXES = (PoseSample, MarkerSighting, ExternalPoseSample)
 PICTURES = (PoseSample, MarkerSighting)
-SCALARS = (LaserSample, DepthSample, VelocitySample, MarkerSighting)
-AIDING = (PoseSample, MarkerSighting, ExternalPoseSample, LaserSample, DepthSample, VelocitySample)
-"""Kinds of samples that make a node, that give a pose, that give one by a picture, that give something else, and all
-of the last three."""
+"""Kinds of samples that make a node, and that give a pose by a picture."""
 REDRIVEN_US = 800_000
 """A sensor that ceases to be believed has been wrong for up to so long."""
 DOUBT_US = 1_000_000
@@ -127,16 +107,15 @@ class Engine:
     ) -> None:
         self._core = core
         self._options = options
-        self._model = VehicleAcceleration(vehicle.to_model(), added_share(vehicle))
         solver = None if markers is None else MarkerSolver(CameraModel.of_vehicle(vehicle), markers)
-        self._sources = Sources(vehicle, solver, floor_depth_m)
+        self._sources = Sources(vehicle, solver, floor_depth_m, options)
         self._intake = Intake(self._sources.aid_of)
         self._door = AhrsDoor()
         self._attitude = AttitudeSource()
         self._mount = AhrsMount(vehicle.ahrs.position_frd_m)
         self._ahrs_offset_us = round(1e6 * vehicle.ahrs.time_offset_s)
         self._thrust = ThrustLag(vehicle.thrusters)
-        self._imu = ImuWatch(self._model)
+        self._imu = ImuWatch(self._sources.model.vehicle)
         self._evidence = Evidence()
         self._markers = markers
         camera = vehicle.camera or NO_CAMERA
@@ -149,8 +128,6 @@ class Engine:
         self._anchored_since_us: int | None = None
         self._startup = StartUp()
         self._trim = TiltTrim()
-        self._relocations = {"markers": Relocation(), "external": Relocation()}
-        self._trusts = {"markers": FixTrust(), "external": FixTrust()}
         self._history: History | None = None
         self._recent: deque[Inertial] = deque(maxlen=128)
         self._statuses: list[AidStatus] = []
@@ -159,7 +136,6 @@ class Engine:
         self._against: frozenset[NavDoubt] = frozenset()
         """:meth:`_doubts` of the last step."""
         self._samples_since = 0
-        self._ground_us: int | None = None
         self._ahrs_us: int | None = None
         self._learned_us = -LEARN_EVERY_US
         sheets = ("sheets.fused", "sheets.rejected", "sheets.loosened")
@@ -188,7 +164,8 @@ class Engine:
         if self._focal_changed:
             self._rescale(self._history)
         newest = self._history.newest
-        tracked = self._ground_us is not None and t_us - self._ground_us <= TRACKED_US
+        ground_us = self._sources.velocity.ground_us
+        tracked = ground_us is not None and t_us - ground_us <= TRACKED_US
         doubts = self._against = self._doubts(self._history, t_us)
         doubted = bool(doubts) and not self._harmless(doubts, t_us)
         health = judge_health(
@@ -216,17 +193,15 @@ class Engine:
         result["ahrs.field_disturbances"] = self._attitude.field_disturbances
         result["doubt.accel"], result["doubt.gyro"] = self._imu.accel.count, self._imu.gyro.count
         result["doubt.jumps"] = self._evidence.jumps
-        result["doubt.camera"] = self._trusts["markers"].count
+        result["doubt.camera"] = self._sources.markers.trust.count
         result["doubt.compass_jumps"] = self._imu.gyro.jumps
         result["thrust.malformed"] = self._thrust.malformed
-        for aid in self._sources.aids:
-            result.update(aid.named_counts())
-        result.update(self._sources.solver_counts())
+        result.update(self._sources.counts())
         return result
 
     def take_made(self) -> tuple[PoseSample | LaserSample, ...]:
         """Poses and ranges from pictures since the last call, stamped as the pictures were."""
-        return self._sources.take_made()
+        return self._sources.pictures.take_made()
 
     def take_remarks(self) -> tuple[str, ...]:
         """See :class:`autopilot.estimator.protocol.Estimator`."""
@@ -258,11 +233,11 @@ class Engine:
 
     def _take_in(self, samples: Sequence[Sample]) -> None:
         inertial: list[AhrsSample | ImuSample] = []
-        aiding: list[AidingSample] = []
+        aiding: list[Sample] = []
         for sample in samples:
             if isinstance(sample, INERTIAL):
                 inertial.append(sample)
-            elif isinstance(sample, AIDING):
+            elif type(sample) in self._sources.aid_of:
                 aiding.append(sample)
         if len(inertial) > 1:
             inertial.sort(key=lambda s: s.t_us)
@@ -300,12 +275,12 @@ class Engine:
         """One node more, with the measurements that every so many AHRS samples bring."""
         newest = history.newest
         moment = Moment(inertial, self._thrust.at(inertial.t_us))
-        still = not self._options.model_aid or idle(moment, newest.state.x)
+        model_tells = self._sources.model.has_a_say(moment, newest.state.x)
         anchored = self._anchor_age_us(inertial.t_us) <= COAST_AFTER_US
         mode = Mode.NOMINAL
         if not inertial.real:
             mode = Mode.BLIND
-        elif still or not anchored:
+        elif not model_tells or not anchored:
             mode = Mode.COASTING
         elif self._trim.fresh(inertial.t_us):
             mode = Mode.TRIMMED
@@ -319,14 +294,12 @@ class Engine:
         if self._options.model_aid:
             self._watch_imu(history, newest, node, inertial, anchored=anchored)
         self._samples_since += 1
-        if self._samples_since % HEADING_EVERY == 0:
-            heading = heading_of(inertial)
-            missed = self._fuse(history, node, heading, self._sources.heading)
-            if missed is not None:
-                self._reopen(history, node, heading, self._sources.heading, missed)
-        if not still and self._imu.accel.since_us is None and self._samples_since % MODEL_EVERY == 0:
-            model = model_aid_of(inertial, self._model, vertical=self._options.current_3d)
-            self._fuse(history, node, model, self._sources.model)
+        heading, model = self._sources.heading, self._sources.model
+        if heading.due(self._samples_since):
+            self._use_scalar(history, node, heading.measured(inertial), heading)
+        accel_believed = self._imu.accel.since_us is None
+        if model_tells and accel_believed and model.due(self._samples_since):
+            self._use_scalar(history, node, model.measured(inertial), model)
 
     def _watch_imu(self, history: History, before: Node, node: Node, raw: Inertial, *, anchored: bool) -> None:
         """Cease to believe a sensor that the evidence denies, and believe it again when it has mended."""
@@ -338,7 +311,7 @@ class Engine:
             before,
             node,
             raw,
-            model_dt_s=1e-6 * MODEL_EVERY * (node.t_us - before.t_us) * (self._samples_since % MODEL_EVERY == 0),
+            model_dt_s=1e-6 * MODEL_EVERY * (node.t_us - before.t_us) * self._sources.model.due(self._samples_since),
             anchored=anchored,
             denied=self._evidence.denies,
             heading_denied=not self._camera.stamps.suspects and self._evidence.denies_heading(self._imu.gyro.quick_rad),
@@ -349,8 +322,8 @@ class Engine:
             return
         if found.doubted:
             history.redrive(node.t_us - REDRIVEN_US, self._imu.drive, self._sources.model.sensor)
-            for trust in self._trusts.values():
-                trust.begin_anew()
+            for aid in self._sources.fixes:
+                aid.trust.begin_anew()
         forgotten: list[tuple[slice, float, tuple[float, ...] | None]] = []
         if found.apart_rad:
             forgotten += [(part, found.apart_rad**2, None) for part in HEADING_STATES]
@@ -368,7 +341,7 @@ class Engine:
     def _doubts(self, history: History, t_us: int) -> frozenset[NavDoubt]:
         """What speaks against the estimate or its sensors."""
         found = self._evidence.doubts(t_us, history.newest.state.x.item(LASER_BIAS))
-        trust = self._trusts[self._sources.markers.sensor]
+        trust = self._sources.markers.trust
         for sensor, name in ((self._imu.accel, NavDoubt.ACCELEROMETER), (self._imu.gyro, NavDoubt.GYRO)):
             if sensor.since_us is not None and trust.witnessed(sensor.since_us):
                 found.add(name)
@@ -398,7 +371,8 @@ class Engine:
     def _anchor_age_us(self, t_us: int) -> int:
         """The same of anything that tells the motion over ground: a fix or a velocity."""
         age_us = self._fix_age_us(t_us)
-        return age_us if self._ground_us is None else min(age_us, t_us - self._ground_us)
+        ground_us = self._sources.velocity.ground_us
+        return age_us if ground_us is None else min(age_us, t_us - ground_us)
 
     def _go_blind(self, history: History) -> None:
         """Without AHRS data for too long: let the vehicle model move the state."""
@@ -410,7 +384,7 @@ class Engine:
         while history.newest.t_us + step_us <= until_us:
             newest = history.newest
             x = newest.state.x
-            ax, ay, az, turn = self._model.at(x, newest.moment)
+            ax, ay, az, turn = self._sources.model.vehicle.at(x, newest.moment)
             inertial = made_up(
                 newest.t_us + step_us,
                 newest.moment.inertial,
@@ -428,16 +402,17 @@ class Engine:
     def _try_start(self, until_us: int) -> None:
         for sample in self._intake.due(until_us):
             before = [i for i in self._recent if i.t_us <= sample.t_us]
-            fix = self._sources.first_fix(sample, before[-1]) if before else None
-            if fix is not None and self._history is None and self._startup.offer(fix):
-                self._start(fix, before[-1])
+            aid = self._sources.fix_of.get(type(sample))
+            fix = aid.first_fix(sample, before[-1]) if before and aid is not None else None
+            if aid is not None and fix is not None and self._history is None and self._startup.offer(fix):
+                self._start(fix, aid, before[-1])
 
-    def _start(self, fix: PoseFix, first: Inertial) -> None:
+    def _start(self, fix: PoseFix, aid: Aid, first: Inertial) -> None:
         """First node at the AHRS sample before the fix, then all AHRS samples since."""
         x = initial_state(fix.z[:3], float(fix.z[3]), wrap_pi(first.ahrs_yaw_rad - float(fix.z[3])))
         node = Node(first.t_us, Moment(first, self._thrust.at(first.t_us)), None, self._core.start(x))
         self._history = History(self._core, node)
-        self._positions(fix).last_fused_us = fix.t_us
+        aid.last_fused_us = fix.t_us
         for inertial in [i for i in self._recent if i.t_us > first.t_us]:
             self._advance(self._history, inertial)
 
@@ -452,26 +427,21 @@ class Engine:
             if node is None:
                 self._sources.aid_of[type(sample)].counts["late"] += 1
                 continue
-            fix, aid = self._sources.fix(sample, node) if isinstance(sample, FIXES) else (None, self._sources.markers)
-            if fix is not None:
-                self._use_fix(history, node, fix, aid)
+            fixing = self._sources.fix_of.get(type(sample))
+            fix = None if fixing is None else fixing.fix(sample, node)
+            if fixing is not None and fix is not None:
+                self._use_fix(history, node, fix, fixing)
             if self._history is not history:  # moved to another pose: the old history is gone
                 return
-            if isinstance(sample, SCALARS) and (self._camera_believed or not isinstance(sample, OF_PICTURES)):
-                scalar, aid = self._sources.scalars(sample)
+            aid = self._sources.scalar_of.get(type(sample))
+            if aid is not None and (self._sources.markers.trust.believed or not aid.of_pictures):
+                scalar = aid.measured(sample)
                 if scalar is not None:
                     self._use_scalar(history, node, scalar, aid)
 
-    def _positions(self, fix: PoseFix) -> Aid:
-        return self._sources.external if fix.sensor == "external" else self._sources.markers
-
-    @property
-    def _camera_believed(self) -> bool:
-        return self._trusts[self._sources.markers.sensor].believed
-
-    def _use_fix(self, history: History, node: Node, fix: PoseFix, aid: Aid) -> None:
+    def _use_fix(self, history: History, node: Node, fix: PoseFix, aid: FixAid[Any]) -> None:
         """Gate one fix, and what follows from it for sheets, tilt, doubts and resets."""
-        relocation, trust = self._relocations[aid.sensor], self._trusts[aid.sensor]
+        relocation, trust = aid.relocation, aid.trust
         if not trust.believed:
             self._watch_doubted(history, node, fix, aid)
             return
@@ -488,9 +458,8 @@ class Engine:
             relocation.accepted()
             trust.begin_anew()
             self._learn_sheets(history, node, fix, known)
-            if aid is self._sources.external:
-                self._sources.external_jumped = False
-            elif fix.tilt_rad is not None and node.moment.inertial.real:
+            aid.jumped = False
+            if fix.tilt_rad is not None and node.moment.inertial.real:
                 self._trim.learn(node.moment.inertial, *fix.tilt_rad, fix.sigma_tilt_rad, fix.t_us)
             return
         seen = self._against_reckoning(node, fix, missed)
@@ -498,12 +467,11 @@ class Engine:
         if aid is not self._sources.external or not self._markers_in_view(fix.t_us):  # they know better
             self._consider_reset(history, fix, aid, missed, seen)
 
-    def _consider_reset(self, history: History, fix: PoseFix, aid: Aid, missed: Innovation, seen: Seen) -> None:
+    def _consider_reset(self, history: History, fix: PoseFix, aid: FixAid[Any], missed: Innovation, seen: Seen) -> None:
         """After a fix that was rejected: go where fixes are, or cease to believe them."""
-        relocation, trust = self._relocations[aid.sensor], self._trusts[aid.sensor]
+        relocation, trust = aid.relocation, aid.trust
         gap = self._in_gap(fix.t_us)
-        lost = gap or self._imu.since_us is not None
-        lost = lost or (aid is self._sources.external and self._sources.external_jumped)
+        lost = gap or self._imu.since_us is not None or aid.jumped
         agreeing = 1 + relocation.agreeing_with(fix)
         velocity = relocation.rejected(fix, lost)
         if velocity is None:
@@ -522,7 +490,7 @@ class Engine:
         else:
             if not lost:
                 self._evidence.note_jump(self._now_us, np.abs(missed.y))
-            self._relocate(history, fix, float(missed.y[3]), velocity, lost=lost)
+            self._relocate(history, fix, aid, float(missed.y[3]), velocity, lost=lost)
 
     def _in_gap(self, t_us: int) -> bool:
         """Whether no fix has been used for so long that the estimate is dead reckoning."""
@@ -545,9 +513,9 @@ class Engine:
         )
         return Seen(fix.t_us, fix.z, judged.y, fix.noise.diagonal(), drift, judged.test_ratio <= 1.0)
 
-    def _watch_doubted(self, history: History, node: Node, fix: PoseFix, aid: Aid) -> None:
+    def _watch_doubted(self, history: History, node: Node, fix: PoseFix, aid: FixAid[Any]) -> None:
         """A fix of a camera that is not believed: not used, until a run of them is right again."""
-        trust = self._trusts[aid.sensor]
+        trust = aid.trust
         judged = self._core.innovation(node.state, fix, node.moment, 1e-6 * (fix.t_us - node.t_us))
         self._statuses.append(aid.judged(fix.t_us, self._now_us, judged, False, fix.fit))
         self._camera.stamps.see(fix, missed=True)
@@ -559,12 +527,12 @@ class Engine:
             if sensor.since_us is not None and not trust.witnessed(sensor.since_us):
                 sensor.believe()  # nobody could tell who was wrong: fixes will
         trust.believe(self._now_us)
-        self._relocations[aid.sensor].accepted()
+        aid.relocation.accepted()
         if judged.test_ratio <= 1.0:
             return
         self._evidence.note_jump(self._now_us, np.abs(judged.y))
         velocity = run.velocity(node.state.x[VEL])
-        self._relocate(history, fix, float(judged.y[3]), velocity, lost=self._in_gap(fix.t_us))
+        self._relocate(history, fix, aid, float(judged.y[3]), velocity, lost=self._in_gap(fix.t_us))
 
     def _watch_map(self, history: History, node: Node, fix: PoseFix, *, rejected: bool) -> None:
         """Look for what does not lie where the map has it."""
@@ -601,13 +569,13 @@ class Engine:
         seen_us = self._sources.markers.last_fused_us
         return seen_us is not None and t_us - seen_us <= 1e6 * self._options.dead_reckoning_after_s
 
-    def _use_scalar(self, history: History, node: Node, measurement: Measurement, aid: Aid) -> None:
+    def _use_scalar(self, history: History, node: Node, measurement: Measurement, aid: ScalarAid[Any]) -> None:
         """Gate one measurement that is not of a pose."""
         missed = self._fuse(history, node, measurement, aid)
         if missed is not None:
             self._reopen(history, node, measurement, aid, missed)
-        elif isinstance(measurement, BodyVelocity) and measurement.lock is VelocityLock.BOTTOM:
-            self._ground_us = max(measurement.t_us, -1 if self._ground_us is None else self._ground_us)
+        else:
+            aid.used(measurement)
 
     def _fuse(self, history: History, node: Node, measurement: Measurement, aid: Aid) -> Innovation | None:
         """Gate and use one measurement. None if it was used, else what spoke against it."""
@@ -620,17 +588,16 @@ class Engine:
         self._statuses.append(aid.judged(measurement.t_us, self._now_us, innovation, fused, fit))
         return None if fused else innovation
 
-    def _reopen(self, history: History, node: Node, measurement: Measurement, aid: Aid, missed: Innovation) -> None:
+    def _reopen(
+        self, history: History, node: Node, measurement: Measurement, aid: ScalarAid[Any], missed: Innovation
+    ) -> None:
         """Reset a sensor that keeps missing by the same amount: forget its own states."""
         miss = aid.agreed_miss(missed)
-        if miss is None or aid.own is None:
+        if miss is None:
             return
-        part = aid.own
-        if isinstance(measurement, BodyVelocity):
-            if measurement.lock is VelocityLock.WATER:
-                part = CURRENT
-            elif self._fix_age_us(measurement.t_us) <= 1e6 * self._options.dead_reckoning_after_s:
-                return  # fixes know the velocity better
+        part = aid.reopened(measurement, fixed=not self._in_gap(measurement.t_us))
+        if part is None:
+            return
         variance = max(miss, float((INITIAL_SIGMA[part] ** 2).max()))
         history.reopen(node, Reopening(aid.sensor, measurement.t_us, part, variance))
         aid.reset(self._now_us)
@@ -640,8 +607,9 @@ class Engine:
         followed pictures that lay behind, is carried forward."""
         self._stamps_changed = False
         late_us = round(1e6 * self._camera.stamps.late_s)
-        more_us, self._sources.late_us = late_us - self._sources.late_us, late_us
-        self._intake.retime(OF_PICTURES, -more_us)
+        pictures = self._sources.pictures
+        more_us, pictures.late_us = late_us - pictures.late_us, late_us
+        self._intake.retime_pictures(-more_us)
         if history is None or abs(more_us) < CARRIED_US:
             return
         newest, more_s = history.newest, 1e-6 * more_us
@@ -659,7 +627,7 @@ class Engine:
         self._focal_changed = False
         newest, before = history.newest, self._focal_share
         self._focal_share = self._camera.focal_share
-        self._sources.believe_focal(self._focal_share)
+        self._sources.pictures.believe_focal(self._focal_share)
         share = (1.0 + self._focal_share) / (1.0 + before) - 1.0
         self._carry(newest, np.array([0.0, 0.0, self._height_m(newest) * share, 0.0]), np.zeros(3))
         self._counts["focal.rescaled"] += 1
@@ -681,20 +649,26 @@ class Engine:
         self._imu.accel.believe()
         self._imu.gyro.believe()
         self._begin_at(Node(newest.t_us, newest.moment, None, state))
-        for trust in self._trusts.values():
-            trust.believe(None if trust.believed else self._now_us)
+        for aid in self._sources.fixes:
+            aid.trust.believe(None if aid.trust.believed else self._now_us)
         self._evidence.forgive()
 
     def _begin_at(self, node: Node) -> None:
         """Forget the past."""
         self._history = History(self._core, node)
-        for relocation in self._relocations.values():
-            relocation.accepted()
-        for trust in self._trusts.values():
-            trust.begin_anew()
+        for aid in self._sources.fixes:
+            aid.relocation.accepted()
+            aid.trust.begin_anew()
 
     def _relocate(
-        self, history: History, fix: PoseFix, turn_rad: float, vel_ned_m_s: FloatArray, *, lost: bool
+        self,
+        history: History,
+        fix: PoseFix,
+        aid: FixAid[Any],
+        turn_rad: float,
+        vel_ned_m_s: FloatArray,
+        *,
+        lost: bool,
     ) -> None:
         """Believe the fixes and not ourselves: move the newest node there and forget the past. One who was ``lost``
         has been carried astray by what was taken for granted on the way."""
@@ -706,9 +680,8 @@ class Engine:
             state = self._core.reopen(state, part, float((INITIAL_SIGMA[part] ** 2).max()))
         self._begin_at(Node(newest.t_us, newest.moment, None, state))
         self._evidence.begin_anew(self._now_us)
-        aid = self._positions(fix)
         aid.reset(self._now_us)
         aid.last_fused_us = fix.t_us
-        self._trusts[aid.sensor].note_reset(self._now_us)
-        self._sources.external_jumped = False
+        aid.trust.note_reset(self._now_us)
+        self._sources.external.jumped = False
         self._counts["resets"] += 1

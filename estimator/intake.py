@@ -3,22 +3,11 @@
 from collections import deque
 from collections.abc import Iterable
 from dataclasses import replace
-from types import UnionType
-from typing import TypeAlias
 
 from autopilot.core.messages import AID_SENSORS
-from autopilot.core.samples import (
-    DepthSample,
-    ExternalPoseSample,
-    LaserSample,
-    MarkerSighting,
-    PoseSample,
-    VelocitySample,
-)
+from autopilot.core.samples import Sample
 from autopilot.estimator.aiding import Aid
 from autopilot.estimator.inertial import FUTURE_TOLERANCE_US
-
-AidingSample: TypeAlias = PoseSample | MarkerSighting | LaserSample | DepthSample | VelocitySample | ExternalPoseSample
 
 REMEMBERED = 64
 """Times of the latest samples of each kind, to recognise duplicates: two seconds of camera."""
@@ -33,9 +22,9 @@ class Intake:
         self._aids = aids
         self._seen: dict[type, deque[int]] = {kind: deque(maxlen=REMEMBERED) for kind in aids}
         self._order = {kind: AID_SENSORS.index(aid.sensor) for kind, aid in aids.items()}
-        self._waiting: list[AidingSample] = []
+        self._waiting: list[Sample] = []
 
-    def admit(self, sample: AidingSample, now_us: int) -> None:
+    def admit(self, sample: Sample, now_us: int) -> None:
         """Keep a sample for :meth:`due`, or count it as from the future or as a duplicate."""
         kind = type(sample)
         aid = self._aids[kind]
@@ -50,11 +39,12 @@ class Intake:
             self._seen[kind].append(sample.t_us)
             self._waiting.append(sample)
 
-    def retime(self, kinds: UnionType, later_us: int) -> None:
-        """What waits of these kinds was valid at another time than was thought."""
-        self._waiting = [replace(s, t_us=s.t_us + later_us) if isinstance(s, kinds) else s for s in self._waiting]
+    def retime_pictures(self, later_us: int) -> None:
+        """What waits of pictures was valid at another time than was thought."""
+        of_pictures = {kind for kind, aid in self._aids.items() if aid.of_pictures}
+        self._waiting = [replace(s, t_us=s.t_us + later_us) if type(s) in of_pictures else s for s in self._waiting]
 
-    def due(self, until_us: int) -> Iterable[AidingSample]:
+    def due(self, until_us: int) -> Iterable[Sample]:
         """What was valid at or before ``until_us``, oldest first; the rest waits."""
         if not self._waiting:
             return ()

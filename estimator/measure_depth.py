@@ -7,9 +7,11 @@ import numpy as np
 
 from autopilot.core.frames import FloatArray
 from autopilot.core.samples import DepthSample
+from autopilot.core.vehicle import Vehicle
+from autopilot.estimator.aiding import ScalarAid
 from autopilot.estimator.inertial import down_of
 from autopilot.estimator.measurement import Moment
-from autopilot.estimator.states import DEPTH_OFFSET, DOWN, NX, VEL_DOWN
+from autopilot.estimator.states import DEPTH_OFFSET, DOWN, NX, VEL_DOWN, one
 
 MIN_SIGMA_M = 0.003
 """Floor of the noise: waves, and the pressure of the flow round the hull (v^2/2g is 6 mm at 0.35 m/s)."""
@@ -63,3 +65,19 @@ def depth_from_sample(sample: DepthSample, mount_frd_m: tuple[float, float, floa
         noise=np.array([[max(sample.sigma_m, MIN_SIGMA_M) ** 2]]),
         mount_frd_m=mount_frd_m,
     )
+
+
+class DepthAid(ScalarAid[DepthSample]):
+    """A pressure sensor."""
+
+    sensor = "depth"
+    samples = (DepthSample,)
+    own = one(DEPTH_OFFSET)
+
+    def __init__(self, vehicle: Vehicle) -> None:
+        super().__init__(vehicle.depth_sensor.time_offset_s)
+        self._mount_frd_m = vehicle.depth_sensor.position_frd_m
+
+    def measured(self, sample: DepthSample) -> Depth | None:
+        """See :class:`ScalarAid`."""
+        return self.counted(depth_from_sample(sample, self._mount_frd_m))

@@ -12,8 +12,12 @@ import numpy as np
 
 from autopilot.core.frames import FloatArray, r_ned_from_frd, wrap_pi
 from autopilot.core.samples import ExternalFrame, ExternalPoseSample
+from autopilot.core.vehicle import Vehicle
+from autopilot.estimator.fix_aid import FixAid
+from autopilot.estimator.history import Node
 from autopilot.estimator.inertial import Inertial
 from autopilot.estimator.measure_pose import PoseFix
+from autopilot.estimator.states import POS, VEL, YAW
 
 MIN_SIGMA_M, MIN_SIGMA_RAD = 0.002, math.radians(0.1)
 """Floors of what a source claims."""
@@ -110,3 +114,53 @@ def _covariance(given: FloatArray) -> FloatArray | None:
         return None
     floored: FloatArray = p + np.diag([MIN_SIGMA_M**2] * 3 + [MIN_SIGMA_RAD**2])
     return floored
+
+
+class ExternalAid(FixAid[ExternalPoseSample]):
+    """Whoever sends poses from outside."""
+
+    sensor = "external"
+    samples = (ExternalPoseSample,)
+
+    def __init__(self, vehicle: Vehicle) -> None:
+        super().__init__(vehicle.external_pose.time_offset_s)
+        self._mount_frd_m = vehicle.external_pose.position_frd_m
+        self._frame: Alignment | None = None
+        """Of a source whose frame is not ours; None until it is laid onto the estimate."""
+        self._reset_counter: int | None = None
+
+    def first_fix(self, sample: ExternalPoseSample, inertial: Inertial) -> PoseFix | None:
+        """See :class:`FixAid`: in a frame of its own it does not tell where we are."""
+        self._note_jump(sample)
+        in_our_frame = sample.frame is ExternalFrame.NED
+        if not in_our_frame and well_formed(sample):
+            return None
+        return self.counted(fix_from_external(sample, inertial, self._mount_frd_m))
+
+    def fix(self, sample: ExternalPoseSample, node: Node) -> PoseFix | None:
+        """See :class:`FixAid`."""
+        if not well_formed(sample):
+            return self.counted(None)
+        self._note_jump(sample)
+        inertial = node.moment.inertial
+        in_our_frame = sample.frame is ExternalFrame.NED
+        if in_our_frame:
+            return self.counted(fix_from_external(sample, inertial, self._mount_frd_m))
+        if self._frame is None:
+            self._frame = self._laid(sample, node)
+        return self.counted(fix_from_external(sample, inertial, self._mount_frd_m, self._frame))
+
+    def _laid(self, sample: ExternalPoseSample, node: Node) -> Alignment:
+        """The source's frame, so that its pose is the estimate's."""
+        inertial, x = node.moment.inertial, node.state.x
+        after_s = 1e-6 * (sample.t_us - node.t_us)
+        yaw = float(x[YAW]) + after_s * inertial.yaw_rate_rad_s
+        return aligned(sample, tracked_point(x[POS] + after_s * x[VEL], yaw, inertial, self._mount_frd_m), yaw)
+
+    def _note_jump(self, sample: ExternalPoseSample) -> None:
+        """A new reset counter: what the source said before does not hold any more."""
+        if self._reset_counter is not None and sample.reset_counter != self._reset_counter:
+            self._frame = None
+            self.jumped = True
+            self.reset(sample.t_us)
+        self._reset_counter = sample.reset_counter

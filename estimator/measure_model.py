@@ -23,8 +23,10 @@ from autopilot.core.compiled import Mirror, library
 from autopilot.core.frames import FloatArray
 from autopilot.core.model4 import ABS_SMOOTHING_M2_S2, Model4, body_acceleration
 from autopilot.core.vehicle import Vehicle
+from autopilot.estimator.aiding import ScalarAid
 from autopilot.estimator.inertial import Inertial
 from autopilot.estimator.measurement import Moment
+from autopilot.estimator.options import EstimatorOptions
 from autopilot.estimator.states import (
     ACCEL_BIAS,
     BIAS_AHEAD,
@@ -45,6 +47,8 @@ from autopilot.estimator.states import (
     YAW,
 )
 
+MODEL_EVERY = 2
+"""AHRS samples per look at the vehicle model: 50 Hz."""
 IDLE_THRUST_N = 0.3
 IDLE_SPEED_M_S = 0.03
 """Below both the vehicle may be moored, held or aground: the model has nothing to say."""
@@ -54,7 +58,7 @@ SIGMA_M_S2 = 0.06
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class ModelAid:
+class ModelAcceleration:
     """z = acceleration of the AHRS in the level frame, forward, right (and down) [m/s^2], at its sample's moment."""
 
     sensor: str
@@ -252,10 +256,10 @@ _NOISE.flags.writeable = False
 _PLANAR_NOISE: FloatArray = _NOISE[:2, :2]
 
 
-def model_aid_of(inertial: Inertial, vehicle: VehicleAcceleration, *, vertical: bool = False) -> ModelAid:
+def model_aid_of(inertial: Inertial, vehicle: VehicleAcceleration, *, vertical: bool = False) -> ModelAcceleration:
     """The measurement that one AHRS sample makes with the model, in the plane or with the ``vertical`` as well."""
     accel, noise = (inertial.accel_level_m_s2, _NOISE) if vertical else (inertial.accel_level_m_s2[:2], _PLANAR_NOISE)
-    return ModelAid(sensor="model", t_us=inertial.t_us, z=np.array(accel), noise=noise, vehicle=vehicle)
+    return ModelAcceleration(sensor="model", t_us=inertial.t_us, z=np.array(accel), noise=noise, vehicle=vehicle)
 
 
 def added_share(vehicle: Vehicle) -> tuple[float, float]:
@@ -277,3 +281,26 @@ def _slope(a: float) -> float:
     """d(|a| a)/da with the model's smoothing."""
     a2 = a * a
     return (2.0 * a2 + ABS_SMOOTHING_M2_S2) / math.sqrt(a2 + ABS_SMOOTHING_M2_S2)
+
+
+class ModelAid(ScalarAid[Inertial]):
+    """The vehicle model: every so many samples of the accelerometer are held against it."""
+
+    sensor = "model"
+
+    def __init__(self, vehicle: Vehicle, options: EstimatorOptions) -> None:
+        super().__init__()
+        self.vehicle = VehicleAcceleration(vehicle.to_model(), added_share(vehicle))
+        self._options = options
+
+    def due(self, count: int) -> bool:
+        """Whether the AHRS's sample of that number is held against the model."""
+        return count % MODEL_EVERY == 0
+
+    def has_a_say(self, moment: Moment, x: FloatArray) -> bool:
+        """Whether the vehicle is driven, and may move."""
+        return self._options.model_aid and not idle(moment, x)
+
+    def measured(self, sample: Inertial) -> ModelAcceleration:
+        """See :class:`ScalarAid`."""
+        return model_aid_of(sample, self.vehicle, vertical=self._options.current_3d)

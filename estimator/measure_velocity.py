@@ -6,6 +6,8 @@ import numpy as np
 
 from autopilot.core.frames import FloatArray, r_ned_from_frd
 from autopilot.core.samples import VelocityLock, VelocitySample
+from autopilot.core.vehicle import Vehicle
+from autopilot.estimator.aiding import ScalarAid
 from autopilot.estimator.inertial import Inertial, cross
 from autopilot.estimator.measurement import Moment
 from autopilot.estimator.states import (
@@ -115,3 +117,34 @@ def velocity_from_sample(sample: VelocitySample, mount_frd_m: tuple[float, float
     noise = np.diag(np.maximum(sigma, MIN_SIGMA_M_S) ** 2 + (SCALE_ERROR * vel) ** 2)
     lock = VelocityLock(sample.lock)
     return BodyVelocity(sensor="velocity", t_us=sample.t_us, z=vel, noise=noise, lock=lock, mount_frd_m=mount_frd_m)
+
+
+class VelocityAid(ScalarAid[VelocitySample]):
+    """A Doppler log."""
+
+    sensor = "velocity"
+    samples = (VelocitySample,)
+    own = VEL
+
+    def __init__(self, vehicle: Vehicle) -> None:
+        super().__init__(vehicle.dvl.time_offset_s)
+        self._mount_frd_m = vehicle.dvl.position_frd_m
+        self.ground_us: int | None = None
+        """Time of validity of the newest velocity over ground that has been used, None before the first."""
+
+    def measured(self, sample: VelocitySample) -> BodyVelocity | None:
+        """See :class:`ScalarAid`."""
+        return self.counted(velocity_from_sample(sample, self._mount_frd_m))
+
+    def reopened(self, measurement: BodyVelocity, *, fixed: bool) -> slice | None:
+        """See :class:`ScalarAid`: through the water it is the current, over ground fixes know the velocity better."""
+        through_water = measurement.lock is VelocityLock.WATER
+        if through_water:
+            return CURRENT
+        return None if fixed else self.own
+
+    def used(self, measurement: BodyVelocity) -> None:
+        """See :class:`ScalarAid`."""
+        over_ground = measurement.lock is VelocityLock.BOTTOM
+        if over_ground:
+            self.ground_us = max(measurement.t_us, -1 if self.ground_us is None else self.ground_us)

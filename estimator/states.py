@@ -49,6 +49,11 @@ INITIAL_SIGMA_CURRENT_DOWN_M_S = 0.05
 """Of the vertical current at start-up, when it is a state."""
 
 
+def one(index: int) -> slice:
+    """A single state."""
+    return slice(index, index + 1)
+
+
 class SheetStates(NamedTuple):
     """What a Kalman filter holds of the sheets of its map that have been seen, beside the 21 states.
 

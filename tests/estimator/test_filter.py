@@ -18,7 +18,7 @@ from autopilot.estimator.kalman import LEANING_M_S2, KalmanCore
 from autopilot.estimator.measure_depth import Depth
 from autopilot.estimator.measure_heading import heading_of
 from autopilot.estimator.measure_laser import LaserRange
-from autopilot.estimator.measure_model import ModelAid, VehicleAcceleration, added_share, model_aid_of
+from autopilot.estimator.measure_model import ModelAcceleration, VehicleAcceleration, added_share, model_aid_of
 from autopilot.estimator.measure_pose import PoseFix
 from autopilot.estimator.measure_velocity import BodyVelocity
 from autopilot.estimator.measurement import CHI2_999, Measurement, Moment
@@ -103,7 +103,7 @@ def test_measurement_jacobians(x: FloatArray, moment: Moment, after_s: float) ->
     for m in measurements(moment.inertial):
         wanted = numeric(lambda v, m=m: m.predicted(v, moment, after_s), x)
         # Drag has a bend at rest that is 1 mm/s wide: compare there with a coarser tolerance.
-        atol = 2e-2 if isinstance(m, ModelAid) else 1e-6
+        atol = 2e-2 if isinstance(m, ModelAcceleration) else 1e-6
         np.testing.assert_allclose(m.jacobian(x, moment, after_s), wanted, atol=atol, err_msg=m.sensor)
 
 

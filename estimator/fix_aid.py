@@ -1,0 +1,35 @@
+"""A source of positions. When it is reset it moves the whole filter, so it has more to go through than others.
+
+Its rejected fixes are watched (:mod:`.estimator.relocation`): those that agree may move the filter. Whether it is
+believed at all is told by how its fixes move (:mod:`.estimator.fix_trust`).
+"""
+
+from abc import ABC, abstractmethod
+from typing import Generic
+
+from autopilot.estimator.aiding import Aid, S_contra
+from autopilot.estimator.fix_trust import FixTrust
+from autopilot.estimator.history import Node
+from autopilot.estimator.inertial import Inertial
+from autopilot.estimator.measure_pose import PoseFix
+from autopilot.estimator.relocation import Relocation
+
+
+class FixAid(Aid, ABC, Generic[S_contra]):
+    """A sensor that tells poses."""
+
+    def __init__(self, time_offset_s: float = 0.0) -> None:
+        super().__init__(time_offset_s)
+        self.relocation, self.trust = Relocation(), FixTrust()
+        self.jumped = False
+        """The source has said that its pose has jumped, and none of its poses has been used since."""
+
+    @abstractmethod
+    def first_fix(self, sample: S_contra, inertial: Inertial) -> PoseFix | None:
+        """A pose from a sample while nothing is known; None if this sample gives none."""
+        ...
+
+    @abstractmethod
+    def fix(self, sample: S_contra, node: Node) -> PoseFix | None:
+        """A pose from a sample that belongs to ``node``; None if this sample gives none."""
+        ...

@@ -1,0 +1,92 @@
+"""Markers on the floor as a source of positions: pictures of them, or a sensor that gives the poses ready-made."""
+
+import numpy as np
+
+from autopilot.core.samples import MarkerSighting, PoseSample
+from autopilot.estimator.fix_aid import FixAid
+from autopilot.estimator.history import Node
+from autopilot.estimator.inertial import Inertial
+from autopilot.estimator.markers_pose import MarkerSolver
+from autopilot.estimator.measure_pose import PoseFix, fix_from_sample
+from autopilot.estimator.pictures import Pictures
+from autopilot.estimator.states import POS, VEL, YAW
+
+LOST_AFTER = 3
+"""Sightings in a row that do not fit the predicted pose before the whole floor is searched."""
+
+
+class MarkersAid(FixAid[PoseSample | MarkerSighting]):
+    """Camera and map, or a pose sensor."""
+
+    sensor = "markers"
+    samples = (PoseSample, MarkerSighting)
+    of_pictures = True
+
+    def __init__(self, pictures: Pictures) -> None:
+        super().__init__()
+        self._pictures = pictures
+        self._unfit_in_row = 0
+
+    @property
+    def offset_us(self) -> int:
+        """See :class:`Aid`."""
+        return self._pictures.offset_us
+
+    def first_fix(self, sample: PoseSample | MarkerSighting, inertial: Inertial) -> PoseFix | None:
+        """See :class:`FixAid`."""
+        if isinstance(sample, PoseSample):
+            return self.counted(fix_from_sample(sample, self.sensor))
+        solver = self._solver_of(sample)
+        return None if solver is None else self._kept(solver.locate(sample, inertial.roll_rad, inertial.pitch_rad))
+
+    def fix(self, sample: PoseSample | MarkerSighting, node: Node) -> PoseFix | None:
+        """See :class:`FixAid`."""
+        if isinstance(sample, PoseSample):
+            return self.counted(fix_from_sample(sample, self.sensor))
+        solver = self._solver_of(sample)
+        return None if solver is None else self._kept(self._solve(node, sample, solver))
+
+    def solver_counts(self) -> dict[str, int]:
+        """What was odd about markers, as ``markers.what``."""
+        solver = self._pictures.solver
+        return {} if solver is None else {f"{self.sensor}.{what}": n for what, n in solver.counts.items()}
+
+    def _solver_of(self, sighting: MarkerSighting) -> MarkerSolver | None:
+        """What makes a pose of a sighting; None without a map, and of one that is malformed."""
+        solver = self._pictures.solver
+        if solver is None or solver.well_formed(sighting):
+            return solver
+        return self.counted(None)
+
+    def _solve(self, node: Node, sighting: MarkerSighting, solver: MarkerSolver) -> PoseFix | None:
+        """Fix by the predicted pose; after some that do not fit, by a search over the whole floor."""
+        if not sighting.ids:
+            return None
+        inertial, x = node.moment.inertial, node.state.x
+        after_s = 1e-6 * (sighting.t_us - node.t_us)
+        rpy = np.array([inertial.roll_rad, inertial.pitch_rad, x[YAW] + after_s * inertial.yaw_rate_rad_s])
+        sheets = () if node.state.sheets is None else (node.state.sheets,)
+        fix = solver.track(sighting, x[POS] + after_s * x[VEL], rpy, *sheets)
+        fits = fix is not None and self.rejected_in_row == 0
+        self._unfit_in_row = 0 if fits else self._unfit_in_row + 1
+        lost = self._unfit_in_row > LOST_AFTER
+        if lost:
+            fix = solver.locate(sighting, inertial.roll_rad, inertial.pitch_rad, *sheets) or fix
+        if fix is None:
+            self.counts["rejected"] += 1
+        return fix
+
+    def _kept(self, fix: PoseFix | None) -> PoseFix | None:
+        """Tell others of a pose from a picture."""
+        if fix is not None:
+            sigma = np.sqrt(fix.noise.diagonal())
+            self._pictures.note_made(
+                PoseSample(
+                    t_us=fix.t_us,
+                    pos_ned_m=fix.z[:3],
+                    yaw_rad=float(fix.z[3]),
+                    sigma_pos_m=sigma[:3],
+                    sigma_yaw_rad=float(sigma[3]),
+                )
+            )
+        return fix
