@@ -12,9 +12,12 @@ import numpy as np
 
 from autopilot.core.camera import CameraModel
 from autopilot.core.frames import FloatArray
+from autopilot.core.messages import NavDoubt
 from autopilot.core.vehicle import Camera
+from autopilot.estimator.history import Node
+from autopilot.estimator.monitor import NOTHING, Monitor
 from autopilot.estimator.stamp_watch import LOOK_S, StampWatch
-from autopilot.estimator.states import VEL, YAW
+from autopilot.estimator.states import DOWN, VEL, YAW
 
 NO_CAMERA = Camera(
     width_px=1,
@@ -59,10 +62,6 @@ LEAST_POWER_PX = 1.0
 """nor does a lens that bends all corners of a picture by less than this together."""
 
 
-_NOTHING: FloatArray = np.zeros(4)
-_NOTHING.flags.writeable = False
-
-
 def focal_look(
     camera: CameraModel, pixels: FloatArray, residual_px: FloatArray, jacobian: FloatArray
 ) -> tuple[float, float] | None:
@@ -97,15 +96,17 @@ def _of_mounting(camera: Camera) -> tuple[float, float, float, float] | None:
     return (forward, right, down, yaw) if forward + right + down + yaw > 0.0 else None
 
 
-class CameraWatch:
+class CameraWatch(Monitor):
     """Of one estimator."""
 
-    def __init__(self, camera: Camera, stamps_every_s: float = LOOK_S) -> None:
+    def __init__(self, camera: Camera, stamps_every_s: float = LOOK_S, floor_m: float | None = None) -> None:
+        """``floor_m``: depth of the floor with the markers, None = there is none."""
+        super().__init__()
+        self._floor_m, self._camera_down_m = floor_m, camera.position_frd_m[2]
         self.stamps = StampWatch(stamps_every_s)
         self._focal_sigma = camera.focal_sigma
         self._stamp_sigma_s = camera.time_offset_sigma_s
         self._mounting = _of_mounting(camera)
-        self._texts: list[str] = []
         self._late_told_s: float | None = None
         self._focal_told = False
         self._pictures = False
@@ -117,19 +118,24 @@ class CameraWatch:
         self._focal_pending = 0.0
         """What else it seems to be off, not yet surely or not worth correcting."""
 
-    def unexplained_variance(self, height_m: float, x: FloatArray, yaw_rate_rad_s: float) -> FloatArray:
-        """(4,) north, east, down, yaw that the calibration's uncertainty is worth, so high above the markers."""
+    def height_m(self, x: FloatArray) -> float:
+        """Of the camera over the floor with the markers, 0 = there is none."""
+        return 0.0 if self._floor_m is None else max(self._floor_m - x.item(DOWN) - self._camera_down_m, 0.0)
+
+    def unexplained_variance(self, t_us: int, newest: Node) -> FloatArray:
+        """See :class:`Monitor`: what the calibration's uncertainty is worth, so high above the markers."""
+        x, yaw_rate_rad_s = newest.state.x, newest.moment.inertial.yaw_rate_rad_s
         share = math.hypot(self._found_focal_sigma or self._focal_sigma, self._focal_pending)
         across = share * ASIDE_M
         late_s = math.hypot(self.stamps.sigma_s or self._stamp_sigma_s, self.stamps.unsure_s)
         if share == late_s == 0.0 and self._mounting is None:
-            return _NOTHING
+            return NOTHING
         north, east, down = x[VEL].tolist()
         more = np.array(
             [
                 across * across + (late_s * north) ** 2,
                 across * across + (late_s * east) ** 2,
-                (share * height_m) ** 2 + (late_s * down) ** 2,
+                (share * self.height_m(x)) ** 2 + (late_s * down) ** 2,
                 (late_s * yaw_rate_rad_s) ** 2,
             ]
         )
@@ -139,17 +145,10 @@ class CameraWatch:
             more += forward * c2 + right * (1.0 - c2), forward * (1.0 - c2) + right * c2, down, yaw
         return more
 
-    @property
-    def doubtful(self) -> bool:
-        """Whether the calibration is wrong, as the operator has been told."""
-        return self._focal_told or (self._late_told_s is not None and abs(self.stamps.late_s) >= LATE_STILL_S)
-
-    def take_texts(self) -> tuple[str, ...]:
-        """What is new, for the operator."""
-        if not self._texts:
-            return ()
-        texts, self._texts = tuple(self._texts), []
-        return texts
+    def doubts(self, t_us: int, newest: Node) -> tuple[NavDoubt, ...]:
+        """See :class:`Monitor`: that the calibration is wrong, as the operator has been told."""
+        still_late = self._late_told_s is not None and abs(self.stamps.late_s) >= LATE_STILL_S
+        return (NavDoubt.CALIBRATION,) if self._focal_told or still_late else ()
 
     def look_at_stamps(self) -> bool:
         """Whether stamps have been found to be late, or late by another time than was known."""

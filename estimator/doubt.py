@@ -14,6 +14,7 @@ import math
 from collections.abc import Sequence
 
 from autopilot.core.frames import wrap_pi
+from autopilot.estimator.monitor import Doubt
 
 RESIDUAL_TIME_S = 0.2
 """The accelerometer's residual is smoothed over this: longer than its noise, shorter than it takes to drift away."""
@@ -50,16 +51,42 @@ STEADY_RAD_S = 0.06
 """... within these, smoothed absolute deviations from its mean."""
 
 
-class AccelDoubt:
+class _InertialDoubt(Doubt):
+    """A sensor that is believed again when what it says beyond its witness has been steady for a while."""
+
+    def __init__(self, size: int, limit: float) -> None:
+        """``limit``: of the scatter of its ``size`` values that counts as steady."""
+        super().__init__()
+        self._limit = limit
+        self._mean = [0.0] * size
+        self._scatter = [limit * 10.0] * size
+        self._steady_s = 0.0
+
+    def _cease(self, t_us: int, first: Sequence[float]) -> None:
+        """It is not believed any more, and says ``first`` by now."""
+        self.disbelieve(t_us)
+        self._mean = list(first)
+        self._scatter = [self._limit * 10.0] * len(self._mean)
+        self._steady_s = 0.0
+
+    def steady_offset(self, dt_s: float, unexplained: Sequence[float], *, anchored: bool) -> list[float] | None:
+        """The offset to believe it with again, once that is known. ``unexplained``: reading minus the witness's."""
+        share = min(1.0, dt_s / STEADY_TIME_S)
+        for i, value in enumerate(unexplained):
+            self._mean[i] += share * (value - self._mean[i])
+            self._scatter[i] += share * (abs(value - self._mean[i]) - self._scatter[i])
+        steady = anchored and max(self._scatter) < self._limit
+        self._steady_s = self._steady_s + dt_s if steady else 0.0
+        return list(self._mean) if self._steady_s >= STEADY_S else None
+
+
+class AccelDoubt(_InertialDoubt):
     """Accelerometer against vehicle model."""
 
     def __init__(self) -> None:
-        self.since_us: int | None = None
-        """When it ceased to be believed, None = it is believed."""
-        self.count = 0
+        super().__init__(3, STEADY_M_S2)
         self._smooth = [0.0, 0.0, 0.0]
         self._usual = [0.0, 0.0, 0.0]
-        self._return = _Return(3, STEADY_M_S2)
 
     def look(
         self, t_us: int, dt_s: float, residual: Sequence[float], *, anchored: bool, denied: bool, rejected: int
@@ -72,7 +99,7 @@ class AccelDoubt:
         (x, y, z), (now_x, now_y, now_z) = self._smooth, residual
         x, y, z = x + share * (now_x - x), y + share * (now_y - y), z + share * (now_z - z)
         self._smooth = [x, y, z]
-        if self.since_us is not None:
+        if not self.believed:
             return False
         absurd = max(abs(x), abs(y), abs(z)) > ABSURD_M_S2
         if anchored and not denied and not absurd:
@@ -83,14 +110,8 @@ class AccelDoubt:
         over = any(abs(smooth - usual) > limit for smooth, usual, limit in pairs)
         if not (absurd or over or (rejected >= REJECTIONS and not anchored)):
             return False
-        self.since_us = t_us
-        self.count += 1
-        self._return.begin(residual)
+        self._cease(t_us, residual)
         return True
-
-    def steady_offset(self, dt_s: float, unexplained: Sequence[float], *, anchored: bool) -> list[float] | None:
-        """The offset (3,) to believe it with again. ``unexplained`` (3,): reading minus the model's acceleration."""
-        return self._return.look(dt_s, unexplained, anchored)
 
     def believe(self) -> None:
         """It is believed again."""
@@ -98,16 +119,13 @@ class AccelDoubt:
         self._smooth, self._usual = [0.0, 0.0, 0.0], [0.0, 0.0, 0.0]
 
 
-class GyroDoubt:
+class GyroDoubt(_InertialDoubt):
     """Gyro against the AHRS's heading."""
 
     def __init__(self) -> None:
-        self.since_us: int | None = None
-        """When it ceased to be believed, None = it is believed."""
-        self.count = 0
+        super().__init__(1, STEADY_RAD_S)
         self.jumps = 0
         self._quick = self._apart = self._slow = 0.0
-        self._return = _Return(1, STEADY_RAD_S)
 
     @property
     def apart_rad(self) -> float:
@@ -145,7 +163,7 @@ class GyroDoubt:
         self._quick += apart - min(1.0, dt_s / QUICK_TURN_TIME_S) * self._quick
         self._apart += apart - min(1.0, dt_s / TURN_TIME_S) * self._apart
         self._slow += apart - min(1.0, dt_s / SLOW_TURN_TIME_S) * self._slow
-        if self.since_us is not None:
+        if not self.believed:
             return False
         if anchored:
             wrong = heading_denied and abs(self._quick) > QUICK_TURN_LIMIT_RAD
@@ -154,42 +172,10 @@ class GyroDoubt:
             wrong = wrong or (compass_rejected >= 2 and abs(self._slow) > SLOW_TURN_LIMIT_RAD)
         if not wrong:
             return False
-        self.since_us = t_us
-        self.count += 1
-        self._return.begin((rate_rad_s,))
+        self._cease(t_us, (rate_rad_s,))
         return True
-
-    def steady_offset(self, dt_s: float, unexplained_rad_s: float, *, anchored: bool) -> list[float] | None:
-        """The bias (1,) to believe it with again. ``unexplained_rad_s``: gyro minus the compass's turning."""
-        return self._return.look(dt_s, (unexplained_rad_s,), anchored)
 
     def believe(self) -> None:
         """It is believed again."""
         self.since_us = None
         self._quick = self._apart = self._slow = 0.0
-
-
-class _Return:
-    """Mean and scatter of what a doubted sensor says beyond its witness."""
-
-    def __init__(self, size: int, limit: float) -> None:
-        self._limit = limit
-        self._mean = [0.0] * size
-        self._scatter = [limit * 10.0] * size
-        self._steady_s = 0.0
-
-    def begin(self, first: Sequence[float]) -> None:
-        """The sensor has just ceased to be believed."""
-        self._mean = list(first)
-        self._scatter = [self._limit * 10.0] * len(self._mean)
-        self._steady_s = 0.0
-
-    def look(self, dt_s: float, values: Sequence[float], anchored: bool) -> list[float] | None:
-        """The mean once it is known and steady."""
-        share = min(1.0, dt_s / STEADY_TIME_S)
-        for i, value in enumerate(values):
-            self._mean[i] += share * (value - self._mean[i])
-            self._scatter[i] += share * (abs(value - self._mean[i]) - self._scatter[i])
-        steady = anchored and max(self._scatter) < self._limit
-        self._steady_s = self._steady_s + dt_s if steady else 0.0
-        return list(self._mean) if self._steady_s >= STEADY_S else None

@@ -9,7 +9,10 @@ from autopilot.core.frames import FloatArray
 from autopilot.core.messages import NavDoubt
 from autopilot.estimator.doubt import CONTRADICTIONS
 from autopilot.estimator.filter_core import Innovation
+from autopilot.estimator.history import Node
 from autopilot.estimator.measurement import CHI2_999
+from autopilot.estimator.monitor import NOTHING, Monitor
+from autopilot.estimator.states import LASER_BIAS
 
 RATIO_SHARE = 0.2
 RATIO_MOST = 2.0
@@ -36,14 +39,11 @@ RESETS, RESETS_US = 3, 30_000_000
 """So many resets within so long are no accident: map, camera or stamps are wrong."""
 
 
-_NOTHING: FloatArray = np.zeros(4)
-_NOTHING.flags.writeable = False
-
-
-class Evidence:
+class Evidence(Monitor):
     """Judges every fix that met its gate."""
 
     def __init__(self) -> None:
+        super().__init__()
         self.denied = 0
         """Fixes rejected in a row that agree among themselves."""
         self.jumps = 0
@@ -101,25 +101,30 @@ class Evidence:
         """What fixes have said so far was due to something that has been put right."""
         self.denied, self._fix_ratio, self._heading_ratio, self._fix_miss = 0, 0.0, 0.0, np.zeros(4)
 
-    def doubts(self, t_us: int, laser_bias_m: float) -> set[NavDoubt]:
-        """What speaks against the estimate."""
+    def doubts(self, t_us: int, newest: Node) -> set[NavDoubt]:
+        """See :class:`Monitor`."""
         found = set()
         jumped = self._jump_us is not None and t_us - self._jump_us <= JUMP_US
         if self.denied >= DENIED_AFTER or jumped:
             found.add(NavDoubt.FIXES)
         if jumped:  # and gyro and vehicle model have felt nothing
             found.add(NavDoubt.CAMERA)
-        if abs(laser_bias_m) > RANGE_MISS_M:
+        if abs(newest.state.x.item(LASER_BIAS)) > RANGE_MISS_M:
             found.add(NavDoubt.RANGE)
         if len(self._resets_us) == RESETS and t_us - self._resets_us[0] <= RESETS_US:
             found.add(NavDoubt.RESETS)
         return found
 
-    def unexplained_variance(self, t_us: int, laser_bias_m: float) -> FloatArray:
-        """(4,) on top of the filter's, north, east, down, yaw: what sensors deny each other and no state explains."""
+    def counts(self) -> dict[str, int]:
+        """See :class:`Monitor`."""
+        return {"doubt.jumps": self.jumps}
+
+    def unexplained_variance(self, t_us: int, newest: Node) -> FloatArray:
+        """See :class:`Monitor`: what sensors deny each other and no state explains."""
+        laser_bias_m = newest.state.x.item(LASER_BIAS)
         far = abs(laser_bias_m) > RANGE_MISS_M
         if self._jump_us is None and self._fix_ratio <= RATIO_SHOWS and not far:
-            return _NOTHING
+            return NOTHING
         more = np.zeros(4)
         if self._jump_us is not None:
             more += self._jump_m_rad**2 * math.exp(-1e-6 * (t_us - self._jump_us) / JUMP_FADE_S)

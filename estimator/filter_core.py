@@ -28,6 +28,11 @@ class Innovation(NamedTuple):
     look: Look | None = None
     """The update for :mod:`autopilot.estimator.carry`; None where its effect cannot be carried on."""
 
+    @property
+    def passes(self) -> bool:
+        """Whether it is to be used."""
+        return self.test_ratio <= 1.0
+
 
 class FilterCore(Protocol):
     """Pure functions of a filter state: nothing is remembered between calls, so that history can be replayed."""

@@ -4,8 +4,11 @@ A camera that is not believed is still watched. It is believed again when its fi
 while, and not as a picture that stands still.
 """
 
+from autopilot.core.messages import NavDoubt
 from autopilot.estimator.fix_motion import LEAST, SURE, FixMotion, Run, Seen
+from autopilot.estimator.history import Node
 from autopilot.estimator.measure_pose import PoseFix
+from autopilot.estimator.monitor import Doubt
 from autopilot.estimator.startup import agree
 
 DENYING = 6
@@ -21,22 +24,23 @@ PROBATION_US = 3_000_000
 move nearly as the vehicle does."""
 
 
-class FixTrust:
+class FixTrust(Doubt):
     """Of one source of fixes."""
 
     def __init__(self) -> None:
-        self.since_us: int | None = None
-        """When it ceased to be believed, None = it is believed."""
-        self.count = 0
+        super().__init__()
         self._run = FixMotion()
         self._last: PoseFix | None = None
         self._reset_us: int | None = None
         self._back_us: int | None = None
 
-    @property
-    def believed(self) -> bool:
-        """Whether its fixes are used."""
-        return self.since_us is None
+    def doubts(self, t_us: int, newest: Node) -> tuple[NavDoubt, ...]:
+        """See :class:`Monitor`."""
+        return (NavDoubt.CAMERA,) if self.doubtful(t_us) else ()
+
+    def counts(self) -> dict[str, int]:
+        """See :class:`Monitor`."""
+        return {"doubt.camera": self.count}
 
     def doubtful(self, t_us: int) -> bool:
         """Whether they are not, or have not been a moment ago."""
@@ -67,11 +71,6 @@ class FixTrust:
 
     def _newest(self, count: int) -> Run | None:
         return self._run.last(count=max(LEAST, min(count, len(self._run))))
-
-    def disbelieve(self, t_us: int) -> None:
-        """From now on its fixes are not used."""
-        self.since_us = t_us
-        self.count += 1
 
     def believe(self, back_us: int | None = None) -> None:
         """It has been right again for a while at ``back_us``; None: it may be as doubtful as it was."""

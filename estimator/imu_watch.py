@@ -5,14 +5,18 @@ sensor ceases to be believed, the last moments are computed again without it: it
 """
 
 import math
+from collections.abc import Iterator
 from typing import NamedTuple
 
 from autopilot.core.frames import wrap_pi
-from autopilot.estimator.doubt import AccelDoubt, GyroDoubt
-from autopilot.estimator.history import Node
+from autopilot.core.messages import NavDoubt
+from autopilot.estimator.doubt import STEADY_M_S2, STEADY_RAD_S, AccelDoubt, GyroDoubt
+from autopilot.estimator.fix_trust import FixTrust
+from autopilot.estimator.history import Node, Reopening
 from autopilot.estimator.inertial import Inertial, Mode, Step, step_between
 from autopilot.estimator.measure_model import VehicleAcceleration, idle
-from autopilot.estimator.states import ACCEL_BIAS, GYRO_BIAS, HEADING_OFFSET, YAW
+from autopilot.estimator.monitor import Monitor
+from autopilot.estimator.states import ACCEL_BIAS, GYRO_BIAS, HEADING_OFFSET, YAW, one
 
 TURN_MAX_RAD_S = 2.0
 """No vehicle of this class turns faster: beyond it the compass has jumped."""
@@ -35,11 +39,13 @@ class Verdicts(NamedTuple):
 NOTHING_NEW = Verdicts()
 
 
-class ImuWatch:
+class ImuWatch(Monitor):
     """Both doubts of one estimator."""
 
-    def __init__(self, vehicle: VehicleAcceleration) -> None:
-        self._vehicle = vehicle
+    def __init__(self, vehicle: VehicleAcceleration, witness: FixTrust) -> None:
+        """``witness``: of the fixes that tell which sensor is wrong."""
+        super().__init__()
+        self._vehicle, self._witness = vehicle, witness
         self.accel = AccelDoubt()
         self.gyro = GyroDoubt()
 
@@ -50,6 +56,47 @@ class ImuWatch:
         if accel_us is None or gyro_us is None:
             return gyro_us if accel_us is None else accel_us
         return max(accel_us, gyro_us)
+
+    def doubts(self, t_us: int, newest: Node) -> Iterator[NavDoubt]:
+        """See :class:`Monitor`: while nobody could tell who was wrong, no sensor is named."""
+        for sensor, name in ((self.accel, NavDoubt.ACCELEROMETER), (self.gyro, NavDoubt.GYRO)):
+            if sensor.since_us is not None and self._witness.witnessed(sensor.since_us):
+                yield name
+
+    def counts(self) -> dict[str, int]:
+        """See :class:`Monitor`."""
+        return {
+            "doubt.accel": self.accel.count,
+            "doubt.gyro": self.gyro.count,
+            "doubt.compass_jumps": self.gyro.jumps,
+        }
+
+    def forgive(self) -> None:
+        """Both sensors are believed again."""
+        self.accel.believe()
+        self.gyro.believe()
+
+    def forgive_unwitnessed(self) -> None:
+        """Fixes will tell who is wrong: believe again what nobody could judge."""
+        for sensor in (self.accel, self.gyro):
+            if sensor.since_us is not None and not self._witness.witnessed(sensor.since_us):
+                sensor.believe()
+
+    def reopenings(self, found: Verdicts, t_us: int) -> Iterator[Reopening]:
+        """What is not known any more by these verdicts; sensors that have mended are believed again."""
+        forgotten: list[tuple[slice, float, tuple[float, ...] | None]] = []
+        if found.apart_rad:
+            forgotten += [(part, found.apart_rad**2, None) for part in (one(YAW), one(HEADING_OFFSET))]
+        if found.jump_rad:
+            forgotten.append((one(HEADING_OFFSET), found.jump_rad**2, None))
+        if found.accel_offset is not None:
+            self.accel.believe()
+            forgotten.append((ACCEL_BIAS, STEADY_M_S2**2, found.accel_offset))
+        if found.gyro_offset is not None:
+            self.gyro.believe()
+            forgotten.append((one(GYRO_BIAS), STEADY_RAD_S**2, found.gyro_offset))
+        for part, variance, value in forgotten:
+            yield Reopening("imu", t_us, part, variance, value)
 
     def drive(self, before: Node, inertial: Inertial) -> tuple[Inertial, Step]:
         """The moment after ``before`` without the sensors that are not believed, and the step to it."""
@@ -123,7 +170,7 @@ class ImuWatch:
                 accel_offset = self.accel.steady_offset(model_dt_s, over, anchored=anchored and not denied)
         if self.gyro.since_us is not None and not gyro:
             unexplained = raw.yaw_rate_rad_s - (turn / dt_s if jump == 0.0 else rate)
-            gyro_offset = self.gyro.steady_offset(dt_s, unexplained, anchored=anchored and not denied)
+            gyro_offset = self.gyro.steady_offset(dt_s, (unexplained,), anchored=anchored and not denied)
         if not (accel or gyro or jump) and accel_offset is None and gyro_offset is None:
             return NOTHING_NEW
         return Verdicts(
@@ -139,8 +186,3 @@ class ImuWatch:
         dt_s = 1e-6 * (inertial.t_us - last.t_us)
         rate = wrap_pi(inertial.ahrs_yaw_rad - last.ahrs_yaw_rad) / dt_s
         return rate if math.fabs(rate) < TURN_MAX_RAD_S else 0.0
-
-
-HEADING_STATES = (slice(YAW, YAW + 1), slice(HEADING_OFFSET, HEADING_OFFSET + 1))
-"""What is not known any more when gyro and compass have come apart."""
-GYRO_STATE = slice(GYRO_BIAS, GYRO_BIAS + 1)

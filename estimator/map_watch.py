@@ -9,8 +9,11 @@ import numpy as np
 from autopilot.core.frames import FloatArray
 from autopilot.core.map_errors import STATES
 from autopilot.core.markers import ID_SPAN, MarkerMap
+from autopilot.core.messages import NavDoubt
 from autopilot.estimator.gauge import KNOWN_SHARE, Gauge
+from autopilot.estimator.history import Node
 from autopilot.estimator.measure_pose import PoseFix, Stray
+from autopilot.estimator.monitor import Monitor
 from autopilot.estimator.states import EAST, NORTH, SheetStates
 
 SIGHTINGS = 8
@@ -58,10 +61,11 @@ class _Place:
         return self.count >= SIGHTINGS and self.scatter_m2 < SAME_M * SAME_M
 
 
-class MapWatch:
+class MapWatch(Monitor):
     """Of one estimator."""
 
     def __init__(self, markers: MarkerMap) -> None:
+        super().__init__()
         self._markers = markers
         errors = markers.errors
         self._frame = None if errors is None or not any(errors.frame_sigma) else errors.frame_sigma
@@ -70,14 +74,12 @@ class MapWatch:
         self._strays: dict[tuple[int, int], _Place] = {}
         self._strained: dict[int, deque[int]] = {}
         self._told_sheets: set[int] = set()
-        self._texts: list[str] = []
         self._found_us: int | None = None
-        self.count = 0
-        """Findings so far."""
 
-    def more_variance(self, x: FloatArray) -> FloatArray:
-        """(4,) north, east, down, yaw that the whole map may be off at the state's place, beyond what the filter holds
-        of its sheets; negative where these were laid better than the map says."""
+    def unexplained_variance(self, t_us: int, newest: Node) -> FloatArray:
+        """See :class:`Monitor`: what the whole map may be off at the state's place, beyond what the filter holds of its
+        sheets; negative where these were laid better than the map says."""
+        x = newest.state.x
         more = np.zeros(4) if self._gauge is None else self._gauge.more_variance(x)
         if self._frame is None:
             return more
@@ -88,14 +90,10 @@ class MapWatch:
         result: FloatArray = more + np.array(frame)
         return result
 
-    def doubtful(self, t_us: int) -> bool:
-        """Whether the map has been found wrong of late."""
-        return self._found_us is not None and t_us - self._found_us <= HELD_US
-
-    def take_texts(self) -> tuple[str, ...]:
-        """What is new, for the operator."""
-        texts, self._texts = tuple(self._texts), []
-        return texts
+    def doubts(self, t_us: int, newest: Node) -> tuple[NavDoubt, ...]:
+        """See :class:`Monitor`."""
+        found_of_late = self._found_us is not None and t_us - self._found_us <= HELD_US
+        return (NavDoubt.MAP,) if found_of_late else ()
 
     def look(self, fix: PoseFix) -> None:
         """One pose that was used, with the markers that did not fit to it."""
@@ -186,7 +184,6 @@ class MapWatch:
 
     def _tell(self, t_us: int | None, text: str) -> None:
         self._found_us = t_us
-        self.count += 1
         self._texts.append(text)
 
 

@@ -25,6 +25,7 @@ class Sources:
     def __init__(
         self, vehicle: Vehicle, solver: MarkerSolver | None, floor_depth_m: float | None, options: EstimatorOptions
     ) -> None:
+        self._options = options
         self.pictures = Pictures(vehicle, solver)
         self.markers, self.external = MarkersAid(self.pictures), ExternalAid(vehicle)
         self.heading, self.model = HeadingAid(), ModelAid(vehicle, options)
@@ -52,6 +53,31 @@ class Sources:
     def newest_fix_us(self) -> int | None:
         """Time of validity of the newest fix that has been used, None before the first."""
         return max((aid.last_fused_us for aid in self.fixes if aid.last_fused_us is not None), default=None)
+
+    def fix_age_us(self, t_us: int) -> int:
+        """How long ago, at ``t_us``, the newest fix was that has been used. There is one since the start."""
+        newest_us = self.newest_fix_us
+        return 0 if newest_us is None else t_us - newest_us
+
+    def in_gap(self, t_us: int) -> bool:
+        """Whether no fix has been used for so long that the estimate is dead reckoning."""
+        return self.fix_age_us(t_us) > 1e6 * self._options.dead_reckoning_after_s
+
+    def anchor_age_us(self, t_us: int) -> int:
+        """How long ago anything has been used that tells the motion over ground: a fix or a velocity."""
+        age_us, ground_us = self.fix_age_us(t_us), self.velocity.ground_us
+        return age_us if ground_us is None else min(age_us, t_us - ground_us)
+
+    def markers_in_view(self, t_us: int) -> bool:
+        """Whether markers have been used of late."""
+        seen_us = self.markers.last_fused_us
+        return seen_us is not None and t_us - seen_us <= 1e6 * self._options.dead_reckoning_after_s
+
+    def begin_anew(self) -> None:
+        """The filter has been moved: what rejected fixes have said does not hold any more."""
+        for aid in self.fixes:
+            aid.relocation.accepted()
+            aid.trust.begin_anew()
 
     def on_our_clock(self, sample: Sample) -> Sample:
         """The sample with its sensor's time offset taken off."""

@@ -16,6 +16,10 @@ from autopilot.core.samples import MarkerSighting, PoseSample
 from autopilot.core.vehicle import Vehicle
 from autopilot.estimator.camera_doubt import CameraWatch, focal_look
 from autopilot.estimator.ekf import create_ekf
+from autopilot.estimator.history import Node
+from autopilot.estimator.inertial import Inertial
+from autopilot.estimator.measurement import Moment
+from autopilot.estimator.states import NX, FilterState
 
 SOME = np.random.default_rng(20261122)
 JUMP_US = 8_000_000
@@ -199,9 +203,11 @@ def test_a_lens_that_does_not_bend_tells_nothing() -> None:
 
 
 def test_what_pictures_say_of_the_focal_length_counts_before_it_is_sure() -> None:
-    watch = CameraWatch(VEHICLE.camera)
+    watch = CameraWatch(VEHICLE.camera, floor_m=1.0 + VEHICLE.camera.position_frd_m[2])
     assert not watch.look_at_focal(0.02, 0.005)
-    variance = watch.unexplained_variance(1.0, np.zeros(21), 0.0)
+    still = Inertial(0, 0.0, 0.0, 0.0, 0.0, (0.0, 0.0, 0.0), np.zeros(3), (0.0, 0.0), True)
+    node = Node(0, Moment(still, (0.0,) * 4), None, FilterState(np.zeros(NX), np.eye(NX)))
+    variance = watch.unexplained_variance(0, node)
     assert 0.015 < math.sqrt(variance[2]) < 0.03
     assert watch.take_texts() == ()
 

@@ -1,0 +1,191 @@
+"""Poses: how they are used, and what follows from them for map, camera, tilt, doubts and resets.
+
+A fix that passes its gate corrects the filter. Fixes that do not pass but agree among themselves move it, unless they
+are less to be believed than dead reckoning is; then their source is only watched until it is right again.
+"""
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from autopilot.core.frames import FloatArray
+from autopilot.core.messages import NavHealth
+from autopilot.estimator.camera_doubt import CameraWatch
+from autopilot.estimator.evidence import Evidence
+from autopilot.estimator.filter_core import Innovation
+from autopilot.estimator.fix_aid import FixAid
+from autopilot.estimator.fix_motion import Seen, drift_variance, plausible
+from autopilot.estimator.fix_trust import DENYING
+from autopilot.estimator.fusion import Fusion
+from autopilot.estimator.history import Loosening, Node
+from autopilot.estimator.imu_watch import ImuWatch
+from autopilot.estimator.map_watch import LOOSE_VARIANCE, MapWatch
+from autopilot.estimator.measure_pose import PoseFix
+from autopilot.estimator.sources import Sources
+from autopilot.estimator.states import ACCEL_BIAS, CURRENT, CURRENT_RATE, VEL, YAW
+from autopilot.estimator.tilt import TiltTrim
+
+LEARN_EVERY_US = 200_000
+"""How often a picture is asked how sheets lie to each other: in between its errors are nearly the same."""
+RELOCATED_VARIANCE = 1e-3
+"""Added to the variance of the fix that a reset goes to (m^2, rad^2): it has been carried on to now."""
+ASTRAY = (ACCEL_BIAS, CURRENT, CURRENT_RATE)
+"""What dead reckoning goes by: the water may have changed on the way, and its change passed for an offset."""
+
+
+class Fixes:
+    """Of one estimator."""
+
+    def __init__(
+        self,
+        fusion: Fusion,
+        sources: Sources,
+        *,
+        imu: ImuWatch,
+        evidence: Evidence,
+        camera: CameraWatch,
+        map_watch: MapWatch | None,
+        trim: TiltTrim,
+    ) -> None:
+        self._fusion, self._sources = fusion, sources
+        self._imu, self._evidence, self._camera, self._map, self._trim = imu, evidence, camera, map_watch, trim
+        self._learned_us = -LEARN_EVERY_US
+        self.counts = dict.fromkeys(("sheets.fused", "sheets.rejected", "sheets.loosened"), 0)
+
+    def use(self, node: Node, fix: PoseFix, aid: FixAid[Any], health: NavHealth | None) -> None:
+        """One fix that belongs to ``node``; ``health``: what the estimate was called last."""
+        if not aid.trust.believed:
+            self._watch(node, fix, aid, lost=health is NavHealth.INVALID)
+            return
+        from_camera = aid is self._sources.markers
+        counts = from_camera or not self._sources.markers_in_view(fix.t_us)  # markers know better
+        known = () if node.state.sheets is None else node.state.sheets.which
+        judged = self._fusion.fuse(node, fix, aid)
+        if counts:
+            self._evidence.weigh(judged, None if judged.passes else aid.relocation.agreeing_with(fix))
+        if from_camera:
+            self._camera.stamps.see(fix, missed=not judged.passes or self._evidence.shows)
+            if fix.focal is not None:
+                self._camera.look_at_focal(*fix.focal)
+            self._watch_map(node, fix, rejected=not judged.passes)
+        if judged.passes:
+            aid.relocation.accepted()
+            aid.trust.begin_anew()
+            aid.jumped = False
+            self._learn_sheets(node, fix, known)
+            if fix.tilt_rad is not None and node.moment.inertial.real:
+                self._trim.learn(node.moment.inertial, *fix.tilt_rad, fix.sigma_tilt_rad, fix.t_us)
+            return
+        seen = self._against_reckoning(node, fix, judged)
+        aid.trust.see(fix, seen)
+        if counts:
+            self._consider_reset(fix, aid, judged, seen)
+
+    def _consider_reset(self, fix: PoseFix, aid: FixAid[Any], missed: Innovation, seen: Seen) -> None:
+        """After a fix that was rejected: go where fixes are, or cease to believe them."""
+        trust, now_us = aid.trust, self._fusion.now_us
+        gap = self._sources.in_gap(fix.t_us)
+        lost = gap or self._imu.since_us is not None or aid.jumped
+        agreeing = 1 + aid.relocation.agreeing_with(fix)
+        velocity = aid.relocation.rejected(fix, lost)
+        if velocity is None:
+            return
+        from_camera = aid is self._sources.markers
+        denied = trust.denied(agreeing)
+        if denied:
+            wrong = agreeing >= DENYING
+        else:
+            gap_s = 1e-6 * self._sources.anchor_age_us(fix.t_us)
+            near = plausible(seen.y, missed.variance, seen.drift, gap_s)
+            may_move = trust.may_reset(now_us, agreeing) and (not gap or near)
+            wrong = self._imu.since_us is None and not may_move
+        if from_camera and wrong:
+            # It shows another place or time: what its fixes have denied so far they have denied wrongly.
+            trust.disbelieve(now_us)
+            self._evidence.forgive()
+        elif not denied:
+            if not lost:
+                self._evidence.note_jump(now_us, np.abs(missed.y))
+            self._relocate(fix, aid, float(missed.y[3]), velocity, lost=lost)
+
+    def _watch(self, node: Node, fix: PoseFix, aid: FixAid[Any], *, lost: bool) -> None:
+        """A fix of a camera that is not believed: not used, until a run of them is right again."""
+        trust, now_us = aid.trust, self._fusion.now_us
+        judged = self._fusion.judge(node, fix)
+        self._fusion.report(fix, aid, judged, used=False)
+        self._camera.stamps.see(fix, missed=True)
+        trust.see(fix, self._against_reckoning(node, fix, judged))
+        run = trust.recovered(lost=lost)
+        if run is None:
+            return
+        self._imu.forgive_unwitnessed()
+        trust.believe(now_us)
+        aid.relocation.accepted()
+        if judged.passes:
+            return
+        self._evidence.note_jump(now_us, np.abs(judged.y))
+        velocity = run.velocity(node.state.x[VEL])
+        self._relocate(fix, aid, float(judged.y[3]), velocity, lost=self._sources.in_gap(fix.t_us))
+
+    def _against_reckoning(self, node: Node, fix: PoseFix, judged: Innovation) -> Seen:
+        """A fix that is not used, as it lies to dead reckoning."""
+        p = node.state.p
+        drift = drift_variance(
+            p if p.ndim == 1 else p.diagonal(),
+            1e-6 * self._sources.anchor_age_us(fix.t_us),
+            accel=self._imu.accel.believed,
+            gyro=self._imu.gyro.believed,
+        )
+        return Seen(fix.t_us, fix.z, judged.y, fix.noise.diagonal(), drift, judged.passes)
+
+    def _watch_map(self, node: Node, fix: PoseFix, *, rejected: bool) -> None:
+        """Look for what does not lie where the map has it."""
+        if self._map is None:
+            return
+        if not rejected:
+            self._map.look(fix)
+        for sheet in self._map.loosened(fix, rejected=rejected):
+            laid = self._map.laid(sheet)
+            self._fusion.history.loosen(node, Loosening("sheets", fix.t_us, sheet, laid, LOOSE_VARIANCE))
+            self.counts["sheets.loosened"] += 1
+
+    def _learn_sheets(self, node: Node, fix: PoseFix, known: Sequence[int]) -> None:
+        """Every so often a picture is asked how its sheets lie to each other, and whenever it shows a new one: the pose
+        takes the blame for what is wrong with a sheet until somebody asks."""
+        if fix.ties is None or fix.ground is None:
+            return
+        asked_of_late = abs(fix.t_us - self._learned_us) < LEARN_EVERY_US
+        shows_a_new_one = not set(fix.ground.sheets) <= set(known)
+        if asked_of_late and not shows_a_new_one:
+            return
+        self._learned_us = fix.t_us
+        ties = fix.ties()
+        if ties is None:
+            return
+        judged = self._fusion.core.innovation(node.state, ties, node.moment, 0.0)
+        if judged.passes:
+            self._fusion.history.correct(node, ties, judged)
+            self.counts["sheets.fused"] += 1
+            if self._map is not None:
+                self._map.look_at_sheets(fix.t_us, node.state.sheets, fix.ground.sheets)
+        else:
+            self.counts["sheets.rejected"] += 1
+
+    def _relocate(
+        self, fix: PoseFix, aid: FixAid[Any], turn_rad: float, vel_ned_m_s: FloatArray, *, lost: bool
+    ) -> None:
+        """Believe the fixes and not ourselves. One who was ``lost`` has been carried astray by what was taken for
+        granted on the way."""
+        fusion = self._fusion
+        newest, now_us = fusion.history.newest, fusion.now_us
+        pos = fix.z[:3] + 1e-6 * (newest.t_us - fix.t_us) * vel_ned_m_s
+        pose = np.append(pos, newest.state.x[YAW] + turn_rad)
+        fusion.move(pose, fix.noise + np.eye(4) * RELOCATED_VARIANCE, vel_ned_m_s, ASTRAY if lost else ())
+        fusion.resets += 1
+        self._sources.begin_anew()
+        self._evidence.begin_anew(now_us)
+        aid.reset(now_us)
+        aid.last_fused_us = fix.t_us
+        aid.trust.note_reset(now_us)
+        self._sources.external.jumped = False

@@ -1,0 +1,63 @@
+"""What watches over an estimator have in common: what they say against it, what that is worth, what they have found.
+
+Some hold a sensor against the others (:mod:`.imu_watch`, :mod:`.fix_trust`), some what sensors share: the map
+(:mod:`.map_watch`), the camera's calibration (:mod:`.camera_doubt`), the estimate itself (:mod:`.evidence`).
+"""
+
+from collections.abc import Iterable, Mapping
+
+import numpy as np
+
+from autopilot.core.frames import FloatArray
+from autopilot.core.messages import NavDoubt
+from autopilot.estimator.history import Node
+
+NOTHING: FloatArray = np.zeros(4)
+NOTHING.flags.writeable = False
+
+
+class Monitor:
+    """A watch that has found nothing."""
+
+    def __init__(self) -> None:
+        self._texts: list[str] = []
+
+    def doubts(self, t_us: int, newest: Node) -> Iterable[NavDoubt]:
+        """What speaks against the estimate or its sensors."""
+        return ()
+
+    def unexplained_variance(self, t_us: int, newest: Node) -> FloatArray:
+        """(4,) north, east, down, yaw on top of the filter's; negative where more is known than the filter holds."""
+        return NOTHING
+
+    def counts(self) -> Mapping[str, int]:
+        """What has been found so far, by name."""
+        return {}
+
+    def take_texts(self) -> tuple[str, ...]:
+        """What is new, for the operator."""
+        if not self._texts:
+            return ()
+        texts, self._texts = tuple(self._texts), []
+        return texts
+
+
+class Doubt(Monitor):
+    """A watch over one sensor, which it believes or does not."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.since_us: int | None = None
+        """When the sensor ceased to be believed, None = it is believed."""
+        self.count = 0
+        """How often it has."""
+
+    @property
+    def believed(self) -> bool:
+        """Whether what the sensor says is used."""
+        return self.since_us is None
+
+    def disbelieve(self, t_us: int) -> None:
+        """From now on it is only watched."""
+        self.since_us = t_us
+        self.count += 1

@@ -1,0 +1,86 @@
+"""What has been found of the camera's calibration in flight is taken off, and the estimate that it has led astray is
+carried to where it belongs."""
+
+import math
+
+import numpy as np
+
+from autopilot.core.frames import FloatArray
+from autopilot.estimator.camera_doubt import CameraWatch
+from autopilot.estimator.evidence import Evidence
+from autopilot.estimator.fusion import Fusion
+from autopilot.estimator.imu_watch import ImuWatch
+from autopilot.estimator.intake import Intake
+from autopilot.estimator.sources import Sources
+from autopilot.estimator.states import ACCEL_BIAS, GYRO_BIAS, POS, VEL, YAW, one
+
+CARRIED_US = 3_000
+"""Smaller changes of what is known of the stamps leave the estimate as it is."""
+CARRIED_SIGMA = np.array([0.005, 0.005, 0.005, 0.01])
+"""m, rad; besides all of what it was carried forward."""
+
+
+class Recalibration:
+    """Of one estimator."""
+
+    def __init__(
+        self,
+        fusion: Fusion,
+        sources: Sources,
+        intake: Intake,
+        *,
+        imu: ImuWatch,
+        evidence: Evidence,
+        camera: CameraWatch,
+    ) -> None:
+        self._fusion, self._sources, self._intake = fusion, sources, intake
+        self._imu, self._evidence, self._camera = imu, evidence, camera
+        self._focal_share = 0.0
+        self.counts = dict.fromkeys(("stamps.retimed", "focal.rescaled"), 0)
+
+    def retime(self) -> None:
+        """If pictures are stamped later than was thought: what comes from now on is put right, and the estimate, which
+        has followed pictures that lay behind, is carried forward."""
+        pictures = self._sources.pictures
+        late_us = round(1e6 * self._camera.stamps.late_s)
+        more_us = late_us - pictures.late_us
+        if more_us == 0:
+            return
+        pictures.late_us = late_us
+        self._intake.retime_pictures(-more_us)
+        if self._fusion.past is None or abs(more_us) < CARRIED_US:
+            return
+        newest, more_s = self._fusion.history.newest, 1e-6 * more_us
+        x, inertial = newest.state.x, newest.moment.inertial
+        c, s = math.cos(x.item(YAW)), math.sin(x.item(YAW))
+        forward, right, down = (a - x.item(ACCEL_BIAS.start + i) for i, a in enumerate(inertial.accel_level_m_s2))
+        velocity = more_s * np.array([c * forward - s * right, s * forward + c * right, down])
+        turn = inertial.yaw_rate_rad_s - x.item(GYRO_BIAS)
+        self._carry(more_s * np.append(x[VEL], turn), velocity)
+        self.counts["stamps.retimed"] += 1
+
+    def rescale(self) -> None:
+        """If the focal length is another than was thought: pictures and the estimate come nearer to the markers, or go
+        away from them."""
+        before, share = self._focal_share, self._camera.focal_share
+        if share == before:
+            return
+        self._focal_share = share
+        self._sources.pictures.believe_focal(share)
+        more = (1.0 + share) / (1.0 + before) - 1.0
+        height_m = self._camera.height_m(self._fusion.history.newest.state.x)
+        self._carry(np.array([0.0, 0.0, height_m * more, 0.0]), np.zeros(3))
+        self.counts["focal.rescaled"] += 1
+
+    def _carry(self, along: FloatArray, velocity: FloatArray) -> None:
+        """Move the estimate by ``along`` (4,) [m, rad] and its ``velocity`` (3,), and forget what has followed it:
+        inertial biases, doubts, and the past."""
+        x = self._fusion.history.newest.state.x
+        noise = np.diag(CARRIED_SIGMA**2 + along**2)
+        pose = np.append(x[POS], x[YAW]) + along
+        self._fusion.move(pose, noise, x[VEL] + velocity, (one(GYRO_BIAS), ACCEL_BIAS))
+        self._imu.forgive()
+        self._sources.begin_anew()
+        for aid in self._sources.fixes:
+            aid.trust.believe(None if aid.trust.believed else self._fusion.now_us)
+        self._evidence.forgive()
