@@ -1,24 +1,18 @@
 """Back ends by name. A back end is imported when it is asked for, so that a missing library breaks only its own.
 
-To add one: write it in a file of its own against :mod:`.drivers.protocols`, and add a line here. What stands in
-``[devices]`` of a vehicle configuration is made by :mod:`autopilot.drivers.devices`.
+To add one: write it in a file of its own against :mod:`.drivers.protocols`, and add a line here, or for a sensor in
+:data:`autopilot.core.sensors.SENSOR_ROWS`. What stands in ``[devices]`` of a vehicle configuration is made by
+:mod:`autopilot.drivers.devices`.
 """
 
 from importlib import import_module
 from typing import Any
 
 from autopilot.core.errors import ConfigError, DriverError
+from autopilot.core.sensors import SENSOR_ROWS
 
 BACKENDS: dict[str, dict[str, str]] = {
-    "ahrs": {"ellipse": "autopilot.drivers.ellipse:Ellipse", "ig500": "autopilot.drivers.ig500_device:Ig500Device"},
-    "camera": {
-        "opencv": "autopilot.drivers.opencv_camera:OpenCvCamera",
-        "playback": "autopilot.drivers.playback:Playback",
-    },
-    "depth": {"ms5837": "autopilot.drivers.ms5837:Ms5837"},
-    "dvl": {"waterlinked_a50": "autopilot.drivers.waterlinked_a50:WaterLinkedA50"},
-    "battery": {"ads1115": "autopilot.drivers.ads1115:Ads1115", "ina219": "autopilot.drivers.ina219:Ina219"},
-    "leak": {"gpio": "autopilot.drivers.leak_gpio:GpioLeak"},
+    **{row.device: dict(row.drivers) for row in SENSOR_ROWS if row.drivers},
     "thrusters": {
         "pca9685": "autopilot.drivers.pca9685:Pca9685",
         "sabertooth": "autopilot.drivers.sabertooth:Sabertooth",

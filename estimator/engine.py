@@ -397,6 +397,6 @@ class Engine:
             if kind in sources.scalar_of:
                 aid = sources.scalar_of[kind]
                 believed = sources.markers.trust.believed or not aid.of_pictures
-                scalar = aid.measured(sample) if believed else None
+                scalar = aid.measured(sample) if believed and aid.wanted(sample, node) else None
                 if scalar is not None:
                     self._fusion.fuse_scalar(node, scalar, aid, fixed=not sources.in_gap(scalar.t_us))

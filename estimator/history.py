@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 from typing import NamedTuple
 
 from autopilot.core.frames import FloatArray
-from autopilot.core.messages import AID_SENSORS
+from autopilot.core.sensors import AID_SENSORS
 from autopilot.estimator.carry import Correction, Look
 from autopilot.estimator.filter_core import FilterCore, Innovation
 from autopilot.estimator.inertial import Inertial, Step

@@ -4,8 +4,8 @@ from collections import deque
 from collections.abc import Iterable
 from dataclasses import replace
 
-from autopilot.core.messages import AID_SENSORS
 from autopilot.core.samples import Sample
+from autopilot.core.sensors import AID_SENSORS
 from autopilot.estimator.aiding import Aid
 from autopilot.estimator.inertial import FUTURE_TOLERANCE_US
 

@@ -74,7 +74,7 @@ class DepthAid(ScalarAid[DepthSample]):
     samples = (DepthSample,)
     own = one(DEPTH_OFFSET)
 
-    def __init__(self, vehicle: Vehicle) -> None:
+    def __init__(self, vehicle: Vehicle, floor_depth_m: float | None) -> None:
         super().__init__(vehicle.depth_sensor.time_offset_s)
         self._mount_frd_m = vehicle.depth_sensor.position_frd_m
 

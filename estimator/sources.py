@@ -1,14 +1,16 @@
 """The aiding sources of a vehicle, each a class in its ``measure_*.py``: here they are listed, and found by sample."""
 
+from collections.abc import Iterator
 from dataclasses import replace
+from importlib import import_module
 from typing import Any
 
 from autopilot.core.samples import Sample
+from autopilot.core.sensors import SENSOR_ROWS
 from autopilot.core.vehicle import Vehicle
 from autopilot.estimator.aiding import Aid, ScalarAid
 from autopilot.estimator.fix_aid import FixAid
 from autopilot.estimator.markers_pose import MarkerSolver
-from autopilot.estimator.measure_depth import DepthAid
 from autopilot.estimator.measure_external import ExternalAid
 from autopilot.estimator.measure_heading import HeadingAid
 from autopilot.estimator.measure_laser import LaserAid
@@ -35,7 +37,7 @@ class Sources:
             LaserAid(vehicle, self.pictures, floor_depth_m),
             self.heading,
             self.model,
-            DepthAid(vehicle),
+            *_of_table(vehicle, floor_depth_m),
             self.velocity,
             self.external,
         )
@@ -88,3 +90,11 @@ class Sources:
         """Of all sources, as ``sensor.what``."""
         counts = {name: count for aid in self.all for name, count in aid.named_counts()}
         return {**counts, **self.markers.solver_counts()}
+
+
+def _of_table(vehicle: Vehicle, floor_depth_m: float | None) -> Iterator[ScalarAid[Any]]:
+    """Those that nothing but the table of sensors names."""
+    for row in SENSOR_ROWS:
+        if row.aid:
+            module, _, name = row.aid.partition(":")
+            yield getattr(import_module(module), name)(vehicle, floor_depth_m)

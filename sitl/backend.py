@@ -18,13 +18,12 @@ from autopilot.sitl.ahrs import Ig500Emulator
 from autopilot.sitl.camera import SimCamera, true_camera
 from autopilot.sitl.camera_feed import CameraFeed
 from autopilot.sitl.contact import Prism
-from autopilot.sitl.depth_sensor import SimDepthSensor
-from autopilot.sitl.dvl import SimDvl
 from autopilot.sitl.fault_tables import BatterySag, LateCommands, Shove, Snag
 from autopilot.sitl.floor import build_floor
 from autopilot.sitl.hil import BoardOutput, NetworkCamera, SerialAhrs, Wire
 from autopilot.sitl.hull_sensor import SimHullSensor
 from autopilot.sitl.obstacle_sensor import SimObstacleSensor
+from autopilot.sitl.optional_sensors import SensedWorld, optional_sensors
 from autopilot.sitl.payload import SimPayload
 from autopilot.sitl.plant import Truth
 from autopilot.sitl.pose_sensor import SimPoseSensor
@@ -176,14 +175,12 @@ class SimulatedVehicle(Closing):
         if not self._obstacles.blind:
             self._observers.append(self._obstacles)
         depth_m = None if scenario.tank is None else scenario.tank.depth_m
-        pressure, dvl = sensors.depth, sensors.dvl
-        waves = wave_train(scenario.waves, depth_m)
-        self._depth = None if pressure is None else SimDepthSensor(pressure, vehicle.depth_sensor, faults, seed, waves)
-        self._dvl = None if dvl is None else SimDvl(dvl, vehicle.dvl, depth_m, faults, seed)
+        world = SensedWorld(floor_depth_m=depth_m, waves=wave_train(scenario.waves, depth_m))
+        self._optional = optional_sensors(sensors, vehicle, world, faults, seed)
         self._hull = SimHullSensor(sensors.hull, faults) if sensors.hull.enabled else None
         if self._hull is not None:
             self._observers.append(self._hull)
-        self._observers += [sensor for sensor in (self._depth, self._dvl) if sensor is not None]
+        self._observers += self._optional
         feed: CameraFeed | None = None
         if position == "pose":
             self._pose = SimPoseSensor(sensors.pose, sensors.laser, vehicle, depth_m, faults, seed)
@@ -204,7 +201,7 @@ class SimulatedVehicle(Closing):
             self._observers.append(feed)
             self.markers = floor.markers
         self._due_us = 0
-        own: tuple[Suffering | None, ...] = (feed, self._pose, self._hull, self._depth, self._dvl)
+        own: tuple[Suffering | None, ...] = (feed, self._pose, self._hull, *self._optional)
         self._faulty = [sensor for sensor in own if sensor is not None]
 
     def open(self) -> None:
@@ -298,7 +295,7 @@ class SimulatedVehicle(Closing):
         samples: list[Sample] = [*self._ahrs.poll(t_us), *self._power.poll(t_us)]
         if self._pose is not None:
             samples.extend(self._pose.poll(t_us))
-        for sensor in (self._obstacles, self._depth, self._dvl, self._hull):
+        for sensor in (self._obstacles, *self._optional, self._hull):
             if sensor is not None:
                 samples.extend(sensor.poll(t_us))
         return tuple(samples)

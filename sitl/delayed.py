@@ -2,16 +2,31 @@
 
 from collections import deque
 from collections.abc import Iterable
-from typing import Generic, TypeVar
+from typing import Generic, Protocol, TypeVar
 
 import numpy as np
 
 from autopilot.drivers.base import AlwaysOpen
 from autopilot.sitl.outages import OutageClock
 from autopilot.sitl.scenario_tables import Fault
-from autopilot.sitl.sensor_tables import CameraSensor, DepthSensor, DvlSensor, PoseSensor
+from autopilot.sitl.sensor_tables import Outages
 
 T = TypeVar("T")
+
+
+class LossyTable(Protocol):
+    """What the table of a sensor of a scenario says of its samples."""
+
+    @property
+    def rate_hz(self) -> float | None: ...
+    @property
+    def latency_s(self) -> float | None: ...
+    @property
+    def latency_jitter_s(self) -> float: ...
+    @property
+    def drop_probability(self) -> float: ...
+    @property
+    def outages(self) -> Outages: ...
 
 
 class DelayedSensor(AlwaysOpen, Generic[T]):
@@ -62,7 +77,7 @@ class LossySensor(DelayedSensor[T]):
 
     def __init__(
         self,
-        table: CameraSensor | PoseSensor | DepthSensor | DvlSensor,
+        table: LossyTable,
         usual: tuple[float, float],
         faults: Iterable[Fault],
         seed: tuple[int, int],

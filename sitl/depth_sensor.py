@@ -10,6 +10,7 @@ from autopilot.core.samples import DepthSample
 from autopilot.core.vehicle import DepthMount
 from autopilot.sitl.delayed import LossySensor
 from autopilot.sitl.fault_tables import SensorFrozen
+from autopilot.sitl.optional_sensors import SensedWorld
 from autopilot.sitl.plant import Truth
 from autopilot.sitl.scenario_tables import Fault
 from autopilot.sitl.sensor_tables import DepthSensor
@@ -37,6 +38,13 @@ class SimDepthSensor(LossySensor[DepthSample]):
         self._last_m = 0.0
         self._offset_m = sensor.bias_m * float(self._rng.standard_normal())
         self._walk_m = sensor.drift_m_rts / math.sqrt(self._rate_hz)
+
+    @classmethod
+    def of(
+        cls, table: DepthSensor, mount: DepthMount, world: SensedWorld, faults: Iterable[Fault], seed: int
+    ) -> "SimDepthSensor":
+        """In a world."""
+        return cls(table, mount, faults, seed, world.waves)
 
     def observe(self, truth: Truth) -> None:
         """Take the sample that is due at ``truth.t_us``."""

@@ -9,6 +9,7 @@ from autopilot.core.samples import VelocityLock, VelocitySample
 from autopilot.core.vehicle import DvlMount
 from autopilot.sitl.delayed import LossySensor
 from autopilot.sitl.fault_tables import SensorFrozen
+from autopilot.sitl.optional_sensors import SensedWorld
 from autopilot.sitl.plant import Truth
 from autopilot.sitl.scenario_tables import Fault
 from autopilot.sitl.sensor_tables import DvlSensor
@@ -30,6 +31,11 @@ class SimDvl(LossySensor[VelocitySample]):
         self._floor_depth_m = floor_depth_m
         self._bias_m_s = sensor.bias_m_s * self._rng.standard_normal(3)
         self._scale = 1.0 + sensor.scale_error * float(self._rng.standard_normal())
+
+    @classmethod
+    def of(cls, table: DvlSensor, mount: DvlMount, world: SensedWorld, faults: Iterable[Fault], seed: int) -> "SimDvl":
+        """In a world."""
+        return cls(table, mount, world.floor_depth_m, faults, seed)
 
     def observe(self, truth: Truth) -> None:
         """Take the sample that is due at ``truth.t_us``."""

@@ -6,6 +6,7 @@ from typing import Annotated, Literal, TypeAlias
 import msgspec
 
 from autopilot.core.toml_table import NonNegative, Positive, Table, Vec3
+from autopilot.sitl.sensor_tables import OptionalName
 
 Angle = Annotated[float, msgspec.Meta(ge=-3.15, le=3.15)]
 MOST_DELAY_S = 10.0
@@ -162,9 +163,9 @@ class BatterySag(_Fault, frozen=True, kw_only=True, tag_field="kind", tag="batte
 
 
 class SensorFrozen(_Fault, frozen=True, kw_only=True, tag_field="kind", tag="sensor_frozen"):
-    """A pressure sensor or Doppler log repeats its last reading under new times."""
+    """A pressure sensor, Doppler log or altimeter repeats its last reading under new times."""
 
-    sensor: Literal["depth", "dvl"]
+    sensor: OptionalName
 
 
 class LinkLoss(_Fault, frozen=True, kw_only=True, tag_field="kind", tag="link_loss"):

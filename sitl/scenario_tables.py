@@ -15,7 +15,7 @@ from autopilot.sitl.fault_tables import (
     SensorFault,
     SensorFrozen,
 )
-from autopilot.sitl.sensor_tables import CameraLook, Probability, Sensors
+from autopilot.sitl.sensor_tables import CameraLook, OptionalName, Probability, Sensors
 
 Latitude = Annotated[float, msgspec.Meta(ge=-90.0, le=90.0)]
 Longitude = Annotated[float, msgspec.Meta(ge=-180.0, le=180.0)]
@@ -332,11 +332,11 @@ class AhrsFreeze(Table, frozen=True, kw_only=True, tag_field="kind", tag="ahrs_f
 
 
 class SensorSilence(Table, frozen=True, kw_only=True, tag_field="kind", tag="sensor_silence"):
-    """A pressure sensor, Doppler log or hull sensor says nothing."""
+    """A pressure sensor, Doppler log, altimeter or hull sensor says nothing."""
 
     at_s: NonNegative
     duration_s: Positive
-    sensor: Literal["depth", "dvl", "hull"]
+    sensor: OptionalName | Literal["hull"]
 
 
 Fault: TypeAlias = (

@@ -10,6 +10,9 @@ import msgspec
 from autopilot.core.toml_table import NonNegative, Positive, Table, Vec2, Vec3
 from autopilot.core.vehicle import Port
 
+OptionalName = Literal["depth", "dvl"]
+"""Sensors that a scenario may have or not."""
+
 Probability = Annotated[float, msgspec.Meta(ge=0.0, le=1.0)]
 
 

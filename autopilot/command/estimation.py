@@ -5,7 +5,6 @@ from dataclasses import dataclass, replace
 
 from autopilot.core.guard import Guard
 from autopilot.core.messages import (
-    AID_SENSORS,
     AidStatus,
     EstimatorInputs,
     Event,
@@ -17,6 +16,7 @@ from autopilot.core.messages import (
     ShadowStatus,
 )
 from autopilot.core.model4 import NO_STATE
+from autopilot.core.sensors import AID_SENSORS
 from autopilot.estimator.protocol import Estimator
 
 LAST_ESTIMATE_US = 200_000

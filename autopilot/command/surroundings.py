@@ -17,8 +17,6 @@ from autopilot.core.messages import Below, Event, Inputs, Severity
 from autopilot.core.params import ParamSet
 from autopilot.core.samples import (
     AhrsSample,
-    DepthSample,
-    HullSample,
     ImuSample,
     LaserSample,
     MarkerSighting,
@@ -133,21 +131,19 @@ class Surroundings:
     def _show(self, t_us: int, sample: Sample) -> None:
         """Keep the newest of what operators are shown; AHRS and IMU come in :meth:`_feel`."""
         sensed = self.sensed
-        if isinstance(sample, DepthSample):
-            sensed.depth = sample
-        elif isinstance(sample, LaserSample):
+        if isinstance(sample, LaserSample):
             self._show_laser(t_us, sample)
-        elif isinstance(sample, HullSample):
-            sensed.hull = sample
-        elif isinstance(sample, MarkerSighting) and sample.laser_px is not None and self._camera is not None:
-            shown = sensed.laser
+        elif not isinstance(sample, MarkerSighting):
+            sensed.newest[type(sample)] = sample
+        elif sample.laser_px is not None and self._camera is not None:
+            shown = sensed.of(LaserSample)
             if shown is None or t_us - shown.t_us >= RANGE_US:
                 found = dot_range(self._camera, sample.laser_px)
                 if found is not None:
                     self._show_laser(t_us, LaserSample(t_us=sample.t_us, range_m=found[0], sigma_m=found[1]))
 
     def _show_laser(self, t_us: int, sample: LaserSample) -> None:
-        self.sensed.laser = sample
+        self.sensed.newest[LaserSample] = sample
         self.facts.floor.note("laser", t_us, sample.range_m)
 
     def _power_share(self, t_us: int) -> float:

@@ -262,10 +262,6 @@ class AidStatus:
     """Of a pose from markers."""
 
 
-AID_SENSORS = ("heading", "model", "markers", "external", "velocity", "depth", "laser")
-"""Aiding sensors of the estimator, in the order in which measurements of the same time are used."""
-
-
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class NavCounters:
     """What the estimator has counted so far, once per second."""

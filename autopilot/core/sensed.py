@@ -2,9 +2,12 @@
 
 import math
 from dataclasses import dataclass, field
+from typing import Any, TypeVar
 
 from autopilot.core.frames import FloatArray
-from autopilot.core.samples import AhrsSample, DepthSample, HullSample, ImuSample, LaserSample
+from autopilot.core.samples import AhrsSample, ImuSample
+
+T = TypeVar("T")
 
 _SLOW, _FAST = 0.2, 0.1
 """Shares of a new sample at 100 Hz: about 4 Hz for what is motion, 2 Hz for the mean square of the rest."""
@@ -42,9 +45,12 @@ class Sensed:
     """Changed in place; None = none has come."""
 
     inertial: AhrsSample | ImuSample | None = None
-    depth: DepthSample | None = None
-    laser: LaserSample | None = None
-    hull: HullSample | None = None
+    newest: dict[type, Any] = field(default_factory=dict)
+    """Of each other kind of sample, see :meth:`of`."""
     vibration: Vibration = field(default_factory=Vibration)
     power_w: float | None = None
     """Of the battery, over half a minute."""
+
+    def of(self, kind: type[T]) -> T | None:
+        """The newest sample of a kind."""
+        return self.newest.get(kind)

@@ -11,6 +11,7 @@ from collections.abc import Mapping
 
 from autopilot.core.messages import Failsafe, NavDoubt, NavHealth, Severity
 from autopilot.core.model4 import YAW
+from autopilot.core.samples import HullSample
 from autopilot.mavlink.commands import ACCEPTED, Call, Reply, denied
 from autopilot.mavlink.context import Context, i32, limited, u16
 from autopilot.mavlink.dialect import mav
@@ -138,7 +139,7 @@ class HighLatency:
             depth_dm = limited(10.0 * motion.down, -128, 127)
             if target is not None:
                 distance_dam = u16(0.1 * math.dist(target.tolist(), (motion.north, motion.east, motion.down)))
-        hull, power = view.sensed.hull, view.power
+        hull, power = view.sensed.of(HullSample), view.power
         warm_c = 0.0 if hull is None or hull.temperature_c is None else hull.temperature_c
         climb_dm_s = limited(10.0 * self._climb_m_s, 0, 127)
         self._climb_m_s = self._across_m = self._deep_m = 0.0

@@ -12,6 +12,7 @@ import numpy as np
 
 from autopilot.core.messages import Failsafe, NavHealth
 from autopilot.core.model4 import YAW
+from autopilot.core.samples import DepthSample, HullSample, LaserSample
 from autopilot.mavlink.context import Context, f32, i16, i32, limited, u16
 from autopilot.mavlink.dialect import mav
 from autopilot.mavlink.telemetry import NAN, SANE, Builder, Telemetry
@@ -105,7 +106,7 @@ class SensorMessages:
 
     def scaled_pressure(self) -> Message | None:
         """SCALED_PRESSURE: the air in the hull, as ArduSub has it."""
-        hull = self._ctx.view.sensed.hull
+        hull = self._ctx.view.sensed.of(HullSample)
         if hull is None or hull.pressure_pa is None or self._ctx.t_us - hull.t_us > STALE_US:
             return None
         warm_c = 0.0 if hull.temperature_c is None else hull.temperature_c
@@ -115,7 +116,7 @@ class SensorMessages:
 
     def scaled_pressure2(self) -> Message | None:
         """SCALED_PRESSURE2: the water at the depth sensor."""
-        depth = self._ctx.view.sensed.depth
+        depth = self._ctx.view.sensed.of(DepthSample)
         if depth is None or self._ctx.t_us - depth.t_us > STALE_US or not abs(depth.depth_m) < SANE:
             return None
         over_pa = WATER_N_M3 * depth.depth_m
@@ -125,7 +126,7 @@ class SensorMessages:
 
     def distance_sensor(self) -> Message | None:
         """DISTANCE_SENSOR: the laser's range to the floor."""
-        laser = self._ctx.view.sensed.laser
+        laser = self._ctx.view.sensed.of(LaserSample)
         if laser is None or self._ctx.t_us - laser.t_us > STALE_US:
             return None
         return mav.MAVLink_distance_sensor_message(

@@ -5,16 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from autopilot.core.samples import (
-    AhrsSample,
-    CameraFrame,
-    DepthSample,
-    ImuSample,
-    LeakSample,
-    PowerSample,
-    VelocitySample,
-)
-from autopilot.core.vehicle import Vehicle
+from autopilot.core.sensors import SENSOR_ROWS, SensorRow
 from autopilot.drivers.devices import CAMERA, FLIGHT_CONTROLLER
 from autopilot.run.findings import Finding, Verdict
 from autopilot.run.remedies import slow_remedy
@@ -36,8 +27,7 @@ REPEATS = "it repeats itself: restart it, check its cable"
 
 LEAST_HZ = 0.5
 """Of what a flight controller measures, readings that are new. The slowest (battery) speaks twice a second."""
-_OF_CONTROLLER = {"depth": "SCALED_PRESSURE2", "battery": "BATTERY_STATUS"}
-"""What a flight controller measures beside the attitude, and its message."""
+AHRS = "ahrs"
 
 Problem = tuple[Verdict, str]
 """How bad it is, and what to do."""
@@ -47,37 +37,25 @@ Look = Callable[[Sequence[Any]], tuple[str, Problem | None]]
 
 def judge_samples(config: VehicleConfig, samples: dict[type, list[Any]], seconds: float) -> list[Finding]:
     """A line for each kind of measurement. ``samples`` of ``seconds``, by type."""
-    vehicle, devices = config.vehicle, config.devices
-    wanted: list[tuple[str, str, tuple[type, ...], float | None, Look]] = [
-        ("attitude", "ahrs", (AhrsSample, ImuSample), vehicle.ahrs.rate_hz, _attitude),
-        (
-            "depth",
-            "depth",
-            (DepthSample,),
-            vehicle.depth_sensor.rate_hz if "depth" in devices else None,
-            _depth(config),
-        ),
-        ("velocity", "dvl", (VelocitySample,), vehicle.dvl.rate_hz if "dvl" in devices else None, _nothing),
-        ("pictures", CAMERA, (CameraFrame,), vehicle.eye.rate_hz if config.has_camera else None, _nothing),
-        ("battery", "battery", (PowerSample,), None, _power(vehicle)),
-        ("leak", "leak", (LeakSample,), None, _leak),
-    ]
+    devices = config.devices
     findings = []
-    for name, kind, types, rate_hz, look in wanted:
-        found = [sample for each in types for sample in samples.get(each, ())]
+    for row in SENSOR_ROWS:
+        if not row.measures:
+            continue
+        name, rate_hz, look = row.measures, _wanted_hz(config, row), _LOOKS.get(row.device, _reading)(config, row)
+        found = [sample for each in row.kinds for sample in samples.get(each, ())]
         rate = len(found) / seconds
-        controlled = rate_hz is None and name in _OF_CONTROLLER and FLIGHT_CONTROLLER in devices
+        controlled = rate_hz is None and row.controller_message and FLIGHT_CONTROLLER in devices
         if controlled and rate < LEAST_HZ:
-            remedy = f"no new {_OF_CONTROLLER[name]} comes: check the sensor at the flight controller"
+            remedy = f"no new {row.controller_message} comes: check the sensor at the flight controller"
             findings.append(Finding(verdict=Verdict.WARN, what=name, found=f"{rate:.1f} Hz", remedy=remedy))
             continue
         if not found and rate_hz is None:
             continue
         told, problem = look(found) if found else ("", None)
         if rate_hz is not None and (found or problem is None):
-            problem = (
-                _rate_problem(rate, rate_hz, slow_remedy(devices.get(kind, devices.get(FLIGHT_CONTROLLER)))) or problem
-            )
+            setup = devices.get(row.device, devices.get(FLIGHT_CONTROLLER))
+            problem = _rate_problem(rate, rate_hz, slow_remedy(setup)) or problem
         verdict, remedy = problem or (Verdict.OK, "")
         findings.append(Finding(verdict=verdict, what=name, found=f"{rate:.1f} Hz{told}", remedy=remedy))
     return findings
@@ -91,8 +69,27 @@ def _rate_problem(rate: float, rate_hz: float, remedy: str) -> Problem | None:
     return None
 
 
-def _nothing(_: Sequence[Any]) -> tuple[str, Problem | None]:
-    return "", None
+def _wanted_hz(config: VehicleConfig, row: SensorRow) -> float | None:
+    """Rate by the vehicle file, None where none is wanted or known."""
+    if row.device == CAMERA:
+        return config.vehicle.eye.rate_hz if config.has_camera else None
+    if not row.table or (row.device != AHRS and row.device not in config.devices):
+        return None
+    return float(getattr(config.vehicle, row.table).rate_hz)
+
+
+def _reading(_: VehicleConfig, row: SensorRow) -> Look:
+    """Of a sensor of which no more is known: mean and noise of a reading that is one number."""
+
+    def look(found: Sequence[Any]) -> tuple[str, Problem | None]:
+        readings = np.array([getattr(sample, row.reading) for sample in found] if row.reading else [])
+        if readings.ndim != 1 or not len(readings):
+            return "", None
+        text = f", {readings.mean():.3f} {row.reading.rsplit('_', 1)[-1]}, noise {readings.std():.4f}"
+        stuck = len(readings) >= ENOUGH_EQUAL and readings.max() == readings.min()
+        return text, (Verdict.WARN, REPEATS) if stuck else None
+
+    return look
 
 
 def _attitude(found: Sequence[Any]) -> tuple[str, Problem | None]:
@@ -127,8 +124,8 @@ def _depth(config: VehicleConfig) -> Look:
     return look
 
 
-def _power(vehicle: Vehicle) -> Look:
-    battery = vehicle.battery
+def _power(config: VehicleConfig) -> Look:
+    battery = config.vehicle.battery
 
     def look(found: Sequence[Any]) -> tuple[str, Problem | None]:
         last = found[-1]
@@ -148,3 +145,12 @@ def _leak(found: Sequence[Any]) -> tuple[str, Problem | None]:
     if found[-1].wet:
         return ", water in the hull", (Verdict.FAIL, "open and dry it, look at the seals")
     return ", dry", None
+
+
+_LOOKS: dict[str, Callable[[VehicleConfig, SensorRow], Look]] = {
+    AHRS: lambda config, row: _attitude,
+    "depth": lambda config, row: _depth(config),
+    "battery": lambda config, row: _power(config),
+    "leak": lambda config, row: _leak,
+}
+"""Of sensors of which more is known."""

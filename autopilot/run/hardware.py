@@ -7,29 +7,20 @@ from typing import Any
 from autopilot.core.messages import Below, Severity, ThrusterCommand
 from autopilot.core.payload import PayloadState
 from autopilot.core.samples import CameraFrame, Sample
+from autopilot.core.sensors import SENSOR_ROWS
 from autopilot.drivers.devices import CAMERA, FLIGHT_CONTROLLER, THRUSTERS
 from autopilot.drivers.protocols import PayloadOutput, ThrusterOutput, WatchedOutput
 from autopilot.drivers.retry import DeviceState, Steady, SteadyController, SteadyOutput, SteadySensor
 from autopilot.run.vehicle_config import VehicleConfig
 
 NAMES = {
-    "ahrs": "AHRS",
-    "camera": "Camera",
-    "depth": "Depth sensor",
-    "dvl": "DVL",
-    "battery": "Battery monitor",
-    "leak": "Leak probe",
+    **{row.device: row.label for row in SENSOR_ROWS},
     "thrusters": "Thrusters",
     "flight_controller": "Flight controller",
 }
 """As operators know them."""
 
-REPLACES = {
-    "ahrs": ("AhrsSample", "ImuSample"),
-    "depth": ("DepthSample",),
-    "battery": ("PowerSample",),
-    "leak": ("LeakSample",),
-}
+REPLACES = {row.device: row.kinds for row in SENSOR_ROWS if row.replaces}
 """What a device of its own takes the place of that a flight controller says too."""
 
 
@@ -60,7 +51,7 @@ class HardwareVehicle:
                 self._sensors[kind] = SteadySensor(device, NAMES[kind])
         device = None if self._output is None else self._output.device
         self._watched = device if isinstance(device, WatchedOutput) else None
-        self._passed_over = {name for kind in self._sensors for name in REPLACES.get(kind, ())}
+        self._passed_over = {each for kind in self._sensors for each in REPLACES.get(kind, ())}
         self._t_us = 0
         self._early: list[Sample] = []
         """Measured later than the present tick, as it says itself."""
@@ -83,7 +74,7 @@ class HardwareVehicle:
         if self._below is not None:
             found = self._below.poll(t_us)
             passed = self._passed_over
-            samples += [s for s in found if type(s).__name__ not in passed] if passed else found
+            samples += [s for s in found if type(s) not in passed] if passed else found
         for sensor in self._sensors.values():
             samples += sensor.poll(t_us)
         return self._in_time(t_us, samples)

@@ -4,6 +4,7 @@ A limit is :data:`MISSED` of the nominal periods of what is shown, and no less t
 come ten times per second. Rates stand in the vehicle file; what has none there is given :data:`UNKNOWN_S`.
 """
 
+from autopilot.core.sensors import SENSOR_ROWS
 from autopilot.core.vehicle import Vehicle
 from autopilot.view.feed import CAMERA, FRAME_S, PICTURE_S
 from autopilot.view.shown import AgeLimits
@@ -29,8 +30,10 @@ def limit_s(period_s: float) -> float:
 
 def sensor_limits_s(vehicle: Vehicle) -> dict[str, float]:
     """Of devices and aiding sensors, by name; others have :data:`UNKNOWN_S`."""
-    ahrs, depth, dvl = (1.0 / each.rate_hz for each in (vehicle.ahrs, vehicle.depth_sensor, vehicle.dvl))
-    periods = {"ahrs": ahrs, "heading": ahrs, "model": ahrs, "depth": depth, "dvl": dvl, "velocity": dvl}
+    periods: dict[str, float] = {}
+    for row in SENSOR_ROWS:
+        if row.table:
+            periods |= dict.fromkeys((row.device, *row.aids), 1.0 / getattr(vehicle, row.table).rate_hz)
     periods |= dict.fromkeys(("battery", "leak", "hull"), SLOW_S)
     if vehicle.camera is not None:
         periods |= dict.fromkeys((CAMERA, "markers", "laser"), 1.0 / vehicle.camera.rate_hz)

@@ -8,9 +8,11 @@ on the view's own thread (:mod:`autopilot.view.hub`).
 
 import time
 from collections import deque
-from collections.abc import Callable, Hashable, Mapping, Sequence
+from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Protocol
+
+import numpy as np
 
 from autopilot.core.frames import FloatArray
 from autopilot.core.geometry import Fence
@@ -24,19 +26,8 @@ from autopilot.core.messages import (
     Outputs,
     ThrusterHealthState,
 )
-from autopilot.core.samples import (
-    AhrsSample,
-    CameraFrame,
-    DepthSample,
-    HullSample,
-    ImuSample,
-    LeakSample,
-    MarkerSighting,
-    ObstacleTrack,
-    PowerSample,
-    Sample,
-    VelocitySample,
-)
+from autopilot.core.samples import CameraFrame, MarkerSighting, ObstacleTrack, PowerSample, Sample
+from autopilot.core.sensors import SENSOR_ROWS, SensorRow
 from autopilot.log.description import RunDescription
 from autopilot.view.shown import Solid
 
@@ -52,23 +43,9 @@ TRAIL_POINTS = 1200
 """Five minutes."""
 TRACK_US = 5_000_000
 """A report of an obstacle is shown so long."""
-DEVICES = {
-    AhrsSample: "ahrs",
-    ImuSample: "ahrs",
-    DepthSample: "depth",
-    VelocitySample: "dvl",
-    PowerSample: "battery",
-    LeakSample: "leak",
-    HullSample: "hull",
-}
-"""Devices by what they deliver; pictures come by a way of their own."""
-READINGS: dict[type, Callable[[Any], bytes]] = {
-    AhrsSample: lambda sample: sample.rate_frd_rad_s.tobytes(),
-    ImuSample: lambda sample: sample.rate_frd_rad_s.tobytes(),
-    VelocitySample: lambda sample: sample.vel_frd_m_s.tobytes(),
-}
-"""Of devices whose last digits are noise: one that repeats itself has delivered nothing."""
 CAMERA = "camera"
+DEVICES = {kind: row for row in SENSOR_ROWS if row.device != CAMERA for kind in row.kinds}
+"""Devices by what they deliver; pictures come by a way of their own."""
 
 
 class TruthSeen(Protocol):
@@ -172,13 +149,12 @@ class _Kept:
     tracks: dict[int, ObstacleTrack] = field(default_factory=dict)
     readings: dict[str, bytes] = field(default_factory=dict)
 
-    def news(self, device: str, sample: Sample) -> bool:
+    def news(self, row: SensorRow, sample: Sample) -> bool:
         """Whether a device says something else than before."""
-        reading_of = READINGS.get(type(sample))
-        if reading_of is None:
+        if not row.reading:
             return True
-        reading, before = reading_of(sample), self.readings.get(device)
-        self.readings[device] = reading
+        reading: bytes = np.asarray(getattr(sample, row.reading)).tobytes()
+        before, self.readings[row.device] = self.readings.get(row.device), reading
         return reading != before
 
 
@@ -244,9 +220,9 @@ class Feed:
         for aid in outputs.aids:
             kept.aids[aid.sensor] = aid
         for sample in inputs.samples:
-            device = DEVICES.get(type(sample))
-            if device is not None and kept.news(device, sample):
-                kept.heard_us[device] = inputs.t_us
+            row = DEVICES.get(type(sample))
+            if row is not None and kept.news(row, sample):
+                kept.heard_us[row.device] = inputs.t_us
             if isinstance(sample, PowerSample):
                 kept.power = sample
             elif isinstance(sample, ObstacleTrack):

@@ -13,7 +13,7 @@ from test_aids import depth_of, external_of, look, velocity_of
 from truth import Faults, World, uniform_current
 
 from autopilot.core.frames import FloatArray
-from autopilot.core.messages import AID_SENSORS, NavState
+from autopilot.core.messages import NavState
 from autopilot.core.samples import (
     AhrsSample,
     DepthSample,
@@ -26,6 +26,7 @@ from autopilot.core.samples import (
     VelocityLock,
     VelocitySample,
 )
+from autopilot.core.sensors import AID_SENSORS
 from autopilot.core.vehicle import load_vehicle
 from autopilot.estimator.complementary import create_complementary
 from autopilot.estimator.create import create_estimator

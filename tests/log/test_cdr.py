@@ -16,7 +16,6 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from autopilot.core.errors import LogError
 from autopilot.core.marks import LoopPart
 from autopilot.core.messages import (
-    AID_SENSORS,
     AidState,
     AidStatus,
     Event,
@@ -44,6 +43,7 @@ from autopilot.core.samples import (
     MarkerSighting,
     PowerSample,
 )
+from autopilot.core.sensors import AID_SENSORS
 from autopilot.log import topics, visuals
 from autopilot.log.cdr import ENCAPSULATION, CdrBuffer, decode, fixed_layout, parse_definition
 from autopilot.log.packing import decisions, estimate, sensors, service, vehicle

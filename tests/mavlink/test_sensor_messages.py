@@ -22,9 +22,11 @@ def ahrs(t_us: int, accel: Any = (0.1, -0.2, -9.81)) -> AhrsSample:
 def sensed_all() -> Sensed:
     return Sensed(
         inertial=ahrs(10_000),
-        depth=DepthSample(t_us=10_000, depth_m=2.0, sigma_m=0.01),
-        laser=LaserSample(t_us=10_000, range_m=0.8, sigma_m=0.02),
-        hull=HullSample(t_us=10_000, pressure_pa=99_000.0, temperature_c=21.5),
+        newest={
+            DepthSample: DepthSample(t_us=10_000, depth_m=2.0, sigma_m=0.01),
+            LaserSample: LaserSample(t_us=10_000, range_m=0.8, sigma_m=0.02),
+            HullSample: HullSample(t_us=10_000, pressure_pa=99_000.0, temperature_c=21.5),
+        },
         power_w=50.0,
     )
 

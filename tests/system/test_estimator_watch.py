@@ -7,7 +7,8 @@ import numpy as np
 from pymavlink.dialects.v20 import development as mav
 from system_harness import ROOT, OpenSession
 
-from autopilot.core.messages import AID_SENSORS, Failsafe, NavHealth, Outputs
+from autopilot.core.messages import Failsafe, NavHealth, Outputs
+from autopilot.core.sensors import AID_SENSORS
 from autopilot.log.reader import open_log
 
 FROZEN_S = (4.0, 6.0)

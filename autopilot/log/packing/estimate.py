@@ -2,7 +2,6 @@
 
 from autopilot.core.frames import FloatArray
 from autopilot.core.messages import (
-    AID_SENSORS,
     MAX_THRUSTERS,
     AidStatus,
     MarkerFit,
@@ -11,6 +10,7 @@ from autopilot.core.messages import (
     NavState,
     ShadowStatus,
 )
+from autopilot.core.sensors import AID_SENSORS
 from autopilot.log.cdr import ENCAPSULATION
 from autopilot.log.packing.parts import FRD, NS, UINT32, clip, padded
 from autopilot.log.packing.records import packer_of
