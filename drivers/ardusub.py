@@ -90,9 +90,16 @@ class ArduSub(Closing):
             "RAW_IMU": vehicle.ahrs.rate_hz,
             "SCALED_PRESSURE2": PRESSURE_HZ,
             "SERVO_OUTPUT_RAW": SERVO_RATE_HZ,
+            "DISTANCE_SENSOR": vehicle.altimeter.rate_hz,
             "BATTERY_STATUS": SLOW_HZ,
         }
-        self._ids = {"ATTITUDE": 30, "RAW_IMU": 27, "SCALED_PRESSURE2": 137, "SERVO_OUTPUT_RAW": 36}
+        self._ids = {
+            "ATTITUDE": 30,
+            "RAW_IMU": 27,
+            "SCALED_PRESSURE2": 137,
+            "SERVO_OUTPUT_RAW": 36,
+            "DISTANCE_SENSOR": 132,
+        }
         self._ids["BATTERY_STATUS"] = 147
         self._wire: Wire | None = None
         self._telemetry = self._new_telemetry()

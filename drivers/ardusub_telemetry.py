@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from autopilot.core.device_clock import DeviceClock
-from autopilot.core.samples import AhrsSample, DepthSample, LeakSample, PowerSample, Sample
+from autopilot.core.samples import AhrsSample, AltimeterSample, DepthSample, LeakSample, PowerSample, Sample
 from autopilot.core.vehicle import Vehicle
 
 G_M_S2 = 9.80665
@@ -21,6 +21,12 @@ AGAIN_US = 500_000
 """It sends its last pressure again when it has no new one (10 Hz, sent 20 times a second): a reading, to the last bit
 the one before, is passed on only after so long."""
 PA_HPA = 100.0
+DOWNWARD = 25
+"""MAV_SENSOR_ROTATION_PITCH_270."""
+LEAST_QUALITY = 70
+"""Per cent (RNGFND_SQ_MIN of ArduSub)."""
+RANGE_SIGMA_M, RANGE_SHARE = 0.01, 0.005
+"""Of a range: it is told in centimetres, a Ping Sonar resolves half a per cent."""
 
 
 class Telemetry:
@@ -57,6 +63,8 @@ class Telemetry:
                 return self._attitude(t_us, message)
             case "SCALED_PRESSURE2":
                 return self._depth(t_us, message)
+            case "DISTANCE_SENSOR" if message.orientation == DOWNWARD:
+                return self._altimeter(t_us, message)
             case "BATTERY_STATUS" if message.id == 0:
                 return self._power(t_us, message)
             case "STATUSTEXT" if "leak detected" in message.text.lower():
@@ -106,6 +114,19 @@ class Telemetry:
         depth_m = (PA_HPA * message.press_abs - ground_pa) / (self._density * G_M_S2)
         stamp_us = t_us - round(1e6 * self._vehicle.depth_sensor.latency_s)
         return [DepthSample(t_us=stamp_us, depth_m=depth_m, sigma_m=self._depth_sigma_m)]
+
+    def _altimeter(self, t_us: int, message: Any) -> list[Sample]:
+        """Of its range finder; a range at or beyond its limits is none, a quality of 0 is not known."""
+        range_cm, quality = message.current_distance, getattr(message, "signal_quality", 0)
+        if not message.min_distance < range_cm < message.max_distance or not 0 <= quality <= 100:
+            return []
+        if quality and quality < LEAST_QUALITY:
+            return []
+        stamp_us = t_us - round(1e6 * self._vehicle.altimeter.latency_s)
+        range_m = 0.01 * range_cm
+        sigma_m = math.hypot(RANGE_SIGMA_M, RANGE_SHARE * range_m)
+        confidence = 0.01 * quality if quality else 1.0
+        return [AltimeterSample(t_us=stamp_us, range_m=range_m, sigma_m=sigma_m, confidence=confidence)]
 
     def _power(self, t_us: int, message: Any) -> list[Sample]:
         cells = [cell for cell in message.voltages if cell != 65535]

@@ -10,7 +10,7 @@ import msgspec
 from autopilot.core.toml_table import NonNegative, Positive, Table, Vec2, Vec3
 from autopilot.core.vehicle import Port
 
-OptionalName = Literal["depth", "dvl"]
+OptionalName = Literal["depth", "dvl", "altimeter"]
 """Sensors that a scenario may have or not."""
 
 Probability = Annotated[float, msgspec.Meta(ge=0.0, le=1.0)]
@@ -173,6 +173,29 @@ class DvlSensor(Table, frozen=True, kw_only=True):
     outages: Outages = Outages()
 
 
+class AltimeterSensor(Table, frozen=True, kw_only=True):
+    """``[sensors.altimeter]``: a sonar that looks down; without the table there is none. Defaults: a Ping Sonar."""
+
+    rate_hz: Positive | None = None
+    """None = as the vehicle file."""
+    latency_s: NonNegative | None = None
+    """None = as the vehicle file."""
+    latency_jitter_s: NonNegative = 0.005
+    sigma_m: NonNegative = 0.01
+    """White noise close by,"""
+    sigma_share: NonNegative = 0.005
+    """and that which grows with the range."""
+    scale_error: NonNegative = 0.01
+    """Standard deviation of the relative error, drawn once per run: the speed of sound is not known to the percent."""
+    multiple_probability: Probability = 0.0
+    """Per sample: the echo that has come back twice is taken for the first."""
+    drop_probability: Probability = 0.02
+    least_range_m: NonNegative = 0.3
+    """Closer nothing is heard: it still rings."""
+    most_range_m: Positive = 100.0
+    outages: Outages = Outages()
+
+
 class HullSensor(Table, frozen=True, kw_only=True):
     """``[sensors.hull]``: leak probe, pressure and temperature inside the hull, twice per second."""
 
@@ -194,6 +217,7 @@ class Sensors(Table, frozen=True, kw_only=True):
     hull: HullSensor = HullSensor()
     depth: DepthSensor | None = None
     dvl: DvlSensor | None = None
+    altimeter: AltimeterSensor | None = None
 
 
 class CameraLook(Table, frozen=True, kw_only=True):

@@ -17,6 +17,7 @@ from autopilot.core.messages import Below, Event, Inputs, Severity
 from autopilot.core.params import ParamSet
 from autopilot.core.samples import (
     AhrsSample,
+    AltimeterSample,
     ImuSample,
     LaserSample,
     MarkerSighting,
@@ -61,6 +62,7 @@ class Surroundings:
         """That the vehicle would be deep inside of an obstacle."""
         self.sensed = Sensed()
         """The newest of each sensor."""
+        self.facts.floor.mount("altimeter", vehicle.altimeter.position_frd_m, vehicle.altimeter.direction_frd)
         if vehicle.laser is not None:
             self.facts.floor.mount("laser", vehicle.laser.position_frd_m, vehicle.laser.direction_frd)
         with_laser = vehicle.camera is not None and vehicle.laser is not None
@@ -133,6 +135,9 @@ class Surroundings:
         sensed = self.sensed
         if isinstance(sample, LaserSample):
             self._show_laser(t_us, sample)
+        elif isinstance(sample, AltimeterSample):
+            sensed.newest[AltimeterSample] = sample
+            self.facts.floor.note("altimeter", t_us, sample.range_m)
         elif not isinstance(sample, MarkerSighting):
             sensed.newest[type(sample)] = sample
         elif sample.laser_px is not None and self._camera is not None:

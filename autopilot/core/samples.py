@@ -121,6 +121,18 @@ class LaserSample:
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class AltimeterSample:
+    """Range of a sonar altimeter's first echo. ``t_us`` is the time of validity."""
+
+    t_us: int
+    range_m: float
+    """To the nearest thing within its beam."""
+    sigma_m: float
+    confidence: float = 1.0
+    """0..1, how sure the device is that it is an echo."""
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class DepthSample:
     """Depth by pressure. ``t_us`` is the time of validity."""
 
@@ -245,6 +257,7 @@ Sample: TypeAlias = (
     | MarkerSighting
     | PoseSample
     | LaserSample
+    | AltimeterSample
     | DepthSample
     | VelocitySample
     | ExternalPoseSample

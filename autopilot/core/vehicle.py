@@ -207,6 +207,13 @@ class Camera(Table, frozen=True, kw_only=True):
             raise ValueError(f"`distortion[4]` = {self.distortion[4]:g} must be 0 for a fisheye (k1 k2 k3 k4 and 0)")
 
 
+def _goes_down(direction_frd: Vec3) -> None:
+    """ValueError if it does not."""
+    x, y, z = direction_frd
+    if not z > abs(x) + abs(y):
+        raise ValueError(f"`direction_frd` = [{x:g}, {y:g}, {z:g}] does not go down; its third number is largest")
+
+
 class Laser(Table, frozen=True, kw_only=True):
     """Laser pointer beside the camera."""
 
@@ -215,9 +222,7 @@ class Laser(Table, frozen=True, kw_only=True):
     """Where the beam goes, of any length; straight down by default."""
 
     def __post_init__(self) -> None:
-        x, y, z = self.direction_frd
-        if not z > abs(x) + abs(y):
-            raise ValueError(f"`direction_frd` = [{x:g}, {y:g}, {z:g}] does not go down; its third number is largest")
+        _goes_down(self.direction_frd)
 
 
 class Ahrs(Table, frozen=True, kw_only=True):
@@ -248,6 +253,23 @@ class DvlMount(Table, frozen=True, kw_only=True):
     latency_s: NonNegative = 0.1
     time_offset_s: float = 0.0
     """Added to the times of samples: negative when these are too late."""
+
+
+class AltimeterMount(Table, frozen=True, kw_only=True):
+    """Sonar altimeter that looks at the floor."""
+
+    position_frd_m: Vec3 = (0.0, 0.0, 0.0)
+    direction_frd: Vec3 = (0.0, 0.0, 1.0)
+    """Axis of its beam, of any length; straight down by default."""
+    beam_width_rad: Annotated[float, msgspec.Meta(ge=0.0, le=1.6)] = 0.436
+    """From edge to edge: 25 deg of a Ping Sonar."""
+    rate_hz: Positive = 10.0
+    latency_s: NonNegative = 0.05
+    time_offset_s: float = 0.0
+    """Added to the times of samples: negative when these are too late."""
+
+    def __post_init__(self) -> None:
+        _goes_down(self.direction_frd)
 
 
 class ExternalMount(Table, frozen=True, kw_only=True):
@@ -323,6 +345,7 @@ class Vehicle(Table, frozen=True, kw_only=True):
     ahrs: Ahrs
     depth_sensor: DepthMount = DepthMount()
     dvl: DvlMount = DvlMount()
+    altimeter: AltimeterMount = AltimeterMount()
     external_pose: ExternalMount = ExternalMount()
     payload: Annotated[tuple[PayloadTable, ...], msgspec.Meta(max_length=MAX_PAYLOAD)] = ()
     """What it carries beside."""

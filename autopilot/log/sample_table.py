@@ -10,6 +10,7 @@ from typing import Any
 
 from autopilot.core.samples import (
     AhrsSample,
+    AltimeterSample,
     DepthSample,
     ExternalPoseSample,
     HullSample,
@@ -106,6 +107,17 @@ float64 sigma_yaw_rad  # standard deviation
         fields="""
 float64 range_m  # along the beam
 float64 sigma_m  # standard deviation
+""",
+    ),
+    SampleRow(
+        of=AltimeterSample,
+        topic="/in/altimeter",
+        type="AltimeterRaw",
+        frame="frd",
+        fields="""
+float64 range_m  # of the first echo
+float64 sigma_m  # standard deviation
+float64 confidence  # 0..1, how sure the device is of it
 """,
     ),
     SampleRow(

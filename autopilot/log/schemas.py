@@ -66,7 +66,7 @@ uint32 ahrs_old  # stamped before one that was taken
 uint32 ahrs_stuck  # repeating themselves
 uint32 ahrs_blind_steps  # of the filter without an AHRS sample
 uint32 ahrs_tilt_disagreements  # tilts that left what gyros and accelerometers say
-uint32[8] received  # by sensor: 0 heading, 1 model, 2 markers, 3 external, 4 velocity, 5 depth, 6 laser
+uint32[8] received  # by sensor: 0 heading, 1 model, 2 markers, 3 external, 4 velocity, 5 depth, 6 laser, 7 altimeter
 uint32[8] fused  # 1 = it went into the estimate
 uint32[8] rejected  # measurements that failed their test
 uint32[8] late  # measurements older than the filter goes back

@@ -12,7 +12,7 @@ import numpy as np
 
 from autopilot.core.messages import Failsafe, NavHealth
 from autopilot.core.model4 import YAW
-from autopilot.core.samples import DepthSample, HullSample, LaserSample
+from autopilot.core.samples import AltimeterSample, DepthSample, HullSample, LaserSample
 from autopilot.mavlink.context import Context, f32, i16, i32, limited, u16
 from autopilot.mavlink.dialect import mav
 from autopilot.mavlink.telemetry import NAN, SANE, Builder, Telemetry
@@ -33,7 +33,11 @@ _NO_SATELLITES_COUNTED = 255
 _COVARIANCE_DIAGONAL = (0, 6, 11, 15, 18, 20)
 """Places of x, y, z, roll, pitch, yaw in the upper triangle of a 6 x 6 matrix."""
 _CAGE = 1 << Failsafe.CAGE_SOFT | 1 << Failsafe.CAGE_HARD
-_LASER_MIN_CM, _LASER_MAX_CM = 5, 1000
+_RANGES: tuple[tuple[type[LaserSample | AltimeterSample], int, int, int], ...] = (
+    (LaserSample, 5, 1000, mav.MAV_DISTANCE_SENSOR_LASER),
+    (AltimeterSample, 30, 10_000, mav.MAV_DISTANCE_SENSOR_ULTRASOUND),
+)
+"""What tells how far the floor is: least and largest range [cm] and MAV_DISTANCE_SENSOR; its place is its id."""
 
 
 class SensorMessages:
@@ -125,20 +129,22 @@ class SensorMessages:
         )
 
     def distance_sensor(self) -> Message | None:
-        """DISTANCE_SENSOR: the laser's range to the floor."""
-        laser = self._ctx.view.sensed.of(LaserSample)
-        if laser is None or self._ctx.t_us - laser.t_us > STALE_US:
-            return None
-        return mav.MAVLink_distance_sensor_message(
-            self._ctx.boot_ms,
-            _LASER_MIN_CM,
-            _LASER_MAX_CM,
-            u16(100.0 * laser.range_m),
-            mav.MAV_DISTANCE_SENSOR_LASER,
-            0,
-            mav.MAV_SENSOR_ROTATION_PITCH_270,
-            limited(1e4 * min(abs(laser.sigma_m), 1.0) ** 2, 0, 254),
-        )
+        """DISTANCE_SENSOR: range to the floor by altimeter, or else by laser."""
+        sensed = self._ctx.view.sensed
+        for number, (kind, least_cm, most_cm, mav_type) in reversed([*enumerate(_RANGES)]):
+            sample = sensed.of(kind)
+            if sample is not None and self._ctx.t_us - sample.t_us <= STALE_US:
+                return mav.MAVLink_distance_sensor_message(
+                    self._ctx.boot_ms,
+                    least_cm,
+                    most_cm,
+                    u16(100.0 * sample.range_m),
+                    mav_type,
+                    number,
+                    mav.MAV_SENSOR_ROTATION_PITCH_270,
+                    limited(1e4 * min(abs(sample.sigma_m), 1.0) ** 2, 0, 254),
+                )
+        return None
 
     def odometry(self) -> Message | None:
         """ODOMETRY: pose in the local frame, velocity over ground in the body's."""

@@ -8,12 +8,14 @@ import numpy as np
 
 from autopilot.core.frames import quat_from_rpy
 from autopilot.drivers import ellipse_protocol as ellipse
+from autopilot.drivers import ping_protocol as ping
 from autopilot.drivers.base import AlwaysOpen
 
 RPY_RAD = (0.05, -0.08, 1.2)
 RATE_RAD_S = (0.01, 0.02, 0.1)
 ACCEL_M_S2 = (0.1, 0.2, -9.8)
 DEPTH_M = 2.5
+RANGE_M = 1.734
 VELOCITY_M_S = (0.31, -0.12, 0.05)
 VOLTAGE_V, CURRENT_A = 15.2, 4.4
 
@@ -65,6 +67,45 @@ class EllipseEmulator(AlwaysOpen):
             (ellipse.IMU_DATA, ellipse.encode_imu(ellipse.Imu(device_us, 0x7F, ACCEL_M_S2, RATE_RAD_S))),
             (ellipse.EKF_QUATERNION, ellipse.encode_attitude(ellipse.Attitude(device_us, quat, 0x32))),
         ]
+
+
+class PingEmulator(AlwaysOpen):
+    """Ping Sonar: silent until ranges are asked for, then at its interval."""
+
+    def __init__(self) -> None:
+        self._parser = ping.PingParser()
+        self._queue: list[bytes] = []
+        self.power_up()
+        self._next_us = 0
+        self.times = 1
+        """So many ranges for one."""
+
+    def power_up(self) -> None:
+        self._sends, self._interval_us = False, 100_000
+        self.speed_mm_s = 1_500_000
+        self.range_mm: tuple[int, int] | None = None
+
+    def write(self, data: bytes) -> None:
+        for frame in self._parser.feed(data):
+            if frame.message == ping.SET_PING_INTERVAL:
+                self._interval_us = 1000 * int.from_bytes(frame.payload, "little")
+            elif frame.message == ping.SET_SPEED_OF_SOUND:
+                self.speed_mm_s = int.from_bytes(frame.payload, "little")
+            elif frame.message == ping.SET_RANGE:
+                start_mm, length_mm = struct.unpack("<II", frame.payload)
+                self.range_mm = (start_mm, length_mm)
+            elif frame.message == ping.CONTINUOUS_START:
+                self._sends = int.from_bytes(frame.payload, "little") == ping.DISTANCE_SIMPLE
+            self._queue.append(ping.encode(1, struct.pack("<H", frame.message), sender=1))
+
+    def read(self, t_us: int) -> list[tuple[int, bytes]]:
+        sent, self._queue = [(t_us, data) for data in self._queue], []
+        while self._next_us <= t_us:
+            if self._sends:
+                shown = ping.encode_distance(ping.Distance(range_m=RANGE_M, confidence=0.97))
+                sent += [(t_us, shown)] * self.times
+            self._next_us += self._interval_us
+        return sent
 
 
 MS5837_WORDS = {

@@ -12,6 +12,7 @@ from emulators import (
     ACCEL_M_S2,
     CURRENT_A,
     DEPTH_M,
+    RANGE_M,
     RATE_RAD_S,
     RPY_RAD,
     VELOCITY_M_S,
@@ -22,11 +23,12 @@ from emulators import (
     GpioEmulator,
     Ina219Chip,
     Ms5837Chip,
+    PingEmulator,
     close_to,
 )
 
 from autopilot.core.frames import quat_from_rpy
-from autopilot.core.samples import AhrsSample, DepthSample, LeakSample, PowerSample, VelocitySample
+from autopilot.core.samples import AhrsSample, AltimeterSample, DepthSample, LeakSample, PowerSample, VelocitySample
 from autopilot.core.vehicle import load_vehicle
 from autopilot.drivers.ads1115 import Ads1115, Ads1115Options
 from autopilot.drivers.base import AlwaysOpen
@@ -35,6 +37,7 @@ from autopilot.drivers.ig500_device import Ig500Device, Ig500Options
 from autopilot.drivers.ina219 import Ina219, Ina219Options
 from autopilot.drivers.leak_gpio import GpioLeak, GpioLeakOptions
 from autopilot.drivers.ms5837 import Ms5837, Ms5837Options
+from autopilot.drivers.ping1d import Ping1d, Ping1dOptions
 from autopilot.drivers.protocols import BytePort
 from autopilot.drivers.retry import SteadySensor
 from autopilot.drivers.waterlinked_a50 import WaterLinkedA50, WaterLinkedA50Options
@@ -219,6 +222,25 @@ class EllipseRig(SerialRig):
         super().plug()
 
 
+class PingRig(SerialRig):
+    """Blue Robotics Ping Sonar."""
+
+    least_hz = 8.0
+
+    def __init__(self, folder: Path) -> None:
+        super().__init__(PingEmulator(), lambda path: Ping1d(VEHICLE, Ping1dOptions(port=path)))
+
+    def right(self, sample: Any) -> bool:
+        return isinstance(sample, AltimeterSample) and abs(sample.range_m - RANGE_M) < 1e-3
+
+    def hurry(self, factor: int) -> None:
+        self.emulator.times = factor
+
+    def plug(self) -> None:
+        self.emulator.power_up()
+        super().plug()
+
+
 class A50Rig(Rig):
     """Water Linked A50."""
 
@@ -368,6 +390,7 @@ RIGS: dict[str, Callable[[Path], Rig]] = {
     "ahrs/ellipse": EllipseRig,
     "depth/ms5837": Ms5837Rig,
     "dvl/waterlinked_a50": A50Rig,
+    "altimeter/ping1d": PingRig,
     "battery/ina219": Ina219Rig,
     "battery/ads1115": Ads1115Rig,
     "leak/gpio": LeakRig,

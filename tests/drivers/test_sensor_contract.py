@@ -11,10 +11,11 @@ import pytest
 from sensor_rigs import RIGS, Rig
 
 from autopilot.core.messages import Severity
+from autopilot.core.sensors import SENSOR_ROWS
 from autopilot.drivers.registry import BACKENDS
 from autopilot.drivers.retry import DeviceState
 
-SENSORS = ("ahrs", "depth", "dvl", "battery", "leak")
+SENSORS = tuple(row.device for row in SENSOR_ROWS if row.drivers and row.device != "camera")
 
 
 @pytest.fixture(params=RIGS)

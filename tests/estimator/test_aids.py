@@ -14,6 +14,7 @@ from autopilot.core.frames import FloatArray, r_ned_from_frd, wrap_pi
 from autopilot.core.messages import AidState, NavHealth, NavState
 from autopilot.core.samples import (
     AhrsSample,
+    AltimeterSample,
     DepthSample,
     ExternalFrame,
     ExternalPoseSample,
@@ -139,6 +140,48 @@ def test_a_depth_sensor_that_jumps_is_taken_up_again(make_ekf: Make) -> None:
     assert AidState.STARTING in states[len(states) // 2 :]
     assert states[-1] is AidState.ACTIVE
     assert max(abs(float(nav.pos_ned_m[2] - now.pos[2])) for now, nav in track if now.t_us > 4_000_000) < 0.02
+
+
+FLOOR_M = 1.5
+
+
+def altimeter_of(now: Look, factor: float = 1.0) -> AltimeterSample:
+    height_m = FLOOR_M - float(now.pos[2]) - float((r_ned_from_frd(now.rpy) @ np.array(LEVER))[2])
+    return AltimeterSample(t_us=now.t_us, range_m=factor * height_m, sigma_m=0.01)
+
+
+@pytest.mark.parametrize("name", ["ekf", "complementary"])
+def test_an_altimeter_holds_the_depth_when_markers_are_gone_and_only_then(name: str, vehicle: Vehicle) -> None:
+    """Its scale is 2 % off, one echo in four has come back twice, half are lost: what markers say of the depth stays as
+    it is, and 25 s without them the depth is known as well as the altimeter knows it."""
+    from autopilot.estimator.complementary import create_complementary
+
+    create = {"ekf": create_ekf, "complementary": create_complementary}[name]
+    end_s = 33.0
+    ends: dict[bool, float] = {}
+    for on in (True, False):
+        estimator = create(mounted(vehicle, altimeter=MOUNT), None, FLOOR_M)
+        world = World(no_current, Faults(vision_gap_s=(8.0, end_s)))
+
+        def extra(now: Look, on: bool = on) -> list[Sample]:
+            count = now.t_us // 100_000
+            if not on or now.t_us % 100_000 or count % 2:
+                return []
+            return [altimeter_of(now, 2.04 if count % 8 == 0 else 1.02)]
+
+        track = run(estimator, world, end_s, extra)
+        before = [abs(float(nav.pos_ned_m[2] - now.pos[2])) for now, nav in track if 4e6 < now.t_us < 8e6]
+        assert max(before) < 0.01
+        ends[on] = float(np.sqrt(track[-1][1].variance[2]))
+        if on:
+            after = [(now, nav) for now, nav in track if now.t_us > 8_000_000]
+            error = [abs(float(nav.pos_ned_m[2] - now.pos[2])) for now, nav in after]
+            assert max(error) < 0.1
+            inside = [e < 3.0 * math.sqrt(float(nav.variance[2])) for e, (_, nav) in zip(error, after, strict=True)]
+            assert np.mean(inside) > 0.95
+            assert estimator.counters()["altimeter.received"] > 100
+    assert ends[True] < 0.5 * ends[False], "without it the depth is not known any more"
+    assert name != "ekf" or ends[True] < 0.05
 
 
 @pytest.mark.parametrize("name", ["ekf", "complementary"])

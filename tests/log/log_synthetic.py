@@ -41,6 +41,7 @@ from autopilot.core.messages import (
 from autopilot.core.payload import PayloadState
 from autopilot.core.samples import (
     AhrsSample,
+    AltimeterSample,
     CameraFrame,
     DepthSample,
     ExternalPoseSample,
@@ -264,6 +265,7 @@ def inputs_at(t_us: int, truth: Truth, full: bool = True) -> Inputs:
     power = PowerSample(t_us=t_us, voltage_v=18.9, current_a=2.5, energy_used_j=t_us * 3e-5, remaining=0.99)
     frame = MavlinkFrame(link=0, data=heartbeat(t_us // 1_000_000))
     depth = DepthSample(t_us=t_us, depth_m=0.5, sigma_m=0.003)
+    altimeter = AltimeterSample(t_us=t_us, range_m=1.2, sigma_m=0.01, confidence=0.9)
     velocity = VelocitySample(t_us=t_us, vel_frd_m_s=np.zeros(3), sigma_m_s=np.full(3, 0.01))
     external = ExternalPoseSample(t_us=t_us, pos_m=np.zeros(3), yaw_rad=0.1, covariance=None)
     imu = ImuSample(t_us=t_us, rate_frd_rad_s=truth.rate_frd_rad_s, accel_frd_m_s2=np.array([0.0, 0.0, -9.81]))
@@ -274,7 +276,7 @@ def inputs_at(t_us: int, truth: Truth, full: bool = True) -> Inputs:
     )
     return Inputs(
         t_us=t_us,
-        samples=(ahrs, imu, sighting, fix, laser, depth, velocity, external, track, power, *hull),
+        samples=(ahrs, imu, sighting, fix, laser, depth, altimeter, velocity, external, track, power, *hull),
         mavlink_rx=(frame,),
         overruns=2,
         cpu_load=0.25,

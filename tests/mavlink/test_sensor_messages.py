@@ -7,7 +7,7 @@ import pytest
 from mavlink_harness import NAN, World, mav, nav_state
 
 from autopilot.core.messages import Failsafe, NavHealth
-from autopilot.core.samples import AhrsSample, DepthSample, HullSample, LaserSample
+from autopilot.core.samples import AhrsSample, AltimeterSample, DepthSample, HullSample, LaserSample
 from autopilot.core.sensed import Sensed, Vibration
 
 BAUD_57600 = 5760.0
@@ -129,8 +129,18 @@ def test_default_telemetry_fits_half_a_slow_serial_line(world: World) -> None:
     for _ in range(1000):
         world.view.sensed.inertial = ahrs(world.t_us)
         world.show(sensed=sensed_all())
-        for name in ("inertial", "depth", "laser", "hull"):
-            object.__setattr__(getattr(world.view.sensed, name), "t_us", world.t_us)
+        for sample in (world.view.sensed.inertial, *world.view.sensed.newest.values()):
+            object.__setattr__(sample, "t_us", world.t_us)
         sent += sum(len(frame.data) for frame in world.tick())
     assert client.got("ODOMETRY") and client.got("DISTANCE_SENSOR")
     assert 2000.0 < sent / 10.0 < 0.7 * BAUD_57600, sent / 10.0
+
+
+def test_an_altimeter_tells_the_height_before_the_laser_does(world: World) -> None:
+    laser = request(world, "DISTANCE_SENSOR")
+    assert (laser.type, laser.id, laser.current_distance) == (mav.MAV_DISTANCE_SENSOR_LASER, 0, 80)
+    sample = AltimeterSample(t_us=world.t_us, range_m=12.34, sigma_m=0.06, confidence=0.9)
+    world.view.sensed.newest[AltimeterSample] = sample
+    sonar = request(world, "DISTANCE_SENSOR")
+    assert (sonar.type, sonar.id, sonar.current_distance) == (mav.MAV_DISTANCE_SENSOR_ULTRASOUND, 1, 1234)
+    assert sonar.orientation == mav.MAV_SENSOR_ROTATION_PITCH_270

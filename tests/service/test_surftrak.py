@@ -11,7 +11,7 @@ from piloted_world import ALTITUDE, PilotedWorld
 
 from autopilot.command.floor_ranges import FRESH_US, FloorRanges
 from autopilot.core.frames import r_ned_from_frd
-from autopilot.core.samples import LaserSample, Sample
+from autopilot.core.samples import AltimeterSample, LaserSample, Sample
 
 SURFTRAK = (4 << 16) | (11 << 24)
 ACCEPTED, DENIED = 0, 2
@@ -23,6 +23,8 @@ class FloorWorld(PilotedWorld):
 
     floor: Callable[[float], float] = staticmethod(lambda north: FLAT_M)
     ranges = True
+    sonar = False
+    """An altimeter in the laser's place."""
     doubles = 0.0
     """Share of readings of twice the range."""
 
@@ -30,6 +32,9 @@ class FloorWorld(PilotedWorld):
         said = super().samples()
         if not self.ranges or self.t_us % 50_000:
             return said
+        if self.sonar:
+            range_m = self.height - self.vehicle.altimeter.position_frd_m[2]
+            return (*said, AltimeterSample(t_us=self.t_us, range_m=range_m, sigma_m=0.01))
         assert self.vehicle.laser is not None
         range_m = self.height - self.vehicle.laser.position_frd_m[2]
         if math.fmod(0.618 * (self.t_us // 50_000), 1.0) < self.doubles:
@@ -66,9 +71,16 @@ def ridge(height_m: float, width_m: float = 1.0) -> Callable[[float], float]:
     return lambda north: FLAT_M - height_m * math.exp(-((north / width_m) ** 2))
 
 
-@pytest.mark.parametrize("height_m", [0.35, -0.35], ids=["ridge", "ditch"])
-def test_the_height_is_held_over_a_floor_that_changes(height_m: float) -> None:
-    world = tracking(start=(-1.6, 0.5, 0.6, 0.0))
+@pytest.mark.parametrize(
+    ("height_m", "sonar"), [(0.35, False), (-0.35, False), (0.35, True)], ids=["ridge", "ditch", "by sonar"]
+)
+def test_the_height_is_held_over_a_floor_that_changes(height_m: float, sonar: bool) -> None:
+    FloorWorld.sonar = sonar
+    try:
+        world = tracking(start=(-1.6, 0.5, 0.6, 0.0))
+    finally:
+        FloorWorld.sonar = False
+    world.sonar = sonar
     held = world.height
     world.floor = ridge(height_m)
     least, largest = world.heights(25.0, x=350)

@@ -1,0 +1,122 @@
+"""Blue Robotics Ping Sonar altimeter and echosounder on a serial line: range to what lies along its beam."""
+
+import math
+import struct
+from typing import Annotated
+
+import msgspec
+
+from autopilot.core.errors import DriverError
+from autopilot.core.samples import AltimeterSample
+from autopilot.core.toml_table import NonNegative, Positive, Table
+from autopilot.core.vehicle import Vehicle
+from autopilot.drivers import ping_protocol as wire
+from autopilot.drivers.base import Closing
+from autopilot.drivers.protocols import BytePort
+from autopilot.drivers.serial_port import SerialPort
+
+ASK_AGAIN_US = 1_000_000
+"""After so long without a range the device is set up again: it has been without power, or was not there yet."""
+LEAST_INTERVAL_MS = 30
+"""Between two pings."""
+LEAST_RANGE_M, MOST_RANGE_M = 0.3, 100.0
+"""Of the device (its data sheet)."""
+RANGE_SHARE = 0.005
+"""Resolution: 0.5 % of the range."""
+
+
+class Ping1dOptions(Table, frozen=True, kw_only=True):
+    """``[devices.altimeter]`` with ``driver = "ping1d"``."""
+
+    port: str
+    """Serial device, e.g. /dev/ttyUSB0 (a name under /dev/serial/by-id stays the same when cables move)."""
+    baud: Annotated[int, msgspec.Meta(gt=0)] = 115200
+    speed_of_sound_m_s: Annotated[float, msgspec.Meta(ge=1300.0, le=1700.0)] = 1482.0
+    """Of the water: 1482 fresh at 20 degC, about 1500 in the sea."""
+    least_confidence: Annotated[float, msgspec.Meta(ge=0.0, le=1.0)] = 0.7
+    """An echo of which the device is less sure is none."""
+    most_range_m: Positive = MOST_RANGE_M
+    """What lies farther is not looked for."""
+    sigma_m: NonNegative = 0.01
+    """Standard deviation close by; 0.5 % of the range comes on top."""
+
+
+class Ping1d(Closing):
+    """A :class:`autopilot.drivers.protocols.Sensor`."""
+
+    Options = Ping1dOptions
+
+    def __init__(self, vehicle: Vehicle, options: Ping1dOptions, *, port: BytePort | None = None) -> None:
+        """At the rate of the vehicle file's ``[altimeter]``."""
+        self._port: BytePort = SerialPort(options.port, options.baud) if port is None else port
+        self._options = options
+        self._latency_us = round(1e6 * vehicle.altimeter.latency_s)
+        self._interval_ms = max(LEAST_INTERVAL_MS, round(1e3 / vehicle.altimeter.rate_hz))
+        self._parser = wire.PingParser()
+        self._asked_us: int | None = None
+        self._last_us = -(1 << 62)
+        self.bad_samples = 0
+        """Ranges that the device cannot measure."""
+        self.weak = 0
+        """Echoes of which it was not sure enough."""
+
+    @property
+    def bad_frames(self) -> int:
+        """Frames dropped for their length or checksum."""
+        return self._parser.bad_frames
+
+    def open(self) -> None:
+        """Open the line and set the device up."""
+        self._port.open()
+        self._parser, self._asked_us = wire.PingParser(), None
+        self._configure()
+
+    def close(self) -> None:
+        """Close the line; the device goes on sending to nobody."""
+        self._port.close()
+
+    def poll(self, t_us: int) -> list[AltimeterSample]:
+        """What has arrived. DriverError when the line is gone."""
+        samples, heard = [], False
+        for arrival_us, data in self._port.read(t_us):
+            for frame in self._parser.feed(data):
+                if frame.message == wire.DISTANCE_SIMPLE:
+                    heard = True
+                    sample = self._sample(arrival_us, wire.decode_distance(frame.payload))
+                    samples += [] if sample is None else [sample]
+        if getattr(self._port, "lost", False):
+            raise DriverError("serial line gone, check the cable")
+        if heard or self._asked_us is None:
+            self._asked_us = t_us
+        elif t_us - self._asked_us >= ASK_AGAIN_US:
+            self._asked_us = t_us
+            self._configure()
+        return samples
+
+    def _configure(self) -> None:
+        options = self._options
+        most_mm = round(1e3 * min(options.most_range_m, MOST_RANGE_M))
+        automatic = options.most_range_m >= MOST_RANGE_M
+        speed_mm_s = round(1e3 * options.speed_of_sound_m_s)
+        self._port.write(wire.encode(wire.SET_SPEED_OF_SOUND, struct.pack("<I", speed_mm_s)))
+        self._port.write(wire.encode(wire.SET_MODE_AUTO, bytes([automatic])))
+        if not automatic:
+            self._port.write(wire.encode(wire.SET_RANGE, struct.pack("<II", 0, most_mm)))
+        self._port.write(wire.encode(wire.SET_PING_INTERVAL, struct.pack("<H", self._interval_ms)))
+        self._port.write(wire.encode(wire.CONTINUOUS_START, struct.pack("<H", wire.DISTANCE_SIMPLE)))
+
+    def _sample(self, arrival_us: int, distance: wire.Distance | None) -> AltimeterSample | None:
+        taken_us = arrival_us - self._latency_us
+        if distance is not None and distance.confidence < self._options.least_confidence:
+            self.weak += 1
+            return None
+        if distance is None or not LEAST_RANGE_M <= distance.range_m <= MOST_RANGE_M or taken_us <= self._last_us:
+            self.bad_samples += 1
+            return None
+        self._last_us = taken_us
+        return AltimeterSample(
+            t_us=taken_us,
+            range_m=distance.range_m,
+            sigma_m=math.hypot(self._options.sigma_m, RANGE_SHARE * distance.range_m),
+            confidence=distance.confidence,
+        )

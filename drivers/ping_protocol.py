@@ -1,0 +1,100 @@
+"""Ping Protocol of Blue Robotics' echosounders: frames in and out. https://docs.bluerobotics.com/ping-protocol/
+
+A frame is ``BR``, length of the payload (u16), number of the message (u16), sender and receiver (u8), payload, and the
+sum of all bytes before it (u16); little endian.
+"""
+
+import struct
+from dataclasses import dataclass
+
+NACK, GENERAL_REQUEST = 2, 6
+SET_RANGE, SET_SPEED_OF_SOUND, SET_MODE_AUTO, SET_PING_INTERVAL = 1001, 1002, 1003, 1004
+DISTANCE_SIMPLE = 1211
+CONTINUOUS_START = 1400
+"""Message numbers of the Ping1D."""
+
+START = b"BR"
+HEADER = struct.Struct("<2sHHBB")
+CHECKSUM_BYTES = 2
+MAX_PAYLOAD = 4096
+"""The longest message (a profile) has 200 points and some numbers."""
+_SIMPLE = struct.Struct("<IB")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PingFrame:
+    """One message."""
+
+    message: int
+    payload: bytes
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Distance:
+    """DISTANCE_SIMPLE."""
+
+    range_m: float
+    confidence: float
+    """0..1"""
+
+
+def encode(message: int, payload: bytes = b"", *, sender: int = 0, receiver: int = 0) -> bytes:
+    """The bytes of a message."""
+    frame = HEADER.pack(START, len(payload), message, sender, receiver) + payload
+    return frame + (sum(frame) & 0xFFFF).to_bytes(CHECKSUM_BYTES, "little")
+
+
+def encode_distance(distance: Distance) -> bytes:
+    """As the device sends it."""
+    return encode(
+        DISTANCE_SIMPLE, _SIMPLE.pack(round(1e3 * distance.range_m), round(100.0 * distance.confidence)), sender=1
+    )
+
+
+def decode_distance(payload: bytes) -> Distance | None:
+    """None = these are not its bytes."""
+    if len(payload) != _SIMPLE.size:
+        return None
+    range_mm, percent = _SIMPLE.unpack(payload)
+    return Distance(range_m=1e-3 * range_mm, confidence=0.01 * percent) if percent <= 100 else None
+
+
+class PingParser:
+    """Bytes in, frames out, however the bytes are cut. Never raises; the counters say what was thrown away."""
+
+    def __init__(self) -> None:
+        self._buffer = bytearray()
+        self.skipped = 0
+        """Bytes outside of any good frame."""
+        self.bad_frames = 0
+        """Frames with a wrong length or checksum."""
+
+    def feed(self, data: bytes) -> list[PingFrame]:
+        """The frames that are complete now, oldest first."""
+        self._buffer += data
+        buffer, frames, at = self._buffer, [], 0
+        while True:
+            start = buffer.find(START, at)
+            if start < 0:
+                keep = 1 if buffer[-1:] == START[:1] and len(buffer) > at else 0
+                self.skipped += len(buffer) - at - keep
+                at = len(buffer) - keep
+                break
+            self.skipped += start - at
+            at = start
+            if len(buffer) < at + HEADER.size:
+                break
+            _, length, message, _, _ = HEADER.unpack_from(buffer, at)
+            sum_at = at + HEADER.size + length
+            if length <= MAX_PAYLOAD and len(buffer) < sum_at + CHECKSUM_BYTES:
+                break
+            told = int.from_bytes(buffer[sum_at : sum_at + CHECKSUM_BYTES], "little")
+            if length > MAX_PAYLOAD or told != sum(buffer[at:sum_at]) & 0xFFFF:
+                self.bad_frames += 1
+                self.skipped += len(START)
+                at += len(START)  # not the whole frame: the length itself may be what is damaged
+                continue
+            frames.append(PingFrame(message=message, payload=bytes(buffer[at + HEADER.size : sum_at])))
+            at = sum_at + CHECKSUM_BYTES
+        del buffer[:at]
+        return frames
