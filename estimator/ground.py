@@ -18,15 +18,9 @@ from autopilot.estimator.states import NX, SheetStates
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class SheetTies:
+class SheetTies(Measurement):
     """How the sheets of one picture lie to each other: rows of unit variance and more, functions of offsets alone."""
 
-    sensor: str
-    t_us: int
-    z: FloatArray
-    """(m,)"""
-    noise: FloatArray
-    """(m, m)"""
     ground: Ground
 
     def predicted(self, x: FloatArray, moment: Moment, after_s: float) -> FloatArray:
@@ -36,11 +30,6 @@ class SheetTies:
     def jacobian(self, x: FloatArray, moment: Moment, after_s: float) -> FloatArray:
         """Nothing."""
         return np.zeros((len(self.z), NX))
-
-    def residual(self, z: FloatArray, predicted: FloatArray) -> FloatArray:
-        """z - h"""
-        y: FloatArray = z - predicted
-        return y
 
 
 _GROUNDED = (PoseFix, SheetTies)

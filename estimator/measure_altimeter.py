@@ -15,7 +15,7 @@ from autopilot.core.vehicle import Vehicle
 from autopilot.estimator.aiding import ScalarAid
 from autopilot.estimator.history import Node
 from autopilot.estimator.inertial import Inertial, down_of
-from autopilot.estimator.measurement import Moment
+from autopilot.estimator.measurement import Measurement, Moment
 from autopilot.estimator.states import DOWN, NX, VEL_DOWN
 
 MIN_SIGMA_M, SIGMA_SHARE = 0.03, 0.02
@@ -30,15 +30,9 @@ STEEPEST = 0.5
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class AltimeterRange:
-    """z = range of the first echo [m]."""
+class AltimeterRange(Measurement):
+    """z = (1,) range of the first echo [m]."""
 
-    sensor: str
-    t_us: int
-    z: FloatArray
-    """(1,)"""
-    noise: FloatArray
-    """(1, 1)"""
     floor_depth_m: float
     mount_frd_m: tuple[float, float, float]
     beam_frd: tuple[float, float, float]
@@ -58,11 +52,6 @@ class AltimeterRange:
         jac[0, DOWN] = -1.0 / cosine
         jac[0, VEL_DOWN] = -after_s / cosine
         return jac
-
-    def residual(self, z: FloatArray, predicted: FloatArray) -> FloatArray:
-        """z - h"""
-        y: FloatArray = z - predicted
-        return y
 
     def _cosine(self, inertial: Inertial) -> float:
         off_rad = math.acos(max(-1.0, min(1.0, down_of(inertial, self.beam_frd)))) - self.half_beam_rad

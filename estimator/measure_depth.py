@@ -10,7 +10,7 @@ from autopilot.core.samples import DepthSample
 from autopilot.core.vehicle import Vehicle
 from autopilot.estimator.aiding import ScalarAid
 from autopilot.estimator.inertial import down_of
-from autopilot.estimator.measurement import Moment
+from autopilot.estimator.measurement import Measurement, Moment
 from autopilot.estimator.states import DEPTH_OFFSET, DOWN, NX, VEL_DOWN, one
 
 MIN_SIGMA_M = 0.003
@@ -21,15 +21,9 @@ DEEPEST_M, HIGHEST_M = 12_000.0, -10.0
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class Depth:
-    """z = depth that the sensor shows [m]."""
+class Depth(Measurement):
+    """z = (1,) depth that the sensor shows [m]."""
 
-    sensor: str
-    t_us: int
-    z: FloatArray
-    """(1,)"""
-    noise: FloatArray
-    """(1, 1)"""
     mount_frd_m: tuple[float, float, float]
     """Where the sensor sits."""
 
@@ -45,11 +39,6 @@ class Depth:
         jac[0, DOWN] = jac[0, DEPTH_OFFSET] = 1.0
         jac[0, VEL_DOWN] = after_s
         return jac
-
-    def residual(self, z: FloatArray, predicted: FloatArray) -> FloatArray:
-        """z - h"""
-        y: FloatArray = z - predicted
-        return y
 
 
 def depth_from_sample(sample: DepthSample, mount_frd_m: tuple[float, float, float]) -> Depth | None:

@@ -7,7 +7,7 @@ import numpy as np
 from autopilot.core.frames import FloatArray, wrap_pi
 from autopilot.estimator.aiding import ScalarAid
 from autopilot.estimator.inertial import Inertial
-from autopilot.estimator.measurement import Moment
+from autopilot.estimator.measurement import Measurement, Moment
 from autopilot.estimator.states import HEADING_OFFSET, NX, YAW, one
 
 HEADING_EVERY = 20
@@ -23,15 +23,8 @@ _NOISE.flags.writeable = False
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class Heading:
-    """z = yaw of the AHRS [rad], at the very moment of its sample."""
-
-    sensor: str
-    t_us: int
-    z: FloatArray
-    """(1,)"""
-    noise: FloatArray
-    """(1, 1)"""
+class Heading(Measurement):
+    """z = (1,) yaw of the AHRS [rad], at the very moment of its sample."""
 
     def predicted(self, x: FloatArray, moment: Moment, after_s: float) -> FloatArray:
         """True heading plus offset."""

@@ -10,7 +10,7 @@ from autopilot.core.samples import LaserSample, MarkerSighting
 from autopilot.core.vehicle import Laser, Vehicle
 from autopilot.estimator.aiding import ScalarAid
 from autopilot.estimator.inertial import Inertial, down_of
-from autopilot.estimator.measurement import Moment
+from autopilot.estimator.measurement import Measurement, Moment
 from autopilot.estimator.pictures import Pictures
 from autopilot.estimator.states import DOWN, LASER_BIAS, NX, VEL_DOWN, one
 
@@ -25,15 +25,9 @@ NO_LASER = Laser(position_frd_m=(0.0, 0.0, 0.0))
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class LaserRange:
-    """z = range from the laser to a level floor [m]."""
+class LaserRange(Measurement):
+    """z = (1,) range from the laser to a level floor [m]."""
 
-    sensor: str
-    t_us: int
-    z: FloatArray
-    """(1,)"""
-    noise: FloatArray
-    """(1, 1)"""
     floor_depth_m: float
     mount_frd_m: tuple[float, float, float]
     """Where the beam starts."""
@@ -58,11 +52,6 @@ class LaserRange:
         jac[0, VEL_DOWN] = -after_s / cosine
         jac[0, LASER_BIAS] = 1.0
         return jac
-
-    def residual(self, z: FloatArray, predicted: FloatArray) -> FloatArray:
-        """z - h"""
-        y: FloatArray = z - predicted
-        return y
 
 
 def range_from_sample(

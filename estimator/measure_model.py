@@ -25,7 +25,7 @@ from autopilot.core.model4 import ABS_SMOOTHING_M2_S2, Model4, body_acceleration
 from autopilot.core.vehicle import Vehicle
 from autopilot.estimator.aiding import ScalarAid
 from autopilot.estimator.inertial import Inertial
-from autopilot.estimator.measurement import Moment
+from autopilot.estimator.measurement import Measurement, Moment
 from autopilot.estimator.options import EstimatorOptions
 from autopilot.estimator.states import (
     ACCEL_BIAS,
@@ -58,15 +58,9 @@ SIGMA_M_S2 = 0.06
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class ModelAcceleration:
-    """z = acceleration of the AHRS in the level frame, forward, right (and down) [m/s^2], at its sample's moment."""
+class ModelAcceleration(Measurement):
+    """z = (2,) or (3,) acceleration of the AHRS in the level frame, forward, right (and down) [m/s^2]."""
 
-    sensor: str
-    t_us: int
-    z: FloatArray
-    """(2,) or, with the vertical, (3,)"""
-    noise: FloatArray
-    """(2, 2) or (3, 3)"""
     vehicle: "VehicleAcceleration"
 
     def predicted(self, x: FloatArray, moment: Moment, after_s: float) -> FloatArray:
@@ -79,11 +73,6 @@ class ModelAcceleration:
     def jacobian(self, x: FloatArray, moment: Moment, after_s: float) -> FloatArray:
         """Rows forward, right (and down)."""
         return self.vehicle.jacobian(x, moment)[: len(self.z)].copy()
-
-    def residual(self, z: FloatArray, predicted: FloatArray) -> FloatArray:
-        """z - h"""
-        y: FloatArray = z - predicted
-        return y
 
 
 _INPUTS = struct.Struct("9d")

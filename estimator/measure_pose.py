@@ -60,15 +60,9 @@ class Stray(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class PoseFix:
-    """Pose of the centre of gravity: z = (north, east, down [m], yaw [rad])."""
+class PoseFix(Measurement):
+    """Pose of the centre of gravity: z = (4,) (north, east, down [m], yaw [rad])."""
 
-    sensor: str
-    t_us: int
-    z: FloatArray
-    """(4,)"""
-    noise: FloatArray
-    """(4, 4)"""
     tilt_rad: tuple[float, float] | None = None
     """Roll and pitch that the same image shows."""
     sigma_tilt_rad: float = 0.0

@@ -9,7 +9,7 @@ from autopilot.core.samples import VelocityLock, VelocitySample
 from autopilot.core.vehicle import Vehicle
 from autopilot.estimator.aiding import ScalarAid
 from autopilot.estimator.inertial import Inertial, cross
-from autopilot.estimator.measurement import Moment
+from autopilot.estimator.measurement import Measurement, Moment
 from autopilot.estimator.states import (
     ACCEL_BIAS,
     BIAS_AHEAD,
@@ -34,15 +34,9 @@ SCALE_ERROR = 0.005
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class BodyVelocity:
-    """z = velocity of the sensor [m/s], FRD."""
+class BodyVelocity(Measurement):
+    """z = (3,) velocity of the sensor [m/s], FRD."""
 
-    sensor: str
-    t_us: int
-    z: FloatArray
-    """(3,)"""
-    noise: FloatArray
-    """(3, 3)"""
     lock: VelocityLock
     mount_frd_m: tuple[float, float, float]
     """Where the sensor sits: it moves when the body turns."""
@@ -72,11 +66,6 @@ class BodyVelocity:
         jac[:, GYRO_BIAS] -= cross(frd_from_level[:, 2].tolist(), self.mount_frd_m)
         jac[:, ACCEL_BIAS] = -after_s * frd_from_level
         return jac
-
-    def residual(self, z: FloatArray, predicted: FloatArray) -> FloatArray:
-        """z - h"""
-        y: FloatArray = z - predicted
-        return y
 
     def _level(
         self, x: FloatArray, moment: Moment, after_s: float, direction: tuple[float, float] | None = None

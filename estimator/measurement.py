@@ -1,6 +1,8 @@
 """What every measurement model has in common. One file per kind of measurement: ``measure_*.py``."""
 
-from typing import NamedTuple, Protocol
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
+from typing import NamedTuple
 
 from autopilot.core.frames import FloatArray
 from autopilot.estimator.inertial import Inertial
@@ -26,37 +28,32 @@ class Moment(NamedTuple):
     """Acting force: the command behind the drive's lag."""
 
 
-class Measurement(Protocol):
-    """A vector z = h(x) + noise. ``after_s`` (0 to about 10 ms) is how long after the moment it was taken."""
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class Measurement(ABC):
+    """A vector z = h(x) + noise of m numbers.
 
-    @property
-    def sensor(self) -> str:
-        """Topic-safe name."""
-        ...
+    ``after_s`` (0 to about 10 ms) is how long after the moment it was taken."""
 
-    @property
-    def t_us(self) -> int:
-        """Time of validity."""
-        ...
+    sensor: str
+    """Topic-safe name."""
+    t_us: int
+    """Time of validity."""
+    z: FloatArray
+    """(m,)"""
+    noise: FloatArray
+    """(m, m) covariance."""
 
-    @property
-    def z(self) -> FloatArray:
-        """(m,)"""
-        ...
-
-    @property
-    def noise(self) -> FloatArray:
-        """(m, m) covariance."""
-        ...
-
+    @abstractmethod
     def predicted(self, x: FloatArray, moment: Moment, after_s: float) -> FloatArray:
         """h(x), (m,)"""
         ...
 
+    @abstractmethod
     def jacobian(self, x: FloatArray, moment: Moment, after_s: float) -> FloatArray:
-        """dh/dx, (m, 20)"""
+        """dh/dx, (m, 21)"""
         ...
 
     def residual(self, z: FloatArray, predicted: FloatArray) -> FloatArray:
         """z - h(x) (m,), angles wrapped."""
-        ...
+        y: FloatArray = z - predicted
+        return y
