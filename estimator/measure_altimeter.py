@@ -9,14 +9,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from autopilot.core.frames import FloatArray
 from autopilot.core.samples import AltimeterSample
 from autopilot.core.vehicle import Vehicle
 from autopilot.estimator.aiding import ScalarAid
 from autopilot.estimator.history import Node
 from autopilot.estimator.inertial import Inertial, down_of
-from autopilot.estimator.measurement import Measurement, Moment
-from autopilot.estimator.states import DOWN, NX, VEL_DOWN
+from autopilot.estimator.measure_range import LEAST_COSINE, FloorRange, unit
+from autopilot.estimator.states import DOWN
 
 MIN_SIGMA_M, SIGMA_SHARE = 0.03, 0.02
 """Least standard deviation: what lies on the floor, and the share of the range that a speed of sound is wrong by."""
@@ -30,32 +29,15 @@ STEEPEST = 0.5
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class AltimeterRange(Measurement):
-    """z = (1,) range of the first echo [m]."""
+class AltimeterRange(FloorRange):
+    """Range of the first echo; the beam is its axis."""
 
-    floor_depth_m: float
-    mount_frd_m: tuple[float, float, float]
-    beam_frd: tuple[float, float, float]
-    """Axis of the beam, of length 1."""
     half_beam_rad: float
 
-    def predicted(self, x: FloatArray, moment: Moment, after_s: float) -> FloatArray:
-        """(floor - depth of the sensor) / cosine of what the beam's edge is off the vertical."""
-        below = down_of(moment.inertial, self.mount_frd_m)
-        height_m = self.floor_depth_m - x.item(DOWN) - after_s * x.item(VEL_DOWN) - below
-        return np.array([height_m / self._cosine(moment.inertial)])
-
-    def jacobian(self, x: FloatArray, moment: Moment, after_s: float) -> FloatArray:
-        """d/d depth and heave speed."""
-        cosine = self._cosine(moment.inertial)
-        jac = np.zeros((1, NX))
-        jac[0, DOWN] = -1.0 / cosine
-        jac[0, VEL_DOWN] = -after_s / cosine
-        return jac
-
-    def _cosine(self, inertial: Inertial) -> float:
+    def cosine(self, inertial: Inertial) -> float:
+        """Of what the beam's edge is off the vertical."""
         off_rad = math.acos(max(-1.0, min(1.0, down_of(inertial, self.beam_frd)))) - self.half_beam_rad
-        return max(math.cos(max(0.0, off_rad)), 0.2)
+        return max(math.cos(max(0.0, off_rad)), LEAST_COSINE)
 
 
 class AltimeterAid(ScalarAid[AltimeterSample]):
@@ -69,9 +51,7 @@ class AltimeterAid(ScalarAid[AltimeterSample]):
         super().__init__(mount.time_offset_s)
         self._floor_depth_m = floor_depth_m
         self._mount_frd_m = mount.position_frd_m
-        x, y, z = mount.direction_frd
-        length = math.sqrt(x * x + y * y + z * z)
-        self._beam_frd = (x / length, y / length, z / length)
+        self._beam_frd = unit(mount.direction_frd)
         self._half_beam_rad = 0.5 * mount.beam_width_rad
 
     def wanted(self, sample: AltimeterSample, node: Node) -> bool:

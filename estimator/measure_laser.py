@@ -10,9 +10,10 @@ from autopilot.core.samples import LaserSample, MarkerSighting
 from autopilot.core.vehicle import Laser, Vehicle
 from autopilot.estimator.aiding import ScalarAid
 from autopilot.estimator.inertial import Inertial, down_of
-from autopilot.estimator.measurement import Measurement, Moment
+from autopilot.estimator.measure_range import LEAST_COSINE, FloorRange, unit
+from autopilot.estimator.measurement import Moment
 from autopilot.estimator.pictures import Pictures
-from autopilot.estimator.states import DOWN, LASER_BIAS, NX, VEL_DOWN, one
+from autopilot.estimator.states import LASER_BIAS, one
 
 MIN_SIGMA_M = 0.005
 """Floor of the range noise: waves of the floor, calibration."""
@@ -25,31 +26,23 @@ NO_LASER = Laser(position_frd_m=(0.0, 0.0, 0.0))
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class LaserRange(Measurement):
-    """z = (1,) range from the laser to a level floor [m]."""
+class LaserRange(FloorRange):
+    """Range along the beam, plus a bias that is a state of its own."""
 
-    floor_depth_m: float
-    mount_frd_m: tuple[float, float, float]
-    """Where the beam starts."""
     beam_frd: tuple[float, float, float] = (0.0, 0.0, 1.0)
-    """Where it goes, of length 1."""
 
-    def _cosine(self, inertial: Inertial) -> float:
+    def cosine(self, inertial: Inertial) -> float:
         """Between the beam and the vertical."""
-        return max(down_of(inertial, self.beam_frd), 0.2)
+        return max(down_of(inertial, self.beam_frd), LEAST_COSINE)
 
     def predicted(self, x: FloatArray, moment: Moment, after_s: float) -> FloatArray:
-        """(floor - depth of the laser) / cosine of the tilt, plus bias."""
-        below, cosine = down_of(moment.inertial, self.mount_frd_m), self._cosine(moment.inertial)
-        down, speed, bias = x.item(DOWN), x.item(VEL_DOWN), x.item(LASER_BIAS)
-        return np.array([(self.floor_depth_m - down - after_s * speed - below) / cosine + bias])
+        """The range and the bias."""
+        # Not super(): a dataclass with slots is another class than the one that its methods were written in.
+        return FloorRange.predicted(self, x, moment, after_s) + x.item(LASER_BIAS)
 
     def jacobian(self, x: FloatArray, moment: Moment, after_s: float) -> FloatArray:
         """d/d depth, heave speed and bias."""
-        cosine = self._cosine(moment.inertial)
-        jac = np.zeros((1, NX))
-        jac[0, DOWN] = -1.0 / cosine
-        jac[0, VEL_DOWN] = -after_s / cosine
+        jac = FloorRange.jacobian(self, x, moment, after_s)
         jac[0, LASER_BIAS] = 1.0
         return jac
 
@@ -90,9 +83,7 @@ class LaserAid(ScalarAid[LaserSample | MarkerSighting]):
         self._pictures, self._floor_depth_m = pictures, floor_depth_m
         laser = vehicle.laser or NO_LASER
         self._mount_frd_m = laser.position_frd_m
-        bx, by, bz = laser.direction_frd
-        length = math.sqrt(bx * bx + by * by + bz * bz)
-        self._beam_frd = (bx / length, by / length, bz / length)
+        self._beam_frd = unit(laser.direction_frd)
 
     @property
     def offset_us(self) -> int:
