@@ -163,7 +163,11 @@ class Engine:
             tracked=ground_us is not None and t_us - ground_us <= TRACKED_US,
             doubted=bool(doubts) and not self._harmless(doubts, t_us),
         )
-        more = sum((watch.unexplained_variance(t_us, newest) for watch in self._monitors), start=NOTHING)
+        more = NOTHING
+        for watch in self._monitors:
+            found = watch.unexplained_variance(t_us, newest)
+            if found is not NOTHING:
+                more = more + found
         return nav_state(core, newest, t_us, health, self._fusion.resets, more, doubts)
 
     def _harmless(self, doubts: frozenset[NavDoubt], t_us: int) -> bool:

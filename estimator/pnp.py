@@ -122,14 +122,13 @@ def solve_pose(
         linear = None
     else:
         return None
-    rms = _rms(left)
+    rms = rms_of(left)
     if not rms <= max_rms_px or (few and math.acos(min(1.0, float(rotation[2] @ up_prior))) > LEAN_MAX_RAD):
         return None
     scale = corner_scale((left / expected)[keep])
     information, _ = _with_priors(seen, toward, scale, rotation, up_prior, tilt, 0.0)
     covariance: FloatArray = INFLATION * np.asarray(np.linalg.inv(information), dtype=np.float64)
-    noise = covariance[_POSE]
-    noise[_DIAGONAL] += _FLOOR
+    noise = floored(covariance[_POSE])
     sigma_tilt_rad = float(np.sqrt(max(covariance[3, 3], covariance[4, 4])))
     return Pose(pos, rpy_from_r(rotation), noise, sigma_tilt_rad, left.reshape(-1, 2), rms)
 
@@ -137,6 +136,12 @@ def solve_pose(
 _POSE = np.ix_([0, 1, 2, 5], [0, 1, 2, 5])
 _DIAGONAL = np.arange(4), np.arange(4)
 _FLOOR = np.array([MIN_SIGMA_POS_M] * 3 + [MIN_SIGMA_YAW_RAD]) ** 2
+
+
+def floored(noise: FloatArray) -> FloatArray:
+    """The covariance (4, 4) of a pose, changed in place: never better than what stays alike from frame to frame."""
+    noise[_DIAGONAL] += _FLOOR
+    return noise
 
 
 def inward_of(pixels: FloatArray) -> FloatArray:
@@ -205,21 +210,31 @@ def _with_priors(
     tilt: float,
     shrink_off_px: float,
 ) -> tuple[FloatArray, FloatArray]:
-    """Information (7, 7) and gradient (7,) of pixels whose errors are ``scale`` times what is expected, of the tilt
-    prior (information ``tilt``) and of the shrink prior."""
+    """Information (7, 7) and gradient (7,) of pixels whose errors are ``scale`` times what is expected, and of
+    :func:`add_priors`."""
     information, gradient = seen / (scale * scale), toward / (scale * scale)
-    # The prior's vertical, seen through this rotation, leans off the vertical: turning by (-lean_e, lean_n) rights it.
-    lean = rotation @ up_prior
-    information[3, 3] += tilt
-    information[4, 4] += tilt
-    gradient[3] += tilt * float(lean[1])
-    gradient[4] -= tilt * float(lean[0])
-    information[6, 6] += SHRINK_SIGMA_PX**-2
-    gradient[6] += SHRINK_SIGMA_PX**-2 * shrink_off_px
+    add_priors(information, gradient, rotation @ up_prior, tilt, shrink_off_px)
     return information, gradient
 
 
-def _rms(residual: FloatArray) -> float:
+def add_priors(
+    information: FloatArray | None, gradient: FloatArray, lean: FloatArray, tilt: float, shrink_off_px: float
+) -> None:
+    """Priors of the tilt, of information ``tilt``, and of the blur, on top of what pixels say; changed in place.
+
+    ``lean`` (3,): the tilt prior's vertical seen through the rotation. Where it leans off the vertical, turning by
+    (-lean_e, lean_n) rights it."""
+    if information is not None:
+        information[3, 3] += tilt
+        information[4, 4] += tilt
+        information[6, 6] += SHRINK_SIGMA_PX**-2
+    gradient[3] += tilt * float(lean[1])
+    gradient[4] -= tilt * float(lean[0])
+    gradient[6] += SHRINK_SIGMA_PX**-2 * shrink_off_px
+
+
+def rms_of(residual: FloatArray) -> float:
+    """Root mean square."""
     return math.sqrt(float(residual @ residual) / len(residual))
 
 

@@ -15,22 +15,23 @@ from autopilot.core.camera import CameraModel
 from autopilot.core.frames import FloatArray, r_ned_from_frd, rpy_from_r
 from autopilot.core.map_errors import STATES
 from autopilot.core.markers import IntArray
-from autopilot.estimator.measure_pose import MIN_SIGMA_POS_M, MIN_SIGMA_YAW_RAD
 from autopilot.estimator.pnp import (
     CONVERGED,
     MIN_SCALE,
     PRIOR_COUNT,
     SHRINK_PX,
-    SHRINK_SIGMA_PX,
     STEPS,
+    add_priors,
     corners_that_fit,
     expected_px,
+    floored,
     inward_of,
     linearise_corners,
+    rms_of,
     turn_matrix,
 )
 
-TILT_SIGMA_RAD = 0.009
+TILT_INFORMATION = 0.009**-2
 """0.5 degrees: the AHRS's tilt as a prior, however many markers are seen."""
 TIE_FLOOR = (2e-4, 2e-4, 2e-4, 3e-4)
 """m, rad: what one picture says of a sheet among others is never taken as better. Tilt and lens are off in the same way
@@ -149,7 +150,7 @@ def fit_on_sheets(
             left = residual
         weighted = jac.T * (_weights(camera, seen, left, expected, keep, pos, points, 7 + size) * keep)
         information, gradient = weighted @ jac, weighted @ residual
-        _add_priors(information, gradient, rotation, up_prior, shrink)
+        add_priors(information, gradient, rotation @ up_prior, TILT_INFORMATION, SHRINK_PX - shrink)
         full, toward = information.copy(), gradient
         full[7:, 7:] += prior
         toward[7:] += prior @ (believed - offset)
@@ -170,11 +171,11 @@ def fit_on_sheets(
         linear = None
     else:
         return None
-    rms = math.sqrt(float(left @ left) / len(left))
+    rms = rms_of(left)
     if not rms <= max_rms_px:
         return None
     gradient = weighted @ left
-    _add_priors(None, gradient, rotation, up_prior, shrink)
+    add_priors(None, gradient, rotation @ up_prior, TILT_INFORMATION, SHRINK_PX - shrink)
     posterior: FloatArray = np.asarray(np.linalg.inv(full), dtype=np.float64)
     return _pieces(information, gradient, posterior, pos, rotation, offset, (believed, covariance), left, rms, jac)
 
@@ -256,21 +257,6 @@ def scatter(residual: FloatArray, keep: FloatArray, print_sigma: FloatArray, unk
     return math.sqrt(corner2), max(share, 0.0)
 
 
-def _add_priors(
-    information: FloatArray | None, gradient: FloatArray, rotation: FloatArray, up_prior: FloatArray, shrink: float
-) -> None:
-    """Tilt prior and shrink prior on top of what the pixels say; the belief of the offsets is not among them."""
-    lean = rotation @ up_prior
-    tilt = TILT_SIGMA_RAD**-2
-    if information is not None:
-        information[3, 3] += tilt
-        information[4, 4] += tilt
-        information[6, 6] += SHRINK_SIGMA_PX**-2
-    gradient[3] += tilt * float(lean[1])
-    gradient[4] -= tilt * float(lean[0])
-    gradient[6] += SHRINK_SIGMA_PX**-2 * (SHRINK_PX - shrink)
-
-
 def _pieces(
     information: FloatArray,
     gradient: FloatArray,
@@ -297,7 +283,7 @@ def _pieces(
     z = np.append(pos, rpy[2]) + noise @ toward[:4]
     alone = less[4:, 4:] - less[4:, :4] @ by_offsets
     alone_toward = toward[4:] - by_offsets.T @ toward[:4]
-    noise[_DIAGONAL] += _FLOOR
+    floored(noise)
     believed, covariance = belief
     off = (offset - believed).reshape(-1, STATES)
     blocks = covariance.reshape(-1, STATES, len(off), STATES)[range(len(off)), :, range(len(off))]
@@ -319,5 +305,3 @@ def _pieces(
 
 
 _NUISANCE = np.ix_(NUISANCE, NUISANCE)
-_DIAGONAL = np.arange(4), np.arange(4)
-_FLOOR = np.array([MIN_SIGMA_POS_M] * 3 + [MIN_SIGMA_YAW_RAD]) ** 2

@@ -54,7 +54,10 @@ class Sources:
     @property
     def newest_fix_us(self) -> int | None:
         """Time of validity of the newest fix that has been used, None before the first."""
-        return max((aid.last_fused_us for aid in self.fixes if aid.last_fused_us is not None), default=None)
+        markers_us, external_us = self.markers.last_fused_us, self.external.last_fused_us
+        if markers_us is None or external_us is None:
+            return external_us if markers_us is None else markers_us
+        return max(markers_us, external_us)
 
     def fix_age_us(self, t_us: int) -> int:
         """How long ago, at ``t_us``, the newest fix was that has been used. There is one since the start."""
