@@ -16,9 +16,12 @@ CONTINUOUS_START = 1400
 START = b"BR"
 HEADER = struct.Struct("<2sHHBB")
 CHECKSUM_BYTES = 2
-MAX_PAYLOAD = 4096
+MAX_PAYLOAD = 512
 """The longest message (a profile) has 200 points and some numbers."""
 _SIMPLE = struct.Struct("<IB")
+LENGTHS = {DISTANCE_SIMPLE: _SIMPLE.size}
+"""Of payloads that are always as long. A damaged length is told at once by that: waited for, it would hold up the
+frames of seconds, which would be stamped too late."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -86,10 +89,11 @@ class PingParser:
                 break
             _, length, message, _, _ = HEADER.unpack_from(buffer, at)
             sum_at = at + HEADER.size + length
-            if length <= MAX_PAYLOAD and len(buffer) < sum_at + CHECKSUM_BYTES:
+            impossible = length > LENGTHS.get(message, MAX_PAYLOAD) or length < LENGTHS.get(message, 0)
+            if not impossible and len(buffer) < sum_at + CHECKSUM_BYTES:
                 break
             told = int.from_bytes(buffer[sum_at : sum_at + CHECKSUM_BYTES], "little")
-            if length > MAX_PAYLOAD or told != sum(buffer[at:sum_at]) & 0xFFFF:
+            if impossible or told != sum(buffer[at:sum_at]) & 0xFFFF:
                 self.bad_frames += 1
                 self.skipped += len(START)
                 at += len(START)  # not the whole frame: the length itself may be what is damaged

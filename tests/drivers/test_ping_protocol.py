@@ -2,6 +2,7 @@
 
 import struct
 
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -10,7 +11,7 @@ from autopilot.drivers import ping_protocol as wire
 from autopilot.drivers.base import AlwaysOpen
 from autopilot.drivers.ping1d import Ping1d, Ping1dOptions
 
-frames = st.tuples(st.integers(0, 0xFFFF), st.binary(max_size=60))
+frames = st.tuples(st.integers(0, 0xFFFF).filter(lambda number: number not in wire.LENGTHS), st.binary(max_size=60))
 
 
 def test_the_bytes_are_those_of_the_documentation() -> None:
@@ -47,6 +48,18 @@ def test_a_damaged_frame_is_counted_and_the_next_one_comes_through(
     found = parser.feed(noise.replace(b"B", b"") + b"\0" * (wire.MAX_PAYLOAD + 100) + good)
     assert found[-1:] and (found[-1].message, found[-1].payload) == message
     assert parser.skipped > 0
+
+
+@pytest.mark.parametrize("bit", range(16))
+def test_a_damaged_length_holds_up_no_range_after_it(bit: int) -> None:
+    one, other = (wire.encode_distance(wire.Distance(range_m=range_m, confidence=1.0)) for range_m in (2.0, 3.0))
+    damaged = bytearray(one)
+    damaged[2 + bit // 8] ^= 1 << bit % 8
+    parser = wire.PingParser()
+    assert parser.feed(bytes(damaged)) == []
+    (frame,) = parser.feed(other)
+    assert wire.decode_distance(frame.payload) == wire.Distance(range_m=3.0, confidence=1.0)
+    assert parser.bad_frames == 1
 
 
 @given(st.floats(0.0, 100.0), st.floats(0.0, 1.0))
