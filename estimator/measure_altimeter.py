@@ -2,9 +2,13 @@
 
 Its beam is wide: the first echo comes from the floor straight below as long as that lies within the beam. Its errors
 (speed of sound, what lies on the floor) are the same from echo to echo, so that averaging does not take them away.
+
+An echo that has come back twice shows twice the range. While the depth is well known it does not pass the gate; when it
+is needed most it would, and the right ones after it would not. So an echo is held against those just before it.
 """
 
 import math
+from collections import deque
 from dataclasses import dataclass
 
 import numpy as np
@@ -24,6 +28,12 @@ KNOWN_SHARE = 0.7
 out: many echoes with one and the same error would make a sure and wrong depth."""
 MAX_RANGE_M, MAX_SIGMA_M = 200.0, 10.0
 LEAST_CONFIDENCE = 0.5
+HEARD, HEARD_MOST, HEARD_US = 5, 8, 4_000_000
+"""Echoes, of so long, that must have been heard before one is used, and that it is held against: with one in five
+coming back twice, all of them are multiples once in three thousand times."""
+TWICE_SHARE = 0.2
+"""An echo is a multiple when it lies this near to twice another one: share of its range, for noise and what the vehicle
+has climbed in between."""
 STEEPEST = 0.5
 """Cosine of the tilt of the beam from which on no echo from below is used."""
 
@@ -53,6 +63,8 @@ class AltimeterAid(ScalarAid[AltimeterSample]):
         self._mount_frd_m = mount.position_frd_m
         self._beam_frd = unit(mount.direction_frd)
         self._half_beam_rad = 0.5 * mount.beam_width_rad
+        self._heard: deque[tuple[int, float]] = deque(maxlen=HEARD_MOST)
+        """Time and range of the last echoes."""
 
     def wanted(self, sample: AltimeterSample, node: Node) -> bool:
         """See :class:`ScalarAid`."""
@@ -62,7 +74,15 @@ class AltimeterAid(ScalarAid[AltimeterSample]):
         sure_enough = sample.confidence >= LEAST_CONFIDENCE
         looks_down = down_of(node.moment.inertial, self._beam_frd) > STEEPEST
         depth_in_doubt = depth_variance > (KNOWN_SHARE * _sigma_m(sample)) ** 2
-        return floor_known and sure_enough and looks_down and depth_in_doubt
+        once = self._came_back_once(sample) if sure_enough else False
+        return floor_known and sure_enough and once and looks_down and depth_in_doubt
+
+    def _came_back_once(self, sample: AltimeterSample) -> bool:
+        """Whether it is known to be no multiple of those before it, which it joins."""
+        lately = [range_m for t_us, range_m in self._heard if 0 <= sample.t_us - t_us <= HEARD_US]
+        self._heard.append((sample.t_us, sample.range_m))
+        near_m = TWICE_SHARE * sample.range_m
+        return len(lately) >= HEARD and not any(abs(sample.range_m - 2.0 * range_m) < near_m for range_m in lately)
 
     def measured(self, sample: AltimeterSample) -> AltimeterRange | None:
         """See :class:`ScalarAid`."""

@@ -184,6 +184,24 @@ def test_an_altimeter_holds_the_depth_when_markers_are_gone_and_only_then(name: 
     assert name != "ekf" or ends[True] < 0.05
 
 
+def test_an_echo_that_came_back_twice_is_not_believed_after_a_silence_either(vehicle: Vehicle) -> None:
+    """Ten seconds with neither markers nor altimeter leave the depth open: then the first echoes are multiples."""
+    estimator = create_ekf(mounted(vehicle, altimeter=MOUNT), None, FLOOR_M)
+    end_s, heard_s = 22.0, 18.0
+
+    def extra(now: Look) -> list[Sample]:
+        count = now.t_us // 100_000
+        if now.t_us % 100_000 or 8.0 < 1e-6 * now.t_us < heard_s:
+            return []
+        return [altimeter_of(now, 2.0 if count % 5 == 0 else 1.0)]
+
+    track = run(estimator, World(no_current, Faults(vision_gap_s=(8.0, end_s))), end_s, extra)
+    before = next(nav for now, nav in track if now.t_us >= 1e6 * heard_s)
+    assert float(np.sqrt(before.variance[2])) > 0.3, "or the gate would do"
+    after = [(now, nav) for now, nav in track if now.t_us > 1e6 * (heard_s + 1.0)]
+    assert max(abs(float(nav.pos_ned_m[2] - now.pos[2])) for now, nav in after) < 0.1
+
+
 @pytest.mark.parametrize("name", ["ekf", "complementary"])
 def test_velocity_over_ground_carries_a_long_gap(name: str, vehicle: Vehicle) -> None:
     """Ten seconds blind: the drift stays below 0.1 m, the state stays usable and inside three sigma."""
