@@ -11,17 +11,15 @@ Each source is a class beside its measurement in ``measure_*.py``; :mod:`autopil
 from abc import ABC, abstractmethod
 from collections import deque
 from collections.abc import Iterator
-from typing import TYPE_CHECKING, Any, ClassVar, Generic, TypeVar
+from typing import Any, ClassVar, Generic, TypeVar
 
 import numpy as np
 
 from autopilot.core.frames import FloatArray
 from autopilot.core.messages import AidState, AidStatus, MarkerFit
 from autopilot.estimator.filter_core import Innovation
+from autopilot.estimator.history import Node
 from autopilot.estimator.measurement import Measurement
-
-if TYPE_CHECKING:
-    from autopilot.estimator.history import Node
 
 START_COUNT = 5
 """Measurements used in a row before a sensor counts as active."""
@@ -151,7 +149,7 @@ class ScalarAid(Aid, ABC, Generic[S_contra]):
         """The measurement of a sample; None = there is none in it, or none that can be used."""
         ...
 
-    def wanted(self, sample: S_contra, node: "Node") -> bool:
+    def wanted(self, sample: S_contra, node: Node) -> bool:
         """Whether a sample that belongs to ``node`` is of use now; one that is not is passed over."""
         return True
 

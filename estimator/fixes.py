@@ -59,10 +59,10 @@ class Fixes:
             self._watch(node, fix, aid, lost=health is NavHealth.INVALID)
             return
         from_camera = aid is self._sources.markers
-        counts = from_camera or not self._sources.markers_in_view(fix.t_us)  # markers know better
+        has_a_say = from_camera or not self._sources.markers_in_view(fix.t_us)  # markers know better
         known = () if node.state.sheets is None else node.state.sheets.which
         judged = self._fusion.fuse(node, fix, aid)
-        if counts:
+        if has_a_say:
             self._evidence.weigh(judged, None if judged.passes else aid.relocation.agreeing_with(fix))
         if from_camera:
             self._camera.stamps.see(fix, missed=not judged.passes or self._evidence.shows)
@@ -79,7 +79,7 @@ class Fixes:
             return
         seen = self._against_reckoning(node, fix, judged)
         aid.trust.see(fix, seen)
-        if counts:
+        if has_a_say:
             self._consider_reset(fix, aid, judged, seen)
 
     def _consider_reset(self, fix: PoseFix, aid: FixAid[Any], missed: Innovation, seen: Seen) -> None:
