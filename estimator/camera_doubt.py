@@ -16,8 +16,9 @@ from autopilot.core.messages import NavDoubt
 from autopilot.core.vehicle import Camera
 from autopilot.estimator.history import Node
 from autopilot.estimator.monitor import NOTHING, Monitor
-from autopilot.estimator.stamp_watch import LOOK_S, StampWatch
+from autopilot.estimator.stamp_watch import StampWatch
 from autopilot.estimator.states import DOWN, VEL, YAW
+from autopilot.estimator.tuned import CAMERA_DOUBT, STAMP_WATCH
 
 NO_CAMERA = Camera(
     width_px=1,
@@ -30,36 +31,6 @@ NO_CAMERA = Camera(
     latency_s=0.0,
 )
 """Stands for the camera of a vehicle that has none: no picture of it will come."""
-
-LATE_S = 0.005
-LATE_SHARE = 0.1
-"""Stamps are called late from here on, when it is known to this share of it,"""
-JUMP_SIGMAS = 3.0
-"""A jump of stamps is told from 5 ms and so many standard deviations on."""
-LATE_STILL_S = 0.0025
-"""and until what is known of them comes down to this."""
-FOCAL_SHARE, FOCAL_NAMED = 0.003, 0.01
-FOCAL_SIGMAS, FOCAL_LOOKS = 6.0, 10
-"""A focal length is corrected from the first share on, when it is so sure and after so many looks, and named from the
-second one on."""
-FOCAL_SEEMS = 3.0
-"""What is known less surely than that does not even count as error."""
-FOCAL_STEP = 0.001
-"""Smaller changes of what is known are not worth it."""
-FOCAL_PRIOR, BEND_SIGMA = 0.04, 0.004
-"""The bend shows how far focal length and distortion together are off. What is seen is divided between them by how far
-either may be off (share, one standard deviation); the height hangs on the first only."""
-ASIDE_M = 0.1
-"""A picture whose scale is wrong is off sideways by that share of this: its middle is not below the vehicle."""
-LOOK_EVERY_US = 200_000
-PATTERN_NOISE = 3.0
-"""Corner errors of one place and of one lens are alike: a picture's own standard deviation counts so many times."""
-FORGET_LOOKS = 600
-"""Looks (two minutes) after which older ones count for less."""
-LEAST_MARKERS = 6
-"""Fewer show no pattern,"""
-LEAST_POWER_PX = 1.0
-"""nor does a lens that bends all corners of a picture by less than this together."""
 
 
 def focal_look(
@@ -75,12 +46,12 @@ def focal_look(
     across, *_ = np.linalg.lstsq(jacobian, both, rcond=None)
     pattern, rest = (both - jacobian @ across).T
     power = float(pattern @ pattern)
-    if power < LEAST_POWER_PX * LEAST_POWER_PX:
+    if power < CAMERA_DOUBT.least_power_px * CAMERA_DOUBT.least_power_px:
         return None
     share = float(pattern @ rest) / power
     noise = rest - share * pattern
     sigma = math.sqrt(float(noise @ noise) / max(len(noise) - jacobian.shape[1] - 1, 1) / power)
-    return -share, PATTERN_NOISE * sigma
+    return -share, CAMERA_DOUBT.pattern_noise * sigma
 
 
 def _of_mounting(camera: Camera) -> tuple[float, float, float, float] | None:
@@ -99,7 +70,9 @@ def _of_mounting(camera: Camera) -> tuple[float, float, float, float] | None:
 class CameraWatch(Monitor):
     """Of one estimator."""
 
-    def __init__(self, camera: Camera, stamps_every_s: float = LOOK_S, floor_m: float | None = None) -> None:
+    def __init__(
+        self, camera: Camera, stamps_every_s: float = STAMP_WATCH.look_s, floor_m: float | None = None
+    ) -> None:
         """``floor_m``: depth of the floor with the markers, None = there is none."""
         super().__init__()
         self._floor_m, self._camera_down_m = floor_m, camera.position_frd_m[2]
@@ -126,7 +99,7 @@ class CameraWatch(Monitor):
         """See :class:`Monitor`: what the calibration's uncertainty is worth, so high above the markers."""
         x, yaw_rate_rad_s = newest.state.x, newest.moment.inertial.yaw_rate_rad_s
         share = math.hypot(self._found_focal_sigma or self._focal_sigma, self._focal_pending)
-        across = share * ASIDE_M
+        across = share * CAMERA_DOUBT.aside_m
         late_s = math.hypot(self.stamps.sigma_s or self._stamp_sigma_s, self.stamps.unsure_s)
         if share == late_s == 0.0 and self._mounting is None:
             return NOTHING
@@ -147,7 +120,7 @@ class CameraWatch(Monitor):
 
     def doubts(self, t_us: int, newest: Node) -> tuple[NavDoubt, ...]:
         """See :class:`Monitor`: that the calibration is wrong, as the operator has been told."""
-        still_late = self._late_told_s is not None and abs(self.stamps.late_s) >= LATE_STILL_S
+        still_late = self._late_told_s is not None and abs(self.stamps.late_s) >= CAMERA_DOUBT.late_still_s
         return (NavDoubt.CALIBRATION,) if self._focal_told or still_late else ()
 
     def look_at_stamps(self) -> bool:
@@ -155,12 +128,12 @@ class CameraWatch(Monitor):
         changed = self.stamps.look()
         late_s = self.stamps.late_s
         jumped_s, told_s = self.stamps.jumped_s, self._late_told_s
-        sure = 0.0 < self.stamps.sigma_s < LATE_SHARE * max(abs(late_s), 2.0 * LATE_S)
+        sure = 0.0 < self.stamps.sigma_s < CAMERA_DOUBT.late_share * max(abs(late_s), 2.0 * CAMERA_DOUBT.late_s)
         if jumped_s:
-            if abs(jumped_s) >= max(LATE_S, JUMP_SIGMAS * self.stamps.sigma_s):
+            if abs(jumped_s) >= max(CAMERA_DOUBT.late_s, CAMERA_DOUBT.jump_sigmas * self.stamps.sigma_s):
                 self.stamps.jumped_s, self._late_told_s = 0.0, late_s
                 self._texts.append(f"{self._name} stamps jumped {1e3 * jumped_s:+.0f} ms: check its clock")
-        elif told_s is None and abs(late_s) >= LATE_S and sure:
+        elif told_s is None and abs(late_s) >= CAMERA_DOUBT.late_s and sure:
             self._late_told_s = late_s
             what = "late" if late_s > 0.0 else "early"
             self._texts.append(f"{self._name} stamps {1e3 * abs(late_s):.0f} ms {what}: calibrate latency")
@@ -178,20 +151,20 @@ class CameraWatch(Monitor):
     def look_at_focal(self, share: float, sigma: float) -> bool:
         """One more picture's opinion of the focal length. True if :attr:`focal_share` has changed."""
         weight = sigma**-2
-        keep = 1.0 - 1.0 / FORGET_LOOKS
+        keep = 1.0 - 1.0 / CAMERA_DOUBT.forget_looks
         self._weight, self._sum = keep * self._weight + weight, keep * self._sum + weight * (self.focal_share + share)
         self._looks += 1
         mean, spread = self._sum / self._weight, self._weight**-0.5
-        prior, bend = max(self._focal_sigma, FOCAL_PRIOR) ** 2, BEND_SIGMA**2 + spread**2
+        prior, bend = max(self._focal_sigma, CAMERA_DOUBT.focal_prior) ** 2, CAMERA_DOUBT.bend_sigma**2 + spread**2
         known = mean * prior / (prior + bend)
-        self._focal_pending = known - self.focal_share if abs(mean) > FOCAL_SEEMS * spread else 0.0
-        if self._looks < FOCAL_LOOKS or abs(mean) <= FOCAL_SIGMAS * spread:
+        self._focal_pending = known - self.focal_share if abs(mean) > CAMERA_DOUBT.focal_seems * spread else 0.0
+        if self._looks < CAMERA_DOUBT.focal_looks or abs(mean) <= CAMERA_DOUBT.focal_sigmas * spread:
             return False
-        if abs(known) >= FOCAL_NAMED and not self._focal_told:
+        if abs(known) >= CAMERA_DOUBT.focal_named and not self._focal_told:
             self._focal_told = True
             what = "long" if mean > 0.0 else "short"
             self._texts.append(f"Focal length {100.0 * abs(mean):.1f} % too {what}: recalibrate camera")
-        if abs(self._focal_pending) < (FOCAL_STEP if self.focal_share else FOCAL_SHARE):
+        if abs(self._focal_pending) < (CAMERA_DOUBT.focal_step if self.focal_share else CAMERA_DOUBT.focal_share):
             return False
         self.focal_share, self._focal_pending = known, 0.0
         self._found_focal_sigma = math.sqrt(prior * bend / (prior + bend))

@@ -53,37 +53,23 @@ from autopilot.estimator.states import (
     YAW,
     FilterState,
 )
+from autopilot.estimator.tuned import COMPLEMENTARY
 
-FIX_PERIOD_S = 1.0 / 30.0
-"""The gains per fix below are the continuous ones times this."""
-K_VEL = 12.0 * FIX_PERIOD_S
+K_VEL = 12.0 * COMPLEMENTARY.fix_period_s
 """1/s^2"""
-K_BIAS = 6.0 * FIX_PERIOD_S
+K_BIAS = 6.0 * COMPLEMENTARY.fix_period_s
 """1/s^3"""
-K_GYRO_BIAS = 1.0 * FIX_PERIOD_S
+K_GYRO_BIAS = 1.0 * COMPLEMENTARY.fix_period_s
 """1/s^2"""
-K_CURRENT_S = 0.024
-"""m/s per m/s^2 of every look at the model (50 Hz): time constant 0.4 s at cruise speed, 3 s at rest."""
 
-FIX_FLOOR = (0.008, 0.004)
-"""m, rad: fixes are never taken as better than this, which sets k1 to about 8 /s in steady state."""
-GATE_FLOOR = (0.03, 0.02)
-"""m, rad: standard deviation of the residual that the gate allows at least; the variances here know no correlations."""
-_FIX_VARIANCE, _GATE_VARIANCE = (np.array([pos, pos, pos, yaw]) ** 2 for pos, yaw in (FIX_FLOOR, GATE_FLOOR))
-MODEL_GATE_SIGMA_M_S2 = 0.4
-_MODEL_GATE_VARIANCE: FloatArray = np.full(2, MODEL_GATE_SIGMA_M_S2**2)
+_FIX_VARIANCE, _GATE_VARIANCE = (
+    np.array([pos, pos, pos, yaw]) ** 2 for pos, yaw in (COMPLEMENTARY.fix_floor, COMPLEMENTARY.gate_floor)
+)
+_MODEL_GATE_VARIANCE: FloatArray = np.full(2, COMPLEMENTARY.model_gate_sigma_m_s2**2)
 _MODEL_GATE_VARIANCE.flags.writeable = False
 _MODEL_SPREAD: FloatArray = np.zeros((NX, 2))
 _MODEL_SPREAD.flags.writeable = False
 """Looks at the model correct the current by a fixed gain and tell no variance."""
-POS_NOISE = 0.012
-YAW_NOISE = 0.008
-VEL_NOISE = 0.06
-"""Per sqrt(s): what k1 and the growth of the variances in a gap follow from."""
-VEL_SHRINK = 0.85
-"""Share of the velocity's variance that a fix leaves."""
-CURRENT_VARIANCE = 0.06**2
-OFFSET_NOISE, LASER_BIAS_NOISE, DEPTH_OFFSET_NOISE = 0.0087, 1e-3, 3e-4
 
 
 class ObserverCore:
@@ -91,12 +77,12 @@ class ObserverCore:
 
     def __init__(self) -> None:
         self._growth = np.zeros(NX)
-        self._growth[POS] = POS_NOISE**2
-        self._growth[YAW] = YAW_NOISE**2
-        self._growth[VEL] = VEL_NOISE**2
-        self._growth[HEADING_OFFSET] = OFFSET_NOISE**2
-        self._growth[LASER_BIAS] = LASER_BIAS_NOISE**2
-        self._growth[DEPTH_OFFSET] = DEPTH_OFFSET_NOISE**2
+        self._growth[POS] = COMPLEMENTARY.pos_noise**2
+        self._growth[YAW] = COMPLEMENTARY.yaw_noise**2
+        self._growth[VEL] = COMPLEMENTARY.vel_noise**2
+        self._growth[HEADING_OFFSET] = COMPLEMENTARY.offset_noise**2
+        self._growth[LASER_BIAS] = COMPLEMENTARY.laser_bias_noise**2
+        self._growth[DEPTH_OFFSET] = COMPLEMENTARY.depth_offset_noise**2
 
     def start(self, x: FloatArray) -> FilterState:
         """Around ``x``."""
@@ -134,7 +120,7 @@ class ObserverCore:
         variance = seen + noise
         gain = spread / variance
         if isinstance(measurement, (LaserRange, Depth)):
-            variance = np.maximum(variance, GATE_FLOOR[0] ** 2)
+            variance = np.maximum(variance, COMPLEMENTARY.gate_floor[0] ** 2)
         return self._result(y, variance, gain, spread)
 
     def _result(self, y: FloatArray, variance: FloatArray, gain: FloatArray, spread: FloatArray) -> Innovation:
@@ -146,7 +132,7 @@ class ObserverCore:
         assert innovation.spread is not None
         p = np.maximum(state.p - np.add.reduce(innovation.gain * innovation.spread, axis=1), 1e-10)
         if len(innovation.y) == 4:
-            p[VEL] *= VEL_SHRINK
+            p[VEL] *= COMPLEMENTARY.vel_shrink
         return FilterState(state.x + innovation.gain @ innovation.y, p)
 
     def relocate(self, state: FilterState, pose: FloatArray, noise: FloatArray, vel_ned_m_s: FloatArray) -> FilterState:
@@ -176,9 +162,17 @@ class ObserverCore:
     def variance(self, state: FilterState, cos_yaw: float, sin_yaw: float) -> list[float]:
         """Of the current a constant is told: the observer does not know it."""
         p = state.p.tolist()
-        water = max(p[VEL_NORTH], p[VEL_EAST]) + CURRENT_VARIANCE
+        water = max(p[VEL_NORTH], p[VEL_EAST]) + COMPLEMENTARY.current_variance
         down = p[VEL_DOWN] + VERTICAL_CURRENT_VARIANCE
-        return [*p[POSE], water, water, down, CURRENT_VARIANCE, CURRENT_VARIANCE, VERTICAL_CURRENT_VARIANCE]
+        return [
+            *p[POSE],
+            water,
+            water,
+            down,
+            COMPLEMENTARY.current_variance,
+            COMPLEMENTARY.current_variance,
+            VERTICAL_CURRENT_VARIANCE,
+        ]
 
     def planar_variance(self, state: FilterState) -> float:
         """See :class:`autopilot.estimator.filter_core.FilterCore`."""
@@ -203,7 +197,10 @@ def _model_gain(x: FloatArray) -> FloatArray:
     """Gain (21, 2): an acceleration that the model does not explain is water that pushes."""
     c, s = float(np.cos(x[YAW])), float(np.sin(x[YAW]))
     gain = np.zeros((NX, 2))
-    gain[CURRENT] = (K_CURRENT_S * c, K_CURRENT_S * -s), (K_CURRENT_S * s, K_CURRENT_S * c)
+    gain[CURRENT] = (
+        (COMPLEMENTARY.k_current_s * c, COMPLEMENTARY.k_current_s * -s),
+        (COMPLEMENTARY.k_current_s * s, COMPLEMENTARY.k_current_s * c),
+    )
     return gain
 
 

@@ -15,40 +15,13 @@ from collections.abc import Sequence
 
 from autopilot.core.frames import wrap_pi
 from autopilot.estimator.monitor import Doubt
+from autopilot.estimator.tuned import DOUBT
 
-RESIDUAL_TIME_S = 0.2
-"""The accelerometer's residual is smoothed over this: longer than its noise, shorter than it takes to drift away."""
-RESIDUAL_LIMIT_M_S2 = (0.15, 0.15, 0.12)
-"""Forward, right, down: twice what models were wrong by in healthy flights, thruster losses among them. Six degrees of
-tilt let in 1."""
-ABSURD_M_S2 = 2.0
-"""Beyond what thrusters and a bump at cruise speed make of a hull, smoothed: whatever the fixes say so far."""
-USUAL_TIME_S = 3.0
-"""What the residual is while fixes agree with the accelerometer is the model's own error, learned this slowly."""
-REJECTIONS = 12
-"""Looks at the model rejected in a row (0.24 s) that count like a residual beyond its limit."""
-
-TURN_TIME_S = 1.0
 TURN_LIMIT_RAD = math.radians(4.5)
 """Gyro against compass, forgotten within the time: healthy flights in a steel tank show two degrees."""
-SLOW_TURN_TIME_S = 3.0
 SLOW_TURN_LIMIT_RAD = math.radians(4.0)
 """The same over longer, when the compass is rejected as well."""
 QUICK_TURN_LIMIT_RAD = math.radians(0.5)
-QUICK_TURN_TIME_S = 0.3
-"""The same over a shorter time, when fixes deny the heading as well."""
-JUMP_RAD = 0.1
-"""From one sample to the next a compass that turns by so much more than the gyro has jumped."""
-
-CONTRADICTIONS = 3
-"""Fixes rejected in a row, and agreeing among themselves, that deny the estimate: 1 in 10^9 by chance."""
-
-STEADY_TIME_S = 1.0
-STEADY_S = 3.0
-"""A sensor is believed again after so long of steadiness with fixes ..."""
-STEADY_M_S2 = 0.12
-STEADY_RAD_S = 0.06
-"""... within these, smoothed absolute deviations from its mean."""
 
 
 class _InertialDoubt(Doubt):
@@ -71,20 +44,20 @@ class _InertialDoubt(Doubt):
 
     def steady_offset(self, dt_s: float, unexplained: Sequence[float], *, anchored: bool) -> list[float] | None:
         """The offset to believe it with again, once that is known. ``unexplained``: reading minus the witness's."""
-        share = min(1.0, dt_s / STEADY_TIME_S)
+        share = min(1.0, dt_s / DOUBT.steady_time_s)
         for i, value in enumerate(unexplained):
             self._mean[i] += share * (value - self._mean[i])
             self._scatter[i] += share * (abs(value - self._mean[i]) - self._scatter[i])
         steady = anchored and max(self._scatter) < self._limit
         self._steady_s = self._steady_s + dt_s if steady else 0.0
-        return list(self._mean) if self._steady_s >= STEADY_S else None
+        return list(self._mean) if self._steady_s >= DOUBT.steady_s else None
 
 
 class AccelDoubt(_InertialDoubt):
     """Accelerometer against vehicle model."""
 
     def __init__(self) -> None:
-        super().__init__(3, STEADY_M_S2)
+        super().__init__(3, DOUBT.steady_m_s2)
         self._smooth = [0.0, 0.0, 0.0]
         self._usual = [0.0, 0.0, 0.0]
 
@@ -95,20 +68,20 @@ class AccelDoubt(_InertialDoubt):
 
         ``anchored``: fixes or velocities over ground are being used; ``denied``: they are being rejected.
         """
-        share, slow = min(1.0, dt_s / RESIDUAL_TIME_S), min(1.0, dt_s / USUAL_TIME_S)
+        share, slow = min(1.0, dt_s / DOUBT.residual_time_s), min(1.0, dt_s / DOUBT.usual_time_s)
         (x, y, z), (now_x, now_y, now_z) = self._smooth, residual
         x, y, z = x + share * (now_x - x), y + share * (now_y - y), z + share * (now_z - z)
         self._smooth = [x, y, z]
         if not self.believed:
             return False
-        absurd = max(abs(x), abs(y), abs(z)) > ABSURD_M_S2
+        absurd = max(abs(x), abs(y), abs(z)) > DOUBT.absurd_m_s2
         if anchored and not denied and not absurd:
             u, v, w = self._usual
             self._usual = [u + slow * (x - u), v + slow * (y - v), w + slow * (z - w)]
             return False
-        pairs = zip(self._smooth, self._usual, RESIDUAL_LIMIT_M_S2, strict=True)
+        pairs = zip(self._smooth, self._usual, DOUBT.residual_limit_m_s2, strict=True)
         over = any(abs(smooth - usual) > limit for smooth, usual, limit in pairs)
-        if not (absurd or over or (rejected >= REJECTIONS and not anchored)):
+        if not (absurd or over or (rejected >= DOUBT.rejections and not anchored)):
             return False
         self._cease(t_us, residual)
         return True
@@ -123,7 +96,7 @@ class GyroDoubt(_InertialDoubt):
     """Gyro against the AHRS's heading."""
 
     def __init__(self) -> None:
-        super().__init__(1, STEADY_RAD_S)
+        super().__init__(1, DOUBT.steady_rad_s)
         self.jumps = 0
         self._quick = self._apart = self._slow = 0.0
 
@@ -140,7 +113,7 @@ class GyroDoubt(_InertialDoubt):
     def jumped_rad(self, dt_s: float, turn_rad: float, rate_rad_s: float) -> float:
         """How far the compass has jumped in one sample: ``turn_rad`` by the compass, ``rate_rad_s`` by the gyro."""
         jump = wrap_pi(turn_rad - rate_rad_s * dt_s)
-        if abs(jump) > JUMP_RAD:
+        if abs(jump) > DOUBT.jump_rad:
             self.jumps += 1
             return jump
         return 0.0
@@ -160,9 +133,9 @@ class GyroDoubt(_InertialDoubt):
 
         ``heading_denied``: fixes are being rejected for their heading."""
         apart = wrap_pi(turn_rad - rate_rad_s * dt_s)
-        self._quick += apart - min(1.0, dt_s / QUICK_TURN_TIME_S) * self._quick
-        self._apart += apart - min(1.0, dt_s / TURN_TIME_S) * self._apart
-        self._slow += apart - min(1.0, dt_s / SLOW_TURN_TIME_S) * self._slow
+        self._quick += apart - min(1.0, dt_s / DOUBT.quick_turn_time_s) * self._quick
+        self._apart += apart - min(1.0, dt_s / DOUBT.turn_time_s) * self._apart
+        self._slow += apart - min(1.0, dt_s / DOUBT.slow_turn_time_s) * self._slow
         if not self.believed:
             return False
         if anchored:

@@ -44,27 +44,11 @@ from autopilot.estimator.startup import StartUp
 from autopilot.estimator.states import BIAS_AHEAD, BIAS_DOWN, BIAS_RIGHT, initial_state
 from autopilot.estimator.thrust import ThrustLag
 from autopilot.estimator.tilt import TiltTrim
+from autopilot.estimator.tuned import ENGINE
 
-AHRS_WAIT_US = 60_000
-"""After so long without AHRS data the filter goes on without."""
-BLIND_STEP_US = 20_000
-BLIND_STEPS_MAX = 500
-"""At most so many steps without AHRS data per tick; they get longer when the gap is longer."""
-BLIND_TILT_DECAY = 0.99
-"""Per blind step: roll and pitch fade to level within 2 s."""
-COAST_AFTER_US = 300_000
-"""Time without a fix or a velocity over ground after which the current is held."""
-TRACKED_US = 1_000_000
-"""So recent a velocity over ground keeps dead reckoning going."""
 INERTIAL = (AhrsSample, ImuSample)
 PICTURES = (PoseSample, MarkerSighting)
 """Kinds of samples that make a node, and that give a pose by a picture."""
-REDRIVEN_US = 800_000
-"""A sensor that ceases to be believed has been wrong for up to so long."""
-DOUBT_US = 1_000_000
-"""At least so long an estimate is not called good after a sensor has ceased to be believed."""
-ANCHORED_US = 500_000
-"""With a sensor that is not believed the estimate is good only when fixes have been used for so long."""
 
 
 class Engine:
@@ -160,7 +144,7 @@ class Engine:
             core,
             self._sources.fix_age_us(t_us),
             self._options,
-            tracked=ground_us is not None and t_us - ground_us <= TRACKED_US,
+            tracked=ground_us is not None and t_us - ground_us <= ENGINE.tracked_us,
             doubted=bool(doubts) and not self._harmless(doubts, t_us),
         )
         more = NOTHING
@@ -178,7 +162,7 @@ class Engine:
         if since_us is None:
             return True
         held_us = self._anchored_since_us
-        return held_us is not None and t_us - held_us >= ANCHORED_US and t_us - since_us >= DOUBT_US
+        return held_us is not None and t_us - held_us >= ENGINE.anchored_us and t_us - since_us >= ENGINE.doubt_us
 
     def take_aids(self) -> tuple[AidStatus, ...]:
         """See :class:`autopilot.estimator.protocol.Estimator`."""
@@ -283,7 +267,7 @@ class Engine:
         moment = Moment(inertial, self._thrust.at(inertial.t_us))
         heading, model = self._sources.heading, self._sources.model
         model_tells = model.has_a_say(moment, newest.state.x)
-        anchored = self._sources.anchor_age_us(inertial.t_us) <= COAST_AFTER_US
+        anchored = self._sources.anchor_age_us(inertial.t_us) <= ENGINE.coast_after_us
         mode = Mode.NOMINAL
         if not inertial.real:
             mode = Mode.BLIND
@@ -327,7 +311,7 @@ class Engine:
         if found is NOTHING_NEW:
             return
         if found.doubted:
-            history.redrive(node.t_us - REDRIVEN_US, self._imu.drive, model.sensor)
+            history.redrive(node.t_us - ENGINE.redriven_us, self._imu.drive, model.sensor)
             for aid in self._sources.fixes:
                 aid.trust.begin_anew()
         for reopening in self._imu.reopenings(found, node.t_us):
@@ -336,11 +320,11 @@ class Engine:
     def _go_blind(self) -> None:
         """Without AHRS data for too long: let the vehicle model move the state."""
         history = self._fusion.history
-        until_us = self._fusion.now_us - AHRS_WAIT_US
+        until_us = self._fusion.now_us - ENGINE.ahrs_wait_us
         gap_us = until_us - history.newest.t_us
-        if gap_us < BLIND_STEP_US:
+        if gap_us < ENGINE.blind_step_us:
             return
-        step_us = max(BLIND_STEP_US, gap_us // BLIND_STEPS_MAX)
+        step_us = max(ENGINE.blind_step_us, gap_us // ENGINE.blind_steps_max)
         while history.newest.t_us + step_us <= until_us:
             newest = history.newest
             x = newest.state.x
@@ -349,7 +333,7 @@ class Engine:
                 newest.t_us + step_us,
                 newest.moment.inertial,
                 (ax + float(x[BIAS_AHEAD]), ay + float(x[BIAS_RIGHT]), az + float(x[BIAS_DOWN])),
-                BLIND_TILT_DECAY,
+                ENGINE.blind_tilt_decay,
                 turn * 1e-6 * step_us,
             )
             self._feel(inertial)

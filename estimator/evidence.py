@@ -7,36 +7,12 @@ import numpy as np
 
 from autopilot.core.frames import FloatArray
 from autopilot.core.messages import NavDoubt
-from autopilot.estimator.doubt import CONTRADICTIONS
 from autopilot.estimator.filter_core import Innovation
 from autopilot.estimator.history import Node
 from autopilot.estimator.measurement import CHI2_999
 from autopilot.estimator.monitor import NOTHING, Monitor
 from autopilot.estimator.states import LASER_BIAS
-
-RATIO_SHARE = 0.2
-RATIO_MOST = 2.0
-RATIO_SHOWS = 0.35
-RATIO_DENIES = 0.6
-"""Squared distance of the fixes over its gate, smoothed over five of them: 0.2 with a filter that is right. From the
-first limit on their mean miss counts as error of the estimate, from the second on they deny it."""
-EXPLAINED = 1.6
-"""Times gyro and compass are apart that fixes may miss the heading by: a gyro that is wrong makes both grow alike, but
-for what is forgotten of the first (1.58 after 0.3 s)."""
-DENIED_AFTER = 6
-"""Fixes rejected in a row (0.2 s) after which the estimate is not called good."""
-JUMP_M, JUMP_RAD = 0.05, 0.05
-"""Smaller steps are what a filter does that has been a little wrong."""
-JUMP_US = 5_000_000
-"""So long an estimate is not called good after fixes have jumped."""
-JUMP_FADE_S = 10.0
-"""A jump that nothing on board felt fades from the variance with this: what the fixes say now may be as wrong."""
-JUMP_WAY_M = 0.5
-"""The position is off by the jump of the heading times this: the way within the seconds after it."""
-RANGE_MISS_M = 0.04
-"""A laser that needs a larger offset denies the height: twice what a mounted laser is off by."""
-RESETS, RESETS_US = 3, 30_000_000
-"""So many resets within so long are no accident: map, camera or stamps are wrong."""
+from autopilot.estimator.tuned import DOUBT, EVIDENCE
 
 
 class Evidence(Monitor):
@@ -53,23 +29,23 @@ class Evidence(Monitor):
         self._fix_miss = np.zeros(4)
         self._jump_us: int | None = None
         self._jump_m_rad = np.zeros(4)
-        self._resets_us: deque[int] = deque(maxlen=RESETS)
+        self._resets_us: deque[int] = deque(maxlen=EVIDENCE.resets)
 
     @property
     def denies(self) -> bool:
         """Whether fixes speak against the estimate."""
-        return self.denied >= CONTRADICTIONS or self._fix_ratio > RATIO_DENIES
+        return self.denied >= DOUBT.contradictions or self._fix_ratio > EVIDENCE.ratio_denies
 
     @property
     def shows(self) -> bool:
         """Whether they miss it by more than they should."""
-        return self._fix_ratio > RATIO_SHOWS
+        return self._fix_ratio > EVIDENCE.ratio_shows
 
     def denies_heading(self, gyro_apart_rad: float) -> bool:
         """Whether they do by their heading, and miss it as a gyro would make them that is so far from the compass: a
         picture that does not turn at all misses it by more."""
         explained = self._heading_miss_rad / gyro_apart_rad if gyro_apart_rad else 0.0
-        return self._heading_ratio > RATIO_DENIES and 0.0 < explained < EXPLAINED
+        return self._heading_ratio > EVIDENCE.ratio_denies and 0.0 < explained < EVIDENCE.explained
 
     def weigh(self, judged: Innovation, agreeing: int | None) -> None:
         """One fix; ``agreeing``: how many rejected ones agreed with it before, None = it was used.
@@ -80,15 +56,15 @@ class Evidence(Monitor):
             return
         self._heading_miss_rad = judged.y.item(3)
         heading = float(judged.y[3] ** 2 / judged.variance[3]) / CHI2_999[1]
-        self._fix_ratio += RATIO_SHARE * (min(judged.test_ratio, RATIO_MOST) - self._fix_ratio)
-        self._fix_miss = self._fix_miss + RATIO_SHARE * (judged.y - self._fix_miss)
-        self._heading_ratio += RATIO_SHARE * (min(heading, RATIO_MOST) - self._heading_ratio)
+        self._fix_ratio += EVIDENCE.ratio_share * (min(judged.test_ratio, EVIDENCE.ratio_most) - self._fix_ratio)
+        self._fix_miss = self._fix_miss + EVIDENCE.ratio_share * (judged.y - self._fix_miss)
+        self._heading_ratio += EVIDENCE.ratio_share * (min(heading, EVIDENCE.ratio_most) - self._heading_ratio)
 
     def note_jump(self, t_us: int, miss: FloatArray) -> None:
         """Fixes that were used without a break have moved by ``miss`` (4,) [m, rad], and no sensor has felt it."""
-        if float(np.linalg.norm(miss[:3])) > JUMP_M or float(miss[3]) > JUMP_RAD:
+        if float(np.linalg.norm(miss[:3])) > EVIDENCE.jump_m or float(miss[3]) > EVIDENCE.jump_rad:
             # A wrong heading turns the way that is still to come.
-            across = math.hypot(miss.item(0), miss.item(1), JUMP_WAY_M * min(miss.item(3), 1.0))
+            across = math.hypot(miss.item(0), miss.item(1), EVIDENCE.jump_way_m * min(miss.item(3), 1.0))
             self._jump_us, self._jump_m_rad = t_us, np.array([across, across, miss.item(2), miss.item(3)])
             self.jumps += 1
 
@@ -104,14 +80,14 @@ class Evidence(Monitor):
     def doubts(self, t_us: int, newest: Node) -> set[NavDoubt]:
         """See :class:`Monitor`."""
         found = set()
-        jumped = self._jump_us is not None and t_us - self._jump_us <= JUMP_US
-        if self.denied >= DENIED_AFTER or jumped:
+        jumped = self._jump_us is not None and t_us - self._jump_us <= EVIDENCE.jump_us
+        if self.denied >= EVIDENCE.denied_after or jumped:
             found.add(NavDoubt.FIXES)
         if jumped:  # and gyro and vehicle model have felt nothing
             found.add(NavDoubt.CAMERA)
-        if abs(newest.state.x.item(LASER_BIAS)) > RANGE_MISS_M:
+        if abs(newest.state.x.item(LASER_BIAS)) > EVIDENCE.range_miss_m:
             found.add(NavDoubt.RANGE)
-        if len(self._resets_us) == RESETS and t_us - self._resets_us[0] <= RESETS_US:
+        if len(self._resets_us) == EVIDENCE.resets and t_us - self._resets_us[0] <= EVIDENCE.resets_us:
             found.add(NavDoubt.RESETS)
         return found
 
@@ -122,13 +98,13 @@ class Evidence(Monitor):
     def unexplained_variance(self, t_us: int, newest: Node) -> FloatArray:
         """See :class:`Monitor`: what sensors deny each other and no state explains."""
         laser_bias_m = newest.state.x.item(LASER_BIAS)
-        far = abs(laser_bias_m) > RANGE_MISS_M
-        if self._jump_us is None and self._fix_ratio <= RATIO_SHOWS and not far:
+        far = abs(laser_bias_m) > EVIDENCE.range_miss_m
+        if self._jump_us is None and self._fix_ratio <= EVIDENCE.ratio_shows and not far:
             return NOTHING
         more = np.zeros(4)
         if self._jump_us is not None:
-            more += self._jump_m_rad**2 * math.exp(-1e-6 * (t_us - self._jump_us) / JUMP_FADE_S)
-        if self._fix_ratio > RATIO_SHOWS:
+            more += self._jump_m_rad**2 * math.exp(-1e-6 * (t_us - self._jump_us) / EVIDENCE.jump_fade_s)
+        if self._fix_ratio > EVIDENCE.ratio_shows:
             more += self._fix_miss**2
         if far:
             more[2] += laser_bias_m * laser_bias_m

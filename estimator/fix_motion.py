@@ -15,26 +15,12 @@ import numpy as np
 from autopilot.core.frames import FloatArray
 from autopilot.estimator.measurement import CHI2_999
 from autopilot.estimator.states import GYRO_BIAS, VEL
+from autopilot.estimator.tuned import FIX_MOTION
 
-SPAN_US = 4_000_000
-"""At most so long a run of fixes is held against dead reckoning."""
-MOST = 128
-ALIKE = 4.0
-"""Errors of fixes are alike over some pictures: so many count as one."""
 FLOOR = np.array([0.002, 0.002, 0.002, 0.001])
 """[m, rad] added to the standard deviation of fixes: the part that belongs to a place on the floor."""
 SYSTEMATIC = np.array([0.02, 0.02, 0.02, 0.005])
 """[m/s, rad/s] by which dead reckoning is off beyond the filter's own word: tether, drag, scale of the gyro,"""
-SYSTEMATIC_PER_S = 0.02
-"""and more for each second without a fix [m/s per s]: jets change the velocity by 0.1 m/s within 5 s."""
-UNAIDED = 0.2
-"""[m/s, rad/s] more while the accelerometer (the gyro) is not believed."""
-SURE = 12.0
-"""Difference of the logarithms of two likelihoods that is acted on: 4.9 sigma."""
-LEAST = 3
-"""Fixes that make a motion."""
-GOOD_FIT = 3.0
-"""Squared misses of a run that fits may be so many times what noise makes of it."""
 
 
 class Seen(NamedTuple):
@@ -57,7 +43,7 @@ class FixMotion:
     """A run of fixes none of which was used."""
 
     def __init__(self) -> None:
-        self._run: deque[Seen] = deque(maxlen=MOST)
+        self._run: deque[Seen] = deque(maxlen=FIX_MOTION.most)
 
     def __len__(self) -> int:
         return len(self._run)
@@ -71,10 +57,10 @@ class FixMotion:
         if self._run and seen.t_us <= self._run[-1].t_us:
             return
         self._run.append(seen)
-        while self._run[0].t_us < seen.t_us - SPAN_US:
+        while self._run[0].t_us < seen.t_us - FIX_MOTION.span_us:
             self._run.popleft()
 
-    def last(self, *, count: int = LEAST, span_us: int = 0) -> "Run | None":
+    def last(self, *, count: int = FIX_MOTION.least, span_us: int = 0) -> "Run | None":
         """The newest fixes: as many as make at least ``count`` and ``span_us``; None if there are not so many."""
         run: list[Seen] = []
         for seen in reversed(self._run):
@@ -97,7 +83,7 @@ class Run:
         self.turned_rad = float(y[:, 3].mean())
         """By which fixes have another heading than dead reckoning has: its way is turned by that."""
         self._y = self._z - _turned(self._z - y, self.turned_rad)
-        self._variance = ALIKE * (np.mean([seen.variance for seen in run], axis=0) + FLOOR**2)
+        self._variance = FIX_MOTION.alike * (np.mean([seen.variance for seen in run], axis=0) + FLOOR**2)
         self._drift = np.array(run[-1].drift)
         squares = float((self._since**2).sum())
         self._slope = (self._since * self._y).sum(axis=0) / squares
@@ -113,7 +99,7 @@ class Run:
         """Whether its fixes go with the vehicle and only turn otherwise than the gyro says."""
         way = slice(0, 3)
         squares = self._slope[way] ** 2 / (self._slope_variance[way] + self._drift[way])
-        return self.apart > 1.0 and float(squares.sum()) <= CHI2_999[3] and self.moves > SURE and self.fits
+        return self.apart > 1.0 and float(squares.sum()) <= CHI2_999[3] and self.moves > FIX_MOTION.sure and self.fits
 
     def velocity(self, reckoned_ned_m_s: FloatArray) -> FloatArray:
         """(3,) NED of the fixes, where that of dead reckoning is (3,)."""
@@ -129,7 +115,9 @@ class Run:
     def fits(self) -> bool:
         """Whether, but for a steady difference, they move together from fix to fix."""
         rest = self._y - self._y.mean(axis=0) - self._slope * self._since
-        return float((rest**2 / self._variance).sum()) <= GOOD_FIT * 4.0 * max(self.count / ALIKE, 2.0)
+        return float((rest**2 / self._variance).sum()) <= FIX_MOTION.good_fit * 4.0 * max(
+            self.count / FIX_MOTION.alike, 2.0
+        )
 
     @property
     def moves(self) -> float:
@@ -145,10 +133,10 @@ def drift_variance(variance: FloatArray, gap_s: float, *, accel: bool, gyro: boo
     """(4,) of velocity and yaw rate that are predicted, ``gap_s`` after the last fix.
 
     ``variance`` (21,) of the filter's states; ``accel``, ``gyro``: whether that sensor is believed."""
-    more_m_s = SYSTEMATIC_PER_S * gap_s + (0.0 if accel else UNAIDED)
+    more_m_s = FIX_MOTION.systematic_per_s * gap_s + (0.0 if accel else FIX_MOTION.unaided)
     result: FloatArray = np.append(variance[VEL] + more_m_s * more_m_s, variance[GYRO_BIAS]) + SYSTEMATIC**2
     if not gyro:
-        result[3] += UNAIDED * UNAIDED
+        result[3] += FIX_MOTION.unaided * FIX_MOTION.unaided
     return result
 
 

@@ -5,11 +5,12 @@ while, and not as a picture that stands still.
 """
 
 from autopilot.core.messages import NavDoubt
-from autopilot.estimator.fix_motion import LEAST, SURE, FixMotion, Run, Seen
+from autopilot.estimator.fix_motion import FixMotion, Run, Seen
 from autopilot.estimator.history import Node
 from autopilot.estimator.measure_pose import PoseFix
 from autopilot.estimator.monitor import Doubt
 from autopilot.estimator.startup import agree
+from autopilot.estimator.tuned import FIX_MOTION
 
 DENYING = 6
 """Fixes in a row, agreeing among themselves, that do not move as dead reckoning does: the camera is wrong."""
@@ -70,7 +71,7 @@ class FixTrust(Doubt):
         return run is not None and run.apart > 1.0 and not run.denies_gyro
 
     def _newest(self, count: int) -> Run | None:
-        return self._run.last(count=max(LEAST, min(count, len(self._run))))
+        return self._run.last(count=max(FIX_MOTION.least, min(count, len(self._run))))
 
     def believe(self, back_us: int | None = None) -> None:
         """It has been right again for a while at ``back_us``; None: it may be as doubtful as it was."""
@@ -98,10 +99,10 @@ class FixTrust(Doubt):
         run = self._run.last(span_us=BACK_US)
         if run is None or run.count < BACK_COUNT or not (run.follows or run.denies_gyro):
             return None
-        if run.moves > SURE:
+        if run.moves > FIX_MOTION.sure:
             return run
         whole = self._run.last(span_us=PATIENT_US)
-        if whole is None or not whole.follows or abs(whole.moves) > SURE:
+        if whole is None or not whole.follows or abs(whole.moves) > FIX_MOTION.sure:
             return None
         # Nothing moves: a picture that stands still would have to show the very place by chance.
         return run if whole.inside or lost else None

@@ -20,11 +20,12 @@ from autopilot.estimator.fix_trust import DENYING
 from autopilot.estimator.fusion import Fusion
 from autopilot.estimator.history import Loosening, Node
 from autopilot.estimator.imu_watch import ImuWatch
-from autopilot.estimator.map_watch import LOOSE_VARIANCE, MapWatch
+from autopilot.estimator.map_watch import MapWatch
 from autopilot.estimator.measure_pose import PoseFix
 from autopilot.estimator.sources import Sources
 from autopilot.estimator.states import ACCEL_BIAS, CURRENT, CURRENT_RATE, VEL, YAW
 from autopilot.estimator.tilt import TiltTrim
+from autopilot.estimator.tuned import MAP_WATCH
 
 LEARN_EVERY_US = 200_000
 """How often a picture is asked how sheets lie to each other: in between its errors are nearly the same."""
@@ -147,7 +148,7 @@ class Fixes:
             self._map.look(fix)
         for sheet in self._map.loosened(fix, rejected=rejected):
             laid = self._map.laid(sheet)
-            self._fusion.history.loosen(node, Loosening("sheets", fix.t_us, sheet, laid, LOOSE_VARIANCE))
+            self._fusion.history.loosen(node, Loosening("sheets", fix.t_us, sheet, laid, MAP_WATCH.loose_variance))
             self.counts["sheets.loosened"] += 1
 
     def _learn_sheets(self, node: Node, fix: PoseFix, known: Sequence[int]) -> None:

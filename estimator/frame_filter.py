@@ -9,18 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from autopilot.core.samples import CameraFrame, FrameVerdict, PictureReport
-
-STEP_PX = 8
-"""Every eighth pixel of every eighth row is looked at: 4800 of an image of 640 x 480."""
-DARK_LEVEL, BRIGHT_LEVEL = 6.0, 249.0
-"""Grey levels: if nine tenths of the pixels lie below (above), the lens is covered or the exposure is lost."""
-WHITE_LEVEL, BLACK_LEVEL = 250, 8
-"""Grey levels from which on (up to which) a pixel says nothing."""
-MOST = 0.9
-FLAT_LEVELS = 3
-"""An image whose levels all lie within so many shows nothing, not even noise."""
-TORN_SHARE = 0.05
-"""An image of which this share of rows, up from the bottom, is one single colour has not arrived whole."""
+from autopilot.estimator.tuned import FRAME_FILTER
 
 
 class FrameFilter:
@@ -47,8 +36,8 @@ class FrameFilter:
                 t_us=frame.t_us,
                 verdict=verdict,
                 contrast=float(steps.std()) * math.sqrt(0.5),
-                white_share=int(self._levels[WHITE_LEVEL:].sum()) / sparse.size,
-                black_share=int(self._levels[: BLACK_LEVEL + 1].sum()) / sparse.size,
+                white_share=int(self._levels[FRAME_FILTER.white_level :].sum()) / sparse.size,
+                black_share=int(self._levels[: FRAME_FILTER.black_level + 1].sum()) / sparse.size,
             )
         self._reports.append(report)
         return verdict
@@ -64,16 +53,16 @@ class FrameFilter:
             return FrameVerdict.WRONG_SIZE
         if image.dtype != np.uint8:
             return FrameVerdict.WRONG_TYPE
-        sparse = np.ascontiguousarray(image[::STEP_PX, ::STEP_PX, 1])
+        sparse = np.ascontiguousarray(image[:: FRAME_FILTER.step_px, :: FRAME_FILTER.step_px, 1])
         levels = self._levels = np.bincount(sparse.ravel(), minlength=256)
-        if quantile(levels, MOST) < DARK_LEVEL:
+        if quantile(levels, FRAME_FILTER.most) < FRAME_FILTER.dark_level:
             return FrameVerdict.DARK
-        if quantile(levels, 1.0 - MOST) > BRIGHT_LEVEL:
+        if quantile(levels, 1.0 - FRAME_FILTER.most) > FRAME_FILTER.bright_level:
             return FrameVerdict.BRIGHT
         there = np.flatnonzero(levels)
-        if int(there[-1]) - int(there[0]) <= FLAT_LEVELS:
+        if int(there[-1]) - int(there[0]) <= FRAME_FILTER.flat_levels:
             return FrameVerdict.FLAT
-        tail = image[-max(2, round(TORN_SHARE * self._shape[0])) :: 2, ::STEP_PX]
+        tail = image[-max(2, round(FRAME_FILTER.torn_share * self._shape[0])) :: 2, :: FRAME_FILTER.step_px]
         if (tail == tail[-1, -1]).all():
             return FrameVerdict.TORN
         alike = self._before is not None and np.array_equal(self._before, sparse)

@@ -10,13 +10,14 @@ from typing import NamedTuple
 
 from autopilot.core.frames import wrap_pi
 from autopilot.core.messages import NavDoubt
-from autopilot.estimator.doubt import STEADY_M_S2, STEADY_RAD_S, AccelDoubt, GyroDoubt
+from autopilot.estimator.doubt import AccelDoubt, GyroDoubt
 from autopilot.estimator.fix_trust import FixTrust
 from autopilot.estimator.history import Node, Reopening
 from autopilot.estimator.inertial import Inertial, Mode, Step, step_between
 from autopilot.estimator.measure_model import VehicleAcceleration, idle
 from autopilot.estimator.monitor import Monitor
 from autopilot.estimator.states import ACCEL_BIAS, GYRO_BIAS, HEADING_OFFSET, YAW, one
+from autopilot.estimator.tuned import DOUBT
 
 TURN_MAX_RAD_S = 2.0
 """No vehicle of this class turns faster: beyond it the compass has jumped."""
@@ -91,10 +92,10 @@ class ImuWatch(Monitor):
             forgotten.append((one(HEADING_OFFSET), found.jump_rad**2, None))
         if found.accel_offset is not None:
             self.accel.believe()
-            forgotten.append((ACCEL_BIAS, STEADY_M_S2**2, found.accel_offset))
+            forgotten.append((ACCEL_BIAS, DOUBT.steady_m_s2**2, found.accel_offset))
         if found.gyro_offset is not None:
             self.gyro.believe()
-            forgotten.append((one(GYRO_BIAS), STEADY_RAD_S**2, found.gyro_offset))
+            forgotten.append((one(GYRO_BIAS), DOUBT.steady_rad_s**2, found.gyro_offset))
         for part, variance, value in forgotten:
             yield Reopening("imu", t_us, part, variance, value)
 

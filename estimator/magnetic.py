@@ -6,23 +6,13 @@ compared with what they were. Another field becomes the known one when it has st
 
 import math
 
-SIZE_SHARE = 0.1
+from autopilot.estimator.tuned import MAGNETIC
+
 DIP_RAD = math.radians(10.0)
 """Up to so much it is the same field."""
-SMOOTH_S = 0.05
-MOST_SHARE = 3.0
-"""More than so many times the known size counts as so many, so that one wild reading is soon forgotten."""
-KNOWN_S = 20.0
-"""The known field follows slowly: that of another place in the same water."""
-SAME_AFTER_S = 0.5
-"""A field that was another one has to be right for so long."""
-NEW_AFTER_S = 20.0
 NEW_RATE_RAD_S = math.radians(5.0)
 """So long another field has to stay alike while the device turns at this rate or faster; time of slower turning counts
 for less. Iron that turns with the device shows another size and dip in every direction."""
-PATIENCE_S = 60.0
-"""After so long without the known field any is better than gyros alone."""
-IMPATIENT_TRUST = 0.5
 
 Field = tuple[float, float]
 """Size in any unit, dip [rad]."""
@@ -36,27 +26,27 @@ class FieldWatch:
         self._known: Field = (0.0, 0.0)
         self._candidate: Field | None = None
         self._known_s = 0.0
-        self._same_s = SAME_AFTER_S
+        self._same_s = MAGNETIC.same_after_s
         self._alike_s = 0.0
         self._other_s = 0.0
 
     @property
     def disturbed(self) -> bool:
         """Whether the last reading was not of the known field."""
-        return self._same_s < SAME_AFTER_S
+        return self._same_s < MAGNETIC.same_after_s
 
     def trust(self, dt_s: float, size: float, dip_rad: float, rate_rad_s: float) -> float:
         """1 for the known field, 0 for another one; ``rate_rad_s`` is how fast the device turns."""
         if self._now is None:
             self._now = self._known = (size, dip_rad)
-        reading = (min(size, MOST_SHARE * self._known[0]), dip_rad)
-        now = self._now = _nearer(self._now, reading, 1.0 - math.exp(-dt_s / SMOOTH_S))
+        reading = (min(size, MAGNETIC.most_share * self._known[0]), dip_rad)
+        now = self._now = _nearer(self._now, reading, 1.0 - math.exp(-dt_s / MAGNETIC.smooth_s))
         self._same_s = self._same_s + dt_s if _alike(now, self._known) else 0.0
         if self.disturbed:
             return self._other(dt_s, now, rate_rad_s)
         self._candidate = None
         self._known_s += dt_s
-        share = max(1.0 - math.exp(-dt_s / KNOWN_S), dt_s / max(self._known_s, dt_s, 1e-9))
+        share = max(1.0 - math.exp(-dt_s / MAGNETIC.known_s), dt_s / max(self._known_s, dt_s, 1e-9))
         self._known = _nearer(self._known, now, share)
         self._other_s = max(0.0, self._other_s - 2.0 * dt_s)
         return 1.0
@@ -66,16 +56,16 @@ class FieldWatch:
         self._other_s += dt_s
         if self._candidate is None or not _alike(now, self._candidate):
             self._candidate, self._alike_s = now, 0.0
-        self._candidate = _nearer(self._candidate, now, 1.0 - math.exp(-dt_s / KNOWN_S))
+        self._candidate = _nearer(self._candidate, now, 1.0 - math.exp(-dt_s / MAGNETIC.known_s))
         self._alike_s += dt_s * min(1.0, rate_rad_s / NEW_RATE_RAD_S)
-        if self._alike_s >= NEW_AFTER_S:
-            self._known, self._same_s = self._candidate, SAME_AFTER_S
+        if self._alike_s >= MAGNETIC.new_after_s:
+            self._known, self._same_s = self._candidate, MAGNETIC.same_after_s
             return 1.0
-        return IMPATIENT_TRUST if self._other_s >= PATIENCE_S else 0.0
+        return MAGNETIC.impatient_trust if self._other_s >= MAGNETIC.patience_s else 0.0
 
 
 def _alike(a: Field, b: Field) -> bool:
-    return abs(a[0] - b[0]) <= SIZE_SHARE * b[0] and abs(a[1] - b[1]) <= DIP_RAD
+    return abs(a[0] - b[0]) <= MAGNETIC.size_share * b[0] and abs(a[1] - b[1]) <= DIP_RAD
 
 
 def _nearer(a: Field, b: Field, share: float) -> Field:

@@ -15,23 +15,7 @@ from autopilot.estimator.history import Node
 from autopilot.estimator.measure_pose import PoseFix, Stray
 from autopilot.estimator.monitor import Monitor
 from autopilot.estimator.states import EAST, NORTH, SheetStates
-
-SIGHTINGS = 8
-"""Pictures that must show a marker at the same wrong place."""
-ALONE = 30
-"""Pictures until an id at another marker's place is told although that one has not been seen at its own."""
-SAME_M = 0.006
-"""A marker that does not move is seen within this, standard deviation."""
-TAKEN_M = 0.015
-"""So close to where the map has another marker a stray lies in that one's place."""
-STRAINS, STRAINS_US = 5, 1_000_000
-"""Pictures within a time in which a sheet does not fit to its neighbours: it may lie anywhere then."""
-LOOSE_VARIANCE = (0.03**2, 0.03**2, 0.003**2, 0.1**2)
-"""m^2, rad^2: how far off a sheet may be that does not fit."""
-OFF_DISTANCE2 = 40.0
-"""Squared distance of a sheet's offset from what it was said to be, of 4, from which on it is named."""
-HELD_US = 10_000_000
-"""So long after the last finding the map is called doubtful."""
+from autopilot.estimator.tuned import MAP_WATCH
 
 
 @dataclass
@@ -47,7 +31,7 @@ class _Place:
     def add(self, north_m: float, east_m: float) -> None:
         """One more sighting; begins anew when the place is another one."""
         off = math.hypot(north_m - self.north_m, east_m - self.east_m)
-        if self.count and off > 5.0 * SAME_M:
+        if self.count and off > 5.0 * MAP_WATCH.same_m:
             self.count, self.scatter_m2 = 0, 0.0
         self.count += 1
         share = 1.0 / min(self.count, 50)
@@ -58,7 +42,7 @@ class _Place:
     @property
     def steady(self) -> bool:
         """Whether it is a place and no accident."""
-        return self.count >= SIGHTINGS and self.scatter_m2 < SAME_M * SAME_M
+        return self.count >= MAP_WATCH.sightings and self.scatter_m2 < MAP_WATCH.same_m * MAP_WATCH.same_m
 
 
 class MapWatch(Monitor):
@@ -92,7 +76,7 @@ class MapWatch(Monitor):
 
     def doubts(self, t_us: int, newest: Node) -> tuple[NavDoubt, ...]:
         """See :class:`Monitor`."""
-        found_of_late = self._found_us is not None and t_us - self._found_us <= HELD_US
+        found_of_late = self._found_us is not None and t_us - self._found_us <= MAP_WATCH.held_us
         return (NavDoubt.MAP,) if found_of_late else ()
 
     def look(self, fix: PoseFix) -> None:
@@ -112,9 +96,9 @@ class MapWatch(Monitor):
         if rejected and fix.ground is not None and len(fix.ground.sheets) == 1:
             suspects.add(fix.ground.sheets[0])
         for sheet in suspects:
-            times = self._strained.setdefault(sheet, deque(maxlen=STRAINS))
+            times = self._strained.setdefault(sheet, deque(maxlen=MAP_WATCH.strains))
             times.append(fix.t_us)
-            if len(times) == STRAINS and fix.t_us - times[0] <= STRAINS_US:
+            if len(times) == MAP_WATCH.strains and fix.t_us - times[0] <= MAP_WATCH.strains_us:
                 times.clear()
                 result.append(sheet)
         return result
@@ -140,7 +124,7 @@ class MapWatch(Monitor):
             prior = errors.sigma[sheet] ** 2
             # Its heading is known from the first pictures on; its place is never known better than the map's frame.
             known = variance[3] < KNOWN_SHARE * prior[3]
-            if known and float((offset * offset / (prior + variance)).sum()) > OFF_DISTANCE2:
+            if known and float((offset * offset / (prior + variance)).sum()) > MAP_WATCH.off_distance2:
                 self._told_sheets.add(sheet)
                 off_mm = 1e3 * math.hypot(float(offset[0]), float(offset[1]))
                 turn_deg = math.degrees(float(offset[3]))
@@ -151,13 +135,13 @@ class MapWatch(Monitor):
         apart = np.hypot(markers.centers_ned_m[:, 0] - place.north_m, markers.centers_ned_m[:, 1] - place.east_m)
         nearest = int(apart.argmin())
         name = stray.code % ID_SPAN
-        if float(apart[nearest]) < TAKEN_M and int(markers.ids[nearest]) != stray.code:
+        if float(apart[nearest]) < MAP_WATCH.taken_m and int(markers.ids[nearest]) != stray.code:
             other = int(markers.ids[nearest])
             partner = self._at(other, stray.marker)
             if partner is not None:
                 partner.told = place.told = True
                 self._tell(self._found_us, f"Markers {name} and {other % ID_SPAN} are swapped in the map")
-            elif place.count >= ALONE:
+            elif place.count >= MAP_WATCH.alone:
                 place.told = True
                 self._tell(self._found_us, f"Marker {name} lies where the map has {other % ID_SPAN}")
             return
@@ -177,8 +161,8 @@ class MapWatch(Monitor):
             return None
         center = self._markers.centers_ned_m[index]
         for (other, _), place in self._strays.items():
-            near = math.hypot(place.north_m - float(center[0]), place.east_m - float(center[1])) < TAKEN_M
-            if other == code and near and place.count >= SIGHTINGS // 2:
+            near = math.hypot(place.north_m - float(center[0]), place.east_m - float(center[1])) < MAP_WATCH.taken_m
+            if other == code and near and place.count >= MAP_WATCH.sightings // 2:
                 return place
         return None
 

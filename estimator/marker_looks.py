@@ -13,26 +13,7 @@ import numpy as np
 from autopilot.core.dictionaries import opencv_dictionary
 from autopilot.core.frames import FloatArray
 from autopilot.core.markers import IntArray
-
-OFF_CENTER, OFF_CENTER_PX = 0.22, 2.0
-"""Each cell is sampled at four points this far from its centre [cells], at most so many pixels: light that changes over
-a large cell is no noise."""
-MISREAD_CENTER = 0.1
-"""The same where the question is only whether a cell is black or white."""
-EDGE_CELLS = 0.6
-"""Profiles across the outline reach this far to both sides [cells]: into the black border and the white around it."""
-EDGE_STEPS = 13
-EDGE_PLACES = 6
-"""Profiles along each side."""
-MIN_WIDTH_PX = 0.5
-
-SIGMA_FACTOR, WINDOW_PX = 1.45, 5.0
-"""Of :func:`corner_sigma_px`, for a window of that half width: found on rendered floors from clear water to 3 1/m,
-where corners are 0.1 to 1.3 px off. On four photographs of a board, which had no part in it, it gives 0.34 to 0.45 px
-where corners lie 0.32 to 0.42 px from where board and camera model put them."""
-WIDEST_PX = 3.6
-"""Wider edges make corners no worse: they are those of large markers, whose window holds more of them."""
-MIN_SIGMA_PX = 0.06
+from autopilot.estimator.tuned import MARKER_LOOKS
 
 
 class Looks(NamedTuple):
@@ -54,7 +35,7 @@ def looks_of(grey: Any, quads: FloatArray, patterns: FloatArray) -> Looks:
     to_px = _homographies(quads)
     steps = quads - np.roll(quads, -1, axis=1)
     sides_px = np.sqrt((steps * steps).sum(axis=2))
-    off = min(OFF_CENTER / cells, OFF_CENTER_PX / float(np.median(sides_px)))
+    off = min(MARKER_LOOKS.off_center / cells, MARKER_LOOKS.off_center_px / float(np.median(sides_px)))
     samples = _sample(grey, to_px, _around_centers(cells, off)).reshape(n, 4, cells, cells)
     level = samples.mean(axis=1)
     noise = np.sqrt(np.square(samples - level[:, None]).sum(axis=(1, 2, 3)) / (3.0 * cells * cells))
@@ -71,7 +52,7 @@ def misread_cells(grey: Any, quads: FloatArray, patterns: FloatArray) -> IntArra
     """(n,) how many cells of markers at ``quads`` (n, 4, 2) are not as in ``patterns`` (n, s, s)."""
     n, cells = patterns.shape[:2]
     # Near the middle, where slanted cells are not blurred into each other.
-    inside = _around_centers(cells, MISREAD_CENTER / cells)
+    inside = _around_centers(cells, MARKER_LOOKS.misread_center / cells)
     level = _sample(grey, _homographies(quads), inside).reshape(n, 4, cells, cells).mean(axis=1)
     white = (level * patterns).sum(axis=(1, 2)) / np.maximum(patterns.sum(axis=(1, 2)), 1.0)
     black = (level * (1.0 - patterns)).sum(axis=(1, 2)) / np.maximum((1.0 - patterns).sum(axis=(1, 2)), 1.0)
@@ -84,9 +65,9 @@ def corner_sigma_px(looks: Looks, half_px: IntArray) -> FloatArray:
 
     Noise moves an edge by its width times noise over contrast, and a corner is where two edges cross, each averaged
     over the window."""
-    blurred = np.minimum(looks.width_px, WIDEST_PX) * looks.noise / np.maximum(looks.contrast, 1.0)
-    sigma = SIGMA_FACTOR * blurred * np.sqrt((2.0 * WINDOW_PX + 1.0) / (2.0 * half_px + 1.0))
-    return np.asarray(np.maximum(sigma, MIN_SIGMA_PX), dtype=np.float64)
+    blurred = np.minimum(looks.width_px, MARKER_LOOKS.widest_px) * looks.noise / np.maximum(looks.contrast, 1.0)
+    sigma = MARKER_LOOKS.sigma_factor * blurred * np.sqrt((2.0 * MARKER_LOOKS.window_px + 1.0) / (2.0 * half_px + 1.0))
+    return np.asarray(np.maximum(sigma, MARKER_LOOKS.min_sigma_px), dtype=np.float64)
 
 
 def _homographies(quads: FloatArray) -> FloatArray:
@@ -116,8 +97,10 @@ def _around_centers(cells: int, off: float) -> FloatArray:
 @lru_cache(maxsize=16)
 def _across_edges(cells: int) -> FloatArray:
     """(2, k) points of the unit square: profiles across its four sides. Not to be changed."""
-    along = (np.arange(EDGE_PLACES) + 1.5) / (EDGE_PLACES + 2)
-    across = np.linspace(-EDGE_CELLS, EDGE_CELLS, EDGE_STEPS) / cells  # from outside to inside
+    along = (np.arange(MARKER_LOOKS.edge_places) + 1.5) / (MARKER_LOOKS.edge_places + 2)
+    across = (
+        np.linspace(-MARKER_LOOKS.edge_cells, MARKER_LOOKS.edge_cells, MARKER_LOOKS.edge_steps) / cells
+    )  # from outside to inside
     a, b = np.meshgrid(along, across, indexing="ij")
     sides = np.stack([np.stack(s, axis=-1) for s in ((a, b), (1.0 - b, a), (a, 1.0 - b), (b, a))])
     return np.ascontiguousarray(sides.reshape(-1, 2).T)
@@ -137,11 +120,11 @@ def _sample(grey: Any, to_px: FloatArray, points: FloatArray) -> FloatArray:
 
 def _widths_px(grey: Any, to_px: FloatArray, sides_px: FloatArray, cells: int) -> FloatArray:
     """(n,) widths of the outlines of markers whose sides are (n,) long."""
-    levels = _sample(grey, to_px, _across_edges(cells)).reshape(len(to_px), -1, EDGE_STEPS).mean(axis=1)
+    levels = _sample(grey, to_px, _across_edges(cells)).reshape(len(to_px), -1, MARKER_LOOKS.edge_steps).mean(axis=1)
     steepest = np.maximum((levels[:, :-1] - levels[:, 1:]).max(axis=1), 1e-6)
     high = levels.max(axis=1) - levels.min(axis=1)
-    step_px = sides_px / cells * (2.0 * EDGE_CELLS / (EDGE_STEPS - 1))
-    return np.asarray(np.maximum(high / steepest * step_px, MIN_WIDTH_PX), dtype=np.float64)
+    step_px = sides_px / cells * (2.0 * MARKER_LOOKS.edge_cells / (MARKER_LOOKS.edge_steps - 1))
+    return np.asarray(np.maximum(high / steepest * step_px, MARKER_LOOKS.min_width_px), dtype=np.float64)
 
 
 @lru_cache(maxsize=16)

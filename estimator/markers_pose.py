@@ -20,49 +20,19 @@ from autopilot.core.map_errors import STATES, MapErrors
 from autopilot.core.markers import IntArray, MarkerMap
 from autopilot.core.messages import MarkerFit
 from autopilot.core.samples import MarkerSighting
-from autopilot.estimator.camera_doubt import LEAST_MARKERS, LOOK_EVERY_US, focal_look
+from autopilot.estimator.camera_doubt import focal_look
 from autopilot.estimator.ground import SheetTies, believed
 from autopilot.estimator.measure_pose import Ground, PoseFix, Stray
 from autopilot.estimator.pnp import inward_of, linearise_corners, solve_pose
 from autopilot.estimator.sheet_fit import SheetCorners, SheetPose, fit_on_sheets
 from autopilot.estimator.states import SheetStates
+from autopilot.estimator.tuned import CAMERA_DOUBT, MARKERS_POSE
 
-NEAREST_M = 0.45
-"""A marker is not looked for further from where it seems to lie: markers of one id are a metre and more apart."""
-COMMON_SHIFT_M = 0.06
-"""All markers of one image must be displaced alike, within this, or are wrong."""
-VOTE_M = 0.08
-VOTE_RAD = 0.15
-VOTE_SCALE = 0.1
-"""Votes for the camera's place agree within these (position, heading, share of the height)."""
-SIMILAR = 0.15
-"""A quadrilateral may differ from the marker's square by this share of its side, else it is not a marker."""
-REJECT_SIGMAS = 3.0
-REJECT_FLOOR_PX = 1.0
-"""A marker with a corner further than this from its projection is left out."""
-REJECT_ROUNDS = 4
-FIRST_RMS_PX, FINAL_RMS_PX = 40.0, 3.0
-"""A fit may be this bad before and after markers have been left out."""
-STRAYS_FROM = 4
-"""Markers that a pose must stand on before others are called astray by it,"""
-STRAY_M = 0.012
-"""and how far off those are."""
-STRAIN_MOST = 30.0
-"""Squared distance of a sheet's offset from what is believed of it, of 4: it lies wrongly, and is left out."""
-STEEP = 0.3
-"""A ray that goes down by less than this per unit of length is not followed to a marker's depth, but to its nearest
-point."""
 LEVEL_RAD = math.radians(15.0)
 """Markers that lean less are taken as level when they vote."""
-UNIT = 0.25
-"""Cosine and sine of the heading that a leaning marker's square asks for may miss the unit circle by this."""
-MISFIT_RMS_PX = 0.5
-"""Corners are this far from where they belong on average only in thick haze, or when intrinsics or map are wrong."""
 LEANING_RAD = math.radians(1.5)
 """Three standard deviations of the AHRS's tilt: if the image shows a larger difference, principal point, focal length
 or mounting are wrong, or the AHRS."""
-MAX_PIXEL = 1e5
-"""Pixels farther out than any image is large are garbage."""
 
 
 class _Match(NamedTuple):
@@ -98,7 +68,7 @@ class MarkerSolver:
         """Markers that the map does not have; fits that are bad, or that lean off the AHRS's tilt."""
         self._errors = markers.errors
         self._centers_m = markers.centers_ned_m[:, :2]
-        self._focal_us = -LOOK_EVERY_US
+        self._focal_us = -CAMERA_DOUBT.look_every_us
         self._level = markers.level
         self._floor_m = markers.floor_m
         lean_m = np.ptp(markers.corners_ned_m[..., 2], axis=1)
@@ -127,15 +97,15 @@ class MarkerSolver:
         """Whether the arrays have the right shapes and hold pixels that an image can have."""
         corners = np.asarray(sighting.corners_px)
         # Comparisons with NaN are false.
-        if corners.shape != (len(sighting.ids), 4, 2) or not (np.abs(corners) < MAX_PIXEL).all():
+        if corners.shape != (len(sighting.ids), 4, 2) or not (np.abs(corners) < MARKERS_POSE.max_pixel).all():
             return False
         sigma = sighting.sigma_px
         if sigma is not None and (
-            np.shape(sigma) != (len(sighting.ids),) or not ((sigma > 0.0) & (sigma < MAX_PIXEL)).all()
+            np.shape(sigma) != (len(sighting.ids),) or not ((sigma > 0.0) & (sigma < MARKERS_POSE.max_pixel)).all()
         ):
             return False
         laser = sighting.laser_px
-        return laser is None or (np.shape(laser) == (2,) and bool((np.abs(laser) < MAX_PIXEL).all()))
+        return laser is None or (np.shape(laser) == (2,) and bool((np.abs(laser) < MARKERS_POSE.max_pixel).all()))
 
     def track(
         self,
@@ -152,7 +122,7 @@ class MarkerSolver:
         found = match.taken >= 0
         shifts = match.shift_m[found]
         common = complex(_median(shifts.real.tolist()), _median(shifts.imag.tolist()))
-        alike = np.abs(shifts - common) <= COMMON_SHIFT_M
+        alike = np.abs(shifts - common) <= MARKERS_POSE.common_shift_m
         count = int(alike.sum())
         if 2 * count < len(alike) or not count:
             return None
@@ -162,8 +132,9 @@ class MarkerSolver:
         if solved is None:
             return None
         away_m = self._floor_m - float(pos_ned_m[2])
-        if count < STRAYS_FROM or (
-            count == len(match.known) and solved.worst_px * away_m < 0.5 * STRAY_M * self._camera.focal_water_px
+        if count < MARKERS_POSE.strays_from or (
+            count == len(match.known)
+            and solved.worst_px * away_m < 0.5 * MARKERS_POSE.stray_m * self._camera.focal_water_px
         ):
             return solved.fix
         return replace(solved.fix, strays=self._strays(sighting, match, solved.fix))
@@ -195,7 +166,7 @@ class MarkerSolver:
                 for k, ray in zip(known.tolist(), rays_ned, strict=True)
             ]
             off_m, taken, shift = (np.array(column) for column in zip(*nearest, strict=True))
-        taken = np.where(off_m <= NEAREST_M, taken, -1)
+        taken = np.where(off_m <= MARKERS_POSE.nearest_m, taken, -1)
         return _Match(known, taken, shift, rays_cam) if (taken >= 0).any() else None
 
     def _strays(self, sighting: MarkerSighting, match: _Match, fix: PoseFix) -> tuple[Stray, ...]:
@@ -223,7 +194,7 @@ class MarkerSolver:
         off = np.where(taken >= 0, np.hypot(*(seen - self._centers_m[taken]).T), np.inf)
         return tuple(
             Stray(sighting.ids[int(match.known[n])], int(taken[n]), float(seen[n, 0]), float(seen[n, 1]))
-            for n in np.flatnonzero((off > STRAY_M) & ~unknown)
+            for n in np.flatnonzero((off > MARKERS_POSE.stray_m) & ~unknown)
         )
 
     def _miss(self, j: int, eye_ned_m: FloatArray, ray_ned: FloatArray) -> tuple[float, int, complex]:
@@ -232,7 +203,7 @@ class MarkerSolver:
         if to_marker @ ray_ned <= 0.0:
             return math.inf, j, 0j
         unit = ray_ned / np.linalg.norm(ray_ned)
-        along = to_marker[2] / unit[2] if unit[2] > STEEP else to_marker @ unit
+        along = to_marker[2] / unit[2] if unit[2] > MARKERS_POSE.steep else to_marker @ unit
         miss = to_marker - along * unit
         return float(np.linalg.norm(miss)), j, complex(miss[0], miss[1])
 
@@ -271,7 +242,7 @@ class MarkerSolver:
         a = (qc[seen].conj() * wc).sum(axis=1) / power[seen]
         misfit = np.abs(wc - a[:, None] * qc[seen]).max(axis=1)
         b = w.mean(axis=1) - a * q.mean(axis=1)[seen]
-        square = misfit <= SIMILAR * np.abs(w[:, 1] - w[:, 0])
+        square = misfit <= MARKERS_POSE.similar * np.abs(w[:, 1] - w[:, 0])
         for n in np.flatnonzero(self._leaning[placed]):
             vote = self._leaning_vote(q[seen[n]], int(placed[n]))
             square[n] = vote is not None
@@ -291,7 +262,7 @@ class MarkerSolver:
         right[0::2], right[1::2] = q.real * down, q.imag * down
         (c, s, tx, ty, tz), _, rank, _ = np.linalg.lstsq(rows, right, rcond=None)
         length = math.hypot(c, s)
-        if rank < 5 or tz <= 0.0 or abs(length - 1.0) > UNIT:
+        if rank < 5 or tz <= 0.0 or abs(length - 1.0) > MARKERS_POSE.unit:
             return None
         turn = complex(c, s) / length
         return tz * turn, self._centers[j] - turn * complex(tx, ty)
@@ -325,7 +296,7 @@ class MarkerSolver:
         sigma_px = None if sighting.sigma_px is None else sighting.sigma_px[seen]
         good = np.ones(len(seen), dtype=bool)
         used, best = good, None
-        for round_left in reversed(range(REJECT_ROUNDS)):
+        for round_left in reversed(range(MARKERS_POSE.reject_rounds)):
             used = good.copy()
             best = solve_pose(
                 self._camera,
@@ -333,7 +304,7 @@ class MarkerSolver:
                 pixels[good].reshape(-1, 2),
                 pos if best is None else best.pos_ned_m,
                 rpy,
-                max_rms_px=FINAL_RMS_PX if round_left == 0 else FIRST_RMS_PX,
+                max_rms_px=MARKERS_POSE.final_rms_px if round_left == 0 else MARKERS_POSE.first_rms_px,
                 sigma_px=None if sigma_px is None else np.repeat(sigma_px[good], 4),
             )
             if best is None:
@@ -367,16 +338,16 @@ class MarkerSolver:
 
     def _good(self, rms_px: float, found_rpy_rad: FloatArray, rpy_rad: FloatArray) -> bool:
         """Whether a fit may be a fix; what is odd about it is counted. ``rpy_rad``: the attitude it began with."""
-        if rms_px > FINAL_RMS_PX:
+        if rms_px > MARKERS_POSE.final_rms_px:
             self.counts["misfit"] += 1
             return False
-        self.counts["misfit"] += rms_px > MISFIT_RMS_PX
+        self.counts["misfit"] += rms_px > MARKERS_POSE.misfit_rms_px
         self.counts["leaning"] += float(np.abs(found_rpy_rad[:2] - rpy_rad[:2]).max()) > LEANING_RAD
         return True
 
     def _focal_due(self, t_us: int, markers: int) -> bool:
         """Whether this picture is to be asked for the focal length."""
-        if markers < LEAST_MARKERS or abs(t_us - self._focal_us) < LOOK_EVERY_US:
+        if markers < CAMERA_DOUBT.least_markers or abs(t_us - self._focal_us) < CAMERA_DOUBT.look_every_us:
             return False
         self._focal_us = t_us
         return True
@@ -395,7 +366,7 @@ class MarkerSolver:
         strained: list[int] = []
         good = np.ones(len(seen), dtype=bool)
         best = None
-        for round_left in reversed(range(REJECT_ROUNDS)):
+        for round_left in reversed(range(MARKERS_POSE.reject_rounds)):
             numbers, place = np.unique(errors.sheet[placed[good]], return_inverse=True)
             exact = int(numbers[0] < 0)
             if len(numbers) == exact:  # all sheets have been left out
@@ -417,7 +388,7 @@ class MarkerSolver:
                 believed(sheets, which, sigma),
                 pos if best is None else best.pos_ned_m,
                 rpy,
-                max_rms_px=FINAL_RMS_PX if round_left == 0 else FIRST_RMS_PX,
+                max_rms_px=MARKERS_POSE.final_rms_px if round_left == 0 else MARKERS_POSE.first_rms_px,
             )
             if best is None:
                 self.counts["misfit"] += 1
@@ -426,7 +397,7 @@ class MarkerSolver:
             fits = _fitting(off_px)
             k = int(best.strain.argmax())
             mine = corners.sheet == k
-            if fits.all() and best.strain[k] > STRAIN_MOST and int((~mine).sum()) >= 2:
+            if fits.all() and best.strain[k] > MARKERS_POSE.strain_most and int((~mine).sum()) >= 2:
                 strained.append(which[k])
                 fits = ~mine
             if fits.all() or round_left == 0:
@@ -479,7 +450,9 @@ def _worst_px(residual_px: FloatArray) -> FloatArray:
 
 def _fitting(worst_px: FloatArray) -> np.ndarray:
     """(n,) which markers fit to the others, by the worst of their corners (n,)."""
-    result: np.ndarray = worst_px <= max(REJECT_FLOOR_PX, REJECT_SIGMAS * _median(worst_px.tolist()))
+    result: np.ndarray = worst_px <= max(
+        MARKERS_POSE.reject_floor_px, MARKERS_POSE.reject_sigmas * _median(worst_px.tolist())
+    )
     return result
 
 
@@ -492,14 +465,14 @@ def _winner(seen: IntArray, a: np.ndarray, b: np.ndarray, eye_depth_m: np.ndarra
     """Indices of the votes (one per marker) that agree on the most popular place, None if it is not clear."""
     height, direction = np.abs(a), a / np.abs(a)
     agree = (
-        (np.abs(b[:, None] - b[None, :]) < VOTE_M)
-        & (np.abs(direction[:, None] - direction[None, :]) < VOTE_RAD)
-        & (np.abs(eye_depth_m[:, None] - eye_depth_m[None, :]) < VOTE_SCALE * height[:, None])
+        (np.abs(b[:, None] - b[None, :]) < MARKERS_POSE.vote_m)
+        & (np.abs(direction[:, None] - direction[None, :]) < MARKERS_POSE.vote_rad)
+        & (np.abs(eye_depth_m[:, None] - eye_depth_m[None, :]) < MARKERS_POSE.vote_scale * height[:, None])
     )
     count = agree.sum(axis=1)
     best = int(count.argmax())
     # Votes that share no supporter with the winner are other places.
-    elsewhere = count[~(agree[best] | (np.abs(b - b[best]) < 3.0 * VOTE_M))]
+    elsewhere = count[~(agree[best] | (np.abs(b - b[best]) < 3.0 * MARKERS_POSE.vote_m))]
     rival = int(elsewhere.max()) if len(elsewhere) else 0
     if 2 * rival > count[best]:
         return None

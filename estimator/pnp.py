@@ -20,33 +20,11 @@ from autopilot.core.camera import CameraModel
 from autopilot.core.frames import FloatArray, r_ned_from_frd, rpy_from_r
 from autopilot.core.robust import PLANAR_MEDIAN
 from autopilot.estimator.measure_pose import MIN_SIGMA_POS_M, MIN_SIGMA_YAW_RAD
+from autopilot.estimator.tuned import PNP
 
-STEPS = 10
-CONVERGED = 4e-3
-"""Steps end when nothing moved by more than this [m, rad]; what is left is about its square, 0.02 mm."""
-TILT_SIGMA_FEW_RAD = 0.009
-"""0.5 degrees: the AHRS's tilt as a prior when at most two markers are seen."""
-TILT_SIGMA_MANY_RAD = 0.09
-"""5 degrees otherwise: the AHRS's tilt error times the height would be worse than what many corners say."""
-FEW_POINTS = 8
 LEAN_MAX_RAD = math.radians(3.0)
 """With few markers a fit that leans further from the AHRS's vertical is the mirrored solution of a flat target (the
 other one of IPPE's two), or the AHRS is wrong: no fix."""
-SHRINK_PX, SHRINK_SIGMA_PX = 0.22, 0.12
-"""Prior of the distance by which corners are found inside of the true ones. Rendered images: 0.18 to 0.31 px at rest
-at 1.3 to 0.3 m, up to 0.5 px at 0.6 m/s; sharp corners: none. From frame to frame it spreads by 0.03 px."""
-MIN_SCALE = 0.5
-"""Corners are at least this share of what is expected off, however well they fit."""
-PRIOR_SIGMA_PX, PRIOR_COUNT = 0.12, 6.0
-"""Standard deviation of a corner along one axis where the image did not tell, and how many residuals what is expected
-is worth: one marker's own residuals say little about it."""
-INFLATION = 1.0
-"""Of the covariance from independent corners: the mean squared distance of the rendered poses is 3.5 (clear water) to 5
-(turbidity 2) of 4 without any. Their errors fade within five frames at 0.3 m/s, half of the variance at once."""
-CORNER_SIGMAS = 3.0
-CORNER_FLOOR = 2.5
-"""Corners that lie further from their projection than this many of the image's standard deviations, and this many
-expected ones, are left out: occluded, at the laser dot, wrongly refined."""
 
 
 class Pose(NamedTuple):
@@ -74,7 +52,7 @@ def solve_pose(
     max_rms_px: float,
     *,
     sigma_px: FloatArray | None = None,
-    shrink_px: float = SHRINK_PX,
+    shrink_px: float = PNP.shrink_px,
 ) -> Pose | None:
     """Pose from the corners (4n, 3) of n markers and their pixels (4n, 2), starting at a rough pose.
 
@@ -86,15 +64,15 @@ def solve_pose(
     pos = np.array(pos_ned_m, dtype=float)
     rotation = r_ned_from_frd(rpy_rad)
     up_prior = rotation.T[:, 2].copy()
-    few = len(points_ned_m) <= FEW_POINTS
-    tilt = (TILT_SIGMA_FEW_RAD if few else TILT_SIGMA_MANY_RAD) ** -2
+    few = len(points_ned_m) <= PNP.few_points
+    tilt = (PNP.tilt_sigma_few_rad if few else PNP.tilt_sigma_many_rad) ** -2
     inward = inward_of(pixels)
     shrink = shrink_px
     expected = expected_px(sigma_px, len(pixels))
     keep = np.ones(2 * len(pixels), dtype=bool)
     jac = np.empty((2 * len(pixels), 7))
     linear = None
-    for step in range(STEPS):
+    for step in range(PNP.steps):
         if linear is None:
             linear = linearise_corners(camera, points_ned_m, pixels, pos, rotation)
             if linear is None:
@@ -108,10 +86,10 @@ def solve_pose(
         information, gradient = _with_priors(seen, toward, scale, rotation, up_prior, tilt, shrink_px - shrink)
         delta: FloatArray = np.asarray(np.linalg.solve(information, gradient), dtype=np.float64)
         left = residual - jac @ delta
-        settled = float(np.abs(delta[:6]).max()) < CONVERGED
+        settled = float(np.abs(delta[:6]).max()) < PNP.converged
         if settled:
             fits = corners_that_fit(left / expected)
-            if not ((fits == keep).all() or step == STEPS - 1):
+            if not ((fits == keep).all() or step == PNP.steps - 1):
                 keep = fits  # so near, the derivatives are what they were
                 continue
         pos = pos + delta[:3]
@@ -127,7 +105,7 @@ def solve_pose(
         return None
     scale = corner_scale((left / expected)[keep])
     information, _ = _with_priors(seen, toward, scale, rotation, up_prior, tilt, 0.0)
-    covariance: FloatArray = INFLATION * np.asarray(np.linalg.inv(information), dtype=np.float64)
+    covariance: FloatArray = PNP.inflation * np.asarray(np.linalg.inv(information), dtype=np.float64)
     noise = floored(covariance[_POSE])
     sigma_tilt_rad = float(np.sqrt(max(covariance[3, 3], covariance[4, 4])))
     return Pose(pos, rpy_from_r(rotation), noise, sigma_tilt_rad, left.reshape(-1, 2), rms)
@@ -154,7 +132,7 @@ def inward_of(pixels: FloatArray) -> FloatArray:
 
 def expected_px(sigma_px: FloatArray | None, corners: int) -> FloatArray:
     """(2n,) standard deviations of pixel coordinates from those of corners (n,), or of clear water for so many."""
-    return np.full(2 * corners, PRIOR_SIGMA_PX) if sigma_px is None else np.repeat(sigma_px, 2)
+    return np.full(2 * corners, PNP.prior_sigma_px) if sigma_px is None else np.repeat(sigma_px, 2)
 
 
 def corners_that_fit(residual: FloatArray) -> np.ndarray:
@@ -165,7 +143,7 @@ def corners_that_fit(residual: FloatArray) -> np.ndarray:
     half = len(off) // 2
     middle = np.partition(off, (half - 1, half))  # an even number: four of each marker
     median = 0.5 * float(middle[half - 1] + middle[half])
-    fits = off <= max(CORNER_FLOOR, CORNER_SIGMAS * median / PLANAR_MEDIAN)
+    fits = off <= max(PNP.corner_floor, PNP.corner_sigmas * median / PLANAR_MEDIAN)
     if 4 * int(fits.sum()) < 3 * len(fits):
         fits[:] = True
     return np.repeat(fits, 2)
@@ -174,8 +152,8 @@ def corners_that_fit(residual: FloatArray) -> np.ndarray:
 def corner_scale(residual: FloatArray) -> float:
     """Standard deviation of corners over what is expected of them, from residuals (k,) over the same, with seven
     unknowns taken off."""
-    squares = float(residual @ residual) + PRIOR_COUNT
-    return max(MIN_SCALE, math.sqrt(squares / max(len(residual) - 7.0 + PRIOR_COUNT, 1.0)))
+    squares = float(residual @ residual) + PNP.prior_count
+    return max(PNP.min_scale, math.sqrt(squares / max(len(residual) - 7.0 + PNP.prior_count, 1.0)))
 
 
 def linearise_corners(
@@ -227,10 +205,10 @@ def add_priors(
     if information is not None:
         information[3, 3] += tilt
         information[4, 4] += tilt
-        information[6, 6] += SHRINK_SIGMA_PX**-2
+        information[6, 6] += PNP.shrink_sigma_px**-2
     gradient[3] += tilt * float(lean[1])
     gradient[4] -= tilt * float(lean[0])
-    gradient[6] += SHRINK_SIGMA_PX**-2 * shrink_off_px
+    gradient[6] += PNP.shrink_sigma_px**-2 * shrink_off_px
 
 
 def rms_of(residual: FloatArray) -> float:

@@ -16,11 +16,6 @@ from autopilot.core.frames import FloatArray, r_ned_from_frd, rpy_from_r
 from autopilot.core.map_errors import STATES
 from autopilot.core.markers import IntArray
 from autopilot.estimator.pnp import (
-    CONVERGED,
-    MIN_SCALE,
-    PRIOR_COUNT,
-    SHRINK_PX,
-    STEPS,
     add_priors,
     corners_that_fit,
     expected_px,
@@ -30,6 +25,7 @@ from autopilot.estimator.pnp import (
     rms_of,
     turn_matrix,
 )
+from autopilot.estimator.tuned import PNP
 
 TILT_INFORMATION = 0.009**-2
 """0.5 degrees: the AHRS's tilt as a prior, however many markers are seen."""
@@ -132,13 +128,13 @@ def fit_on_sheets(
     offset = believed.copy()
     pixels = seen.pixels.reshape(-1, 2)
     inward, expected = inward_of(pixels), _expected(seen)
-    shrink = SHRINK_PX
+    shrink = PNP.shrink_px
     keep = np.ones(2 * len(pixels), dtype=bool)
     places = _places(seen, 7 + size)
     jac = np.zeros((2 * len(pixels), 7 + size))
     jac[:, 6] = inward
     linear = None
-    for step in range(STEPS):
+    for step in range(PNP.steps):
         if linear is None:
             points, arm = _points(seen, offset)
             linear = linearise_corners(camera, points.reshape(-1, 3), pixels, pos, rotation)
@@ -150,16 +146,16 @@ def fit_on_sheets(
             left = residual
         weighted = jac.T * (_weights(camera, seen, left, expected, keep, pos, points, 7 + size) * keep)
         information, gradient = weighted @ jac, weighted @ residual
-        add_priors(information, gradient, rotation @ up_prior, TILT_INFORMATION, SHRINK_PX - shrink)
+        add_priors(information, gradient, rotation @ up_prior, TILT_INFORMATION, PNP.shrink_px - shrink)
         full, toward = information.copy(), gradient
         full[7:, 7:] += prior
         toward[7:] += prior @ (believed - offset)
         delta: FloatArray = np.asarray(np.linalg.solve(full, toward), dtype=np.float64)
         left = residual - jac @ delta
-        settled = max(float(np.abs(delta[:6]).max()), float(np.abs(delta[7:]).max())) < CONVERGED
+        settled = max(float(np.abs(delta[:6]).max()), float(np.abs(delta[7:]).max())) < PNP.converged
         if settled:
             fits = corners_that_fit(left / expected)
-            if not ((fits == keep).all() or step == STEPS - 1):
+            if not ((fits == keep).all() or step == PNP.steps - 1):
                 keep = fits  # so near, the derivatives are what they were
                 continue
         pos = pos + delta[:3]
@@ -175,7 +171,7 @@ def fit_on_sheets(
     if not rms <= max_rms_px:
         return None
     gradient = weighted @ left
-    add_priors(None, gradient, rotation @ up_prior, TILT_INFORMATION, SHRINK_PX - shrink)
+    add_priors(None, gradient, rotation @ up_prior, TILT_INFORMATION, PNP.shrink_px - shrink)
     posterior: FloatArray = np.asarray(np.linalg.inv(full), dtype=np.float64)
     return _pieces(information, gradient, posterior, pos, rotation, offset, (believed, covariance), left, rms, jac)
 
@@ -247,7 +243,7 @@ def scatter(residual: FloatArray, keep: FloatArray, print_sigma: FloatArray, unk
     by_marker = residual.reshape(-1, 4, 2)[whole]
     shared = by_marker.mean(axis=1)
     within = float(((by_marker - shared[:, None]) ** 2).sum())
-    corner2 = max(MIN_SCALE**2, (within + PRIOR_COUNT) / (6 * len(by_marker) + PRIOR_COUNT))
+    corner2 = max(PNP.min_scale**2, (within + PNP.prior_count) / (6 * len(by_marker) + PNP.prior_count))
     freedom = 2 * len(by_marker) - unknowns
     if freedom <= 0:
         return math.sqrt(corner2), 1.0

@@ -28,65 +28,16 @@ from numpy.typing import NDArray
 from autopilot.core.frames import FloatArray
 from autopilot.estimator.inertial import FUTURE_TOLERANCE_US, Inertial
 from autopilot.estimator.measure_pose import PoseFix
+from autopilot.estimator.tuned import STAMP_WATCH
 
 GRID_S = np.arange(-0.25, 0.2501, 0.005)
 """Delays that are held against each other; in between by a parabola."""
-WINDOW_US = 2_000_000
-LEAST_US, LEAST_FIXES = 600_000, 12
-"""A window of less says nothing."""
-MARGIN_US = 260_000
-"""So long before its first fix a window needs inertial samples."""
-GAP_US = 150_000
-"""Inertial sensors that are silent for longer begin a new window."""
-LOOK_S = 0.5
-"""How often all is added up, unless told otherwise;"""
-LOOKS_SOON = 30
-"""while fixes miss with each of them, so many at most before the next that does not."""
-FORGET_S = 60.0
-"""Older windows count for less."""
-ALIKE = 4.0
-"""Errors of fixes and of inertial sensors are alike over some moments: so many count as one."""
-FLOOR_RAD, FLOOR_M = 4e-4, 3e-4
-"""What a window fits to at best."""
-FAR = 6.0
-"""Times the median miss: such a fix is an outlier."""
-UNEXPLAINED = 0.5
-"""A window in which the inertial sensors leave this share of what fixes show, in squares, says nothing of stamps."""
-UNFIT_SIGMA = 4.9
-"""A window fits worse than usual by chance once in so many standard deviations."""
-SCALE = 0.05
-"""Share of what fixes show that errors of scale (gyro, accelerometer, lens) may leave: no reason to call it unfit."""
-NEWEST = 3
-"""So many outliers in a row that are the newest fixes are what begins to be otherwise."""
-USUAL_COUNT = 9
-"""Windows that tell how well they fit as a rule: their median. An offset that lasts is fitted after one of them."""
-LASTS_US, LASTS_S = 500_000, 0.01
-"""A delay is acted on once it has been found for so long, from look to look within this or three sigma,"""
-SETTLED_COUNT = 2
-"""if so many windows have told what is usual: stamps that are late from the start have not changed."""
-SURE = 12.0
-"""Difference of the logarithms of two likelihoods that is acted on: 4.9 sigma."""
-SUSPECTED = 4.0
-AHEAD_US, AHEAD_COUNT = 200_000, 10
-"""Pictures in a row from a future that is nearer than this are stamped late. Others are garbage."""
-AHEAD_SIGMA_S = 0.02
-AGE_STEP_US, AGE_SOON, AGE_COUNT = 30_000, 3, 10
-"""Pictures whose age at their arrival is off by so much have other stamps, or come later than they did: which of both
-is not known. From so many in a row on it is possible, and from so many evidence of before is of other stamps."""
-AGE_SHARE = 0.02
-"""Of a new age in the usual one."""
-MISSED_US = 1_000_000
-"""Fixes that have missed so long before the age was found to have changed missed for it."""
-DOUBTED_US = 4_000_000
-"""So long after such a step other sensors are not blamed for what stamps may have done."""
-APART_S, APART_FIRST_S = 0.001, 0.003
-"""Smaller changes are not worth it; nor is a first one."""
 
 
 class StampWatch:
     """Of one estimator."""
 
-    def __init__(self, every_s: float = LOOK_S) -> None:
+    def __init__(self, every_s: float = STAMP_WATCH.look_s) -> None:
         self._every_us = round(1e6 * every_s)
         self.late_s = 0.0
         """By which stamps are late as far as is known: what is to be taken off."""
@@ -106,19 +57,19 @@ class StampWatch:
         self._ages = Ages()
         self._moved_s, self._moved_known = 0.0, False
         self._arrived_us = self._moved_us = 0
-        self._missed_us = -MISSED_US - 1
+        self._missed_us = -STAMP_WATCH.missed_us - 1
 
     @property
     def suspects(self) -> bool:
         """Whether late stamps would explain by far better what fixes say, or what pictures' ages at arrival say."""
-        moved = self._moved_s != 0.0 and self._arrived_us - self._moved_us < DOUBTED_US
+        moved = self._moved_s != 0.0 and self._arrived_us - self._moved_us < STAMP_WATCH.doubted_us
         return self._explains or moved or self._ages.off_s != 0.0
 
     @property
     def unsure_s(self) -> float:
         """By how much stamps may have moved that nothing has told of yet: the age of pictures has changed so much, and
         fixes have missed since. Pictures that only come later miss nothing."""
-        return abs(self._moved_s) if self._missed_us >= self._moved_us - MISSED_US else 0.0
+        return abs(self._moved_s) if self._missed_us >= self._moved_us - STAMP_WATCH.missed_us else 0.0
 
     def arrives(self, now_us: int, ahead_us: int, latency_s: float) -> bool:
         """A picture's result is there whose stamp, put right, is so far ahead of the clock. True if :attr:`late_s` has
@@ -130,15 +81,15 @@ class StampWatch:
             self._moved_known |= self._known()
             self._forget()
             self._fixes.clear()
-        self._ahead_us = [*self._ahead_us, ahead_us] if FUTURE_TOLERANCE_US < ahead_us < AHEAD_US else []
-        if len(self._ahead_us) < AHEAD_COUNT:
+        self._ahead_us = [*self._ahead_us, ahead_us] if FUTURE_TOLERANCE_US < ahead_us < STAMP_WATCH.ahead_us else []
+        if len(self._ahead_us) < STAMP_WATCH.ahead_count:
             return False
         more_s = self._moved_s if self._moved_s > 0.0 else 1e-6 * max(self._ahead_us) + latency_s
         if self._moved_known or self._known():
             self.jumped_s += more_s
         self._moved_s, self._moved_known = 0.0, False
         self.late_s += more_s
-        self.sigma_s, self._ahead_us = AHEAD_SIGMA_S, []
+        self.sigma_s, self._ahead_us = STAMP_WATCH.ahead_sigma_s, []
         self._ages.put_right(more_s)
         self._forget()
         self._fixes.clear()
@@ -146,13 +97,13 @@ class StampWatch:
 
     def feel(self, inertial: Inertial) -> None:
         """One inertial sample."""
-        if not inertial.real or (self._imu and inertial.t_us - self._imu[-1][0] > GAP_US):
+        if not inertial.real or (self._imu and inertial.t_us - self._imu[-1][0] > STAMP_WATCH.gap_us):
             self._imu.clear()
             self._fixes.clear()
         if inertial.real:
             forward, right, _ = inertial.accel_level_m_s2
             self._imu.append((inertial.t_us, inertial.yaw_rate_rad_s, forward, right))
-            if self._imu[0][0] < inertial.t_us - WINDOW_US - 2 * MARGIN_US:
+            if self._imu[0][0] < inertial.t_us - STAMP_WATCH.window_us - 2 * STAMP_WATCH.margin_us:
                 self._imu.popleft()
 
     def see(self, fix: PoseFix, *, missed: bool) -> None:
@@ -166,7 +117,7 @@ class StampWatch:
         north, east, _, yaw = fix.z.tolist()
         variance = fix.noise.diagonal()
         self._fixes.append((stamp_us, north, east, yaw, variance.item(3), 0.5 * (variance.item(0) + variance.item(1))))
-        while self._fixes[0][0] < stamp_us - WINDOW_US:
+        while self._fixes[0][0] < stamp_us - STAMP_WATCH.window_us:
             self._fixes.popleft()
 
     def look(self) -> bool:
@@ -174,7 +125,7 @@ class StampWatch:
         if not self._fixes or not self._imu:
             return False
         now_us = self._fixes[-1][0]
-        if now_us - self._looked_us < (1 if 0 < self._soon <= LOOKS_SOON else self._every_us):
+        if now_us - self._looked_us < (1 if 0 < self._soon <= STAMP_WATCH.looks_soon else self._every_us):
             return False
         if now_us - self._looked_us > 2 * self._every_us:
             self._found_s = math.inf
@@ -182,15 +133,15 @@ class StampWatch:
         window = self._window()
         if window is None:
             return False
-        fresh = min(1.0, 1e-6 * (now_us - self._last_us) / (1e-6 * WINDOW_US))
+        fresh = min(1.0, 1e-6 * (now_us - self._last_us) / (1e-6 * STAMP_WATCH.window_us))
         recent = (1.0 - fresh) * self._last + window
-        moved = self._against(recent) > SURE and self._known()
+        moved = self._against(recent) > STAMP_WATCH.sure and self._known()
         cost = recent if moved else self._old + recent
         before_s = self.late_s
-        sudden = self._usual_heading.count >= SETTLED_COUNT and self._against(window) > SURE
+        sudden = self._usual_heading.count >= STAMP_WATCH.settled_count and self._against(window) > STAMP_WATCH.sure
         changed = self._judge(cost)
         if fresh == 1.0 and (changed or not sudden):  # what may be of the newest fixes alone is not kept
-            keep = math.exp(-1e-6 * (now_us - self._last_us) / FORGET_S) if self._last_us else 0.0
+            keep = math.exp(-1e-6 * (now_us - self._last_us) / STAMP_WATCH.forget_s) if self._last_us else 0.0
             self._old = keep * (self._old + self._last)
             self._last, self._last_us = window, now_us
             self._usual_heading.learn()
@@ -201,7 +152,7 @@ class StampWatch:
             if moved or self._moved_known:
                 self.jumped_s += self.late_s - before_s
             self._ages.put_right(self.late_s - before_s)
-        if changed or float(np.interp(self.late_s + self._moved_s, GRID_S, cost)) - cost.min() > SURE:
+        if changed or float(np.interp(self.late_s + self._moved_s, GRID_S, cost)) - cost.min() > STAMP_WATCH.sure:
             self._moved_s, self._moved_known = 0.0, False
         return changed
 
@@ -211,7 +162,7 @@ class StampWatch:
 
     def _known(self) -> bool:
         """Whether windows of before have told how late stamps are."""
-        return bool(self._old.max() - self._old.min() > SURE)
+        return bool(self._old.max() - self._old.min() > STAMP_WATCH.sure)
 
     def _forget(self) -> None:
         """Evidence of other stamps."""
@@ -221,7 +172,7 @@ class StampWatch:
         k = int(cost.argmin())
         against = self._against(cost)
         if not 0 < k < len(GRID_S) - 1:
-            self._explains = against > SUSPECTED
+            self._explains = against > STAMP_WATCH.suspected
             return False
         step = float(GRID_S[1] - GRID_S[0])
         before, least, after = cost[k - 1 : k + 2].tolist()
@@ -232,36 +183,39 @@ class StampWatch:
             return False
         sigma_s = step / math.sqrt(bend)
         if self.sigma_s:  # found before: nothing but better
-            self._explains = against > SUSPECTED and apart > APART_FIRST_S
+            self._explains = against > STAMP_WATCH.suspected and apart > STAMP_WATCH.apart_first_s
             if sigma_s < self.sigma_s:
                 self.sigma_s = sigma_s
-            if apart < max(APART_S, sigma_s):
+            if apart < max(STAMP_WATCH.apart_s, sigma_s):
                 return False
         else:
-            self._explains = against > SUSPECTED and apart > APART_FIRST_S
-            if apart < APART_FIRST_S or against < SURE:
+            self._explains = against > STAMP_WATCH.suspected and apart > STAMP_WATCH.apart_first_s
+            if apart < STAMP_WATCH.apart_first_s or against < STAMP_WATCH.sure:
                 self._found_s = math.inf
                 return False
-        if apart >= APART_FIRST_S and not self._lasts(late_s, sigma_s):
+        if apart >= STAMP_WATCH.apart_first_s and not self._lasts(late_s, sigma_s):
             return False
         self.late_s, self.sigma_s, self._explains = late_s, sigma_s, False
         return True
 
     def _lasts(self, late_s: float, sigma_s: float) -> bool:
         """Whether this delay has been found for long enough."""
-        if abs(late_s - self._found_s) > max(LASTS_S, 3.0 * sigma_s):
+        if abs(late_s - self._found_s) > max(STAMP_WATCH.lasts_s, 3.0 * sigma_s):
             self._found_s, self._found_us = late_s, self._looked_us
-        return self._looked_us - self._found_us >= LASTS_US or self._usual_heading.count < SETTLED_COUNT
+        return (
+            self._looked_us - self._found_us >= STAMP_WATCH.lasts_us
+            or self._usual_heading.count < STAMP_WATCH.settled_count
+        )
 
     def _window(self) -> FloatArray | None:
         """(g,) what speaks against each delay, from the fixes at hand; None if they are too few."""
         imu = np.array(self._imu)
         begin_us = imu[0, 0]
-        fixes = np.array([fix for fix in self._fixes if fix[0] - MARGIN_US >= begin_us])
-        if len(fixes) < LEAST_FIXES or fixes[-1, 0] - fixes[0, 0] < LEAST_US:
+        fixes = np.array([fix for fix in self._fixes if fix[0] - STAMP_WATCH.margin_us >= begin_us])
+        if len(fixes) < STAMP_WATCH.least_fixes or fixes[-1, 0] - fixes[0, 0] < STAMP_WATCH.least_us:
             return None
         imu = np.vstack((imu, imu[-1]))
-        imu[-1, 0] += MARGIN_US  # stamps that are too early lie ahead: held
+        imu[-1, 0] += STAMP_WATCH.margin_us  # stamps that are too early lie ahead: held
         imu[:, 0] -= begin_us
         fixes[:, 0] -= begin_us
         t_s, rate = 1e-6 * imu[:, 0], imu[:, 1]
@@ -290,18 +244,20 @@ class StampWatch:
         place = _Fit(np.concatenate((north, east)), np.column_stack((off, alone)))
         near_heading, near_place = heading.near(), np.logical_and(*np.split(place.near(), 2))
         good = near_heading & near_place
-        turns, moves = bool(near_heading[-NEWEST:].any()), bool(near_place[-NEWEST:].any())
+        turns, moves = bool(near_heading[-STAMP_WATCH.newest :].any()), bool(near_place[-STAMP_WATCH.newest :].any())
         if not good.all():
-            if good.sum() < LEAST_FIXES:
+            if good.sum() < STAMP_WATCH.least_fixes:
                 return None
             heading, place = heading.only(good), place.only(np.tile(good, 2))
             fixes, known_s = fixes[good], known_s[good]
-        turns &= self._usual_heading.fits(heading.fit(FLOOR_RAD), float(np.median(fixes[:, 4])))
+        turns &= self._usual_heading.fits(heading.fit(STAMP_WATCH.floor_rad), float(np.median(fixes[:, 4])))
         turns = turns and not heading.beaten(
-            int(np.abs(GRID_S - self.late_s).argmin()), _wrong_gyro(known_s, t_s, turned), FLOOR_RAD
+            int(np.abs(GRID_S - self.late_s).argmin()), _wrong_gyro(known_s, t_s, turned), STAMP_WATCH.floor_rad
         )
-        moves &= self._usual_place.fits(place.fit(FLOOR_M), float(np.median(fixes[:, 5])))
-        result: FloatArray = turns * heading.cost(FLOOR_RAD) + (turns and moves) * place.cost(FLOOR_M)
+        moves &= self._usual_place.fits(place.fit(STAMP_WATCH.floor_m), float(np.median(fixes[:, 5])))
+        result: FloatArray = turns * heading.cost(STAMP_WATCH.floor_rad) + (turns and moves) * place.cost(
+            STAMP_WATCH.floor_m
+        )
         return result if np.isfinite(result).all() else None
 
 
@@ -320,7 +276,7 @@ class _Usual:
     """How well windows fit as a rule, as a share of the variance that fixes tell of themselves."""
 
     def __init__(self) -> None:
-        self._shares: deque[float] = deque(maxlen=USUAL_COUNT)
+        self._shares: deque[float] = deque(maxlen=STAMP_WATCH.usual_count)
         self._share = 0.0
 
     @property
@@ -334,7 +290,7 @@ class _Usual:
         if not self._shares:
             return True
         usual = median(self._shares) * told
-        return found.variance <= usual * _chance(found.freedom) + SCALE * SCALE * found.shown
+        return found.variance <= usual * _chance(found.freedom) + STAMP_WATCH.scale * STAMP_WATCH.scale * found.shown
 
     def learn(self) -> None:
         """The last one asked for is one of those that tell what is usual."""
@@ -345,7 +301,7 @@ class Ages:
     """How old pictures are when they arrive."""
 
     def __init__(self) -> None:
-        self._last_us: deque[int] = deque(maxlen=AGE_COUNT)
+        self._last_us: deque[int] = deque(maxlen=STAMP_WATCH.age_count)
         self._usual_us: float | None = None
         self._off = 0
         """Pictures in a row that are older or younger than usual: their number, with the sign."""
@@ -353,7 +309,7 @@ class Ages:
     @property
     def off_s(self) -> float:
         """By how much later than usual the last ones are stamped, 0 = they are not."""
-        if abs(self._off) < AGE_SOON or self._usual_us is None:
+        if abs(self._off) < STAMP_WATCH.age_soon or self._usual_us is None:
             return 0.0
         return 1e-6 * (self._usual_us - self._last_us[-1])
 
@@ -361,17 +317,17 @@ class Ages:
         """One more picture. By how much stamps seem to be later for good [us], 0 = they do not."""
         self._last_us.append(age_us)
         if self._usual_us is None:
-            if len(self._last_us) == AGE_COUNT:
+            if len(self._last_us) == STAMP_WATCH.age_count:
                 self._usual_us = median(self._last_us)
             return 0.0
         off_us = age_us - self._usual_us
-        if abs(off_us) <= AGE_STEP_US:
+        if abs(off_us) <= STAMP_WATCH.age_step_us:
             self._off = 0
-            self._usual_us += AGE_SHARE * off_us
+            self._usual_us += STAMP_WATCH.age_share * off_us
             return 0.0
         side = 1 if off_us > 0.0 else -1
         self._off = self._off + side if self._off * side > 0 else side
-        if abs(self._off) < AGE_COUNT or max(self._last_us) - min(self._last_us) > AGE_STEP_US:
+        if abs(self._off) < STAMP_WATCH.age_count or max(self._last_us) - min(self._last_us) > STAMP_WATCH.age_step_us:
             return 0.0  # a busy machine delays each picture by another time
         before_us, self._usual_us, self._off = self._usual_us, median(self._last_us), 0
         return before_us - self._usual_us
@@ -415,12 +371,12 @@ class _Fit:
             return False
         gain = (by_first**2 * c - 2.0 * by_first * by_second * b + by_second**2 * a)[felt] / det[felt]
         left = max(0.0, float(self._squares[known] - gain.max())) + n * floor * floor
-        return bool(0.5 / ALIKE * (n - p) * math.log(least / left) > SUSPECTED)
+        return bool(0.5 / STAMP_WATCH.alike * (n - p) * math.log(least / left) > STAMP_WATCH.suspected)
 
     def near(self) -> NDArray[np.bool_]:
         """(n,) which are no outliers."""
         rest = np.abs(self._rest[:, self._squares[:-1].argmin()])
-        result: NDArray[np.bool_] = rest <= FAR * max(float(np.median(rest)), 1e-5)
+        result: NDArray[np.bool_] = rest <= STAMP_WATCH.far * max(float(np.median(rest)), 1e-5)
         return result
 
     def only(self, good: NDArray[np.bool_]) -> "_Fit":
@@ -431,7 +387,7 @@ class _Fit:
         """At the best delay."""
         n, p = self._by.shape
         *_, shown = squares = self._squares + n * floor * floor
-        return _Goodness(float(squares[:-1].min()) / (n - p), float(shown) / (n - p), (n - p) / ALIKE)
+        return _Goodness(float(squares[:-1].min()) / (n - p), float(shown) / (n - p), (n - p) / STAMP_WATCH.alike)
 
     def cost(self, floor: float) -> FloatArray:
         """(g,) negative logarithm of the likelihood, its least taken off; how large the errors are is not known.
@@ -440,15 +396,16 @@ class _Fit:
         n, p = self._by.shape
         *_, shown = squares = self._squares + n * floor * floor
         squares = squares[:-1]
-        told = min(1.0, max(0.0, 2.0 - 2.0 * squares.min() / (UNEXPLAINED * shown)))
-        result: FloatArray = 0.5 / ALIKE * (n - p) * told * np.log(squares / squares.min())
+        told = min(1.0, max(0.0, 2.0 - 2.0 * squares.min() / (STAMP_WATCH.unexplained * shown)))
+        result: FloatArray = 0.5 / STAMP_WATCH.alike * (n - p) * told * np.log(squares / squares.min())
         return result
 
 
 def _chance(freedom: float) -> float:
-    """Chi-square per degree of freedom that is exceeded by chance beyond ``UNFIT_SIGMA`` (Wilson and Hilferty 1931)."""
+    """Chi-square per degree of freedom that is exceeded by chance beyond ``STAMP_WATCH.unfit_sigma``"
+    " (Wilson and Hilferty 1931)."""
     spread = 2.0 / (9.0 * freedom)
-    return (1.0 - spread + UNFIT_SIGMA * math.sqrt(spread)) ** 3
+    return (1.0 - spread + STAMP_WATCH.unfit_sigma * math.sqrt(spread)) ** 3
 
 
 def _wrong_gyro(at_s: FloatArray, t_s: FloatArray, turned: FloatArray) -> FloatArray:

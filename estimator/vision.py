@@ -6,7 +6,7 @@ the dictionary in OpenCV 5.0) and rule out most false ids. Where a marker should
 time, in that part of the image, with OpenCV's own windows. Without a hint the whole dictionary is searched; that is
 slow and meant for start-up, at a rate that the caller limits.
 
-Misread cells are corrected as far as the dictionary's distances allow (``CORRECTION``).
+Misread cells are corrected as far as the dictionary's distances allow (``VISION.correction``).
 
 Where haze has left little contrast, the mean of blue and green, smoothed, takes the place of green, and the threshold
 is lower: the same markers with half of the noise. Equalising the histogram (CLAHE) instead costs more and finds less.
@@ -27,61 +27,11 @@ from autopilot.core.markers import ID_SPAN, IntArray, MarkerMap
 from autopilot.core.samples import MAX_SIGHTED, CameraFrame, MarkerSighting
 from autopilot.estimator.laser_dot import find_dot
 from autopilot.estimator.marker_looks import corner_sigma_px, looks_of, patterns_of
+from autopilot.estimator.tuned import VISION
 
-HINT_MARGIN_PX, HINT_MARGIN_M = 60.0, 0.06
-"""Markers so far outside of the predicted image (the larger one, seen on the floor) may be in view: some centimetres
-and degrees of error. Close to the floor a centimetre is many pixels."""
-WINDOW_PX = 13
-"""The one adaptive threshold window while tracking: about a quarter to a half of a marker's side."""
-ACQUIRE_WINDOWS_PX = (7, 31, 8)
-"""First, last and step of the windows without a hint."""
-THRESHOLD_CONSTANT = 3.0
-"""Instead of OpenCV's 7: finds markers that haze has left with little contrast."""
-MIN_OTSU_STD_DEV = 2.0
-"""Instead of OpenCV's 5, for the same reason."""
-HAZY_STD_DEV = 24.0
-"""An image whose grey levels spread by less than this standard deviation is hazy: a floor of markers has 74 in clear
-water, 32 at turbidity 1 1/m and 0.8 m, 15 at 2 1/m, 4 at 3 1/m and 1.2 m."""
-HAZY_THRESHOLD_CONSTANT, HAZY_MIN_OTSU_STD_DEV = 1.5, 1.0
-"""Find all markers at 1 m and 3 1/m, where 3 and 2 find one in twenty; the smoothing keeps noise out."""
-HAZY_SMOOTH_PX = ((4.5, 5), (3.2, 3))
-"""Cell of the smallest marker from which on, and side of the Gaussian that smooths hazy images then: halves the error
-of the pose (5 against 10 mm at 1 m and 3 1/m). Smaller cells would flow into each other."""
-SIZE_BAND = (0.6, 1.6)
-"""A marker's perimeter may differ by these factors from the predicted one."""
-MIN_SIDE_PX = 5.0
-"""Smaller markers cannot be read."""
-HALF_CELL_PX = 6.5
-"""Markers whose cells are at least so wide are looked for in the image at half its size."""
-CORRECTION = 0.6
-"""Share of the misread cells that a dictionary's least distance would allow to correct which are corrected (OpenCV's
-own choice): 3 of 36 in tag36h11, 2 of 25 in tag25h9, none in DICT_4X4_1000."""
 EXACT = ("DICT_APRILTAG_16h5",)
 """Families that are not corrected: thirty words of 16 cells with one cell wrong, each in four directions, are one in
 thirty of all there are, and whatever is square would be a marker."""
-SECOND_WINDOWS_PX = (3, 23, 10)
-SECOND_CONSTANT = 7.0
-"""Windows and threshold constant of the second look: OpenCV's own."""
-HAZY_SECOND_WINDOWS_PX = (7, 23, 16)
-"""The same in a smoothed image."""
-BORDER_PX = 3.0
-"""Corners nearer to the image's border are not taken (OpenCV's own choice)."""
-WHOLE_PX = 1.5
-"""A marker should be found when its corners are predicted this far inside of the image."""
-LEAST_FIT = 0.4
-"""What correlates less with the marker that it was read as is none."""
-AROUND = 0.75
-"""The second look takes in this share of the marker's size on each side,"""
-AROUND_PX = 8.0
-"""and at least so many pixels: the white around it, and the error of the prediction."""
-MOST_AREAS = 12
-"""More missing markers than these are looked for in one piece."""
-SAME = 0.5
-"""Two markers of one id whose centres are nearer than this share of their side are one."""
-REFINE_CELLS = 0.72
-"""Half width of the corner refinement window in cells of the marker, black border included: a wider window would be
-drawn to the next cell's corner."""
-REFINE_WINDOW_PX = (2, 5)
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -142,7 +92,7 @@ class MarkerDetector:
         r = r_ned_from_frd(hint.rpy_rad)
         eye_m = float((hint.pos_ned_m + r @ self._camera.position_frd_m)[2])
         above_m = max(self._floor_m - eye_m, 0.05)
-        margin_px = max(HINT_MARGIN_PX, HINT_MARGIN_M * self._camera.focal_water_px / above_m)
+        margin_px = max(VISION.hint_margin_px, VISION.hint_margin_m * self._camera.focal_water_px / above_m)
         seen, corners = self._markers.in_view(self._camera, hint.pos_ned_m, r, -margin_px)
         kinds = self._markers.ids[seen] // ID_SPAN
         return [(self._markers.ids[seen[kinds == kind]], corners[kinds == kind]) for kind in np.unique(kinds)]
@@ -160,10 +110,13 @@ class MarkerDetector:
         dictionary = self._words(words)
         cells = dictionary.markerSize + 2
         sides_px = _perimeters_px(predicted) / 4.0
-        least_px, most_px = max(float(sides_px.min()), MIN_SIDE_PX), max(float(sides_px.max()), MIN_SIDE_PX)
+        least_px, most_px = (
+            max(float(sides_px.min()), VISION.min_side_px),
+            max(float(sides_px.max()), VISION.min_side_px),
+        )
         smooth = _smoothed(grey, least_px / cells) if hazy else grey
         # Noise makes thousands of contours, which cost more than the markers: halve where the cells are large enough.
-        halved = least_px >= HALF_CELL_PX * cells
+        halved = least_px >= VISION.half_cell_px * cells
         scale = 2.0 if halved else 1.0
         smaller = cv2.pyrDown(smooth) if halved else smooth
         found = _quads(
@@ -180,7 +133,7 @@ class MarkerDetector:
         """Markers whose id is one of ``ids``, all of one dictionary."""
         words = np.unique(ids)
         dictionary = self._words(words)
-        smooth = _smoothed(grey, HAZY_SMOOTH_PX[0][0]) if hazy else cv2.GaussianBlur(grey, (3, 3), 0.0)
+        smooth = _smoothed(grey, VISION.hazy_smooth_px[0][0]) if hazy else cv2.GaussianBlur(grey, (3, 3), 0.0)
         found = _quads(smooth, dictionary, _acquiring(max(grey.shape), hazy))
         # What is small or pale is lost by smoothing. What has been found need not be identified again.
         rest = cv2.fillPoly(grey.copy(), np.round(found.quads).astype(np.int32), 255.0) if len(found.ids) else grey
@@ -195,7 +148,7 @@ class MarkerDetector:
         halves = _window_px(found.quads, dictionary.markerSize + 2)
         quads = _refined(grey, found.quads, halves)
         looks = looks_of(grey, quads, self._patterns[int(found.ids[0]) // ID_SPAN][found.ids % ID_SPAN])
-        sure = looks.fit >= LEAST_FIT
+        sure = looks.fit >= VISION.least_fit
         # As the log keeps it.
         sigma = corner_sigma_px(looks, halves).astype(np.float32).astype(np.float64)
         return _Seen(found.ids[sure], quads[sure], sigma[sure])
@@ -222,7 +175,7 @@ class _Found(NamedTuple):
         if not len(self.ids) or not len(more.ids):
             return more if len(more.ids) else self
         apart = more.quads.mean(axis=1)[:, None, :] - self.quads.mean(axis=1)[None, :, :]
-        near = (apart * apart).sum(axis=2) < np.square(SAME * _perimeters_px(more.quads) / 4.0)[:, None]
+        near = (apart * apart).sum(axis=2) < np.square(VISION.same * _perimeters_px(more.quads) / 4.0)[:, None]
         new = ~(near & (more.ids[:, None] == self.ids[None, :])).any(axis=1)
         return _Found(np.append(self.ids, more.ids[new]), np.concatenate((self.quads, more.quads[new])))
 
@@ -268,15 +221,15 @@ def _missing_areas(
     here, spread_px = _moved(predicted, nearest, found.quads)
     missing = np.ones(len(ids), dtype=bool)
     missing[nearest] = False
-    inside = ((here >= WHOLE_PX) & (here <= np.array([width, height]) - 1.0 - WHOLE_PX)).all(axis=(1, 2))
+    inside = ((here >= VISION.whole_px) & (here <= np.array([width, height]) - 1.0 - VISION.whole_px)).all(axis=(1, 2))
     missing = here[inside & missing]
     if not len(missing):
         return []
     low, high = missing.min(axis=1), missing.max(axis=1)
-    around = np.maximum(AROUND * (high - low).max(axis=1, keepdims=True), AROUND_PX) + spread_px
+    around = np.maximum(VISION.around * (high - low).max(axis=1, keepdims=True), VISION.around_px) + spread_px
     low = np.maximum(np.floor(low - around), 0.0).astype(int)
     high = np.minimum(np.ceil(high + around) + 1.0, [width, height]).astype(int)
-    if len(low) > MOST_AREAS or (high - low).prod(axis=1).sum() > (high.max(axis=0) - low.min(axis=0)).prod():
+    if len(low) > VISION.most_areas or (high - low).prod(axis=1).sum() > (high.max(axis=0) - low.min(axis=0)).prod():
         low, high = low.min(axis=0)[None], high.max(axis=0)[None]
     return [
         (left, top, right, bottom) for (left, top), (right, bottom) in zip(low.tolist(), high.tolist(), strict=True)
@@ -304,7 +257,7 @@ def _window_px(quads: Any, cells: int) -> IntArray:
     """(n,) half widths of the windows in which corners are refined. ``cells``: of a marker's side, border included."""
     steps = quads - np.roll(quads, -1, axis=1)
     cell_px = np.sqrt((steps * steps).sum(axis=2)).min(axis=1) / cells
-    return np.asarray(np.clip(np.round(REFINE_CELLS * cell_px), *REFINE_WINDOW_PX), dtype=np.int64)
+    return np.asarray(np.clip(np.round(VISION.refine_cells * cell_px), *VISION.refine_window_px), dtype=np.int64)
 
 
 def _refined(grey: Any, quads: Any, halves: IntArray) -> FloatArray:
@@ -325,7 +278,7 @@ def grey_of(image_bgr: Any) -> tuple[Any, bool]:
     Water takes red first. Green alone is the cheapest that keeps contrast; where noise matters, blue has as much."""
     green = cv2.extractChannel(image_bgr, 1)
     _, spread = cv2.meanStdDev(np.ascontiguousarray(green[::4, ::4]))
-    if float(spread[0, 0]) >= HAZY_STD_DEV:
+    if float(spread[0, 0]) >= VISION.hazy_std_dev:
         return green, False
     both = cv2.addWeighted(cv2.extractChannel(image_bgr, 0), 0.5, green, 0.5, 0.0)
     return both, True
@@ -333,16 +286,16 @@ def grey_of(image_bgr: Any) -> tuple[Any, bool]:
 
 def _smoothed(grey: Any, cell_px: float) -> Any:
     """A hazy image with less noise, as far as markers with such cells bear it."""
-    side_px = next((side for least_px, side in HAZY_SMOOTH_PX if cell_px >= least_px), 1)
+    side_px = next((side for least_px, side in VISION.hazy_smooth_px if cell_px >= least_px), 1)
     return grey if side_px == 1 else cv2.GaussianBlur(grey, (side_px, side_px), 0.0)
 
 
 def _parameters(hazy: bool, constant: float) -> Any:
     parameters = cv2.aruco.DetectorParameters()
-    parameters.adaptiveThreshConstant = HAZY_THRESHOLD_CONSTANT if hazy else constant
-    parameters.minOtsuStdDev = HAZY_MIN_OTSU_STD_DEV if hazy else MIN_OTSU_STD_DEV
+    parameters.adaptiveThreshConstant = VISION.hazy_threshold_constant if hazy else constant
+    parameters.minOtsuStdDev = VISION.hazy_min_otsu_std_dev if hazy else VISION.min_otsu_std_dev
     parameters.cornerRefinementMethod = cv2.aruco.CORNER_REFINE_NONE
-    parameters.errorCorrectionRate = CORRECTION
+    parameters.errorCorrectionRate = VISION.correction
     return parameters
 
 
@@ -353,34 +306,34 @@ def _windows(parameters: Any, first_px: int, last_px: int, step_px: int) -> None
 
 def _bounds(parameters: Any, least_px: float, most_px: float, image_px: int) -> None:
     """Sides that a marker may have."""
-    parameters.minMarkerPerimeterRate = max(MIN_SIDE_PX, SIZE_BAND[0] * least_px) * 4.0 / image_px
-    parameters.maxMarkerPerimeterRate = SIZE_BAND[1] * 4.0 * most_px / image_px
+    parameters.minMarkerPerimeterRate = max(VISION.min_side_px, VISION.size_band[0] * least_px) * 4.0 / image_px
+    parameters.maxMarkerPerimeterRate = VISION.size_band[1] * 4.0 * most_px / image_px
 
 
 def _tracking(least_px: float, most_px: float, image_px: int, hazy: bool, scale: float) -> Any:
-    parameters = _parameters(hazy, THRESHOLD_CONSTANT)
-    parameters.minDistanceToBorder = round(BORDER_PX / scale)
-    _windows(parameters, WINDOW_PX, WINDOW_PX, 1)
+    parameters = _parameters(hazy, VISION.threshold_constant)
+    parameters.minDistanceToBorder = round(VISION.border_px / scale)
+    _windows(parameters, VISION.window_px, VISION.window_px, 1)
     _bounds(parameters, least_px, most_px, image_px)
     return parameters
 
 
 def _second_look(least_px: float, most_px: float, image_px: int, hazy: bool, smoothed: bool) -> Any:
-    parameters = _parameters(hazy and smoothed, THRESHOLD_CONSTANT if hazy else SECOND_CONSTANT)
-    _windows(parameters, *(HAZY_SECOND_WINDOWS_PX if smoothed else SECOND_WINDOWS_PX))
+    parameters = _parameters(hazy and smoothed, VISION.threshold_constant if hazy else VISION.second_constant)
+    _windows(parameters, *(VISION.hazy_second_windows_px if smoothed else VISION.second_windows_px))
     _bounds(parameters, least_px, most_px, image_px)
     return parameters
 
 
 def _acquiring(image_px: int, hazy: bool) -> Any:
-    parameters = _parameters(hazy, THRESHOLD_CONSTANT)
-    _windows(parameters, *ACQUIRE_WINDOWS_PX)
-    parameters.minMarkerPerimeterRate = 4.0 * MIN_SIDE_PX / image_px
+    parameters = _parameters(hazy, VISION.threshold_constant)
+    _windows(parameters, *VISION.acquire_windows_px)
+    parameters.minMarkerPerimeterRate = 4.0 * VISION.min_side_px / image_px
     return parameters
 
 
 def _acquiring_small(image_px: int, hazy: bool) -> Any:
-    parameters = _parameters(False, THRESHOLD_CONSTANT if hazy else SECOND_CONSTANT)
-    _windows(parameters, *SECOND_WINDOWS_PX)
-    parameters.minMarkerPerimeterRate = 4.0 * MIN_SIDE_PX / image_px
+    parameters = _parameters(False, VISION.threshold_constant if hazy else VISION.second_constant)
+    _windows(parameters, *VISION.second_windows_px)
+    parameters.minMarkerPerimeterRate = 4.0 * VISION.min_side_px / image_px
     return parameters

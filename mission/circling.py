@@ -10,20 +10,7 @@ from autopilot.core.frames import FloatArray, wrap_pi
 from autopilot.core.messages import Drive, Goal, NavState
 from autopilot.core.orbit import OrbitYaw
 from autopilot.mission.room import Room
-
-PULL_1_S = 0.6
-"""How fast a distance from the circle is made good."""
-
-PULL_SHARE = 0.7
-"""Share of the speed that may go into it."""
-
-JOIN_M = 0.25
-"""Farther off, the circle's nearest point is a place to go to."""
-
-FRESH_TICKS = 5
-ACCEPT_YAW_RAD = 0.15
-YAW_SHARE = 0.5
-"""Share of SPD_YAW_MAX that a circle on which the heading turns may use."""
+from autopilot.mission.tuned import CIRCLING
 
 
 class Circle:
@@ -62,7 +49,7 @@ class Circle:
 
     def go(self, speed_m_s: float) -> None:
         """Another speed, as far as the limits allow."""
-        turning_m_s = YAW_SHARE * self._params["SPD_YAW_MAX"] * self.radius_m
+        turning_m_s = CIRCLING.yaw_share * self._params["SPD_YAW_MAX"] * self.radius_m
         self._speed_m_s = min(speed_m_s, self._params["SPD_PLANAR_MAX"], turning_m_s)
 
     def refusal(self, room: Room, keep_m: float) -> str:
@@ -87,7 +74,7 @@ class Circle:
         if self._turns == 0.0:
             return math.inf
         arc = max(2.0 * math.pi * self._turns - abs(self._turned), 0.0) * self.radius_m
-        return arc + (abs(self._off_m) if abs(self._off_m) > JOIN_M else 0.0)
+        return arc + (abs(self._off_m) if abs(self._off_m) > CIRCLING.join_m else 0.0)
 
     def rest(self, nav: NavState) -> Goal:
         """Where the vehicle stays behind its last turn: the nearest place of the circle."""
@@ -101,32 +88,32 @@ class Circle:
         off_m = self._off_m = self.radius_m - abs(away)
         if self._initial_rad is None:
             self._initial_rad = float(nav.rpy_rad[2])
-        if abs(off_m) < JOIN_M and self._bearing is not None:
+        if abs(off_m) < CIRCLING.join_m and self._bearing is not None:
             self._turned += wrap_pi(bearing - self._bearing)
         self._bearing = bearing
         self._age += 1
-        if self._goal is None or self._age >= FRESH_TICKS:
+        if self._goal is None or self._age >= CIRCLING.fresh_ticks:
             self._goal, self._age = self._made(nav, bearing, off_m), 0
         return self._goal
 
     def _made(self, nav: NavState, bearing: float, off_m: float) -> Goal:
         out, sense = complex(math.cos(bearing), math.sin(bearing)), self._sense
         yaw = self._heading(nav, bearing)
-        if abs(off_m) > JOIN_M:
+        if abs(off_m) > CIRCLING.join_m:
             place = self._centre + self.radius_m * out
             joining = Goal(
                 pos_ned_m=np.array([place.real, place.imag, self.depth_m]),
                 yaw_rad=yaw,
                 speed_m_s=self._params["SPD_CRUISE"],
                 accept_radius_m=self._params["WP_ACCEPT_RADIUS"],
-                accept_yaw_rad=ACCEPT_YAW_RAD,
+                accept_yaw_rad=CIRCLING.accept_yaw_rad,
                 seq=self._seq,
             )
             old = self._goal
             near = old is not None and old.drive is None and _near(old.pos_ned_m, joining.pos_ned_m)
             return old if near and old is not None else joining
         speed = self._speed_m_s
-        pull = min(max(PULL_1_S * off_m, -PULL_SHARE * speed), PULL_SHARE * speed)
+        pull = min(max(CIRCLING.pull_1_s * off_m, -CIRCLING.pull_share * speed), CIRCLING.pull_share * speed)
         along = math.sqrt(speed * speed - pull * pull)
         velocity = out * complex(pull, sense * along)
         turn = sense * along / self.radius_m
@@ -137,7 +124,7 @@ class Circle:
             yaw_rad=yaw,
             speed_m_s=speed,
             accept_radius_m=self._params["WP_ACCEPT_RADIUS"],
-            accept_yaw_rad=ACCEPT_YAW_RAD,
+            accept_yaw_rad=CIRCLING.accept_yaw_rad,
             seq=self._seq,
             drive=Drive(
                 north_m_s=velocity.real,
@@ -164,18 +151,14 @@ def _near(a: FloatArray, b: FloatArray) -> bool:
     return math.dist(a.tolist(), b.tolist()) < 0.15
 
 
-RING_STEP_M = 0.01
-"""Arcs of a circle are looked at down to this length."""
-
-
 def worst_on_ring(room: Room, centre_m: tuple[float, float], radius_m: float, need_m: float) -> FloatArray | None:
     """A place (2,) on a circle with less room than ``need_m``, None when there is none.
 
     Clearance changes no faster than place: an arc whose middle has half its length more than is needed is free, the
     others are divided.
     """
-    step = 2.0 * math.pi / RING_ARCS
-    angles = np.arange(RING_ARCS) * step
+    step = 2.0 * math.pi / CIRCLING.ring_arcs
+    angles = np.arange(CIRCLING.ring_arcs) * step
     while len(angles):
         places = np.array(centre_m) + radius_m * np.stack([np.cos(angles), np.sin(angles)], axis=1)
         clearance = room.clearance_m(places)
@@ -184,14 +167,9 @@ def worst_on_ring(room: Room, centre_m: tuple[float, float], radius_m: float, ne
             place: FloatArray = places[least]
             return place
         half_m = 0.5 * step * radius_m
-        if half_m < RING_STEP_M:
+        if half_m < CIRCLING.ring_step_m:
             return None
         open_ = angles[clearance - half_m < need_m]
-        step /= RING_PARTS
-        angles = (open_[:, None] + step * (np.arange(RING_PARTS) - 0.5 * (RING_PARTS - 1))).ravel()
+        step /= CIRCLING.ring_parts
+        angles = (open_[:, None] + step * (np.arange(CIRCLING.ring_parts) - 0.5 * (CIRCLING.ring_parts - 1))).ravel()
     return None
-
-
-RING_ARCS = 72
-RING_PARTS = 4
-"""Arcs that a circle begins with, and parts that an arc is divided into."""

@@ -11,16 +11,7 @@ from autopilot.core.params import ParamSet
 from autopilot.core.vehicle import Vehicle
 from autopilot.mission.room import Room
 from autopilot.mission.store import Plans
-
-STOP_DECELERATION_M_S2 = 0.25
-"""How hard a vehicle that is told to hold brakes: from cruise speed its drag alone gives it 0.25 to 0.35 m/s^2, so that
-it comes to rest without reverse thrust and without having to come back."""
-
-STOP_SAMPLES = 8
-"""Places between here and the end of the braking distance that are looked at."""
-
-ACCEPT_YAW_RAD = 0.15
-"""Acceptance band of the heading."""
+from autopilot.mission.tuned import GOALS
 
 
 def digits(length_m: float) -> int:
@@ -70,7 +61,7 @@ class Goals:
             yaw_rad=yaw_rad,
             speed_m_s=self._params["SPD_CRUISE"],
             accept_radius_m=self._params["WP_ACCEPT_RADIUS"],
-            accept_yaw_rad=ACCEPT_YAW_RAD,
+            accept_yaw_rad=GOALS.accept_yaw_rad,
             seq=-1,
         )
 
@@ -124,13 +115,13 @@ class Goals:
         """Whether a vehicle keeps ``more_m`` more than the controller does from every boundary, also where it comes to
         rest by itself."""
         way_m = self._way_m(nav)
-        places = nav.pos_ned_m + np.linspace(0.0, 1.0, STOP_SAMPLES + 1)[:, None] * way_m
+        places = nav.pos_ned_m + np.linspace(0.0, 1.0, GOALS.stop_samples + 1)[:, None] * way_m
         return bool((self.room.clearance_m(places[:, :2]) >= self._keep_m() + more_m).all())
 
     def _way_m(self, nav: NavState) -> FloatArray:
         """(3,) braking distance v^2 / 2a over ground."""
         vel_ned_m_s = r_ned_from_frd(nav.rpy_rad) @ nav.vel_frd_m_s
-        way_m: FloatArray = vel_ned_m_s * (math.hypot(*vel_ned_m_s) / (2.0 * STOP_DECELERATION_M_S2))
+        way_m: FloatArray = vel_ned_m_s * (math.hypot(*vel_ned_m_s) / (2.0 * GOALS.stop_deceleration_m_s2))
         return way_m
 
     def _key(self) -> tuple[float, ...]:
@@ -143,8 +134,8 @@ class Goals:
     def _stopping_place(self, nav: NavState) -> FloatArray:
         """(3,) end of the braking distance v^2 / 2a over ground, or the last place on the way that the fence allows."""
         way_m = self._way_m(nav)
-        places = nav.pos_ned_m + np.linspace(0.0, 1.0, STOP_SAMPLES + 1)[:, None] * way_m
+        places = nav.pos_ned_m + np.linspace(0.0, 1.0, GOALS.stop_samples + 1)[:, None] * way_m
         forbidden = np.flatnonzero(self.room.clearance_m(places[1:, :2]) < self._keep_m())
-        last = int(forbidden[0]) if len(forbidden) else STOP_SAMPLES
+        last = int(forbidden[0]) if len(forbidden) else GOALS.stop_samples
         place: FloatArray = places[last].copy()
         return place

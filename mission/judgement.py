@@ -19,8 +19,8 @@ from autopilot.mission.items import GoTo, Step
 from autopilot.mission.plan_model import PlanFile
 from autopilot.mission.reach import widest_m
 from autopilot.mission.room import Room
+from autopilot.mission.tuned import VALIDATION
 from autopilot.mission.validation import (
-    MAX_GAPS,
     PlanContext,
     fence_problems,
     gap_text,
@@ -134,7 +134,7 @@ def judge(question: Question, cancel: Cancel) -> Verdict:
     warnings: list[str] = []
     if not ctx.params["FENCE_GAP_CHK"]:
         gaps = narrow_gaps(shapes, 2.0 * ctx.radius_m, look)
-        warnings += [gap_text(gap, ctx.radius_m) for gap in islice(gaps, MAX_GAPS)]
+        warnings += [gap_text(gap, ctx.radius_m) for gap in islice(gaps, VALIDATION.max_gaps)]
     look()
     if question.water is not None and (steps or shapes):
         reason = question.water.problem(fence, steps, ctx.origin)

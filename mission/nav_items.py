@@ -17,22 +17,16 @@ from autopilot.mission.decode import (
     seconds,
 )
 from autopilot.mission.items import AMSL_FRAMES, Circuit, Command, Frame, GoTo, ReturnHome, Step, Surface, Wait
-
-DIVED_M = 0.1
-"""NAV_TAKEOFF is done within this distance of its depth."""
-MAX_TURNS = 10_000
-MIN_RING_M, MAX_RING_M = 0.1, 1000.0
-"""Radii of circles, as CIRCLE_RADIUS has them."""
-MIN_ACCEPT_RADIUS_M = 0.02
-"""A smaller acceptance ball is below what any estimate can tell."""
+from autopilot.mission.tuned import NAV_ITEMS
 
 
 def goto(item: PlanItem, origin: Origin) -> Step:
     """NAV_WAYPOINT: p1 hold [s], p2 acceptance radius [m] (0 = default), p3 pass-by radius, p4 yaw [deg]."""
     hold = seconds(item, "hold time")
     radius = number(item, 2, "acceptance radius") or None
-    if radius is not None and radius < MIN_ACCEPT_RADIUS_M:
-        text = f"acceptance radius (param2) is {radius:g} m; use {MIN_ACCEPT_RADIUS_M:g} m or more, 0 for the default"
+    if radius is not None and radius < NAV_ITEMS.min_accept_radius_m:
+        least_m = NAV_ITEMS.min_accept_radius_m
+        text = f"acceptance radius (param2) is {radius:g} m; use {least_m:g} m or more, 0 for the default"
         raise refuse(item, MissionResult.INVALID_PARAM2, text)
     if number(item, 3, "pass-by radius"):
         text = f"pass-by radius (param3) is {item.param3:g} m, which is not supported; set it to 0"
@@ -71,12 +65,12 @@ def loiter(item: PlanItem, origin: Origin) -> Step:
 def circuit(item: PlanItem, origin: Origin) -> Step:
     """NAV_LOITER_TURNS: p1 turns, p3 radius [m] (negative = to port, 0 = CIRCLE_RADIUS). p2 and p4 are for aircraft."""
     turns = number(item, 1, "turns")
-    if turns is None or not 0.0 < turns <= MAX_TURNS:
+    if turns is None or not 0.0 < turns <= NAV_ITEMS.max_turns:
         shown = "not given" if turns is None else f"{turns:g}"
-        text = f"turns (param1) is {shown}; use above 0, up to {MAX_TURNS}"
+        text = f"turns (param1) is {shown}; use above 0, up to {NAV_ITEMS.max_turns}"
         raise refuse(item, MissionResult.INVALID_PARAM1, text)
     radius = number(item, 3, "radius") or 0.0
-    least, most = MIN_RING_M, MAX_RING_M
+    least, most = NAV_ITEMS.min_ring_m, NAV_ITEMS.max_ring_m
     if radius and not least <= abs(radius) <= most:
         text = f"radius (param3) is {radius:g} m; use {least:g} to {most:g} m (negative = to port), 0 = CIRCLE_RADIUS"
         raise refuse(item, MissionResult.INVALID_PARAM3, text)
@@ -107,7 +101,7 @@ def take_off(item: PlanItem, origin: Origin) -> Step:
         pos_ned_m=None,
         yaw_rad=heading_rad(item),
         hold_s=0.0,
-        accept_radius_m=DIVED_M,
+        accept_radius_m=NAV_ITEMS.dived_m,
         autocontinue=item.autocontinue != 0,
         dives=True,
         dive_m=depth if depth > SURFACE_TOLERANCE_M else None,

@@ -14,15 +14,11 @@ from autopilot.core.geodesy import Origin, deg_from_e7, m_from_local_e4
 from autopilot.core.plan import PlanItem
 from autopilot.mission.items import Command, Frame
 from autopilot.mission.plan_model import PlanFile, make_item, without_home
+from autopilot.mission.tuned import QGC_PLAN
 
 FILE_TYPE = "Plan"
-VERSION = 1
-_PART_VERSION = 2
-"""Version of the mission, geoFence and rallyPoints objects."""
-_RALLY_VERSIONS = (_PART_VERSION, 1)
+_RALLY_VERSIONS = (QGC_PLAN.part_version, 1)
 """QGroundControl has written rallyPoints as version 1 for years; the points are the same."""
-_AUTOPILOT_PX4 = 12
-_TYPE_SUBMARINE = 12
 _COMPLEX_NODES = ("TransectStyleComplexItem",)
 """Where a survey or corridor scan keeps the simple items that it was turned into."""
 _REQUIRED = object()
@@ -43,8 +39,10 @@ def read_qgc_plan(text: str, name: str) -> PlanFile:
     root = _typed(root, dict, name, "the file")
     if _get(root, "fileType", str, name) != FILE_TYPE:
         raise PlanError(f"{name}: fileType is {root['fileType']!r}, not {FILE_TYPE!r}; give a QGroundControl plan file")
-    if _get(root, "version", int, name) != VERSION:
-        raise PlanError(f"{name}: plan version {root['version']} is not supported; save it as version {VERSION}")
+    if _get(root, "version", int, name) != QGC_PLAN.version:
+        raise PlanError(
+            f"{name}: plan version {root['version']} is not supported; save it as version {QGC_PLAN.version}"
+        )
     mission = _get(root, "mission", dict, name)
     home = _home(mission, f"{name}: mission")
     return PlanFile(
@@ -90,10 +88,10 @@ def _float(value: Any, where: str, what: str) -> float:
         raise PlanError(f"{where}: {what} holds a number that is too large; correct it") from error
 
 
-def _part_version(table: Mapping[str, Any], where: str, known: Sequence[int] = (_PART_VERSION,)) -> None:
-    version = _get(table, "version", int, where, _PART_VERSION)
+def _part_version(table: Mapping[str, Any], where: str, known: Sequence[int] = (QGC_PLAN.part_version,)) -> None:
+    version = _get(table, "version", int, where, QGC_PLAN.part_version)
     if version not in known:
-        raise PlanError(f"{where}: version {version} is not supported; save it as version {_PART_VERSION}")
+        raise PlanError(f"{where}: version {version} is not supported; save it as version {QGC_PLAN.part_version}")
 
 
 def _home(mission: Mapping[str, Any], where: str) -> Origin | None:
@@ -193,12 +191,12 @@ def write_qgc_plan(plan: PlanFile, speed_m_s: float = 0.35) -> str:
     home = plan.drawing_origin()
     document = {
         "fileType": FILE_TYPE,
-        "version": VERSION,
+        "version": QGC_PLAN.version,
         "groundStation": "QGroundControl",
         "mission": {
-            "version": _PART_VERSION,
-            "firmwareType": _AUTOPILOT_PX4,
-            "vehicleType": _TYPE_SUBMARINE,
+            "version": QGC_PLAN.part_version,
+            "firmwareType": QGC_PLAN.autopilot_px4,
+            "vehicleType": QGC_PLAN.type_submarine,
             "globalPlanAltitudeMode": 1,
             "cruiseSpeed": speed_m_s,
             "hoverSpeed": speed_m_s,
@@ -206,7 +204,7 @@ def write_qgc_plan(plan: PlanFile, speed_m_s: float = 0.35) -> str:
             "items": [_mission_entry(item) for item in without_home(plan.mission)],
         },
         "geoFence": _fence_entry(plan.fence),
-        "rallyPoints": {"version": _PART_VERSION, "points": [_point(i, "rally point") for i in plan.rally]},
+        "rallyPoints": {"version": QGC_PLAN.part_version, "points": [_point(i, "rally point") for i in plan.rally]},
     }
     return json.dumps(document, indent=4, allow_nan=False) + "\n"
 
@@ -249,7 +247,7 @@ def _point(item: PlanItem, what: str) -> list[float]:
 def _fence_entry(items: Sequence[PlanItem]) -> dict[str, Any]:
     polygons: list[dict[str, Any]] = []
     circles: list[dict[str, Any]] = []
-    entry: dict[str, Any] = {"version": _PART_VERSION, "circles": circles, "polygons": polygons}
+    entry: dict[str, Any] = {"version": QGC_PLAN.part_version, "circles": circles, "polygons": polygons}
     index = 0
     while index < len(items):
         item = items[index]

@@ -24,9 +24,7 @@ from autopilot.mission.items import (
     Wait,
 )
 from autopilot.mission.lookahead import next_place, next_waypoint
-
-GOALS_AHEAD = 2
-"""A leg is planned with the next one's beginning in view, and the next leg while this one is flown."""
+from autopilot.mission.tuned import STEP_GOALS
 
 
 class StepGoals:
@@ -175,7 +173,7 @@ class StepGoals:
                 ahead.append(self._goal_at(step.pos_ned_m, yaw, step.accept_radius_m, step.seq))
 
         run = self.run
-        next_waypoint(self.steps, cursor, run.jumps_done, run.default_yaw_rad, visit, GOALS_AHEAD)
+        next_waypoint(self.steps, cursor, run.jumps_done, run.default_yaw_rad, visit, STEP_GOALS.goals_ahead)
         following = None
         for later in reversed(ahead):
             following = replace(later, following=following)
@@ -197,14 +195,6 @@ class StepGoals:
             self.run.goal = replace(self.run.goal, speed_m_s=self._speed_m_s, speed_asked=asked)
 
 
-SURE_SIGMAS = 3.0
-DOUBT_SHARE = 0.1
-"""Reached means surely reached: acceptance shrinks by so many standard deviations, but by this share at most."""
-
-_YAW_VARIANCE = 5
-"""Index in NavState.variance."""
-
-
 def is_inside(goal: Goal, nav: NavState) -> bool:
     """Whether the vehicle is surely in the goal's acceptance ball and, if it has a heading, in its band."""
     if nav.health is NavHealth.INVALID:
@@ -215,11 +205,11 @@ def is_inside(goal: Goal, nav: NavState) -> bool:
     variance = nav.variance.tolist()
     if not away_m <= _shrunk(goal.accept_radius_m, sum(variance[:3])):
         return False
-    band_rad = _shrunk(goal.accept_yaw_rad, variance[_YAW_VARIANCE])
+    band_rad = _shrunk(goal.accept_yaw_rad, variance[STEP_GOALS.yaw_variance])
     return goal.yaw_rad is None or abs(wrap_pi(float(nav.rpy_rad[2]) - goal.yaw_rad)) <= band_rad
 
 
 def _shrunk(limit: float, variance: float) -> float:
     """An acceptance limit less what the estimate may be wrong by."""
-    doubt = SURE_SIGMAS * math.sqrt(variance) if variance >= 0.0 else math.inf
-    return limit - min(doubt, DOUBT_SHARE * limit)
+    doubt = STEP_GOALS.sure_sigmas * math.sqrt(variance) if variance >= 0.0 else math.inf
+    return limit - min(doubt, STEP_GOALS.doubt_share * limit)

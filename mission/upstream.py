@@ -10,12 +10,7 @@ import numpy as np
 from autopilot.core.frames import FloatArray
 from autopilot.core.messages import Goal, NavHealth, NavState
 from autopilot.mission.items import GoTo, Step
-
-TOLD_M_S = 0.1
-"""Legs on which less than this is left over ground are told: a third of the usual cruise speed."""
-
-SAMPLES = 40
-"""Places per leg at which a map is asked."""
+from autopilot.mission.tuned import UPSTREAM
 
 CurrentAt = Callable[[FloatArray], FloatArray]
 """Places (n, 2) -> current (n, 2) [m/s]."""
@@ -86,24 +81,14 @@ def _leg(seq: int, a: FloatArray, b: FloatArray, speed_m_s: float, current_at: C
     length = float(np.hypot(*(b - a)))
     if not length > 0.0:
         return None
-    share = (np.arange(SAMPLES) + 0.5) / SAMPLES
+    share = (np.arange(UPSTREAM.samples) + 0.5) / UPSTREAM.samples
     current = current_at(a + share[:, None] * (b - a))
     left = ground_speed_m_s((b - a) / length, current, speed_m_s)
     least = float(left.min())
-    time_s = float((length / SAMPLES / left).sum()) if least > 0.0 else math.inf
+    time_s = float((length / UPSTREAM.samples / left).sum()) if least > 0.0 else math.inf
     return SlowLeg(
         seq=seq, left_m_s=least, time_s=time_s, current_m_s=float(np.hypot(current[:, 0], current[:, 1]).max())
     )
-
-
-JUMP_M = 1.0
-"""A way that becomes longer by this from one look to the next is another way, not one that was drifted back ..."""
-
-MADE_S = 10.0
-"""Time over which the speed is looked at with which a vehicle gets nearer."""
-
-FRESH_STARTS = 2
-"""... which begins the count anew, but not for ever: whoever plans another way every minute gets nowhere."""
 
 
 class MadeGood:
@@ -119,7 +104,7 @@ class MadeGood:
     @property
     def made_m_s(self) -> float:
         """Speed with which it has got nearer lately; 0 = not known yet, or none."""
-        return max(self._made_m_s, 0.0) if self._seen_s >= MADE_S else 0.0
+        return max(self._made_m_s, 0.0) if self._seen_s >= UPSTREAM.made_s else 0.0
 
     @property
     def left_m(self) -> float:
@@ -148,7 +133,7 @@ class MadeGood:
             self._us += t_us - self._last_us
         elif left_m < self._best_m - step_m:
             self._best_m, self._us = left_m, t_us
-        elif left_m > self._left_m + JUMP_M and self._anew < FRESH_STARTS:
+        elif left_m > self._left_m + UPSTREAM.jump_m and self._anew < UPSTREAM.fresh_starts:
             self._anew += 1
             self._best_m, self._us = left_m, t_us
         self._left_m, self._last_us = left_m, t_us
@@ -157,8 +142,8 @@ class MadeGood:
     def _look(self, t_us: int, left_m: float, *, same: bool) -> None:
         """Take note of the speed; a way that jumps is another one."""
         elapsed_s, nearer_m = (t_us - self._last_us) * 1e-6, self._left_m - left_m
-        if not same or abs(nearer_m) > JUMP_M:
+        if not same or abs(nearer_m) > UPSTREAM.jump_m:
             self._seen_s = self._made_m_s = 0.0
         elif elapsed_s > 0.0:
             self._seen_s += elapsed_s
-            self._made_m_s += (nearer_m - self._made_m_s * elapsed_s) / max(MADE_S, elapsed_s)
+            self._made_m_s += (nearer_m - self._made_m_s * elapsed_s) / max(UPSTREAM.made_s, elapsed_s)

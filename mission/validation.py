@@ -35,21 +35,8 @@ from autopilot.mission.items import (
 )
 from autopilot.mission.reach import free_regions, has_room
 from autopilot.mission.room import Room
+from autopilot.mission.tuned import VALIDATION
 
-DEPTH_TOLERANCE_M = 1e-3
-"""Altitudes arrive as 32-bit floats."""
-PLACE_TOLERANCE_M = 0.012
-"""Rounding of a waypoint and of a fence point to 1e-7 degrees (11 mm) together."""
-APPROACH_SHARE = 0.6
-"""The controller keeps MPC_MARGIN beyond the body radius, so that a place nearer to a boundary is only approached: what
-is missing may be this share of the acceptance radius (two walls at once make it 1.41 times as much) ..."""
-APPROACH_M = 0.15
-"""... and no more than this, beyond which the route planner does not look for free ground round a goal."""
-PASSAGE_M = 2.5e-3
-"""A passage has to have this much more than the controller keeps on both sides, for the route planner to find it. What
-is narrower is refused here: the controller would not enter it."""
-MAX_GAPS = 20
-"""Narrow gaps of a fence are named up to this number."""
 RALLY_LABEL = "rally point"
 
 
@@ -139,7 +126,7 @@ def _limit_problems(step: Step, params: Mapping[str, float]) -> Iterator[PlanRej
     depth = _depth_of(step, params)
     if depth is not None:
         low, high = params["DEPTH_MIN"], params["DEPTH_MAX"]
-        if not low - DEPTH_TOLERANCE_M <= depth <= high + DEPTH_TOLERANCE_M:
+        if not low - VALIDATION.depth_tolerance_m <= depth <= high + VALIDATION.depth_tolerance_m:
             bound = f"DEPTH_MIN {low:g}" if depth < low else f"DEPTH_MAX {high:g}"
             text = (
                 f"item {step.seq}: depth {depth:.2f} m, {bound} m: use {low:g} to {high:g} m or change the parameter "
@@ -213,10 +200,10 @@ def fence_problems(
     yield from broken
     if ctx.params["FENCE_GAP_CHK"]:
         gaps = narrow_gaps(shapes, 2.0 * ctx.radius_m, look)
-        yield from (_gap_rejection(gap, ctx.radius_m) for gap in islice(gaps, MAX_GAPS))
+        yield from (_gap_rejection(gap, ctx.radius_m) for gap in islice(gaps, VALIDATION.max_gaps))
     look()
     fence = build_fence(shapes, ctx.params)
-    if fence.inclusions and not has_room(fence, ctx.keep_m - PLACE_TOLERANCE_M):
+    if fence.inclusions and not has_room(fence, ctx.keep_m - VALIDATION.place_tolerance_m):
         first = next(s for s in shapes if s.inclusion)
         text = (
             f"fence item {first.seq}: no room for the vehicle, which keeps {ctx.keep_m:g} m: enlarge it or remove "
@@ -340,7 +327,7 @@ def _ring_places(
     """The worst place of each circle, or any when the whole circle is free."""
     if not circles:
         return
-    need_m = ctx.keep_m - PLACE_TOLERANCE_M
+    need_m = ctx.keep_m - VALIDATION.place_tolerance_m
     both = [(s.shape, s.inclusion) for s in shapes]
     from_centre = Room(both).of_shapes_m(np.array([centre[:2] for _, centre in circles]))
     for (step, centre), away in zip(circles, from_centre, strict=True):
@@ -365,7 +352,7 @@ def _room_needed_m(step: GoTo | Surface | SetHome, ctx: PlanContext) -> float:
     accept_m = step.accept_radius_m if isinstance(step, GoTo) else None
     if accept_m is None:
         accept_m = ctx.params["WP_ACCEPT_RADIUS"]
-    return max(ctx.radius_m, ctx.keep_m - min(APPROACH_SHARE * accept_m, APPROACH_M))
+    return max(ctx.radius_m, ctx.keep_m - min(VALIDATION.approach_share * accept_m, VALIDATION.approach_m))
 
 
 def _place_conflicts(places: Sequence[_Place], shapes: Sequence[FenceShape]) -> list[PlanProblem]:
@@ -377,7 +364,7 @@ def _place_conflicts(places: Sequence[_Place], shapes: Sequence[FenceShape]) -> 
     need_m = np.array([p.need_m for p in places])
     worst = np.argmin(room, axis=1)
     least = room[np.arange(len(places)), worst]
-    bad = np.flatnonzero(least < need_m - PLACE_TOLERANCE_M)
+    bad = np.flatnonzero(least < need_m - VALIDATION.place_tolerance_m)
     return [_place_conflict(places[i], shapes[int(worst[i])], float(least[i])) for i in bad.tolist()]
 
 
@@ -398,7 +385,7 @@ def _path_conflicts(route: Sequence[_Place], shapes: Sequence[FenceShape], ctx: 
     """Neighbours in the order of the plan that stand in different parts of the free space."""
     fence = build_fence(shapes, ctx.params)
     points = np.array([(p.north_m, p.east_m) for p in route])
-    regions = free_regions(fence, points, ctx.keep_m + PASSAGE_M)
+    regions = free_regions(fence, points, ctx.keep_m + VALIDATION.passage_m)
     if regions is None:
         regions = (0,) * len(route)
     for before, after, a, b in zip(regions, regions[1:], route, route[1:], strict=False):

@@ -31,19 +31,12 @@ from autopilot.sitl.plant import Truth
 from autopilot.sitl.scenario_tables import AhrsFreeze, Fault
 from autopilot.sitl.sensor_faults import ImuFaults
 from autopilot.sitl.sensor_tables import AhrsSensor
+from autopilot.sitl.tuned import AHRS
 
 POWER_UP_MASK = Field.EULER | Field.GYRO | Field.ACCEL
 """What the device would send before it is told otherwise."""
 DIP_RAD = math.radians(55.0)
 """Of the magnetic field below the horizontal, as in southern Europe. The field's horizontal part has size 1."""
-ACCURACY_RAD = 0.02
-"""What the device says of its own attitude."""
-CLOCK_SPAN_MS = 1 << 32
-"""The device's counter of milliseconds has 32 bits."""
-NOISE_NUMBERS = 16
-"""Random numbers drawn per sample, whatever becomes of it, so that one fault does not change all that follows."""
-NOISE_SAMPLES = 256
-"""Samples whose random numbers are drawn in one go."""
 
 
 class SlowError:
@@ -106,7 +99,7 @@ class Ig500Emulator(DelayedSensor[bytes]):
         self._taken()
         if not self._sending or self._count % self._divider:
             return
-        values[Field.TIME_SINCE_RESET] = ((truth.t_us + self.clock_ahead_us) // 1000 % CLOCK_SPAN_MS,)
+        values[Field.TIME_SINCE_RESET] = ((truth.t_us + self.clock_ahead_us) // 1000 % AHRS.clock_span_ms,)
         data = encode_frame(CONTINUOUS_OUTPUT, self._codec.encode(values))
         if chance[0] < self._settings.corrupt_probability:
             broken = bytearray(data)
@@ -119,8 +112,8 @@ class Ig500Emulator(DelayedSensor[bytes]):
         """The next sample's random numbers: standard normal ones, and chances in [0, 1)."""
         draw = next(self._draws, None)
         if draw is None:
-            noise = self._rng.standard_normal((NOISE_SAMPLES, NOISE_NUMBERS)).tolist()
-            self._draws = zip(noise, self._rng.random((NOISE_SAMPLES, 3)).tolist(), strict=True)
+            noise = self._rng.standard_normal((AHRS.noise_samples, AHRS.noise_numbers)).tolist()
+            self._draws = zip(noise, self._rng.random((AHRS.noise_samples, 3)).tolist(), strict=True)
             draw = next(self._draws)
         return draw
 
@@ -141,7 +134,7 @@ class Ig500Emulator(DelayedSensor[bytes]):
             Field.GYRO: tuple(felt[0:3]),
             Field.ACCEL: tuple(felt[3:6]),
             Field.STATUS: (STATUS_GOOD,),
-            Field.ATTITUDE_ACCURACY: (ACCURACY_RAD,),
+            Field.ATTITUDE_ACCURACY: (AHRS.accuracy_rad,),
         }
         if Field.MAG in self._codec.parts:
             field = r_ned_from_frd(truth.rpy_rad).T @ np.array([math.cos(off), -math.sin(off), math.tan(DIP_RAD)])

@@ -16,15 +16,11 @@ from dataclasses import dataclass
 
 from autopilot.core.frames import r_ned_from_frd
 from autopilot.sitl.plant import Truth
+from autopilot.sitl.tuned import ARDUPILOT_JSON
 
-PORT = 9002
 CHANNELS_OF = {18458: 16, 29569: 32}
 """Magic -> channels."""
 _HEAD = struct.Struct("<HHI")
-RATES_HZ = (1, 20_000)
-"""What a loop rate can be; anything else is a damaged packet."""
-OFF_US = 800
-"""A shorter pulse is none."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -43,10 +39,16 @@ def parse_servos(data: bytes) -> ServoPacket | None:
         return None
     magic, rate_hz, frame = _HEAD.unpack_from(data)
     channels = CHANNELS_OF.get(magic)
-    if channels is None or len(data) != _HEAD.size + 2 * channels or not RATES_HZ[0] <= rate_hz <= RATES_HZ[1]:
+    if (
+        channels is None
+        or len(data) != _HEAD.size + 2 * channels
+        or not ARDUPILOT_JSON.rates_hz[0] <= rate_hz <= ARDUPILOT_JSON.rates_hz[1]
+    ):
         return None
     pulses = struct.unpack_from(f"<{channels}H", data, _HEAD.size)
-    return ServoPacket(rate_hz=rate_hz, frame=frame, pwm_us=tuple(p if p >= OFF_US else 0 for p in pulses))
+    return ServoPacket(
+        rate_hz=rate_hz, frame=frame, pwm_us=tuple(p if p >= ARDUPILOT_JSON.off_us else 0 for p in pulses)
+    )
 
 
 def state_line(truth: Truth, t_s: float, floor_m: float | None) -> bytes:

@@ -14,11 +14,7 @@ from autopilot.sitl.ardusub import ArduSubEmulator
 from autopilot.sitl.plant import Truth
 from autopilot.sitl.protocol import PlantContext, create_plant
 from autopilot.sitl.scenario_tables import Scenario
-
-POSE_PERIOD_US = 33_333
-POSE_SIGMA_M, YAW_SIGMA_RAD = 0.005, 0.008
-TRACKER_SYSTEM, TRACKER_COMPONENT = 200, 197
-"""MAV_COMP_ID_VISUAL_INERTIAL_ODOMETRY."""
+from autopilot.sitl.tuned import ARDUSUB_VEHICLE
 
 
 class ArduSubVehicle:
@@ -30,7 +26,7 @@ class ArduSubVehicle:
         self._plant = create_plant(scenario.plugins.plant, PlantContext(scenario=scenario, vehicle=vehicle, seed=seed))
         self.controller = ArduSubEmulator(vehicle, frame, seed=seed, **more)
         """The flight controller."""
-        self._mav: Any = self.controller.codec(TRACKER_SYSTEM, TRACKER_COMPONENT)
+        self._mav: Any = self.controller.codec(ARDUSUB_VEHICLE.tracker_system, ARDUSUB_VEHICLE.tracker_component)
         self._rng = np.random.default_rng((seed, 71))
         self._pose_us = 0
 
@@ -57,14 +53,19 @@ class ArduSubVehicle:
 
     def pose(self, t_us: int) -> bytes | None:
         """What a tracking system sends of where it is, when that is due (VISION_POSITION_ESTIMATE)."""
-        if t_us - self._pose_us < POSE_PERIOD_US:
+        if t_us - self._pose_us < ARDUSUB_VEHICLE.pose_period_us:
             return None
-        self._pose_us += POSE_PERIOD_US
+        self._pose_us += ARDUSUB_VEHICLE.pose_period_us
         truth, noise = self._plant.truth, self._rng.standard_normal(4)
-        north, east, down = (truth.pos_ned_m + POSE_SIGMA_M * noise[:3]).tolist()
-        yaw = float(truth.rpy_rad[2]) + YAW_SIGMA_RAD * float(noise[3])
+        north, east, down = (truth.pos_ned_m + ARDUSUB_VEHICLE.pose_sigma_m * noise[:3]).tolist()
+        yaw = float(truth.rpy_rad[2]) + ARDUSUB_VEHICLE.yaw_sigma_rad * float(noise[3])
         covariance = [0.0] * 21
-        for place, sigma in ((0, POSE_SIGMA_M), (6, POSE_SIGMA_M), (11, POSE_SIGMA_M), (20, YAW_SIGMA_RAD)):
+        for place, sigma in (
+            (0, ARDUSUB_VEHICLE.pose_sigma_m),
+            (6, ARDUSUB_VEHICLE.pose_sigma_m),
+            (11, ARDUSUB_VEHICLE.pose_sigma_m),
+            (20, ARDUSUB_VEHICLE.yaw_sigma_rad),
+        ):
             covariance[place] = sigma * sigma
         message = self._mav.vision_position_estimate_encode(0, north, east, down, 0.0, 0.0, yaw, covariance, 0)
         return bytes(message.pack(self._mav))

@@ -22,42 +22,7 @@ from autopilot.sitl.fault_tables import Lens, Mounting
 from autopilot.sitl.floor import Floor, Image
 from autopilot.sitl.plant import Truth
 from autopilot.sitl.sensor_tables import CameraLook, LaserSensor
-
-STEP_PX = 8
-"""Distance of the rays that are really cut with the floor."""
-WALL_LEVEL = 60
-"""Grey level of what is beyond the floor."""
-VEIL_BGR = (92.0, 84.0, 52.0)
-"""Colour of light scattered by the water, grey levels at full exposure."""
-FADE_BGR = (1.0, 1.0, 2.2)
-"""Attenuation of the channels relative to the scenario's turbidity."""
-TINT_BGR = (0.94, 1.0, 0.92)
-"""Colour of the boards in the tank's light."""
-MASK_UNIT = 160
-"""Value of the 8-bit brightness mask that stands for 1.0 (leaves room for bright caustics)."""
-NOISE_PAD = 64
-"""Pixels by which the stored noise is larger than a picture; each picture takes another cut-out."""
-NOISE_ZERO = 128
-"""Value of the 8-bit noise that stands for none."""
-MIN_BLUR_PX2 = 0.01
-"""Variance of a blur that is not worth applying."""
-SMALL_BLUR_PX2 = 0.95
-"""Variance up to which 3 x 3 pixels are enough."""
-MIN_SKEW_PX2 = 0.02
-"""Covariance of a small blur that is not worth a kernel that does not separate: half a grey level at a sharp edge."""
-LASER_SPOT_M = 0.0012
-"""Standard deviation of the beam."""
-LASER_GLOW_PX = 1.2
-"""Standard deviation of the dot's image for a point."""
-LASER_BGR = (70.0, 235.0, 60.0)
-"""Grey levels that the dot adds at its centre, at brightness 1 in clear water."""
-CAUSTIC_WAVES_1_M = ((31.0, 9.0), (-14.0, 29.0), (22.0, -27.0), (-37.0, -8.0))
-"""Wave numbers north and east of the light pattern."""
-CAUSTIC_RATES_1_S = (1.9, 2.6, 2.2, 3.1)
-MEAN_EXP_SIN = 1.2661
-"""Mean of exp(sin(x)), the Bessel function I0(1): the pattern moves light about and adds none."""
-HORIZON = 0.05
-"""Rays that go down by less than this per unit of length see the wall."""
+from autopilot.sitl.tuned import CAMERA_TUNED
 
 
 class SimCamera:
@@ -71,8 +36,14 @@ class SimCamera:
         self._look = look
         self._seed = seed
         self._laser = laser and look.laser_brightness > 0.0
-        columns = np.arange(-1, camera.width_px // STEP_PX + 1) * STEP_PX + (STEP_PX - 1) / 2
-        rows = np.arange(-1, camera.height_px // STEP_PX + 1) * STEP_PX + (STEP_PX - 1) / 2
+        columns = (
+            np.arange(-1, camera.width_px // CAMERA_TUNED.step_px + 1) * CAMERA_TUNED.step_px
+            + (CAMERA_TUNED.step_px - 1) / 2
+        )
+        rows = (
+            np.arange(-1, camera.height_px // CAMERA_TUNED.step_px + 1) * CAMERA_TUNED.step_px
+            + (CAMERA_TUNED.step_px - 1) / 2
+        )
         grid_px = np.stack(np.meshgrid(columns, rows), axis=-1)
         self._grid_shape: tuple[int, int] = grid_px.shape[:2]
         starts, directions = camera.rays(grid_px)
@@ -82,10 +53,10 @@ class SimCamera:
         off_centre = (grid_px - [camera.width_px / 2, camera.height_px / 2]) / corner_px
         self._vignette = (1.0 - look.vignetting * (off_centre**2).sum(axis=-1)).astype(np.float32)
         rng = np.random.default_rng((seed, 0))
-        shape = (3, camera.height_px + NOISE_PAD, camera.width_px + NOISE_PAD)
+        shape = (3, camera.height_px + CAMERA_TUNED.noise_pad, camera.width_px + CAMERA_TUNED.noise_pad)
         noise = np.rint(rng.standard_normal(shape, dtype=np.float32) * np.float32(look.noise_levels))
-        self._noise = np.clip(noise + NOISE_ZERO, 0, 255).astype(np.uint8)
-        self._caustic_phases = rng.uniform(0.0, 2.0 * math.pi, len(CAUSTIC_WAVES_1_M))
+        self._noise = np.clip(noise + CAMERA_TUNED.noise_zero, 0, 255).astype(np.uint8)
+        self._caustic_phases = rng.uniform(0.0, 2.0 * math.pi, len(CAMERA_TUNED.caustic_waves_1_m))
 
     @property
     def camera(self) -> CameraModel:
@@ -104,7 +75,7 @@ class SimCamera:
         north_m, east_m = self._floor_points(eye_ned_m, r, height_m)
         grey = self._sampled(north_m, east_m, height_m)
         mask = self._brightness(north_m, east_m, truth.t_us * 1e-6)
-        grey = cv2.multiply(grey, self._enlarged(mask), scale=1.0 / MASK_UNIT)
+        grey = cv2.multiply(grey, self._enlarged(mask), scale=1.0 / CAMERA_TUNED.mask_unit)
         grey = self._blurred(grey, truth, height_m)
         picture = self._through_water(grey, height_m, index)
         if self._laser:
@@ -116,11 +87,11 @@ class SimCamera:
         r_ned_from_cam = r @ self._camera.r_frd_from_cam
         north, east, down = r_ned_from_cam @ self._rays_cam
         if self._camera.port is None:
-            reach = height_m / np.maximum(down, HORIZON)
+            reach = height_m / np.maximum(down, CAMERA_TUNED.horizon)
             north_m, east_m = eye_ned_m[0] + north * reach, eye_ned_m[1] + east * reach
         else:  # rays start where they enter the water
             starts_m = r_ned_from_cam @ self._starts_cam_m
-            reach = np.maximum(height_m - starts_m[2], 0.01) / np.maximum(down, HORIZON)
+            reach = np.maximum(height_m - starts_m[2], 0.01) / np.maximum(down, CAMERA_TUNED.horizon)
             north_m, east_m = eye_ned_m[0] + starts_m[0] + north * reach, eye_ned_m[1] + starts_m[1] + east * reach
         return north_m.reshape(self._grid_shape), east_m.reshape(self._grid_shape)
 
@@ -139,26 +110,31 @@ class SimCamera:
             None,
             cv2.INTER_LINEAR,
             borderMode=cv2.BORDER_CONSTANT,
-            borderValue=(WALL_LEVEL,),
+            borderValue=(CAMERA_TUNED.wall_level,),
         )
         return sampled
 
     def _enlarged(self, grid: Any) -> Any:
         """A value per pixel from a value per grid ray (its nodes lie at the centres of STEP_PX x STEP_PX blocks)."""
-        height, width = grid.shape[0] * STEP_PX, grid.shape[1] * STEP_PX
+        height, width = grid.shape[0] * CAMERA_TUNED.step_px, grid.shape[1] * CAMERA_TUNED.step_px
         full = cv2.resize(grid, (width, height), interpolation=cv2.INTER_LINEAR)
-        return full[STEP_PX : STEP_PX + self._camera.height_px, STEP_PX : STEP_PX + self._camera.width_px]
+        return full[
+            CAMERA_TUNED.step_px : CAMERA_TUNED.step_px + self._camera.height_px,
+            CAMERA_TUNED.step_px : CAMERA_TUNED.step_px + self._camera.width_px,
+        ]
 
     def _brightness(self, north_m: FloatArray, east_m: FloatArray, t_s: float) -> Image:
         """Light on the grid's rays: lamp, vignetting and caustics, in units of 1 / MASK_UNIT."""
-        mask = np.float32(MASK_UNIT * self._look.light) * self._vignette
+        mask = np.float32(CAMERA_TUNED.mask_unit * self._look.light) * self._vignette
         if self._look.caustics > 0.0:
-            shift = np.array(CAUSTIC_RATES_1_S) * t_s + self._caustic_phases
-            wave = np.array(CAUSTIC_WAVES_1_M, dtype=np.float32) @ np.stack((north_m.ravel(), east_m.ravel())).astype(
-                np.float32
-            )
+            shift = np.array(CAMERA_TUNED.caustic_rates_1_s) * t_s + self._caustic_phases
+            wave = np.array(CAMERA_TUNED.caustic_waves_1_m, dtype=np.float32) @ np.stack(
+                (north_m.ravel(), east_m.ravel())
+            ).astype(np.float32)
             wave += np.fmod(shift, 2.0 * math.pi).astype(np.float32)[:, None]
-            crest = np.exp(np.sin(wave, out=wave).sum(axis=0)) - np.float32(MEAN_EXP_SIN ** len(CAUSTIC_WAVES_1_M))
+            crest = np.exp(np.sin(wave, out=wave).sum(axis=0)) - np.float32(
+                CAMERA_TUNED.mean_exp_sin ** len(CAMERA_TUNED.caustic_waves_1_m)
+            )
             gain = np.clip(
                 crest * np.float32(self._look.caustics / 3.0), -self._look.caustics, 3.0 * self._look.caustics
             )
@@ -173,9 +149,9 @@ class SimCamera:
         scale = self._camera.focal_water_px * self._look.exposure_s
         mx, my = scale * (vx / height_m + wy), scale * (vy / height_m - wx)
         xx, yy, xy = self._look.blur_px**2 + mx * mx / 12.0, self._look.blur_px**2 + my * my / 12.0, mx * my / 12.0
-        if max(xx, yy) < MIN_BLUR_PX2:
+        if max(xx, yy) < CAMERA_TUNED.min_blur_px2:
             return grey
-        if max(xx, yy) < SMALL_BLUR_PX2 and abs(xy) < MIN_SKEW_PX2:
+        if max(xx, yy) < CAMERA_TUNED.small_blur_px2 and abs(xy) < CAMERA_TUNED.min_skew_px2:
             blurred: Image = cv2.sepFilter2D(grey, -1, _three(xx), _three(yy))
         else:
             blurred = cv2.filter2D(grey, -1, _blur_kernel(xx, yy, xy))
@@ -184,13 +160,15 @@ class SimCamera:
     def _through_water(self, grey: Image, height_m: float, index: int) -> Image:
         """Colour: contrast lost to the veil over the distance to the floor. Noise: another cut-out of what is stored
         for every frame number, in the same pass."""
-        down, right = np.random.default_rng((self._seed, 1, index)).integers(0, NOISE_PAD, 2)
+        down, right = np.random.default_rng((self._seed, 1, index)).integers(0, CAMERA_TUNED.noise_pad, 2)
         noise = self._noise[:, down : down + self._camera.height_px, right : right + self._camera.width_px]
         planes = []
-        for channel, (veil, fade, tint) in enumerate(zip(VEIL_BGR, FADE_BGR, TINT_BGR, strict=True)):
+        for channel, (veil, fade, tint) in enumerate(
+            zip(CAMERA_TUNED.veil_bgr, CAMERA_TUNED.fade_bgr, CAMERA_TUNED.tint_bgr, strict=True)
+        ):
             kept = math.exp(-fade * self._look.turbidity_1_m * height_m)
             scattered = veil * min(1.0, self._look.light) * (1.0 - kept)
-            planes.append(cv2.addWeighted(grey, tint * kept, noise[channel], 1.0, scattered - NOISE_ZERO))
+            planes.append(cv2.addWeighted(grey, tint * kept, noise[channel], 1.0, scattered - CAMERA_TUNED.noise_zero))
         picture: Image = cv2.merge(planes)
         return picture
 
@@ -199,13 +177,15 @@ class SimCamera:
         r_ned_from_cam = r @ self._camera.r_frd_from_cam
         origin_ned_m = eye_ned_m + r_ned_from_cam @ self._camera.laser_offset_cam_m
         down = float(r_ned_from_cam[2] @ self._camera.laser_direction_cam)
-        if down < HORIZON:
+        if down < CAMERA_TUNED.horizon:
             return
         range_m = (self._floor.depth_m - float(origin_ned_m[2])) / down
         if range_m <= NEAR_M:
             return
         x, y = self._camera.laser_pixel(range_m)
-        sigma = math.hypot(LASER_GLOW_PX, self._camera.focal_water_px * LASER_SPOT_M / range_m)
+        sigma = math.hypot(
+            CAMERA_TUNED.laser_glow_px, self._camera.focal_water_px * CAMERA_TUNED.laser_spot_m / range_m
+        )
         radius = math.ceil(3.5 * sigma)
         left, right = max(0, round(x) - radius), min(self._camera.width_px, round(x) + radius + 1)
         top, bottom = max(0, round(y) - radius), min(self._camera.height_px, round(y) + radius + 1)
@@ -214,7 +194,7 @@ class SimCamera:
         strength = self._look.laser_brightness * math.exp(-2.0 * self._look.turbidity_1_m * range_m)
         across = np.exp(-0.5 * ((np.arange(left, right) - x) / sigma) ** 2)
         along = np.exp(-0.5 * ((np.arange(top, bottom) - y) / sigma) ** 2)
-        glow = strength * along[:, None, None] * across[None, :, None] * np.array(LASER_BGR)
+        glow = strength * along[:, None, None] * across[None, :, None] * np.array(CAMERA_TUNED.laser_bgr)
         patch = picture[top:bottom, left:right]
         patch[:] = np.clip(patch + np.rint(glow), 0, 255).astype(np.uint8)
 
@@ -276,7 +256,7 @@ def _three(variance_px2: float) -> NDArray[np.float32]:
 
 def _blur_kernel(xx: float, yy: float, xy: float) -> NDArray[np.float32]:
     """Kernel with these second moments [px^2]: 3 x 3 while that is possible, else a Gaussian."""
-    if max(xx, yy) < SMALL_BLUR_PX2:
+    if max(xx, yy) < CAMERA_TUNED.small_blur_px2:
         skew = np.array([[1.0, 0.0, -1.0], [0.0, 0.0, 0.0], [-1.0, 0.0, 1.0]])
         small: NDArray[np.float32] = (np.outer(_three(yy), _three(xx)) + xy / 4.0 * skew).astype(np.float32)
         return small

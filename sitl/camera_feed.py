@@ -18,11 +18,7 @@ from autopilot.sitl.plant import Truth
 from autopilot.sitl.scenario_tables import CameraPicture, Fault
 from autopilot.sitl.sensor_faults import OpticalFaults
 from autopilot.sitl.sensor_tables import CameraSensor
-
-FOG_LEVEL, FOG_BLUR_PX, SPOILT_NOISE = 130.0, 25.0, 2.0
-"""Grey level and blur of a lens that has fogged up, and noise of spoilt pictures [grey levels]."""
-TRANSPORT_SHARE = 0.5
-"""Part of the camera's latency that passes before the picture arrives; the rest is for finding the markers in it."""
+from autopilot.sitl.tuned import CAMERA_FEED
 
 
 class CameraFeed(LossySensor[CameraFrame]):
@@ -41,7 +37,7 @@ class CameraFeed(LossySensor[CameraFrame]):
     ) -> None:
         faults = list(faults)
         super().__init__(settings, (camera.rate_hz, camera.latency_s), faults, (seed, 30), sensor="camera")
-        self._latency_s *= TRANSPORT_SHARE
+        self._latency_s *= CAMERA_FEED.transport_share
         self._renderers: dict[tuple[Lens | Mounting, ...], SimCamera] = {(): renderer}
         self._faults = OpticalFaults(faults)
         self._stamp_error_us = round(settings.stamp_error_s * 1e6)
@@ -121,9 +117,9 @@ class CameraFeed(LossySensor[CameraFrame]):
             return image
         if looks == "frozen":
             return image if self._before is None else self._before
-        gain, level = {"black": (0.01, 0.0), "white": (0.05, 250.0), "fog": (0.03, FOG_LEVEL)}[looks]
-        blurred = cv2.GaussianBlur(image, (0, 0), FOG_BLUR_PX) if looks == "fog" else image
-        noise = np.random.default_rng((self._count, 32)).normal(0.0, SPOILT_NOISE, image.shape[:2])
+        gain, level = {"black": (0.01, 0.0), "white": (0.05, 250.0), "fog": (0.03, CAMERA_FEED.fog_level)}[looks]
+        blurred = cv2.GaussianBlur(image, (0, 0), CAMERA_FEED.fog_blur_px) if looks == "fog" else image
+        noise = np.random.default_rng((self._count, 32)).normal(0.0, CAMERA_FEED.spoilt_noise, image.shape[:2])
         spoilt = gain * blurred + level + noise[..., None]
         result: Image = np.clip(spoilt, 0.0, 255.0).astype(np.uint8)
         return result

@@ -14,18 +14,7 @@ from typing import TypeAlias
 from autopilot.core.shapes import is_inside
 from autopilot.core.toml_table import Vec2, Vec3
 from autopilot.sitl.moving import MovingPath
-
-STIFFNESS_N_M = 2.0e4
-"""Assumed: a bumper bar; full thrust (29 N) presses it in by 1.5 mm, a run at 0.5 m/s by about 15 mm."""
-
-DAMPING_N_S_M = 350.0
-"""Assumed: about a third of the critical damping of a 16 kg body on that stiffness."""
-
-NEAR_M = 0.05
-"""Contact is looked for inside a step if the hull may be closer than this at its start (ten steps at 1 m/s)."""
-
-MAX_RECORDS = 1000
-"""Contacts that are kept; all are counted."""
+from autopilot.sitl.tuned import CONTACT
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -215,7 +204,7 @@ class Surroundings:
         for touch in self.touches(pos_ned_m):
             nx, ny, nz = touch.normal_ned
             closing = touch.speed_m_s - (vel_ned_m_s[0] * nx + vel_ned_m_s[1] * ny + vel_ned_m_s[2] * nz)
-            push = max(0.0, STIFFNESS_N_M * touch.depth_m + DAMPING_N_S_M * closing)
+            push = max(0.0, CONTACT.stiffness_n_m * touch.depth_m + CONTACT.damping_n_s_m * closing)
             fx, fy, fz = fx + push * nx, fy + push * ny, fz + push * nz
         return fx, fy, fz
 
@@ -248,7 +237,7 @@ class ContactLog:
     @property
     def records(self) -> tuple[ContactRecord, ...]:
         """The first contacts of the run, in the order in which they ended; contacts that last come at the end."""
-        return (*self._closed, *self._open.values())[:MAX_RECORDS]
+        return (*self._closed, *self._open.values())[: CONTACT.max_records]
 
     def update(self, t_us: int, touches: Sequence[Touch]) -> None:
         """Take note of what is touched now."""
@@ -258,7 +247,7 @@ class ContactLog:
                 depths[touch.what] = max(depths.get(touch.what, 0.0), touch.depth_m)
         for what in [name for name in self._open if name not in depths]:
             ended = self._open.pop(what)
-            if len(self._closed) < MAX_RECORDS:
+            if len(self._closed) < CONTACT.max_records:
                 self._closed.append(ended)
         for what, depth in depths.items():
             before = self._open.get(what)

@@ -15,18 +15,10 @@ import msgspec
 from autopilot.core.toml_table import Vec2, Vec3
 from autopilot.sitl import scenario_tables as sc
 from autopilot.sitl.grid_current import GridField, read_grid
+from autopilot.sitl.tuned import CURRENTS
 
 Gradient: TypeAlias = tuple[float, float, float, float]
 """d c_i / d x_j [1/s], row by row: (c_n,n c_n,e c_e,n c_e,e); the other five are zero in every analytic field."""
-
-ZERO: Vec3 = (0.0, 0.0, 0.0)
-ZERO_GRADIENT: Gradient = (0.0, 0.0, 0.0, 0.0)
-
-JET_PROFILE = 27.0 / 4.0
-"""Makes the largest value of xi (1 - xi)^2 on [0, 1] (at xi = 1/3) equal to 1."""
-
-VORTEX_SERIES_LIMIT = 1e-3
-"""Below this (r / core)^2 the vortex profile is taken from its power series (error below 1e-10)."""
 
 
 class CurrentField(Protocol):
@@ -54,14 +46,14 @@ class CurrentField(Protocol):
 class Uniform:
     """Velocity + tide * sin(2 pi t / period), the same everywhere."""
 
-    velocity_m_s: Vec3 = ZERO
-    tide_m_s: Vec3 = ZERO
+    velocity_m_s: Vec3 = CURRENTS.zero
+    tide_m_s: Vec3 = CURRENTS.zero
     tide_period_s: float = 44712.0
 
     @property
     def steady_uniform(self) -> bool:
         """True without a tide."""
-        return self.tide_m_s == ZERO
+        return self.tide_m_s == CURRENTS.zero
 
     def velocity(self, pos_ned_m: Sequence[float], t_s: float) -> Vec3:
         """See :class:`CurrentField`."""
@@ -71,7 +63,7 @@ class Uniform:
 
     def gradient(self, pos_ned_m: Sequence[float], t_s: float) -> Gradient:
         """See :class:`CurrentField`."""
-        return ZERO_GRADIENT
+        return CURRENTS.zero_gradient
 
     def rate(self, pos_ned_m: Sequence[float], t_s: float) -> Vec3:
         """See :class:`CurrentField`."""
@@ -118,7 +110,7 @@ class _Steady:
 
     def rate(self, pos_ned_m: Sequence[float], t_s: float) -> Vec3:
         """See :class:`CurrentField`."""
-        return ZERO
+        return CURRENTS.zero
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -146,7 +138,7 @@ class TankJet(_Steady):
         """See :class:`CurrentField`."""
         xi, s, c = self._local(pos_ned_m)
         rest = 1.0 - xi
-        scale = JET_PROFILE * self.speed_m_s * rest
+        scale = CURRENTS.jet_profile * self.speed_m_s * rest
         aspect = self.width_m / (2.0 * math.pi * self.length_m)
         return (-scale * c * xi * rest, scale * s * (1.0 - 3.0 * xi) * aspect, 0.0)
 
@@ -155,9 +147,9 @@ class TankJet(_Steady):
         xi, s, c = self._local(pos_ned_m)
         k = 2.0 * math.pi / self.width_m
         rest = 1.0 - xi
-        h = JET_PROFILE * xi * rest * rest
-        h_x = JET_PROFILE * rest * (1.0 - 3.0 * xi) / self.length_m
-        h_xx = JET_PROFILE * (6.0 * xi - 4.0) / (self.length_m * self.length_m)
+        h = CURRENTS.jet_profile * xi * rest * rest
+        h_x = CURRENTS.jet_profile * rest * (1.0 - 3.0 * xi) / self.length_m
+        h_xx = CURRENTS.jet_profile * (6.0 * xi - 4.0) / (self.length_m * self.length_m)
         # Outside the tank nothing changes along the direction in which the nearest place inside stays the same.
         u_x = self.speed_m_s if abs(pos_ned_m[0] - self.center_m[0]) <= 0.5 * self.length_m else 0.0
         u_y = self.speed_m_s if abs(pos_ned_m[1] - self.center_m[1]) <= 0.5 * self.width_m else 0.0
@@ -218,7 +210,7 @@ class Vortex(_Steady):
         a = self.core_m * self.core_m
         scale = self.circulation_m2_s / (2.0 * math.pi * a)
         q = r2 / a
-        if q < VORTEX_SERIES_LIMIT:
+        if q < CURRENTS.vortex_series_limit:
             return scale * (1.0 - q / 2.0 + q * q / 6.0), scale / a * (-0.5 + q / 3.0 - q * q / 8.0)
         grown = -math.expm1(-q)
         return scale * grown / q, scale / a * ((1.0 - grown) / q - grown / (q * q))

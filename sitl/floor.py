@@ -20,23 +20,9 @@ from autopilot.core.marker_files import load_marker_map, placed_markers
 from autopilot.core.markers import ID_SPAN, MarkerMap, grid_floor
 from autopilot.core.toml_table import Vec2
 from autopilot.sitl.scenario_tables import LaidByHand, Scenario
+from autopilot.sitl.tuned import FLOOR
 
 Image: TypeAlias = NDArray[np.uint8]
-
-PX_PER_M = 1000.0
-"""Resolution of the finest level; the camera of the LBV150 shows 900 px per metre from 1.1 m above the floor."""
-MAX_PX = 40e6
-"""Pixels of the finest level (bytes of memory); larger floors get a coarser picture."""
-LEVELS = 4
-"""Each has half the resolution of the one before, for views from far away."""
-WHITE, BLACK = 200, 34
-"""Grey levels of the boards' print under even light."""
-OVERSAMPLING = 4
-"""Of markers that do not lie along the picture's axes."""
-OFF_FLOOR_M = 1e-3
-"""Markers of a map file may lie this far off the floor."""
-SAND_OCTAVES = ((256, 7.0), (48, 5.0), (10, 4.0), (3, 3.0))
-"""Grain size [px] and standard deviation [grey levels] of the sand."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -179,7 +165,7 @@ def _of_file(file: str, polygon_m: FloatArray, depth_m: float) -> MarkerMap:
     off_m = np.abs(markers.corners_ned_m[..., 2] - depth_m).max(axis=1)
     outside = ((markers.corners_ned_m[..., :2] < low) | (markers.corners_ned_m[..., :2] > high)).any(axis=(1, 2))
     for wrong, what in (
-        (off_m > OFF_FLOOR_M, f"is not flat on the floor, which lies at {depth_m:g} m"),
+        (off_m > FLOOR.off_floor_m, f"is not flat on the floor, which lies at {depth_m:g} m"),
         (outside, "lies outside of the tank"),
     ):
         if wrong.any():
@@ -206,15 +192,15 @@ def _printed(markers: MarkerMap, polygon_m: tuple[Vec2, ...], depth_m: float, se
     polygon = np.array(polygon_m)
     low, high = polygon.min(axis=0), polygon.max(axis=0)
     extent_m = high - low
-    px_per_m = min(PX_PER_M, float(np.sqrt(MAX_PX / (extent_m[0] * extent_m[1]))))
+    px_per_m = min(FLOOR.px_per_m, float(np.sqrt(FLOOR.max_px / (extent_m[0] * extent_m[1]))))
     rows, columns = (int(np.ceil(extent * px_per_m)) for extent in extent_m)
     ink = np.zeros((rows, columns), dtype=np.uint8)
     _print_markers(ink, markers, float(high[0]), float(low[1]), px_per_m)
-    shades = np.linspace(WHITE, BLACK, 256).round().astype(np.uint8)
+    shades = np.linspace(FLOOR.white, FLOOR.black, 256).round().astype(np.uint8)
     picture = cv2.LUT(ink, shades)
     _scatter_sand(picture, np.random.default_rng((seed, 1)))
     levels = [picture]
-    for _ in range(1, LEVELS):
+    for _ in range(1, FLOOR.levels):
         size = (max(1, levels[-1].shape[1] // 2), max(1, levels[-1].shape[0] // 2))
         levels.append(cv2.resize(levels[-1], size, interpolation=cv2.INTER_AREA))
     return Floor(
@@ -253,9 +239,9 @@ def _print_turned(ink: Image, picture: Image, corners_px: FloatArray) -> None:
     bottom = min(ink.shape[0], int(np.ceil(corners_px[:, 1].max())))
     # Pixel centres lie at whole numbers for warpAffine, at halves in corners_px.
     source = np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]], dtype=np.float32) * len(picture) - 0.5
-    target = (corners_px[[0, 1, 3]] - [left, top]) * OVERSAMPLING - 0.5
+    target = (corners_px[[0, 1, 3]] - [left, top]) * FLOOR.oversampling - 0.5
     affine = cv2.getAffineTransform(source.astype(np.float32), target.astype(np.float32))
-    size = ((right - left) * OVERSAMPLING, (bottom - top) * OVERSAMPLING)
+    size = ((right - left) * FLOOR.oversampling, (bottom - top) * FLOOR.oversampling)
     fine = cv2.warpAffine(255 - picture, affine, size, flags=cv2.INTER_NEAREST, borderValue=(0,))
     patch = cv2.resize(fine, (right - left, bottom - top), interpolation=cv2.INTER_AREA)
     place = ink[top:bottom, left:right]
@@ -276,7 +262,7 @@ def _coverage(start_px: float, cell_px: float, cells: int, limit: int) -> tuple[
 def _scatter_sand(picture: Image, rng: np.random.Generator) -> None:
     """Vary the brightness at several grain sizes, in place."""
     rows, columns = picture.shape
-    for grain_px, sigma in SAND_OCTAVES:
+    for grain_px, sigma in FLOOR.sand_octaves:
         small = rng.normal(128.0, sigma, (rows // grain_px + 2, columns // grain_px + 2))
         grains = np.clip(np.rint(small), 0, 255).astype(np.uint8)
         sand = cv2.resize(grains, (columns, rows), interpolation=cv2.INTER_CUBIC)

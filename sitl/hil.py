@@ -20,10 +20,11 @@ from autopilot.drivers.opencv_camera import OpenCvCamera, OpenCvCameraOptions
 from autopilot.drivers.pca9685 import Pca9685, Pca9685Options
 from autopilot.drivers.retry import SteadySensor
 from autopilot.sitl.ahrs import Ig500Emulator
-from autopilot.sitl.camera_feed import TRANSPORT_SHARE, CameraFeed
+from autopilot.sitl.camera_feed import CameraFeed
 from autopilot.sitl.i2c_bus import EmulatedI2c, Pca9685Chip
 from autopilot.sitl.mjpeg import MjpegServer
 from autopilot.sitl.pty_line import PtyLine
+from autopilot.sitl.tuned import CAMERA_FEED
 
 Wire = Literal["serial", "camera", "pwm"]
 """AHRS on a pseudo-terminal, pictures as a network stream, pulses through a PCA9685 on an emulated bus."""
@@ -71,7 +72,7 @@ class NetworkCamera(Closing):
         self._feed, self._vehicle = feed, vehicle
         self.server = MjpegServer()
         """The camera's end: may be closed and opened again."""
-        self._way_us = round(1e6 * TRANSPORT_SHARE * vehicle.eye.latency_s) + STREAM_US
+        self._way_us = round(1e6 * CAMERA_FEED.transport_share * vehicle.eye.latency_s) + STREAM_US
         self._time = LoopTime()
         self._due: SimpleQueue[tuple[int, CameraFrame] | None] = SimpleQueue()
         self._steady: SteadySensor | None = None

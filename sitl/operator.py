@@ -9,19 +9,7 @@ from typing import Any
 
 from autopilot.sitl.fault_tables import LinkLoss, Pilot
 from autopilot.sitl.scenario_tables import Fault
-
-GCS_SYSTEM, GCS_COMPONENT = 255, 190
-"""Ids of an ordinary ground station (MAV_COMP_ID_MISSIONPLANNER)."""
-
-HEARTBEAT_US = 1_000_000
-RETRY_US = 1_000_000
-"""A refused or unanswered command is sent again after this time."""
-
-STICK_US = 100_000
-"""A joystick sends ten times per second."""
-
-ARM, START = 400, 300
-"""MAV_CMD_COMPONENT_ARM_DISARM, MAV_CMD_MISSION_START (common.xml)."""
+from autopilot.sitl.tuned import OPERATOR
 
 
 class ScriptedOperator:
@@ -31,15 +19,15 @@ class ScriptedOperator:
         from pymavlink.dialects.v20 import development
 
         self._dialect = development
-        self._mav = development.MAVLink(None, srcSystem=GCS_SYSTEM, srcComponent=GCS_COMPONENT)
+        self._mav = development.MAVLink(None, srcSystem=OPERATOR.gcs_system, srcComponent=OPERATOR.gcs_component)
         self._mav.robust_parsing = True
         self._target = target_system
         faults = list(faults)
         self._lost = [fault for fault in faults if isinstance(fault, LinkLoss)]
         self._steers = [fault for fault in faults if isinstance(fault, Pilot)]
-        self._todo = [(ARM, 1.0), (START, 0.0)]
+        self._todo = [(OPERATOR.arm, 1.0), (OPERATOR.start, 0.0)]
         self._sent_us: int | None = None
-        self._heartbeat_us = -HEARTBEAT_US
+        self._heartbeat_us = -OPERATOR.heartbeat_us
 
     @property
     def started(self) -> bool:
@@ -57,14 +45,14 @@ class ScriptedOperator:
         out: list[bytes] = []
         if self._sent_us is None:
             self._sent_us = t_us  # who looks first sees that a vehicle needs a second to hear of its sensors
-        if t_us - self._heartbeat_us >= HEARTBEAT_US:
+        if t_us - self._heartbeat_us >= OPERATOR.heartbeat_us:
             self._heartbeat_us = t_us
             out.append(self._pack(self._mav.heartbeat_encode(6, 8, 0, 0, 4)))
-        if self._todo and t_us - self._sent_us >= RETRY_US:
+        if self._todo and t_us - self._sent_us >= OPERATOR.retry_us:
             self._sent_us = t_us
             command, param1 = self._todo[0]
             out.append(self._pack(self._mav.command_long_encode(self._target, 1, command, 0, param1, 0, 0, 0, 0, 0, 0)))
-        if t_us % STICK_US == 0 and any(fault.holds(t_us) for fault in self._steers):
+        if t_us % OPERATOR.stick_us == 0 and any(fault.holds(t_us) for fault in self._steers):
             out.append(self._pack(self._mav.manual_control_encode(self._target, 0, 0, 500, 0, 0)))
         return out
 
@@ -72,7 +60,7 @@ class ScriptedOperator:
         answered = message.get_type() == "COMMAND_ACK" and self._todo and message.command == self._todo[0][0]
         if answered and message.result == 0:
             self._todo.pop(0)
-            self._sent_us = -RETRY_US
+            self._sent_us = -OPERATOR.retry_us
 
     def _pack(self, message: Any) -> bytes:
         return bytes(message.pack(self._mav))

@@ -20,7 +20,7 @@ from autopilot.core.toml_table import Vec2, Vec3
 from autopilot.core.vehicle import Vehicle
 from autopilot.sitl.battery import Battery
 from autopilot.sitl.compiled_hull import STRUCTS, CompiledHull
-from autopilot.sitl.contact import NEAR_M, ContactLog, ContactRecord, Cylinder, Prism, Sphere, Surroundings, moved_to
+from autopilot.sitl.contact import ContactLog, ContactRecord, Cylinder, Prism, Sphere, Surroundings, moved_to
 from autopilot.sitl.currents import WithFlow
 from autopilot.sitl.fault_tables import BatterySag, Mishap, Shove, Snag
 from autopilot.sitl.mishaps import Mishaps
@@ -29,18 +29,8 @@ from autopilot.sitl.rigid_body import ForceNed, State, Water, Wrench, make_deriv
 from autopilot.sitl.scenario_tables import Scenario, ThrusterLoss
 from autopilot.sitl.tether import make_tether
 from autopilot.sitl.thrusters import Thrusters, wrench_of
+from autopilot.sitl.tuned import CONTACT, PLANT
 from autopilot.sitl.world import World, build_world
-
-STEP_US = 10_000
-"""Integration step in open water: 15 steps in the thruster lag of 0.15 s, the fastest thing there."""
-
-NEAR_STEP_US = 5_000
-"""Integration step where the hull may touch something: 36 steps in the period of the hull on the contact's spring."""
-
-GRAVITY_M_S2 = 9.80665
-"""Standard gravity, for what an accelerometer feels."""
-
-ZERO: Vec3 = (0.0, 0.0, 0.0)
 
 Push: TypeAlias = tuple[float, float, float, float, float, float]
 """Force [N] and moment [N m] in the body frame."""
@@ -107,9 +97,9 @@ class Plant:
         world: World,
         *,
         start_pos_ned_m: Sequence[float],
-        start_rpy_rad: Sequence[float] = ZERO,
-        start_vel_frd_m_s: Sequence[float] = ZERO,
-        start_rate_frd_rad_s: Sequence[float] = ZERO,
+        start_rpy_rad: Sequence[float] = PLANT.zero,
+        start_vel_frd_m_s: Sequence[float] = PLANT.zero,
+        start_rate_frd_rad_s: Sequence[float] = PLANT.zero,
         mismatch: Mapping[str, float] | None = None,
         held: bool = False,
         losses: Sequence[ThrusterLoss] = (),
@@ -222,7 +212,7 @@ class Plant:
         self._thrusters.set_loss(self._thruster_index(name), loss)
 
     def set_external_wrench(
-        self, *, force_ned_n: Vec3 = ZERO, force_frd_n: Vec3 = ZERO, moment_frd_n_m: Vec3 = ZERO
+        self, *, force_ned_n: Vec3 = PLANT.zero, force_frd_n: Vec3 = PLANT.zero, moment_frd_n_m: Vec3 = PLANT.zero
     ) -> None:
         """A further force and moment on the hull from now on (a push, a payload), replacing the one before."""
         self._external = (*force_frd_n, *moment_frd_n_m, *force_ned_n)
@@ -298,9 +288,9 @@ class Plant:
             u - r11 * cn - r21 * ce - r31 * cd,
             v - r12 * cn - r22 * ce - r32 * cd,
             w - r13 * cn - r23 * ce - r33 * cd,
-            ax - GRAVITY_M_S2 * r31,
-            ay - GRAVITY_M_S2 * r32,
-            az - GRAVITY_M_S2 * r33,
+            ax - PLANT.gravity_m_s2 * r31,
+            ay - PLANT.gravity_m_s2 * r32,
+            az - PLANT.gravity_m_s2 * r33,
             *thrust_n,
             *self._no_thrust,
         ]
@@ -318,7 +308,7 @@ class Plant:
             self._tether,
             hull_half_height_m=self._vehicle.hull_half_height_m,
             froude_krylov=froude_krylov,
-            gravity_m_s2=GRAVITY_M_S2,
+            gravity_m_s2=PLANT.gravity_m_s2,
         )
 
     def _thruster_index(self, name: str) -> int:
@@ -335,7 +325,7 @@ class Plant:
         if not self._mishaps.none:
             self._suffer()
         instant = self._here()
-        dt_us = min(NEAR_STEP_US if instant.near else STEP_US, room_us)
+        dt_us = min(PLANT.near_step_us if instant.near else PLANT.step_us, room_us)
         dt_s = dt_us * 1e-6
         supply_v = 0.0 if self._battery.empty else self._battery.voltage_v
         self._thrusters.step(pwm_us, supply_v, dt_s)
@@ -393,15 +383,15 @@ class Plant:
         """Whether the hull may be closer than NEAR_M to anything. Looks again only after enough has moved."""
         cx, cy, cz = self._checked_at
         came_m = self._surroundings.fastest_m_s * (self._t_us - self._checked_us) * 1e-6
-        if abs(x - cx) + abs(y - cy) + abs(z - cz) + came_m >= self._clearance_m - NEAR_M:
+        if abs(x - cx) + abs(y - cy) + abs(z - cz) + came_m >= self._clearance_m - CONTACT.near_m:
             self._checked_at, self._checked_us = (x, y, z), self._t_us
             self._clearance_m = self._surroundings.clearance_m(self._checked_at)
-        return self._clearance_m < NEAR_M
+        return self._clearance_m < CONTACT.near_m
 
     def _outside(self, pos_ned_m: Vec3, vel_ned_m_s: Vec3, vel_water_ned_m_s: Vec3) -> Vec3:
         """Force of tether and contact (3,) NED [N]."""
-        tn, te, td = ZERO if self._tether is None else self._tether(pos_ned_m, vel_water_ned_m_s)
-        if self._clearance_m >= NEAR_M:
+        tn, te, td = PLANT.zero if self._tether is None else self._tether(pos_ned_m, vel_water_ned_m_s)
+        if self._clearance_m >= CONTACT.near_m:
             return tn, te, td
         cn, ce, cd = self._surroundings.force_ned_n(pos_ned_m, vel_ned_m_s)
         return tn + cn, te + ce, td + cd

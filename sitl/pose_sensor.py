@@ -17,16 +17,7 @@ from autopilot.sitl.plant import Truth
 from autopilot.sitl.scenario_tables import Fault
 from autopilot.sitl.sensor_faults import OpticalFaults
 from autopilot.sitl.sensor_tables import LaserSensor, PoseSensor
-
-REFERENCE_HEIGHT_M = 1.0
-"""Height of the camera above the floor at which the scenario's standard deviations hold."""
-LEAST_SCALE = 0.3
-"""Close to the floor the errors shrink no further: fewer markers are in view."""
-LASER_LEAST_RANGE_M, LASER_MOST_RANGE_M = 0.15, 2.0
-"""Where the dot is in the picture, and bright enough."""
-
-USUAL = (30.0, 0.06)
-"""Rate [Hz] and latency [s] of a vehicle without a camera, where the scenario does not say: the shipped cameras'."""
+from autopilot.sitl.tuned import POSE_SENSOR
 
 
 class SimPoseSensor(LossySensor[PoseSample | LaserSample]):
@@ -43,7 +34,7 @@ class SimPoseSensor(LossySensor[PoseSample | LaserSample]):
     ) -> None:
         """``floor_depth_m`` None: open water, the position comes from outside and there is no laser range."""
         faults, camera = list(faults), vehicle.camera
-        usual = USUAL if camera is None else (camera.rate_hz, camera.latency_s)
+        usual = POSE_SENSOR.usual if camera is None else (camera.rate_hz, camera.latency_s)
         super().__init__(pose, usual, faults, (seed, 20), sensor="camera")
         self._pose = pose
         self._laser = laser
@@ -95,7 +86,7 @@ class SimPoseSensor(LossySensor[PoseSample | LaserSample]):
         if self._floor_depth_m is None:
             return 1.0
         camera_m = float(truth.pos_ned_m[2] + r[2] @ self._camera_frd_m)
-        return max(LEAST_SCALE, (self._floor_depth_m - camera_m) / REFERENCE_HEIGHT_M)
+        return max(POSE_SENSOR.least_scale, (self._floor_depth_m - camera_m) / POSE_SENSOR.reference_height_m)
 
     def _range(self, truth: Truth, r: FloatArray, noise: float, chance: list[float]) -> LaserSample | None:
         if self._floor_depth_m is None or not self._ranges:
@@ -104,9 +95,9 @@ class SimPoseSensor(LossySensor[PoseSample | LaserSample]):
         if down <= 0.0:
             return None
         range_m = (self._floor_depth_m - float(truth.pos_ned_m[2] + r[2] @ self._laser_frd_m)) / down
-        if not LASER_LEAST_RANGE_M <= range_m <= LASER_MOST_RANGE_M:
+        if not POSE_SENSOR.laser_least_range_m <= range_m <= POSE_SENSOR.laser_most_range_m:
             return None
-        sigma_m = self._laser.sigma_m * max(LEAST_SCALE, range_m / REFERENCE_HEIGHT_M) ** 2
+        sigma_m = self._laser.sigma_m * max(POSE_SENSOR.least_scale, range_m / POSE_SENSOR.reference_height_m) ** 2
         range_m += sigma_m * noise
         if chance[3] < self._laser.outlier_probability:
             range_m += self._laser.outlier_m * (2.0 * chance[4] - 1.0)

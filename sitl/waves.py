@@ -25,29 +25,16 @@ import numpy as np
 from autopilot.core.toml_table import Vec3
 from autopilot.sitl.currents import CurrentField, Gradient
 from autopilot.sitl.scenario_tables import Waves
-
-GRAVITY_M_S2 = 9.80665
-DEEP = 30.0
-"""From this k h on the bottom is not felt: exp(-k h) is below 1e-13."""
-NEWTON_STEPS = 50
-BREAKING = 0.142
-"""Miche 1944: steepness height / length over tanh(k h) at which a regular wave breaks."""
-
-JONSWAP_PEAK = 3.3
-"""Mean peak enhancement of the North Sea (Hasselmann et al. 1973)."""
-COMPONENTS = 24
-"""Regular waves that stand for an irregular sea."""
-BAND = (0.6, 3.0)
-"""Frequencies of them over that of the peak: 98 % of the energy."""
+from autopilot.sitl.tuned import WAVES
 
 
 def wave_number(omega_rad_s: float, depth_m: float) -> float:
     """k [1/m] of the dispersion relation, by Newton's method; ``depth_m`` may be infinite."""
-    deep = omega_rad_s * omega_rad_s / GRAVITY_M_S2
-    if deep * depth_m > DEEP:
+    deep = omega_rad_s * omega_rad_s / WAVES.gravity_m_s2
+    if deep * depth_m > WAVES.deep:
         return deep
     kh, target = max(deep * depth_m, math.sqrt(deep * depth_m)), deep * depth_m
-    for _ in range(NEWTON_STEPS):
+    for _ in range(WAVES.newton_steps):
         th = math.tanh(kh)
         step = (kh * th - target) / (th + kh * (1.0 - th * th))
         kh -= step
@@ -73,7 +60,7 @@ class Component:
     def _shares(self, z: float) -> tuple[float, float, float]:
         """cosh(k (h - z)) / sinh(k h), sinh(k (h - z)) / sinh(k h), cosh(k (h - z)) / cosh(k h)."""
         kh = self.k_1_m * self.depth_m
-        if kh > DEEP:
+        if kh > WAVES.deep:
             decayed = math.exp(-self.k_1_m * max(z, 0.0))
             return decayed, decayed, decayed
         up = self.k_1_m * (self.depth_m - min(max(z, 0.0), self.depth_m))
@@ -173,12 +160,12 @@ def wave_train(table: Waves | None, depth_m: float | None) -> WaveTrain | None:
     floor_m = math.inf if depth_m is None else depth_m
     if table.spectrum == "regular":
         return WaveTrain(components=(_component(table, 0.5 * table.height_m, peak, table.phase_rad, floor_m),))
-    edges = np.linspace(BAND[0] * peak, BAND[1] * peak, COMPONENTS + 1)
+    edges = np.linspace(WAVES.band[0] * peak, WAVES.band[1] * peak, WAVES.components + 1)
     middles = 0.5 * (edges[1:] + edges[:-1])
     energy = np.array([_jonswap(float(omega), peak) for omega in middles])
     # Significant height = 4 sqrt(m0), and a regular wave of amplitude a has m0 = a^2 / 2.
     amplitudes = np.sqrt(2.0 * energy / energy.sum()) * table.height_m / 4.0
-    phases = np.random.default_rng((table.seed, 60)).uniform(0.0, 2.0 * math.pi, COMPONENTS)
+    phases = np.random.default_rng((table.seed, 60)).uniform(0.0, 2.0 * math.pi, WAVES.components)
     return WaveTrain(
         components=tuple(
             _component(table, float(a), float(omega), float(phase) + table.phase_rad, floor_m)
@@ -203,11 +190,11 @@ def _jonswap(omega: float, peak: float) -> float:
     """Shape of the spectrum (Hasselmann et al. 1973), without its scale."""
     width = 0.07 if omega <= peak else 0.09
     bump = math.exp(-((omega - peak) ** 2) / (2.0 * (width * peak) ** 2))
-    return float(omega**-5.0 * math.exp(-1.25 * (peak / omega) ** 4) * JONSWAP_PEAK**bump)
+    return float(omega**-5.0 * math.exp(-1.25 * (peak / omega) ** 4) * WAVES.jonswap_peak**bump)
 
 
 def breaking_height_m(table: Waves, depth_m: float | None) -> float:
     """Height at which regular waves of that period break over that floor (Miche 1944)."""
     floor_m = math.inf if depth_m is None else depth_m
     k = wave_number(2.0 * math.pi / table.period_s, floor_m)
-    return BREAKING * 2.0 * math.pi / k * (1.0 if math.isinf(floor_m) else math.tanh(k * floor_m))
+    return WAVES.breaking * 2.0 * math.pi / k * (1.0 if math.isinf(floor_m) else math.tanh(k * floor_m))

@@ -9,7 +9,7 @@ import numpy as np
 from autopilot.analysis.estimates import estimate_of
 from autopilot.control.controller import MotionController
 from autopilot.control.nmpc.ocp import discrete_dynamics
-from autopilot.control.way.guidance import VELOCITY_WEIGHTS
+from autopilot.control.way.tuned import GUIDANCE
 from autopilot.core.frames import FloatArray, wrap_pi
 from autopilot.core.geometry import Circle, Fence, Polygon
 from autopilot.core.messages import ControlOutput, Goal
@@ -76,7 +76,7 @@ def fly(
     move = discrete_dynamics(vehicle.to_model(), STEP_US * 1e-6, 1)
     params, goals, index = ParamSet({"MPC_COST": 0}), [waypoint(*w) for w in WAYPOINTS], first
     q = params["MPC_Q_POS"]
-    weights = np.array([q, q, params["MPC_Q_Z"], params["MPC_Q_YAW"], *VELOCITY_WEIGHTS])
+    weights = np.array([q, q, params["MPC_Q_Z"], params["MPC_Q_YAW"], *GUIDANCE.velocity_weights])
     x, acting, cost, failures = np.array(start, dtype=float), np.zeros(4), 0.0, 0
     states: list[FloatArray] = []
     solve_s: list[float] = []

@@ -16,7 +16,7 @@ from autopilot.control.robust.lipschitz import TUNED_SCALES, UNIT_SCALES, lipsch
 from autopilot.control.robust.margins import Margins
 from autopilot.control.robust.riccati import exponential
 from autopilot.control.robust.terminal import TerminalLimits, certify, terminal_law, unit_samples
-from autopilot.control.way.guidance import VELOCITY_WEIGHTS
+from autopilot.control.way.tuned import GUIDANCE
 from autopilot.core.frames import FloatArray
 from autopilot.core.geometry import Fence
 from autopilot.core.messages import Goal, NavState
@@ -189,7 +189,7 @@ def certificate_table(
     back = Margins(model, grid).back_offs(
         _nav(ESTIMATES["perfect"]), np.zeros((grid.n + 1, 8)), np.zeros((grid.n, model.thrusters)), params
     )
-    q = np.array([params["MPC_Q_POS"]] * 2 + [params["MPC_Q_Z"], params["MPC_Q_YAW"], *VELOCITY_WEIGHTS])
+    q = np.array([params["MPC_Q_POS"]] * 2 + [params["MPC_Q_Z"], params["MPC_Q_YAW"], *GUIDANCE.velocity_weights])
     r, points = np.full(model.thrusters, params["MPC_R_THRUST"]), unit_samples(samples)
     rows = []
     for goal in goals:

@@ -10,19 +10,10 @@ from typing import Any, Literal
 import cv2
 import numpy as np
 
+from autopilot.calibrate.tuned import BOARDS
 from autopilot.core.dictionaries import opencv_dictionary, resolve_dictionary
 from autopilot.core.errors import ConfigError
 from autopilot.core.frames import FloatArray
-
-MIN_CORNERS = 8
-"""A view with fewer says little: a homography has eight unknowns already with four."""
-REFINE_CELLS = 0.7
-"""Half width of the refinement window in cells of a marker: OpenCV's 0.3 leaves 0.7 px of noise on small markers, more
-than 1 would take in the next cell's corner."""
-QUIET_MM = 8.0
-"""White round the pattern on the sheet."""
-SCALE_BAR_MM = 100.0
-"""A line to measure after printing."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -89,7 +80,7 @@ class Board:
         shape = (spec.columns, spec.rows)
         parameters = cv2.aruco.DetectorParameters()
         parameters.cornerRefinementMethod = cv2.aruco.CORNER_REFINE_SUBPIX
-        parameters.relativeCornerRefinmentWinSize = REFINE_CELLS
+        parameters.relativeCornerRefinmentWinSize = BOARDS.refine_cells
         if spec.kind == "charuco":
             self.pattern = cv2.aruco.CharucoBoard(shape, spec.pitch_m, spec.marker_m, self.dictionary)
             self.pattern.setLegacyPattern(spec.legacy)
@@ -106,7 +97,7 @@ class Board:
             return self._find_chessboard(grey)
         if self.spec.kind == "charuco":
             pixels, ids, _, _ = self._detector.detectBoard(grey)
-            if ids is None or len(ids) < MIN_CORNERS:
+            if ids is None or len(ids) < BOARDS.min_corners:
                 return None
             points = np.asarray(self.pattern.getChessboardCorners(), dtype=float)[np.asarray(ids).ravel()]
         else:
@@ -114,7 +105,7 @@ class Board:
             if ids is None or len(ids) == 0:
                 return None
             points, pixels = self.pattern.matchImagePoints(corners, ids)
-            if points is None or len(points) < MIN_CORNERS:
+            if points is None or len(points) < BOARDS.min_corners:
                 return None
         return np.asarray(points, dtype=float).reshape(-1, 3), np.asarray(pixels, dtype=float).reshape(-1, 2)
 
@@ -158,17 +149,18 @@ class Board:
 
     def svg(self) -> str:
         """The board as a sheet that prints at true scale, with a line to check that."""
-        width_mm, height_mm = (1e3 * side + 2.0 * QUIET_MM for side in self.spec.size_m)
-        page_mm = max(width_mm, SCALE_BAR_MM + 2.0 * QUIET_MM)
+        width_mm, height_mm = (1e3 * side + 2.0 * BOARDS.quiet_mm for side in self.spec.size_m)
+        page_mm = max(width_mm, BOARDS.scale_bar_mm + 2.0 * BOARDS.quiet_mm)
         path = "".join(
-            f"M{1e3 * x + QUIET_MM:.4f} {1e3 * y + QUIET_MM:.4f}h{1e3 * w:.4f}v{1e3 * h:.4f}h{-1e3 * w:.4f}z"
+            f"M{1e3 * x + BOARDS.quiet_mm:.4f}"
+            f" {1e3 * y + BOARDS.quiet_mm:.4f}h{1e3 * w:.4f}v{1e3 * h:.4f}h{-1e3 * w:.4f}z"
             for x, y, w, h in self.black_rectangles_m()
         )
         spec = self.spec
         markers = f", marker {1e3 * spec.marker_m:g} mm, {spec.dictionary}{' legacy' if spec.legacy else ''}"
         label = (
             f"{spec.kind} {spec.columns}x{spec.rows}, pitch {1e3 * spec.pitch_m:g} mm"
-            f"{'' if spec.kind == 'chessboard' else markers}; at 100 % this line is {SCALE_BAR_MM:g} mm"
+            f"{'' if spec.kind == 'chessboard' else markers}; at 100 % this line is {BOARDS.scale_bar_mm:g} mm"
         )
         bar_mm = height_mm + 3.0
         return (
@@ -176,8 +168,9 @@ class Board:
             f' viewBox="0 0 {page_mm:.3f} {height_mm + 12.0:.3f}">\n'
             '<rect width="100%" height="100%" fill="white"/>\n'
             f'<path d="{path}" fill="black" shape-rendering="crispEdges"/>\n'
-            f'<path d="M{QUIET_MM} {bar_mm - 2}v4m0-2h{SCALE_BAR_MM}m0-2v4" stroke="black" stroke-width="0.2"'
+            f'<path d="M{BOARDS.quiet_mm} {bar_mm - 2}v4m0-2h{BOARDS.scale_bar_mm}m0-2v4" stroke="black"'
+            ' stroke-width="0.2"'
             ' fill="none"/>\n'
-            f'<text x="{QUIET_MM}" y="{bar_mm + 5}" font-family="sans-serif" font-size="3">{label}</text>\n'
+            f'<text x="{BOARDS.quiet_mm}" y="{bar_mm + 5}" font-family="sans-serif" font-size="3">{label}</text>\n'
             "</svg>\n"
         )

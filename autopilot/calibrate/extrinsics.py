@@ -10,24 +10,14 @@ from scipy.spatial.transform import Rotation
 from autopilot.calibrate.flight import CameraFlight
 from autopilot.calibrate.gyro_path import GyroPath
 from autopilot.calibrate.least_squares import covariance, huber_weights, robust_sigma, solve_weighted
-from autopilot.calibrate.motion_fit import SIGMA_FACTOR, MotionFit
+from autopilot.calibrate.motion_fit import MotionFit
+from autopilot.calibrate.tuned import EXTRINSICS, MOTION_FIT
 from autopilot.core.camera import R_FRD_FROM_CAM
 from autopilot.core.errors import LogError
 from autopilot.core.frames import FloatArray, rpy_from_r
 
 GRAVITY_NED_M_S2 = np.array([0.0, 0.0, 9.81])
-AHRS_ERROR_TIME_S = 20.0
-"""Slow errors of an attitude reference change in about this time: so often they are drawn anew."""
-HOP_S = 0.4
-"""Two hops in a row make one measurement of the lever arm."""
-STEP_S = 0.01
-"""Accelerations are integrated with this step."""
-ACCEL_BIAS_PRIOR_M_S2 = 0.3
-ARM_PRIOR_M = 0.5
-MAX_SIGMA_ARM_M = 0.005
-"""A component that is known worse than this is not written: a ruler does better."""
 MAX_SIGMA_MOUNTING_RAD = math.radians(1.0)
-ROUNDS = 5
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -57,7 +47,7 @@ class LeverArm:
     @property
     def observable(self) -> np.ndarray:
         """(3,) which components are known well enough."""
-        result: np.ndarray = self.sigma_m < MAX_SIGMA_ARM_M
+        result: np.ndarray = self.sigma_m < EXTRINSICS.max_sigma_arm_m
         return result
 
 
@@ -80,7 +70,7 @@ def check_attitude(flight: CameraFlight, fit: MotionFit) -> AttitudeCheck:
     middle = np.arctan2(np.sin(off).mean(axis=0), np.cos(off).mean(axis=0))
     off = (off - middle + math.pi) % (2.0 * math.pi) - math.pi
     spread = off.std(axis=0)
-    draws = max(1.0, float(t_s[-1] - t_s[0]) / (2.0 * AHRS_ERROR_TIME_S))
+    draws = max(1.0, float(t_s[-1] - t_s[0]) / (2.0 * EXTRINSICS.ahrs_error_time_s))
     sigma = np.sqrt(spread**2 / draws + fit.sigma_mounting_rad**2)
     return AttitudeCheck(mean_rad=middle + off.mean(axis=0), spread_rad=spread, sigma_mean_rad=sigma)
 
@@ -94,10 +84,10 @@ def fit_lever_arm(flight: CameraFlight, fit: MotionFit) -> LeverArm | None:
     """
     path = GyroPath(flight.ahrs, fit.gyro_bias_rad_s)
     t_s = flight.t_s
-    hops = np.searchsorted(t_s, np.stack((t_s, t_s + HOP_S, t_s + 2.0 * HOP_S)))
+    hops = np.searchsorted(t_s, np.stack((t_s, t_s + EXTRINSICS.hop_s, t_s + 2.0 * EXTRINSICS.hop_s)))
     hops = hops[:, (hops < len(t_s)).all(axis=0)]
     when = t_s[hops]
-    regular = (np.abs(np.diff(when, axis=0) - HOP_S) < 0.25 * HOP_S).all(axis=0)
+    regular = (np.abs(np.diff(when, axis=0) - EXTRINSICS.hop_s) < 0.25 * EXTRINSICS.hop_s).all(axis=0)
     regular &= path.covers(when[0] - fit.late_s - 0.1, when[2] - fit.late_s + 0.1)
     hops, when = hops[:, regular], when[:, regular]
     if hops.shape[1] < 50:
@@ -116,14 +106,16 @@ def fit_lever_arm(flight: CameraFlight, fit: MotionFit) -> LeverArm | None:
     target = (seen - by_force) / scale
     start = flight.camera.position_frd_m - np.array(flight.vehicle.ahrs.position_frd_m)
     x = np.concatenate((start, np.zeros(3)))
-    prior = np.array([ARM_PRIOR_M**-2] * 3 + [ACCEL_BIAS_PRIOR_M_S2**-2] * 3)
-    for _ in range(ROUNDS):
+    prior = np.array([EXTRINSICS.arm_prior_m**-2] * 3 + [EXTRINSICS.accel_bias_prior_m_s2**-2] * 3)
+    for _ in range(EXTRINSICS.rounds):
         residual = target - jacobian @ x
         weights = huber_weights(residual, robust_sigma(residual))
         step, inverse = solve_weighted(jacobian, residual, weights, prior)
         x = x + step
-    lags = round(3.0 * HOP_S / float(np.median(np.diff(t_s))))
-    sigma = SIGMA_FACTOR * np.sqrt(np.diag(covariance(jacobian, target - jacobian @ x, weights, inverse, lags)))
+    lags = round(3.0 * EXTRINSICS.hop_s / float(np.median(np.diff(t_s))))
+    sigma = MOTION_FIT.sigma_factor * np.sqrt(
+        np.diag(covariance(jacobian, target - jacobian @ x, weights, inverse, lags))
+    )
     return LeverArm(arm_frd_m=x[:3], sigma_m=sigma[:3], accel_bias_m_s2=x[3:], measurements=len(target))
 
 
@@ -137,7 +129,7 @@ def _double_integrals(
     start = path.at(begin_s).inv()
     force, by_bias = np.zeros((2, len(begin_s), 3)), np.zeros((2, len(begin_s), 3, 3))
     for which, end_s in enumerate((when[2] - fit.late_s, when[1] - fit.late_s)):
-        count = max(2, round(float((end_s - begin_s).max()) / STEP_S))
+        count = max(2, round(float((end_s - begin_s).max()) / EXTRINSICS.step_s))
         dt_s = (end_s - begin_s) / count
         for k in range(count):
             t_s = begin_s + (k + 0.5) * dt_s

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from autopilot.calibrate.pose_fit import CameraPose, fit_pose
+from autopilot.calibrate.tuned import FLIGHT
 from autopilot.core.camera import CameraModel
 from autopilot.core.errors import LogError
 from autopilot.core.frames import FloatArray, r_ned_from_frd
@@ -15,14 +16,6 @@ from autopilot.core.markers import MarkerMap
 from autopilot.core.vehicle import Vehicle, load_vehicle
 from autopilot.log.reader import Log, Table, open_log
 from autopilot.record.estimator import read_markers, read_vehicle
-
-NEAREST_M = 0.4
-"""A marker is taken for one no farther than this from where the logged estimate puts it: ids repeat after a metre."""
-MIN_MARKERS = 3
-"""One or two markers leave the tilt open."""
-MIN_FRAMES = 60
-"""2 s at 30 Hz."""
-MAX_STATE_AGE_US = 50_000
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -79,10 +72,11 @@ def read_flight(path: Path, vehicle: str | None = None, markers: Path | None = N
         if pose is not None:
             poses.append(pose)
             used.append(n)
-    if len(poses) < MIN_FRAMES:
+    if len(poses) < FLIGHT.min_frames:
         raise LogError(
-            f"{path}: {len(poses)} of {len(sightings)} sightings give a pose, at least {MIN_FRAMES} are needed; fly"
-            f" where {MIN_MARKERS} markers and more are in view, and check the marker map"
+            f"{path}: {len(poses)} of {len(sightings)} sightings give a pose, at least"
+            f" {FLIGHT.min_frames} are needed; fly"
+            f" where {FLIGHT.min_markers} markers and more are in view, and check the marker map"
         )
     rows = sightings[used]
     laser_px = np.where(rows["laser_found"][:, None] == 1, rows["laser_px"], np.nan)
@@ -125,8 +119,10 @@ def _ahrs(log: Log, vehicle: Vehicle) -> Ahrs:
     rows = rows[good]
     t_s = rows["t_us"] * 1e-6 + vehicle.ahrs.time_offset_s
     rising = np.diff(np.maximum.accumulate(t_s), prepend=-math.inf) > 0.0
-    if int(rising.sum()) < 2 * MIN_FRAMES:
-        raise LogError(f"{log.path}: holds {int(rising.sum())} good AHRS samples; at least {2 * MIN_FRAMES} are needed")
+    if int(rising.sum()) < 2 * FLIGHT.min_frames:
+        raise LogError(
+            f"{log.path}: holds {int(rising.sum())} good AHRS samples; at least {2 * FLIGHT.min_frames} are needed"
+        )
     rows, t_s = rows[rising], t_s[rising]
     return Ahrs(
         t_s=t_s,
@@ -149,7 +145,7 @@ class _Finder:
         """The camera's pose of one logged sighting, None if there is no good one."""
         count = int(row["count"])
         guess = self._guess(int(row["t_us"]))
-        if count < MIN_MARKERS or guess is None:
+        if count < FLIGHT.min_markers or guess is None:
             return None
         corners = np.asarray(row["corners_px"], dtype=float).reshape(-1, 4, 2)[:count]
         if not np.isfinite(corners).all():
@@ -163,11 +159,11 @@ class _Finder:
             for place in self._by_id.get(code, ()):
                 centre = self._markers.centers_ned_m[place]
                 reach = (centre[2] - eye[2]) / max(float(rays_ned[k, 2]), 0.1)
-                if float(np.hypot(*(eye + reach * rays_ned[k] - centre)[:2])) < NEAREST_M:
+                if float(np.hypot(*(eye + reach * rays_ned[k] - centre)[:2])) < FLIGHT.nearest_m:
                     seen.append(k)
                     placed.append(place)
                     break
-        if len(seen) < MIN_MARKERS:
+        if len(seen) < FLIGHT.min_markers:
             return None
         points = self._markers.corners_ned_m[placed].reshape(-1, 3)
         return fit_pose(self._camera, points, corners[seen].reshape(-1, 2), eye, r)
@@ -178,7 +174,7 @@ class _Finder:
             return None
         n = int(np.clip(np.searchsorted(self._states["t_us"], t_us), 0, len(self._states) - 1))
         state = self._states[n]
-        if abs(int(state["t_us"]) - t_us) > MAX_STATE_AGE_US:
+        if abs(int(state["t_us"]) - t_us) > FLIGHT.max_state_age_us:
             return None
         r = r_ned_from_frd(np.asarray(state["rpy_rad"], dtype=float))
         eye = np.asarray(state["pos_ned_m"], dtype=float) + r @ self._camera.position_frd_m

@@ -8,43 +8,15 @@ from typing import Any
 import cv2
 import numpy as np
 
+from autopilot.calibrate.tuned import INTRINSICS
 from autopilot.calibrate.views import View, Views
 from autopilot.core.errors import ConfigError
 from autopilot.core.frames import FloatArray
 from autopilot.core.vehicle import Camera
 
-MIN_VIEWS = 8
-"""Each view brings six unknowns of its own; fewer leave focal length and distortion to chance."""
-REJECT_FACTOR = 2.5
-REJECT_FLOOR_PX = 0.3
-"""A view whose rms is above both the factor times the median and this is left out."""
-REJECT_SHARE = 0.4
-"""No more views than these are left out for their misfit."""
-CELLS = (8, 6)
-"""The image is divided so for the coverage."""
-WATER_INDEX = 1.333
-"""Fresh water at 20 degC, green light."""
-GOOD_COVERAGE = 0.7
-GOOD_RADIUS = 0.85
-"""Share of the half diagonal that corners should reach."""
 GOOD_TILT_RAD = math.radians(15.0)
-GOOD_TILTED_SHARE = 0.3
-FOCAL_BAND = 0.1
-"""A focal length this far from the expected one is worth a word."""
-GOOD_RMS_PX = 0.6
-OTHER_FOCAL = 0.05
-"""The views are also fitted with focal lengths that are this share longer and shorter,"""
-FOCAL_SIGMA = 0.01
-"""and must say so: by how much worse they fit tells the focal length's standard deviation, at most this share of it."""
-LEAST_SIGMA_PX = 0.1
-"""Of a corner, for that: errors of a board and of its detection are not as independent as noise."""
 
 NAMES = ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3")
-
-
-LEAST_FOCAL_SIGMA = 5e-4
-AIR_FOCAL_SIGMA = 0.02
-"""Of a focal length, as a share: no calibration is better than the first; one in air is off by the second."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -84,17 +56,18 @@ def calibrate(found: Views, *, fix_k3: bool = False) -> Intrinsics:
     """Pinhole with k1 k2 p1 p2 k3. ConfigError if there are too few views, if they do not determine the camera, or if
     they fit another focal length as well: what is then printed for its sigma is of no use."""
     views, left_out = list(found.views), list(found.left_out)
-    most = round(REJECT_SHARE * len(views))
+    most = round(INTRINSICS.reject_share * len(views))
     while True:
-        if len(views) < MIN_VIEWS:
+        if len(views) < INTRINSICS.min_views:
             raise ConfigError(
-                f"{len(views)} usable views of the board, at least {MIN_VIEWS} are needed ({len(left_out)} images left"
+                f"{len(views)} usable views of the board, at least {INTRINSICS.min_views} are needed"
+                f" ({len(left_out)} images left"
                 " out); take 20 or more from different places and angles"
             )
         result = _fit(found, views, tuple(left_out), fix_k3)
         rms = result.view_rms_px
         worst = int(rms.argmax())
-        if most == 0 or rms[worst] <= max(REJECT_FLOOR_PX, REJECT_FACTOR * float(np.median(rms))):
+        if most == 0 or rms[worst] <= max(INTRINSICS.reject_floor_px, INTRINSICS.reject_factor * float(np.median(rms))):
             _refuse_any_focal(found, result, fix_k3)
             return result
         # One at a time: a view that is wrong spoils others, which fit when it is gone.
@@ -107,17 +80,18 @@ def _refuse_any_focal(found: Views, result: Intrinsics, fix_k3: bool) -> None:
     """ConfigError if the views do not tell focal length from distance."""
     count = sum(2 * len(view.pixels) for view in result.views)
     square = sum(float((residual**2).sum()) for residual in result.residual_px)
-    variance = max(square / max(count - 9 - 6 * len(result.views), 1), LEAST_SIGMA_PX**2)
+    variance = max(square / max(count - 9 - 6 * len(result.views), 1), INTRINSICS.least_sigma_px**2)
     worse = []
-    for factor in (1.0 - OTHER_FOCAL, 1.0 + OTHER_FOCAL):
+    for factor in (1.0 - INTRINSICS.other_focal, 1.0 + INTRINSICS.other_focal):
         other = _fit_with_focal(found, result, factor, fix_k3)
         worse.append(np.inf if other is None else (other - square) / variance)
-    sigma = OTHER_FOCAL / math.sqrt(max(min(worse), 1e-6))
-    if sigma > FOCAL_SIGMA:
+    sigma = INTRINSICS.other_focal / math.sqrt(max(min(worse), 1e-6))
+    if sigma > INTRINSICS.focal_sigma:
         fx = float(result.values[0])
         raise ConfigError(
-            f"the views do not tell focal length from distance: fx {(1.0 - OTHER_FOCAL) * fx:.0f},"
-            f" {fx:.0f} or {(1.0 + OTHER_FOCAL) * fx:.0f} px fit alike; add views with the board tilted by 20 to 40 deg"
+            f"the views do not tell focal length from distance: fx {(1.0 - INTRINSICS.other_focal) * fx:.0f},"
+            f" {fx:.0f} or {(1.0 + INTRINSICS.other_focal) * fx:.0f} px fit alike; add views with the"
+            " board tilted by 20 to 40 deg"
             " about both axes"
         )
 
@@ -198,7 +172,7 @@ def coverage(result: Intrinsics) -> Coverage:
     pixels = np.concatenate([view.pixels for view in result.views])
     size = np.array([result.width_px, result.height_px], dtype=float)
     cells, _, _ = np.histogram2d(
-        pixels[:, 1], pixels[:, 0], bins=(CELLS[1], CELLS[0]), range=((0, size[1]), (0, size[0]))
+        pixels[:, 1], pixels[:, 0], bins=(INTRINSICS.cells[1], INTRINSICS.cells[0]), range=((0, size[1]), (0, size[0]))
     )
     radius = np.hypot(*(pixels - size / 2).T) / float(np.hypot(*(size / 2)))
     normal = result.normals_cam
@@ -214,17 +188,20 @@ def coverage(result: Intrinsics) -> Coverage:
 def remarks(result: Intrinsics, spread: Coverage, expected: Camera | None, medium: str) -> list[str]:
     """What an operator should know before the result is used; ``medium``: "water" or "air", where it was taken."""
     out = []
-    if spread.share < GOOD_COVERAGE:
-        out.append(f"corners in {spread.share:.0%} of the image's {CELLS[0]} x {CELLS[1]} cells: fill the empty ones")
-    if spread.radius_share < GOOD_RADIUS:
+    if spread.share < INTRINSICS.good_coverage:
+        out.append(
+            f"corners in {spread.share:.0%} of the image's {INTRINSICS.cells[0]} x {INTRINSICS.cells[1]}"
+            " cells: fill the empty ones"
+        )
+    if spread.radius_share < INTRINSICS.good_radius:
         out.append(f"nothing beyond {spread.radius_share:.0%} of the half diagonal: the corners' distortion is a guess")
     tilted = float((spread.tilt_rad > GOOD_TILT_RAD).mean())
-    if tilted < GOOD_TILTED_SHARE or min(spread.tilt_spread_rad) < 0.5 * GOOD_TILT_RAD:
+    if tilted < INTRINSICS.good_tilted_share or min(spread.tilt_spread_rad) < 0.5 * GOOD_TILT_RAD:
         out.append(
             f"{tilted:.0%} of the views tilted by more than {math.degrees(GOOD_TILT_RAD):.0f} deg: tilt the board about"
             " both axes, or focal length and distance cannot be told apart"
         )
-    if result.rms_px > GOOD_RMS_PX:
+    if result.rms_px > INTRINSICS.good_rms_px:
         out.append(f"rms {result.rms_px:.2f} px: blurred views, a board that is not flat, or a wrong --shape or size")
     return out + _medium_remarks(result, expected, medium)
 
@@ -235,7 +212,8 @@ def _medium_remarks(result: Intrinsics, expected: Camera | None, medium: str) ->
     behind_port = expected is not None and expected.model == "flat_port"
     if medium == "air" and not behind_port:
         out.append(
-            f"taken in air: the focal length was multiplied by {WATER_INDEX}, which leaves errors of 3 to 5 % of the"
+            f"taken in air: the focal length was multiplied by {INTRINSICS.water_index}, which leaves"
+            " errors of 3 to 5 % of the"
             " height (8 to 55 mm at 0.3 to 1.2 m); calibrate in water"
         )
     if medium == "water" and behind_port:
@@ -250,13 +228,14 @@ def _medium_remarks(result: Intrinsics, expected: Camera | None, medium: str) ->
     wanted = math.sqrt(expected.focal_px[0] * expected.focal_px[1]) * result.width_px / expected.width_px
     ratio = math.sqrt(float(result.values[0] * result.values[1])) / wanted
     if medium == "air" and not behind_port:
-        ratio *= WATER_INDEX
-    if abs(ratio * WATER_INDEX - 1.0) < FOCAL_BAND and medium == "water":
+        ratio *= INTRINSICS.water_index
+    if abs(ratio * INTRINSICS.water_index - 1.0) < INTRINSICS.focal_band and medium == "water":
         out.append(
-            f"focal length {ratio:.3f} of the vehicle file's, which is 1/{WATER_INDEX}: these look like images taken in"
+            f"focal length {ratio:.3f} of the vehicle file's, which is 1/{INTRINSICS.water_index}: these"
+            " look like images taken in"
             " air; calibrate in water, or say --medium air"
         )
-    elif abs(ratio - 1.0) > FOCAL_BAND:
+    elif abs(ratio - 1.0) > INTRINSICS.focal_band:
         out.append(
             f"focal length {ratio:.3f} of the vehicle file's: another lens or zoom, or a wrong --square? If neither,"
             " the vehicle file is wrong"
@@ -267,14 +246,14 @@ def _medium_remarks(result: Intrinsics, expected: Camera | None, medium: str) ->
 def focal_sigma(result: Intrinsics, *, into_water: bool = False) -> float:
     """Standard deviation of the focal length as a share of it, twice what the fit says: errors of views are alike."""
     share = 2.0 * float((result.sigma[:2] / result.values[:2]).max())
-    return math.hypot(max(share, LEAST_FOCAL_SIGMA), AIR_FOCAL_SIGMA if into_water else 0.0)
+    return math.hypot(max(share, INTRINSICS.least_focal_sigma), INTRINSICS.air_focal_sigma if into_water else 0.0)
 
 
 def camera_values(result: Intrinsics, *, into_water: bool = False) -> dict[str, Any]:
     """The keys of ``[camera]``; ``into_water`` turns a calibration in air into what it would be under water, for rays
     near the axis: they leave the port n times flatter, so that x becomes n x in the air's formulas."""
     fx, fy, cx, cy, k1, k2, p1, p2, k3 = result.values.tolist()
-    n = WATER_INDEX if into_water else 1.0
+    n = INTRINSICS.water_index if into_water else 1.0
     distortion = [k1 * n**2, k2 * n**4, p1 * n, p2 * n, k3 * n**6]
     return {
         "camera.width_px": result.width_px,

@@ -6,7 +6,8 @@ from pathlib import Path
 import matplotlib
 import numpy as np
 
-from autopilot.calibrate.intrinsics import CELLS, Coverage, Intrinsics
+from autopilot.calibrate.intrinsics import Coverage, Intrinsics
+from autopilot.calibrate.tuned import INTRINSICS
 
 ARROW_PX = 12.0
 """A residual of the size of the rms is drawn about so long."""
@@ -39,8 +40,8 @@ def write_plot(result: Intrinsics, spread: Coverage, target: Path) -> Path:
     figure.colorbar(arrows, ax=image, label="residual [px]", shrink=0.8)
     image.plot(*result.values[2:4], "r+", markersize=12)
     image.set(xlabel="x [px]", ylabel="y [px]", xlim=(0, result.width_px), ylim=(result.height_px, 0))
-    image.set_xticks(np.linspace(0, result.width_px, CELLS[0] + 1))
-    image.set_yticks(np.linspace(0, result.height_px, CELLS[1] + 1))
+    image.set_xticks(np.linspace(0, result.width_px, INTRINSICS.cells[0] + 1))
+    image.set_yticks(np.linspace(0, result.height_px, INTRINSICS.cells[1] + 1))
     image.tick_params(labelsize=7)
 
     cloud = axes[0, 1]

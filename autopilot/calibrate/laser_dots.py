@@ -12,25 +12,13 @@ import numpy as np
 from autopilot.calibrate.boards import Board
 from autopilot.calibrate.flight import CameraFlight
 from autopilot.calibrate.laser_fit import Dots, floor_depths
+from autopilot.calibrate.tuned import LASER_DOTS
 from autopilot.calibrate.views import image_files, read_images
 from autopilot.core.camera import CameraModel
 from autopilot.core.errors import ConfigError, LogError
 from autopilot.core.frames import FloatArray
 from autopilot.core.robust import MAD_TO_SIGMA
 from autopilot.log.reader import Log, open_log
-
-PER_PICTURE = 3
-SMOOTH_PX = 1.5
-APART_PX = 12
-CENTROID_PX = 3
-MIN_SIGMAS = 7.0
-MIN_EXCESS = 6.0
-EDGE_PX = 6
-STAMP_SLACK_S = 0.002
-OWN_SHARE = 0.7
-"""A detector that finds the dot less often looks in the wrong place."""
-MOVED_M = 0.01
-"""What is printed under the dot draws it aside: a vehicle that stands still would say the same again and again."""
 
 
 def green_dots(image_bgr: Any) -> FloatArray:
@@ -43,24 +31,34 @@ def green_dots(image_bgr: Any) -> FloatArray:
     blue_off, green_off = blue - blue.mean(), green - green.mean()
     slope = float((blue_off * green_off).sum()) / max(float((blue_off * blue_off).sum()), 1.0)
     excess = green_off - slope * blue_off
-    smooth = cv2.GaussianBlur(excess, (0, 0), SMOOTH_PX) - cv2.GaussianBlur(excess, (0, 0), 6.0 * SMOOTH_PX)
+    smooth = cv2.GaussianBlur(excess, (0, 0), LASER_DOTS.smooth_px) - cv2.GaussianBlur(
+        excess, (0, 0), 6.0 * LASER_DOTS.smooth_px
+    )
     spread = max(MAD_TO_SIGMA * float(np.median(np.abs(smooth))), 0.3)
-    limit = max(MIN_EXCESS, MIN_SIGMAS * spread)
+    limit = max(LASER_DOTS.min_excess, LASER_DOTS.min_sigmas * spread)
     work = smooth.copy()
-    work[:EDGE_PX], work[-EDGE_PX:], work[:, :EDGE_PX], work[:, -EDGE_PX:] = 0.0, 0.0, 0.0, 0.0
+    (
+        work[: LASER_DOTS.edge_px],
+        work[-LASER_DOTS.edge_px :],
+        work[:, : LASER_DOTS.edge_px],
+        work[:, -LASER_DOTS.edge_px :],
+    ) = 0.0, 0.0, 0.0, 0.0
     out = []
-    for _ in range(PER_PICTURE):
+    for _ in range(LASER_DOTS.per_picture):
         row, column = (int(v) for v in np.unravel_index(int(work.argmax()), work.shape))
         peak = float(work[row, column])
         if peak < limit:
             break
-        rows = slice(max(row - CENTROID_PX, 0), row + CENTROID_PX + 1)
-        columns = slice(max(column - CENTROID_PX, 0), column + CENTROID_PX + 1)
+        rows = slice(max(row - LASER_DOTS.centroid_px, 0), row + LASER_DOTS.centroid_px + 1)
+        columns = slice(max(column - LASER_DOTS.centroid_px, 0), column + LASER_DOTS.centroid_px + 1)
         weight = np.maximum(smooth[rows, columns] - 0.3 * peak, 0.0)
         down, across = np.mgrid[rows.start : rows.start + len(weight), columns.start : columns.start + weight.shape[1]]
         total = float(weight.sum())
         out.append((float((weight * across).sum()) / total, float((weight * down).sum()) / total))
-        work[max(row - APART_PX, 0) : row + APART_PX + 1, max(column - APART_PX, 0) : column + APART_PX + 1] = 0.0
+        work[
+            max(row - LASER_DOTS.apart_px, 0) : row + LASER_DOTS.apart_px + 1,
+            max(column - LASER_DOTS.apart_px, 0) : column + LASER_DOTS.apart_px + 1,
+        ] = 0.0
     return np.array(out).reshape(-1, 2)
 
 
@@ -89,7 +87,10 @@ def picture_dots(log: Log, flight: CameraFlight) -> Dots:
         t_s = message.t_us * 1e-6 + offset_s
         n = int(np.argmin(np.abs(flight.t_s - t_s)))
         here = flight.eye_ned_m[n]
-        if abs(float(flight.t_s[n]) - t_s) > STAMP_SLACK_S or float(np.linalg.norm(here - before)) < MOVED_M:
+        if (
+            abs(float(flight.t_s[n]) - t_s) > LASER_DOTS.stamp_slack_s
+            or float(np.linalg.norm(here - before)) < LASER_DOTS.moved_m
+        ):
             continue
         before = here
         image = cv2.imdecode(np.frombuffer(bytes(message.value["data"]), np.uint8), cv2.IMREAD_COLOR)
@@ -137,7 +138,7 @@ def _moved(places_m: FloatArray) -> np.ndarray:
     chosen = []
     before = np.full(3, np.inf)
     for n, place in enumerate(places_m):
-        if float(np.linalg.norm(place - before)) >= MOVED_M:
+        if float(np.linalg.norm(place - before)) >= LASER_DOTS.moved_m:
             chosen.append(n)
             before = place
     return np.array(chosen, dtype=np.int64)
@@ -153,6 +154,6 @@ def _joined(parts: list[tuple[int, FloatArray, FloatArray]]) -> Dots:
 
 def log_dots(path: Path, flight: CameraFlight) -> Dots:
     """The dots of a log: the flight's own if its detector found them most of the time, else those in its pictures."""
-    if float(np.isfinite(flight.laser_px[:, 0]).mean()) > OWN_SHARE:
+    if float(np.isfinite(flight.laser_px[:, 0]).mean()) > LASER_DOTS.own_share:
         return logged_dots(flight)
     return picture_dots(open_log(path), flight)

@@ -12,22 +12,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from autopilot.calibrate.least_squares import covariance, huber_weights, robust_sigma, solve_weighted
+from autopilot.calibrate.tuned import LASER_FIT
 from autopilot.core.camera import CameraModel
 from autopilot.core.errors import LogError
 from autopilot.core.frames import FloatArray
 from autopilot.core.vehicle import Vehicle
-
-INLIER_PX = 4.0
-TRIES = 3000
-MAX_SLOPE = 0.35
-"""Beams that lean more than 20 degrees from the optical axis are not looked for."""
-MAX_BASE_M = 0.5
-MIN_SPREAD = 0.15
-"""Least range of 1/Z over its mean: else place and direction of the beam cannot be told apart."""
-MIN_DOTS = 15
-MAX_SIGMA_SLOPE = 0.004
-ROUNDS = 8
-LAGS = 3
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -91,21 +80,22 @@ def floor_depths(
 
 def fit_beam(dots: Dots, camera: CameraModel) -> Beam:
     """The beam that most dots agree on. LogError if there are too few, or they lie at one height."""
-    if dots.pictures < MIN_DOTS:
+    if dots.pictures < LASER_FIT.min_dots:
         raise LogError(
-            f"a green dot was found in {dots.pictures} pictures, at least {MIN_DOTS} are needed; check that the laser"
+            f"a green dot was found in {dots.pictures} pictures, at least {LASER_FIT.min_dots} are"
+            " needed; check that the laser"
             " is on, dim the light, or come closer"
         )
     focal = camera.focal_water_px
     inverse_depth = 1.0 / dots.depth_m
-    chosen = _agreed(dots, inverse_depth, INLIER_PX / focal)
-    if len(np.unique(dots.picture[chosen])) < MIN_DOTS:
+    chosen = _agreed(dots, inverse_depth, LASER_FIT.inlier_px / focal)
+    if len(np.unique(dots.picture[chosen])) < LASER_FIT.min_dots:
         raise LogError(
             f"{dots.pictures} pictures with green dots, but only {len(chosen)} lie on one beam; check that the laser is"
             " on and the camera's calibration"
         )
     w = inverse_depth[chosen]
-    if float(np.ptp(w)) < MIN_SPREAD * float(w.mean()):
+    if float(np.ptp(w)) < LASER_FIT.min_spread * float(w.mean()):
         low, high = 1.0 / w.max(), 1.0 / w.min()
         raise LogError(
             f"all dots lie between {low:.2f} and {high:.2f} m from the camera; change the height by a quarter at least,"
@@ -118,15 +108,15 @@ def fit_beam(dots: Dots, camera: CameraModel) -> Beam:
     x = np.zeros(4)
     residual = v - jacobian @ x
     weights = np.ones_like(v)
-    for _ in range(ROUNDS):
+    for _ in range(LASER_FIT.rounds):
         step, inverse = solve_weighted(jacobian, residual, weights, np.zeros(4))
         x = x + step
         residual = v - jacobian @ x
         weights = huber_weights(residual, robust_sigma(residual))
     _, inverse = solve_weighted(jacobian, residual, weights, np.zeros(4))
-    spread = covariance(jacobian, residual, weights, inverse, LAGS)
+    spread = covariance(jacobian, residual, weights, inverse, LASER_FIT.lags)
     sigma = np.sqrt(np.diag(spread))
-    if float(sigma[:2].max()) > MAX_SIGMA_SLOPE:
+    if float(sigma[:2].max()) > LASER_FIT.max_sigma_slope:
         raise LogError(
             f"the beam's direction is known to {math.degrees(float(sigma[:2].max())):.2f} deg only; more pictures from"
             " more different heights are needed"
@@ -149,7 +139,7 @@ def fit_beam(dots: Dots, camera: CameraModel) -> Beam:
 def _agreed(dots: Dots, w: FloatArray, inlier: float) -> np.ndarray:
     """Indices of the dots that lie on the beam through the best of many pairs; one per picture."""
     rng = np.random.default_rng(0)
-    pairs = rng.integers(0, len(w), (TRIES, 2))
+    pairs = rng.integers(0, len(w), (LASER_FIT.tries, 2))
     apart = np.abs(w[pairs[:, 0]] - w[pairs[:, 1]])
     pairs = pairs[apart > 0.05 * float(w.mean())]
     if not len(pairs):
@@ -159,7 +149,7 @@ def _agreed(dots: Dots, w: FloatArray, inlier: float) -> np.ndarray:
     for i, j in pairs.tolist():
         base = (dots.ideal[i] - dots.ideal[j]) / (w[i] - w[j])
         slope = dots.ideal[i] - base * w[i]
-        if float(np.abs(slope).max()) > MAX_SLOPE or float(np.abs(base).max()) > MAX_BASE_M:
+        if float(np.abs(slope).max()) > LASER_FIT.max_slope or float(np.abs(base).max()) > LASER_FIT.max_base_m:
             continue
         off = np.hypot(*(dots.ideal - slope - base * w[:, None]).T)
         near = np.flatnonzero(off < inlier)

@@ -18,29 +18,9 @@ from scipy.spatial.transform import Rotation
 from autopilot.calibrate.flight import CameraFlight
 from autopilot.calibrate.gyro_path import GyroPath
 from autopilot.calibrate.least_squares import covariance, huber_weights, robust_sigma, solve_weighted
+from autopilot.calibrate.tuned import MOTION_FIT
 from autopilot.core.errors import LogError
 from autopilot.core.frames import FloatArray
-
-BASELINE_S = 0.35
-"""Long enough for the turn to stand out of the noise of two poses, short enough for the gyro noise."""
-BASELINE_SLACK_S = 0.12
-SEARCH_S = 0.4
-"""Lateness is looked for within this."""
-SEARCH_STEP_S = 0.01
-DERIVATIVE_S = 0.002
-CONVERGED = 1e-6
-ROUNDS = 8
-BIAS_MOVED_RAD_S = 2e-5
-"""By so much the bias may change before the gyros are integrated again."""
-MIN_PAIRS = 50
-MIN_TURN_RATE_RAD_S = 0.05
-"""Standard deviation of the yaw rate: less is the noise of the poses."""
-MOUNTING_PRIOR_RAD = 0.35
-"""Keeps what the flight does not show where the vehicle file has it."""
-BIAS_PRIOR_RAD_S = 0.05
-SIGMA_FACTOR = 2.0
-"""By which the residuals' own standard deviations fall short: a flight turns a dozen times, not a thousand, and gyro
-bias and stamps wander. Simulated flights with known errors gave up to 2.5 of them."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -73,11 +53,12 @@ def fit_motion(flight: CameraFlight) -> MotionFit:
     path = GyroPath(flight.ahrs, np.zeros(3))
     first, second = _pairs(flight.t_s)
     begin_s, end_s = flight.t_s[first], flight.t_s[second]
-    good = path.covers(begin_s - SEARCH_S, end_s + SEARCH_S)
+    good = path.covers(begin_s - MOTION_FIT.search_s, end_s + MOTION_FIT.search_s)
     first, second, begin_s, end_s = first[good], second[good], begin_s[good], end_s[good]
-    if len(first) < MIN_PAIRS:
+    if len(first) < MOTION_FIT.min_pairs:
         raise LogError(
-            f"{len(first)} pairs of pictures with AHRS samples over their whole time, at least {MIN_PAIRS} are needed;"
+            f"{len(first)} pairs of pictures with AHRS samples over their whole time, at least"
+            f" {MOTION_FIT.min_pairs} are needed;"
             " fly longer with markers in view"
         )
     pose = Rotation.from_matrix(flight.r_ned_from_cam)
@@ -87,35 +68,36 @@ def fit_motion(flight: CameraFlight) -> MotionFit:
     scan = _scan(path, begin_s, end_s, (seen_cam @ mounting.T)[:, 2] / span_s[:, 0])
     late_s = _peak(scan)
     bias = integrated = np.zeros(3)
-    prior = np.array([MOUNTING_PRIOR_RAD**-2] * 3 + [BIAS_PRIOR_RAD_S**-2] * 3 + [0.0])
+    prior = np.array([MOTION_FIT.mounting_prior_rad**-2] * 3 + [MOTION_FIT.bias_prior_rad_s**-2] * 3 + [0.0])
     jacobian = np.zeros((len(first), 3, 7))
-    for _ in range(ROUNDS):
-        if float(np.abs(bias - integrated).max()) > BIAS_MOVED_RAD_S:
+    for _ in range(MOTION_FIT.rounds):
+        if float(np.abs(bias - integrated).max()) > MOTION_FIT.bias_moved_rad_s:
             path, integrated = GyroPath(flight.ahrs, bias), bias
         seen = seen_cam @ mounting.T
         turned = path.increments(begin_s - late_s, end_s - late_s)
         residual = turned - (bias - integrated) * span_s - seen
-        later = path.increments(begin_s - late_s - DERIVATIVE_S, end_s - late_s - DERIVATIVE_S)
-        earlier = path.increments(begin_s - late_s + DERIVATIVE_S, end_s - late_s + DERIVATIVE_S)
+        later = path.increments(begin_s - late_s - MOTION_FIT.derivative_s, end_s - late_s - MOTION_FIT.derivative_s)
+        earlier = path.increments(begin_s - late_s + MOTION_FIT.derivative_s, end_s - late_s + MOTION_FIT.derivative_s)
         # residual - J step: turning the mounting by theta adds theta x seen to what the camera saw.
         jacobian[:, :, :3] = -_cross_matrices(seen)
         jacobian[:, :, 3:6] = span_s[:, :, None] * np.eye(3)
-        jacobian[:, :, 6] = -(later - earlier) / (2.0 * DERIVATIVE_S)
+        jacobian[:, :, 6] = -(later - earlier) / (2.0 * MOTION_FIT.derivative_s)
         weights = huber_weights(residual, robust_sigma(residual))
         step, inverse = solve_weighted(jacobian, residual, weights, prior)
         mounting = Rotation.from_rotvec(step[:3]).as_matrix() @ mounting
         bias = bias + step[3:6]
         late_s += float(np.clip(step[6], -0.02, 0.02))
-        if float(np.abs(step).max()) < CONVERGED:
+        if float(np.abs(step).max()) < MOTION_FIT.converged:
             break
-        if not abs(late_s) < SEARCH_S:
+        if not abs(late_s) < MOTION_FIT.search_s:
             raise LogError(
-                f"the lateness of the pictures is not between -{SEARCH_S:g} and {SEARCH_S:g} s; check the log"
+                f"the lateness of the pictures is not between -{MOTION_FIT.search_s:g} and"
+                f" {MOTION_FIT.search_s:g} s; check the log"
             )
     turned = GyroPath(flight.ahrs, bias).increments(begin_s - late_s, end_s - late_s)
     residual = turned - seen_cam @ mounting.T
-    lags = 2 * round(BASELINE_S / float(np.median(np.diff(flight.t_s))))
-    sigma = SIGMA_FACTOR * np.sqrt(np.diag(covariance(jacobian, residual, weights, inverse, lags)))
+    lags = 2 * round(MOTION_FIT.baseline_s / float(np.median(np.diff(flight.t_s))))
+    sigma = MOTION_FIT.sigma_factor * np.sqrt(np.diag(covariance(jacobian, residual, weights, inverse, lags)))
     # What the prior holds was not shown: its share of the information is not the flight's.
     held = prior * np.diag(inverse)
     sigma = np.where(held > 0.5, 1.0 / np.sqrt(np.maximum(prior, 1e-12)), sigma)
@@ -135,24 +117,27 @@ def fit_motion(flight: CameraFlight) -> MotionFit:
 
 def _pairs(t_s: FloatArray) -> tuple[np.ndarray, np.ndarray]:
     """Indices of frames that are about BASELINE_S apart."""
-    second = np.searchsorted(t_s, t_s + BASELINE_S)
+    second = np.searchsorted(t_s, t_s + MOTION_FIT.baseline_s)
     first = np.arange(len(t_s))
     inside = second < len(t_s)
     first, second = first[inside], second[inside]
-    close = np.abs(t_s[second] - t_s[first] - BASELINE_S) < BASELINE_SLACK_S
+    close = np.abs(t_s[second] - t_s[first] - MOTION_FIT.baseline_s) < MOTION_FIT.baseline_slack_s
     return first[close], second[close]
 
 
 def _scan(path: GyroPath, begin_s: FloatArray, end_s: FloatArray, yaw_rate: FloatArray) -> FloatArray:
     """Correlation (m, 2) of the camera's yaw rate with the gyros' for each lateness."""
-    if float(yaw_rate.std()) < MIN_TURN_RATE_RAD_S:
+    if float(yaw_rate.std()) < MOTION_FIT.min_turn_rate_rad_s:
         raise LogError(
-            f"the vehicle hardly turned (yaw rate {yaw_rate.std():.3f} rad/s rms, {MIN_TURN_RATE_RAD_S:g} are needed);"
+            f"the vehicle hardly turned (yaw rate {yaw_rate.std():.3f} rad/s rms,"
+            f" {MOTION_FIT.min_turn_rate_rad_s:g} are needed);"
             " fly a mission that turns to and fro, or turn it by hand over the markers"
         )
     span_s = end_s - begin_s
     out = []
-    for late_s in np.arange(-SEARCH_S, SEARCH_S + 0.5 * SEARCH_STEP_S, SEARCH_STEP_S).tolist():
+    for late_s in np.arange(
+        -MOTION_FIT.search_s, MOTION_FIT.search_s + 0.5 * MOTION_FIT.search_step_s, MOTION_FIT.search_step_s
+    ).tolist():
         gyro = path.increments(begin_s - late_s, end_s - late_s)[:, 2] / span_s
         out.append((late_s, float(np.corrcoef(gyro, yaw_rate)[0, 1])))
     return np.array(out)
@@ -168,11 +153,12 @@ def _peak(scan: FloatArray) -> float:
         )
     if n in (0, len(scan) - 1):
         raise LogError(
-            f"the lateness of the pictures is not between -{SEARCH_S:g} and {SEARCH_S:g} s; check the clocks"
+            f"the lateness of the pictures is not between -{MOTION_FIT.search_s:g} and"
+            f" {MOTION_FIT.search_s:g} s; check the clocks"
         )
     low, mid, high = scan[n - 1 : n + 2, 1].tolist()
     beside: float = 0.5 * (low - high) / min(low - 2.0 * mid + high, -1e-15)
-    return float(scan[n, 0]) + SEARCH_STEP_S * beside
+    return float(scan[n, 0]) + MOTION_FIT.search_step_s * beside
 
 
 def _cross_matrices(vectors: FloatArray) -> FloatArray:

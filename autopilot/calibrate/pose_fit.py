@@ -10,20 +10,10 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from autopilot.calibrate.tuned import POSE_FIT
 from autopilot.core.camera import CameraModel
 from autopilot.core.frames import FloatArray
 from autopilot.core.robust import PLANAR_MEDIAN
-
-STEPS = 8
-CONVERGED = 1e-7
-SHRINK_PX, SHRINK_SIGMA_PX = 0.25, 0.1
-"""Prior of the distance by which corners are found inside of the true ones, as in :mod:`autopilot.estimator.pnp`."""
-CORNER_SIGMA_PX = 0.12
-"""Only against the weight of that prior."""
-MAX_RMS_PX = 2.0
-CORNER_SIGMAS, CORNER_FLOOR_PX = 4.0, 0.5
-"""Corners further off than both are left out."""
-MIN_CORNERS = 12
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -48,10 +38,10 @@ def fit_pose(
     inward = inward.reshape(-1, 2)
     keep = np.ones(len(pixels), dtype=bool)
     eye, r = np.array(eye_ned_m, dtype=float), np.array(r_ned_from_cam, dtype=float)
-    shrink = SHRINK_PX
-    weight = (CORNER_SIGMA_PX / SHRINK_SIGMA_PX) ** 2
+    shrink = POSE_FIT.shrink_px
+    weight = (POSE_FIT.corner_sigma_px / POSE_FIT.shrink_sigma_px) ** 2
     off = np.zeros(len(pixels))
-    for step in range(STEPS):
+    for step in range(POSE_FIT.steps):
         cam = (points_ned_m - eye) @ r
         seen, slopes = camera.linearise(cam)
         residual = pixels - shrink * inward - seen
@@ -59,7 +49,7 @@ def fit_pose(
             return None
         off = np.linalg.norm(residual, axis=1)
         if step >= 3:
-            keep = off <= max(CORNER_FLOOR_PX, CORNER_SIGMAS * float(np.median(off)) / PLANAR_MEDIAN)
+            keep = off <= max(POSE_FIT.corner_floor_px, POSE_FIT.corner_sigmas * float(np.median(off)) / PLANAR_MEDIAN)
         jac = np.empty((len(pixels), 2, 7))
         jac[:, :, :3] = -slopes @ r.T
         jac[:, :, 3:6] = np.cross(slopes, cam[:, None, :])
@@ -67,16 +57,20 @@ def fit_pose(
         flat, error = jac[keep].reshape(-1, 7), residual[keep].reshape(-1)
         normal, gradient = flat.T @ flat, flat.T @ error
         normal[6, 6] += weight
-        gradient[6] += weight * (SHRINK_PX - shrink)
+        gradient[6] += weight * (POSE_FIT.shrink_px - shrink)
         try:
             delta = np.linalg.solve(normal, gradient)
         except np.linalg.LinAlgError:
             return None
         eye, shrink = eye + delta[:3], shrink + float(delta[6])
         r = r @ Rotation.from_rotvec(delta[3:6]).as_matrix()
-        if step > 3 and float(np.abs(delta[:6]).max()) < CONVERGED:
+        if step > 3 and float(np.abs(delta[:6]).max()) < POSE_FIT.converged:
             break
     rms_px = math.sqrt(float((off[keep] ** 2).mean()))
-    if not rms_px < MAX_RMS_PX or 4 * int(keep.sum()) < 3 * len(keep) or int(keep.sum()) < MIN_CORNERS:
+    if (
+        not rms_px < POSE_FIT.max_rms_px
+        or 4 * int(keep.sum()) < 3 * len(keep)
+        or int(keep.sum()) < POSE_FIT.min_corners
+    ):
         return None
     return CameraPose(eye_ned_m=eye, r_ned_from_cam=r, rms_px=rms_px, corners=int(keep.sum()))

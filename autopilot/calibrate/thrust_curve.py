@@ -15,16 +15,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from autopilot.calibrate.tuned import THRUST_CURVE
 from autopilot.core.errors import ConfigError
 from autopilot.core.frames import FloatArray
 from autopilot.core.thrusters import Drive, ThrustCurve
 
 COLUMNS = ("pulse_us", "thrust_n", "supply_v")
-LEAST_ROWS = 6
-STILL_SHARE = 0.01
-"""Thrusts below this part of the largest are none: a load cell's zero is never quite 0."""
-SAME_VOLTAGE = 0.03
-"""Readings whose supply differs by no more than this share belong to one curve."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -79,8 +75,10 @@ def read_table(path: Path, thruster: str | None = None) -> Readings:
         for line, row in enumerate(rows, 2)
         if thruster is None or not named or row.get("thruster") == thruster
     ]
-    if len(values) < LEAST_ROWS:
-        raise ConfigError(f"{path}: {len(values)} readings are too few; give {LEAST_ROWS} or more, both ways")
+    if len(values) < THRUST_CURVE.least_rows:
+        raise ConfigError(
+            f"{path}: {len(values)} readings are too few; give {THRUST_CURVE.least_rows} or more, both ways"
+        )
     columns = np.array(values).T
     if not (columns[2] > 0.0).all():
         raise ConfigError(f"{path}: `supply_v` must be above 0; give the voltage at the amplifier")
@@ -100,7 +98,7 @@ def _number(path: Path, line: int, name: str, text: str | None) -> float:
 def fit_brushed(readings: Readings, drive: Drive, origin: str) -> BrushedFit:
     """The three numbers of a brushed drive. ConfigError if the readings do not tell them."""
     duty = np.clip((readings.pulse_us - drive.neutral_us) / drive.span_us, -1.0, 1.0)
-    moving = np.abs(readings.thrust_n) > STILL_SHARE * float(np.abs(readings.thrust_n).max())
+    moving = np.abs(readings.thrust_n) > THRUST_CURVE.still_share * float(np.abs(readings.thrust_n).max())
     _right_way(readings, moving, drive, origin)
     square = (duty * readings.supply_v) ** 2
     told: dict[int, float] = {}
@@ -127,12 +125,15 @@ def fit_curves(readings: Readings, drive: Drive, origin: str) -> CurveFit:
     """One monotonic curve per supply voltage. ConfigError if the readings do not cover what the drive may ask for."""
     curves, left = [], []
     order = np.argsort(readings.supply_v, kind="stable")
-    breaks = np.flatnonzero(np.diff(readings.supply_v[order]) > SAME_VOLTAGE * readings.supply_v[order][:-1]) + 1
+    breaks = (
+        np.flatnonzero(np.diff(readings.supply_v[order]) > THRUST_CURVE.same_voltage * readings.supply_v[order][:-1])
+        + 1
+    )
     for rows in np.split(order, breaks):
         part = Readings(readings.pulse_us[rows], readings.thrust_n[rows], readings.supply_v[rows])
         supply_v = round(float(part.supply_v.mean()), 2)
         where = f"{origin}: {supply_v:g} V"
-        moving = np.abs(part.thrust_n) > STILL_SHARE * float(np.abs(part.thrust_n).max())
+        moving = np.abs(part.thrust_n) > THRUST_CURVE.still_share * float(np.abs(part.thrust_n).max())
         _right_way(part, moving, drive, where)
         # One voltage's thrusts to its mean supply: they grow with its square.
         thrust = np.where(moving, part.thrust_n * (supply_v / part.supply_v) ** 2, 0.0)

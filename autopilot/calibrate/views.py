@@ -9,16 +9,11 @@ import cv2
 import numpy as np
 
 from autopilot.calibrate.boards import Board
+from autopilot.calibrate.tuned import VIEWS
 from autopilot.core.errors import ConfigError, DriverError
 from autopilot.core.frames import FloatArray
 
 SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".pgm", ".webp")
-NEW_VIEW_SHARE = 0.06
-"""A live view is taken when the board's corners have moved by this share of the image's width since every other one."""
-STILL_PX = 2.0
-"""... and have moved by less than this since the frame before: no motion blur."""
-MAX_LIVE_FRAMES = 9000
-"""5 minutes at 30 Hz."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -104,15 +99,15 @@ def live_images(board: Board, source: str, wanted: int, folder: Path | None) -> 
     taken: list[FloatArray] = []
     before: FloatArray | None = None
     try:
-        for number in range(MAX_LIVE_FRAMES):
+        for number in range(VIEWS.max_live_frames):
             ok, frame = capture.read()
             if not ok or len(taken) >= wanted:
                 return
             grey = cv2.cvtColor(frame, cv2.COLOR_BGR2GRAY) if frame.ndim == 3 else frame
             found = board.find(grey)
             place = None if found is None else _place(board, *found)
-            if place is not None and before is not None and _apart(place, before) < STILL_PX:
-                far = NEW_VIEW_SHARE * grey.shape[1]
+            if place is not None and before is not None and _apart(place, before) < VIEWS.still_px:
+                far = VIEWS.new_view_share * grey.shape[1]
                 if all(_apart(place, other) > far for other in taken):
                     taken.append(place)
                     name = f"frame{number:05d}.png"

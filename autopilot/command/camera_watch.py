@@ -6,22 +6,9 @@ dark, too bright or too foggy for markers: that counts only while none is found 
 
 from collections.abc import Sequence
 
+from autopilot.command.tuned import CAMERA_WATCH
 from autopilot.core.messages import Event, Severity
 from autopilot.core.samples import FrameVerdict, MarkerSighting, PictureReport, Sample
-
-FOR_US = 500_000
-"""Pictures that are all bad for so long are told of; as long a time of good ones ends it."""
-LEAST = 3
-"""And at least so many of them."""
-SILENT_US = 800_000
-"""A camera that has sent pictures and then sends none for so long is silent."""
-MARKERS_US = 300_000
-"""A picture is good enough, whatever it looks like, if markers were found within so long."""
-FOG_CONTRAST = 6.0
-"""Grey levels between neighbouring pixels of the coarse picture: a floor of markers has 20 and more in clear water,
-noise alone 3."""
-CLIPPED_SHARE = 0.5
-"""Share of white or black pixels from which on a picture in which nothing is found is over- or under-exposed."""
 
 FOGGY, SILENT = "foggy", "silent"
 TEXTS = {
@@ -62,10 +49,10 @@ class CameraWatch:
         for picture in pictures:
             self._last_us = t_us
             self._note(t_us, self._of(t_us, picture))
-        silent = self._last_us is not None and t_us - self._last_us >= SILENT_US
+        silent = self._last_us is not None and t_us - self._last_us >= CAMERA_WATCH.silent_us
         if silent:
             self._note(t_us, SILENT)
-        lasting = silent or (self._count >= LEAST and t_us - self._since_us >= FOR_US)
+        lasting = silent or (self._count >= CAMERA_WATCH.least and t_us - self._since_us >= CAMERA_WATCH.for_us)
         if not lasting or self._now == self._trouble:
             return []
         self._trouble = self._now
@@ -81,13 +68,13 @@ class CameraWatch:
     def _of(self, t_us: int, picture: PictureReport) -> str | None:
         if picture.verdict is not FrameVerdict.OK:
             return str(picture.verdict.value)
-        if self._markers_us is not None and t_us - self._markers_us < MARKERS_US:
+        if self._markers_us is not None and t_us - self._markers_us < CAMERA_WATCH.markers_us:
             return None
-        if picture.white_share > CLIPPED_SHARE:
+        if picture.white_share > CAMERA_WATCH.clipped_share:
             return FrameVerdict.BRIGHT.value
-        if picture.black_share > CLIPPED_SHARE:
+        if picture.black_share > CAMERA_WATCH.clipped_share:
             return FrameVerdict.DARK.value
-        if picture.contrast < FOG_CONTRAST:
+        if picture.contrast < CAMERA_WATCH.fog_contrast:
             self.foggy += 1
             return FOGGY
         return None

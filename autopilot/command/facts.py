@@ -10,6 +10,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from autopilot.command.floor_ranges import FloorRanges
+from autopilot.command.tuned import FACTS
 from autopilot.control.thrust.by_hand import Felt
 from autopilot.core.frames import FloatArray
 from autopilot.core.messages import Inputs
@@ -28,26 +29,9 @@ from autopilot.core.samples import (
 
 NEVER = math.nan
 
-LATCHED_US = 2_000_000
-"""A probe that has been wet counts as wet for so long: water that splashes about makes and breaks the contact."""
-
-FROZEN_READINGS = 20
-"""So many equal readings in a row are no measurement: the last digits of every sensor here are noise."""
 
 QUIET, IMPLAUSIBLE = "silent or frozen", "implausible"
 """Of a sensor that says nothing that counts."""
-
-LATE_EVERY_US = 1_000_000
-"""The share of late ticks is taken over so long."""
-
-JUMP_S = 0.5
-"""A clock of day that is set by less than this is being kept in step, not set."""
-
-FELT_US = 1_000_000
-"""A heading or a depth that is older says nothing."""
-
-SHOWN_US = 10_000_000
-"""A jump of the clock and a collision are things of a moment: shown for so long."""
 
 
 @dataclass(slots=True, eq=False)
@@ -101,9 +85,9 @@ class Facts:
         """What comes beside samples."""
         t_us = inputs.t_us
         self.log_lost = inputs.log_lost
-        if inputs.clock_jump_s and abs(inputs.clock_jump_s) >= JUMP_S:
+        if inputs.clock_jump_s and abs(inputs.clock_jump_s) >= FACTS.jump_s:
             self.jumped_us = t_us
-        if t_us - self._late_us >= LATE_EVERY_US:
+        if t_us - self._late_us >= FACTS.late_every_us:
             since_ticks = (t_us - self._late_us) * 1e-4
             self.late_share = (inputs.overruns - self._late) / since_ticks
             self._late, self._late_us = inputs.overruns, t_us
@@ -116,8 +100,8 @@ class Facts:
 
     def felt(self, t_us: int) -> Felt:
         """What is known of the vehicle without a position, and not too old."""
-        yaw = self.yaw_rad if t_us - self.ahrs_us <= FELT_US else None
-        depth = self.depth_m if t_us - self.depth_us <= FELT_US else None
+        yaw = self.yaw_rad if t_us - self.ahrs_us <= FACTS.felt_us else None
+        depth = self.depth_m if t_us - self.depth_us <= FACTS.felt_us else None
         return Felt(yaw_rad=yaw, yaw_rate_rad_s=self.yaw_rate_rad_s, depth_m=depth)
 
     def note_sample(self, t_us: int, sample: Sample) -> None:
@@ -175,15 +159,8 @@ class Facts:
             heard = self.sensors[name] = _Heard(t_us)
         heard.equal = heard.equal + 1 if reading == heard.reading else 0
         heard.reading = reading
-        if heard.equal < FROZEN_READINGS:
+        if heard.equal < FACTS.frozen_readings:
             heard.last_us = t_us
-
-
-BASE_TIME_S = 0.5
-"""Over so long what a jolt is measured from is averaged: tilt, current and thrust change more slowly."""
-
-JOLT_US = 300_000
-"""A jolt is over within so long; what stays is a sensor that is wrong, or a tilt."""
 
 
 class Jolts:
@@ -209,12 +186,12 @@ class Jolts:
             return False
         if self._began_us is None:
             if size < least_m_s2:
-                share = 0.01 / BASE_TIME_S
+                share = 0.01 / FACTS.base_time_s
                 self._base = (bx + share * dx, by + share * dy)
                 return False
             self._began_us, self._peak = sample.t_us, 0.0
         self._peak = max(self._peak, size - self._commanded(thrust_n))
-        if size >= 0.5 * least_m_s2 and sample.t_us - self._began_us < JOLT_US:
+        if size >= 0.5 * least_m_s2 and sample.t_us - self._began_us < FACTS.jolt_us:
             return False
         ended = size < 0.5 * least_m_s2
         self._began_us = None

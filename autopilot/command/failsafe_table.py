@@ -13,8 +13,8 @@ from dataclasses import dataclass
 from typing import Literal, TypeAlias
 
 from autopilot.command.conditions import Conditions
-from autopilot.command.facts import LATCHED_US, SHOWN_US
 from autopilot.command.situation import Situation
+from autopilot.command.tuned import FACTS
 from autopilot.core.messages import Failsafe, NavDoubt, Severity
 
 Effect: TypeAlias = Literal["off", "warn", "hold", "return", "surface", "drop", "hand back", "disarm"]
@@ -242,8 +242,8 @@ ROWS: tuple[Row, ...] = (
     ),
     Row(
         rule=Failsafe.LEAK,
-        condition=f"a leak probe is wet, or has been within the last {LATCHED_US // 10**6} s",
-        level=lambda c, s: c.facts.wet_us + LATCHED_US >= c.t_us,
+        condition=f"a leak probe is wet, or has been within the last {FACTS.latched_us // 10**6} s",
+        level=lambda c, s: c.facts.wet_us + FACTS.latched_us >= c.t_us,
         enter=1.0,
         action="FS_LEAK_ENABLE",
         effects=("off", "warn", "surface", "drop"),
@@ -313,8 +313,8 @@ ROWS: tuple[Row, ...] = (
     ),
     Row(
         rule=Failsafe.COLLISION,
-        condition=f"a jolt above `FS_COLL_ACC`, over in 0.3 s, not by thrust; shown for {SHOWN_US // 10**6} s",
-        level=lambda c, s: c.facts.collided_us + SHOWN_US >= c.t_us,
+        condition=f"a jolt above `FS_COLL_ACC`, over in 0.3 s, not by thrust; shown for {FACTS.shown_us // 10**6} s",
+        level=lambda c, s: c.facts.collided_us + FACTS.shown_us >= c.t_us,
         enter=1.0,
         action="FS_COLL_ACT",
         severity=Severity.WARNING,
@@ -365,8 +365,8 @@ ROWS: tuple[Row, ...] = (
     ),
     Row(
         rule=Failsafe.CLOCK,
-        condition=f"clock of day jumped by 0.5 s or more; shown for {SHOWN_US // 10**6} s",
-        level=lambda c, s: c.facts.jumped_us + SHOWN_US >= c.t_us,
+        condition=f"clock of day jumped by 0.5 s or more; shown for {FACTS.shown_us // 10**6} s",
+        level=lambda c, s: c.facts.jumped_us + FACTS.shown_us >= c.t_us,
         enter=1.0,
         action="FS_CLOCK_ACT",
         severity=Severity.WARNING,

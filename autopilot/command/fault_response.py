@@ -14,6 +14,7 @@ import numpy as np
 
 from autopilot.command.commander import Commander
 from autopilot.command.motion import Motion, model_state
+from autopilot.command.tuned import FAULT_RESPONSE
 from autopilot.control.robust.fallback import station_keeping_thrust
 from autopilot.core.frames import FloatArray
 from autopilot.core.guard import Fault, Guard
@@ -24,15 +25,6 @@ from autopilot.core.vehicle import Vehicle
 
 FLIGHT_PARTS = frozenset(("estimator", "thrusters", "commander", "controller", "allocation", "tick"))
 """Parts that thrust comes from."""
-
-SAY_EVERY_US = 5_000_000
-"""The same fault is said again after so long; it is counted every time."""
-
-SHOWN_US = 5_000_000
-"""So long after the last fault that thrust depends on the failsafe bit stays, and arming is refused."""
-
-MAX_KINDS = 64
-"""Kinds of fault that are remembered; with more of them the oldest goes."""
 
 
 class FaultResponse:
@@ -67,7 +59,7 @@ class FaultResponse:
 
     def problem(self, t_us: int) -> str:
         """What has failed of late of what thrust comes from, "" when nothing has."""
-        if self._last is None or (self._since_us is None and t_us - self._last.t_us > SHOWN_US):
+        if self._last is None or (self._since_us is None and t_us - self._last.t_us > FAULT_RESPONSE.shown_us):
             return ""
         return f"internal fault in {self._last.part}"
 
@@ -127,10 +119,10 @@ class FaultResponse:
 
     def _say(self, fault: Fault) -> None:
         said_us = self._said_us.get(fault.key)
-        if said_us is not None and fault.t_us - said_us < SAY_EVERY_US:
+        if said_us is not None and fault.t_us - said_us < FAULT_RESPONSE.say_every_us:
             return
         self._said_us.pop(fault.key, None)
-        while len(self._said_us) >= MAX_KINDS:
+        while len(self._said_us) >= FAULT_RESPONSE.max_kinds:
             del self._said_us[next(iter(self._said_us))]
         self._said_us[fault.key] = fault.t_us
         self._events.append(Event(t_us=fault.t_us, severity=Severity.CRITICAL, text=fault.line))

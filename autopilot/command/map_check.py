@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
+from autopilot.command.tuned import MAP_CHECK
 from autopilot.control.water.current_map import CurrentMap
 from autopilot.control.water.map_reading import load_current_map
 from autopilot.core.errors import ConfigError, PlanError
@@ -20,17 +21,8 @@ from autopilot.mission.items import GoTo, Step
 from autopilot.mission.plan_files import read_plan
 from autopilot.mission.room import Room
 from autopilot.mission.store import Plans
-from autopilot.mission.upstream import TOLD_M_S, SlowLeg, slowest_leg
-
-CIRCLE_PLACES = 36
-LATTICE = 120
-"""Places per axis at which a workspace is looked at, beside the cells that hold gaps."""
-
-EDGE_M = 1e-3
-"""As near to a boundary it has to be looked at closely whether a place is inside."""
-
-SAME_ORIGIN_DEG = 1e-6
-"""A map of latitudes lies where it belongs while the origin stays within this (0.1 m)."""
+from autopilot.mission.tuned import UPSTREAM
+from autopilot.mission.upstream import SlowLeg, slowest_leg
 
 
 def open_map(path: Path, origin: Origin | None = None, start_utc: str | None = None) -> CurrentMap:
@@ -65,7 +57,7 @@ class MapCheck:
         """Why the map does not serve there, "" if it does."""
         water, name = self._water, self._water.name
         moved_deg = max(abs(origin.lat_deg - self._origin.lat_deg), abs(origin.lon_deg - self._origin.lon_deg))
-        if water.nodes.geodetic and moved_deg > SAME_ORIGIN_DEG:
+        if water.nodes.geodetic and moved_deg > MAP_CHECK.same_origin_deg:
             return f"current map {name}: placed about another origin; set ORIGIN_LAT and ORIGIN_LON and start again"
         places = workspace_places(fence, steps)
         outside = np.flatnonzero(water.beyond(places))
@@ -89,7 +81,7 @@ class MapCheck:
                 "reach"
             )
         leg = self._slowest_leg(steps, limit_m_s)
-        return "" if leg is None or leg.left_m_s >= TOLD_M_S else f"{leg.text(0.0)} (by current map {name})"
+        return "" if leg is None or leg.left_m_s >= UPSTREAM.told_m_s else f"{leg.text(0.0)} (by current map {name})"
 
     def _slowest_leg(self, steps: Sequence[Step], limit_m_s: float) -> SlowLeg | None:
         """By the map's mean over time, at the depth of the first waypoint."""
@@ -117,21 +109,21 @@ class MapCheck:
         middles = np.stack(
             (0.5 * (nodes.north_m[i] + nodes.north_m[i + 1]), 0.5 * (nodes.east_m[j] + nodes.east_m[j + 1])), axis=1
         )
-        return middles[Room.of(fence).near(middles, EDGE_M)[0] > 0.0]
+        return middles[Room.of(fence).near(middles, MAP_CHECK.edge_m)[0] > 0.0]
 
 
 def workspace_places(fence: Fence, steps: Sequence[Step]) -> FloatArray:
     """(n, 2) places that stand for the workspace: a lattice within the fence; in open water the legs of the mission."""
     goals = [s.pos_ned_m[:2] for s in steps if isinstance(s, GoTo) and s.pos_ned_m is not None]
-    legs = [np.linspace(a, b, LATTICE) for a, b in itertools.pairwise(goals)]
+    legs = [np.linspace(a, b, MAP_CHECK.lattice) for a, b in itertools.pairwise(goals)]
     places = np.vstack([np.zeros((0, 2)), *(g[None] for g in goals), *legs])
     if not fence.inclusions:
         return places
     corners = np.vstack([_corners(shape) for shape in fence.inclusions])
-    axes = [np.linspace(corners[:, k].min(), corners[:, k].max(), LATTICE) for k in range(2)]
+    axes = [np.linspace(corners[:, k].min(), corners[:, k].max(), MAP_CHECK.lattice) for k in range(2)]
     lattice = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 2)
     candidates = np.vstack((places, corners, lattice))
-    return candidates[Room.of(fence).near(candidates, EDGE_M)[0] >= -1e-9]
+    return candidates[Room.of(fence).near(candidates, MAP_CHECK.edge_m)[0] >= -1e-9]
 
 
 def describe_map(water: CurrentMap) -> list[tuple[str, object]]:
@@ -161,7 +153,7 @@ def _corners(shape: Shape) -> FloatArray:
     """(n, 2) places on the boundary of a shape."""
     if isinstance(shape, Polygon):
         return np.asarray(shape.vertices_ned_m, dtype=float)
-    angle = np.linspace(0.0, 2.0 * np.pi, CIRCLE_PLACES, endpoint=False)
+    angle = np.linspace(0.0, 2.0 * np.pi, MAP_CHECK.circle_places, endpoint=False)
     points: FloatArray = shape.center_ned_m + shape.radius_m * np.stack((np.cos(angle), np.sin(angle)), axis=1)
     return points
 

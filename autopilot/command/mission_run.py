@@ -8,22 +8,15 @@ import numpy as np
 
 from autopilot.command.announcements import Announcements
 from autopilot.command.conditions import Conditions
+from autopilot.command.tuned import MISSION_RUN
 from autopilot.core.frames import FloatArray
 from autopilot.core.messages import Goal, NavState, ProgressState, Severity
 from autopilot.core.params import ParamSet
 from autopilot.mission.items import Step, Timed
 from autopilot.mission.sequencer import Sequencer, SequencerOutput
 from autopilot.mission.store import Plans
-from autopilot.mission.upstream import TOLD_M_S, MadeGood, SlowLeg, slowest_leg
-
-UPSTREAM_US = 5_000_000
-"""What the current leaves of the present leg is looked at so often: a vehicle that lies still does not know it yet."""
-
-
-REACHED_US = 1_000_000
-"""Items that are reached are told so often at most: a hundred may be, where they lie close together."""
-REACHED_NAMED = 5
-"""Up to so many of them by name."""
+from autopilot.mission.tuned import UPSTREAM
+from autopilot.mission.upstream import MadeGood, SlowLeg, slowest_leg
 
 
 class StuckAction(IntEnum):
@@ -56,7 +49,7 @@ class MissionRun:
         self._upstream_us = 0
         self._untold: tuple[int, ...] = ()
         """Items that were reached since that was last told."""
-        self._told_reached_us = -REACHED_US
+        self._told_reached_us = -MISSION_RUN.reached_us
         self.sequencer = Sequencer(params)
 
     def load(self) -> bool:
@@ -99,7 +92,7 @@ class MissionRun:
 
     def tell(self, t_us: int) -> None:
         """What has been reached, as often as that is told; also when the mission is flown no more."""
-        if self._untold and t_us - self._told_reached_us >= REACHED_US:
+        if self._untold and t_us - self._told_reached_us >= MISSION_RUN.reached_us:
             self._tell_reached(t_us)
 
     def _tell_reached(self, t_us: int) -> None:
@@ -107,7 +100,7 @@ class MissionRun:
         count = len(self._untold)
         if count == 1:
             text = f"Reached item {self._untold[0]}"
-        elif count <= REACHED_NAMED:
+        elif count <= MISSION_RUN.reached_named:
             text = "Reached items " + ", ".join(map(str, self._untold))
         else:
             text = f"Reached {count} items, the last is {self._untold[-1]}"
@@ -151,7 +144,7 @@ class MissionRun:
         way_left_m = self.sequencer.circle_left_m if flies else None
         way_left_m = conditions.way_left_m if way_left_m is None else way_left_m
         idle_s = self._made_good.idle_s(t_us, goal, nav, way_left_m, step_m)
-        if flies and t_us - self._upstream_us >= UPSTREAM_US:
+        if flies and t_us - self._upstream_us >= MISSION_RUN.upstream_us:
             self._upstream_us = t_us
             self._tell_upstream(nav, only_this=True)
         if idle_s < patience_s:
@@ -201,7 +194,7 @@ class MissionRun:
         leg, least_m_s = self._slowest_leg(nav, only_this=only_this), self._params["SPD_GROUND_MIN"]
         if leg is not None and only_this:
             leg = leg.made(self._made_good.made_m_s, self._made_good.left_m)
-        if leg is None or leg.left_m_s >= TOLD_M_S:
+        if leg is None or leg.left_m_s >= UPSTREAM.told_m_s:
             return
         found = (leg.seq, leg.out_of_reach(least_m_s))
         if found not in self._told_upstream:

@@ -11,7 +11,8 @@ from autopilot.control.fence.tracks import Tracks
 from autopilot.control.protocol import Controller, sound, sound_thrust_n
 from autopilot.control.robust.fallback import station_keeping_thrust
 from autopilot.control.thrust.actuation import Actuation
-from autopilot.control.thrust.by_hand import SLEW_SHARE_1_S, Felt, HandLaw
+from autopilot.control.thrust.by_hand import Felt, HandLaw
+from autopilot.control.thrust.tuned import BY_HAND
 from autopilot.core.clock import TICK_US
 from autopilot.core.frames import FloatArray
 from autopilot.core.geometry import Fence
@@ -126,7 +127,7 @@ class Motion:
         wanted_n = actuation.nothing()
         wanted_n[place] = actuation.allocation.thrust_n(place, pulse_us, actuation.supply_v)
         last_us = t_us - TICK_US if self._soft is None else self._soft[0]
-        most_n = SLEW_SHARE_1_S * (t_us - last_us) * 1e-6 * limit_n
+        most_n = BY_HAND.slew_share_1_s * (t_us - last_us) * 1e-6 * limit_n
         thrust_n: FloatArray = np.clip(np.clip(wanted_n, -limit_n, limit_n), before_n - most_n, before_n + most_n)
         return thrust_n
 
@@ -141,7 +142,7 @@ class Motion:
         if self._soft is None:
             return wanted_n
         last_us, last_n = self._soft
-        most = SLEW_SHARE_1_S * (t_us - last_us) * 1e-6 * self._limit_n
+        most = BY_HAND.slew_share_1_s * (t_us - last_us) * 1e-6 * self._limit_n
         thrust_n: FloatArray = np.clip(wanted_n, last_n - most, last_n + most)
         done = not self._switched and np.array_equal(thrust_n, wanted_n)
         self._soft = None if done else (t_us, thrust_n)

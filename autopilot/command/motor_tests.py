@@ -7,21 +7,11 @@ fence. What it may do at most is what :mod:`autopilot.run.motor_test` may on boa
 from autopilot.command.announcements import Announcements
 from autopilot.command.conditions import Conditions
 from autopilot.command.mode_machine import ModeMachine
+from autopilot.command.tuned import MOTOR_TESTS
 from autopilot.core.messages import Severity
 from autopilot.core.vehicle import Vehicle
 from autopilot.mavlink.api import FlightMode, MotorTest, Sticks
 from autopilot.mission.goals import Goals
-
-MOST_SHARE = 0.3
-"""Of the pulse's span."""
-MOST_S = 5.0
-"""In one go, and of one word."""
-REST_S = 1.0
-"""After so long."""
-SILENCE_S = 0.5
-"""A word that says no time holds for so long: ArduSub wants two a second."""
-AWAY_M = 0.2
-"""From every boundary, beyond what the controller keeps: nothing brakes a vehicle while a thruster is tested."""
 
 
 class MotorTests:
@@ -47,7 +37,7 @@ class MotorTests:
             return reason
         t_us = conditions.t_us
         if t_us < self._rest_us:
-            return f"{MOST_S:g} s are enough, wait {REST_S:g} s"
+            return f"{MOTOR_TESTS.most_s:g} s are enough, wait {MOTOR_TESTS.rest_s:g} s"
         place = test.number - 1
         thruster = self._thrusters[place]
         drive = thruster.drive
@@ -56,15 +46,15 @@ class MotorTests:
             wanted_us = way * (test.share or 0.0) * drive.span_us
         else:
             wanted_us = test.pulse_us - drive.neutral_us
-        most_us = round(MOST_SHARE * drive.span_us)
+        most_us = round(MOTOR_TESTS.most_share * drive.span_us)
         pulse_us = drive.neutral_us + round(min(max(wanted_us, -most_us), most_us))
         if self._now is None:
             self._began_us = t_us
         if self._now is None or self._now[0] != place:
-            held = f", at most {100.0 * MOST_SHARE:g} %" if abs(wanted_us) > most_us else ""
+            held = f", at most {100.0 * MOTOR_TESTS.most_share:g} %" if abs(wanted_us) > most_us else ""
             self._operator.say(Severity.INFO, f"Motor test: {test.number} {thruster.name}{held}")
         self._now = (place, pulse_us)
-        self._until_us = t_us + round(1e6 * min(test.seconds or SILENCE_S, MOST_S))
+        self._until_us = t_us + round(1e6 * min(test.seconds or MOTOR_TESTS.silence_s, MOTOR_TESTS.most_s))
         return ""
 
     def step(self, conditions: Conditions) -> tuple[int, int] | None:
@@ -73,8 +63,8 @@ class MotorTests:
             return None
         t_us = conditions.t_us
         reason = self._end(conditions)
-        if t_us - self._began_us >= MOST_S * 1e6:
-            reason, self._rest_us = f"{MOST_S:g} s", t_us + round(1e6 * REST_S)
+        if t_us - self._began_us >= MOTOR_TESTS.most_s * 1e6:
+            reason, self._rest_us = f"{MOTOR_TESTS.most_s:g} s", t_us + round(1e6 * MOTOR_TESTS.rest_s)
         if reason or t_us >= self._until_us:
             self._now = None
             self._operator.say(Severity.INFO, f"Motor test over: {reason}" if reason else "Motor test over")
@@ -91,6 +81,6 @@ class MotorTests:
             return f"{modes.mode.name}, choose MANUAL"
         if sticks is not None and sticks != Sticks():
             return "let go of the sticks"
-        if nav is not None and not self._goals.may_drift(nav, AWAY_M):
+        if nav is not None and not self._goals.may_drift(nav, MOTOR_TESTS.away_m):
             return "too near to the fence"
         return ""

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from autopilot.command.tuned import PHOTOGRAPHER
 from autopilot.core.camera import CameraModel
 from autopilot.core.frames import FloatArray, wrap_pi
 from autopilot.core.messages import Event, Inputs, NavHealth, NavState, Severity
@@ -18,18 +19,6 @@ from autopilot.core.stills import CameraReport, StillRecord, StoredStill
 from autopilot.core.vehicle import Vehicle
 from autopilot.mavlink.api import Answer, CommandResult
 from autopilot.mavlink.camera_api import CameraIdentity, CameraState
-
-MIN_INTERVAL_S = 0.2
-"""Stills of full size are not taken faster."""
-MIN_DISTANCE_M = 0.01
-MAX_UNDER_WAY = 4
-"""Stills that may be asked for and not there yet: a camera that does not follow gets no longer queue."""
-LOST_US = 10_000_000
-"""A still of which nothing is heard for so long is given up; whoever has the camera gives up sooner and says why."""
-MAX_RECORDS = 10_000
-"""Stills that can be asked for again; the oldest goes."""
-NAV_KEPT = 400
-"""Ticks of the estimate that are kept: an exposure is known 4 s later at most."""
 
 _OK = Answer(result=CommandResult.ACCEPTED)
 _R_CAM_FROM_VIEW: FloatArray = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [1.0, 0.0, 0.0]])
@@ -78,7 +67,7 @@ class Photographer:
         self._under_way: dict[int, tuple[int, int]] = {}
         """Number -> when it was asked for, mission item."""
         self._count = 0
-        self._nav: deque[NavState] = deque(maxlen=NAV_KEPT)
+        self._nav: deque[NavState] = deque(maxlen=PHOTOGRAPHER.nav_kept)
         self._records: dict[int, StillRecord] = {}
         self._news: list[StillRecord] = []
         self._fresh: list[StillRecord] = []
@@ -105,12 +94,12 @@ class Photographer:
         if refusal:
             return Answer(result=CommandResult.TEMPORARILY_REJECTED, reason=f"Photo refused: {refusal}")
         if count == 1:
-            if len(self._under_way) + len(self._wanted) >= MAX_UNDER_WAY:
+            if len(self._under_way) + len(self._wanted) >= PHOTOGRAPHER.max_under_way:
                 return Answer(result=CommandResult.TEMPORARILY_REJECTED, reason="Photo refused: camera is busy")
             self._ask(seq)
             return _OK
-        if not MIN_INTERVAL_S <= interval_s < math.inf:
-            reason = f"Photo refused: interval {interval_s:g} s, use {MIN_INTERVAL_S:g} s or more"
+        if not PHOTOGRAPHER.min_interval_s <= interval_s < math.inf:
+            reason = f"Photo refused: interval {interval_s:g} s, use {PHOTOGRAPHER.min_interval_s:g} s or more"
             return Answer(result=CommandResult.DENIED, reason=reason)
         interval_us = round(min(interval_s, 1e6) * 1e6)
         self._sequence = _Sequence(left=count, interval_us=interval_us, next_us=self._t_us, seq=seq)
@@ -124,8 +113,8 @@ class Photographer:
         refusal = self.refusal
         if refusal:
             return Answer(result=CommandResult.TEMPORARILY_REJECTED, reason=f"Photos refused: {refusal}")
-        if not MIN_DISTANCE_M <= distance_m < math.inf:
-            reason = f"Photos refused: every {distance_m:g} m, use {MIN_DISTANCE_M:g} m or more, 0 to stop"
+        if not PHOTOGRAPHER.min_distance_m <= distance_m < math.inf:
+            reason = f"Photos refused: every {distance_m:g} m, use {PHOTOGRAPHER.min_distance_m:g} m or more, 0 to stop"
             return Answer(result=CommandResult.DENIED, reason=reason)
         here = self._here()
         self._survey = _Survey(distance_m=distance_m, place_ned_m=None if now else here, seq=seq)
@@ -160,7 +149,9 @@ class Photographer:
         for still in inputs.stills:
             if still.index in self._under_way:
                 self._conclude(still)
-        for index in [number for number, (asked_us, _) in self._under_way.items() if inputs.t_us - asked_us > LOST_US]:
+        for index in [
+            number for number, (asked_us, _) in self._under_way.items() if inputs.t_us - asked_us > PHOTOGRAPHER.lost_us
+        ]:
             self._conclude(StoredStill(index=index, exposure_us=inputs.t_us, problem="nothing heard of it"))
 
     def step(self, t_us: int, nav: NavState | None, *, armed: bool) -> tuple[tuple[int, ...], tuple[StillRecord, ...]]:
@@ -215,7 +206,7 @@ class Photographer:
 
     def _may_ask(self) -> bool:
         """Whether the camera follows; the operator hears once that it does not."""
-        if len(self._under_way) + len(self._wanted) < MAX_UNDER_WAY:
+        if len(self._under_way) + len(self._wanted) < PHOTOGRAPHER.max_under_way:
             self._skipped = False
             return True
         if not self._skipped:
@@ -239,7 +230,7 @@ class Photographer:
         pose = None if still.problem else self._pose_at(still.exposure_us)
         pos, rpy, variance = (None, None, None) if pose is None else pose
         record = StillRecord(t_us=self._t_us, still=still, seq=seq, pos_ned_m=pos, rpy_rad=rpy, variance=variance)
-        while len(self._records) >= MAX_RECORDS:
+        while len(self._records) >= PHOTOGRAPHER.max_records:
             del self._records[next(iter(self._records))]
         self._records[still.index] = record
         self._news.append(record)

@@ -13,7 +13,7 @@ from autopilot.mission.goals import Goals
 from autopilot.mission.judgement import Verdict
 from autopilot.mission.room import Room
 from autopilot.mission.store import Plans, plan_checksum
-from autopilot.mission.validation import PLACE_TOLERANCE_M
+from autopilot.mission.tuned import VALIDATION
 
 REPEAT_US = 5_000_000
 """The same problem of another upload is told again after this time at the earliest."""
@@ -91,7 +91,7 @@ class FenceGuard:
         for name, pos_ned_m in places:
             have_m = float(room.clearance_m(pos_ned_m[None, :2])[0])
             # Not worse than it is: a vehicle that was pushed to a boundary may get its fence again.
-            need_m = min(self._radius_m, self._goals.clearance_m(pos_ned_m)) - PLACE_TOLERANCE_M
+            need_m = min(self._radius_m, self._goals.clearance_m(pos_ned_m)) - VALIDATION.place_tolerance_m
             if have_m < need_m:
                 return f"the {name} would be {need_m - have_m:.2f} m too near or inside: move it, or the fence"
         return ""

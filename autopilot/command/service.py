@@ -20,6 +20,7 @@ from autopilot.command.motion import Motion
 from autopilot.command.parts import Parts
 from autopilot.command.payload_orders import PayloadOrders
 from autopilot.command.surroundings import Surroundings
+from autopilot.command.tuned import SERVICE
 from autopilot.command.view import vehicle_view
 from autopilot.core.clients import Standing
 from autopilot.core.frames import FloatArray
@@ -45,15 +46,6 @@ from autopilot.core.messages import (
 from autopilot.core.samples import ExternalPoseSample
 from autopilot.core.stills import StillRecord
 from autopilot.mavlink.api import VehicleView
-
-CONTROL_EVERY_TICKS = 5
-"""The NMPC runs at 20 Hz: counted in ticks, not timed."""
-
-WARM_AT_TICK = 100
-"""A second after the start, when the links are served, the controller has prepared what its first routes need."""
-
-COUNTERS_EVERY_TICKS = 100
-"""The estimator's counts go to the log once per second."""
 
 NO_EVENTS: tuple[Event, ...] = ()
 NO_POSES: tuple[ExternalPoseSample, ...] = ()
@@ -131,14 +123,14 @@ class Autopilot:
         nav = estimated.nav
         self.marks.mark(LoopPart.ESTIMATE)
         counters = None
-        if self._tick % COUNTERS_EVERY_TICKS == 0:
+        if self._tick % SERVICE.counters_every_ticks == 0:
             counters = self._run("counters", lambda: self._counted(inputs), None)
         tx = self._serve(inputs, nav)
         self.marks.mark(LoopPart.MAVLINK)
         thrusters = self._watch_thrusters(t_us, nav, acting_n)
         decision = self._decide(t_us, estimated)
         self.marks.mark(LoopPart.DECIDE)
-        if self._tick == WARM_AT_TICK:
+        if self._tick == SERVICE.warm_at_tick:
             self._run("warming", lambda: parts.controller.warm(parts.params), None)
         if decision.orders:
             self._told += self._run("payload", lambda: self._orders.carry_out(t_us, decision.orders), [])
@@ -330,7 +322,7 @@ class Autopilot:
         """Run the controller on its ticks; neutral when there is nothing to follow."""
         if self._faults.holding:
             return None
-        due = self._tick % CONTROL_EVERY_TICKS == 0
+        due = self._tick % SERVICE.control_every_ticks == 0
         return self._motion.step(t_us, nav, decision, self._goal, self._parts.commander.fence, due=due)
 
     def _news(self, t_us: int) -> tuple[Event, ...]:

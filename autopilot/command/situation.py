@@ -8,6 +8,7 @@ from collections import deque
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
+from autopilot.command.tuned import SITUATION
 from autopilot.core.messages import NavHealth
 from autopilot.core.params import ParamSet
 from autopilot.core.vehicle import Vehicle
@@ -19,24 +20,6 @@ from autopilot.mission.store import Plans
 if TYPE_CHECKING:
     from autopilot.command.conditions import Conditions
 
-LOOK_TICKS = 10
-"""What needs geometry is looked at so often, energy at each tenth time."""
-
-SLOW_M_S = 0.05
-"""Slower is not moving,"""
-PUSHED = 1.0 / 3.0
-"""when a thruster is at this share of its limit"""
-AWAY_M = 0.3
-"""and there is so much way left."""
-
-WINDOW_S = 60.0
-"""What a metre costs is taken over so long,"""
-LEAST_S = 15.0
-LEAST_M = 1.0
-"""and not known before so much has been flown."""
-
-MAX_STEPS = 2000
-"""Steps of a mission, with its jumps, that are looked at."""
 
 NEVER = math.nan
 
@@ -59,7 +42,7 @@ class Situation:
         self._slow_us: int | None = None
         self._last_m: tuple[float, float, float] | None = None
         self._travelled_m = 0.0
-        self._spent: deque[tuple[int, float, float]] = deque(maxlen=int(WINDOW_S))
+        self._spent: deque[tuple[int, float, float]] = deque(maxlen=int(SITUATION.window_s))
         self._rest: tuple[Position | None, int, float] | None = None
         self._low_us: int | None = None
         self._critical_us: int | None = None
@@ -99,7 +82,7 @@ class Situation:
         if nav is not None and nav.health is NavHealth.GOOD:
             self._fix_us = t_us
         self._ticks += 1
-        if self._ticks % LOOK_TICKS:
+        if self._ticks % SITUATION.look_ticks:
             return
         self.no_fix_s = 1e-6 * (t_us - self._fix_us) if self._known else NEVER
         self._look_ascent(t_us, blind=armed and surfacing and not valid)
@@ -157,16 +140,16 @@ class Situation:
         home = self._plans.home_ned_m.tolist()
         self.tether_m = self._travelled_m if params["TETHER_COUNT"] else math.dist(place, home)
         self._look_motion(conditions)
-        if self._ticks % (10 * LOOK_TICKS) == 0:
+        if self._ticks % (10 * SITUATION.look_ticks) == 0:
             self._look_energy(conditions, on_mission=on_mission)
 
     def _look_motion(self, conditions: "Conditions") -> None:
         nav, thrust_n, left_m = conditions.nav, conditions.facts.thrust_n, conditions.way_left_m
         assert nav is not None
         vx, vy, vz = nav.vel_frd_m_s.tolist()
-        slow = vx * vx + vy * vy + vz * vz < SLOW_M_S * SLOW_M_S
-        pushes = thrust_n is not None and float(abs(thrust_n).max()) >= PUSHED * self._params["THR_LIMIT"]
-        if not (slow and pushes and left_m is not None and left_m > AWAY_M):
+        slow = vx * vx + vy * vy + vz * vz < SITUATION.slow_m_s * SITUATION.slow_m_s
+        pushes = thrust_n is not None and float(abs(thrust_n).max()) >= SITUATION.pushed * self._params["THR_LIMIT"]
+        if not (slow and pushes and left_m is not None and left_m > SITUATION.away_m):
             self._slow_us, self.stuck_s = None, 0.0
             return
         self._slow_us = conditions.t_us if self._slow_us is None else self._slow_us
@@ -181,7 +164,7 @@ class Situation:
         self._spent.append((conditions.t_us, power.energy_used_j, self._travelled_m))
         then_us, then_j, then_m = self._spent[0]
         way_m = self._travelled_m - then_m
-        if conditions.t_us - then_us < LEAST_S * 1e6 or way_m < LEAST_M:
+        if conditions.t_us - then_us < SITUATION.least_s * 1e6 or way_m < SITUATION.least_m:
             return
         j_m = (power.energy_used_j - then_j) / way_m
         left_m = (conditions.way_left_m or 0.0) + self._rest_m()
@@ -199,7 +182,7 @@ def rest_of_way_m(steps: Sequence[Step], position: Position) -> float:
     """Length of a mission from the goal of ``position`` on. Jumps without an end are not made."""
     done = dict(position.jumps_done)
     cursor, last, way_m = position.cursor, None, 0.0
-    for _ in range(MAX_STEPS):
+    for _ in range(SITUATION.max_steps):
         if not 0 <= cursor < len(steps):
             break
         step = steps[cursor]

@@ -8,6 +8,7 @@ from autopilot.command.battery_watch import BatteryWatch
 from autopilot.command.camera_watch import CameraWatch
 from autopilot.command.device_watch import DeviceWatch
 from autopilot.command.facts import Facts, Jolts
+from autopilot.command.tuned import SURROUNDINGS
 from autopilot.control.fence.obstacles import clearance_m
 from autopilot.control.fence.tracks import Tracks
 from autopilot.core.camera import CameraModel
@@ -29,14 +30,8 @@ from autopilot.core.sensed import Sensed
 from autopilot.core.vehicle import Vehicle
 from autopilot.mavlink.api import BEAM_TRACKS
 
-KNOWN_M = 0.3
-"""What beams end at so near to a shape of the fence is that."""
-RANGE_US = 200_000
-"""The laser's range is worked out of pictures this often."""
 INERTIAL = (AhrsSample, ImuSample)
 """At every tick: no union, which is slower to ask."""
-POWER_S = 30.0
-"""Time over which the mean power is taken."""
 
 
 class Surroundings:
@@ -125,7 +120,7 @@ class Surroundings:
             self.tracks.forget(number)
         beams = [track for track in tracks if track.track_id >= BEAM_TRACKS]
         free_m = clearance_m(fence, np.array([track.pos_ned_m for track in beams])) if beams else ()
-        known = {track.track_id for track, clear_m in zip(beams, free_m, strict=True) if clear_m < KNOWN_M}
+        known = {track.track_id for track, clear_m in zip(beams, free_m, strict=True) if clear_m < SURROUNDINGS.known_m}
         for track in tracks:
             if track.track_id not in known:
                 self.tracks.note(t_us, track)
@@ -142,7 +137,7 @@ class Surroundings:
             sensed.newest[type(sample)] = sample
         elif sample.laser_px is not None and self._camera is not None:
             shown = sensed.of(LaserSample)
-            if shown is None or t_us - shown.t_us >= RANGE_US:
+            if shown is None or t_us - shown.t_us >= SURROUNDINGS.range_us:
                 found = dot_range(self._camera, sample.laser_px)
                 if found is not None:
                     self._show_laser(t_us, LaserSample(t_us=sample.t_us, range_m=found[0], sigma_m=found[1]))
@@ -154,7 +149,7 @@ class Surroundings:
     def _power_share(self, t_us: int) -> float:
         """Share that a new sample has of the mean power."""
         passed_s = 1e-6 * (t_us - (t_us if self.power is None else self.power.t_us))
-        return min(max(passed_s / POWER_S, 0.0), 1.0)
+        return min(max(passed_s / SURROUNDINGS.power_s, 0.0), 1.0)
 
     @property
     def thruster_problem(self) -> str:

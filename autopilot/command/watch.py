@@ -1,6 +1,7 @@
 """What the operator is told without having asked: position lost or found, no way to the goal, a new fence."""
 
 from autopilot.command.conditions import Conditions
+from autopilot.command.tuned import WATCH
 from autopilot.control.thrust.twins import lossy_share
 from autopilot.core.messages import NavDoubt, NavHealth, NavState, Severity
 from autopilot.core.vehicle import Vehicle
@@ -24,15 +25,6 @@ _DOUBT_TEXTS = {
     NavDoubt.CAMERA: "Camera wrong: it shows another place or time",
 }
 """What to do about a sensor that the evidence denies."""
-
-SHARE_NEWS = 0.15
-"""A change of a thruster's effectiveness that is worth a message."""
-
-FLIGHT_US = 20_000_000
-"""What is armed for a shorter time is no flight to sum up."""
-
-DELAY_NEWS_S = 0.25
-"""A change of the commands' delay that is worth a message."""
 
 
 class Watch:
@@ -81,7 +73,7 @@ class Watch:
     def _of_commands(self, delay_s: float) -> list[tuple[Severity, str]]:
         """Commands that act late, or again at once."""
         said_s = self._delay_s
-        if abs(delay_s - said_s) < DELAY_NEWS_S and not (delay_s == 0.0 != said_s):
+        if abs(delay_s - said_s) < WATCH.delay_news_s and not (delay_s == 0.0 != said_s):
             return []
         self._delay_s = delay_s
         if delay_s == 0.0:
@@ -113,7 +105,7 @@ class Watch:
             if any(name in twins for twins in self._doubtful):
                 continue
             said = self._share.get(name, 1.0)
-            if abs(share - said) < SHARE_NEWS and not (share == 1.0 != said):
+            if abs(share - said) < WATCH.share_news and not (share == 1.0 != said):
                 continue
             self._share[name] = share
             if share == 1.0:
@@ -126,7 +118,7 @@ class Watch:
         """After a flight: silence about a thruster that was hardly used does not say that it is sound."""
         since_us = self._armed_us
         self._armed_us = (conditions.t_us if since_us is None else since_us) if armed else None
-        if armed or since_us is None or conditions.t_us - since_us < FLIGHT_US or not conditions.thrusters_unseen:
+        if armed or since_us is None or conditions.t_us - since_us < WATCH.flight_us or not conditions.thrusters_unseen:
             return []
         return [(Severity.INFO, f"Too little used to judge thrust: {', '.join(conditions.thrusters_unseen)}")]
 

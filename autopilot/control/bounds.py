@@ -11,7 +11,7 @@ import numpy as np
 from autopilot.control.nmpc import ocp
 from autopilot.control.nmpc.grid import TimeGrid
 from autopilot.control.robust.tightening import BackOffs
-from autopilot.control.robust.tube import LARGEST_THRUST_SHARE
+from autopilot.control.robust.tuned import TUBE
 from autopilot.control.way.guidance import Reference, Situation
 from autopilot.core import compiled
 from autopilot.core.frames import FloatArray
@@ -65,7 +65,7 @@ class ProgramBounds:
             thrusters=thrusters,
             radius_m=radius_m,
             slowest_m_s=SLOWEST_CAP_M_S,
-            largest_thrust_share=LARGEST_THRUST_SHARE,
+            largest_thrust_share=TUBE.largest_thrust_share,
             **{name: array.ctypes.data for name, array in zip((*_GIVEN, *_MADE), (*self._given, *made), strict=True)},
         )
         self._reference = ctypes.byref(self._told)
@@ -115,7 +115,7 @@ class ProgramBounds:
 
 def left_n(limit_n: FloatArray, back_off_n: FloatArray) -> FloatArray:
     """What the margins leave of thrust limits (n,)."""
-    left: FloatArray = limit_n - np.minimum(back_off_n, LARGEST_THRUST_SHARE * limit_n)
+    left: FloatArray = limit_n - np.minimum(back_off_n, TUBE.largest_thrust_share * limit_n)
     return left
 
 

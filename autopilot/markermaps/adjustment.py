@@ -17,24 +17,7 @@ from autopilot.core.camera import CameraModel
 from autopilot.core.frames import FloatArray
 from autopilot.core.markers import CORNER_SIGNS, IntArray
 from autopilot.core.robust import PLANAR_MEDIAN
-
-STEPS = 40
-FIRST_DAMPING, LAST_DAMPING = 1e-10, 1e-13
-"""Shares of the diagonal that are added to it. Scale and bending of a whole floor are worth a billionth of what a
-single corner is: more damping would hold them where the first guess has them."""
-CONVERGED = 1e-7
-"""Share of the cost that a step must win for another one to be tried."""
-SHRINK_PX, SHRINK_SIGMA_PX = 0.25, 0.15
-"""What is known of the corners' draw towards the centre, on the whole,"""
-VIEW_SHRINK_SIGMA_PX = 0.1
-"""and of what a view adds to it."""
-OF_VIEW = 7
-"""Unknowns of a view: place, turn, shrink."""
-MIN_SIGMA_PX = 0.03
-LOSS_SIGMAS = 2.5
-"""Residuals of more than this count less and less (Cauchy)."""
-CHUNK = 256
-"""Columns of the inverse that are solved for at a time."""
+from autopilot.markermaps.tuned import ADJUSTMENT
 
 
 @dataclass(slots=True, eq=False, kw_only=True)
@@ -66,7 +49,7 @@ class Network:
     """(m, 3, 3) attitudes,"""
     prior_sigma: FloatArray
     """(m, 2) and how well: places [m], angles [rad]; infinite = not at all."""
-    shrink_px: float = SHRINK_PX
+    shrink_px: float = ADJUSTMENT.shrink_px
     view_shrink_px: FloatArray = field(init=False)
     """(v,) what each view adds."""
 
@@ -99,11 +82,11 @@ class Adjusted:
 
 def adjust(network: Network) -> Adjusted:
     """Improve ``network`` in place. Deterministic."""
-    sigma_px = max(MIN_SIGMA_PX, _robust_sigma(_residuals(network)))
-    damping, steps, converged = FIRST_DAMPING, 0, False
+    sigma_px = max(ADJUSTMENT.min_sigma_px, _robust_sigma(_residuals(network)))
+    damping, steps, converged = ADJUSTMENT.first_damping, 0, False
     cost, weight = _cost(network, sigma_px)
     normal, gradient = _normal_equations(network, weight, sigma_px)
-    while steps < STEPS and not converged:
+    while steps < ADJUSTMENT.steps and not converged:
         steps += 1
         step = _solve(normal, gradient, damping)
         before = _poses(network)
@@ -114,11 +97,11 @@ def adjust(network: Network) -> Adjusted:
             damping *= 10.0
             converged = damping > 1e8
             continue
-        converged = cost - new_cost < CONVERGED * cost and damping <= 10.0 * LAST_DAMPING
+        converged = cost - new_cost < ADJUSTMENT.converged * cost and damping <= 10.0 * ADJUSTMENT.last_damping
         # The scale of the loss follows the fit, so costs before and after that cannot be compared.
-        sigma_px = max(MIN_SIGMA_PX, _robust_sigma(_residuals(network)))
+        sigma_px = max(ADJUSTMENT.min_sigma_px, _robust_sigma(_residuals(network)))
         cost, weight = _cost(network, sigma_px)
-        damping = max(damping / 10.0, LAST_DAMPING)
+        damping = max(damping / 10.0, ADJUSTMENT.last_damping)
         normal, gradient = _normal_equations(network, weight, sigma_px)
     sigma_m, sigma_turn = _marker_sigmas(network, normal)
     return Adjusted(
@@ -163,11 +146,11 @@ def _robust_sigma(residual_px: FloatArray) -> float:
 def _cost(network: Network, sigma_px: float) -> tuple[float, FloatArray]:
     """Sum to be minimised, and the weights (k, 4) that make least squares of it."""
     square = (_residuals(network) ** 2).sum(axis=2) / sigma_px**2
-    limit = LOSS_SIGMAS**2
+    limit = ADJUSTMENT.loss_sigmas**2
     loss = limit * np.log1p(square / limit)
     off, known = _prior_errors(network)
-    shrink = (network.shrink_px - SHRINK_PX) / SHRINK_SIGMA_PX
-    of_views = np.square(network.view_shrink_px / VIEW_SHRINK_SIGMA_PX).sum()
+    shrink = (network.shrink_px - ADJUSTMENT.shrink_px) / ADJUSTMENT.shrink_sigma_px
+    of_views = np.square(network.view_shrink_px / ADJUSTMENT.view_shrink_sigma_px).sum()
     return float(loss.sum() + (known * off**2).sum() + of_views + shrink**2), 1.0 / (1.0 + square / limit)
 
 
@@ -203,12 +186,12 @@ def _normal_equations(network: Network, weight: FloatArray, sigma_px: float) -> 
     views, markers = len(network.eyes_ned_m), len(network.sizes_m)
     k = len(network.view)
     rows = np.arange(8 * k).reshape(k, 4, 2, 1)
-    view_columns = (OF_VIEW * network.view)[:, None, None, None] + np.arange(OF_VIEW)
-    marker_columns = (OF_VIEW * views + per * network.marker)[:, None, None, None] + np.arange(per)
-    last = OF_VIEW * views + per * markers
+    view_columns = (ADJUSTMENT.of_view * network.view)[:, None, None, None] + np.arange(ADJUSTMENT.of_view)
+    marker_columns = (ADJUSTMENT.of_view * views + per * network.marker)[:, None, None, None] + np.arange(per)
+    last = ADJUSTMENT.of_view * views + per * markers
     data = np.concatenate((view_part.ravel(), marker_part.ravel(), shrink.ravel()))
     where = (
-        np.concatenate((np.repeat(rows.ravel(), OF_VIEW), np.repeat(rows.ravel(), per), rows.ravel())),
+        np.concatenate((np.repeat(rows.ravel(), ADJUSTMENT.of_view), np.repeat(rows.ravel(), per), rows.ravel())),
         np.concatenate(
             (
                 np.broadcast_to(view_columns, view_part.shape).ravel(),
@@ -221,13 +204,13 @@ def _normal_equations(network: Network, weight: FloatArray, sigma_px: float) -> 
     off, known = _prior_errors(network)
     if network.level:
         off, known = off[:, [0, 1, 5]], known[:, [0, 1, 5]]
-    of_view = np.zeros((views, OF_VIEW))
-    of_view[:, 6] = 1.0 / VIEW_SHRINK_SIGMA_PX**2
+    of_view = np.zeros((views, ADJUSTMENT.of_view))
+    of_view[:, 6] = 1.0 / ADJUSTMENT.view_shrink_sigma_px**2
     added = of_view.copy()
     added[:, 6] = network.view_shrink_px
-    information = np.concatenate((of_view.ravel(), known.ravel(), [1.0 / SHRINK_SIGMA_PX**2]))
+    information = np.concatenate((of_view.ravel(), known.ravel(), [1.0 / ADJUSTMENT.shrink_sigma_px**2]))
     gradient = jac.T @ residual.ravel()
-    gradient -= information * np.concatenate((added.ravel(), off.ravel(), [network.shrink_px - SHRINK_PX]))
+    gradient -= information * np.concatenate((added.ravel(), off.ravel(), [network.shrink_px - ADJUSTMENT.shrink_px]))
     normal = (jac.T @ jac + sparse.diags(information)).tocsc()
     return normal, gradient
 
@@ -252,14 +235,14 @@ def _marker_sigmas(network: Network, normal: Any) -> tuple[FloatArray, FloatArra
     factor = _factor(normal, 0.0)
     markers = len(network.sizes_m)
     per = 3 if network.level else 6
-    start, size = OF_VIEW * len(network.eyes_ned_m), normal.shape[0]
+    start, size = ADJUSTMENT.of_view * len(network.eyes_ned_m), normal.shape[0]
     wanted = np.arange(start, start + per * markers)
     variance = np.empty(len(wanted))
-    for first in range(0, len(wanted), CHUNK):
-        columns = wanted[first : first + CHUNK]
+    for first in range(0, len(wanted), ADJUSTMENT.chunk):
+        columns = wanted[first : first + ADJUSTMENT.chunk]
         unit = np.zeros((size, len(columns)))
         unit[columns, np.arange(len(columns))] = 1.0
-        variance[first : first + CHUNK] = factor.solve(unit)[columns, np.arange(len(columns))]
+        variance[first : first + ADJUSTMENT.chunk] = factor.solve(unit)[columns, np.arange(len(columns))]
     sigma = np.sqrt(np.maximum(variance, 0.0)).reshape(markers, per)
     if network.level:
         return np.column_stack((sigma[:, :2], np.zeros(markers))), sigma[:, 2]
@@ -289,11 +272,11 @@ def _restore(network: Network, poses: Poses) -> None:
 def _apply(network: Network, step: FloatArray) -> None:
     """Move all poses by a step; new arrays, so that the old ones can be put back."""
     views = len(network.eyes_ned_m)
-    of_view = step[: OF_VIEW * views].reshape(-1, OF_VIEW)
+    of_view = step[: ADJUSTMENT.of_view * views].reshape(-1, ADJUSTMENT.of_view)
     network.eyes_ned_m = network.eyes_ned_m + of_view[:, :3]
     network.r_ned_from_cam = _turns(of_view[:, 3:6]) @ network.r_ned_from_cam
     network.view_shrink_px = network.view_shrink_px + of_view[:, 6]
-    of_marker = step[OF_VIEW * views : -1].reshape(len(network.sizes_m), -1)
+    of_marker = step[ADJUSTMENT.of_view * views : -1].reshape(len(network.sizes_m), -1)
     move, turn = np.zeros((len(of_marker), 3)), np.zeros((len(of_marker), 3))
     if network.level:
         move[:, :2], turn[:, 2] = of_marker[:, :2], of_marker[:, 2]

@@ -17,24 +17,7 @@ from autopilot.core.frames import FloatArray
 from autopilot.core.marker_files import AMBIGUITY_M, rotation_of
 from autopilot.core.markers import CORNER_SIGNS, IntArray
 from autopilot.markermaps.sightings import View
-
-AGREE_PX = 12.0
-"""Corners of a known marker lie this close to where the pose of the others puts them."""
-SAME_SHARE = 0.5
-"""A marker within this share of :data:`AMBIGUITY_M` of a known one of its id is that one."""
-MOST_HYPOTHESES = 12
-"""Markers of a view whose own poses are tried."""
-ENOUGH_SHARE = 0.6
-"""No more are tried when so many of the known markers agree."""
-CERTAIN = 4
-"""So many markers that fit together are no coincidence; fewer are enough with an id that is there once."""
-MAX_PASSES = 6
-RECOGNISED_VIEWS = 24
-"""Views, evenly among all, in which a rough map is looked for."""
-ROUGH_SLACK = 3.0
-"""By how much a rough map's markers may be farther off: 36 pixels, some centimetres."""
-BEND_STEPS = 3
-"""Behind a flat port rays have no common centre: PnP is repeated with points moved to where rays seem to pass."""
+from autopilot.markermaps.tuned import BOOTSTRAP
 
 
 @dataclass(slots=True, eq=False, kw_only=True)
@@ -94,7 +77,7 @@ def tie_together(
         start = world.tie(views[first], set(views[first].ids.tolist()))
         if start is not None:
             tied[first] = start
-    for _ in range(MAX_PASSES):
+    for _ in range(BOOTSTRAP.max_passes):
         before = len(tied)
         for n, view in enumerate(views):
             if n not in tied:
@@ -114,8 +97,10 @@ def recognise(
     when every id is there several times. None if no view shows three markers that fit together."""
     world = _World(camera, list(rough), sizes_m, level)
     best: tuple[int, int, int] | None = None
-    for n in np.unique(np.linspace(0, len(views) - 1, min(RECOGNISED_VIEWS, len(views))).round().astype(int)).tolist():
-        _, known = world.agreeing(views[n], world.candidates(views[n]), set(), ROUGH_SLACK)
+    for n in np.unique(
+        np.linspace(0, len(views) - 1, min(BOOTSTRAP.recognised_views, len(views))).round().astype(int)
+    ).tolist():
+        _, known = world.agreeing(views[n], world.candidates(views[n]), set(), BOOTSTRAP.rough_slack)
         if len(known) >= 3 and (best is None or len(known) > best[0]):
             best = (len(known), n, known[min(known)])
     return None if best is None else best[1:]
@@ -152,7 +137,7 @@ class _World:
             options = self._by_id.get(marker_id, [])
             corners = [self._pixels(index, tied.eye_ned_m, tied.r_ned_from_cam) for index in options]
             errors = [float(np.abs(c - tied.view.corners_px[k]).max()) for c in corners]
-            if errors and min(errors) < 3.0 * AGREE_PX:
+            if errors and min(errors) < 3.0 * BOOTSTRAP.agree_px:
                 known[k] = options[int(np.argmin(errors))]
         return TiedView(view=tied.view, eye_ned_m=tied.eye_ned_m, r_ned_from_cam=tied.r_ned_from_cam, known=known)
 
@@ -179,28 +164,30 @@ class _World:
         if not candidates:
             return None, best
         corners = np.array([self._corners_m(index) for _, index in candidates])
-        enough = ENOUGH_SHARE * len({k for k, _ in candidates})
-        for k, index in candidates[:: max(1, len(candidates) // MOST_HYPOTHESES)]:
+        enough = BOOTSTRAP.enough_share * len({k for k, _ in candidates})
+        for k, index in candidates[:: max(1, len(candidates) // BOOTSTRAP.most_hypotheses)]:
             # The pose that one marker alone gives is rough: ask the others in proportion to how far off they may be.
             pose = self._pose(view, {k: index})
             if pose is None:
                 continue
-            agree = self._supporters(view, candidates, corners, pose, 8.0 * slack * AGREE_PX)
+            agree = self._supporters(view, candidates, corners, pose, 8.0 * slack * BOOTSTRAP.agree_px)
             if len(agree) >= 2:
                 pose = self._pose(view, agree)
                 agree = (
-                    {} if pose is None else self._supporters(view, candidates, corners, pose, 2.0 * slack * AGREE_PX)
+                    {}
+                    if pose is None
+                    else self._supporters(view, candidates, corners, pose, 2.0 * slack * BOOTSTRAP.agree_px)
                 )
             if len(agree) > len(best):
                 best = agree
             if len(best) >= enough:
                 break
         # Markers of repeated ids may fit somewhere else by chance: on a grid, one more for each of them in a hundred.
-        if len(best) < CERTAIN and not any(int(view.ids[k]) in unique for k in best):
+        if len(best) < BOOTSTRAP.certain and not any(int(view.ids[k]) in unique for k in best):
             return None, {}
         pose = self._pose(view, best)
         if pose is not None:
-            best = self._supporters(view, candidates, corners, pose, slack * AGREE_PX)
+            best = self._supporters(view, candidates, corners, pose, slack * BOOTSTRAP.agree_px)
             pose = self._pose(view, best) if best else None
         return pose, best
 
@@ -229,7 +216,7 @@ class _World:
         origins, directions = self._camera.rays(pixels)
         offset = origins[:, :2] - origins[:, 2:] * directions[:, :2]
         pose = None
-        for step in range(1 if self._camera.port is None else BEND_STEPS):
+        for step in range(1 if self._camera.port is None else BOOTSTRAP.bend_steps):
             if step > 0 and pose is not None:
                 depth = ((points - pose[0]) @ pose[1])[:, 2]
                 ideal = directions[:, :2] + offset / np.maximum(depth, 0.05)[:, None]
@@ -261,7 +248,7 @@ class _World:
     def _near_known(self, seen: Placed) -> bool:
         """Whether a marker of this id lies so close that the new one must be a mistake."""
         places = [self.markers[index].center_ned_m for index in self._by_id.get(seen.id, ())]
-        return any(float(np.linalg.norm(p - seen.center_ned_m)) < SAME_SHARE * AMBIGUITY_M for p in places)
+        return any(float(np.linalg.norm(p - seen.center_ned_m)) < BOOTSTRAP.same_share * AMBIGUITY_M for p in places)
 
     def _seen(self, tied: TiedView, k: int, marker_id: int) -> Placed | None:
         """A marker of a view as that view alone places it."""

@@ -8,13 +8,7 @@ from autopilot.core.camera import CameraModel
 from autopilot.core.dictionaries import CUSTOM, dictionary_label
 from autopilot.core.marker_files import close_pairs, placed_markers
 from autopilot.core.markers import ID_SPAN, MarkerMap
-
-QUIET_CELLS = 1.0
-"""A black square needs this many of its cells of white around it, or detectors take two markers for one."""
-HEIGHTS_M = (0.3, 0.45, 0.8, 1.2)
-"""Camera heights over the floor that are looked into."""
-POSES = 400
-"""Random places and headings for each height."""
+from autopilot.markermaps.tuned import CHECK
 
 
 def describe_markers(markers: MarkerMap) -> list[tuple[str, object]]:
@@ -44,9 +38,9 @@ def view_shares(markers: MarkerMap, camera: CameraModel) -> list[tuple[float, fl
     rng = np.random.default_rng(1)
     low, high = markers.centers_ned_m[:, :2].min(axis=0), markers.centers_ned_m[:, :2].max(axis=0)
     rows = []
-    for height_m in HEIGHTS_M:
+    for height_m in CHECK.heights_m:
         counts = []
-        for _ in range(POSES):
+        for _ in range(CHECK.poses):
             place = rng.uniform(low, high)
             yaw = rng.uniform(-math.pi, math.pi)
             r = np.array([[math.cos(yaw), -math.sin(yaw), 0.0], [math.sin(yaw), math.cos(yaw), 0.0], [0.0, 0.0, 1.0]])
@@ -63,11 +57,11 @@ def map_warnings(markers: MarkerMap) -> list[str]:
     result = []
     tight: list[tuple[float, str]] = []
     widest_cell = float(markers.sizes_m.max()) / 6.0
-    for i, j in close_pairs(markers, QUIET_CELLS * widest_cell):
+    for i, j in close_pairs(markers, CHECK.quiet_cells * widest_cell):
         gap_m = _gap(placed[i].corners_ned_m, placed[j].corners_ned_m)
         cells = min(_cells(markers.dictionaries[int(markers.ids[n]) // ID_SPAN]) for n in (i, j))
         cell_m = max(placed[i].size_m, placed[j].size_m) / cells
-        if gap_m < QUIET_CELLS * cell_m - 1e-6:
+        if gap_m < CHECK.quiet_cells * cell_m - 1e-6:
             tight.append((gap_m, f"ids {placed[i].id} and {placed[j].id}"))
     if tight:
         gap_m, who = min(tight)

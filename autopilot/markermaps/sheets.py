@@ -18,6 +18,7 @@ from autopilot.core.frames import FloatArray
 from autopilot.core.map_errors import Laid, map_errors
 from autopilot.core.markers import ID_SPAN, IntArray, MarkerMap
 from autopilot.markermaps.page import Page, Text
+from autopilot.markermaps.tuned import SHEETS
 
 PAPERS_MM = {
     "A4": (210.0, 297.0),
@@ -27,17 +28,6 @@ PAPERS_MM = {
     "A0": (841.0, 1189.0),
 }
 """Portrait."""
-FOOTER_MM = 9.0
-"""Below the cut area, for the scale bar and the sheet's name."""
-MARK_MM = 4.0
-"""Length of crop marks, outside of what they crop."""
-BAR_MM = 100.0
-LABEL_MM = 2.5
-"""Largest height of a marker's label."""
-LABEL_PLACE, LABEL_SHARE = 0.42, 0.3
-"""Baseline and height of a label in shares of the gap below its marker."""
-MIN_LABEL_MM = 0.8
-MAX_PAGES = 2000
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -52,8 +42,8 @@ class Paper:
     @property
     def window_m(self) -> tuple[float, float]:
         """Width and height that markers can use."""
-        frame = 2.0 * (self.margin_mm + MARK_MM)
-        return (self.width_mm - frame) / 1e3, (self.height_mm - frame - FOOTER_MM) / 1e3
+        frame = 2.0 * (self.margin_mm + SHEETS.mark_mm)
+        return (self.width_mm - frame) / 1e3, (self.height_mm - frame - SHEETS.footer_mm) / 1e3
 
 
 def paper_of(name: str, landscape: bool, margin_mm: float) -> Paper:
@@ -167,25 +157,31 @@ def _cut(plane: Plane, paper: Paper) -> _Cut:
         size = np.minimum(cell, window)
     where = np.floor((low - start) / cell + 1e-9).astype(np.int64)
     used, page = np.unique(where[:, ::-1], axis=0, return_inverse=True)
-    if len(used) > MAX_PAGES:
-        raise ConfigError(f"{len(used)} sheets would be needed and at most {MAX_PAGES} are made; use larger paper")
+    if len(used) > SHEETS.max_pages:
+        raise ConfigError(
+            f"{len(used)} sheets would be needed and at most {SHEETS.max_pages} are made; use larger paper"
+        )
     return _Cut(start, cell, size, used, np.asarray(page, dtype=np.int64).reshape(-1) + 1)
 
 
 def _page(plane: Plane, paper: Paper, inside: IntArray, origin_m: FloatArray, size_m: FloatArray, name: str) -> Page:
     """One sheet with the markers ``inside``; ``origin_m`` (2,) is the upper left corner of what is cut out."""
     page = Page(width_mm=paper.width_mm, height_mm=paper.height_mm)
-    frame = np.full(2, paper.margin_mm + MARK_MM)
+    frame = np.full(2, paper.margin_mm + SHEETS.mark_mm)
     markers = plane.markers
     for n in inside:
         corners_mm = 1e3 * (plane.corners_m[n] - origin_m) + frame
         kind, marker_id = divmod(int(markers.ids[n]), ID_SPAN)
         page.shapes.append(_marker_shape(markers.dictionaries[kind], marker_id, corners_mm))
-        gap_mm = LABEL_MM / LABEL_SHARE if plane.pitch_m is None else 1e3 * (plane.pitch_m - float(markers.sizes_m[n]))
-        height_mm = min(LABEL_MM, LABEL_SHARE * gap_mm)
-        if height_mm >= MIN_LABEL_MM:
+        gap_mm = (
+            SHEETS.label_mm / SHEETS.label_share
+            if plane.pitch_m is None
+            else 1e3 * (plane.pitch_m - float(markers.sizes_m[n]))
+        )
+        height_mm = min(SHEETS.label_mm, SHEETS.label_share * gap_mm)
+        if height_mm >= SHEETS.min_label_mm:
             north, east, _ = markers.centers_ned_m[n]
-            baseline = float(corners_mm[:, 1].max()) + LABEL_PLACE * gap_mm
+            baseline = float(corners_mm[:, 1].max()) + SHEETS.label_place * gap_mm
             label = f"{marker_id}  N {north:+.3f}  E {east:+.3f} m"
             page.texts.append(Text(x_mm=float(corners_mm[:, 0].min()), y_mm=baseline, height_mm=height_mm, text=label))
     _add_crop_marks(page, frame, frame + 1e3 * size_m)
@@ -213,16 +209,16 @@ def _add_crop_marks(page: Page, low_mm: FloatArray, high_mm: FloatArray) -> None
     gap = 0.5
     for x, away in ((float(low_mm[0]), -1.0), (float(high_mm[0]), 1.0)):
         for y in (float(low_mm[1]), float(high_mm[1])):
-            page.lines.append((x + away * gap, y, x + away * MARK_MM, y))
+            page.lines.append((x + away * gap, y, x + away * SHEETS.mark_mm, y))
     for y, away in ((float(low_mm[1]), -1.0), (float(high_mm[1]), 1.0)):
         for x in (float(low_mm[0]), float(high_mm[0])):
-            page.lines.append((x, y + away * gap, x, y + away * MARK_MM))
+            page.lines.append((x, y + away * gap, x, y + away * SHEETS.mark_mm))
 
 
 def _add_footer(page: Page, paper: Paper, plane: Plane, origin_m: FloatArray, name: str) -> None:
     """Scale bar, what the sheet is, and where it belongs."""
-    x, y = paper.margin_mm, paper.height_mm - paper.margin_mm - 0.5 * FOOTER_MM
-    length = min(BAR_MM, 10.0 * math.floor((paper.width_mm - 2.0 * paper.margin_mm) / 10.0))
+    x, y = paper.margin_mm, paper.height_mm - paper.margin_mm - 0.5 * SHEETS.footer_mm
+    length = min(SHEETS.bar_mm, 10.0 * math.floor((paper.width_mm - 2.0 * paper.margin_mm) / 10.0))
     page.lines.append((x, y, x + length, y))
     for tick in range(round(length / 10.0) + 1):
         tall = 2.0 if tick in (0, round(length / 10.0)) else 1.0

@@ -19,15 +19,10 @@ from autopilot.core.vehicle import Vehicle
 from autopilot.estimator.marker_looks import misread_cells, patterns_of
 from autopilot.estimator.vision import MarkerDetector
 from autopilot.log.reader import Log, open_log
+from autopilot.markermaps.tuned import SIGHTINGS
 
-MOST_OF_A_FILM = 120
-"""Frames of a film that are looked at."""
 FILMS = (".mp4", ".avi", ".mkv", ".mov", ".webm", ".mjpg", ".m4v")
 """Endings of films."""
-MISREAD_CELLS = 2
-"""A sight with so many wrong cells or more is worth a word: a bad print, something lying on it, or no marker at all."""
-MIN_MARKERS = 2
-"""A view of fewer markers ties nothing to anything."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -43,7 +38,7 @@ class View:
     repeated: tuple[int, ...] = ()
     """Ids that it shows twice; they are left out."""
     misread: tuple[int, ...] = ()
-    """Ids of which :data:`MISREAD_CELLS` cells or more are not as they should be."""
+    """Ids of which :data:`SIGHTINGS.misread_cells` cells or more are not as they should be."""
 
 
 def log_camera(log: Log) -> CameraModel:
@@ -65,7 +60,7 @@ def views_of_log(path: Path, most: int) -> tuple[list[View], Log]:
         raise LogError(f"{path}: has no marker sightings (/in/markers); record with the camera")
     table = log["/in/markers"]
     count = np.asarray(table["count"], dtype=np.int64)
-    usable = np.flatnonzero(count >= MIN_MARKERS)
+    usable = np.flatnonzero(count >= SIGHTINGS.min_markers)
     if len(usable) < 2:
         raise LogError(f"{path}: shows two markers at once in {len(usable)} images; fly where markers are in view")
     picks = usable[np.unique(np.linspace(0, len(usable) - 1, min(most, len(usable))).round().astype(int))]
@@ -79,7 +74,7 @@ def views_of_log(path: Path, most: int) -> tuple[list[View], Log]:
 
 
 def views_of_images(
-    paths: Sequence[Path], camera: CameraModel, wanted: MarkerMap, most: int = MOST_OF_A_FILM
+    paths: Sequence[Path], camera: CameraModel, wanted: MarkerMap, most: int = SIGHTINGS.most_of_a_film
 ) -> list[View]:
     """Markers of ``wanted`` (whatever their places) in image files, and in up to ``most`` frames of each film.
     ConfigError for a file that is neither, or of another size."""
@@ -93,7 +88,7 @@ def views_of_images(
                 " pixels; give images of this camera, not scaled"
             )
         sighting = detector.detect(CameraFrame(t_us=0, image_bgr=np.asarray(image, dtype=np.uint8)), None)
-        if len(sighting.ids) >= MIN_MARKERS:
+        if len(sighting.ids) >= SIGHTINGS.min_markers:
             ids = np.array(sighting.ids, dtype=np.int64)
             misread = _misread(image, wanted, ids, sighting.corners_px)
             views.append(_view(name, ids, sighting.corners_px, tuple(sorted(set(ids[misread].tolist())))))
@@ -140,7 +135,7 @@ def _misread(image: Any, wanted: MarkerMap, ids: IntArray, corners_px: FloatArra
     for kind in np.unique(ids // ID_SPAN).tolist():
         some = np.flatnonzero(ids // ID_SPAN == kind)
         patterns = patterns_of(wanted.dictionaries[kind])[ids[some] % ID_SPAN]
-        result[some] = misread_cells(grey, corners_px[some], patterns) >= MISREAD_CELLS
+        result[some] = misread_cells(grey, corners_px[some], patterns) >= SIGHTINGS.misread_cells
     return result
 
 

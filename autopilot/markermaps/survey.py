@@ -16,15 +16,7 @@ from autopilot.core.markers import ID_SPAN, IntArray, MarkerMap
 from autopilot.markermaps.adjustment import Adjusted, Network, adjust
 from autopilot.markermaps.bootstrap import Bootstrap, Placed, network_indices, recognise, tie_together
 from autopilot.markermaps.sightings import View
-
-MIN_SIGHTS = 2
-"""A marker that fewer views show is left out of the map: nothing checks it."""
-FIXED_SIGMA = (1e-4, 5e-4)
-"""Place [m] and angle [rad] of markers whose pose is given."""
-MISREAD_SHARE = 1.0 / 3.0
-"""A marker whose cells are wrong in this share of its sights is worth a word."""
-BELIEVED = 0.25
-"""A sight whose corners weigh less than this on average was not believed."""
+from autopilot.markermaps.tuned import SURVEY
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -109,7 +101,7 @@ def survey_map(
         start, seeds = found[0], [found[1]]
     first = [replace(of_map[n]) for n in seeds]
     bootstrap = tie_together(camera, views, first, sizes, level, unique, start)
-    if len(bootstrap.views) < MIN_SIGHTS:
+    if len(bootstrap.views) < SURVEY.min_sights:
         raise ConfigError(
             f"only {len(bootstrap.views)} of {len(views)} views show marker {first[0].id % ID_SPAN} together with"
             " others; fix a marker that was seen, or record views that overlap"
@@ -177,7 +169,7 @@ def _adjusted(
         anchors = np.flatnonzero(np.isin(nominal, fixed)).tolist()
     else:
         anchors = [] if math.isfinite(rough_sigma[0]) else list(range(len(seeds)))
-    network.prior_sigma[anchors] = FIXED_SIGMA
+    network.prior_sigma[anchors] = SURVEY.fixed_sigma
     if level and not anchors:
         _align(network, known)
     return network, adjust(network), nominal, set(anchors)
@@ -247,7 +239,7 @@ def _report(
     scaled: bool,
 ) -> Survey:
     placed = bootstrap.markers
-    trust = result.weight.mean(axis=1) >= BELIEVED
+    trust = result.weight.mean(axis=1) >= SURVEY.believed
     sights = np.bincount(network.marker[trust], minlength=len(placed))
     square = np.where(trust, (result.residual_px**2).mean(axis=(1, 2)), 0.0)
     rms = np.sqrt(np.bincount(network.marker, square, len(placed)) / np.maximum(sights, 1))
@@ -296,7 +288,7 @@ def _report(
         steps=result.steps,
         converged=result.converged,
         repeated=_repeated(
-            rough, views, [m.id for m, n in zip(placed, sights, strict=True) if n >= MIN_SIGHTS], unique
+            rough, views, [m.id for m, n in zip(placed, sights, strict=True) if n >= SURVEY.min_sights], unique
         ),
         misread=_misread(rough, views),
         scaled=scaled,
@@ -319,7 +311,9 @@ def _misread(rough: MarkerMap, views: Sequence[View]) -> list[str]:
     """Markers that are misread in a good share of the views that show them."""
     shown = Counter(marker_id for view in views for marker_id in view.ids.tolist())
     wrong = Counter(marker_id for view in views for marker_id in view.misread)
-    often = sorted(marker_id for marker_id, count in wrong.items() if count >= MISREAD_SHARE * max(shown[marker_id], 1))
+    often = sorted(
+        marker_id for marker_id, count in wrong.items() if count >= SURVEY.misread_share * max(shown[marker_id], 1)
+    )
     return [_name(rough, marker_id) for marker_id in often]
 
 
@@ -327,7 +321,7 @@ def _without_conflicts(network: Network, placed: Sequence[Placed], sights: IntAr
     """Markers seen often enough; of two in one place the one that more views show."""
     chosen: list[int] = []
     for k in np.argsort(-sights, kind="stable").tolist():
-        if sights[k] < MIN_SIGHTS:
+        if sights[k] < SURVEY.min_sights:
             break
         if chosen:
             apart = np.linalg.norm(network.centers_ned_m[chosen] - network.centers_ned_m[k], axis=1)

@@ -10,13 +10,8 @@ import msgspec
 from autopilot.command.map_check import MapCheck, open_map
 from autopilot.command.parts import Parts
 from autopilot.control.water.current_map import CurrentMap
-from autopilot.control.water.currents import (
-    OPEN_WATER_SCALE_M,
-    TANK_SCALE_M,
-    CurrentForecast,
-    MappedCurrent,
-    PointwiseField,
-)
+from autopilot.control.water.currents import CurrentForecast, MappedCurrent, PointwiseField
+from autopilot.control.water.tuned import CURRENTS
 from autopilot.core.desk import Desk
 from autopilot.core.errors import ConfigError
 from autopilot.core.geodesy import Origin
@@ -295,5 +290,5 @@ def map_path(settings: Settings, scenario: Scenario) -> Path | None:
 
 def formula(scenario: Scenario) -> CurrentForecast:
     """A scenario's current as a map."""
-    scale_m = OPEN_WATER_SCALE_M if scenario.tank is None else TANK_SCALE_M
+    scale_m = CURRENTS.open_water_scale_m if scenario.tank is None else CURRENTS.tank_scale_m
     return MappedCurrent(PointwiseField(current_field(scenario.current).velocity, scale_m))

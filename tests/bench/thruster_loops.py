@@ -16,8 +16,8 @@ import msgspec
 import numpy as np
 
 from autopilot.control.thrust.allocation import Allocation
-from autopilot.control.thrust.losses import SUBMERGED
 from autopilot.control.thrust.thruster_health import ThrusterHealth, usable
+from autopilot.control.thrust.tuned import LOSSES
 from autopilot.core.frames import FloatArray, wrap_pi
 from autopilot.core.messages import NavHealth, NavState
 from autopilot.core.model4 import Model4, body_acceleration
@@ -245,7 +245,9 @@ def fly(
         mismatch=mismatch,
         losses=losses,
     )
-    health = ThrusterHealth(model, Response.of(believed.thrusters), submerged_m=SUBMERGED * believed.hull_half_height_m)
+    health = ThrusterHealth(
+        model, Response.of(believed.thrusters), submerged_m=LOSSES.submerged * believed.hull_half_height_m
+    )
     pilot, estimator, allocation = _Pilot(rng, model), _Estimator(rng, model), Allocation(believed.thrusters)
     acting, pulse_n, flown, used = np.zeros(THRUSTERS), np.zeros(THRUSTERS), Flown(), []
     tug_s = float(rng.uniform(8.0, 30.0))

@@ -15,14 +15,15 @@ from hypothesis import strategies as st
 
 from autopilot.control.controller import MotionController
 from autopilot.control.energy.patience import ANSWER_STEPS as ANSWER_STEPS_OF_PLANS
-from autopilot.control.energy.patience import RETRY_STEPS, Kind
+from autopilot.control.energy.patience import Kind
 from autopilot.control.energy.power import PowerModel
 from autopilot.control.energy.request import Plan, Request
 from autopilot.control.energy.search import EnergyPlanner
 from autopilot.control.energy.trajectory import Ask, Program, Trajectory
+from autopilot.control.energy.tuned import PATIENCE
 from autopilot.control.way.desks import Desks
-from autopilot.control.way.guidance import ANSWER_STEPS, PATIENCE_STEPS
 from autopilot.control.way.planner import Planner
+from autopilot.control.way.tuned import GUIDANCE
 from autopilot.core.desk import Cancel, Desk, WithdrawnError
 from autopilot.core.frames import FloatArray
 from autopilot.core.geometry import Circle, Fence, Polygon
@@ -81,8 +82,8 @@ def test_a_straight_way_is_taken_at_once_and_another_one_a_counted_number_of_ste
     far = goal(2.0, -0.35, 0.45, None)
     assert np.allclose(loop.step(far, OPEN)[-1], far.pos_ned_m[:2])
     loop.controller.reset()
-    lengths = [len(loop.step(far, pillar(0.0, -0.35))) for _ in range(ANSWER_STEPS + 1)]
-    assert lengths[:-1] == [2] * ANSWER_STEPS and lengths[-1] > 4
+    lengths = [len(loop.step(far, pillar(0.0, -0.35))) for _ in range(GUIDANCE.answer_steps + 1)]
+    assert lengths[:-1] == [2] * GUIDANCE.answer_steps and lengths[-1] > 4
     assert not loop.controller.unreachable
 
 
@@ -164,7 +165,7 @@ def test_goals_and_fences_that_change_faster_than_routes_are_found_do_not_stop_i
         wall = pillar(0.0, -0.35 + 0.001 * (step % 7))
         loop.step(goal(2.0 + 0.01 * (step % 5), -0.35, 0.45, None), wall)
     assert loop.x[0] > 1.0
-    assert PATIENCE_STEPS * STEP_US == 1_000_000
+    assert GUIDANCE.patience_steps * STEP_US == 1_000_000
 
 
 class Counting(EnergyPlanner):
@@ -280,7 +281,7 @@ def test_a_leg_whose_plan_fails_goes_by_the_plain_route(script: Callable[[int, R
                 break
     assert index == 2, "both legs are flown"
     # On each leg after 1, 2, 4, 8 s, and where the vehicle has gone on by 2 m.
-    assert 4 <= planner.asked <= 14 and planner.asked < loop.steps / RETRY_STEPS / 2
+    assert 4 <= planner.asked <= 14 and planner.asked < loop.steps / PATIENCE.retry_steps / 2
     warnings = [text for severity, text in news if severity <= Severity.WARNING]
     assert warnings == ["No energy plan: flying the plain route"] and len(warnings[0]) <= 50
     assert sum("energy planner: " in text for severity, text in news if severity is Severity.DEBUG) == 1

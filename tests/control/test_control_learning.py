@@ -10,8 +10,9 @@ from hypothesis import strategies as st
 
 from autopilot.control.controller import MotionController
 from autopilot.control.energy.trajectory import Program, Trajectory
-from autopilot.control.water.current_learning import MAX_CELLS, Basin, LearnedCurrent, narrowest_width_m
+from autopilot.control.water.current_learning import Basin, LearnedCurrent, narrowest_width_m
 from autopilot.control.water.currents import EstimatedCurrent
+from autopilot.control.water.tuned import CURRENT_LEARNING
 from autopilot.core.geometry import Circle, Fence
 from autopilot.core.messages import NavHealth
 from autopilot.core.params import ParamSet
@@ -84,9 +85,9 @@ def test_the_estimate_rules_here_and_now() -> None:
 def test_memory_is_bounded_and_bad_estimates_teach_nothing() -> None:
     forecast = LearnedCurrent()
     forecast.within(TANK)
-    for k in range(3 * MAX_CELLS):
+    for k in range(3 * CURRENT_LEARNING.max_cells):
         forecast.view(along(0.7 * k, 0.0, 1.0 * k, np.array([0.1, 0.0, 0.0])))
-    assert len(forecast._cells) == MAX_CELLS
+    assert len(forecast._cells) == CURRENT_LEARNING.max_cells
     fresh = LearnedCurrent()
     fresh.view(along(0.0, 0.0, 0.0, np.array([math.nan, 0.0, 0.0])))
     fresh.view(along(0.0, 0.0, 1.0, np.array([0.5, 0.0, 0.0]), NavHealth.DEAD_RECKONING))

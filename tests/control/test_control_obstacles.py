@@ -8,7 +8,8 @@ from control_loop import TANK
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from autopilot.control.fence.obstacles import FAR_M, Features, clearance_m
+from autopilot.control.fence.obstacles import Features, clearance_m
+from autopilot.control.fence.tuned import FEATURES
 from autopilot.core.geometry import Circle, Fence, Polygon
 
 L_ROOM = np.array([[-3.0, -3.0], [-3.0, 3.0], [0.0, 3.0], [0.0, 0.0], [3.0, 0.0], [3.0, -3.0]])
@@ -146,10 +147,10 @@ def test_push_out_brings_points_to_the_radius() -> None:
 
 def test_open_water_has_no_constraints() -> None:
     normals, offsets = np.ones((3, 8, 2)), np.ones((3, 8))
-    assert planes(Fence(), np.zeros((3, 2)), 0.3, normals, offsets) == FAR_M
+    assert planes(Fence(), np.zeros((3, 2)), 0.3, normals, offsets) == FEATURES.far_m
     assert not normals.any()
     assert (offsets == -1.0).all()
-    assert clearance_m(Fence(), [[0.0, 0.0]])[0] == FAR_M
+    assert clearance_m(Fence(), [[0.0, 0.0]])[0] == FEATURES.far_m
 
 
 def test_a_violated_boundary_is_asked_for_gradually_and_others_at_once() -> None:

@@ -12,9 +12,8 @@ from hypothesis import strategies as st
 from autopilot.control.fence.obstacles import clearance_m
 from autopilot.control.nmpc.grid import geometric_grid
 from autopilot.control.robust.fallback import station_keeping_thrust
-from autopilot.control.way.planner import PLANNING_EXTRA_M, Planner
+from autopilot.control.way.planner import Planner
 from autopilot.control.way.reference import (
-    DECELERATION_M_S2,
     Route,
     Target,
     approach,
@@ -23,11 +22,12 @@ from autopilot.control.way.reference import (
     turn_target,
     water_speed_share,
 )
+from autopilot.control.way.tuned import PLANNER, REFERENCE
 from autopilot.core.geometry import Circle, Fence, Polygon
 from autopilot.core.model4 import state_derivative
 from autopilot.core.sharing import Sharing
 from autopilot.mission.reach import free_regions
-from autopilot.mission.validation import PASSAGE_M
+from autopilot.mission.tuned import VALIDATION
 
 RADIUS_M = 0.33
 A, B = np.array([-1.6, -0.35]), np.array([1.75, 0.0])
@@ -50,7 +50,7 @@ def test_tank_route_is_free_short_and_avoids_the_south_corridor() -> None:
         assert path is not None
         assert np.allclose(path[0], start)
         assert np.allclose(path[-1], end)
-        assert clearance_along(TANK, path) > RADIUS_M + PLANNING_EXTRA_M - 0.01
+        assert clearance_along(TANK, path) > RADIUS_M + PLANNER.planning_extra_m - 0.01
         assert length(path) < 3.65
         near_pillar = path[np.abs(path[:, 0] + 0.625) < 0.3]
         assert (near_pillar[:, 1] > -0.625).all()
@@ -108,10 +108,10 @@ def test_upload_check_and_planner_agree_on_doors(seed: int) -> None:
         east = [(thick, high), (thick, 1.0), (2.0, 1.0), (2.0, -1.0), (thick, -1.0), (thick, low)]
         corners = np.array([*west, *east, (-thick, low), (-thick, -1.0)]) @ turned.T
         fence = Fence(inclusions=(Polygon(vertices_ned_m=corners),))
-        regions = free_regions(fence, ends, RADIUS_M + PASSAGE_M)
+        regions = free_regions(fence, ends, RADIUS_M + VALIDATION.passage_m)
         assert regions is not None
         accepted = regions[0] == regions[1]
-        assert accepted is (door_m > 2.0 * (RADIUS_M + PASSAGE_M))
+        assert accepted is (door_m > 2.0 * (RADIUS_M + VALIDATION.passage_m))
         found = Planner(fence, RADIUS_M).path(*ends)
         assert not accepted or found is not None
         assert found is None or door_m >= 2.0 * RADIUS_M
@@ -178,7 +178,7 @@ def test_route_projection_and_points() -> None:
 @settings(max_examples=60, deadline=None)
 def test_approach_stops_at_the_end(distance: float, speed: float) -> None:
     t_s = np.linspace(0.0, 60.0 + distance / speed, 4001)
-    travel, rate = approach([(distance, speed, DECELERATION_M_S2)], t_s)
+    travel, rate = approach([(distance, speed, REFERENCE.deceleration_m_s2)], t_s)
     assert travel[0, 0] == pytest.approx(0.0, abs=1e-9)
     assert travel[0, -1] == pytest.approx(distance, abs=1e-9)
     assert rate[0, -1] == 0.0

@@ -23,7 +23,7 @@ from autopilot.control.nmpc.grid import geometric_grid
 from autopilot.control.nmpc.reversal import LEAST_SHARE
 from autopilot.control.nmpc.unsolved import solve_again
 from autopilot.control.step_program import MOST_QPS
-from autopilot.control.thrust.by_hand import SLEW_SHARE_1_S
+from autopilot.control.thrust.tuned import BY_HAND
 from autopilot.core.desk import Cancel
 from autopilot.core.frames import FloatArray
 from autopilot.core.geometry import Circle, Fence, Polygon
@@ -216,7 +216,7 @@ def test_the_first_thrust_of_a_start_has_converged() -> None:
                 x, u = controller.nmpc.x.copy(), controller.nmpc.u.copy()
                 thrust = controller.nmpc.solve(task).thrust_n[0]
                 if last is not None:
-                    most = SLEW_SHARE_1_S * one.limit_n * 0.05
+                    most = BY_HAND.slew_share_1_s * one.limit_n * 0.05
                     thrust = np.clip(thrust, last - most, last + most)
                 least_n = LEAST_SHARE * one.vehicle.drive.limit_n
                 thrust[(output.thrust_n == 0.0) & (np.abs(thrust) < least_n)] = 0.0  # not turned round for that

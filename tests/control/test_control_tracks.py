@@ -8,18 +8,8 @@ import pytest
 from control_loop import STEP_US, TANK, VEHICLE, A, B, fly, goal
 
 from autopilot.control.controller import MotionController
-from autopilot.control.fence.tracks import (
-    FORGET_MOVING_US,
-    FORGET_STANDING_US,
-    GROWTH_M_S,
-    LARGEST_GROWTH_M,
-    MAX_TRACKS,
-    WAITED_US,
-    Obstructions,
-    Tracks,
-    Way,
-    movers_of,
-)
+from autopilot.control.fence.tracks import Obstructions, Tracks, Way, movers_of
+from autopilot.control.fence.tuned import TRACKS
 from autopilot.core.geometry import Fence
 from autopilot.core.messages import Fallback
 from autopilot.core.samples import ObstacleTrack
@@ -41,11 +31,11 @@ def test_a_track_is_taken_on_and_its_circle_grows_with_age() -> None:
     movers = movers_of([track(1.0, 2.0, 0.1, -0.2, t_us=1_000_000)], 3_000_000)
     assert movers is not None
     assert movers.center[0] == pytest.approx(1.2 + 1.6j)
-    assert movers.radius_m[0] == pytest.approx(0.15 + 2.0 * GROWTH_M_S)
-    assert movers.growth_m_s[0] == GROWTH_M_S
+    assert movers.radius_m[0] == pytest.approx(0.15 + 2.0 * TRACKS.growth_m_s)
+    assert movers.growth_m_s[0] == TRACKS.growth_m_s
     old = movers_of([track(1.0, 2.0, 0.1)], 10**9)
     assert old is not None
-    assert old.radius_m[0] == pytest.approx(0.15 + LARGEST_GROWTH_M)
+    assert old.radius_m[0] == pytest.approx(0.15 + TRACKS.largest_growth_m)
     assert movers_of([], 0) is None
 
 
@@ -53,12 +43,14 @@ def test_tracks_are_forgotten_and_bounded() -> None:
     tracks = Tracks()
     tracks.note(0, track(0.0, 0.0, 0.2, number=1))
     tracks.note(0, track(0.0, 0.0, number=2))
-    assert [t.track_id for t in tracks.at(FORGET_MOVING_US)] == [1, 2]
-    assert [t.track_id for t in tracks.at(FORGET_MOVING_US + 1)] == [2]
-    assert tracks.at(FORGET_STANDING_US + 1) == ()
-    for number in range(2 * MAX_TRACKS):
+    assert [t.track_id for t in tracks.at(TRACKS.forget_moving_us)] == [1, 2]
+    assert [t.track_id for t in tracks.at(TRACKS.forget_moving_us + 1)] == [2]
+    assert tracks.at(TRACKS.forget_standing_us + 1) == ()
+    for number in range(2 * TRACKS.max_tracks):
         tracks.note(number, track(0.0, 0.0, t_us=number, number=number))
-    assert [t.track_id for t in tracks.at(2 * MAX_TRACKS)] == list(range(MAX_TRACKS, 2 * MAX_TRACKS))
+    assert [t.track_id for t in tracks.at(2 * TRACKS.max_tracks)] == list(
+        range(TRACKS.max_tracks, 2 * TRACKS.max_tracks)
+    )
     assert tracks.dropped == 0
 
 
@@ -120,12 +112,12 @@ def test_a_mover_that_blocks_the_way_for_long_is_gone_round_for_a_while() -> Non
         return len(sorter.sort(t_us, TANK, tracks, ahead)[0].exclusions) - len(TANK.exclusions)
 
     assert exclusions(0) == 0
-    assert exclusions(WAITED_US - 1) == 0
-    assert exclusions(WAITED_US) == 1
-    assert exclusions(WAITED_US + 1_000_000) == 1
-    assert exclusions(WAITED_US + 20_000_000) == 0
-    assert exclusions(WAITED_US + 21_000_000, way([[0.0, 0.0], [3.0, 0.0]], speed_m_s=0.3)) == 0
-    assert exclusions(2 * WAITED_US + 21_000_000, way([[0.0, 0.0], [0.0, 3.0]], speed_m_s=0.0)) == 0
+    assert exclusions(TRACKS.waited_us - 1) == 0
+    assert exclusions(TRACKS.waited_us) == 1
+    assert exclusions(TRACKS.waited_us + 1_000_000) == 1
+    assert exclusions(TRACKS.waited_us + 20_000_000) == 0
+    assert exclusions(TRACKS.waited_us + 21_000_000, way([[0.0, 0.0], [3.0, 0.0]], speed_m_s=0.3)) == 0
+    assert exclusions(2 * TRACKS.waited_us + 21_000_000, way([[0.0, 0.0], [0.0, 3.0]], speed_m_s=0.0)) == 0
 
 
 class Seeing(MotionController):

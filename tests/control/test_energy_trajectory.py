@@ -8,11 +8,12 @@ import pytest
 
 from autopilot.control.controller import MotionController
 from autopilot.control.energy.flow import area_of, sample_flow
-from autopilot.control.energy.leg_task import LEG_DEPTH_M, shifted
+from autopilot.control.energy.leg_task import shifted
 from autopilot.control.energy.power import PowerModel
 from autopilot.control.energy.request import Request
 from autopilot.control.energy.search import EnergyPlanner
 from autopilot.control.energy.track import Track, joined
+from autopilot.control.energy.tuned import LEG_TASK
 from autopilot.control.water.currents import EstimatedCurrent, MappedCurrent, PointwiseField
 from autopilot.core import model4
 from autopilot.core.frames import FloatArray
@@ -216,4 +217,4 @@ def test_a_long_leg_keeps_to_the_depth_that_was_drawn() -> None:
     to = goal(60.0, 0.0, 5.0, None)
     flight = fly(controller, [to], [0, 0, 5.0, 0, 0, 0, 0, 0], fence=open_water, params=params, limit_s=240.0)
     assert flight.reached_s
-    assert np.abs(flight.x[:, 2] - 5.0).max() < LEG_DEPTH_M + 0.05
+    assert np.abs(flight.x[:, 2] - 5.0).max() < LEG_TASK.leg_depth_m + 0.05

@@ -12,8 +12,9 @@ from hypothesis import strategies as st
 
 from autopilot.control.controller import MotionController
 from autopilot.control.way import guidance
-from autopilot.control.way.guidance import BEHIND_M, LEAD_M, LEAST_PROGRESS_M_S, Lead
+from autopilot.control.way.guidance import BEHIND_M, LEAD_M, Lead
 from autopilot.control.way.reference import Route
+from autopilot.control.way.tuned import GUIDANCE
 from autopilot.core.frames import FloatArray
 from autopilot.core.geometry import Fence
 from autopilot.core.messages import Goal
@@ -104,7 +105,7 @@ def test_the_lead_is_bounded_and_gone_once_the_vehicle_has_made_it_good(steps: l
         s_m, t_us = s_m + 0.05 * speed, t_us + 50_000
         lead.look(t_us, route, s_m)
         assert 0.0 <= lead.m <= LEAD_M + 1e-12
-    lead.look(t_us + 50_000, route, s_m + BEHIND_M + LEAD_M + 0.05 * LEAST_PROGRESS_M_S)
+    lead.look(t_us + 50_000, route, s_m + BEHIND_M + LEAD_M + 0.05 * GUIDANCE.least_progress_m_s)
     assert lead.m == 0.0
     other = Route(np.array([[0.0, 0.0], [50.0, 0.0]]))
     lead.look(t_us + 100_000, other, 0.0)

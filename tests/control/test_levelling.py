@@ -10,7 +10,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from autopilot.control.thrust.actuation import Actuation
-from autopilot.control.thrust.levelling import MOST, Levelling
+from autopilot.control.thrust.levelling import Levelling
+from autopilot.control.thrust.tuned import LEVELLING
 from autopilot.core.frames import FloatArray
 from autopilot.core.messages import NavState
 from autopilot.core.params import ParamSet
@@ -80,7 +81,7 @@ def test_the_axes_are_left_alone_and_the_reserve_is_enough(seed: int) -> None:
     wrench = np.array(wrench_matrix([t.position_frd_m for t in thrusters], [t.direction_frd for t in thrusters]))
     limit = rng.uniform(5.0, 30.0, 8) * (np.arange(8) != rng.integers(4, 12))
     reserve = loop.reserve_n(limit)
-    assert (reserve >= 0.0).all() and (reserve <= MOST * limit + 1e-12).all() and not reserve[:4].any()
+    assert (reserve >= 0.0).all() and (reserve <= LEVELLING.most * limit + 1e-12).all() and not reserve[:4].any()
     wanted = rng.uniform(-1.0, 1.0, 8) * (limit - reserve)
     thrust = loop.thrust_n(wanted, limit, rng.normal(size=3) * 0.3, rng.normal(size=3) * 0.5)
     assert (np.abs(thrust) <= limit + 1e-9).all()

@@ -11,11 +11,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from autopilot.control.controller import MotionController
-from autopilot.control.robust.regions import ANSWER_STEPS, TerminalRegions
+from autopilot.control.robust.regions import TerminalRegions
 from autopilot.control.robust.riccati import discretise
 from autopilot.control.robust.terminal import (
-    KAPPA,
-    SAMPLES,
     Terminal,
     TerminalLimits,
     analytic_alpha,
@@ -26,6 +24,7 @@ from autopilot.control.robust.terminal import (
     unit_samples,
     violations,
 )
+from autopilot.control.robust.tuned import REGIONS, TERMINAL
 from autopilot.core import model4
 from autopilot.core.desk import Desk
 from autopilot.core.frames import FloatArray
@@ -82,7 +81,7 @@ def test_cost_solves_the_inflated_lyapunov_equation(current: tuple[float, float]
         step[0, i] = h
         columns.append((closed_loop(MODEL, law, step)[0] - closed_loop(MODEL, law, -step)[0])[0] / (2.0 * h))
     closed = np.array(columns).T
-    wanted = -KAPPA * (np.diag(Q) + law.k.T @ np.diag(R) @ law.k)
+    wanted = -TERMINAL.kappa * (np.diag(Q) + law.k.T @ np.diag(R) @ law.k)
     residual = closed.T @ law.p @ closed - law.p - wanted
     assert np.abs(residual).max() < 2e-2 * np.abs(law.p).max()
     assert np.linalg.eigvalsh(law.p).min() > 0.0
@@ -166,8 +165,8 @@ def test_regions_are_certified_beside_the_loop_and_told_to_the_log_once() -> Non
         assert regions.law is not None, "the law is there at once"
         steps += 1
         assert steps < 200
-    assert steps == ANSWER_STEPS + 1
-    assert regions.certificate.samples == SAMPLES
+    assert steps == REGIONS.answer_steps + 1
+    assert regions.certificate.samples == TERMINAL.samples
     news = regions.take_news()
     assert len(news) == 1 and news[0][0] is Severity.DEBUG and "Item 0: alpha" in news[0][1]
     for _ in range(2 * steps):
@@ -189,13 +188,13 @@ def test_the_controller_certifies_its_goal_while_it_flies(cost: float) -> None:
         controller.step(step * 50_000, nav_state(step * 50_000, x), A, fence, params)
     certificate = controller.regions.certificate
     assert certificate is not None and certificate.alpha > 0.0 and certificate.violations == 0
-    assert certificate.samples == (0 if cost else SAMPLES)
+    assert certificate.samples == (0 if cost else TERMINAL.samples)
     assert [severity for severity, text in controller.take_news() if "alpha" in text] == [Severity.DEBUG]
 
 
 def test_a_goal_without_a_region_is_something_to_mend() -> None:
     regions = TerminalRegions(SHARING, Desk())
-    for _ in range(2 * ANSWER_STEPS):
+    for _ in range(2 * REGIONS.answer_steps):
         regions.follow(B, math.pi, np.zeros(3), -0.01, lambda: limits(clearance_m=-0.01), Q, R)
     told = [text for severity, text in regions.take_news() if severity <= Severity.INFO]
     assert told == ["Item 0: beyond the clearance limit, move it"]
@@ -238,7 +237,7 @@ def test_a_goal_is_not_to_be_moved_because_the_depth_is_in_doubt_when_it_appears
     to, x = goal(0.5, 0.0, depth_m, None, seq=1), np.array([0.0, 0.0, 0.6, 0.0, 0.0, 0.0, 0.0, 0.0])
     doubt = np.zeros(12)
     doubt[:3] = 0.05**2, 0.05**2, 0.16**2
-    for step in range(2 * ANSWER_STEPS):
+    for step in range(2 * REGIONS.answer_steps):
         nav = nav_state(step * 50_000, x)
         nav = replace(nav, variance=doubt) if step < 5 else nav
         controller.step(step * 50_000, nav, to, Fence(depth_max_m=1.2), params)

@@ -10,8 +10,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from autopilot.control.nmpc.grid import geometric_grid, uniform_grid
-from autopilot.control.robust.ancillary import STATE_WEIGHTS, THRUST_WEIGHT, Ancillary
-from autopilot.control.robust.disturbance import BOUND_SIGMAS, DisturbanceBound, EstimateSpread, channel_variances
+from autopilot.control.robust.ancillary import Ancillary
+from autopilot.control.robust.disturbance import DisturbanceBound, EstimateSpread, channel_variances
 from autopilot.control.robust.error_model import (
     CHANNELS,
     disturbance_matrix,
@@ -24,7 +24,7 @@ from autopilot.control.robust.inner import InnerLoop, plan_error
 from autopilot.control.robust.lipschitz import TUNED_SCALES, UNIT_SCALES, lipschitz_report
 from autopilot.control.robust.margins import Margins
 from autopilot.control.robust.riccati import dare, discretise, exponential, gain, lyapunov
-from autopilot.control.robust.tube import CURRENT_CORRELATION_S, FORCE_CORRELATION_S
+from autopilot.control.robust.tuned import ANCILLARY, DISTURBANCE, TUBE
 from autopilot.core import model4
 from autopilot.core.frames import FloatArray
 from autopilot.core.messages import NavState
@@ -136,8 +136,8 @@ def test_munk_instability_and_its_cure() -> None:
 def test_gain_is_the_lqr_gain_at_the_points_of_the_table_and_continuous_between() -> None:
     ancillary = Ancillary(MODEL)
     a, b = discretise(error_jacobian(MODEL, np.array([0.4, 0.0, 0.0, 0.0])), input_matrix(MODEL), 0.02)
-    p = scipy.linalg.solve_discrete_are(a, b, np.diag(STATE_WEIGHTS), THRUST_WEIGHT * np.eye(4))
-    k = -np.linalg.solve(THRUST_WEIGHT * np.eye(4) + b.T @ p @ b, b.T @ p @ a)
+    p = scipy.linalg.solve_discrete_are(a, b, np.diag(ANCILLARY.state_weights), ANCILLARY.thrust_weight * np.eye(4))
+    k = -np.linalg.solve(ANCILLARY.thrust_weight * np.eye(4) + b.T @ p @ b, b.T @ p @ a)
     assert np.allclose(ancillary.gain(0.4), k, atol=1e-6)
     for surge in np.linspace(-1.0, 1.0, 41):
         assert np.abs(ancillary.gain(surge + 1e-6) - ancillary.gain(surge)).max() < 1e-3
@@ -145,7 +145,7 @@ def test_gain_is_the_lqr_gain_at_the_points_of_the_table_and_continuous_between(
 
 def test_tube_table_is_the_stationary_covariance() -> None:
     """At the horizon's end the tabulated growth has reached the Lyapunov solution."""
-    rate = np.array([FORCE_CORRELATION_S] * 4 + [CURRENT_CORRELATION_S] * 3)
+    rate = np.array([TUBE.force_correlation_s] * 4 + [TUBE.current_correlation_s] * 3)
     nu = np.array([0.4, 0.0, 0.0, 0.0])
     closed = error_jacobian(MODEL, nu) + input_matrix(MODEL) @ MARGINS.ancillary.gain(0.4)
     system = np.zeros((8 + CHANNELS, 8 + CHANNELS))
@@ -199,11 +199,11 @@ def _flown_errors(seed: int, surge: float, turn: float, seconds: float) -> tuple
     rng = np.random.default_rng(seed)
     params, h = ParamSet(), 0.02
     bound = DisturbanceBound.of(params).per_channel()
-    fade = np.exp(-h / np.array([FORCE_CORRELATION_S] * 4 + [CURRENT_CORRELATION_S] * 3))
+    fade = np.exp(-h / np.array([TUBE.force_correlation_s] * 4 + [TUBE.current_correlation_s] * 3))
     nu = np.array([surge, 0.0, 0.0, turn])
     feed = np.linalg.solve(np.array(MODEL.allocation), np.array(model4.steady_force(MODEL, nu.tolist(), math)))
     z = np.array([0.0, 0.0, 0.5, 0.3, *nu])
-    x, w = z.copy(), rng.normal(size=CHANNELS) * bound / BOUND_SIGMAS
+    x, w = z.copy(), rng.normal(size=CHANNELS) * bound / DISTURBANCE.bound_sigmas
     mass, inverse = np.array(MODEL.mass_kg), np.linalg.inv(np.array(MODEL.allocation))
 
     def still(_: FloatArray) -> FloatArray:
@@ -213,7 +213,11 @@ def _flown_errors(seed: int, surge: float, turn: float, seconds: float) -> tuple
     for _ in range(int(seconds / h)):
         e = error_of(x, z)
         errors.append(e)
-        w = np.clip(fade * w + np.sqrt(1.0 - fade**2) * rng.normal(size=CHANNELS) * bound / BOUND_SIGMAS, -bound, bound)
+        w = np.clip(
+            fade * w + np.sqrt(1.0 - fade**2) * rng.normal(size=CHANNELS) * bound / DISTURBANCE.bound_sigmas,
+            -bound,
+            bound,
+        )
         push = mass * (disturbance_matrix(MODEL, z[4:]) @ w)[4:]
         x = rk4(MODEL, x, feed + MARGINS.ancillary.correction(x, z) + inverse @ push, still, h)
         z = rk4(MODEL, z, feed, still, h)

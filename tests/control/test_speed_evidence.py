@@ -11,8 +11,9 @@ from hypothesis import strategies as st
 
 from autopilot.control.controller import MotionController
 from autopilot.control.nmpc.grid import geometric_grid
-from autopilot.control.robust.evidence import GROW_M_S2, LEAST_SHARE, SHRINK_M_S2, SpeedEvidence
+from autopilot.control.robust.evidence import SpeedEvidence
 from autopilot.control.robust.margins import Margins
+from autopilot.control.robust.tuned import EVIDENCE
 from autopilot.core.geometry import Fence
 from autopilot.core.messages import NavHealth, NavState
 from autopilot.core.params import ParamSet
@@ -41,7 +42,7 @@ def test_a_speed_that_is_kept_earns_half_of_the_margin_slowly_and_a_gust_takes_i
     k = at_cap(evidence, 5.0, 0.004)
     assert evidence.share > 0.75, "not within seconds"
     k = at_cap(evidence, 40.0, 0.004, k)
-    assert evidence.share == pytest.approx(LEAST_SHARE, abs=0.03)
+    assert evidence.share == pytest.approx(EVIDENCE.least_share, abs=0.03)
     rng = np.random.default_rng(3)
     for i in range(40):
         evidence.look(seen(k + i, 0.43 + 0.06 * rng.normal()), LIMIT, TUBE, LEAST)
@@ -65,9 +66,9 @@ def test_the_margin_never_jumps_never_falls_below_half_and_holds_what_is_seen(se
         speed = abs(0.95 * (LIMIT - evidence.share * TUBE) + noise * rng.normal())
         current = STRONG * rng.uniform(0.9, 1.1)
         evidence.look(seen(k, speed, current), LIMIT, TUBE, LEAST)
-        assert LEAST_SHARE <= evidence.share <= 1.0
+        assert EVIDENCE.least_share <= evidence.share <= 1.0
         moved = (evidence.share - before) * TUBE
-        assert -SHRINK_M_S2 * STEP_S - 1e-9 <= moved <= GROW_M_S2 * STEP_S + 1e-9
+        assert -EVIDENCE.shrink_m_s2 * STEP_S - 1e-9 <= moved <= EVIDENCE.grow_m_s2 * STEP_S + 1e-9
         before = evidence.share
     assert evidence.share >= min(1.0, 2.0 * noise / TUBE) - 0.1
 

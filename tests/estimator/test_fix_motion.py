@@ -14,8 +14,9 @@ from autopilot.core.frames import FloatArray, wrap_pi
 from autopilot.core.messages import NavDoubt, NavHealth, NavState
 from autopilot.core.samples import PoseSample, Sample
 from autopilot.estimator.engine import Engine
-from autopilot.estimator.fix_motion import ALIKE, FLOOR, SURE, FixMotion, Run, Seen, plausible
+from autopilot.estimator.fix_motion import FLOOR, FixMotion, Run, Seen, plausible
 from autopilot.estimator.fix_trust import PROBATION_US
+from autopilot.estimator.tuned import FIX_MOTION
 
 BEGIN_US, END_US = 6_000_000, 9_000_000
 DRIFT = np.array([0.02, 0.02, 0.02, 0.005]) ** 2
@@ -46,15 +47,15 @@ def test_what_moves_with_the_vehicle_is_rarely_denied() -> None:
     runs = [run_of(rng, lambda way: way + np.array([0.5, -0.2, 0.1, 0.0])) for _ in range(2000)]
     assert np.mean([run.apart > 1.0 for run in runs]) <= 0.003
     assert np.mean([run.follows for run in runs]) > 0.99
-    assert np.mean([run.moves > SURE for run in runs]) > 0.97
-    assert np.mean([run.moves < -SURE for run in runs]) == 0.0
+    assert np.mean([run.moves > FIX_MOTION.sure for run in runs]) > 0.97
+    assert np.mean([run.moves < -FIX_MOTION.sure for run in runs]) == 0.0
 
 
 def test_what_stands_still_or_goes_its_own_way_is_denied() -> None:
     rng = np.random.default_rng(2)
     still = [run_of(rng, lambda way: way * 0.0) for _ in range(500)]
     assert np.mean([run.follows for run in still]) < 0.02
-    assert np.mean([run.follows and run.moves > SURE for run in still]) == 0.0
+    assert np.mean([run.follows and run.moves > FIX_MOTION.sure for run in still]) == 0.0
     other = [run_of(rng, lambda way: -way) for _ in range(500)]
     assert np.mean([run.follows for run in other]) < 0.02
 
@@ -75,7 +76,7 @@ def test_a_wrong_heading_of_dead_reckoning_turns_its_way() -> None:
 
 
 def test_one_run_covers_errors_that_are_alike() -> None:
-    assert ALIKE >= 1.0
+    assert FIX_MOTION.alike >= 1.0
     assert plausible(np.array([0.3, 0.2, 0.0, 0.02]), FIX**2, np.full(4, 0.05**2), 3.0)
     assert not plausible(np.array([0.3, 0.2, 0.0, 1.5]), FIX**2, np.full(4, 0.05**2), 3.0), "gyros do not lose that"
 

@@ -152,8 +152,8 @@ def network_of(level: bool) -> Network:
 def cost(network: Network) -> float:
     """Half the sum of squares that the normal equations are of."""
     off, known = adjustment._prior_errors(network)
-    shrink = (network.shrink_px - adjustment.SHRINK_PX) / adjustment.SHRINK_SIGMA_PX
-    added = np.square(network.view_shrink_px / adjustment.VIEW_SHRINK_SIGMA_PX).sum()
+    shrink = (network.shrink_px - adjustment.ADJUSTMENT.shrink_px) / adjustment.ADJUSTMENT.shrink_sigma_px
+    added = np.square(network.view_shrink_px / adjustment.ADJUSTMENT.view_shrink_sigma_px).sum()
     residuals = adjustment._residuals(network)
     return 0.5 * float(np.square(residuals).sum() + (known * off**2).sum() + added + shrink**2)
 

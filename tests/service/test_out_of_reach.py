@@ -11,7 +11,8 @@ from hypothesis import strategies as st
 from autopilot.core.messages import Goal, NavHealth, NavState, Outputs, ProgressState
 from autopilot.mavlink.api import FlightMode
 from autopilot.mission.items import GoTo
-from autopilot.mission.upstream import FRESH_STARTS, MadeGood, ground_speed_m_s, slowest_leg
+from autopilot.mission.tuned import UPSTREAM
+from autopilot.mission.upstream import MadeGood, ground_speed_m_s, slowest_leg
 from autopilot.run.config import gather, sitl_defaults
 from autopilot.run.sitl_session import open_sitl
 from tests.service.commander_bench import OK, Bench
@@ -180,7 +181,7 @@ def test_another_way_counts_anew_but_not_for_ever_and_blind_time_not_at_all() ->
         left_m = left_m + 5.0 if k % 100 == 0 else left_m
         idle_s.append(watch.idle_s(k * 1_000_000, GOAL, _nav(-9.0, k), left_m, 0.6))
         starts += idle_s[-1] == 0.0
-    assert starts <= 2 * FRESH_STARTS + 2 and idle_s[-1] > 300.0
+    assert starts <= 2 * UPSTREAM.fresh_starts + 2 and idle_s[-1] > 300.0
     blind = MadeGood()
     for k in range(200):
         health = NavHealth.DEAD_RECKONING if k > 5 else NavHealth.GOOD

@@ -9,8 +9,9 @@ from hypothesis import strategies as st
 from plant_helpers import NEUTRAL, VEHICLE, body_with, kinetic_energy_j, plant
 
 from autopilot.core.errors import ConfigError
-from autopilot.sitl.contact import STIFFNESS_N_M, Cylinder, Prism, Sphere, Surroundings, is_inside
+from autopilot.sitl.contact import Cylinder, Prism, Sphere, Surroundings, is_inside
 from autopilot.sitl.plant import Plant
+from autopilot.sitl.tuned import CONTACT
 from autopilot.sitl.world import World
 
 TRIMMED = body_with(buoyancy_excess_n=0.0)
@@ -44,8 +45,8 @@ def test_a_push_against_the_wall_presses_the_hull_in_by_force_over_stiffness() -
     hull = pushed((0.0, 10.0, 0.0), (0.0, 1.1, 0.7))
     hull.advance(20_000_000, NEUTRAL)
     truth = hull.truth
-    assert truth.contact_depth_m == pytest.approx(10.0 / STIFFNESS_N_M, rel=1e-3)
-    assert truth.pos_ned_m[1] == pytest.approx(1.5 - RADIUS + 10.0 / STIFFNESS_N_M, abs=1e-6)
+    assert truth.contact_depth_m == pytest.approx(10.0 / CONTACT.stiffness_n_m, rel=1e-3)
+    assert truth.pos_ned_m[1] == pytest.approx(1.5 - RADIUS + 10.0 / CONTACT.stiffness_n_m, abs=1e-6)
     assert truth.max_penetration_m > truth.contact_depth_m
     np.testing.assert_allclose(truth.accel_frd_m_s2[:2], 0.0, atol=1e-6)
     assert {record.what for record in hull.contacts} == {"wall"}
@@ -56,14 +57,14 @@ def test_a_push_against_the_wall_presses_the_hull_in_by_force_over_stiffness() -
 def test_a_push_into_a_corner_meets_two_walls() -> None:
     hull = pushed((10.0, 10.0, 0.0), (2.0, 1.0, 0.7))
     hull.advance(20_000_000, NEUTRAL)
-    expected = np.array([2.5, 1.5]) - RADIUS + 10.0 / STIFFNESS_N_M
+    expected = np.array([2.5, 1.5]) - RADIUS + 10.0 / CONTACT.stiffness_n_m
     np.testing.assert_allclose(hull.truth.pos_ned_m[:2], expected, atol=1e-5)
 
 
 def test_the_floor_carries_a_heavy_hull() -> None:
     hull = pushed((0.0, 0.0, 5.0), (0.0, 0.0, 1.0))
     hull.advance(30_000_000, NEUTRAL)
-    assert hull.truth.pos_ned_m[2] == pytest.approx(1.5 - HALF_HEIGHT + 5.0 / STIFFNESS_N_M, abs=1e-6)
+    assert hull.truth.pos_ned_m[2] == pytest.approx(1.5 - HALF_HEIGHT + 5.0 / CONTACT.stiffness_n_m, abs=1e-6)
     assert {record.what for record in hull.contacts} == {"floor"}
 
 
@@ -158,7 +159,7 @@ def test_a_push_against_a_box_presses_the_hull_in_by_force_over_stiffness() -> N
     hull = plant(TRIMMED, World(floor_m=1.5, solids=(BOX,)), start_pos_ned_m=(0.2, 0.0, 0.7))
     hull.set_external_wrench(force_ned_n=(10.0, 0.0, 0.0))
     hull.advance(20_000_000, NEUTRAL)
-    assert hull.truth.pos_ned_m[0] == pytest.approx(0.8 - RADIUS + 10.0 / STIFFNESS_N_M, abs=1e-5)
+    assert hull.truth.pos_ned_m[0] == pytest.approx(0.8 - RADIUS + 10.0 / CONTACT.stiffness_n_m, abs=1e-5)
     assert {record.what for record in hull.contacts} == {"box"}
 
 

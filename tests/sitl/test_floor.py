@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 from sensor_helpers import SCENARIO, floor
 
-from autopilot.sitl.floor import MAX_PX, build_floor, build_markers
+from autopilot.sitl.floor import build_floor, build_markers
 from autopilot.sitl.scenario import load_scenario
 from autopilot.sitl.scenario_tables import Markers, Tank
+from autopilot.sitl.tuned import FLOOR
 
 MARKER_CELLS = 6
 """A 4x4 marker with its border of one cell."""
@@ -79,7 +80,7 @@ def test_a_large_basin_gets_a_coarser_picture_instead_of_all_the_memory() -> Non
     scenario = msgspec.structs.replace(SCENARIO, markers=Markers(pitch_m=0.5, size_m=0.4), tank=basin)
     built = build_floor(scenario)
     assert built is not None
-    assert built.levels[0].size <= 1.02 * MAX_PX
+    assert built.levels[0].size <= 1.02 * FLOOR.max_px
 
 
 def test_open_water_has_no_floor() -> None:

@@ -10,8 +10,8 @@ from plant_helpers import DEEP, NEUTRAL, NO_DRAG, VEHICLE, body_with, kinetic_en
 
 from autopilot.core.frames import r_ned_from_frd
 from autopilot.sitl.currents import Shear, Uniform, Vortex
-from autopilot.sitl.plant import GRAVITY_M_S2
 from autopilot.sitl.thrusters import wrench_of
+from autopilot.sitl.tuned import PLANT
 from autopilot.sitl.world import World
 
 BODY = VEHICLE.body
@@ -69,7 +69,7 @@ def test_a_force_accelerates_hull_and_added_mass(axis: int, force: float) -> Non
     wrench = [0.0, 0.0, 0.0]
     wrench[axis] = force
     hull.set_external_wrench(force_frd_n=tuple(wrench))
-    expected = np.array([0.0, 0.0, -GRAVITY_M_S2])
+    expected = np.array([0.0, 0.0, -PLANT.gravity_m_s2])
     expected[axis] += force / MASS[axis]
     np.testing.assert_allclose(hull.truth.accel_frd_m_s2, expected, atol=1e-12)
     hull.advance(5_000, NEUTRAL)
@@ -198,7 +198,7 @@ def test_crossing_a_shear_flow_accelerates_the_added_mass() -> None:
     vehicle = body_with(buoyancy_excess_n=0.0, **NO_DRAG)
     hull = plant(vehicle, World(current=Shear(shear_1_s=0.5)), start_vel_frd_m_s=(0.0, 0.4, 0.0))
     expected = BODY.added_mass_kg[0] * 0.5 * 0.4 / MASS[0]
-    np.testing.assert_allclose(hull.truth.accel_frd_m_s2, [expected, 0.0, -GRAVITY_M_S2], atol=1e-12)
+    np.testing.assert_allclose(hull.truth.accel_frd_m_s2, [expected, 0.0, -PLANT.gravity_m_s2], atol=1e-12)
 
 
 def test_a_changing_tide_drags_the_hull_along() -> None:
@@ -217,7 +217,7 @@ def test_a_held_hull_stays_until_a_thruster_is_commanded() -> None:
     hull.advance(5_000_000, (0,) * 8)
     hull.advance(6_000_000, (1510, 1490, 1500, 1500))
     np.testing.assert_array_equal(hull.truth.pos_ned_m, DEEP)
-    np.testing.assert_allclose(hull.truth.accel_frd_m_s2, [0.0, 0.0, -GRAVITY_M_S2], atol=1e-12)
+    np.testing.assert_allclose(hull.truth.accel_frd_m_s2, [0.0, 0.0, -PLANT.gravity_m_s2], atol=1e-12)
     np.testing.assert_allclose(hull.truth.vel_water_frd_m_s, [-0.2, 0.0, 0.0], atol=1e-12)
     hull.advance(6_010_000, (1600, 1600, 1500, 1500))
     hull.advance(8_000_000, NEUTRAL)

@@ -8,8 +8,9 @@ import pytest
 from sensor_helpers import CAMERA, CLEAN, floor, height, renderer, truth_at
 
 from autopilot.core.frames import r_ned_from_frd
-from autopilot.sitl.camera import WALL_LEVEL, camera_of
+from autopilot.sitl.camera import camera_of
 from autopilot.sitl.plant import Truth
+from autopilot.sitl.tuned import CAMERA_TUNED
 
 
 def detect(picture: np.ndarray, truth: Truth) -> tuple[np.ndarray, np.ndarray]:
@@ -154,9 +155,9 @@ def test_motion_blurs_along_its_direction_only() -> None:
 
 def test_beyond_the_floor_there_is_wall() -> None:
     outside = renderer(CLEAN).render(truth_at((30.0, 0.0, 0.4)), 0)
-    assert np.abs(outside[..., 1].astype(int) - WALL_LEVEL).max() <= 1
+    assert np.abs(outside[..., 1].astype(int) - CAMERA_TUNED.wall_level).max() <= 1
     edge = renderer(CLEAN).render(truth_at((0.0, 1.5, height(1.0))), 0)[..., 1]  # half over the east wall
-    assert np.abs(edge[:, 400:].astype(int) - WALL_LEVEL).max() <= 1
+    assert np.abs(edge[:, 400:].astype(int) - CAMERA_TUNED.wall_level).max() <= 1
     assert edge[:, :300].std() > 30
 
 

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from autopilot.control.energy.flow import Flow
 from autopilot.control.energy.power import SpeedTable, energy_per_metre
+from autopilot.control.energy.tuned import FIELD
 from autopilot.control.fence.obstacles import Features
 from autopilot.control.way.shortest import lengths_from
 from autopilot.core.frames import FloatArray
@@ -30,11 +31,6 @@ OFFSETS = tuple(
 """Knight's and longer moves, each one way: with those to the neighbours and back 32 directions."""
 
 LONGEST_MOVE = math.hypot(3, 2)
-
-JOG_NODES = 2
-
-SNAP_M = 0.4
-"""A start or goal so far from free ground still finds it."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -71,7 +67,7 @@ class EnergyField:
         if found is None:
             return None
         node, away_m = found
-        return node if away_m <= SNAP_M + float(self.space.cell_m[node]) else None
+        return node if away_m <= FIELD.snap_m + float(self.space.cell_m[node]) else None
 
     def crossing(self, a: FloatArray, b: FloatArray) -> NDArray[np.bool_]:
         """(m,) which edges go through the line from ``a`` to ``b`` (2,)."""
@@ -126,7 +122,7 @@ class EnergyToGo:
 
     def _without_jogs(self, end_ned_m: FloatArray, nodes: list[int]) -> list[int]:
         """Nodes without the first few, if the end (2,) of the way sees the next: the nearest place may lie aside."""
-        some = np.array(nodes[1 : 1 + JOG_NODES], dtype=np.intp)
+        some = np.array(nodes[1 : 1 + FIELD.jog_nodes], dtype=np.intp)
         sees = self._field.space.in_sight(end_ned_m, some)
         skipped = len(some) if sees.all() else int(sees.argmin())
         return nodes[min(skipped, len(nodes) - 1) :]
@@ -156,13 +152,13 @@ def other_ways(field: EnergyField, to_go: EnergyToGo, way: Way, features: Featur
     s = np.concatenate(([0.0], np.cumsum(np.hypot(*np.diff(way.points_ned_m, axis=0).T))))
     at = np.stack([np.interp(steps * s[-1], s, way.points_ned_m[:, i]) for i in range(2)], axis=1)
     clearance = features.clearance_m(at)
-    inner = np.flatnonzero((steps > 0.1) & (steps < 0.9) & (clearance < GAP_REACH_M))
+    inner = np.flatnonzero((steps > 0.1) & (steps < 0.9) & (clearance < FIELD.gap_reach_m))
     ways: list[Way] = []
     tried: list[FloatArray] = []
     for i in inner[np.argsort(clearance[inner])]:
         if len(tried) >= limit:
             break
-        if any(np.hypot(*(at[i] - t)) < GAP_APART_M for t in tried):
+        if any(np.hypot(*(at[i] - t)) < FIELD.gap_apart_m for t in tried):
             continue
         tried.append(at[i])
         wall = _wall(features, at[i], at[min(i + 1, len(at) - 1)] - at[max(i - 1, 0)])
@@ -173,24 +169,14 @@ def other_ways(field: EnergyField, to_go: EnergyToGo, way: Way, features: Featur
     return ways
 
 
-GAP_REACH_M = 1.5
-"""A way this far from everything has no side."""
-
-GAP_APART_M = 0.8
-
-
 def _wall(features: Features, place: FloatArray, tangent: FloatArray) -> tuple[FloatArray, FloatArray]:
     """The line across a way at a place, to the boundaries on both sides or WALL_REACH_M far."""
     t = tangent / max(float(np.hypot(*tangent)), 1e-9)
     across = np.array([-t[1], t[0]])
-    steps = np.linspace(0.0, WALL_REACH_M, WALL_POINTS)[:, None]
+    steps = np.linspace(0.0, FIELD.wall_reach_m, FIELD.wall_points)[:, None]
     ends = []
     for sign in (-1.0, 1.0):
         line = place + sign * steps * across
         free = features.clearance_m(line) > 0.0
         ends.append(line[-1] if free.all() else line[int(free.argmin())])
     return ends[0], ends[1]
-
-
-WALL_REACH_M = 4.0
-WALL_POINTS = 81

@@ -10,24 +10,13 @@ from typing import Any
 
 import numpy as np
 
+from autopilot.control.energy.tuned import FLOW
 from autopilot.control.water.currents import CurrentForecast
 from autopilot.core.frames import FloatArray
 from autopilot.core.free_space import Area, workspace_of
 from autopilot.core.geometry import Fence
 from autopilot.core.messages import NavState
 from autopilot.core.shapes import bounding_box
-
-MAX_SAMPLES = 1500
-FINEST_SAMPLE_M = 0.1
-LEAST_SAMPLES = 5
-"""Per axis: a cubic spline needs four."""
-
-UNIFORM_M_S = 1e-6
-"""Samples that differ by less are the same everywhere."""
-
-OPEN_WATER_BORDER_M = 3.0
-OPEN_WATER_SHARE = 0.45
-"""Without a workspace a way may swing out by so much of the distance: half a circle would need 0.5."""
 
 
 def area_of(fence: Fence, places_ned_m: FloatArray) -> Area:
@@ -36,7 +25,7 @@ def area_of(fence: Fence, places_ned_m: FloatArray) -> Area:
     if workspace is not None and bool((workspace.high_m > workspace.low_m).all()):
         return workspace
     span = float(np.hypot(*(places_ned_m.max(axis=0) - places_ned_m.min(axis=0))))
-    border = OPEN_WATER_BORDER_M + OPEN_WATER_SHARE * span
+    border = FLOW.open_water_border_m + FLOW.open_water_share * span
     points = np.concatenate([places_ned_m, *(np.stack(bounding_box(shape)) for shape in fence.exclusions)])
     return Area(low_m=points.min(axis=0) - border, high_m=points.max(axis=0) + border)
 
@@ -56,9 +45,9 @@ class FlowSamples:
 def sample_flow(forecast: CurrentForecast, nav: NavState, area: Area, depth_m: float) -> FlowSamples:
     """Ask the forecast for the current all over an area at one depth, at the time of ``nav``."""
     size = np.maximum(area.high_m - area.low_m, 1e-3)
-    cell = max(FINEST_SAMPLE_M, math.sqrt(float(size[0] * size[1]) / MAX_SAMPLES))
+    cell = max(FLOW.finest_sample_m, math.sqrt(float(size[0] * size[1]) / FLOW.max_samples))
     axes = [
-        np.linspace(low, high, max(LEAST_SAMPLES, math.ceil(length / cell) + 1))
+        np.linspace(low, high, max(FLOW.least_samples, math.ceil(length / cell) + 1))
         for low, high, length in zip(area.low_m, area.high_m, size, strict=True)
     ]
     north, east = np.meshgrid(*axes, indexing="ij")
@@ -81,7 +70,7 @@ class Flow:
     def __init__(self, samples: FlowSamples) -> None:
         values = samples.current_ned_m_s
         self._mean: FloatArray = values.reshape(-1, 3).mean(axis=0)
-        self.uniform = bool(np.abs(values - self._mean).max() < UNIFORM_M_S)
+        self.uniform = bool(np.abs(values - self._mean).max() < FLOW.uniform_m_s)
         """The same everywhere."""
         self._splines = () if self.uniform else tuple(_spline(samples, i) for i in range(2))
 

@@ -15,11 +15,12 @@ from functools import partial
 import numpy as np
 
 from autopilot.control.energy.flow import Flow, area_of, sample_flow
-from autopilot.control.energy.leg_task import BETWEEN_M, RADIUS_SHARE, YAW_SHARE, shifted
-from autopilot.control.energy.patience import ANSWER_STEPS, STEP_S, Kind, NoPlanError, Patience
+from autopilot.control.energy.leg_task import shifted
+from autopilot.control.energy.patience import ANSWER_STEPS, Kind, NoPlanError, Patience
 from autopilot.control.energy.request import EXTRA_M, EXTRA_S, Plan, Request, TrajectoryPlanner
 from autopilot.control.energy.track import Track, joined
 from autopilot.control.energy.trajectory import Trajectory
+from autopilot.control.energy.tuned import GUIDANCE, LEG_TASK, PATIENCE
 from autopilot.control.nmpc.grid import REFERENCE_DT_S, TimeGrid
 from autopilot.control.nmpc.ocp import TERMINAL_STAGES
 from autopilot.control.way.desks import Mishaps
@@ -29,76 +30,6 @@ from autopilot.core.frames import FloatArray
 from autopilot.core.messages import EnergyPlan, Goal, Severity
 from autopilot.core.model4 import YAW, R, U, Z
 from autopilot.core.sharing import Sharing
-
-OFF_TRACK_M = 0.15
-"""A vehicle this far from its trajectory gets a new one."""
-
-LOST_M = 1.0
-"""A vehicle this far from its trajectory does not go back to it: what lies between is not known to be free. One that
-has been swept so much farther from its goal than it was when the rest of a leg was left to the route guidance gets a
-plan again."""
-
-CHANGED_M_S = 0.03
-"""Currents along the next seconds that differ by so much (rms) from those of the plan make a new one."""
-
-LOOK_AHEAD_S = 10.0
-CHECK_STEPS = 10
-"""The water is compared every so many control steps (0.5 s)."""
-
-REPLAN_STEPS = 40
-"""Plans are brought up to date at most this often (2 s)."""
-
-NEXT_LEG_S = 6.0
-"""The next leg is planned when this one has so much left: three times what an answer takes."""
-
-LONG_LEG_M, LONG_NEXT_LEG_S = 20.0, 12.0
-"""One that is longer than this is planned earlier: its plan may take three times as long."""
-
-LAST_UPDATE_S = 2.0
-"""A trajectory that has less than this left, and the time of an answer, is not brought up to date any more."""
-
-SAME_END_M = 0.1
-"""An updated trajectory that ends no farther than this from where the old one did may run on into the next leg's."""
-
-ROUTE_STEPS = 10
-"""A leg's first plan begins on the way on which the vehicle sets out: so long is waited for a route."""
-
-LATE_STEPS = 100
-"""An answer that is not there after so many steps (5 s) is late, and the operator is told."""
-
-END_HOLD_S = 0.5
-"""At the end of a trajectory the vehicle, which lags a little, is held where the next one begins until the goal counts
-as reached: for so long by the trajectory's clock (1.7 s), then the route guidance brings it to the goal's centre."""
-
-RUNNING_OUT_S, RUNNING_OUT_SHARE = 20.0, 0.6
-"""A trajectory that does not reach its goal is continued when it has less than this time or share left."""
-
-FOLLOWING_THRUST_WEIGHT = 0.2
-"""Least weight on the difference to the planned thrust while a trajectory is followed: to be a little off it costs less
-than to correct it at once. (In the paper's tank 2 % of a lap against 0.02; the limits are kept by other means.)"""
-
-END_STAGES = 80.0
-"""What place and heading at the end of a trajectory count beyond those on the way, in stages of the running cost
-(REFERENCE_DT_S). A trajectory only just enters its goal's region: centimetres and degrees are put right on the way
-there, gently and in time, while the way itself is followed softly."""
-
-FOLLOWED_STEPS = 4
-"""The full search begins where the optimiser predicts the vehicle once it has followed the quick plan for so long."""
-
-SHORT_S, RUNNING_M_S = 6.0, 0.08
-"""A leg that takes less is left to the route guidance where the water runs faster than that (four standard deviations
-of the estimate when a vehicle sets out), unless its plan was made ahead: it is over before the water on the way is
-known, and its goal would be missed by centimetres."""
-
-SET_OUT_STEPS = 20
-"""So long (1 s) the vehicle sets out gently, with that weight: the lateral thrust's peak in the
-paper's tank is 7 N instead of 12."""
-
-BOUND_SHARE = 0.96
-"""Share of the limits on heave, yaw rate and thrust that plans use: what tracking needs is left to the optimiser."""
-
-SPEED_SHARE = 0.98
-"""The same for the planar speed, which has a margin of its own (MPC_SPEED_MARGIN)."""
 
 
 class EnergyGuidance:
@@ -176,16 +107,16 @@ class EnergyGuidance:
     def _setting_out(self, route: Reference) -> Reference:
         """The route's reference: gently while the leg's first plan is awaited, which may well begin another way."""
         awaited = self._request is not None and self._request.kind is Kind.QUICK
-        if not awaited or self._step - self._goal_step > SET_OUT_STEPS:
+        if not awaited or self._step - self._goal_step > GUIDANCE.set_out_steps:
             return route
-        return replace(route, weight_u=np.maximum(route.weight_u, FOLLOWING_THRUST_WEIGHT))
+        return replace(route, weight_u=np.maximum(route.weight_u, GUIDANCE.following_thrust_weight))
 
     def _along(self, track: Track, now: Situation, fresh: bool) -> Reference:
         """The reference along a trajectory, and on into the next one."""
         current, params = now.nav.current_ned_m_s, now.params
         weight_u, rest_s = params["MPC_R_THRUST"], track.rest_s
         if rest_s > 0.0:
-            weight_u = max(weight_u, FOLLOWING_THRUST_WEIGHT)
+            weight_u = max(weight_u, GUIDANCE.following_thrust_weight)
         then = self._next
         x, thrust = track.sample(self._t_s, current, then)
         thrust += self._lift_n(self._sharing.buoyancy_excess_n, now.thrust_limit_n)
@@ -213,10 +144,13 @@ class EnergyGuidance:
     def _end_weights(self, weight_x: FloatArray, track: Track) -> tuple[FloatArray, FloatArray]:
         """(N-1, 8) and (8,) weights of the nodes and of the last one: more for the end of a trajectory that enters its
         goal's region, shared by the nodes before and after it, so that nothing jumps as it comes nearer."""
-        share, end = self._shares(track.rest_s), END_STAGES * weight_x[:U]
+        share, end = self._shares(track.rest_s), GUIDANCE.end_stages * weight_x[:U]
         if track.goal.yaw_rad is not None:
             # Headings count by how much of the room that is left to them they use up, as places do.
-            room = (1.0 - RADIUS_SHARE) * track.goal.accept_radius_m, (1.0 - YAW_SHARE) * track.goal.accept_yaw_rad
+            room = (
+                (1.0 - LEG_TASK.radius_share) * track.goal.accept_radius_m,
+                (1.0 - LEG_TASK.yaw_share) * track.goal.accept_yaw_rad,
+            )
             end[YAW] = max(end[YAW], end[0] * min(room[0] / max(room[1], 1e-3), 1.0) ** 2)
         nodes, terminal = np.tile(weight_x, (len(self._t_s) - 2, 1)), TERMINAL_STAGES * weight_x
         nodes[:, :U] += (share[1:-1] / self._stages)[:, None] * end
@@ -257,7 +191,7 @@ class EnergyGuidance:
         self._leave_if_lost(now, off_m)
         if self._ticket is None:
             self._ask_if_needed(now, off_m, elapsed_s)
-        elif self._track is None and self._step - self._asked_step == LATE_STEPS:
+        elif self._track is None and self._step - self._asked_step == GUIDANCE.late_steps:
             self._mishaps.failed(NoPlanError("late"), felt=not self._route.unreachable)
         return fresh
 
@@ -276,8 +210,8 @@ class EnergyGuidance:
         track = self._track
         if track is None:
             return
-        ended = track.rest_s <= (-END_HOLD_S if track.complete else 0.0)
-        if off_m > LOST_M or (ended and not (track.complete and self._next is None)):
+        ended = track.rest_s <= (-GUIDANCE.end_hold_s if track.complete else 0.0)
+        if off_m > GUIDANCE.lost_m or (ended and not (track.complete and self._next is None)):
             self._track = None
             self._left_at_m = _away_m(now) if ended and track.complete else None
 
@@ -296,11 +230,11 @@ class EnergyGuidance:
         self._track, self._next, self._asked_next = None, None, False
         self._quick, self._left_at_m, self._first = False, None, Kind.QUICK
         self._patience.succeeded()
-        if ahead is not None and left is None and ahead.locate(now.x0, 0.0) > OFF_TRACK_M:
+        if ahead is not None and left is None and ahead.locate(now.x0, 0.0) > GUIDANCE.off_track_m:
             ahead = None
         if ahead is not None and same_fence and _key(ahead.goal) == key:
             self._withdraw()
-            self._asked_step = self._step - REPLAN_STEPS
+            self._asked_step = self._step - GUIDANCE.replan_steps
             # The region is entered a little before the trajectory ends: that much of it is still flown.
             onward = ahead.trajectory if left is None else joined(left.trajectory, left.clock_s, ahead.trajectory)
             self._track = Track(onward, now.goal, ahead.complete)
@@ -327,19 +261,19 @@ class EnergyGuidance:
             self._quick = False
             self._patience.succeeded()
             return False
-        runs = float(np.hypot(*now.nav.current_ned_m_s[:2])) > RUNNING_M_S
-        if request.kind is Kind.QUICK and plan.complete and track.length_s < SHORT_S and runs:
+        runs = float(np.hypot(*now.nav.current_ned_m_s[:2])) > GUIDANCE.running_m_s
+        if request.kind is Kind.QUICK and plan.complete and track.length_s < GUIDANCE.short_s and runs:
             self._left_at_m = _away_m(now)
             return False
         if _key(request.goal) != self._goal_key:
             self._next = track
             return False
         self._patience.succeeded()
-        if track.locate(now.x0, 0.0) > LOST_M:
+        if track.locate(now.x0, 0.0) > GUIDANCE.lost_m:
             return False
         old, self._track, self._asked_next = self._track, track, False
         self._quick, self._taken_step = request.kind is Kind.QUICK, self._step
-        if old is None or np.hypot(*(track.trajectory.x[-1] - old.trajectory.x[-1])[:2]) > SAME_END_M:
+        if old is None or np.hypot(*(track.trajectory.x[-1] - old.trajectory.x[-1])[:2]) > GUIDANCE.same_end_m:
             # The next leg was planned from where the last trajectory ended.
             self._next = None
         self._flow = plan.flow
@@ -361,31 +295,41 @@ class EnergyGuidance:
         track, since = self._track, self._step - self._asked_step
         over = self._patience.over(now, since)
         if track is None:
-            if self._left_at_m is not None and _away_m(now) < self._left_at_m + LOST_M:
+            if self._left_at_m is not None and _away_m(now) < self._left_at_m + GUIDANCE.lost_m:
                 return
             self._left_at_m = None
             begun = self._step - self._goal_step
             kind, at_once = self._first, self._first is Kind.COLD
-            if (over or at_once) and begun > 0 and (not self._route.searching or begun >= ROUTE_STEPS):
+            if (over or at_once) and begun > 0 and (not self._route.searching or begun >= GUIDANCE.route_steps):
                 self._first = Kind.QUICK
                 self._ask(now, kind, now.goal, self._coming(now, kind, elapsed_s), None)
             return
-        followed = self._step - self._taken_step >= FOLLOWED_STEPS
-        if self._quick and followed and over and track.rest_s > NEXT_LEG_S:
+        followed = self._step - self._taken_step >= GUIDANCE.followed_steps
+        if self._quick and followed and over and track.rest_s > GUIDANCE.next_leg_s:
             self._ask(now, Kind.COLD, now.goal, self._coming(now, Kind.COLD, elapsed_s), track)
             return
-        running_out = not track.complete and track.rest_s < min(RUNNING_OUT_S, RUNNING_OUT_SHARE * track.length_s)
-        kind = Kind.COLD if running_out or off_m > 2.0 * OFF_TRACK_M else Kind.WARM
-        if over and since >= REPLAN_STEPS and track.rest_s > LAST_UPDATE_S + ANSWER_STEPS[kind] * STEP_S:
-            pushed = off_m > OFF_TRACK_M or track.goal.speed_m_s != now.goal.speed_m_s
-            if pushed or running_out or (self._step % CHECK_STEPS == 0 and self._water_changed(now, track)):
+        running_out = not track.complete and track.rest_s < min(
+            GUIDANCE.running_out_s, GUIDANCE.running_out_share * track.length_s
+        )
+        kind = Kind.COLD if running_out or off_m > 2.0 * GUIDANCE.off_track_m else Kind.WARM
+        if (
+            over
+            and since >= GUIDANCE.replan_steps
+            and track.rest_s > GUIDANCE.last_update_s + ANSWER_STEPS[kind] * PATIENCE.step_s
+        ):
+            pushed = off_m > GUIDANCE.off_track_m or track.goal.speed_m_s != now.goal.speed_m_s
+            if pushed or running_out or (self._step % GUIDANCE.check_steps == 0 and self._water_changed(now, track)):
                 self._ask(now, kind, now.goal, self._coming(now, kind, elapsed_s), track if kind is Kind.WARM else None)
                 return
         following = now.goal.following
         if following is None or following.speed_asked or following.facing_ned_m is not None:
             return
-        far = float(np.hypot(*(following.pos_ned_m - now.goal.pos_ned_m)[:2])) > LONG_LEG_M
-        if not self._asked_next and track.complete and track.rest_s < (LONG_NEXT_LEG_S if far else NEXT_LEG_S):
+        far = float(np.hypot(*(following.pos_ned_m - now.goal.pos_ned_m)[:2])) > GUIDANCE.long_leg_m
+        if (
+            not self._asked_next
+            and track.complete
+            and track.rest_s < (GUIDANCE.long_next_leg_s if far else GUIDANCE.next_leg_s)
+        ):
             self._asked_next = True
             end = track.trajectory.x[-1].copy()
             self._ask(now, Kind.NEXT, following, end, None)
@@ -396,7 +340,7 @@ class EnergyGuidance:
             return now.x0
         meant, then = (
             np.array([np.interp(t_s, self._t_s, column) for column in now.last_plan.T])
-            for t_s in (elapsed_s, elapsed_s + ANSWER_STEPS[kind] * STEP_S)
+            for t_s in (elapsed_s, elapsed_s + ANSWER_STEPS[kind] * PATIENCE.step_s)
         )
         off = now.x0 - meant
         off[YAW] -= 2.0 * np.pi * round(float(off[YAW]) / (2.0 * np.pi))
@@ -408,12 +352,12 @@ class EnergyGuidance:
         """Whether the forecast along the next seconds is another one than the plan was made with."""
         if self._flow is None:
             return False
-        ahead = np.linspace(0.0, max(0.5, min(LOOK_AHEAD_S, track.rest_s)), 16)
+        ahead = np.linspace(0.0, max(0.5, min(GUIDANCE.look_ahead_s, track.rest_s)), 16)
         x, _ = track.sample(ahead, now.nav.current_ned_m_s)
         forecast = np.empty((len(x), 3))
         now.forecast.fill(now.nav, x[:, :3], ahead, forecast)
         assumed = self._flow.current(x[:, :2])
-        return float(np.sqrt(((forecast - assumed)[:, :2] ** 2).sum(axis=1).mean())) > CHANGED_M_S
+        return float(np.sqrt(((forecast - assumed)[:, :2] ** 2).sum(axis=1).mean())) > GUIDANCE.changed_m_s
 
     def _ask(self, now: Situation, kind: Kind, goal: Goal, x0: FloatArray, warm: Track | None) -> None:
         """Hand a request in."""
@@ -424,9 +368,9 @@ class EnergyGuidance:
         area = area_of(fence, np.stack(places))
         limits = np.array(
             [
-                SPEED_SHARE * now.speed_cap_m_s,
-                BOUND_SHARE * params["SPD_HEAVE_MAX"],
-                BOUND_SHARE * params["SPD_YAW_MAX"],
+                GUIDANCE.speed_share * now.speed_cap_m_s,
+                GUIDANCE.bound_share * params["SPD_HEAVE_MAX"],
+                GUIDANCE.bound_share * params["SPD_YAW_MAX"],
                 max(fence.depth_min_m, params["DEPTH_MIN"]),
                 min(fence.depth_max_m, params["DEPTH_MAX"]),
             ]
@@ -434,7 +378,7 @@ class EnergyGuidance:
         steps = ANSWER_STEPS[kind]
         begun: Trajectory | None = None
         if warm is not None:
-            left = shifted(warm.trajectory, warm.clock_s + steps * STEP_S, x0)
+            left = shifted(warm.trajectory, warm.clock_s + steps * PATIENCE.step_s, x0)
             lift_n = self._lift_n(self._sharing.buoyancy_excess_n, now.thrust_limit_n)
             begun = replace(left, thrust_n=left.thrust_n + lift_n)
         request = Request(
@@ -442,10 +386,10 @@ class EnergyGuidance:
             goal=goal,
             fence=fence,
             radius_m=now.radius_m,
-            extra_m=min(EXTRA_M, BETWEEN_M + EXTRA_S * float(np.sqrt(now.nav.variance[9:11].max()))),
+            extra_m=min(EXTRA_M, LEG_TASK.between_m + EXTRA_S * float(np.sqrt(now.nav.variance[9:11].max()))),
             flow=sample_flow(now.forecast, now.nav, area, float(x0[2])),
             limits=limits,
-            thrust_limit_n=BOUND_SHARE * now.thrust_limit_n,
+            thrust_limit_n=GUIDANCE.bound_share * now.thrust_limit_n,
             buoyancy_excess_n=self._sharing.buoyancy_excess_n,
             cruise_m_s=goal.speed_m_s,
             leg_depth_m=None if kind is Kind.NEXT else self._leg_depth_m,

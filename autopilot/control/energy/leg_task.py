@@ -10,76 +10,16 @@ from autopilot.control.energy.field import EnergyToGo, Way
 from autopilot.control.energy.flow import Flow
 from autopilot.control.energy.power import SpeedTable, energy_per_metre, planar_limit_m_s
 from autopilot.control.energy.request import Plan, Request, no_plan
-from autopilot.control.energy.shooting import PLANES
 from autopilot.control.energy.trajectory import Ask, Program, Trajectory
+from autopilot.control.energy.tuned import LEG_TASK, SHOOTING
 from autopilot.control.fence.obstacles import Features
 from autopilot.control.way.guidance import SteadyThrust
 from autopilot.core.desk import Cancel
 from autopilot.core.frames import FloatArray, unwrap_near
 from autopilot.core.model4 import NX, YAW, R, U, V, W, X, Y, Z
 
-INTERVALS = 48
-"""Of a trajectory: 0.2 s each in the paper's tank."""
-
-LONGEST_S = 43.0
-"""A trajectory is planned so far; beyond it the energy field says what is best. (Twice as far takes a program with
-twice as many RK4 steps, 200 MB more, and intervals that are too long for doors.)"""
-
-LONGER, LONGER_S = 1.3, 3.0
-"""A solution takes at most so many times as long as its guess, and so much more: RK4 steps must not grow unstable."""
-
-RADIUS_SHARE = 0.93
-YAW_SHARE = 0.8
-"""Shares of the acceptance region that a trajectory aims at, so that it is surely reached in spite of small errors."""
-
-GATE_RADIUS_M = 0.5
-"""Region in which a trajectory ends that does not reach its goal within LONGEST_S."""
-
-SCREEN_ROUNDS = 1
-POLISH_ROUNDS = 3
-"""Rounds of linearisation for every candidate, and more for the best."""
-
-SETTLED_SHARE = 1e-4
-"""A round that changes the cost by less than this share was the last."""
-
 BOTH_TURNS_RAD = 0.4 * math.pi
 """A turn longer than this is tried both ways round."""
-
-SLIGHT_TURN_RAD = 0.8
-TURNED_WITHIN_M = 0.05
-
-SHORTEST_GUESS_S = 1.0
-"""Of a guess, where neither way nor depth nor turn asks for more."""
-
-TURNLESS_S = 2.0
-"""A guess that takes less keeps its heading, where the goal asks for none."""
-
-GUESS_TURN_RAD_S = 0.4
-"""Rate at which first guesses turn from where the vehicle points to their way; where that would take more than half of
-the time they turn quicker."""
-
-LINEAR_TURN_S = 20.0
-"""On a way that takes less, the first guess turns evenly from start to end; on a longer one it follows the way."""
-
-SLOWING_M_S2 = 0.1
-"""What a vehicle that is faster than it may be is asked to slow down with at least: what drag does at 0.2 m/s."""
-
-SLOWING_RAD_S2 = 0.3
-"""The same of one that turns too fast."""
-
-BETWEEN_M = 0.004
-"""Kept beyond the optimiser's own margin, for what lies between the nodes."""
-
-LEG_DEPTH_M = 0.3
-"""A leg stays so near the depths of its start and goal. Sinking slowly and rising on the buoyancy at the end is cheaper
-by some 0.3 %, and over 360 m it went 5 m deeper than anyone had drawn."""
-
-WIDENING_M_S = 0.02
-"""A vehicle that is nearer than that goes away from the boundary so fast."""
-
-LOOKS_BETWEEN = 4
-DOOR_STEPS = 4
-"""A way is looked at between its nodes for doors that are too narrow for that: where both sides push places about."""
 
 
 class LegTask:
@@ -100,7 +40,7 @@ class LegTask:
         self._steady, self._cancel = steady, cancel
         self._request, self._features, self._flow, self._table = request, features, flow, table
         self._to_go, self._end_slope, self._program = to_go, end_slope, program
-        self.reach_s = LONGEST_S
+        self.reach_s = LEG_TASK.longest_s
         """So far trajectories are planned."""
         self._gate: FloatArray | None = None
         """(3,) where the trajectory ends when the goal is too far away."""
@@ -120,7 +60,9 @@ class LegTask:
 
     def first(self, way: Way) -> Plan:
         """The quick answer: the better turn along the way. (Which one that is cannot be seen from the guesses.)"""
-        found = [one for one in (self.refine(guess, SCREEN_ROUNDS) for guess in self.guesses(way)) if one.solved]
+        found = [
+            one for one in (self.refine(guess, LEG_TASK.screen_rounds) for guess in self.guesses(way)) if one.solved
+        ]
         if not found:
             return no_plan(self._request.goal, "no quick trajectory solved")
         return self.plan(min(found, key=lambda one: one.cost_j))
@@ -143,22 +85,22 @@ class LegTask:
         else:
             self._gate = None
             away = np.hypot(*(points - points[-1]).T)
-            outside = away > RADIUS_SHARE * request.goal.accept_radius_m
+            outside = away > LEG_TASK.radius_share * request.goal.accept_radius_m
             last = min(int(np.flatnonzero(outside)[-1]) + 1 if outside.any() else 1, len(points) - 1)
             points, times = points[: last + 1], times[: last + 1]
-        if times[-1] > LINEAR_TURN_S:
+        if times[-1] > LEG_TASK.linear_turn_s:
             points, times = self._turned_first(points, times)
         return [self._guess(points, times, yaw) for yaw in self._turns()]
 
     def _least_s(self, yaw_rad: float | None) -> float:
         """What the change of depth to the goal's region and the turn to a heading take at least, however near it is."""
         if self._gate is not None:
-            return SHORTEST_GUESS_S
+            return LEG_TASK.shortest_guess_s
         start, goal = self._request.x0, self._request.goal
         heave, turn_rate = (float(limit) for limit in self._request.limits[1:3])
-        rise = abs(float(goal.pos_ned_m[2] - start[Z])) - RADIUS_SHARE * goal.accept_radius_m
+        rise = abs(float(goal.pos_ned_m[2] - start[Z])) - LEG_TASK.radius_share * goal.accept_radius_m
         turn = 0.0 if yaw_rad is None else abs(yaw_rad - float(start[YAW]))
-        return max(SHORTEST_GUESS_S, rise / heave, turn / turn_rate)
+        return max(LEG_TASK.shortest_guess_s, rise / heave, turn / turn_rate)
 
     def _turned_first(self, points: FloatArray, times: FloatArray) -> tuple[FloatArray, FloatArray]:
         """A timed way that begins when the vehicle has turned to it: it would else be guessed to go backwards at full
@@ -168,9 +110,9 @@ class LegTask:
         water = ground - self._flow.current(points[:1])[0, :2]
         yaw = float(self._request.x0[YAW])
         turn = abs(unwrap_near(math.atan2(water[1], water[0]), yaw) - yaw)
-        if turn < SLIGHT_TURN_RAD:
+        if turn < LEG_TASK.slight_turn_rad:
             return points, times
-        wait_s = turn / GUESS_TURN_RAD_S
+        wait_s = turn / LEG_TASK.guess_turn_rad_s
         return np.vstack([points[:1], points]), np.concatenate([[0.0], times + wait_s])
 
     def _guess(self, points: FloatArray, times: FloatArray, yaw_rad: float | None) -> Trajectory:
@@ -179,11 +121,11 @@ class LegTask:
         whole_s = float(times[-1])
         end_s = max(whole_s, self._least_s(yaw_rad))
         times = times * (end_s / whole_s)
-        t = np.linspace(0.0, end_s, INTERVALS + 1)
-        x = np.zeros((INTERVALS + 1, NX))
+        t = np.linspace(0.0, end_s, LEG_TASK.intervals + 1)
+        x = np.zeros((LEG_TASK.intervals + 1, NX))
         x[:, X], x[:, Y] = np.interp(t, times, points[:, 0]), np.interp(t, times, points[:, 1])
         depth = float(request.goal.pos_ned_m[2] if self._gate is None else self._gate[2])
-        x[:, Z] = np.linspace(request.x0[Z], depth, INTERVALS + 1)
+        x[:, Z] = np.linspace(request.x0[Z], depth, LEG_TASK.intervals + 1)
         water = np.gradient(x[:, :2], t, axis=0) - self._flow.current(x[:, :2])[:, :2]
         x[:, YAW] = self._headings(t, x, water, yaw_rad)
         c, s = np.cos(x[:, YAW]), np.sin(x[:, YAW])
@@ -200,23 +142,25 @@ class LegTask:
         No guess may turn within an interval: from such a one no solution is found.
         """
         start, end_s = float(self._request.x0[YAW]), float(t[-1])
-        if yaw_rad is not None and end_s < LINEAR_TURN_S:
+        if yaw_rad is not None and end_s < LEG_TASK.linear_turn_s:
             return np.linspace(start, yaw_rad, len(t))
-        if end_s < TURNLESS_S:
+        if end_s < LEG_TASK.turnless_s:
             return np.full(len(t), start)
         course = np.arctan2(water[1:, 1], water[1:, 0])
-        here = np.hypot(*(x[1:, :2] - x[0, :2]).T) < TURNED_WITHIN_M
+        here = np.hypot(*(x[1:, :2] - x[0, :2]).T) < LEG_TASK.turned_within_m
         if here.any() and not here.all():
             course[here] = course[int(here.argmin())]
         along: FloatArray = np.unwrap(np.concatenate([[start], course]))
         turn = float(along[1] - along[0])
         if turn:
-            rate = max(GUESS_TURN_RAD_S, 2.0 * abs(turn) / end_s)
+            rate = max(LEG_TASK.guess_turn_rad_s, 2.0 * abs(turn) / end_s)
             along[1:] -= turn * np.clip(1.0 - t[1:] * rate / abs(turn), 0.0, 1.0)
         if yaw_rad is None:
             return along
         last = unwrap_near(yaw_rad, float(along[-1]))
-        faded: FloatArray = along + np.clip((t - end_s) / (0.5 * LINEAR_TURN_S) + 1.0, 0.0, 1.0) * (last - along)
+        faded: FloatArray = along + np.clip((t - end_s) / (0.5 * LEG_TASK.linear_turn_s) + 1.0, 0.0, 1.0) * (
+            last - along
+        )
         return faded
 
     def energy_along(self, trajectory: Trajectory) -> float:
@@ -263,7 +207,7 @@ class LegTask:
 
     def screened(self, guess: Trajectory) -> Trajectory:
         """A candidate: as good as it takes to tell which is best."""
-        return self.refine(guess, SCREEN_ROUNDS, rough=True)
+        return self.refine(guess, LEG_TASK.screen_rounds, rough=True)
 
     def refine(self, guess: Trajectory, rounds: int, *, rough: bool = False) -> Trajectory:
         """Solve, linearise anew around the solution, and so on; the last solution, solved if any was."""
@@ -279,34 +223,34 @@ class LegTask:
                 self._cancel.check()
                 return trajectory if trajectory.solved else found
             trajectory = found
-            if abs(trajectory.cost_j - cost_j) < SETTLED_SHARE * cost_j:
+            if abs(trajectory.cost_j - cost_j) < LEG_TASK.settled_share * cost_j:
                 break
         return trajectory
 
     def _ask(self, guess: Trajectory, request: Request) -> Ask:
         goal, x = request.goal, guess.x
         n = len(x) - 1
-        normals, offsets = np.zeros((n + 1, PLANES, 2)), np.zeros((n + 1, PLANES))
+        normals, offsets = np.zeros((n + 1, SHOOTING.planes, 2)), np.zeros((n + 1, SHOOTING.planes))
         self._features.half_planes(
             np.vstack([x[:1, :2], x[:, :2]]),
             np.concatenate([[0.0], guess.t_s]),
             self._keep_m(guess.t_s, x[:, :2]),
-            PLANES,
+            SHOOTING.planes,
             normals,
             offsets,
         )
         gate = self._gate
-        yaw_band = goal.accept_yaw_rad * YAW_SHARE if goal.yaw_rad is not None and gate is None else 1e3
+        yaw_band = goal.accept_yaw_rad * LEG_TASK.yaw_share if goal.yaw_rad is not None and gate is None else 1e3
         middle = float(x[-1, YAW]) if goal.yaw_rad is None else unwrap_near(goal.yaw_rad, float(x[-1, YAW]))
         place = np.asarray(goal.pos_ned_m, dtype=float)
         slope = self._end_slope
         if gate is not None:
             place = gate
-            slope = self._to_go.slope(gate[:2], GATE_RADIUS_M)
+            slope = self._to_go.slope(gate[:2], LEG_TASK.gate_radius_m)
         return Ask(
             x0=request.x0,
             goal_ned_m=place,
-            radius_m=RADIUS_SHARE * goal.accept_radius_m if gate is None else GATE_RADIUS_M,
+            radius_m=LEG_TASK.radius_share * goal.accept_radius_m if gate is None else LEG_TASK.gate_radius_m,
             yaw_rad=middle,
             yaw_band_rad=yaw_band,
             current=self._flow.current(x[:, :2]),
@@ -318,7 +262,7 @@ class LegTask:
             limits=self._limits(guess, request),
             thrust_limit_n=request.thrust_limit_n,
             end_slope_j_m=slope,
-            longest_s=LONGER * float(guess.t_s[-1]) + LONGER_S,
+            longest_s=LEG_TASK.longer * float(guess.t_s[-1]) + LEG_TASK.longer_s,
             buoyancy_excess_n=request.buoyancy_excess_n,
         )
 
@@ -330,7 +274,7 @@ class LegTask:
         current = self._flow.current(x[:, :2])[:, :2]
         across = current[:, 0] * way[:, 1] - current[:, 1] * way[:, 0]
         limit = planar_limit_m_s(self._table, (current * way).sum(axis=1), across)
-        slowing = float(np.hypot(request.x0[U], request.x0[V])) - SLOWING_M_S2 * guess.t_s
+        slowing = float(np.hypot(request.x0[U], request.x0[V])) - LEG_TASK.slowing_m_s2 * guess.t_s
         result: FloatArray = np.maximum(np.minimum(limit, request.limits[0]), slowing)
         return result
 
@@ -338,14 +282,14 @@ class LegTask:
         """(n + 1, 4) limits of heave, yaw rate and depth; a vehicle that begins beyond one, or cannot stop before a
         depth, is given the time to."""
         depth, heave, turn = (float(request.x0[i]) for i in (Z, W, R))
-        stop = 0.5 * heave * abs(heave) / SLOWING_M_S2
+        stop = 0.5 * heave * abs(heave) / LEG_TASK.slowing_m_s2
         limits = np.tile(request.limits[1:], (len(guess.t_s), 1))
-        limits[:, 0] = np.maximum(limits[:, 0], abs(heave) - SLOWING_M_S2 * guess.t_s)
-        limits[:, 1] = np.maximum(limits[:, 1], abs(turn) - SLOWING_RAD_S2 * guess.t_s)
+        limits[:, 0] = np.maximum(limits[:, 0], abs(heave) - LEG_TASK.slowing_m_s2 * guess.t_s)
+        limits[:, 1] = np.maximum(limits[:, 1], abs(turn) - LEG_TASK.slowing_rad_s2 * guess.t_s)
         began = depth if request.leg_depth_m is None else request.leg_depth_m
         ends = began, float(request.goal.pos_ned_m[2])
-        limits[:, 2] = np.maximum(limits[:, 2], min(ends) - LEG_DEPTH_M)
-        limits[:, 3] = np.minimum(limits[:, 3], max(ends) + LEG_DEPTH_M)
+        limits[:, 2] = np.maximum(limits[:, 2], min(ends) - LEG_TASK.leg_depth_m)
+        limits[:, 3] = np.minimum(limits[:, 3], max(ends) + LEG_TASK.leg_depth_m)
         limits[:, 2] = np.minimum(limits[:, 2], depth + min(stop, 0.0))
         limits[:, 3] = np.maximum(limits[:, 3], depth + max(stop, 0.0))
         return limits
@@ -356,16 +300,16 @@ class LegTask:
         radius_m, features = self._request.radius_m, self._features
         if features.count == 0:
             return np.full(len(places), radius_m)
-        at = np.arange(0.0, len(places) - 1.0 + 1e-9, 1.0 / LOOKS_BETWEEN)
+        at = np.arange(0.0, len(places) - 1.0 + 1e-9, 1.0 / LEG_TASK.looks_between)
         points = np.stack([np.interp(at, np.arange(len(places)), places[:, i]) for i in range(2)], axis=1)
         most = radius_m + self._request.extra_m
-        for _ in range(DOOR_STEPS):
+        for _ in range(LEG_TASK.door_steps):
             points += features.push_out(points, most)
         doors_m = float(features.clearance_up_to_m(points, most).min())
         ends = np.stack([np.asarray(self._request.goal.pos_ned_m[:2], dtype=float), self._request.x0[:2]])
         goal_m, here_m = features.clearance_up_to_m(ends, most).tolist()
-        least = max(radius_m, min(doors_m, radius_m + BETWEEN_M))
-        result: FloatArray = np.clip(here_m + WIDENING_M_S * t_s, least, max(least, min(doors_m, goal_m)))
+        least = max(radius_m, min(doors_m, radius_m + LEG_TASK.between_m))
+        result: FloatArray = np.clip(here_m + LEG_TASK.widening_m_s * t_s, least, max(least, min(doors_m, goal_m)))
         return result
 
     def plan(self, trajectory: Trajectory) -> Plan:
@@ -388,7 +332,7 @@ class LegTask:
 
 def shifted(trajectory: Trajectory, by_s: float, x0: FloatArray) -> Trajectory:
     """What is left of a trajectory after ``by_s``, on INTERVALS intervals, from the state ``x0``."""
-    n = INTERVALS
+    n = LEG_TASK.intervals
     t = np.linspace(min(by_s, 0.98 * float(trajectory.t_s[-1])), float(trajectory.t_s[-1]), n + 1)
     x = np.stack([np.interp(t, trajectory.t_s, column) for column in trajectory.x.T], axis=1)
     x[:, YAW] += unwrap_near(float(x[0, YAW]), float(x0[YAW])) - x[0, YAW]

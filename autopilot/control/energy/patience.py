@@ -5,6 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from autopilot.control.energy.tuned import PATIENCE
 from autopilot.control.way.guidance import Situation
 from autopilot.control.way.planner import Planner
 
@@ -22,23 +23,10 @@ class Kind(enum.Enum):
     """A full search ahead."""
 
 
-STEP_S = 0.05
-"""Between control steps."""
-
 ANSWER_STEPS = {Kind.QUICK: 8, Kind.COLD: 40, Kind.WARM: 16, Kind.NEXT: 40}
 """An answer is taken so many control steps (of 50 ms) after it was asked for, on a vehicle later if it is not there:
 about what nine of ten take (``autopilot bench energy-latency``, seconds of CPU on two shared cores: full searches 1.8,
 updates 0.1 in the tank and up to 1.8 elsewhere; quick plans with two turns 0.3 to 0.4 in the tank)."""
-
-RETRY_STEPS = 20
-"""What failed is asked for again after so many steps (1 s), doubled with every failure in a row ..."""
-
-LONGEST_RETRY_STEPS = 640
-"""... up to so many (32 s)."""
-
-OTHER_CURRENT_M_S = 0.03
-OTHER_PLACE_M = 2.0
-"""A failure is of no account any more when the current has changed by so much, or the vehicle is so far from there."""
 
 
 class NoPlanError(Exception):
@@ -64,7 +52,7 @@ class _Asked:
         """Whether another answer is to be expected."""
         moved, changed = np.hypot(*(self.flow - then.flow).reshape(2, 2).T)
         known = self.planner is then.planner and self.bounds == then.bounds
-        return not known or moved > OTHER_PLACE_M or changed > OTHER_CURRENT_M_S
+        return not known or moved > PATIENCE.other_place_m or changed > PATIENCE.other_current_m_s
 
 
 class Patience:
@@ -90,8 +78,8 @@ class Patience:
         """Whether it is time, so many steps after the last request."""
         if not self._failures:
             return True
-        if since_steps < RETRY_STEPS:
+        if since_steps < PATIENCE.retry_steps:
             return False
-        if since_steps >= min(RETRY_STEPS * 2 ** (self._failures - 1), LONGEST_RETRY_STEPS):
+        if since_steps >= min(PATIENCE.retry_steps * 2 ** (self._failures - 1), PATIENCE.longest_retry_steps):
             return True
         return self._asked is not None and _Asked.of(now).differs(self._asked)

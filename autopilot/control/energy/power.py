@@ -9,16 +9,11 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
+from autopilot.control.energy.tuned import POWER
 from autopilot.core.frames import FloatArray
 from autopilot.core.model4 import AXES, Model4
 from autopilot.core.sharing import Sharing
 from autopilot.core.vehicle import Vehicle
-
-THRUST_SMOOTHING_N2 = 1e-4
-"""|F|^1.5 is taken as (F^2 + this)^0.75, twice differentiable at rest (10 mN)."""
-
-IDLE_N = 1e-9
-"""A thruster that gives less stands still."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -41,12 +36,12 @@ class PowerModel:
 
     def thrust_w(self, thrust_n: Any) -> Any:
         """Power of each thruster at ``thrust_n``: (..., n) or CasADi columns (n, m)."""
-        return self._each(thrust_n) * (thrust_n * thrust_n + THRUST_SMOOTHING_N2) ** 0.75
+        return self._each(thrust_n) * (thrust_n * thrust_n + POWER.thrust_smoothing_n2) ** 0.75
 
     def secant_over_tangent(self, thrust_n: Any) -> Any:
         """By how much the slope of that power over the thrust exceeds its second derivative [W/N2]."""
         squared = thrust_n * thrust_n
-        return 0.75 * self._each(thrust_n) * squared * (squared + THRUST_SMOOTHING_N2) ** -1.25
+        return 0.75 * self._each(thrust_n) * squared * (squared + POWER.thrust_smoothing_n2) ** -1.25
 
     def _each(self, thrust_n: Any) -> Any:
         """c of every thruster at its thrust; from one side to the other it goes over smoothly (10 mN)."""
@@ -54,7 +49,7 @@ class PowerModel:
         if not self.reverse_w_n15:
             return ahead
         astern = _like(thrust_n, self.reverse_w_n15)
-        way = thrust_n * (thrust_n * thrust_n + THRUST_SMOOTHING_N2) ** -0.5
+        way = thrust_n * (thrust_n * thrust_n + POWER.thrust_smoothing_n2) ** -0.5
         return 0.5 * (ahead + astern) + 0.5 * (ahead - astern) * way
 
 
@@ -88,7 +83,7 @@ def speed_table(
     force[:, 0] = (model.linear_drag[0] + model.quadratic_drag[0] * speed) * speed
     force[:, 2] = model.buoyancy_excess_n
     thrust = Sharing(model, power.thrust_w_n15).thrust_n(force, np.full(model.thrusters, np.inf))
-    watts = power.thrust_w(thrust)[:, np.abs(thrust).max(axis=0) > IDLE_N]
+    watts = power.thrust_w(thrust)[:, np.abs(thrust).max(axis=0) > POWER.idle_n]
     return SpeedTable(speed_m_s=speed, power_w=power.hotel_w + watts.sum(axis=1), cruise_m_s=cruise_m_s)
 
 
@@ -109,18 +104,11 @@ def energy_per_metre(table: SpeedTable, along_m_s: FloatArray, across_m_s: Float
     """
     least: FloatArray = np.empty(len(along_m_s))
     u = table.speed_m_s[:, None]
-    for begin in range(0, len(least), TOGETHER):
-        part = slice(begin, begin + TOGETHER)
+    for begin in range(0, len(least), POWER.together):
+        part = slice(begin, begin + POWER.together)
         across, along = across_m_s[part], along_m_s[part]
         room = u * u - across * across
         ground = np.sqrt(np.maximum(room, 0.0)) + along
-        usable = (room >= 0.0) & (ground > SLOWEST_GROUND_M_S) & table.allowed(along, across)
+        usable = (room >= 0.0) & (ground > POWER.slowest_ground_m_s) & table.allowed(along, across)
         least[part] = np.where(usable, table.power_w[:, None] / np.where(usable, ground, 1.0), np.inf).min(axis=0)
     return least
-
-
-TOGETHER = 4096
-"""Ways that are looked at together: a field has 200,000 of them, each with every speed of the table."""
-
-SLOWEST_GROUND_M_S = 0.01
-"""Headway below this is none."""

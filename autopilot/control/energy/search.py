@@ -6,12 +6,13 @@ from dataclasses import replace
 import numpy as np
 
 from autopilot.control.energy.field import LONGEST_MOVE, EnergyField, EnergyToGo, Way, other_ways
-from autopilot.control.energy.flow import LEAST_SAMPLES, Flow, FlowSamples, area_of
-from autopilot.control.energy.leg_task import INTERVALS, LONGEST_S, POLISH_ROUNDS, LegTask
+from autopilot.control.energy.flow import Flow, FlowSamples, area_of
+from autopilot.control.energy.leg_task import LegTask
 from autopilot.control.energy.patience import Kind
 from autopilot.control.energy.power import PowerModel, SpeedTable, speed_table
 from autopilot.control.energy.request import Plan, Request, no_plan
-from autopilot.control.energy.trajectory import SUBSTEP_S, Program, Trajectory
+from autopilot.control.energy.trajectory import Program, Trajectory
+from autopilot.control.energy.tuned import FLOW, LEG_TASK, SEARCH, TRAJECTORY
 from autopilot.control.fence.obstacles import Features, fence_key
 from autopilot.control.way.guidance import SteadyThrust
 from autopilot.core.desk import Cancel
@@ -21,33 +22,6 @@ from autopilot.core.geometry import Fence
 from autopilot.core.messages import Goal
 from autopilot.core.model4 import Model4
 from autopilot.core.sharing import Sharing
-
-SHORTER_S = (18.0,)
-"""So far if none of that length is solved: shorter intervals find their way through doors."""
-
-SUBSTEPS = (1, 2)
-
-UPDATE_ROUNDS = 1
-"""Rounds for a plan that is only brought up to date."""
-
-STAY_WITHIN = 1.1
-"""A plan stays on its way while the energy field knows none that is cheaper by so much: near-ties would flip."""
-
-CHEAPER_SHARE = 0.95
-"""A full search replaces a quick plan that is under way if it costs less than so much of what is left of that."""
-
-KEEP_WITHIN = 1.15
-"""Ways whose energy is beyond so many times the best one's are not looked at."""
-
-MAX_OTHER_WAYS = 2
-
-TIE_WITHIN, MAX_TIES = 1.15, 3
-"""Among so many trajectories within so many times the best one's cost the leg after this one decides."""
-
-SLOPE_REACH_M = 0.25
-
-COMFORT_M = 0.03
-"""Kept beyond the radius by ways, if there are such: a passage that is open by centimetres only is not chosen."""
 
 
 class EnergyPlanner:
@@ -63,9 +37,9 @@ class EnergyPlanner:
     def warm(self) -> None:
         """See :class:`TrajectoryPlanner`."""
         self._program(0.0)
-        still = np.zeros((LEAST_SAMPLES, LEAST_SAMPLES, 3))
+        still = np.zeros((FLOW.least_samples, FLOW.least_samples, 3))
         still[0] = 1.0
-        axis = np.arange(float(LEAST_SAMPLES))
+        axis = np.arange(float(FLOW.least_samples))
         Flow(FlowSamples(north_m=axis, east_m=axis, current_ned_m_s=still))
 
     def plan(self, request: Request, cancel: Cancel | None = None) -> Plan:
@@ -86,15 +60,15 @@ class EnergyPlanner:
         task = LegTask(request, features, flow, table, to_go, end_slope, self._program, self._steady, cancel)
         task.guesses(best)
         # What ends at a gate has a new one.
-        warm = None if request.warm is None or not task.complete else task.refine(request.warm, UPDATE_ROUNDS)
-        stays = warm is not None and warm.solved and task.energy_along(warm) < STAY_WITHIN * best.energy_j
+        warm = None if request.warm is None or not task.complete else task.refine(request.warm, SEARCH.update_rounds)
+        stays = warm is not None and warm.solved and task.energy_along(warm) < SEARCH.stay_within * best.energy_j
         if warm is not None and stays and request.kind is Kind.WARM:
             return task.plan(warm)
         if request.kind is Kind.QUICK:
             return task.first(best)
         candidates = [] if warm is None else [warm]
-        for task.reach_s in (LONGEST_S, *SHORTER_S):
-            if task.reach_s < LONGEST_S and task.ends_in_goal(best):
+        for task.reach_s in (LEG_TASK.longest_s, *SEARCH.shorter_s):
+            if task.reach_s < LEG_TASK.longest_s and task.ends_in_goal(best):
                 continue
             candidates += self._candidates(task, field, to_go, best, features)
             solved = sorted((one for one in candidates if one.solved), key=lambda one: one.cost_j)
@@ -103,15 +77,15 @@ class EnergyPlanner:
         else:
             return no_plan(request.goal, f"none of {len(candidates)} trajectories solved")
         winner = solved[0]
-        close = [one for one in solved if one.cost_j < TIE_WITHIN * winner.cost_j][:MAX_TIES]
+        close = [one for one in solved if one.cost_j < SEARCH.tie_within * winner.cost_j][: SEARCH.max_ties]
         if len(close) > 1 and beyond is not None and task.complete:
             onward = self._onward(task, close, field, beyond, features)
             winner = close[int(np.argmin(onward))]
-        if warm is not None and warm.solved and winner.cost_j > CHEAPER_SHARE * warm.cost_j:
+        if warm is not None and warm.solved and winner.cost_j > SEARCH.cheaper_share * warm.cost_j:
             return replace(task.plan(warm), stay=True)
         for one in [winner, *(one for one in solved if one is not winner)]:
             # Candidates are rough, and what they would do is not flown before it is solved to the end.
-            polished = task.refine(replace(one, solved=False), POLISH_ROUNDS)
+            polished = task.refine(replace(one, solved=False), LEG_TASK.polish_rounds)
             if polished.solved:
                 return task.plan(polished)
         return no_plan(request.goal, f"none of {len(solved)} candidates solved to the end")
@@ -125,7 +99,7 @@ class EnergyPlanner:
         if request.goal.following is not None:
             places.append(np.asarray(request.goal.following.pos_ned_m[:2], dtype=float))
         area = area_of(request.fence, np.stack(places))
-        for look, extra_m in enumerate((COMFORT_M, 0.0) if features.count else (0.0,)):
+        for look, extra_m in enumerate((SEARCH.comfort_m, 0.0) if features.count else (0.0,)):
             field = EnergyField(self._space_of(look, request.radius_m + extra_m, features, area), flow, table)
             to_go = field.to(goal_at)
             way = None if to_go is None else to_go.way(start)
@@ -139,9 +113,9 @@ class EnergyPlanner:
         """A trajectory along every way that is worth a look, for every way of turning."""
         guesses = task.guesses(best)
         # Ways to other gates cannot be compared.
-        others = other_ways(field, to_go, best, features, MAX_OTHER_WAYS) if task.complete else []
+        others = other_ways(field, to_go, best, features, SEARCH.max_other_ways) if task.complete else []
         for way in others:
-            if way.energy_j <= KEEP_WITHIN * best.energy_j:
+            if way.energy_j <= SEARCH.keep_within * best.energy_j:
                 guesses += task.guesses(way)
         return [task.screened(guess) for guess in guesses]
 
@@ -180,10 +154,10 @@ class EnergyPlanner:
 
     def _program(self, duration_s: float) -> Program:
         """The program whose RK4 steps are short enough for a trajectory of that duration."""
-        need = duration_s / (INTERVALS * SUBSTEP_S)
-        substeps = next((s for s in SUBSTEPS if s >= need), SUBSTEPS[-1])
+        need = duration_s / (LEG_TASK.intervals * TRAJECTORY.substep_s)
+        substeps = next((s for s in SEARCH.substeps if s >= need), SEARCH.substeps[-1])
         if substeps not in self._programs:
-            self._programs[substeps] = Program(self._sharing.model, self._power, INTERVALS, substeps)
+            self._programs[substeps] = Program(self._sharing.model, self._power, LEG_TASK.intervals, substeps)
         return self._programs[substeps]
 
 
@@ -196,4 +170,4 @@ def _slope_beyond(beyond: EnergyToGo | None, goal: Goal) -> FloatArray:
     """(2,) slope [J/m] at the goal of the energy that it takes to go on from there."""
     if beyond is None:
         return np.zeros(2)
-    return beyond.slope(np.asarray(goal.pos_ned_m[:2], dtype=float), SLOPE_REACH_M)
+    return beyond.slope(np.asarray(goal.pos_ned_m[:2], dtype=float), SEARCH.slope_reach_m)

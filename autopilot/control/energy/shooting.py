@@ -5,7 +5,7 @@ the trajectory; what they give is put into the sparse matrices of the whole by c
 whole program would be 48 times as large: 40 MB for one RK4 step per interval, 70 MB for two, and a second to build.
 
 Variables: thrust (one per thruster) and next state (8) of every interval, then the end time. Rows: the :data:`ROWS` of
-every interval, then :data:`END_ROWS`. All rows but those of the motion are at most 0.
+every interval, then :data:`SHOOTING.end_rows`. All rows but those of the motion are at most 0.
 """
 
 from collections.abc import Sequence
@@ -16,27 +16,18 @@ import numpy as np
 
 from autopilot.control.energy.interval import steps
 from autopilot.control.energy.power import PowerModel
+from autopilot.control.energy.tuned import SHOOTING
 from autopilot.control.nmpc.model_code import BUOYANCY, coefficients
 from autopilot.core.frames import FloatArray
 from autopilot.core.model4 import NX, YAW, Model4, R, U, V, W, Z
-
-PLANES = 6
-"""Half-planes per node."""
 
 SIGNED = ((W, 1.0), (W, -1.0), (R, 1.0), (R, -1.0), (Z, -1.0), (Z, 1.0))
 """States that a row bounds on one side each. (As bounds of the variables, or as rows between two limits, they take a
 tenth off an iteration, and long trajectories in open water are not solved from guesses that are beyond them.)"""
 
-ROWS = NX + 1 + len(SIGNED) + PLANES
+ROWS = NX + 1 + len(SIGNED) + SHOOTING.planes
 """Of an interval: motion, planar speed, heave, yaw rate, depth, half-planes."""
 
-END_ROWS = 3
-"""Distance from the goal, heading."""
-
-COST_SCALE = 1e-2
-
-COAST_S = 1.0
-"""A vehicle that arrives with a velocity is taken to be this much farther on at no cost."""
 
 SMALL_THRUST_N = 0.3
 """See :meth:`Shooting._second`."""
@@ -52,8 +43,8 @@ def shapes_of(n: int) -> dict[str, tuple[int, int]]:
         "current": (3, n + 1),
         "gradient": (4, n + 1),
         "places": (2, n + 1),
-        "plane_n": (2, PLANES * (n + 1)),
-        "plane_d": (PLANES, n + 1),
+        "plane_n": (2, SHOOTING.planes * (n + 1)),
+        "plane_d": (SHOOTING.planes, n + 1),
         "planar": (1, n + 1),
         "limits": (4, n + 1),
         "end": (2, 1),
@@ -71,7 +62,7 @@ class Shooting:
         self._end()
         z = ca.MX.sym("z", self._block * n + 1)
         p = ca.MX.sym("p", sum(rows * columns for rows, columns in shapes_of(n).values()))
-        of_cost, of_rows = ca.MX.sym("of_cost"), ca.MX.sym("of_rows", ROWS * n + END_ROWS)
+        of_cost, of_rows = ca.MX.sym("of_cost"), ca.MX.sym("of_rows", ROWS * n + SHOOTING.end_rows)
         cost, rows = self._values(z, p)
         self.program: dict[str, Any] = {"x": z, "f": cost, "g": rows, "p": p}
         hessian = ca.Function(
@@ -85,8 +76,8 @@ class Shooting:
         gradient = ca.Function("gradient", [z, p], [cost, self._gradient(z, p)], ["x", "p"], ["f", "grad_f_x"])
         self.derivatives: dict[str, Any] = {"hess_lag": hessian, "jac_g": jacobian, "grad_f": gradient}
         motion = np.tile(np.arange(ROWS) < NX, n)
-        self.lower: FloatArray = np.concatenate([np.where(motion, 0.0, -np.inf), np.full(END_ROWS, -np.inf)])
-        self.upper: FloatArray = np.zeros(ROWS * n + END_ROWS)
+        self.lower: FloatArray = np.concatenate([np.where(motion, 0.0, -np.inf), np.full(SHOOTING.end_rows, -np.inf)])
+        self.upper: FloatArray = np.zeros(ROWS * n + SHOOTING.end_rows)
 
     def _interval(self, model: Model4) -> None:
         """One interval: motion with slopes and Hessian; power of its thrusters with theirs."""
@@ -112,12 +103,12 @@ class Shooting:
         """What holds at the last node: rows and cost, slopes, Hessian, over its state."""
         x, goal, band = ca.SX.sym("x", NX), ca.SX.sym("goal", 3), ca.SX.sym("band", 3)
         beyond, current = ca.SX.sym("beyond", 2), ca.SX.sym("current", 2)
-        of_rows, of_cost = ca.SX.sym("of_rows", END_ROWS), ca.SX.sym("of_cost")
+        of_rows, of_cost = ca.SX.sym("of_rows", SHOOTING.end_rows), ca.SX.sym("of_cost")
         off = x[YAW] - band[1]
         rows = ca.vertcat(ca.sumsqr(x[:3] - goal) - band[0] ** 2, off - band[2], -off - band[2])
         c, s = ca.cos(x[YAW]), ca.sin(x[YAW])
         ground = ca.vertcat(x[U] * c - x[V] * s, x[U] * s + x[V] * c) + current
-        cost = COST_SCALE * ca.dot(beyond, x[:2] + COAST_S * ground - goal[:2])
+        cost = SHOOTING.cost_scale * ca.dot(beyond, x[:2] + SHOOTING.coast_s * ground - goal[:2])
         known = [x, goal, band, beyond, current]
         curved, _ = ca.hessian(of_cost * cost + ca.dot(of_rows, rows), x)
         self._end_values = ca.Function("end", known, [rows, cost])
@@ -147,8 +138,8 @@ class Shooting:
         parts, x, thrusts, motion, end = self._split(z, p)
         heave, turn, shallow, deep = ca.vertsplit(parts["limits"][:, 1:])
         limits = (heave, heave, turn, turn, -shallow, deep)
-        normals, offsets = parts["plane_n"][:, PLANES:], parts["plane_d"][:, 1:]
-        along = [ca.sum1(normals[:, i::PLANES] * x[:2, :]) for i in range(PLANES)]
+        normals, offsets = parts["plane_n"][:, SHOOTING.planes :], parts["plane_d"][:, 1:]
+        along = [ca.sum1(normals[:, i :: SHOOTING.planes] * x[:2, :]) for i in range(SHOOTING.planes)]
         rows = ca.vertcat(
             self._moved(*motion) - x,
             x[U, :] ** 2 + x[V, :] ** 2 - parts["planar"][:, 1:] ** 2,
@@ -156,7 +147,7 @@ class Shooting:
             offsets - ca.vertcat(*along),
         )
         end_rows, end_cost = self._end_values(*end)
-        cost = COST_SCALE * z[-1] * (self._power.hotel_w + ca.sum2(self._watts(thrusts)) / n) + end_cost
+        cost = SHOOTING.cost_scale * z[-1] * (self._power.hotel_w + ca.sum2(self._watts(thrusts)) / n) + end_cost
         assert rows.shape == (ROWS, n)
         return cost, ca.vertcat(ca.vec(rows), end_rows)
 
@@ -166,15 +157,15 @@ class Shooting:
         _, _, thrusts, _, end = self._split(z, p)
         watts, slopes = self._watt_slopes(thrusts)
         table = ca.MX.zeros(self._block, n)
-        table[: self._nu, :] = COST_SCALE * z[-1] / n * slopes
+        table[: self._nu, :] = SHOOTING.cost_scale * z[-1] / n * slopes
         table[self._nu :, n - 1] = self._end_gradient(*end)
-        return ca.vertcat(ca.vec(table), COST_SCALE * (self._power.hotel_w + ca.sum2(watts) / n))
+        return ca.vertcat(ca.vec(table), SHOOTING.cost_scale * (self._power.hotel_w + ca.sum2(watts) / n))
 
     def _jacobian(self, z: Any, p: Any) -> Any:
         """Of the rows."""
         n = self._n
         parts, x, _, motion, end = self._split(z, p)
-        matrix = _Sparse(ROWS * n + END_ROWS, self._block * n + 1)
+        matrix = _Sparse(ROWS * n + SHOOTING.end_rows, self._block * n + 1)
         matrix.add(
             self._slopes(*motion),
             [
@@ -192,13 +183,19 @@ class Shooting:
         for i, (state, sign) in enumerate(SIGNED):
             places = [[(ROWS * k + NX + 1 + i, self._state(k + 1, state), sign)] for k in range(n)]
             matrix.add(ca.DM.ones(n, 1), places)
-        first = ROWS - PLANES
+        first = ROWS - SHOOTING.planes
         for column in (0, 1):
             matrix.add(
-                -parts["plane_n"][column, PLANES:].T,
-                [[(ROWS * k + first + i, self._state(k + 1, column), 1.0)] for k in range(n) for i in range(PLANES)],
+                -parts["plane_n"][column, SHOOTING.planes :].T,
+                [
+                    [(ROWS * k + first + i, self._state(k + 1, column), 1.0)]
+                    for k in range(n)
+                    for i in range(SHOOTING.planes)
+                ],
             )
-        places = [[(ROWS * n + row, self._state(n, column), 1.0)] for column in range(NX) for row in range(END_ROWS)]
+        places = [
+            [(ROWS * n + row, self._state(n, column), 1.0)] for column in range(NX) for row in range(SHOOTING.end_rows)
+        ]
         matrix.add(self._end_slopes(*end), places)
         return matrix.filled()
 
@@ -216,8 +213,8 @@ class Shooting:
         matrix.add(self._curved(*motion, table[:NX, :]), places)
         slopes, curved = self._watt_curved(thrusts)
         at = [self._block * k + i for k in range(n) for i in range(nu)]
-        matrix.add(of_cost * COST_SCALE * z[-1] / n * curved, [[(i, i, 1.0)] for i in at])
-        matrix.add(of_cost * COST_SCALE / n * slopes, [[(i, self._block * n, 1.0)] for i in at])
+        matrix.add(of_cost * SHOOTING.cost_scale * z[-1] / n * curved, [[(i, i, 1.0)] for i in at])
+        matrix.add(of_cost * SHOOTING.cost_scale / n * slopes, [[(i, self._block * n, 1.0)] for i in at])
         for column in (U, V):
             matrix.add(2.0 * table[NX, :].T, [[(self._state(k + 1, column),) * 2 + (1.0,)] for k in range(n)])
         last = [self._state(n, i) for i in range(NX)]

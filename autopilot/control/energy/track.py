@@ -7,31 +7,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from autopilot.control.energy.trajectory import Trajectory
+from autopilot.control.energy.tuned import TRACK
 from autopilot.core import compiled
 from autopilot.core.frames import FloatArray, unwrap_near
 from autopilot.core.messages import Goal
 from autopilot.core.model4 import NX, YAW, R, U, V, W, X, Z
-
-YAW_LEVER_M = 0.3
-"""A radian of heading counts as so many metres when the nearest point of the trajectory is looked for."""
-
-SLOWEST_RATE = 0.3
-FASTEST_RATE = 2.0
-"""The trajectory's clock runs between these rates: it waits for a vehicle that is late and does not stand still."""
-
-WINDOW_S = 2.0
-SEARCH_POINTS = 41
-
-ARRIVING_S, MISSING_S = 0.1, 0.2
-"""By the clock, which goes at its slowest there: after so long behind the end the reference begins to go over to the
-goal's centre, and takes so long for it (0.3 and 0.7 s)."""
-
-MOST_COLUMNS = 32
-"""That the compiled library looks at together: states and thrusters."""
-
-SETTLE_S = 1.5
-"""Time constant with which the reference goes on to the goal's centre after the end of the trajectory."""
-
 
 _NONE = np.zeros(0, dtype=np.intp)
 
@@ -75,31 +55,31 @@ class Track:
 
     def advance(self, elapsed_s: float, x0: FloatArray) -> float:
         """Move the clock on to where the vehicle (8,) is; the distance [m] to that point."""
-        low, high = self.clock_s + SLOWEST_RATE * elapsed_s, self.clock_s + FASTEST_RATE * elapsed_s
+        low, high = self.clock_s + TRACK.slowest_rate * elapsed_s, self.clock_s + TRACK.fastest_rate * elapsed_s
         nearest_s, away_m = self._nearest(x0, self.clock_s)
         self.clock_s = min(max(nearest_s, low), high)
         return away_m
 
     def _nearest(self, x0: FloatArray, around_s: float) -> tuple[float, float]:
         """Time of the point nearest to a state, heading counted, and how far its place is [m]."""
-        begin_s, end_s = max(0.0, around_s - WINDOW_S), around_s + WINDOW_S
-        if self._library is not None and self._rows.shape[1] <= MOST_COLUMNS:
-            here, step_s = np.array(x0, dtype=float), (end_s - begin_s) / (SEARCH_POINTS - 1)
+        begin_s, end_s = max(0.0, around_s - TRACK.window_s), around_s + TRACK.window_s
+        if self._library is not None and self._rows.shape[1] <= TRACK.most_columns:
+            here, step_s = np.array(x0, dtype=float), (end_s - begin_s) / (TRACK.search_points - 1)
             told = (
                 compiled.fitting("x0", here, NX),
                 begin_s,
                 step_s,
-                SEARCH_POINTS,
-                YAW_LEVER_M,
+                TRACK.search_points,
+                TRACK.yaw_lever_m,
                 compiled.address(self._away_m),
             )
             found_s: float = self._library.nearest_at(*self._table, *told)
             return found_s, float(self._away_m[0])
-        window = np.linspace(begin_s, end_s, SEARCH_POINTS)
+        window = np.linspace(begin_s, end_s, TRACK.search_points)
         places = self._at(window)
         turn = places[:, YAW] - unwrap_near(float(x0[YAW]), float(places[0, YAW]))
         gap = ((places[:, :2] - x0[:2]) ** 2).sum(axis=1)
-        nearest = int((gap + (YAW_LEVER_M * turn) ** 2).argmin())
+        nearest = int((gap + (TRACK.yaw_lever_m * turn) ** 2).argmin())
         return float(window[nearest]), math.sqrt(float(gap[nearest]))
 
     def _at(self, t_s: FloatArray) -> FloatArray:
@@ -141,17 +121,17 @@ class Track:
 
         Not at once: the end is reached by what is predicted for when commands act, the region by the vehicle.
         """
-        return min(max(-self.rest_s - ARRIVING_S, 0.0) / MISSING_S, 1.0)
+        return min(max(-self.rest_s - TRACK.arriving_s, 0.0) / TRACK.missing_s, 1.0)
 
     def _settle(self, x: FloatArray, at: FloatArray, late: NDArray[np.intp], current_ned_m_s: FloatArray) -> None:
         """Fill the states after the end: exponentially to the goal's centre and heading."""
         end, goal = self.trajectory.x[-1], self.goal
         place = np.asarray(goal.pos_ned_m, dtype=float)
         yaw = float(end[YAW]) if goal.yaw_rad is None else unwrap_near(goal.yaw_rad, float(end[YAW]))
-        fade = np.exp(-(at[late] - self.trajectory.t_s[-1]) / SETTLE_S)
+        fade = np.exp(-(at[late] - self.trajectory.t_s[-1]) / TRACK.settle_s)
         x[late, X : Z + 1] = place + fade[:, None] * (end[: Z + 1] - place)
         x[late, YAW] = yaw + fade * (end[YAW] - yaw)
-        rate = -fade / SETTLE_S
+        rate = -fade / TRACK.settle_s
         velocity = rate[:, None] * (end[: Z + 1] - place) - current_ned_m_s
         c, s = np.cos(x[late, YAW]), np.sin(x[late, YAW])
         x[late, U], x[late, V] = c * velocity[:, 0] + s * velocity[:, 1], c * velocity[:, 1] - s * velocity[:, 0]

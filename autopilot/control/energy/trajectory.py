@@ -15,13 +15,11 @@ import casadi as ca
 import numpy as np
 
 from autopilot.control.energy.power import PowerModel
-from autopilot.control.energy.shooting import COST_SCALE, Shooting
+from autopilot.control.energy.shooting import Shooting
+from autopilot.control.energy.tuned import SHOOTING, TRAJECTORY
 from autopilot.core.desk import Cancel
 from autopilot.core.frames import FloatArray
 from autopilot.core.model4 import NX, Model4
-
-SUBSTEP_S = 0.5
-"""Longest RK4 step: with longer ones the program makes a profit of integration errors in the unstable sway-yaw mode."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -133,7 +131,7 @@ class Program:
         solved = bool(stats["success"])
         if stats["return_status"] in STOPPED_SHORT or self._stop.settled:
             off = (self._lbg - g, g - self._ubg, lower - z, z - upper)
-            solved = all(float(each.max()) < (ROUGH_FEASIBLE if rough else FEASIBLE) for each in off)
+            solved = all(float(each.max()) < (TRAJECTORY.rough_feasible if rough else FEASIBLE) for each in off)
         table = z[:-1].reshape(n, block)
         states = np.vstack([ask.x0, table[:, self._thrusters :]])
         return Trajectory(
@@ -141,7 +139,7 @@ class Program:
             x=states,
             thrust_n=table[:, : self._thrusters].copy(),
             energy_j=self._energy_j(float(z[-1]), table[:, : self._thrusters]),
-            cost_j=float(answer["f"]) / COST_SCALE,
+            cost_j=float(answer["f"]) / SHOOTING.cost_scale,
             solved=solved and bool(np.isfinite(z).all()),
         )
 
@@ -150,7 +148,7 @@ class Program:
         n, thrusters = self.n, self._thrusters
         upper = np.full((n, thrusters + NX), np.inf)
         upper[:, :thrusters] = ask.thrust_limit_n
-        return np.append(-upper, MIN_INTERVAL_S * n), np.append(upper, ask.longest_s)
+        return np.append(-upper, TRAJECTORY.min_interval_s * n), np.append(upper, ask.longest_s)
 
     def _energy_j(self, end_s: float, thrust_n: FloatArray) -> float:
         return end_s * (self._power.hotel_w + float(self._power.thrust_w(thrust_n).sum()) / self.n)
@@ -203,28 +201,17 @@ class _Stop(ca.Callback):
         off = float(max((self._lower - rows).max(), (rows - self._upper).max()))
         if self._rough:
             cost = float(arg[1])
-            still, self._cost = abs(cost - self._cost) < ROUGH_SHARE * abs(cost), cost
-            self.settled = still and off < ROUGH_FEASIBLE
+            still, self._cost = abs(cost - self._cost) < TRAJECTORY.rough_share * abs(cost), cost
+            self.settled = still and off < TRAJECTORY.rough_feasible
         return [int(self._cancel.requested or self.settled or self._stalled(off))]
 
     def _stalled(self, off: float) -> bool:
         """Whether what rows are off by at most is no less than it was STALLED_ITERATIONS ago."""
-        if off < NEARER * self._least_off:
+        if off < TRAJECTORY.nearer * self._least_off:
             self._least_off, self._since = off, 0
         self._since += 1
-        return self._since > STALLED_ITERATIONS and self._least_off > ROUGH_FEASIBLE
+        return self._since > TRAJECTORY.stalled_iterations and self._least_off > TRAJECTORY.rough_feasible
 
-
-MIN_INTERVAL_S = 0.005
-
-ROUGH_SHARE, ROUGH_FEASIBLE = 3e-3, 1e-3
-"""A rough solution is at hand when an iteration changes the cost by less than this share and dynamics and bounds are
-obeyed within so much: candidates differ by more, and the one that is flown is solved to the end."""
-
-STALLED_ITERATIONS, NEARER = 25, 0.9
-"""A program is given up when dynamics and bounds have come no nearer than to so much of what they were for so many
-iterations. Where there is no solution (a stream that is too fast for a leg's time) each takes 20 times as long: a plan
-was answered after 25 s, and meanwhile there was none."""
 
 STOPPED_SHORT, FEASIBLE = ("Maximum_Iterations_Exceeded", "Search_Direction_Becomes_Too_Small"), 1e-5
 """A program that ends like this may have been at its optimum for long, without proof. What obeys dynamics and bounds

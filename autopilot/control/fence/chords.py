@@ -10,7 +10,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from autopilot.control.fence.features import FAR_M, TINY_M, BoolArray, Boundaries, ComplexArray, as_complex, unit_rays
+from autopilot.control.fence.features import BoolArray, Boundaries, ComplexArray, as_complex, unit_rays
+from autopilot.control.fence.tuned import FEATURES
 from autopilot.core.frames import FloatArray
 
 RECOVERY_M_S = 0.2
@@ -88,7 +89,7 @@ class Path:
     def _meet(self) -> _Met:
         rays, rim, points = self._rays, self._rim, self._points
         step = rays[1:] - rays[:-1] if len(self._center) > 1 else (points[1:] - points[:-1])[:, None]
-        length2 = np.maximum(step.real**2 + step.imag**2, TINY_M**2)
+        length2 = np.maximum(step.real**2 + step.imag**2, FEATURES.tiny_m**2)
         at = np.minimum(np.maximum((step.conj() * rays[:-1]).real / -length2, 0.0), 1.0)
         at[:, self._side < 0.0] = 1.0  # what is to be stayed in is convex: its nodes will do
         leaves = np.abs(rays[:-1]) < rim[: len(rays) - 1]
@@ -104,7 +105,9 @@ class Path:
     def margin_m(self) -> float:
         """Smallest clearance beyond the radius."""
         seen, met, radius = self._seen.distance, self._met.distance, self._radius_m
-        margin = float(min(seen[0].min(initial=FAR_M), self._now.min(initial=FAR_M))) - float(radius[0])
+        margin = float(min(seen[0].min(initial=FEATURES.far_m), self._now.min(initial=FEATURES.far_m))) - float(
+            radius[0]
+        )
         for distance in (seen[1:], met):
             if distance.shape[1]:
                 margin = min(margin, float((distance.min(axis=1) - radius).min()))
@@ -118,7 +121,7 @@ class Path:
         if not seen.rho.shape[1] or seen.line.min() > 0.0:
             return None
         step = (points[1:] - points[:-1])[:, None]
-        front = seen.line > -TINY_M
+        front = seen.line > -FEATURES.tiny_m
         maybe = front[:-1] != front[1:]
         maybe &= seen.rho[:-1] <= np.abs(step)
         if not maybe.any():
@@ -144,7 +147,7 @@ class Path:
         """Half-planes of the nearest features: ``normals`` (m, slots), ``offsets`` (m, slots)."""
         seen, met = self._seen, self._met
         # Corners are met by chords, and an edge beyond whose end a node lies has nothing else to say.
-        distance_e = np.where(seen.share[1:] <= 0.0, FAR_M, seen.distance[1:])
+        distance_e = np.where(seen.share[1:] <= 0.0, FEATURES.far_m, seen.distance[1:])
         distance_r = met.distance
         if seen.bad is not None:
             distance_e = np.where(seen.bad[1:], seen.distance[1:], distance_e)
@@ -155,8 +158,8 @@ class Path:
             # A node is bound by the chord that ends there, and by the one that begins there.
             following = np.minimum(np.arange(1, len(distance_r) + 1), len(distance_r) - 1)
             again = distance_r[following]
-            again[:-1][((met.at[1:] == 0.0) & (met.at[:-1] == 1.0)) | met.leaves[1:]] = FAR_M
-            again[-1], again[:, self._side < 0.0] = FAR_M, FAR_M
+            again[:-1][((met.at[1:] == 0.0) & (met.at[:-1] == 1.0)) | met.leaves[1:]] = FEATURES.far_m
+            again[-1], again[:, self._side < 0.0] = FEATURES.far_m, FEATURES.far_m
             distance = np.concatenate([distance, distance_r, again], axis=1)
             normal_r = np.concatenate([met.normal, met.normal[following]], axis=1)
             normal = np.concatenate([normal, normal_r], axis=1)
@@ -170,7 +173,7 @@ class Path:
             pick = np.argpartition(distance, slots - 1, axis=1)[:, :slots]
             rows = np.arange(len(pick))[:, None]
             distance, normal, offset = distance[rows, pick], normal[rows, pick], offset[rows, pick]
-        says, used = distance < FAR_M, distance.shape[1]
+        says, used = distance < FEATURES.far_m, distance.shape[1]
         np.copyto(normals[:, :used], normal, where=says)
         np.copyto(offsets[:, :used], offset, where=says)
 
@@ -179,7 +182,7 @@ class Path:
         polygon = self._features.edges.polygon[self._keep[0]]
         rows, columns = np.nonzero(bad)
         for row, number in {(int(r), int(polygon[c])) for r, c in zip(rows, columns, strict=True)}:
-            distance_r[max(row - 1, 0) : row + 1, self._polygon == number] = FAR_M
+            distance_r[max(row - 1, 0) : row + 1, self._polygon == number] = FEATURES.far_m
 
     def _recovering(self, offset: FloatArray) -> FloatArray:
         """Boundaries (m, F) that are violated now are asked for gradually."""

@@ -10,23 +10,13 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from autopilot.control.fence.tuned import FEATURES
 from autopilot.core.frames import FloatArray
 from autopilot.core.geometry import Circle, Fence
 
 ComplexArray: TypeAlias = NDArray[np.complex128]
 IntArray: TypeAlias = NDArray[np.intp]
 BoolArray: TypeAlias = NDArray[np.bool_]
-
-TINY_M = 1e-9
-
-FAR_M = 1e6
-"""Stands for "no boundary anywhere near"."""
-
-MANY_FEATURES = 16
-"""Of more features than that, those are left out that are not near."""
-
-ON_EDGE = 1e-9
-"""A projection beyond an edge by this share still counts as on the edge."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -79,7 +69,7 @@ class Seen:
     rho: FloatArray
     """Distance from the edge, never negative."""
     distance: FloatArray
-    """Signed; FAR_M where the edge has nothing to say."""
+    """Signed; ``far_m`` where the edge has nothing to say."""
     normal: ComplexArray
     """Unit vectors that point where the vehicle has to be."""
     offset: FloatArray
@@ -97,7 +87,7 @@ class Boundaries:
         self.edges, self.rounds = _features_of(fence)
         self.count = len(self.edges.a) + self.rounds.circles
         """Number of edges and circles."""
-        self.many = self.count > MANY_FEATURES
+        self.many = self.count > FEATURES.many_features
         self.everything = np.arange(len(self.edges.a)), np.arange(len(self.rounds.center))
         self._groups = _groups(self.edges.polygon)
 
@@ -132,19 +122,19 @@ class Boundaries:
         gap = ray - np.minimum(np.maximum(share, 0.0), 1.0) * edges.ab[pick]
         rho = np.abs(gap)
         line = (ray * np.conj(normal_of_edge)).real
-        if rho.min(initial=FAR_M) < TINY_M:
-            normal = np.where(rho < TINY_M, normal_of_edge, gap / np.maximum(rho, TINY_M))
+        if rho.min(initial=FEATURES.far_m) < FEATURES.tiny_m:
+            normal = np.where(rho < FEATURES.tiny_m, normal_of_edge, gap / np.maximum(rho, FEATURES.tiny_m))
         else:
             normal = gap / rho
-        distance = np.where(share >= 1.0, FAR_M, rho)
+        distance = np.where(share >= 1.0, FEATURES.far_m, rho)
         bad = self._behind(keep, share, rho, line)
         if bad is not None:
             # Of a polygon that a point is inside (outside) only the nearest edge counts, and it pushes the other way
             # (but not from the line itself).
             first, group = self._groups if whole else _groups(edges.polygon[keep])
-            distance[np.logical_or.reduceat(bad, first, axis=1)[:, group]] = FAR_M
+            distance[np.logical_or.reduceat(bad, first, axis=1)[:, group]] = FEATURES.far_m
             distance[bad] = -rho[bad]
-            normal[bad & (rho >= TINY_M)] *= -1.0
+            normal[bad & (rho >= FEATURES.tiny_m)] *= -1.0
         offset = (np.conj(normal) * (points[:, None] - gap)).real
         return Seen(share=share, rho=rho, distance=distance, normal=normal, offset=offset, line=line, bad=bad)
 
@@ -161,8 +151,10 @@ class Boundaries:
         nearest = rho <= np.minimum.reduceat(rho, first, axis=1)[:, group]
         if not (nearest & (line < 0.0)).any():
             return None
-        corner = np.where(share < -ON_EDGE, edges.begin_hides[pick], edges.end_hides[pick])
-        bad: BoolArray = nearest & np.where((share < -ON_EDGE) | (share > 1.0 + ON_EDGE), corner, line < 0.0)
+        corner = np.where(share < -FEATURES.on_edge, edges.begin_hides[pick], edges.end_hides[pick])
+        bad: BoolArray = nearest & np.where(
+            (share < -FEATURES.on_edge) | (share > 1.0 + FEATURES.on_edge), corner, line < 0.0
+        )
         return bad if bad.any() else None
 
 
@@ -212,8 +204,8 @@ def _edges(polygons: list[tuple[FloatArray, bool]]) -> Edges:
     return Edges(
         a=v,
         ab=ab,
-        along=np.conj(ab) / np.maximum(length, TINY_M) ** 2,
-        normal=1j * ab / np.maximum(length, TINY_M) * free_left,
+        along=np.conj(ab) / np.maximum(length, FEATURES.tiny_m) ** 2,
+        normal=1j * ab / np.maximum(length, FEATURES.tiny_m) * free_left,
         begin_hides=begin_hides,
         end_hides=begin_hides[ring.after],
         polygon=ring.number,
@@ -257,7 +249,7 @@ def _counter_clockwise(polygons: list[FloatArray]) -> tuple[ComplexArray, _Rings
     if not len(counts):
         return np.zeros(0, dtype=complex), ring
     v = as_complex(np.concatenate(polygons))
-    different = np.abs(v - v[ring.before]) > TINY_M
+    different = np.abs(v - v[ring.before]) > FEATURES.tiny_m
     if not different.all():
         enough = np.add.reduceat(different.astype(np.intp), ring.first) > 2
         kept = different | ~enough[ring.number]
@@ -275,8 +267,8 @@ def as_complex(points_ned_m: FloatArray) -> ComplexArray:
 
 def unit_rays(ray: ComplexArray, rho: FloatArray) -> ComplexArray:
     """Unit vectors along rays; north where there is none."""
-    if rho.min(initial=FAR_M) < TINY_M:
-        return np.where(rho < TINY_M, 1.0, ray / np.maximum(rho, TINY_M))
+    if rho.min(initial=FEATURES.far_m) < FEATURES.tiny_m:
+        return np.where(rho < FEATURES.tiny_m, 1.0, ray / np.maximum(rho, FEATURES.tiny_m))
     result: ComplexArray = ray / rho
     return result
 

@@ -12,21 +12,14 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from autopilot.control.fence.chords import Movers, Path
-from autopilot.control.fence.features import (
-    FAR_M,
-    TINY_M,
-    Boundaries,
-    ComplexArray,
-    IntArray,
-    as_complex,
-    unit_rays,
-)
+from autopilot.control.fence.features import Boundaries, ComplexArray, IntArray, as_complex, unit_rays
 from autopilot.control.fence.quick import STRUCTS, QuickFence
+from autopilot.control.fence.tuned import FEATURES
 from autopilot.core import compiled
 from autopilot.core.frames import FloatArray
 from autopilot.core.geometry import Circle, Fence
 
-__all__ = ["FAR_M", "Features", "Movers", "clearance_m", "fence_key"]
+__all__ = ["Features", "Movers", "clearance_m", "fence_key"]
 
 POINTS_TOGETHER = 64
 """Points that are looked at together when far features are left out: a tile of 8 x 8 cells, a few metres of a line."""
@@ -49,7 +42,7 @@ class Features(Boundaries):
         """Per point (m,) and edge or circle: signed distance (m, F), unit normal (m, F), offset of the boundary (m, F).
 
         ``keep`` selects features. Their constraint is ``normal . p >= offset``; distance is positive where free.
-        Features that say nothing at that point (shared ends, far walls seen from outside) have distance FAR_M.
+        Features that say nothing at that point (shared ends, far walls seen from outside) have distance ``far_m``.
         """
         edges, rounds = keep or self.everything
         seen = self.look(points, edges)
@@ -69,12 +62,12 @@ class Features(Boundaries):
         )
 
     def clearance_m(self, points_ned_m: FloatArray) -> FloatArray:
-        """Distance (m,) of points (m, 2) to the nearest boundary, negative where forbidden; FAR_M without a fence.
+        """Distance (m,) of points (m, 2) to the nearest boundary, negative where forbidden; ``far_m`` without a fence.
 
         A point in forbidden ground of one shape may be in free ground of others: the worst of all decides.
         """
         if self.count == 0:
-            return np.full(len(points_ned_m), FAR_M)
+            return np.full(len(points_ned_m), FEATURES.far_m)
         distance, _, _ = self.nearest(as_complex(points_ned_m))
         result: FloatArray = distance.min(axis=1)
         return result
@@ -135,7 +128,7 @@ class Features(Boundaries):
                 yield np.arange(begin, min(begin + POINTS_AT_ONCE, len(points)))
             return
         low, high = complex(points.real.min(), points.imag.min()), complex(points.real.max(), points.imag.max())
-        side = max(abs(high - low) / math.sqrt(len(points) / POINTS_TOGETHER), TINY_M)
+        side = max(abs(high - low) / math.sqrt(len(points) / POINTS_TOGETHER), FEATURES.tiny_m)
         row, column = ((points.real - low.real) // side).astype(int), ((points.imag - low.imag) // side).astype(int)
         order = np.lexsort((column, row))
         change = (np.diff(row[order]) != 0) | (np.diff(column[order]) != 0)
@@ -167,7 +160,7 @@ class Features(Boundaries):
                 return margin
         normals[:], offsets[:] = 0.0, -1.0
         if self.count == 0 and movers is None:
-            return FAR_M
+            return FEATURES.far_m
         path = Path(self, points_ned_m, t_s, radius_m, movers)
         path.end_at_walls()
         path.fill(slots, normals.view(np.complex128)[..., 0], offsets)
@@ -178,7 +171,7 @@ class Features(Boundaries):
     ) -> float:
         """The smallest clearance beyond ``radius_m`` of a path, as :meth:`half_planes` returns it."""
         if self.count == 0 and movers is None:
-            return FAR_M
+            return FEATURES.far_m
         margin = None
         if self._quick is not None and movers is None:
             margin = self._quick.margin_m(points_ned_m, t_s, radius_m)

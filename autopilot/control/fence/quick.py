@@ -11,7 +11,8 @@ from typing import Any
 import numpy as np
 
 from autopilot.control.fence.chords import RECOVERY_M_S
-from autopilot.control.fence.features import FAR_M, TINY_M, Edges, Rounds
+from autopilot.control.fence.features import Edges, Rounds
+from autopilot.control.fence.tuned import FEATURES
 from autopilot.core import compiled
 from autopilot.core.frames import FloatArray
 
@@ -47,8 +48,8 @@ class QuickFence:
         self._struct = _Boundaries(
             edges=len(edges.a),
             rounds=len(rounds.center),
-            tiny=TINY_M,
-            far=FAR_M,
+            tiny=FEATURES.tiny_m,
+            far=FEATURES.far_m,
             recovery_m_s=RECOVERY_M_S,
             **addresses,
         )

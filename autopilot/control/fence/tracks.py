@@ -14,44 +14,10 @@ import numpy as np
 
 from autopilot.control.fence.chords import Movers
 from autopilot.control.fence.features import BoolArray
+from autopilot.control.fence.tuned import TRACKS
 from autopilot.core.frames import FloatArray
 from autopilot.core.geometry import Circle, Fence
 from autopilot.core.samples import ObstacleTrack
-
-STANDING_M_S = 0.03
-"""What is slower stands."""
-
-GROWTH_M_S = 0.02
-"""How fast the circle of a moving track grows: assumed error of its velocity."""
-
-LARGEST_GROWTH_M = 0.3
-"""Beyond this much a circle would only make the vehicle boxed in."""
-
-FORGET_MOVING_US = 5_000_000
-FORGET_STANDING_US = 300_000_000
-"""After so long without news: a mover is somewhere else, what stands is likely to stand there still."""
-
-DEEP_M = 1.0
-"""A vehicle that is so far inside of something is not: the report is wrong, or the circle round a ship is mostly water.
-There is no way out of it, and a vehicle that flees from everywhere presses against its fence."""
-
-MAX_TRACKS = 32
-"""The one seen longest ago makes room for another."""
-
-LARGEST_RADIUS_M = 100.0
-FASTEST_M_S = 10.0
-FARTHEST_M = 1e5
-"""Values beyond these are taken for errors."""
-
-MOVED_M = 0.05
-"""What stands and is seen this far from where it was believed to be has been moved: routes are planned anew."""
-
-WAITING_M_S = 0.05
-WAITED_US = 8_000_000
-"""A vehicle slower than that with a moving obstacle on its way waits; after so long it looks for another way ..."""
-
-DETOUR_US = 15_000_000
-"""... for so long."""
 
 
 class Tracks:
@@ -71,7 +37,7 @@ class Tracks:
             self.dropped += 1
             return
         self._tracks[report.track_id] = report
-        if len(self._tracks) > MAX_TRACKS:
+        if len(self._tracks) > TRACKS.max_tracks:
             del self._tracks[min(self._tracks.values(), key=lambda track: (track.t_us, track.track_id)).track_id]
 
     def forget(self, track_id: int) -> None:
@@ -85,21 +51,21 @@ class Tracks:
         for track in self.at(t_us):
             gone_m = track.vel_ned_m_s[:2] * (max(0, t_us - track.t_us) * 1e-6)
             off_m = math.hypot(*(pos_ned_m[:2] - track.pos_ned_m[:2] - gone_m).tolist())
-            (over if off_m < track.radius_m - DEEP_M else kept).append(track)
+            (over if off_m < track.radius_m - TRACKS.deep_m else kept).append(track)
         self.over_m = max((track.radius_m for track in over), default=None)
         return tuple(kept)
 
     def at(self, t_us: int) -> tuple[ObstacleTrack, ...]:
         """What is remembered at ``t_us``, in the order of the numbers."""
         for number, track in list(self._tracks.items()):
-            if t_us - track.t_us > (FORGET_STANDING_US if stands(track) else FORGET_MOVING_US):
+            if t_us - track.t_us > (TRACKS.forget_standing_us if stands(track) else TRACKS.forget_moving_us):
                 del self._tracks[number]
         return tuple(self._tracks[number] for number in sorted(self._tracks))
 
 
 def stands(track: ObstacleTrack) -> bool:
     """Whether it is taken for one that does not move."""
-    return math.hypot(*track.vel_ned_m_s[:2]) < STANDING_M_S
+    return math.hypot(*track.vel_ned_m_s[:2]) < TRACKS.standing_m_s
 
 
 def movers_of(tracks: Iterable[ObstacleTrack], t_us: int) -> Movers | None:
@@ -113,8 +79,9 @@ def movers_of(tracks: Iterable[ObstacleTrack], t_us: int) -> Movers | None:
     return Movers(
         center=position + velocity * age_s,
         velocity_m_s=velocity,
-        radius_m=np.array([track.radius_m for track in chosen]) + np.minimum(GROWTH_M_S * age_s, LARGEST_GROWTH_M),
-        growth_m_s=np.full(len(chosen), GROWTH_M_S),
+        radius_m=np.array([track.radius_m for track in chosen])
+        + np.minimum(TRACKS.growth_m_s * age_s, TRACKS.largest_growth_m),
+        growth_m_s=np.full(len(chosen), TRACKS.growth_m_s),
     )
 
 
@@ -179,7 +146,7 @@ class Obstructions:
         for track in tracks:
             known = self._standing.get(track.track_id)
             off = math.inf if known is None else math.hypot(*(track.pos_ned_m[:2] - known.center_ned_m))
-            if known is None or off + abs(track.radius_m - known.radius_m) > MOVED_M:
+            if known is None or off + abs(track.radius_m - known.radius_m) > TRACKS.moved_m:
                 self._standing[track.track_id] = Circle(
                     center_ned_m=np.array(track.pos_ned_m[:2], dtype=float), radius_m=track.radius_m
                 )
@@ -194,14 +161,19 @@ class Obstructions:
             self._in_the_way = ()
             return True
         blocking = _blocking(movers, way)
-        if movers is None or not blocking.any() or way.speed_m_s > WAITING_M_S or way.goal_distance_m < way.keep_m:
+        if (
+            movers is None
+            or not blocking.any()
+            or way.speed_m_s > TRACKS.waiting_m_s
+            or way.goal_distance_m < way.keep_m
+        ):
             self._waits_since_us = None
             return False
         if self._waits_since_us is None:
             self._waits_since_us = t_us
-        if t_us - self._waits_since_us < WAITED_US:
+        if t_us - self._waits_since_us < TRACKS.waited_us:
             return False
-        self._waits_since_us, self._detour_until_us = None, t_us + DETOUR_US
+        self._waits_since_us, self._detour_until_us = None, t_us + TRACKS.detour_us
         self._in_the_way = tuple(
             Circle(center_ned_m=np.array([center.real, center.imag]), radius_m=float(radius))
             for center, radius in zip(movers.center[blocking], movers.radius_m[blocking], strict=True)
@@ -230,8 +202,8 @@ def _is_sane(t_us: int, report: ObstacleTrack) -> bool:
     numbers = (*position.tolist(), *velocity.tolist(), float(report.radius_m))
     return bool(
         all(math.isfinite(number) for number in numbers)
-        and 0.0 < report.radius_m <= LARGEST_RADIUS_M
-        and math.hypot(*velocity) <= FASTEST_M_S
-        and math.hypot(*position) <= FARTHEST_M
+        and 0.0 < report.radius_m <= TRACKS.largest_radius_m
+        and math.hypot(*velocity) <= TRACKS.fastest_m_s
+        and math.hypot(*position) <= TRACKS.farthest_m
         and 0 <= report.t_us <= t_us
     )

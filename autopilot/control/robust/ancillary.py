@@ -9,28 +9,21 @@ import numpy as np
 
 from autopilot.control.robust.error_model import error_jacobian, error_of, input_matrix
 from autopilot.control.robust.riccati import dare, discretise, gain
+from autopilot.control.robust.tuned import ANCILLARY
 from autopilot.core.frames import FloatArray
 from autopilot.core.model4 import NX, Model4, U
 
 SURGES_M_S = np.linspace(-0.8, 0.8, 9)
 """Surge speeds of the table; beyond, its ends."""
 
-STATE_WEIGHTS = (60.0, 60.0, 80.0, 20.0, 8.0, 8.0, 8.0, 1.0)
-"""Error ahead, to starboard, depth, yaw, velocities. Per 0.1 s, as the optimiser's. Three times its weight on position:
-disturbances of 1 N then leave 3 cm, at bandwidths (1.5 1/s, yaw 4 1/s) that the thrusters' lag of 0.15 s allows."""
-
-THRUST_WEIGHT = 0.02
-
-DESIGN_STEP_S = 0.02
-
 
 def lqr_gains(model: Model4, surges_m_s: FloatArray = SURGES_M_S) -> FloatArray:
     """(m, n, 8) gains at surge speeds (m,) with no other velocity."""
     a = np.array([error_jacobian(model, np.array([u, 0.0, 0.0, 0.0])) for u in surges_m_s])
     b = np.broadcast_to(input_matrix(model), (len(surges_m_s), NX, model.thrusters))
-    a_d, b_d = discretise(a, b, DESIGN_STEP_S)
-    r = THRUST_WEIGHT * np.eye(model.thrusters)
-    p = dare(a_d, b_d, np.diag(STATE_WEIGHTS), r)
+    a_d, b_d = discretise(a, b, ANCILLARY.design_step_s)
+    r = ANCILLARY.thrust_weight * np.eye(model.thrusters)
+    p = dare(a_d, b_d, np.diag(ANCILLARY.state_weights), r)
     return gain(a_d, b_d, p, r)
 
 

@@ -6,16 +6,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from autopilot.control.robust.error_model import CHANNELS
+from autopilot.control.robust.tuned import DISTURBANCE
 from autopilot.core.frames import FloatArray
 from autopilot.core.messages import NavState
 from autopilot.core.params import ParamSet
-
-BOUND_SIGMAS = 3.0
-"""A bound is read as three standard deviations."""
-
-POSITION_VARIANCE_LIMIT_M2 = 0.3**2
-VELOCITY_VARIANCE_LIMIT_M2_S2 = 0.3**2
-"""An estimate worse than this is one that navigation failsafes act upon; margins do not grow for ever with it."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -58,19 +52,19 @@ class EstimateSpread:
         """From ``NavState.variance``. A variance that is no number is as bad as the limit."""
         v = [x if math.isfinite(x) and x > 0.0 else 0.0 if x == 0.0 else math.inf for x in nav.variance.tolist()]
         return cls(
-            position_m2=min(max(v[0], v[1]), POSITION_VARIANCE_LIMIT_M2),
-            depth_m2=min(v[2], POSITION_VARIANCE_LIMIT_M2),
-            yaw_rad2=min(v[5], POSITION_VARIANCE_LIMIT_M2),
-            planar_m2_s2=min(max(v[6], v[7]), VELOCITY_VARIANCE_LIMIT_M2_S2),
-            heave_m2_s2=min(v[8], VELOCITY_VARIANCE_LIMIT_M2_S2),
-            current_m2_s2=min(max(v[9], v[10]), VELOCITY_VARIANCE_LIMIT_M2_S2),
+            position_m2=min(max(v[0], v[1]), DISTURBANCE.position_variance_limit_m2),
+            depth_m2=min(v[2], DISTURBANCE.position_variance_limit_m2),
+            yaw_rad2=min(v[5], DISTURBANCE.position_variance_limit_m2),
+            planar_m2_s2=min(max(v[6], v[7]), DISTURBANCE.velocity_variance_limit_m2_s2),
+            heave_m2_s2=min(v[8], DISTURBANCE.velocity_variance_limit_m2_s2),
+            current_m2_s2=min(max(v[9], v[10]), DISTURBANCE.velocity_variance_limit_m2_s2),
         )
 
 
 def channel_variances(bound: DisturbanceBound, spread: EstimateSpread) -> tuple[float, ...]:
     """(3,) variances of force [N^2], moment [N^2 m^2] and current error [m^2/s^2]."""
     return (
-        (bound.force_n / BOUND_SIGMAS) ** 2,
-        (bound.moment_n_m / BOUND_SIGMAS) ** 2,
-        (bound.current_m_s / BOUND_SIGMAS) ** 2 + spread.current_m2_s2,
+        (bound.force_n / DISTURBANCE.bound_sigmas) ** 2,
+        (bound.moment_n_m / DISTURBANCE.bound_sigmas) ** 2,
+        (bound.current_m_s / DISTURBANCE.bound_sigmas) ** 2 + spread.current_m2_s2,
     )

@@ -5,23 +5,12 @@ import math
 
 import numpy as np
 
+from autopilot.control.robust.tuned import FALLBACK
 from autopilot.core import model4
 from autopilot.core.frames import FloatArray, wrap_pi
 from autopilot.core.messages import FALLBACK_TEXT, Fallback, Severity
 from autopilot.core.model4 import YAW, R, U, X, Y, Z
 from autopilot.core.sharing import Sharing
-
-POSITION_GAIN_1_S = 0.4
-YAW_GAIN_1_S = 0.8
-VELOCITY_GAIN_1_S = 1.5
-SPEED_LIMIT_M_S = 0.15
-HEAVE_LIMIT_M_S = 0.1
-YAW_RATE_LIMIT_RAD_S = 0.4
-WATER_SPEED_LIMIT_M_S = 0.4
-
-
-OVER_STEPS = 20
-"""A fallback counts as over after so many solved steps (1 s): one that flickers is told once."""
 
 TOLD = {
     Fallback.SHIFTED_PLAN: f"{FALLBACK_TEXT}, last plan goes on",
@@ -53,7 +42,7 @@ class FallbackWatch:
                 self._news.append((Severity.WARNING, text))
         elif fallback is Fallback.NONE and self._told:
             self._solved += 1
-            if self._solved >= OVER_STEPS:
+            if self._solved >= FALLBACK.over_steps:
                 self.reset()
                 self._news.append((Severity.INFO, OVER))
 
@@ -84,7 +73,7 @@ class FiniteWatch:
                 self._news.append((Severity.ERROR, NOT_FINITE))
         elif self.count:
             self._sound += 1
-            if self._sound >= OVER_STEPS:
+            if self._sound >= FALLBACK.over_steps:
                 self._news.append((Severity.INFO, f"Estimate finite again after {self.count} ticks without thrust"))
                 self.count = 0
 
@@ -108,24 +97,29 @@ def station_keeping_thrust(
     model = sharing.model
     dx, dy = float(target[X] - x[X]), float(target[Y] - x[Y])
     distance = math.hypot(dx, dy)
-    speed = min(POSITION_GAIN_1_S * distance, SPEED_LIMIT_M_S)
+    speed = min(FALLBACK.position_gain_1_s * distance, FALLBACK.speed_limit_m_s)
     scale = speed / distance if distance > 1e-9 else 0.0
     north, east = scale * dx - current_ned_m_s[0], scale * dy - current_ned_m_s[1]
-    shrink = min(1.0, WATER_SPEED_LIMIT_M_S / max(math.hypot(north, east), 1e-9))
+    shrink = min(1.0, FALLBACK.water_speed_limit_m_s / max(math.hypot(north, east), 1e-9))
     c, s = math.cos(x[YAW]), math.sin(x[YAW])
-    climb = max(-HEAVE_LIMIT_M_S, min(HEAVE_LIMIT_M_S, POSITION_GAIN_1_S * float(target[Z] - x[Z])))
-    turn = YAW_GAIN_1_S * wrap_pi(float(target[YAW] - x[YAW]))
+    climb = max(
+        -FALLBACK.heave_limit_m_s, min(FALLBACK.heave_limit_m_s, FALLBACK.position_gain_1_s * float(target[Z] - x[Z]))
+    )
+    turn = FALLBACK.yaw_gain_1_s * wrap_pi(float(target[YAW] - x[YAW]))
     wanted = np.array(
         [
             shrink * (c * north + s * east),
             shrink * (c * east - s * north),
             climb - current_ned_m_s[2],
-            max(-YAW_RATE_LIMIT_RAD_S, min(YAW_RATE_LIMIT_RAD_S, turn)),
+            max(-FALLBACK.yaw_rate_limit_rad_s, min(FALLBACK.yaw_rate_limit_rad_s, turn)),
         ]
     )
     nu = [float(v) for v in x[U : R + 1]]
     drift = model4.body_acceleration(model, [float(v) for v in wanted], (0.0,) * model.thrusters, math)
     force = np.array(
-        [m * (VELOCITY_GAIN_1_S * (w - v) - a) for m, w, v, a in zip(model.mass_kg, wanted, nu, drift, strict=True)]
+        [
+            m * (FALLBACK.velocity_gain_1_s * (w - v) - a)
+            for m, w, v, a in zip(model.mass_kg, wanted, nu, drift, strict=True)
+        ]
     )
     return sharing.thrust_n(force, limit_n)

@@ -15,7 +15,7 @@ from autopilot.control.robust.disturbance import DisturbanceBound, EstimateSprea
 from autopilot.control.robust.error_model import error_jacobian
 from autopilot.control.robust.riccati import exponential
 from autopilot.control.robust.tightening import BackOffs, FixedMargins
-from autopilot.control.robust.tube import DISC_SIGMAS
+from autopilot.control.robust.tuned import TUBE
 from autopilot.core.frames import FloatArray
 from autopilot.core.messages import NavState
 from autopilot.core.model4 import NX, Model4, R, U, W, X, Y, Z
@@ -138,8 +138,8 @@ class LipschitzMargins:
         bound = DisturbanceBound.of(params)
         start_m = 0.0
         if spread is not None:
-            start_m = DISC_SIGMAS * float(np.sqrt(spread.position_m2))
-            more = DISC_SIGMAS * float(np.sqrt(spread.current_m2_s2))
+            start_m = TUBE.disc_sigmas * float(np.sqrt(spread.position_m2))
+            more = TUBE.disc_sigmas * float(np.sqrt(spread.current_m2_s2))
             bound = DisturbanceBound(
                 force_n=bound.force_n, moment_n_m=bound.moment_n_m, current_m_s=bound.current_m_s + more
             )

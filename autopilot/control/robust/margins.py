@@ -12,7 +12,8 @@ from autopilot.control.robust.ancillary import Ancillary
 from autopilot.control.robust.evidence import SpeedEvidence
 from autopilot.control.robust.lipschitz import LipschitzMargins
 from autopilot.control.robust.tightening import BackOffs, FixedMargins
-from autopilot.control.robust.tube import LARGEST_SHARE, TubeMargins
+from autopilot.control.robust.tube import TubeMargins
+from autopilot.control.robust.tuned import TUBE
 from autopilot.control.way.reference import water_speed_share
 from autopilot.core.frames import FloatArray
 from autopilot.core.messages import NavState, Severity
@@ -103,7 +104,7 @@ class Margins:
         kind = Tighten(int(params["MPC_TIGHTEN"]))
         mode = kind.name.lower()
         # Tube margins settle and are cut at a share of the limit: one that has been cut is one that does not fit.
-        node, share = (-1, LARGEST_SHARE) if kind is Tighten.TUBE else (0, 1.0)
+        node, share = (-1, TUBE.largest_share) if kind is Tighten.TUBE else (0, 1.0)
         reasons = [
             f"{name} limit {params[limit]:g} {unit} leaves too little beside the {mode} margin {margin[node]:.2f}: "
             f"smaller MPC_W_* or higher {limit}"

@@ -11,39 +11,16 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from autopilot.control.robust.terminal import (
-    SAMPLES,
-    Certificate,
-    Terminal,
-    TerminalLimits,
-    certify,
-    terminal_law,
-    unit_samples,
-)
+from autopilot.control.robust.terminal import Certificate, Terminal, TerminalLimits, certify, terminal_law, unit_samples
+from autopilot.control.robust.tuned import REGIONS, TERMINAL
 from autopilot.core.desk import Cancel, Desk, Ticket
 from autopilot.core.frames import FloatArray
 from autopilot.core.messages import Goal, Severity
 from autopilot.core.model4 import YAW, Model4, U
 from autopilot.core.sharing import Sharing
 
-ANSWER_STEPS = 20
-"""A certificate is taken so many control steps after it was asked for (1 s at 20 Hz): nothing waits for it."""
-
-CURRENT_STEP_M_S = 0.06
-"""A goal is certified anew when the current there has changed by this."""
-
-BUOYANCY_STEP_N = 0.5
-"""The same of the buoyancy that the vehicle has proved to have."""
-
 AT_PLACE = ("clearance", "acceptance radius", "acceptance heading", "depth", "decrease")
 """Limits of the goal's place, whatever the water does; all others are of what the vehicle can do in it."""
-
-HERE_M = 1.0
-"""The current where the vehicle is counts as that at its goal within this."""
-
-AT_GOAL_M = 0.02
-AT_GOAL_RAD = 0.05
-"""The end of a reference counts as the goal within these."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -59,7 +36,7 @@ class _Request:
 
 def _certified(request: _Request, cancel: Cancel) -> Certificate:
     """The whole certificate, or what the limits alone say of the region."""
-    samples = unit_samples(SAMPLES if request.sampled else 0)
+    samples = unit_samples(TERMINAL.samples if request.sampled else 0)
     return certify(request.model, request.law, request.goal, request.limits, samples, look=cancel.check)
 
 
@@ -115,9 +92,11 @@ class TerminalRegions:
         yaw = goal.yaw_rad if goal.yaw_rad is not None else round(yaw_rad, 1)
         place, current = goal.pos_ned_m.tolist(), current_ned_m_s.tolist()
         key = (place, yaw, goal.accept_radius_m, clearance_m, q.tobytes(), r.tobytes(), sampled)
-        moved = max(abs(now - then) for now, then in zip(current, self._current, strict=True)) > CURRENT_STEP_M_S
+        moved = (
+            max(abs(now - then) for now, then in zip(current, self._current, strict=True)) > REGIONS.current_step_m_s
+        )
         buoyancy_n = self._sharing.buoyancy_excess_n
-        moved |= abs(buoyancy_n - self._buoyancy_n) > BUOYANCY_STEP_N
+        moved |= abs(buoyancy_n - self._buoyancy_n) > REGIONS.buoyancy_step_n
         if key != self._key or (moved and self._ticket is None):
             self._key, self._goal, self._current, self._buoyancy_n = key, goal, current, buoyancy_n
             told = limits()
@@ -126,7 +105,7 @@ class TerminalRegions:
             self.certificate = None
             self._withdraw()
             request = _Request(model=self._sharing.model, law=self.law, goal=goal, limits=told, sampled=sampled)
-            self._ticket = self._desk.submit(self._step + ANSWER_STEPS, _certified, request)
+            self._ticket = self._desk.submit(self._step + REGIONS.answer_steps, _certified, request)
         answer = None if self._ticket is None else self._ticket.poll(self._step)
         if answer is None:
             return
@@ -144,11 +123,11 @@ class TerminalRegions:
     def cost_at(self, x_end: FloatArray, goal: Goal) -> FloatArray | None:
         """(8, 8) terminal Hessian for a reference that ends in ``x_end`` (8,): that of the goal if it ends there."""
         law, end = self.law, x_end.tolist()
-        if law is None or self._goal is None or math.dist(end[:3], goal.pos_ned_m.tolist()) >= AT_GOAL_M:
+        if law is None or self._goal is None or math.dist(end[:3], goal.pos_ned_m.tolist()) >= REGIONS.at_goal_m:
             return None
         turn = math.remainder(end[YAW] - law.yaw_rad, 2.0 * math.pi)
         still = max(abs(a - b) for a, b in zip(end[U:], self._nu, strict=True))
-        return self._cost if abs(turn) < AT_GOAL_RAD and still < CURRENT_STEP_M_S else None
+        return self._cost if abs(turn) < REGIONS.at_goal_rad and still < REGIONS.current_step_m_s else None
 
     def _tell(self, goal: Goal, certificate: Certificate) -> None:
         """For the log; what an operator can do about it, for the operator."""
@@ -164,7 +143,7 @@ class TerminalRegions:
         """What an operator can do about a goal that has no region, once. Water that is too fast to stay in matters
         where the vehicle is to stay: a current may well carry it through a goal."""
         name, limit = _name(goal), certificate.binding
-        if limit not in AT_PLACE and (goal.following is not None or away_m > HERE_M):
+        if limit not in AT_PLACE and (goal.following is not None or away_m > REGIONS.here_m):
             return
         story = f"{name} {limit} {goal.pos_ned_m.tolist()}"
         if story == self._warned:

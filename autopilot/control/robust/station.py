@@ -9,7 +9,6 @@ import math
 
 import numpy as np
 
-from autopilot.control.robust.ancillary import STATE_WEIGHTS, THRUST_WEIGHT
 from autopilot.control.robust.fallback import station_keeping_thrust
 from autopilot.control.robust.terminal import (
     CertificateJob,
@@ -19,22 +18,11 @@ from autopilot.control.robust.terminal import (
     terminal_law,
     unit_samples,
 )
+from autopilot.control.robust.tuned import ANCILLARY, STATION
 from autopilot.core.frames import FloatArray
 from autopilot.core.messages import Goal
 from autopilot.core.model4 import YAW
 from autopilot.core.sharing import Sharing
-
-HOLD_RADIUS_M = 0.25
-HOLD_YAW_RAD = 0.35
-HOLD_SPEED_M_S = 0.45
-HOLD_HEAVE_M_S = 0.25
-HOLD_YAW_RATE_RAD_S = 1.0
-"""The region in which the local law takes over from the cascade."""
-
-HOLD_SAMPLES = 2_000
-CURRENT_STEP_M_S = 0.05
-BUOYANCY_STEP_N = 0.5
-"""The local law is made anew when the current or the buoyancy has changed by this."""
 
 
 class StationKeeper:
@@ -42,7 +30,7 @@ class StationKeeper:
 
     def __init__(self, sharing: Sharing) -> None:
         self._sharing = sharing
-        self._samples = unit_samples(HOLD_SAMPLES)
+        self._samples = unit_samples(STATION.hold_samples)
         self._target: FloatArray | None = None
         self._law: Terminal | None = None
         self._alpha = 0.0
@@ -65,8 +53,8 @@ class StationKeeper:
         if self._target is None:
             self._target = x.copy()
         sunk_n = abs(self._sharing.buoyancy_excess_n - self._buoyancy_n)
-        flows = float(np.abs(current_ned_m_s - self._current).max()) > CURRENT_STEP_M_S
-        if self._law is None or flows or sunk_n > BUOYANCY_STEP_N:
+        flows = float(np.abs(current_ned_m_s - self._current).max()) > STATION.current_step_m_s
+        if self._law is None or flows or sunk_n > STATION.buoyancy_step_n:
             self._make(self._target, current_ned_m_s, limit_n)
         law = self._law
         self.inside = False
@@ -84,28 +72,28 @@ class StationKeeper:
             self._sharing,
             float(target[YAW]),
             current,
-            np.array(STATE_WEIGHTS),
-            np.full(self._sharing.model.thrusters, THRUST_WEIGHT),
+            np.array(ANCILLARY.state_weights),
+            np.full(self._sharing.model.thrusters, ANCILLARY.thrust_weight),
             limit_n,
         )
         place = Goal(
             pos_ned_m=target[:3],
             yaw_rad=law.yaw_rad,
             speed_m_s=0.0,
-            accept_radius_m=HOLD_RADIUS_M,
-            accept_yaw_rad=HOLD_YAW_RAD,
+            accept_radius_m=STATION.hold_radius_m,
+            accept_yaw_rad=STATION.hold_yaw_rad,
             seq=-1,
         )
         limits = TerminalLimits(
             thrust_n=limit_n,
-            planar_speed_m_s=HOLD_SPEED_M_S,
-            heave_m_s=HOLD_HEAVE_M_S,
-            yaw_rate_rad_s=HOLD_YAW_RATE_RAD_S,
+            planar_speed_m_s=STATION.hold_speed_m_s,
+            heave_m_s=STATION.hold_heave_m_s,
+            yaw_rate_rad_s=STATION.hold_yaw_rate_rad_s,
             depth_min_m=-math.inf,
             depth_max_m=math.inf,
             clearance_m=math.inf,
         )
         job = CertificateJob(self._sharing.model, law, place, limits, self._samples)
         while job.certificate is None:
-            job.advance(HOLD_SAMPLES)
+            job.advance(STATION.hold_samples)
         self._law, self._alpha = law, job.certificate.alpha

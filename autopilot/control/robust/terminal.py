@@ -18,23 +18,12 @@ import numpy as np
 from autopilot.control.nmpc.grid import REFERENCE_DT_S
 from autopilot.control.robust.error_model import error_jacobian, input_matrix
 from autopilot.control.robust.riccati import dare, discretise, gain, lyapunov
+from autopilot.control.robust.tuned import TERMINAL
 from autopilot.core import model4
 from autopilot.core.frames import FloatArray
 from autopilot.core.messages import Goal
 from autopilot.core.model4 import NX, YAW, Model4, R, U, V, W, X, Z
 from autopilot.core.sharing import Sharing
-
-KAPPA = 1.3
-"""With 1 the sampled decrease of the nonlinear model fails by 2 %; between 1.2 and 1.5 it holds."""
-
-SAMPLES = 20_000
-SEED = 20_181_018
-SHRINK = 0.8
-"""Factor on alpha after a sample that violates the decrease."""
-
-LEAST_ALPHA = 1e-9
-FREE_YAW_RAD = 0.5
-"""Band of the heading where a goal leaves it free: beyond, the linearisation is another one."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -153,7 +142,7 @@ def terminal_law(
     r_d = np.diag(r)
     k = gain(a_d, b_d, dare(a_d, b_d, weights, r_d), r_d)
     closed = a_d + b_d @ k
-    p = lyapunov(closed.T, KAPPA * (weights + k.T @ r_d @ k))
+    p = lyapunov(closed.T, TERMINAL.kappa * (weights + k.T @ r_d @ k))
     return Terminal(yaw_rad=yaw_rad, nu=nu, thrust_n=thrust, k=k, p=0.5 * (p + p.T), q=q, r=r)
 
 
@@ -172,7 +161,7 @@ def analytic_alpha(law: Terminal, goal: Goal, limits: TerminalLimits) -> tuple[f
     ball = float(np.linalg.eigvalsh(spread[:3, :3])[-1])
     water = float(np.linalg.eigvalsh(spread[U : V + 1, U : V + 1])[-1])
     depth = float(goal.pos_ned_m[2])
-    yaw_room = FREE_YAW_RAD if goal.yaw_rad is None else goal.accept_yaw_rad
+    yaw_room = TERMINAL.free_yaw_rad if goal.yaw_rad is None else goal.accept_yaw_rad
     rooms = {
         "clearance": (limits.clearance_m, planar),
         "acceptance radius": (goal.accept_radius_m, ball),
@@ -217,7 +206,7 @@ def violations(model: Model4, law: Terminal, error: FloatArray) -> int:
 
 
 @lru_cache(maxsize=4)
-def unit_samples(count: int = SAMPLES, seed: int = SEED) -> FloatArray:
+def unit_samples(count: int = TERMINAL.samples, seed: int = TERMINAL.seed) -> FloatArray:
     """(count, 8) points of the unit ball: half on its surface, half inside (radius uniform)."""
     rng = np.random.default_rng(seed)
     points = rng.normal(size=(count, NX))
@@ -238,7 +227,7 @@ class CertificateJob:
         self._shrunk = 0
         self.certificate: Certificate | None = None
         """Set when all samples have been looked at."""
-        if self._alpha < LEAST_ALPHA:
+        if self._alpha < TERMINAL.least_alpha:
             self._alpha = 0.0
             self.certificate = self._certify()
 
@@ -248,10 +237,10 @@ class CertificateJob:
             part = self._samples[self._done : self._done + count]
             error = math.sqrt(self._alpha) * (part @ self._to_error.T)
             if violations(self._model, self._law, error):
-                self._alpha *= SHRINK
+                self._alpha *= TERMINAL.shrink
                 self._shrunk += 1
                 self._done = 0
-                if self._alpha < LEAST_ALPHA:
+                if self._alpha < TERMINAL.least_alpha:
                     self._alpha, self._binding = 0.0, "decrease"
                     self.certificate = self._certify()
             else:

@@ -20,45 +20,14 @@ from autopilot.control.robust.disturbance import DisturbanceBound, EstimateSprea
 from autopilot.control.robust.error_model import CHANNELS, disturbance_matrix, error_jacobian, input_matrix
 from autopilot.control.robust.riccati import exponential
 from autopilot.control.robust.tightening import BackOffs, FixedMargins
+from autopilot.control.robust.tuned import TUBE
 from autopilot.core import compiled
 from autopilot.core.frames import FloatArray
 from autopilot.core.messages import NavState
 from autopilot.core.model4 import NX, YAW, Model4, R, U, V, W, X, Y, Z
 from autopilot.core.params import ParamSet
 
-FORCE_CORRELATION_S = 1.0
-CURRENT_CORRELATION_S = 2.0
-"""How long a disturbance lasts: the estimator's current follows within about these times."""
-
-DISC_SIGMAS = 3.72
-"""A disc of so many standard deviations holds 99.9 % of a normal distribution in the plane: sqrt(-2 ln 0.001)."""
-
-BAND_SIGMAS = 3.29
-"""The same for one dimension."""
-
-ESTIMATE_SPEED_SIGMAS = 2.0
-"""Of the estimate in limits on speed: bounds of performance and not of safety, and the estimator is modest (its errors
-are about half of what it says)."""
-
-LARGEST_SHARE = 0.5
-"""Back-offs never take more of a limit than this, however bad the estimate is: then failsafes act."""
-
-LARGEST_THRUST_SHARE = 0.3
-"""Of what a thruster can give; the controller applies it."""
-
-LARGEST_CLEARANCE_M = 0.3
-
-GROWTH_STEP_S = 0.05
-GROUPS = 3
-"""Force, moment, current error: their variances come at run time."""
-
-GIVEN = 28
-"""Numbers that the compiled library is told: see its enum."""
-
-SPEED_SHARE = ESTIMATE_SPEED_SIGMAS / BAND_SIGMAS
-
-STATES_OUT = 10
-"""xx, xy, yy, zz, yaw, uu, uv, vv, ww, rr; the thrusts follow."""
+SPEED_SHARE = TUBE.estimate_speed_sigmas / TUBE.band_sigmas
 
 
 class TubeTable:
@@ -83,27 +52,27 @@ class TubeTable:
 def _growth(model: Model4, grid: TimeGrid, ancillary: Ancillary) -> FloatArray:
     """Covariances at multiples of GROWTH_STEP_S, read off at the nodes."""
     speeds, size = len(SURGES_M_S), NX + CHANNELS
-    rate = np.array([FORCE_CORRELATION_S] * 4 + [CURRENT_CORRELATION_S] * 3)
+    rate = np.array([TUBE.force_correlation_s] * 4 + [TUBE.current_correlation_s] * 3)
     system, b = np.zeros((speeds, size, size)), input_matrix(model)
     for i, surge in enumerate(SURGES_M_S):
         nu = np.array([surge, 0.0, 0.0, 0.0])
         system[i, :NX, :NX] = error_jacobian(model, nu) + b @ ancillary.gains[i]
         system[i, :NX, NX:] = disturbance_matrix(model, nu)
         system[i, NX:, NX:] = -np.diag(1.0 / rate)
-    step = exponential(system * GROWTH_STEP_S)[:, None]
-    fade = 1.0 - np.exp(-2.0 * GROWTH_STEP_S / rate)
-    member = np.zeros((GROUPS, CHANNELS))
+    step = exponential(system * TUBE.growth_step_s)[:, None]
+    fade = 1.0 - np.exp(-2.0 * TUBE.growth_step_s / rate)
+    member = np.zeros((TUBE.groups, CHANNELS))
     member[0, :3] = member[1, 3] = member[2, 4:] = 1.0
-    p, news = np.zeros((speeds, GROUPS, size, size)), np.zeros((GROUPS, size, size))
-    for g in range(GROUPS):
+    p, news = np.zeros((speeds, TUBE.groups, size, size)), np.zeros((TUBE.groups, size, size))
+    for g in range(TUBE.groups):
         p[:, g, NX:, NX:] = np.diag(member[g])
         news[g, NX:, NX:] = np.diag(member[g] * fade)
-    count = int(np.ceil(grid.t_s[-1] / GROWTH_STEP_S)) + 1
-    rows = np.empty((count + 1, speeds, GROUPS, STATES_OUT + model.thrusters))
+    count = int(np.ceil(grid.t_s[-1] / TUBE.growth_step_s)) + 1
+    rows = np.empty((count + 1, speeds, TUBE.groups, TUBE.states_out + model.thrusters))
     for k in range(count + 1):
         rows[k] = _outputs(p[..., :NX, :NX], ancillary.gains[:, None])
         p = step @ p @ np.swapaxes(step, -1, -2) + news
-    place = grid.t_s / GROWTH_STEP_S
+    place = grid.t_s / TUBE.growth_step_s
     low = np.minimum(place.astype(np.intp), count - 1)
     share = (place - low)[:, None, None, None]
     at_nodes = rows[low] * (1.0 - share) + rows[low + 1] * share
@@ -131,14 +100,14 @@ class TubeMargins:
         self.table = TubeTable(model, grid, ancillary)
         self._fixed = fixed
         self._speeds, nodes, width, _ = self.table.variance.shape
-        self._n, self._thrusters = nodes - 1, width - STATES_OUT
+        self._n, self._thrusters = nodes - 1, width - TUBE.states_out
         library = compiled.library()
         self._quick = None if library is None else library.tube_back_offs
-        self._given, self._states = np.zeros(GIVEN), np.zeros((5, self._n - 1))
+        self._given, self._states = np.zeros(TUBE.given), np.zeros((5, self._n - 1))
         self._thrust = np.zeros((self._n, self._thrusters))
         self._given[18:26] = (
-            *(DISC_SIGMAS, BAND_SIGMAS, BAND_SIGMAS, BAND_SIGMAS, BAND_SIGMAS),
-            *(self.table.first_m_s, self.table.step_m_s, BAND_SIGMAS),
+            *(TUBE.disc_sigmas, TUBE.band_sigmas, TUBE.band_sigmas, TUBE.band_sigmas, TUBE.band_sigmas),
+            *(self.table.first_m_s, self.table.step_m_s, TUBE.band_sigmas),
         )
         arrays = self._given, self._states, self._thrust
         self._addresses = tuple(array.ctypes.data for array in (self.table.variance, *arrays))
@@ -150,8 +119,8 @@ class TubeMargins:
         )
         self._told: tuple[ParamSet, int] | None = None
         self._bound = DisturbanceBound(force_n=0.0, moment_n_m=0.0, current_m_s=0.0)
-        self._mix = (0.0,) * GROUPS
-        at_rest = [self.table.along(np.zeros(nodes), unit)[-2, 5:8] for unit in np.eye(GROUPS)]
+        self._mix = (0.0,) * TUBE.groups
+        at_rest = [self.table.along(np.zeros(nodes), unit)[-2, 5:8] for unit in np.eye(TUBE.groups)]
         self._rest = np.stack(at_rest, axis=1).tolist()
 
     def rest_speed_m_s(self, nav: NavState, params: ParamSet) -> float:
@@ -161,8 +130,8 @@ class TubeMargins:
         xx, xy, yy = (row[0] * a + row[1] * b + row[2] * c for row in self._rest)
         half = 0.5 * (xx - yy)
         size = 0.5 * (xx + yy) + math.sqrt(half * half + xy * xy)
-        wanted = BAND_SIGMAS * math.sqrt(size + SPEED_SHARE**2 * self._spread.planar_m2_s2)
-        return max(min(wanted, LARGEST_SHARE * params["SPD_PLANAR_MAX"]), params["MPC_SPEED_MARGIN"])
+        wanted = TUBE.band_sigmas * math.sqrt(size + SPEED_SHARE**2 * self._spread.planar_m2_s2)
+        return max(min(wanted, TUBE.largest_share * params["SPD_PLANAR_MAX"]), params["MPC_SPEED_MARGIN"])
 
     def back_offs(
         self, nav: NavState, x: FloatArray, thrust_n: FloatArray, params: ParamSet, speed_share: float = 1.0
@@ -177,29 +146,33 @@ class TubeMargins:
         inner, fixed = rows[1:-1], self._fixed.back_offs(nav, x, thrust_n, params)
         band = max(params["DEPTH_MAX"] - params["DEPTH_MIN"], 0.0)
         planar = _between(
-            BAND_SIGMAS * np.sqrt(largest(inner, 5) + SPEED_SHARE**2 * spread.planar_m2_s2),
+            TUBE.band_sigmas * np.sqrt(largest(inner, 5) + SPEED_SHARE**2 * spread.planar_m2_s2),
             fixed.planar_speed_m_s,
-            LARGEST_SHARE * params["SPD_PLANAR_MAX"],
+            TUBE.largest_share * params["SPD_PLANAR_MAX"],
         )
         return BackOffs(
             clearance_m=_between(
-                DISC_SIGMAS * np.sqrt(largest(inner, 0) + spread.position_m2), fixed.clearance_m, LARGEST_CLEARANCE_M
+                TUBE.disc_sigmas * np.sqrt(largest(inner, 0) + spread.position_m2),
+                fixed.clearance_m,
+                TUBE.largest_clearance_m,
             ),
             depth_m=_between(
-                BAND_SIGMAS * np.sqrt(inner[:, 3] + spread.depth_m2),
+                TUBE.band_sigmas * np.sqrt(inner[:, 3] + spread.depth_m2),
                 fixed.depth_m,
-                0.5 * LARGEST_SHARE * band,
+                0.5 * TUBE.largest_share * band,
             ),
             planar_speed_m_s=np.maximum(speed_share * planar, np.minimum(planar, params["MPC_SPEED_MARGIN"])),
             heave_m_s=_between(
-                BAND_SIGMAS * np.sqrt(inner[:, 8] + SPEED_SHARE**2 * spread.heave_m2_s2),
+                TUBE.band_sigmas * np.sqrt(inner[:, 8] + SPEED_SHARE**2 * spread.heave_m2_s2),
                 fixed.heave_m_s,
-                LARGEST_SHARE * params["SPD_HEAVE_MAX"],
+                TUBE.largest_share * params["SPD_HEAVE_MAX"],
             ),
             yaw_rate_rad_s=_between(
-                BAND_SIGMAS * np.sqrt(inner[:, 9]), fixed.yaw_rate_rad_s, LARGEST_SHARE * params["SPD_YAW_MAX"]
+                TUBE.band_sigmas * np.sqrt(inner[:, 9]),
+                fixed.yaw_rate_rad_s,
+                TUBE.largest_share * params["SPD_YAW_MAX"],
             ),
-            thrust_n=BAND_SIGMAS * np.sqrt(rows[:-1, STATES_OUT:]),
+            thrust_n=TUBE.band_sigmas * np.sqrt(rows[:-1, TUBE.states_out :]),
         )
 
     def _look(self, nav: NavState, params: ParamSet) -> None:
@@ -217,8 +190,8 @@ class TubeMargins:
         band = max(params["DEPTH_MAX"] - params["DEPTH_MIN"], 0.0)
         self._given[8:18] = (
             *(fixed.clearance_m, 0.0, fixed.planar_speed_m_s, fixed.heave_m_s, fixed.yaw_rate_rad_s),
-            *(LARGEST_CLEARANCE_M, 0.5 * LARGEST_SHARE * band, LARGEST_SHARE * params["SPD_PLANAR_MAX"]),
-            *(LARGEST_SHARE * params["SPD_HEAVE_MAX"], LARGEST_SHARE * params["SPD_YAW_MAX"]),
+            *(TUBE.largest_clearance_m, 0.5 * TUBE.largest_share * band, TUBE.largest_share * params["SPD_PLANAR_MAX"]),
+            *(TUBE.largest_share * params["SPD_HEAVE_MAX"], TUBE.largest_share * params["SPD_YAW_MAX"]),
         )
         self._given[27] = params["MPC_SPEED_MARGIN"]
 

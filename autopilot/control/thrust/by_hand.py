@@ -9,26 +9,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from autopilot.control.thrust.tuned import BY_HAND
 from autopilot.core.frames import FloatArray, wrap_pi
 from autopilot.core.sharing import Sharing
-
-YAW_GAIN_1_S, YAW_RATE_GAIN_1_S = 1.2, 3.0
-DEPTH_GAIN_1_S, HEAVE_GAIN_1_S, TRIM_GAIN_1_S2 = 0.6, 2.0, 0.35
-"""Cascades: error to rate, rate to acceleration; the trim takes up buoyancy that the vehicle file does not know."""
-
-YAW_RATE_LIMIT_RAD_S, HEAVE_LIMIT_M_S = 0.4, 0.15
-"""Of the way back to what is held."""
-
-TRIM_SHARE = 0.5
-"""Share of the vertical thrust that the trim may use."""
-
-DEPTH_RATE_S = 0.3
-"""Time constant of the rate of depth."""
-
-SLEW_SHARE_1_S = 4.5
-"""Commands, the controller's as well, change by at most so many times the limit in force per second (of 12 N: 2.7 N
-from control step to control step; 0.44 s from full ahead to full astern, as the thrusters' own lag takes): a reference
-or a stick that jumps does not tear at the drive."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -83,7 +66,7 @@ class HandLaw:
         if wish.down_m_s is not None and felt.depth_m is not None:
             force[2] = self._heave_n(wish.down_m_s, felt.depth_m, elapsed_s, limit_n)
         thrust = self._sharing.thrust_n(force, limit_n)
-        most = SLEW_SHARE_1_S * elapsed_s * np.maximum(limit_n, 1e-9)
+        most = BY_HAND.slew_share_1_s * elapsed_s * np.maximum(limit_n, 1e-9)
         self._thrust_n = np.clip(np.clip(thrust, self._thrust_n - most, self._thrust_n + most), -limit_n, limit_n)
         result: FloatArray = self._thrust_n.copy()
         return result
@@ -93,22 +76,27 @@ class HandLaw:
         model = self._sharing.model
         if wish_rad_s or self._yaw_rad is None:
             self._yaw_rad = yaw_rad
-        turn = wish_rad_s or _limited(YAW_GAIN_1_S * wrap_pi(self._yaw_rad - yaw_rad), YAW_RATE_LIMIT_RAD_S)
+        turn = wish_rad_s or _limited(
+            BY_HAND.yaw_gain_1_s * wrap_pi(self._yaw_rad - yaw_rad), BY_HAND.yaw_rate_limit_rad_s
+        )
         drag = model.linear_drag[3] * turn + model.quadratic_drag[3] * abs(turn) * turn
-        return drag + model.mass_kg[3] * YAW_RATE_GAIN_1_S * (turn - rate_rad_s)
+        return drag + model.mass_kg[3] * BY_HAND.yaw_rate_gain_1_s * (turn - rate_rad_s)
 
     def _heave_n(self, wish_m_s: float, depth_m: float, elapsed_s: float, limit_n: FloatArray) -> float:
         """Of the depth that is held, or of the rate that is asked for."""
         model = self._sharing.model
         if wish_m_s or self._depth_m is None:
             self._depth_m = depth_m
-        climb = wish_m_s or _limited(DEPTH_GAIN_1_S * (self._depth_m - depth_m), HEAVE_LIMIT_M_S)
-        most = TRIM_SHARE * float(np.abs(np.array(model.allocation)[2]) @ limit_n)
-        trim = self._trim_n + model.mass_kg[2] * TRIM_GAIN_1_S2 * (climb - self._rate_m_s) * elapsed_s
+        climb = wish_m_s or _limited(BY_HAND.depth_gain_1_s * (self._depth_m - depth_m), BY_HAND.heave_limit_m_s)
+        most = BY_HAND.trim_share * float(np.abs(np.array(model.allocation)[2]) @ limit_n)
+        trim = self._trim_n + model.mass_kg[2] * BY_HAND.trim_gain_1_s2 * (climb - self._rate_m_s) * elapsed_s
         self._trim_n = _limited(trim, most)
         drag = model.linear_drag[2] * climb + model.quadratic_drag[2] * abs(climb) * climb
         return (
-            model.buoyancy_excess_n + drag + model.mass_kg[2] * HEAVE_GAIN_1_S * (climb - self._rate_m_s) + self._trim_n
+            model.buoyancy_excess_n
+            + drag
+            + model.mass_kg[2] * BY_HAND.heave_gain_1_s * (climb - self._rate_m_s)
+            + self._trim_n
         )
 
     def _feel_depth(self, depth_m: float | None, elapsed_s: float) -> None:
@@ -118,9 +106,9 @@ class HandLaw:
             return
         if self._read_m is None:
             self._read_m = depth_m
-        share = elapsed_s / (DEPTH_RATE_S + elapsed_s)
+        share = elapsed_s / (BY_HAND.depth_rate_s + elapsed_s)
         # The low-passed reading's rate is the low-passed rate.
-        self._rate_m_s = (depth_m - self._read_m) / DEPTH_RATE_S
+        self._rate_m_s = (depth_m - self._read_m) / BY_HAND.depth_rate_s
         self._read_m += share * (depth_m - self._read_m)
 
 

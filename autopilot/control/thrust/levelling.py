@@ -13,22 +13,14 @@ import math
 
 import numpy as np
 
+from autopilot.control.thrust.tuned import LEVELLING
 from autopilot.core.frames import FloatArray
 from autopilot.core.thrusters import CONTROLLED, wrench_matrix
 from autopilot.core.vehicle import Vehicle
 
-MOST = 0.5
-"""At most this share of a thruster's limit is kept for levelling."""
-
-SMALL = 1e-6
-"""Less than this of a newton per newton metre is rounding."""
-
 LEVEL_RAD = math.radians(2.0)
 """Within so much of level, in roll and pitch, levelling alone turns no thruster round ..."""
 
-LEAST_SHARE = 0.0125
-"""... for less than this share of its limit (0.4 N of 34 N): it would run to and fro with the noise of rates and of the
-controller's thrust, several times a second, where two thrusters share a weight of 1 N."""
 
 MOST_TILT_RAD = math.radians(60.0)
 """Beyond this an angle counts as so much."""
@@ -47,21 +39,21 @@ class Levelling:
         self.given = table is not None
         """Whether there is anything to do."""
         self._ways: dict[bytes, FloatArray] = {}
-        self._least_n = LEAST_SHARE * np.array([t.limit_n for t in thrusters])
+        self._least_n = LEVELLING.least_share * np.array([t.limit_n for t in thrusters])
         self._turned = np.zeros(len(thrusters))
         """Which way each turned last."""
 
     def reserve_n(self, limit_n: FloatArray) -> FloatArray:
         """(n,) what of ``limit_n`` (n,), 0 for a dead thruster, is kept from the controller.
 
-        As much as cancels the tilt of all others at their limits, at most :data:`MOST` of the thruster's own.
+        As much as cancels the tilt of all others at their limits, at most :data:`LEVELLING.most` of the thruster's own.
         """
         if not self.given:
             return np.zeros_like(limit_n)
         ways = self._ways_of(limit_n)
         levels = np.abs(ways).max(axis=1) > 0.0
         worst = np.abs(self._tilt) @ np.where(levels, 0.0, limit_n)
-        reserve: FloatArray = np.minimum(MOST * limit_n, np.abs(ways) @ worst) * levels
+        reserve: FloatArray = np.minimum(LEVELLING.most * limit_n, np.abs(ways) @ worst) * levels
         return reserve
 
     def thrust_n(
@@ -76,7 +68,7 @@ class Levelling:
         w = self._rate_rad_s
         moment = -self._inertia * (w * w * angle + 2.0 * w * rate_frd_rad_s[:2]) - self._tilt @ wanted_n
         more = ways @ moment
-        used = np.abs(more) > SMALL
+        used = np.abs(more) > LEVELLING.small
         if not used.any() or not np.isfinite(more).all():
             return wanted_n
         room = (limit_n - wanted_n * np.sign(more))[used] / np.abs(more)[used]
@@ -84,7 +76,7 @@ class Levelling:
         result: FloatArray = wanted_n + share * more
         if float(np.abs(angle * ways.any(axis=0)).max()) < LEVEL_RAD:
             result = self._unturned(wanted_n, share * more, result)
-        turns = np.abs(result) > SMALL
+        turns = np.abs(result) > LEVELLING.small
         self._turned[turns] = np.sign(result[turns])
         return result
 
@@ -93,7 +85,7 @@ class Levelling:
         rests, or does what the controller wants, which knows by itself what is worth it."""
         for _ in more_n:
             back = (result * self._turned < 0.0) & (np.abs(result) < self._least_n) & (wanted_n * more_n <= 0.0)
-            back &= (np.abs(result) > SMALL) & (result * more_n > 0.0)
+            back &= (np.abs(result) > LEVELLING.small) & (result * more_n > 0.0)
             if not back.any():
                 break
             more_n = more_n * float((np.abs(wanted_n)[back] / np.abs(more_n)[back]).min())
@@ -111,11 +103,11 @@ class Levelling:
         """By least squares: a tilt that comes only with another axis is left alone."""
         ways = np.zeros((len(alive), 2))
         pushed = np.vstack([self._controlled, self._tilt]) * alive
-        inverse = np.linalg.pinv(pushed, rcond=SMALL)
+        inverse = np.linalg.pinv(pushed, rcond=LEVELLING.small)
         for tilt in range(2):
             way = inverse[:, 4 + tilt] * alive
             effect = pushed @ way
             effect[4 + tilt] -= 1.0
             if float(np.abs(effect).max()) < 1e-3:
-                ways[:, tilt] = np.where(np.abs(way) > SMALL, way, 0.0)
+                ways[:, tilt] = np.where(np.abs(way) > LEVELLING.small, way, 0.0)
         return ways

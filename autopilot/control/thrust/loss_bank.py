@@ -29,17 +29,9 @@ from typing import NamedTuple
 import numpy as np
 
 from autopilot.control.thrust.motion_looks import Look
+from autopilot.control.thrust.tuned import LOSS_BANK
 from autopilot.core.frames import FloatArray
 from autopilot.core.model4 import Model4
-
-FREE = 1
-"""The filter to which all thrusters are unknown."""
-
-EACH = 6
-"""Stories per thruster, one half of half a thruster, the other of a dead one."""
-
-UNSEEN = 1e6
-"""Variance of an axis that says nothing."""
 
 
 class Layout:
@@ -71,10 +63,10 @@ class Layout:
         self.size = n + 26
         self.motion = np.array([*range(n + 13, n + 23), n + 24, n + 25])
         """States that change within seconds."""
-        self.filters = 2 + n * EACH
+        self.filters = 2 + n * LOSS_BANK.each
         self.stories = np.arange(2, self.filters)
         """Their filters."""
-        self.told_of = np.repeat(np.arange(n), EACH)
+        self.told_of = np.repeat(np.arange(n), LOSS_BANK.each)
         """(n EACH,) thruster that a story tells of."""
 
 
@@ -199,18 +191,20 @@ class LossBank:
         p = np.diag(np.square(spread))
         p += self._still
         xs, ps = np.tile(x, (at.filters, 1)), np.tile(p, (at.filters, 1, 1))
-        ps[FREE, range(self._n), range(self._n)] = b.unknown**2
+        ps[LOSS_BANK.free, range(self._n), range(self._n)] = b.unknown**2
         return xs, ps
 
     @property
     def evidence(self) -> FloatArray:
         """(n,) for a change of each thruster: of its best story [nats]."""
-        result: FloatArray = self._evidence.reshape(self._n, EACH).max(axis=1)
+        result: FloatArray = self._evidence.reshape(self._n, LOSS_BANK.each).max(axis=1)
         return result
 
     def _best(self) -> FloatArray:
         """(n,) filters of the best stories."""
-        best: FloatArray = 2 + EACH * np.arange(self._n) + self._evidence.reshape(self._n, EACH).argmax(axis=1)
+        best: FloatArray = (
+            2 + LOSS_BANK.each * np.arange(self._n) + self._evidence.reshape(self._n, LOSS_BANK.each).argmax(axis=1)
+        )
         return best
 
     @property
@@ -229,11 +223,11 @@ class LossBank:
     def free(self) -> tuple[FloatArray, FloatArray]:
         """(n,) effectiveness of all thrusters without any belief, and its standard deviation: what can be seen."""
         at = self._at
-        return self._x[FREE, at.e].copy(), np.sqrt(np.diag(self._p[FREE])[at.e])
+        return self._x[LOSS_BANK.free, at.e].copy(), np.sqrt(np.diag(self._p[LOSS_BANK.free])[at.e])
 
     def sum_sigma(self, twins: np.ndarray) -> FloatArray:
         """(n,) standard deviation of what each thruster and its ``twins`` (n, n) give together, without any belief."""
-        of_e = self._p[FREE][self._at.e, self._at.e]
+        of_e = self._p[LOSS_BANK.free][self._at.e, self._at.e]
         together = twins.astype(float)
         result: FloatArray = np.sqrt(np.einsum("ij,jk,ik->i", together, of_e, together))
         return result
@@ -299,7 +293,7 @@ class LossBank:
         known = np.square(b.noise) + b.noise_share**2 * thrust + np.square(look.swing)
         noise = known * (b.independent_s / look.dt_s)
         if not heave:
-            noise[2] = UNSEEN
+            noise[2] = LOSS_BANK.unseen
         innovation = look.residual - self._expected(look, h, pull)
         cross = h @ self._p
         s = cross @ h.transpose(0, 2, 1) + np.diag(noise)
@@ -345,8 +339,8 @@ class LossBank:
     def _begin_worst(self) -> None:
         """Of the stories of each thruster and each loss the one that is believed least begins anew, if it is grown."""
         grown = self._age_s >= self._beliefs.grown_s
-        believed = np.where(grown, self._evidence, np.inf).reshape(self._n, EACH // 2, 2)
-        worst = EACH * np.arange(self._n)[:, None] + 2 * believed.argmin(axis=1) + np.arange(2)
+        believed = np.where(grown, self._evidence, np.inf).reshape(self._n, LOSS_BANK.each // 2, 2)
+        worst = LOSS_BANK.each * np.arange(self._n)[:, None] + 2 * believed.argmin(axis=1) + np.arange(2)
         self._evidence, self._age_s = self._evidence.copy(), self._age_s.copy()
         for story in worst.ravel():
             if grown[story]:
@@ -400,7 +394,7 @@ class LossBank:
         grow = np.zeros((at.filters, at.size))
         grow[:, at.gain] = b.gain_wander**2 * dt_s
         lossy = np.tile(self.lossy, (at.filters, 1))
-        lossy[FREE] = True
+        lossy[LOSS_BANK.free] = True
         lossy[at.stories, at.told_of] ^= True
         grow[:, at.e] = b.wander**2 * dt_s * lossy
         index = np.arange(at.size)

@@ -3,6 +3,7 @@
 import numpy as np
 
 from autopilot.control.thrust.thruster_health import ThrusterHealth, hover_problem, told, usable
+from autopilot.control.thrust.tuned import LOSSES
 from autopilot.control.thrust.twins import lossy_share, tilt_of, weak_thrusters
 from autopilot.core.frames import FloatArray
 from autopilot.core.messages import Goal, NavState, ThrusterHealthState
@@ -10,16 +11,6 @@ from autopilot.core.params import ParamSet
 from autopilot.core.response import Response
 from autopilot.core.sharing import Sharing
 from autopilot.core.vehicle import Vehicle
-
-REPORT_EVERY_TICKS = 50
-"""Twice per second: for the log, and to look anew at what the thrusters allow."""
-
-
-SUBMERGED = 1.5
-"""Above so many half heights of the hull below the surface heave tells nothing of what pushes down."""
-
-SAME_LOSS = 0.2
-"""What is told of a thruster that gives by so much more than what was found is still the same loss."""
 
 
 class ThrusterLosses:
@@ -33,7 +24,7 @@ class ThrusterLosses:
             self._sharing.model,
             Response.of(vehicle.thrusters),
             tilt=tilt_of(vehicle),
-            submerged_m=SUBMERGED * vehicle.hull_half_height_m,
+            submerged_m=LOSSES.submerged * vehicle.hull_half_height_m,
         )
         self._ticks = 0
         self._known: tuple[list[float], FloatArray] | None = None
@@ -68,7 +59,7 @@ class ThrusterLosses:
         """
         self._find(t_us, nav, pulse_n, armed)
         changed = self._look()
-        due = self._ticks % REPORT_EVERY_TICKS == 0
+        due = self._ticks % LOSSES.report_every_ticks == 0
         self._ticks += 1
         if not changed and not due:
             return None
@@ -96,7 +87,7 @@ class ThrusterLosses:
         found, doubts = found.copy(), [list(twins) for twins in self._health.doubtful]
         for twins in doubts:
             # What is told of one of them is what was found of all.
-            if min(said[twin] for twin in twins) < lossy_share(found[twins].tolist()) + SAME_LOSS:
+            if min(said[twin] for twin in twins) < lossy_share(found[twins].tolist()) + LOSSES.same_loss:
                 found[twins] = 1.0
         self.doubtful = tuple(tuple(self._names[i] for i in twins) for twins in doubts if found[twins[0]] < 1.0)
         self.share = usable(np.minimum(said, found))

@@ -17,6 +17,7 @@ import numpy as np
 
 from autopilot.control.thrust.loss_bank import Beliefs, LossBank, Memory
 from autopilot.control.thrust.motion_looks import MotionLooks
+from autopilot.control.thrust.tuned import THRUSTER_HEALTH
 from autopilot.control.thrust.twins import TiltEvidence, alike
 from autopilot.core.frames import FloatArray
 from autopilot.core.messages import MAX_THRUSTERS, NavHealth, NavState
@@ -27,21 +28,6 @@ from autopilot.core.sharing import Sharing
 
 HEALTH_PARAMS = tuple(f"THR{i + 1}_HEALTH" for i in range(MAX_THRUSTERS))
 """What an operator or a speed controller's telemetry tells, in the order of the vehicle file."""
-
-HEADINGS = 72
-"""Headings tried for a hover; a multiple of four, so that abeam is exactly among them."""
-
-SHORT_N = 0.3
-"""So much may lack: short pushes of the others make up for it."""
-
-DEAD = 0.2
-"""Below this a thruster is not used at all: five times the pulse for what little it gives, and that uncertain."""
-
-SETTLED_EVERY = 10
-"""After so many looks (1 s) it is asked anew which of several twins is lossy."""
-
-UNLEARNED_LOOKS = 10
-"""So many looks (1 s) are taken back when the estimate ceases to be good."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -129,7 +115,9 @@ class ThrusterHealth:
         """All thrusters are sound, nothing is known."""
         self._bank.reset()
         self._tilt.forget()
-        self._past: deque[tuple[Memory, FloatArray, FloatArray, tuple[_Doubt, ...]]] = deque(maxlen=UNLEARNED_LOOKS)
+        self._past: deque[tuple[Memory, FloatArray, FloatArray, tuple[_Doubt, ...]]] = deque(
+            maxlen=THRUSTER_HEALTH.unlearned_looks
+        )
         self._certain_s = np.zeros(self._n)
         self._doubts: tuple[_Doubt, ...] = ()
         self.found = np.ones(self._n)
@@ -240,7 +228,7 @@ class ThrusterHealth:
                 if e[i] - sigma[i] > tuning.sound_above:
                     bank.clear(int(i))
         self._doubts = tuple(doubt for doubt in self._doubts if bank.lossy[doubt.lossy])
-        if self._tilt.looks % SETTLED_EVERY == 0:
+        if self._tilt.looks % THRUSTER_HEALTH.settled_every == 0:
             self._doubts = tuple(doubt for doubt in self._doubts if not self._settled(doubt))
         return self._follow(self._shared(np.where(bank.lossy, np.minimum(bank.declared[0], 1.0), 1.0)))
 
@@ -337,7 +325,7 @@ def told(params: ParamSet, thrusters: int) -> list[float]:
 
 def usable(effectiveness: FloatArray) -> FloatArray:
     """(n,) the same with thrusters that are as good as dead set to 0."""
-    return np.where(effectiveness < DEAD, 0.0, effectiveness)
+    return np.where(effectiveness < THRUSTER_HEALTH.dead, 0.0, effectiveness)
 
 
 def hover_problem(
@@ -355,10 +343,10 @@ def hover_problem(
     if reach[3] <= 0.0:
         return "heading cannot be held"
     speed, course = math.hypot(*current_ned_m_s[:2]), math.atan2(current_ned_m_s[1], current_ned_m_s[0])
-    any_heading = np.linspace(0.0, 2.0 * math.pi, HEADINGS, endpoint=False)
+    any_heading = np.linspace(0.0, 2.0 * math.pi, THRUSTER_HEALTH.headings, endpoint=False)
     for drift in any_heading if yaw_rad is None else (course - yaw_rad,):
         # Over ground the vehicle stands, so relative to the water it moves against the current.
         nu = (-speed * math.cos(drift), -speed * math.sin(drift), 0.0, 0.0)
-        if sharing.makes(np.array(steady_force(model, nu, math)), limit_n + SHORT_N):
+        if sharing.makes(np.array(steady_force(model, nu, math)), limit_n + THRUSTER_HEALTH.short_n):
             return ""
     return f"hover in {speed:.2f} m/s {'is not possible' if yaw_rad is None else 'at this heading is not possible'}"

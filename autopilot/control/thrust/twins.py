@@ -18,26 +18,11 @@ from collections.abc import Sequence
 import numpy as np
 
 from autopilot.control.thrust.motion_looks import Look
+from autopilot.control.thrust.tuned import TWINS
 from autopilot.core.frames import FloatArray
 from autopilot.core.model4 import Model4
 from autopilot.core.thrusters import wrench_matrix
 from autopilot.core.vehicle import Vehicle
-
-ALIKE = 0.2
-"""Columns that differ by less than this share of them are hard to tell apart: 11 degrees."""
-
-KEPT_LOOKS = 400
-"""40 s."""
-
-INDEPENDENT_S = 1.5
-"""Looks so far apart share no noise: roll and pitch swing."""
-
-SAME_ARM = 1e-3
-"""Arms that differ by less [rad/s^2 per N] tell nothing."""
-
-FIRST_NOISE = 0.1
-LEAST_NOISE = 0.03
-"""Of the tilt's acceleration [rad/s^2]: guessed before the fit, and at the least after it."""
 
 BEGUN_S = np.arange(0.5, 25.0, 1.0)
 """So long before it is declared a loss may have begun; the likeliest of these counts."""
@@ -52,7 +37,7 @@ def alike(model: Model4) -> np.ndarray:
     columns = np.array(model.allocation) / np.sqrt(np.array(model.mass_kg))[:, None]
     columns = columns / np.linalg.norm(columns, axis=0)
     sines = np.sqrt(np.maximum(1.0 - np.square(columns.T @ columns), 0.0))
-    result: np.ndarray = (sines < ALIKE) | np.eye(columns.shape[1], dtype=bool)
+    result: np.ndarray = (sines < TWINS.alike) | np.eye(columns.shape[1], dtype=bool)
     return result
 
 
@@ -87,13 +72,13 @@ class TiltEvidence:
 
     def __init__(self, tilt: FloatArray) -> None:
         self._tilt = tilt
-        self._looks: deque[tuple[float, Look]] = deque(maxlen=KEPT_LOOKS)
+        self._looks: deque[tuple[float, Look]] = deque(maxlen=TWINS.kept_looks)
         self.clock_s = 0.0
         """Sum of the time of all looks."""
         self.looks = 0
         """So many there were."""
 
-    def forget(self, looks: int = KEPT_LOOKS) -> None:
+    def forget(self, looks: int = TWINS.kept_looks) -> None:
         """The last looks say nothing."""
         for _ in range(min(looks, len(self._looks))):
             self._looks.pop()
@@ -106,18 +91,18 @@ class TiltEvidence:
 
     def tells(self, suspects: Sequence[int]) -> bool:
         """Whether they tilt the hull differently at all."""
-        return bool((np.ptp(self._tilt[:, list(suspects)], axis=1) > SAME_ARM).any())
+        return bool((np.ptp(self._tilt[:, list(suspects)], axis=1) > TWINS.same_arm).any())
 
     def of(self, suspects: Sequence[int], by_s: float, others: FloatArray) -> FloatArray:
         """(suspects,) evidence for each of them [nats], of the worst 0: it lost thrust before ``by_s`` on the clock,
         and the rest give the share ``others`` (n,)."""
         told, arms = np.zeros(len(suspects)), self._tilt[:, list(suspects)]
-        axes = np.flatnonzero(np.ptp(arms, axis=1) > SAME_ARM)
+        axes = np.flatnonzero(np.ptp(arms, axis=1) > TWINS.same_arm)
         if not len(axes) or not self._looks:
             return told
         clock_s, looks = zip(*self._looks, strict=True)
         begins = np.unique(np.searchsorted(clock_s, by_s - BEGUN_S, side="right").clip(max=len(looks) - 1))
-        share = min(1.0, float(np.mean([look.dt_s for look in looks])) / INDEPENDENT_S)
+        share = min(1.0, float(np.mean([look.dt_s for look in looks])) / TWINS.independent_s)
         thrust_n, tilts = np.array([look.thrust_n for look in looks]), np.array([look.tilt for look in looks])
         likely = np.zeros((len(suspects), len(begins)))
         for axis in axes:
@@ -154,12 +139,12 @@ def _likelihoods(
     moved[..., 0] = since(lacking * rest[:, None]) - MEANS[0] * squares
     moved[..., 1:] = sound.T @ rest - MEANS[0] * gram[..., 0, 1:]
     total = float(rest @ rest) - 2.0 * MEANS[0] * since(lacking * rest[:, None]) + MEANS[0] ** 2 * squares
-    variance, told = FIRST_NOISE**2, np.zeros((suspects, times))
+    variance, told = TWINS.first_noise**2, np.zeros((suspects, times))
     for _ in range(3):
         weight = share / variance
         a, b = weight * gram + prior, weight * moved
         found = np.linalg.solve(a, b[..., None])[..., 0]
         told = -0.5 * (weight * total - (b * found).sum(-1) + np.linalg.slogdet(a)[1])
         missed = total - 2.0 * (found * moved).sum(-1) + np.einsum("...i,...ij,...j->...", found, gram, found)
-        variance = max(float(missed.min()) / len(seen), LEAST_NOISE**2)
+        variance = max(float(missed.min()) / len(seen), TWINS.least_noise**2)
     return told

@@ -19,7 +19,8 @@ from typing import Any
 import numpy as np
 
 from autopilot.control.water.current_trust import Trust
-from autopilot.control.water.currents import FADE_S, FULL_WITHIN_M, LASTING_S, Revision, correction_share
+from autopilot.control.water.currents import Revision, correction_share
+from autopilot.control.water.tuned import CURRENT_LEARNING, CURRENTS
 from autopilot.core import compiled
 from autopilot.core.frames import FloatArray
 from autopilot.core.geometry import Circle, Fence
@@ -39,43 +40,8 @@ class Basin(StrEnum):
 CLOSED_SHARE = {Basin.CLOSED: 0.95, Basin.OPEN: 0.02, Basin.UNKNOWN: 0.25}
 """How likely a basin is closed beforehand. A fence says nothing about it: it is no wall."""
 
-FLOW_M_S = (0.2, 0.1, 0.03)
-"""Standard deviations of the varying part of the flow that are weighed against each other ..."""
 
-CLOSED_FLOW_SHARES = (0.6, 0.3, 0.1)
-OPEN_FLOW_SHARES = (0.15, 0.25, 0.6)
-"""... and how likely each is beforehand: in a closed basin what flows must turn, in open water it mostly flows on."""
-
-CLOSED_MEAN_M_S = 0.03
-OPEN_MEAN_M_S = 0.3
-"""Standard deviation of the uniform part: in a closed basin, and in open water."""
-
-NOISE_M_S = 0.03
-"""Standard deviation of a cell's mean estimate: the estimate lags, and it carries what the model lacks."""
-
-LENGTH_SHARE = 0.25
-"""Correlation length over the narrowest width of the workspace: a jet and its return flow side by side need it."""
-
-OPEN_LENGTH_M = 6.0
-"""Without a workspace: eddies and jets that a small vehicle meets within minutes."""
-
-EVIDENCE_SHARE = 0.5
-"""Exponent of the likelihood: neighbouring estimates err alike, because they lag."""
-
-SHORTEST_M, LONGEST_M = 0.3, 50.0
-
-CELLS_PER_LENGTH = 2.5
-MAX_CELLS = 100
-FORGET_S = 900.0
-"""Time in which what was learned loses its weight by e."""
-
-REFRESH_S = 1.0
-"""The fit is made anew at most so often."""
-
-FULL_WEIGHT_S = 0.5
-"""An estimate counts in full after so much time in its cell."""
-
-_MEANS_M_S = (CLOSED_MEAN_M_S, OPEN_MEAN_M_S)
+_MEANS_M_S = (CURRENT_LEARNING.closed_mean_m_s, CURRENT_LEARNING.open_mean_m_s)
 
 
 @dataclass(slots=True)
@@ -139,7 +105,7 @@ class LearnedCurrent:
 
     def __init__(self, basin: Basin = Basin.UNKNOWN) -> None:
         self._basin = basin
-        self._length_m = OPEN_LENGTH_M
+        self._length_m = CURRENT_LEARNING.open_length_m
         self._fenced = False
         self._last_us: int | None = None
         self._revision = Revision()
@@ -161,7 +127,10 @@ class LearnedCurrent:
         self._cells: dict[tuple[int, int], _Cell] = {}
         self._fitted_us: int | None = None
         closed = CLOSED_SHARE[self._basin]
-        shares = np.column_stack([CLOSED_FLOW_SHARES, OPEN_FLOW_SHARES]) * [closed, 1.0 - closed]
+        shares = np.column_stack([CURRENT_LEARNING.closed_flow_shares, CURRENT_LEARNING.open_flow_shares]) * [
+            closed,
+            1.0 - closed,
+        ]
         self._belief: FloatArray = shares
         self._log_prior: FloatArray = np.log(shares)
         self._fit = Fit(
@@ -173,8 +142,8 @@ class LearnedCurrent:
     def within(self, fence: Fence) -> None:
         """Take the correlation length from the size of the workspace. Another one begins with nothing learned."""
         width = narrowest_width_m(fence)
-        length = OPEN_LENGTH_M if width is None else LENGTH_SHARE * width
-        length = min(max(length, SHORTEST_M), LONGEST_M)
+        length = CURRENT_LEARNING.open_length_m if width is None else CURRENT_LEARNING.length_share * width
+        length = min(max(length, CURRENT_LEARNING.shortest_m), CURRENT_LEARNING.longest_m)
         if (length, width is not None) != (self._length_m, self._fenced):
             self._length_m, self._fenced = length, width is not None
             self._forget()
@@ -187,7 +156,7 @@ class LearnedCurrent:
             return nav
         if elapsed_s > 0.0 or not self._cells:
             self._learn(nav, min(max(elapsed_s, 0.01), 0.2))
-        if self._fitted_us is None or nav.t_us - self._fitted_us >= REFRESH_S * 1e6:
+        if self._fitted_us is None or nav.t_us - self._fitted_us >= CURRENT_LEARNING.refresh_s * 1e6:
             self._fitted_us = nav.t_us
             self._refit(nav.t_us)
         self._trust.look(nav, self._fit)
@@ -211,15 +180,15 @@ class LearnedCurrent:
         return self._revision.look(lack, nav.t_us * 1e-6)
 
     def _learn(self, nav: NavState, duration_s: float) -> None:
-        size = self._length_m / CELLS_PER_LENGTH
+        size = self._length_m / CURRENT_LEARNING.cells_per_length
         x, y, _ = nav.pos_ned_m.tolist()
         key = (math.floor(x / size), math.floor(y / size))
         cell = self._cells.pop(key, None)
         if cell is None:
             cell = _Cell(0.0, (0.0, 0.0, 0.0, 0.0), nav.t_us)
-            if len(self._cells) >= MAX_CELLS:
+            if len(self._cells) >= CURRENT_LEARNING.max_cells:
                 del self._cells[next(iter(self._cells))]
-        fade = math.exp((cell.seen_us - nav.t_us) * 1e-6 / FORGET_S)
+        fade = math.exp((cell.seen_us - nav.t_us) * 1e-6 / CURRENT_LEARNING.forget_s)
         north, east, _ = nav.current_ned_m_s.tolist()
         cell.weight_s = fade * cell.weight_s + duration_s
         a, b, c, d = cell.moment
@@ -237,20 +206,25 @@ class LearnedCurrent:
         cells = list(self._cells.values())
         rows = np.array([cell.moment for cell in cells]) / np.array([[cell.weight_s] for cell in cells])
         weight = np.array(
-            [cell.weight_s * math.exp((cell.seen_us - now_us) * 1e-6 / FORGET_S) / FULL_WEIGHT_S for cell in cells]
+            [
+                cell.weight_s
+                * math.exp((cell.seen_us - now_us) * 1e-6 / CURRENT_LEARNING.forget_s)
+                / CURRENT_LEARNING.full_weight_s
+                for cell in cells
+            ]
         )
-        noise = np.tile(NOISE_M_S**2 / np.minimum(weight, 1.0), 2)
+        noise = np.tile(CURRENT_LEARNING.noise_m_s**2 / np.minimum(weight, 1.0), 2)
         seen = np.concatenate([rows[:, 2], rows[:, 3]])
         places = np.ascontiguousarray(rows[:, :2])
         varying = _varying(places, self._length_m)
-        likely = np.empty((len(FLOW_M_S), len(_MEANS_M_S)))
+        likely = np.empty((len(CURRENT_LEARNING.flow_m_s), len(_MEANS_M_S)))
         alpha = np.empty((*likely.shape, len(seen)))
-        for i, flow in enumerate(FLOW_M_S):
+        for i, flow in enumerate(CURRENT_LEARNING.flow_m_s):
             likely[i], alpha[i] = _weights(flow, varying, noise, seen)
-        belief = EVIDENCE_SHARE * likely + self._log_prior
+        belief = CURRENT_LEARNING.evidence_share * likely + self._log_prior
         belief = np.exp(belief - belief.max())
         self._belief = belief = belief / belief.sum()
-        pull = np.einsum("ij,i,ijk->k", belief, np.square(FLOW_M_S), alpha).reshape(2, -1)
+        pull = np.einsum("ij,i,ijk->k", belief, np.square(CURRENT_LEARNING.flow_m_s), alpha).reshape(2, -1)
         mean = np.einsum("ij,j,ijk->k", belief, np.square(_MEANS_M_S), alpha).reshape(2, -1).sum(axis=1)
         pull = np.ascontiguousarray(pull)
         self._fit = Fit(length_m=self._length_m, places_ned_m=places, pull=pull, mean_m_s=mean)
@@ -273,9 +247,9 @@ class _Quick:
     def __init__(self, library: Any) -> None:
         self._here, self._estimate = np.zeros(3), np.zeros(3)
         self._told = _Forecast(
-            full_within_m=FULL_WITHIN_M,
-            lasting_s=LASTING_S,
-            fade_s=FADE_S,
+            full_within_m=CURRENTS.full_within_m,
+            lasting_s=CURRENTS.lasting_s,
+            fade_s=CURRENTS.fade_s,
             here=self._here.ctypes.data,
             estimate=self._estimate.ctypes.data,
         )

@@ -11,10 +11,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from autopilot.control.water.tuned import CURRENT_MAP
 from autopilot.core.frames import FloatArray
 
 AXES = ("time_s", "depth_m", "north_m", "east_m")
-_DEPTH, _NORTH, _EAST = 1, 2, 3
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -111,7 +111,7 @@ class CurrentMap:
     def beyond(self, places_ned_m: FloatArray) -> NDArray[np.bool_]:
         """Which places (n, 2) lie farther outside than half a cell: nodes may stand in the middle of cells."""
         out = np.zeros(len(places_ned_m), dtype=bool)
-        for axis, x in zip(self._axes[_NORTH:], places_ned_m.T, strict=True):
+        for axis, x in zip(self._axes[CURRENT_MAP.north :], places_ned_m.T, strict=True):
             first, last = 0.5 * (axis[1] - axis[0]), 0.5 * (axis[-1] - axis[-2])
             out |= (x < axis[0] - first) | (x > axis[-1] + last)
         return out
@@ -129,7 +129,7 @@ class CurrentMap:
         """Row and column of the cell that holds each place (n, 2), of the nearest one outside."""
         rows, columns = (
             np.clip(np.searchsorted(axis, x, side="right") - 1, 0, len(axis) - 2)
-            for axis, x in zip(self._axes[_NORTH:], places_ned_m.T, strict=True)
+            for axis, x in zip(self._axes[CURRENT_MAP.north :], places_ned_m.T, strict=True)
         )
         return rows, columns
 

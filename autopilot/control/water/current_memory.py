@@ -5,33 +5,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from autopilot.control.water.tuned import CURRENT_MEMORY
 from autopilot.core.frames import FloatArray
 
-CELLS_PER_SCALE = 4
-"""Nodes per length over which the current changes."""
-
-SPREAD = 0.2
-"""An observation counts for the nodes round it by a Gaussian of this share of that length ..."""
-
-REACH = 2
-"""... and for those of 5 x 5 at most."""
-
-NODES = 128
-"""Per side: a window of 32 lengths that wraps round. A node forgets one place when it gets another."""
-
-VARIANCE_FLOOR_M2_S2 = 0.02**2
-"""An estimate is not better than this whatever its covariance says: it lags behind a current that varies along the way,
-and it carries what the model lacks, which depends on the manoeuvre."""
-
-FORGET_S = 900.0
-"""Time in which what was learned loses its weight by e."""
-
-PRIOR_WEIGHT = 0.1 / VARIANCE_FLOOR_M2_S2
+PRIOR_WEIGHT = 0.1 / CURRENT_MEMORY.variance_floor_m2_s2
 """Weight [s^3/m^2] of what is believed without memory: a tenth of a second of good estimates at the node. With
 more the first lap is worse, with less nothing changes (docs/control.md)."""
-
-LONGEST_LESSON_S = 0.2
-"""One look counts no longer than this, however long nobody has looked."""
 
 
 @dataclass(slots=True, eq=False)
@@ -65,12 +44,12 @@ class CurrentMemory:
 
     def __init__(self, scale_m: float) -> None:
         """``scale_m``: length over which the current changes."""
-        self._cell_m = scale_m / CELLS_PER_SCALE
-        self._spread_m = SPREAD * scale_m
-        self._sums: FloatArray = np.zeros((NODES * NODES, 4))
-        self._place: NDArray[np.int64] = np.full(NODES * NODES, -1, dtype=np.int64)
-        self._learned_us: FloatArray = np.zeros(NODES * NODES)
-        self._around = np.arange(-REACH, REACH + 1)
+        self._cell_m = scale_m / CURRENT_MEMORY.cells_per_scale
+        self._spread_m = CURRENT_MEMORY.spread * scale_m
+        self._sums: FloatArray = np.zeros((CURRENT_MEMORY.nodes * CURRENT_MEMORY.nodes, 4))
+        self._place: NDArray[np.int64] = np.full(CURRENT_MEMORY.nodes * CURRENT_MEMORY.nodes, -1, dtype=np.int64)
+        self._learned_us: FloatArray = np.zeros(CURRENT_MEMORY.nodes * CURRENT_MEMORY.nodes)
+        self._around = np.arange(-CURRENT_MEMORY.reach, CURRENT_MEMORY.reach + 1)
         self._patch: _Patch | None = None
         """Where the last lesson was."""
         self._last_us: int | None = None
@@ -84,7 +63,9 @@ class CurrentMemory:
         x, y = pos_ned_m[:2].tolist()
         patch = self._patch_round((round(x / self._cell_m), round(y / self._cell_m)), t_us)
         r2 = np.add.outer(np.square(patch.north_m - x), np.square(patch.east_m - y)).reshape(-1)
-        gain = min(elapsed_s, LONGEST_LESSON_S) / (max(variance_m2_s2, 0.0) + VARIANCE_FLOOR_M2_S2)
+        gain = min(elapsed_s, CURRENT_MEMORY.longest_lesson_s) / (
+            max(variance_m2_s2, 0.0) + CURRENT_MEMORY.variance_floor_m2_s2
+        )
         weight = gain * np.exp(-0.5 * r2 / self._spread_m**2)
         patch.sums += weight[:, None] * np.array((1.0, *seen_m_s.tolist()))
 
@@ -133,7 +114,7 @@ class CurrentMemory:
 
 def _left(learned_us: float | FloatArray, t_us: int) -> FloatArray:
     """Share of a weight that is left of what was learned then."""
-    left: FloatArray = np.exp((learned_us - t_us) * (1e-6 / FORGET_S))
+    left: FloatArray = np.exp((learned_us - t_us) * (1e-6 / CURRENT_MEMORY.forget_s))
     return left
 
 
@@ -142,5 +123,5 @@ _BEFORE_AND_BEHIND: NDArray[np.int64] = np.array([[0], [1]])
 
 def _slot(north: NDArray[np.int64], east: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Where nodes are kept, and a number that tells each from the others that are kept there."""
-    slot = (north % NODES) * NODES + east % NODES
-    return slot, (north // NODES + (1 << 20)) * (1 << 22) + (east // NODES + (1 << 20))
+    slot = (north % CURRENT_MEMORY.nodes) * CURRENT_MEMORY.nodes + east % CURRENT_MEMORY.nodes
+    return slot, (north // CURRENT_MEMORY.nodes + (1 << 20)) * (1 << 22) + (east // CURRENT_MEMORY.nodes + (1 << 20))

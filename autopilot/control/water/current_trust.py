@@ -17,37 +17,9 @@ from typing import Protocol
 import numpy as np
 
 from autopilot.control.water.currents import correction_share
+from autopilot.control.water.tuned import CURRENT_TRUST
 from autopilot.core.frames import FloatArray
 from autopilot.core.messages import NavState
-
-STEP_SHARE = 0.2
-"""Looks are so far apart, in lengths of the flow ..."""
-
-LEAST_STEP_M = 0.1
-
-NEAR_SHARE, FAR_SHARE = 0.4, 2.5
-"""... and a forecast is judged when it was made between so many lengths from here."""
-
-KEPT = 16
-"""Forecasts on their way to be judged."""
-
-ERROR_M_S = 0.05
-"""Standard deviation of a forecast that is right, and of the estimate that judges it."""
-
-WORST = 3.0
-"""The balance moves by no more than this at one look: one bad estimate decides nothing."""
-
-LIMIT = 3.0
-"""Bounds of the balance: what has long been right (or wrong) is dropped (or taken up again) within some looks."""
-
-SURE, UNSURE = 2.0, -2.0
-"""Balance to begin with: in a basin that is known to be closed and in open water, and within a fence of which nothing
-is known. Eddies of open water are over before a forecast has proved itself. A fence is no wall, but the flow's length
-is taken from it: near the speed limit a promise of a little less current beside the vehicle is worth a detour, so it
-has to be earned there."""
-
-RAMP_S = 1.0
-"""The share that is used follows the balance with this time constant: plans do not jump."""
 
 
 class Flowing(Protocol):
@@ -71,10 +43,10 @@ class Trust:
 
     def __init__(self, length_m: float, *, sure: bool, tails: bool) -> None:
         self._length_m = length_m
-        self._step_m = max(LEAST_STEP_M, STEP_SHARE * length_m)
+        self._step_m = max(CURRENT_TRUST.least_step_m, CURRENT_TRUST.step_share * length_m)
         self._tails = tails
-        self._balance = SURE if sure else UNSURE
-        self._told: deque[_Told] = deque(maxlen=KEPT)
+        self._balance = CURRENT_TRUST.sure if sure else CURRENT_TRUST.unsure
+        self._told: deque[_Told] = deque(maxlen=CURRENT_TRUST.kept)
         self._last_us: int | None = None
         self.share = _share(self._balance)
         """0 = the estimate everywhere, 1 = the learned flow."""
@@ -83,7 +55,7 @@ class Trust:
         """At every control step: judge when the vehicle has come far enough."""
         elapsed_s = 0.0 if self._last_us is None else max(0.0, (nav.t_us - self._last_us) * 1e-6)
         self._last_us = nav.t_us
-        self.share += (_share(self._balance) - self.share) * min(1.0, elapsed_s / RAMP_S)
+        self.share += (_share(self._balance) - self.share) * min(1.0, elapsed_s / CURRENT_TRUST.ramp_s)
         if self._told and _away_m(self._told[-1].nav, nav) < self._step_m:
             return
         self._judge(nav)
@@ -93,7 +65,7 @@ class Trust:
         here, seen = nav.pos_ned_m[None], nav.current_ned_m_s[:2]
         gains = []
         for told in self._told:
-            if not NEAR_SHARE <= _away_m(told.nav, nav) / self._length_m <= FAR_SHARE:
+            if not CURRENT_TRUST.near_share <= _away_m(told.nav, nav) / self._length_m <= CURRENT_TRUST.far_share:
                 continue
             before = told.nav.current_ned_m_s[:2]
             flow = told.flow.flow(np.stack([nav.pos_ned_m[:2], told.nav.pos_ned_m[:2]]))
@@ -102,11 +74,14 @@ class Trust:
             gains.append(self._cost(before - seen) - self._cost(learned - seen))
         if gains:
             gain = float(np.mean(gains))
-            self._balance = min(max(self._balance + min(max(gain, -WORST), WORST), -LIMIT), LIMIT)
+            self._balance = min(
+                max(self._balance + min(max(gain, -CURRENT_TRUST.worst), CURRENT_TRUST.worst), -CURRENT_TRUST.limit),
+                CURRENT_TRUST.limit,
+            )
 
     def _cost(self, error_m_s: FloatArray) -> float:
         """Negative logarithm of how likely an error is."""
-        square = float(np.square(error_m_s).sum()) / (2.0 * ERROR_M_S**2)
+        square = float(np.square(error_m_s).sum()) / (2.0 * CURRENT_TRUST.error_m_s**2)
         return math.log1p(square) if self._tails else square
 
 

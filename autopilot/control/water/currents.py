@@ -9,31 +9,13 @@ from typing import Protocol, TypeAlias
 import numpy as np
 
 from autopilot.control.water.current_memory import CurrentMemory
+from autopilot.control.water.tuned import CURRENTS
 from autopilot.core.frames import FloatArray
 from autopilot.core.geometry import Fence
 from autopilot.core.messages import NavHealth, NavState
 
 Pointwise: TypeAlias = Callable[[tuple[float, float, float], float], tuple[float, float, float]]
 """Position NED [m] and time [s] -> velocity NED [m/s]."""
-
-MATERIAL_M_S = 0.03
-"""A forecast that has changed by more than this is another one: a tenth of the usual cruise speed."""
-
-TANK_SCALE_M = 1.0
-"""Length over which the current in a tank changes: a jet of a thruster, 0.7 m wide."""
-
-OPEN_WATER_SCALE_M = 10.0
-"""The same outdoors: eddies behind piers; correlation length of what ocean models miss."""
-
-FULL_WITHIN_M = 0.3
-"""The present correction holds in full so far round the vehicle, the acceptance ball of a goal; beyond it fades by a
-Gaussian of the field's scale."""
-
-LASTING_S = 30.0
-"""It does not fade with time within this: longer than any prediction of the controller."""
-
-FADE_S = 600.0
-"""Beyond, it fades exponentially: tides turn within hours."""
 
 
 class CurrentForecast(Protocol):
@@ -76,7 +58,7 @@ class CurrentField(Protocol):
 class PointwiseField:
     """A formula for one place as a :class:`CurrentField`."""
 
-    def __init__(self, field: Pointwise, scale_m: float = TANK_SCALE_M) -> None:
+    def __init__(self, field: Pointwise, scale_m: float = CURRENTS.tank_scale_m) -> None:
         self._field = field
         self.scale_m = scale_m
 
@@ -111,7 +93,7 @@ class Revision:
         if self._seen_m_s is None:
             self._seen_m_s, self._seen_s = value_m_s.copy(), now_s
         moved_m_s = float(np.abs(value_m_s - self._seen_m_s).max())
-        if moved_m_s > MATERIAL_M_S or self._drift_m_s(self._seen_s, now_s) > MATERIAL_M_S:
+        if moved_m_s > CURRENTS.material_m_s or self._drift_m_s(self._seen_s, now_s) > CURRENTS.material_m_s:
             self._seen_m_s, self._seen_s = value_m_s.copy(), now_s
             self.count += 1
         return self.count
@@ -180,7 +162,7 @@ class MappedCurrent(_Anywhere):
 
 
 def correction_share(
-    nav: NavState, pos_ned_m: FloatArray, t_s: FloatArray, scale_m: float = TANK_SCALE_M
+    nav: NavState, pos_ned_m: FloatArray, t_s: FloatArray, scale_m: float = CURRENTS.tank_scale_m
 ) -> FloatArray:
     """(n,) how much of the present correction holds at places and times: all of it round the vehicle, within LASTING_S.
 
@@ -188,8 +170,10 @@ def correction_share(
     current that never comes, and the plan would lean against it: an offset from the goal. Hence no fading in time
     within the horizon, and none in space within the acceptance ball.
     """
-    way_m = np.maximum(np.sqrt(np.square(pos_ned_m - nav.pos_ned_m).sum(axis=1)) - FULL_WITHIN_M, 0.0)
-    share: FloatArray = np.exp(-0.5 * np.square(way_m / scale_m) - np.maximum(t_s - LASTING_S, 0.0) / FADE_S)
+    way_m = np.maximum(np.sqrt(np.square(pos_ned_m - nav.pos_ned_m).sum(axis=1)) - CURRENTS.full_within_m, 0.0)
+    share: FloatArray = np.exp(
+        -0.5 * np.square(way_m / scale_m) - np.maximum(t_s - CURRENTS.lasting_s, 0.0) / CURRENTS.fade_s
+    )
     return share
 
 

@@ -15,33 +15,10 @@ import math
 
 import numpy as np
 
+from autopilot.control.water.tuned import LIFT
 from autopilot.core.frames import FloatArray
 from autopilot.core.messages import NavHealth, NavState, Severity
 from autopilot.core.model4 import ABS_SMOOTHING_M2_S2, Model4
-
-FIRST_S = 0.5
-"""What is found first is believed within about this time, what is found later as the mean of all that was seen, ..."""
-
-FOLLOW_S = 3.0
-"""... and from then on within this: a wave of 6 s gets through by a third."""
-
-LONGEST_S = 0.5
-"""What happened in a longer pause is not learned from."""
-
-SUBMERGED = 1.5
-"""Above so many half heights of the hull below the surface the hull may lose buoyancy by coming out of the water."""
-
-MOST_SHARE = 0.7
-"""Beyond this share of the vertical thrust nothing is left to steer with: margins take 30 % of a thruster."""
-
-TOLD_SHARE = 0.15
-"""From so much of the vertical thrust on the operator hears of it."""
-
-TOLD_AFTER_S = 10.0
-"""Once it has been learned from for so long ..."""
-
-STANDS_S = 3.0
-"""... and has been beyond for so long."""
 
 
 class Lift:
@@ -52,7 +29,7 @@ class Lift:
         self._drag = model.linear_drag[2], model.quadratic_drag[2]
         self._row = np.array(model.allocation[2])
         self._size = np.abs(self._row)
-        self._submerged_m = SUBMERGED * half_height_m
+        self._submerged_m = LIFT.submerged * half_height_m
         self._news: list[tuple[Severity, str]] = []
         self.reset()
 
@@ -87,7 +64,7 @@ class Lift:
         last, impulse_ns, elapsed_s = self._last, self._impulse_ns, self._elapsed_s
         self._last, self._impulse_ns, self._elapsed_s = seen, 0.0, 0.0
         most_n = self._size.dot(limit_n).item()
-        usable = nav.health is not NavHealth.INVALID and 0.0 < elapsed_s <= LONGEST_S
+        usable = nav.health is not NavHealth.INVALID and 0.0 < elapsed_s <= LIFT.longest_s
         if last is None or last[2] != nav.reset_count or not usable:
             return
         rate = 0.5 * (seen[1] + last[1])
@@ -95,7 +72,7 @@ class Lift:
         drag_n = (linear + square * math.sqrt(rate * rate + ABS_SMOOTHING_M2_S2)) * rate
         # What is left of the momentum, upwards, beyond what is known.
         left_ns = impulse_ns - elapsed_s * (drag_n + self.excess_n) - self._mass_kg * (seen[0] - last[0])
-        share_1_s = max(1.0 / (self._learned_s + FIRST_S), 1.0 / FOLLOW_S)
+        share_1_s = max(1.0 / (self._learned_s + LIFT.first_s), 1.0 / LIFT.follow_s)
         change_n = share_1_s * left_ns
         depth_m = float(nav.pos_ned_m[2])
         if not math.isfinite(change_n + depth_m):
@@ -114,10 +91,10 @@ class Lift:
 
     def _tell(self, most_n: float, elapsed_s: float) -> None:
         """Once per flight, and again if it becomes too much."""
-        too_much = abs(self.excess_n) > MOST_SHARE * most_n
-        much = self._learned_s > TOLD_AFTER_S and abs(self.lift_n) > TOLD_SHARE * most_n
+        too_much = abs(self.excess_n) > LIFT.most_share * most_n
+        much = self._learned_s > LIFT.told_after_s and abs(self.lift_n) > LIFT.told_share * most_n
         self._beyond_s = self._beyond_s + elapsed_s if too_much or much else 0.0
-        if self._beyond_s < STANDS_S:
+        if self._beyond_s < LIFT.stands_s:
             return
         if too_much:
             text = f"Too {'light' if self.excess_n > 0.0 else 'heavy'} for its thrusters: trim the vehicle"

@@ -17,6 +17,7 @@ import numpy as np
 
 from autopilot.control.water.current_map import CurrentMap, MapNodes
 from autopilot.control.water.map_files import Variable, read_variables
+from autopilot.control.water.tuned import MAP_READING
 from autopilot.core.errors import ConfigError
 from autopilot.core.frames import FloatArray
 
@@ -31,19 +32,11 @@ LON_NAMES = ("lon", "longitude", "lon_deg", "lon_rho")
 DEPTH_NAMES = ("depth_m", "depth")
 TIME_NAMES = ("time_s", "time", "ocean_time", "MT")
 
-PLAUSIBLE_M_S = 5.0
-"""Faster than almost every tidal stream (Saltstraumen: up to 10 m/s in its narrows): wrong units or an undeclared fill
-value."""
-
-RECTILINEAR_M = 1.0
-"""Two-dimensional latitudes and longitudes that differ by less from row to row are still rows and columns."""
 
 SECONDS_PER = {"s": 1.0, "sec": 1.0, "second": 1.0, "min": 60.0, "minute": 60.0, "h": 3600.0, "hr": 3600.0}
 SECONDS_PER |= {"hour": 3600.0, "d": 86400.0, "day": 86400.0}
 METRES_PER_S = {"": 1.0, "m/s": 1.0, "m s-1": 1.0, "m.s-1": 1.0, "meter second-1": 1.0, "cm/s": 0.01, "cm s-1": 0.01}
 METRES_PER_S |= {"meters/second": 1.0, "metre second-1": 1.0, "cm.s-1": 0.01}
-METRES_PER_DEGREE = 111_000.0
-"""Roughly, for RECTILINEAR_M only."""
 
 
 def load_current_map(path: Path, to_local: ToLocal | None = None, start_utc: datetime | None = None) -> CurrentMap:
@@ -194,7 +187,7 @@ class _Reader:
         self._dimensions.append(variable.dimensions[along] if variable.dimensions else "")
         line: FloatArray = variable.values[:, 0] if along == 0 else variable.values[0]
         spread = variable.values - (line[:, None] if along == 0 else line)
-        if not np.abs(spread).max() * METRES_PER_DEGREE < RECTILINEAR_M:
+        if not np.abs(spread).max() * MAP_READING.metres_per_degree < MAP_READING.rectilinear_m:
             raise self._refuse(f"`{name}` is curvilinear: rows and columns are not parallel to it; regrid the map")
         return line
 
@@ -215,10 +208,10 @@ class _Reader:
             if len(axis) > 1 and axis[0] > axis[-1]:
                 values = np.flip(values, axis=i)
         fastest = np.nanmax(np.abs(values)) if np.isfinite(values).any() else 0.0
-        if fastest > PLAUSIBLE_M_S:
+        if fastest > MAP_READING.plausible_m_s:
             raise self._refuse(
-                f"`{name}` reaches {fastest:g} m/s, {PLAUSIBLE_M_S:g} is plausible; correct the units, or mark fill"
-                " values by NaN or _FillValue"
+                f"`{name}` reaches {fastest:g} m/s, {MAP_READING.plausible_m_s:g} is plausible; correct the units,"
+                " or mark fill values by NaN or _FillValue"
             )
         return values
 

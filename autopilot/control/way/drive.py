@@ -12,55 +12,13 @@ import numpy as np
 from autopilot.control.nmpc.grid import TimeGrid
 from autopilot.control.way.guidance import Reference, Situation, SteadyThrust, Weights
 from autopilot.control.way.quick import STRUCTS, QuickMarch
-from autopilot.control.way.reference import (
-    DECELERATION_M_S2,
-    HEAVE_DECELERATION_M_S2,
-    HEAVE_SHARE,
-    YAW_DECELERATION_RAD_S2,
-    YAW_RATE_SHARE,
-    Route,
-    Target,
-    build_reference,
-    climb_at_once,
-    turn_target,
-)
+from autopilot.control.way.reference import Route, Target, build_reference, climb_at_once, turn_target
+from autopilot.control.way.tuned import DRIVE, REFERENCE
 from autopilot.core import compiled
 from autopilot.core.frames import FloatArray, wrap_pi
 from autopilot.core.messages import Drive, Severity
 from autopilot.core.model4 import YAW, R, U, Z
 from autopilot.core.sharing import Sharing
-
-STEP_M = 0.12
-"""The way ahead is looked at this often."""
-
-MOST_STEPS = 150
-
-SLOWEST_M_S = 0.01
-"""Slower than this is standing: the place is held."""
-
-KEEP_EXTRA_M = 0.02
-"""The way ahead keeps this beyond what the controller keeps, so that its reference can be followed."""
-
-PUSHES = 3
-"""A step that ends too near to boundaries is pushed out of one after the other."""
-
-TOO_NEAR_M = 5e-3
-"""Where that has not helped by less than this, the way ends."""
-
-LEAST_PROGRESS = 0.15
-"""A step that a boundary leaves less of (about a glance at right angles) ends the way."""
-
-SHARE_OVER_M = 0.25
-"""The speed along a boundary is the share of the velocity that points along it, over so much of the way ahead."""
-
-TURN_SHARE = 0.9
-"""Share of the yaw rate limit that is asked for at most."""
-
-CATCH_UP_S = 1.5
-"""A heading that turns is caught up with in about so long."""
-
-HOLD_SPEED_M_S = 0.15
-"""Speed at which a place that is held is come back to."""
 
 
 class DriveGuidance:
@@ -115,9 +73,9 @@ class DriveGuidance:
         route, cruise_m_s = self._route(now, drive, horizon_s)
         depth_m, heave_m_s = float(now.goal.pos_ned_m[2]), params["SPD_HEAVE_MAX"]
         if drive.down_m_s is not None:
-            rate = min(abs(drive.down_m_s), HEAVE_SHARE * heave_m_s)
-            heave_m_s = max(rate, 1e-3) / HEAVE_SHARE
-            far_m = rate * horizon_s + rate * rate / HEAVE_DECELERATION_M_S2
+            rate = min(abs(drive.down_m_s), REFERENCE.heave_share * heave_m_s)
+            heave_m_s = max(rate, 1e-3) / REFERENCE.heave_share
+            far_m = rate * horizon_s + rate * rate / REFERENCE.heave_deceleration_m_s2
             depth_m = float(now.x0[Z]) + math.copysign(far_m, drive.down_m_s)
         low_m = max(now.fence.depth_min_m, params["DEPTH_MIN"])
         high_m = max(low_m, min(now.fence.depth_max_m, params["DEPTH_MAX"]))
@@ -143,9 +101,9 @@ class DriveGuidance:
             self._yaw_target = turn_target(here, wanted, self._yaw_target)
             return self._yaw_target, most
         self._yaw_target = None
-        rate = min(abs(drive.yaw_rate_rad_s), TURN_SHARE * most)
-        far = rate * horizon_s + rate * rate / YAW_DECELERATION_RAD_S2
-        return here + math.copysign(far, drive.yaw_rate_rad_s), max(rate, 1e-3) / YAW_RATE_SHARE
+        rate = min(abs(drive.yaw_rate_rad_s), DRIVE.turn_share * most)
+        far = rate * horizon_s + rate * rate / REFERENCE.yaw_deceleration_rad_s2
+        return here + math.copysign(far, drive.yaw_rate_rad_s), max(rate, 1e-3) / REFERENCE.yaw_rate_share
 
     def _trend(
         self, here: float, wanted: float, trend_rad_s: float, horizon_s: float, most: float
@@ -153,19 +111,22 @@ class DriveGuidance:
         """Of a heading that turns: what is missing of it is made good on the way, or first where that is much."""
         self._yaw_target = None
         lack = wrap_pi(wanted - here)
-        rate = trend_rad_s + lack / CATCH_UP_S
+        rate = trend_rad_s + lack / DRIVE.catch_up_s
         if abs(rate) < 1e-3:
             return here, most
-        rate = math.copysign(min(abs(rate), TURN_SHARE * most), rate)
-        return here + rate * horizon_s, abs(rate) / YAW_RATE_SHARE
+        rate = math.copysign(min(abs(rate), DRIVE.turn_share * most), rate)
+        return here + rate * horizon_s, abs(rate) / REFERENCE.yaw_rate_share
 
     def _route(self, now: Situation, drive: Drive, horizon_s: float) -> tuple[Route, float]:
         """The free way ahead and the speed along it."""
         start, velocity = now.x0[:2].copy(), complex(drive.north_m_s, drive.east_m_s)
         speed = min(abs(velocity), now.speed_cap_m_s, now.goal.speed_m_s)
-        if abs(velocity) < SLOWEST_M_S:
+        if abs(velocity) < DRIVE.slowest_m_s:
             place = np.array(now.goal.pos_ned_m[:2], dtype=float)
-            way, speed = (np.stack([start, place]) if now.planner.sees(start, place) else start[None]), HOLD_SPEED_M_S
+            way, speed = (
+                (np.stack([start, place]) if now.planner.sees(start, place) else start[None]),
+                DRIVE.hold_speed_m_s,
+            )
         else:
             way, share = self._free_way(now, velocity / abs(velocity), speed, drive.turn_rad_s, horizon_s)
             speed *= share
@@ -179,13 +140,13 @@ class DriveGuidance:
         self, now: Situation, direction: complex, speed: float, turn_rad_s: float, horizon_s: float
     ) -> tuple[FloatArray, float]:
         """(m, 2) points from here on, and the share of the speed that boundaries leave."""
-        length_m = speed * horizon_s + speed * speed / DECELERATION_M_S2 + STEP_M
-        count = min(max(math.ceil(length_m / STEP_M), 2), MOST_STEPS)
+        length_m = speed * horizon_s + speed * speed / REFERENCE.deceleration_m_s2 + DRIVE.step_m
+        count = min(max(math.ceil(length_m / DRIVE.step_m), 2), DRIVE.most_steps)
         step_m, here = length_m / count, complex(now.x0[0], now.x0[1])
-        turn = turn_rad_s * step_m / max(speed, SLOWEST_M_S)
+        turn = turn_rad_s * step_m / max(speed, DRIVE.slowest_m_s)
         headings = direction * np.exp(1j * turn * (np.arange(count) + 0.5))
         way = np.concatenate(([here], here + step_m * np.cumsum(headings)))
-        features, keep_m = now.planner.features, now.radius_m + KEEP_EXTRA_M
+        features, keep_m = now.planner.features, now.radius_m + DRIVE.keep_extra_m
         if features.count == 0:
             return way.view(float).reshape(-1, 2), 1.0
         room = features.clearance_up_to_m(way.view(float).reshape(-1, 2), 2.0 * keep_m)
@@ -195,15 +156,15 @@ class DriveGuidance:
         points, shares = way[: int(near[0]) + 1].tolist(), [1.0] * int(near[0])
         for heading in headings[int(near[0]) :].tolist():
             ended, share = self._slide(now, points[-1], heading, step_m, keep_m)
-            if share < LEAST_PROGRESS:
+            if share < DRIVE.least_progress:
                 break
             points.append(ended)
             shares.append(share)
-        looked = max(1, round(SHARE_OVER_M / step_m))
+        looked = max(1, round(DRIVE.share_over_m / step_m))
         first = shares[:looked] + [0.0] * max(0, looked - len(shares))
         # A way that ends is braked on by itself; the share is of the part that slides.
         share = sum(first) / looked if len(shares) >= looked else 1.0
-        return np.array(points).view(float).reshape(-1, 2), max(share, LEAST_PROGRESS)
+        return np.array(points).view(float).reshape(-1, 2), max(share, DRIVE.least_progress)
 
     @staticmethod
     def _slide(now: Situation, here: complex, heading: complex, step_m: float, keep_m: float) -> tuple[complex, float]:
@@ -211,7 +172,7 @@ class DriveGuidance:
         features = now.planner.features
         wish = step_m * heading
         place, along = here + wish, wish
-        for _ in range(PUSHES):
+        for _ in range(DRIVE.pushes):
             out_m = complex(*features.push_out(_point(place), keep_m)[0].tolist())
             if not out_m:
                 break
@@ -220,7 +181,7 @@ class DriveGuidance:
             into = min((along * away.conjugate()).real, 0.0)
             along -= into * away
         room = features.clearance_up_to_m(np.concatenate([_point(here), _point(place)]), keep_m)
-        if room[1] < keep_m - TOO_NEAR_M and room[1] <= room[0]:
+        if room[1] < keep_m - DRIVE.too_near_m and room[1] <= room[0]:
             return place, 0.0
         return place, min(max((along * heading.conjugate()).real / step_m, 0.0), 1.0)
 

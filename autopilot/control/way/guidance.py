@@ -17,7 +17,8 @@ from autopilot.control.water.currents import CurrentForecast
 from autopilot.control.way.desks import Mishaps
 from autopilot.control.way.planner import Planner
 from autopilot.control.way.quick import STRUCTS, QuickMarch
-from autopilot.control.way.reference import TURN_AHEAD_M, Route, Target, build_reference, turn_target
+from autopilot.control.way.reference import Route, Target, build_reference, turn_target
+from autopilot.control.way.tuned import GUIDANCE, REFERENCE
 from autopilot.core import compiled
 from autopilot.core.desk import Cancel, Desk, Ticket
 from autopilot.core.frames import FloatArray, unwrap_near
@@ -27,29 +28,8 @@ from autopilot.core.model4 import NX, YAW, R, U
 from autopilot.core.params import ParamSet
 from autopilot.core.sharing import Sharing
 
-VELOCITY_WEIGHTS = (8.0, 8.0, 8.0, 0.5)
-"""Weights on u, v, w [1/(m/s)^2] and r [1/(rad/s)^2]: enough to hold the cruise speed."""
-
-REPLAN_DISTANCE_M = 0.3
-REPLAN_INTERVAL_US = 1_000_000
-"""A vehicle that has been pushed this far off its route gets a new one, at most once a second."""
-
-ANSWER_STEPS = 2
-"""A route that is not a straight line comes so many control steps after it was asked for: 0.1 s at 20 Hz."""
-
-PATIENCE_STEPS = 20
-"""Goals and fences that change faster than routes are found: after so many steps (1 s) without an answer the open
-search is left to end, and its route is taken if it is free."""
-
-
-LEAST_PROGRESS_SHARE, LEAST_PROGRESS_M_S = 0.8, 0.05
-"""Progress that is expected of the vehicle: this share of the speed over ground that is asked for, at most so much."""
-
 BEHIND_M, LEAD_M = 0.15, 0.3
 """So far the vehicle may fall behind that before the reference runs ahead of it, and so far it runs ahead at most."""
-
-FACING_M = 0.1
-"""Nearer than this, a place that is looked at has no direction."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -140,7 +120,7 @@ class Weights:
         of, r = (params, params.revision), params["MPC_R_THRUST"] if r is None else r
         if of != self._of:
             self._of, q = of, params["MPC_Q_POS"]
-            self.x = np.array([q, q, params["MPC_Q_Z"], params["MPC_Q_YAW"], *VELOCITY_WEIGHTS])
+            self.x = np.array([q, q, params["MPC_Q_Z"], params["MPC_Q_YAW"], *GUIDANCE.velocity_weights])
             self.terminal = np.diag(TERMINAL_STAGES * self.x)
             self.x.setflags(write=False)
         if r != self._r:
@@ -205,7 +185,7 @@ class Lead:
         """Once per step, with the arc length at which the vehicle is."""
         if self._last is not None and self._last[0] is route:
             elapsed_s = max(0.0, (t_us - self._last[1]) * 1e-6)
-            least_m = elapsed_s * min(LEAST_PROGRESS_SHARE * self._asked_m_s, LEAST_PROGRESS_M_S)
+            least_m = elapsed_s * min(GUIDANCE.least_progress_share * self._asked_m_s, GUIDANCE.least_progress_m_s)
             self._behind_m = min(max(self._behind_m + least_m - (s_m - self._last[2]), 0.0), BEHIND_M + LEAD_M)
         self._last = route, t_us, s_m
 
@@ -296,8 +276,8 @@ class RouteGuidance:
         route = self._route
         if route is not None and not fresh:
             self._s, off = route.project(x0[:2], self._s)
-            pushed = (off > REPLAN_DISTANCE_M or self.unreachable) and self._ticket is None
-            if not changed and pushed and now.t_us - self._routed_us >= REPLAN_INTERVAL_US:
+            pushed = (off > GUIDANCE.replan_distance_m or self.unreachable) and self._ticket is None
+            if not changed and pushed and now.t_us - self._routed_us >= GUIDANCE.replan_interval_us:
                 fresh = self._look(now)
         if changed:
             fresh |= self._look(now) or self._make_do(now)
@@ -314,13 +294,13 @@ class RouteGuidance:
             return True
         if self._ticket is None:
             self._asked_first = self._step
-        elif self._step - self._asked_first >= PATIENCE_STEPS:
+        elif self._step - self._asked_first >= GUIDANCE.patience_steps:
             return False
         self._withdraw()
         assert self._goal_key is not None
         asked = RouteRequest(planner=now.planner, start_ned_m=start, goal_ned_m=goal, goal_key=self._goal_key)
         self._asked = asked
-        self._ticket = self._desk.submit(self._step + ANSWER_STEPS, search_route, asked)
+        self._ticket = self._desk.submit(self._step + GUIDANCE.answer_steps, search_route, asked)
         return False
 
     def _answered(self, now: Situation) -> bool:
@@ -379,7 +359,7 @@ class RouteGuidance:
     def _facing(self, place_ned_m: FloatArray, x0: FloatArray) -> float:
         """Heading towards a place (2,); a place that is under the vehicle has no direction."""
         look = complex(*place_ned_m) - complex(x0[0], x0[1])
-        if abs(look) < FACING_M:
+        if abs(look) < GUIDANCE.facing_m:
             return float(x0[YAW]) if self._yaw_target is None else self._yaw_target
         return turn_target(float(x0[YAW]), cmath.phase(look), None)
 
@@ -392,9 +372,9 @@ class RouteGuidance:
             self._yaw_target = self._facing(goal.facing_ned_m, x0)
         elif goal.yaw_rad is not None:
             self._yaw_target = turn_target(float(x0[YAW]), goal.yaw_rad, self._yaw_target)
-        elif route.length_m - self._s > TURN_AHEAD_M or self._yaw_target is None:
-            look = route.point(min(self._s + TURN_AHEAD_M, route.length_m)) - complex(x0[0], x0[1])
-            if abs(look) > 0.5 * TURN_AHEAD_M:
+        elif route.length_m - self._s > REFERENCE.turn_ahead_m or self._yaw_target is None:
+            look = route.point(min(self._s + REFERENCE.turn_ahead_m, route.length_m)) - complex(x0[0], x0[1])
+            if abs(look) > 0.5 * REFERENCE.turn_ahead_m:
                 self._yaw_target = unwrap_near(cmath.phase(look), float(x0[YAW]))
             elif self._yaw_target is None:
                 self._yaw_target = float(x0[YAW])

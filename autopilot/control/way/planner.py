@@ -16,41 +16,12 @@ from numpy.typing import NDArray
 
 from autopilot.control.fence.obstacles import Features
 from autopilot.control.way.shortest import lengths_from
+from autopilot.control.way.tuned import PLANNER
 from autopilot.core.desk import Cancel
 from autopilot.core.frames import FloatArray
 from autopilot.core.free_space import CHORD_LOSS_M, Area, FreeSpace, workspace_of
 from autopilot.core.geometry import Fence
 from autopilot.core.shapes import bounding_box
-
-PLANNING_EXTRA_M = 0.04
-"""Kept beyond the controller's own radius, so that the path lies where the controller can follow it with a margin, and
-a passage that is open by centimetres only is not chosen."""
-
-LOOK_STEP_M = 0.05
-"""Straight lines are looked at this often."""
-
-OPEN_WATER_BORDER_M = 3.0
-"""Without a workspace the grid covers start, goal and obstacles and this much beyond ..."""
-
-OPEN_WATER_STEP_M = 2.0
-"""... up to the next multiple of this: a start that has moved a little has the same grid."""
-
-LOOK_BACK_M = 10.0
-"""So much of a path that was made for another fence is looked at before it is gone on with."""
-
-GOAL_SNAP_M = 0.3
-"""A goal this near to free ground is approached as far as the constraints allow."""
-
-ENDPOINT_RELIEF_M = 0.25
-"""Near its ends a straight line may be as near to a boundary as the end itself."""
-
-BAND_STEP_M = 0.1
-MAX_BAND_POINTS = 60
-BAND_ITERATIONS = 25
-"""Enough to round a corner over half a metre."""
-
-KNIGHT = ((1, 2), (2, 1), (1, -2), (2, -1))
-"""Moves beside those to the neighbours, so that ways have 16 directions."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -80,7 +51,7 @@ class Planner:
     def __init__(self, fence: Fence, radius_m: float) -> None:
         self.features = Features(fence)
         self._finders = (
-            _PathFinder(fence, self.features, radius_m, PLANNING_EXTRA_M),
+            _PathFinder(fence, self.features, radius_m, PLANNER.planning_extra_m),
             _PathFinder(fence, self.features, radius_m, 0.0),
         )
 
@@ -150,13 +121,13 @@ class _PathFinder:
         if self.features.count == 0:
             return True
         length = math.hypot(*(b - a))
-        steps = max(2, math.ceil(length / min(LOOK_STEP_M, self.radius_m / 4.0)))
+        steps = max(2, math.ceil(length / min(PLANNER.look_step_m, self.radius_m / 4.0)))
         steps = min(steps, 4000)
         share = np.linspace(0.0, 1.0, steps + 1)
         clearance = self.features.clearance_up_to_m(a + share[:, None] * (b - a), 2.0 * self.radius_m)
         need = np.full(steps + 1, self._allowed_m)
         for end, along in ((0, share), (-1, 1.0 - share)):
-            relief = along * length < ENDPOINT_RELIEF_M
+            relief = along * length < PLANNER.endpoint_relief_m
             need[relief] = np.minimum(need[relief], clearance[end] - 1e-3)
         if clearance[0] < 0.0 or clearance[-1] < 0.0:
             return False
@@ -167,11 +138,13 @@ class _PathFinder:
         if self.features.count == 0:
             return True
         s = np.concatenate(([0.0], np.cumsum(np.hypot(*np.diff(path, axis=0).T))))
-        at = np.arange(0.0, min(float(s[-1]), LOOK_BACK_M) + LOOK_STEP_M, LOOK_STEP_M)
+        at = np.arange(0.0, min(float(s[-1]), PLANNER.look_back_m) + PLANNER.look_step_m, PLANNER.look_step_m)
         points = np.stack([np.interp(at, s, path[:, 0]), np.interp(at, s, path[:, 1])], axis=1)
         clearance = self.features.clearance_up_to_m(points, 2.0 * self.radius_m)
         # Where the vehicle is it may be nearer.
-        need = np.where(at < ENDPOINT_RELIEF_M, min(self._allowed_m, float(clearance[0]) - 1e-3), self._allowed_m)
+        need = np.where(
+            at < PLANNER.endpoint_relief_m, min(self._allowed_m, float(clearance[0]) - 1e-3), self._allowed_m
+        )
         return bool(clearance[0] >= 0.0 and (clearance >= need).all())
 
     def _shortcut(self, points: FloatArray) -> FloatArray:
@@ -194,10 +167,10 @@ class _PathFinder:
         """The path as an elastic band: corners become bends that lie against the inflated fence."""
         length = np.hypot(*np.diff(points, axis=0).T)
         s = np.concatenate(([0.0], np.cumsum(length)))
-        count = min(max(int(s[-1] / BAND_STEP_M), 2), MAX_BAND_POINTS)
+        count = min(max(int(s[-1] / PLANNER.band_step_m), 2), PLANNER.max_band_points)
         at = np.linspace(0.0, s[-1], count + 1)
         band = np.stack([np.interp(at, s, points[:, 0]), np.interp(at, s, points[:, 1])], axis=1)
-        for _ in range(BAND_ITERATIONS):
+        for _ in range(PLANNER.band_iterations):
             band[1:-1] += 0.5 * (0.5 * (band[:-2] + band[2:]) - band[1:-1])
             band[1:-1] += self.features.push_out(band[1:-1], self.radius_m)
         return band
@@ -218,7 +191,7 @@ class _PathFinder:
         ):
             return graph
         space = FreeSpace(self.features, area, self.radius_m, long_moves=math.sqrt(5.0))
-        pairs = np.concatenate([space.links, space.moves(KNIGHT)])
+        pairs = np.concatenate([space.links, space.moves(PLANNER.knight)])
         length = space.lengths_m(pairs)
         self._graph = _Graph(
             area=area,
@@ -235,10 +208,10 @@ class _PathFinder:
         if workspace is not None:
             return workspace
         points = np.concatenate([start[None], goal[None], *(np.stack(bounding_box(s)) for s in self.fence.exclusions)])
-        low, high, step = points.min(axis=0), points.max(axis=0), OPEN_WATER_STEP_M
+        low, high, step = points.min(axis=0), points.max(axis=0), PLANNER.open_water_step_m
         return Area(
-            low_m=step * np.floor((low - OPEN_WATER_BORDER_M) / step),
-            high_m=step * np.ceil((high + OPEN_WATER_BORDER_M) / step),
+            low_m=step * np.floor((low - PLANNER.open_water_border_m) / step),
+            high_m=step * np.ceil((high + PLANNER.open_water_border_m) / step),
         )
 
     def _field_for(self, graph: _Graph, goal: FloatArray) -> _Field | None:
@@ -246,10 +219,10 @@ class _PathFinder:
             return self._field
         near = graph.space.place_near(goal)
         clearance = float(self.features.clearance_m(goal[None])[0])
-        if near is None or clearance < self.radius_m - GOAL_SNAP_M - LOOK_STEP_M:
+        if near is None or clearance < self.radius_m - PLANNER.goal_snap_m - PLANNER.look_step_m:
             return None
         node, away_m = near
-        if away_m > GOAL_SNAP_M + float(graph.space.cell_m[node]):
+        if away_m > PLANNER.goal_snap_m + float(graph.space.cell_m[node]):
             return None
         count = len(graph.space.places_ned_m)
         distance, previous = lengths_from(node, graph.begin, graph.end, graph.length_m, count)

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 
 from autopilot.control.nmpc.model_code import BUOYANCY, coefficients
-from autopilot.control.way import reference
 from autopilot.control.way.reference import Route, Target
+from autopilot.control.way.tuned import REFERENCE
 from autopilot.core import compiled
 from autopilot.core.frames import FloatArray
 from autopilot.core.model4 import AXES, NX
@@ -18,20 +18,20 @@ from autopilot.core.sharing import Sharing
 
 _DOUBLES = ("s0_m", "depth_m", "yaw_rad", "cruise_m_s", "speed_limit_m_s", "heave_limit_m_s", "yaw_rate_limit_rad_s")
 _RULES = {
-    "corner_ahead_m": reference.CORNER_AHEAD_M,
-    "water_share": reference.WATER_SPEED_SHARE,
-    "upstream_share": reference.UPSTREAM_SPEED_SHARE,
-    "slow_current_share": reference.SLOW_CURRENT_SHARE,
-    "fast_current_share": reference.FAST_CURRENT_SHARE,
-    "slowest_m_s": reference.SLOWEST_M_S,
-    "heave_share": reference.HEAVE_SHARE,
-    "yaw_rate_share": reference.YAW_RATE_SHARE,
-    "least_depth_time_s": reference.MIN_DEPTH_TIME_S,
+    "corner_ahead_m": REFERENCE.corner_ahead_m,
+    "water_share": REFERENCE.water_speed_share,
+    "upstream_share": REFERENCE.upstream_speed_share,
+    "slow_current_share": REFERENCE.slow_current_share,
+    "fast_current_share": REFERENCE.fast_current_share,
+    "slowest_m_s": REFERENCE.slowest_m_s,
+    "heave_share": REFERENCE.heave_share,
+    "yaw_rate_share": REFERENCE.yaw_rate_share,
+    "least_depth_time_s": REFERENCE.min_depth_time_s,
 }
 _DECELERATIONS = (
-    reference.DECELERATION_M_S2,
-    reference.HEAVE_DECELERATION_M_S2,
-    reference.YAW_DECELERATION_RAD_S2,
+    REFERENCE.deceleration_m_s2,
+    REFERENCE.heave_deceleration_m_s2,
+    REFERENCE.yaw_deceleration_rad_s2,
 )
 
 

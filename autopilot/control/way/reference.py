@@ -9,42 +9,12 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from autopilot.control.way.tuned import REFERENCE
 from autopilot.core import compiled
 from autopilot.core.frames import FloatArray, unwrap_near, wrap_pi
 from autopilot.core.model4 import NX, YAW, R, U, V, W, X, Y, Z
 
 ComplexArray: TypeAlias = NDArray[np.complex128]
-
-DECELERATION_M_S2 = 0.12
-HEAVE_DECELERATION_M_S2 = 0.1
-YAW_DECELERATION_RAD_S2 = 0.4
-"""Of the approach to the goal: v = sqrt(2 a d)."""
-
-YAW_RATE_SHARE = 0.55
-"""Share of the yaw rate limit that a planned turn uses."""
-
-HEAVE_SHARE = 0.6
-"""Share of the heave limit that a planned change of depth uses."""
-
-MIN_DEPTH_TIME_S = 1.0
-TURN_AHEAD_M = 0.6
-"""Free heading looks along the route this far ahead."""
-
-CORNER_AHEAD_M = 0.2
-"""The speed is chosen for the direction of the route this far ahead."""
-
-WATER_SPEED_SHARE = 0.95
-UPSTREAM_SPEED_SHARE = 0.985
-"""Share of the planar speed limit that the reference asks for, and that it asks for against currents that are nearly as
-fast: there every centimetre per second of it is way that is made."""
-
-SLOW_CURRENT_SHARE, FAST_CURRENT_SHARE = 0.78, 0.88
-"""Between these shares of the limit that a current has against the way, one goes over into the other."""
-
-SLOWEST_M_S = 0.02
-
-TURN_HYSTERESIS_RAD = 0.5
-"""A half turn keeps its direction until the other way is shorter by this much."""
 
 
 class Route:
@@ -141,10 +111,10 @@ def approach(moves: Sequence[tuple[float, float, float]], t_s: FloatArray) -> tu
 
 def water_speed_share(against_m_s: float, water_limit_m_s: float) -> float:
     """Share of the limit on planar speed that is asked for with so much current against the way."""
-    span = FAST_CURRENT_SHARE - SLOW_CURRENT_SHARE
-    against = (against_m_s / at_least(water_limit_m_s, 1e-6) - SLOW_CURRENT_SHARE) / span
+    span = REFERENCE.fast_current_share - REFERENCE.slow_current_share
+    against = (against_m_s / at_least(water_limit_m_s, 1e-6) - REFERENCE.slow_current_share) / span
     fast = at_most(at_least(against, 0.0), 1.0)
-    return WATER_SPEED_SHARE + fast * (UPSTREAM_SPEED_SHARE - WATER_SPEED_SHARE)
+    return REFERENCE.water_speed_share + fast * (REFERENCE.upstream_speed_share - REFERENCE.water_speed_share)
 
 
 def ground_speed(cruise_m_s: float, tangent: complex, current: complex, water_limit_m_s: float) -> float:
@@ -152,11 +122,7 @@ def ground_speed(cruise_m_s: float, tangent: complex, current: complex, water_li
     along = (tangent.conjugate() * current).real
     room = along * along - abs(current) ** 2 + (water_speed_share(-along, water_limit_m_s) * water_limit_m_s) ** 2
     reachable = 0.0 if room <= 0.0 else along + math.sqrt(room)
-    return at_least(at_most(cruise_m_s, reachable), SLOWEST_M_S)
-
-
-TURN_TIE_RAD = 0.2
-"""Ways round that differ by less than twice this are about equal: 0.4 s of turning at the yaw rate limit."""
+    return at_least(at_most(cruise_m_s, reachable), REFERENCE.slowest_m_s)
 
 
 def turn_target(yaw_rad: float, goal_yaw_rad: float, previous_rad: float | None) -> float:
@@ -167,11 +133,11 @@ def turn_target(yaw_rad: float, goal_yaw_rad: float, previous_rad: float | None)
     """
     nearest = unwrap_near(goal_yaw_rad, yaw_rad)
     other = nearest + math.copysign(2.0 * math.pi, yaw_rad - nearest)
-    if abs(other - yaw_rad) < math.pi + TURN_TIE_RAD and abs(other) < abs(nearest):
+    if abs(other - yaw_rad) < math.pi + REFERENCE.turn_tie_rad and abs(other) < abs(nearest):
         nearest = other
     if previous_rad is None or abs(wrap_pi(previous_rad - goal_yaw_rad)) > 1e-6:
         return nearest
-    return previous_rad if abs(previous_rad - yaw_rad) < math.pi + TURN_HYSTERESIS_RAD else nearest
+    return previous_rad if abs(previous_rad - yaw_rad) < math.pi + REFERENCE.turn_hysteresis_rad else nearest
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -199,16 +165,16 @@ def build_reference(t_s: FloatArray, x0: FloatArray, target: Target, current_ned
     """
     route, rest = target.route, at_least(target.route.length_m - target.s0_m, 0.0)
     current = complex(current_ned_m_s[0], current_ned_m_s[1])
-    tangent = route.tangent(target.s0_m + at_most(CORNER_AHEAD_M, 0.5 * rest))
+    tangent = route.tangent(target.s0_m + at_most(REFERENCE.corner_ahead_m, 0.5 * rest))
     speed = ground_speed(target.cruise_m_s, tangent, current, target.speed_limit_m_s)
     dz, turn = float(target.depth_m - x0[Z]), float(target.yaw_rad - x0[YAW])
-    needed = at_least(abs(dz) / at_least(rest / speed, MIN_DEPTH_TIME_S), SLOWEST_M_S)
-    climb = at_most(needed, HEAVE_SHARE * target.heave_limit_m_s)
-    turn_rate = YAW_RATE_SHARE * target.yaw_rate_limit_rad_s
+    needed = at_least(abs(dz) / at_least(rest / speed, REFERENCE.min_depth_time_s), REFERENCE.slowest_m_s)
+    climb = at_most(needed, REFERENCE.heave_share * target.heave_limit_m_s)
+    turn_rate = REFERENCE.yaw_rate_share * target.yaw_rate_limit_rad_s
     moves = (
-        (rest, speed, DECELERATION_M_S2),
-        (abs(dz), climb, HEAVE_DECELERATION_M_S2),
-        (abs(turn), turn_rate, YAW_DECELERATION_RAD_S2),
+        (rest, speed, REFERENCE.deceleration_m_s2),
+        (abs(dz), climb, REFERENCE.heave_deceleration_m_s2),
+        (abs(turn), turn_rate, REFERENCE.yaw_deceleration_rad_s2),
     )
     travel, rate = approach(moves, t_s)
 
@@ -226,6 +192,8 @@ def build_reference(t_s: FloatArray, x0: FloatArray, target: Target, current_ned
 def climb_at_once(x: FloatArray, t_s: FloatArray, target: Target, current_down_m_s: float) -> None:
     """Let references (N+1, 8) change depth as fast as heave allows, and not so that they arrive with the route."""
     dz = target.depth_m - x.item(0, Z)
-    travel, rate = approach(((abs(dz), HEAVE_SHARE * target.heave_limit_m_s, HEAVE_DECELERATION_M_S2),), t_s)
+    travel, rate = approach(
+        ((abs(dz), REFERENCE.heave_share * target.heave_limit_m_s, REFERENCE.heave_deceleration_m_s2),), t_s
+    )
     x[:, Z] = x.item(0, Z) + math.copysign(1.0, dz) * travel[0]
     x[:, W] = math.copysign(1.0, dz) * rate[0] - current_down_m_s

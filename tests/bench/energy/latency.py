@@ -16,10 +16,11 @@ import numpy as np
 from autopilot.analysis.nmpc_flight import TANK
 from autopilot.control.energy.flow import area_of, sample_flow
 from autopilot.control.energy.leg_task import shifted
-from autopilot.control.energy.patience import ANSWER_STEPS, STEP_S, Kind
+from autopilot.control.energy.patience import ANSWER_STEPS, Kind
 from autopilot.control.energy.power import PowerModel
 from autopilot.control.energy.request import Plan, Request
 from autopilot.control.energy.search import EnergyPlanner
+from autopilot.control.energy.tuned import PATIENCE
 from autopilot.control.water.currents import CurrentForecast, EstimatedCurrent
 from autopilot.core.frames import FloatArray
 from autopilot.core.geometry import Circle, Fence, Polygon
@@ -107,7 +108,7 @@ def bench_latency(runs: int = RUNS, slowness: float = 1.0) -> Iterator[LatencyRo
                     p90_s=float(p90),
                     max_s=max(seconds),
                     normal_p90_s=float(p90) / slowness,
-                    due_s=ANSWER_STEPS[kind] * STEP_S,
+                    due_s=ANSWER_STEPS[kind] * PATIENCE.step_s,
                 )
 
 

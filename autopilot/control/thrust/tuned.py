@@ -1,0 +1,114 @@
+"""Tuned numbers of thrust, its losses and delays, by module."""
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True, slots=True)
+class ByHandTuning:
+    """Of :mod:`autopilot.control.thrust.by_hand`."""
+
+    yaw_gain_1_s: float = 1.2
+    yaw_rate_gain_1_s: float = 3.0
+    depth_gain_1_s: float = 0.6
+    heave_gain_1_s: float = 2.0
+    trim_gain_1_s2: float = 0.35
+    """Cascades: error to rate, rate to acceleration; the trim takes up buoyancy that the vehicle file does not know."""
+    yaw_rate_limit_rad_s: float = 0.4
+    heave_limit_m_s: float = 0.15
+    """Of the way back to what is held."""
+    trim_share: float = 0.5
+    """Share of the vertical thrust that the trim may use."""
+    depth_rate_s: float = 0.3
+    """Time constant of the rate of depth."""
+    slew_share_1_s: float = 4.5
+    """Commands, the controller's as well, change by at most so many times the limit in force per second (of 12 N: 2.7 N
+    from control step to control step; 0.44 s from full ahead to full astern, as the thrusters' own lag takes): a
+    reference or a stick that jumps does not tear at the drive."""
+
+
+BY_HAND = ByHandTuning()
+
+
+@dataclass(frozen=True, slots=True)
+class LevellingTuning:
+    """Of :mod:`autopilot.control.thrust.levelling`."""
+
+    most: float = 0.5
+    """At most this share of a thruster's limit is kept for levelling."""
+    small: float = 1e-6
+    """Less than this of a newton per newton metre is rounding."""
+    least_share: float = 0.0125
+    """... for less than this share of its limit (0.4 N of 34 N): it would run to and fro with the noise of rates and of
+    the controller's thrust, several times a second, where two thrusters share a weight of 1 N."""
+
+
+LEVELLING = LevellingTuning()
+
+
+@dataclass(frozen=True, slots=True)
+class LossBankTuning:
+    """Of :mod:`autopilot.control.thrust.loss_bank`."""
+
+    free: int = 1
+    """The filter to which all thrusters are unknown."""
+    each: int = 6
+    """Stories per thruster, one half of half a thruster, the other of a dead one."""
+    unseen: float = 1e6
+    """Variance of an axis that says nothing."""
+
+
+LOSS_BANK = LossBankTuning()
+
+
+@dataclass(frozen=True, slots=True)
+class LossesTuning:
+    """Of :mod:`autopilot.control.thrust.losses`."""
+
+    report_every_ticks: int = 50
+    """Twice per second: for the log, and to look anew at what the thrusters allow."""
+    submerged: float = 1.5
+    """Above so many half heights of the hull below the surface heave tells nothing of what pushes down."""
+    same_loss: float = 0.2
+    """What is told of a thruster that gives by so much more than what was found is still the same loss."""
+
+
+LOSSES = LossesTuning()
+
+
+@dataclass(frozen=True, slots=True)
+class ThrusterHealthTuning:
+    """Of :mod:`autopilot.control.thrust.thruster_health`."""
+
+    headings: int = 72
+    """Headings tried for a hover; a multiple of four, so that abeam is exactly among them."""
+    short_n: float = 0.3
+    """So much may lack: short pushes of the others make up for it."""
+    dead: float = 0.2
+    """Below this a thruster is not used at all: five times the pulse for what little it gives, and that uncertain."""
+    settled_every: int = 10
+    """After so many looks (1 s) it is asked anew which of several twins is lossy."""
+    unlearned_looks: int = 10
+    """So many looks (1 s) are taken back when the estimate ceases to be good."""
+
+
+THRUSTER_HEALTH = ThrusterHealthTuning()
+
+
+@dataclass(frozen=True, slots=True)
+class TwinsTuning:
+    """Of :mod:`autopilot.control.thrust.twins`."""
+
+    alike: float = 0.2
+    """Columns that differ by less than this share of them are hard to tell apart: 11 degrees."""
+    kept_looks: int = 400
+    """40 s."""
+    independent_s: float = 1.5
+    """Looks so far apart share no noise: roll and pitch swing."""
+    same_arm: float = 1e-3
+    """Arms that differ by less [rad/s^2 per N] tell nothing."""
+    first_noise: float = 0.1
+    least_noise: float = 0.03
+    """Of the tilt's acceleration [rad/s^2]: guessed before the fit, and at the least after it."""
+
+
+TWINS = TwinsTuning()
