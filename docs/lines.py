@@ -1,6 +1,7 @@
 """Counts what there is to read: ``python docs/lines.py``.
 
-Lines of Python and C by folder: all of them, and of Python those with code (no blank lines, comments, docstrings).
+Lines of Python and C by folder: all of them, and of Python those with code (no blank lines, comments, docstrings), and
+numbers that stand by themselves in modules and not in a table of their package (``tuned.py``).
 ``--json`` gives the same as one object, to compare two revisions.
 """
 
@@ -32,6 +33,30 @@ def code_lines(text: str) -> int:
     return len(lines)
 
 
+def _is_number(node: ast.expr) -> bool:
+    if isinstance(node, ast.Constant):
+        return isinstance(node.value, int | float) and not isinstance(node.value, bool)
+    if isinstance(node, ast.UnaryOp):
+        return _is_number(node.operand)
+    if isinstance(node, ast.BinOp):
+        return _is_number(node.left) and _is_number(node.right)
+    return isinstance(node, ast.Tuple | ast.List) and bool(node.elts) and all(map(_is_number, node.elts))
+
+
+def constants(text: str) -> int:
+    """Names that a module gives to numbers, or to tuples of numbers."""
+    found = 0
+    for node in ast.parse(text).body:
+        if isinstance(node, ast.AnnAssign) and node.value is not None:
+            found += _is_number(node.value)
+        elif isinstance(node, ast.Assign):
+            targets = node.targets[0].elts if isinstance(node.targets[0], ast.Tuple) else []
+            values = node.value.elts if isinstance(node.value, ast.Tuple) else []
+            each = values if targets and len(targets) == len(values) else [node.value]
+            found += sum(map(_is_number, each))
+    return found
+
+
 def count() -> dict[str, dict[str, int]]:
     """Folder -> files, lines and code lines of Python, lines of C; of what git tracks."""
     listed = subprocess.run(["git", "ls-files", "-z"], cwd=ROOT, capture_output=True, text=True, check=True).stdout
@@ -41,12 +66,13 @@ def count() -> dict[str, dict[str, int]]:
         if path.suffix not in (".py", ".c", ".h") or path.is_symlink() or not path.is_file():
             continue
         folder = name.split("/")[0] if "/" in name else "."
-        row = found.setdefault(folder, {"files": 0, "lines": 0, "code": 0, "c": 0})
+        row = found.setdefault(folder, {"files": 0, "lines": 0, "code": 0, "constants": 0, "c": 0})
         text = path.read_text(encoding="utf-8")
         if path.suffix == ".py":
             row["files"] += 1
             row["lines"] += text.count("\n")
             row["code"] += code_lines(text)
+            row["constants"] += constants(text)
         else:
             row["c"] += text.count("\n")
     product = [row for folder, row in found.items() if folder not in OUTSIDE]
