@@ -67,7 +67,9 @@ class AltimeterAid(ScalarAid[AltimeterSample]):
         """Time and range of the last echoes."""
 
     def wanted(self, sample: AltimeterSample, node: Node) -> bool:
-        """See :class:`ScalarAid`."""
+        """See :class:`ScalarAid`; what is malformed is, to be counted."""
+        if not _sane(sample):
+            return True
         p = node.state.p
         depth_variance = p.item(DOWN) if p.ndim == 1 else p.item(DOWN, DOWN)
         floor_known = self._floor_depth_m is not None
@@ -86,9 +88,7 @@ class AltimeterAid(ScalarAid[AltimeterSample]):
 
     def measured(self, sample: AltimeterSample) -> AltimeterRange | None:
         """See :class:`ScalarAid`."""
-        numbers = (sample.range_m, sample.sigma_m, sample.confidence)
-        sane = all(map(math.isfinite, numbers)) and 0.0 < sample.range_m < MAX_RANGE_M
-        if self._floor_depth_m is None or not (sane and 0.0 <= sample.sigma_m <= MAX_SIGMA_M):
+        if self._floor_depth_m is None or not _sane(sample):
             return self.counted(None)
         return AltimeterRange(
             sensor="altimeter",
@@ -100,6 +100,13 @@ class AltimeterAid(ScalarAid[AltimeterSample]):
             beam_frd=self._beam_frd,
             half_beam_rad=self._half_beam_rad,
         )
+
+
+def _sane(sample: AltimeterSample) -> bool:
+    """Whether an altimeter can say that; comparisons with NaN are false."""
+    return (
+        0.0 < sample.range_m < MAX_RANGE_M and 0.0 <= sample.sigma_m <= MAX_SIGMA_M and 0.0 <= sample.confidence <= 1.0
+    )
 
 
 def _sigma_m(sample: AltimeterSample) -> float:

@@ -1,6 +1,6 @@
 """The aiding sources of a vehicle, each a class in its ``measure_*.py``: here they are listed, and found by sample."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from importlib import import_module
 from typing import Any
@@ -97,7 +97,16 @@ class Sources:
 
 def _of_table(vehicle: Vehicle, floor_depth_m: float | None) -> Iterator[ScalarAid[Any]]:
     """Those that nothing but the table of sensors names."""
+    for kind in _TABLED:
+        yield kind(vehicle, floor_depth_m)
+
+
+def _classes() -> Iterator[Callable[[Vehicle, float | None], ScalarAid[Any]]]:
     for row in SENSOR_ROWS:
         if row.aid:
             module, _, name = row.aid.partition(":")
-            yield getattr(import_module(module), name)(vehicle, floor_depth_m)
+            yield getattr(import_module(module), name)
+
+
+_TABLED = tuple(_classes())
+"""Imported with this module: a process that is forked from another has them then."""

@@ -375,3 +375,22 @@ def test_ahrs_lever_arm_leaves_no_centrifugal_force() -> None:
         if k > 0:
             worst = max(worst, float(np.abs(center.accel_frd_m_s2 - [0.0, 0.0, -9.81]).max()))
     assert worst < 0.005
+
+
+@pytest.mark.parametrize(
+    ("range_m", "sigma_m", "confidence"),
+    [(1e308, 1e4, 0.6), (1.0, 1e308, 1.0), (math.nan, 0.01, 1.0), (-1.0, 0.01, 1.0), (1.0, 0.01, math.inf)],
+)
+def test_what_no_altimeter_says_is_counted_as_malformed(
+    range_m: float, sigma_m: float, confidence: float, vehicle: Vehicle
+) -> None:
+    estimator = create_ekf(vehicle, None, FLOOR_M)
+
+    def extra(now: Look) -> list[Sample]:
+        if now.t_us % 100_000:
+            return []
+        return [AltimeterSample(t_us=now.t_us, range_m=range_m, sigma_m=sigma_m, confidence=confidence)]
+
+    run(estimator, World(no_current), 3.0, extra)
+    counts = estimator.counters()
+    assert counts["altimeter.malformed"] > 10 and counts["altimeter.fused"] == 0

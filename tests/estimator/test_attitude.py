@@ -16,6 +16,7 @@ from autopilot.core.samples import AhrsSample, ImuSample, Sample
 from autopilot.estimator.attitude import APART_RAD, AttitudeFilter, AttitudeSource
 from autopilot.estimator.gyro_bias import MAX_RAD_S
 from autopilot.estimator.protocol import Estimator
+from autopilot.estimator.tuned import MAGNETIC
 from autopilot.log.packing.estimate import nav_counters
 from autopilot.log.schemas import layout
 from tests.bench.attitude import AttitudeErrors, errors_of
@@ -168,7 +169,7 @@ def test_iron_that_turns_with_the_device_is_not_taken_for_a_field(
 ) -> None:
     """Its size and dip change as the device turns, so it is never alike for long enough."""
     if believed:
-        monkeypatch.setattr("autopilot.estimator.magnetic.SIZE_SHARE", 1e9)
+        monkeypatch.setattr("autopilot.estimator.magnetic.MAGNETIC", replace(MAGNETIC, size_share=1e9))
         monkeypatch.setattr("autopilot.estimator.magnetic.DIP_RAD", math.pi)
     attitude = AttitudeFilter()
     errors = []

@@ -432,7 +432,7 @@ CAUSES: tuple[Cause, ...] = (
 
 PLUMBING = {"c", "s", "power", "facts", "t_us", "min", "max", "_age", "_NAN", "_DOUBTS", "isdisjoint", "armed_us"}
 PLUMBING |= {"below", "float", "NavDoubt", "CAMERA"}
-PLUMBING |= {"LATCHED_US", "SHOWN_US"}
+PLUMBING |= {"FACTS", "latched_us", "shown_us"}
 
 
 def test_every_quantity_that_a_row_looks_at_has_a_cause_here() -> None:
