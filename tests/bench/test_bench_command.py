@@ -7,9 +7,9 @@ from click.testing import CliRunner
 
 from autopilot.bench.estimator import bench_estimator
 from autopilot.cli import bench_rows
-from autopilot.cli.bench import ALL, LONG, bench
+from autopilot.cli.bench import ALL, KNOWN_STUDIES, LONG, bench
 from autopilot.cli.bench_tables import TITLES, Rows
-from tests.bench import tables
+from tests.bench import studies, tables
 from tests.bench.replays import planned_flights
 
 OLD_LINES: dict[str, tuple[str, dict[str, Any]]] = {
@@ -56,6 +56,11 @@ def test_every_benchmark_has_a_title_and_says_what_it_takes() -> None:
     for name, command in bench.commands.items():
         assert isinstance(command.help, str) and len(command.help) > 40, name
         assert {"short", "as_json"} <= {each.name for each in command.params}, name
+
+
+def test_an_installation_knows_every_study_by_name() -> None:
+    everywhere = {"estimator"}  # a study adds to its command
+    assert sorted(KNOWN_STUDIES) == sorted({each.name for each in studies.COMMANDS} - everywhere)
 
 
 def test_all_are_run_one_after_the_other(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -3,8 +3,7 @@
 import math
 import struct
 from enum import Enum
-from types import NoneType
-from typing import Any, get_args, get_type_hints
+from typing import Any
 
 import numpy as np
 import pytest
@@ -14,6 +13,7 @@ from log_synthetic import Truth
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from autopilot.core.errors import LogError
+from autopilot.core.frames import FloatArray
 from autopilot.core.marks import LoopPart
 from autopilot.core.messages import (
     AidState,
@@ -50,6 +50,7 @@ from autopilot.log.packing import decisions, estimate, sensors, service, vehicle
 from autopilot.log.sample_table import SAMPLE_ROWS, SampleRow
 from autopilot.log.schemas import definition, layout, ros_name, type_names, types_of
 from autopilot.replay.inputs import SAMPLES
+from tests.sample_kinds import sample_of
 
 STORE = get_typestore(Stores.LATEST)
 for _name in type_names():
@@ -280,26 +281,30 @@ def test_a_sample_of_any_kind_comes_back(row: SampleRow, stamp: int, data: st.Da
         np.testing.assert_equal(getattr(again, name), getattr(sample, name))
 
 
+class AnyValue:
+    """See :class:`tests.sample_kinds.Draw`."""
+
+    def __init__(self, draw: st.DrawFn) -> None:
+        self._draw = draw
+
+    def missing(self) -> bool:
+        return self._draw(st.booleans())
+
+    def scalar(self, name: str, kind: type) -> Any:
+        return self._draw({int: u32, float: finite, bool: st.booleans()}[kind])
+
+    def member(self, kind: type[Enum]) -> Enum:
+        return self._draw(st.sampled_from(kind))
+
+    def array(self, name: str, size: int) -> FloatArray:
+        values: FloatArray = self._draw(vec(size))
+        return values
+
+
 @st.composite
 def samples_of(draw: st.DrawFn, row: SampleRow) -> Any:
     """Any sample of one kind."""
-    fields = layout(f"autopilot_msgs/{row.type}").dtype.fields or {}
-    values: dict[str, Any] = {"t_us": draw(st.integers(0, 2**62))}
-    for name, hint in get_type_hints(row.of).items():
-        options = get_args(hint) if NoneType in get_args(hint) else (hint,)
-        kind = draw(st.sampled_from(options))
-        if name == "t_us":
-            continue
-        if kind is NoneType:
-            values[name] = None
-        elif kind in (int, float, bool):
-            values[name] = draw({int: st.integers(0, 2**32 - 1), float: finite, bool: st.booleans()}[kind])
-        elif isinstance(kind, type) and issubclass(kind, Enum):
-            values[name] = draw(st.sampled_from(kind))
-        else:
-            size = int(np.prod(fields[name][0].shape))
-            values[name] = draw(vec(size)).reshape(row.shapes.get(name, (size,)))
-    return row.of(**values)
+    return sample_of(row, draw(st.integers(0, 2**62)), AnyValue(draw))
 
 
 @given(stamps, vec(3), finite, finite, u32, st.booleans())

@@ -2,18 +2,17 @@
 
 import math
 import random
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from enum import Enum
-from types import NoneType
-from typing import Any, get_args, get_type_hints
+from typing import Any
 
 import numpy as np
 
 from autopilot.core.frames import FloatArray
 from autopilot.core.samples import MarkerSighting, Sample
 from autopilot.log.sample_table import SAMPLE_ROWS, SampleRow
-from autopilot.log.schemas import layout
+from tests.sample_kinds import sample_of
 
 ODD = (math.nan, math.inf, -math.inf, 0.0, -0.0, 1e-308, 1e308, -1e308, 1e38, -2e68, 1e9, -1e9, 1e4, 10.0, -10.0)
 ODD_TIMES_US = (0, -1, -(1 << 62), 1 << 62, 1_000, -1_000, 10_000, -10_000, -1_000_000, 1_000_000, -10_000_000)
@@ -61,32 +60,26 @@ class Noise:
 
     def _any(self, row: SampleRow, t_us: int) -> Sample:
         """A sample of that kind."""
-        if row.of is MarkerSighting:
-            return self._sighting(t_us)
-        fields: Mapping[str, Any] = layout(f"autopilot_msgs/{row.type}").dtype.fields or {}
-        values: dict[str, Any] = {"t_us": t_us}
-        for name, hint in get_type_hints(row.of).items():
-            if name not in values:
-                values[name] = self._value(name, hint, row, fields)
-        sample: Sample = row.of(**values)
+        sample: Sample = self._sighting(t_us) if row.of is MarkerSighting else sample_of(row, t_us, self)
         return sample
 
-    def _value(self, name: str, hint: Any, row: SampleRow, fields: Mapping[str, Any]) -> Any:
-        rng, scale = self._rng, SCALES.get(name, 1.0)
-        kinds = [kind for kind in get_args(hint) if kind is not NoneType] if NoneType in get_args(hint) else [hint]
-        if kinds != [hint] and rng.random() < 0.5:
-            return None
-        (kind,) = kinds
+    def missing(self) -> bool:
+        """See :class:`tests.sample_kinds.Draw`."""
+        return self._rng.random() < 0.5
+
+    def scalar(self, name: str, kind: type) -> Any:
+        """See :class:`tests.sample_kinds.Draw`."""
         if kind is bool:
-            return rng.random() < 0.02
-        if kind is int:
-            return rng.randrange(-3, 60)
-        if kind is float:
-            return self._number(scale)
-        if isinstance(kind, type) and issubclass(kind, Enum):
-            return rng.choice(list(kind))
-        array = self._array(int(np.prod(fields[name][0].shape)), scale)
-        return array.reshape(row.shapes[name]) if name in row.shapes else array
+            return self._rng.random() < 0.02
+        return self._rng.randrange(-3, 60) if kind is int else self._number(SCALES.get(name, 1.0))
+
+    def member(self, kind: type[Enum]) -> Enum:
+        """See :class:`tests.sample_kinds.Draw`."""
+        return self._rng.choice(list(kind))
+
+    def array(self, name: str, size: int) -> FloatArray:
+        """See :class:`tests.sample_kinds.Draw`."""
+        return self._array(size, SCALES.get(name, 1.0))
 
     def _time(self, t_us: int) -> int:
         rng = self._rng
