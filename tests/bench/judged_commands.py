@@ -67,7 +67,7 @@ def fuzz(short: bool, messages: int | None, seed: int, as_json: bool) -> None:
     result = run_fuzz(messages or (20_000 if short else 1_000_000), seed, show)
     judge(
         not result.failures,
-        {**asdict(result), "per_second": result.per_second},
+        result.figures(),
         lambda: print_table(TITLES["fuzz"], ["figure", "value"], result.rows()),
         as_json=as_json,
     )

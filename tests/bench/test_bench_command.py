@@ -1,5 +1,7 @@
 """``autopilot bench``: one command per benchmark, and the command lines from before there were such."""
 
+import json
+from collections import Counter
 from typing import Any
 
 import pytest
@@ -9,7 +11,9 @@ from autopilot.bench.estimator import bench_estimator
 from autopilot.cli import bench_rows
 from autopilot.cli.bench import ALL, KNOWN_STUDIES, LONG, bench
 from autopilot.cli.bench_tables import TITLES, Rows
+from autopilot.cli.output import emit_json
 from tests.bench import studies, tables
+from tests.bench.fuzz.result import Result
 from tests.bench.replays import planned_flights
 
 OLD_LINES: dict[str, tuple[str, dict[str, Any]]] = {
@@ -61,6 +65,14 @@ def test_every_benchmark_has_a_title_and_says_what_it_takes() -> None:
 def test_an_installation_knows_every_study_by_name() -> None:
     everywhere = {"estimator"}  # a study adds to its command
     assert sorted(KNOWN_STUDIES) == sorted({each.name for each in studies.COMMANDS} - everywhere)
+
+
+def test_figures_of_the_fuzzer_are_readable_by_machines(capsys: pytest.CaptureFixture[str]) -> None:
+    found = Result(seed=1, messages=3, seconds=2.0, accepted=Counter({"plan refused": 2}), least_m=0.5)
+    emit_json(found.figures())
+    told = json.loads(capsys.readouterr().out)
+    assert told["accepted"] == {"plan refused": 2} and told["handled"] == {}
+    assert (told["messages"], told["per_second"], told["least_m"]) == (3, 1.5, 0.5)
 
 
 def test_all_are_run_one_after_the_other(monkeypatch: pytest.MonkeyPatch) -> None:

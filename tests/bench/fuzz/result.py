@@ -2,7 +2,8 @@
 
 import math
 from collections import Counter
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
+from typing import Any
 
 
 @dataclass(slots=True)
@@ -32,6 +33,12 @@ class Result:
     def per_second(self) -> float:
         """Messages per second of wall time."""
         return self.messages / self.seconds if self.seconds > 0.0 else 0.0
+
+    def figures(self) -> dict[str, Any]:
+        """Every figure by its name, counts as plain dictionaries: ``asdict`` makes a Counter one of pairs."""
+        counts = {name: dict(getattr(self, name)) for name in ("accepted", "handled", "moods")}
+        plain = {each.name: getattr(self, each.name) for each in fields(self)}
+        return {**plain, **counts, "per_second": self.per_second}
 
     def rows(self) -> list[tuple[str, str]]:
         """Name and value of every figure."""
