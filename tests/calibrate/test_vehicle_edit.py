@@ -59,3 +59,18 @@ def test_what_cannot_be_is_refused(tmp_path: Path) -> None:
         write_updated("lbv150", CHANGES, "s", tmp_path / "none" / "x.toml")
     with pytest.raises(ConfigError, match="--out"):
         write_updated(str(tmp_path / "missing.toml"), CHANGES, "s", tmp_path / "x.toml")
+
+
+def test_tables_in_one_line_and_signs_within_strings_are_edited_too() -> None:
+    """What a parser by lines takes for a comment, a table or the end of an array."""
+    text = (Path(__file__).parents[2] / "autopilot" / "data" / "vehicles" / "lbv150.toml").read_text()
+    where = tomllib.loads(text)["laser"]["position_frd_m"]
+    lines = text.splitlines()
+    begin = lines.index(next(line for line in lines if line.startswith("[laser]")))
+    end = next(n for n in range(begin + 1, len(lines)) if lines[n].startswith("["))
+    inline = f"laser = {{ position_frd_m = {where}, direction_frd = [0.0, 0.0, 1.0] }}"
+    lines = [inline, 'description = "a # b [x] = y"', *lines[:begin], *lines[end:]]
+    lines = [line for n, line in enumerate(lines) if n < 2 or not line.startswith("description")]
+    result = tomllib.loads(edited("\n".join(lines), CHANGES, "s", "test"))
+    assert result["laser"]["direction_frd"] == CHANGES["laser.direction_frd"]
+    assert result["description"] == "a # b [x] = y"
