@@ -171,7 +171,7 @@ PLAIN_WAY = {"MPC_COST": 0.0}
 
 def fly_fault(flight: FaultFlight) -> FaultResult:
     """Fly it through the real service in lockstep, without sockets or a log."""
-    tables = _tables(flight)
+    tables = flight_tables(flight)
     with tempfile.TemporaryDirectory() as folder:
         scenario = Path(folder) / "scenario.toml"
         scenario.write_text(toml_text(tables), encoding="utf-8")
@@ -185,7 +185,7 @@ def fly_fault(flight: FaultFlight) -> FaultResult:
     return watches[0].result()
 
 
-def _tables(flight: FaultFlight) -> dict[str, Any]:
+def flight_tables(flight: FaultFlight) -> dict[str, Any]:
     """The scenario with the faults and the gap."""
     path = scenario_path(flight.scenario)
     tables = overlaid(tomllib.loads(path.read_text(encoding="utf-8")), flight.changes or {})
