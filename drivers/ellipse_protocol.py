@@ -21,8 +21,6 @@ ACKNOWLEDGE, OUTPUT_CONF = 0, 30
 IMU_DATA, EKF_QUATERNION = 3, 7
 """Logs."""
 PORT_A = 0
-MODE_OFF, MAIN_LOOP = 0, 1
-"""Output modes; others divide the main loop's 200 Hz."""
 
 ATTITUDE_VALID = 1 << 4
 """Bit of the solution's status."""

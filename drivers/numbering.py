@@ -7,12 +7,12 @@ to it alone, and would count the rest as lost. So every frame is renumbered on i
 import binascii
 
 from autopilot.core.clients import Verbatim
+from autopilot.core.crc import MIRRORED
 
 _STX = 0xFD
 _OVERHEAD = 12
 """Bytes of a MAVLink 2 frame round its payload, without a signature."""
 _FLAGS_AT, _NUMBER_AT, _CRC_BYTES = 2, 4, 2
-_MIRRORED = bytes(int(f"{value:08b}"[::-1], 2) for value in range(256))
 
 
 class Numbering:
@@ -45,8 +45,8 @@ def renumbered(frame: bytes, number: int) -> bytes:
         return frame
     unchanged = len(frame) - _CRC_BYTES - _NUMBER_AT  # what follows the number, and CRC_EXTRA
     # The standard library has MAVLink's polynomial with the bits in the other order.
-    mirrored = binascii.crc_hqx(_MIRRORED[change : change + 1] + bytes(unchanged), 0)
-    low, high = _MIRRORED[mirrored >> 8], _MIRRORED[mirrored & 0xFF]
+    mirrored = binascii.crc_hqx(MIRRORED[change : change + 1] + bytes(unchanged), 0)
+    low, high = MIRRORED[mirrored >> 8], MIRRORED[mirrored & 0xFF]
     return (
         frame[:_NUMBER_AT] + bytes((number,)) + frame[_NUMBER_AT + 1 : -2] + bytes((frame[-2] ^ low, frame[-1] ^ high))
     )

@@ -7,7 +7,7 @@ sum of all bytes before it (u16); little endian.
 import struct
 from dataclasses import dataclass
 
-NACK, GENERAL_REQUEST = 2, 6
+GENERAL_REQUEST = 6
 SET_RANGE, SET_SPEED_OF_SOUND, SET_MODE_AUTO, SET_PING_INTERVAL = 1001, 1002, 1003, 1004
 DISTANCE_SIMPLE = 1211
 CONTINUOUS_START = 1400

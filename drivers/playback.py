@@ -16,11 +16,10 @@ from autopilot.core.samples import CameraFrame
 from autopilot.core.toml_table import Positive, Table
 from autopilot.core.vehicle import Vehicle
 from autopilot.drivers.base import Closing
+from autopilot.drivers.opencv_camera import LATENCY_SHARE
 
 IMAGES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff")
 TOPIC = "/in/camera"
-LATENCY_SHARE = 0.5
-"""Part of the vehicle file's camera latency after which a picture arrives."""
 
 Picture = tuple[float, Any]
 """Time since the first [s], image (BGR)."""

@@ -17,7 +17,7 @@ from autopilot.drivers.protocols import BytePort
 from autopilot.drivers.serial_port import SerialPort
 from autopilot.drivers.thruster_output import SafeThrusterOutput
 
-FIRST_ADDRESS, ADDRESSES = 128, 8
+FIRST_ADDRESS = 128
 AUTOBAUD = bytes([0xAA])
 """First byte after power-up, by which models without a switch learn the speed of the line; others ignore it."""
 FORWARD, BACKWARD = {1: 0, 2: 4}, {1: 1, 2: 5}

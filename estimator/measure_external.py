@@ -16,7 +16,7 @@ from autopilot.core.vehicle import Vehicle
 from autopilot.estimator.fix_aid import FixAid
 from autopilot.estimator.history import Node
 from autopilot.estimator.inertial import Inertial
-from autopilot.estimator.measure_pose import PoseFix
+from autopilot.estimator.measure_pose import MAX_DISTANCE_M, MAX_YAW_RAD, PoseFix
 from autopilot.estimator.states import POS, VEL, YAW
 
 MIN_SIGMA_M, MIN_SIGMA_RAD = 0.002, math.radians(0.1)
@@ -25,9 +25,6 @@ UNKNOWN_SIGMA_M, UNKNOWN_SIGMA_RAD = 0.1, 0.1
 """Taken when the source gives no covariance (the defaults of PX4's EKF2_EVP_NOISE and EKF2_EVA_NOISE)."""
 MAX_SIGMA_M, MAX_SIGMA_RAD = 10.0, math.pi
 """A pose that is worse than this says nothing worth having."""
-MAX_DISTANCE_M = 1e5
-"""From the local origin, which lies near the vehicle."""
-MAX_YAW_RAD = 1e3
 
 
 class Alignment(NamedTuple):

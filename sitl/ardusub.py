@@ -15,6 +15,8 @@ from typing import Any
 import numpy as np
 
 from autopilot.core.vehicle import Vehicle
+from autopilot.drivers.ardusub_mixing import NEUTRAL_US, SPAN_US
+from autopilot.drivers.ardusub_prearm import PREARM_BIT
 from autopilot.sitl.plant import Truth
 from autopilot.sitl.thrusters import wrench_of
 
@@ -38,7 +40,6 @@ PLANE = 4
 SERVOS, RELAYS = 16, 2
 """Motors 1 to 4 lie in the plane."""
 
-NEUTRAL_US, SPAN_US = 1500, 400
 READ_US = 20_000
 """Channels are read so often."""
 STILL_US = 510_000
@@ -61,8 +62,6 @@ DEFAULT_RATES_HZ = {
     "SERVO_OUTPUT_RAW": 2.0,
     "BATTERY_STATUS": 3.0,
 }
-PREARM_BIT = 0x1000_0000
-"""Of SYS_STATUS: its pre-arm checks."""
 MESSAGE_IDS = {
     1: "SYS_STATUS",
     30: "ATTITUDE",

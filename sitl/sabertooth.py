@@ -1,10 +1,10 @@
 """Emulated Sabertooth amplifiers on one serial line: packets in, duty out, with their own timeout."""
 
 from autopilot.drivers.base import AlwaysOpen
+from autopilot.drivers.sabertooth import TIMEOUT
 
 COMMANDS = {0: (1, 1), 1: (1, -1), 4: (2, 1), 5: (2, -1)}
 """Command -> motor, direction."""
-TIMEOUT = 14
 
 
 class SabertoothEmulator(AlwaysOpen):

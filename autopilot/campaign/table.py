@@ -13,10 +13,9 @@ import numpy as np
 from autopilot.campaign.definition import Identity
 from autopilot.campaign.results import RunResult
 from autopilot.campaign.store import read_identity, read_results
-from autopilot.campaign.summary import failure_interval
+from autopilot.campaign.summary import CONFIDENCE, failure_interval
 from autopilot.core.params import ParamSet
 
-CONFIDENCE = 0.95
 MODE = "MPC_COST"
 MODES = {0.0: "quadratic", 1.0: "least energy"}
 ALARM = "Thruster "

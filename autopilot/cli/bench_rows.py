@@ -5,7 +5,8 @@ from dataclasses import asdict
 
 import click
 
-from autopilot.cli.bench_tables import JSON, SHORT, SITL_HEADS, TITLES, Rows, print_rows
+from autopilot.cli.bench_tables import SHORT, SITL_HEADS, TITLES, Rows, print_rows
+from autopilot.cli.options import JSON
 from autopilot.cli.output import emit_json
 
 Work = Callable[[bool], Rows]

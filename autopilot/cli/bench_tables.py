@@ -8,7 +8,6 @@ from autopilot.cli.output import print_table
 
 Rows = list[dict[str, object]]
 SHORT = click.option("--short", is_flag=True, help="Fewer samples, for a quick look.")
-JSON = click.option("--json", "as_json", is_flag=True, help="Machine-readable output.")
 
 TITLES = {
     "loop": "The loop in real time with a camera, 500 items and 50 octagons uploaded in flight; asked = at most",

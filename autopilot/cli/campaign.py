@@ -14,7 +14,7 @@ import click
 
 from autopilot.cli.finite import FiniteRange
 from autopilot.cli.options import CAMPAIGN_OUT, CAMPAIGN_PARAM, ENGINE, JOBS, JSON, SCENARIO_VEHICLE
-from autopilot.cli.output import emit_json, print_table
+from autopilot.cli.output import EXIT_FAILED, emit_json, print_table
 from autopilot.cli.service_options import part_name
 from autopilot.run.config import SENSORS
 
@@ -170,7 +170,7 @@ def fly(
         _print(summary, name, out, logged)
         click.echo(f"{name}: {'no bar is broken' if summary.passed else 'A BAR IS BROKEN'}; runs in {out}")
     if not summary.passed:
-        raise click.exceptions.Exit(1)
+        raise click.exceptions.Exit(EXIT_FAILED)
 
 
 def _fly(

@@ -6,7 +6,7 @@ from pathlib import Path
 import click
 
 from autopilot.cli.options import CAMPAIGN_OUT, JSON, MARKDOWN_TABLE, ONLY_TABLE
-from autopilot.cli.output import emit_json, print_table
+from autopilot.cli.output import EXIT_FAILED, emit_json, print_table
 
 HEADS = ("failsafe", "scenario", "flights", "effect", "slowest reaction s", "ends", "closest m", "contacts", "kept")
 
@@ -55,4 +55,4 @@ def faults(
     else:
         print_table("faults", HEADS, [tuple(asdict(line).values()) for line in lines])
     if any(line.kept < line.flights or line.contacts for line in lines):
-        raise click.exceptions.Exit(1)
+        raise click.exceptions.Exit(EXIT_FAILED)

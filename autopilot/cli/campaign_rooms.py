@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from autopilot.cli.options import CAMPAIGN_OUT, ENGINE, JOBS, JSON
-from autopilot.cli.output import emit_json, print_table
+from autopilot.cli.output import EXIT_FAILED, emit_json, print_table
 from autopilot.core.extras import need_analysis
 
 if TYPE_CHECKING:
@@ -53,7 +53,7 @@ def rooms(
         results = _all(out, seed, runs, wanted, engine, jobs, quiet=as_json)
         _report(results, wanted, out, seed, as_json=as_json)
     if any(result.failed for result in results):
-        raise click.exceptions.Exit(1)
+        raise click.exceptions.Exit(EXIT_FAILED)
 
 
 def _all(

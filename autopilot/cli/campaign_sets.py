@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import click
 
 from autopilot.cli.options import CAMPAIGN_PARAM, ENGINE, JOBS, JSON, MARKDOWN_TABLE, ONLY_TABLE
-from autopilot.cli.output import emit_json, print_table
+from autopilot.cli.output import EXIT_FAILED, emit_json, print_table
 
 if TYPE_CHECKING:
     from autopilot.campaign.definition import Campaign
@@ -109,4 +109,4 @@ def sets(
         click.echo(f"stopped; finished runs are kept in {out}, the same command goes on", err=True)
         raise click.Abort
     if not passed:
-        raise click.exceptions.Exit(1)
+        raise click.exceptions.Exit(EXIT_FAILED)

@@ -13,7 +13,7 @@ import click
 
 from autopilot.cli.finite import FiniteRange
 from autopilot.cli.options import JSON, SEED
-from autopilot.cli.output import emit_json
+from autopilot.cli.output import EXIT_FAILED, emit_json
 
 if TYPE_CHECKING:
     from autopilot.run.demo import FlightResult, Show
@@ -50,7 +50,7 @@ def demo(out: Path, laps: int, speed: float, seed: int | None, as_json: bool) ->
     else:
         click.echo("demo passed: no bound is broken" if passed else "demo FAILED: see the rows marked fail")
     if not passed:
-        raise click.exceptions.Exit(1)
+        raise click.exceptions.Exit(EXIT_FAILED)
 
 
 def _print(result: FlightResult) -> None:

@@ -6,7 +6,7 @@ import click
 
 from autopilot.cli.finite import FiniteRange
 from autopilot.cli.options import CONFIG, INSTANCE, JSON
-from autopilot.cli.output import EXIT_LOSS, emit_json, print_table
+from autopilot.cli.output import EXIT_FAILED, EXIT_LOSS, emit_json, print_table
 
 if TYPE_CHECKING:
     from autopilot.run.findings import Finding
@@ -61,7 +61,7 @@ def doctor(
     verdicts = {finding.verdict.value for finding in findings}
     context = click.get_current_context()
     if "fail" in verdicts:
-        context.exit(1)
+        context.exit(EXIT_FAILED)
     if "warn" in verdicts:
         context.exit(EXIT_LOSS)
 

@@ -11,14 +11,12 @@ from autopilot.cli.log_replay import replay
 from autopilot.cli.log_tlog import tlog
 from autopilot.cli.log_tools import diff, export, find, recover
 from autopilot.cli.options import JSON_NOT_TABLES, LOG_FILE
-from autopilot.cli.output import EXIT_LOSS, emit_json, make_console, print_table
+from autopilot.cli.output import EXIT_FAILED, EXIT_LOSS, emit_json, make_console, print_table
 
 if TYPE_CHECKING:
     from autopilot.control.nmpc.unsolved import Trial
     from autopilot.log.check import Row
     from autopilot.log.reader import Log
-
-EXIT_FAILED = 1
 
 
 @click.group()

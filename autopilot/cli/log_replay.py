@@ -8,7 +8,7 @@ import click
 
 from autopilot.cli.finite import Finite
 from autopilot.cli.options import JSON_NOT_TABLES, LOG_FILE
-from autopilot.cli.output import EXIT_LOSS, emit_json, print_table
+from autopilot.cli.output import EXIT_FAILED, EXIT_LOSS, emit_json, print_table
 from autopilot.cli.service_options import part_name
 
 if TYPE_CHECKING:
@@ -18,7 +18,6 @@ if TYPE_CHECKING:
     from autopilot.log.reader import Log
     from autopilot.replay.service import ReplayResult
 
-EXIT_DIFFERENT = 1
 SHOWN = 20
 """Differences that are printed."""
 
@@ -221,7 +220,7 @@ def _tell(opened: "Log", result: "ReplayResult", *, as_json: bool) -> None:
     for problem in (*opened.problems, *((result.stopped,) if result.stopped else ())):
         click.echo(f"warning: {opened.path}: {problem}; replayed is what comes before", err=True)
     if not result.same:
-        raise click.exceptions.Exit(EXIT_DIFFERENT)
+        raise click.exceptions.Exit(EXIT_FAILED)
     if result.stopped or opened.problems:
         raise click.exceptions.Exit(EXIT_LOSS)
 
@@ -263,4 +262,4 @@ def _estimator_alone(
             if match.first:
                 click.echo(f"  first difference {match.first}")
     if not changed and not all(match.same for match in found):
-        raise click.exceptions.Exit(EXIT_DIFFERENT)
+        raise click.exceptions.Exit(EXIT_FAILED)

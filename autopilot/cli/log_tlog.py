@@ -6,7 +6,7 @@ from pathlib import Path
 import click
 
 from autopilot.cli.options import JSON
-from autopilot.cli.output import emit_json, print_table
+from autopilot.cli.output import EXIT_FAILED, emit_json, print_table
 
 
 @click.command()
@@ -42,4 +42,4 @@ def tlog(file: Path, as_json: bool) -> None:
         print_table("Gaps between attitudes", ["at s", "arrival s", "sender's clock s", "cause"], rows)
         click.echo(", ".join(f"{name} {count}" for name, count in found.counters.items()))
     if found.unexplained:
-        raise click.exceptions.Exit(1)
+        raise click.exceptions.Exit(EXIT_FAILED)

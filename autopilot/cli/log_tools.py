@@ -7,10 +7,9 @@ from typing import Literal
 import click
 
 from autopilot.cli.options import JSON_NOT_TABLES
-from autopilot.cli.output import EXIT_LOSS, emit_json, print_table
+from autopilot.cli.output import EXIT_FAILED, EXIT_LOSS, emit_json, print_table
 from autopilot.core.errors import LogError
 
-EXIT_DIFFERENT = 1
 _LOG = click.Path(path_type=Path)
 
 
@@ -81,7 +80,7 @@ def diff(first: Path, second: Path, ignore: tuple[str, ...], everything: bool, a
     for problem in problems:
         click.echo(f"warning: {problem}; compared is what is readable", err=True)
     if found or parameters:
-        raise click.exceptions.Exit(EXIT_DIFFERENT)
+        raise click.exceptions.Exit(EXIT_FAILED)
     if problems:
         raise click.exceptions.Exit(EXIT_LOSS)
 

@@ -8,6 +8,7 @@ from collections.abc import Callable
 import click
 
 from autopilot import __version__
+from autopilot.cli.output import EXIT_FAILED
 from autopilot.core.errors import AutopilotError
 from autopilot.core.extras import ANALYSIS, without
 
@@ -40,7 +41,6 @@ _COMMANDS: dict[str, tuple[str, str]] = {
 }
 """Name -> (module:attribute, one line of help)."""
 
-EXIT_FAILED = 1
 EXIT_INTERRUPTED = 130
 
 

@@ -12,7 +12,7 @@ import click
 from autopilot.cli.finite import FiniteRange
 from autopilot.cli.mission_new import new
 from autopilot.cli.options import JSON
-from autopilot.cli.output import EXIT_LOSS, emit_json, print_table
+from autopilot.cli.output import EXIT_FAILED, EXIT_LOSS, emit_json, print_table
 from autopilot.core.errors import AutopilotError
 
 if TYPE_CHECKING:
@@ -143,7 +143,7 @@ def start(
     else:
         click.echo(f"mission {status.state.name.lower()}: {len(status.reached)} items reached")
     if not complete:
-        raise click.exceptions.Exit(1)
+        raise click.exceptions.Exit(EXIT_FAILED)
 
 
 @mission.command()

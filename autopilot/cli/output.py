@@ -10,6 +10,7 @@ if TYPE_CHECKING:
     from rich.console import Console
 
 
+EXIT_FAILED = 1
 EXIT_LOSS = 3
 """Exit code: done, with warnings, remarks, contacts or losses."""
 

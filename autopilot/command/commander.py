@@ -34,7 +34,7 @@ from autopilot.core.params import ParamSet
 from autopilot.core.phrases import NO_FENCE
 from autopilot.core.plan import PlanKind, PlanRejection
 from autopilot.core.vehicle import Vehicle
-from autopilot.mavlink.api import Answer, Circling, CommandResult, FlightMode, MotorTest, SetPoint
+from autopilot.mavlink.api import ACCEPTED, Answer, Circling, CommandResult, FlightMode, MotorTest, SetPoint
 from autopilot.mission.goals import Goals
 from autopilot.mission.judgement import Verdict
 from autopilot.mission.sequencer import Position
@@ -45,8 +45,6 @@ READINESS_EVERY_TICKS = 50
 
 END_AFTER_TICKS = 20
 """A run that an operator ends goes on so long: its answer has to be on its way."""
-
-_ACCEPTED = Answer(result=CommandResult.ACCEPTED)
 
 
 class Commander:
@@ -161,7 +159,7 @@ class Commander:
     def arm(self, force: bool) -> Answer:
         """Arm unless a check fails; ``force`` skips the checks and says so in the log. It does not start anything."""
         if self._modes.armed:
-            return _ACCEPTED
+            return ACCEPTED
         reasons = self.prearm_reasons()
         if reasons and (not force or not self._plans.placed):
             waits = reasons == (CHECKING,) or force
@@ -178,7 +176,7 @@ class Commander:
         self._operator.say(Severity.INFO, "Armed")
         if not self._arming.fenced:
             self._operator.say(Severity.NOTICE, f"Armed with {NO_FENCE}: keep clear of walls, or upload one")
-        return _ACCEPTED
+        return ACCEPTED
 
     def disarm(self, force: bool) -> Answer:
         """Disarm. ``force`` marks an emergency stop; neither is refused. The next arming begins in HOLD.
@@ -203,7 +201,7 @@ class Commander:
         if reason:
             return denied(reason)
         self._modes.choose(mode)
-        return _ACCEPTED
+        return ACCEPTED
 
     def pause(self) -> Answer:
         """Hold here."""
@@ -238,7 +236,7 @@ class Commander:
         if not 0 <= seq < count:
             return denied(f"Mission item {seq} does not exist: plan has {count}")
         self._mission.sequencer.set_current(seq)
-        return _ACCEPTED
+        return ACCEPTED
 
     def stand_at(self, position: Position) -> None:
         """After a restart: the mission of the plan in force stands where it stood. PlanError if it has no such item."""
@@ -254,7 +252,7 @@ class Commander:
         if self._modes.goal is not None:
             cruise = self._params["SPD_CRUISE"] if speed_m_s is None else speed_m_s
             self._modes.goal = replace(self._modes.goal, speed_m_s=cruise, speed_asked=speed_m_s is not None)
-        return _ACCEPTED
+        return ACCEPTED
 
     # Requests: steering
 
@@ -264,7 +262,7 @@ class Commander:
         refusal = guided.refuse_point(point)
         if not refusal:
             guided.take(point)
-            return _ACCEPTED
+            return ACCEPTED
         return self.refuse_set_point(refusal)
 
     def refuse_set_point(self, reason: str) -> Answer:
@@ -285,12 +283,12 @@ class Commander:
         if reason:
             return denied(f"Orbit denied: {reason}")
         self._modes.choose(FlightMode.CIRCLE)
-        return _ACCEPTED
+        return ACCEPTED
 
     def test_motor(self, test: MotorTest) -> Answer:
         """Turn one thruster for a moment."""
         reason = self._tests.begin(test)
-        return denied(f"Motor test denied: {reason}") if reason else _ACCEPTED
+        return denied(f"Motor test denied: {reason}") if reason else ACCEPTED
 
     def change_depth(self, depth_m: float) -> Answer:
         """Another depth where the vehicle is, or on its circle."""
@@ -311,7 +309,7 @@ class Commander:
                 if answer.result is not CommandResult.ACCEPTED:
                     return answer
                 self._modes.fly_to(self._goals.at(place, goal.yaw_rad))
-        return denied(f"Change of depth denied: {reason}") if reason else _ACCEPTED
+        return denied(f"Change of depth denied: {reason}") if reason else ACCEPTED
 
     def take_off(self, depth_m: float | None) -> Answer:
         """Dive and hold; at arming when disarmed."""
@@ -322,7 +320,7 @@ class Commander:
         if reason:
             return denied(reason)
         self._modes.choose(FlightMode.TAKEOFF)
-        return _ACCEPTED
+        return ACCEPTED
 
     # Requests: places
 
@@ -356,7 +354,7 @@ class Commander:
         else:
             refusal, place = "", nav.pos_ned_m
         refusal = refusal or self._mission.set_home(place)
-        return denied(f"Home denied: {refusal}") if refusal else _ACCEPTED
+        return denied(f"Home denied: {refusal}") if refusal else ACCEPTED
 
     def restore_home(self, pos_ned_m: FloatArray) -> str:
         """After a restart: home (3,) is where it was, for the mission too. Why it is not taken, "" when it is."""
@@ -377,7 +375,7 @@ class Commander:
         rejection = self._plans.set_origin(origin)
         if rejection is not None:
             return denied(f"Origin denied, clear the plan first: {rejection.reason}")
-        return _ACCEPTED
+        return ACCEPTED
 
     def end_run(self, end: RunEnd) -> Answer:
         """The service ends, or begins anew."""
@@ -385,7 +383,7 @@ class Commander:
             return Answer(result=CommandResult.TEMPORARILY_REJECTED, reason="Reboot refused: disarm first")
         self._ending = self._ticks + END_AFTER_TICKS, end
         self._operator.say(Severity.INFO, "Restarting" if end is RunEnd.AGAIN else "Stopping")
-        return _ACCEPTED
+        return ACCEPTED
 
     @property
     def run_end(self) -> RunEnd | None:

@@ -5,7 +5,7 @@ A vehicle without one below is disarmed when its thrusters are neutral: there is
 
 from autopilot.command.announcements import Announcements
 from autopilot.core.messages import Below, Severity
-from autopilot.mavlink.api import Answer, CommandResult
+from autopilot.mavlink.api import ACCEPTED, Answer, CommandResult
 
 CONFIRM_TICKS = 300
 """3 s, twelve requests: then it is said that it has not worked. It is asked for until it has."""
@@ -14,7 +14,6 @@ NOT_CONFIRMED = "Flight controller does not confirm disarming: use its own switc
 CONFIRMED = "Flight controller is disarmed now"
 ARMED_ANEW = "Disarming ended: armed anew"
 
-DONE = Answer(result=CommandResult.ACCEPTED)
 WAITING = Answer(result=CommandResult.IN_PROGRESS)
 
 
@@ -27,7 +26,7 @@ class Disarming:
         """Since it was asked for, None = nothing is waited for."""
         self._alone: bool | None = None
         """Whether there is no flight controller below; None = no tick has told yet."""
-        self.answer = DONE
+        self.answer = ACCEPTED
         """To who asked for it last."""
 
     @property
@@ -38,7 +37,7 @@ class Disarming:
     def begin(self) -> None:
         """Ask for it, and give it all its time."""
         if self._alone:
-            self.answer = DONE
+            self.answer = ACCEPTED
         else:
             self._ticks, self.answer = 0, WAITING
 
@@ -58,7 +57,7 @@ class Disarming:
         if self._alone or (below is not None and ticks > 0 and below.armed is False):
             if ticks > CONFIRM_TICKS:
                 self._operator.say(Severity.NOTICE, CONFIRMED)
-            self.answer = DONE
+            self.answer = ACCEPTED
             return
         self._ticks = ticks + 1
         if ticks == CONFIRM_TICKS:

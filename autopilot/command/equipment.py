@@ -11,13 +11,11 @@ from dataclasses import dataclass
 
 from autopilot.core.payload import PayloadState
 from autopilot.core.vehicle import PayloadTable, Vehicle
-from autopilot.mavlink.api import Answer, CommandResult
+from autopilot.mavlink.api import ACCEPTED, Answer, CommandResult
 
 MIN_CYCLE_S = 0.1
 """Nothing that is made for it wears out by a repetition."""
 MAX_REPEATS = 10_000
-
-_OK = Answer(result=CommandResult.ACCEPTED)
 
 
 @dataclass(slots=True)
@@ -163,7 +161,7 @@ class Equipment:
             index = self._of_actuator(number)
             if index is not None:
                 self._put(index, self._share_us(index, 0.5 + 0.5 * value))
-        return _OK
+        return ACCEPTED
 
     def lights(self, change: float | None) -> Answer:
         """All lights brighter or darker by a share; None = on when they are off, off when they are on."""
@@ -175,7 +173,7 @@ class Equipment:
         for index in usable:
             share = (0.0 if on else 1.0) if change is None else self._share(index) + change
             self._put(index, self._share_us(index, share))
-        return _OK
+        return ACCEPTED
 
     # One tick
 
@@ -198,12 +196,12 @@ class Equipment:
     def _put(self, index: int, pulse_us: int) -> Answer:
         self._repeats.pop(index, None)
         self._pulses_us[index] = pulse_us
-        return _OK
+        return ACCEPTED
 
     def _repeat(self, index: int, pulses_us: tuple[int, int], count: int, cycle_s: float) -> Answer:
         half_us = round(0.5e6 * cycle_s)
         self._repeats[index] = _Repeat(pulses_us=pulses_us, left=2 * count, half_us=half_us, next_us=self._t_us)
-        return _OK
+        return ACCEPTED
 
     def _problem(self, index: int) -> str:
         name = self.outputs[index].name

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from autopilot.command.equipment import Equipment
 from autopilot.command.photographer import Photographer
 from autopilot.core.messages import Event, Severity
-from autopilot.mavlink.api import Answer, CommandResult
+from autopilot.mavlink.api import ACCEPTED, Answer, CommandResult
 from autopilot.mission.items import Order
 from autopilot.mission.payload_items import (
     Grip,
@@ -22,7 +22,6 @@ from autopilot.mission.payload_items import (
     SwitchRelay,
 )
 
-_OK = Answer(result=CommandResult.ACCEPTED)
 NO_CAMERA = "no camera here, no photos"
 
 
@@ -78,14 +77,14 @@ class PayloadOrders:
             case MoveActuators():
                 meant = {n: value for n, value in order.values if value != 0.0 or not equipment.refuse_actuator(n)}
                 return equipment.set_actuators(meant)
-        return _OK
+        return ACCEPTED
 
     def _camera(self, order: Shoot | ShootEvery | StopShooting | NothingToDo) -> Answer:
         camera = self._photographer
         starts = isinstance(order, Shoot) or (isinstance(order, ShootEvery) and order.distance_m > 0.0)
         if camera is None:
             told, self._told_camera = self._told_camera, self._told_camera or starts
-            return Answer(result=CommandResult.DENIED, reason=NO_CAMERA) if starts and not told else _OK
+            return Answer(result=CommandResult.DENIED, reason=NO_CAMERA) if starts and not told else ACCEPTED
         match order:
             case Shoot():
                 return camera.shoot(order.count, order.interval_s, order.seq)
@@ -93,4 +92,4 @@ class PayloadOrders:
                 return camera.shoot_every(order.distance_m, now=order.now, seq=order.seq)
             case StopShooting():
                 return camera.stop()
-        return _OK
+        return ACCEPTED

@@ -17,10 +17,9 @@ from autopilot.core.frames import FloatArray, wrap_pi
 from autopilot.core.messages import Event, Inputs, NavHealth, NavState, Severity
 from autopilot.core.stills import CameraReport, StillRecord, StoredStill
 from autopilot.core.vehicle import Vehicle
-from autopilot.mavlink.api import Answer, CommandResult
+from autopilot.mavlink.api import ACCEPTED, Answer, CommandResult
 from autopilot.mavlink.camera_api import CameraIdentity, CameraState
 
-_OK = Answer(result=CommandResult.ACCEPTED)
 _R_CAM_FROM_VIEW: FloatArray = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [1.0, 0.0, 0.0]])
 """(3, 3) OpenCV's axes from those of a body that looks ahead: x along the optical axis, y right, z down."""
 
@@ -97,19 +96,19 @@ class Photographer:
             if len(self._under_way) + len(self._wanted) >= PHOTOGRAPHER.max_under_way:
                 return Answer(result=CommandResult.TEMPORARILY_REJECTED, reason="Photo refused: camera is busy")
             self._ask(seq)
-            return _OK
+            return ACCEPTED
         if not PHOTOGRAPHER.min_interval_s <= interval_s < math.inf:
             reason = f"Photo refused: interval {interval_s:g} s, use {PHOTOGRAPHER.min_interval_s:g} s or more"
             return Answer(result=CommandResult.DENIED, reason=reason)
         interval_us = round(min(interval_s, 1e6) * 1e6)
         self._sequence = _Sequence(left=count, interval_us=interval_us, next_us=self._t_us, seq=seq)
-        return _OK
+        return ACCEPTED
 
     def shoot_every(self, distance_m: float, *, now: bool, seq: int = -1) -> Answer:
         """A still each time that the vehicle has come so far; 0 ends that."""
         if distance_m == 0.0:
             self._survey = None
-            return _OK
+            return ACCEPTED
         refusal = self.refusal
         if refusal:
             return Answer(result=CommandResult.TEMPORARILY_REJECTED, reason=f"Photos refused: {refusal}")
@@ -118,12 +117,12 @@ class Photographer:
             return Answer(result=CommandResult.DENIED, reason=reason)
         here = self._here()
         self._survey = _Survey(distance_m=distance_m, place_ned_m=None if now else here, seq=seq)
-        return _OK
+        return ACCEPTED
 
     def stop(self) -> Answer:
         """End the sequence, by time or by way."""
         self._sequence = self._survey = None
-        return _OK
+        return ACCEPTED
 
     @property
     def refusal(self) -> str:

@@ -8,6 +8,7 @@ from collections import deque
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
+from autopilot.command.facts import NEVER
 from autopilot.command.tuned import SITUATION
 from autopilot.core.messages import NavHealth
 from autopilot.core.params import ParamSet
@@ -19,9 +20,6 @@ from autopilot.mission.store import Plans
 
 if TYPE_CHECKING:
     from autopilot.command.conditions import Conditions
-
-
-NEVER = math.nan
 
 
 class Situation:

@@ -4,7 +4,7 @@ import binascii
 import zlib
 
 _ALL = 0xFFFF_FFFF
-_MIRRORED = bytes(int(f"{value:08b}"[::-1], 2) for value in range(256))
+MIRRORED = bytes(int(f"{value:08b}"[::-1], 2) for value in range(256))
 """Every byte with its bits in the other order."""
 
 
@@ -18,5 +18,5 @@ def file_crc32(data: bytes, before: int = 0) -> int:
 
 def checksum(data: bytes) -> int:
     """MAVLink's CRC-16/MCRF4XX: the standard library's CRC-CCITT of the same polynomial, bits in the other order."""
-    crc = binascii.crc_hqx(data.translate(_MIRRORED), 0xFFFF)
-    return _MIRRORED[crc & 0xFF] << 8 | _MIRRORED[crc >> 8]
+    crc = binascii.crc_hqx(data.translate(MIRRORED), 0xFFFF)
+    return MIRRORED[crc & 0xFF] << 8 | MIRRORED[crc >> 8]

@@ -17,8 +17,8 @@ import zstandard
 from numpy.typing import NDArray
 
 from autopilot.core.errors import LogError
+from autopilot.log.mcap_file import MAGIC
 
-MAGIC = b"\x89MCAP0\r\n"
 _SCHEMA, _CHANNEL, MESSAGE, _CHUNK, _CHUNK_INDEX = 0x03, 0x04, 0x05, 0x06, 0x08
 _FOOTER, _ATTACHMENT, _STATISTICS, _METADATA, _DATA_END = 0x02, 0x09, 0x0B, 0x0C, 0x0F
 _IN_FULL = (_SCHEMA, _CHANNEL, _CHUNK_INDEX, _ATTACHMENT, _STATISTICS, _METADATA, _FOOTER)

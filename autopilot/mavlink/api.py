@@ -99,6 +99,9 @@ class Answer:
     reason: str = ""
 
 
+ACCEPTED = Answer(result=CommandResult.ACCEPTED)
+
+
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class VehicleView:
     """What telemetry shows, refreshed once per tick."""

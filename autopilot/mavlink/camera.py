@@ -11,24 +11,23 @@ from functools import partial
 from autopilot.core.frames import quat_from_rpy, r_ned_from_frd, rpy_from_r
 from autopilot.core.geodesy import Origin, geodetic_from_ned
 from autopilot.core.stills import StillRecord
-from autopilot.mavlink.api import CommandResult
+from autopilot.mavlink.announcements import HEARTBEAT_US
+from autopilot.mavlink.api import ACCEPTED, CommandResult
 from autopilot.mavlink.camera_api import CameraOrders
-from autopilot.mavlink.commands import ACCEPTED, UNSUPPORTED, Call, Entry, Reply, denied
+from autopilot.mavlink.commands import UNSUPPORTED, Call, Entry, Reply, denied
 from autopilot.mavlink.context import COMPID, Context, i32
 from autopilot.mavlink.dialect import mav
 from autopilot.mavlink.files import LOGS
-from autopilot.mavlink.status import version_number
+from autopilot.mavlink.status import MAVLINK_VERSION, version_number
 from autopilot.mavlink.wire import Message
 
 CAMERA_COMPID = 100
 """MAV_COMP_ID_CAMERA."""
-HEARTBEAT_US = 1_000_000
 VENDOR = "Underwater Autopilot"
 MIB = 1024.0 * 1024.0
 STORAGE = 1
 """Number of the one storage."""
 _PHOTO, _VIDEO = mav.CAMERA_MODE_IMAGE, mav.CAMERA_MODE_VIDEO
-_MAVLINK_VERSION = 3
 _IDLE, _TAKING, _SEQUENCE = range(3)
 """CAMERA_CAPTURE_STATUS.image_status: whether a still is being taken, and 2 more in a sequence."""
 
@@ -238,7 +237,7 @@ class CameraComponent:
     def heartbeat(self) -> Message:
         """HEARTBEAT of the camera."""
         return mav.MAVLink_heartbeat_message(
-            mav.MAV_TYPE_CAMERA, mav.MAV_AUTOPILOT_INVALID, 0, 0, mav.MAV_STATE_ACTIVE, _MAVLINK_VERSION
+            mav.MAV_TYPE_CAMERA, mav.MAV_AUTOPILOT_INVALID, 0, 0, mav.MAV_STATE_ACTIVE, MAVLINK_VERSION
         )
 
     def information(self) -> Message:

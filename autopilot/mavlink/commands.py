@@ -26,7 +26,6 @@ PROGRESS_US = 1_000_000
 MAX_REMEMBERED = 64
 """Clients whose last command is remembered; the oldest goes."""
 
-ACCEPTED = Answer(result=CommandResult.ACCEPTED)
 UNSUPPORTED = Answer(result=CommandResult.UNSUPPORTED)
 
 _FRAME_NOT_GIVEN = mav.MAV_FRAME_GLOBAL

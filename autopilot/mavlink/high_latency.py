@@ -12,7 +12,8 @@ from collections.abc import Mapping
 from autopilot.core.messages import Failsafe, NavDoubt, NavHealth, Severity
 from autopilot.core.model4 import YAW
 from autopilot.core.samples import HullSample
-from autopilot.mavlink.commands import ACCEPTED, Call, Reply, denied
+from autopilot.mavlink.api import ACCEPTED
+from autopilot.mavlink.commands import Call, Reply, denied
 from autopilot.mavlink.context import Context, i32, limited, u16
 from autopilot.mavlink.dialect import mav
 from autopilot.mavlink.inbox import Address

@@ -4,8 +4,8 @@ import math
 from collections.abc import Callable, Mapping
 
 from autopilot.core.messages import RunEnd, Severity
-from autopilot.mavlink.api import Answer, CommandResult, MotorTest
-from autopilot.mavlink.commands import ACCEPTED, Call, Entry, Reply, denied
+from autopilot.mavlink.api import ACCEPTED, Answer, CommandResult, MotorTest
+from autopilot.mavlink.commands import Call, Entry, Reply, denied
 from autopilot.mavlink.context import Context
 from autopilot.mavlink.dialect import mav
 from autopilot.mavlink.parameters import Parameters

@@ -48,7 +48,7 @@ MISSION_TYPE_ALL = 255
 """MAV_MISSION_TYPE_ALL: clear only."""
 
 _KINDS = {int(kind): kind for kind in PlanKind}
-_CLEAR_ORDER = (PlanKind.MISSION, PlanKind.FENCE, PlanKind.RALLY)
+CLEAR_ORDER = (PlanKind.MISSION, PlanKind.FENCE, PlanKind.RALLY)
 
 
 @dataclass(slots=True)
@@ -355,7 +355,7 @@ class Missions:
     def on_clear_all(self, peer: Peer, msg: Message) -> None:
         """MISSION_CLEAR_ALL of one type or of all."""
         if msg.mission_type == MISSION_TYPE_ALL:
-            kinds: tuple[PlanKind, ...] = _CLEAR_ORDER
+            kinds: tuple[PlanKind, ...] = CLEAR_ORDER
         elif msg.mission_type in _KINDS:
             kinds = (_KINDS[msg.mission_type],)
         else:

@@ -9,8 +9,8 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 
 from autopilot.core.messages import Severity
-from autopilot.mavlink.api import Answer, CommandResult
-from autopilot.mavlink.commands import ACCEPTED, Call, Entry, Reply, denied
+from autopilot.mavlink.api import ACCEPTED, Answer, CommandResult
+from autopilot.mavlink.commands import Call, Entry, Reply, denied
 from autopilot.mavlink.context import Context, Peer
 from autopilot.mavlink.dialect import extra, mav
 from autopilot.mavlink.wire import Message

@@ -4,8 +4,8 @@ from collections.abc import Callable, Mapping
 
 from pymavlink.dialects.v20 import development as mav
 
-from autopilot.mavlink.api import Answer, CommandResult
-from autopilot.mavlink.commands import ACCEPTED, UNSUPPORTED, Call, Entry, Reply, denied
+from autopilot.mavlink.api import ACCEPTED, Answer, CommandResult
+from autopilot.mavlink.commands import UNSUPPORTED, Call, Entry, Reply, denied
 from autopilot.mavlink.context import Context
 from autopilot.mavlink.status import MSG_ID_PROTOCOL_VERSION, Status
 from autopilot.mavlink.streams import Streams

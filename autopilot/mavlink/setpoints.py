@@ -13,6 +13,7 @@ from autopilot.core.geodesy import ned_from_geodetic, place_from_ned, refuse_pla
 from autopilot.core.messages import NavHealth, NavState, Severity
 from autopilot.mavlink.api import Answer, CommandResult, FlightMode, SetPoint
 from autopilot.mavlink.context import Context, Peer
+from autopilot.mavlink.vehicle_commands import RELATIVE
 from autopilot.mavlink.wire import Message
 
 X, Y, Z, VX, VY, VZ = (1 << bit for bit in range(6))
@@ -28,7 +29,6 @@ _BODY = frozenset((mav.MAV_FRAME_BODY_NED, mav.MAV_FRAME_BODY_OFFSET_NED, 12))
 """12: MAV_FRAME_BODY_FRD."""
 _LOCAL = _OFFSET | {mav.MAV_FRAME_LOCAL_NED}
 _AMSL = frozenset((mav.MAV_FRAME_GLOBAL, mav.MAV_FRAME_GLOBAL_INT))
-_RELATIVE = frozenset((mav.MAV_FRAME_GLOBAL_RELATIVE_ALT, mav.MAV_FRAME_GLOBAL_RELATIVE_ALT_INT))
 
 FASTEST = 5.0
 """m/s and rad/s: what is faster is a mistake."""
@@ -113,7 +113,7 @@ class SetPoints:
 
     def _of_global(self, msg: Message) -> tuple[SetPoint, bool]:
         frame, mask, origin = msg.coordinate_frame, msg.type_mask, self._ctx.view.origin
-        if frame not in _AMSL and frame not in _RELATIVE:
+        if frame not in _AMSL and frame not in RELATIVE:
             raise _NotFollowedError(f"frame {frame}, use 0 or 5 (AMSL), 3 or 6 (above the water)")
         place, depth_m = None, None
         if _pair(mask, X, Y, "position"):
@@ -125,7 +125,7 @@ class SetPoints:
             place = (north, east)
         if not mask & Z:
             (alt,) = _finite((msg.alt,), "altitude")
-            depth_m = -alt if frame in _RELATIVE else origin.alt_m - alt
+            depth_m = -alt if frame in RELATIVE else origin.alt_m - alt
         return self._point(msg, place, depth_m, body=False), place is not None or depth_m is not None
 
     def _point(self, msg: Message, place: tuple[float, float] | None, depth_m: float | None, *, body: bool) -> SetPoint:

@@ -19,7 +19,7 @@ VENDOR_ID = 0x4155
 PRODUCT_ID = 0x4155
 """The letters "UA" (underwater autopilot) in the board ids: not PX4, not ArduPilot, not a registered USB id."""
 
-_MAVLINK_VERSION = 3
+MAVLINK_VERSION = 3
 """HEARTBEAT.mavlink_version (minimal.xml)."""
 
 _OFFICIAL = 255
@@ -157,7 +157,7 @@ class Status:
             base_mode,
             ctx.profile.custom_modes[view.mode],
             state,
-            _MAVLINK_VERSION,
+            MAVLINK_VERSION,
         )
 
     def sys_status(self) -> Message | None:

@@ -10,8 +10,8 @@ from autopilot.core.messages import Severity
 from autopilot.core.phrases import ARMING_CHECK, NO_FENCE
 from autopilot.core.plan import PlanKind
 from autopilot.mavlink import home_item
-from autopilot.mavlink.api import Answer, Circling, CommandResult, FlightMode, OrbitYaw
-from autopilot.mavlink.commands import ACCEPTED, Call, Entry, Reply, denied
+from autopilot.mavlink.api import ACCEPTED, Answer, Circling, CommandResult, FlightMode, OrbitYaw
+from autopilot.mavlink.commands import Call, Entry, Reply, denied
 from autopilot.mavlink.context import Context
 from autopilot.mavlink.flight_modes import STANDARD_MODES
 from autopilot.mavlink.profiles import CUSTOM_MODE_FLAG
@@ -25,7 +25,7 @@ CHANGE_MODE = 1
 """MAV_DO_REPOSITION_FLAGS_CHANGE_MODE."""
 
 _GLOBAL = frozenset((mav.MAV_FRAME_GLOBAL, mav.MAV_FRAME_GLOBAL_INT))
-_RELATIVE = frozenset((mav.MAV_FRAME_GLOBAL_RELATIVE_ALT, mav.MAV_FRAME_GLOBAL_RELATIVE_ALT_INT))
+RELATIVE = frozenset((mav.MAV_FRAME_GLOBAL_RELATIVE_ALT, mav.MAV_FRAME_GLOBAL_RELATIVE_ALT_INT))
 
 
 _ORBIT_YAW = {
@@ -206,9 +206,9 @@ class VehicleService:
 
     def _depth_m(self, alt_m: float, frame: int) -> float | None:
         """Of an altitude; None without one, or in another frame."""
-        if not math.isfinite(alt_m) or (frame not in _GLOBAL and frame not in _RELATIVE):
+        if not math.isfinite(alt_m) or (frame not in _GLOBAL and frame not in RELATIVE):
             return None
-        return -alt_m if frame in _RELATIVE else self._ctx.view.origin.alt_m - alt_m
+        return -alt_m if frame in RELATIVE else self._ctx.view.origin.alt_m - alt_m
 
     def orbit(self, call: Call) -> Reply:
         """DO_ORBIT: param1 radius (negative = to port), param2 speed, param3 heading, param4 turns; the centre."""
@@ -343,11 +343,11 @@ class VehicleService:
         if call.frame == mav.MAV_FRAME_LOCAL_NED and given and math.isfinite(call.z):
             place = place_from_ned(ctx.view.origin, call.x, call.y, call.z)
             return denied(f"{what}: {far_text(math.hypot(call.x, call.y))}") if place is None else place
-        if call.frame not in _GLOBAL and call.frame not in _RELATIVE:
+        if call.frame not in _GLOBAL and call.frame not in RELATIVE:
             reason = f"{what}: frame {call.frame} is not supported, use 0, 3 or (with a whole position) 1"
             return Reply(Answer(result=CommandResult.UNSUPPORTED_FRAME, reason=reason))
         lat_deg, lon_deg = call.x, call.y
-        alt_m = call.z + (ctx.view.origin.alt_m if call.frame in _RELATIVE else 0.0)
+        alt_m = call.z + (ctx.view.origin.alt_m if call.frame in RELATIVE else 0.0)
         if not given or not math.isfinite(call.z):
             here = self._telemetry.here()
             if here is None:

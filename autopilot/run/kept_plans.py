@@ -23,6 +23,7 @@ from autopilot.core.messages import Severity
 from autopilot.core.plan import PlanKind
 from autopilot.core.state_file import Loss, StateFile
 from autopilot.core.witness import Noted, Witness
+from autopilot.mavlink.missions import CLEAR_ORDER
 from autopilot.mission.loading import load_plan
 from autopilot.mission.plan_model import PlanFile
 from autopilot.mission.sequencer import Position
@@ -33,8 +34,6 @@ PLANS_KEPT = "plans kept"
 """What the witness is asked for the service: whether the plans in force are on disk."""
 
 _NOT_LOADED = "stored mission, fence and rally points not loaded"
-
-_CLEAR_ORDER = (PlanKind.MISSION, PlanKind.FENCE, PlanKind.RALLY)
 
 
 class Restored(Protocol):
@@ -149,7 +148,7 @@ class KeptPlans:
     def _take_none(self, home_ned_m: FloatArray) -> None:
         """Back to what a service without stored plans has; that is what is kept from the first tick on."""
         plans = self._plans
-        for kind in _CLEAR_ORDER:
+        for kind in CLEAR_ORDER:
             plans.replace(kind, ())
         plans.set_origin(self._configured)
         self._vehicle.restore_home(home_ned_m)

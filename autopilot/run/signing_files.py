@@ -16,8 +16,8 @@ from autopilot.core.keeper import Keeper
 from autopilot.core.params import Saved
 from autopilot.core.state_file import Loss, StateFile
 from autopilot.mavlink.api import AHEAD_UNITS, UNITS_PER_S, SigningState
+from autopilot.mavlink.signing import KEY_BYTES
 
-KEY_BYTES = 32
 KEY_FILE = "signing.key"
 EPOCH_S = 1_420_070_400
 """2015-01-01 in Unix time."""

@@ -8,7 +8,8 @@ import click
 
 from autopilot.bench.machine import slowness
 from autopilot.cli.bench_rows import run_one
-from autopilot.cli.bench_tables import JSON, SHORT, Rows, print_rows
+from autopilot.cli.bench_tables import SHORT, Rows, print_rows
+from autopilot.cli.options import JSON
 from tests.bench.tables import HEADS, TITLES, judge, seed_range, tell
 
 

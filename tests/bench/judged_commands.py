@@ -5,8 +5,9 @@ from pathlib import Path
 
 import click
 
-from autopilot.cli.bench_tables import JSON, SHORT, print_rows
+from autopilot.cli.bench_tables import SHORT, print_rows
 from autopilot.cli.finite import FiniteRange
+from autopilot.cli.options import JSON
 from autopilot.cli.output import print_table
 from tests.bench.tables import TITLES, judge, judge_rows, seed_range, tell
 

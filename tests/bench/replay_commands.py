@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 
 import click
 
-from autopilot.cli.bench_tables import JSON
 from autopilot.cli.log_replay import moved_rows
+from autopilot.cli.options import JSON
 from autopilot.cli.output import print_table
 from tests.bench.tables import TITLES, judge, told_one_by_one
 
