@@ -1,5 +1,6 @@
 """Pages of documentation: all in the index, no link that leads nowhere."""
 
+import re
 from pathlib import Path
 
 import pytest
@@ -37,3 +38,15 @@ def test_every_figure_is_shown() -> None:
     shown = {target(page, link) for page in PAGES for link in links(page)}
     figures = {path for path in (DOCS / "figures").iterdir() if path.is_file()}
     assert {path.name for path in figures - shown} == set()
+
+
+def test_readme_stays_short() -> None:
+    assert len((ROOT / "README.md").read_text(encoding="utf-8").splitlines()) <= 120
+
+
+def test_decisions_are_short_and_have_one_number_each() -> None:
+    text = (DOCS / "decisions.md").read_text(encoding="utf-8")
+    entries = re.findall(r"^\*\*(\d+)\. (.*?)(?=^\*\*\d+\. |^## |\Z)", text, flags=re.MULTILINE | re.DOTALL)
+    numbers = [int(number) for number, _ in entries]
+    assert len(numbers) > 50 and len(numbers) == len(set(numbers))
+    assert [number for number, entry in entries if len(entry.split()) > 120] == []
