@@ -31,7 +31,7 @@ LAT, LON = 37.9755, 23.7790
 
 Probe = tuple[str, Callable[[], Any]]
 
-OTHER_SIDE = "the vehicle's or camera's side of the protocol: nothing that it could be tried on"
+OTHER_SIDE = "not for clients"
 
 
 def plugin_names() -> list[str]:

@@ -3,11 +3,13 @@
 import re
 from dataclasses import dataclass
 
-from autopilot.command.failsafe_table import EFFECTS, ROWS, Row
+from autopilot.command.failsafe_table import ACTIONS, EFFECTS, ROWS, Row
 from autopilot.core.params import ParamSet
 
 _NAMED = re.compile(r"`([A-Z0-9_]+)`")
 _FORMAT = re.compile(r"\{(\w+):[^}]*\}")
+_ALL_ACTIONS = re.compile(", ".join(rf"(?:{n} {effect}|\*\*{n} {effect}\*\*)" for n, effect in enumerate(ACTIONS)))
+_DEFAULT = re.compile(r"\*\*.+?\*\*")
 
 BEGIN, END = "<!-- failsafes:begin -->", "<!-- failsafes:end -->"
 
@@ -35,11 +37,12 @@ def failsafe_markdown() -> str:
     """What docs/failsafes.md holds between its marks."""
     lines = ["| bit | failsafe | begins when | over | what is done | text |", "| --- | --- | --- | --- | --- | --- |"]
     lines += [
-        f"| {text.bit} | {text.name} | {text.condition} | {text.over} | {text.action} | {text.said} |"
+        f"| {text.bit} | {text.name} | {text.condition} | {text.over} | {_short(text.action)} | {text.said} |"
         for text in failsafe_texts()
     ]
-    lines += ["", "| effect, weakest first | |", "| --- | --- |"]
-    lines += [f"| {effect} | {meaning} |" for effect, meaning in EFFECTS.items()]
+    lines += ["", "| effect, weakest first | as a number | |", "| --- | --- | --- |"]
+    numbers = {effect: str(n) for n, effect in enumerate(ACTIONS)}
+    lines += [f"| {effect} | {numbers.get(effect, '')} | {meaning} |" for effect, meaning in EFFECTS.items()]
     return "\n".join(lines) + "\n"
 
 
@@ -47,6 +50,11 @@ def with_table(page: str) -> str:
     """A page with the table between its marks made anew."""
     begin, end = page.index(BEGIN) + len(BEGIN), page.index(END)
     return f"{page[:begin]}\n{failsafe_markdown()}{page[end:]}"
+
+
+def _short(action: str) -> str:
+    """Only the default of a parameter that can take every action: the numbers stand beside the effects."""
+    return _ALL_ACTIONS.sub(lambda found: "".join(_DEFAULT.findall(found[0])), action)
 
 
 def _text(row: Row, params: ParamSet) -> FailsafeText:

@@ -1,20 +1,32 @@
-"""The table of parameters in docs/mavlink.md is the program's."""
+"""The table of parameters in docs/parameters.md is the program's."""
 
+import importlib.util
 from pathlib import Path
+from types import ModuleType
 
-from autopilot.core.params import PARAMETERS, ParamSpec
+import pytest
 
-DOCS = Path(__file__).parents[2] / "docs" / "mavlink.md"
-HEAD = "| name | default | range | unit | meaning |"
+from autopilot.core.params import PARAMETERS
 
-
-def _row(spec: ParamSpec) -> str:
-    name, bounds = f"`{spec.name}`", f"{spec.minimum:g} to {spec.maximum:g}"
-    return f"| {name} | {spec.default:g} | {bounds} | {spec.unit} | {spec.help} |"
+DOCS = Path(__file__).parents[2] / "docs"
 
 
-def test_documented_parameters_are_the_programs() -> None:
-    lines = DOCS.read_text(encoding="utf-8").splitlines()
-    begin = lines.index(HEAD) + 2
-    end = next((n for n in range(begin, len(lines)) if not lines[n].startswith("|")), len(lines))
-    assert lines[begin:end] == [_row(spec) for spec in sorted(PARAMETERS, key=lambda spec: spec.name)]
+@pytest.fixture(name="script")
+def script_fixture() -> ModuleType:
+    spec = importlib.util.spec_from_file_location("parameters_page", DOCS / "parameters.py")
+    assert spec is not None and spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def test_documented_parameters_are_the_programs(script: ModuleType) -> None:
+    text = (DOCS / "parameters.md").read_text(encoding="utf-8")
+    assert text == script.written(text), "run python docs/parameters.py --write"
+
+
+def test_numbered_parameters_that_share_a_row_differ_in_nothing_else() -> None:
+    for family in ("BTN", "THR"):
+        numbered = [spec for spec in PARAMETERS if spec.name.startswith(family) and spec.name[3].isdigit()]
+        assert len(numbered) > 1
+        assert len({(spec.default, spec.minimum, spec.maximum, spec.unit) for spec in numbered}) == 1

@@ -1,6 +1,6 @@
 """A pilot's flights on the simulated vehicle with its camera or a pose sensor, and ArduSub's autotest cases among them.
 
-The bounds are those of Tools/autotest/ardusub.py or tighter (docs/piloting.md lists the cases).
+The bounds are those of Tools/autotest/ardusub.py or tighter.
 """
 
 import math
