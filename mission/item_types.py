@@ -44,9 +44,8 @@ _ROWS = (
         command=Command.NAV_LOITER_TURNS,
         parse=nav_items.circuit,
         uses=(
-            "p1 turns, p3 radius [m] (negative = to port, 0 = `CIRCLE_RADIUS`), at the speed last asked for or "
-            "`CIRCLE_SPEED`, looking at the centre; position 0, 0 or frame 2 = round where the vehicle is; the whole "
-            "circle has to keep clear of the fence"
+            "p1 turns, p3 radius [m] (negative = to port, 0 = `CIRCLE_RADIUS`); speed as last set or "
+            "`CIRCLE_SPEED`; heading to the centre; position as 17; the whole circle must be clear of the fence"
         ),
         placed=True,
     ),
@@ -59,26 +58,26 @@ _ROWS = (
     ItemType(
         command=Command.NAV_RETURN_TO_LAUNCH,
         parse=nav_items.return_home,
-        uses="goes home at the depth of the goal before it; ends the mission",
+        uses="home at the depth of the goal before; ends the mission",
     ),
     ItemType(
         command=Command.NAV_LAND,
         parse=nav_items.surface,
-        uses="surface there (or here), then disarm; ends the mission; altitude unused",
+        uses="surfaces there (or here), disarms, ends the mission; altitude unused",
         placed=True,
     ),
     ItemType(
         command=Command.NAV_TAKEOFF,
         parse=nav_items.take_off,
         uses=(
-            "p4 yaw: dives where the vehicle is; an altitude in the water is the depth, one above it (ground stations "
-            "put 2 to 50 m) means `TKOFF_DEPTH`; position unused"
+            "p4 yaw; dives in place; an altitude in the water is the depth, one above it means `TKOFF_DEPTH`; position "
+            "unused"
         ),
     ),
     ItemType(
         command=Command.NAV_DELAY,
         parse=nav_items.wait,
-        uses="p1 [s], pauses left out; a time of day is refused",
+        uses="p1 [s] without pauses; a time of day is refused",
     ),
     ItemType(
         command=Command.CONDITION_DELAY,
@@ -88,23 +87,20 @@ _ROWS = (
     ItemType(
         command=Command.CONDITION_DISTANCE,
         parse=do_items.near,
-        uses="p1 [m]: the vehicle goes on to the next place, and the items before that wait until it is so near",
+        uses="p1 [m]: the following DO_ items wait until the next place is so near",
     ),
     ItemType(
         command=Command.CONDITION_YAW,
         parse=do_items.set_heading,
         uses=(
-            "p1 heading [deg], p3 -1 = to port, p4 1 = relative; for later goals that leave the heading free, and at "
-            "once for a delay that follows"
+            "p1 heading [deg], p3 -1 = to port, p4 1 = relative; for later goals without a heading, at once for a "
+            "delay that follows"
         ),
     ),
     ItemType(
         command=Command.CONDITION_GATE,
         parse=do_items.gate,
-        uses=(
-            "a place: as 114 until the vehicle has passed the plane through it that lies across its way; p1 0, p2 1 = "
-            "across the way in depth too"
-        ),
+        uses=("as 114, until the plane through this place across the path is passed; p1 0, p2 1 = its altitude counts"),
         placed=True,
     ),
     ItemType(
@@ -115,10 +111,7 @@ _ROWS = (
     ItemType(
         command=Command.DO_CHANGE_SPEED,
         parse=do_items.change_speed,
-        uses=(
-            "p1 0 or 1, p2 speed over ground [m/s], flown as asked (-2 = none: `SPD_CRUISE` holds again), at most "
-            "`SPD_PLANAR_MAX`"
-        ),
+        uses=("p1 0 or 1, p2 speed over ground [m/s], at most `SPD_PLANAR_MAX` (-2 = `SPD_CRUISE` again)"),
     ),
     ItemType(
         command=Command.DO_SET_HOME,
@@ -128,10 +121,7 @@ _ROWS = (
     ItemType(
         command=Command.DO_SET_ROI_LOCATION,
         parse=do_items.look_at,
-        uses=(
-            "a place (altitude unused) that the vehicle looks at from here on, wherever it goes; headings of waypoints "
-            "do not count meanwhile"
-        ),
+        uses=("heading to this place from here on (altitude unused); headings of waypoints do not count"),
         placed=True,
     ),
     ItemType(
@@ -142,26 +132,26 @@ _ROWS = (
     ItemType(
         command=Command.DO_SET_ROI,
         parse=do_items.look_at,
-        uses="p1 3 or 0; a place = as 195, position 0, 0 = as 197",
+        uses="p1 3 or 0; as 195; position 0, 0 = as 197",
         placed=True,
     ),
     ItemType(
         command=Command.DO_FENCE_ENABLE,
         parse=do_items.fence_on,
-        uses="p1 1; the fence is a hard limit that nothing in a mission switches off: 0 and 2 are refused",
+        uses="p1 1; 0 and 2 are refused: a mission cannot switch the fence off",
     ),
     ItemType(
         command=Command.IMAGE_START_CAPTURE,
         parse=payload_items.start_capture,
-        uses="p2 interval [s], at least 0.2, p3 count (0 = until stopped, 1 = one, the interval unused)",
+        uses="p2 interval [s], at least 0.2; p3 count (0 = until stopped)",
     ),
     ItemType(
-        command=Command.IMAGE_STOP_CAPTURE, parse=payload_items.stop_capture, uses="ends stills by time and by way"
+        command=Command.IMAGE_STOP_CAPTURE, parse=payload_items.stop_capture, uses="ends stills by time and by distance"
     ),
     ItemType(
         command=Command.DO_SET_CAM_TRIGG_DIST,
         parse=payload_items.trigger_by_way,
-        uses="p1 way between stills [m] by the estimate, in space, 0 = stop; p3 1 = the first at once",
+        uses="p1 distance between stills [m], 0 = stop; p3 1 = the first at once",
     ),
     ItemType(
         command=Command.DO_SET_CAM_TRIGG_INTERVAL,
@@ -169,22 +159,22 @@ _ROWS = (
         uses="p1 time between stills [ms], 0 = stop",
     ),
     ItemType(command=Command.DO_DIGICAM_CONTROL, parse=payload_items.digicam_control, uses="p5 above 0: one still"),
-    ItemType(command=Command.SET_CAMERA_MODE, parse=payload_items.camera_mode, uses="p2 0 (or 2): stills, as it is"),
+    ItemType(command=Command.SET_CAMERA_MODE, parse=payload_items.camera_mode, uses="p2 0 or 2 (stills)"),
     ItemType(command=Command.DO_SET_SERVO, parse=payload_items.set_servo, uses="p1 output, p2 pulse [us]"),
     ItemType(
         command=Command.DO_REPEAT_SERVO,
         parse=payload_items.repeat_servo,
-        uses="p1 output, p2 pulse [us], p3 how often there and back, p4 time of a cycle [s]",
+        uses="p1 output, p2 pulse [us], p3 cycles, p4 cycle time [s]",
     ),
     ItemType(
         command=Command.DO_SET_RELAY,
         parse=payload_items.set_relay,
-        uses="p1 relay from 0, p2 1 = on, 0 = off, -1 = the other side",
+        uses="p1 relay from 0, p2 1 = on, 0 = off, -1 = toggle",
     ),
     ItemType(
         command=Command.DO_REPEAT_RELAY,
         parse=payload_items.repeat_relay,
-        uses="p1 relay, p2 how often there and back, p3 time of a cycle [s]",
+        uses="p1 relay, p2 cycles, p3 cycle time [s]",
     ),
     ItemType(
         command=Command.DO_GRIPPER,
@@ -194,7 +184,7 @@ _ROWS = (
     ItemType(
         command=Command.DO_SET_ACTUATOR,
         parse=payload_items.set_actuator,
-        uses="p1 to p4 of actuators 1 to 4, -1 to 1, NaN = as it is; z 1 = 7 to 10",
+        uses="p1 to p4 actuators 1 to 4, -1 to 1, NaN = unchanged; z 1 = actuators 7 to 10",
     ),
     *(
         ItemType(command=command, parse=payload_items.refused(why), uses=f"refused: {why}")

@@ -32,13 +32,13 @@ RANK: dict[Effect, int] = {
 """The most severe of several wins."""
 
 EFFECTS: dict[Effect, str] = {
-    "off": "not looked at",
-    "warn": "the operator is told, nothing else",
-    "hold": "mode HOLD: comes to rest and keeps its station",
-    "return": "mode RETURN: home within the fence; HOLD where home cannot be returned to",
-    "surface": "mode SURFACE: up under the constraints of the flight; without a position straight up",
-    "drop": "as surface, and the drop weight is let go (where a device can)",
-    "hand back": "thrusters go to the flight controller below; where there is none they are neutral, disarmed",
+    "off": "not checked",
+    "warn": "a message to the operator, nothing else",
+    "hold": "mode HOLD: stops and keeps station",
+    "return": "mode RETURN: home within the fence; HOLD where home is out of reach",
+    "surface": "mode SURFACE: up within the constraints; without a position straight up",
+    "drop": "as surface, and the drop weight is released (if the vehicle has one)",
+    "hand back": "the flight controller below takes over; without one thrusters neutral, disarmed",
     "disarm": "thrusters neutral, disarmed",
 }
 
@@ -91,7 +91,7 @@ def _age(t_us: int, since_us: float) -> float:
 ROWS: tuple[Row, ...] = (
     Row(
         rule=Failsafe.NAV_LOST,
-        condition="estimate not valid for `FS_NAV_TIMEOUT`, once it has been valid",
+        condition="no valid estimate for `FS_NAV_TIMEOUT`, after there was one",
         level=lambda c, s: s.nav_lost,
         enter=1.0,
         enter_s="FS_NAV_TIMEOUT",
@@ -101,7 +101,7 @@ ROWS: tuple[Row, ...] = (
     ),
     Row(
         rule=Failsafe.SOLVER,
-        condition="`FS_SOLVER_N` control steps in a row without a solution: the whole chain is exhausted",
+        condition="`FS_SOLVER_N` control steps in a row without a solution, fallbacks included",
         level=lambda c, s: c.solver_failures,
         enter="FS_SOLVER_N",
         action="FS_SOLVER_ACT",
@@ -109,8 +109,7 @@ ROWS: tuple[Row, ...] = (
     ),
     Row(
         rule=Failsafe.BATTERY,
-        condition="share of the battery below `FS_BATT_LOW`, or voltage below `BATT_LOW_VOLT` (0: the vehicle file's "
-        "`low_v`) for `BATT_LOW_TIMER`",
+        condition="charge below `FS_BATT_LOW`, or voltage below `BATT_LOW_VOLT` for `BATT_LOW_TIMER`",
         level=lambda c, s: _NAN if c.power is None else min(c.power.remaining, s.low_voltage),
         enter="FS_BATT_LOW",
         below=True,
@@ -121,7 +120,7 @@ ROWS: tuple[Row, ...] = (
     ),
     Row(
         rule=Failsafe.AHRS_STALE,
-        condition="no AHRS sample for 0.5 s, or the same again and again",
+        condition="no new AHRS sample for 0.5 s",
         level=lambda c, s: _NAN if c.ahrs_age_s is None else c.ahrs_age_s,
         enter=0.5,
         effects=("surface",),
@@ -129,7 +128,7 @@ ROWS: tuple[Row, ...] = (
     ),
     Row(
         rule=Failsafe.THRUSTER,
-        condition="what is left of the thrusters holds no depth, heading or place, or commands do not reach them",
+        condition="the working thrusters cannot hold depth, heading or place, or commands do not reach them, for 3 s",
         level=lambda c, s: 1.0 if c.thruster_problem else 0.0,
         enter=1.0,
         enter_s=3.0,
@@ -139,7 +138,7 @@ ROWS: tuple[Row, ...] = (
     ),
     Row(
         rule=Failsafe.LATENCY,
-        condition="commands act later than `FS_LAT_MAX`",
+        condition="command latency above `FS_LAT_MAX`",
         level=lambda c, s: c.command_delay_s,
         enter="FS_LAT_MAX",
         action="FS_LAT_ACT",
@@ -147,7 +146,7 @@ ROWS: tuple[Row, ...] = (
     ),
     Row(
         rule=Failsafe.NAV_CHECK,
-        condition="the estimator in the shadow of the flown one is somewhere else",
+        condition="the two estimators disagree about the position",
         level=lambda c, s: c.nav_disagrees,
         enter=1.0,
         effects=("warn",),
@@ -155,7 +154,7 @@ ROWS: tuple[Row, ...] = (
     ),
     Row(
         rule=Failsafe.FAULT,
-        condition="something inside has failed within the last 5 s ([reliability.md](reliability.md))",
+        condition="internal fault within the last 5 s ([reliability.md](reliability.md))",
         level=lambda c, s: 1.0 if c.fault else 0.0,
         enter=1.0,
         effects=("warn",),
@@ -164,7 +163,7 @@ ROWS: tuple[Row, ...] = (
     ),
     Row(
         rule=Failsafe.GCS,
-        condition="a ground station has been heard and is silent for `FS_GCS_TIMEOUT`",
+        condition="no HEARTBEAT of a ground station for `FS_GCS_TIMEOUT`, after there was one",
         level=lambda c, s: _age(c.t_us, c.facts.gcs_us),
         enter="FS_GCS_TIMEOUT",
         action="FS_GCS_ENABLE",
@@ -174,7 +173,7 @@ ROWS: tuple[Row, ...] = (
     ),
     Row(
         rule=Failsafe.PILOT,
-        condition="a pilot has steered since arming (MANUAL_CONTROL, or below us) and is silent for `FS_PILOT_TIMEOUT`",
+        condition="no input for `FS_PILOT_TIMEOUT` of a pilot who has steered since arming",
         level=lambda c, s: _age(c.t_us, c.facts.pilot_us) if c.facts.pilot_us >= s.armed_us else _NAN,
         enter="FS_PILOT_TIMEOUT",
         action="FS_PILOT_INPUT",
@@ -185,7 +184,7 @@ ROWS: tuple[Row, ...] = (
     ),
     Row(
         rule=Failsafe.DEAD_RECKONING,
-        condition="no position fix for `FS_DR_TIME`: the estimate is carried on by model and AHRS alone",
+        condition="no position fix for `FS_DR_TIME` (dead reckoning)",
         level=lambda c, s: s.no_fix_s,
         enter="FS_DR_TIME",
         action="FS_DR_ACT",
@@ -195,9 +194,8 @@ ROWS: tuple[Row, ...] = (
     ),
     Row(
         rule=Failsafe.SENSOR,
-        condition="depth sensor, velocity log, power monitor, leak probe or hull sensor has spoken and is silent, "
-        "repeats one reading to the last digit, or (power monitor) says what is no voltage of this battery, for "
-        "`FS_SENS_TIME`",
+        condition="depth sensor, DVL, power monitor, leak probe or hull sensor silent, frozen or (power monitor) "
+        "implausible for `FS_SENS_TIME`, after it has worked",
         level=lambda c, s: s.silent_s,
         enter="FS_SENS_TIME",
         action="FS_SENS_ACT",
@@ -207,7 +205,7 @@ ROWS: tuple[Row, ...] = (
     ),
     Row(
         rule=Failsafe.DOUBT,
-        condition="fixes, range, map or calibration contradict each other ([estimation.md](estimation.md#doubt))",
+        condition="fixes, range, map or calibration contradict each other for 1 s ([estimation.md](estimation.md))",
         level=lambda c, s: 0.0 if c.nav_doubts.isdisjoint(_DOUBTS) else 1.0,
         enter=1.0,
         enter_s=1.0,
@@ -219,8 +217,7 @@ ROWS: tuple[Row, ...] = (
     ),
     Row(
         rule=Failsafe.BATTERY_CRITICAL,
-        condition="share of the battery below `FS_BATT_CRT`, or voltage below `BATT_CRT_VOLT` (0: the vehicle file's "
-        "`critical_v`) for `BATT_LOW_TIMER`",
+        condition="charge below `FS_BATT_CRT`, or voltage below `BATT_CRT_VOLT` for `BATT_LOW_TIMER`",
         level=lambda c, s: _NAN if c.power is None else min(c.power.remaining, s.critical_voltage),
         enter="FS_BATT_CRT",
         below=True,
@@ -230,7 +227,7 @@ ROWS: tuple[Row, ...] = (
     ),
     Row(
         rule=Failsafe.ENERGY,
-        condition="the rest of the plan, at what a metre cost of late, leaves less than `FS_ENRG_RES` of the battery",
+        condition="predicted charge at the end of the plan below `FS_ENRG_RES` for 5 s",
         level=lambda c, s: s.energy_lack,
         enter=0.0,
         gap=0.02,
@@ -242,7 +239,7 @@ ROWS: tuple[Row, ...] = (
     ),
     Row(
         rule=Failsafe.LEAK,
-        condition=f"a leak probe is wet, or has been within the last {FACTS.latched_us // 10**6} s",
+        condition=f"leak probe wet within the last {FACTS.latched_us // 10**6} s",
         level=lambda c, s: c.facts.wet_us + FACTS.latched_us >= c.t_us,
         enter=1.0,
         action="FS_LEAK_ENABLE",
@@ -252,7 +249,7 @@ ROWS: tuple[Row, ...] = (
     ),
     Row(
         rule=Failsafe.PRESSURE,
-        condition="pressure inside the hull above `FS_PRESS_MAX` for 2 s",
+        condition="hull pressure above `FS_PRESS_MAX` for 2 s",
         level=lambda c, s: c.facts.hull_pa,
         enter="FS_PRESS_MAX",
         gap=500.0,
@@ -265,7 +262,7 @@ ROWS: tuple[Row, ...] = (
     ),
     Row(
         rule=Failsafe.TEMPERATURE,
-        condition="temperature inside the hull above `FS_TEMP_MAX` for 2 s",
+        condition="hull temperature above `FS_TEMP_MAX` for 2 s",
         level=lambda c, s: c.facts.hull_c,
         enter="FS_TEMP_MAX",
         gap=2.0,
@@ -278,7 +275,7 @@ ROWS: tuple[Row, ...] = (
     ),
     Row(
         rule=Failsafe.CAGE_SOFT,
-        condition="the vehicle's ball reaches beyond fence or depth band by `FS_CAGE_SOFT` for 0.5 s",
+        condition="vehicle beyond fence or depth band by `FS_CAGE_SOFT` for 0.5 s",
         level=lambda c, s: s.beyond_m,
         enter="FS_CAGE_SOFT",
         gap=0.05,
@@ -290,7 +287,7 @@ ROWS: tuple[Row, ...] = (
     ),
     Row(
         rule=Failsafe.CAGE_HARD,
-        condition="the same by `FS_CAGE_HARD`",
+        condition="vehicle beyond fence or depth band by `FS_CAGE_HARD`",
         level=lambda c, s: s.beyond_m,
         enter="FS_CAGE_HARD",
         gap=0.05,
@@ -301,7 +298,7 @@ ROWS: tuple[Row, ...] = (
     ),
     Row(
         rule=Failsafe.TILT,
-        condition="lean from upright beyond `FS_CRASH_ANGLE` for 2 s",
+        condition="tilt above `FS_CRASH_ANGLE` for 2 s",
         level=lambda c, s: s.tilt_deg,
         enter="FS_CRASH_ANGLE",
         gap=5.0,
@@ -313,7 +310,8 @@ ROWS: tuple[Row, ...] = (
     ),
     Row(
         rule=Failsafe.COLLISION,
-        condition=f"a jolt above `FS_COLL_ACC`, over in 0.3 s, not by thrust; shown for {FACTS.shown_us // 10**6} s",
+        condition="acceleration peak above `FS_COLL_ACC` that thrust does not explain; "
+        f"shown for {FACTS.shown_us // 10**6} s",
         level=lambda c, s: c.facts.collided_us + FACTS.shown_us >= c.t_us,
         enter=1.0,
         action="FS_COLL_ACT",
@@ -323,7 +321,7 @@ ROWS: tuple[Row, ...] = (
     ),
     Row(
         rule=Failsafe.STUCK,
-        condition="on its way, a thruster at a third of `THR_LIMIT`, and slower than 0.05 m/s for `FS_STUCK_TIME`",
+        condition="under way, a thruster above a third of `THR_LIMIT`, slower than 0.05 m/s for `FS_STUCK_TIME`",
         level=lambda c, s: s.stuck_s,
         enter="FS_STUCK_TIME",
         action="FS_STUCK_ACT",
@@ -333,7 +331,7 @@ ROWS: tuple[Row, ...] = (
     ),
     Row(
         rule=Failsafe.TETHER,
-        condition="tether paid out (`TETHER_COUNT`: distance from home, or way travelled) to `TETHER_LEN`",
+        condition="tether paid out to `TETHER_LEN` (counted by `TETHER_COUNT`)",
         level=lambda c, s: s.tether_m,
         enter="TETHER_LEN",
         gap=0.2,
@@ -344,7 +342,7 @@ ROWS: tuple[Row, ...] = (
     ),
     Row(
         rule=Failsafe.LOOP,
-        condition="share of late ticks above `FS_LOOP_MAX` for 3 s",
+        condition="fraction of late ticks above `FS_LOOP_MAX` for 3 s",
         level=lambda c, s: c.facts.late_share,
         enter="FS_LOOP_MAX",
         enter_s=3.0,
@@ -355,7 +353,7 @@ ROWS: tuple[Row, ...] = (
     ),
     Row(
         rule=Failsafe.LOG,
-        condition="what happens is not recorded: disk full, gone or read-only",
+        condition="log not written: disk full, missing or read-only",
         level=lambda c, s: c.facts.log_lost,
         enter=1.0,
         action="FS_LOG_ACT",
@@ -383,8 +381,7 @@ ROWS: tuple[Row, ...] = (
     ),
     Row(
         rule=Failsafe.WATCHDOG,
-        condition="the process that stops the thrusters when the service cannot has ended, hangs or cannot be started, "
-        "for 3 s ([reliability.md](reliability.md#children))",
+        condition="thruster watchdog process missing or hanging for 3 s ([reliability.md](reliability.md))",
         level=lambda c, s: 1.0 if c.watchdog_problem else 0.0,
         enter=1.0,
         enter_s=3.0,
@@ -394,8 +391,7 @@ ROWS: tuple[Row, ...] = (
     ),
     Row(
         rule=Failsafe.CAMERA,
-        condition="pictures have jumped, or do not move as gyro and vehicle model say "
-        "([estimation.md](estimation.md#pictures-that-are-not-of-here-and-now))",
+        condition="images jump, or contradict gyro and vehicle model ([estimation.md](estimation.md))",
         level=lambda c, s: 1.0 if NavDoubt.CAMERA in c.nav_doubts else 0.0,
         enter=1.0,
         leave_s=1.0,
@@ -405,8 +401,7 @@ ROWS: tuple[Row, ...] = (
     ),
     Row(
         rule=Failsafe.SENDER,
-        condition="the outputs of the flight controller below show commands that are not ours, by turns with ours or "
-        "instead of them, within 15 reports (0.3 s)",
+        condition="the flight controller's outputs show another sender's commands, within 15 reports (0.3 s)",
         level=lambda c, s: _NAN if c.below is None else float(c.below.rival),
         enter=1.0,
         action="FS_SENDER_ACT",
