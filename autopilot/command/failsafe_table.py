@@ -287,7 +287,7 @@ ROWS: tuple[Row, ...] = (
     ),
     Row(
         rule=Failsafe.CAGE_HARD,
-        condition="vehicle beyond fence or depth band by `FS_CAGE_HARD`",
+        condition="vehicle beyond fence or depth band by `FS_CAGE_HARD` for 0.5 s",
         level=lambda c, s: s.beyond_m,
         enter="FS_CAGE_HARD",
         gap=0.05,
