@@ -1,6 +1,7 @@
 """Lines for the operator, in the order in which they were said."""
 
-from autopilot.core.messages import Event, Severity
+from autopilot.core.messages import Event
+from autopilot.core.operator_messages import OperatorText
 
 
 class Announcements:
@@ -11,9 +12,9 @@ class Announcements:
         """Time of the tick."""
         self._events: list[Event] = []
 
-    def say(self, severity: Severity, text: str) -> None:
+    def say(self, text: OperatorText) -> None:
         """A line of now."""
-        self._events.append(Event(t_us=self.t_us, severity=severity, text=text))
+        self._events.append(text.event(self.t_us))
 
     def pass_on(self, event: Event) -> None:
         """A line with a time of its own."""

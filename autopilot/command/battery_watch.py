@@ -1,6 +1,8 @@
 """The battery monitor's readings: which are believed, and what is said of the others."""
 
-from autopilot.core.messages import Event, Severity
+from autopilot.core import operator_messages as notices
+from autopilot.core.messages import Event
+from autopilot.core.operator_messages import OperatorText
 from autopilot.core.samples import PowerSample, plausible
 from autopilot.core.vehicle import BatteryLimits
 
@@ -35,22 +37,23 @@ class BatteryWatch:
         """Take a reading; whether it is believed."""
         limits = self._limits
         if not plausible(sample):
-            self._refuse(t_us, "Battery monitor makes no sense: check it")
+            self._refuse(t_us, notices.BATTERY_IMPLAUSIBLE())
         elif not limits.can_be(sample.voltage_v):
-            span = f"{limits.min_v:.3g} to {limits.max_v:.3g} V"
-            text = f"Battery says {sample.voltage_v:.1f} V, plausible {span}: check monitor, vehicle file"
-            self._refuse(t_us, text)
+            found = notices.BATTERY_VOLTAGE_IMPLAUSIBLE(
+                voltage_v=sample.voltage_v, low_v=limits.min_v, high_v=limits.max_v
+            )
+            self._refuse(t_us, found)
         else:
             self.power, self._good_us, self._refused_us = sample, t_us, None
             return True
         return False
 
-    def _refuse(self, t_us: int, text: str) -> None:
+    def _refuse(self, t_us: int, text: OperatorText) -> None:
         self.refused += 1
         self._refused_us = t_us
         if self._said_us is None or t_us - self._said_us >= SAY_EVERY_US:
             self._said_us = t_us
-            self._events.append(Event(t_us=t_us, severity=Severity.WARNING, text=text))
+            self._events.append(text.event(t_us))
 
     def take_events(self) -> list[Event]:
         """Lines for the operator since the last call."""

@@ -7,22 +7,23 @@ dark, too bright or too foggy for markers: that counts only while none is found 
 from collections.abc import Sequence
 
 from autopilot.command.tuned import CAMERA_WATCH
-from autopilot.core.messages import Event, Severity
+from autopilot.core import operator_messages as notices
+from autopilot.core.messages import Event
 from autopilot.core.samples import FrameVerdict, MarkerSighting, PictureReport, Sample
 
 FOGGY, SILENT = "foggy", "silent"
-TEXTS = {
-    FrameVerdict.DARK.value: "Camera black: remove its cover, switch on light",
-    FrameVerdict.BRIGHT.value: "Camera over-exposed: shorten exposure, dim light",
-    FrameVerdict.FLAT.value: "Camera shows one grey level: check lens, cable",
-    FrameVerdict.TORN.value: "Camera pictures are torn: check its cable",
-    FrameVerdict.FROZEN.value: "Camera frozen, same picture again: restart it",
-    FrameVerdict.WRONG_SIZE.value: "Picture size is not the vehicle file's: check it",
-    FrameVerdict.WRONG_TYPE.value: "Camera sends no 8-bit pictures: set its format",
-    FOGGY: "Camera foggy: clean its lens, or water is turbid",
-    SILENT: "Camera sends no pictures: check its cable",
+MESSAGES = {
+    FrameVerdict.DARK.value: notices.CAMERA_DARK,
+    FrameVerdict.BRIGHT.value: notices.CAMERA_BRIGHT,
+    FrameVerdict.FLAT.value: notices.CAMERA_FLAT,
+    FrameVerdict.TORN.value: notices.CAMERA_TORN,
+    FrameVerdict.FROZEN.value: notices.CAMERA_FROZEN,
+    FrameVerdict.WRONG_SIZE.value: notices.CAMERA_WRONG_SIZE,
+    FrameVerdict.WRONG_TYPE.value: notices.CAMERA_WRONG_TYPE,
+    FOGGY: notices.CAMERA_FOGGY,
+    SILENT: notices.CAMERA_SILENT,
 }
-WELL = "Camera is well again"
+"""What the operator hears of each trouble."""
 
 
 class CameraWatch:
@@ -57,8 +58,8 @@ class CameraWatch:
             return []
         self._trouble = self._now
         if self._now is None:
-            return [Event(t_us=t_us, severity=Severity.INFO, text=WELL)]
-        return [Event(t_us=t_us, severity=Severity.WARNING, text=TEXTS[self._now])]
+            return [notices.CAMERA_WORKS.event(t_us)]
+        return [MESSAGES[self._now].event(t_us)]
 
     def _note(self, t_us: int, trouble: str | None) -> None:
         if trouble != self._now:

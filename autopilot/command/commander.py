@@ -25,13 +25,13 @@ from autopilot.command.motor_tests import MotorTests
 from autopilot.command.plan_watch import FenceGuard, PlanCheckNews
 from autopilot.command.situation import Situation
 from autopilot.command.watch import Watch
+from autopilot.core import operator_messages as notices
 from autopilot.core.errors import ConfigError
 from autopilot.core.frames import FloatArray
 from autopilot.core.geodesy import Origin, Place, refuse_place
 from autopilot.core.geometry import Fence
-from autopilot.core.messages import Event, NavState, RunEnd, Severity
+from autopilot.core.messages import Event, NavState, RunEnd
 from autopilot.core.params import ParamSet
-from autopilot.core.phrases import NO_FENCE
 from autopilot.core.plan import PlanKind, PlanRejection
 from autopilot.core.vehicle import Vehicle
 from autopilot.mavlink.api import ACCEPTED, Answer, Circling, CommandResult, FlightMode, MotorTest, SetPoint
@@ -166,16 +166,16 @@ class Commander:
             result = CommandResult.TEMPORARILY_REJECTED if waits else CommandResult.DENIED
             return Answer(result=result, reason="Arming denied: " + (CHECKING if force else "; ".join(reasons)))
         if reasons:
-            self._operator.say(Severity.WARNING, "Forced arming despite: " + "; ".join(reasons))
+            self._operator.say(notices.FORCED_ARMING(reasons="; ".join(reasons)))
         self._modes.arm()
         self._disarming.give_up()
         self._ending = None
         mode = self._modes.chosen
         allowed = self._modes.refusal(mode) is None and not self._modes.prepare(mode)
         self._modes.enter(mode if allowed else FlightMode.HOLD)
-        self._operator.say(Severity.INFO, "Armed")
+        self._operator.say(notices.ARMED())
         if not self._arming.fenced:
-            self._operator.say(Severity.NOTICE, f"Armed with {NO_FENCE}: keep clear of walls, or upload one")
+            self._operator.say(notices.ARMED_UNFENCED())
         return ACCEPTED
 
     def disarm(self, force: bool) -> Answer:
@@ -382,7 +382,7 @@ class Commander:
         if self._modes.armed:
             return Answer(result=CommandResult.TEMPORARILY_REJECTED, reason="Reboot refused: disarm first")
         self._ending = self._ticks + END_AFTER_TICKS, end
-        self._operator.say(Severity.INFO, "Restarting" if end is RunEnd.AGAIN else "Stopping")
+        self._operator.say(notices.RESTARTING() if end is RunEnd.AGAIN else notices.STOPPING())
         return ACCEPTED
 
     @property
@@ -402,8 +402,8 @@ class Commander:
         self._plans.tick()
         self._watch_plan()
         self._watch_check(conditions.t_us)
-        for severity, text in self._watch.look(conditions, armed=modes.armed):
-            self._operator.say(severity, text)
+        for text in self._watch.look(conditions, armed=modes.armed):
+            self._operator.say(text)
         modes.watch_below(conditions.below, self._may_resume)
         mode = modes.mode
         self._situation.look(
@@ -454,7 +454,7 @@ class Commander:
         if not self._mission.load() or self._modes.chosen is not FlightMode.MISSION:
             return
         if self._modes.armed:
-            self._operator.say(Severity.WARNING, "Mission changed while it ran: holding, start again")
+            self._operator.say(notices.MISSION_CHANGED())
         self._modes.interrupt()
 
     def _watch_check(self, t_us: int) -> None:

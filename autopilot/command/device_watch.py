@@ -2,7 +2,8 @@
 
 from collections.abc import Sequence
 
-from autopilot.core.messages import DeviceRole, DeviceTrouble, Event, Severity
+from autopilot.core import operator_messages as notices
+from autopilot.core.messages import DeviceRole, DeviceTrouble, Event
 
 SAY_EVERY_US = 5_000_000
 """The same trouble is said again after so long."""
@@ -48,11 +49,10 @@ class DeviceWatch:
             said_us = self._last_us.get(device) if device in _SAID_ONCE else self._said_us.get(device)
             if said_us is None or t_us - said_us >= SAY_EVERY_US:
                 self._said_us[device] = t_us
-                events.append(Event(t_us=t_us, severity=Severity.CRITICAL, text=f"{name} failed: {trouble.text}"))
+                events.append(notices.DEVICE_FAILED.event(t_us, device=name, reason=trouble.text))
             self._last_us[device] = t_us
         for device, last_us in tuple(self._last_us.items()):
             if t_us - last_us > DEVICE_OVER_US:
                 del self._last_us[device]
-                text = f"{_DEVICE_NAMES[device]}: working again"
-                events.append(Event(t_us=t_us, severity=Severity.INFO, text=text))
+                events.append(notices.DEVICE_WORKS.event(t_us, device=_DEVICE_NAMES[device]))
         return events

@@ -4,14 +4,13 @@ A vehicle without one below is disarmed when its thrusters are neutral: there is
 """
 
 from autopilot.command.announcements import Announcements
-from autopilot.core.messages import Below, Severity
+from autopilot.core import operator_messages as notices
+from autopilot.core.messages import Below
 from autopilot.mavlink.api import ACCEPTED, Answer, CommandResult
 
 CONFIRM_TICKS = 300
 """3 s, twelve requests: then it is said that it has not worked. It is asked for until it has."""
 
-NOT_CONFIRMED = "Flight controller does not confirm disarming: use its own switch"
-CONFIRMED = "Flight controller is disarmed now"
 ARMED_ANEW = "Disarming ended: armed anew"
 
 WAITING = Answer(result=CommandResult.IN_PROGRESS)
@@ -56,10 +55,11 @@ class Disarming:
             return
         if self._alone or (below is not None and ticks > 0 and below.armed is False):
             if ticks > CONFIRM_TICKS:
-                self._operator.say(Severity.NOTICE, CONFIRMED)
+                self._operator.say(notices.DISARM_CONFIRMED())
             self.answer = ACCEPTED
             return
         self._ticks = ticks + 1
         if ticks == CONFIRM_TICKS:
-            self.answer = Answer(result=CommandResult.FAILED, reason=NOT_CONFIRMED)
-            self._operator.say(Severity.CRITICAL, NOT_CONFIRMED)
+            found = notices.DISARM_NOT_CONFIRMED()
+            self.answer = Answer(result=CommandResult.FAILED, reason=found.text)
+            self._operator.say(found)

@@ -3,6 +3,7 @@
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
+from autopilot.core import operator_messages as notices
 from autopilot.core.guard import Guard
 from autopilot.core.messages import (
     AidStatus,
@@ -12,7 +13,6 @@ from autopilot.core.messages import (
     NavDoubt,
     NavHealth,
     NavState,
-    Severity,
     ShadowStatus,
 )
 from autopilot.core.model4 import NO_STATE
@@ -39,8 +39,6 @@ class Estimated:
     doubts: frozenset[NavDoubt] = frozenset()
 
 
-NOT_FINITE = "Estimate not finite: not used, restart if it stays"
-FINITE = "Estimate is finite again"
 FINITE_AGAIN_US = 1_000_000
 """After so long without one that is not finite."""
 
@@ -86,7 +84,7 @@ class Estimation:
         estimator, t_us = self._estimator, inputs.t_us
         nav = estimator.step(t_us, inputs.samples + given.samples, given.thrust_n)
         remarks = estimator.take_remarks()
-        self._remarks += [Event(t_us=t_us, severity=Severity.WARNING, text=text) for text in remarks]
+        self._remarks += [notices.ESTIMATOR_REMARK.event(t_us, text=text) for text in remarks]
         return Estimated(
             nav=nav,
             ahrs_us=estimator.ahrs_us,
@@ -104,11 +102,11 @@ class Estimation:
         sound = sound and sum(map(abs, nav.variance.tolist())) < NO_STATE**2
         if not sound:
             if self._not_finite_us is None:
-                self._remarks.append(Event(t_us=t_us, severity=Severity.ERROR, text=NOT_FINITE))
+                self._remarks.append(notices.ESTIMATE_NOT_FINITE.event(t_us))
             self._not_finite, self._not_finite_us = self._not_finite + 1, t_us
         elif self._not_finite_us is not None and t_us - self._not_finite_us > FINITE_AGAIN_US:
             self._not_finite_us = None
-            self._remarks.append(Event(t_us=t_us, severity=Severity.INFO, text=FINITE))
+            self._remarks.append(notices.ESTIMATE_FINITE.event(t_us))
         return sound
 
     def _stand_in(self, t_us: int) -> Estimated:

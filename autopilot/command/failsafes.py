@@ -10,6 +10,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from autopilot.command.conditions import Conditions
 from autopilot.command.failsafe_table import RANK, ROWS, Bound, Effect, Row
 from autopilot.command.situation import Situation
+from autopilot.core import operator_messages as notices
 from autopilot.core.messages import Event, Failsafe, NavDoubt, NavHealth, Severity
 from autopilot.core.params import ParamSet
 from autopilot.core.samples import PowerSample
@@ -162,11 +163,11 @@ class FailsafeRules:
         if watch.active:
             watch.text = _Words(self._params, conditions, self._situation).put_in(watch.row.text)
         if self._armed:
-            severity, told = Severity.INFO, f"Failsafe over: {watch.text}"
+            row = notices.FAILSAFE_OVER
             if watch.active:
-                acts = RANK[watch.effect] > 0
-                severity, told = Severity.CRITICAL if acts else watch.row.severity, f"Failsafe: {watch.text}"
-            events.append(Event(t_us=conditions.t_us, severity=severity, text=told))
+                urgent = RANK[watch.effect] > 0 or watch.row.severity is Severity.CRITICAL
+                row = notices.FAILSAFE_ACTS if urgent else notices.FAILSAFE_WARNS
+            events.append(row.event(conditions.t_us, condition=watch.text))
 
     def _land(self) -> None:
         """Disarmed: what is looked at only in flight is over."""
@@ -233,8 +234,9 @@ def _battery(power: PowerSample | None, situation: Situation, share: str) -> str
 
 def _override_event(t_us: int, bits: int) -> Event:
     names = ", ".join(rule.name for rule in Failsafe if bits >> rule & 1)
-    text = f"Operator overrides failsafes: {names}" if names else "Failsafe override ended"
-    return Event(t_us=t_us, severity=Severity.WARNING, text=text)
+    if not names:
+        return notices.FAILSAFE_OVERRIDE_ENDED.event(t_us)
+    return notices.FAILSAFES_OVERRIDDEN.event(t_us, names=names)
 
 
 def _value(bound: Bound, params: Mapping[str, float]) -> float:

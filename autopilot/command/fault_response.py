@@ -16,9 +16,10 @@ from autopilot.command.commander import Commander
 from autopilot.command.motion import Motion, model_state
 from autopilot.command.tuned import FAULT_RESPONSE
 from autopilot.control.robust.fallback import station_keeping_thrust
+from autopilot.core import operator_messages as notices
 from autopilot.core.frames import FloatArray
 from autopilot.core.guard import Fault, Guard
-from autopilot.core.messages import Event, NavHealth, NavState, Severity
+from autopilot.core.messages import Event, NavHealth, NavState
 from autopilot.core.params import ParamSet
 from autopilot.core.sharing import Sharing
 from autopilot.core.vehicle import Vehicle
@@ -72,8 +73,7 @@ class FaultResponse:
         self._faults += faults
         held = self.holding
         if self._take(faults, armed=commander.armed):
-            text = f"Disarmed: {faults[-1].part} failed twice the same way"
-            self._events.append(Event(t_us=guard.t_us, severity=Severity.CRITICAL, text=text))
+            self._events.append(notices.FAULT_DISARMED.event(guard.t_us, part=faults[-1].part))
             guard.run("disarming", lambda: commander.disarm(True), None)
             self.stopped = commander.armed
         elif self.holding and not held:
@@ -125,7 +125,7 @@ class FaultResponse:
         while len(self._said_us) >= FAULT_RESPONSE.max_kinds:
             del self._said_us[next(iter(self._said_us))]
         self._said_us[fault.key] = fault.t_us
-        self._events.append(Event(t_us=fault.t_us, severity=Severity.CRITICAL, text=fault.line))
+        self._events.append(notices.FAULT.event(fault.t_us, line=fault.line))
 
     def thrust_n(self, t_us: int, nav: NavState | None, limit_n: FloatArray) -> FloatArray:
         """Thrust (n,) while the controller is out."""

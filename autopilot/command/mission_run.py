@@ -9,8 +9,9 @@ import numpy as np
 from autopilot.command.announcements import Announcements
 from autopilot.command.conditions import Conditions
 from autopilot.command.tuned import MISSION_RUN
+from autopilot.core import operator_messages as notices
 from autopilot.core.frames import FloatArray
-from autopilot.core.messages import Goal, NavState, ProgressState, Severity
+from autopilot.core.messages import Goal, NavState, ProgressState
 from autopilot.core.params import ParamSet
 from autopilot.mission.items import Step, Timed
 from autopilot.mission.sequencer import Sequencer, SequencerOutput
@@ -80,7 +81,7 @@ class MissionRun:
         """Home where nobody has asked for it."""
         refusal = self.set_home(pos_ned_m)
         if refusal:
-            self._operator.say(Severity.WARNING, f"Home stays where it was: {refusal}")
+            self._operator.say(notices.HOME_KEPT(reason=refusal))
 
     def step(self, t_us: int, nav: NavState) -> SequencerOutput:
         """One tick while the mission is flown."""
@@ -98,22 +99,23 @@ class MissionRun:
     def _tell_reached(self, t_us: int) -> None:
         """What has been reached since the last text."""
         count = len(self._untold)
+        if not count:
+            return
         if count == 1:
-            text = f"Reached item {self._untold[0]}"
+            text = notices.REACHED(seq=self._untold[0])
         elif count <= MISSION_RUN.reached_named:
-            text = "Reached items " + ", ".join(map(str, self._untold))
+            text = notices.REACHED_SEVERAL(seqs=", ".join(map(str, self._untold)))
         else:
-            text = f"Reached {count} items, the last is {self._untold[-1]}"
-        if count:
-            self._operator.say(Severity.INFO, text)
-            self._untold, self._told_reached_us = (), t_us
+            text = notices.REACHED_MANY(count=count, seq=self._untold[-1])
+        self._operator.say(text)
+        self._untold, self._told_reached_us = (), t_us
 
     def completed(self, t_us: int, laps: int, reached: tuple[int, ...]) -> tuple[int, ...]:
         """Say that the mission is over. The result is ``reached`` with the last item: a plan that ends with DO_ items
         is over with the last of them, and MAVSDK's progress waits for its number."""
         skipped = self.sequencer.skipped
         more = f", items skipped: {skipped}" if skipped else ""
-        self._operator.say(Severity.INFO, f"Mission complete, laps: {laps}{more}")
+        self._operator.say(notices.MISSION_COMPLETE(laps=laps, skipped=more))
         steps = self._plans.steps()
         last = len(steps) - 1
         flown = max((*reached, self.sequencer.progress(t_us).reached_seq))
@@ -162,14 +164,14 @@ class MissionRun:
         action = int(self._params["WP_STUCK_ACT"]) if flies else StuckAction.WARN
         if action == StuckAction.WARN:
             name = f"Item {goal.seq}" if flies else "Home"
-            self._operator.say(Severity.WARNING, f"{name} out of reach: {why}")
+            self._operator.say(notices.OUT_OF_REACH(name=name, reason=why))
             return False
         if action == StuckAction.SKIP:
-            self._operator.say(Severity.WARNING, f"Skipped item {goal.seq}, out of reach: {why}")
+            self._operator.say(notices.ITEM_SKIPPED(seq=goal.seq, reason=why))
             self.sequencer.skip(nav)
             self.forget_progress()
             return False
-        self._operator.say(Severity.WARNING, f"Holding: item {goal.seq} out of reach, {why}")
+        self._operator.say(notices.ITEM_HELD(seq=goal.seq, reason=why))
         return True
 
     # What the current leaves
@@ -199,4 +201,4 @@ class MissionRun:
         found = (leg.seq, leg.out_of_reach(least_m_s))
         if found not in self._told_upstream:
             self._told_upstream.add(found)
-            self._operator.say(Severity.WARNING, leg.text(least_m_s))
+            self._operator.say(notices.UPSTREAM(leg=leg.text(least_m_s)))

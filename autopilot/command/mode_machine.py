@@ -10,7 +10,8 @@ from autopilot.command.failsafes import FailsafeRules
 from autopilot.command.modes.mode import Mode, Step, Tools, denied
 from autopilot.command.modes.table import MODES
 from autopilot.control.thrust.by_hand import ByHand
-from autopilot.core.messages import Authority, Below, Failsafe, Goal, NavState, Severity
+from autopilot.core import operator_messages as notices
+from autopilot.core.messages import Authority, Below, Failsafe, Goal, NavState
 from autopilot.mavlink.api import Answer, FlightMode
 from autopilot.mission.items import Order
 
@@ -122,13 +123,12 @@ class ModeMachine:
         self.stops_below = True
         self._override = None
         self.enter(FlightMode.HOLD)
-        severity, text = (Severity.WARNING, "Emergency stop") if force else (Severity.INFO, "Disarmed")
-        self._operator.say(severity, text)
+        self._operator.say(notices.EMERGENCY_STOP() if force else notices.DISARMED())
 
     def choose(self, mode: FlightMode) -> None:
         """The operator's order. It ends a failsafe's override, but for one that surfaces already."""
         if mode is not self.chosen:
-            self._operator.say(Severity.INFO, f"Mode {mode.name}")
+            self._operator.say(notices.MODE(name=mode.name))
         if self._override is not None and mode is not FlightMode.SURFACE:
             self._override = None
             self._failsafes.clear()
@@ -170,21 +170,21 @@ class ModeMachine:
         if below is None or not self.armed:
             return
         if below.authority is Authority.STOPPED:
-            self._operator.say(Severity.CRITICAL, f"Stopped below: {below.text}")
+            self._operator.say(notices.STOPPED_BELOW(reason=below.text))
             self.disarm(force=True)
             self.stops_below = False
         elif below.authority is Authority.PILOT and not self.yielded:
             self._before = self.chosen
             self.enter(FlightMode.HOLD)
             self.yielded, self.goal = True, None
-            self._operator.say(Severity.WARNING, f"Pilot has taken over ({below.text}): let go")
+            self._operator.say(notices.PILOT_HAS_CONTROL(mode=below.text))
         elif below.authority is Authority.OURS and self.yielded:
             self.yielded = False
             if not self._failsafes.acting:
                 self._override = None
                 self._failsafes.clear()
             resumes = self._before is FlightMode.MISSION and self._override is None and may_resume()
-            self._operator.say(Severity.INFO, f"Pilot has given back: {'mission goes on' if resumes else 'holding'}")
+            self._operator.say(notices.PILOT_GAVE_BACK(next="mission goes on" if resumes else "holding"))
             self.enter(FlightMode.MISSION if resumes else FlightMode.HOLD)
 
     # One tick
@@ -198,20 +198,20 @@ class ModeMachine:
             return
         if action == "disarm" or action == "hand back":
             verb = "disarms" if action == "disarm" else "hands back"
-            self._operator.say(Severity.CRITICAL, f"Failsafe {verb}: {self._failsafes.describe()}")
+            self._operator.say(notices.FAILSAFE_ENDS_FLIGHT(verb=verb, conditions=self._failsafes.describe()))
             self.handed_back = action == "hand back"
             self.disarm(force=True)
             self.stops_below = not self.handed_back
             return
         if action == "drop" and not self.drop_weight:
             self.drop_weight = True
-            self._operator.say(Severity.CRITICAL, f"Failsafe drops weight: {self._failsafes.describe()}")
+            self._operator.say(notices.FAILSAFE_DROPS(conditions=self._failsafes.describe()))
         mode = self._mode_of(action)
         if self._override is not mode and self._override is not FlightMode.SURFACE:
             self.active.leave()
             self._override = mode
             self.goal = self._goal_here(mode)
-            self._operator.say(Severity.CRITICAL, f"Failsafe {mode.name}: {self._failsafes.describe()}")
+            self._operator.say(notices.FAILSAFE_MODE(mode=mode.name, conditions=self._failsafes.describe()))
         unsolved = self._failsafes.bits >> Failsafe.SOLVER & 1
         if self._override is FlightMode.SURFACE and unsolved and self.ascent is None and self.nav is not None:
             x, y, z = self._goals.surface(self.nav).pos_ned_m.tolist()
@@ -267,9 +267,9 @@ class ModeMachine:
         """A pilot is told when fence and limits no longer hold, and when they do again."""
         seen, piloted = self.nav is not None, self.armed and not self.active.needs_position
         if piloted and self._seen and not seen:
-            self._operator.say(Severity.CRITICAL, "Position lost: no fence, no limits, steer by hand")
+            self._operator.say(notices.POSITION_LOST_PILOTED())
         elif piloted and seen and not self._seen:
-            self._operator.say(Severity.INFO, "Position is back: fence and limits hold")
+            self._operator.say(notices.POSITION_BACK_PILOTED())
         if seen != self._seen:
             self.active.position_came_or_went()
         self._seen = seen

@@ -8,7 +8,7 @@ from autopilot.command.announcements import Announcements
 from autopilot.command.conditions import Conditions
 from autopilot.command.mode_machine import ModeMachine
 from autopilot.command.tuned import MOTOR_TESTS
-from autopilot.core.messages import Severity
+from autopilot.core import operator_messages as notices
 from autopilot.core.vehicle import Vehicle
 from autopilot.mavlink.api import FlightMode, MotorTest, Sticks
 from autopilot.mission.goals import Goals
@@ -52,7 +52,7 @@ class MotorTests:
             self._began_us = t_us
         if self._now is None or self._now[0] != place:
             held = f", at most {100.0 * MOTOR_TESTS.most_share:g} %" if abs(wanted_us) > most_us else ""
-            self._operator.say(Severity.INFO, f"Motor test: {test.number} {thruster.name}{held}")
+            self._operator.say(notices.MOTOR_TEST(number=test.number, name=thruster.name, limit=held))
         self._now = (place, pulse_us)
         self._until_us = t_us + round(1e6 * min(test.seconds or MOTOR_TESTS.silence_s, MOTOR_TESTS.most_s))
         return ""
@@ -67,7 +67,7 @@ class MotorTests:
             reason, self._rest_us = f"{MOTOR_TESTS.most_s:g} s", t_us + round(1e6 * MOTOR_TESTS.rest_s)
         if reason or t_us >= self._until_us:
             self._now = None
-            self._operator.say(Severity.INFO, f"Motor test over: {reason}" if reason else "Motor test over")
+            self._operator.say(notices.MOTOR_TEST_ENDED(reason=reason) if reason else notices.MOTOR_TEST_OVER())
         return self._now
 
     def _end(self, conditions: Conditions) -> str:

@@ -8,7 +8,8 @@ from collections.abc import Sequence
 
 from autopilot.command.equipment import Equipment
 from autopilot.command.photographer import Photographer
-from autopilot.core.messages import Event, Severity
+from autopilot.core import operator_messages as notices
+from autopilot.core.messages import Event
 from autopilot.mavlink.api import ACCEPTED, Answer, CommandResult
 from autopilot.mission.items import Order
 from autopilot.mission.payload_items import (
@@ -53,8 +54,7 @@ class PayloadOrders:
         for order in orders:
             answer = self._done(order)
             if answer.result is not CommandResult.ACCEPTED:
-                text = f"Item {order.seq}: {answer.reason}"
-                events.append(Event(t_us=t_us, severity=Severity.WARNING, text=text))
+                events.append(notices.ITEM_ORDER_FAILED.event(t_us, seq=order.seq, reason=answer.reason))
         return events
 
     def _done(self, order: Order) -> Answer:

@@ -12,9 +12,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from autopilot.command.tuned import PHOTOGRAPHER
+from autopilot.core import operator_messages as notices
 from autopilot.core.camera import CameraModel
 from autopilot.core.frames import FloatArray, wrap_pi
-from autopilot.core.messages import Event, Inputs, NavHealth, NavState, Severity
+from autopilot.core.messages import Event, Inputs, NavHealth, NavState
 from autopilot.core.stills import CameraReport, StillRecord, StoredStill
 from autopilot.core.vehicle import Vehicle
 from autopilot.mavlink.api import ACCEPTED, Answer, CommandResult
@@ -167,7 +168,7 @@ class Photographer:
             refusal = self.refusal
             if refusal:
                 self._sequence = self._survey = None
-                self._say(Severity.WARNING, f"Photos stopped: {refusal}")
+                self._events.append(notices.PHOTOS_STOPPED.event(self._t_us, reason=refusal))
         self._by_time(t_us)
         self._by_way()
         for index, seq in self._wanted:
@@ -210,7 +211,7 @@ class Photographer:
             return True
         if not self._skipped:
             self._skipped = True
-            self._say(Severity.WARNING, "Photos left out: camera does not follow")
+            self._events.append(notices.PHOTOS_SKIPPED.event(self._t_us))
         return False
 
     def _ask(self, seq: int) -> None:
@@ -235,7 +236,7 @@ class Photographer:
         self._news.append(record)
         self._fresh.append(record)
         if still.problem:
-            self._say(Severity.WARNING, f"Photo {still.index} failed: {still.problem}")
+            self._events.append(notices.PHOTO_FAILED.event(self._t_us, index=still.index, reason=still.problem))
 
     def _pose_at(self, t_us: int) -> tuple[FloatArray, FloatArray, FloatArray] | None:
         """Position, attitude and their variances at a time, between the estimates before and after it."""
@@ -255,6 +256,3 @@ class Photographer:
         turn = [wrap_pi(b - a) for a, b in zip(before.rpy_rad.tolist(), after.rpy_rad.tolist(), strict=True)]
         rpy = np.array([wrap_pi(a + share * d) for a, d in zip(before.rpy_rad.tolist(), turn, strict=True)])
         return pos, rpy, np.maximum(before.variance[:6], after.variance[:6])
-
-    def _say(self, severity: Severity, text: str) -> None:
-        self._events.append(Event(t_us=self._t_us, severity=severity, text=text))

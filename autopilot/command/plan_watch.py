@@ -3,10 +3,10 @@
 from collections.abc import Sequence
 
 from autopilot.command.announcements import Announcements
+from autopilot.core import operator_messages as notices
 from autopilot.core.frames import FloatArray
-from autopilot.core.messages import Goal, NavState, Severity
+from autopilot.core.messages import Goal, NavState
 from autopilot.core.params import ParamSet
-from autopilot.core.phrases import NO_START
 from autopilot.core.plan import MissionResult, PlanKind, PlanRejection
 from autopilot.core.vehicle import Vehicle
 from autopilot.mission.goals import Goals
@@ -46,11 +46,11 @@ class PlanCheckNews:
         ends = bool(problem) and in_mission
         again = revision != self._told_revision and t_us - self._told_us >= REPEAT_US
         if ends:
-            self._operator.say(Severity.WARNING, f"Holding: {problem}")
+            self._operator.say(notices.PLAN_HOLD(problem=problem))
         elif problem and (problem != self._told or again):
-            self._operator.say(Severity.WARNING, NO_START + problem)
+            self._operator.say(notices.PLAN_NO_START(problem=problem))
         elif self._told and not problem:
-            self._operator.say(Severity.INFO, "Plan ok")
+            self._operator.say(notices.PLAN_OK())
         else:
             return False
         self._told, self._told_us, self._told_revision = problem, t_us, revision

@@ -11,10 +11,11 @@ from autopilot.command.facts import Facts, Jolts
 from autopilot.command.tuned import SURROUNDINGS
 from autopilot.control.fence.obstacles import clearance_m
 from autopilot.control.fence.tracks import Tracks
+from autopilot.core import operator_messages as notices
 from autopilot.core.camera import CameraModel
 from autopilot.core.geometry import Fence
 from autopilot.core.laser_dot import dot_range
-from autopilot.core.messages import Below, Event, Inputs, Severity
+from autopilot.core.messages import Below, Event, Inputs
 from autopilot.core.params import ParamSet
 from autopilot.core.samples import (
     AhrsSample,
@@ -172,8 +173,7 @@ class Surroundings:
         """Lines for the operator since the last call."""
         over_m = self.tracks.over_m
         if over_m is not None and not self._told_over:
-            text = f"Not avoided: we are in an obstacle of {over_m:.0f} m"
-            self._events.append(Event(t_us=self._t_us, severity=Severity.WARNING, text=text))
+            self._events.append(notices.IN_OBSTACLE.event(self._t_us, size_m=over_m))
         self._told_over = over_m is not None
         events, self._events = self._events + self.power_watch.take_events(), []
         return events

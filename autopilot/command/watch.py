@@ -3,26 +3,28 @@
 from autopilot.command.conditions import Conditions
 from autopilot.command.tuned import WATCH
 from autopilot.control.thrust.twins import lossy_share
-from autopilot.core.messages import NavDoubt, NavHealth, NavState, Severity
+from autopilot.core import operator_messages as notices
+from autopilot.core.messages import NavDoubt, NavHealth, NavState
+from autopilot.core.operator_messages import OperatorText
 from autopilot.core.vehicle import Vehicle
 from autopilot.mission.goals import Goals
 from autopilot.mission.store import Plans
 
 _HEALTH_TEXTS = {
-    NavHealth.GOOD: (Severity.INFO, "Position is good again"),
-    NavHealth.DEAD_RECKONING: (Severity.WARNING, "Dead reckoning: no position fix, look for markers"),
-    NavHealth.INVALID: (Severity.ERROR, "Position lost, drifting: bring markers into view"),
+    NavHealth.GOOD: notices.POSITION_GOOD,
+    NavHealth.DEAD_RECKONING: notices.DEAD_RECKONING,
+    NavHealth.INVALID: notices.POSITION_LOST,
 }
 
 _DOUBT_TEXTS = {
-    NavDoubt.ACCELEROMETER: "Accelerometer wrong: keep markers in view",
-    NavDoubt.GYRO: "Gyro wrong: keep markers in view, check AHRS",
-    NavDoubt.FIXES: "Fixes deny the estimate: check markers, camera",
-    NavDoubt.RANGE: "Laser denies the height: calibrate camera",
-    NavDoubt.MAP: "Marker map disagrees: check it or survey it",
-    NavDoubt.CALIBRATION: "Camera calibration doubtful: see messages",
-    NavDoubt.RESETS: "Position reset repeatedly: check map, camera",
-    NavDoubt.CAMERA: "Camera wrong: it shows another place or time",
+    NavDoubt.ACCELEROMETER: notices.ACCELEROMETER_WRONG,
+    NavDoubt.GYRO: notices.GYRO_WRONG,
+    NavDoubt.FIXES: notices.FIXES_DISAGREE,
+    NavDoubt.RANGE: notices.RANGE_DISAGREES,
+    NavDoubt.MAP: notices.MAP_DISAGREES,
+    NavDoubt.CALIBRATION: notices.CALIBRATION_SUSPECT,
+    NavDoubt.RESETS: notices.REPEATED_RESETS,
+    NavDoubt.CAMERA: notices.CAMERA_WRONG,
 }
 """What to do about a sensor that the evidence denies."""
 
@@ -46,20 +48,20 @@ class Watch:
         self._armed_us: int | None = None
         self._delay_s = 0.0
 
-    def look(self, conditions: Conditions, *, armed: bool) -> list[tuple[Severity, str]]:
-        """Severity and text of what is new on this tick."""
+    def look(self, conditions: Conditions, *, armed: bool) -> list[OperatorText]:
+        """What is new on this tick."""
         nav = conditions.nav
-        texts: list[tuple[Severity, str]] = []
+        texts: list[OperatorText] = []
         health = NavHealth.INVALID if nav is None else nav.health
         new = conditions.nav_doubts - self._doubts if armed else frozenset()
-        texts += [(Severity.WARNING, _DOUBT_TEXTS[doubt]) for doubt in NavDoubt if doubt in new] if new else []
+        texts += [_DOUBT_TEXTS[doubt]() for doubt in NavDoubt if doubt in new] if new else []
         self._doubts = self._doubts | new if armed else frozenset()
         # The text of a doubt says already why the fixes do not count.
         told = health is NavHealth.DEAD_RECKONING and (bool(new) or NavDoubt.FIXES in conditions.nav_doubts)
         if armed and health is not self._health and not told:
-            texts.append(_HEALTH_TEXTS[health])
+            texts.append(_HEALTH_TEXTS[health]())
         if armed and conditions.unreachable and not self._unreachable:
-            texts.append((Severity.WARNING, "No free way to the goal: holding; move the goal"))
+            texts.append(notices.NO_FREE_PATH())
         texts += self._of_commands(conditions.command_delay_s) if armed else []
         self._health, self._unreachable = health, conditions.unreachable
         texts += self._of_twins(conditions.thruster_share, conditions.thrusters_doubtful)
@@ -70,34 +72,34 @@ class Watch:
             texts += self._of_fence(nav if armed and health is not NavHealth.INVALID else None)
         return texts
 
-    def _of_commands(self, delay_s: float) -> list[tuple[Severity, str]]:
+    def _of_commands(self, delay_s: float) -> list[OperatorText]:
         """Commands that act late, or again at once."""
         said_s = self._delay_s
         if abs(delay_s - said_s) < WATCH.delay_news_s and not (delay_s == 0.0 != said_s):
             return []
         self._delay_s = delay_s
         if delay_s == 0.0:
-            return [(Severity.INFO, "Commands act at once again")]
-        return [(Severity.WARNING, f"Commands act {delay_s:.1f} s late: check the tether")]
+            return [notices.LATENCY_NORMAL()]
+        return [notices.LATENCY(delay_s=delay_s)]
 
-    def _of_twins(self, shares: tuple[float, ...], doubtful: tuple[tuple[str, ...], ...]) -> list[tuple[Severity, str]]:
+    def _of_twins(self, shares: tuple[float, ...], doubtful: tuple[tuple[str, ...], ...]) -> list[OperatorText]:
         """One of several thrusters that do the same gives less than it should, or none of them any more."""
         if doubtful == self._doubtful:
             return []
         share_of = dict(zip(self._thrusters, shares, strict=False))
-        texts: list[tuple[Severity, str]] = []
+        texts: list[OperatorText] = []
         for twins in doubtful:
             if twins not in self._doubtful:
                 left = 100.0 * lossy_share([share_of[name] for name in twins])
-                texts.append((Severity.WARNING, f"One of {', '.join(twins)} gives {left:.0f} % of its thrust"))
+                texts.append(notices.TWIN_LOSS(names=", ".join(twins), percent=left))
         sound = [twins for twins in self._doubtful if twins not in doubtful and all(share_of[t] == 1.0 for t in twins)]
-        texts += [(Severity.INFO, f"{', '.join(twins)} give their full thrust again") for twins in sound]
+        texts += [notices.TWINS_RESTORED(names=", ".join(twins)) for twins in sound]
         self._doubtful = doubtful
         return texts
 
-    def _of_thrusters(self, shares: tuple[float, ...]) -> list[tuple[Severity, str]]:
+    def _of_thrusters(self, shares: tuple[float, ...]) -> list[OperatorText]:
         """A thruster that gives less than it should, or again what it should."""
-        texts: list[tuple[Severity, str]] = []
+        texts: list[OperatorText] = []
         if shares == self._shares:
             return texts
         self._shares = shares
@@ -109,23 +111,23 @@ class Watch:
                 continue
             self._share[name] = share
             if share == 1.0:
-                texts.append((Severity.INFO, f"Thruster {name} gives its full thrust again"))
+                texts.append(notices.THRUSTER_RESTORED(name=name))
             else:
-                texts.append((Severity.WARNING, f"Thruster {name} gives {100.0 * share:.0f} % of its thrust"))
+                texts.append(notices.THRUSTER_LOSS(name=name, percent=100.0 * share))
         return texts
 
-    def _of_flight(self, conditions: Conditions, armed: bool) -> list[tuple[Severity, str]]:
+    def _of_flight(self, conditions: Conditions, armed: bool) -> list[OperatorText]:
         """After a flight: silence about a thruster that was hardly used does not say that it is sound."""
         since_us = self._armed_us
         self._armed_us = (conditions.t_us if since_us is None else since_us) if armed else None
         if armed or since_us is None or conditions.t_us - since_us < WATCH.flight_us or not conditions.thrusters_unseen:
             return []
-        return [(Severity.INFO, f"Too little used to judge thrust: {', '.join(conditions.thrusters_unseen)}")]
+        return [notices.THRUSTERS_UNJUDGED(names=", ".join(conditions.thrusters_unseen))]
 
-    def _of_fence(self, nav: NavState | None) -> list[tuple[Severity, str]]:
+    def _of_fence(self, nav: NavState | None) -> list[OperatorText]:
         """Gaps that FENCE_GAP_CHK only warns of, and a vehicle that the new fence finds where it must not be."""
-        texts = [(Severity.WARNING, text) for text in self._plans.warnings()]
+        texts = [notices.FENCE_GAP(text=text) for text in self._plans.warnings()]
         lack_m = 0.0 if nav is None else self._radius_m - self._goals.clearance_m(nav.pos_ned_m)
         if lack_m > 0.0:
-            texts.append((Severity.WARNING, f"New fence: {lack_m:.2f} m too near, moving out"))
+            texts.append(notices.FENCE_TOO_NEAR(lack_m=lack_m))
         return texts

@@ -3,8 +3,8 @@
 from collections import deque
 from dataclasses import replace
 
+from autopilot.core import operator_messages as notices
 from autopilot.core.geodesy import Place
-from autopilot.core.messages import Severity
 from autopilot.mavlink.api import FlightMode
 from autopilot.mavlink.context import Context, Peer
 from autopilot.mavlink.inbox import Intake
@@ -60,9 +60,10 @@ class Announcements:
             _, peer = self._to_greet.popleft()
             if peer.link in self._ctx.quiet:
                 continue
-            self._ctx.text(Severity.INFO, f"{identity.name} {identity.version}, {self._ctx.profile.note}", peer)
+            greeting = notices.GREETING(name=identity.name, version=identity.version, note=self._ctx.profile.note)
+            self._ctx.text(greeting, peer)
             for reason in self._ctx.view.refusals:
-                self._ctx.text(Severity.WARNING, f"No arming: {reason}", peer)
+                self._ctx.text(notices.GREETING_REFUSAL(reason=reason), peer)
 
     def heartbeat(self) -> None:
         """1 Hz, and at once when armed state or mode change."""
@@ -99,12 +100,12 @@ class Announcements:
         self._refusals_us = ctx.t_us
         self._told_refusals = replace(now)
         if now.unknown_key > told.unknown_key:
-            ctx.say(Severity.WARNING, "Frames signed with an unknown key: not heard")
+            ctx.say(notices.KEY_UNKNOWN())
         elif now.unsigned > told.unsigned:
-            ctx.say(Severity.WARNING, "Unsigned frames are not heard: sign them")
+            ctx.say(notices.UNSIGNED())
         else:
-            ctx.say(Severity.WARNING, "Signed frames are too old: check the clock")
-        ctx.log(Severity.WARNING, f"frames not heard so far: {now}")
+            ctx.say(notices.SIGNED_TOO_OLD())
+        ctx.log(notices.FRAMES_REFUSED(counts=now))
 
     def flood(self) -> None:
         """Name who sends more than is taken, now and then."""
@@ -115,8 +116,5 @@ class Announcements:
         if flood is None:
             return
         self._flood_us = ctx.t_us
-        ctx.say(Severity.WARNING, f"{flood.sender} floods its link: throttled")
-        ctx.log(
-            Severity.WARNING,
-            f"{flood.sender} on link {flood.link}: {flood.lost} bytes dropped, {flood.lost_in_all} in all",
-        )
+        ctx.say(notices.FLOODED(sender=flood.sender))
+        ctx.log(notices.FLOODED_BYTES(sender=flood.sender, link=flood.link, lost=flood.lost, total=flood.lost_in_all))

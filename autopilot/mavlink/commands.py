@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 
 from pymavlink.dialects.v20 import development as mav
 
-from autopilot.core.messages import Severity
+from autopilot.core import operator_messages as notices
 from autopilot.mavlink.api import Answer, CommandResult
 from autopilot.mavlink.context import COMPID, Context, Peer
 from autopilot.mavlink.table import LatestUsed
@@ -220,7 +220,7 @@ class Commands:
         for message in reply.messages:
             self._ctx.send(peer, message, self._source)
         if reply.answer.reason and reply.answer.result is not CommandResult.ACCEPTED:
-            self._ctx.say(Severity.WARNING, reply.answer.reason, peer)
+            self._ctx.say(notices.REFUSED(reason=reply.answer.reason), peer)
 
     def _ack(self, peer: Peer, command: int, answer: Answer) -> None:
         self._ctx.send(

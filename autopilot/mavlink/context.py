@@ -8,6 +8,7 @@ from typing import NamedTuple, TypeAlias
 from autopilot.core.clients import EVERYONE
 from autopilot.core.guard import Guard
 from autopilot.core.messages import Event, MavlinkFrame, Severity
+from autopilot.core.operator_messages import OperatorText
 from autopilot.core.params import ParamSaving, ParamSet
 from autopilot.core.plan import PlanStore
 from autopilot.core.samples import ExternalPoseSample
@@ -186,17 +187,21 @@ class Context:
             if spoken or index not in self.quiet:
                 self.send(index, message, source)
 
-    def say(self, severity: int, text: str, to: Receiver | None = None) -> None:
+    def say(self, text: OperatorText, to: Receiver | None = None) -> None:
         """Tell the operator something of our own (STATUSTEXT to a client, a link or all, and a line for the log)."""
-        self.log(severity, text)
-        self.text(severity, text, to)
+        self.log(text)
+        self.text(text, to)
 
-    def log(self, severity: int, text: str) -> None:
+    def log(self, text: OperatorText) -> None:
         """A line for the log only."""
-        self.notices.append(Event(t_us=self.t_us, severity=severity, text=text))
+        self.notices.append(text.event(self.t_us))
 
-    def text(self, severity: int, text: str, to: Receiver | None = None) -> None:
+    def text(self, message: OperatorText, to: Receiver | None = None) -> None:
         """STATUSTEXT, in chunks if it is long. Not for DEBUG, which is for the log, and not again within 5 s."""
+        self.relay(message.severity, message.text, to)
+
+    def relay(self, severity: int, text: str, to: Receiver | None = None) -> None:
+        """The same for an event of another part."""
         if severity >= Severity.DEBUG:
             return
         urgent = severity <= Severity.CRITICAL

@@ -3,10 +3,11 @@
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 
+from autopilot.core import operator_messages as notices
 from autopilot.core.clients import EVERYONE, Standing
 from autopilot.core.clock import TICK_US
 from autopilot.core.guard import Guard, Work
-from autopilot.core.messages import Event, MavlinkFrame, Severity
+from autopilot.core.messages import Event, MavlinkFrame
 from autopilot.core.params import ParamSaving, ParamSet
 from autopilot.core.plan import PlanStore
 from autopilot.core.samples import ExternalPoseSample, ObstacleTrack
@@ -337,7 +338,7 @@ class Dispatcher:
 
         run_all(self._before_news, given)
         for event in events:
-            run("telemetry", partial(ctx.text, event.severity, event.text), None, partial(repr, event))
+            run("telemetry", partial(ctx.relay, event.severity, event.text), None, partial(repr, event))
         run_all(self._after_news, given)
         run("progress", partial(self._progress.tick, reached), None, given)
         # In turns: on a narrow link whoever comes first takes what there is.
@@ -491,7 +492,7 @@ class Dispatcher:
     def _explain(self, peer: Peer, answer: Answer) -> None:
         """Messages without acknowledgement say a refusal as text."""
         if answer.result is not CommandResult.ACCEPTED and answer.reason:
-            self._ctx.say(Severity.WARNING, answer.reason, peer)
+            self._ctx.say(notices.REFUSED(reason=answer.reason), peer)
 
 
 __all__ = ["Dispatcher", "Identity"]

@@ -10,8 +10,8 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from pymavlink.dialects.v20 import development as mav
 
+from autopilot.core import operator_messages as notices
 from autopilot.core.frames import FloatArray, rpy_from_quat
-from autopilot.core.messages import Severity
 from autopilot.core.samples import ExternalFrame, ExternalPoseSample
 from autopilot.mavlink.context import Context, Peer
 from autopilot.mavlink.wire import Message
@@ -50,8 +50,7 @@ class ExternalPoses:
         if frame is None:
             if peer not in self._told and len(self._told) < SAMPLES_MAX:
                 self._told.add(peer)
-                text = f"ODOMETRY in frame {msg.frame_id} is not used: send MAV_FRAME_LOCAL_NED (1) or LOCAL_FRD (20)"
-                self._ctx.say(Severity.WARNING, text, peer)
+                self._ctx.say(notices.ODOMETRY_FRAME(frame=msg.frame_id), peer)
             return
         if getattr(msg, "quality", 0) == FAILED_QUALITY:
             return

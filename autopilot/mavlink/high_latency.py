@@ -9,7 +9,8 @@ somebody else who is heard on one ends it: he waits for a HEARTBEAT.
 import math
 from collections.abc import Mapping
 
-from autopilot.core.messages import Failsafe, NavDoubt, NavHealth, Severity
+from autopilot.core import operator_messages as notices
+from autopilot.core.messages import Failsafe, NavDoubt, NavHealth
 from autopilot.core.model4 import YAW
 from autopilot.core.samples import HullSample
 from autopilot.mavlink.api import ACCEPTED
@@ -83,7 +84,7 @@ class HighLatency:
             self._owners[link] = call.peer.client
             self._ctx.quiet.add(link)
             self._streams.only(link, mav.MAVLINK_MSG_ID_HIGH_LATENCY2, INTERVAL_US)
-            self._ctx.log(Severity.INFO, f"link {link}: high latency")
+            self._ctx.log(notices.HIGH_LATENCY(link=link))
         return Reply(ACCEPTED)
 
     def heard(self, address: Address) -> None:
@@ -111,7 +112,7 @@ class HighLatency:
         self._ctx.quiet.discard(link)
         self._streams.all_again(link)
         self._ctx.send(link, self._status.heartbeat())
-        self._ctx.log(Severity.INFO, f"link {link}: high latency is over")
+        self._ctx.log(notices.HIGH_LATENCY_OVER(link=link))
 
     def tick(self) -> None:
         """What is largest until it is told."""

@@ -2,8 +2,8 @@
 
 from collections.abc import Callable
 
+from autopilot.core import operator_messages as notices
 from autopilot.core.clients import Reach
-from autopilot.core.messages import Severity
 from autopilot.mavlink.context import Context, Peer
 from autopilot.mavlink.dialect import mav
 from autopilot.mavlink.inbox import Address
@@ -24,25 +24,25 @@ class Keys:
         ctx.signing.local_may_be_silent = ctx.params["SIGN_LOCAL"] > 0.0
         problem = ctx.signing.tick(ctx.t_us)
         if problem:
-            ctx.say(Severity.WARNING, f"Signing key or time not saved: {problem}")
+            ctx.say(notices.SIGNING_NOT_SAVED(problem=problem))
 
     def on_setup(self, peer: Peer, msg: Message) -> None:
         """SETUP_SIGNING: only from this machine, where nobody listens on the way, and while disarmed; a key that is in
         force has to have signed it. All zero takes the key away."""
         ctx = self._ctx
         if self._reach((peer.link, peer.client)) is Reach.NETWORK:
-            ctx.say(Severity.WARNING, "Key refused: use `autopilot mavlink key` on board", peer)
+            ctx.say(notices.KEY_FROM_NETWORK(), peer)
         elif ctx.view.armed:
-            ctx.say(Severity.WARNING, "Key refused: disarm first", peer)
+            ctx.say(notices.KEY_WHILE_ARMED(), peer)
         elif ctx.signing.key is not None and not msg.get_msgbuf()[2] & mav.MAVLINK_IFLAG_SIGNED:
-            ctx.say(Severity.WARNING, "Key refused: sign it with the present key", peer)
+            ctx.say(notices.KEY_UNSIGNED(), peer)
         else:
             key = bytes(msg.secret_key)
             none = key == bytes(KEY_BYTES) and msg.initial_timestamp == 0
             if not none and key == bytes(KEY_BYTES):
-                ctx.say(Severity.WARNING, "Key refused: it is all zero", peer)
+                ctx.say(notices.KEY_ZERO(), peer)
                 return
             ctx.signing.set_key(None if none else key, msg.initial_timestamp)
             ctx.key_changed()
-            act = "Signing off" if none else "Signing on: only signed frames are heard"
-            ctx.say(Severity.WARNING, f"{act} (key set by {peer.name})")
+            name = peer.name
+            ctx.say(notices.SIGNING_OFF(client=name) if none else notices.SIGNING_ON(client=name))

@@ -6,9 +6,9 @@ else, as ground stations expect). Times and sizes are those of the files. One pi
 
 from dataclasses import dataclass
 
+from autopilot.core import operator_messages as notices
 from autopilot.core.clock import TICK_US
 from autopilot.core.desk import Ticket
-from autopilot.core.messages import Severity
 from autopilot.core.shelf import Shelf, ShelfFile
 from autopilot.mavlink.budget import FILES
 from autopilot.mavlink.context import Context, Peer
@@ -90,11 +90,11 @@ class LogDownload:
         """LOG_ERASE: all flights that are finished, of a vehicle that is disarmed. The outcome comes as text."""
         ctx = self._ctx
         if ctx.view.armed:
-            ctx.say(Severity.WARNING, "Logs not erased: disarm first", peer)
+            ctx.say(notices.LOGS_ARMED(), peer)
         elif self._shelf is None:
-            ctx.say(Severity.WARNING, "Logs not erased: there is no log folder", peer)
+            ctx.say(notices.LOGS_NO_FOLDER(), peer)
         elif self._erasing is None:
-            ctx.say(Severity.WARNING, f"All logs are being erased: asked for by {peer.name}")
+            ctx.say(notices.LOGS_ERASING(client=peer.name))
             for client in self._clients.values():
                 client.stop()
             self._erasing = peer, self._shelf.erase(self._tick)
@@ -150,14 +150,14 @@ class LogDownload:
             file = self._file(client, logs, number)
             if file is None:
                 client.wanted = None
-                ctx.say(Severity.WARNING, f"There is no log {number}: list the logs again", peer)
+                ctx.say(notices.LOG_MISSING(number=number), peer)
                 return
             data = file.data(self._tick, offset, min(count, DATA_BYTES))
             if data is None:
                 return
             if file.failed and not data:
                 client.wanted = client.file = None
-                ctx.say(Severity.WARNING, f"Log {number} cannot be read: list the logs again", peer)
+                ctx.say(notices.LOG_UNREADABLE(number=number), peer)
                 return
             ctx.send(peer, mav.MAVLink_log_data_message(number, offset, len(data), list(data.ljust(DATA_BYTES, b"\0"))))
             left = count - len(data)
@@ -184,6 +184,6 @@ class LogDownload:
         for client in self._clients.values():
             client.logs = None
         if answer.error is not None:
-            self._ctx.say(Severity.WARNING, f"Logs not erased: {answer.error}", peer)
+            self._ctx.say(notices.LOGS_NOT_ERASED(error=answer.error), peer)
         else:
-            self._ctx.say(Severity.INFO, f"Logs erased: {answer.value}")
+            self._ctx.say(notices.LOGS_ERASED(count=answer.value))

@@ -3,7 +3,8 @@
 import math
 from collections.abc import Callable, Mapping
 
-from autopilot.core.messages import RunEnd, Severity
+from autopilot.core import operator_messages as notices
+from autopilot.core.messages import RunEnd
 from autopilot.mavlink.api import ACCEPTED, Answer, CommandResult, MotorTest
 from autopilot.mavlink.commands import Call, Entry, Reply, denied
 from autopilot.mavlink.context import Context
@@ -82,7 +83,7 @@ class Maintenance:
             if self._ctx.view.armed:
                 return denied("Parameters not reset: disarm first")
             count = self._parameters.reset()
-            self._ctx.say(Severity.WARNING, f"Parameters set to defaults by {call.peer.name}: {count}")
+            self._ctx.say(notices.PARAMETERS_RESET(client=call.peer.name, count=count))
         return Reply(ACCEPTED)
 
     def reboot(self, call: Call) -> Reply:
@@ -94,9 +95,9 @@ class Maintenance:
             return denied(f"reboot: param1 = {call.param(1):g}, use 1 (restart) or 2 (stop)")
         answer = self._ctx.vehicle.end_run(RunEnd.AGAIN if what == _RESTART else RunEnd.STOP)
         if answer.result is CommandResult.ACCEPTED:
-            ends = what == _STOP
-            act = "Service ends" if ends else "Service restarts"
-            self._ctx.say(Severity.WARNING if ends else Severity.INFO, f"{act}: asked for by {call.peer.name}")
+            name = call.peer.name
+            text = notices.SERVICE_ENDS(client=name) if what == _STOP else notices.SERVICE_RESTARTS(client=name)
+            self._ctx.say(text)
         return Reply(answer)
 
     def calibrate(self, call: Call) -> Reply:

@@ -10,8 +10,7 @@ meanwhile cannot mix.
 
 from dataclasses import dataclass, field
 
-from autopilot.core.messages import Severity
-from autopilot.core.phrases import NO_FENCE
+from autopilot.core import operator_messages as notices
 from autopilot.core.plan import MAX_ITEMS, MissionResult, PlanChange, PlanItem, PlanKind, has_shapes
 from autopilot.core.plan_wire import item_message, item_of
 from autopilot.mavlink import home_item
@@ -157,7 +156,7 @@ class Missions:
         if msg.count > most + (kind is PlanKind.MISSION):
             self._ack(peer, MissionResult.NO_SPACE, kind)
             reason = f"{msg.count} items, at most {most} fit; send a shorter plan"
-            ctx.say(Severity.WARNING, f"{kind.name.capitalize()} refused: {reason}", peer)
+            ctx.say(notices.PLAN_REFUSED(kind=kind.name.capitalize(), reason=reason), peer)
             return
         self._upload = Upload(peer, kind, msg.count, ctx.t_us, ctx.t_us)
         if msg.count == 0:
@@ -203,7 +202,7 @@ class Missions:
             self._end(upload, MissionResult.UNSUPPORTED, reason)
         else:
             self._ack(peer, MissionResult.UNSUPPORTED, msg.mission_type)
-            self._ctx.say(Severity.WARNING, reason, peer)
+            self._ctx.say(notices.REFUSED(reason=reason), peer)
 
     def _item_out_of_turn(self, upload: Upload, msg: Message) -> None:
         """A repeated item is passed over; one from the future makes us ask again for the one that is due."""
@@ -272,7 +271,7 @@ class Missions:
     def _say_taken(self, kind: PlanKind) -> None:
         items = self._ctx.plans.items(kind)
         home = ", 0 is home" if items and items[0].is_home else ""
-        self._ctx.say(Severity.INFO, f"{kind.name.capitalize()} plan accepted: {len(items)} items{home}")
+        self._ctx.say(notices.PLAN_ACCEPTED(kind=kind.name.capitalize(), count=len(items), home=home))
 
     def answer(self) -> None:
         """Pass the store's answer on, if it is there: before anything else is heard, for what is in force is not given
@@ -298,9 +297,9 @@ class Missions:
                 checking.peer, MissionResult.ACCEPTED if refusal is None else refusal.result, checking.mission_type
             )
             if refusal is None:
-                ctx.log(Severity.INFO, f"cleared: {names}")
+                ctx.log(notices.PLAN_CLEARED(names=names))
             else:
-                ctx.say(Severity.WARNING, f"Not cleared ({names}): {refusal.reason}", checking.peer)
+                ctx.say(notices.PLAN_NOT_CLEARED(names=names, reason=refusal.reason), checking.peer)
 
     def _on_disk(self, checking: Checking) -> bool:
         """Whether accepting can be said: nothing that was accepted is to be lost with the power.
@@ -314,7 +313,7 @@ class Missions:
             checking.taken_us = ctx.t_us
         if ctx.t_us - checking.taken_us < SLOW_DISK_US * ctx.patience:
             return False
-        ctx.say(Severity.WARNING, "Plan in force, not on disk yet")
+        ctx.say(notices.PLAN_NOT_ON_DISK())
         return True
 
     def _end(self, upload: Upload, result: MissionResult, reason: str, guilty: int | None = None) -> None:
@@ -328,8 +327,8 @@ class Missions:
             self._ask(upload, guilty)
         self._ack(upload.peer, result, upload.kind, plan_id)
         if reason:
-            text = f"{upload.kind.name.capitalize()} refused: {reason}"
-            self._ctx.say(Severity.WARNING, text, upload.peer)
+            text = notices.PLAN_REFUSED(kind=upload.kind.name.capitalize(), reason=reason)
+            self._ctx.say(text, upload.peer)
 
     def _denied(self, peer: Peer, kind: PlanKind) -> bool:
         """Whether another client's open upload keeps this one out; it is told so."""
@@ -337,12 +336,8 @@ class Missions:
         if open_ is None or open_.peer == peer:
             return False
         self._ack(peer, MissionResult.DENIED, kind)
-        self._ctx.say(
-            Severity.WARNING,
-            f"{kind.name.capitalize()} change denied: client {open_.peer.sysid}/{open_.peer.compid} is uploading, "
-            "try again later",
-            peer,
-        )
+        client = f"{open_.peer.sysid}/{open_.peer.compid}"
+        self._ctx.say(notices.PLAN_DENIED(kind=kind.name.capitalize(), client=client), peer)
         return True
 
     def _ack(self, peer: Peer, result: MissionResult, mission_type: int, plan_id: int = 0) -> None:
@@ -412,13 +407,13 @@ class Missions:
         if checking is not None and checking.peer == peer and checking.upload is not None:
             if checking.upload.kind is kind and msg.type != MissionResult.ACCEPTED:
                 self._give_up_check()
-                self._ctx.log(Severity.INFO, f"{kind.name.lower()} upload cancelled by the client")
+                self._ctx.log(notices.UPLOAD_CANCELLED(kind=kind.name.lower()))
             return
         upload = self._upload
         if upload is not None and upload.peer == peer and upload.kind is kind:
             if msg.type != MissionResult.ACCEPTED:
                 self._upload = None
-                self._ctx.log(Severity.INFO, f"{kind.name.lower()} upload cancelled by the client")
+                self._ctx.log(notices.UPLOAD_CANCELLED(kind=kind.name.lower()))
             return
         self._downloads.pop((peer, kind), None)
 
@@ -439,7 +434,7 @@ class Missions:
         elif ctx.t_us >= due_us:
             self._fence_due_us = None
             if ctx.plans.items(PlanKind.MISSION) and not has_shapes(ctx.plans.items(PlanKind.FENCE)):
-                ctx.say(Severity.WARNING, f"Mission with {NO_FENCE}: upload its fence, or keep clear of walls")
+                ctx.say(notices.MISSION_UNFENCED())
 
     # Time
 

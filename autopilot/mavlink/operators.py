@@ -8,7 +8,7 @@ A ground station is known by its system id: only signing makes that more than a 
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 
-from autopilot.core.messages import Severity
+from autopilot.core import operator_messages as notices
 from autopilot.mavlink.api import ACCEPTED, Answer, CommandResult
 from autopilot.mavlink.commands import Call, Entry, Reply, denied
 from autopilot.mavlink.context import Context, Peer
@@ -110,7 +110,7 @@ class Operators:
         if self._owner is not None:
             age_s = (ctx.t_us - self._heard_us) * 1e-6
             if age_s > ctx.params["FS_GCS_TIMEOUT"] * ctx.patience:
-                ctx.say(Severity.WARNING, f"Operator {self.in_control} silent: nobody in control")
+                ctx.say(notices.OPERATOR_SILENT(system=self.in_control))
                 self._owner, self._takeover = None, False
         shown = (self.in_control, self._takeover)
         if self._shown is not None and shown != self._shown:
@@ -152,7 +152,7 @@ class Operators:
             present = self._value(msg.param_id)
             if present is not None:
                 ctx.send(peer, present)
-        ctx.text(Severity.WARNING, reason, peer)
+        ctx.text(notices.REFUSED(reason=reason), peer)
         return True
 
     @property
@@ -169,14 +169,14 @@ class Operators:
             if self.keeps_out(call.peer):
                 return Reply(Answer(result=CommandResult.NOT_IN_CONTROL, reason=self.reason))
             if self._owner is not None:
-                self._ctx.say(Severity.INFO, f"Operator {self.in_control} released control")
+                self._ctx.say(notices.OPERATOR_RELEASED(system=self.in_control))
             self._owner, self._takeover = None, False
             return Reply(ACCEPTED)
         if self.keeps_out(call.peer) and not self._takeover:
             self._ask_owner(call)
             return Reply(Answer(result=CommandResult.FAILED, reason=f"System {self.in_control} is in control: asked"))
         if call.peer.sysid != self.in_control:
-            self._ctx.say(Severity.INFO, f"Operator {call.peer.sysid} is in control")
+            self._ctx.say(notices.OPERATOR_IN_CONTROL(system=call.peer.sysid))
         self._owner, self._heard_us = call.peer, self._ctx.t_us
         self._takeover = call.param(2) == 1.0
         return Reply(ACCEPTED)
@@ -189,7 +189,7 @@ class Operators:
         params = (1.0, call.param(2), timeout_s, float(call.peer.sysid), 0.0, 0.0, 0.0)
         ask = mav.MAVLink_command_long_message(owner.sysid, owner.compid, REQUEST, 0, *params)
         self._ctx.send(owner, ask)
-        self._ctx.text(Severity.INFO, f"Operator {call.peer.sysid} asks for control", owner)
+        self._ctx.text(notices.OPERATOR_ASKS(system=call.peer.sysid), owner)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

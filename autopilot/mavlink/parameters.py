@@ -5,10 +5,10 @@ from dataclasses import dataclass
 
 from pymavlink.dialects.v20 import development as mav
 
+from autopilot.core import operator_messages as notices
 from autopilot.core.clock import TICK_US
 from autopilot.core.crc import file_crc32
 from autopilot.core.errors import ConfigError
-from autopilot.core.messages import Severity
 from autopilot.core.origin_params import shortest_decimal
 from autopilot.core.params import ParamSpec, ParamType
 from autopilot.mavlink.budget import LISTS
@@ -175,14 +175,14 @@ class Parameters:
             return
         if name in self._stubs:
             self._refuse(peer, name, self._index[name], _READ_ONLY)
-            ctx.say(Severity.WARNING, f"{name} does nothing here and stays as it is", peer)
+            ctx.say(notices.PARAMETER_STUB(name=name), peer)
             ctx.broadcast(self.value(name))
             return
         number: int | None = None
         spec = ctx.params.spec(name)
         if not self._type_fits(spec, msg.param_type):
             self._refuse(peer, name, self._index[name], _TYPE_MISMATCH)
-            ctx.say(Severity.WARNING, f"parameter {name} is {spec.type.value}: other types are refused", peer)
+            ctx.say(notices.PARAMETER_TYPE(name=name, type=spec.type.value), peer)
         elif self._change(peer, name, decode(msg.param_value, spec.type, ctx.profile.param_encoding)):
             number = None if ctx.saving is None else ctx.saving.save(ctx.t_us // TICK_US, name)
         if number is None:
@@ -233,10 +233,10 @@ class Parameters:
             ctx.params.set(name, value)
         except ConfigError as error:
             self._refuse(peer, name, self._index[name], _OUT_OF_RANGE)
-            ctx.say(Severity.WARNING, str(error), peer)
+            ctx.say(notices.REFUSED(reason=str(error)), peer)
             return False
         if ctx.params[name] != before:
-            ctx.log(Severity.INFO, f"parameter {name} = {ctx.params[name]:g} (was {before:g})")
+            ctx.log(notices.PARAMETER_SET(name=name, value=ctx.params[name], before=before))
         return True
 
     def _refuse(self, peer: Peer, name: str, index: int, error: int) -> None:
@@ -258,14 +258,14 @@ class Parameters:
                 ctx.broadcast(self.value(name))
             if not saved.failure and self._unsaved:
                 self._unsaved = False
-                ctx.say(Severity.INFO, "Parameters are saved now")
+                ctx.say(notices.PARAMETERS_SAVED())
             if saved.failure and done:
                 self._unsaved = True
-                ctx.say(Severity.WARNING, f"Not saved ({saved.failure}), lost at restart: {', '.join(done)}")
+                ctx.say(notices.PARAMETERS_NOT_SAVED(failure=saved.failure, names=", ".join(done)))
         for name, request in self._saving.items():
             if not request.told and ctx.t_us - request.since_us > SLOW_DISK_US * ctx.patience:
                 request.told = True
-                ctx.say(Severity.WARNING, f"{name} in force, not on disk yet")
+                ctx.say(notices.PARAMETER_NOT_ON_DISK(name=name))
 
     def tick(self) -> None:
         """Tell what has been kept, go on with lists that were asked for."""

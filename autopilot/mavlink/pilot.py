@@ -6,7 +6,7 @@ that moment only; then the sticks are released, and what that means says the mod
 
 from dataclasses import dataclass
 
-from autopilot.core.messages import Severity
+from autopilot.core import operator_messages as notices
 from autopilot.mavlink.api import Answer, Sticks
 from autopilot.mavlink.camera_api import CameraOrders
 from autopilot.mavlink.context import Context, Peer
@@ -102,7 +102,7 @@ class Pilot:
         self._take(heard, ahead=_axis(msg.x), starboard=_axis(msg.y), up=up, turn=_axis(msg.r))
         extensions = getattr(msg, "enabled_extensions", 0)
         if extensions & 3 and (msg.s if extensions & 1 else 0) | (msg.t if extensions & 2 else 0):
-            self._ctx.say(Severity.INFO, "Pitch and roll sticks have no effect here", peer)
+            self._ctx.say(notices.STICKS_UNUSED(), peer)
         self._press(heard, msg.buttons | getattr(msg, "buttons2", 0) << 16)
 
     def on_override(self, peer: Peer, msg: Message) -> None:
@@ -122,7 +122,8 @@ class Pilot:
         if heard is None or (heard.peer != peer and now_us > heard.last_us + self._stale_us):
             heard = self._heard = _Heard(peer=peer, last_us=now_us, sticks=Sticks())
         if heard.peer != peer:
-            self._ctx.say(Severity.WARNING, f"Sticks not taken: {heard.peer.sysid}/{heard.peer.compid} steers", peer)
+            client = f"{heard.peer.sysid}/{heard.peer.compid}"
+            self._ctx.say(notices.STICKS_OF_ANOTHER(client=client), peer)
             return None
         if now_us > heard.last_us + self._stale_us:
             heard.centred_us, heard.lifts = None, False
@@ -140,7 +141,7 @@ class Pilot:
         centred = bool(self._ctx.params["PILOT_Z"])
         if z < 0 and not centred and not heard.spoken:
             heard.spoken, heard.lifts, heard.centred_us = True, False, None
-            self._ctx.say(Severity.NOTICE, "Vertical stick goes below 0: taken as PILOT_Z 1", heard.peer)
+            self._ctx.say(notices.STICK_BELOW_ZERO(), heard.peer)
         value = _axis(z) if centred or heard.spoken else _axis(2 * z - 1000)
         if heard.lifts:
             return value
@@ -149,8 +150,7 @@ class Pilot:
             if not heard.told:
                 heard.told = True
                 neutral = 0 if centred or heard.spoken else 500
-                text = f"Vertical stick not used until it rests at {neutral}: see PILOT_Z"
-                self._ctx.say(Severity.WARNING, text, heard.peer)
+                self._ctx.say(notices.STICK_NOT_CENTRED(neutral=neutral), heard.peer)
         elif heard.centred_us is None:
             heard.centred_us = self._ctx.t_us
         heard.lifts = heard.centred_us is not None and self._ctx.t_us - heard.centred_us >= CENTRED_US
@@ -176,17 +176,16 @@ class Pilot:
         elif function in (GAIN_UP, GAIN_DOWN):
             step = GAIN_STEP if function == GAIN_UP else -GAIN_STEP
             self._gain = min(max(round(self.gain + step, 3), LEAST_GAIN), MOST_GAIN)
-            self._ctx.say(Severity.INFO, f"Pilot gain {100.0 * self._gain:.0f} %", peer)
+            self._ctx.say(notices.PILOT_GAIN(percent=100.0 * self._gain), peer)
             return
         elif (found := self._carried(function)) is not None:
             answer = found
         else:
             if function:
-                text = f"Button {button}: function {function} is not offered, see BTNn_FUNCTION"
-                self._ctx.say(Severity.WARNING, text, peer)
+                self._ctx.say(notices.BUTTON_UNKNOWN(button=button, function=function), peer)
             return
         if answer.reason:
-            self._ctx.say(Severity.WARNING, answer.reason, peer)
+            self._ctx.say(notices.REFUSED(reason=answer.reason), peer)
 
     def _carried(self, function: int) -> Answer | None:
         """What a button does to lights, relay and camera; None when it is not about them."""

@@ -2,7 +2,8 @@
 
 from collections.abc import Sequence
 
-from autopilot.core.messages import ProgressState, Severity
+from autopilot.core import operator_messages as notices
+from autopilot.core.messages import ProgressState
 from autopilot.core.plan import PlanKind
 from autopilot.mavlink import home_item
 from autopilot.mavlink.api import Answer, CommandResult, FlightMode
@@ -80,7 +81,7 @@ class Progress:
         if answer.result is CommandResult.ACCEPTED:
             self._chosen_us = self._ctx.t_us
         else:
-            self._ctx.say(Severity.WARNING, answer.reason or f"mission item {msg.seq} refused", peer)
+            self._ctx.say(notices.REFUSED(reason=answer.reason or f"mission item {msg.seq} refused"), peer)
 
     def tick(self, reached: Sequence[int]) -> None:
         """Tell every link what has been reached, and what has changed."""

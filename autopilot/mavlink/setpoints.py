@@ -8,9 +8,10 @@ from collections.abc import Callable
 
 from pymavlink.dialects.v20 import development as mav
 
+from autopilot.core import operator_messages as notices
 from autopilot.core.frames import rpy_from_quat
 from autopilot.core.geodesy import ned_from_geodetic, place_from_ned, refuse_place
-from autopilot.core.messages import NavHealth, NavState, Severity
+from autopilot.core.messages import NavHealth, NavState
 from autopilot.mavlink.api import Answer, CommandResult, FlightMode, SetPoint
 from autopilot.mavlink.context import Context, Peer
 from autopilot.mavlink.vehicle_commands import RELATIVE
@@ -78,11 +79,11 @@ class SetPoints:
             if ctx.profile.guided_in_hold and ctx.view.mode is FlightMode.HOLD and ctx.view.armed and not answer.reason:
                 answer = ctx.vehicle.set_mode(FlightMode.GUIDED)
         if answer.result is not CommandResult.ACCEPTED and answer.reason:
-            ctx.say(Severity.WARNING, answer.reason, peer)
+            ctx.say(notices.REFUSED(reason=answer.reason), peer)
 
     def _refuse(self, peer: Peer, reason: str) -> None:
         answer = self._ctx.vehicle.refuse_set_point(reason)
-        self._ctx.say(Severity.WARNING, answer.reason, peer)
+        self._ctx.say(notices.REFUSED(reason=answer.reason), peer)
 
     def _go_to(self, point: SetPoint) -> Answer:
         """ArduPilot's GUIDED takes a position once and for all, without a stream."""

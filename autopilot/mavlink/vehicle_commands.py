@@ -5,9 +5,8 @@ from collections.abc import Callable, Mapping
 
 from pymavlink.dialects.v20 import development as mav
 
+from autopilot.core import operator_messages as notices
 from autopilot.core.geodesy import MAX_ORIGIN_LAT_DEG, Place, far_text, place_from_ned
-from autopilot.core.messages import Severity
-from autopilot.core.phrases import ARMING_CHECK, NO_FENCE
 from autopilot.core.plan import PlanKind
 from autopilot.mavlink import home_item
 from autopilot.mavlink.api import ACCEPTED, Answer, Circling, CommandResult, FlightMode, OrbitYaw
@@ -157,11 +156,11 @@ class VehicleService:
         self._ctx.begin_anew()  # who asks is answered, however lately it has been said
         if view.prearm_reasons:
             for reason in view.prearm_reasons:
-                self._ctx.say(Severity.WARNING, ARMING_CHECK + reason, call.peer)
+                self._ctx.say(notices.ARMING_REASON(reason=reason), call.peer)
         elif not view.armed:
             if not view.fenced:
-                self._ctx.say(Severity.NOTICE, f"{ARMING_CHECK}{NO_FENCE}, which FENCE_REQUIRED allows", call.peer)
-            self._ctx.say(Severity.INFO, "Arming checks passed", call.peer)
+                self._ctx.say(notices.ARMING_UNFENCED(), call.peer)
+            self._ctx.say(notices.ARMING_PASSED(), call.peer)
         if view.armed:
             return Reply(
                 Answer(result=CommandResult.TEMPORARILY_REJECTED, reason="arming checks: the vehicle is armed")
@@ -283,7 +282,7 @@ class VehicleService:
         if answer.result is CommandResult.ACCEPTED and speed_m_s > 0.0:
             speed = ctx.vehicle.change_speed(speed_m_s)
             if speed.reason:
-                ctx.say(Severity.WARNING, speed.reason, call.peer)
+                ctx.say(notices.REFUSED(reason=speed.reason), call.peer)
         return Reply(answer)
 
     def change_speed(self, call: Call) -> Reply:

@@ -12,8 +12,9 @@ import numpy as np
 import pytest
 from ardusub_tank import Tank
 
-from autopilot.command.disarming import CONFIRM_TICKS, NOT_CONFIRMED
+from autopilot.command.disarming import CONFIRM_TICKS
 from autopilot.core.messages import MavlinkFrame, Outputs
+from autopilot.core.operator_messages import DISARM_NOT_CONFIRMED
 from autopilot.drivers.ardusub import ARMED, FOUND_ARMED
 from autopilot.mavlink.api import CommandResult, FlightMode
 
@@ -147,7 +148,7 @@ def test_what_is_not_confirmed_is_said_to_have_failed_and_is_asked_for_until_it_
     result, _ = tank.answered()
     assert result == FAILED
     assert IN_PROGRESS in {answer for answer, _ in tank.answers}
-    assert tank.said(NOT_CONFIRMED)
+    assert tank.said(DISARM_NOT_CONFIRMED.template)
     assert not tank.session.parts.commander.armed
     tank.deaf = tank.unheard = False
     tank.run(lambda _: tank.said("Flight controller is disarmed now"), 5.0)
@@ -247,7 +248,7 @@ def test_a_failsafe_that_disarms_is_not_content_with_asking(make: Callable[..., 
     tank.deaf = False
     tank.tick(120)
     assert not tank.below.armed and not tank.shown_armed
-    assert tank.said(NOT_CONFIRMED) == (lost > CONFIRM_TICKS)
+    assert tank.said(DISARM_NOT_CONFIRMED.template) == (lost > CONFIRM_TICKS)
 
 
 @pytest.mark.parametrize(("hz", "stick"), [(20, 500), (25, -700)])

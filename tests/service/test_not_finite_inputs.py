@@ -9,9 +9,9 @@ import pytest
 from piloted_world import PilotedWorld
 from pymavlink.dialects.v20 import development as mav
 
-from autopilot.command.estimation import FINITE, NOT_FINITE
 from autopilot.control.robust.fallback import NOT_FINITE as NOT_CONTROLLED
 from autopilot.core.messages import Failsafe, NavHealth, NavState, Outputs
+from autopilot.core.operator_messages import ESTIMATE_FINITE, ESTIMATE_NOT_FINITE
 from autopilot.core.samples import AhrsSample, PoseSample, PowerSample
 
 FIELDS = ("pos_ned_m", "rpy_rad", "vel_frd_m_s", "vel_water_frd_m_s", "rate_frd_rad_s", "current_ned_m_s", "variance")
@@ -71,8 +71,8 @@ def test_a_moment_without_a_number_is_bridged_by_the_last_estimate(world: Any) -
     assert outputs.mode.armed
     assert not outputs.faults
     said = world.texts()
-    assert said.count(NOT_FINITE) == 1
-    assert FINITE in said
+    assert said.count(ESTIMATE_NOT_FINITE.template) == 1
+    assert ESTIMATE_FINITE.template in said
     counted = sum(1 + number % 6 for number in range(len(lies)))
     assert world.service._estimation.counts({})["nav.not_finite"] == counted
 

@@ -7,13 +7,17 @@ from pymavlink.dialects.v20 import development as mav
 from system_harness import OpenSession
 from wire_client import Harbour, WireClient
 
-from autopilot.command.camera_watch import FOGGY, SILENT, TEXTS, WELL
+from autopilot.command.camera_watch import FOGGY, MESSAGES, SILENT
 from autopilot.core.messages import Outputs
+from autopilot.core.operator_messages import CAMERA_WORKS
 from autopilot.log.analysis import last_counts
 from autopilot.log.packing.estimate import COUNTER_NAMES
 from autopilot.log.reader import open_log
 from autopilot.log.report import write_report
 from autopilot.sitl.scenario import scenario_path
+
+TEXTS = {name: row.template for name, row in MESSAGES.items()}
+WELL = CAMERA_WORKS.template
 
 TROUBLES = {"black": "dark", "white": "bright", "frozen": "frozen", "fog": FOGGY}
 FIRST_S, EACH_S, LASTS_S, RATE_HZ = 1.5, 2.6, 1.3, 12.0

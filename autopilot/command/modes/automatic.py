@@ -7,7 +7,8 @@ import numpy as np
 from autopilot.command.arming import CHECKING
 from autopilot.command.conditions import Conditions
 from autopilot.command.modes.mode import GO_ON, Mode, Step, Tools, denied
-from autopilot.core.messages import Goal, NavState, Severity
+from autopilot.core import operator_messages as notices
+from autopilot.core.messages import Goal, NavState
 from autopilot.core.plan import PlanKind
 from autopilot.mavlink.api import Answer, CommandResult, FlightMode
 from autopilot.mission.sequencer import Action, is_inside
@@ -106,7 +107,7 @@ class SurfaceMode(Mode):
         super().watch(conditions, goal, nav)
         if nav.pos_ned_m[2] > self._goals.top_m + SURFACED_M:
             return GO_ON
-        self._operator.say(Severity.INFO, "Surfaced")
+        self._operator.say(notices.SURFACED())
         return Step(disarm=True)
 
 
@@ -145,5 +146,5 @@ class TakeoffMode(Mode):
         super().watch(conditions, goal, nav)
         if abs(nav.pos_ned_m[2] - goal.pos_ned_m[2]) >= DIVED_M:
             return GO_ON
-        self._operator.say(Severity.INFO, f"Dived to {goal.pos_ned_m[2]:.2f} m: holding")
+        self._operator.say(notices.DIVED(depth_m=goal.pos_ned_m[2]))
         return Step(settle=True)

@@ -4,8 +4,9 @@ import math
 
 from autopilot.command.conditions import Conditions
 from autopilot.command.modes.mode import GO_ON, Mode, Step, Tools
+from autopilot.core import operator_messages as notices
 from autopilot.core.geodesy import refuse_place
-from autopilot.core.messages import NavState, Severity
+from autopilot.core.messages import NavState
 from autopilot.mavlink.api import Circling, FlightMode
 from autopilot.mission.circling import Circle
 
@@ -34,7 +35,7 @@ class CircleMode(Mode):
         goal = self._circle.goal(nav)
         if not self._circle.over:
             return Step(goal=goal)
-        self._operator.say(Severity.INFO, "Circle done: holding")
+        self._operator.say(notices.CIRCLE_DONE())
         return Step(goal=goal, enter=FlightMode.HOLD)
 
     def go_to_depth(self, depth_m: float) -> str | None:

@@ -7,8 +7,9 @@ import numpy as np
 
 from autopilot.command.conditions import Conditions
 from autopilot.command.modes.mode import Mode, Step, Tools, denied
+from autopilot.core import operator_messages as notices
 from autopilot.core.frames import FloatArray, wrap_pi
-from autopilot.core.messages import Drive, Goal, NavState, Severity
+from autopilot.core.messages import Drive, Goal, NavState
 from autopilot.mavlink.api import Answer, FlightMode, SetPoint
 
 NONE_YET = "send set points first"
@@ -53,7 +54,7 @@ class GuidedMode(Mode):
         """As long as they come."""
         if self._alive(conditions.t_us):
             return Step(goal=self._followed(nav))
-        self._operator.say(Severity.WARNING, "Set points stopped: holding")
+        self._operator.say(notices.SETPOINTS_STOPPED())
         return Step(enter=FlightMode.HOLD)
 
     def refuse_point(self, point: SetPoint) -> str:

@@ -7,9 +7,10 @@ from autopilot.command.conditions import Conditions
 from autopilot.command.modes.mode import RELEASED, Step, Tools, denied
 from autopilot.command.modes.piloted import DepthHoldMode
 from autopilot.control.thrust.by_hand import ByHand
+from autopilot.core import operator_messages as notices
 from autopilot.core.clock import TICK_US
 from autopilot.core.frames import FloatArray
-from autopilot.core.messages import Drive, Goal, NavState, Severity
+from autopilot.core.messages import Drive, Goal, NavState
 from autopilot.mavlink.api import Answer, FlightMode, Sticks
 
 PLAY_M = 0.01
@@ -89,7 +90,7 @@ class SurftrakMode(DepthHoldMode):
         self._now_m = self._height_of(conditions)
         known = self._now_m is not None
         if self._told is not None and known is not self._told:
-            self._operator.say(*_BACK if known else _GONE)
+            self._operator.say(notices.FLOOR_BACK() if known else notices.FLOOR_LOST())
         self._told = known
         if self._now_m is None:
             return
@@ -141,7 +142,3 @@ class SurftrakMode(DepthHoldMode):
     def _height_of(conditions: Conditions) -> float | None:
         attitude: FloatArray | None = None if conditions.nav is None else conditions.nav.rpy_rad
         return conditions.facts.floor.height_m(conditions.t_us, attitude)
-
-
-_GONE = (Severity.WARNING, "No range to the floor: holding depth")
-_BACK = (Severity.INFO, "Range to the floor is back: holding height")
