@@ -156,10 +156,10 @@ def _tube(flown: Sequence[RunResult], strict: bool) -> Bar:
 
 SMOOTH = (
     ("alternating", "alternating commands", 100.0, "%"),
-    ("ratio", "variation of thrust over its slow part", 1.0, ""),
+    ("ratio", "thrust variation / that below 2 Hz", 1.0, ""),
     ("step_n", "largest step of thrust", 1.0, "N"),
     ("reversals_1_s", "reversals of a thruster", 1.0, "1/s"),
-    ("silent", "fallback steps without a word", 1.0, ""),
+    ("silent", "unreported fallback steps", 1.0, ""),
 )
 """Figure of :class:`autopilot.log.smoothness.Smoothness`, how it is called, factor to its unit, unit."""
 

@@ -204,7 +204,7 @@ def _print_survey(result: "Survey", out: str | None) -> None:
         ("what", "value"),
         [
             ("markers in the map", len(result.rows)),
-            ("sights of markers, not believed", f"{result.sights}, {result.disbelieved}"),
+            ("marker sightings, rejected", f"{result.sights}, {result.disbelieved}"),
             ("views used, left out", f"{result.views}, {result.left_out_views}"),
             ("corner noise", f"{result.sigma_px:.3f} px"),
             ("corners drawn inwards by", f"{result.shrink_px:.3f} px"),

@@ -326,10 +326,10 @@ def _smoothness_rows(flight: Flight) -> list[Row]:
         slow += f", taken as {found.least_n_s:.2g}"
     return [
         _smooth("alternating commands", "%", 100.0 * BARS.alternating, 100.0 * found.alternating, end_s, "by 2 N"),
-        _smooth("variation of thrust over its slow part", "", BARS.ratio, found.ratio, end_s, slow),
+        _smooth("thrust variation / that below 2 Hz", "", BARS.ratio, found.ratio, end_s, slow),
         _smooth("largest step of thrust", "N", BARS.step_n, found.step_n, found.step_at_s, "but starts and limits"),
         _smooth("reversals of a thruster", "1/s", BARS.reversals_1_s, found.reversals_1_s, end_s, "worst thruster"),
-        _smooth("fallback steps without a word", "", BARS.silent, float(found.silent), end_s),
+        _smooth("unreported fallback steps", "", BARS.silent, float(found.silent), end_s),
     ]
 
 
@@ -361,7 +361,7 @@ def _health_rows(flight: Flight) -> list[Row]:
     thrusters, commands = flight.table("/ctl/thrusters"), flight.table("/out/thrusters")
     if thrusters is not None and commands is not None:
         weakest = float(thrusters["effectiveness"][:, : thruster_count(commands)].min())
-        rows.append(info("weakest thruster gives", "%", 100.0 * weakest))
+        rows.append(info("lowest thruster effectiveness", "%", 100.0 * weakest))
     loop = flight.table("/sys/loop")
     if loop is not None:
         # The counter runs since the service started, which may have been long before this log.

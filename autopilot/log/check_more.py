@@ -101,7 +101,7 @@ def _detour(flight: Flight) -> list[Row]:
     if not straight > 0.0:
         return []
     flown = way_m(flight.judged.between(Span(came[0][1], came[-1][1])))
-    return [row("Mission", "way over straight lines between waypoints", "", flown / straight)]
+    return [row("Mission", "path length / straight-line length", "", flown / straight)]
 
 
 def _tracking(flight: Flight) -> list[Row]:
@@ -115,13 +115,13 @@ def _tracking(flight: Flight) -> list[Row]:
         for index, axis in enumerate("xyz"):
             away = np.interp(then_s[seen], track.t_s, track.pos_ned_m[:, index]) - then_m[seen, index]
             note = f"95 % {np.percentile(np.abs(away), 95.0):.3f}, largest {np.abs(away).max():.3f} m"
-            name = f"off the plan of {AHEAD_S:g} s before, {axis} rms"
+            name = f"{AHEAD_S:g} s prediction error, {axis} rms"
             rows.append(row("Tracking", name, "m", float(np.sqrt(np.mean(away**2))), note))
     commands, acting = flight.table("/out/thrusters"), flight.table("/sim/thrusters")
     if commands is not None and acting is not None and len(commands) > FEWEST and len(acting) > FEWEST:
         delay = _delay_s(flight, commands, acting)
         if delay is not None:
-            rows.append(row("Tracking", "thrust follows commands after", "s", delay, "dead time and lag together"))
+            rows.append(row("Tracking", "latency from command to thrust", "s", delay, "dead time and lag together"))
     return rows
 
 
@@ -160,7 +160,7 @@ def _settling(flight: Flight) -> list[Row]:
     if times:
         slowest, stay = max(times, key=lambda pair: pair[0])
         note = f"longest, at item {stay.seq}; median {float(np.median([time for time, _ in times])):.1f} s"
-        rows.append(row("Tracking", "settled in a goal's region after", "s", slowest, note))
+        rows.append(row("Tracking", "settling time in a goal's region", "s", slowest, note))
     return rows
 
 
@@ -254,7 +254,7 @@ def _camera(flight: Flight) -> list[Row]:
     aid = flight.table(AID_PREFIX + "markers")
     if aid is not None and len(aid):
         age = float(np.percentile(aid["age_s"], 95.0))
-        rows.append(row("Camera", "age of a fix, 95 %", "s", age))
+        rows.append(row("Camera", "age of a fix, p95", "s", age))
     return rows
 
 
@@ -271,7 +271,7 @@ def _fit(flight: Flight) -> list[Row]:
     out = 100.0 * float(1.0 - mine["used"].sum() / max(int(mine["known"].sum()), 1))
     return [
         at_most("Camera", "reprojection error, rms", "px", MOST_REPROJECTION_PX, rms, note),
-        at_most("Camera", "markers that did not fit", "%", 100.0 * MOST_MISFIT, out),
+        at_most("Camera", "rejected markers", "%", 100.0 * MOST_MISFIT, out),
     ]
 
 
@@ -291,9 +291,9 @@ def _thrusters(flight: Flight) -> list[Row]:
     by_name = ", ".join(f"{name} {count}" for name, count in zip(names, hits.sum(axis=0).tolist(), strict=False))
     means = ", ".join(f"{name} {value:.2f}" for name, value in zip(names, thrust.mean(axis=0), strict=False))
     return [
-        row("Thrust", "time at the limit of thrust", "%", share),
-        row("Thrust", "times that a thruster came to its limit", "", float(hits.sum()), by_name),
-        row("Thrust", "mean thrust, all together", "N", float(thrust.sum(axis=1).mean()), means),
+        row("Thrust", "time at the thrust limit", "%", share),
+        row("Thrust", "thruster saturations", "", float(hits.sum()), by_name),
+        row("Thrust", "mean total thrust", "N", float(thrust.sum(axis=1).mean()), means),
         *_balance(names, thrust.mean(axis=0)),
     ]
 
@@ -308,7 +308,15 @@ def _balance(names: Sequence[str], mean_n: FloatArray) -> list[Row]:
     if not port + starboard > 0.0:
         return []
     share = 100.0 * (port - starboard) / (port + starboard)
-    return [row("Thrust", "port more than starboard", "%", share, f"{port:.2f} and {starboard:.2f} N on average")]
+    return [
+        row(
+            "Thrust",
+            "thrust imbalance, port over starboard",
+            "%",
+            share,
+            f"{port:.2f} and {starboard:.2f} N on average",
+        )
+    ]
 
 
 def _current(flight: Flight) -> list[Row]:
@@ -316,12 +324,12 @@ def _current(flight: Flight) -> list[Row]:
     along = along_track(track)
     rows = []
     if len(along):
-        rows.append(row("Current", "way with the current behind", "%", 100.0 * float((along > 0.0).mean())))
+        rows.append(row("Current", "path with a following current", "%", 100.0 * float((along > 0.0).mean())))
     worked = drag_work(flight)
     if worked is not None:
         share = 100.0 * worked.flown_j / worked.still_j
         note = f"{worked.flown_j:.0f} of {worked.still_j:.0f} J: same way and ground speed, drag by the vehicle file"
-        rows.append(row("Current", "work of the drag, of that in still water", "%", share, note))
+        rows.append(row("Current", "drag work relative to still water", "%", share, note))
     if flight.truth is not None and flight.nav is not None:
         error = estimate_error(flight.truth, flight.nav.between(flight.mission))
         if error is not None:
@@ -391,7 +399,7 @@ def _energy_of_thrusters(flight: Flight, used_j: float | None) -> list[Row]:
     if used_j is not None:
         hotel_j = found.hotel_w * (flight.armed.end_s - flight.armed.start_s)
         note = f"{hotel_j:.0f} J by the vehicle file"
-        rows.append(row("Power", "energy of everything else", "J", used_j - float(taken.sum()), note))
+        rows.append(row("Power", "energy of other loads", "J", used_j - float(taken.sum()), note))
     return rows
 
 

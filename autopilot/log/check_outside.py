@@ -32,9 +32,7 @@ def link_rows(flight: Flight) -> list[Row]:
     if received is not None and len(received):
         missing = lost_share(received)
         if missing is not None:
-            rows.append(
-                at_most("Links", "MAVLink messages lost on the way in", "%", 100.0 * MOST_LOST, 100.0 * missing)
-            )
+            rows.append(at_most("Links", "inbound MAVLink messages lost", "%", 100.0 * MOST_LOST, 100.0 * missing))
         mine = seconds(received)[flight.armed.holds(seconds(received))]
         if len(mine) > 1:
             rows.append(row("Links", "longest silence of all clients", "s", float(np.diff(mine).max())))
@@ -55,7 +53,7 @@ def _round_trips(flight: Flight, received: Table, sent: Table) -> list[Row]:
         return []
     slow = float(np.percentile(found_s, 95.0))
     note = f"median {float(np.median(found_s)):.2f}, longest {found_s.max():.2f} s of {len(found_s)}"
-    name = "there and back to clients, 95 %"
+    name = "MAVLink round trip, p95"
     if flight.run is not None and flight.run.speed not in (None, 1.0):
         return [row("Links", name, "s", slow, f"{note}; in simulated time")]
     return [at_most("Links", name, "s", MOST_ROUND_TRIP_S, slow, note)]
@@ -92,9 +90,9 @@ def process_rows(flight: Flight) -> list[Row]:
     size = f"{1e-6 * float(table['log_queue_bytes'].max()):.1f} MB at most"
     in_time = flight.run is None or flight.run.speed != 0.0
     if in_time:
-        rows.append(at_most("Service", "messages waiting for the log", "", MOST_QUEUED, depth, size))
+        rows.append(at_most("Service", "log queue", "", MOST_QUEUED, depth, size))
     else:
-        rows.append(row("Service", "messages waiting for the log", "", depth, f"{size}; in lockstep the loop waits"))
+        rows.append(row("Service", "log queue", "", depth, f"{size}; in lockstep the loop waits"))
     rows.append(row("Service", "longest garbage collection", "ms", 1e3 * float(table["collect_s"].max())))
     return rows
 

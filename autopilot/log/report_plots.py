@@ -153,7 +153,7 @@ class Plots:
                 )
                 for i, axis in enumerate("xyz")
             ]
-            plots[f"Place minus what was planned {AHEAD_S:g} s before"] = self._sheet.plot("[mm]", missed)
+            plots[f"Position: {AHEAD_S:g} s prediction error"] = self._sheet.plot("[mm]", missed)
         return plots
 
     def _bounds(self) -> Subject:
@@ -161,7 +161,7 @@ class Plots:
         speeds = [Curve(name=f"norm {name}", t_s=t.t_s, values=t.planar_speed_m_s) for name, t in self._known]
         speeds.append(Curve(name="|u + v|", t_s=track.t_s, values=track.literal_speed_m_s))
         return {
-            "Clearances above what is asked for": self._sheet.plot("margin [m]", clearances(flight), (0.0,)),
+            "Clearance margins": self._sheet.plot("margin [m]", clearances(flight), (0.0,)),
             "Planar speed": self._sheet.plot("speed in the water [m/s]", speeds, self._bound("planar_speed_m_s")[1:]),
             "Heave": self._component("w [m/s]", "vel_water_frd_m_s", self._bound("heave_m_s")),
             "Yaw rate": self._component("r [rad/s]", "rate_frd_rad_s", self._bound("yaw_rate_rad_s")),
@@ -195,7 +195,7 @@ class Plots:
                 (CONTROL_PERIOD_MS,),
                 log_scale=True,
             ),
-            "How long control steps took": histogram(
+            "Distribution of control step times": histogram(
                 "CPU time of a step [ms]", solve_ms, CONTROL_PERIOD_MS, "deadline"
             ),
             "Quadratic programs solved": one("iterations", "iterations"),
@@ -203,7 +203,7 @@ class Plots:
             "Cost": one("cost", "cost"),
             "Slack of soft limits": one("slack_max", "slack"),
             "Smallest clearance in the prediction, and tube": self._sheet.plot("[m]", room),
-            "Energy that the plan foresees": self._sheet.plot("[J]", energy),
+            "Predicted energy to the goal": self._sheet.plot("[J]", energy),
         }
 
     def _estimator(self) -> Subject:
@@ -248,7 +248,7 @@ class Plots:
         shadow = flight.table("/nav/shadow")
         if shadow is not None:
             curves = [Curve(name="largest difference over its bound", t_s=seconds(shadow), values=shadow["ratio"])]
-            plots["Estimator in the shadow"] = self._sheet.plot("ratio", curves, (1.0,))
+            plots["Shadow estimator"] = self._sheet.plot("ratio", curves, (1.0,))
         return plots
 
     def _camera(self) -> Subject:
@@ -263,7 +263,7 @@ class Plots:
                 "markers", [Curve(name="markers", t_s=t_s, values=table["count"].astype(float))]
             ),
             "Time between pictures and of detection": self._sheet.plot("[ms]", [gap, decode]),
-            "Reprojection error: corners from where map, camera and pose have them": self._reprojection(),
+            "Reprojection error": self._reprojection(),
         }
 
     def _reprojection(self) -> Any | None:
@@ -295,7 +295,7 @@ class Plots:
                 Curve(name=name, t_s=seconds(health), values=100.0 * health["effectiveness"][:, index], steps=True)
                 for index, name in enumerate(names)
             ]
-            plots["What thrusters give of their thrust"] = self._sheet.plot("[%]", shares)
+            plots["Thruster effectiveness"] = self._sheet.plot("[%]", shares)
         return plots
 
     def _current(self) -> Subject:
@@ -307,7 +307,7 @@ class Plots:
         along = [Curve(name=name, t_s=t.t_s, values=along_track(t)) for name, t in self._known]
         return {
             "Current": self._sheet.plot("current [m/s]", curves),
-            "Current along the way (above 0 = it helps)": self._sheet.plot("[m/s]", along, (0.0,)),
+            "Current along the path (above 0 = following)": self._sheet.plot("[m/s]", along, (0.0,)),
         }
 
     def _power(self) -> Subject:
@@ -318,7 +318,7 @@ class Plots:
             used = np.concatenate(([0.0], np.cumsum(0.5 * (power[1:] + power[:-1]) * np.diff(t_s))))
             plots["Electrical power"] = self._sheet.plot("power [W]", [Curve(name="power", t_s=t_s, values=power)])
             curves = [Curve(name="used", t_s=t_s, values=used), *self._thruster_energy()]
-            plots["Energy, and what each thruster took of it"] = self._sheet.plot("energy [J]", curves)
+            plots["Energy, total and per thruster"] = self._sheet.plot("energy [J]", curves)
         if battery is not None:
             t_s = seconds(battery)
             for title, field, name, unit in (
@@ -387,13 +387,13 @@ class Plots:
         if received is not None and sent is not None:
             at_s, trip_s = round_trips(received, sent)
             trips = [Curve(name="TIMESYNC", t_s=at_s, values=1e3 * trip_s)]
-            plots["There and back to clients"] = self._sheet.plot("[ms]", trips)
+            plots["MAVLink round trip"] = self._sheet.plot("[ms]", trips)
         process = flight.table("/sys/process")
         if process is not None:
             t_s = seconds(process)
             for title, label, name, field, scale in (
                 ("Memory", "[MB]", "in memory", "rss", 1e-6),
-                ("Messages waiting for the log", "messages", "waiting", "log_queue", 1.0),
+                ("Log queue", "messages", "waiting", "log_queue", 1.0),
                 ("Longest garbage collection of a second", "[ms]", "longest", "collect_s", 1e3),
             ):
                 curve = Curve(name=name, t_s=t_s, values=scale * process[field].astype(float), steps=True)

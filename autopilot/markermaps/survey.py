@@ -50,7 +50,7 @@ class Survey:
     unseen: list[str]
     """Markers of the rough map that no two views show; not in the map."""
     disbelieved: int
-    """Sights of markers that did not fit."""
+    """Rejected sightings of markers."""
     sights: int
     sigma_px: float
     shrink_px: float

@@ -297,7 +297,7 @@ def _take_plans(parts: Parts, world: World, kept: KeptPlans | None) -> tuple[str
     if problem and world.flown_at_once:
         raise PlanError(f"{plan}: cannot be flown: {problem}; mend the plan, or start without --start")
     if problem:
-        print(f"warning: {plan}: {problem}; the vehicle will not arm before that is mended", file=sys.stderr)
+        print(f"warning: {plan}: {problem}; the vehicle will not arm until it is fixed", file=sys.stderr)
     if kept is not None:
         kept.skip()
     return warnings

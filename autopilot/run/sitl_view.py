@@ -101,7 +101,7 @@ class Steering:
     def steerable(self) -> Steerable:
         """What this simulation can have done to it."""
         own_plant, paced = self._vehicle.steerable is None, isinstance(self._clock, PacedClock)
-        missing = ["Waves and a tether cannot be dragged: the plant has no such handle."]
+        missing = ["Waves and a tether cannot be changed in this simulation."]
         if own_plant:
             missing = ["This plant has no handles for current, obstacles and faults (sitl/protocol.py)."]
         if not paced:
@@ -203,7 +203,7 @@ class Steering:
                 text = self._add_flow(north, east)
             case DragObstacle(number=number, north_m=north, east_m=east):
                 self._vehicle.put_obstacle(number, north, east)
-                text = f"Obstacle {number} put to {north:.2f} N {east:.2f} E"
+                text = f"Obstacle {number} moved to {north:.2f} N {east:.2f} E"
             case CallFault(fault=fault):
                 text = self._call(t_us, fault)
         self._notices.append((Severity.INFO, f"View: {text}"))

@@ -218,11 +218,11 @@ def test_a_sound_log_passes(tmp_path: Path) -> None:
         ("samples at the end of the sensor's range", {"change_inputs": clips(rate=True)}),
         ("samples at the end of the sensor's range", {"change_inputs": clips(rate=False)}),
         ("lowest voltage", {"change_inputs": empty}),
-        ("MAVLink messages lost on the way in", {"change_inputs": lossy}),
+        ("inbound MAVLink messages lost", {"change_inputs": lossy}),
         ("reprojection error, rms", {"change_outputs": fits(rms_px=1.3, worst_px=4.0)}),
-        ("markers that did not fit", {"change_outputs": fits(used=10)}),
-        ("there and back to clients, 95 %", {"change_inputs": answers(1_200_000), "change_outputs": asks}),
-        ("messages waiting for the log", {"process": lambda t_s: replace(PROCESS, log_queue=15_000)}),
+        ("rejected markers", {"change_outputs": fits(used=10)}),
+        ("MAVLink round trip, p95", {"change_inputs": answers(1_200_000), "change_outputs": asks}),
+        ("log queue", {"process": lambda t_s: replace(PROCESS, log_queue=15_000)}),
         ("overshoot at a goal", {"change_outputs": held, "change_truth": swings(0.35, 5.0), **HELD}),
         ("goals without coming to rest", {"change_outputs": held, "change_truth": swings(0.15, 99.0), **HELD}),
     ],
@@ -252,7 +252,7 @@ def test_what_the_current_spared(tmp_path: Path) -> None:
     def carried(t_s: float, truth: Truth) -> Truth:
         return replace(truth, vel_water_frd_m_s=0.5 * truth.vel_frd_m_s)
 
-    name = "work of the drag, of that in still water"
+    name = "drag work relative to still water"
     assert golden(tmp_path / "a.mcap")[name].worst == pytest.approx(100.0)
     row = golden(tmp_path / "b.mcap", change_truth=carried)[name]
     assert row.worst is not None and 12.5 <= row.worst <= 25.0
@@ -280,30 +280,30 @@ def test_thrust_and_energy_are_told_by_thruster_and_waypoint(tmp_path: Path) -> 
 
     names = ("port", "starboard", "vertical", "lateral")
     rows = golden(tmp_path / "a.mcap", change_outputs=pushes, description=replace(REAL_TIME, thruster_names=names))
-    hits = rows["times that a thruster came to its limit"]
+    hits = rows["thruster saturations"]
     assert (hits.worst, hits.note) == (3.0, "port 3, starboard 0, vertical 0, lateral 0")
-    assert rows["port more than starboard"].worst == pytest.approx(100.0 / 3.0, abs=2.0)
+    assert rows["thrust imbalance, port over starboard"].worst == pytest.approx(100.0 / 3.0, abs=2.0)
     legs = rows["energy from waypoint to waypoint, median"]
     assert legs.worst is not None and 0.0 < legs.worst < (rows["energy"].worst or 0.0)
     assert "in lap 1" in legs.note
     nameless = golden(tmp_path / "b.mcap", change_outputs=pushes)
-    assert "port more than starboard" not in nameless
+    assert "thrust imbalance, port over starboard" not in nameless
 
 
 def test_a_goal_that_is_held_tells_overshoot_and_settling(tmp_path: Path) -> None:
     rows = golden(tmp_path / "a.mcap", change_outputs=held, change_truth=swings(0.15, 5.0), **HELD)
     assert not warned(rows)
     assert rows["overshoot at a goal"].worst == pytest.approx(0.15, abs=0.01)
-    assert rows["settled in a goal's region after"].worst == pytest.approx(5.0, abs=0.6)
-    assert "settled in a goal's region after" not in golden(tmp_path / "b.mcap"), "both goals are flown through"
+    assert rows["settling time in a goal's region"].worst == pytest.approx(5.0, abs=0.6)
+    assert "settling time in a goal's region" not in golden(tmp_path / "b.mcap"), "both goals are flown through"
 
 
 def test_round_trips_are_those_of_our_own_requests(tmp_path: Path) -> None:
-    row = golden(tmp_path / "a.mcap", answers(300_000), asks)["there and back to clients, 95 %"]
+    row = golden(tmp_path / "a.mcap", answers(300_000), asks)["MAVLink round trip, p95"]
     assert row.worst == pytest.approx(0.3) and row.note.endswith("of 8")
-    assert "there and back to clients, 95 %" not in golden(tmp_path / "b.mcap", change_outputs=asks)
+    assert "MAVLink round trip, p95" not in golden(tmp_path / "b.mcap", change_outputs=asks)
     fast = replace(REAL_TIME, speed=0.0)
-    row = golden(tmp_path / "c.mcap", answers(3_000_000), asks, description=fast)["there and back to clients, 95 %"]
+    row = golden(tmp_path / "c.mcap", answers(3_000_000), asks, description=fast)["MAVLink round trip, p95"]
     assert row.verdict is Verdict.INFO, "in lockstep clients live in another time"
 
 
@@ -333,6 +333,6 @@ def test_energy_is_told_by_thruster(tmp_path: Path) -> None:
     assert rows["energy of the thrusters"].note.startswith(
         f"{port.name} {port.drive.power_w_n15 * 3.0**1.5 * (1e-6 * END_US - 0.1):.0f}, "
     )
-    energy, rest = rows["energy"].worst, rows["energy of everything else"].worst
+    energy, rest = rows["energy"].worst, rows["energy of other loads"].worst
     assert energy is not None and rest is not None
     assert rest == pytest.approx(energy - (rows["energy of the thrusters"].worst or 0.0))

@@ -239,7 +239,7 @@ def test_plan_with_a_waypoint_in_an_obstacle(autopilot: Command, tmp_path: Path)
     named = (str(file), "item 0", "inside", "move it 0.43 m")
     loaded = _sitl(autopilot, "paper-tank", "--plan", str(file))
     assert loaded.code == 0
-    _assert_warned(loaded, *named, "will not arm before that is mended")
+    _assert_warned(loaded, *named, "will not arm until it is fixed")
     _assert_refused(_sitl(autopilot, "paper-tank", "--plan", str(file), "--start"), *named, "mend the plan")
     checked = autopilot("mission", "check", str(file), "--json")
     assert checked.code == 3

@@ -33,4 +33,4 @@ def test_a_second_of_delay_is_found_and_nothing_is_touched(session: OpenSession,
         assert margin is not None
         assert margin > 0.0
     assert rows["failsafes raised"].note == f"bits {1 << Failsafe.LATENCY:#x}"
-    assert "weakest thruster gives" not in rows or rows["weakest thruster gives"].worst == 100.0
+    assert "lowest thruster effectiveness" not in rows or rows["lowest thruster effectiveness"].worst == 100.0

@@ -65,7 +65,7 @@ def test_half_a_thruster_does_not_end_a_mission(session: OpenSession, tmp_path: 
     assert rows["laps"].worst == 1
     assert [row for row in rows.values() if row.verdict is Verdict.FAIL] == []
     assert rows["failsafes raised"].worst == 0
-    weakest = rows["weakest thruster gives"].worst
+    weakest = rows["lowest thruster effectiveness"].worst
     assert weakest is not None
     assert 30.0 < weakest < 75.0
 

@@ -133,7 +133,7 @@ def test_what_is_old_is_no_news(events: list[dict[str, Any]]) -> None:
     horizon = "#d07c00"
     assert horizon in fresh["svg"]["plan"] and horizon not in made["svg"]["plan"] + made["svg"]["side"]
     facts = dict(zip(made["state"][::2], made["state"][1::2], strict=True))
-    assert facts["Controller"] == "at rest for 6 s" and "Margin ahead" not in facts
+    assert facts["Controller"] == "at rest for 6 s" and "Predicted margin" not in facts
     assert made["words"]["health"] == "estimate invalid"
     assert f"{silent['name']} silent" in made["words"]["sensors"] and "silent" not in fresh["words"]["sensors"]
 

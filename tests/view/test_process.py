@@ -180,7 +180,7 @@ def test_what_is_asked_for_is_done(sitl: Run) -> None:
     assert post(port, {"do": "fault", "fault": silence})[0] == 200
     stream.until("frame", lambda data: any(s["name"] == "markers" and s["age_s"] > 2.0 for s in data["sensors"]))
     said = [m["text"] for m in stream.until("frame")["messages"]]
-    assert "View: Obstacle 1 put to -1.00 N -0.30 E" in said and "View: Fault camera_blackout" in said
+    assert "View: Obstacle 1 moved to -1.00 N -0.30 E" in said and "View: Fault camera_blackout" in said
     assert f"View: Fault thruster_loss {name}" in said, "which one"
     token = page_token(port)
     assert post(port, {"do": "reset"})[0] == 200

@@ -130,11 +130,11 @@ function showState(frame) {
     rows.push(["Roll, pitch, yaw", nav.rpy_rad.map(degrees).join(", "), kind]);
     const [north, east, down] = nav.sigma_pos_m.map((v) => (1e3 * v).toFixed(1));
     rows.push(["Sigma", `${north}, ${east}, ${down} mm, ${degrees(nav.sigma_yaw_rad)}`, kind]);
-    rows.push(["Current felt", `${nav.current_ned_m_s.slice(0, 2).map((v) => fixed(v)).join(", ")} m/s`, kind]);
+    rows.push(["Estimated current", `${nav.current_ned_m_s.slice(0, 2).map((v) => fixed(v)).join(", ")} m/s`, kind]);
   } else rows.push(["Estimate", "none"]);
   if (truth && nav) {
     const off = Math.hypot(...truth.pos_ned_m.map((v, i) => v - nav.pos_ned_m[i]));
-    rows.push(["Off the truth", `${(1e3 * off).toFixed(1)} mm`]);
+    rows.push(["Position error", `${(1e3 * off).toFixed(1)} mm`]);
   }
   if (truth) rows.push(["Contacts", `${truth.contacts}`], ["Power", `${fixed(truth.power_w, 0)} W`]);
   if (progress) rows.push(["Mission", `${progress.state}, item ${progress.item}, lap ${progress.lap + 1}`]);
@@ -142,8 +142,8 @@ function showState(frame) {
   if (control && !current(frame)) rows.push(["Controller", `at rest for ${fixed(control.age_s, 0)} s`]);
   else if (control) {
     rows.push(["Controller", `${control.status}${control.fallback === "NONE" ? "" : ", fallback " + control.fallback}`]);
-    rows.push(["Margin ahead", `${fixed(control.margin_m, 3)} m beyond body and tube of ${fixed(control.tube_now_m, 3)} m`]);
-    if (control.eta_s !== null) rows.push(["To the goal", `${fixed(control.eta_s, 1)} s, ${fixed(control.energy_j, 0)} J, as planned ${ageText(control.plan_age_s)} ago`]);
+    rows.push(["Predicted margin", `${fixed(control.margin_m, 3)} m beyond body and tube of ${fixed(control.tube_now_m, 3)} m`]);
+    if (control.eta_s !== null) rows.push(["Goal in", `${fixed(control.eta_s, 1)} s, ${fixed(control.energy_j, 0)} J, as planned ${ageText(control.plan_age_s)} ago`]);
   }
   if (battery) rows.push(aged("Battery", `${fixed(battery.voltage_v, 1)} V, ${fixed(battery.current_a, 1)} A, ${(100 * battery.remaining).toFixed(0)} %`, battery.age_s, ages().battery_s));
   if (loop) rows.push(aged("Loop", `${fixed(loop.longest_tick_ms, 1)} ms longest tick, ${(100 * loop.cpu_share).toFixed(0)} % of a core, ${loop.overruns} overruns`, loop.age_s, ages().loop_s));
@@ -161,7 +161,7 @@ function showBars(scene, frame) {
   if (current(frame)) rows.push(bar("Solve time", control.solve_ms, limits.solve_ms, `${fixed(control.solve_ms, 1)} / ${limits.solve_ms} ms`));
   if (frame.clearance_m !== null) {
     const room = frame.clearance_m - radius;
-    const row = bar("To the fence", Math.max(0, 1 - room), 1, `${fixed(room)} m`);
+    const row = bar("Distance to fence", Math.max(0, 1 - room), 1, `${fixed(room)} m`);
     row.title = "Body to the fence; full = touching";
     rows.push(row);
   }
@@ -219,7 +219,7 @@ function showFrame(frame) {
   showBars(scene, frame);
   showSensors(frame);
   showMessages(frame);
-  $("pause").textContent = frame.paused ? "Go on" : "Pause";
+  $("pause").textContent = frame.paused ? "Resume" : "Pause";
   const speed = $("speed");
   if (document.activeElement !== speed && frame.speed > 0) speed.value = String(frame.speed);
   const flow = frame.extra_current_ned_m_s;
