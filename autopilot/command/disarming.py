@@ -11,7 +11,7 @@ from autopilot.mavlink.api import ACCEPTED, Answer, CommandResult
 CONFIRM_TICKS = 300
 """3 s, twelve requests: then it is said that it has not worked. It is asked for until it has."""
 
-ARMED_ANEW = "Disarming ended: armed anew"
+ARMED_ANEW = "Disarming cancelled: armed again"
 
 WAITING = Answer(result=CommandResult.IN_PROGRESS)
 

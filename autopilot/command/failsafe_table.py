@@ -142,7 +142,7 @@ ROWS: tuple[Row, ...] = (
         level=lambda c, s: c.command_delay_s,
         enter="FS_LAT_MAX",
         action="FS_LAT_ACT",
-        text="commands act too late",
+        text="command latency high: check the tether",
     ),
     Row(
         rule=Failsafe.NAV_CHECK,
@@ -212,7 +212,7 @@ ROWS: tuple[Row, ...] = (
         leave_s=1.0,
         action="FS_DOUBT_ACT",
         severity=Severity.WARNING,
-        text="map or calibration doubtful: check both",
+        text="map or calibration suspect: check both",
         flying=True,
     ),
     Row(
@@ -223,7 +223,7 @@ ROWS: tuple[Row, ...] = (
         below=True,
         gap=0.02,
         action="FS_BATT_CRT_ACT",
-        text="battery critical: come up",
+        text="battery critical: surface",
     ),
     Row(
         rule=Failsafe.ENERGY,
@@ -305,7 +305,7 @@ ROWS: tuple[Row, ...] = (
         enter_s=2.0,
         action="FS_CRASH_CHECK",
         effects=("off", "warn", "disarm", "hold", "surface"),
-        text="leans over {FS_CRASH_ANGLE:.0f} deg: look at it",
+        text="tilt beyond {FS_CRASH_ANGLE:.0f} deg: check vehicle",
         flying=True,
     ),
     Row(
@@ -316,7 +316,7 @@ ROWS: tuple[Row, ...] = (
         enter=1.0,
         action="FS_COLL_ACT",
         severity=Severity.WARNING,
-        text="hit something: look at the camera",
+        text="collision detected: check the camera",
         flying=True,
     ),
     Row(
@@ -326,7 +326,7 @@ ROWS: tuple[Row, ...] = (
         enter="FS_STUCK_TIME",
         action="FS_STUCK_ACT",
         severity=Severity.WARNING,
-        text="thrust and no motion: stuck, or current",
+        text="stuck, thrust without motion: back off",
         flying=True,
     ),
     Row(
@@ -337,7 +337,7 @@ ROWS: tuple[Row, ...] = (
         gap=0.2,
         zero_is_off=True,
         action="FS_TETHER_ACT",
-        text="tether is out: come back",
+        text="tether fully paid out: come back",
         flying=True,
     ),
     Row(
@@ -349,7 +349,7 @@ ROWS: tuple[Row, ...] = (
         leave_s=2.0,
         action="FS_LOOP_ACT",
         severity=Severity.WARNING,
-        text="loop too slow: machine overloaded",
+        text="control loop late: reduce the CPU load",
     ),
     Row(
         rule=Failsafe.LOG,
@@ -358,7 +358,7 @@ ROWS: tuple[Row, ...] = (
         enter=1.0,
         action="FS_LOG_ACT",
         severity=Severity.WARNING,
-        text="no log: free the disk",
+        text="not logging: free disk space",
         flying=True,
     ),
     Row(
@@ -376,7 +376,7 @@ ROWS: tuple[Row, ...] = (
         level=lambda c, s: s.blind_s,
         enter="FS_ASCENT_TIME",
         action="FS_ASCENT_ACT",
-        text="ascent takes too long: heave it in",
+        text="ascent too slow: haul in the tether",
         flying=True,
     ),
     Row(
@@ -386,7 +386,7 @@ ROWS: tuple[Row, ...] = (
         enter=1.0,
         enter_s=3.0,
         action="FS_WDOG_ACT",
-        text="thruster watchdog {watchdog_problem}: come up",
+        text="thruster watchdog {watchdog_problem}: surface",
         arming="thruster watchdog {watchdog_problem}: restart the service",
     ),
     Row(
@@ -396,7 +396,7 @@ ROWS: tuple[Row, ...] = (
         enter=1.0,
         leave_s=1.0,
         action="FS_CAM_ACT",
-        text="camera not believed: check its pictures",
+        text="camera rejected: check its pictures",
         flying=True,
     ),
     Row(

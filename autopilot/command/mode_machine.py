@@ -184,7 +184,7 @@ class ModeMachine:
                 self._override = None
                 self._failsafes.clear()
             resumes = self._before is FlightMode.MISSION and self._override is None and may_resume()
-            self._operator.say(notices.PILOT_GAVE_BACK(next="mission goes on" if resumes else "holding"))
+            self._operator.say(notices.PILOT_GAVE_BACK(next="mission resumes" if resumes else "holding"))
             self.enter(FlightMode.MISSION if resumes else FlightMode.HOLD)
 
     # One tick

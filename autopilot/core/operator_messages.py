@@ -96,15 +96,15 @@ SERVICE_RESTARTS = _info("Service restarts: asked for by {client}", "A client se
 # Flight controller and its pilot
 
 STOPPED_BELOW = _critical(
-    "Stopped below: {reason}",
+    "Flight controller disarmed: {reason}",
     "The flight controller no longer drives the thrusters for the autopilot, which has disarmed.",
     "Look at the flight controller's own messages, then arm again.",
 )
 PILOT_HAS_CONTROL = _warning(
-    "Pilot has taken over ({mode}): let go",
+    "Pilot has control ({mode}): autopilot waits",
     "A pilot steers through the flight controller. The autopilot sends nothing until its mode is given back.",
 )
-PILOT_GAVE_BACK = _info("Pilot has given back: {next}", "The autopilot steers again. PILOT_BACK 1 resumes a mission.")
+PILOT_GAVE_BACK = _info("Pilot returned control: {next}", "The autopilot steers again. PILOT_BACK 1 resumes a mission.")
 
 # Failsafes; their conditions with the remedy of each are in docs/failsafes.md
 
@@ -153,7 +153,7 @@ POSITION_LOST_PILOTED = _critical(
     "A piloted mode flies without position: fence and clearances are not kept.",
     "Keep clear of walls; bring markers into view.",
 )
-POSITION_BACK_PILOTED = _info("Position is back: fence and limits hold", "Fence and clearances are kept again.")
+POSITION_BACK_PILOTED = _info("Position is back: fence and limits apply", "Fence and clearances are kept again.")
 ESTIMATE_NOT_FINITE = _error(
     "Estimate not finite: not used, restart if it stays",
     "The estimator returned NaN, infinity or impossible values; the last estimate is used for 0.2 s.",
@@ -168,20 +168,20 @@ GYRO_WRONG = _warning(
     "Gyro wrong: keep markers in view, check AHRS", "Rates contradict fixes or attitude.", "Check the AHRS, restart it."
 )
 FIXES_DISAGREE = _warning(
-    "Fixes deny the estimate: check markers, camera",
+    "Markers disagree with dead reckoning: check map",
     "Marker positions disagree with dead reckoning.",
     "Check that markers hang where the map says, and the camera calibration.",
 )
 RANGE_DISAGREES = _warning(
-    "Laser denies the height: calibrate camera",
+    "Laser and marker height disagree: calibrate camera",
     "Laser range and the height from markers disagree.",
     "Calibrate the camera; check the laser's mounting.",
 )
 MAP_DISAGREES = _warning(
-    "Marker map disagrees: check it or survey it", "Markers contradict each other.", "Run `autopilot survey`."
+    "Marker map disagrees: check it or survey it", "Markers contradict each other.", "Run `autopilot markers survey`."
 )
 CALIBRATION_SUSPECT = _warning(
-    "Camera calibration doubtful: see messages", "Pictures fit another calibration better.", "Calibrate the camera."
+    "Camera calibration suspect: see messages", "Pictures fit another calibration better.", "Calibrate the camera."
 )
 REPEATED_RESETS = _warning(
     "Position reset repeatedly: check map, camera", "The estimate jumped to fixes several times.", "Check map, camera."
@@ -192,9 +192,9 @@ CAMERA_WRONG = _warning(
 
 # Thrusters and commands
 
-LATENCY_NORMAL = _info("Commands act at once again", "The estimated command latency is 0 again.")
+LATENCY_NORMAL = _info("Command latency is back to normal", "The estimated command latency is 0 again.")
 LATENCY = _warning(
-    "Commands act {delay_s:.1f} s late: check the tether",
+    "Command latency {delay_s:.1f} s: check the tether",
     "Estimated latency from command to motion.",
     "Check tether, network and the flight controller's load.",
 )
@@ -211,10 +211,11 @@ THRUSTER_LOSS = _warning(
 )
 THRUSTER_RESTORED = _info("Thruster {name} gives its full thrust again", "No loss is estimated any more.")
 THRUSTERS_UNJUDGED = _info(
-    "Too little used to judge thrust: {names}", "These thrusters turned too little in this flight to estimate a loss."
+    "Thrust not estimated, used too little: {names}",
+    "These thrusters turned too little in this flight to estimate a loss.",
 )
 NO_FREE_PATH = _warning(
-    "No free way to the goal: holding; move the goal",
+    "No free path to the goal: holding; move the goal",
     "Fence and obstacles leave no path to the goal.",
     "Move the goal, the fence or the obstacle.",
 )
@@ -233,10 +234,12 @@ DEVICE_FAILED = _critical(
 )
 DEVICE_WORKS = _info("{device}: working again", "It has worked for 1 s.")
 BATTERY_IMPLAUSIBLE = _warning(
-    "Battery monitor makes no sense: check it", "A reading is not finite or negative; it is not used.", "Check monitor."
+    "Battery readings implausible: check the monitor",
+    "A reading is not finite or negative; it is not used.",
+    "Check monitor.",
 )
 BATTERY_VOLTAGE_IMPLAUSIBLE = _warning(
-    "Battery says {voltage_v:.1f} V, plausible {low_v:.3g} to {high_v:.3g} V: check monitor, vehicle file",
+    "Battery voltage {voltage_v:.1f} V, plausible {low_v:.3g} to {high_v:.3g} V: check monitor, vehicle file",
     "No voltage of the battery in the vehicle file; the reading is not used.",
     "Correct the monitor's scale or the vehicle file's battery.",
 )
@@ -249,10 +252,10 @@ CAMERA_WRONG_SIZE = _warning("Picture size is not the vehicle file's: check it",
 CAMERA_WRONG_TYPE = _warning("Camera sends no 8-bit pictures: set its format", "Pictures cannot be used.")
 CAMERA_FOGGY = _warning("Camera foggy: clean its lens, or water is turbid", "Contrast is too low for markers.")
 CAMERA_SILENT = _warning("Camera sends no pictures: check its cable", "Pictures have come and come no more.")
-CAMERA_WORKS = _info("Camera is well again", "Pictures are usable again.")
+CAMERA_WORKS = _info("Camera works again", "Pictures are usable again.")
 PHOTOS_STOPPED = _warning("Photos stopped: {reason}", "The camera cannot take stills any more.", "Fix what is named.")
 PHOTOS_SKIPPED = _warning(
-    "Photos left out: camera does not follow",
+    "Photos skipped: camera too slow, ask less often",
     "Stills are asked for faster than the camera takes them.",
     "Choose a longer interval or distance.",
 )
@@ -260,7 +263,7 @@ PHOTO_FAILED = _warning("Photo {index} failed: {reason}", "This still is lost.",
 FLOOR_LOST = _warning("No range to the floor: holding depth", "SURFTRAK has no altimeter reading.", "Check altimeter.")
 FLOOR_BACK = _info("Range to the floor is back: holding height", "SURFTRAK follows the floor again.")
 IN_OBSTACLE = _warning(
-    "Not avoided: we are in an obstacle of {size_m:.0f} m",
+    "Obstacle of {size_m:.0f} m ignored: it covers the vehicle",
     "A reported obstacle covers the vehicle; it is ignored.",
     "Correct what reports the obstacle.",
 )
@@ -282,7 +285,7 @@ ITEM_HELD = _warning(
 UPSTREAM = _warning(
     "{leg}", "The current leaves little or no speed over ground on a leg.", "Raise the speed, move or reverse the leg."
 )
-HOME_KEPT = _warning("Home stays where it was: {reason}", "Home could not be set where the vehicle was armed.")
+HOME_KEPT = _warning("Home unchanged: {reason}", "Home could not be set where the vehicle was armed.")
 PLAN_HOLD = _warning("Holding: {problem}", "A change made the running plan invalid.", "Correct the plan, start again.")
 PLAN_NO_START = _warning(NO_START + "{problem}", "The stored plan must not be flown.", "Correct the plan.")
 PLAN_OK = _info("Plan ok", "What kept the plan from starting is gone.")
@@ -298,10 +301,14 @@ SETPOINTS_STOPPED = _warning(
 
 GREETING = _info("{name} {version}, {note}", "Name and version, to each client 2 s after its first message.")
 GREETING_REFUSAL = _warning("No arming: {reason}", "A reason against arming that a client cannot see.", "As it says.")
-KEY_UNKNOWN = _warning("Frames signed with an unknown key: not heard", "MAVLink signing.", "Give the client the key.")
-UNSIGNED = _warning("Unsigned frames are not heard: sign them", "MAVLink signing is on.", "Give the client the key.")
-SIGNED_TOO_OLD = _warning("Signed frames are too old: check the clock", "Time stamps are behind.", "Set the clock.")
-FRAMES_REFUSED = _warning("frames not heard so far: {counts}", "For the log: counts by reason.")
+KEY_UNKNOWN = _warning(
+    "Frames with an unknown key rejected: check the key", "MAVLink signing.", "Give the client the key."
+)
+UNSIGNED = _warning("Unsigned frames rejected: sign them", "MAVLink signing is on.", "Give the client the key.")
+SIGNED_TOO_OLD = _warning(
+    "Signed frames rejected, too old: check the clock", "Time stamps are behind.", "Set the clock."
+)
+FRAMES_REFUSED = _warning("frames rejected so far: {counts}", "For the log: counts by reason.")
 FLOODED = _warning(
     "{sender} floods its link: throttled", "A client sends more than is processed.", "Lower its message rates."
 )
@@ -313,7 +320,7 @@ KEY_FROM_NETWORK = _warning("Key refused: use `autopilot mavlink key` on board",
 KEY_WHILE_ARMED = _warning("Key refused: disarm first", "Keys do not change while armed.", "Disarm.")
 KEY_UNSIGNED = _warning("Key refused: sign it with the present key", "A key in force must sign its successor.")
 KEY_ZERO = _warning("Key refused: it is all zero", "An all-zero key is none.", "Choose another key.")
-SIGNING_ON = _warning("Signing on: only signed frames are heard (key set by {client})", "A signing key was set.")
+SIGNING_ON = _warning("Signing on: only signed frames are accepted (key set by {client})", "A signing key was set.")
 SIGNING_OFF = _warning("Signing off (key set by {client})", "The signing key was removed.")
 OPERATOR_SILENT = _warning("Operator {system} silent: nobody in control", "FS_GCS_TIMEOUT.", "Take control.")
 OPERATOR_RELEASED = _info("Operator {system} released control", "Every client may command.")
@@ -338,7 +345,7 @@ MISSION_UNFENCED = _warning(
     f"Mission with {NO_FENCE}: upload its fence, or keep clear of walls", "Only the depth band bounds the vehicle."
 )
 PARAMETER_SET = _info("parameter {name} = {value:g} (was {before:g})", "For the log.")
-PARAMETER_STUB = _warning("{name} does nothing here and stays as it is", "Known to ground stations, not to us.")
+PARAMETER_STUB = _warning("{name} has no effect here and is unchanged", "Known to ground stations, not to us.")
 PARAMETER_TYPE = _warning("parameter {name} is {type}: other types are refused", "Wrong type.", "Send it as that type.")
 PARAMETERS_RESET = _warning("Parameters set to defaults by {client}: {count}", "That many parameters changed.")
 PARAMETERS_SAVED = _info("Parameters are saved now", "What could not be saved is saved.")
@@ -352,8 +359,8 @@ LOGS_NOT_ERASED = _warning("Logs not erased: {error}", "The disk refused.", "As 
 LOG_MISSING = _warning("There is no log {number}: list the logs again", "Logs have changed.", "List the logs again.")
 LOG_UNREADABLE = _warning("Log {number} cannot be read: list the logs again", "The disk refused.", "List them again.")
 STICKS_UNUSED = _info("Pitch and roll sticks have no effect here", "MANUAL_CONTROL: x, y, z and r are used.")
-STICKS_OF_ANOTHER = _warning("Sticks not taken: {client} steers", "One client steers at a time.", "Let that one stop.")
-STICK_BELOW_ZERO = _notice("Vertical stick goes below 0: taken as PILOT_Z 1", "Its range is -1000 to 1000.")
+STICKS_OF_ANOTHER = _warning("Sticks ignored: {client} steers", "One client steers at a time.", "Let that one stop.")
+STICK_BELOW_ZERO = _notice("Vertical stick below 0: interpreted as PILOT_Z 1", "Its range is -1000 to 1000.")
 STICK_NOT_CENTRED = _warning(
     "Vertical stick not used until it rests at {neutral}: see PILOT_Z", "It is not at neutral.", "Centre the stick."
 )

@@ -72,7 +72,7 @@ def test_what_a_plug_in_wants_is_there_and_does_nothing() -> None:
     client.rx.clear()
     set_param(client, "SYS_AUTOSTART", 4001, INT32)
     (error,) = client.got("PARAM_ERROR")
-    assert error.error == 5 and "SYS_AUTOSTART does nothing here" in client.texts()
+    assert error.error == 5 and "SYS_AUTOSTART has no effect here" in client.texts()
     read = client.ask(mav.MAVLink_param_request_read_message(1, 1, b"RC_MAP_THROTTLE", -1), "PARAM_VALUE", 0.05)
     assert from_wire(client.world, read[0]) == before
 

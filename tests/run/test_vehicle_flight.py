@@ -66,7 +66,7 @@ def test_a_pilot_takes_the_vehicle_in_a_mission_gives_it_back_and_stops_it(tank:
     count = len(flight.texts)
     flight.run(lambda _: True, 0.01)
     flight.run(lambda _: True, 0.01)  # what is said on one tick is heard on the next
-    assert any("Pilot has taken over (STABILIZE): let go" in line for _, line in flight.texts[count:])
+    assert any("Pilot has control (STABILIZE): autopilot waits" in line for _, line in flight.texts[count:])
     assert commander.armed and commander.mode is FlightMode.HOLD
     end_us = flight._t_us + 3_000_000
 
@@ -81,15 +81,15 @@ def test_a_pilot_takes_the_vehicle_in_a_mission_gives_it_back_and_stops_it(tank:
     flight.stick(0)
     flight.pilot_mode(19)
     flight.run(lambda _: commander.mode is FlightMode.MISSION, 0.1)
-    assert flight.said("Pilot has given back: mission goes on")
+    assert flight.said("Pilot returned control: mission resumes")
     touched = flight.world.truth.contact_count  # by his hand
     assert not flight.said("Failsafe")
     # Once more: without the parameter it holds.
     flight.session.parts.params.set("PILOT_BACK", 0.0)
     flight.pilot_mode(2)
-    flight.run(lambda _: flight.said("Pilot has taken over (ALT_HOLD)"), 0.1)
+    flight.run(lambda _: flight.said("Pilot has control (ALT_HOLD)"), 0.1)
     flight.pilot_mode(19)
-    flight.run(lambda _: flight.said("Pilot has given back: holding"), 0.1)
+    flight.run(lambda _: flight.said("Pilot returned control: holding"), 0.1)
     assert commander.mode is FlightMode.HOLD and commander.armed
     where, end_us = flight.world.truth.pos_ned_m, flight._t_us + 3_000_000
     flight.run(lambda outputs: outputs.t_us >= end_us, 4.0)
@@ -97,7 +97,7 @@ def test_a_pilot_takes_the_vehicle_in_a_mission_gives_it_back_and_stops_it(tank:
     # And stopped below: the end of the flight, for the service too.
     flight.pilot(flight._pilot.command_long_encode(1, 1, 400, 0, 0, 0, 0, 0, 0, 0, 0))
     flight.run(lambda outputs: not outputs.mode.armed, 0.1)
-    flight.run(lambda _: flight.said("Stopped below"), 0.1)
+    flight.run(lambda _: flight.said("Flight controller disarmed"), 0.1)
     assert flight.world.truth.contact_count == touched
 
 
@@ -135,7 +135,7 @@ def test_a_flight_controller_that_is_not_heard_for_a_while_is_not_disarmed(tank:
     flight.run(lambda _: flight.said("Thrusters: working again"), 3.0)
     # The failsafe of the AHRS, which comes by the same line, may have brought it up meanwhile.
     assert flight.said("Surfaced") or (flight.below.armed and flight.session.parts.commander.armed)
-    assert not flight.said("Stopped below")
+    assert not flight.said("Flight controller disarmed")
 
 
 def test_what_a_late_tick_finds_ahead_of_its_time_is_kept_for_the_next(tank: Callable[..., Tank]) -> None:
@@ -161,7 +161,7 @@ def test_what_the_pilot_does_with_the_thrusters_is_not_taken_for_a_current(tank:
     flight = tank()
     flight.run(_flies, 60.0)
     flight.pilot_mode(0)
-    flight.run(lambda _: flight.said("Pilot has taken over"), 0.1)
+    flight.run(lambda _: flight.said("Pilot has control"), 0.1)
     off_m_s = []
     for turn in range(400):
         flight.stick(350 if turn // 100 % 2 else -350)

@@ -115,7 +115,7 @@ def test_low_voltage_acts_without_having_been_asked_for(under: str, bit: int) ->
     outputs = below.run(4.0)
     assert outputs.mode.failsafes & bit
     assert outputs.goal is not None and outputs.goal.pos_ned_m[2] < 0.3  # it surfaces
-    text = f"Failsafe: battery at {volts - 0.05:.1f} V" if bit == LOW else "Failsafe: battery critical: come up"
+    text = f"Failsafe: battery at {volts - 0.05:.1f} V" if bit == LOW else "Failsafe: battery critical: surface"
     assert text in below.said
 
 
@@ -147,7 +147,7 @@ def test_one_reading_in_ten_that_cannot_be_is_told_once_and_hurts_nothing() -> N
         world.volts = 66.0 if second % 10 == 5 else 19.0
         outputs = world.run(1.0)
         assert not outputs.mode.failsafes & SENSOR
-    assert sum(text.startswith("Battery says 66.0 V") for text in world.said) == 1
+    assert sum(text.startswith("Battery voltage 66.0 V") for text in world.said) == 1
     assert world.counted["power.malformed"] == 2
     assert world.mode(HOLD) == 0
 
@@ -156,5 +156,5 @@ def test_the_texts_of_a_reading_fit_an_operators_line() -> None:
     world = BatteryWorld(66.0)
     world.run(2.0)
     (text,) = [text for text in world.said if text.startswith("Battery")]
-    assert text == "Battery says 66.0 V, plausible 8 to 22 V: check monitor, vehicle file"
+    assert text == "Battery voltage 66.0 V, plausible 8 to 22 V: check monitor, vehicle file"
     assert len(text) <= 90

@@ -135,7 +135,7 @@ def test_position_and_way_are_reported_once() -> None:
     assert bench.run(0.1).armed
     bench.health, bench.unreachable = NavHealth.GOOD, False
     bench.run(0.1)
-    for word in ("Dead reckoning", "No free way", "good again"):
+    for word in ("Dead reckoning", "No free path", "good again"):
         assert sum(word in text for text in bench.texts) == 1, word
 
 

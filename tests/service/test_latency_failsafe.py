@@ -12,10 +12,10 @@ def test_a_delay_that_is_allowed_for_is_only_told() -> None:
     bench.command_delay_s = 0.32
     decision = bench.run(5.0)
     assert decision.failsafes == 0
-    assert [text for text in bench.texts if "late" in text] == ["Commands act 0.3 s late: check the tether"]
+    assert [text for text in bench.texts if "latency" in text] == ["Command latency 0.3 s: check the tether"]
     bench.command_delay_s = 0.0
     bench.run(1.0)
-    assert bench.texts[-1] == "Commands act at once again"
+    assert bench.texts[-1] == "Command latency is back to normal"
 
 
 @pytest.mark.parametrize(
@@ -29,5 +29,5 @@ def test_the_failsafe_acts_by_its_parameter(action: int, mode: FlightMode) -> No
     decision = bench.run()
     assert decision.failsafes == 1 << Failsafe.LATENCY
     assert decision.mode is mode
-    assert "Failsafe: commands act too late" in bench.texts
+    assert "Failsafe: command latency high: check the tether" in bench.texts
     assert any("Failsafe " + mode.name in text for text in bench.texts) == (action > 0)

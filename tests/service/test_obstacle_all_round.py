@@ -30,7 +30,7 @@ def test_a_vehicle_does_not_flee_from_everywhere(speed_cm_s: int) -> None:
         world.run(1.99)
     off_m = np.hypot(*(np.array(world.track)[-1000:, :2] - PLACE).T)
     assert off_m.max() < 0.1
-    assert world.texts().count("Not avoided: we are in an obstacle of 96 m") == 1
+    assert world.texts().count("Obstacle of 96 m ignored: it covers the vehicle") == 1
 
 
 def test_what_is_beside_the_vehicle_is_still_evaded() -> None:
@@ -41,5 +41,5 @@ def test_what_is_beside_the_vehicle_is_still_evaded() -> None:
         # A boat of 8 m whose side comes to 0.2 m from the vehicle's centre.
         world.tick([world.pack(ship(12, north_m=PLACE[0] - 8.67))])
         world.run(1.99)
-    assert "Not avoided" not in world.texts()
+    assert "ignored" not in world.texts()
     assert world.x[0] > PLACE[0] + 0.05

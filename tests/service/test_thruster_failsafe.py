@@ -47,7 +47,7 @@ def test_after_a_flight_it_is_said_of_which_thrusters_silence_says_nothing() -> 
     bench.commander.disarm(force=True)
     bench.run(1.0)
     told = [text for text in bench.texts if "judge" in text]
-    assert told == ["Too little used to judge thrust: vertical"]
+    assert told == ["Thrust not estimated, used too little: vertical"]
 
 
 def test_thrusters_that_were_never_asked_for_anything_are_not_taken_for_sound() -> None:

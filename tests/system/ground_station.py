@@ -58,7 +58,7 @@ class GroundStation:
         self.service, self.profile, self.speed = service, profile, speed
         self.trouble: list[str] = []
         self.texts: list[tuple[int, str]] = []
-        self.allowed = ["machine overloaded"]
+        self.allowed = ["reduce the CPU load"]
         """Patterns of texts that the operator is meant to see in red."""
         self.params: dict[str, tuple[float, int]] = {}
         self.count = 0

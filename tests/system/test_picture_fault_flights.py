@@ -7,7 +7,7 @@ import pytest
 from tests.bench.picture_faults import DEADLINE_S
 from tests.bench.sensor_faults import FaultFlight, FaultResult, fly_fault
 
-CAMERA_WRONG, HOLDS = "Camera wrong", "Failsafe HOLD: camera not believed"
+CAMERA_WRONG, HOLDS = "Camera wrong", "Failsafe HOLD: camera rejected"
 AT_S, LASTS_S, END_S = 8.4, 3.0, 14.0
 
 

@@ -147,7 +147,7 @@ def test_a_watchdog_that_ends_again_and_again_is_a_failsafe_and_no_storm(
     flight.until(lambda: flight.failing() and flight.session.parts.commander.mode is FlightMode.SURFACE, 30.0)
     assert 1 <= keeper.starts - before <= 8
     assert flight.texts.count("Thruster watchdog failed: has ended") == 1
-    assert flight.texts.count("Failsafe: thruster watchdog has ended: come up") == 1
+    assert flight.texts.count("Failsafe: thruster watchdog has ended: surface") == 1
     assert flight.session.parts.commander.disarm(force=False).result is CommandResult.ACCEPTED
     flight.until(lambda: "thruster watchdog has ended: restart the service" in flight.refusals(), 30.0)
 

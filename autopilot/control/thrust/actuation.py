@@ -75,7 +75,7 @@ class Actuation:
 
     @property
     def delay_s(self) -> float:
-        """So late commands act, 0 while that is not beyond doubt."""
+        """Command latency [s]; 0 until it is certain."""
         return self._delay.delay_s
 
     @property

@@ -33,7 +33,7 @@ class CommandDelay:
         self._looked = False
         self._found_us: int | None = None
         self.delay_s = 0.0
-        """So late commands act, 0 while that is not beyond doubt."""
+        """Command latency [s]; 0 until it is certain."""
         self.doubtful = False
         """Thrust has shown no effect yet though it should have, and it is not known how late it will: no more of it."""
 

@@ -42,7 +42,7 @@ def _detectors() -> Measured:
 
 def _markers_moved() -> Measured:
     result = _flown("markers moved by 0.3 m", 0.0)
-    told = any(text.startswith("Fixes deny") for text in result.texts)
+    told = any(text.startswith("Markers disagree") for text in result.texts)
     kept = told and result.unflagged_s <= 1.0 and result.contacts == 0
     return Measured(text=f"told: {'yes' if told else 'no'}, silent {result.unflagged_s:.1f} s", kept=kept)
 
