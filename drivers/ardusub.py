@@ -15,6 +15,7 @@ from typing import Annotated, Any, Literal
 
 import msgspec
 
+from autopilot.core import operator_messages as notices
 from autopilot.core.errors import DriverError
 from autopilot.core.messages import Authority, Below, Severity
 from autopilot.core.samples import Sample
@@ -52,7 +53,6 @@ SHOWN_SEVERITY = 4
 """MAV_SEVERITY_WARNING: what it says that is less is for its own ground station."""
 MAX_NOTICES = 20
 ARMED = "flight controller is armed without us: disarm it first"
-FOUND_ARMED = "Flight controller found ARMED: disarm it first"
 NO_PILOT = "lost manual control"
 """It misses our pulses: news only while we mean to send some."""
 
@@ -239,7 +239,7 @@ class ArduSub(Closing):
 
     def _note_payload(self, text: str) -> None:
         if text and len(self._notices) < MAX_NOTICES:
-            self._notices.append((Severity.WARNING, text))
+            self._notices.append(notices.PAYLOAD_REFUSED(text=text))
 
     def _open_wire(self) -> Wire:
         if self._wire is None:
@@ -273,7 +273,7 @@ class ArduSub(Closing):
         commanding, found = self._watch.takes_commands, self._watch.found_armed
         self._watch.take(t_us, message)
         if self._watch.found_armed and not found:
-            self._notices.append((Severity.CRITICAL, FOUND_ARMED))
+            self._notices.append(notices.FOUND_ARMED())
         if commanding and not self._watch.takes_commands:
             self._let_go()
         if kind == "STATUSTEXT" and message.severity <= SHOWN_SEVERITY:

@@ -10,6 +10,7 @@ from concurrent.futures import Future
 from enum import Enum
 from typing import Any, Generic, TypeVar
 
+from autopilot.core import operator_messages as notices
 from autopilot.core.errors import DriverError
 from autopilot.core.lane import DaemonLane
 from autopilot.core.messages import Severity
@@ -105,10 +106,10 @@ class Steady(Generic[D]):
             self._heard_us = t_us
             if self._silent:
                 self._silent = False
-                self._tell(Severity.NOTICE, "working again")
+                self._notices.append(notices.DEVICE_HEARD(name=self.name))
         elif self._up and not self._silent and t_us - self._heard_us > SILENT_US:
             self._silent = True
-            self._tell(Severity.WARNING, "silent: check power and settings")
+            self._notices.append(notices.DEVICE_SILENT(name=self.name))
 
     def lose(self, t_us: int, problem: str) -> None:
         """It is gone: close it, and try again after a pause."""
@@ -128,7 +129,8 @@ class Steady(Generic[D]):
         self.problem, self._pause_us = "", FIRST_PAUSE_US
         if self._told or self.opened_count > 1:
             self._told = ""
-            self._tell(Severity.NOTICE, "there again" if self.opened_count > 1 else "there")
+            row = notices.DEVICE_RECONNECTED if self.opened_count > 1 else notices.DEVICE_CONNECTED
+            self._notices.append(row(name=self.name))
 
     def _fail(self, t_us: int, problem: str) -> None:
         self.problem = problem
@@ -136,7 +138,7 @@ class Steady(Generic[D]):
         self._pause_us = min(2 * self._pause_us, LONGEST_PAUSE_US)
         if problem != self._told:
             self._told = problem
-            self._tell(Severity.WARNING, f"down: {problem}")
+            self._notices.append(notices.DEVICE_DOWN(name=self.name, problem=problem))
 
     def _tell(self, severity: Severity, text: str) -> None:
         self._notices.append((severity, f"{self.name}: {text}"))

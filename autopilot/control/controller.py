@@ -33,6 +33,7 @@ from autopilot.control.way.desks import Desks
 from autopilot.control.way.drive import DriveGuidance
 from autopilot.control.way.guidance import Guidance, Reference, RouteGuidance, Situation
 from autopilot.control.way.planner import Planner
+from autopilot.core import operator_messages as notices
 from autopilot.core.errors import ConfigError
 from autopilot.core.frames import FloatArray, unwrap_near
 from autopilot.core.geometry import Fence
@@ -108,9 +109,9 @@ class MotionController:
             tuple(each.name for each in vehicle.thrusters),
         )
         self.nmpc, self.margins, self.regions = self._program.nmpc, self._program.margins, self._program.regions
-        self._solver_news = [(Severity.DEBUG, f"Solver: {self.solver}")]
+        self._solver_news: list[tuple[Severity, str]] = [notices.SOLVER(name=self.solver)]
         if self.nmpc.slower:
-            self._solver_news.insert(0, (Severity.WARNING, f"Slower solver ({self.nmpc.solver}): see log, reinstall"))
+            self._solver_news.insert(0, notices.SLOWER_SOLVER(name=self.nmpc.solver))
         self._lag = ThrusterLag(self._model, response)
         self._lift = Lift(self._model, vehicle.hull_half_height_m)
         self._forecast = currents or EstimatedCurrent()

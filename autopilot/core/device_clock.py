@@ -12,6 +12,7 @@ samples are then stamped with their arrival.
 from collections import deque
 from statistics import median
 
+from autopilot.core import operator_messages as notices
 from autopilot.core.messages import Severity
 
 LOST_US = 50_000.0
@@ -223,7 +224,7 @@ class DeviceClock:
         self._untold = []
         what = f"clock jumped {last}" if times == 1 else f"clock jumped {times} times, last {last}"
         used = ", not used" if self._by_arrival else ""
-        self._notices.append((Severity.WARNING, f"{what}{used}: check power, time sync"))
+        self._notices.append(notices.CLOCK_JUMPED(what=what, used=used))
 
 
 class _Episode:

@@ -1,4 +1,4 @@
-"""Every text that command and MAVLink send to operators (STATUSTEXT and the log's events), one row each.
+"""Every text of ours to operators (STATUSTEXT and the log's events), one row each.
 
 A row has a severity, a template with named fields, a meaning and a remedy. The sender calls the row with its fields:
 ``ARMED()``, ``MODE(name="HOLD")``. docs/messages.md is written from this table (docs/messages.py). The conditions of
@@ -9,7 +9,7 @@ import string
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from autopilot.core.messages import Event, Severity
+from autopilot.core.messages import FALLBACK_TEXT, Event, Severity
 from autopilot.core.phrases import ARMING_CHECK, NO_FENCE, NO_START
 
 
@@ -46,6 +46,10 @@ class Row:
     def event(self, t_us: int, /, **fields: object) -> Event:
         """The message as an event of a time."""
         return self(**fields).event(t_us)
+
+
+def _debug(template: str, meaning: str, remedy: str = "") -> Row:
+    return Row(Severity.DEBUG, template, meaning, remedy)
 
 
 def _info(template: str, meaning: str, remedy: str = "") -> Row:
@@ -375,6 +379,86 @@ ODOMETRY_FRAME = _warning(
     "ODOMETRY in frame {frame} is not used: send MAV_FRAME_LOCAL_NED (1) or LOCAL_FRD (20)",
     "The pose cannot be used.",
     "Send another frame.",
+)
+
+# Controller
+
+SOLVER = _debug("Solver: {name}", "For the log.")
+SLOWER_SOLVER = _warning(
+    "Slower solver ({name}): see log, reinstall", "The compiled solver is missing.", "Install the package again."
+)
+FALLBACK_SHIFTED_PLAN = _warning(
+    FALLBACK_TEXT + ", last plan goes on", "The optimiser found no solution; the rest of its last plan is flown."
+)
+FALLBACK_HOLDING = _warning(
+    FALLBACK_TEXT + ", holding position", "The optimiser finds no solution; a simpler controller holds position."
+)
+FALLBACK_OVER = _info("Controller has solutions again", "The optimiser commands the thrusters again.")
+CONTROL_NOT_FINITE = _error(
+    "Estimate not finite: thrusters neutral, recover it",
+    "The controller was given NaN or infinity.",
+    "Recover the vehicle, keep the log.",
+)
+CONTROL_FINITE = _info("Estimate finite again after {count} ticks without thrust", "Thrusters are commanded again.")
+LIMITS_GIVEN_UP = _warning(
+    "No plan keeps all limits: give room or take over",
+    "A soft limit is violated for a second: pushed out of the fence, or an obstacle too near.",
+    "Move the fence, obstacle or goal, or steer by hand.",
+)
+CERTIFICATE = _debug("{name}: {text}", "For the log: what the controller guarantees at this goal.")
+NO_CERTIFICATE = _debug("{name}: no certificate: {error}", "For the log.")
+LIPSCHITZ = _debug("{text}", "For the log: bound on the prediction error of the model.")
+GOAL_BEYOND_LIMIT = _warning("{name}: beyond the {limit} limit, move it", "The goal violates a limit.", "Move it.")
+GOAL_LACKS_THRUST = _warning(
+    "{name}: too little {limit} to stay there", "Thrusters cannot hold the vehicle at this goal.", "Move the goal."
+)
+GOAL_LACKS_YAW_RATE = _warning(
+    "{name}: SPD_YAW_MAX leaves nothing to stay with", "No yaw rate is left to hold heading.", "Raise SPD_YAW_MAX."
+)
+GOAL_IN_CURRENT = _warning(
+    "{name}: current {current_m_s:.2f} m/s, too fast to stay", "The current exceeds the vehicle's speed.", "Move it."
+)
+BUOYANCY_BEYOND_THRUST = _warning(
+    "Too {trim} for its thrusters: trim the vehicle", "Estimated buoyancy exceeds vertical thrust.", "Change ballast."
+)
+BUOYANCY_OFF = _warning(
+    "{way} than its file by {force_n:.1f} N: trim it", "Estimated buoyancy.", "Change ballast or the vehicle file."
+)
+WORK_FAILED = _debug("{work}: {kind}: {error}", "For the log: an exception in background work.")
+NO_ENERGY_PLAN = _warning(
+    "No energy plan: flying the plain route", "The minimum-energy planner failed.", "See the log."
+)
+ROUTE_SEARCH_FAILED = _warning(
+    "Route search failed: holding, send another goal", "The search ended with an exception.", "Send another goal."
+)
+
+# Service, links and drivers
+
+START_WARNING = _warning("{text}", "A warning from the start of the service.", "As it says.")
+PLANS_NOT_SAVED = _warning("Plans not saved: {cause}", "A restart loses the present plans.", "Check the disk.")
+LOG_STOPPED = _warning("Log stopped: {cause}", "Nothing is recorded until the next arming.", "Check the disk.")
+LOG_DISK_SLOW = _warning("Log loses messages: disk too slow", "Messages are dropped.", "Use a faster disk.")
+LOG_INCOMPLETE = _warning("Log misses messages: internal fault", "An exception while packing.", "Report it.")
+STATE_NOT_KEPT = _warning("No arming: {text}", "Stored plans or parameters are lost or differ.", "Check and accept it.")
+STATE_ACCEPTED = _warning("Accepted by the operator: {text}", "It no longer prevents arming.")
+LINK_PROBLEM = _warning("{name}: {problem}", "A MAVLink link has failed.", "Check cable and port.")
+LINK_WARNING = _warning("{text}", "A link's port or clients: refused or dropped.", "As it says.")
+LINK_NEWS = _info("{text}", "A link's port or clients have changed.")
+LINK_BACK = _info("{name}: back", "The link works again.")
+VIEW = _info("View: {text}", "A simulation was changed from the live view.")
+FOUND_ARMED = _critical(
+    "Flight controller found ARMED: disarm it first", "It was armed before the service started.", "Disarm it."
+)
+PAYLOAD_REFUSED = _warning("{text}", "The flight controller refused a servo or relay.", "As it says.")
+DEVICE_CONNECTED = _notice("{name}: connected", "A device that was missing is open.")
+DEVICE_RECONNECTED = _notice("{name}: reconnected", "A device that was lost is open again.")
+DEVICE_DOWN = _warning(
+    "{name}: down: {problem}", "A device cannot be used; it is opened again and again.", "As it says."
+)
+DEVICE_SILENT = _warning("{name}: silent: check power and settings", "Open, but nothing arrives.", "Check its power.")
+DEVICE_HEARD = _notice("{name}: working again", "Data arrive again.")
+CLOCK_JUMPED = _warning(
+    "{what}{used}: check power, time sync", "A sensor's time stamps jumped.", "Check its power and time sync."
 )
 
 ROWS: dict[str, Row] = {name: row for name, row in tuple(globals().items()) if isinstance(row, Row)}

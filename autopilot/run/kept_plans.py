@@ -12,6 +12,7 @@ from typing import Protocol
 
 import numpy as np
 
+from autopilot.core import operator_messages as notices
 from autopilot.core.clock import TICK_US
 from autopilot.core.desk import Desk
 from autopilot.core.disk import cause_of
@@ -124,7 +125,7 @@ class KeptPlans:
         before, error = self.failure, kept.error
         self._note_failure(error)
         if error is not None and before is None:
-            self._notices.append((Severity.WARNING, f"Plans not saved: {cause_of(error)}"))
+            self._notices.append(notices.PLANS_NOT_SAVED(cause=cause_of(error)))
 
     def take_notices(self) -> Sequence[tuple[Severity, str]]:
         """What the operator should know since the last call."""

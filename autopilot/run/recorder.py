@@ -11,6 +11,7 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Protocol
 
+from autopilot.core import operator_messages as notices
 from autopilot.core.disk import cause_of
 from autopilot.core.errors import LogError
 from autopilot.core.messages import Inputs, LoopStats, Outputs, Severity
@@ -141,7 +142,7 @@ class RunRecorder:
             self._failed(log)
         elif log.dropped and not self._told_slow:
             self._told_slow = True
-            self._tell("Log loses messages: disk too slow", f"log {log.path}: messages lost, the disk is too slow")
+            self._tell(notices.LOG_DISK_SLOW(), f"log {log.path}: messages lost, the disk is too slow")
         if self._per_arming and not self._armed:
             self._end()
         error = log.take_error()
@@ -181,7 +182,7 @@ class RunRecorder:
             self.lost = False
         except (LogError, OSError) as error:
             self.lost = True
-            self._tell(f"Log stopped: {cause_of(error)}", str(error))
+            self._tell(notices.LOG_STOPPED(cause=cause_of(error)), str(error))
 
     def _end(self) -> None:
         """The log is complete: finish it at once, or beside the loop where time does not wait."""
@@ -205,7 +206,7 @@ class RunRecorder:
 
     def _failed(self, log: RunLog) -> None:
         """Go on without a log that has stopped; the next arming tries again."""
-        self._tell(f"Log stopped: {log.cause}", f"log {log.path}: {log.failure}")
+        self._tell(notices.LOG_STOPPED(cause=log.cause), f"log {log.path}: {log.failure}")
         self._log = None
         self.lost = True
         log.end()
@@ -216,12 +217,12 @@ class RunRecorder:
             log.close(timeout_s)
         except LogError as error:
             if not told:
-                self._tell(f"Log stopped: {log.cause or 'disk does not answer'}", str(error))
+                self._tell(notices.LOG_STOPPED(cause=log.cause or "disk does not answer"), str(error))
         missed = log.take_error()
         if missed is not None:
-            self._tell("Log misses messages: internal fault", f"log {log.path}: {type(missed).__name__}: {missed}")
+            self._tell(notices.LOG_INCOMPLETE(), f"log {log.path}: {type(missed).__name__}: {missed}")
         self._dropped_before += log.dropped
 
-    def _tell(self, text: str, reason: str) -> None:
+    def _tell(self, text: notices.OperatorText, reason: str) -> None:
         self.failure = reason
-        self._notices.append((Severity.WARNING, text))
+        self._notices.append(text)

@@ -11,6 +11,7 @@ from typing import TypedDict, TypeVar
 
 from autopilot.command.parts import Parts
 from autopilot.command.service import Autopilot
+from autopilot.core import operator_messages as notices
 from autopilot.core.camera import CameraModel
 from autopilot.core.desk import Desk
 from autopilot.core.errors import PlanError
@@ -170,7 +171,7 @@ def open_session(
     clock = make_clock(world.speed)
     kept = Kept(folder=world.folder, params=world.persistent, plans=plans, disk=disk, signing=signing)
     state = _state_check(parts, kept)
-    news: list[tuple[Severity, str]] = [(Severity.WARNING, text) for text in warnings]
+    news: list[tuple[Severity, str]] = [notices.START_WARNING(text=text) for text in warnings]
 
     def each_tick(outputs: Outputs) -> None:
         if plans is not None:

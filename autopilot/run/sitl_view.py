@@ -13,6 +13,7 @@ import msgspec
 import numpy as np
 
 from autopilot.command.parts import Parts
+from autopilot.core import operator_messages as notices
 from autopilot.core.errors import ConfigError
 from autopilot.core.messages import Severity
 from autopilot.log.description import RunDescription
@@ -206,7 +207,7 @@ class Steering:
                 text = f"Obstacle {number} moved to {north:.2f} N {east:.2f} E"
             case CallFault(fault=fault):
                 text = self._call(t_us, fault)
-        self._notices.append((Severity.INFO, f"View: {text}"))
+        self._notices.append(notices.VIEW(text=text))
         return text
 
     def _pace(self, t_us: int) -> None:

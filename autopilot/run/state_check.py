@@ -10,6 +10,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from autopilot.core import operator_messages as notices
 from autopilot.core.clock import TICK_US
 from autopilot.core.desk import Cancel, Desk, Ticket
 from autopilot.core.disk import cause_of
@@ -118,13 +119,13 @@ class StateCheck:
     def _begin(self, text: str, loss: Loss | None) -> None:
         self._count += 1
         self._open[text] = _Open(number=self._count, loss=loss)
-        self._notices.append((Severity.WARNING, f"No arming: {text}"))
+        self._notices.append(notices.STATE_NOT_KEPT(text=text))
 
     def _accept(self, tick: int, number: int) -> None:
         for text, it in self._open.items():
             if not it.accepted and it.number <= number:
                 it.accepted = True
-                self._notices.append((Severity.WARNING, f"Accepted by the operator: {text}"))
+                self._notices.append(notices.STATE_ACCEPTED(text=text))
                 if it.loss is not None:
                     it.loss.accept(tick)
 

@@ -10,10 +10,11 @@ from collections.abc import Callable, Sequence
 from functools import partial
 from typing import TypeVar
 
+from autopilot.core import operator_messages as notices
 from autopilot.core.clients import EVERYONE, Standing, Verbatim
 from autopilot.core.errors import DriverError
 from autopilot.core.guard import Guard
-from autopilot.core.messages import Event, MavlinkFrame, Severity
+from autopilot.core.messages import Event, MavlinkFrame
 from autopilot.drivers.protocols import Link, SharedLink
 
 POLL_S = 0.002
@@ -141,23 +142,23 @@ class Transport:
 
     def take_notices(self, t_us: int) -> tuple[Event, ...]:
         """What operators have to know of the links since the last call: one that broke, one that is back."""
-        notices = []
+        events: list[Event] = []
         for index in range(len(self._links)):
             problem, name = self._problem(index), self._names[index]
             if problem == self._problems[index] or t_us < self._silent_until_us[index]:
                 continue
             self._problems[index], self._silent_until_us[index] = problem, t_us + NOTICE_US
             if problem is None:
-                notices.append(Event(t_us=t_us, severity=Severity.INFO, text=f"{name}: back"))
+                events.append(notices.LINK_BACK.event(t_us, name=name))
             else:
-                notices.append(Event(t_us=t_us, severity=Severity.WARNING, text=f"{name}: {problem}"))
+                events.append(notices.LINK_PROBLEM.event(t_us, name=name, problem=problem))
         for index, link in self._shared:
             news = None if t_us < self._news_us[index] else self._try(index, "tell", link.take_news, None)
             if news is not None:
                 self._news_us[index] = t_us + NOTICE_US
-                severity = Severity.WARNING if news[0] else Severity.INFO
-                notices.append(Event(t_us=t_us, severity=severity, text=news[1]))
-        return tuple(notices)
+                row = notices.LINK_WARNING if news[0] else notices.LINK_NEWS
+                events.append(row.event(t_us, text=news[1]))
+        return tuple(events)
 
     def close(self) -> None:
         """Let go of all ports."""

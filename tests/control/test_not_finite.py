@@ -11,11 +11,11 @@ from control_loop import MODEL, TANK, VEHICLE, A, nav_state
 
 from autopilot.control.controller import MotionController
 from autopilot.control.protocol import sound_thrust_n
-from autopilot.control.robust.fallback import NOT_FINITE
 from autopilot.control.thrust.actuation import Actuation
 from autopilot.core import compiled
 from autopilot.core.frames import FloatArray
 from autopilot.core.messages import NavState
+from autopilot.core.operator_messages import CONTROL_NOT_FINITE
 from autopilot.core.params import ParamSet
 from autopilot.core.samples import ObstacleTrack
 
@@ -87,7 +87,7 @@ def test_a_state_that_is_no_number_gives_no_thrust_and_is_told_once(flown: Flown
                 assert _sound(flown.step())
             assert flown.controller.situation is not None
             assert np.isfinite(flown.controller.nmpc.x).all()
-    assert flown.told().count(NOT_FINITE) == 1, "one episode: not one line per tick"
+    assert flown.told().count(CONTROL_NOT_FINITE.template) == 1, "one episode: not one line per tick"
     for _ in range(25):
         assert flown.step().any(), "nothing of it stays behind"
     cases = 2 * len(FIELDS) * len(NO_NUMBERS)
@@ -103,7 +103,7 @@ def test_a_finite_state_whose_prediction_overflows_gives_no_thrust(flown: Flown)
             assert not flown.step(flown.with_(field, place, value)).any()
             flown.step()
             assert flown.between() is not None
-    assert flown.told().count(NOT_FINITE) == 1
+    assert flown.told().count(CONTROL_NOT_FINITE.template) == 1
 
 
 def test_numbers_that_are_nearly_none_are_numbers(flown: Flown) -> None:
@@ -116,7 +116,7 @@ def test_numbers_that_are_nearly_none_are_numbers(flown: Flown) -> None:
             assert near is not None
             assert same is not None
             assert np.array_equal(near, same)
-    assert NOT_FINITE not in flown.told()
+    assert CONTROL_NOT_FINITE.template not in flown.told()
 
 
 def test_late_commands_do_not_remember_a_state_that_is_no_number(flown: Flown) -> None:

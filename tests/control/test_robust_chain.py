@@ -8,11 +8,12 @@ from control_loop import MODEL, PILLARS, TANK, VEHICLE, A, B, goal, nav_state, r
 
 from autopilot.campaign.tube import TubeCheck
 from autopilot.control.controller import MotionController
-from autopilot.control.robust.penalty import GIVEN_UP, PATIENCE_STEPS, PenaltyWatch
+from autopilot.control.robust.penalty import PATIENCE_STEPS, PenaltyWatch
 from autopilot.control.robust.station import StationKeeper
 from autopilot.core.frames import FloatArray, wrap_pi
 from autopilot.core.geometry import Circle, Fence
-from autopilot.core.messages import ControlOutput, Fallback, Goal, Severity, SolveStatus
+from autopilot.core.messages import ControlOutput, Fallback, Goal, SolveStatus
+from autopilot.core.operator_messages import LIMITS_GIVEN_UP
 from autopilot.core.params import ParamSet
 from autopilot.core.sharing import Sharing
 
@@ -159,8 +160,8 @@ def test_the_operator_hears_of_limits_that_are_given_up_once() -> None:
     assert watch.take_news() == []
     for _ in range(3 * PATIENCE_STEPS):
         watch.watch(1.0)
-    assert watch.take_news() == [(Severity.WARNING, GIVEN_UP)] and watch.largest == 1.0
-    assert len(GIVEN_UP) <= 50, "one STATUSTEXT"
+    assert watch.take_news() == [LIMITS_GIVEN_UP()] and watch.largest == 1.0
+    assert len(LIMITS_GIVEN_UP.template) <= 50, "one STATUSTEXT"
 
 
 def test_nothing_to_follow_means_no_inner_loop() -> None:

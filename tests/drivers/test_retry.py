@@ -66,7 +66,7 @@ def test_a_plug_is_pulled_and_put_back() -> None:
     assert texts == ["Sonar: down: gone", "Sonar: down: no such port; check the cable"]  # not at every attempt
     plug.there = True
     assert _run(sensor, 20.0, 32.0) > 100
-    assert [text for _, text in sensor.take_notices()] == ["Sonar: there again"]
+    assert [text for _, text in sensor.take_notices()] == ["Sonar: reconnected"]
     assert (plug.opened, plug.closed) == (2, 1)
     sensor.close()
 

@@ -14,8 +14,8 @@ from ardusub_tank import Tank
 
 from autopilot.command.disarming import CONFIRM_TICKS
 from autopilot.core.messages import MavlinkFrame, Outputs
-from autopilot.core.operator_messages import DISARM_NOT_CONFIRMED
-from autopilot.drivers.ardusub import ARMED, FOUND_ARMED
+from autopilot.core.operator_messages import DISARM_NOT_CONFIRMED, FOUND_ARMED
+from autopilot.drivers.ardusub import ARMED
 from autopilot.mavlink.api import CommandResult, FlightMode
 
 DISARM, FORCED, TERMINATE = (400, 0.0, 0.0), (400, 0.0, 21196.0), (185, 1.0, 0.0)
@@ -182,7 +182,7 @@ def test_what_is_found_armed_is_said_and_shown_and_can_be_disarmed(make: Callabl
     """A service that died armed is started again."""
     tank = make()
     tank.below._arm(0)
-    tank.run(lambda _: tank.said(FOUND_ARMED), 3.0)
+    tank.run(lambda _: tank.said(FOUND_ARMED.template), 3.0)
     tank.tick(300)
     commander = tank.session.parts.commander
     assert ARMED in commander.prearm_reasons()

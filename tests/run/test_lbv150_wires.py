@@ -133,7 +133,7 @@ def test_the_shipped_configuration_measures_and_moves_the_vehicle(tank: Tank, tm
     assert tank.amplifiers.duty[128, 1] == pytest.approx(150 / 400, abs=0.01)
     told = [text for _, text in vehicle.take_notices()]
     assert any(text.startswith("Thrusters: down") for text in told)
-    assert any(text.startswith("Thrusters: there again") for text in told)
+    assert any(text.startswith("Thrusters: reconnected") for text in told)
 
     vehicle.close()
     tank.motor_line.pump(t_us)

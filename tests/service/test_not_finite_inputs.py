@@ -9,9 +9,8 @@ import pytest
 from piloted_world import PilotedWorld
 from pymavlink.dialects.v20 import development as mav
 
-from autopilot.control.robust.fallback import NOT_FINITE as NOT_CONTROLLED
 from autopilot.core.messages import Failsafe, NavHealth, NavState, Outputs
-from autopilot.core.operator_messages import ESTIMATE_FINITE, ESTIMATE_NOT_FINITE
+from autopilot.core.operator_messages import CONTROL_NOT_FINITE, ESTIMATE_FINITE, ESTIMATE_NOT_FINITE
 from autopilot.core.samples import AhrsSample, PoseSample, PowerSample
 
 FIELDS = ("pos_ned_m", "rpy_rad", "vel_frd_m_s", "vel_water_frd_m_s", "rate_frd_rad_s", "current_ned_m_s", "variance")
@@ -101,7 +100,7 @@ def test_a_speed_that_no_prediction_can_follow_is_no_thrust(world: Any) -> None:
     assert all((np.abs(tick.command.thrust_n) < 12.0).all() for tick in ticks)
     assert all(np.isfinite(tick.command.thrust_n).all() for tick in ticks)
     world.run(1.0)
-    assert world.texts().count(NOT_CONTROLLED) == 1
+    assert world.texts().count(CONTROL_NOT_FINITE.template) == 1
 
 
 @pytest.mark.filterwarnings("ignore::RuntimeWarning")

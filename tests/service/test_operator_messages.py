@@ -11,13 +11,10 @@ import pytest
 from autopilot.core.operator_messages import ROWS
 
 ROOT = Path(__file__).resolve().parents[2]
-SENDERS = [
-    path
-    for package in ("command", "mavlink")
-    for path in sorted((ROOT / "autopilot" / package).rglob("*.py"))
-    if path.name not in ("failsafe_table.py",)
-]
-RELAYS = {"service.py"}
+PACKAGES = ("autopilot/command", "autopilot/control", "autopilot/core", "autopilot/mavlink", "autopilot/run", "drivers")
+TABLES = ("failsafe_table.py", "operator_messages.py")
+SENDERS = [path for package in PACKAGES for path in sorted((ROOT / package).rglob("*.py")) if path.name not in TABLES]
+RELAYS = {"runtime.py", "service.py", "session.py"}
 """They make events of what other packages have said."""
 
 

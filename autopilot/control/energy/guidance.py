@@ -25,6 +25,7 @@ from autopilot.control.nmpc.grid import REFERENCE_DT_S, TimeGrid
 from autopilot.control.nmpc.ocp import TERMINAL_STAGES
 from autopilot.control.way.desks import Mishaps
 from autopilot.control.way.guidance import Reference, RouteGuidance, Situation, SteadyThrust, Weights
+from autopilot.core import operator_messages as notices
 from autopilot.core.desk import Cancel, Desk, Ticket
 from autopilot.core.frames import FloatArray
 from autopilot.core.messages import EnergyPlan, Goal, Severity
@@ -50,7 +51,7 @@ class EnergyGuidance:
         self._plan = partial(planned, planner)
         self._ticket: Ticket[Plan] | None = None
         self._request: Request | None = None
-        self._mishaps = Mishaps("energy planner", "No energy plan: flying the plain route")
+        self._mishaps = Mishaps("energy planner", notices.NO_ENERGY_PLAN)
         self.reset()
 
     @property

@@ -7,16 +7,16 @@ import numpy as np
 
 from autopilot.control.robust.tuned import FALLBACK
 from autopilot.core import model4
+from autopilot.core import operator_messages as notices
 from autopilot.core.frames import FloatArray, wrap_pi
-from autopilot.core.messages import FALLBACK_TEXT, Fallback, Severity
+from autopilot.core.messages import Fallback, Severity
 from autopilot.core.model4 import YAW, R, U, X, Y, Z
 from autopilot.core.sharing import Sharing
 
 TOLD = {
-    Fallback.SHIFTED_PLAN: f"{FALLBACK_TEXT}, last plan goes on",
-    Fallback.STATION_KEEPING: f"{FALLBACK_TEXT}, holding position",
+    Fallback.SHIFTED_PLAN: notices.FALLBACK_SHIFTED_PLAN,
+    Fallback.STATION_KEEPING: notices.FALLBACK_HOLDING,
 }
-OVER = "Controller has solutions again"
 
 
 class FallbackWatch:
@@ -34,25 +34,22 @@ class FallbackWatch:
 
     def watch(self, fallback: Fallback) -> None:
         """Who has commanded one step."""
-        text = TOLD.get(fallback)
-        if text is not None:
+        row = TOLD.get(fallback)
+        if row is not None:
             self._solved = 0
             if fallback not in self._told:
                 self._told.add(fallback)
-                self._news.append((Severity.WARNING, text))
+                self._news.append(row())
         elif fallback is Fallback.NONE and self._told:
             self._solved += 1
             if self._solved >= FALLBACK.over_steps:
                 self.reset()
-                self._news.append((Severity.INFO, OVER))
+                self._news.append(notices.FALLBACK_OVER())
 
     def take_news(self) -> list[tuple[Severity, str]]:
         """What has not been told yet."""
         news, self._news = self._news, []
         return news
-
-
-NOT_FINITE = "Estimate not finite: thrusters neutral, recover it"
 
 
 class FiniteWatch:
@@ -70,11 +67,11 @@ class FiniteWatch:
             self._sound = 0
             self.count += 1
             if self.count == 1:
-                self._news.append((Severity.ERROR, NOT_FINITE))
+                self._news.append(notices.CONTROL_NOT_FINITE())
         elif self.count:
             self._sound += 1
             if self._sound >= FALLBACK.over_steps:
-                self._news.append((Severity.INFO, f"Estimate finite again after {self.count} ticks without thrust"))
+                self._news.append(notices.CONTROL_FINITE(count=self.count))
                 self.count = 0
 
     def take_news(self) -> list[tuple[Severity, str]]:

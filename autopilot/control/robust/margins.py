@@ -15,6 +15,7 @@ from autopilot.control.robust.tightening import BackOffs, FixedMargins
 from autopilot.control.robust.tube import TubeMargins
 from autopilot.control.robust.tuned import TUBE
 from autopilot.control.way.reference import water_speed_share
+from autopilot.core import operator_messages as notices
 from autopilot.core.frames import FloatArray
 from autopilot.core.messages import NavState, Severity
 from autopilot.core.model4 import NX, Model4
@@ -55,7 +56,7 @@ class Margins:
         if mode is Tighten.LIPSCHITZ:
             if not self._told:
                 self._told = True
-                self._news.append((Severity.DEBUG, self.lipschitz.report(nav, params).text))
+                self._news.append(notices.LIPSCHITZ(text=self.lipschitz.report(nav, params).text))
             return self.lipschitz.back_offs(nav, x, thrust_n, params)
         self._told = False
         return self._fixed.back_offs(nav, x, thrust_n, params)

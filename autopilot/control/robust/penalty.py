@@ -5,6 +5,7 @@ Maciejowski 2000). A multiplier at the slope means that a limit is being given u
 of the workspace, an obstacle on the nose) or the weight is too small. Either is worth a word.
 """
 
+from autopilot.core import operator_messages as notices
 from autopilot.core.messages import Severity
 
 EXHAUSTED = 0.99
@@ -12,10 +13,6 @@ EXHAUSTED = 0.99
 
 PATIENCE_STEPS = 20
 """A second of it: less happens whenever an obstacle comes up."""
-
-
-GIVEN_UP = "No plan keeps all limits: give room or take over"
-"""Whoever steers can do either; that a weight is too small, a reader of the log sees in ``penalty_use``."""
 
 
 class PenaltyWatch:
@@ -39,7 +36,7 @@ class PenaltyWatch:
             return
         self._steps += 1
         if self._steps == PATIENCE_STEPS:
-            self._news.append((Severity.WARNING, GIVEN_UP))
+            self._news.append(notices.LIMITS_GIVEN_UP())
 
     def take_news(self) -> list[tuple[Severity, str]]:
         """What has been noticed since the last call."""

@@ -13,6 +13,7 @@ import numpy as np
 
 from autopilot.control.robust.terminal import Certificate, Terminal, TerminalLimits, certify, terminal_law, unit_samples
 from autopilot.control.robust.tuned import REGIONS, TERMINAL
+from autopilot.core import operator_messages as notices
 from autopilot.core.desk import Cancel, Desk, Ticket
 from autopilot.core.frames import FloatArray
 from autopilot.core.messages import Goal, Severity
@@ -113,7 +114,7 @@ class TerminalRegions:
         if answer.value is not None:
             self._tell(goal, answer.value)
         else:
-            self._news.append((Severity.DEBUG, f"{_name(goal)}: no certificate: {answer.error}"))
+            self._news.append(notices.NO_CERTIFICATE(name=_name(goal), error=answer.error))
 
     def _withdraw(self) -> None:
         if self._ticket is not None:
@@ -137,7 +138,7 @@ class TerminalRegions:
         if story == self._told:
             return
         self._told = story
-        self._news.append((Severity.DEBUG, f"{name}: {certificate.text}"))
+        self._news.append(notices.CERTIFICATE(name=name, text=certificate.text))
 
     def _warn(self, goal: Goal, certificate: Certificate, away_m: float) -> None:
         """What an operator can do about a goal that has no region, once. Water that is too fast to stay in matters
@@ -150,14 +151,14 @@ class TerminalRegions:
             return
         self._warned = story
         if limit in AT_PLACE:
-            text = f"{name}: beyond the {limit} limit, move it"
+            text = notices.GOAL_BEYOND_LIMIT(name=name, limit=limit)
         elif limit.endswith("thrust"):
-            text = f"{name}: too little {limit} to stay there"
+            text = notices.GOAL_LACKS_THRUST(name=name, limit=limit)
         elif limit == "yaw rate":
-            text = f"{name}: SPD_YAW_MAX leaves nothing to stay with"
+            text = notices.GOAL_LACKS_YAW_RATE(name=name)
         else:
-            text = f"{name}: current {float(np.linalg.norm(self._current)):.2f} m/s, too fast to stay"
-        self._news.append((Severity.WARNING, text))
+            text = notices.GOAL_IN_CURRENT(name=name, current_m_s=float(np.linalg.norm(self._current)))
+        self._news.append(text)
 
 
 def _name(goal: Goal) -> str:

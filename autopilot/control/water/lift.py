@@ -16,6 +16,7 @@ import math
 import numpy as np
 
 from autopilot.control.water.tuned import LIFT
+from autopilot.core import operator_messages as notices
 from autopilot.core.frames import FloatArray
 from autopilot.core.messages import NavHealth, NavState, Severity
 from autopilot.core.model4 import ABS_SMOOTHING_M2_S2, Model4
@@ -97,14 +98,14 @@ class Lift:
         if self._beyond_s < LIFT.stands_s:
             return
         if too_much:
-            text = f"Too {'light' if self.excess_n > 0.0 else 'heavy'} for its thrusters: trim the vehicle"
+            found = notices.BUOYANCY_BEYOND_THRUST(trim="light" if self.excess_n > 0.0 else "heavy")
         else:
             way = "Lighter" if self.lift_n > 0.0 else "Heavier"
-            text = f"{way} than its file by {abs(self.lift_n):.1f} N: trim it"
-        kind = text.split()[0]
+            found = notices.BUOYANCY_OFF(way=way, force_n=abs(self.lift_n))
+        kind = found.text.split()[0]
         if kind not in (self._told, "" if self._told != "Too" else kind):
             self._told = kind
-            self._news.append((Severity.WARNING, text))
+            self._news.append(found)
 
 
 def _down(velocity_frd_m_s: FloatArray, rpy_rad: FloatArray) -> float:

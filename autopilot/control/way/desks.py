@@ -3,6 +3,7 @@
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 
+from autopilot.core import operator_messages as notices
 from autopilot.core.desk import Desk
 from autopilot.core.messages import Severity
 
@@ -39,9 +40,9 @@ class Desks:
 class Mishaps:
     """Work that ended with an exception: told the operator once until some succeeds, in full in the log."""
 
-    def __init__(self, work: str, told: str) -> None:
+    def __init__(self, work: str, told: notices.Row) -> None:
         """``work``: what it is, for the log; ``told``: what the operator is told."""
-        self._work, self._text = work, told
+        self._work, self._told_row = work, told
         self._told = False
         self._logged = False
         self._news: list[tuple[Severity, str]] = []
@@ -50,10 +51,10 @@ class Mishaps:
         """Take note of one; the operator is told when the vehicle does something else because of it (``felt``)."""
         if not self._logged:
             self._logged = True
-            self._news.append((Severity.DEBUG, f"{self._work}: {type(error).__name__}: {error}"))
+            self._news.append(notices.WORK_FAILED(work=self._work, kind=type(error).__name__, error=error))
         if felt and not self._told:
             self._told = True
-            self._news.append((Severity.WARNING, self._text))
+            self._news.append(self._told_row())
 
     def succeeded(self) -> None:
         """The next one is news again."""

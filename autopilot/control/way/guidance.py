@@ -20,6 +20,7 @@ from autopilot.control.way.quick import STRUCTS, QuickMarch
 from autopilot.control.way.reference import Route, Target, build_reference, turn_target
 from autopilot.control.way.tuned import GUIDANCE, REFERENCE
 from autopilot.core import compiled
+from autopilot.core import operator_messages as notices
 from autopilot.core.desk import Cancel, Desk, Ticket
 from autopilot.core.frames import FloatArray, unwrap_near
 from autopilot.core.geometry import Fence
@@ -209,7 +210,7 @@ class RouteGuidance:
         self._quick = None if library is None else QuickMarch(library, sharing, grid.t_s)
         self._desk = desk
         self._ticket: Ticket[FloatArray | None] | None = None
-        self._mishaps = Mishaps("route search", "Route search failed: holding, send another goal")
+        self._mishaps = Mishaps("route search", notices.ROUTE_SEARCH_FAILED)
         self._lead = Lead()
         self.unreachable = False
         self.reset()
