@@ -73,4 +73,4 @@ def test_moved_markers_are_told_and_a_wrong_lens_shows_in_sigma() -> None:
     assert moved.unflagged_s <= 1.0 and moved.good < 0.5
     lens = fly_fault(flight("lens 0.9", 0.0, 70))
     assert lens.inside >= 0.95 and lens.unflagged_s <= 1.0, lens
-    assert any(text.startswith("Laser denies") for text in lens.texts)
+    assert any(text.startswith("Laser and marker height") for text in lens.texts)
