@@ -307,7 +307,7 @@ class DaskCluster:
     def _gone(self, what: str) -> str:
         return (
             f"--engine dask: the scheduler{f' at {self._address}' if self._address else ''} {what};"
-            " finished runs are kept, the same command goes on"
+            " finished runs are kept, the same command resumes"
         )
 
     def _see_workers(self, client: Any) -> None:

@@ -95,7 +95,9 @@ def table(folders: tuple[Path, ...], markdown: bool, as_json: bool) -> None:
     FLY, epilog="Also: campaign table DIR..., campaign rooms, campaign faults; each has a --help of its own."
 )
 @click.argument("scenario")
-@click.option("--runs", type=click.IntRange(min=1), required=True, help="Runs in all; more than before goes on.")
+@click.option(
+    "--runs", type=click.IntRange(min=1), required=True, help="Total number of runs; a larger one than before resumes."
+)
 @CAMPAIGN_OUT
 @ENGINE
 @JOBS
@@ -131,7 +133,7 @@ def fly(
     """Fly SCENARIO (a shipped name or a TOML file) RUNS times, each with another seed and other values of its [spread].
 
     Every run is the whole service on the simulated vehicle, judged on the plant's truth at 100 Hz. Finished runs are
-    kept in OUT, one line each; the same command goes on where it was stopped. At the end there are runs.csv (and
+    kept in OUT, one line each; the same command resumes where it was stopped. At the end there are runs.csv (and
     runs.parquet where pyarrow is installed), figures, and logs of the worst runs. Exit code 1 if a bar is broken.
 
     The word fly may be left out.
@@ -157,7 +159,7 @@ def fly(
     name = defined.scenario.scenario.name
     results, stopped = _fly(defined, make_engine(engine, jobs), out, runs, Shard.parse(shard), quiet=as_json)
     if stopped:
-        click.echo(f"{name}: {len(results)} of {runs} runs are kept in {out}; the same command goes on", err=True)
+        click.echo(f"{name}: {len(results)} of {runs} runs are kept in {out}; the same command resumes", err=True)
         raise click.Abort
     flown = list(results.values())
     summary = summarise(flown, runs)

@@ -30,7 +30,7 @@ def faults(
 ) -> None:
     """Fly a fault scenario of every failsafe RUNS times each: reaction, end state, closest approach in one table.
 
-    Finished flights are kept in OUT, one line each; the same command goes on where it was stopped. Exit code 1 if a
+    Finished flights are kept in OUT, one line each; the same command resumes where it was stopped. Exit code 1 if a
     failsafe came late, did not end as promised, or something was touched.
     """
     from autopilot.campaign.fault_campaign import fly_campaign, results, table, tasks

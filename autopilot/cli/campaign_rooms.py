@@ -19,7 +19,9 @@ MODE_NAMES = {"quadratic": 0, "energy": 1}
 
 
 @click.command("rooms")
-@click.option("--runs", type=click.IntRange(min=1), default=200, show_default=True, help="Rooms; more goes on.")
+@click.option(
+    "--runs", type=click.IntRange(min=1), default=200, show_default=True, help="Number of worlds; a larger one resumes."
+)
 @CAMPAIGN_OUT
 @click.option("--seed", type=click.IntRange(min=0), default=1, show_default=True, help="Seed of the campaign.")
 @click.option("--modes", type=click.Choice(("both", *MODE_NAMES)), default="both", show_default=True)
@@ -39,7 +41,7 @@ def rooms(
 ) -> None:
     """Fly RUNS rooms made at random, each by the whole service, and judge every refusal and every flight.
 
-    Finished flights are kept in OUT, one line each; the same command goes on where it was stopped. With --only a room
+    Finished flights are kept in OUT, one line each; the same command resumes where it was stopped. With --only a room
     is flown again and leaves its files, log and picture in OUT. Exit code 1 if anything is held against a flight.
     """
     if only:
@@ -83,7 +85,7 @@ def _all(
                 if not quiet:
                     click.echo(f"{done}/{len(asked)} {_line(result)}")
         if stop:
-            click.echo(f"{done} of {len(asked)} flights are kept in {out}; the same command goes on", err=True)
+            click.echo(f"{done} of {len(asked)} flights are kept in {out}; the same command resumes", err=True)
             raise click.Abort
         results = read_flights(out)
         return [results[key] for key in asked if key in results]

@@ -17,7 +17,9 @@ if TYPE_CHECKING:
 
 @click.command("sets")
 @click.option("--set", "names", multiple=True, metavar="SCENARIO", help="Repeatable (default: r1 r2 r3 r4).")
-@click.option("--runs", type=click.IntRange(min=1), default=300, show_default=True, help="Runs of each; more goes on.")
+@click.option(
+    "--runs", type=click.IntRange(min=1), default=300, show_default=True, help="Runs of each; a larger number resumes."
+)
 @click.option("--out", type=click.Path(path_type=Path, file_okay=False), required=True, help="Folder of all folders.")
 @ENGINE
 @JOBS
@@ -46,7 +48,7 @@ def sets(
 ) -> None:
     """Fly the sets R1 to R4, RUNS runs of each in turn: 1,200 in a night or two, resumable, with one table at the end.
 
-    Finished runs are kept in OUT/SET; the same command goes on where it was stopped. At the end every folder has its
+    Finished runs are kept in OUT/SET; the same command resumes where it was stopped. At the end every folder has its
     table of runs, figures, and logs of its worst runs. Exit code 1 if a bar is broken.
     """
     from autopilot.campaign import table as tables
@@ -106,7 +108,7 @@ def sets(
         if looked:
             print_table("runs to look at (OUT/SET/logs)", ("set", "run", "seed", "what", "log"), looked)
     if stopped:
-        click.echo(f"stopped; finished runs are kept in {out}, the same command goes on", err=True)
+        click.echo(f"stopped; finished runs are kept in {out}, the same command resumes", err=True)
         raise click.Abort
     if not passed:
         raise click.exceptions.Exit(EXIT_FAILED)

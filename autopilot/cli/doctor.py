@@ -21,7 +21,11 @@ WARNING = "The thrusters are armed and turn for two seconds. Take all propellers
 @click.option("--param", multiple=True, metavar="NAME=VALUE", help="Set a parameter for this look; repeatable.")
 @INSTANCE
 @click.option("--seconds", type=FiniteRange(1.0, 600.0), default=5.0, show_default=True, help="So long it looks.")
-@click.option("--measure-neutral", is_flag=True, help="Turn the thrusters and measure how long they go on in silence.")
+@click.option(
+    "--measure-neutral",
+    is_flag=True,
+    help="Turn the thrusters and measure how long they keep turning without commands.",
+)
 @click.option("--yes", is_flag=True, help="With --measure-neutral: the propellers are off, do not ask.")
 @JSON
 def doctor(

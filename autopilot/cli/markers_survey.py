@@ -231,7 +231,9 @@ def _survey_warnings(result: "Survey", *, known: bool) -> list[str]:
     if result.left_out_views > 0.1 * (result.views + result.left_out_views):
         found.append(f"{result.left_out_views} views show too little of the rest; fly lanes that overlap")
     if result.disbelieved > 0.05 * result.sights:
-        found.append(f"{result.disbelieved} of {result.sights} sights do not fit; has something moved meanwhile?")
+        found.append(
+            f"{result.disbelieved} of {result.sights} sightings were rejected; check whether something has moved"
+        )
     if result.repeated:
         found.append(f"several markers have the same id: {_some(result.repeated)}; take all but one of each away")
     if result.misread:

@@ -49,7 +49,9 @@ if TYPE_CHECKING:
     type=click.Choice(WIRES),
     help="Through real drivers and wires; repeatable: AHRS on a serial line, camera as a network stream, PWM board.",
 )
-@click.option("--markers", type=click.Path(dir_okay=False), help="Marker map that it is told (default: the true one).")
+@click.option(
+    "--markers", type=click.Path(dir_okay=False), help="Marker map that the estimator uses (default: the true one)."
+)
 @click.option(
     "--currents", type=click.Choice(CURRENTS), help="What the controller knows of them (default: scenario's)."
 )

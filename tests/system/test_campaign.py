@@ -358,7 +358,7 @@ def test_an_interrupted_campaign_can_go_on(tmp_path: Path) -> None:
             process.kill()
     kept = read_results(out)
     assert 1 <= len(kept) < 40
-    assert f"r1: {len(kept)} of 40 runs are kept in {out}; the same command goes on" in rest
+    assert f"r1: {len(kept)} of 40 runs are kept in {out}; the same command resumes" in rest
     assert "Traceback" not in rest
     assert all(result.error is None for result in kept.values())
     defined = define(scenario)
