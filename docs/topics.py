@@ -1,19 +1,20 @@
-"""Writes docs/topics.md: every topic of a log with every field, from the schemas and the table in docs/log.md.
+"""Writes docs/topics.md: every topic of a log with every field, from the schemas and docs/topics.csv.
 
 ``python docs/topics.py --write`` writes the page; without it, what is not documented is named.
 """
 
 import argparse
-import re
+import csv
 import sys
 from pathlib import Path
 
+from autopilot.log.cdr import Field
 from autopilot.log.schemas import own_comments as comments
 from autopilot.log.schemas import types_of
 from autopilot.log.topics import AID_PREFIX, TOPICS
 
 HERE = Path(__file__).resolve().parent
-PAGE, TABLE = HERE / "topics.md", HERE / "log.md"
+PAGE, TABLE = HERE / "topics.md", HERE / "topics.csv"
 OWN = "autopilot_msgs/"
 AID = AID_PREFIX + "<sensor>"
 UNITS = (
@@ -24,21 +25,19 @@ UNITS = (
 FRAMES = ("ned", "frd", "cam")
 HEAD = """# Topics and fields
 
-Written by `python docs/topics.py --write`; the texts stand in [log.md](log.md) and `autopilot/log/schemas.py`.
-Every message begins with a `header` (stamp = log time, frame of reference) unless its standard type has none. Own types
-(`autopilot_msgs`) are of fixed size; the definition of every type is in every file.
+Which topics and fields does a log have? Written by `python docs/topics.py --write` from `docs/topics.csv` and
+`autopilot/log/schemas.py`. `autopilot log info LOG` prints the rates of a log.
+
+SI units, world `ned`, body `frd`. A field has its type, (unit, frame) and meaning. Every message begins with a `header`
+(stamp = log time, frame) unless its standard type has none. Own types (`autopilot_msgs`) are of fixed size; every file
+contains all definitions. "On change" topics are also written once per second. `/sim` and `/viz/truth`: simulation only.
 """
 
 
-def told_topics() -> dict[str, tuple[str, str]]:
-    """Topic -> rate and text, from the table of topics."""
-    found = {}
-    for line in TABLE.read_text(encoding="utf-8").splitlines():
-        cells = [cell.strip() for cell in line.strip().strip("|").split(" | ")]
-        if len(cells) == 4 and cells[0].startswith("`/"):
-            for topic in re.findall(r"`(/[^`]+)`", cells[0]):
-                found[topic] = (cells[2], cells[3])
-    return found
+def described() -> dict[str, tuple[str, str]]:
+    """Topic -> rate and text."""
+    with TABLE.open(encoding="utf-8", newline="") as file:
+        return {row["topic"]: (row["rate"], row["what"]) for row in csv.DictReader(file)}
 
 
 def unit(name: str) -> str:
@@ -51,9 +50,11 @@ def unit(name: str) -> str:
 
 def missing() -> list[str]:
     """What has no text: topics and fields of our own types."""
-    told = told_topics()
-    found = [f"topic {topic}: no row in docs/log.md" for topic in (*TOPICS, AID) if topic not in told]
-    found += [f"topic {topic}: in docs/log.md, but not in TOPICS" for topic in told if topic not in {*TOPICS, AID}]
+    texts_of = described()
+    found = [f"topic {topic}: no row in docs/topics.csv" for topic in (*TOPICS, AID) if topic not in texts_of]
+    found += [
+        f"topic {topic}: in docs/topics.csv, but not in TOPICS" for topic in texts_of if topic not in {*TOPICS, AID}
+    ]
     for kind in sorted({*TOPICS.values(), "autopilot_msgs/AidStatus"}):
         if kind.startswith(OWN):
             texts = comments(kind)
@@ -64,25 +65,29 @@ def missing() -> list[str]:
     return found
 
 
+def field_line(field: Field, text: str) -> str:
+    """A field of our own types: name, type, unit and frame, meaning."""
+    size = "" if field.count is None else f"[{field.count}]"
+    units = f" ({unit(field.name)})" if unit(field.name) else ""
+    return f"* `{field.name}` {field.type}{size}{units}: {text}"
+
+
 def page() -> str:
     """The whole page."""
-    told = told_topics()
-    parts = [HEAD]
+    texts_of = described()
+    parts, first = [HEAD], {}
     for topic, kind in sorted({**TOPICS, AID: "autopilot_msgs/AidStatus"}.items()):
-        rate, text = told.get(topic, ("", ""))
+        rate, text = texts_of.get(topic, ("", ""))
         parts.append(f"## {topic}\n\n`{kind}`, {rate}: {text}.\n")
-        if kind.startswith(OWN):
+        if kind in first:
+            parts.append(f"Fields as `{first[kind]}`.\n")
+        elif kind.startswith(OWN):
+            first[kind] = topic
             texts = comments(kind)
-            parts.append("| field | type | unit, frame | what |\n| --- | --- | --- | --- |")
-            for field in types_of(kind)[kind]:
-                if field.name != "header":
-                    size = "" if field.count is None else f"[{field.count}]"
-                    what = texts.get(field.name, "").replace("|", "/")
-                    parts.append(f"| `{field.name}` | {field.type}{size} | {unit(field.name)} | {what} |")
-            parts.append("")
+            own = [field for field in types_of(kind)[kind] if field.name != "header"]
+            parts.append("\n".join(field_line(field, texts.get(field.name, "")) for field in own) + "\n")
         else:
-            fields = ", ".join(f"`{field.name}`" for field in types_of(kind)[kind])
-            parts.append(f"Standard type: {fields}.\n")
+            parts.append(f"Fields: {', '.join(f'`{field.name}`' for field in types_of(kind)[kind])}.\n")
     return "\n".join(parts)
 
 
