@@ -75,7 +75,8 @@ def field_line(field: Field, text: str) -> str:
 def page() -> str:
     """The whole page."""
     texts_of = described()
-    parts, first = [HEAD], {}
+    parts = [HEAD]
+    first: dict[str, str] = {}
     for topic, kind in sorted({**TOPICS, AID: "autopilot_msgs/AidStatus"}.items()):
         rate, text = texts_of.get(topic, ("", ""))
         parts.append(f"## {topic}\n\n`{kind}`, {rate}: {text}.\n")
