@@ -10,6 +10,7 @@ import math
 
 import numpy as np
 
+from autopilot.core import operator_messages as notices
 from autopilot.core.camera import CameraModel
 from autopilot.core.frames import FloatArray
 from autopilot.core.messages import NavDoubt
@@ -132,11 +133,11 @@ class CameraWatch(Monitor):
         if jumped_s:
             if abs(jumped_s) >= max(CAMERA_DOUBT.late_s, CAMERA_DOUBT.jump_sigmas * self.stamps.sigma_s):
                 self.stamps.jumped_s, self._late_told_s = 0.0, late_s
-                self._texts.append(f"{self._name} stamps jumped {1e3 * jumped_s:+.0f} ms: check its clock")
+                self._texts.append(notices.STAMPS_JUMPED(name=self._name, jump_ms=1e3 * jumped_s).text)
         elif told_s is None and abs(late_s) >= CAMERA_DOUBT.late_s and sure:
             self._late_told_s = late_s
             what = "late" if late_s > 0.0 else "early"
-            self._texts.append(f"{self._name} stamps {1e3 * abs(late_s):.0f} ms {what}: calibrate latency")
+            self._texts.append(notices.STAMPS_OFF(name=self._name, off_ms=1e3 * abs(late_s), what=what).text)
         return changed
 
     @property
@@ -163,7 +164,7 @@ class CameraWatch(Monitor):
         if abs(known) >= CAMERA_DOUBT.focal_named and not self._focal_told:
             self._focal_told = True
             what = "long" if mean > 0.0 else "short"
-            self._texts.append(f"Focal length {100.0 * abs(mean):.1f} % too {what}: recalibrate camera")
+            self._texts.append(notices.FOCAL_LENGTH_OFF(percent=100.0 * abs(mean), what=what).text)
         if abs(self._focal_pending) < (CAMERA_DOUBT.focal_step if self.focal_share else CAMERA_DOUBT.focal_share):
             return False
         self.focal_share, self._focal_pending = known, 0.0

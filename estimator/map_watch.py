@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from autopilot.core import operator_messages as notices
 from autopilot.core.frames import FloatArray
 from autopilot.core.map_errors import STATES
 from autopilot.core.markers import ID_SPAN, MarkerMap
@@ -128,7 +129,8 @@ class MapWatch(Monitor):
                 self._told_sheets.add(sheet)
                 off_mm = 1e3 * math.hypot(float(offset[0]), float(offset[1]))
                 turn_deg = math.degrees(float(offset[3]))
-                self._tell(t_us, f"Sheet {errors.names[sheet]} lies {off_mm:.0f} mm, {turn_deg:.1f} deg off the map")
+                found = notices.SHEET_OFF(name=errors.names[sheet], off_mm=off_mm, turn_deg=turn_deg)
+                self._tell(t_us, found.text)
 
     def _judge(self, stray: Stray, place: _Place) -> None:
         markers = self._markers
@@ -140,20 +142,20 @@ class MapWatch(Monitor):
             partner = self._at(other, stray.marker)
             if partner is not None:
                 partner.told = place.told = True
-                self._tell(self._found_us, f"Markers {name} and {other % ID_SPAN} are swapped in the map")
+                self._tell(self._found_us, notices.MARKERS_SWAPPED(number=name, other=other % ID_SPAN).text)
             elif place.count >= MAP_WATCH.alone:
                 place.told = True
-                self._tell(self._found_us, f"Marker {name} lies where the map has {other % ID_SPAN}")
+                self._tell(self._found_us, notices.MARKER_TAKES_PLACE(number=name, other=other % ID_SPAN).text)
             return
         place.told = True
         if stray.marker < 0:
-            self._tell(self._found_us, f"Marker {name} lies where the map has none")
+            self._tell(self._found_us, notices.MARKER_UNKNOWN(number=name).text)
             return
         north_m = place.north_m - float(markers.centers_ned_m[stray.marker, 0])
         east_m = place.east_m - float(markers.centers_ned_m[stray.marker, 1])
         way = _way(north_m, east_m)
         off_cm = 100.0 * math.hypot(north_m, east_m)
-        self._tell(self._found_us, f"Marker {name} lies {off_cm:.1f} cm {way} of its map place")
+        self._tell(self._found_us, notices.MARKER_OFF(number=name, off_cm=off_cm, way=way).text)
 
     def _at(self, code: int, index: int) -> _Place | None:
         """Strays of a marker seen where the map has marker ``index``."""

@@ -164,7 +164,29 @@ ESTIMATE_NOT_FINITE = _error(
     "Restart the service if it lasts; keep the log.",
 )
 ESTIMATE_FINITE = _info("Estimate is finite again", "The estimate is used again.")
-ESTIMATOR_REMARK = _warning("{text}", "A remark of the estimator about a sensor, the map or the camera calibration.")
+ESTIMATOR_REMARK = _warning("{text}", "One of the following, or a remark of an estimator of your own.")
+STAMPS_JUMPED = _warning(
+    "{name} stamps jumped {jump_ms:+.0f} ms: check its clock", "Exposure times jumped.", "Check the clock's source."
+)
+STAMPS_OFF = _warning(
+    "{name} stamps {off_ms:.0f} ms {what}: calibrate latency", "Images disagree with gyro in time.", "Set latency_s."
+)
+FOCAL_LENGTH_OFF = _warning(
+    "Focal length {percent:.1f} % too {what}: recalibrate camera",
+    "Laser and markers disagree.",
+    "Calibrate the camera.",
+)
+SHEET_OFF = _warning(
+    "Sheet {name} lies {off_mm:.0f} mm, {turn_deg:.1f} deg off the map", "Estimated.", "Run `autopilot markers survey`."
+)
+MARKERS_SWAPPED = _warning(
+    "Markers {number} and {other} are swapped in the map", "Each is seen at the other's place.", "Correct the map."
+)
+MARKER_TAKES_PLACE = _warning("Marker {number} lies where the map has {other}", "Wrong number.", "Correct the map.")
+MARKER_UNKNOWN = _warning("Marker {number} lies where the map has none", "It is not in the map.", "Add or remove it.")
+MARKER_OFF = _warning(
+    "Marker {number} lies {off_cm:.1f} cm {way} of its map place", "It was moved.", "Correct the map or the marker."
+)
 ACCELEROMETER_WRONG = _warning(
     "Accelerometer wrong: keep markers in view", "Accelerations contradict fixes or depth.", "Check the AHRS' range."
 )

@@ -11,7 +11,15 @@ import pytest
 from autopilot.core.operator_messages import ROWS
 
 ROOT = Path(__file__).resolve().parents[2]
-PACKAGES = ("autopilot/command", "autopilot/control", "autopilot/core", "autopilot/mavlink", "autopilot/run", "drivers")
+PACKAGES = (
+    "autopilot/command",
+    "autopilot/control",
+    "autopilot/core",
+    "autopilot/mavlink",
+    "autopilot/run",
+    "drivers",
+    "estimator",
+)
 TABLES = ("failsafe_table.py", "operator_messages.py")
 SENDERS = [path for package in PACKAGES for path in sorted((ROOT / package).rglob("*.py")) if path.name not in TABLES]
 RELAYS = {"runtime.py", "service.py", "session.py"}
