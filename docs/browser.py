@@ -27,7 +27,7 @@ def found() -> str | None:
     return given if given else next((path for name in NAMES if (path := shutil.which(name))), None)
 
 
-class Page:
+class BrowserPage:
     """One page of a browser."""
 
     def __init__(self, to_browser: int, from_browser: int) -> None:
@@ -39,7 +39,7 @@ class Page:
         """What went wrong on the page: exceptions, failed requests, lines on the console that are no mere words."""
         target = self.call("Target.createTarget", url="about:blank")["targetId"]
         self._session = self.call("Target.attachToTarget", targetId=target, flatten=True)["sessionId"]
-        for domain in ("Page", "Runtime", "Log", "Network"):
+        for domain in ("BrowserPage", "Runtime", "Log", "Network"):
             self.call(f"{domain}.enable")
 
     def call(self, method: str, **params: Any) -> dict[str, Any]:
@@ -69,7 +69,7 @@ class Page:
 
     def open(self, url: str) -> None:
         """Go there."""
-        self.call("Page.navigate", url=url)
+        self.call("BrowserPage.navigate", url=url)
 
     def ask(self, expression: str) -> Any:
         """The value of an expression on the page."""
@@ -89,7 +89,7 @@ class Page:
 
     def picture(self, path: Path) -> None:
         """What is seen, as PNG."""
-        path.write_bytes(base64.b64decode(self.call("Page.captureScreenshot", format="png")["data"]))
+        path.write_bytes(base64.b64decode(self.call("BrowserPage.captureScreenshot", format="png")["data"]))
 
     def _hear(self, patience_s: float) -> dict[str, Any] | None:
         """The next message, None when none comes."""
@@ -116,7 +116,7 @@ class Page:
 
 
 @contextlib.contextmanager
-def page(program: str) -> Iterator[Page]:
+def page(program: str) -> Iterator[BrowserPage]:
     """A page of a browser of its own, which ends with it."""
     read_commands, write_commands = os.pipe()
     read_answers, write_answers = os.pipe()
@@ -133,7 +133,7 @@ def page(program: str) -> Iterator[Page]:
         os.close(read_commands)
         os.close(write_answers)
         try:
-            yield Page(write_commands, read_answers)
+            yield BrowserPage(write_commands, read_answers)
         finally:
             os.close(write_commands)
             os.close(read_answers)

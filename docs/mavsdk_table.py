@@ -40,7 +40,7 @@ def plugin_names() -> list[str]:
     return sorted(path.name for path in folder.iterdir() if (path / "__init__.py").exists())
 
 
-class Row:
+class PluginRow:
     """What became of one plugin's calls."""
 
     def __init__(self, name: str) -> None:
@@ -76,9 +76,9 @@ class Bench:
         module = import_module(f"mavsdk.plugins.{name}")
         return getattr(module, "".join(part.capitalize() for part in name.split("_")))(self.system)
 
-    def row(self, name: str) -> Row:
+    def row(self, name: str) -> PluginRow:
         """Try one plugin."""
-        row = Row(name)
+        row = PluginRow(name)
         probes = PROBES.get(name)
         if probes is None or name.endswith("_server"):
             return row
@@ -88,7 +88,7 @@ class Bench:
         self._listen(row, streams)
         return row
 
-    def _try(self, row: Row, label: str, call: Callable[[], Any]) -> None:
+    def _try(self, row: PluginRow, label: str, call: Callable[[], Any]) -> None:
         outcome: list[str] = []
 
         def run() -> None:
@@ -114,7 +114,7 @@ class Bench:
             where = row.nothing if outcome[0] in ("TIMEOUT", "NO_SYSTEM") else row.refused
             where.append(f"{label} ({outcome[0]}{said})")
 
-    def _listen(self, row: Row, streams: list[tuple[str, Callable[[Callable[..., None]], Any]]]) -> None:
+    def _listen(self, row: PluginRow, streams: list[tuple[str, Callable[[Callable[..., None]], Any]]]) -> None:
         told: set[str] = set()
         for label, subscribe in streams:
             subscribe(lambda *args, label=label: told.add(label))

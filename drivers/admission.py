@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from enum import Enum
 from typing import Generic, TypeVar
 
-from autopilot.core.clients import Standing
+from autopilot.core.clients import ClientRecord
 
 KEEP_US = 5_000_000
 """A client that has said something valid within this time is not displaced by another."""
@@ -30,7 +30,7 @@ class Why(Enum):
 
 
 @dataclass(frozen=True, slots=True)
-class Displaced(Generic[K]):
+class DisplacedClient(Generic[K]):
     """Somebody who has to go."""
 
     key: K
@@ -39,15 +39,15 @@ class Displaced(Generic[K]):
 
 
 @dataclass(frozen=True, slots=True)
-class Entry(Generic[K]):
+class AdmissionReply(Generic[K]):
     """The answer to somebody who asks for a place."""
 
     admitted: bool
-    displaced: Displaced[K] | None = None
+    displaced: DisplacedClient[K] | None = None
 
 
 @dataclass(slots=True)
-class _Place:
+class _Seat:
     entered_us: int
     turn: int
     heard_us: int
@@ -59,11 +59,11 @@ class Admission(Generic[K]):
     heard, and goes round among those who wait for it, so that the operator in control always comes in. ``standing``
     says what a client has said so far. Who is there for less than ``grace_us`` is given the time to say something."""
 
-    def __init__(self, places: int, standing: Callable[[K], Standing], grace_us: int = 0) -> None:
+    def __init__(self, places: int, standing: Callable[[K], ClientRecord], grace_us: int = 0) -> None:
         self._most = places + 1
         self._standing = standing
         self._grace_us = grace_us
-        self._places: dict[K, _Place] = {}
+        self._places: dict[K, _Seat] = {}
         """In the order in which they came."""
         self._turn = 0
         self._waiting: dict[K, tuple[int, int]] = {}
@@ -91,11 +91,13 @@ class Admission(Generic[K]):
         """Whether the next one who asks is admitted."""
         return len(self._places) < self._most - 1 or self._decide(t_us).admitted
 
-    def enter(self, key: K, t_us: int, *, always: bool = False) -> Entry[K]:
+    def enter(self, key: K, t_us: int, *, always: bool = False) -> AdmissionReply[K]:
         """Somebody new asks for a place; ``always``: he is expected, and is let in whoever else is there."""
-        entry: Entry[K] = Entry(True) if always or len(self._places) < self._most - 1 else self._decide(t_us)
+        entry: AdmissionReply[K] = (
+            AdmissionReply(True) if always or len(self._places) < self._most - 1 else self._decide(t_us)
+        )
         if entry.displaced is not None and entry.displaced.why is Why.KEPT and not self._is_next(key, t_us):
-            entry = Entry(False)
+            entry = AdmissionReply(False)
         if entry.displaced is not None:
             self.leave(entry.displaced.key)
         first_us, _ = self._waiting.pop(key, (t_us, t_us))
@@ -104,7 +106,7 @@ class Admission(Generic[K]):
             if len(self._waiting) > MAX_WAITING:
                 del self._waiting[next(iter(self._waiting))]
         if entry.admitted:
-            self._places[key] = _Place(t_us, self._turn, t_us, always)
+            self._places[key] = _Seat(t_us, self._turn, t_us, always)
         return entry
 
     def idle(self, t_us: int, unproven_us: int, proven_us: int) -> list[K]:
@@ -121,38 +123,44 @@ class Admission(Generic[K]):
         mine_us = self._waiting.get(key, (t_us, t_us))[0]
         return all(first_us >= mine_us for first_us, last_us in self._waiting.values() if t_us - last_us <= TURN_US)
 
-    def _decide(self, t_us: int) -> Entry[K]:
+    def _decide(self, t_us: int) -> AdmissionReply[K]:
         """When all places but the kept one are taken."""
         known = [(key, place, self._standing(key)) for key, place in self._places.items()]
         free = [each for each in known if not (each[1].expected or each[2].in_control)]
         victim = _first(self._unproven(free, t_us)) or _first(self._silent(free, t_us))
         if victim is None and len(self._places) < self._most:
-            return Entry(True)
+            return AdmissionReply(True)
         if victim is None:
             victim = _first(self._latest(free, t_us))
-        return Entry(victim is not None, victim)
+        return AdmissionReply(victim is not None, victim)
 
-    def _unproven(self, known: Iterable[tuple[K, _Place, Standing]], t_us: int) -> Iterable[tuple[int, Displaced[K]]]:
+    def _unproven(
+        self, known: Iterable[tuple[K, _Seat, ClientRecord]], t_us: int
+    ) -> Iterable[tuple[int, DisplacedClient[K]]]:
         """Who has said nothing valid, the one that came first before the others."""
         for key, place, standing in known:
             age_us = t_us - place.entered_us
             if standing.valid_us is None and place.turn < self._turn and age_us >= self._grace_us:
-                yield place.entered_us, Displaced(key, Why.UNPROVEN, t_us - place.heard_us)
+                yield place.entered_us, DisplacedClient(key, Why.UNPROVEN, t_us - place.heard_us)
 
-    def _silent(self, known: Iterable[tuple[K, _Place, Standing]], t_us: int) -> Iterable[tuple[int, Displaced[K]]]:
+    def _silent(
+        self, known: Iterable[tuple[K, _Seat, ClientRecord]], t_us: int
+    ) -> Iterable[tuple[int, DisplacedClient[K]]]:
         """Who has said nothing valid lately, the longest silent before the others."""
         for key, _, standing in known:
             if standing.valid_us is not None and t_us - standing.valid_us >= KEEP_US:
-                yield standing.valid_us, Displaced(key, Why.SILENT, t_us - standing.valid_us)
+                yield standing.valid_us, DisplacedClient(key, Why.SILENT, t_us - standing.valid_us)
 
-    def _latest(self, known: Iterable[tuple[K, _Place, Standing]], t_us: int) -> Iterable[tuple[int, Displaced[K]]]:
+    def _latest(
+        self, known: Iterable[tuple[K, _Seat, ClientRecord]], t_us: int
+    ) -> Iterable[tuple[int, DisplacedClient[K]]]:
         """Who came last, once he has had his time."""
         for key, place, standing in list(known)[-1:]:
             if standing.valid_us is not None and t_us - place.entered_us >= TURN_US:
-                yield 0, Displaced(key, Why.KEPT, t_us - standing.valid_us)
+                yield 0, DisplacedClient(key, Why.KEPT, t_us - standing.valid_us)
 
 
-def _first(candidates: Iterable[tuple[int, Displaced[K]]]) -> Displaced[K] | None:
+def _first(candidates: Iterable[tuple[int, DisplacedClient[K]]]) -> DisplacedClient[K] | None:
     """The one with the least number, the earliest of equals."""
     least = min(candidates, key=lambda each: each[0], default=None)
     return None if least is None else least[1]
@@ -184,7 +192,7 @@ class DoorNews:
         return taken
 
 
-def displaced_text(sender: str, gone: Displaced[K]) -> str:
+def displaced_text(sender: str, gone: DisplacedClient[K]) -> str:
     """The line about who lost his place."""
     seconds = gone.silent_us // 1_000_000
     why = f"silent for {seconds} s" if gone.why is Why.SILENT else gone.why.value

@@ -26,8 +26,8 @@ from autopilot.drivers.ardusub_mixing import FRAMES, NEUTRAL, Mixer
 from autopilot.drivers.ardusub_payload import Passing
 from autopilot.drivers.ardusub_prearm import RUN_CHECKS, SYS_STATUS_ID, PrearmWatch
 from autopilot.drivers.ardusub_senders import OutputWatch
-from autopilot.drivers.ardusub_settings import Settings
-from autopilot.drivers.ardusub_telemetry import Telemetry
+from autopilot.drivers.ardusub_settings import ArduSubSettings
+from autopilot.drivers.ardusub_telemetry import ArduSubTelemetry
 from autopilot.drivers.ardusub_wire import Wire
 from autopilot.drivers.base import Closing
 from autopilot.drivers.links import open_link
@@ -105,7 +105,7 @@ class ArduSub(Closing):
         self._telemetry = self._new_telemetry()
         self._watch = AuthorityWatch()
         self._prearm = PrearmWatch()
-        self.settings = Settings(frame.number, frame.motors, options.gcs_system)
+        self.settings = ArduSubSettings(frame.number, frame.motors, options.gcs_system)
         """Its parameters."""
         self._payload = Passing(vehicle)
         self._timeout_us = round(1e6 * min(thruster.drive.command_timeout_s for thruster in vehicle.thrusters))
@@ -129,9 +129,9 @@ class ArduSub(Closing):
         self.saturated_count = 0
         """Commands that did not fit its channels."""
 
-    def _new_telemetry(self) -> Telemetry:
+    def _new_telemetry(self) -> ArduSubTelemetry:
         options = self._options
-        return Telemetry(
+        return ArduSubTelemetry(
             self._vehicle,
             density_kg_m3=options.density_kg_m3,
             depth_sigma_m=options.depth_sigma_m,

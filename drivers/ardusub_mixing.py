@@ -46,7 +46,7 @@ PLANE_MOTORS = len(_FLAT_FACTORS)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Frame:
+class ArduSubFrame:
     """One of ArduSub's frames (FRAME_CONFIG)."""
 
     name: str
@@ -64,14 +64,14 @@ class Frame:
 
 
 FRAMES = {
-    "vectored": Frame(
+    "vectored": ArduSubFrame(
         name="vectored",
         number=1,
         upright=(Axis.THROTTLE, Axis.ROLL),
         upright_factors=((-1, 1), (-1, -1)),
         scales_groups=False,
     ),
-    "vectored_6dof": Frame(
+    "vectored_6dof": ArduSubFrame(
         name="vectored_6dof",
         number=2,
         upright=(Axis.THROTTLE, Axis.ROLL, Axis.PITCH),
@@ -157,7 +157,7 @@ class Mixed:
 class Mixer:
     """Pulses per thruster in the order of the vehicle file, channels out."""
 
-    def __init__(self, vehicle: Vehicle, frame: Frame) -> None:
+    def __init__(self, vehicle: Vehicle, frame: ArduSubFrame) -> None:
         """ConfigError if the vehicle's thrusters are not that frame's."""
         thrusters = sorted(vehicle.thrusters, key=lambda thruster: thruster.channel)
         self._order = [vehicle.thrusters.index(thruster) for thruster in thrusters]
@@ -247,7 +247,7 @@ NEUTRAL = (NEUTRAL_US,) * CHANNELS
 """What stops all motors."""
 
 
-def _sides(factors: FloatArray, wrench: FloatArray, names: Sequence[str], frame: Frame) -> FloatArray:
+def _sides(factors: FloatArray, wrench: FloatArray, names: Sequence[str], frame: ArduSubFrame) -> FloatArray:
     """(motors,) 1 where a positive sum pushes along the file's direction, -1 where against it."""
     pushes = factors[:, Axis.FORWARD, None] * [1.0, 0.0, 0.0] + factors[:, Axis.LATERAL, None] * [0.0, 1.0, 0.0]
     pushes = pushes - factors[:, Axis.THROTTLE, None] * [0.0, 0.0, 1.0]  # the throttle's positive side is up

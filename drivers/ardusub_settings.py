@@ -110,7 +110,7 @@ def motor_rules(motors: int) -> tuple[Rule, ...]:
     )
 
 
-class Settings:
+class ArduSubSettings:
     """What has been read so far."""
 
     def __init__(self, frame_number: int, motors: int, ours: int) -> None:

@@ -27,7 +27,7 @@ END_US = 3_000_000
 NEUTRAL_SENDS = 3
 
 
-class Step(Enum):
+class SilenceStep(Enum):
     """What is being done."""
 
     CONTACT = "contact"
@@ -44,7 +44,7 @@ class SilenceTest:
     def __init__(self, wire: Wire, motors: int) -> None:
         self._wire = wire
         self._motors = motors
-        self._step = Step.CONTACT
+        self._step = SilenceStep.CONTACT
         self._since_us: int | None = None
         self._beat_us = self._asked_us = self._sent_us = -(1 << 62)
         self._mode: int | None = None
@@ -62,7 +62,7 @@ class SilenceTest:
     @property
     def done(self) -> bool:
         """Whether it is over: neutral, and disarmed if it can be."""
-        return self._step is Step.DONE
+        return self._step is SilenceStep.DONE
 
     def tick(self, t_us: int) -> None:
         """Go on."""
@@ -73,22 +73,22 @@ class SilenceTest:
             self._hear(message)
         passed_us = t_us - self._since_us
         match self._step:
-            case Step.CONTACT:
+            case SilenceStep.CONTACT:
                 self._contact(t_us, passed_us)
-            case Step.ARM:
+            case SilenceStep.ARM:
                 self._arm(t_us, passed_us)
-            case Step.PUSH:
+            case SilenceStep.PUSH:
                 self._push(t_us, passed_us)
-            case Step.SILENCE:
+            case SilenceStep.SILENCE:
                 self._silence(t_us, passed_us)
-            case Step.END:
+            case SilenceStep.END:
                 self._end(t_us, passed_us)
-            case Step.DONE:
+            case SilenceStep.DONE:
                 return
 
     def abort(self) -> None:
         """Whatever it is doing: neutral, and disarmed if it was armed by this."""
-        if self._step in (Step.ARM, Step.PUSH, Step.SILENCE, Step.END):
+        if self._step in (SilenceStep.ARM, SilenceStep.PUSH, SilenceStep.SILENCE, SilenceStep.END):
             for _ in range(NEUTRAL_SENDS):
                 self._wire.override(NEUTRAL)
             self._wire.arm(armed=False)
@@ -105,13 +105,13 @@ class SilenceTest:
             case _:
                 return
 
-    def _go(self, t_us: int, step: Step) -> None:
+    def _go(self, t_us: int, step: SilenceStep) -> None:
         self._step, self._since_us = step, t_us
         self._asked_us = t_us - ASK_EVERY_US
 
     def _give_up(self, t_us: int, problem: str) -> None:
         self.problem, self._rest = problem, NEUTRAL_SENDS
-        self._go(t_us, Step.END)
+        self._go(t_us, SilenceStep.END)
 
     def _due(self, t_us: int) -> bool:
         if t_us - self._asked_us < ASK_EVERY_US:
@@ -131,11 +131,11 @@ class SilenceTest:
             self._wire.interval(SERVO_ID, SERVO_HZ)
         if self._mode is not None and self._armed:
             self.problem = "it is armed already: disarm it"  # by somebody else, who keeps it
-            self._step = Step.DONE
+            self._step = SilenceStep.DONE
         elif self._mode is not None and self._mode != MANUAL:
             self._give_up(t_us, "it is not in MANUAL: switch it")
         elif self._mode is not None and self._reports >= ENOUGH * SERVO_HZ:
-            self._go(t_us, Step.ARM)
+            self._go(t_us, SilenceStep.ARM)
         elif passed_us > CONTACT_US:
             silent = self._mode is None
             self._give_up(
@@ -145,7 +145,7 @@ class SilenceTest:
     def _arm(self, t_us: int, passed_us: int) -> None:
         self._beat(t_us)
         if self._armed:
-            self._go(t_us, Step.PUSH)
+            self._go(t_us, SilenceStep.PUSH)
         elif passed_us > ARM_US:
             self._give_up(t_us, f"it does not arm: {self._refusal or 'no answer'}")
         elif self._due(t_us):
@@ -155,7 +155,7 @@ class SilenceTest:
         self._beat(t_us)
         turning = bool(self._servos_us) and max(abs(us - 1500) for us in self._servos_us) > SHOWN_US
         if turning and passed_us > SPOOL_US + PUSH_FOR_US:
-            self._go(t_us, Step.SILENCE)
+            self._go(t_us, SilenceStep.SILENCE)
             return
         if passed_us > 2 * (SPOOL_US + PUSH_FOR_US):
             self._give_up(t_us, "no thrust comes out: check its mode, its arming and gcs_system")
@@ -171,7 +171,7 @@ class SilenceTest:
             self.neutral_s = 1e-6 * (t_us - self._sent_us)
         if still or passed_us > SILENT_US:
             self._rest = NEUTRAL_SENDS
-            self._go(t_us, Step.END)
+            self._go(t_us, SilenceStep.END)
 
     def _end(self, t_us: int, passed_us: int) -> None:
         """Neutral, and disarmed."""
@@ -181,4 +181,4 @@ class SilenceTest:
         if self._armed and self._due(t_us):
             self._wire.arm(armed=False)
         if not self._rest and (not self._armed or passed_us > END_US):
-            self._step = Step.DONE
+            self._step = SilenceStep.DONE

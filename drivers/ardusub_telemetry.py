@@ -29,7 +29,7 @@ RANGE_SIGMA_M, RANGE_SHARE = 0.01, 0.005
 """Of a range: it is told in centimetres, a Ping Sonar resolves half a per cent."""
 
 
-class Telemetry:
+class ArduSubTelemetry:
     """Messages in, samples out. Stamps are those of its clock, moved to ours."""
 
     def __init__(

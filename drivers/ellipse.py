@@ -47,7 +47,7 @@ class Ellipse(Closing):
         self._port: BytePort = SerialPort(options.port, options.baud) if port is None else port
         self._latency_us = round(vehicle.ahrs.latency_s * 1e6)
         self._mode = options.divider
-        self._parser = wire.FrameParser()
+        self._parser = wire.EllipseParser()
         self.clock = DeviceClock(CLOCK_SPAN_US)
         """The device's, on the service's time."""
         self._imu: wire.Imu | None = None
@@ -68,7 +68,7 @@ class Ellipse(Closing):
     def open(self) -> None:
         """Open the line and configure the device."""
         self._port.open()
-        self._parser = wire.FrameParser()
+        self._parser = wire.EllipseParser()
         self.clock.begin()
         self._configure()
 
@@ -103,7 +103,7 @@ class Ellipse(Closing):
             self._port.write(wire.encode_output(log, self._mode))
             self._port.write(wire.encode_question(log))
 
-    def _take(self, arrival_us: int, frame: wire.Frame) -> AhrsSample | None:
+    def _take(self, arrival_us: int, frame: wire.EllipseFrame) -> AhrsSample | None:
         if (frame.kind, frame.message) == (wire.COMMANDS, wire.OUTPUT_CONF):
             answer = wire.decode_output(frame.data)
             if answer is not None and answer[0] in LOGS and answer[1] == self._mode:

@@ -33,7 +33,7 @@ _CONF = struct.Struct("<BBBH")
 
 
 @dataclass(frozen=True, slots=True)
-class Frame:
+class EllipseFrame:
     """One frame whose checksum was right."""
 
     message: int
@@ -120,9 +120,9 @@ def decode_attitude(data: bytes) -> Attitude | None:
     return Attitude(device_us, tuple(numbers[0:4]), status)
 
 
-class FrameParser(SbgParser[Frame]):
+class EllipseParser(SbgParser[EllipseFrame]):
     """Frames of an Ellipse."""
 
     def __init__(self) -> None:
         framing = Framing(sync=SYNC, end=END, id_bytes=2, max_data=MAX_DATA, order="little")
-        super().__init__(framing, lambda ids, data: Frame(ids[0], ids[1], data))
+        super().__init__(framing, lambda ids, data: EllipseFrame(ids[0], ids[1], data))

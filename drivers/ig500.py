@@ -16,10 +16,10 @@ from autopilot.drivers.ig500_protocol import (
     RAW_MASK,
     RETURN_OUTPUT_MASK,
     STATUS_GOOD,
-    Field,
-    FrameParser,
+    Ig500Parser,
+    Ig500Status,
     OutputCodec,
-    Status,
+    OutputField,
     decode_output_mask,
     encode_continuous_mode,
     encode_frame,
@@ -50,14 +50,14 @@ class Ig500(Closing):
         self._mask = AHRS_MASK if attitude else RAW_MASK
         self._codec = OutputCodec(self._mask)
         parts = self._codec.parts
-        self._quaternion, self._magnet = parts.get(Field.QUATERNION), parts.get(Field.MAG)
-        self._gyro, self._accel = parts[Field.GYRO], parts[Field.ACCEL]
-        self._time, self._status = parts[Field.TIME_SINCE_RESET].start, parts[Field.STATUS].start
+        self._quaternion, self._magnet = parts.get(OutputField.QUATERNION), parts.get(OutputField.MAG)
+        self._gyro, self._accel = parts[OutputField.GYRO], parts[OutputField.ACCEL]
+        self._time, self._status = parts[OutputField.TIME_SINCE_RESET].start, parts[OutputField.STATUS].start
         self._confirmed = False
-        self.status: Status | None = None
+        self.status: Ig500Status | None = None
         """What the device says of itself with its last measurement."""
         self._status_bits: int | None = None
-        self._parser = FrameParser()
+        self._parser = Ig500Parser()
         self.clock = DeviceClock(CLOCK_SPAN_US)
         """The device's, on the service's time."""
         self._silent_polls = 0
@@ -110,7 +110,7 @@ class Ig500(Closing):
         """Parts of the device that are not in order by its own account."""
         if self.status is None:
             return []
-        return [str(bit.name).lower() for bit in Status if bit & STATUS_GOOD & ~self.status]
+        return [str(bit.name).lower() for bit in Ig500Status if bit & STATUS_GOOD & ~self.status]
 
     def _configure(self) -> None:
         self._confirmed = False
@@ -138,7 +138,7 @@ class Ig500(Closing):
             return None
         bits = int(numbers[self._status])
         if bits != self._status_bits:
-            self._status_bits, self.status = bits, Status(bits & STATUS_GOOD)
+            self._status_bits, self.status = bits, Ig500Status(bits & STATUS_GOOD)
         t_us = stamped_us - self._latency_us
         rate, accel = np.array(numbers[self._gyro]), np.array(numbers[self._accel])
         if self._magnet is not None:

@@ -26,7 +26,7 @@ SET_CONTINUOUS_MODE = 0x53
 CONTINUOUS_OUTPUT = 0x90
 
 
-class Field(IntFlag):
+class OutputField(IntFlag):
     """Bits of the output mask that this driver knows."""
 
     QUATERNION = 1 << 0
@@ -41,7 +41,7 @@ class Field(IntFlag):
     ATTITUDE_ACCURACY = 1 << 21
 
 
-class Status(IntFlag):
+class Ig500Status(IntFlag):
     """Bits of the device's status that this driver looks at: 1 = in order, 0 = a warning."""
 
     CALIBRATION = 1 << 0
@@ -56,34 +56,39 @@ class Status(IntFlag):
     GYRO_RANGE = 1 << 9
 
 
-STATUS_GOOD = Status(0x3FF)
+STATUS_GOOD = Ig500Status(0x3FF)
 """All that it looks at is in order."""
 
-_LAYOUT: dict[Field, str] = {
-    Field.QUATERNION: "4f",
-    Field.EULER: "3f",
-    Field.MATRIX: "9f",
-    Field.GYRO: "3f",
-    Field.ACCEL: "3f",
-    Field.MAG: "3f",
-    Field.TEMPERATURE: "2f",
-    Field.TIME_SINCE_RESET: "I",
-    Field.STATUS: "I",
-    Field.ATTITUDE_ACCURACY: "f",
+_LAYOUT: dict[OutputField, str] = {
+    OutputField.QUATERNION: "4f",
+    OutputField.EULER: "3f",
+    OutputField.MATRIX: "9f",
+    OutputField.GYRO: "3f",
+    OutputField.ACCEL: "3f",
+    OutputField.MAG: "3f",
+    OutputField.TEMPERATURE: "2f",
+    OutputField.TIME_SINCE_RESET: "I",
+    OutputField.STATUS: "I",
+    OutputField.ATTITUDE_ACCURACY: "f",
 }
 """Struct codes: quaternion w x y z, Euler roll pitch yaw [rad], rad/s, m/s^2, arbitrary, deg C, ms, bits, rad."""
 
 AHRS_MASK = (
-    Field.QUATERNION | Field.GYRO | Field.ACCEL | Field.TIME_SINCE_RESET | Field.STATUS | Field.ATTITUDE_ACCURACY
+    OutputField.QUATERNION
+    | OutputField.GYRO
+    | OutputField.ACCEL
+    | OutputField.TIME_SINCE_RESET
+    | OutputField.STATUS
+    | OutputField.ATTITUDE_ACCURACY
 )
 """What the driver asks the device for."""
 
-RAW_MASK = Field.GYRO | Field.ACCEL | Field.MAG | Field.TIME_SINCE_RESET | Field.STATUS
+RAW_MASK = OutputField.GYRO | OutputField.ACCEL | OutputField.MAG | OutputField.TIME_SINCE_RESET | OutputField.STATUS
 """What it asks for when the attitude is to be made on board."""
 
 
 @dataclass(frozen=True, slots=True)
-class Frame:
+class Ig500Frame:
     """One frame whose checksum was right."""
 
     command: int
@@ -98,7 +103,7 @@ def encode_frame(command: int, data: bytes = b"") -> bytes:
     return SYNC + body + struct.pack(">HB", crc16(body), END)
 
 
-def encode_output_mask(mask: Field) -> bytes:
+def encode_output_mask(mask: OutputField) -> bytes:
     """Command that chooses the fields of the continuous output, until the next power-up."""
     return encode_frame(SET_OUTPUT_MASK, struct.pack(">BI", 0, mask))
 
@@ -113,25 +118,25 @@ def encode_continuous_mode(divider: int) -> bytes:
     return encode_frame(SET_CONTINUOUS_MODE, struct.pack(">BBB", 0, 1, divider))
 
 
-class FrameParser(SbgParser[Frame]):
+class Ig500Parser(SbgParser[Ig500Frame]):
     """Frames of an IG-500."""
 
     def __init__(self) -> None:
         framing = Framing(sync=SYNC, end=END, id_bytes=1, max_data=MAX_DATA, order="big")
-        super().__init__(framing, lambda ids, data: Frame(ids[0], data))
+        super().__init__(framing, lambda ids, data: Ig500Frame(ids[0], data))
 
 
 class OutputCodec:
     """Packs and unpacks the data of 0x90 frames for one output mask. ConfigError for a bit that is not known."""
 
-    def __init__(self, mask: Field) -> None:
-        known = Field(sum(_LAYOUT))
+    def __init__(self, mask: OutputField) -> None:
+        known = OutputField(sum(_LAYOUT))
         if int(mask) & ~int(known):
             raise ConfigError(f"IG-500 output mask 0x{int(mask):x} has unknown bits; use bits of 0x{int(known):x}")
         self.mask = mask
         self._fields = [field for field in _LAYOUT if field & mask]
         self._struct = struct.Struct(">" + "".join(_LAYOUT[field] for field in self._fields))
-        self.parts: dict[Field, slice] = {}
+        self.parts: dict[OutputField, slice] = {}
         """Where the numbers of a field are in :meth:`numbers`."""
         at = 0
         for field in self._fields:
@@ -144,7 +149,7 @@ class OutputCodec:
         """Bytes of data."""
         return self._struct.size
 
-    def encode(self, values: Mapping[Field, tuple[float, ...]]) -> bytes:
+    def encode(self, values: Mapping[OutputField, tuple[float, ...]]) -> bytes:
         """Data of a frame; ``values`` holds one tuple per field of the mask (whole numbers for time and status)."""
         numbers: list[float] = []
         for field in self._fields:
@@ -158,7 +163,7 @@ class OutputCodec:
         numbers = self._struct.unpack(data)
         return numbers if all(map(math.isfinite, numbers)) else None
 
-    def decode(self, data: bytes) -> dict[Field, tuple[float, ...]] | None:
+    def decode(self, data: bytes) -> dict[OutputField, tuple[float, ...]] | None:
         """Values by field; None if there are no good :meth:`numbers`."""
         numbers = self.numbers(data)
         return None if numbers is None else {field: numbers[part] for field, part in self.parts.items()}

@@ -3,7 +3,7 @@
 The chip counts its clock: a pulse is only as right as the clock's frequency is known. Navigator feeds 24.576 MHz from
 outside; the internal clock of other boards is off by several percent, which ``clock_hz`` takes (measure a pulse of a
 known command). It has no watchdog: what it was told last goes on when the program is killed, so a keeper process
-stands by (:mod:`autopilot.drivers.keeper`).
+stands by (:mod:`autopilot.drivers.watchdog`).
 """
 
 import contextlib
@@ -18,7 +18,7 @@ from autopilot.core.toml_table import Table
 from autopilot.core.vehicle import Vehicle
 from autopilot.drivers.gpio import GpioLine, LinuxGpio
 from autopilot.drivers.i2c import I2cBus, LinuxI2c, register
-from autopilot.drivers.keeper import KeptOutput
+from autopilot.drivers.watchdog import KeptOutput
 
 MODE1, MODE2, LED0, ALL_OFF_HIGH, PRESCALE = 0x00, 0x01, 0x06, 0xFD, 0xFE
 RESTART, EXTERNAL, INCREMENT, SLEEP = 0x80, 0x40, 0x20, 0x10

@@ -8,7 +8,7 @@ from collections.abc import Callable, Sequence
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, Self, TypeVar, runtime_checkable
 
-from autopilot.core.clients import EVERYONE, Reach, Standing
+from autopilot.core.clients import EVERYONE, ClientRecord, Reach
 
 if TYPE_CHECKING:  # links are opened before anything heavy is loaded
     from autopilot.core.messages import Below, Severity
@@ -97,7 +97,7 @@ class PayloadOutput(Protocol):
 
 @runtime_checkable
 class WatchedOutput(Protocol):
-    """An output that a process beside the service stops when the service cannot (:mod:`autopilot.drivers.keeper`)."""
+    """An output that a process beside the service stops when the service cannot (:mod:`autopilot.drivers.watchdog`)."""
 
     @property
     def watchdog_problem(self) -> str:
@@ -195,7 +195,7 @@ class Link(Protocol):
 class SharedLink(Protocol):
     """A link with places for so many clients and no more."""
 
-    standing: Callable[[int], Standing]
+    standing: Callable[[int], ClientRecord]
     """What a client (its number) has shown of itself; set by who reads what the link brings."""
 
     def take_news(self) -> tuple[bool, str] | None:

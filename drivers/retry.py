@@ -38,7 +38,7 @@ class DeviceState(Enum):
     UP = "up"
 
 
-class Steady(Generic[D]):
+class RetryingDevice(Generic[D]):
     """A device with what it takes to live with its absence. ``name`` is what operators call it."""
 
     def __init__(self, device: D, name: str) -> None:
@@ -144,7 +144,7 @@ class Steady(Generic[D]):
         self._notices.append((severity, f"{self.name}: {text}"))
 
 
-class SteadySensor(Steady[Sensor[Any]]):
+class SteadySensor(RetryingDevice[Sensor[Any]]):
     """A sensor that gives nothing while it is away."""
 
     def __init__(self, device: Sensor[Any], name: str) -> None:
@@ -165,7 +165,7 @@ class SteadySensor(Steady[Sensor[Any]]):
 Out = TypeVar("Out", bound=ThrusterOutput)
 
 
-class SteadyOutput(Steady[Out]):
+class SteadyOutput(RetryingDevice[Out]):
     """Thrusters that may be away. That a command does not reach them is said by DriverError, on every tick."""
 
     def __init__(self, device: Out, name: str) -> None:

@@ -1,7 +1,7 @@
 """Hardware PWM of the computer itself, by Linux's ``/sys/class/pwm``: one file per output.
 
 Like the PCA9685 it goes on with its last pulse when the program is killed; a keeper process stands by
-(:mod:`autopilot.drivers.keeper`).
+(:mod:`autopilot.drivers.watchdog`).
 """
 
 import contextlib
@@ -15,7 +15,7 @@ import msgspec
 from autopilot.core.errors import ConfigError, DriverError
 from autopilot.core.toml_table import Table
 from autopilot.core.vehicle import Vehicle
-from autopilot.drivers.keeper import KeptOutput
+from autopilot.drivers.watchdog import KeptOutput
 
 
 class SysfsPwmOptions(Table, frozen=True, kw_only=True):

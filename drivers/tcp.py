@@ -4,7 +4,7 @@ import select
 import socket
 from collections.abc import Callable
 
-from autopilot.core.clients import EVERYONE, UNPROVEN, Reach, Standing
+from autopilot.core.clients import EVERYONE, UNPROVEN, ClientRecord, Reach
 from autopilot.core.errors import DriverError
 from autopilot.drivers.admission import Admission, DoorNews, displaced_text
 from autopilot.drivers.framing import FrameCutter
@@ -33,7 +33,7 @@ _KEEPALIVE = {"TCP_KEEPIDLE": 5, "TCP_KEEPINTVL": 5, "TCP_KEEPCNT": 3, "TCP_USER
 answer end the connection; the same of data that is not acknowledged [ms]. A cut tether says no goodbye."""
 
 
-class _Stream:
+class _TcpConnection:
     """One open connection. OSError when it is gone already."""
 
     def __init__(self, connection: socket.socket, client: int, sender: str, reach: Reach) -> None:
@@ -108,10 +108,10 @@ class TcpServer:
 
     def __init__(self, name: str, host: str, port: int) -> None:
         self._name = name
-        self._clients: dict[int, _Stream] = {}
+        self._clients: dict[int, _TcpConnection] = {}
         """By number."""
         self._numbers = 0
-        self.standing: Callable[[int], Standing] = lambda client: UNPROVEN
+        self.standing: Callable[[int], ClientRecord] = lambda client: UNPROVEN
         self._admission: Admission[int] = Admission(MAX_CLIENTS, lambda client: self.standing(client), GRACE_US)
         self._news = DoorNews()
         self._full = False
@@ -200,13 +200,13 @@ class TcpServer:
                 return
             self._numbers += 1
             try:
-                stream = _Stream(connection, self._numbers, f"{address[0]}:{address[1]}", reach_of(address[0]))
+                stream = _TcpConnection(connection, self._numbers, f"{address[0]}:{address[1]}", reach_of(address[0]))
             except OSError:  # gone again
                 connection.close()
                 continue
             self._enter(stream, t_us)
 
-    def _enter(self, stream: _Stream, t_us: int) -> None:
+    def _enter(self, stream: _TcpConnection, t_us: int) -> None:
         """A place for a connection, which takes somebody else's where all are taken."""
         entry = self._admission.enter(stream.client, t_us)
         if entry.displaced is not None:
@@ -234,7 +234,7 @@ class TcpClient:
             raise DriverError(
                 f"link {name}: nobody answers at {host}:{port} ({reason}); start the server or correct the address"
             ) from error
-        self._stream = _Stream(connection, EVERYONE, name, reach_of(self._address[0]))
+        self._stream = _TcpConnection(connection, EVERYONE, name, reach_of(self._address[0]))
 
     @property
     def problem(self) -> str | None:
@@ -280,7 +280,7 @@ class TcpClient:
             attempt, self._attempt = self._attempt, None
             try:
                 attempt.getpeername()
-                self._stream = _Stream(attempt, EVERYONE, self._name, reach_of(self._address[0]))
+                self._stream = _TcpConnection(attempt, EVERYONE, self._name, reach_of(self._address[0]))
                 return
             except OSError:
                 attempt.close()

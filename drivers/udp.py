@@ -8,7 +8,7 @@ import socket
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
-from autopilot.core.clients import EVERYONE, UNPROVEN, Reach, Standing
+from autopilot.core.clients import EVERYONE, UNPROVEN, ClientRecord, Reach
 from autopilot.core.errors import DriverError
 from autopilot.drivers.admission import KEEP_US, Admission, DoorNews, displaced_text
 from autopilot.drivers.numbering import Numbering
@@ -82,7 +82,7 @@ class _Udp:
         """The one silent for longest first."""
         self._addresses: dict[int, Address] = {}
         self._numbers = 0
-        self.standing: Callable[[int], Standing] = lambda client: UNPROVEN
+        self.standing: Callable[[int], ClientRecord] = lambda client: UNPROVEN
         self._admission: Admission[Address] = Admission(
             MAX_PEERS, lambda address: self.standing(self._known[address].client)
         )

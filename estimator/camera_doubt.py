@@ -15,11 +15,11 @@ from autopilot.core.camera import CameraModel
 from autopilot.core.frames import FloatArray
 from autopilot.core.messages import NavDoubt
 from autopilot.core.vehicle import Camera
+from autopilot.estimator.estimator_tuning import CAMERA_DOUBT, STAMP_WATCH
 from autopilot.estimator.history import Node
 from autopilot.estimator.monitor import NOTHING, Monitor
 from autopilot.estimator.stamp_watch import StampWatch
 from autopilot.estimator.states import DOWN, VEL, YAW
-from autopilot.estimator.tuned import CAMERA_DOUBT, STAMP_WATCH
 
 NO_CAMERA = Camera(
     width_px=1,
@@ -68,7 +68,7 @@ def _of_mounting(camera: Camera) -> tuple[float, float, float, float] | None:
     return (forward, right, down, yaw) if forward + right + down + yaw > 0.0 else None
 
 
-class CameraWatch(Monitor):
+class CameraMonitor(Monitor):
     """Of one estimator."""
 
     def __init__(

@@ -29,7 +29,7 @@ MOST_COLUMNS = 12
 """With more, computing again is cheaper."""
 
 
-class Look(NamedTuple):
+class PastUpdate(NamedTuple):
     """An update that has been made."""
 
     gain: FloatArray
@@ -67,7 +67,7 @@ class Correction(NamedTuple):
         c[:k, :k], c[k:, k:] = self.c, other.c
         return Correction(np.concatenate((self.w, other.w), axis=1), c, np.concatenate((self.e, other.e)))
 
-    def through(self, look: Look) -> tuple["Correction", Look]:
+    def through(self, look: PastUpdate) -> tuple["Correction", PastUpdate]:
         """Behind an update that had been made without it, and what that update is with it."""
         w, c, e = self
         v = look.jacobian.dot(w).T
@@ -77,7 +77,7 @@ class Correction(NamedTuple):
         behind = w - look.gain.dot(v.T)
         known = v.T.dot(e)
         after = Correction(behind, symmetric(c + pull.dot(cv.T)), e + pull.dot(known - look.y))
-        return after, Look(look.gain - behind.dot(pull), look.jacobian, spread, look.y - known)
+        return after, PastUpdate(look.gain - behind.dot(pull), look.jacobian, spread, look.y - known)
 
     def on(self, state: FilterState) -> FilterState:
         """The state with it."""

@@ -17,10 +17,11 @@ import numpy as np
 from autopilot.core.frames import FloatArray
 from autopilot.core.markers import MarkerMap
 from autopilot.core.vehicle import Vehicle
-from autopilot.estimator.engine import Engine
+from autopilot.estimator.engine import AidedEstimator
+from autopilot.estimator.estimator_tuning import COMPLEMENTARY
 from autopilot.estimator.filter_core import Innovation
 from autopilot.estimator.ground import ground_of
-from autopilot.estimator.inertial import Mode, Step
+from autopilot.estimator.inertial import InertialStep, ProcessNoiseMode
 from autopilot.estimator.kalman import RELOCATED_SIGMA_VEL_M_S, VERTICAL_CURRENT_VARIANCE
 from autopilot.estimator.measure_depth import Depth
 from autopilot.estimator.measure_laser import LaserRange
@@ -53,7 +54,6 @@ from autopilot.estimator.states import (
     YAW,
     FilterState,
 )
-from autopilot.estimator.tuned import COMPLEMENTARY
 
 K_VEL = 12.0 * COMPLEMENTARY.fix_period_s
 """1/s^2"""
@@ -88,11 +88,11 @@ class ObserverCore:
         """Around ``x``."""
         return FilterState(x, INITIAL_SIGMA**2)
 
-    def predict(self, state: FilterState, step: Step) -> FilterState:
+    def predict(self, state: FilterState, step: InertialStep) -> FilterState:
         """Variances grow; without vision that of the position as if the velocity were wrong in one direction."""
-        made_up = step.mode not in (Mode.NOMINAL, Mode.TRIMMED, Mode.COASTING)
+        made_up = step.mode not in (ProcessNoiseMode.NOMINAL, ProcessNoiseMode.TRIMMED, ProcessNoiseMode.COASTING)
         p = state.p + ((10.0 if made_up else 1.0) * step.dt_s) * self._growth
-        if made_up or step.mode is Mode.COASTING:
+        if made_up or step.mode is ProcessNoiseMode.COASTING:
             p[POS] += 2.0 * step.dt_s * np.sqrt(p[POS] * p[VEL])
         return FilterState(np.array(moved(state.x, step)), p)
 
@@ -209,9 +209,9 @@ def create_complementary(
     markers: MarkerMap | None,
     floor_depth_m: float | None,
     options: EstimatorOptions = DEFAULT_OPTIONS,
-) -> Engine:
+) -> AidedEstimator:
     """The observer behind :class:`autopilot.estimator.protocol.Estimator`."""
-    return Engine(ObserverCore(), vehicle, markers, floor_depth_m, replace(options, current_3d=False))
+    return AidedEstimator(ObserverCore(), vehicle, markers, floor_depth_m, replace(options, current_3d=False))
 
 
 def of_context(context: EstimatorContext) -> Estimator:

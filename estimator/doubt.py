@@ -14,8 +14,8 @@ import math
 from collections.abc import Sequence
 
 from autopilot.core.frames import wrap_pi
+from autopilot.estimator.estimator_tuning import DOUBT
 from autopilot.estimator.monitor import Doubt
-from autopilot.estimator.tuned import DOUBT
 
 TURN_LIMIT_RAD = math.radians(4.5)
 """Gyro against compass, forgotten within the time: healthy flights in a steel tank show two degrees."""

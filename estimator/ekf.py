@@ -2,7 +2,7 @@
 
 from autopilot.core.markers import MarkerMap
 from autopilot.core.vehicle import Vehicle
-from autopilot.estimator.engine import Engine
+from autopilot.estimator.engine import AidedEstimator
 from autopilot.estimator.kalman import KalmanCore
 from autopilot.estimator.options import DEFAULT_OPTIONS, EstimatorOptions
 from autopilot.estimator.protocol import Estimator, EstimatorContext
@@ -13,9 +13,9 @@ def create_ekf(
     markers: MarkerMap | None,
     floor_depth_m: float | None,
     options: EstimatorOptions = DEFAULT_OPTIONS,
-) -> Engine:
+) -> AidedEstimator:
     """The extended Kalman filter behind :class:`autopilot.estimator.protocol.Estimator`."""
-    return Engine(KalmanCore(current_3d=options.current_3d), vehicle, markers, floor_depth_m, options)
+    return AidedEstimator(KalmanCore(current_3d=options.current_3d), vehicle, markers, floor_depth_m, options)
 
 
 def of_context(context: EstimatorContext) -> Estimator:

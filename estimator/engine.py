@@ -20,15 +20,16 @@ from autopilot.core.samples import AhrsSample, ImuSample, LaserSample, MarkerSig
 from autopilot.core.vehicle import Vehicle
 from autopilot.estimator.aiding import Aid
 from autopilot.estimator.attitude import AttitudeSource
-from autopilot.estimator.camera_doubt import NO_CAMERA, CameraWatch
+from autopilot.estimator.camera_doubt import NO_CAMERA, CameraMonitor
+from autopilot.estimator.estimator_tuning import ENGINE
 from autopilot.estimator.evidence import Evidence
 from autopilot.estimator.filter_core import FilterCore
 from autopilot.estimator.fixes import Fixes
 from autopilot.estimator.fusion import Fusion
 from autopilot.estimator.history import History, Node
 from autopilot.estimator.imu_watch import NOTHING_NEW, ImuWatch
-from autopilot.estimator.inertial import AhrsDoor, AhrsMount, Inertial, Mode, level, made_up, step_between
-from autopilot.estimator.intake import Intake
+from autopilot.estimator.inertial import AhrsDoor, AhrsMount, Inertial, ProcessNoiseMode, level, made_up, step_between
+from autopilot.estimator.intake import SampleBuffer
 from autopilot.estimator.map_watch import MapWatch
 from autopilot.estimator.markers_pose import MarkerSolver
 from autopilot.estimator.measure_model import MODEL_EVERY
@@ -44,14 +45,13 @@ from autopilot.estimator.startup import StartUp
 from autopilot.estimator.states import BIAS_AHEAD, BIAS_DOWN, BIAS_RIGHT, initial_state
 from autopilot.estimator.thrust import ThrustLag
 from autopilot.estimator.tilt import TiltTrim
-from autopilot.estimator.tuned import ENGINE
 
 INERTIAL = (AhrsSample, ImuSample)
 PICTURES = (PoseSample, MarkerSighting)
 """Kinds of samples that make a node, and that give a pose by a picture."""
 
 
-class Engine:
+class AidedEstimator:
     """:class:`autopilot.estimator.protocol.Estimator` on a filter core."""
 
     def __init__(
@@ -66,7 +66,7 @@ class Engine:
         self._markers = markers
         solver = None if markers is None else MarkerSolver(CameraModel.of_vehicle(vehicle), markers)
         self._sources = Sources(vehicle, solver, floor_depth_m, options)
-        self._intake = Intake(self._sources.aid_of)
+        self._intake = SampleBuffer(self._sources.aid_of)
         self._fusion = Fusion(core)
         self._startup = StartUp()
         # The AHRS, or the IMU that stands for it, and what drives the vehicle.
@@ -82,7 +82,7 @@ class Engine:
         self._latency_s = camera.latency_s
         self._evidence = Evidence()
         self._imu = ImuWatch(self._sources.model.vehicle, witness)
-        self._camera = CameraWatch(camera, options.stamps_every_s, None if markers is None else markers.floor_m)
+        self._camera = CameraMonitor(camera, options.stamps_every_s, None if markers is None else markers.floor_m)
         map_watch = None if markers is None else MapWatch(markers)
         watches = (self._evidence, self._imu, self._camera, map_watch, witness)
         self._monitors: tuple[Monitor, ...] = tuple(watch for watch in watches if watch is not None)
@@ -268,13 +268,13 @@ class Engine:
         heading, model = self._sources.heading, self._sources.model
         model_tells = model.has_a_say(moment, newest.state.x)
         anchored = self._sources.anchor_age_us(inertial.t_us) <= ENGINE.coast_after_us
-        mode = Mode.NOMINAL
+        mode = ProcessNoiseMode.NOMINAL
         if not inertial.real:
-            mode = Mode.BLIND
+            mode = ProcessNoiseMode.BLIND
         elif not model_tells or not anchored:
-            mode = Mode.COASTING
+            mode = ProcessNoiseMode.COASTING
         elif self._trim.fresh(inertial.t_us):
-            mode = Mode.TRIMMED
+            mode = ProcessNoiseMode.TRIMMED
         if inertial.real and self._imu.since_us is not None:
             driven, step = self._imu.drive(newest, inertial)
             node = history.append(inertial.t_us, moment._replace(inertial=driven), step)

@@ -7,12 +7,12 @@ import numpy as np
 
 from autopilot.core.frames import FloatArray
 from autopilot.core.messages import NavDoubt
+from autopilot.estimator.estimator_tuning import DOUBT, EVIDENCE
 from autopilot.estimator.filter_core import Innovation
 from autopilot.estimator.history import Node
 from autopilot.estimator.measurement import CHI2_999
 from autopilot.estimator.monitor import NOTHING, Monitor
 from autopilot.estimator.states import LASER_BIAS
-from autopilot.estimator.tuned import DOUBT, EVIDENCE
 
 
 class Evidence(Monitor):

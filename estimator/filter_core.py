@@ -4,8 +4,8 @@ from collections.abc import Sequence
 from typing import NamedTuple, Protocol
 
 from autopilot.core.frames import FloatArray
-from autopilot.estimator.carry import Look
-from autopilot.estimator.inertial import Step
+from autopilot.estimator.carry import PastUpdate
+from autopilot.estimator.inertial import InertialStep
 from autopilot.estimator.measurement import Measurement, Moment
 from autopilot.estimator.states import FilterState
 
@@ -25,7 +25,7 @@ class Innovation(NamedTuple):
     """(21, m) covariance between state and residual; None where :attr:`after` is known."""
     after: FilterState | None = None
     """The state if it is used, when that is known already."""
-    look: Look | None = None
+    look: PastUpdate | None = None
     """The update for :mod:`autopilot.estimator.carry`; None where its effect cannot be carried on."""
 
     @property
@@ -41,7 +41,7 @@ class FilterCore(Protocol):
         """First state around ``x`` (21,)."""
         ...
 
-    def predict(self, state: FilterState, step: Step) -> FilterState:
+    def predict(self, state: FilterState, step: InertialStep) -> FilterState:
         """State after the step."""
         ...
 

@@ -13,9 +13,9 @@ from typing import NamedTuple
 import numpy as np
 
 from autopilot.core.frames import FloatArray
+from autopilot.estimator.estimator_tuning import FIX_MOTION
 from autopilot.estimator.measurement import CHI2_999
 from autopilot.estimator.states import GYRO_BIAS, VEL
-from autopilot.estimator.tuned import FIX_MOTION
 
 FLOOR = np.array([0.002, 0.002, 0.002, 0.001])
 """[m, rad] added to the standard deviation of fixes: the part that belongs to a place on the floor."""
@@ -23,7 +23,7 @@ SYSTEMATIC = np.array([0.02, 0.02, 0.02, 0.005])
 """[m/s, rad/s] by which dead reckoning is off beyond the filter's own word: tether, drag, scale of the gyro,"""
 
 
-class Seen(NamedTuple):
+class FixResidual(NamedTuple):
     """A fix against dead reckoning."""
 
     t_us: int
@@ -43,7 +43,7 @@ class FixMotion:
     """A run of fixes none of which was used."""
 
     def __init__(self) -> None:
-        self._run: deque[Seen] = deque(maxlen=FIX_MOTION.most)
+        self._run: deque[FixResidual] = deque(maxlen=FIX_MOTION.most)
 
     def __len__(self) -> int:
         return len(self._run)
@@ -52,7 +52,7 @@ class FixMotion:
         """Dead reckoning begins anew."""
         self._run.clear()
 
-    def add(self, seen: Seen) -> None:
+    def add(self, seen: FixResidual) -> None:
         """One more, in the order of their times; one that comes late is left out."""
         if self._run and seen.t_us <= self._run[-1].t_us:
             return
@@ -60,20 +60,20 @@ class FixMotion:
         while self._run[0].t_us < seen.t_us - FIX_MOTION.span_us:
             self._run.popleft()
 
-    def last(self, *, count: int = FIX_MOTION.least, span_us: int = 0) -> "Run | None":
+    def last(self, *, count: int = FIX_MOTION.least, span_us: int = 0) -> "FixRun | None":
         """The newest fixes: as many as make at least ``count`` and ``span_us``; None if there are not so many."""
-        run: list[Seen] = []
+        run: list[FixResidual] = []
         for seen in reversed(self._run):
             run.append(seen)
             if len(run) >= count and run[0].t_us - seen.t_us >= span_us:
-                return Run(run[::-1])
+                return FixRun(run[::-1])
         return None
 
 
-class Run:
+class FixRun:
     """Some fixes in a row."""
 
-    def __init__(self, run: Sequence[Seen]) -> None:
+    def __init__(self, run: Sequence[FixResidual]) -> None:
         self.count = len(run)
         self.inside = all(seen.inside for seen in run)
         t_s = 1e-6 * np.array([seen.t_us - run[0].t_us for seen in run])
@@ -142,7 +142,7 @@ def drift_variance(variance: FloatArray, gap_s: float, *, accel: bool, gyro: boo
 
 def plausible(y: FloatArray, variance: FloatArray, drift: FloatArray, gap_s: float) -> bool:
     """Whether dead reckoning may have gone astray by ``y`` (4,) within a gap, ``variance`` (4,) by its own word and
-    ``drift`` (4,) as in :class:`Seen`."""
+    ``drift`` (4,) as in :class:`FixResidual`."""
     return float((y**2 / (variance + drift * gap_s * gap_s)).sum()) <= CHI2_999[4]
 
 

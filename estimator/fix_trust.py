@@ -5,12 +5,12 @@ while, and not as a picture that stands still.
 """
 
 from autopilot.core.messages import NavDoubt
-from autopilot.estimator.fix_motion import FixMotion, Run, Seen
+from autopilot.estimator.estimator_tuning import FIX_MOTION
+from autopilot.estimator.fix_motion import FixMotion, FixResidual, FixRun
 from autopilot.estimator.history import Node
 from autopilot.estimator.measure_pose import PoseFix
 from autopilot.estimator.monitor import Doubt
 from autopilot.estimator.startup import agree
-from autopilot.estimator.tuned import FIX_MOTION
 
 DENYING = 6
 """Fixes in a row, agreeing among themselves, that do not move as dead reckoning does: the camera is wrong."""
@@ -56,7 +56,7 @@ class FixTrust(Doubt):
         self._run.clear()
         self._last = None
 
-    def see(self, fix: PoseFix, seen: Seen) -> None:
+    def see(self, fix: PoseFix, seen: FixResidual) -> None:
         """A fix that was not used. A jump begins another run."""
         if self._last is not None and not agree(fix, self._last):
             self._run.clear()
@@ -70,7 +70,7 @@ class FixTrust(Doubt):
         run = self._newest(count)
         return run is not None and run.apart > 1.0 and not run.denies_gyro
 
-    def _newest(self, count: int) -> Run | None:
+    def _newest(self, count: int) -> FixRun | None:
         return self._run.last(count=max(FIX_MOTION.least, min(count, len(self._run))))
 
     def believe(self, back_us: int | None = None) -> None:
@@ -93,7 +93,7 @@ class FixTrust(Doubt):
         run = self._newest(count)
         return run is not None and run.denies_gyro
 
-    def recovered(self, *, lost: bool) -> Run | None:
+    def recovered(self, *, lost: bool) -> FixRun | None:
         """The run of fixes that shows that it is right again, None = there is none. ``lost``: nothing is left of the
         position that they could deny."""
         run = self._run.last(span_us=BACK_US)

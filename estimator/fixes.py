@@ -11,11 +11,12 @@ import numpy as np
 
 from autopilot.core.frames import FloatArray
 from autopilot.core.messages import NavHealth
-from autopilot.estimator.camera_doubt import CameraWatch
+from autopilot.estimator.camera_doubt import CameraMonitor
+from autopilot.estimator.estimator_tuning import MAP_WATCH
 from autopilot.estimator.evidence import Evidence
 from autopilot.estimator.filter_core import Innovation
 from autopilot.estimator.fix_aid import FixAid
-from autopilot.estimator.fix_motion import Seen, drift_variance, plausible
+from autopilot.estimator.fix_motion import FixResidual, drift_variance, plausible
 from autopilot.estimator.fix_trust import DENYING
 from autopilot.estimator.fusion import Fusion
 from autopilot.estimator.history import Loosening, Node
@@ -25,7 +26,6 @@ from autopilot.estimator.measure_pose import PoseFix
 from autopilot.estimator.sources import Sources
 from autopilot.estimator.states import ACCEL_BIAS, CURRENT, CURRENT_RATE, VEL, YAW
 from autopilot.estimator.tilt import TiltTrim
-from autopilot.estimator.tuned import MAP_WATCH
 
 LEARN_EVERY_US = 200_000
 """How often a picture is asked how sheets lie to each other: in between its errors are nearly the same."""
@@ -45,7 +45,7 @@ class Fixes:
         *,
         imu: ImuWatch,
         evidence: Evidence,
-        camera: CameraWatch,
+        camera: CameraMonitor,
         map_watch: MapWatch | None,
         trim: TiltTrim,
     ) -> None:
@@ -83,7 +83,7 @@ class Fixes:
         if has_a_say:
             self._consider_reset(fix, aid, judged, seen)
 
-    def _consider_reset(self, fix: PoseFix, aid: FixAid[Any], missed: Innovation, seen: Seen) -> None:
+    def _consider_reset(self, fix: PoseFix, aid: FixAid[Any], missed: Innovation, seen: FixResidual) -> None:
         """After a fix that was rejected: go where fixes are, or cease to believe them."""
         trust, now_us = aid.trust, self._fusion.now_us
         gap = self._sources.in_gap(fix.t_us)
@@ -129,7 +129,7 @@ class Fixes:
         velocity = run.velocity(node.state.x[VEL])
         self._relocate(fix, aid, float(judged.y[3]), velocity, lost=self._sources.in_gap(fix.t_us))
 
-    def _against_reckoning(self, node: Node, fix: PoseFix, judged: Innovation) -> Seen:
+    def _against_reckoning(self, node: Node, fix: PoseFix, judged: Innovation) -> FixResidual:
         """A fix that is not used, as it lies to dead reckoning."""
         p = node.state.p
         drift = drift_variance(
@@ -138,7 +138,7 @@ class Fixes:
             accel=self._imu.accel.believed,
             gyro=self._imu.gyro.believed,
         )
-        return Seen(fix.t_us, fix.z, judged.y, fix.noise.diagonal(), drift, judged.passes)
+        return FixResidual(fix.t_us, fix.z, judged.y, fix.noise.diagonal(), drift, judged.passes)
 
     def _watch_map(self, node: Node, fix: PoseFix, *, rejected: bool) -> None:
         """Look for what does not lie where the map has it."""

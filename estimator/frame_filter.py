@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from autopilot.core.samples import CameraFrame, FrameVerdict, PictureReport
-from autopilot.estimator.tuned import FRAME_FILTER
+from autopilot.estimator.estimator_tuning import FRAME_FILTER
 
 
 class FrameFilter:

@@ -12,7 +12,7 @@ import numpy as np
 
 from autopilot.core.frames import FloatArray
 from autopilot.core.map_errors import STATES
-from autopilot.estimator.measure_pose import Ground, PoseFix
+from autopilot.estimator.measure_pose import PoseFix, SheetDependence
 from autopilot.estimator.measurement import Measurement, Moment
 from autopilot.estimator.states import NX, SheetStates
 
@@ -21,7 +21,7 @@ from autopilot.estimator.states import NX, SheetStates
 class SheetTies(Measurement):
     """How the sheets of one picture lie to each other: rows of unit variance and more, functions of offsets alone."""
 
-    ground: Ground
+    ground: SheetDependence
 
     def predicted(self, x: FloatArray, moment: Moment, after_s: float) -> FloatArray:
         """Nothing: the sheets' part comes on top."""
@@ -35,7 +35,7 @@ class SheetTies(Measurement):
 _GROUNDED = (PoseFix, SheetTies)
 
 
-def ground_of(measurement: Measurement) -> Ground | None:
+def ground_of(measurement: Measurement) -> SheetDependence | None:
     """How a measurement depends on sheets, None = not at all."""
     return measurement.ground if isinstance(measurement, _GROUNDED) else None
 

@@ -7,9 +7,9 @@ from typing import NamedTuple
 
 from autopilot.core.frames import FloatArray
 from autopilot.core.sensors import AID_SENSORS
-from autopilot.estimator.carry import Correction, Look
+from autopilot.estimator.carry import Correction, PastUpdate
 from autopilot.estimator.filter_core import FilterCore, Innovation
-from autopilot.estimator.inertial import Inertial, Step
+from autopilot.estimator.inertial import Inertial, InertialStep
 from autopilot.estimator.measurement import Measurement, Moment
 from autopilot.estimator.states import FilterState
 
@@ -46,7 +46,7 @@ class Node:
 
     t_us: int
     moment: Moment
-    step: Step | None
+    step: InertialStep | None
     """How it came here from the node before, None for the first."""
     state: FilterState
     """After the measurements of this node."""
@@ -54,7 +54,7 @@ class Node:
     """Before them; None for the first node, which takes them in the order of their arrival."""
     used: list[Measurement | Reopening | Loosening] = field(default_factory=list)
     """What has been used here, in the order of :func:`_rank`."""
-    looks: list[Look | None] = field(default_factory=list)
+    looks: list[PastUpdate | None] = field(default_factory=list)
     """The updates that it made."""
     transition: FloatArray | None = None
     """Jacobian (21, 21) of the step."""
@@ -81,7 +81,7 @@ class History:
             self._settle(node)
         return node
 
-    def append(self, t_us: int, moment: Moment, step: Step) -> Node:
+    def append(self, t_us: int, moment: Moment, step: InertialStep) -> Node:
         """Predict from the newest node to a new one."""
         state = self._core.predict(self.newest.state, step)
         node = Node(t_us, moment, step, state, state, transition=self._core.transition())
@@ -151,7 +151,9 @@ class History:
             node.state = self._corrected(node, node.prior)
             before = node
 
-    def redrive(self, from_us: int, drive: Callable[[Node, Inertial], tuple[Inertial, Step]], without: str) -> None:
+    def redrive(
+        self, from_us: int, drive: Callable[[Node, Inertial], tuple[Inertial, InertialStep]], without: str
+    ) -> None:
         """Compute the nodes after ``from_us`` again with other steps, and without the measurements of one sensor.
 
         ``drive`` gives the inertial moment of a node and the step to it from the node before."""
@@ -166,7 +168,7 @@ class History:
                 self._compute(before, [node])
             before = node
 
-    def _place(self, node: Node, new: Measurement | Reopening | Loosening, look: Look | None = None) -> bool:
+    def _place(self, node: Node, new: Measurement | Reopening | Loosening, look: PastUpdate | None = None) -> bool:
         """Put it among what the node has used. True if it comes last, else the node has been computed again.
 
         The order does not depend on when things arrived, so neither does the result."""

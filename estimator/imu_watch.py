@@ -11,13 +11,13 @@ from typing import NamedTuple
 from autopilot.core.frames import wrap_pi
 from autopilot.core.messages import NavDoubt
 from autopilot.estimator.doubt import AccelDoubt, GyroDoubt
+from autopilot.estimator.estimator_tuning import DOUBT
 from autopilot.estimator.fix_trust import FixTrust
 from autopilot.estimator.history import Node, Reopening
-from autopilot.estimator.inertial import Inertial, Mode, Step, step_between
+from autopilot.estimator.inertial import Inertial, InertialStep, ProcessNoiseMode, step_between
 from autopilot.estimator.measure_model import VehicleAcceleration, idle
 from autopilot.estimator.monitor import Monitor
 from autopilot.estimator.states import ACCEL_BIAS, GYRO_BIAS, HEADING_OFFSET, YAW, one
-from autopilot.estimator.tuned import DOUBT
 
 TURN_MAX_RAD_S = 2.0
 """No vehicle of this class turns faster: beyond it the compass has jumped."""
@@ -99,11 +99,11 @@ class ImuWatch(Monitor):
         for part, variance, value in forgotten:
             yield Reopening("imu", t_us, part, variance, value)
 
-    def drive(self, before: Node, inertial: Inertial) -> tuple[Inertial, Step]:
+    def drive(self, before: Node, inertial: Inertial) -> tuple[Inertial, InertialStep]:
         """The moment after ``before`` without the sensors that are not believed, and the step to it."""
         last = before.moment.inertial
         if not inertial.real:
-            return inertial, step_between(last, inertial, Mode.BLIND)
+            return inertial, step_between(last, inertial, ProcessNoiseMode.BLIND)
         x, slope = before.state.x, None
         by_model, by_compass = self.accel.since_us is not None, self.gyro.since_us is not None
         if by_compass:
@@ -119,7 +119,13 @@ class ImuWatch(Monitor):
                 ax, ay, az, _ = self._vehicle.at(x, before.moment)
                 slope = self._vehicle.slope(x, before.moment)
             inertial = inertial._replace(accel_level_m_s2=(ax + bias[0], ay + bias[1], az + bias[2]))
-        mode = Mode.MODEL_COMPASS if by_model and by_compass else Mode.MODEL if by_model else Mode.COMPASS
+        mode = (
+            ProcessNoiseMode.MODEL_COMPASS
+            if by_model and by_compass
+            else ProcessNoiseMode.MODEL
+            if by_model
+            else ProcessNoiseMode.COMPASS
+        )
         return inertial, step_between(last, inertial, mode, slope)
 
     def look(

@@ -31,7 +31,7 @@ MOUNT_GAP_S = 0.1
 TURN = 2.0 * math.pi
 
 
-class Mode(IntEnum):
+class ProcessNoiseMode(IntEnum):
     """Which process noise a step has."""
 
     NOMINAL = 0
@@ -68,18 +68,18 @@ class Inertial(NamedTuple):
     """False = made up because no AHRS data came."""
 
 
-class Step(NamedTuple):
+class InertialStep(NamedTuple):
     """What moves the state from one moment to the next: means over the step."""
 
     dt_s: float
     yaw_rate_rad_s: float
     accel_level_m_s2: tuple[float, float, float]
-    mode: Mode
+    mode: ProcessNoiseMode
     slope: FloatArray | None = None
     """(3, 21) d acceleration / d state when the vehicle model makes it, None when it is measured."""
 
 
-class Verdict(StrEnum):
+class SampleVerdict(StrEnum):
     """What became of a sample at the intake."""
 
     GOOD = "good"
@@ -138,10 +138,10 @@ def made_up(
     )
 
 
-def step_between(a: Inertial, b: Inertial, mode: Mode, slope: FloatArray | None = None) -> Step:
+def step_between(a: Inertial, b: Inertial, mode: ProcessNoiseMode, slope: FloatArray | None = None) -> InertialStep:
     """The step from ``a`` to ``b`` with the means of both ends."""
     (ax, ay, az), (bx, by, bz) = a.accel_level_m_s2, b.accel_level_m_s2
-    return Step(
+    return InertialStep(
         1e-6 * (b.t_us - a.t_us),
         0.5 * (a.yaw_rate_rad_s + b.yaw_rate_rad_s),
         (0.5 * (ax + bx), 0.5 * (ay + by), 0.5 * (az + bz)),
@@ -150,9 +150,9 @@ def step_between(a: Inertial, b: Inertial, mode: Mode, slope: FloatArray | None 
     )
 
 
-def hold(last: Inertial, t_us: int, mode: Mode) -> Step:
+def hold(last: Inertial, t_us: int, mode: ProcessNoiseMode) -> InertialStep:
     """The step from ``last`` to a later moment of which nothing is known yet."""
-    return Step(
+    return InertialStep(
         dt_s=1e-6 * (t_us - last.t_us),
         yaw_rate_rad_s=last.yaw_rate_rad_s,
         accel_level_m_s2=last.accel_level_m_s2,
@@ -203,7 +203,7 @@ class AhrsDoor:
     """Lets good AHRS samples in and counts the others."""
 
     def __init__(self) -> None:
-        self.counts = dict.fromkeys(Verdict, 0)
+        self.counts = dict.fromkeys(SampleVerdict, 0)
         self._last: list[float] = []
         self._repeats = 0
 
@@ -211,12 +211,12 @@ class AhrsDoor:
         """Whether the sample is good at ``now_us`` when everything up to ``newest_us`` has been used."""
         verdict = self._check(sample, now_us, newest_us)
         self.counts[verdict] += 1
-        return verdict is Verdict.GOOD
+        return verdict is SampleVerdict.GOOD
 
-    def _check(self, sample: AhrsSample, now_us: int, newest_us: int) -> Verdict:
+    def _check(self, sample: AhrsSample, now_us: int, newest_us: int) -> SampleVerdict:
         rpy, rate, accel = sample.rpy_rad, sample.rate_frd_rad_s, sample.accel_frd_m_s2
         if not rpy.shape == rate.shape == accel.shape == (3,):
-            return Verdict.MALFORMED
+            return SampleVerdict.MALFORMED
         tilt, speeds, forces = rpy.tolist(), rate.tolist(), accel.tolist()
         # Comparisons with NaN are false, so a NaN anywhere is malformed as well.
         if not (
@@ -225,12 +225,12 @@ class AhrsDoor:
             and within(speeds, MAX_RATE_RAD_S)
             and within(forces, MAX_ACCEL_M_S2)
         ):
-            return Verdict.MALFORMED
+            return SampleVerdict.MALFORMED
         if sample.t_us > now_us + FUTURE_TOLERANCE_US:
-            return Verdict.FUTURE
+            return SampleVerdict.FUTURE
         if sample.t_us <= newest_us:
-            return Verdict.OLD
+            return SampleVerdict.OLD
         values = tilt + speeds + forces
         self._repeats = self._repeats + 1 if values == self._last else 0
         self._last = values
-        return Verdict.STUCK if self._repeats >= STUCK_SAMPLES else Verdict.GOOD
+        return SampleVerdict.STUCK if self._repeats >= STUCK_SAMPLES else SampleVerdict.GOOD

@@ -15,7 +15,7 @@ WAITING_MAX = 64
 """Samples of each kind that may wait for the AHRS to catch up."""
 
 
-class Intake:
+class SampleBuffer:
     """Admits samples and hands them out in the order of their time of validity."""
 
     def __init__(self, aids: dict[type, Aid]) -> None:

@@ -8,11 +8,11 @@ import numpy as np
 from filterpy.kalman import ExtendedKalmanFilter
 
 from autopilot.core.frames import FloatArray
-from autopilot.estimator.carry import Look, symmetric
+from autopilot.estimator.carry import PastUpdate, symmetric
 from autopilot.estimator.filter_core import Innovation
 from autopilot.estimator.ground import columns_of, entered, ground_of
-from autopilot.estimator.inertial import Mode, Step
-from autopilot.estimator.measure_pose import Ground
+from autopilot.estimator.inertial import InertialStep, ProcessNoiseMode
+from autopilot.estimator.measure_pose import SheetDependence
 from autopilot.estimator.measurement import CHI2_999, Measurement, Moment, chi2_999
 from autopilot.estimator.motion import MotionModel
 from autopilot.estimator.states import (
@@ -73,7 +73,7 @@ class KalmanCore:
     def __init__(self, *, current_3d: bool = False) -> None:
         """``current_3d``: the vertical current is a state."""
         self._kf = _Filter(NX, 4)
-        self._noise = [process_noise(mode, current_3d=current_3d) for mode in sorted(Mode)]
+        self._noise = [process_noise(mode, current_3d=current_3d) for mode in sorted(ProcessNoiseMode)]
         self._sigma = INITIAL_SIGMA.copy()
         self._down_variance = VERTICAL_CURRENT_VARIANCE
         if current_3d:
@@ -86,7 +86,7 @@ class KalmanCore:
         """Diagonal covariance."""
         return FilterState(x, np.diag(self._sigma**2))
 
-    def predict(self, state: FilterState, step: Step) -> FilterState:
+    def predict(self, state: FilterState, step: InertialStep) -> FilterState:
         """P = F P F' + Q dt"""
         kf, sheets = self._kf, state.sheets
         kf.x, kf.P = state.x, state.p
@@ -125,11 +125,11 @@ class KalmanCore:
         if sheets is not None:  # considered, not corrected: this says next to nothing of them
             sheets = sheets._replace(cross=sheets.cross - kf.K.dot(h.dot(sheets.cross)))
         after = FilterState(kf.x, symmetric(kf.P), sheets)
-        look = None if sheets is not None else Look(kf.K, h, kf.S, kf.y)
+        look = None if sheets is not None else PastUpdate(kf.K, h, kf.S, kf.y)
         return Innovation(kf.y, kf.S.diagonal(), ratio, kf.K, None, after, look)
 
     def _on_sheets(
-        self, state: FilterState, measurement: Measurement, ground: Ground, moment: Moment, after_s: float
+        self, state: FilterState, measurement: Measurement, ground: SheetDependence, moment: Moment, after_s: float
     ) -> Innovation:
         """The update with what the sheets do to the measurement as further states, one per row of it.
 

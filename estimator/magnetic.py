@@ -6,7 +6,7 @@ compared with what they were. Another field becomes the known one when it has st
 
 import math
 
-from autopilot.estimator.tuned import MAGNETIC
+from autopilot.estimator.estimator_tuning import MAGNETIC
 
 DIP_RAD = math.radians(10.0)
 """Up to so much it is the same field."""

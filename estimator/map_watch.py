@@ -11,16 +11,16 @@ from autopilot.core.frames import FloatArray
 from autopilot.core.map_errors import STATES
 from autopilot.core.markers import ID_SPAN, MarkerMap
 from autopilot.core.messages import NavDoubt
+from autopilot.estimator.estimator_tuning import MAP_WATCH
 from autopilot.estimator.gauge import KNOWN_SHARE, Gauge
 from autopilot.estimator.history import Node
 from autopilot.estimator.measure_pose import PoseFix, Stray
 from autopilot.estimator.monitor import Monitor
 from autopilot.estimator.states import EAST, NORTH, SheetStates
-from autopilot.estimator.tuned import MAP_WATCH
 
 
 @dataclass
-class _Place:
+class _MisplacedMarker:
     """Where a marker is seen that is not where the map has it."""
 
     count: int = 0
@@ -56,7 +56,7 @@ class MapWatch(Monitor):
         self._frame = None if errors is None or not any(errors.frame_sigma) else errors.frame_sigma
         self._gauge = None if errors is None else Gauge(errors)
         self._middle = markers.centers_ned_m.mean(axis=0).tolist()
-        self._strays: dict[tuple[int, int], _Place] = {}
+        self._strays: dict[tuple[int, int], _MisplacedMarker] = {}
         self._strained: dict[int, deque[int]] = {}
         self._told_sheets: set[int] = set()
         self._found_us: int | None = None
@@ -83,7 +83,7 @@ class MapWatch(Monitor):
     def look(self, fix: PoseFix) -> None:
         """One pose that was used, with the markers that did not fit to it."""
         for stray in fix.strays:
-            place = self._strays.setdefault((stray.code, stray.marker), _Place())
+            place = self._strays.setdefault((stray.code, stray.marker), _MisplacedMarker())
             place.add(stray.north_m, stray.east_m)
             if place.steady:
                 self._found_us = fix.t_us
@@ -132,7 +132,7 @@ class MapWatch(Monitor):
                 found = notices.SHEET_OFF(name=errors.names[sheet], off_mm=off_mm, turn_deg=turn_deg)
                 self._tell(t_us, found.text)
 
-    def _judge(self, stray: Stray, place: _Place) -> None:
+    def _judge(self, stray: Stray, place: _MisplacedMarker) -> None:
         markers = self._markers
         apart = np.hypot(markers.centers_ned_m[:, 0] - place.north_m, markers.centers_ned_m[:, 1] - place.east_m)
         nearest = int(apart.argmin())
@@ -157,7 +157,7 @@ class MapWatch(Monitor):
         off_cm = 100.0 * math.hypot(north_m, east_m)
         self._tell(self._found_us, notices.MARKER_OFF(number=name, off_cm=off_cm, way=way).text)
 
-    def _at(self, code: int, index: int) -> _Place | None:
+    def _at(self, code: int, index: int) -> _MisplacedMarker | None:
         """Strays of a marker seen where the map has marker ``index``."""
         if index < 0:
             return None

@@ -13,7 +13,7 @@ import numpy as np
 from autopilot.core.dictionaries import opencv_dictionary
 from autopilot.core.frames import FloatArray
 from autopilot.core.markers import IntArray
-from autopilot.estimator.tuned import MARKER_LOOKS
+from autopilot.estimator.estimator_tuning import MARKER_LOOKS
 
 
 class Looks(NamedTuple):

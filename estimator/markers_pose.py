@@ -21,12 +21,12 @@ from autopilot.core.markers import IntArray, MarkerMap
 from autopilot.core.messages import MarkerFit
 from autopilot.core.samples import MarkerSighting
 from autopilot.estimator.camera_doubt import focal_look
+from autopilot.estimator.estimator_tuning import CAMERA_DOUBT, MARKERS_POSE
 from autopilot.estimator.ground import SheetTies, believed
-from autopilot.estimator.measure_pose import Ground, PoseFix, Stray
+from autopilot.estimator.measure_pose import PoseFix, SheetDependence, Stray
 from autopilot.estimator.pnp import inward_of, linearise_corners, solve_pose
 from autopilot.estimator.sheet_fit import SheetCorners, SheetPose, fit_on_sheets
 from autopilot.estimator.states import SheetStates
-from autopilot.estimator.tuned import CAMERA_DOUBT, MARKERS_POSE
 
 LEVEL_RAD = math.radians(15.0)
 """Markers that lean less are taken as level when they vote."""
@@ -417,7 +417,7 @@ class MarkerSolver:
             noise=best.noise,
             tilt_rad=(float(best.rpy_rad[0]), float(best.rpy_rad[1])),
             sigma_tilt_rad=best.sigma_tilt_rad,
-            ground=Ground(which, sigma, best.by_offsets, best.at),
+            ground=SheetDependence(which, sigma, best.by_offsets, best.at),
             ties=partial(_ties, best, sighting.t_us, which, sigma),
             strained=tuple(strained),
             fit=_fit(len(seen), best.rms_px, off_px),
@@ -430,7 +430,7 @@ def _ties(best: SheetPose, t_us: int, which: tuple[int, ...], sigma: FloatArray)
     rows, z, noise = best.ties()
     if not len(rows):
         return None
-    ground = Ground(which, sigma, rows, np.zeros(len(best.at)), learns=True)
+    ground = SheetDependence(which, sigma, rows, np.zeros(len(best.at)), learns=True)
     return SheetTies(sensor="sheets", t_us=t_us, z=z, noise=noise, ground=ground)
 
 

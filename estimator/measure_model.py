@@ -79,7 +79,7 @@ _INPUTS = struct.Struct("9d")
 _THRUSTERS = 8
 
 
-class _Look(Mirror):
+class _ModelStruct(Mirror):
     """The struct of estimator.c."""
 
     _fields_ = (
@@ -96,8 +96,8 @@ class _Look(Mirror):
     )
 
 
-_VEHICLE_AT, _ACCELERATION_AT = _Look.mass.offset // 8, _Look.acceleration.offset // 8
-_JACOBIAN_AT = _Look.jacobian.offset // 8
+_VEHICLE_AT, _ACCELERATION_AT = _ModelStruct.mass.offset // 8, _ModelStruct.acceleration.offset // 8
+_JACOBIAN_AT = _ModelStruct.jacobian.offset // 8
 """In doubles."""
 
 
@@ -117,7 +117,7 @@ class VehicleAcceleration:
         self._acceleration = (0.0, 0.0, 0.0, 0.0)
         self._asked: tuple[FloatArray | None, Moment | None] = (None, None)
         fits = model.thrusters <= _THRUSTERS
-        compiled = library(_Look) if fits else None
+        compiled = library(_ModelStruct) if fits else None
         self._compiled = None if compiled is None else compiled.model_look
         allocation = np.zeros((4, _THRUSTERS))
         if fits:
@@ -154,7 +154,7 @@ class VehicleAcceleration:
             return
         self._work[:NX] = x
         _INPUTS.pack_into(
-            self._buffer, _Look.yaw_rate.offset, moment.inertial.yaw_rate_rad_s, *moment.thrust_n, *self._none
+            self._buffer, _ModelStruct.yaw_rate.offset, moment.inertial.yaw_rate_rad_s, *moment.thrust_n, *self._none
         )
         self._compiled(self._address)
         ahead, right, down, turn = self._work[_ACCELERATION_AT:_JACOBIAN_AT].tolist()

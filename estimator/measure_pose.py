@@ -32,7 +32,7 @@ _AT_ONCE.flags.writeable = False
 """Jacobian of a pose that is measured at the very moment of its node."""
 
 
-class Ground(NamedTuple):
+class SheetDependence(NamedTuple):
     """How a measurement depends on sheets."""
 
     sheets: tuple[int, ...]
@@ -66,7 +66,7 @@ class PoseFix(Measurement):
     tilt_rad: tuple[float, float] | None = None
     """Roll and pitch that the same image shows."""
     sigma_tilt_rad: float = 0.0
-    ground: Ground | None = None
+    ground: SheetDependence | None = None
     """How the pose depends on sheets, None = the map is exact."""
     ties: Callable[[], Measurement | None] | None = None
     """What the same image says of its sheets among each other: made when it is asked for, which is not every time."""

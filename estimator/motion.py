@@ -8,7 +8,7 @@ import numpy as np
 
 from autopilot.core.compiled import Mirror, library
 from autopilot.core.frames import FloatArray
-from autopilot.estimator.inertial import Step
+from autopilot.estimator.inertial import InertialStep
 from autopilot.estimator.states import (
     ACCEL_BIAS,
     BIAS_AHEAD,
@@ -80,7 +80,7 @@ class MotionModel:
         self._compiled = None if compiled is None else compiled.motion_step
         self._address, self._buffer = self._work.ctypes.data, self._work.data
 
-    def step(self, x: FloatArray, step: Step) -> FloatArray:
+    def step(self, x: FloatArray, step: InertialStep) -> FloatArray:
         """State (21,) after the step, a new array; :attr:`jacobian` holds its derivative by ``x``."""
         if self._driven:
             reset_model(self.jacobian)
@@ -100,7 +100,7 @@ class MotionModel:
         return after
 
 
-def moved(x: FloatArray, step: Step) -> list[float]:
+def moved(x: FloatArray, step: InertialStep) -> list[float]:
     """State (21) after the step: the accelerometer moves the velocity, the gyro the heading."""
     n, e, d, yaw, vn, ve, vd, bg, bx, by, bz, cn, ce, gn, ge, off, laser, drag, cd, depth, thrust = x.tolist()
     dt = step.dt_s
@@ -135,7 +135,7 @@ def moved(x: FloatArray, step: Step) -> list[float]:
     ]
 
 
-def fill_jacobian(jac: FloatArray, x: FloatArray, step: Step) -> None:
+def fill_jacobian(jac: FloatArray, x: FloatArray, step: InertialStep) -> None:
     """Write d moved / dx into ``jac`` (21, 21), which must be the identity or a matrix filled by this function."""
     dt = step.dt_s
     yaw = x.item(YAW)
@@ -158,7 +158,7 @@ def fill_jacobian(jac: FloatArray, x: FloatArray, step: Step) -> None:
     ))  # fmt: skip
 
 
-def add_model(jac: FloatArray, x: FloatArray, step: Step, slope: FloatArray) -> None:
+def add_model(jac: FloatArray, x: FloatArray, step: InertialStep, slope: FloatArray) -> None:
     """Turn a Jacobian of :func:`fill_jacobian` into that of a step that the vehicle model drives.
 
     ``slope`` (3, 21) is d acceleration / d state in the level frame. The offset of the accelerometer plays no part.

@@ -8,22 +8,22 @@ from autopilot.core.frames import FloatArray, wrap_pi
 from autopilot.core.messages import NavDoubt, NavHealth, NavState
 from autopilot.estimator.filter_core import FilterCore
 from autopilot.estimator.history import Node
-from autopilot.estimator.inertial import Mode, hold
+from autopilot.estimator.inertial import ProcessNoiseMode, hold
 from autopilot.estimator.motion import moved
 from autopilot.estimator.options import EstimatorOptions
 
 TILT_VARIANCE_RAD2 = {
-    Mode.NOMINAL: math.radians(0.5) ** 2,
-    Mode.COASTING: math.radians(0.5) ** 2,
-    Mode.TRIMMED: math.radians(0.1) ** 2,
-    Mode.BLIND: math.radians(5.0) ** 2,
-    Mode.MODEL: math.radians(5.0) ** 2,
-    Mode.COMPASS: math.radians(0.5) ** 2,
-    Mode.MODEL_COMPASS: math.radians(5.0) ** 2,
+    ProcessNoiseMode.NOMINAL: math.radians(0.5) ** 2,
+    ProcessNoiseMode.COASTING: math.radians(0.5) ** 2,
+    ProcessNoiseMode.TRIMMED: math.radians(0.1) ** 2,
+    ProcessNoiseMode.BLIND: math.radians(5.0) ** 2,
+    ProcessNoiseMode.MODEL: math.radians(5.0) ** 2,
+    ProcessNoiseMode.COMPASS: math.radians(0.5) ** 2,
+    ProcessNoiseMode.MODEL_COMPASS: math.radians(5.0) ** 2,
 }
 """Roll and pitch: of the AHRS, trimmed by vision, or without AHRS level as the righting moment keeps the vehicle. An
 accelerometer that is not believed may be right, and the tilt wrong."""
-_TILT_VARIANCE_RAD2 = tuple(TILT_VARIANCE_RAD2[mode] for mode in sorted(Mode))
+_TILT_VARIANCE_RAD2 = tuple(TILT_VARIANCE_RAD2[mode] for mode in sorted(ProcessNoiseMode))
 
 LEAST_LESS = -0.9
 """What is known beyond the filter takes at most this share off its variances."""
@@ -43,7 +43,7 @@ def nav_state(
     ``more`` (4,): variance of north, east, down and yaw beyond the filter's, or less than that."""
     inertial = node.moment.inertial
     after_s = 1e-6 * (t_us - node.t_us)
-    x = node.state.x.tolist() if after_s <= 0.0 else moved(node.state.x, hold(inertial, t_us, Mode.NOMINAL))
+    x = node.state.x.tolist() if after_s <= 0.0 else moved(node.state.x, hold(inertial, t_us, ProcessNoiseMode.NOMINAL))
     n, e, d, yaw, vn, ve, vd, gyro_bias, _, _, _, cn, ce, _, _, _, _, _, cd, _, _ = x
     p, q, r = inertial.rate_frd_rad_s.tolist()
     roll, pitch = inertial.roll_rad + p * after_s, inertial.pitch_rad + q * after_s
@@ -68,7 +68,7 @@ def nav_state(
     pe += max(more_e, LEAST_LESS * pe)
     pd += max(more_d, LEAST_LESS * pd)
     pyaw += max(more_yaw, LEAST_LESS * pyaw)
-    tilt = _TILT_VARIANCE_RAD2[node.step.mode if node.step is not None else Mode.NOMINAL]
+    tilt = _TILT_VARIANCE_RAD2[node.step.mode if node.step is not None else ProcessNoiseMode.NOMINAL]
     # One array and parts of it: seven arrays would take three times as long.
     place, velocities = [n, e, d, roll, pitch, wrap_pi(yaw)], body(vn, ve, vd) + body(vn - cn, ve - ce, vd - cd)
     variances = [pn, pe, pd, tilt, tilt, pyaw, pu, pv, pw, pcn, pce, pcd]

@@ -19,8 +19,8 @@ import numpy as np
 from autopilot.core.camera import CameraModel
 from autopilot.core.frames import FloatArray, r_ned_from_frd, rpy_from_r
 from autopilot.core.robust import PLANAR_MEDIAN
+from autopilot.estimator.estimator_tuning import PNP
 from autopilot.estimator.measure_pose import MIN_SIGMA_POS_M, MIN_SIGMA_YAW_RAD
-from autopilot.estimator.tuned import PNP
 
 LEAN_MAX_RAD = math.radians(3.0)
 """With few markers a fit that leans further from the AHRS's vertical is the mirrored solution of a flat target (the

@@ -6,11 +6,11 @@ import math
 import numpy as np
 
 from autopilot.core.frames import FloatArray
-from autopilot.estimator.camera_doubt import CameraWatch
+from autopilot.estimator.camera_doubt import CameraMonitor
 from autopilot.estimator.evidence import Evidence
 from autopilot.estimator.fusion import Fusion
 from autopilot.estimator.imu_watch import ImuWatch
-from autopilot.estimator.intake import Intake
+from autopilot.estimator.intake import SampleBuffer
 from autopilot.estimator.sources import Sources
 from autopilot.estimator.states import ACCEL_BIAS, GYRO_BIAS, POS, VEL, YAW, one
 
@@ -27,11 +27,11 @@ class Recalibration:
         self,
         fusion: Fusion,
         sources: Sources,
-        intake: Intake,
+        intake: SampleBuffer,
         *,
         imu: ImuWatch,
         evidence: Evidence,
-        camera: CameraWatch,
+        camera: CameraMonitor,
     ) -> None:
         self._fusion, self._sources, self._intake = fusion, sources, intake
         self._imu, self._evidence, self._camera = imu, evidence, camera

@@ -15,6 +15,7 @@ from autopilot.core.camera import CameraModel
 from autopilot.core.frames import FloatArray, r_ned_from_frd, rpy_from_r
 from autopilot.core.map_errors import STATES
 from autopilot.core.markers import IntArray
+from autopilot.estimator.estimator_tuning import PNP
 from autopilot.estimator.pnp import (
     add_priors,
     corners_that_fit,
@@ -25,7 +26,6 @@ from autopilot.estimator.pnp import (
     rms_of,
     turn_matrix,
 )
-from autopilot.estimator.tuned import PNP
 
 TILT_INFORMATION = 0.009**-2
 """0.5 degrees: the AHRS's tilt as a prior, however many markers are seen."""

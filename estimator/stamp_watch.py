@@ -26,9 +26,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from autopilot.core.frames import FloatArray
+from autopilot.estimator.estimator_tuning import STAMP_WATCH
 from autopilot.estimator.inertial import FUTURE_TOLERANCE_US, Inertial
 from autopilot.estimator.measure_pose import PoseFix
-from autopilot.estimator.tuned import STAMP_WATCH
 
 GRID_S = np.arange(-0.25, 0.2501, 0.005)
 """Delays that are held against each other; in between by a parabola."""

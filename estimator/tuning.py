@@ -3,7 +3,7 @@
 import numpy as np
 
 from autopilot.core.frames import FloatArray
-from autopilot.estimator.inertial import Mode
+from autopilot.estimator.inertial import ProcessNoiseMode
 from autopilot.estimator.states import (
     ACCEL_BIAS,
     CURRENT,
@@ -32,13 +32,13 @@ ACCEL_NOISE_DOWN = 0.005
 GYRO_BIAS_WALK = 1e-4
 """rad/s/sqrt(s)"""
 ACCEL_BIAS_WALK = {
-    Mode.NOMINAL: 0.03,
-    Mode.TRIMMED: 0.006,
-    Mode.COASTING: 0.05,
-    Mode.BLIND: 0.03,
-    Mode.MODEL: 0.03,
-    Mode.COMPASS: 0.03,
-    Mode.MODEL_COMPASS: 0.03,
+    ProcessNoiseMode.NOMINAL: 0.03,
+    ProcessNoiseMode.TRIMMED: 0.006,
+    ProcessNoiseMode.COASTING: 0.05,
+    ProcessNoiseMode.BLIND: 0.03,
+    ProcessNoiseMode.MODEL: 0.03,
+    ProcessNoiseMode.COMPASS: 0.03,
+    ProcessNoiseMode.MODEL_COMPASS: 0.03,
 }
 """m/s^2/sqrt(s): gravity leaking in through slow tilt errors, 0.09 m/s^2 for 0.5 degrees in 20 s. Little when vision
 trims the tilt. More without fixes: the vehicle model then knows the acceleration better than an accelerometer that is
@@ -48,7 +48,9 @@ CURRENT_WALK = 0.02
 CURRENT_RATE_WALK = 0.04
 """m/s^2/sqrt(s): with CURRENT_RATE_TIME_S a stationary 0.04 m/s^2. The jet crossed at cruise speed does twice that
 for a moment, but a larger value lets errors of the drag pass for current."""
-CURRENT_RATE_TIME_S = tuple(2.0 if mode in (Mode.NOMINAL, Mode.TRIMMED) else 0.25 for mode in sorted(Mode))
+CURRENT_RATE_TIME_S = tuple(
+    2.0 if mode in (ProcessNoiseMode.NOMINAL, ProcessNoiseMode.TRIMMED) else 0.25 for mode in sorted(ProcessNoiseMode)
+)
 """Correlation time of the current's rate of change by mode: the jet's width at cruise speed. Without fixes an error of
 the rate would be carried on for two seconds, into most of the drift at the end of a gap: there it is soon forgotten."""
 HEADING_OFFSET_WALK = 0.0087
@@ -80,15 +82,15 @@ DEPTH_OFFSET_WALK = 3e-4
 """m/sqrt(s): tides, weather and a warming sensor move the offset by a centimetre in a quarter of an hour."""
 
 
-def process_noise(mode: Mode, *, current_3d: bool = False) -> FloatArray:
+def process_noise(mode: ProcessNoiseMode, *, current_3d: bool = False) -> FloatArray:
     """Covariance per second (21, 21), diagonal."""
-    coast = 1.0 if mode in (Mode.NOMINAL, Mode.TRIMMED) else COAST_CURRENT_SHARE
-    blind = mode is Mode.BLIND
-    by_model = mode in (Mode.MODEL, Mode.MODEL_COMPASS)
+    coast = 1.0 if mode in (ProcessNoiseMode.NOMINAL, ProcessNoiseMode.TRIMMED) else COAST_CURRENT_SHARE
+    blind = mode is ProcessNoiseMode.BLIND
+    by_model = mode in (ProcessNoiseMode.MODEL, ProcessNoiseMode.MODEL_COMPASS)
     sigma = np.zeros(NX)
     sigma[POS] = POS_NOISE
     sigma[YAW] = BLIND_GYRO_NOISE if blind else GYRO_NOISE
-    if mode in (Mode.COMPASS, Mode.MODEL_COMPASS):
+    if mode in (ProcessNoiseMode.COMPASS, ProcessNoiseMode.MODEL_COMPASS):
         sigma[YAW] = COMPASS_NOISE
     sigma[VEL] = BLIND_ACCEL_NOISE if blind else (ACCEL_NOISE, ACCEL_NOISE, ACCEL_NOISE_DOWN)
     if by_model:

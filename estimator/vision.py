@@ -25,9 +25,9 @@ from autopilot.core.dictionaries import opencv_dictionary
 from autopilot.core.frames import FloatArray, r_ned_from_frd
 from autopilot.core.markers import ID_SPAN, IntArray, MarkerMap
 from autopilot.core.samples import MAX_SIGHTED, CameraFrame, MarkerSighting
-from autopilot.estimator.laser_dot import find_dot
+from autopilot.estimator.estimator_tuning import VISION
+from autopilot.estimator.laser_detector import find_dot
 from autopilot.estimator.marker_looks import corner_sigma_px, looks_of, patterns_of
-from autopilot.estimator.tuned import VISION
 
 EXACT = ("DICT_APRILTAG_16h5",)
 """Families that are not corrected: thirty words of 16 cells with one cell wrong, each in four directions, are one in

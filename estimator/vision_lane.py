@@ -40,7 +40,7 @@ class Detector(Protocol):
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class _Request:
+class _FrameRequest:
     """A frame that somebody should look at."""
 
     due_us: int
@@ -68,7 +68,7 @@ class VisionWorker:
         self._paced = paced
         self._pool = ThreadPoolExecutor(max_workers=1, thread_name_prefix="vision")
         self._pending: deque[_Pending] = deque()
-        self._waiting: _Request | None = None
+        self._waiting: _FrameRequest | None = None
         """Paced only: the newest frame, behind the one that is in work."""
         self._blind_frames = self._doubted_frames = 0
         self._found = False
@@ -96,7 +96,7 @@ class VisionWorker:
             every = DOUBTED_EVERY if nav is not None and self._found else ACQUISITION_EVERY
             if self._blind_frames % every != 1:
                 return
-        request = _Request(due_us=t_us + self._delay_us, frame=frame, hint=hint)
+        request = _FrameRequest(due_us=t_us + self._delay_us, frame=frame, hint=hint)
         if self._paced:
             self.dropped += self._waiting is not None
             self._waiting = request
@@ -106,7 +106,7 @@ class VisionWorker:
         else:
             self._begin(request)
 
-    def _begin(self, request: _Request) -> None:
+    def _begin(self, request: _FrameRequest) -> None:
         sighting = self._pool.submit(self._timed, request.frame, request.hint)
         self._pending.append(_Pending(due_us=request.due_us, sighting=sighting))
 

@@ -7,13 +7,13 @@ from dataclasses import replace
 import numpy as np
 
 from autopilot.core.frames import FloatArray, wrap_pi
-from autopilot.core.messages import Drive, Goal, NavState
+from autopilot.core.messages import Goal, NavState, VelocityGoal
 from autopilot.core.orbit import OrbitYaw
-from autopilot.mission.room import Room
-from autopilot.mission.tuned import CIRCLING
+from autopilot.mission.clearance import Clearance
+from autopilot.mission.mission_tuning import CIRCLING
 
 
-class Circle:
+class LoiterCircle:
     """One circle, from its beginning to its end."""
 
     def __init__(
@@ -52,7 +52,7 @@ class Circle:
         turning_m_s = CIRCLING.yaw_share * self._params["SPD_YAW_MAX"] * self.radius_m
         self._speed_m_s = min(speed_m_s, self._params["SPD_PLANAR_MAX"], turning_m_s)
 
-    def refusal(self, room: Room, keep_m: float) -> str:
+    def refusal(self, room: Clearance, keep_m: float) -> str:
         """Why it cannot be flown, "" if it can. ``keep_m``: what the controller keeps from every boundary."""
         low, high = self._params["DEPTH_MIN"], self._params["DEPTH_MAX"]
         if not low <= self.depth_m <= high:
@@ -126,7 +126,7 @@ class Circle:
             accept_radius_m=self._params["WP_ACCEPT_RADIUS"],
             accept_yaw_rad=CIRCLING.accept_yaw_rad,
             seq=self._seq,
-            drive=Drive(
+            drive=VelocityGoal(
                 north_m_s=velocity.real,
                 east_m_s=velocity.imag,
                 turn_rad_s=turn,
@@ -151,7 +151,7 @@ def _near(a: FloatArray, b: FloatArray) -> bool:
     return math.dist(a.tolist(), b.tolist()) < 0.15
 
 
-def worst_on_ring(room: Room, centre_m: tuple[float, float], radius_m: float, need_m: float) -> FloatArray | None:
+def worst_on_ring(room: Clearance, centre_m: tuple[float, float], radius_m: float, need_m: float) -> FloatArray | None:
     """A place (2,) on a circle with less room than ``need_m``, None when there is none.
 
     Clearance changes no faster than place: an arc whose middle has half its length more than is needed is free, the

@@ -17,7 +17,7 @@ from autopilot.core.geodesy import (
     surface_distance_m,
 )
 from autopilot.core.plan import MissionResult, PlanItem, PlanRejection
-from autopilot.mission.items import AMSL_FRAMES, GLOBAL_FRAMES, TERRAIN_FRAMES, Frame
+from autopilot.mission.items import AMSL_FRAMES, GLOBAL_FRAMES, TERRAIN_FRAMES, MavFrame
 
 INVALID_INT32 = 2147483647
 """MAVLink's "not a number" of an integer coordinate."""
@@ -88,11 +88,11 @@ def heading_rad(item: PlanItem) -> float | None:
 
 def check_frame(item: PlanItem, label: str = "item") -> None:
     """Refuse frames in which a position cannot be given."""
-    if item.frame in GLOBAL_FRAMES or item.frame == Frame.LOCAL_NED:
+    if item.frame in GLOBAL_FRAMES or item.frame == MavFrame.LOCAL_NED:
         return
     if item.frame in TERRAIN_FRAMES:
         text = f"frame {item.frame} (altitude above terrain) is not supported; use relative altitude (frame 3)"
-    elif item.frame == Frame.MISSION:
+    elif item.frame == MavFrame.MISSION:
         text = f"frame 2 (MISSION) has no position but command {item.command} needs one; use frame 3, 0 or 1"
     else:
         text = f"frame {item.frame} is not supported; use 3 (relative altitude), 0 (AMSL) or 1 (LOCAL_NED)"
@@ -108,7 +108,7 @@ def horizontal_ned_m(item: PlanItem, origin: Origin, label: str = "item") -> tup
     ):
         if abs(value) >= INVALID_INT32:
             raise refuse(item, result, f"{name} is not a number; give a position", label)
-    if item.frame == Frame.LOCAL_NED:
+    if item.frame == MavFrame.LOCAL_NED:
         north, east = m_from_local_e4(item.x), m_from_local_e4(item.y)
     else:
         lat, lon = deg_from_e7(item.x), deg_from_e7(item.y)
@@ -140,7 +140,7 @@ def depth_m(item: PlanItem, origin: Origin, label: str = "item") -> float:
     """Depth [m] of an item; refuses what is not finite or above the surface, naming the sign rule."""
     if not math.isfinite(item.z):
         raise refuse(item, MissionResult.INVALID_PARAM7, f"altitude (param7) is {item.z}; give a number <= 0", label)
-    if item.frame == Frame.LOCAL_NED:
+    if item.frame == MavFrame.LOCAL_NED:
         depth, rule = item.z, "z in LOCAL_NED is depth: 0.4 m under the surface is z = 0.4"
     elif item.frame in AMSL_FRAMES:
         depth = origin.alt_m - item.z
@@ -154,4 +154,4 @@ def depth_m(item: PlanItem, origin: Origin, label: str = "item") -> float:
 
 def is_here(item: PlanItem) -> bool:
     """Whether the item means "where the vehicle is then": no position frame, or latitude and longitude 0."""
-    return item.frame == Frame.MISSION or (item.frame in GLOBAL_FRAMES and item.x == 0 and item.y == 0)
+    return item.frame == MavFrame.MISSION or (item.frame in GLOBAL_FRAMES and item.x == 0 and item.y == 0)

@@ -13,10 +13,10 @@ from autopilot.mission.items import (
     Agreed,
     ChangeSpeed,
     Command,
-    Frame,
     Gate,
     Jump,
     LookAt,
+    MavFrame,
     Near,
     SetHeading,
     SetHome,
@@ -75,7 +75,7 @@ def set_home(item: PlanItem, origin: Origin) -> Step:
     if number(item, 1, "use-current flag") == 1.0:
         return SetHome(seq=item.seq, pos_ned_m=None)
     north, east = horizontal_ned_m(item, origin)
-    depth = item.z if item.frame == Frame.LOCAL_NED else -item.z
+    depth = item.z if item.frame == MavFrame.LOCAL_NED else -item.z
     if item.frame in AMSL_FRAMES:
         depth += origin.alt_m
     if not math.isfinite(depth):

@@ -5,7 +5,7 @@ from enum import StrEnum
 
 from autopilot.core.frames import FloatArray
 from autopilot.core.messages import Goal, MissionProgress, ProgressState
-from autopilot.mission.circling import Circle
+from autopilot.mission.circling import LoiterCircle
 from autopilot.mission.items import Order
 
 
@@ -50,7 +50,7 @@ class Position:
 
 
 @dataclass(slots=True, eq=False, kw_only=True)
-class Run:
+class RunMemory:
     """What is remembered of one run of the mission."""
 
     cursor: int
@@ -66,7 +66,7 @@ class Run:
     """None = SPD_CRUISE."""
     facing_ned_m: FloatArray | None = None
     """(2,) what the vehicle looks at, None = nothing."""
-    circle: Circle | None = None
+    circle: LoiterCircle | None = None
     """Of NAV_LOITER_TURNS, while it runs."""
     leg_from_ned_m: FloatArray | None = None
     """(3,) where the way to the present goal begins."""

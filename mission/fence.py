@@ -14,9 +14,9 @@ from autopilot.core.geodesy import Origin
 from autopilot.core.geometry import Circle, Fence, Polygon, Shape
 from autopilot.core.plan import MissionResult, PlanItem, PlanRejection
 from autopilot.core.shapes import crossing_edges, signed_area_m2
+from autopilot.mission.clearance import Clearance
 from autopilot.mission.decode import ItemRefusedError, horizontal_ned_m, number, refuse
 from autopilot.mission.items import Command
-from autopilot.mission.room import Room
 
 LABEL = "fence item"
 MIN_VERTICES = 3
@@ -146,4 +146,4 @@ def build_fence(shapes: Sequence[FenceShape], params: Mapping[str, float]) -> Fe
 
 def fence_clearance_m(fence: Fence, points_ned_m: FloatArray) -> FloatArray:
     """(n,) distance of points (n, 2) to the nearest forbidden place: negative = in it, inf = open water."""
-    return Room.of(fence).clearance_m(points_ned_m)
+    return Clearance.of(fence).clearance_m(points_ned_m)

@@ -21,7 +21,7 @@ TOUCH_M = 0.02
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class Gap:
+class NarrowPassage:
     """A narrow place between two shapes."""
 
     first: FenceShape
@@ -31,7 +31,9 @@ class Gap:
     """(2,)"""
 
 
-def narrow_gaps(shapes: Sequence[FenceShape], width_m: float, look: Callable[[], None] = lambda: None) -> Iterator[Gap]:
+def narrow_gaps(
+    shapes: Sequence[FenceShape], width_m: float, look: Callable[[], None] = lambda: None
+) -> Iterator[NarrowPassage]:
     """Gaps narrower than ``width_m`` between shapes that are not joined, in the order of the plan.
 
     Found one after the other, so who needs the first few does not pay for all. ``look`` is called between the steps (it
@@ -66,7 +68,7 @@ def narrow_gaps(shapes: Sequence[FenceShape], width_m: float, look: Callable[[],
         look()
         others = np.flatnonzero(always | np.all((low <= middle) & (middle <= high), axis=1)).tolist()
         if _is_open([shapes[k] for k in others if k not in (i, j)], middle):
-            yield Gap(first=shapes[i], second=shapes[j], width_m=gap, middle_ned_m=middle)
+            yield NarrowPassage(first=shapes[i], second=shapes[j], width_m=gap, middle_ned_m=middle)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -9,9 +9,9 @@ from autopilot.core.geometry import Fence
 from autopilot.core.messages import Goal, NavState
 from autopilot.core.params import ParamSet
 from autopilot.core.vehicle import Vehicle
-from autopilot.mission.room import Room
+from autopilot.mission.clearance import Clearance
+from autopilot.mission.mission_tuning import GOALS
 from autopilot.mission.store import Plans
-from autopilot.mission.tuned import GOALS
 
 
 def digits(length_m: float) -> int:
@@ -27,7 +27,7 @@ class Goals:
         self._params = params
         self._plans = plans
         self._fence = plans.fence()
-        self._room = Room.of(self._fence)
+        self._room = Clearance.of(self._fence)
         self._fence_key = self._key()
 
     @property
@@ -36,11 +36,11 @@ class Goals:
         key = self._key()
         if key != self._fence_key:
             self._fence_key, self._fence = key, self._plans.fence()
-            self._room = Room.of(self._fence)
+            self._room = Clearance.of(self._fence)
         return self._fence
 
     @property
-    def room(self) -> Room:
+    def room(self) -> Clearance:
         """The workspace in force, prepared for asking how far places are from its boundaries."""
         _ = self.fence
         return self._room

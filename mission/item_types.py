@@ -1,7 +1,7 @@
 """The mission items that can be flown: one row per command, read by the parser and by the documentation.
 
 A row more is a command more: what it asks for is a class of :mod:`autopilot.mission.items`, what it does stands in
-:mod:`autopilot.mission.sequencer`. ``python docs/items.py --write`` brings the table of docs/mavlink.md in line.
+:mod:`autopilot.mission.sequencer`. ``python docs/mission_items.py --write`` updates the table of docs/mavlink.md.
 """
 
 from collections.abc import Callable
@@ -11,7 +11,7 @@ from autopilot.core.geodesy import Origin
 from autopilot.core.plan import MissionResult, PlanItem
 from autopilot.mission import do_items, nav_items, payload_items
 from autopilot.mission.decode import refuse
-from autopilot.mission.items import GLOBAL_FRAMES, Agreed, Command, Frame, Step
+from autopilot.mission.items import GLOBAL_FRAMES, Agreed, Command, MavFrame, Step
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -214,7 +214,7 @@ def parse_step(item: PlanItem, origin: Origin) -> Step:
         known = ", ".join(str(number) for number in ITEM_TYPES)
         text = f"command {item.command} is not supported in a mission; use one of {known}"
         raise refuse(item, MissionResult.UNSUPPORTED, text)
-    if not found.placed and item.frame not in GLOBAL_FRAMES | {Frame.LOCAL_NED, Frame.MISSION}:
+    if not found.placed and item.frame not in GLOBAL_FRAMES | {MavFrame.LOCAL_NED, MavFrame.MISSION}:
         text = f"frame {item.frame} is not supported for command {item.command}; use frame 2 (MISSION)"
         raise refuse(item, MissionResult.UNSUPPORTED_FRAME, text)
     return found.parse(item, origin)

@@ -60,7 +60,7 @@ class Command(IntEnum):
     RALLY_POINT = 5100
 
 
-class Frame(IntEnum):
+class MavFrame(IntEnum):
     """MAV_FRAME numbers that plans may use (common.xml)."""
 
     GLOBAL = 0
@@ -71,8 +71,8 @@ class Frame(IntEnum):
     GLOBAL_RELATIVE_ALT_INT = 6
 
 
-AMSL_FRAMES = frozenset({Frame.GLOBAL, Frame.GLOBAL_INT})
-RELATIVE_FRAMES = frozenset({Frame.GLOBAL_RELATIVE_ALT, Frame.GLOBAL_RELATIVE_ALT_INT})
+AMSL_FRAMES = frozenset({MavFrame.GLOBAL, MavFrame.GLOBAL_INT})
+RELATIVE_FRAMES = frozenset({MavFrame.GLOBAL_RELATIVE_ALT, MavFrame.GLOBAL_RELATIVE_ALT_INT})
 GLOBAL_FRAMES = AMSL_FRAMES | RELATIVE_FRAMES
 TERRAIN_FRAMES = frozenset({10, 11})
 

@@ -13,13 +13,13 @@ from autopilot.core.desk import Cancel
 from autopilot.core.geodesy import Origin
 from autopilot.core.geometry import Fence
 from autopilot.core.plan import MissionResult, PlanItem, PlanKind, PlanProblem, PlanRejection
+from autopilot.mission.clearance import Clearance
 from autopilot.mission.fence import FenceShape, build_fence, read_fence
 from autopilot.mission.gaps import narrow_gaps
 from autopilot.mission.items import GoTo, Step
+from autopilot.mission.mission_tuning import VALIDATION
 from autopilot.mission.plan_model import PlanFile
 from autopilot.mission.reach import widest_m
-from autopilot.mission.room import Room
-from autopilot.mission.tuned import VALIDATION
 from autopilot.mission.validation import (
     PlanContext,
     fence_problems,
@@ -81,7 +81,7 @@ class Question:
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class Verdict:
+class PlanVerdict:
     """The answer: what is wrong, and the plans in local metres."""
 
     question: Question
@@ -109,7 +109,7 @@ class Verdict:
         return next((problem for problem in self.own if problem.kind in kinds), None)
 
 
-def judge(question: Question, cancel: Cancel) -> Verdict:
+def judge(question: Question, cancel: Cancel) -> PlanVerdict:
     """Look at all plans. Raises :class:`autopilot.core.desk.WithdrawnError` soon after ``cancel``."""
     look = cancel.check
     ctx, plans = question.context, question.plans
@@ -127,7 +127,7 @@ def judge(question: Question, cancel: Cancel) -> Verdict:
     )
     look()
     if broken_steps or broken_shapes or broken_points:
-        return Verdict(question=question, own=own)
+        return PlanVerdict(question=question, own=own)
     joint = list(joint_problems(steps, shapes, rally, ctx, look))
     look()
     fence = build_fence(shapes, ctx.params)
@@ -146,8 +146,8 @@ def judge(question: Question, cancel: Cancel) -> Verdict:
         warnings += [warning] if warning else []
     goals = [step for step in steps if isinstance(step, GoTo) and step.pos_ned_m is not None]
     places = np.array([step.pos_ned_m[:2] for step in goals if step.pos_ned_m is not None]).reshape(-1, 2)
-    clearance = Room.of(fence).clearance_m(places) - ctx.radius_m
-    return Verdict(
+    clearance = Clearance.of(fence).clearance_m(places) - ctx.radius_m
+    return PlanVerdict(
         question=question,
         own=own,
         joint=tuple(joint),
@@ -159,7 +159,7 @@ def judge(question: Question, cancel: Cancel) -> Verdict:
     )
 
 
-def judge_file(plan: PlanFile, origin: Origin, params: Mapping[str, float], radius_m: float) -> Verdict:
+def judge_file(plan: PlanFile, origin: Origin, params: Mapping[str, float], radius_m: float) -> PlanVerdict:
     """All that is wrong with a plan file, each finding once."""
     question = Question(
         plans={kind: plan.items(kind) for kind in PlanKind},

@@ -43,7 +43,7 @@ from autopilot.core.errors import ConfigError, PlanError
 from autopilot.core.geodesy import Origin, geodetic_from_ned
 from autopilot.core.plan import PlanItem
 from autopilot.core.toml_table import Table, convert, parse_toml
-from autopilot.mission.items import Command, Frame
+from autopilot.mission.items import Command, MavFrame
 from autopilot.mission.plan_model import PlanFile, make_item
 
 NAN = math.nan
@@ -107,7 +107,7 @@ class FenceTable(Table, frozen=True, kw_only=True):
     circle: list[CircleTable] = msgspec.field(default_factory=list)
 
 
-class PlaceTable(Table, frozen=True, kw_only=True):
+class SurfacePoint(Table, frozen=True, kw_only=True):
     """A point at the surface."""
 
     x_m: float
@@ -123,7 +123,7 @@ class LocalPlan(Table, frozen=True, kw_only=True):
     repeat: RepeatTable | None = None
     end: EndTable = EndTable()
     fence: FenceTable = FenceTable()
-    rally: list[PlaceTable] = msgspec.field(default_factory=list)
+    rally: list[SurfacePoint] = msgspec.field(default_factory=list)
 
 
 def read_local_plan(text: str, name: str) -> PlanFile:
@@ -156,7 +156,7 @@ def _placed(
     command: Command,
     params: tuple[float, float, float, float],
     pos_ned_m: tuple[float, float, float],
-    frame: Frame = Frame.GLOBAL_RELATIVE_ALT,
+    frame: MavFrame = MavFrame.GLOBAL_RELATIVE_ALT,
 ) -> PlanItem:
     """An item at a local place; in the relative frame its altitude is minus the depth."""
     lat, lon, _ = geodetic_from_ned(origin, np.array(pos_ned_m))
@@ -171,7 +171,7 @@ def _mission(local: LocalPlan, origin: Origin, name: str) -> tuple[PlanItem, ...
         where = f"{name}: waypoint[{k}]"
         if w.speed_m_s is not None:
             params = (_GROUND_SPEED, w.speed_m_s, _NO_CHANGE, 0.0, 0.0, 0.0, 0.0)
-            items.append(make_item(where, len(items), Frame.MISSION, Command.DO_CHANGE_SPEED, params))
+            items.append(make_item(where, len(items), MavFrame.MISSION, Command.DO_CHANGE_SPEED, params))
         yaw_deg = NAN if w.yaw_rad is None else math.degrees(w.yaw_rad)
         free = (w.hold_s, w.accept_m, 0.0, yaw_deg)
         items.append(_placed(origin, where, len(items), Command.NAV_WAYPOINT, free, (w.x_m, w.y_m, w.depth_m)))
@@ -183,12 +183,12 @@ def _mission(local: LocalPlan, origin: Origin, name: str) -> tuple[PlanItem, ...
             )
         target = float(first_seq[local.repeat.first_waypoint])
         params = (target, local.repeat.laps - 1.0, 0.0, 0.0, 0.0, 0.0, 0.0)
-        items.append(make_item(f"{name}: repeat", len(items), Frame.MISSION, Command.DO_JUMP, params))
+        items.append(make_item(f"{name}: repeat", len(items), MavFrame.MISSION, Command.DO_JUMP, params))
     if local.end.action != "hold":
         surface = local.end.action == "surface"
         command = Command.NAV_LAND if surface else Command.NAV_RETURN_TO_LAUNCH
         params = (0.0, 0.0, 0.0, NAN, 0.0, 0.0, 0.0)
-        items.append(make_item(f"{name}: end", len(items), Frame.MISSION, command, params))
+        items.append(make_item(f"{name}: end", len(items), MavFrame.MISSION, command, params))
     return tuple(items)
 
 
@@ -200,10 +200,10 @@ def _fence(local: LocalPlan, origin: Origin, name: str) -> tuple[PlanItem, ...]:
         for north, east in p.points_m:
             params = (float(len(p.points_m)), 0.0, 0.0, 0.0)
             where = f"{name}: fence.polygon[{k}]"
-            items.append(_placed(origin, where, len(items), vertex, params, (north, east, 0.0), Frame.GLOBAL))
+            items.append(_placed(origin, where, len(items), vertex, params, (north, east, 0.0), MavFrame.GLOBAL))
     for k, c in enumerate(local.fence.circle):
         command = Command.FENCE_CIRCLE_INCLUSION if c.inclusion else Command.FENCE_CIRCLE_EXCLUSION
         params = (c.radius_m, 0.0, 0.0, 0.0)
         where = f"{name}: fence.circle[{k}]"
-        items.append(_placed(origin, where, len(items), command, params, (c.x_m, c.y_m, 0.0), Frame.GLOBAL))
+        items.append(_placed(origin, where, len(items), command, params, (c.x_m, c.y_m, 0.0), MavFrame.GLOBAL))
     return tuple(items)

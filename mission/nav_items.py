@@ -16,8 +16,8 @@ from autopilot.mission.decode import (
     refuse,
     seconds,
 )
-from autopilot.mission.items import AMSL_FRAMES, Circuit, Command, Frame, GoTo, ReturnHome, Step, Surface, Wait
-from autopilot.mission.tuned import NAV_ITEMS
+from autopilot.mission.items import AMSL_FRAMES, Circuit, Command, GoTo, MavFrame, ReturnHome, Step, Surface, Wait
+from autopilot.mission.mission_tuning import NAV_ITEMS
 
 
 def goto(item: PlanItem, origin: Origin) -> Step:
@@ -90,12 +90,12 @@ def circuit(item: PlanItem, origin: Origin) -> Step:
 def take_off(item: PlanItem, origin: Origin) -> Step:
     """NAV_TAKEOFF means "dive here": p4 yaw; the place is not used. An altitude in the water is the depth;
     one above it, as ground stations put it into every plan, or none, means TKOFF_DEPTH."""
-    if item.frame == Frame.LOCAL_NED:
+    if item.frame == MavFrame.LOCAL_NED:
         depth = item.z
     elif item.frame in AMSL_FRAMES:
         depth = origin.alt_m - item.z
     else:
-        depth = math.nan if item.frame == Frame.MISSION else -item.z
+        depth = math.nan if item.frame == MavFrame.MISSION else -item.z
     return GoTo(
         seq=item.seq,
         pos_ned_m=None,

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from autopilot.core.errors import PlanError
 from autopilot.core.geodesy import Origin, deg_from_e7, e7_from_deg, local_e4_from_m
 from autopilot.core.plan import PlanItem, PlanKind
-from autopilot.mission.items import Command, Frame
+from autopilot.mission.items import Command, MavFrame
 
 FLOAT32_MAX = 3.4028234e38
 """Parameters travel as 32-bit floats."""
@@ -34,7 +34,7 @@ class PlanFile:
             return self.home
         for item in (*self.fence, *self.mission, *self.rally):
             on_map = abs(item.x) <= 89 * 10**7 and abs(item.y) <= 180 * 10**7 and (item.x or item.y)
-            if item.frame not in (Frame.MISSION, Frame.LOCAL_NED) and on_map:
+            if item.frame not in (MavFrame.MISSION, MavFrame.LOCAL_NED) and on_map:
                 return Origin(lat_deg=deg_from_e7(item.x), lon_deg=deg_from_e7(item.y))
         return Origin(lat_deg=0.0, lon_deg=0.0)
 
@@ -86,13 +86,13 @@ def make_item(
 
 def _coordinate(where: str, name: str, value: float, frame: int) -> int:
     """One horizontal coordinate in wire units."""
-    if frame == Frame.MISSION and not math.isfinite(value):
+    if frame == MavFrame.MISSION and not math.isfinite(value):
         return 0
     if not math.isfinite(value):
         raise PlanError(f"{where}: {name} (a coordinate) is {value}; give a number")
-    if frame == Frame.LOCAL_NED:
+    if frame == MavFrame.LOCAL_NED:
         scaled = local_e4_from_m(value)
-    elif frame == Frame.MISSION:
+    elif frame == MavFrame.MISSION:
         scaled = round(value)
     else:
         scaled = e7_from_deg(value)

@@ -12,9 +12,9 @@ from typing import Any
 from autopilot.core.errors import ConfigError, PlanError
 from autopilot.core.geodesy import Origin, deg_from_e7, m_from_local_e4
 from autopilot.core.plan import PlanItem
-from autopilot.mission.items import Command, Frame
+from autopilot.mission.items import Command, MavFrame
+from autopilot.mission.mission_tuning import QGC_PLAN
 from autopilot.mission.plan_model import PlanFile, make_item, without_home
-from autopilot.mission.tuned import QGC_PLAN
 
 FILE_TYPE = "Plan"
 _RALLY_VERSIONS = (QGC_PLAN.part_version, 1)
@@ -156,7 +156,7 @@ def _fence(fence: Mapping[str, Any], where: str) -> tuple[PlanItem, ...]:
         for k, vertex in enumerate(vertices):
             lat, lon = _numbers(vertex, 2, f"{here} vertex {k}", "the vertex")
             params = (float(len(vertices)), 0.0, 0.0, 0.0, lat, lon, 0.0)
-            items.append(make_item(f"{here} vertex {k}", len(items), Frame.GLOBAL, command, params))
+            items.append(make_item(f"{here} vertex {k}", len(items), MavFrame.GLOBAL, command, params))
     for index, entry in enumerate(_get(fence, "circles", list, where, [])):
         here = f"{where} circle {index}"
         outer = _typed(entry, dict, here, "the circle")
@@ -166,11 +166,11 @@ def _fence(fence: Mapping[str, Any], where: str) -> tuple[PlanItem, ...]:
         lat, lon = _numbers(_get(circle, "center", list, here), 2, here, "center")
         radius = _float(_get(circle, "radius", float, here), here, "radius")
         params = (radius, 0.0, 0.0, 0.0, lat, lon, 0.0)
-        items.append(make_item(here, len(items), Frame.GLOBAL, command, params))
+        items.append(make_item(here, len(items), MavFrame.GLOBAL, command, params))
     if fence.get("breachReturn") is not None:
         lat, lon, alt = _numbers(fence["breachReturn"], 3, where, "breachReturn")
         params = (0.0, 0.0, 0.0, 0.0, lat, lon, alt)
-        frame = Frame.GLOBAL_RELATIVE_ALT
+        frame = MavFrame.GLOBAL_RELATIVE_ALT
         items.append(make_item(f"{where} breachReturn", len(items), frame, Command.FENCE_RETURN_POINT, params))
     return tuple(items)
 
@@ -182,7 +182,7 @@ def _rally(rally: Mapping[str, Any], where: str) -> tuple[PlanItem, ...]:
         here = f"{where} point {seq}"
         lat, lon, alt = _numbers(point, 3, here, "the point")
         params = (0.0, 0.0, 0.0, 0.0, lat, lon, alt)
-        items.append(make_item(here, seq, Frame.GLOBAL_RELATIVE_ALT, Command.RALLY_POINT, params))
+        items.append(make_item(here, seq, MavFrame.GLOBAL_RELATIVE_ALT, Command.RALLY_POINT, params))
     return tuple(items)
 
 
@@ -215,7 +215,7 @@ def _json_number(value: float) -> float | None:
 
 
 def _mission_entry(item: PlanItem) -> dict[str, Any]:
-    local, none = item.frame == Frame.LOCAL_NED, item.frame == Frame.MISSION
+    local, none = item.frame == MavFrame.LOCAL_NED, item.frame == MavFrame.MISSION
     x, y = (float(v) if none else m_from_local_e4(v) if local else deg_from_e7(v) for v in (item.x, item.y))
     p1 = item.param1 + 1.0 if item.command == Command.DO_JUMP else item.param1
     params = [p1, item.param2, item.param3, item.param4, x, y, item.z]
@@ -229,13 +229,13 @@ def _mission_entry(item: PlanItem) -> dict[str, Any]:
     }
     if not none:
         entry["Altitude"] = _json_number(item.z)
-        entry["AltitudeMode"] = 2 if item.frame in (Frame.GLOBAL, Frame.GLOBAL_INT) else 1
+        entry["AltitudeMode"] = 2 if item.frame in (MavFrame.GLOBAL, MavFrame.GLOBAL_INT) else 1
         entry["AMSLAltAboveTerrain"] = None
     return entry
 
 
 def _place(item: PlanItem, what: str) -> list[float]:
-    if item.frame in (Frame.LOCAL_NED, Frame.MISSION):
+    if item.frame in (MavFrame.LOCAL_NED, MavFrame.MISSION):
         raise PlanError(f"{what} {item.seq}: frame {item.frame} cannot be written to a .plan file; use a global frame")
     return [deg_from_e7(item.x), deg_from_e7(item.y)]
 

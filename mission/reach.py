@@ -8,8 +8,8 @@ from autopilot.core.frames import FloatArray
 from autopilot.core.free_space import Area, FreeSpace, workspace_of
 from autopilot.core.geometry import Fence
 from autopilot.core.shapes import bounding_box
+from autopilot.mission.clearance import Clearance
 from autopilot.mission.fence import fence_clearance_m
-from autopilot.mission.room import Room
 
 WIDEST_GRID = 24
 """Places per axis at which the widest part of a workspace is looked for."""
@@ -57,4 +57,4 @@ def _free_space(fence: Fence, points_ned_m: FloatArray, radius_m: float) -> Free
         area = Area(low_m=everything.min(axis=0) - margin, high_m=everything.max(axis=0) + margin)
     if np.any(area.high_m <= area.low_m):
         return None
-    return FreeSpace(Room.of(fence), area, radius_m)
+    return FreeSpace(Clearance.of(fence), area, radius_m)

@@ -15,7 +15,7 @@ from autopilot.core.frames import FloatArray, wrap_pi
 from autopilot.core.messages import MissionProgress, NavState, ProgressState
 from autopilot.mission.execution import Action as Action
 from autopilot.mission.execution import Position as Position
-from autopilot.mission.execution import Run
+from autopilot.mission.execution import RunMemory
 from autopilot.mission.execution import SequencerOutput as SequencerOutput
 from autopilot.mission.items import (
     ChangeSpeed,
@@ -55,7 +55,7 @@ class Sequencer:
         self._lap_marker = -1
 
     @property
-    def _run(self) -> Run:
+    def _run(self) -> RunMemory:
         return self._goals.run
 
     @property
@@ -222,7 +222,7 @@ class Sequencer:
 
     def _clear(self, cursor: int) -> None:
         """Before the first tick of a run from ``cursor``."""
-        self._goals.run = Run(
+        self._goals.run = RunMemory(
             cursor=cursor, state=ProgressState.NOT_STARTED if self._steps else ProgressState.NO_MISSION
         )
 

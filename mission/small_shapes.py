@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from autopilot.core.frames import FloatArray
 from autopilot.core.geometry import Circle, Shape
-from autopilot.core.shapes import PAIRS, Edges, bounding_box
+from autopilot.core.shapes import PAIRS, EdgeArrays, bounding_box
 
 IntArray = NDArray[np.intp]
 
@@ -36,7 +36,7 @@ class SmallShapes:
             if isinstance(shape, Circle):
                 self._center[k], self._radius[k] = shape.center_ned_m, shape.radius_m
         corners = [np.zeros((0, 2)) if isinstance(s, Circle) else np.asarray(s.vertices_ned_m) for s in shapes]
-        self._edges = Edges.of(corners)
+        self._edges = EdgeArrays.of(corners)
         self._corners = np.array([len(c) for c in corners])
         self._first = np.concatenate([[0], np.cumsum(self._corners)])[:-1]
 
@@ -103,7 +103,9 @@ class SmallShapes:
         pair, corner = _runs(self._corners[shape])
         at = self._first[shape][pair] + corner
         every = self._edges
-        edges = Edges(every.start_n[at, None], every.start_e[at, None], every.end_n[at, None], every.end_e[at, None])
+        edges = EdgeArrays(
+            every.start_n[at, None], every.start_e[at, None], every.end_n[at, None], every.end_e[at, None]
+        )
         points = places[place][pair]
         off_n, off_e = (a[:, 0] for a in edges.offsets(points))
         square = off_n * off_n + off_e * off_e

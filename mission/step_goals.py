@@ -8,8 +8,8 @@ import numpy as np
 
 from autopilot.core.frames import FloatArray, wrap_pi
 from autopilot.core.messages import Goal, NavHealth, NavState, ProgressState
-from autopilot.mission.circling import Circle
-from autopilot.mission.execution import Run
+from autopilot.mission.circling import LoiterCircle
+from autopilot.mission.execution import RunMemory
 from autopilot.mission.items import (
     Circuit,
     Gate,
@@ -24,7 +24,7 @@ from autopilot.mission.items import (
     Wait,
 )
 from autopilot.mission.lookahead import next_place, next_waypoint
-from autopilot.mission.tuned import STEP_GOALS
+from autopilot.mission.mission_tuning import STEP_GOALS
 
 
 class StepGoals:
@@ -34,7 +34,7 @@ class StepGoals:
         self._params = params
         self.home_ned_m: FloatArray = np.zeros(3)
         self.steps: tuple[Step, ...] = ()
-        self.run = Run(cursor=0, state=ProgressState.NO_MISSION)
+        self.run = RunMemory(cursor=0, state=ProgressState.NO_MISSION)
 
     def first(self, step: Timed, nav: NavState) -> Goal | None:
         """The goal that a step begins with, None while that is unknown."""
@@ -58,7 +58,7 @@ class StepGoals:
             return None
         params, asked = self._params, run.speed_m_s
         speed = (abs(params["CIRCLE_SPEED"]) or params["SPD_CRUISE"]) if asked is None else asked
-        run.circle = Circle(
+        run.circle = LoiterCircle(
             params,
             (float(centre[0]), float(centre[1])),
             params["CIRCLE_RADIUS"] if step.radius_m is None else step.radius_m,
@@ -69,7 +69,7 @@ class StepGoals:
         )
         return self.round(run.circle, nav)
 
-    def round(self, circle: Circle, nav: NavState) -> Goal:
+    def round(self, circle: LoiterCircle, nav: NavState) -> Goal:
         """The circle's goal of this tick."""
         facing = self.run.facing_ned_m
         circle.facing_m = None if facing is None else (float(facing[0]), float(facing[1]))

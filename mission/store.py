@@ -15,7 +15,7 @@ import numpy as np
 
 from autopilot.core.desk import Cancel, Desk, Ticket
 from autopilot.core.frames import FloatArray
-from autopilot.core.geodesy import MAX_RANGE_M, Origin, Place, far_text, geodetic_from_ned, ned_from_geodetic
+from autopilot.core.geodesy import MAX_RANGE_M, GeodeticPosition, Origin, far_text, geodetic_from_ned, ned_from_geodetic
 from autopilot.core.geometry import Fence
 from autopilot.core.origin_params import params_origin
 from autopilot.core.params import ParamSet
@@ -23,7 +23,7 @@ from autopilot.core.plan import MissionResult, PlanChange, PlanItem, PlanKind, P
 from autopilot.mission.fence import FenceShape, build_fence
 from autopilot.mission.item_types import parse_step
 from autopilot.mission.items import Order, Step
-from autopilot.mission.judgement import EMPTY, PLAN_PARAMETERS, Plans3, Question, Verdict, WaterCheck, judge
+from autopilot.mission.judgement import EMPTY, PLAN_PARAMETERS, Plans3, PlanVerdict, Question, WaterCheck, judge
 from autopilot.mission.validation import check_item
 
 __all__ = ["Change", "Plans", "WaterCheck", "plan_checksum"]
@@ -33,7 +33,7 @@ CHECK_TICKS = 5
 MAX_ASKED = 10
 """A change whose parameters change under it again and again is refused after so many checks."""
 
-Guard = Callable[[Sequence[PlanKind], Verdict], PlanRejection | None]
+Guard = Callable[[Sequence[PlanKind], PlanVerdict], PlanRejection | None]
 """Why plans of these kinds must not be taken now, None if they may."""
 
 _ITEM = struct.Struct("<HBH4f2ifB")
@@ -104,17 +104,17 @@ class Plans(PlanStore):
         self._radius_m = radius_m
         self._origin = origin or params_origin(params)
         self._home_ned_m: FloatArray = np.zeros(3)
-        self._home: Place | None = None
+        self._home: GeodeticPosition | None = None
         self._plans: Plans3 = EMPTY
         self._sums: dict[PlanKind, tuple[tuple[PlanItem, ...], int]] = {}
         """Plans whose checksum is known."""
         self._desk = desk
         self._now = 0
-        self._ticket: Ticket[Verdict] | None = None
+        self._ticket: Ticket[PlanVerdict] | None = None
         self._asked: Question | None = None
         self._change: Change | None = None
         self._wanted: Question | None = None
-        self._verdict = Verdict(question=self._question())
+        self._verdict = PlanVerdict(question=self._question())
         self.guard: Guard = lambda kinds, verdict: None
         """Asked before plans are taken that came by :meth:`propose`."""
         self.order_check: Callable[[Order], str] = lambda order: ""
@@ -140,11 +140,11 @@ class Plans(PlanStore):
         return self._home_ned_m
 
     @property
-    def home(self) -> Place:
+    def home(self) -> GeodeticPosition:
         """Home in geodetic coordinates; the same object until home or origin change."""
         if self._home is None:
             lat, lon, alt = geodetic_from_ned(self._origin, self._home_ned_m)
-            self._home = Place(lat_deg=lat, lon_deg=lon, alt_m=alt)
+            self._home = GeodeticPosition(lat_deg=lat, lon_deg=lon, alt_m=alt)
         return self._home
 
     def set_home(self, pos_ned_m: FloatArray) -> str:
@@ -169,7 +169,7 @@ class Plans(PlanStore):
         return known[1]
 
     @property
-    def verdict(self) -> Verdict:
+    def verdict(self) -> PlanVerdict:
         """The newest answer about the plans in force: the same object until there is another one."""
         if self._desk is None and not self._is_current():
             self._take(judge(self._question(), Cancel()))
@@ -291,7 +291,7 @@ class Plans(PlanStore):
         self._asked = self._question(self._change)
         self._ticket = self._desk.submit(self._now + CHECK_TICKS, judge, self._asked)
 
-    def _hear(self, verdict: Verdict) -> None:
+    def _hear(self, verdict: PlanVerdict) -> None:
         """An answer: to the open change, or about the plans in force."""
         change = self._change
         if not verdict.question.same(self._question(change)):
@@ -301,7 +301,7 @@ class Plans(PlanStore):
         else:
             self._decide(change, verdict)
 
-    def _decide(self, change: Change, verdict: Verdict) -> None:
+    def _decide(self, change: Change, verdict: PlanVerdict) -> None:
         """Take a change, or refuse it for what is wrong with it by itself or must not be now."""
         self._change = None
         try:
@@ -315,7 +315,7 @@ class Plans(PlanStore):
             raise
         change.end(rejection)
 
-    def _take(self, verdict: Verdict) -> None:
+    def _take(self, verdict: PlanVerdict) -> None:
         before, now = self._verdict.question, verdict.question
         moved = now.origin != before.origin
         changed = [kind for kind in PlanKind if now.plans[kind] is not before.plans[kind]]
@@ -362,8 +362,8 @@ class Plans(PlanStore):
         return wanted
 
 
-def _failed(question: Question, error: Exception) -> Verdict:
+def _failed(question: Question, error: Exception) -> PlanVerdict:
     """The check itself has failed: nothing may be flown, and the plans asked about are not taken."""
     text = f"the plan check failed ({type(error).__name__}): send the plan again, and report this with the log"
     own = tuple(PlanProblem(kind=kind, seq=0, result=MissionResult.ERROR, reason=text) for kind in PlanKind)
-    return Verdict(question=question, own=own)
+    return PlanVerdict(question=question, own=own)

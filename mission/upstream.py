@@ -10,7 +10,7 @@ import numpy as np
 from autopilot.core.frames import FloatArray
 from autopilot.core.messages import Goal, NavHealth, NavState
 from autopilot.mission.items import GoTo, Step
-from autopilot.mission.tuned import UPSTREAM
+from autopilot.mission.mission_tuning import UPSTREAM
 
 CurrentAt = Callable[[FloatArray], FloatArray]
 """Places (n, 2) -> current (n, 2) [m/s]."""

@@ -16,9 +16,10 @@ from autopilot.core.frames import FloatArray
 from autopilot.core.geodesy import Origin
 from autopilot.core.plan import MAX_ITEMS, MissionResult, PlanItem, PlanKind, PlanProblem, PlanRejection
 from autopilot.mission.circling import worst_on_ring
+from autopilot.mission.clearance import Clearance
 from autopilot.mission.decode import ItemRefusedError, depth_m, horizontal_ned_m, refuse
 from autopilot.mission.fence import FenceShape, build_fence, check_fence_item
-from autopilot.mission.gaps import Gap, narrow_gaps
+from autopilot.mission.gaps import NarrowPassage, narrow_gaps
 from autopilot.mission.item_types import parse_step
 from autopilot.mission.items import (
     ChangeSpeed,
@@ -33,9 +34,8 @@ from autopilot.mission.items import (
     Travel,
     Wait,
 )
+from autopilot.mission.mission_tuning import VALIDATION
 from autopilot.mission.reach import free_regions, has_room
-from autopilot.mission.room import Room
-from autopilot.mission.tuned import VALIDATION
 
 RALLY_LABEL = "rally point"
 
@@ -212,7 +212,7 @@ def fence_problems(
         yield PlanRejection(seq=first.seq, result=MissionResult.INVALID, reason=text)
 
 
-def gap_text(gap: Gap, radius_m: float) -> str:
+def gap_text(gap: NarrowPassage, radius_m: float) -> str:
     """One line about a narrow gap."""
     north, east = gap.middle_ned_m
     return (
@@ -221,7 +221,7 @@ def gap_text(gap: Gap, radius_m: float) -> str:
     )
 
 
-def _gap_rejection(gap: Gap, radius_m: float) -> PlanRejection:
+def _gap_rejection(gap: NarrowPassage, radius_m: float) -> PlanRejection:
     text = gap_text(gap, radius_m) + ", or set FENCE_GAP_CHK to 0"
     return PlanRejection(seq=gap.second.seq, result=MissionResult.INVALID, reason=text)
 
@@ -241,7 +241,7 @@ def read_rally(
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class _Place:
+class _PointToClear:
     """A point of a plan that has to be free."""
 
     kind: PlanKind
@@ -264,14 +264,14 @@ def joint_problems(
     """What the fence forbids of mission and rally points: places; if there is none, legs without a free path."""
     if not shapes:
         return
-    places: list[_Place] = []
-    route: list[_Place] = []
+    places: list[_PointToClear] = []
+    route: list[_PointToClear] = []
     for ring in _ring_places(tuple(_circles(steps)), shapes, ctx, look):
         places.append(ring)
         route.append(ring)
     for step in steps:
         if isinstance(step, GoTo | Surface | SetHome) and step.pos_ned_m is not None:
-            place = _Place(
+            place = _PointToClear(
                 kind=PlanKind.MISSION,
                 seq=step.seq,
                 name=f"home of item {step.seq}" if isinstance(step, SetHome) else f"item {step.seq}",
@@ -291,7 +291,7 @@ def joint_problems(
         yield from _path_conflicts(route, shapes, ctx)
     look()
     points = [
-        _Place(
+        _PointToClear(
             kind=PlanKind.RALLY,
             seq=seq,
             name=f"{RALLY_LABEL} {seq}",
@@ -323,21 +323,21 @@ def _ring_places(
     shapes: Sequence[FenceShape],
     ctx: PlanContext,
     look: Callable[[], None],
-) -> Iterator[_Place]:
+) -> Iterator[_PointToClear]:
     """The worst place of each circle, or any when the whole circle is free."""
     if not circles:
         return
     need_m = ctx.keep_m - VALIDATION.place_tolerance_m
     both = [(s.shape, s.inclusion) for s in shapes]
-    from_centre = Room(both).of_shapes_m(np.array([centre[:2] for _, centre in circles]))
+    from_centre = Clearance(both).of_shapes_m(np.array([centre[:2] for _, centre in circles]))
     for (step, centre), away in zip(circles, from_centre, strict=True):
         radius_m = ctx.params["CIRCLE_RADIUS"] if step.radius_m is None else step.radius_m
         within = np.flatnonzero(away < radius_m + need_m)
-        room, middle = Room([both[i] for i in within.tolist()]), (float(centre[0]), float(centre[1]))
+        room, middle = Clearance([both[i] for i in within.tolist()]), (float(centre[0]), float(centre[1]))
         worst = worst_on_ring(room, middle, radius_m, need_m) if len(within) else None
         north, east = (middle[0] + radius_m, middle[1]) if worst is None else worst.tolist()
         look()
-        yield _Place(
+        yield _PointToClear(
             kind=PlanKind.MISSION,
             seq=step.seq,
             name=f"circle of item {step.seq}",
@@ -355,12 +355,12 @@ def _room_needed_m(step: GoTo | Surface | SetHome, ctx: PlanContext) -> float:
     return max(ctx.radius_m, ctx.keep_m - min(VALIDATION.approach_share * accept_m, VALIDATION.approach_m))
 
 
-def _place_conflicts(places: Sequence[_Place], shapes: Sequence[FenceShape]) -> list[PlanProblem]:
+def _place_conflicts(places: Sequence[_PointToClear], shapes: Sequence[FenceShape]) -> list[PlanProblem]:
     """Places in an inflated obstacle or outside the shrunk workspace, in the order of the plan, each with its worst."""
     if not places:
         return []
     points = np.array([(p.north_m, p.east_m) for p in places])
-    room = Room([(s.shape, s.inclusion) for s in shapes]).of_shapes_m(points)
+    room = Clearance([(s.shape, s.inclusion) for s in shapes]).of_shapes_m(points)
     need_m = np.array([p.need_m for p in places])
     worst = np.argmin(room, axis=1)
     least = room[np.arange(len(places)), worst]
@@ -368,7 +368,7 @@ def _place_conflicts(places: Sequence[_Place], shapes: Sequence[FenceShape]) -> 
     return [_place_conflict(places[i], shapes[int(worst[i])], float(least[i])) for i in bad.tolist()]
 
 
-def _place_conflict(place: _Place, shape: FenceShape, room_m: float) -> PlanProblem:
+def _place_conflict(place: _PointToClear, shape: FenceShape, room_m: float) -> PlanProblem:
     """One line about a place that has ``room_m`` between itself and a boundary, less than it needs."""
     if shape.inclusion:
         state = f"{-room_m:.2f} m outside" if room_m < 0.0 else f"only {room_m:.2f} m inside"
@@ -381,7 +381,9 @@ def _place_conflict(place: _Place, shape: FenceShape, room_m: float) -> PlanProb
     return PlanProblem(kind=place.kind, seq=place.seq, result=MissionResult.INVALID_PARAM5_X, reason=text)
 
 
-def _path_conflicts(route: Sequence[_Place], shapes: Sequence[FenceShape], ctx: PlanContext) -> Iterator[PlanProblem]:
+def _path_conflicts(
+    route: Sequence[_PointToClear], shapes: Sequence[FenceShape], ctx: PlanContext
+) -> Iterator[PlanProblem]:
     """Neighbours in the order of the plan that stand in different parts of the free space."""
     fence = build_fence(shapes, ctx.params)
     points = np.array([(p.north_m, p.east_m) for p in route])

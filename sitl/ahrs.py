@@ -21,9 +21,9 @@ from autopilot.drivers.ig500_protocol import (
     SET_CONTINUOUS_MODE,
     SET_OUTPUT_MASK,
     STATUS_GOOD,
-    Field,
-    FrameParser,
+    Ig500Parser,
     OutputCodec,
+    OutputField,
     encode_frame,
 )
 from autopilot.sitl.delayed import DelayedSensor
@@ -31,9 +31,9 @@ from autopilot.sitl.plant import Truth
 from autopilot.sitl.scenario_tables import AhrsFreeze, Fault
 from autopilot.sitl.sensor_faults import ImuFaults
 from autopilot.sitl.sensor_tables import AhrsSensor
-from autopilot.sitl.tuned import AHRS
+from autopilot.sitl.sitl_tuning import AHRS
 
-POWER_UP_MASK = Field.EULER | Field.GYRO | Field.ACCEL
+POWER_UP_MASK = OutputField.EULER | OutputField.GYRO | OutputField.ACCEL
 """What the device would send before it is told otherwise."""
 DIP_RAD = math.radians(55.0)
 """Of the magnetic field below the horizontal, as in southern Europe. The field's horizontal part has size 1."""
@@ -63,13 +63,13 @@ class Ig500Emulator(DelayedSensor[bytes]):
         self._rng = np.random.default_rng((seed, 10))
         self._freezes = [fault for fault in faults if isinstance(fault, AhrsFreeze)]
         self._faults = ImuFaults(faults)
-        self._parser = FrameParser()
+        self._parser = Ig500Parser()
         self._codec = OutputCodec(POWER_UP_MASK)
         self._sending = False
         self._divider = 1
         self.clock_ahead_us = 0
         """What its clock shows beyond the time [us]; a change of it is a jump of the device's clock."""
-        self._held: dict[Field, tuple[float, ...]] | None = None
+        self._held: dict[OutputField, tuple[float, ...]] | None = None
         first = self._rng.standard_normal(12).tolist()
         dt_s = 1.0 / self._rate_hz
         tilt, tilt_s = settings.tilt_error_rad, settings.tilt_error_time_s
@@ -99,7 +99,7 @@ class Ig500Emulator(DelayedSensor[bytes]):
         self._taken()
         if not self._sending or self._count % self._divider:
             return
-        values[Field.TIME_SINCE_RESET] = ((truth.t_us + self.clock_ahead_us) // 1000 % AHRS.clock_span_ms,)
+        values[OutputField.TIME_SINCE_RESET] = ((truth.t_us + self.clock_ahead_us) // 1000 % AHRS.clock_span_ms,)
         data = encode_frame(CONTINUOUS_OUTPUT, self._codec.encode(values))
         if chance[0] < self._settings.corrupt_probability:
             broken = bytearray(data)
@@ -117,7 +117,7 @@ class Ig500Emulator(DelayedSensor[bytes]):
             draw = next(self._draws)
         return draw
 
-    def _measured(self, truth: Truth, noise: list[float]) -> dict[Field, tuple[float, ...]]:
+    def _measured(self, truth: Truth, noise: list[float]) -> dict[OutputField, tuple[float, ...]]:
         self._bias = [b + w * n for b, w, n in zip(self._bias, self._walk, noise[0:6], strict=True)]
         true = truth.rate_frd_rad_s.tolist() + truth.accel_frd_m_s2.tolist()
         felt = [t + b + w * n for t, b, w, n in zip(true, self._bias, self._white, noise[6:12], strict=True)]
@@ -128,17 +128,17 @@ class Ig500Emulator(DelayedSensor[bytes]):
         pitch += self._pitch.step(noise[13]) + more_pitch
         off = self._yaw.step(noise[14]) + self._yaw_offset_rad + self._field_rad(truth.pos_ned_m) + more_yaw
         yaw += off
-        values: dict[Field, tuple[float, ...]] = {
-            Field.QUATERNION: tuple(quat_from_rpy((roll, pitch, yaw)).tolist()),
-            Field.EULER: (roll, pitch, yaw),
-            Field.GYRO: tuple(felt[0:3]),
-            Field.ACCEL: tuple(felt[3:6]),
-            Field.STATUS: (STATUS_GOOD,),
-            Field.ATTITUDE_ACCURACY: (AHRS.accuracy_rad,),
+        values: dict[OutputField, tuple[float, ...]] = {
+            OutputField.QUATERNION: tuple(quat_from_rpy((roll, pitch, yaw)).tolist()),
+            OutputField.EULER: (roll, pitch, yaw),
+            OutputField.GYRO: tuple(felt[0:3]),
+            OutputField.ACCEL: tuple(felt[3:6]),
+            OutputField.STATUS: (STATUS_GOOD,),
+            OutputField.ATTITUDE_ACCURACY: (AHRS.accuracy_rad,),
         }
-        if Field.MAG in self._codec.parts:
+        if OutputField.MAG in self._codec.parts:
             field = r_ned_from_frd(truth.rpy_rad).T @ np.array([math.cos(off), -math.sin(off), math.tan(DIP_RAD)])
-            values[Field.MAG] = tuple(field.tolist())
+            values[OutputField.MAG] = tuple(field.tolist())
         return values
 
     def _field_rad(self, pos_ned_m: FloatArray) -> float:
@@ -160,7 +160,7 @@ class Ig500Emulator(DelayedSensor[bytes]):
         """Commands of the driver: questions are answered, orders that are understood acknowledged with error code 0."""
         for frame in self._parser.feed(data):
             if frame.command == SET_OUTPUT_MASK and len(frame.data) == 5:
-                self._codec = OutputCodec(Field(struct.unpack(">BI", frame.data)[1]))
+                self._codec = OutputCodec(OutputField(struct.unpack(">BI", frame.data)[1]))
             elif frame.command == SET_CONTINUOUS_MODE and len(frame.data) == 3:
                 _, mode, divider = frame.data
                 self._sending, self._divider = mode == 1, max(1, divider)

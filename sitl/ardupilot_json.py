@@ -16,7 +16,7 @@ from dataclasses import dataclass
 
 from autopilot.core.frames import r_ned_from_frd
 from autopilot.sitl.plant import Truth
-from autopilot.sitl.tuned import ARDUPILOT_JSON
+from autopilot.sitl.sitl_tuning import ARDUPILOT_JSON
 
 CHANNELS_OF = {18458: 16, 29569: 32}
 """Magic -> channels."""

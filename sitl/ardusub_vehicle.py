@@ -10,11 +10,11 @@ from typing import Any
 import numpy as np
 
 from autopilot.core.vehicle import Vehicle
-from autopilot.sitl.ardusub import ArduSubEmulator
+from autopilot.sitl.ardusub_emulator import ArduSubEmulator
 from autopilot.sitl.plant import Truth
 from autopilot.sitl.protocol import PlantContext, create_plant
 from autopilot.sitl.scenario_tables import Scenario
-from autopilot.sitl.tuned import ARDUSUB_VEHICLE
+from autopilot.sitl.sitl_tuning import ARDUSUB_VEHICLE
 
 
 class ArduSubVehicle:

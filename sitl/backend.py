@@ -15,8 +15,8 @@ from autopilot.drivers.base import AlwaysOpen, Closing
 from autopilot.drivers.ig500 import Ig500
 from autopilot.drivers.thruster_output import SafeThrusterOutput
 from autopilot.sitl.ahrs import Ig500Emulator
-from autopilot.sitl.camera import SimCamera, true_camera
 from autopilot.sitl.camera_feed import CameraFeed
+from autopilot.sitl.camera_sensor import SimCamera, true_camera
 from autopilot.sitl.contact import Prism
 from autopilot.sitl.fault_tables import BatterySag, LateCommands, Shove, Snag
 from autopilot.sitl.floor import build_floor
@@ -24,7 +24,7 @@ from autopilot.sitl.hil import BoardOutput, NetworkCamera, SerialAhrs, Wire
 from autopilot.sitl.hull_sensor import SimHullSensor
 from autopilot.sitl.obstacle_sensor import SimObstacleSensor
 from autopilot.sitl.optional_sensors import SensedWorld, optional_sensors
-from autopilot.sitl.payload import SimPayload
+from autopilot.sitl.payload_devices import SimPayload
 from autopilot.sitl.plant import Truth
 from autopilot.sitl.pose_sensor import SimPoseSensor
 from autopilot.sitl.protocol import PlantContext, PlantLike, SteerablePlant, create_plant
@@ -36,7 +36,7 @@ POWER_PERIOD_US = 500_000
 """The battery monitor reports at 2 Hz."""
 
 
-class Observer(Protocol):
+class TruthSampler(Protocol):
     """A simulated device that looks at the truth at times of its own."""
 
     @property
@@ -170,7 +170,7 @@ class SimulatedVehicle(Closing):
         self._camera: CameraFeed | NetworkCamera | None = None
         self.markers: MarkerMap | None = None
         """The true marker map; None when there are no pictures."""
-        self._observers: list[Observer] = [emulator, self._power]
+        self._observers: list[TruthSampler] = [emulator, self._power]
         self._obstacles = SimObstacleSensor(sensors.obstacles, scenario.obstacle, seed)
         if not self._obstacles.blind:
             self._observers.append(self._obstacles)

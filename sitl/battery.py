@@ -8,7 +8,7 @@ import math
 from autopilot.core.vehicle import Battery as BatteryTable
 
 
-class Battery:
+class SimulatedBattery:
     """One battery, full at the start."""
 
     def __init__(self, table: BatteryTable) -> None:

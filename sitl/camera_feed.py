@@ -9,16 +9,16 @@ import numpy as np
 
 from autopilot.core.samples import CameraFrame
 from autopilot.core.vehicle import Camera
-from autopilot.sitl.camera import SimCamera
+from autopilot.sitl.camera_sensor import SimCamera
 from autopilot.sitl.delayed import LossySensor
-from autopilot.sitl.fault_tables import Lens, Mounting
+from autopilot.sitl.fault_tables import LensFault, Mounting
 from autopilot.sitl.floor import Image
 from autopilot.sitl.picture_faults import Exposure, PictureFaults, reflected
 from autopilot.sitl.plant import Truth
 from autopilot.sitl.scenario_tables import CameraPicture, Fault
 from autopilot.sitl.sensor_faults import OpticalFaults
 from autopilot.sitl.sensor_tables import CameraSensor
-from autopilot.sitl.tuned import CAMERA_FEED
+from autopilot.sitl.sitl_tuning import CAMERA_FEED
 
 
 class CameraFeed(LossySensor[CameraFrame]):
@@ -38,7 +38,7 @@ class CameraFeed(LossySensor[CameraFrame]):
         faults = list(faults)
         super().__init__(settings, (camera.rate_hz, camera.latency_s), faults, (seed, 30), sensor="camera")
         self._latency_s *= CAMERA_FEED.transport_share
-        self._renderers: dict[tuple[Lens | Mounting, ...], SimCamera] = {(): renderer}
+        self._renderers: dict[tuple[LensFault | Mounting, ...], SimCamera] = {(): renderer}
         self._faults = OpticalFaults(faults)
         self._stamp_error_us = round(settings.stamp_error_s * 1e6)
         self._spoilt = [fault for fault in faults if isinstance(fault, CameraPicture)]

@@ -1,5 +1,5 @@
 """A step of the hull by the compiled library (``data/native/plant.c``): the numbers of :mod:`.sitl.rigid_body` and
-:mod:`autopilot.sitl.thrusters` bit for bit, which say what they mean, in a tenth of the time.
+:mod:`autopilot.sitl.thruster_models` bit for bit, which say what they mean, in a tenth of the time.
 
 What the library leaves alone is a hull that may touch something.
 """
@@ -26,7 +26,7 @@ WATER = 13
 """Numbers of the water, from ``current`` on to ``rate``."""
 
 
-class Coefficients(Mirror):
+class HullStruct(Mirror):
     """The struct of plant.c."""
 
     _fields_ = (
@@ -62,7 +62,7 @@ class Hull(Mirror):
     )
 
 
-STRUCTS = Coefficients, Hull
+STRUCTS = HullStruct, Hull
 
 
 class CompiledHull:
@@ -84,7 +84,7 @@ class CompiledHull:
         drives = [thruster.drive for thruster in thrusters]
         astern = [d.power_w_n15 if d.reverse_power_w_n15 is None else d.reverse_power_w_n15 for d in drives]
         inertia = [rigid + added for rigid, added in zip(body.inertia_kg_m2, body.added_inertia_kg_m2, strict=True)]
-        coefficients = Coefficients(
+        coefficients = HullStruct(
             mass=body.mass_kg,
             added=_Three(*body.added_mass_kg),
             inertia=_Three(*inertia),

@@ -14,7 +14,7 @@ from typing import TypeAlias
 from autopilot.core.shapes import is_inside
 from autopilot.core.toml_table import Vec2, Vec3
 from autopilot.sitl.moving import MovingPath
-from autopilot.sitl.tuned import CONTACT
+from autopilot.sitl.sitl_tuning import CONTACT
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -92,7 +92,7 @@ def _feet(polygon: Sequence[Vec2], x: float, y: float) -> list[tuple[float, floa
     return feet
 
 
-class Surroundings:
+class SolidSurroundings:
     """Everything solid round a hull of given size."""
 
     def __init__(

@@ -66,7 +66,7 @@ class AhrsAttitude(_Fault, frozen=True, kw_only=True, tag_field="kind", tag="ahr
     yaw_rad: Angle = 0.0
 
 
-class Lens(_Fault, frozen=True, kw_only=True, tag_field="kind", tag="lens"):
+class LensFault(_Fault, frozen=True, kw_only=True, tag_field="kind", tag="lens"):
     """The camera's focal length is not the calibrated one. The pose sensor's heights are off as a picture's."""
 
     focal_factor: Positive
@@ -172,7 +172,7 @@ class LinkLoss(_Fault, frozen=True, kw_only=True, tag_field="kind", tag="link_lo
     """The operator is neither heard nor reached."""
 
 
-class Pilot(_Fault, frozen=True, kw_only=True, tag_field="kind", tag="pilot"):
+class PilotFault(_Fault, frozen=True, kw_only=True, tag_field="kind", tag="pilot"):
     """The operator holds the sticks (MANUAL_CONTROL at 10 Hz) for that time, and then no more."""
 
 
@@ -228,7 +228,7 @@ class WatchdogEnded(_Fault, frozen=True, kw_only=True, tag_field="kind", tag="wa
 MachineFault: TypeAlias = SlowLoop | DiskFull | ClockJump | WatchdogEnded | LateCommands | SecondSender
 HullFault: TypeAlias = Leak | HullClimate
 Mishap: TypeAlias = Shove | Snag | BatterySag
-OperatorFault: TypeAlias = LinkLoss | Pilot
+OperatorFault: TypeAlias = LinkLoss | PilotFault
 PictureFault: TypeAlias = NearFrozen | Repeated | Delayed | Mirrored | HalfFrozen | Elsewhere | Reflection
 """Pictures that look right and are not of here and now."""
-SensorFault: TypeAlias = ImuOffset | ImuScale | ImuStuck | ImuClip | AhrsAttitude | Lens | Mounting | MarkersMoved
+SensorFault: TypeAlias = ImuOffset | ImuScale | ImuStuck | ImuClip | AhrsAttitude | LensFault | Mounting | MarkersMoved

@@ -20,7 +20,7 @@ from autopilot.core.marker_files import load_marker_map, placed_markers
 from autopilot.core.markers import ID_SPAN, MarkerMap, grid_floor
 from autopilot.core.toml_table import Vec2
 from autopilot.sitl.scenario_tables import LaidByHand, Scenario
-from autopilot.sitl.tuned import FLOOR
+from autopilot.sitl.sitl_tuning import FLOOR
 
 Image: TypeAlias = NDArray[np.uint8]
 

@@ -85,7 +85,7 @@ def _arrays(path: str) -> dict[str, Any]:
 
 
 class GridField:
-    """A :class:`autopilot.sitl.currents.CurrentField`."""
+    """A :class:`autopilot.sitl.current_fields.CurrentField`."""
 
     def __init__(self, grid: Grid) -> None:
         self._axes = grid.axes
@@ -99,7 +99,7 @@ class GridField:
         return False
 
     def velocity(self, pos_ned_m: Sequence[float], t_s: float) -> Vec3:
-        """See :class:`autopilot.sitl.currents.CurrentField`."""
+        """See :class:`autopilot.sitl.current_fields.CurrentField`."""
         f, g = self._shares(pos_ned_m)
         c = [
             (c00 * (1.0 - g) + c01 * g) * (1.0 - f) + (c10 * (1.0 - g) + c11 * g) * f
@@ -108,7 +108,7 @@ class GridField:
         return (c[0], c[1], c[2])
 
     def gradient(self, pos_ned_m: Sequence[float], t_s: float) -> tuple[float, float, float, float]:
-        """See :class:`autopilot.sitl.currents.CurrentField`; zero across a border that lies behind."""
+        """See :class:`autopilot.sitl.current_fields.CurrentField`; zero across a border that lies behind."""
         f, g = self._shares(pos_ned_m)
         spacing = [self._spacing(axis, pos_ned_m[axis - 2]) for axis in (2, 3)]
         rows = [
@@ -121,7 +121,7 @@ class GridField:
         return (*rows[0], *rows[1])
 
     def rate(self, pos_ned_m: Sequence[float], t_s: float) -> Vec3:
-        """See :class:`autopilot.sitl.currents.CurrentField`."""
+        """See :class:`autopilot.sitl.current_fields.CurrentField`."""
         per_s = self._spacing(0, t_s)
         if per_s == 0.0:
             return (0.0, 0.0, 0.0)

@@ -24,7 +24,7 @@ from autopilot.sitl.camera_feed import CameraFeed
 from autopilot.sitl.i2c_bus import EmulatedI2c, Pca9685Chip
 from autopilot.sitl.mjpeg import MjpegServer
 from autopilot.sitl.pty_line import PtyLine
-from autopilot.sitl.tuned import CAMERA_FEED
+from autopilot.sitl.sitl_tuning import CAMERA_FEED
 
 Wire = Literal["serial", "camera", "pwm"]
 """AHRS on a pseudo-terminal, pictures as a network stream, pulses through a PCA9685 on an emulated bus."""

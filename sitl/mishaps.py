@@ -13,7 +13,7 @@ Forces: TypeAlias = tuple[Vec3, Vec3]
 NONE: Forces = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
 
 
-class Mishaps:
+class ScheduledFaults:
     """The mishaps of a scenario, in time."""
 
     def __init__(self, mishaps: Iterable[Mishap]) -> None:

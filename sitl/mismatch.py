@@ -9,7 +9,7 @@ from collections.abc import Mapping
 import msgspec
 
 from autopilot.core.errors import ConfigError
-from autopilot.core.thrusters import Drive, ThrustCurve
+from autopilot.core.thrusters import ThrustCurve, ThrusterDrive
 from autopilot.core.toml_table import Vec3
 from autopilot.core.vehicle import Body, Vehicle
 
@@ -115,7 +115,7 @@ def _body(body: Body, factors: Mapping[str, float], where: str) -> Body:
     )
 
 
-def _drive(drive: Drive, factors: Mapping[str, float]) -> Drive:
+def _drive(drive: ThrusterDrive, factors: Mapping[str, float]) -> ThrusterDrive:
     """The drive with its factors applied."""
     thrust, deadband = factors.get("thrust", 1.0), factors.get("deadband", 1.0)
     power, reverse = factors.get("power", 1.0), drive.reverse_power_w_n15
@@ -134,7 +134,7 @@ def _drive(drive: Drive, factors: Mapping[str, float]) -> Drive:
     )
 
 
-def _curve(curve: ThrustCurve, drive: Drive, thrust: float, deadband: float) -> ThrustCurve:
+def _curve(curve: ThrustCurve, drive: ThrusterDrive, thrust: float, deadband: float) -> ThrustCurve:
     """A curve with its thrust times a factor and its band without thrust times another; full pulses stay full."""
     still = [pulse for pulse, force in zip(curve.pulse_us, curve.thrust_n, strict=True) if force == 0.0]
     points: dict[int, float] = {}

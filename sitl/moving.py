@@ -10,7 +10,7 @@ from autopilot.core.toml_table import Vec2
 Ends: TypeAlias = Literal["bounce", "loop", "stop"]
 
 
-class Motion(NamedTuple):
+class MotionSample(NamedTuple):
     """Position and velocity at one time."""
 
     center_ned_m: Vec2
@@ -34,13 +34,13 @@ class MovingPath:
         self._ends, self._start_s = ends, start_s
         self.speed_m_s = speed_m_s
 
-    def at(self, t_s: float) -> Motion:
+    def at(self, t_s: float) -> MotionSample:
         """Where it is and how it moves at a time."""
         travelled, speed = self.speed_m_s * (t_s - self._start_s), self.speed_m_s
         if travelled < 0.0:
-            return Motion(self._legs[0][1], (0.0, 0.0))
+            return MotionSample(self._legs[0][1], (0.0, 0.0))
         if self._ends == "stop" and travelled >= self._length_m:
-            return Motion(self._end, (0.0, 0.0))
+            return MotionSample(self._end, (0.0, 0.0))
         if self._ends == "loop":
             travelled %= self._length_m
         elif self._ends == "bounce":
@@ -49,4 +49,4 @@ class MovingPath:
                 travelled, speed = 2.0 * self._length_m - travelled, -speed
         begin, (ax, ay), (dx, dy) = next(leg for leg in reversed(self._legs) if leg[0] <= travelled)
         along = travelled - begin
-        return Motion((ax + along * dx, ay + along * dy), (speed * dx, speed * dy))
+        return MotionSample((ax + along * dx, ay + along * dy), (speed * dx, speed * dy))

@@ -11,11 +11,11 @@ import numpy as np
 
 from autopilot.core.samples import ObstacleTrack
 from autopilot.sitl.delayed import DelayedSensor
-from autopilot.sitl.moving import Motion, MovingPath
+from autopilot.sitl.environment import moving_path
+from autopilot.sitl.moving import MotionSample, MovingPath
 from autopilot.sitl.plant import Truth
 from autopilot.sitl.scenario_tables import CylinderObstacle, MovingObstacle, Obstacle
 from autopilot.sitl.sensor_tables import ObstacleSensor
-from autopilot.sitl.world import moving_path
 
 
 class SimObstacleSensor(DelayedSensor[ObstacleTrack]):
@@ -25,12 +25,12 @@ class SimObstacleSensor(DelayedSensor[ObstacleTrack]):
         super().__init__(sensor.rate_hz, sensor.latency_s)
         self._sensor = sensor
         self._rng = np.random.default_rng((seed, 30))
-        self._seen: list[tuple[int, MovingPath | Motion, float]] = []
+        self._seen: list[tuple[int, MovingPath | MotionSample, float]] = []
         for number, obstacle in enumerate(obstacles, start=1):
             if isinstance(obstacle, MovingObstacle):
                 self._seen.append((number, moving_path(obstacle), obstacle.radius_m))
             elif isinstance(obstacle, CylinderObstacle) and obstacle.surprise:
-                self._seen.append((number, Motion(obstacle.center_m, (0.0, 0.0)), obstacle.radius_m))
+                self._seen.append((number, MotionSample(obstacle.center_m, (0.0, 0.0)), obstacle.radius_m))
 
     @property
     def blind(self) -> bool:
@@ -40,7 +40,7 @@ class SimObstacleSensor(DelayedSensor[ObstacleTrack]):
     def put(self, number: int, north_m: float, east_m: float, radius_m: float) -> None:
         """An obstacle stands elsewhere than where it was known to be: from now on it is reported."""
         self._seen = [seen for seen in self._seen if seen[0] != number]
-        self._seen.append((number, Motion((north_m, east_m), (0.0, 0.0)), radius_m))
+        self._seen.append((number, MotionSample((north_m, east_m), (0.0, 0.0)), radius_m))
 
     def begin(self, t_us: int) -> None:
         """Look from then on: so far there was nothing to be seen."""

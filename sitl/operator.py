@@ -7,9 +7,9 @@ whole mission is reproducible bit for bit.
 from collections.abc import Iterable, Sequence
 from typing import Any
 
-from autopilot.sitl.fault_tables import LinkLoss, Pilot
+from autopilot.sitl.fault_tables import LinkLoss, PilotFault
 from autopilot.sitl.scenario_tables import Fault
-from autopilot.sitl.tuned import OPERATOR
+from autopilot.sitl.sitl_tuning import OPERATOR
 
 
 class ScriptedOperator:
@@ -24,7 +24,7 @@ class ScriptedOperator:
         self._target = target_system
         faults = list(faults)
         self._lost = [fault for fault in faults if isinstance(fault, LinkLoss)]
-        self._steers = [fault for fault in faults if isinstance(fault, Pilot)]
+        self._steers = [fault for fault in faults if isinstance(fault, PilotFault)]
         self._todo = [(OPERATOR.arm, 1.0), (OPERATOR.start, 0.0)]
         self._sent_us: int | None = None
         self._heartbeat_us = -OPERATOR.heartbeat_us

@@ -18,19 +18,19 @@ from autopilot.core.frames import FloatArray, quat_from_rpy
 from autopilot.core.messages import MAX_THRUSTERS
 from autopilot.core.toml_table import Vec2, Vec3
 from autopilot.core.vehicle import Vehicle
-from autopilot.sitl.battery import Battery
+from autopilot.sitl.battery import SimulatedBattery
 from autopilot.sitl.compiled_hull import STRUCTS, CompiledHull
-from autopilot.sitl.contact import ContactLog, ContactRecord, Cylinder, Prism, Sphere, Surroundings, moved_to
-from autopilot.sitl.currents import WithFlow
+from autopilot.sitl.contact import ContactLog, ContactRecord, Cylinder, Prism, SolidSurroundings, Sphere, moved_to
+from autopilot.sitl.current_fields import WithFlow
+from autopilot.sitl.environment import SimulatedWaters, build_world
 from autopilot.sitl.fault_tables import BatterySag, Mishap, Shove, Snag
-from autopilot.sitl.mishaps import Mishaps
+from autopilot.sitl.mishaps import ScheduledFaults
 from autopilot.sitl.mismatch import mismatched
 from autopilot.sitl.rigid_body import ForceNed, State, Water, Wrench, make_derivative, rk4_step
 from autopilot.sitl.scenario_tables import Scenario, ThrusterLoss
+from autopilot.sitl.sitl_tuning import CONTACT, PLANT
 from autopilot.sitl.tether import make_tether
-from autopilot.sitl.thrusters import Thrusters, wrench_of
-from autopilot.sitl.tuned import CONTACT, PLANT
-from autopilot.sitl.world import World, build_world
+from autopilot.sitl.thruster_models import Thrusters, wrench_of
 
 Push: TypeAlias = tuple[float, float, float, float, float, float]
 """Force [N] and moment [N m] in the body frame."""
@@ -94,7 +94,7 @@ class Plant:
     def __init__(
         self,
         vehicle: Vehicle,
-        world: World,
+        world: SimulatedWaters,
         *,
         start_pos_ned_m: Sequence[float],
         start_rpy_rad: Sequence[float] = PLANT.zero,
@@ -129,7 +129,7 @@ class Plant:
         )
         entry = world.tether_entry_ned_m
         self._tether = None if entry is None else make_tether(self._vehicle.tether, entry)
-        self._surroundings = Surroundings(
+        self._surroundings = SolidSurroundings(
             polygon_ned_m=world.polygon_ned_m,
             floor_m=world.floor_m,
             solids=world.solids,
@@ -156,10 +156,10 @@ class Plant:
         self._masses = (*mass, *inertia)
         self._external: Wrench = (0.0,) * 9
         self._instant: _Instant | None = None
-        self._battery = Battery(self._vehicle.battery)
+        self._battery = SimulatedBattery(self._vehicle.battery)
         self._power_w = self._vehicle.hotel_power_w
         self._battery.load(self._power_w)
-        self._mishaps = Mishaps(mishaps)
+        self._mishaps = ScheduledFaults(mishaps)
 
     # What happens.
 
@@ -249,7 +249,7 @@ class Plant:
         if not 1 <= number <= len(solids):
             raise ConfigError(f"obstacle {number} does not exist; there are {len(solids)}")
         before = self._surroundings.touches(self._state[:3])
-        trial = Surroundings(
+        trial = SolidSurroundings(
             polygon_ned_m=None,
             floor_m=None,
             solids=[moved_to(solids[number - 1], north_m, east_m)],

@@ -17,7 +17,7 @@ from autopilot.sitl.plant import Truth
 from autopilot.sitl.scenario_tables import Fault
 from autopilot.sitl.sensor_faults import OpticalFaults
 from autopilot.sitl.sensor_tables import LaserSensor, PoseSensor
-from autopilot.sitl.tuned import POSE_SENSOR
+from autopilot.sitl.sitl_tuning import POSE_SENSOR
 
 
 class SimPoseSensor(LossySensor[PoseSample | LaserSample]):

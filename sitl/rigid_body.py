@@ -22,7 +22,7 @@ from typing import NamedTuple, TypeAlias
 
 from autopilot.core.toml_table import Vec3
 from autopilot.core.vehicle import Body
-from autopilot.sitl.currents import Gradient
+from autopilot.sitl.current_fields import Gradient
 
 State: TypeAlias = list[float]
 Wrench: TypeAlias = tuple[float, float, float, float, float, float, float, float, float]

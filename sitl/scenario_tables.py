@@ -36,7 +36,7 @@ class Header(Table, frozen=True, kw_only=True):
     """The plan's fence is drawn from this file's tank and obstacles; None = it is the plan's own."""
 
 
-class Origin(Table, frozen=True, kw_only=True):
+class OriginSection(Table, frozen=True, kw_only=True):
     """``[origin]``: where the local frame lies on the earth. Default: the campus of NTU Athens, the paper's authors."""
 
     lat_deg: Latitude = 37.9755
@@ -125,7 +125,7 @@ class MovingObstacle(Table, frozen=True, kw_only=True, tag_field="kind", tag="mo
 Obstacle: TypeAlias = CylinderObstacle | SphereObstacle | PrismObstacle | MovingObstacle
 
 
-class NoCurrent(Table, frozen=True, kw_only=True, tag_field="kind", tag="none"):
+class NoCurrentTable(Table, frozen=True, kw_only=True, tag_field="kind", tag="none"):
     """Still water."""
 
 
@@ -190,7 +190,14 @@ class GridCurrent(Table, frozen=True, kw_only=True, tag_field="kind", tag="grid"
 
 
 Current: TypeAlias = (
-    NoCurrent | UniformCurrent | JetCurrent | VortexCurrent | ShearCurrent | BickleyCurrent | GyreCurrent | GridCurrent
+    NoCurrentTable
+    | UniformCurrent
+    | JetCurrent
+    | VortexCurrent
+    | ShearCurrent
+    | BickleyCurrent
+    | GyreCurrent
+    | GridCurrent
 )
 
 
@@ -270,7 +277,7 @@ class Markers(Table, frozen=True, kw_only=True):
             raise ValueError(f"`size_m` = {self.size_m:g} must be smaller than `pitch_m` = {self.pitch_m:g}")
 
 
-class Controller(Table, frozen=True, kw_only=True):
+class ControllerTable(Table, frozen=True, kw_only=True):
     """``[controller]``: what the vehicle is told."""
 
     currents: Literal["estimate", "map", "none", "uniform"] = "estimate"
@@ -383,7 +390,7 @@ class Accept(Table, frozen=True, kw_only=True):
             )
 
 
-class Spread(Table, frozen=True, kw_only=True):
+class SpreadTable(Table, frozen=True, kw_only=True):
     """One entry of ``[spread]``: what a campaign draws for a key of the scenario, evenly distributed."""
 
     low: float | None = None
@@ -405,20 +412,20 @@ class Scenario(Table, frozen=True, kw_only=True):
     """One scenario file."""
 
     scenario: Header
-    origin: Origin = Origin()
+    origin: OriginSection = OriginSection()
     tank: Tank | None = None
     obstacle: list[Obstacle] = msgspec.field(default_factory=list)
-    current: Current = NoCurrent()
+    current: Current = NoCurrentTable()
     waves: Waves | None = None
     vehicle: VehicleStart
     sensors: Sensors = Sensors()
     camera: CameraLook = CameraLook()
     markers: Markers = Markers()
-    controller: Controller = Controller()
+    controller: ControllerTable = ControllerTable()
     plugins: Plugins = Plugins()
     fault: list[Fault] = msgspec.field(default_factory=list)
     params: dict[str, float] = msgspec.field(default_factory=dict)
     """Parameters of the vehicle that this scenario is flown with (``[params]``); saved ones and ``--param`` win."""
     accept: Accept = Accept()
-    spread: dict[str, Spread] = msgspec.field(default_factory=dict)
+    spread: dict[str, SpreadTable] = msgspec.field(default_factory=dict)
     """Key of this file ("vehicle.mismatch.drag", "fault[0].at_s") -> what a campaign draws for it."""

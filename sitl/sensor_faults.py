@@ -13,7 +13,7 @@ from autopilot.sitl.fault_tables import (
     ImuOffset,
     ImuScale,
     ImuStuck,
-    Lens,
+    LensFault,
     MarkersMoved,
     Mounting,
 )
@@ -65,11 +65,11 @@ class OpticalFaults:
     """Faults of lens, mounting and markers."""
 
     def __init__(self, faults: Iterable[Fault]) -> None:
-        self._faults = [fault for fault in faults if isinstance(fault, Lens | Mounting | MarkersMoved)]
+        self._faults = [fault for fault in faults if isinstance(fault, LensFault | Mounting | MarkersMoved)]
 
-    def camera_at(self, t_us: int) -> tuple[Lens | Mounting, ...]:
+    def camera_at(self, t_us: int) -> tuple[LensFault | Mounting, ...]:
         """Faults of the camera itself that hold then."""
-        return tuple(f for f in self._faults if isinstance(f, Lens | Mounting) and f.holds(t_us))
+        return tuple(f for f in self._faults if isinstance(f, LensFault | Mounting) and f.holds(t_us))
 
     def seen(self, truth: Truth) -> Truth:
         """Where the vehicle would be if the markers, as they lie now, were where the map says."""
@@ -92,7 +92,7 @@ class OpticalFaults:
         position, yaw = truth.pos_ned_m, float(truth.rpy_rad[2])
         for fault in self.camera_at(truth.t_us):
             r = r_ned_from_frd(truth.rpy_rad)
-            if isinstance(fault, Lens):
+            if isinstance(fault, LensFault):
                 if floor_depth_m is not None:
                     height_m = floor_depth_m - float(position[2] + r[2] @ camera_frd_m)
                     position = position + np.array([0.0, 0.0, height_m * (1.0 - 1.0 / fault.focal_factor)])

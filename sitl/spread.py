@@ -14,7 +14,7 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from autopilot.core.errors import ConfigError
-from autopilot.sitl.scenario_tables import Spread
+from autopilot.sitl.scenario_tables import SpreadTable
 
 Tables: TypeAlias = dict[str, Any]
 """A scenario file as TOML reads it."""
@@ -33,7 +33,7 @@ def run_seed(seed: int, run: int) -> int:
     return RUN_SEEDS * seed + run
 
 
-def drawn_values(spread: Mapping[str, Spread], seed: int, run: int) -> dict[str, float | str]:
+def drawn_values(spread: Mapping[str, SpreadTable], seed: int, run: int) -> dict[str, float | str]:
     """Key -> value of run ``run`` (from 0) of the campaign with that seed."""
     values: dict[str, float | str] = {}
     for path, entry in spread.items():
@@ -45,7 +45,7 @@ def drawn_values(spread: Mapping[str, Spread], seed: int, run: int) -> dict[str,
     return values
 
 
-def drawn_tables(tables: Tables, spread: Mapping[str, Spread], seed: int, run: int) -> Tables:
+def drawn_tables(tables: Tables, spread: Mapping[str, SpreadTable], seed: int, run: int) -> Tables:
     """The scenario of one run: values drawn and put in, its seed set, nothing left to draw."""
     result = _world(tables)
     for path, value in drawn_values(spread, seed, run).items():
@@ -55,7 +55,7 @@ def drawn_tables(tables: Tables, spread: Mapping[str, Spread], seed: int, run: i
 
 
 def check_spread(
-    tables: Tables, spread: Mapping[str, Spread], check: Callable[[Tables, str], object], origin: str
+    tables: Tables, spread: Mapping[str, SpreadTable], check: Callable[[Tables, str], object], origin: str
 ) -> None:
     """ConfigError that names the key if one of its values gives no valid scenario; ``check`` judges a whole one."""
     for path, entry in spread.items():

@@ -23,9 +23,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from autopilot.core.toml_table import Vec3
-from autopilot.sitl.currents import CurrentField, Gradient
+from autopilot.sitl.current_fields import CurrentField, Gradient
 from autopilot.sitl.scenario_tables import Waves
-from autopilot.sitl.tuned import WAVES
+from autopilot.sitl.sitl_tuning import WAVES
 
 
 def wave_number(omega_rad_s: float, depth_m: float) -> float:
@@ -117,7 +117,7 @@ class WaveTrain:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class WithWaves:
-    """A current with waves on it: a :class:`autopilot.sitl.currents.CurrentField`."""
+    """A current with waves on it: a :class:`autopilot.sitl.current_fields.CurrentField`."""
 
     field: CurrentField
     waves: WaveTrain
@@ -128,7 +128,7 @@ class WithWaves:
         return False
 
     def velocity(self, pos_ned_m: Sequence[float], t_s: float) -> Vec3:
-        """See :class:`autopilot.sitl.currents.CurrentField`."""
+        """See :class:`autopilot.sitl.current_fields.CurrentField`."""
         n, e, d = self.field.velocity(pos_ned_m, t_s)
         for each in self.waves.components:
             vn, ve, vd = each.velocity(pos_ned_m, t_s)
@@ -136,7 +136,7 @@ class WithWaves:
         return (n, e, d)
 
     def gradient(self, pos_ned_m: Sequence[float], t_s: float) -> Gradient:
-        """See :class:`autopilot.sitl.currents.CurrentField`."""
+        """See :class:`autopilot.sitl.current_fields.CurrentField`."""
         nn, ne, en, ee = self.field.gradient(pos_ned_m, t_s)
         for each in self.waves.components:
             a, b, c, d = each.gradient(pos_ned_m, t_s)
@@ -144,7 +144,7 @@ class WithWaves:
         return (nn, ne, en, ee)
 
     def rate(self, pos_ned_m: Sequence[float], t_s: float) -> Vec3:
-        """See :class:`autopilot.sitl.currents.CurrentField`."""
+        """See :class:`autopilot.sitl.current_fields.CurrentField`."""
         n, e, d = self.field.rate(pos_ned_m, t_s)
         for each in self.waves.components:
             vn, ve, vd = each.rate(pos_ned_m, t_s)

@@ -52,7 +52,7 @@ def keepers_of(pid: int) -> list[int]:
             parent = int((folder / "stat").read_text().rsplit(")", 1)[1].split()[1])
         except OSError:
             continue
-        if parent == pid and b"autopilot.drivers.keeper" in command and not gone(int(folder.name)):
+        if parent == pid and b"autopilot.drivers.watchdog" in command and not gone(int(folder.name)):
             found.append(int(folder.name))
     return found
 

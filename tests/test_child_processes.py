@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 from hostile_folder import imported_from, make_hostile
 
-from autopilot.campaign.store import read_results
+from autopilot.campaign.run_store import read_results
 from autopilot.mission.paper import paper_plan
 from autopilot.mission.plan_files import write_plan
 from autopilot.sitl.scenario import scenario_path
@@ -41,11 +41,11 @@ PLACES: dict[tuple[str, str], str] = {
     ("autopilot/run/provenance.py", "_git"): "git",
     ("docs/browser.py", "page"): "bash",
     ("docs/lines.py", "count"): "git",
-    ("docs/pictures.py", "drawn"): "ours",
-    ("docs/pictures.py", "reported"): "ours",
+    ("docs/page_pictures.py", "drawn"): "ours",
+    ("docs/page_pictures.py", "reported"): "ours",
     ("docs/view_picture.py", "drawn"): "node",
     ("docs/viewed_flight.py", "viewed_flight"): "ours",
-    ("drivers/keeper_process.py", "_start"): "ours",
+    ("drivers/watchdog_process.py", "_start"): "ours",
 }
 """File and function -> what is started: Python by a command of ours, a library's pool of processes, another program.
 What :class:`autopilot.run.children.Child` is given is looked at where it is made."""

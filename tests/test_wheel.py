@@ -15,7 +15,7 @@ import pytest
 from hostile_folder import imported_from, make_hostile
 from pwm_vehicle import PwmVehicle, gone, keepers_of, until
 
-from autopilot.cli.output import EXIT_LOSS
+from autopilot.cli.console_output import EXIT_LOSS
 from autopilot.core.extras import ANALYSIS
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -90,7 +90,7 @@ def test_a_built_wheel_holds_every_module_and_data_file(wheel: Path) -> None:
     held = set(zipfile.ZipFile(wheel).namelist())
     modules = {path for package in packages() for path in package.rglob("*.py")}
     assert {str(path.relative_to(ROOT)) for path in data_files() | modules} <= held
-    assert {"autopilot/py.typed", "autopilot/sitl/scenarios/paper-tank.toml", "autopilot/drivers/keeper.py"} <= held
+    assert {"autopilot/py.typed", "autopilot/sitl/scenarios/paper-tank.toml", "autopilot/drivers/watchdog.py"} <= held
 
 
 @needs_setuptools

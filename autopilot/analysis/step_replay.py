@@ -20,7 +20,7 @@ from autopilot.core.messages import ControlOutput, Goal
 from autopilot.core.model4 import R, U, V, W, Z
 from autopilot.core.shapes import clearance_m
 from autopilot.log.reader import Log
-from autopilot.replay.service import Rerun
+from autopilot.replay.service_replay import Rerun
 
 MOST_ROUNDS = 8
 """Of IPOPT, each with the half-planes of the plan before."""

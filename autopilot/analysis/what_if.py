@@ -18,9 +18,9 @@ from autopilot.analysis.flight_figures import Moved, figures_of, moved
 from autopilot.core.errors import ConfigError, LogError
 from autopilot.core.params import ParamSet
 from autopilot.log.reader import Log, open_log
-from autopilot.record.service import ServiceRecord, read_record
-from autopilot.replay.service import replay_service
+from autopilot.record.service_setup import ServiceRecord, read_record
 from autopilot.replay.service_inputs import ServiceInputs
+from autopilot.replay.service_replay import replay_service
 from autopilot.run.config import gather, sitl_defaults
 from autopilot.run.sitl_console import RunWatch
 from autopilot.run.sitl_session import open_sitl

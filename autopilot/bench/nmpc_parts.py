@@ -29,7 +29,7 @@ PARTS: tuple[tuple[str, type, tuple[str, ...]], ...] = (
 """Name and the calls that make it up; none of them calls another one's."""
 
 
-class Stopwatch:
+class PartTimer:
     """CPU time per part and step."""
 
     def __init__(self, cpu_clock: Callable[[], float]) -> None:
@@ -60,7 +60,7 @@ class Stopwatch:
 
 
 @contextmanager
-def watched(watch: Stopwatch) -> Iterator[None]:
+def watched(watch: PartTimer) -> Iterator[None]:
     """Every part is timed as long as this lasts."""
     before = [(owner, call, getattr(owner, call), name) for name, owner, calls in PARTS for call in calls]
     for owner, call, own, name in before:
@@ -80,7 +80,7 @@ def parts_of(
     cpu_clock: Callable[[], float] = time.thread_time,
 ) -> tuple[LoopFlight, dict[str, float]]:
     """A flight, and the median seconds of every part in the steps that solve one QP."""
-    watch, kept = Stopwatch(cpu_clock), list[bool]()
+    watch, kept = PartTimer(cpu_clock), list[bool]()
 
     def each(step: int, output: ControlOutput) -> None:
         watch.lap()

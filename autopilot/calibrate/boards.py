@@ -10,7 +10,7 @@ from typing import Any, Literal
 import cv2
 import numpy as np
 
-from autopilot.calibrate.tuned import BOARDS
+from autopilot.calibrate.calibrate_tuning import BOARDS
 from autopilot.core.dictionaries import opencv_dictionary, resolve_dictionary
 from autopilot.core.errors import ConfigError
 from autopilot.core.frames import FloatArray
@@ -60,7 +60,7 @@ def parse_shape(text: str) -> tuple[int, int]:
     return int(columns), int(rows)
 
 
-class Board:
+class CalibrationBoard:
     """A board that can be found in images."""
 
     def __init__(self, spec: BoardSpec) -> None:

@@ -7,11 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from autopilot.calibrate.flight import CameraFlight
+from autopilot.calibrate.calibrate_tuning import EXTRINSICS, MOTION_FIT
 from autopilot.calibrate.gyro_path import GyroPath
 from autopilot.calibrate.least_squares import covariance, huber_weights, robust_sigma, solve_weighted
 from autopilot.calibrate.motion_fit import MotionFit
-from autopilot.calibrate.tuned import EXTRINSICS, MOTION_FIT
+from autopilot.calibrate.recorded_flight import CameraFlight
 from autopilot.core.camera import R_FRD_FROM_CAM
 from autopilot.core.errors import LogError
 from autopilot.core.frames import FloatArray, rpy_from_r

@@ -3,7 +3,7 @@
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from autopilot.calibrate.flight import Ahrs
+from autopilot.calibrate.recorded_flight import RecordedAhrs
 from autopilot.core.frames import FloatArray
 
 MAX_GAP_S = 0.1
@@ -13,7 +13,7 @@ MAX_GAP_S = 0.1
 class GyroPath:
     """Attitude against the first sample."""
 
-    def __init__(self, ahrs: Ahrs, bias_rad_s: FloatArray) -> None:
+    def __init__(self, ahrs: RecordedAhrs, bias_rad_s: FloatArray) -> None:
         """``bias_rad_s`` (3,) is taken off the gyros; later is too late, for it turns with the vehicle."""
         self._t_s = ahrs.t_s
         self._rate = ahrs.rate_frd_rad_s - bias_rad_s

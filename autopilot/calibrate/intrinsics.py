@@ -8,8 +8,8 @@ from typing import Any
 import cv2
 import numpy as np
 
-from autopilot.calibrate.tuned import INTRINSICS
-from autopilot.calibrate.views import View, Views
+from autopilot.calibrate.calibrate_tuning import INTRINSICS
+from autopilot.calibrate.views import BoardView, Views
 from autopilot.core.errors import ConfigError
 from autopilot.core.frames import FloatArray
 from autopilot.core.vehicle import Camera
@@ -30,7 +30,7 @@ class Intrinsics:
     sigma: FloatArray
     """(9,) standard deviations."""
     rms_px: float
-    views: tuple[View, ...]
+    views: tuple[BoardView, ...]
     """Those that were used."""
     residual_px: tuple[FloatArray, ...]
     """Per view (n, 2): found minus projected."""
@@ -111,7 +111,7 @@ def _fit_with_focal(found: Views, result: Intrinsics, factor: float, fix_k3: boo
     return float(rms) ** 2 * sum(len(view.pixels) for view in result.views)
 
 
-def _fit(found: Views, views: list[View], left_out: tuple[tuple[str, str], ...], fix_k3: bool) -> Intrinsics:
+def _fit(found: Views, views: list[BoardView], left_out: tuple[tuple[str, str], ...], fix_k3: bool) -> Intrinsics:
     flags = cv2.CALIB_FIX_K3 if fix_k3 else 0
     size = (found.width_px, found.height_px)
     points: Any = [view.points_m.astype(np.float32).reshape(-1, 1, 3) for view in views]

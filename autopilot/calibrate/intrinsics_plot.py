@@ -6,8 +6,8 @@ from pathlib import Path
 import matplotlib
 import numpy as np
 
+from autopilot.calibrate.calibrate_tuning import INTRINSICS
 from autopilot.calibrate.intrinsics import Coverage, Intrinsics
-from autopilot.calibrate.tuned import INTRINSICS
 
 ARROW_PX = 12.0
 """A residual of the size of the rms is drawn about so long."""

@@ -1,6 +1,6 @@
 """Green dots anywhere in a picture, for a laser of which nothing is known yet.
 
-The detector that flies (:mod:`autopilot.estimator.laser_dot`) looks along the calibrated beam only.
+The detector that flies (:mod:`autopilot.estimator.laser_detector`) looks along the calibrated beam only.
 """
 
 from pathlib import Path
@@ -9,10 +9,10 @@ from typing import Any
 import cv2
 import numpy as np
 
-from autopilot.calibrate.boards import Board
-from autopilot.calibrate.flight import CameraFlight
+from autopilot.calibrate.boards import CalibrationBoard
+from autopilot.calibrate.calibrate_tuning import LASER_DOTS
 from autopilot.calibrate.laser_fit import Dots, floor_depths
-from autopilot.calibrate.tuned import LASER_DOTS
+from autopilot.calibrate.recorded_flight import CameraFlight
 from autopilot.calibrate.views import image_files, read_images
 from autopilot.core.camera import CameraModel
 from autopilot.core.errors import ConfigError, LogError
@@ -102,7 +102,7 @@ def picture_dots(log: Log, flight: CameraFlight) -> Dots:
     return _joined(parts)
 
 
-def board_dots(board: Board, camera: CameraModel, folder: Path) -> Dots:
+def board_dots(board: CalibrationBoard, camera: CameraModel, folder: Path) -> Dots:
     """Dots on a calibration board in colour pictures from different distances. ConfigError if the sizes do not fit."""
     if camera.port is not None or camera.fisheye:
         raise ConfigError('calibration from pictures needs camera.model = "pinhole"; use a log instead')

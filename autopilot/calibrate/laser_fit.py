@@ -11,8 +11,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from autopilot.calibrate.calibrate_tuning import LASER_FIT
 from autopilot.calibrate.least_squares import covariance, huber_weights, robust_sigma, solve_weighted
-from autopilot.calibrate.tuned import LASER_FIT
 from autopilot.core.camera import CameraModel
 from autopilot.core.errors import LogError
 from autopilot.core.frames import FloatArray

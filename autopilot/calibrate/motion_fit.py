@@ -15,10 +15,10 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from autopilot.calibrate.flight import CameraFlight
+from autopilot.calibrate.calibrate_tuning import MOTION_FIT
 from autopilot.calibrate.gyro_path import GyroPath
 from autopilot.calibrate.least_squares import covariance, huber_weights, robust_sigma, solve_weighted
-from autopilot.calibrate.tuned import MOTION_FIT
+from autopilot.calibrate.recorded_flight import CameraFlight
 from autopilot.core.errors import LogError
 from autopilot.core.frames import FloatArray
 

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from autopilot.calibrate.tuned import POSE_FIT
+from autopilot.calibrate.calibrate_tuning import POSE_FIT
 from autopilot.core.camera import CameraModel
 from autopilot.core.frames import FloatArray
 from autopilot.core.robust import PLANAR_MEDIAN

@@ -15,10 +15,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from autopilot.calibrate.tuned import THRUST_CURVE
+from autopilot.calibrate.calibrate_tuning import THRUST_CURVE
 from autopilot.core.errors import ConfigError
 from autopilot.core.frames import FloatArray
-from autopilot.core.thrusters import Drive, ThrustCurve
+from autopilot.core.thrusters import ThrustCurve, ThrusterDrive
 
 COLUMNS = ("pulse_us", "thrust_n", "supply_v")
 
@@ -95,7 +95,7 @@ def _number(path: Path, line: int, name: str, text: str | None) -> float:
     return value
 
 
-def fit_brushed(readings: Readings, drive: Drive, origin: str) -> BrushedFit:
+def fit_brushed(readings: Readings, drive: ThrusterDrive, origin: str) -> BrushedFit:
     """The three numbers of a brushed drive. ConfigError if the readings do not tell them."""
     duty = np.clip((readings.pulse_us - drive.neutral_us) / drive.span_us, -1.0, 1.0)
     moving = np.abs(readings.thrust_n) > THRUST_CURVE.still_share * float(np.abs(readings.thrust_n).max())
@@ -121,7 +121,7 @@ def fit_brushed(readings: Readings, drive: Drive, origin: str) -> BrushedFit:
     )
 
 
-def fit_curves(readings: Readings, drive: Drive, origin: str) -> CurveFit:
+def fit_curves(readings: Readings, drive: ThrusterDrive, origin: str) -> CurveFit:
     """One monotonic curve per supply voltage. ConfigError if the readings do not cover what the drive may ask for."""
     curves, left = [], []
     order = np.argsort(readings.supply_v, kind="stable")
@@ -171,7 +171,7 @@ def curves_text(curves: Sequence[ThrustCurve]) -> str:
     )
 
 
-def _right_way(readings: Readings, moving: NDArray[np.bool_], drive: Drive, origin: str) -> None:
+def _right_way(readings: Readings, moving: NDArray[np.bool_], drive: ThrusterDrive, origin: str) -> None:
     """ConfigError if most of what pushes pushes the wrong way: the cell or the thruster is the other way round."""
     sides = np.sign(readings.pulse_us - drive.neutral_us) * np.sign(readings.thrust_n) * moving
     if (sides < 0).sum() > (sides > 0).sum():

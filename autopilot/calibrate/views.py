@@ -8,8 +8,8 @@ from typing import Any
 import cv2
 import numpy as np
 
-from autopilot.calibrate.boards import Board
-from autopilot.calibrate.tuned import VIEWS
+from autopilot.calibrate.boards import CalibrationBoard
+from autopilot.calibrate.calibrate_tuning import VIEWS
 from autopilot.core.errors import ConfigError, DriverError
 from autopilot.core.frames import FloatArray
 
@@ -17,7 +17,7 @@ SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".pgm", ".webp")
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class View:
+class BoardView:
     """One image of the board."""
 
     name: str
@@ -33,7 +33,7 @@ class Views:
 
     width_px: int
     height_px: int
-    views: tuple[View, ...]
+    views: tuple[BoardView, ...]
     left_out: tuple[tuple[str, str], ...]
     """Image and why."""
 
@@ -55,7 +55,7 @@ def read_images(files: Iterable[Path], flag: int = cv2.IMREAD_GRAYSCALE) -> Iter
         yield path.name, cv2.imread(str(path), flag)
 
 
-def collect_views(board: Board, images: Iterable[tuple[str, Any]], origin: str) -> Views:
+def collect_views(board: CalibrationBoard, images: Iterable[tuple[str, Any]], origin: str) -> Views:
     """Find the board in images. ConfigError if their sizes differ or no image shows the board."""
     size: tuple[int, int] | None = None
     first = ""
@@ -76,7 +76,7 @@ def collect_views(board: Board, images: Iterable[tuple[str, Any]], origin: str) 
         if found is None:
             left_out.append((name, "board not found"))
         else:
-            views.append(View(name=name, points_m=found[0], pixels=found[1]))
+            views.append(BoardView(name=name, points_m=found[0], pixels=found[1]))
     if size is None or not views:
         words = "" if board.spec.kind == "chessboard" else f" {board.spec.dictionary}"
         shape = f"{board.spec.kind} {board.spec.columns}x{board.spec.rows}{words}"
@@ -87,7 +87,7 @@ def collect_views(board: Board, images: Iterable[tuple[str, Any]], origin: str) 
     return Views(width_px=size[0], height_px=size[1], views=tuple(views), left_out=tuple(left_out))
 
 
-def live_images(board: Board, source: str, wanted: int, folder: Path | None) -> Iterable[tuple[str, Any]]:
+def live_images(board: CalibrationBoard, source: str, wanted: int, folder: Path | None) -> Iterable[tuple[str, Any]]:
     """Different, unblurred views from a V4L2 device (``/dev/video0``) or a film; saved into ``folder`` if given.
 
     DriverError if it cannot be opened."""
@@ -119,7 +119,7 @@ def live_images(board: Board, source: str, wanted: int, folder: Path | None) -> 
         capture.release()
 
 
-def _place(board: Board, points_m: FloatArray, pixels: FloatArray) -> FloatArray | None:
+def _place(board: CalibrationBoard, points_m: FloatArray, pixels: FloatArray) -> FloatArray | None:
     """Pixels (4, 2) of the board's four corners by a homography, None if it is degenerate."""
     matrix, _ = cv2.findHomography(points_m[:, :2], pixels)
     if matrix is None:

@@ -15,7 +15,7 @@ from autopilot.control.protocol import ControllerContext
 from autopilot.core.frames import FloatArray
 from autopilot.core.messages import ControlOutput, NavState
 from autopilot.core.samples import Sample
-from autopilot.estimator.engine import Engine
+from autopilot.estimator.engine import AidedEstimator
 from autopilot.estimator.kalman import KalmanCore
 from autopilot.estimator.protocol import EstimatorContext
 
@@ -62,7 +62,7 @@ class Raising(Breaking):
             raise RuntimeError("controller broken by the campaign")
 
 
-class Displaced(Engine):
+class DisplacedEstimator(AidedEstimator):
     """The shipped filter, whose depth is off for some seconds."""
 
     LASTS_S = 4.0

@@ -21,7 +21,7 @@ FORMAT = 1
 """Of the campaign's folder."""
 
 
-class Identity(msgspec.Struct, frozen=True, kw_only=True):
+class CampaignIdentity(msgspec.Struct, frozen=True, kw_only=True):
     """``campaign.json``: runs of one folder agree in all of it."""
 
     format: int
@@ -43,7 +43,7 @@ class Identity(msgspec.Struct, frozen=True, kw_only=True):
 class Campaign:
     """A campaign that can be flown."""
 
-    identity: Identity
+    identity: CampaignIdentity
     scenario: Scenario
     tables: Tables
 
@@ -93,7 +93,7 @@ def define(
     known = ParamSet()
     for name, value in (params or {}).items():
         known.set(name, value)
-    identity = Identity(
+    identity = CampaignIdentity(
         format=FORMAT,
         version=__version__,
         revision=revision(),

@@ -55,7 +55,7 @@ class Flyable(Protocol[Result_co]):
         ...
 
 
-class Engine(Protocol):
+class CampaignEngine(Protocol):
     """Flies tasks in any order."""
 
     def run(self, tasks: Sequence[Flyable[Result]], stop: Stop) -> Iterator[Result]:
@@ -63,7 +63,7 @@ class Engine(Protocol):
         ...
 
 
-def make_engine(name: str, jobs: int | None) -> Engine:
+def make_engine(name: str, jobs: int | None) -> CampaignEngine:
     """``local``, ``dask`` or ``dask+tcp://HOST:PORT``; ``jobs`` None = one per core. ConfigError if unknown."""
     count = jobs or os.cpu_count() or 1
     if name == "local":
@@ -77,7 +77,7 @@ class InProcess:
     """One after the other, here."""
 
     def run(self, tasks: Sequence[Flyable[Result]], stop: Stop) -> Iterator[Result]:
-        """See :class:`Engine`."""
+        """See :class:`CampaignEngine`."""
         for task in tasks:
             if stop():
                 return
@@ -112,8 +112,8 @@ class LocalPool:
             forkserver.ensure_running()
 
     def run(self, tasks: Sequence[Flyable[Result]], stop: Stop) -> Iterator[Result]:
-        """See :class:`Engine`. A process that dies takes no run with it but one that kills its process again when it
-        is flown alone; that one has failed."""
+        """See :class:`CampaignEngine`. A process that dies takes no run with it, except one that kills its process
+        again when it is flown alone; that one has failed."""
         left = dict(enumerate(tasks))
         deaths: Counter[int] = Counter()
         while left and not stop():
@@ -250,8 +250,8 @@ class DaskCluster:
         self._jobs = jobs
 
     def run(self, tasks: Sequence[Flyable[Result]], stop: Stop) -> Iterator[Result]:
-        """See :class:`Engine`. A worker that dies is replaced by the others: Dask sends its runs again, up to its
-        setting ``distributed.scheduler.allowed-failures`` (3) times, then the run has failed.
+        """See :class:`CampaignEngine`. A worker that dies is replaced by the others: Dask sends its runs again, up to
+        its setting ``distributed.scheduler.allowed-failures`` (3) times, then the run has failed.
 
         ConfigError if the scheduler does not answer, nobody works for it or a worker has another version;
         AutopilotError if the scheduler goes meanwhile.

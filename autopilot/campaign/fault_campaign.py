@@ -11,7 +11,7 @@ from pathlib import Path
 
 from autopilot.campaign.fault_cases import CASES, FaultCase
 from autopilot.campaign.fault_flights import PLANS, FaultResult, fly_fault_case
-from autopilot.campaign.store import ResultStore, read_lines
+from autopilot.campaign.run_store import ResultStore, read_lines
 from autopilot.core.errors import ConfigError
 
 FILE = "faults.jsonl"

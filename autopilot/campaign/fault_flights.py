@@ -19,7 +19,7 @@ from autopilot.campaign.fault_cases import FaultCase
 from autopilot.command.failsafe_table import Effect
 from autopilot.core.messages import Outputs
 from autopilot.mavlink.api import FlightMode
-from autopilot.mission.room import Room
+from autopilot.mission.clearance import Clearance
 from autopilot.run.config import flight_settings
 from autopilot.run.sitl_session import SitlSession, open_sitl
 from autopilot.sitl.scenario import scenario_path
@@ -58,7 +58,7 @@ class FaultResult:
     texts: tuple[str, ...]
 
 
-class _Watch:
+class _FlightWatch:
     """Looks at every tick of a flight."""
 
     def __init__(self, session: SitlSession, case: FaultCase, at_s: float) -> None:
@@ -96,7 +96,7 @@ class _Watch:
         self._ticks += 1
         if self._ticks % LOOK_TICKS == 1:
             here = self._session.device.truth.pos_ned_m
-            room = Room.of(commander.fence)
+            room = Clearance.of(commander.fence)
             self.closest_m = min(self.closest_m, float(room.clearance_m(here[None, :2])[0]))
 
 
@@ -110,12 +110,12 @@ def fly_fault_case(case: FaultCase, scenario: str, seed: int, at_s: float) -> Fa
         given = {"scenario": str(path), "sensors": "pose", "duration": end_s, "plan": str(plan)}
         parts = {"controller": case.controller, "estimator": case.estimator}
         settings = flight_settings(folder, {**given, **parts, "seed": seed, "start": True})
-        watches: list[_Watch] = []
+        watches: list[_FlightWatch] = []
         Breaking.from_s = at_s
         params = {"MPC_COST": 0.0, **case.params}
         session = open_sitl(settings, params, log=False, on_tick=lambda outputs: watches[0].tick(outputs))
         session.parts.guard.raises = False
-        watches.append(_Watch(session, case, at_s))
+        watches.append(_FlightWatch(session, case, at_s))
         session.run()
     return _result(case, scenario, seed, at_s, session, watches[0])
 
@@ -130,7 +130,9 @@ def _tables(case: FaultCase, scenario: str, at_s: float) -> dict[str, Any]:
     return {**tables, "fault": faults} if faults else tables
 
 
-def _result(case: FaultCase, scenario: str, seed: int, at_s: float, session: SitlSession, watch: _Watch) -> FaultResult:
+def _result(
+    case: FaultCase, scenario: str, seed: int, at_s: float, session: SitlSession, watch: _FlightWatch
+) -> FaultResult:
     truth, commander = session.device.truth, session.parts.commander
     raised_s = None if watch.raised_us is None else 1e-6 * watch.raised_us - at_s
     acted_s = None if watch.acted_us is None else 1e-6 * watch.acted_us - at_s
@@ -153,7 +155,7 @@ def _result(case: FaultCase, scenario: str, seed: int, at_s: float, session: Sit
     )
 
 
-def _ends_well(effect: Effect, session: SitlSession, watch: _Watch) -> bool:
+def _ends_well(effect: Effect, session: SitlSession, watch: _FlightWatch) -> bool:
     """Whether the vehicle is where its effect promises."""
     truth, commander, last = session.device.truth, session.parts.commander, watch.last
     assert last is not None

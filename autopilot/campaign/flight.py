@@ -7,8 +7,8 @@ from pathlib import Path
 
 from autopilot.campaign.judge import judge
 from autopilot.campaign.results import RunResult, Task
-from autopilot.campaign.watch import Watch
-from autopilot.run.config import Settings, flight_settings
+from autopilot.campaign.tick_watch import TickWatch
+from autopilot.run.config import EffectiveSettings, flight_settings
 from autopilot.run.sitl_describe import describe_run
 from autopilot.run.sitl_session import open_sitl
 
@@ -19,7 +19,7 @@ def fly(task: Task, stop: Callable[[], bool] = lambda: False, *, log: Path | Non
     AutopilotError if it cannot be flown."""
     cpu_s = time.process_time()
     with tempfile.TemporaryDirectory(prefix="campaign-") as folder:
-        watch = Watch(lambda: session.device.truth)
+        watch = TickWatch(lambda: session.device.truth)
         session = open_sitl(_settings(task, Path(folder), log), task.params, log=log is not None, on_tick=watch.tick)
         stopped = False
 
@@ -35,7 +35,7 @@ def fly(task: Task, stop: Callable[[], bool] = lambda: False, *, log: Path | Non
         return judge(task, session.scenario, run, watch, session.device.truth, time.process_time() - cpu_s)
 
 
-def _settings(task: Task, folder: Path, log: Path | None) -> Settings:
+def _settings(task: Task, folder: Path, log: Path | None) -> EffectiveSettings:
     scenario = folder / "scenario.toml"
     scenario.write_text(task.scenario_toml, encoding="utf-8")
     (folder / task.plan_name).write_bytes(task.plan)

@@ -6,12 +6,12 @@ import msgspec
 import numpy as np
 
 from autopilot.campaign.results import Margin, RunResult, Task, failure
-from autopilot.campaign.tube import AHEAD_S
-from autopilot.campaign.watch import Watch
+from autopilot.campaign.tick_watch import TickWatch
+from autopilot.campaign.tube_study import AHEAD_S
 from autopilot.core.frames import FloatArray
 from autopilot.log.analysis import (
     Span,
-    Track,
+    VehicleTrack,
     distance_to_fence,
     distance_to_obstacle,
     distance_to_polygon,
@@ -28,7 +28,7 @@ THRUST_TOLERANCE_N = 1e-6
 """Rounding: a command at its limit is not beyond it."""
 
 
-def judge(task: Task, scenario: Scenario, run: RunDescription, watch: Watch, end: Truth, cpu_s: float) -> RunResult:
+def judge(task: Task, scenario: Scenario, run: RunDescription, watch: TickWatch, end: Truth, cpu_s: float) -> RunResult:
     """The result of a run; ``end`` is the truth at its end. One that was never armed has failed."""
     if not len(watch.rows):
         return failure(task, f"was never armed: {watch.not_armed or 'nobody asked for it'}")
@@ -62,14 +62,14 @@ def judge(task: Task, scenario: Scenario, run: RunDescription, watch: Watch, end
     )
 
 
-def _margins(run: RunDescription, watch: Watch) -> dict[str, Margin]:
+def _margins(run: RunDescription, watch: TickWatch) -> dict[str, Margin]:
     """Every bound of the scenario and of the plan."""
     accept: dict[str, float] = {name: bound for name, bound in asdict(run.accept).items() if bound is not None}
     track = watch.track
     judged = track.between(watch.mission)
     found: dict[str, Margin] = {}
 
-    def add(name: str, margins: FloatArray, at: Track, tolerance: float) -> None:
+    def add(name: str, margins: FloatArray, at: VehicleTrack, tolerance: float) -> None:
         if len(margins):
             # A number that is none is the worst there is.
             worst = int(np.argmin(np.where(np.isnan(margins), -np.inf, margins)))
@@ -102,14 +102,14 @@ def _margins(run: RunDescription, watch: Watch) -> dict[str, Margin]:
     return found
 
 
-def _energy_j(watch: Watch, span: Span) -> float:
+def _energy_j(watch: TickWatch, span: Span) -> float:
     """Energy of thrusters and hotel load in a span: trapezoidal rule at 100 Hz."""
     keep = span.holds(watch.column("t_s"))
     t_s, power_w = watch.column("t_s")[keep], watch.column("power_w")[keep]
     return round(float(np.sum(0.5 * (power_w[1:] + power_w[:-1]) * np.diff(t_s))), 2)
 
 
-def _estimate(watch: Watch) -> dict[str, float]:
+def _estimate(watch: TickWatch) -> dict[str, float]:
     """Errors of the estimate until the mission is complete."""
     rows = watch.rows[watch.mission.holds(watch.column("t_s"))]
     errors = rows[:, 21:27][~np.isnan(rows[:, 21])]

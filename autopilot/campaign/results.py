@@ -91,8 +91,8 @@ class RunResult(msgspec.Struct, frozen=True, kw_only=True):
     events: list[str] = []
     """Warnings and worse, the first ones."""
     tube_shares: list[float] = []
-    """Share of nodes inside the announced tube, by how far ahead they were (:data:`autopilot.campaign.tube.AHEAD_S`);
-    empty if the controller announced none."""
+    """Share of nodes inside the announced tube, by how far ahead they were
+    (:data:`autopilot.campaign.tube_study.AHEAD_S`); empty if the controller announced none."""
 
     smoothness: Smoothness | None = None
     """Of the commands; None if there were too few of them."""

@@ -5,9 +5,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from autopilot.campaign.definition import Campaign
-from autopilot.campaign.engines import Engine
+from autopilot.campaign.engines import CampaignEngine
 from autopilot.campaign.results import RunResult, Task
-from autopilot.campaign.store import Shard, Store
+from autopilot.campaign.run_store import Shard, Store
 
 SETS = ("r1", "r2", "r3", "r4")
 """The robustness sets that are judged by all bounds."""
@@ -33,7 +33,7 @@ class SetTask:
 
 def fly_sets(
     sets: Mapping[str, tuple[Campaign, Path]],
-    engine: Engine,
+    engine: CampaignEngine,
     runs: int,
     stop: Callable[[], bool],
     shard: Shard = WHOLE,

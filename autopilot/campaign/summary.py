@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from autopilot.campaign.results import RunResult
-from autopilot.campaign.tube import AHEAD_S
+from autopilot.campaign.tube_study import AHEAD_S
 from autopilot.log.smoothness import BARS
 
 CONFIDENCE = 0.95

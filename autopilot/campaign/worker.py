@@ -7,7 +7,7 @@ here it is at hand before the first run, so that a process of a pool begins with
 
 import autopilot.campaign.flight
 import autopilot.control.controller
-import autopilot.control.energy.guidance
+import autopilot.control.energy.energy_guidance
 import autopilot.control.energy.search
 import autopilot.control.robust.ancillary
 import autopilot.control.robust.regions

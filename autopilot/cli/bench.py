@@ -13,7 +13,7 @@ import click
 from autopilot.cli import bench_rows
 from autopilot.cli.bench_rows import Work
 from autopilot.cli.bench_tables import SITL_HEADS, TITLES, names
-from autopilot.cli.output import emit_json
+from autopilot.cli.console_output import emit_json
 
 ROOT = Path(__file__).resolve().parents[2]
 STUDIES = "tests.bench.studies"

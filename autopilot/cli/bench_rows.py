@@ -6,8 +6,8 @@ from dataclasses import asdict
 import click
 
 from autopilot.cli.bench_tables import SHORT, SITL_HEADS, TITLES, Rows, print_rows
-from autopilot.cli.options import JSON
-from autopilot.cli.output import emit_json
+from autopilot.cli.console_output import emit_json
+from autopilot.cli.shared_options import JSON
 
 Work = Callable[[bool], Rows]
 """Takes whether it is to be short."""
@@ -68,7 +68,7 @@ def sitl(short: bool, as_json: bool) -> None:
 
 def sitl_rows(short: bool) -> Rows:
     """See :func:`sitl`."""
-    from autopilot.bench.sitl import bench_sitl
+    from autopilot.bench.sitl_row import bench_sitl
 
     return [asdict(row) for row in bench_sitl(duration_s=10.0 if short else 30.0)]
 
@@ -86,7 +86,7 @@ def estimator(short: bool, as_json: bool) -> None:
 
 def estimator_rows(short: bool) -> Rows:
     """See :func:`estimator`."""
-    from autopilot.bench.estimator import SEEDS, bench_estimator
+    from autopilot.bench.estimator_row import SEEDS, bench_estimator
 
     return [asdict(row) for row in bench_estimator(SEEDS[:1] if short else SEEDS)]
 

@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 
 import click
 
-from autopilot.cli.output import print_table
+from autopilot.cli.console_output import print_table
 
 Rows = list[dict[str, object]]
 SHORT = click.option("--short", is_flag=True, help="Fewer samples, for a quick look.")

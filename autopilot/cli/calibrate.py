@@ -7,13 +7,13 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from autopilot.cli.console_output import EXIT_LOSS, emit_json, make_console, print_table
 from autopilot.cli.finite import Finite
-from autopilot.cli.options import JSON_NOT_TABLES, LOG_FILE
-from autopilot.cli.output import EXIT_LOSS, emit_json, make_console, print_table
+from autopilot.cli.shared_options import JSON_NOT_TABLES, LOG_FILE
 
 if TYPE_CHECKING:
-    from autopilot.calibrate.boards import Board
-    from autopilot.calibrate.flight import CameraFlight
+    from autopilot.calibrate.boards import CalibrationBoard
+    from autopilot.calibrate.recorded_flight import CameraFlight
 
 
 LEAST_SIGMA_S = 0.0005
@@ -48,12 +48,12 @@ def _board_options(command: Any) -> Any:
     return command
 
 
-def _board(board: str, shape: str, square: float, marker: float, dictionary: str, legacy: bool) -> "Board":
-    from autopilot.calibrate.boards import Board, BoardSpec, parse_shape
+def _board(board: str, shape: str, square: float, marker: float, dictionary: str, legacy: bool) -> "CalibrationBoard":
+    from autopilot.calibrate.boards import BoardSpec, CalibrationBoard, parse_shape
 
     columns, rows = parse_shape(shape)
     kind: Any = board
-    return Board(
+    return CalibrationBoard(
         BoardSpec(
             kind=kind,
             columns=columns,
@@ -180,8 +180,8 @@ def _view_rows(result: Any, spread: Any) -> list[tuple[str, str, str, str]]:
 @JSON_NOT_TABLES
 def latency(log_file: Path, vehicle: str | None, map_file: Path | None, out: Path | None, as_json: bool) -> None:
     """How late pictures are stamped, from how camera and gyros saw the vehicle turn."""
-    from autopilot.calibrate.flight import read_flight
     from autopilot.calibrate.motion_fit import fit_motion
+    from autopilot.calibrate.recorded_flight import read_flight
 
     flight = read_flight(log_file, vehicle, map_file)
     fit = fit_motion(flight)
@@ -214,8 +214,8 @@ def latency(log_file: Path, vehicle: str | None, map_file: Path | None, out: Pat
 def extrinsics(log_file: Path, vehicle: str | None, map_file: Path | None, out: Path | None, as_json: bool) -> None:
     """Rotation of the camera against the AHRS, and its lever arm where the flight shows it."""
     from autopilot.calibrate.extrinsics import check_attitude, extrinsic_values, fit_lever_arm, mounting_rpy_rad
-    from autopilot.calibrate.flight import read_flight
     from autopilot.calibrate.motion_fit import degrees, fit_motion
+    from autopilot.calibrate.recorded_flight import read_flight
 
     flight = read_flight(log_file, vehicle, map_file)
     fit = fit_motion(flight)
@@ -284,9 +284,9 @@ def laser(
 
     Uses the pictures of the log (dots anywhere), or the dots that the flight found if they are more.
     """
-    from autopilot.calibrate.flight import read_flight
     from autopilot.calibrate.laser_dots import board_dots, log_dots
     from autopilot.calibrate.laser_fit import beam_values, fit_beam
+    from autopilot.calibrate.recorded_flight import read_flight
     from autopilot.core.camera import CameraModel
     from autopilot.core.vehicle import load_vehicle
 

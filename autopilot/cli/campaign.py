@@ -12,17 +12,17 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 import click
 
+from autopilot.cli.console_output import EXIT_FAILED, emit_json, print_table
 from autopilot.cli.finite import FiniteRange
-from autopilot.cli.options import CAMPAIGN_OUT, CAMPAIGN_PARAM, ENGINE, JOBS, JSON, SCENARIO_VEHICLE
-from autopilot.cli.output import EXIT_FAILED, emit_json, print_table
 from autopilot.cli.service_options import part_name
+from autopilot.cli.shared_options import CAMPAIGN_OUT, CAMPAIGN_PARAM, ENGINE, JOBS, JSON, SCENARIO_VEHICLE
 from autopilot.run.config import SENSORS
 
 if TYPE_CHECKING:
     from autopilot.campaign.definition import Campaign
-    from autopilot.campaign.engines import Engine
+    from autopilot.campaign.engines import CampaignEngine
     from autopilot.campaign.results import RunResult
-    from autopilot.campaign.store import Shard
+    from autopilot.campaign.run_store import Shard
     from autopilot.campaign.summary import Summary
 
 
@@ -78,7 +78,7 @@ def table(folders: tuple[Path, ...], markdown: bool, as_json: bool) -> None:
     One row per folder; shares and medians with their intervals of 95 % confidence. Where a set was flown in both modes
     (--param MPC_COST=0 and 1), the modes are compared run by run: run k has the same vehicle and water in both.
     """
-    from autopilot.campaign import table as tables
+    from autopilot.campaign import run_table as tables
 
     rows, pairs = tables.table_of(folders)
     if as_json:
@@ -140,7 +140,7 @@ def fly(
     """
     from autopilot.campaign.definition import define
     from autopilot.campaign.engines import make_engine
-    from autopilot.campaign.store import Shard
+    from autopilot.campaign.run_store import Shard
     from autopilot.campaign.summary import summarise
     from autopilot.core.extras import need_analysis
     from autopilot.run.config import parse_overrides
@@ -176,11 +176,11 @@ def fly(
 
 
 def _fly(
-    defined: Campaign, engine: Engine, out: Path, runs: int, shard: Shard, *, quiet: bool
+    defined: Campaign, engine: CampaignEngine, out: Path, runs: int, shard: Shard, *, quiet: bool
 ) -> tuple[dict[int, RunResult], bool]:
     """Fly what is missing; all finished runs of the folder, and whether somebody stopped it."""
+    from autopilot.campaign.run_store import read_results
     from autopilot.campaign.sets import fly_sets
-    from autopilot.campaign.store import read_results
 
     name, finished = defined.scenario.scenario.name, read_results(out)
     mine = [run for run in range(runs) if shard.holds(run)]
@@ -222,7 +222,7 @@ def keep(
     """Tables in the folder, and of a campaign that has come to its end (else None) figures and logs of its worst runs.
 
     LogError if the disk does not take them."""
-    from autopilot.campaign.store import GO_ON
+    from autopilot.campaign.run_store import GO_ON
     from autopilot.campaign.tabular import write_tables
     from autopilot.campaign.worst import logs_of
     from autopilot.core.errors import LogError
@@ -232,7 +232,7 @@ def keep(
         if defined is None:
             return written, {}
         if figures:
-            from autopilot.campaign.figures import write_figures
+            from autopilot.campaign.campaign_figures import write_figures
 
             written += write_figures(results, defined.scenario.scenario.name, out)
         found = logs_of(results, logs, out, defined.task, stop, lambda text: click.echo(f"warning: {text}", err=True))
@@ -260,7 +260,7 @@ def _plain(summary: Summary) -> dict[str, Any]:
 
 
 def _print(summary: Summary, name: str, out: Path, logs: Mapping[int, Path]) -> None:
-    from autopilot.campaign.store import scenario_file
+    from autopilot.campaign.run_store import scenario_file
     from autopilot.campaign.summary import PERCENTILES
 
     held = {True: "pass", False: "FAIL", None: ""}

@@ -5,8 +5,8 @@ from pathlib import Path
 
 import click
 
-from autopilot.cli.options import CAMPAIGN_OUT, JSON, MARKDOWN_TABLE, ONLY_TABLE
-from autopilot.cli.output import EXIT_FAILED, emit_json, print_table
+from autopilot.cli.console_output import EXIT_FAILED, emit_json, print_table
+from autopilot.cli.shared_options import CAMPAIGN_OUT, JSON, MARKDOWN_TABLE, ONLY_TABLE
 
 HEADS = ("failsafe", "scenario", "flights", "effect", "slowest reaction s", "ends", "closest m", "contacts", "kept")
 

@@ -8,12 +8,12 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from autopilot.cli.options import CAMPAIGN_OUT, ENGINE, JOBS, JSON
-from autopilot.cli.output import EXIT_FAILED, emit_json, print_table
+from autopilot.cli.console_output import EXIT_FAILED, emit_json, print_table
+from autopilot.cli.shared_options import CAMPAIGN_OUT, ENGINE, JOBS, JSON
 from autopilot.core.extras import need_analysis
 
 if TYPE_CHECKING:
-    from autopilot.campaign.rooms.results import RoomResult
+    from autopilot.campaign.rooms.world_results import RoomResult
 
 MODE_NAMES = {"quadratic": 0, "energy": 1}
 
@@ -63,8 +63,8 @@ def _all(
 ) -> list[RoomResult]:
     """Fly what is missing; all finished flights that were asked for."""
     from autopilot.campaign.engines import make_engine
-    from autopilot.campaign.rooms.flight import RoomTask
-    from autopilot.campaign.rooms.store import RoomStore, read_flights
+    from autopilot.campaign.rooms.world_flight import RoomTask
+    from autopilot.campaign.rooms.world_store import RoomStore, read_flights
     from autopilot.cli.campaign import stoppable
     from autopilot.sitl.spread import run_seed
 
@@ -97,9 +97,9 @@ def _alone(out: Path, seed: int, room: int, mode: int, *, quiet: bool) -> RoomRe
     """One flight with log, picture and files."""
     import msgspec
 
-    from autopilot.campaign.rooms.flight import fly_room
     from autopilot.campaign.rooms.picture import draw
-    from autopilot.campaign.rooms.room import make_room, write_files
+    from autopilot.campaign.rooms.random_world import make_room, write_files
+    from autopilot.campaign.rooms.world_flight import fly_room
     from autopilot.sitl.spread import run_seed
 
     made = make_room(run_seed(seed, room))
@@ -137,7 +137,7 @@ def _plain(result: RoomResult) -> dict[str, Any]:
 
 
 def _report(results: list[RoomResult], modes: list[int], out: Path, seed: int, *, as_json: bool) -> None:
-    from autopilot.campaign.rooms.summary import summarise
+    from autopilot.campaign.rooms.world_summary import summarise
 
     rows = [summarise(results, mode) for mode in modes]
     failed = [result for result in results if result.failed]

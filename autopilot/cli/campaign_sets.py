@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 
 import click
 
-from autopilot.cli.options import CAMPAIGN_PARAM, ENGINE, JOBS, JSON, MARKDOWN_TABLE, ONLY_TABLE
-from autopilot.cli.output import EXIT_FAILED, emit_json, print_table
+from autopilot.cli.console_output import EXIT_FAILED, emit_json, print_table
+from autopilot.cli.shared_options import CAMPAIGN_PARAM, ENGINE, JOBS, JSON, MARKDOWN_TABLE, ONLY_TABLE
 
 if TYPE_CHECKING:
     from autopilot.campaign.definition import Campaign
@@ -51,11 +51,11 @@ def sets(
     Finished runs are kept in OUT/SET; the same command resumes where it was stopped. At the end every folder has its
     table of runs, figures, and logs of its worst runs. Exit code 1 if a bar is broken.
     """
-    from autopilot.campaign import table as tables
+    from autopilot.campaign import run_table as tables
     from autopilot.campaign.definition import define
     from autopilot.campaign.engines import make_engine
+    from autopilot.campaign.run_store import IDENTITY, read_results
     from autopilot.campaign.sets import SETS, fly_sets
-    from autopilot.campaign.store import IDENTITY, read_results
     from autopilot.campaign.summary import summarise
     from autopilot.cli.campaign import keep, stoppable, verdict, what_broke
     from autopilot.core.errors import ConfigError

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from autopilot.cli.options import JSON
-from autopilot.cli.output import emit_json, print_table
+from autopilot.cli.console_output import emit_json, print_table
+from autopilot.cli.shared_options import JSON
 
 if TYPE_CHECKING:
     from autopilot.core.frames import FloatArray
@@ -45,7 +45,7 @@ def certify(
     cost: what all this takes of a control step.
     """
     from autopilot.analysis.munk import bench_munk
-    from autopilot.analysis.robust import certificate_table, cost_table, lipschitz_table, tube_table
+    from autopilot.analysis.plan_margins import certificate_table, cost_table, lipschitz_table, tube_table
     from autopilot.core.params import ParamSet
     from autopilot.core.vehicle import load_vehicle
     from autopilot.mission.reach import widest_m

@@ -4,8 +4,8 @@ from pathlib import Path
 
 import click
 
+from autopilot.cli.console_output import emit_json
 from autopilot.cli.finite import FiniteRange
-from autopilot.cli.output import emit_json
 from autopilot.cli.service_run import StopSignals
 
 

@@ -7,12 +7,12 @@ from typing import TYPE_CHECKING
 
 import click
 
-from autopilot.cli.options import JSON
-from autopilot.cli.output import EXIT_LOSS, emit_json, print_table
+from autopilot.cli.console_output import EXIT_LOSS, emit_json, print_table
+from autopilot.cli.shared_options import JSON
 
 if TYPE_CHECKING:
     from autopilot.core.vehicle import Vehicle
-    from autopilot.identify.report import Row
+    from autopilot.identify.identification_report import CoefficientRow
 
 
 @click.command()
@@ -34,8 +34,8 @@ def identify(logs: tuple[Path, ...], vehicle: str | None, out: Path | None, comp
     """
     from autopilot.core.vehicle import load_vehicle
     from autopilot.identify.fit import fit
+    from autopilot.identify.identification_report import changes, rows_of
     from autopilot.identify.record import read_windows
-    from autopilot.identify.report import changes, rows_of
 
     windows, base = read_windows(list(logs), None if vehicle is None else load_vehicle(vehicle))
     found = fit(windows, base.to_model())
@@ -65,7 +65,7 @@ def identify(logs: tuple[Path, ...], vehicle: str | None, out: Path | None, comp
         raise click.exceptions.Exit(EXIT_LOSS)
 
 
-def _print(rows: "list[Row]", truth: dict[str, float] | None) -> None:
+def _print(rows: "list[CoefficientRow]", truth: dict[str, float] | None) -> None:
     columns = ["coefficient", "unit", "before", "found", "95 % from", "to", "+- %", ""]
     if truth is not None:
         columns += ["flown", "off %", "covered"]
@@ -87,8 +87,8 @@ def _truth(log: Path, vehicle: "Vehicle") -> dict[str, float]:
     import msgspec
 
     from autopilot.core.errors import LogError
+    from autopilot.identify.identification_report import REFERENCE_SPEEDS
     from autopilot.identify.prediction import AXES
-    from autopilot.identify.report import REFERENCE_SPEEDS
     from autopilot.log.reader import open_log
     from autopilot.sitl.mismatch import mismatched
     from autopilot.sitl.scenario_tables import Scenario

@@ -7,15 +7,15 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from autopilot.cli.console_output import EXIT_FAILED, EXIT_LOSS, emit_json, make_console, print_table
 from autopilot.cli.log_replay import replay
 from autopilot.cli.log_tlog import tlog
 from autopilot.cli.log_tools import diff, export, find, recover
-from autopilot.cli.options import JSON_NOT_TABLES, LOG_FILE
-from autopilot.cli.output import EXIT_FAILED, EXIT_LOSS, emit_json, make_console, print_table
+from autopilot.cli.shared_options import JSON_NOT_TABLES, LOG_FILE
 
 if TYPE_CHECKING:
     from autopilot.control.nmpc.unsolved import Trial
-    from autopilot.log.check import Row
+    from autopilot.log.check import BoundRow
     from autopilot.log.reader import Log
 
 
@@ -52,7 +52,7 @@ def info(ctx: click.Context, log_file: Path, as_json: bool) -> None:
 @click.pass_context
 def check(ctx: click.Context, log_file: Path, as_json: bool) -> None:
     """Judge LOG by the bounds of its run. Exit 1 if one is broken, 3 if there are warnings."""
-    from autopilot.log.check import Verdict, acceptance_table, overall
+    from autopilot.log.check import BoundVerdict, acceptance_table, overall
     from autopilot.log.reader import open_log
 
     rows = acceptance_table(open_log(log_file))
@@ -62,7 +62,7 @@ def check(ctx: click.Context, log_file: Path, as_json: bool) -> None:
         emit_json({"log": str(log_file), "verdict": verdict.value, "rows": listed})
     else:
         print_rows(rows, str(log_file))
-    ctx.exit({Verdict.FAIL: EXIT_FAILED, Verdict.WARN: EXIT_LOSS}.get(verdict, 0))
+    ctx.exit({BoundVerdict.FAIL: EXIT_FAILED, BoundVerdict.WARN: EXIT_LOSS}.get(verdict, 0))
 
 
 @log.command()
@@ -161,15 +161,20 @@ def _tell_loss(opened: "Log", done: str = "drawn") -> None:
         raise click.exceptions.Exit(EXIT_LOSS)
 
 
-def print_rows(rows: "list[Row]", title: str) -> None:
+def print_rows(rows: "list[BoundRow]", title: str) -> None:
     """Print an acceptance table."""
     from rich.box import SIMPLE
     from rich.table import Table
     from rich.text import Text
 
-    from autopilot.log.check import Verdict, format_figure, overall
+    from autopilot.log.check import BoundVerdict, format_figure, overall
 
-    styles = {Verdict.PASS: "green", Verdict.WARN: "yellow", Verdict.FAIL: "bold red", Verdict.INFO: "dim"}
+    styles = {
+        BoundVerdict.PASS: "green",
+        BoundVerdict.WARN: "yellow",
+        BoundVerdict.FAIL: "bold red",
+        BoundVerdict.INFO: "dim",
+    }
     table = Table(title=Text(title), title_justify="left", caption_justify="left", box=SIMPLE, padding=(0, 1, 0, 0))
     table.add_column("bound", no_wrap=True)
     for column in ("limit", "worst", "margin"):

@@ -6,17 +6,17 @@ from typing import TYPE_CHECKING
 
 import click
 
+from autopilot.cli.console_output import EXIT_FAILED, EXIT_LOSS, emit_json, print_table
 from autopilot.cli.finite import Finite
-from autopilot.cli.options import JSON_NOT_TABLES, LOG_FILE
-from autopilot.cli.output import EXIT_FAILED, EXIT_LOSS, emit_json, print_table
 from autopilot.cli.service_options import part_name
+from autopilot.cli.shared_options import JSON_NOT_TABLES, LOG_FILE
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from autopilot.analysis.flight_figures import Moved
     from autopilot.log.reader import Log
-    from autopilot.replay.service import ReplayResult
+    from autopilot.replay.service_replay import ReplayResult
 
 SHOWN = 20
 """Differences that are printed."""
@@ -70,7 +70,7 @@ def replay(
     elif only or estimator or changes:
         _estimator_alone(opened, estimator, changes, out, as_json=as_json)
     else:
-        from autopilot.replay.service import replay_service
+        from autopilot.replay.service_replay import replay_service
 
         _tell_versions(opened)
         _tell(opened, replay_service(opened, out=out), as_json=as_json)
@@ -229,8 +229,8 @@ def _estimator_alone(
     opened: "Log", estimator: str | None, changes: tuple[str, ...], out: Path | None, *, as_json: bool
 ) -> None:
     """The estimator's replay: bit for bit, or how far another one is from the log and both from the truth."""
-    from autopilot.record.estimator import read_setup
-    from autopilot.replay import estimation as replaying
+    from autopilot.record.estimator_setup import read_setup
+    from autopilot.replay import estimator_replay as replaying
 
     setup = replaying.replay_setup(opened, estimator, changes)
     states = replaying.replay(opened, setup)

@@ -5,8 +5,8 @@ from pathlib import Path
 
 import click
 
-from autopilot.cli.options import JSON
-from autopilot.cli.output import EXIT_FAILED, emit_json, print_table
+from autopilot.cli.console_output import EXIT_FAILED, emit_json, print_table
+from autopilot.cli.shared_options import JSON
 
 
 @click.command()

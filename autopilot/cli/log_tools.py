@@ -6,8 +6,8 @@ from typing import Literal
 
 import click
 
-from autopilot.cli.options import JSON_NOT_TABLES
-from autopilot.cli.output import EXIT_FAILED, EXIT_LOSS, emit_json, print_table
+from autopilot.cli.console_output import EXIT_FAILED, EXIT_LOSS, emit_json, print_table
+from autopilot.cli.shared_options import JSON_NOT_TABLES
 from autopilot.core.errors import LogError
 
 _LOG = click.Path(path_type=Path)

@@ -8,7 +8,7 @@ from collections.abc import Callable
 import click
 
 from autopilot import __version__
-from autopilot.cli.output import EXIT_FAILED
+from autopilot.cli.console_output import EXIT_FAILED
 from autopilot.core.errors import AutopilotError
 from autopilot.core.extras import ANALYSIS, without
 
@@ -17,27 +17,36 @@ _COMMANDS: dict[str, tuple[str, str]] = {
     "calibrate": ("autopilot.cli.calibrate:calibrate", "Calibrate camera, laser, mounting, latency, thrusters."),
     "campaign": ("autopilot.cli.campaign:campaign", "Monte Carlo over seeds and spreads of a scenario, resumable."),
     "certify": ("autopilot.cli.certify:certify", "Margins, Lipschitz sets and terminal regions of a plan."),
-    "config": ("autopilot.cli.config:config", "Show the effective configuration and where it comes from."),
-    "currents": ("autopilot.cli.currents:currents", "Check current maps, make the benchmark's."),
-    "demo": ("autopilot.cli.demo:demo", "Fly the paper's mission in the simulated tank and judge it."),
-    "doctor": ("autopilot.cli.doctor:doctor", "Whether a real vehicle would arm, and if not, why and what to do."),
+    "config": ("autopilot.cli.config_command:config", "Show the effective configuration and where it comes from."),
+    "currents": ("autopilot.cli.currents_command:currents", "Check current maps, make the benchmark's."),
+    "demo": ("autopilot.cli.demo_command:demo", "Fly the paper's mission in the simulated tank and judge it."),
+    "doctor": (
+        "autopilot.cli.doctor_command:doctor",
+        "Whether a real vehicle would arm, and if not, why and what to do.",
+    ),
     "emulate": ("autopilot.cli.emulate:emulate", "Be a vehicle's flight controller, to try `run` on."),
-    "failsafes": ("autopilot.cli.failsafes:failsafes", "The table of failsafes: conditions, parameters, effects."),
+    "failsafes": (
+        "autopilot.cli.failsafes_command:failsafes",
+        "The table of failsafes: conditions, parameters, effects.",
+    ),
     "identify": ("autopilot.cli.identify:identify", "Masses and drags of a vehicle from logs of its flights."),
     "log": ("autopilot.cli.log:log", "Look into logs: check, report, plot, export, diff, recover, replay and more."),
-    "markers": ("autopilot.cli.markers:markers", "Print marker boards, check and survey marker maps."),
+    "markers": ("autopilot.cli.markers_command:markers", "Print marker boards, check and survey marker maps."),
     "mavlink": ("autopilot.cli.mavlink:mavlink", "Make, show or forget the key that frames are signed with."),
     "mission": ("autopilot.cli.mission:mission", "Upload, download, start or check a plan."),
     "motors": ("autopilot.cli.motors:motors", "Turn thrusters one by one, a little, on the bench."),
-    "params": ("autopilot.cli.params:params", "List, explain and compare parameters."),
+    "params": ("autopilot.cli.params_command:params", "List, explain and compare parameters."),
     "physics": ("autopilot.cli.physics:physics", "Be the water and the hull under ArduPilot's own simulation."),
     "run": ("autopilot.cli.run:run", "Run the service on a real vehicle."),
     "scenario": (
-        "autopilot.cli.scenario:scenario",
+        "autopilot.cli.scenario_command:scenario",
         "Scenario files: check one, copy one to edit, list what is shipped.",
     ),
-    "sitl": ("autopilot.cli.sitl:sitl", "Run the service on a simulated vehicle."),
-    "vehicle": ("autopilot.cli.vehicle:vehicle", "Vehicle files: check one, write a template, list what is shipped."),
+    "sitl": ("autopilot.cli.sitl_command:sitl", "Run the service on a simulated vehicle."),
+    "vehicle": (
+        "autopilot.cli.vehicle_command:vehicle",
+        "Vehicle files: check one, write a template, list what is shipped.",
+    ),
 }
 """Name -> (module:attribute, one line of help)."""
 

@@ -79,7 +79,7 @@ def _grid(*, heading_rad: float, **options: Any) -> "MarkerMap":
     from autopilot.core.dictionaries import dictionary_size, resolve_dictionary
     from autopilot.core.errors import ConfigError
     from autopilot.core.frames import r_ned_from_frd
-    from autopilot.core.marker_files import Board as BoardTable
+    from autopilot.core.marker_files import BoardEntry as BoardTable
     from autopilot.core.marker_files import PlacedMarker, board_offsets, make_map, placed_markers
     from autopilot.core.markers import grid_floor
 

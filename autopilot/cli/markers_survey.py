@@ -6,9 +6,9 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from autopilot.cli.console_output import EXIT_LOSS, emit_json, print_table
 from autopilot.cli.finite import Finite, FiniteRange
-from autopilot.cli.options import JSON
-from autopilot.cli.output import EXIT_LOSS, emit_json, print_table
+from autopilot.cli.shared_options import JSON
 
 if TYPE_CHECKING:
     from autopilot.core.camera import CameraModel

@@ -9,15 +9,15 @@ from typing import TYPE_CHECKING
 
 import click
 
+from autopilot.cli.console_output import EXIT_FAILED, EXIT_LOSS, emit_json, print_table
 from autopilot.cli.finite import FiniteRange
 from autopilot.cli.mission_new import new
-from autopilot.cli.options import JSON
-from autopilot.cli.output import EXIT_FAILED, EXIT_LOSS, emit_json, print_table
+from autopilot.cli.shared_options import JSON
 from autopilot.core.errors import AutopilotError
 
 if TYPE_CHECKING:
-    from autopilot.client.session import MissionStatus, Session
-    from autopilot.client.texts import Text
+    from autopilot.client.client_session import MissionStatus, VehicleConnection
+    from autopilot.client.texts import VehicleText
     from autopilot.core.plan import PlanKind
     from autopilot.mission.plan_model import PlanFile
 
@@ -188,13 +188,13 @@ mission.add_command(new)
 
 
 @contextmanager
-def _session(connection: str, patience_s: float, quiet: bool) -> Iterator[Session]:
+def _session(connection: str, patience_s: float, quiet: bool) -> Iterator[VehicleConnection]:
     """A session with a vehicle that has been heard; warnings of the vehicle go to stderr."""
-    from autopilot.client.session import Session
+    from autopilot.client.client_session import VehicleConnection
     from autopilot.client.texts import WARNING
     from autopilot.core.phrases import NO_START
 
-    with Session(connection) as session:
+    with VehicleConnection(connection) as session:
         if not quiet:
             session.on_text = lambda text: (
                 click.echo(f"vehicle: {text.text}", err=True)
@@ -206,10 +206,10 @@ def _session(connection: str, patience_s: float, quiet: bool) -> Iterator[Sessio
 
 
 @contextmanager
-def _said_once(session: Session) -> Iterator[None]:
+def _said_once(session: VehicleConnection) -> Iterator[None]:
     """The vehicle's reason for a refusal comes as a text and is in the error too: it is shown as the error only."""
     show = session.on_text
-    held: list[Text] = []
+    held: list[VehicleText] = []
     if show is None:
         yield
         return
@@ -225,7 +225,7 @@ def _said_once(session: Session) -> Iterator[None]:
             show(text)
 
 
-def _upload(session: Session, plan: PlanFile, file: Path, clear: bool, quiet: bool) -> dict[str, int]:
+def _upload(session: VehicleConnection, plan: PlanFile, file: Path, clear: bool, quiet: bool) -> dict[str, int]:
     """Fence, rally points, mission, so that the last word of the vehicle is about all. A .waypoints file holds a
     mission only."""
     from autopilot.core.plan import PlanKind
@@ -243,7 +243,7 @@ def _upload(session: Session, plan: PlanFile, file: Path, clear: bool, quiet: bo
     return {kind.name.lower(): len(plan.items(kind)) for kind in kinds}
 
 
-def _vehicle(session: Session) -> dict[str, int] | None:
+def _vehicle(session: VehicleConnection) -> dict[str, int] | None:
     vehicle = session.vehicle
     return None if vehicle is None else {"system": vehicle.system, "autopilot": vehicle.autopilot}
 

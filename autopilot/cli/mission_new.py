@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING
 
 import click
 
+from autopilot.cli.console_output import EXIT_LOSS, emit_json
 from autopilot.cli.finite import Finite
-from autopilot.cli.options import JSON
-from autopilot.cli.output import EXIT_LOSS, emit_json
+from autopilot.cli.shared_options import JSON
 
 if TYPE_CHECKING:
     from autopilot.mission.local_plan import WaypointTable

@@ -3,8 +3,8 @@
 import click
 
 from autopilot.cli.finite import Finite
-from autopilot.cli.options import CONFIG
 from autopilot.cli.service_run import StopSignals
+from autopilot.cli.shared_options import CONFIG
 from autopilot.core.errors import ConfigError
 
 

@@ -4,10 +4,10 @@ from pathlib import Path
 
 import click
 
+from autopilot.cli.console_output import emit_json
 from autopilot.cli.finite import FiniteRange
-from autopilot.cli.options import JSON
-from autopilot.cli.output import emit_json
 from autopilot.cli.service_run import StopSignals
+from autopilot.cli.shared_options import JSON
 
 
 @click.command()

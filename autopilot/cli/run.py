@@ -4,8 +4,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from autopilot.cli.options import CONFIG, INSTANCE, PARAM, QUIET
-from autopilot.cli.output import EXIT_LOSS
+from autopilot.cli.console_output import EXIT_LOSS
 from autopilot.cli.service_options import (
     DURATION,
     LOG,
@@ -18,11 +17,12 @@ from autopilot.cli.service_options import (
     view_option,
 )
 from autopilot.cli.service_run import Flights, StopSignals, tell_losses
+from autopilot.cli.shared_options import CONFIG, INSTANCE, PARAM, QUIET
 from autopilot.run.config import PROFILES
 
 if TYPE_CHECKING:
     from autopilot.core.messages import RunEnd
-    from autopilot.run.config import Settings
+    from autopilot.run.config import EffectiveSettings
     from autopilot.run.session import Session, SessionOptions
     from autopilot.run.vehicle_config import VehicleConfig
 
@@ -71,7 +71,7 @@ def run(config: str, param: tuple[str, ...], instance: int, quiet: bool, **given
 
 
 def _run(
-    settings: "Settings", loaded: "VehicleConfig", overrides: dict[str, float], instance: int, flights: Flights
+    settings: "EffectiveSettings", loaded: "VehicleConfig", overrides: dict[str, float], instance: int, flights: Flights
 ) -> "tuple[Session, RunEnd | None]":
     """The run, from links to its end, and how an operator has ended it."""
     from autopilot.run.console import EventLines

@@ -91,7 +91,7 @@ def opened_view(port: int | None) -> Iterator["Hub | None"]:
     if port is None:
         yield None
         return
-    from autopilot.view.server import ViewServer
+    from autopilot.view.http_server import ViewServer
 
     server = ViewServer(None if port == ANY_VIEW_PORT else port)
     click.echo(f"view: {server.url}")

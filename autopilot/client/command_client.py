@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 from pymavlink.dialects.v20 import development as mav
 
-from autopilot.client.exchange import BaseExchange, Message, Outcome, Target, Timers
+from autopilot.client.exchange import BaseExchange, ExchangeResult, Message, Timers, VehicleAddress
 
 
 class CommandSend(BaseExchange):
@@ -14,10 +14,10 @@ class CommandSend(BaseExchange):
         self,
         command: int,
         params: Sequence[float] = (),
-        target: Target | None = None,
+        target: VehicleAddress | None = None,
         timers: Timers | None = None,
     ) -> None:
-        super().__init__(target or Target(), timers or Timers(), f"command {command}")
+        super().__init__(target or VehicleAddress(), timers or Timers(), f"command {command}")
         self._command = command
         self._params = (*params, *(0.0,) * (7 - len(params)))
         self._confirmation = 0
@@ -44,7 +44,7 @@ class CommandSend(BaseExchange):
                 self._running = True
                 self._percent = message.progress if message.progress <= 100 else self._percent
             elif message.result == mav.MAV_RESULT_ACCEPTED:
-                self.outcome = Outcome(result=0, reason="")
+                self.outcome = ExchangeResult(result=0, reason="")
             else:
                 self._refuse(message.result, t_s)
         return []

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol, TypeAlias
 
-from autopilot.client.texts import WARNING, Text, TextCollector
+from autopilot.client.texts import WARNING, TextCollector, VehicleText
 
 Message: TypeAlias = Any
 """A message object of the dialect (pymavlink carries no types)."""
@@ -30,7 +30,7 @@ class Timers:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Target:
+class VehicleAddress:
     """Address of the vehicle."""
 
     system: int = 1
@@ -38,7 +38,7 @@ class Target:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Outcome:
+class ExchangeResult:
     """How an exchange ended."""
 
     result: int | None
@@ -53,9 +53,9 @@ class Outcome:
 
 
 class Exchange(Protocol):
-    """What :class:`autopilot.client.session.Session` runs."""
+    """What :class:`autopilot.client.client_session.VehicleConnection` runs."""
 
-    outcome: Outcome | None
+    outcome: ExchangeResult | None
 
     @property
     def progress(self) -> tuple[int, int]:
@@ -82,15 +82,15 @@ class Exchange(Protocol):
 class BaseExchange:
     """Silence, refusals and their reasons: common to all exchanges."""
 
-    def __init__(self, target: Target, timers: Timers, what: str) -> None:
-        self.outcome: Outcome | None = None
+    def __init__(self, target: VehicleAddress, timers: Timers, what: str) -> None:
+        self.outcome: ExchangeResult | None = None
         self._target = target
         self._timers = timers
         self._what = what
         self._heard_s = 0.0
         self._sent_s = 0.0
         self._texts = TextCollector()
-        self._complaints: list[Text] = []
+        self._complaints: list[VehicleText] = []
         self._refused: tuple[int, float] | None = None
 
     @property
@@ -116,7 +116,7 @@ class BaseExchange:
             self._take_texts(self._texts.feed(message, t_s), t_s)
         return self.outcome is None and self._refused is None
 
-    def _take_texts(self, texts: Sequence[Text], t_s: float) -> None:
+    def _take_texts(self, texts: Sequence[VehicleText], t_s: float) -> None:
         self._complaints += [text for text in texts if text.severity <= WARNING]
         if self._refused is not None and self._best_reason():
             self._finish_refusal(self._refused[0])
@@ -137,7 +137,7 @@ class BaseExchange:
         """A vehicle does not say the same again at once, so there may be no reason."""
         unknown = f"{self._what} refused by the vehicle with result {result}; ask again in 5 s for its reason"
         others = self._complaints[-1].text if self._complaints else ""
-        self.outcome = Outcome(result=result, reason=self._best_reason() or others or unknown)
+        self.outcome = ExchangeResult(result=result, reason=self._best_reason() or others or unknown)
 
     def _waits(self, t_s: float) -> bool:
         """True when nothing has to be sent now: ended, waiting for a reason, or given up."""
@@ -150,6 +150,6 @@ class BaseExchange:
             return True
         if t_s - self._heard_s >= self._timers.give_up_s:
             text = f"{self._what}: the vehicle did not answer for {self._timers.give_up_s:g} s; check the connection"
-            self.outcome = Outcome(result=None, reason=text)
+            self.outcome = ExchangeResult(result=None, reason=text)
             return True
         return False

@@ -10,7 +10,7 @@ from collections.abc import Sequence
 
 from pymavlink.dialects.v20 import development as mav
 
-from autopilot.client.exchange import BaseExchange, Message, Outcome, Target, Timers
+from autopilot.client.exchange import BaseExchange, ExchangeResult, Message, Timers, VehicleAddress
 from autopilot.core.plan import MissionResult, PlanItem, PlanKind
 from autopilot.core.plan_wire import item_message, item_of
 
@@ -27,10 +27,10 @@ class PlanUpload(BaseExchange):
         self,
         kind: PlanKind,
         items: Sequence[PlanItem],
-        target: Target | None = None,
+        target: VehicleAddress | None = None,
         timers: Timers | None = None,
     ) -> None:
-        super().__init__(target or Target(), timers or Timers(), f"{kind.name.lower()} upload")
+        super().__init__(target or VehicleAddress(), timers or Timers(), f"{kind.name.lower()} upload")
         self._kind = kind
         self._items = tuple(items)
         self._last_sent: int | None = None
@@ -71,7 +71,7 @@ class PlanUpload(BaseExchange):
         """The end, or another beginning. An early ACCEPTED is a late copy of the answer to an earlier upload."""
         if result == MissionResult.ACCEPTED:
             if self.all_sent:
-                self.outcome = Outcome(result=0, reason="")
+                self.outcome = ExchangeResult(result=0, reason="")
             return []
         if result in _BROKEN_OFF and self._restarts < MAX_RESTARTS:
             self._restarts += 1
@@ -100,8 +100,8 @@ class PlanUpload(BaseExchange):
 class PlanDownload(BaseExchange):
     """Read one plan of the vehicle. The client drives: it asks for one item after the other and ends with an ACK."""
 
-    def __init__(self, kind: PlanKind, target: Target | None = None, timers: Timers | None = None) -> None:
-        super().__init__(target or Target(), timers or Timers(), f"{kind.name.lower()} download")
+    def __init__(self, kind: PlanKind, target: VehicleAddress | None = None, timers: Timers | None = None) -> None:
+        super().__init__(target or VehicleAddress(), timers or Timers(), f"{kind.name.lower()} download")
         self._kind = kind
         self._count: int | None = None
         self._items: list[PlanItem] = []
@@ -138,7 +138,7 @@ class PlanDownload(BaseExchange):
         self._heard_s = self._sent_s = t_s
         if len(self._items) < (self._count or 0):
             return [self._request()]
-        self.outcome = Outcome(result=0, reason="")
+        self.outcome = ExchangeResult(result=0, reason="")
         target = self._target
         return [mav.MAVLink_mission_ack_message(target.system, target.component, 0, int(self._kind))]
 

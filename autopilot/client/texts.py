@@ -11,7 +11,7 @@ WARNING = 4
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Text:
+class VehicleText:
     """One complete text of the vehicle."""
 
     t_s: float
@@ -39,11 +39,11 @@ class TextCollector:
         """Whether a text has begun whose other chunks are missing."""
         return bool(self._partial)
 
-    def feed(self, message: Any, t_s: float) -> list[Text]:
+    def feed(self, message: Any, t_s: float) -> list[VehicleText]:
         """Texts that are complete with this message."""
         text = str(message.text)
         if message.id == 0:
-            return [Text(t_s=t_s, severity=message.severity, text=text)]
+            return [VehicleText(t_s=t_s, severity=message.severity, text=text)]
         if t_s - self._done.get(message.id, -1e9) < FLUSH_S:
             return []
         partial = self._partial.setdefault(message.id, _Partial(t_s, message.severity))
@@ -54,13 +54,13 @@ class TextCollector:
             return []
         return [self._close(message.id, t_s)]
 
-    def flush(self, t_s: float) -> list[Text]:
+    def flush(self, t_s: float) -> list[VehicleText]:
         """Texts that have waited long enough for their missing chunks."""
         overdue = [key for key, partial in self._partial.items() if t_s - partial.begun_s >= FLUSH_S]
         return [self._close(key, t_s) for key in overdue]
 
-    def _close(self, key: int, t_s: float) -> Text:
+    def _close(self, key: int, t_s: float) -> VehicleText:
         partial = self._partial.pop(key)
         self._done[key] = t_s
         pieces = [partial.chunks.get(k, "[...]") for k in range(max(partial.chunks) + 1)]
-        return Text(t_s=t_s, severity=partial.severity, text="".join(pieces))
+        return VehicleText(t_s=t_s, severity=partial.severity, text="".join(pieces))

@@ -3,7 +3,7 @@
 import math
 from collections.abc import Callable
 
-from autopilot.command.conditions import Conditions
+from autopilot.command.conditions import TickInputs
 from autopilot.command.failsafes import FailsafeRules
 from autopilot.core.geodesy import MAX_RANGE_M, far_text
 from autopilot.core.messages import NavHealth, NavState
@@ -35,7 +35,7 @@ class ArmingChecks:
         self._failsafes = failsafes
         self._controller_check = controller_check
 
-    def reasons(self, conditions: Conditions | None, *, blind: bool = False) -> tuple[str, ...]:
+    def reasons(self, conditions: TickInputs | None, *, blind: bool = False) -> tuple[str, ...]:
         """Empty when ready; one line each. ``blind``: for a mode that needs no position; of a place that is not known
         nothing is asked then."""
         if conditions is None:

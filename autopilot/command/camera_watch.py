@@ -6,7 +6,7 @@ dark, too bright or too foggy for markers: that counts only while none is found 
 
 from collections.abc import Sequence
 
-from autopilot.command.tuned import CAMERA_WATCH
+from autopilot.command.command_tuning import CAMERA_WATCH
 from autopilot.core import operator_messages as notices
 from autopilot.core.messages import Event
 from autopilot.core.samples import FrameVerdict, MarkerSighting, PictureReport, Sample

@@ -11,7 +11,8 @@ import numpy as np
 
 from autopilot.command.announcements import Announcements
 from autopilot.command.arming import CHECKING, STARTING, ArmingChecks, ControllerCheck
-from autopilot.command.conditions import Conditions
+from autopilot.command.change_watch import ChangeWatch
+from autopilot.command.conditions import TickInputs
 from autopilot.command.decision import Decision
 from autopilot.command.disarming import Disarming
 from autopilot.command.failsafes import FailsafeRules
@@ -23,20 +24,19 @@ from autopilot.command.modes.guided import GuidedMode
 from autopilot.command.modes.mode import Tools, denied
 from autopilot.command.motor_tests import MotorTests
 from autopilot.command.plan_watch import FenceGuard, PlanCheckNews
-from autopilot.command.situation import Situation
-from autopilot.command.watch import Watch
+from autopilot.command.situation import FailsafeInputs
 from autopilot.core import operator_messages as notices
 from autopilot.core.errors import ConfigError
 from autopilot.core.frames import FloatArray
-from autopilot.core.geodesy import Origin, Place, refuse_place
+from autopilot.core.geodesy import GeodeticPosition, Origin, refuse_place
 from autopilot.core.geometry import Fence
 from autopilot.core.messages import Event, NavState, RunEnd
 from autopilot.core.params import ParamSet
 from autopilot.core.plan import PlanKind, PlanRejection
 from autopilot.core.vehicle import Vehicle
-from autopilot.mavlink.api import ACCEPTED, Answer, Circling, CommandResult, FlightMode, MotorTest, SetPoint
+from autopilot.mavlink.api import ACCEPTED, Circling, CommandReply, CommandResult, FlightMode, MotorTest, SetPoint
 from autopilot.mission.goals import Goals
-from autopilot.mission.judgement import Verdict
+from autopilot.mission.judgement import PlanVerdict
 from autopilot.mission.sequencer import Position
 from autopilot.mission.store import Plans
 
@@ -66,7 +66,7 @@ class Commander:
         self._operator = Announcements()
         self._goals = Goals(vehicle, params, plans)
         self._mission = MissionRun(params, plans, self._operator, speed_m_s or (lambda _: params["SPD_PLANAR_MAX"]))
-        self._situation = Situation(vehicle, params, plans, self._goals, self._mission.sequencer)
+        self._situation = FailsafeInputs(vehicle, params, plans, self._goals, self._mission.sequencer)
         self._failsafes = FailsafeRules(params, self._situation)
         tools = Tools(
             vehicle=vehicle,
@@ -79,7 +79,7 @@ class Commander:
         self._modes = ModeMachine(tools, self._failsafes)
         self._disarming = Disarming(self._operator)
         self._tests = MotorTests(vehicle, self._goals, self._modes, self._operator)
-        self._watch = Watch(vehicle, plans, self._goals)
+        self._watch = ChangeWatch(vehicle, plans, self._goals)
         self._arming = ArmingChecks(params, plans, self._goals, self._failsafes, controller_check)
         self._check_news = PlanCheckNews(plans, self._operator)
         self._fence_guard = FenceGuard(vehicle, params, plans, self._goals)
@@ -156,7 +156,7 @@ class Commander:
 
     # Requests: arming and modes
 
-    def arm(self, force: bool) -> Answer:
+    def arm(self, force: bool) -> CommandReply:
         """Arm unless a check fails; ``force`` skips the checks and says so in the log. It does not start anything."""
         if self._modes.armed:
             return ACCEPTED
@@ -164,7 +164,7 @@ class Commander:
         if reasons and (not force or not self._plans.placed):
             waits = reasons == (CHECKING,) or force
             result = CommandResult.TEMPORARILY_REJECTED if waits else CommandResult.DENIED
-            return Answer(result=result, reason="Arming denied: " + (CHECKING if force else "; ".join(reasons)))
+            return CommandReply(result=result, reason="Arming denied: " + (CHECKING if force else "; ".join(reasons)))
         if reasons:
             self._operator.say(notices.FORCED_ARMING(reasons="; ".join(reasons)))
         self._modes.arm()
@@ -178,7 +178,7 @@ class Commander:
             self._operator.say(notices.ARMED_UNFENCED())
         return ACCEPTED
 
-    def disarm(self, force: bool) -> Answer:
+    def disarm(self, force: bool) -> CommandReply:
         """Disarm. ``force`` marks an emergency stop; neither is refused. The next arming begins in HOLD.
 
         With a flight controller below the answer is IN_PROGRESS until its heartbeat shows it (:meth:`disarmed`)."""
@@ -188,11 +188,11 @@ class Commander:
         self._disarming.begin()
         return self._disarming.answer
 
-    def disarmed(self) -> Answer:
+    def disarmed(self) -> CommandReply:
         """What has become of the last disarming."""
         return self._disarming.answer
 
-    def set_mode(self, mode: FlightMode) -> Answer:
+    def set_mode(self, mode: FlightMode) -> CommandReply:
         """Change the mode, or say why not."""
         refusal = self._modes.refusal(mode)
         if refusal is not None:
@@ -203,7 +203,7 @@ class Commander:
         self._modes.choose(mode)
         return ACCEPTED
 
-    def pause(self) -> Answer:
+    def pause(self) -> CommandReply:
         """Hold here."""
         return self.set_mode(FlightMode.HOLD)
 
@@ -213,7 +213,7 @@ class Commander:
 
     # Requests: the mission
 
-    def start_mission(self, first_seq: int | None) -> Answer:
+    def start_mission(self, first_seq: int | None) -> CommandReply:
         """Enter MISSION at an item, None = where it is."""
         armed = self._modes.armed
         refusal = self._modes.refusal(FlightMode.MISSION) if armed else denied("Mission start denied: arm first")
@@ -225,11 +225,11 @@ class Commander:
                 return answer
         return self.set_mode(FlightMode.MISSION)
 
-    def resume(self) -> Answer:
+    def resume(self) -> CommandReply:
         """Go on with the mission."""
         return self.start_mission(None)
 
-    def set_current_item(self, seq: int) -> Answer:
+    def set_current_item(self, seq: int) -> CommandReply:
         """Choose the next mission item."""
         self._mission.load()
         count = len(self._plans.items(PlanKind.MISSION))
@@ -243,7 +243,7 @@ class Commander:
         self._mission.load()
         self._mission.sequencer.stand_at(position)
 
-    def change_speed(self, speed_m_s: float | None) -> Answer:
+    def change_speed(self, speed_m_s: float | None) -> CommandReply:
         """Speed for what runs now, None = no longer one that was asked for."""
         limit = self._params["SPD_PLANAR_MAX"]
         if speed_m_s is not None and not 0.0 < speed_m_s <= limit:
@@ -256,7 +256,7 @@ class Commander:
 
     # Requests: steering
 
-    def set_point(self, point: SetPoint) -> Answer:
+    def set_point(self, point: SetPoint) -> CommandReply:
         """Follow it in GUIDED. One that cannot be followed ends the mode."""
         guided = self._modes.of_kind(GuidedMode)
         refusal = guided.refuse_point(point)
@@ -265,14 +265,14 @@ class Commander:
             return ACCEPTED
         return self.refuse_set_point(refusal)
 
-    def refuse_set_point(self, reason: str) -> Answer:
+    def refuse_set_point(self, reason: str) -> CommandReply:
         """A set point that is not followed: GUIDED ends."""
         self._modes.of_kind(GuidedMode).take(None, f"set point refused, {reason}")
         if self._modes.armed and self._modes.chosen is FlightMode.GUIDED:
             self._modes.interrupt()
         return denied(f"Set point refused: {reason}")
 
-    def orbit(self, circle: Circling) -> Answer:
+    def orbit(self, circle: Circling) -> CommandReply:
         """Round a place."""
         if not self._modes.armed:
             return denied("Orbit denied: arm first")
@@ -285,12 +285,12 @@ class Commander:
         self._modes.choose(FlightMode.CIRCLE)
         return ACCEPTED
 
-    def test_motor(self, test: MotorTest) -> Answer:
+    def test_motor(self, test: MotorTest) -> CommandReply:
         """Turn one thruster for a moment."""
         reason = self._tests.begin(test)
         return denied(f"Motor test denied: {reason}") if reason else ACCEPTED
 
-    def change_depth(self, depth_m: float) -> Answer:
+    def change_depth(self, depth_m: float) -> CommandReply:
         """Another depth where the vehicle is, or on its circle."""
         nav = self._modes.nav
         if not self._modes.armed:
@@ -311,7 +311,7 @@ class Commander:
                 self._modes.fly_to(self._goals.at(place, goal.yaw_rad))
         return denied(f"Change of depth denied: {reason}") if reason else ACCEPTED
 
-    def take_off(self, depth_m: float | None) -> Answer:
+    def take_off(self, depth_m: float | None) -> CommandReply:
         """Dive and hold; at arming when disarmed."""
         refusal = self._modes.refusal(FlightMode.TAKEOFF)
         if refusal is not None:
@@ -324,7 +324,7 @@ class Commander:
 
     # Requests: places
 
-    def go_to(self, point: Place | None, yaw_rad: float | None) -> Answer:
+    def go_to(self, point: GeodeticPosition | None, yaw_rad: float | None) -> CommandReply:
         """Reposition and hold there; None = hold here."""
         if point is None:
             answer = self.set_mode(FlightMode.HOLD)
@@ -343,7 +343,7 @@ class Commander:
             self._modes.fly_to(self._goals.at(target_ned_m, yaw_rad))
         return answer
 
-    def set_home(self, point: Place | None) -> Answer:
+    def set_home(self, point: GeodeticPosition | None) -> CommandReply:
         """Home (None = here)."""
         nav = self._modes.nav
         if point is not None:
@@ -360,7 +360,7 @@ class Commander:
         """After a restart: home (3,) is where it was, for the mission too. Why it is not taken, "" when it is."""
         return self._mission.set_home(pos_ned_m)
 
-    def set_origin(self, point: Place) -> Answer:
+    def set_origin(self, point: GeodeticPosition) -> CommandReply:
         """Move the local origin. Plans drawn on the map move with the map, so only while disarmed."""
         if self._modes.armed:
             return denied("Origin denied: disarm first")
@@ -377,10 +377,10 @@ class Commander:
             return denied(f"Origin denied, clear the plan first: {rejection.reason}")
         return ACCEPTED
 
-    def end_run(self, end: RunEnd) -> Answer:
+    def end_run(self, end: RunEnd) -> CommandReply:
         """The service ends, or begins anew."""
         if self._modes.armed:
-            return Answer(result=CommandResult.TEMPORARILY_REJECTED, reason="Reboot refused: disarm first")
+            return CommandReply(result=CommandResult.TEMPORARILY_REJECTED, reason="Reboot refused: disarm first")
         self._ending = self._ticks + END_AFTER_TICKS, end
         self._operator.say(notices.RESTARTING() if end is RunEnd.AGAIN else notices.STOPPING())
         return ACCEPTED
@@ -394,7 +394,7 @@ class Commander:
 
     # One tick
 
-    def step(self, conditions: Conditions) -> Decision:
+    def step(self, conditions: TickInputs) -> Decision:
         """Advance by one tick."""
         modes = self._modes
         self._operator.t_us = conditions.t_us
@@ -438,7 +438,7 @@ class Commander:
             stop_below=self.stops_below,
         )
 
-    def _stop_below(self, conditions: Conditions) -> None:
+    def _stop_below(self, conditions: TickInputs) -> None:
         """What has been disarmed is disarmed below."""
         if self._modes.stops_below:
             self._modes.stops_below = False
@@ -465,6 +465,6 @@ class Commander:
         if self._check_news.tell(t_us, in_mission=self._modes.chosen is FlightMode.MISSION):
             self._modes.interrupt()
 
-    def _guard_plans(self, kinds: Sequence[PlanKind], verdict: Verdict) -> PlanRejection | None:
+    def _guard_plans(self, kinds: Sequence[PlanKind], verdict: PlanVerdict) -> PlanRejection | None:
         modes = self._modes
         return self._fence_guard.refusal(kinds, verdict, modes.nav, modes.goal) if modes.armed else None

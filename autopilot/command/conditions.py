@@ -2,14 +2,14 @@
 
 from dataclasses import dataclass, field
 
-from autopilot.command.facts import Facts
+from autopilot.command.facts import VehicleStatus
 from autopilot.core.messages import Below, NavDoubt, NavHealth, NavState
 from autopilot.core.samples import PowerSample
 from autopilot.mavlink.api import Sticks
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class Conditions:
+class TickInputs:
     """Facts of this tick that rules and arming look at."""
 
     t_us: int
@@ -47,7 +47,7 @@ class Conditions:
     """What devices have against arming."""
     sticks: Sticks | None = None
     """Of the pilot, None = nobody steers (any more)."""
-    facts: Facts = field(default_factory=Facts)
+    facts: VehicleStatus = field(default_factory=VehicleStatus)
     """What has been heard beside the estimate."""
 
     @property

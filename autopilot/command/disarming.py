@@ -6,14 +6,14 @@ A vehicle without one below is disarmed when its thrusters are neutral: there is
 from autopilot.command.announcements import Announcements
 from autopilot.core import operator_messages as notices
 from autopilot.core.messages import Below
-from autopilot.mavlink.api import ACCEPTED, Answer, CommandResult
+from autopilot.mavlink.api import ACCEPTED, CommandReply, CommandResult
 
 CONFIRM_TICKS = 300
 """3 s, twelve requests: then it is said that it has not worked. It is asked for until it has."""
 
 ARMED_ANEW = "Disarming cancelled: armed again"
 
-WAITING = Answer(result=CommandResult.IN_PROGRESS)
+WAITING = CommandReply(result=CommandResult.IN_PROGRESS)
 
 
 class Disarming:
@@ -43,7 +43,7 @@ class Disarming:
     def give_up(self) -> None:
         """It is to be armed."""
         if self.answer is WAITING:
-            self.answer = Answer(result=CommandResult.FAILED, reason=ARMED_ANEW)
+            self.answer = CommandReply(result=CommandResult.FAILED, reason=ARMED_ANEW)
         self._ticks = None
 
     def step(self, below: Below | None) -> None:
@@ -61,5 +61,5 @@ class Disarming:
         self._ticks = ticks + 1
         if ticks == CONFIRM_TICKS:
             found = notices.DISARM_NOT_CONFIRMED()
-            self.answer = Answer(result=CommandResult.FAILED, reason=found.text)
+            self.answer = CommandReply(result=CommandResult.FAILED, reason=found.text)
             self._operator.say(found)

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 from autopilot.core.payload import PayloadState
 from autopilot.core.vehicle import PayloadTable, Vehicle
-from autopilot.mavlink.api import ACCEPTED, Answer, CommandResult
+from autopilot.mavlink.api import ACCEPTED, CommandReply, CommandResult
 
 MIN_CYCLE_S = 0.1
 """Nothing that is made for it wears out by a repetition."""
@@ -96,7 +96,7 @@ class Equipment:
 
     # Orders
 
-    def set_servo(self, channel: int, pulse_us: float) -> Answer:
+    def set_servo(self, channel: int, pulse_us: float) -> CommandReply:
         """A pulse for an output."""
         refusal = self.refuse_servo(channel)
         index = self._of_channel(channel)
@@ -105,7 +105,7 @@ class Equipment:
         refusal = self._pulse_refusal(index, pulse_us)
         return _denied(refusal) if refusal else self._put(index, round(pulse_us))
 
-    def repeat_servo(self, channel: int, pulse_us: float, count: int, cycle_s: float) -> Answer:
+    def repeat_servo(self, channel: int, pulse_us: float, count: int, cycle_s: float) -> CommandReply:
         """To a pulse and back to where it is, so many times."""
         refusal = self.refuse_servo(channel)
         index = self._of_channel(channel)
@@ -116,7 +116,7 @@ class Equipment:
             return _denied(refusal)
         return self._repeat(index, (round(pulse_us), self._pulses_us[index]), count, cycle_s)
 
-    def set_relay(self, number: int, *, on: bool) -> Answer:
+    def set_relay(self, number: int, *, on: bool) -> CommandReply:
         """Switch."""
         refusal = self.refuse_relay(number)
         index = self._of_relay(number)
@@ -124,12 +124,12 @@ class Equipment:
             return _denied(refusal)
         return self._put(index, self._end_us(index, high=on))
 
-    def toggle_relay(self, number: int) -> Answer:
+    def toggle_relay(self, number: int) -> CommandReply:
         """Switch to the other side."""
         index = self._of_relay(number)
         return self.set_relay(number, on=index is None or not self._is_on(index))
 
-    def repeat_relay(self, number: int, count: int, cycle_s: float) -> Answer:
+    def repeat_relay(self, number: int, count: int, cycle_s: float) -> CommandReply:
         """To the other side and back, so many times."""
         refusal = self.refuse_relay(number) or _cycle_refusal(count, cycle_s)
         index = self._of_relay(number)
@@ -139,7 +139,7 @@ class Equipment:
         pulses = self._end_us(index, high=not on), self._end_us(index, high=on)
         return self._repeat(index, pulses, count, cycle_s)
 
-    def grip(self, number: int, *, close: bool) -> Answer:
+    def grip(self, number: int, *, close: bool) -> CommandReply:
         """Close a gripper, or open it."""
         refusal = self.refuse_gripper(number)
         index = self._of_gripper(number)
@@ -147,7 +147,7 @@ class Equipment:
             return _denied(refusal)
         return self._put(index, self._end_us(index, high=not close))
 
-    def set_actuators(self, values: Mapping[int, float]) -> Answer:
+    def set_actuators(self, values: Mapping[int, float]) -> CommandReply:
         """Number -> -1 to 1. All or none."""
         if not values:
             return _denied("Actuator refused: no value is given")
@@ -163,7 +163,7 @@ class Equipment:
                 self._put(index, self._share_us(index, 0.5 + 0.5 * value))
         return ACCEPTED
 
-    def lights(self, change: float | None) -> Answer:
+    def lights(self, change: float | None) -> CommandReply:
         """All lights brighter or darker by a share; None = on when they are off, off when they are on."""
         lights = [index for index, output in enumerate(self.outputs) if output.kind == "light"]
         usable = [index for index in lights if not self._problem(index)]
@@ -193,12 +193,12 @@ class Equipment:
 
     # Inside
 
-    def _put(self, index: int, pulse_us: int) -> Answer:
+    def _put(self, index: int, pulse_us: int) -> CommandReply:
         self._repeats.pop(index, None)
         self._pulses_us[index] = pulse_us
         return ACCEPTED
 
-    def _repeat(self, index: int, pulses_us: tuple[int, int], count: int, cycle_s: float) -> Answer:
+    def _repeat(self, index: int, pulses_us: tuple[int, int], count: int, cycle_s: float) -> CommandReply:
         half_us = round(0.5e6 * cycle_s)
         self._repeats[index] = _Repeat(pulses_us=pulses_us, left=2 * count, half_us=half_us, next_us=self._t_us)
         return ACCEPTED
@@ -265,5 +265,5 @@ def _cycle_refusal(count: int, cycle_s: float) -> str:
     return ""
 
 
-def _denied(reason: str) -> Answer:
-    return Answer(result=CommandResult.DENIED, reason=reason)
+def _denied(reason: str) -> CommandReply:
+    return CommandReply(result=CommandResult.DENIED, reason=reason)

@@ -9,8 +9,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from autopilot.command.command_tuning import FACTS
 from autopilot.command.floor_ranges import FloorRanges
-from autopilot.command.tuned import FACTS
 from autopilot.control.thrust.by_hand import Felt
 from autopilot.core.frames import FloatArray
 from autopilot.core.messages import Inputs
@@ -35,7 +35,7 @@ QUIET, IMPLAUSIBLE = "silent or frozen", "implausible"
 
 
 @dataclass(slots=True, eq=False)
-class _Heard:
+class _SensorRecord:
     """Of one sensor that has spoken."""
 
     last_us: int
@@ -47,7 +47,7 @@ class _Heard:
 
 
 @dataclass(slots=True, eq=False)
-class Facts:
+class VehicleStatus:
     """Newest facts. Times are the service's [us]."""
 
     gcs_us: float = NEVER
@@ -76,7 +76,7 @@ class Facts:
     """What looks down."""
     thrust_n: FloatArray | None = None
     """(n,) commanded now."""
-    sensors: dict[str, _Heard] = field(default_factory=dict)
+    sensors: dict[str, _SensorRecord] = field(default_factory=dict)
     """Those that have spoken and have to go on."""
     _late: int = 0
     _late_us: int = 0
@@ -136,7 +136,7 @@ class Facts:
 
     def note_implausible(self, t_us: int, name: str) -> None:
         """A sensor says what cannot be: it has spoken, and might as well be silent."""
-        self.sensors.setdefault(name, _Heard(t_us)).how = IMPLAUSIBLE
+        self.sensors.setdefault(name, _SensorRecord(t_us)).how = IMPLAUSIBLE
 
     def how_silent(self, name: str) -> str:
         """What is wrong with a sensor that :meth:`silent` has named."""
@@ -148,7 +148,7 @@ class Facts:
     def _spoke(self, t_us: int, name: str) -> None:
         heard = self.sensors.get(name)
         if heard is None:
-            self.sensors[name] = _Heard(t_us)
+            self.sensors[name] = _SensorRecord(t_us)
         else:
             heard.last_us, heard.how = t_us, QUIET
 
@@ -156,7 +156,7 @@ class Facts:
         """A reading that repeats itself to the last digit is as good as none."""
         heard = self.sensors.get(name)
         if heard is None:
-            heard = self.sensors[name] = _Heard(t_us)
+            heard = self.sensors[name] = _SensorRecord(t_us)
         heard.equal = heard.equal + 1 if reading == heard.reading else 0
         heard.reading = reading
         if heard.equal < FACTS.frozen_readings:

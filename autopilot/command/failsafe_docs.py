@@ -3,7 +3,7 @@
 import re
 from dataclasses import dataclass
 
-from autopilot.command.failsafe_table import ACTIONS, EFFECTS, ROWS, Row
+from autopilot.command.failsafe_table import ACTIONS, EFFECTS, ROWS, FailsafeRow
 from autopilot.core.params import ParamSet
 
 _NAMED = re.compile(r"`([A-Z0-9_]+)`")
@@ -57,7 +57,7 @@ def _short(action: str) -> str:
     return _ALL_ACTIONS.sub(lambda found: "".join(_DEFAULT.findall(found[0])), action)
 
 
-def _text(row: Row, params: ParamSet) -> FailsafeText:
+def _text(row: FailsafeRow, params: ParamSet) -> FailsafeText:
     return FailsafeText(
         bit=int(row.rule),
         name=row.rule.name,
@@ -75,13 +75,13 @@ def _with_default(name: str, params: ParamSet) -> str:
     return f"`{name}` ({f'{spec.default:g} {spec.unit}'.rstrip()})"
 
 
-def _over(row: Row) -> str:
+def _over(row: FailsafeRow) -> str:
     parts = [f"back by {row.gap:g}" if row.gap else "at once" if not row.leave_s else "gone"]
     parts += [f"for {row.leave_s:g} s"] if row.leave_s else []
     return " ".join(parts) + (", at disarming" if row.flying else "")
 
 
-def _action(row: Row, params: ParamSet) -> str:
+def _action(row: FailsafeRow, params: ParamSet) -> str:
     if not row.action:
         return row.effects[0]
     chosen = int(params[row.action])

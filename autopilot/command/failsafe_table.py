@@ -12,9 +12,9 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Literal, TypeAlias
 
-from autopilot.command.conditions import Conditions
-from autopilot.command.situation import Situation
-from autopilot.command.tuned import FACTS
+from autopilot.command.command_tuning import FACTS
+from autopilot.command.conditions import TickInputs
+from autopilot.command.situation import FailsafeInputs
 from autopilot.core.messages import Failsafe, NavDoubt, Severity
 
 Effect: TypeAlias = Literal["off", "warn", "hold", "return", "surface", "drop", "hand back", "disarm"]
@@ -45,7 +45,7 @@ EFFECTS: dict[Effect, str] = {
 ACTIONS: tuple[Effect, ...] = ("warn", "hold", "surface", "return", "disarm", "drop", "hand back")
 """Values of most FS_..._ACT parameters, from 0."""
 
-Level: TypeAlias = Callable[[Conditions, Situation], float]
+Level: TypeAlias = Callable[[TickInputs, FailsafeInputs], float]
 Bound: TypeAlias = str | float
 """A parameter's name or a number."""
 
@@ -54,7 +54,7 @@ _DOUBTS = frozenset({NavDoubt.FIXES, NavDoubt.RANGE, NavDoubt.MAP, NavDoubt.CALI
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Row:
+class FailsafeRow:
     """One failsafe."""
 
     rule: Failsafe
@@ -88,8 +88,8 @@ def _age(t_us: int, since_us: float) -> float:
     return 1e-6 * (t_us - since_us)
 
 
-ROWS: tuple[Row, ...] = (
-    Row(
+ROWS: tuple[FailsafeRow, ...] = (
+    FailsafeRow(
         rule=Failsafe.NAV_LOST,
         condition="no valid estimate for `FS_NAV_TIMEOUT`, after there was one",
         level=lambda c, s: s.nav_lost,
@@ -99,7 +99,7 @@ ROWS: tuple[Row, ...] = (
         effects=("warn", "disarm", "surface", "drop", "hand back"),
         text="position lost",
     ),
-    Row(
+    FailsafeRow(
         rule=Failsafe.SOLVER,
         condition="`FS_SOLVER_N` control steps in a row without a solution, fallbacks included",
         level=lambda c, s: c.solver_failures,
@@ -107,7 +107,7 @@ ROWS: tuple[Row, ...] = (
         action="FS_SOLVER_ACT",
         text="controller finds no solution",
     ),
-    Row(
+    FailsafeRow(
         rule=Failsafe.BATTERY,
         condition="charge below `FS_BATT_LOW`, or voltage below `BATT_LOW_VOLT` for `BATT_LOW_TIMER`",
         level=lambda c, s: _NAN if c.power is None else min(c.power.remaining, s.low_voltage),
@@ -118,7 +118,7 @@ ROWS: tuple[Row, ...] = (
         text="battery {battery_low}",
         arming="battery {battery_now}: charge it",
     ),
-    Row(
+    FailsafeRow(
         rule=Failsafe.AHRS_STALE,
         condition="no new AHRS sample for 0.5 s",
         level=lambda c, s: _NAN if c.ahrs_age_s is None else c.ahrs_age_s,
@@ -126,7 +126,7 @@ ROWS: tuple[Row, ...] = (
         effects=("surface",),
         text="AHRS silent or frozen",
     ),
-    Row(
+    FailsafeRow(
         rule=Failsafe.THRUSTER,
         condition="the working thrusters cannot hold depth, heading or place, or commands do not reach them, for 3 s",
         level=lambda c, s: 1.0 if c.thruster_problem else 0.0,
@@ -136,7 +136,7 @@ ROWS: tuple[Row, ...] = (
         text="{thruster_problem}",
         arming="{thruster_problem}: repair it, or correct THRn_HEALTH",
     ),
-    Row(
+    FailsafeRow(
         rule=Failsafe.LATENCY,
         condition="command latency above `FS_LAT_MAX`",
         level=lambda c, s: c.command_delay_s,
@@ -144,7 +144,7 @@ ROWS: tuple[Row, ...] = (
         action="FS_LAT_ACT",
         text="command latency high: check the tether",
     ),
-    Row(
+    FailsafeRow(
         rule=Failsafe.NAV_CHECK,
         condition="the two estimators disagree about the position",
         level=lambda c, s: c.nav_disagrees,
@@ -152,7 +152,7 @@ ROWS: tuple[Row, ...] = (
         effects=("warn",),
         text="estimators disagree",
     ),
-    Row(
+    FailsafeRow(
         rule=Failsafe.FAULT,
         condition="internal fault within the last 5 s ([reliability.md](reliability.md))",
         level=lambda c, s: 1.0 if c.fault else 0.0,
@@ -161,7 +161,7 @@ ROWS: tuple[Row, ...] = (
         text="{fault}",
         arming="{fault}: see the log, restart the service",
     ),
-    Row(
+    FailsafeRow(
         rule=Failsafe.GCS,
         condition="no HEARTBEAT of a ground station for `FS_GCS_TIMEOUT`, after there was one",
         level=lambda c, s: _age(c.t_us, c.facts.gcs_us),
@@ -171,7 +171,7 @@ ROWS: tuple[Row, ...] = (
         severity=Severity.WARNING,
         text="ground station lost: check the link",
     ),
-    Row(
+    FailsafeRow(
         rule=Failsafe.PILOT,
         condition="no input for `FS_PILOT_TIMEOUT` of a pilot who has steered since arming",
         level=lambda c, s: _age(c.t_us, c.facts.pilot_us) if c.facts.pilot_us >= s.armed_us else _NAN,
@@ -182,7 +182,7 @@ ROWS: tuple[Row, ...] = (
         text="pilot input lost: check the joystick",
         flying=True,
     ),
-    Row(
+    FailsafeRow(
         rule=Failsafe.DEAD_RECKONING,
         condition="no position fix for `FS_DR_TIME` (dead reckoning)",
         level=lambda c, s: s.no_fix_s,
@@ -192,7 +192,7 @@ ROWS: tuple[Row, ...] = (
         text="no fix for {FS_DR_TIME:.0f} s: go to markers",
         flying=True,
     ),
-    Row(
+    FailsafeRow(
         rule=Failsafe.SENSOR,
         condition="depth sensor, DVL, power monitor, leak probe or hull sensor silent, frozen or (power monitor) "
         "implausible for `FS_SENS_TIME`, after it has worked",
@@ -203,7 +203,7 @@ ROWS: tuple[Row, ...] = (
         text="{silent_sensor} {silence}",
         arming="{silent_sensor} {silence}: check its cable",
     ),
-    Row(
+    FailsafeRow(
         rule=Failsafe.DOUBT,
         condition="fixes, range, map or calibration contradict each other for 1 s ([estimation.md](estimation.md))",
         level=lambda c, s: 0.0 if c.nav_doubts.isdisjoint(_DOUBTS) else 1.0,
@@ -215,7 +215,7 @@ ROWS: tuple[Row, ...] = (
         text="map or calibration suspect: check both",
         flying=True,
     ),
-    Row(
+    FailsafeRow(
         rule=Failsafe.BATTERY_CRITICAL,
         condition="charge below `FS_BATT_CRT`, or voltage below `BATT_CRT_VOLT` for `BATT_LOW_TIMER`",
         level=lambda c, s: _NAN if c.power is None else min(c.power.remaining, s.critical_voltage),
@@ -225,7 +225,7 @@ ROWS: tuple[Row, ...] = (
         action="FS_BATT_CRT_ACT",
         text="battery critical: surface",
     ),
-    Row(
+    FailsafeRow(
         rule=Failsafe.ENERGY,
         condition="predicted charge at the end of the plan below `FS_ENRG_RES` for 5 s",
         level=lambda c, s: s.energy_lack,
@@ -237,7 +237,7 @@ ROWS: tuple[Row, ...] = (
         text="battery too low for the plan: shorten it",
         flying=True,
     ),
-    Row(
+    FailsafeRow(
         rule=Failsafe.LEAK,
         condition=f"leak probe wet within the last {FACTS.latched_us // 10**6} s",
         level=lambda c, s: c.facts.wet_us + FACTS.latched_us >= c.t_us,
@@ -247,7 +247,7 @@ ROWS: tuple[Row, ...] = (
         text="water in the hull",
         arming="water in the hull: open and dry it",
     ),
-    Row(
+    FailsafeRow(
         rule=Failsafe.PRESSURE,
         condition="hull pressure above `FS_PRESS_MAX` for 2 s",
         level=lambda c, s: c.facts.hull_pa,
@@ -260,7 +260,7 @@ ROWS: tuple[Row, ...] = (
         text="hull pressure high: check for leaks",
         arming="hull pressure high: check seals, vent the hull",
     ),
-    Row(
+    FailsafeRow(
         rule=Failsafe.TEMPERATURE,
         condition="hull temperature above `FS_TEMP_MAX` for 2 s",
         level=lambda c, s: c.facts.hull_c,
@@ -273,7 +273,7 @@ ROWS: tuple[Row, ...] = (
         text="hull too hot: let it cool in water",
         arming="hull too hot: let it cool in water",
     ),
-    Row(
+    FailsafeRow(
         rule=Failsafe.CAGE_SOFT,
         condition="vehicle beyond fence or depth band by `FS_CAGE_SOFT` for 0.5 s",
         level=lambda c, s: s.beyond_m,
@@ -285,7 +285,7 @@ ROWS: tuple[Row, ...] = (
         text="beyond fence or depth band",
         flying=True,
     ),
-    Row(
+    FailsafeRow(
         rule=Failsafe.CAGE_HARD,
         condition="vehicle beyond fence or depth band by `FS_CAGE_HARD` for 0.5 s",
         level=lambda c, s: s.beyond_m,
@@ -296,7 +296,7 @@ ROWS: tuple[Row, ...] = (
         text="far beyond fence or depth band",
         flying=True,
     ),
-    Row(
+    FailsafeRow(
         rule=Failsafe.TILT,
         condition="tilt above `FS_CRASH_ANGLE` for 2 s",
         level=lambda c, s: s.tilt_deg,
@@ -308,7 +308,7 @@ ROWS: tuple[Row, ...] = (
         text="tilt beyond {FS_CRASH_ANGLE:.0f} deg: check vehicle",
         flying=True,
     ),
-    Row(
+    FailsafeRow(
         rule=Failsafe.COLLISION,
         condition="acceleration peak above `FS_COLL_ACC` that thrust does not explain; "
         f"shown for {FACTS.shown_us // 10**6} s",
@@ -319,7 +319,7 @@ ROWS: tuple[Row, ...] = (
         text="collision detected: check the camera",
         flying=True,
     ),
-    Row(
+    FailsafeRow(
         rule=Failsafe.STUCK,
         condition="under way, a thruster above a third of `THR_LIMIT`, slower than 0.05 m/s for `FS_STUCK_TIME`",
         level=lambda c, s: s.stuck_s,
@@ -329,7 +329,7 @@ ROWS: tuple[Row, ...] = (
         text="stuck, thrust without motion: back off",
         flying=True,
     ),
-    Row(
+    FailsafeRow(
         rule=Failsafe.TETHER,
         condition="tether paid out to `TETHER_LEN` (counted by `TETHER_COUNT`)",
         level=lambda c, s: s.tether_m,
@@ -340,7 +340,7 @@ ROWS: tuple[Row, ...] = (
         text="tether fully paid out: come back",
         flying=True,
     ),
-    Row(
+    FailsafeRow(
         rule=Failsafe.LOOP,
         condition="fraction of late ticks above `FS_LOOP_MAX` for 3 s",
         level=lambda c, s: c.facts.late_share,
@@ -351,7 +351,7 @@ ROWS: tuple[Row, ...] = (
         severity=Severity.WARNING,
         text="control loop late: reduce the CPU load",
     ),
-    Row(
+    FailsafeRow(
         rule=Failsafe.LOG,
         condition="log not written: disk full, missing or read-only",
         level=lambda c, s: c.facts.log_lost,
@@ -361,7 +361,7 @@ ROWS: tuple[Row, ...] = (
         text="not logging: free disk space",
         flying=True,
     ),
-    Row(
+    FailsafeRow(
         rule=Failsafe.CLOCK,
         condition=f"clock of day jumped by 0.5 s or more; shown for {FACTS.shown_us // 10**6} s",
         level=lambda c, s: c.facts.jumped_us + FACTS.shown_us >= c.t_us,
@@ -370,7 +370,7 @@ ROWS: tuple[Row, ...] = (
         severity=Severity.WARNING,
         text="clock jumped: check time source",
     ),
-    Row(
+    FailsafeRow(
         rule=Failsafe.ASCENT,
         condition="surfacing without a position for `FS_ASCENT_TIME`",
         level=lambda c, s: s.blind_s,
@@ -379,7 +379,7 @@ ROWS: tuple[Row, ...] = (
         text="ascent too slow: haul in the tether",
         flying=True,
     ),
-    Row(
+    FailsafeRow(
         rule=Failsafe.WATCHDOG,
         condition="thruster watchdog process missing or hanging for 3 s ([reliability.md](reliability.md))",
         level=lambda c, s: 1.0 if c.watchdog_problem else 0.0,
@@ -389,7 +389,7 @@ ROWS: tuple[Row, ...] = (
         text="thruster watchdog {watchdog_problem}: surface",
         arming="thruster watchdog {watchdog_problem}: restart the service",
     ),
-    Row(
+    FailsafeRow(
         rule=Failsafe.CAMERA,
         condition="images jump, or contradict gyro and vehicle model ([estimation.md](estimation.md))",
         level=lambda c, s: 1.0 if NavDoubt.CAMERA in c.nav_doubts else 0.0,
@@ -399,7 +399,7 @@ ROWS: tuple[Row, ...] = (
         text="camera rejected: check its pictures",
         flying=True,
     ),
-    Row(
+    FailsafeRow(
         rule=Failsafe.SENDER,
         condition="the flight controller's outputs show another sender's commands, within 15 reports (0.3 s)",
         level=lambda c, s: _NAN if c.below is None else float(c.below.rival),

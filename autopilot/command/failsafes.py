@@ -7,9 +7,9 @@ when the condition has gone, at once for the rows that FS_OVERRIDE names. Text i
 import math
 from collections.abc import Iterator, Mapping, Sequence
 
-from autopilot.command.conditions import Conditions
-from autopilot.command.failsafe_table import RANK, ROWS, Bound, Effect, Row
-from autopilot.command.situation import Situation
+from autopilot.command.conditions import TickInputs
+from autopilot.command.failsafe_table import RANK, ROWS, Bound, Effect, FailsafeRow
+from autopilot.command.situation import FailsafeInputs
 from autopilot.core import operator_messages as notices
 from autopilot.core.messages import Event, Failsafe, NavDoubt, NavHealth, Severity
 from autopilot.core.params import ParamSet
@@ -19,7 +19,7 @@ AHRS_TIMEOUT_S = 0.5
 """50 AHRS frames missing: attitude is no longer known."""
 
 
-class _Watch:
+class _RowState:
     """One row and how it stands."""
 
     __slots__ = (
@@ -27,7 +27,7 @@ class _Watch:
         *("level", "row", "sign", "since_us", "text"),
     )
 
-    def __init__(self, row: Row) -> None:
+    def __init__(self, row: FailsafeRow) -> None:
         self.row = row
         self.level = row.level
         self.sign = -1.0 if row.below else 1.0
@@ -56,10 +56,10 @@ class _Watch:
 class FailsafeRules:
     """State of all failsafes."""
 
-    def __init__(self, params: ParamSet, situation: Situation) -> None:
+    def __init__(self, params: ParamSet, situation: FailsafeInputs) -> None:
         self._params = params
         self._situation = situation
-        self._watches = tuple(_Watch(row) for row in ROWS)
+        self._watches = tuple(_RowState(row) for row in ROWS)
         self._grounded = tuple(watch for watch in self._watches if not watch.row.flying)
         self._revision = -1
         self._overridden = self._told_override = 0
@@ -90,7 +90,7 @@ class FailsafeRules:
         self.action = None
         self._judge = True
 
-    def prearm_reasons(self, conditions: Conditions, *, blind: bool = False) -> tuple[str, ...]:
+    def prearm_reasons(self, conditions: TickInputs, *, blind: bool = False) -> tuple[str, ...]:
         """Why the vehicle must not be armed. ``blind``: for a mode that needs no position."""
         reasons = []
         if conditions.ahrs_age_s is None or conditions.ahrs_age_s > AHRS_TIMEOUT_S:
@@ -112,7 +112,7 @@ class FailsafeRules:
                 reasons.append(words.put_in(arming))
         return tuple(reasons)
 
-    def update(self, conditions: Conditions, *, armed: bool) -> Sequence[Event]:
+    def update(self, conditions: TickInputs, *, armed: bool) -> Sequence[Event]:
         """Evaluate all rows; events report what began and what ended."""
         if self._params.revision != self._revision:
             self._configure()
@@ -155,7 +155,7 @@ class FailsafeRules:
         effects = [watch.effect for watch in self._watches if watch.active and RANK[watch.effect] > 0]
         return max(effects, key=RANK.__getitem__, default=None)
 
-    def _turn(self, watch: _Watch, conditions: Conditions, events: list[Event]) -> None:
+    def _turn(self, watch: _RowState, conditions: TickInputs, events: list[Event]) -> None:
         """A row begins or ends."""
         watch.active, watch.since_us = not watch.active, -1
         self.bits ^= 1 << watch.row.rule
@@ -196,7 +196,7 @@ class FailsafeRules:
 class _Words(Mapping[str, object]):
     """What the braces of a text stand for: parameters, and facts of the tick."""
 
-    def __init__(self, params: ParamSet, conditions: Conditions, situation: Situation) -> None:
+    def __init__(self, params: ParamSet, conditions: TickInputs, situation: FailsafeInputs) -> None:
         power = conditions.power
         self._facts = {
             "thruster_problem": conditions.thruster_problem,
@@ -223,7 +223,7 @@ class _Words(Mapping[str, object]):
         return text.format_map(self).replace("%", " %").replace("  %", " %")
 
 
-def _battery(power: PowerSample | None, situation: Situation, share: str) -> str:
+def _battery(power: PowerSample | None, situation: FailsafeInputs, share: str) -> str:
     """What is low of the battery: its voltage, or its share."""
     if power is None:
         return "unknown"

@@ -12,9 +12,9 @@ from collections.abc import Hashable
 
 import numpy as np
 
+from autopilot.command.command_tuning import FAULT_RESPONSE
 from autopilot.command.commander import Commander
-from autopilot.command.motion import Motion, model_state
-from autopilot.command.tuned import FAULT_RESPONSE
+from autopilot.command.control_step import ControlStep, model_state
 from autopilot.control.robust.fallback import station_keeping_thrust
 from autopilot.core import operator_messages as notices
 from autopilot.core.frames import FloatArray
@@ -31,7 +31,9 @@ FLIGHT_PARTS = frozenset(("estimator", "thrusters", "commander", "controller", "
 class FaultResponse:
     """Remembers faults, and acts upon them: a station that is held without the controller, or neutral thrusters."""
 
-    def __init__(self, vehicle: Vehicle, params: ParamSet, guard: Guard, commander: Commander, motion: Motion) -> None:
+    def __init__(
+        self, vehicle: Vehicle, params: ParamSet, guard: Guard, commander: Commander, motion: ControlStep
+    ) -> None:
         self._sharing = Sharing.of(vehicle)
         self._params = params
         self._guard = guard

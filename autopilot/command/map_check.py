@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from autopilot.command.tuned import MAP_CHECK
+from autopilot.command.command_tuning import MAP_CHECK
 from autopilot.control.water.current_map import CurrentMap
 from autopilot.control.water.map_reading import load_current_map
 from autopilot.core.errors import ConfigError, PlanError
@@ -17,11 +17,11 @@ from autopilot.core.geometry import Fence, Polygon, Shape
 from autopilot.core.origin_params import params_origin
 from autopilot.core.params import ParamSet
 from autopilot.core.plan import PlanKind
+from autopilot.mission.clearance import Clearance
 from autopilot.mission.items import GoTo, Step
+from autopilot.mission.mission_tuning import UPSTREAM
 from autopilot.mission.plan_files import read_plan
-from autopilot.mission.room import Room
 from autopilot.mission.store import Plans
-from autopilot.mission.tuned import UPSTREAM
 from autopilot.mission.upstream import SlowLeg, slowest_leg
 
 
@@ -109,7 +109,7 @@ class MapCheck:
         middles = np.stack(
             (0.5 * (nodes.north_m[i] + nodes.north_m[i + 1]), 0.5 * (nodes.east_m[j] + nodes.east_m[j + 1])), axis=1
         )
-        return middles[Room.of(fence).near(middles, MAP_CHECK.edge_m)[0] > 0.0]
+        return middles[Clearance.of(fence).near(middles, MAP_CHECK.edge_m)[0] > 0.0]
 
 
 def workspace_places(fence: Fence, steps: Sequence[Step]) -> FloatArray:
@@ -123,7 +123,7 @@ def workspace_places(fence: Fence, steps: Sequence[Step]) -> FloatArray:
     axes = [np.linspace(corners[:, k].min(), corners[:, k].max(), MAP_CHECK.lattice) for k in range(2)]
     lattice = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 2)
     candidates = np.vstack((places, corners, lattice))
-    return candidates[Room.of(fence).near(candidates, MAP_CHECK.edge_m)[0] >= -1e-9]
+    return candidates[Clearance.of(fence).near(candidates, MAP_CHECK.edge_m)[0] >= -1e-9]
 
 
 def describe_map(water: CurrentMap) -> list[tuple[str, object]]:

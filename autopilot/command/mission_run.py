@@ -7,16 +7,16 @@ from enum import IntEnum
 import numpy as np
 
 from autopilot.command.announcements import Announcements
-from autopilot.command.conditions import Conditions
-from autopilot.command.tuned import MISSION_RUN
+from autopilot.command.command_tuning import MISSION_RUN
+from autopilot.command.conditions import TickInputs
 from autopilot.core import operator_messages as notices
 from autopilot.core.frames import FloatArray
 from autopilot.core.messages import Goal, NavState, ProgressState
 from autopilot.core.params import ParamSet
 from autopilot.mission.items import Step, Timed
+from autopilot.mission.mission_tuning import UPSTREAM
 from autopilot.mission.sequencer import Sequencer, SequencerOutput
 from autopilot.mission.store import Plans
-from autopilot.mission.tuned import UPSTREAM
 from autopilot.mission.upstream import MadeGood, SlowLeg, slowest_leg
 
 
@@ -136,7 +136,7 @@ class MissionRun:
         self._made_good.forget()
         self._given_up = False
 
-    def watch_way(self, conditions: Conditions, goal: Goal, nav: NavState, *, flies: bool) -> bool:
+    def watch_way(self, conditions: TickInputs, goal: Goal, nav: NavState, *, flies: bool) -> bool:
         """A goal that the vehicle gets no nearer to is not crept at for ever: WP_STUCK_ACT says what is done.
 
         ``flies``: an item of the mission, else home. True when the vehicle is to hold.
@@ -157,7 +157,7 @@ class MissionRun:
         self._given_up = True
         return self._give_up(conditions, goal, nav, flies)
 
-    def _give_up(self, conditions: Conditions, goal: Goal, nav: NavState, flies: bool) -> bool:
+    def _give_up(self, conditions: TickInputs, goal: Goal, nav: NavState, flies: bool) -> bool:
         """Say it and do it; True when the vehicle is to hold."""
         current = math.hypot(*nav.current_ned_m_s[:2].tolist())
         why = "no free way" if conditions.unreachable else f"current {current:.2f} m/s"

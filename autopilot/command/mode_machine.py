@@ -3,19 +3,19 @@
 from collections.abc import Callable
 from typing import TypeVar
 
-from autopilot.command.conditions import Conditions
+from autopilot.command.conditions import TickInputs
 from autopilot.command.decision import Pose
 from autopilot.command.failsafe_table import Effect
 from autopilot.command.failsafes import FailsafeRules
-from autopilot.command.modes.mode import Mode, Step, Tools, denied
-from autopilot.command.modes.table import MODES
+from autopilot.command.modes.mode import FlightModeBehaviour, ModeStep, Tools, denied
+from autopilot.command.modes.mode_table import MODES
 from autopilot.control.thrust.by_hand import ByHand
 from autopilot.core import operator_messages as notices
 from autopilot.core.messages import Authority, Below, Failsafe, Goal, NavState
-from autopilot.mavlink.api import Answer, FlightMode
+from autopilot.mavlink.api import CommandReply, FlightMode
 from autopilot.mission.items import Order
 
-M = TypeVar("M", bound=Mode)
+M = TypeVar("M", bound=FlightModeBehaviour)
 
 
 class ModeMachine:
@@ -31,7 +31,7 @@ class ModeMachine:
         """Whether there was a position on the last tick."""
         self._under_way = False
         self._override: FlightMode | None = None
-        self.conditions: Conditions | None = None
+        self.conditions: TickInputs | None = None
         """Of the last tick, None before the first one."""
         self.armed = False
         self.yielded = False
@@ -76,7 +76,7 @@ class ModeMachine:
         return None if self.conditions is None else self.conditions.estimate
 
     @property
-    def active(self) -> Mode:
+    def active(self) -> FlightModeBehaviour:
         """The mode in force."""
         return self._modes[self.mode]
 
@@ -91,7 +91,7 @@ class ModeMachine:
         assert isinstance(mode, kind)
         return mode
 
-    def refusal(self, mode: FlightMode) -> Answer | None:
+    def refusal(self, mode: FlightMode) -> CommandReply | None:
         """Why a mode is not entered, None if it can be."""
         if self.yielded:
             return denied("Denied: the pilot has the vehicle below us")
@@ -189,7 +189,7 @@ class ModeMachine:
 
     # One tick
 
-    def apply_failsafes(self, conditions: Conditions) -> None:
+    def apply_failsafes(self, conditions: TickInputs) -> None:
         """What the conditions of this tick forbid."""
         for event in self._failsafes.update(conditions, armed=self.armed):
             self._operator.pass_on(event)
@@ -226,7 +226,7 @@ class ModeMachine:
         back = self._override is FlightMode.RETURN or not self._goals.refuse_home()
         return FlightMode.RETURN if back else FlightMode.HOLD
 
-    def advance(self, conditions: Conditions) -> tuple[Goal | None, tuple[int, ...]]:
+    def advance(self, conditions: TickInputs) -> tuple[Goal | None, tuple[int, ...]]:
         """Goal of this tick, and the mission items that have been reached on it."""
         nav = self.nav
         self._watch_position()
@@ -243,7 +243,7 @@ class ModeMachine:
             goal = self.goal
         return goal if self.ascent is None else None, step.reached
 
-    def _follow(self, step: Step) -> None:
+    def _follow(self, step: ModeStep) -> None:
         """Do what a mode wants."""
         self.equipment_orders += step.orders
         if step.goal is not None:
@@ -257,7 +257,7 @@ class ModeMachine:
         elif step.disarm:
             self.disarm(force=False)
 
-    def by_hand(self, conditions: Conditions) -> ByHand | None:
+    def by_hand(self, conditions: TickInputs) -> ByHand | None:
         """What a pilot asks for where there is no position, None where the mode needs one or there is one."""
         if not self.armed or self.yielded or self.nav is not None:
             return None

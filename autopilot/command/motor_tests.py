@@ -5,9 +5,9 @@ fence. What it may do at most is what :mod:`autopilot.run.motor_test` may on boa
 """
 
 from autopilot.command.announcements import Announcements
-from autopilot.command.conditions import Conditions
+from autopilot.command.command_tuning import MOTOR_TESTS
+from autopilot.command.conditions import TickInputs
 from autopilot.command.mode_machine import ModeMachine
-from autopilot.command.tuned import MOTOR_TESTS
 from autopilot.core import operator_messages as notices
 from autopilot.core.vehicle import Vehicle
 from autopilot.mavlink.api import FlightMode, MotorTest, Sticks
@@ -57,7 +57,7 @@ class MotorTests:
         self._until_us = t_us + round(1e6 * min(test.seconds or MOTOR_TESTS.silence_s, MOTOR_TESTS.most_s))
         return ""
 
-    def step(self, conditions: Conditions) -> tuple[int, int] | None:
+    def step(self, conditions: TickInputs) -> tuple[int, int] | None:
         """What turns on this tick."""
         if self._now is None:
             return None
@@ -70,7 +70,7 @@ class MotorTests:
             self._operator.say(notices.MOTOR_TEST_ENDED(reason=reason) if reason else notices.MOTOR_TEST_OVER())
         return self._now
 
-    def _end(self, conditions: Conditions) -> str:
+    def _end(self, conditions: TickInputs) -> str:
         """What speaks against a test now."""
         modes, sticks, nav = self._modes, conditions.sticks, self._modes.nav
         if not modes.armed:

@@ -10,7 +10,7 @@ from autopilot.command.equipment import Equipment
 from autopilot.command.photographer import Photographer
 from autopilot.core import operator_messages as notices
 from autopilot.core.messages import Event
-from autopilot.mavlink.api import ACCEPTED, Answer, CommandResult
+from autopilot.mavlink.api import ACCEPTED, CommandReply, CommandResult
 from autopilot.mission.items import Order
 from autopilot.mission.payload_items import (
     Grip,
@@ -57,7 +57,7 @@ class PayloadOrders:
                 events.append(notices.ITEM_ORDER_FAILED.event(t_us, seq=order.seq, reason=answer.reason))
         return events
 
-    def _done(self, order: Order) -> Answer:
+    def _done(self, order: Order) -> CommandReply:
         equipment = self._equipment
         match order:
             case Shoot() | ShootEvery() | StopShooting() | NothingToDo():
@@ -79,12 +79,12 @@ class PayloadOrders:
                 return equipment.set_actuators(meant)
         return ACCEPTED
 
-    def _camera(self, order: Shoot | ShootEvery | StopShooting | NothingToDo) -> Answer:
+    def _camera(self, order: Shoot | ShootEvery | StopShooting | NothingToDo) -> CommandReply:
         camera = self._photographer
         starts = isinstance(order, Shoot) or (isinstance(order, ShootEvery) and order.distance_m > 0.0)
         if camera is None:
             told, self._told_camera = self._told_camera, self._told_camera or starts
-            return Answer(result=CommandResult.DENIED, reason=NO_CAMERA) if starts and not told else ACCEPTED
+            return CommandReply(result=CommandResult.DENIED, reason=NO_CAMERA) if starts and not told else ACCEPTED
         match order:
             case Shoot():
                 return camera.shoot(order.count, order.interval_s, order.seq)

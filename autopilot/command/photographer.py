@@ -11,14 +11,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from autopilot.command.tuned import PHOTOGRAPHER
+from autopilot.command.command_tuning import PHOTOGRAPHER
 from autopilot.core import operator_messages as notices
 from autopilot.core.camera import CameraModel
 from autopilot.core.frames import FloatArray, wrap_pi
 from autopilot.core.messages import Event, Inputs, NavHealth, NavState
 from autopilot.core.stills import CameraReport, StillRecord, StoredStill
 from autopilot.core.vehicle import Vehicle
-from autopilot.mavlink.api import ACCEPTED, Answer, CommandResult
+from autopilot.mavlink.api import ACCEPTED, CommandReply, CommandResult
 from autopilot.mavlink.camera_api import CameraIdentity, CameraState
 
 _R_CAM_FROM_VIEW: FloatArray = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [1.0, 0.0, 0.0]])
@@ -88,39 +88,39 @@ class Photographer:
             report=self._report,
         )
 
-    def shoot(self, count: int | None, interval_s: float, seq: int = -1) -> Answer:
+    def shoot(self, count: int | None, interval_s: float, seq: int = -1) -> CommandReply:
         """So many stills (None = until it is stopped), so far apart."""
         refusal = self.refusal
         if refusal:
-            return Answer(result=CommandResult.TEMPORARILY_REJECTED, reason=f"Photo refused: {refusal}")
+            return CommandReply(result=CommandResult.TEMPORARILY_REJECTED, reason=f"Photo refused: {refusal}")
         if count == 1:
             if len(self._under_way) + len(self._wanted) >= PHOTOGRAPHER.max_under_way:
-                return Answer(result=CommandResult.TEMPORARILY_REJECTED, reason="Photo refused: camera is busy")
+                return CommandReply(result=CommandResult.TEMPORARILY_REJECTED, reason="Photo refused: camera is busy")
             self._ask(seq)
             return ACCEPTED
         if not PHOTOGRAPHER.min_interval_s <= interval_s < math.inf:
             reason = f"Photo refused: interval {interval_s:g} s, use {PHOTOGRAPHER.min_interval_s:g} s or more"
-            return Answer(result=CommandResult.DENIED, reason=reason)
+            return CommandReply(result=CommandResult.DENIED, reason=reason)
         interval_us = round(min(interval_s, 1e6) * 1e6)
         self._sequence = _Sequence(left=count, interval_us=interval_us, next_us=self._t_us, seq=seq)
         return ACCEPTED
 
-    def shoot_every(self, distance_m: float, *, now: bool, seq: int = -1) -> Answer:
+    def shoot_every(self, distance_m: float, *, now: bool, seq: int = -1) -> CommandReply:
         """A still each time that the vehicle has come so far; 0 ends that."""
         if distance_m == 0.0:
             self._survey = None
             return ACCEPTED
         refusal = self.refusal
         if refusal:
-            return Answer(result=CommandResult.TEMPORARILY_REJECTED, reason=f"Photos refused: {refusal}")
+            return CommandReply(result=CommandResult.TEMPORARILY_REJECTED, reason=f"Photos refused: {refusal}")
         if not PHOTOGRAPHER.min_distance_m <= distance_m < math.inf:
             reason = f"Photos refused: every {distance_m:g} m, use {PHOTOGRAPHER.min_distance_m:g} m or more, 0 to stop"
-            return Answer(result=CommandResult.DENIED, reason=reason)
+            return CommandReply(result=CommandResult.DENIED, reason=reason)
         here = self._here()
         self._survey = _Survey(distance_m=distance_m, place_ned_m=None if now else here, seq=seq)
         return ACCEPTED
 
-    def stop(self) -> Answer:
+    def stop(self) -> CommandReply:
         """End the sequence, by time or by way."""
         self._sequence = self._survey = None
         return ACCEPTED

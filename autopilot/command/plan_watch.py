@@ -9,11 +9,11 @@ from autopilot.core.messages import Goal, NavState
 from autopilot.core.params import ParamSet
 from autopilot.core.plan import MissionResult, PlanKind, PlanRejection
 from autopilot.core.vehicle import Vehicle
+from autopilot.mission.clearance import Clearance
 from autopilot.mission.goals import Goals
-from autopilot.mission.judgement import Verdict
-from autopilot.mission.room import Room
+from autopilot.mission.judgement import PlanVerdict
+from autopilot.mission.mission_tuning import VALIDATION
 from autopilot.mission.store import Plans, plan_checksum
-from autopilot.mission.tuned import VALIDATION
 
 REPEAT_US = 5_000_000
 """The same problem of another upload is told again after this time at the earliest."""
@@ -25,7 +25,7 @@ class PlanCheckNews:
     def __init__(self, plans: Plans, operator: Announcements) -> None:
         self._plans = plans
         self._operator = operator
-        self._checked: tuple[Verdict, bool] | None = None
+        self._checked: tuple[PlanVerdict, bool] | None = None
         self._told = ""
         self._told_us = 0
         self._told_revision = 0
@@ -67,7 +67,7 @@ class FenceGuard:
         self._goals = goals
 
     def refusal(
-        self, kinds: Sequence[PlanKind], verdict: Verdict, nav: NavState | None, goal: Goal | None
+        self, kinds: Sequence[PlanKind], verdict: PlanVerdict, nav: NavState | None, goal: Goal | None
     ) -> PlanRejection | None:
         """Of plans that an armed vehicle at ``nav`` on its way to ``goal`` is sent; None when they are taken."""
         fence = verdict.question.plans[PlanKind.FENCE]
@@ -79,12 +79,12 @@ class FenceGuard:
         elif verdict.joint:
             reason = f"the vehicle is armed and {verdict.joint[0].reason}"
         else:
-            reason = self._lack(Room([(s.shape, s.inclusion) for s in verdict.shapes]), nav, goal)
+            reason = self._lack(Clearance([(s.shape, s.inclusion) for s in verdict.shapes]), nav, goal)
         if not reason:
             return None
         return PlanRejection(seq=None, result=MissionResult.DENIED, reason=f"{reason}; FENCE_ARMED_CHG 1 allows it")
 
-    def _lack(self, room: Room, nav: NavState | None, goal: Goal | None) -> str:
+    def _lack(self, room: Clearance, nav: NavState | None, goal: Goal | None) -> str:
         """What another workspace has against where the vehicle is and where it goes, "" if nothing."""
         places: list[tuple[str, FloatArray]] = [] if nav is None else [("vehicle", nav.pos_ned_m)]
         places += [] if goal is None else [("vehicle's goal", goal.pos_ned_m)]

@@ -11,18 +11,18 @@ from dataclasses import replace
 from functools import partial
 from typing import TypeVar
 
-from autopilot.command.conditions import Conditions
+from autopilot.command.command_tuning import SERVICE
+from autopilot.command.conditions import TickInputs
+from autopilot.command.control_step import ControlStep
 from autopilot.command.decision import Decision
 from autopilot.command.estimation import Estimated, Estimation
-from autopilot.command.facts import Facts
+from autopilot.command.facts import VehicleStatus
 from autopilot.command.fault_response import FaultResponse
-from autopilot.command.motion import Motion
-from autopilot.command.parts import Parts
 from autopilot.command.payload_orders import PayloadOrders
-from autopilot.command.surroundings import Surroundings
-from autopilot.command.tuned import SERVICE
+from autopilot.command.service_parts import Parts
+from autopilot.command.surroundings import Environment
 from autopilot.command.view import vehicle_view
-from autopilot.core.clients import Standing
+from autopilot.core.clients import ClientRecord
 from autopilot.core.frames import FloatArray
 from autopilot.core.marks import LoopPart, Marks, NoMarks
 from autopilot.core.messages import (
@@ -65,9 +65,11 @@ class Autopilot:
         """Takes the time of the parts of a tick, for the loop's statistics; nothing in here looks at it."""
         self._tick = 0
         self._actuation = parts.actuation
-        self._surroundings = Surroundings(parts.vehicle, parts.params)
+        self._surroundings = Environment(parts.vehicle, parts.params)
         self._estimation = Estimation(parts.estimator, parts.guard)
-        self._motion = Motion(parts.vehicle, parts.controller, parts.actuation, parts.params, self._surroundings.tracks)
+        self._motion = ControlStep(
+            parts.vehicle, parts.controller, parts.actuation, parts.params, self._surroundings.tracks
+        )
         self._motion.felt = self._surroundings.facts.felt
         self._faults = FaultResponse(parts.vehicle, parts.params, parts.guard, parts.commander, self._motion)
         self._orders = PayloadOrders(parts.equipment, parts.photographer)
@@ -94,7 +96,7 @@ class Autopilot:
         """A HEARTBEAT for every link, of the last tick's state; changes nothing."""
         return self._run("heartbeat", self._parts.server.beat, NO_FRAMES)
 
-    def standing(self, link: int, client: int) -> Standing:
+    def standing(self, link: int, client: int) -> ClientRecord:
         """What a client of a link has shown of itself so far: who keeps its place where there are too few."""
         return self._parts.server.standing(link, client)
 
@@ -257,9 +259,9 @@ class Autopilot:
             decision, armed=False, stop_below=True, goal=None, blind_ascent=False, by_hand=None, motor_test=None
         )
 
-    def _conditions(self, t_us: int, estimated: Estimated) -> Conditions:
+    def _conditions(self, t_us: int, estimated: Estimated) -> TickInputs:
         actuation, motion, shadow = self._actuation, self._motion, estimated.shadow
-        return Conditions(
+        return TickInputs(
             t_us=t_us,
             nav=estimated.nav,
             power=self._surroundings.power,
@@ -282,7 +284,7 @@ class Autopilot:
             facts=self._facts(),
         )
 
-    def _facts(self) -> Facts:
+    def _facts(self) -> VehicleStatus:
         """What has been heard, with what the links and the controller know."""
         server, facts = self._parts.server, self._surroundings.facts
         if server.last_gcs_t_us is not None:

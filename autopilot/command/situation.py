@@ -8,8 +8,8 @@ from collections import deque
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
+from autopilot.command.command_tuning import SITUATION
 from autopilot.command.facts import NEVER
-from autopilot.command.tuned import SITUATION
 from autopilot.core.messages import NavHealth
 from autopilot.core.params import ParamSet
 from autopilot.core.vehicle import Vehicle
@@ -19,10 +19,10 @@ from autopilot.mission.sequencer import Position, Sequencer
 from autopilot.mission.store import Plans
 
 if TYPE_CHECKING:
-    from autopilot.command.conditions import Conditions
+    from autopilot.command.conditions import TickInputs
 
 
-class Situation:
+class FailsafeInputs:
     """Numbers of now."""
 
     def __init__(self, vehicle: Vehicle, params: ParamSet, plans: Plans, goals: Goals, sequencer: Sequencer) -> None:
@@ -66,7 +66,7 @@ class Situation:
         """-1 = the voltage is too low and has been for BATT_LOW_TIMER, else inf."""
 
     def look(
-        self, conditions: "Conditions", *, armed: bool, surfacing: bool, on_mission: bool, blind: bool = False
+        self, conditions: "TickInputs", *, armed: bool, surfacing: bool, on_mission: bool, blind: bool = False
     ) -> None:
         """Once per tick. ``blind``: somebody steers who needs no position."""
         t_us, nav = conditions.t_us, conditions.nav
@@ -109,7 +109,7 @@ class Situation:
         self._blind_us = t_us if self._blind_us is None else self._blind_us
         self.blind_s = 1e-6 * (t_us - self._blind_us)
 
-    def _look_voltage(self, conditions: "Conditions") -> None:
+    def _look_voltage(self, conditions: "TickInputs") -> None:
         power, params = conditions.power, self._params
         if power is None:
             return
@@ -126,7 +126,7 @@ class Situation:
         late = self._critical_us is not None and t_us - self._critical_us >= patience_us
         self.critical_voltage = -1.0 if late else math.inf
 
-    def _look_place(self, conditions: "Conditions", *, on_mission: bool) -> None:
+    def _look_place(self, conditions: "TickInputs", *, on_mission: bool) -> None:
         nav, params = conditions.nav, self._params
         assert nav is not None
         x, y, z = place = tuple(nav.pos_ned_m.tolist())
@@ -141,7 +141,7 @@ class Situation:
         if self._ticks % (10 * SITUATION.look_ticks) == 0:
             self._look_energy(conditions, on_mission=on_mission)
 
-    def _look_motion(self, conditions: "Conditions") -> None:
+    def _look_motion(self, conditions: "TickInputs") -> None:
         nav, thrust_n, left_m = conditions.nav, conditions.facts.thrust_n, conditions.way_left_m
         assert nav is not None
         vx, vy, vz = nav.vel_frd_m_s.tolist()
@@ -153,7 +153,7 @@ class Situation:
         self._slow_us = conditions.t_us if self._slow_us is None else self._slow_us
         self.stuck_s = 1e-6 * (conditions.t_us - self._slow_us)
 
-    def _look_energy(self, conditions: "Conditions", *, on_mission: bool) -> None:
+    def _look_energy(self, conditions: "TickInputs", *, on_mission: bool) -> None:
         power = conditions.power
         if power is None or not on_mission:
             self._spent.clear()

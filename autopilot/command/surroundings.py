@@ -6,9 +6,9 @@ import numpy as np
 
 from autopilot.command.battery_watch import BatteryWatch
 from autopilot.command.camera_watch import CameraWatch
+from autopilot.command.command_tuning import SURROUNDINGS
 from autopilot.command.device_watch import DeviceWatch
-from autopilot.command.facts import Facts, Jolts
-from autopilot.command.tuned import SURROUNDINGS
+from autopilot.command.facts import Jolts, VehicleStatus
 from autopilot.control.fence.obstacles import clearance_m
 from autopilot.control.fence.tracks import Tracks
 from autopilot.core import operator_messages as notices
@@ -35,7 +35,7 @@ INERTIAL = (AhrsSample, ImuSample)
 """At every tick: no union, which is slower to ask."""
 
 
-class Surroundings:
+class Environment:
     """The newest of everything."""
 
     def __init__(self, vehicle: Vehicle, params: ParamSet) -> None:
@@ -51,7 +51,7 @@ class Surroundings:
         """The flight controller below us."""
         self.refusals: tuple[str, ...] = ()
         """What devices have against arming."""
-        self.facts = Facts()
+        self.facts = VehicleStatus()
         """What failsafes go by."""
         self._t_us = 0
         self._told_over = False

@@ -2,7 +2,7 @@
 
 from autopilot.command.decision import Decision
 from autopilot.command.estimation import Estimation
-from autopilot.command.parts import Parts
+from autopilot.command.service_parts import Parts
 from autopilot.core.frames import FloatArray
 from autopilot.core.messages import Inputs, NavState, NmpcStatus, ThrusterCommand
 from autopilot.core.samples import PowerSample

@@ -10,9 +10,9 @@ import numpy as np
 
 from autopilot.control.nmpc import ocp
 from autopilot.control.nmpc.grid import TimeGrid
+from autopilot.control.robust.robust_tuning import TUBE
 from autopilot.control.robust.tightening import BackOffs
-from autopilot.control.robust.tuned import TUBE
-from autopilot.control.way.guidance import Reference, Situation
+from autopilot.control.way.guidance import GuidanceInputs, Reference
 from autopilot.core import compiled
 from autopilot.core.frames import FloatArray
 from autopilot.core.model4 import Z
@@ -70,7 +70,9 @@ class ProgramBounds:
         )
         self._reference = ctypes.byref(self._told)
 
-    def fill(self, back_off: BackOffs, now: Situation, reference: Reference, plan_n: FloatArray, change: float) -> None:
+    def fill(
+        self, back_off: BackOffs, now: GuidanceInputs, reference: Reference, plan_n: FloatArray, change: float
+    ) -> None:
         """``plan_n`` (N, n): thrust of the last plan; ``change``: weight on what is changed of it."""
         params, fence, told, depth_m = now.params, now.fence, self._told, float(now.x0[Z])
         planar, heave, turn = params["SPD_PLANAR_MAX"], params["SPD_HEAVE_MAX"], params["SPD_YAW_MAX"]

@@ -7,12 +7,12 @@ from dataclasses import replace
 
 import numpy as np
 
-from autopilot.control.energy.guidance import EnergyGuidance
+from autopilot.control.energy.energy_guidance import EnergyGuidance
 from autopilot.control.energy.power import PowerModel
 from autopilot.control.energy.request import TrajectoryPlanner
 from autopilot.control.energy.search import EnergyPlanner
 from autopilot.control.fence.obstacles import Movers, fence_key
-from autopilot.control.fence.tracks import Obstructions, Way
+from autopilot.control.fence.tracks import IntendedMotion, Obstructions
 from autopilot.control.nmpc import ocp
 from autopilot.control.nmpc.grid import TimeGrid, geometric_grid
 from autopilot.control.nmpc.lag import ThrusterLag
@@ -25,13 +25,13 @@ from autopilot.control.robust.margins import Tighten
 from autopilot.control.robust.penalty import PenaltyWatch
 from autopilot.control.robust.station import StationKeeper
 from autopilot.control.step_program import StepProgram
-from autopilot.control.thrust.tuned import BY_HAND
+from autopilot.control.thrust.thrust_tuning import BY_HAND
 from autopilot.control.water.currents import CurrentForecast, EstimatedCurrent
 from autopilot.control.water.lift import Lift
 from autopilot.control.way import shortest
 from autopilot.control.way.desks import Desks
 from autopilot.control.way.drive import DriveGuidance
-from autopilot.control.way.guidance import Guidance, Reference, RouteGuidance, Situation
+from autopilot.control.way.guidance import Guidance, GuidanceInputs, Reference, RouteGuidance
 from autopilot.control.way.planner import Planner
 from autopilot.core import operator_messages as notices
 from autopilot.core.errors import ConfigError
@@ -135,7 +135,7 @@ class MotionController:
         self._told_fence: Fence | None = None
         self._obstructions = Obstructions()
         self._movers: Movers | None = None
-        self.situation: Situation | None = None
+        self.situation: GuidanceInputs | None = None
         """Of the last step that had a plan made, for a look at it afterwards."""
         self.reference: Reference | None = None
         """The same."""
@@ -230,7 +230,7 @@ class MotionController:
         self._numbers.watch(True)
         fence = self._go_round(t_us, fence, nav, goal, params, tracks)
         planner = self._planner_for(fence, params)
-        now = Situation(
+        now = GuidanceInputs(
             t_us=t_us,
             x0=x0,
             nav=nav,
@@ -367,7 +367,7 @@ class MotionController:
             self._movers = None
             return fence
         here = np.array(nav.pos_ned_m[:2], dtype=float)
-        way = Way(
+        way = IntendedMotion(
             speed_m_s=math.hypot(*nav.vel_frd_m_s[:2]),
             route_ned_m=self._guidance.ahead(here) if tracks else here[None],
             goal_distance_m=math.hypot(*(goal.pos_ned_m[:2] - here)),
@@ -388,7 +388,7 @@ class MotionController:
         self._fence = fence
         return planner
 
-    def _warm_start(self, now: Situation, reference: Reference, elapsed_s: float) -> bool:
+    def _warm_start(self, now: GuidanceInputs, reference: Reference, elapsed_s: float) -> bool:
         """The plan to begin with: the last one moved on, or (True) the reference."""
         meant, self._reference = self._reference, reference.x
         # Around a plan that goes another way round an obstacle than the reference no step finds the way back.
@@ -406,7 +406,7 @@ class MotionController:
         return False
 
     def _choose(
-        self, result: NmpcResult, now: Situation, x: FloatArray, limit_n: FloatArray, elapsed_s: float
+        self, result: NmpcResult, now: GuidanceInputs, x: FloatArray, limit_n: FloatArray, elapsed_s: float
     ) -> tuple[FloatArray, Fallback]:
         """The fallback chain: new plan, rest of the last plan with feedback, station keeping where that ended."""
         current = now.nav.current_ned_m_s

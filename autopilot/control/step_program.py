@@ -20,7 +20,7 @@ from autopilot.control.nmpc.unsolved import saved
 from autopilot.control.robust.margins import Margins
 from autopilot.control.robust.regions import TerminalRegions
 from autopilot.control.robust.terminal import TerminalLimits
-from autopilot.control.way.guidance import Reference, Situation, Weights
+from autopilot.control.way.guidance import GuidanceInputs, Reference, Weights
 from autopilot.control.way.planner import Planner
 from autopilot.core.desk import Desk
 from autopilot.core.frames import FloatArray
@@ -124,12 +124,12 @@ class StepProgram:
         back_off = max(params["MPC_SPEED_MARGIN"], math.ceil(100.0 * self._speed_back_off_m_s - 1e-6) / 100.0)
         return max(SLOWEST_CAP_M_S, params["SPD_PLANAR_MAX"] - back_off)
 
-    def begin(self, now: Situation, reference: Reference) -> None:
+    def begin(self, now: GuidanceInputs, reference: Reference) -> None:
         """Begin from the reference with its thrust, as far as the thrusters can."""
         limit = now.thrust_limit_n
         self.nmpc.set_plan(reference.x, np.clip(reference.thrust_n, -limit, limit))
 
-    def solve(self, start: bool, now: Situation, reference: Reference, movers: Movers | None) -> Solution:
+    def solve(self, start: bool, now: GuidanceInputs, reference: Reference, movers: Movers | None) -> Solution:
         """QPs from the plan in ``nmpc``: one, or at a ``start`` as many as it takes.
 
         ``movers`` are the obstacles that move along the prediction.
@@ -176,7 +176,7 @@ class StepProgram:
             return found
         return replace(found, unsolved=tuple(saved(now.t_us, nmpc, *one) for one in self._unsolved))
 
-    def _stand(self, now: Situation, _: Reference) -> None:
+    def _stand(self, now: GuidanceInputs, _: Reference) -> None:
         """Begin from the place where the vehicle is; its motion fades."""
         x = np.tile(now.x0, (self.nmpc.grid.n + 1, 1))
         x[:, U:] *= np.exp(-self.nmpc.grid.t_s / STANDS_AFTER_S)[:, None]
@@ -229,14 +229,14 @@ class StepProgram:
                 margin = planner.features.margin_m(path, t_s, keep_m, movers)
         return Solution(result=result, margin_m=margin, qps=before + qps, anew=start)
 
-    def _change_weight(self, start: bool, now: Situation) -> float:
+    def _change_weight(self, start: bool, now: GuidanceInputs) -> float:
         """Weight on what is changed of the last plan's thrust."""
         if start:
             return 0.0
         elapsed_s, self._last_us = (now.t_us - self._last_us) * 1e-6, now.t_us
         return now.params["MPC_R_CHANGE"] * min(1.0, CHANGE_STEP_S / max(elapsed_s, 1e-3))
 
-    def _terminal(self, now: Situation, reference: Reference) -> FloatArray:
+    def _terminal(self, now: GuidanceInputs, reference: Reference) -> FloatArray:
         """Terminal Hessian (8, 8): the goal's own where the reference ends there, else what guidance gives."""
         goal, params, regions = now.goal, now.params, self.regions
         if goal.drive is not None:

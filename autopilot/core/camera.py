@@ -14,7 +14,7 @@ import numpy as np
 
 from autopilot.core.flat_port import FlatPort, lens_in_air
 from autopilot.core.frames import FloatArray, r_ned_from_frd
-from autopilot.core.lens import BrownLens, FisheyeLens, Lens
+from autopilot.core.lens import BrownLens, FisheyeLens, LensDistortion
 from autopilot.core.vehicle import Camera, Laser, Vehicle
 
 R_FRD_FROM_CAM: FloatArray = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
@@ -59,11 +59,11 @@ class CameraModel:
     """By how much a ray may miss the projection centre sideways (0 without a port)."""
     near_m: float = field(init=False)
     """Points closer than this have no image."""
-    _lens: Lens = field(init=False, repr=False)
+    _lens: LensDistortion = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
         k1, k2, k3, k4, _ = self.distortion
-        lens: Lens = FisheyeLens((k1, k2, k3, k4)) if self.fisheye else BrownLens(self.distortion)
+        lens: LensDistortion = FisheyeLens((k1, k2, k3, k4)) if self.fisheye else BrownLens(self.distortion)
         object.__setattr__(self, "_lens", lens)
         object.__setattr__(self, "near_m", NEAR_M if self.port is None else self.port.outside_m + NEAR_M)
         w, h = float(self.width_px), float(self.height_px)

@@ -25,7 +25,7 @@ class Reach(IntEnum):
 
 
 @dataclass(frozen=True, slots=True)
-class Standing:
+class ClientRecord:
     """What a client has shown of itself so far."""
 
     valid_us: int | None = None
@@ -34,5 +34,5 @@ class Standing:
     """Whether it is the operator in control."""
 
 
-UNPROVEN = Standing()
+UNPROVEN = ClientRecord()
 """Of a client that nobody has understood so far."""

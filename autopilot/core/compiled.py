@@ -29,7 +29,7 @@ class Mirror(ctypes.Structure):
     order. :func:`load` compares both; a part asks for the library with the mirrors that it uses."""
 
 
-class _Field(ctypes.Structure):
+class _FieldStruct(ctypes.Structure):
     """The ``FieldLayout`` of common.h."""
 
     _fields_ = (("name", ctypes.c_char_p), ("offset", ctypes.c_long), ("size", ctypes.c_long))
@@ -38,7 +38,7 @@ class _Field(ctypes.Structure):
 class _Layout(ctypes.Structure):
     """The ``StructLayout`` of common.h."""
 
-    _fields_ = (("size", ctypes.c_long), ("count", ctypes.c_long), ("fields", _Field * 32))
+    _fields_ = (("size", ctypes.c_long), ("count", ctypes.c_long), ("fields", _FieldStruct * 32))
 
 
 def missing() -> str | None:

@@ -45,7 +45,7 @@ class Cancel:
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class Answer(Generic[A]):
+class TaskResult(Generic[A]):
     """What became of a request: a value, or the exception that ended the work."""
 
     value: A | None
@@ -70,7 +70,7 @@ class Ticket(Generic[A]):
         self.open = True
         """Until it is answered or cancelled."""
 
-    def poll(self, now: int) -> Answer[A] | None:
+    def poll(self, now: int) -> TaskResult[A] | None:
         """The answer, once, when it is due (and, at a desk that is not patient, ready)."""
         if not self.open or now < self.due:
             return None
@@ -81,11 +81,11 @@ class Ticket(Generic[A]):
             return None
         self.open = False
         try:
-            return Answer(value=self._work() if future is None else self._desk.wait(future))
+            return TaskResult(value=self._work() if future is None else self._desk.wait(future))
         except CancelledError:  # the desk was closed
             return None
         except Exception as error:  # noqa: BLE001 - the work's own; whoever asked decides what it means
-            return Answer(value=None, error=error)
+            return TaskResult(value=None, error=error)
 
     def cancel(self) -> None:
         """The answer is not wanted any more."""

@@ -60,7 +60,7 @@ ATTACH = 48
 KING = ((0, 1), (1, 0), (1, 1), (1, -1), (0, -1), (-1, 0), (-1, -1), (-1, 1))
 
 
-class Ground(Protocol):
+class FenceDistances(Protocol):
     """Distances to the boundaries of a fence."""
 
     def near(self, places: FloatArray, reach_m: float) -> tuple[FloatArray, FloatArray]:
@@ -89,7 +89,7 @@ def workspace_of(fence: Fence) -> Area | None:
 class FreeSpace:
     """Places that keep ``radius_m`` from every boundary, and the straight lines between them that do."""
 
-    def __init__(self, ground: Ground, area: Area, radius_m: float, *, long_moves: float = 0.0) -> None:
+    def __init__(self, ground: FenceDistances, area: Area, radius_m: float, *, long_moves: float = 0.0) -> None:
         """``long_moves``: the longest move over the grid, in cells, that :meth:`moves` will be asked for."""
         self._ground, self.radius_m = ground, radius_m
         size = np.maximum(area.high_m - area.low_m, 1e-3)

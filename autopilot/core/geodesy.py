@@ -36,7 +36,7 @@ LOCAL_PER_METRE = 1e4
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Place:
+class GeodeticPosition:
     """A geodetic position."""
 
     lat_deg: float
@@ -46,7 +46,7 @@ class Place:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Origin(Place):
+class Origin(GeodeticPosition):
     """Where local axes can be put; its altitude is the water surface. ConfigError if out of range."""
 
     def __post_init__(self) -> None:
@@ -110,23 +110,23 @@ def lat_dlon_rad(lat0_rad: float, level_m: float, north_m: float, east_m: float)
     return lat_rad, dlon_rad
 
 
-def ned_from_geodetic(origin: Place, lat_deg: float, lon_deg: float, alt_m: float) -> FloatArray:
+def ned_from_geodetic(origin: GeodeticPosition, lat_deg: float, lon_deg: float, alt_m: float) -> FloatArray:
     """Position (3,) north, east, depth [m] of a point given by latitude, longitude [deg] and altitude AMSL [m]."""
     dlon = wrap_rad(math.radians(lon_deg - origin.lon_deg))
     north, east = north_east_m(math.radians(origin.lat_deg), origin.alt_m, math.radians(lat_deg), dlon)
     return np.array([north, east, origin.alt_m - alt_m])
 
 
-def place_from_ned(origin: Place, north_m: float, east_m: float, down_m: float) -> Place | None:
+def place_from_ned(origin: GeodeticPosition, north_m: float, east_m: float, down_m: float) -> GeodeticPosition | None:
     """Geodetic position of a local one; None so far out that it cannot be meant."""
     found = lat_dlon_rad(math.radians(origin.lat_deg), origin.alt_m, north_m, east_m)
     if found is None:
         return None
     lon_deg = math.degrees(wrap_rad(math.radians(origin.lon_deg) + found[1]))
-    return Place(lat_deg=math.degrees(found[0]), lon_deg=lon_deg, alt_m=origin.alt_m - down_m)
+    return GeodeticPosition(lat_deg=math.degrees(found[0]), lon_deg=lon_deg, alt_m=origin.alt_m - down_m)
 
 
-def geodetic_from_ned(origin: Place, pos_ned_m: FloatArray) -> tuple[float, float, float]:
+def geodetic_from_ned(origin: GeodeticPosition, pos_ned_m: FloatArray) -> tuple[float, float, float]:
     """Latitude, longitude [deg], altitude AMSL [m] of a local position (3,): inverse of :func:`ned_from_geodetic`.
 
     ConfigError for a position so far out that it cannot be meant.
@@ -138,7 +138,7 @@ def geodetic_from_ned(origin: Place, pos_ned_m: FloatArray) -> tuple[float, floa
     return place.lat_deg, place.lon_deg, place.alt_m
 
 
-def surface_distance_m(origin: Place, lat_deg: float, lon_deg: float) -> float:
+def surface_distance_m(origin: GeodeticPosition, lat_deg: float, lon_deg: float) -> float:
     """Great-circle distance [m] to the origin on a sphere: good to 0.5 %, for telling near from far."""
     lat0_rad, lat_rad = math.radians(origin.lat_deg), math.radians(lat_deg)
     half_chord_sq = (
@@ -148,7 +148,7 @@ def surface_distance_m(origin: Place, lat_deg: float, lon_deg: float) -> float:
     return 2.0 * SEMI_MAJOR_M * math.asin(min(1.0, math.sqrt(half_chord_sq)))
 
 
-def refuse_place(origin: Place, lat_deg: float, lon_deg: float) -> str:
+def refuse_place(origin: GeodeticPosition, lat_deg: float, lon_deg: float) -> str:
     """Why a geodetic position cannot be given in metres from this origin, "" if it can."""
     if not (abs(lat_deg) <= 90.0 and abs(lon_deg) <= 180.0):
         return f"{lat_deg:.7f}, {lon_deg:.7f} is no place: latitude goes to 90 deg, longitude to 180"

@@ -16,7 +16,7 @@ FISHEYE_STEPS = 8
 """The same for the fisheye polynomial, out to 80 degrees."""
 
 
-class Lens(Protocol):
+class LensDistortion(Protocol):
     """What bends ideal image points."""
 
     def bend(self, ideal: FloatArray) -> FloatArray:

@@ -53,7 +53,7 @@ class Defaults(Table, frozen=True, kw_only=True):
     """Of a marker's place on its sheet."""
 
 
-class Frame(Table, frozen=True, kw_only=True):
+class MapFrame(Table, frozen=True, kw_only=True):
     """``[frame]``: standard deviations of the whole map against the frame that it was laid in."""
 
     sigma_m: NonNegative = 0.0
@@ -62,7 +62,7 @@ class Frame(Table, frozen=True, kw_only=True):
     sigma_rad: NonNegative = 0.0
 
 
-class Marker(Table, frozen=True, kw_only=True):
+class MarkerEntry(Table, frozen=True, kw_only=True):
     """``[[marker]]``"""
 
     id: Index
@@ -86,7 +86,7 @@ class Marker(Table, frozen=True, kw_only=True):
             raise ValueError("give either `yaw_rad` or `rpy_rad`")
 
 
-class Board(Table, frozen=True, kw_only=True):
+class BoardEntry(Table, frozen=True, kw_only=True):
     """``[[board]]``: a grid; its first marker is at the top left, the following ones to the right, row by row."""
 
     rows: Count
@@ -122,9 +122,9 @@ class MarkerFile(Table, frozen=True, kw_only=True):
 
     name: str = ""
     defaults: Defaults = Defaults()
-    frame: Frame = Frame()
-    marker: list[Marker] = msgspec.field(default_factory=list)
-    board: list[Board] = msgspec.field(default_factory=list)
+    frame: MapFrame = MapFrame()
+    marker: list[MarkerEntry] = msgspec.field(default_factory=list)
+    board: list[BoardEntry] = msgspec.field(default_factory=list)
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -231,7 +231,7 @@ def _placed(file: MarkerFile, folder: Path, origin: str) -> list[PlacedMarker]:
     return result
 
 
-def board_offsets(board: Board, size_m: float) -> FloatArray:
+def board_offsets(board: BoardEntry, size_m: float) -> FloatArray:
     """(rows * columns, 3) centres of a board's markers in the board's frame."""
     pitch = size_m + board.gap_m
     down, right = np.divmod(np.arange(board.rows * board.columns), board.columns)
@@ -241,7 +241,7 @@ def board_offsets(board: Board, size_m: float) -> FloatArray:
     return result
 
 
-def _laid(entry: Marker | Board, sheet: str | None, defaults: Defaults) -> Laid:
+def _laid(entry: MarkerEntry | BoardEntry, sheet: str | None, defaults: Defaults) -> Laid:
     """What the file says of how an entry was laid."""
     return Laid(
         sheet=sheet,
@@ -270,13 +270,15 @@ def _one(
     )
 
 
-def _rotation(entry: Marker | Board) -> FloatArray:
+def _rotation(entry: MarkerEntry | BoardEntry) -> FloatArray:
     if entry.rpy_rad is not None:
         return r_ned_from_frd(np.array(entry.rpy_rad))
     return r_ned_from_frd(np.array([0.0, 0.0, entry.yaw_rad or 0.0]))
 
 
-def _kind(entry: Marker | Board, defaults: Defaults, place: str, folder: Path, origin: str) -> tuple[str, float]:
+def _kind(
+    entry: MarkerEntry | BoardEntry, defaults: Defaults, place: str, folder: Path, origin: str
+) -> tuple[str, float]:
     """Dictionary and size of an entry."""
     dictionary = entry.dictionary if entry.dictionary is not None else defaults.dictionary
     size_m = entry.size_m if entry.size_m is not None else defaults.size_m

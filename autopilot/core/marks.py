@@ -50,7 +50,7 @@ SHORT_S = 0.5e-3
 """A part that takes less is taken to have had the processor all the time."""
 
 
-class Stopwatch:
+class TickTimer:
     """Wall and CPU time of the parts of one tick [s], and of the slowest tick since it was last asked.
 
     The thread's CPU clock costs a system call (some microseconds, a hundred times as much as the wall clock), so it is

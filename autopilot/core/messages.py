@@ -291,7 +291,7 @@ class ShadowStatus:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Drive:
+class VelocityGoal:
     """A motion instead of a place: what a pilot, a circle or set points ask for now. Over ground."""
 
     north_m_s: float = 0.0
@@ -325,7 +325,7 @@ class Goal:
     """True = the mission or a command asks for that speed and gets it; False = it is a bound."""
     following: "Goal | None" = None
     """Where it goes on to from here without a stop, None = it stays."""
-    drive: Drive | None = None
+    drive: VelocityGoal | None = None
     """How it is to move, None = to the place."""
     facing_ned_m: FloatArray | None = None
     """(2,) place that the vehicle looks at wherever it is, None = as ``yaw_rad`` says."""

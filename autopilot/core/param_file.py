@@ -15,7 +15,7 @@ from pathlib import Path
 from autopilot.core.desk import Desk
 from autopilot.core.disk import cause_of
 from autopilot.core.errors import ConfigError
-from autopilot.core.keeper import Keeper
+from autopilot.core.latest_value_writer import LatestValueWriter
 from autopilot.core.params import ParamSet, ParamType, Saved
 from autopilot.core.state_file import Loss, StateFile
 
@@ -139,7 +139,7 @@ class PersistentParams:
         self._unusable: tuple[str, ...] = ()
         """Lines that stay in the file until an operator accepts that they are not used."""
         self._desk = desk or Desk()
-        self._keeper: Keeper[bytes] = Keeper(self._desk, self._file.write)
+        self._keeper: LatestValueWriter[bytes] = LatestValueWriter(self._desk, self._file.write)
         self._number = 0
         self.failure: str | None = None
         """Why the last change is not on disk; None while all is well."""

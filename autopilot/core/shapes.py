@@ -23,7 +23,7 @@ def signed_area_m2(vertices: FloatArray) -> float:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Edges:
+class EdgeArrays:
     """Edges of polygons, (m,) each."""
 
     start_n: FloatArray
@@ -32,7 +32,7 @@ class Edges:
     end_e: FloatArray
 
     @classmethod
-    def of(cls, polygons: Sequence[FloatArray]) -> "Edges":
+    def of(cls, polygons: Sequence[FloatArray]) -> "EdgeArrays":
         """All edges of polygons (k, 2) one after the other."""
         if not polygons:
             nothing = np.zeros(0)
@@ -64,7 +64,7 @@ class Edges:
 
 def inside_polygon(vertices: FloatArray, points: FloatArray) -> BoolArray:
     """(n,) whether each point lies inside (even-odd rule; on the boundary either answer)."""
-    return _enclosed(Edges.of([vertices]), points)
+    return _enclosed(EdgeArrays.of([vertices]), points)
 
 
 def is_inside(corners: Sequence[tuple[float, float]], north: float, east: float) -> bool:
@@ -100,7 +100,7 @@ def signed_m(shape: Shape, places: FloatArray, reach_m: float) -> tuple[FloatArr
         off = places - shape.center_ned_m
         length = np.hypot(off[:, 0], off[:, 1])
         return length - shape.radius_m, off / np.maximum(length, _TINY)[:, None]
-    edges = Edges.of([np.asarray(shape.vertices_ned_m)])
+    edges = EdgeArrays.of([np.asarray(shape.vertices_ned_m)])
     distance, north, east = np.full(len(places), reach_m), np.zeros(len(places)), np.zeros(len(places))
     for at, some in _blocks(edges, places, reach_m):
         off_n, off_e = some.offsets(places[at])
@@ -116,7 +116,7 @@ def signed_m(shape: Shape, places: FloatArray, reach_m: float) -> tuple[FloatArr
     return sign * distance, slope
 
 
-def _enclosed(edges: Edges, places: FloatArray) -> BoolArray:
+def _enclosed(edges: EdgeArrays, places: FloatArray) -> BoolArray:
     """(n,) whether each place lies inside of the polygon that the edges are."""
     odd = np.zeros(len(places), dtype=bool)
     for at, some in _blocks(edges, places, None):
@@ -124,14 +124,16 @@ def _enclosed(edges: Edges, places: FloatArray) -> BoolArray:
     return odd
 
 
-def _blocks(edges: Edges, places: FloatArray, reach_m: float | None) -> Iterator[tuple[NDArray[np.intp], Edges]]:
+def _blocks(
+    edges: EdgeArrays, places: FloatArray, reach_m: float | None
+) -> Iterator[tuple[NDArray[np.intp], EdgeArrays]]:
     """Places and edges in portions; with a reach, edges of large shapes only with the places near them."""
     count, everywhere = len(edges.start_n), np.arange(len(places))
     if count * len(places) <= 2 * PAIRS:
         yield everywhere, edges
         return
     for k in range(count):
-        one = Edges(*(a[k : k + 1] for a in (edges.start_n, edges.start_e, edges.end_n, edges.end_e)))
+        one = EdgeArrays(*(a[k : k + 1] for a in (edges.start_n, edges.start_e, edges.end_n, edges.end_e)))
         if reach_m is None:
             low, high = np.sort((one.start_e[0], one.end_e[0]))
             near = (places[:, 1] >= low) & (places[:, 1] <= high)

@@ -1,4 +1,4 @@
-"""What a pulse gives and which pulse gives a thrust: the calibrated curve of a thruster's drive (:class:`Drive`).
+"""Thrust of a pulse, and the pulse for a thrust: the calibrated curve of a :class:`ThrusterDrive`.
 
 A brushed thruster behind its amplifier: pulse -> duty -> voltage = duty * supply -> F = c V |V|, with different c
 forward and reverse and a band of duty in which the motor does not turn. A brushless one behind its ESC: the maker's
@@ -12,7 +12,7 @@ from abc import ABC, abstractmethod
 
 import numpy as np
 
-from autopilot.core.thrusters import Drive
+from autopilot.core.thrusters import ThrusterDrive
 
 ROUNDING = 1e-9
 """Keeps a duty that is a whole pulse in exact arithmetic on that pulse."""
@@ -26,7 +26,7 @@ class ThrustLaw(ABC):
     """What pulses of one drive give. ``supply_v`` is the measured voltage; None = nominal. Offsets count from neutral
     in the direction that pushes ahead."""
 
-    def __init__(self, drive: Drive) -> None:
+    def __init__(self, drive: ThrusterDrive) -> None:
         self.drive = drive
 
     def supply(self, supply_v: float | None) -> float:
@@ -52,7 +52,7 @@ class ThrustLaw(ABC):
 class BrushedLaw(ThrustLaw):
     """F = c V |V| beyond a deadband of duty."""
 
-    def __init__(self, drive: Drive) -> None:
+    def __init__(self, drive: ThrusterDrive) -> None:
         super().__init__(drive)
         deadband_duty, self._forward, self._reverse = drive.brushed_law
         self._edge_us = math.floor(deadband_duty * drive.span_us + ROUNDING) + 1
@@ -93,7 +93,7 @@ class BrushedLaw(ThrustLaw):
 class CurveLaw(ThrustLaw):
     """Tables of thrust over pulse per voltage; linear between, with V^2 beyond the first and the last."""
 
-    def __init__(self, drive: Drive) -> None:
+    def __init__(self, drive: ThrusterDrive) -> None:
         super().__init__(drive)
         span = drive.span_us
         offsets = np.arange(-span, span + 1)
@@ -142,6 +142,6 @@ class CurveLaw(ThrustLaw):
         return self._at(supply_v)[max(-span, min(span, offset_us)) + span]
 
 
-def law_of(drive: Drive) -> ThrustLaw:
+def law_of(drive: ThrusterDrive) -> ThrustLaw:
     """The law of a drive, by its kind."""
     return CurveLaw(drive) if drive.curve else BrushedLaw(drive)

@@ -46,7 +46,7 @@ class ThrustCurve(Table, frozen=True, kw_only=True):
             raise ValueError("`thrust_n` begins below 0 and ends above 0: a thruster pushes both ways")
 
 
-class Drive(Table, frozen=True, kw_only=True):
+class ThrusterDrive(Table, frozen=True, kw_only=True):
     """Thruster and amplifier: what a pulse gives.
 
     ``brushed``: pulse -> duty -> voltage -> thrust F = c V |V|. ``curve``: tables of the maker, for ESC and brushless
@@ -129,7 +129,7 @@ class ThrusterTable(Table, frozen=True, kw_only=True):
     """It turns the other way: a longer pulse pushes against ``direction_frd``."""
     limit_n: Positive | None = None
     """Bound on its thrust; absent = the drive's."""
-    drive: Drive | None = None
+    drive: ThrusterDrive | None = None
     """``[thruster.drive]``; absent = the file's ``[drive]``."""
 
     def __post_init__(self) -> None:
@@ -149,10 +149,10 @@ class Thruster:
     """From 1."""
     reversed: bool
     limit_n: float
-    drive: Drive
+    drive: ThrusterDrive
 
 
-def thrusters_of(tables: Sequence[ThrusterTable], drive: Drive) -> tuple[Thruster, ...]:
+def thrusters_of(tables: Sequence[ThrusterTable], drive: ThrusterDrive) -> tuple[Thruster, ...]:
     """The thrusters of a file, in its order."""
     result = []
     for index, table in enumerate(tables):

@@ -20,8 +20,8 @@ from autopilot.core.sharing import lacking_thrust
 from autopilot.core.thrusters import (
     MAX_THRUSTERS,
     MIN_THRUSTERS,
-    Drive,
     Thruster,
+    ThrusterDrive,
     ThrusterTable,
     allocation,
     thrusters_of,
@@ -332,7 +332,7 @@ class Vehicle(Table, frozen=True, kw_only=True):
         tuple[ThrusterTable, ...], msgspec.Meta(min_length=MIN_THRUSTERS, max_length=MAX_THRUSTERS)
     ] = msgspec.field(name="thruster")
     """As in the file; use :attr:`thrusters`."""
-    drive: Drive
+    drive: ThrusterDrive
     """Of every thruster without one of its own."""
     levelling: LevellingTable | None = None
     """Absent: roll and pitch are left to the buoyancy."""

@@ -19,7 +19,7 @@ from autopilot.core.model4 import AXES, NX, Model4
 from autopilot.identify.prediction import (
     CURRENT_SCALE_M_S,
     N_COMMON,
-    Coefficients,
+    CoefficientScale,
     model_of,
     predict,
 )
@@ -51,7 +51,7 @@ STUDENT_95 = ((5, 2.571), (10, 2.228), (20, 2.086), (30, 2.042), (60, 2.000), (1
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class Fit:
+class IdentificationFit:
     """The result. k coefficients: :data:`N_COMMON` and two components of the current per flight."""
 
     values: FloatArray
@@ -72,11 +72,11 @@ class Fit:
         return model_of(self.values, like)
 
 
-def fit(windows: Windows, like: Model4) -> Fit:
+def fit(windows: Windows, like: Model4) -> IdentificationFit:
     """Fit all coefficients to all windows, beginning with those of ``like``.
 
     LogError if the search does not settle."""
-    around, flights = Coefficients.of(like), int(windows.flight.max()) + 1
+    around, flights = CoefficientScale.of(like), int(windows.flight.max()) + 1
     theta = np.zeros(N_COMMON + 2 * flights)
     start, sigma = windows.start.copy(), FIRST_SIGMA.copy()
     last = np.inf
@@ -102,7 +102,7 @@ def fit(windows: Windows, like: Model4) -> Fit:
     freedom = max(1, m - len(theta))
     student = next((value for count, value in STUDENT_95 if freedom <= count), 1.96)
     scale = around.scale
-    return Fit(
+    return IdentificationFit(
         values=around.values(theta[:N_COMMON]),
         covariance=spread[:N_COMMON, :N_COMMON] * np.outer(scale, scale),
         current_m_s=CURRENT_SCALE_M_S * theta[N_COMMON:].reshape(flights, 2),
@@ -120,7 +120,7 @@ def _more(error: FloatArray, theta: FloatArray) -> float:
 
 
 def _linearise(
-    windows: Windows, like: Model4, around: Coefficients, theta: FloatArray, start: FloatArray
+    windows: Windows, like: Model4, around: CoefficientScale, theta: FloatArray, start: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Measured minus predicted (m, t, 5) and the prediction's derivatives (m, t, 5, k) and (m, t, 5, 8)."""
     m, flights = len(start), (len(theta) - N_COMMON) // 2
@@ -166,7 +166,7 @@ def _solve(
     return step, moves, hessian, scores
 
 
-def _bounded(theta: FloatArray, step: FloatArray, around: Coefficients) -> FloatArray:
+def _bounded(theta: FloatArray, step: FloatArray, around: CoefficientScale) -> FloatArray:
     """The step, cut so that masses stay positive, and drags nearly so."""
     result = step.copy()
     mass, drag = slice(0, AXES), slice(AXES, 3 * AXES)

@@ -18,7 +18,7 @@ N_COMMON = 3 * len(AXES) + 2
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class Coefficients:
+class CoefficientScale:
     """A base and how each coefficient is counted: value = base + scale * step."""
 
     base: FloatArray
@@ -27,7 +27,7 @@ class Coefficients:
     """(14,)"""
 
     @staticmethod
-    def of(model: Model4) -> "Coefficients":
+    def of(model: Model4) -> "CoefficientScale":
         """Around the coefficients of a vehicle file; drags that are zero there count in units of the other kind's."""
         linear, square = np.array(model.linear_drag), np.array(model.quadratic_drag)
         base = np.array(
@@ -47,7 +47,7 @@ class Coefficients:
                 [BUOYANCY_SCALE_N, ARM_SCALE_M],
             ]
         )
-        return Coefficients(base=base, scale=scale)
+        return CoefficientScale(base=base, scale=scale)
 
     def values(self, steps: FloatArray) -> FloatArray:
         """(..., 14) coefficients of (..., 14) steps."""

@@ -11,8 +11,8 @@ from autopilot.core.errors import LogError
 from autopilot.core.frames import FloatArray
 from autopilot.core.response import Response
 from autopilot.core.vehicle import Vehicle
-from autopilot.log.reader import Log, Table, open_log
-from autopilot.record.estimator import read_vehicle
+from autopilot.log.reader import Log, MessageTable, open_log
+from autopilot.record.estimator_setup import read_vehicle
 
 STEP_S = 0.05
 """Interval of the prediction: thrust is averaged over it."""
@@ -106,14 +106,14 @@ def _of_log(log: Log, vehicle: Vehicle, index: int) -> Windows:
     )
 
 
-def _table(log: Log, topic: str) -> Table:
+def _table(log: Log, topic: str) -> MessageTable:
     table = log.get(topic)
     if table is None or len(table) < 2:
         raise LogError(f"{log.path}: holds no {topic}; identification needs the log of a flight")
     return table
 
 
-def _acting(log: Log, sent: Table, vehicle: Vehicle, t_s: FloatArray) -> FloatArray:
+def _acting(log: Log, sent: MessageTable, vehicle: Vehicle, t_s: FloatArray) -> FloatArray:
     """(len(t_s), thrusters) mean thrust over the step from each time on, of pulses and supply, behind the lag."""
     allocation, response = Allocation(vehicle.thrusters), Response.of(vehicle.thrusters)
     count, power = len(vehicle.thrusters), log.get("/in/power_raw")

@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 from autopilot.core.errors import LogError
 from autopilot.core.frames import FloatArray
 from autopilot.core.messages import ProgressState
-from autopilot.log.description import FenceShape, Obstacle, Point2, RunDescription, Waypoint
+from autopilot.log.description import FenceItemDescription, Obstacle, Point2, RunDescription, Waypoint
 from autopilot.log.packing.estimate import COUNTER_NAMES, LAST_NAMES
-from autopilot.log.reader import Log, Table
+from autopilot.log.reader import Log, MessageTable
 from autopilot.log.schemas import layout
 from autopilot.log.topics import type_of
 from autopilot.log.visuals import read_path
@@ -47,7 +47,7 @@ TOPICS_OF_INTEREST = (
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class Track:
+class VehicleTrack:
     """The vehicle over time, true or estimated; (n,) and (n, 3) arrays."""
 
     t_s: FloatArray
@@ -58,10 +58,10 @@ class Track:
     rate_frd_rad_s: FloatArray
     current_ned_m_s: FloatArray
 
-    def between(self, span: "Span") -> "Track":
+    def between(self, span: "Span") -> "VehicleTrack":
         """The part within a span of time."""
         keep = span.holds(self.t_s)
-        return Track(**{name: getattr(self, name)[keep] for name in self.__slots__})
+        return VehicleTrack(**{name: getattr(self, name)[keep] for name in self.__slots__})
 
     @property
     def planar_speed_m_s(self) -> FloatArray:
@@ -90,27 +90,27 @@ class Span:
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class Flight:
+class FlightRecord:
     """A log, loaded and cut into the times that are judged."""
 
     log: Log
     run: RunDescription | None
-    truth: Track | None
-    nav: Track | None
+    truth: VehicleTrack | None
+    nav: VehicleTrack | None
     armed: Span
     """From arming to disarming or the end of the log; the whole log if it does not say."""
     mission: Span
     """From arming to the completion of the mission, or as ``armed``."""
 
     @property
-    def judged(self) -> Track:
+    def judged(self) -> VehicleTrack:
         """The truth, or the estimate for a log without truth. LogError if there is neither."""
         track = self.truth if self.truth is not None else self.nav
         if track is None:
             raise LogError(f"{self.log.path}: has neither /sim/truth nor /nav/state; there is nothing to judge")
         return track
 
-    def table(self, topic: str) -> Table | None:
+    def table(self, topic: str) -> MessageTable | None:
         """A topic of fixed size, None if the log does not have it."""
         return known_table(self.log, topic)
 
@@ -149,7 +149,7 @@ class EstimateError:
         return float(np.sqrt(np.mean(self.yaw_rad**2)))
 
 
-def load_flight(log: Log) -> Flight:
+def load_flight(log: Log) -> FlightRecord:
     """Read what is judged in one pass."""
     log.load(TOPICS_OF_INTEREST)
     log.check_clock()
@@ -157,7 +157,9 @@ def load_flight(log: Log) -> Flight:
     times = [track.t_s for track in (truth, nav) if track is not None and len(track.t_s)]
     whole = Span(min(float(t[0]) for t in times), max(float(t[-1]) for t in times)) if times else Span(0.0, 0.0)
     armed = _armed_span(log, whole)
-    return Flight(log=log, run=log.description, truth=truth, nav=nav, armed=armed, mission=_mission_span(log, armed))
+    return FlightRecord(
+        log=log, run=log.description, truth=truth, nav=nav, armed=armed, mission=_mission_span(log, armed)
+    )
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -194,7 +196,7 @@ def foreseen(made: Sequence[Prediction], ahead_s: float) -> tuple[FloatArray, Fl
     return times, np.array(places).reshape(-1, 3)
 
 
-def along_track(track: Track) -> FloatArray:
+def along_track(track: VehicleTrack) -> FloatArray:
     """(n,) component of the current in the direction of travel over ground, 0 where the vehicle stands."""
     if len(track.t_s) < 2:
         return np.zeros(len(track.t_s))
@@ -214,18 +216,18 @@ def position_nees(t_s: FloatArray, error_m: FloatArray, known_s: FloatArray, var
     return result
 
 
-def seconds(table: Table) -> FloatArray:
+def seconds(table: MessageTable) -> FloatArray:
     """(n,) times of a topic's messages."""
     result: FloatArray = table["t_us"] * 1e-6
     return result
 
 
-def thruster_count(commands: Table) -> int:
+def thruster_count(commands: MessageTable) -> int:
     """How many of the columns of ``/out/thrusters`` are thrusters: the others have no pulse."""
     return int((commands["pwm_us"] != 0).any(axis=0).sum())
 
 
-def thruster_names(flight: Flight, commands: Table) -> tuple[str, ...]:
+def thruster_names(flight: FlightRecord, commands: MessageTable) -> tuple[str, ...]:
     """As the vehicle file has them, else numbered."""
     known = () if flight.run is None else flight.run.thruster_names
     return known or tuple(f"thruster {i + 1}" for i in range(thruster_count(commands)))
@@ -237,7 +239,7 @@ def wrap(angles_rad: FloatArray) -> FloatArray:
     return result
 
 
-def known_table(log: Log, topic: str) -> Table | None:
+def known_table(log: Log, topic: str) -> MessageTable | None:
     """A topic of ours, None if the log does not have it. LogError if it is not defined as in this version."""
     table = log.get(topic)
     if table is None:
@@ -262,12 +264,12 @@ def last_counts(log: Log) -> dict[str, int]:
     return {name: int(count) for name, count in zip((*COUNTER_NAMES, *LAST_NAMES), values, strict=False) if name}
 
 
-def _track(log: Log, topic: str) -> Track | None:
+def _track(log: Log, topic: str) -> VehicleTrack | None:
     table = known_table(log, topic)
     if table is None:
         return None
-    fields = [name for name in Track.__slots__ if name != "t_s"]
-    return Track(t_s=seconds(table), **{name: table[name] for name in fields})
+    fields = [name for name in VehicleTrack.__slots__ if name != "t_s"]
+    return VehicleTrack(t_s=seconds(table), **{name: table[name] for name in fields})
 
 
 def _armed_span(log: Log, whole: Span) -> Span:
@@ -312,7 +314,7 @@ def distance_to_polygon(points_m: FloatArray, vertices_m: Sequence[Point2]) -> F
     return np.where(inside, nearest, -nearest)
 
 
-def distance_to_fence(points_m: FloatArray, shapes: Sequence[FenceShape]) -> FloatArray:
+def distance_to_fence(points_m: FloatArray, shapes: Sequence[FenceItemDescription]) -> FloatArray:
     """(n,) distance of points (n, 2) from the nearest boundary of the fence, positive on the permitted side."""
     nearest: FloatArray = np.full(len(points_m), np.inf)
     for shape in shapes:
@@ -324,7 +326,7 @@ def distance_to_fence(points_m: FloatArray, shapes: Sequence[FenceShape]) -> Flo
     return nearest
 
 
-def distance_to_center(track: Track, center_m: Sequence[float]) -> FloatArray:
+def distance_to_center(track: VehicleTrack, center_m: Sequence[float]) -> FloatArray:
     """(n,) distance from a vertical axis (center of 2) or a point (center of 3)."""
     offset = track.pos_ned_m[:, : len(center_m)] - np.array(center_m)
     result: FloatArray = np.linalg.norm(offset, axis=1)
@@ -345,7 +347,7 @@ def obstacle_position(obstacle: Obstacle, t_s: FloatArray) -> FloatArray:
     return np.stack([np.interp(travelled, s, corners[:, 0]), np.interp(travelled, s, corners[:, 1])], axis=1)
 
 
-def distance_to_obstacle(track: Track, obstacle: Obstacle) -> FloatArray:
+def distance_to_obstacle(track: VehicleTrack, obstacle: Obstacle) -> FloatArray:
     """(n,) distance from an obstacle's axis or centre, wherever it was at the time."""
     where = obstacle_position(obstacle, track.t_s)
     result: FloatArray = np.linalg.norm(track.pos_ned_m[:, : where.shape[1]] - where, axis=1)
@@ -361,7 +363,7 @@ def obstacle_limit_m(obstacle: Obstacle, run: RunDescription) -> float | None:
     return touch if obstacle.path_m else max(asked, touch)
 
 
-def waypoint_errors(track: Track, waypoint: Waypoint) -> tuple[FloatArray, FloatArray]:
+def waypoint_errors(track: VehicleTrack, waypoint: Waypoint) -> tuple[FloatArray, FloatArray]:
     """(n,) distance and (n,) absolute yaw error (0 for a free heading) to a waypoint."""
     distance = distance_to_center(track, waypoint.pos_ned_m)
     if waypoint.yaw_rad is None:
@@ -369,7 +371,7 @@ def waypoint_errors(track: Track, waypoint: Waypoint) -> tuple[FloatArray, Float
     return distance, np.abs(wrap(track.rpy_rad[:, 2] - waypoint.yaw_rad))
 
 
-def visits(track: Track, run: RunDescription) -> list[Visit]:
+def visits(track: VehicleTrack, run: RunDescription) -> list[Visit]:
     """The tour that the run had to make, with what became of each visit: every waypoint in order, lap by lap."""
     points, laps = run.waypoints, run.accept.laps or 1
     if not points:
@@ -386,7 +388,7 @@ def visits(track: Track, run: RunDescription) -> list[Visit]:
 
 
 def _visit(
-    track: Track, waypoint: Waypoint, lap: int, errors: tuple[FloatArray, FloatArray], at: int
+    track: VehicleTrack, waypoint: Waypoint, lap: int, errors: tuple[FloatArray, FloatArray], at: int
 ) -> tuple[Visit, int]:
     """The first stay at a waypoint from row ``at`` on, and the row where the search for the next one starts."""
     distance, yaw = errors
@@ -421,7 +423,7 @@ def lap_spans(tour: Sequence[Visit], run: RunDescription, begun_s: float) -> lis
     return spans
 
 
-def energy_j(flight: Flight, span: Span) -> float | None:
+def energy_j(flight: FlightRecord, span: Span) -> float | None:
     """Energy [J] that thrusters and hotel load took in a span; None if the log holds no power."""
     thrusters = flight.table("/sim/thrusters")
     hotel_w = flight.run.hotel_power_w if flight.run is not None else 0.0
@@ -441,7 +443,7 @@ def _integral(t_s: FloatArray, values: FloatArray) -> float:
     return float(np.sum(0.5 * (values[1:] + values[:-1]) * np.diff(t_s)))
 
 
-def estimate_error(truth: Track, nav: Track) -> EstimateError | None:
+def estimate_error(truth: VehicleTrack, nav: VehicleTrack) -> EstimateError | None:
     """Estimate against truth where both exist; truth is interpolated to the times of the estimate."""
     keep = Span(float(truth.t_s[0]), float(truth.t_s[-1])).holds(nav.t_s) if len(truth.t_s) else None
     if keep is None or not keep.any():

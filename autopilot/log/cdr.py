@@ -39,7 +39,7 @@ PRIMITIVES: dict[str, tuple[str, int]] = {
 
 
 @dataclass(frozen=True, slots=True)
-class Field:
+class CdrField:
     """One field of a message definition."""
 
     name: str
@@ -49,17 +49,17 @@ class Field:
     """None = one value, n = array of n, SEQUENCE = any number."""
 
 
-Types: TypeAlias = Mapping[str, tuple[Field, ...]]
+Types: TypeAlias = Mapping[str, tuple[CdrField, ...]]
 """Message type -> its fields, closed under the types that it uses."""
 
 
-def parse_definition(name: str, text: str) -> dict[str, tuple[Field, ...]]:
+def parse_definition(name: str, text: str) -> dict[str, tuple[CdrField, ...]]:
     """The types in a ``ros2msg`` schema: the definition of ``name``, then ``===`` and ``MSG: other`` for each it uses.
 
     LogError when a line is not a field or a type is missing.
     """
-    types: dict[str, tuple[Field, ...]] = {}
-    current, fields = short_name(name), list[Field]()
+    types: dict[str, tuple[CdrField, ...]] = {}
+    current, fields = short_name(name), list[CdrField]()
     for raw in text.splitlines():
         line = raw.split("#", 1)[0].strip()
         if line.startswith("==="):
@@ -81,7 +81,7 @@ def short_name(name: str) -> str:
     return name.replace("/msg/", "/")
 
 
-def _parse_field(line: str, owner: str) -> Field:
+def _parse_field(line: str, owner: str) -> CdrField:
     parts = line.split()
     if len(parts) < 2:
         raise LogError(f"schema {owner}: {line!r} is not a field; the schema is damaged")
@@ -97,11 +97,11 @@ def _parse_field(line: str, owner: str) -> Field:
             kind = "std_msgs/Header"
         elif "/" not in kind:
             kind = f"{owner.split('/', maxsplit=1)[0]}/{kind}"
-    return Field(name, kind, count)
+    return CdrField(name, kind, count)
 
 
 @dataclass(frozen=True, slots=True)
-class Layout:
+class CdrLayout:
     """Bytes of a fixed-size message, the encapsulation header included."""
 
     packer: struct.Struct
@@ -115,7 +115,7 @@ class _NotFixed(Exception):
     """The type has a part whose size differs from message to message."""
 
 
-def fixed_layout(types: Types, name: str, frame_id_bytes: int) -> Layout | None:
+def fixed_layout(types: Types, name: str, frame_id_bytes: int) -> CdrLayout | None:
     """Layout of ``name`` when its frame_id takes ``frame_id_bytes`` (with the closing NUL); None = not fixed-size."""
     codes = ["<4s"]
     try:
@@ -125,7 +125,7 @@ def fixed_layout(types: Types, name: str, frame_id_bytes: int) -> Layout | None:
     packer = struct.Struct("".join(codes))
     if packer.size != size:
         raise LogError(f"schema {name}: layout of {size} bytes packs to {packer.size}; the schema is not supported")
-    return Layout(packer, dtype)
+    return CdrLayout(packer, dtype)
 
 
 def _lay_out(

@@ -17,7 +17,7 @@ from autopilot.core.frames import FloatArray
 from autopilot.core.marks import LoopPart
 from autopilot.core.messages import ProgressState
 from autopilot.log.analysis import (
-    Flight,
+    FlightRecord,
     Span,
     Visit,
     distance_to_fence,
@@ -35,17 +35,17 @@ from autopilot.log.analysis import (
 )
 from autopilot.log.check_more import more_rows
 from autopilot.log.description import AcceptBounds, RunDescription
-from autopilot.log.reader import Log, Table
-from autopilot.log.rows import Row, Verdict, counted, info
-from autopilot.log.smoothness import BARS, Commands, is_told, measure
+from autopilot.log.reader import Log, MessageTable
+from autopilot.log.rows import BoundRow, BoundVerdict, counted, info
+from autopilot.log.smoothness import BARS, ThrustCommands, is_told, measure
 
-__all__ = ("Row", "Verdict", "acceptance_table", "flown_commands", "format_figure", "overall", "slowest_part")
+__all__ = ("BoundRow", "BoundVerdict", "acceptance_table", "flown_commands", "format_figure", "overall", "slowest_part")
 
 
-def acceptance_table(log: Log) -> list[Row]:
+def acceptance_table(log: Log) -> list[BoundRow]:
     """All rows of a log. LogError if it holds neither truth nor estimate."""
     flight = load_flight(log)
-    rows: list[Row] = []
+    rows: list[BoundRow] = []
     if not len(flight.judged.t_s):
         raise LogError(f"{log.path}: the vehicle's track is empty; there is nothing to judge")
     if flight.run is not None:
@@ -64,17 +64,17 @@ def acceptance_table(log: Log) -> list[Row]:
     return sorted(rows, key=lambda row: order.index(row.subject))
 
 
-def _of(subject: str, rows: Iterable[Row]) -> list[Row]:
+def _of(subject: str, rows: Iterable[BoundRow]) -> list[BoundRow]:
     return [replace(row, subject=subject) for row in rows]
 
 
-def overall(rows: Iterable[Row]) -> Verdict:
+def overall(rows: Iterable[BoundRow]) -> BoundVerdict:
     """FAIL if any row fails, else WARN if any warns, else PASS."""
     verdicts = {row.verdict for row in rows}
-    for verdict in (Verdict.FAIL, Verdict.WARN):
+    for verdict in (BoundVerdict.FAIL, BoundVerdict.WARN):
         if verdict in verdicts:
             return verdict
-    return Verdict.PASS
+    return BoundVerdict.PASS
 
 
 def format_figure(value: float | None) -> str:
@@ -87,7 +87,7 @@ def format_figure(value: float | None) -> str:
 
 def _at_most(
     name: str, unit: str, limit: float | None, t_s: FloatArray, values: FloatArray, note: str = ""
-) -> list[Row]:
+) -> list[BoundRow]:
     """The largest of the values against an upper limit; nothing if there is no limit."""
     if limit is None:
         return []
@@ -96,15 +96,17 @@ def _at_most(
     at = int(np.argmax(np.where(np.isnan(values), np.inf, values)))
     worst = float(values[at])
     margin = limit - worst
-    verdict = Verdict.PASS if margin >= 0.0 else Verdict.FAIL
+    verdict = BoundVerdict.PASS if margin >= 0.0 else BoundVerdict.FAIL
     at_s = float(t_s[at])
     note = "; ".join(part for part in (note, _beyond(t_s, values > limit) if unit else "") if part)
-    return [Row(name=name, unit=unit, limit=limit, worst=worst, margin=margin, verdict=verdict, at_s=at_s, note=note)]
+    return [
+        BoundRow(name=name, unit=unit, limit=limit, worst=worst, margin=margin, verdict=verdict, at_s=at_s, note=note)
+    ]
 
 
 def _at_least(
     name: str, unit: str, limit: float | None, tolerance: float, t_s: FloatArray, values: FloatArray
-) -> list[Row]:
+) -> list[BoundRow]:
     """The smallest of the values against a lower limit that may be missed by a tolerance."""
     if limit is None:
         return []
@@ -114,18 +116,20 @@ def _at_least(
     worst = float(values[at])
     margin = worst - (limit - tolerance)
     if not margin >= 0.0:
-        verdict = Verdict.FAIL
+        verdict = BoundVerdict.FAIL
     else:
-        verdict = Verdict.PASS if worst >= limit else Verdict.WARN
+        verdict = BoundVerdict.PASS if worst >= limit else BoundVerdict.WARN
     note = f"tol. {tolerance * 1000:.0f} mm" if tolerance else ""
     note = "; ".join(part for part in (note, _beyond(t_s, values < limit - tolerance)) if part)
     at_s = float(t_s[at])
-    return [Row(name=name, unit=unit, limit=limit, worst=worst, margin=margin, verdict=verdict, at_s=at_s, note=note)]
+    return [
+        BoundRow(name=name, unit=unit, limit=limit, worst=worst, margin=margin, verdict=verdict, at_s=at_s, note=note)
+    ]
 
 
-def _missing(name: str, unit: str, limit: float | None) -> Row:
+def _missing(name: str, unit: str, limit: float | None) -> BoundRow:
     note = "the log holds no data for this"
-    return Row(name=name, unit=unit, limit=limit, worst=None, margin=None, verdict=Verdict.FAIL, note=note)
+    return BoundRow(name=name, unit=unit, limit=limit, worst=None, margin=None, verdict=BoundVerdict.FAIL, note=note)
 
 
 def _beyond(t_s: FloatArray, broken: NDArray[np.bool_]) -> str:
@@ -144,13 +148,13 @@ FIRST_STATS_S = 1.5
 """A log whose loop statistics (1 Hz) begin by then began with the service."""
 
 
-def _was_started(flight: Flight) -> bool:
+def _was_started(flight: FlightRecord) -> bool:
     """Whether the log shows a mission running; a log that does not tell counts as one."""
     progress = flight.table("/mission/progress")
     return progress is None or bool((progress["state"] == ProgressState.ACTIVE).any())
 
 
-def _mission_rows(flight: Flight, run: RunDescription) -> list[Row]:
+def _mission_rows(flight: FlightRecord, run: RunDescription) -> list[BoundRow]:
     """Laps and waypoints."""
     if not run.waypoints:
         return []
@@ -159,16 +163,16 @@ def _mission_rows(flight: Flight, run: RunDescription) -> list[Row]:
     rows = []
     if run.accept.laps is not None:
         done, limit = float(len(spans)), float(run.accept.laps)
-        verdict = Verdict.PASS if done >= limit else Verdict.FAIL
+        verdict = BoundVerdict.PASS if done >= limit else BoundVerdict.FAIL
         if not _was_started(flight):
             return [info("laps", "", 0.0, "the mission on board was not started")]
-        rows.append(Row(name="laps", unit="", limit=limit, worst=done, margin=done - limit, verdict=verdict))
+        rows.append(BoundRow(name="laps", unit="", limit=limit, worst=done, margin=done - limit, verdict=verdict))
     for waypoint in run.waypoints:
         rows += _waypoint_rows([visit for visit in tour if visit.waypoint is waypoint])
     return rows + _lap_rows(flight, run, spans)
 
 
-def _lap_rows(flight: Flight, run: RunDescription, spans: Sequence[Span]) -> list[Row]:
+def _lap_rows(flight: FlightRecord, run: RunDescription, spans: Sequence[Span]) -> list[BoundRow]:
     """Time and energy of every lap, or of many laps what they have in common and how far they are apart."""
     times = [span.end_s - span.start_s for span in spans]
     used = [energy_j(flight, span) for span in spans]
@@ -187,7 +191,7 @@ def _lap_rows(flight: Flight, run: RunDescription, spans: Sequence[Span]) -> lis
     return rows
 
 
-def _waypoint_rows(stays: Sequence[Visit]) -> list[Row]:
+def _waypoint_rows(stays: Sequence[Visit]) -> list[BoundRow]:
     """Position and heading of the worst visit of one waypoint."""
     waypoint = stays[0].waypoint
     reached = sum(visit.t_s is not None for visit in stays)
@@ -198,38 +202,38 @@ def _waypoint_rows(stays: Sequence[Visit]) -> list[Row]:
         turned = max(stays, key=lambda visit: visit.yaw_error_rad)
         name = f"waypoint {waypoint.name} heading"
         rows.append(_reached(name, "rad", waypoint.accept_yaw_rad, turned.yaw_error_rad, turned, note))
-    if reached < len(stays) and all(row.verdict is Verdict.PASS for row in rows):
+    if reached < len(stays) and all(row.verdict is BoundVerdict.PASS for row in rows):
         missed = "never inside position and heading at once"
-        rows[0] = Row(
+        rows[0] = BoundRow(
             name=rows[0].name,
             unit="m",
             limit=rows[0].limit,
             worst=rows[0].worst,
             margin=rows[0].margin,
-            verdict=Verdict.FAIL,
+            verdict=BoundVerdict.FAIL,
             note=f"{note}; {missed}",
         )
     return rows
 
 
-def _reached(name: str, unit: str, limit: float, value: float, visit: Visit, note: str) -> Row:
+def _reached(name: str, unit: str, limit: float, value: float, visit: Visit, note: str) -> BoundRow:
     shown = value if math.isfinite(value) else None
-    return Row(
+    return BoundRow(
         name=name,
         unit=unit,
         limit=limit,
         worst=shown,
         margin=None if shown is None else limit - value,
-        verdict=Verdict.PASS if value <= limit else Verdict.FAIL,
+        verdict=BoundVerdict.PASS if value <= limit else BoundVerdict.FAIL,
         at_s=visit.t_s,
         note=note,
     )
 
 
-def _clearance_rows(flight: Flight, run: RunDescription) -> list[Row]:
+def _clearance_rows(flight: FlightRecord, run: RunDescription) -> list[BoundRow]:
     """Distances from cylinders, walls and fence while armed."""
     track, accept = flight.judged.between(flight.armed), run.accept
-    rows: list[Row] = []
+    rows: list[BoundRow] = []
     for number, obstacle in enumerate(run.obstacles, 1):
         limit = obstacle_limit_m(obstacle, run)
         name = f"distance to {obstacle.name or f'obstacle {number}'}"
@@ -244,7 +248,7 @@ def _clearance_rows(flight: Flight, run: RunDescription) -> list[Row]:
     return rows
 
 
-def _motion_rows(flight: Flight, accept: AcceptBounds) -> list[Row]:
+def _motion_rows(flight: FlightRecord, accept: AcceptBounds) -> list[BoundRow]:
     """Depth band, speeds and thrust commands."""
     track = flight.judged.between(flight.mission)
     t_s, depth = track.t_s, track.pos_ned_m[:, 2]
@@ -263,7 +267,7 @@ def _motion_rows(flight: Flight, accept: AcceptBounds) -> list[Row]:
     return rows + _at_most("thrust command", "N", accept.thrust_n, seconds(commands), values)
 
 
-def _contact_rows(flight: Flight) -> list[Row]:
+def _contact_rows(flight: FlightRecord) -> list[BoundRow]:
     """Contacts of the simulated hull while armed."""
     table = flight.table("/sim/contact")
     if table is None:
@@ -277,7 +281,7 @@ def _contact_rows(flight: Flight) -> list[Row]:
     return _at_most("contacts", "", 0.0, t_s[keep], counts, note) if keep.any() else []
 
 
-def _estimate_rows(flight: Flight, accept: AcceptBounds) -> list[Row]:
+def _estimate_rows(flight: FlightRecord, accept: AcceptBounds) -> list[BoundRow]:
     """Estimate against truth until the mission is complete."""
     if flight.truth is None or flight.nav is None:
         return []
@@ -291,7 +295,7 @@ def _estimate_rows(flight: Flight, accept: AcceptBounds) -> list[Row]:
     return rows + _at_most("estimate yaw rms", "rad", yaw_limit, end, np.array([error.yaw_rms_rad]), yaw_note)
 
 
-def flown_commands(flight: Flight) -> Commands | None:
+def flown_commands(flight: FlightRecord) -> ThrustCommands | None:
     """The commands of the control steps of the mission, None if the log does not have them."""
     nmpc, commands, goals = flight.table("/ctl/nmpc"), flight.table("/out/thrusters"), flight.table("/ctl/goal")
     if nmpc is None or commands is None:
@@ -304,7 +308,7 @@ def flown_commands(flight: Flight) -> Commands | None:
         starts_s.append(seconds(goals)[1:][moved])
     events = flight.log.messages("/rosout") if "/rosout" in flight.log else []
     told = is_told([event.value["msg"] for event in events])
-    return Commands(
+    return ThrustCommands(
         t_s=seconds(nmpc),
         thrust_n=rows["thrust_n"][:, : thruster_count(commands)],
         fallback=nmpc["fallback"],
@@ -314,7 +318,7 @@ def flown_commands(flight: Flight) -> Commands | None:
     )
 
 
-def _smoothness_rows(flight: Flight) -> list[Row]:
+def _smoothness_rows(flight: FlightRecord) -> list[BoundRow]:
     """Commands of the control steps against the bars of :mod:`autopilot.log.smoothness`."""
     commands = flown_commands(flight)
     found = None if commands is None else measure(commands)
@@ -333,16 +337,18 @@ def _smoothness_rows(flight: Flight) -> list[Row]:
     ]
 
 
-def _smooth(name: str, unit: str, limit: float, value: float, at_s: float, note: str = "") -> Row:
+def _smooth(name: str, unit: str, limit: float, value: float, at_s: float, note: str = "") -> BoundRow:
     """A bar of smoothness: no bound of the vehicle is broken when it is not kept."""
-    verdict = Verdict.PASS if value <= limit else Verdict.WARN
+    verdict = BoundVerdict.PASS if value <= limit else BoundVerdict.WARN
     margin = limit - value
-    return Row(name=name, unit=unit, limit=limit, worst=value, margin=margin, verdict=verdict, at_s=at_s, note=note)
+    return BoundRow(
+        name=name, unit=unit, limit=limit, worst=value, margin=margin, verdict=verdict, at_s=at_s, note=note
+    )
 
 
-def _health_rows(flight: Flight) -> list[Row]:
+def _health_rows(flight: FlightRecord) -> list[BoundRow]:
     """Solver, loop, log and failsafes: figures, and warnings where an operator should look."""
-    rows: list[Row] = []
+    rows: list[BoundRow] = []
     nmpc = flight.table("/ctl/nmpc")
     if nmpc is not None:
         solved = nmpc["solve_s"][nmpc["solve_s"] > 0.0]
@@ -375,7 +381,7 @@ def _health_rows(flight: Flight) -> list[Row]:
     return rows
 
 
-def slowest_part(loop: Table) -> str:
+def slowest_part(loop: MessageTable) -> str:
     """What the slowest tick of a log went into, "" where it does not say."""
     if "part_s" not in (loop.dtype.names or ()):
         return ""

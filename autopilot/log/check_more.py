@@ -13,9 +13,9 @@ from autopilot.core.frames import FloatArray
 from autopilot.core.messages import ProgressState
 from autopilot.core.params import PARAMETERS
 from autopilot.log.analysis import (
-    Flight,
+    FlightRecord,
     Span,
-    Track,
+    VehicleTrack,
     along_track,
     energy_j,
     estimate_error,
@@ -30,8 +30,8 @@ from autopilot.log.analysis import (
 from autopilot.log.check_outside import link_rows, process_rows
 from autopilot.log.clipping import clipped
 from autopilot.log.drag_work import drag_work
-from autopilot.log.reader import Table
-from autopilot.log.rows import Row, Verdict, at_most, counted, row, under
+from autopilot.log.reader import MessageTable
+from autopilot.log.rows import BoundRow, BoundVerdict, at_most, counted, row, under
 from autopilot.log.settling import Stay, stays
 from autopilot.log.thruster_energy import thruster_power
 from autopilot.log.topics import AID_PREFIX
@@ -56,7 +56,7 @@ MOST_MISFIT = 0.10
 """Share of markers that are left out of the poses for not fitting."""
 
 
-def more_rows(flight: Flight) -> list[Row]:
+def more_rows(flight: FlightRecord) -> list[BoundRow]:
     """All of them, as far as the log has their data."""
     return [
         *_mission(flight),
@@ -75,12 +75,12 @@ def more_rows(flight: Flight) -> list[Row]:
     ]
 
 
-def way_m(track: Track) -> float:
+def way_m(track: VehicleTrack) -> float:
     """Length of a track."""
     return float(np.linalg.norm(np.diff(track.pos_ned_m, axis=0), axis=1).sum())
 
 
-def _mission(flight: Flight) -> list[Row]:
+def _mission(flight: FlightRecord) -> list[BoundRow]:
     track = flight.judged.between(flight.armed)
     rows = [row("Mission", "way", "m", way_m(track), f"in {flight.armed.end_s - flight.armed.start_s:.1f} s")]
     rows += _detour(flight)
@@ -92,7 +92,7 @@ def _mission(flight: Flight) -> list[Row]:
     return rows
 
 
-def _detour(flight: Flight) -> list[Row]:
+def _detour(flight: FlightRecord) -> list[BoundRow]:
     """The way over the straight lines from waypoint to waypoint."""
     if flight.run is None:
         return []
@@ -104,7 +104,7 @@ def _detour(flight: Flight) -> list[Row]:
     return [row("Mission", "path length / straight-line length", "", flown / straight)]
 
 
-def _tracking(flight: Flight) -> list[Row]:
+def _tracking(flight: FlightRecord) -> list[BoundRow]:
     """How well the controller knew what would come, and how late thrust follows its commands."""
     made = [one for one in predictions(flight.log) if flight.mission.start_s <= one.t_s <= flight.mission.end_s]
     then_s, then_m = foreseen(made, AHEAD_S)
@@ -125,7 +125,7 @@ def _tracking(flight: Flight) -> list[Row]:
     return rows
 
 
-def _delay_s(flight: Flight, commands: Table, acting: Table) -> float | None:
+def _delay_s(flight: FlightRecord, commands: MessageTable, acting: MessageTable) -> float | None:
     """The shift at which acting thrust is most like the commands; None if nothing moved."""
     t_s = np.arange(flight.armed.start_s, flight.armed.end_s, 0.01)
     count = thruster_count(commands)
@@ -144,7 +144,7 @@ def _delay_s(flight: Flight, commands: Table, acting: Table) -> float | None:
     return delay
 
 
-def _settling(flight: Flight) -> list[Row]:
+def _settling(flight: FlightRecord) -> list[BoundRow]:
     """At goals that were held."""
     found = stays(flight)
     if not found:
@@ -168,7 +168,7 @@ def _goals(those: Sequence[Stay]) -> str:
     return ", ".join(f"item {stay.seq} at {stay.entered_s:.1f} s" for stay in those[:5])
 
 
-def _controller(flight: Flight) -> list[Row]:
+def _controller(flight: FlightRecord) -> list[BoundRow]:
     table = flight.table("/ctl/nmpc")
     if table is None or not len(table):
         return []
@@ -186,7 +186,7 @@ def _controller(flight: Flight) -> list[Row]:
     return rows
 
 
-def _estimator(flight: Flight) -> list[Row]:
+def _estimator(flight: FlightRecord) -> list[BoundRow]:
     rows = []
     for topic in (name for name in flight.log.topics if name.startswith(AID_PREFIX)):
         table = flight.table(topic)
@@ -201,9 +201,9 @@ def _estimator(flight: Flight) -> list[Row]:
         sensor = topic.removeprefix(AID_PREFIX)
         over = np.where(used, mine["innovation"], 0.0) / np.sqrt(np.where(used, mine["innovation_var"], 1.0))
         inside = float(np.mean((over[keep] ** 2).sum(axis=1) <= np.array(CHI2_95)[degrees[keep] - 1]))
-        verdict = Verdict.PASS if inside >= LEAST_INSIDE else Verdict.WARN
+        verdict = BoundVerdict.PASS if inside >= LEAST_INSIDE else BoundVerdict.WARN
         rows.append(
-            Row(
+            BoundRow(
                 name=f"{sensor}: innovations within 95 %",
                 unit="%",
                 limit=100.0 * LEAST_INSIDE,
@@ -235,7 +235,7 @@ def _lag_one(values: FloatArray) -> float:
     return float((a * b).sum()) / power if power > 0.0 else 0.0
 
 
-def _camera(flight: Flight) -> list[Row]:
+def _camera(flight: FlightRecord) -> list[BoundRow]:
     table = flight.table("/in/markers")
     if table is None or not len(table):
         return []
@@ -258,7 +258,7 @@ def _camera(flight: Flight) -> list[Row]:
     return rows
 
 
-def _fit(flight: Flight) -> list[Row]:
+def _fit(flight: FlightRecord) -> list[BoundRow]:
     """Reprojection: how far corners lie from where map, camera and pose have them."""
     table = flight.table("/nav/fit")
     if table is None:
@@ -275,7 +275,7 @@ def _fit(flight: Flight) -> list[Row]:
     ]
 
 
-def _thrusters(flight: Flight) -> list[Row]:
+def _thrusters(flight: FlightRecord) -> list[BoundRow]:
     commands = flight.table("/out/thrusters")
     if commands is None or not len(commands):
         return []
@@ -298,7 +298,7 @@ def _thrusters(flight: Flight) -> list[Row]:
     ]
 
 
-def _balance(names: Sequence[str], mean_n: FloatArray) -> list[Row]:
+def _balance(names: Sequence[str], mean_n: FloatArray) -> list[BoundRow]:
     """What port thrusters give more than starboard ones, of both; none on vehicles without such names."""
     sides = []
     for side in ("port", "starboard"):
@@ -319,7 +319,7 @@ def _balance(names: Sequence[str], mean_n: FloatArray) -> list[Row]:
     ]
 
 
-def _current(flight: Flight) -> list[Row]:
+def _current(flight: FlightRecord) -> list[BoundRow]:
     track = flight.judged.between(flight.mission)
     along = along_track(track)
     rows = []
@@ -338,7 +338,7 @@ def _current(flight: Flight) -> list[Row]:
     return rows
 
 
-def _power(flight: Flight) -> list[Row]:
+def _power(flight: FlightRecord) -> list[BoundRow]:
     rows = []
     used, way = energy_j(flight, flight.armed), way_m(flight.judged.between(flight.armed))
     if used is not None:
@@ -350,10 +350,10 @@ def _power(flight: Flight) -> list[Row]:
         lowest = float(np.nanmin(battery["voltage_v"]))
         limit = 0.0 if flight.run is None else flight.run.parameters.get("BATT_LOW_VOLT", 0.0)
         if limit > 0.0:
-            verdict = Verdict.PASS if lowest >= limit else Verdict.WARN
+            verdict = BoundVerdict.PASS if lowest >= limit else BoundVerdict.WARN
             margin = lowest - limit
             rows.append(
-                Row(
+                BoundRow(
                     name="lowest voltage",
                     unit="V",
                     limit=limit,
@@ -369,7 +369,7 @@ def _power(flight: Flight) -> list[Row]:
     return rows
 
 
-def _energy_of_waypoints(flight: Flight) -> list[Row]:
+def _energy_of_waypoints(flight: FlightRecord) -> list[BoundRow]:
     """Energy from one waypoint of the tour to the next: the median, and the dearest with its name and lap."""
     if flight.run is None:
         return []
@@ -388,7 +388,7 @@ def _energy_of_waypoints(flight: Flight) -> list[Row]:
     ]
 
 
-def _energy_of_thrusters(flight: Flight, used_j: float | None) -> list[Row]:
+def _energy_of_thrusters(flight: FlightRecord, used_j: float | None) -> list[BoundRow]:
     """What each took by the vehicle file's figures, and what is left of the energy."""
     found = thruster_power(flight)
     if found is None:
@@ -403,7 +403,7 @@ def _energy_of_thrusters(flight: Flight, used_j: float | None) -> list[Row]:
     return rows
 
 
-def _inertial(flight: Flight) -> list[Row]:
+def _inertial(flight: FlightRecord) -> list[BoundRow]:
     raw = flight.table("/in/ahrs_raw")
     table = flight.table("/in/imu") if raw is None else raw
     if table is None:
@@ -421,13 +421,13 @@ def _inertial(flight: Flight) -> list[Row]:
     ]
 
 
-def _clipping(samples: Table) -> Row:
+def _clipping(samples: MessageTable) -> BoundRow:
     rates, forces = clipped(samples["rate_frd_rad_s"], samples["accel_frd_m_s2"])
     note = f"turn rate {rates}, specific force {forces}" if rates + forces else ""
     return under("Motion sensor", counted("samples at the end of the sensor's range", rates + forces, note))
 
 
-def _told(flight: Flight) -> list[Row]:
+def _told(flight: FlightRecord) -> list[BoundRow]:
     """Warnings to the operator, and parameters."""
     rows = []
     if "/rosout" in flight.log:

@@ -5,9 +5,9 @@ import struct
 import numpy as np
 
 from autopilot.core.frames import FloatArray
-from autopilot.log.analysis import Flight, seconds
-from autopilot.log.reader import Table
-from autopilot.log.rows import Row, at_most, row
+from autopilot.log.analysis import FlightRecord, seconds
+from autopilot.log.reader import MessageTable
+from autopilot.log.rows import BoundRow, at_most, row
 
 FEWEST = 50
 """Messages that say something of a share."""
@@ -25,7 +25,7 @@ TIMESYNC, ACK, ACK_ACCEPTED, ACK_IN_PROGRESS = 111, 77, 0, 5
 MAVLINK2 = 0xFD
 
 
-def link_rows(flight: Flight) -> list[Row]:
+def link_rows(flight: FlightRecord) -> list[BoundRow]:
     """What the links lost, how long an answer took, and what was refused."""
     rows = []
     received = flight.table("/in/mavlink")
@@ -46,7 +46,7 @@ def link_rows(flight: Flight) -> list[Row]:
     return rows
 
 
-def _round_trips(flight: Flight, received: Table, sent: Table) -> list[Row]:
+def _round_trips(flight: FlightRecord, received: MessageTable, sent: MessageTable) -> list[BoundRow]:
     """From our TIMESYNC requests to their answers; simulated time is not that of clients unless at its own speed."""
     _, found_s = round_trips(received, sent)
     if not len(found_s):
@@ -59,7 +59,7 @@ def _round_trips(flight: Flight, received: Table, sent: Table) -> list[Row]:
     return [at_most("Links", name, "s", MOST_ROUND_TRIP_S, slow, note)]
 
 
-def round_trips(received: Table, sent: Table) -> tuple[FloatArray, FloatArray]:
+def round_trips(received: MessageTable, sent: MessageTable) -> tuple[FloatArray, FloatArray]:
     """(n,) times at which our TIMESYNC requests were answered and (n,) how long that took; they return our stamp."""
     asked = {ours for answer, ours, _ in _timesyncs(sent) if answer == 0}
     came = [(1e-6 * t_us, 1e-9 * ours) for answer, ours, t_us in _timesyncs(received) if answer != 0 and ours in asked]
@@ -67,7 +67,7 @@ def round_trips(received: Table, sent: Table) -> tuple[FloatArray, FloatArray]:
     return at_s, at_s - asked_s
 
 
-def _timesyncs(frames: Table) -> list[tuple[int, int, int]]:
+def _timesyncs(frames: MessageTable) -> list[tuple[int, int, int]]:
     """tc1, ts1 and time [us] of every TIMESYNC."""
     data = frames["data"]
     those = (data[:, 0] == MAVLINK2) & (data[:, 7] == TIMESYNC) & (data[:, 8] == 0) & (data[:, 9] == 0)
@@ -78,7 +78,7 @@ def _timesyncs(frames: Table) -> list[tuple[int, int, int]]:
     return found
 
 
-def process_rows(flight: Flight) -> list[Row]:
+def process_rows(flight: FlightRecord) -> list[BoundRow]:
     """Memory, the log's queue, and the garbage collector."""
     table = flight.table("/sys/process")
     if table is None or not len(table):
@@ -97,7 +97,7 @@ def process_rows(flight: Flight) -> list[Row]:
     return rows
 
 
-def _memory(t_s: FloatArray, rss: FloatArray) -> Row:
+def _memory(t_s: FloatArray, rss: FloatArray) -> BoundRow:
     """What it came to, and by how much it grew over the second half of the log."""
     end, middle = float(rss[-1]), float(rss[len(rss) // 2])
     grown, lasted_s = end - middle, float(t_s[-1] - t_s[len(t_s) // 2])
@@ -107,7 +107,7 @@ def _memory(t_s: FloatArray, rss: FloatArray) -> Row:
     return at_most("Service", "memory", "MB", 1e-6 * MOST_GROWTH * middle, 1e-6 * end, note)
 
 
-def lost_share(frames: Table) -> float | None:
+def lost_share(frames: MessageTable) -> float | None:
     """Share of messages that are missing by the sequence numbers of their senders; None where too few came."""
     data = frames["data"]
     mine = (data[:, 0] == MAVLINK2) & (frames["length"] > 10)
@@ -124,7 +124,7 @@ def lost_share(frames: Table) -> float | None:
     return missing / max(missing + came, 1)
 
 
-def refused_commands(frames: Table) -> list[tuple[int, int]]:
+def refused_commands(frames: MessageTable) -> list[tuple[int, int]]:
     """Command and result of every COMMAND_ACK that is not an acceptance."""
     data, length = frames["data"], frames["length"]
     acks = data[(data[:, 0] == MAVLINK2) & (length > 12) & (data[:, 7] == ACK) & (data[:, 8] == 0) & (data[:, 9] == 0)]

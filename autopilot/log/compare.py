@@ -11,7 +11,7 @@ import msgspec
 import numpy as np
 
 from autopilot.core.errors import LogError
-from autopilot.log.reader import Log, Message, Table
+from autopilot.log.reader import DecodedMessage, Log, MessageTable
 
 WALL_CLOCK_TOPICS = ("/sys/loop", "/sys/process")
 WALL_CLOCK_FIELDS = (
@@ -82,7 +82,7 @@ def _count(topic: str, first: int, second: int) -> list[Difference]:
     return [Difference(topic=topic, field="", t_s=None, what=f"{first} against {second}{_MESSAGES}")]
 
 
-def _compare_tables(topic: str, a: Table, b: Table, ignore_fields: Collection[str]) -> list[Difference]:
+def _compare_tables(topic: str, a: MessageTable, b: MessageTable, ignore_fields: Collection[str]) -> list[Difference]:
     found = _count(topic, len(a), len(b))
     rows = min(len(a), len(b))
     if a.dtype != b.dtype:
@@ -125,7 +125,7 @@ def _compare_messages(topic: str, a: Log, b: Log, ignore_fields: Collection[str]
     return found
 
 
-def _opened(topic: str, message: Message) -> dict[str, Any]:
+def _opened(topic: str, message: DecodedMessage) -> dict[str, Any]:
     """A message's fields, with JSON in place of its text."""
     return (
         message.value if topic != "/in/step" else {**message.value, "data": msgspec.json.decode(message.value["data"])}

@@ -287,7 +287,7 @@ def records(data: bytes) -> Iterator[tuple[int, int, int]]:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Messages:
+class ChunkIndex:
     """Where the messages of a chunk lie in its records, in order; (n,) arrays."""
 
     starts: NDArray[np.int64]
@@ -299,7 +299,7 @@ class Messages:
     """Opcode and content of the records that are no messages."""
 
 
-def find_messages(data: bytes) -> Messages:
+def find_messages(data: bytes) -> ChunkIndex:
     """Look through the records of a chunk once: a log has thousands of messages a second, so few steps for each.
 
     Messages without a whole head are left out. Damage if the last record is cut off.
@@ -324,7 +324,7 @@ def find_messages(data: bytes) -> Messages:
     heads = np.frombuffer(data, np.uint8)[at[:, None] + np.arange(_TIME_END)]
     channels = np.ascontiguousarray(heads[:, :2]).view("<u2")[:, 0].astype(np.int64)
     times = np.ascontiguousarray(heads[:, _TIME_START:]).view("<u8")[:, 0]
-    return Messages(at, np.array(lengths, dtype=np.int64), channels, times, others)
+    return ChunkIndex(at, np.array(lengths, dtype=np.int64), channels, times, others)
 
 
 def _take(opcode: int, body: bytes, contents: Contents) -> Counter[int] | None:

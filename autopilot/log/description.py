@@ -1,8 +1,8 @@
 """``run.json``: what a log's reader has to know of the run to draw and to judge it.
 
-The composition root fills a :class:`RunDescription` and :mod:`autopilot.log.session` attaches it to the log. Everything
-in local metres (NED, origin at the water surface), radians and SI. A log without this attachment can still be read and
-plotted; only what needs bounds or geometry is left out.
+The composition root fills a :class:`RunDescription` and :mod:`autopilot.log.log_session` attaches it to the log.
+Everything in local metres (NED, origin at the water surface), radians and SI. A log without this attachment can still
+be read and plotted; only what needs bounds or geometry is left out.
 """
 
 from collections.abc import Mapping
@@ -76,7 +76,7 @@ class Obstacle:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class FenceShape:
+class FenceItemDescription:
     """One fence item: a circle (center and radius) or a polygon (vertices)."""
 
     inclusion: bool
@@ -157,7 +157,7 @@ class RunDescription:
     """Corners of the walls; empty = open water."""
     tank_depth_m: float | None = None
     obstacles: tuple[Obstacle, ...] = ()
-    fence: tuple[FenceShape, ...] = ()
+    fence: tuple[FenceItemDescription, ...] = ()
     waypoints: tuple[Waypoint, ...] = ()
     """In the order of one lap."""
     closed_tour: bool = True
@@ -173,19 +173,19 @@ class RunDescription:
     """All parameters as they were at the start."""
 
 
-def fence_shapes(fence: Fence) -> tuple[FenceShape, ...]:
+def fence_shapes(fence: Fence) -> tuple[FenceItemDescription, ...]:
     """The fence in force as the description keeps it."""
     inside = [_shape(shape, True) for shape in fence.inclusions]
     return tuple(inside + [_shape(shape, False) for shape in fence.exclusions])
 
 
-def _shape(shape: Shape, inclusion: bool) -> FenceShape:
+def _shape(shape: Shape, inclusion: bool) -> FenceItemDescription:
     if isinstance(shape, Polygon):
         vertices = tuple((float(x), float(y)) for x, y in shape.vertices_ned_m)
-        return FenceShape(inclusion=inclusion, vertices_m=vertices)
+        return FenceItemDescription(inclusion=inclusion, vertices_m=vertices)
     circle: Circle = shape
     north, east = (float(v) for v in circle.center_ned_m)
-    return FenceShape(inclusion=inclusion, center_m=(north, east), radius_m=circle.radius_m)
+    return FenceItemDescription(inclusion=inclusion, center_m=(north, east), radius_m=circle.radius_m)
 
 
 def to_json(description: RunDescription) -> bytes:

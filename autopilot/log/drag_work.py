@@ -9,7 +9,7 @@ import numpy as np
 from autopilot.core.errors import LogError
 from autopilot.core.frames import FloatArray
 from autopilot.core.vehicle import Vehicle
-from autopilot.log.analysis import Flight
+from autopilot.log.analysis import FlightRecord
 from autopilot.log.thruster_energy import ATTACHMENT
 
 LEAST_WORK_J = 1.0
@@ -24,7 +24,7 @@ class DragWork:
     still_j: float
 
 
-def drag_work(flight: Flight) -> DragWork | None:
+def drag_work(flight: FlightRecord) -> DragWork | None:
     """Of a log, None where it has no vehicle file or hardly moved. LogError if its vehicle file cannot be read."""
     raw, track = flight.log.attachments.get(ATTACHMENT), flight.judged.between(flight.mission)
     if raw is None or len(track.t_s) < 2:

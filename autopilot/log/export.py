@@ -15,8 +15,8 @@ import numpy as np
 
 from autopilot.core.disk import make_folder
 from autopilot.core.errors import LogError
+from autopilot.log.message_table import Columns, flat_columns
 from autopilot.log.reader import Log
-from autopilot.log.table import Columns, flat_columns
 
 Kind: TypeAlias = Literal["csv", "parquet"]
 

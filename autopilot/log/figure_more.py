@@ -10,7 +10,7 @@ from autopilot.log.figure_parts import (
     LISTED_LAPS,
     TRUTH,
     WIDTH_IN,
-    Scene,
+    FigureScene,
     lap_colors,
     legend_above,
     make_room,
@@ -25,7 +25,7 @@ SLIGHT_CURRENT_M_S = 0.05
 """Axes of currents show at least this much, so that still water looks still."""
 
 
-def estimate_errors(scene: Scene) -> Figure | None:
+def estimate_errors(scene: FigureScene) -> Figure | None:
     """Estimate minus truth with the filter's own 3 sigma."""
     flight = scene.flight
     if flight.truth is None or flight.nav is None:
@@ -52,7 +52,7 @@ def estimate_errors(scene: Scene) -> Figure | None:
     return figure
 
 
-def _limit_to(ax: Axes, scene: Scene, t_s: FloatArray, sigma: FloatArray) -> None:
+def _limit_to(ax: Axes, scene: FigureScene, t_s: FloatArray, sigma: FloatArray) -> None:
     """Show the band of the flight in full: before arming it may be far wider than anything of interest."""
     keep = scene.flight.armed.holds(t_s)
     if keep.any():
@@ -61,7 +61,7 @@ def _limit_to(ax: Axes, scene: Scene, t_s: FloatArray, sigma: FloatArray) -> Non
         ax.set_ylim(max(low, -3.0 * height), min(high, 3.0 * height))
 
 
-def solve_time(scene: Scene) -> Figure | None:
+def solve_time(scene: FigureScene) -> Figure | None:
     """CPU time of the NMPC steps over time and as a histogram."""
     table = scene.flight.table("/ctl/nmpc")
     if table is None or not (table["solve_s"] > 0.0).any():
@@ -95,7 +95,7 @@ def solve_time(scene: Scene) -> Figure | None:
     return figure
 
 
-def energy(scene: Scene) -> Figure | None:
+def energy(scene: FigureScene) -> Figure | None:
     """Electrical energy per lap, and power over time."""
     table = scene.flight.table("/sim/thrusters")
     if table is None:
@@ -126,7 +126,7 @@ def energy(scene: Scene) -> Figure | None:
     return figure
 
 
-def current(scene: Scene) -> Figure | None:
+def current(scene: FigureScene) -> Figure | None:
     """Current at the vehicle: what the estimator believes and what there was."""
     nav = scene.flight.nav
     if nav is None:

@@ -11,14 +11,14 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from autopilot.core.frames import FloatArray, unwrap_near, wrap_pi
-from autopilot.log.analysis import Track, Visit, seconds, thruster_names, wrap
+from autopilot.log.analysis import VehicleTrack, Visit, seconds, thruster_names, wrap
 from autopilot.log.figure_parts import (
     BAND,
     LISTED_LAPS,
     MOST_TURNS_RAD,
     TRUTH,
     WIDTH_IN,
-    Scene,
+    FigureScene,
     draw_bounds,
     lap_colors,
     legend_above,
@@ -40,7 +40,7 @@ HEADS, HEAD_M = 6, 0.08
 """Arrow heads on the way of a lap, and how long they are."""
 
 
-def trajectory(scene: Scene) -> Figure | None:
+def trajectory(scene: FigureScene) -> Figure | None:
     """The way in the horizontal plane, one colour per lap."""
     low, high = plan_box(scene.track, scene.flight.run)
     north_m, east_m = high - low
@@ -87,7 +87,7 @@ def _direction(ax: Axes, plane_m: FloatArray, color: str) -> None:
             ax.annotate("", plane_m[ahead], plane_m[at], arrowprops=style)
 
 
-def _current(ax: Axes, scene: Scene, height_in: float) -> None:
+def _current(ax: Axes, scene: FigureScene, height_in: float) -> None:
     """The current where the vehicle met it, to scale with the plan and with a key; nothing where there was none."""
     met = met_current(scene.track, scene.flight.run)
     if met is None:
@@ -109,7 +109,7 @@ def _current(ax: Axes, scene: Scene, height_in: float) -> None:
     ax.quiverkey(arrows, 0.08, low, met.told_m_s, words, labelpos="E", coordinates="figure", color="#17a2b8")
 
 
-def depth_and_yaw(scene: Scene) -> Figure | None:
+def depth_and_yaw(scene: FigureScene) -> Figure | None:
     """Depth and heading with the acceptance bands of the waypoint that is approached."""
     figure, (top, bottom) = stacked_axes(2, 4.6)
     run, track = scene.flight.run, scene.track
@@ -144,7 +144,7 @@ def _heading_band(visit: Visit, turn_rad: float) -> tuple[float, float] | None:
     return None if waypoint.yaw_rad is None else (wrap_pi(waypoint.yaw_rad) + turn_rad, waypoint.accept_yaw_rad)
 
 
-def _yaw_band(visit: Visit, track: Track, unwrapped_rad: FloatArray) -> tuple[float, float] | None:
+def _yaw_band(visit: Visit, track: VehicleTrack, unwrapped_rad: FloatArray) -> tuple[float, float] | None:
     """Centre and half width of a heading band, on the turn on which the vehicle came to it."""
     if visit.waypoint.yaw_rad is None:
         return None
@@ -152,7 +152,7 @@ def _yaw_band(visit: Visit, track: Track, unwrapped_rad: FloatArray) -> tuple[fl
     return unwrap_near(visit.waypoint.yaw_rad, float(unwrapped_rad[at])), visit.waypoint.accept_yaw_rad
 
 
-def _bands(scene: Scene, ax: Axes, band: Callable[[Visit], tuple[float, float] | None]) -> None:
+def _bands(scene: FigureScene, ax: Axes, band: Callable[[Visit], tuple[float, float] | None]) -> None:
     """Shade the acceptance band of each waypoint for as long as it is approached."""
     start, label = float(scene.track.t_s[0]), "acceptance band"
     for visit in scene.tour:
@@ -165,7 +165,7 @@ def _bands(scene: Scene, ax: Axes, band: Callable[[Visit], tuple[float, float] |
         start = end
 
 
-def planar_speed(scene: Scene) -> Figure | None:
+def planar_speed(scene: FigureScene) -> Figure | None:
     """Speed relative to the water in the horizontal plane."""
     figure, (ax,) = stacked_axes(1, 2.6)
     limit = scene.bound("planar_speed_m_s")
@@ -179,7 +179,7 @@ def planar_speed(scene: Scene) -> Figure | None:
     return figure
 
 
-def heave_and_yaw_rate(scene: Scene) -> Figure | None:
+def heave_and_yaw_rate(scene: FigureScene) -> Figure | None:
     """Heave relative to the water and yaw rate, with their bounds."""
     figure, (top, bottom) = stacked_axes(2, 4.2)
     curves = (
@@ -197,7 +197,7 @@ def heave_and_yaw_rate(scene: Scene) -> Figure | None:
     return figure
 
 
-def thrusters(scene: Scene) -> Figure | None:
+def thrusters(scene: FigureScene) -> Figure | None:
     """What the thrusters were told."""
     table = scene.flight.table("/out/thrusters")
     if table is None:

@@ -10,7 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from autopilot.core.errors import LogError
-from autopilot.log.analysis import Flight, Span, Track, Visit, lap_spans, load_flight, visits
+from autopilot.log.analysis import FlightRecord, Span, VehicleTrack, Visit, lap_spans, load_flight, visits
 from autopilot.log.reader import Log
 
 LAP_COLORS = ("#1f77b4", "#ff7f0e", "#2ca02c", "#9467bd", "#8c564b", "#17becf")
@@ -40,11 +40,11 @@ STYLE: Any = {
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class Scene:
+class FigureScene:
     """What all figures need of a run."""
 
-    flight: Flight
-    track: Track
+    flight: FlightRecord
+    track: VehicleTrack
     """The truth (or the estimate if there is none), while armed."""
     tour: tuple[Visit, ...]
     laps: tuple[Span, ...]
@@ -59,14 +59,14 @@ class Scene:
         return self.flight.run.paper_bounds.get(name) if self.flight.run is not None else None
 
 
-def make_scene(log: Log) -> Scene:
+def make_scene(log: Log) -> FigureScene:
     flight = load_flight(log)
     track = flight.judged.between(flight.armed)
     if not len(track.t_s):
         raise LogError(f"{log.path}: the vehicle's track is empty; there is nothing to draw")
     tour = visits(track, flight.run) if flight.run is not None else []
     laps = lap_spans(tour, flight.run, flight.armed.start_s) if flight.run is not None else []
-    return Scene(flight=flight, track=track, tour=tuple(tour), laps=tuple(laps))
+    return FigureScene(flight=flight, track=track, tour=tuple(tour), laps=tuple(laps))
 
 
 def lap_colors(count: int) -> list[str]:
@@ -90,7 +90,7 @@ def stacked_axes(rows: int, height_in: float) -> tuple[Figure, list[Axes]]:
     return figure, [row[0] for row in grid]
 
 
-def time_axis(scene: Scene, axes: list[Axes]) -> None:
+def time_axis(scene: FigureScene, axes: list[Axes]) -> None:
     """Label the lowest axes and mark the laps on all of them."""
     axes[-1].set_xlabel("time [s]")
     axes[-1].set_xlim(float(scene.track.t_s[0]), float(scene.track.t_s[-1]))

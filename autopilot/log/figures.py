@@ -10,12 +10,12 @@ from matplotlib.figure import Figure
 from autopilot.core.disk import make_folder
 from autopilot.core.errors import LogError
 from autopilot.log import figure_more, figure_paper
-from autopilot.log.figure_parts import STYLE, Scene, make_scene
+from autopilot.log.figure_parts import STYLE, FigureScene, make_scene
 from autopilot.log.reader import Log
 
 DPI = 150
 
-Drawing: TypeAlias = Callable[[Scene], Figure | None]
+Drawing: TypeAlias = Callable[[FigureScene], Figure | None]
 
 FIGURES: dict[str, Drawing] = {
     "1_trajectory": figure_paper.trajectory,

@@ -18,7 +18,16 @@ from autopilot.core.samples import CameraFrame, MarkerSighting, PowerSample, Sam
 from autopilot.log import visuals
 from autopilot.log.description import ATTACHMENT, RunDescription, to_json
 from autopilot.log.mavlink_frames import Removed, StreamCutter
-from autopilot.log.packing import decisions, estimate, payload, programs, sensors, service, step_notes, vehicle
+from autopilot.log.packing import (
+    decisions,
+    estimate,
+    payload_records,
+    programs,
+    sensor_records,
+    service_records,
+    step_notes,
+    vehicle_records,
+)
 from autopilot.log.packing.records import Pack
 from autopilot.log.scene import TRUE_CURRENT, body_markers, current_marker, moving_markers, scene_markers
 from autopilot.log.topics import AID_PREFIX
@@ -44,7 +53,7 @@ MAX_PROGRAMS = 32
 """Programs of the optimiser that were not solved that a log keeps, the first ones."""
 MAX_FAULTS = 32
 """Internal faults that a log keeps with all they had; of the others it has the line."""
-VIEWERS: dict[type, tuple[str, Pack]] = {**sensors.VIEWERS, PowerSample: ("/in/power", visuals.battery_state)}
+VIEWERS: dict[type, tuple[str, Pack]] = {**sensor_records.VIEWERS, PowerSample: ("/in/power", visuals.battery_state)}
 """Class of a sample -> the topic that viewers know, and how it is packed for them."""
 _BODY = 12
 """Bytes of a message in front of its content: encapsulation and stamp."""
@@ -71,7 +80,7 @@ class Packer:
         self._cutters: dict[tuple[str, int, int], StreamCutter] = {}
         self._lost_bytes = False
         """Something was left out on the way here: a stream that begins now may begin anywhere."""
-        self._standing = step_notes.Standing()
+        self._standing = step_notes.LatchedNotes()
         self._trail: list[tuple[float, float, float]] = []
         self._pictures: deque[int] = deque(maxlen=PICTURES)
         """Times of the pictures that were logged last: what was found in them is yet to come."""
@@ -95,11 +104,11 @@ class Packer:
     def inputs(self, inputs: Inputs) -> None:
         """Everything that goes into ``step``, in its order."""
         t_us = inputs.t_us
-        self._write("/in/tick", t_us, service.input_tick(self._ns(t_us), inputs))
+        self._write("/in/tick", t_us, service_records.input_tick(self._ns(t_us), inputs))
         for sample in inputs.samples:
             self._sample(sample)
         if inputs.below is not None:
-            self._on_change("/in/below", t_us, service.below(self._ns(t_us), inputs.below))
+            self._on_change("/in/below", t_us, service_records.below(self._ns(t_us), inputs.below))
         removed = [self._mavlink("/in/mavlink", t_us, frame) for frame in inputs.mavlink_rx]
         notes = step_notes.notes_of(inputs, removed, self._standing)
         if notes is not None:
@@ -119,12 +128,12 @@ class Packer:
         data = visuals.compressed_image(self._ns(exposure_us), png, "png")
         self._write("/payload/image", exposure_us, data)
 
-    def truth(self, t_us: int, truth: vehicle.TruthLike) -> None:
+    def truth(self, t_us: int, truth: vehicle_records.TruthLike) -> None:
         """The simulated vehicle, once per tick."""
         if self._due("/sim/truth", t_us, TRUTH_US):
-            self._write("/sim/truth", t_us, vehicle.vehicle_state(self._ns(t_us), truth))
+            self._write("/sim/truth", t_us, vehicle_records.vehicle_state(self._ns(t_us), truth))
         if self._due("/sim/thrusters", t_us, THRUSTERS_US):
-            self._write("/sim/thrusters", t_us, vehicle.thruster_state(self._ns(t_us), truth))
+            self._write("/sim/thrusters", t_us, vehicle_records.thruster_state(self._ns(t_us), truth))
         if self._due("/viz/truth", t_us, VIZ_US):
             self._truth = truth.pos_ned_m.copy(), truth.current_ned_m_s.copy()
             self._write("/viz/truth", t_us, visuals.pose_stamped(self._ns(t_us), truth))
@@ -133,18 +142,18 @@ class Packer:
     def contact(self, t_us: int, count: int, penetration_m: float) -> None:
         """Contacts of the simulated hull begun so far and the deepest penetration of now, once per tick."""
         if self._changed("/sim/contact", t_us, (count, penetration_m)):
-            self._on_change("/sim/contact", t_us, vehicle.contact_state(self._ns(t_us), count, penetration_m))
+            self._on_change("/sim/contact", t_us, vehicle_records.contact_state(self._ns(t_us), count, penetration_m))
 
     def payload_truth(self, t_us: int, shares: tuple[float, ...]) -> None:
         """Where the simulated vehicle's equipment is, once per tick."""
         if shares and self._changed("/sim/payload", t_us, shares):
-            self._on_change("/sim/payload", t_us, payload.truth(self._ns(t_us), shares))
+            self._on_change("/sim/payload", t_us, payload_records.truth(self._ns(t_us), shares))
 
     def loop(self, stats: LoopStats) -> None:
         """Health of the loop, once per second."""
-        self._write("/sys/loop", stats.t_us, service.loop_stats(self._ns(stats.t_us), stats))
+        self._write("/sys/loop", stats.t_us, service_records.loop_stats(self._ns(stats.t_us), stats))
         if stats.process is not None:
-            self._write("/sys/process", stats.t_us, service.process_stats(self._ns(stats.t_us), stats.process))
+            self._write("/sys/process", stats.t_us, service_records.process_stats(self._ns(stats.t_us), stats.process))
 
     def event(self, event: Event) -> None:
         """A line that does not come from ``step`` (``Outputs.events`` are written by ``outputs``)."""
@@ -160,7 +169,7 @@ class Packer:
             given = outputs.estimated_from
             self._on_change("/nav/thrust", t_us, estimate.acting_thrust(stamp_ns, given.thrust_n))
             for pose in given.samples:
-                self._write("/nav/external", pose.t_us, sensors.external_pose(self._ns(pose.t_us), pose))
+                self._write("/nav/external", pose.t_us, sensor_records.external_pose(self._ns(pose.t_us), pose))
         for aid in outputs.aids:
             self._write(AID_PREFIX + aid.sensor, aid.t_us, estimate.aid_status(self._ns(aid.t_us), aid))
             if aid.fit is not None:
@@ -188,12 +197,12 @@ class Packer:
         if outputs.thrusters is not None:
             self._write("/ctl/thrusters", t_us, decisions.thruster_health(stamp_ns, outputs.thrusters))
         if outputs.payload is not None and self._changed("/payload/outputs", t_us, outputs.payload.pulses_us):
-            self._on_change("/payload/outputs", t_us, payload.outputs(stamp_ns, outputs.payload))
+            self._on_change("/payload/outputs", t_us, payload_records.outputs(stamp_ns, outputs.payload))
         for record in outputs.stills:
             exposure_us = record.still.exposure_us
-            self._write("/payload/still", exposure_us, payload.still(self._ns(exposure_us), record))
+            self._write("/payload/still", exposure_us, payload_records.still(self._ns(exposure_us), record))
         for name, value in outputs.parameters.items():
-            self._write("/sys/parameters", t_us, service.parameter_change(stamp_ns, name, value))
+            self._write("/sys/parameters", t_us, service_records.parameter_change(stamp_ns, name, value))
         for frame in outputs.mavlink_tx:
             self._mavlink("/out/mavlink", t_us, frame)
         for event in outputs.events:
@@ -243,7 +252,7 @@ class Packer:
 
     def _sample(self, sample: Sample) -> None:
         t_us, stamp_ns = sample.t_us, self._ns(sample.t_us)
-        topic, pack = sensors.SAMPLES[type(sample)]
+        topic, pack = sensor_records.SAMPLES[type(sample)]
         self._write(topic, t_us, pack(stamp_ns, sample))
         if type(sample) in VIEWERS:
             topic, pack = VIEWERS[type(sample)]
@@ -263,7 +272,7 @@ class Packer:
                 cutter.lose_track()
         stamp_ns = self._ns(t_us)
         for piece in cutter.cut(frame.data):
-            self._write(topic, t_us, service.mavlink_frame(stamp_ns, piece.data, frame.link, frame.client))
+            self._write(topic, t_us, service_records.mavlink_frame(stamp_ns, piece.data, frame.link, frame.client))
             if piece.is_packet:
                 self._sink.write_packet(t_us, piece.data)
         return cutter.removed
@@ -272,10 +281,10 @@ class Packer:
         """Write what has waited for the end of a packet."""
         topic, link, client = stream
         for piece in self._cutters.pop(stream).rest():
-            self._write(topic, t_us, service.mavlink_frame(self._ns(t_us), piece.data, link, client))
+            self._write(topic, t_us, service_records.mavlink_frame(self._ns(t_us), piece.data, link, client))
 
     def _nav(self, t_us: int, stamp_ns: int, nav: NavState) -> None:
-        self._write("/nav/state", t_us, vehicle.vehicle_state(stamp_ns, nav))
+        self._write("/nav/state", t_us, vehicle_records.vehicle_state(stamp_ns, nav))
         if self._changed("/nav/status", t_us, (nav.health, nav.reset_count)):
             self._on_change("/nav/status", t_us, estimate.nav_status(stamp_ns, nav))
         if self._due("/nav/covariance", t_us, COVARIANCE_US):
@@ -325,7 +334,7 @@ class Packer:
         self._sink.write("/ctl/route", t_us, partial(visuals.path, stamp_ns, route))
 
 
-def _all_markers(stamp_ns: int, scene: Sequence[visuals.Marker], run: RunDescription, t_s: float) -> bytes:
+def _all_markers(stamp_ns: int, scene: Sequence[visuals.VisualMarker], run: RunDescription, t_s: float) -> bytes:
     return visuals.marker_array(stamp_ns, [*scene, *moving_markers(run, t_s)])
 
 

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from autopilot.core.frames import FloatArray
-from autopilot.log.analysis import Track, distance_to_obstacle, obstacle_position
+from autopilot.log.analysis import VehicleTrack, distance_to_obstacle, obstacle_position
 from autopilot.log.description import Obstacle, RunDescription
 from autopilot.log.scene import outline
 
@@ -52,7 +52,7 @@ class MovedObstacle:
     """and when that was."""
 
 
-def plan_box(track: Track, run: RunDescription | None) -> tuple[FloatArray, FloatArray]:
+def plan_box(track: VehicleTrack, run: RunDescription | None) -> tuple[FloatArray, FloatArray]:
     """Least and greatest north and east (2,) of what a plan shows: way, tank, fence and waypoints."""
     points = [track.pos_ned_m[:, :2]]
     if run is not None:
@@ -63,7 +63,7 @@ def plan_box(track: Track, run: RunDescription | None) -> tuple[FloatArray, Floa
     return every.min(axis=0), every.max(axis=0)
 
 
-def met_current(track: Track, run: RunDescription | None) -> MetCurrent | None:
+def met_current(track: VehicleTrack, run: RunDescription | None) -> MetCurrent | None:
     """Arrows for the plan of a flight; None where nothing is known, nothing flowed or nothing moved."""
     along = np.concatenate(([0.0], np.cumsum(np.hypot(*np.diff(track.pos_ned_m[:, :2], axis=0).T))))
     if len(track.t_s) < 2 or not along[-1] > 0.0:
@@ -90,7 +90,7 @@ def round_figure(value: float) -> float:
     return float(power * max(figure for figure in ROUND_FIGURES if figure * power <= value * (1.0 + 1e-9)))
 
 
-def moved_obstacles(track: Track, run: RunDescription) -> list[MovedObstacle]:
+def moved_obstacles(track: VehicleTrack, run: RunDescription) -> list[MovedObstacle]:
     """Those that moved, over the time of a track."""
     found = []
     for obstacle in run.obstacles if len(track.t_s) else ():

@@ -1,7 +1,7 @@
 """A log folder that does not outgrow its disk: the oldest flights go when a new one needs their room.
 
-A flight is a ``.mcap`` below a folder of a day (:func:`autopilot.log.session.log_path`) and what stands beside it under
-the same name. A log that is being written is locked and stays; so does everything that this service did not name.
+A flight is a ``.mcap`` below a folder of a day (:func:`autopilot.log.log_session.log_path`) and what stands beside it
+under the same name. A log that is being written is locked and stays; so does everything that this service did not name.
 """
 
 import contextlib
@@ -21,7 +21,7 @@ KEEP_FREE_BYTES = 256 * 1024 * 1024
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Flight:
+class FlightFiles:
     """Files of one flight, which go together."""
 
     log: Path
@@ -31,7 +31,7 @@ class Flight:
     """Day, time of day and number: older ones are less."""
 
 
-def flights(folder: Path) -> list[Flight]:
+def flights(folder: Path) -> list[FlightFiles]:
     """Flights below a log folder, oldest first. A file that goes meanwhile is left out."""
     found = []
     for log in folder.glob("*/*.mcap"):
@@ -43,7 +43,7 @@ def flights(folder: Path) -> list[Flight]:
             with contextlib.suppress(OSError):
                 size += path.stat().st_size
         order = (log.parent.name, log.stem[:TIME_CHARS], int(log.stem[TIME_CHARS + 1 :] or 1))
-        found.append(Flight(log=log, files=files, bytes=size, order=order))
+        found.append(FlightFiles(log=log, files=files, bytes=size, order=order))
     return sorted(found, key=lambda flight: flight.order)
 
 
@@ -73,7 +73,7 @@ def _free_bytes(folder: Path) -> int:
         return 0
 
 
-def remove_flight(flight: Flight) -> bool:
+def remove_flight(flight: FlightFiles) -> bool:
     """Whether a flight is gone now."""
     try:
         with flight.log.open("r+b") as file:

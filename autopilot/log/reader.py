@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from autopilot.core.errors import LogError
-from autopilot.log.cdr import Layout, Types, decode, fixed_layout, parse_definition, short_name
+from autopilot.log.cdr import CdrLayout, Types, decode, fixed_layout, parse_definition, short_name
 from autopilot.log.container import (
     MESSAGE,
     Contents,
@@ -26,7 +26,7 @@ from autopilot.log.container import (
     unpack,
 )
 from autopilot.log.description import ATTACHMENT, RUN_RECORD, RunDescription, from_json
-from autopilot.log.table import Table as Table
+from autopilot.log.message_table import MessageTable as MessageTable
 
 _EPOCH_DIGITS = 20
 """A Unix time in nanoseconds has fewer digits than this (until the year 2286)."""
@@ -43,7 +43,7 @@ class TopicInfo:
 
 
 @dataclass(frozen=True, slots=True)
-class Message:
+class DecodedMessage:
     """A decoded message of any type."""
 
     t_us: int
@@ -75,7 +75,7 @@ class Log:
         self.path = path
         self._contents: Contents = read_contents(path)
         self._raw: dict[str, _Raw] = {}
-        self._tables: dict[str, Table] = {}
+        self._tables: dict[str, MessageTable] = {}
         self._clock_checked = False
 
     @property
@@ -135,19 +135,19 @@ class Log:
         info = self.topics.get(topic) if isinstance(topic, str) else None
         return info is not None and info.count > 0
 
-    def __getitem__(self, topic: str) -> Table:
+    def __getitem__(self, topic: str) -> MessageTable:
         """A fixed-size topic as one array. LogError if it is missing or of variable size (use :meth:`messages`)."""
         if topic not in self._tables:
             self._tables[topic] = self._table(topic)
         return self._tables[topic]
 
-    def get(self, topic: str) -> Table | None:
+    def get(self, topic: str) -> MessageTable | None:
         """A fixed-size topic, None if it has no messages."""
         if topic not in self:
             return None
         return self[topic]
 
-    def align(self, topics: Sequence[str], rate_hz: float) -> dict[str, Table]:
+    def align(self, topics: Sequence[str], rate_hz: float) -> dict[str, MessageTable]:
         """Fixed-size topics on one clock: at ``rate_hz``, from when all have begun to when the first ends, each
         topic's last message. ``t_us`` is the common time. LogError for a topic that is missing or empty, and where
         they have no time in common."""
@@ -165,13 +165,13 @@ class Log:
         grid = first + np.arange(int((last - first) * 1e-6 * rate_hz) + 1) * (1e6 / rate_hz)
         found = {}
         for topic, table in tables.items():
-            ordered = table[np.argsort(table["t_us"], kind="stable")].view(Table)
+            ordered = table[np.argsort(table["t_us"], kind="stable")].view(MessageTable)
             rows = np.searchsorted(times[topic], grid, side="right") - 1
-            found[topic] = ordered[rows].view(Table)
+            found[topic] = ordered[rows].view(MessageTable)
             found[topic]["t_us"][:] = np.round(grid)
         return found
 
-    def messages(self, topic: str) -> list[Message]:
+    def messages(self, topic: str) -> list[DecodedMessage]:
         """Every message of a topic of any type, decoded. LogError if the topic is missing or a message is damaged."""
         types, name = self._types(topic)
         self.load([topic])
@@ -185,7 +185,7 @@ class Log:
                 value = decode(types, name, row[head:])
             except LogError as error:
                 raise LogError(f"{self.path}: {topic}: {error}") from error
-            out.append(Message((log_time - self.epoch_ns) // 1000, value))
+            out.append(DecodedMessage((log_time - self.epoch_ns) // 1000, value))
         return out
 
     def raw_messages(self, topic: str) -> list[tuple[int, bytes]]:
@@ -292,12 +292,12 @@ class Log:
             raise LogError(f"{self.path}: {topic} is not CDR with a ros2msg schema; only such topics can be decoded")
         return _parsed(schema.name, schema.text), schema.name
 
-    def _table(self, topic: str) -> Table:
+    def _table(self, topic: str) -> MessageTable:
         types, name = self._types(topic)
         self.load([topic])
         raw = self._raw[topic]
         if not raw.blocks and not raw.singles:
-            return np.zeros(0, _columns(_layout(types, name, 4, self.path, topic))).view(Table)
+            return np.zeros(0, _columns(_layout(types, name, 4, self.path, topic))).view(MessageTable)
         widths = {block.shape[1] for block in raw.blocks}
         if raw.singles or len(widths) != 1:
             raise LogError(f"{self.path}: messages on {topic} differ in size; read them with messages()")
@@ -309,7 +309,7 @@ class Log:
             raise LogError(f"{self.path}: messages on {topic} do not fit their schema {name}; the log is damaged")
         body = np.ascontiguousarray(rows[:, head:]).view(layout.dtype)[:, 0]
         start = np.ascontiguousarray(rows[:, :head]).view(_MESSAGE_HEAD)[:, 0]
-        table = np.zeros(len(rows), _columns(layout)).view(Table)
+        table = np.zeros(len(rows), _columns(layout)).view(MessageTable)
         table["t_us"] = (start["log_time"].astype(np.int64) - self.epoch_ns) // 1000
         table["sequence"] = start["sequence"]
         for column in (table.dtype.names or ())[2:]:
@@ -321,7 +321,7 @@ _parsed = lru_cache(maxsize=256)(parse_definition)
 """Logs of one version share their schemas."""
 
 
-def _columns(layout: Layout) -> np.dtype[np.void]:
+def _columns(layout: CdrLayout) -> np.dtype[np.void]:
     fields: Mapping[str, Any] = layout.dtype.fields or {}
     columns: list[Any] = [("t_us", "<i8"), ("sequence", "<u4")]
     columns += [(name, fields[name][0]) for name in layout.dtype.names or () if name not in ("header", "stamp")]
@@ -335,7 +335,7 @@ def _frame_id_bytes(types: Types, name: str, first: bytes) -> int:
     return int.from_bytes(first[12:16], "little") if has_header else 4
 
 
-def _layout(types: Types, name: str, frame_id_bytes: int, path: Path, topic: str) -> Layout:
+def _layout(types: Types, name: str, frame_id_bytes: int, path: Path, topic: str) -> CdrLayout:
     layout = fixed_layout(types, name, frame_id_bytes) if 0 < frame_id_bytes < 256 else None
     if layout is None:
         raise LogError(f"{path}: {topic} ({name}) is of variable size; read it with messages()")

@@ -17,9 +17,9 @@ from pathlib import Path
 from autopilot.core.disk import make_folder, write_whole
 from autopilot.core.errors import LogError
 from autopilot.core.params import PARAMETERS
-from autopilot.log.analysis import TOPICS_OF_INTEREST, Flight, energy_j, last_counts, load_flight, seconds
-from autopilot.log.check import Row, Verdict, acceptance_table, format_figure, overall
-from autopilot.log.reader import Log, Message
+from autopilot.log.analysis import TOPICS_OF_INTEREST, FlightRecord, energy_j, last_counts, load_flight, seconds
+from autopilot.log.check import BoundRow, BoundVerdict, acceptance_table, format_figure, overall
+from autopilot.log.reader import DecodedMessage, Log
 from autopilot.log.topics import AID_PREFIX
 from autopilot.log.visuals import ROS_LEVEL
 
@@ -90,7 +90,7 @@ def write_report(log: Log, path: Path) -> Path:
     return path
 
 
-def _page(flight: Flight, rows: Sequence[Row]) -> str:
+def _page(flight: FlightRecord, rows: Sequence[BoundRow]) -> str:
     from bokeh.document import Document
     from bokeh.embed import components
     from bokeh.resources import Resources
@@ -160,7 +160,7 @@ def _pictures(log: Log) -> str:
     return f'<div class="strip">{"".join(parts)}</div>\n'
 
 
-def _downloads(flight: Flight, rows: Sequence[Row]) -> str:
+def _downloads(flight: FlightRecord, rows: Sequence[BoundRow]) -> str:
     """The tables of this page and what is attached to the log, as files within the page."""
     columns = ("subject", "name", "unit", "limit", "worst", "margin", "verdict", "at_s", "note")
     verdicts = [{**asdict(row), "verdict": row.verdict.value} for row in rows]
@@ -182,7 +182,7 @@ def _downloads(flight: Flight, rows: Sequence[Row]) -> str:
     return f"<ul>{items}</ul>"
 
 
-def _badge(verdict: Verdict) -> str:
+def _badge(verdict: BoundVerdict) -> str:
     return f'<span class="badge {verdict.value}">{verdict.value}</span>'
 
 
@@ -197,7 +197,7 @@ def _problems(log: Log) -> str:
     return "".join(f'<p class="problem">{html.escape(problem)}</p>\n' for problem in log.problems)
 
 
-def _header(flight: Flight, rows: Sequence[Row]) -> str:
+def _header(flight: FlightRecord, rows: Sequence[BoundRow]) -> str:
     """What the run was, in pairs."""
     run, log, armed = flight.run, flight.log, flight.armed
     track = flight.judged.between(armed)
@@ -217,12 +217,12 @@ def _header(flight: Flight, rows: Sequence[Row]) -> str:
     if used is not None:
         pairs.append(("energy", f"{used:.0f} J"))
     counts = Counter(row.verdict.value for row in rows)
-    pairs.append(("verdicts", ", ".join(f"{counts[v.value]} {v.value}" for v in Verdict if counts[v.value])))
+    pairs.append(("verdicts", ", ".join(f"{counts[v.value]} {v.value}" for v in BoundVerdict if counts[v.value])))
     cells = (f"<div><b>{html.escape(k)}</b>{html.escape(v)}</div>" for k, v in dict(pairs).items() if v)
     return f'<div class="facts">{"".join(cells)}</div>'
 
 
-def _acceptance(rows: Sequence[Row]) -> str:
+def _acceptance(rows: Sequence[BoundRow]) -> str:
     out = ["<table><tr><th>bound</th><th>limit</th><th>worst</th><th>margin</th><th>unit</th><th>at [s]</th>"]
     out.append("<th>verdict</th><th></th></tr>\n")
     subject = ""
@@ -240,7 +240,7 @@ def _acceptance(rows: Sequence[Row]) -> str:
     return "".join(out) + "</table>"
 
 
-def _modes(flight: Flight) -> str:
+def _modes(flight: FlightRecord) -> str:
     """When which mode was in force."""
     mode = flight.table("/sys/mode")
     if mode is None:
@@ -257,7 +257,7 @@ def _modes(flight: Flight) -> str:
     return f"<details><summary>Modes ({len(rows)} changes, shaded in the plots)</summary>{table}</details>"
 
 
-def _counters(flight: Flight) -> str:
+def _counters(flight: FlightRecord) -> str:
     """What was counted by the end of the log, where it is not 0."""
     rows = [(name, str(count)) for name, count in last_counts(flight.log).items() if count]
     return _table(("", "times"), rows) if rows else "<p>none</p>"
@@ -273,7 +273,7 @@ def _events(log: Log) -> str:
     return _event_table(told) + (inner if notes else "")
 
 
-def _event_table(messages: Sequence[Message]) -> str:
+def _event_table(messages: Sequence[DecodedMessage]) -> str:
     rows = [
         (f"{m.t_us * 1e-6:.2f}", _LEVEL_NAMES.get(m.value["level"], str(m.value["level"])), m.value["msg"])
         for m in messages[:_EVENTS_SHOWN]
@@ -282,7 +282,7 @@ def _event_table(messages: Sequence[Message]) -> str:
     return _table(("at [s]", "severity", "text"), rows) + more
 
 
-def _parameters(flight: Flight) -> str:
+def _parameters(flight: FlightRecord) -> str:
     """All parameters, those that are not at their default first."""
     if flight.run is None or not flight.run.parameters:
         return "<p>not in the log</p>"

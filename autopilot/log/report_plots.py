@@ -10,9 +10,9 @@ from bokeh.palettes import viridis
 
 from autopilot.core.frames import FloatArray
 from autopilot.log.analysis import (
-    Flight,
+    FlightRecord,
     Prediction,
-    Track,
+    VehicleTrack,
     along_track,
     distance_to_fence,
     distance_to_obstacle,
@@ -85,7 +85,7 @@ HEAD_SHARE, HEAD_M = 0.018, 0.05
 class Plots:
     """Plots of one flight with a common time axis."""
 
-    def __init__(self, flight: Flight) -> None:
+    def __init__(self, flight: FlightRecord) -> None:
         """Lay out the time axis: the flight with a little before and after it."""
         self._flight = flight
         self._track = flight.judged
@@ -465,7 +465,7 @@ def _draw_predictions(plot: Any, made: Sequence[Prediction]) -> Any:
     return plot.multi_line(xs, ys, line_color="#7b3fa0", line_width=1, line_alpha=0.6)
 
 
-def _draw_heads(plot: Any, track: Track) -> Any | None:
+def _draw_heads(plot: Any, track: VehicleTrack) -> Any | None:
     """Arrow heads along a way, evenly by its length; None where it leads nowhere."""
     plane = track.pos_ned_m[:, :2]
     along = np.concatenate(([0.0], np.cumsum(np.hypot(*np.diff(plane, axis=0).T))))
@@ -510,7 +510,7 @@ def _draw_current(plot: Any, met: MetCurrent) -> list[Any]:
     return [lines, heads, words]
 
 
-def clearances(flight: Flight) -> list[Curve]:
+def clearances(flight: FlightRecord) -> list[Curve]:
     """What is kept beyond the limits of a run: each obstacle, walls, fence, both ends of the depth band."""
     run, track = flight.run, flight.judged
     if run is None:
@@ -594,7 +594,7 @@ def _word(plot: Any, place: Sequence[float] | FloatArray, word: str, color: str)
     plot.text([place[0]], [place[1]], text=[word], **style)
 
 
-def mode_bands(flight: Flight) -> list[Band]:
+def mode_bands(flight: FlightRecord) -> list[Band]:
     """Every stretch of one mode while armed."""
     mode = flight.table("/sys/mode")
     if mode is None or not len(mode):
@@ -614,7 +614,7 @@ def mode_bands(flight: Flight) -> list[Band]:
     return bands
 
 
-def event_marks(flight: Flight) -> list[Mark]:
+def event_marks(flight: FlightRecord) -> list[Mark]:
     """What operators were told, and parameters that were changed, in order; the gravest if there are too many."""
     log, marks = flight.log, []
     if "/rosout" in log:

@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 from enum import Enum
 
 
-class Verdict(Enum):
+class BoundVerdict(Enum):
     """What a row says."""
 
     PASS = "pass"
@@ -17,7 +17,7 @@ class Verdict(Enum):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Row:
+class BoundRow:
     """One bound and how the run stands against it."""
 
     name: str
@@ -27,7 +27,7 @@ class Row:
     """The value nearest to, or farthest beyond, the limit."""
     margin: float | None
     """Distance from the limit, tolerance included; negative = broken."""
-    verdict: Verdict
+    verdict: BoundVerdict
     at_s: float | None = None
     """When the worst value was reached, on the service's clock."""
     note: str = ""
@@ -35,31 +35,31 @@ class Row:
     """What it is of: rows of one subject stand together."""
 
 
-def info(name: str, unit: str, value: float | None, note: str = "") -> Row:
+def info(name: str, unit: str, value: float | None, note: str = "") -> BoundRow:
     """A figure without a bound."""
-    return Row(name=name, unit=unit, limit=None, worst=value, margin=None, verdict=Verdict.INFO, note=note)
+    return BoundRow(name=name, unit=unit, limit=None, worst=value, margin=None, verdict=BoundVerdict.INFO, note=note)
 
 
-def counted(name: str, value: int, note: str = "") -> Row:
+def counted(name: str, value: int, note: str = "") -> BoundRow:
     """Something that should not happen but breaks no bound."""
-    verdict = Verdict.WARN if value else Verdict.PASS
-    return Row(name=name, unit="", limit=0.0, worst=float(value), margin=float(-value), verdict=verdict, note=note)
+    verdict = BoundVerdict.WARN if value else BoundVerdict.PASS
+    return BoundRow(name=name, unit="", limit=0.0, worst=float(value), margin=float(-value), verdict=verdict, note=note)
 
 
-def row(subject: str, name: str, unit: str, value: float, note: str = "") -> Row:
+def row(subject: str, name: str, unit: str, value: float, note: str = "") -> BoundRow:
     """A figure without a bound under its subject; one that is not finite is not known."""
     return under(subject, info(name, unit, value if math.isfinite(value) else None, note))
 
 
-def under(subject: str, made: Row) -> Row:
+def under(subject: str, made: BoundRow) -> BoundRow:
     """A row under its subject."""
     return replace(made, subject=subject)
 
 
-def at_most(subject: str, name: str, unit: str, limit: float, value: float, note: str = "") -> Row:
+def at_most(subject: str, name: str, unit: str, limit: float, value: float, note: str = "") -> BoundRow:
     """A figure that asks to be looked at above a limit."""
-    verdict = Verdict.PASS if value <= limit else Verdict.WARN
+    verdict = BoundVerdict.PASS if value <= limit else BoundVerdict.WARN
     margin = limit - value
-    return Row(
+    return BoundRow(
         name=name, unit=unit, limit=limit, worst=value, margin=margin, verdict=verdict, note=note, subject=subject
     )

@@ -7,7 +7,7 @@ comments and constants. Each schema in a file is self-contained: the root defini
 from functools import cache
 
 from autopilot.core.errors import LogError
-from autopilot.log.cdr import PRIMITIVES, Field, Layout, fixed_layout, parse_definition, short_name
+from autopilot.log.cdr import PRIMITIVES, CdrField, CdrLayout, fixed_layout, parse_definition, short_name
 from autopilot.log.sample_table import SAMPLE_ROWS
 
 ENCODING = "ros2msg"
@@ -422,13 +422,13 @@ def _uses(name: str) -> list[str]:
 
 
 @cache
-def types_of(name: str) -> dict[str, tuple[Field, ...]]:
+def types_of(name: str) -> dict[str, tuple[CdrField, ...]]:
     """Parsed definition of ``name`` and of every type that it uses."""
     return parse_definition(name, definition(name))
 
 
 @cache
-def layout(name: str) -> Layout:
+def layout(name: str) -> CdrLayout:
     """Layout of one of the fixed-size types, with our frame ids. LogError if the type is not fixed-size."""
     found = fixed_layout(types_of(name), name, FRAME_ID_BYTES)
     if found is None:

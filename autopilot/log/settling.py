@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from autopilot.core.frames import FloatArray
-from autopilot.log.analysis import Flight, Track, seconds, wrap
+from autopilot.log.analysis import FlightRecord, VehicleTrack, seconds, wrap
 
 HELD_S = 4.0
 SETTLED = 0.25
@@ -35,7 +35,7 @@ class Stay:
     """Since the region was entered; None = it was not at rest when the goal ended."""
 
 
-def stays(flight: Flight) -> list[Stay]:
+def stays(flight: FlightRecord) -> list[Stay]:
     """All of them, in order."""
     goals = flight.table("/ctl/goal")
     if goals is None or not len(goals):
@@ -53,13 +53,13 @@ def stays(flight: Flight) -> list[Stay]:
     return found
 
 
-def _driven(flight: Flight) -> FloatArray:
+def _driven(flight: FlightRecord) -> FloatArray:
     """(n,) times at which a motion took the place of the goal's."""
     drive = flight.table("/ctl/drive")
     return np.zeros(0) if drive is None else seconds(drive)[drive["active"] != 0]
 
 
-def _stay(track: Track, goal: np.void, begin_s: float, end_s: float) -> Stay | None:
+def _stay(track: VehicleTrack, goal: np.void, begin_s: float, end_s: float) -> Stay | None:
     """What became of one goal; None if its region was not entered in time to stay there."""
     rows = slice(int(np.searchsorted(track.t_s, begin_s)), int(np.searchsorted(track.t_s, end_s)))
     t_s, off = track.t_s[rows], track.pos_ned_m[rows] - goal["pos_ned_m"]

@@ -45,7 +45,7 @@ FEWEST_STEPS = 20
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class Commands:
+class ThrustCommands:
     """The commands of the control steps, in order."""
 
     t_s: FloatArray
@@ -106,7 +106,7 @@ class Bars:
 BARS = Bars()
 
 
-def measure(commands: Commands) -> Smoothness | None:
+def measure(commands: ThrustCommands) -> Smoothness | None:
     """All figures, None where there is too little to say anything."""
     t_s, thrust = commands.t_s, commands.thrust_n
     if len(t_s) < FEWEST_STEPS:
@@ -155,7 +155,7 @@ def _begins(t_s: FloatArray, starts_s: FloatArray) -> NDArray[np.bool_]:
     return result
 
 
-def _saturated(commands: Commands) -> NDArray[np.bool_]:
+def _saturated(commands: ThrustCommands) -> NDArray[np.bool_]:
     """(n-1, thrusters) differences that begin or end at the limit."""
     at = np.abs(commands.thrust_n) >= AT_LIMIT * commands.limit_n
     result: NDArray[np.bool_] = at[1:] | at[:-1]
@@ -167,7 +167,7 @@ def _reversals(thrust_n: FloatArray) -> int:
     return int(np.count_nonzero(np.diff(signs)))
 
 
-def _silent(commands: Commands) -> int:
+def _silent(commands: ThrustCommands) -> int:
     """A neutral command has its own texts: there is no estimate, or it is not known whether commands act."""
     flown = (commands.fallback == Fallback.SHIFTED_PLAN) | (commands.fallback == Fallback.STATION_KEEPING)
     when, told = commands.t_s[flown], commands.told_s

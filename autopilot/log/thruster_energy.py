@@ -11,7 +11,7 @@ import numpy as np
 from autopilot.core.errors import LogError
 from autopilot.core.frames import FloatArray
 from autopilot.core.vehicle import Vehicle
-from autopilot.log.analysis import Flight, Span, seconds
+from autopilot.log.analysis import FlightRecord, Span, seconds
 
 ATTACHMENT = "vehicle.json"
 
@@ -35,7 +35,7 @@ class ThrusterPower:
         return result
 
 
-def thruster_power(flight: Flight) -> ThrusterPower | None:
+def thruster_power(flight: FlightRecord) -> ThrusterPower | None:
     """Of a log, None where it has no vehicle file or no thrust. LogError if its vehicle file cannot be read."""
     raw, acting = flight.log.attachments.get(ATTACHMENT), flight.table("/sim/thrusters")
     table = flight.table("/out/thrusters") if acting is None else acting

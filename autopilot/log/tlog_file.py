@@ -24,7 +24,7 @@ APART_US = 3 * 86_400_000_000
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Origin:
+class PacketOrigin:
     """What a packet's header says."""
 
     system: int
@@ -43,7 +43,7 @@ class Packet:
     """A whole packet. ``message`` is None when the dialect does not know it."""
 
     at_us: int
-    origin: Origin
+    origin: PacketOrigin
     message: Any
 
 
@@ -54,7 +54,7 @@ class DamagedPiece:
     at_us: int | None
     """Of the record before, None for the first."""
     size: int
-    origin: Origin | None
+    origin: PacketOrigin | None
     """What a header at their beginning says, None without one."""
     whole: bool
     """Whether just the packet of that header: its checksum is wrong, as it also is when sender and reader do not mean
@@ -73,10 +73,10 @@ def read_tlog(path: Path) -> Iterator[Packet | DamagedPiece]:
         data = path.read_bytes()
     except OSError as error:
         raise LogError(f"{path}: cannot be read as .tlog ({error}); check the name") from error
-    return _Reader(data).records()
+    return _TlogReader(data).records()
 
 
-class _Reader:
+class _TlogReader:
     def __init__(self, data: bytes) -> None:
         from pymavlink.dialects.v20 import ardupilotmega
 
@@ -123,7 +123,7 @@ class _Reader:
             return None, None  # nothing checks the bytes of an unknown message, except that another record follows
         return Packet(at_us=at_us, origin=origin, message=message if known else None), end
 
-    def _frame(self, begin: int) -> tuple[Origin, int] | None:
+    def _frame(self, begin: int) -> tuple[PacketOrigin, int] | None:
         """What the header at this place says and where its packet ends, None without one, or if the file ends first."""
         data, at = self._data, begin + STAMP_BYTES
         origin = self._origin(begin)
@@ -133,7 +133,7 @@ class _Reader:
         end = at + HEADER_BYTES[data[at]] + data[at + 1] + CHECKSUM_BYTES + (SIGNATURE_BYTES if signed else 0)
         return (origin, end) if end <= len(data) else None
 
-    def _origin(self, begin: int) -> Origin | None:
+    def _origin(self, begin: int) -> PacketOrigin | None:
         data, at = self._data, begin + STAMP_BYTES
         if not self._begins_record(begin) or at >= len(data) or at + HEADER_BYTES[data[at]] > len(data):
             return None
@@ -144,7 +144,7 @@ class _Reader:
             message_id = int.from_bytes(data[at + 7 : at + 10], "little")
         known = self._dialect.mavlink_map.get(message_id)
         name = "" if known is None else str(known.msgname)
-        return Origin(system=system, component=component, sequence=sequence, message_id=message_id, message=name)
+        return PacketOrigin(system=system, component=component, sequence=sequence, message_id=message_id, message=name)
 
     def _stamp_us(self, begin: int) -> int:
         return int.from_bytes(self._data[begin : begin + STAMP_BYTES], "big")

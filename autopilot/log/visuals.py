@@ -221,7 +221,7 @@ def battery_state(stamp_ns: int, sample: PowerSample) -> bytes:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Marker:
+class VisualMarker:
     """One visualization_msgs/Marker."""
 
     ARROW = 0
@@ -241,7 +241,7 @@ class Marker:
     """Another one moves, and the marker with it."""
 
 
-def marker_array(stamp_ns: int, markers: Sequence[Marker]) -> bytes:
+def marker_array(stamp_ns: int, markers: Sequence[VisualMarker]) -> bytes:
     """visualization_msgs/MarkerArray that adds or replaces the markers."""
     out = CdrBuffer()
     out.put("uint32", len(markers))

@@ -17,7 +17,7 @@ from autopilot.core.camera import CameraModel
 from autopilot.core.frames import FloatArray
 from autopilot.core.markers import CORNER_SIGNS, IntArray
 from autopilot.core.robust import PLANAR_MEDIAN
-from autopilot.markermaps.tuned import ADJUSTMENT
+from autopilot.markermaps.markermaps_tuning import ADJUSTMENT
 
 
 @dataclass(slots=True, eq=False, kw_only=True)

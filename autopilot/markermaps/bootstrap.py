@@ -16,8 +16,8 @@ from autopilot.core.camera import CameraModel
 from autopilot.core.frames import FloatArray
 from autopilot.core.marker_files import AMBIGUITY_M, rotation_of
 from autopilot.core.markers import CORNER_SIGNS, IntArray
-from autopilot.markermaps.sightings import View
-from autopilot.markermaps.tuned import BOOTSTRAP
+from autopilot.markermaps.markermaps_tuning import BOOTSTRAP
+from autopilot.markermaps.sightings import SheetView
 
 
 @dataclass(slots=True, eq=False, kw_only=True)
@@ -37,7 +37,7 @@ class Placed:
 class TiedView:
     """A view with a pose."""
 
-    view: View
+    view: SheetView
     eye_ned_m: FloatArray
     r_ned_from_cam: FloatArray
     known: dict[int, int]
@@ -61,7 +61,7 @@ def square(size_m: float) -> FloatArray:
 
 def tie_together(
     camera: CameraModel,
-    views: Sequence[View],
+    views: Sequence[SheetView],
     seeds: Sequence[Placed],
     sizes_m: Mapping[int, float],
     level: bool,
@@ -91,7 +91,7 @@ def tie_together(
 
 
 def recognise(
-    camera: CameraModel, views: Sequence[View], rough: Sequence[Placed], sizes_m: Mapping[int, float], level: bool
+    camera: CameraModel, views: Sequence[SheetView], rough: Sequence[Placed], sizes_m: Mapping[int, float], level: bool
 ) -> tuple[int, int] | None:
     """The view that shows most of a rough map in order, and a marker of the map that it surely shows: where to start
     when every id is there several times. None if no view shows three markers that fit together."""
@@ -120,7 +120,7 @@ class _World:
         for index, seed in enumerate(seeds):
             self._by_id.setdefault(seed.id, []).append(index)
 
-    def tie(self, view: View, unique: Set[int]) -> TiedView | None:
+    def tie(self, view: SheetView, unique: Set[int]) -> TiedView | None:
         """Pose of a view that shows known markers; its other markers get places. None if it shows too few."""
         candidates = self.candidates(view)
         pose, known = self.agreeing(view, candidates, unique)
@@ -151,12 +151,12 @@ class _World:
         pixels = self._camera.project((self._corners_m(index) - eye) @ r)
         return np.nan_to_num(pixels, nan=1e6)
 
-    def candidates(self, view: View) -> list[tuple[int, int]]:
+    def candidates(self, view: SheetView) -> list[tuple[int, int]]:
         """Marker of the view, known marker with its id; all pairs."""
         return [(k, index) for k, i in enumerate(view.ids.tolist()) for index in self._by_id.get(i, ())]
 
     def agreeing(
-        self, view: View, candidates: list[tuple[int, int]], unique: Set[int], slack: float = 1.0
+        self, view: SheetView, candidates: list[tuple[int, int]], unique: Set[int], slack: float = 1.0
     ) -> tuple[tuple[FloatArray, FloatArray] | None, dict[int, int]]:
         """The pose that most known markers agree on, and which those are (marker of the view -> index). ``slack``
         widens what agrees."""
@@ -193,7 +193,7 @@ class _World:
 
     def _supporters(
         self,
-        view: View,
+        view: SheetView,
         candidates: list[tuple[int, int]],
         corners_m: FloatArray,
         pose: tuple[FloatArray, FloatArray],
@@ -208,7 +208,7 @@ class _World:
                 result[k] = (error, index)
         return {k: index for k, (_, index) in result.items()}
 
-    def _pose(self, view: View, known: Mapping[int, int]) -> tuple[FloatArray, FloatArray] | None:
+    def _pose(self, view: SheetView, known: Mapping[int, int]) -> tuple[FloatArray, FloatArray] | None:
         """Eye and attitude of the camera from known markers, None if there is no such pose."""
         points = np.concatenate([self._corners_m(index) for index in known.values()])
         pixels = view.corners_px[list(known)].reshape(-1, 2)

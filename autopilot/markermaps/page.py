@@ -17,7 +17,7 @@ GREY = 0.45
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Text:
+class PrintedText:
     """A line of text, its baseline starting at x, y."""
 
     x_mm: float
@@ -28,7 +28,7 @@ class Text:
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class Page:
+class PrintedPage:
     """One sheet of paper."""
 
     width_mm: float
@@ -37,7 +37,7 @@ class Page:
     """Black shapes, each a list of polygons (k, 2)."""
     lines: list[tuple[float, float, float, float]] = field(default_factory=list)
     """Thin grey lines x0, y0, x1, y1."""
-    texts: list[Text] = field(default_factory=list)
+    texts: list[PrintedText] = field(default_factory=list)
 
 
 def _n(value: float) -> str:
@@ -46,7 +46,7 @@ def _n(value: float) -> str:
     return "0" if text == "-0" else text
 
 
-def svg_text(page: Page) -> str:
+def svg_text(page: PrintedPage) -> str:
     """The page as an SVG document in true size."""
     w, h = _n(page.width_mm), _n(page.height_mm)
     out = [
@@ -69,7 +69,7 @@ def svg_text(page: Page) -> str:
     return "\n".join([*out, "</svg>"]) + "\n"
 
 
-def _content(page: Page) -> bytes:
+def _content(page: PrintedPage) -> bytes:
     """PDF drawing commands of a page, in millimetres with y upwards."""
     top = page.height_mm
     out = [f"{PT_PER_MM:.8f} 0 0 {PT_PER_MM:.8f} 0 0 cm", "0 g"]
@@ -87,7 +87,7 @@ def _content(page: Page) -> bytes:
     return "\n".join(out).encode("latin-1")
 
 
-def pdf_bytes(pages: Sequence[Page]) -> bytes:
+def pdf_bytes(pages: Sequence[PrintedPage]) -> bytes:
     """All pages as one PDF 1.4 document; printers are asked not to scale it."""
     kids = " ".join(f"{4 + 2 * k} 0 R" for k in range(len(pages)))
     objects = [

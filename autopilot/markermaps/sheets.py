@@ -17,8 +17,8 @@ from autopilot.core.errors import ConfigError
 from autopilot.core.frames import FloatArray
 from autopilot.core.map_errors import Laid, map_errors
 from autopilot.core.markers import ID_SPAN, IntArray, MarkerMap
-from autopilot.markermaps.page import Page, Text
-from autopilot.markermaps.tuned import SHEETS
+from autopilot.markermaps.markermaps_tuning import SHEETS
+from autopilot.markermaps.page import PrintedPage, PrintedText
 
 PAPERS_MM = {
     "A4": (210.0, 297.0),
@@ -102,7 +102,7 @@ def plane_of(markers: MarkerMap, heading_rad: float, pitch_m: float | None) -> P
     return Plane(markers=markers, heading_rad=heading_rad, corners_m=corners, pitch_m=pitch_m)
 
 
-def make_sheets(plane: Plane, paper: Paper, title: str) -> list[Page]:
+def make_sheets(plane: Plane, paper: Paper, title: str) -> list[PrintedPage]:
     """All pages, row by row. ConfigError if a marker does not fit on the paper."""
     cut = _cut(plane, paper)
     pages = []
@@ -164,9 +164,11 @@ def _cut(plane: Plane, paper: Paper) -> _Cut:
     return _Cut(start, cell, size, used, np.asarray(page, dtype=np.int64).reshape(-1) + 1)
 
 
-def _page(plane: Plane, paper: Paper, inside: IntArray, origin_m: FloatArray, size_m: FloatArray, name: str) -> Page:
+def _page(
+    plane: Plane, paper: Paper, inside: IntArray, origin_m: FloatArray, size_m: FloatArray, name: str
+) -> PrintedPage:
     """One sheet with the markers ``inside``; ``origin_m`` (2,) is the upper left corner of what is cut out."""
-    page = Page(width_mm=paper.width_mm, height_mm=paper.height_mm)
+    page = PrintedPage(width_mm=paper.width_mm, height_mm=paper.height_mm)
     frame = np.full(2, paper.margin_mm + SHEETS.mark_mm)
     markers = plane.markers
     for n in inside:
@@ -183,7 +185,9 @@ def _page(plane: Plane, paper: Paper, inside: IntArray, origin_m: FloatArray, si
             north, east, _ = markers.centers_ned_m[n]
             baseline = float(corners_mm[:, 1].max()) + SHEETS.label_place * gap_mm
             label = f"{marker_id}  N {north:+.3f}  E {east:+.3f} m"
-            page.texts.append(Text(x_mm=float(corners_mm[:, 0].min()), y_mm=baseline, height_mm=height_mm, text=label))
+            page.texts.append(
+                PrintedText(x_mm=float(corners_mm[:, 0].min()), y_mm=baseline, height_mm=height_mm, text=label)
+            )
     _add_crop_marks(page, frame, frame + 1e3 * size_m)
     _add_footer(page, paper, plane, origin_m, name)
     return page
@@ -204,7 +208,7 @@ def _marker_shape(dictionary: str, marker_id: int, corners_mm: FloatArray) -> li
     return shape
 
 
-def _add_crop_marks(page: Page, low_mm: FloatArray, high_mm: FloatArray) -> None:
+def _add_crop_marks(page: PrintedPage, low_mm: FloatArray, high_mm: FloatArray) -> None:
     """Two short lines outside of each corner of what is to be cut out."""
     gap = 0.5
     for x, away in ((float(low_mm[0]), -1.0), (float(high_mm[0]), 1.0)):
@@ -215,7 +219,7 @@ def _add_crop_marks(page: Page, low_mm: FloatArray, high_mm: FloatArray) -> None
             page.lines.append((x, y + away * gap, x, y + away * SHEETS.mark_mm))
 
 
-def _add_footer(page: Page, paper: Paper, plane: Plane, origin_m: FloatArray, name: str) -> None:
+def _add_footer(page: PrintedPage, paper: Paper, plane: Plane, origin_m: FloatArray, name: str) -> None:
     """Scale bar, what the sheet is, and where it belongs."""
     x, y = paper.margin_mm, paper.height_mm - paper.margin_mm - 0.5 * SHEETS.footer_mm
     length = min(SHEETS.bar_mm, 10.0 * math.floor((paper.width_mm - 2.0 * paper.margin_mm) / 10.0))
@@ -227,8 +231,8 @@ def _add_footer(page: Page, paper: Paper, plane: Plane, origin_m: FloatArray, na
     heading = math.degrees(plane.heading_rad) % 360.0
     page.texts.extend(
         [
-            Text(x_mm=x + length + 2.0, y_mm=y, height_mm=2.2, text=f"{length:g} mm; print at 100 %"),
-            Text(
+            PrintedText(x_mm=x + length + 2.0, y_mm=y, height_mm=2.2, text=f"{length:g} mm; print at 100 %"),
+            PrintedText(
                 x_mm=x,
                 y_mm=y + 3.2,
                 height_mm=2.2,

@@ -19,14 +19,14 @@ from autopilot.core.vehicle import Vehicle
 from autopilot.estimator.marker_looks import misread_cells, patterns_of
 from autopilot.estimator.vision import MarkerDetector
 from autopilot.log.reader import Log, open_log
-from autopilot.markermaps.tuned import SIGHTINGS
+from autopilot.markermaps.markermaps_tuning import SIGHTINGS
 
 FILMS = (".mp4", ".avi", ".mkv", ".mov", ".webm", ".mjpg", ".m4v")
 """Endings of films."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class View:
+class SheetView:
     """One image."""
 
     name: str
@@ -53,7 +53,7 @@ def log_camera(log: Log) -> CameraModel:
     return CameraModel.of_vehicle(vehicle)
 
 
-def views_of_log(path: Path, most: int) -> tuple[list[View], Log]:
+def views_of_log(path: Path, most: int) -> tuple[list[SheetView], Log]:
     """Up to ``most`` views evenly over the log, each with two markers or more. LogError if there are none."""
     log = open_log(path)
     if "/in/markers" not in log.topics:
@@ -75,7 +75,7 @@ def views_of_log(path: Path, most: int) -> tuple[list[View], Log]:
 
 def views_of_images(
     paths: Sequence[Path], camera: CameraModel, wanted: MarkerMap, most: int = SIGHTINGS.most_of_a_film
-) -> list[View]:
+) -> list[SheetView]:
     """Markers of ``wanted`` (whatever their places) in image files, and in up to ``most`` frames of each film.
     ConfigError for a file that is neither, or of another size."""
     detector = MarkerDetector(camera, wanted)
@@ -139,9 +139,9 @@ def _misread(image: Any, wanted: MarkerMap, ids: IntArray, corners_px: FloatArra
     return result
 
 
-def _view(name: str, ids: IntArray, corners_px: FloatArray, misread: tuple[int, ...] = ()) -> View:
+def _view(name: str, ids: IntArray, corners_px: FloatArray, misread: tuple[int, ...] = ()) -> SheetView:
     """A view without markers that it shows twice: one of the two is wrong."""
     which, first, times = np.unique(ids, return_index=True, return_counts=True)
     once = np.sort(first[times == 1])
     repeated = tuple(which[times > 1].tolist())
-    return View(name=name, ids=ids[once], corners_px=corners_px[once], repeated=repeated, misread=misread)
+    return SheetView(name=name, ids=ids[once], corners_px=corners_px[once], repeated=repeated, misread=misread)

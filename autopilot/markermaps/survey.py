@@ -15,8 +15,8 @@ from autopilot.core.marker_files import AMBIGUITY_M, PlacedMarker, make_map, pla
 from autopilot.core.markers import ID_SPAN, IntArray, MarkerMap
 from autopilot.markermaps.adjustment import Adjusted, Network, adjust
 from autopilot.markermaps.bootstrap import Bootstrap, Placed, network_indices, recognise, tie_together
-from autopilot.markermaps.sightings import View
-from autopilot.markermaps.tuned import SURVEY
+from autopilot.markermaps.markermaps_tuning import SURVEY
+from autopilot.markermaps.sightings import SheetView
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -66,7 +66,7 @@ class Survey:
 
 def survey_map(
     camera: CameraModel,
-    views: Sequence[View],
+    views: Sequence[SheetView],
     rough: MarkerMap,
     *,
     fixed: IntArray,
@@ -113,7 +113,7 @@ def survey_map(
     return _report(network, result, bootstrap, rough, nominal, anchors, views, unique, scaled)
 
 
-def _seeds(views: Sequence[View], rough: MarkerMap, fixed: IntArray, unique: set[int]) -> list[int]:
+def _seeds(views: Sequence[SheetView], rough: MarkerMap, fixed: IntArray, unique: set[int]) -> list[int]:
     """Indices of the markers to start from: the fixed ones that were seen, else the one that was seen most among those
     whose id is there once; empty if all ids are there several times."""
     ids, times = np.unique(np.concatenate([view.ids for view in views]), return_counts=True)
@@ -234,7 +234,7 @@ def _report(
     rough: MarkerMap,
     nominal: IntArray,
     anchors: set[int],
-    views: Sequence[View],
+    views: Sequence[SheetView],
     unique: set[int],
     scaled: bool,
 ) -> Survey:
@@ -300,14 +300,14 @@ def _name(rough: MarkerMap, marker_id: int) -> str:
     return f"{dictionary_label(rough.dictionaries[kind])} {number}"
 
 
-def _repeated(rough: MarkerMap, views: Sequence[View], in_map: list[int], unique: set[int]) -> list[str]:
+def _repeated(rough: MarkerMap, views: Sequence[SheetView], in_map: list[int], unique: set[int]) -> list[str]:
     """Ids that should be there once and are seen twice in a view, or at two places."""
     twice = {marker_id for view in views for marker_id in view.repeated if marker_id in unique}
     twice |= {marker_id for marker_id in in_map if marker_id in unique and in_map.count(marker_id) > 1}
     return [_name(rough, marker_id) for marker_id in sorted(twice)]
 
 
-def _misread(rough: MarkerMap, views: Sequence[View]) -> list[str]:
+def _misread(rough: MarkerMap, views: Sequence[SheetView]) -> list[str]:
     """Markers that are misread in a good share of the views that show them."""
     shown = Counter(marker_id for view in views for marker_id in view.ids.tolist())
     wrong = Counter(marker_id for view in views for marker_id in view.misread)

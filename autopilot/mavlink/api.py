@@ -9,7 +9,7 @@ from enum import IntEnum
 from typing import Protocol
 
 from autopilot.core.frames import FloatArray
-from autopilot.core.geodesy import Place
+from autopilot.core.geodesy import GeodeticPosition
 from autopilot.core.messages import MissionProgress, NavDoubt, NavState, NmpcStatus, RunEnd, ThrusterCommand
 from autopilot.core.orbit import OrbitYaw as OrbitYaw
 from autopilot.core.params import Saved
@@ -66,7 +66,7 @@ class SetPoint:
 class Circling:
     """A circle to be flown; what is None is as CIRCLE_RADIUS, CIRCLE_SPEED and the vehicle's place say."""
 
-    centre: Place | None = None
+    centre: GeodeticPosition | None = None
     """None = where the vehicle is."""
     depth_held: bool = True
     """The centre's altitude does not count."""
@@ -92,14 +92,14 @@ class MotorTest:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Answer:
+class CommandReply:
     """Result of a command and, when it is a refusal, the reason for the operator in one line."""
 
     result: CommandResult
     reason: str = ""
 
 
-ACCEPTED = Answer(result=CommandResult.ACCEPTED)
+ACCEPTED = CommandReply(result=CommandResult.ACCEPTED)
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -117,8 +117,8 @@ class VehicleView:
     progress: MissionProgress | None
     target_ned_m: FloatArray | None
     """(3,) where the vehicle is going."""
-    origin: Place
-    home: Place
+    origin: GeodeticPosition
+    home: GeodeticPosition
     prearm_reasons: tuple[str, ...]
     """Why arming would be refused now; empty = ready."""
     refusals: tuple[str, ...] = ()
@@ -191,78 +191,78 @@ class SigningStore(Protocol):
 class VehicleCommands(Protocol):
     """Requests that clients make. Every one answers at once and never waits for a solver."""
 
-    def arm(self, force: bool) -> Answer:
+    def arm(self, force: bool) -> CommandReply:
         """Arm, or say why not (all reasons in one line)."""
         ...
 
-    def disarm(self, force: bool) -> Answer:
+    def disarm(self, force: bool) -> CommandReply:
         """Disarm; ``force`` = emergency stop. Never refused; IN_PROGRESS while a flight controller below confirms."""
         ...
 
-    def disarmed(self) -> Answer:
+    def disarmed(self) -> CommandReply:
         """What has become of the last disarming; IN_PROGRESS while it is waited for."""
         ...
 
-    def set_mode(self, mode: FlightMode) -> Answer:
+    def set_mode(self, mode: FlightMode) -> CommandReply:
         """Change the mode."""
         ...
 
-    def start_mission(self, first_seq: int | None) -> Answer:
+    def start_mission(self, first_seq: int | None) -> CommandReply:
         """Enter MISSION from an item (None = go on where it is). Needs an armed vehicle and a plan."""
         ...
 
-    def pause(self) -> Answer:
+    def pause(self) -> CommandReply:
         """Hold here; the mission stays where it is."""
         ...
 
-    def resume(self) -> Answer:
+    def resume(self) -> CommandReply:
         """Go on with a paused mission."""
         ...
 
-    def set_current_item(self, seq: int) -> Answer:
+    def set_current_item(self, seq: int) -> CommandReply:
         """Choose the item that runs next."""
         ...
 
-    def go_to(self, point: Place | None, yaw_rad: float | None) -> Answer:
+    def go_to(self, point: GeodeticPosition | None, yaw_rad: float | None) -> CommandReply:
         """Reposition and hold there (None = here). Checked against the fence."""
         ...
 
-    def set_point(self, point: SetPoint) -> Answer:
+    def set_point(self, point: SetPoint) -> CommandReply:
         """Follow it in GUIDED; elsewhere it is kept for a moment, so that GUIDED can be entered."""
         ...
 
-    def refuse_set_point(self, reason: str) -> Answer:
+    def refuse_set_point(self, reason: str) -> CommandReply:
         """A set point that is not followed: GUIDED ends."""
         ...
 
-    def orbit(self, circle: Circling) -> Answer:
+    def orbit(self, circle: Circling) -> CommandReply:
         """Round a place, in mode CIRCLE."""
         ...
 
-    def test_motor(self, test: MotorTest) -> Answer:
+    def test_motor(self, test: MotorTest) -> CommandReply:
         """Turn one thruster; to be said again and again while it is to turn."""
         ...
 
-    def change_depth(self, depth_m: float) -> Answer:
+    def change_depth(self, depth_m: float) -> CommandReply:
         """Another depth where the vehicle is."""
         ...
 
-    def take_off(self, depth_m: float | None) -> Answer:
+    def take_off(self, depth_m: float | None) -> CommandReply:
         """Down to a depth (None = TKOFF_DEPTH) and hold there; begins at arming when disarmed."""
         ...
 
-    def change_speed(self, speed_m_s: float | None) -> Answer:
+    def change_speed(self, speed_m_s: float | None) -> CommandReply:
         """Speed for what runs now, None = the default again."""
         ...
 
-    def set_home(self, point: Place | None) -> Answer:
+    def set_home(self, point: GeodeticPosition | None) -> CommandReply:
         """Home (None = here)."""
         ...
 
-    def set_origin(self, point: Place) -> Answer:
+    def set_origin(self, point: GeodeticPosition) -> CommandReply:
         """Local origin. Refused while armed."""
         ...
 
-    def end_run(self, end: RunEnd) -> Answer:
+    def end_run(self, end: RunEnd) -> CommandReply:
         """The service ends, or begins anew, a moment after the answer. Refused while armed."""
         ...

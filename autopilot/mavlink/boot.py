@@ -8,10 +8,10 @@ from pymavlink.dialects.v20 import development as mav
 from autopilot.core.clients import EVERYONE, Reach
 from autopilot.mavlink.api import FlightMode
 from autopilot.mavlink.boot_identity import BootFiles, BootIdentity
+from autopilot.mavlink.bounded_table import LatestUsed
 from autopilot.mavlink.context import COMPID
 from autopilot.mavlink.profiles import profile_by_name
 from autopilot.mavlink.signing import is_signed_with, signed
-from autopilot.mavlink.table import LatestUsed
 from autopilot.mavlink.wire import LinkEncoder, LinkParser, Message
 
 MAX_PARSERS = 64

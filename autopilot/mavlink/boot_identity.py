@@ -8,7 +8,7 @@ from collections.abc import Callable, Sequence
 from functools import cached_property
 
 from autopilot.core.params import ParamSet
-from autopilot.mavlink.context import Identity, Peer
+from autopilot.mavlink.context import MavlinkPeer, VehicleIdentity
 from autopilot.mavlink.dialect import extra, mav
 from autopilot.mavlink.ftp import FileTransfer, Op, request_of
 from autopilot.mavlink.metadata import Metadata, component_information, component_metadata, make_metadata
@@ -28,11 +28,11 @@ _FIXED = {
 class BootIdentity:
     """One per service. Everything is made when it is asked for first: the first heartbeat waits for nothing."""
 
-    def __init__(self, profile: Profile, identity: Callable[[], Identity]) -> None:
+    def __init__(self, profile: Profile, identity: Callable[[], VehicleIdentity]) -> None:
         self._profile, self._find = profile, identity
 
     @cached_property
-    def _identity(self) -> Identity:
+    def _identity(self) -> VehicleIdentity:
         return self._find()
 
     @cached_property
@@ -93,7 +93,7 @@ class BootFiles:
         by_path = request.opcode in (Op.LIST, Op.OPEN_READ, Op.CRC32)
         if by_path and request.path.strip("/") not in self._identity.metadata.files:
             return False
-        self._transfer.on_message(Peer(0, msg.get_srcSystem(), msg.get_srcComponent(), client), msg)
+        self._transfer.on_message(MavlinkPeer(0, msg.get_srcSystem(), msg.get_srcComponent(), client), msg)
         return True
 
     def tick(self) -> None:
@@ -101,7 +101,7 @@ class BootFiles:
         if "_transfer" in self.__dict__:
             self._transfer.tick()
 
-    def send(self, to: Peer, message: Message) -> None:
+    def send(self, to: MavlinkPeer, message: Message) -> None:
         """To a client."""
         self._send(to.client, message)
 

@@ -5,7 +5,7 @@ from typing import Protocol
 
 from autopilot.core.frames import FloatArray
 from autopilot.core.stills import CameraReport, StillRecord
-from autopilot.mavlink.api import Answer
+from autopilot.mavlink.api import CommandReply
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -45,15 +45,15 @@ class CameraOrders(Protocol):
         """What it does now."""
         ...
 
-    def shoot(self, count: int | None, interval_s: float) -> Answer:
+    def shoot(self, count: int | None, interval_s: float) -> CommandReply:
         """So many stills (None = until it is stopped), so far apart. Takes the place of a running sequence."""
         ...
 
-    def stop(self) -> Answer:
+    def stop(self) -> CommandReply:
         """End the sequence, by time or by way."""
         ...
 
-    def shoot_every(self, distance_m: float, *, now: bool) -> Answer:
+    def shoot_every(self, distance_m: float, *, now: bool) -> CommandReply:
         """A still each time that the vehicle has come so far from the last one's place; 0 ends that. ``now``: the first
         at once."""
         ...

@@ -11,9 +11,9 @@ from dataclasses import dataclass, replace
 from pymavlink.dialects.v20 import development as mav
 
 from autopilot.core import operator_messages as notices
-from autopilot.mavlink.api import Answer, CommandResult
-from autopilot.mavlink.context import COMPID, Context, Peer
-from autopilot.mavlink.table import LatestUsed
+from autopilot.mavlink.api import CommandReply, CommandResult
+from autopilot.mavlink.bounded_table import LatestUsed
+from autopilot.mavlink.context import COMPID, Context, MavlinkPeer
 from autopilot.mavlink.wire import Message
 
 REPEAT_US = 10_000_000
@@ -26,7 +26,7 @@ PROGRESS_US = 1_000_000
 MAX_REMEMBERED = 64
 """Clients whose last command is remembered; the oldest goes."""
 
-UNSUPPORTED = Answer(result=CommandResult.UNSUPPORTED)
+UNSUPPORTED = CommandReply(result=CommandResult.UNSUPPORTED)
 
 _FRAME_NOT_GIVEN = mav.MAV_FRAME_GLOBAL
 _DEG_E7_FRAMES = frozenset(
@@ -45,7 +45,7 @@ _INT_UNKNOWN = frozenset((0x7FFF_FFFF, -0x8000_0000))
 class Call:
     """A command as it came, carrier and scaling removed."""
 
-    peer: Peer
+    peer: MavlinkPeer
     command: int
     params: tuple[float, float, float, float]
     x: float
@@ -74,9 +74,9 @@ class Call:
 class Reply:
     """An answer, and messages that follow it."""
 
-    answer: Answer
+    answer: CommandReply
     messages: tuple[Message, ...] = ()
-    later: Callable[[], Answer] | None = None
+    later: Callable[[], CommandReply] | None = None
     """Asked on every tick for the final answer while ``answer`` and what this says are IN_PROGRESS."""
 
 
@@ -84,7 +84,7 @@ Handler = Callable[[Call], Reply]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Entry:
+class CommandRow:
     """One command that is understood."""
 
     handler: Handler
@@ -99,24 +99,24 @@ class _Remembered:
     key: tuple[object, ...]
     datagram: tuple[int, int]
     at_us: int
-    answer: Answer
+    answer: CommandReply
 
 
 @dataclass(slots=True)
 class _Waiting:
     """A client that waits for what its command does."""
 
-    later: Callable[[], Answer]
+    later: Callable[[], CommandReply]
     told_us: int
     """When it is to be told next that there is progress."""
 
 
 def denied(reason: str) -> Reply:
     """DENIED for a reason."""
-    return Reply(Answer(result=CommandResult.DENIED, reason=reason))
+    return Reply(CommandReply(result=CommandResult.DENIED, reason=reason))
 
 
-def call_of(peer: Peer, msg: Message) -> Call:
+def call_of(peer: MavlinkPeer, msg: Message) -> Call:
     """A COMMAND_LONG or COMMAND_INT as a call."""
     params = (msg.param1, msg.param2, msg.param3, msg.param4)
     if msg.get_msgId() == mav.MAVLINK_MSG_ID_COMMAND_LONG:
@@ -135,13 +135,13 @@ def call_of(peer: Peer, msg: Message) -> Call:
     return Call(peer=peer, command=msg.command, params=params, x=x, y=y, z=msg.z, frame=msg.frame, exact=True)
 
 
-class Commands:
+class CommandProtocol:
     """The command microservice."""
 
     def __init__(
         self,
         ctx: Context,
-        table: Mapping[int, Entry],
+        table: Mapping[int, CommandRow],
         keeps_out: Callable[[Call], str] = lambda call: "",
         source: int = COMPID,
     ) -> None:
@@ -151,16 +151,16 @@ class Commands:
         self._source = source
         self._keeps_out = keeps_out
         self._table = table
-        self._last: LatestUsed[Peer, _Remembered] = LatestUsed(MAX_REMEMBERED)
-        self._waiting: LatestUsed[tuple[Peer, int], _Waiting] = LatestUsed(MAX_REMEMBERED)
+        self._last: LatestUsed[MavlinkPeer, _Remembered] = LatestUsed(MAX_REMEMBERED)
+        self._waiting: LatestUsed[tuple[MavlinkPeer, int], _Waiting] = LatestUsed(MAX_REMEMBERED)
         """By client and command."""
 
     @property
-    def table(self) -> Mapping[int, Entry]:
+    def table(self) -> Mapping[int, CommandRow]:
         """The commands that are understood."""
         return self._table
 
-    def on_command(self, peer: Peer, msg: Message) -> None:
+    def on_command(self, peer: MavlinkPeer, msg: Message) -> None:
         """COMMAND_LONG or COMMAND_INT."""
         call = call_of(peer, msg)
         entry = self._table.get(call.command)
@@ -168,14 +168,14 @@ class Commands:
             self._ack(peer, call.command, UNSUPPORTED)
             return
         if entry.carrier is not None and not call.exact:
-            self._ack(peer, call.command, Answer(result=entry.carrier))
+            self._ack(peer, call.command, CommandReply(result=entry.carrier))
             return
         if not entry.action:
             self._reply(peer, call.command, entry.handler(call))
             return
         kept_out = self._keeps_out(call)
         if kept_out:
-            self._reply(peer, call.command, Reply(Answer(result=CommandResult.NOT_IN_CONTROL, reason=kept_out)))
+            self._reply(peer, call.command, Reply(CommandReply(result=CommandResult.NOT_IN_CONTROL, reason=kept_out)))
             return
         key = (call.command, repr((call.params, call.x, call.y, call.z)), call.frame, call.exact)
         datagram = (msg.get_seq(), msg.get_crc())
@@ -203,7 +203,7 @@ class Commands:
                 waiting.told_us = self._ctx.t_us + PROGRESS_US
                 self._ack(peer, command, answer)
 
-    def _remember(self, peer: Peer, command: int, answer: Answer) -> None:
+    def _remember(self, peer: MavlinkPeer, command: int, answer: CommandReply) -> None:
         """The final answer is what a repetition gets."""
         before = self._last.get(peer)
         if before is not None and before.key[0] == command:
@@ -215,14 +215,14 @@ class Commands:
             return age_us <= DUPLICATE_US
         return getattr(msg, "confirmation", 0) > 0 and age_us <= REPEAT_US * self._ctx.patience
 
-    def _reply(self, peer: Peer, command: int, reply: Reply) -> None:
+    def _reply(self, peer: MavlinkPeer, command: int, reply: Reply) -> None:
         self._ack(peer, command, reply.answer)
         for message in reply.messages:
             self._ctx.send(peer, message, self._source)
         if reply.answer.reason and reply.answer.result is not CommandResult.ACCEPTED:
             self._ctx.say(notices.REFUSED(reason=reply.answer.reason), peer)
 
-    def _ack(self, peer: Peer, command: int, answer: Answer) -> None:
+    def _ack(self, peer: MavlinkPeer, command: int, answer: CommandReply) -> None:
         self._ctx.send(
             peer,
             mav.MAVLink_command_ack_message(command, answer.result, 0, 0, peer.sysid, peer.compid),

@@ -34,7 +34,7 @@ SAME_TEXT_US = 5_000_000
 """The same text does not go out twice on a link within this time."""
 
 
-class Peer(NamedTuple):
+class MavlinkPeer(NamedTuple):
     """A client: the link it speaks on, its MAVLink address there, and which of those who speak on that link it is."""
 
     link: int
@@ -48,12 +48,12 @@ class Peer(NamedTuple):
         return f"{self.sysid}/{self.compid}"
 
 
-Receiver: TypeAlias = int | Peer
+Receiver: TypeAlias = int | MavlinkPeer
 """Who gets something: everyone on a link, or one client."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Identity:
+class VehicleIdentity:
     """Who we are, for AUTOPILOT_VERSION and the greeting."""
 
     name: str
@@ -71,7 +71,7 @@ class Context:
 
     sysid: int
     profile: Profile
-    identity: Identity
+    identity: VehicleIdentity
     params: ParamSet
     plans: PlanStore
     vehicle: VehicleCommands

@@ -4,29 +4,29 @@ from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 
 from autopilot.core import operator_messages as notices
-from autopilot.core.clients import EVERYONE, Standing
+from autopilot.core.clients import EVERYONE, ClientRecord
 from autopilot.core.clock import TICK_US
 from autopilot.core.guard import Guard, Work
+from autopilot.core.log_directory import Shelf
 from autopilot.core.messages import Event, MavlinkFrame
 from autopilot.core.params import ParamSaving, ParamSet
 from autopilot.core.plan import PlanStore
 from autopilot.core.samples import ExternalPoseSample, ObstacleTrack
-from autopilot.core.shelf import Shelf
-from autopilot.mavlink.announcements import Announcements
-from autopilot.mavlink.api import Answer, CommandResult, VehicleCommands, VehicleView
+from autopilot.mavlink.api import CommandReply, CommandResult, VehicleCommands, VehicleView
+from autopilot.mavlink.bounded_table import LatestUsed
 from autopilot.mavlink.budget import Budget
-from autopilot.mavlink.camera import CAMERA_COMPID, CameraComponent
 from autopilot.mavlink.camera_api import CameraOrders
-from autopilot.mavlink.commands import Call, Commands, Entry, call_of
-from autopilot.mavlink.context import COMPID, Context, Identity, Peer
+from autopilot.mavlink.camera_component import CAMERA_COMPID, CameraComponent
+from autopilot.mavlink.commands import Call, CommandProtocol, CommandRow, call_of
+from autopilot.mavlink.context import COMPID, Context, MavlinkPeer, VehicleIdentity
 from autopilot.mavlink.dialect import extra, mav
 from autopilot.mavlink.equipment_api import EquipmentOrders
 from autopilot.mavlink.equipment_commands import EquipmentCommands
 from autopilot.mavlink.external import ExternalPoses
-from autopilot.mavlink.flight import Flight
+from autopilot.mavlink.flight_information import FlightInformation
 from autopilot.mavlink.ftp import FileTransfer
 from autopilot.mavlink.high_latency import HighLatency
-from autopilot.mavlink.inbox import MAX_INBOXES, Address, Inbox, Intake
+from autopilot.mavlink.inbox import MAX_INBOXES, Address, Inbox, MessageInbox
 from autopilot.mavlink.keys import Keys
 from autopilot.mavlink.logs import LogDownload
 from autopilot.mavlink.maintenance import Maintenance
@@ -36,19 +36,19 @@ from autopilot.mavlink.operators import GRAVE_COMMANDS, REQUEST, STATUS_ID, Oper
 from autopilot.mavlink.others import Others
 from autopilot.mavlink.output_messages import OutputMessages
 from autopilot.mavlink.parameters import Parameters
-from autopilot.mavlink.pilot import Pilot
+from autopilot.mavlink.periodic_messages import PeriodicMessages
+from autopilot.mavlink.pilot import PilotInputs
 from autopilot.mavlink.profiles import Profile
-from autopilot.mavlink.progress import Progress
+from autopilot.mavlink.progress import ProgressMessages
 from autopilot.mavlink.recent import Recent
 from autopilot.mavlink.requests import Requests
 from autopilot.mavlink.routing import Router
 from autopilot.mavlink.sensor_messages import SensorMessages
 from autopilot.mavlink.setpoints import SetPoints
 from autopilot.mavlink.signing import Signing
-from autopilot.mavlink.status import Status
+from autopilot.mavlink.status import StatusMessages
 from autopilot.mavlink.streams import Streams
-from autopilot.mavlink.table import LatestUsed
-from autopilot.mavlink.telemetry import Builder, Telemetry
+from autopilot.mavlink.telemetry import Builder, NavigationMessages
 from autopilot.mavlink.utility import Utility
 from autopilot.mavlink.vehicle_commands import VehicleService
 from autopilot.mavlink.wire import Message
@@ -89,7 +89,7 @@ _HEAVY = frozenset(
 
 _COMMANDS = frozenset((mav.MAVLINK_MSG_ID_COMMAND_LONG, mav.MAVLINK_MSG_ID_COMMAND_INT))
 
-Handler = Callable[[Peer, Message], None]
+Handler = Callable[[MavlinkPeer, Message], None]
 
 
 class Dispatcher:
@@ -100,7 +100,7 @@ class Dispatcher:
         *,
         sysid: int,
         profile: Profile,
-        identity: Identity,
+        identity: VehicleIdentity,
         params: ParamSet,
         plans: PlanStore,
         vehicle: VehicleCommands,
@@ -135,16 +135,16 @@ class Dispatcher:
         self._operators = Operators(ctx, self.parameters.known_value)
         self.missions = Missions(ctx)
         self.utility = Utility(ctx)
-        self.pilot = Pilot(ctx, equipment, camera)
+        self.pilot = PilotInputs(ctx, equipment, camera)
         self._set_points = SetPoints(ctx)
         self._external = ExternalPoses(ctx, lambda: self.utility.utc_offset_us)
         self._others = Others(ctx)
-        self._status = Status(ctx)
-        self._telemetry = Telemetry(ctx)
+        self._status = StatusMessages(ctx)
+        self._telemetry = NavigationMessages(ctx)
         self._sensors = SensorMessages(ctx, self._telemetry)
         self._outputs = OutputMessages(ctx, self._telemetry, lambda: self.pilot.gain, equipment)
-        self._progress = Progress(ctx, self.missions)
-        self._flight = Flight(ctx)
+        self._progress = ProgressMessages(ctx, self.missions)
+        self._flight = FlightInformation(ctx)
         builders: dict[int, Builder] = {}
         self._streams = Streams(ctx, builders)
         self._high_latency = HighLatency(ctx, self._streams, self._status, self._telemetry, self._progress)
@@ -168,32 +168,32 @@ class Dispatcher:
         requests = Requests(ctx, self._streams, self._status)
         # A request for control is judged by itself, also while somebody else has it.
         control = {
-            REQUEST: Entry(handler=self._operators.request, action=False),
-            mav.MAV_CMD_CONTROL_HIGH_LATENCY: Entry(handler=self._high_latency.control, action=True),
+            REQUEST: CommandRow(handler=self._operators.request, action=False),
+            mav.MAV_CMD_CONTROL_HIGH_LATENCY: CommandRow(handler=self._high_latency.control, action=True),
         }
         carried = {} if equipment is None else EquipmentCommands(equipment).table()
         maintenance = Maintenance(ctx, self.parameters)
         table = {**self._vehicle.table(), **requests.table(), **maintenance.table(), **control, **carried}
         self._camera: CameraComponent | None = None
-        self._to_camera: Commands | None = None
+        self._to_camera: CommandProtocol | None = None
         """Commands that are addressed to the camera, or that only it can answer."""
         self._ours = _OUR_COMPONENTS
         if camera is not None:
             self._camera = CameraComponent(ctx, camera, lambda: self.utility.utc_offset_us)
             taken = {**self._camera.actions(), **self._camera.requests()}
-            self._to_camera = Commands(ctx, taken, self._keeps_out, CAMERA_COMPID)
+            self._to_camera = CommandProtocol(ctx, taken, self._keeps_out, CAMERA_COMPID)
             table = {**self._camera.actions(), **table}
             self._ours = _OUR_COMPONENTS | {CAMERA_COMPID}
-        self._commands = Commands(ctx, table, self._keeps_out)
+        self._commands = CommandProtocol(ctx, table, self._keeps_out)
         self._keys = Keys(ctx, lambda address: self._intake.reach(address))
         self._handlers = self._table()
         self._router = Router(ctx, ours=self._ours.__contains__)
-        self._intake = Intake(self._handlers.keys(), _HEAVY, self._handle, ctx.signing.admits, self._heard)
+        self._intake = MessageInbox(self._handlers.keys(), _HEAVY, self._handle, ctx.signing.admits, self._heard)
         self._valid_us: LatestUsed[Address, int] = LatestUsed(MAX_INBOXES)
         """When each client was last understood."""
         self._new: Recent[Address] = Recent(float("inf"))
         """Clients that have spoken MAVLink 2."""
-        self._announcements = Announcements(ctx, self._status, self._telemetry, self._intake)
+        self._announcements = PeriodicMessages(ctx, self._status, self._telemetry, self._intake)
         self.last_gcs_t_us: int | None = None
         self._before_hearing: tuple[Work, ...] = (("message", self._keys.tick), ("plans", self.missions.answer))
         self._before_news = self._works_before_news()
@@ -373,11 +373,11 @@ class Dispatcher:
             for frame in ctx.frames(link, EVERYONE, message, counted=False, source=source)
         )
 
-    def standing(self, link: int, client: int) -> Standing:
+    def standing(self, link: int, client: int) -> ClientRecord:
         """What a client has shown of itself so far."""
         owner = self._operators.owner
         in_control = owner is not None and (owner.link, owner.client) == (link, client)
-        return Standing(self._valid_us.get((link, client)), in_control)
+        return ClientRecord(self._valid_us.get((link, client)), in_control)
 
     def _push(self, frame: MavlinkFrame) -> Inbox | None:
         if frame.link < 0:
@@ -387,7 +387,7 @@ class Dispatcher:
 
     def _is_urgent(self, address: Address, msg: Message) -> bool:
         link, client = address
-        peer = Peer(link, msg.get_srcSystem(), msg.get_srcComponent(), client)
+        peer = MavlinkPeer(link, msg.get_srcSystem(), msg.get_srcComponent(), client)
         return msg.get_msgId() in _URGENT and not self.missions.concludes(peer, msg)
 
     def _handle(self, address: Address, msg: Message) -> None:
@@ -398,7 +398,7 @@ class Dispatcher:
         if sysid == 0 or ours or not self._for_us(msg):
             return
         link, client = address
-        peer = Peer(link, sysid, msg.get_srcComponent(), client)
+        peer = MavlinkPeer(link, sysid, msg.get_srcComponent(), client)
         self._note_version(address, msg)
         self._announcements.greet(peer)
         if self._operators.refused(peer, msg):
@@ -424,7 +424,7 @@ class Dispatcher:
                 ctx.old[link] = known - {client}
             self._new.add(address, ctx.t_us)
         elif client not in known and not self._new.knows(address, ctx.t_us):
-            ctx.send(Peer(link, 0, 0, client), self._status.heartbeat())
+            ctx.send(MavlinkPeer(link, 0, 0, client), self._status.heartbeat())
             clients = {number for number in known if (link, number) in self._intake}
             ctx.old[link] = frozenset((*clients, client))
 
@@ -456,12 +456,12 @@ class Dispatcher:
 
     # Messages that need no service of their own
 
-    def _on_heartbeat(self, peer: Peer, msg: Message) -> None:
+    def _on_heartbeat(self, peer: MavlinkPeer, msg: Message) -> None:
         if msg.type in _OPERATORS:
             self._operators.heard(peer)
             self.last_gcs_t_us = self._ctx.t_us
 
-    def _on_command(self, peer: Peer, msg: Message) -> None:
+    def _on_command(self, peer: MavlinkPeer, msg: Message) -> None:
         """To the autopilot; to the camera if it is addressed, or if it is asked of everybody what the camera knows."""
         camera, component = self._to_camera, msg.target_component
         if camera is None or self._camera is None or component in (COMPID, MISSION_COMPONENT):
@@ -471,28 +471,28 @@ class Dispatcher:
         else:
             self._commands.on_command(peer, msg)
 
-    def _on_set_mode(self, peer: Peer, msg: Message) -> None:
+    def _on_set_mode(self, peer: MavlinkPeer, msg: Message) -> None:
         self._explain(peer, self._vehicle.set_mode_message(msg.base_mode, msg.custom_mode))
 
-    def _on_cancel(self, peer: Peer, msg: Message) -> None:
+    def _on_cancel(self, peer: MavlinkPeer, msg: Message) -> None:
         """COMMAND_CANCEL: the command that is being carried out ends and its client gets CANCELLED; any other is over,
         and nothing is said (common.xml)."""
         if self._vehicle.cancel(msg.command):
             ack = mav.MAVLink_command_ack_message(msg.command, CommandResult.CANCELLED, 0, 0, peer.sysid, peer.compid)
             self._ctx.send(peer, ack)
 
-    def _on_set_origin(self, peer: Peer, msg: Message) -> None:
+    def _on_set_origin(self, peer: MavlinkPeer, msg: Message) -> None:
         self._explain(peer, self._vehicle.set_origin_message(msg.latitude, msg.longitude, msg.altitude))
 
-    def _on_request_data_stream(self, peer: Peer, msg: Message) -> None:
+    def _on_request_data_stream(self, peer: MavlinkPeer, msg: Message) -> None:
         self._streams.on_request_data_stream(
             peer.link, msg.req_stream_id, msg.req_message_rate, start=msg.start_stop != 0
         )
 
-    def _explain(self, peer: Peer, answer: Answer) -> None:
+    def _explain(self, peer: MavlinkPeer, answer: CommandReply) -> None:
         """Messages without acknowledgement say a refusal as text."""
         if answer.result is not CommandResult.ACCEPTED and answer.reason:
             self._ctx.say(notices.REFUSED(reason=answer.reason), peer)
 
 
-__all__ = ["Dispatcher", "Identity"]
+__all__ = ["Dispatcher", "VehicleIdentity"]

@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from typing import Protocol
 
-from autopilot.mavlink.api import Answer
+from autopilot.mavlink.api import CommandReply
 
 
 class EquipmentOrders(Protocol):
@@ -22,27 +22,27 @@ class EquipmentOrders(Protocol):
         """How bright the lights are that can be used, 0 to 1, in the order of the vehicle file."""
         ...
 
-    def set_servo(self, channel: int, pulse_us: float) -> Answer:
+    def set_servo(self, channel: int, pulse_us: float) -> CommandReply:
         """A pulse for an output."""
         ...
 
-    def repeat_servo(self, channel: int, pulse_us: float, count: int, cycle_s: float) -> Answer:
+    def repeat_servo(self, channel: int, pulse_us: float, count: int, cycle_s: float) -> CommandReply:
         """To a pulse and back, so many times."""
         ...
 
-    def set_relay(self, number: int, *, on: bool) -> Answer:
+    def set_relay(self, number: int, *, on: bool) -> CommandReply:
         """Switch."""
         ...
 
-    def toggle_relay(self, number: int) -> Answer:
+    def toggle_relay(self, number: int) -> CommandReply:
         """Switch to the other side."""
         ...
 
-    def repeat_relay(self, number: int, count: int, cycle_s: float) -> Answer:
+    def repeat_relay(self, number: int, count: int, cycle_s: float) -> CommandReply:
         """To the other side and back, so many times."""
         ...
 
-    def grip(self, number: int, *, close: bool) -> Answer:
+    def grip(self, number: int, *, close: bool) -> CommandReply:
         """Close a gripper, or open it."""
         ...
 
@@ -50,10 +50,10 @@ class EquipmentOrders(Protocol):
         """Why an actuator cannot be moved, "" when it can."""
         ...
 
-    def set_actuators(self, values: Mapping[int, float]) -> Answer:
+    def set_actuators(self, values: Mapping[int, float]) -> CommandReply:
         """Number -> -1 to 1. All or none."""
         ...
 
-    def lights(self, change: float | None) -> Answer:
+    def lights(self, change: float | None) -> CommandReply:
         """All lights brighter or darker by a share; None = the other way round."""
         ...

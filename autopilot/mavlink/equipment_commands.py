@@ -4,7 +4,7 @@ of which there is none."""
 import math
 from collections.abc import Callable, Mapping
 
-from autopilot.mavlink.commands import Call, Entry, Reply, denied
+from autopilot.mavlink.commands import Call, CommandRow, Reply, denied
 from autopilot.mavlink.dialect import mav
 from autopilot.mavlink.equipment_api import EquipmentOrders
 
@@ -19,11 +19,11 @@ class EquipmentCommands:
     def __init__(self, orders: EquipmentOrders) -> None:
         self._orders = orders
 
-    def table(self) -> Mapping[int, Entry]:
+    def table(self) -> Mapping[int, CommandRow]:
         """Commands of this service."""
 
-        def action(handler: Callable[[Call], Reply]) -> Entry:
-            return Entry(handler=handler, action=True)
+        def action(handler: Callable[[Call], Reply]) -> CommandRow:
+            return CommandRow(handler=handler, action=True)
 
         def no_gimbal(call: Call) -> Reply:
             return denied(NO_GIMBAL)

@@ -13,7 +13,7 @@ from pymavlink.dialects.v20 import development as mav
 from autopilot.core import operator_messages as notices
 from autopilot.core.frames import FloatArray, rpy_from_quat
 from autopilot.core.samples import ExternalFrame, ExternalPoseSample
-from autopilot.mavlink.context import Context, Peer
+from autopilot.mavlink.context import Context, MavlinkPeer
 from autopilot.mavlink.wire import Message
 
 OLDEST_US = 1_000_000
@@ -35,16 +35,16 @@ class ExternalPoses:
         """``utc_offset_us``: Unix time minus service time, None while it is not known."""
         self._ctx = ctx
         self._utc_offset_us = utc_offset_us
-        self._told: set[Peer] = set()
-        self._by_arrival: dict[Peer, ExternalPoseSample] = {}
+        self._told: set[MavlinkPeer] = set()
+        self._by_arrival: dict[MavlinkPeer, ExternalPoseSample] = {}
         """The last pose of each whose stamp says nothing to us."""
 
-    def on_vision_position_estimate(self, peer: Peer, msg: Message) -> None:
+    def on_vision_position_estimate(self, peer: MavlinkPeer, msg: Message) -> None:
         """VISION_POSITION_ESTIMATE: local NED, radians."""
         reset_counter = getattr(msg, "reset_counter", 0)
         self._add(peer, msg.usec, (msg.x, msg.y, msg.z), msg.yaw, msg.covariance, ExternalFrame.NED, reset_counter)
 
-    def on_odometry(self, peer: Peer, msg: Message) -> None:
+    def on_odometry(self, peer: MavlinkPeer, msg: Message) -> None:
         """ODOMETRY: its pose; the velocity is not used."""
         frame = _FRAMES.get(msg.frame_id)
         if frame is None:
@@ -60,7 +60,7 @@ class ExternalPoses:
 
     def _add(
         self,
-        peer: Peer,
+        peer: MavlinkPeer,
         stamp_us: int,
         pos_m: Sequence[float],
         yaw_rad: float,

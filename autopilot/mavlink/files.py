@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 from autopilot.core.desk import Ticket
-from autopilot.core.shelf import Shelf, ShelfFile
+from autopilot.core.log_directory import Shelf, ShelfFile
 
 LOGS = "@MAV_LOG"
 """The folder of logs that clients ask for by this name, whatever it is called on the disk."""
@@ -13,7 +13,7 @@ BLOCK_BYTES = 1 << 16
 """A file on the disk is read in pieces of this size."""
 
 
-class Entry(NamedTuple):
+class FolderEntry(NamedTuple):
     """One line of a folder."""
 
     name: str
@@ -78,13 +78,13 @@ def parts_of(path: str) -> tuple[str, ...] | None:
     return None if ".." in parts or "\0" in path else parts
 
 
-def folder_entries(files: Mapping[str, bytes], logs: tuple[ShelfFile, ...], path: str) -> list[Entry] | None:
+def folder_entries(files: Mapping[str, bytes], logs: tuple[ShelfFile, ...], path: str) -> list[FolderEntry] | None:
     """What a folder holds, in a fixed order; None if there is none of that name."""
     parts = parts_of(path)
     if parts is None:
         return None
     if not parts:
-        return [Entry(LOGS, None), *(Entry(name, len(data)) for name, data in sorted(files.items()))]
+        return [FolderEntry(LOGS, None), *(FolderEntry(name, len(data)) for name, data in sorted(files.items()))]
     if parts[0] != LOGS:
         return None
     inside, below = parts[1:], len(parts) - 1
@@ -95,9 +95,9 @@ def folder_entries(files: Mapping[str, bytes], logs: tuple[ShelfFile, ...], path
         if names[:below] != inside or len(names) <= below:
             continue
         if len(names) == below + 1:
-            entries.append(Entry(names[-1], log.size))
+            entries.append(FolderEntry(names[-1], log.size))
         else:
             folders[names[below]] = None
     if inside and not entries and not folders:
         return None
-    return [*(Entry(name, None) for name in sorted(folders)), *sorted(entries)]
+    return [*(FolderEntry(name, None) for name in sorted(folders)), *sorted(entries)]

@@ -14,12 +14,12 @@ from typing import Protocol
 from autopilot.core.clock import TICK_US
 from autopilot.core.crc import file_crc32
 from autopilot.core.desk import Ticket
-from autopilot.core.shelf import Shelf, ShelfFile
+from autopilot.core.log_directory import Shelf, ShelfFile
+from autopilot.mavlink.bounded_table import LatestUsed
 from autopilot.mavlink.budget import FILES
-from autopilot.mavlink.context import Peer
+from autopilot.mavlink.context import MavlinkPeer
 from autopilot.mavlink.dialect import mav
 from autopilot.mavlink.files import LOGS, OpenFile, folder_entries, parts_of
-from autopilot.mavlink.table import LatestUsed
 from autopilot.mavlink.wire import Message
 
 PACKETS_PER_TICK = 16
@@ -48,7 +48,7 @@ class Outlet(Protocol):
         """Links that are open."""
         ...
 
-    def send(self, to: Peer, message: Message) -> None:
+    def send(self, to: MavlinkPeer, message: Message) -> None:
         """Queue a message to a client."""
         ...
 
@@ -98,7 +98,7 @@ _WRITING = frozenset(
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Request:
+class FtpPacket:
     """A request as it came, or an answer on its way out."""
 
     seq: int
@@ -114,15 +114,15 @@ class Request:
         return self.data.split(b"\0", 1)[0].decode("utf-8", errors="replace")
 
 
-def request_of(payload: bytes) -> Request:
+def request_of(payload: bytes) -> FtpPacket:
     """The request in a FILE_TRANSFER_PROTOCOL message."""
     seq, session, opcode, size, _, _, offset = _HEADER.unpack_from(payload)
     data = payload[_HEADER.size : _HEADER.size + min(size, MAX_DATA)]
-    return Request(seq=seq, session=session, opcode=opcode, size=size, offset=offset, data=data)
+    return FtpPacket(seq=seq, session=session, opcode=opcode, size=size, offset=offset, data=data)
 
 
 @dataclass(slots=True)
-class _Client:
+class _FtpClient:
     """What is kept of one client."""
 
     file: OpenFile | None = None
@@ -130,11 +130,11 @@ class _Client:
     """By which the client calls its file: what stood in the request that opened it."""
     answered: tuple[int, int, Message] | None = None
     """Number and opcode of the last request, and its answer."""
-    waiting: Request | None = None
+    waiting: FtpPacket | None = None
     """What the disk is being asked for."""
     listing: Ticket[tuple[ShelfFile, ...]] | None = None
     crc: Ticket[int] | None = None
-    burst: Request | None = None
+    burst: FtpPacket | None = None
     """The burst that goes on, at the offset and with the number of its next packet."""
     burst_left: int = 0
     burst_asked: int = 0
@@ -167,14 +167,14 @@ class FileTransfer:
         made: Callable[[str], bytes | None] = lambda path: None,
     ) -> None:
         self._ctx, self._files, self._shelf, self._made = ctx, files, shelf, made
-        self._clients: LatestUsed[Peer, _Client] = LatestUsed(MAX_CLIENTS, _Client.close)
+        self._clients: LatestUsed[MavlinkPeer, _FtpClient] = LatestUsed(MAX_CLIENTS, _FtpClient.close)
 
-    def on_message(self, peer: Peer, msg: Message) -> None:
+    def on_message(self, peer: MavlinkPeer, msg: Message) -> None:
         """FILE_TRANSFER_PROTOCOL."""
         request = request_of(bytes(msg.payload))
         if request.opcode in (Op.ACK, Op.NAK):
             return
-        client = self._clients.touch(peer, _Client)
+        client = self._clients.touch(peer, _FtpClient)
         before = client.answered
         if before is not None and before[:2] == (request.seq, request.opcode) and client.burst is None:
             self._ctx.send(peer, before[2])
@@ -200,7 +200,7 @@ class FileTransfer:
     def _tick(self) -> int:
         return self._ctx.t_us // TICK_US
 
-    def _begin(self, peer: Peer, client: _Client, request: Request) -> None:
+    def _begin(self, peer: MavlinkPeer, client: _FtpClient, request: FtpPacket) -> None:
         """A request that is new."""
         match request.opcode:
             case Op.NONE:
@@ -217,7 +217,7 @@ class FileTransfer:
             case _:
                 self._nak(peer, client, request, Error.UNKNOWN_COMMAND)
 
-    def _begin_path(self, peer: Peer, client: _Client, request: Request) -> None:
+    def _begin_path(self, peer: MavlinkPeer, client: _FtpClient, request: FtpPacket) -> None:
         parts = parts_of(request.path)
         made = self._made("/".join(parts)) if parts and request.opcode == Op.OPEN_READ else None
         if parts is None:
@@ -243,7 +243,7 @@ class FileTransfer:
         else:
             self._nak(peer, client, request, Error.NOT_FOUND)
 
-    def _begin_data(self, peer: Peer, client: _Client, request: Request) -> None:
+    def _begin_data(self, peer: MavlinkPeer, client: _FtpClient, request: FtpPacket) -> None:
         if client.file is None or request.session != client.session:
             self._nak(peer, client, request, Error.INVALID_SESSION)
         elif request.offset >= client.file.size:
@@ -255,7 +255,7 @@ class FileTransfer:
             client.burst, client.burst_left = replace(request, seq=request.seq + 1), BURST_PACKETS
             client.burst_asked, client.answered = request.seq, None
 
-    def _go_on(self, peer: Peer, client: _Client, request: Request) -> None:
+    def _go_on(self, peer: MavlinkPeer, client: _FtpClient, request: FtpPacket) -> None:
         """What waits for the disk."""
         if request.opcode == Op.READ:
             self._go_on_read(peer, client, request)
@@ -270,7 +270,9 @@ class FileTransfer:
             if listed is not None:
                 self._go_on_listed(peer, client, request, listed.value or ())
 
-    def _go_on_listed(self, peer: Peer, client: _Client, request: Request, logs: tuple[ShelfFile, ...]) -> None:
+    def _go_on_listed(
+        self, peer: MavlinkPeer, client: _FtpClient, request: FtpPacket, logs: tuple[ShelfFile, ...]
+    ) -> None:
         if request.opcode == Op.LIST:
             self._answer_list(peer, client, request, logs)
             return
@@ -281,7 +283,7 @@ class FileTransfer:
         else:
             self._open(peer, client, request, OpenFile(found.path, found.size, shelf=self._shelf))
 
-    def _go_on_read(self, peer: Peer, client: _Client, request: Request) -> None:
+    def _go_on_read(self, peer: MavlinkPeer, client: _FtpClient, request: FtpPacket) -> None:
         file = client.file
         if file is None:
             self._nak(peer, client, request, Error.INVALID_SESSION)
@@ -292,7 +294,7 @@ class FileTransfer:
         elif data is not None:
             self._nak(peer, client, request, Error.FAIL if file.failed else Error.EOF)
 
-    def _go_on_burst(self, peer: Peer, client: _Client) -> None:
+    def _go_on_burst(self, peer: MavlinkPeer, client: _FtpClient) -> None:
         for _ in range(PACKETS_PER_TICK):
             burst, file = client.burst, client.file
             if burst is None or file is None or not self._ctx.has_room(peer.link, FILES):
@@ -310,12 +312,14 @@ class FileTransfer:
             following = replace(burst, seq=burst.seq + 1, offset=burst.offset + len(data))
             client.burst = None if last else following
 
-    def _open(self, peer: Peer, client: _Client, request: Request, file: OpenFile) -> None:
+    def _open(self, peer: MavlinkPeer, client: _FtpClient, request: FtpPacket, file: OpenFile) -> None:
         client.close()
         client.file, client.session = file, request.session
         self._ack(peer, client, request, (file.size & 0xFFFF_FFFF).to_bytes(4, "little"))
 
-    def _answer_list(self, peer: Peer, client: _Client, request: Request, logs: tuple[ShelfFile, ...]) -> None:
+    def _answer_list(
+        self, peer: MavlinkPeer, client: _FtpClient, request: FtpPacket, logs: tuple[ShelfFile, ...]
+    ) -> None:
         """The entries from the number that is asked for, as many as fit."""
         entries = folder_entries(self._files, logs, request.path)
         if entries is None:
@@ -332,18 +336,20 @@ class FileTransfer:
         else:
             self._nak(peer, client, request, Error.EOF)
 
-    def _ack(self, peer: Peer, client: _Client, request: Request, data: bytes = b"") -> None:
+    def _ack(self, peer: MavlinkPeer, client: _FtpClient, request: FtpPacket, data: bytes = b"") -> None:
         self._answer(peer, client, request, Op.ACK, data)
 
-    def _nak(self, peer: Peer, client: _Client, request: Request, error: Error) -> None:
+    def _nak(self, peer: MavlinkPeer, client: _FtpClient, request: FtpPacket, error: Error) -> None:
         self._answer(peer, client, request, Op.NAK, bytes((error,)))
 
-    def _answer(self, peer: Peer, client: _Client, request: Request, opcode: Op, data: bytes) -> None:
+    def _answer(self, peer: MavlinkPeer, client: _FtpClient, request: FtpPacket, opcode: Op, data: bytes) -> None:
         client.stop()
         message = self._send(peer, request.seq + 1, opcode, request, data)
         client.answered = (request.seq, request.opcode, message)
 
-    def _send(self, peer: Peer, seq: int, opcode: Op, to: Request, data: bytes, *, last: bool = False) -> Message:
+    def _send(
+        self, peer: MavlinkPeer, seq: int, opcode: Op, to: FtpPacket, data: bytes, *, last: bool = False
+    ) -> Message:
         payload = bytearray(_PAYLOAD_BYTES)
         _HEADER.pack_into(payload, 0, seq & 0xFFFF, to.session, opcode, len(data), to.opcode, last, to.offset)
         payload[_HEADER.size : _HEADER.size + len(data)] = data
@@ -352,6 +358,6 @@ class FileTransfer:
         return message
 
 
-def _wanted(request: Request) -> int:
+def _wanted(request: FtpPacket) -> int:
     """How much a read wants at once; a client that says nothing takes what fits."""
     return min(request.size, MAX_DATA) or MAX_DATA

@@ -14,15 +14,15 @@ from autopilot.core.messages import Failsafe, NavDoubt, NavHealth
 from autopilot.core.model4 import YAW
 from autopilot.core.samples import HullSample
 from autopilot.mavlink.api import ACCEPTED
+from autopilot.mavlink.bounded_table import LatestUsed
 from autopilot.mavlink.commands import Call, Reply, denied
 from autopilot.mavlink.context import Context, i32, limited, u16
 from autopilot.mavlink.dialect import mav
 from autopilot.mavlink.inbox import Address
-from autopilot.mavlink.progress import Progress
-from autopilot.mavlink.status import Status
+from autopilot.mavlink.progress import ProgressMessages
+from autopilot.mavlink.status import StatusMessages
 from autopilot.mavlink.streams import Streams
-from autopilot.mavlink.table import LatestUsed
-from autopilot.mavlink.telemetry import SANE, Builder, Telemetry
+from autopilot.mavlink.telemetry import SANE, Builder, NavigationMessages
 from autopilot.mavlink.wire import Message
 
 INTERVAL_US = 5_000_000
@@ -55,7 +55,12 @@ class HighLatency:
     """Which links are such ones, and what is said there."""
 
     def __init__(
-        self, ctx: Context, streams: Streams, status: Status, telemetry: Telemetry, progress: Progress
+        self,
+        ctx: Context,
+        streams: Streams,
+        status: StatusMessages,
+        telemetry: NavigationMessages,
+        progress: ProgressMessages,
     ) -> None:
         self._ctx, self._streams, self._status = ctx, streams, status
         self._telemetry, self._progress = telemetry, progress

@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 
 from autopilot.core.clients import Reach
 from autopilot.core.messages import MavlinkFrame
-from autopilot.mavlink.table import LatestUsed
+from autopilot.mavlink.bounded_table import LatestUsed
 from autopilot.mavlink.wire import LinkParser, Message, Work
 
 HANDLE_WORK = 30
@@ -78,7 +78,7 @@ class Flood:
 
 
 @dataclass(slots=True)
-class Intake:
+class MessageInbox:
     """All inboxes. ``wanted`` are the messages that have a handler, ``heavy`` those of them that cost more."""
 
     wanted: Container[int]

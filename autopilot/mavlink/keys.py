@@ -4,7 +4,7 @@ from collections.abc import Callable
 
 from autopilot.core import operator_messages as notices
 from autopilot.core.clients import Reach
-from autopilot.mavlink.context import Context, Peer
+from autopilot.mavlink.context import Context, MavlinkPeer
 from autopilot.mavlink.dialect import mav
 from autopilot.mavlink.inbox import Address
 from autopilot.mavlink.signing import KEY_BYTES
@@ -26,7 +26,7 @@ class Keys:
         if problem:
             ctx.say(notices.SIGNING_NOT_SAVED(problem=problem))
 
-    def on_setup(self, peer: Peer, msg: Message) -> None:
+    def on_setup(self, peer: MavlinkPeer, msg: Message) -> None:
         """SETUP_SIGNING: only from this machine, where nobody listens on the way, and while disarmed; a key that is in
         force has to have signed it. All zero takes the key away."""
         ctx = self._ctx

@@ -9,12 +9,12 @@ from dataclasses import dataclass
 from autopilot.core import operator_messages as notices
 from autopilot.core.clock import TICK_US
 from autopilot.core.desk import Ticket
-from autopilot.core.shelf import Shelf, ShelfFile
+from autopilot.core.log_directory import Shelf, ShelfFile
+from autopilot.mavlink.bounded_table import LatestUsed
 from autopilot.mavlink.budget import FILES
-from autopilot.mavlink.context import Context, Peer
+from autopilot.mavlink.context import Context, MavlinkPeer
 from autopilot.mavlink.dialect import mav
 from autopilot.mavlink.files import OpenFile
-from autopilot.mavlink.table import LatestUsed
 from autopilot.mavlink.wire import Message
 
 DATA_BYTES = 90
@@ -30,7 +30,7 @@ _LOG = ".mcap"
 
 
 @dataclass(slots=True)
-class _Client:
+class _LogClient:
     """What is kept of one client."""
 
     logs: tuple[ShelfFile, ...] | None = None
@@ -59,12 +59,12 @@ class LogDownload:
     def __init__(self, ctx: Context, shelf: Shelf | None) -> None:
         self._ctx, self._shelf = ctx, shelf
         self._first = 1 if ctx.profile.home_is_item_0 else 0
-        self._clients: LatestUsed[Peer, _Client] = LatestUsed(MAX_CLIENTS, _Client.stop)
-        self._erasing: tuple[Peer, Ticket[int]] | None = None
+        self._clients: LatestUsed[MavlinkPeer, _LogClient] = LatestUsed(MAX_CLIENTS, _LogClient.stop)
+        self._erasing: tuple[MavlinkPeer, Ticket[int]] | None = None
 
-    def on_request_list(self, peer: Peer, msg: Message) -> None:
+    def on_request_list(self, peer: MavlinkPeer, msg: Message) -> None:
         """LOG_REQUEST_LIST: an entry for each number from start to end; one of log 0 when there are none."""
-        client = self._clients.touch(peer, _Client)
+        client = self._clients.touch(peer, _LogClient)
         client.stop()
         client.entries = range(msg.start, msg.end + 1)
         if self._shelf is None:
@@ -72,9 +72,9 @@ class LogDownload:
         else:
             client.listing = self._shelf.list(self._tick)
 
-    def on_request_data(self, peer: Peer, msg: Message) -> None:
+    def on_request_data(self, peer: MavlinkPeer, msg: Message) -> None:
         """LOG_REQUEST_DATA: pieces of 90 bytes; a shorter one is the last of the log."""
-        client = self._clients.touch(peer, _Client)
+        client = self._clients.touch(peer, _LogClient)
         if client.file is not None and client.wanted is not None and client.wanted[0] != msg.id:
             client.file.close()
             client.file = None
@@ -82,11 +82,11 @@ class LogDownload:
         if client.logs is None and client.listing is None and self._shelf is not None:
             client.listing = self._shelf.list(self._tick)  # numbers from before a restart, or of another link
 
-    def on_request_end(self, peer: Peer) -> None:
+    def on_request_end(self, peer: MavlinkPeer) -> None:
         """LOG_REQUEST_END: nothing more."""
-        self._clients.touch(peer, _Client).stop()
+        self._clients.touch(peer, _LogClient).stop()
 
-    def on_erase(self, peer: Peer) -> None:
+    def on_erase(self, peer: MavlinkPeer) -> None:
         """LOG_ERASE: all flights that are finished, of a vehicle that is disarmed. The outcome comes as text."""
         ctx = self._ctx
         if ctx.view.armed:
@@ -119,7 +119,7 @@ class LogDownload:
     def _tick(self) -> int:
         return self._ctx.t_us // TICK_US
 
-    def _listed(self, client: _Client, files: tuple[ShelfFile, ...]) -> None:
+    def _listed(self, client: _LogClient, files: tuple[ShelfFile, ...]) -> None:
         client.logs = tuple(file for file in files if file.path.endswith(_LOG))
         last = self._first + len(client.logs) - 1
         wanted = client.entries
@@ -128,7 +128,7 @@ class LogDownload:
         else:
             client.entries = range(max(wanted.start, self._first), min(wanted.stop, last + 1))
 
-    def _send_entries(self, peer: Peer, client: _Client, logs: tuple[ShelfFile, ...]) -> None:
+    def _send_entries(self, peer: MavlinkPeer, client: _LogClient, logs: tuple[ShelfFile, ...]) -> None:
         count, last = len(logs), self._first + len(logs) - 1
         for _ in range(min(ENTRIES_PER_TICK, len(client.entries))):
             if not self._ctx.has_room(peer.link, FILES):
@@ -141,7 +141,7 @@ class LogDownload:
             size = min(log.size, 0xFFFF_FFFF)
             self._ctx.send(peer, mav.MAVLink_log_entry_message(number, count, last, log.modified_s & 0xFFFF_FFFF, size))
 
-    def _send_data(self, peer: Peer, client: _Client, logs: tuple[ShelfFile, ...]) -> None:
+    def _send_data(self, peer: MavlinkPeer, client: _LogClient, logs: tuple[ShelfFile, ...]) -> None:
         ctx = self._ctx
         for _ in range(PACKETS_PER_TICK):
             if client.wanted is None or not ctx.has_room(peer.link, FILES):
@@ -163,7 +163,7 @@ class LogDownload:
             left = count - len(data)
             client.wanted = (number, offset + len(data), left) if left > 0 and len(data) == DATA_BYTES else None
 
-    def _file(self, client: _Client, logs: tuple[ShelfFile, ...], number: int) -> OpenFile | None:
+    def _file(self, client: _LogClient, logs: tuple[ShelfFile, ...], number: int) -> OpenFile | None:
         """The log that a client reads, kept open between its requests."""
         index = number - self._first
         if not 0 <= index < len(logs):

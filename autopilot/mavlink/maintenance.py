@@ -5,8 +5,8 @@ from collections.abc import Callable, Mapping
 
 from autopilot.core import operator_messages as notices
 from autopilot.core.messages import RunEnd
-from autopilot.mavlink.api import ACCEPTED, Answer, CommandResult, MotorTest
-from autopilot.mavlink.commands import Call, Entry, Reply, denied
+from autopilot.mavlink.api import ACCEPTED, CommandReply, CommandResult, MotorTest
+from autopilot.mavlink.commands import Call, CommandRow, Reply, denied
 from autopilot.mavlink.context import Context
 from autopilot.mavlink.dialect import mav
 from autopilot.mavlink.parameters import Parameters
@@ -33,15 +33,15 @@ class Maintenance:
     def __init__(self, ctx: Context, parameters: Parameters) -> None:
         self._ctx, self._parameters = ctx, parameters
 
-    def table(self) -> Mapping[int, Entry]:
+    def table(self) -> Mapping[int, CommandRow]:
         """Commands of this service."""
 
-        def action(handler: Callable[[Call], Reply]) -> Entry:
-            return Entry(handler=handler, action=True)
+        def action(handler: Callable[[Call], Reply]) -> CommandRow:
+            return CommandRow(handler=handler, action=True)
 
-        def elsewhere(reason: str) -> Entry:
-            answer = Answer(result=CommandResult.UNSUPPORTED, reason=reason)
-            return Entry(handler=lambda call: Reply(answer), action=False)
+        def elsewhere(reason: str) -> CommandRow:
+            answer = CommandReply(result=CommandResult.UNSUPPORTED, reason=reason)
+            return CommandRow(handler=lambda call: Reply(answer), action=False)
 
         return {
             **{command: elsewhere(reason) for command, reason in ELSEWHERE.items()},

@@ -14,10 +14,10 @@ from autopilot.core import operator_messages as notices
 from autopilot.core.plan import MAX_ITEMS, MissionResult, PlanChange, PlanItem, PlanKind, has_shapes
 from autopilot.core.plan_wire import item_message, item_of
 from autopilot.mavlink import home_item
-from autopilot.mavlink.context import Context, Peer
+from autopilot.mavlink.bounded_table import LatestUsed
+from autopilot.mavlink.context import Context, MavlinkPeer
 from autopilot.mavlink.dialect import extra, mav
 from autopilot.mavlink.recent import Recent
-from autopilot.mavlink.table import LatestUsed
 from autopilot.mavlink.wire import Message
 
 RETRY_US = 300_000
@@ -54,7 +54,7 @@ CLEAR_ORDER = (PlanKind.MISSION, PlanKind.FENCE, PlanKind.RALLY)
 class Upload:
     """A transfer in progress."""
 
-    peer: Peer
+    peer: MavlinkPeer
     kind: PlanKind
     count: int
     asked_us: int
@@ -70,7 +70,7 @@ class Upload:
 class Checking:
     """What waits for the plan store's answer."""
 
-    peer: Peer
+    peer: MavlinkPeer
     change: PlanChange
     kinds: tuple[PlanKind, ...]
     mission_type: int
@@ -84,7 +84,7 @@ class Checking:
 class Finished:
     """The last upload's outcome."""
 
-    peer: Peer
+    peer: MavlinkPeer
     kind: PlanKind
     count: int
     result: MissionResult
@@ -111,8 +111,8 @@ class Missions:
         self._upload: Upload | None = None
         self._checking: Checking | None = None
         self._finished: Finished | None = None
-        self._downloads: LatestUsed[tuple[Peer, PlanKind], Download] = LatestUsed(MAX_DOWNLOADS)
-        self._counts: Recent[tuple[Peer, int, int]] = Recent(DUPLICATE_US * ctx.patience)
+        self._downloads: LatestUsed[tuple[MavlinkPeer, PlanKind], Download] = LatestUsed(MAX_DOWNLOADS)
+        self._counts: Recent[tuple[MavlinkPeer, int, int]] = Recent(DUPLICATE_US * ctx.patience)
         self.current_wire_seq = 0
         """What downloads mark as current."""
         self.revision = 0
@@ -125,7 +125,7 @@ class Missions:
         """Whether a transfer is open, or its plan being checked."""
         return self._upload is not None or self._checking is not None
 
-    def concludes(self, peer: Peer, msg: Message) -> bool:
+    def concludes(self, peer: MavlinkPeer, msg: Message) -> bool:
         """Whether a message would end its client's upload, so that the plan in force could change."""
         kind, upload = msg.get_msgId(), self._upload
         if kind == mav.MAVLINK_MSG_ID_MISSION_COUNT:
@@ -139,7 +139,7 @@ class Missions:
 
     # Upload
 
-    def on_count(self, peer: Peer, msg: Message) -> None:
+    def on_count(self, peer: MavlinkPeer, msg: Message) -> None:
         """MISSION_COUNT: begin, restart, clear (0), or refuse."""
         ctx, kind = self._ctx, _KINDS.get(msg.mission_type)
         if kind is None:
@@ -164,14 +164,14 @@ class Missions:
         else:
             self._ask(self._upload)
 
-    def _is_late_duplicate(self, mark: tuple[Peer, int, int]) -> bool:
+    def _is_late_duplicate(self, mark: tuple[MavlinkPeer, int, int]) -> bool:
         """Whether the network delivers a COUNT again, of whatever plan; a client's own retry has another number."""
         seen = self._counts.knows(mark, self._ctx.t_us)
         if not seen:
             self._counts.add(mark, self._ctx.t_us)
         return seen
 
-    def on_item(self, peer: Peer, msg: Message) -> None:
+    def on_item(self, peer: MavlinkPeer, msg: Message) -> None:
         """MISSION_ITEM_INT."""
         upload = self._upload
         if upload is None or upload.peer != peer:
@@ -194,7 +194,7 @@ class Missions:
         else:
             self._ask(upload)
 
-    def on_float_item(self, peer: Peer, msg: Message) -> None:
+    def on_float_item(self, peer: MavlinkPeer, msg: Message) -> None:
         """MISSION_ITEM: its 32 bit degrees are a metre wide, too coarse for a vehicle among obstacles."""
         upload = self._upload
         reason = "MISSION_ITEM has coordinates rounded to about 1 m: send MISSION_ITEM_INT"
@@ -218,7 +218,7 @@ class Missions:
         elif upload.wrong == 1:
             self._ask(upload)
 
-    def _stray_item(self, peer: Peer, msg: Message) -> None:
+    def _stray_item(self, peer: MavlinkPeer, msg: Message) -> None:
         """An item outside an upload: late (repeat the answer, if there is one yet), or nobody asked for it."""
         if self._checking is not None and self._checking.peer == peer:
             return
@@ -238,7 +238,7 @@ class Missions:
         upload.asked_us, upload.asked = self._ctx.t_us, len(upload.items) if seq is None else seq
         self._request(upload.peer, upload.asked, upload.kind)
 
-    def _request(self, peer: Peer, seq: int, kind: PlanKind) -> None:
+    def _request(self, peer: MavlinkPeer, seq: int, kind: PlanKind) -> None:
         self._ctx.send(peer, mav.MAVLink_mission_request_int_message(peer.sysid, peer.compid, seq, kind))
 
     def _finish(self, upload: Upload) -> None:
@@ -249,7 +249,7 @@ class Missions:
         self._check(upload.peer, {upload.kind: items}, upload.kind, upload)
 
     def _check(
-        self, peer: Peer, plans: dict[PlanKind, tuple[PlanItem, ...]], mission_type: int, upload: Upload | None
+        self, peer: MavlinkPeer, plans: dict[PlanKind, tuple[PlanItem, ...]], mission_type: int, upload: Upload | None
     ) -> None:
         """Ask the store to take plans, and pass its answer on when it comes."""
         change = self._ctx.plans.propose(plans)
@@ -330,7 +330,7 @@ class Missions:
             text = notices.PLAN_REFUSED(kind=upload.kind.name.capitalize(), reason=reason)
             self._ctx.say(text, upload.peer)
 
-    def _denied(self, peer: Peer, kind: PlanKind) -> bool:
+    def _denied(self, peer: MavlinkPeer, kind: PlanKind) -> bool:
         """Whether another client's open upload keeps this one out; it is told so."""
         open_ = self._upload or self._checking
         if open_ is None or open_.peer == peer:
@@ -340,14 +340,14 @@ class Missions:
         self._ctx.say(notices.PLAN_DENIED(kind=kind.name.capitalize(), client=client), peer)
         return True
 
-    def _ack(self, peer: Peer, result: MissionResult, mission_type: int, plan_id: int = 0) -> None:
+    def _ack(self, peer: MavlinkPeer, result: MissionResult, mission_type: int, plan_id: int = 0) -> None:
         """``plan_id``: opaque id of what is in force now, of an upload that was taken."""
         ack = extra.MAVLink_mission_ack_message(peer.sysid, peer.compid, int(result), int(mission_type), plan_id)
         self._ctx.send(peer, ack)
 
     # Clear
 
-    def on_clear_all(self, peer: Peer, msg: Message) -> None:
+    def on_clear_all(self, peer: MavlinkPeer, msg: Message) -> None:
         """MISSION_CLEAR_ALL of one type or of all."""
         if msg.mission_type == MISSION_TYPE_ALL:
             kinds: tuple[PlanKind, ...] = CLEAR_ORDER
@@ -367,7 +367,7 @@ class Missions:
 
     # Download
 
-    def on_request_list(self, peer: Peer, msg: Message) -> None:
+    def on_request_list(self, peer: MavlinkPeer, msg: Message) -> None:
         """MISSION_REQUEST_LIST: how many items, and a snapshot for what follows."""
         kind = _KINDS.get(msg.mission_type)
         if kind is None:
@@ -380,7 +380,7 @@ class Missions:
             peer, extra.MAVLink_mission_count_message(peer.sysid, peer.compid, len(items), int(kind), plan_id)
         )
 
-    def on_request(self, peer: Peer, msg: Message) -> None:
+    def on_request(self, peer: MavlinkPeer, msg: Message) -> None:
         """MISSION_REQUEST_INT, and MISSION_REQUEST answered with MISSION_ITEM_INT too."""
         kind = _KINDS.get(msg.mission_type)
         if kind is None:
@@ -398,7 +398,7 @@ class Missions:
         current = kind is PlanKind.MISSION and item.seq == self.current_wire_seq
         self._ctx.send(peer, item_message(item, kind, system=peer.sysid, component=peer.compid, current=current))
 
-    def on_ack(self, peer: Peer, msg: Message) -> None:
+    def on_ack(self, peer: MavlinkPeer, msg: Message) -> None:
         """MISSION_ACK: the client has read everything, or gives a transfer up."""
         kind = _KINDS.get(msg.mission_type)
         if kind is None:
@@ -417,7 +417,7 @@ class Missions:
             return
         self._downloads.pop((peer, kind), None)
 
-    def on_write_partial_list(self, peer: Peer, msg: Message) -> None:
+    def on_write_partial_list(self, peer: MavlinkPeer, msg: Message) -> None:
         """MISSION_WRITE_PARTIAL_LIST was never standardised."""
         self._ack(peer, MissionResult.UNSUPPORTED, msg.mission_type)
 

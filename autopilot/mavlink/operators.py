@@ -9,9 +9,9 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 
 from autopilot.core import operator_messages as notices
-from autopilot.mavlink.api import ACCEPTED, Answer, CommandResult
-from autopilot.mavlink.commands import Call, Entry, Reply, denied
-from autopilot.mavlink.context import Context, Peer
+from autopilot.mavlink.api import ACCEPTED, CommandReply, CommandResult
+from autopilot.mavlink.commands import Call, CommandRow, Reply, denied
+from autopilot.mavlink.context import Context, MavlinkPeer
 from autopilot.mavlink.dialect import extra, mav
 from autopilot.mavlink.wire import Message
 
@@ -76,7 +76,7 @@ class Operators:
         """``value``: PARAM_VALUE of a parameter, None if there is none of that name."""
         self._ctx = ctx
         self._value = value
-        self._owner: Peer | None = None
+        self._owner: MavlinkPeer | None = None
         """Where the one in control was heard last."""
         self._takeover = False
         self._heard_us = 0
@@ -88,7 +88,7 @@ class Operators:
         return 0 if self._owner is None else self._owner.sysid
 
     @property
-    def owner(self) -> Peer | None:
+    def owner(self) -> MavlinkPeer | None:
         """Where the one in control was heard last, None = nobody is in control."""
         return self._owner
 
@@ -99,7 +99,7 @@ class Operators:
             flags |= extra.GCS_CONTROL_STATUS_FLAGS_TAKEOVER_ALLOWED
         return extra.MAVLink_control_status_message(flags, self.in_control, [0] * 10)
 
-    def heard(self, peer: Peer) -> None:
+    def heard(self, peer: MavlinkPeer) -> None:
         """A HEARTBEAT of a ground station."""
         if peer.sysid == self.in_control:
             self._owner, self._heard_us = peer, self._ctx.t_us
@@ -117,11 +117,11 @@ class Operators:
             ctx.broadcast(self.status())
         self._shown = shown
 
-    def keeps_out(self, peer: Peer) -> bool:
+    def keeps_out(self, peer: MavlinkPeer) -> bool:
         """Whether somebody else is in control."""
         return self._owner is not None and peer.sysid != self._owner.sysid
 
-    def refusal(self, peer: Peer, *, grave: bool) -> str:
+    def refusal(self, peer: MavlinkPeer, *, grave: bool) -> str:
         """Why somebody may not change anything, or nothing ``grave``, now; "" = he may."""
         if self.keeps_out(peer):
             return self.reason
@@ -129,7 +129,7 @@ class Operators:
             return f"Refused: take operator control first ({GUARD})"
         return ""
 
-    def refused(self, peer: Peer, msg: Message) -> bool:
+    def refused(self, peer: MavlinkPeer, msg: Message) -> bool:
         """Whether a message that is not a command is for the one in control only; its sender is told."""
         kind = msg.get_msgId()
         if kind in OPEN:
@@ -167,14 +167,16 @@ class Operators:
             return denied("operator control: param1 1 = take, 0 = release; for your own system id")
         if action == 0:
             if self.keeps_out(call.peer):
-                return Reply(Answer(result=CommandResult.NOT_IN_CONTROL, reason=self.reason))
+                return Reply(CommandReply(result=CommandResult.NOT_IN_CONTROL, reason=self.reason))
             if self._owner is not None:
                 self._ctx.say(notices.OPERATOR_RELEASED(system=self.in_control))
             self._owner, self._takeover = None, False
             return Reply(ACCEPTED)
         if self.keeps_out(call.peer) and not self._takeover:
             self._ask_owner(call)
-            return Reply(Answer(result=CommandResult.FAILED, reason=f"System {self.in_control} is in control: asked"))
+            return Reply(
+                CommandReply(result=CommandResult.FAILED, reason=f"System {self.in_control} is in control: asked")
+            )
         if call.peer.sysid != self.in_control:
             self._ctx.say(notices.OPERATOR_IN_CONTROL(system=call.peer.sysid))
         self._owner, self._heard_us = call.peer, self._ctx.t_us
@@ -204,7 +206,7 @@ class Rights:
     """The same; with MAV_CTRL_NEEDED nobody while nobody is in control."""
 
 
-def rights(messages: Iterable[int], commands: Mapping[int, Entry]) -> Rights:
+def rights(messages: Iterable[int], commands: Mapping[int, CommandRow]) -> Rights:
     """Of the messages and commands that are handled."""
 
     def names(kind: Mapping[int, str], numbers: Iterable[int]) -> tuple[str, ...]:

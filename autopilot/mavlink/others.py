@@ -14,7 +14,7 @@ from autopilot.core.frames import FloatArray
 from autopilot.core.geodesy import deg_from_e7, ned_from_geodetic, refuse_place
 from autopilot.core.samples import ObstacleTrack
 from autopilot.mavlink.api import BEAM_TRACKS
-from autopilot.mavlink.context import COMPID, Context, Peer
+from autopilot.mavlink.context import COMPID, Context, MavlinkPeer
 from autopilot.mavlink.dialect import mav
 from autopilot.mavlink.wire import Message
 
@@ -73,7 +73,7 @@ class Others:
         self._tracks, self._gone = [], []
         return tracks, gone
 
-    def on_global_position_int(self, peer: Peer, msg: Message) -> None:
+    def on_global_position_int(self, peer: MavlinkPeer, msg: Message) -> None:
         """Another vehicle's own position."""
         if peer.compid != COMPID or (msg.lat == 0 and msg.lon == 0):
             return
@@ -81,7 +81,7 @@ class Others:
         velocity = complex(msg.vx, msg.vy) * 0.01
         self._add(_VEHICLE | peer.sysid, place, velocity, self._ctx.params["AVD_RADIUS"], self._height)
 
-    def on_adsb_vehicle(self, peer: Peer, msg: Message) -> None:
+    def on_adsb_vehicle(self, peer: MavlinkPeer, msg: Message) -> None:
         """ADSB_VEHICLE, whatever it is that its sender knows."""
         if not msg.flags & _COORDS:
             return
@@ -93,7 +93,7 @@ class Others:
         number = _ADSB | msg.ICAO_address & _NUMBER
         self._add(number, place, velocity, self._ctx.params["AVD_RADIUS"], self._height, age_s=float(msg.tslc))
 
-    def on_ais_vessel(self, peer: Peer, msg: Message) -> None:
+    def on_ais_vessel(self, peer: MavlinkPeer, msg: Message) -> None:
         """AIS_VESSEL: a ship, with its dimensions round the antenna."""
         length, width = msg.dimension_bow + msg.dimension_stern, msg.dimension_port + msg.dimension_starboard
         radius_m = max(0.5 * math.hypot(length, width), self._ctx.params["AVD_RADIUS"])
@@ -146,7 +146,7 @@ class Others:
 
     # OBSTACLE_DISTANCE
 
-    def on_obstacle_distance(self, peer: Peer, msg: Message) -> None:
+    def on_obstacle_distance(self, peer: MavlinkPeer, msg: Message) -> None:
         """Beams round the vehicle; 0 is ahead (MAV_FRAME_BODY_FRD), or north."""
         nav = self._ctx.view.nav
         step_deg = msg.increment_f or float(msg.increment)

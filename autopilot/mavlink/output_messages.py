@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping
 from autopilot.mavlink.context import Context, f32, u16
 from autopilot.mavlink.dialect import mav
 from autopilot.mavlink.equipment_api import EquipmentOrders
-from autopilot.mavlink.telemetry import Builder, Telemetry
+from autopilot.mavlink.telemetry import Builder, NavigationMessages
 from autopilot.mavlink.wire import Message
 
 PORT_OUTPUTS = 16
@@ -21,7 +21,7 @@ class OutputMessages:
     """Builders of these messages. Outputs are counted by their channel in the vehicle file."""
 
     def __init__(
-        self, ctx: Context, telemetry: Telemetry, gain: Callable[[], float], equipment: EquipmentOrders | None
+        self, ctx: Context, telemetry: NavigationMessages, gain: Callable[[], float], equipment: EquipmentOrders | None
     ) -> None:
         """``gain``: share of full sticks that a pilot gets."""
         self._ctx, self._telemetry, self._gain, self._equipment = ctx, telemetry, gain, equipment

@@ -12,7 +12,7 @@ from autopilot.core.errors import ConfigError
 from autopilot.core.origin_params import shortest_decimal
 from autopilot.core.params import ParamSpec, ParamType
 from autopilot.mavlink.budget import LISTS
-from autopilot.mavlink.context import Context, Peer
+from autopilot.mavlink.context import Context, MavlinkPeer
 from autopilot.mavlink.profiles import ParamEncoding
 from autopilot.mavlink.stubs import stubs_of
 from autopilot.mavlink.wire import Message
@@ -58,7 +58,7 @@ def decode(param_value: float, kind: ParamType, encoding: ParamEncoding) -> floa
 
 
 @dataclass(slots=True, kw_only=True)
-class _Request:
+class _ParameterWrite:
     """A parameter on its way to the disk."""
 
     number: int
@@ -74,8 +74,8 @@ class Parameters:
         self._stubs = stubs_of(ctx.profile)
         self._names = tuple(sorted((*ctx.params, *self._stubs)))
         self._index = {name: i for i, name in enumerate(self._names)}
-        self._lists: dict[Peer, int] = {}
-        self._saving: dict[str, _Request] = {}
+        self._lists: dict[MavlinkPeer, int] = {}
+        self._saving: dict[str, _ParameterWrite] = {}
         """Parameters that are being kept; they are told when they are."""
         self._unsaved = False
         """Whether the operator believes that something is lost at restart."""
@@ -139,7 +139,7 @@ class Parameters:
             self._index[name],
         )
 
-    def on_request_list(self, peer: Peer) -> None:
+    def on_request_list(self, peer: MavlinkPeer) -> None:
         """PARAM_REQUEST_LIST: the list goes out over the next ticks."""
         if peer in self._lists or len(self._lists) < MAX_LISTS:
             self._lists[peer] = 0
@@ -148,7 +148,7 @@ class Parameters:
         """PARAM_VALUE, None for a name that does not exist."""
         return self.value(name) if name in self._index else None
 
-    def on_request_read(self, peer: Peer, msg: Message) -> None:
+    def on_request_read(self, peer: MavlinkPeer, msg: Message) -> None:
         """PARAM_REQUEST_READ by index, or by name when the index is -1."""
         if msg.param_index == -1:
             name = msg.param_id
@@ -164,7 +164,7 @@ class Parameters:
             return
         self._ctx.send(peer, self.value(name))
 
-    def on_set(self, peer: Peer, msg: Message) -> None:
+    def on_set(self, peer: MavlinkPeer, msg: Message) -> None:
         """PARAM_SET: the value in force goes to everyone once it is on disk, a refusal at once and with its reason."""
         ctx, name = self._ctx, msg.param_id
         if name == HASH_CHECK:
@@ -188,7 +188,7 @@ class Parameters:
         if number is None:
             ctx.broadcast(self.value(name))
         else:
-            self._saving[name] = _Request(number=number, since_us=ctx.t_us)
+            self._saving[name] = _ParameterWrite(number=number, since_us=ctx.t_us)
 
     def reset(self) -> int:
         """Every parameter to its default, saved; how many have changed. Those that are judged together go round until
@@ -212,7 +212,7 @@ class Parameters:
             ctx.broadcast(self.value(name))
         return len(changed) - len(left)
 
-    def _answer_hash(self, peer: Peer) -> None:
+    def _answer_hash(self, peer: MavlinkPeer) -> None:
         """_HASH_CHECK, where integers travel bytewise; silence means "no cache"."""
         if self._ctx.profile.param_encoding is ParamEncoding.BYTEWISE:
             (value,) = struct.unpack("<f", struct.pack("<I", self.hash()))
@@ -225,7 +225,7 @@ class Parameters:
             return bool(mav.MAV_PARAM_TYPE_UINT8 <= wire_type <= mav.MAV_PARAM_TYPE_REAL64)
         return bool(wire_type == (_INT32 if spec.type is ParamType.INT32 else _REAL32))
 
-    def _change(self, peer: Peer, name: str, value: float) -> bool:
+    def _change(self, peer: MavlinkPeer, name: str, value: float) -> bool:
         """False = refused."""
         ctx = self._ctx
         before = ctx.params[name]
@@ -239,7 +239,7 @@ class Parameters:
             ctx.log(notices.PARAMETER_SET(name=name, value=ctx.params[name], before=before))
         return True
 
-    def _refuse(self, peer: Peer, name: str, index: int, error: int) -> None:
+    def _refuse(self, peer: MavlinkPeer, name: str, index: int, error: int) -> None:
         self._ctx.send(
             peer,
             mav.MAVLink_param_error_message(

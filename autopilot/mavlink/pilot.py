@@ -7,9 +7,9 @@ that moment only; then the sticks are released, and what that means says the mod
 from dataclasses import dataclass
 
 from autopilot.core import operator_messages as notices
-from autopilot.mavlink.api import Answer, Sticks
+from autopilot.mavlink.api import CommandReply, Sticks
 from autopilot.mavlink.camera_api import CameraOrders
-from autopilot.mavlink.context import Context, Peer
+from autopilot.mavlink.context import Context, MavlinkPeer
 from autopilot.mavlink.equipment_api import EquipmentOrders
 from autopilot.mavlink.flight_modes import MODE_BUTTONS
 from autopilot.mavlink.wire import Message
@@ -45,10 +45,10 @@ LIGHT_STEP = 0.125
 
 
 @dataclass(slots=True)
-class _Heard:
+class _PilotRecord:
     """Of the pilot who steers."""
 
-    peer: Peer
+    peer: MavlinkPeer
     last_us: int
     sticks: Sticks
     buttons: int = 0
@@ -62,14 +62,14 @@ class _Heard:
     """It is used."""
 
 
-class Pilot:
+class PilotInputs:
     """The sticks of the moment."""
 
     def __init__(
         self, ctx: Context, equipment: EquipmentOrders | None = None, camera: CameraOrders | None = None
     ) -> None:
         self._ctx, self._equipment, self._camera = ctx, equipment, camera
-        self._heard: _Heard | None = None
+        self._heard: _PilotRecord | None = None
         self._gain: float | None = None
         self.last_us: int | None = None
         """When a pilot was last heard, None before the first."""
@@ -91,7 +91,7 @@ class Pilot:
     def _stale_us(self) -> float:
         return STALE_US * self._ctx.patience
 
-    def on_manual_control(self, peer: Peer, msg: Message) -> None:
+    def on_manual_control(self, peer: MavlinkPeer, msg: Message) -> None:
         """MANUAL_CONTROL: x ahead, y and r to starboard, z up; s, t and aux are for axes that are not here."""
         if msg.target not in (0, self._ctx.sysid):
             return
@@ -105,7 +105,7 @@ class Pilot:
             self._ctx.say(notices.STICKS_UNUSED(), peer)
         self._press(heard, msg.buttons | getattr(msg, "buttons2", 0) << 16)
 
-    def on_override(self, peer: Peer, msg: Message) -> None:
+    def on_override(self, peer: MavlinkPeer, msg: Message) -> None:
         """RC_CHANNELS_OVERRIDE, channels as ArduSub has them: 3 up, 4 yaw, 5 ahead, 6 to starboard; no gain."""
         channels = (msg.chan5_raw, msg.chan6_raw, msg.chan3_raw, msg.chan4_raw)
         if not any(LEAST_US <= us <= MOST_US for us in channels):
@@ -116,11 +116,11 @@ class Pilot:
         ahead, starboard, up, turn = (_channel(us) for us in channels)
         heard.sticks = Sticks(ahead=ahead, starboard=starboard, up=up, turn=turn)
 
-    def _of(self, peer: Peer) -> _Heard | None:
+    def _of(self, peer: MavlinkPeer) -> _PilotRecord | None:
         """Who steers, if it is that client."""
         now_us, heard = self._ctx.t_us, self._heard
         if heard is None or (heard.peer != peer and now_us > heard.last_us + self._stale_us):
-            heard = self._heard = _Heard(peer=peer, last_us=now_us, sticks=Sticks())
+            heard = self._heard = _PilotRecord(peer=peer, last_us=now_us, sticks=Sticks())
         if heard.peer != peer:
             client = f"{heard.peer.sysid}/{heard.peer.compid}"
             self._ctx.say(notices.STICKS_OF_ANOTHER(client=client), peer)
@@ -130,11 +130,11 @@ class Pilot:
         heard.last_us = self.last_us = now_us
         return heard
 
-    def _take(self, heard: _Heard, *, ahead: float, starboard: float, up: float, turn: float) -> None:
+    def _take(self, heard: _PilotRecord, *, ahead: float, starboard: float, up: float, turn: float) -> None:
         gain = self.gain
         heard.sticks = Sticks(ahead=gain * ahead, starboard=gain * starboard, up=gain * up, turn=gain * turn)
 
-    def _up(self, heard: _Heard, z: int) -> float:
+    def _up(self, heard: _PilotRecord, z: int) -> float:
         """The vertical stick, by one of the two conventions: 0 to 1000 with 500 neutral, or -1000 to 1000."""
         if z == INVALID:
             return 0.0
@@ -158,14 +158,14 @@ class Pilot:
 
     # Buttons
 
-    def _press(self, heard: _Heard, buttons: int) -> None:
+    def _press(self, heard: _PilotRecord, buttons: int) -> None:
         """Those that have just gone down."""
         pressed, heard.buttons = buttons & ~heard.buttons, buttons
         for n in range(16):
             if pressed >> n & 1:
                 self._act(heard.peer, int(self._ctx.params[f"BTN{n}_FUNCTION"]), n)
 
-    def _act(self, peer: Peer, function: int, button: int) -> None:
+    def _act(self, peer: MavlinkPeer, function: int, button: int) -> None:
         vehicle, armed = self._ctx.vehicle, self._ctx.view.armed
         if function == ARM or (function == TO_ARM and not armed):
             answer = vehicle.arm(False)
@@ -187,7 +187,7 @@ class Pilot:
         if answer.reason:
             self._ctx.say(notices.REFUSED(reason=answer.reason), peer)
 
-    def _carried(self, function: int) -> Answer | None:
+    def _carried(self, function: int) -> CommandReply | None:
         """What a button does to lights, relay and camera; None when it is not about them."""
         camera, equipment = self._camera, self._equipment
         if function == PHOTO and camera is not None:
@@ -214,4 +214,4 @@ def _channel(us: int) -> float:
     return _axis(round(1000 * (us - NEUTRAL_US) / SPAN_US)) if LEAST_US <= us <= MOST_US else 0.0
 
 
-__all__ = ["Pilot"]
+__all__ = ["PilotInputs"]

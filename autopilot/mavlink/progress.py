@@ -6,8 +6,8 @@ from autopilot.core import operator_messages as notices
 from autopilot.core.messages import ProgressState
 from autopilot.core.plan import PlanKind
 from autopilot.mavlink import home_item
-from autopilot.mavlink.api import Answer, CommandResult, FlightMode
-from autopilot.mavlink.context import Context, Peer
+from autopilot.mavlink.api import CommandReply, CommandResult, FlightMode
+from autopilot.mavlink.context import Context, MavlinkPeer
 from autopilot.mavlink.dialect import extra, mav
 from autopilot.mavlink.missions import Missions
 from autopilot.mavlink.wire import Message
@@ -27,7 +27,7 @@ _MODE_ACTIVE, _MODE_SUSPENDED = 1, 2
 """MISSION_CURRENT.mission_mode."""
 
 
-class Progress:
+class ProgressMessages:
     """Mission progress."""
 
     def __init__(self, ctx: Context, missions: Missions) -> None:
@@ -67,15 +67,15 @@ class Progress:
         seq = 0 if progress is None else max(progress.current_seq, 0)
         return seq + home_item.shift(self._ctx, PlanKind.MISSION)
 
-    def choose(self, wire_seq: float) -> Answer:
+    def choose(self, wire_seq: float) -> CommandReply:
         """Make an item current, numbered as on the wire."""
         seq = wire_seq - home_item.shift(self._ctx, PlanKind.MISSION)
         seq = max(seq, 0.0) if wire_seq == 0.0 else seq
         if not 0.0 <= seq <= 65_535.0 or seq != int(seq):
-            return Answer(result=CommandResult.DENIED, reason=f"mission item {wire_seq:g} does not exist")
+            return CommandReply(result=CommandResult.DENIED, reason=f"mission item {wire_seq:g} does not exist")
         return self._ctx.vehicle.set_current_item(int(seq))
 
-    def on_set_current(self, peer: Peer, msg: Message) -> None:
+    def on_set_current(self, peer: MavlinkPeer, msg: Message) -> None:
         """MISSION_SET_CURRENT: the answer is MISSION_CURRENT, a refusal comes as text."""
         answer = self.choose(float(msg.seq))
         if answer.result is CommandResult.ACCEPTED:

@@ -4,31 +4,31 @@ from collections.abc import Callable, Mapping
 
 from pymavlink.dialects.v20 import development as mav
 
-from autopilot.mavlink.api import ACCEPTED, Answer, CommandResult
-from autopilot.mavlink.commands import UNSUPPORTED, Call, Entry, Reply, denied
+from autopilot.mavlink.api import ACCEPTED, CommandReply, CommandResult
+from autopilot.mavlink.commands import UNSUPPORTED, Call, CommandRow, Reply, denied
 from autopilot.mavlink.context import Context
-from autopilot.mavlink.status import MSG_ID_PROTOCOL_VERSION, Status
+from autopilot.mavlink.status import MSG_ID_PROTOCOL_VERSION, StatusMessages
 from autopilot.mavlink.streams import Streams
 
-LATER = Reply(Answer(result=CommandResult.TEMPORARILY_REJECTED))
+LATER = Reply(CommandReply(result=CommandResult.TEMPORARILY_REJECTED))
 """A message that is known but has nothing to say yet."""
 
 
 class Requests:
     """Answers to requests; asked again, they are answered again."""
 
-    def __init__(self, ctx: Context, streams: Streams, status: Status) -> None:
+    def __init__(self, ctx: Context, streams: Streams, status: StatusMessages) -> None:
         self._ctx = ctx
         self._streams = streams
         self._status = status
 
-    def table(self) -> Mapping[int, Entry]:
+    def table(self) -> Mapping[int, CommandRow]:
         """Commands of this service."""
 
-        def request(handler: Callable[[Call], Reply]) -> Entry:
-            return Entry(handler=handler, action=False)
+        def request(handler: Callable[[Call], Reply]) -> CommandRow:
+            return CommandRow(handler=handler, action=False)
 
-        def fixed(msg_id: int) -> Entry:
+        def fixed(msg_id: int) -> CommandRow:
             return request(lambda call: self._message(msg_id))
 
         return {

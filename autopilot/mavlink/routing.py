@@ -10,12 +10,12 @@ from collections.abc import Callable
 
 from autopilot.core.clients import EVERYONE, Verbatim
 from autopilot.core.messages import MavlinkFrame
+from autopilot.mavlink.bounded_table import LatestUsed
 from autopilot.mavlink.budget import LISTS
 from autopilot.mavlink.context import COMPID, Context
 from autopilot.mavlink.dialect import mav
 from autopilot.mavlink.inbox import Address
 from autopilot.mavlink.recent import Recent
-from autopilot.mavlink.table import LatestUsed
 
 AGAIN_US = 500_000
 """The same packet within this time is the one before, by another way."""

@@ -15,7 +15,7 @@ from autopilot.core.model4 import YAW
 from autopilot.core.samples import AltimeterSample, DepthSample, HullSample, LaserSample
 from autopilot.mavlink.context import Context, f32, i16, i32, limited, u16
 from autopilot.mavlink.dialect import mav
-from autopilot.mavlink.telemetry import NAN, SANE, Builder, Telemetry
+from autopilot.mavlink.telemetry import NAN, SANE, Builder, NavigationMessages
 from autopilot.mavlink.wire import Message
 
 G_M_S2 = 9.80665
@@ -43,7 +43,7 @@ _RANGES: tuple[tuple[type[LaserSample | AltimeterSample], int, int, int], ...] =
 class SensorMessages:
     """Builders of the sensors' messages."""
 
-    def __init__(self, ctx: Context, telemetry: Telemetry) -> None:
+    def __init__(self, ctx: Context, telemetry: NavigationMessages) -> None:
         self._ctx, self._telemetry = ctx, telemetry
         self._breached = False
         self._breaches, self._breach_ms = 0, 0

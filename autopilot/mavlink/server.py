@@ -8,14 +8,14 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
-from autopilot.core.clients import Standing
-from autopilot.core.geodesy import Place
+from autopilot.core.clients import ClientRecord
+from autopilot.core.geodesy import GeodeticPosition
 from autopilot.core.guard import Guard
+from autopilot.core.log_directory import Shelf
 from autopilot.core.messages import Event, MavlinkFrame
 from autopilot.core.params import ParamSaving, ParamSet
 from autopilot.core.plan import PlanStore
 from autopilot.core.samples import ExternalPoseSample, ObstacleTrack
-from autopilot.core.shelf import Shelf
 from autopilot.core.witness import Witness
 from autopilot.mavlink.api import FlightMode, SigningStore, Sticks, VehicleCommands, VehicleView
 from autopilot.mavlink.camera_api import CameraOrders
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 NAME = "Underwater Autopilot"
 """The true name, in the greeting."""
 
-_NOWHERE = Place(lat_deg=0.0, lon_deg=0.0, alt_m=0.0)
+_NOWHERE = GeodeticPosition(lat_deg=0.0, lon_deg=0.0, alt_m=0.0)
 
 
 class MavlinkServer:
@@ -66,14 +66,14 @@ class MavlinkServer:
         equipment: EquipmentOrders | None = None,
     ) -> None:
         identity = profile_by_name(profile)
-        from autopilot.mavlink.dispatch import Dispatcher, Identity
+        from autopilot.mavlink.dispatch import Dispatcher, VehicleIdentity
         from autopilot.mavlink.signing import Signing
 
         self._profile = identity
         self._dispatcher: Dispatcher = Dispatcher(
             sysid=sysid,
             profile=identity,
-            identity=Identity(name=NAME, version=version, git=git, uid=uid),
+            identity=VehicleIdentity(name=NAME, version=version, git=git, uid=uid),
             params=params,
             plans=plans,
             vehicle=vehicle,
@@ -111,7 +111,7 @@ class MavlinkServer:
         moment of a tick."""
         return self._dispatcher.beat()
 
-    def standing(self, link: int, client: int) -> Standing:
+    def standing(self, link: int, client: int) -> ClientRecord:
         """What a client of a link has shown of itself so far."""
         return self._dispatcher.standing(link, client)
 

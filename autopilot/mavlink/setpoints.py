@@ -12,8 +12,8 @@ from autopilot.core import operator_messages as notices
 from autopilot.core.frames import rpy_from_quat
 from autopilot.core.geodesy import ned_from_geodetic, place_from_ned, refuse_place
 from autopilot.core.messages import NavHealth, NavState
-from autopilot.mavlink.api import Answer, CommandResult, FlightMode, SetPoint
-from autopilot.mavlink.context import Context, Peer
+from autopilot.mavlink.api import CommandReply, CommandResult, FlightMode, SetPoint
+from autopilot.mavlink.context import Context, MavlinkPeer
 from autopilot.mavlink.vehicle_commands import RELATIVE
 from autopilot.mavlink.wire import Message
 
@@ -49,23 +49,23 @@ class SetPoints:
     def __init__(self, ctx: Context) -> None:
         self._ctx = ctx
 
-    def on_local(self, peer: Peer, msg: Message) -> None:
+    def on_local(self, peer: MavlinkPeer, msg: Message) -> None:
         """SET_POSITION_TARGET_LOCAL_NED."""
         self._take(peer, msg, self._of_local)
 
-    def on_global(self, peer: Peer, msg: Message) -> None:
+    def on_global(self, peer: MavlinkPeer, msg: Message) -> None:
         """SET_POSITION_TARGET_GLOBAL_INT."""
         self._take(peer, msg, self._of_global)
 
-    def on_attitude(self, peer: Peer, msg: Message) -> None:
+    def on_attitude(self, peer: MavlinkPeer, msg: Message) -> None:
         """SET_ATTITUDE_TARGET: the heading (or its rate) and the vertical part of the thrust."""
         self._take(peer, msg, self._of_attitude)
 
-    def on_actuators(self, peer: Peer, msg: Message) -> None:
+    def on_actuators(self, peer: MavlinkPeer, msg: Message) -> None:
         """SET_ACTUATOR_CONTROL_TARGET: thrusters belong to the controller."""
         self._refuse(peer, "no actuator control here, send positions or velocities")
 
-    def _take(self, peer: Peer, msg: Message, read: Callable[[Message], tuple[SetPoint, bool]]) -> None:
+    def _take(self, peer: MavlinkPeer, msg: Message, read: Callable[[Message], tuple[SetPoint, bool]]) -> None:
         try:
             point, lasts = read(msg)
         except _NotFollowedError as error:
@@ -81,18 +81,18 @@ class SetPoints:
         if answer.result is not CommandResult.ACCEPTED and answer.reason:
             ctx.say(notices.REFUSED(reason=answer.reason), peer)
 
-    def _refuse(self, peer: Peer, reason: str) -> None:
+    def _refuse(self, peer: MavlinkPeer, reason: str) -> None:
         answer = self._ctx.vehicle.refuse_set_point(reason)
         self._ctx.say(notices.REFUSED(reason=answer.reason), peer)
 
-    def _go_to(self, point: SetPoint) -> Answer:
+    def _go_to(self, point: SetPoint) -> CommandReply:
         """ArduPilot's GUIDED takes a position once and for all, without a stream."""
         nav, origin = self._nav(), self._ctx.view.origin
         north, east = point.place_ned_m or (float(nav.pos_ned_m[0]), float(nav.pos_ned_m[1]))
         depth_m = float(nav.pos_ned_m[2]) if point.depth_m is None else point.depth_m
         place = place_from_ned(origin, north, east, depth_m)
         if place is None:
-            return Answer(result=CommandResult.DENIED, reason="Set point refused: too far away")
+            return CommandReply(result=CommandResult.DENIED, reason="Set point refused: too far away")
         return self._ctx.vehicle.go_to(place, point.yaw_rad)
 
     # Reading

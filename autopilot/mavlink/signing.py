@@ -21,8 +21,8 @@ from autopilot.core.clock import TICK_US
 from autopilot.core.crc import checksum
 from autopilot.core.witness import Noted, Witness
 from autopilot.mavlink.api import AHEAD_UNITS, UNITS_PER_S, SigningState, SigningStore
+from autopilot.mavlink.bounded_table import LatestUsed
 from autopilot.mavlink.dialect import mav
-from autopilot.mavlink.table import LatestUsed
 
 KEY_BYTES = 32
 OLD_UNITS = 60 * UNITS_PER_S

@@ -5,7 +5,7 @@ from collections.abc import Mapping
 from pymavlink.dialects.v20 import development as mav
 
 from autopilot.core.messages import Failsafe, NavDoubt, NavHealth
-from autopilot.mavlink.context import Context, Identity, i16, i32, limited, u16
+from autopilot.mavlink.context import Context, VehicleIdentity, i16, i32, limited, u16
 from autopilot.mavlink.flight_modes import MODE_ROWS, PILOTED, FlightMode
 from autopilot.mavlink.profiles import ParamEncoding, Profile
 from autopilot.mavlink.telemetry import Builder
@@ -76,7 +76,7 @@ def version_number(version: str, least: tuple[int, int, int]) -> int:
     return (major << 24) | (minor << 16) | (patch << 8) | _OFFICIAL
 
 
-def autopilot_version(identity: Identity, profile: Profile) -> Message:
+def autopilot_version(identity: VehicleIdentity, profile: Profile) -> Message:
     """AUTOPILOT_VERSION: the true version in middleware_sw_version, the git revision in every custom version."""
     true_version = version_number(identity.version, (0, 0, 0))
     revision = identity.git[:8].encode("ascii", errors="replace").ljust(8, b"\0")
@@ -115,7 +115,7 @@ def available_mode(profile: Profile, index: int) -> Message:
     )
 
 
-class Status:
+class StatusMessages:
     """Status messages of the present tick."""
 
     def __init__(self, ctx: Context) -> None:

@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 from pymavlink.dialects.v20 import development as mav
 
-from autopilot.core.geodesy import Place, ned_from_geodetic, place_from_ned
+from autopilot.core.geodesy import GeodeticPosition, ned_from_geodetic, place_from_ned
 from autopilot.core.messages import NavDoubt, NavHealth, NavState
 from autopilot.mavlink.context import Context, f32, i16, i32, limited, u16
 from autopilot.mavlink.wire import Message
@@ -38,7 +38,7 @@ _POSITION_DOUBTS = {NavDoubt.FIXES, NavDoubt.MAP, NavDoubt.CALIBRATION, NavDoubt
 """Where positions come from is in doubt: GPS_GLITCH is the flag that there is for it."""
 
 
-class Motion(NamedTuple):
+class MotionNumbers(NamedTuple):
     """The estimate as plain numbers: NED metres and metres per second, radians."""
 
     north: float
@@ -57,7 +57,7 @@ class Motion(NamedTuple):
     heading_deg: float
 
 
-def motion_of(nav: NavState) -> Motion | None:
+def motion_of(nav: NavState) -> MotionNumbers | None:
     """Plain numbers of an estimate; None when it is invalid or not finite."""
     if nav.health is NavHealth.INVALID:
         return None
@@ -79,16 +79,16 @@ def motion_of(nav: NavState) -> Motion | None:
     ve = sy * cp * u + (sy * sp * sr + cy * cr) * v + (sy * sp * cr - cy * sr) * w
     vd = -sp * u + cp * sr * v + cp * cr * w
     water = math.sqrt(ur * ur + vr * vr + wr * wr)
-    return Motion(north, east, down, roll, pitch, yaw, p, q, r, vn, ve, vd, water, math.degrees(yaw) % 360.0)
+    return MotionNumbers(north, east, down, roll, pitch, yaw, p, q, r, vn, ve, vd, water, math.degrees(yaw) % 360.0)
 
 
-class Telemetry:
+class NavigationMessages:
     """Navigation messages of the present tick."""
 
     def __init__(self, ctx: Context) -> None:
         self._ctx = ctx
         self._nav: NavState | None = None
-        self._motion: Motion | None = None
+        self._motion: MotionNumbers | None = None
 
     def builders(self) -> Mapping[int, Builder]:
         """Builder of each message by id."""
@@ -108,7 +108,7 @@ class Telemetry:
             mav.MAVLINK_MSG_ID_DEBUG_VECT: self.debug_vect,
         }
 
-    def motion(self) -> Motion | None:
+    def motion(self) -> MotionNumbers | None:
         """The present estimate as plain numbers, None without one."""
         nav = self._ctx.view.nav
         if nav is not self._nav:
@@ -116,7 +116,7 @@ class Telemetry:
             self._motion = None if nav is None else motion_of(nav)
         return self._motion
 
-    def here(self) -> Place | None:
+    def here(self) -> GeodeticPosition | None:
         """The present geodetic position, None without an estimate."""
         m = self.motion()
         return None if m is None else place_from_ned(self._ctx.view.origin, m.north, m.east, m.down)

@@ -1,6 +1,6 @@
 """Small services: PING, TIMESYNC, SYSTEM_TIME, and that there are no events."""
 
-from autopilot.mavlink.context import Context, Peer
+from autopilot.mavlink.context import Context, MavlinkPeer
 from autopilot.mavlink.dialect import extra, mav
 from autopilot.mavlink.wire import Message
 
@@ -13,12 +13,12 @@ class Utility:
         self.utc_offset_us: int | None = None
         """Unix time minus the service's time [us], as a ground station gave it; None before."""
 
-    def on_ping(self, peer: Peer, msg: Message) -> None:
+    def on_ping(self, peer: MavlinkPeer, msg: Message) -> None:
         """PING: target 0/0 is a request; an addressed one is an answer and must not be answered."""
         if msg.target_system == 0 and msg.target_component == 0:
             self._ctx.send(peer, mav.MAVLink_ping_message(msg.time_usec, msg.seq, peer.sysid, peer.compid))
 
-    def on_timesync(self, peer: Peer, msg: Message) -> None:
+    def on_timesync(self, peer: MavlinkPeer, msg: Message) -> None:
         """TIMESYNC: tc1 = 0 is a request, answered with our time in nanoseconds."""
         if msg.tc1 == 0:
             self._ctx.send(peer, mav.MAVLink_timesync_message(self._now_ns(), msg.ts1))
@@ -31,7 +31,7 @@ class Utility:
         """The service's time as TIMESYNC carries it (int64)."""
         return min(self._ctx.t_us * 1000, (1 << 63) - 1)
 
-    def on_request_event(self, peer: Peer, msg: Message) -> None:
+    def on_request_event(self, peer: MavlinkPeer, msg: Message) -> None:
         """REQUEST_EVENT: operators are told by STATUSTEXT, there has never been an EVENT that could be sent again."""
         unavailable = extra.MAV_EVENT_ERROR_REASON_UNAVAILABLE
         self._ctx.send(

@@ -6,16 +6,16 @@ from collections.abc import Callable, Mapping
 from pymavlink.dialects.v20 import development as mav
 
 from autopilot.core import operator_messages as notices
-from autopilot.core.geodesy import MAX_ORIGIN_LAT_DEG, Place, far_text, place_from_ned
+from autopilot.core.geodesy import MAX_ORIGIN_LAT_DEG, GeodeticPosition, far_text, place_from_ned
 from autopilot.core.plan import PlanKind
 from autopilot.mavlink import home_item
-from autopilot.mavlink.api import ACCEPTED, Answer, Circling, CommandResult, FlightMode, OrbitYaw
-from autopilot.mavlink.commands import Call, Entry, Reply, denied
+from autopilot.mavlink.api import ACCEPTED, Circling, CommandReply, CommandResult, FlightMode, OrbitYaw
+from autopilot.mavlink.commands import Call, CommandRow, Reply, denied
 from autopilot.mavlink.context import Context
 from autopilot.mavlink.flight_modes import STANDARD_MODES
 from autopilot.mavlink.profiles import CUSTOM_MODE_FLAG
-from autopilot.mavlink.progress import Progress
-from autopilot.mavlink.telemetry import Telemetry
+from autopilot.mavlink.progress import ProgressMessages
+from autopilot.mavlink.telemetry import NavigationMessages
 
 FORCE_ARM, FORCE_DISARM = 2989.0, 21196.0
 """COMPONENT_ARM_DISARM.param2: QGroundControl's force arm, and emergency stop (either works both ways)."""
@@ -45,25 +45,25 @@ _LASTING = {
 }
 """Commands whose work goes on behind their answer, in a mode of their own."""
 
-INT_ONLY = Answer(result=CommandResult.COMMAND_INT_ONLY, reason="send COMMAND_INT: COMMAND_LONG rounds to 0.5 m")
+INT_ONLY = CommandReply(result=CommandResult.COMMAND_INT_ONLY, reason="send COMMAND_INT: COMMAND_LONG rounds to 0.5 m")
 
 
 class VehicleService:
     """Translates commands into requests to the vehicle."""
 
-    def __init__(self, ctx: Context, telemetry: Telemetry, progress: Progress) -> None:
+    def __init__(self, ctx: Context, telemetry: NavigationMessages, progress: ProgressMessages) -> None:
         self._ctx = ctx
         self._telemetry = telemetry
         self._progress = progress
 
-    def table(self) -> Mapping[int, Entry]:
+    def table(self) -> Mapping[int, CommandRow]:
         """Commands of this service."""
 
-        def here(mode: FlightMode) -> Entry:
-            return Entry(handler=lambda call: self.mode_here(call, mode), action=True)
+        def here(mode: FlightMode) -> CommandRow:
+            return CommandRow(handler=lambda call: self.mode_here(call, mode), action=True)
 
-        def action(handler: Callable[[Call], Reply]) -> Entry:
-            return Entry(handler=handler, action=True)
+        def action(handler: Callable[[Call], Reply]) -> CommandRow:
+            return CommandRow(handler=handler, action=True)
 
         return {
             mav.MAV_CMD_COMPONENT_ARM_DISARM: action(self.arm_disarm),
@@ -82,12 +82,12 @@ class VehicleService:
             mav.MAV_CMD_DO_REPOSITION: action(self.reposition),
             mav.MAV_CMD_DO_CHANGE_SPEED: action(self.change_speed),
             mav.MAV_CMD_DO_SET_HOME: action(self.set_home),
-            mav.MAV_CMD_DO_SET_GLOBAL_ORIGIN: Entry(
+            mav.MAV_CMD_DO_SET_GLOBAL_ORIGIN: CommandRow(
                 handler=self.set_origin, action=True, carrier=CommandResult.COMMAND_INT_ONLY
             ),
             mav.MAV_CMD_DO_FENCE_ENABLE: action(self.fence_enable),
             mav.MAV_CMD_DO_FLIGHTTERMINATION: action(self.terminate),
-            mav.MAV_CMD_RUN_PREARM_CHECKS: Entry(handler=self.run_prearm_checks, action=False),
+            mav.MAV_CMD_RUN_PREARM_CHECKS: CommandRow(handler=self.run_prearm_checks, action=False),
         }
 
     # Arming and modes
@@ -127,7 +127,7 @@ class VehicleService:
             return denied(f"no mode {call.param(2):g}/{call.param(3):g}: AVAILABLE_MODES lists them")
         return Reply(self._ctx.vehicle.set_mode(mode))
 
-    def set_mode_message(self, base_mode: int, custom_mode: int) -> Answer:
+    def set_mode_message(self, base_mode: int, custom_mode: int) -> CommandReply:
         """Legacy SET_MODE."""
         mode = self._ctx.profile.mode_of(custom_mode) if base_mode & CUSTOM_MODE_FLAG else None
         if mode is None:
@@ -141,7 +141,7 @@ class VehicleService:
         if mode is None:
             known = ", ".join(str(n) for n in sorted(STANDARD_MODES))
             reason = f"standard mode {call.param(1):g} is not available: use {known} or DO_SET_MODE"
-            return Reply(Answer(result=CommandResult.FAILED, reason=reason))
+            return Reply(CommandReply(result=CommandResult.FAILED, reason=reason))
         return Reply(self._ctx.vehicle.set_mode(mode))
 
     def mode_here(self, call: Call, mode: FlightMode) -> Reply:
@@ -163,7 +163,7 @@ class VehicleService:
             self._ctx.say(notices.ARMING_PASSED(), call.peer)
         if view.armed:
             return Reply(
-                Answer(result=CommandResult.TEMPORARILY_REJECTED, reason="arming checks: the vehicle is armed")
+                CommandReply(result=CommandResult.TEMPORARILY_REJECTED, reason="arming checks: the vehicle is armed")
             )
         return Reply(ACCEPTED)
 
@@ -200,7 +200,7 @@ class VehicleService:
         depth_m = None if frame is None else self._depth_m(call.params[0], frame)
         if depth_m is None:
             reason = f"change altitude: frame {call.param(2):g} is not supported, use 0, 3 or 1"
-            return Reply(Answer(result=CommandResult.UNSUPPORTED_FRAME, reason=reason))
+            return Reply(CommandReply(result=CommandResult.UNSUPPORTED_FRAME, reason=reason))
         return Reply(self._ctx.vehicle.change_depth(depth_m))
 
     def _depth_m(self, alt_m: float, frame: int) -> float | None:
@@ -217,7 +217,7 @@ class VehicleService:
             return denied("orbit: radius, speed and turns have to be numbers, turns at least 0")
         if behaviour not in _ORBIT_YAW:
             return denied(f"orbit: yaw behaviour {call.param(3):g} is not supported, use 0, 1, 2, 3 or 5")
-        centre: Place | None = None
+        centre: GeodeticPosition | None = None
         if math.isfinite(call.x) and math.isfinite(call.y) and (call.x or call.y or call.exact):
             point = self._point(call, "orbit")
             if isinstance(point, Reply):
@@ -317,23 +317,23 @@ class VehicleService:
         """DO_SET_GLOBAL_ORIGIN; GPS_GLOBAL_ORIGIN follows whether or not it was taken (common.xml)."""
         self._ctx.announce_place = True
         if call.frame not in _GLOBAL:
-            return Reply(Answer(result=CommandResult.UNSUPPORTED_FRAME, reason="origin: use frame GLOBAL"))
+            return Reply(CommandReply(result=CommandResult.UNSUPPORTED_FRAME, reason="origin: use frame GLOBAL"))
         if not (math.isfinite(call.x) and math.isfinite(call.y) and math.isfinite(call.z)):
             return denied("origin: latitude, longitude or altitude is missing")
         point = self._point(call, "origin")
         return point if isinstance(point, Reply) else Reply(self._ctx.vehicle.set_origin(point))
 
-    def set_origin_message(self, latitude: int, longitude: int, altitude: int) -> Answer:
+    def set_origin_message(self, latitude: int, longitude: int, altitude: int) -> CommandReply:
         """SET_GPS_GLOBAL_ORIGIN: 1e-7 degrees and millimetres."""
         lat_deg, lon_deg = latitude / 1e7, longitude / 1e7
         if not _usable(lat_deg, lon_deg):
             return _no_place("origin", lat_deg, lon_deg).answer
-        answer = self._ctx.vehicle.set_origin(Place(lat_deg=lat_deg, lon_deg=lon_deg, alt_m=altitude / 1e3))
+        answer = self._ctx.vehicle.set_origin(GeodeticPosition(lat_deg=lat_deg, lon_deg=lon_deg, alt_m=altitude / 1e3))
         if answer.result is CommandResult.ACCEPTED:
             self._ctx.announce_place = True
         return answer
 
-    def _point(self, call: Call, what: str) -> Place | Reply:
+    def _point(self, call: Call, what: str) -> GeodeticPosition | Reply:
         """The position of a command, or the refusal when it has none that can be used. What is not given = here."""
         ctx = self._ctx
         given = math.isfinite(call.x) and math.isfinite(call.y)
@@ -344,7 +344,7 @@ class VehicleService:
             return denied(f"{what}: {far_text(math.hypot(call.x, call.y))}") if place is None else place
         if call.frame not in _GLOBAL and call.frame not in RELATIVE:
             reason = f"{what}: frame {call.frame} is not supported, use 0, 3 or (with a whole position) 1"
-            return Reply(Answer(result=CommandResult.UNSUPPORTED_FRAME, reason=reason))
+            return Reply(CommandReply(result=CommandResult.UNSUPPORTED_FRAME, reason=reason))
         lat_deg, lon_deg = call.x, call.y
         alt_m = call.z + (ctx.view.origin.alt_m if call.frame in RELATIVE else 0.0)
         if not given or not math.isfinite(call.z):
@@ -357,7 +357,7 @@ class VehicleService:
                 alt_m = here.alt_m
         if not _usable(lat_deg, lon_deg):
             return _no_place(what, lat_deg, lon_deg)
-        return Place(lat_deg=lat_deg, lon_deg=lon_deg, alt_m=alt_m)
+        return GeodeticPosition(lat_deg=lat_deg, lon_deg=lon_deg, alt_m=alt_m)
 
 
 def _no_place(what: str, lat_deg: float, lon_deg: float) -> Reply:

@@ -7,8 +7,8 @@ import msgspec
 import numpy as np
 
 from autopilot.command.map_check import MapCheck, open_map
-from autopilot.command.parts import Parts
 from autopilot.command.service import Autopilot
+from autopilot.command.service_parts import Parts
 from autopilot.control.water.current_map import CurrentMap
 from autopilot.control.water.currents import CurrentForecast, MappedCurrent
 from autopilot.core.desk import Desk
@@ -17,11 +17,11 @@ from autopilot.core.geodesy import Origin
 from autopilot.core.params import ParamSet, Saved
 from autopilot.core.plan import PlanKind
 from autopilot.core.witness import Recalled
+from autopilot.log.directory_reader import LogShelf
 from autopilot.log.reader import Log
-from autopilot.log.shelf import LogShelf
 from autopilot.mavlink.api import SigningState
-from autopilot.record.estimator import read_markers, read_setup, read_vehicle
-from autopilot.record.service import (
+from autopilot.record.estimator_setup import read_markers, read_setup, read_vehicle
+from autopilot.record.service_setup import (
     CURRENTS_FILE,
     SERVICE_FILE,
     START_PLANS_FILE,

@@ -9,7 +9,7 @@ import numpy as np
 
 from autopilot.core.errors import LogError
 from autopilot.core.frames import FloatArray
-from autopilot.core.messages import MAX_THRUSTERS, Authority, Below, Drive
+from autopilot.core.messages import MAX_THRUSTERS, Authority, Below, VelocityGoal
 from autopilot.core.samples import MarkerSighting, Sample
 from autopilot.log.packing.records import reader_of
 from autopilot.log.reader import Log
@@ -64,12 +64,12 @@ def _text(field: Any) -> str:
     return bytes(field).rstrip(b"\0").decode(errors="replace")
 
 
-def drive(row: Any) -> Drive | None:
+def drive(row: Any) -> VelocityGoal | None:
     """From a row of ``/ctl/drive``, None = the goal is a place."""
     if not row["active"]:
         return None
     down_m_s, yaw_rate_rad_s = float(row["down_m_s"]), float(row["yaw_rate_rad_s"])
-    return Drive(
+    return VelocityGoal(
         north_m_s=float(row["north_m_s"]),
         east_m_s=float(row["east_m_s"]),
         turn_rad_s=float(row["turn_rad_s"]),

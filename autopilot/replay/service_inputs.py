@@ -8,9 +8,9 @@ from typing import Any
 from autopilot.core.errors import LogError
 from autopilot.core.messages import Inputs
 from autopilot.core.samples import Sample
-from autopilot.log.packing.service import ALL_LINKS
-from autopilot.log.packing.step_notes import EMPTY, Standing, StepNotes, inputs_with, unpack
-from autopilot.log.reader import Log, Table
+from autopilot.log.packing.service_records import ALL_LINKS
+from autopilot.log.packing.step_notes import EMPTY, LatchedNotes, StepNotes, inputs_with, unpack
+from autopilot.log.reader import Log, MessageTable
 from autopilot.replay.inputs import SAMPLES, TICK
 
 NOTES = "/in/step"
@@ -30,10 +30,10 @@ class ServiceInputs:
             )
         self._topics = [TICK, *(topic for topic in (NOTES, *SAMPLES) if topic in log)]
         log.load([*self._topics, BYTES])
-        self._tables: list[Table | None] = [log[topic] if topic != NOTES else None for topic in self._topics]
+        self._tables: list[MessageTable | None] = [log[topic] if topic != NOTES else None for topic in self._topics]
         self._notes = log.messages(NOTES) if NOTES in log else []
         self._streams = _streams(log)
-        self._standing = Standing()
+        self._standing = LatchedNotes()
         self.stopped = ""
         """Why there are no inputs after the last tick, "" at the end of a log that is whole."""
 
@@ -100,7 +100,7 @@ class ServiceInputs:
         return tuple(found)
 
 
-class _Stream:
+class _ClientBytes:
     """All bytes of a client, in turn."""
 
     def __init__(self) -> None:
@@ -117,8 +117,8 @@ class _Stream:
         return piece + bytes(max(length, 0) - len(piece))  # the beginning of a packet that never ended
 
 
-def _streams(log: Log) -> dict[tuple[int, int], _Stream]:
-    streams: dict[tuple[int, int], _Stream] = defaultdict(_Stream)
+def _streams(log: Log) -> dict[tuple[int, int], _ClientBytes]:
+    streams: dict[tuple[int, int], _ClientBytes] = defaultdict(_ClientBytes)
     table = log.get(BYTES)
     for row in () if table is None else table:
         link = int(row["link"])

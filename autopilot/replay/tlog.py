@@ -17,7 +17,7 @@ from autopilot.core.samples import AhrsSample
 from autopilot.core.vehicle import load_vehicle
 from autopilot.estimator.create import create_estimator
 from autopilot.estimator.inertial import GRAVITY_M_S2
-from autopilot.log.tlog_file import DamagedPiece, Origin, read_tlog
+from autopilot.log.tlog_file import DamagedPiece, PacketOrigin, read_tlog
 
 GAP_SHARE = 3.0
 """More than so many median intervals between two messages are a gap."""
@@ -32,7 +32,7 @@ LATE_FROM = 240
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Gap:
+class AttitudeGap:
     """Two attitudes that are too far apart."""
 
     at_s: float
@@ -77,14 +77,14 @@ class TlogReplay:
     duration_s: float
     median_s: float
     """Interval by the sender's clock."""
-    gaps: list[Gap]
+    gaps: list[AttitudeGap]
     damaged: dict[str, int]
     """What in the whole file is no message -> how often."""
     counters: dict[str, int]
     """What the AHRS intake made of the samples: ``ahrs.*``."""
 
     @property
-    def unexplained(self) -> list[Gap]:
+    def unexplained(self) -> list[AttitudeGap]:
         """Gaps of which the file does not show the cause."""
         return [gap for gap in self.gaps if not gap.reason(self.median_s)]
 
@@ -113,7 +113,7 @@ def replay_tlog(path: Path) -> TlogReplay:
     for n in np.flatnonzero((np.maximum(arrival_s, sender_s) > GAP_SHARE * median_s) | (sender_s <= 0.0)):
         lost, others, damaged, late = (b - a for a, b in zip(*reading.seen[n : n + 2], strict=True))
         gaps.append(
-            Gap(
+            AttitudeGap(
                 at_s=reading.arrivals_s[n] - reading.arrivals_s[0],
                 arrival_s=float(arrival_s[n]),
                 sender_s=float(sender_s[n]),
@@ -196,7 +196,7 @@ class _Link:
         self._came += 1
         self._follow(sequence)
 
-    def damaged(self, origin: Origin | None) -> None:
+    def damaged(self, origin: PacketOrigin | None) -> None:
         """A damaged piece: not lost as well, if its number can be read."""
         self._damaged += 1
         if origin is not None:

@@ -22,7 +22,7 @@ from autopilot.drivers.links import open_link
 from autopilot.drivers.protocols import Link, Received
 from autopilot.mavlink.boot import BootLink, BootSigning
 from autopilot.mavlink.boot_identity import BootIdentity
-from autopilot.mavlink.context import Identity
+from autopilot.mavlink.context import VehicleIdentity
 from autopilot.mavlink.profiles import profile_by_name
 from autopilot.mavlink.server import NAME
 from autopilot.run.config import system_id, vehicle_uid
@@ -146,9 +146,9 @@ class BootLinks:
         self._kept[key] = (now_s, frame)
 
 
-def _identity(uid: int) -> Identity:
+def _identity(uid: int) -> VehicleIdentity:
     """As the service has it (:mod:`autopilot.run.compose`)."""
-    return Identity(name=NAME, version=__version__, git=revision(), uid=uid)
+    return VehicleIdentity(name=NAME, version=__version__, git=revision(), uid=uid)
 
 
 def open_boot_links(

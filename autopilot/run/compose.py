@@ -7,10 +7,10 @@ from dataclasses import dataclass, field
 from autopilot import __version__
 from autopilot.command.commander import Commander
 from autopilot.command.equipment import Equipment
-from autopilot.command.parts import Parts
 from autopilot.command.photographer import Photographer
 from autopilot.command.readiness import MarginCheck
 from autopilot.command.service import Autopilot
+from autopilot.command.service_parts import Parts
 from autopilot.control.energy.request import TrajectoryPlanner
 from autopilot.control.protocol import ControllerContext, create_controller
 from autopilot.control.thrust.actuation import Actuation
@@ -25,11 +25,11 @@ from autopilot.core.params import ParamSaving, ParamSet
 from autopilot.core.vehicle import Vehicle
 from autopilot.core.witness import Noted, Witness
 from autopilot.estimator.create import create_estimator
-from autopilot.log.shelf import LogShelf
+from autopilot.log.directory_reader import LogShelf
 from autopilot.mavlink.api import SigningStore
 from autopilot.mavlink.server import MavlinkServer
 from autopilot.mission.store import Plans, WaterCheck
-from autopilot.record.estimator import options_of
+from autopilot.record.estimator_setup import options_of
 from autopilot.run.config import system_id, vehicle_uid
 from autopilot.run.provenance import revision
 from autopilot.run.witnessed import WitnessedSaving, WitnessedShelf, WitnessedStore

@@ -41,7 +41,7 @@ class Setting:
 
 
 @dataclass(slots=True)
-class Settings:
+class EffectiveSettings:
     """Effective settings by name."""
 
     table: dict[str, Setting] = field(default_factory=dict)
@@ -191,9 +191,9 @@ def gather(
     *,
     file: Mapping[str, Any] | None = None,
     file_name: str = "",
-) -> Settings:
+) -> EffectiveSettings:
     """Layer defaults, ``file``, environment and command line (``given``: None or empty = not given)."""
-    settings = Settings()
+    settings = EffectiveSettings()
     env = dict(os.environ) if environment is None else environment
     for name, value in defaults.items():
         settings.put(name, value, "default")
@@ -208,7 +208,7 @@ def gather(
     return settings
 
 
-def flight_settings(folder: Path | str, given: dict[str, Any]) -> Settings:
+def flight_settings(folder: Path | str, given: dict[str, Any]) -> EffectiveSettings:
     """Settings of a simulated flight by itself, as fast as the machine allows unless ``given`` says otherwise: nothing
     from the environment, no connections, and what it keeps is kept in ``folder``."""
     settings = gather(sitl_defaults(0), {"speed": 0.0, "state_dir": str(folder), **given}, {})
@@ -216,7 +216,7 @@ def flight_settings(folder: Path | str, given: dict[str, Any]) -> Settings:
     return settings
 
 
-def chosen_part(settings: Settings, kind: str, in_scenario: str) -> tuple[str, str]:
+def chosen_part(settings: EffectiveSettings, kind: str, in_scenario: str) -> tuple[str, str]:
     """Name of the controller, estimator or plant, and the option, variable or key that says so, for errors."""
     setting = settings.table[kind]
     if setting.value is None:

@@ -10,11 +10,11 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-from autopilot.client.session import CommandRefusedError, MissionStatus, Session
+from autopilot.client.client_session import CommandRefusedError, MissionStatus, VehicleConnection
 from autopilot.core.errors import AutopilotError, ConfigError
 from autopilot.core.messages import ProgressState
 from autopilot.core.plan import PlanKind
-from autopilot.log.check import Row, Verdict, acceptance_table
+from autopilot.log.check import BoundRow, BoundVerdict, acceptance_table
 from autopilot.log.figures import write_figures
 from autopilot.log.reader import open_log
 from autopilot.log.report import write_report
@@ -47,13 +47,13 @@ class FlightResult:
     log: Path
     report: Path
     figures: tuple[Path, ...]
-    rows: tuple[Row, ...]
+    rows: tuple[BoundRow, ...]
     wall_s: float
 
     @property
     def passed(self) -> bool:
         """No bound is broken."""
-        return all(row.verdict is not Verdict.FAIL for row in self.rows)
+        return all(row.verdict is not BoundVerdict.FAIL for row in self.rows)
 
 
 def fly(scenario: str, folder: Path, *, laps: int, speed: float, seed: int | None, show: Show) -> FlightResult:
@@ -69,7 +69,7 @@ def fly(scenario: str, folder: Path, *, laps: int, speed: float, seed: int | Non
     port = free_port()
     with (
         _service(scenario, log, port, folder, speed=speed, seed=seed) as service,
-        Session(f"udpout:127.0.0.1:{port}", at_work=service.at_work) as session,
+        VehicleConnection(f"udpout:127.0.0.1:{port}", at_work=service.at_work) as session,
     ):
         show("waiting for the vehicle", 0, 1 + 2 * laps)
         session.connect(SILENCE_S)
@@ -89,7 +89,7 @@ def fly(scenario: str, folder: Path, *, laps: int, speed: float, seed: int | Non
     )
 
 
-def _operate(session: Session, plan: PlanFile, *, laps: int, show: Show) -> None:
+def _operate(session: VehicleConnection, plan: PlanFile, *, laps: int, show: Show) -> None:
     """What an operator does: upload, arm, start, watch, disarm."""
     total = 1 + 2 * laps
     for kind in (PlanKind.FENCE, PlanKind.MISSION):
@@ -109,7 +109,7 @@ def _operate(session: Session, plan: PlanFile, *, laps: int, show: Show) -> None
     session.disarm()
 
 
-def _arm(session: Session) -> None:
+def _arm(session: VehicleConnection) -> None:
     """Arm as soon as the vehicle knows where it is."""
     end_s = session.vehicle_s + READY_S
     while True:

@@ -4,7 +4,7 @@ from collections.abc import Mapping
 
 import msgspec
 
-from autopilot.command.parts import Parts
+from autopilot.command.service_parts import Parts
 from autopilot.core.camera import CameraModel
 from autopilot.core.plan import PlanItem, PlanKind
 from autopilot.log.description import AcceptBounds, CameraView, RunDescription, Waypoint, fence_shapes

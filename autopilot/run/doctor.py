@@ -24,10 +24,10 @@ from autopilot.core.samples import CameraFrame
 from autopilot.drivers.links import open_link
 from autopilot.drivers.protocols import Link
 from autopilot.drivers.retry import DeviceState
-from autopilot.run.config import Settings, system_id
+from autopilot.run.config import EffectiveSettings, system_id
 from autopilot.run.doctor_links import ListeningLink, Speaker, company
 from autopilot.run.doctor_samples import judge_samples
-from autopilot.run.findings import Finding, Verdict
+from autopilot.run.findings import Finding, FindingSeverity
 from autopilot.run.hardware import NAMES, HardwareVehicle
 from autopilot.run.hardware_session import open_vehicle, state_folder, vehicle_params
 from autopilot.run.remedies import silent_remedy
@@ -47,7 +47,7 @@ REST = "fix that first"
 """For reasons that name no remedy of their own."""
 
 
-class _Look:
+class _SettledOutputs:
     """An :class:`autopilot.run.outside.Onlooker`: keeps what comes after the settling time, and the last outputs."""
 
     def __init__(self, session_of: Callable[[], Session]) -> None:
@@ -84,7 +84,7 @@ class _Look:
 
 def examine(
     config: VehicleConfig,
-    settings: Settings,
+    settings: EffectiveSettings,
     seconds: float,
     overrides: dict[str, float] | None = None,
     *,
@@ -118,23 +118,23 @@ def examine(
     return findings
 
 
-def _looked_s(look: _Look) -> float:
+def _looked_s(look: _SettledOutputs) -> float:
     return 0.0 if look.outputs is None else 1e-6 * look.outputs.t_us - SETTLE_S
 
 
 def _run(
     config: VehicleConfig,
-    settings: Settings,
+    settings: EffectiveSettings,
     seconds: float,
     overrides: dict[str, float],
     instance: int,
     links: Sequence[Link],
     speed: float,
     on_tick: Callable[[Outputs], None],
-) -> tuple[Session, _Look, list[Finding]]:
+) -> tuple[Session, _SettledOutputs, list[Finding]]:
     """The service for some seconds; it is closed afterwards, thrusters neutral as they were all the time."""
     made: list[Session] = []
-    look = _Look(lambda: made[0])
+    look = _SettledOutputs(lambda: made[0])
     session = open_vehicle(
         settings,
         config,
@@ -166,14 +166,14 @@ def _machine() -> list[Finding]:
     python = ".".join(str(part) for part in sys.version_info[:3])
     slow = missing()
     return [
-        Finding(verdict=Verdict.OK, what="Python", found=python),
-        Finding(verdict=Verdict.OK, what="control step", found="compiled")
+        Finding(verdict=FindingSeverity.OK, what="Python", found=python),
+        Finding(verdict=FindingSeverity.OK, what="control step", found="compiled")
         if slow is None
-        else Finding(verdict=Verdict.WARN, what="control step", found="not compiled: slower", remedy=slow),
+        else Finding(verdict=FindingSeverity.WARN, what="control step", found="not compiled: slower", remedy=slow),
     ]
 
 
-def _folders(settings: Settings) -> list[Finding]:
+def _folders(settings: EffectiveSettings) -> list[Finding]:
     findings = []
     for name in ("log_dir", "state_dir"):
         folder = Path(settings[name])
@@ -186,21 +186,29 @@ def _folders(settings: Settings) -> list[Finding]:
         except OSError as error:
             remedy = f"give the service the right to write there, or set {name} elsewhere"
             findings.append(
-                Finding(verdict=Verdict.FAIL, what=name, found=f"{folder}: {error.strerror}", remedy=remedy)
+                Finding(verdict=FindingSeverity.FAIL, what=name, found=f"{folder}: {error.strerror}", remedy=remedy)
             )
             continue
-        verdict = Verdict.OK if free_mb > LOW_FREE_MB else Verdict.WARN if free_mb > LEAST_FREE_MB else Verdict.FAIL
-        remedy = "" if verdict is Verdict.OK else "remove old logs, or set log_quota_mb"
+        verdict = (
+            FindingSeverity.OK
+            if free_mb > LOW_FREE_MB
+            else FindingSeverity.WARN
+            if free_mb > LEAST_FREE_MB
+            else FindingSeverity.FAIL
+        )
+        remedy = "" if verdict is FindingSeverity.OK else "remove old logs, or set log_quota_mb"
         findings.append(Finding(verdict=verdict, what=name, found=f"{folder}: {free_mb:.0f} MB free", remedy=remedy))
     return findings
 
 
 @contextlib.contextmanager
-def _copied(settings: Settings, config: VehicleConfig, instance: int, findings: list[Finding]) -> Iterator[Settings]:
+def _copied(
+    settings: EffectiveSettings, config: VehicleConfig, instance: int, findings: list[Finding]
+) -> Iterator[EffectiveSettings]:
     """Settings with a copy of what is kept on disk: what is damaged there stays for the service to find."""
     kept = state_folder(settings, config, instance)
     with tempfile.TemporaryDirectory(prefix="doctor-") as folder:
-        copied = Settings(dict(settings.table))
+        copied = EffectiveSettings(dict(settings.table))
         for name, value in (("state_dir", folder), ("log_dir", folder), ("log", None)):
             copied.put(name, value, "doctor")
         try:
@@ -208,7 +216,9 @@ def _copied(settings: Settings, config: VehicleConfig, instance: int, findings: 
                 shutil.copytree(kept, state_folder(copied, config, instance))
         except (OSError, shutil.Error) as error:
             remedy = "give the service the right to read it"
-            findings.append(Finding(verdict=Verdict.FAIL, what="state_dir", found=f"{kept}: {error}", remedy=remedy))
+            findings.append(
+                Finding(verdict=FindingSeverity.FAIL, what="state_dir", found=f"{kept}: {error}", remedy=remedy)
+            )
         yield copied
 
 
@@ -236,10 +246,10 @@ def _devices(vehicle: HardwareVehicle, config: VehicleConfig) -> list[Finding]:
         remedy = "" if up else device.problem or silent_remedy(setups[device.name])
         if not up and others:
             found, remedy = f"{found}; system {others} is heard", "correct `system` in [devices], or MAV_SYS_ID of it"
-        verdict = Verdict.OK if up else Verdict.FAIL
+        verdict = FindingSeverity.OK if up else FindingSeverity.FAIL
         findings.append(Finding(verdict=verdict, what=device.name, found=found, remedy=remedy))
     findings += [
-        Finding(verdict=Verdict.WARN, what="Flight controller", found=what, remedy=remedy)
+        Finding(verdict=FindingSeverity.WARN, what="Flight controller", found=what, remedy=remedy)
         for what, remedy in vehicle.advice()
     ]
     return findings
@@ -247,15 +257,17 @@ def _devices(vehicle: HardwareVehicle, config: VehicleConfig) -> list[Finding]:
 
 def _company(speakers: Sequence[Speaker], system: int) -> list[Finding]:
     """Who else is on the links."""
-    verdicts = {True: Verdict.FAIL, None: Verdict.WARN, False: Verdict.OK}
+    verdicts = {True: FindingSeverity.FAIL, None: FindingSeverity.WARN, False: FindingSeverity.OK}
     found = [
         Finding(verdict=verdicts[bad], what="who speaks", found=what, remedy=remedy)
         for bad, what, remedy in company(speakers, system)
     ]
-    return found or [Finding(verdict=Verdict.OK, what="who speaks", found="no ground station on our links")]
+    return found or [Finding(verdict=FindingSeverity.OK, what="who speaks", found="no ground station on our links")]
 
 
-def _flight(session: Session, look: _Look, config: VehicleConfig, settings: Settings) -> list[Finding]:
+def _flight(
+    session: Session, look: _SettledOutputs, config: VehicleConfig, settings: EffectiveSettings
+) -> list[Finding]:
     """Where it is, and what it is to fly within."""
     plans, params = session.parts.plans, session.parts.params
     missions, shapes = len(plans.items(PlanKind.MISSION)), len(plans.items(PlanKind.FENCE))
@@ -279,11 +291,13 @@ def _flight(session: Session, look: _Look, config: VehicleConfig, settings: Sett
 def _thing(what: str, there: bool, found: str, remedy: str) -> Finding:
     """Something that is on board or not."""
     if there:
-        return Finding(verdict=Verdict.OK, what=what, found=found)
-    return Finding(verdict=Verdict.WARN, what=what, found="none on board" if what != "origin" else found, remedy=remedy)
+        return Finding(verdict=FindingSeverity.OK, what=what, found=found)
+    return Finding(
+        verdict=FindingSeverity.WARN, what=what, found="none on board" if what != "origin" else found, remedy=remedy
+    )
 
 
-def _position(look: _Look, config: VehicleConfig, settings: Settings) -> Finding:
+def _position(look: _SettledOutputs, config: VehicleConfig, settings: EffectiveSettings) -> Finding:
     nav = None if look.outputs is None else look.outputs.nav
     places = [name for name in ("markers", "external") if name in look.aids]
     source = "markers in view" if config.has_camera else "VISION_POSITION_ESTIMATE or ODOMETRY"
@@ -293,12 +307,15 @@ def _position(look: _Look, config: VehicleConfig, settings: Settings) -> Finding
         else f"let the tracking system send to {' or '.join(settings['connect'])}"
     )
     if nav is None or not places:
-        return Finding(verdict=Verdict.FAIL, what="position", found="no source", remedy=remedy)
+        return Finding(verdict=FindingSeverity.FAIL, what="position", found="no source", remedy=remedy)
     sigma_m = float(max(nav.variance[:3])) ** 0.5
     found = f"{nav.health.name.lower()}, from {', '.join(places)}, sigma {1e3 * sigma_m:.0f} mm"
     good = nav.health is NavHealth.GOOD
     return Finding(
-        verdict=Verdict.OK if good else Verdict.FAIL, what="position", found=found, remedy="" if good else remedy
+        verdict=FindingSeverity.OK if good else FindingSeverity.FAIL,
+        what="position",
+        found=found,
+        remedy="" if good else remedy,
     )
 
 
@@ -309,13 +326,13 @@ def _failed(what: str, text: str) -> Finding:
         if sign in text:
             found, _, remedy = text.rpartition(sign)
             break
-    return Finding(verdict=Verdict.FAIL, what=what, found=found, remedy=remedy)
+    return Finding(verdict=FindingSeverity.FAIL, what=what, found=found, remedy=remedy)
 
 
 def _arming(reasons: Sequence[str]) -> list[Finding]:
     """What the service has against arming: its own words."""
     findings = [_failed("arming", reason) for reason in reasons]
-    return findings or [Finding(verdict=Verdict.OK, what="arming", found="would be accepted")]
+    return findings or [Finding(verdict=FindingSeverity.OK, what="arming", found="would be accepted")]
 
 
 def failed_config(error: AutopilotError) -> list[Finding]:

@@ -7,7 +7,7 @@ import numpy as np
 
 from autopilot.core.sensors import SENSOR_ROWS, SensorRow
 from autopilot.drivers.devices import CAMERA, FLIGHT_CONTROLLER
-from autopilot.run.findings import Finding, Verdict
+from autopilot.run.findings import Finding, FindingSeverity
 from autopilot.run.remedies import slow_remedy
 from autopilot.run.vehicle_config import VehicleConfig
 
@@ -29,7 +29,7 @@ LEAST_HZ = 0.5
 """Of what a flight controller measures, readings that are new. The slowest (battery) speaks twice a second."""
 AHRS = "ahrs"
 
-Problem = tuple[Verdict, str]
+Problem = tuple[FindingSeverity, str]
 """How bad it is, and what to do."""
 Look = Callable[[Sequence[Any]], tuple[str, Problem | None]]
 """What is found in samples, and what is wrong with it."""
@@ -48,7 +48,7 @@ def judge_samples(config: VehicleConfig, samples: dict[type, list[Any]], seconds
         controlled = rate_hz is None and row.controller_message and FLIGHT_CONTROLLER in devices
         if controlled and rate < LEAST_HZ:
             remedy = f"no new {row.controller_message} comes: check the sensor at the flight controller"
-            findings.append(Finding(verdict=Verdict.WARN, what=name, found=f"{rate:.1f} Hz", remedy=remedy))
+            findings.append(Finding(verdict=FindingSeverity.WARN, what=name, found=f"{rate:.1f} Hz", remedy=remedy))
             continue
         if not found and rate_hz is None:
             continue
@@ -56,16 +56,16 @@ def judge_samples(config: VehicleConfig, samples: dict[type, list[Any]], seconds
         if rate_hz is not None and (found or problem is None):
             setup = devices.get(row.device, devices.get(FLIGHT_CONTROLLER))
             problem = _rate_problem(rate, rate_hz, slow_remedy(setup)) or problem
-        verdict, remedy = problem or (Verdict.OK, "")
+        verdict, remedy = problem or (FindingSeverity.OK, "")
         findings.append(Finding(verdict=verdict, what=name, found=f"{rate:.1f} Hz{told}", remedy=remedy))
     return findings
 
 
 def _rate_problem(rate: float, rate_hz: float, remedy: str) -> Problem | None:
     if rate < ENOUGH * rate_hz:
-        return Verdict.FAIL, f"{rate_hz:g} Hz expected by the vehicle file: {remedy}"
+        return FindingSeverity.FAIL, f"{rate_hz:g} Hz expected by the vehicle file: {remedy}"
     if rate > TOO_MUCH * rate_hz:
-        return Verdict.WARN, f"{rate_hz:g} Hz expected by the vehicle file: correct it, or the device's rate"
+        return FindingSeverity.WARN, f"{rate_hz:g} Hz expected by the vehicle file: correct it, or the device's rate"
     return None
 
 
@@ -87,7 +87,7 @@ def _reading(_: VehicleConfig, row: SensorRow) -> Look:
             return "", None
         text = f", {readings.mean():.3f} {row.reading.rsplit('_', 1)[-1]}, noise {readings.std():.4f}"
         stuck = len(readings) >= ENOUGH_EQUAL and readings.max() == readings.min()
-        return text, (Verdict.WARN, REPEATS) if stuck else None
+        return text, (FindingSeverity.WARN, REPEATS) if stuck else None
 
     return look
 
@@ -98,11 +98,14 @@ def _attitude(found: Sequence[Any]) -> tuple[str, Problem | None]:
     size, turns = float(np.linalg.norm(accel.mean(axis=0))), float(np.abs(rate.mean(axis=0)).max())
     text = f", noise {accel.std(axis=0).max():.3f} m/s2 and {rate.std(axis=0).max():.4f} rad/s, weight {size:.2f} m/s2"
     if abs(size - GRAVITY_M_S2) > STILL_ACCEL_M_S2:
-        return text, (Verdict.FAIL, f"{GRAVITY_M_S2:g} m/s2 expected at rest: check range, mounting and units")
+        return text, (FindingSeverity.FAIL, f"{GRAVITY_M_S2:g} m/s2 expected at rest: check range, mounting and units")
     if len(found) >= ENOUGH_EQUAL and not accel.std(axis=0).any() and not rate.std(axis=0).any():
-        return text, (Verdict.FAIL, REPEATS)
+        return text, (FindingSeverity.FAIL, REPEATS)
     if turns > STILL_RATE_RAD_S:
-        return f"{text}, turns at {turns:.2f} rad/s", (Verdict.WARN, "hold it still; if it is, calibrate the gyro")
+        return f"{text}, turns at {turns:.2f} rad/s", (
+            FindingSeverity.WARN,
+            "hold it still; if it is, calibrate the gyro",
+        )
     return text, None
 
 
@@ -116,9 +119,9 @@ def _depth(config: VehicleConfig) -> Look:
         text = f", {mean:.3f} m, noise {1e3 * depths.std():.1f} mm"
         if not SHALLOWEST_M <= mean <= deepest_m:
             remedy = f"{SHALLOWEST_M:g} to {deepest_m:g} m can be true: check the sensor, set its zero at the surface"
-            return text, (Verdict.FAIL, f"{remedy} (surface_pa, BARO2_GND_PRESS)")
+            return text, (FindingSeverity.FAIL, f"{remedy} (surface_pa, BARO2_GND_PRESS)")
         if len(depths) >= ENOUGH_EQUAL and depths.max() == depths.min():
-            return text, (Verdict.WARN, REPEATS)
+            return text, (FindingSeverity.WARN, REPEATS)
         return text, None
 
     return look
@@ -133,9 +136,9 @@ def _power(config: VehicleConfig) -> Look:
         low_v, high_v = DEAD_SHARE * battery.empty_v, HIGHEST_CHARGE * battery.open_circuit_v
         if not low_v <= last.voltage_v <= high_v:
             remedy = f"{low_v:.1f} to {high_v:.1f} V can be true: check the monitor's scale, and [battery]"
-            return text, (Verdict.FAIL, f"{remedy} of the vehicle file")
+            return text, (FindingSeverity.FAIL, f"{remedy} of the vehicle file")
         if last.voltage_v < battery.empty_v:
-            return text, (Verdict.WARN, f"empty is {battery.empty_v:g} V: charge it")
+            return text, (FindingSeverity.WARN, f"empty is {battery.empty_v:g} V: charge it")
         return text, None
 
     return look
@@ -143,7 +146,7 @@ def _power(config: VehicleConfig) -> Look:
 
 def _leak(found: Sequence[Any]) -> tuple[str, Problem | None]:
     if found[-1].wet:
-        return ", water in the hull", (Verdict.FAIL, "open and dry it, look at the seals")
+        return ", water in the hull", (FindingSeverity.FAIL, "open and dry it, look at the seals")
     return ", dry", None
 
 

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from enum import Enum
 
 
-class Verdict(Enum):
+class FindingSeverity(Enum):
     """How bad it is."""
 
     OK = "ok"
@@ -16,7 +16,7 @@ class Verdict(Enum):
 class Finding:
     """One line of the doctor's."""
 
-    verdict: Verdict
+    verdict: FindingSeverity
     what: str
     found: str
     remedy: str = ""

@@ -10,7 +10,7 @@ from autopilot.core.samples import CameraFrame, Sample
 from autopilot.core.sensors import SENSOR_ROWS
 from autopilot.drivers.devices import CAMERA, FLIGHT_CONTROLLER, THRUSTERS
 from autopilot.drivers.protocols import PayloadOutput, ThrusterOutput, WatchedOutput
-from autopilot.drivers.retry import DeviceState, Steady, SteadyController, SteadyOutput, SteadySensor
+from autopilot.drivers.retry import DeviceState, RetryingDevice, SteadyController, SteadyOutput, SteadySensor
 from autopilot.run.vehicle_config import VehicleConfig
 
 NAMES = {
@@ -57,7 +57,7 @@ class HardwareVehicle:
         """Measured later than the present tick, as it says itself."""
 
     @property
-    def devices(self) -> tuple[Steady[Any], ...]:
+    def devices(self) -> tuple[RetryingDevice[Any], ...]:
         """All of them, for the doctor."""
         rest = (self._camera, self._output)
         return (*self._sensors.values(), *(device for device in rest if device is not None))
@@ -154,7 +154,7 @@ class HardwareVehicle:
         device = None if self._below is None else self._below.device
         return () if device is None else device.advice()
 
-    def _missing(self) -> list[Steady[Any]]:
+    def _missing(self) -> list[RetryingDevice[Any]]:
         """Without a flight controller that is only silent: it says itself why (:class:`Below`)."""
         away = [device for device in self.devices if device.state is not DeviceState.UP]
         return [device for device in away if device is not self._below or device.state is DeviceState.DOWN]

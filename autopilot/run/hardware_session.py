@@ -7,7 +7,7 @@ from typing import Unpack
 
 import msgspec
 
-from autopilot.command.parts import Parts
+from autopilot.command.service_parts import Parts
 from autopilot.control.water.currents import NoCurrent
 from autopilot.core.desk import Desk
 from autopilot.core.lane import DaemonLane
@@ -20,7 +20,7 @@ from autopilot.log.description import RunDescription
 from autopilot.run.boot_links import BootLinks, open_boot_links
 from autopilot.run.clocks import LockstepClock, PacedClock
 from autopilot.run.compose import forecast_of
-from autopilot.run.config import Settings
+from autopilot.run.config import EffectiveSettings
 from autopilot.run.describe import describe_service
 from autopilot.run.hardware import HardwareVehicle
 from autopilot.run.session import Session, SessionOptions, open_session
@@ -30,7 +30,7 @@ from autopilot.view.controls import ReadOnly
 
 
 def open_vehicle_links(
-    settings: Settings, config: VehicleConfig, overrides: dict[str, float], *, instance: int
+    settings: EffectiveSettings, config: VehicleConfig, overrides: dict[str, float], *, instance: int
 ) -> BootLinks:
     """Open a vehicle's links. ConfigError and DriverError name what is wrong; nothing is open then."""
     params, *_ = vehicle_params(settings, config, overrides, instance)
@@ -39,7 +39,11 @@ def open_vehicle_links(
 
 
 def vehicle_params(
-    settings: Settings, config: VehicleConfig, overrides: dict[str, float], instance: int, disk: Desk | None = None
+    settings: EffectiveSettings,
+    config: VehicleConfig,
+    overrides: dict[str, float],
+    instance: int,
+    disk: Desk | None = None,
 ) -> tuple[ParamSet, PersistentParams, tuple[str, ...]]:
     """Defaults < the file's < saved by earlier runs < command line; as in SITL (:mod:`autopilot.run.sitl_params`)."""
     params = ParamSet()
@@ -48,7 +52,7 @@ def vehicle_params(
     return params, persistent, warnings
 
 
-def state_folder(settings: Settings, config: VehicleConfig, instance: int) -> Path:
+def state_folder(settings: EffectiveSettings, config: VehicleConfig, instance: int) -> Path:
     """What an instance keeps between runs."""
     return Path(settings["state_dir"]) / f"{config.vehicle.name}-{instance}"
 
@@ -59,7 +63,12 @@ class HardwareWorld(World):
     device: HardwareVehicle
 
     def __init__(
-        self, settings: Settings, config: VehicleConfig, overrides: dict[str, float], instance: int, speed: float
+        self,
+        settings: EffectiveSettings,
+        config: VehicleConfig,
+        overrides: dict[str, float],
+        instance: int,
+        speed: float,
     ) -> None:
         place = config.file.place
         self.settings, self.speed, self._config = settings, speed, config
@@ -125,7 +134,7 @@ class HardwareWorld(World):
 
 
 def open_vehicle(
-    settings: Settings,
+    settings: EffectiveSettings,
     config: VehicleConfig,
     overrides: dict[str, float],
     *,

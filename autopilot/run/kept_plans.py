@@ -19,7 +19,7 @@ from autopilot.core.disk import cause_of
 from autopilot.core.errors import ConfigError, PlanError
 from autopilot.core.frames import FloatArray
 from autopilot.core.geodesy import Origin
-from autopilot.core.keeper import Keeper
+from autopilot.core.latest_value_writer import LatestValueWriter
 from autopilot.core.messages import Severity
 from autopilot.core.plan import PlanKind
 from autopilot.core.state_file import Loss, StateFile
@@ -29,7 +29,7 @@ from autopilot.mission.loading import load_plan
 from autopilot.mission.plan_model import PlanFile
 from autopilot.mission.sequencer import Position
 from autopilot.mission.store import Plans
-from autopilot.run.plans_format import Content, Snapshot, decode, encode, place_of, plan_item
+from autopilot.run.plans_format import Content, PlansSnapshot, decode, encode, place_of, plan_item
 
 PLANS_KEPT = "plans kept"
 """What the witness is asked for the service: whether the plans in force are on disk."""
@@ -66,7 +66,9 @@ class KeptPlans:
         self._plans = plans
         self._vehicle = vehicle
         self._desk = desk or Desk()
-        self._keeper: Keeper[Snapshot] = Keeper(self._desk, lambda now: self._file.write(encode(now)))
+        self._keeper: LatestValueWriter[PlansSnapshot] = LatestValueWriter(
+            self._desk, lambda now: self._file.write(encode(now))
+        )
         self._configured = plans.origin
         self._revision = plans.revision
         self._home: FloatArray = plans.home_ned_m
@@ -167,9 +169,9 @@ class KeptPlans:
         self._revision, self._home, self._origin = plans.revision, plans.home_ned_m, plans.origin
         self._position = self._vehicle.mission_position
 
-    def _snapshot(self) -> Snapshot:
+    def _snapshot(self) -> PlansSnapshot:
         plans = self._plans
-        return Snapshot(
+        return PlansSnapshot(
             configured_origin=self._configured,
             origin=plans.origin,
             home_ned_m=plans.home_ned_m,

@@ -4,7 +4,7 @@ import time
 from dataclasses import dataclass
 
 from autopilot.core.clock import TICK_US
-from autopilot.core.marks import Stopwatch
+from autopilot.core.marks import TickTimer
 from autopilot.core.messages import LoopStats
 from autopilot.run.process_stats import pauses, process_stats
 
@@ -40,7 +40,7 @@ class LoopAccount:
         self._busy_s += time_s
 
     def tick(
-        self, t_us: int, watch: Stopwatch, *, dropped_log: int, dropped_frames: int, queued: tuple[int, int] = (0, 0)
+        self, t_us: int, watch: TickTimer, *, dropped_log: int, dropped_frames: int, queued: tuple[int, int] = (0, 0)
     ) -> LoopStats | None:
         """A tick that ``watch`` has timed is over; once per second what the ticks since the last answer were like.
 

@@ -9,7 +9,7 @@ from autopilot.drivers.ardusub_wire import Wire
 from autopilot.drivers.devices import FLIGHT_CONTROLLER
 from autopilot.drivers.links import open_link
 from autopilot.run.clocks import make_clock
-from autopilot.run.findings import Finding, Verdict
+from autopilot.run.findings import Finding, FindingSeverity
 from autopilot.run.vehicle_config import VehicleConfig
 
 STEP_US = 5_000
@@ -24,7 +24,9 @@ def measure(config: VehicleConfig, *, speed: float = 1.0, on_step: Callable[[int
     setup = config.devices.get(FLIGHT_CONTROLLER)
     if setup is None or not isinstance(setup.options, ArduSubOptions):
         remedy = "pull the plug of the companion with the motors turning (docs/hardware.md, section 3)"
-        return Finding(verdict=Verdict.WARN, what=WHAT, found="cannot be measured on these devices", remedy=remedy)
+        return Finding(
+            verdict=FindingSeverity.WARN, what=WHAT, found="cannot be measured on these devices", remedy=remedy
+        )
     options = setup.options
     wire = Wire(open_link(options.connect), system=options.system, ours=options.gcs_system)
     test, clock, t_us = SilenceTest(wire, FRAMES[options.frame].motors), make_clock(speed), 0
@@ -44,12 +46,12 @@ def measure(config: VehicleConfig, *, speed: float = 1.0, on_step: Callable[[int
 def _told(test: SilenceTest) -> Finding:
     if test.problem:
         what, _, remedy = test.problem.rpartition(": ")
-        return Finding(verdict=Verdict.FAIL, what=WHAT, found=f"not measured, {what}", remedy=remedy)
+        return Finding(verdict=FindingSeverity.FAIL, what=WHAT, found=f"not measured, {what}", remedy=remedy)
     if test.neutral_s is None:
         found = f"thrust goes on for more than {1e-6 * SILENT_US:.0f} s"
     else:
         found = f"{test.neutral_s:.2f} s"
         if test.neutral_s <= LONGEST_S:
-            return Finding(verdict=Verdict.OK, what=WHAT, found=found)
+            return Finding(verdict=FindingSeverity.OK, what=WHAT, found=found)
     remedy = f"at most {LONGEST_S} s: set FS_PILOT_INPUT 1, FS_PILOT_TIMEOUT 0.4, RC_PROTOCOLS 0, and try again"
-    return Finding(verdict=Verdict.FAIL, what=WHAT, found=found, remedy=remedy)
+    return Finding(verdict=FindingSeverity.FAIL, what=WHAT, found=found, remedy=remedy)

@@ -139,7 +139,7 @@ class Onlookers:
             each.loop_stats(stats)
 
 
-class Peer(Protocol):
+class InProcessClient(Protocol):
     """An in-process MAVLink client that lives in the same time as the vehicle (scripted operators, tests)."""
 
     def step(self, t_us: int, received: Sequence[bytes]) -> list[bytes]:

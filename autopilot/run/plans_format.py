@@ -20,7 +20,7 @@ _Number = float | str
 """JSON has no NaN and no infinity: they stand as text."""
 
 
-class _Head(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+class _PlansHead(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """The first line."""
 
     format: str
@@ -43,7 +43,7 @@ class _Item(msgspec.Struct, frozen=True, array_like=True):
     is_home: bool = False
 
 
-class _Place(msgspec.Struct, frozen=True, array_like=True):
+class _OriginEntry(msgspec.Struct, frozen=True, array_like=True):
     """An :class:`Origin`."""
 
     lat_deg: float
@@ -54,9 +54,9 @@ class _Place(msgspec.Struct, frozen=True, array_like=True):
 class Content(msgspec.Struct, frozen=True, kw_only=True):
     """The second line."""
 
-    configured_origin: _Place
+    configured_origin: _OriginEntry
     """What the service came up with."""
-    origin: _Place
+    origin: _OriginEntry
     """In force when it was written."""
     home_ned_m: tuple[float, float, float]
     mission: tuple[_Item, ...]
@@ -94,12 +94,12 @@ def plan_item(item: _Item) -> PlanItem:
     )
 
 
-def place_of(origin: Origin) -> _Place:
-    return _Place(origin.lat_deg, origin.lon_deg, origin.alt_m)
+def place_of(origin: Origin) -> _OriginEntry:
+    return _OriginEntry(origin.lat_deg, origin.lon_deg, origin.alt_m)
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class Snapshot:
+class PlansSnapshot:
     """What is to be written; nothing in it changes any more."""
 
     configured_origin: Origin
@@ -109,7 +109,7 @@ class Snapshot:
     position: Position | None
 
 
-def encode(now: Snapshot) -> bytes:
+def encode(now: PlansSnapshot) -> bytes:
     north, east, down = now.home_ned_m.tolist()
     mission, fence, rally = (tuple(stored_item(item) for item in now.items[kind]) for kind in PlanKind)
     content = Content(
@@ -122,14 +122,16 @@ def encode(now: Snapshot) -> bytes:
         position=now.position,
     )
     body = msgspec.json.encode(content)
-    return msgspec.json.encode(_Head(format=FORMAT, version=VERSION, crc32=zlib.crc32(body))) + b"\n" + body + b"\n"
+    return (
+        msgspec.json.encode(_PlansHead(format=FORMAT, version=VERSION, crc32=zlib.crc32(body))) + b"\n" + body + b"\n"
+    )
 
 
 def decode(data: bytes) -> Content:
     """ValueError, with the reason, for what is not such a file."""
     first, _, body = data.removesuffix(b"\n").partition(b"\n")
     try:
-        head = msgspec.json.decode(first, type=_Head)
+        head = msgspec.json.decode(first, type=_PlansHead)
         if head.format != FORMAT:
             raise ValueError(f"is not a file of plans but {head.format!r}")
         if head.version != VERSION:

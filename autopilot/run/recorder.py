@@ -17,7 +17,7 @@ from autopilot.core.errors import LogError
 from autopilot.core.messages import Inputs, LoopStats, Outputs, Severity
 from autopilot.core.samples import CameraFrame
 from autopilot.log.description import RunDescription
-from autopilot.log.session import LoggedTruth, RunLog, World
+from autopilot.log.log_session import LoggedTruth, RunLog, SimulationRecord
 from autopilot.log.writer import Payload
 
 CLOSE_S = 30.0
@@ -137,7 +137,9 @@ class RunRecorder:
         if log is None:
             return
         source = self._truth
-        log.tick(inputs, outputs, frames, None if source is None else World(source.truth, source.payload_shares))
+        log.tick(
+            inputs, outputs, frames, None if source is None else SimulationRecord(source.truth, source.payload_shares)
+        )
         if log.failure is not None:
             self._failed(log)
         elif log.dropped and not self._told_slow:

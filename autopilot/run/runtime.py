@@ -19,7 +19,7 @@ from autopilot.core.clients import Reach
 from autopilot.core.clock import TICK_US, Clock
 from autopilot.core.errors import DriverError
 from autopilot.core.guard import Fault, Guard
-from autopilot.core.marks import LoopPart, Stopwatch
+from autopilot.core.marks import LoopPart, TickTimer
 from autopilot.core.messages import (
     Below,
     Between,
@@ -43,14 +43,14 @@ from autopilot.run.outside import (
     Actuates,
     HandsBack,
     HasWatchdog,
+    InProcessClient,
     Onlooker,
-    Peer,
     Recorder,
     StopsBelow,
     VehicleIo,
     WeightRelease,
 )
-from autopilot.run.stills import StillStore
+from autopilot.run.still_files import StillStore
 from autopilot.run.transport import Transport
 
 SERVE_MARGIN_S = 0.0005
@@ -88,7 +88,7 @@ class Runtime:
         recorder: Recorder,
         clock: Clock,
         *,
-        peers: Sequence[Peer] = (),
+        peers: Sequence[InProcessClient] = (),
         on_tick: Callable[[Outputs], None] = lambda _: None,
         paced: bool = False,
         notices: Callable[[], Sequence[tuple[Severity, str]]] = lambda: (),
@@ -145,7 +145,7 @@ class Runtime:
         self._shown_faults: set[tuple[str, str]] = set()
         self._rest: ThrusterCommand | None = None
         self._peer_rx: list[MavlinkFrame] = []
-        self.watch = Stopwatch()
+        self.watch = TickTimer()
         """What the parts of the present tick have cost so far."""
         service.marks = self.watch
         self._spent = LoopAccount(paced=paced)

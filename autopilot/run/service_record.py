@@ -2,9 +2,9 @@
 
 import msgspec
 
-from autopilot.command.parts import Parts
+from autopilot.command.service_parts import Parts
 from autopilot.core.plan import PlanKind
-from autopilot.record.service import (
+from autopilot.record.service_setup import (
     CURRENTS_FILE,
     SERVICE_FILE,
     START_PLANS_FILE,
@@ -13,7 +13,7 @@ from autopilot.record.service import (
     SigningRecord,
 )
 from autopilot.run.compose import ServiceSetup
-from autopilot.run.plans_format import Snapshot, encode
+from autopilot.run.plans_format import PlansSnapshot, encode
 from autopilot.run.world import WaterTold
 
 
@@ -45,7 +45,7 @@ def service_attachments(setup: ServiceSetup, parts: Parts, water: WaterTold) -> 
         git=setup.git,
     )
     plans = parts.plans
-    start = Snapshot(
+    start = PlansSnapshot(
         configured_origin=setup.origin,
         origin=plans.origin,
         home_ned_m=plans.home_ned_m,

@@ -9,8 +9,8 @@ from functools import partial
 from pathlib import Path
 from typing import TypedDict, TypeVar
 
-from autopilot.command.parts import Parts
 from autopilot.command.service import Autopilot
+from autopilot.command.service_parts import Parts
 from autopilot.core import operator_messages as notices
 from autopilot.core.camera import CameraModel
 from autopilot.core.desk import Desk
@@ -38,7 +38,7 @@ from autopilot.run.service_manager import ServiceManager
 from autopilot.run.session_log import open_recorder
 from autopilot.run.signing_files import SigningFiles
 from autopilot.run.state_check import StateCheck
-from autopilot.run.stills import StillStore
+from autopilot.run.still_files import StillStore
 from autopilot.run.world import Told, World
 from autopilot.view.foxglove import FoxgloveServer
 from autopilot.view.hub import Hub
@@ -51,7 +51,7 @@ THREAD_SWITCH_S = 0.0005
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class Kept:
+class PersistentState:
     """What outlives a run."""
 
     folder: Path
@@ -76,7 +76,7 @@ class Session:
     device: VehicleIo
     runtime: Runtime
     recorder: RunRecorder | NullRecorder
-    kept: Kept
+    kept: PersistentState
     warnings: tuple[str, ...]
     """What the operator should know of what was kept by earlier runs."""
     duration_s: float | None
@@ -169,7 +169,7 @@ def open_session(
     with _opened(world.device, settings["connect"], links) as open_links:
         recorder = open_recorder(world, setup, parts) if log else NullRecorder()
     clock = make_clock(world.speed)
-    kept = Kept(folder=world.folder, params=world.persistent, plans=plans, disk=disk, signing=signing)
+    kept = PersistentState(folder=world.folder, params=world.persistent, plans=plans, disk=disk, signing=signing)
     state = _state_check(parts, kept)
     news: list[tuple[Severity, str]] = [notices.START_WARNING(text=text) for text in warnings]
 
@@ -267,7 +267,7 @@ def _onlooker(
     return Onlookers(*found) if found else None
 
 
-def _state_check(parts: Parts, kept: Kept) -> StateCheck:
+def _state_check(parts: Parts, kept: PersistentState) -> StateCheck:
     """What is missing of what was kept, or cannot be kept."""
     keepers = tuple(keeper for keeper in (kept.params, kept.plans, kept.signing) if keeper is not None)
     losses = [loss for keeper in keepers for loss in keeper.losses]

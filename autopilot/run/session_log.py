@@ -8,15 +8,15 @@ from pathlib import Path
 import msgspec
 
 from autopilot import __version__
-from autopilot.command.parts import Parts
+from autopilot.command.service_parts import Parts
 from autopilot.core.errors import LogError
 from autopilot.core.marker_files import marker_file_text
 from autopilot.log.description import RunDescription
+from autopilot.log.log_session import RunLog, free_path, log_path, open_run_log, open_run_log_beside
 from autopilot.log.quota import make_room
 from autopilot.log.recover import recover_unfinished
-from autopilot.log.session import RunLog, free_path, log_path, open_run_log, open_run_log_beside
 from autopilot.log.writer import LogHead, Payload
-from autopilot.record.estimator import estimator_attachments
+from autopilot.record.estimator_setup import estimator_attachments
 from autopilot.run.compose import ServiceSetup
 from autopilot.run.describe import plan_items, plans_json
 from autopilot.run.provenance import revision

@@ -12,7 +12,7 @@ from pathlib import Path
 from autopilot.core.desk import Desk
 from autopilot.core.disk import cause_of
 from autopilot.core.errors import ConfigError
-from autopilot.core.keeper import Keeper
+from autopilot.core.latest_value_writer import LatestValueWriter
 from autopilot.core.params import Saved
 from autopilot.core.state_file import Loss, StateFile
 from autopilot.mavlink.api import AHEAD_UNITS, UNITS_PER_S, SigningState
@@ -42,7 +42,7 @@ class SigningFiles:
         self._state = SigningState(key, max(kept or 0, clock))
         self._written = key
         self._desk = desk or Desk()
-        self._keeper: Keeper[SigningState] = Keeper(self._desk, self._write)
+        self._keeper: LatestValueWriter[SigningState] = LatestValueWriter(self._desk, self._write)
         self.unsaved = ""
         """Why the time is not on disk, "" while it is."""
         if key is not None and desk is not None:

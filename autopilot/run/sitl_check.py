@@ -17,12 +17,12 @@ from autopilot.mission.judgement import judge_file
 from autopilot.mission.plan_files import read_plan
 from autopilot.run.sitl_console import unknown_obstacles
 from autopilot.run.sitl_fence import scenario_plan
-from autopilot.sitl.contact import Surroundings
+from autopilot.sitl.contact import SolidSurroundings
+from autopilot.sitl.environment import build_world
 from autopilot.sitl.plant import build_plant
 from autopilot.sitl.scenario import plan_path
 from autopilot.sitl.scenario_tables import Scenario
 from autopilot.sitl.waves import breaking_height_m
-from autopilot.sitl.world import build_world
 
 GRID = 21
 """Places north and east at which the current is looked at."""
@@ -126,7 +126,7 @@ def _fence(shapes: tuple[FenceShape, ...], params: ParamSet) -> Fence:
 def _room_at_start(scenario: Scenario, vehicle: Vehicle) -> list[str]:
     """Whether the vehicle's ball is free where it starts (the hull is, or there would be no plant)."""
     world = build_world(scenario)
-    around = Surroundings(
+    around = SolidSurroundings(
         polygon_ned_m=world.polygon_ned_m,
         floor_m=None,
         solids=world.solids,

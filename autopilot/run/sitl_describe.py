@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from dataclasses import fields, replace
 from typing import Any
 
-from autopilot.command.parts import Parts
+from autopilot.command.service_parts import Parts
 from autopilot.log.description import AcceptBounds, Obstacle, PartOrigin, RunDescription
 from autopilot.run.describe import describe_service
 from autopilot.sitl.scenario_tables import MovingObstacle, PrismObstacle, Scenario, SphereObstacle

@@ -7,12 +7,12 @@ from autopilot.core.origin_params import set_origin_deg
 from autopilot.core.param_file import PersistentParams, kept_params
 from autopilot.core.params import ParamSet
 from autopilot.run.boot_links import BootLinks, open_boot_links
-from autopilot.run.config import Settings
+from autopilot.run.config import EffectiveSettings
 from autopilot.sitl.scenario import load_scenario
 from autopilot.sitl.scenario_tables import Scenario
 
 
-def open_sitl_links(settings: Settings, overrides: dict[str, float], *, instance: int) -> BootLinks:
+def open_sitl_links(settings: EffectiveSettings, overrides: dict[str, float], *, instance: int) -> BootLinks:
     """Open a SITL run's links. ConfigError and DriverError name what is wrong; nothing is open then."""
     params, *_ = sitl_params(settings, load_scenario(settings["scenario"]), overrides, instance)
     folder = state_folder(settings, instance)
@@ -20,7 +20,11 @@ def open_sitl_links(settings: Settings, overrides: dict[str, float], *, instance
 
 
 def sitl_params(
-    settings: Settings, scenario: Scenario, overrides: dict[str, float], instance: int, disk: Desk | None = None
+    settings: EffectiveSettings,
+    scenario: Scenario,
+    overrides: dict[str, float],
+    instance: int,
+    disk: Desk | None = None,
 ) -> tuple[ParamSet, PersistentParams, tuple[str, ...]]:
     """Defaults < scenario's origin, tank, disturbance bounds and parameters < saved by earlier runs < command line.
 
@@ -43,6 +47,6 @@ def sitl_params(
     return params, persistent, warnings
 
 
-def state_folder(settings: Settings, instance: int) -> Path:
+def state_folder(settings: EffectiveSettings, instance: int) -> Path:
     """What an instance keeps between runs."""
     return Path(settings["state_dir"]) / f"sitl-{instance}"

@@ -5,12 +5,12 @@ from autopilot.control.protocol import find_controller
 from autopilot.core.plugins import Plugin
 from autopilot.estimator.create import find_estimator
 from autopilot.log.description import PartOrigin
-from autopilot.run.config import Settings, chosen_part
+from autopilot.run.config import EffectiveSettings, chosen_part
 from autopilot.sitl.protocol import find_plant
 from autopilot.sitl.scenario_tables import Scenario
 
 
-def part_origins(settings: Settings, scenario: Scenario) -> dict[str, PartOrigin]:
+def part_origins(settings: EffectiveSettings, scenario: Scenario) -> dict[str, PartOrigin]:
     """By role. ConfigError if there is no such part."""
     told = scenario.plugins
     return {

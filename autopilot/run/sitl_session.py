@@ -4,8 +4,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Unpack
 
-from autopilot.run.config import Settings
-from autopilot.run.outside import Peer
+from autopilot.run.config import EffectiveSettings
+from autopilot.run.outside import InProcessClient
 from autopilot.run.session import Session, SessionOptions, open_session
 from autopilot.run.sitl_view import Steering
 from autopilot.run.sitl_world import SimulatedDevice, SimulatedWorld
@@ -37,11 +37,11 @@ class SitlSession(Session):
 
 
 def open_sitl(
-    settings: Settings,
+    settings: EffectiveSettings,
     overrides: dict[str, float],
     *,
     instance: int = 0,
-    peers: Sequence[Peer] = (),
+    peers: Sequence[InProcessClient] = (),
     **more: Unpack[SessionOptions],
 ) -> SitlSession:
     """A simulated run, as :func:`autopilot.run.session.open_session` does it. ``peers``: clients in the process."""

@@ -12,7 +12,7 @@ from concurrent.futures import TimeoutError as NoAnswer
 import msgspec
 import numpy as np
 
-from autopilot.command.parts import Parts
+from autopilot.command.service_parts import Parts
 from autopilot.core import operator_messages as notices
 from autopilot.core.errors import ConfigError
 from autopilot.core.messages import Severity
@@ -35,7 +35,7 @@ from autopilot.view.controls import (
     ViewError,
 )
 from autopilot.view.feed import TruthSeen
-from autopilot.view.shown import FaultOffer, Flow, Solid, Steerable
+from autopilot.view.shown import FaultOffer, FlowView, Solid, Steerable
 
 ANSWER_S = 5.0
 """The loop answers an ask in that time, or is busy."""
@@ -123,7 +123,7 @@ class Steering:
         flow = None if self._vehicle.steerable is None else self._flow_m_s
         return Steered(paused=self._paused, speed=self._speed, extra_current_ned_m_s=flow)
 
-    def flow(self, t_s: float, depth_m: float) -> Flow | None:
+    def flow(self, t_s: float, depth_m: float) -> FlowView | None:
         """The current on a grid over the tank, or round the start."""
         plant, tank = self._vehicle.steerable, self._scenario.tank
         if plant is None:
@@ -142,7 +142,7 @@ class Steering:
             for east in easts:
                 u, v, _ = plant.current_at((north, east, depth_m), t_s)
                 arrows.append((round(north, 3), round(east, 3), round(u, 4), round(v, 4)))
-        return Flow(t_s=t_s, arrows=tuple(arrows))
+        return FlowView(t_s=t_s, arrows=tuple(arrows))
 
     def do(self, ask: Ask) -> str:
         """Hand it to the loop and wait for its answer."""

@@ -8,10 +8,10 @@ from typing import Literal, cast
 import msgspec
 
 from autopilot.command.map_check import MapCheck, open_map
-from autopilot.command.parts import Parts
+from autopilot.command.service_parts import Parts
 from autopilot.control.water.current_map import CurrentMap
 from autopilot.control.water.currents import CurrentForecast, MappedCurrent, PointwiseField
-from autopilot.control.water.tuned import CURRENTS
+from autopilot.control.water.water_tuning import CURRENTS
 from autopilot.core.desk import Desk
 from autopilot.core.errors import ConfigError
 from autopilot.core.geodesy import Origin
@@ -27,8 +27,8 @@ from autopilot.log.description import RunDescription
 from autopilot.mission.plan_files import PlanFile
 from autopilot.run.clocks import LockstepClock, PacedClock
 from autopilot.run.compose import forecast_of
-from autopilot.run.config import Settings, chosen_part, system_id
-from autopilot.run.outside import Peer
+from autopilot.run.config import EffectiveSettings, chosen_part, system_id
+from autopilot.run.outside import InProcessClient
 from autopilot.run.sitl_describe import describe_run
 from autopilot.run.sitl_fence import scenario_plan
 from autopilot.run.sitl_params import sitl_params, state_folder
@@ -36,7 +36,7 @@ from autopilot.run.sitl_parts import part_origins
 from autopilot.run.sitl_view import Steering, WatchedSitl
 from autopilot.run.world import Told, WaterTold, World
 from autopilot.sitl.backend import SimulatedVehicle, simulated_vehicle
-from autopilot.sitl.currents import current_field
+from autopilot.sitl.current_fields import current_field
 from autopilot.sitl.floor import told_floor_m, told_markers
 from autopilot.sitl.hil import Wire, wires
 from autopilot.sitl.machine_faults import MachineFaults
@@ -105,7 +105,11 @@ class SimulatedWorld(World):
     simulated = True
 
     def __init__(
-        self, settings: Settings, overrides: dict[str, float], instance: int, peers: Sequence[Peer] = ()
+        self,
+        settings: EffectiveSettings,
+        overrides: dict[str, float],
+        instance: int,
+        peers: Sequence[InProcessClient] = (),
     ) -> None:
         scenario = load_scenario(settings["scenario"])
         if settings["vehicle"] is not None:
@@ -219,7 +223,9 @@ class SimulatedWorld(World):
         return self.steering is not None and self.steering.hold(t_us)
 
 
-def _simulated(settings: Settings, scenario: Scenario, vehicle: Vehicle, seed: int, speed: float) -> SimulatedVehicle:
+def _simulated(
+    settings: EffectiveSettings, scenario: Scenario, vehicle: Vehicle, seed: int, speed: float
+) -> SimulatedVehicle:
     sensors = scenario.sensors.position if settings["sensors"] is None else settings["sensors"]
     plant, plant_by = chosen_part(settings, "plant", scenario.plugins.plant)
     return simulated_vehicle(
@@ -234,7 +240,7 @@ def _simulated(settings: Settings, scenario: Scenario, vehicle: Vehicle, seed: i
     )
 
 
-def _plan(settings: Settings, scenario: Scenario) -> Path | None:
+def _plan(settings: EffectiveSettings, scenario: Scenario) -> Path | None:
     """The plan to have on board: --plan, or the scenario's when an operator in-process is to start it."""
     if settings["plan"] is not None:
         return Path(settings["plan"])
@@ -246,7 +252,7 @@ def _plan(settings: Settings, scenario: Scenario) -> Path | None:
     return plan
 
 
-def _wires(settings: Settings) -> frozenset[Wire]:
+def _wires(settings: EffectiveSettings) -> frozenset[Wire]:
     """What is wired as on a real vehicle. ConfigError when time is not real."""
     speed = float(settings["speed"])
     if settings["hil"] and speed != 1.0:
@@ -254,7 +260,7 @@ def _wires(settings: Settings) -> frozenset[Wire]:
     return wires(settings["hil"])
 
 
-def _told_markers(settings: Settings, scenario: Scenario, true: MarkerMap | None) -> MarkerMap | None:
+def _told_markers(settings: EffectiveSettings, scenario: Scenario, true: MarkerMap | None) -> MarkerMap | None:
     """The map of ``--markers``, else what the scenario gives to the vehicle. ConfigError if there is no use for it."""
     if settings["markers"] is None:
         return None if true is None else told_markers(scenario)
@@ -263,14 +269,14 @@ def _told_markers(settings: Settings, scenario: Scenario, true: MarkerMap | None
     return load_marker_map(Path(settings["markers"]))
 
 
-def knowledge(settings: Settings, scenario: Scenario) -> str:
+def knowledge(settings: EffectiveSettings, scenario: Scenario) -> str:
     """What the controller is told of the water: the setting, a given map, or what the scenario says."""
     if settings["currents"] is not None:
         return str(settings["currents"])
     return "map" if settings["currents_map"] is not None else scenario.controller.currents
 
 
-def _map(settings: Settings, scenario: Scenario, origin: Origin) -> CurrentMap | None:
+def _map(settings: EffectiveSettings, scenario: Scenario, origin: Origin) -> CurrentMap | None:
     """The map file of the settings, else the scenario's; None when there is none. ConfigError if it is no good."""
     if knowledge(settings, scenario) != "map":
         if settings["currents_map"] is not None:
@@ -280,7 +286,7 @@ def _map(settings: Settings, scenario: Scenario, origin: Origin) -> CurrentMap |
     return None if path is None else open_map(path, origin, settings["currents_start"])
 
 
-def map_path(settings: Settings, scenario: Scenario) -> Path | None:
+def map_path(settings: EffectiveSettings, scenario: Scenario) -> Path | None:
     """The file of the map of the current, None when there is none."""
     path = settings["currents_map"] or scenario.controller.map
     if path is None and isinstance(scenario.current, GridCurrent):

@@ -14,7 +14,7 @@ from autopilot.core import operator_messages as notices
 from autopilot.core.clock import TICK_US
 from autopilot.core.desk import Cancel, Desk, Ticket
 from autopilot.core.disk import cause_of
-from autopilot.core.keeper import KEEP_TICKS, RETRY_TICKS
+from autopilot.core.latest_value_writer import KEEP_TICKS, RETRY_TICKS
 from autopilot.core.messages import Severity
 from autopilot.core.params import ParamSet
 from autopilot.core.state_file import Loss

@@ -11,7 +11,7 @@ from functools import partial
 from typing import TypeVar
 
 from autopilot.core import operator_messages as notices
-from autopilot.core.clients import EVERYONE, Standing, Verbatim
+from autopilot.core.clients import EVERYONE, ClientRecord, Verbatim
 from autopilot.core.errors import DriverError
 from autopilot.core.guard import Guard
 from autopilot.core.messages import Event, MavlinkFrame
@@ -81,7 +81,7 @@ class Transport:
     def __len__(self) -> int:
         return len(self._links)
 
-    def judge_by(self, standing: Callable[[int, int], Standing]) -> None:
+    def judge_by(self, standing: Callable[[int, int], ClientRecord]) -> None:
         """Who has a place where there are too few goes by ``standing`` of a link's client."""
         for index, link in self._shared:
             link.standing = partial(standing, index)

@@ -23,7 +23,7 @@ Latitude = Annotated[float, msgspec.Meta(ge=-90.0, le=90.0)]
 Longitude = Annotated[float, msgspec.Meta(ge=-180.0, le=180.0)]
 
 
-class PlaceTable(Table, frozen=True, kw_only=True):
+class SiteTable(Table, frozen=True, kw_only=True):
     """``[place]``: where it swims and what is known of the place."""
 
     name: str = "unnamed place"
@@ -71,7 +71,7 @@ class ConfigFile(Table, frozen=True, kw_only=True):
 
     vehicle: str
     """A shipped vehicle's name, or a vehicle file."""
-    place: PlaceTable = PlaceTable()
+    place: SiteTable = SiteTable()
     service: ServiceTable = ServiceTable()
     parameters: dict[str, float] = msgspec.field(default_factory=dict)
     devices: dict[str, dict[str, Any]]

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Hashable
 
-from autopilot.command.parts import Parts
+from autopilot.command.service_parts import Parts
 from autopilot.core.geometry import Fence
 from autopilot.log.description import RunDescription
 from autopilot.view.feed import TruthSeen

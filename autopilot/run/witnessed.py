@@ -5,8 +5,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from autopilot.core.desk import Ticket
+from autopilot.core.log_directory import Shelf, ShelfFile
 from autopilot.core.params import ParamSaving, Saved
-from autopilot.core.shelf import Shelf, ShelfFile
 from autopilot.core.witness import Witness
 from autopilot.mavlink.api import SigningState, SigningStore
 

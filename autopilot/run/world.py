@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from autopilot.command.parts import Parts
+from autopilot.command.service_parts import Parts
 from autopilot.control.water.currents import CurrentForecast
 from autopilot.core.desk import Desk
 from autopilot.core.geodesy import Origin
@@ -18,12 +18,12 @@ from autopilot.core.param_file import PersistentParams
 from autopilot.core.params import ParamSet
 from autopilot.core.vehicle import Vehicle
 from autopilot.log.description import RunDescription
-from autopilot.log.packing.vehicle import TruthLike
+from autopilot.log.packing.vehicle_records import TruthLike
 from autopilot.mission.plan_files import PlanFile
 from autopilot.mission.store import WaterCheck
 from autopilot.run.clocks import LockstepClock, PacedClock
-from autopilot.run.config import Settings
-from autopilot.run.outside import Peer, VehicleIo
+from autopilot.run.config import EffectiveSettings
+from autopilot.run.outside import InProcessClient, VehicleIo
 from autopilot.run.recorder import TruthSource
 from autopilot.run.watched import WatchedService
 from autopilot.view.controls import Controls
@@ -59,7 +59,7 @@ class WaterTold:
 class World(ABC):
     """One world; used by one session."""
 
-    settings: Settings
+    settings: EffectiveSettings
     told: Told
     water: WaterTold
     speed: float
@@ -78,7 +78,7 @@ class World(ABC):
     """To have on board from the start."""
     flown_at_once: bool = False
     keeps_plans: bool = True
-    peers: Sequence[Peer] = ()
+    peers: Sequence[InProcessClient] = ()
     simulated: bool = False
     truth_source: TruthSource | None = None
     """The plant's, for the log."""

@@ -10,7 +10,7 @@ import msgspec
 
 from autopilot.core.errors import AutopilotError
 from autopilot.core.toml_table import Table
-from autopilot.view.shown import Flow, Point2, Steerable
+from autopilot.view.shown import FlowView, Point2, Steerable
 
 MAX_SPEED, MIN_SPEED = 20.0, 0.1
 MAX_FLOW_M_S = 1.0
@@ -88,7 +88,7 @@ class Controls(Protocol):
         """How things stand."""
         ...
 
-    def flow(self, t_s: float, depth_m: float) -> Flow | None:
+    def flow(self, t_s: float, depth_m: float) -> FlowView | None:
         """The simulated current, None on a real vehicle; from the view's thread."""
         ...
 
@@ -103,7 +103,7 @@ class ReadOnly:
     steerable = Steerable(missing=("This is a real vehicle: the page only shows. Fly it from a ground station.",))
     steered = Steered()
 
-    def flow(self, t_s: float, depth_m: float) -> Flow | None:
+    def flow(self, t_s: float, depth_m: float) -> FlowView | None:
         """Nobody knows."""
         return None
 

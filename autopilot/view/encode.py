@@ -15,29 +15,29 @@ from autopilot.log.description import RunDescription
 from autopilot.log.scene import outline
 from autopilot.view.ages import CONTROL_S, UNKNOWN_S, age_limits, sensor_limits_s
 from autopilot.view.controls import Steered
-from autopilot.view.feed import Picture as TakenPicture
-from autopilot.view.feed import Snapshot, TruthSeen
+from autopilot.view.feed import CapturedPicture as TakenPicture
+from autopilot.view.feed import TickSnapshot, TruthSeen
 from autopilot.view.shown import (
-    Battery,
+    BatteryView,
     Control,
-    Device,
+    DeviceView,
     Estimate,
-    Frame,
+    GoalView,
     Limits,
     Loop,
-    Message,
+    MessageView,
+    ObstacleView,
     Outline,
-    Picture,
-    Place,
+    PictureView,
     Point2,
     Point3,
-    Progress,
-    Scene,
-    Sensor,
+    ProgressView,
+    SceneView,
+    SensorView,
     Steerable,
-    Target,
-    Track,
     TrueState,
+    ViewFrame,
+    WaypointView,
 )
 
 DIGITS = 4
@@ -45,11 +45,13 @@ DIGITS = 4
 JPEG_QUALITY = 70
 
 
-def scene_of(snapshot: Snapshot, vehicle: Vehicle, steerable: Steerable, *, simulated: bool, pictures: bool) -> Scene:
+def scene_of(
+    snapshot: TickSnapshot, vehicle: Vehicle, steerable: Steerable, *, simulated: bool, pictures: bool
+) -> SceneView:
     """What seldom changes."""
     run, camera = snapshot.description, vehicle.camera if pictures else None
     bounds = run.paper_bounds
-    return Scene(
+    return SceneView(
         title=run.scenario,
         vehicle=run.vehicle,
         simulated=simulated,
@@ -78,12 +80,12 @@ def scene_of(snapshot: Snapshot, vehicle: Vehicle, steerable: Steerable, *, simu
     )
 
 
-def frame_of(snapshot: Snapshot, vehicle: Vehicle, steered: Steered, *, now_s: float, viewers: int) -> Frame:
+def frame_of(snapshot: TickSnapshot, vehicle: Vehicle, steered: Steered, *, now_s: float, viewers: int) -> ViewFrame:
     """What changes all the time."""
     out, mode = snapshot.outputs, snapshot.outputs.mode
     t_us, count = out.t_us, len(vehicle.thrusters)
     health, limits_s = snapshot.thrusters, sensor_limits_s(vehicle)
-    return Frame(
+    return ViewFrame(
         scene=snapshot.scene,
         sent_s=round(now_s, 3),
         t_s=1e-6 * t_us,
@@ -107,7 +109,7 @@ def frame_of(snapshot: Snapshot, vehicle: Vehicle, steered: Steered, *, now_s: f
         pwm_us=tuple(out.command.pwm_us[:count]),
         effectiveness=() if health is None else _numbers(health.effectiveness),
         sensors=tuple(
-            Sensor(
+            SensorView(
                 name=aid.sensor,
                 state=aid.state.name,
                 test_ratio=_number(aid.test_ratio),
@@ -118,13 +120,13 @@ def frame_of(snapshot: Snapshot, vehicle: Vehicle, steered: Steered, *, now_s: f
             for aid in snapshot.aids.values()
         ),
         devices=tuple(
-            Device(name=name, age_s=_age_s(t_us, heard_us), limit_s=limits_s.get(name, UNKNOWN_S))
+            DeviceView(name=name, age_s=_age_s(t_us, heard_us), limit_s=limits_s.get(name, UNKNOWN_S))
             for name, heard_us in snapshot.heard_us.items()
         ),
         battery=_battery(snapshot),
         loop=_loop(snapshot),
         messages=tuple(
-            Message(
+            MessageView(
                 number=number,
                 t_s=_number(1e-6 * event.t_us),
                 severity=Severity(min(max(event.severity, 0), 7)).name,
@@ -135,7 +137,7 @@ def frame_of(snapshot: Snapshot, vehicle: Vehicle, steered: Steered, *, now_s: f
     )
 
 
-def picture_of(taken: TakenPicture) -> Picture:
+def picture_of(taken: TakenPicture) -> PictureView:
     """A camera picture as JPEG with what was found in it. AutopilotError if it cannot be compressed."""
     import cv2  # heavy: nobody pays for it who does not look at pictures
 
@@ -144,7 +146,7 @@ def picture_of(taken: TakenPicture) -> Picture:
         raise AutopilotError("a camera picture cannot be compressed as JPEG")
     seen = taken.sighting
     laser = None if seen is None else seen.laser_px
-    return Picture(
+    return PictureView(
         t_s=1e-6 * taken.t_us,
         width_px=taken.width_px,
         height_px=taken.height_px,
@@ -169,7 +171,7 @@ def _age_s(t_us: int, since_us: int) -> float:
     return _number(1e-6 * max(t_us - since_us, 0))
 
 
-def _newest_us(snapshot: Snapshot, nav: NavState) -> int:
+def _newest_us(snapshot: TickSnapshot, nav: NavState) -> int:
     """Of when an estimate is: its attitude is no newer than the AHRS."""
     return min(nav.t_us, snapshot.heard_us.get("ahrs", nav.t_us))
 
@@ -188,9 +190,9 @@ def _point3(values: FloatArray) -> Point3:
     return _number(first), _number(second), _number(third)
 
 
-def _places(run: RunDescription) -> tuple[Place, ...]:
+def _places(run: RunDescription) -> tuple[WaypointView, ...]:
     return tuple(
-        Place(
+        WaypointView(
             name=place.name,
             pos_ned_m=place.pos_ned_m,
             yaw_rad=place.yaw_rad,
@@ -231,9 +233,9 @@ def _truth(truth: TruthSeen, count: int) -> TrueState:
     )
 
 
-def _tracks(snapshot: Snapshot) -> tuple[Track, ...]:
+def _tracks(snapshot: TickSnapshot) -> tuple[ObstacleView, ...]:
     return tuple(
-        Track(
+        ObstacleView(
             number=number,
             pos_ned_m=_point2(track.pos_ned_m),
             vel_ned_m_s=_point2(track.vel_ned_m_s),
@@ -252,11 +254,11 @@ def _clearance_m(fence: Fence, nav: NavState) -> float | None:
     return _number(min(gaps)) if gaps else None
 
 
-def _goal(out: Outputs) -> Target | None:
+def _goal(out: Outputs) -> GoalView | None:
     goal = out.goal
     if goal is None:
         return None
-    return Target(
+    return GoalView(
         pos_ned_m=_point3(goal.pos_ned_m),
         yaw_rad=None if goal.yaw_rad is None else _number(goal.yaw_rad),
         accept_radius_m=_number(goal.accept_radius_m),
@@ -266,14 +268,14 @@ def _goal(out: Outputs) -> Target | None:
     )
 
 
-def _progress(out: Outputs) -> Progress | None:
+def _progress(out: Outputs) -> ProgressView | None:
     done = out.progress
     if done is None:
         return None
-    return Progress(state=done.state.name, item=done.current_seq, reached=done.reached_seq, lap=done.lap)
+    return ProgressView(state=done.state.name, item=done.current_seq, reached=done.reached_seq, lap=done.lap)
 
 
-def _control(snapshot: Snapshot) -> Control | None:
+def _control(snapshot: TickSnapshot) -> Control | None:
     control, plan, goal = snapshot.control, snapshot.plan, snapshot.outputs.goal
     if control is None:
         return None
@@ -300,11 +302,11 @@ def _control(snapshot: Snapshot) -> Control | None:
     )
 
 
-def _battery(snapshot: Snapshot) -> Battery | None:
+def _battery(snapshot: TickSnapshot) -> BatteryView | None:
     power = snapshot.power
     if power is None:
         return None
-    return Battery(
+    return BatteryView(
         age_s=_age_s(snapshot.outputs.t_us, snapshot.heard_us.get("battery", power.t_us)),
         voltage_v=_number(power.voltage_v),
         current_a=_number(power.current_a),
@@ -313,7 +315,7 @@ def _battery(snapshot: Snapshot) -> Battery | None:
     )
 
 
-def _loop(snapshot: Snapshot) -> Loop | None:
+def _loop(snapshot: TickSnapshot) -> Loop | None:
     stats = snapshot.loop
     if stats is None:
         return None

@@ -1,9 +1,9 @@
 """What the loop leaves for the page: references to what it has decided, nothing else.
 
 The loop's part is a few comparisons per tick. While nobody looks only messages and a coarse trail are kept; while
-somebody does, ten times per second of real time a :class:`Snapshot` takes the place of the one before. Nobody holds a
-lock here: what is left is complete, does not change any more, and is put down in one assignment. All work on it is done
-on the view's own thread (:mod:`autopilot.view.hub`).
+somebody does, ten times per second of real time a :class:`TickSnapshot` takes the place of the one before. Nobody holds
+a lock here: what is left is complete, does not change any more, and is put down in one assignment. All work on it is
+done on the view's own thread (:mod:`autopilot.view.hub`).
 """
 
 import time
@@ -92,7 +92,7 @@ class Watched(Protocol):
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class Picture:
+class CapturedPicture:
     """A camera picture, every so many pixels of it, and what was found in it."""
 
     number: int
@@ -105,7 +105,7 @@ class Picture:
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class Snapshot:
+class TickSnapshot:
     """All that a frame is made of, as it was at one tick."""
 
     number: int
@@ -131,7 +131,7 @@ class Snapshot:
     loop: LoopStats | None
     messages: tuple[tuple[int, Event], ...]
     trail_ned_m: tuple[FloatArray, ...]
-    picture: Picture | None
+    picture: CapturedPicture | None
 
 
 @dataclass(slots=True)
@@ -172,14 +172,14 @@ class Feed:
         self._due_s = self._scene_due_s = self._picture_due_s = 0.0
         self._scene = scenes
         self._described: tuple[Hashable, RunDescription] | None = None
-        self._unseen: Picture | None = None
+        self._unseen: CapturedPicture | None = None
         """Waits for what detection finds in it."""
-        self._picture: Picture | None = None
+        self._picture: CapturedPicture | None = None
         self.watched = False
         """Somebody looks; set by the view's thread."""
         self.pictured = False
         """Somebody looks at pictures."""
-        self.snapshot: Snapshot | None = None
+        self.snapshot: TickSnapshot | None = None
         """The newest; None before the first."""
 
     def tick(self, inputs: Inputs, outputs: Outputs, frames: Sequence[CameraFrame]) -> None:
@@ -243,7 +243,7 @@ class Feed:
         frame = frames[-1]
         image = frame.image_bgr
         self._picture_due_s = now_s + PICTURE_S
-        self._unseen = Picture(
+        self._unseen = CapturedPicture(
             number=0 if self._picture is None else self._picture.number + 1,
             t_us=frame.t_us,
             pixels=image[::PICTURE_STEP, ::PICTURE_STEP].copy(),  # a driver may use its buffer again
@@ -252,9 +252,9 @@ class Feed:
             sighting=None,
         )
 
-    def _show(self, picture: Picture, sighting: MarkerSighting | None) -> None:
+    def _show(self, picture: CapturedPicture, sighting: MarkerSighting | None) -> None:
         self._unseen = None
-        self._picture = Picture(
+        self._picture = CapturedPicture(
             number=picture.number,
             t_us=picture.t_us,
             pixels=picture.pixels,
@@ -274,7 +274,7 @@ class Feed:
                 self._described = described = (revision, run.describe())
                 self._scene += 1
         before = self.snapshot
-        self.snapshot = Snapshot(
+        self.snapshot = TickSnapshot(
             number=1 if before is None else before.number + 1,
             wall_s=now_s,
             outputs=outputs,

@@ -1,7 +1,7 @@
 """One thread that makes frames of what the loop leaves, and gives each to whoever looks.
 
 A viewer that does not read keeps nobody waiting: it has one place per kind of message, in which the newest lies.
-Whoever does not take a message off the wire in time (:data:`autopilot.view.server.PATIENCE_S`) is gone. Without a
+Whoever does not take a message off the wire in time (:data:`autopilot.view.http_server.PATIENCE_S`) is gone. Without a
 viewer the thread sleeps and the loop does next to nothing.
 """
 
@@ -15,7 +15,7 @@ from autopilot.core.vehicle import Vehicle
 from autopilot.view.ages import FLOW_S
 from autopilot.view.controls import Controls
 from autopilot.view.encode import frame_of, picture_of, scene_of
-from autopilot.view.feed import Feed, Snapshot, Watched
+from autopilot.view.feed import Feed, TickSnapshot, Watched
 
 POLL_S = 0.05
 IDLE_S = 0.5
@@ -199,7 +199,7 @@ class Hub:
                 if viewer.pictures:
                     viewer.put("picture", data)
 
-    def _give_scene(self, run: _Run, snapshot: Snapshot) -> None:
+    def _give_scene(self, run: _Run, snapshot: TickSnapshot) -> None:
         """The scene to whoever does not have it; made anew for each, because of the trail."""
         without = [viewer for viewer in self._viewers if viewer.scene != snapshot.scene]
         if not without:

@@ -19,7 +19,7 @@ class Outline(msgspec.Struct, frozen=True, kw_only=True):
     corners_m: tuple[Point2, ...]
 
 
-class Place(msgspec.Struct, frozen=True, kw_only=True):
+class WaypointView(msgspec.Struct, frozen=True, kw_only=True):
     """A waypoint with the region in which it counts as reached."""
 
     name: str
@@ -75,7 +75,7 @@ class Steerable(msgspec.Struct, frozen=True, kw_only=True):
     """What is not there, and why; a line each."""
 
 
-class Scene(msgspec.Struct, frozen=True, kw_only=True):
+class SceneView(msgspec.Struct, frozen=True, kw_only=True):
     """What seldom changes."""
 
     title: str
@@ -87,7 +87,7 @@ class Scene(msgspec.Struct, frozen=True, kw_only=True):
     """Corners of the walls; empty = open water."""
     tank_depth_m: float | None
     fence: tuple[Outline, ...]
-    places: tuple[Place, ...]
+    places: tuple[WaypointView, ...]
     limits: Limits
     ages: AgeLimits
     thrusters: tuple[str, ...]
@@ -142,7 +142,7 @@ class Solid(msgspec.Struct, frozen=True, kw_only=True):
     """Of a prism."""
 
 
-class Track(msgspec.Struct, frozen=True, kw_only=True):
+class ObstacleView(msgspec.Struct, frozen=True, kw_only=True):
     """An obstacle that was reported."""
 
     number: int
@@ -152,7 +152,7 @@ class Track(msgspec.Struct, frozen=True, kw_only=True):
     age_s: float
 
 
-class Target(msgspec.Struct, frozen=True, kw_only=True):
+class GoalView(msgspec.Struct, frozen=True, kw_only=True):
     """The goal of now."""
 
     pos_ned_m: Point3
@@ -188,7 +188,7 @@ class Control(msgspec.Struct, frozen=True, kw_only=True):
     """Of ``eta_s`` and ``energy_j``."""
 
 
-class Sensor(msgspec.Struct, frozen=True, kw_only=True):
+class SensorView(msgspec.Struct, frozen=True, kw_only=True):
     """An aiding sensor's last measurement."""
 
     name: str
@@ -200,7 +200,7 @@ class Sensor(msgspec.Struct, frozen=True, kw_only=True):
     """Older than that it is silent."""
 
 
-class Device(msgspec.Struct, frozen=True, kw_only=True):
+class DeviceView(msgspec.Struct, frozen=True, kw_only=True):
     """What a device has delivered last, used or not."""
 
     name: str
@@ -209,7 +209,7 @@ class Device(msgspec.Struct, frozen=True, kw_only=True):
     """Older than that it is silent."""
 
 
-class Progress(msgspec.Struct, frozen=True, kw_only=True):
+class ProgressView(msgspec.Struct, frozen=True, kw_only=True):
     """How far the mission is."""
 
     state: str
@@ -218,7 +218,7 @@ class Progress(msgspec.Struct, frozen=True, kw_only=True):
     lap: int
 
 
-class Battery(msgspec.Struct, frozen=True, kw_only=True):
+class BatteryView(msgspec.Struct, frozen=True, kw_only=True):
     """What the battery's monitor said last."""
 
     age_s: float
@@ -240,7 +240,7 @@ class Loop(msgspec.Struct, frozen=True, kw_only=True):
     late_part: str
 
 
-class Message(msgspec.Struct, frozen=True, kw_only=True):
+class MessageView(msgspec.Struct, frozen=True, kw_only=True):
     """A line for the operator."""
 
     number: int
@@ -250,7 +250,7 @@ class Message(msgspec.Struct, frozen=True, kw_only=True):
     text: str
 
 
-class Frame(msgspec.Struct, frozen=True, kw_only=True):
+class ViewFrame(msgspec.Struct, frozen=True, kw_only=True):
     """What changes all the time; each stands for itself, a viewer may miss any."""
 
     scene: int
@@ -272,25 +272,25 @@ class Frame(msgspec.Struct, frozen=True, kw_only=True):
     solids: tuple[Solid, ...]
     extra_current_ned_m_s: Point2 | None
     """Flow that was added from the page; None where there is no such control."""
-    tracks: tuple[Track, ...]
+    tracks: tuple[ObstacleView, ...]
     clearance_m: float | None
     """Of the vehicle's centre to the fence in force, negative beyond it."""
-    goal: Target | None
-    progress: Progress | None
+    goal: GoalView | None
+    progress: ProgressView | None
     control: Control | None
     thrust_n: tuple[float, ...]
     pwm_us: tuple[int, ...]
     effectiveness: tuple[float, ...]
     """Share of its thrust that each thruster gives; empty while nobody knows."""
-    sensors: tuple[Sensor, ...]
-    devices: tuple[Device, ...]
-    battery: Battery | None
+    sensors: tuple[SensorView, ...]
+    devices: tuple[DeviceView, ...]
+    battery: BatteryView | None
     loop: Loop | None
-    messages: tuple[Message, ...]
+    messages: tuple[MessageView, ...]
     """The last ones, oldest first."""
 
 
-class Picture(msgspec.Struct, frozen=True, kw_only=True):
+class PictureView(msgspec.Struct, frozen=True, kw_only=True):
     """A camera picture and what was found in it."""
 
     t_s: float
@@ -304,7 +304,7 @@ class Picture(msgspec.Struct, frozen=True, kw_only=True):
     laser_px: Point2 | None
 
 
-class Flow(msgspec.Struct, frozen=True, kw_only=True):
+class FlowView(msgspec.Struct, frozen=True, kw_only=True):
     """The simulated current on a grid."""
 
     t_s: float

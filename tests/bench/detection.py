@@ -25,7 +25,7 @@ from autopilot.core.markers import IntArray, MarkerMap
 from autopilot.core.samples import CameraFrame, MarkerSighting
 from autopilot.core.vehicle import load_vehicle
 from autopilot.estimator.vision import Hint, MarkerDetector
-from autopilot.sitl.camera import SimCamera
+from autopilot.sitl.camera_sensor import SimCamera
 from autopilot.sitl.floor import build_floor
 from autopilot.sitl.plant import build_plant
 from autopilot.sitl.scenario import load_scenario

@@ -16,12 +16,12 @@ import numpy as np
 from autopilot.core.frames import FloatArray, r_ned_from_frd
 from autopilot.core.messages import AidStatus, Inputs, NavState, Outputs
 from autopilot.core.samples import PoseSample, PowerSample, Sample
-from autopilot.estimator.engine import Engine
+from autopilot.estimator.engine import AidedEstimator
 from autopilot.estimator.kalman import KalmanCore
 from autopilot.estimator.measurement import CHI2_999
 from autopilot.estimator.options import DEFAULT_OPTIONS, EstimatorOptions
 from autopilot.estimator.states import FilterState
-from autopilot.log.analysis import Track, load_flight, wrap
+from autopilot.log.analysis import VehicleTrack, load_flight, wrap
 from autopilot.log.reader import open_log
 from autopilot.mission.paper import paper_plan
 from autopilot.mission.plan_files import write_plan
@@ -108,7 +108,7 @@ class _Watcher:
         self._core = _OpenCore()
         markers = told_markers(scenario) if sensors == "camera" else None
         floor_depth_m = None if scenario.tank is None else scenario.tank.depth_m
-        self._engine = Engine(self._core, session.vehicle, markers, floor_depth_m, OPTIONS[name])
+        self._engine = AidedEstimator(self._core, session.vehicle, markers, floor_depth_m, OPTIONS[name])
         self._alter: Callable[[Sample], Sample] = _shifted if name == SHIFTED else lambda sample: sample
         self.nav: NavState | None = None
         """What it says now."""
@@ -122,7 +122,7 @@ class _Watcher:
         if keep and self.nav is not None:
             self._states.append((self.nav, self._core.covariance))
 
-    def watched(self, truth: Track, poses: Mapping[int, FloatArray]) -> Watched:
+    def watched(self, truth: VehicleTrack, poses: Mapping[int, FloatArray]) -> Watched:
         """Compared with the truth; ``poses`` are the sensor's positions by time [us]."""
         nav = [state for state, _ in self._states]
         t_us = np.array([state.t_us for state in nav])
@@ -217,7 +217,7 @@ def _vel_ned(rpy_rad: FloatArray, vel_frd_m_s: FloatArray) -> FloatArray:
     return result
 
 
-def _off_m(truth: Track, t_us: int, pos_ned_m: FloatArray | None) -> float:
+def _off_m(truth: VehicleTrack, t_us: int, pos_ned_m: FloatArray | None) -> float:
     """Distance of a fix from the truth at its time, NaN if it is not known."""
     if pos_ned_m is None:
         return float("nan")

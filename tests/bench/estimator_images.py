@@ -21,7 +21,7 @@ from autopilot.estimator.measure_laser import MIN_SIGMA_M
 from autopilot.estimator.measure_pose import PoseFix
 from autopilot.estimator.measurement import CHI2_999
 from autopilot.estimator.vision import Hint, MarkerDetector
-from autopilot.sitl.camera import SimCamera
+from autopilot.sitl.camera_sensor import SimCamera
 from autopilot.sitl.floor import Floor, build_floor
 from autopilot.sitl.plant import Truth, build_plant
 from autopilot.sitl.scenario import load_scenario

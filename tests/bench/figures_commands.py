@@ -9,7 +9,7 @@ import click
 from autopilot.bench.machine import slowness
 from autopilot.cli.bench_rows import run_one
 from autopilot.cli.bench_tables import SHORT, Rows, print_rows
-from autopilot.cli.options import JSON
+from autopilot.cli.shared_options import JSON
 from tests.bench.tables import HEADS, TITLES, judge, seed_range, tell
 
 

@@ -6,9 +6,9 @@ from pathlib import Path
 import click
 
 from autopilot.cli.bench_tables import SHORT, print_rows
+from autopilot.cli.console_output import print_table
 from autopilot.cli.finite import FiniteRange
-from autopilot.cli.options import JSON
-from autopilot.cli.output import print_table
+from autopilot.cli.shared_options import JSON
 from tests.bench.tables import TITLES, judge, judge_rows, seed_range, tell
 
 PICTURE_KINDS = ("near_frozen", "repeated", "delayed", "mirrored", "half_frozen", "elsewhere", "reflection")

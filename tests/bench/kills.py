@@ -17,7 +17,7 @@ from pathlib import Path
 
 from pymavlink.dialects.v20 import development as mav
 
-from autopilot.client.session import CommandRefusedError, Session
+from autopilot.client.client_session import CommandRefusedError, VehicleConnection
 from autopilot.core.errors import AutopilotError
 from autopilot.core.plan import PlanItem, PlanKind
 from autopilot.log.reader import open_log
@@ -68,7 +68,7 @@ class Kills:
 class _Vehicle:
     """A service of our own and a client of it."""
 
-    def __init__(self, child: Child, session: Session) -> None:
+    def __init__(self, child: Child, session: VehicleConnection) -> None:
         self.child, self.session = child, session
 
     def parameter(self, name: str, value: float | None = None) -> str:
@@ -97,7 +97,7 @@ def _vehicle(folder: Path) -> Iterator[_Vehicle]:
     places = {"AUTOPILOT_STATE_DIR": str(folder / "state"), "AUTOPILOT_LOG_DIR": str(folder / "logs")}
     child = Child(autopilot_command(*arguments), places)
     try:
-        with Session(f"udpout:{LOCAL}:{port}", at_work=child.at_work) as session:
+        with VehicleConnection(f"udpout:{LOCAL}:{port}", at_work=child.at_work) as session:
             session.connect(CONNECT_S)
             yield _Vehicle(child, session)
     finally:

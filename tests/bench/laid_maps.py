@@ -24,7 +24,7 @@ from autopilot.core.messages import NavState
 from autopilot.core.samples import LaserSample, MarkerSighting, PoseSample, Sample
 from autopilot.core.vehicle import Vehicle, load_vehicle
 from autopilot.estimator.create import create_estimator
-from autopilot.log.analysis import Track, load_flight
+from autopilot.log.analysis import VehicleTrack, load_flight
 from autopilot.log.reader import open_log
 from autopilot.sitl.floor import sheets_moved, sheets_of, told_markers
 from autopilot.sitl.scenario import load_scenario
@@ -51,7 +51,7 @@ class Recording:
 
     ticks: Sequence[tuple[int, tuple[Sample, ...], FloatArray]]
     """Time, samples that arrived, thrusts."""
-    truth: Track
+    truth: VehicleTrack
     vehicle: Vehicle
     plan: MarkerMap
     """The floor as it was meant to be, nothing said of its errors."""

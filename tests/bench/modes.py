@@ -14,7 +14,7 @@ import numpy as np
 
 from autopilot.campaign.flight import fly
 from autopilot.campaign.results import RunResult, Task
-from autopilot.campaign.table import MODE, MODES, SPEEDS
+from autopilot.campaign.run_table import MODE, MODES, SPEEDS
 from autopilot.mission.local_plan import LocalPlan, RepeatTable, WaypointTable, plan_of_local
 from autopilot.mission.paper import ORIGIN, paper_plan
 from autopilot.mission.plan_files import write_plan

@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING
 
 import click
 
+from autopilot.cli.console_output import print_table
 from autopilot.cli.log_replay import moved_rows
-from autopilot.cli.options import JSON
-from autopilot.cli.output import print_table
+from autopilot.cli.shared_options import JSON
 from tests.bench.tables import TITLES, judge, told_one_by_one
 
 if TYPE_CHECKING:

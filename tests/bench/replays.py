@@ -12,7 +12,7 @@ from pathlib import Path
 
 from autopilot.core.errors import AutopilotError
 from autopilot.log.reader import open_log
-from autopilot.replay.service import replay_service
+from autopilot.replay.service_replay import replay_service
 from autopilot.run.config import gather, sitl_defaults
 from autopilot.run.sitl_console import RunWatch
 from autopilot.run.sitl_session import open_sitl

@@ -6,7 +6,7 @@ from typing import TypeVar
 import click
 
 from autopilot.cli.bench_tables import Rows, print_rows
-from autopilot.cli.output import emit_json
+from autopilot.cli.console_output import emit_json
 
 _Part = TypeVar("_Part")
 _Result = TypeVar("_Result")

@@ -7,11 +7,11 @@ from typing import Any
 import pytest
 from click.testing import CliRunner
 
-from autopilot.bench.estimator import bench_estimator
+from autopilot.bench.estimator_row import bench_estimator
 from autopilot.cli import bench_rows
 from autopilot.cli.bench import ALL, KNOWN_STUDIES, LONG, bench
 from autopilot.cli.bench_tables import TITLES, Rows
-from autopilot.cli.output import emit_json
+from autopilot.cli.console_output import emit_json
 from tests.bench import studies, tables
 from tests.bench.fuzz.result import Result
 from tests.bench.replays import planned_flights

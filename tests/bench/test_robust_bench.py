@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from autopilot.analysis.robust import certificate_table, lipschitz_table, tube_table
+from autopilot.analysis.plan_margins import certificate_table, lipschitz_table, tube_table
 from autopilot.cli.certify import certify
 from autopilot.core.geometry import Circle, Fence
 from autopilot.core.messages import Goal
@@ -62,7 +62,7 @@ def test_bad_arguments_are_named(arguments: list[str], says: str) -> None:
 
 def test_json_of_a_short_run(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("autopilot.analysis.munk.bench_munk", lambda seconds: [])
-    monkeypatch.setattr("autopilot.analysis.robust.cost_table", lambda *_: [])
+    monkeypatch.setattr("autopilot.analysis.plan_margins.cost_table", lambda *_: [])
     done = CliRunner().invoke(certify, ["--short", "--json", "--current", "0.1,0"])
     assert done.exit_code == 0, done.output
     tables = json.loads(done.output)

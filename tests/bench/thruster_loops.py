@@ -16,26 +16,26 @@ import msgspec
 import numpy as np
 
 from autopilot.control.thrust.allocation import Allocation
+from autopilot.control.thrust.thrust_tuning import LOSSES
 from autopilot.control.thrust.thruster_health import ThrusterHealth, usable
-from autopilot.control.thrust.tuned import LOSSES
 from autopilot.core.frames import FloatArray, wrap_pi
 from autopilot.core.messages import NavHealth, NavState
 from autopilot.core.model4 import Model4, body_acceleration
 from autopilot.core.response import Response
 from autopilot.core.sharing import Sharing
 from autopilot.core.vehicle import Vehicle, load_vehicle
-from autopilot.sitl.currents import current_field
+from autopilot.sitl.current_fields import current_field
+from autopilot.sitl.environment import SimulatedWaters
 from autopilot.sitl.plant import Plant, Truth
 from autopilot.sitl.scenario_tables import (
     GyreCurrent,
     JetCurrent,
-    NoCurrent,
+    NoCurrentTable,
     ShearCurrent,
     ThrusterLoss,
     UniformCurrent,
     VortexCurrent,
 )
-from autopilot.sitl.world import World
 
 STEP_US = 20_000
 """Of the loop."""
@@ -104,7 +104,7 @@ def drawn_current(rng: np.random.Generator) -> Any:
     speed, way = float(rng.uniform(0.05, 0.35)), float(rng.uniform(-math.pi, math.pi))
     place = (float(rng.uniform(-1.0, 1.0)), float(rng.uniform(-1.0, 1.0)))
     tables = (
-        NoCurrent(),
+        NoCurrentTable(),
         UniformCurrent(velocity_m_s=(speed * math.cos(way), speed * math.sin(way), 0.0)),
         UniformCurrent(
             velocity_m_s=(0.5 * speed * math.cos(way), 0.5 * speed * math.sin(way), 0.0),
@@ -232,7 +232,9 @@ def fly(
     mismatch |= factors or {}
     tether = (float(rng.uniform(-4.0, 4.0)), float(rng.uniform(-4.0, 4.0)), 0.0) if rng.uniform() < 0.6 else None
     names = [thruster.name for thruster in believed.thrusters]
-    world = World(polygon_ned_m=WALLS_M, floor_m=FLOOR_M, current=drawn_current(rng), tether_entry_ned_m=tether)
+    world = SimulatedWaters(
+        polygon_ned_m=WALLS_M, floor_m=FLOOR_M, current=drawn_current(rng), tether_entry_ned_m=tether
+    )
     start = (*rng.uniform(-1.5, 1.5, 2), float(rng.choice([0.14, 0.5, 0.8])))
     losses = []
     if loss is not None:

@@ -5,7 +5,7 @@ from typing import Any
 import cv2
 import numpy as np
 
-from autopilot.calibrate.boards import Board
+from autopilot.calibrate.boards import CalibrationBoard
 from autopilot.core.camera import CameraModel
 from autopilot.core.frames import FloatArray
 
@@ -33,7 +33,7 @@ def camera(
 class Printed:
     """A board as it was printed, with white round it, and rays of a camera computed once."""
 
-    def __init__(self, board: Board, model: CameraModel) -> None:
+    def __init__(self, board: CalibrationBoard, model: CameraModel) -> None:
         self.board, self.model = board, model
         width_m, height_m = board.spec.size_m
         self.margin_m = 0.02

@@ -3,7 +3,7 @@
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from autopilot.calibrate.flight import Ahrs, CameraFlight
+from autopilot.calibrate.recorded_flight import CameraFlight, RecordedAhrs
 from autopilot.core.camera import CameraModel
 from autopilot.core.frames import FloatArray, r_ned_from_frd
 from autopilot.core.vehicle import Vehicle, load_vehicle
@@ -56,7 +56,7 @@ def make_flight(
     camera = CameraModel.of_vehicle(vehicle)
     ahrs_t = np.arange(-1.0, duration_s + 1.0, 0.01)
     gyro_noise, accel_noise = 8.7e-3 * noise, 0.025 * noise
-    ahrs = Ahrs(
+    ahrs = RecordedAhrs(
         t_s=ahrs_t,
         rpy_rad=motion.rpy(ahrs_t) + np.array([0.004, -0.003, 0.2]),
         rate_frd_rad_s=motion.rate(ahrs_t) + [0.004, 0.008, -0.01] + gyro_noise * rng.standard_normal((len(ahrs_t), 3)),

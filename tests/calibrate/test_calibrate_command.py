@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from board_pictures import Printed, camera
 
-from autopilot.calibrate.boards import Board, BoardSpec
+from autopilot.calibrate.boards import BoardSpec, CalibrationBoard
 from autopilot.cli.calibrate import calibrate
 from autopilot.cli.main import cli, run
 from autopilot.core.vehicle import load_vehicle
@@ -19,7 +19,7 @@ def call(*arguments: str) -> int:
 
 
 def test_camera_from_a_folder_to_a_vehicle_file(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    printed = Printed(Board(BoardSpec()), camera())
+    printed = Printed(CalibrationBoard(BoardSpec()), camera())
     folder = tmp_path / "views"
     folder.mkdir()
     for name, grey in printed.pictures(9, np.random.default_rng(3)):

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from flights import FLOOR_M, Motion, make_flight
 
-from autopilot.calibrate.flight import read_flight
+from autopilot.calibrate.recorded_flight import read_flight
 from autopilot.cli.main import cli, run
 from autopilot.core.camera import CameraModel
 from autopilot.core.errors import LogError
@@ -17,10 +17,10 @@ from autopilot.core.markers import grid_floor
 from autopilot.core.params import ParamSet
 from autopilot.core.samples import AhrsSample, MarkerSighting
 from autopilot.core.vehicle import load_vehicle
-from autopilot.log.packing import sensors
-from autopilot.log.packing.vehicle import vehicle_state
+from autopilot.log.packing import sensor_records
+from autopilot.log.packing.vehicle_records import vehicle_state
 from autopilot.log.writer import LogWriter
-from autopilot.record.estimator import estimator_attachments
+from autopilot.record.estimator_setup import estimator_attachments
 
 EPOCH_NS = 1_767_225_600_000_000_000
 DURATION_S = 14.0
@@ -55,7 +55,7 @@ def record(path: Path, *, markers: bool = True, sightings: bool = True) -> Path:
         ):
             t_us = round(t_s * 1e6)
             sample = AhrsSample(t_us=t_us, rpy_rad=rpy, rate_frd_rad_s=rate, accel_frd_m_s2=force)
-            log.write("/in/ahrs_raw", t_us, sensors.ahrs_raw(EPOCH_NS + 1000 * t_us, sample))
+            log.write("/in/ahrs_raw", t_us, sensor_records.ahrs_raw(EPOCH_NS + 1000 * t_us, sample))
         for t_s in np.arange(0.0, DURATION_S, 1.0 / 15.0):
             t_us = round((t_s + 1.0 + LATE_S) * 1e6)
             pos, rpy = motion.pos(np.array([t_s]))[0], motion.rpy(np.array([t_s]))[0]
@@ -78,7 +78,7 @@ def record(path: Path, *, markers: bool = True, sightings: bool = True) -> Path:
                 corners_px=corners + 0.1 * rng.standard_normal(corners.shape),
                 laser_px=true.laser_pixel((FLOOR_M - start[2]) / along[2]) + 0.3 * rng.standard_normal(2),
             )
-            log.write("/in/markers", t_us, sensors.marker_sighting(EPOCH_NS + 1000 * t_us, sighting))
+            log.write("/in/markers", t_us, sensor_records.marker_sighting(EPOCH_NS + 1000 * t_us, sighting))
     return path
 
 

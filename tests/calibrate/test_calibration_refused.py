@@ -9,9 +9,9 @@ import pytest
 from board_pictures import Printed, camera
 from click.testing import CliRunner
 
-from autopilot.calibrate.boards import Board, BoardSpec
+from autopilot.calibrate.boards import BoardSpec, CalibrationBoard
 from autopilot.calibrate.intrinsics import calibrate
-from autopilot.calibrate.views import View, Views, collect_views
+from autopilot.calibrate.views import BoardView, Views, collect_views
 from autopilot.cli.calibrate import calibrate as commands
 from autopilot.core.errors import ConfigError
 
@@ -35,7 +35,7 @@ def views_of(tilt_deg: float, count: int, sigma_px: float, seed: int) -> Views:
         pixels = np.asarray(cv2.projectPoints(points, turn, shift, MATRIX, DISTORTION)[0]).reshape(-1, 2)
         pixels = pixels + rng.normal(0.0, sigma_px, pixels.shape)
         seen = ((pixels > 2.0) & (pixels < [637.0, 477.0])).all(axis=1)
-        views.append(View(name=f"{number}", points_m=points[seen], pixels=pixels[seen]))
+        views.append(BoardView(name=f"{number}", points_m=points[seen], pixels=pixels[seen]))
     return Views(width_px=640, height_px=480, views=tuple(views), left_out=())
 
 
@@ -65,7 +65,7 @@ def test_tilted_views_are_taken() -> None:
 
 def test_plain_chessboard() -> None:
     """Squares are counted, not inner corners; the sheet is that of the pattern."""
-    board = Board(BoardSpec(kind="chessboard", columns=9, rows=6, pitch_m=0.03))
+    board = CalibrationBoard(BoardSpec(kind="chessboard", columns=9, rows=6, pitch_m=0.03))
     printed = Printed(board, camera())
     found = collect_views(board, printed.pictures(10, np.random.default_rng(2)), "test")
     assert len(found.views) >= 8

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from board_pictures import Printed, camera
 
-from autopilot.calibrate.boards import Board, BoardSpec
+from autopilot.calibrate.boards import BoardSpec, CalibrationBoard
 from autopilot.calibrate.intrinsics import calibrate, camera_values, coverage, remarks
 from autopilot.calibrate.intrinsics_plot import write_plot
 from autopilot.calibrate.views import Views, collect_views, image_files, live_images, read_images
@@ -23,7 +23,7 @@ PHOTO = Path(__file__).parents[1] / "data" / "opencv_contrib" / "choriginal.jpg"
 
 @pytest.fixture(scope="module")
 def printed() -> Printed:
-    return Printed(Board(BoardSpec()), camera(tuple(TRUE.tolist())))
+    return Printed(CalibrationBoard(BoardSpec()), camera(tuple(TRUE.tolist())))
 
 
 @pytest.fixture(scope="module")
@@ -112,7 +112,7 @@ def test_wrong_input_is_one_line(printed: Printed, pictures: list[tuple[str, Any
         list(live_images(board, "/dev/video97", 8, None))
     for wrong in ({"dictionary": "DICT_NONE"}, {"columns": 40, "rows": 40}):
         with pytest.raises(ConfigError):
-            Board(BoardSpec(**wrong))  # type: ignore[arg-type]
+            CalibrationBoard(BoardSpec(**wrong))  # type: ignore[arg-type]
     with pytest.raises(ConfigError, match="measure the print"):
         BoardSpec(pitch_m=0.02, marker_m=0.03)
 
@@ -131,7 +131,7 @@ def test_a_film_gives_different_still_views(printed: Printed, pictures: list[tup
 
 @pytest.mark.parametrize("spec", [BoardSpec(), BoardSpec(legacy=True), BoardSpec(kind="grid", columns=4, rows=3)])
 def test_the_sheet_is_true_to_scale_and_can_be_found(spec: BoardSpec) -> None:
-    board = Board(spec)
+    board = CalibrationBoard(spec)
     sheet = board.svg()
     width_mm, height_mm = (float(v) for v in re.search(r'width="([\d.]+)mm" height="([\d.]+)mm"', sheet).groups())  # type: ignore[union-attr]
     assert re.search(rf'viewBox="0 0 {width_mm:.3f} {height_mm:.3f}"', sheet), "one unit is one millimetre"
@@ -152,7 +152,9 @@ def test_the_sheet_is_true_to_scale_and_can_be_found(spec: BoardSpec) -> None:
 def test_a_real_photo_of_a_charuco_board() -> None:
     """OpenCV's tutorial photo: a 5 x 7 board with 10 squares' markers of 6x6 bits, drawn by the old rule."""
     grey = cv2.imread(str(PHOTO), cv2.IMREAD_GRAYSCALE)
-    board = Board(BoardSpec(columns=5, rows=7, pitch_m=0.04, marker_m=0.02, dictionary="DICT_6X6_250", legacy=True))
+    board = CalibrationBoard(
+        BoardSpec(columns=5, rows=7, pitch_m=0.04, marker_m=0.02, dictionary="DICT_6X6_250", legacy=True)
+    )
     found = board.find(grey)
     assert found is not None
     assert len(found[0]) == 24

@@ -9,7 +9,7 @@ import pytest
 from board_pictures import Printed, camera
 from flights import FLOOR_M, Motion, make_flight
 
-from autopilot.calibrate.boards import Board, BoardSpec
+from autopilot.calibrate.boards import BoardSpec, CalibrationBoard
 from autopilot.calibrate.laser_dots import board_dots, green_dots, logged_dots
 from autopilot.calibrate.laser_fit import Dots, beam_values, fit_beam, floor_depths
 from autopilot.core.camera import CameraModel
@@ -71,7 +71,7 @@ def test_dots_of_a_flight_with_a_leaning_vehicle() -> None:
 
 def test_from_pictures_of_a_board(tmp_path: Path) -> None:
     model = camera()
-    board = Board(BoardSpec())
+    board = CalibrationBoard(BoardSpec())
     printed = Printed(board, model)
     rng = np.random.default_rng(4)
     rows, columns = np.mgrid[0:480, 0:640]
@@ -95,4 +95,4 @@ def test_from_pictures_of_a_board(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match="use images of the mode"):
         board_dots(board, replace(model, width_px=1280), tmp_path)
     with pytest.raises(ConfigError, match="no image shows both"):
-        board_dots(Board(BoardSpec(dictionary="DICT_7X7_100")), model, tmp_path)
+        board_dots(CalibrationBoard(BoardSpec(dictionary="DICT_7X7_100")), model, tmp_path)

@@ -9,10 +9,10 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from autopilot.core.frames import wrap_pi
-from autopilot.core.geodesy import Origin, Place
+from autopilot.core.geodesy import GeodeticPosition, Origin
 from autopilot.core.messages import Event, MavlinkFrame, NavHealth, NavState, ProgressState, RunEnd
 from autopilot.core.params import ParamSet
-from autopilot.mavlink.api import Answer, CommandResult, FlightMode, VehicleView
+from autopilot.mavlink.api import CommandReply, CommandResult, FlightMode, VehicleView
 from autopilot.mavlink.server import MavlinkServer
 from autopilot.mission.sequencer import Sequencer
 from autopilot.mission.store import Plans
@@ -20,9 +20,9 @@ from autopilot.mission.store import Plans
 TICK_US = 10_000
 RADIUS_M = 0.3
 ORIGIN = Origin(lat_deg=37.9755, lon_deg=23.7790)
-_POINT = Place(lat_deg=ORIGIN.lat_deg, lon_deg=ORIGIN.lon_deg, alt_m=ORIGIN.alt_m)
-OK = Answer(result=CommandResult.ACCEPTED)
-NO = Answer(result=CommandResult.UNSUPPORTED)
+_POINT = GeodeticPosition(lat_deg=ORIGIN.lat_deg, lon_deg=ORIGIN.lon_deg, alt_m=ORIGIN.alt_m)
+OK = CommandReply(result=CommandResult.ACCEPTED)
+NO = CommandReply(result=CommandResult.UNSUPPORTED)
 
 
 class StraightVehicle:
@@ -38,51 +38,51 @@ class StraightVehicle:
         self.not_ready = ""
         self.starts = 0
 
-    def arm(self, force: bool) -> Answer:
+    def arm(self, force: bool) -> CommandReply:
         if self.not_ready and not force:
-            return Answer(result=CommandResult.DENIED, reason=f"Arming denied: {self.not_ready}")
+            return CommandReply(result=CommandResult.DENIED, reason=f"Arming denied: {self.not_ready}")
         self.armed = True
         return OK
 
-    def disarm(self, force: bool) -> Answer:
+    def disarm(self, force: bool) -> CommandReply:
         self.armed = False
         return OK
 
-    def disarmed(self) -> Answer:
+    def disarmed(self) -> CommandReply:
         return OK
 
-    def start_mission(self, first_seq: int | None) -> Answer:
+    def start_mission(self, first_seq: int | None) -> CommandReply:
         if not self.armed or not self.plans.steps():
-            return Answer(result=CommandResult.DENIED, reason="Mission start refused: not armed or no mission")
+            return CommandReply(result=CommandResult.DENIED, reason="Mission start refused: not armed or no mission")
         self.starts += 1
         self.sequencer.start(first_seq)
         return OK
 
-    def set_mode(self, mode: FlightMode) -> Answer:
+    def set_mode(self, mode: FlightMode) -> CommandReply:
         return NO
 
-    def pause(self) -> Answer:
+    def pause(self) -> CommandReply:
         return NO
 
-    def resume(self) -> Answer:
+    def resume(self) -> CommandReply:
         return NO
 
-    def set_current_item(self, seq: int) -> Answer:
+    def set_current_item(self, seq: int) -> CommandReply:
         return NO
 
-    def go_to(self, point: Place | None, yaw_rad: float | None) -> Answer:
+    def go_to(self, point: GeodeticPosition | None, yaw_rad: float | None) -> CommandReply:
         return NO
 
-    def change_speed(self, speed_m_s: float | None) -> Answer:
+    def change_speed(self, speed_m_s: float | None) -> CommandReply:
         return NO
 
-    def set_home(self, point: Place | None) -> Answer:
+    def set_home(self, point: GeodeticPosition | None) -> CommandReply:
         return NO
 
-    def set_origin(self, point: Place) -> Answer:
+    def set_origin(self, point: GeodeticPosition) -> CommandReply:
         return NO
 
-    def end_run(self, end: RunEnd) -> Answer:
+    def end_run(self, end: RunEnd) -> CommandReply:
         return NO
 
     def tick(self, t_us: int) -> tuple[tuple[int, ...], VehicleView]:

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pymavlink.dialects.v20 import development as mav
 
-from autopilot.client.links import TcpLink, UdpLink, open_link, parse_connection
+from autopilot.client.client_links import TcpLink, UdpLink, open_link, parse_connection
 from autopilot.client.texts import TextCollector
 from autopilot.core.errors import DriverError
 

@@ -6,9 +6,9 @@ import pytest
 from client_world import TICK_US, Loss, MemoryLink
 from pymavlink.dialects.v20 import development as mav
 
+from autopilot.client.client_session import CommandRefusedError, MissionStatus, VehicleConnection
 from autopilot.client.exchange import Timers
 from autopilot.client.plan_client import same_on_the_wire
-from autopilot.client.session import CommandRefusedError, MissionStatus, Session
 from autopilot.core.errors import DriverError, PlanError
 from autopilot.core.messages import Event, ProgressState
 from autopilot.core.plan import PlanItem, PlanKind
@@ -17,8 +17,8 @@ from autopilot.mission.paper import paper_plan
 BAD = {"drop": 0.2, "duplicate": 0.2, "delay": 0.2}
 
 
-def session(link: MemoryLink) -> Session:
-    opened = Session(link, clock_s=link.clock_s)
+def session(link: MemoryLink) -> VehicleConnection:
+    opened = VehicleConnection(link, clock_s=link.clock_s)
     opened.connect()
     return opened
 
@@ -134,7 +134,7 @@ def test_no_vehicle_at_all() -> None:
     link = MemoryLink()
     link.cut = True
     with pytest.raises(DriverError, match="no vehicle heard on link within 2 s"):
-        Session(link, clock_s=link.clock_s).connect(2.0)
+        VehicleConnection(link, clock_s=link.clock_s).connect(2.0)
 
 
 def _swallow(link: MemoryLink, message_id: int) -> None:
@@ -224,7 +224,7 @@ def test_long_reasons_survive_doubled_and_swapped_chunks(seed: int) -> None:
 
 def test_timers_can_be_patient() -> None:
     link = MemoryLink()
-    client = Session(link, Timers(give_up_s=1.0), clock_s=link.clock_s)
+    client = VehicleConnection(link, Timers(give_up_s=1.0), clock_s=link.clock_s)
     client.connect()
     link.cut = True
     begun = link.clock_s()
@@ -251,7 +251,7 @@ class StarvedLink(MemoryLink):
 def test_waiting_follows_the_vehicles_clock(slower: float) -> None:
     """30: the client's 20 ms are a fraction of a tick. 300: a tick takes 3 s, a heartbeat comes every five minutes."""
     link = StarvedLink()
-    client = Session(link, clock_s=link.wall_s)
+    client = VehicleConnection(link, clock_s=link.wall_s)
     client.connect()
     client.poll(0.5)
     link.slower = slower
@@ -266,7 +266,7 @@ def test_waiting_follows_the_vehicles_clock(slower: float) -> None:
 
 def test_an_exchange_is_given_up_in_the_vehicles_time() -> None:
     link = StarvedLink()
-    client = Session(link, clock_s=link.wall_s)
+    client = VehicleConnection(link, clock_s=link.wall_s)
     client.connect()
     client.poll(0.5)
     link.slower = 40.0
@@ -286,14 +286,14 @@ def test_silence_of_a_process_that_is_at_work_is_waited_out() -> None:
         link.cut = link.clock_s() < 60.0
         return True
 
-    client = Session(link, clock_s=link.clock_s, at_work=at_work)
+    client = VehicleConnection(link, clock_s=link.clock_s, at_work=at_work)
     client.connect()
     link.cut = True
     client.upload(PlanKind.MISSION, long_mission(3))
     assert link.clock_s() > 60.0
     assert len(asked) < 200
     link.cut = True
-    client = Session(link, clock_s=link.clock_s, at_work=lambda: False)
+    client = VehicleConnection(link, clock_s=link.clock_s, at_work=lambda: False)
     with pytest.raises(DriverError, match="within 3 s"):
         client.connect(3.0)
 
@@ -307,7 +307,7 @@ def test_a_vehicle_that_never_ends_its_start_is_given_up() -> None:
             return bytes(beat.pack(mav.MAVLink(None, srcSystem=1, srcComponent=1))) if self.turn else b""
 
     link = Starting()
-    client = Session(link, clock_s=link.clock_s)
+    client = VehicleConnection(link, clock_s=link.clock_s)
     with pytest.raises(DriverError, match="starts and does not get ready"):
         client.connect(3.0)
     assert 100.0 < link.clock_s() < 400.0

@@ -21,7 +21,7 @@ PAPER = SCENARIOS / "paper.plan"
 @pytest.fixture
 def link(monkeypatch: pytest.MonkeyPatch) -> MemoryLink:
     world = MemoryLink()
-    monkeypatch.setattr("autopilot.client.session.open_link", lambda text: world)
+    monkeypatch.setattr("autopilot.client.client_session.open_link", lambda text: world)
     return world
 
 

@@ -26,7 +26,7 @@ from autopilot.core.params import ParamSet
 from autopilot.core.response import Response
 from autopilot.core.sharing import Sharing
 from autopilot.core.vehicle import Vehicle
-from autopilot.identify.prediction import Coefficients, model_of, predict
+from autopilot.identify.prediction import CoefficientScale, model_of, predict
 
 OPEN = Fence(depth_max_m=5.0)
 GOALS = (goal(1.6, 0.8, 1.0, 1.0), goal(0.0, 0.0, 0.6, -0.6))
@@ -199,7 +199,7 @@ def test_a_lost_horizontal_thruster_of_a_bluerov2_is_found_in_any_order(lost: in
 
 def test_identification_predicts_with_any_thrusters() -> None:
     model, rng = bluerov2().to_model(), np.random.default_rng(2)
-    values = Coefficients.of(model).base
+    values = CoefficientScale.of(model).base
     assert model_of(values, model).allocation == model.allocation
     values[13] = 0.02
     armed = model_of(values, model)

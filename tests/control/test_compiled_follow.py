@@ -5,13 +5,13 @@ import pytest
 from control_loop import nav_state
 from vehicles import drawn
 
-from autopilot.control.energy.track import Track
+from autopilot.control.energy.track import TrackedTrajectory
 from autopilot.control.energy.trajectory import Trajectory
 from autopilot.control.nmpc.grid import geometric_grid
 from autopilot.control.nmpc.lag import ThrusterLag
 from autopilot.control.robust.ancillary import Ancillary
 from autopilot.control.robust.inner import InnerLoop
-from autopilot.control.water.current_learning import Fit, LearnedCurrent
+from autopilot.control.water.current_learning import FlowFit, LearnedCurrent
 from autopilot.control.way.reference import Route
 from autopilot.core import compiled
 from autopilot.core.frames import FloatArray
@@ -66,8 +66,8 @@ def _trajectory(rng: np.random.Generator, thrusters: int = 4) -> Trajectory:
 def test_places_on_a_trajectory() -> None:
     rng = np.random.default_rng(6)
     for _ in range(60):
-        ours = Track(_trajectory(rng), None, True)  # type: ignore[arg-type]
-        plain = Track(ours.trajectory, None, True)  # type: ignore[arg-type]
+        ours = TrackedTrajectory(_trajectory(rng), None, True)  # type: ignore[arg-type]
+        plain = TrackedTrajectory(ours.trajectory, None, True)  # type: ignore[arg-type]
         plain._library = None
         times: FloatArray = np.concatenate([ours.trajectory.t_s, rng.uniform(-1.0, 1.3 * ours.length_s, 30)])
         assert np.allclose(ours._at(times), plain._at(times), rtol=1e-12, atol=1e-12)
@@ -80,7 +80,7 @@ def test_places_on_a_trajectory() -> None:
 @pytest.mark.parametrize("cells", [0, 1, 40])
 def test_the_learned_flow(cells: int, monkeypatch: pytest.MonkeyPatch) -> None:
     rng = np.random.default_rng(cells)
-    fit = Fit(
+    fit = FlowFit(
         length_m=0.7,
         places_ned_m=rng.normal(size=(cells, 2)),
         pull=rng.normal(size=(2, cells)),
@@ -156,8 +156,8 @@ def test_thrust_of_a_state_that_is_no_number_is_none(monkeypatch: pytest.MonkeyP
 def test_no_place_on_a_trajectory_is_made_of_what_is_no_number(value: float) -> None:
     rng = np.random.default_rng(7)
     for turn in range(30):
-        ours = Track(_trajectory(rng), None, True)  # type: ignore[arg-type]
-        plain = Track(ours.trajectory, None, True)  # type: ignore[arg-type]
+        ours = TrackedTrajectory(_trajectory(rng), None, True)  # type: ignore[arg-type]
+        plain = TrackedTrajectory(ours.trajectory, None, True)  # type: ignore[arg-type]
         plain._library = None
         times = with_one(rng, rng.uniform(0.0, ours.length_s, 9), value)
         assert agree(ours._at(times), outcome(plain._at, times))
@@ -183,7 +183,7 @@ def test_no_current_is_made_of_what_is_no_number(value: float) -> None:
             along, t_s, here[:3] = (
                 with_one(rng, each, value) if which == 3 + i else each for i, each in enumerate((along, t_s, here[:3]))
             )
-        fit = Fit(length_m=0.7, places_ned_m=arrays[0], pull=arrays[1], mean_m_s=arrays[2])
+        fit = FlowFit(length_m=0.7, places_ned_m=arrays[0], pull=arrays[1], mean_m_s=arrays[2])
         quick, plain, filled = LearnedCurrent(), LearnedCurrent(), [np.zeros((9, 3)), np.zeros((9, 3))]
         for forecast in (quick, plain):
             forecast._fit, forecast._trust.share = fit, 0.7

@@ -17,7 +17,7 @@ from autopilot.control.fence.obstacles import Features
 from autopilot.control.nmpc.grid import uniform_grid
 from autopilot.control.robust.margins import Margins
 from autopilot.control.robust.tightening import BackOffs
-from autopilot.control.water.current_learning import Fit
+from autopilot.control.water.current_learning import FlowFit
 from autopilot.core import compiled
 from autopilot.core.compiled import Mirror
 from autopilot.core.frames import FloatArray
@@ -152,7 +152,7 @@ def test_other_arrays_that_are_too_short_are_refused() -> None:
     with pytest.raises(ValueError, match="columns 6 to 9 of 8"):
         gaps.largest(np.zeros((9, 8)), None, 6, 3)
     with pytest.raises(ValueError, match=r"^pull is"):
-        Fit(length_m=1.0, places_ned_m=np.zeros((3, 2)), pull=np.zeros((2, 2)), mean_m_s=np.zeros(2))
+        FlowFit(length_m=1.0, places_ned_m=np.zeros((3, 2)), pull=np.zeros((2, 2)), mean_m_s=np.zeros(2))
 
 
 def test_many_rounds_and_no_edges_are_looked_at_where_they_are() -> None:

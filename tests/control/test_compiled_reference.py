@@ -8,8 +8,8 @@ import pytest
 from vehicles import drawn
 
 from autopilot.control.nmpc.grid import geometric_grid, uniform_grid
-from autopilot.control.way.quick import QuickMarch
-from autopilot.control.way.reference import Route, Target, build_reference
+from autopilot.control.way.compiled_reference import QuickMarch
+from autopilot.control.way.reference import ReferenceTarget, Route, build_reference
 from autopilot.core import compiled
 from autopilot.core.frames import FloatArray
 from autopilot.core.sharing import Sharing
@@ -37,7 +37,7 @@ def test_references_are_those_of_the_code_that_says_what_they_mean(thrusters: in
             corners = np.cumsum(rng.normal(size=(rng.integers(1, 6), 2)) * rng.uniform(0.0, 2.0), axis=0)
             route = Route(corners)
             x0, current = rng.normal(size=8), rng.choice([0.0, 0.1, 0.5]) * rng.normal(size=3)
-            target = Target(
+            target = ReferenceTarget(
                 route=route,
                 s0_m=float(rng.choice([0.0, route.length_m, rng.uniform(0.0, 1.1) * route.length_m])),
                 depth_m=float(rng.choice([x0[2], rng.normal()])),
@@ -70,7 +70,7 @@ def test_no_reference_is_made_of_what_is_no_number(hostile: str, value: float) -
     rng, grid = np.random.default_rng(3), uniform_grid(7)
     sharing = Sharing(drawn(rng, 4).to_model())
     quick = QuickMarch(compiled.load(), sharing, grid.t_s)
-    sound = Target(
+    sound = ReferenceTarget(
         route=Route(np.array([[0.0, 0.0], [1.0, 0.5], [2.0, 0.0]])),
         s0_m=0.3,
         depth_m=0.8,

@@ -14,16 +14,16 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from autopilot.control.controller import MotionController
+from autopilot.control.energy.energy_tuning import PATIENCE
 from autopilot.control.energy.patience import ANSWER_STEPS as ANSWER_STEPS_OF_PLANS
 from autopilot.control.energy.patience import Kind
 from autopilot.control.energy.power import PowerModel
-from autopilot.control.energy.request import Plan, Request
+from autopilot.control.energy.request import Plan, TrajectoryRequest
 from autopilot.control.energy.search import EnergyPlanner
 from autopilot.control.energy.trajectory import Ask, Program, Trajectory
-from autopilot.control.energy.tuned import PATIENCE
 from autopilot.control.way.desks import Desks
 from autopilot.control.way.planner import Planner
-from autopilot.control.way.tuned import GUIDANCE
+from autopilot.control.way.way_tuning import GUIDANCE
 from autopilot.core.desk import Cancel, Desk, WithdrawnError
 from autopilot.core.frames import FloatArray
 from autopilot.core.geometry import Circle, Fence, Polygon
@@ -177,7 +177,7 @@ class Counting(EnergyPlanner):
         self.withdrawn = 0
         self.begun = threading.Event()
 
-    def plan(self, request: Request, cancel: Cancel | None = None) -> Plan:
+    def plan(self, request: TrajectoryRequest, cancel: Cancel | None = None) -> Plan:
         self.begun.set()
         try:
             plan = super().plan(request, cancel)
@@ -229,10 +229,10 @@ def test_a_plan_in_work_is_given_up_within_an_iteration() -> None:
 class Hostile:
     """Makes what ``script`` says of every request: a plan, an exception, something that is not finite."""
 
-    def __init__(self, script: Callable[[int, Request, Cancel], Plan]) -> None:
+    def __init__(self, script: Callable[[int, TrajectoryRequest, Cancel], Plan]) -> None:
         self._script, self.asked = script, 0
 
-    def plan(self, request: Request, cancel: Cancel) -> Plan:
+    def plan(self, request: TrajectoryRequest, cancel: Cancel) -> Plan:
         self.asked += 1
         return self._script(self.asked, request, cancel)
 
@@ -240,14 +240,14 @@ class Hostile:
         raise OSError("no libraries")
 
 
-def raising(error: Exception) -> Callable[[int, Request, Cancel], Plan]:
-    def script(_: int, __: Request, ___: Cancel) -> Plan:
+def raising(error: Exception) -> Callable[[int, TrajectoryRequest, Cancel], Plan]:
+    def script(_: int, __: TrajectoryRequest, ___: Cancel) -> Plan:
         raise error
 
     return script
 
 
-def not_finite(_: int, request: Request, cancel: Cancel) -> Plan:
+def not_finite(_: int, request: TrajectoryRequest, cancel: Cancel) -> Plan:
     plan = SOUND.plan(request, cancel)
     assert plan.trajectory is not None
     return replace(plan, trajectory=replace(plan.trajectory, x=np.full_like(plan.trajectory.x, np.nan)))
@@ -265,7 +265,9 @@ def not_finite(_: int, request: Request, cancel: Cancel) -> Plan:
     ],
     ids=["runtime", "memory", "numpy", "withdrawn", "none", "nan"],
 )
-def test_a_leg_whose_plan_fails_goes_by_the_plain_route(script: Callable[[int, Request, Cancel], Plan]) -> None:
+def test_a_leg_whose_plan_fails_goes_by_the_plain_route(
+    script: Callable[[int, TrajectoryRequest, Cancel], Plan],
+) -> None:
     planner = Hostile(script)
     controller = MotionController(VEHICLE, trajectories=planner, cpu_clock=lambda: 0.0)
     loop = Loop(controller, MPC_COST=1)
@@ -290,7 +292,7 @@ def test_a_leg_whose_plan_fails_goes_by_the_plain_route(script: Callable[[int, R
 def test_a_planner_that_recovers_is_used_again_and_its_next_failure_is_news() -> None:
     """The first two of every three requests fail: one word, and then the same leg is flown by the plan."""
 
-    def script(asked: int, request: Request, cancel: Cancel) -> Plan:
+    def script(asked: int, request: TrajectoryRequest, cancel: Cancel) -> Plan:
         if asked % 3:
             raise ValueError("odd")
         return SOUND.plan(request, cancel)
@@ -309,7 +311,7 @@ def test_a_planner_that_recovers_is_used_again_and_its_next_failure_is_news() ->
 def test_no_plan_and_no_way_are_no_reason_to_stop_where_the_route_goes_on() -> None:
     """What the energy planner finds no way through, or no trajectory, the vehicle flies like the other mode."""
 
-    def none(_: int, request: Request, __: Cancel) -> Plan:
+    def none(_: int, request: TrajectoryRequest, __: Cancel) -> Plan:
         return Plan(goal=request.goal, trajectory=None, energy_j=math.inf, eta_s=math.inf, complete=False, why="no way")
 
     loop = Loop(MotionController(VEHICLE, trajectories=Hostile(none), cpu_clock=lambda: 0.0), MPC_COST=1)
@@ -343,7 +345,7 @@ def test_a_quick_plan_comes_first_and_the_full_search_takes_over_without_a_jump(
     for far in (goal(6.0, 1.0, 0.45, None), goal(6.0, -1.5, 0.45, None)):
         kinds: list[Kind] = []
 
-        def noted(_: int, request: Request, cancel: Cancel, kinds: list[Kind] = kinds) -> Plan:
+        def noted(_: int, request: TrajectoryRequest, cancel: Cancel, kinds: list[Kind] = kinds) -> Plan:
             kinds.append(request.kind)
             return SOUND.plan(request, cancel)
 

@@ -12,11 +12,11 @@ from autopilot.control.controller import MotionController
 from autopilot.control.energy.trajectory import Program, Trajectory
 from autopilot.control.water.current_learning import Basin, LearnedCurrent, narrowest_width_m
 from autopilot.control.water.currents import EstimatedCurrent
-from autopilot.control.water.tuned import CURRENT_LEARNING
+from autopilot.control.water.water_tuning import CURRENT_LEARNING
 from autopilot.core.geometry import Circle, Fence
 from autopilot.core.messages import NavHealth
 from autopilot.core.params import ParamSet
-from autopilot.sitl.currents import Gyre
+from autopilot.sitl.current_fields import Gyre
 from tests.control.control_loop import TANK, VEHICLE, fly, goal, jet, nav_state
 from tests.control.waters import KINDS, errors_of, room, world_of
 

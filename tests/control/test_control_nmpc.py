@@ -14,7 +14,7 @@ from autopilot.control.nmpc.grid import geometric_grid, uniform_grid
 from autopilot.control.nmpc.solver import PLANES, Nmpc, NmpcProblem, QpStep, choose_step, passes_self_test
 from autopilot.control.way.guidance import SteadyThrust
 from autopilot.control.way.planner import Planner
-from autopilot.control.way.reference import Route, Target, build_reference
+from autopilot.control.way.reference import ReferenceTarget, Route, build_reference
 from autopilot.core import compiled
 from autopilot.core.errors import ConfigError
 from autopilot.core.messages import SolveStatus
@@ -28,7 +28,7 @@ def problem(grid, x0: np.ndarray, goal=(1.75, 0.0), yaw: float = -math.pi, plane
     path = Planner(TANK, RADIUS_M).path(x0[:2], np.array(goal))
     assert path is not None
     current = np.array([0.1, -0.08, 0.0])
-    target = Target(
+    target = ReferenceTarget(
         route=Route(path),
         s0_m=0.0,
         depth_m=0.3,

@@ -14,20 +14,20 @@ from autopilot.control.nmpc.grid import geometric_grid
 from autopilot.control.robust.fallback import station_keeping_thrust
 from autopilot.control.way.planner import Planner
 from autopilot.control.way.reference import (
+    ReferenceTarget,
     Route,
-    Target,
     approach,
     build_reference,
     ground_speed,
     turn_target,
     water_speed_share,
 )
-from autopilot.control.way.tuned import PLANNER, REFERENCE
+from autopilot.control.way.way_tuning import PLANNER, REFERENCE
 from autopilot.core.geometry import Circle, Fence, Polygon
 from autopilot.core.model4 import state_derivative
 from autopilot.core.sharing import Sharing
+from autopilot.mission.mission_tuning import VALIDATION
 from autopilot.mission.reach import free_regions
-from autopilot.mission.tuned import VALIDATION
 
 RADIUS_M = 0.33
 A, B = np.array([-1.6, -0.35]), np.array([1.75, 0.0])
@@ -201,7 +201,7 @@ def test_ground_speed_respects_the_limit_through_the_water(cn: float, ce: float,
         assert abs(speed * tangent - current) == pytest.approx(asked * 0.46)
 
 
-def target(**changes) -> Target:
+def target(**changes) -> ReferenceTarget:
     values = {
         "route": Route(np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.5]])),
         "s0_m": 0.0,
@@ -212,7 +212,7 @@ def target(**changes) -> Target:
         "heave_limit_m_s": 0.25,
         "yaw_rate_limit_rad_s": 1.0,
     }
-    return Target(**(values | changes))
+    return ReferenceTarget(**(values | changes))
 
 
 def test_reference_is_a_motion_of_the_model() -> None:

@@ -11,7 +11,7 @@ from autopilot.control.controller import MotionController
 from autopilot.control.nmpc.reversal import Reversals
 from autopilot.core.params import ParamSet
 from autopilot.core.vehicle import load_vehicle
-from autopilot.log.smoothness import BARS, Commands, Smoothness, measure
+from autopilot.log.smoothness import BARS, Smoothness, ThrustCommands, measure
 
 STEP_S = 0.05
 
@@ -20,7 +20,7 @@ def smoothness(flight: Flight) -> Smoothness:
     """Figures as ``autopilot log check`` takes them."""
     t_s = STEP_S * np.arange(len(flight.thrust_n))
     found = measure(
-        Commands(
+        ThrustCommands(
             t_s=t_s,
             thrust_n=flight.thrust_n,
             fallback=np.array([output.status.fallback for output in flight.outputs], dtype=np.uint8),

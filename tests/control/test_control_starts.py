@@ -15,15 +15,15 @@ from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
 
 from autopilot.control.controller import MotionController
-from autopilot.control.energy.flow import Flow
-from autopilot.control.energy.request import Plan, Request
+from autopilot.control.energy.flow import FlowField
+from autopilot.control.energy.request import Plan, TrajectoryRequest
 from autopilot.control.energy.trajectory import Trajectory
 from autopilot.control.nmpc import ocp
 from autopilot.control.nmpc.grid import geometric_grid
 from autopilot.control.nmpc.reversal import LEAST_SHARE
 from autopilot.control.nmpc.unsolved import solve_again
 from autopilot.control.step_program import MOST_QPS
-from autopilot.control.thrust.tuned import BY_HAND
+from autopilot.control.thrust.thrust_tuning import BY_HAND
 from autopilot.core.desk import Cancel
 from autopilot.core.frames import FloatArray
 from autopilot.core.geometry import Circle, Fence, Polygon
@@ -163,7 +163,7 @@ def case(seed: int, cost: int) -> Case:
 class WildPlanner:
     """Trajectories from here to the goal that spin, jump and end too early, as an optimiser that failed leaves them."""
 
-    def plan(self, request: Request, cancel: Cancel) -> Plan:
+    def plan(self, request: TrajectoryRequest, cancel: Cancel) -> Plan:
         rng = np.random.default_rng(int(1e3 * abs(float(request.x0[2]))))
         t = np.linspace(0.0, float(rng.uniform(2.0, 20.0)), 41)
         x = np.zeros((len(t), NX))
@@ -174,7 +174,7 @@ class WildPlanner:
         thrust = rng.uniform(-12.0, 12.0, (len(t) - 1, 4))
         found = Trajectory(t_s=t, x=x, thrust_n=thrust, energy_j=1.0, cost_j=1.0, solved=True)
         return Plan(
-            goal=request.goal, trajectory=found, energy_j=1.0, eta_s=1.0, complete=True, flow=Flow(request.flow)
+            goal=request.goal, trajectory=found, energy_j=1.0, eta_s=1.0, complete=True, flow=FlowField(request.flow)
         )
 
     def warm(self) -> None:

@@ -8,8 +8,8 @@ import pytest
 from control_loop import STEP_US, TANK, VEHICLE, A, B, fly, goal
 
 from autopilot.control.controller import MotionController
-from autopilot.control.fence.tracks import Obstructions, Tracks, Way, movers_of
-from autopilot.control.fence.tuned import TRACKS
+from autopilot.control.fence.fence_tuning import TRACKS
+from autopilot.control.fence.tracks import IntendedMotion, Obstructions, Tracks, movers_of
 from autopilot.core.geometry import Fence
 from autopilot.core.messages import Fallback
 from autopilot.core.samples import ObstacleTrack
@@ -80,8 +80,8 @@ def test_bad_reports_are_counted_and_dropped(bad: dict[str, object]) -> None:
     assert tracks.at(1_000_000) == (good,)
 
 
-def way(route: list[list[float]], speed_m_s: float = 0.3) -> Way:
-    return Way(route_ned_m=np.array(route), speed_m_s=speed_m_s, goal_distance_m=3.0, keep_m=0.33)
+def way(route: list[list[float]], speed_m_s: float = 0.3) -> IntendedMotion:
+    return IntendedMotion(route_ned_m=np.array(route), speed_m_s=speed_m_s, goal_distance_m=3.0, keep_m=0.33)
 
 
 def test_what_stands_enters_the_fence_once_and_what_moves_does_not() -> None:
@@ -107,7 +107,7 @@ def test_a_mover_that_blocks_the_way_for_long_is_gone_round_for_a_while() -> Non
     waiting = way([[0.0, 0.0], [3.0, 0.0]], speed_m_s=0.01)
     blocker = track(1.0, 0.1, 0.0, 0.05)
 
-    def exclusions(t_us: int, ahead: Way = waiting) -> int:
+    def exclusions(t_us: int, ahead: IntendedMotion = waiting) -> int:
         tracks = [dataclasses.replace(blocker, t_us=t_us)]
         return len(sorter.sort(t_us, TANK, tracks, ahead)[0].exclusions) - len(TANK.exclusions)
 

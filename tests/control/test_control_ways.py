@@ -8,9 +8,9 @@ import pytest
 from control_loop import MODEL, VEHICLE, goal, nav_state
 
 from autopilot.control.energy.field import LONGEST_MOVE, EnergyField
-from autopilot.control.energy.flow import Flow, area_of, sample_flow
+from autopilot.control.energy.flow import FlowField, area_of, sample_flow
 from autopilot.control.energy.power import PowerModel, speed_table
-from autopilot.control.energy.request import Request
+from autopilot.control.energy.request import TrajectoryRequest
 from autopilot.control.energy.search import EnergyPlanner
 from autopilot.control.fence.obstacles import Features
 from autopilot.control.water.currents import EstimatedCurrent
@@ -18,8 +18,8 @@ from autopilot.control.way.planner import Planner
 from autopilot.core.frames import FloatArray
 from autopilot.core.free_space import MAX_CELLS, FreeSpace
 from autopilot.core.geometry import Circle, Fence, Polygon
+from autopilot.mission.mission_tuning import VALIDATION
 from autopilot.mission.reach import free_regions
-from autopilot.mission.tuned import VALIDATION
 
 KEEP_M = 0.33
 TABLE = speed_table(MODEL, PowerModel.of(VEHICLE), 0.5)
@@ -63,7 +63,7 @@ def energy_way(made: Basin) -> FloatArray | None:
     ends = np.stack([made.start, made.goal])
     area = area_of(made.fence, ends)
     x0 = np.array([*made.start, 0.5, 0, 0, 0, 0, 0])
-    flow = Flow(sample_flow(EstimatedCurrent(), nav_state(0, x0), area, 0.5))
+    flow = FlowField(sample_flow(EstimatedCurrent(), nav_state(0, x0), area, 0.5))
     field = EnergyField(FreeSpace(Features(made.fence), area, KEEP_M, long_moves=LONGEST_MOVE), flow, TABLE)
     to_go = field.to(made.goal)
     way = None if to_go is None else to_go.way(made.start)
@@ -105,7 +105,7 @@ def test_a_door_in_a_large_basin_has_a_trajectory() -> None:
     here = made.start + 0.35 * (made.goal - made.start)
     x0 = np.array([*here, 0.5, 0, 0, 0, 0, 0])
     area = area_of(made.fence, np.stack([here, made.goal]))
-    request = Request(
+    request = TrajectoryRequest(
         x0=x0,
         goal=goal(float(made.goal[0]), float(made.goal[1]), 0.5, None),
         fence=made.fence,

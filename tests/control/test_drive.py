@@ -10,7 +10,7 @@ from control_loop import MODEL, TANK, Flight, goal, jet, nav_state, rk4, still
 
 from autopilot.control.controller import MotionController
 from autopilot.core.frames import FloatArray
-from autopilot.core.messages import Drive, Fallback, Goal
+from autopilot.core.messages import Fallback, Goal, VelocityGoal
 from autopilot.core.params import ParamSet
 from autopilot.core.vehicle import load_vehicle
 
@@ -28,7 +28,7 @@ def driving(
     down_m_s: float | None = None,
     yaw_rate_rad_s: float | None = None,
 ) -> Goal:
-    wish = Drive(
+    wish = VelocityGoal(
         north_m_s=north, east_m_s=east, turn_rad_s=turn_rad_s, down_m_s=down_m_s, yaw_rate_rad_s=yaw_rate_rad_s
     )
     return replace(goal(0.0, 0.0, 0.5, 0.0, speed_m_s=0.5, seq=-1), drive=wish)

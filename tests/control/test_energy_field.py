@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from autopilot.control.energy.field import LONGEST_MOVE, EnergyField, other_ways
-from autopilot.control.energy.flow import Flow, FlowSamples, area_of, sample_flow
+from autopilot.control.energy.flow import FlowField, FlowSamples, area_of, sample_flow
 from autopilot.control.energy.power import PowerModel, energy_per_metre, speed_table
 from autopilot.control.fence.obstacles import Features
 from autopilot.control.water.currents import EstimatedCurrent
@@ -23,11 +23,11 @@ TABLE = speed_table(MODEL, POWER, 0.5, 200)
 OPEN = Fence()
 
 
-def uniform(north: float, east: float) -> Flow:
+def uniform(north: float, east: float) -> FlowField:
     values = np.zeros((5, 5, 3))
     values[..., 0], values[..., 1] = north, east
     axis = np.linspace(-50.0, 50.0, 5)
-    return Flow(FlowSamples(north_m=axis, east_m=axis, current_ned_m_s=values))
+    return FlowField(FlowSamples(north_m=axis, east_m=axis, current_ned_m_s=values))
 
 
 @given(st.floats(-0.3, 0.3), st.floats(-0.3, 0.3))
@@ -129,7 +129,7 @@ def test_the_slope_points_away_from_the_goal() -> None:
 
 def test_samples_of_the_forecast_give_it_back() -> None:
     nav = nav_state(0, np.zeros(8), np.array([0.1, -0.05, 0.01]))
-    flow = Flow(sample_flow(EstimatedCurrent(), nav, area_of(TANK, np.zeros((1, 2))), 0.5))
+    flow = FlowField(sample_flow(EstimatedCurrent(), nav, area_of(TANK, np.zeros((1, 2))), 0.5))
     assert flow.uniform
     assert np.allclose(flow.current(np.array([[0.3, 0.2]])), [[0.1, -0.05, 0.01]])
     assert np.allclose(flow.gradient(np.array([[0.3, 0.2]])), 0.0)
@@ -139,7 +139,7 @@ def test_between_samples_a_jet_is_smooth() -> None:
     north, east = np.linspace(-2.5, 2.5, 51), np.linspace(-1.5, 1.5, 31)
     values = np.zeros((51, 31, 3))
     values[..., 0] = 0.25 * np.cos(east)[None, :] ** 2 + 0.05 * np.sin(north)[:, None]
-    flow = Flow(FlowSamples(north_m=north, east_m=east, current_ned_m_s=values))
+    flow = FlowField(FlowSamples(north_m=north, east_m=east, current_ned_m_s=values))
     places = np.random.default_rng(1).uniform([-2.0, -1.0], [2.0, 1.0], (50, 2))
     assert np.allclose(
         flow.current(places)[:, 0], 0.25 * np.cos(places[:, 1]) ** 2 + 0.05 * np.sin(places[:, 0]), atol=1e-5

@@ -9,7 +9,7 @@ from autopilot.control.energy import shooting
 from autopilot.control.energy.flow import FlowSamples
 from autopilot.control.energy.patience import Kind
 from autopilot.control.energy.power import PowerModel
-from autopilot.control.energy.request import Plan, Request
+from autopilot.control.energy.request import Plan, TrajectoryRequest
 from autopilot.control.energy.search import EnergyPlanner
 from autopilot.control.energy.trajectory import Ask, Program, Trajectory
 from autopilot.core import compiled
@@ -27,7 +27,7 @@ def quick(x0: FloatArray, to: Goal, stream: FloatArray, cap_m_s: float) -> Plan:
     """The plan to set out with in open water."""
     axis, current = np.linspace(-30.0, 30.0, 9), np.zeros((9, 9, 3))
     current[..., :2] = stream
-    request = Request(
+    request = TrajectoryRequest(
         x0=x0,
         goal=to,
         fence=Fence(depth_max_m=DEEPEST_M),

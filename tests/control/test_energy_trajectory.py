@@ -7,13 +7,13 @@ import numpy as np
 import pytest
 
 from autopilot.control.controller import MotionController
+from autopilot.control.energy.energy_tuning import LEG_TASK
 from autopilot.control.energy.flow import area_of, sample_flow
 from autopilot.control.energy.leg_task import shifted
 from autopilot.control.energy.power import PowerModel
-from autopilot.control.energy.request import Request
+from autopilot.control.energy.request import TrajectoryRequest
 from autopilot.control.energy.search import EnergyPlanner
-from autopilot.control.energy.track import Track, joined
-from autopilot.control.energy.tuned import LEG_TASK
+from autopilot.control.energy.track import TrackedTrajectory, joined
 from autopilot.control.water.currents import EstimatedCurrent, MappedCurrent, PointwiseField
 from autopilot.core import model4
 from autopilot.core.frames import FloatArray
@@ -28,10 +28,10 @@ LIMITS = np.array([0.5, 0.25, 1.0, 0.0, 1.2])
 AT_A = np.array([-1.60, -0.35, 0.45, 0.0, 0.0, 0.0, 0.0, 0.0])
 
 
-def request(x0: FloatArray, to: Goal, fence: Fence = TANK, current: FloatArray | None = None) -> Request:
+def request(x0: FloatArray, to: Goal, fence: Fence = TANK, current: FloatArray | None = None) -> TrajectoryRequest:
     nav = nav_state(0, x0, current)
     area = area_of(fence, np.stack([x0[:2], to.pos_ned_m[:2]]))
-    return Request(
+    return TrajectoryRequest(
         x0=x0,
         goal=to,
         fence=fence,
@@ -102,7 +102,7 @@ def test_a_goal_that_no_way_reaches_is_an_answer() -> None:
 def test_the_clock_of_a_track_waits_for_the_vehicle_and_settles_at_the_goal() -> None:
     trajectory = PLANNER.plan(request(AT_A, B)).trajectory
     assert trajectory is not None
-    track = Track(trajectory, B, complete=True)
+    track = TrackedTrajectory(trajectory, B, complete=True)
     for _ in range(20):
         track.advance(0.05, AT_A)
     assert 0.3 <= track.clock_s < 0.8
@@ -124,7 +124,7 @@ def test_a_track_runs_on_into_the_next_one() -> None:
     end[3] += 2.0 * math.pi
     second = PLANNER.plan(request(end, A)).trajectory
     assert second is not None
-    track, then = Track(first, B, complete=True), Track(second, A, complete=True)
+    track, then = TrackedTrajectory(first, B, complete=True), TrackedTrajectory(second, A, complete=True)
     track.locate(first.x[-6], float(first.t_s[-6]))
     x, thrust = track.sample(np.linspace(0.0, 3.0, 61), np.zeros(3), then)
     assert np.abs(np.diff(x[:, :4], axis=0)).max() < 0.06
@@ -156,7 +156,7 @@ def test_the_leg_after_decides_between_ways_that_cost_about_the_same() -> None:
     """B is reached round either side of the second cylinder for nearly the same energy; the ways back differ."""
     x0 = np.array([-1.36, -0.5, 0.39, -0.14, -0.1, 0.11, -0.03, 0.26])
 
-    def asked(start: FloatArray, to: Goal) -> Request:
+    def asked(start: FloatArray, to: Goal) -> TrajectoryRequest:
         nav = nav_state(0, start)
         area = area_of(TANK, np.stack([start[:2], to.pos_ned_m[:2]]))
         return replace(request(start, to), flow=sample_flow(JET, nav, area, 0.4), radius_m=0.32)

@@ -14,7 +14,7 @@ from autopilot.control.controller import MotionController
 from autopilot.control.way import guidance
 from autopilot.control.way.guidance import BEHIND_M, LEAD_M, Lead
 from autopilot.control.way.reference import Route
-from autopilot.control.way.tuned import GUIDANCE
+from autopilot.control.way.way_tuning import GUIDANCE
 from autopilot.core.frames import FloatArray
 from autopilot.core.geometry import Fence
 from autopilot.core.messages import Goal

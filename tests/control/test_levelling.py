@@ -11,15 +11,15 @@ from hypothesis import strategies as st
 
 from autopilot.control.thrust.actuation import Actuation
 from autopilot.control.thrust.levelling import Levelling
-from autopilot.control.thrust.tuned import LEVELLING
+from autopilot.control.thrust.thrust_tuning import LEVELLING
 from autopilot.core.frames import FloatArray
 from autopilot.core.messages import NavState
 from autopilot.core.params import ParamSet
 from autopilot.core.sharing import Sharing
 from autopilot.core.thrusters import wrench_matrix
 from autopilot.core.vehicle import Vehicle, load_vehicle
+from autopilot.sitl.environment import SimulatedWaters
 from autopilot.sitl.plant import Plant, Truth
-from autopilot.sitl.world import World
 from tests.bench.energy.flight import nav_state
 
 HEAVY = load_vehicle("bluerov2-heavy")
@@ -38,7 +38,7 @@ def tilts(vehicle: Vehicle, force: FloatArray, seconds: float = 12.0, lost: int 
     """Largest tilt [rad] after the first two seconds with a steady force X, Y, Z [N], N [N m], by way of the pulses."""
     params = ParamSet() if lost is None else ParamSet({f"THR{lost + 1}_HEALTH": 0.0})
     actuation = Actuation(vehicle, params)
-    plant = Plant(vehicle, World(), start_pos_ned_m=(0.0, 0.0, 20.0), start_rpy_rad=(0.1, -0.1, 0.0))
+    plant = Plant(vehicle, SimulatedWaters(), start_pos_ned_m=(0.0, 0.0, 20.0), start_rpy_rad=(0.1, -0.1, 0.0))
     if lost is not None:
         plant.set_thruster_loss(vehicle.thrusters[lost].name, 1.0)
     most, sharing, thrust = 0.0, Sharing.of(vehicle), np.zeros(len(vehicle.thrusters))
@@ -107,7 +107,7 @@ def test_the_noise_of_rates_and_of_the_controller_turns_no_thruster_to_and_fro(n
     second."""
     vehicle, rng, seconds = load_vehicle(name), np.random.default_rng(1), 12.0
     actuation, sharing = Actuation(vehicle, ParamSet()), Sharing.of(vehicle)
-    plant = Plant(vehicle, World(), start_pos_ned_m=(0.0, 0.0, 20.0))
+    plant = Plant(vehicle, SimulatedWaters(), start_pos_ned_m=(0.0, 0.0, 20.0))
     count, pulses, most = len(vehicle.thrusters), [], np.zeros(2)
     for tick in range(round(100 * seconds)):
         t_us, nav = tick * TICK_US, nav_of(plant.truth)

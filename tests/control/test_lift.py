@@ -14,7 +14,7 @@ from autopilot.control.thrust.thruster_health import ThrusterHealth
 from autopilot.control.thrust.twins import tilt_of
 from autopilot.core.frames import FloatArray
 from autopilot.core.geometry import Fence
-from autopilot.core.messages import Drive, Fallback, Goal, NavState, Severity, SolveStatus
+from autopilot.core.messages import Fallback, Goal, NavState, Severity, SolveStatus, VelocityGoal
 from autopilot.core.params import ParamSet
 from autopilot.core.response import Response
 from autopilot.core.vehicle import Vehicle, load_vehicle
@@ -113,7 +113,7 @@ def station(_: float) -> Goal:
 
 
 def steered(down_m_s: float | None) -> Goal:
-    return replace(station(0.0), drive=Drive(down_m_s=down_m_s))
+    return replace(station(0.0), drive=VelocityGoal(down_m_s=down_m_s))
 
 
 @pytest.mark.parametrize("cost", [0, 1])

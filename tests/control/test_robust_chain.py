@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from control_loop import MODEL, PILLARS, TANK, VEHICLE, A, B, goal, nav_state, rk4, still
 
-from autopilot.campaign.tube import TubeCheck
+from autopilot.campaign.tube_study import TubeCheck
 from autopilot.control.controller import MotionController
 from autopilot.control.robust.penalty import PATIENCE_STEPS, PenaltyWatch
 from autopilot.control.robust.station import StationKeeper

@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 from autopilot.control.controller import MotionController
 from autopilot.control.robust.regions import TerminalRegions
 from autopilot.control.robust.riccati import discretise
+from autopilot.control.robust.robust_tuning import REGIONS, TERMINAL
 from autopilot.control.robust.terminal import (
     Terminal,
     TerminalLimits,
@@ -24,7 +25,6 @@ from autopilot.control.robust.terminal import (
     unit_samples,
     violations,
 )
-from autopilot.control.robust.tuned import REGIONS, TERMINAL
 from autopilot.core import model4
 from autopilot.core.desk import Desk
 from autopilot.core.frames import FloatArray

@@ -24,7 +24,7 @@ from autopilot.control.robust.inner import InnerLoop, plan_error
 from autopilot.control.robust.lipschitz import TUNED_SCALES, UNIT_SCALES, lipschitz_report
 from autopilot.control.robust.margins import Margins
 from autopilot.control.robust.riccati import dare, discretise, exponential, gain, lyapunov
-from autopilot.control.robust.tuned import ANCILLARY, DISTURBANCE, TUBE
+from autopilot.control.robust.robust_tuning import ANCILLARY, DISTURBANCE, TUBE
 from autopilot.core import model4
 from autopilot.core.frames import FloatArray
 from autopilot.core.messages import NavState

@@ -16,8 +16,8 @@ from autopilot.core.model4 import Model4
 from autopilot.core.params import ParamSet
 from autopilot.core.sharing import Sharing
 from autopilot.core.vehicle import Vehicle, load_vehicle
+from autopilot.sitl.environment import SimulatedWaters
 from autopilot.sitl.plant import Plant
-from autopilot.sitl.world import World
 from tests.bench.energy.flight import nav_state
 
 SHIPPED = {name: load_vehicle(name) for name in ("lbv150", "bluerov2", "bluerov2-heavy")}
@@ -54,7 +54,7 @@ def manoeuvre(
     ``tell``: a parameter that an operator sets at a time [s]."""
     params, sharing = ParamSet(), Sharing.of(vehicle)
     actuation = Actuation(vehicle, params)
-    plant = Plant(vehicle, World(), start_pos_ned_m=(0.0, 0.0, 30.0), mismatch={"thrust": gain})
+    plant = Plant(vehicle, SimulatedWaters(), start_pos_ned_m=(0.0, 0.0, 30.0), mismatch={"thrust": gain})
     rng, said, n = np.random.default_rng(seed), Said(), len(vehicle.thrusters)
     phase = rng.uniform(0.0, 2.0 * math.pi, 4)
     thrust, effect = np.zeros(n), np.array(vehicle.to_model().allocation)[2]

@@ -10,7 +10,7 @@ import numpy as np
 from autopilot.control.water.currents import CurrentForecast
 from autopilot.core.frames import FloatArray
 from autopilot.core.geometry import Fence, Polygon
-from autopilot.sitl.currents import Bickley, CurrentField, Gyre, Shear, TankJet, Uniform
+from autopilot.sitl.current_fields import Bickley, CurrentField, Gyre, Shear, TankJet, Uniform
 from tests.control.control_loop import nav_state
 
 LOOK_S = 0.2

@@ -24,7 +24,7 @@ class EllipseEmulator(AlwaysOpen):
     """SBG Ellipse: silent until a log is asked for, then at its divider of 200 Hz."""
 
     def __init__(self) -> None:
-        self._parser = ellipse.FrameParser()
+        self._parser = ellipse.EllipseParser()
         self._modes: dict[int, int] = {}
         self._queue: list[bytes] = []
         self._next_us = 0

@@ -3,7 +3,7 @@
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from autopilot.core.clients import Standing
+from autopilot.core.clients import ClientRecord
 from autopilot.drivers.admission import KEEP_US, Admission, Why
 
 PLACES = 4
@@ -24,14 +24,14 @@ class Port:
 
     def __init__(self, grace_us: int) -> None:
         self.t_us = 0
-        self.standing: dict[int, Standing] = {}
+        self.standing: dict[int, ClientRecord] = {}
         self.grace_us = grace_us
         self.entered_us: dict[int, int] = {}
-        self.admission: Admission[int] = Admission(PLACES, lambda key: self.standing.get(key, Standing()), grace_us)
+        self.admission: Admission[int] = Admission(PLACES, lambda key: self.standing.get(key, ClientRecord()), grace_us)
 
     def is_heard(self, key: int) -> bool:
         """Whether something valid came lately."""
-        valid_us = self.standing.get(key, Standing()).valid_us
+        valid_us = self.standing.get(key, ClientRecord()).valid_us
         return valid_us is not None and self.t_us - valid_us < KEEP_US
 
     def enter(self, key: int) -> bool:
@@ -45,17 +45,17 @@ class Port:
             assert entry.admitted == (key in self.admission)
             assert entry.admitted or len(before) == PLACES + 1
         else:
-            standing = self.standing.get(gone.key, Standing())
+            standing = self.standing.get(gone.key, ClientRecord())
             assert not standing.in_control
             young = {other for other in before if self.t_us - self.entered_us[other] < self.grace_us}
-            unproven = {other for other in before if self.standing.get(other, Standing()).valid_us is None} - young
+            unproven = {other for other in before if self.standing.get(other, ClientRecord()).valid_us is None} - young
             if standing.valid_us is None:
                 assert gone.why is Why.UNPROVEN and gone.key not in young
             elif gone.why is Why.SILENT:
                 assert not unproven, "who never said anything valid goes first"
                 assert not self.is_heard(gone.key)
                 silent = [other for other in before if not self.is_heard(other)]
-                own = [self.standing.get(o, Standing()) for o in silent]
+                own = [self.standing.get(o, ClientRecord()) for o in silent]
                 longest = min(s.valid_us for s in own if s.valid_us is not None and not s.in_control)
                 assert standing.valid_us == longest, "the longest silent"
             else:
@@ -84,11 +84,11 @@ def test_nobody_who_counts_is_displaced_before_one_who_counts_less(
             port.admission.heard(key, port.t_us)
         elif what == "valid" and there:
             port.admission.heard(key, port.t_us)
-            port.standing[key] = Standing(port.t_us, port.standing.get(key, Standing()).in_control)
+            port.standing[key] = ClientRecord(port.t_us, port.standing.get(key, ClientRecord()).in_control)
         elif what == "control" and there:
-            port.standing = {other: Standing(s.valid_us) for other, s in port.standing.items()}
-            port.standing[key] = Standing(port.t_us, in_control=True)
-        elif what == "leave" and there and not port.standing.get(key, Standing()).in_control:
+            port.standing = {other: ClientRecord(s.valid_us) for other, s in port.standing.items()}
+            port.standing[key] = ClientRecord(port.t_us, in_control=True)
+        elif what == "leave" and there and not port.standing.get(key, ClientRecord()).in_control:
             port.admission.leave(key)
             port.standing.pop(key, None)
 
@@ -101,23 +101,23 @@ def test_whoever_is_there_a_newcomer_comes_in_within_the_time_to_keep(
     valid_us: list[int | None], grace_us: int
 ) -> None:
     """Once, whatever the others do; one of them is in control and stays."""
-    standing = {key: Standing(0) for key in range(PLACES + 1)}
-    admission: Admission[int] = Admission(PLACES, lambda key: standing.get(key, Standing()), grace_us)
+    standing = {key: ClientRecord(0) for key in range(PLACES + 1)}
+    admission: Admission[int] = Admission(PLACES, lambda key: standing.get(key, ClientRecord()), grace_us)
     for key in standing:
         admission.enter(key, 0)
-    standing = {key: Standing(at_us) for key, at_us in enumerate(valid_us)}
-    standing[0] = Standing(0, in_control=True)
+    standing = {key: ClientRecord(at_us) for key, at_us in enumerate(valid_us)}
+    standing[0] = ClientRecord(0, in_control=True)
     waited_us = 0
     admission.begin()
     while not admission.enter(99, 20_000_000 + waited_us).admitted:
         admission.begin()
         waited_us += STEP_US
-        standing = {k: Standing(20_000_000 + waited_us, s.in_control) for k, s in standing.items()}
+        standing = {k: ClientRecord(20_000_000 + waited_us, s.in_control) for k, s in standing.items()}
     assert waited_us <= KEEP_US and 0 in admission and 99 in admission
 
 
 def test_who_is_expected_is_let_in_and_stays() -> None:
-    admission: Admission[str] = Admission(1, lambda key: Standing(valid_us=0))
+    admission: Admission[str] = Admission(1, lambda key: ClientRecord(valid_us=0))
     assert admission.enter("a", 0).admitted and admission.enter("b", 0).admitted
     assert not admission.enter("c", 0).admitted
     assert admission.enter("target", 0, always=True).admitted
@@ -128,8 +128,8 @@ def test_who_is_expected_is_let_in_and_stays() -> None:
 
 
 def test_those_who_never_said_anything_are_forgotten_sooner() -> None:
-    said: dict[str, Standing] = {"station": Standing(valid_us=5)}
-    admission: Admission[str] = Admission(4, lambda key: said.get(key, Standing()))
+    said: dict[str, ClientRecord] = {"station": ClientRecord(valid_us=5)}
+    admission: Admission[str] = Admission(4, lambda key: said.get(key, ClientRecord()))
     for key in ("station", "silent"):
         admission.enter(key, 0)
     assert admission.idle(10, 10, 100) == []

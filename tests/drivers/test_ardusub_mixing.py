@@ -11,7 +11,7 @@ from autopilot.core.sharing import Sharing
 from autopilot.core.thrusters import wrench_matrix
 from autopilot.core.vehicle import Vehicle, load_vehicle
 from autopilot.drivers.ardusub_mixing import FRAMES, NEUTRAL, Mixer
-from autopilot.sitl.ardusub import CHANNEL_OF, FACTORS
+from autopilot.sitl.ardusub_emulator import CHANNEL_OF, FACTORS
 
 VEHICLES = {"vectored": load_vehicle("bluerov2"), "vectored_6dof": load_vehicle("bluerov2-heavy")}
 FRAME_NAMES = st.sampled_from(sorted(VEHICLES))

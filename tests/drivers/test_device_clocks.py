@@ -19,7 +19,7 @@ from sensor_rigs import VEHICLE, Ig500Rig, truth
 import autopilot.drivers
 from autopilot.core.device_clock import LOST_US, SETTLED, DeviceClock
 from autopilot.core.messages import Severity
-from autopilot.drivers.ardusub_telemetry import Telemetry
+from autopilot.drivers.ardusub_telemetry import ArduSubTelemetry
 from autopilot.drivers.base import AlwaysOpen
 from autopilot.drivers.ellipse import Ellipse, EllipseOptions
 from autopilot.drivers.ig500 import Ig500
@@ -96,7 +96,7 @@ class TelemetrySource:
     period_us, span_us, stamped_by_clock = 20_000, (1 << 32) * 1000, True
 
     def __init__(self) -> None:
-        self._driver = Telemetry(VEHICLE, density_kg_m3=1000.0, depth_sigma_m=0.01, ground_pa=None)
+        self._driver = ArduSubTelemetry(VEHICLE, density_kg_m3=1000.0, depth_sigma_m=0.01, ground_pa=None)
         self._latency_us = round(1e6 * VEHICLE.ahrs.latency_s)
         self.clock = self._driver.clock
 

@@ -25,10 +25,10 @@ from autopilot.drivers.ig500_protocol import (
     SET_CONTINUOUS_MODE,
     SET_OUTPUT_MASK,
     STATUS_GOOD,
-    Field,
-    FrameParser,
+    Ig500Parser,
+    Ig500Status,
     OutputCodec,
-    Status,
+    OutputField,
     encode_frame,
 )
 from autopilot.drivers.serial_port import SerialPort
@@ -59,7 +59,7 @@ class ScriptedPort(Closing):
 
     def write(self, data: bytes) -> None:
         self.written += data
-        if FrameParser().feed(data)[0].command == GET_OUTPUT_MASK:
+        if Ig500Parser().feed(data)[0].command == GET_OUTPUT_MASK:
             self._answers.append((0, encode_frame(RETURN_OUTPUT_MASK, struct.pack(">I", self.mask))))
 
 
@@ -70,12 +70,12 @@ def frame(device_ms: int, yaw_rad: float = 0.0, scale: float = 1.0, status: int 
         CONTINUOUS_OUTPUT,
         CODEC.encode(
             {
-                Field.QUATERNION: tuple(quat),
-                Field.GYRO: (0.1, 0.2, 0.3),
-                Field.ACCEL: (0.0, 0.1, -9.81),
-                Field.TIME_SINCE_RESET: (device_ms,),
-                Field.STATUS: (status,),
-                Field.ATTITUDE_ACCURACY: (0.01,),
+                OutputField.QUATERNION: tuple(quat),
+                OutputField.GYRO: (0.1, 0.2, 0.3),
+                OutputField.ACCEL: (0.0, 0.1, -9.81),
+                OutputField.TIME_SINCE_RESET: (device_ms,),
+                OutputField.STATUS: (status,),
+                OutputField.ATTITUDE_ACCURACY: (0.01,),
             }
         ),
     )
@@ -84,7 +84,7 @@ def frame(device_ms: int, yaw_rad: float = 0.0, scale: float = 1.0, status: int 
 def test_configures_mask_before_output_and_reads_samples() -> None:
     port = ScriptedPort()
     with Ig500(port, latency_s=0.015) as driver:
-        sent = FrameParser().feed(port.written)
+        sent = Ig500Parser().feed(port.written)
         assert [f.command for f in sent] == [SET_OUTPUT_MASK, GET_OUTPUT_MASK, SET_CONTINUOUS_MODE]
         assert struct.unpack(">BI", sent[0].data)[1] == AHRS_MASK
         port.chunks = [(115_000, frame(100, 1.5))]
@@ -169,11 +169,13 @@ def test_configures_again_when_the_device_falls_silent() -> None:
     assert driver.configured_count == 1
     driver.poll(ASK_AGAIN_POLLS)
     assert driver.configured_count == 2
-    assert len(FrameParser().feed(port.written)) == 6
+    assert len(Ig500Parser().feed(port.written)) == 6
 
 
 def test_measurements_count_only_once_the_device_has_said_its_mask() -> None:
-    port = ScriptedPort(mask=AHRS_MASK ^ Field.GYRO ^ Field.MAG)  # a mask of the same size: nothing else would show it
+    port = ScriptedPort(
+        mask=AHRS_MASK ^ OutputField.GYRO ^ OutputField.MAG
+    )  # a mask of the same size: nothing else would show it
     driver = Ig500(port, latency_s=0.0)
     driver.open()
     port.chunks = [(1, frame(10)), (2, frame(20))]
@@ -201,7 +203,7 @@ def test_says_what_is_not_in_order_by_the_device_s_own_account() -> None:
     driver = Ig500(port, latency_s=0.0)
     driver.open()
     assert driver.warnings == []
-    port.chunks = [(1, frame(10, status=STATUS_GOOD & ~Status.ACCEL_RANGE))]
+    port.chunks = [(1, frame(10, status=STATUS_GOOD & ~Ig500Status.ACCEL_RANGE))]
     driver.poll(1)
     assert driver.warnings == ["accel_range"]
     port.chunks = [(2, frame(20))]
@@ -225,7 +227,7 @@ def test_over_a_real_serial_line() -> None:
 
     try:
         with Ig500(SerialPort(os.ttyname(line), 115200), latency_s=0.01) as driver:
-            parser = FrameParser()
+            parser = Ig500Parser()
             commands = soon(lambda: parser.feed(os.read(device, 1024)), 3)
             assert [f.command for f in commands] == [SET_OUTPUT_MASK, GET_OUTPUT_MASK, SET_CONTINUOUS_MODE]
             os.write(device, encode_frame(RETURN_OUTPUT_MASK, struct.pack(">I", AHRS_MASK)))

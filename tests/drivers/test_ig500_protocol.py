@@ -10,10 +10,10 @@ from autopilot.core.errors import ConfigError
 from autopilot.drivers.ig500_protocol import (
     AHRS_MASK,
     MAX_DATA,
-    Field,
-    Frame,
-    FrameParser,
+    Ig500Frame,
+    Ig500Parser,
     OutputCodec,
+    OutputField,
     crc16,
     encode_continuous_mode,
     encode_frame,
@@ -61,17 +61,17 @@ def test_commands_of_the_driver() -> None:
 def test_frames_survive_any_cut(frames: list[tuple[int, bytes]], data: st.DataObject) -> None:
     stream = b"".join(encode_frame(command, content) for command, content in frames)
     cuts = sorted(data.draw(st.lists(st.integers(0, len(stream)), max_size=6)))
-    parser, out = FrameParser(), []
+    parser, out = Ig500Parser(), []
     for start, end in zip([0, *cuts], [*cuts, len(stream)], strict=True):
         out += parser.feed(stream[start:end])
-    assert out == [Frame(command, content) for command, content in frames]
+    assert out == [Ig500Frame(command, content) for command, content in frames]
     assert parser.skipped == parser.bad_frames == 0
 
 
 @settings(deadline=None)
 @given(st.lists(st.binary(max_size=700), max_size=6))
 def test_any_bytes_never_raise_and_memory_is_bounded(chunks: list[bytes]) -> None:
-    parser = FrameParser()
+    parser = Ig500Parser()
     for chunk in chunks:
         parser.feed(chunk)
     assert len(parser._buffer) <= MAX_DATA + 8
@@ -81,9 +81,9 @@ def test_any_bytes_never_raise_and_memory_is_bounded(chunks: list[bytes]) -> Non
 @given(st.binary(max_size=60), COMMANDS, st.binary(max_size=80))
 def test_finds_the_frame_behind_noise(noise: bytes, command: int, content: bytes) -> None:
     # A following run of zeros pushes the frame through whatever size the noise has announced.
-    parser = FrameParser()
+    parser = Ig500Parser()
     frames = parser.feed(noise + encode_frame(command, content) + bytes(600))
-    assert Frame(command, content) in frames
+    assert Ig500Frame(command, content) in frames
 
 
 @settings(deadline=None)
@@ -92,11 +92,11 @@ def test_a_damaged_frame_is_dropped_and_the_next_one_is_not(command: int, conten
     frame = bytearray(encode_frame(command, content))
     place = data.draw(st.integers(0, len(frame) - 1))
     frame[place] ^= data.draw(st.integers(1, 255))
-    parser = FrameParser()
-    good = Frame(0x90, b"good")
+    parser = Ig500Parser()
+    good = Ig500Frame(0x90, b"good")
     frames = parser.feed(bytes(frame) + encode_frame(good.command, good.data) + bytes(600))
     assert good in frames
-    assert all(found == good or found != Frame(command, content) for found in frames)
+    assert all(found == good or found != Ig500Frame(command, content) for found in frames)
     assert parser.skipped > 0
 
 
@@ -127,12 +127,12 @@ def test_fields_round_trip_in_the_order_of_the_mask(
 ) -> None:
     codec = OutputCodec(AHRS_MASK)
     values = {
-        Field.ATTITUDE_ACCURACY: (accuracy,),
-        Field.STATUS: (status,),
-        Field.TIME_SINCE_RESET: (time_ms,),
-        Field.ACCEL: accel,
-        Field.GYRO: gyro,
-        Field.QUATERNION: quat,
+        OutputField.ATTITUDE_ACCURACY: (accuracy,),
+        OutputField.STATUS: (status,),
+        OutputField.TIME_SINCE_RESET: (time_ms,),
+        OutputField.ACCEL: accel,
+        OutputField.GYRO: gyro,
+        OutputField.QUATERNION: quat,
     }
     data = codec.encode(values)
     assert len(data) == codec.size == 52
@@ -141,12 +141,12 @@ def test_fields_round_trip_in_the_order_of_the_mask(
 
 
 def test_other_sizes_and_numbers_that_are_none_are_refused() -> None:
-    codec = OutputCodec(Field.GYRO)
+    codec = OutputCodec(OutputField.GYRO)
     assert codec.decode(bytes(11)) is None
     assert codec.decode(struct.pack(">3f", 0.0, float("nan"), 0.0)) is None
-    assert codec.decode(struct.pack(">3f", 0.0, 1.0, 0.0)) == {Field.GYRO: (0.0, 1.0, 0.0)}
+    assert codec.decode(struct.pack(">3f", 0.0, 1.0, 0.0)) == {OutputField.GYRO: (0.0, 1.0, 0.0)}
 
 
 def test_unknown_mask_bits_are_named() -> None:
     with pytest.raises(ConfigError, match="0x40000000"):
-        OutputCodec(Field(1 << 30))
+        OutputCodec(OutputField(1 << 30))

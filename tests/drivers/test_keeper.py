@@ -15,8 +15,8 @@ from hostile_folder import imported_from, make_hostile
 from output_rigs import VEHICLE, SysfsPwmRig
 from pwm_vehicle import gone, keepers_of, until
 
-from autopilot.drivers.keeper_process import LONGEST_PAUSE_US, KeeperProcess
 from autopilot.drivers.sysfs_pwm import SysfsPwm, SysfsPwmOptions
+from autopilot.drivers.watchdog_process import LONGEST_PAUSE_US, KeeperProcess
 
 pytestmark = pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="processes are looked up in /proc")
 

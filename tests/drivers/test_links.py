@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from autopilot.core.clients import Standing
+from autopilot.core.clients import ClientRecord
 from autopilot.core.errors import ConfigError, DriverError
 from autopilot.drivers.admission import KEEP_US
 from autopilot.drivers.links import open_link
@@ -185,7 +185,7 @@ def test_udpout_survives_a_receiver_that_is_not_there() -> None:
 def test_udpin_answers_everyone_it_has_heard_up_to_a_limit() -> None:
     """One place more than MAX_PEERS; all say something valid all the time but the last, who may take no place."""
     link = UdpIn("test", LOCAL, port := free_port())
-    link.standing = lambda client: Standing(valid_us=0)
+    link.standing = lambda client: ClientRecord(valid_us=0)
     with contextlib.ExitStack() as stack:
         ends = [stack.enter_context(socket.socket(socket.AF_INET, socket.SOCK_DGRAM)) for _ in range(MAX_PEERS + 3)]
         for number, end in enumerate(ends):
@@ -200,7 +200,7 @@ def test_udpin_answers_everyone_it_has_heard_up_to_a_limit() -> None:
         link.send(frame(99))
         assert [end.recv(100) for end in ends[: MAX_PEERS + 1]] == [frame(99)] * (MAX_PEERS + 1)
         # Who has been silent makes room, who speaks stays: any number of others cannot push him out.
-        link.standing = lambda client: Standing(valid_us=KEEP_US if client == 1 else client)
+        link.standing = lambda client: ClientRecord(valid_us=KEEP_US if client == 1 else client)
         ends[0].sendto(frame(1), (LOCAL, port))
         assert receive(link, 1, KEEP_US) == [frame(1)]
         ends[-1].sendto(frame(2), (LOCAL, port))
@@ -216,7 +216,7 @@ def test_udpin_answers_everyone_it_has_heard_up_to_a_limit() -> None:
 def test_udpin_forgets_who_is_silent_and_keeps_who_speaks(proven: bool) -> None:
     forget_us = FORGET_US if proven else FORGET_UNPROVEN_US
     link = UdpIn("test", LOCAL, port := free_port())
-    link.standing = lambda client: Standing(valid_us=0 if proven else None)
+    link.standing = lambda client: ClientRecord(valid_us=0 if proven else None)
     with (
         socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as silent,
         socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as lively,
@@ -468,7 +468,7 @@ def test_tcp_clients_that_are_heard_keep_their_places_and_one_is_kept_for_the_op
     link = open_link(f"tcpin:{LOCAL}:{(port := free_port(socket.SOCK_STREAM))}")
     assert isinstance(link, TcpServer)
     now_us, operator = 0, 0
-    link.standing = lambda client: Standing(valid_us=now_us, in_control=client == operator)
+    link.standing = lambda client: ClientRecord(valid_us=now_us, in_control=client == operator)
     with contextlib.ExitStack() as stack:
         for _ in range(MAX_CLIENTS + 1):
             stack.enter_context(socket.create_connection((LOCAL, port))).send(frame(1))

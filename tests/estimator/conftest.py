@@ -9,7 +9,7 @@ from autopilot.core.markers import MarkerMap, grid_floor
 from autopilot.core.vehicle import Vehicle, load_vehicle
 from autopilot.estimator.complementary import create_complementary
 from autopilot.estimator.ekf import create_ekf
-from autopilot.estimator.engine import Engine
+from autopilot.estimator.engine import AidedEstimator
 from autopilot.estimator.options import DEFAULT_OPTIONS, EstimatorOptions
 from autopilot.estimator.vision import MarkerDetector
 from autopilot.sitl.floor import Floor, build_floor
@@ -43,7 +43,7 @@ def detector(tank: Floor, vehicle: Vehicle) -> MarkerDetector:
 
 @pytest.fixture
 def make_ekf(vehicle: Vehicle) -> Make:
-    def make(options: EstimatorOptions = DEFAULT_OPTIONS, markers: MarkerMap | None = None) -> Engine:
+    def make(options: EstimatorOptions = DEFAULT_OPTIONS, markers: MarkerMap | None = None) -> AidedEstimator:
         return create_ekf(vehicle, markers, 1.5, options)
 
     return make
@@ -53,7 +53,7 @@ def make_ekf(vehicle: Vehicle) -> Make:
 def make(request: pytest.FixtureRequest, vehicle: Vehicle) -> Make:
     create = {"ekf": create_ekf, "complementary": create_complementary}[request.param]
 
-    def make_one(options: EstimatorOptions = DEFAULT_OPTIONS, markers: MarkerMap | None = None) -> Engine:
+    def make_one(options: EstimatorOptions = DEFAULT_OPTIONS, markers: MarkerMap | None = None) -> AidedEstimator:
         return create(vehicle, markers, 1.5, options)
 
     return make_one

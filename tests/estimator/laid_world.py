@@ -12,7 +12,7 @@ from autopilot.core.map_errors import Laid, map_errors
 from autopilot.core.markers import MarkerMap
 from autopilot.core.samples import MarkerSighting
 from autopilot.core.vehicle import load_vehicle
-from autopilot.estimator.engine import Engine
+from autopilot.estimator.engine import AidedEstimator
 
 VEHICLE = load_vehicle("lbv150")
 CAMERA = CameraModel.of_vehicle(VEHICLE)
@@ -105,7 +105,7 @@ class LaidWorld(World):
             self.pending.append((self.t_us + self._latency_us, sighting))
 
 
-def flown(estimator: Engine, world: World, seconds: float) -> tuple[Track, list[str]]:
+def flown(estimator: AidedEstimator, world: World, seconds: float) -> tuple[Track, list[str]]:
     """A flight, and what the operator was told."""
     track, told = Track([], [], []), []
     for truth, samples, command in world.run(seconds):

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 
-from autopilot.estimator.engine import Engine
+from autopilot.estimator.engine import AidedEstimator
 
-Make = Callable[..., Engine]
+Make = Callable[..., AidedEstimator]
 """(options, markers) -> estimator; both may be left out."""

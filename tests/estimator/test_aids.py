@@ -25,7 +25,7 @@ from autopilot.core.samples import (
 )
 from autopilot.core.vehicle import Vehicle
 from autopilot.estimator.ekf import create_ekf
-from autopilot.estimator.engine import Engine
+from autopilot.estimator.engine import AidedEstimator
 from autopilot.estimator.inertial import AhrsMount
 from autopilot.estimator.options import EstimatorOptions
 
@@ -87,7 +87,7 @@ def external_of(now: Look, lever: tuple[float, float, float] = (0.0, 0.0, 0.0), 
 
 
 def run(
-    estimator: Engine, world: World, seconds: float, extra: Callable[[Look], list[Sample]]
+    estimator: AidedEstimator, world: World, seconds: float, extra: Callable[[Look], list[Sample]]
 ) -> list[tuple[Look, NavState]]:
     """Fly; ``extra`` makes the samples of what is seen at each tick."""
     track = []
@@ -105,7 +105,7 @@ def mounted(vehicle: Vehicle, **tables: object) -> Vehicle:
     return built
 
 
-def aid(estimator: Engine, sensor: str) -> list[AidState]:
+def aid(estimator: AidedEstimator, sensor: str) -> list[AidState]:
     return [status.state for status in estimator.take_aids() if status.sensor == sensor]
 
 

@@ -14,9 +14,9 @@ from autopilot.core.frames import FloatArray, r_ned_from_frd, wrap_pi
 from autopilot.core.messages import NavCounters
 from autopilot.core.samples import AhrsSample, ImuSample, Sample
 from autopilot.estimator.attitude import APART_RAD, AttitudeFilter, AttitudeSource
+from autopilot.estimator.estimator_tuning import MAGNETIC
 from autopilot.estimator.gyro_bias import MAX_RAD_S
 from autopilot.estimator.protocol import Estimator
-from autopilot.estimator.tuned import MAGNETIC
 from autopilot.log.packing.estimate import nav_counters
 from autopilot.log.schemas import layout
 from tests.bench.attitude import AttitudeErrors, errors_of

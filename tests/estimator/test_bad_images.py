@@ -23,7 +23,7 @@ from autopilot.estimator.markers_pose import MarkerSolver
 from autopilot.estimator.pnp import solve_pose
 from autopilot.estimator.vision import Hint, MarkerDetector
 from autopilot.estimator.vision_lane import VisionWorker
-from autopilot.sitl.camera import SimCamera
+from autopilot.sitl.camera_sensor import SimCamera
 from autopilot.sitl.floor import Floor
 from autopilot.sitl.sensor_tables import CameraLook
 

@@ -14,7 +14,7 @@ from autopilot.core.markers import MarkerMap
 from autopilot.core.messages import NavDoubt, NavHealth
 from autopilot.core.samples import MarkerSighting, PoseSample
 from autopilot.core.vehicle import Vehicle
-from autopilot.estimator.camera_doubt import CameraWatch, focal_look
+from autopilot.estimator.camera_doubt import CameraMonitor, focal_look
 from autopilot.estimator.ekf import create_ekf
 from autopilot.estimator.history import Node
 from autopilot.estimator.inertial import Inertial
@@ -135,7 +135,7 @@ def test_pictures_that_only_come_later_are_no_jump(make_ekf: Make, floor: Marker
 
 
 def test_without_pictures_no_camera_is_blamed() -> None:
-    watch = CameraWatch(VEHICLE.camera)
+    watch = CameraMonitor(VEHICLE.camera)
     watch.stamps.late_s, watch.stamps.sigma_s = 0.06, 0.001
     watch.look_at_stamps()
     assert watch.take_texts() == ("Pose stamps 60 ms late: calibrate latency",)
@@ -203,7 +203,7 @@ def test_a_lens_that_does_not_bend_tells_nothing() -> None:
 
 
 def test_what_pictures_say_of_the_focal_length_counts_before_it_is_sure() -> None:
-    watch = CameraWatch(VEHICLE.camera, floor_m=1.0 + VEHICLE.camera.position_frd_m[2])
+    watch = CameraMonitor(VEHICLE.camera, floor_m=1.0 + VEHICLE.camera.position_frd_m[2])
     assert not watch.look_at_focal(0.02, 0.005)
     still = Inertial(0, 0.0, 0.0, 0.0, 0.0, (0.0, 0.0, 0.0), np.zeros(3), (0.0, 0.0), True)
     node = Node(0, Moment(still, (0.0,) * 4), None, FilterState(np.zeros(NX), np.eye(NX)))

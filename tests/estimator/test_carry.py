@@ -7,17 +7,19 @@ from truth import Faults, World, tank_jet
 from autopilot.core.frames import FloatArray
 from autopilot.core.vehicle import load_vehicle
 from autopilot.estimator import carry
-from autopilot.estimator.carry import Correction, Look
+from autopilot.estimator.carry import Correction, PastUpdate
 from autopilot.estimator.ekf import create_ekf
 from autopilot.estimator.states import NX, FilterState
 
 
-def updated(x: FloatArray, p: FloatArray, h: FloatArray, z: FloatArray, noise: FloatArray) -> tuple[FilterState, Look]:
+def updated(
+    x: FloatArray, p: FloatArray, h: FloatArray, z: FloatArray, noise: FloatArray
+) -> tuple[FilterState, PastUpdate]:
     """The textbook's."""
     spread = h @ p @ h.T + noise
     gain = p @ h.T @ np.linalg.inv(spread)
     y = z - h @ x
-    return FilterState(x + gain @ y, p - gain @ spread @ gain.T), Look(gain, h, spread, y)
+    return FilterState(x + gain @ y, p - gain @ spread @ gain.T), PastUpdate(gain, h, spread, y)
 
 
 @pytest.mark.parametrize("seed", range(8))
@@ -30,7 +32,7 @@ def test_what_is_carried_is_what_computing_again_gives(seed: int) -> None:
     noise = 0.01 * np.eye(NX)
     sights = {i: (rng.normal(size=(m, NX)), rng.normal(size=m)) for i, m in ((0, 2), (2, 1), (3, 2), (5, 3))}
 
-    def flown(late: list[tuple[int, FloatArray, FloatArray]]) -> tuple[list[FilterState], list[Look | None]]:
+    def flown(late: list[tuple[int, FloatArray, FloatArray]]) -> tuple[list[FilterState], list[PastUpdate | None]]:
         state, states, looks = start, [], []
         for i, f in enumerate(steps):
             state, look = FilterState(f @ state.x, f @ state.p @ f.T + noise), None

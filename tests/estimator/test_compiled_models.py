@@ -6,7 +6,7 @@ import pytest
 from autopilot.core import compiled
 from autopilot.core.frames import FloatArray
 from autopilot.core.model4 import AXES, Model4
-from autopilot.estimator.inertial import Inertial, Mode, Step
+from autopilot.estimator.inertial import Inertial, InertialStep, ProcessNoiseMode
 from autopilot.estimator.measure_model import VehicleAcceleration, acceleration_jacobian, expected_acceleration
 from autopilot.estimator.measurement import Moment
 from autopilot.estimator.motion import MotionModel, add_model, fill_jacobian, moved
@@ -27,10 +27,10 @@ def state_of(rng: np.random.Generator) -> FloatArray:
 def test_motion_and_its_jacobian() -> None:
     rng, model = np.random.default_rng(1), MotionModel()
     for turn in range(300):
-        x, mode = state_of(rng), Mode(turn % len(Mode))
+        x, mode = state_of(rng), ProcessNoiseMode(turn % len(ProcessNoiseMode))
         rate, ax, ay, az = rng.normal(size=4).tolist()
         slope = rng.normal(size=(3, NX)) if turn % 5 == 0 else None  # leftovers of such a step must not survive
-        step = Step(rng.uniform(0.001, 0.1), rate, (ax, ay, az), mode, slope)
+        step = InertialStep(rng.uniform(0.001, 0.1), rate, (ax, ay, az), mode, slope)
         jacobian = np.eye(NX)
         fill_jacobian(jacobian, x, step)
         if slope is not None:
@@ -93,7 +93,7 @@ def test_no_motion_is_made_of_what_is_no_number(value: float) -> None:
         else:
             forces = with_one(rng, forces, value)
         rate, ax, ay, az = forces.tolist()
-        step, jacobian = Step(0.01, rate, (ax, ay, az), Mode.NOMINAL, None), np.eye(NX)
+        step, jacobian = InertialStep(0.01, rate, (ax, ay, az), ProcessNoiseMode.NOMINAL, None), np.eye(NX)
         assert agree(outcome(model.step, x, step), outcome(moved, x, step)), turn
         if np.isfinite(x[3]):  # of an angle that is none Python has no sine
             fill_jacobian(jacobian, x, step)

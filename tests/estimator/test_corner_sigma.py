@@ -13,7 +13,7 @@ from autopilot.core.frames import FloatArray, r_ned_from_frd, wrap_pi
 from autopilot.core.samples import CameraFrame, MarkerSighting
 from autopilot.estimator.pnp import solve_pose
 from autopilot.estimator.vision import Hint, MarkerDetector
-from autopilot.sitl.camera import SimCamera
+from autopilot.sitl.camera_sensor import SimCamera
 from autopilot.sitl.floor import Floor
 from autopilot.sitl.sensor_tables import CameraLook
 from tests.bench.photographs import PHOTOGRAPHS, Photograph, read_photographs

@@ -13,7 +13,7 @@ from truth import Faults, World, fly, no_current, tank_jet
 from autopilot.core.frames import FloatArray, wrap_pi
 from autopilot.core.samples import VelocityLock
 from autopilot.core.vehicle import load_vehicle
-from autopilot.estimator.inertial import Inertial, Mode, Step
+from autopilot.estimator.inertial import Inertial, InertialStep, ProcessNoiseMode
 from autopilot.estimator.kalman import LEANING_M_S2, KalmanCore
 from autopilot.estimator.measure_depth import Depth
 from autopilot.estimator.measure_heading import heading_of
@@ -66,9 +66,11 @@ def numeric(function: object, x: FloatArray) -> FloatArray:
 @settings(max_examples=50)
 @given(states(), st.floats(0.001, 0.05), unit, unit, unit)
 def test_motion_jacobian(x: FloatArray, dt: float, ax: float, ay: float, r: float) -> None:
-    step = Step(dt, r, (ax, ay, 0.3), Mode.NOMINAL)
+    step = InertialStep(dt, r, (ax, ay, 0.3), ProcessNoiseMode.NOMINAL)
     jac = np.eye(NX)
-    fill_jacobian(jac, np.ones(NX), Step(0.02, 1.0, (1.0, 2.0, 3.0), Mode.NOMINAL))  # leftovers must not survive
+    fill_jacobian(
+        jac, np.ones(NX), InertialStep(0.02, 1.0, (1.0, 2.0, 3.0), ProcessNoiseMode.NOMINAL)
+    )  # leftovers must not survive
     fill_jacobian(jac, x, step)
     np.testing.assert_allclose(jac, numeric(lambda v: moved(v, step), x), atol=1e-7)
 
@@ -171,10 +173,10 @@ def test_prediction_is_the_textbooks(x: FloatArray, dt: float, ax: float, r: flo
     rng = np.random.default_rng(seed)
     a = rng.normal(size=(NX, NX)) * 0.1
     p = a @ a.T + 1e-4 * np.eye(NX)
-    step = Step(dt, r, (ax, -ax, 0.3), Mode.NOMINAL)
+    step = InertialStep(dt, r, (ax, -ax, 0.3), ProcessNoiseMode.NOMINAL)
     f = np.eye(NX)
     fill_jacobian(f, x, step)
-    noise = process_noise(Mode.NOMINAL)
+    noise = process_noise(ProcessNoiseMode.NOMINAL)
     if math.hypot(x[8], x[9]) > LEANING_M_S2:
         noise[YAW, YAW] += TILTED_GYRO_NOISE**2
     after = KalmanCore().predict(FilterState(x, p), step)
@@ -190,7 +192,9 @@ def test_an_accelerometer_believed_with_a_tilts_offset_leaves_the_heading_unsure
     for x in (sure, leaning):
         state = FilterState(x, np.zeros((NX, NX)))
         for _ in range(100):
-            state = KalmanCore().predict(state, Step(0.01, 0.0, (0.0, float(x[9]), 0.0), Mode.TRIMMED))
+            state = KalmanCore().predict(
+                state, InertialStep(0.01, 0.0, (0.0, float(x[9]), 0.0), ProcessNoiseMode.TRIMMED)
+            )
         grown.append(math.sqrt(state.p[YAW, YAW]))
     assert grown[0] < math.radians(0.1)
     assert grown[1] > math.radians(0.5)

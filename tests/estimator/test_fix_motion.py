@@ -13,17 +13,17 @@ from truth import Faults, Truth, World, no_current
 from autopilot.core.frames import FloatArray, wrap_pi
 from autopilot.core.messages import NavDoubt, NavHealth, NavState
 from autopilot.core.samples import PoseSample, Sample
-from autopilot.estimator.engine import Engine
-from autopilot.estimator.fix_motion import FLOOR, FixMotion, Run, Seen, plausible
+from autopilot.estimator.engine import AidedEstimator
+from autopilot.estimator.estimator_tuning import FIX_MOTION
+from autopilot.estimator.fix_motion import FLOOR, FixMotion, FixResidual, FixRun, plausible
 from autopilot.estimator.fix_trust import PROBATION_US
-from autopilot.estimator.tuned import FIX_MOTION
 
 BEGIN_US, END_US = 6_000_000, 9_000_000
 DRIFT = np.array([0.02, 0.02, 0.02, 0.005]) ** 2
 FIX = np.array([0.002, 0.002, 0.001, 0.001])
 
 
-def run_of(rng: np.random.Generator, fixes: Callable[[FloatArray], FloatArray], count: int = 30) -> Run:
+def run_of(rng: np.random.Generator, fixes: Callable[[FloatArray], FloatArray], count: int = 30) -> FixRun:
     """Fixes (n, 4) made of the true way (n, 4), from which dead reckoning drifts."""
     t_s = np.arange(count) / 30.0
     speed, swing = rng.normal(0.0, 0.2, 4), rng.normal(0.0, 0.02, 4)
@@ -32,7 +32,7 @@ def run_of(rng: np.random.Generator, fixes: Callable[[FloatArray], FloatArray], 
         FIX**2 + FLOOR**2
     )
     y = z - reckoned
-    seen = [Seen(round(1e6 * t), z[k], y[k], FIX**2, DRIFT, False) for k, t in enumerate(t_s)]
+    seen = [FixResidual(round(1e6 * t), z[k], y[k], FIX**2, DRIFT, False) for k, t in enumerate(t_s)]
     motion = FixMotion()
     for each in seen:
         motion.add(each)
@@ -84,7 +84,7 @@ def test_one_run_covers_errors_that_are_alike() -> None:
 Alter = Callable[[PoseSample, Truth], PoseSample]
 
 
-def fly(estimator: Engine, alter: Alter, seconds: float = 15.0, seed: int = 1) -> list[tuple[Truth, NavState]]:
+def fly(estimator: AidedEstimator, alter: Alter, seconds: float = 15.0, seed: int = 1) -> list[tuple[Truth, NavState]]:
     """The tour with poses altered by ``alter`` from 6 to 9 s."""
     world, track = World(no_current, Faults(seed=seed)), []
     for truth, samples, command in world.run(seconds):

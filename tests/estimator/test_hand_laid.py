@@ -14,8 +14,8 @@ from autopilot.core.frames import FloatArray
 from autopilot.core.markers import MarkerMap
 from autopilot.core.messages import NavDoubt
 from autopilot.estimator.gauge import common_columns, laid_scales
-from autopilot.estimator.ground import Ground, SheetTies, columns_of
-from autopilot.estimator.inertial import Inertial, Mode, Step
+from autopilot.estimator.ground import SheetDependence, SheetTies, columns_of
+from autopilot.estimator.inertial import Inertial, InertialStep, ProcessNoiseMode
 from autopilot.estimator.kalman import KalmanCore
 from autopilot.estimator.measure_heading import heading_of
 from autopilot.estimator.measure_pose import PoseFix
@@ -176,7 +176,7 @@ class Big:
         self.p = whole @ self.p @ whole.T
         self.p[:NX, :NX] += q
 
-    def update(self, m: Measurement, moment: Moment, ground: Ground | None, which: tuple[int, ...]) -> None:
+    def update(self, m: Measurement, moment: Moment, ground: SheetDependence | None, which: tuple[int, ...]) -> None:
         h = np.zeros((len(m.z), len(self.x)))
         h[:, :NX] = m.jacobian(self.x[:NX], moment, 0.0)
         y = m.residual(m.z, m.predicted(self.x[:NX], moment, 0.0))
@@ -202,7 +202,7 @@ def test_sheets_are_exact_kalman_states() -> None:
     big = Big(state.x, state.p, sigma[[0, 2, 1]])
     inertial = Inertial(0, 0.0, 0.0, 0.1, 0.1, (0.1, 0.0, 0.0), np.zeros(3), (0.0, 0.0), True)
     moment = Moment(inertial, (0.0, 0.0, 0.0, 0.0))
-    step = Step(0.02, 0.1, (0.1, 0.05, 0.0), Mode.NOMINAL)
+    step = InertialStep(0.02, 0.1, (0.1, 0.05, 0.0), ProcessNoiseMode.NOMINAL)
     which = (0, 2, 1)
     for n in range(40):
         f = np.eye(NX)
@@ -218,11 +218,11 @@ def test_sheets_are_exact_kalman_states() -> None:
         sheets = ((0,), (0, 2), (2, 1))[n % 3] if n > 2 else (0, 2, 1)
         size = 4 * len(sheets)
         jac = rng.normal(size=(4, size))
-        ground = Ground(sheets, sigma[list(sheets)], jac, rng.normal(0.0, 1e-3, size), learns=n % 2 == 0)
+        ground = SheetDependence(sheets, sigma[list(sheets)], jac, rng.normal(0.0, 1e-3, size), learns=n % 2 == 0)
         z = big.x[:4] + rng.normal(0.0, 1e-3, 4)
         fix = PoseFix(sensor="markers", t_us=0, z=z, noise=np.diag([1e-6, 2e-6, 1e-6, 1e-6]), ground=ground)
         rows = rng.normal(size=(3, size))
-        tied = Ground(sheets, sigma[list(sheets)], rows, np.zeros(size), learns=True)
+        tied = SheetDependence(sheets, sigma[list(sheets)], rows, np.zeros(size), learns=True)
         ties = SheetTies(sensor="sheets", t_us=0, z=rng.normal(0.0, 1e-2, 3), noise=np.eye(3) * 1e-3, ground=tied)
         for m, on in ((fix, ground), (heading_of(inertial), None), (ties, tied)):
             state = core.correct(state, core.innovation(state, m, moment, 0.0))

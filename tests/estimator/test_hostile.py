@@ -31,7 +31,7 @@ from autopilot.core.vehicle import load_vehicle
 from autopilot.estimator.complementary import create_complementary
 from autopilot.estimator.create import create_estimator
 from autopilot.estimator.ekf import create_ekf
-from autopilot.estimator.engine import Engine
+from autopilot.estimator.engine import AidedEstimator
 from autopilot.estimator.options import EstimatorOptions
 
 VEHICLE = load_vehicle("lbv150")
@@ -124,7 +124,7 @@ def flight() -> list[tuple[int, list[Sample], list[Sample], FloatArray]]:
     return ticks
 
 
-def end_of(estimator: Engine, late_ticks: list[int]) -> NavState:
+def end_of(estimator: AidedEstimator, late_ticks: list[int]) -> NavState:
     """The flight with every aiding sample late by as many ticks as the list says, in turn; all are there at the end."""
     queue: list[tuple[int, Sample]] = []
     nav, count, last = None, 0, len(flight()) - 17
@@ -146,7 +146,7 @@ def end_of(estimator: Engine, late_ticks: list[int]) -> NavState:
 @settings(max_examples=5, deadline=None)
 @given(late_ticks=st.lists(st.integers(0, 15), min_size=1, max_size=20))
 def test_out_of_order_ends_where_in_order_does(
-    create: Callable[..., Engine], share: float, late_ticks: list[int]
+    create: Callable[..., AidedEstimator], share: float, late_ticks: list[int]
 ) -> None:
     """Samples of all sensors, up to 150 ms late and mixed up, give the state that prompt ones give, to a share of the
     standard deviations: the Kalman filter carries small corrections on by the Jacobians that it had."""

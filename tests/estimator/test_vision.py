@@ -14,10 +14,10 @@ from autopilot.core.errors import ConfigError
 from autopilot.core.frames import FloatArray, r_ned_from_frd, wrap_pi
 from autopilot.core.markers import MarkerMap
 from autopilot.core.samples import CameraFrame
-from autopilot.estimator.laser_dot import find_dot
+from autopilot.estimator.laser_detector import find_dot
 from autopilot.estimator.markers_pose import MarkerSolver
 from autopilot.estimator.vision import Hint, MarkerDetector
-from autopilot.sitl.camera import SimCamera
+from autopilot.sitl.camera_sensor import SimCamera
 from autopilot.sitl.floor import Floor
 from autopilot.sitl.plant import Truth, build_plant
 from autopilot.sitl.scenario import load_scenario

@@ -14,9 +14,9 @@ from autopilot.core.frames import FloatArray
 from autopilot.core.model4 import Model4
 from autopilot.core.vehicle import load_vehicle
 from autopilot.identify.fit import fit
-from autopilot.identify.prediction import AXES, N_COMMON, Coefficients, predict
+from autopilot.identify.identification_report import changes, kept_axes, rows_of
+from autopilot.identify.prediction import AXES, N_COMMON, CoefficientScale, predict
 from autopilot.identify.record import STEP_S, WINDOW_STEPS, Windows
-from autopilot.identify.report import changes, kept_axes, rows_of
 
 VEHICLE = load_vehicle("lbv150")
 BASE = VEHICLE.to_model()
@@ -46,7 +46,7 @@ def flights(true: Model4, seed: int, idle: tuple[int, ...] = (), windows: int = 
     start[:, [4, 5, 7]] = rng.normal(0.0, 0.15, (windows, 3))
     flight = np.arange(windows) % 2
     current: FloatArray = np.array([[0.05, -0.03], [0.0, 0.04]])[flight]
-    motion = predict(Coefficients.of(true).base, BASE, start, inputs, current, STEP_S)
+    motion = predict(CoefficientScale.of(true).base, BASE, start, inputs, current, STEP_S)
     return Windows(
         motion=motion + NOISE * rng.normal(size=motion.shape),
         start=start + rng.normal(0.0, 0.005, start.shape),
@@ -58,7 +58,7 @@ def flights(true: Model4, seed: int, idle: tuple[int, ...] = (), windows: int = 
 @pytest.mark.parametrize("seed", [1, 2, 3])
 def test_known_coefficients_come_back(seed: int) -> None:
     found = fit(flights(TRUE, seed), BASE)
-    truth = Coefficients.of(TRUE).base
+    truth = CoefficientScale.of(TRUE).base
     off = (found.values - truth) / np.sqrt(np.diag(found.covariance))
     assert np.abs(off).max() < 4.5
     assert (np.abs(off) < found.student).mean() >= 0.7
@@ -96,7 +96,7 @@ def test_an_axis_without_motion_keeps_its_values(tmp_path: Path) -> None:
 def test_prediction_agrees_with_itself_in_halves() -> None:
     """Two half windows, the second from the end of the first, are the whole."""
     data = flights(TRUE, 5, windows=10)
-    values = Coefficients.of(TRUE).base
+    values = CoefficientScale.of(TRUE).base
     assert len(values) == N_COMMON
     still = np.zeros((10, 2))
     whole = predict(values, BASE, data.start, data.inputs, still, STEP_S)

@@ -14,7 +14,6 @@ from autopilot.core.messages import (
     Authority,
     Below,
     ControlOutput,
-    Drive,
     EnergyPlan,
     EstimatorInputs,
     Event,
@@ -37,6 +36,7 @@ from autopilot.core.messages import (
     SolveStatus,
     ThrusterCommand,
     ThrusterHealthState,
+    VelocityGoal,
 )
 from autopilot.core.payload import PayloadState
 from autopilot.core.samples import (
@@ -57,8 +57,8 @@ from autopilot.core.samples import (
     VelocitySample,
 )
 from autopilot.core.stills import StillRecord, StoredStill
-from autopilot.log.description import AcceptBounds, CameraView, FenceShape, Obstacle, RunDescription, Waypoint
-from autopilot.log.session import RunLog, open_run_log
+from autopilot.log.description import AcceptBounds, CameraView, FenceItemDescription, Obstacle, RunDescription, Waypoint
+from autopilot.log.log_session import RunLog, open_run_log
 
 EPOCH_NS = 1_700_000_000_000_000_000
 STEP_US = 50_000
@@ -81,9 +81,9 @@ DESCRIPTION = RunDescription(
         Obstacle(center_m=(0.9375, 0.0), radius_m=0.16, name="cylinder 2"),
     ),
     fence=(
-        FenceShape(inclusion=True, vertices_m=TANK),
-        FenceShape(inclusion=False, center_m=(-0.625, -0.625), radius_m=0.16),
-        FenceShape(inclusion=False, center_m=(0.9375, 0.0), radius_m=0.16),
+        FenceItemDescription(inclusion=True, vertices_m=TANK),
+        FenceItemDescription(inclusion=False, center_m=(-0.625, -0.625), radius_m=0.16),
+        FenceItemDescription(inclusion=False, center_m=(0.9375, 0.0), radius_m=0.16),
     ),
     waypoints=(
         Waypoint(name="A", pos_ned_m=(-1.60, -0.35, 0.45), yaw_rad=0.0),
@@ -333,7 +333,7 @@ def outputs_at(t_us: int, truth: Truth, run: Run, done: bool = False) -> Outputs
         accept_radius_m=0.3,
         accept_yaw_rad=0.15,
         seq=1 + leg % 2,
-        drive=Drive(north_m_s=0.1, down_m_s=0.02) if run.full_inputs and 3_000_000 < t_us <= 6_000_000 else None,
+        drive=VelocityGoal(north_m_s=0.1, down_m_s=0.02) if run.full_inputs and 3_000_000 < t_us <= 6_000_000 else None,
     )
     state = ProgressState.COMPLETE if done else ProgressState.ACTIVE
     return Outputs(

@@ -46,7 +46,7 @@ from autopilot.core.samples import (
 from autopilot.core.sensors import AID_SENSORS
 from autopilot.log import topics, visuals
 from autopilot.log.cdr import ENCAPSULATION, CdrBuffer, decode, fixed_layout, parse_definition
-from autopilot.log.packing import decisions, estimate, sensors, service, vehicle
+from autopilot.log.packing import decisions, estimate, sensor_records, service_records, vehicle_records
 from autopilot.log.sample_table import SAMPLE_ROWS, SampleRow
 from autopilot.log.schemas import definition, layout, ros_name, type_names, types_of
 from autopilot.replay.inputs import SAMPLES
@@ -132,7 +132,7 @@ def test_nav(stamp: int, a: Any, b: Any, c: Any, d: Any, e: Any, f: Any, var: An
         reset_count=resets,
         doubts=frozenset(doubt for bit, doubt in enumerate(NavDoubt) if resets >> bit & 1),
     )
-    state = read_back("autopilot_msgs/VehicleState", vehicle.vehicle_state(stamp, nav))
+    state = read_back("autopilot_msgs/VehicleState", vehicle_records.vehicle_state(stamp, nav))
     assert stamp_of(state.header) == stamp and state.header.frame_id == "ned"
     for field in ("pos_ned_m", "rpy_rad", "vel_frd_m_s", "vel_water_frd_m_s", "rate_frd_rad_s", "current_ned_m_s"):
         np.testing.assert_array_equal(getattr(state, field), getattr(nav, field))
@@ -157,10 +157,10 @@ def test_truth_thrusters_and_contact(stamp: int, thrust: list[float], power: flo
         thrust_n=np.array(thrust),
         power_w=power,
     )
-    state = read_back("autopilot_msgs/ThrusterState", vehicle.thruster_state(stamp, truth))
+    state = read_back("autopilot_msgs/ThrusterState", vehicle_records.thruster_state(stamp, truth))
     np.testing.assert_array_equal(state.thrust_n, thrust + [0.0] * (8 - len(thrust)))
     assert state.power_w == power
-    contact = read_back("autopilot_msgs/ContactState", vehicle.contact_state(stamp, count, depth))
+    contact = read_back("autopilot_msgs/ContactState", vehicle_records.contact_state(stamp, count, depth))
     assert (contact.count, contact.penetration_m) == (count, depth)
 
 
@@ -214,17 +214,17 @@ def test_control_and_system(
     assert (read.armed, read.custom_mode, read.failsafes) == (flag, a, b)
     parts = tuple(x if part == LoopPart.RECORD else 0.0 for part in LoopPart)
     stats = LoopStats(t_us=0, tick_s=x, cpu_s=y, overruns=a, dropped_log=b, dropped_frames=b, part_s=parts)
-    read = read_back("autopilot_msgs/LoopStats", service.loop_stats(stamp, stats))
+    read = read_back("autopilot_msgs/LoopStats", service_records.loop_stats(stamp, stats))
     assert (read.tick_s, read.cpu_s, read.overruns, read.dropped_log, read.dropped_frames) == (x, y, a, b, b)
     assert read.late_part == int(stats.late_part) and tuple(read.part_s) == parts
     process = ProcessStats(rss_bytes=a, log_queue=b, log_queue_bytes=a, threads=count, collect_s=x)
-    read = read_back("autopilot_msgs/ProcessStats", service.process_stats(stamp, process))
+    read = read_back("autopilot_msgs/ProcessStats", service_records.process_stats(stamp, process))
     assert (read.rss, read.log_queue, read.log_queue_bytes, read.threads, read.collect_s) == (a, b, a, count, x)
     fit = MarkerFit(known=count, used=3, rms_px=x, worst_px=y)
     read = read_back("autopilot_msgs/MarkerFit", estimate.marker_fit(stamp, fit))
     assert (read.known, read.used, read.rms_px, read.worst_px) == (count, 3, x, y)
     inputs = Inputs(t_us=0, overruns=a, cpu_load=x)
-    read = read_back("autopilot_msgs/InputTick", service.input_tick(stamp, inputs))
+    read = read_back("autopilot_msgs/InputTick", service_records.input_tick(stamp, inputs))
     assert (read.samples, read.frames, read.overruns, read.cpu_load) == (0, 0, a, x)
     aid = AidStatus(
         t_us=0,
@@ -246,13 +246,13 @@ def test_control_and_system(
 @settings(max_examples=25, deadline=None)
 def test_what_viewers_get_of_samples(stamp: int, rpy: list[float], v: Any, x: float, y: float) -> None:
     ahrs = AhrsSample(t_us=0, rpy_rad=np.array(rpy), rate_frd_rad_s=v, accel_frd_m_s2=-v)
-    imu = read_back("sensor_msgs/Imu", sensors.imu(stamp, ahrs))
+    imu = read_back("sensor_msgs/Imu", sensor_records.imu(stamp, ahrs))
     q = imu.orientation
     yaw = math.atan2(2 * (q.w * q.z + q.x * q.y), 1 - 2 * (q.y**2 + q.z**2))
     assert yaw == pytest.approx(rpy[2], abs=1e-9)
     assert (imu.linear_acceleration.x, imu.linear_acceleration.z) == (-v[0], -v[2])
     laser = LaserSample(t_us=0, range_m=x, sigma_m=y)
-    assert read_back("sensor_msgs/Range", sensors.laser_range(stamp, laser)).range == np.float32(x)
+    assert read_back("sensor_msgs/Range", sensor_records.laser_range(stamp, laser)).range == np.float32(x)
     power = PowerSample(t_us=0, voltage_v=x, current_a=y, energy_used_j=x, remaining=0.5)
     battery = STORE.deserialize_cdr(visuals.battery_state(stamp, power), "sensor_msgs/msg/BatteryState")
     assert (battery.voltage, battery.current, battery.percentage) == (np.float32(x), np.float32(-y), 0.5)
@@ -265,7 +265,7 @@ def test_what_viewers_get_of_samples(stamp: int, rpy: list[float], v: Any, x: fl
 def test_a_sample_of_any_kind_comes_back(row: SampleRow, stamp: int, data: st.DataObject) -> None:
     """As another decoder understands the message, and as a replay reads it."""
     sample = data.draw(samples_of(row))
-    topic, pack = sensors.SAMPLES[row.of]
+    topic, pack = sensor_records.SAMPLES[row.of]
     message = pack(stamp, sample)
     read = read_back(f"autopilot_msgs/{row.type}", message)
     for name in read.__dataclass_fields__.keys() & row.of.__dataclass_fields__.keys():
@@ -340,20 +340,20 @@ def test_marker_sighting(stamp: int, count: int, laser: bool, decode_us: int) ->
         sigma_px=np.full(count, 0.25) if laser else None,
         decode_us=decode_us,
     )
-    read = read_back("autopilot_msgs/MarkerSighting", sensors.marker_sighting(stamp, sighting))
-    kept = min(count, sensors.MAX_MARKERS)
+    read = read_back("autopilot_msgs/MarkerSighting", sensor_records.marker_sighting(stamp, sighting))
+    kept = min(count, sensor_records.MAX_MARKERS)
     assert (read.count, read.laser_found, read.decode_us) == (kept, int(laser), decode_us)
     assert read.ids[:kept].tolist() == list(range(kept)) and not read.ids[kept:].any()
     np.testing.assert_array_equal(read.corners_px[: 8 * kept], corners[:kept].ravel())
     assert read.laser_px.tolist() == ([1.5, 2.5] if laser else [0.0, 0.0])
-    assert read.sigma_px.tolist() == [0.25 if laser else 0.0] * kept + [0.0] * (sensors.MAX_MARKERS - kept)
+    assert read.sigma_px.tolist() == [0.25 if laser else 0.0] * kept + [0.0] * (sensor_records.MAX_MARKERS - kept)
     assert read.header.frame_id == "cam"
 
 
 @given(stamps, st.binary(min_size=0, max_size=280), st.integers(-1, 20), st.integers(0, 0xFFFF))
 @settings(max_examples=25, deadline=None)
 def test_mavlink_frame(stamp: int, data: bytes, link: int, client: int) -> None:
-    read = read_back("autopilot_msgs/MavlinkFrame", service.mavlink_frame(stamp, data, link, client))
+    read = read_back("autopilot_msgs/MavlinkFrame", service_records.mavlink_frame(stamp, data, link, client))
     assert read.data.tobytes()[: read.length] == data
     assert read.link == (255 if link < 0 else link)
     assert read.client == client
@@ -368,8 +368,12 @@ def test_variable_types(stamp: int, points: list[tuple[float, float, float]], te
     assert (log.level, log.msg, log.name) == (30, text.replace("\0", " "), "autopilot")
     image = read_back("sensor_msgs/CompressedImage", visuals.compressed_image(stamp, blob))
     assert (image.format, image.data.tobytes()) == ("jpeg", blob)
-    marker = visuals.Marker(
-        namespace="tank", number=3, kind=visuals.Marker.LINE_STRIP, points_ned_m=tuple(points), color_rgba=(1, 0, 0, 1)
+    marker = visuals.VisualMarker(
+        namespace="tank",
+        number=3,
+        kind=visuals.VisualMarker.LINE_STRIP,
+        points_ned_m=tuple(points),
+        color_rgba=(1, 0, 0, 1),
     )
     array = read_back("visualization_msgs/MarkerArray", visuals.marker_array(stamp, [marker, marker]))
     assert [(p.x, p.y, p.z) for p in array.markers[1].points] == points
@@ -415,7 +419,7 @@ def test_decoder_survives_anything(name: str, data: bytes) -> None:
 
 
 def test_decoder_names_the_type_of_a_short_message() -> None:
-    data = vehicle.contact_state(0, 1, 0.0)
+    data = vehicle_records.contact_state(0, 1, 0.0)
     for length in range(len(data)):
         with pytest.raises(LogError, match="ContactState"):
             decode(types_of("autopilot_msgs/ContactState"), "autopilot_msgs/ContactState", data[:length])

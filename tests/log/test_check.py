@@ -27,7 +27,7 @@ from autopilot.core.errors import LogError
 from autopilot.core.geometry import Circle, Fence, Polygon
 from autopilot.core.messages import Event, Fallback, ModeState
 from autopilot.log.analysis import Span, distance_to_fence, distance_to_polygon, energy_j, load_flight, visits
-from autopilot.log.check import Row, Verdict, acceptance_table, format_figure, overall
+from autopilot.log.check import BoundRow, BoundVerdict, acceptance_table, format_figure, overall
 from autopilot.log.compare import compare_logs
 from autopilot.log.description import (
     AcceptBounds,
@@ -38,38 +38,38 @@ from autopilot.log.description import (
     from_json,
     to_json,
 )
+from autopilot.log.log_session import RunLog, open_run_log
 from autopilot.log.reader import open_log
-from autopilot.log.session import RunLog, open_run_log
 
 STEP_US = 200_000
 LAPS_1 = replace(DESCRIPTION, accept=AcceptBounds(laps=1))
 
 
-def table(tmp_path: Path, **changes: Any) -> dict[str, Row]:
+def table(tmp_path: Path, **changes: Any) -> dict[str, BoundRow]:
     run = Run(**{"laps": 1, "step_us": STEP_US, "description": LAPS_1, **changes})
     rows = acceptance_table(open_log(write_run(tmp_path / "run.mcap", run)))
     assert len({row.name for row in rows}) == len(rows)
     return {row.name: row for row in rows}
 
 
-def broken(rows: dict[str, Row]) -> set[str]:
-    return {name for name, row in rows.items() if row.verdict is Verdict.FAIL}
+def broken(rows: dict[str, BoundRow]) -> set[str]:
+    return {name for name, row in rows.items() if row.verdict is BoundVerdict.FAIL}
 
 
 def test_a_perfect_run_passes_everything(tmp_path: Path) -> None:
     rows = table(tmp_path, laps=3, description=DESCRIPTION)
-    assert overall(rows.values()) is Verdict.PASS
+    assert overall(rows.values()) is BoundVerdict.PASS
     assert rows["laps"].worst == 3.0 and rows["laps"].margin == 0.0
     assert rows["waypoint A position"].note == "reached 4 of 4"
     assert rows["waypoint B heading"].note == "reached 3 of 3"
     assert rows["distance to cylinder 2"].margin == pytest.approx(0.5303 - 0.45, abs=2e-3)
-    assert rows["planar speed |u+v|"].verdict is Verdict.INFO
+    assert rows["planar speed |u+v|"].verdict is BoundVerdict.INFO
     assert rows["estimate position rms"].worst == pytest.approx(0.004 / math.sqrt(2.0), rel=0.02)
     # 36 s at 20 W of thrusters and 12 W of hotel load
     assert rows["energy lap 2"].worst == pytest.approx(36.0 * 32.0, rel=0.01)
     assert rows["time lap 3"].worst == pytest.approx(36.0, abs=0.5)
     for name in ("log messages lost", "loop overruns", "NMPC fallbacks", "failsafes raised", "contacts"):
-        assert rows[name].verdict is Verdict.PASS and rows[name].worst == 0.0
+        assert rows[name].verdict is BoundVerdict.PASS and rows[name].worst == 0.0
 
 
 VIOLATIONS: dict[str, dict[str, Any]] = {
@@ -105,7 +105,7 @@ def test_the_tolerance_warns(tmp_path: Path) -> None:
     rows = table(tmp_path, change_truth=shifted(9.0, 0.3, pos_ned_m=np.array([0.9375, 0.452, 0.33])))
     assert not broken(rows) - {"estimate position rms"}
     row = rows["distance to cylinder 2"]
-    assert row.verdict is Verdict.WARN and row.margin == pytest.approx(0.002) and row.limit == 0.46
+    assert row.verdict is BoundVerdict.WARN and row.margin == pytest.approx(0.002) and row.limit == 0.46
 
 
 def test_larger_cylinders_need_their_own_clearance(tmp_path: Path) -> None:
@@ -126,8 +126,8 @@ def test_other_violations(tmp_path: Path) -> None:
     rows = table(tmp_path, contacts=2)
     assert broken(rows) == {"contacts"} and rows["contacts"].note == "deepest 10.0 mm"
     rows = table(tmp_path, fallback=Fallback.SHIFTED_PLAN)
-    assert rows["NMPC fallbacks"].verdict is Verdict.WARN and not broken(rows)
-    assert overall(rows.values()) is Verdict.WARN
+    assert rows["NMPC fallbacks"].verdict is BoundVerdict.WARN and not broken(rows)
+    assert overall(rows.values()) is BoundVerdict.WARN
 
 
 def turned(t_s: float, truth: Truth) -> Truth:
@@ -230,12 +230,12 @@ def test_only_the_armed_time_is_judged(tmp_path: Path) -> None:
 
 
 def test_a_log_without_description_or_track(tmp_path: Path) -> None:
-    from autopilot.log.packing import vehicle
+    from autopilot.log.packing import vehicle_records
     from autopilot.log.writer import LogWriter
 
     path = tmp_path / "bare.mcap"
     with LogWriter(path, epoch_ns=EPOCH_NS, metadata={}, attachments={}) as log:
-        log.write("/sim/contact", 0, vehicle.contact_state(EPOCH_NS, 1, 0.0))
+        log.write("/sim/contact", 0, vehicle_records.contact_state(EPOCH_NS, 1, 0.0))
     for bare in (path, write_bare(tmp_path / "d.mcap", to_json(DESCRIPTION))):
         with pytest.raises(LogError, match="neither /sim/truth nor /nav/state"):
             acceptance_table(open_log(bare))

@@ -28,11 +28,11 @@ from log_synthetic import (
 from autopilot.core.messages import Inputs, MarkerFit, MavlinkFrame, Outputs, ProcessStats
 from autopilot.core.samples import AhrsSample, ImuSample, PowerSample
 from autopilot.core.vehicle import load_vehicle
-from autopilot.log.check import Row, Verdict, acceptance_table
+from autopilot.log.check import BoundRow, BoundVerdict, acceptance_table
 from autopilot.log.clipping import clipped
 from autopilot.log.description import AcceptBounds, RunDescription
+from autopilot.log.log_session import open_run_log
 from autopilot.log.reader import open_log
-from autopilot.log.session import open_run_log
 
 STEP_US = 100_000
 VEHICLE = load_vehicle("lbv150")
@@ -59,7 +59,7 @@ def golden(
     change_truth: Callable[[float, Truth], Truth] = lambda t_s, truth: truth,
     end_us: int = END_US,
     step_us: int = STEP_US,
-) -> dict[str, Row]:
+) -> dict[str, BoundRow]:
     """The rows of a lap, changed as asked."""
     log = open_run_log(
         path,
@@ -82,8 +82,8 @@ def golden(
     return {row.name: row for row in acceptance_table(open_log(path))}
 
 
-def warned(rows: dict[str, Row]) -> set[str]:
-    return {name for name, row in rows.items() if row.verdict in (Verdict.WARN, Verdict.FAIL)}
+def warned(rows: dict[str, BoundRow]) -> set[str]:
+    return {name for name, row in rows.items() if row.verdict in (BoundVerdict.WARN, BoundVerdict.FAIL)}
 
 
 def aids(**changes: Any) -> Callable[[int, Outputs], Outputs]:
@@ -230,7 +230,7 @@ def test_a_sound_log_passes(tmp_path: Path) -> None:
 def test_each_golden_log_breaks_its_check(tmp_path: Path, name: str, changes: dict[str, Any]) -> None:
     rows = golden(tmp_path / "a.mcap", **changes)
     assert warned(rows) == {name}
-    assert rows[name].verdict is Verdict.WARN
+    assert rows[name].verdict is BoundVerdict.WARN
 
 
 def test_a_sensor_that_stops_or_counts_in_large_steps_is_not_clipped() -> None:
@@ -304,11 +304,11 @@ def test_round_trips_are_those_of_our_own_requests(tmp_path: Path) -> None:
     assert "MAVLink round trip, p95" not in golden(tmp_path / "b.mcap", change_outputs=asks)
     fast = replace(REAL_TIME, speed=0.0)
     row = golden(tmp_path / "c.mcap", answers(3_000_000), asks, description=fast)["MAVLink round trip, p95"]
-    assert row.verdict is Verdict.INFO, "in lockstep clients live in another time"
+    assert row.verdict is BoundVerdict.INFO, "in lockstep clients live in another time"
 
 
 def test_memory_that_grows_is_told(tmp_path: Path) -> None:
-    def memory(grows: float) -> Row:
+    def memory(grows: float) -> BoundRow:
         span = {
             "end_us": 130_000_000,
             "step_us": 1_000_000,
@@ -321,9 +321,9 @@ def test_memory_that_grows_is_told(tmp_path: Path) -> None:
         )
         return leaking["memory"]
 
-    assert memory(0.0).verdict is Verdict.PASS
-    assert memory(0.01).verdict is Verdict.WARN
-    assert golden(tmp_path / "b.mcap")["memory"].verdict is Verdict.INFO, "too short to say"
+    assert memory(0.0).verdict is BoundVerdict.PASS
+    assert memory(0.01).verdict is BoundVerdict.WARN
+    assert golden(tmp_path / "b.mcap")["memory"].verdict is BoundVerdict.INFO, "too short to say"
 
 
 def test_energy_is_told_by_thruster(tmp_path: Path) -> None:

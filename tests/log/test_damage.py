@@ -216,7 +216,7 @@ def test_recovery(sound: Path, tmp_path: Path) -> None:
 _VICTIM = """
 import sys, time
 from pathlib import Path
-from autopilot.log.packing import vehicle
+from autopilot.log.packing import vehicle_records as vehicle
 from autopilot.log.writer import LogWriter
 log = LogWriter(Path(sys.argv[1]), epoch_ns=10**18, metadata={}, attachments={"a": b"b"})
 t_us = 0

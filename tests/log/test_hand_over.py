@@ -13,8 +13,8 @@ from pymavlink.dialects.v20 import common
 
 from autopilot.core.messages import Inputs, MavlinkFrame, Outputs
 from autopilot.log.description import RunDescription
+from autopilot.log.log_session import RunLog, SimulationRecord
 from autopilot.log.reader import open_log
-from autopilot.log.session import RunLog, World
 from autopilot.log.writer import LogWriter, Payload
 from autopilot.run.config import flight_settings
 from autopilot.run.recorder import RunRecorder
@@ -80,7 +80,9 @@ def test_nobody_changes_what_was_handed_over(tmp_path: Path, monkeypatch: pytest
     logs = [RunLog(kept, description, camera_period_us=200_000) for kept in (early, late)]
     tick = RunLog.tick
 
-    def both(self: RunLog, inputs: Inputs, outputs: Outputs, frames: object = (), world: World | None = None) -> None:
+    def both(
+        self: RunLog, inputs: Inputs, outputs: Outputs, frames: object = (), world: SimulationRecord | None = None
+    ) -> None:
         for log in logs:
             tick(log, inputs, outputs, frames, world)  # type: ignore[arg-type]
 

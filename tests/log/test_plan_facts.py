@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from log_synthetic import DESCRIPTION, Run, Truth, write_run
 
-from autopilot.log.analysis import Flight, Track, load_flight, obstacle_position
+from autopilot.log.analysis import FlightRecord, VehicleTrack, load_flight, obstacle_position
 from autopilot.log.check import acceptance_table
 from autopilot.log.description import AcceptBounds, Obstacle
 from autopilot.log.figure_paper import trajectory
@@ -27,7 +27,7 @@ def slow_eddy(t_s: float, truth: Truth) -> Truth:
 
 
 @pytest.fixture(scope="module")
-def flight(tmp_path_factory: pytest.TempPathFactory) -> Flight:
+def flight(tmp_path_factory: pytest.TempPathFactory) -> FlightRecord:
     """One waypoint, a slow current and a moving obstacle."""
     run = replace(
         DESCRIPTION,
@@ -40,12 +40,12 @@ def flight(tmp_path_factory: pytest.TempPathFactory) -> Flight:
     return load_flight(open_log(write_run(path, made)))
 
 
-def track_along(size_m: float, flow_m_s: float) -> Track:
+def track_along(size_m: float, flow_m_s: float) -> VehicleTrack:
     n = 200
     at = np.linspace(0.0, size_m, n)
     zero = np.zeros((n, 3))
     flow = np.column_stack((np.full(n, flow_m_s), np.zeros((n, 2))))
-    return Track(
+    return VehicleTrack(
         t_s=at,
         pos_ned_m=np.column_stack((at, np.zeros((n, 2)))),
         rpy_rad=zero,
@@ -73,7 +73,7 @@ def test_still_water_has_no_arrows() -> None:
     assert round_figure(0.2) == pytest.approx(0.2) and round_figure(0.0499) == pytest.approx(0.02)
 
 
-def test_a_moving_obstacle_is_drawn_where_it_was(flight: Flight) -> None:
+def test_a_moving_obstacle_is_drawn_where_it_was(flight: FlightRecord) -> None:
     assert flight.run is not None
     track = flight.judged.between(flight.armed)
     (moved,) = moved_obstacles(track, flight.run)
@@ -91,7 +91,7 @@ def test_a_moving_obstacle_is_drawn_where_it_was(flight: Flight) -> None:
     assert not any(place == pytest.approx(MOVING.center_m) for place in solid), "not only where it began"
 
 
-def test_the_lap_of_one_waypoint_is_the_way_to_it(flight: Flight) -> None:
+def test_the_lap_of_one_waypoint_is_the_way_to_it(flight: FlightRecord) -> None:
     rows = {row.name: row for row in acceptance_table(flight.log)}
     reached = rows["waypoint B position"].at_s
     assert reached is not None
@@ -107,7 +107,7 @@ def test_the_lap_of_one_waypoint_is_the_way_to_it(flight: Flight) -> None:
     assert any(item.startswith("lap 1: ") for item in items)
 
 
-def test_the_key_and_every_arrow_are_in_the_plan(flight: Flight) -> None:
+def test_the_key_and_every_arrow_are_in_the_plan(flight: FlightRecord) -> None:
     track = flight.judged.between(flight.armed)
     met = met_current(track, flight.run)
     assert met is not None and met.told_m_s == pytest.approx(EAST_M_S)

@@ -10,7 +10,7 @@ import pytest
 from log_synthetic import Run, truth_at, write_run
 
 from autopilot.core.errors import LogError
-from autopilot.log.reader import Log, Table, open_log
+from autopilot.log.reader import Log, MessageTable, open_log
 
 EXAMPLE = Path(__file__).resolve().parents[2] / "docs" / "examples" / "read_log.py"
 
@@ -30,8 +30,8 @@ def test_aligned_topics_share_their_times(log: Log) -> None:
         held_s = int(first["t_us"][row]) // 50_000 * 50_000 * 1e-6
         truth = truth_at(held_s)
         assert abs(found["/nav/state"]["pos_ned_m"][row, 1] - truth.pos_ned_m[1]) < 1e-9
-    assert isinstance(first, Table) and type(first["pos_ned_m"]) is np.ndarray
-    assert isinstance(log["/nav/state"][:5], Table)
+    assert isinstance(first, MessageTable) and type(first["pos_ned_m"]) is np.ndarray
+    assert isinstance(log["/nav/state"][:5], MessageTable)
 
 
 def test_what_cannot_be_aligned_is_named(log: Log) -> None:

@@ -11,7 +11,7 @@ import pytest
 from bokeh.models import BoxAnnotation, Plot, Range1d, Span
 from log_synthetic import Run, shifted, write_run
 
-from autopilot.log.analysis import Flight, load_flight
+from autopilot.log.analysis import FlightRecord, load_flight
 from autopilot.log.reader import open_log
 from autopilot.log.report import write_report
 from autopilot.log.report_draw import LEFT_PX, RIGHT_PX, histogram
@@ -20,19 +20,19 @@ from autopilot.log.spectra import density
 
 
 @pytest.fixture(scope="module")
-def flight(tmp_path_factory: pytest.TempPathFactory) -> Flight:
+def flight(tmp_path_factory: pytest.TempPathFactory) -> FlightRecord:
     slow = shifted(9.0, 0.3, vel_water_frd_m_s=np.array([0.6, 0.0, 0.0]))
     run = Run(laps=1, step_us=100_000, full_inputs=True, change_truth=slow)
     return load_flight(open_log(write_run(tmp_path_factory.mktemp("report") / "run.mcap", run)))
 
 
 @pytest.fixture(scope="module")
-def subjects(flight: Flight) -> dict[str, dict[str, Any]]:
+def subjects(flight: FlightRecord) -> dict[str, dict[str, Any]]:
     return Plots(flight).all()
 
 
 @pytest.fixture(scope="module")
-def page(flight: Flight, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def page(flight: FlightRecord, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return write_report(flight.log, tmp_path_factory.mktemp("page") / "a.html")
 
 

@@ -7,16 +7,16 @@ import numpy as np
 import pytest
 
 from autopilot.core.messages import FALLBACK_TEXT, Fallback
-from autopilot.log.smoothness import BARS, Commands, is_told, low_passed, measure
+from autopilot.log.smoothness import BARS, ThrustCommands, is_told, low_passed, measure
 
 T_S = np.arange(400) * 0.05
 
 
-def commands(thrust_n: np.ndarray, **changes: object) -> Commands:
+def commands(thrust_n: np.ndarray, **changes: object) -> ThrustCommands:
     """20 s of control steps: the same command for port and starboard, the others rest."""
     columns = np.stack([thrust_n, thrust_n, 0 * thrust_n, 0 * thrust_n], axis=1)
     still = {"fallback": np.zeros(len(T_S), np.uint8), "starts_s": np.zeros(1), "told_s": np.zeros(0)}
-    return Commands(**{"t_s": T_S, "thrust_n": columns, "limit_n": 12.0, **still, **changes})  # type: ignore[arg-type]
+    return ThrustCommands(**{"t_s": T_S, "thrust_n": columns, "limit_n": 12.0, **still, **changes})  # type: ignore[arg-type]
 
 
 def test_slow_commands_keep_every_bar() -> None:

@@ -51,11 +51,11 @@ def test_every_input_comes_back_from_its_notes() -> None:
     bare = Inputs(t_us=given.t_us)
     blank = {field.name for field in fields(Inputs) if getattr(given, field.name) == getattr(bare, field.name)}
     assert blank == {"t_us", "samples"}
-    notes = step_notes.notes_of(given, [NOTHING_REMOVED], step_notes.Standing())
+    notes = step_notes.notes_of(given, [NOTHING_REMOVED], step_notes.LatchedNotes())
     assert notes is not None
     again = step_notes.unpack(msgspec.json.encode(notes).decode(), "here")
     bare = Inputs(t_us=given.t_us, overruns=3, cpu_load=0.25)
-    back = step_notes.inputs_with(bare, again, (b"abc",), step_notes.Standing())
+    back = step_notes.inputs_with(bare, again, (b"abc",), step_notes.LatchedNotes())
     for field in fields(Inputs):
         assert repr(getattr(back, field.name)) == repr(getattr(given, field.name)), field.name
 

@@ -18,7 +18,7 @@ ROOT = Path(__file__).resolve().parents[2]
 
 @pytest.fixture(scope="module")
 def generator() -> dict[str, Any]:
-    return runpy.run_path(str(ROOT / "docs" / "topics.py"))
+    return runpy.run_path(str(ROOT / "docs" / "topics_page.py"))
 
 
 def test_nothing_is_undocumented(generator: dict[str, Any]) -> None:
@@ -27,7 +27,7 @@ def test_nothing_is_undocumented(generator: dict[str, Any]) -> None:
 
 def test_the_page_is_current(generator: dict[str, Any]) -> None:
     page = (ROOT / "docs" / "topics.md").read_text(encoding="utf-8")
-    assert page == generator["page"](), "run python docs/topics.py --write"
+    assert page == generator["page"](), "run python docs/topics_page.py --write"
     for topic in TOPICS:
         assert f"## {topic}\n" in page
     assert "* `pos_ned_m` float64[3] (m, NED): place\n" in page

@@ -10,8 +10,8 @@ from autopilot.core.camera import R_FRD_FROM_CAM
 from autopilot.core.frames import r_ned_from_frd
 from autopilot.core.params import ParamSet
 from autopilot.core.samples import CameraFrame
+from autopilot.log.log_session import open_run_log
 from autopilot.log.reader import Log, open_log
-from autopilot.log.session import open_run_log
 
 SEEN_US = 60_000
 """How long after a picture its markers come (`inputs_at`)."""

@@ -18,13 +18,13 @@ from rosbags.rosbag2 import Reader
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from autopilot.core.errors import LogError
-from autopilot.core.messages import Authority, Below, Drive, Event, Inputs, LoopStats, MavlinkFrame
+from autopilot.core.messages import Authority, Below, Event, Inputs, LoopStats, MavlinkFrame, VelocityGoal
 from autopilot.core.samples import CameraFrame
 from autopilot.log.compare import compare_logs
 from autopilot.log.description import from_json
-from autopilot.log.packing import service, vehicle
+from autopilot.log.log_session import RunLog, log_path, open_run_log
+from autopilot.log.packing import service_records, vehicle_records
 from autopilot.log.reader import open_log
-from autopilot.log.session import RunLog, log_path, open_run_log
 from autopilot.log.topics import TOPICS
 from autopilot.log.writer import LogWriter
 from autopilot.replay import inputs as replay_inputs
@@ -36,7 +36,7 @@ def full_log(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def contact(t_us: int) -> bytes:
-    return vehicle.contact_state(EPOCH_NS + t_us * 1000, t_us, 0.5)
+    return vehicle_records.contact_state(EPOCH_NS + t_us * 1000, t_us, 0.5)
 
 
 def small(path: Path, **options: object) -> LogWriter:
@@ -307,7 +307,7 @@ belows = st.builds(
     rival=st.booleans(),
 )
 drives = st.none() | st.builds(
-    Drive,
+    VelocityGoal,
     north_m_s=speeds,
     east_m_s=speeds,
     turn_rad_s=speeds,
@@ -320,7 +320,7 @@ drives = st.none() | st.builds(
 @given(given_below=st.lists(belows, min_size=1, max_size=8), given_drive=st.lists(drives, min_size=1, max_size=8))
 @settings(max_examples=10, deadline=None)
 def test_what_the_vehicle_below_says_and_what_a_pilot_asks_for_stand_in_the_log_tick_by_tick(
-    given_below: list[Below], given_drive: list[Drive | None]
+    given_below: list[Below], given_drive: list[VelocityGoal | None]
 ) -> None:
     """Written when they change: what holds at each tick is the last before it, equal in every field that fits."""
     pieces = zip_longest(given_below, given_drive, fillvalue=None)
@@ -357,4 +357,4 @@ def plain(text: str) -> str:
 def test_long_texts_of_the_vehicle_below_are_cut_between_characters() -> None:
     for padding in range(4):
         said = Below(t_us=0, authority=Authority.STOPPED, acts=False, text="x" * padding + "é" * 60)
-        assert b"x" * padding + "é".encode() * ((64 - padding) // 2) in service.below(0, said)
+        assert b"x" * padding + "é".encode() * ((64 - padding) // 2) in service_records.below(0, said)

@@ -12,7 +12,7 @@ from autopilot.core.frames import FloatArray
 from autopilot.core.marker_files import PlacedMarker, make_map
 from autopilot.core.markers import MarkerMap
 from autopilot.estimator.marker_looks import patterns_of
-from autopilot.markermaps.sightings import View
+from autopilot.markermaps.sightings import SheetView
 
 
 def camera(*, fisheye: bool = False) -> CameraModel:
@@ -71,7 +71,7 @@ def room(size_m: float = 0.08, dictionary: str = "DICT_5X5_250") -> MarkerMap:
 
 def walk_round(
     markers: MarkerMap, model: CameraModel, rng: np.random.Generator, count: int = 40, sigma_px: float = 0.2
-) -> list[View]:
+) -> list[SheetView]:
     """Views from places all round the box, with noise."""
     views = []
     for k, (eye, r) in enumerate(places(rng, count)):
@@ -81,7 +81,7 @@ def walk_round(
         seen, corners = seen[sides > 15.0], corners[sides > 15.0]
         corners = corners + rng.normal(0.0, sigma_px, corners.shape)
         if len(seen):
-            views.append(View(name=str(k), ids=markers.ids[seen], corners_px=corners))
+            views.append(SheetView(name=str(k), ids=markers.ids[seen], corners_px=corners))
     return views
 
 

@@ -7,7 +7,7 @@ from autopilot.core.frames import FloatArray, r_ned_from_frd
 from autopilot.core.marker_files import PlacedMarker, make_map, placed_markers
 from autopilot.core.markers import MarkerMap, grid_floor
 from autopilot.core.vehicle import load_vehicle
-from autopilot.markermaps.sightings import View
+from autopilot.markermaps.sightings import SheetView
 
 VEHICLE = load_vehicle("lbv150")
 CAMERA = CameraModel.of_vehicle(VEHICLE)
@@ -56,7 +56,7 @@ def look_around(
     sigma_px: float = 0.12,
     shrink_px: float = 0.28,
     wrong: float = 0.0,
-) -> list[View]:
+) -> list[SheetView]:
     """Views in rows to and fro, with noise, corners drawn inwards, and a share of markers seen wrongly."""
     views = []
     for k in range(count):
@@ -73,7 +73,7 @@ def look_around(
         bad = rng.random(len(seen)) < wrong
         corners[bad] += rng.normal(0.0, 8.0, (int(bad.sum()), 4, 2))
         _, first = np.unique(markers.ids[seen], return_index=True)
-        views.append(View(name=str(k), ids=markers.ids[seen][first], corners_px=corners[first]))
+        views.append(SheetView(name=str(k), ids=markers.ids[seen][first], corners_px=corners[first]))
     return views
 
 

@@ -11,7 +11,7 @@ import pytest
 from click.testing import CliRunner
 from free_world import camera, draw, fitted, places, room, walk_round
 
-from autopilot.cli.markers import markers as commands
+from autopilot.cli.markers_command import markers as commands
 from autopilot.core.camera import CameraModel
 from autopilot.core.errors import ConfigError
 from autopilot.core.marker_files import load_marker_map, make_map, placed_markers

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 from click.testing import CliRunner
 
-from autopilot.cli.markers import markers as command
+from autopilot.cli.markers_command import markers as command
 from autopilot.core.errors import ConfigError
 
 BOARD = """

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from autopilot.cli.markers import markers as command
+from autopilot.cli.markers_command import markers as command
 from autopilot.core.errors import ConfigError
 from autopilot.core.frames import FloatArray
 from autopilot.core.marker_files import load_marker_map, placed_markers

@@ -9,7 +9,7 @@ import pytest
 from click.testing import CliRunner
 from survey_world import CAMERA, VEHICLE, look_around, small_floor
 
-from autopilot.cli.markers import markers as command
+from autopilot.cli.markers_command import markers as command
 from autopilot.core.errors import ConfigError, LogError
 from autopilot.core.flat_port import FlatPort
 from autopilot.core.frames import FloatArray
@@ -17,7 +17,7 @@ from autopilot.core.marker_files import load_marker_map, marker_file_text, place
 from autopilot.core.markers import MarkerMap, grid_floor
 from autopilot.markermaps import adjustment
 from autopilot.markermaps.adjustment import Network
-from autopilot.markermaps.sightings import View, views_of_log
+from autopilot.markermaps.sightings import SheetView, views_of_log
 from autopilot.markermaps.survey import Survey, survey_map
 
 NONE = np.array([], dtype=np.int64)
@@ -37,14 +37,14 @@ def with_true(nominal: MarkerMap, true: MarkerMap, which: list[int]) -> MarkerMa
 
 
 @pytest.fixture(scope="module")
-def laid() -> tuple[MarkerMap, MarkerMap, list[View]]:
+def laid() -> tuple[MarkerMap, MarkerMap, list[SheetView]]:
     """A floor of sheets that lie 4 mm and 0.6 deg off, and 24 views with a share of wrong markers."""
     rng = np.random.default_rng(1)
     nominal, true = small_floor(rng)
     return nominal, true, look_around(true, rng, count=24, half_m=(0.45, 0.25), wrong=0.02)
 
 
-def test_the_whole_floor_from_a_rough_map(laid: tuple[MarkerMap, MarkerMap, list[View]]) -> None:
+def test_the_whole_floor_from_a_rough_map(laid: tuple[MarkerMap, MarkerMap, list[SheetView]]) -> None:
     """Laid 5 mm off on average, known to 1 mm afterwards, and says so; wrong sights are found out."""
     nominal, true, views = laid
     survey = survey_map(CAMERA, views, nominal, fixed=NONE, rough_sigma=(0.01, 0.03))
@@ -60,7 +60,7 @@ def test_the_whole_floor_from_a_rough_map(laid: tuple[MarkerMap, MarkerMap, list
     assert survey.sigma_px == pytest.approx(0.12, abs=0.03)
 
 
-def test_four_measured_markers_give_tenths_of_millimetres(laid: tuple[MarkerMap, MarkerMap, list[View]]) -> None:
+def test_four_measured_markers_give_tenths_of_millimetres(laid: tuple[MarkerMap, MarkerMap, list[SheetView]]) -> None:
     nominal, true, views = laid
     fixed = np.array([18, 21, 74, 77])
     survey = survey_map(CAMERA, views, with_true(nominal, true, fixed.tolist()), fixed=fixed)
@@ -69,7 +69,7 @@ def test_four_measured_markers_give_tenths_of_millimetres(laid: tuple[MarkerMap,
     assert sum(row.fixed for row in survey.rows) == 4
 
 
-def test_without_a_map_from_one_marker_on(laid: tuple[MarkerMap, MarkerMap, list[View]]) -> None:
+def test_without_a_map_from_one_marker_on(laid: tuple[MarkerMap, MarkerMap, list[SheetView]]) -> None:
     """Nothing known but dictionary, size and depth: right up to where the first marker lies."""
     _, true, views = laid
     from autopilot.cli.markers_survey import _rough_map
@@ -175,7 +175,7 @@ def test_derivatives_of_the_adjustment(level: bool) -> None:
         assert -gradient[k] == pytest.approx((costs[0] - costs[1]) / 2e-6, rel=2e-3, abs=0.5)
 
 
-def test_what_cannot_be_surveyed_is_said(laid: tuple[MarkerMap, MarkerMap, list[View]]) -> None:
+def test_what_cannot_be_surveyed_is_said(laid: tuple[MarkerMap, MarkerMap, list[SheetView]]) -> None:
     nominal, _, views = laid
     seen = set(np.concatenate([view.ids for view in views]).tolist())
     never = next(n for n, i in enumerate(nominal.ids.tolist()) if i not in seen)
@@ -188,7 +188,7 @@ def test_what_cannot_be_surveyed_is_said(laid: tuple[MarkerMap, MarkerMap, list[
 
 def test_from_images_by_the_command(tmp_path: Path) -> None:
     """Pictures of a rendered floor, a rough map that is 6 mm off: exit 0 or 3, and a map good to 2 mm."""
-    from autopilot.sitl.camera import SimCamera
+    from autopilot.sitl.camera_sensor import SimCamera
     from autopilot.sitl.floor import build_floor
     from autopilot.sitl.plant import build_plant
     from autopilot.sitl.scenario import load_scenario

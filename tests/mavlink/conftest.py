@@ -5,7 +5,7 @@ from collections.abc import Callable
 import pytest
 from mavlink_harness import World
 
-from autopilot.mavlink.api import Answer, CommandResult
+from autopilot.mavlink.api import CommandReply, CommandResult
 
 
 @pytest.fixture
@@ -13,6 +13,6 @@ def refuse() -> Callable[[World, str, str], None]:
     """Makes the vehicle refuse one kind of request with a reason."""
 
     def refuse_(world: World, name: str, reason: str) -> None:
-        world.vehicle.answers[name] = Answer(result=CommandResult.DENIED, reason=reason)
+        world.vehicle.answers[name] = CommandReply(result=CommandResult.DENIED, reason=reason)
 
     return refuse_

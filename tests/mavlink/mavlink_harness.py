@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from pymavlink.dialects.v20 import development as mav
 
-from autopilot.core.geodesy import Place
+from autopilot.core.geodesy import GeodeticPosition
 from autopilot.core.messages import (
     Event,
     MavlinkFrame,
@@ -23,13 +23,13 @@ from autopilot.core.messages import (
 from autopilot.core.params import ParamSet
 from autopilot.core.plan import MissionResult, PlanItem, PlanKind, PlanRejection
 from autopilot.core.samples import PowerSample
-from autopilot.mavlink.api import Answer, Circling, CommandResult, FlightMode, MotorTest, SetPoint, VehicleView
+from autopilot.mavlink.api import Circling, CommandReply, CommandResult, FlightMode, MotorTest, SetPoint, VehicleView
 from autopilot.mavlink.server import MavlinkServer
 from autopilot.mission.store import Change, plan_checksum
 
 TICK_US = 10_000
-ORIGIN = Place(lat_deg=37.9755, lon_deg=23.7790, alt_m=12.0)
-OK = Answer(result=CommandResult.ACCEPTED)
+ORIGIN = GeodeticPosition(lat_deg=37.9755, lon_deg=23.7790, alt_m=12.0)
+OK = CommandReply(result=CommandResult.ACCEPTED)
 NAN = float("nan")
 NOT_PACKAGED = ("UNKNOWN_300", "UNKNOWN_395", "UNKNOWN_397")
 """Messages of common.xml that pymavlink does not know."""
@@ -87,70 +87,70 @@ class RecordingVehicle:
 
     def __init__(self) -> None:
         self.calls: list[tuple[Any, ...]] = []
-        self.answers: dict[str, Answer] = {}
+        self.answers: dict[str, CommandReply] = {}
         self.on_set_current: Callable[[int], None] = lambda seq: None
 
-    def _note(self, name: str, *args: Any) -> Answer:
+    def _note(self, name: str, *args: Any) -> CommandReply:
         self.calls.append((name, *args))
         return self.answers.get(name, OK)
 
-    def arm(self, force: bool) -> Answer:
+    def arm(self, force: bool) -> CommandReply:
         return self._note("arm", force)
 
-    def disarm(self, force: bool) -> Answer:
+    def disarm(self, force: bool) -> CommandReply:
         return self._note("disarm", force)
 
-    def disarmed(self) -> Answer:
-        return self.answers.get("disarmed", Answer(result=CommandResult.ACCEPTED))
+    def disarmed(self) -> CommandReply:
+        return self.answers.get("disarmed", CommandReply(result=CommandResult.ACCEPTED))
 
-    def set_mode(self, mode: FlightMode) -> Answer:
+    def set_mode(self, mode: FlightMode) -> CommandReply:
         return self._note("set_mode", mode)
 
-    def start_mission(self, first_seq: int | None) -> Answer:
+    def start_mission(self, first_seq: int | None) -> CommandReply:
         return self._note("start_mission", first_seq)
 
-    def pause(self) -> Answer:
+    def pause(self) -> CommandReply:
         return self._note("pause")
 
-    def resume(self) -> Answer:
+    def resume(self) -> CommandReply:
         return self._note("resume")
 
-    def set_current_item(self, seq: int) -> Answer:
+    def set_current_item(self, seq: int) -> CommandReply:
         self.on_set_current(seq)
         return self._note("set_current_item", seq)
 
-    def go_to(self, point: Place | None, yaw_rad: float | None) -> Answer:
+    def go_to(self, point: GeodeticPosition | None, yaw_rad: float | None) -> CommandReply:
         return self._note("go_to", point, yaw_rad)
 
-    def change_speed(self, speed_m_s: float | None) -> Answer:
+    def change_speed(self, speed_m_s: float | None) -> CommandReply:
         return self._note("change_speed", speed_m_s)
 
-    def set_point(self, point: SetPoint) -> Answer:
+    def set_point(self, point: SetPoint) -> CommandReply:
         return self._note("set_point", point)
 
-    def refuse_set_point(self, reason: str) -> Answer:
+    def refuse_set_point(self, reason: str) -> CommandReply:
         self._note("refuse_set_point", reason)
-        return Answer(result=CommandResult.DENIED, reason=f"Set point refused: {reason}")
+        return CommandReply(result=CommandResult.DENIED, reason=f"Set point refused: {reason}")
 
-    def orbit(self, circle: Circling) -> Answer:
+    def orbit(self, circle: Circling) -> CommandReply:
         return self._note("orbit", circle)
 
-    def test_motor(self, test: MotorTest) -> Answer:
+    def test_motor(self, test: MotorTest) -> CommandReply:
         return self._note("test_motor", test)
 
-    def change_depth(self, depth_m: float) -> Answer:
+    def change_depth(self, depth_m: float) -> CommandReply:
         return self._note("change_depth", depth_m)
 
-    def take_off(self, depth_m: float | None) -> Answer:
+    def take_off(self, depth_m: float | None) -> CommandReply:
         return self._note("take_off", depth_m)
 
-    def set_home(self, point: Place | None) -> Answer:
+    def set_home(self, point: GeodeticPosition | None) -> CommandReply:
         return self._note("set_home", point)
 
-    def set_origin(self, point: Place) -> Answer:
+    def set_origin(self, point: GeodeticPosition) -> CommandReply:
         return self._note("set_origin", point)
 
-    def end_run(self, end: RunEnd) -> Answer:
+    def end_run(self, end: RunEnd) -> CommandReply:
         return self._note("end_run", end)
 
 

@@ -15,7 +15,7 @@ from autopilot.core.errors import DriverError
 from autopilot.drivers.protocols import Received
 from autopilot.mavlink.boot import MAX_PARSERS, STARTING, BootLink, BootSigning
 from autopilot.mavlink.boot_identity import BootIdentity
-from autopilot.mavlink.context import Identity
+from autopilot.mavlink.context import VehicleIdentity
 from autopilot.mavlink.dialect import extra
 from autopilot.mavlink.ftp import Op
 from autopilot.mavlink.profiles import profile_by_name
@@ -29,7 +29,7 @@ SET_MODE = mav.MAVLink_set_mode_message(1, 217, 4)
 
 
 def boot_link(profile: str = "generic", signing: BootSigning | None = None) -> BootLink:
-    identity = Identity(name="vehicle", version="1.2.3", git="0123abcd", uid=1)
+    identity = VehicleIdentity(name="vehicle", version="1.2.3", git="0123abcd", uid=1)
     return BootLink(1, profile, BootIdentity(profile_by_name(profile), lambda: identity), signing)
 
 

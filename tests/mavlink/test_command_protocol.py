@@ -11,7 +11,7 @@ from mavlink_harness import World, mav
 
 from autopilot.core.messages import RunEnd
 from autopilot.core.params import PARAMETERS
-from autopilot.mavlink.api import Answer, CommandResult, FlightMode
+from autopilot.mavlink.api import CommandReply, CommandResult, FlightMode
 from autopilot.mavlink.dialect import extra
 from tests.bench.fuzz.messages import ALL_COMMANDS, COMMANDS
 
@@ -156,7 +156,7 @@ def test_events_that_never_were_are_not_waited_for() -> None:
 @pytest.mark.parametrize("ticks", [5, 60, 250])
 def test_a_disarming_is_answered_when_it_has_happened(ticks: int, result: CommandResult) -> None:
     world = World()
-    client, waiting = world.client(sysid=77, compid=88), Answer(result=CommandResult.IN_PROGRESS)
+    client, waiting = world.client(sysid=77, compid=88), CommandReply(result=CommandResult.IN_PROGRESS)
     world.vehicle.answers.update(disarm=waiting, disarmed=waiting)
     world.run(0.02)
     client.send(message(mav.MAV_CMD_COMPONENT_ARM_DISARM, [0.0, 0.0, 0.0, 0.0], (1, 1), None, 0))
@@ -167,7 +167,7 @@ def test_a_disarming_is_answered_when_it_has_happened(ticks: int, result: Comman
     world.run(0.02)
     assert [ack.result for ack in client.got("COMMAND_ACK")][len(results) :] == [5]  # asked again: still under way
     reason = "" if result is CommandResult.ACCEPTED else "not confirmed"
-    world.vehicle.answers["disarmed"] = Answer(result=result, reason=reason)
+    world.vehicle.answers["disarmed"] = CommandReply(result=result, reason=reason)
     world.run(0.05)
     final = [ack for ack in client.got("COMMAND_ACK") if ack.result != 5]
     assert [(ack.result, ack.target_system, ack.target_component) for ack in final] == [(result, 77, 88)]

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from mavlink_harness import NAN, ORIGIN, Client, World, mav, nav_state, upload, waypoint
 
-from autopilot.core.geodesy import Place
-from autopilot.mavlink.api import Answer, CommandResult, FlightMode
+from autopilot.core.geodesy import GeodeticPosition
+from autopilot.mavlink.api import CommandReply, CommandResult, FlightMode
 from autopilot.mavlink.flight_modes import MODE_ROWS
 
 R = CommandResult
@@ -147,7 +147,7 @@ def test_everything_else_is_unsupported(world: World, client: Client, command: i
 
 def test_the_vehicles_reason_is_passed_on(world: World, client: Client) -> None:
     reason = "Arming denied: no position; battery at 5 %"
-    world.vehicle.answers["arm"] = Answer(result=R.DENIED, reason=reason)
+    world.vehicle.answers["arm"] = CommandReply(result=R.DENIED, reason=reason)
     assert client.command(400, 1) == R.DENIED
     assert client.texts().count(reason) == 1
     assert [event.text for event in world.server.take_notices()] == [reason]
@@ -157,7 +157,7 @@ def test_the_vehicles_reason_is_passed_on(world: World, client: Client) -> None:
 
 
 def test_a_retransmission_gets_the_answer_but_is_not_executed_again(world: World, client: Client) -> None:
-    world.vehicle.answers["arm"] = Answer(result=R.DENIED, reason="no position")
+    world.vehicle.answers["arm"] = CommandReply(result=R.DENIED, reason="no position")
     assert client.command(400, 1) == R.DENIED
     del world.vehicle.answers["arm"]
     for confirmation in (1, 2):
@@ -368,7 +368,7 @@ def test_places_that_are_none(world: World, client: Client, x: int, y: int) -> N
 
 def test_set_home_to_a_place(world: World, client: Client) -> None:
     assert client.command_int(179, 0, (0, 0, 0, 0), e7(37.9756), e7(23.7791), 12.0) == R.ACCEPTED
-    assert world.vehicle.calls == [("set_home", Place(lat_deg=37.9756, lon_deg=23.7791, alt_m=12.0))]
+    assert world.vehicle.calls == [("set_home", GeodeticPosition(lat_deg=37.9756, lon_deg=23.7791, alt_m=12.0))]
     world.run(0.05)
     assert client.got("HOME_POSITION")
 
@@ -383,7 +383,7 @@ def test_get_home(world: World, client: Client) -> None:
 def test_origin_by_command(world: World, client: Client) -> None:
     world.run(0.1)
     assert client.command_int(611, 0, (0, 0, 0, 0), e7(38.0), e7(24.0), 3.0) == R.ACCEPTED
-    assert world.vehicle.calls == [("set_origin", Place(lat_deg=38.0, lon_deg=24.0, alt_m=3.0))]
+    assert world.vehicle.calls == [("set_origin", GeodeticPosition(lat_deg=38.0, lon_deg=24.0, alt_m=3.0))]
     assert len(client.got("GPS_GLOBAL_ORIGIN")) == 1
     assert client.command_int(611, 3, (0, 0, 0, 0), e7(38.0), e7(24.0), 3.0) == R.UNSUPPORTED_FRAME
     assert client.command_int(611, 0, (0, 0, 0, 0), INT32_MAX, e7(24.0), 3.0) == R.DENIED
@@ -396,7 +396,7 @@ def test_origin_by_message_is_answered_with_the_new_one(world: World) -> None:
     client.rx.clear()
     client.send(mav.MAVLink_set_gps_global_origin_message(1, e7(38.0), e7(24.0), 3000))
     world.tick()
-    world.show(origin=Place(lat_deg=38.0, lon_deg=24.0, alt_m=3.0))
+    world.show(origin=GeodeticPosition(lat_deg=38.0, lon_deg=24.0, alt_m=3.0))
     world.run(0.05)
     (origin,) = client.got("GPS_GLOBAL_ORIGIN")
     assert (origin.latitude, origin.longitude, origin.altitude) == (380_000_000, 240_000_000, 3000)

@@ -15,7 +15,7 @@ from mavlink_harness import Client, Lossy, World, mav
 from autopilot.core.crc import file_crc32
 from autopilot.core.desk import Desk
 from autopilot.core.params import PARAMETERS, ParamType
-from autopilot.log.shelf import LogShelf
+from autopilot.log.directory_reader import LogShelf
 from autopilot.mavlink.ftp import Error, Op
 from autopilot.mavlink.stubs import STUBS
 

@@ -10,7 +10,7 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from mavlink_harness import NOT_PACKAGED, World, base_view, mav, nav_state
 
-from autopilot.core.geodesy import Place
+from autopilot.core.geodesy import GeodeticPosition
 from autopilot.core.messages import (
     Fallback,
     MavlinkFrame,
@@ -35,7 +35,7 @@ def array(size: int) -> st.SearchStrategy[np.ndarray]:
     return st.lists(anything, min_size=size, max_size=size).map(np.array)
 
 
-places = st.builds(Place, lat_deg=st.floats(-90, 90), lon_deg=st.floats(-180, 180), alt_m=anything)
+places = st.builds(GeodeticPosition, lat_deg=st.floats(-90, 90), lon_deg=st.floats(-180, 180), alt_m=anything)
 navs = st.none() | st.builds(
     nav_state,
     health=st.sampled_from(NavHealth),

@@ -23,11 +23,11 @@ from mavsdk.plugins.telemetry import Telemetry
 from mavsdk_link import found
 
 from autopilot.core.desk import Desk
-from autopilot.core.geodesy import Place
+from autopilot.core.geodesy import GeodeticPosition
 from autopilot.core.messages import MavlinkFrame, MissionProgress, ProgressState
 from autopilot.core.plan import PlanKind
-from autopilot.log.shelf import LogShelf
-from autopilot.mavlink.api import Answer, CommandResult, FlightMode
+from autopilot.log.directory_reader import LogShelf
+from autopilot.mavlink.api import CommandReply, CommandResult, FlightMode
 from autopilot.mavlink.stubs import stubs_of
 
 NAN = math.nan
@@ -116,7 +116,7 @@ def test_mavsdk_gets_along(link: tuple[World, Any]) -> None:
         ("disarm", True),
         ("set_current_item", 3),
     ]
-    world.vehicle.answers["arm"] = Answer(result=CommandResult.DENIED, reason="Arming denied: no position")
+    world.vehicle.answers["arm"] = CommandReply(result=CommandResult.DENIED, reason="Arming denied: no position")
     with pytest.raises(ActionError, match="DENIED"):
         action.arm()
 
@@ -126,7 +126,7 @@ def test_mavsdk_gets_along(link: tuple[World, Any]) -> None:
     assert (point.lat_deg, point.lon_deg, point.alt_m) == pytest.approx((37.9756, 23.7791, 11.5), abs=2e-7)
     assert yaw_rad == pytest.approx(math.pi / 2)
 
-    world.show(origin=Place(lat_deg=38.0, lon_deg=24.0, alt_m=3.0))
+    world.show(origin=GeodeticPosition(lat_deg=38.0, lon_deg=24.0, alt_m=3.0))
     action.set_gps_global_origin(38.0, 24.0, 3.0)
 
     assert param.get_param_float("SPD_CRUISE") == pytest.approx(0.35)

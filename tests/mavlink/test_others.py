@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from mavlink_harness import ORIGIN, World, mav, nav_state
 
-from autopilot.command.surroundings import Surroundings
+from autopilot.command.surroundings import Environment
 from autopilot.core.geodesy import e7_from_deg, place_from_ned
 from autopilot.core.geometry import Circle, Fence, Polygon
 from autopilot.core.params import ParamSet
@@ -143,7 +143,7 @@ def test_what_beams_see_of_the_fence_is_known() -> None:
         inclusions=(Polygon(vertices_ned_m=walls),),
         exclusions=(Circle(center_ned_m=np.array([0.94, 0.0]), radius_m=0.16),),
     )
-    surroundings = Surroundings(load_vehicle("lbv150"), ParamSet())
+    surroundings = Environment(load_vehicle("lbv150"), ParamSet())
     places = {1: (0.8, 0.05), 2: (2.5, 0.3), 3: (0.0, 0.7), 4: (0.2, -1.45)}
     tracks = [
         ObstacleTrack(t_us=0, track_id=(4 << 28) + n, pos_ned_m=np.array(at), vel_ned_m_s=np.zeros(2), radius_m=0.1)

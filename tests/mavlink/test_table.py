@@ -5,7 +5,7 @@ from collections import OrderedDict
 from hypothesis import given
 from hypothesis import strategies as st
 
-from autopilot.mavlink.table import LatestUsed
+from autopilot.mavlink.bounded_table import LatestUsed
 
 MOST = 3
 

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from mavlink_harness import NAN, ORIGIN, World, base_view, mav, nav_state
 
 from autopilot.core.errors import ConfigError
-from autopilot.core.geodesy import Place
+from autopilot.core.geodesy import GeodeticPosition
 from autopilot.core.messages import Event, Fallback, MavlinkFrame, NavHealth, NmpcStatus, Severity, SolveStatus
 from autopilot.core.params import ParamSet
 from autopilot.core.samples import PowerSample
@@ -354,7 +354,7 @@ def test_origin_and_home_are_told_when_they_change(world: World) -> None:
     client = world.client()
     world.run(1.0)
     client.rx.clear()
-    world.show(home=Place(lat_deg=37.97551, lon_deg=23.77901, alt_m=11.0))
+    world.show(home=GeodeticPosition(lat_deg=37.97551, lon_deg=23.77901, alt_m=11.0))
     world.tick()
     (home,) = client.got("HOME_POSITION")
     assert home.z == pytest.approx(1.0) and home.x == pytest.approx(1.11, abs=0.01)

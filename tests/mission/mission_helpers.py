@@ -9,7 +9,7 @@ from autopilot.core.geodesy import Origin
 from autopilot.core.messages import NavHealth, NavState
 from autopilot.core.params import ParamSet
 from autopilot.core.plan import PlanItem
-from autopilot.mission.items import Command, Frame
+from autopilot.mission.items import Command, MavFrame
 from autopilot.mission.validation import PlanContext
 
 ORIGIN = Origin(lat_deg=37.9755, lon_deg=23.7790)
@@ -24,7 +24,7 @@ def context(**overrides: float) -> PlanContext:
 def local(seq: int, command: int, x: float, y: float, z: float = 0.0, p: Sequence[float] = (0, 0, 0, NAN)) -> PlanItem:
     return PlanItem(
         seq=seq,
-        frame=Frame.LOCAL_NED,
+        frame=MavFrame.LOCAL_NED,
         command=command,
         param1=p[0],
         param2=p[1],
@@ -42,7 +42,7 @@ def waypoint(seq: int, x: float, y: float, depth: float = 0.5, yaw_deg: float = 
 
 def plain(seq: int, command: int, *p: float) -> PlanItem:
     p1, p2, p3, p4 = (*p, *(0.0,) * (4 - len(p)))
-    return PlanItem(seq=seq, frame=Frame.MISSION, command=command, param1=p1, param2=p2, param3=p3, param4=p4, z=NAN)
+    return PlanItem(seq=seq, frame=MavFrame.MISSION, command=command, param1=p1, param2=p2, param3=p3, param4=p4, z=NAN)
 
 
 def circle(seq: int, x: float, y: float, radius: float, inclusion: bool = False) -> PlanItem:

@@ -10,5 +10,5 @@ DOCS = Path(__file__).parents[2] / "docs" / "mavlink.md"
 def test_documented_items_are_the_programs() -> None:
     text = DOCS.read_text(encoding="utf-8")
     block = text.partition("<!-- items:begin -->\n")[2].partition("<!-- items:end -->")[0]
-    assert block == table() + "\n", "run python docs/items.py --write"
+    assert block == table() + "\n", "run python docs/mission_items.py --write"
     assert len(table().splitlines()) == 2 + len(ITEM_TYPES)

@@ -15,10 +15,10 @@ from autopilot.core.geometry import Circle, Polygon, Shape
 from autopilot.core.params import ParamSet
 from autopilot.core.plan import MAX_ITEMS, MissionResult, PlanItem, PlanKind
 from autopilot.core.shapes import boundary_gap_m, boundary_point, clearance_m
+from autopilot.mission.clearance import Clearance
 from autopilot.mission.fence import read_fence
 from autopilot.mission.gaps import narrow_gaps
-from autopilot.mission.judgement import PLAN_PARAMETERS, Question, Verdict, judge
-from autopilot.mission.room import Room
+from autopilot.mission.judgement import PLAN_PARAMETERS, PlanVerdict, Question, judge
 from autopilot.mission.store import CHECK_TICKS, Plans
 
 MOST = MAX_ITEMS[PlanKind.FENCE]
@@ -37,7 +37,7 @@ def question(mission: list[PlanItem], fence: list[PlanItem], rally: list[PlanIte
 
 def judged(
     mission: list[PlanItem], fence: list[PlanItem] | None = None, rally: list[PlanItem] | None = None, **params: float
-) -> Verdict:
+) -> PlanVerdict:
     return judge(question(mission, fence or [], rally or [], **params), Cancel())
 
 
@@ -123,7 +123,7 @@ PILLARS = [circle(k, 9.0, 3.0 * k, 0.2) for k in range(99)]
     ],
     ids=["outside", "too near", "too deep", "no way", "rally point", "gap", "no room"],
 )  # fmt: skip
-def test_reason_and_remedy_come_first(verdict: Verdict) -> None:
+def test_reason_and_remedy_come_first(verdict: PlanVerdict) -> None:
     """Ground stations show 100 characters; the longest prefix is "Mission refused: "."""
     prefix = "No start: " if verdict.joint else "Mission refused: "
     shown = (prefix + verdict.problem)[:100]
@@ -159,7 +159,7 @@ def test_the_room_of_many_shapes_is_that_of_each(
     shapes: list[tuple[Shape, bool]], places: list[tuple[float, float]], reach_m: float
 ) -> None:
     points = np.array(places)
-    room = Room(shapes)
+    room = Clearance(shapes)
     # Places that are on a boundary to the last digit may count as either.
     one_by_one = np.stack([clearance_m(s, points) * (-1.0 if inside else 1.0) for s, inside in shapes], axis=1)
     np.testing.assert_allclose(room.of_shapes_m(points), one_by_one, atol=1e-9)
@@ -181,8 +181,8 @@ def test_many_shapes_together_are_what_they_are_one_by_one(
     shapes: list[Shape], places: list[tuple[float, float]], reach_m: float
 ) -> None:
     points = np.array(places).reshape(-1, 2)
-    near, slope = Room([(shape, False) for shape in shapes]).near(points, reach_m)
-    alone = [Room([(shape, False)]).near(points, reach_m) for shape in shapes]
+    near, slope = Clearance([(shape, False) for shape in shapes]).near(points, reach_m)
+    alone = [Clearance([(shape, False)]).near(points, reach_m) for shape in shapes]
     least = np.argmin([clearance for clearance, _ in alone], axis=0)
     for k, which in enumerate(least.tolist()):
         assert near[k] == alone[which][0][k] and np.array_equal(slope[k], alone[which][1][k])
@@ -264,7 +264,7 @@ def test_a_decision_that_fails_is_an_answer_and_not_the_end_of_all_uploads() -> 
 
     store = Plans(ParamSet(), RADIUS_M, ORIGIN, desk=Desk())
 
-    def broken(kinds: object, verdict: Verdict) -> None:
+    def broken(kinds: object, verdict: PlanVerdict) -> None:
         raise ZeroDivisionError
 
     fine, store.guard = store.guard, broken

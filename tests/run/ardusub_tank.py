@@ -11,7 +11,7 @@ from autopilot.core.vehicle import load_vehicle
 from autopilot.drivers.links import open_link
 from autopilot.mission.plan_files import write_plan
 from autopilot.run.children import free_port
-from autopilot.run.config import Settings, gather, vehicle_defaults
+from autopilot.run.config import EffectiveSettings, gather, vehicle_defaults
 from autopilot.run.demo import paper_plan
 from autopilot.run.hardware_session import open_vehicle
 from autopilot.run.session import Session
@@ -34,7 +34,7 @@ class Tank:
         )
         plan = folder / "paper.plan"
         write_plan(plan, paper_plan(1))
-        settings: Settings = gather(
+        settings: EffectiveSettings = gather(
             vehicle_defaults(0),
             {
                 "connect": (f"udpin:127.0.0.1:{ours}",),

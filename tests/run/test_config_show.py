@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 from click.testing import CliRunner
 
-from autopilot.cli.config import config
+from autopilot.cli.config_command import config
 from autopilot.run.vehicle_config import config_names
 
 

@@ -12,8 +12,8 @@ from typing import Any
 import pytest
 from click.testing import CliRunner
 
-from autopilot.cli.doctor import doctor as command
-from autopilot.cli.output import print_table
+from autopilot.cli.console_output import print_table
+from autopilot.cli.doctor_command import doctor as command
 from autopilot.command import failsafes
 from autopilot.command.failsafe_table import ROWS
 from autopilot.core.messages import Failsafe, Outputs
@@ -25,7 +25,7 @@ from autopilot.run.children import free_port
 from autopilot.run.config import gather, vehicle_defaults
 from autopilot.run.demo import paper_plan
 from autopilot.run.doctor import examine
-from autopilot.run.findings import Finding, Verdict
+from autopilot.run.findings import Finding, FindingSeverity
 from autopilot.run.neutral_time import measure
 from autopilot.run.vehicle_config import VehicleConfig, load_config
 from autopilot.sitl.ardusub_vehicle import ArduSubVehicle
@@ -141,7 +141,7 @@ def of(findings: list[Finding], what: str) -> list[Finding]:
 
 
 def failed(findings: list[Finding]) -> list[str]:
-    return [f"{one.what}: {one.found}: {one.remedy}" for one in findings if one.verdict is Verdict.FAIL]
+    return [f"{one.what}: {one.found}: {one.remedy}" for one in findings if one.verdict is FindingSeverity.FAIL]
 
 
 def sets(name: str, value: float) -> Callable[[Bench], None]:
@@ -175,7 +175,7 @@ def changing(kind: str, **fields: object) -> Callable[[Bench], None]:
 
 def test_all_good_would_arm(bench: Bench) -> None:
     findings = bench.look()
-    assert {finding.verdict for finding in findings} == {Verdict.OK}, findings
+    assert {finding.verdict for finding in findings} == {FindingSeverity.OK}, findings
     assert of(findings, "arming")[0].found == "would be accepted"
     assert of(findings, "position")[0].found.startswith("good, from external")
     assert of(findings, "fence")[0].found != "0 items" and of(findings, "plan")[0].found != "0 items"
@@ -211,9 +211,9 @@ def test_every_obstacle_to_arming_is_found_and_named(bench: Bench, name: str) ->
     make(bench)
     findings = bench.look(2.0)
     reasons = of(findings, "arming")
-    assert all(reason.verdict is Verdict.FAIL and reason.remedy for reason in reasons), findings
+    assert all(reason.verdict is FindingSeverity.FAIL and reason.remedy for reason in reasons), findings
     assert any(words in f"{reason.found}: {reason.remedy}" for reason in reasons), reasons
-    assert all(finding.remedy for finding in findings if finding.verdict is not Verdict.OK), findings
+    assert all(finding.remedy for finding in findings if finding.verdict is not FindingSeverity.OK), findings
 
 
 def test_every_parameter_of_the_flight_controller_that_forbids_arming_is_named(bench: Bench) -> None:
@@ -257,7 +257,7 @@ IMPLAUSIBLE: dict[str, tuple[Callable[[Bench], None], str, str]] = {
 def test_what_cannot_be_true_is_named(bench: Bench, name: str) -> None:
     make, what, words = IMPLAUSIBLE[name]
     make(bench)
-    bad = [one for one in of(bench.look(3.0), what) if one.verdict is Verdict.FAIL]
+    bad = [one for one in of(bench.look(3.0), what) if one.verdict is FindingSeverity.FAIL]
     assert bad and words in f"{bad[0].found} {bad[0].remedy}" and bad[0].remedy
 
 
@@ -274,7 +274,7 @@ def test_what_the_flight_controller_does_not_measure_is_a_warning(
 ) -> None:
     make(bench)
     found = of(bench.look(3.0), what)[0]
-    assert found.verdict is Verdict.WARN and words in found.remedy
+    assert found.verdict is FindingSeverity.WARN and words in found.remedy
 
 
 def test_what_is_not_on_board_is_a_warning(bench: Bench) -> None:
@@ -282,7 +282,7 @@ def test_what_is_not_on_board_is_a_warning(bench: Bench) -> None:
     findings = bench.look(1.0)
     for what in ("origin", "fence", "plan"):
         found = of(findings, what)[0]
-        assert found.verdict is Verdict.WARN and found.remedy, what
+        assert found.verdict is FindingSeverity.WARN and found.remedy, what
 
 
 @pytest.mark.parametrize(
@@ -307,13 +307,13 @@ def test_a_silent_device_is_looked_for_where_it_is_connected(
         os.close(follower)
     device, slow = of(findings, "Flight controller")[0], of(findings, "attitude")[0]
     assert device.found == "silent" and words.format(port=port) in device.remedy
-    assert never not in device.remedy + slow.remedy and slow.verdict is Verdict.FAIL
+    assert never not in device.remedy + slow.remedy and slow.verdict is FindingSeverity.FAIL
 
 
 def test_a_wrong_system_id_is_told_with_the_one_that_is_heard(bench: Bench) -> None:
     bench.options["system"] = 7
     device = of(bench.look(4.0), "Flight controller")[0]
-    assert device.verdict is Verdict.FAIL and "system 1 is heard" in device.found
+    assert device.verdict is FindingSeverity.FAIL and "system 1 is heard" in device.found
     assert "`system`" in device.remedy and not {"power", "firewall"} & set(device.remedy.split())
 
 
@@ -357,8 +357,10 @@ def test_nothing_that_is_kept_is_touched_and_damage_is_found(bench: Bench) -> No
     assert list((bench.folder / "logs").iterdir()) == []
 
 
-@pytest.mark.parametrize(("timeout_s", "verdict"), [(0.4, Verdict.OK), (0.5, Verdict.OK), (3.0, Verdict.FAIL)])
-def test_silence_to_neutral_is_measured(bench: Bench, timeout_s: float, verdict: Verdict) -> None:
+@pytest.mark.parametrize(
+    ("timeout_s", "verdict"), [(0.4, FindingSeverity.OK), (0.5, FindingSeverity.OK), (3.0, FindingSeverity.FAIL)]
+)
+def test_silence_to_neutral_is_measured(bench: Bench, timeout_s: float, verdict: FindingSeverity) -> None:
     bench.below.parameters["FS_PILOT_TIMEOUT"] = timeout_s
     found = bench.measured()
     assert found.verdict is verdict, found
@@ -382,7 +384,7 @@ def test_what_keeps_silence_from_being_measured_is_named(
     make(bench)
     bench.below._shown_armed = armed_before = bench.below.armed
     found = bench.measured()
-    assert found.verdict is Verdict.FAIL and words in found.found and found.remedy
+    assert found.verdict is FindingSeverity.FAIL and words in found.found and found.remedy
     assert bench.below.armed is armed_before
 
 

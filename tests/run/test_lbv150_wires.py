@@ -16,17 +16,17 @@ from autopilot.drivers.retry import DeviceState
 from autopilot.run.children import free_port
 from autopilot.run.config import gather, vehicle_defaults
 from autopilot.run.doctor import examine
-from autopilot.run.findings import Finding, Verdict
+from autopilot.run.findings import Finding, FindingSeverity
 from autopilot.run.hardware import HardwareVehicle
 from autopilot.run.vehicle_config import load_config
 from autopilot.sitl.ahrs import Ig500Emulator
-from autopilot.sitl.camera import SimCamera, true_camera
 from autopilot.sitl.camera_feed import CameraFeed
+from autopilot.sitl.camera_sensor import SimCamera, true_camera
 from autopilot.sitl.floor import build_floor
 from autopilot.sitl.mjpeg import MjpegServer
 from autopilot.sitl.protocol import PlantContext, create_plant
 from autopilot.sitl.pty_line import PtyLine
-from autopilot.sitl.sabertooth import SabertoothEmulator
+from autopilot.sitl.sabertooth_emulator import SabertoothEmulator
 from autopilot.sitl.scenario import load_scenario
 
 SCENARIO = load_scenario("paper-tank")
@@ -166,7 +166,7 @@ def test_the_doctor_says_which_cable_is_off(tank: Tank, tmp_path: Path) -> None:
     tank.motor_line.unplug()
     found = looked_over(tank, tmp_path, 2.0)
     for name, path in (("Camera", tank.server.url), ("Thrusters", str(tank.motor_line.path))):
-        assert found[name][0].verdict is Verdict.FAIL and path in found[name][0].remedy, found[name]
+        assert found[name][0].verdict is FindingSeverity.FAIL and path in found[name][0].remedy, found[name]
     reasons = [f"{finding.found}: {finding.remedy}" for finding in found["arming"]]
     assert any(reason.startswith("Thrusters down") for reason in reasons), reasons
     assert "baud" not in found["Camera"][0].remedy and "map, light and lens" in found["position"][0].remedy

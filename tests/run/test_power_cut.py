@@ -12,7 +12,7 @@ from autopilot.core.messages import Outputs
 from autopilot.core.plan import PlanKind
 from autopilot.core.vehicle import load_vehicle
 from autopilot.run.kept_plans import KeptPlans
-from autopilot.sitl.ardusub import ArduSubEmulator
+from autopilot.sitl.ardusub_emulator import ArduSubEmulator
 
 CUT_S = 2.0
 

@@ -14,7 +14,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from autopilot.analysis.flow_maps import b6_map
-from autopilot.cli.scenario import scenario as command
+from autopilot.cli.scenario_command import scenario as command
 from autopilot.core.geodesy import Origin
 from autopilot.core.geometry import Circle
 from autopilot.core.toml_table import convert

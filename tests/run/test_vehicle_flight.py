@@ -11,7 +11,7 @@ from ardusub_tank import Tank
 from autopilot.core.messages import Outputs
 from autopilot.log.reader import open_log
 from autopilot.mavlink.api import FlightMode
-from autopilot.replay.service import replay_service
+from autopilot.replay.service_replay import replay_service
 from autopilot.run.vehicle_config import config_names, load_config
 
 

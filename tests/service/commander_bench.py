@@ -5,9 +5,9 @@ from typing import Any
 import numpy as np
 
 from autopilot.command.commander import Commander
-from autopilot.command.conditions import Conditions
+from autopilot.command.conditions import TickInputs
 from autopilot.command.decision import Decision
-from autopilot.command.facts import Facts
+from autopilot.command.facts import VehicleStatus
 from autopilot.core.desk import Desk
 from autopilot.core.messages import NavDoubt, NavHealth, NavState
 from autopilot.core.params import ParamSet
@@ -46,7 +46,7 @@ class Bench:
         self.thrusters_doubtful: tuple[tuple[str, ...], ...] = ()
         self.command_delay_s = 0.0
         self.doubts: frozenset[NavDoubt] = frozenset()
-        self.facts = Facts()
+        self.facts = VehicleStatus()
         self.texts: list[str] = []
 
     def nav(self) -> NavState | None:
@@ -69,7 +69,7 @@ class Bench:
         for _ in range(max(1, round(seconds * 100))):
             self.t_us += TICK_US
             decision = self.commander.step(
-                Conditions(
+                TickInputs(
                     t_us=self.t_us,
                     nav=self.nav(),
                     power=PowerSample(

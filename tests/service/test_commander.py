@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from commander_bench import OK, Bench
 
-from autopilot.core.geodesy import Place, geodetic_from_ned
+from autopilot.core.geodesy import GeodeticPosition, geodetic_from_ned
 from autopilot.core.messages import Failsafe, NavHealth
 from autopilot.core.plan import PlanKind
 from autopilot.mavlink.api import CommandResult, FlightMode
@@ -132,7 +132,7 @@ def test_go_to_is_checked_against_the_fence() -> None:
 
     def go(north: float, east: float, down: float) -> Any:
         lat, lon, alt = geodetic_from_ned(bench.plans.origin, np.array([north, east, down]))
-        return bench.commander.go_to(Place(lat_deg=lat, lon_deg=lon, alt_m=alt), None)
+        return bench.commander.go_to(GeodeticPosition(lat_deg=lat, lon_deg=lon, alt_m=alt), None)
 
     assert go(0.0, 0.8, 0.4).result is OK
     goal = bench.run().goal
@@ -148,12 +148,12 @@ def test_go_to_is_checked_against_the_fence() -> None:
 def test_origin_moves_only_while_disarmed() -> None:
     bench = Bench()
     bench.run()
-    there = Place(lat_deg=10.0, lon_deg=20.0, alt_m=1.0)
+    there = GeodeticPosition(lat_deg=10.0, lon_deg=20.0, alt_m=1.0)
     assert bench.commander.set_origin(there).result is OK
     assert bench.plans.origin.lat_deg == 10.0
     bench.armed()
     assert bench.commander.set_origin(there).result is CommandResult.DENIED
-    assert bench.commander.set_origin(Place(lat_deg=95.0, lon_deg=0.0, alt_m=0.0)).result is not OK
+    assert bench.commander.set_origin(GeodeticPosition(lat_deg=95.0, lon_deg=0.0, alt_m=0.0)).result is not OK
 
 
 def test_lost_position_surfaces_blind_after_the_timeout() -> None:

@@ -13,7 +13,7 @@ import pytest
 from pymavlink.dialects.v20 import development as mav
 from service_world import TICK_US, ServiceWorld
 
-from autopilot.command.failsafe_table import _DOUBTS, RANK, ROWS, Row
+from autopilot.command.failsafe_table import _DOUBTS, RANK, ROWS, FailsafeRow
 from autopilot.core.messages import (
     Authority,
     Below,
@@ -443,7 +443,7 @@ def test_every_quantity_that_a_row_looks_at_has_a_cause_here() -> None:
         assert looked_at == tried, f"{row.rule.name}: write a Cause for {sorted(looked_at ^ tried)}"
 
 
-def _row(rule: Failsafe) -> Row:
+def _row(rule: Failsafe) -> FailsafeRow:
     return next(row for row in ROWS if row.rule is rule)
 
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from autopilot.command.facts import Facts, Jolts
+from autopilot.command.facts import Jolts, VehicleStatus
 from autopilot.core.messages import Inputs
 from autopilot.core.samples import AhrsSample, DepthSample
 from autopilot.core.vehicle import load_vehicle
@@ -39,7 +39,7 @@ def test_what_thrust_can_make_is_none() -> None:
 
 
 def test_a_frozen_depth_is_a_silent_sensor() -> None:
-    facts = Facts()
+    facts = VehicleStatus()
     for tick in range(60):
         depth_m = 1.0 + 1e-4 * min(tick, 20)
         facts.note_sample(tick * 100_000, DepthSample(t_us=tick * 100_000, depth_m=depth_m, sigma_m=0.01))
@@ -48,7 +48,7 @@ def test_a_frozen_depth_is_a_silent_sensor() -> None:
 
 
 def test_late_ticks_are_a_share_of_the_last_second() -> None:
-    facts = Facts()
+    facts = VehicleStatus()
     facts.note(Inputs(t_us=1_000_000, overruns=0))
     facts.note(Inputs(t_us=2_000_000, overruns=30))
     assert facts.late_share == pytest.approx(0.3)

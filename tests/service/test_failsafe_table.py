@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from autopilot.command.failsafe_docs import with_table
-from autopilot.command.failsafe_table import EFFECTS, RANK, ROWS, Row
+from autopilot.command.failsafe_table import EFFECTS, RANK, ROWS, FailsafeRow
 from autopilot.core.messages import Failsafe, NavDoubt, NavHealth, Severity
 from autopilot.core.params import PARAMETERS, ParamSet
 from autopilot.core.samples import HullSample, LeakSample
@@ -30,7 +30,7 @@ def test_the_page_holds_the_programs_table() -> None:
 
 
 @pytest.mark.parametrize("row", ROWS, ids=lambda row: row.rule.name)
-def test_a_rows_parameters_exist_and_its_texts_fit_an_operators_line(row: Row) -> None:
+def test_a_rows_parameters_exist_and_its_texts_fit_an_operators_line(row: FailsafeRow) -> None:
     params = ParamSet()
     assert all(name in params for name in (row.enter, row.enter_s) if isinstance(name, str))
     assert len(f"Failsafe: {row.text}") <= 50 or "{" in row.text

@@ -15,7 +15,7 @@ from service_world import ServiceWorld
 from autopilot.core.params import PARAMETERS
 from autopilot.core.samples import PowerSample
 from autopilot.core.stills import CameraReport
-from autopilot.mavlink.camera import REQUESTS
+from autopilot.mavlink.camera_component import REQUESTS
 from tests.bench.fuzz.fuzzer import Fuzzer, Mood
 from tests.bench.fuzz.messages import (
     ALL_COMMANDS,

@@ -9,10 +9,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from autopilot.command.parts import Parts
+from autopilot.command.service_parts import Parts
 from autopilot.core.desk import Desk
 from autopilot.core.geodesy import Origin
-from autopilot.core.keeper import KEEP_TICKS, RETRY_TICKS, Keeper
+from autopilot.core.latest_value_writer import KEEP_TICKS, RETRY_TICKS, LatestValueWriter
 from autopilot.core.plan import PlanKind
 from autopilot.core.state_file import StateFile
 from autopilot.mission.paper import paper_plan
@@ -192,7 +192,7 @@ def test_the_newest_state_is_always_the_one_that_is_written(steps: list[tuple[bo
             raise OSError(28, "full")
         written.append(state)
 
-    keeper: Keeper[int] = Keeper(Desk(), write)
+    keeper: LatestValueWriter[int] = LatestValueWriter(Desk(), write)
     states = itertools.count(1)
     newest = 0
     for tick, (put, fails) in enumerate(steps):

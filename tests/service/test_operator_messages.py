@@ -98,7 +98,7 @@ def test_texts_without_fields_are_unique() -> None:
 
 
 def test_the_page_is_current() -> None:
-    generator: dict[str, Any] = runpy.run_path(str(ROOT / "docs" / "messages.py"))
+    generator: dict[str, Any] = runpy.run_path(str(ROOT / "docs" / "messages_page.py"))
     page = (ROOT / "docs" / "messages.md").read_text(encoding="utf-8")
-    assert page == generator["page"](), "run python docs/messages.py --write"
+    assert page == generator["page"](), "run python docs/messages_page.py --write"
     assert sum(map(len, generator["sections"]().values())) == len(ROWS)

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from autopilot.core.messages import Goal, NavHealth, NavState, Outputs, ProgressState
 from autopilot.mavlink.api import FlightMode
 from autopilot.mission.items import GoTo
-from autopilot.mission.tuned import UPSTREAM
+from autopilot.mission.mission_tuning import UPSTREAM
 from autopilot.mission.upstream import MadeGood, ground_speed_m_s, slowest_leg
 from autopilot.run.config import gather, sitl_defaults
 from autopilot.run.sitl_session import open_sitl

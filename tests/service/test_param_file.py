@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 
 from autopilot.core.desk import Desk
 from autopilot.core.errors import ConfigError
-from autopilot.core.keeper import KEEP_TICKS, RETRY_TICKS, Keeper
 from autopilot.core.lane import DaemonLane
+from autopilot.core.latest_value_writer import KEEP_TICKS, RETRY_TICKS, LatestValueWriter
 from autopilot.core.param_file import PersistentParams, scan_param_file, write_param_file
 from autopilot.core.params import PARAMETERS, ParamSet, ParamType
 
@@ -183,7 +183,9 @@ def test_a_write_that_failed_is_tried_again_by_itself(tmp_path: Path) -> None:
 def test_a_disk_that_hangs_does_not_keep_a_service_from_ending() -> None:
     """The write never returns; the thread that does it is left behind."""
     stuck = threading.Event()
-    keeper: Keeper[int] = Keeper(Desk(DaemonLane("stuck"), patient=False), lambda _: bool(stuck.wait()))
+    keeper: LatestValueWriter[int] = LatestValueWriter(
+        Desk(DaemonLane("stuck"), patient=False), lambda _: bool(stuck.wait())
+    )
     keeper.put(0, 1)
     keeper.put(0, 2)
     error = keeper.finish(0.05)
@@ -198,7 +200,7 @@ def test_whatever_a_write_raises_the_run_ends() -> None:
         raise ValueError(f"{state} has no bytes")
 
     for desk in (Desk(), Desk(DaemonLane("odd"), patient=False)):
-        keeper: Keeper[int] = Keeper(desk, write)
+        keeper: LatestValueWriter[int] = LatestValueWriter(desk, write)
         keeper.put(0, 1)
         assert isinstance(keeper.finish(), ValueError)
         desk.close()

@@ -12,7 +12,7 @@ from autopilot.core.desk import Desk
 from autopilot.core.messages import Outputs
 from autopilot.core.samples import CameraFrame, Sample
 from autopilot.core.stills import StillRecord
-from autopilot.run.stills import StillStore
+from autopilot.run.still_files import StillStore
 
 START = (-1.2, 0.6, 0.5, 0.0)
 EXPOSURE_US = 33_333

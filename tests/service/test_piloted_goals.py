@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from autopilot.command.modes.piloted import _moved
-from autopilot.core.messages import Drive, Goal
+from autopilot.core.messages import Goal, VelocityGoal
 
 
 def _goal(north_m: float, east_m: float, down_m: float, drive: Any) -> Goal:
@@ -17,7 +17,7 @@ def _goal(north_m: float, east_m: float, down_m: float, drive: Any) -> Goal:
     )
 
 
-HELD = Drive(north_m_s=0.0, east_m_s=0.0)
+HELD = VelocityGoal(north_m_s=0.0, east_m_s=0.0)
 
 
 @pytest.mark.parametrize(

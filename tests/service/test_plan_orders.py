@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from autopilot.command.arming import CHECKING
 from autopilot.core import free_space
 from autopilot.core.desk import Cancel, Desk
-from autopilot.core.geodesy import Place
+from autopilot.core.geodesy import GeodeticPosition
 from autopilot.core.plan import PlanItem, PlanKind
 from autopilot.mavlink.api import CommandResult, FlightMode
 from autopilot.mission.fence import fence_clearance_m
@@ -111,7 +111,7 @@ class Yard(Bench):
         elif order in PARAMETERS:
             self.params.set(order, value)
         elif order == "origin":
-            point = Place(lat_deg=at_home.lat_deg + value, lon_deg=at_home.lon_deg, alt_m=0.0)
+            point = GeodeticPosition(lat_deg=at_home.lat_deg + value, lon_deg=at_home.lon_deg, alt_m=0.0)
             armed = commander.armed
             assert not (commander.set_origin(point).result is OK and armed)
         elif order == "arm":
@@ -128,7 +128,7 @@ class Yard(Bench):
         elif order == "item":
             commander.set_current_item(0)
         elif order == "go to":
-            commander.go_to(Place(lat_deg=at_home.lat_deg, lon_deg=at_home.lon_deg, alt_m=-0.5), None)
+            commander.go_to(GeodeticPosition(lat_deg=at_home.lat_deg, lon_deg=at_home.lon_deg, alt_m=-0.5), None)
         else:
             start = {
                 "start": lambda: commander.start_mission(None),

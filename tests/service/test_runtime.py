@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from autopilot.core.marks import LoopPart, Stopwatch
+from autopilot.core.marks import LoopPart, TickTimer
 from autopilot.core.messages import Inputs, LoopStats, MavlinkFrame, ModeState, Outputs, ThrusterCommand
 from autopilot.core.samples import CameraFrame, Sample
 from autopilot.drivers.protocols import Received
@@ -140,7 +140,7 @@ def test_the_loop_names_the_part_that_made_a_tick_late() -> None:
 
     link = Link()
     runtime, service, device, recorder = _runtime(links=[link])
-    watch = runtime.watch = Stopwatch(wall_s=lambda: now_s[0], cpu_s=lambda: 0.0)
+    watch = runtime.watch = TickTimer(wall_s=lambda: now_s[0], cpu_s=lambda: 0.0)
     service.marks = watch  # type: ignore[attr-defined]
     places: dict[LoopPart, tuple[Any, str]] = {
         LoopPart.DEVICE: (device, "poll"),
@@ -192,7 +192,7 @@ def test_that_the_cpu_clock_is_read_after_long_parts_only() -> None:
         asked[0] += 1
         return cpu_s[0]
 
-    watch = Stopwatch(wall_s=lambda: now_s[0], cpu_s=cpu)
+    watch = TickTimer(wall_s=lambda: now_s[0], cpu_s=cpu)
     watch.begin(0.0)
     begun = asked[0]
     for part, took_s, busy_s in (

@@ -7,8 +7,8 @@ import msgspec
 import numpy as np
 
 from autopilot.core.vehicle import Vehicle, load_vehicle
+from autopilot.sitl.environment import SimulatedWaters
 from autopilot.sitl.plant import Plant, Truth
-from autopilot.sitl.world import World
 
 VEHICLE = load_vehicle("lbv150")
 NEUTRAL = (1500,) * 4 + (0,) * 4
@@ -26,10 +26,10 @@ def body_with(**changes: Any) -> Vehicle:
     return msgspec.structs.replace(VEHICLE, body=msgspec.structs.replace(VEHICLE.body, **changes))
 
 
-def plant(vehicle: Vehicle = VEHICLE, world: World | None = None, **options: Any) -> Plant:
+def plant(vehicle: Vehicle = VEHICLE, world: SimulatedWaters | None = None, **options: Any) -> Plant:
     """A plant deep in open still water unless said otherwise."""
     options.setdefault("start_pos_ned_m", DEEP)
-    return Plant(vehicle, world if world is not None else World(), **options)
+    return Plant(vehicle, world if world is not None else SimulatedWaters(), **options)
 
 
 def terminal_speed(force: float, linear: float, quadratic: float) -> float:

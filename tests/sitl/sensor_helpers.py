@@ -9,7 +9,7 @@ import numpy as np
 from autopilot.core.camera import CameraModel
 from autopilot.core.frames import quat_from_rpy
 from autopilot.core.vehicle import load_vehicle
-from autopilot.sitl.camera import SimCamera
+from autopilot.sitl.camera_sensor import SimCamera
 from autopilot.sitl.floor import Floor, build_floor
 from autopilot.sitl.plant import Truth
 from autopilot.sitl.scenario import load_scenario

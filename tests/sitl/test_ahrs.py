@@ -9,7 +9,7 @@ from sensor_helpers import VEHICLE, truth_at
 from autopilot.core.frames import wrap_pi
 from autopilot.core.samples import AhrsSample
 from autopilot.drivers.ig500 import Ig500
-from autopilot.drivers.ig500_protocol import ACKNOWLEDGE, CONTINUOUS_OUTPUT, FrameParser, encode_continuous_mode
+from autopilot.drivers.ig500_protocol import ACKNOWLEDGE, CONTINUOUS_OUTPUT, Ig500Parser, encode_continuous_mode
 from autopilot.sitl.ahrs import Ig500Emulator
 from autopilot.sitl.plant import Truth
 from autopilot.sitl.scenario_tables import AhrsFreeze, Fault
@@ -80,11 +80,11 @@ def test_silent_until_told_to_send_and_acknowledges() -> None:
     assert emulator.read(1_000_000) == []
     emulator.write(encode_continuous_mode(2)[:5])
     emulator.write(encode_continuous_mode(2)[5:] + b"noise")
-    (acknowledgement,) = FrameParser().feed(b"".join(data for _, data in emulator.read(0)))
+    (acknowledgement,) = Ig500Parser().feed(b"".join(data for _, data in emulator.read(0)))
     assert acknowledgement.command == ACKNOWLEDGE
     for k in range(1, 9):
         emulator.observe(truth_at(t_us=10_000 * k))
-    frames = FrameParser().feed(b"".join(data for _, data in emulator.read(1_000_000)))
+    frames = Ig500Parser().feed(b"".join(data for _, data in emulator.read(1_000_000)))
     assert [frame.command for frame in frames] == 4 * [CONTINUOUS_OUTPUT]  # every second one
 
 

@@ -10,10 +10,10 @@ from autopilot.control.thrust.allocation import Allocation
 from autopilot.core.thrusters import thrusters_of
 from autopilot.core.vehicle import Vehicle, load_vehicle
 from autopilot.sitl.backend import SimThrusterOutput
+from autopilot.sitl.environment import SimulatedWaters
 from autopilot.sitl.mismatch import mismatched
 from autopilot.sitl.plant import Plant
-from autopilot.sitl.thrusters import Thrusters, held
-from autopilot.sitl.world import World
+from autopilot.sitl.thruster_models import Thrusters, held
 
 LBV150, BLUEROV2 = load_vehicle("lbv150"), load_vehicle("bluerov2")
 T200 = BLUEROV2.drive
@@ -68,7 +68,7 @@ def test_channels_and_turning_directions_change_nothing_but_the_wires() -> None:
         output = SimThrusterOutput(vehicle)
         output.open()
         output.write(0, Allocation(vehicle.thrusters).pulses_us(wanted, 19.0))
-        plant = Plant(vehicle, World(), start_pos_ned_m=(0.0, 0.0, 20.0))
+        plant = Plant(vehicle, SimulatedWaters(), start_pos_ned_m=(0.0, 0.0, 20.0))
         plant.advance(2_000_000, output.pwm_us)
         truths.append(plant.truth)
     assert len(output.pwm_us) == 16 and output.pwm_us.count(0) == 12
@@ -86,7 +86,10 @@ def test_a_thruster_may_have_a_drive_of_its_own() -> None:
     )
     pulses = allocation.pulses_us([0.0, 0.0, 15.0, 6.0], 16.0)
     plant = Plant(
-        vehicle, World(), start_pos_ned_m=(0.0, 0.0, 20.0), mismatch={"supply": 16.0 / 19.0, "resistance": 0.0}
+        vehicle,
+        SimulatedWaters(),
+        start_pos_ned_m=(0.0, 0.0, 20.0),
+        mismatch={"supply": 16.0 / 19.0, "resistance": 0.0},
     )
     plant.advance(3_000_000, pulses)
     assert plant.truth.thrust_n[2:4] == pytest.approx([15.0, 6.0], abs=0.15)

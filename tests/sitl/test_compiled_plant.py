@@ -9,10 +9,10 @@ from plant_helpers import VEHICLE
 from autopilot.core import compiled
 from autopilot.core.vehicle import Vehicle, load_vehicle
 from autopilot.sitl.contact import Cylinder
-from autopilot.sitl.currents import CurrentField, Gyre, Shear, TankJet, Uniform, Vortex
+from autopilot.sitl.current_fields import CurrentField, Gyre, Shear, TankJet, Uniform, Vortex
+from autopilot.sitl.environment import SimulatedWaters
 from autopilot.sitl.plant import Plant
 from autopilot.sitl.scenario_tables import ThrusterLoss
-from autopilot.sitl.world import World
 from tests.hostile_numbers import HOSTILE
 
 FLOWS: tuple[CurrentField, ...] = (
@@ -31,7 +31,7 @@ def flight(vehicle: Vehicle, seed: int) -> list[bytes]:
     """Truths of a drawn flight in a drawn tank, some of it against walls, floor and a pillar, or out of the water."""
     rng = np.random.default_rng(seed)
     pillar = Cylinder(name="pillar", center_ned_m=(1.6, 1.0), radius_m=0.2)
-    world = World(
+    world = SimulatedWaters(
         polygon_ned_m=((-2.5, -1.5), (2.5, -1.5), (2.5, 1.5), (-2.5, 1.5)),
         floor_m=1.5,
         solids=(pillar,),
@@ -76,7 +76,7 @@ def test_compiled_or_not_the_hull_flies_the_same(seed: int, monkeypatch: pytest.
 
 def test_a_hull_away_from_everything_is_moved_by_the_library(monkeypatch: pytest.MonkeyPatch) -> None:
     """Nothing falls back unseen: the equations in Python are not asked there."""
-    hull = Plant(VEHICLE, World(), start_pos_ned_m=(0.0, 0.0, 5.0))
+    hull = Plant(VEHICLE, SimulatedWaters(), start_pos_ned_m=(0.0, 0.0, 5.0))
     monkeypatch.setattr("autopilot.sitl.plant.rk4_step", lambda *_: pytest.fail("in Python"))
     hull.advance(1_000_000, (1700, 1600, 1500, 1450))
     assert hull.truth.vel_frd_m_s[0] > 0.01
@@ -88,7 +88,7 @@ def test_compiled_or_not_a_force_that_is_no_number_ends_the_same(value: float, m
     ends = []
     for switch in ("", compiled.OFF):
         monkeypatch.setenv(compiled.SWITCH, switch)
-        hull = Plant(VEHICLE, World(), start_pos_ned_m=(0.0, 0.0, 5.0))
+        hull = Plant(VEHICLE, SimulatedWaters(), start_pos_ned_m=(0.0, 0.0, 5.0))
         hull.set_external_wrench(force_frd_n=(value, 0.0, 0.0), moment_frd_n_m=(0.0, 0.0, 0.0))
         try:
             hull.advance(100_000, (1700, 1600, 1500, 1450))

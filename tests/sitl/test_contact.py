@@ -9,10 +9,10 @@ from hypothesis import strategies as st
 from plant_helpers import NEUTRAL, VEHICLE, body_with, kinetic_energy_j, plant
 
 from autopilot.core.errors import ConfigError
-from autopilot.sitl.contact import Cylinder, Prism, Sphere, Surroundings, is_inside
+from autopilot.sitl.contact import Cylinder, Prism, SolidSurroundings, Sphere, is_inside
+from autopilot.sitl.environment import SimulatedWaters
 from autopilot.sitl.plant import Plant
-from autopilot.sitl.tuned import CONTACT
-from autopilot.sitl.world import World
+from autopilot.sitl.sitl_tuning import CONTACT
 
 TRIMMED = body_with(buoyancy_excess_n=0.0)
 TANK = ((-2.5, -1.5), (2.5, -1.5), (2.5, 1.5), (-2.5, 1.5))
@@ -20,10 +20,10 @@ ELL = ((-15.0, -10.0), (15.0, -10.0), (15.0, 2.0), (5.0, 2.0), (5.0, 10.0), (-15
 RADIUS = VEHICLE.hull_radius_m
 HALF_HEIGHT = VEHICLE.hull_half_height_m
 POST = Cylinder(name="post", center_ned_m=(1.0, 0.0), radius_m=0.16)
-WORLD = World(polygon_ned_m=TANK, floor_m=1.5, solids=(POST,))
+WORLD = SimulatedWaters(polygon_ned_m=TANK, floor_m=1.5, solids=(POST,))
 
 
-def surroundings(**changes: object) -> Surroundings:
+def surroundings(**changes: object) -> SolidSurroundings:
     options: dict[str, object] = {
         "polygon_ned_m": None,
         "floor_m": None,
@@ -32,7 +32,7 @@ def surroundings(**changes: object) -> Surroundings:
         "hull_half_height_m": HALF_HEIGHT,
     }
     options.update(changes)
-    return Surroundings(**options)
+    return SolidSurroundings(**options)
 
 
 def pushed(force_ned_n: tuple[float, float, float], start: tuple[float, float, float]) -> Plant:
@@ -156,7 +156,7 @@ BOX = Prism(name="box", polygon_ned_m=((0.8, -0.3), (1.2, -0.3), (1.2, 0.3), (0.
 
 
 def test_a_push_against_a_box_presses_the_hull_in_by_force_over_stiffness() -> None:
-    hull = plant(TRIMMED, World(floor_m=1.5, solids=(BOX,)), start_pos_ned_m=(0.2, 0.0, 0.7))
+    hull = plant(TRIMMED, SimulatedWaters(floor_m=1.5, solids=(BOX,)), start_pos_ned_m=(0.2, 0.0, 0.7))
     hull.set_external_wrench(force_ned_n=(10.0, 0.0, 0.0))
     hull.advance(20_000_000, NEUTRAL)
     assert hull.truth.pos_ned_m[0] == pytest.approx(0.8 - RADIUS + 10.0 / CONTACT.stiffness_n_m, abs=1e-5)

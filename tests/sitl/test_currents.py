@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from autopilot.core.toml_table import convert
-from autopilot.sitl.currents import (
+from autopilot.sitl.current_fields import (
     Bickley,
     CurrentField,
     Gyre,

@@ -9,7 +9,7 @@ from sensor_helpers import SCENARIO, floor
 from autopilot.sitl.floor import build_floor, build_markers
 from autopilot.sitl.scenario import load_scenario
 from autopilot.sitl.scenario_tables import Markers, Tank
-from autopilot.sitl.tuned import FLOOR
+from autopilot.sitl.sitl_tuning import FLOOR
 
 MARKER_CELLS = 6
 """A 4x4 marker with its border of one cell."""

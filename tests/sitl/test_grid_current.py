@@ -11,7 +11,7 @@ from scipy.io import netcdf_file
 
 from autopilot.core.errors import ConfigError
 from autopilot.core.vehicle import load_vehicle
-from autopilot.sitl.currents import current_field
+from autopilot.sitl.current_fields import current_field
 from autopilot.sitl.grid_current import Grid, GridField, read_grid
 from autopilot.sitl.plant import build_plant
 from autopilot.sitl.scenario import load_scenario

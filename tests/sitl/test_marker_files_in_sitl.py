@@ -16,7 +16,7 @@ from autopilot.core.samples import CameraFrame
 from autopilot.core.vehicle import Port
 from autopilot.estimator.markers_pose import MarkerSolver
 from autopilot.estimator.vision import Hint, MarkerDetector
-from autopilot.sitl.camera import SimCamera, true_camera
+from autopilot.sitl.camera_sensor import SimCamera, true_camera
 from autopilot.sitl.floor import Floor, build_floor
 from autopilot.sitl.scenario import load_scenario
 from autopilot.sitl.scenario_tables import Markers, Scenario

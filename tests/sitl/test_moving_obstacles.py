@@ -12,11 +12,11 @@ from autopilot.core.vehicle import load_vehicle
 from autopilot.log.analysis import obstacle_position
 from autopilot.log.description import Obstacle
 from autopilot.sitl.backend import SimulatedVehicle, simulated_vehicle
-from autopilot.sitl.contact import MovingCylinder, Surroundings
+from autopilot.sitl.contact import MovingCylinder, SolidSurroundings
+from autopilot.sitl.environment import SimulatedWaters
 from autopilot.sitl.moving import MovingPath
 from autopilot.sitl.plant import Plant
 from autopilot.sitl.scenario import load_scenario
-from autopilot.sitl.world import World
 
 VEHICLE = load_vehicle("lbv150")
 CORNERS = [(0.0, 0.0), (3.0, 0.0), (3.0, 4.0)]
@@ -50,9 +50,9 @@ def test_ends() -> None:
     assert MovingPath(CORNERS, 1.0, "bounce", 5.0).at(4.0) == ((0.0, 0.0), (0.0, 0.0))
 
 
-def world(speed_m_s: float) -> World:
+def world(speed_m_s: float) -> SimulatedWaters:
     path = MovingPath([(2.0, 0.0), (-2.0, 0.0)], speed_m_s, "stop")
-    return World(solids=(MovingCylinder(name="drifter", path=path, radius_m=0.2),))
+    return SimulatedWaters(solids=(MovingCylinder(name="drifter", path=path, radius_m=0.2),))
 
 
 def test_a_moving_obstacle_pushes_a_vehicle_that_rests() -> None:
@@ -70,7 +70,7 @@ def test_a_moving_obstacle_pushes_a_vehicle_that_rests() -> None:
 
 
 def test_clearance_follows_the_obstacle() -> None:
-    around = Surroundings(
+    around = SolidSurroundings(
         polygon_ned_m=None, floor_m=None, solids=world(0.5).solids, hull_radius_m=0.2, hull_half_height_m=0.1
     )
     assert around.fastest_m_s == 0.5

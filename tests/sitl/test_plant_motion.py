@@ -9,10 +9,10 @@ from hypothesis import strategies as st
 from plant_helpers import DEEP, NEUTRAL, NO_DRAG, VEHICLE, body_with, kinetic_energy_j, plant, terminal_speed
 
 from autopilot.core.frames import r_ned_from_frd
-from autopilot.sitl.currents import Shear, Uniform, Vortex
-from autopilot.sitl.thrusters import wrench_of
-from autopilot.sitl.tuned import PLANT
-from autopilot.sitl.world import World
+from autopilot.sitl.current_fields import Shear, Uniform, Vortex
+from autopilot.sitl.environment import SimulatedWaters
+from autopilot.sitl.sitl_tuning import PLANT
+from autopilot.sitl.thruster_models import wrench_of
 
 BODY = VEHICLE.body
 TRIMMED = body_with(buoyancy_excess_n=0.0)
@@ -150,7 +150,7 @@ def test_munk_moment_turns_the_hull_broadside() -> None:
 def test_a_uniform_current_only_carries_the_hull_along(current: tuple[float, ...], rpy: tuple[float, ...]) -> None:
     flow = np.array(current)
     carried = plant(
-        world=World(current=Uniform(velocity_m_s=current)),
+        world=SimulatedWaters(current=Uniform(velocity_m_s=current)),
         start_rpy_rad=rpy,
         start_vel_frd_m_s=tuple(r_ned_from_frd(np.array(rpy)).T @ flow),
     )
@@ -166,7 +166,7 @@ def test_a_uniform_current_only_carries_the_hull_along(current: tuple[float, ...
 
 def test_a_free_hull_ends_up_drifting_with_the_current() -> None:
     flow = (0.2, -0.1, 0.0)
-    hull = plant(TRIMMED, World(current=Uniform(velocity_m_s=flow)), start_rpy_rad=(0.0, 0.0, 0.7))
+    hull = plant(TRIMMED, SimulatedWaters(current=Uniform(velocity_m_s=flow)), start_rpy_rad=(0.0, 0.0, 0.7))
     hull.advance(90_000_000, NEUTRAL)
     truth = hull.truth
     np.testing.assert_allclose(r_ned_from_frd(truth.rpy_rad) @ truth.vel_frd_m_s, flow, atol=1e-6)
@@ -176,7 +176,7 @@ def test_a_free_hull_ends_up_drifting_with_the_current() -> None:
 
 def test_a_neutral_hull_follows_a_streamline_only_with_the_pressure_of_the_water() -> None:
     radius = 3.0
-    world = World(current=Vortex(circulation_m2_s=6.0, core_m=2.0))
+    world = SimulatedWaters(current=Vortex(circulation_m2_s=6.0, core_m=2.0))
     speed = world.current.velocity((radius, 0.0, 50.0), 0.0)
     radii = {}
     for pressure in (True, False):
@@ -196,7 +196,7 @@ def test_a_neutral_hull_follows_a_streamline_only_with_the_pressure_of_the_water
 def test_crossing_a_shear_flow_accelerates_the_added_mass() -> None:
     """At y = 0 the water is at rest and not accelerated; only M_A (v . grad) c acts on a hull without drag."""
     vehicle = body_with(buoyancy_excess_n=0.0, **NO_DRAG)
-    hull = plant(vehicle, World(current=Shear(shear_1_s=0.5)), start_vel_frd_m_s=(0.0, 0.4, 0.0))
+    hull = plant(vehicle, SimulatedWaters(current=Shear(shear_1_s=0.5)), start_vel_frd_m_s=(0.0, 0.4, 0.0))
     expected = BODY.added_mass_kg[0] * 0.5 * 0.4 / MASS[0]
     np.testing.assert_allclose(hull.truth.accel_frd_m_s2, [expected, 0.0, -PLANT.gravity_m_s2], atol=1e-12)
 
@@ -205,14 +205,14 @@ def test_a_changing_tide_drags_the_hull_along() -> None:
     """A neutral hull without drag takes part in the acceleration of uniform water: v_r stays 0."""
     vehicle = body_with(buoyancy_excess_n=0.0, **NO_DRAG)
     tide = Uniform(tide_m_s=(0.3, 0.1, 0.0), tide_period_s=40.0)
-    hull = plant(vehicle, World(current=tide), start_rpy_rad=(0.0, 0.0, 1.0))
+    hull = plant(vehicle, SimulatedWaters(current=tide), start_rpy_rad=(0.0, 0.0, 1.0))
     hull.advance(10_000_000, NEUTRAL)
     np.testing.assert_allclose(hull.truth.current_ned_m_s, [0.3, 0.1, 0.0], atol=1e-12)
     np.testing.assert_allclose(hull.truth.vel_water_frd_m_s, 0.0, atol=3e-4)  # the rate is held within a step
 
 
 def test_a_held_hull_stays_until_a_thruster_is_commanded() -> None:
-    world = World(current=Uniform(velocity_m_s=(0.2, 0.0, 0.0)))
+    world = SimulatedWaters(current=Uniform(velocity_m_s=(0.2, 0.0, 0.0)))
     hull = plant(world=world, held=True)
     hull.advance(5_000_000, (0,) * 8)
     hull.advance(6_000_000, (1510, 1490, 1500, 1500))
@@ -226,7 +226,9 @@ def test_a_held_hull_stays_until_a_thruster_is_commanded() -> None:
 
 def test_same_inputs_same_outputs_whatever_the_length_of_the_calls() -> None:
     def fly(call_us: int) -> np.ndarray:
-        hull = plant(world=World(current=Vortex(circulation_m2_s=2.0, core_m=1.0)), start_rpy_rad=(0.1, 0.0, 0.5))
+        hull = plant(
+            world=SimulatedWaters(current=Vortex(circulation_m2_s=2.0, core_m=1.0)), start_rpy_rad=(0.1, 0.0, 0.5)
+        )
         for t_us in range(call_us, 2_000_001, call_us):
             hull.advance(t_us, (1750, 1620, 1600, 1400))
         truth = hull.truth

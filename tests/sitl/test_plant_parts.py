@@ -11,10 +11,10 @@ from plant_helpers import NEUTRAL, VEHICLE, plant
 
 from autopilot.core.errors import ConfigError
 from autopilot.core.thrusters import thrusters_of
-from autopilot.sitl.battery import Battery
+from autopilot.sitl.battery import SimulatedBattery
+from autopilot.sitl.environment import SimulatedWaters
 from autopilot.sitl.tether import WATER_DENSITY_KG_M3, make_tether
-from autopilot.sitl.thrusters import Thrusters, duty_from_pwm, steady_thrust_n
-from autopilot.sitl.world import World
+from autopilot.sitl.thruster_models import Thrusters, duty_from_pwm, steady_thrust_n
 
 DRIVE = VEHICLE.drive
 
@@ -118,7 +118,7 @@ def test_thrusters_push_where_they_sit() -> None:
 
 def test_voltage_sags_with_current_and_with_energy() -> None:
     table = VEHICLE.battery
-    battery = Battery(table)
+    battery = SimulatedBattery(table)
     battery.load(100.0)
     volt = battery.voltage_v
     assert battery.current_a * volt == pytest.approx(100.0)
@@ -132,7 +132,7 @@ def test_voltage_sags_with_current_and_with_energy() -> None:
 
 
 def test_an_overload_does_not_break_the_battery() -> None:
-    battery = Battery(msgspec.structs.replace(VEHICLE.battery, internal_resistance_ohm=2.0))
+    battery = SimulatedBattery(msgspec.structs.replace(VEHICLE.battery, internal_resistance_ohm=2.0))
     battery.step(1e4, 1e4, 1.0)
     assert battery.voltage_v == pytest.approx(9.5)
 
@@ -174,7 +174,7 @@ def test_tether_pulls_towards_its_entry_and_drags_against_the_motion() -> None:
 
 
 def test_tether_slows_the_plant_down() -> None:
-    free, tied = plant(), plant(world=World(tether_entry_ned_m=(-2.0, 0.0, 50.0)))
+    free, tied = plant(), plant(world=SimulatedWaters(tether_entry_ned_m=(-2.0, 0.0, 50.0)))
     for hull in (free, tied):
         hull.advance(10_000_000, (1700, 1700, 1500, 1500))
     tether = VEHICLE.tether

@@ -8,9 +8,9 @@ import pytest
 from sensor_helpers import CAMERA, CLEAN, floor, height, renderer, truth_at
 
 from autopilot.core.frames import r_ned_from_frd
-from autopilot.sitl.camera import camera_of
+from autopilot.sitl.camera_sensor import camera_of
 from autopilot.sitl.plant import Truth
-from autopilot.sitl.tuned import CAMERA_TUNED
+from autopilot.sitl.sitl_tuning import CAMERA_TUNED
 
 
 def detect(picture: np.ndarray, truth: Truth) -> tuple[np.ndarray, np.ndarray]:

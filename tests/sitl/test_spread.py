@@ -9,7 +9,7 @@ import pytest
 
 from autopilot.core.errors import ConfigError
 from autopilot.sitl.scenario import load_scenario, load_tables, scenario_path
-from autopilot.sitl.scenario_tables import Spread
+from autopilot.sitl.scenario_tables import SpreadTable
 from autopilot.sitl.spread import RUN_SEEDS, drawn_tables, drawn_values, run_seed
 from autopilot.sitl.toml_text import toml_text
 
@@ -26,7 +26,11 @@ def with_spread(folder: Path, lines: str) -> str:
 
 
 def test_values_lie_within_their_bounds_and_fill_them() -> None:
-    spread = {"a": Spread(low=0.8, high=1.2), "b": Spread(low=-1.0, high=-0.5), "c": Spread(choice=["x", "y", "z"])}
+    spread = {
+        "a": SpreadTable(low=0.8, high=1.2),
+        "b": SpreadTable(low=-1.0, high=-0.5),
+        "c": SpreadTable(choice=["x", "y", "z"]),
+    }
     runs = [drawn_values(spread, 3, run) for run in range(400)]
     for key, low, high in (("a", 0.8, 1.2), ("b", -1.0, -0.5)):
         values = [float(run[key]) for run in runs]
@@ -38,7 +42,7 @@ def test_values_lie_within_their_bounds_and_fill_them() -> None:
 
 
 def test_a_run_is_the_same_again_and_differs_from_every_other() -> None:
-    spread = {"a": Spread(low=0.0, high=1.0)}
+    spread = {"a": SpreadTable(low=0.0, high=1.0)}
     drawn = {(seed, run): drawn_values(spread, seed, run)["a"] for seed in range(5) for run in range(20)}
     assert len(set(drawn.values())) == 100
     assert drawn[2, 7] == drawn_values(spread, 2, 7)["a"]
@@ -46,8 +50,8 @@ def test_a_run_is_the_same_again_and_differs_from_every_other() -> None:
 
 
 def test_keys_are_drawn_on_their_own() -> None:
-    alone = drawn_values({"b": Spread(low=0.0, high=1.0)}, 1, 4)
-    beside = drawn_values({"a": Spread(low=0.0, high=1.0), "b": Spread(low=0.0, high=1.0)}, 1, 4)
+    alone = drawn_values({"b": SpreadTable(low=0.0, high=1.0)}, 1, 4)
+    beside = drawn_values({"a": SpreadTable(low=0.0, high=1.0), "b": SpreadTable(low=0.0, high=1.0)}, 1, 4)
     assert beside["b"] == alone["b"] != beside["a"]
 
 

@@ -11,12 +11,12 @@ from plant_helpers import VEHICLE
 
 from autopilot.core.errors import ConfigError
 from autopilot.sitl.backend import simulated_vehicle
+from autopilot.sitl.environment import SimulatedWaters, water_field
 from autopilot.sitl.plant import Plant, build_plant
 from autopilot.sitl.scenario import load_scenario
 from autopilot.sitl.scenario_tables import Waves
-from autopilot.sitl.tuned import WAVES
+from autopilot.sitl.sitl_tuning import WAVES
 from autopilot.sitl.waves import WithWaves, wave_number, wave_train
-from autopilot.sitl.world import World, water_field
 
 TEXT = """
 [scenario]
@@ -53,7 +53,7 @@ SEAS = st.builds(
 def field_of(table: Waves, depth_m: float | None) -> WithWaves:
     waves = wave_train(table, depth_m)
     assert waves is not None
-    return WithWaves(field=World().current, waves=waves)
+    return WithWaves(field=SimulatedWaters().current, waves=waves)
 
 
 @given(omega=st.floats(0.2, 8.0), depth_m=st.floats(0.2, 200.0))
@@ -130,7 +130,7 @@ def test_a_neutral_hull_goes_round_with_the_water(tmp_path: Path) -> None:
     field = water_field(scenario)
     start = field.velocity((0.0, 0.0, 3.0), 0.0)
     body = VEHICLE.body
-    loose = Plant(VEHICLE, World(current=field), start_pos_ned_m=(0.0, 0.0, 3.0), start_vel_frd_m_s=start)
+    loose = Plant(VEHICLE, SimulatedWaters(current=field), start_pos_ned_m=(0.0, 0.0, 3.0), start_vel_frd_m_s=start)
     places, relative = [], []
     for t_us in range(10_000, 8_000_001, 10_000):
         loose.advance(t_us, (1500,) * 4)

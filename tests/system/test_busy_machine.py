@@ -7,8 +7,8 @@ from collections.abc import Callable, Iterator
 import pytest
 from system_harness import RunningService
 
+from autopilot.client.client_session import VehicleConnection
 from autopilot.client.exchange import Timers
-from autopilot.client.session import Session
 from autopilot.core.errors import AutopilotError
 from autopilot.core.messages import ProgressState
 from autopilot.core.plan import PlanKind
@@ -35,7 +35,7 @@ def _hold(running: RunningService) -> threading.Timer:
 
 
 def test_exchanges_and_watching_outlast_a_service_that_is_held(running: RunningService) -> None:
-    with Session(f"udpout:127.0.0.1:{running.port}", IMPATIENT, at_work=running.child.at_work) as session:
+    with VehicleConnection(f"udpout:127.0.0.1:{running.port}", IMPATIENT, at_work=running.child.at_work) as session:
         session.connect(1.0)
         plan = paper_plan(1)
         for kind in (PlanKind.FENCE, PlanKind.MISSION):
@@ -53,7 +53,7 @@ def test_a_service_that_has_ended_is_named_at_once(service: Callable[..., Runnin
     running = service("--duration", "1.0")
     with (
         pytest.raises(AutopilotError, match="the service ended with exit code 0"),
-        Session(f"udpout:127.0.0.1:{running.port}", at_work=running.child.at_work) as session,
+        VehicleConnection(f"udpout:127.0.0.1:{running.port}", at_work=running.child.at_work) as session,
     ):
         session.connect()
         while True:

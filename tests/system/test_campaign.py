@@ -16,12 +16,12 @@ import pytest
 from click.testing import CliRunner, Result
 from deadly_runs import Deadly, Spinning
 
+from autopilot.campaign.campaign_figures import write_figures
 from autopilot.campaign.definition import Campaign, define, first_difference
 from autopilot.campaign.engines import DaskCluster, InProcess, LocalPool, interrupt_later, make_engine
-from autopilot.campaign.figures import write_figures
 from autopilot.campaign.flight import fly
 from autopilot.campaign.results import Margin, RunResult, Task
-from autopilot.campaign.store import Shard, Store, read_results, scenario_file
+from autopilot.campaign.run_store import Shard, Store, read_results, scenario_file
 from autopilot.campaign.summary import failure_bound, failure_interval, summarise
 from autopilot.campaign.tabular import write_tables
 from autopilot.campaign.worst import logs_of, worst_first

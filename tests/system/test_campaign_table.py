@@ -12,8 +12,8 @@ from scipy.stats import binom
 
 from autopilot.campaign.definition import define
 from autopilot.campaign.results import Margin, RunResult, failure
-from autopilot.campaign.store import Shard, Store
-from autopilot.campaign.table import middle, share
+from autopilot.campaign.run_store import Shard, Store
+from autopilot.campaign.run_table import middle, share
 from autopilot.cli.main import cli
 from autopilot.core.errors import ConfigError
 

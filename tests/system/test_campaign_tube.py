@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from autopilot.campaign.tube import AHEAD_S, TubeCheck
+from autopilot.campaign.tube_study import AHEAD_S, TubeCheck
 from autopilot.core.messages import ControlOutput, Fallback, NmpcStatus, SolveStatus
 
 ALL = AHEAD_S[-1]

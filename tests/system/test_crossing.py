@@ -4,7 +4,7 @@ from pathlib import Path
 
 from system_harness import ROOT, OpenSession, fly_to_the_end
 
-from autopilot.log.check import Verdict, acceptance_table
+from autopilot.log.check import BoundVerdict, acceptance_table
 from autopilot.log.reader import open_log
 from autopilot.mission.paper import paper_plan
 from autopilot.mission.plan_files import write_plan
@@ -20,7 +20,7 @@ def test_a_lap_with_an_obstacle_across_the_route(session: OpenSession, tmp_path:
     assert rows["laps"].worst == 1
     assert rows["contacts"].worst == 0
     assert rows["distance to moving 3"].limit == 0.12 + 0.3
-    assert [row for row in rows.values() if row.verdict is Verdict.FAIL] == []
+    assert [row for row in rows.values() if row.verdict is BoundVerdict.FAIL] == []
     assert (read["/in/tracks"]["track_id"] == 3).all()
     assert len(read["/in/tracks"]) > 100
     assert rows["distance to moving 3"].worst is not None

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from autopilot.campaign.store import read_results
+from autopilot.campaign.run_store import read_results
 from autopilot.mission.paper import paper_plan
 from autopilot.mission.plan_files import write_plan
 from autopilot.run.children import ROOT, autopilot_command, free_port

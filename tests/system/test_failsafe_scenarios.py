@@ -11,7 +11,7 @@ from autopilot.campaign.fault_campaign import fly_campaign, results, table, task
 from autopilot.campaign.fault_cases import CASES, FaultCase
 from autopilot.campaign.fault_flights import PLANS, FaultResult, fly_fault_case
 from autopilot.cli.campaign import campaign
-from autopilot.command.failsafe_table import ROWS, Row
+from autopilot.command.failsafe_table import ROWS, FailsafeRow
 from autopilot.core.errors import ConfigError
 from autopilot.core.params import ParamSet
 from autopilot.sitl.scenario_tables import Fault
@@ -22,7 +22,7 @@ FLOWN = ("SOLVER", "COLLISION")
 
 
 @pytest.mark.parametrize("row", ROWS, ids=lambda row: row.rule.name)
-def test_a_row_has_a_scenario_that_can_be_flown_and_asks_for_an_effect_of_the_row(row: Row) -> None:
+def test_a_row_has_a_scenario_that_can_be_flown_and_asks_for_an_effect_of_the_row(row: FailsafeRow) -> None:
     case = BY_RULE[row.rule]
     params = ParamSet({**case.params, **case.set_then})
     for fault in case.faults:

@@ -6,7 +6,7 @@ import pytest
 from system_harness import OpenSession, fly_to_the_end
 
 from autopilot.core.messages import NavHealth, Outputs
-from autopilot.log.check import Verdict, acceptance_table
+from autopilot.log.check import BoundVerdict, acceptance_table
 from autopilot.log.reader import open_log
 from autopilot.mission.paper import paper_plan
 from autopilot.mission.plan_files import write_plan
@@ -41,7 +41,7 @@ def test_laps_without_a_broken_bound(
     )
     rows = {row.name: row for row in acceptance_table(open_log(log))}
     assert rows["laps"].worst == laps
-    broken = [row for row in rows.values() if row.verdict is Verdict.FAIL]
+    broken = [row for row in rows.values() if row.verdict is BoundVerdict.FAIL]
     assert broken == []
 
 
@@ -60,7 +60,7 @@ def test_the_complementary_observer_flies_the_lap(session: OpenSession, tmp_path
     assert rows["laps"].worst == 1
     assert rows["contacts"].worst == 0
     for name in ("distance to cylinder 1", "distance to cylinder 2", "distance to walls"):
-        assert rows[name].verdict is not Verdict.FAIL, rows[name]
+        assert rows[name].verdict is not BoundVerdict.FAIL, rows[name]
 
 
 def test_finds_itself_wherever_it_stands(session: OpenSession, tmp_path: Path) -> None:

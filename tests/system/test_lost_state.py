@@ -17,7 +17,7 @@ from pymavlink.dialects.v20 import development as mav
 from system_harness import OpenSession
 from wire_client import Harbour, WireClient
 
-from autopilot.client.session import Session as ClientSession
+from autopilot.client.client_session import VehicleConnection as ClientSession
 from autopilot.core.plan import PlanKind
 from autopilot.mission.paper import paper_plan
 from autopilot.run.children import Child, autopilot_command, free_port

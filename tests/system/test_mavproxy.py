@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 from system_harness import RunningService
 
-from autopilot.cli.output import EXIT_LOSS
+from autopilot.cli.console_output import EXIT_LOSS
 from autopilot.run.children import Child, autopilot_command, free_port
 
 if importlib.util.find_spec("MAVProxy") is None:

@@ -10,12 +10,12 @@ from system_harness import ROOT, OpenSession, fly_to_the_end
 
 from autopilot.control.protocol import Controller, ControllerContext, simple_output
 from autopilot.core.messages import Failsafe, Outputs
-from autopilot.log.check import Verdict, acceptance_table
+from autopilot.log.check import BoundVerdict, acceptance_table
 from autopilot.log.figures import write_figures
 from autopilot.log.reader import open_log
 from autopilot.mission.paper import paper_plan
 from autopilot.mission.plan_files import write_plan
-from autopilot.replay.estimation import matches, replay, replay_setup
+from autopilot.replay.estimator_replay import matches, replay, replay_setup
 
 EXAMPLES = ROOT / "docs" / "examples"
 
@@ -51,7 +51,7 @@ def test_a_controller_of_ones_own_flies_the_paper_tank_and_gets_the_same_report(
     opened = open_log(log)
     rows = {row.name: row for row in acceptance_table(opened)}
     assert rows["laps"].worst == 1
-    assert [row for row in rows.values() if row.verdict is Verdict.FAIL] == []
+    assert [row for row in rows.values() if row.verdict is BoundVerdict.FAIL] == []
     names = {"distance to cylinder 1", "thrust command", "contacts", "energy lap 1", "NMPC fallbacks"}
     assert names <= set(rows)
     assert len(write_figures(opened, tmp_path / "figures")) >= 5

@@ -12,7 +12,7 @@ from wire_client import Harbour, WireClient
 
 from autopilot.core.plan import MissionResult, PlanItem, PlanKind
 from autopilot.core.plan_wire import item_message
-from autopilot.mission.items import Command, Frame
+from autopilot.mission.items import Command, MavFrame
 from autopilot.mission.paper import paper_plan
 
 PLAN = paper_plan(1)
@@ -26,7 +26,7 @@ def at(command: int, north: float, east: float, down: float, *params: float) -> 
     p1, p2, p3, p4 = (*params, *(0.0,) * (4 - len(params)))
     return PlanItem(
         seq=0,
-        frame=Frame.LOCAL_NED,
+        frame=MavFrame.LOCAL_NED,
         command=command,
         param1=p1,
         param2=p2,
@@ -40,7 +40,7 @@ def at(command: int, north: float, east: float, down: float, *params: float) -> 
 
 def order(command: int, *params: float) -> PlanItem:
     """An item without a place."""
-    return replace(at(command, 0.0, 0.0, 0.0, *params), frame=Frame.MISSION)
+    return replace(at(command, 0.0, 0.0, 0.0, *params), frame=MavFrame.MISSION)
 
 
 def numbered(items: Sequence[PlanItem]) -> list[PlanItem]:
@@ -80,7 +80,7 @@ def fence(draw: random.Random, guilty: Sequence[PlanItem]) -> tuple[list[PlanIte
 
 def above_water(draw: random.Random) -> Case:
     """A ground station's first waypoint at its default height: it could have been home until the others came."""
-    items = [replace(item, frame=Frame.GLOBAL_INT, z=-0.5) for item in PLAN.mission[:3]]
+    items = [replace(item, frame=MavFrame.GLOBAL_INT, z=-0.5) for item in PLAN.mission[:3]]
     first = replace(items[0], z=50.0, param1=0.0, param2=0.0, param3=0.0, param4=math.nan)
     return KIND.MISSION, numbered([first, *items[1:]]), 0, "above the surface"
 
@@ -144,7 +144,7 @@ CASES = {
     "first item in the air": above_water,
     "unknown command": in_mission("", order(31999)),
     "unknown frame": in_mission("", replace(WAYPOINT, frame=21)),
-    "too far away": in_mission("", replace(WAYPOINT, frame=Frame.GLOBAL_INT, x=10_000_000, z=-0.5)),
+    "too far away": in_mission("", replace(WAYPOINT, frame=MavFrame.GLOBAL_INT, x=10_000_000, z=-0.5)),
     "infinite hold": in_mission("infinite", replace(WAYPOINT, param1=math.inf)),
     "polygon of other vertices": in_fence("of 4 vertices", *polygon(SQUARE)[:3]),
     "polygon that crosses itself": in_fence("intersects", *polygon([(0, 0), (2, 2), (2, 0), (0, 2)])),

@@ -11,7 +11,7 @@ from ground_station import GroundStation
 from pymavlink.dialects.v20 import development as mav
 from system_harness import RunningService
 
-from autopilot.cli.output import EXIT_LOSS
+from autopilot.cli.console_output import EXIT_LOSS
 from autopilot.client.plan_client import same_on_the_wire
 from autopilot.core.plan import PlanItem, PlanKind
 from autopilot.core.plan_wire import item_of

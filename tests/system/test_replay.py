@@ -11,8 +11,8 @@ from system_harness import PAPER_PLAN, OpenSession
 from autopilot.cli.main import cli
 from autopilot.core.errors import ConfigError, LogError
 from autopilot.log.reader import Log, open_log
-from autopilot.record.estimator import read_markers, read_setup
-from autopilot.replay.estimation import matches, replay, replay_setup, spreads, write_replay
+from autopilot.record.estimator_setup import read_markers, read_setup
+from autopilot.replay.estimator_replay import matches, replay, replay_setup, spreads, write_replay
 
 
 def _flown(session: OpenSession, path: Path, sensors: str, duration_s: float) -> Log:

@@ -8,8 +8,8 @@ from typing import Any
 
 from pymavlink.dialects.v20 import development as mav
 
+from autopilot.client.client_session import VehicleConnection
 from autopilot.client.plan_client import same_on_the_wire
-from autopilot.client.session import Session
 from autopilot.core.plan import PlanItem, PlanKind
 from autopilot.mission.paper import paper_plan
 from autopilot.run.children import Child, autopilot_command, free_port
@@ -19,7 +19,7 @@ from autopilot.run.plans_format import decode, plan_item
 class Vehicle:
     """A service in its own process and a client that talks to it."""
 
-    def __init__(self, child: Child, session: Session) -> None:
+    def __init__(self, child: Child, session: VehicleConnection) -> None:
         self.child, self.session = child, session
 
     def wait(self, what: Callable[[Any], bool]) -> Any:
@@ -57,7 +57,7 @@ def vehicle(folder: Path, *arguments: str) -> Iterator[Vehicle]:
     places = {"AUTOPILOT_STATE_DIR": str(folder / "state"), "AUTOPILOT_LOG_DIR": str(folder / "logs")}
     child = Child(command, places)
     try:
-        with Session(f"udpout:127.0.0.1:{port}", at_work=child.at_work) as session:
+        with VehicleConnection(f"udpout:127.0.0.1:{port}", at_work=child.at_work) as session:
             session.connect(60.0)
             yield Vehicle(child, session)
     finally:

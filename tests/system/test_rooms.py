@@ -13,20 +13,20 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from autopilot.campaign.rooms.chart import Chart
-from autopilot.campaign.rooms.flight import Flown, RoomTask, fly_room
 from autopilot.campaign.rooms.prospect import prospect
-from autopilot.campaign.rooms.results import Outcome, RoomResult
-from autopilot.campaign.rooms.room import KINDS, Room, files_of, make_room, write_files
-from autopilot.campaign.rooms.shapes import Block, Disc, Layout, Point, box, clearance_m
-from autopilot.campaign.rooms.store import read_flights
+from autopilot.campaign.rooms.random_world import KINDS, RandomWorld, files_of, make_room, write_files
 from autopilot.campaign.rooms.verdict import judge_flight, judge_refusal
+from autopilot.campaign.rooms.world_flight import Flown, RoomTask, fly_room
+from autopilot.campaign.rooms.world_results import RoomResult, WorldOutcome
+from autopilot.campaign.rooms.world_shapes import Block, Disc, Point, WorldLayout, box, clearance_m
+from autopilot.campaign.rooms.world_store import read_flights
 from autopilot.cli.main import cli, run
 from autopilot.core.frames import FloatArray
 from autopilot.core.params import ParamSet
 from autopilot.mission.judgement import judge_file
 from autopilot.mission.plan_files import read_plan
+from autopilot.sitl.environment import build_world
 from autopilot.sitl.scenario import load_scenario
-from autopilot.sitl.world import build_world
 
 SEEDS = range(3_000, 3_024)
 HALL = ((0.0, -4.0), (12.0, -4.0), (12.0, 4.0), (0.0, 4.0))
@@ -46,16 +46,16 @@ def rooms_command(*arguments: str) -> tuple[int, str]:
     return run(call), printed[0]
 
 
-def written(room: Room, folder: Path, mode: int = 0) -> Path:
+def written(room: RandomWorld, folder: Path, mode: int = 0) -> Path:
     write_files(room, folder, mode=mode, duration_s=60.0)
     return folder
 
 
-def hall_with_door(width_m: float) -> Layout:
+def hall_with_door(width_m: float) -> WorldLayout:
     """Two halves of a hall with a wall between them and a door at its middle."""
     half = 0.5 * width_m
     walls = [box((6.0, side * 0.5 * (4.1 + half)), 0.2, 4.1 - half, 0.0) for side in (-1.0, 1.0)]
-    return Layout(HALL, tuple(Block(wall) for wall in walls))
+    return WorldLayout(HALL, tuple(Block(wall) for wall in walls))
 
 
 def still(places: FloatArray) -> FloatArray:
@@ -120,19 +120,19 @@ def test_a_door_lets_through_what_it_is_wide_enough_for(width_m: float, open_: b
 )
 def test_ways_in_a_stream_take_as_long_as_the_triangle_of_speeds_says(goal: Point, expected_m_s: float) -> None:
     here = (6.0, -3.0) if goal[1] else (5.5, 0.0)
-    chart = Chart(Layout(HALL), [here, goal])
+    chart = Chart(WorldLayout(HALL), [here, goal])
     way = chart.ways(0.33, [here, goal]).quickest(here, goal, 0.16, stream, water_m_s=0.5, ground_m_s=9.0, worst=True)
     assert way.time_s == pytest.approx(math.dist(here, goal) / expected_m_s, rel=0.08)
 
 
 def test_water_faster_than_the_vehicle_leaves_no_way_up() -> None:
-    ways = Chart(Layout(HALL), []).ways(0.33, [(5.0, 0.0), (10.0, 0.0)])
+    ways = Chart(WorldLayout(HALL), []).ways(0.33, [(5.0, 0.0), (10.0, 0.0)])
     assert math.isinf(
         ways.quickest((5.0, 0.0), (10.0, 0.0), 0.2, stream, water_m_s=0.29, ground_m_s=1.0, worst=False).time_s
     )
 
 
-def refused_rooms() -> list[tuple[Room, str]]:
+def refused_rooms() -> list[tuple[RandomWorld, str]]:
     """Rooms whose plans the service's own check refuses, with its reasons."""
     found = []
     for seed in range(5_000, 5_030):
@@ -145,7 +145,7 @@ def refused_rooms() -> list[tuple[Room, str]]:
     return found
 
 
-def read_local(room: Room) -> Any:
+def read_local(room: RandomWorld) -> Any:
     from autopilot.mission.local_plan import read_local_plan
 
     return read_local_plan(files_of(room, mode=0, duration_s=1.0)["plan.toml"].decode(), "plan.toml")
@@ -157,9 +157,9 @@ def test_the_services_refusals_are_found_right_and_the_same_words_about_other_ro
     empty = next(room for room in map(make_room, range(100)) if all(leg.sure for leg in prospect(room).legs))
     empty = replace(empty, layout=replace(empty.layout, solids=()))
     for room, reason in refused:
-        assert judge_refusal(room, prospect(room), reason).outcome is Outcome.REFUSED, reason
+        assert judge_refusal(room, prospect(room), reason).outcome is WorldOutcome.REFUSED, reason
         if "gap of" in reason or "no free path" in reason:
-            assert judge_refusal(empty, prospect(empty), reason).outcome is Outcome.MISREFUSED, reason
+            assert judge_refusal(empty, prospect(empty), reason).outcome is WorldOutcome.MISREFUSED, reason
 
 
 @pytest.mark.parametrize(
@@ -169,11 +169,11 @@ def test_the_services_refusals_are_found_right_and_the_same_words_about_other_ro
 def test_a_reason_that_is_none_is_a_wrong_refusal(reason: str) -> None:
     room = next(r for r in map(make_room, range(100)) if r.scenario["current"]["kind"] == "none")
     assert all(leg.sure for leg in prospect(room).legs)
-    assert judge_refusal(room, prospect(room), reason).outcome is Outcome.MISREFUSED
+    assert judge_refusal(room, prospect(room), reason).outcome is WorldOutcome.MISREFUSED
 
 
 def test_every_shape_of_fault_is_held_against_a_flight() -> None:
-    fine = RoomResult(room=0, mode=0, seed=0, outcome=Outcome.REACHED)
+    fine = RoomResult(room=0, mode=0, seed=0, outcome=WorldOutcome.REACHED)
     assert not fine.failed
     for changes in (
         {"contacts": 1},
@@ -181,9 +181,9 @@ def test_every_shape_of_fault_is_held_against_a_flight() -> None:
         {"fallbacks": 1, "first_fallback_s": 1.0},
         {"alarms": ["Thruster port gives 50 % of its thrust"]},
         {"broken": {"depth": 0.2}},
-        {"outcome": Outcome.NOT_REACHED},
+        {"outcome": WorldOutcome.NOT_REACHED},
     ):
-        fields: dict[str, Any] = {"room": 0, "mode": 0, "seed": 0, "outcome": Outcome.REACHED, **changes}
+        fields: dict[str, Any] = {"room": 0, "mode": 0, "seed": 0, "outcome": WorldOutcome.REACHED, **changes}
         assert RoomResult(**fields).failed, changes
 
 
@@ -203,20 +203,20 @@ def test_finished_flights_are_kept_and_the_folder_holds_one_campaign(tmp_path: P
     assert code == 1
 
 
-def refusal_of(room: Room) -> str:
+def refusal_of(room: RandomWorld) -> str:
     plan = read_local(room)
     return judge_file(plan, plan.home, ParamSet(room.scenario["params"]), room.vehicle.radius_m).problem
 
 
 def test_a_disc_and_a_block_are_as_far_apart_as_their_rims() -> None:
-    layout = Layout(None, (Disc((0.0, 0.0), 0.5), Block(box((3.0, 0.0), 1.0, 1.0, 0.0))))
+    layout = WorldLayout(None, (Disc((0.0, 0.0), 0.5), Block(box((3.0, 0.0), 1.0, 1.0, 0.0))))
     assert clearance_m(layout, (1.0, 0.0)) == pytest.approx(0.5)
     assert clearance_m(layout, (2.0, 0.0)) == pytest.approx(0.5)
     assert clearance_m(layout, (3.0, 0.0)) == pytest.approx(-0.5)
 
 
 @pytest.fixture(scope="module")
-def flown() -> tuple[Room, Flown]:
+def flown() -> tuple[RandomWorld, Flown]:
     """A tank with twelve obstacles, a wall with two doors and a jet, in the energy mode: 17 s of flight."""
     room = make_room(1_000_003)
     result = fly_room(room, 1)
@@ -224,27 +224,29 @@ def flown() -> tuple[Room, Flown]:
     return room, result
 
 
-def judged_again(room: Room, flown: Flown) -> RoomResult:
+def judged_again(room: RandomWorld, flown: Flown) -> RoomResult:
     """The same flight as if it had been in another room."""
     assert flown.watch is not None
     assert flown.end is not None
     return judge_flight(room, prospect(room), 1, flown.watch, flown.end)
 
 
-def test_a_room_is_flown_to_its_end(flown: tuple[Room, Flown]) -> None:
+def test_a_room_is_flown_to_its_end(flown: tuple[RandomWorld, Flown]) -> None:
     result = flown[1].result
-    assert result.outcome is Outcome.REACHED
+    assert result.outcome is WorldOutcome.REACHED
     assert result.faults == []
     assert result.visited == result.goals == len(flown[0].waypoints)
     assert result.simulated_s < result.bound_s
 
 
-def test_the_judge_sees_goals_that_were_not_visited_and_bounds_that_were_broken(flown: tuple[Room, Flown]) -> None:
+def test_the_judge_sees_goals_that_were_not_visited_and_bounds_that_were_broken(
+    flown: tuple[RandomWorld, Flown],
+) -> None:
     room, flight = flown
     assert judged_again(room, flight).faults == []
     last = {**room.waypoints[-1], "depth_m": room.waypoints[-1]["depth_m"] - 0.6}
     elsewhere = replace(room, plan={**room.plan, "waypoint": [*room.waypoints[:-1], last]})
-    assert judged_again(elsewhere, flight).outcome is Outcome.NOT_REACHED
+    assert judged_again(elsewhere, flight).outcome is WorldOutcome.NOT_REACHED
     assert flight.watch is not None
     middle = flight.watch.rows[len(flight.watch.rows) // 2]
     post = Disc((float(middle[1]), float(middle[2])), 0.05)
@@ -273,6 +275,6 @@ def test_the_judge_sees_goals_that_were_not_visited_and_bounds_that_were_broken(
 def test_a_wall_without_a_way_is_refused_by_the_service_itself(room: int, mode: int, reason: str) -> None:
     result = RoomTask(room=room, mode=mode, seed=1_000_000 + room).fly()
     assert result is not None
-    assert result.outcome is Outcome.REFUSED
+    assert result.outcome is WorldOutcome.REFUSED
     assert reason in result.what
     assert (result.room, result.mode, result.seed) == (room, mode, 1_000_000 + room)

@@ -16,7 +16,7 @@ from autopilot.core.messages import Inputs
 from autopilot.log.reader import Log, open_log
 from autopilot.mavlink.dialect import mav
 from autopilot.replay import service_inputs as replay_service
-from autopilot.replay.service import replay_service as replayed
+from autopilot.replay.service_replay import replay_service as replayed
 from autopilot.run.config import flight_settings
 from autopilot.run.signing_files import SigningFiles
 from autopilot.run.sitl_session import open_sitl

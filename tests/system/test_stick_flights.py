@@ -28,7 +28,7 @@ STEP_N, STEP_M = 3.0, 0.1
 
 
 class Pilot:
-    """A joystick and its ground station, in the vehicle's time (:class:`autopilot.run.outside.Peer`)."""
+    """A joystick and its ground station, in the vehicle's time (:class:`autopilot.run.outside.InProcessClient`)."""
 
     def __init__(self) -> None:
         self._codec: Any = mav.MAVLink(None, srcSystem=255, srcComponent=190)

@@ -12,9 +12,9 @@ from system_harness import OpenSession
 from wire_client import Harbour, WireClient
 
 from autopilot.core.desk import Desk
+from autopilot.log.directory_reader import LogShelf
 from autopilot.log.export import export_stills
 from autopilot.log.reader import open_log
-from autopilot.log.shelf import LogShelf
 
 CAMERA = 100
 

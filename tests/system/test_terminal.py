@@ -13,7 +13,7 @@ from autopilot.cli.campaign import campaign
 from autopilot.cli.main import cli
 
 SAID = """
-from autopilot.cli.demo import _progress
+from autopilot.cli.demo_command import _progress
 from autopilot.cli.log import print_rows
 from autopilot.log.check import Row, Verdict
 

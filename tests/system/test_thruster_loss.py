@@ -7,7 +7,7 @@ import pytest
 from system_harness import ROOT, OpenSession, fly_to_the_end
 
 from autopilot.core.messages import Failsafe, Outputs, ProgressState
-from autopilot.log.check import Row, Verdict, acceptance_table
+from autopilot.log.check import BoundRow, BoundVerdict, acceptance_table
 from autopilot.log.reader import open_log
 from autopilot.mission.paper import paper_plan
 from autopilot.mission.plan_files import write_plan
@@ -54,7 +54,7 @@ def _fly(
     return log
 
 
-def _rows(log: Path) -> dict[str, Row]:
+def _rows(log: Path) -> dict[str, BoundRow]:
     return {row.name: row for row in acceptance_table(open_log(log))}
 
 
@@ -63,7 +63,7 @@ def test_half_a_thruster_does_not_end_a_mission(session: OpenSession, tmp_path: 
     # Least energy asks so little of the lateral thruster that a lap may end before its loss shows.
     rows = _rows(_fly(session, tmp_path, thruster, 0.5, 50.0, QUADRATIC))
     assert rows["laps"].worst == 1
-    assert [row for row in rows.values() if row.verdict is Verdict.FAIL] == []
+    assert [row for row in rows.values() if row.verdict is BoundVerdict.FAIL] == []
     assert rows["failsafes raised"].worst == 0
     weakest = rows["lowest thruster effectiveness"].worst
     assert weakest is not None
@@ -76,7 +76,7 @@ def test_a_dead_horizontal_thruster_ends_safely(session: OpenSession, tmp_path: 
     rows = _rows(log)
     assert rows["contacts"].worst == 0
     for name in ("distance to cylinder 1", "distance to cylinder 2", "distance to walls"):
-        assert rows[name].verdict is not Verdict.FAIL, rows[name]
+        assert rows[name].verdict is not BoundVerdict.FAIL, rows[name]
     health = open_log(log)["/ctl/thrusters"]
     dead = health["effectiveness"][:, 0] == 0.0
     assert dead.any()

@@ -11,7 +11,7 @@ from hostile_folder import imported_from, make_hostile
 from pwm_vehicle import PwmVehicle, gone, keepers_of, until
 
 from autopilot.core.messages import Failsafe, Outputs
-from autopilot.drivers.keeper_process import KeeperProcess
+from autopilot.drivers.watchdog_process import KeeperProcess
 from autopilot.mavlink.api import CommandResult, FlightMode
 from autopilot.run.children import autopilot_command
 from autopilot.run.config import gather, vehicle_defaults
@@ -116,7 +116,7 @@ def flight(tmp_path: Path) -> Iterator[Flight]:
 
 def test_nobody_arms_before_the_watchdog_has_answered(flight: Flight, monkeypatch: pytest.MonkeyPatch) -> None:
     with monkeypatch.context() as slow:
-        slow.setattr("autopilot.drivers.keeper_process.CODE", "import time; time.sleep(600)")
+        slow.setattr("autopilot.drivers.watchdog_process.CODE", "import time; time.sleep(600)")
         flight.until(lambda: "thruster watchdog is starting: wait" in flight.refusals(), 60.0)
         flight.until(lambda: flight.keeper is not None and flight.keeper.pid is not None, 60.0)
     os.kill(flight.pid, signal.SIGKILL)
@@ -142,7 +142,7 @@ def test_a_watchdog_that_ends_again_and_again_is_a_failsafe_and_no_storm(
     keeper = flight.keeper
     assert keeper is not None
     before = keeper.starts
-    monkeypatch.setattr("autopilot.drivers.keeper_process.CODE", "raise SystemExit(1)")
+    monkeypatch.setattr("autopilot.drivers.watchdog_process.CODE", "raise SystemExit(1)")
     os.kill(flight.pid, signal.SIGKILL)
     flight.until(lambda: flight.failing() and flight.session.parts.commander.mode is FlightMode.SURFACE, 30.0)
     assert 1 <= keeper.starts - before <= 8

@@ -28,7 +28,7 @@ class Water:
         self.other: Water | None = None
 
     def step(self, t_us: int, received: Sequence[bytes]) -> list[bytes]:
-        """Of :class:`autopilot.run.outside.Peer`."""
+        """Of :class:`autopilot.run.outside.InProcessClient`."""
         assert self.other is not None
         heard, self.other.sent = self.other.sent, []
         self.sent += received

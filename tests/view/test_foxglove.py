@@ -15,7 +15,7 @@ import pytest
 from click.testing import CliRunner
 from viewers import PATIENCE_S, run
 
-from autopilot.cli.sitl import sitl
+from autopilot.cli.sitl_command import sitl
 from autopilot.core.errors import ConfigError
 from autopilot.log.cdr import decode, parse_definition
 from autopilot.log.topics import TOPICS

@@ -12,7 +12,7 @@ import pytest
 from viewers import Stream, run
 
 from autopilot.core.messages import Failsafe
-from autopilot.view.server import PAGES, POLICY
+from autopilot.view.http_server import PAGES, POLICY
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGE = ROOT / "autopilot" / "data" / "view"

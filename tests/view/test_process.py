@@ -10,12 +10,12 @@ import pytest
 from click.testing import CliRunner
 from viewers import Run, Stream, free_port, get, page_token, post, run
 
-from autopilot.cli.sitl import sitl as command
+from autopilot.cli.sitl_command import sitl as command
 from autopilot.core.errors import ConfigError
 from autopilot.log.reader import open_log
+from autopilot.view.http_server import ViewServer
 from autopilot.view.hub import MAX_VIEWERS
-from autopilot.view.server import ViewServer
-from autopilot.view.shown import Flow, Frame, Picture, Scene
+from autopilot.view.shown import FlowView, PictureView, SceneView, ViewFrame
 
 SCENARIO = """
 [scenario]
@@ -57,20 +57,20 @@ def sitl(tmp_path_factory: pytest.TempPathFactory) -> Any:
 def test_the_stream_has_every_field(sitl: Run) -> None:
     stream = Stream(sitl.port)
     assert stream.answer.getheader("Content-Type") == "text/event-stream"
-    scene = msgspec.convert(stream.until("scene"), Scene)
+    scene = msgspec.convert(stream.until("scene"), SceneView)
     assert scene.simulated and scene.title == "small pool" and scene.limits.thrust_n == 12.0
     assert len(scene.thrusters) == 4 and scene.tank_m[1] == (3.0, -2.0)
     wanted = stream.until("frame", lambda data: data["estimate"] and data["battery"] and data["loop"])
-    assert set(wanted) == set(Frame.__struct_fields__)
-    frame = msgspec.convert(wanted, Frame)
+    assert set(wanted) == set(ViewFrame.__struct_fields__)
+    frame = msgspec.convert(wanted, ViewFrame)
     assert frame.estimate is not None and frame.truth is not None
     assert frame.estimate.pos_ned_m == pytest.approx(frame.truth.pos_ned_m, abs=0.1)
     assert frame.solids[0].center_m == (1.0, 0.5)
     assert not frame.armed and frame.mode == "HOLD" and frame.thrust_n == (0.0,) * 4
     assert {sensor.name for sensor in frame.sensors} >= {"markers"}
-    later = msgspec.convert(stream.until("frame"), Frame)
+    later = msgspec.convert(stream.until("frame"), ViewFrame)
     assert later.t_s > frame.t_s
-    flow = msgspec.convert(stream.until("flow"), Flow)
+    flow = msgspec.convert(stream.until("flow"), FlowView)
     assert {arrow[2:] for arrow in flow.arrows} == {(0.05, 0.0)}
     stream.close()
 
@@ -248,7 +248,7 @@ def test_pictures_come_with_what_was_found(tmp_path: Path) -> None:
     with run(tmp_path, "paper-tank") as made:
         stream = Stream(made.port, "/events?pictures=1")
         data = stream.until("picture", lambda data: len(data["markers"]) >= 2)
-        picture = msgspec.convert(data, Picture)
+        picture = msgspec.convert(data, PictureView)
         assert (picture.width_px, picture.height_px) == (640, 480)
         assert all(len(corners) == 4 for _, corners in picture.markers)
         assert picture.jpeg.startswith("/9j/")
@@ -265,9 +265,9 @@ def test_a_real_vehicle_is_only_shown(tmp_path: Path) -> None:
     )
     with run(tmp_path, "--config", str(config), command="run") as made:
         stream = Stream(made.port)
-        scene = msgspec.convert(stream.until("scene"), Scene)
+        scene = msgspec.convert(stream.until("scene"), SceneView)
         assert not scene.simulated and scene.steerable.faults == () and not scene.steerable.pause
-        frame = msgspec.convert(stream.until("frame"), Frame)
+        frame = msgspec.convert(stream.until("frame"), ViewFrame)
         assert frame.estimate is None and frame.truth is None and frame.solids == () and not frame.paused
         asks: tuple[dict[str, object], ...] = (
             {"do": "pause"},

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from scipy import sparse
 from scipy.sparse.csgraph import dijkstra
 
-from autopilot.campaign.rooms.shapes import Disc, Layout, Point
+from autopilot.campaign.rooms.world_shapes import Disc, Point, WorldLayout
 from autopilot.core.frames import FloatArray
 
 BoolArray: TypeAlias = NDArray[np.bool_]
@@ -37,7 +37,7 @@ KEPT_GRAPHS = 3
 
 
 @dataclass(frozen=True, slots=True)
-class Way:
+class QuickestPath:
     """A quickest way."""
 
     time_s: float
@@ -45,13 +45,13 @@ class Way:
     length_m: float
 
 
-NO_WAY = Way(math.inf, math.inf)
+NO_WAY = QuickestPath(math.inf, math.inf)
 
 
 class Chart:
     """Clearance everywhere, to within a pixel."""
 
-    def __init__(self, layout: Layout, places: list[Point]) -> None:
+    def __init__(self, layout: WorldLayout, places: list[Point]) -> None:
         """``places``: what the picture has to show beside the layout (it is as large as the outline otherwise)."""
         low, high = _extent(layout, places)
         area = float(np.prod(high - low))
@@ -61,7 +61,7 @@ class Chart:
         self.distance_m = self._clearance(layout, (int(shape[0]), int(shape[1])))
         """(north, east) distance of each pixel's centre from what is forbidden, 0 in it."""
 
-    def _clearance(self, layout: Layout, shape: tuple[int, int]) -> NDArray[np.float32]:
+    def _clearance(self, layout: WorldLayout, shape: tuple[int, int]) -> NDArray[np.float32]:
         free = np.zeros(shape, dtype=np.uint8)
         if layout.outline_m is None:
             free[:] = 1
@@ -138,15 +138,15 @@ class Ways:
 
     def quickest(
         self, start: Point, goal: Point, reach_m: float, flow: Flow, *, water_m_s: float, ground_m_s: float, worst: bool
-    ) -> Way:
+    ) -> QuickestPath:
         """From a place to within ``reach_m`` of another, at ``water_m_s`` through the water and at most ``ground_m_s``
         over ground, in the worst (or the best) of the phases of the flow."""
         path = self._path(start, goal, reach_m, self._graph_of(flow, water_m_s, ground_m_s, worst=worst))
-        return NO_WAY if path is None else Way(path[1], self._length(path[0]))
+        return NO_WAY if path is None else QuickestPath(path[1], self._length(path[0]))
 
     def shortest(
         self, start: Point, goal: Point, reach_m: float, flow: Flow, *, water_m_s: float, ground_m_s: float
-    ) -> Way:
+    ) -> QuickestPath:
         """The same along the shortest way over ground, whatever the water does there, in the worst of its phases."""
         path = self._path(start, goal, reach_m, self._graph_of(still, ground_m_s, ground_m_s, worst=True))
         if path is None:
@@ -155,7 +155,7 @@ class Ways:
         graph = self._graph_of(flow, water_m_s, ground_m_s, worst=True)
         times = [float(graph[a, b]) for a, b in itertools.pairwise(cells)]
         # What is not in the graph is no way, and reads 0.
-        return Way(sum(times) if all(times) else math.inf, self._length(cells))
+        return QuickestPath(sum(times) if all(times) else math.inf, self._length(cells))
 
     def _path(
         self, start: Point, goal: Point, reach_m: float, graph: sparse.csr_matrix
@@ -251,7 +251,7 @@ def _any_of(free: BoolArray, block: int) -> BoolArray:
     return np.asarray(padded.reshape(rows, block, columns, block).any(axis=(1, 3)), dtype=np.bool_)
 
 
-def _extent(layout: Layout, places: list[Point]) -> tuple[FloatArray, FloatArray]:
+def _extent(layout: WorldLayout, places: list[Point]) -> tuple[FloatArray, FloatArray]:
     if layout.outline_m is not None:
         corners = np.array(layout.outline_m)
         return corners.min(axis=0), corners.max(axis=0)

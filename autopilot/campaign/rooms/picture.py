@@ -5,16 +5,16 @@ from typing import Any, cast
 
 import numpy as np
 
-from autopilot.campaign.rooms.flight import Flown
-from autopilot.campaign.rooms.room import Room, current_table
-from autopilot.campaign.rooms.shapes import Disc
+from autopilot.campaign.rooms.random_world import RandomWorld, current_table
 from autopilot.campaign.rooms.waters import flow_of
+from autopilot.campaign.rooms.world_flight import Flown
+from autopilot.campaign.rooms.world_shapes import Disc
 from autopilot.core.frames import FloatArray
 
 ARROWS = 16
 
 
-def draw(room: Room, flown: Flown, path: Path) -> None:
+def draw(room: RandomWorld, flown: Flown, path: Path) -> None:
     """Write a PNG."""
     from matplotlib.figure import Figure
     from matplotlib.patches import Circle, Polygon
@@ -61,7 +61,7 @@ def _frame(plan: Any, points: FloatArray) -> None:
     plan.set_ylim(low[0], high[0])
 
 
-def _water(plan: Any, room: Room, places: FloatArray) -> None:
+def _water(plan: Any, room: RandomWorld, places: FloatArray) -> None:
     low, high = places.min(axis=0) - 3.0, places.max(axis=0) + 3.0
     north, east = np.meshgrid(np.linspace(low[0], high[0], ARROWS), np.linspace(low[1], high[1], ARROWS), indexing="ij")
     where = np.stack((north.ravel(), east.ravel()), axis=1)
@@ -69,7 +69,7 @@ def _water(plan: Any, room: Room, places: FloatArray) -> None:
     plan.quiver(where[:, 1], where[:, 0], flow[:, 1], flow[:, 0], color="tab:blue", alpha=0.35)
 
 
-def _times(figure: Any, room: Room, flown: Flown) -> None:
+def _times(figure: Any, room: RandomWorld, flown: Flown) -> None:
     assert flown.watch is not None
     rows, params = flown.watch.rows, room.scenario["params"]
     speed = figure.add_subplot(3, 1, 1)

@@ -10,11 +10,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from autopilot.campaign.rooms.chart import NO_WAY, Chart, Flow, Way, still
-from autopilot.campaign.rooms.room import MARGIN_M, Room, current_table
-from autopilot.campaign.rooms.shapes import Point
+from autopilot.campaign.rooms.chart import NO_WAY, Chart, Flow, QuickestPath, still
+from autopilot.campaign.rooms.random_world import MARGIN_M, RandomWorld, current_table
 from autopilot.campaign.rooms.vehicles import speed_held_m_s
 from autopilot.campaign.rooms.waters import flow_of
+from autopilot.campaign.rooms.world_shapes import Point
 
 SURE_SHARE = 0.75
 """Of what the vehicle swims; a goal that needs more of it may be declined."""
@@ -76,7 +76,7 @@ class Prospect:
         return next((leg.must(mode) for leg in self.legs if leg.seq > seq), False)
 
 
-def item_seqs(room: Room) -> list[int]:
+def item_seqs(room: RandomWorld) -> list[int]:
     """Mission item of every waypoint: changes of speed are items of their own."""
     found, seq = [], 0
     for waypoint in room.waypoints:
@@ -86,14 +86,14 @@ def item_seqs(room: Room) -> list[int]:
     return found
 
 
-def swims_m_s(room: Room) -> float:
+def swims_m_s(room: RandomWorld) -> float:
     """Fastest through the water: the limit, or less with these thrusters and the drag that the plant has."""
     params, mismatch = room.scenario["params"], room.scenario["vehicle"]["mismatch"]
     force = 2.0 * params["THR_LIMIT"] * min(1.0, mismatch.get("thrust", 1.0)) / max(1.0, mismatch.get("drag", 1.0))
     return min(float(params["SPD_PLANAR_MAX"]), speed_held_m_s(room.vehicle, 0, 0.85 * force))
 
 
-def prospect(room: Room) -> Prospect:
+def prospect(room: RandomWorld) -> Prospect:
     """All goals of a room in the order of the mission, the way home included if it ends there."""
     keep, swims = room.vehicle.radius_m + MARGIN_M, swims_m_s(room)
     flow = flow_of(current_table(room.scenario["current"]))
@@ -123,7 +123,7 @@ TURN_S = 8.0
 
 
 class _Judge:
-    def __init__(self, room: Room, chart: Chart, flow: Flow, keep: float, swims: float) -> None:
+    def __init__(self, room: RandomWorld, chart: Chart, flow: Flow, keep: float, swims: float) -> None:
         self._room, self._chart, self._flow, self._swims, self._keep = room, chart, flow, swims, keep
         slack = 1.5 * chart.pixel_m + ROUNDING_M
         places = [room.start_m, *((float(w["x_m"]), float(w["y_m"])) for w in room.waypoints)]
@@ -185,7 +185,9 @@ class _Judge:
             bound_s=bound,
         )
 
-    def _quickest(self, here: Point, there: Point, reach: float, water: float, ground: float, *, worst: bool) -> Way:
+    def _quickest(
+        self, here: Point, there: Point, reach: float, water: float, ground: float, *, worst: bool
+    ) -> QuickestPath:
         return self._strict.quickest(here, there, reach, self._flow, water_m_s=water, ground_m_s=ground, worst=worst)
 
     def _water(self, place: Point) -> float:

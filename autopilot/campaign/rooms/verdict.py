@@ -10,15 +10,22 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from autopilot.campaign.rooms.prospect import Leg, Prospect, item_seqs
-from autopilot.campaign.rooms.results import Outcome, RoomResult
-from autopilot.campaign.rooms.room import Room
-from autopilot.campaign.rooms.shapes import Block, Disc, Solid, clearance_m, polygon_clearance_m, solid_clearance_m
+from autopilot.campaign.rooms.random_world import RandomWorld
+from autopilot.campaign.rooms.world_results import RoomResult, WorldOutcome
+from autopilot.campaign.rooms.world_shapes import (
+    Block,
+    Disc,
+    Solid,
+    clearance_m,
+    polygon_clearance_m,
+    solid_clearance_m,
+)
 from autopilot.core.frames import wrap_pi
 from autopilot.log.smoothness import measure
 from autopilot.sitl.plant import Truth
 
 if TYPE_CHECKING:
-    from autopilot.campaign.rooms.flight import RoomWatch
+    from autopilot.campaign.rooms.world_flight import RoomWatch
 
 SEEN_M = 0.05
 """A goal counts as visited by so much more than its acceptance: the estimate is not the truth."""
@@ -42,10 +49,10 @@ def is_hopeless(text: str) -> bool:
     return bool(_HOPELESS.search(text))
 
 
-def judge_refusal(room: Room, chances: Prospect, reason: str) -> RoomResult:
+def judge_refusal(room: RandomWorld, chances: Prospect, reason: str) -> RoomResult:
     """A room that was refused before the vehicle moved: is the reason that it was given so?"""
     right, why = _refusal(room, chances, reason)
-    outcome = Outcome.REFUSED if right else Outcome.MISREFUSED
+    outcome = WorldOutcome.REFUSED if right else WorldOutcome.MISREFUSED
     return RoomResult(
         room=0,
         mode=0,
@@ -61,7 +68,7 @@ def _short(reason: str) -> str:
     return re.sub(r"^.*?\.toml: (cannot be flown: )?", "", reason).split("; mend the plan")[0]
 
 
-def _refusal(room: Room, chances: Prospect, reason: str) -> tuple[bool, str]:
+def _refusal(room: RandomWorld, chances: Prospect, reason: str) -> tuple[bool, str]:
     """Whether a refusal is right, and if not why not."""
     if "gap of" in reason:
         return _narrow_gap(room), "no two shapes are nearer than the vehicle is wide"
@@ -92,7 +99,7 @@ def _refusal(room: Room, chances: Prospect, reason: str) -> tuple[bool, str]:
     return False, "the judge does not know this reason"
 
 
-def _waypoint(room: Room, seq: int, *, before: bool = False) -> dict[str, float] | None:
+def _waypoint(room: RandomWorld, seq: int, *, before: bool = False) -> dict[str, float] | None:
     """The waypoint of a mission item; ``before``: its change of speed counts as it."""
     for number, waypoint in zip(item_seqs(room), room.waypoints, strict=True):
         if number == seq or (before and "speed_m_s" in waypoint and number == seq + 1):
@@ -104,7 +111,7 @@ def _leg(chances: Prospect, seq: int) -> Leg | None:
     return next((leg for leg in chances.legs if leg.seq == seq), None)
 
 
-def _narrow_gap(room: Room) -> bool:
+def _narrow_gap(room: RandomWorld) -> bool:
     """Whether any two shapes leave less than the vehicle's width between them."""
     width = 2.0 * room.vehicle.radius_m + GAP_M
     solids = room.layout.solids
@@ -142,7 +149,7 @@ def _gap_m(a: Solid, b: Solid) -> float:
     )
 
 
-def judge_flight(room: Room, chances: Prospect, mode: int, watch: RoomWatch, end: Truth) -> RoomResult:
+def judge_flight(room: RandomWorld, chances: Prospect, mode: int, watch: RoomWatch, end: Truth) -> RoomResult:
     """A room in which the vehicle moved."""
     visited = _visits(room, watch)
     goals = len(room.waypoints)
@@ -175,7 +182,7 @@ def judge_flight(room: Room, chances: Prospect, mode: int, watch: RoomWatch, end
     )
 
 
-def _visits(room: Room, watch: RoomWatch) -> int:
+def _visits(room: RandomWorld, watch: RoomWatch) -> int:
     """How many waypoints the plant came to in their order."""
     rows, params = watch.rows, room.scenario["params"]
     at, visited = 0, 0
@@ -204,27 +211,27 @@ def _swept(chances: Prospect, watch: RoomWatch) -> bool:
 
 
 def _outcome(
-    room: Room, chances: Prospect, mode: int, watch: RoomWatch, visited: int, *, done: bool, swept: bool
-) -> tuple[Outcome, str]:
+    room: RandomWorld, chances: Prospect, mode: int, watch: RoomWatch, visited: int, *, done: bool, swept: bool
+) -> tuple[WorldOutcome, str]:
     if done:
-        return Outcome.REACHED, ""
+        return WorldOutcome.REACHED, ""
     stuck = chances.legs[min(visited, len(chances.legs) - 1)]
     ground = [text for _, _, text in watch.told if _GROUND.search(text)]
     said = [text for _, _, text in watch.told if _WATER.search(text) or _GROUND.search(text)]
     said = [text for text in said if _names(text, stuck.seq)]
     about = f"item {stuck.seq} ({visited} of {len(room.waypoints)} visited, {_away(room, watch, visited)})"
     if ground and visited and not stuck.ground:
-        return Outcome.NOT_REACHED, f"accepted though there is no way, and told on it: {about}"
+        return WorldOutcome.NOT_REACHED, f"accepted though there is no way, and told on it: {about}"
     if not stuck.must(mode) or swept:
         if said:
-            return Outcome.TOLD, f"{said[-1]} at {about}"
+            return WorldOutcome.TOLD, f"{said[-1]} at {about}"
         if not stuck.possible or swept:
-            return Outcome.NOT_REACHED, f"cannot be reached and nothing was said: {about}"
-        return Outcome.NOT_REACHED, f"hardly to be reached and nothing was said: {about}"
+            return WorldOutcome.NOT_REACHED, f"cannot be reached and nothing was said: {about}"
+        return WorldOutcome.NOT_REACHED, f"hardly to be reached and nothing was said: {about}"
     if watch.completed:
-        return Outcome.NOT_REACHED, f"says complete without having been there: {about}"
+        return WorldOutcome.NOT_REACHED, f"says complete without having been there: {about}"
     last = f", said: {watch.told[-1][2]}" if watch.told else ""
-    return Outcome.NOT_REACHED, f"{about} in {chances.bound_s(mode):.0f} s{last}"
+    return WorldOutcome.NOT_REACHED, f"{about} in {chances.bound_s(mode):.0f} s{last}"
 
 
 def _names(text: str, seq: int) -> bool:
@@ -233,7 +240,7 @@ def _names(text: str, seq: int) -> bool:
     return found is None or int(found[1]) == seq
 
 
-def _away(room: Room, watch: RoomWatch, visited: int) -> str:
+def _away(room: RandomWorld, watch: RoomWatch, visited: int) -> str:
     row = watch.rows[-1]
     if visited >= len(room.waypoints):
         return "mission not complete"
@@ -244,7 +251,7 @@ def _away(room: Room, watch: RoomWatch, visited: int) -> str:
     return f"{distance:.2f} m away, {deep:+.2f} m deep{turn}"
 
 
-def _broken(room: Room, watch: RoomWatch) -> dict[str, float]:
+def _broken(room: RandomWorld, watch: RoomWatch) -> dict[str, float]:
     """Bounds that were broken by more than their tolerance."""
     params, vehicle = room.scenario["params"], room.vehicle
     rows = watch.rows[watch.mission.holds(watch.column("t_s"))]

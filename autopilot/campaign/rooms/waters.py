@@ -7,7 +7,7 @@ import numpy as np
 
 from autopilot.campaign.rooms.chart import Flow
 from autopilot.core.frames import FloatArray
-from autopilot.sitl.currents import CurrentField, Uniform, current_field
+from autopilot.sitl.current_fields import CurrentField, Uniform, current_field
 from autopilot.sitl.scenario_tables import Current
 
 STEEPEST_1_S = 0.6

@@ -1,1 +1,1 @@
-"""What the vehicle does in each flight mode: a class per mode, in the table of :mod:`autopilot.command.modes.table`."""
+"""The behaviour of each flight mode: a class per mode, in the table of :mod:`autopilot.command.modes.mode_table`."""

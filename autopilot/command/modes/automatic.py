@@ -5,12 +5,12 @@ from dataclasses import replace
 import numpy as np
 
 from autopilot.command.arming import CHECKING
-from autopilot.command.conditions import Conditions
-from autopilot.command.modes.mode import GO_ON, Mode, Step, Tools, denied
+from autopilot.command.conditions import TickInputs
+from autopilot.command.modes.mode import GO_ON, FlightModeBehaviour, ModeStep, Tools, denied
 from autopilot.core import operator_messages as notices
 from autopilot.core.messages import Goal, NavState
 from autopilot.core.plan import PlanKind
-from autopilot.mavlink.api import Answer, CommandResult, FlightMode
+from autopilot.mavlink.api import CommandReply, CommandResult, FlightMode
 from autopilot.mission.sequencer import Action, is_inside
 
 DIVED_M = 0.1
@@ -20,24 +20,24 @@ SURFACED_M = 0.05
 """The vehicle counts as surfaced within this distance of where it floats."""
 
 
-class HoldMode(Mode):
+class HoldMode(FlightModeBehaviour):
     """Station keeping, and go-to."""
 
     name = FlightMode.HOLD
 
 
-class MissionMode(Mode):
+class MissionMode(FlightModeBehaviour):
     """The items of the plan in force."""
 
     name = FlightMode.MISSION
     changes_depth = False
 
-    def refusal(self, conditions: Conditions | None, *, armed: bool) -> Answer | None:
+    def refusal(self, conditions: TickInputs | None, *, armed: bool) -> CommandReply | None:
         """However it is to be begun."""
         if not self._plans.items(PlanKind.MISSION):
             return denied("No mission: upload one first")
         if self._plans.checking:
-            return Answer(result=CommandResult.TEMPORARILY_REJECTED, reason=f"Mission denied: {CHECKING}")
+            return CommandReply(result=CommandResult.TEMPORARILY_REJECTED, reason=f"Mission denied: {CHECKING}")
         reason, nav = self._plans.problem, None if conditions is None else conditions.estimate
         if armed:
             if not reason and nav is not None and self._goals.clearance_m(nav.pos_ned_m) < 0.0:
@@ -53,7 +53,7 @@ class MissionMode(Mode):
         """It stays where it stands."""
         self._mission.sequencer.pause()
 
-    def step(self, conditions: Conditions, nav: NavState) -> Step:
+    def step(self, conditions: TickInputs, nav: NavState) -> ModeStep:
         """The goal of this tick, or what the mission ends with."""
         t_us = conditions.t_us
         out = self._mission.step(t_us, nav)
@@ -61,23 +61,23 @@ class MissionMode(Mode):
             self._mission.move_home(out.home_ned_m)
         if out.action is Action.HOLD:
             reached = self._mission.completed(t_us, out.progress.lap, out.reached)
-            return Step(goal=out.goal, settle=True, reached=reached, orders=out.orders)
+            return ModeStep(goal=out.goal, settle=True, reached=reached, orders=out.orders)
         surface = FlightMode.SURFACE if out.action is Action.SURFACE else None
-        return Step(goal=out.goal, choose=surface, reached=out.reached, orders=out.orders)
+        return ModeStep(goal=out.goal, choose=surface, reached=out.reached, orders=out.orders)
 
-    def watch(self, conditions: Conditions, goal: Goal, nav: NavState) -> Step:
+    def watch(self, conditions: TickInputs, goal: Goal, nav: NavState) -> ModeStep:
         """An item that the vehicle gets no nearer to."""
         travels = self._mission.sequencer.travelling
         return self._watch_way(conditions, goal, nav, flies=True) if travels else super().watch(conditions, goal, nav)
 
 
-class ReturnMode(Mode):
+class ReturnMode(FlightModeBehaviour):
     """Back to home at the present depth, then hold."""
 
     name = FlightMode.RETURN
     changes_depth = False
 
-    def refusal(self, conditions: Conditions | None, *, armed: bool) -> Answer | None:
+    def refusal(self, conditions: TickInputs | None, *, armed: bool) -> CommandReply | None:
         """Home beyond the fence."""
         refusal = self._goals.refuse_home()
         return denied(f"Return denied: {refusal}") if refusal else None
@@ -86,13 +86,13 @@ class ReturnMode(Mode):
         """Home."""
         return self._goals.home(nav)
 
-    def watch(self, conditions: Conditions, goal: Goal, nav: NavState) -> Step:
+    def watch(self, conditions: TickInputs, goal: Goal, nav: NavState) -> ModeStep:
         """A home that the vehicle gets no nearer to."""
         there = is_inside(goal, nav)
         return super().watch(conditions, goal, nav) if there else self._watch_way(conditions, goal, nav, flies=False)
 
 
-class SurfaceMode(Mode):
+class SurfaceMode(FlightModeBehaviour):
     """Up where the vehicle is, then disarm."""
 
     name = FlightMode.SURFACE
@@ -102,16 +102,16 @@ class SurfaceMode(Mode):
         """Above where the vehicle comes to rest."""
         return self._goals.surface(nav)
 
-    def watch(self, conditions: Conditions, goal: Goal, nav: NavState) -> Step:
+    def watch(self, conditions: TickInputs, goal: Goal, nav: NavState) -> ModeStep:
         """At the surface it is over."""
         super().watch(conditions, goal, nav)
         if nav.pos_ned_m[2] > self._goals.top_m + SURFACED_M:
             return GO_ON
         self._operator.say(notices.SURFACED())
-        return Step(disarm=True)
+        return ModeStep(disarm=True)
 
 
-class TakeoffMode(Mode):
+class TakeoffMode(FlightModeBehaviour):
     """Down to a depth, then hold."""
 
     name = FlightMode.TAKEOFF
@@ -141,10 +141,10 @@ class TakeoffMode(Mode):
         rest = self._goals.hold(nav)
         return replace(rest, pos_ned_m=np.array([*rest.pos_ned_m[:2], self._depth_m]))
 
-    def watch(self, conditions: Conditions, goal: Goal, nav: NavState) -> Step:
+    def watch(self, conditions: TickInputs, goal: Goal, nav: NavState) -> ModeStep:
         """At its depth it is over."""
         super().watch(conditions, goal, nav)
         if abs(nav.pos_ned_m[2] - goal.pos_ned_m[2]) >= DIVED_M:
             return GO_ON
         self._operator.say(notices.DIVED(depth_m=goal.pos_ned_m[2]))
-        return Step(settle=True)
+        return ModeStep(settle=True)

@@ -2,16 +2,16 @@
 
 import math
 
-from autopilot.command.conditions import Conditions
-from autopilot.command.modes.mode import GO_ON, Mode, Step, Tools
+from autopilot.command.conditions import TickInputs
+from autopilot.command.modes.mode import GO_ON, FlightModeBehaviour, ModeStep, Tools
 from autopilot.core import operator_messages as notices
 from autopilot.core.geodesy import refuse_place
 from autopilot.core.messages import NavState
 from autopilot.mavlink.api import Circling, FlightMode
-from autopilot.mission.circling import Circle
+from autopilot.mission.circling import LoiterCircle
 
 
-class CircleMode(Mode):
+class CircleMode(FlightModeBehaviour):
     """The circle that was chosen last."""
 
     name = FlightMode.CIRCLE
@@ -19,7 +19,7 @@ class CircleMode(Mode):
 
     def __init__(self, tools: Tools) -> None:
         super().__init__(tools)
-        self._circle: Circle | None = None
+        self._circle: LoiterCircle | None = None
 
     def prepare(self, nav: NavState | None, *, armed: bool) -> str:
         """By itself its centre lies ahead of the vehicle."""
@@ -28,15 +28,15 @@ class CircleMode(Mode):
         reason = self._choose_ahead(nav)
         return f"Circle denied: {reason}" if reason else ""
 
-    def step(self, conditions: Conditions, nav: NavState) -> Step:
+    def step(self, conditions: TickInputs, nav: NavState) -> ModeStep:
         """Until its turns are made."""
         if self._circle is None:
             return GO_ON
         goal = self._circle.goal(nav)
         if not self._circle.over:
-            return Step(goal=goal)
+            return ModeStep(goal=goal)
         self._operator.say(notices.CIRCLE_DONE())
-        return Step(goal=goal, enter=FlightMode.HOLD)
+        return ModeStep(goal=goal, enter=FlightMode.HOLD)
 
     def go_to_depth(self, depth_m: float) -> str | None:
         """The circle at another depth."""
@@ -63,7 +63,7 @@ class CircleMode(Mode):
         radius_m = params["CIRCLE_RADIUS"] if asked.radius_m is None else asked.radius_m
         speed = abs(params["CIRCLE_SPEED"]) if asked.speed_m_s is None else abs(asked.speed_m_s)
         clockwise = params["CIRCLE_SPEED"] >= 0.0 if asked.clockwise is None else asked.clockwise
-        circle = Circle(
+        circle = LoiterCircle(
             params,
             (centre_m[0], centre_m[1]),
             radius_m,
@@ -82,9 +82,9 @@ class CircleMode(Mode):
         radius_m, yaw = params["CIRCLE_RADIUS"], float(nav.rpy_rad[2])
         centre_m = (x + radius_m * math.cos(yaw), y + radius_m * math.sin(yaw))
         speed = params["CIRCLE_SPEED"] or 0.1
-        return self._take(Circle(params, centre_m, radius_m, speed, depth_m=self._goals.in_band(z)))
+        return self._take(LoiterCircle(params, centre_m, radius_m, speed, depth_m=self._goals.in_band(z)))
 
-    def _take(self, circle: Circle) -> str:
+    def _take(self, circle: LoiterCircle) -> str:
         keep_m = self._vehicle.radius_m + self._params["MPC_MARGIN"]
         reason = circle.refusal(self._goals.room, keep_m)
         if not reason:

@@ -5,12 +5,12 @@ from dataclasses import replace
 
 import numpy as np
 
-from autopilot.command.conditions import Conditions
-from autopilot.command.modes.mode import Mode, Step, Tools, denied
+from autopilot.command.conditions import TickInputs
+from autopilot.command.modes.mode import FlightModeBehaviour, ModeStep, Tools, denied
 from autopilot.core import operator_messages as notices
 from autopilot.core.frames import FloatArray, wrap_pi
-from autopilot.core.messages import Drive, Goal, NavState
-from autopilot.mavlink.api import Answer, FlightMode, SetPoint
+from autopilot.core.messages import Goal, NavState, VelocityGoal
+from autopilot.mavlink.api import CommandReply, FlightMode, SetPoint
 
 NONE_YET = "send set points first"
 
@@ -18,7 +18,7 @@ FRESH_TICKS = 5
 """Velocities of the body follow the heading so often."""
 
 
-class GuidedMode(Mode):
+class GuidedMode(FlightModeBehaviour):
     """The newest set point, and the goal that it makes."""
 
     name = FlightMode.GUIDED
@@ -39,7 +39,7 @@ class GuidedMode(Mode):
         self._made_of: SetPoint | None = None
         self._age = 0
 
-    def refusal(self, conditions: Conditions | None, *, armed: bool) -> Answer | None:
+    def refusal(self, conditions: TickInputs | None, *, armed: bool) -> CommandReply | None:
         """No position, or nothing to follow."""
         refusal = super().refusal(conditions, armed=armed)
         if refusal is None and armed and conditions is not None and not self._alive(conditions.t_us):
@@ -50,12 +50,12 @@ class GuidedMode(Mode):
         """What set points leave open is held from here."""
         self._forget()
 
-    def step(self, conditions: Conditions, nav: NavState) -> Step:
+    def step(self, conditions: TickInputs, nav: NavState) -> ModeStep:
         """As long as they come."""
         if self._alive(conditions.t_us):
-            return Step(goal=self._followed(nav))
+            return ModeStep(goal=self._followed(nav))
         self._operator.say(notices.SETPOINTS_STOPPED())
-        return Step(enter=FlightMode.HOLD)
+        return ModeStep(enter=FlightMode.HOLD)
 
     def refuse_point(self, point: SetPoint) -> str:
         """Why it cannot be followed, "" if it can."""
@@ -92,7 +92,7 @@ class GuidedMode(Mode):
         north, east = self._velocity(point, nav)
         if point.vel_m_s is None and point.down_m_s is None and point.yaw_rate_rad_s is None:
             return goal
-        drive = Drive(
+        drive = VelocityGoal(
             north_m_s=north,
             east_m_s=east,
             turn_rad_s=(point.yaw_rate_rad_s or 0.0) if point.body else 0.0,

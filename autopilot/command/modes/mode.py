@@ -4,13 +4,13 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 from autopilot.command.announcements import Announcements
-from autopilot.command.conditions import Conditions
+from autopilot.command.conditions import TickInputs
 from autopilot.command.mission_run import MissionRun
 from autopilot.control.thrust.by_hand import ByHand
 from autopilot.core.messages import Goal, NavState
 from autopilot.core.params import ParamSet
 from autopilot.core.vehicle import Vehicle
-from autopilot.mavlink.api import Answer, CommandResult, FlightMode, Sticks
+from autopilot.mavlink.api import CommandReply, CommandResult, FlightMode, Sticks
 from autopilot.mission.goals import Goals
 from autopilot.mission.items import Order
 from autopilot.mission.store import Plans
@@ -19,9 +19,9 @@ RELEASED = Sticks()
 """Nobody steers."""
 
 
-def denied(reason: str) -> Answer:
+def denied(reason: str) -> CommandReply:
     """No, and why."""
-    return Answer(result=CommandResult.DENIED, reason=reason)
+    return CommandReply(result=CommandResult.DENIED, reason=reason)
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -37,7 +37,7 @@ class Tools:
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class Step:
+class ModeStep:
     """What a mode wants on a tick."""
 
     goal: Goal | None = None
@@ -56,10 +56,10 @@ class Step:
     """Of mission items passed, for what the vehicle carries."""
 
 
-GO_ON = Step()
+GO_ON = ModeStep()
 
 
-class Mode:
+class FlightModeBehaviour:
     """One flight mode; one instance per vehicle. This one holds its place: the others say what they do differently."""
 
     name: ClassVar[FlightMode]
@@ -78,7 +78,7 @@ class Mode:
         self._mission = tools.mission
         self._operator = tools.operator
 
-    def refusal(self, conditions: Conditions | None, *, armed: bool) -> Answer | None:
+    def refusal(self, conditions: TickInputs | None, *, armed: bool) -> CommandReply | None:
         """Why it cannot be entered, None if it can. ``conditions`` are None before the first tick."""
         if self.steered and self.needs_position and armed and conditions is not None and conditions.estimate is None:
             return denied(f"{self.name.name} denied: no position, use STABILIZE")
@@ -98,16 +98,16 @@ class Mode:
         """Where it goes from here, until a step says otherwise."""
         return self._goals.hold(nav)
 
-    def step(self, conditions: Conditions, nav: NavState) -> Step:
+    def step(self, conditions: TickInputs, nav: NavState) -> ModeStep:
         """One tick with a position."""
         return GO_ON
 
-    def watch(self, conditions: Conditions, goal: Goal, nav: NavState) -> Step:
+    def watch(self, conditions: TickInputs, goal: Goal, nav: NavState) -> ModeStep:
         """After the goal of the tick is known: does it end?"""
         self._mission.forget_progress()
         return GO_ON
 
-    def by_hand(self, conditions: Conditions) -> ByHand | None:
+    def by_hand(self, conditions: TickInputs) -> ByHand | None:
         """What a pilot asks for where there is no position, None = nothing can be done without one."""
         return None
 
@@ -118,7 +118,7 @@ class Mode:
         """Another depth within the mode: why not, "" when it is gone to; None = the mode has no way of its own."""
         return None
 
-    def _watch_way(self, conditions: Conditions, goal: Goal, nav: NavState, *, flies: bool) -> Step:
+    def _watch_way(self, conditions: TickInputs, goal: Goal, nav: NavState, *, flies: bool) -> ModeStep:
         """A goal that is travelled to, ``flies``: an item of the mission, else home."""
         stuck = self._mission.watch_way(conditions, goal, nav, flies=flies)
-        return Step(enter=FlightMode.HOLD) if stuck else GO_ON
+        return ModeStep(enter=FlightMode.HOLD) if stuck else GO_ON

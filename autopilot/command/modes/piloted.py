@@ -11,13 +11,13 @@ from typing import ClassVar
 
 import numpy as np
 
-from autopilot.command.conditions import Conditions
-from autopilot.command.modes.mode import RELEASED, Mode, Step, Tools, denied
+from autopilot.command.conditions import TickInputs
+from autopilot.command.modes.mode import RELEASED, FlightModeBehaviour, ModeStep, Tools, denied
 from autopilot.control.thrust.by_hand import ByHand
 from autopilot.core.frames import FloatArray
-from autopilot.core.messages import Drive, Goal, NavState
+from autopilot.core.messages import Goal, NavState, VelocityGoal
 from autopilot.core.sharing import Sharing
-from autopilot.mavlink.api import Answer, FlightMode, Sticks
+from autopilot.mavlink.api import CommandReply, FlightMode, Sticks
 
 FRESH_TICKS = 5
 """While something moves the goal follows heading and current so often: once a control step."""
@@ -48,7 +48,7 @@ class _Held:
     yaw_rad: float | None = None
 
 
-class PilotedMode(Mode):
+class PilotedMode(FlightModeBehaviour):
     """Sticks to goals and forces."""
 
     steered = True
@@ -77,9 +77,9 @@ class PilotedMode(Mode):
         """What is held is another thing with a position than without."""
         self.enter(None)
 
-    def step(self, conditions: Conditions, nav: NavState) -> Step:
+    def step(self, conditions: TickInputs, nav: NavState) -> ModeStep:
         """The motion that the sticks ask for."""
-        return Step(goal=self._goal_of(conditions.sticks or RELEASED, nav))
+        return ModeStep(goal=self._goal_of(conditions.sticks or RELEASED, nav))
 
     def _goal_of(self, sticks: Sticks, nav: NavState) -> Goal:
         """The same object while nothing changes."""
@@ -94,7 +94,7 @@ class PilotedMode(Mode):
         assert self._goal is not None
         return self._goal
 
-    def by_hand(self, conditions: Conditions) -> ByHand | None:
+    def by_hand(self, conditions: TickInputs) -> ByHand | None:
         """Forces, and what of depth and heading can be held."""
         sticks = conditions.sticks or RELEASED
         reach = self._reach_n()
@@ -120,7 +120,7 @@ class PilotedMode(Mode):
             drive=drive,
         )
 
-    def _planar(self, sticks: Sticks, nav: NavState, rest: Goal) -> Drive:
+    def _planar(self, sticks: Sticks, nav: NavState, rest: Goal) -> VelocityGoal:
         """North and east."""
         yaw, held = float(nav.rpy_rad[2]), self._held
         ahead, starboard = sticks.ahead, sticks.starboard
@@ -128,7 +128,7 @@ class PilotedMode(Mode):
         if self.holds_place:
             if not (ahead or starboard):
                 held.place = rest.pos_ned_m[:2].copy() if held.place is None else held.place
-                return Drive()
+                return VelocityGoal()
             u, v = (self._params["PILOT_SPD"] * wish for wish in (ahead, starboard))
         else:
             model, reach = self._model, self._reach_n()
@@ -139,7 +139,7 @@ class PilotedMode(Mode):
             north, east = float(nav.current_ned_m_s[0]), float(nav.current_ned_m_s[1])
         held.place = None
         c, s = math.cos(yaw), math.sin(yaw)
-        return Drive(north_m_s=north + c * u - s * v, east_m_s=east + s * u + c * v)
+        return VelocityGoal(north_m_s=north + c * u - s * v, east_m_s=east + s * u + c * v)
 
     def _others(self, sticks: Sticks, nav: NavState, rest: Goal) -> tuple[float | None, float | None]:
         """Rates of depth and heading, or what of them is held."""
@@ -203,7 +203,7 @@ class DepthHoldMode(PilotedMode):
     name = FlightMode.ALT_HOLD
     needs_position = False
 
-    def refusal(self, conditions: Conditions | None, *, armed: bool) -> Answer | None:
+    def refusal(self, conditions: TickInputs | None, *, armed: bool) -> CommandReply | None:
         """Neither position nor depth."""
         if not armed or conditions is None or conditions.estimate is not None:
             return None

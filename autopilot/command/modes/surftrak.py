@@ -3,15 +3,15 @@
 import math
 from dataclasses import replace
 
-from autopilot.command.conditions import Conditions
-from autopilot.command.modes.mode import RELEASED, Step, Tools, denied
+from autopilot.command.conditions import TickInputs
+from autopilot.command.modes.mode import RELEASED, ModeStep, Tools, denied
 from autopilot.command.modes.piloted import DepthHoldMode
 from autopilot.control.thrust.by_hand import ByHand
 from autopilot.core import operator_messages as notices
 from autopilot.core.clock import TICK_US
 from autopilot.core.frames import FloatArray
-from autopilot.core.messages import Drive, Goal, NavState
-from autopilot.mavlink.api import Answer, FlightMode, Sticks
+from autopilot.core.messages import Goal, NavState, VelocityGoal
+from autopilot.mavlink.api import CommandReply, FlightMode, Sticks
 
 PLAY_M = 0.01
 """The floor has to be so much higher or lower than it was for the depth to change: ranges are noisy."""
@@ -53,7 +53,7 @@ class SurftrakMode(DepthHoldMode):
         """The height is being made good."""
         super().__init__(tools)
 
-    def refusal(self, conditions: Conditions | None, *, armed: bool) -> Answer | None:
+    def refusal(self, conditions: TickInputs | None, *, armed: bool) -> CommandReply | None:
         """Nothing looks down, or the floor is too far."""
         refusal = super().refusal(conditions, armed=armed)
         if refusal is None and armed and conditions is not None and self._height_of(conditions) is None:
@@ -66,12 +66,12 @@ class SurftrakMode(DepthHoldMode):
         self._height_m = self._floor_m = self._now_m = self._told = None
         self._floor_m_s, self._chases = 0.0, False
 
-    def step(self, conditions: Conditions, nav: NavState) -> Step:
+    def step(self, conditions: TickInputs, nav: NavState) -> ModeStep:
         """The motion that the sticks ask for, over the floor of now."""
         self._look(conditions, float(nav.pos_ned_m[2]))
         return super().step(conditions, nav)
 
-    def by_hand(self, conditions: Conditions) -> ByHand | None:
+    def by_hand(self, conditions: TickInputs) -> ByHand | None:
         """Without a position: the height by the rate of climb."""
         wish = super().by_hand(conditions)
         self._look(conditions, 0.0)
@@ -85,7 +85,7 @@ class SurftrakMode(DepthHoldMode):
         sinks = max(-most, min(most, HEIGHT_GAIN_1_S * error_m)) if abs(error_m) > PLAY_M else 0.0
         return replace(wish, down_m_s=sinks)
 
-    def _look(self, conditions: Conditions, depth_m: float) -> None:
+    def _look(self, conditions: TickInputs, depth_m: float) -> None:
         """Where the floor is, as fast as the vehicle may follow it."""
         self._now_m = self._height_of(conditions)
         known = self._now_m is not None
@@ -130,7 +130,7 @@ class SurftrakMode(DepthHoldMode):
         super()._let_go_of_depth()
         self._height_m = None
 
-    def _planar(self, sticks: Sticks, nav: NavState, rest: Goal) -> Drive:
+    def _planar(self, sticks: Sticks, nav: NavState, rest: Goal) -> VelocityGoal:
         """Slower where the floor comes near."""
         if self._height_m is not None and self._now_m is not None:
             share = (self._now_m / self._height_m - STOPPED) / (SLOWED - STOPPED)
@@ -139,6 +139,6 @@ class SurftrakMode(DepthHoldMode):
         return super()._planar(sticks, nav, rest)
 
     @staticmethod
-    def _height_of(conditions: Conditions) -> float | None:
+    def _height_of(conditions: TickInputs) -> float | None:
         attitude: FloatArray | None = None if conditions.nav is None else conditions.nav.rpy_rad
         return conditions.facts.floor.height_m(conditions.t_us, attitude)

@@ -14,9 +14,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from autopilot.control.energy.flow import Flow
+from autopilot.control.energy.energy_tuning import FIELD
+from autopilot.control.energy.flow import FlowField
 from autopilot.control.energy.power import SpeedTable, energy_per_metre
-from autopilot.control.energy.tuned import FIELD
 from autopilot.control.fence.obstacles import Features
 from autopilot.control.way.shortest import lengths_from
 from autopilot.core.frames import FloatArray
@@ -34,7 +34,7 @@ LONGEST_MOVE = math.hypot(3, 2)
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class Way:
+class FieldPath:
     """A way to the goal."""
 
     points_ned_m: FloatArray
@@ -45,7 +45,7 @@ class Way:
 class EnergyField:
     """One free space and flow; :meth:`to` makes the field of a goal."""
 
-    def __init__(self, space: FreeSpace, flow: Flow, table: SpeedTable) -> None:
+    def __init__(self, space: FreeSpace, flow: FlowField, table: SpeedTable) -> None:
         self.space = space
         self.places_ned_m = space.places_ned_m
         """(n, 2)"""
@@ -107,7 +107,7 @@ class EnergyToGo:
         """(n,) inf where there is no way."""
         self._next = next_node
 
-    def way(self, start_ned_m: FloatArray) -> Way | None:
+    def way(self, start_ned_m: FloatArray) -> FieldPath | None:
         """The cheapest way from a place (2,), None if there is none."""
         node = self._field.nearest(start_ned_m)
         if node is None or not math.isfinite(self.energy_j[node]):
@@ -118,7 +118,7 @@ class EnergyToGo:
         nodes = self._without_jogs(start_ned_m, nodes)
         nodes = self._without_jogs(self._goal, nodes[::-1])[::-1]
         points = np.concatenate([start_ned_m[None], self._field.places_ned_m[nodes], self._goal[None]])
-        return Way(points_ned_m=points, energy_j=float(self.energy_j[node]))
+        return FieldPath(points_ned_m=points, energy_j=float(self.energy_j[node]))
 
     def _without_jogs(self, end_ned_m: FloatArray, nodes: list[int]) -> list[int]:
         """Nodes without the first few, if the end (2,) of the way sees the next: the nearest place may lie aside."""
@@ -140,7 +140,9 @@ class EnergyToGo:
         return fit
 
 
-def other_ways(field: EnergyField, to_go: EnergyToGo, way: Way, features: Features, limit: int) -> list[Way]:
+def other_ways(
+    field: EnergyField, to_go: EnergyToGo, way: FieldPath, features: Features, limit: int
+) -> list[FieldPath]:
     """Ways that pass boundaries near ``way`` on their other side: what is left when the gap that it uses is closed.
 
     A gap is closed by a line from the nearest boundary through the narrowest place of the way and on to the next
@@ -153,7 +155,7 @@ def other_ways(field: EnergyField, to_go: EnergyToGo, way: Way, features: Featur
     at = np.stack([np.interp(steps * s[-1], s, way.points_ned_m[:, i]) for i in range(2)], axis=1)
     clearance = features.clearance_m(at)
     inner = np.flatnonzero((steps > 0.1) & (steps < 0.9) & (clearance < FIELD.gap_reach_m))
-    ways: list[Way] = []
+    ways: list[FieldPath] = []
     tried: list[FloatArray] = []
     for i in inner[np.argsort(clearance[inner])]:
         if len(tried) >= limit:

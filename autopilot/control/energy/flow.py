@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from autopilot.control.energy.tuned import FLOW
+from autopilot.control.energy.energy_tuning import FLOW
 from autopilot.control.water.currents import CurrentForecast
 from autopilot.core.frames import FloatArray
 from autopilot.core.free_space import Area, workspace_of
@@ -64,7 +64,7 @@ def _spline(samples: FlowSamples, axis: int) -> Any:
     return RectBivariateSpline(samples.north_m, samples.east_m, samples.current_ned_m_s[..., axis])
 
 
-class Flow:
+class FlowField:
     """Current and its gradient anywhere; beyond the samples as at their border."""
 
     def __init__(self, samples: FlowSamples) -> None:

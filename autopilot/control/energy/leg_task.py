@@ -6,12 +6,12 @@ from dataclasses import replace
 
 import numpy as np
 
-from autopilot.control.energy.field import EnergyToGo, Way
-from autopilot.control.energy.flow import Flow
+from autopilot.control.energy.energy_tuning import LEG_TASK, SHOOTING
+from autopilot.control.energy.field import EnergyToGo, FieldPath
+from autopilot.control.energy.flow import FlowField
 from autopilot.control.energy.power import SpeedTable, energy_per_metre, planar_limit_m_s
-from autopilot.control.energy.request import Plan, Request, no_plan
+from autopilot.control.energy.request import Plan, TrajectoryRequest, no_plan
 from autopilot.control.energy.trajectory import Ask, Program, Trajectory
-from autopilot.control.energy.tuned import LEG_TASK, SHOOTING
 from autopilot.control.fence.obstacles import Features
 from autopilot.control.way.guidance import SteadyThrust
 from autopilot.core.desk import Cancel
@@ -27,9 +27,9 @@ class LegTask:
 
     def __init__(
         self,
-        request: Request,
+        request: TrajectoryRequest,
         features: Features,
-        flow: Flow,
+        flow: FlowField,
         table: SpeedTable,
         to_go: EnergyToGo,
         end_slope: FloatArray,
@@ -58,7 +58,7 @@ class LegTask:
         rest = (np.zeros(2), self._program, self._steady, self._cancel)
         return LegTask(request, self._features, self._flow, self._table, beyond, *rest)
 
-    def first(self, way: Way) -> Plan:
+    def first(self, way: FieldPath) -> Plan:
         """The quick answer: the better turn along the way. (Which one that is cannot be seen from the guesses.)"""
         found = [
             one for one in (self.refine(guess, LEG_TASK.screen_rounds) for guess in self.guesses(way)) if one.solved
@@ -67,11 +67,11 @@ class LegTask:
             return no_plan(self._request.goal, "no quick trajectory solved")
         return self.plan(min(found, key=lambda one: one.cost_j))
 
-    def ends_in_goal(self, way: Way) -> bool:
+    def ends_in_goal(self, way: FieldPath) -> bool:
         """Whether a trajectory along a way reaches the goal's region."""
         return float(self._timed(way)[1][-1]) <= self.reach_s
 
-    def guesses(self, way: Way) -> list[Trajectory]:
+    def guesses(self, way: FieldPath) -> list[Trajectory]:
         """First trajectories along a way, one per way of turning: at the cheapest steady speed and its thrust."""
         request = self._request
         points, times = self._timed(way)
@@ -175,7 +175,7 @@ class LegTask:
         energy = float((ds * energy_per_metre(self._table, along, across)).sum())
         return math.inf if rest is None else energy + rest.energy_j
 
-    def _timed(self, way: Way) -> tuple[FloatArray, FloatArray]:
+    def _timed(self, way: FieldPath) -> tuple[FloatArray, FloatArray]:
         """Points (m, 2) close together along a way and when they are passed at the cheapest speeds."""
         length = np.hypot(*np.diff(way.points_ned_m, axis=0).T)
         s = np.concatenate(([0.0], np.cumsum(length)))
@@ -227,7 +227,7 @@ class LegTask:
                 break
         return trajectory
 
-    def _ask(self, guess: Trajectory, request: Request) -> Ask:
+    def _ask(self, guess: Trajectory, request: TrajectoryRequest) -> Ask:
         goal, x = request.goal, guess.x
         n = len(x) - 1
         normals, offsets = np.zeros((n + 1, SHOOTING.planes, 2)), np.zeros((n + 1, SHOOTING.planes))
@@ -266,7 +266,7 @@ class LegTask:
             buoyancy_excess_n=request.buoyancy_excess_n,
         )
 
-    def _planar_m_s(self, guess: Trajectory, request: Request) -> FloatArray:
+    def _planar_m_s(self, guess: Trajectory, request: TrajectoryRequest) -> FloatArray:
         """(n + 1,) limit of the planar speed along a guess; one that begins faster is given the time to slow down."""
         x = guess.x
         way = np.gradient(x[:, :2], axis=0)
@@ -278,7 +278,7 @@ class LegTask:
         result: FloatArray = np.maximum(np.minimum(limit, request.limits[0]), slowing)
         return result
 
-    def _limits(self, guess: Trajectory, request: Request) -> FloatArray:
+    def _limits(self, guess: Trajectory, request: TrajectoryRequest) -> FloatArray:
         """(n + 1, 4) limits of heave, yaw rate and depth; a vehicle that begins beyond one, or cannot stop before a
         depth, is given the time to."""
         depth, heave, turn = (float(request.x0[i]) for i in (Z, W, R))

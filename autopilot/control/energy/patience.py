@@ -5,8 +5,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from autopilot.control.energy.tuned import PATIENCE
-from autopilot.control.way.guidance import Situation
+from autopilot.control.energy.energy_tuning import PATIENCE
+from autopilot.control.way.guidance import GuidanceInputs
 from autopilot.control.way.planner import Planner
 
 
@@ -44,7 +44,7 @@ class _Asked:
     """(4,) north, east of the vehicle, current north, east."""
 
     @classmethod
-    def of(cls, now: Situation) -> "_Asked":
+    def of(cls, now: GuidanceInputs) -> "_Asked":
         flow = np.concatenate([now.x0[:2], now.nav.current_ned_m_s[:2]])
         return cls(now.planner, (now.speed_cap_m_s, *now.thrust_limit_n.tolist()), flow)
 
@@ -62,7 +62,7 @@ class Patience:
         self._failures = 0
         self._asked: _Asked | None = None
 
-    def ask(self, now: Situation) -> None:
+    def ask(self, now: GuidanceInputs) -> None:
         """A request is handed in."""
         self._asked = _Asked.of(now)
 
@@ -74,7 +74,7 @@ class Patience:
         """It was answered with a plan."""
         self._failures = 0
 
-    def over(self, now: Situation, since_steps: int) -> bool:
+    def over(self, now: GuidanceInputs, since_steps: int) -> bool:
         """Whether it is time, so many steps after the last request."""
         if not self._failures:
             return True

@@ -9,7 +9,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from autopilot.control.energy.tuned import POWER
+from autopilot.control.energy.energy_tuning import POWER
 from autopilot.core.frames import FloatArray
 from autopilot.core.model4 import AXES, Model4
 from autopilot.core.sharing import Sharing

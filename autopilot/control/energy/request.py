@@ -4,7 +4,7 @@ import math
 from dataclasses import dataclass
 from typing import Protocol
 
-from autopilot.control.energy.flow import Flow, FlowSamples
+from autopilot.control.energy.flow import FlowField, FlowSamples
 from autopilot.control.energy.patience import Kind
 from autopilot.control.energy.trajectory import Trajectory
 from autopilot.core.desk import Cancel
@@ -18,7 +18,7 @@ estimate wavers, and every millimetre that a vehicle is within the margin is ans
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class Request:
+class TrajectoryRequest:
     """Everything a plan depends on. Pure data: the answer is the same whenever it is computed."""
 
     x0: FloatArray
@@ -58,7 +58,7 @@ class Plan:
     eta_s: float
     complete: bool
     """The trajectory ends in the goal's region."""
-    flow: Flow | None = None
+    flow: FlowField | None = None
     """The water that it was made for."""
     why: str = ""
     """Without a trajectory: the reason."""
@@ -69,7 +69,7 @@ class Plan:
 class TrajectoryPlanner(Protocol):
     """Makes plans beside the loop; an exception means that there is none."""
 
-    def plan(self, request: Request, cancel: Cancel) -> Plan:
+    def plan(self, request: TrajectoryRequest, cancel: Cancel) -> Plan:
         """Answer one request; once ``cancel`` is requested anything will do."""
         ...
 

@@ -5,14 +5,14 @@ from dataclasses import replace
 
 import numpy as np
 
-from autopilot.control.energy.field import LONGEST_MOVE, EnergyField, EnergyToGo, Way, other_ways
-from autopilot.control.energy.flow import Flow, FlowSamples, area_of
+from autopilot.control.energy.energy_tuning import FLOW, LEG_TASK, SEARCH, TRAJECTORY
+from autopilot.control.energy.field import LONGEST_MOVE, EnergyField, EnergyToGo, FieldPath, other_ways
+from autopilot.control.energy.flow import FlowField, FlowSamples, area_of
 from autopilot.control.energy.leg_task import LegTask
 from autopilot.control.energy.patience import Kind
 from autopilot.control.energy.power import PowerModel, SpeedTable, speed_table
-from autopilot.control.energy.request import Plan, Request, no_plan
+from autopilot.control.energy.request import Plan, TrajectoryRequest, no_plan
 from autopilot.control.energy.trajectory import Program, Trajectory
-from autopilot.control.energy.tuned import FLOW, LEG_TASK, SEARCH, TRAJECTORY
 from autopilot.control.fence.obstacles import Features, fence_key
 from autopilot.control.way.guidance import SteadyThrust
 from autopilot.core.desk import Cancel
@@ -40,14 +40,14 @@ class EnergyPlanner:
         still = np.zeros((FLOW.least_samples, FLOW.least_samples, 3))
         still[0] = 1.0
         axis = np.arange(float(FLOW.least_samples))
-        Flow(FlowSamples(north_m=axis, east_m=axis, current_ned_m_s=still))
+        FlowField(FlowSamples(north_m=axis, east_m=axis, current_ned_m_s=still))
 
-    def plan(self, request: Request, cancel: Cancel | None = None) -> Plan:
+    def plan(self, request: TrajectoryRequest, cancel: Cancel | None = None) -> Plan:
         """See :class:`TrajectoryPlanner`. Ends with WithdrawnError soon after ``cancel`` is requested."""
         cancel = cancel or Cancel()
         cancel.check()
         features = self._features_of(request.fence)
-        flow = Flow(request.flow)
+        flow = FlowField(request.flow)
         self._sharing.buoyancy_excess_n = request.buoyancy_excess_n
         table = speed_table(self._sharing.model, self._power, float(request.limits[0]), request.cruise_m_s)
         found = self._field(request, features, flow, table)
@@ -91,8 +91,8 @@ class EnergyPlanner:
         return no_plan(request.goal, f"none of {len(solved)} candidates solved to the end")
 
     def _field(
-        self, request: Request, features: Features, flow: Flow, table: SpeedTable
-    ) -> tuple[EnergyField, EnergyToGo, Way] | None:
+        self, request: TrajectoryRequest, features: Features, flow: FlowField, table: SpeedTable
+    ) -> tuple[EnergyField, EnergyToGo, FieldPath] | None:
         """The field of a request with the cheapest way, through tight doors only if there is no other."""
         goal_at, start = np.asarray(request.goal.pos_ned_m[:2], dtype=float), request.x0[:2]
         places = [start, goal_at]
@@ -108,7 +108,7 @@ class EnergyPlanner:
         return None
 
     def _candidates(
-        self, task: LegTask, field: EnergyField, to_go: EnergyToGo, best: Way, features: Features
+        self, task: LegTask, field: EnergyField, to_go: EnergyToGo, best: FieldPath, features: Features
     ) -> list[Trajectory]:
         """A trajectory along every way that is worth a look, for every way of turning."""
         guesses = task.guesses(best)

@@ -14,9 +14,9 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from autopilot.control.energy.energy_tuning import SHOOTING
 from autopilot.control.energy.interval import steps
 from autopilot.control.energy.power import PowerModel
-from autopilot.control.energy.tuned import SHOOTING
 from autopilot.control.nmpc.model_code import BUOYANCY, coefficients
 from autopilot.core.frames import FloatArray
 from autopilot.core.model4 import NX, YAW, Model4, R, U, V, W, Z

@@ -6,8 +6,8 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from autopilot.control.energy.energy_tuning import TRACK
 from autopilot.control.energy.trajectory import Trajectory
-from autopilot.control.energy.tuned import TRACK
 from autopilot.core import compiled
 from autopilot.core.frames import FloatArray, unwrap_near
 from autopilot.core.messages import Goal
@@ -16,7 +16,7 @@ from autopilot.core.model4 import NX, YAW, R, U, V, W, X, Z
 _NONE = np.zeros(0, dtype=np.intp)
 
 
-class Track:
+class TrackedTrajectory:
     """One trajectory towards one goal, followed by its clock."""
 
     def __init__(self, trajectory: Trajectory, goal: Goal, complete: bool) -> None:
@@ -91,7 +91,7 @@ class Track:
         return out
 
     def sample(
-        self, t_s: FloatArray, current_ned_m_s: FloatArray, then: "Track | None" = None
+        self, t_s: FloatArray, current_ned_m_s: FloatArray, then: "TrackedTrajectory | None" = None
     ) -> tuple[FloatArray, FloatArray]:
         """References (N+1, 8) and mean thrust (N, n) at times ``t_s`` (N+1,) from now.
 

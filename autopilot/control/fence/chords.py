@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from autopilot.control.fence.features import BoolArray, Boundaries, ComplexArray, as_complex, unit_rays
-from autopilot.control.fence.tuned import FEATURES
+from autopilot.control.fence.fence_tuning import FEATURES
 from autopilot.core.frames import FloatArray
 
 RECOVERY_M_S = 0.2

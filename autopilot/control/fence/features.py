@@ -10,7 +10,7 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from autopilot.control.fence.tuned import FEATURES
+from autopilot.control.fence.fence_tuning import FEATURES
 from autopilot.core.frames import FloatArray
 from autopilot.core.geometry import Circle, Fence
 
@@ -20,7 +20,7 @@ BoolArray: TypeAlias = NDArray[np.bool_]
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class Edges:
+class PolygonEdges:
     """Edges of all polygons; those of one polygon stand together, in its order, with its inside at +90 degrees."""
 
     a: ComplexArray
@@ -62,7 +62,7 @@ class Rounds:
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class Seen:
+class VisibleEdges:
     """Edges as points see them; (m, E)."""
 
     share: FloatArray
@@ -111,7 +111,7 @@ class Boundaries:
         away = edges.keep_outside & (np.abs(edges.center - middle) - edges.reach > reach_m)
         return np.flatnonzero(near & ~away[edges.polygon]), kept_rounds
 
-    def look(self, points: ComplexArray, keep: IntArray) -> Seen:
+    def look(self, points: ComplexArray, keep: IntArray) -> VisibleEdges:
         """The edges ``keep`` as points see them."""
         edges = self.edges
         whole = len(keep) == len(edges.a)
@@ -136,7 +136,7 @@ class Boundaries:
             distance[bad] = -rho[bad]
             normal[bad & (rho >= FEATURES.tiny_m)] *= -1.0
         offset = (np.conj(normal) * (points[:, None] - gap)).real
-        return Seen(share=share, rho=rho, distance=distance, normal=normal, offset=offset, line=line, bad=bad)
+        return VisibleEdges(share=share, rho=rho, distance=distance, normal=normal, offset=offset, line=line, bad=bad)
 
     def _behind(self, keep: IntArray, share: FloatArray, rho: FloatArray, line: FloatArray) -> BoolArray | None:
         """Which nearest edges (m, E) of a polygon have the point on the wrong side; None if none has.
@@ -158,7 +158,7 @@ class Boundaries:
         return bad if bad.any() else None
 
 
-def _features_of(fence: Fence) -> tuple[Edges, Rounds]:
+def _features_of(fence: Fence) -> tuple[PolygonEdges, Rounds]:
     """The boundaries of a fence."""
     polygons: list[tuple[FloatArray, bool]] = []
     circles: list[tuple[Circle, float]] = []
@@ -184,7 +184,7 @@ def _features_of(fence: Fence) -> tuple[Edges, Rounds]:
     return edges, rounds
 
 
-def _edges(polygons: list[tuple[FloatArray, bool]]) -> Edges:
+def _edges(polygons: list[tuple[FloatArray, bool]]) -> PolygonEdges:
     """All polygons at once: a new fence is for the control step in which it comes."""
     inside = np.array([each for _, each in polygons], dtype=bool)
     v, ring = _counter_clockwise([corners for corners, _ in polygons])
@@ -201,7 +201,7 @@ def _edges(polygons: list[tuple[FloatArray, bool]]) -> Edges:
         center.real = 0.5 * (ring.least(v.real) - ring.least(-v.real))
         center.imag = 0.5 * (ring.least(v.imag) - ring.least(-v.imag))
         reach = -ring.least(-np.abs(v - center[ring.number]))
-    return Edges(
+    return PolygonEdges(
         a=v,
         ab=ab,
         along=np.conj(ab) / np.maximum(length, FEATURES.tiny_m) ** 2,

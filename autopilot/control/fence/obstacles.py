@@ -12,9 +12,9 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from autopilot.control.fence.chords import Movers, Path
+from autopilot.control.fence.compiled_planes import STRUCTS, QuickFence
 from autopilot.control.fence.features import Boundaries, ComplexArray, IntArray, as_complex, unit_rays
-from autopilot.control.fence.quick import STRUCTS, QuickFence
-from autopilot.control.fence.tuned import FEATURES
+from autopilot.control.fence.fence_tuning import FEATURES
 from autopilot.core import compiled
 from autopilot.core.frames import FloatArray
 from autopilot.core.geometry import Circle, Fence
@@ -106,7 +106,7 @@ class Features(Boundaries):
         return result
 
     def near(self, places: FloatArray, reach_m: float) -> tuple[FloatArray, FloatArray]:
-        """See :class:`autopilot.core.free_space.Ground`."""
+        """See :class:`autopilot.core.free_space.FenceDistances`."""
         points = as_complex(places)
         clearance, slope = np.full(len(points), reach_m), np.zeros(len(points), dtype=complex)
         for part in self._tiles(points):

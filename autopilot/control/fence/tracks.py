@@ -14,7 +14,7 @@ import numpy as np
 
 from autopilot.control.fence.chords import Movers
 from autopilot.control.fence.features import BoolArray
-from autopilot.control.fence.tuned import TRACKS
+from autopilot.control.fence.fence_tuning import TRACKS
 from autopilot.core.frames import FloatArray
 from autopilot.core.geometry import Circle, Fence
 from autopilot.core.samples import ObstacleTrack
@@ -86,7 +86,7 @@ def movers_of(tracks: Iterable[ObstacleTrack], t_us: int) -> Movers | None:
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class Way:
+class IntendedMotion:
     """How fast the vehicle is, and where it wants to go."""
 
     speed_m_s: float
@@ -118,7 +118,9 @@ class Obstructions:
         """Nothing stands, blocks or has been waited for: a step without tracks leaves the fence as it is."""
         return not self._standing and not self._in_the_way and self._waits_since_us is None
 
-    def sort(self, t_us: int, fence: Fence, tracks: Sequence[ObstacleTrack], way: Way) -> tuple[Fence, Movers | None]:
+    def sort(
+        self, t_us: int, fence: Fence, tracks: Sequence[ObstacleTrack], way: IntendedMotion
+    ) -> tuple[Fence, Movers | None]:
         """The fence with everything that routes have to go round (the same object while that is the same), and the
         moving obstacles now."""
         changed = self._note_standing([track for track in tracks if stands(track)])
@@ -153,7 +155,7 @@ class Obstructions:
                 changed = True
         return changed
 
-    def _wait(self, t_us: int, movers: Movers | None, way: Way) -> bool:
+    def _wait(self, t_us: int, movers: Movers | None, way: IntendedMotion) -> bool:
         """Count the time that moving obstacles block the way. Whether what routes go round has changed."""
         if self._in_the_way:
             if t_us < self._detour_until_us and movers is not None:
@@ -181,7 +183,7 @@ class Obstructions:
         return True
 
 
-def _blocking(movers: Movers | None, way: Way) -> BoolArray:
+def _blocking(movers: Movers | None, way: IntendedMotion) -> BoolArray:
     """(K,) which movers stand on the way now."""
     if movers is None:
         return np.zeros(0, dtype=bool)

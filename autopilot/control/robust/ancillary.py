@@ -9,7 +9,7 @@ import numpy as np
 
 from autopilot.control.robust.error_model import error_jacobian, error_of, input_matrix
 from autopilot.control.robust.riccati import dare, discretise, gain
-from autopilot.control.robust.tuned import ANCILLARY
+from autopilot.control.robust.robust_tuning import ANCILLARY
 from autopilot.core.frames import FloatArray
 from autopilot.core.model4 import NX, Model4, U
 

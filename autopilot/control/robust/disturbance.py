@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from autopilot.control.robust.error_model import CHANNELS
-from autopilot.control.robust.tuned import DISTURBANCE
+from autopilot.control.robust.robust_tuning import DISTURBANCE
 from autopilot.core.frames import FloatArray
 from autopilot.core.messages import NavState
 from autopilot.core.params import ParamSet

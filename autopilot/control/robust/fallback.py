@@ -5,7 +5,7 @@ import math
 
 import numpy as np
 
-from autopilot.control.robust.tuned import FALLBACK
+from autopilot.control.robust.robust_tuning import FALLBACK
 from autopilot.core import model4
 from autopilot.core import operator_messages as notices
 from autopilot.core.frames import FloatArray, wrap_pi

@@ -32,7 +32,9 @@ class InnerLoop:
         self.active = False
         """There is a plan to follow."""
         library = compiled.library(_Inner)
-        self._quick = None if library is None else _Quick(library, ancillary, grid, self._x, self._u, self._current)
+        self._quick = (
+            None if library is None else _CompiledThrust(library, ancillary, grid, self._x, self._u, self._current)
+        )
 
     def start(self, t_us: int, x: FloatArray, thrust_n: FloatArray, current_ned_m_s: FloatArray) -> None:
         """Follow the plan x (N+1, 8), thrust (N, n) that begins now and believes in this current (3,)."""
@@ -75,7 +77,7 @@ class _Inner(compiled.Mirror):
     )
 
 
-class _Quick:
+class _CompiledThrust:
     """:meth:`InnerLoop.thrust` by the compiled library (``data/native/follow.c``), of these arrays."""
 
     def __init__(

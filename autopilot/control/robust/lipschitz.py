@@ -14,8 +14,8 @@ from autopilot.control.nmpc.grid import TimeGrid
 from autopilot.control.robust.disturbance import DisturbanceBound, EstimateSpread
 from autopilot.control.robust.error_model import error_jacobian
 from autopilot.control.robust.riccati import exponential
+from autopilot.control.robust.robust_tuning import TUBE
 from autopilot.control.robust.tightening import BackOffs, FixedMargins
-from autopilot.control.robust.tuned import TUBE
 from autopilot.core.frames import FloatArray
 from autopilot.core.messages import NavState
 from autopilot.core.model4 import NX, Model4, R, U, W, X, Y, Z

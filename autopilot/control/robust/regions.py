@@ -11,8 +11,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from autopilot.control.robust.robust_tuning import REGIONS, TERMINAL
 from autopilot.control.robust.terminal import Certificate, Terminal, TerminalLimits, certify, terminal_law, unit_samples
-from autopilot.control.robust.tuned import REGIONS, TERMINAL
 from autopilot.core import operator_messages as notices
 from autopilot.core.desk import Cancel, Desk, Ticket
 from autopilot.core.frames import FloatArray
@@ -25,7 +25,7 @@ AT_PLACE = ("clearance", "acceptance radius", "acceptance heading", "depth", "de
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class _Request:
+class _RegionRequest:
     """What is to be certified."""
 
     model: Model4
@@ -35,7 +35,7 @@ class _Request:
     sampled: bool
 
 
-def _certified(request: _Request, cancel: Cancel) -> Certificate:
+def _certified(request: _RegionRequest, cancel: Cancel) -> Certificate:
     """The whole certificate, or what the limits alone say of the region."""
     samples = unit_samples(TERMINAL.samples if request.sampled else 0)
     return certify(request.model, request.law, request.goal, request.limits, samples, look=cancel.check)
@@ -105,7 +105,7 @@ class TerminalRegions:
             self._cost, self._nu = self.law.cost_ned(), self.law.nu.tolist()
             self.certificate = None
             self._withdraw()
-            request = _Request(model=self._sharing.model, law=self.law, goal=goal, limits=told, sampled=sampled)
+            request = _RegionRequest(model=self._sharing.model, law=self.law, goal=goal, limits=told, sampled=sampled)
             self._ticket = self._desk.submit(self._step + REGIONS.answer_steps, _certified, request)
         answer = None if self._ticket is None else self._ticket.poll(self._step)
         if answer is None:

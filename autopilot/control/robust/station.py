@@ -10,6 +10,7 @@ import math
 import numpy as np
 
 from autopilot.control.robust.fallback import station_keeping_thrust
+from autopilot.control.robust.robust_tuning import ANCILLARY, STATION
 from autopilot.control.robust.terminal import (
     CertificateJob,
     Terminal,
@@ -18,7 +19,6 @@ from autopilot.control.robust.terminal import (
     terminal_law,
     unit_samples,
 )
-from autopilot.control.robust.tuned import ANCILLARY, STATION
 from autopilot.core.frames import FloatArray
 from autopilot.core.messages import Goal
 from autopilot.core.model4 import YAW

@@ -18,7 +18,7 @@ import numpy as np
 from autopilot.control.nmpc.grid import REFERENCE_DT_S
 from autopilot.control.robust.error_model import error_jacobian, input_matrix
 from autopilot.control.robust.riccati import dare, discretise, gain, lyapunov
-from autopilot.control.robust.tuned import TERMINAL
+from autopilot.control.robust.robust_tuning import TERMINAL
 from autopilot.core import model4
 from autopilot.core.frames import FloatArray
 from autopilot.core.messages import Goal

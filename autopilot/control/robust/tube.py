@@ -19,8 +19,8 @@ from autopilot.control.robust.ancillary import SURGES_M_S, Ancillary
 from autopilot.control.robust.disturbance import DisturbanceBound, EstimateSpread, channel_variances
 from autopilot.control.robust.error_model import CHANNELS, disturbance_matrix, error_jacobian, input_matrix
 from autopilot.control.robust.riccati import exponential
+from autopilot.control.robust.robust_tuning import TUBE
 from autopilot.control.robust.tightening import BackOffs, FixedMargins
-from autopilot.control.robust.tuned import TUBE
 from autopilot.core import compiled
 from autopilot.core.frames import FloatArray
 from autopilot.core.messages import NavState

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from autopilot.control.thrust.tuned import BY_HAND
+from autopilot.control.thrust.thrust_tuning import BY_HAND
 from autopilot.core.frames import FloatArray, wrap_pi
 from autopilot.core.sharing import Sharing
 

@@ -13,7 +13,7 @@ import math
 
 import numpy as np
 
-from autopilot.control.thrust.tuned import LEVELLING
+from autopilot.control.thrust.thrust_tuning import LEVELLING
 from autopilot.core.frames import FloatArray
 from autopilot.core.thrusters import CONTROLLED, wrench_matrix
 from autopilot.core.vehicle import Vehicle

@@ -28,13 +28,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from autopilot.control.thrust.motion_looks import Look
-from autopilot.control.thrust.tuned import LOSS_BANK
+from autopilot.control.thrust.motion_looks import FilteredMotion
+from autopilot.control.thrust.thrust_tuning import LOSS_BANK
 from autopilot.core.frames import FloatArray
 from autopilot.core.model4 import Model4
 
 
-class Layout:
+class StateLayout:
     """Where the states of a vehicle with ``n`` thrusters stand."""
 
     def __init__(self, n: int) -> None:
@@ -157,7 +157,7 @@ class LossBank:
         self._mass = np.array(model.mass_kg)
         self._effect = np.array(model.allocation) / self._mass[:, None]
         self._sway = np.array(model.allocation)[1]
-        self._n, self._at = model.thrusters, Layout(model.thrusters)
+        self._n, self._at = model.thrusters, StateLayout(model.thrusters)
         self._still = self._stationary()
         self._work = np.empty((self._at.filters, self._at.size, self._at.size))
         """Kept for :meth:`_shrink`: memory that is in use stays in the processor's cache."""
@@ -281,7 +281,7 @@ class LossBank:
             self._p += self._waters(self._beliefs.flow_hit_m_s)
             self._begin_all()
 
-    def look(self, look: Look, *, heave: bool, learn: bool) -> bool:
+    def look(self, look: FilteredMotion, *, heave: bool, learn: bool) -> bool:
         """Learn from a look, unless ``learn`` is false; False if no filter explains it: then nothing is learned.
 
         ``heave``: whether its third axis says anything (not at the surface)."""
@@ -379,7 +379,7 @@ class LossBank:
         waters[at.swirl, at.swirl] = np.eye(2) * (mean**2 + sigma**2) * sigma_m_s**2
         return waters
 
-    def _predict(self, look: Look) -> None:
+    def _predict(self, look: FilteredMotion) -> None:
         b, at, dt_s = self._beliefs, self._at, look.dt_s
         keep = np.ones(at.size)
         keep[at.pull], keep[at.moment] = math.exp(-dt_s / b.pull_s), math.exp(-dt_s / b.moment_s)
@@ -401,7 +401,7 @@ class LossBank:
         p[:, index, index] += grow
         self._x, self._p = x, p
 
-    def _expected(self, look: Look, h: FloatArray, pull: FloatArray) -> FloatArray:
+    def _expected(self, look: FilteredMotion, h: FloatArray, pull: FloatArray) -> FloatArray:
         """(n, 4) residual that each filter expects, with its derivatives (n, 4, states)."""
         x, at = self._x, self._at
         ideal, rate = h[:, :, at.common], -h[:, :, at.lag]
@@ -415,7 +415,7 @@ class LossBank:
         result[:, 3] += x[:, at.moment] + x[:, at.arm] * (look.thrust_n @ self._sway)
         return result
 
-    def _derivatives(self, look: Look, pull: FloatArray) -> FloatArray:
+    def _derivatives(self, look: FilteredMotion, pull: FloatArray) -> FloatArray:
         """(n, 4, states) of what is expected."""
         x, at = self._x, self._at
         h = np.zeros((len(x), 4, at.size))
@@ -443,7 +443,7 @@ class LossBank:
         gain: FloatArray = 1.0 + self._x[:, at.gain] + self._x[:, at.common, None]
         return gain
 
-    def _pull(self, look: Look) -> FloatArray:
+    def _pull(self, look: FilteredMotion) -> FloatArray:
         """(4, 3) acceleration per newton of a force NED."""
         c, s = look.north
         pull = np.zeros((4, 3))

@@ -2,8 +2,8 @@
 
 import numpy as np
 
+from autopilot.control.thrust.thrust_tuning import LOSSES
 from autopilot.control.thrust.thruster_health import ThrusterHealth, hover_problem, told, usable
-from autopilot.control.thrust.tuned import LOSSES
 from autopilot.control.thrust.twins import lossy_share, tilt_of, weak_thrusters
 from autopilot.core.frames import FloatArray
 from autopilot.core.messages import Goal, NavState, ThrusterHealthState

@@ -19,7 +19,7 @@ from autopilot.core.response import Response
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class Look:
+class FilteredMotion:
     """Filtered accelerations, axes surge, sway, heave [m/s^2] and yaw [rad/s^2]."""
 
     dt_s: float
@@ -72,7 +72,7 @@ class MotionLooks:
         self._since_s = self._moving_s = 0.0
         self._moved = (0.0, 0.0)
 
-    def step(self, t_us: int, nav: NavState, thrust_n: FloatArray) -> Look | None:
+    def step(self, t_us: int, nav: NavState, thrust_n: FloatArray) -> FilteredMotion | None:
         """``thrust_n`` (n,) is what sound thrusters would settle at with the pulses since the last call [N]."""
         if not self._known:
             self._current = (float(nav.current_ned_m_s[0]), float(nav.current_ned_m_s[1]))
@@ -140,13 +140,13 @@ class MotionLooks:
             ]
         )
 
-    def _look(self, terms: FloatArray) -> Look:
+    def _look(self, terms: FloatArray) -> FilteredMotion:
         past, rate = self._filtered, (terms - self._filtered) / self._filter_s
         u, v, w = past[:3].tolist()
         p, q = past.item(24), past.item(26)
         flow = np.zeros((4, 2))
         flow[[0, 1, 3]] = past[15:21].reshape(3, 2)
-        look = Look(
+        look = FilteredMotion(
             dt_s=min(self._since_s, 1.0),
             residual=rate[0:4] - past[4:8],
             thrust_n=past[27:],

@@ -17,7 +17,7 @@ import numpy as np
 
 from autopilot.control.thrust.loss_bank import Beliefs, LossBank, Memory
 from autopilot.control.thrust.motion_looks import MotionLooks
-from autopilot.control.thrust.tuned import THRUSTER_HEALTH
+from autopilot.control.thrust.thrust_tuning import THRUSTER_HEALTH
 from autopilot.control.thrust.twins import TiltEvidence, alike
 from autopilot.core.frames import FloatArray
 from autopilot.core.messages import MAX_THRUSTERS, NavHealth, NavState

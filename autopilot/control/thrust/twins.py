@@ -17,8 +17,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from autopilot.control.thrust.motion_looks import Look
-from autopilot.control.thrust.tuned import TWINS
+from autopilot.control.thrust.motion_looks import FilteredMotion
+from autopilot.control.thrust.thrust_tuning import TWINS
 from autopilot.core.frames import FloatArray
 from autopilot.core.model4 import Model4
 from autopilot.core.thrusters import wrench_matrix
@@ -72,7 +72,7 @@ class TiltEvidence:
 
     def __init__(self, tilt: FloatArray) -> None:
         self._tilt = tilt
-        self._looks: deque[tuple[float, Look]] = deque(maxlen=TWINS.kept_looks)
+        self._looks: deque[tuple[float, FilteredMotion]] = deque(maxlen=TWINS.kept_looks)
         self.clock_s = 0.0
         """Sum of the time of all looks."""
         self.looks = 0
@@ -83,7 +83,7 @@ class TiltEvidence:
         for _ in range(min(looks, len(self._looks))):
             self._looks.pop()
 
-    def look(self, look: Look) -> None:
+    def look(self, look: FilteredMotion) -> None:
         """Remember it."""
         self.clock_s += look.dt_s
         self.looks += 1

@@ -20,7 +20,7 @@ import numpy as np
 
 from autopilot.control.water.current_trust import Trust
 from autopilot.control.water.currents import Revision, correction_share
-from autopilot.control.water.tuned import CURRENT_LEARNING, CURRENTS
+from autopilot.control.water.water_tuning import CURRENT_LEARNING, CURRENTS
 from autopilot.core import compiled
 from autopilot.core.frames import FloatArray
 from autopilot.core.geometry import Circle, Fence
@@ -55,7 +55,7 @@ class _Cell:
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class Fit:
+class FlowFit:
     """A flow through estimates; never changes."""
 
     length_m: float
@@ -110,7 +110,7 @@ class LearnedCurrent:
         self._last_us: int | None = None
         self._revision = Revision()
         library = compiled.library(_Forecast)
-        self._quick = None if library is None else _Quick(library)
+        self._quick = None if library is None else _CompiledFill(library)
         self._forget()
 
     @property
@@ -133,7 +133,7 @@ class LearnedCurrent:
         ]
         self._belief: FloatArray = shares
         self._log_prior: FloatArray = np.log(shares)
-        self._fit = Fit(
+        self._fit = FlowFit(
             length_m=self._length_m, places_ned_m=np.zeros((0, 2)), pull=np.zeros((2, 0)), mean_m_s=np.zeros(2)
         )
         sure = self._basin is Basin.CLOSED or not self._fenced
@@ -227,7 +227,7 @@ class LearnedCurrent:
         pull = np.einsum("ij,i,ijk->k", belief, np.square(CURRENT_LEARNING.flow_m_s), alpha).reshape(2, -1)
         mean = np.einsum("ij,j,ijk->k", belief, np.square(_MEANS_M_S), alpha).reshape(2, -1).sum(axis=1)
         pull = np.ascontiguousarray(pull)
-        self._fit = Fit(length_m=self._length_m, places_ned_m=places, pull=pull, mean_m_s=mean)
+        self._fit = FlowFit(length_m=self._length_m, places_ned_m=places, pull=pull, mean_m_s=mean)
 
 
 class _Forecast(compiled.Mirror):
@@ -241,7 +241,7 @@ class _Forecast(compiled.Mirror):
     )
 
 
-class _Quick:
+class _CompiledFill:
     """:meth:`LearnedCurrent.fill` by the compiled library (``data/native/water.c``)."""
 
     def __init__(self, library: Any) -> None:
@@ -261,7 +261,7 @@ class _Quick:
         pos_ned_m: FloatArray,
         t_s: FloatArray,
         out: FloatArray,
-        fit: Fit,
+        fit: FlowFit,
         scale_m: float,
         trust: float,
     ) -> None:

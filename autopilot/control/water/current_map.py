@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from autopilot.control.water.tuned import CURRENT_MAP
+from autopilot.control.water.water_tuning import CURRENT_MAP
 from autopilot.core.frames import FloatArray
 
 AXES = ("time_s", "depth_m", "north_m", "east_m")

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from autopilot.control.water.tuned import CURRENT_MEMORY
+from autopilot.control.water.water_tuning import CURRENT_MEMORY
 from autopilot.core.frames import FloatArray
 
 PRIOR_WEIGHT = 0.1 / CURRENT_MEMORY.variance_floor_m2_s2

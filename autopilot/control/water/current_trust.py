@@ -17,7 +17,7 @@ from typing import Protocol
 import numpy as np
 
 from autopilot.control.water.currents import correction_share
-from autopilot.control.water.tuned import CURRENT_TRUST
+from autopilot.control.water.water_tuning import CURRENT_TRUST
 from autopilot.core.frames import FloatArray
 from autopilot.core.messages import NavState
 

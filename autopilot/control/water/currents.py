@@ -9,7 +9,7 @@ from typing import Protocol, TypeAlias
 import numpy as np
 
 from autopilot.control.water.current_memory import CurrentMemory
-from autopilot.control.water.tuned import CURRENTS
+from autopilot.control.water.water_tuning import CURRENTS
 from autopilot.core.frames import FloatArray
 from autopilot.core.geometry import Fence
 from autopilot.core.messages import NavHealth, NavState
@@ -38,7 +38,7 @@ class CurrentForecast(Protocol):
         ...
 
 
-class CurrentField(Protocol):
+class KnownCurrent(Protocol):
     """A current that is known beforehand: :class:`autopilot.control.water.current_map.CurrentMap`, or a formula."""
 
     @property
@@ -56,14 +56,14 @@ class CurrentField(Protocol):
 
 
 class PointwiseField:
-    """A formula for one place as a :class:`CurrentField`."""
+    """A formula for one place as a :class:`KnownCurrent`."""
 
     def __init__(self, field: Pointwise, scale_m: float = CURRENTS.tank_scale_m) -> None:
         self._field = field
         self.scale_m = scale_m
 
     def velocity(self, pos_ned_m: FloatArray, t_s: FloatArray) -> FloatArray:
-        """See :class:`CurrentField`."""
+        """See :class:`KnownCurrent`."""
         field = self._field
         places, times = pos_ned_m.tolist(), t_s.tolist()
         return np.array([field((x, y, z), t) for (x, y, z), t in zip(places, times, strict=True)]).reshape(-1, 3)
@@ -129,7 +129,7 @@ class MappedCurrent(_Anywhere):
     """A map of the current, and near visited places what it lacked there; both corrected by what they lack here and
     now."""
 
-    def __init__(self, field: CurrentField) -> None:
+    def __init__(self, field: KnownCurrent) -> None:
         self._field = field
         self._memory = CurrentMemory(field.scale_m)
         self._revision = Revision(field.drift_m_s)

@@ -15,7 +15,7 @@ import math
 
 import numpy as np
 
-from autopilot.control.water.tuned import LIFT
+from autopilot.control.water.water_tuning import LIFT
 from autopilot.core import operator_messages as notices
 from autopilot.core.frames import FloatArray
 from autopilot.core.messages import NavHealth, NavState, Severity

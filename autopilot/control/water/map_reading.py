@@ -17,7 +17,7 @@ import numpy as np
 
 from autopilot.control.water.current_map import CurrentMap, MapNodes
 from autopilot.control.water.map_files import Variable, read_variables
-from autopilot.control.water.tuned import MAP_READING
+from autopilot.control.water.water_tuning import MAP_READING
 from autopilot.core.errors import ConfigError
 from autopilot.core.frames import FloatArray
 
@@ -46,11 +46,11 @@ def load_current_map(path: Path, to_local: ToLocal | None = None, start_utc: dat
     counts from a date; None = their first frame. ConfigError names file, variable, value and remedy.
     """
     variables = read_variables(path)
-    reader = _Reader(path, variables, to_local, start_utc)
+    reader = _MapReader(path, variables, to_local, start_utc)
     return CurrentMap(reader.nodes(hashlib.sha256(path.read_bytes()).hexdigest()))
 
 
-class _Reader:
+class _MapReader:
     """One file on its way to a map."""
 
     def __init__(

@@ -37,7 +37,7 @@ class Desks:
         return "routes", "trajectories", "certificates"
 
 
-class Mishaps:
+class TaskFailures:
     """Work that ended with an exception: told the operator once until some succeeds, in full in the log."""
 
     def __init__(self, work: str, told: notices.Row) -> None:

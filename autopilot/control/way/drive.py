@@ -10,13 +10,13 @@ import math
 import numpy as np
 
 from autopilot.control.nmpc.grid import TimeGrid
-from autopilot.control.way.guidance import Reference, Situation, SteadyThrust, Weights
-from autopilot.control.way.quick import STRUCTS, QuickMarch
-from autopilot.control.way.reference import Route, Target, build_reference, climb_at_once, turn_target
-from autopilot.control.way.tuned import DRIVE, REFERENCE
+from autopilot.control.way.compiled_reference import STRUCTS, QuickMarch
+from autopilot.control.way.guidance import GuidanceInputs, Reference, SteadyThrust, Weights
+from autopilot.control.way.reference import ReferenceTarget, Route, build_reference, climb_at_once, turn_target
+from autopilot.control.way.way_tuning import DRIVE, REFERENCE
 from autopilot.core import compiled
 from autopilot.core.frames import FloatArray, wrap_pi
-from autopilot.core.messages import Drive, Severity
+from autopilot.core.messages import Severity, VelocityGoal
 from autopilot.core.model4 import YAW, R, U, Z
 from autopilot.core.sharing import Sharing
 
@@ -48,10 +48,10 @@ class DriveGuidance:
         """See :class:`autopilot.control.way.guidance.Guidance`."""
         return np.concatenate([here[None], self._way[1:]])
 
-    def reference(self, situation: Situation) -> Reference:
+    def reference(self, situation: GuidanceInputs) -> Reference:
         """See :class:`autopilot.control.way.guidance.Guidance`."""
         now, fresh, self._fresh = situation, self._fresh, False
-        drive = now.goal.drive or Drive()
+        drive = now.goal.drive or VelocityGoal()
         target = self._target(now, drive)
         current, limit_n = now.nav.current_ned_m_s, now.thrust_limit_n
         if self._quick is not None:
@@ -67,7 +67,7 @@ class DriveGuidance:
             x=x, thrust_n=thrust, weight_x=weights.x, weight_u=weights.u, terminal=weights.terminal, fresh=fresh
         )
 
-    def _target(self, now: Situation, drive: Drive) -> Target:
+    def _target(self, now: GuidanceInputs, drive: VelocityGoal) -> ReferenceTarget:
         """Where the reference goes: far enough ahead that it does not brake before the horizon's end."""
         params, horizon_s = now.params, float(self._t_s[-1])
         route, cruise_m_s = self._route(now, drive, horizon_s)
@@ -80,7 +80,7 @@ class DriveGuidance:
         low_m = max(now.fence.depth_min_m, params["DEPTH_MIN"])
         high_m = max(low_m, min(now.fence.depth_max_m, params["DEPTH_MAX"]))
         yaw_rad, yaw_rate = self._heading(now, drive, horizon_s)
-        return Target(
+        return ReferenceTarget(
             route=route,
             s0_m=0.0,
             depth_m=min(max(depth_m, low_m), high_m),
@@ -91,7 +91,7 @@ class DriveGuidance:
             yaw_rate_limit_rad_s=yaw_rate,
         )
 
-    def _heading(self, now: Situation, drive: Drive, horizon_s: float) -> tuple[float, float]:
+    def _heading(self, now: GuidanceInputs, drive: VelocityGoal, horizon_s: float) -> tuple[float, float]:
         """Heading of the reference's end, and the limit that makes it turn as fast as is asked."""
         here, most = float(now.x0[YAW]), now.params["SPD_YAW_MAX"]
         if drive.yaw_rate_rad_s is None:
@@ -117,7 +117,7 @@ class DriveGuidance:
         rate = math.copysign(min(abs(rate), DRIVE.turn_share * most), rate)
         return here + rate * horizon_s, abs(rate) / REFERENCE.yaw_rate_share
 
-    def _route(self, now: Situation, drive: Drive, horizon_s: float) -> tuple[Route, float]:
+    def _route(self, now: GuidanceInputs, drive: VelocityGoal, horizon_s: float) -> tuple[Route, float]:
         """The free way ahead and the speed along it."""
         start, velocity = now.x0[:2].copy(), complex(drive.north_m_s, drive.east_m_s)
         speed = min(abs(velocity), now.speed_cap_m_s, now.goal.speed_m_s)
@@ -137,7 +137,7 @@ class DriveGuidance:
         return Route(way), speed
 
     def _free_way(
-        self, now: Situation, direction: complex, speed: float, turn_rad_s: float, horizon_s: float
+        self, now: GuidanceInputs, direction: complex, speed: float, turn_rad_s: float, horizon_s: float
     ) -> tuple[FloatArray, float]:
         """(m, 2) points from here on, and the share of the speed that boundaries leave."""
         length_m = speed * horizon_s + speed * speed / REFERENCE.deceleration_m_s2 + DRIVE.step_m
@@ -167,7 +167,9 @@ class DriveGuidance:
         return np.array(points).view(float).reshape(-1, 2), max(share, DRIVE.least_progress)
 
     @staticmethod
-    def _slide(now: Situation, here: complex, heading: complex, step_m: float, keep_m: float) -> tuple[complex, float]:
+    def _slide(
+        now: GuidanceInputs, here: complex, heading: complex, step_m: float, keep_m: float
+    ) -> tuple[complex, float]:
         """The end of a step, pushed out of what it runs into, and the share of it that goes ahead."""
         features = now.planner.features
         wish = step_m * heading

@@ -14,11 +14,11 @@ import numpy as np
 from autopilot.control.nmpc.grid import TimeGrid
 from autopilot.control.nmpc.ocp import TERMINAL_STAGES
 from autopilot.control.water.currents import CurrentForecast
-from autopilot.control.way.desks import Mishaps
+from autopilot.control.way.compiled_reference import STRUCTS, QuickMarch
+from autopilot.control.way.desks import TaskFailures
 from autopilot.control.way.planner import Planner
-from autopilot.control.way.quick import STRUCTS, QuickMarch
-from autopilot.control.way.reference import Route, Target, build_reference, turn_target
-from autopilot.control.way.tuned import GUIDANCE, REFERENCE
+from autopilot.control.way.reference import ReferenceTarget, Route, build_reference, turn_target
+from autopilot.control.way.way_tuning import GUIDANCE, REFERENCE
 from autopilot.core import compiled
 from autopilot.core import operator_messages as notices
 from autopilot.core.desk import Cancel, Desk, Ticket
@@ -34,7 +34,7 @@ BEHIND_M, LEAD_M = 0.15, 0.3
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class Situation:
+class GuidanceInputs:
     """What guidance goes by in one step."""
 
     t_us: int
@@ -89,7 +89,7 @@ class Guidance(Protocol):
         """Forget everything (after disarming, a jump of the estimate)."""
         ...
 
-    def reference(self, situation: Situation) -> Reference:
+    def reference(self, situation: GuidanceInputs) -> Reference:
         """The reference for this step."""
         ...
 
@@ -210,7 +210,7 @@ class RouteGuidance:
         self._quick = None if library is None else QuickMarch(library, sharing, grid.t_s)
         self._desk = desk
         self._ticket: Ticket[FloatArray | None] | None = None
-        self._mishaps = Mishaps("route search", notices.ROUTE_SEARCH_FAILED)
+        self._mishaps = TaskFailures("route search", notices.ROUTE_SEARCH_FAILED)
         self._lead = Lead()
         self.unreachable = False
         self.reset()
@@ -236,7 +236,7 @@ class RouteGuidance:
         """See :class:`Guidance`."""
         return self._mishaps.take_news()
 
-    def reference(self, situation: Situation) -> Reference:
+    def reference(self, situation: GuidanceInputs) -> Reference:
         """See :class:`Guidance`."""
         fresh, route = self._update(situation)
         self._lead.look(situation.t_us, route, self._s)
@@ -257,7 +257,7 @@ class RouteGuidance:
         route = self._route
         return here[None] if route is None or self.unreachable else route.ahead(here, self._s)
 
-    def _update(self, now: Situation) -> tuple[bool, Route]:
+    def _update(self, now: GuidanceInputs) -> tuple[bool, Route]:
         """Whether the route is another one, and the route."""
         goal, x0 = now.goal, now.x0
         self._step += 1
@@ -285,7 +285,7 @@ class RouteGuidance:
         assert self._route is not None
         return fresh, self._route
 
-    def _look(self, now: Situation) -> bool:
+    def _look(self, now: GuidanceInputs) -> bool:
         """Go straight to the goal if that is free (True), else ask for a way."""
         start, goal = now.x0[:2].copy(), np.array(now.goal.pos_ned_m[:2], dtype=float)
         self._routed_us = now.t_us
@@ -304,7 +304,7 @@ class RouteGuidance:
         self._ticket = self._desk.submit(self._step + GUIDANCE.answer_steps, search_route, asked)
         return False
 
-    def _answered(self, now: Situation) -> bool:
+    def _answered(self, now: GuidanceInputs) -> bool:
         """Put the answer into force, if there is one. Whether the route is another one then."""
         answer = None if self._ticket is None else self._ticket.poll(self._step)
         asked = self._asked
@@ -324,7 +324,7 @@ class RouteGuidance:
         fresh = usable and self._take(now, path, now.planner)
         return self._look(now) or fresh
 
-    def _take(self, now: Situation, path: FloatArray | None, planner: Planner) -> bool:
+    def _take(self, now: GuidanceInputs, path: FloatArray | None, planner: Planner) -> bool:
         """Go along a path, or hold the place without one. Whether the route is another one."""
         self.unreachable = path is None
         if path is None:
@@ -334,7 +334,7 @@ class RouteGuidance:
         self._s, _ = self._route.project(now.x0[:2], 0.0)
         return True
 
-    def _make_do(self, now: Situation) -> bool:
+    def _make_do(self, now: GuidanceInputs) -> bool:
         """Until there is a way: the route in force if it is free, else the place. Whether the route is another one."""
         route, same = self._route, now.planner is self._route_planner
         if route is None or self._hold is not None:
@@ -344,7 +344,7 @@ class RouteGuidance:
         self._route_planner = now.planner
         return False
 
-    def _stay(self, now: Situation) -> bool:
+    def _stay(self, now: GuidanceInputs) -> bool:
         """Hold the place, or go on holding it. Whether the route is another one."""
         if self._hold is not None and self._route is not None:
             return False
@@ -364,7 +364,7 @@ class RouteGuidance:
             return float(x0[YAW]) if self._yaw_target is None else self._yaw_target
         return turn_target(float(x0[YAW]), cmath.phase(look), None)
 
-    def _march(self, now: Situation, route: Route) -> tuple[FloatArray, FloatArray]:
+    def _march(self, now: GuidanceInputs, route: Route) -> tuple[FloatArray, FloatArray]:
         """References (N+1, 8) along the route and their thrust (N, n); chooses the way round to the heading."""
         hold, goal, x0, params = self._hold, now.goal, now.x0, now.params
         if hold is not None:
@@ -379,7 +379,7 @@ class RouteGuidance:
                 self._yaw_target = unwrap_near(cmath.phase(look), float(x0[YAW]))
             elif self._yaw_target is None:
                 self._yaw_target = float(x0[YAW])
-        target = Target(
+        target = ReferenceTarget(
             route=route,
             s0_m=min(self._s + self._lead.m, route.length_m),
             depth_m=float(goal.pos_ned_m[2] if hold is None else hold[2]),

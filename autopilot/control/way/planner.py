@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from autopilot.control.fence.obstacles import Features
 from autopilot.control.way.shortest import lengths_from
-from autopilot.control.way.tuned import PLANNER
+from autopilot.control.way.way_tuning import PLANNER
 from autopilot.core.desk import Cancel
 from autopilot.core.frames import FloatArray
 from autopilot.core.free_space import CHORD_LOSS_M, Area, FreeSpace, workspace_of
@@ -36,7 +36,7 @@ class _Graph:
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class _Field:
+class _DistanceField:
     """Distance to one goal."""
 
     goal_m: FloatArray
@@ -88,7 +88,7 @@ class _PathFinder:
         self._allowed_m = self.radius_m - CHORD_LOSS_M
         """What a straight line has to keep."""
         self._graph: _Graph | None = None
-        self._field: _Field | None = None
+        self._field: _DistanceField | None = None
 
     def path(self, start: FloatArray, goal: FloatArray, cancel: Cancel) -> FloatArray | None:
         """:meth:`Planner.path` of points (2,)."""
@@ -214,7 +214,7 @@ class _PathFinder:
             high_m=step * np.ceil((high + PLANNER.open_water_border_m) / step),
         )
 
-    def _field_for(self, graph: _Graph, goal: FloatArray) -> _Field | None:
+    def _field_for(self, graph: _Graph, goal: FloatArray) -> _DistanceField | None:
         if self._field is not None and np.array_equal(self._field.goal_m, goal):
             return self._field
         near = graph.space.place_near(goal)
@@ -226,5 +226,5 @@ class _PathFinder:
             return None
         count = len(graph.space.places_ned_m)
         distance, previous = lengths_from(node, graph.begin, graph.end, graph.length_m, count)
-        self._field = _Field(goal_m=goal.copy(), distance_m=distance, next_node=previous)
+        self._field = _DistanceField(goal_m=goal.copy(), distance_m=distance, next_node=previous)
         return self._field

@@ -9,7 +9,7 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from autopilot.control.way.tuned import REFERENCE
+from autopilot.control.way.way_tuning import REFERENCE
 from autopilot.core import compiled
 from autopilot.core.frames import FloatArray, unwrap_near, wrap_pi
 from autopilot.core.model4 import NX, YAW, R, U, V, W, X, Y, Z
@@ -141,7 +141,7 @@ def turn_target(yaw_rad: float, goal_yaw_rad: float, previous_rad: float | None)
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class Target:
+class ReferenceTarget:
     """Where the reference goes and how fast."""
 
     route: Route
@@ -156,7 +156,9 @@ class Target:
     yaw_rate_limit_rad_s: float
 
 
-def build_reference(t_s: FloatArray, x0: FloatArray, target: Target, current_ned_m_s: FloatArray) -> FloatArray:
+def build_reference(
+    t_s: FloatArray, x0: FloatArray, target: ReferenceTarget, current_ned_m_s: FloatArray
+) -> FloatArray:
     """References (N+1, 8) at the times of the nodes.
 
     Position marches along the route at cruise speed over ground and stops at its end, depth arrives with it or as fast
@@ -189,7 +191,7 @@ def build_reference(t_s: FloatArray, x0: FloatArray, target: Target, current_ned
     return ref
 
 
-def climb_at_once(x: FloatArray, t_s: FloatArray, target: Target, current_down_m_s: float) -> None:
+def climb_at_once(x: FloatArray, t_s: FloatArray, target: ReferenceTarget, current_down_m_s: float) -> None:
     """Let references (N+1, 8) change depth as fast as heave allows, and not so that they arrive with the route."""
     dz = target.depth_m - x.item(0, Z)
     travel, rate = approach(

@@ -72,8 +72,8 @@ typedef struct {
     double allocation[4][MOST_THRUSTERS];
     double acceleration[4]; /* over ground forward, right, down; of the yaw rate */
     double jacobian[3][NX]; /* zero but for what is written here */
-} Look;
-LAYOUT(Look, x, yaw_rate, thrust, mass, linear, quadratic, buoyancy_excess, follow, smoothing, allocation, acceleration,
+} ModelStruct;
+LAYOUT(ModelStruct, x, yaw_rate, thrust, mass, linear, quadratic, buoyancy_excess, follow, smoothing, allocation, acceleration,
        jacobian)
 
 /* d(|a| a)/da, smoothed. */
@@ -82,7 +82,7 @@ static double slope(double a, double smoothing) {
     return (2.0 * a2 + smoothing) / sqrt(a2 + smoothing);
 }
 
-EXPORT void model_look(Look *t) {
+EXPORT void model_look(ModelStruct *t) {
     const double *x = t->x, *m = t->mass, *follow = t->follow;
     const double c = cos(x[YAW]), s = sin(x[YAW]);
     const double rn = x[VEL_NORTH] - x[CURRENT_NORTH], re = x[VEL_EAST] - x[CURRENT_EAST];

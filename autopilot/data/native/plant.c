@@ -1,6 +1,6 @@
 /* A step of the simulated hull, and what is measured of it.
  *
- * The same numbers, bit for bit, as sitl/rigid_body.py, sitl/thrusters.py and sitl/tether.py, which say what they mean
+ * The same numbers, bit for bit, as sitl/rigid_body.py, sitl/thruster_models.py and sitl/tether.py, which say what they mean
  * and stay for everything else: a hull that may touch something, and machines without this library.
  * tests/sitl/test_compiled_plant.py holds them against each other. Nothing here is shared with the controller's model.
  */
@@ -22,8 +22,8 @@ typedef struct {
     double tethered, entry[3], tether_drag, tether_pull, slack;
     double columns[MOST_THRUSTERS][6], tau[MOST_THRUSTERS], ahead_power[MOST_THRUSTERS], astern_power[MOST_THRUSTERS];
     double thrusters;
-} Coefficients;
-LAYOUT(Coefficients, mass, added, inertia, linear, quadratic, turn_linear, turn_quadratic, weight, buoyancy, displaced, center,
+} HullStruct;
+LAYOUT(HullStruct, mass, added, inertia, linear, quadratic, turn_linear, turn_quadratic, weight, buoyancy, displaced, center,
        half_height, tethered, entry, tether_drag, tether_pull, slack, columns, tau, ahead_power, astern_power, thrusters)
 
 typedef struct {
@@ -40,7 +40,7 @@ LAYOUT(Hull, state, change, motor, gain, goal, mean, power, external, current, p
 
 static inline double larger(double a, double b) { return b > a ? b : a; }
 
-static void derivative(const Coefficients *c, const Hull *h, const double *s, double elapsed, const double *wrench,
+static void derivative(const HullStruct *c, const Hull *h, const double *s, double elapsed, const double *wrench,
                        double *slope) {
     const double x = s[0], y = s[1], z = s[2], ew = s[3], ex = s[4], ey = s[5], ez = s[6];
     const double u = s[7], v = s[8], w = s[9], p = s[10], q = s[11], r = s[12];
@@ -121,21 +121,21 @@ static void derivative(const Coefficients *c, const Hull *h, const double *s, do
 }
 
 /* Force and moment of the thrusters in the body frame. */
-static void push_of(const Coefficients *c, const double *thrust, double *push) {
+static void push_of(const HullStruct *c, const double *thrust, double *push) {
     for (int k = 0; k < 6; k++) push[k] = 0.0;
     for (int i = 0; i < (int)c->thrusters; i++)
         for (int k = 0; k < 6; k++) push[k] += c->columns[i][k] * thrust[i];
 }
 
-static double mass_of(const Coefficients *c, int axis) {
+static double mass_of(const HullStruct *c, int axis) {
     return axis < 3 ? c->mass + c->added[axis] : c->inertia[axis - 3];
 }
 
 /* Sets `change` to what holds now. */
-EXPORT void plant_look(const Coefficients *c, Hull *h) { derivative(c, h, h->state, 0.0, h->external, h->change); }
+EXPORT void plant_look(const HullStruct *c, Hull *h) { derivative(c, h, h->state, 0.0, h->external, h->change); }
 
 /* The thrusters turn for `dt` s towards `goal` N: exact solution of their lag, and the power that they take. */
-EXPORT void plant_turn(const Coefficients *c, Hull *h, double dt) {
+EXPORT void plant_turn(const HullStruct *c, Hull *h, double dt) {
     h->power = 0.0;
     for (int i = 0; i < (int)c->thrusters; i++) {
         const double tau = c->tau[i], decay = tau == 0.0 ? 0.0 : exp(-dt / tau);
@@ -149,7 +149,7 @@ EXPORT void plant_turn(const Coefficients *c, Hull *h, double dt) {
 }
 
 /* One classical Runge-Kutta step with the mean thrust held, from where plant_look has looked. */
-EXPORT void plant_step(const Coefficients *c, Hull *h, double dt) {
+EXPORT void plant_step(const HullStruct *c, Hull *h, double dt) {
     double push[6], wrench[9], first[STATES], at[STATES], k2[STATES], k3[STATES], k4[STATES];
     push_of(c, h->mean, push);
     for (int k = 0; k < 9; k++) wrench[k] = k < 6 ? h->external[k] + push[k] : h->external[k];
@@ -169,7 +169,7 @@ EXPORT void plant_step(const Coefficients *c, Hull *h, double dt) {
 }
 
 /* Fills `numbers` with what sitl/plant.py makes a Truth of, from where plant_look has looked. */
-EXPORT void plant_measure(const Coefficients *c, Hull *h) {
+EXPORT void plant_measure(const HullStruct *c, Hull *h) {
     const double *s = h->state, *change = h->change;
     double *out = h->numbers;
     const double ew = s[3], ex = s[4], ey = s[5], ez = s[6], u = s[7], v = s[8], w = s[9], p = s[10], q = s[11];

@@ -15,12 +15,12 @@ typedef struct {
     double x, y;
 } Place;
 
-/* As control/way/quick.py lays them out. */
+/* As control/way/compiled_reference.py lays them out. */
 typedef struct {
     long thrusters, clipped; /* clipped: thrust beyond its limit is cut; else it is counted and shared by others */
     const double *coefficients, *inverse, *limit_n; /* of the model; (AXES, thrusters) force to thrust; (thrusters) */
-} Steady;
-LAYOUT(Steady, thrusters, clipped, coefficients, inverse, limit_n)
+} ReferenceStruct;
+LAYOUT(ReferenceStruct, thrusters, clipped, coefficients, inverse, limit_n)
 
 typedef struct {
     long nodes, legs;
@@ -36,7 +36,7 @@ LAYOUT(March, nodes, legs, s0_m, depth_m, yaw_rad, cruise_m_s, speed_limit_m_s, 
        yaw_rate_share, least_depth_time_s, deceleration, t_s, x0, current, s, corner, tangent, x, thrust)
 
 /* Thrust (m, thrusters) that holds the velocities of states (m, NX). How many rows exceed limits without being cut. */
-EXPORT long steady_thrust(const Steady *a, long m, const double *x, double *thrust) {
+EXPORT long steady_thrust(const ReferenceStruct *a, long m, const double *x, double *thrust) {
     static const double nothing[AXES] = {0.0};
     long beyond = 0; /* NaN exceeds every limit */
     for (long k = 0; k < m; k++) {
@@ -96,7 +96,7 @@ static long leg_at(const March *a, double s) {
 }
 
 /* References (nodes, NX) and their thrust; returns as steady_thrust does. */
-EXPORT long march(const March *a, const Steady *steady) {
+EXPORT long march(const March *a, const ReferenceStruct *steady) {
     const double length = a->s[a->legs], rest = at_least(length - a->s0_m, 0.0);
     const Place ahead = a->tangent[leg_at(a, a->s0_m + at_most(a->corner_ahead_m, 0.5 * rest))];
     const double speed = ground_speed(a, ahead), dz = a->depth_m - a->x0[Z], turn = a->yaw_rad - a->x0[YAW];

@@ -12,7 +12,7 @@ typedef struct {
     double x, y;
 } Place;
 
-/* As control/fence/quick.py lays it out. */
+/* As control/fence/compiled_planes.py lays it out. */
 typedef struct {
     long edges, rounds;
     const Place *a, *ab, *along, *normal; /* per edge */

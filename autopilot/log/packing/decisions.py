@@ -3,7 +3,6 @@
 import math
 
 from autopilot.core.messages import (
-    Drive,
     EnergyPlan,
     Goal,
     MissionProgress,
@@ -11,6 +10,7 @@ from autopilot.core.messages import (
     NmpcStatus,
     ThrusterCommand,
     ThrusterHealthState,
+    VelocityGoal,
 )
 from autopilot.log.cdr import ENCAPSULATION
 from autopilot.log.packing.parts import NED, NS, UINT32
@@ -44,9 +44,9 @@ mode_state = packer_of(
 )
 
 
-def drive(stamp_ns: int, value: Drive | None) -> bytes:
+def drive(stamp_ns: int, value: VelocityGoal | None) -> bytes:
     """Drive; what it leaves to the goal is NaN, None is a goal without one."""
-    given = value or Drive()
+    given = value or VelocityGoal()
     return _drive(
         ENCAPSULATION,
         *divmod(stamp_ns, NS),

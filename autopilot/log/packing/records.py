@@ -12,7 +12,7 @@ from types import NoneType, UnionType
 from typing import Any, get_args, get_origin, get_type_hints
 
 from autopilot.core.messages import MAX_THRUSTERS
-from autopilot.log.cdr import ENCAPSULATION, Field
+from autopilot.log.cdr import ENCAPSULATION, CdrField
 from autopilot.log.packing.parts import NS, clip, padded
 from autopilot.log.schemas import layout, types_of
 
@@ -81,7 +81,7 @@ def absent(value: float) -> float | None:
     return None if math.isnan(value) else value
 
 
-def _packed(field: Field, hint: Any) -> str:
+def _packed(field: CdrField, hint: Any) -> str:
     value, kind = f"value.{field.name}", _kind(hint)
     if field.count is not None:
         if _optional(hint):

@@ -98,7 +98,7 @@ EMPTY = StepNotes()
 
 
 @dataclass(slots=True)
-class Standing:
+class LatchedNotes:
     """What holds until it is written anew: of a log that is being written, and of one that is read."""
 
     frame_counts: Mapping[str, int] | None = None
@@ -106,7 +106,7 @@ class Standing:
     refusals: tuple[str, ...] = ()
 
 
-def notes_of(inputs: Inputs, removed: list[Removed], standing: Standing) -> StepNotes | None:
+def notes_of(inputs: Inputs, removed: list[Removed], standing: LatchedNotes) -> StepNotes | None:
     """The notes of a tick, None when there is nothing to note; ``standing`` goes with them.
 
     ``removed``: what was taken out of each of ``inputs.mavlink_rx``.
@@ -170,7 +170,7 @@ def unpack(text: str, place: str) -> StepNotes:
         raise LogError(f"{place}: cannot be read ({error}); the log is of another version") from error
 
 
-def inputs_with(inputs: Inputs, notes: StepNotes, datagrams: tuple[bytes, ...], standing: Standing) -> Inputs:
+def inputs_with(inputs: Inputs, notes: StepNotes, datagrams: tuple[bytes, ...], standing: LatchedNotes) -> Inputs:
     """``inputs`` (time, samples, load) with all that ``notes`` say; ``standing`` is brought up to date."""
     if notes.frame_counts is not UNSET:
         standing.frame_counts = notes.frame_counts

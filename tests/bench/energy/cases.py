@@ -1,7 +1,7 @@
 """The benchmark cases B1 to B5: flow, start, goals and obstacles of each leg.
 
 One formula per flow serves the offline optimum (CasADi symbols), the controller's map and the figures (numbers). The
-plant has equations of its own in :mod:`autopilot.sitl.currents`; a test compares the two.
+plant has equations of its own in :mod:`autopilot.sitl.current_fields`; a test compares the two.
 """
 
 import math

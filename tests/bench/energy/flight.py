@@ -20,10 +20,10 @@ from autopilot.core.params import ParamSet
 from autopilot.core.vehicle import Vehicle
 from autopilot.sitl import scenario_tables as sc
 from autopilot.sitl.contact import Cylinder
-from autopilot.sitl.currents import CurrentField, current_field
+from autopilot.sitl.current_fields import CurrentField, current_field
+from autopilot.sitl.environment import SimulatedWaters
 from autopilot.sitl.plant import Plant, Truth
-from autopilot.sitl.thrusters import wrench_of
-from autopilot.sitl.world import World
+from autopilot.sitl.thruster_models import wrench_of
 from tests.bench.energy.cases import (
     CYLINDERS,
     REGION_M,
@@ -226,9 +226,9 @@ def plant_of(case: Case, vehicle: Vehicle) -> Plant:
     north, east = case.flow(north_m, east_m, math)
     c, s = math.cos(yaw), math.sin(yaw)
     walls = TANK_X_M, TANK_Y_M
-    world = World(current=plant_field(case))
+    world = SimulatedWaters(current=plant_field(case))
     if case.tank:
-        world = World(
+        world = SimulatedWaters(
             polygon_ned_m=tuple((i * walls[0], j * walls[1]) for i, j in ((-1, -1), (1, -1), (1, 1), (-1, 1))),
             floor_m=TANK_FLOOR_M,
             solids=tuple(Cylinder(name="cylinder", center_ned_m=(x, y), radius_m=r) for x, y, r in CYLINDERS),

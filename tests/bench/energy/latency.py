@@ -14,13 +14,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from autopilot.analysis.nmpc_flight import TANK
+from autopilot.control.energy.energy_tuning import PATIENCE
 from autopilot.control.energy.flow import area_of, sample_flow
 from autopilot.control.energy.leg_task import shifted
 from autopilot.control.energy.patience import ANSWER_STEPS, Kind
 from autopilot.control.energy.power import PowerModel
-from autopilot.control.energy.request import Plan, Request
+from autopilot.control.energy.request import Plan, TrajectoryRequest
 from autopilot.control.energy.search import EnergyPlanner
-from autopilot.control.energy.tuned import PATIENCE
 from autopilot.control.water.currents import CurrentForecast, EstimatedCurrent
 from autopilot.core.frames import FloatArray
 from autopilot.core.geometry import Circle, Fence, Polygon
@@ -113,7 +113,11 @@ def bench_latency(runs: int = RUNS, slowness: float = 1.0) -> Iterator[LatencyRo
 
 
 def _timed(
-    planner: EnergyPlanner, request: Request, kind: Kind, took: dict[Kind, list[float]], solved: dict[Kind, int]
+    planner: EnergyPlanner,
+    request: TrajectoryRequest,
+    kind: Kind,
+    took: dict[Kind, list[float]],
+    solved: dict[Kind, int],
 ) -> Plan:
     begin_s = time.thread_time()
     plan = planner.plan(replace(request, kind=kind))
@@ -122,10 +126,10 @@ def _timed(
     return plan
 
 
-def _request(water: _Water, x0: FloatArray, goal: Goal) -> Request:
+def _request(water: _Water, x0: FloatArray, goal: Goal) -> TrajectoryRequest:
     places = [x0[:2], goal.pos_ned_m[:2]] + ([] if goal.following is None else [goal.following.pos_ned_m[:2]])
     area = area_of(water.fence, np.stack(places))
-    return Request(
+    return TrajectoryRequest(
         x0=x0,
         goal=goal,
         fence=water.fence,

@@ -10,7 +10,7 @@ import numpy as np
 
 from autopilot.analysis.nmpc_flight import TANK
 from autopilot.control.energy.field import LONGEST_MOVE, EnergyField
-from autopilot.control.energy.flow import Flow, area_of, sample_flow
+from autopilot.control.energy.flow import FlowField, area_of, sample_flow
 from autopilot.control.energy.power import PowerModel, speed_table
 from autopilot.control.fence.obstacles import Features
 from autopilot.core.frames import FloatArray
@@ -228,7 +228,7 @@ def grid_energy_j(vehicle: Vehicle, case: Case) -> float:
     begin = np.array(case.start[:2])
     places = np.stack([begin, *(np.array(goal.pos_ned_m[:2]) for goal in case.goals)])
     area = area_of(fence, places)
-    flow = Flow(sample_flow(known_current(case), start, area, case.start[2]))
+    flow = FlowField(sample_flow(known_current(case), start, area, case.start[2]))
     field = EnergyField(FreeSpace(features, area, BODY_RADIUS_M + 0.02, long_moves=LONGEST_MOVE), flow, table)
     for goal in case.goals:
         end = np.array(goal.pos_ned_m[:2])

@@ -13,7 +13,7 @@ from typing import Any
 
 from pymavlink.dialects.v20 import development as mav
 
-from autopilot.client.session import Session
+from autopilot.client.client_session import VehicleConnection
 from autopilot.core.plan import PlanKind
 from autopilot.core.samples import CameraFrame, MarkerSighting
 from autopilot.estimator.vision import Hint, MarkerDetector
@@ -150,13 +150,13 @@ def _disk_full() -> Measured:
 
 
 @contextlib.contextmanager
-def _keeping(folder: str) -> Iterator[tuple[Child, Session]]:
+def _keeping(folder: str) -> Iterator[tuple[Child, VehicleConnection]]:
     """A service that keeps its plans, killed at the end, and a client."""
     port = free_port()
     arguments = ["sitl", "--quiet", "--sensors", "pose", "--keep-plans", "--connect", f"udpin:{LOCAL}:{port}"]
     child = Child(autopilot_command(*arguments), {"AUTOPILOT_STATE_DIR": folder, "AUTOPILOT_LOG_DIR": folder + "/logs"})
     try:
-        with Session(f"udpout:{LOCAL}:{port}", at_work=child.at_work) as client:
+        with VehicleConnection(f"udpout:{LOCAL}:{port}", at_work=child.at_work) as client:
             client.connect(60.0)
             yield child, client
     finally:

@@ -12,8 +12,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+from autopilot.client.client_session import VehicleConnection
 from autopilot.client.exchange import Timers
-from autopilot.client.session import Session
 from autopilot.core.errors import AutopilotError
 from autopilot.core.plan import PlanKind
 from autopilot.mission.paper import paper_plan
@@ -94,7 +94,7 @@ def _held() -> Measured:
             _command(folder, "--quiet", connect=f"udpin:127.0.0.1:{port}"), {"AUTOPILOT_STATE_DIR": str(folder)}
         )
         try:
-            with Session(f"udpout:127.0.0.1:{port}", Timers(), at_work=child.at_work) as session:
+            with VehicleConnection(f"udpout:127.0.0.1:{port}", Timers(), at_work=child.at_work) as session:
                 session.connect()
                 child.process.send_signal(signal.SIGSTOP)
                 waker = threading.Timer(HELD_S, child.process.send_signal, (signal.SIGCONT,))

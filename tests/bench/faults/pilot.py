@@ -42,7 +42,7 @@ IN_THE_WAY = ((11.0, 11.0), (0.0, 21.0))
 
 
 class Pilot:
-    """A :class:`autopilot.run.outside.Peer` that does what it is told."""
+    """A :class:`autopilot.run.outside.InProcessClient` that does what it is told."""
 
     def __init__(self) -> None:
         self._mav = mav.MAVLink(None, srcSystem=255, srcComponent=190)

@@ -1,0 +1,247 @@
+"""Campaigns side by side: one row per folder, shares and medians with their confidence, and modes compared run by run.
+
+Runs are the unit: laps of one run share a vehicle and its water. Shares have the interval of Clopper and Pearson
+(1934), medians the one between order statistics (whatever the distribution), both two-sided.
+"""
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from autopilot.campaign.definition import CampaignIdentity
+from autopilot.campaign.results import RunResult
+from autopilot.campaign.run_store import read_identity, read_results
+from autopilot.campaign.summary import CONFIDENCE, failure_interval
+from autopilot.core.params import ParamSet
+
+MODE = "MPC_COST"
+MODES = {0.0: "quadratic", 1.0: "least energy"}
+ALARM = "Thruster "
+"""How a warning begins that says that a thruster is weak; all of them are sound in R1 to R4."""
+
+
+@dataclass(frozen=True, slots=True)
+class Share:
+    """So many of so many, and the interval of shares that this does not rule out."""
+
+    hits: int
+    count: int
+    low: float
+    high: float
+
+    def __str__(self) -> str:
+        return f"{self.hits} of {self.count} ({100.0 * self.low:.1f} to {100.0 * self.high:.1f} %)"
+
+
+@dataclass(frozen=True, slots=True)
+class Middle:
+    """A median over runs and its interval, None if there are too few."""
+
+    median: float | None
+    low: float | None = None
+    high: float | None = None
+
+    def text(self, digits: int) -> str:
+        """Median and interval."""
+        if self.median is None:
+            return ""
+        if self.low is None or self.high is None:
+            return f"{self.median:.{digits}f}"
+        return f"{self.median:.{digits}f} ({self.low:.{digits}f} to {self.high:.{digits}f})"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TableRow:
+    """One campaign."""
+
+    scenario: str
+    mode: str
+    params: dict[str, float]
+    """Set in all runs, without the mode."""
+    revision: str
+    runs: int
+    errors: int
+    """Runs that could not be flown."""
+    arrived: Share
+    """Runs with all laps."""
+    failed: Share
+    """Runs that break what the scenario holds against a run."""
+    alarmed: Share
+    """Runs in which a thruster was called weak."""
+    contacts: int
+    """Runs that touched anything."""
+    beyond: int
+    """Runs that broke a bound by more than its tolerance."""
+    least_m: float | None
+    """Least distance that is left to a cylinder, a wall, the fence or the depth band, of all runs."""
+    failsafes: tuple[str, ...]
+    rough: Share
+    """Runs that miss a bar of smooth commands (:data:`autopilot.log.smoothness.BARS`)."""
+    lap_j: Middle
+    """Of the mean lap of each run."""
+    lap_s: Middle
+    pos_mm: Middle
+    """Root mean square error of the estimated position until the mission is complete,"""
+    worst_mm: float | None
+    """and the largest of all runs."""
+    fallbacks_pct: Middle
+    cpu_s: Middle
+    """Of a whole run."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Pairing:
+    """Two modes of one set: run k of both has the same vehicle in the same water."""
+
+    scenario: str
+    ratio: Middle
+    """Least energy over quadratic, of the mean laps of runs that arrived in both."""
+    cheaper: Share
+
+
+def share(hits: int, count: int) -> Share:
+    """With the two-sided interval at CONFIDENCE; all of 0 to 1 without runs."""
+    return Share(hits, count, *failure_interval(hits, count))
+
+
+def middle(values: Sequence[float]) -> Middle:
+    """The median between the order statistics whose ranks a binomial variable of 1/2 leaves with CONFIDENCE."""
+    from scipy.stats import binom
+
+    ordered = sorted(values)
+    count = len(ordered)
+    if not count:
+        return Middle(None)
+    rank = int(binom.ppf(0.5 * (1.0 - CONFIDENCE), count, 0.5))
+    bounds = (ordered[rank - 1], ordered[count - rank]) if rank else ()
+    return Middle(float(np.median(ordered)), *bounds)
+
+
+def row_of(identity: CampaignIdentity, results: Iterable[RunResult]) -> TableRow:
+    """What one campaign shows so far."""
+    runs = list(results)
+    flown = [each for each in runs if each.error is None]
+    kept = [margin.margin for each in flown for name, margin in each.margins.items() if name not in SPEEDS]
+    return TableRow(
+        scenario=identity.scenario["scenario"]["name"],
+        mode=MODES.get(_mode(identity), f"{MODE} {_mode(identity):g}"),
+        params={name: value for name, value in identity.params.items() if name != MODE},
+        revision=identity.revision,
+        runs=len(runs),
+        errors=len(runs) - len(flown),
+        arrived=share(sum(_arrived(each) for each in runs), len(runs)),
+        failed=share(sum(each.failed for each in runs), len(runs)),
+        alarmed=share(sum(any(ALARM in event for event in each.events) for each in flown), len(flown)),
+        contacts=sum(each.contacts > 0 for each in flown),
+        beyond=sum(bool(each.beyond) for each in flown),
+        least_m=min(kept, default=None),
+        failsafes=tuple(sorted({name for each in flown for name in each.failsafes})),
+        rough=share(sum(bool(each.rough) for each in flown), len(flown)),
+        lap_j=_laps(flown, lambda each: each.energy_j),
+        lap_s=_laps(flown, lambda each: each.lap_s),
+        pos_mm=middle([1e3 * each.pos_rms_m for each in flown]),
+        worst_mm=max((1e3 * each.pos_max_m for each in flown), default=None),
+        fallbacks_pct=middle([100.0 * each.fallbacks / each.steps for each in flown if each.steps]),
+        cpu_s=middle([each.cpu_s for each in flown]),
+    )
+
+
+SPEEDS = frozenset(("planar speed", "heave", "yaw rate", "thrust"))
+"""Margins that are no distances."""
+
+
+def pairing(scenario: str, quadratic: dict[int, RunResult], least: dict[int, RunResult]) -> Pairing | None:
+    """Runs that arrived in both modes and flew the same draw; None if there is none."""
+    ratios = [
+        float(np.mean(least[run].energy_j) / np.mean(quadratic[run].energy_j))
+        for run in sorted({*quadratic} & {*least})
+        if _arrived(quadratic[run]) and _arrived(least[run]) and quadratic[run].energy_j and least[run].energy_j
+        if (quadratic[run].seed, quadratic[run].drawn) == (least[run].seed, least[run].drawn)
+    ]
+    if not ratios:
+        return None
+    return Pairing(
+        scenario=scenario, ratio=middle(ratios), cheaper=share(sum(each < 1.0 for each in ratios), len(ratios))
+    )
+
+
+def table_of(folders: Sequence[Path]) -> tuple[list[TableRow], list[Pairing]]:
+    """Rows of campaigns in their folders, as they were named. ConfigError: one holds no campaign."""
+    read = [(read_identity(folder), read_results(folder)) for folder in folders]
+    rows = [row_of(identity, results.values()) for identity, results in read]
+    pairs = []
+    for scenario in dict.fromkeys(row.scenario for row in rows):
+        mine = {
+            _mode(identity): results
+            for (identity, results), row in zip(read, rows, strict=True)
+            if row.scenario == scenario
+        }
+        pair = pairing(scenario, mine.get(0.0, {}), mine.get(1.0, {}))
+        if pair is not None:
+            pairs.append(pair)
+    return rows, pairs
+
+
+HEADS = (
+    *(
+        "set",
+        "mode",
+        "runs",
+        "all laps",
+        "failed",
+        "contacts",
+        "bound broken",
+        "least distance kept",
+        "thruster alarms",
+    ),
+    *("failsafes", "not smooth", "lap J", "lap s", "estimate mm", "at worst", "fallbacks %", "CPU s a run"),
+)
+
+
+def cells(row: TableRow) -> tuple[str, ...]:
+    """One line of the table."""
+    extra = "".join(f", {name} {value:g}" for name, value in row.params.items())
+    return (
+        *(row.scenario, row.mode + extra, str(row.runs), str(row.arrived), str(row.failed)),
+        *(str(row.contacts), str(row.beyond), "" if row.least_m is None else f"{1000.0 * row.least_m:.0f} mm"),
+        *(str(row.alarmed), ", ".join(row.failsafes) or "none", str(row.rough)),
+        *(row.lap_j.text(0), row.lap_s.text(1), row.pos_mm.text(1)),
+        *("" if row.worst_mm is None else f"{row.worst_mm:.0f}", row.fallbacks_pct.text(1), row.cpu_s.text(0)),
+    )
+
+
+def markdown(rows: Sequence[TableRow], pairs: Sequence[Pairing]) -> str:
+    """As docs/campaign.md has it."""
+    lines = [_line(HEADS), _line(["---"] * len(HEADS)), *(_line(cells(row)) for row in rows)]
+    for pair in pairs:
+        lines += ["", pair_text(pair)]
+    lines += ["", f"Flown at {', '.join(dict.fromkeys(row.revision or 'no revision' for row in rows))}."]
+    return "\n".join(lines) + "\n"
+
+
+def pair_text(pair: Pairing) -> str:
+    """In words."""
+    return (
+        f"{pair.scenario}: a lap of least energy takes {pair.ratio.text(2)} of the quadratic one with the same vehicle"
+        f" in the same water; cheaper in {pair.cheaper}."
+    )
+
+
+def _line(texts: Iterable[str]) -> str:
+    return f"| {' | '.join(texts)} |"
+
+
+def _arrived(result: RunResult) -> bool:
+    return result.error is None and not result.laps_missing
+
+
+def _mode(identity: CampaignIdentity) -> float:
+    """MPC_COST that the runs flew with: given, of the scenario, or the default."""
+    given = identity.params.get(MODE, identity.scenario.get("params", {}).get(MODE))
+    return float(ParamSet()[MODE] if given is None else given)
+
+
+def _laps(flown: Sequence[RunResult], of: Callable[[RunResult], list[float]]) -> Middle:
+    return middle([float(np.mean(of(each))) for each in flown if of(each)])

@@ -1,0 +1,97 @@
+"""``autopilot doctor``: look a vehicle over before it goes into the water."""
+
+from typing import TYPE_CHECKING
+
+import click
+
+from autopilot.cli.console_output import EXIT_FAILED, EXIT_LOSS, emit_json, print_table
+from autopilot.cli.finite import FiniteRange
+from autopilot.cli.shared_options import CONFIG, INSTANCE, JSON
+
+if TYPE_CHECKING:
+    from autopilot.run.findings import Finding
+
+WARNING = "The thrusters are armed and turn for two seconds. Take all propellers off."
+
+
+@click.command()
+@CONFIG
+@click.option("--plan", type=click.Path(exists=True, dir_okay=False), help="Plan to fly instead of the one on board.")
+@click.option("--connect", multiple=True, help="MAVLink connection; repeatable, replaces the file's.")
+@click.option("--param", multiple=True, metavar="NAME=VALUE", help="Set a parameter for this look; repeatable.")
+@INSTANCE
+@click.option("--seconds", type=FiniteRange(1.0, 600.0), default=5.0, show_default=True, help="So long it looks.")
+@click.option(
+    "--measure-neutral",
+    is_flag=True,
+    help="Turn the thrusters and measure how long they keep turning without commands.",
+)
+@click.option("--yes", is_flag=True, help="With --measure-neutral: the propellers are off, do not ask.")
+@JSON
+def doctor(
+    config: str,
+    plan: str | None,
+    connect: tuple[str, ...],
+    param: tuple[str, ...],
+    instance: int,
+    seconds: float,
+    measure_neutral: bool,
+    yes: bool,
+    as_json: bool,
+) -> None:
+    """Would it arm? The service's own checks on the vehicle's devices, their rates, noise and plausibility, who else
+    speaks, and what to do. Nothing moves, unless it is asked to measure how long thrust goes on in silence.
+
+    Exit codes: 0 arming would be accepted, 1 something has to be fixed, 3 warnings.
+    """
+    if measure_neutral and not yes:
+        click.confirm(f"{WARNING} Are they off?", abort=True, err=True)
+    findings = _examined(
+        config,
+        {"plan": plan, "connect": connect},
+        param,
+        instance=instance,
+        seconds=seconds,
+        measure_neutral=measure_neutral,
+    )
+    if as_json:
+        emit_json(
+            [{"verdict": f.verdict.value, "what": f.what, "found": f.found, "remedy": f.remedy} for f in findings]
+        )
+    else:
+        print_table(
+            "Doctor", ("", "what", "found", "to do"), [(f.verdict.value, f.what, f.found, f.remedy) for f in findings]
+        )
+    verdicts = {finding.verdict.value for finding in findings}
+    context = click.get_current_context()
+    if "fail" in verdicts:
+        context.exit(EXIT_FAILED)
+    if "warn" in verdicts:
+        context.exit(EXIT_LOSS)
+
+
+def _examined(
+    config: str,
+    given: dict[str, object],
+    param: tuple[str, ...],
+    *,
+    instance: int,
+    seconds: float,
+    measure_neutral: bool,
+) -> "list[Finding]":
+    """What is found on the vehicle, or wrong with its configuration."""
+    from autopilot.core.errors import AutopilotError
+    from autopilot.run.config import gather, parse_overrides, vehicle_defaults
+    from autopilot.run.doctor import examine, failed_config
+    from autopilot.run.neutral_time import measure
+    from autopilot.run.vehicle_config import load_config
+
+    overrides = parse_overrides(param)
+    try:
+        loaded = load_config(config)
+        file = loaded.file.service.given(loaded.path.parent)
+        settings = gather(vehicle_defaults(instance), given, file=file, file_name=loaded.path.name)
+        findings = examine(loaded, settings, seconds, overrides, instance=instance)
+        return [*findings, measure(loaded)] if measure_neutral else findings
+    except AutopilotError as error:
+        return failed_config(error)

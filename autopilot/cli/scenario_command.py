@@ -1,0 +1,129 @@
+"""``autopilot scenario``: what is shipped, a commented copy to edit, what a file gives, its plan with its fence."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from autopilot.cli.console_output import EXIT_LOSS, emit_json, print_table
+from autopilot.cli.shared_options import JSON, SCENARIO_VEHICLE
+
+if TYPE_CHECKING:
+    from autopilot.sitl.scenario_tables import Scenario
+
+
+@click.group()
+def scenario() -> None:
+    """Scenario files: check one, write a commented copy, list what is shipped, write the plan with its fence."""
+
+
+@scenario.command("list")
+@JSON
+def list_shipped(as_json: bool) -> None:
+    """The scenarios that are shipped."""
+    from autopilot.sitl.scenario import load_scenario, scenario_names
+
+    known = [load_scenario(name) for name in scenario_names()]
+    if as_json:
+        emit_json([_plain(each) for each in known])
+        return
+    print_table(
+        "Scenarios (autopilot sitl NAME --start, where there is a plan)",
+        ("name", "description", "where", "vehicle", "current", "plan"),
+        [
+            (p["name"], p["description"], p["where"], p["vehicle"], p["current"], "yes" if p["plan"] else "")
+            for p in map(_plain, known)
+        ],
+    )
+
+
+def _plain(known: Scenario) -> dict[str, str | int]:
+    """A scenario in words."""
+    return {
+        "name": known.scenario.name,
+        "description": known.scenario.description,
+        "where": _where(known),
+        "vehicle": known.vehicle.model,
+        "current": str(known.current.__struct_config__.tag) + ("" if known.waves is None else ", waves"),
+        "plan": known.scenario.plan or "",
+        "obstacles": len(known.obstacle),
+        "faults": len(known.fault),
+        "spread": len(known.spread),
+    }
+
+
+def _where(known: Scenario) -> str:
+    tank = known.tank
+    if tank is None:
+        return "open water"
+    north, east = ([corner[axis] for corner in tank.polygon_m] for axis in (0, 1))
+    return f"{max(north) - min(north):g} x {max(east) - min(east):g} x {tank.depth_m:g} m"
+
+
+@scenario.command()
+@click.argument("file")
+@SCENARIO_VEHICLE
+@JSON
+def check(file: str, vehicle: str | None, as_json: bool) -> None:
+    """Whether the scenario of FILE (or a shipped name) can be flown: world, start, current, plan and fence.
+
+    Exit code 1, with the reason, if it cannot be simulated or its plan not flown; 3 with remarks.
+    """
+    from autopilot.run.sitl_check import check_scenario
+    from autopilot.sitl.scenario import load_scenario, with_vehicle
+
+    known = load_scenario(file)
+    if vehicle is not None:
+        known = with_vehicle(known, vehicle, "--vehicle")
+    found = check_scenario(file, known)
+    if as_json:
+        emit_json({**_plain(known), **found.facts, "problems": found.problems, "remarks": found.remarks})
+    else:
+        print_table(
+            f"{known.scenario.name}: {known.scenario.description}", ("what", "value"), list(found.facts.items())
+        )
+        for kind, texts in (("problem", found.problems), ("remark", found.remarks)):
+            for text in texts:
+                click.echo(f"{kind}: {text}", err=True)
+    if found.problems or found.remarks:
+        raise click.exceptions.Exit(1 if found.problems else EXIT_LOSS)
+
+
+@scenario.command()
+@click.argument("name")
+@click.option("--from", "source", default="paper-tank", show_default=True, help="Shipped scenario or file to copy.")
+@click.option("--out", type=click.Path(file_okay=False, path_type=Path), default=Path(), help="Folder (default: here).")
+def new(name: str, source: str, out: Path) -> None:
+    """Write NAME.toml, a commented copy to edit, with its plan and what else it needs beside it."""
+    from autopilot.run.sitl_copy import copy_scenario
+
+    for path in copy_scenario(name, source, out):
+        click.echo(str(path))
+    target = out / f"{name}.toml"
+    click.echo(f"edit it, then: autopilot scenario check {target}; autopilot sitl {target} --start")
+
+
+@scenario.command()
+@click.argument("file")
+@click.option("--out", required=True, type=click.Path(dir_okay=False, path_type=Path), help="FILE.plan")
+@click.option("--force", is_flag=True, help="Replace FILE.")
+def plan(file: str, out: Path, force: bool) -> None:
+    """Write the plan of a scenario, with the fence that it draws, for QGroundControl or autopilot mission upload."""
+    from autopilot.core.errors import ConfigError
+    from autopilot.mission.plan_files import read_plan, write_plan
+    from autopilot.run.sitl_fence import scenario_plan
+    from autopilot.sitl.scenario import load_scenario, plan_path
+
+    known = load_scenario(file)
+    source = plan_path(file, known)
+    if source is None:
+        raise ConfigError(f"scenario {known.scenario.name!r} has no plan; name one in scenario.plan")
+    if out.exists() and not force:
+        raise ConfigError(f"--out {out}: is there already; choose another name, or --force to replace it")
+    finished, warnings = scenario_plan(read_plan(source), known)
+    write_plan(out, finished)
+    for text in warnings:
+        click.echo(f"warning: {text}", err=True)
+    click.echo(f"{out}: mission {len(finished.mission)} items, fence {len(finished.fence)} items")

@@ -1,0 +1,133 @@
+"""What the operator is told without having asked: position lost or found, no way to the goal, a new fence."""
+
+from autopilot.command.command_tuning import WATCH
+from autopilot.command.conditions import TickInputs
+from autopilot.control.thrust.twins import lossy_share
+from autopilot.core import operator_messages as notices
+from autopilot.core.messages import NavDoubt, NavHealth, NavState
+from autopilot.core.operator_messages import OperatorText
+from autopilot.core.vehicle import Vehicle
+from autopilot.mission.goals import Goals
+from autopilot.mission.store import Plans
+
+_HEALTH_TEXTS = {
+    NavHealth.GOOD: notices.POSITION_GOOD,
+    NavHealth.DEAD_RECKONING: notices.DEAD_RECKONING,
+    NavHealth.INVALID: notices.POSITION_LOST,
+}
+
+_DOUBT_TEXTS = {
+    NavDoubt.ACCELEROMETER: notices.ACCELEROMETER_WRONG,
+    NavDoubt.GYRO: notices.GYRO_WRONG,
+    NavDoubt.FIXES: notices.FIXES_DISAGREE,
+    NavDoubt.RANGE: notices.RANGE_DISAGREES,
+    NavDoubt.MAP: notices.MAP_DISAGREES,
+    NavDoubt.CALIBRATION: notices.CALIBRATION_SUSPECT,
+    NavDoubt.RESETS: notices.REPEATED_RESETS,
+    NavDoubt.CAMERA: notices.CAMERA_WRONG,
+}
+"""What to do about a sensor that the evidence denies."""
+
+
+class ChangeWatch:
+    """Remembers how things were on the last tick and says what has changed."""
+
+    def __init__(self, vehicle: Vehicle, plans: Plans, goals: Goals) -> None:
+        self._radius_m = vehicle.radius_m
+        self._plans = plans
+        self._goals = goals
+        self._fence = goals.fence
+        self._health = NavHealth.INVALID
+        self._doubts: frozenset[NavDoubt] = frozenset()
+        """Those that have been told since arming."""
+        self._unreachable = False
+        self._thrusters = tuple(thruster.name for thruster in vehicle.thrusters)
+        self._share: dict[str, float] = {}
+        self._shares: tuple[float, ...] | None = None
+        self._doubtful: tuple[tuple[str, ...], ...] = ()
+        self._armed_us: int | None = None
+        self._delay_s = 0.0
+
+    def look(self, conditions: TickInputs, *, armed: bool) -> list[OperatorText]:
+        """What is new on this tick."""
+        nav = conditions.nav
+        texts: list[OperatorText] = []
+        health = NavHealth.INVALID if nav is None else nav.health
+        new = conditions.nav_doubts - self._doubts if armed else frozenset()
+        texts += [_DOUBT_TEXTS[doubt]() for doubt in NavDoubt if doubt in new] if new else []
+        self._doubts = self._doubts | new if armed else frozenset()
+        # The text of a doubt says already why the fixes do not count.
+        told = health is NavHealth.DEAD_RECKONING and (bool(new) or NavDoubt.FIXES in conditions.nav_doubts)
+        if armed and health is not self._health and not told:
+            texts.append(_HEALTH_TEXTS[health]())
+        if armed and conditions.unreachable and not self._unreachable:
+            texts.append(notices.NO_FREE_PATH())
+        texts += self._of_commands(conditions.command_delay_s) if armed else []
+        self._health, self._unreachable = health, conditions.unreachable
+        texts += self._of_twins(conditions.thruster_share, conditions.thrusters_doubtful)
+        texts += self._of_thrusters(conditions.thruster_share)
+        texts += self._of_flight(conditions, armed)
+        if self._goals.fence is not self._fence:
+            self._fence = self._goals.fence
+            texts += self._of_fence(nav if armed and health is not NavHealth.INVALID else None)
+        return texts
+
+    def _of_commands(self, delay_s: float) -> list[OperatorText]:
+        """Commands that act late, or again at once."""
+        said_s = self._delay_s
+        if abs(delay_s - said_s) < WATCH.delay_news_s and not (delay_s == 0.0 != said_s):
+            return []
+        self._delay_s = delay_s
+        if delay_s == 0.0:
+            return [notices.LATENCY_NORMAL()]
+        return [notices.LATENCY(delay_s=delay_s)]
+
+    def _of_twins(self, shares: tuple[float, ...], doubtful: tuple[tuple[str, ...], ...]) -> list[OperatorText]:
+        """One of several thrusters that do the same gives less than it should, or none of them any more."""
+        if doubtful == self._doubtful:
+            return []
+        share_of = dict(zip(self._thrusters, shares, strict=False))
+        texts: list[OperatorText] = []
+        for twins in doubtful:
+            if twins not in self._doubtful:
+                left = 100.0 * lossy_share([share_of[name] for name in twins])
+                texts.append(notices.TWIN_LOSS(names=", ".join(twins), percent=left))
+        sound = [twins for twins in self._doubtful if twins not in doubtful and all(share_of[t] == 1.0 for t in twins)]
+        texts += [notices.TWINS_RESTORED(names=", ".join(twins)) for twins in sound]
+        self._doubtful = doubtful
+        return texts
+
+    def _of_thrusters(self, shares: tuple[float, ...]) -> list[OperatorText]:
+        """A thruster that gives less than it should, or again what it should."""
+        texts: list[OperatorText] = []
+        if shares == self._shares:
+            return texts
+        self._shares = shares
+        for name, share in zip(self._thrusters, shares, strict=False):
+            if any(name in twins for twins in self._doubtful):
+                continue
+            said = self._share.get(name, 1.0)
+            if abs(share - said) < WATCH.share_news and not (share == 1.0 != said):
+                continue
+            self._share[name] = share
+            if share == 1.0:
+                texts.append(notices.THRUSTER_RESTORED(name=name))
+            else:
+                texts.append(notices.THRUSTER_LOSS(name=name, percent=100.0 * share))
+        return texts
+
+    def _of_flight(self, conditions: TickInputs, armed: bool) -> list[OperatorText]:
+        """After a flight: silence about a thruster that was hardly used does not say that it is sound."""
+        since_us = self._armed_us
+        self._armed_us = (conditions.t_us if since_us is None else since_us) if armed else None
+        if armed or since_us is None or conditions.t_us - since_us < WATCH.flight_us or not conditions.thrusters_unseen:
+            return []
+        return [notices.THRUSTERS_UNJUDGED(names=", ".join(conditions.thrusters_unseen))]
+
+    def _of_fence(self, nav: NavState | None) -> list[OperatorText]:
+        """Gaps that FENCE_GAP_CHK only warns of, and a vehicle that the new fence finds where it must not be."""
+        texts = [notices.FENCE_GAP(text=text) for text in self._plans.warnings()]
+        lack_m = 0.0 if nav is None else self._radius_m - self._goals.clearance_m(nav.pos_ned_m)
+        if lack_m > 0.0:
+            texts.append(notices.FENCE_TOO_NEAR(lack_m=lack_m))
+        return texts

@@ -1,0 +1,206 @@
+"""Tuned numbers of commands and failsafes, by module."""
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True, slots=True)
+class CameraWatchTuning:
+    """Of :mod:`autopilot.command.camera_watch`."""
+
+    for_us: int = 500_000
+    """Pictures that are all bad for so long are told of; as long a time of good ones ends it."""
+    least: int = 3
+    """And at least so many of them."""
+    silent_us: int = 800_000
+    """A camera that has sent pictures and then sends none for so long is silent."""
+    markers_us: int = 300_000
+    """A picture is good enough, whatever it looks like, if markers were found within so long."""
+    fog_contrast: float = 6.0
+    """Grey levels between neighbouring pixels of the coarse picture: a floor of markers has 20 and more in clear water,
+    noise alone 3."""
+    clipped_share: float = 0.5
+    """Share of white or black pixels from which on a picture in which nothing is found is over- or under-exposed."""
+
+
+CAMERA_WATCH = CameraWatchTuning()
+
+
+@dataclass(frozen=True, slots=True)
+class FactsTuning:
+    """Of :mod:`autopilot.command.facts`."""
+
+    latched_us: int = 2_000_000
+    """A probe that has been wet counts as wet for so long: water that splashes about makes and breaks the contact."""
+    frozen_readings: int = 20
+    """So many equal readings in a row are no measurement: the last digits of every sensor here are noise."""
+    late_every_us: int = 1_000_000
+    """The share of late ticks is taken over so long."""
+    jump_s: float = 0.5
+    """A clock of day that is set by less than this is being kept in step, not set."""
+    felt_us: int = 1_000_000
+    """A heading or a depth that is older says nothing."""
+    shown_us: int = 10_000_000
+    """A jump of the clock and a collision are things of a moment: shown for so long."""
+    base_time_s: float = 0.5
+    """Over so long what a jolt is measured from is averaged: tilt, current and thrust change more slowly."""
+    jolt_us: int = 300_000
+    """A jolt is over within so long; what stays is a sensor that is wrong, or a tilt."""
+
+
+FACTS = FactsTuning()
+
+
+@dataclass(frozen=True, slots=True)
+class FaultResponseTuning:
+    """Of :mod:`autopilot.command.fault_response`."""
+
+    say_every_us: int = 5_000_000
+    """The same fault is said again after so long; it is counted every time."""
+    shown_us: int = 5_000_000
+    """So long after the last fault that thrust depends on the failsafe bit stays, and arming is refused."""
+    max_kinds: int = 64
+    """Kinds of fault that are remembered; with more of them the oldest goes."""
+
+
+FAULT_RESPONSE = FaultResponseTuning()
+
+
+@dataclass(frozen=True, slots=True)
+class MapCheckTuning:
+    """Of :mod:`autopilot.command.map_check`."""
+
+    circle_places: int = 36
+    lattice: int = 120
+    """Places per axis at which a workspace is looked at, beside the cells that hold gaps."""
+    edge_m: float = 1e-3
+    """As near to a boundary it has to be looked at closely whether a place is inside."""
+    same_origin_deg: float = 1e-6
+    """A map of latitudes lies where it belongs while the origin stays within this (0.1 m)."""
+
+
+MAP_CHECK = MapCheckTuning()
+
+
+@dataclass(frozen=True, slots=True)
+class MissionRunTuning:
+    """Of :mod:`autopilot.command.mission_run`."""
+
+    upstream_us: int = 5_000_000
+    """What the current leaves of the present leg is looked at so often: a vehicle that lies still does not know it
+    yet."""
+    reached_us: int = 1_000_000
+    """Items that are reached are told so often at most: a hundred may be, where they lie close together."""
+    reached_named: int = 5
+    """Up to so many of them by name."""
+
+
+MISSION_RUN = MissionRunTuning()
+
+
+@dataclass(frozen=True, slots=True)
+class MotorTestsTuning:
+    """Of :mod:`autopilot.command.motor_tests`."""
+
+    most_share: float = 0.3
+    """Of the pulse's span."""
+    most_s: float = 5.0
+    """In one go, and of one word."""
+    rest_s: float = 1.0
+    """After so long."""
+    silence_s: float = 0.5
+    """A word that says no time holds for so long: ArduSub wants two a second."""
+    away_m: float = 0.2
+    """From every boundary, beyond what the controller keeps: nothing brakes a vehicle while a thruster is tested."""
+
+
+MOTOR_TESTS = MotorTestsTuning()
+
+
+@dataclass(frozen=True, slots=True)
+class PhotographerTuning:
+    """Of :mod:`autopilot.command.photographer`."""
+
+    min_interval_s: float = 0.2
+    """Stills of full size are not taken faster."""
+    min_distance_m: float = 0.01
+    max_under_way: int = 4
+    """Stills that may be asked for and not there yet: a camera that does not follow gets no longer queue."""
+    lost_us: int = 10_000_000
+    """A still of which nothing is heard for so long is given up; whoever has the camera gives up sooner and says
+    why."""
+    max_records: int = 10_000
+    """Stills that can be asked for again; the oldest goes."""
+    nav_kept: int = 400
+    """Ticks of the estimate that are kept: an exposure is known 4 s later at most."""
+
+
+PHOTOGRAPHER = PhotographerTuning()
+
+
+@dataclass(frozen=True, slots=True)
+class ServiceTuning:
+    """Of :mod:`autopilot.command.service`."""
+
+    control_every_ticks: int = 5
+    """The NMPC runs at 20 Hz: counted in ticks, not timed."""
+    warm_at_tick: int = 100
+    """A second after the start, when the links are served, the controller has prepared what its first routes need."""
+    counters_every_ticks: int = 100
+    """The estimator's counts go to the log once per second."""
+
+
+SERVICE = ServiceTuning()
+
+
+@dataclass(frozen=True, slots=True)
+class SituationTuning:
+    """Of :mod:`autopilot.command.situation`."""
+
+    look_ticks: int = 10
+    """What needs geometry is looked at so often, energy at each tenth time."""
+    slow_m_s: float = 0.05
+    """Slower is not moving,"""
+    pushed: float = 1.0 / 3.0
+    """when a thruster is at this share of its limit"""
+    away_m: float = 0.3
+    """and there is so much way left."""
+    window_s: float = 60.0
+    """What a metre costs is taken over so long,"""
+    least_s: float = 15.0
+    least_m: float = 1.0
+    """and not known before so much has been flown."""
+    max_steps: int = 2000
+    """Steps of a mission, with its jumps, that are looked at."""
+
+
+SITUATION = SituationTuning()
+
+
+@dataclass(frozen=True, slots=True)
+class SurroundingsTuning:
+    """Of :mod:`autopilot.command.surroundings`."""
+
+    known_m: float = 0.3
+    """What beams end at so near to a shape of the fence is that."""
+    range_us: int = 200_000
+    """The laser's range is worked out of pictures this often."""
+    power_s: float = 30.0
+    """Time over which the mean power is taken."""
+
+
+SURROUNDINGS = SurroundingsTuning()
+
+
+@dataclass(frozen=True, slots=True)
+class WatchTuning:
+    """Of :mod:`autopilot.command.change_watch`."""
+
+    share_news: float = 0.15
+    """A change of a thruster's effectiveness that is worth a message."""
+    flight_us: int = 20_000_000
+    """What is armed for a shorter time is no flight to sum up."""
+    delay_news_s: float = 0.25
+    """A change of the commands' delay that is worth a message."""
+
+
+WATCH = WatchTuning()

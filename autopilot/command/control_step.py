@@ -1,0 +1,192 @@
+"""From goal to thrust: the controller on its ticks, its inner loop in between, and what is flown without either."""
+
+import math
+from collections.abc import Callable
+
+import numpy as np
+
+from autopilot.command.decision import Decision, Pose
+from autopilot.command.modes.mode_table import STEERED
+from autopilot.control.fence.tracks import Tracks
+from autopilot.control.protocol import Controller, sound, sound_thrust_n
+from autopilot.control.robust.fallback import station_keeping_thrust
+from autopilot.control.thrust.actuation import Actuation
+from autopilot.control.thrust.by_hand import Felt, HandLaw
+from autopilot.control.thrust.thrust_tuning import BY_HAND
+from autopilot.core.clock import TICK_US
+from autopilot.core.frames import FloatArray
+from autopilot.core.geometry import Fence
+from autopilot.core.messages import ControlOutput, Fallback, Goal, NavHealth, NavState, NmpcStatus, SolveStatus
+from autopilot.core.model4 import NX, YAW
+from autopilot.core.params import ParamSet
+from autopilot.core.sharing import Sharing
+from autopilot.core.vehicle import Vehicle
+from autopilot.mavlink.api import FlightMode
+
+BLIND_ASCENT_SHARE = 0.35
+"""Share of the thrust limit that lifts a vehicle without a position: about 0.2 m/s for the LBV150."""
+
+
+class ControlStep:
+    """Asks the controller, and keeps what it said for the ticks until it is asked again."""
+
+    def __init__(
+        self, vehicle: Vehicle, controller: Controller, actuation: Actuation, params: ParamSet, tracks: Tracks
+    ) -> None:
+        self._controller = controller
+        self._actuation = actuation
+        self._params = params
+        self._tracks = tracks
+        self._sharing = Sharing.of(vehicle)
+        self._hand = HandLaw(self._sharing)
+        self._soft: tuple[int, FloatArray] | None = None
+        """Time and thrust of the last tick, from the one on which a pilot without a position let go, or on which a mode
+        began or ended in which somebody steers."""
+        self._last: tuple[int, FlightMode] | None = None
+        """Time and mode of the last tick that had a goal."""
+        self._switched = False
+        """The controller has not answered since such a mode began or ended."""
+        self.felt: Callable[[int], Felt] = lambda _: Felt()
+        """What is known without a position, asked only then."""
+        self.thrust_n: FloatArray = actuation.nothing()
+        """(n,) wanted now."""
+        self._wanted_n: FloatArray = actuation.nothing()
+        """(n,) that the controller wants."""
+        self._limit_n: FloatArray = actuation.nothing()
+        """(n,) of the last control step."""
+        self.status: NmpcStatus | None = None
+        """Of the last control step, None while nothing is controlled."""
+        self.ahead: FloatArray | None = None
+        """(n, 8) the prediction of the last control step, None while nothing is controlled."""
+        self.solver_failures = 0
+        """Control steps in a row without a solution."""
+        self.way_left_m: float | None = None
+        """Length of the way to the goal as the controller flies it, None = it has none."""
+
+    def reset(self) -> None:
+        """Nothing has been planned."""
+        self.solver_failures, self.status, self.way_left_m, self.ahead = 0, None, None, None
+        self._controller.reset()
+
+    def step(
+        self, t_us: int, nav: NavState | None, decision: Decision, last_goal: Goal | None, fence: Fence, *, due: bool
+    ) -> ControlOutput | None:
+        """One tick. ``due``: a tick of the controller; a goal that appears does not wait for one. ValueError: thrust
+        that is not finite, of which nothing is left behind."""
+        control = self._step(t_us, nav, decision, last_goal, fence, due=due)
+        if not all(map(math.isfinite, self.thrust_n.tolist())):
+            wrong, self.thrust_n, self._soft = self.thrust_n, self._actuation.nothing(), None
+            self._hand.release()
+            raise ValueError(f"thrust is not finite: {wrong.tolist()}")
+        return control
+
+    def _step(
+        self, t_us: int, nav: NavState | None, decision: Decision, last_goal: Goal | None, fence: Fence, *, due: bool
+    ) -> ControlOutput | None:
+        goal, before_n = decision.goal, self.thrust_n
+        if goal is None or nav is None:
+            lift_n = BLIND_ASCENT_SHARE * self._params["THR_LIMIT"]
+            actuation = self._actuation
+            self.thrust_n = actuation.lift_n(lift_n) if decision.blind_ascent else actuation.nothing()
+            if decision.ascent is not None and nav is not None and nav.health is not NavHealth.INVALID:
+                self.thrust_n = self._ascend(nav, decision.ascent)
+            if decision.motor_test is not None:
+                self.thrust_n = self._tested(t_us, decision.motor_test, before_n)
+                self._soft = (t_us, self.thrust_n)
+                self._hand.release()
+            elif decision.by_hand is not None:
+                limit_n = np.minimum(actuation.limit_n, self._params["THR_LIMIT"])
+                self.thrust_n = self._hand.thrust_n(t_us, decision.by_hand, self.felt(t_us), limit_n, before_n)
+                self._soft = (t_us, self.thrust_n)
+            else:
+                self._hand.release()
+                self._soft = None
+            self._last = None
+            if last_goal is not None:
+                self.reset()
+            return None
+        self._hand.release()
+        self._note_mode(t_us, decision.mode)
+        nav = self._actuation.nav_for_control(t_us, nav)
+        control = None
+        if due or last_goal is None:
+            control = self._control(t_us, nav, goal, fence)
+            self._switched = False
+        else:
+            between = self._controller.tick(t_us, nav)
+            kept_n = self.thrust_n if self._soft is None else self._wanted_n
+            self._wanted_n = kept_n if between is None else sound_thrust_n(between, self._limit_n)
+        self.thrust_n = self._softened(t_us, self._wanted_n)
+        return control
+
+    def _tested(self, t_us: int, test: tuple[int, int], before_n: FloatArray) -> FloatArray:
+        """One thruster's pulse as thrust, within its limit; all thrust comes and goes as fast as a pilot's."""
+        place, pulse_us = test
+        actuation = self._actuation
+        limit_n = np.minimum(actuation.limit_n, self._params["THR_LIMIT"])
+        wanted_n = actuation.nothing()
+        wanted_n[place] = actuation.allocation.thrust_n(place, pulse_us, actuation.supply_v)
+        last_us = t_us - TICK_US if self._soft is None else self._soft[0]
+        most_n = BY_HAND.slew_share_1_s * (t_us - last_us) * 1e-6 * limit_n
+        thrust_n: FloatArray = np.clip(np.clip(wanted_n, -limit_n, limit_n), before_n - most_n, before_n + most_n)
+        return thrust_n
+
+    def _note_mode(self, t_us: int, mode: FlightMode) -> None:
+        """A switch between modes, one of which somebody steers in, is no jolt."""
+        last, self._last = self._last, (t_us, mode)
+        if last is not None and last[1] is not mode and (mode in STEERED or last[1] in STEERED):
+            self._soft, self._switched = (last[0], self.thrust_n), True
+
+    def _softened(self, t_us: int, wanted_n: FloatArray) -> FloatArray:
+        """What is wanted, coming from a pilot's thrust as fast as thrust may change."""
+        if self._soft is None:
+            return wanted_n
+        last_us, last_n = self._soft
+        most = BY_HAND.slew_share_1_s * (t_us - last_us) * 1e-6 * self._limit_n
+        thrust_n: FloatArray = np.clip(wanted_n, last_n - most, last_n + most)
+        done = not self._switched and np.array_equal(thrust_n, wanted_n)
+        self._soft = None if done else (t_us, thrust_n)
+        return thrust_n
+
+    def _ascend(self, nav: NavState, place: Pose) -> FloatArray:
+        """Up without the optimiser: the station-keeping law, whose station is at the surface."""
+        wanted = np.zeros(NX)
+        wanted[:3], wanted[YAW] = place[:3], place[3]
+        limit_n = np.minimum(self._actuation.limit_n, self._params["THR_LIMIT"])
+        thrust_n = station_keeping_thrust(self._sharing, model_state(nav), wanted, nav.current_ned_m_s, limit_n)
+        return thrust_n if np.isfinite(thrust_n).all() else self._actuation.nothing()
+
+    def _control(self, t_us: int, nav: NavState, goal: Goal, fence: Fence) -> ControlOutput:
+        actuation = self._actuation
+        self._limit_n = limit_n = np.minimum(actuation.limit_n, self._params["THR_LIMIT"])
+        control = self._controller.step(
+            t_us,
+            nav,
+            goal,
+            fence,
+            self._params,
+            limit_n,
+            self._tracks.round(t_us, nav.pos_ned_m),
+            delay_s=None if actuation.doubtful else actuation.delay_s,
+        )
+        control = sound(control, limit_n)
+        solved = control.status.status is SolveStatus.OK and control.status.fallback is Fallback.NONE
+        self.solver_failures = 0 if solved or actuation.doubtful else self.solver_failures + 1
+        self._wanted_n, self.status = control.thrust_n, control.status
+        self.ahead = control.nominal if len(control.nominal) else None
+        self.way_left_m = _length_m(control.route_ned_m)
+        return control
+
+
+def model_state(nav: NavState) -> FloatArray:
+    """The estimate as a state (8,) of :mod:`autopilot.core.model4`."""
+    x = np.empty(NX)
+    x[:3], x[YAW] = nav.pos_ned_m, nav.rpy_rad[2]
+    x[4:7], x[7] = nav.vel_water_frd_m_s, nav.rate_frd_rad_s[2]
+    return x
+
+
+def _length_m(way: FloatArray) -> float | None:
+    """Of a polyline (m, 2), None when there is none."""
+    step = way[1:] - way[:-1]
+    return float(np.hypot(step[:, 0], step[:, 1]).sum()) if len(step) else None

@@ -1,0 +1,57 @@
+"""How much of the planar speed margin is needed, by what has been seen at the limit.
+
+The margin is what bounds and the estimator's own spread add up to; mostly the vehicle keeps its speed far better than
+that, and in a current that is nearly too fast the difference decides whether it makes any way. So the margin shrinks
+slowly while the vehicle flies at its cap and its speed through the water stays there, and comes back quickly when it
+does not. For what cannot be seen (a vehicle that is faster than it believes, because the current is believed wrongly)
+half of the tube and MPC_SPEED_MARGIN are kept in any case.
+"""
+
+import math
+
+from autopilot.control.robust.robust_tuning import EVIDENCE
+from autopilot.core.messages import NavHealth, NavState
+
+
+class SpeedEvidence:
+    """One per vehicle; looked at once per control step."""
+
+    def __init__(self) -> None:
+        self.reset()
+
+    def reset(self) -> None:
+        """Nothing has been seen."""
+        self._t_us: int | None = None
+        self._reset_count = -1
+        self._needed = 1.0
+        self._slow_m_s = 0.0
+        self.share = 1.0
+        """Of the margin that is kept."""
+
+    def look(self, nav: NavState, limit_m_s: float, tube_m_s: float, least_m_s: float) -> None:
+        """``tube_m_s``: margin at the end of the prediction without any credit; ``least_m_s``: what is kept of it."""
+        speed = math.hypot(float(nav.vel_water_frd_m_s[0]), float(nav.vel_water_frd_m_s[1]))
+        good = nav.health is NavHealth.GOOD and math.isfinite(speed) and nav.reset_count == self._reset_count
+        if not good or self._t_us is None or tube_m_s <= 0.0 or limit_m_s <= tube_m_s:
+            self.reset()
+            self._t_us, self._reset_count, self._slow_m_s = nav.t_us, nav.reset_count, speed
+            return
+        elapsed_s = min(max((nav.t_us - self._t_us) * 1e-6, 0.0), EVIDENCE.longest_s)
+        self._t_us = nav.t_us
+        self._slow_m_s += (speed - self._slow_m_s) * elapsed_s / EVIDENCE.follow_s
+        cap_m_s = limit_m_s - max(self.share * tube_m_s, min(tube_m_s, least_m_s))
+        seen, time_s = 1.0, EVIDENCE.forget_s
+        if speed > EVIDENCE.near_share * cap_m_s:
+            seen = (EVIDENCE.sigmas * max(abs(speed - self._slow_m_s), speed - cap_m_s) / tube_m_s) ** 2
+            time_s = EVIDENCE.quick_s if seen > self._needed else EVIDENCE.slow_s
+        self._needed += (min(seen, EVIDENCE.largest_need) - self._needed) * min(1.0, elapsed_s / time_s)
+        self._move(math.hypot(*nav.current_ned_m_s[:2].tolist()) / limit_m_s, elapsed_s / tube_m_s)
+
+    def _move(self, current_share: float, per_m_s2: float) -> None:
+        """Towards what is needed, as far as the current asks for it."""
+        needed = min(1.0, max(EVIDENCE.least_share, math.sqrt(self._needed)))
+        asked = min(
+            max((current_share - EVIDENCE.strong_share) / (EVIDENCE.strongest_share - EVIDENCE.strong_share), 0.0), 1.0
+        )
+        step = 1.0 - asked * (1.0 - needed) - self.share
+        self.share += min(max(step, -EVIDENCE.shrink_m_s2 * per_m_s2), EVIDENCE.grow_m_s2 * per_m_s2)

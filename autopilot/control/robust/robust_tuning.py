@@ -1,0 +1,178 @@
+"""Tuned numbers of what keeps bounds in spite of errors, by module."""
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True, slots=True)
+class AncillaryTuning:
+    """Of :mod:`autopilot.control.robust.ancillary`."""
+
+    state_weights: tuple[float, float, float, float, float, float, float, float] = (
+        60.0,
+        60.0,
+        80.0,
+        20.0,
+        8.0,
+        8.0,
+        8.0,
+        1.0,
+    )
+    """Error ahead, to starboard, depth, yaw, velocities. Per 0.1 s, as the optimiser's. Three times its weight on
+    position: disturbances of 1 N then leave 3 cm, at bandwidths (1.5 1/s, yaw 4 1/s) that the thrusters' lag of 0.15 s
+    allows."""
+    thrust_weight: float = 0.02
+    design_step_s: float = 0.02
+
+
+ANCILLARY = AncillaryTuning()
+
+
+@dataclass(frozen=True, slots=True)
+class DisturbanceTuning:
+    """Of :mod:`autopilot.control.robust.disturbance`."""
+
+    bound_sigmas: float = 3.0
+    """A bound is read as three standard deviations."""
+    position_variance_limit_m2: float = 0.3**2
+    velocity_variance_limit_m2_s2: float = 0.3**2
+    """An estimate worse than this is one that navigation failsafes act upon; margins do not grow for ever with it."""
+
+
+DISTURBANCE = DisturbanceTuning()
+
+
+@dataclass(frozen=True, slots=True)
+class MismatchTuning:
+    """Of :mod:`autopilot.control.robust.mismatch_evidence`."""
+
+    near_share: float = 0.8
+    """Speeds above this share of the cap say something about keeping it."""
+    follow_s: float = 3.0
+    """What the speed does faster than this is no change of plan but a disturbance."""
+    quick_s: float = 2.0
+    slow_s: float = 6.0
+    forget_s: float = 60.0
+    """Time constants of losing credit, of gaining it, and of forgetting what was seen while nothing is seen."""
+    least_share: float = 0.5
+    """Of the margin, whatever has been seen."""
+    strong_share: float = 0.55
+    strongest_share: float = 0.7
+    """Credit is used in currents from such a share of the speed limit on, in full at the second: elsewhere there is
+    speed enough."""
+    shrink_m_s2: float = 0.005
+    grow_m_s2: float = 0.05
+    """The margin moves by no more than this: 0.25 and 2.5 mm/s from one step to the next."""
+    largest_need: float = 4.0
+    """Square of how often the margin one look may ask for: what has passed is forgotten within seconds."""
+    sigmas: float = 3.29
+    """A margin holds what exceeds it once in a thousand times."""
+    longest_s: float = 0.2
+
+
+EVIDENCE = MismatchTuning()
+
+
+@dataclass(frozen=True, slots=True)
+class FallbackTuning:
+    """Of :mod:`autopilot.control.robust.fallback`."""
+
+    position_gain_1_s: float = 0.4
+    yaw_gain_1_s: float = 0.8
+    velocity_gain_1_s: float = 1.5
+    speed_limit_m_s: float = 0.15
+    heave_limit_m_s: float = 0.1
+    yaw_rate_limit_rad_s: float = 0.4
+    water_speed_limit_m_s: float = 0.4
+    over_steps: int = 20
+    """A fallback counts as over after so many solved steps (1 s): one that flickers is told once."""
+
+
+FALLBACK = FallbackTuning()
+
+
+@dataclass(frozen=True, slots=True)
+class RegionsTuning:
+    """Of :mod:`autopilot.control.robust.regions`."""
+
+    answer_steps: int = 20
+    """A certificate is taken so many control steps after it was asked for (1 s at 20 Hz): nothing waits for it."""
+    current_step_m_s: float = 0.06
+    """A goal is certified anew when the current there has changed by this."""
+    buoyancy_step_n: float = 0.5
+    """The same of the buoyancy that the vehicle has proved to have."""
+    here_m: float = 1.0
+    """The current where the vehicle is counts as that at its goal within this."""
+    at_goal_m: float = 0.02
+    at_goal_rad: float = 0.05
+    """The end of a reference counts as the goal within these."""
+
+
+REGIONS = RegionsTuning()
+
+
+@dataclass(frozen=True, slots=True)
+class StationTuning:
+    """Of :mod:`autopilot.control.robust.station`."""
+
+    hold_radius_m: float = 0.25
+    hold_yaw_rad: float = 0.35
+    hold_speed_m_s: float = 0.45
+    hold_heave_m_s: float = 0.25
+    hold_yaw_rate_rad_s: float = 1.0
+    """The region in which the local law takes over from the cascade."""
+    hold_samples: int = 2_000
+    current_step_m_s: float = 0.05
+    buoyancy_step_n: float = 0.5
+    """The local law is made anew when the current or the buoyancy has changed by this."""
+
+
+STATION = StationTuning()
+
+
+@dataclass(frozen=True, slots=True)
+class TerminalTuning:
+    """Of :mod:`autopilot.control.robust.terminal`."""
+
+    kappa: float = 1.3
+    """With 1 the sampled decrease of the nonlinear model fails by 2 %; between 1.2 and 1.5 it holds."""
+    samples: int = 20_000
+    seed: int = 20_181_018
+    shrink: float = 0.8
+    """Factor on alpha after a sample that violates the decrease."""
+    least_alpha: float = 1e-9
+    free_yaw_rad: float = 0.5
+    """Band of the heading where a goal leaves it free: beyond, the linearisation is another one."""
+
+
+TERMINAL = TerminalTuning()
+
+
+@dataclass(frozen=True, slots=True)
+class TubeTuning:
+    """Of :mod:`autopilot.control.robust.tube`."""
+
+    force_correlation_s: float = 1.0
+    current_correlation_s: float = 2.0
+    """How long a disturbance lasts: the estimator's current follows within about these times."""
+    disc_sigmas: float = 3.72
+    """A disc of so many standard deviations holds 99.9 % of a normal distribution in the plane: sqrt(-2 ln 0.001)."""
+    band_sigmas: float = 3.29
+    """The same for one dimension."""
+    estimate_speed_sigmas: float = 2.0
+    """Of the estimate in limits on speed: bounds of performance and not of safety, and the estimator is modest (its
+    errors are about half of what it says)."""
+    largest_share: float = 0.5
+    """Back-offs never take more of a limit than this, however bad the estimate is: then failsafes act."""
+    largest_thrust_share: float = 0.3
+    """Of what a thruster can give; the controller applies it."""
+    largest_clearance_m: float = 0.3
+    growth_step_s: float = 0.05
+    groups: int = 3
+    """Force, moment, current error: their variances come at run time."""
+    given: int = 28
+    """Numbers that the compiled library is told: see its enum."""
+    states_out: int = 10
+    """xx, xy, yy, zz, yaw, uu, uv, vv, ww, rr; the thrusts follow."""
+
+
+TUBE = TubeTuning()

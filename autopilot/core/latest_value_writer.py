@@ -1,0 +1,108 @@
+"""Has the newest of a state written, beside the loop: one write at a time, and one that waits for it.
+
+A state that came while another was being written takes the place of one that still waits: only the newest is of use
+after a restart, and a slow disk must not gather a queue.
+"""
+
+from collections.abc import Callable
+from concurrent.futures import wait
+from dataclasses import dataclass
+from typing import Generic, TypeVar
+
+from autopilot.core.desk import Cancel, Desk, Ticket
+
+KEEP_TICKS = 5
+"""In lockstep a write is done so many ticks after it was asked for: 50 ms, what a flash disk needs for an fsync."""
+RETRY_TICKS = 500
+"""A write that failed is tried again so many ticks later (5 s), unless a newer state comes before."""
+FINISH_S = 10.0
+"""How long the end of a run waits for a disk that does not answer."""
+
+Q = TypeVar("Q")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class WriteResult:
+    """What became of a write."""
+
+    number: int
+    """Every state up to this one is settled."""
+    error: Exception | None
+    """Why it is not on disk, None when it is."""
+
+
+class LatestValueWriter(Generic[Q]):
+    """``write`` gets states that do not change any more and may raise; what failed is tried again."""
+
+    def __init__(self, desk: Desk, write: Callable[[Q], None], ticks: int = KEEP_TICKS) -> None:
+        self._desk, self._write, self._ticks = desk, write, ticks
+        self._number = self._asked = self._done = 0
+        self._newest: Q | None = None
+        self._ticket: Ticket[int] | None = None
+        self._again_at: int | None = None
+        """When a write that failed is tried again."""
+
+    @property
+    def busy(self) -> bool:
+        """Whether something is being written or waits for it."""
+        return self._ticket is not None
+
+    def put(self, tick: int, state: Q) -> int:
+        """Ask for ``state`` to be written; the result is its number."""
+        self._number += 1
+        self._newest = state
+        if self._ticket is None:
+            self._ask(tick)
+        return self._number
+
+    def poll(self, tick: int) -> WriteResult | None:
+        """What became of the write that has ended, once."""
+        if self._again_at is not None and tick >= self._again_at:
+            self._ask(tick)
+        answer = None if self._ticket is None else self._ticket.poll(tick)
+        if answer is None:
+            return None
+        number, self._ticket = self._asked, None
+        if self._asked < self._number:
+            self._ask(tick)
+        elif answer.error is not None:
+            self._again_at = tick + RETRY_TICKS
+        return WriteResult(number=number, error=answer.error)
+
+    def finish(self, timeout_s: float = FINISH_S) -> Exception | None:
+        """The end of a run: have written what is not on disk, in its turn. Why it is not there, or None.
+
+        It is waited for ``timeout_s`` at most: a disk that hangs must not keep a service from ending.
+        """
+        state, number = self._newest, self._number
+        if state is None or self._done == number:
+            return None
+
+        def work() -> None:
+            if self._done != number:
+                self._write(state)
+                self._done = number
+
+        try:
+            if self._desk.executor is None:
+                work()
+                return None
+            future = self._desk.executor.submit(work)
+            if not wait((future,), timeout_s).done:
+                return TimeoutError("disk does not answer")
+            future.result()
+        except Exception as error:  # noqa: BLE001 - whatever keeps it from the disk, the end of the run goes on
+            return error
+        return None
+
+    def _ask(self, tick: int) -> None:
+        assert self._newest is not None
+        number, state = self._number, self._newest
+
+        def work(request: Q, _: Cancel) -> int:
+            self._write(request)
+            self._done = number
+            return number
+
+        self._asked, self._again_at = number, None
+        self._ticket = self._desk.submit(tick + self._ticks, work, state)

@@ -1,0 +1,102 @@
+"""The log folder for clients that download: reads what lies in it, and nothing else, beside the loop."""
+
+import fnmatch
+import glob
+from pathlib import Path, PurePosixPath
+
+from autopilot.core.crc import file_crc32
+from autopilot.core.desk import Cancel, Desk, Ticket
+from autopilot.core.errors import LogError
+from autopilot.core.log_directory import ShelfFile
+from autopilot.log.quota import flights, remove_flight
+
+DUE_TICKS = 1
+"""In lockstep an answer is there on the next tick."""
+MAX_FILES = 4096
+"""So many files are shown, the newest ones."""
+PIECE_BYTES = 1 << 20
+"""A checksum is made in pieces of this size, and ends between them when nobody wants it any more."""
+SUFFIXES = (".mcap", ".tlog", ".png")
+"""What logs and the stills beside them are called; other files are nobody's business."""
+
+STILLS = ".still-*.png"
+"""How the stills of a log end, behind its name."""
+
+
+class LogShelf:
+    """The logs below ``folder``, and the one at ``single`` (``--log``) if there is one."""
+
+    def __init__(self, folder: Path, desk: Desk, single: Path | None = None) -> None:
+        self._folder, self.desk, self._single = folder, desk, single
+
+    def list(self, tick: int) -> Ticket[tuple[ShelfFile, ...]]:
+        """All files, oldest first; what goes meanwhile is left out."""
+        return self.desk.submit(tick + DUE_TICKS, lambda _, cancel: self._listed(cancel), None)
+
+    def read(self, tick: int, path: str, offset: int, size: int) -> Ticket[bytes]:
+        """At most ``size`` bytes from ``offset``."""
+
+        def work(_: None, cancel: Cancel) -> bytes:
+            cancel.check()
+            with self._found(path).open("rb") as file:
+                file.seek(offset)
+                return file.read(size)
+
+        return self.desk.submit(tick + DUE_TICKS, work, None)
+
+    def crc32(self, tick: int, path: str) -> Ticket[int]:
+        """Checksum of a whole file."""
+
+        def work(_: None, cancel: Cancel) -> int:
+            crc = 0
+            with self._found(path).open("rb") as file:
+                while piece := file.read(PIECE_BYTES):
+                    cancel.check()
+                    crc = file_crc32(piece, crc)
+            return crc
+
+        return self.desk.submit(tick + DUE_TICKS, work, None)
+
+    def erase(self, tick: int) -> Ticket[int]:
+        """Remove all flights of the folder but those that are being written; a log with a name of its own stays."""
+        return self.desk.submit(
+            tick + DUE_TICKS, lambda _, cancel: sum(remove_flight(flight) for flight in flights(self._folder)), None
+        )
+
+    def _listed(self, cancel: Cancel) -> tuple[ShelfFile, ...]:
+        found: list[ShelfFile] = []
+        root = self._folder.resolve()
+        candidates = [(path, path.relative_to(root).as_posix()) for path in root.glob("**/*")]
+        if self._single is not None:
+            single = self._single
+            siblings = [single, single.with_suffix(".tlog"), *single.parent.glob(f"{glob.escape(single.stem)}{STILLS}")]
+            candidates += [(path, path.name) for path in siblings if path.parent.resolve() != root]
+        for path, name in candidates:
+            cancel.check()
+            try:
+                if path.suffix in SUFFIXES and not path.is_symlink() and path.is_file():
+                    stat = path.stat()
+                    found.append(ShelfFile(path=name, size=stat.st_size, modified_s=int(stat.st_mtime)))
+            except OSError:
+                continue
+        return tuple(sorted(found, key=lambda file: (file.modified_s, file.path))[-MAX_FILES:])
+
+    def _found(self, path: str) -> Path:
+        """The file of that name. LogError for one that is not there, is no log, or lies outside of the folder."""
+        parts = PurePosixPath(path).parts
+        single = self._single
+        if single is not None and len(parts) == 1 and self._is_of_single(parts[0], single):
+            inside = single.with_name(parts[0])
+            if inside.is_file() and not inside.is_symlink():
+                return inside
+        root = self._folder.resolve()
+        inside = root.joinpath(*parts).resolve() if parts and "\0" not in path else root
+        if not inside.is_relative_to(root) or inside.suffix not in SUFFIXES or not inside.is_file():
+            raise LogError(f"there is no log {path!r}; list the folder for those that there are")
+        return inside
+
+    @staticmethod
+    def _is_of_single(name: str, single: Path) -> bool:
+        """Whether a file's name is that of the one log, or of what stands beside it."""
+        stills = f"{glob.escape(single.stem)}{STILLS}"
+        return name in (single.name, single.with_suffix(".tlog").name) or fnmatch.fnmatchcase(name, stills)

@@ -1,0 +1,55 @@
+"""What a topic of fixed-size messages is read as: a numpy array with one row per message."""
+
+import importlib
+from collections.abc import Iterator
+from typing import Any, TypeAlias
+
+import numpy as np
+
+from autopilot.core.errors import LogError
+
+Columns: TypeAlias = dict[str, Any]
+"""Name -> one value per message."""
+
+
+class MessageTable(np.ndarray[Any, np.dtype[np.void]]):
+    """One row per message: ``t_us`` (int64, the service's clock), ``sequence``, then the fields without the header.
+
+    A numpy structured array; what is picked out of it by the name of a field is a plain array.
+    """
+
+    def __getitem__(self, key: Any) -> Any:
+        found: Any = super().__getitem__(key)
+        return found.view(np.ndarray) if isinstance(key, str) else found
+
+    def to_pandas(self) -> Any:
+        """A pandas.DataFrame indexed by ``t_s``, arrays element by element (``pos_ned_m[0]``). LogError without
+        pandas."""
+        try:
+            pandas = importlib.import_module("pandas")
+        except ImportError as error:
+            raise LogError(
+                "to_pandas() needs pandas: pip install pandas; without it tables are numpy arrays"
+            ) from error
+        return pandas.DataFrame(flat_columns(self)).set_index("t_s")
+
+
+def flat_columns(table: MessageTable) -> Columns:
+    """The fields of a fixed-size topic: arrays element by element, what is nested by its path (``orientation.x``)."""
+    columns: Columns = {"t_us": table["t_us"], "t_s": table["t_us"] * 1e-6}
+    for name in (table.dtype.names or ())[1:]:
+        columns.update(_flat(name, table[name]))
+    return columns
+
+
+def _flat(name: str, column: np.ndarray[Any, Any]) -> Iterator[tuple[str, Any]]:
+    """One field's columns; a text of fixed size as text."""
+    for place in np.ndindex(*column.shape[1:]):
+        element, label = column[(slice(None), *place)], name + "".join(f"[{index}]" for index in place)
+        if element.dtype.names is not None:
+            for inner in element.dtype.names:
+                yield from _flat(f"{label}.{inner}", element[inner])
+        elif element.dtype.kind == "S":
+            yield label, [text.decode(errors="replace") for text in element.tolist()]
+        else:
+            yield label, element

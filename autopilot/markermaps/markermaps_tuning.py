@@ -1,0 +1,126 @@
+"""Tuned numbers of marker maps, by module."""
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True, slots=True)
+class AdjustmentTuning:
+    """Of :mod:`autopilot.markermaps.adjustment`."""
+
+    steps: int = 40
+    first_damping: float = 1e-10
+    last_damping: float = 1e-13
+    """Shares of the diagonal that are added to it. Scale and bending of a whole floor are worth a billionth of what a
+    single corner is: more damping would hold them where the first guess has them."""
+    converged: float = 1e-7
+    """Share of the cost that a step must win for another one to be tried."""
+    shrink_px: float = 0.25
+    shrink_sigma_px: float = 0.15
+    """What is known of the corners' draw towards the centre, on the whole,"""
+    view_shrink_sigma_px: float = 0.1
+    """and of what a view adds to it."""
+    of_view: int = 7
+    """Unknowns of a view: place, turn, shrink."""
+    min_sigma_px: float = 0.03
+    loss_sigmas: float = 2.5
+    """Residuals of more than this count less and less (Cauchy)."""
+    chunk: int = 256
+    """Columns of the inverse that are solved for at a time."""
+
+
+ADJUSTMENT = AdjustmentTuning()
+
+
+@dataclass(frozen=True, slots=True)
+class BootstrapTuning:
+    """Of :mod:`autopilot.markermaps.bootstrap`."""
+
+    agree_px: float = 12.0
+    """Corners of a known marker lie this close to where the pose of the others puts them."""
+    same_share: float = 0.5
+    """A marker within this share of :data:`AMBIGUITY_M` of a known one of its id is that one."""
+    most_hypotheses: int = 12
+    """Markers of a view whose own poses are tried."""
+    enough_share: float = 0.6
+    """No more are tried when so many of the known markers agree."""
+    certain: int = 4
+    """So many markers that fit together are no coincidence; fewer are enough with an id that is there once."""
+    max_passes: int = 6
+    recognised_views: int = 24
+    """Views, evenly among all, in which a rough map is looked for."""
+    rough_slack: float = 3.0
+    """By how much a rough map's markers may be farther off: 36 pixels, some centimetres."""
+    bend_steps: int = 3
+    """Behind a flat port rays have no common centre: PnP is repeated with points moved to where rays seem to pass."""
+
+
+BOOTSTRAP = BootstrapTuning()
+
+
+@dataclass(frozen=True, slots=True)
+class CheckTuning:
+    """Of :mod:`autopilot.markermaps.check_markers`."""
+
+    quiet_cells: float = 1.0
+    """A black square needs this many of its cells of white around it, or detectors take two markers for one."""
+    heights_m: tuple[float, float, float, float] = (0.3, 0.45, 0.8, 1.2)
+    """Camera heights over the floor that are looked into."""
+    poses: int = 400
+    """Random places and headings for each height."""
+
+
+CHECK = CheckTuning()
+
+
+@dataclass(frozen=True, slots=True)
+class SheetsTuning:
+    """Of :mod:`autopilot.markermaps.sheets`."""
+
+    footer_mm: float = 9.0
+    """Below the cut area, for the scale bar and the sheet's name."""
+    mark_mm: float = 4.0
+    """Length of crop marks, outside of what they crop."""
+    bar_mm: float = 100.0
+    label_mm: float = 2.5
+    """Largest height of a marker's label."""
+    label_place: float = 0.42
+    label_share: float = 0.3
+    """Baseline and height of a label in shares of the gap below its marker."""
+    min_label_mm: float = 0.8
+    max_pages: int = 2000
+
+
+SHEETS = SheetsTuning()
+
+
+@dataclass(frozen=True, slots=True)
+class SightingsTuning:
+    """Of :mod:`autopilot.markermaps.sightings`."""
+
+    most_of_a_film: int = 120
+    """Frames of a film that are looked at."""
+    misread_cells: int = 2
+    """A sight with so many wrong cells or more is worth a word: a bad print, something lying on it, or no marker at
+    all."""
+    min_markers: int = 2
+    """A view of fewer markers ties nothing to anything."""
+
+
+SIGHTINGS = SightingsTuning()
+
+
+@dataclass(frozen=True, slots=True)
+class SurveyTuning:
+    """Of :mod:`autopilot.markermaps.survey`."""
+
+    min_sights: int = 2
+    """A marker that fewer views show is left out of the map: nothing checks it."""
+    fixed_sigma: tuple[float, float] = (0.0001, 0.0005)
+    """Place [m] and angle [rad] of markers whose pose is given."""
+    misread_share: float = 1.0 / 3.0
+    """A marker whose cells are wrong in this share of its sights is worth a word."""
+    believed: float = 0.25
+    """A sight whose corners weigh less than this on average was not believed."""
+
+
+SURVEY = SurveyTuning()

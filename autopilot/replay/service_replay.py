@@ -1,0 +1,178 @@
+"""A logged run through the whole service once more: the same inputs into ``step``, and is everything the same?
+
+What goes in is the log's (:mod:`autopilot.replay.service_inputs`): samples, pictures as detected, bytes of the links,
+and the answers of disks and of work beside the loop. What comes out is written like a flight's, to a log of its own,
+and compared message by message.
+"""
+
+import tempfile
+from collections.abc import Callable, Iterable
+from contextlib import ExitStack
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from autopilot.command.service import Autopilot
+from autopilot.command.service_parts import Parts
+from autopilot.core.errors import LogError
+from autopilot.core.messages import Inputs, MavlinkFrame, Outputs
+from autopilot.core.witness import Recalled
+from autopilot.log.compare import WALL_CLOCK_FIELDS, WALL_CLOCK_TOPICS, Difference, compare_logs
+from autopilot.log.description import RunDescription
+from autopilot.log.log_session import RunLog
+from autopilot.log.reader import Log, open_log
+from autopilot.log.writer import LogWriter
+from autopilot.replay.again import service_again
+from autopilot.replay.service_inputs import ServiceInputs
+from autopilot.run.compose import end_slow_work
+from autopilot.run.witnessed import SHELF_ASKED
+
+NOT_OURS = ("/sim/", "/viz/", "/in/camera")
+"""How topics begin that are the world's, or for viewers alone."""
+MAVLINK_OUT = "/out/mavlink"
+_SIGNED = 0x01
+_V2 = 0xFD
+_TAG = 6
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ReplayResult:
+    """What became of a replay."""
+
+    ticks: int
+    messages: int
+    """That were compared."""
+    topics: int
+    differences: tuple[Difference, ...]
+    """The first of each field, in the order of time."""
+    stopped: str
+    """Why it ended before the log, "" if it did not."""
+    remarks: tuple[str, ...]
+    """What could not be compared."""
+
+    @property
+    def same(self) -> bool:
+        """Everything that was compared."""
+        return not self.differences
+
+
+@dataclass(slots=True)
+class Rerun:
+    """A service that is given a log's inputs, tick by tick. Use in ``with``."""
+
+    log: Log
+    changes: tuple[tuple[str, float], ...] = ()
+    """Parameters that differ from the log's."""
+    _end: ExitStack = field(default_factory=ExitStack)
+    _witness: Recalled = field(default_factory=Recalled)
+    service: Autopilot = field(init=False)
+    parts: Parts = field(init=False)
+    inputs: ServiceInputs = field(init=False)
+    looked_at_logs_us: int | None = None
+    """When a client first looked at the logs on board, which are not in this one."""
+
+    def __enter__(self) -> "Rerun":
+        with ExitStack() as undo:
+            folder = Path(undo.enter_context(tempfile.TemporaryDirectory(prefix="replay-")))
+            self.inputs = ServiceInputs(self.log)
+            self.service, self.parts = service_again(
+                self.log, witness=self._witness, folder=folder, changes=self.changes
+            )
+            undo.callback(end_slow_work, self.parts)
+            self._end = undo.pop_all()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._end.close()
+
+    def step(self, inputs: Inputs) -> Outputs:
+        """What was done between the tick before and this one, and this tick; as it is logged."""
+        self._witness.tell(inputs.answers)
+        if self.looked_at_logs_us is None and any(note.kind == SHELF_ASKED for note in inputs.answers):
+            self.looked_at_logs_us = inputs.t_us
+        sent: list[MavlinkFrame] = []
+        at = 0
+        for call in inputs.between:
+            if call.t_us is None:
+                sent += self.service.beat()
+            else:
+                sent += self.service.serve(call.t_us, inputs.mavlink_rx[at : at + call.frames])
+                at += call.frames
+        outputs = self.service.step(replace(inputs, mavlink_rx=inputs.mavlink_rx[at:]))
+        if sent:
+            outputs = replace(outputs, mavlink_tx=(*sent, *outputs.mavlink_tx))
+        return replace(outputs, faults=outputs.faults + inputs.faults) if inputs.faults else outputs
+
+
+def replay_service(
+    log: Log,
+    *,
+    changes: Iterable[tuple[str, float]] = (),
+    out: Path | None = None,
+    on_tick: Callable[[Outputs], None] = lambda _: None,
+) -> ReplayResult:
+    """Give a log's inputs to its service once more and compare all that comes out with the log.
+
+    ``out`` keeps the replay's log. LogError if the log does not hold what it takes.
+    """
+    with tempfile.TemporaryDirectory(prefix="replay-") as folder, Rerun(log, tuple(changes)) as rerun:
+        path = out or Path(folder) / "replay.mcap"
+        ticks = 0
+        record = _record(log, path)
+        try:
+            for inputs in rerun.inputs:
+                outputs = rerun.step(inputs)
+                record.inputs(inputs)
+                record.outputs(outputs)
+                ticks += 1
+                on_tick(outputs)
+        finally:
+            record.close()
+        if not ticks:
+            raise LogError(f"{log.path}: holds no whole tick: {rerun.inputs.stopped}")
+        return _compared(log, open_log(path), ticks, rerun)
+
+
+def _record(log: Log, path: Path) -> RunLog:
+    """The log of a replay: the service's topics, nothing of the world."""
+    run = {**log.run, "replay_of": log.path.name}
+    keep = {name: log.attachments[name] for name in ("vehicle.json", "run.json") if name in log.attachments}
+    writer = LogWriter(path, epoch_ns=log.epoch_ns, metadata=run, attachments=keep, lossless=True)
+    return RunLog(writer, log.description or RunDescription(scenario="", vehicle=""), camera_period_us=None)
+
+
+def _compared(log: Log, again: Log, ticks: int, rerun: Rerun) -> ReplayResult:
+    stopped, remarks = rerun.inputs.stopped, []
+    for topic in (MAVLINK_OUT,):
+        for one in (log, again):
+            if topic in one:
+                _without_tags(one[topic])
+    out_of_sight = [topic for topic in (*log.topics, *again.topics) if topic.startswith(NOT_OURS)]
+    ignored = {*WALL_CLOCK_TOPICS, *out_of_sight}
+    found = compare_logs(log, again, ignored, WALL_CLOCK_FIELDS, prefix=bool(stopped))
+    if rerun.looked_at_logs_us is not None:
+        since_s = 1e-6 * rerun.looked_at_logs_us
+        remarks.append(
+            f"{MAVLINK_OUT} from {since_s:.2f} s on: a client looked at logs on board, which are not in this"
+        )
+        found = [one for one in found if one.topic != MAVLINK_OUT or (one.t_s is not None and one.t_s < since_s)]
+    topics = [topic for topic in log.topics if topic not in ignored]
+    return ReplayResult(
+        ticks=ticks,
+        messages=sum(log.topics[topic].count for topic in topics),
+        topics=len(topics),
+        differences=tuple(sorted(found, key=lambda one: (float("inf") if one.t_s is None else one.t_s, one.topic))),
+        stopped=stopped,
+        remarks=tuple(remarks),
+    )
+
+
+def _without_tags(table: Any) -> None:
+    """Signatures are made with a key that is in no log: their hashes are not compared."""
+    data = table["data"]
+    signed = np.flatnonzero((data[:, 0] == _V2) & (data[:, 2] & _SIGNED > 0))
+    for row in signed:
+        length = int(table["length"][row])
+        data[row, max(length - _TAG, 0) : length] = 0

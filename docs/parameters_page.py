@@ -1,0 +1,61 @@
+"""Writes the table of parameters into docs/parameters.md: ``python docs/parameters_page.py --write``.
+
+The table stands between the lines ``parameters:begin`` and ``parameters:end`` and comes from
+:mod:`autopilot.core.params`. Without ``--write`` the exit code says whether it is current.
+"""
+
+import argparse
+import re
+import sys
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parent.parent
+PAGE = ROOT / "docs" / "parameters.md"
+ACTIONS = "0 = warn, 1 = hold, 2 = surface, 3 = return, 4 = disarm, 5 = surface and drop the weight, 6 = hand back"
+_BLOCK = re.compile(r"(<!-- parameters:begin -->\n).*?(<!-- parameters:end -->)", re.S)
+_NUMBERED = re.compile(r"^(BTN|THR)\d+(_\w+)$")
+
+
+def table() -> str:
+    """One row per parameter; numbered ones share a row."""
+    from autopilot.core.params import PARAMETERS
+
+    lines = ["| name | default | range | unit | meaning |", "| --- | --- | --- | --- | --- |"]
+    seen: set[str] = set()
+    for spec in sorted(PARAMETERS, key=lambda spec: spec.name):
+        numbered = _NUMBERED.match(spec.name)
+        name = f"{numbered[1]}n{numbered[2]}" if numbered else spec.name
+        if name in seen:
+            continue
+        seen.add(name)
+        meaning = spec.help.replace(ACTIONS, "action")
+        if numbered:
+            meaning = re.sub(r"\b(button|thruster) \d+", r"\1 n", meaning)
+        bounds = f"{spec.minimum:g} to {spec.maximum:g}"
+        lines.append(f"| `{name}` | {spec.default:g} | {bounds} | {spec.unit} | {meaning} |")
+    return "\n".join(lines)
+
+
+def written(text: str) -> str:
+    """The page with the table as it should be."""
+    found, count = _BLOCK.subn(lambda block: f"{block[1]}{table()}\n{block[2]}", text)
+    if count != 1:
+        raise SystemExit(f"{PAGE}: the lines parameters:begin and parameters:end are missing")
+    return found
+
+
+def main() -> int:
+    """0 = current (or written)."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--write", action="store_true", help="bring the page in line")
+    write = parser.parse_args().write
+    before = PAGE.read_text(encoding="utf-8")
+    after = written(before)
+    if write:
+        PAGE.write_text(after, encoding="utf-8")
+    return 0 if write or before == after else 1
+
+
+if __name__ == "__main__":
+    sys.path.insert(0, str(ROOT))
+    sys.exit(main())

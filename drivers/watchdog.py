@@ -1,0 +1,114 @@
+"""A process that stands by an output without a watchdog of its own, and stops the thrusters when nobody else does.
+
+The PCA9685 and the PWM of a computer repeat their last pulse for ever. The keeper hears every command's beat over a
+socket and answers it (:mod:`autopilot.drivers.watchdog_process`): when the line ends without a farewell (the program
+was killed) or the beats stop for the command timeout (it hangs), the keeper opens the same output by itself, which sets
+it to neutral. It ignores the signals that end the program, which says farewell when it ends in order.
+"""
+
+import contextlib
+import select
+from collections.abc import Mapping
+from typing import Any
+
+import msgspec
+
+from autopilot.core.errors import DriverError
+from autopilot.core.toml_table import Table
+from autopilot.core.vehicle import Vehicle
+from autopilot.drivers.registry import load_backend
+from autopilot.drivers.thruster_output import SafeThrusterOutput
+from autopilot.drivers.watchdog_process import FAREWELL, HELLO, KeeperProcess, hear, listen
+
+TRIES, PAUSE_S = 20, 0.05
+"""How often neutral is tried when it does not get through."""
+
+
+class KeptOutput(SafeThrusterOutput):
+    """Template of an output that needs a keeper: as :class:`SafeThrusterOutput`."""
+
+    driver: str
+    """Its name in the registry."""
+
+    def __init__(self, vehicle: Vehicle, options: Table, *, kept: bool, spare: Mapping[int, int] | None = None) -> None:
+        """``options`` are those that the keeper opens it with; ``kept`` False: it has none (the keeper's own output,
+        an emulated board). The keeper sets what is carried to where it was at the start."""
+        super().__init__(vehicle, spare)
+        self._kept = kept
+        self._told = msgspec.json.encode([self.driver, vehicle, options]) + b"\n"
+        self.keeper: KeeperProcess | None = None
+
+    @property
+    def watchdog_problem(self) -> str:
+        """What is wrong with the keeper, "" while one answers or none is needed."""
+        return "" if self.keeper is None else self.keeper.problem
+
+    @property
+    def watchdog_failed(self) -> bool:
+        """Whether that is more than that the first keeper is starting."""
+        return self.keeper is not None and self.keeper.failed
+
+    def open(self) -> None:
+        """Set the device to neutral, and have somebody stand by."""
+        super().open()
+        if self._kept and self.keeper is None:
+            self.keeper = KeeperProcess(self._told)
+            self.keeper.start()
+
+    def write(self, t_us: int, pwm_us: Any) -> None:
+        """Command one pulse per thruster [us]."""
+        super().write(t_us, pwm_us)
+        if self.keeper is not None:
+            self.keeper.beat(t_us)
+
+    def check(self, t_us: int) -> bool:
+        """As :meth:`SafeThrusterOutput.check`; looks after the keeper."""
+        if self.keeper is not None:
+            self.keeper.look(t_us)
+        return super().check(t_us)
+
+    def close(self) -> None:
+        """Neutral, and nobody stands by any more."""
+        super().close()
+        keeper, self.keeper = self.keeper, None
+        if keeper is not None:
+            keeper.end(neutral=self._at_rest)
+
+
+def main() -> None:
+    """Stand by until the farewell."""
+    line, told = listen()
+    if not told:
+        return  # nothing was commanded yet
+    driver, vehicle, options = msgspec.json.decode(told, type=tuple[str, msgspec.Raw, msgspec.Raw])
+    kind = load_backend("thrusters", driver)
+    output = kind(
+        msgspec.json.decode(vehicle, type=Vehicle), msgspec.json.decode(options, type=kind.Options), kept=False
+    )
+    timeout_s = min(thruster.drive.command_timeout_s for thruster in output.vehicle.thrusters)
+    moving = False
+    while True:
+        ready, _, _ = select.select([line], [], [], timeout_s if moving else None)
+        heard = hear(line) if ready else b""
+        if FAREWELL in heard:
+            return
+        if heard:
+            moving = moving or any(number != HELLO for number in heard)
+            with contextlib.suppress(OSError):  # it does not listen now, or has ended, which is heard next
+                line.send(heard[-1:])
+            continue
+        _stop(output)
+        if ready:  # the line has ended
+            return
+        moving = False
+
+
+def _stop(output: SafeThrusterOutput) -> None:
+    """Neutral, however often it has to be tried."""
+    for _ in range(TRIES):
+        try:
+            output.open()
+            output.close()
+            return
+        except (DriverError, OSError):
+            select.select([], [], [], PAUSE_S)

@@ -1,0 +1,525 @@
+"""Tuned numbers of the estimator, by module; those of the filter itself are in :mod:`.tuning`."""
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True, slots=True)
+class CameraDoubtTuning:
+    """Of :mod:`autopilot.estimator.camera_doubt`."""
+
+    late_s: float = 0.005
+    late_share: float = 0.1
+    """Stamps are called late from here on, when it is known to this share of it,"""
+    jump_sigmas: float = 3.0
+    """A jump of stamps is told from 5 ms and so many standard deviations on."""
+    late_still_s: float = 0.0025
+    """and until what is known of them comes down to this."""
+    focal_share: float = 0.003
+    focal_named: float = 0.01
+    focal_sigmas: float = 6.0
+    focal_looks: int = 10
+    """A focal length is corrected from the first share on, when it is so sure and after so many looks, and named from
+    the second one on."""
+    focal_seems: float = 3.0
+    """What is known less surely than that does not even count as error."""
+    focal_step: float = 0.001
+    """Smaller changes of what is known are not worth it."""
+    focal_prior: float = 0.04
+    bend_sigma: float = 0.004
+    """The bend shows how far focal length and distortion together are off. What is seen is divided between them by how
+    far either may be off (share, one standard deviation); the height hangs on the first only."""
+    aside_m: float = 0.1
+    """A picture whose scale is wrong is off sideways by that share of this: its middle is not below the vehicle."""
+    look_every_us: int = 200_000
+    pattern_noise: float = 3.0
+    """Corner errors of one place and of one lens are alike: a picture's own standard deviation counts so many times."""
+    forget_looks: int = 600
+    """Looks (two minutes) after which older ones count for less."""
+    least_markers: int = 6
+    """Fewer show no pattern,"""
+    least_power_px: float = 1.0
+    """nor does a lens that bends all corners of a picture by less than this together."""
+
+
+CAMERA_DOUBT = CameraDoubtTuning()
+
+
+@dataclass(frozen=True, slots=True)
+class ComplementaryTuning:
+    """Of :mod:`autopilot.estimator.complementary`."""
+
+    fix_period_s: float = 1.0 / 30.0
+    """The gains per fix below are the continuous ones times this."""
+    k_current_s: float = 0.024
+    """m/s per m/s^2 of every look at the model (50 Hz): time constant 0.4 s at cruise speed, 3 s at rest."""
+    fix_floor: tuple[float, float] = (0.008, 0.004)
+    """m, rad: fixes are never taken as better than this, which sets k1 to about 8 /s in steady state."""
+    gate_floor: tuple[float, float] = (0.03, 0.02)
+    """m, rad: standard deviation of the residual that the gate allows at least; the variances here know no
+    correlations."""
+    model_gate_sigma_m_s2: float = 0.4
+    pos_noise: float = 0.012
+    yaw_noise: float = 0.008
+    vel_noise: float = 0.06
+    """Per sqrt(s): what k1 and the growth of the variances in a gap follow from."""
+    vel_shrink: float = 0.85
+    """Share of the velocity's variance that a fix leaves."""
+    current_variance: float = 0.06**2
+    offset_noise: float = 0.0087
+    laser_bias_noise: float = 1e-3
+    depth_offset_noise: float = 3e-4
+
+
+COMPLEMENTARY = ComplementaryTuning()
+
+
+@dataclass(frozen=True, slots=True)
+class DoubtTuning:
+    """Of :mod:`autopilot.estimator.doubt`."""
+
+    residual_time_s: float = 0.2
+    """The accelerometer's residual is smoothed over this: longer than its noise, shorter than it takes to drift
+    away."""
+    residual_limit_m_s2: tuple[float, float, float] = (0.15, 0.15, 0.12)
+    """Forward, right, down: twice what models were wrong by in healthy flights, thruster losses among them. Six degrees
+    of tilt let in 1."""
+    absurd_m_s2: float = 2.0
+    """Beyond what thrusters and a bump at cruise speed make of a hull, smoothed: whatever the fixes say so far."""
+    usual_time_s: float = 3.0
+    """What the residual is while fixes agree with the accelerometer is the model's own error, learned this slowly."""
+    rejections: int = 12
+    """Looks at the model rejected in a row (0.24 s) that count like a residual beyond its limit."""
+    turn_time_s: float = 1.0
+    slow_turn_time_s: float = 3.0
+    quick_turn_time_s: float = 0.3
+    """The same over a shorter time, when fixes deny the heading as well."""
+    jump_rad: float = 0.1
+    """From one sample to the next a compass that turns by so much more than the gyro has jumped."""
+    contradictions: int = 3
+    """Fixes rejected in a row, and agreeing among themselves, that deny the estimate: 1 in 10^9 by chance."""
+    steady_time_s: float = 1.0
+    steady_s: float = 3.0
+    """A sensor is believed again after so long of steadiness with fixes ..."""
+    steady_m_s2: float = 0.12
+    steady_rad_s: float = 0.06
+    """... within these, smoothed absolute deviations from its mean."""
+
+
+DOUBT = DoubtTuning()
+
+
+@dataclass(frozen=True, slots=True)
+class EngineTuning:
+    """Of :mod:`autopilot.estimator.engine`."""
+
+    ahrs_wait_us: int = 60_000
+    """After so long without AHRS data the filter goes on without."""
+    blind_step_us: int = 20_000
+    blind_steps_max: int = 500
+    """At most so many steps without AHRS data per tick; they get longer when the gap is longer."""
+    blind_tilt_decay: float = 0.99
+    """Per blind step: roll and pitch fade to level within 2 s."""
+    coast_after_us: int = 300_000
+    """Time without a fix or a velocity over ground after which the current is held."""
+    tracked_us: int = 1_000_000
+    """So recent a velocity over ground keeps dead reckoning going."""
+    redriven_us: int = 800_000
+    """A sensor that ceases to be believed has been wrong for up to so long."""
+    doubt_us: int = 1_000_000
+    """At least so long an estimate is not called good after a sensor has ceased to be believed."""
+    anchored_us: int = 500_000
+    """With a sensor that is not believed the estimate is good only when fixes have been used for so long."""
+
+
+ENGINE = EngineTuning()
+
+
+@dataclass(frozen=True, slots=True)
+class EvidenceTuning:
+    """Of :mod:`autopilot.estimator.evidence`."""
+
+    ratio_share: float = 0.2
+    ratio_most: float = 2.0
+    ratio_shows: float = 0.35
+    ratio_denies: float = 0.6
+    """Squared distance of the fixes over its gate, smoothed over five of them: 0.2 with a filter that is right. From
+    the first limit on their mean miss counts as error of the estimate, from the second on they deny it."""
+    explained: float = 1.6
+    """Times gyro and compass are apart that fixes may miss the heading by: a gyro that is wrong makes both grow alike,
+    but for what is forgotten of the first (1.58 after 0.3 s)."""
+    denied_after: int = 6
+    """Fixes rejected in a row (0.2 s) after which the estimate is not called good."""
+    jump_m: float = 0.05
+    jump_rad: float = 0.05
+    """Smaller steps are what a filter does that has been a little wrong."""
+    jump_us: int = 5_000_000
+    """So long an estimate is not called good after fixes have jumped."""
+    jump_fade_s: float = 10.0
+    """A jump that nothing on board felt fades from the variance with this: what the fixes say now may be as wrong."""
+    jump_way_m: float = 0.5
+    """The position is off by the jump of the heading times this: the way within the seconds after it."""
+    range_miss_m: float = 0.04
+    """A laser that needs a larger offset denies the height: twice what a mounted laser is off by."""
+    resets: int = 3
+    resets_us: int = 30_000_000
+    """So many resets within so long are no accident: map, camera or stamps are wrong."""
+
+
+EVIDENCE = EvidenceTuning()
+
+
+@dataclass(frozen=True, slots=True)
+class FixMotionTuning:
+    """Of :mod:`autopilot.estimator.fix_motion`."""
+
+    span_us: int = 4_000_000
+    """At most so long a run of fixes is held against dead reckoning."""
+    most: int = 128
+    alike: float = 4.0
+    """Errors of fixes are alike over some pictures: so many count as one."""
+    systematic_per_s: float = 0.02
+    """and more for each second without a fix [m/s per s]: jets change the velocity by 0.1 m/s within 5 s."""
+    unaided: float = 0.2
+    """[m/s, rad/s] more while the accelerometer (the gyro) is not believed."""
+    sure: float = 12.0
+    """Difference of the logarithms of two likelihoods that is acted on: 4.9 sigma."""
+    least: int = 3
+    """Fixes that make a motion."""
+    good_fit: float = 3.0
+    """Squared misses of a run that fits may be so many times what noise makes of it."""
+
+
+FIX_MOTION = FixMotionTuning()
+
+
+@dataclass(frozen=True, slots=True)
+class FrameFilterTuning:
+    """Of :mod:`autopilot.estimator.frame_filter`."""
+
+    step_px: int = 8
+    """Every eighth pixel of every eighth row is looked at: 4800 of an image of 640 x 480."""
+    dark_level: float = 6.0
+    bright_level: float = 249.0
+    """Grey levels: if nine tenths of the pixels lie below (above), the lens is covered or the exposure is lost."""
+    white_level: int = 250
+    black_level: int = 8
+    """Grey levels from which on (up to which) a pixel says nothing."""
+    most: float = 0.9
+    flat_levels: int = 3
+    """An image whose levels all lie within so many shows nothing, not even noise."""
+    torn_share: float = 0.05
+    """An image of which this share of rows, up from the bottom, is one single colour has not arrived whole."""
+
+
+FRAME_FILTER = FrameFilterTuning()
+
+
+@dataclass(frozen=True, slots=True)
+class LaserDotTuning:
+    """Of :mod:`autopilot.estimator.laser_detector`."""
+
+    range_band: tuple[float, float] = (0.75, 1.35)
+    """The dot is looked for within these factors of the predicted range."""
+    range_slack_m: float = 0.03
+    any_range_m: tuple[float, float] = (0.2, 3.0)
+    """Where to look without a prediction."""
+    pad_px: int = 10
+    """Half height of the strip that is looked at."""
+    off_line_px: int = 5
+    """Half height of the part of it where the dot may be: distortion, calibration."""
+    smooth_sigma_px: float = 1.5
+    """Of the dot's image."""
+    min_excess: float = 6.0
+    """Grey levels by which the smoothed dot must be greener than its brightness explains: six times the noise."""
+    min_contrast: float = 6.0
+    """The same in robust standard deviations of the strip."""
+    centroid_px: int = 3
+    """Half width of the window whose centre of mass is the dot."""
+
+
+LASER_DOT = LaserDotTuning()
+
+
+@dataclass(frozen=True, slots=True)
+class MagneticTuning:
+    """Of :mod:`autopilot.estimator.magnetic`."""
+
+    size_share: float = 0.1
+    smooth_s: float = 0.05
+    most_share: float = 3.0
+    """More than so many times the known size counts as so many, so that one wild reading is soon forgotten."""
+    known_s: float = 20.0
+    """The known field follows slowly: that of another place in the same water."""
+    same_after_s: float = 0.5
+    """A field that was another one has to be right for so long."""
+    new_after_s: float = 20.0
+    patience_s: float = 60.0
+    """After so long without the known field any is better than gyros alone."""
+    impatient_trust: float = 0.5
+
+
+MAGNETIC = MagneticTuning()
+
+
+@dataclass(frozen=True, slots=True)
+class MapWatchTuning:
+    """Of :mod:`autopilot.estimator.map_watch`."""
+
+    sightings: int = 8
+    """Pictures that must show a marker at the same wrong place."""
+    alone: int = 30
+    """Pictures until an id at another marker's place is told although that one has not been seen at its own."""
+    same_m: float = 0.006
+    """A marker that does not move is seen within this, standard deviation."""
+    taken_m: float = 0.015
+    """So close to where the map has another marker a stray lies in that one's place."""
+    strains: int = 5
+    strains_us: int = 1_000_000
+    """Pictures within a time in which a sheet does not fit to its neighbours: it may lie anywhere then."""
+    loose_variance: tuple[float, float, float, float] = (0.03**2, 0.03**2, 0.003**2, 0.1**2)
+    """m^2, rad^2: how far off a sheet may be that does not fit."""
+    off_distance2: float = 40.0
+    """Squared distance of a sheet's offset from what it was said to be, of 4, from which on it is named."""
+    held_us: int = 10_000_000
+    """So long after the last finding the map is called doubtful."""
+
+
+MAP_WATCH = MapWatchTuning()
+
+
+@dataclass(frozen=True, slots=True)
+class MarkerLooksTuning:
+    """Of :mod:`autopilot.estimator.marker_looks`."""
+
+    off_center: float = 0.22
+    off_center_px: float = 2.0
+    """Each cell is sampled at four points this far from its centre [cells], at most so many pixels: light that changes
+    over a large cell is no noise."""
+    misread_center: float = 0.1
+    """The same where the question is only whether a cell is black or white."""
+    edge_cells: float = 0.6
+    """Profiles across the outline reach this far to both sides [cells]: into the black border and the white around
+    it."""
+    edge_steps: int = 13
+    edge_places: int = 6
+    """Profiles along each side."""
+    min_width_px: float = 0.5
+    sigma_factor: float = 1.45
+    window_px: float = 5.0
+    """Of :func:`corner_sigma_px`, for a window of that half width: found on rendered floors from clear water to 3 1/m,
+    where corners are 0.1 to 1.3 px off. On four photographs of a board, which had no part in it, it gives 0.34 to 0.45
+    px where corners lie 0.32 to 0.42 px from where board and camera model put them."""
+    widest_px: float = 3.6
+    """Wider edges make corners no worse: they are those of large markers, whose window holds more of them."""
+    min_sigma_px: float = 0.06
+
+
+MARKER_LOOKS = MarkerLooksTuning()
+
+
+@dataclass(frozen=True, slots=True)
+class MarkersPoseTuning:
+    """Of :mod:`autopilot.estimator.markers_pose`."""
+
+    nearest_m: float = 0.45
+    """A marker is not looked for further from where it seems to lie: markers of one id are a metre and more apart."""
+    common_shift_m: float = 0.06
+    """All markers of one image must be displaced alike, within this, or are wrong."""
+    vote_m: float = 0.08
+    vote_rad: float = 0.15
+    vote_scale: float = 0.1
+    """Votes for the camera's place agree within these (position, heading, share of the height)."""
+    similar: float = 0.15
+    """A quadrilateral may differ from the marker's square by this share of its side, else it is not a marker."""
+    reject_sigmas: float = 3.0
+    reject_floor_px: float = 1.0
+    """A marker with a corner further than this from its projection is left out."""
+    reject_rounds: int = 4
+    first_rms_px: float = 40.0
+    final_rms_px: float = 3.0
+    """A fit may be this bad before and after markers have been left out."""
+    strays_from: int = 4
+    """Markers that a pose must stand on before others are called astray by it,"""
+    stray_m: float = 0.012
+    """and how far off those are."""
+    strain_most: float = 30.0
+    """Squared distance of a sheet's offset from what is believed of it, of 4: it lies wrongly, and is left out."""
+    steep: float = 0.3
+    """A ray that goes down by less than this per unit of length is not followed to a marker's depth, but to its nearest
+    point."""
+    unit: float = 0.25
+    """Cosine and sine of the heading that a leaning marker's square asks for may miss the unit circle by this."""
+    misfit_rms_px: float = 0.5
+    """Corners are this far from where they belong on average only in thick haze, or when intrinsics or map are
+    wrong."""
+    max_pixel: float = 1e5
+    """Pixels farther out than any image is large are garbage."""
+
+
+MARKERS_POSE = MarkersPoseTuning()
+
+
+@dataclass(frozen=True, slots=True)
+class PnpTuning:
+    """Of :mod:`autopilot.estimator.pnp`."""
+
+    steps: int = 10
+    converged: float = 4e-3
+    """Steps end when nothing moved by more than this [m, rad]; what is left is about its square, 0.02 mm."""
+    tilt_sigma_few_rad: float = 0.009
+    """0.5 degrees: the AHRS's tilt as a prior when at most two markers are seen."""
+    tilt_sigma_many_rad: float = 0.09
+    """5 degrees otherwise: the AHRS's tilt error times the height would be worse than what many corners say."""
+    few_points: int = 8
+    shrink_px: float = 0.22
+    shrink_sigma_px: float = 0.12
+    """Prior of the distance by which corners are found inside of the true ones. Rendered images: 0.18 to 0.31 px at
+    rest at 1.3 to 0.3 m, up to 0.5 px at 0.6 m/s; sharp corners: none. From frame to frame it spreads by 0.03 px."""
+    min_scale: float = 0.5
+    """Corners are at least this share of what is expected off, however well they fit."""
+    prior_sigma_px: float = 0.12
+    prior_count: float = 6.0
+    """Standard deviation of a corner along one axis where the image did not tell, and how many residuals what is
+    expected is worth: one marker's own residuals say little about it."""
+    inflation: float = 1.0
+    """Of the covariance from independent corners: the mean squared distance of the rendered poses is 3.5 (clear water)
+    to 5 (turbidity 2) of 4 without any. Their errors fade within five frames at 0.3 m/s, half of the variance at
+    once."""
+    corner_sigmas: float = 3.0
+    corner_floor: float = 2.5
+    """Corners that lie further from their projection than this many of the image's standard deviations, and this many
+    expected ones, are left out: occluded, at the laser dot, wrongly refined."""
+
+
+PNP = PnpTuning()
+
+
+@dataclass(frozen=True, slots=True)
+class StampWatchTuning:
+    """Of :mod:`autopilot.estimator.stamp_watch`."""
+
+    window_us: int = 2_000_000
+    least_us: int = 600_000
+    least_fixes: int = 12
+    """A window of less says nothing."""
+    margin_us: int = 260_000
+    """So long before its first fix a window needs inertial samples."""
+    gap_us: int = 150_000
+    """Inertial sensors that are silent for longer begin a new window."""
+    look_s: float = 0.5
+    """How often all is added up, unless told otherwise;"""
+    looks_soon: int = 30
+    """while fixes miss with each of them, so many at most before the next that does not."""
+    forget_s: float = 60.0
+    """Older windows count for less."""
+    alike: float = 4.0
+    """Errors of fixes and of inertial sensors are alike over some moments: so many count as one."""
+    floor_rad: float = 4e-4
+    floor_m: float = 3e-4
+    """What a window fits to at best."""
+    far: float = 6.0
+    """Times the median miss: such a fix is an outlier."""
+    unexplained: float = 0.5
+    """A window in which the inertial sensors leave this share of what fixes show, in squares, says nothing of
+    stamps."""
+    unfit_sigma: float = 4.9
+    """A window fits worse than usual by chance once in so many standard deviations."""
+    scale: float = 0.05
+    """Share of what fixes show that errors of scale (gyro, accelerometer, lens) may leave: no reason to call it
+    unfit."""
+    newest: int = 3
+    """So many outliers in a row that are the newest fixes are what begins to be otherwise."""
+    usual_count: int = 9
+    """Windows that tell how well they fit as a rule: their median. An offset that lasts is fitted after one of them."""
+    lasts_us: int = 500_000
+    lasts_s: float = 0.01
+    """A delay is acted on once it has been found for so long, from look to look within this or three sigma,"""
+    settled_count: int = 2
+    """if so many windows have told what is usual: stamps that are late from the start have not changed."""
+    sure: float = 12.0
+    """Difference of the logarithms of two likelihoods that is acted on: 4.9 sigma."""
+    suspected: float = 4.0
+    ahead_us: int = 200_000
+    ahead_count: int = 10
+    """Pictures in a row from a future that is nearer than this are stamped late. Others are garbage."""
+    ahead_sigma_s: float = 0.02
+    age_step_us: int = 30_000
+    age_soon: int = 3
+    age_count: int = 10
+    """Pictures whose age at their arrival is off by so much have other stamps, or come later than they did: which of
+    both is not known. From so many in a row on it is possible, and from so many evidence of before is of other
+    stamps."""
+    age_share: float = 0.02
+    """Of a new age in the usual one."""
+    missed_us: int = 1_000_000
+    """Fixes that have missed so long before the age was found to have changed missed for it."""
+    doubted_us: int = 4_000_000
+    """So long after such a step other sensors are not blamed for what stamps may have done."""
+    apart_s: float = 0.001
+    apart_first_s: float = 0.003
+    """Smaller changes are not worth it; nor is a first one."""
+
+
+STAMP_WATCH = StampWatchTuning()
+
+
+@dataclass(frozen=True, slots=True)
+class VisionTuning:
+    """Of :mod:`autopilot.estimator.vision`."""
+
+    hint_margin_px: float = 60.0
+    hint_margin_m: float = 0.06
+    """Markers so far outside of the predicted image (the larger one, seen on the floor) may be in view: some
+    centimetres and degrees of error. Close to the floor a centimetre is many pixels."""
+    window_px: int = 13
+    """The one adaptive threshold window while tracking: about a quarter to a half of a marker's side."""
+    acquire_windows_px: tuple[int, int, int] = (7, 31, 8)
+    """First, last and step of the windows without a hint."""
+    threshold_constant: float = 3.0
+    """Instead of OpenCV's 7: finds markers that haze has left with little contrast."""
+    min_otsu_std_dev: float = 2.0
+    """Instead of OpenCV's 5, for the same reason."""
+    hazy_std_dev: float = 24.0
+    """An image whose grey levels spread by less than this standard deviation is hazy: a floor of markers has 74 in
+    clear water, 32 at turbidity 1 1/m and 0.8 m, 15 at 2 1/m, 4 at 3 1/m and 1.2 m."""
+    hazy_threshold_constant: float = 1.5
+    hazy_min_otsu_std_dev: float = 1.0
+    """Find all markers at 1 m and 3 1/m, where 3 and 2 find one in twenty; the smoothing keeps noise out."""
+    hazy_smooth_px: tuple[tuple[float, int], tuple[float, int]] = ((4.5, 5), (3.2, 3))
+    """Cell of the smallest marker from which on, and side of the Gaussian that smooths hazy images then: halves the
+    error of the pose (5 against 10 mm at 1 m and 3 1/m). Smaller cells would flow into each other."""
+    size_band: tuple[float, float] = (0.6, 1.6)
+    """A marker's perimeter may differ by these factors from the predicted one."""
+    min_side_px: float = 5.0
+    """Smaller markers cannot be read."""
+    half_cell_px: float = 6.5
+    """Markers whose cells are at least so wide are looked for in the image at half its size."""
+    correction: float = 0.6
+    """Share of the misread cells that a dictionary's least distance would allow to correct which are corrected
+    (OpenCV's own choice): 3 of 36 in tag36h11, 2 of 25 in tag25h9, none in DICT_4X4_1000."""
+    second_windows_px: tuple[int, int, int] = (3, 23, 10)
+    second_constant: float = 7.0
+    """Windows and threshold constant of the second look: OpenCV's own."""
+    hazy_second_windows_px: tuple[int, int, int] = (7, 23, 16)
+    """The same in a smoothed image."""
+    border_px: float = 3.0
+    """Corners nearer to the image's border are not taken (OpenCV's own choice)."""
+    whole_px: float = 1.5
+    """A marker should be found when its corners are predicted this far inside of the image."""
+    least_fit: float = 0.4
+    """What correlates less with the marker that it was read as is none."""
+    around: float = 0.75
+    """The second look takes in this share of the marker's size on each side,"""
+    around_px: float = 8.0
+    """and at least so many pixels: the white around it, and the error of the prediction."""
+    most_areas: int = 12
+    """More missing markers than these are looked for in one piece."""
+    same: float = 0.5
+    """Two markers of one id whose centres are nearer than this share of their side are one."""
+    refine_cells: float = 0.72
+    """Half width of the corner refinement window in cells of the marker, black border included: a wider window would be
+    drawn to the next cell's corner."""
+    refine_window_px: tuple[int, int] = (2, 5)
+
+
+VISION = VisionTuning()

@@ -1,0 +1,314 @@
+"""Water currents over the local NED frame: analytic fields, all free of divergence, and gridded ones.
+
+Every field gives its velocity, its gradient and its rate of change at a fixed place, because a hull that moves through
+a field that varies in space feels the acceleration of the water (:mod:`.sitl.rigid_body`). Analytic fields are the same
+at every depth; vertical velocity is zero except in the uniform field and on a grid that has one.
+"""
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Protocol, TypeAlias
+
+import msgspec
+
+from autopilot.core.toml_table import Vec2, Vec3
+from autopilot.sitl import scenario_tables as sc
+from autopilot.sitl.grid_current import GridField, read_grid
+from autopilot.sitl.sitl_tuning import CURRENTS
+
+Gradient: TypeAlias = tuple[float, float, float, float]
+"""d c_i / d x_j [1/s], row by row: (c_n,n c_n,e c_e,n c_e,e); the other five are zero in every analytic field."""
+
+
+class CurrentField(Protocol):
+    """Velocity of the water."""
+
+    @property
+    def steady_uniform(self) -> bool:
+        """True if gradient and rate are zero everywhere, so that nobody has to ask."""
+        ...
+
+    def velocity(self, pos_ned_m: Sequence[float], t_s: float) -> Vec3:
+        """(3,) NED [m/s] at a place and time."""
+        ...
+
+    def gradient(self, pos_ned_m: Sequence[float], t_s: float) -> Gradient:
+        """d c_i / d x_j [1/s], four numbers row by row."""
+        ...
+
+    def rate(self, pos_ned_m: Sequence[float], t_s: float) -> Vec3:
+        """d c / d t at a fixed place [m/s^2]."""
+        ...
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Uniform:
+    """Velocity + tide * sin(2 pi t / period), the same everywhere."""
+
+    velocity_m_s: Vec3 = CURRENTS.zero
+    tide_m_s: Vec3 = CURRENTS.zero
+    tide_period_s: float = 44712.0
+
+    @property
+    def steady_uniform(self) -> bool:
+        """True without a tide."""
+        return self.tide_m_s == CURRENTS.zero
+
+    def velocity(self, pos_ned_m: Sequence[float], t_s: float) -> Vec3:
+        """See :class:`CurrentField`."""
+        s = math.sin(2.0 * math.pi * t_s / self.tide_period_s)
+        c, a = self.velocity_m_s, self.tide_m_s
+        return (c[0] + s * a[0], c[1] + s * a[1], c[2] + s * a[2])
+
+    def gradient(self, pos_ned_m: Sequence[float], t_s: float) -> Gradient:
+        """See :class:`CurrentField`."""
+        return CURRENTS.zero_gradient
+
+    def rate(self, pos_ned_m: Sequence[float], t_s: float) -> Vec3:
+        """See :class:`CurrentField`."""
+        omega = 2.0 * math.pi / self.tide_period_s
+        s = omega * math.cos(omega * t_s)
+        return (s * self.tide_m_s[0], s * self.tide_m_s[1], s * self.tide_m_s[2])
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class WithFlow:
+    """Another field and a flow that is added to it everywhere."""
+
+    field: CurrentField
+    added_m_s: Vec2
+    """North, east."""
+
+    @property
+    def steady_uniform(self) -> bool:
+        """As the field that it is added to."""
+        return self.field.steady_uniform
+
+    def velocity(self, pos_ned_m: Sequence[float], t_s: float) -> Vec3:
+        """See :class:`CurrentField`."""
+        north, east, down = self.field.velocity(pos_ned_m, t_s)
+        return (north + self.added_m_s[0], east + self.added_m_s[1], down)
+
+    def gradient(self, pos_ned_m: Sequence[float], t_s: float) -> Gradient:
+        """See :class:`CurrentField`."""
+        return self.field.gradient(pos_ned_m, t_s)
+
+    def rate(self, pos_ned_m: Sequence[float], t_s: float) -> Vec3:
+        """See :class:`CurrentField`."""
+        return self.field.rate(pos_ned_m, t_s)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Steady:
+    """A planar field that does not change with time."""
+
+    @property
+    def steady_uniform(self) -> bool:
+        """False: it varies in space."""
+        return False
+
+    def rate(self, pos_ned_m: Sequence[float], t_s: float) -> Vec3:
+        """See :class:`CurrentField`."""
+        return CURRENTS.zero
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TankJet(_Steady):
+    """Jet along +x in the middle of a rectangular tank with return flow along the walls y = +-width / 2.
+
+    Streamfunction psi = -(U / k) sin(k (y + W/2)) h(xi), k = 2 pi / W, xi = x / L + 1/2, h = 6.75 xi (1 - xi)^2; so
+    u = d psi / d y, v = -d psi / d x. No flow through the four walls; the largest velocity U lies at xi = 1/3, y = 0.
+    Places outside the tank see the nearest place inside (the field is not free of divergence there).
+    """
+
+    speed_m_s: float = 0.25
+    center_m: Vec2 = (0.0, 0.0)
+    length_m: float = 5.0
+    width_m: float = 3.0
+
+    def _local(self, pos_ned_m: Sequence[float]) -> tuple[float, float, float]:
+        """xi in [0, 1], sine and cosine of the phase across the tank."""
+        xi = (pos_ned_m[0] - self.center_m[0]) / self.length_m + 0.5
+        eta = (pos_ned_m[1] - self.center_m[1]) / self.width_m + 0.5
+        phase = 2.0 * math.pi * min(max(eta, 0.0), 1.0)
+        return min(max(xi, 0.0), 1.0), math.sin(phase), math.cos(phase)
+
+    def velocity(self, pos_ned_m: Sequence[float], t_s: float) -> Vec3:
+        """See :class:`CurrentField`."""
+        xi, s, c = self._local(pos_ned_m)
+        rest = 1.0 - xi
+        scale = CURRENTS.jet_profile * self.speed_m_s * rest
+        aspect = self.width_m / (2.0 * math.pi * self.length_m)
+        return (-scale * c * xi * rest, scale * s * (1.0 - 3.0 * xi) * aspect, 0.0)
+
+    def gradient(self, pos_ned_m: Sequence[float], t_s: float) -> Gradient:
+        """See :class:`CurrentField`."""
+        xi, s, c = self._local(pos_ned_m)
+        k = 2.0 * math.pi / self.width_m
+        rest = 1.0 - xi
+        h = CURRENTS.jet_profile * xi * rest * rest
+        h_x = CURRENTS.jet_profile * rest * (1.0 - 3.0 * xi) / self.length_m
+        h_xx = CURRENTS.jet_profile * (6.0 * xi - 4.0) / (self.length_m * self.length_m)
+        # Outside the tank nothing changes along the direction in which the nearest place inside stays the same.
+        u_x = self.speed_m_s if abs(pos_ned_m[0] - self.center_m[0]) <= 0.5 * self.length_m else 0.0
+        u_y = self.speed_m_s if abs(pos_ned_m[1] - self.center_m[1]) <= 0.5 * self.width_m else 0.0
+        return (-u_x * c * h_x, u_y * k * s * h, u_x / k * s * h_xx, u_y * c * h_x)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Turned:
+    """Another field turned about a place by an angle, clockwise seen from above (from north to east)."""
+
+    field: CurrentField
+    center_m: Vec2
+    cosine: float
+    sine: float
+
+    @property
+    def steady_uniform(self) -> bool:
+        """As the field that is turned."""
+        return self.field.steady_uniform
+
+    def _back(self, pos_ned_m: Sequence[float]) -> Vec3:
+        """The place in the field before it was turned."""
+        dx, dy = pos_ned_m[0] - self.center_m[0], pos_ned_m[1] - self.center_m[1]
+        c, s = self.cosine, self.sine
+        return (self.center_m[0] + c * dx + s * dy, self.center_m[1] - s * dx + c * dy, pos_ned_m[2])
+
+    def _turn(self, vector: Vec3) -> Vec3:
+        c, s = self.cosine, self.sine
+        return (c * vector[0] - s * vector[1], s * vector[0] + c * vector[1], vector[2])
+
+    def velocity(self, pos_ned_m: Sequence[float], t_s: float) -> Vec3:
+        """See :class:`CurrentField`."""
+        return self._turn(self.field.velocity(self._back(pos_ned_m), t_s))
+
+    def gradient(self, pos_ned_m: Sequence[float], t_s: float) -> Gradient:
+        """See :class:`CurrentField`: R G R'."""
+        nn, ne, en, ee = self.field.gradient(self._back(pos_ned_m), t_s)
+        c, s = self.cosine, self.sine
+        # R G, then times R'.
+        a, b, d, e = c * nn - s * en, c * ne - s * ee, s * nn + c * en, s * ne + c * ee
+        return (a * c - b * s, a * s + b * c, d * c - e * s, d * s + e * c)
+
+    def rate(self, pos_ned_m: Sequence[float], t_s: float) -> Vec3:
+        """See :class:`CurrentField`."""
+        return self._turn(self.field.rate(self._back(pos_ned_m), t_s))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Vortex(_Steady):
+    """Lamb-Oseen vortex: v_theta = G / (2 pi r) (1 - exp(-r^2 / core^2)), positive from north to east."""
+
+    circulation_m2_s: float
+    core_m: float
+    center_m: Vec2 = (0.0, 0.0)
+
+    def _profile(self, r2: float) -> tuple[float, float]:
+        """Angular velocity [1/s] at radius^2 and its derivative by radius^2 [1/(s m^2)]."""
+        a = self.core_m * self.core_m
+        scale = self.circulation_m2_s / (2.0 * math.pi * a)
+        q = r2 / a
+        if q < CURRENTS.vortex_series_limit:
+            return scale * (1.0 - q / 2.0 + q * q / 6.0), scale / a * (-0.5 + q / 3.0 - q * q / 8.0)
+        grown = -math.expm1(-q)
+        return scale * grown / q, scale / a * ((1.0 - grown) / q - grown / (q * q))
+
+    def velocity(self, pos_ned_m: Sequence[float], t_s: float) -> Vec3:
+        """See :class:`CurrentField`."""
+        dx, dy = pos_ned_m[0] - self.center_m[0], pos_ned_m[1] - self.center_m[1]
+        omega, _ = self._profile(dx * dx + dy * dy)
+        return (-omega * dy, omega * dx, 0.0)
+
+    def gradient(self, pos_ned_m: Sequence[float], t_s: float) -> Gradient:
+        """See :class:`CurrentField`."""
+        dx, dy = pos_ned_m[0] - self.center_m[0], pos_ned_m[1] - self.center_m[1]
+        omega, slope = self._profile(dx * dx + dy * dy)
+        cross = 2.0 * slope * dx * dy
+        return (-cross, -omega - 2.0 * slope * dy * dy, omega + 2.0 * slope * dx * dx, cross)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Shear(_Steady):
+    """u = speed + shear * (y - center_y)."""
+
+    shear_1_s: float
+    speed_m_s: float = 0.0
+    center_y_m: float = 0.0
+
+    def velocity(self, pos_ned_m: Sequence[float], t_s: float) -> Vec3:
+        """See :class:`CurrentField`."""
+        return (self.speed_m_s + self.shear_1_s * (pos_ned_m[1] - self.center_y_m), 0.0, 0.0)
+
+    def gradient(self, pos_ned_m: Sequence[float], t_s: float) -> Gradient:
+        """See :class:`CurrentField`."""
+        return (0.0, self.shear_1_s, 0.0, 0.0)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Bickley(_Steady):
+    """u = speed * sech^2((y - center_y) / width)."""
+
+    speed_m_s: float
+    width_m: float
+    center_y_m: float = 0.0
+
+    def _tanh(self, pos_ned_m: Sequence[float]) -> float:
+        return math.tanh((pos_ned_m[1] - self.center_y_m) / self.width_m)
+
+    def velocity(self, pos_ned_m: Sequence[float], t_s: float) -> Vec3:
+        """See :class:`CurrentField`."""
+        th = self._tanh(pos_ned_m)
+        return (self.speed_m_s * (1.0 - th * th), 0.0, 0.0)
+
+    def gradient(self, pos_ned_m: Sequence[float], t_s: float) -> Gradient:
+        """See :class:`CurrentField`."""
+        th = self._tanh(pos_ned_m)
+        return (0.0, -2.0 * self.speed_m_s * th * (1.0 - th * th) / self.width_m, 0.0, 0.0)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Gyre(_Steady):
+    """Taylor-Green: u = U sin(pi x / L) cos(pi y / L), v = -U cos(pi x / L) sin(pi y / L)."""
+
+    speed_m_s: float
+    cell_m: float
+
+    def velocity(self, pos_ned_m: Sequence[float], t_s: float) -> Vec3:
+        """See :class:`CurrentField`."""
+        a, b = math.pi * pos_ned_m[0] / self.cell_m, math.pi * pos_ned_m[1] / self.cell_m
+        u = self.speed_m_s
+        return (u * math.sin(a) * math.cos(b), -u * math.cos(a) * math.sin(b), 0.0)
+
+    def gradient(self, pos_ned_m: Sequence[float], t_s: float) -> Gradient:
+        """See :class:`CurrentField`."""
+        a, b = math.pi * pos_ned_m[0] / self.cell_m, math.pi * pos_ned_m[1] / self.cell_m
+        k = self.speed_m_s * math.pi / self.cell_m
+        even, odd = k * math.cos(a) * math.cos(b), k * math.sin(a) * math.sin(b)
+        return (even, -odd, odd, -even)
+
+
+_FIELDS: dict[type[sc.Current], Callable[..., CurrentField]] = {
+    sc.NoCurrentTable: Uniform,
+    sc.UniformCurrent: Uniform,
+    sc.VortexCurrent: Vortex,
+    sc.ShearCurrent: Shear,
+    sc.BickleyCurrent: Bickley,
+    sc.GyreCurrent: Gyre,
+}
+"""Fields that have the keys of their tables."""
+
+
+def current_field(table: sc.Current) -> CurrentField:
+    """The field that a scenario's ``[current]`` describes."""
+    keys = msgspec.structs.asdict(table)
+    if isinstance(table, sc.GridCurrent):
+        return GridField(read_grid(table.file))
+    if isinstance(table, sc.JetCurrent):
+        angle = keys.pop("direction_rad")
+        jet = TankJet(**keys)
+        if angle == 0.0:
+            return jet
+        return Turned(field=jet, center_m=table.center_m, cosine=math.cos(angle), sine=math.sin(angle))
+    return _FIELDS[type(table)](**keys)
