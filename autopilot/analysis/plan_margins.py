@@ -262,9 +262,9 @@ def cost_table(
 
 
 def _timed(call: Callable[..., object], spent: list[float], clock: Callable[[], float]) -> Callable[..., object]:
-    def timed(*args: object) -> object:
+    def timed(*args: object, **named: object) -> object:
         began = clock()
-        result = call(*args)
+        result = call(*args, **named)
         spent.append(clock() - began)
         return result
 

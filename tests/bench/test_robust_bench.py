@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from autopilot.analysis.plan_margins import certificate_table, lipschitz_table, tube_table
+from autopilot.analysis.plan_margins import certificate_table, cost_table, lipschitz_table, tube_table
 from autopilot.cli.certify import certify
 from autopilot.core.geometry import Circle, Fence
 from autopilot.core.messages import Goal
@@ -68,3 +68,19 @@ def test_json_of_a_short_run(monkeypatch: pytest.MonkeyPatch) -> None:
     tables = json.loads(done.output)
     assert {row["violations"] for row in tables["certificates"]} == {0} and len(tables["certificates"]) == 2
     assert tables["lipschitz"] and tables["tube"]
+
+
+def test_cost_table_times_each_mode() -> None:
+    """Its timers stand between the controller and its margins: whatever these are called with."""
+    fence = Fence(exclusions=(Circle(center_ned_m=np.zeros(2), radius_m=0.5),), depth_max_m=1.2)
+    goal = Goal(
+        pos_ned_m=np.array([1.5, 0.3, 0.5]),
+        yaw_rad=0.0,
+        speed_m_s=0.3,
+        accept_radius_m=0.15,
+        accept_yaw_rad=0.15,
+        seq=0,
+    )
+    rows = cost_table(VEHICLE, goal, fence, 3)
+    assert [row.mode for row in rows] == ["fixed", "tube", "lipschitz"]
+    assert all(row.step_median_ms > 0.0 for row in rows)
