@@ -23,6 +23,33 @@ LIBRARY = Path(__file__).with_name(f"_compiled{sysconfig.get_config_var('EXT_SUF
 SOURCES = Path(__file__).resolve().parents[1] / "data" / "native"
 AGAIN = "run pip install again with a C compiler at hand"
 
+_ADDRESS, _WHOLE, _REAL = ctypes.c_void_p, ctypes.c_long, ctypes.c_double
+SIGNATURES: dict[str, tuple[Any, ...]] = {
+    "workspace_bytes": (_WHOLE, _WHOLE, _WHOLE),
+    "control_step": (None, _ADDRESS),
+    "half_planes": (_REAL, _ADDRESS, _WHOLE, _ADDRESS, _WHOLE, _ADDRESS, _ADDRESS, _WHOLE, _ADDRESS, _ADDRESS),
+    "tube_back_offs": (None, _ADDRESS, _WHOLE, _WHOLE, _WHOLE, _ADDRESS, _ADDRESS, _ADDRESS, _ADDRESS),
+    "steady_thrust": (_WHOLE, _ADDRESS, _WHOLE, _ADDRESS, _ADDRESS),
+    "nearest_on_route": (_REAL, _WHOLE, _ADDRESS, _ADDRESS, _ADDRESS, _REAL, _REAL, _REAL, _REAL, _ADDRESS),
+    "march": (_WHOLE, _ADDRESS, _ADDRESS),
+    "program_bounds": (None, _ADDRESS),
+    "least_room": (_REAL, _WHOLE, _WHOLE, _ADDRESS, _WHOLE, _ADDRESS, _ADDRESS),
+    "largest_gap": (_REAL, _WHOLE, _WHOLE, _WHOLE, _WHOLE, _ADDRESS, _ADDRESS),
+    "state_ahead": (None, _ADDRESS),
+    "inner_thrust": (None, _ADDRESS, _REAL),
+    "rows_at": (None, _WHOLE, _WHOLE, _ADDRESS, _ADDRESS, _WHOLE, _ADDRESS, _ADDRESS),
+    "nearest_at": (_REAL, _WHOLE, _WHOLE, *[_ADDRESS] * 3, _REAL, _REAL, _WHOLE, _REAL, _ADDRESS),
+    "flow_at": (None, _WHOLE, _ADDRESS, _WHOLE, _WHOLE, _ADDRESS, _ADDRESS, _REAL, _ADDRESS, _ADDRESS),
+    "fill_currents": (None, _ADDRESS),
+    "motion_step": (None, _ADDRESS),
+    "model_look": (None, _ADDRESS),
+    "plant_look": (None, _ADDRESS, _ADDRESS),
+    "plant_turn": (None, _ADDRESS, _ADDRESS, _REAL),
+    "plant_step": (None, _ADDRESS, _ADDRESS, _REAL),
+    "plant_measure": (None, _ADDRESS, _ADDRESS),
+}
+"""Result and arguments of every exported function, in the order of the C prototype."""
+
 
 class Mirror(ctypes.Structure):
     """A struct of the C sources as Python lays it out: same name (a leading underscore aside), same fields in the same
@@ -121,34 +148,9 @@ def _load(path: Path) -> Any:
             raise RuntimeError(f"{path.name} {wrong}; {AGAIN}")
         # Calls of microseconds: if each gave the interpreter away the loop would wait for other threads to return it.
         library = ctypes.PyDLL(str(path))
-        address, whole = ctypes.c_void_p, ctypes.c_long
-        library.workspace_bytes.restype = whole
-        library.workspace_bytes.argtypes = [whole, whole]
-        library.control_step.restype = library.tube_back_offs.restype = None
-        library.program_bounds.restype, library.least_room.restype = None, ctypes.c_double
-        library.largest_gap.restype, library.largest_gap.argtypes = ctypes.c_double, [*[whole] * 4, address, address]
-        library.least_room.argtypes = [whole, whole, address, whole, address, address]
-        library.state_ahead.restype = library.inner_thrust.restype = library.rows_at.restype = None
-        library.inner_thrust.argtypes = [address, ctypes.c_double]
-        library.rows_at.argtypes = [whole, whole, address, address, whole, address, address]
-        library.nearest_at.restype, number = ctypes.c_double, ctypes.c_double
-        library.nearest_at.argtypes = [whole, whole, *[address] * 3, number, number, whole, number, address]
-        library.nearest_on_route.restype = number
-        library.nearest_on_route.argtypes = [whole, *[address] * 3, *[number] * 4, ctypes.POINTER(number)]
-        library.flow_at.restype = library.fill_currents.restype = None
-        library.fill_currents.argtypes = [address]
-        library.flow_at.argtypes = [whole, address, whole, whole, address, address, number, address, address]
-        library.march.restype = library.steady_thrust.restype = whole
-        library.march.argtypes, library.steady_thrust.argtypes = [address] * 2, [address, whole, address, address]
-        library.half_planes.restype = ctypes.c_double
-        library.half_planes.argtypes = [address, whole, address, whole, address, address, whole, address, address]
-        library.motion_step.restype = library.model_look.restype = None
-        library.motion_step.argtypes = library.model_look.argtypes = [address]
-        library.tube_back_offs.argtypes = [address, whole, whole, whole, address, address, address, address]
-        for plain in (library.plant_look, library.plant_measure):
-            plain.restype, plain.argtypes = None, [address, address]
-        for timed in (library.plant_turn, library.plant_step):
-            timed.restype, timed.argtypes = None, [address, address, ctypes.c_double]
+        for name, (result, *arguments) in SIGNATURES.items():
+            function = getattr(library, name)
+            function.restype, function.argtypes = result, arguments
     except (OSError, AttributeError) as error:
         raise RuntimeError(f"{path.name} cannot be loaded ({error}); {AGAIN}") from error
     return library

@@ -24,6 +24,10 @@ from autopilot.core.frames import FloatArray
 from autopilot.core.geometry import Circle, Fence
 from autopilot.core.params import ParamSet
 
+ADDRESS = ctypes.c_void_p
+KINDS: dict[str, Any] = {"void": None, "long": ctypes.c_long, "double": ctypes.c_double}
+"""Of C and of ctypes. Any other type, ``int`` for one, raises KeyError: the sources do not exchange it."""
+
 needs_library = pytest.mark.skipif(compiled.missing() is not None, reason="not compiled")
 PACKAGE = Path(autopilot.__file__).parent
 GRID = uniform_grid(5)
@@ -54,6 +58,72 @@ def test_every_struct_is_checked_field_by_field() -> None:
     laid_out = set(re.findall(r"^LAYOUT\((\w+),", code, re.MULTILINE))
     assert set(_mirrors()) == laid_out
     assert len(laid_out) >= 12
+
+
+def _code() -> str:
+    """The C sources without comments."""
+    code = "\n".join(path.read_text(encoding="utf-8") for path in sorted(compiled.SOURCES.glob("*.[ch]")))
+    return re.sub(r"/\*.*?\*/", "", code, flags=re.DOTALL)
+
+
+def _kind(declared: str) -> Any:
+    """ctypes' type of a parameter or of a result."""
+    words = declared.replace("const ", "").split()
+    return ADDRESS if "*" in declared or "[" in declared else KINDS[words[0]]
+
+
+def _prototypes(code: str) -> dict[str, tuple[Any, ...]]:
+    """Result and arguments of every function that is exported."""
+    found = re.findall(r"^EXPORT ([\w ]+[ *])(\w+)\(([^()]*)\) *\{", code, re.MULTILINE)
+    return {name: (_kind(result), *(_kind(each) for each in given.split(","))) for result, name, given in found}
+
+
+def _fields(body: str) -> list[tuple[str, Any]]:
+    """Name and type of the fields of a C struct; of an array the type of its elements."""
+    fields = []
+    for line in filter(None, (each.strip() for each in re.sub(r"\[[^]]*\]", "", body).split(";"))):
+        kind, names = line.removeprefix("const ").split(maxsplit=1)
+        each = (name.strip() for name in names.split(","))
+        fields.extend((name.lstrip("*"), ADDRESS if name.startswith("*") else KINDS[kind]) for name in each)
+    return fields
+
+
+def _elements(kind: Any) -> Any:
+    while issubclass(kind, ctypes.Array):
+        kind = kind._type_
+    return kind
+
+
+def test_a_prototype_is_read_as_ctypes_has_to_give_it() -> None:
+    code = "EXPORT long some(const Place *a, long m,\n  const double *x, double at[3], double dt) {"
+    code += "\nEXPORT void none(long n) {"
+    arguments = ADDRESS, ctypes.c_long, ADDRESS, ADDRESS, ctypes.c_double
+    assert _prototypes(code) == {"some": (ctypes.c_long, *arguments), "none": (None, ctypes.c_long)}
+    with pytest.raises(KeyError, match="int"):
+        _prototypes("EXPORT void short(int n) {")
+
+
+def test_every_function_is_called_as_its_prototype_says() -> None:
+    """Without argument types ctypes passes a Python int as a C int, and any number of arguments."""
+    code = _code()
+    prototypes = _prototypes(code)
+    assert len(re.findall(r"^EXPORT \w[^;{]*\) *\{", code, re.MULTILINE)) == len(prototypes)
+    assert prototypes == compiled.SIGNATURES
+
+
+@needs_library
+def test_the_loaded_library_has_these_signatures() -> None:
+    library = compiled.load()
+    for name, (result, *arguments) in compiled.SIGNATURES.items():
+        function = getattr(library, name)
+        assert (function.restype, function.argtypes) == (result, arguments), name
+
+
+@pytest.mark.parametrize("name", sorted(_mirrors()))
+def test_a_mirror_has_the_types_of_its_struct(name: str) -> None:
+    """A whole number, a float and an address are of the same size: the layout does not tell them apart."""
+    structs = {struct: body for body, struct in re.findall(r"typedef struct \{([^}]*)\} (\w+);", _code())}
+    assert [(field[0], _elements(field[1])) for field in _mirrors()[name]._fields_] == _fields(structs[name])
 
 
 @needs_library

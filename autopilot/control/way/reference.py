@@ -44,7 +44,7 @@ class Route:
     def project(self, point: FloatArray, s_hint: float, window_m: float = 0.5) -> tuple[float, float]:
         """Arc length of the nearest point within a window round ``s_hint``, and the distance to it."""
         if self._library is not None:
-            told = point.item(0), point.item(1), s_hint, window_m, self._distance
+            told = point.item(0), point.item(1), s_hint, window_m, ctypes.byref(self._distance)
             found_s: float = self._library.nearest_on_route(*self._table, *told)
             return found_s, self._distance.value
         p = complex(point[0], point[1])
