@@ -178,7 +178,7 @@ def open_session(
             plans.tick(outputs.t_us)
         on_tick(outputs)
 
-    def notices() -> Sequence[tuple[Severity, str]]:
+    def start_notices() -> Sequence[tuple[Severity, str]]:
         kept_news = () if plans is None else plans.take_notices()
         said = (*news, *state.take_notices(), *recorder.take_notices(), *kept_news, *world.notices())
         news.clear()
@@ -196,7 +196,7 @@ def open_session(
         peers=world.peers,
         on_tick=each_tick,
         paced=world.speed > 0.0,
-        notices=notices,
+        notices=start_notices,
         below=world.below,
         refusals=lambda t_us: world.refusals(t_us) + state.refusals(t_us),
         skips=world.skips,
