@@ -1,7 +1,7 @@
-"""The part of the build that pyproject.toml cannot say: the control step in C, where there is a compiler.
+"""The part of the build that pyproject.toml cannot say: the library in C (decision 82), which needs a C compiler.
 
-Optional: without one the package installs and works, and the service says what is slower. One library serves all
-vehicles (`THRUSTERS`) and, on x86-64, processors with and without AVX2.
+One library serves all vehicles (`THRUSTERS`) and, on x86-64, processors with and without AVX2. It uses nothing of
+Python, so that one wheel serves all versions of Python on a platform.
 """
 
 import platform
@@ -11,8 +11,9 @@ from importlib import import_module
 from pathlib import Path
 
 from setuptools import Extension, setup
+from setuptools.command.bdist_wheel import bdist_wheel
 from setuptools.command.build_ext import build_ext
-from setuptools.errors import CompileError
+from setuptools.errors import CCompilerError, CompileError, ExecError, PlatformError
 
 HERE = Path(__file__).resolve().parent
 SOURCES = HERE / "autopilot" / "data" / "native"
@@ -25,6 +26,11 @@ GENERATED = {
     "interval.c": ("autopilot.control.energy.interval", "interval_code"),
 }
 """Sources that CasADi writes of the model's expressions: module and function that give the text."""
+
+NO_COMPILER = """\
+the autopilot's library in C could not be built: {error}
+Install a C compiler and try again (Debian, Ubuntu, Raspberry Pi OS: sudo apt install gcc python3-dev), \
+or install a wheel that was built for this platform (pip wheel, docs/deploy.md)."""
 
 FLAGS = ["-O2", "-g0", "-std=c99", "-fno-math-errno", "-fno-trapping-math", "-fno-wrapv", "-fvisibility=hidden"]
 WIDE = """\
@@ -62,6 +68,17 @@ def generate(folder: Path) -> None:
 class BuildStep(build_ext):
     """Writes the model and one source per variant, has them compiled, and seals the library."""
 
+    def get_ext_filename(self, ext_name: str) -> str:
+        """Without the version of Python."""
+        path = Path(super().get_ext_filename(ext_name))
+        return str(path.with_name(path.name.split(".")[0] + path.suffix))
+
+    def run(self) -> None:
+        try:
+            super().run()
+        except (CCompilerError, ExecError, PlatformError) as error:
+            raise PlatformError(NO_COMPILER.format(error=error)) from error
+
     def build_extension(self, ext: Extension) -> None:
         work = Path(self.build_temp) / "step"
         work.mkdir(parents=True, exist_ok=True)
@@ -92,6 +109,13 @@ class BuildStep(build_ext):
         tools["seal"](Path(self.get_ext_fullpath(ext.name)), SOURCES)
 
 
+class PlatformWheel(bdist_wheel):
+    """For every Python 3 of this platform."""
+
+    def get_tag(self) -> tuple[str, str, str]:
+        return "py3", "none", super().get_tag()[2]
+
+
 setup(
     ext_modules=[
         Extension(
@@ -101,8 +125,7 @@ setup(
             depends=[str(path.relative_to(HERE)) for path in SOURCES.glob("*.[ch]")],
             extra_compile_args=FLAGS,
             libraries=["m"],
-            optional=True,
         )
     ],
-    cmdclass={"build_ext": BuildStep},
+    cmdclass={"build_ext": BuildStep, "bdist_wheel": PlatformWheel},
 )

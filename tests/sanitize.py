@@ -18,12 +18,12 @@ PATH_VARIABLE = "TESTS_COMPILED_LIBRARY"
 """Names the library for the tests' process (:mod:`tests.sanitized_library`)."""
 
 TESTS = (
-    *("control/test_compiled.py", "control/test_compiled_layout.py", "control/test_compiled_follow.py"),
-    *("control/test_compiled_program.py", "control/test_compiled_reference.py", "control/test_not_finite.py"),
+    *("control/test_compiled.py", "control/test_compiled_layout.py", "control/test_compiled_functions.py"),
+    "control/test_not_finite.py",
     *("sitl/test_compiled_plant.py", "estimator/test_compiled_models.py"),
 )
-NOT_HERE = "a_library or without_the_library or switched_off or not_made_for or calls"
-"""Tests of the file itself and of counted calls are about the ordinary library; other solvers than ours are loaded in a
+NOT_HERE = "a_library or without_the_library or switched_off or not_made_for or stripped"
+"""Tests of the file itself are about the ordinary library; other solvers than ours are loaded in a
 way that the sanitizer cannot follow."""
 
 

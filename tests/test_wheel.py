@@ -90,6 +90,8 @@ def test_a_built_wheel_holds_every_module_and_data_file(wheel: Path) -> None:
     held = set(zipfile.ZipFile(wheel).namelist())
     modules = {path for package in packages() for path in package.rglob("*.py")}
     assert {str(path.relative_to(ROOT)) for path in data_files() | modules} <= held
+    assert "-py3-none-" in wheel.name, "the library uses nothing of Python"
+    assert "autopilot/core/_compiled.so" in held
     assert {"autopilot/py.typed", "autopilot/sitl/scenarios/paper-tank.toml", "autopilot/drivers/watchdog.py"} <= held
 
 

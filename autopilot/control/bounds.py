@@ -1,10 +1,6 @@
-"""Limits and bounds of one program, from what margins leave of the vehicle's; and the wishes that hold the last plan.
-
-By the compiled library (``data/native/program.c``) where there is one.
-"""
+"""Limits and bounds of one program, from what margins leave of the vehicle's; and thrust that holds the plan."""
 
 import ctypes
-import math
 
 import numpy as np
 
@@ -41,26 +37,22 @@ class ProgramBounds:
     """The arrays of one optimiser; :meth:`fill` writes all of them."""
 
     def __init__(self, grid: TimeGrid, thrusters: int, radius_m: float) -> None:
-        n, self._radius_m = grid.n, radius_m
+        n, each = grid.n, (grid.n, thrusters)
         self.limits: FloatArray = np.zeros((n - 1, ocp.N_LIMITS))
-        self.thrust_n: FloatArray = np.zeros((n, thrusters))
+        self.thrust_n: FloatArray = np.zeros(each)
         """(N, n) what margins leave of the thrust limits."""
         self.keep_m: FloatArray = np.zeros(n - 1)
         """(N-1,) distance of the centre from boundaries."""
         self.tube_m: FloatArray = np.zeros(n + 1)
         """(N+1,) the same beyond the body, of every node."""
-        self.held_ref_n: FloatArray = np.zeros((n, thrusters))
+        self.held_ref_n: FloatArray = np.zeros(each)
         """(N, n) thrust between what is wished for and that of the last plan, ..."""
-        self.held_weight: FloatArray = np.zeros(thrusters)
+        self._held_weight: FloatArray = np.zeros(each)
+        self.held_weight = self._held_weight
         """(n,) or (N, n), as the wish's, ... with the weight of both."""
-        self._one_weight, self._each_weight = self.held_weight, np.zeros((n, thrusters))
-        """Where it is kept for wishes that weigh the same at all nodes, or not: the library writes to the first."""
-        library = compiled.library(_Program)
-        self._call = None if library is None else library.program_bounds
-        made = (self.limits, self.thrust_n, self.keep_m, self.tube_m, self.held_ref_n, self._one_weight)
-        shapes = (_KINDS, n - 1), (n, thrusters), (thrusters,), (n, thrusters), (n, thrusters), (thrusters,)
-        self._given = tuple(np.zeros(shape) for shape in shapes)
-        self._told = _Program(
+        made = (self.limits, self.thrust_n, self.keep_m, self.tube_m, self.held_ref_n, self._held_weight)
+        self._given = tuple(np.zeros(shape) for shape in ((_KINDS, n - 1), each, (thrusters,), each, each, each))
+        self._struct = _Program(
             n=n,
             thrusters=thrusters,
             radius_m=radius_m,
@@ -68,51 +60,24 @@ class ProgramBounds:
             largest_thrust_share=TUBE.largest_thrust_share,
             **{name: array.ctypes.data for name, array in zip((*_GIVEN, *_MADE), (*self._given, *made), strict=True)},
         )
-        self._reference = ctypes.byref(self._told)
+        self._reference, self._call = ctypes.byref(self._struct), compiled.load(_Program).program_bounds
 
     def fill(
         self, back_off: BackOffs, now: GuidanceInputs, reference: Reference, plan_n: FloatArray, change: float
     ) -> None:
         """``plan_n`` (N, n): thrust of the last plan; ``change``: weight on what is changed of it."""
-        params, fence, told, depth_m = now.params, now.fence, self._told, float(now.x0[Z])
-        planar, heave, turn = params["SPD_PLANAR_MAX"], params["SPD_HEAVE_MAX"], params["SPD_YAW_MAX"]
-        top, bottom = max(fence.depth_min_m, params["DEPTH_MIN"]), min(fence.depth_max_m, params["DEPTH_MAX"])
-        if self._call is None or reference.weight_u.ndim > 1:
-            self._fill_limits(back_off, (planar, heave, turn), (top, bottom), depth_m)
-            self._hold(back_off, now.thrust_limit_n, reference, plan_n, change)
-            return
-        told.planar_m_s, told.heave_m_s, told.yaw_rate_rad_s = planar, heave, turn
-        told.depth_min_m, told.depth_max_m, told.depth_m, told.change = top, bottom, depth_m, change
+        params, fence, struct = now.params, now.fence, self._struct
+        struct.planar_m_s, struct.heave_m_s = params["SPD_PLANAR_MAX"], params["SPD_HEAVE_MAX"]
+        struct.yaw_rate_rad_s, struct.depth_m, struct.change = params["SPD_YAW_MAX"], float(now.x0[Z]), change
+        struct.depth_min_m = max(fence.depth_min_m, params["DEPTH_MIN"])
+        struct.depth_max_m = min(fence.depth_max_m, params["DEPTH_MAX"])
         states, thrust_back_off, limit_n, thrust_ref, thrust, weight = self._given
         states[0], states[1], states[2] = back_off.clearance_m, back_off.depth_m, back_off.planar_speed_m_s
         states[3], states[4] = back_off.heave_m_s, back_off.yaw_rate_rad_s
         thrust_back_off[:], limit_n[:], thrust_ref[:] = back_off.thrust_n, now.thrust_limit_n, reference.thrust_n
         thrust[:], weight[:] = plan_n, reference.weight_u
-        self.held_weight = self._one_weight
         self._call(self._reference)
-
-    def _fill_limits(
-        self, back_off: BackOffs, speeds: tuple[float, float, float], band_m: tuple[float, float], depth_m: float
-    ) -> None:
-        limits = self.limits
-        limits[:, 0] = np.maximum(speeds[0] - back_off.planar_speed_m_s, SLOWEST_CAP_M_S)
-        limits[:, 1] = np.maximum(speeds[1] - back_off.heave_m_s, 0.0)
-        limits[:, 2] = np.maximum(speeds[2] - back_off.yaw_rate_rad_s, 0.0)
-        # A vehicle outside its band is asked to come no farther out, not to be inside at once.
-        limits[:, 3] = np.minimum(depth_m, band_m[0] + back_off.depth_m)
-        limits[:, 4] = np.maximum(depth_m, band_m[1] - back_off.depth_m)
-        self.keep_m[:] = self._radius_m + back_off.clearance_m
-        self.tube_m[1:-1] = back_off.clearance_m
-        self.tube_m[0], self.tube_m[-1] = back_off.clearance_m[0], back_off.clearance_m[-1]
-
-    def _hold(
-        self, back_off: BackOffs, limit_n: FloatArray, reference: Reference, plan_n: FloatArray, change: float
-    ) -> None:
-        self.thrust_n[:] = left = left_n(limit_n, back_off.thrust_n)
-        wanted = np.minimum(np.maximum(reference.thrust_n, -left), left)
-        self.held_weight = self._each_weight if reference.weight_u.ndim > 1 else self._one_weight
-        self.held_weight[:] = reference.weight_u + change
-        self.held_ref_n[:] = (reference.weight_u * wanted + change * plan_n) / self.held_weight
+        self.held_weight = self._held_weight if reference.weight_u.ndim > 1 else self._held_weight[0]
 
 
 def left_n(limit_n: FloatArray, back_off_n: FloatArray) -> FloatArray:
@@ -125,41 +90,26 @@ class PlanRoom:
     """By how much a plan meets its half-planes; of one set of arrays."""
 
     def __init__(self, path: FloatArray, plane_n: FloatArray, plane_d_m: FloatArray) -> None:
-        """Points (m, 2), normals (m, slots, 2), offsets (m, slots). ValueError if they are not so many."""
-        self._path, self._plane_n, self._plane_d_m = path, plane_n, plane_d_m
-        if path.shape != (len(plane_d_m), 2) or plane_n.shape != (*plane_d_m.shape, 2):
-            raise ValueError(f"path {path.shape}, plane_n {plane_n.shape} do not fit to plane_d_m {plane_d_m.shape}")
-        library, contiguous = compiled.library(), plane_n.flags.c_contiguous and plane_d_m.flags.c_contiguous
-        tight = path.strides[1] == path.itemsize and contiguous
-        self._call = None if library is None or not tight else library.least_room
-        stride = path.strides[0] // path.itemsize
-        self._told = (*plane_d_m.shape, path.ctypes.data, stride, plane_n.ctypes.data, plane_d_m.ctypes.data)
+        """Points (m, 2), rows of a table; normals (m, slots, 2), offsets (m, slots), contiguous. ValueError if they are
+        not so many."""
+        m, slots = plane_d_m.shape
+        if path.shape != (m, 2):
+            raise ValueError(f"path {path.shape} does not fit to plane_d_m {plane_d_m.shape}")
+        planes = compiled.fitting("plane_n", plane_n, m, slots, 2), compiled.fitting("plane_d_m", plane_d_m, m, slots)
+        self._arrays, self._call = (path, plane_n, plane_d_m), compiled.load().least_room
+        self._arguments = (m, slots, path.ctypes.data, path.strides[0] // path.itemsize, *planes)
 
     def least_m(self) -> float:
         """The smallest distance beyond what a half-plane asks for; inf where there is none."""
-        if self._call is not None:
-            least: float = self._call(*self._told)
-            return least
-        n, path = self._plane_n, self._path
-        room = n[..., 0] * path[:, :1] + n[..., 1] * path[:, 1:] - self._plane_d_m
-        return float(room.min(initial=math.inf))
+        least: float = self._call(*self._arguments)
+        return least
 
 
-class Gaps:
-    """Largest differences between tables of states."""
-
-    def __init__(self) -> None:
-        library = compiled.library()
-        self._call = None if library is None else library.largest_gap
-
-    def largest(self, a: FloatArray, b: FloatArray | None, first: int, width: int) -> float:
-        """Of ``width`` columns from ``first`` on of contiguous tables (m, 8); None = from zero. NaN if there is one.
-        ValueError if they have other shapes or too few columns."""
-        if self._call is not None:
-            if first + width > a.shape[1]:
-                raise ValueError(f"columns {first} to {first + width} of {a.shape[1]}")
-            other = None if b is None else compiled.fitting("b", b, *a.shape)
-            gap: float = self._call(*a.shape, first, width, compiled.fitting("a", a, *a.shape), other)
-            return gap
-        columns = slice(first, first + width)
-        return float(np.abs(a[:, columns] if b is None else a[:, columns] - b[:, columns]).max())
+def largest_gap(a: FloatArray, b: FloatArray | None, first: int, width: int) -> float:
+    """Largest difference of ``width`` columns from ``first`` on of contiguous tables (m, columns); b None = of a from
+    zero. NaN if there is one. ValueError if they have other shapes or too few columns."""
+    if first + width > a.shape[1]:
+        raise ValueError(f"columns {first} to {first + width} of {a.shape[1]}")
+    other = None if b is None else compiled.fitting("b", b, *a.shape)
+    gap: float = compiled.load().largest_gap(*a.shape, first, width, compiled.fitting("a", a, *a.shape), other)
+    return gap

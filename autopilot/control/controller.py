@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from autopilot.control.bounds import largest_gap
 from autopilot.control.energy.energy_guidance import EnergyGuidance
 from autopilot.control.energy.power import PowerModel
 from autopilot.control.energy.request import TrajectoryPlanner
@@ -392,7 +393,7 @@ class MotionController:
         """The plan to begin with: the last one moved on, or (True) the reference."""
         meant, self._reference = self._reference, reference.x
         # Around a plan that goes another way round an obstacle than the reference no step finds the way back.
-        jumped = meant is not None and self._program.gaps.largest(reference.x, meant, X, 2) > JUMP_M
+        jumped = meant is not None and largest_gap(reference.x, meant, X, 2) > JUMP_M
         if reference.fresh or jumped or self._plan_age_s is None or not 0.0 <= elapsed_s <= LONGEST_SHIFT_S:
             self._plan_age_s = self._planned = None
             self._program.begin(now, reference)

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from autopilot.control.bounds import SLOWEST_CAP_M_S, Gaps, PlanRoom, ProgramBounds, left_n
+from autopilot.control.bounds import SLOWEST_CAP_M_S, PlanRoom, ProgramBounds, largest_gap, left_n
 from autopilot.control.fence.obstacles import Movers
 from autopilot.control.nmpc import ocp
 from autopilot.control.nmpc.grid import TimeGrid
@@ -101,7 +101,7 @@ class StepProgram:
         self._path = self.nmpc.x[: grid.n, :2]
         self._t_s = grid.t_s[: grid.n]
         self._room = PlanRoom(self._path[1:], self._plane_n, self._plane_d)
-        self._weights, self.gaps = Weights(model.thrusters), Gaps()
+        self._weights = Weights(model.thrusters)
         self._currents = np.zeros((grid.n, 3))
         self._unsolved: list[tuple[SolveStatus, NmpcProblem, FloatArray, FloatArray]] = []
         self._speed_back_off_m_s = 0.0
@@ -269,4 +269,4 @@ class StepProgram:
 
     def _plausible(self) -> bool:
         """Whether the plan moves as a vehicle can: a step of the iteration may run away with an unstable plant."""
-        return self.gaps.largest(self.nmpc.x, None, U, AXES) < PLAUSIBLE
+        return largest_gap(self.nmpc.x, None, U, AXES) < PLAUSIBLE

@@ -1,25 +1,25 @@
-"""The library in C: compiled once, when the package is installed where a C compiler is at hand (``setup.py``).
+"""The library in C: compiled once, when the package is installed or its wheel is built (``setup.py``).
 
 Running, nothing is compiled or cached. Only the file inside the package is loaded, and that only if it is whole and
-made of the C sources beside it (:mod:`autopilot.core.seal`). Nothing needs it: where it is missing, damaged, old or of
-another processor, slower ways do the same. The environment variable ``AUTOPILOT_COMPILED=no`` switches it off.
+made of the C sources beside it (:mod:`autopilot.core.seal`). The controller needs it; estimator, simulation and the
+QP solver have a slower way. The environment variable ``AUTOPILOT_COMPILED=no`` chooses those, for comparison.
 """
 
 import ctypes
 import os
-import sysconfig
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from autopilot.core.errors import ConfigError
 from autopilot.core.frames import FloatArray
 from autopilot.core.seal import flaw
 
 SWITCH = "AUTOPILOT_COMPILED"
 OFF = "no"
-LIBRARY = Path(__file__).with_name(f"_compiled{sysconfig.get_config_var('EXT_SUFFIX')}")
+LIBRARY = Path(__file__).with_name("_compiled.pyd" if os.name == "nt" else "_compiled.so")
 SOURCES = Path(__file__).resolve().parents[1] / "data" / "native"
 AGAIN = "run pip install again with a C compiler at hand"
 
@@ -69,19 +69,26 @@ class _Layout(ctypes.Structure):
 
 
 def missing() -> str | None:
-    """Why the library is not used, and what to do about it; None if it is."""
+    """Why the library is not used where there is a slower way, and what to do about it; None if it is."""
+    if switched_off():
+        return f"switched off by {SWITCH}={OFF}"
     try:
         load()
-    except RuntimeError as error:
+    except ConfigError as error:
         return str(error)
     return None
 
 
+def switched_off() -> bool:
+    """Whether slower ways are to be taken where there are any."""
+    return os.environ.get(SWITCH, "").strip().lower() == OFF
+
+
 def library(*mirrors: type[Mirror]) -> Any | None:
-    """The library, None where there is none with these structs: for parts that only get slower without it."""
+    """The library, None where it is switched off or there is none with these structs: for parts with a slower way."""
     try:
-        return load(*mirrors)
-    except RuntimeError:
+        return None if switched_off() else load(*mirrors)
+    except ConfigError:
         return None
 
 
@@ -103,14 +110,12 @@ def fitting(name: str, array: FloatArray, *shape: int) -> int:
 
 
 def load(*mirrors: type[Mirror]) -> Any:
-    """The library, its structs those of ``mirrors``. RuntimeError says why there is none."""
-    if os.environ.get(SWITCH, "").strip().lower() == OFF:
-        raise RuntimeError(f"switched off by {SWITCH}={OFF}")
+    """The library, its structs those of ``mirrors``. ConfigError says why there is none and what to do."""
     library = _load(LIBRARY)
     for mirror in mirrors:
         wrong = _mismatch(library, mirror)
         if wrong:
-            raise RuntimeError(f"the compiled library is of another version: {wrong}; {AGAIN}")
+            raise ConfigError(f"the compiled library is of another version: {wrong}; {AGAIN}")
     return library
 
 
@@ -141,16 +146,16 @@ def _mismatch(library: Any, mirror: type[Mirror]) -> str:
 @lru_cache(maxsize=2)
 def _load(path: Path) -> Any:
     if not path.exists():
-        raise RuntimeError(f"not compiled when it was installed; {AGAIN}")
+        raise ConfigError(f"the compiled library {path.name} is missing; {AGAIN}")
     try:
         wrong = flaw(path, SOURCES)
         if wrong:
-            raise RuntimeError(f"{path.name} {wrong}; {AGAIN}")
+            raise ConfigError(f"{path.name} {wrong}; {AGAIN}")
         # Calls of microseconds: if each gave the interpreter away the loop would wait for other threads to return it.
         library = ctypes.PyDLL(str(path))
         for name, (result, *arguments) in SIGNATURES.items():
             function = getattr(library, name)
             function.restype, function.argtypes = result, arguments
     except (OSError, AttributeError) as error:
-        raise RuntimeError(f"{path.name} cannot be loaded ({error}); {AGAIN}") from error
+        raise ConfigError(f"{path.name} cannot be loaded ({error}); {AGAIN}") from error
     return library

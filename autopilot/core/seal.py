@@ -1,19 +1,28 @@
-"""The seal of the compiled library: what it was made of and that it is whole.
+"""The seal of the compiled library: what it was made of, and that it is whole.
 
-Written behind the library's last byte when it is built, read before it is loaded: the system's loader kills a process
-that touches what is missing of a truncated file, and runs whatever an old one has to say. Uses the standard library
-alone, for the build runs without the package's requirements.
+Written into a constant of the library when it is built, read before it is loaded: the system's loader kills a process
+that touches what is missing of a truncated file, and does not know an old one. Only what the loader maps counts, so
+that ``strip`` may take symbols away. Uses the standard library alone, for the build runs without the package's
+requirements.
 """
 
 import hashlib
+import struct
 from pathlib import Path
 
-MAGIC = b"\nautopilot step, sealed 1\n"
-DIGEST = hashlib.sha256().digest_size
+MAGIC = b"autopilot library, seal 2:"
+"""Of ``library_seal`` in library.c; the digests of the sources and of the library follow."""
 
+DIGEST = hashlib.sha256().digest_size
+DAMAGED = "is damaged or unfinished"
 
 GENERATORS = ("core/model4.py", "control/nmpc/model_code.py", "control/energy/interval.py")
 """Files of the package that the generated sources come from."""
+
+_PT_LOAD = 1
+_ELF = {1: ("I", 28, "HH", 42, "IIIII", (1, 4)), 2: ("Q", 32, "HH", 54, "IIQQQQ", (2, 5))}
+"""Of 32 and 64 bits: offset of the program headers and where it stands, size and number of them and where, begin of a
+header, which of its numbers are offset and size within the file."""
 
 
 def sources_digest(folder: Path) -> bytes:
@@ -26,15 +35,48 @@ def sources_digest(folder: Path) -> bytes:
 
 
 def seal(library: Path, sources: Path) -> None:
-    """Append to ``library`` what it is made of and its own digest."""
-    content = library.read_bytes() + MAGIC + sources_digest(sources)
-    library.write_bytes(content + hashlib.sha256(content).digest())
+    """Write into ``library`` what it is made of and its own digest. ValueError if it is none of ours."""
+    content = bytearray(library.read_bytes())
+    begin, end = _digests(content)
+    content[begin:end] = sources_digest(sources) + bytes(DIGEST)
+    content[begin + DIGEST : end] = _digest(content)
+    library.write_bytes(content)
 
 
 def flaw(library: Path, sources: Path) -> str | None:
     """What is wrong with a sealed library, None if it is whole and of these sources. OSError if it cannot be read."""
-    content = library.read_bytes()
-    body, digest = content[:-DIGEST], content[-DIGEST:]
-    if not body[:-DIGEST].endswith(MAGIC) or hashlib.sha256(body).digest() != digest:
-        return "is damaged or unfinished"
-    return None if body[-DIGEST:] == sources_digest(sources) else "was built from other sources than these"
+    content = bytearray(library.read_bytes())
+    try:
+        begin, end = _digests(content)
+        of_sources, own = content[begin : begin + DIGEST], content[begin + DIGEST : end]
+        content[begin + DIGEST : end] = bytes(DIGEST)
+        if own != _digest(content):
+            return DAMAGED
+    except (ValueError, KeyError, IndexError, struct.error):
+        return DAMAGED
+    return None if of_sources == sources_digest(sources) else "was built from other sources than these"
+
+
+def _digests(content: bytearray) -> tuple[int, int]:
+    """Where the two digests begin and end. ValueError without seal."""
+    begin = content.index(MAGIC) + len(MAGIC)
+    return begin, begin + 2 * DIGEST
+
+
+def _digest(content: bytearray) -> bytes:
+    """Of what the loader maps of an ELF file, its headers aside; of all of another file. ValueError if it is cut."""
+    if content[:4] != b"\x7fELF":
+        return hashlib.sha256(content).digest()
+    order, digest = "<" if content[5] == 1 else ">", hashlib.sha256()
+    place, place_at, sizes, sizes_at, header, picked = _ELF[content[4]]
+    (first,) = struct.unpack_from(order + place, content, place_at)
+    size, count = struct.unpack_from(order + sizes, content, sizes_at)
+    after_headers = first + size * count
+    for i in range(count):
+        numbers = struct.unpack_from(order + header, content, first + size * i)
+        begin, length = (numbers[k] for k in picked)
+        if begin + length > len(content):
+            raise ValueError("a segment ends behind the file")
+        if numbers[0] == _PT_LOAD:
+            digest.update(content[max(begin, after_headers) : begin + length])
+    return digest.digest()

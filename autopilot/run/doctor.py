@@ -161,15 +161,15 @@ def _run(
 
 
 def _machine() -> list[Finding]:
-    from autopilot.core.compiled import missing
+    from autopilot.core.compiled import missing, switched_off
 
     python = ".".join(str(part) for part in sys.version_info[:3])
-    slow = missing()
+    why, verdict = missing(), FindingSeverity.WARN if switched_off() else FindingSeverity.FAIL
     return [
         Finding(verdict=FindingSeverity.OK, what="Python", found=python),
         Finding(verdict=FindingSeverity.OK, what="control step", found="compiled")
-        if slow is None
-        else Finding(verdict=FindingSeverity.WARN, what="control step", found="not compiled: slower", remedy=slow),
+        if why is None
+        else Finding(verdict=verdict, what="control step", found="not compiled", remedy=why),
     ]
 
 

@@ -12,10 +12,8 @@ from autopilot.control.fence.obstacles import Features
 from autopilot.control.nmpc import native, ocp
 from autopilot.control.nmpc.grid import geometric_grid, uniform_grid
 from autopilot.control.nmpc.solver import PLANES, Nmpc, NmpcProblem, QpStep, choose_step, passes_self_test
-from autopilot.control.way.guidance import SteadyThrust
 from autopilot.control.way.planner import Planner
-from autopilot.control.way.reference import ReferenceTarget, Route, build_reference
-from autopilot.core import compiled
+from autopilot.control.way.reference import QuickMarch, ReferenceTarget, Route
 from autopilot.core.errors import ConfigError
 from autopilot.core.messages import SolveStatus
 from autopilot.core.sharing import Sharing
@@ -38,13 +36,13 @@ def problem(grid, x0: np.ndarray, goal=(1.75, 0.0), yaw: float = -math.pi, plane
         heave_limit_m_s=0.25,
         yaw_rate_limit_rad_s=1.0,
     )
-    reference = build_reference(grid.t_s, x0, target, current)
+    reference, thrust_n = QuickMarch(Sharing(MODEL), grid.t_s)(x0, target, current, np.full(4, np.inf))
     normals, offsets = np.zeros((grid.n - 1, planes, 2)), np.zeros((grid.n - 1, planes))
     Features(TANK).half_planes(reference[: grid.n, :2], grid.t_s[: grid.n], RADIUS_M, planes, normals, offsets)
     return NmpcProblem(
         x0=x0,
         x_ref=reference,
-        thrust_ref_n=SteadyThrust(Sharing(MODEL))(reference[:-1, 4:], np.full(4, np.inf)),
+        thrust_ref_n=thrust_n,
         current_ned_m_s=np.broadcast_to(current, (grid.n, 3)),
         weight_x=WEIGHTS[:8],
         weight_u=WEIGHTS[8:],
@@ -57,9 +55,6 @@ def problem(grid, x0: np.ndarray, goal=(1.75, 0.0), yaw: float = -math.pi, plane
     )
 
 
-NATIVE = (ocp.NATIVE,) if compiled.missing() is None else ()
-"""The solver in C, where it was compiled at installation."""
-
 GRID_20 = geometric_grid(20, 8.0)
 START = np.array([-1.3, -0.2, 0.45, 0.3, 0.3, 0.05, 0.0, -0.2])
 
@@ -71,7 +66,7 @@ def test_repeated_qps_reach_what_ipopt_finds(grid) -> None:
     slow.set_plan(task.x_ref, np.zeros((grid.n, 4)))
     x, u, solved = slow.solve(task)
     assert solved
-    for backend in (ocp.HPIPM, ocp.PIQP, *NATIVE):
+    for backend in (ocp.HPIPM, ocp.PIQP, ocp.NATIVE):
         fast = Nmpc(MODEL, grid, backends=(backend,))
         assert fast.solver == backend.plugin
         fast.set_plan(task.x_ref, np.zeros((grid.n, 4)))
@@ -155,7 +150,7 @@ def test_not_finite_input_is_reported_and_the_plan_stays() -> None:
     assert fast.solve(task).status is SolveStatus.OK
 
 
-@pytest.mark.parametrize("backend", [*NATIVE, ocp.HPIPM, ocp.PIQP], ids=lambda backend: backend.plugin)
+@pytest.mark.parametrize("backend", [ocp.NATIVE, ocp.HPIPM, ocp.PIQP], ids=lambda backend: backend.plugin)
 def test_a_wish_that_is_no_number_is_refused_by_every_solver(backend: ocp.QpBackend) -> None:
     task, nmpc = problem(GRID_20, START), Nmpc(MODEL, GRID_20, backends=(backend,))
     nmpc.set_plan(task.x_ref, np.zeros((20, 4)))
@@ -173,7 +168,7 @@ def test_solvers_find_the_same_thrust_far_from_the_plan(times: float) -> None:
     rng, task = np.random.default_rng(1), problem(GRID_20, START)
     exact = {"mode": "robust", "iter_max": 200, **{f"res_{name}_max": 1e-9 for name in "gbdm"}}
     reference = ocp.QpBackend(plugin="hpipm", options={"hpipm": exact}, staged=True)
-    best, *others = (Nmpc(MODEL, GRID_20, backends=(b,)) for b in (reference, *NATIVE, ocp.HPIPM, ocp.PIQP))
+    best, *others = (Nmpc(MODEL, GRID_20, backends=(b,)) for b in (reference, ocp.NATIVE, ocp.HPIPM, ocp.PIQP))
     for _ in range(15):
         x0 = START + times * rng.normal(size=8) * [0.1, 0.1, 0.05, 0.2, 0.1, 0.1, 0.05, 0.2]
         aside = dataclasses.replace(task, x0=x0)
@@ -206,7 +201,6 @@ def test_same_inputs_give_the_same_bits() -> None:
     assert answers[0] == answers[1]
 
 
-@pytest.mark.skipif(not NATIVE, reason="not compiled")
 @pytest.mark.parametrize("grid", [uniform_grid(20), geometric_grid(20, 8.0)], ids=["uniform", "geometric"])
 def test_native_solver_gives_what_hpipm_gives_at_a_tight_tolerance(grid) -> None:
     options = {"mode": "robust", "iter_max": 200, **{f"res_{name}_max": 1e-9 for name in "gbdm"}}

@@ -13,16 +13,9 @@ from autopilot.control.fence.obstacles import clearance_m
 from autopilot.control.nmpc.grid import geometric_grid
 from autopilot.control.robust.fallback import station_keeping_thrust
 from autopilot.control.way.planner import Planner
-from autopilot.control.way.reference import (
-    ReferenceTarget,
-    Route,
-    approach,
-    build_reference,
-    ground_speed,
-    turn_target,
-    water_speed_share,
-)
-from autopilot.control.way.way_tuning import PLANNER, REFERENCE
+from autopilot.control.way.reference import QuickMarch, ReferenceTarget, Route, turn_target, water_speed_share
+from autopilot.control.way.way_tuning import PLANNER
+from autopilot.core.frames import FloatArray
 from autopilot.core.geometry import Circle, Fence, Polygon
 from autopilot.core.model4 import state_derivative
 from autopilot.core.sharing import Sharing
@@ -167,38 +160,9 @@ def test_route_projection_and_points() -> None:
     # The window keeps the projection on the present stretch of a route that comes near itself.
     assert route.project(np.array([1.9, 0.9]), 1.0)[0] == pytest.approx(1.5)
     assert route.point(2.5) == pytest.approx(2.0 + 0.5j)
-    assert route.tangent(2.5) == pytest.approx(1j)
     assert np.allclose(route.ahead(np.array([0.5, 0.1]), 0.5), [[0.5, 0.1], [2.0, 0.0], [2.0, 1.0]])
     still = Route(np.array([[1.0, 1.0], [1.0, 1.0]]))
     assert still.length_m == 0.0
-    assert still.at(np.zeros(3))[1] == pytest.approx(np.zeros(3))
-
-
-@given(st.floats(0.0, 10.0), st.floats(0.02, 0.6))
-@settings(max_examples=60, deadline=None)
-def test_approach_stops_at_the_end(distance: float, speed: float) -> None:
-    t_s = np.linspace(0.0, 60.0 + distance / speed, 4001)
-    travel, rate = approach([(distance, speed, REFERENCE.deceleration_m_s2)], t_s)
-    assert travel[0, 0] == pytest.approx(0.0, abs=1e-9)
-    assert travel[0, -1] == pytest.approx(distance, abs=1e-9)
-    assert rate[0, -1] == 0.0
-    assert (rate <= speed + 1e-12).all()
-    assert np.allclose(np.gradient(travel[0], t_s)[1:-1], rate[0, 1:-1], atol=0.02)
-
-
-@given(st.floats(-0.4, 0.4), st.floats(-0.4, 0.4), st.floats(0.05, 0.6), st.floats(-3.1, 3.1))
-@settings(max_examples=100, deadline=None)
-def test_ground_speed_respects_the_limit_through_the_water(cn: float, ce: float, cruise: float, heading: float) -> None:
-    tangent = complex(math.cos(heading), math.sin(heading))
-    current = complex(cn, ce)
-    speed = ground_speed(cruise, tangent, current, 0.46)
-    assert 0.0 < speed <= max(cruise, 0.02)
-    if speed > 0.02:
-        assert abs(speed * tangent - current) <= 0.46 or speed == pytest.approx(cruise)
-    if speed < cruise and speed > 0.02:
-        asked = water_speed_share(-(tangent.conjugate() * current).real, 0.46)
-        assert 0.95 <= asked <= 0.985
-        assert abs(speed * tangent - current) == pytest.approx(asked * 0.46)
 
 
 def target(**changes) -> ReferenceTarget:
@@ -215,12 +179,45 @@ def target(**changes) -> ReferenceTarget:
     return ReferenceTarget(**(values | changes))
 
 
+def references(t_s: FloatArray, x0: FloatArray, target: ReferenceTarget, current: FloatArray) -> FloatArray:
+    return QuickMarch(Sharing(MODEL), t_s)(x0, target, current, np.full(4, np.inf))[0]
+
+
+@given(st.floats(0.01, 10.0), st.floats(0.02, 0.45), st.floats(-2.0, 2.0))
+@settings(max_examples=60, deadline=None)
+def test_a_reference_stops_at_the_end(distance: float, speed: float, turn: float) -> None:
+    t_s = np.linspace(0.0, 60.0 + distance / speed, 4001)
+    along = target(route=Route(np.array([[0.0, 0.0], [distance, 0.0]])), cruise_m_s=speed, yaw_rad=turn)
+    ref = references(t_s, np.zeros(8), along, np.zeros(3))
+    assert ref[0, 0] == pytest.approx(0.0, abs=1e-12)
+    assert ref[-1] == pytest.approx([distance, 0.0, 0.3, turn, 0.0, 0.0, 0.0, 0.0], abs=1e-9)
+    assert (np.hypot(ref[:, 4], ref[:, 5]) <= speed + 1e-12).all()
+    assert np.allclose(np.gradient(ref[:, 0], t_s)[1:-1], np.hypot(ref[:, 4], ref[:, 5])[1:-1], atol=0.02)
+
+
+@given(st.floats(-0.4, 0.4), st.floats(-0.4, 0.4), st.floats(0.05, 0.6), st.floats(-3.1, 3.1))
+@settings(max_examples=100, deadline=None)
+def test_ground_speed_respects_the_limit_through_the_water(cn: float, ce: float, cruise: float, heading: float) -> None:
+    tangent, current = complex(math.cos(heading), math.sin(heading)), complex(cn, ce)
+    along = target(route=Route(9.0 * np.array([[0.0, 0.0], [tangent.real, tangent.imag]])), cruise_m_s=cruise)
+    first = references(np.array([0.0, 0.1]), np.zeros(8), along, np.array([cn, ce, 0.0]))[0]
+    water = complex(first[4], first[5])
+    speed = (tangent.conjugate() * (water + current)).real
+    assert 0.0 < speed <= max(cruise, 0.02) + 1e-12
+    if speed > 0.0201:
+        assert abs(water) <= 0.46 or speed == pytest.approx(cruise)
+        if speed < cruise - 1e-9:
+            asked = water_speed_share(-(tangent.conjugate() * current).real, 0.46)
+            assert 0.95 <= asked <= 0.985
+            assert abs(water) == pytest.approx(asked * 0.46)
+
+
 def test_reference_is_a_motion_of_the_model() -> None:
     """The derivative of the referenced pose is the model's kinematics at the referenced velocities."""
     t_s = np.linspace(0.0, 12.0, 2401)
     current = np.array([0.1, -0.05, 0.02])
     x0 = np.array([0.0, 0.0, 0.8, -0.5, 0.0, 0.0, 0.0, 0.0])
-    ref = build_reference(t_s, x0, target(), current)
+    ref = references(t_s, x0, target(), current)
     slope = np.gradient(ref[:, :4], t_s, axis=0)
     kinematics = np.array([state_derivative(MODEL, x, [0.0] * 4, current, np)[:4] for x in ref])
     corners = np.abs(slope - kinematics).max(axis=1) > 1e-2
@@ -233,7 +230,7 @@ def test_reference_is_a_motion_of_the_model() -> None:
 def test_goal_in_a_current_is_a_steady_state_of_the_reference() -> None:
     current = np.array([0.1, -0.2, 0.03])
     x0 = np.array([1.0, 1.5, 0.3, 1.0, 0.0, 0.0, 0.0, 0.0])
-    ref = build_reference(geometric_grid().t_s, x0, target(s0_m=2.5), current)
+    ref = references(geometric_grid().t_s, x0, target(s0_m=2.5), current)
     assert np.allclose(ref, ref[0])
     assert np.allclose(state_derivative(MODEL, ref[0], [0.0] * 4, current, np)[:4], 0.0, atol=1e-12)
 

@@ -77,7 +77,6 @@ def test_derivatives_of_an_interval_are_those_of_its_motion(count: int, monkeypa
         assert np.allclose(found.curved(q, *rest, weights).full(), curved, atol=1e-4, rtol=1e-4)
 
 
-@pytest.mark.skipif(compiled.missing() is not None, reason="not compiled")
 @pytest.mark.parametrize("count", [1, 2])
 def test_compiled_or_not_an_interval_is_the_same(count: int, monkeypatch: pytest.MonkeyPatch) -> None:
     rng = np.random.default_rng(7)

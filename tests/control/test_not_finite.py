@@ -1,4 +1,4 @@
-"""What is not finite never becomes thrust: every input of the controller in turn, with and without the library."""
+"""What is not finite never becomes thrust: every input of the controller in turn."""
 
 import math
 from collections.abc import Callable
@@ -12,7 +12,6 @@ from control_loop import MODEL, TANK, VEHICLE, A, nav_state
 from autopilot.control.controller import MotionController
 from autopilot.control.protocol import sound_thrust_n
 from autopilot.control.thrust.actuation import Actuation
-from autopilot.core import compiled
 from autopilot.core.frames import FloatArray
 from autopilot.core.messages import NavState
 from autopilot.core.operator_messages import CONTROL_NOT_FINITE
@@ -61,12 +60,8 @@ class Flown:
         return [text for _, text in self.controller.take_news()]
 
 
-@pytest.fixture(params=["compiled", "plain"])
-def flown(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> Flown:
-    if request.param == "plain":  # the solver stays: the others take seconds to be made
-        monkeypatch.setattr(compiled, "library", lambda *_: None)
-    elif compiled.missing() is not None:
-        pytest.skip("not compiled")
+@pytest.fixture
+def flown() -> Flown:
     return Flown()
 
 

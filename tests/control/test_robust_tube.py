@@ -8,6 +8,7 @@ import scipy.linalg
 from control_loop import MODEL, nav_state, rk4
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from oracles import variances_along
 
 from autopilot.control.nmpc.grid import geometric_grid, uniform_grid
 from autopilot.control.robust.ancillary import Ancillary
@@ -154,7 +155,7 @@ def test_tube_table_is_the_stationary_covariance() -> None:
     noise = np.zeros_like(system)
     noise[8:, 8:] = np.diag(2.0 / rate * np.array([variances[0]] * 3 + [variances[1]] + [variances[2]] * 3))
     p = scipy.linalg.solve_continuous_lyapunov(system, -noise)
-    row = MARGINS.tube.table.along(np.full(GRID.n + 1, 0.4), variances)
+    row = variances_along(MARGINS.tube.table, np.full(GRID.n + 1, 0.4), variances)
     assert np.allclose(row[0], 0.0)
     wanted = np.array([p[0, 0], p[1, 1], p[2, 2], p[3, 3], p[4, 4], p[5, 5], p[6, 6], p[7, 7]])
     assert np.allclose(row[-1][[0, 2, 3, 4, 5, 7, 8, 9]], wanted, rtol=0.06)
@@ -228,7 +229,7 @@ def _flown_errors(seed: int, surge: float, turn: float, seconds: float) -> tuple
 def test_random_bounded_disturbances_stay_in_the_tube(surge: float, turn: float) -> None:
     """At least 99.9 % of the samples of disturbed flights on the nonlinear model are inside the predicted tube."""
     variances = channel_variances(DisturbanceBound.of(ParamSet()), EstimateSpread.of(nav_with()))
-    rows = MARGINS.tube.table.along(np.full(GRID.n + 1, surge), variances)
+    rows = variances_along(MARGINS.tube.table, np.full(GRID.n + 1, surge), variances)
     radius = 3.72 * np.sqrt(
         0.5 * (rows[:, 0] + rows[:, 2]) + np.sqrt(0.25 * (rows[:, 0] - rows[:, 2]) ** 2 + rows[:, 1] ** 2)
     )

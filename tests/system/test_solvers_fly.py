@@ -20,16 +20,15 @@ def _said(log: Log) -> list[str]:
 
 
 def test_both_solvers_fly_the_same_way(session: OpenSession, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    why = compiled.missing()
     logs = [_flown(session, tmp_path / "as_installed.mcap")]
     monkeypatch.setenv(compiled.SWITCH, compiled.OFF)
     logs.append(_flown(session, tmp_path / "not_compiled.mcap"))
     solvers = [log.description.solver if log.description else "" for log in logs]
-    assert solvers[0].split(" ")[0] == ("native" if why is None else "hpipm")
+    assert solvers[0].split(" ")[0] == "native"
     assert solvers[1].startswith("hpipm (native: switched off by AUTOPILOT_COMPILED=no")
     for log, solver in zip(logs, solvers, strict=True):
         assert f"Solver: {solver}" in _said(log)[-1]
-    assert len(_said(logs[0])) == (1 if why is None else 2)
+    assert len(_said(logs[0])) == 1
     assert "Slower solver" in _said(logs[1])[0]
     places = [log["/sim/truth"]["pos_ned_m"] for log in logs]
     assert float(np.linalg.norm(places[0][-1] - places[0][0])) > 0.3

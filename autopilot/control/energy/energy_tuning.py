@@ -254,8 +254,6 @@ class TrackTuning:
     missing_s: float = 0.2
     """By the clock, which goes at its slowest there: after so long behind the end the reference begins to go over to
     the goal's centre, and takes so long for it (0.3 and 0.7 s)."""
-    most_columns: int = 32
-    """That the compiled library looks at together: states and thrusters."""
     settle_s: float = 1.5
     """Time constant with which the reference goes on to the goal's centre after the end of the trajectory."""
 

@@ -1,6 +1,5 @@
 """A planned trajectory as a reference: where on it the vehicle is, what comes next, what comes after its end."""
 
-import math
 from dataclasses import replace
 
 import numpy as np
@@ -31,10 +30,10 @@ class TrackedTrajectory:
             [np.zeros(trajectory.thrust_n.shape[1]), np.cumsum(trajectory.thrust_n * dt[:, None], axis=0)]
         )
 
-        # States and impulse side by side: one look finds both.
+        # States and impulse side by side: one search finds both.
         self._rows = np.hstack([trajectory.x, self._impulse])
         self._t_s = np.ascontiguousarray(trajectory.t_s, dtype=float)
-        self._library, self._away_m = compiled.library(), np.zeros(1)
+        self._library, self._away_m = compiled.load(), np.zeros(1)
         rows = compiled.fitting("states and impulse", self._rows, len(self._t_s), NX + self._impulse.shape[1])
         self._table = (*self._rows.shape, compiled.fitting("t_s", self._t_s, len(self._rows)), rows)
 
@@ -63,29 +62,15 @@ class TrackedTrajectory:
     def _nearest(self, x0: FloatArray, around_s: float) -> tuple[float, float]:
         """Time of the point nearest to a state, heading counted, and how far its place is [m]."""
         begin_s, end_s = max(0.0, around_s - TRACK.window_s), around_s + TRACK.window_s
-        if self._library is not None and self._rows.shape[1] <= TRACK.most_columns:
-            here, step_s = np.array(x0, dtype=float), (end_s - begin_s) / (TRACK.search_points - 1)
-            told = (
-                compiled.fitting("x0", here, NX),
-                begin_s,
-                step_s,
-                TRACK.search_points,
-                TRACK.yaw_lever_m,
-                compiled.address(self._away_m),
-            )
-            found_s: float = self._library.nearest_at(*self._table, *told)
-            return found_s, float(self._away_m[0])
-        window = np.linspace(begin_s, end_s, TRACK.search_points)
-        places = self._at(window)
-        turn = places[:, YAW] - unwrap_near(float(x0[YAW]), float(places[0, YAW]))
-        gap = ((places[:, :2] - x0[:2]) ** 2).sum(axis=1)
-        nearest = int((gap + (TRACK.yaw_lever_m * turn) ** 2).argmin())
-        return float(window[nearest]), math.sqrt(float(gap[nearest]))
+        here, step_s = np.array(x0, dtype=float), (end_s - begin_s) / (TRACK.search_points - 1)
+        window = compiled.fitting("x0", here, NX), begin_s, step_s, TRACK.search_points
+        found_s: float = self._library.nearest_at(
+            *self._table, *window, TRACK.yaw_lever_m, compiled.address(self._away_m)
+        )
+        return found_s, float(self._away_m[0])
 
     def _at(self, t_s: FloatArray) -> FloatArray:
         """States and thrust integrated from the beginning [N s] (m, 8 + n) on the trajectory, its ends held."""
-        if self._library is None:
-            return np.stack([np.interp(t_s, self._t_s, column) for column in self._rows.T], axis=1)
         times, out = np.array(t_s, dtype=float), np.empty((len(t_s), self._rows.shape[1]))
         self._library.rows_at(*self._table, len(times), compiled.address(times), compiled.address(out))
         return out

@@ -11,16 +11,14 @@ import math
 from collections import deque
 from collections.abc import Callable, Iterable
 from functools import partial
-from typing import Any, TypeAlias
+from typing import TypeAlias
 
-import casadi as ca
 import numpy as np
 
-from autopilot.control.nmpc.model_code import BUOYANCY, COEFFICIENTS, coefficients
-from autopilot.control.nmpc.ocp import bind, trimmed_dynamics
+from autopilot.control.nmpc.model_code import BUOYANCY, coefficients
 from autopilot.core import compiled
 from autopilot.core.frames import FloatArray, wrap_pi
-from autopilot.core.model4 import AXES, NX, YAW, Model4
+from autopilot.core.model4 import NX, YAW, Model4
 from autopilot.core.response import Response
 
 Sent: TypeAlias = tuple[float, float, FloatArray]
@@ -58,9 +56,8 @@ class ThrusterLag:
         # Thrusters that differ: together they give what all would with the mean.
         self._lag_s = lag_s = response.mean_s
         self._x, self._u, self._c, self._out = np.zeros(NX), np.zeros(model.thrusters), np.zeros(3), np.zeros(NX)
-        self._coefficients = np.array(coefficients(model))
-        self._lag_owner, self._through_lag = self._bound(model, lag_s)
-        self._way_owner, self._under_way = self._bound(model, UNDER_WAY_S)
+        self._coefficients, self._allocation = np.array(coefficients(model)), np.array(model.allocation)
+        self._through_lag, self._under_way = self._integration(lag_s), self._integration(UNDER_WAY_S)
         self._sent: deque[Sent] = deque()
         self.acting_n = np.zeros(model.thrusters)
         """(n,) thrust that acts now."""
@@ -157,29 +154,10 @@ class ThrusterLag:
     def _respond(self, acting: FloatArray, command_n: FloatArray, elapsed_s: float) -> None:
         acting += self._response.share(elapsed_s) * (command_n - acting)
 
-    def _bound(self, model: Model4, dt_s: float) -> tuple[object, Callable[[], None]]:
-        """(owner, call): the call takes ``_x`` over ``dt_s`` to ``_out`` with ``_u`` and ``_c``."""
-        library = compiled.library(_Ahead)
-        if library is not None:
-            return _compiled_ahead(library, model, dt_s, (self._x, self._u, self._c, self._coefficients), self._out)
-        interval = trimmed_dynamics(model, dt_s, STEPS)
-        x, u, c = ca.SX.sym("x", NX), ca.SX.sym("u", model.thrusters), ca.SX.sym("c", 3)
-        told = ca.SX.sym("told", COEFFICIENTS)
-        function = ca.Function("ahead", [x, u, c, told], [interval(x, u, c, told[BUOYANCY])[0]])
-        return bind(function, (self._x, self._u, self._c, self._coefficients), (self._out,))
-
-
-def _compiled_ahead(
-    library: Any,
-    model: Model4,
-    dt_s: float,
-    given: tuple[FloatArray, FloatArray, FloatArray, FloatArray],
-    out: FloatArray,
-) -> tuple[object, Callable[[], None]]:
-    """The same by the compiled library (``data/native/follow.c``)."""
-    arrays, thrusters = (np.array(model.allocation), *given, out), (model.thrusters,)
-    shapes = {"allocation": (AXES, *thrusters), "x": (NX,), "thrust": thrusters, "current": (3,)}
-    shapes |= {"coefficients": (COEFFICIENTS,), "after": (NX,)}
-    addresses = {name: compiled.fitting(name, array, *shapes[name]) for name, array in zip(shapes, arrays, strict=True)}
-    told = _Ahead(thrusters=model.thrusters, steps=STEPS, dt_s=dt_s, **addresses)
-    return (arrays, told), partial(library.state_ahead, ctypes.byref(told))
+    def _integration(self, dt_s: float) -> Callable[[], None]:
+        """Takes ``_x`` over ``dt_s`` to ``_out`` with ``_u`` and ``_c``."""
+        arrays = {"coefficients": self._coefficients, "allocation": self._allocation, "x": self._x}
+        arrays |= {"thrust": self._u, "current": self._c, "after": self._out}
+        addresses = {name: array.ctypes.data for name, array in arrays.items()}
+        struct = _Ahead(thrusters=len(self._u), steps=STEPS, dt_s=dt_s, **addresses)
+        return partial(compiled.load(_Ahead).state_ahead, ctypes.byref(struct))

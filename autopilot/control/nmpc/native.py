@@ -49,6 +49,8 @@ class NativeStep:
     def __init__(self, model: Model4, grid: TimeGrid, planes: int, backend: ocp.QpBackend) -> None:
         if planes != PLANES:
             raise RuntimeError(f"made for {PLANES} half-planes, not {planes}")
+        if compiled.switched_off():
+            raise RuntimeError(f"switched off by {compiled.SWITCH}={compiled.OFF}")
         library = compiled.load(_Task)
         size = library.workspace_bytes(grid.n, model.thrusters)
         if size == 0:

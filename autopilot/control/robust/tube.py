@@ -35,18 +35,13 @@ class TubeTable:
 
     def __init__(self, model: Model4, grid: TimeGrid, ancillary: Ancillary) -> None:
         self.variance = _growth(model, grid, ancillary)
-        self._nodes = np.arange(grid.n + 1)
         self.first_m_s, self.step_m_s = float(SURGES_M_S[0]), float(SURGES_M_S[1] - SURGES_M_S[0])
 
-    def along(self, surge_m_s: FloatArray, variances: FloatArray) -> FloatArray:
-        """(nodes, STATES_OUT + thrusters) for planned surge (nodes,) and variances (GROUPS,)."""
-        mixed = self.variance @ variances
-        place = np.minimum(np.maximum((surge_m_s - self.first_m_s) / self.step_m_s, 0.0), len(mixed) - 1.0)
-        low = np.minimum(np.nan_to_num(place).astype(np.intp), len(mixed) - 2)
-        share = (place - low)[:, None]
-        below = mixed[low, self._nodes]
-        result: FloatArray = below + share * (mixed[low + 1, self._nodes] - below)
-        return result
+    def at_rest(self) -> FloatArray:
+        """(nodes, STATES_OUT + thrusters, GROUPS) without surge."""
+        place = (0.0 - self.first_m_s) / self.step_m_s
+        low = int(place)
+        return self.variance[low] + (place - low) * (self.variance[low + 1] - self.variance[low])
 
 
 def _growth(model: Model4, grid: TimeGrid, ancillary: Ancillary) -> FloatArray:
@@ -86,13 +81,6 @@ def _outputs(p: FloatArray, gains: FloatArray) -> FloatArray:
     return np.concatenate([np.stack([p[..., i, j] for i, j in picks], axis=-1), thrust], axis=-1)
 
 
-def largest(rows: FloatArray, first: int) -> FloatArray:
-    """Largest eigenvalue of the symmetric 2 x 2 blocks in columns first .. first + 2."""
-    xx, xy, yy = rows[:, first], rows[:, first + 1], rows[:, first + 2]
-    result: FloatArray = 0.5 * (xx + yy) + np.sqrt(0.25 * (xx - yy) ** 2 + xy * xy)
-    return result
-
-
 class TubeMargins:
     """Back-offs from the tube, never less than the fixed margins (which also cover what happens between the nodes)."""
 
@@ -101,8 +89,7 @@ class TubeMargins:
         self._fixed = fixed
         self._speeds, nodes, width, _ = self.table.variance.shape
         self._n, self._thrusters = nodes - 1, width - TUBE.states_out
-        library = compiled.library()
-        self._quick = None if library is None else library.tube_back_offs
+        self._call = compiled.load().tube_back_offs
         self._given, self._states = np.zeros(TUBE.given), np.zeros((5, self._n - 1))
         self._thrust = np.zeros((self._n, self._thrusters))
         self._given[18:26] = (
@@ -120,8 +107,7 @@ class TubeMargins:
         self._told: tuple[ParamSet, int] | None = None
         self._bound = DisturbanceBound(force_n=0.0, moment_n_m=0.0, current_m_s=0.0)
         self._mix = (0.0,) * TUBE.groups
-        at_rest = [self.table.along(np.zeros(nodes), unit)[-2, 5:8] for unit in np.eye(TUBE.groups)]
-        self._rest = np.stack(at_rest, axis=1).tolist()
+        self._rest = self.table.at_rest()[-2, 5:8].tolist()
 
     def rest_speed_m_s(self, nav: NavState, params: ParamSet) -> float:
         """Back-off of the planar speed at the last node but one of a vehicle that stays at rest."""
@@ -139,40 +125,23 @@ class TubeMargins:
         """See :class:`autopilot.control.robust.tightening.Tightening`. ``speed_share``: of the planar speed's, as far
         as the fixed margin leaves room for it. ValueError if the plan is not one of this grid."""
         self._look(nav, params)
-        if self._quick is not None and x.flags.c_contiguous and x.dtype == np.float64:
-            return self._quickly(x, params, speed_share)
-        spread = self._spread
-        rows = self.table.along(x[:, U], np.array(self._mix))
-        inner, fixed = rows[1:-1], self._fixed.back_offs(nav, x, thrust_n, params)
-        band = max(params["DEPTH_MAX"] - params["DEPTH_MIN"], 0.0)
-        planar = _between(
-            TUBE.band_sigmas * np.sqrt(largest(inner, 5) + SPEED_SHARE**2 * spread.planar_m2_s2),
-            fixed.planar_speed_m_s,
-            TUBE.largest_share * params["SPD_PLANAR_MAX"],
-        )
+        given, spread, share = self._given, self._spread, SPEED_SHARE**2
+        added = (spread.position_m2, spread.depth_m2, share * spread.planar_m2_s2, share * spread.heave_m2_s2)
+        given[:7] = (*self._mix, *added)
+        given[26] = speed_share
+        if x is not self._plan:
+            self._plan_address = compiled.fitting("x", x, self._n + 1, NX)
+            self._plan = x
+        table, told, states, thrust = self._addresses
+        self._call(table, self._speeds, self._n, self._thrusters, told, self._plan_address, states, thrust)
+        clearance, depth, planar, heave, yaw_rate = self._states.copy()
         return BackOffs(
-            clearance_m=_between(
-                TUBE.disc_sigmas * np.sqrt(largest(inner, 0) + spread.position_m2),
-                fixed.clearance_m,
-                TUBE.largest_clearance_m,
-            ),
-            depth_m=_between(
-                TUBE.band_sigmas * np.sqrt(inner[:, 3] + spread.depth_m2),
-                fixed.depth_m,
-                0.5 * TUBE.largest_share * band,
-            ),
-            planar_speed_m_s=np.maximum(speed_share * planar, np.minimum(planar, params["MPC_SPEED_MARGIN"])),
-            heave_m_s=_between(
-                TUBE.band_sigmas * np.sqrt(inner[:, 8] + SPEED_SHARE**2 * spread.heave_m2_s2),
-                fixed.heave_m_s,
-                TUBE.largest_share * params["SPD_HEAVE_MAX"],
-            ),
-            yaw_rate_rad_s=_between(
-                TUBE.band_sigmas * np.sqrt(inner[:, 9]),
-                fixed.yaw_rate_rad_s,
-                TUBE.largest_share * params["SPD_YAW_MAX"],
-            ),
-            thrust_n=TUBE.band_sigmas * np.sqrt(rows[:-1, TUBE.states_out :]),
+            clearance_m=clearance,
+            depth_m=depth,
+            planar_speed_m_s=planar,
+            heave_m_s=heave,
+            yaw_rate_rad_s=yaw_rate,
+            thrust_n=self._thrust.copy(),
         )
 
     def _look(self, nav: NavState, params: ParamSet) -> None:
@@ -194,31 +163,3 @@ class TubeMargins:
             *(TUBE.largest_share * params["SPD_HEAVE_MAX"], TUBE.largest_share * params["SPD_YAW_MAX"]),
         )
         self._given[27] = params["MPC_SPEED_MARGIN"]
-
-    def _quickly(self, x: FloatArray, params: ParamSet, speed_share: float) -> BackOffs:
-        """The same by the compiled library (``data/native/surroundings.c``)."""
-        given, spread, share = self._given, self._spread, SPEED_SHARE**2
-        added = (spread.position_m2, spread.depth_m2, share * spread.planar_m2_s2, share * spread.heave_m2_s2)
-        given[:7] = (*self._mix, *added)
-        given[26] = speed_share
-        if x is not self._plan:
-            self._plan_address = compiled.fitting("x", x, self._n + 1, NX)
-            self._plan = x
-        table, told, states, thrust = self._addresses
-        assert self._quick is not None
-        self._quick(table, self._speeds, self._n, self._thrusters, told, self._plan_address, states, thrust)
-        clearance, depth, planar, heave, yaw_rate = self._states.copy()
-        return BackOffs(
-            clearance_m=clearance,
-            depth_m=depth,
-            planar_speed_m_s=planar,
-            heave_m_s=heave,
-            yaw_rate_rad_s=yaw_rate,
-            thrust_n=self._thrust.copy(),
-        )
-
-
-def _between(wanted: FloatArray, least: FloatArray, most: float) -> FloatArray:
-    """At least the fixed margin; what is beyond it at most ``most``."""
-    result: FloatArray = np.maximum(np.minimum(wanted, most), least)
-    return result

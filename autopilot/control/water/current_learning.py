@@ -14,12 +14,11 @@ import ctypes
 import math
 from dataclasses import dataclass, field
 from enum import StrEnum
-from typing import Any
 
 import numpy as np
 
 from autopilot.control.water.current_trust import Trust
-from autopilot.control.water.currents import Revision, correction_share
+from autopilot.control.water.currents import Revision
 from autopilot.control.water.water_tuning import CURRENT_LEARNING, CURRENTS
 from autopilot.core import compiled
 from autopilot.core.frames import FloatArray
@@ -70,34 +69,31 @@ class FlowFit:
 
     def __post_init__(self) -> None:
         cells = len(self.places_ned_m)
-        told = (
+        addresses = (
             compiled.fitting("places_ned_m", self.places_ned_m, cells, 2),
             compiled.fitting("pull", self.pull, 2, cells),
             compiled.fitting("mean_m_s", self.mean_m_s, 2),
         )
         # Frozen: what is derived is set past the guard.
-        object.__setattr__(self, "addresses", told)
+        object.__setattr__(self, "addresses", addresses)
 
     def flow(self, places: FloatArray) -> FloatArray:
         """(m, 2) at places (m, 2)."""
-        library = compiled.library()
-        if library is not None:
-            return self._quickly(library, places)
-        out = np.tile(self.mean_m_s, (len(places), 1))
-        if len(self.places_ned_m):
-            dx, dy, bell = _bell(places, self.places_ned_m, self.length_m)
-            north, east = self.pull
-            across = bell * dx * dy
-            out[:, 0] += (bell * (1.0 - dy * dy)) @ north + across @ east
-            out[:, 1] += (bell * (1.0 - dx * dx)) @ east + across @ north
+        here, out = np.array(places, dtype=float, order="C"), np.empty((len(places), 2))
+        at, cells, mine = compiled.fitting("places", here, len(here), 2), len(self.places_ned_m), self.addresses
+        compiled.load().flow_at(len(here), at, 2, cells, *mine[:2], self.length_m, mine[2], compiled.address(out))
         return out
 
-    def _quickly(self, library: Any, places: FloatArray) -> FloatArray:
-        """The same by the compiled library (``data/native/water.c``)."""
-        here, out = np.array(places, dtype=float, order="C"), np.empty((len(places), 2))
-        at, cells, told = compiled.fitting("places", here, len(here), 2), len(self.places_ned_m), self.addresses
-        library.flow_at(len(here), at, 2, cells, *told[:2], self.length_m, told[2], compiled.address(out))
-        return out
+
+class _Forecast(compiled.Mirror):
+    """The struct of water.c."""
+
+    _fields_ = (
+        *((name, ctypes.c_long) for name in ("m", "stride", "cells")),
+        *((name, ctypes.c_double) for name in ("length_m", "trust", "scale_m")),
+        *((name, ctypes.c_double) for name in ("full_within_m", "lasting_s", "fade_s")),
+        *((name, ctypes.c_void_p) for name in ("places", "t_s", "here", "estimate", "cell", "pull", "mean", "out")),
+    )
 
 
 class LearnedCurrent:
@@ -109,8 +105,15 @@ class LearnedCurrent:
         self._fenced = False
         self._last_us: int | None = None
         self._revision = Revision()
-        library = compiled.library(_Forecast)
-        self._quick = None if library is None else _CompiledFill(library)
+        self._here, self._estimate = np.zeros(3), np.zeros(3)
+        self._struct = _Forecast(
+            full_within_m=CURRENTS.full_within_m,
+            lasting_s=CURRENTS.lasting_s,
+            fade_s=CURRENTS.fade_s,
+            here=self._here.ctypes.data,
+            estimate=self._estimate.ctypes.data,
+        )
+        self._reference, self._call = ctypes.byref(self._struct), compiled.load(_Forecast).fill_currents
         self._forget()
 
     @property
@@ -164,14 +167,16 @@ class LearnedCurrent:
 
     def fill(self, nav: NavState, pos_ned_m: FloatArray, t_s: FloatArray, out: FloatArray) -> None:
         """Learned flow as far as it is trusted, corrected by what the estimate says it lacks here and now."""
-        if self._quick is not None:
-            self._quick.fill(nav, pos_ned_m, t_s, out, self._fit, self._length_m, self.trust)
-            return
-        estimate = nav.current_ned_m_s
-        flow = self._fit.flow(np.vstack([pos_ned_m[:, :2], nav.pos_ned_m[:2]]))
-        share = correction_share(nav, pos_ned_m, t_s, self._length_m)[:, None]
-        out[:, :2] = estimate[:2] + self.trust * (flow[:-1] - estimate[:2] + share * (estimate[:2] - flow[-1]))
-        out[:, 2] = estimate[2]
+        struct, fit, m = self._struct, self._fit, len(pos_ned_m)
+        places, times, made = np.array(pos_ned_m, dtype=float, order="C"), np.array(t_s, dtype=float), np.empty((m, 3))
+        self._here[:], self._estimate[:] = nav.pos_ned_m, nav.current_ned_m_s
+        struct.m, struct.stride, struct.cells = m, 3, len(fit.places_ned_m)
+        struct.length_m, struct.trust, struct.scale_m = fit.length_m, self.trust, self._length_m
+        struct.places, struct.out = compiled.fitting("pos_ned_m", places, m, 3), compiled.address(made)
+        struct.t_s = compiled.fitting("t_s", times, m)
+        struct.cell, struct.pull, struct.mean = fit.addresses
+        self._call(self._reference)
+        out[:] = made
 
     def revision(self, nav: NavState) -> int:
         """The estimate surprises by what has not been learned here."""
@@ -230,54 +235,6 @@ class LearnedCurrent:
         self._fit = FlowFit(length_m=self._length_m, places_ned_m=places, pull=pull, mean_m_s=mean)
 
 
-class _Forecast(compiled.Mirror):
-    """The struct of water.c."""
-
-    _fields_ = (
-        *((name, ctypes.c_long) for name in ("m", "stride", "cells")),
-        *((name, ctypes.c_double) for name in ("length_m", "trust", "scale_m")),
-        *((name, ctypes.c_double) for name in ("full_within_m", "lasting_s", "fade_s")),
-        *((name, ctypes.c_void_p) for name in ("places", "t_s", "here", "estimate", "cell", "pull", "mean", "out")),
-    )
-
-
-class _CompiledFill:
-    """:meth:`LearnedCurrent.fill` by the compiled library (``data/native/water.c``)."""
-
-    def __init__(self, library: Any) -> None:
-        self._here, self._estimate = np.zeros(3), np.zeros(3)
-        self._told = _Forecast(
-            full_within_m=CURRENTS.full_within_m,
-            lasting_s=CURRENTS.lasting_s,
-            fade_s=CURRENTS.fade_s,
-            here=self._here.ctypes.data,
-            estimate=self._estimate.ctypes.data,
-        )
-        self._reference, self._call = ctypes.byref(self._told), library.fill_currents
-
-    def fill(
-        self,
-        nav: NavState,
-        pos_ned_m: FloatArray,
-        t_s: FloatArray,
-        out: FloatArray,
-        fit: FlowFit,
-        scale_m: float,
-        trust: float,
-    ) -> None:
-        """See :meth:`LearnedCurrent.fill`."""
-        told, m = self._told, len(pos_ned_m)
-        places, times, made = np.array(pos_ned_m, dtype=float, order="C"), np.array(t_s, dtype=float), np.empty((m, 3))
-        self._here[:], self._estimate[:] = nav.pos_ned_m, nav.current_ned_m_s
-        told.m, told.stride, told.cells = m, 3, len(fit.places_ned_m)
-        told.length_m, told.trust, told.scale_m = fit.length_m, trust, scale_m
-        told.places, told.out = compiled.fitting("pos_ned_m", places, m, 3), compiled.address(made)
-        told.t_s = compiled.fitting("t_s", times, m)
-        told.cell, told.pull, told.mean = fit.addresses
-        self._call(self._reference)
-        out[:] = made
-
-
 def _weights(
     flow_m_s: float, varying: FloatArray, noise: FloatArray, seen: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
@@ -305,19 +262,12 @@ def _weights(
     return likely, alpha
 
 
-def _bell(a: FloatArray, b: FloatArray, length_m: float) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """(n, m) distances north and east in correlation lengths, and their Gaussian."""
-    scale = 1.0 / length_m
-    dx = (a[:, 0, None] - b[None, :, 0]) * scale
-    dy = (a[:, 1, None] - b[None, :, 1]) * scale
-    return dx, dy, np.exp(-0.5 * (dx * dx + dy * dy))
-
-
 def _varying(places: FloatArray, length_m: float) -> FloatArray:
     """(2 n, 2 n) covariance of north and east components at places (n, 2) of a varying part of 1 m/s, the curl of a
     streamfunction of variance length^2."""
-    n = len(places)
-    dx, dy, bell = _bell(places, places, length_m)
+    n, scale = len(places), 1.0 / length_m
+    dx, dy = ((places[:, axis, None] - places[None, :, axis]) * scale for axis in (0, 1))
+    bell = np.exp(-0.5 * (dx * dx + dy * dy))
     out = np.empty((2 * n, 2 * n))
     out[:n, :n] = bell * (1.0 - dy * dy)
     out[n:, n:] = bell * (1.0 - dx * dx)

@@ -10,14 +10,12 @@ import math
 import numpy as np
 
 from autopilot.control.nmpc.grid import TimeGrid
-from autopilot.control.way.compiled_reference import STRUCTS, QuickMarch
-from autopilot.control.way.guidance import GuidanceInputs, Reference, SteadyThrust, Weights
-from autopilot.control.way.reference import ReferenceTarget, Route, build_reference, climb_at_once, turn_target
+from autopilot.control.way.guidance import GuidanceInputs, Reference, Weights
+from autopilot.control.way.reference import QuickMarch, ReferenceTarget, Route, turn_target
 from autopilot.control.way.way_tuning import DRIVE, REFERENCE
-from autopilot.core import compiled
 from autopilot.core.frames import FloatArray, wrap_pi
 from autopilot.core.messages import Severity, VelocityGoal
-from autopilot.core.model4 import YAW, R, U, Z
+from autopilot.core.model4 import YAW, Z
 from autopilot.core.sharing import Sharing
 
 
@@ -28,10 +26,8 @@ class DriveGuidance:
 
     def __init__(self, sharing: Sharing, grid: TimeGrid) -> None:
         self._t_s = grid.t_s
-        self._steady = SteadyThrust(sharing)
         self._weights = Weights(sharing.model.thrusters)
-        library = compiled.library(*STRUCTS)
-        self._quick = None if library is None else QuickMarch(library, sharing, grid.t_s)
+        self._references = QuickMarch(sharing, grid.t_s)
         self.reset()
 
     def reset(self) -> None:
@@ -53,15 +49,7 @@ class DriveGuidance:
         now, fresh, self._fresh = situation, self._fresh, False
         drive = now.goal.drive or VelocityGoal()
         target = self._target(now, drive)
-        current, limit_n = now.nav.current_ned_m_s, now.thrust_limit_n
-        if self._quick is not None:
-            x, thrust = self._quick(now.x0, target, current, limit_n)
-        else:
-            x = build_reference(self._t_s, now.x0, target, current)
-            thrust = self._steady(x[:-1, U : R + 1], limit_n)
-        if drive.down_m_s is not None:
-            climb_at_once(x, self._t_s, target, float(current[2]))
-            thrust = self._steady(x[:-1, U : R + 1], limit_n)
+        x, thrust = self._references(now.x0, target, now.nav.current_ned_m_s, now.thrust_limit_n)
         weights = self._weights.look(now.params)
         return Reference(
             x=x, thrust_n=thrust, weight_x=weights.x, weight_u=weights.u, terminal=weights.terminal, fresh=fresh
@@ -89,6 +77,7 @@ class DriveGuidance:
             speed_limit_m_s=now.speed_cap_m_s,
             heave_limit_m_s=heave_m_s,
             yaw_rate_limit_rad_s=yaw_rate,
+            climb_at_once=drive.down_m_s is not None,
         )
 
     def _heading(self, now: GuidanceInputs, drive: VelocityGoal, horizon_s: float) -> tuple[float, float]:

@@ -14,18 +14,16 @@ import numpy as np
 from autopilot.control.nmpc.grid import TimeGrid
 from autopilot.control.nmpc.ocp import TERMINAL_STAGES
 from autopilot.control.water.currents import CurrentForecast
-from autopilot.control.way.compiled_reference import STRUCTS, QuickMarch
 from autopilot.control.way.desks import TaskFailures
 from autopilot.control.way.planner import Planner
-from autopilot.control.way.reference import ReferenceTarget, Route, build_reference, turn_target
+from autopilot.control.way.reference import QuickMarch, ReferenceTarget, Route, turn_target
 from autopilot.control.way.way_tuning import GUIDANCE, REFERENCE
-from autopilot.core import compiled
 from autopilot.core import operator_messages as notices
 from autopilot.core.desk import Cancel, Desk, Ticket
 from autopilot.core.frames import FloatArray, unwrap_near
 from autopilot.core.geometry import Fence
 from autopilot.core.messages import EnergyPlan, Goal, NavState, Severity
-from autopilot.core.model4 import NX, YAW, R, U
+from autopilot.core.model4 import NX, YAW
 from autopilot.core.params import ParamSet
 from autopilot.core.sharing import Sharing
 
@@ -204,10 +202,8 @@ class RouteGuidance:
 
     def __init__(self, sharing: Sharing, grid: TimeGrid, desk: Desk) -> None:
         self._t_s = grid.t_s
-        self._steady = SteadyThrust(sharing)
         self._weights = Weights(sharing.model.thrusters)
-        library = compiled.library(*STRUCTS)
-        self._quick = None if library is None else QuickMarch(library, sharing, grid.t_s)
+        self._references = QuickMarch(sharing, grid.t_s)
         self._desk = desk
         self._ticket: Ticket[FloatArray | None] | None = None
         self._mishaps = TaskFailures("route search", notices.ROUTE_SEARCH_FAILED)
@@ -389,8 +385,4 @@ class RouteGuidance:
             heave_limit_m_s=params["SPD_HEAVE_MAX"],
             yaw_rate_limit_rad_s=params["SPD_YAW_MAX"],
         )
-        current, limit_n = now.nav.current_ned_m_s, now.thrust_limit_n
-        if self._quick is not None:
-            return self._quick(x0, target, current, limit_n)
-        x = build_reference(self._t_s, x0, target, current)
-        return x, self._steady(x[:-1, U : R + 1], limit_n)
+        return self._references(x0, target, now.nav.current_ned_m_s, now.thrust_limit_n)

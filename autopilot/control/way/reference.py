@@ -1,20 +1,18 @@
-"""What the prediction is compared with: the goal as it is approached along the route, stage by stage."""
+"""What the prediction is compared with: the goal as it is approached along the route, node by node, and the thrust that
+holds it (``data/native/reference.c``)."""
 
 import ctypes
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TypeAlias
 
 import numpy as np
-from numpy.typing import NDArray
 
+from autopilot.control.nmpc.model_code import BUOYANCY, coefficients
 from autopilot.control.way.way_tuning import REFERENCE
 from autopilot.core import compiled
 from autopilot.core.frames import FloatArray, unwrap_near, wrap_pi
-from autopilot.core.model4 import NX, YAW, R, U, V, W, X, Y, Z
-
-ComplexArray: TypeAlias = NDArray[np.complex128]
+from autopilot.core.model4 import AXES, NX
+from autopilot.core.sharing import Sharing
 
 
 class Route:
@@ -32,44 +30,16 @@ class Route:
         self.length_m = float(self._s[-1])
         self.points = z.view(float).reshape(-1, 2).copy()
         """(m, 2)"""
-        legs = (z[:-1].tolist(), self._tangent.tolist(), self._s[:-1].tolist(), length.tolist())
-        self._legs: list[tuple[complex, complex, float, float]] = list(zip(*legs, strict=True))
-        self._library, self._distance = compiled.library(), ctypes.c_double()
-        self._table = (len(length), *(compiled.address(array) for array in self.arrays()))
-
-    def arrays(self) -> tuple[ComplexArray, ComplexArray, FloatArray]:
-        """Corners (m + 1,), unit tangents (m,) of the legs, arc lengths (m + 1,) of the corners, contiguous."""
-        return self._corner, self._tangent, self._s
+        self._nearest, self._distance = compiled.load().nearest_on_route, ctypes.c_double()
+        self.table = (len(length), *(compiled.address(array) for array in (self._corner, self._tangent, self._s)))
+        """Number of legs; addresses of corners (m + 1,), unit tangents of the legs (m,) and arc lengths of the corners
+        (m + 1,), which live as long as the route."""
 
     def project(self, point: FloatArray, s_hint: float, window_m: float = 0.5) -> tuple[float, float]:
         """Arc length of the nearest point within a window round ``s_hint``, and the distance to it."""
-        if self._library is not None:
-            told = point.item(0), point.item(1), s_hint, window_m, ctypes.byref(self._distance)
-            found_s: float = self._library.nearest_on_route(*self._table, *told)
-            return found_s, self._distance.value
-        p = complex(point[0], point[1])
-        best_s, best = 0.0, math.inf
-        first = max(0, int(self._s.searchsorted(s_hint - window_m)) - 1)
-        for corner, tangent, s, length in self._legs[first:]:
-            low, high = max(0.0, s_hint - window_m - s), min(length, s_hint + window_m - s)
-            if low > high:
-                break
-            along = min(max(((p - corner) * tangent.conjugate()).real, low), high)
-            distance = abs(p - corner - along * tangent)
-            if distance < best:
-                best_s, best = s + along, distance
-        return best_s, best
-
-    def at(self, s: FloatArray) -> tuple[ComplexArray, ComplexArray]:
-        """Position and unit tangent (m,) at arc lengths (m,)."""
-        leg = np.minimum(self._s[1:].searchsorted(s, side="right"), len(self._tangent) - 1)
-        position: ComplexArray = np.interp(s, self._s, self._corner)
-        tangent: ComplexArray = self._tangent[leg]
-        return position, tangent
-
-    def tangent(self, s: float) -> complex:
-        """Unit tangent at one arc length; 0 for a route without length."""
-        return self._legs[min(int(self._s[1:].searchsorted(s, side="right")), len(self._legs) - 1)][1]
+        place = point.item(0), point.item(1), s_hint, window_m, ctypes.byref(self._distance)
+        found_s: float = self._nearest(*self.table, *place)
+        return found_s, self._distance.value
 
     def point(self, s: float) -> complex:
         """Position at one arc length."""
@@ -83,46 +53,13 @@ class Route:
         return result
 
 
-def at_least(value: float, least: float) -> float:
-    """The larger; NaN if either is, which max takes for the smaller."""
-    return value if value > least or value != value else least
-
-
-def at_most(value: float, most: float) -> float:
-    """The smaller; NaN if either is."""
-    return value if value < most or value != value else most
-
-
-def approach(moves: Sequence[tuple[float, float, float]], t_s: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Travel and speed (k, m) at times ``t_s`` (m,) of k points that move at a speed and stop after a distance.
-
-    Each move is (distance, speed, deceleration), none negative, deceleration positive: v = sqrt(2 a d) at the end.
-    """
-    table = []
-    for distance, speed, deceleration in moves:
-        start = at_most(speed, math.sqrt(2.0 * deceleration * distance))
-        brake_s = distance / start - 0.5 * start / deceleration if start != 0.0 else 0.0
-        table.append((start, brake_s, deceleration, distance))
-    start, brake_s, deceleration, distance = np.array(table).T[:, :, None]
-    until_brake = brake_s - t_s
-    now = np.minimum(np.maximum(until_brake * deceleration + start, 0.0), start)
-    return distance - now * now / (2.0 * deceleration) - np.maximum(until_brake, 0.0) * start, now
-
-
 def water_speed_share(against_m_s: float, water_limit_m_s: float) -> float:
     """Share of the limit on planar speed that is asked for with so much current against the way."""
     span = REFERENCE.fast_current_share - REFERENCE.slow_current_share
-    against = (against_m_s / at_least(water_limit_m_s, 1e-6) - REFERENCE.slow_current_share) / span
-    fast = at_most(at_least(against, 0.0), 1.0)
-    return REFERENCE.water_speed_share + fast * (REFERENCE.upstream_speed_share - REFERENCE.water_speed_share)
-
-
-def ground_speed(cruise_m_s: float, tangent: complex, current: complex, water_limit_m_s: float) -> float:
-    """Speed along ``tangent`` that is asked for and that the limit on speed through the water allows."""
-    along = (tangent.conjugate() * current).real
-    room = along * along - abs(current) ** 2 + (water_speed_share(-along, water_limit_m_s) * water_limit_m_s) ** 2
-    reachable = 0.0 if room <= 0.0 else along + math.sqrt(room)
-    return at_least(at_most(cruise_m_s, reachable), REFERENCE.slowest_m_s)
+    fast = (against_m_s / max(water_limit_m_s, 1e-6) - REFERENCE.slow_current_share) / span
+    return REFERENCE.water_speed_share + min(max(fast, 0.0), 1.0) * (
+        REFERENCE.upstream_speed_share - REFERENCE.water_speed_share
+    )
 
 
 def turn_target(yaw_rad: float, goal_yaw_rad: float, previous_rad: float | None) -> float:
@@ -154,48 +91,109 @@ class ReferenceTarget:
     speed_limit_m_s: float
     heave_limit_m_s: float
     yaw_rate_limit_rad_s: float
+    climb_at_once: bool = False
+    """Depth changes as fast as heave allows, and not so that it arrives with the route."""
 
 
-def build_reference(
-    t_s: FloatArray, x0: FloatArray, target: ReferenceTarget, current_ned_m_s: FloatArray
-) -> FloatArray:
-    """References (N+1, 8) at the times of the nodes.
+_DOUBLES = ("s0_m", "depth_m", "yaw_rad", "cruise_m_s", "speed_limit_m_s", "heave_limit_m_s", "yaw_rate_limit_rad_s")
+_RULES = {
+    "corner_ahead_m": REFERENCE.corner_ahead_m,
+    "water_share": REFERENCE.water_speed_share,
+    "upstream_share": REFERENCE.upstream_speed_share,
+    "slow_current_share": REFERENCE.slow_current_share,
+    "fast_current_share": REFERENCE.fast_current_share,
+    "slowest_m_s": REFERENCE.slowest_m_s,
+    "heave_share": REFERENCE.heave_share,
+    "yaw_rate_share": REFERENCE.yaw_rate_share,
+    "least_depth_time_s": REFERENCE.min_depth_time_s,
+}
+_DECELERATIONS = (
+    REFERENCE.deceleration_m_s2,
+    REFERENCE.heave_deceleration_m_s2,
+    REFERENCE.yaw_deceleration_rad_s2,
+)
 
-    Position marches along the route at cruise speed over ground and stops at its end, depth arrives with it or as fast
-    as heave allows, heading turns by the way given. Velocities are those through the water that this motion needs in
-    the current, so that a goal in a current is a steady state of the reference and is held without offset.
-    """
-    route, rest = target.route, at_least(target.route.length_m - target.s0_m, 0.0)
-    current = complex(current_ned_m_s[0], current_ned_m_s[1])
-    tangent = route.tangent(target.s0_m + at_most(REFERENCE.corner_ahead_m, 0.5 * rest))
-    speed = ground_speed(target.cruise_m_s, tangent, current, target.speed_limit_m_s)
-    dz, turn = float(target.depth_m - x0[Z]), float(target.yaw_rad - x0[YAW])
-    needed = at_least(abs(dz) / at_least(rest / speed, REFERENCE.min_depth_time_s), REFERENCE.slowest_m_s)
-    climb = at_most(needed, REFERENCE.heave_share * target.heave_limit_m_s)
-    turn_rate = REFERENCE.yaw_rate_share * target.yaw_rate_limit_rad_s
-    moves = (
-        (rest, speed, REFERENCE.deceleration_m_s2),
-        (abs(dz), climb, REFERENCE.heave_deceleration_m_s2),
-        (abs(turn), turn_rate, REFERENCE.yaw_deceleration_rad_s2),
+
+class ReferenceStruct(compiled.Mirror):
+    """The struct of reference.c."""
+
+    _fields_ = (
+        ("thrusters", ctypes.c_long),
+        ("clipped", ctypes.c_long),
+        ("coefficients", ctypes.c_void_p),
+        ("inverse", ctypes.c_void_p),
+        ("limit_n", ctypes.c_void_p),
     )
-    travel, rate = approach(moves, t_s)
-
-    ref = np.empty((len(t_s), NX))
-    position, tangents = route.at(target.s0_m + travel[0])
-    dz_sign, turn_sign = math.copysign(1.0, dz), math.copysign(1.0, turn)
-    yaw = x0[YAW] + turn_sign * travel[2]
-    water = (tangents * rate[0] - current) * np.exp(-1j * yaw)
-    ref[:, X], ref[:, Y], ref[:, Z], ref[:, YAW] = position.real, position.imag, x0[Z] + dz_sign * travel[1], yaw
-    ref[:, U], ref[:, V], ref[:, W] = water.real, water.imag, dz_sign * rate[1] - current_ned_m_s[2]
-    ref[:, R] = turn_sign * rate[2]
-    return ref
 
 
-def climb_at_once(x: FloatArray, t_s: FloatArray, target: ReferenceTarget, current_down_m_s: float) -> None:
-    """Let references (N+1, 8) change depth as fast as heave allows, and not so that they arrive with the route."""
-    dz = target.depth_m - x.item(0, Z)
-    travel, rate = approach(
-        ((abs(dz), REFERENCE.heave_share * target.heave_limit_m_s, REFERENCE.heave_deceleration_m_s2),), t_s
+class March(compiled.Mirror):
+    """The struct of reference.c."""
+
+    _fields_ = (
+        ("nodes", ctypes.c_long),
+        ("legs", ctypes.c_long),
+        ("climb_at_once", ctypes.c_long),
+        *((name, ctypes.c_double) for name in (*_DOUBLES, *_RULES)),
+        ("deceleration", ctypes.c_double * 3),
+        *((name, ctypes.c_void_p) for name in ("t_s", "x0", "current", "s", "corner", "tangent", "x", "thrust")),
     )
-    x[:, Z] = x.item(0, Z) + math.copysign(1.0, dz) * travel[0]
-    x[:, W] = math.copysign(1.0, dz) * rate[0] - current_down_m_s
+
+
+class QuickMarch:
+    """References of one grid of nodes."""
+
+    def __init__(self, sharing: Sharing, t_s: FloatArray) -> None:
+        model, self._sharing = sharing.model, sharing
+        nodes, thrusters = len(t_s), model.thrusters
+        self._t_s = np.ascontiguousarray(t_s, dtype=float)
+        self._x0, self._current, self._limit_n = np.zeros(NX), np.zeros(3), np.zeros(thrusters)
+        self._x, self._thrust = np.zeros((nodes, NX)), np.zeros((nodes - 1, thrusters))
+        self._coefficients = np.array(coefficients(model))
+        self._inverse: FloatArray | None = None
+        self._route: Route | None = None
+        self._steady = ReferenceStruct(
+            thrusters=thrusters,
+            clipped=sharing.square,
+            coefficients=self._coefficients.ctypes.data,
+            limit_n=self._limit_n.ctypes.data,
+        )
+        self._march = March(
+            nodes=nodes,
+            **_RULES,
+            deceleration=_DECELERATIONS,
+            t_s=self._t_s.ctypes.data,
+            x0=self._x0.ctypes.data,
+            current=self._current.ctypes.data,
+            x=self._x.ctypes.data,
+            thrust=self._thrust.ctypes.data,
+        )
+        self._structs = ctypes.byref(self._march), ctypes.byref(self._steady)
+        self._call = compiled.load(ReferenceStruct, March).march
+
+    def __call__(
+        self, x0: FloatArray, target: ReferenceTarget, current_ned_m_s: FloatArray, limit_n: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """References (N+1, 8) from the state ``x0`` (8,), and thrust (N, n) within ``limit_n`` (n,) that holds their
+        velocities.
+
+        Position moves along the route at cruise speed over ground and stops at its end, depth arrives with it or as
+        fast as heave allows, heading turns by the way given. Velocities are those through the water that this motion
+        needs in the current, so that a goal in a current is a steady state of the reference and is held without offset.
+        """
+        march = self._march
+        if target.route is not self._route:
+            self._route = target.route
+            march.legs, march.corner, march.tangent, march.s = target.route.table
+        inverse = self._sharing.linear(limit_n)
+        if inverse is not self._inverse:  # which thrusters make a force depends on those that are alive
+            self._steady.inverse = compiled.fitting("inverse", inverse, AXES, len(limit_n))
+            self._inverse = inverse
+        self._x0[:], self._current[:], self._limit_n[:] = x0, current_ned_m_s, limit_n
+        self._coefficients[BUOYANCY] = self._sharing.buoyancy_excess_n
+        march.s0_m, march.depth_m, march.yaw_rad = target.s0_m, target.depth_m, target.yaw_rad
+        march.cruise_m_s, march.speed_limit_m_s = target.cruise_m_s, target.speed_limit_m_s
+        march.heave_limit_m_s, march.yaw_rate_limit_rad_s = target.heave_limit_m_s, target.yaw_rate_limit_rad_s
+        march.climb_at_once = target.climb_at_once
+        beyond = self._call(*self._structs)
+        x = self._x.copy()
+        return x, (self._sharing.hold_n(x[:-1, 4:], limit_n) if beyond else self._thrust.copy())

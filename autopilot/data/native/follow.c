@@ -1,15 +1,12 @@
-/* Following a plan: where the acting thrust takes the vehicle, thrust between two steps, places on a trajectory.
- *
- * The same numbers as autopilot/control/nmpc/lag.py, control/robust/inner.py and control/energy/track.py, which say what they
- * mean and are used without this library; tests/control/test_compiled_follow.py holds them against each other.
- */
+/* Following a plan: where the acting thrust takes the vehicle, thrust between two steps, places on a trajectory. See
+ * autopilot/control/nmpc/lag.py, control/robust/inner.py and control/energy/track.py. */
 #include <math.h>
 #include <string.h>
 
 #include "common.h"
 #include "model.c"
 
-enum { NX = 8, AXES = 4, X = 0, Y, Z, YAW, U, V, W, R, MOST_THRUSTERS = 16 };
+enum { NX = 8, AXES = 4, X = 0, Y, Z, YAW, U, V, W, R };
 
 typedef struct {
     long thrusters, steps;
@@ -88,37 +85,42 @@ EXPORT void inner_thrust(const Inner *a, double after_s) {
     }
 }
 
-/* Rows (count, width) at times t (count), linear in between, ends held: out (m, width) at times `at` (m); NaN at NaN. */
-EXPORT void rows_at(long count, long width, const double *t, const double *rows, long m, const double *at, double *out) {
+/* The first `used` columns of rows (count, width) at times t (count), linear in between, ends held: out (m, used) at times
+ * `at` (m); NaN at NaN. */
+static void columns_at(long count, long width, long used, const double *t, const double *rows, long m, const double *at,
+                       double *out) {
     long j = 0;
-    for (long k = 0; k < m; k++, out += width) {
+    for (long k = 0; k < m; k++, out += used) {
         if (isnan(at[k])) {
-            for (long i = 0; i < width; i++) out[i] = at[k];
+            for (long i = 0; i < used; i++) out[i] = at[k];
             continue;
         }
         if (!(at[k] > t[0]) || at[k] >= t[count - 1]) {
-            memcpy(out, rows + (at[k] >= t[count - 1] ? width * (count - 1) : 0), (size_t)width * sizeof *out);
+            memcpy(out, rows + (at[k] >= t[count - 1] ? width * (count - 1) : 0), (size_t)used * sizeof *out);
             continue;
         }
         while (j > 0 && at[k] < t[j]) j--;
         while (j < count - 2 && at[k] >= t[j + 1]) j++;
         const double *from = rows + width * j, share = (at[k] - t[j]) / (t[j + 1] - t[j]);
-        for (long i = 0; i < width; i++) out[i] = from[i] + share * (from[width + i] - from[i]);
+        for (long i = 0; i < used; i++) out[i] = from[i] + share * (from[width + i] - from[i]);
     }
+}
+
+/* The same of all columns. */
+EXPORT void rows_at(long count, long width, const double *t, const double *rows, long m, const double *at, double *out) {
+    columns_at(count, width, width, t, rows, m, at, out);
 }
 
 /* Of `points` times from first_s on, step_s apart, the one at which the rows (as rows_at) are nearest to x (NX), its
  * heading counted by `lever_m`; its distance in the plane. The first, infinitely far, where none has a finite distance. */
 EXPORT double nearest_at(long count, long width, const double *t, const double *rows, const double *x, double first_s,
                          double step_s, long points, double lever_m, double *away_m) {
-    enum { MOST = 32 };
-    double best = INFINITY, best_s = first_s, row[MOST], offset = 0.0;
+    double best = INFINITY, best_s = first_s, row[YAW + 1], offset = 0.0;
     const double turn = 2.0 * 3.14159265358979323846;
     *away_m = INFINITY;
-    if (width > MOST) return NAN;
     for (long k = 0; k < points; k++) {
         const double at = first_s + step_s * (double)k;
-        rows_at(count, width, t, rows, 1, &at, row);
+        columns_at(count, width, YAW + 1, t, rows, 1, &at, row);
         if (k == 0) offset = turn * rint((row[YAW] - x[YAW]) / turn);
         const double dx = row[X] - x[X], dy = row[Y] - x[Y], yaw = lever_m * (row[YAW] - x[YAW] - offset);
         const double gap = dx * dx + dy * dy;

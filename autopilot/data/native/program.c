@@ -1,8 +1,5 @@
-/* What the program of a step is told beside its reference and half-planes: limits, bounds, what holds the last plan.
- *
- * The same numbers as autopilot/control/bounds.py, which says what they mean and is used without this library;
- * tests/control/test_compiled_program.py holds them against each other.
- */
+/* Limits and bounds of the program of a step, and the thrust reference that holds the last plan (autopilot/control/bounds.py
+ * says what the arrays mean). */
 #include <math.h>
 
 #include "common.h"
@@ -14,8 +11,8 @@ typedef struct {
     double radius_m, planar_m_s, heave_m_s, yaw_rate_rad_s, depth_min_m, depth_max_m, depth_m, slowest_m_s;
     double largest_thrust_share, change;
     const double *back_off, *thrust_back_off, *limit_n;  /* (KINDS, n - 1), (n, thrusters), (thrusters) */
-    const double *thrust_ref, *thrust, *weight;          /* (n, thrusters), (n, thrusters), (thrusters) */
-    double *limits, *left, *keep_m, *tube_m, *held, *held_weight; /* (n - 1, KINDS), (n, thrusters), (n - 1), (n + 1) */
+    const double *thrust_ref, *thrust, *weight;          /* (n, thrusters) each */
+    double *limits, *left, *keep_m, *tube_m, *held, *held_weight; /* (n - 1, KINDS), (n, thrusters), (n - 1), (n + 1); (n, thrusters) each */
 } Program;
 LAYOUT(Program, n, thrusters, radius_m, planar_m_s, heave_m_s, yaw_rate_rad_s, depth_min_m, depth_max_m, depth_m, slowest_m_s,
        largest_thrust_share, change, back_off, thrust_back_off, limit_n, thrust_ref, thrust, weight, limits, left, keep_m,
@@ -29,6 +26,7 @@ EXPORT void program_bounds(const Program *a) {
         limit[0] = at_least(a->planar_m_s - off[PLANAR * inner], a->slowest_m_s);
         limit[1] = at_least(a->heave_m_s - off[HEAVE * inner], 0.0);
         limit[2] = at_least(a->yaw_rate_rad_s - off[YAW_RATE * inner], 0.0);
+        /* A vehicle outside its depth band is asked to come no farther out, not to be inside at once. */
         limit[3] = at_most(a->depth_m, a->depth_min_m + off[DEPTH * inner]);
         limit[4] = at_least(a->depth_m, a->depth_max_m - off[DEPTH * inner]);
         a->keep_m[k] = a->radius_m + off[CLEARANCE * inner];
@@ -36,7 +34,6 @@ EXPORT void program_bounds(const Program *a) {
     }
     a->tube_m[0] = a->tube_m[1];
     a->tube_m[a->n] = a->tube_m[inner];
-    for (long v = 0; v < a->thrusters; v++) a->held_weight[v] = a->weight[v] + a->change;
     for (long k = 0; k < a->n; k++)
         for (long v = 0; v < a->thrusters; v++) {
             const long i = a->thrusters * k + v;
@@ -44,7 +41,8 @@ EXPORT void program_bounds(const Program *a) {
             const double left = limit - at_most(a->thrust_back_off[i], a->largest_thrust_share * limit);
             const double wanted = clamp(a->thrust_ref[i], -left, left);
             a->left[i] = left;
-            a->held[i] = (a->weight[v] * wanted + a->change * a->thrust[i]) / a->held_weight[v];
+            a->held_weight[i] = a->weight[i] + a->change;
+            a->held[i] = (a->weight[i] * wanted + a->change * a->thrust[i]) / a->held_weight[i];
         }
 }
 

@@ -1,8 +1,5 @@
 /* What the prediction is compared with, node by node: the way along a route, and thrust that holds its velocities.
- *
- * The same numbers as autopilot/control/way/reference.py, which says what they mean and is used without this library;
- * tests/control/test_compiled_reference.py holds them against each other. Forces come from the generated model.
- */
+ * autopilot/control/way/reference.py says what the numbers mean. Forces come from the generated model. */
 #include <math.h>
 #include <string.h>
 
@@ -15,7 +12,6 @@ typedef struct {
     double x, y;
 } Place;
 
-/* As control/way/compiled_reference.py lays them out. */
 typedef struct {
     long thrusters, clipped; /* clipped: thrust beyond its limit is cut; else it is counted and shared by others */
     const double *coefficients, *inverse, *limit_n; /* of the model; (AXES, thrusters) force to thrust; (thrusters) */
@@ -23,7 +19,7 @@ typedef struct {
 LAYOUT(ReferenceStruct, thrusters, clipped, coefficients, inverse, limit_n)
 
 typedef struct {
-    long nodes, legs;
+    long nodes, legs, climb_at_once; /* depth changes as fast as heave allows, not so that it arrives with the route */
     double s0_m, depth_m, yaw_rad, cruise_m_s, speed_limit_m_s, heave_limit_m_s, yaw_rate_limit_rad_s;
     double corner_ahead_m, water_share, upstream_share, slow_current_share, fast_current_share, slowest_m_s;
     double heave_share, yaw_rate_share, least_depth_time_s, deceleration[MOVES];
@@ -31,7 +27,7 @@ typedef struct {
     const Place *corner, *tangent;        /* (legs + 1), (legs) */
     double *x, *thrust;                   /* (nodes, NX), (nodes - 1, thrusters) */
 } March;
-LAYOUT(March, nodes, legs, s0_m, depth_m, yaw_rad, cruise_m_s, speed_limit_m_s, heave_limit_m_s, yaw_rate_limit_rad_s,
+LAYOUT(March, nodes, legs, climb_at_once, s0_m, depth_m, yaw_rad, cruise_m_s, speed_limit_m_s, heave_limit_m_s, yaw_rate_limit_rad_s,
        corner_ahead_m, water_share, upstream_share, slow_current_share, fast_current_share, slowest_m_s, heave_share,
        yaw_rate_share, least_depth_time_s, deceleration, t_s, x0, current, s, corner, tangent, x, thrust)
 
@@ -57,7 +53,8 @@ EXPORT long steady_thrust(const ReferenceStruct *a, long m, const double *x, dou
     return beyond;
 }
 
-/* Speed along a tangent that is asked for and that the limit on speed through the water allows. */
+/* Speed along a tangent that is asked for and that the limit on speed through the water allows: against a current a
+ * larger share of that is used, as `water_speed_share` of way/reference.py. */
 static double ground_speed(const March *a, Place tangent) {
     const double north = a->current[0], east = a->current[1], limit = a->speed_limit_m_s;
     const double along = tangent.x * north + tangent.y * east;
@@ -100,11 +97,13 @@ EXPORT long march(const March *a, const ReferenceStruct *steady) {
     const double length = a->s[a->legs], rest = at_least(length - a->s0_m, 0.0);
     const Place ahead = a->tangent[leg_at(a, a->s0_m + at_most(a->corner_ahead_m, 0.5 * rest))];
     const double speed = ground_speed(a, ahead), dz = a->depth_m - a->x0[Z], turn = a->yaw_rad - a->x0[YAW];
-    const double climb = at_most(at_least(fabs(dz) / at_least(rest / speed, a->least_depth_time_s), a->slowest_m_s),
-                                 a->heave_share * a->heave_limit_m_s);
+    const double with_route = at_least(fabs(dz) / at_least(rest / speed, a->least_depth_time_s), a->slowest_m_s);
+    const double fastest = a->heave_share * a->heave_limit_m_s;
+    const double climb = a->climb_at_once ? fastest : at_most(with_route, fastest);
     const double distance[MOVES] = {rest, fabs(dz), fabs(turn)};
     const double wanted[MOVES] = {speed, climb, a->yaw_rate_share * a->yaw_rate_limit_rad_s};
     const double down = copysign(1.0, dz), round = copysign(1.0, turn);
+    /* Each of the three moves keeps its speed and stops after its distance: v = sqrt(2 a d) at the end. */
     double start[MOVES], brake_s[MOVES];
     for (int i = 0; i < MOVES; i++) {
         start[i] = at_most(wanted[i], sqrt(2.0 * a->deceleration[i] * distance[i]));

@@ -1,10 +1,9 @@
-/* A learned flow at many places; the same numbers as `Fit.flow` and `LearnedCurrent.fill` in autopilot/control/water/current_learning.py, which says
- * what they mean and is used without this library; tests/control/test_compiled_follow.py holds them against each other. */
+/* A learned flow and the forecast of currents by it (autopilot/control/water/current_learning.py). */
 #include <math.h>
 
 #include "common.h"
 
-/* At one place, of cells (n, 2) that pull by (2, n). */
+/* At one place, of cells (n, 2) that pull by (2, n): the curl of a streamfunction with a Gaussian kernel. */
 static void flow_here(double x, double y, long n, const double *cells, const double *pull, double length_m, const double *mean,
                       double *out) {
     const double scale = 1.0 / length_m;
@@ -26,7 +25,6 @@ EXPORT void flow_at(long m, const double *places, long stride, long n, const dou
         flow_here(places[stride * k], places[stride * k + 1], n, cells, pull, length_m, mean, out + 2 * k);
 }
 
-/* As control/water/current_learning.py lays it out. */
 typedef struct {
     long m, stride, cells;
     double length_m, trust, scale_m, full_within_m, lasting_s, fade_s;
