@@ -62,10 +62,9 @@ class MapFrame(Table, frozen=True, kw_only=True):
     sigma_rad: NonNegative = 0.0
 
 
-class MarkerEntry(Table, frozen=True, kw_only=True):
-    """``[[marker]]``"""
+class MapEntry(Table, frozen=True, kw_only=True):
+    """What ``[[marker]]`` and ``[[board]]`` share."""
 
-    id: Index
     center_m: Vec3
     """North, east, down of its middle."""
     yaw_rad: float | None = None
@@ -74,9 +73,10 @@ class MarkerEntry(Table, frozen=True, kw_only=True):
     """Instead: roll, pitch, yaw of its frame."""
     dictionary: str | None = None
     size_m: Size | None = None
-    """Side of the black square."""
+    """Side of the black square of a marker."""
     sheet: str | None = None
-    """Name of the sheet it was printed on; without it sheets are found by their lattice."""
+    """Name of the sheet it was printed on; without it a board is a sheet of its own, and sheets of single markers are
+    found by their lattice."""
     sigma_m: NonNegative | None = None
     """How well that was laid, 0 = exactly."""
     sigma_rad: NonNegative | None = None
@@ -85,8 +85,27 @@ class MarkerEntry(Table, frozen=True, kw_only=True):
         if self.yaw_rad is not None and self.rpy_rad is not None:
             raise ValueError("give either `yaw_rad` or `rpy_rad`")
 
+    @property
+    def r_ned_from_marker(self) -> FloatArray:
+        """(3, 3)"""
+        return r_ned_from_frd(np.array(self.rpy_rad or (0.0, 0.0, self.yaw_rad or 0.0)))
 
-class BoardEntry(Table, frozen=True, kw_only=True):
+    def laid(self, sheet: str | None, defaults: Defaults) -> Laid:
+        """How well it was laid, on that sheet."""
+        return Laid(
+            sheet=sheet,
+            sigma_m=self.sigma_m if self.sigma_m is not None else defaults.sigma_m,
+            sigma_rad=self.sigma_rad if self.sigma_rad is not None else defaults.sigma_rad,
+        )
+
+
+class MarkerEntry(MapEntry, frozen=True, kw_only=True):
+    """``[[marker]]``"""
+
+    id: Index
+
+
+class BoardEntry(MapEntry, frozen=True, kw_only=True):
     """``[[board]]``: a grid; its first marker is at the top left, the following ones to the right, row by row."""
 
     rows: Count
@@ -97,20 +116,9 @@ class BoardEntry(Table, frozen=True, kw_only=True):
     """Ids count up from it."""
     ids: list[Index] | None = None
     """Instead: one id per marker."""
-    center_m: Vec3
-    """Of the whole grid."""
-    yaw_rad: float | None = None
-    rpy_rad: Vec3 | None = None
-    dictionary: str | None = None
-    size_m: Size | None = None
-    sheet: str | None = None
-    """Boards of one name lie on one sheet; without it each is a sheet of its own."""
-    sigma_m: NonNegative | None = None
-    sigma_rad: NonNegative | None = None
 
     def __post_init__(self) -> None:
-        if self.yaw_rad is not None and self.rpy_rad is not None:
-            raise ValueError("give either `yaw_rad` or `rpy_rad`")
+        super().__post_init__()
         if (self.first_id is None) == (self.ids is None):
             raise ValueError("give either `first_id` or `ids`")
         if self.ids is not None and len(self.ids) != self.rows * self.columns:
@@ -212,8 +220,17 @@ def _placed(file: MarkerFile, folder: Path, origin: str) -> list[PlacedMarker]:
         place = f"$.marker[{index}]"
         dictionary, size_m = _kind(entry, file.defaults, place, folder, origin)
         _check_id(entry.id, dictionary, place, origin)
-        laid = _laid(entry, entry.sheet, file.defaults)
-        result.append(_one(place, dictionary, entry.id, size_m, np.array(entry.center_m), _rotation(entry), laid))
+        result.append(
+            PlacedMarker(
+                place=place,
+                dictionary=dictionary,
+                id=entry.id,
+                size_m=size_m,
+                center_ned_m=np.array(entry.center_m),
+                r_ned_from_marker=entry.r_ned_from_marker,
+                laid=entry.laid(entry.sheet, file.defaults),
+            )
+        )
     for index, board in enumerate(file.board):
         place = f"$.board[{index}]"
         dictionary, size_m = _kind(board, file.defaults, place, folder, origin)
@@ -223,11 +240,19 @@ def _placed(file: MarkerFile, folder: Path, origin: str) -> list[PlacedMarker]:
         ids = board.ids if board.ids is not None else list(range(start, start + board.rows * board.columns))
         for marker_id in ids:
             _check_id(marker_id, dictionary, place, origin)
-        r = _rotation(board)
-        laid = _laid(board, board.sheet or f"board {index + 1}", file.defaults)
-        for n, (offset, marker_id) in enumerate(zip(board_offsets(board, size_m), ids, strict=True)):
-            center = np.array(board.center_m) + r @ offset
-            result.append(_one(f"{place} marker {n}", dictionary, marker_id, size_m, center, r, laid))
+        r, laid = board.r_ned_from_marker, board.laid(board.sheet or f"board {index + 1}", file.defaults)
+        result += [
+            PlacedMarker(
+                place=f"{place} marker {n}",
+                dictionary=dictionary,
+                id=marker_id,
+                size_m=size_m,
+                center_ned_m=np.array(board.center_m) + r @ offset,
+                r_ned_from_marker=r,
+                laid=laid,
+            )
+            for n, (offset, marker_id) in enumerate(zip(board_offsets(board, size_m), ids, strict=True))
+        ]
     return result
 
 
@@ -241,44 +266,7 @@ def board_offsets(board: BoardEntry, size_m: float) -> FloatArray:
     return result
 
 
-def _laid(entry: MarkerEntry | BoardEntry, sheet: str | None, defaults: Defaults) -> Laid:
-    """What the file says of how an entry was laid."""
-    return Laid(
-        sheet=sheet,
-        sigma_m=entry.sigma_m if entry.sigma_m is not None else defaults.sigma_m,
-        sigma_rad=entry.sigma_rad if entry.sigma_rad is not None else defaults.sigma_rad,
-    )
-
-
-def _one(
-    place: str,
-    dictionary: str,
-    marker_id: int,
-    size_m: float,
-    center: FloatArray,
-    r: FloatArray,
-    laid: Laid = NOTHING_SAID,
-) -> PlacedMarker:
-    return PlacedMarker(
-        place=place,
-        dictionary=dictionary,
-        id=marker_id,
-        size_m=size_m,
-        center_ned_m=center,
-        r_ned_from_marker=r,
-        laid=laid,
-    )
-
-
-def _rotation(entry: MarkerEntry | BoardEntry) -> FloatArray:
-    if entry.rpy_rad is not None:
-        return r_ned_from_frd(np.array(entry.rpy_rad))
-    return r_ned_from_frd(np.array([0.0, 0.0, entry.yaw_rad or 0.0]))
-
-
-def _kind(
-    entry: MarkerEntry | BoardEntry, defaults: Defaults, place: str, folder: Path, origin: str
-) -> tuple[str, float]:
+def _kind(entry: MapEntry, defaults: Defaults, place: str, folder: Path, origin: str) -> tuple[str, float]:
     """Dictionary and size of an entry."""
     dictionary = entry.dictionary if entry.dictionary is not None else defaults.dictionary
     size_m = entry.size_m if entry.size_m is not None else defaults.size_m
@@ -388,7 +376,17 @@ def placed_markers(markers: MarkerMap) -> list[PlacedMarker]:
     for code, corners, size_m, how in zip(markers.ids.tolist(), markers.corners_ned_m, sizes_m, laid, strict=True):
         kind, marker_id = divmod(code, ID_SPAN)
         r = rotation_of(corners)
-        result.append(_one("", markers.dictionaries[kind], marker_id, size_m, corners.mean(axis=0), r, how))
+        result.append(
+            PlacedMarker(
+                place="",
+                dictionary=markers.dictionaries[kind],
+                id=marker_id,
+                size_m=size_m,
+                center_ned_m=corners.mean(axis=0),
+                r_ned_from_marker=r,
+                laid=how,
+            )
+        )
     return result
 
 

@@ -225,59 +225,52 @@ class Laser(Table, frozen=True, kw_only=True):
         _goes_down(self.direction_frd)
 
 
-class Ahrs(Table, frozen=True, kw_only=True):
+class SensorMount(Table, frozen=True, kw_only=True):
+    """Where a sensor sits, and its clock."""
+
+    position_frd_m: Vec3 = (0.0, 0.0, 0.0)
+    time_offset_s: float = 0.0
+    """Added to the times of samples: negative when these are too late."""
+
+
+class Ahrs(SensorMount, frozen=True, kw_only=True):
     """Attitude and heading reference system."""
 
+    position_frd_m: Vec3
     rate_hz: Positive
     latency_s: NonNegative
-    position_frd_m: Vec3
-    time_offset_s: float = 0.0
-    """Added to the times of samples: negative when these are too late."""
 
 
-class DepthMount(Table, frozen=True, kw_only=True):
+class DepthMount(SensorMount, frozen=True, kw_only=True):
     """Pressure sensor."""
 
-    position_frd_m: Vec3 = (0.0, 0.0, 0.0)
     rate_hz: Positive = 10.0
     latency_s: NonNegative = 0.02
-    time_offset_s: float = 0.0
-    """Added to the times of samples: negative when these are too late."""
 
 
-class DvlMount(Table, frozen=True, kw_only=True):
+class DvlMount(SensorMount, frozen=True, kw_only=True):
     """Doppler velocity log; its axes are the body's."""
 
-    position_frd_m: Vec3 = (0.0, 0.0, 0.0)
     rate_hz: Positive = 8.0
     latency_s: NonNegative = 0.1
-    time_offset_s: float = 0.0
-    """Added to the times of samples: negative when these are too late."""
 
 
-class AltimeterMount(Table, frozen=True, kw_only=True):
+class AltimeterMount(SensorMount, frozen=True, kw_only=True):
     """Sonar altimeter that looks at the floor."""
 
-    position_frd_m: Vec3 = (0.0, 0.0, 0.0)
     direction_frd: Vec3 = (0.0, 0.0, 1.0)
     """Axis of its beam, of any length; straight down by default."""
     beam_width_rad: Annotated[float, msgspec.Meta(ge=0.0, le=1.6)] = 0.436
     """From edge to edge: 25 deg of a Ping Sonar."""
     rate_hz: Positive = 10.0
     latency_s: NonNegative = 0.05
-    time_offset_s: float = 0.0
-    """Added to the times of samples: negative when these are too late."""
 
     def __post_init__(self) -> None:
         _goes_down(self.direction_frd)
 
 
-class ExternalMount(Table, frozen=True, kw_only=True):
+class ExternalMount(SensorMount, frozen=True, kw_only=True):
     """What an outside positioning system tracks."""
-
-    position_frd_m: Vec3 = (0.0, 0.0, 0.0)
-    time_offset_s: float = 0.0
-    """Added to the times of poses: negative when these are too late."""
 
 
 class PayloadTable(Table, frozen=True, kw_only=True):
