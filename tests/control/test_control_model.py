@@ -11,7 +11,6 @@ from hypothesis import strategies as st
 
 from autopilot.control.nmpc import ocp
 from autopilot.control.nmpc.grid import MAX_RK4_STEP_S, geometric_grid, shift_matrices, uniform_grid
-from autopilot.control.way.guidance import SteadyThrust
 from autopilot.core import model4
 from autopilot.core.sharing import Sharing
 
@@ -81,7 +80,7 @@ def test_substeps_chain_their_jacobians() -> None:
 
 def test_steady_thrust_holds_the_velocity() -> None:
     nu = [0.3, -0.1, 0.05, 0.4]
-    tau = SteadyThrust(Sharing(MODEL))(np.array([nu]), np.full(4, np.inf))[0]
+    tau = Sharing(MODEL).hold_n(np.array([nu]), np.full(4, np.inf))[0]
     assert np.allclose(model4.body_acceleration(MODEL, nu, tau.tolist(), math), 0.0, atol=1e-9)
 
 

@@ -220,7 +220,7 @@ def _flown_errors(seed: int, surge: float, turn: float, seconds: float) -> tuple
             bound,
         )
         push = mass * (disturbance_matrix(MODEL, z[4:]) @ w)[4:]
-        x = rk4(MODEL, x, feed + MARGINS.ancillary.correction(x, z) + inverse @ push, still, h)
+        x = rk4(MODEL, x, feed + MARGINS.ancillary.gain(z[4]) @ e + inverse @ push, still, h)
         z = rk4(MODEL, z, feed, still, h)
     return np.array(errors), h * np.arange(len(errors))
 

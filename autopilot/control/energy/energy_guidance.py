@@ -24,7 +24,7 @@ from autopilot.control.energy.trajectory import Trajectory
 from autopilot.control.nmpc.grid import REFERENCE_DT_S, TimeGrid
 from autopilot.control.nmpc.ocp import TERMINAL_STAGES
 from autopilot.control.way.desks import TaskFailures
-from autopilot.control.way.guidance import GuidanceInputs, Reference, RouteGuidance, SteadyThrust, Weights
+from autopilot.control.way.guidance import GuidanceInputs, Reference, RouteGuidance, Weights
 from autopilot.core import operator_messages as notices
 from autopilot.core.desk import Cancel, Desk, Ticket
 from autopilot.core.frames import FloatArray
@@ -45,7 +45,7 @@ class EnergyGuidance:
         self._reach_s = float(2.0 * grid.t_s[-1] - grid.t_s[-2])
         """Time from which on the end of a trajectory is out of sight: see _shares."""
         self._weights = Weights(sharing.model.thrusters)
-        self._steady, self._sharing = SteadyThrust(sharing), sharing
+        self._sharing = sharing
         self._desk, self._route = desk, route
         # Not a method: work that is under way must not keep whoever asked for it, who keeps the work.
         self._plan = partial(planned, planner)
@@ -124,7 +124,7 @@ class EnergyGuidance:
         rest = 1.0 if then is None else track.missing
         if rest > 0.0 and self._last_s >= rest_s:
             after = self._t_s[:-1] >= rest_s
-            steady = self._steady(x[:-1][after][:, U : R + 1], now.thrust_limit_n)
+            steady = self._sharing.hold_n(x[:-1][after][:, U : R + 1], now.thrust_limit_n)
             thrust[after] += rest * (steady - thrust[after])
         weights = self._weights.look(params, weight_u)
         nodes, terminal = weights.x, weights.terminal

@@ -14,7 +14,6 @@ from autopilot.control.energy.power import PowerModel, SpeedTable, speed_table
 from autopilot.control.energy.request import Plan, TrajectoryRequest, no_plan
 from autopilot.control.energy.trajectory import Program, Trajectory
 from autopilot.control.fence.obstacles import Features, fence_key
-from autopilot.control.way.guidance import SteadyThrust
 from autopilot.core.desk import Cancel
 from autopilot.core.frames import FloatArray
 from autopilot.core.free_space import Area, FreeSpace
@@ -29,7 +28,6 @@ class EnergyPlanner:
 
     def __init__(self, model: Model4, power: PowerModel) -> None:
         self._power, self._sharing = power, Sharing(model, power.thrust_w_n15)
-        self._steady = SteadyThrust(self._sharing)
         self._programs: dict[int, Program] = {}
         self._features: tuple[tuple[object, ...], Features] | None = None
         self._spaces: dict[int, tuple[Features, tuple[float, ...], FreeSpace]] = {}
@@ -57,7 +55,7 @@ class EnergyPlanner:
         cancel.check()
         beyond = _field_beyond(field, request.goal)
         end_slope = _slope_beyond(beyond, request.goal)
-        task = LegTask(request, features, flow, table, to_go, end_slope, self._program, self._steady, cancel)
+        task = LegTask(request, features, flow, table, to_go, end_slope, self._program, self._sharing, cancel)
         task.guesses(best)
         # What ends at a gate has a new one.
         warm = None if request.warm is None or not task.complete else task.refine(request.warm, SEARCH.update_rounds)

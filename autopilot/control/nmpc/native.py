@@ -13,7 +13,7 @@ from autopilot.control.nmpc.grid import REFERENCE_DT_S, TimeGrid
 from autopilot.control.nmpc.model_code import BUOYANCY, coefficients
 from autopilot.core import compiled
 from autopilot.core.frames import FloatArray
-from autopilot.core.model4 import NX, Model4
+from autopilot.core.model4 import Model4
 
 PLANES = 8
 """Half-plane slots that the C code is written for."""
@@ -40,7 +40,7 @@ class _Task(compiled.Mirror):
     )
 
 
-class NativeStep:
+class NativeStep(ocp.StepArrays):
     """The step in C with its argument and result arrays; the same interface as ``solver.QpStep``.
 
     RuntimeError when there is none for this machine or vehicle.
@@ -57,21 +57,11 @@ class NativeStep:
             raise RuntimeError(f"not made for {model.thrusters} thrusters")
         n = grid.n
         self.backend = backend
-        self.told = ocp.Arguments(n, planes, model.thrusters)
-        arguments = self.told.arrays
-        self.x_guess, self.u_guess = arguments["x_guess"], arguments["u_guess"]
-        self.x_ref, self.u_ref, self.current = arguments["x_ref"], arguments["u_ref"], arguments["current"]
-        self.weight_x, self.weight_u = arguments["weight_x"], arguments["weight_u"]
-        self.terminal, self.limits = arguments["terminal"], arguments["limits"]
-        self.buoyancy = arguments["buoyancy"]
-        self.buoyancy[:] = model.buoyancy_excess_n
-        self.thrust_limit = arguments["thrust_limit"]
-        self.plane_n, self.plane_d = arguments["plane_n"].reshape(n - 1, planes, 2), arguments["plane_d"]
-        self.x, self.u = np.zeros((n + 1, NX)), np.zeros((n, model.thrusters))
-        self.slack, self.figures = np.zeros((n - 1, ocp.N_SLACKS)), np.zeros(FIGURES)
+        super().__init__(model, n, planes)
+        self.figures = np.zeros(FIGURES)
         steps = np.array(grid.substeps(ocp.longest_step_s(model)), dtype=float)
         self._arrays: dict[str, FloatArray] = {
-            **arguments,
+            **self.arguments,
             "step_s": grid.dt_s / steps,
             "steps": steps,
             "scale": grid.dt_s / REFERENCE_DT_S,

@@ -194,20 +194,26 @@ def argument_shapes(n: int, planes: int, thrusters: int) -> dict[str, tuple[int,
     }
 
 
-class Arguments:
-    """The arguments' arrays, views of one block of memory."""
+class StepArrays:
+    """Arguments and results of one step; the arguments are views of one block of memory."""
 
-    def __init__(self, n: int, planes: int, thrusters: int) -> None:
-        shapes = argument_shapes(n, planes, thrusters)
+    def __init__(self, model: model4.Model4, n: int, planes: int) -> None:
+        shapes = argument_shapes(n, planes, model.thrusters)
         ends = np.cumsum([rows * columns for rows, columns in shapes.values()])
         self._block = np.zeros(ends[-1])
         parts = np.split(self._block, ends[:-1])
-        self.arrays: dict[str, FloatArray] = {
+        self.arguments: dict[str, FloatArray] = {
             name: part.reshape(shape[::-1]) for (name, shape), part in zip(shapes.items(), parts, strict=True)
         }
         """By name, transposed with respect to CasADi's column-major matrices."""
         bounds = list(shapes).index("limits")
         self._numbers, self._bounds = self._block[: ends[bounds - 1]], self._block[ends[bounds - 1] :]
+        each = list(self.arguments.values())
+        self.x_guess, self.u_guess, self.x_ref, self.u_ref, self.current = each[:5]
+        self.weight_x, self.weight_u, self.terminal, self.buoyancy, self.limits, self.thrust_limit = each[5:11]
+        self.plane_n, self.plane_d = each[11].reshape(n - 1, planes, 2), each[12]
+        self.buoyancy[:] = model.buoyancy_excess_n
+        self.x, self.u, self.slack = np.zeros((n + 1, NX)), np.zeros((n, model.thrusters)), np.zeros((n - 1, N_SLACKS))
 
     def complete(self) -> bool:
         """Whether all are numbers, bounds infinite at most: to solvers a wish for NaN is one for full thrust."""

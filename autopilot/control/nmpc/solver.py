@@ -91,35 +91,21 @@ class NmpcResult:
     """Largest multiplier of a soft constraint over the penalty's slope: above 0 a limit is touched, at 1 given up."""
 
 
-class QpStep:
-    """One built step with its argument and result arrays."""
+class QpStep(ocp.StepArrays):
+    """One step built by CasADi."""
 
     def __init__(self, model: Model4, grid: TimeGrid, planes: int, backend: ocp.QpBackend) -> None:
-        n = grid.n
+        super().__init__(model, grid.n, planes)
         self.backend = backend
-        function = _build(dataclasses.astuple(model), _grid_key(grid), planes, backend)
-        self.told = ocp.Arguments(n, planes, model.thrusters)
-        arguments = list(self.told.arrays.values())
-        self.x_guess, self.u_guess, self.x_ref, self.u_ref, self.current = arguments[:5]
-        self.weight_x, self.weight_u, self.terminal, self.buoyancy = arguments[5:9]
-        self.buoyancy[:] = model.buoyancy_excess_n
-        self.limits, self.thrust_limit = arguments[9:11]
-        self.plane_n, self.plane_d = arguments[11].reshape(n - 1, planes, 2), arguments[12]
-        self.x = np.zeros((n + 1, NX))
-        self.u = np.zeros((n, model.thrusters))
-        self.slack = np.zeros((n - 1, ocp.N_SLACKS))
+        function = _build(dataclasses.astuple(model), tuple(grid.dt_s.tolist()), planes, backend)
         self.figures = np.zeros(6)
         self._multipliers = np.zeros(function.nnz_out("multipliers"))
         results = (self.x, self.u, self.slack, self.figures, self._multipliers)
-        self._owner, self._evaluate = ocp.bind(function, arguments, results)
+        self._owner, self._evaluate = ocp.bind(function, list(self.arguments.values()), results)
 
     def evaluate(self) -> None:
         """Linearise at the guess, solve, write the results."""
         self._evaluate()
-
-
-def _grid_key(grid: TimeGrid) -> tuple[float, ...]:
-    return tuple(float(dt) for dt in grid.dt_s)
 
 
 @lru_cache(maxsize=8)
@@ -288,7 +274,7 @@ class Nmpc:
         step.thrust_limit[:] = problem.thrust_limit_n
         step.plane_n[:] = problem.plane_n
         step.plane_d[:] = problem.plane_d_m
-        if not (float(np.abs(step.x_guess[:, U:]).max()) < GUESS_LIMIT and step.told.complete()):
+        if not (float(np.abs(step.x_guess[:, U:]).max()) < GUESS_LIMIT and step.complete()):
             return NmpcResult(
                 status=SolveStatus.NOT_FINITE,
                 x=self.x,

@@ -7,11 +7,11 @@ turn rates stay stable on the whole envelope of speeds (tests/control/test_robus
 
 import numpy as np
 
-from autopilot.control.robust.error_model import error_jacobian, error_of, input_matrix
+from autopilot.control.robust.error_model import error_jacobian, input_matrix
 from autopilot.control.robust.riccati import dare, discretise, gain
 from autopilot.control.robust.robust_tuning import ANCILLARY
 from autopilot.core.frames import FloatArray
-from autopilot.core.model4 import NX, Model4, U
+from autopilot.core.model4 import NX, Model4
 
 SURGES_M_S = np.linspace(-0.8, 0.8, 9)
 """Surge speeds of the table; beyond, its ends."""
@@ -41,8 +41,3 @@ class Ancillary:
         low = min(int(place), len(self.gains) - 2) if place > 0.0 else 0
         k: FloatArray = self.gains[low] + (place - low) * (self.gains[low + 1] - self.gains[low])
         return k
-
-    def correction(self, x: FloatArray, z: FloatArray) -> FloatArray:
-        """Thrust (n,) that brings the state ``x`` (8,) back to the planned ``z`` (8,)."""
-        thrust: FloatArray = self.gain(float(z[U])) @ error_of(x, z)
-        return thrust

@@ -5,11 +5,12 @@ import math
 
 import numpy as np
 
+from autopilot.control.notice_queue import NoticeQueue
 from autopilot.control.robust.robust_tuning import FALLBACK
 from autopilot.core import model4
 from autopilot.core import operator_messages as notices
 from autopilot.core.frames import FloatArray, wrap_pi
-from autopilot.core.messages import Fallback, Severity
+from autopilot.core.messages import Fallback
 from autopilot.core.model4 import YAW, R, U, X, Y, Z
 from autopilot.core.sharing import Sharing
 
@@ -19,13 +20,13 @@ TOLD = {
 }
 
 
-class FallbackWatch:
+class FallbackWatch(NoticeQueue):
     """Tells when somebody else than the optimiser commands the thrusters, and when that is over."""
 
     def __init__(self) -> None:
+        super().__init__()
         self._told: set[Fallback] = set()
         self._solved = 0
-        self._news: list[tuple[Severity, str]] = []
 
     def reset(self) -> None:
         """A new flight: the next fallback is news."""
@@ -46,20 +47,15 @@ class FallbackWatch:
                 self.reset()
                 self._news.append(notices.FALLBACK_OVER())
 
-    def take_news(self) -> list[tuple[Severity, str]]:
-        """What has not been told yet."""
-        news, self._news = self._news, []
-        return news
 
-
-class FiniteWatch:
+class FiniteWatch(NoticeQueue):
     """Counts steps and ticks without thrust because the estimate, or what the model makes of it, is no number."""
 
     def __init__(self) -> None:
+        super().__init__()
         self.count = 0
         """Since the last one that was told to be over."""
         self._sound = 0
-        self._news: list[tuple[Severity, str]] = []
 
     def watch(self, sound: bool) -> None:
         """One step or tick."""
@@ -73,11 +69,6 @@ class FiniteWatch:
             if self._sound >= FALLBACK.over_steps:
                 self._news.append(notices.CONTROL_FINITE(count=self.count))
                 self.count = 0
-
-    def take_news(self) -> list[tuple[Severity, str]]:
-        """What has not been told yet."""
-        news, self._news = self._news, []
-        return news
 
 
 def station_keeping_thrust(

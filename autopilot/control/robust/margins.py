@@ -8,6 +8,7 @@ from enum import IntEnum
 import numpy as np
 
 from autopilot.control.nmpc.grid import TimeGrid
+from autopilot.control.notice_queue import NoticeQueue
 from autopilot.control.robust.ancillary import Ancillary
 from autopilot.control.robust.lipschitz import LipschitzMargins
 from autopilot.control.robust.mismatch_evidence import SpeedEvidence
@@ -17,7 +18,7 @@ from autopilot.control.robust.tube import TubeMargins
 from autopilot.control.way.reference import water_speed_share
 from autopilot.core import operator_messages as notices
 from autopilot.core.frames import FloatArray
-from autopilot.core.messages import NavState, Severity
+from autopilot.core.messages import NavState
 from autopilot.core.model4 import NX, Model4
 from autopilot.core.params import ParamSet
 
@@ -30,10 +31,11 @@ class Tighten(IntEnum):
     LIPSCHITZ = 2
 
 
-class Margins:
+class Margins(NoticeQueue):
     """Chooses among the three at every step."""
 
     def __init__(self, model: Model4, grid: TimeGrid) -> None:
+        super().__init__()
         self.ancillary = Ancillary(model)
         fixed = FixedMargins(grid, model.thrusters)
         self.tube = TubeMargins(model, grid, self.ancillary, fixed)
@@ -42,7 +44,6 @@ class Margins:
         """Forgotten by whoever begins anew."""
         self._fixed = fixed
         self._told = False
-        self._news: list[tuple[Severity, str]] = []
         self._rest = np.zeros((grid.n + 1, NX))
         self._idle = np.zeros((grid.n, model.thrusters))
 
@@ -73,11 +74,6 @@ class Margins:
         """What the parameters alone take, of a vehicle at rest with the best of estimates: what is said of a place must
         not depend on how well the vehicle knows just now where it is."""
         return self.back_offs(replace(nav, variance=np.zeros_like(nav.variance)), self._rest, self._idle, params)
-
-    def take_news(self) -> list[tuple[Severity, str]]:
-        """How far the Lipschitz sets reach, once whenever they come into force."""
-        news, self._news = self._news, []
-        return news
 
     def clearance_m(self, params: ParamSet) -> float:
         """Routes keep the fixed margin and what the planner adds to it: a route that changed with every change of the

@@ -11,12 +11,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from autopilot.control.notice_queue import NoticeQueue
 from autopilot.control.robust.robust_tuning import REGIONS, TERMINAL
 from autopilot.control.robust.terminal import Certificate, Terminal, TerminalLimits, certify, terminal_law, unit_samples
 from autopilot.core import operator_messages as notices
 from autopilot.core.desk import Cancel, Desk, Ticket
 from autopilot.core.frames import FloatArray
-from autopilot.core.messages import Goal, Severity
+from autopilot.core.messages import Goal
 from autopilot.core.model4 import YAW, Model4, U
 from autopilot.core.sharing import Sharing
 
@@ -41,10 +42,11 @@ def _certified(request: _RegionRequest, cancel: Cancel) -> Certificate:
     return certify(request.model, request.law, request.goal, request.limits, samples, look=cancel.check)
 
 
-class TerminalRegions:
+class TerminalRegions(NoticeQueue):
     """Law and certificate of the present goal."""
 
     def __init__(self, sharing: Sharing, desk: Desk) -> None:
+        super().__init__()
         self._sharing, self._desk = sharing, desk
         self._ticket: Ticket[Certificate] | None = None
         self.reset()
@@ -60,16 +62,11 @@ class TerminalRegions:
         self._current: list[float] = [0.0, 0.0, 0.0]
         self._buoyancy_n = 0.0
         self._cost: FloatArray | None = None
-        self._news: list[tuple[Severity, str]] = []
+        self._news = []
         self._nu: list[float] = []
         self.law: Terminal | None = None
         self.certificate: Certificate | None = None
         """Of the present goal, None while it is being made."""
-
-    def take_news(self) -> list[tuple[Severity, str]]:
-        """What has been certified since the last call."""
-        news, self._news = self._news, []
-        return news
 
     def follow(
         self,

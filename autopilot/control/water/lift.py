@@ -15,23 +15,24 @@ import math
 
 import numpy as np
 
+from autopilot.control.notice_queue import NoticeQueue
 from autopilot.control.water.water_tuning import LIFT
 from autopilot.core import operator_messages as notices
 from autopilot.core.frames import FloatArray
-from autopilot.core.messages import NavHealth, NavState, Severity
+from autopilot.core.messages import NavHealth, NavState
 from autopilot.core.model4 import ABS_SMOOTHING_M2_S2, Model4
 
 
-class Lift:
+class Lift(NoticeQueue):
     """What buoyancy proves to be beyond the vehicle file. One instance per vehicle; asked once per control step."""
 
     def __init__(self, model: Model4, half_height_m: float) -> None:
+        super().__init__()
         self._mass_kg, self._file_n = model.mass_kg[2], model.buoyancy_excess_n
         self._drag = model.linear_drag[2], model.quadratic_drag[2]
         self._row = np.array(model.allocation[2])
         self._size = np.abs(self._row)
         self._submerged_m = LIFT.submerged * half_height_m
-        self._news: list[tuple[Severity, str]] = []
         self.reset()
 
     def reset(self) -> None:
@@ -84,11 +85,6 @@ class Lift:
             self._learned_s += elapsed_s
             self.lift_n = min(max(self.lift_n + change_n, -most_n - self._file_n), most_n - self._file_n)
         self._tell(most_n, elapsed_s)
-
-    def take_news(self) -> list[tuple[Severity, str]]:
-        """What the operator should know of it since the last call."""
-        news, self._news = self._news, []
-        return news
 
     def _tell(self, most_n: float, elapsed_s: float) -> None:
         """Once per flight, and again if it becomes too much."""

@@ -3,9 +3,9 @@
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 
+from autopilot.control.notice_queue import NoticeQueue
 from autopilot.core import operator_messages as notices
 from autopilot.core.desk import Desk
-from autopilot.core.messages import Severity
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -37,15 +37,15 @@ class Desks:
         return "routes", "trajectories", "certificates"
 
 
-class TaskFailures:
+class TaskFailures(NoticeQueue):
     """Work that ended with an exception: told the operator once until some succeeds, in full in the log."""
 
     def __init__(self, work: str, told: notices.Row) -> None:
         """``work``: what it is, for the log; ``told``: what the operator is told."""
+        super().__init__()
         self._work, self._told_row = work, told
         self._told = False
         self._logged = False
-        self._news: list[tuple[Severity, str]] = []
 
     def failed(self, error: Exception, *, felt: bool = True) -> None:
         """Take note of one; the operator is told when the vehicle does something else because of it (``felt``)."""
@@ -59,8 +59,3 @@ class TaskFailures:
     def succeeded(self) -> None:
         """The next one is news again."""
         self._told = self._logged = False
-
-    def take_news(self) -> list[tuple[Severity, str]]:
-        """What has not been told yet."""
-        news, self._news = self._news, []
-        return news

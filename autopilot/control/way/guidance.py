@@ -128,18 +128,6 @@ class Weights:
         return self
 
 
-class SteadyThrust:
-    """Thrust that holds velocities through the water."""
-
-    def __init__(self, sharing: Sharing) -> None:
-        self._sharing = sharing
-
-    def __call__(self, nu: FloatArray, limit_n: FloatArray) -> FloatArray:
-        """(m, n) thrust for velocities (m, 4) u, v, w, r: drag, buoyancy and Munk moment against T_A tau. Within
-        ``limit_n`` (n,): what it cannot hold it comes nearest to."""
-        return self._sharing.hold_n(nu, limit_n)
-
-
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class RouteRequest:
     """A way that is to be looked for."""
