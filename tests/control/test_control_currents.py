@@ -151,16 +151,6 @@ def test_memory_is_a_window_that_wraps_round_without_mixing_places() -> None:
     assert _filled(forecast, nav, np.array([[0.0, 0.0, 0.5]]), np.zeros(1))[0, 0] > 0.29
 
 
-def test_the_same_life_gives_the_same_forecast() -> None:
-    places = np.random.default_rng(5).uniform(-1.0, 1.0, (40, 3))
-    results = []
-    for _ in range(2):
-        forecast = _blank()
-        nav = _swim(forecast, 1)
-        results.append(_filled(forecast, nav, places, np.zeros(40)).tobytes())
-    assert results[0] == results[1]
-
-
 def test_a_revision_says_when_to_plan_anew() -> None:
     estimate = EstimatedCurrent()
     assert [estimate.revision(_nav([c, 0.0, 0.0])) for c in (0.1, 0.12, 0.14, 0.14, 0.1)] == [0, 0, 1, 1, 2]

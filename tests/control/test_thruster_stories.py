@@ -32,11 +32,6 @@ def test_a_dead_thruster_of_a_vehicle_far_from_its_file_is_found(thruster: int, 
     assert flown.found[thruster] < 0.35
 
 
-def test_the_same_seed_flies_the_same() -> None:
-    lost = Loss(thruster=1, share=0.5, at_s=6.0)
-    assert fly(5, 10.0, lost) == fly(5, 10.0, lost)
-
-
 def test_the_bound_on_false_alarms() -> None:
     assert upper_bound(0, 300) == pytest.approx(0.01, rel=0.01)
     assert upper_bound(1, 30) == pytest.approx(0.1489, rel=0.01)
