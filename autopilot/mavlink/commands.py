@@ -85,8 +85,6 @@ Handler = Callable[[Call], Reply]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CommandRow:
-    """One command that is understood."""
-
     handler: Handler
     action: bool
     """Changes something: not to be executed twice."""
@@ -116,6 +114,21 @@ def denied(reason: str) -> Reply:
     return Reply(CommandReply(result=CommandResult.DENIED, reason=reason))
 
 
+def action(handler: Handler) -> CommandRow:
+    """A command that changes something."""
+    return CommandRow(handler=handler, action=True)
+
+
+def request(handler: Handler) -> CommandRow:
+    """A command that only asks; asked again it is answered again."""
+    return CommandRow(handler=handler, action=False)
+
+
+def refused(reason: str) -> CommandRow:
+    """A command that the vehicle never carries out."""
+    return action(lambda call: denied(reason))
+
+
 def call_of(peer: MavlinkPeer, msg: Message) -> Call:
     """A COMMAND_LONG or COMMAND_INT as a call."""
     params = (msg.param1, msg.param2, msg.param3, msg.param4)
@@ -136,8 +149,6 @@ def call_of(peer: MavlinkPeer, msg: Message) -> Call:
 
 
 class CommandProtocol:
-    """The command microservice."""
-
     def __init__(
         self,
         ctx: Context,
@@ -161,7 +172,6 @@ class CommandProtocol:
         return self._table
 
     def on_command(self, peer: MavlinkPeer, msg: Message) -> None:
-        """COMMAND_LONG or COMMAND_INT."""
         call = call_of(peer, msg)
         entry = self._table.get(call.command)
         if entry is None:

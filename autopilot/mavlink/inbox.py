@@ -104,11 +104,9 @@ class MessageInbox:
 
     @property
     def received(self) -> int:
-        """Good frames so far."""
         return self._received_of_gone + sum(inbox.parser.received for inbox in self._inboxes.values())
 
     def push(self, frame: MavlinkFrame) -> Inbox:
-        """Put a datagram into its client's inbox."""
         address = (frame.link, frame.client)
         inbox = self._inboxes.touch(address, lambda: self._inbox(address, frame))
         if inbox.parser.push(frame.data) and not inbox.waiting:
@@ -121,12 +119,10 @@ class MessageInbox:
         return address in self._inboxes
 
     def reach(self, address: Address) -> Reach:
-        """How far away a client is."""
         inbox = self._inboxes.get(address)
         return Reach.NETWORK if inbox is None else inbox.reach
 
     def forget_link(self, link: int) -> None:
-        """Drop the inboxes of a closed link."""
         for address in [address for address in self._inboxes if address[0] == link]:
             self._let_go(self._inboxes.pop(address))
 

@@ -43,17 +43,12 @@ FENCE_AFTER_US = 2_000_000
 MAX_DOWNLOADS = 16
 """Snapshots kept at once; the oldest goes."""
 
-MISSION_TYPE_ALL = 255
-"""MAV_MISSION_TYPE_ALL: clear only."""
-
 _KINDS = {int(kind): kind for kind in PlanKind}
 CLEAR_ORDER = (PlanKind.MISSION, PlanKind.FENCE, PlanKind.RALLY)
 
 
 @dataclass(slots=True)
 class Upload:
-    """A transfer in progress."""
-
     peer: MavlinkPeer
     kind: PlanKind
     count: int
@@ -97,15 +92,11 @@ class Finished:
 
 @dataclass(slots=True)
 class Download:
-    """What one client is reading."""
-
     items: tuple[PlanItem, ...]
     used_us: int
 
 
 class Missions:
-    """The mission microservice."""
-
     def __init__(self, ctx: Context) -> None:
         self._ctx = ctx
         self._upload: Upload | None = None
@@ -172,7 +163,6 @@ class Missions:
         return seen
 
     def on_item(self, peer: MavlinkPeer, msg: Message) -> None:
-        """MISSION_ITEM_INT."""
         upload = self._upload
         if upload is None or upload.peer != peer:
             self._stray_item(peer, msg)
@@ -349,7 +339,7 @@ class Missions:
 
     def on_clear_all(self, peer: MavlinkPeer, msg: Message) -> None:
         """MISSION_CLEAR_ALL of one type or of all."""
-        if msg.mission_type == MISSION_TYPE_ALL:
+        if msg.mission_type == mav.MAV_MISSION_TYPE_ALL:
             kinds: tuple[PlanKind, ...] = CLEAR_ORDER
         elif msg.mission_type in _KINDS:
             kinds = (_KINDS[msg.mission_type],)
@@ -439,7 +429,6 @@ class Missions:
     # Time
 
     def tick(self) -> None:
-        """Answer, ask again, give up, forget."""
         self.answer()
         self._miss_fence()
         ctx = self._ctx

@@ -67,8 +67,6 @@ class _ParameterWrite:
 
 
 class Parameters:
-    """The parameter microservice."""
-
     def __init__(self, ctx: Context) -> None:
         self._ctx = ctx
         self._stubs = stubs_of(ctx.profile)
@@ -128,7 +126,6 @@ class Parameters:
         return bytes(data)
 
     def value(self, name: str) -> Message:
-        """PARAM_VALUE of a parameter that exists."""
         ctx = self._ctx
         kind = self._spec(name).type
         return mav.MAVLink_param_value_message(

@@ -28,8 +28,6 @@ _MODE_ACTIVE, _MODE_SUSPENDED = 1, 2
 
 
 class ProgressMessages:
-    """Mission progress."""
-
     def __init__(self, ctx: Context, missions: Missions) -> None:
         self._ctx = ctx
         self._missions = missions
@@ -42,7 +40,6 @@ class ProgressMessages:
         """Time by which all that was told of reached items has had its share."""
 
     def mission_current(self) -> Message:
-        """MISSION_CURRENT."""
         ctx, progress = self._ctx, self._ctx.view.progress
         items = ctx.plans.items(PlanKind.MISSION)
         total = len(items) - sum(item.is_home for item in items[:1])

@@ -152,10 +152,10 @@ def test_a_key_that_comes_back_does_not_make_recorded_frames_new() -> None:
     recorded = client.pack(mav.MAVLink_command_long_message(1, 1, 400, 0, *DISARM, 0, 0, 0, 0, 0))
     client.give(recorded)
     assert calls(world) == ["disarm"]
-    signing = world.server._dispatcher._ctx.signing
+    signing = world.server._ctx.signing
     for key in (OTHER, KEY, KEY):
         signing.set_key(key)
-        world.server._dispatcher._ctx.key_changed()
+        world.server._ctx.key_changed()
         client.give(recorded)
     assert calls(world) == ["disarm"] and signing.refused.old == 2
     client.disarm()
@@ -205,7 +205,7 @@ def test_no_frame_from_before_a_restart_is_obeyed_after_it(
     assert calls(world).count("disarm") > 0
     if end == "orderly":
         world.server.finish()
-        world.server._dispatcher._ctx.signing._store.finish()  # type: ignore[union-attr]
+        world.server._ctx.signing._store.finish()  # type: ignore[union-attr]
     down_s = NOW_S + 1.0 + run_s + 3.0  # what a start takes
     world = World(signing=SigningFiles(tmp_path, Desk(), now_s=down_s + clock_off_s))
     for _ in range(3):
@@ -237,7 +237,7 @@ def test_a_client_with_a_right_clock_goes_on_after_a_restart(tmp_path: Path, end
     assert len(calls(world)) == 20, "none is refused on the way"
     if end == "orderly":
         world.server.finish()
-        world.server._dispatcher._ctx.signing._store.finish()  # type: ignore[union-attr]
+        world.server._ctx.signing._store.finish()  # type: ignore[union-attr]
     begin_s = NOW_S + 10.5 if end == "orderly" else NOW_S + 10.0 + 2.2
     world = World(signing=SigningFiles(tmp_path, Desk(), now_s=begin_s))
     station.world = world
