@@ -46,7 +46,6 @@ def refuse(item: PlanItem, result: MissionResult, text: str, label: str = "item"
 
 
 def item_params(item: PlanItem) -> tuple[float, float, float, float]:
-    """The four free parameters."""
     return item.param1, item.param2, item.param3, item.param4
 
 

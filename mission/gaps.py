@@ -22,8 +22,6 @@ TOUCH_M = 0.02
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class NarrowPassage:
-    """A narrow place between two shapes."""
-
     first: FenceShape
     second: FenceShape
     width_m: float
@@ -84,7 +82,6 @@ class _PillarPairs:
     """(m, 2)"""
 
     def gaps(self) -> Iterator[tuple[int, int, float, FloatArray]]:
-        """The gaps one by one."""
         for (i, j), gap, middle in zip(self.near, self.gap_m, self.middle_ned_m, strict=True):
             yield int(i), int(j), float(gap), middle
 
@@ -118,7 +115,6 @@ class _Union:
         return k
 
     def join(self, i: int, j: int) -> None:
-        """Two shapes touch."""
         self._parent[self.of(j)] = self.of(i)
 
 

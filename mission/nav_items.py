@@ -123,5 +123,4 @@ def wait(item: PlanItem, origin: Origin) -> Step:
 
 
 def return_home(item: PlanItem, origin: Origin) -> Step:
-    """NAV_RETURN_TO_LAUNCH."""
     return ReturnHome(seq=item.seq)

@@ -89,7 +89,6 @@ def start_capture(item: PlanItem, origin: Origin) -> Step:
 
 
 def stop_capture(item: PlanItem, origin: Origin) -> Step:
-    """IMAGE_STOP_CAPTURE."""
     return StopShooting(seq=item.seq)
 
 

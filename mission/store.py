@@ -62,7 +62,6 @@ class Change(PlanChange):
 
     @property
     def done(self) -> bool:
-        """Whether it has been taken or refused."""
         return self._done
 
     @property
@@ -157,7 +156,6 @@ class Plans(PlanStore):
         return ""
 
     def items(self, kind: PlanKind) -> tuple[PlanItem, ...]:
-        """The plan in force."""
         return self._plans[kind]
 
     def checksum(self, kind: PlanKind) -> int:
@@ -333,7 +331,6 @@ class Plans(PlanStore):
         self._drop()
 
     def _drop(self) -> None:
-        """Forget what has been asked for."""
         if self._ticket is not None:
             self._ticket.cancel()
         if self._change is not None:
