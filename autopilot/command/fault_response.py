@@ -140,6 +140,4 @@ class FaultResponse:
             return np.zeros(len(limit_n))
         if self._place is None:
             self._place = x.copy()
-        return station_keeping_thrust(
-            self._sharing, x, self._place, current, np.minimum(limit_n, self._params["THR_LIMIT"])
-        )
+        return station_keeping_thrust(self._sharing, x, self._place, current, limit_n)

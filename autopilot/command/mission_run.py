@@ -8,7 +8,7 @@ import numpy as np
 
 from autopilot.command.announcements import Announcements
 from autopilot.command.command_tuning import MISSION_RUN
-from autopilot.command.conditions import TickInputs
+from autopilot.command.vehicle_status import VehicleStatus
 from autopilot.core import operator_messages as notices
 from autopilot.core.frames import FloatArray
 from autopilot.core.messages import Goal, NavState, ProgressState
@@ -63,7 +63,6 @@ class MissionRun:
         return True
 
     def start(self, t_us: int, nav: NavState | None) -> None:
-        """Go on where the mission stands."""
         self.load()
         self.sequencer.start()
         self._told_upstream, self._upstream_us = set(), t_us
@@ -84,7 +83,6 @@ class MissionRun:
             self._operator.say(notices.HOME_KEPT(reason=refusal))
 
     def step(self, t_us: int, nav: NavState) -> SequencerOutput:
-        """One tick while the mission is flown."""
         out = self.sequencer.step(t_us, nav)
         self._untold += out.reached
         if out.progress.state is ProgressState.COMPLETE:
@@ -136,15 +134,15 @@ class MissionRun:
         self._made_good.forget()
         self._given_up = False
 
-    def watch_way(self, conditions: TickInputs, goal: Goal, nav: NavState, *, flies: bool) -> bool:
+    def watch_way(self, status: VehicleStatus, goal: Goal, nav: NavState, *, flies: bool) -> bool:
         """A goal that the vehicle gets no nearer to is not crept at for ever: WP_STUCK_ACT says what is done.
 
         ``flies``: an item of the mission, else home. True when the vehicle is to hold.
         """
-        t_us, patience_s = conditions.t_us, self._params["WP_STUCK_TIME"]
+        t_us, patience_s = status.t_us, self._params["WP_STUCK_TIME"]
         step_m = patience_s * self._params["SPD_GROUND_MIN"]
         way_left_m = self.sequencer.circle_left_m if flies else None
-        way_left_m = conditions.way_left_m if way_left_m is None else way_left_m
+        way_left_m = status.way_left_m if way_left_m is None else way_left_m
         idle_s = self._made_good.idle_s(t_us, goal, nav, way_left_m, step_m)
         if flies and t_us - self._upstream_us >= MISSION_RUN.upstream_us:
             self._upstream_us = t_us
@@ -155,12 +153,12 @@ class MissionRun:
         if self._given_up:
             return False
         self._given_up = True
-        return self._give_up(conditions, goal, nav, flies)
+        return self._give_up(status, goal, nav, flies)
 
-    def _give_up(self, conditions: TickInputs, goal: Goal, nav: NavState, flies: bool) -> bool:
+    def _give_up(self, status: VehicleStatus, goal: Goal, nav: NavState, flies: bool) -> bool:
         """Say it and do it; True when the vehicle is to hold."""
         current = math.hypot(*nav.current_ned_m_s[:2].tolist())
-        why = "no free way" if conditions.unreachable else f"current {current:.2f} m/s"
+        why = "no free way" if status.unreachable else f"current {current:.2f} m/s"
         action = int(self._params["WP_STUCK_ACT"]) if flies else StuckAction.WARN
         if action == StuckAction.WARN:
             name = f"Item {goal.seq}" if flies else "Home"

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from mavlink_harness import ORIGIN, World, mav, nav_state
 
-from autopilot.command.surroundings import Environment
+from autopilot.command.environment import Environment
 from autopilot.core.geodesy import e7_from_deg, place_from_ned
 from autopilot.core.geometry import Circle, Fence, Polygon
 from autopilot.core.params import ParamSet

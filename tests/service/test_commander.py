@@ -27,7 +27,7 @@ from autopilot.mission.paper import paper_plan
 def test_arming_is_refused_with_a_reason(change: dict[str, Any], word: str) -> None:
     bench = Bench()
     for name, value in change.items():
-        setattr(bench, name, value)
+        setattr(bench.status if name == "ahrs_age_s" else bench, name, value)
     bench.run()
     answer = bench.commander.arm(force=False)
     assert answer.result is CommandResult.DENIED
@@ -181,11 +181,11 @@ def test_lost_position_does_what_the_parameter_says(action: int, armed: bool, mo
 
 def test_empty_battery_and_failing_solver_act_and_do_not_weaken() -> None:
     bench = Bench(FS_SOLVER_ACT=1).armed()
-    bench.failures = 1000
+    bench.status.solver_failures = 1000
     assert bench.run(0.02).mode is FlightMode.HOLD
     bench.remaining = 0.01
     assert bench.run(0.02).mode is FlightMode.SURFACE
-    bench.remaining, bench.failures = 0.9, 0
+    bench.remaining, bench.status.solver_failures = 0.9, 0
     assert bench.run(0.02).mode is FlightMode.SURFACE
     assert bench.commander.set_mode(FlightMode.HOLD).result is OK
     assert bench.run().mode is FlightMode.HOLD
@@ -193,7 +193,7 @@ def test_empty_battery_and_failing_solver_act_and_do_not_weaken() -> None:
 
 def test_silent_ahrs_is_a_failsafe() -> None:
     bench = Bench().armed()
-    bench.ahrs_age_s = 1.0
+    bench.status.ahrs_age_s = 1.0
     decision = bench.run(0.02)
     assert decision.failsafes & 1 << Failsafe.AHRS_STALE
     assert decision.mode is FlightMode.SURFACE

@@ -60,9 +60,9 @@ def test_the_operator_may_surface_while_a_failsafe_holds() -> None:
 def test_a_mere_warning_does_not_keep_the_operator_from_taking_over() -> None:
     bench = Bench(FS_BATT_ACT=0).armed()
     bench.remaining = 0.05
-    bench.failures = 1000
+    bench.status.solver_failures = 1000
     assert bench.run(0.02).mode is FlightMode.SURFACE
-    bench.failures = 0
+    bench.status.solver_failures = 0
     assert bench.run(0.02).failsafes == 1 << Failsafe.BATTERY
     assert bench.commander.set_mode(FlightMode.HOLD).result is OK
     assert bench.run().mode is FlightMode.HOLD
@@ -72,7 +72,7 @@ def test_a_start_that_a_failsafe_refuses_leaves_the_mission_where_it_is() -> Non
     bench = Bench()
     bench.load()
     bench.armed()
-    bench.failures = 1000
+    bench.status.solver_failures = 1000
     bench.run(0.02)
     assert bench.commander.start_mission(2).result is CommandResult.DENIED
     assert bench.run().progress.current_seq == 0
@@ -131,9 +131,9 @@ def test_a_fence_upon_the_vehicle_is_reported() -> None:
 def test_position_and_way_are_reported_once() -> None:
     bench = Bench().armed()
     bench.run()
-    bench.health, bench.unreachable = NavHealth.DEAD_RECKONING, True
+    bench.health, bench.status.unreachable = NavHealth.DEAD_RECKONING, True
     assert bench.run(0.1).armed
-    bench.health, bench.unreachable = NavHealth.GOOD, False
+    bench.health, bench.status.unreachable = NavHealth.GOOD, False
     bench.run(0.1)
     for word in ("Dead reckoning", "No free path", "good again"):
         assert sum(word in text for text in bench.texts) == 1, word
@@ -170,9 +170,9 @@ def test_a_new_mission_does_not_end_a_failsafe() -> None:
     bench.armed()
     bench.commander.start_mission(None)
     bench.run()
-    bench.failures = 1000
+    bench.status.solver_failures = 1000
     assert bench.run(0.02).mode is FlightMode.SURFACE
-    bench.failures = 0
+    bench.status.solver_failures = 0
     bench.run()
     assert bench.plans.replace(PlanKind.MISSION, paper_plan(2).mission) is None
     assert bench.run(0.02).mode is FlightMode.SURFACE
