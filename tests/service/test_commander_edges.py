@@ -5,15 +5,10 @@ import pytest
 from commander_bench import OK, Bench
 
 from autopilot.core.messages import Failsafe, NavHealth
-from autopilot.core.plan import PlanItem, PlanKind
+from autopilot.core.plan import PlanKind
 from autopilot.mavlink.api import CommandResult, FlightMode
 from autopilot.mission.paper import paper_plan
-
-
-def circle(north_m: float, east_m: float, radius_m: float) -> PlanItem:
-    """An exclusion in local metres."""
-    x, y = round(north_m * 1e4), round(east_m * 1e4)
-    return PlanItem(seq=0, frame=1, command=5004, param1=radius_m, param4=0.0, x=x, y=y)
+from tests.plan_items import circle
 
 
 def test_a_failsafe_that_holds_does_not_go_on_to_the_waypoint() -> None:
@@ -111,7 +106,7 @@ def test_return_is_refused_while_home_is_forbidden() -> None:
     decision = bench.run()
     assert decision.goal is not None
     assert decision.goal.pos_ned_m == pytest.approx([home[0], home[1], bench.pos[2]])
-    assert bench.plans.replace(PlanKind.FENCE, (circle(home[0], home[1], 0.5),)) is None
+    assert bench.plans.replace(PlanKind.FENCE, (circle(0, home[0], home[1], 0.5),)) is None
     answer = bench.commander.set_mode(FlightMode.RETURN)
     assert answer.result is CommandResult.DENIED
     assert "home" in answer.reason
@@ -120,10 +115,10 @@ def test_return_is_refused_while_home_is_forbidden() -> None:
 def test_a_fence_upon_the_vehicle_is_reported() -> None:
     bench = Bench().armed()
     bench.run()
-    assert bench.plans.replace(PlanKind.FENCE, (circle(3.0, 0.0, 0.5),)) is None
+    assert bench.plans.replace(PlanKind.FENCE, (circle(0, 3.0, 0.0, 0.5),)) is None
     bench.run()
     assert not any("New fence" in text for text in bench.texts)
-    assert bench.plans.replace(PlanKind.FENCE, (circle(bench.pos[0], bench.pos[1] + 0.4, 0.3),)) is None
+    assert bench.plans.replace(PlanKind.FENCE, (circle(0, bench.pos[0], bench.pos[1] + 0.4, 0.3),)) is None
     bench.run()
     assert any("New fence" in text and "0.20 m" in text for text in bench.texts)
 

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from autopilot.command.failsafe_docs import with_table
 from autopilot.command.failsafe_table import EFFECTS, RANK, ROWS, FailsafeRow
-from autopilot.core.messages import Failsafe, NavDoubt, NavHealth, Severity
+from autopilot.core.messages import Failsafe, NavDoubt
 from autopilot.core.params import PARAMETERS, ParamSet
 from autopilot.core.samples import HullSample, LeakSample
 from autopilot.mavlink.api import CommandResult, FlightMode
@@ -166,14 +166,6 @@ def test_an_override_is_told_at_every_arming() -> None:
     assert bench.texts.count("Operator overrides failsafes: GCS") == 2
 
 
-def test_a_leak_forbids_arming() -> None:
-    bench = Bench()
-    bench.status.wet_us = math.inf
-    bench.run()
-    answer = bench.commander.arm(force=False)
-    assert answer.result is CommandResult.DENIED and "water in the hull: open" in answer.reason
-
-
 def test_return_without_a_home_that_can_be_reached_holds() -> None:
     bench = Bench(FS_LAT_ACT=3)
     bench.load()
@@ -183,36 +175,9 @@ def test_return_without_a_home_that_can_be_reached_holds() -> None:
     assert bench.run(0.02).mode is FlightMode.HOLD
 
 
-@pytest.mark.parametrize(
-    ("beyond_m", "bits", "mode"),
-    [
-        (0.0, 0, FlightMode.HOLD),
-        (0.3, 1 << Failsafe.CAGE_SOFT, FlightMode.HOLD),
-        (0.8, 1 << Failsafe.CAGE_SOFT | 1 << Failsafe.CAGE_HARD, FlightMode.SURFACE),
-    ],
-)
-def test_the_cage_is_soft_and_hard(beyond_m: float, bits: int, mode: FlightMode) -> None:
-    bench = Bench(DEPTH_MAX=2.0).armed()
-    bench.pos[2] = 2.0 + beyond_m
-    decision = bench.run(0.8)
-    assert (decision.failsafes, decision.mode) == (bits, mode)
-
-
 def test_doubts_raise_their_row_and_a_wrong_sensor_does_not() -> None:
     bench = Bench().armed()
     bench.status.nav_doubts = frozenset({NavDoubt.ACCELEROMETER})
     assert bench.run(1.2).failsafes == 0
     bench.status.nav_doubts = frozenset({NavDoubt.MAP})
     assert bench.run(1.2).failsafes == 1 << Failsafe.DOUBT
-
-
-def test_dead_reckoning_is_allowed_for_its_time() -> None:
-    bench = Bench(FS_DR_TIME=3.0, FS_DR_ACT=1).armed()
-    bench.run(0.1)
-    bench.health = NavHealth.DEAD_RECKONING
-    assert bench.run(2.8).failsafes == 0
-    assert bench.run(0.4).failsafes == 1 << Failsafe.DEAD_RECKONING
-
-
-def test_warnings_are_said_as_such() -> None:
-    assert {row.rule for row in ROWS if row.severity is not Severity.CRITICAL} >= {Failsafe.GCS, Failsafe.CLOCK}

@@ -1,14 +1,12 @@
-"""What the operator hears of weak thrusters, and when the vehicle gives up its mission."""
+"""What the operator hears of weak thrusters and late commands that the vehicle allows for."""
 
 import numpy as np
-import pytest
 from commander_bench import Bench
 
 from autopilot.control.thrust.losses import ThrusterLosses
-from autopilot.core.messages import Failsafe, NavHealth, NavState
+from autopilot.core.messages import NavHealth, NavState
 from autopilot.core.params import ParamSet
 from autopilot.core.vehicle import load_vehicle
-from autopilot.mavlink.api import CommandResult, FlightMode
 
 
 def test_a_weak_thruster_is_named_once_and_the_vehicle_goes_on() -> None:
@@ -76,24 +74,12 @@ def _at_rest(t_us: int) -> NavState:
     )
 
 
-@pytest.mark.parametrize(
-    ("action", "mode"), [(0, FlightMode.HOLD), (1, FlightMode.HOLD), (2, FlightMode.SURFACE)], ids=str
-)
-def test_the_failsafe_acts_by_its_parameter(action: int, mode: FlightMode) -> None:
-    bench = Bench(FS_THR_ACT=action).armed()
-    bench.status.thruster_problem = "depth cannot be held (thruster vertical 0 %)"
-    assert bench.run(2.5).failsafes == 0
-    decision = bench.run(1.0)
-    assert decision.failsafes == 1 << Failsafe.THRUSTER
-    assert decision.mode is mode
-    assert "Failsafe: depth cannot be held (thruster vertical 0 %)" in bench.texts
-    assert any("Failsafe " + mode.name in text for text in bench.texts) == (action > 0)
-
-
-def test_a_vehicle_that_cannot_stay_is_not_armed() -> None:
-    bench = Bench()
-    bench.status.thruster_problem = "heading cannot be held (thruster port 0 %, starboard 0 %)"
-    bench.run()
-    answer = bench.commander.arm(force=False)
-    assert answer.result is CommandResult.DENIED
-    assert "THRn_HEALTH" in answer.reason
+def test_a_delay_that_is_allowed_for_is_only_told() -> None:
+    bench = Bench().armed()
+    bench.status.command_delay_s = 0.32
+    decision = bench.run(5.0)
+    assert decision.failsafes == 0
+    assert [text for text in bench.texts if "latency" in text] == ["Command latency 0.3 s: check the tether"]
+    bench.status.command_delay_s = 0.0
+    bench.run(1.0)
+    assert bench.texts[-1] == "Command latency is back to normal"
