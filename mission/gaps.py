@@ -30,7 +30,7 @@ class NarrowPassage:
 
 
 def narrow_gaps(
-    shapes: Sequence[FenceShape], width_m: float, look: Callable[[], None] = lambda: None
+    shapes: Sequence[FenceShape], width_m: float, check_cancel: Callable[[], None] = lambda: None
 ) -> Iterator[NarrowPassage]:
     """Gaps narrower than ``width_m`` between shapes that are not joined, in the order of the plan.
 
@@ -48,7 +48,7 @@ def narrow_gaps(
     for i, j in pairs[~both].tolist():
         if obstacle.of(i) == obstacle.of(j):
             continue
-        look()
+        check_cancel()
         relation = _relate(shapes[i], shapes[j])
         if relation is None:
             continue
@@ -63,7 +63,7 @@ def narrow_gaps(
     for i, j, gap, middle in merge(found, pillars.gaps(), key=lambda each: each[:2]):
         if obstacle.of(i) == obstacle.of(j):
             continue
-        look()
+        check_cancel()
         others = np.flatnonzero(always | np.all((low <= middle) & (middle <= high), axis=1)).tolist()
         if _is_open([shapes[k] for k in others if k not in (i, j)], middle):
             yield NarrowPassage(first=shapes[i], second=shapes[j], width_m=gap, middle_ned_m=middle)

@@ -20,7 +20,7 @@ class CollisionDetector:
         self._began_us: int | None = None
         self._peak = 0.0
 
-    def look(self, sample: AhrsSample | ImuSample, thrust_n: FloatArray | None, least_m_s2: float) -> bool:
+    def update(self, sample: AhrsSample | ImuSample, thrust_n: FloatArray | None, least_m_s2: float) -> bool:
         """Whether a jolt of at least that size has just ended."""
         ax, ay, _ = sample.accel_frd_m_s2.tolist()
         if self._base is None:

@@ -165,7 +165,7 @@ SERVICE = ServiceTuning()
 class FailsafeInputsTuning:
     """Of :mod:`autopilot.command.failsafe_inputs`."""
 
-    look_ticks: int = 10
+    update_ticks: int = 10
     """What needs geometry is looked at so often, energy at each tenth time."""
     slow_m_s: float = 0.05
     """Slower is not moving,"""

@@ -54,7 +54,7 @@ class Environment:
         """What devices have against arming."""
         self.status = VehicleStatus()
         self._t_us = 0
-        self._told_over = False
+        self._reported_over = False
         """That the vehicle would be deep inside of an obstacle."""
         self.sensed = Sensed()
         """The newest of each sensor."""
@@ -111,7 +111,7 @@ class Environment:
         sensed.vibration.note(sample.accel_frd_m_s2)
         if isinstance(sample, AhrsSample):
             status.note_ahrs(t_us, sample)
-        if self._collisions.look(sample, status.thrust_n, self._params["FS_COLL_ACC"]):
+        if self._collisions.update(sample, status.thrust_n, self._params["FS_COLL_ACC"]):
             status.collided_us = t_us
 
     def note_others(self, t_us: int, tracks: Sequence[ObstacleTrack], gone: Sequence[int], fence: Fence) -> None:
@@ -171,9 +171,9 @@ class Environment:
     def take_events(self) -> list[Event]:
         """Lines for the operator since the last call."""
         over_m = self.tracks.over_m
-        if over_m is not None and not self._told_over:
+        if over_m is not None and not self._reported_over:
             self._events.append(notices.IN_OBSTACLE.event(self._t_us, size_m=over_m))
-        self._told_over = over_m is not None
+        self._reported_over = over_m is not None
         events, self._events = self._events + self.power_watch.take_events(), []
         return events
 

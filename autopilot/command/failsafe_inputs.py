@@ -76,7 +76,7 @@ class FailsafeInputs:
         if nav is not None and nav.health is NavHealth.GOOD:
             self._fix_us = t_us
         self._ticks += 1
-        if self._ticks % FAILSAFE_INPUTS.look_ticks:
+        if self._ticks % FAILSAFE_INPUTS.update_ticks:
             return
         self.no_fix_s = 1e-6 * (t_us - self._fix_us) if self._known else NEVER
         self._update_ascent(t_us, blind=armed and surfacing and not valid)
@@ -133,7 +133,7 @@ class FailsafeInputs:
         home = self._plans.home_ned_m.tolist()
         self.tether_m = self._travelled_m if params["TETHER_COUNT"] else math.dist(place, home)
         self._update_motion(status)
-        if self._ticks % (10 * FAILSAFE_INPUTS.look_ticks) == 0:
+        if self._ticks % (10 * FAILSAFE_INPUTS.update_ticks) == 0:
             self._update_energy(status, on_mission=on_mission)
 
     def _update_motion(self, status: VehicleStatus) -> None:

@@ -57,7 +57,7 @@ class FailsafeRules:
         self._watches = tuple(_RowState(row) for row in ROWS)
         self._grounded = tuple(watch for watch in self._watches if not watch.row.flying)
         self._revision = -1
-        self._overridden = self._told_override = 0
+        self._overridden = self._reported_override = 0
         self._armed = False
         self._judge = True
         """Whether what acts may have changed."""
@@ -116,11 +116,11 @@ class FailsafeRules:
             self._armed, self._judge = armed, True
             if not armed:
                 self._land()
-        if self._told_override != self._overridden and armed:
-            self._told_override = self._overridden
+        if self._reported_override != self._overridden and armed:
+            self._reported_override = self._overridden
             events.append(_override_event(status.t_us, self._overridden))
         elif not armed:
-            self._told_override = 0
+            self._reported_override = 0
         t_us, inputs = status.t_us, self._failsafe_inputs
         for watch in self._watches if armed else self._grounded:
             level = watch.sign * watch.level(status, inputs)

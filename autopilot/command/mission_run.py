@@ -45,12 +45,12 @@ class MissionRun:
         self._made_good = MadeGood()
         self._given_up = False
         """The present goal has been told to be out of reach."""
-        self._told_upstream: set[tuple[int, bool]] = set()
+        self._reported_upstream: set[tuple[int, bool]] = set()
         """What has been told of the current on legs since the mission was started."""
         self._upstream_us = 0
-        self._untold: tuple[int, ...] = ()
+        self._unreported: tuple[int, ...] = ()
         """Items that were reached since that was last told."""
-        self._told_reached_us = -MISSION_RUN.reached_us
+        self._reached_reported_us = -MISSION_RUN.reached_us
         self.sequencer = Sequencer(params)
 
     def load(self) -> bool:
@@ -65,8 +65,8 @@ class MissionRun:
     def start(self, t_us: int, nav: NavState | None) -> None:
         self.load()
         self.sequencer.start()
-        self._told_upstream, self._upstream_us = set(), t_us
-        self._tell_upstream(nav)
+        self._reported_upstream, self._upstream_us = set(), t_us
+        self._report_upstream(nav)
 
     def set_home(self, pos_ned_m: FloatArray) -> str:
         """Home is a place on the surface: relative altitudes count from there. Why not, "" when it is taken."""
@@ -84,29 +84,29 @@ class MissionRun:
 
     def step(self, t_us: int, nav: NavState) -> SequencerOutput:
         out = self.sequencer.step(t_us, nav)
-        self._untold += out.reached
+        self._unreported += out.reached
         if out.progress.state is ProgressState.COMPLETE:
-            self._tell_reached(t_us)
+            self._report_reached(t_us)
         return out
 
     def tell(self, t_us: int) -> None:
         """What has been reached, as often as that is told; also when the mission is flown no more."""
-        if self._untold and t_us - self._told_reached_us >= MISSION_RUN.reached_us:
-            self._tell_reached(t_us)
+        if self._unreported and t_us - self._reached_reported_us >= MISSION_RUN.reached_us:
+            self._report_reached(t_us)
 
-    def _tell_reached(self, t_us: int) -> None:
+    def _report_reached(self, t_us: int) -> None:
         """What has been reached since the last text."""
-        count = len(self._untold)
+        count = len(self._unreported)
         if not count:
             return
         if count == 1:
-            text = notices.REACHED(seq=self._untold[0])
+            text = notices.REACHED(seq=self._unreported[0])
         elif count <= MISSION_RUN.reached_named:
-            text = notices.REACHED_SEVERAL(seqs=", ".join(map(str, self._untold)))
+            text = notices.REACHED_SEVERAL(seqs=", ".join(map(str, self._unreported)))
         else:
-            text = notices.REACHED_MANY(count=count, seq=self._untold[-1])
+            text = notices.REACHED_MANY(count=count, seq=self._unreported[-1])
         self._operator.say(text)
-        self._untold, self._told_reached_us = (), t_us
+        self._unreported, self._reached_reported_us = (), t_us
 
     def completed(self, t_us: int, laps: int, reached: tuple[int, ...]) -> tuple[int, ...]:
         """Say that the mission is over. The result is ``reached`` with the last item: a plan that ends with DO_ items
@@ -146,7 +146,7 @@ class MissionRun:
         idle_s = self._made_good.idle_s(t_us, goal, nav, way_left_m, step_m)
         if flies and t_us - self._upstream_us >= MISSION_RUN.upstream_us:
             self._upstream_us = t_us
-            self._tell_upstream(nav, only_this=True)
+            self._report_upstream(nav, only_this=True)
         if idle_s < patience_s:
             self._given_up = False
             return False
@@ -188,15 +188,15 @@ class MissionRun:
             lambda places: np.tile(current, (len(places), 1)),
         )
 
-    def _tell_upstream(self, nav: NavState | None, *, only_this: bool = False) -> None:
+    def _report_upstream(self, nav: NavState | None, *, only_this: bool = False) -> None:
         """What the current leaves of the speed over ground on the slowest leg that is to come (or on this one), if that
         is little; once per item and answer."""
         leg, least_m_s = self._slowest_leg(nav, only_this=only_this), self._params["SPD_GROUND_MIN"]
         if leg is not None and only_this:
             leg = leg.made(self._made_good.made_m_s, self._made_good.left_m)
-        if leg is None or leg.left_m_s >= UPSTREAM.told_m_s:
+        if leg is None or leg.left_m_s >= UPSTREAM.reported_m_s:
             return
         found = (leg.seq, leg.out_of_reach(least_m_s))
-        if found not in self._told_upstream:
-            self._told_upstream.add(found)
+        if found not in self._reported_upstream:
+            self._reported_upstream.add(found)
             self._operator.say(notices.UPSTREAM(leg=leg.text(least_m_s)))

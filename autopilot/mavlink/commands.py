@@ -105,7 +105,7 @@ class _Waiting:
     """A client that waits for what its command does."""
 
     later: Callable[[], CommandReply]
-    told_us: int
+    reported_us: int
     """When it is to be told next that there is progress."""
 
 
@@ -209,8 +209,8 @@ class CommandProtocol:
                 del self._waiting[peer, command]
                 self._remember(peer, command, answer)
                 self._reply(peer, command, Reply(answer))
-            elif self._ctx.t_us >= waiting.told_us:
-                waiting.told_us = self._ctx.t_us + PROGRESS_US
+            elif self._ctx.t_us >= waiting.reported_us:
+                waiting.reported_us = self._ctx.t_us + PROGRESS_US
                 self._ack(peer, command, answer)
 
     def _remember(self, peer: MavlinkPeer, command: int, answer: CommandReply) -> None:

@@ -85,7 +85,7 @@ class Finished:
     result: MissionResult
     plan_id: int
     at_us: int
-    said_us: int
+    answered_us: int
     guilty: int | None = None
     """The item of a refusal."""
 
@@ -165,7 +165,7 @@ class Missions:
     def on_item(self, peer: MavlinkPeer, msg: Message) -> None:
         upload = self._upload
         if upload is None or upload.peer != peer:
-            self._stray_item(peer, msg)
+            self._unasked_item(peer, msg)
             return
         if msg.mission_type != upload.kind or msg.seq != len(upload.items):
             self._item_out_of_turn(upload, msg)
@@ -208,7 +208,7 @@ class Missions:
         elif upload.wrong == 1:
             self._ask(upload)
 
-    def _stray_item(self, peer: MavlinkPeer, msg: Message) -> None:
+    def _unasked_item(self, peer: MavlinkPeer, msg: Message) -> None:
         """An item outside an upload: late (repeat the answer, if there is one yet), or nobody asked for it."""
         if self._checking is not None and self._checking.peer == peer:
             return
@@ -217,8 +217,8 @@ class Missions:
         if done is None or done.peer != peer or done.kind != msg.mission_type or now_us - done.at_us > late_us:
             self._ack(peer, MissionResult.ERROR, msg.mission_type)
             return
-        if msg.seq in (done.count - 1, done.guilty) and now_us - done.said_us >= REPEAT_PAUSE_US:
-            done.said_us = now_us
+        if msg.seq in (done.count - 1, done.guilty) and now_us - done.answered_us >= REPEAT_PAUSE_US:
+            done.answered_us = now_us
             if done.guilty is not None and done.guilty != msg.seq:
                 self._request(peer, done.guilty, done.kind)
             self._ack(peer, done.result, done.kind, done.plan_id)

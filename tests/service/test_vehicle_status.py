@@ -19,7 +19,7 @@ def felt(accel: np.ndarray, thrust_n: np.ndarray | None = None) -> bool:
         sample = AhrsSample(
             t_us=tick * 10_000, rpy_rad=zero, rate_frd_rad_s=zero, accel_frd_m_s2=np.array([ahead, 0.0, -9.81])
         )
-        found |= detector.look(sample, thrust_n, 3.0)
+        found |= detector.update(sample, thrust_n, 3.0)
     return found
 
 
