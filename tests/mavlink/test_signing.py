@@ -8,6 +8,7 @@ from __future__ import annotations
 import hashlib
 import random
 import stat
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -193,9 +194,14 @@ def run_signed(folder: Path, seconds: float, true_s: float, clock_s: float) -> t
     return world, stations
 
 
-@pytest.mark.parametrize("end", ["kill", "orderly"])
-@pytest.mark.parametrize("clock_off_s", [0.0, -1e8, -40.0, 3600.0])
-@pytest.mark.parametrize("run_s", [0.5, 1.5, 2.5, 4.0, 61.0])
+@pytest.mark.parametrize(
+    ("end", "clock_off_s", "run_s"),
+    [
+        *product(("kill", "orderly"), (0.0, -1e8, -40.0, 3600.0), (0.5, 2.5)),
+        ("kill", 0.0, 61.0),  # the time on disk has been renewed many times
+        ("orderly", -1e8, 61.0),
+    ],
+)
 def test_no_frame_from_before_a_restart_is_obeyed_after_it(
     tmp_path: Path, end: str, clock_off_s: float, run_s: float
 ) -> None:
