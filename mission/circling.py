@@ -65,7 +65,6 @@ class LoiterCircle:
 
     @property
     def over(self) -> bool:
-        """All turns have been made."""
         return self._turns > 0.0 and abs(self._turned) >= 2.0 * math.pi * self._turns
 
     @property

@@ -6,8 +6,10 @@ operator (MAVLink mission protocol, common.xml). What commands mean stands in :m
 
 import math
 
+import numpy as np
+
 from autopilot.core.errors import PlanError
-from autopilot.core.frames import wrap_pi
+from autopilot.core.frames import FloatArray, wrap_pi
 from autopilot.core.geodesy import (
     MAX_RANGE_M,
     Origin,
@@ -45,8 +47,14 @@ def refuse(item: PlanItem, result: MissionResult, text: str, label: str = "item"
     return ItemRefusedError(PlanRejection(seq=item.seq, result=result, reason=f"{label} {item.seq}: {text}"))
 
 
+def wrong(item: PlanItem, index: int, name: str, advice: str, unit: str = "") -> ItemRefusedError:
+    """The error for parameter 1..4: ``name (param1) is 7 unit; advice``."""
+    value = item_params(item)[index - 1]
+    shown = "not given" if math.isnan(value) else f"{value:g}{unit}"
+    return refuse(item, _PARAM_RESULT[index - 1], f"{name} (param{index}) is {shown}; {advice}")
+
+
 def item_params(item: PlanItem) -> tuple[float, float, float, float]:
-    """The four free parameters."""
     return item.param1, item.param2, item.param3, item.param4
 
 
@@ -62,8 +70,7 @@ def whole(item: PlanItem, index: int, name: str) -> int:
     """Parameter 1..4 as a whole number."""
     value = number(item, index, name)
     if value is None or value != int(value):
-        shown = "not given" if value is None else f"{value:g}"
-        raise refuse(item, _PARAM_RESULT[index - 1], f"{name} (param{index}) is {shown}; give a whole number")
+        raise wrong(item, index, name, "give a whole number")
     return int(value)
 
 
@@ -71,7 +78,7 @@ def seconds(item: PlanItem, name: str) -> float:
     """Parameter 1 as a time [s], 0 when it is not given."""
     value = number(item, 1, name) or 0.0
     if value < 0.0:
-        raise refuse(item, MissionResult.INVALID_PARAM1, f"{name} (param1) is {value:g} s; give 0 s or more")
+        raise wrong(item, 1, name, "give 0 s or more", " s")
     return value
 
 
@@ -81,8 +88,7 @@ def heading_rad(item: PlanItem) -> float | None:
     if value is None:
         return None
     if abs(value) > 360.0:
-        text = f"yaw (param4) is {value:g} deg; use -360 to 360 deg, or NaN for a free heading"
-        raise refuse(item, MissionResult.INVALID_PARAM4, text)
+        raise wrong(item, 4, "yaw", "use -360 to 360 deg, or NaN for a free heading", " deg")
     return wrap_pi(math.radians(value))
 
 
@@ -150,6 +156,11 @@ def depth_m(item: PlanItem, origin: Origin, label: str = "item") -> float:
     if depth < -SURFACE_TOLERANCE_M:
         raise refuse(item, MissionResult.INVALID_PARAM7, f"{-depth:.2f} m above the surface; {rule}", label)
     return max(0.0, depth)
+
+
+def pos_ned_m(item: PlanItem, origin: Origin) -> FloatArray:
+    """(3,) position of an item; refuses what :func:`horizontal_ned_m` and :func:`depth_m` refuse."""
+    return np.array([*horizontal_ned_m(item, origin), depth_m(item, origin)])
 
 
 def is_here(item: PlanItem) -> bool:

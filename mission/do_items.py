@@ -7,7 +7,7 @@ import numpy as np
 from autopilot.core.frames import wrap_pi
 from autopilot.core.geodesy import Origin
 from autopilot.core.plan import MissionResult, PlanItem
-from autopilot.mission.decode import depth_m, horizontal_ned_m, is_here, number, refuse, whole
+from autopilot.mission.decode import depth_m, horizontal_ned_m, is_here, number, refuse, whole, wrong
 from autopilot.mission.items import (
     AMSL_FRAMES,
     Agreed,
@@ -28,12 +28,11 @@ def jump(item: PlanItem, origin: Origin) -> Step:
     """DO_JUMP: p1 target item, p2 repeats (-1 = for ever). Whether the target exists is known with the whole plan."""
     target, count = whole(item, 1, "jump target"), whole(item, 2, "jump count")
     if target < 0:
-        raise refuse(item, MissionResult.INVALID_PARAM1, f"jump target (param1) is {target}; give an item number")
+        raise wrong(item, 1, "jump target", "give an item number")
     if target == item.seq:
         raise refuse(item, MissionResult.INVALID_PARAM1, "jumps to itself; give another item as target (param1)")
     if count < -1:
-        text = f"jump count (param2) is {count}; use 0 or more, -1 for ever"
-        raise refuse(item, MissionResult.INVALID_PARAM2, text)
+        raise wrong(item, 2, "jump count", "use 0 or more, -1 for ever")
     return Jump(seq=item.seq, target_seq=target, count=None if count == -1 else count)
 
 
@@ -41,15 +40,12 @@ def change_speed(item: PlanItem, origin: Origin) -> Step:
     """DO_CHANGE_SPEED: p1 type (0 or 1 = planar), p2 [m/s] (-2 = default). Throttle (p3) has no meaning here."""
     kind = number(item, 1, "speed type") or 0.0
     if kind not in (0.0, 1.0):
-        text = f"speed type (param1) is {kind:g}; use 1 (ground speed), heave follows the vehicle's limits"
-        raise refuse(item, MissionResult.INVALID_PARAM1, text)
+        raise wrong(item, 1, "speed type", "use 1 (ground speed), heave follows the vehicle's limits")
     speed = number(item, 2, "speed")
     if speed == -2.0:
         return ChangeSpeed(seq=item.seq, speed_m_s=None)
     if speed is None or speed <= 0.0:
-        shown = "not given" if speed is None else f"{speed:g} m/s"
-        text = f"speed (param2) is {shown}; give a speed above 0 m/s, or -2 for the default"
-        raise refuse(item, MissionResult.INVALID_PARAM2, text)
+        raise wrong(item, 2, "speed", "give a speed above 0 m/s, or -2 for the default", " m/s")
     return ChangeSpeed(seq=item.seq, speed_m_s=speed)
 
 
@@ -57,13 +53,10 @@ def set_heading(item: PlanItem, origin: Origin) -> Step:
     """CONDITION_YAW: p1 angle [deg], p3 direction of a relative turn (-1 = to port), p4 1 = relative."""
     angle = number(item, 1, "heading")
     if angle is None or abs(angle) > 360.0:
-        shown = "not given" if angle is None else f"{angle:g} deg"
-        text = f"heading (param1) is {shown}; use -360 to 360 deg"
-        raise refuse(item, MissionResult.INVALID_PARAM1, text)
+        raise wrong(item, 1, "heading", "use -360 to 360 deg", " deg")
     relative = number(item, 4, "relative flag") or 0.0
     if relative not in (0.0, 1.0):
-        text = f"relative flag (param4) is {relative:g}; use 0 (absolute) or 1 (relative)"
-        raise refuse(item, MissionResult.INVALID_PARAM4, text)
+        raise wrong(item, 4, "relative flag", "use 0 (absolute) or 1 (relative)")
     direction = number(item, 3, "direction") or 0.0
     if relative and direction < 0.0:
         angle = -angle
@@ -87,20 +80,17 @@ def near(item: PlanItem, origin: Origin) -> Step:
     """CONDITION_DISTANCE: p1 distance to the next place [m]."""
     distance = number(item, 1, "distance")
     if distance is None or distance < 0.0:
-        shown = "not given" if distance is None else f"{distance:g} m"
-        raise refuse(item, MissionResult.INVALID_PARAM1, f"distance (param1) is {shown}; give 0 m or more")
+        raise wrong(item, 1, "distance", "give 0 m or more", " m")
     return Near(seq=item.seq, distance_m=distance)
 
 
 def gate(item: PlanItem, origin: Origin) -> Step:
     """CONDITION_GATE: p1 0 = across the way, p2 1 = the altitude counts; a place in the gate."""
     if number(item, 1, "geometry"):
-        text = f"geometry (param1) is {item.param1:g}; use 0 (across the way)"
-        raise refuse(item, MissionResult.INVALID_PARAM1, text)
+        raise wrong(item, 1, "geometry", "use 0 (across the way)")
     counts = number(item, 2, "altitude flag") or 0.0
     if counts not in (0.0, 1.0):
-        text = f"altitude flag (param2) is {counts:g}; use 0 (ignored) or 1"
-        raise refuse(item, MissionResult.INVALID_PARAM2, text)
+        raise wrong(item, 2, "altitude flag", "use 0 (ignored) or 1")
     place = horizontal_ned_m(item, origin)
     depth = depth_m(item, origin) if counts else 0.0
     return Gate(seq=item.seq, pos_ned_m=np.array([*place, depth]), upright=counts == 0.0)
@@ -114,8 +104,7 @@ def look_at(item: PlanItem, origin: Origin) -> Step:
     if item.command == Command.DO_SET_ROI:
         mode = number(item, 1, "ROI mode") or 0.0
         if mode not in (ROI_NONE, ROI_LOCATION):
-            text = f"ROI mode (param1) is {mode:g}; use 3 (a place) or 0 (none)"
-            raise refuse(item, MissionResult.INVALID_PARAM1, text)
+            raise wrong(item, 1, "ROI mode", "use 3 (a place) or 0 (none)")
         if is_here(item):
             return LookAt(seq=item.seq, place_ned_m=None)
     return LookAt(seq=item.seq, place_ned_m=np.array(horizontal_ned_m(item, origin)))

@@ -22,8 +22,6 @@ TOUCH_M = 0.02
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class NarrowPassage:
-    """A narrow place between two shapes."""
-
     first: FenceShape
     second: FenceShape
     width_m: float
@@ -32,7 +30,7 @@ class NarrowPassage:
 
 
 def narrow_gaps(
-    shapes: Sequence[FenceShape], width_m: float, look: Callable[[], None] = lambda: None
+    shapes: Sequence[FenceShape], width_m: float, check_cancel: Callable[[], None] = lambda: None
 ) -> Iterator[NarrowPassage]:
     """Gaps narrower than ``width_m`` between shapes that are not joined, in the order of the plan.
 
@@ -50,7 +48,7 @@ def narrow_gaps(
     for i, j in pairs[~both].tolist():
         if obstacle.of(i) == obstacle.of(j):
             continue
-        look()
+        check_cancel()
         relation = _relate(shapes[i], shapes[j])
         if relation is None:
             continue
@@ -65,7 +63,7 @@ def narrow_gaps(
     for i, j, gap, middle in merge(found, pillars.gaps(), key=lambda each: each[:2]):
         if obstacle.of(i) == obstacle.of(j):
             continue
-        look()
+        check_cancel()
         others = np.flatnonzero(always | np.all((low <= middle) & (middle <= high), axis=1)).tolist()
         if _is_open([shapes[k] for k in others if k not in (i, j)], middle):
             yield NarrowPassage(first=shapes[i], second=shapes[j], width_m=gap, middle_ned_m=middle)
@@ -84,7 +82,6 @@ class _PillarPairs:
     """(m, 2)"""
 
     def gaps(self) -> Iterator[tuple[int, int, float, FloatArray]]:
-        """The gaps one by one."""
         for (i, j), gap, middle in zip(self.near, self.gap_m, self.middle_ned_m, strict=True):
             yield int(i), int(j), float(gap), middle
 
@@ -118,7 +115,6 @@ class _Union:
         return k
 
     def join(self, i: int, j: int) -> None:
-        """Two shapes touch."""
         self._parent[self.of(j)] = self.of(i)
 
 

@@ -111,7 +111,7 @@ class PlanVerdict:
 
 def judge(question: Question, cancel: Cancel) -> PlanVerdict:
     """Look at all plans. Raises :class:`autopilot.core.desk.WithdrawnError` soon after ``cancel``."""
-    look = cancel.check
+    check_cancel = cancel.check
     ctx, plans = question.context, question.plans
     steps, broken_steps = read_mission(plans[PlanKind.MISSION], ctx.origin)
     shapes, broken_shapes = read_fence(plans[PlanKind.FENCE], ctx.origin)
@@ -120,28 +120,28 @@ def judge(question: Question, cancel: Cancel) -> PlanVerdict:
         PlanProblem(kind=kind, seq=p.seq, result=p.result, reason=p.reason)
         for kind, problems in (
             (PlanKind.MISSION, mission_problems(steps, broken_steps, ctx.params)),
-            (PlanKind.FENCE, fence_problems(shapes, broken_shapes, ctx, look)),
+            (PlanKind.FENCE, fence_problems(shapes, broken_shapes, ctx, check_cancel)),
             (PlanKind.RALLY, broken_points),
         )
         for p in chain(sequence_problems(kind, plans[kind]), problems)
     )
-    look()
+    check_cancel()
     if broken_steps or broken_shapes or broken_points:
         return PlanVerdict(question=question, own=own)
-    joint = list(joint_problems(steps, shapes, rally, ctx, look))
-    look()
+    joint = list(joint_problems(steps, shapes, rally, ctx, check_cancel))
+    check_cancel()
     fence = build_fence(shapes, ctx.params)
     warnings: list[str] = []
     if not ctx.params["FENCE_GAP_CHK"]:
-        gaps = narrow_gaps(shapes, 2.0 * ctx.radius_m, look)
+        gaps = narrow_gaps(shapes, 2.0 * ctx.radius_m, check_cancel)
         warnings += [gap_text(gap, ctx.radius_m) for gap in islice(gaps, VALIDATION.max_gaps)]
-    look()
+    check_cancel()
     if question.water is not None and (steps or shapes):
         reason = question.water.problem(fence, steps, ctx.origin)
         if reason:
             kind = PlanKind.FENCE if shapes else PlanKind.MISSION
             joint.append(PlanProblem(kind=kind, seq=0, result=MissionResult.INVALID, reason=reason))
-        look()
+        check_cancel()
         warning = question.water.warning(fence, steps, ctx.params["SPD_PLANAR_MAX"])
         warnings += [warning] if warning else []
     goals = [step for step in steps if isinstance(step, GoTo) and step.pos_ned_m is not None]

@@ -60,8 +60,6 @@ class OriginTable(Table, frozen=True, kw_only=True):
 
 
 class WaypointTable(Table, frozen=True, kw_only=True):
-    """One waypoint."""
-
     x_m: float
     y_m: float
     depth_m: float
@@ -115,8 +113,6 @@ class SurfacePoint(Table, frozen=True, kw_only=True):
 
 
 class LocalPlan(Table, frozen=True, kw_only=True):
-    """The whole file."""
-
     description: str = ""
     origin: OriginTable
     waypoint: list[WaypointTable] = msgspec.field(default_factory=list)

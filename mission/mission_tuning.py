@@ -94,7 +94,7 @@ STEP_GOALS = StepGoalsTuning()
 class UpstreamTuning:
     """Of :mod:`autopilot.mission.upstream`."""
 
-    told_m_s: float = 0.1
+    reported_m_s: float = 0.1
     """Legs on which less than this is left over ground are told: a third of the usual cruise speed."""
     samples: int = 40
     """Places per leg at which a map is asked."""

@@ -5,16 +5,16 @@ import math
 import numpy as np
 
 from autopilot.core.geodesy import Origin
-from autopilot.core.plan import MissionResult, PlanItem
+from autopilot.core.plan import PlanItem
 from autopilot.mission.decode import (
     SURFACE_TOLERANCE_M,
-    depth_m,
     heading_rad,
     horizontal_ned_m,
     is_here,
     number,
-    refuse,
+    pos_ned_m,
     seconds,
+    wrong,
 )
 from autopilot.mission.items import AMSL_FRAMES, Circuit, Command, GoTo, MavFrame, ReturnHome, Step, Surface, Wait
 from autopilot.mission.mission_tuning import NAV_ITEMS
@@ -25,17 +25,14 @@ def goto(item: PlanItem, origin: Origin) -> Step:
     hold = seconds(item, "hold time")
     radius = number(item, 2, "acceptance radius") or None
     if radius is not None and radius < NAV_ITEMS.min_accept_radius_m:
-        least_m = NAV_ITEMS.min_accept_radius_m
-        text = f"acceptance radius (param2) is {radius:g} m; use {least_m:g} m or more, 0 for the default"
-        raise refuse(item, MissionResult.INVALID_PARAM2, text)
+        advice = f"use {NAV_ITEMS.min_accept_radius_m:g} m or more, 0 for the default"
+        raise wrong(item, 2, "acceptance radius", advice, " m")
     if number(item, 3, "pass-by radius"):
-        text = f"pass-by radius (param3) is {item.param3:g} m, which is not supported; set it to 0"
-        raise refuse(item, MissionResult.INVALID_PARAM3, text)
+        raise wrong(item, 3, "pass-by radius", "set it to 0", " m, which is not supported")
     yaw = heading_rad(item)
-    north, east = horizontal_ned_m(item, origin)
     return GoTo(
         seq=item.seq,
-        pos_ned_m=np.array([north, east, depth_m(item, origin)]),
+        pos_ned_m=pos_ned_m(item, origin),
         yaw_rad=yaw,
         hold_s=hold,
         accept_radius_m=radius,
@@ -48,10 +45,7 @@ def loiter(item: PlanItem, origin: Origin) -> Step:
     for_ever = item.command == Command.NAV_LOITER_UNLIM
     hold = None if for_ever else seconds(item, "loiter time")
     yaw = heading_rad(item) if for_ever else None
-    pos = None
-    if not is_here(item):
-        north, east = horizontal_ned_m(item, origin)
-        pos = np.array([north, east, depth_m(item, origin)])
+    pos = None if is_here(item) else pos_ned_m(item, origin)
     return GoTo(
         seq=item.seq,
         pos_ned_m=pos,
@@ -66,17 +60,12 @@ def circuit(item: PlanItem, origin: Origin) -> Step:
     """NAV_LOITER_TURNS: p1 turns, p3 radius [m] (negative = to port, 0 = CIRCLE_RADIUS). p2 and p4 are for aircraft."""
     turns = number(item, 1, "turns")
     if turns is None or not 0.0 < turns <= NAV_ITEMS.max_turns:
-        shown = "not given" if turns is None else f"{turns:g}"
-        text = f"turns (param1) is {shown}; use above 0, up to {NAV_ITEMS.max_turns}"
-        raise refuse(item, MissionResult.INVALID_PARAM1, text)
+        raise wrong(item, 1, "turns", f"use above 0, up to {NAV_ITEMS.max_turns}")
     radius = number(item, 3, "radius") or 0.0
     least, most = NAV_ITEMS.min_ring_m, NAV_ITEMS.max_ring_m
     if radius and not least <= abs(radius) <= most:
-        text = f"radius (param3) is {radius:g} m; use {least:g} to {most:g} m (negative = to port), 0 = CIRCLE_RADIUS"
-        raise refuse(item, MissionResult.INVALID_PARAM3, text)
-    centre = None
-    if not is_here(item):
-        centre = np.array([*horizontal_ned_m(item, origin), depth_m(item, origin)])
+        raise wrong(item, 3, "radius", f"use {least:g} to {most:g} m (negative = to port), 0 = CIRCLE_RADIUS", " m")
+    centre = None if is_here(item) else pos_ned_m(item, origin)
     return Circuit(
         seq=item.seq,
         centre_ned_m=centre,
@@ -123,5 +112,4 @@ def wait(item: PlanItem, origin: Origin) -> Step:
 
 
 def return_home(item: PlanItem, origin: Origin) -> Step:
-    """NAV_RETURN_TO_LAUNCH."""
     return ReturnHome(seq=item.seq)

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 from autopilot.core.geodesy import Origin
 from autopilot.core.plan import MissionResult, PlanItem
-from autopilot.mission.decode import INVALID_INT32, number, refuse, whole
+from autopilot.mission.decode import INVALID_INT32, number, refuse, whole, wrong
 from autopilot.mission.items import Order, Step
 
 GRIPPER_ACTIONS = (0, 1)
@@ -82,14 +82,13 @@ def start_capture(item: PlanItem, origin: Origin) -> Step:
     """IMAGE_START_CAPTURE: p2 interval [s], p3 count."""
     interval_s, count = _least(item, 2, "interval", 0.0), whole(item, 3, "count")
     if count < 0:
-        raise refuse(item, MissionResult.INVALID_PARAM3, f"count (param3) is {count}; use 0 (until stopped) or more")
+        raise wrong(item, 3, "count", "use 0 (until stopped) or more")
     if count != 1 and interval_s == 0.0:
         raise refuse(item, MissionResult.INVALID_PARAM2, "interval (param2) is 0 s; give the time between stills")
     return Shoot(seq=item.seq, count=count or None, interval_s=interval_s)
 
 
 def stop_capture(item: PlanItem, origin: Origin) -> Step:
-    """IMAGE_STOP_CAPTURE."""
     return StopShooting(seq=item.seq)
 
 
@@ -116,8 +115,7 @@ def camera_mode(item: PlanItem, origin: Origin) -> Step:
     """SET_CAMERA_MODE: stills only."""
     mode = whole(item, 2, "camera mode")
     if mode not in STILLS_MODES:
-        text = f"camera mode (param2) is {mode}; the camera takes stills only, use 0"
-        raise refuse(item, MissionResult.INVALID_PARAM2, text)
+        raise wrong(item, 2, "camera mode", "the camera takes stills only, use 0")
     return NothingToDo(seq=item.seq)
 
 
@@ -141,7 +139,7 @@ def set_relay(item: PlanItem, origin: Origin) -> Step:
     """DO_SET_RELAY: p1 relay from 0, p2 1 = on, 0 = off, -1 = the other side."""
     setting = whole(item, 2, "setting")
     if setting not in (-1, 0, 1):
-        raise refuse(item, MissionResult.INVALID_PARAM2, f"setting (param2) is {setting}; use 1 = on, 0 = off")
+        raise wrong(item, 2, "setting", "use 1 = on, 0 = off")
     return SwitchRelay(seq=item.seq, number=whole(item, 1, "relay"), on=None if setting == -1 else setting == 1)
 
 
@@ -160,7 +158,7 @@ def gripper(item: PlanItem, origin: Origin) -> Step:
     """DO_GRIPPER: p1 gripper from 1, p2 0 = open, 1 = close."""
     action = whole(item, 2, "action")
     if action not in GRIPPER_ACTIONS:
-        raise refuse(item, MissionResult.INVALID_PARAM2, f"action (param2) is {action}; use 0 = open, 1 = close")
+        raise wrong(item, 2, "action", "use 0 = open, 1 = close")
     return Grip(seq=item.seq, number=whole(item, 1, "gripper"), close=action == 1)
 
 
@@ -192,7 +190,5 @@ def _least(item: PlanItem, index: int, name: str, least: float) -> float:
     """A parameter that is at least so much; one that is not given counts as 0."""
     value = number(item, index, name) or 0.0
     if value < least:
-        results = (MissionResult.INVALID_PARAM1, MissionResult.INVALID_PARAM2, MissionResult.INVALID_PARAM3)
-        result = results[index - 1] if index <= len(results) else MissionResult.INVALID_PARAM4
-        raise refuse(item, result, f"{name} (param{index}) is {value:g}; use {least:g} or more")
+        raise wrong(item, index, name, f"use {least:g} or more")
     return value

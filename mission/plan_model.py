@@ -25,7 +25,6 @@ class PlanFile:
     """Planned home position; of a tank plan also the local origin that it was drawn with."""
 
     def items(self, kind: PlanKind) -> tuple[PlanItem, ...]:
-        """The items of one kind."""
         return {PlanKind.MISSION: self.mission, PlanKind.FENCE: self.fence, PlanKind.RALLY: self.rally}[kind]
 
     def drawing_origin(self) -> Origin:

@@ -6,17 +6,14 @@ the acceptance ball (3-D) and, if a heading is asked for, inside the heading ban
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from enum import StrEnum
 
 import numpy as np
 
 from autopilot.core.errors import PlanError
 from autopilot.core.frames import FloatArray, wrap_pi
-from autopilot.core.messages import MissionProgress, NavState, ProgressState
-from autopilot.mission.execution import Action as Action
-from autopilot.mission.execution import Position as Position
-from autopilot.mission.execution import RunMemory
-from autopilot.mission.execution import SequencerOutput as SequencerOutput
+from autopilot.core.messages import Goal, MissionProgress, NavState, ProgressState
 from autopilot.mission.items import (
     ChangeSpeed,
     Circuit,
@@ -35,11 +32,51 @@ from autopilot.mission.items import (
     Travel,
     Wait,
 )
-from autopilot.mission.step_goals import StepGoals
+from autopilot.mission.step_goals import RunMemory, StepGoals
 from autopilot.mission.step_goals import is_inside as is_inside
 
 MAX_INSTANT_STEPS = 64
 """Steps without duration that one tick may run; a plan of thousands of empty jumps is spread over ticks."""
+
+
+class Action(StrEnum):
+    """What the mission asks of the vehicle's mode logic, on the one tick on which it does."""
+
+    SURFACE = "surface"
+    """NAV_LAND has come up to the top of the depth band: surface and disarm."""
+    HOLD = "hold"
+    """The mission is complete; the goal stays where it is."""
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class SequencerOutput:
+    """Result of one tick."""
+
+    goal: Goal | None
+    """None while no mission runs and while the estimate is not finite."""
+    progress: MissionProgress
+    reached: tuple[int, ...] = ()
+    """Items reached on this tick (NAV commands only)."""
+    action: Action | None = None
+    home_ned_m: FloatArray | None = None
+    """(3,) new home, on the tick on which a DO_SET_HOME ran."""
+    orders: tuple[Order, ...] = ()
+    """For the equipment, in the order in which the mission came by them on this tick."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Position:
+    """Where a mission stands: all that it takes to go on with it after a restart."""
+
+    cursor: int
+    """Step that runs next."""
+    reached_seq: int
+    lap: int
+    jumps_done: tuple[tuple[int, int], ...]
+    """(step of a jump, how often it was made)."""
+    speed_m_s: float | None
+    default_yaw_rad: float | None
+    facing_ned_m: tuple[float, float] | None = None
 
 
 class Sequencer:

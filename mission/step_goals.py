@@ -2,14 +2,13 @@
 
 import math
 from collections.abc import Mapping
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from autopilot.core.frames import FloatArray, wrap_pi
 from autopilot.core.messages import Goal, NavHealth, NavState, ProgressState
 from autopilot.mission.circling import LoiterCircle
-from autopilot.mission.execution import RunMemory
 from autopilot.mission.items import (
     Circuit,
     Gate,
@@ -25,6 +24,49 @@ from autopilot.mission.items import (
 )
 from autopilot.mission.lookahead import next_place, next_waypoint
 from autopilot.mission.mission_tuning import STEP_GOALS
+
+
+@dataclass(slots=True, eq=False, kw_only=True)
+class RunMemory:
+    """What is remembered of one run of the mission."""
+
+    cursor: int
+    """Step that runs now."""
+    state: ProgressState
+    entered: bool = False
+    """Whether the goal of the present step has been set."""
+    goal: Goal | None = None
+    pause_goal: Goal | None = None
+    default_yaw_rad: float | None = None
+    """Heading of goals that leave it free (CONDITION_YAW)."""
+    speed_m_s: float | None = None
+    """None = SPD_CRUISE."""
+    facing_ned_m: FloatArray | None = None
+    """(2,) what the vehicle looks at, None = nothing."""
+    circle: LoiterCircle | None = None
+    """Of NAV_LOITER_TURNS, while it runs."""
+    leg_from_ned_m: FloatArray | None = None
+    """(3,) where the way to the present goal begins."""
+    given_up_seq: int = -1
+    """An item to pass over: it was given up on the way, before its turn."""
+    inside_since_us: int | None = None
+    waited_us: int = 0
+    """How long the present wait has run, pauses left out."""
+    clock_us: int | None = None
+    """The last tick of that wait, None = it (or its pause) has just begun or ended."""
+    rising: bool = False
+    """NAV_LAND: above its place and on the way up."""
+    jumps_done: dict[int, int] = field(default_factory=dict)
+    flown: int = 0
+    """Steps that took time so far."""
+    flown_at_jump: dict[int, int] = field(default_factory=dict)
+    """That number when a jump (by its step) was last made."""
+    reached_seq: int = -1
+    lap: int = 0
+    skipped: int = 0
+    """Items given up."""
+    ending: bool = False
+    """The last item has been given up: complete with the next tick."""
 
 
 class StepGoals:

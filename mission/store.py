@@ -14,6 +14,7 @@ from operator import itemgetter
 import numpy as np
 
 from autopilot.core.desk import Cancel, Desk, Ticket
+from autopilot.core.errors import PlanError
 from autopilot.core.frames import FloatArray
 from autopilot.core.geodesy import MAX_RANGE_M, GeodeticPosition, Origin, far_text, geodetic_from_ned, ned_from_geodetic
 from autopilot.core.geometry import Fence
@@ -24,9 +25,10 @@ from autopilot.mission.fence import FenceShape, build_fence
 from autopilot.mission.item_types import parse_step
 from autopilot.mission.items import Order, Step
 from autopilot.mission.judgement import EMPTY, PLAN_PARAMETERS, Plans3, PlanVerdict, Question, WaterCheck, judge
+from autopilot.mission.plan_model import PlanFile
 from autopilot.mission.validation import check_item
 
-__all__ = ["Change", "Plans", "WaterCheck", "plan_checksum"]
+__all__ = ["Change", "Plans", "WaterCheck", "load_plan", "plan_checksum"]
 
 CHECK_TICKS = 5
 """The answer to a check is taken so many ticks after it was asked for: 50 ms, which a plan of fifty polygons needs."""
@@ -62,7 +64,6 @@ class Change(PlanChange):
 
     @property
     def done(self) -> bool:
-        """Whether it has been taken or refused."""
         return self._done
 
     @property
@@ -157,7 +158,6 @@ class Plans(PlanStore):
         return ""
 
     def items(self, kind: PlanKind) -> tuple[PlanItem, ...]:
-        """The plan in force."""
         return self._plans[kind]
 
     def checksum(self, kind: PlanKind) -> int:
@@ -333,7 +333,6 @@ class Plans(PlanStore):
         self._drop()
 
     def _drop(self) -> None:
-        """Forget what has been asked for."""
         if self._ticket is not None:
             self._ticket.cancel()
         if self._change is not None:
@@ -367,3 +366,14 @@ def _failed(question: Question, error: Exception) -> PlanVerdict:
     text = f"the plan check failed ({type(error).__name__}): send the plan again, and report this with the log"
     own = tuple(PlanProblem(kind=kind, seq=0, result=MissionResult.ERROR, reason=text) for kind in PlanKind)
     return PlanVerdict(question=question, own=own)
+
+
+def load_plan(plans: Plans, plan: PlanFile, origin: str) -> str:
+    """Take fence, mission and rally of a plan file, before the loop runs. The result is why they cannot be flown yet,
+    "" if they can. PlanError with the reason when a plan is wrong by itself."""
+    for kind, items in ((PlanKind.FENCE, plan.fence), (PlanKind.MISSION, plan.mission), (PlanKind.RALLY, plan.rally)):
+        if items:
+            rejection = plans.replace(kind, items)
+            if rejection is not None:
+                raise PlanError(f"{origin}: {kind.name.lower()}: {rejection.reason}")
+    return plans.problem

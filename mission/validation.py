@@ -194,14 +194,14 @@ def _spins(steps: Sequence[Step], start: Jump) -> bool:
 
 
 def fence_problems(
-    shapes: Sequence[FenceShape], broken: Sequence[PlanRejection], ctx: PlanContext, look: Callable[[], None]
+    shapes: Sequence[FenceShape], broken: Sequence[PlanRejection], ctx: PlanContext, check_cancel: Callable[[], None]
 ) -> Iterator[PlanRejection]:
     """What is wrong with a fence by itself, as it was read. ``look`` is called between the steps, and may raise."""
     yield from broken
     if ctx.params["FENCE_GAP_CHK"]:
-        gaps = narrow_gaps(shapes, 2.0 * ctx.radius_m, look)
+        gaps = narrow_gaps(shapes, 2.0 * ctx.radius_m, check_cancel)
         yield from (_gap_rejection(gap, ctx.radius_m) for gap in islice(gaps, VALIDATION.max_gaps))
-    look()
+    check_cancel()
     fence = build_fence(shapes, ctx.params)
     if fence.inclusions and not has_room(fence, ctx.keep_m - VALIDATION.place_tolerance_m):
         first = next(s for s in shapes if s.inclusion)
@@ -259,14 +259,14 @@ def joint_problems(
     shapes: Sequence[FenceShape],
     rally: Sequence[tuple[int, float, float]],
     ctx: PlanContext,
-    look: Callable[[], None] = lambda: None,
+    check_cancel: Callable[[], None] = lambda: None,
 ) -> Iterator[PlanProblem]:
     """What the fence forbids of mission and rally points: places; if there is none, legs without a free path."""
     if not shapes:
         return
     places: list[_PointToClear] = []
     route: list[_PointToClear] = []
-    for ring in _ring_places(tuple(_circles(steps)), shapes, ctx, look):
+    for ring in _ring_places(tuple(_circles(steps)), shapes, ctx, check_cancel):
         places.append(ring)
         route.append(ring)
     for step in steps:
@@ -286,10 +286,10 @@ def joint_problems(
     places.sort(key=lambda place: place.seq)
     found = _place_conflicts(places, shapes)
     yield from found
-    look()
+    check_cancel()
     if not found and route:
         yield from _path_conflicts(route, shapes, ctx)
-    look()
+    check_cancel()
     points = [
         _PointToClear(
             kind=PlanKind.RALLY,
@@ -322,7 +322,7 @@ def _ring_places(
     circles: Sequence[tuple[Circuit, FloatArray]],
     shapes: Sequence[FenceShape],
     ctx: PlanContext,
-    look: Callable[[], None],
+    check_cancel: Callable[[], None],
 ) -> Iterator[_PointToClear]:
     """The worst place of each circle, or any when the whole circle is free."""
     if not circles:
@@ -336,7 +336,7 @@ def _ring_places(
         room, middle = Clearance([both[i] for i in within.tolist()]), (float(centre[0]), float(centre[1]))
         worst = worst_on_ring(room, middle, radius_m, need_m) if len(within) else None
         north, east = (middle[0] + radius_m, middle[1]) if worst is None else worst.tolist()
-        look()
+        check_cancel()
         yield _PointToClear(
             kind=PlanKind.MISSION,
             seq=step.seq,

@@ -16,4 +16,4 @@ import autopilot.control.robust.tube
 import autopilot.estimator.complementary
 import autopilot.estimator.ekf
 import autopilot.estimator.relocation
-import autopilot.mavlink.dispatch
+import autopilot.mavlink.server

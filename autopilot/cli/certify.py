@@ -88,10 +88,9 @@ def _goals(path: Path | None, params: "ParamSet", vehicle: "Vehicle") -> "tuple[
     from autopilot.core.errors import PlanError
     from autopilot.core.messages import Goal
     from autopilot.mission.items import GoTo
-    from autopilot.mission.loading import load_plan
     from autopilot.mission.paper import paper_plan
     from autopilot.mission.plan_files import read_plan
-    from autopilot.mission.store import Plans
+    from autopilot.mission.store import Plans, load_plan
 
     plan = paper_plan() if path is None else read_plan(path)
     name = "the paper's plan" if path is None else str(path)

@@ -13,7 +13,6 @@ class Announcements:
         self._events: list[Event] = []
 
     def say(self, text: OperatorText) -> None:
-        """A line of now."""
         self._events.append(text.event(self.t_us))
 
     def pass_on(self, event: Event) -> None:
@@ -21,6 +20,5 @@ class Announcements:
         self._events.append(event)
 
     def drain(self) -> tuple[Event, ...]:
-        """Lines since the last call."""
         events, self._events = tuple(self._events), []
         return events

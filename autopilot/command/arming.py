@@ -3,8 +3,8 @@
 import math
 from collections.abc import Callable
 
-from autopilot.command.conditions import TickInputs
 from autopilot.command.failsafes import FailsafeRules
+from autopilot.command.vehicle_status import VehicleStatus
 from autopilot.core.geodesy import MAX_RANGE_M, far_text
 from autopilot.core.messages import NavHealth, NavState
 from autopilot.core.params import ParamSet
@@ -35,15 +35,15 @@ class ArmingChecks:
         self._failsafes = failsafes
         self._controller_check = controller_check
 
-    def reasons(self, conditions: TickInputs | None, *, blind: bool = False) -> tuple[str, ...]:
+    def reasons(self, status: VehicleStatus | None, *, blind: bool = False) -> tuple[str, ...]:
         """Empty when ready; one line each. ``blind``: for a mode that needs no position; of a place that is not known
         nothing is asked then."""
-        if conditions is None:
+        if status is None:
             return STARTING
-        nav = conditions.nav
+        nav = status.nav
         if blind and (nav is None or nav.health is not NavHealth.GOOD):
-            return self._failsafes.prearm_reasons(conditions, blind=True)
-        reasons = list(self._failsafes.prearm_reasons(conditions))
+            return self._failsafes.prearm_reasons(status, blind=True)
+        reasons = list(self._failsafes.prearm_reasons(status))
         reasons += [] if nav is None else self._of_place(nav)
         if self._params["DEPTH_MIN"] >= self._params["DEPTH_MAX"]:
             reasons.append("the depth band is empty: set DEPTH_MIN below DEPTH_MAX")
@@ -64,7 +64,6 @@ class ArmingChecks:
 
     @property
     def fenced(self) -> bool:
-        """Whether there is a fence."""
         return has_shapes(self._plans.items(PlanKind.FENCE))
 
     def _of_place(self, nav: NavState) -> list[str]:

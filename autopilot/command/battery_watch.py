@@ -21,7 +21,7 @@ class BatteryWatch:
         self._good_us = 0
         self._refused_us: int | None = None
         """When the newest reading came, if it was refused."""
-        self._said_us: int | None = None
+        self._reported_us: int | None = None
         self._events: list[Event] = []
         self.power: PowerSample | None = None
         self.refused = 0
@@ -51,8 +51,8 @@ class BatteryWatch:
     def _refuse(self, t_us: int, text: OperatorText) -> None:
         self.refused += 1
         self._refused_us = t_us
-        if self._said_us is None or t_us - self._said_us >= SAY_EVERY_US:
-            self._said_us = t_us
+        if self._reported_us is None or t_us - self._reported_us >= SAY_EVERY_US:
+            self._reported_us = t_us
             self._events.append(text.event(t_us))
 
     def take_events(self) -> list[Event]:

@@ -1,7 +1,7 @@
 """What the operator is told without having asked: position lost or found, no way to the goal, a new fence."""
 
 from autopilot.command.command_tuning import WATCH
-from autopilot.command.conditions import TickInputs
+from autopilot.command.vehicle_status import VehicleStatus
 from autopilot.control.thrust.twins import lossy_share
 from autopilot.core import operator_messages as notices
 from autopilot.core.messages import NavDoubt, NavHealth, NavState
@@ -48,25 +48,25 @@ class ChangeWatch:
         self._armed_us: int | None = None
         self._delay_s = 0.0
 
-    def look(self, conditions: TickInputs, *, armed: bool) -> list[OperatorText]:
+    def look(self, status: VehicleStatus, *, armed: bool) -> list[OperatorText]:
         """What is new on this tick."""
-        nav = conditions.nav
+        nav = status.nav
         texts: list[OperatorText] = []
         health = NavHealth.INVALID if nav is None else nav.health
-        new = conditions.nav_doubts - self._doubts if armed else frozenset()
+        new = status.nav_doubts - self._doubts if armed else frozenset()
         texts += [_DOUBT_TEXTS[doubt]() for doubt in NavDoubt if doubt in new] if new else []
         self._doubts = self._doubts | new if armed else frozenset()
         # The text of a doubt says already why the fixes do not count.
-        told = health is NavHealth.DEAD_RECKONING and (bool(new) or NavDoubt.FIXES in conditions.nav_doubts)
-        if armed and health is not self._health and not told:
+        reported = health is NavHealth.DEAD_RECKONING and (bool(new) or NavDoubt.FIXES in status.nav_doubts)
+        if armed and health is not self._health and not reported:
             texts.append(_HEALTH_TEXTS[health]())
-        if armed and conditions.unreachable and not self._unreachable:
+        if armed and status.unreachable and not self._unreachable:
             texts.append(notices.NO_FREE_PATH())
-        texts += self._of_commands(conditions.command_delay_s) if armed else []
-        self._health, self._unreachable = health, conditions.unreachable
-        texts += self._of_twins(conditions.thruster_share, conditions.thrusters_doubtful)
-        texts += self._of_thrusters(conditions.thruster_share)
-        texts += self._of_flight(conditions, armed)
+        texts += self._of_commands(status.command_delay_s) if armed else []
+        self._health, self._unreachable = health, status.unreachable
+        texts += self._of_redundant(status.thruster_share, status.thrusters_doubtful)
+        texts += self._of_thrusters(status.thruster_share)
+        texts += self._of_flight(status, armed)
         if self._goals.fence is not self._fence:
             self._fence = self._goals.fence
             texts += self._of_fence(nav if armed and health is not NavHealth.INVALID else None)
@@ -82,18 +82,18 @@ class ChangeWatch:
             return [notices.LATENCY_NORMAL()]
         return [notices.LATENCY(delay_s=delay_s)]
 
-    def _of_twins(self, shares: tuple[float, ...], doubtful: tuple[tuple[str, ...], ...]) -> list[OperatorText]:
+    def _of_redundant(self, shares: tuple[float, ...], doubtful: tuple[tuple[str, ...], ...]) -> list[OperatorText]:
         """One of several thrusters that do the same gives less than it should, or none of them any more."""
         if doubtful == self._doubtful:
             return []
         share_of = dict(zip(self._thrusters, shares, strict=False))
         texts: list[OperatorText] = []
-        for twins in doubtful:
-            if twins not in self._doubtful:
-                left = 100.0 * lossy_share([share_of[name] for name in twins])
-                texts.append(notices.TWIN_LOSS(names=", ".join(twins), percent=left))
-        sound = [twins for twins in self._doubtful if twins not in doubtful and all(share_of[t] == 1.0 for t in twins)]
-        texts += [notices.TWINS_RESTORED(names=", ".join(twins)) for twins in sound]
+        for group in doubtful:
+            if group not in self._doubtful:
+                left = 100.0 * lossy_share([share_of[name] for name in group])
+                texts.append(notices.TWIN_LOSS(names=", ".join(group), percent=left))
+        sound = [group for group in self._doubtful if group not in doubtful and all(share_of[t] == 1.0 for t in group)]
+        texts += [notices.TWINS_RESTORED(names=", ".join(group)) for group in sound]
         self._doubtful = doubtful
         return texts
 
@@ -104,7 +104,7 @@ class ChangeWatch:
             return texts
         self._shares = shares
         for name, share in zip(self._thrusters, shares, strict=False):
-            if any(name in twins for twins in self._doubtful):
+            if any(name in group for group in self._doubtful):
                 continue
             said = self._share.get(name, 1.0)
             if abs(share - said) < WATCH.share_news and not (share == 1.0 != said):
@@ -116,13 +116,13 @@ class ChangeWatch:
                 texts.append(notices.THRUSTER_LOSS(name=name, percent=100.0 * share))
         return texts
 
-    def _of_flight(self, conditions: TickInputs, armed: bool) -> list[OperatorText]:
+    def _of_flight(self, status: VehicleStatus, armed: bool) -> list[OperatorText]:
         """After a flight: silence about a thruster that was hardly used does not say that it is sound."""
         since_us = self._armed_us
-        self._armed_us = (conditions.t_us if since_us is None else since_us) if armed else None
-        if armed or since_us is None or conditions.t_us - since_us < WATCH.flight_us or not conditions.thrusters_unseen:
+        self._armed_us = (status.t_us if since_us is None else since_us) if armed else None
+        if armed or since_us is None or status.t_us - since_us < WATCH.flight_us or not status.thrusters_unseen:
             return []
-        return [notices.THRUSTERS_UNJUDGED(names=", ".join(conditions.thrusters_unseen))]
+        return [notices.THRUSTERS_UNJUDGED(names=", ".join(status.thrusters_unseen))]
 
     def _of_fence(self, nav: NavState | None) -> list[OperatorText]:
         """Gaps that FENCE_GAP_CHK only warns of, and a vehicle that the new fence finds where it must not be."""

@@ -26,8 +26,21 @@ CAMERA_WATCH = CameraWatchTuning()
 
 
 @dataclass(frozen=True, slots=True)
-class FactsTuning:
-    """Of :mod:`autopilot.command.facts`."""
+class CollisionTuning:
+    """Of :mod:`autopilot.command.collision`."""
+
+    base_time_s: float = 0.5
+    """Over so long what a jolt is measured from is averaged: tilt, current and thrust change more slowly."""
+    jolt_us: int = 300_000
+    """A jolt is over within so long; what stays is a sensor that is wrong, or a tilt."""
+
+
+COLLISION = CollisionTuning()
+
+
+@dataclass(frozen=True, slots=True)
+class VehicleStatusTuning:
+    """Of :mod:`autopilot.command.vehicle_status`."""
 
     latched_us: int = 2_000_000
     """A probe that has been wet counts as wet for so long: water that splashes about makes and breaks the contact."""
@@ -41,13 +54,9 @@ class FactsTuning:
     """A heading or a depth that is older says nothing."""
     shown_us: int = 10_000_000
     """A jump of the clock and a collision are things of a moment: shown for so long."""
-    base_time_s: float = 0.5
-    """Over so long what a jolt is measured from is averaged: tilt, current and thrust change more slowly."""
-    jolt_us: int = 300_000
-    """A jolt is over within so long; what stays is a sensor that is wrong, or a tilt."""
 
 
-FACTS = FactsTuning()
+VEHICLE_STATUS = VehicleStatusTuning()
 
 
 @dataclass(frozen=True, slots=True)
@@ -153,10 +162,10 @@ SERVICE = ServiceTuning()
 
 
 @dataclass(frozen=True, slots=True)
-class SituationTuning:
-    """Of :mod:`autopilot.command.situation`."""
+class FailsafeInputsTuning:
+    """Of :mod:`autopilot.command.failsafe_inputs`."""
 
-    look_ticks: int = 10
+    update_ticks: int = 10
     """What needs geometry is looked at so often, energy at each tenth time."""
     slow_m_s: float = 0.05
     """Slower is not moving,"""
@@ -173,12 +182,12 @@ class SituationTuning:
     """Steps of a mission, with its jumps, that are looked at."""
 
 
-SITUATION = SituationTuning()
+FAILSAFE_INPUTS = FailsafeInputsTuning()
 
 
 @dataclass(frozen=True, slots=True)
-class SurroundingsTuning:
-    """Of :mod:`autopilot.command.surroundings`."""
+class EnvironmentTuning:
+    """Of :mod:`autopilot.command.environment`."""
 
     known_m: float = 0.3
     """What beams end at so near to a shape of the fence is that."""
@@ -188,7 +197,7 @@ class SurroundingsTuning:
     """Time over which the mean power is taken."""
 
 
-SURROUNDINGS = SurroundingsTuning()
+ENVIRONMENT = EnvironmentTuning()
 
 
 @dataclass(frozen=True, slots=True)

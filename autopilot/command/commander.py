@@ -12,9 +12,9 @@ import numpy as np
 from autopilot.command.announcements import Announcements
 from autopilot.command.arming import CHECKING, STARTING, ArmingChecks, ControllerCheck
 from autopilot.command.change_watch import ChangeWatch
-from autopilot.command.conditions import TickInputs
 from autopilot.command.decision import Decision
 from autopilot.command.disarming import Disarming
+from autopilot.command.failsafe_inputs import FailsafeInputs
 from autopilot.command.failsafes import FailsafeRules
 from autopilot.command.mission_run import MissionRun
 from autopilot.command.mode_machine import ModeMachine
@@ -24,7 +24,7 @@ from autopilot.command.modes.guided import GuidedMode
 from autopilot.command.modes.mode import Tools, denied
 from autopilot.command.motor_tests import MotorTests
 from autopilot.command.plan_watch import FenceGuard, PlanCheckNews
-from autopilot.command.situation import FailsafeInputs
+from autopilot.command.vehicle_status import VehicleStatus
 from autopilot.core import operator_messages as notices
 from autopilot.core.errors import ConfigError
 from autopilot.core.frames import FloatArray
@@ -66,8 +66,8 @@ class Commander:
         self._operator = Announcements()
         self._goals = Goals(vehicle, params, plans)
         self._mission = MissionRun(params, plans, self._operator, speed_m_s or (lambda _: params["SPD_PLANAR_MAX"]))
-        self._situation = FailsafeInputs(vehicle, params, plans, self._goals, self._mission.sequencer)
-        self._failsafes = FailsafeRules(params, self._situation)
+        self._failsafe_inputs = FailsafeInputs(vehicle, params, plans, self._goals, self._mission.sequencer)
+        self._failsafes = FailsafeRules(params, self._failsafe_inputs)
         tools = Tools(
             vehicle=vehicle,
             params=params,
@@ -97,8 +97,8 @@ class Commander:
     @property
     def shows_armed(self) -> bool:
         """Whether thrusters may turn, by us or by the flight controller below."""
-        conditions = self._modes.conditions
-        below = None if conditions is None else conditions.below
+        status = self._modes.status
+        below = None if status is None else status.below
         return self._modes.armed or (below is not None and below.armed is True)
 
     @property
@@ -147,12 +147,11 @@ class Commander:
 
     @property
     def fenced(self) -> bool:
-        """Whether there is a fence."""
         return self._arming.fenced
 
     def prearm_reasons(self) -> tuple[str, ...]:
         """Why arming would be refused now; empty when ready."""
-        return self._arming.reasons(self._modes.conditions, blind=self._modes.blind)
+        return self._arming.reasons(self._modes.status, blind=self._modes.blind)
 
     # Requests: arming and modes
 
@@ -193,7 +192,6 @@ class Commander:
         return self._disarming.answer
 
     def set_mode(self, mode: FlightMode) -> CommandReply:
-        """Change the mode, or say why not."""
         refusal = self._modes.refusal(mode)
         if refusal is not None:
             return refusal
@@ -204,7 +202,6 @@ class Commander:
         return ACCEPTED
 
     def pause(self) -> CommandReply:
-        """Hold here."""
         return self.set_mode(FlightMode.HOLD)
 
     def fall_back(self) -> None:
@@ -226,11 +223,9 @@ class Commander:
         return self.set_mode(FlightMode.MISSION)
 
     def resume(self) -> CommandReply:
-        """Go on with the mission."""
         return self.start_mission(None)
 
     def set_current_item(self, seq: int) -> CommandReply:
-        """Choose the next mission item."""
         self._mission.load()
         count = len(self._plans.items(PlanKind.MISSION))
         if not 0 <= seq < count:
@@ -273,7 +268,6 @@ class Commander:
         return denied(f"Set point refused: {reason}")
 
     def orbit(self, circle: Circling) -> CommandReply:
-        """Round a place."""
         if not self._modes.armed:
             return denied("Orbit denied: arm first")
         refusal = self._modes.refusal(FlightMode.CIRCLE)
@@ -286,7 +280,6 @@ class Commander:
         return ACCEPTED
 
     def test_motor(self, test: MotorTest) -> CommandReply:
-        """Turn one thruster for a moment."""
         reason = self._tests.begin(test)
         return denied(f"Motor test denied: {reason}") if reason else ACCEPTED
 
@@ -344,7 +337,6 @@ class Commander:
         return answer
 
     def set_home(self, point: GeodeticPosition | None) -> CommandReply:
-        """Home (None = here)."""
         nav = self._modes.nav
         if point is not None:
             refusal = refuse_place(self._plans.origin, point.lat_deg, point.lon_deg)
@@ -378,7 +370,6 @@ class Commander:
         return ACCEPTED
 
     def end_run(self, end: RunEnd) -> CommandReply:
-        """The service ends, or begins anew."""
         if self._modes.armed:
             return CommandReply(result=CommandResult.TEMPORARILY_REJECTED, reason="Reboot refused: disarm first")
         self._ending = self._ticks + END_AFTER_TICKS, end
@@ -394,32 +385,31 @@ class Commander:
 
     # One tick
 
-    def step(self, conditions: TickInputs) -> Decision:
-        """Advance by one tick."""
+    def step(self, status: VehicleStatus) -> Decision:
         modes = self._modes
-        self._operator.t_us = conditions.t_us
-        modes.conditions = conditions
+        self._operator.t_us = status.t_us
+        modes.status = status
         self._plans.tick()
         self._watch_plan()
-        self._watch_check(conditions.t_us)
-        for text in self._watch.look(conditions, armed=modes.armed):
+        self._watch_check(status.t_us)
+        for text in self._watch.look(status, armed=modes.armed):
             self._operator.say(text)
-        modes.watch_below(conditions.below, self._may_resume)
+        modes.watch_below(status.below, self._may_resume)
         mode = modes.mode
-        self._situation.look(
-            conditions,
+        self._failsafe_inputs.update(
+            status,
             armed=modes.armed,
             surfacing=mode is FlightMode.SURFACE,
             on_mission=mode is FlightMode.MISSION,
             blind=modes.armed and not modes.active.needs_position,
         )
-        modes.apply_failsafes(conditions)
+        modes.apply_failsafes(status)
         if not modes.armed and self._ticks % READINESS_EVERY_TICKS == 0:
             self._readiness = self.prearm_reasons()
         self._ticks += 1
-        goal, reached = modes.advance(conditions)
-        test = self._tests.step(conditions)
-        self._stop_below(conditions)
+        goal, reached = modes.advance(status)
+        test = self._tests.step(status)
+        self._stop_below(status)
         orders, modes.equipment_orders = tuple(modes.equipment_orders), []
         return Decision(
             orders=orders,
@@ -428,22 +418,22 @@ class Commander:
             goal=goal if test is None else None,
             motor_test=test,
             blind_ascent=(modes.armed and not modes.yielded and modes.nav is None and modes.mode is FlightMode.SURFACE),
-            progress=self._mission.sequencer.progress(conditions.t_us),
+            progress=self._mission.sequencer.progress(status.t_us),
             reached=reached,
             failsafes=self._failsafes.bits,
             ascent=modes.ascent,
-            by_hand=modes.by_hand(conditions) if test is None else None,
+            by_hand=modes.by_hand(status) if test is None else None,
             drop_weight=modes.drop_weight,
             hand_back=modes.handed_back,
             stop_below=self.stops_below,
         )
 
-    def _stop_below(self, conditions: TickInputs) -> None:
+    def _stop_below(self, status: VehicleStatus) -> None:
         """What has been disarmed is disarmed below."""
         if self._modes.stops_below:
             self._modes.stops_below = False
             self._disarming.begin()
-        self._disarming.step(conditions.below)
+        self._disarming.step(status.below)
 
     def _may_resume(self) -> bool:
         """Whether a mission that a pilot has interrupted goes on."""

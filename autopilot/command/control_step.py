@@ -12,7 +12,7 @@ from autopilot.control.protocol import Controller, sound, sound_thrust_n
 from autopilot.control.robust.fallback import station_keeping_thrust
 from autopilot.control.thrust.actuation import Actuation
 from autopilot.control.thrust.by_hand import Felt, HandLaw
-from autopilot.control.thrust.thrust_tuning import BY_HAND
+from autopilot.control.thrust.slew import slewed
 from autopilot.core.clock import TICK_US
 from autopilot.core.frames import FloatArray
 from autopilot.core.geometry import Fence
@@ -64,7 +64,6 @@ class ControlStep:
         """Length of the way to the goal as the controller flies it, None = it has none."""
 
     def reset(self) -> None:
-        """Nothing has been planned."""
         self.solver_failures, self.status, self.way_left_m, self.ahead = 0, None, None, None
         self._controller.reset()
 
@@ -95,7 +94,7 @@ class ControlStep:
                 self._soft = (t_us, self.thrust_n)
                 self._hand.release()
             elif decision.by_hand is not None:
-                limit_n = np.minimum(actuation.limit_n, self._params["THR_LIMIT"])
+                limit_n = actuation.command_limit_n
                 self.thrust_n = self._hand.thrust_n(t_us, decision.by_hand, self.felt(t_us), limit_n, before_n)
                 self._soft = (t_us, self.thrust_n)
             else:
@@ -123,13 +122,10 @@ class ControlStep:
         """One thruster's pulse as thrust, within its limit; all thrust comes and goes as fast as a pilot's."""
         place, pulse_us = test
         actuation = self._actuation
-        limit_n = np.minimum(actuation.limit_n, self._params["THR_LIMIT"])
         wanted_n = actuation.nothing()
         wanted_n[place] = actuation.allocation.thrust_n(place, pulse_us, actuation.supply_v)
         last_us = t_us - TICK_US if self._soft is None else self._soft[0]
-        most_n = BY_HAND.slew_share_1_s * (t_us - last_us) * 1e-6 * limit_n
-        thrust_n: FloatArray = np.clip(np.clip(wanted_n, -limit_n, limit_n), before_n - most_n, before_n + most_n)
-        return thrust_n
+        return slewed(wanted_n, before_n, actuation.command_limit_n, (t_us - last_us) * 1e-6)
 
     def _note_mode(self, t_us: int, mode: FlightMode) -> None:
         """A switch between modes, one of which somebody steers in, is no jolt."""
@@ -142,8 +138,7 @@ class ControlStep:
         if self._soft is None:
             return wanted_n
         last_us, last_n = self._soft
-        most = BY_HAND.slew_share_1_s * (t_us - last_us) * 1e-6 * self._limit_n
-        thrust_n: FloatArray = np.clip(wanted_n, last_n - most, last_n + most)
+        thrust_n = slewed(wanted_n, last_n, self._limit_n, (t_us - last_us) * 1e-6)
         done = not self._switched and np.array_equal(thrust_n, wanted_n)
         self._soft = None if done else (t_us, thrust_n)
         return thrust_n
@@ -152,13 +147,13 @@ class ControlStep:
         """Up without the optimiser: the station-keeping law, whose station is at the surface."""
         wanted = np.zeros(NX)
         wanted[:3], wanted[YAW] = place[:3], place[3]
-        limit_n = np.minimum(self._actuation.limit_n, self._params["THR_LIMIT"])
+        limit_n = self._actuation.command_limit_n
         thrust_n = station_keeping_thrust(self._sharing, model_state(nav), wanted, nav.current_ned_m_s, limit_n)
         return thrust_n if np.isfinite(thrust_n).all() else self._actuation.nothing()
 
     def _control(self, t_us: int, nav: NavState, goal: Goal, fence: Fence) -> ControlOutput:
         actuation = self._actuation
-        self._limit_n = limit_n = np.minimum(actuation.limit_n, self._params["THR_LIMIT"])
+        self._limit_n = limit_n = actuation.command_limit_n
         control = self._controller.step(
             t_us,
             nav,

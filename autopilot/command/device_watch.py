@@ -25,7 +25,7 @@ class DeviceWatch:
     """Says when a device fails and when it works again."""
 
     def __init__(self) -> None:
-        self._said_us: dict[DeviceRole, int] = {}
+        self._reported_us: dict[DeviceRole, int] = {}
         self._last_us: dict[DeviceRole, int] = {}
         self.counts = dict.fromkeys(DeviceRole, 0)
         """Ticks on which a device could not be used."""
@@ -46,9 +46,9 @@ class DeviceWatch:
             self.counts[device] += 1
             if device is DeviceRole.WATCHDOG:
                 self.watchdog_problem = trouble.text
-            said_us = self._last_us.get(device) if device in _SAID_ONCE else self._said_us.get(device)
-            if said_us is None or t_us - said_us >= SAY_EVERY_US:
-                self._said_us[device] = t_us
+            reported_us = self._last_us.get(device) if device in _SAID_ONCE else self._reported_us.get(device)
+            if reported_us is None or t_us - reported_us >= SAY_EVERY_US:
+                self._reported_us[device] = t_us
                 events.append(notices.DEVICE_FAILED.event(t_us, device=name, reason=trouble.text))
             self._last_us[device] = t_us
         for device, last_us in tuple(self._last_us.items()):

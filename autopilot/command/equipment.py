@@ -97,7 +97,6 @@ class Equipment:
     # Orders
 
     def set_servo(self, channel: int, pulse_us: float) -> CommandReply:
-        """A pulse for an output."""
         refusal = self.refuse_servo(channel)
         index = self._of_channel(channel)
         if refusal or index is None:
@@ -117,7 +116,6 @@ class Equipment:
         return self._repeat(index, (round(pulse_us), self._pulses_us[index]), count, cycle_s)
 
     def set_relay(self, number: int, *, on: bool) -> CommandReply:
-        """Switch."""
         refusal = self.refuse_relay(number)
         index = self._of_relay(number)
         if refusal or index is None:
@@ -125,7 +123,6 @@ class Equipment:
         return self._put(index, self._end_us(index, high=on))
 
     def toggle_relay(self, number: int) -> CommandReply:
-        """Switch to the other side."""
         index = self._of_relay(number)
         return self.set_relay(number, on=index is None or not self._is_on(index))
 
@@ -140,7 +137,6 @@ class Equipment:
         return self._repeat(index, pulses, count, cycle_s)
 
     def grip(self, number: int, *, close: bool) -> CommandReply:
-        """Close a gripper, or open it."""
         refusal = self.refuse_gripper(number)
         index = self._of_gripper(number)
         if refusal or index is None:

@@ -16,8 +16,6 @@ BEGIN, END = "<!-- failsafes:begin -->", "<!-- failsafes:end -->"
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FailsafeText:
-    """One row in words."""
-
     bit: int
     name: str
     condition: str

@@ -12,9 +12,9 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Literal, TypeAlias
 
-from autopilot.command.command_tuning import FACTS
-from autopilot.command.conditions import TickInputs
-from autopilot.command.situation import FailsafeInputs
+from autopilot.command.command_tuning import VEHICLE_STATUS
+from autopilot.command.failsafe_inputs import FailsafeInputs
+from autopilot.command.vehicle_status import VehicleStatus
 from autopilot.core.messages import Failsafe, NavDoubt, Severity
 
 Effect: TypeAlias = Literal["off", "warn", "hold", "return", "surface", "drop", "hand back", "disarm"]
@@ -45,7 +45,7 @@ EFFECTS: dict[Effect, str] = {
 ACTIONS: tuple[Effect, ...] = ("warn", "hold", "surface", "return", "disarm", "drop", "hand back")
 """Values of most FS_..._ACT parameters, from 0."""
 
-Level: TypeAlias = Callable[[TickInputs, FailsafeInputs], float]
+Level: TypeAlias = Callable[[VehicleStatus, FailsafeInputs], float]
 Bound: TypeAlias = str | float
 """A parameter's name or a number."""
 
@@ -55,8 +55,6 @@ _DOUBTS = frozenset({NavDoubt.FIXES, NavDoubt.RANGE, NavDoubt.MAP, NavDoubt.CALI
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FailsafeRow:
-    """One failsafe."""
-
     rule: Failsafe
     condition: str
     """For people; parameters by name."""
@@ -92,7 +90,7 @@ ROWS: tuple[FailsafeRow, ...] = (
     FailsafeRow(
         rule=Failsafe.NAV_LOST,
         condition="no valid estimate for `FS_NAV_TIMEOUT`, after there was one",
-        level=lambda c, s: s.nav_lost,
+        level=lambda v, f: f.nav_lost,
         enter=1.0,
         enter_s="FS_NAV_TIMEOUT",
         action="FS_NAV_ACT",
@@ -102,7 +100,7 @@ ROWS: tuple[FailsafeRow, ...] = (
     FailsafeRow(
         rule=Failsafe.SOLVER,
         condition="`FS_SOLVER_N` control steps in a row without a solution, fallbacks included",
-        level=lambda c, s: c.solver_failures,
+        level=lambda v, f: v.solver_failures,
         enter="FS_SOLVER_N",
         action="FS_SOLVER_ACT",
         text="controller finds no solution",
@@ -110,7 +108,7 @@ ROWS: tuple[FailsafeRow, ...] = (
     FailsafeRow(
         rule=Failsafe.BATTERY,
         condition="charge below `FS_BATT_LOW`, or voltage below `BATT_LOW_VOLT` for `BATT_LOW_TIMER`",
-        level=lambda c, s: _NAN if c.power is None else min(c.power.remaining, s.low_voltage),
+        level=lambda v, f: _NAN if v.power is None else min(v.power.remaining, f.low_voltage),
         enter="FS_BATT_LOW",
         below=True,
         gap=0.02,
@@ -121,7 +119,7 @@ ROWS: tuple[FailsafeRow, ...] = (
     FailsafeRow(
         rule=Failsafe.AHRS_STALE,
         condition="no new AHRS sample for 0.5 s",
-        level=lambda c, s: _NAN if c.ahrs_age_s is None else c.ahrs_age_s,
+        level=lambda v, f: _NAN if v.ahrs_age_s is None else v.ahrs_age_s,
         enter=0.5,
         effects=("surface",),
         text="AHRS silent or frozen",
@@ -129,7 +127,7 @@ ROWS: tuple[FailsafeRow, ...] = (
     FailsafeRow(
         rule=Failsafe.THRUSTER,
         condition="the working thrusters cannot hold depth, heading or place, or commands do not reach them, for 3 s",
-        level=lambda c, s: 1.0 if c.thruster_problem else 0.0,
+        level=lambda v, f: 1.0 if v.thruster_problem else 0.0,
         enter=1.0,
         enter_s=3.0,
         action="FS_THR_ACT",
@@ -139,7 +137,7 @@ ROWS: tuple[FailsafeRow, ...] = (
     FailsafeRow(
         rule=Failsafe.LATENCY,
         condition="command latency above `FS_LAT_MAX`",
-        level=lambda c, s: c.command_delay_s,
+        level=lambda v, f: v.command_delay_s,
         enter="FS_LAT_MAX",
         action="FS_LAT_ACT",
         text="command latency high: check the tether",
@@ -147,7 +145,7 @@ ROWS: tuple[FailsafeRow, ...] = (
     FailsafeRow(
         rule=Failsafe.NAV_CHECK,
         condition="the two estimators disagree about the position",
-        level=lambda c, s: c.nav_disagrees,
+        level=lambda v, f: v.nav_disagrees,
         enter=1.0,
         effects=("warn",),
         text="estimators disagree",
@@ -155,7 +153,7 @@ ROWS: tuple[FailsafeRow, ...] = (
     FailsafeRow(
         rule=Failsafe.FAULT,
         condition="internal fault within the last 5 s ([reliability.md](reliability.md))",
-        level=lambda c, s: 1.0 if c.fault else 0.0,
+        level=lambda v, f: 1.0 if v.fault else 0.0,
         enter=1.0,
         effects=("warn",),
         text="{fault}",
@@ -164,7 +162,7 @@ ROWS: tuple[FailsafeRow, ...] = (
     FailsafeRow(
         rule=Failsafe.GCS,
         condition="no HEARTBEAT of a ground station for `FS_GCS_TIMEOUT`, after there was one",
-        level=lambda c, s: _age(c.t_us, c.facts.gcs_us),
+        level=lambda v, f: _age(v.t_us, v.gcs_us),
         enter="FS_GCS_TIMEOUT",
         action="FS_GCS_ENABLE",
         effects=("off", "warn", "disarm", "hold", "surface", "return"),
@@ -174,7 +172,7 @@ ROWS: tuple[FailsafeRow, ...] = (
     FailsafeRow(
         rule=Failsafe.PILOT,
         condition="no input for `FS_PILOT_TIMEOUT` of a pilot who has steered since arming",
-        level=lambda c, s: _age(c.t_us, c.facts.pilot_us) if c.facts.pilot_us >= s.armed_us else _NAN,
+        level=lambda v, f: _age(v.t_us, v.pilot_us) if v.pilot_us >= f.armed_us else _NAN,
         enter="FS_PILOT_TIMEOUT",
         action="FS_PILOT_INPUT",
         effects=("off", "warn", "disarm", "hold"),
@@ -185,7 +183,7 @@ ROWS: tuple[FailsafeRow, ...] = (
     FailsafeRow(
         rule=Failsafe.DEAD_RECKONING,
         condition="no position fix for `FS_DR_TIME` (dead reckoning)",
-        level=lambda c, s: s.no_fix_s,
+        level=lambda v, f: f.no_fix_s,
         enter="FS_DR_TIME",
         action="FS_DR_ACT",
         severity=Severity.WARNING,
@@ -196,7 +194,7 @@ ROWS: tuple[FailsafeRow, ...] = (
         rule=Failsafe.SENSOR,
         condition="depth sensor, DVL, power monitor, leak probe or hull sensor silent, frozen or (power monitor) "
         "implausible for `FS_SENS_TIME`, after it has worked",
-        level=lambda c, s: s.silent_s,
+        level=lambda v, f: f.silent_s,
         enter="FS_SENS_TIME",
         action="FS_SENS_ACT",
         severity=Severity.WARNING,
@@ -206,7 +204,7 @@ ROWS: tuple[FailsafeRow, ...] = (
     FailsafeRow(
         rule=Failsafe.DOUBT,
         condition="fixes, range, map or calibration contradict each other for 1 s ([estimation.md](estimation.md))",
-        level=lambda c, s: 0.0 if c.nav_doubts.isdisjoint(_DOUBTS) else 1.0,
+        level=lambda v, f: 0.0 if v.nav_doubts.isdisjoint(_DOUBTS) else 1.0,
         enter=1.0,
         enter_s=1.0,
         leave_s=1.0,
@@ -218,7 +216,7 @@ ROWS: tuple[FailsafeRow, ...] = (
     FailsafeRow(
         rule=Failsafe.BATTERY_CRITICAL,
         condition="charge below `FS_BATT_CRT`, or voltage below `BATT_CRT_VOLT` for `BATT_LOW_TIMER`",
-        level=lambda c, s: _NAN if c.power is None else min(c.power.remaining, s.critical_voltage),
+        level=lambda v, f: _NAN if v.power is None else min(v.power.remaining, f.critical_voltage),
         enter="FS_BATT_CRT",
         below=True,
         gap=0.02,
@@ -228,7 +226,7 @@ ROWS: tuple[FailsafeRow, ...] = (
     FailsafeRow(
         rule=Failsafe.ENERGY,
         condition="predicted charge at the end of the plan below `FS_ENRG_RES` for 5 s",
-        level=lambda c, s: s.energy_lack,
+        level=lambda v, f: f.energy_lack,
         enter=0.0,
         gap=0.02,
         enter_s=5.0,
@@ -239,8 +237,8 @@ ROWS: tuple[FailsafeRow, ...] = (
     ),
     FailsafeRow(
         rule=Failsafe.LEAK,
-        condition=f"leak probe wet within the last {FACTS.latched_us // 10**6} s",
-        level=lambda c, s: c.facts.wet_us + FACTS.latched_us >= c.t_us,
+        condition=f"leak probe wet within the last {VEHICLE_STATUS.latched_us // 10**6} s",
+        level=lambda v, f: v.wet_us + VEHICLE_STATUS.latched_us >= v.t_us,
         enter=1.0,
         action="FS_LEAK_ENABLE",
         effects=("off", "warn", "surface", "drop"),
@@ -250,7 +248,7 @@ ROWS: tuple[FailsafeRow, ...] = (
     FailsafeRow(
         rule=Failsafe.PRESSURE,
         condition="hull pressure above `FS_PRESS_MAX` for 2 s",
-        level=lambda c, s: c.facts.hull_pa,
+        level=lambda v, f: v.hull_pa,
         enter="FS_PRESS_MAX",
         gap=500.0,
         enter_s=2.0,
@@ -263,7 +261,7 @@ ROWS: tuple[FailsafeRow, ...] = (
     FailsafeRow(
         rule=Failsafe.TEMPERATURE,
         condition="hull temperature above `FS_TEMP_MAX` for 2 s",
-        level=lambda c, s: c.facts.hull_c,
+        level=lambda v, f: v.hull_c,
         enter="FS_TEMP_MAX",
         gap=2.0,
         enter_s=2.0,
@@ -276,7 +274,7 @@ ROWS: tuple[FailsafeRow, ...] = (
     FailsafeRow(
         rule=Failsafe.CAGE_SOFT,
         condition="vehicle beyond fence or depth band by `FS_CAGE_SOFT` for 0.5 s",
-        level=lambda c, s: s.beyond_m,
+        level=lambda v, f: f.beyond_m,
         enter="FS_CAGE_SOFT",
         gap=0.05,
         enter_s=0.5,
@@ -288,7 +286,7 @@ ROWS: tuple[FailsafeRow, ...] = (
     FailsafeRow(
         rule=Failsafe.CAGE_HARD,
         condition="vehicle beyond fence or depth band by `FS_CAGE_HARD` for 0.5 s",
-        level=lambda c, s: s.beyond_m,
+        level=lambda v, f: f.beyond_m,
         enter="FS_CAGE_HARD",
         gap=0.05,
         enter_s=0.5,
@@ -299,7 +297,7 @@ ROWS: tuple[FailsafeRow, ...] = (
     FailsafeRow(
         rule=Failsafe.TILT,
         condition="tilt above `FS_CRASH_ANGLE` for 2 s",
-        level=lambda c, s: s.tilt_deg,
+        level=lambda v, f: f.tilt_deg,
         enter="FS_CRASH_ANGLE",
         gap=5.0,
         enter_s=2.0,
@@ -311,8 +309,8 @@ ROWS: tuple[FailsafeRow, ...] = (
     FailsafeRow(
         rule=Failsafe.COLLISION,
         condition="acceleration peak above `FS_COLL_ACC` that thrust does not explain; "
-        f"shown for {FACTS.shown_us // 10**6} s",
-        level=lambda c, s: c.facts.collided_us + FACTS.shown_us >= c.t_us,
+        f"shown for {VEHICLE_STATUS.shown_us // 10**6} s",
+        level=lambda v, f: v.collided_us + VEHICLE_STATUS.shown_us >= v.t_us,
         enter=1.0,
         action="FS_COLL_ACT",
         severity=Severity.WARNING,
@@ -322,7 +320,7 @@ ROWS: tuple[FailsafeRow, ...] = (
     FailsafeRow(
         rule=Failsafe.STUCK,
         condition="under way, a thruster above a third of `THR_LIMIT`, slower than 0.05 m/s for `FS_STUCK_TIME`",
-        level=lambda c, s: s.stuck_s,
+        level=lambda v, f: f.stuck_s,
         enter="FS_STUCK_TIME",
         action="FS_STUCK_ACT",
         severity=Severity.WARNING,
@@ -332,7 +330,7 @@ ROWS: tuple[FailsafeRow, ...] = (
     FailsafeRow(
         rule=Failsafe.TETHER,
         condition="tether paid out to `TETHER_LEN` (counted by `TETHER_COUNT`)",
-        level=lambda c, s: s.tether_m,
+        level=lambda v, f: f.tether_m,
         enter="TETHER_LEN",
         gap=0.2,
         zero_is_off=True,
@@ -343,7 +341,7 @@ ROWS: tuple[FailsafeRow, ...] = (
     FailsafeRow(
         rule=Failsafe.LOOP,
         condition="fraction of late ticks above `FS_LOOP_MAX` for 3 s",
-        level=lambda c, s: c.facts.late_share,
+        level=lambda v, f: v.late_share,
         enter="FS_LOOP_MAX",
         enter_s=3.0,
         leave_s=2.0,
@@ -354,7 +352,7 @@ ROWS: tuple[FailsafeRow, ...] = (
     FailsafeRow(
         rule=Failsafe.LOG,
         condition="log not written: disk full, missing or read-only",
-        level=lambda c, s: c.facts.log_lost,
+        level=lambda v, f: v.log_lost,
         enter=1.0,
         action="FS_LOG_ACT",
         severity=Severity.WARNING,
@@ -363,8 +361,8 @@ ROWS: tuple[FailsafeRow, ...] = (
     ),
     FailsafeRow(
         rule=Failsafe.CLOCK,
-        condition=f"clock of day jumped by 0.5 s or more; shown for {FACTS.shown_us // 10**6} s",
-        level=lambda c, s: c.facts.jumped_us + FACTS.shown_us >= c.t_us,
+        condition=f"clock of day jumped by 0.5 s or more; shown for {VEHICLE_STATUS.shown_us // 10**6} s",
+        level=lambda v, f: v.jumped_us + VEHICLE_STATUS.shown_us >= v.t_us,
         enter=1.0,
         action="FS_CLOCK_ACT",
         severity=Severity.WARNING,
@@ -373,7 +371,7 @@ ROWS: tuple[FailsafeRow, ...] = (
     FailsafeRow(
         rule=Failsafe.ASCENT,
         condition="surfacing without a position for `FS_ASCENT_TIME`",
-        level=lambda c, s: s.blind_s,
+        level=lambda v, f: f.blind_s,
         enter="FS_ASCENT_TIME",
         action="FS_ASCENT_ACT",
         text="ascent too slow: haul in the tether",
@@ -382,7 +380,7 @@ ROWS: tuple[FailsafeRow, ...] = (
     FailsafeRow(
         rule=Failsafe.WATCHDOG,
         condition="thruster watchdog process missing or hanging for 3 s ([reliability.md](reliability.md))",
-        level=lambda c, s: 1.0 if c.watchdog_problem else 0.0,
+        level=lambda v, f: 1.0 if v.watchdog_problem else 0.0,
         enter=1.0,
         enter_s=3.0,
         action="FS_WDOG_ACT",
@@ -392,7 +390,7 @@ ROWS: tuple[FailsafeRow, ...] = (
     FailsafeRow(
         rule=Failsafe.CAMERA,
         condition="images jump, or contradict gyro and vehicle model ([estimation.md](estimation.md))",
-        level=lambda c, s: 1.0 if NavDoubt.CAMERA in c.nav_doubts else 0.0,
+        level=lambda v, f: 1.0 if NavDoubt.CAMERA in v.nav_doubts else 0.0,
         enter=1.0,
         leave_s=1.0,
         action="FS_CAM_ACT",
@@ -402,7 +400,7 @@ ROWS: tuple[FailsafeRow, ...] = (
     FailsafeRow(
         rule=Failsafe.SENDER,
         condition="the flight controller's outputs show another sender's commands, within 15 reports (0.3 s)",
-        level=lambda c, s: _NAN if c.below is None else float(c.below.rival),
+        level=lambda v, f: _NAN if v.below is None else float(v.below.rival),
         enter=1.0,
         action="FS_SENDER_ACT",
         text="another sender on the thrusters: stop it",

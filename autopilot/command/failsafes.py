@@ -7,9 +7,9 @@ when the condition has gone, at once for the rows that FS_OVERRIDE names. Text i
 import math
 from collections.abc import Iterator, Mapping, Sequence
 
-from autopilot.command.conditions import TickInputs
+from autopilot.command.failsafe_inputs import FailsafeInputs
 from autopilot.command.failsafe_table import RANK, ROWS, Bound, Effect, FailsafeRow
-from autopilot.command.situation import FailsafeInputs
+from autopilot.command.vehicle_status import VehicleStatus
 from autopilot.core import operator_messages as notices
 from autopilot.core.messages import Event, Failsafe, NavDoubt, NavHealth, Severity
 from autopilot.core.params import ParamSet
@@ -20,8 +20,6 @@ AHRS_TIMEOUT_S = 0.5
 
 
 class _RowState:
-    """One row and how it stands."""
-
     __slots__ = (
         *("active", "effect", "enter", "enter_us", "leave", "leave_us"),
         *("level", "row", "sign", "since_us", "text"),
@@ -42,7 +40,6 @@ class _RowState:
         """What was said when it began."""
 
     def configure(self, params: Mapping[str, float]) -> None:
-        """Take over parameters."""
         row = self.row
         bound, self.enter_us = _value(row.enter, params), _value(row.enter_s, params) * 1e6
         self.effect = row.effects[int(params[row.action])] if row.action else row.effects[0]
@@ -54,15 +51,13 @@ class _RowState:
 
 
 class FailsafeRules:
-    """State of all failsafes."""
-
-    def __init__(self, params: ParamSet, situation: FailsafeInputs) -> None:
+    def __init__(self, params: ParamSet, inputs: FailsafeInputs) -> None:
         self._params = params
-        self._situation = situation
+        self._failsafe_inputs = inputs
         self._watches = tuple(_RowState(row) for row in ROWS)
         self._grounded = tuple(watch for watch in self._watches if not watch.row.flying)
         self._revision = -1
-        self._overridden = self._told_override = 0
+        self._overridden = self._reported_override = 0
         self._armed = False
         self._judge = True
         """Whether what acts may have changed."""
@@ -90,29 +85,29 @@ class FailsafeRules:
         self.action = None
         self._judge = True
 
-    def prearm_reasons(self, conditions: TickInputs, *, blind: bool = False) -> tuple[str, ...]:
+    def prearm_reasons(self, status: VehicleStatus, *, blind: bool = False) -> tuple[str, ...]:
         """Why the vehicle must not be armed. ``blind``: for a mode that needs no position."""
         reasons = []
-        if conditions.ahrs_age_s is None or conditions.ahrs_age_s > AHRS_TIMEOUT_S:
+        if status.ahrs_age_s is None or status.ahrs_age_s > AHRS_TIMEOUT_S:
             reasons.append("AHRS is silent or frozen: check cable and port")
         if blind:
             pass
-        elif conditions.nav is None:
+        elif status.nav is None:
             reasons.append("no position yet: markers must be in view")
-        elif conditions.nav.health is not NavHealth.GOOD:
+        elif status.nav.health is not NavHealth.GOOD:
             reasons.append("position is not good: markers must be in view")
-        if NavDoubt.ACCELEROMETER in conditions.nav_doubts or NavDoubt.GYRO in conditions.nav_doubts:
+        if NavDoubt.ACCELEROMETER in status.nav_doubts or NavDoubt.GYRO in status.nav_doubts:
             reasons.append("AHRS readings are wrong: check range and mounting, restart it")
-        reasons += conditions.refusals
+        reasons += status.refusals
         self._configure()
-        words = _Words(self._params, conditions, self._situation)
+        words = _Words(self._params, status, self._failsafe_inputs)
         for watch in self._watches:
             arming = watch.row.arming
-            if arming and watch.sign * watch.level(conditions, self._situation) >= watch.enter:
+            if arming and watch.sign * watch.level(status, self._failsafe_inputs) >= watch.enter:
                 reasons.append(words.put_in(arming))
         return tuple(reasons)
 
-    def update(self, conditions: TickInputs, *, armed: bool) -> Sequence[Event]:
+    def update(self, status: VehicleStatus, *, armed: bool) -> Sequence[Event]:
         """Evaluate all rows; events report what began and what ended."""
         if self._params.revision != self._revision:
             self._configure()
@@ -121,14 +116,14 @@ class FailsafeRules:
             self._armed, self._judge = armed, True
             if not armed:
                 self._land()
-        if self._told_override != self._overridden and armed:
-            self._told_override = self._overridden
-            events.append(_override_event(conditions.t_us, self._overridden))
+        if self._reported_override != self._overridden and armed:
+            self._reported_override = self._overridden
+            events.append(_override_event(status.t_us, self._overridden))
         elif not armed:
-            self._told_override = 0
-        t_us, situation = conditions.t_us, self._situation
+            self._reported_override = 0
+        t_us, inputs = status.t_us, self._failsafe_inputs
         for watch in self._watches if armed else self._grounded:
-            level = watch.sign * watch.level(conditions, situation)
+            level = watch.sign * watch.level(status, inputs)
             if watch.active:
                 if level >= watch.leave:
                     watch.since_us = -1
@@ -142,7 +137,7 @@ class FailsafeRules:
             if watch.since_us < 0:
                 watch.since_us = t_us
             if t_us - watch.since_us >= delay_us:
-                self._turn(watch, conditions, events)
+                self._turn(watch, status, events)
         if self._judge and armed:
             self._judge = False
             worst = self._worst()
@@ -151,23 +146,21 @@ class FailsafeRules:
         return events
 
     def _worst(self) -> Effect | None:
-        """The most severe effect that acts now."""
         effects = [watch.effect for watch in self._watches if watch.active and RANK[watch.effect] > 0]
         return max(effects, key=RANK.__getitem__, default=None)
 
-    def _turn(self, watch: _RowState, conditions: TickInputs, events: list[Event]) -> None:
-        """A row begins or ends."""
+    def _turn(self, watch: _RowState, status: VehicleStatus, events: list[Event]) -> None:
         watch.active, watch.since_us = not watch.active, -1
         self.bits ^= 1 << watch.row.rule
         self._judge = True
         if watch.active:
-            watch.text = _Words(self._params, conditions, self._situation).put_in(watch.row.text)
+            watch.text = _Words(self._params, status, self._failsafe_inputs).put_in(watch.row.text)
         if self._armed:
             row = notices.FAILSAFE_OVER
             if watch.active:
                 urgent = RANK[watch.effect] > 0 or watch.row.severity is Severity.CRITICAL
                 row = notices.FAILSAFE_ACTS if urgent else notices.FAILSAFE_WARNS
-            events.append(row.event(conditions.t_us, condition=watch.text))
+            events.append(row.event(status.t_us, condition=watch.text))
 
     def _land(self) -> None:
         """Disarmed: what is looked at only in flight is over."""
@@ -196,16 +189,16 @@ class FailsafeRules:
 class _Words(Mapping[str, object]):
     """What the braces of a text stand for: parameters, and facts of the tick."""
 
-    def __init__(self, params: ParamSet, conditions: TickInputs, situation: FailsafeInputs) -> None:
-        power = conditions.power
+    def __init__(self, params: ParamSet, status: VehicleStatus, inputs: FailsafeInputs) -> None:
+        power = status.power
         self._facts = {
-            "thruster_problem": conditions.thruster_problem,
-            "watchdog_problem": conditions.watchdog_problem,
-            "fault": conditions.fault,
-            "silent_sensor": situation.silent_sensor,
-            "silence": situation.silent_how,
-            "battery_now": _battery(power, situation, "at {remaining:.0%}"),
-            "battery_low": _battery(power, situation, f"below {params['FS_BATT_LOW']:.0%}"),
+            "thruster_problem": status.thruster_problem,
+            "watchdog_problem": status.watchdog_problem,
+            "fault": status.fault,
+            "silent_sensor": inputs.silent_sensor,
+            "silence": inputs.silent_how,
+            "battery_now": _battery(power, inputs, "at {remaining:.0%}"),
+            "battery_low": _battery(power, inputs, f"below {params['FS_BATT_LOW']:.0%}"),
         }
         self._params = params
 
@@ -219,15 +212,14 @@ class _Words(Mapping[str, object]):
         return len(self._facts) + len(self._params)
 
     def put_in(self, text: str) -> str:
-        """The text with its braces filled."""
         return text.format_map(self).replace("%", " %").replace("  %", " %")
 
 
-def _battery(power: PowerSample | None, situation: FailsafeInputs, share: str) -> str:
+def _battery(power: PowerSample | None, inputs: FailsafeInputs, share: str) -> str:
     """What is low of the battery: its voltage, or its share."""
     if power is None:
         return "unknown"
-    if situation.low_voltage < 0.0:
+    if inputs.low_voltage < 0.0:
         return f"at {power.voltage_v:.1f} V"
     return share.format(remaining=power.remaining)
 

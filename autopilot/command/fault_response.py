@@ -40,7 +40,7 @@ class FaultResponse:
         self._commander = commander
         self._motion = motion
         self._seen: set[tuple[str, str]] = set()
-        self._said_us: dict[tuple[str, str], int] = {}
+        self._reported_us: dict[tuple[str, str], int] = {}
         self._last: Fault | None = None
         self._since_us: int | None = None
         self._order: Hashable = None
@@ -120,13 +120,13 @@ class FaultResponse:
         return disarms
 
     def _say(self, fault: Fault) -> None:
-        said_us = self._said_us.get(fault.key)
-        if said_us is not None and fault.t_us - said_us < FAULT_RESPONSE.say_every_us:
+        reported_us = self._reported_us.get(fault.key)
+        if reported_us is not None and fault.t_us - reported_us < FAULT_RESPONSE.say_every_us:
             return
-        self._said_us.pop(fault.key, None)
-        while len(self._said_us) >= FAULT_RESPONSE.max_kinds:
-            del self._said_us[next(iter(self._said_us))]
-        self._said_us[fault.key] = fault.t_us
+        self._reported_us.pop(fault.key, None)
+        while len(self._reported_us) >= FAULT_RESPONSE.max_kinds:
+            del self._reported_us[next(iter(self._reported_us))]
+        self._reported_us[fault.key] = fault.t_us
         self._events.append(notices.FAULT.event(fault.t_us, line=fault.line))
 
     def thrust_n(self, t_us: int, nav: NavState | None, limit_n: FloatArray) -> FloatArray:
@@ -140,6 +140,4 @@ class FaultResponse:
             return np.zeros(len(limit_n))
         if self._place is None:
             self._place = x.copy()
-        return station_keeping_thrust(
-            self._sharing, x, self._place, current, np.minimum(limit_n, self._params["THR_LIMIT"])
-        )
+        return station_keeping_thrust(self._sharing, x, self._place, current, limit_n)

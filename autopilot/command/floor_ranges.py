@@ -21,8 +21,6 @@ _NOWHERE = (math.nan, math.nan, math.nan)
 
 @dataclass(slots=True, eq=False)
 class _Ranges:
-    """Of one sensor."""
-
     position_frd_m: tuple[float, float, float] = _NOWHERE
     direction_frd: tuple[float, float, float] = _NOWHERE
     heard: deque[tuple[int, float]] = field(default_factory=lambda: deque(maxlen=READINGS))

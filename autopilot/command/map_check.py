@@ -81,7 +81,9 @@ class MapCheck:
                 "reach"
             )
         leg = self._slowest_leg(steps, limit_m_s)
-        return "" if leg is None or leg.left_m_s >= UPSTREAM.told_m_s else f"{leg.text(0.0)} (by current map {name})"
+        return (
+            "" if leg is None or leg.left_m_s >= UPSTREAM.reported_m_s else f"{leg.text(0.0)} (by current map {name})"
+        )
 
     def _slowest_leg(self, steps: Sequence[Step], limit_m_s: float) -> SlowLeg | None:
         """By the map's mean over time, at the depth of the first waypoint."""

@@ -8,7 +8,7 @@ import numpy as np
 
 from autopilot.command.announcements import Announcements
 from autopilot.command.command_tuning import MISSION_RUN
-from autopilot.command.conditions import TickInputs
+from autopilot.command.vehicle_status import VehicleStatus
 from autopilot.core import operator_messages as notices
 from autopilot.core.frames import FloatArray
 from autopilot.core.messages import Goal, NavState, ProgressState
@@ -45,12 +45,12 @@ class MissionRun:
         self._made_good = MadeGood()
         self._given_up = False
         """The present goal has been told to be out of reach."""
-        self._told_upstream: set[tuple[int, bool]] = set()
+        self._reported_upstream: set[tuple[int, bool]] = set()
         """What has been told of the current on legs since the mission was started."""
         self._upstream_us = 0
-        self._untold: tuple[int, ...] = ()
+        self._unreported: tuple[int, ...] = ()
         """Items that were reached since that was last told."""
-        self._told_reached_us = -MISSION_RUN.reached_us
+        self._reached_reported_us = -MISSION_RUN.reached_us
         self.sequencer = Sequencer(params)
 
     def load(self) -> bool:
@@ -63,11 +63,10 @@ class MissionRun:
         return True
 
     def start(self, t_us: int, nav: NavState | None) -> None:
-        """Go on where the mission stands."""
         self.load()
         self.sequencer.start()
-        self._told_upstream, self._upstream_us = set(), t_us
-        self._tell_upstream(nav)
+        self._reported_upstream, self._upstream_us = set(), t_us
+        self._report_upstream(nav)
 
     def set_home(self, pos_ned_m: FloatArray) -> str:
         """Home is a place on the surface: relative altitudes count from there. Why not, "" when it is taken."""
@@ -84,31 +83,30 @@ class MissionRun:
             self._operator.say(notices.HOME_KEPT(reason=refusal))
 
     def step(self, t_us: int, nav: NavState) -> SequencerOutput:
-        """One tick while the mission is flown."""
         out = self.sequencer.step(t_us, nav)
-        self._untold += out.reached
+        self._unreported += out.reached
         if out.progress.state is ProgressState.COMPLETE:
-            self._tell_reached(t_us)
+            self._report_reached(t_us)
         return out
 
     def tell(self, t_us: int) -> None:
         """What has been reached, as often as that is told; also when the mission is flown no more."""
-        if self._untold and t_us - self._told_reached_us >= MISSION_RUN.reached_us:
-            self._tell_reached(t_us)
+        if self._unreported and t_us - self._reached_reported_us >= MISSION_RUN.reached_us:
+            self._report_reached(t_us)
 
-    def _tell_reached(self, t_us: int) -> None:
+    def _report_reached(self, t_us: int) -> None:
         """What has been reached since the last text."""
-        count = len(self._untold)
+        count = len(self._unreported)
         if not count:
             return
         if count == 1:
-            text = notices.REACHED(seq=self._untold[0])
+            text = notices.REACHED(seq=self._unreported[0])
         elif count <= MISSION_RUN.reached_named:
-            text = notices.REACHED_SEVERAL(seqs=", ".join(map(str, self._untold)))
+            text = notices.REACHED_SEVERAL(seqs=", ".join(map(str, self._unreported)))
         else:
-            text = notices.REACHED_MANY(count=count, seq=self._untold[-1])
+            text = notices.REACHED_MANY(count=count, seq=self._unreported[-1])
         self._operator.say(text)
-        self._untold, self._told_reached_us = (), t_us
+        self._unreported, self._reached_reported_us = (), t_us
 
     def completed(self, t_us: int, laps: int, reached: tuple[int, ...]) -> tuple[int, ...]:
         """Say that the mission is over. The result is ``reached`` with the last item: a plan that ends with DO_ items
@@ -136,31 +134,31 @@ class MissionRun:
         self._made_good.forget()
         self._given_up = False
 
-    def watch_way(self, conditions: TickInputs, goal: Goal, nav: NavState, *, flies: bool) -> bool:
+    def watch_way(self, status: VehicleStatus, goal: Goal, nav: NavState, *, flies: bool) -> bool:
         """A goal that the vehicle gets no nearer to is not crept at for ever: WP_STUCK_ACT says what is done.
 
         ``flies``: an item of the mission, else home. True when the vehicle is to hold.
         """
-        t_us, patience_s = conditions.t_us, self._params["WP_STUCK_TIME"]
+        t_us, patience_s = status.t_us, self._params["WP_STUCK_TIME"]
         step_m = patience_s * self._params["SPD_GROUND_MIN"]
         way_left_m = self.sequencer.circle_left_m if flies else None
-        way_left_m = conditions.way_left_m if way_left_m is None else way_left_m
+        way_left_m = status.way_left_m if way_left_m is None else way_left_m
         idle_s = self._made_good.idle_s(t_us, goal, nav, way_left_m, step_m)
         if flies and t_us - self._upstream_us >= MISSION_RUN.upstream_us:
             self._upstream_us = t_us
-            self._tell_upstream(nav, only_this=True)
+            self._report_upstream(nav, only_this=True)
         if idle_s < patience_s:
             self._given_up = False
             return False
         if self._given_up:
             return False
         self._given_up = True
-        return self._give_up(conditions, goal, nav, flies)
+        return self._give_up(status, goal, nav, flies)
 
-    def _give_up(self, conditions: TickInputs, goal: Goal, nav: NavState, flies: bool) -> bool:
+    def _give_up(self, status: VehicleStatus, goal: Goal, nav: NavState, flies: bool) -> bool:
         """Say it and do it; True when the vehicle is to hold."""
         current = math.hypot(*nav.current_ned_m_s[:2].tolist())
-        why = "no free way" if conditions.unreachable else f"current {current:.2f} m/s"
+        why = "no free way" if status.unreachable else f"current {current:.2f} m/s"
         action = int(self._params["WP_STUCK_ACT"]) if flies else StuckAction.WARN
         if action == StuckAction.WARN:
             name = f"Item {goal.seq}" if flies else "Home"
@@ -190,15 +188,15 @@ class MissionRun:
             lambda places: np.tile(current, (len(places), 1)),
         )
 
-    def _tell_upstream(self, nav: NavState | None, *, only_this: bool = False) -> None:
+    def _report_upstream(self, nav: NavState | None, *, only_this: bool = False) -> None:
         """What the current leaves of the speed over ground on the slowest leg that is to come (or on this one), if that
         is little; once per item and answer."""
         leg, least_m_s = self._slowest_leg(nav, only_this=only_this), self._params["SPD_GROUND_MIN"]
         if leg is not None and only_this:
             leg = leg.made(self._made_good.made_m_s, self._made_good.left_m)
-        if leg is None or leg.left_m_s >= UPSTREAM.told_m_s:
+        if leg is None or leg.left_m_s >= UPSTREAM.reported_m_s:
             return
         found = (leg.seq, leg.out_of_reach(least_m_s))
-        if found not in self._told_upstream:
-            self._told_upstream.add(found)
+        if found not in self._reported_upstream:
+            self._reported_upstream.add(found)
             self._operator.say(notices.UPSTREAM(leg=leg.text(least_m_s)))

@@ -3,12 +3,12 @@
 from collections.abc import Callable
 from typing import TypeVar
 
-from autopilot.command.conditions import TickInputs
 from autopilot.command.decision import Pose
 from autopilot.command.failsafe_table import Effect
 from autopilot.command.failsafes import FailsafeRules
 from autopilot.command.modes.mode import FlightModeBehaviour, ModeStep, Tools, denied
 from autopilot.command.modes.mode_table import MODES
+from autopilot.command.vehicle_status import VehicleStatus
 from autopilot.control.thrust.by_hand import ByHand
 from autopilot.core import operator_messages as notices
 from autopilot.core.messages import Authority, Below, Failsafe, Goal, NavState
@@ -31,7 +31,7 @@ class ModeMachine:
         """Whether there was a position on the last tick."""
         self._under_way = False
         self._override: FlightMode | None = None
-        self.conditions: TickInputs | None = None
+        self.status: VehicleStatus | None = None
         """Of the last tick, None before the first one."""
         self.armed = False
         self.yielded = False
@@ -73,11 +73,10 @@ class ModeMachine:
     @property
     def nav(self) -> NavState | None:
         """The estimate of the last tick, None when there is none or it is lost."""
-        return None if self.conditions is None else self.conditions.estimate
+        return None if self.status is None else self.status.estimate
 
     @property
     def active(self) -> FlightModeBehaviour:
-        """The mode in force."""
         return self._modes[self.mode]
 
     @property
@@ -86,7 +85,6 @@ class ModeMachine:
         return not self._modes[self.chosen].needs_position
 
     def of_kind(self, kind: type[M]) -> M:
-        """The mode of that class."""
         mode = self._modes[kind.name]
         assert isinstance(mode, kind)
         return mode
@@ -98,7 +96,7 @@ class ModeMachine:
         steers = not self._modes[mode].needs_position and not self._failsafes.acts_beside(Failsafe.NAV_LOST)
         if self.overridden and mode is not FlightMode.SURFACE and self._failsafes.acting and not steers:
             return denied(f"Mode change denied: failsafe active ({self._failsafes.describe()})")
-        return self._modes[mode].refusal(self.conditions, armed=self.armed)
+        return self._modes[mode].refusal(self.status, armed=self.armed)
 
     def prepare(self, mode: FlightMode) -> str:
         """Before a mode is chosen without more words: why that is not possible, "" if it is."""
@@ -137,7 +135,6 @@ class ModeMachine:
         self.enter(mode)
 
     def enter(self, mode: FlightMode) -> None:
-        """Begin a mode where the vehicle is."""
         self.orders += 1
         self.ascent = None
         self._under_way |= mode is not FlightMode.HOLD
@@ -148,7 +145,6 @@ class ModeMachine:
         self.chosen = mode
 
     def fly_to(self, goal: Goal) -> None:
-        """Another place to hold at."""
         self.goal = goal
         self._under_way = True
 
@@ -189,9 +185,9 @@ class ModeMachine:
 
     # One tick
 
-    def apply_failsafes(self, conditions: TickInputs) -> None:
-        """What the conditions of this tick forbid."""
-        for event in self._failsafes.update(conditions, armed=self.armed):
+    def apply_failsafes(self, status: VehicleStatus) -> None:
+        """Act on the failsafe conditions of this tick."""
+        for event in self._failsafes.update(status, armed=self.armed):
             self._operator.pass_on(event)
         action = self._failsafes.action
         if not self.armed or self.yielded or action is None:
@@ -226,25 +222,24 @@ class ModeMachine:
         back = self._override is FlightMode.RETURN or not self._goals.refuse_home()
         return FlightMode.RETURN if back else FlightMode.HOLD
 
-    def advance(self, conditions: TickInputs) -> tuple[Goal | None, tuple[int, ...]]:
+    def advance(self, status: VehicleStatus) -> tuple[Goal | None, tuple[int, ...]]:
         """Goal of this tick, and the mission items that have been reached on it."""
         nav = self.nav
         self._watch_position()
-        self._mission.tell(conditions.t_us)
+        self._mission.tell(status.t_us)
         if not self.armed or self.yielded or nav is None:
             return None, ()
-        step = self.active.step(conditions, nav)
+        step = self.active.step(status, nav)
         self._follow(step)
         if self.goal is None:
             self.goal = self.active.place(nav)
-        goal, end = self.goal, self.active.watch(conditions, self.goal, nav)
+        goal, end = self.goal, self.active.watch(status, self.goal, nav)
         self._follow(end)
         if self.armed:
             goal = self.goal
         return goal if self.ascent is None else None, step.reached
 
     def _follow(self, step: ModeStep) -> None:
-        """Do what a mode wants."""
         self.equipment_orders += step.orders
         if step.goal is not None:
             self.goal = step.goal
@@ -257,11 +252,11 @@ class ModeMachine:
         elif step.disarm:
             self.disarm(force=False)
 
-    def by_hand(self, conditions: TickInputs) -> ByHand | None:
+    def by_hand(self, status: VehicleStatus) -> ByHand | None:
         """What a pilot asks for where there is no position, None where the mode needs one or there is one."""
         if not self.armed or self.yielded or self.nav is not None:
             return None
-        return self.active.by_hand(conditions)
+        return self.active.by_hand(status)
 
     def _watch_position(self) -> None:
         """A pilot is told when fence and limits no longer hold, and when they do again."""

@@ -6,8 +6,8 @@ fence. What it may do at most is what :mod:`autopilot.run.motor_test` may on boa
 
 from autopilot.command.announcements import Announcements
 from autopilot.command.command_tuning import MOTOR_TESTS
-from autopilot.command.conditions import TickInputs
 from autopilot.command.mode_machine import ModeMachine
+from autopilot.command.vehicle_status import VehicleStatus
 from autopilot.core import operator_messages as notices
 from autopilot.core.vehicle import Vehicle
 from autopilot.mavlink.api import FlightMode, MotorTest, Sticks
@@ -27,15 +27,15 @@ class MotorTests:
 
     def begin(self, test: MotorTest) -> str:
         """Why there is no test, "" when it runs."""
-        conditions, count = self._modes.conditions, len(self._thrusters)
-        if not self._modes.armed or conditions is None:
+        status, count = self._modes.status, len(self._thrusters)
+        if not self._modes.armed or status is None:
             return "arm first"
         if not 1 <= test.number <= count:
             return f"there is no motor {test.number}, use 1 to {count}"
-        reason = self._end(conditions)
+        reason = self._end(status)
         if reason:
             return reason
-        t_us = conditions.t_us
+        t_us = status.t_us
         if t_us < self._rest_us:
             return f"{MOTOR_TESTS.most_s:g} s are enough, wait {MOTOR_TESTS.rest_s:g} s"
         place = test.number - 1
@@ -57,12 +57,11 @@ class MotorTests:
         self._until_us = t_us + round(1e6 * min(test.seconds or MOTOR_TESTS.silence_s, MOTOR_TESTS.most_s))
         return ""
 
-    def step(self, conditions: TickInputs) -> tuple[int, int] | None:
-        """What turns on this tick."""
+    def step(self, status: VehicleStatus) -> tuple[int, int] | None:
         if self._now is None:
             return None
-        t_us = conditions.t_us
-        reason = self._end(conditions)
+        t_us = status.t_us
+        reason = self._end(status)
         if t_us - self._began_us >= MOTOR_TESTS.most_s * 1e6:
             reason, self._rest_us = f"{MOTOR_TESTS.most_s:g} s", t_us + round(1e6 * MOTOR_TESTS.rest_s)
         if reason or t_us >= self._until_us:
@@ -70,9 +69,9 @@ class MotorTests:
             self._operator.say(notices.MOTOR_TEST_ENDED(reason=reason) if reason else notices.MOTOR_TEST_OVER())
         return self._now
 
-    def _end(self, conditions: TickInputs) -> str:
+    def _end(self, status: VehicleStatus) -> str:
         """What speaks against a test now."""
-        modes, sticks, nav = self._modes, conditions.sticks, self._modes.nav
+        modes, sticks, nav = self._modes, status.sticks, self._modes.nav
         if not modes.armed:
             return "disarmed"
         if modes.yielded:

@@ -31,7 +31,7 @@ class PayloadOrders:
 
     def __init__(self, equipment: Equipment, photographer: Photographer | None) -> None:
         self._equipment, self._photographer = equipment, photographer
-        self._told_camera = False
+        self._reported_camera = False
 
     def refusal(self, order: Order) -> str:
         """Why the vehicle has nothing that could ever do it, "" when it has."""
@@ -83,8 +83,8 @@ class PayloadOrders:
         camera = self._photographer
         starts = isinstance(order, Shoot) or (isinstance(order, ShootEvery) and order.distance_m > 0.0)
         if camera is None:
-            told, self._told_camera = self._told_camera, self._told_camera or starts
-            return CommandReply(result=CommandResult.DENIED, reason=NO_CAMERA) if starts and not told else ACCEPTED
+            reported, self._reported_camera = self._reported_camera, self._reported_camera or starts
+            return CommandReply(result=CommandResult.DENIED, reason=NO_CAMERA) if starts and not reported else ACCEPTED
         match order:
             case Shoot():
                 return camera.shoot(order.count, order.interval_s, order.seq)

@@ -27,8 +27,6 @@ _R_CAM_FROM_VIEW: FloatArray = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [1.0,
 
 @dataclass(slots=True)
 class _Sequence:
-    """Stills by time."""
-
     left: int | None
     """None = until it is stopped."""
     interval_us: int
@@ -38,8 +36,6 @@ class _Sequence:
 
 @dataclass(slots=True)
 class _Survey:
-    """Stills by way."""
-
     distance_m: float
     place_ned_m: FloatArray | None
     """(3,) of the last one, None = the next one at once."""
@@ -142,7 +138,6 @@ class Photographer:
     # One tick
 
     def note(self, inputs: Inputs) -> None:
-        """What the camera says."""
         self._t_us = inputs.t_us
         if inputs.camera is not None:
             self._report = inputs.camera

@@ -26,9 +26,9 @@ class PlanCheckNews:
         self._plans = plans
         self._operator = operator
         self._checked: tuple[PlanVerdict, bool] | None = None
-        self._told = ""
-        self._told_us = 0
-        self._told_revision = 0
+        self._reported = ""
+        self._reported_us = 0
+        self._reported_revision = 0
 
     def changed(self) -> bool:
         """Whether there is another answer than on the last call, or one is waited for."""
@@ -44,16 +44,16 @@ class PlanCheckNews:
             return False
         problem, revision = self._plans.problem, self._plans.revision
         ends = bool(problem) and in_mission
-        again = revision != self._told_revision and t_us - self._told_us >= REPEAT_US
+        again = revision != self._reported_revision and t_us - self._reported_us >= REPEAT_US
         if ends:
             self._operator.say(notices.PLAN_HOLD(problem=problem))
-        elif problem and (problem != self._told or again):
+        elif problem and (problem != self._reported or again):
             self._operator.say(notices.PLAN_NO_START(problem=problem))
-        elif self._told and not problem:
+        elif self._reported and not problem:
             self._operator.say(notices.PLAN_OK())
         else:
             return False
-        self._told, self._told_us, self._told_revision = problem, t_us, revision
+        self._reported, self._reported_us, self._reported_revision = problem, t_us, revision
         return ends
 
 

@@ -1,27 +1,23 @@
 """The autopilot as one function: ``Outputs = Autopilot.step(Inputs)``, once per tick of 10 ms.
 
-Order within a tick: estimate -> MAVLink -> decide -> control (every fifth tick) -> allocate. No clock, socket, file
-or random number lives here; real vehicle, simulation and replay differ only in who makes the inputs. Every part runs
-under a guard (:mod:`autopilot.core.guard`): what one that fails means for the others stands in
-:mod:`autopilot.command.fault_response`.
+The table in :meth:`Autopilot._stages_of_tick` lists what a tick does, in its order. No clock, socket, file or random
+number lives here; real vehicle, simulation and replay differ only in who makes the inputs. Every stage runs under a
+guard (:mod:`autopilot.core.guard`); :mod:`autopilot.command.fault_response` decides what a fault means for the others.
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
-from functools import partial
-from typing import TypeVar
+from dataclasses import dataclass, replace
+from operator import attrgetter
+from typing import TypeAlias
 
 from autopilot.command.command_tuning import SERVICE
-from autopilot.command.conditions import TickInputs
 from autopilot.command.control_step import ControlStep
 from autopilot.command.decision import Decision
+from autopilot.command.environment import Environment
 from autopilot.command.estimation import Estimated, Estimation
-from autopilot.command.facts import VehicleStatus
 from autopilot.command.fault_response import FaultResponse
 from autopilot.command.payload_orders import PayloadOrders
 from autopilot.command.service_parts import Parts
-from autopilot.command.surroundings import Environment
-from autopilot.command.view import vehicle_view
 from autopilot.core.clients import ClientRecord
 from autopilot.core.frames import FloatArray
 from autopilot.core.marks import LoopPart, Marks, NoMarks
@@ -43,16 +39,50 @@ from autopilot.core.messages import (
     ThrusterCommand,
     ThrusterHealthState,
 )
+from autopilot.core.payload import PayloadState
 from autopilot.core.samples import ExternalPoseSample
 from autopilot.core.stills import StillRecord
 from autopilot.mavlink.api import VehicleView
 
-NO_EVENTS: tuple[Event, ...] = ()
-NO_POSES: tuple[ExternalPoseSample, ...] = ()
-NO_FRAMES: tuple[MavlinkFrame, ...] = ()
-NO_STILLS: tuple[tuple[int, ...], tuple[StillRecord, ...]] = ((), ())
 
-T = TypeVar("T")
+@dataclass(slots=True, eq=False)
+class TickState:
+    """What the stages of one tick hand on. A stage that fails leaves what stands here: nothing, or neutral."""
+
+    inputs: Inputs
+    acting_n: FloatArray
+    """(n,) what sound thrusters give of the thrust that acts now."""
+    poses: tuple[ExternalPoseSample, ...] = ()
+    given: EstimatorInputs | None = None
+    estimated: Estimated | None = None
+    nav: NavState | None = None
+    counters: NavCounters | None = None
+    tx: tuple[MavlinkFrame, ...] = ()
+    thrusters: ThrusterHealthState | None = None
+    decision: Decision | None = None
+    shots: tuple[int, ...] = ()
+    stills: tuple[StillRecord, ...] = ()
+    control: ControlOutput | None = None
+    command: ThrusterCommand | None = None
+    events: tuple[Event, ...] = ()
+    payload: PayloadState | None = None
+    notices: tuple[Event, ...] = ()
+
+
+StageWork: TypeAlias = Callable[[TickState], None]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Stage:
+    part: str
+    """The guard's name for it, "" = not guarded here: its fault costs the whole tick."""
+    work: StageWork
+    mark: LoopPart | None = None
+    """The loop's statistics count everything since the last mark as this part."""
+    every: int = 1
+    """Only on ticks that this divides."""
+    given: Callable[[TickState], object] = attrgetter("inputs")
+    """What a failing stage worked on, for the description of its fault."""
 
 
 class Autopilot:
@@ -65,23 +95,55 @@ class Autopilot:
         """Takes the time of the parts of a tick, for the loop's statistics; nothing in here looks at it."""
         self._tick = 0
         self._actuation = parts.actuation
-        self._surroundings = Environment(parts.vehicle, parts.params)
+        self._environment = Environment(parts.vehicle, parts.params)
+        self._status = self._environment.status
         self._estimation = Estimation(parts.estimator, parts.guard)
         self._motion = ControlStep(
-            parts.vehicle, parts.controller, parts.actuation, parts.params, self._surroundings.tracks
+            parts.vehicle, parts.controller, parts.actuation, parts.params, self._environment.tracks
         )
-        self._motion.felt = self._surroundings.facts.felt
+        self._motion.felt = self._status.felt
         self._faults = FaultResponse(parts.vehicle, parts.params, parts.guard, parts.commander, self._motion)
         self._orders = PayloadOrders(parts.equipment, parts.photographer)
         parts.plans.order_check = self._orders.refusal
-        self._told: list[Event] = []
+        self._order_events: list[Event] = []
         """What became of orders to the equipment, for the operator."""
         self._given: Inputs | None = None
-        self._shown: VehicleView | None = None
+        self._view: VehicleView | None = None
         # Of the last tick:
         self._decision: Decision | None = None
         self._command: ThrusterCommand | None = None
         self._events: tuple[Event, ...] = ()
+        self._stages = self._stages_of_tick()
+
+    def _stages_of_tick(self) -> tuple[Stage, ...]:
+        """What a tick does, in this order. The NMPC itself runs on every fifth tick of the stage ``controller``."""
+        return (
+            Stage("inputs", self._take_inputs),
+            Stage("camera", self._note_exposures),
+            Stage("thrusters", self._send_thrust),
+            Stage("message", self._take_poses),
+            Stage("message", self._take_tracks),
+            Stage("", self._estimate, LoopPart.ESTIMATE),
+            Stage("counters", self._count, every=SERVICE.counters_every_ticks),
+            Stage("view", self._refresh_view),
+            Stage("mavlink", self._serve_clients, LoopPart.MAVLINK),
+            Stage("thrusters", self._watch_thrusters, given=attrgetter("nav", "acting_n")),
+            Stage("", self._update_status),
+            Stage("commander", self._decide, given=lambda _: self._status),
+            Stage("", self._respond_to_faults, LoopPart.DECIDE),
+            Stage("warming", self._warm_controller, every=SERVICE.warm_at_tick),
+            Stage("payload", self._carry_out_orders, given=attrgetter("decision")),
+            Stage("camera", self._photograph, given=attrgetter("nav")),
+            Stage("controller", self._control, LoopPart.CONTROL, given=attrgetter("nav", "decision")),
+            Stage("", self._hold_station_after_fault),
+            Stage("allocation", self._allocate, given=lambda _: (self._motion.thrust_n, self._status.power)),
+            Stage("", self._neutral_after_fault),
+            Stage("commander", self._take_commander_events),
+            Stage("controller", self._take_controller_events),
+            Stage("", self._collect_events),
+            Stage("payload", self._step_equipment),
+            Stage("telemetry", self._take_notices),
+        )
 
     @property
     def nav(self) -> NavState | None:
@@ -90,11 +152,11 @@ class Autopilot:
 
     def serve(self, t_us: int, rx: Sequence[MavlinkFrame]) -> tuple[MavlinkFrame, ...]:
         """What is received between two ticks: plan transfers are answered at once, the rest waits for the next tick."""
-        return self._run("mavlink", lambda: self._parts.server.serve(t_us, rx), NO_FRAMES, lambda: rx)
+        return self._parts.guard.run("mavlink", lambda: self._parts.server.serve(t_us, rx), (), lambda: rx)
 
     def beat(self) -> tuple[MavlinkFrame, ...]:
         """A HEARTBEAT for every link, of the last tick's state; changes nothing."""
-        return self._run("heartbeat", self._parts.server.beat, NO_FRAMES)
+        return self._parts.guard.run("heartbeat", self._parts.server.beat, (), lambda: self._given)
 
     def standing(self, link: int, client: int) -> ClientRecord:
         """What a client of a link has shown of itself so far: who keeps its place where there are too few."""
@@ -113,63 +175,48 @@ class Autopilot:
         return replace(outputs, faults=faults) if faults else outputs
 
     def _step(self, inputs: Inputs) -> Outputs:
-        parts, actuation, t_us = self._parts, self._actuation, inputs.t_us
-        self._run("inputs", lambda: self._note(inputs), None)
-        if parts.photographer is not None:
-            self._run("camera", partial(parts.photographer.note, inputs), None)
-        acting_n = self._run("thrusters", lambda: actuation.send(t_us), actuation.nothing())
-        poses = self._run("message", parts.server.take_samples, NO_POSES)
-        self._run("message", lambda: self._note_others(t_us), None)
-        given = EstimatorInputs(thrust_n=actuation.share * acting_n, samples=poses)
-        estimated = self._estimation.step(inputs, given)
-        nav = estimated.nav
-        self.marks.mark(LoopPart.ESTIMATE)
-        counters = None
-        if self._tick % SERVICE.counters_every_ticks == 0:
-            counters = self._run("counters", lambda: self._counted(inputs), None)
-        tx = self._serve(inputs, nav)
-        self.marks.mark(LoopPart.MAVLINK)
-        thrusters = self._watch_thrusters(t_us, nav, acting_n)
-        decision = self._decide(t_us, estimated)
-        self.marks.mark(LoopPart.DECIDE)
-        if self._tick == SERVICE.warm_at_tick:
-            self._run("warming", lambda: parts.controller.warm(parts.params), None)
-        if decision.orders:
-            self._told += self._run("payload", lambda: self._orders.carry_out(t_us, decision.orders), [])
-        shots, stills = self._photograph(t_us, nav, armed=decision.armed)
-        control = self._run("controller", lambda: self._control(t_us, nav, decision), None, lambda: (nav, decision))
-        self.marks.mark(LoopPart.CONTROL)
-        self._faults.judge()
-        if self._faults.holding:
-            self._hold_station(t_us, nav)
-        command = self._command_of(t_us, decision.armed)
-        self._decision, self._command = decision, command
-        events = self._run("commander", parts.commander.drain_events, NO_EVENTS)
-        events += self._run("controller", lambda: self._news(t_us), NO_EVENTS)
-        self._faults.judge()
-        self._events = (*events, *self._take_events())
+        tick = TickState(inputs, self._actuation.nothing())
+        number, run_guarded, marks = self._tick, self._run_guarded, self.marks
+        for stage in self._stages:
+            if stage.every > 1 and number % stage.every:
+                continue
+            if stage.part:
+                run_guarded(stage, tick)
+            else:
+                stage.work(tick)
+            if stage.mark is not None:
+                marks.mark(stage.mark)
+        return self._outputs(tick)
+
+    def _run_guarded(self, stage: Stage, tick: TickState) -> None:
+        self._parts.guard.run(stage.part, lambda: stage.work(tick), None, lambda: stage.given(tick))
+
+    def _outputs(self, tick: TickState) -> Outputs:
+        parts, inputs, decision, estimated = self._parts, tick.inputs, tick.decision, tick.estimated
+        assert decision is not None and estimated is not None and tick.command is not None
+        t_us = inputs.t_us
         return Outputs(
             t_us=t_us,
-            command=command,
-            nav=nav,
+            command=tick.command,
+            nav=tick.nav,
             mode=self._mode_state(t_us, armed=decision.armed and self._faults.drives, decision=decision),
-            mavlink_tx=tx,
+            mavlink_tx=tick.tx,
             aids=estimated.aids,
-            estimated_from=given,
-            counters=counters,
+            estimated_from=tick.given,
+            counters=tick.counters,
             shadow=estimated.shadow,
             goal=decision.goal,
-            control=control,
+            control=tick.control,
             progress=decision.progress,
-            thrusters=thrusters,
+            thrusters=tick.thrusters,
             drop_weight=decision.drop_weight,
             hand_back=decision.hand_back,
             stop_below=decision.stop_below,
-            payload=self._run("payload", lambda: parts.equipment.step(t_us), None),
-            shots=shots,
-            stills=stills,
+            payload=tick.payload,
+            shots=tick.shots,
+            stills=tick.stills,
             run_end=parts.commander.run_end,
-            events=inputs.notices + self._events + self._run("telemetry", parts.server.take_notices, NO_EVENTS),
+            events=inputs.notices + self._events + tick.notices,
             parameters=parts.params.take_changes(),
         )
 
@@ -189,110 +236,152 @@ class Autopilot:
             events=self._events,
         )
 
-    # Parts of a tick, each under the guard
+    # Stages: inputs and estimate
 
-    def _run(self, part: str, work: Callable[[], T], otherwise: T, given: Callable[[], object] | None = None) -> T:
-        return self._parts.guard.run(part, work, otherwise, given or self._inputs)
-
-    def _inputs(self) -> object:
-        return self._given
-
-    def _note(self, inputs: Inputs) -> None:
+    def _take_inputs(self, tick: TickState) -> None:
         """What comes in beside the estimator's samples."""
+        inputs = tick.inputs
         if any(trouble.device is DeviceRole.THRUSTERS for trouble in inputs.troubles):
             self._actuation.not_taken()
-        self._surroundings.note(inputs)
-        self._actuation.supply_v = self._surroundings.supply_v
+        self._environment.note(inputs)
+        self._actuation.supply_v = self._environment.supply_v
         below = inputs.below
         if below is not None and (below.rival or not below.acts):
             self._actuation.taken(below.pulses_us)
 
-    def _counted(self, inputs: Inputs) -> NavCounters:
-        """The counts of estimator, pictures, faults and devices."""
-        pictures = self._surroundings.pictures(inputs.frame_counts)
-        faults = {f"faults.{part}": count for part, count in self._parts.guard.counts.items()}
-        counts = {**self._estimation.counts(pictures), **faults, **self._surroundings.counts()}
-        return NavCounters(t_us=inputs.t_us, counts=counts)
+    def _note_exposures(self, tick: TickState) -> None:
+        if self._parts.photographer is not None:
+            self._parts.photographer.note(tick.inputs)
 
-    def _note_others(self, t_us: int) -> None:
-        """Obstacles and vehicles that clients told of."""
+    def _send_thrust(self, tick: TickState) -> None:
+        tick.acting_n = self._actuation.send(tick.inputs.t_us)
+
+    def _take_poses(self, tick: TickState) -> None:
+        """Poses that clients have measured."""
+        tick.poses = self._parts.server.take_samples()
+
+    def _take_tracks(self, tick: TickState) -> None:
+        """Obstacles and vehicles that clients have reported."""
         tracks, gone = self._parts.server.take_tracks()
         if tracks or gone:
-            self._surroundings.note_others(t_us, tracks, gone, self._parts.commander.fence)
+            self._environment.note_others(tick.inputs.t_us, tracks, gone, self._parts.commander.fence)
 
-    def _serve(self, inputs: Inputs, nav: NavState | None) -> tuple[MavlinkFrame, ...]:
+    def _estimate(self, tick: TickState) -> None:
+        tick.given = EstimatorInputs(thrust_n=self._actuation.share * tick.acting_n, samples=tick.poses)
+        tick.estimated = self._estimation.step(tick.inputs, tick.given)
+        tick.nav = tick.estimated.nav
+
+    def _count(self, tick: TickState) -> None:
+        """The counts of estimator, pictures, faults and devices."""
+        pictures = self._environment.pictures(tick.inputs.frame_counts)
+        faults = {f"faults.{part}": count for part, count in self._parts.guard.counts.items()}
+        counts = {**self._estimation.counts(pictures), **faults, **self._environment.counts()}
+        tick.counters = NavCounters(t_us=tick.inputs.t_us, counts=counts)
+
+    # Stages: MAVLink
+
+    def _refresh_view(self, tick: TickState) -> None:
+        """What telemetry shows: the estimate of this tick, decision and command of the last one."""
+        parts, motion, environment, decision = self._parts, self._motion, self._environment, self._decision
+        inputs, commander, power = tick.inputs, parts.commander, self._environment.power_watch.shown
+        goal = None if decision is None else decision.goal
+        self._view = VehicleView(
+            t_us=inputs.t_us,
+            armed=commander.shows_armed,
+            mode=commander.mode,
+            intended_mode=commander.intended_mode,
+            nav=tick.nav,
+            power=power,
+            command=self._command,
+            progress=None if decision is None else decision.progress,
+            target_ned_m=None if goal is None else goal.pos_ned_m,
+            origin=parts.plans.origin,
+            home=parts.plans.home,
+            prearm_reasons=commander.readiness,
+            refusals=inputs.refusals,
+            fenced=commander.fenced,
+            failsafes=0 if decision is None else decision.failsafes,
+            cpu_load=inputs.cpu_load,
+            under_way=commander.under_way,
+            dropped_rx=parts.server.dropped_rx,
+            aid_ratio=self._estimation.aid_ratio,
+            nav_errors=self._estimation.errors,
+            nav_doubts=self._estimation.doubts,
+            control=motion.status,
+            ahead=motion.ahead,
+            sensed=environment.sensed,
+            energy_left_j=None if power is None else power.remaining * parts.vehicle.battery.capacity_j,
+        )
+
+    def _serve_clients(self, tick: TickState) -> None:
         """Requests of clients and telemetry."""
-        reached = () if self._decision is None else self._decision.reached
-        self._shown = view = self._run("view", lambda: self._view(inputs, nav), self._shown)
+        inputs, view = tick.inputs, self._view
         if view is None:
-            return ()
+            return
+        reached = () if self._decision is None else self._decision.reached
         events = self._events + inputs.notices
-        return self._run(
-            "mavlink",
-            lambda: self._parts.server.step(inputs.t_us, inputs.mavlink_rx, view, events, reached),
-            NO_FRAMES,
-        )
+        tick.tx = self._parts.server.step(inputs.t_us, inputs.mavlink_rx, view, events, reached)
 
-    def _watch_thrusters(self, t_us: int, nav: NavState | None, acting_n: FloatArray) -> ThrusterHealthState | None:
+    # Stages: what to do
+
+    def _watch_thrusters(self, tick: TickState) -> None:
         """Late commands and lost thrust."""
-
-        def watch() -> ThrusterHealthState | None:
-            reached = self._surroundings.acts
-            armed = self._parts.commander.armed
-            alone = self._surroundings.alone
-            return self._actuation.learn(t_us, nav, acting_n, self._goal, armed=armed, reached=reached, alone=alone)
-
-        return self._run("thrusters", watch, None, lambda: (nav, acting_n, self._goal))
-
-    def _decide(self, t_us: int, estimated: Estimated) -> Decision:
-        commander, faults = self._parts.commander, self._faults
-        faults.judge()
-        conditions = self._conditions(t_us, estimated)
-        decision = self._run("commander", lambda: commander.step(conditions), None, lambda: conditions)
-        faults.judge()
-        if decision is None:
-            decision = self._undecided(t_us)
-        faults.step()
-        if not faults.stopped:
-            return decision
-        return replace(
-            decision, armed=False, stop_below=True, goal=None, blind_ascent=False, by_hand=None, motor_test=None
+        environment = self._environment
+        tick.thrusters = self._actuation.learn(
+            tick.inputs.t_us,
+            tick.nav,
+            tick.acting_n,
+            self._goal,
+            armed=self._parts.commander.armed,
+            reached=environment.acts,
+            alone=environment.alone,
         )
 
-    def _conditions(self, t_us: int, estimated: Estimated) -> TickInputs:
-        actuation, motion, shadow = self._actuation, self._motion, estimated.shadow
-        return TickInputs(
-            t_us=t_us,
-            nav=estimated.nav,
-            power=self._surroundings.power,
-            ahrs_age_s=None if estimated.ahrs_us is None else (t_us - estimated.ahrs_us) * 1e-6,
-            solver_failures=motion.solver_failures,
-            unreachable=self._parts.controller.unreachable,
-            way_left_m=motion.way_left_m,
-            nav_disagrees=shadow is not None and shadow.disagrees,
-            nav_doubts=estimated.doubts,
-            thruster_share=actuation.shares,
-            thrusters_doubtful=actuation.doubtful_thrusters,
-            thruster_problem=self._surroundings.thruster_problem or actuation.problem,
-            watchdog_problem=self._surroundings.devices.watchdog_problem,
-            thrusters_unseen=actuation.unseen,
-            command_delay_s=actuation.delay_s,
-            fault=self._faults.problem(t_us),
-            below=self._surroundings.below,
-            refusals=self._surroundings.refusals,
-            sticks=self._parts.server.sticks,
-            facts=self._facts(),
-        )
-
-    def _facts(self) -> VehicleStatus:
-        """What has been heard, with what the links and the controller know."""
-        server, facts = self._parts.server, self._surroundings.facts
+    def _update_status(self, tick: TickState) -> None:
+        """All that modes, failsafes and arming look at."""
+        self._faults.judge()
+        status, t_us, estimated = self._status, tick.inputs.t_us, tick.estimated
+        actuation, motion, environment, server = self._actuation, self._motion, self._environment, self._parts.server
+        assert estimated is not None
+        shadow = estimated.shadow
+        status.t_us = t_us
+        status.nav = estimated.nav
+        status.power = environment.power
+        status.ahrs_age_s = None if estimated.ahrs_us is None else (t_us - estimated.ahrs_us) * 1e-6
+        status.solver_failures = motion.solver_failures
+        status.unreachable = self._parts.controller.unreachable
+        status.way_left_m = motion.way_left_m
+        status.nav_disagrees = shadow is not None and shadow.disagrees
+        status.nav_doubts = estimated.doubts
+        status.thruster_share = actuation.shares
+        status.thrusters_doubtful = actuation.doubtful_thrusters
+        status.thruster_problem = environment.thruster_problem or actuation.problem
+        status.watchdog_problem = environment.devices.watchdog_problem
+        status.thrusters_unseen = actuation.unseen
+        status.command_delay_s = actuation.delay_s
+        status.fault = self._faults.problem(t_us)
+        status.below = environment.below
+        status.refusals = environment.refusals
+        status.sticks = server.sticks
         if server.last_gcs_t_us is not None:
-            facts.gcs_us = server.last_gcs_t_us
+            status.gcs_us = server.last_gcs_t_us
         if server.last_pilot_t_us is not None:
-            facts.pilot_us = server.last_pilot_t_us
-        facts.thrust_n = self._motion.thrust_n
-        return facts
+            status.pilot_us = server.last_pilot_t_us
+        status.thrust_n = motion.thrust_n
+
+    def _decide(self, tick: TickState) -> None:
+        tick.decision = self._parts.commander.step(self._status)
+
+    def _respond_to_faults(self, tick: TickState) -> None:
+        """A commander that fails holds; a fault may have stopped the vehicle for good."""
+        self._faults.judge()
+        decision = self._undecided(tick.inputs.t_us) if tick.decision is None else tick.decision
+        self._faults.step()
+        if self._faults.stopped:
+            decision = replace(
+                decision, armed=False, stop_below=True, goal=None, blind_ascent=False, by_hand=None, motor_test=None
+            )
+        tick.decision = decision
 
     def _undecided(self, t_us: int) -> Decision:
         """Stands in for a commander that fails: hold, as far as the fallback does."""
@@ -311,62 +400,80 @@ class Autopilot:
             stop_below=commander.stops_below,
         )
 
-    def _photograph(
-        self, t_us: int, nav: NavState | None, *, armed: bool
-    ) -> tuple[tuple[int, ...], tuple[StillRecord, ...]]:
+    def _carry_out_orders(self, tick: TickState) -> None:
+        """Of mission items passed on this tick, for what the vehicle carries."""
+        assert tick.decision is not None
+        if tick.decision.orders:
+            self._order_events += self._orders.carry_out(tick.inputs.t_us, tick.decision.orders)
+
+    def _photograph(self, tick: TickState) -> None:
         """Stills to be taken, and what became of earlier ones."""
-        photographer = self._parts.photographer
-        if photographer is None:
-            return NO_STILLS
-        return self._run("camera", lambda: photographer.step(t_us, nav, armed=armed), NO_STILLS, lambda: nav)
+        photographer, decision = self._parts.photographer, tick.decision
+        assert decision is not None
+        if photographer is not None:
+            tick.shots, tick.stills = photographer.step(tick.inputs.t_us, tick.nav, armed=decision.armed)
 
-    def _control(self, t_us: int, nav: NavState | None, decision: Decision) -> ControlOutput | None:
+    # Stages: thrust
+
+    def _warm_controller(self, _: TickState) -> None:
+        if self._tick == SERVICE.warm_at_tick:
+            self._parts.controller.warm(self._parts.params)
+
+    def _control(self, tick: TickState) -> None:
         """Run the controller on its ticks; neutral when there is nothing to follow."""
-        if self._faults.holding:
-            return None
+        decision = tick.decision
+        if self._faults.holding or decision is None:
+            return
         due = self._tick % SERVICE.control_every_ticks == 0
-        return self._motion.step(t_us, nav, decision, self._goal, self._parts.commander.fence, due=due)
+        fence = self._parts.commander.fence
+        tick.control = self._motion.step(tick.inputs.t_us, tick.nav, decision, self._goal, fence, due=due)
 
-    def _news(self, t_us: int) -> tuple[Event, ...]:
-        """What the controller tells the operator."""
-        news = self._parts.controller.take_news()
-        return tuple(Event(t_us=t_us, severity=severity, text=text) for severity, text in news)
-
-    def _hold_station(self, t_us: int, nav: NavState | None) -> None:
-        """The fallback's thrust instead of the controller's."""
-        motion, nothing = self._motion, self._actuation.nothing()
-        motion.thrust_n = nothing
-        limit_n = self._run("allocation", lambda: self._actuation.limit_n, nothing)
-        motion.thrust_n = self._run("fallback", lambda: self._faults.thrust_n(t_us, nav, limit_n), nothing, lambda: nav)
-
-    def _command_of(self, t_us: int, armed: bool) -> ThrusterCommand:
-        """Pulses for this tick; neutral when they cannot be made, or when something that failed has disarmed."""
-        thrust_n = self._motion.thrust_n
-        command = self._run(
-            "allocation",
-            lambda: self._actuation.command(t_us, thrust_n, armed=armed),
-            None,
-            lambda: (thrust_n, self._surroundings.power),
-        )
+    def _hold_station_after_fault(self, tick: TickState) -> None:
+        """The fallback's thrust instead of that of a controller that has failed."""
         self._faults.judge()
-        return command if command is not None and (not armed or self._faults.drives) else self._actuation.neutral(t_us)
-
-    # What is told
-
-    def _view(self, inputs: Inputs, nav: NavState | None) -> VehicleView:
-        surroundings, motion = self._surroundings, self._motion
-        return vehicle_view(
-            self._parts,
-            inputs,
-            nav,
-            self._estimation,
-            surroundings.power_watch.shown,
-            motion.status,
-            motion.ahead,
-            surroundings.sensed,
-            self._decision,
-            self._command,
+        if not self._faults.holding:
+            return
+        motion, nothing, guard, nav = self._motion, self._actuation.nothing(), self._parts.guard, tick.nav
+        motion.thrust_n = nothing
+        limit_n = guard.run("allocation", lambda: self._actuation.command_limit_n, nothing, lambda: tick.inputs)
+        motion.thrust_n = guard.run(
+            "fallback", lambda: self._faults.thrust_n(tick.inputs.t_us, nav, limit_n), nothing, lambda: nav
         )
+
+    def _allocate(self, tick: TickState) -> None:
+        """Pulses for this tick."""
+        assert tick.decision is not None
+        thrust_n = self._motion.thrust_n
+        tick.command = self._actuation.command(tick.inputs.t_us, thrust_n, armed=tick.decision.armed)
+
+    def _neutral_after_fault(self, tick: TickState) -> None:
+        """Neutral when pulses could not be made, or when something that failed has disarmed."""
+        assert tick.decision is not None
+        self._faults.judge()
+        if tick.command is None or (tick.decision.armed and not self._faults.drives):
+            tick.command = self._actuation.neutral(tick.inputs.t_us)
+        self._decision, self._command = tick.decision, tick.command
+
+    # Stages: what operators hear
+
+    def _take_commander_events(self, tick: TickState) -> None:
+        tick.events = self._parts.commander.drain_events()
+
+    def _take_controller_events(self, tick: TickState) -> None:
+        t_us, news = tick.inputs.t_us, self._parts.controller.take_news()
+        tick.events += tuple(Event(t_us=t_us, severity=severity, text=text) for severity, text in news)
+
+    def _collect_events(self, tick: TickState) -> None:
+        self._faults.judge()
+        self._events = (*tick.events, *self._take_events())
+
+    def _step_equipment(self, tick: TickState) -> None:
+        tick.payload = self._parts.equipment.step(tick.inputs.t_us)
+
+    def _take_notices(self, tick: TickState) -> None:
+        tick.notices = self._parts.server.take_notices()
+
+    # Of the last tick
 
     @property
     def _goal(self) -> Goal | None:
@@ -376,9 +483,9 @@ class Autopilot:
     def _take_events(self) -> list[Event]:
         """Lines for the operator that are not the commander's."""
         photographer = self._parts.photographer
-        told, self._told = self._told, []
-        told += () if photographer is None else photographer.take_events()
-        return told + self._surroundings.take_events() + self._estimation.take_remarks() + self._faults.take_events()
+        events, self._order_events = self._order_events, []
+        events += () if photographer is None else photographer.take_events()
+        return events + self._environment.take_events() + self._estimation.take_remarks() + self._faults.take_events()
 
     def _mode_state(self, t_us: int, *, armed: bool, decision: Decision | None, fault: bool = False) -> ModeState:
         return ModeState(

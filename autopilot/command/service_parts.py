@@ -1,6 +1,7 @@
 """What the service is made of."""
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 from autopilot.command.commander import Commander
 from autopilot.command.equipment import Equipment
@@ -13,8 +14,10 @@ from autopilot.core.params import ParamSet
 from autopilot.core.vehicle import Vehicle
 from autopilot.core.witness import Witness
 from autopilot.estimator.protocol import Estimator
-from autopilot.mavlink.server import MavlinkServer
 from autopilot.mission.store import Plans
+
+if TYPE_CHECKING:
+    from autopilot.mavlink.server import MavlinkServer  # has the dialect, 2 MB
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -28,7 +31,7 @@ class Parts:
     controller: Controller
     actuation: Actuation
     commander: Commander
-    server: MavlinkServer
+    server: "MavlinkServer"
     guard: Guard
     equipment: Equipment
     photographer: Photographer | None = None

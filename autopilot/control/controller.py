@@ -26,7 +26,7 @@ from autopilot.control.robust.margins import Tighten
 from autopilot.control.robust.penalty import PenaltyWatch
 from autopilot.control.robust.station import StationKeeper
 from autopilot.control.step_program import StepProgram
-from autopilot.control.thrust.thrust_tuning import BY_HAND
+from autopilot.control.thrust.slew import slewed
 from autopilot.control.water.currents import CurrentForecast, EstimatedCurrent
 from autopilot.control.water.lift import Lift
 from autopilot.control.way import shortest
@@ -434,12 +434,7 @@ class MotionController:
 
     def _slewed(self, thrust_n: FloatArray, limit_n: FloatArray, elapsed_s: float) -> FloatArray:
         """Thrust (n,) within the limits (n,) and no farther from the last step's command than it may change."""
-        thrust, limits = thrust_n.tolist(), limit_n.tolist()
-        if self._stepped is not None:
-            share = BY_HAND.slew_share_1_s * max(elapsed_s, 0.0)
-            steps = zip(thrust, self._stepped.tolist(), limits, strict=True)
-            thrust = [min(max(t, s - share * limit), s + share * limit) for t, s, limit in steps]
-        return np.array([min(max(t, -limit), limit) for t, limit in zip(thrust, limits, strict=True)])
+        return slewed(thrust_n, thrust_n if self._stepped is None else self._stepped, limit_n, elapsed_s)
 
     def _void(self, t_us: int, nav: NavState, began: float) -> ControlOutput:
         """The state, or what the model predicts from it, is no number: no thrust, and nothing of it is remembered."""

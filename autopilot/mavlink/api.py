@@ -203,9 +203,7 @@ class VehicleCommands(Protocol):
         """What has become of the last disarming; IN_PROGRESS while it is waited for."""
         ...
 
-    def set_mode(self, mode: FlightMode) -> CommandReply:
-        """Change the mode."""
-        ...
+    def set_mode(self, mode: FlightMode) -> CommandReply: ...
 
     def start_mission(self, first_seq: int | None) -> CommandReply:
         """Enter MISSION from an item (None = go on where it is). Needs an armed vehicle and a plan."""
@@ -215,13 +213,9 @@ class VehicleCommands(Protocol):
         """Hold here; the mission stays where it is."""
         ...
 
-    def resume(self) -> CommandReply:
-        """Go on with a paused mission."""
-        ...
+    def resume(self) -> CommandReply: ...
 
-    def set_current_item(self, seq: int) -> CommandReply:
-        """Choose the item that runs next."""
-        ...
+    def set_current_item(self, seq: int) -> CommandReply: ...
 
     def go_to(self, point: GeodeticPosition | None, yaw_rad: float | None) -> CommandReply:
         """Reposition and hold there (None = here). Checked against the fence."""
@@ -235,9 +229,7 @@ class VehicleCommands(Protocol):
         """A set point that is not followed: GUIDED ends."""
         ...
 
-    def orbit(self, circle: Circling) -> CommandReply:
-        """Round a place, in mode CIRCLE."""
-        ...
+    def orbit(self, circle: Circling) -> CommandReply: ...
 
     def test_motor(self, test: MotorTest) -> CommandReply:
         """Turn one thruster; to be said again and again while it is to turn."""

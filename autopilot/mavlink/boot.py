@@ -9,7 +9,7 @@ from autopilot.core.clients import EVERYONE, Reach
 from autopilot.mavlink.api import FlightMode
 from autopilot.mavlink.boot_identity import BootFiles, BootIdentity
 from autopilot.mavlink.bounded_table import LatestUsed
-from autopilot.mavlink.context import COMPID
+from autopilot.mavlink.context import COMPID, MISSION_COMPID
 from autopilot.mavlink.profiles import profile_by_name
 from autopilot.mavlink.signing import is_signed_with, signed
 from autopilot.mavlink.wire import LinkEncoder, LinkParser, Message
@@ -17,9 +17,6 @@ from autopilot.mavlink.wire import LinkEncoder, LinkParser, Message
 MAX_PARSERS = 64
 """Clients of a link whose unfinished messages are kept."""
 STARTING = "Service is starting; try again in a few seconds"
-
-_MISSION_COMPONENT = 190
-"""MAV_COMP_ID_MISSIONPLANNER: older clients address vehicles so."""
 
 _REQUESTS = frozenset(
     (
@@ -76,7 +73,6 @@ class BootSigning:
     """Programs of this machine need not sign (SIGN_LOCAL)."""
 
     def sign(self, frame: bytes, crc_extra: int, link: int) -> bytes:
-        """A frame that goes out."""
         self.stamp += 1
         return signed(frame, crc_extra, self.key, _SIGNED_AS | link & 0x3F, self.stamp)
 
@@ -179,7 +175,7 @@ class BootLink:
 
     def _is_for_us(self, msg: Message) -> bool:
         return getattr(msg, "target_system", 0) in (0, self._sysid) and (
-            getattr(msg, "target_component", 0) in (0, COMPID, _MISSION_COMPONENT)
+            getattr(msg, "target_component", 0) in (0, COMPID, MISSION_COMPID)
         )
 
     def _is_action(self, msg: Message) -> bool:

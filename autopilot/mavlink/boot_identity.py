@@ -8,7 +8,7 @@ from collections.abc import Callable, Sequence
 from functools import cached_property
 
 from autopilot.core.params import ParamSet
-from autopilot.mavlink.context import MavlinkPeer, VehicleIdentity
+from autopilot.mavlink.context import COMMANDS, MavlinkPeer, VehicleIdentity
 from autopilot.mavlink.dialect import extra, mav
 from autopilot.mavlink.ftp import FileTransfer, Op, request_of
 from autopilot.mavlink.metadata import Metadata, component_information, component_metadata, make_metadata
@@ -17,7 +17,6 @@ from autopilot.mavlink.status import MSG_ID_PROTOCOL_VERSION, autopilot_version,
 from autopilot.mavlink.stubs import stubs_of
 from autopilot.mavlink.wire import Message
 
-_COMMANDS = frozenset((mav.MAVLINK_MSG_ID_COMMAND_LONG, mav.MAVLINK_MSG_ID_COMMAND_INT))
 _FIXED = {
     mav.MAV_CMD_REQUEST_AUTOPILOT_CAPABILITIES: mav.MAVLINK_MSG_ID_AUTOPILOT_VERSION,
     mav.MAV_CMD_REQUEST_PROTOCOL_VERSION: MSG_ID_PROTOCOL_VERSION,
@@ -45,7 +44,7 @@ class BootIdentity:
 
     def answer(self, msg: Message) -> Sequence[Message]:
         """The answers to a request for what is known already; empty for anything else."""
-        if msg.get_msgId() not in _COMMANDS:
+        if msg.get_msgId() not in COMMANDS:
             return ()
         wanted = _FIXED.get(msg.command)
         if msg.command == mav.MAV_CMD_REQUEST_MESSAGE and float(msg.param1).is_integer():
@@ -97,12 +96,10 @@ class BootFiles:
         return True
 
     def tick(self) -> None:
-        """Go on with bursts."""
         if "_transfer" in self.__dict__:
             self._transfer.tick()
 
     def send(self, to: MavlinkPeer, message: Message) -> None:
-        """To a client."""
         self._send(to.client, message)
 
     def has_room(self, link: int, share: float) -> bool:

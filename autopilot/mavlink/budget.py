@@ -33,7 +33,6 @@ class Budget:
         self._level, self._t_us = min(self._level + carried, self.bytes_per_s * DEPTH_S), t_us
 
     def spend(self, count: int) -> None:
-        """So many bytes go out."""
         self._level = max(self._level - count, -self.bytes_per_s * DEBT_S)
 
     def has_room(self, share: float) -> bool:

@@ -21,8 +21,6 @@ class CameraIdentity:
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class CameraState:
-    """What it does now."""
-
     exposing: bool
     """A still is under way."""
     interval_s: float | None
@@ -41,9 +39,7 @@ class CameraOrders(Protocol):
     identity: CameraIdentity
 
     @property
-    def state(self) -> CameraState:
-        """What it does now."""
-        ...
+    def state(self) -> CameraState: ...
 
     def shoot(self, count: int | None, interval_s: float) -> CommandReply:
         """So many stills (None = until it is stopped), so far apart. Takes the place of a running sequence."""

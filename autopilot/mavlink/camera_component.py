@@ -13,17 +13,15 @@ from autopilot.core.geodesy import Origin, geodetic_from_ned
 from autopilot.core.stills import StillRecord
 from autopilot.mavlink.api import ACCEPTED, CommandResult
 from autopilot.mavlink.camera_api import CameraOrders
-from autopilot.mavlink.commands import UNSUPPORTED, Call, CommandRow, Reply, denied
-from autopilot.mavlink.context import COMPID, Context, i32
+from autopilot.mavlink.commands import UNSUPPORTED, Call, CommandRow, Handler, Reply, action, denied, refused, request
+from autopilot.mavlink.context import COMPID, NAME, Context, i32
 from autopilot.mavlink.dialect import mav
 from autopilot.mavlink.files import LOGS
 from autopilot.mavlink.periodic_messages import HEARTBEAT_US
 from autopilot.mavlink.status import MAVLINK_VERSION, version_number
 from autopilot.mavlink.wire import Message
 
-CAMERA_COMPID = 100
-"""MAV_COMP_ID_CAMERA."""
-VENDOR = "Underwater Autopilot"
+CAMERA_COMPID: int = mav.MAV_COMP_ID_CAMERA
 MIB = 1024.0 * 1024.0
 STORAGE = 1
 """Number of the one storage."""
@@ -46,8 +44,6 @@ REQUESTS = frozenset(
 
 NO_VIDEO = "Camera takes stills only: no video here"
 NO_LENS = "Camera has no zoom and no focus to set"
-
-Builder = Callable[[Call], Reply]
 
 
 class CameraComponent:
@@ -73,13 +69,6 @@ class CameraComponent:
 
     def actions(self) -> Mapping[int, CommandRow]:
         """Commands that the autopilot passes on to its camera as well."""
-
-        def action(handler: Callable[[Call], Reply]) -> CommandRow:
-            return CommandRow(handler=handler, action=True)
-
-        def refused(reason: str) -> CommandRow:
-            return action(lambda call: denied(reason))
-
         no_gimbal = "Camera is fixed: it cannot be turned"
         return {
             mav.MAV_CMD_IMAGE_START_CAPTURE: action(self.start_capture),
@@ -109,14 +98,8 @@ class CameraComponent:
     def requests(self) -> Mapping[int, CommandRow]:
         """Commands that only the camera itself answers: from the autopilot its messages would be another camera's."""
 
-        def request(handler: Callable[[Call], Reply]) -> CommandRow:
-            return CommandRow(handler=handler, action=False)
-
         def fixed(msg_id: int) -> CommandRow:
             return request(lambda call: self._if_asked(call, msg_id))
-
-        def no_video(call: Call) -> Reply:
-            return denied(NO_VIDEO)
 
         return {
             mav.MAV_CMD_REQUEST_MESSAGE: request(self.request_message),
@@ -125,8 +108,8 @@ class CameraComponent:
             mav.MAV_CMD_REQUEST_CAMERA_CAPTURE_STATUS: fixed(mav.MAVLINK_MSG_ID_CAMERA_CAPTURE_STATUS),
             mav.MAV_CMD_REQUEST_STORAGE_INFORMATION: request(self.storage_request),
             mav.MAV_CMD_REQUEST_CAMERA_IMAGE_CAPTURE: request(lambda call: self._captured(call.whole(1))),
-            mav.MAV_CMD_REQUEST_VIDEO_STREAM_INFORMATION: request(no_video),
-            mav.MAV_CMD_REQUEST_VIDEO_STREAM_STATUS: request(no_video),
+            mav.MAV_CMD_REQUEST_VIDEO_STREAM_INFORMATION: request(lambda call: denied(NO_VIDEO)),
+            mav.MAV_CMD_REQUEST_VIDEO_STREAM_STATUS: request(lambda call: denied(NO_VIDEO)),
         }
 
     def answers(self, call: Call) -> bool:
@@ -186,7 +169,6 @@ class CameraComponent:
     # Messages
 
     def request_message(self, call: Call) -> Reply:
-        """REQUEST_MESSAGE to the camera."""
         msg_id = call.whole(1)
         if msg_id == mav.MAVLINK_MSG_ID_CAMERA_IMAGE_CAPTURED:
             return self._captured(call.whole(2))
@@ -197,8 +179,8 @@ class CameraComponent:
         """REQUEST_STORAGE_INFORMATION: param1 which one, 0 = all; param2 = 1."""
         return self._if_asked(call, mav.MAVLINK_MSG_ID_STORAGE_INFORMATION, which=1, asked=2)
 
-    def _messages(self) -> Mapping[int, Builder]:
-        def of(make: Callable[[], Message]) -> Builder:
+    def _messages(self) -> Mapping[int, Handler]:
+        def of(make: Callable[[], Message]) -> Handler:
             return lambda call: Reply(ACCEPTED, (make(),))
 
         return {
@@ -235,7 +217,6 @@ class CameraComponent:
         return Reply(ACCEPTED, (self.image_captured(record),))
 
     def heartbeat(self) -> Message:
-        """HEARTBEAT of the camera."""
         return mav.MAVLink_heartbeat_message(
             mav.MAV_TYPE_CAMERA, mav.MAV_AUTOPILOT_INVALID, 0, 0, mav.MAV_STATE_ACTIVE, MAVLINK_VERSION
         )
@@ -246,7 +227,7 @@ class CameraComponent:
         major, minor, patch, _ = version_number(ctx.identity.version, (0, 0, 0)).to_bytes(4, "big")
         return mav.MAVLink_camera_information_message(
             ctx.boot_ms,
-            _text(VENDOR, 32),
+            _text(NAME, 32),
             _text(f"{identity.vehicle} camera", 32),
             major | minor << 8 | patch << 16,
             math.nan,
@@ -265,7 +246,6 @@ class CameraComponent:
         return mav.MAVLink_camera_settings_message(self._ctx.boot_ms, _PHOTO, math.nan, math.nan)
 
     def capture_status(self) -> Message:
-        """CAMERA_CAPTURE_STATUS."""
         state = self._orders.state
         free = 0 if state.report is None else state.report.free_bytes
         running = state.interval_s is not None or state.distance_m is not None
@@ -327,5 +307,4 @@ class CameraComponent:
 
 
 def _text(text: str, size: int) -> list[int]:
-    """A uint8 array's text."""
     return list(text.encode("ascii", errors="replace")[:size].ljust(size, b"\0"))

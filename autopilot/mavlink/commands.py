@@ -85,8 +85,6 @@ Handler = Callable[[Call], Reply]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CommandRow:
-    """One command that is understood."""
-
     handler: Handler
     action: bool
     """Changes something: not to be executed twice."""
@@ -107,13 +105,28 @@ class _Waiting:
     """A client that waits for what its command does."""
 
     later: Callable[[], CommandReply]
-    told_us: int
+    reported_us: int
     """When it is to be told next that there is progress."""
 
 
 def denied(reason: str) -> Reply:
     """DENIED for a reason."""
     return Reply(CommandReply(result=CommandResult.DENIED, reason=reason))
+
+
+def action(handler: Handler) -> CommandRow:
+    """A command that changes something."""
+    return CommandRow(handler=handler, action=True)
+
+
+def request(handler: Handler) -> CommandRow:
+    """A command that only asks; asked again it is answered again."""
+    return CommandRow(handler=handler, action=False)
+
+
+def refused(reason: str) -> CommandRow:
+    """A command that the vehicle never carries out."""
+    return action(lambda call: denied(reason))
 
 
 def call_of(peer: MavlinkPeer, msg: Message) -> Call:
@@ -136,8 +149,6 @@ def call_of(peer: MavlinkPeer, msg: Message) -> Call:
 
 
 class CommandProtocol:
-    """The command microservice."""
-
     def __init__(
         self,
         ctx: Context,
@@ -161,7 +172,6 @@ class CommandProtocol:
         return self._table
 
     def on_command(self, peer: MavlinkPeer, msg: Message) -> None:
-        """COMMAND_LONG or COMMAND_INT."""
         call = call_of(peer, msg)
         entry = self._table.get(call.command)
         if entry is None:
@@ -199,8 +209,8 @@ class CommandProtocol:
                 del self._waiting[peer, command]
                 self._remember(peer, command, answer)
                 self._reply(peer, command, Reply(answer))
-            elif self._ctx.t_us >= waiting.told_us:
-                waiting.told_us = self._ctx.t_us + PROGRESS_US
+            elif self._ctx.t_us >= waiting.reported_us:
+                waiting.reported_us = self._ctx.t_us + PROGRESS_US
                 self._ack(peer, command, answer)
 
     def _remember(self, peer: MavlinkPeer, command: int, answer: CommandReply) -> None:

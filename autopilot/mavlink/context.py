@@ -23,8 +23,13 @@ from autopilot.mavlink.wire import LinkEncoder, Message
 ANSWERS = frozenset((mav.MAVLINK_MSG_ID_PARAM_VALUE,))
 """Told to everyone, and waited for by who has asked."""
 
-COMPID = 1
-"""MAV_COMP_ID_AUTOPILOT1."""
+NAME = "Underwater Autopilot"
+"""The true name, whatever the profile."""
+
+COMMANDS = frozenset((mav.MAVLINK_MSG_ID_COMMAND_LONG, mav.MAVLINK_MSG_ID_COMMAND_INT))
+COMPID: int = mav.MAV_COMP_ID_AUTOPILOT1
+MISSION_COMPID: int = mav.MAV_COMP_ID_MISSIONPLANNER
+"""Older clients address plans to it."""
 
 MAX_TEXT_CHARS = 600
 """Longest text that is sent (12 chunks)."""
@@ -107,11 +112,9 @@ class Context:
 
     @property
     def boot_ms(self) -> int:
-        """MAVLink's time_boot_ms."""
         return (self.t_us // 1000) & 0xFFFF_FFFF
 
     def add_link(self, index: int) -> None:
-        """Make sure that a link exists."""
         if index not in self.links:
             self.links[index] = encoder = LinkEncoder(self.sysid, COMPID)
             self._sign_on(index, encoder)
@@ -125,7 +128,6 @@ class Context:
         encoder.sign = None if signing.key is None else sign
 
     def remove_link(self, index: int) -> None:
-        """A link is closed."""
         self.links.pop(index, None)
         self.old.pop(index, None)
         for key in [key for key in self.others if key[0] == index]:
@@ -193,7 +195,6 @@ class Context:
         self.text(text, to)
 
     def log(self, text: OperatorText) -> None:
-        """A line for the log only."""
         self.notices.append(text.event(self.t_us))
 
     def text(self, message: OperatorText, to: Receiver | None = None) -> None:
@@ -253,15 +254,12 @@ def f32(value: float) -> float:
 
 
 def u16(value: float) -> int:
-    """For a uint16 field."""
     return limited(value, 0, 0xFFFF)
 
 
 def i16(value: float) -> int:
-    """For an int16 field."""
     return limited(value, -0x8000, 0x7FFF)
 
 
 def i32(value: float) -> int:
-    """For an int32 field."""
     return limited(value, -0x8000_0000, 0x7FFF_FFFF)

@@ -2,9 +2,9 @@
 of which there is none."""
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 
-from autopilot.mavlink.commands import Call, CommandRow, Reply, denied
+from autopilot.mavlink.commands import Call, CommandRow, Reply, action, denied, refused
 from autopilot.mavlink.dialect import mav
 from autopilot.mavlink.equipment_api import EquipmentOrders
 
@@ -20,14 +20,6 @@ class EquipmentCommands:
         self._orders = orders
 
     def table(self) -> Mapping[int, CommandRow]:
-        """Commands of this service."""
-
-        def action(handler: Callable[[Call], Reply]) -> CommandRow:
-            return CommandRow(handler=handler, action=True)
-
-        def no_gimbal(call: Call) -> Reply:
-            return denied(NO_GIMBAL)
-
         return {
             mav.MAV_CMD_DO_SET_SERVO: action(self.set_servo),
             mav.MAV_CMD_DO_REPEAT_SERVO: action(self.repeat_servo),
@@ -35,10 +27,10 @@ class EquipmentCommands:
             mav.MAV_CMD_DO_REPEAT_RELAY: action(self.repeat_relay),
             mav.MAV_CMD_DO_GRIPPER: action(self.gripper),
             mav.MAV_CMD_DO_SET_ACTUATOR: action(self.set_actuator),
-            mav.MAV_CMD_DO_GIMBAL_MANAGER_PITCHYAW: action(no_gimbal),
-            mav.MAV_CMD_DO_GIMBAL_MANAGER_CONFIGURE: action(no_gimbal),
-            mav.MAV_CMD_DO_MOUNT_CONFIGURE: action(no_gimbal),
-            mav.MAV_CMD_DO_MOUNT_CONTROL: action(no_gimbal),
+            mav.MAV_CMD_DO_GIMBAL_MANAGER_PITCHYAW: refused(NO_GIMBAL),
+            mav.MAV_CMD_DO_GIMBAL_MANAGER_CONFIGURE: refused(NO_GIMBAL),
+            mav.MAV_CMD_DO_MOUNT_CONFIGURE: refused(NO_GIMBAL),
+            mav.MAV_CMD_DO_MOUNT_CONTROL: refused(NO_GIMBAL),
         }
 
     def set_servo(self, call: Call) -> Reply:

@@ -35,7 +35,7 @@ class ExternalPoses:
         """``utc_offset_us``: Unix time minus service time, None while it is not known."""
         self._ctx = ctx
         self._utc_offset_us = utc_offset_us
-        self._told: set[MavlinkPeer] = set()
+        self._reported: set[MavlinkPeer] = set()
         self._by_arrival: dict[MavlinkPeer, ExternalPoseSample] = {}
         """The last pose of each whose stamp says nothing to us."""
 
@@ -48,8 +48,8 @@ class ExternalPoses:
         """ODOMETRY: its pose; the velocity is not used."""
         frame = _FRAMES.get(msg.frame_id)
         if frame is None:
-            if peer not in self._told and len(self._told) < SAMPLES_MAX:
-                self._told.add(peer)
+            if peer not in self._reported and len(self._reported) < SAMPLES_MAX:
+                self._reported.add(peer)
                 self._ctx.say(notices.ODOMETRY_FRAME(frame=msg.frame_id), peer)
             return
         if getattr(msg, "quality", 0) == FAILED_QUALITY:

@@ -19,7 +19,6 @@ class FlightInformation:
         self._armed_us = self._began_us = self._ended_us = 0
 
     def builders(self) -> Mapping[int, Builder]:
-        """Builder of each message by id."""
         return {mav.MAVLINK_MSG_ID_FLIGHT_INFORMATION: self.flight_information}
 
     def tick(self) -> None:

@@ -39,18 +39,12 @@ class Outlet(Protocol):
     """The way to the clients: :class:`autopilot.mavlink.context.Context`, or a service that is starting."""
 
     @property
-    def t_us(self) -> int:
-        """Time of the tick."""
-        ...
+    def t_us(self) -> int: ...
 
     @property
-    def links(self) -> Container[int]:
-        """Links that are open."""
-        ...
+    def links(self) -> Container[int]: ...
 
-    def send(self, to: MavlinkPeer, message: Message) -> None:
-        """Queue a message to a client."""
-        ...
+    def send(self, to: MavlinkPeer, message: Message) -> None: ...
 
     def has_room(self, link: int, share: float) -> bool:
         """Whether a link can carry what is not urgent."""
@@ -58,8 +52,6 @@ class Outlet(Protocol):
 
 
 class Op(IntEnum):
-    """Opcodes."""
-
     NONE = 0
     TERMINATE = 1
     RESET = 2
@@ -170,7 +162,6 @@ class FileTransfer:
         self._clients: LatestUsed[MavlinkPeer, _FtpClient] = LatestUsed(MAX_CLIENTS, _FtpClient.close)
 
     def on_message(self, peer: MavlinkPeer, msg: Message) -> None:
-        """FILE_TRANSFER_PROTOCOL."""
         request = request_of(bytes(msg.payload))
         if request.opcode in (Op.ACK, Op.NAK):
             return

@@ -72,7 +72,6 @@ class HighLatency:
         """Largest since the last message: HIGH_LATENCY2 asks for that."""
 
     def builders(self) -> Mapping[int, Builder]:
-        """Builder of each message by id."""
         return {mav.MAVLINK_MSG_ID_HIGH_LATENCY2: self.high_latency2}
 
     def control(self, call: Call) -> Reply:
@@ -100,7 +99,6 @@ class HighLatency:
             self.end(link)
 
     def forget(self, link: int) -> None:
-        """A link is closed."""
         self._owners.pop(link, None)
         self._ctx.quiet.discard(link)
         for address in [address for address in self._heard_us if address[0] == link]:

@@ -54,9 +54,9 @@ class Inbox:
     """Work since the last tick."""
     waiting: bool = False
     """Whether it has asked for a turn."""
-    told: int = 0
+    reported: int = 0
     """Lost bytes that operators have been told of."""
-    told_us: int | None = None
+    reported_us: int | None = None
     """When."""
 
     def next(self, work: Work) -> Message | None:
@@ -104,11 +104,9 @@ class MessageInbox:
 
     @property
     def received(self) -> int:
-        """Good frames so far."""
         return self._received_of_gone + sum(inbox.parser.received for inbox in self._inboxes.values())
 
     def push(self, frame: MavlinkFrame) -> Inbox:
-        """Put a datagram into its client's inbox."""
         address = (frame.link, frame.client)
         inbox = self._inboxes.touch(address, lambda: self._inbox(address, frame))
         if inbox.parser.push(frame.data) and not inbox.waiting:
@@ -121,12 +119,10 @@ class MessageInbox:
         return address in self._inboxes
 
     def reach(self, address: Address) -> Reach:
-        """How far away a client is."""
         inbox = self._inboxes.get(address)
         return Reach.NETWORK if inbox is None else inbox.reach
 
     def forget_link(self, link: int) -> None:
-        """Drop the inboxes of a closed link."""
         for address in [address for address in self._inboxes if address[0] == link]:
             self._let_go(self._inboxes.pop(address))
 
@@ -166,12 +162,12 @@ class MessageInbox:
         """Of the clients not named lately the one that has lost most since; None if none has lost anything."""
         worst, lost = None, 0
         for inbox in self._inboxes.values():
-            since = inbox.parser.overflow - inbox.told
-            if since > lost and (inbox.told_us is None or t_us - inbox.told_us >= FLOOD_AGAIN_US):
+            since = inbox.parser.overflow - inbox.reported
+            if since > lost and (inbox.reported_us is None or t_us - inbox.reported_us >= FLOOD_AGAIN_US):
                 worst, lost = inbox, since
         if worst is None:
             return None
-        worst.told, worst.told_us = worst.parser.overflow, t_us
+        worst.reported, worst.reported_us = worst.parser.overflow, t_us
         return Flood(worst.sender, worst.address[0], lost, worst.parser.overflow)
 
     def _handle(self, inbox: Inbox, message: Message, work: Work) -> None:

@@ -54,8 +54,6 @@ class _LogClient:
 
 
 class LogDownload:
-    """The log microservice."""
-
     def __init__(self, ctx: Context, shelf: Shelf | None) -> None:
         self._ctx, self._shelf = ctx, shelf
         self._first = 1 if ctx.profile.home_is_item_0 else 0
@@ -100,7 +98,6 @@ class LogDownload:
             self._erasing = peer, self._shelf.erase(self._tick)
 
     def tick(self) -> None:
-        """Go on with everything."""
         self._go_on_erasing()
         for peer, client in tuple(self._clients.items()):
             if peer.link not in self._ctx.links:

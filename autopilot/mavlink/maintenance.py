@@ -1,12 +1,12 @@
 """Commands for a vehicle that does not fly: storage, restart, calibration; and what is done in another way here."""
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 
 from autopilot.core import operator_messages as notices
 from autopilot.core.messages import RunEnd
 from autopilot.mavlink.api import ACCEPTED, CommandReply, CommandResult, MotorTest
-from autopilot.mavlink.commands import Call, CommandRow, Reply, denied
+from autopilot.mavlink.commands import Call, CommandRow, Reply, action, denied, request
 from autopilot.mavlink.context import Context
 from autopilot.mavlink.dialect import mav
 from autopilot.mavlink.parameters import Parameters
@@ -34,14 +34,10 @@ class Maintenance:
         self._ctx, self._parameters = ctx, parameters
 
     def table(self) -> Mapping[int, CommandRow]:
-        """Commands of this service."""
-
-        def action(handler: Callable[[Call], Reply]) -> CommandRow:
-            return CommandRow(handler=handler, action=True)
 
         def elsewhere(reason: str) -> CommandRow:
             answer = CommandReply(result=CommandResult.UNSUPPORTED, reason=reason)
-            return CommandRow(handler=lambda call: Reply(answer), action=False)
+            return request(lambda call: Reply(answer))
 
         return {
             **{command: elsewhere(reason) for command, reason in ELSEWHERE.items()},

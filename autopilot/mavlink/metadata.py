@@ -33,7 +33,6 @@ class Metadata:
 
     @property
     def general_crc(self) -> int:
-        """Checksum of the general file."""
         return file_crc32(self.files[GENERAL])
 
 
@@ -83,20 +82,16 @@ def parameter_json(spec: ParamSpec) -> dict[str, Any]:
 
 
 class ComponentMetadata:
-    """COMPONENT_METADATA and the older COMPONENT_INFORMATION."""
-
     def __init__(self, ctx: Context, metadata: Metadata) -> None:
         self._ctx, self._metadata = ctx, metadata
 
     def builders(self) -> dict[int, Builder]:
-        """Builder of each message by id."""
         return {
             extra.MAVLINK_MSG_ID_COMPONENT_METADATA: self.component_metadata,
             extra.MAVLINK_MSG_ID_COMPONENT_INFORMATION: self.component_information,
         }
 
     def component_metadata(self) -> Message:
-        """COMPONENT_METADATA."""
         return component_metadata(self._metadata, self._ctx.boot_ms)
 
     def component_information(self) -> Message:
@@ -105,12 +100,10 @@ class ComponentMetadata:
 
 
 def component_metadata(metadata: Metadata, boot_ms: int) -> Message:
-    """COMPONENT_METADATA: where the general file is."""
     return extra.MAVLink_component_metadata_message(boot_ms, metadata.general_crc, uri_of(GENERAL).encode("ascii"))
 
 
 def component_information(metadata: Metadata, boot_ms: int) -> Message:
-    """COMPONENT_INFORMATION: the same."""
     uri = uri_of(GENERAL).encode("ascii")
     return extra.MAVLink_component_information_message(boot_ms, metadata.general_crc, uri, 0, b"")
 

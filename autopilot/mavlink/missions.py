@@ -43,17 +43,12 @@ FENCE_AFTER_US = 2_000_000
 MAX_DOWNLOADS = 16
 """Snapshots kept at once; the oldest goes."""
 
-MISSION_TYPE_ALL = 255
-"""MAV_MISSION_TYPE_ALL: clear only."""
-
 _KINDS = {int(kind): kind for kind in PlanKind}
 CLEAR_ORDER = (PlanKind.MISSION, PlanKind.FENCE, PlanKind.RALLY)
 
 
 @dataclass(slots=True)
 class Upload:
-    """A transfer in progress."""
-
     peer: MavlinkPeer
     kind: PlanKind
     count: int
@@ -90,22 +85,18 @@ class Finished:
     result: MissionResult
     plan_id: int
     at_us: int
-    said_us: int
+    answered_us: int
     guilty: int | None = None
     """The item of a refusal."""
 
 
 @dataclass(slots=True)
 class Download:
-    """What one client is reading."""
-
     items: tuple[PlanItem, ...]
     used_us: int
 
 
 class Missions:
-    """The mission microservice."""
-
     def __init__(self, ctx: Context) -> None:
         self._ctx = ctx
         self._upload: Upload | None = None
@@ -172,10 +163,9 @@ class Missions:
         return seen
 
     def on_item(self, peer: MavlinkPeer, msg: Message) -> None:
-        """MISSION_ITEM_INT."""
         upload = self._upload
         if upload is None or upload.peer != peer:
-            self._stray_item(peer, msg)
+            self._unasked_item(peer, msg)
             return
         if msg.mission_type != upload.kind or msg.seq != len(upload.items):
             self._item_out_of_turn(upload, msg)
@@ -218,7 +208,7 @@ class Missions:
         elif upload.wrong == 1:
             self._ask(upload)
 
-    def _stray_item(self, peer: MavlinkPeer, msg: Message) -> None:
+    def _unasked_item(self, peer: MavlinkPeer, msg: Message) -> None:
         """An item outside an upload: late (repeat the answer, if there is one yet), or nobody asked for it."""
         if self._checking is not None and self._checking.peer == peer:
             return
@@ -227,8 +217,8 @@ class Missions:
         if done is None or done.peer != peer or done.kind != msg.mission_type or now_us - done.at_us > late_us:
             self._ack(peer, MissionResult.ERROR, msg.mission_type)
             return
-        if msg.seq in (done.count - 1, done.guilty) and now_us - done.said_us >= REPEAT_PAUSE_US:
-            done.said_us = now_us
+        if msg.seq in (done.count - 1, done.guilty) and now_us - done.answered_us >= REPEAT_PAUSE_US:
+            done.answered_us = now_us
             if done.guilty is not None and done.guilty != msg.seq:
                 self._request(peer, done.guilty, done.kind)
             self._ack(peer, done.result, done.kind, done.plan_id)
@@ -349,7 +339,7 @@ class Missions:
 
     def on_clear_all(self, peer: MavlinkPeer, msg: Message) -> None:
         """MISSION_CLEAR_ALL of one type or of all."""
-        if msg.mission_type == MISSION_TYPE_ALL:
+        if msg.mission_type == mav.MAV_MISSION_TYPE_ALL:
             kinds: tuple[PlanKind, ...] = CLEAR_ORDER
         elif msg.mission_type in _KINDS:
             kinds = (_KINDS[msg.mission_type],)
@@ -439,7 +429,6 @@ class Missions:
     # Time
 
     def tick(self) -> None:
-        """Answer, ask again, give up, forget."""
         self.answer()
         self._miss_fence()
         ctx = self._ctx

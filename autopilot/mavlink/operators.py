@@ -93,14 +93,12 @@ class Operators:
         return self._owner
 
     def status(self) -> Message:
-        """CONTROL_STATUS."""
         flags = extra.GCS_CONTROL_STATUS_FLAGS_SYSTEM_MANAGER
         if self._takeover or self._owner is None:
             flags |= extra.GCS_CONTROL_STATUS_FLAGS_TAKEOVER_ALLOWED
         return extra.MAVLink_control_status_message(flags, self.in_control, [0] * 10)
 
     def heard(self, peer: MavlinkPeer) -> None:
-        """A HEARTBEAT of a ground station."""
         if peer.sysid == self.in_control:
             self._owner, self._heard_us = peer, self._ctx.t_us
 
@@ -118,7 +116,6 @@ class Operators:
         self._shown = shown
 
     def keeps_out(self, peer: MavlinkPeer) -> bool:
-        """Whether somebody else is in control."""
         return self._owner is not None and peer.sysid != self._owner.sysid
 
     def refusal(self, peer: MavlinkPeer, *, grave: bool) -> str:

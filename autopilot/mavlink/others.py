@@ -2,7 +2,7 @@
 
 GLOBAL_POSITION_INT of other vehicles, ADSB_VEHICLE and AIS_VESSEL become tracks of upright cylinders with the radius
 AVD_RADIUS (AIS: the ship's dimensions); OBSTACLE_DISTANCE becomes cylinders that stand where its beams end. What the
-fence has already is left out by :mod:`autopilot.command.surroundings`.
+fence has already is left out by :mod:`autopilot.command.environment`.
 """
 
 import math

@@ -29,7 +29,6 @@ class OutputMessages:
         self._turned_rad = 0.0
 
     def builders(self) -> Mapping[int, Builder]:
-        """Builder of each message by id."""
         return {
             mav.MAVLINK_MSG_ID_SERVO_OUTPUT_RAW: self.servo_output_raw,
             mav.MAVLINK_MSG_ID_ACTUATOR_OUTPUT_STATUS: self.actuator_output_status,

@@ -63,12 +63,10 @@ class _ParameterWrite:
 
     number: int
     since_us: int
-    told: bool = False
+    reported: bool = False
 
 
 class Parameters:
-    """The parameter microservice."""
-
     def __init__(self, ctx: Context) -> None:
         self._ctx = ctx
         self._stubs = stubs_of(ctx.profile)
@@ -128,7 +126,6 @@ class Parameters:
         return bytes(data)
 
     def value(self, name: str) -> Message:
-        """PARAM_VALUE of a parameter that exists."""
         ctx = self._ctx
         kind = self._spec(name).type
         return mav.MAVLink_param_value_message(
@@ -247,7 +244,7 @@ class Parameters:
             ),
         )
 
-    def _tell_saved(self) -> None:
+    def _report_saved(self) -> None:
         """The values that are on disk now go to everyone, also those of which the operator hears that they are not."""
         ctx = self._ctx
         saved = None if ctx.saving is None else ctx.saving.saved(ctx.t_us // TICK_US)
@@ -263,13 +260,13 @@ class Parameters:
                 self._unsaved = True
                 ctx.say(notices.PARAMETERS_NOT_SAVED(failure=saved.failure, names=", ".join(done)))
         for name, request in self._saving.items():
-            if not request.told and ctx.t_us - request.since_us > SLOW_DISK_US * ctx.patience:
-                request.told = True
+            if not request.reported and ctx.t_us - request.since_us > SLOW_DISK_US * ctx.patience:
+                request.reported = True
                 ctx.say(notices.PARAMETER_NOT_ON_DISK(name=name))
 
     def tick(self) -> None:
         """Tell what has been kept, go on with lists that were asked for."""
-        self._tell_saved()
+        self._report_saved()
         if not self._lists:
             return
         for peer, start in tuple(self._lists.items()):

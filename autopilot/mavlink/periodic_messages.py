@@ -32,7 +32,7 @@ class PeriodicMessages:
         self, ctx: Context, status: StatusMessages, telemetry: NavigationMessages, intake: MessageInbox
     ) -> None:
         self._ctx, self._status, self._telemetry, self._intake = ctx, status, telemetry, intake
-        self._told_refusals = Refusals()
+        self._reported_refusals = Refusals()
         self._refusals_us: int | None = None
         self._flood_us: int | None = None
         self._greeted: LatestUsed[MavlinkPeer, None] = LatestUsed(MAX_PEERS)
@@ -95,15 +95,15 @@ class PeriodicMessages:
 
     def refusals(self) -> None:
         """Frames that were not believed are told now and then, with the remedy."""
-        ctx, now, told = self._ctx, self._ctx.signing.refused, self._told_refusals
-        told.ahead = now.ahead
-        if now == told or (self._refusals_us is not None and ctx.t_us < self._refusals_us + REFUSALS_SAY_US):
+        ctx, now, reported = self._ctx, self._ctx.signing.refused, self._reported_refusals
+        reported.ahead = now.ahead
+        if now == reported or (self._refusals_us is not None and ctx.t_us < self._refusals_us + REFUSALS_SAY_US):
             return
         self._refusals_us = ctx.t_us
-        self._told_refusals = replace(now)
-        if now.unknown_key > told.unknown_key:
+        self._reported_refusals = replace(now)
+        if now.unknown_key > reported.unknown_key:
             ctx.say(notices.KEY_UNKNOWN())
-        elif now.unsigned > told.unsigned:
+        elif now.unsigned > reported.unsigned:
             ctx.say(notices.UNSIGNED())
         else:
             ctx.say(notices.SIGNED_TOO_OLD())

@@ -52,7 +52,7 @@ class _PilotRecord:
     last_us: int
     sticks: Sticks
     buttons: int = 0
-    told: bool = False
+    reported: bool = False
     """That his vertical stick is not used."""
     spoken: bool = False
     """He has sent something below zero on a vertical stick that is said to go from 0 to 1000."""
@@ -147,8 +147,8 @@ class PilotInputs:
             return value
         if abs(value) > CENTRED:
             heard.centred_us = None
-            if not heard.told:
-                heard.told = True
+            if not heard.reported:
+                heard.reported = True
                 neutral = 0 if centred or heard.spoken else 500
                 self._ctx.say(notices.STICK_NOT_CENTRED(neutral=neutral), heard.peer)
         elif heard.centred_us is None:

@@ -28,21 +28,18 @@ _MODE_ACTIVE, _MODE_SUSPENDED = 1, 2
 
 
 class ProgressMessages:
-    """Mission progress."""
-
     def __init__(self, ctx: Context, missions: Missions) -> None:
         self._ctx = ctx
         self._missions = missions
         self._shown: tuple[int, ProgressState, bool, int] | None = None
         self._chosen_us: int | None = None
-        self._told_us = 0
+        self._reported_us = 0
         self._reached: int | None = None
         """Number on the wire of an item that has been reached and not been told of."""
         self._spent_us = 0
         """Time by which all that was told of reached items has had its share."""
 
     def mission_current(self) -> Message:
-        """MISSION_CURRENT."""
         ctx, progress = self._ctx, self._ctx.view.progress
         items = ctx.plans.items(PlanKind.MISSION)
         total = len(items) - sum(item.is_home for item in items[:1])
@@ -86,7 +83,7 @@ class ProgressMessages:
     def tick(self, reached: Sequence[int]) -> None:
         """Tell every link what has been reached, and what has changed."""
         ctx = self._ctx
-        self._tell_reached(reached)
+        self._report_reached(reached)
         progress = ctx.view.progress
         shown = (
             -1 if progress is None else progress.current_seq,
@@ -96,26 +93,26 @@ class ProgressMessages:
         )
         # Waypoints close together are passed a hundred times a second.
         moves = self._shown is not None and shown[1:] == self._shown[1:]
-        if moves and not self._chosen_us and ctx.t_us - self._told_us < MOVES_US:
+        if moves and not self._chosen_us and ctx.t_us - self._reported_us < MOVES_US:
             return
         # The vehicle's view shows a choice one tick later.
         answer_due = self._chosen_us is not None and ctx.t_us > self._chosen_us
         if shown != self._shown or answer_due:
             if answer_due:
                 self._chosen_us = None
-            self._shown, self._told_us = shown, ctx.t_us
+            self._shown, self._reported_us = shown, ctx.t_us
             self._missions.current_wire_seq = self.wire_seq
             ctx.broadcast(self.mission_current())
 
-    def _tell_reached(self, reached: Sequence[int]) -> None:
+    def _report_reached(self, reached: Sequence[int]) -> None:
         """MISSION_ITEM_REACHED; waypoints close together are passed a hundred times a second."""
         if not reached and self._reached is None:
             return
         ctx, by = self._ctx, home_item.shift(self._ctx, PlanKind.MISSION)
-        untold = [max(seq, 0) + by for seq in reached]
-        if not untold and self._reached is not None:
-            untold = [self._reached]
-        for number in untold:
+        unreported = [max(seq, 0) + by for seq in reached]
+        if not unreported and self._reached is not None:
+            unreported = [self._reached]
+        for number in unreported:
             self._spent_us = max(self._spent_us, ctx.t_us)
             late = self._spent_us - ctx.t_us > (REACHED_AT_ONCE - 1) * REACHED_EVERY_US
             self._reached = number if late else None

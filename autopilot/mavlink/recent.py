@@ -28,12 +28,10 @@ class Recent(Generic[K]):
         return key in self._since_us
 
     def add(self, key: K, t_us: int) -> None:
-        """Remember a key from now on."""
         self._since_us[key] = t_us
         self._since_us.move_to_end(key)
         if len(self._since_us) > MAX_RECENT:
             self._since_us.popitem(last=False)
 
     def clear(self) -> None:
-        """Forget everything."""
         self._since_us.clear()

@@ -1,13 +1,13 @@
 """Commands that ask for messages: REQUEST_MESSAGE, message intervals, capabilities, home."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 
 from pymavlink.dialects.v20 import development as mav
 
 from autopilot.mavlink.api import ACCEPTED, CommandReply, CommandResult
-from autopilot.mavlink.commands import UNSUPPORTED, Call, CommandRow, Reply, denied
+from autopilot.mavlink.commands import UNSUPPORTED, Call, CommandRow, Reply, denied, request
 from autopilot.mavlink.context import Context
-from autopilot.mavlink.status import MSG_ID_PROTOCOL_VERSION, StatusMessages
+from autopilot.mavlink.status import MSG_ID_PROTOCOL_VERSION, available_mode
 from autopilot.mavlink.streams import Streams
 
 LATER = Reply(CommandReply(result=CommandResult.TEMPORARILY_REJECTED))
@@ -17,16 +17,11 @@ LATER = Reply(CommandReply(result=CommandResult.TEMPORARILY_REJECTED))
 class Requests:
     """Answers to requests; asked again, they are answered again."""
 
-    def __init__(self, ctx: Context, streams: Streams, status: StatusMessages) -> None:
+    def __init__(self, ctx: Context, streams: Streams) -> None:
         self._ctx = ctx
         self._streams = streams
-        self._status = status
 
     def table(self) -> Mapping[int, CommandRow]:
-        """Commands of this service."""
-
-        def request(handler: Callable[[Call], Reply]) -> CommandRow:
-            return CommandRow(handler=handler, action=False)
 
         def fixed(msg_id: int) -> CommandRow:
             return request(lambda call: self._message(msg_id))
@@ -53,14 +48,12 @@ class Requests:
         return self._message(msg_id)
 
     def _available_modes(self, call: Call) -> Reply:
-        index = call.whole(2)
-        if index == 0:
-            return Reply(
-                ACCEPTED, tuple(self._status.available_mode(n + 1) for n in range(len(self._ctx.profile.listed)))
-            )
-        if index is None or not 1 <= index <= len(self._ctx.profile.listed):
-            return denied(f"mode {call.param(2):g} does not exist: there are {len(self._ctx.profile.listed)}")
-        return Reply(ACCEPTED, (self._status.available_mode(index),))
+        index, profile = call.whole(2), self._ctx.profile
+        count = len(profile.listed)
+        if index is None or not 0 <= index <= count:
+            return denied(f"mode {call.param(2):g} does not exist: there are {count}")
+        wanted = (index,) if index else range(1, count + 1)
+        return Reply(ACCEPTED, tuple(available_mode(profile, number) for number in wanted))
 
     def _message(self, msg_id: int) -> Reply:
         if not self._streams.knows(msg_id):

@@ -16,6 +16,7 @@ from autopilot.mavlink.context import COMPID, Context
 from autopilot.mavlink.dialect import mav
 from autopilot.mavlink.inbox import Address
 from autopilot.mavlink.recent import Recent
+from autopilot.mavlink.wire import SIGNATURE_BYTES, V1, is_signed, message_id
 
 AGAIN_US = 500_000
 """The same packet within this time is the one before, by another way."""
@@ -27,9 +28,6 @@ MAX_PLACES = 4
 Component = tuple[int, int]
 """System and component id."""
 
-_V1 = mav.PROTOCOL_MARKER_V1
-_SIGNED = mav.MAVLINK_IFLAG_SIGNED
-_BLOCK = mav.MAVLINK_SIGNATURE_BLOCK_LEN
 _SIZES = {"char": 1, "float": 4, "double": 8, **{f"{sign}int{8 * n}_t": n for n in (1, 2, 4, 8) for sign in ("", "u")}}
 
 
@@ -49,15 +47,15 @@ class Router:
         ctx = self._ctx
         if ctx.params["MAV_FORWARD"] <= 0.0:
             return
-        old = frame[0] == _V1
+        old = frame[0] == V1
         at = 3 if old else 5
-        source, number = (frame[at], frame[at + 1]), frame[5] if old else int.from_bytes(frame[7:10], "little")
+        source, number = (frame[at], frame[at + 1]), message_id(frame)
         if source == (ctx.sysid, COMPID) or source[0] == 0:
             return
         kind = _TARGETS.get(number)
         if kind is None or number == mav.MAVLINK_MSG_ID_SETUP_SIGNING:
             return
-        packet = frame if old or not frame[2] & _SIGNED else frame[:-_BLOCK]
+        packet = frame[:-SIGNATURE_BYTES] if is_signed(frame) else frame
         if self._passed.knows(packet, ctx.t_us):
             return
         self._passed.add(packet, ctx.t_us)

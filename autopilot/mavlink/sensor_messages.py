@@ -41,15 +41,12 @@ _RANGES: tuple[tuple[type[LaserSample | AltimeterSample], int, int, int], ...] =
 
 
 class SensorMessages:
-    """Builders of the sensors' messages."""
-
     def __init__(self, ctx: Context, telemetry: NavigationMessages) -> None:
         self._ctx, self._telemetry = ctx, telemetry
         self._breached = False
         self._breaches, self._breach_ms = 0, 0
 
     def builders(self) -> Mapping[int, Builder]:
-        """Builder of each message by id."""
         return {
             mav.MAVLINK_MSG_ID_RAW_IMU: self.raw_imu,
             mav.MAVLINK_MSG_ID_SCALED_IMU: self.scaled_imu,
@@ -94,7 +91,6 @@ class SensorMessages:
         return None if milli is None else mav.MAVLink_raw_imu_message(self._ctx.t_us, *milli)
 
     def scaled_imu(self) -> Message | None:
-        """SCALED_IMU."""
         milli = self._milli()
         return None if milli is None else mav.MAVLink_scaled_imu_message(self._ctx.boot_ms, *milli)
 

@@ -1,46 +1,127 @@
 """The MAVLink server: bytes in, bytes out, no clock, no socket. One call of :meth:`MavlinkServer.step` per tick.
 
-The dialect (a 2 MB module) is imported when a server is made, not when this module is.
+It puts the microservices together and hands every message to the one that it belongs to.
 """
 
-from __future__ import annotations
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 
-from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING
-
-from autopilot.core.clients import ClientRecord
+from autopilot.core import operator_messages as notices
+from autopilot.core.clients import EVERYONE, ClientRecord
+from autopilot.core.clock import TICK_US
 from autopilot.core.geodesy import GeodeticPosition
-from autopilot.core.guard import Guard
+from autopilot.core.guard import Guard, Work
 from autopilot.core.log_directory import Shelf
 from autopilot.core.messages import Event, MavlinkFrame
 from autopilot.core.params import ParamSaving, ParamSet
 from autopilot.core.plan import PlanStore
 from autopilot.core.samples import ExternalPoseSample, ObstacleTrack
 from autopilot.core.witness import Witness
-from autopilot.mavlink.api import FlightMode, SigningStore, Sticks, VehicleCommands, VehicleView
+from autopilot.mavlink.api import (
+    CommandReply,
+    CommandResult,
+    FlightMode,
+    SigningStore,
+    Sticks,
+    VehicleCommands,
+    VehicleView,
+)
+from autopilot.mavlink.bounded_table import LatestUsed
+from autopilot.mavlink.budget import Budget
 from autopilot.mavlink.camera_api import CameraOrders
+from autopilot.mavlink.camera_component import CAMERA_COMPID, CameraComponent
+from autopilot.mavlink.commands import Call, CommandProtocol, action, call_of, request
+from autopilot.mavlink.context import COMMANDS, COMPID, MISSION_COMPID, NAME, Context, MavlinkPeer, VehicleIdentity
+from autopilot.mavlink.dialect import extra, mav
 from autopilot.mavlink.equipment_api import EquipmentOrders
+from autopilot.mavlink.equipment_commands import EquipmentCommands
+from autopilot.mavlink.external import ExternalPoses
+from autopilot.mavlink.flight_information import FlightInformation
+from autopilot.mavlink.ftp import FileTransfer
+from autopilot.mavlink.high_latency import HighLatency
+from autopilot.mavlink.inbox import MAX_INBOXES, Address, Inbox, MessageInbox
+from autopilot.mavlink.keys import Keys
+from autopilot.mavlink.logs import LogDownload
+from autopilot.mavlink.maintenance import Maintenance
+from autopilot.mavlink.metadata import ComponentMetadata, make_metadata
+from autopilot.mavlink.missions import Missions
+from autopilot.mavlink.operators import GRAVE_COMMANDS, REQUEST, STATUS_ID, Operators, Rights, rights
+from autopilot.mavlink.others import Others
+from autopilot.mavlink.output_messages import OutputMessages
+from autopilot.mavlink.parameters import Parameters
+from autopilot.mavlink.periodic_messages import PeriodicMessages
+from autopilot.mavlink.pilot import PilotInputs
 from autopilot.mavlink.profiles import profile_by_name
+from autopilot.mavlink.progress import ProgressMessages
+from autopilot.mavlink.recent import Recent
+from autopilot.mavlink.requests import Requests
+from autopilot.mavlink.routing import Router
+from autopilot.mavlink.sensor_messages import SensorMessages
+from autopilot.mavlink.setpoints import SetPoints
+from autopilot.mavlink.signing import Signing
+from autopilot.mavlink.status import StatusMessages
+from autopilot.mavlink.streams import Streams
+from autopilot.mavlink.telemetry import Builder, NavigationMessages
+from autopilot.mavlink.utility import Utility
+from autopilot.mavlink.vehicle_commands import VehicleService
+from autopilot.mavlink.wire import Message
 
-if TYPE_CHECKING:
-    from autopilot.mavlink.dispatch import Dispatcher
-    from autopilot.mavlink.operators import Rights
+_OPERATORS = frozenset((mav.MAV_TYPE_GCS, mav.MAV_TYPE_ONBOARD_CONTROLLER))
+_OUR_COMPONENTS = frozenset((0, COMPID, MISSION_COMPID))
 
-NAME = "Underwater Autopilot"
-"""The true name, in the greeting."""
+_URGENT = frozenset(
+    (
+        mav.MAVLINK_MSG_ID_MISSION_COUNT,
+        mav.MAVLINK_MSG_ID_MISSION_ITEM_INT,
+        mav.MAVLINK_MSG_ID_MISSION_ITEM,
+        mav.MAVLINK_MSG_ID_MISSION_REQUEST_LIST,
+        mav.MAVLINK_MSG_ID_MISSION_REQUEST_INT,
+        mav.MAVLINK_MSG_ID_MISSION_REQUEST,
+        mav.MAVLINK_MSG_ID_MISSION_ACK,
+        mav.MAVLINK_MSG_ID_PARAM_REQUEST_LIST,
+        mav.MAVLINK_MSG_ID_PARAM_REQUEST_READ,
+        mav.MAVLINK_MSG_ID_PING,
+        mav.MAVLINK_MSG_ID_TIMESYNC,
+        mav.MAVLINK_MSG_ID_FILE_TRANSFER_PROTOCOL,
+    )
+)
+"""Answered between ticks: a transfer goes as fast as its client. The message that ends an upload is not among them."""
+_HEAVY = frozenset(
+    (
+        mav.MAVLINK_MSG_ID_COMMAND_LONG,
+        mav.MAVLINK_MSG_ID_COMMAND_INT,
+        mav.MAVLINK_MSG_ID_SET_MODE,
+        mav.MAVLINK_MSG_ID_SET_GPS_GLOBAL_ORIGIN,
+        mav.MAVLINK_MSG_ID_MISSION_CLEAR_ALL,
+        mav.MAVLINK_MSG_ID_PARAM_SET,
+    )
+)
 
-_NOWHERE = GeodeticPosition(lat_deg=0.0, lon_deg=0.0, alt_m=0.0)
+_ZERO = GeodeticPosition(lat_deg=0.0, lon_deg=0.0, alt_m=0.0)
+
+Handler = Callable[[MavlinkPeer, Message], None]
 
 
 class MavlinkServer:
     """All microservices behind one step function.
 
-    ``patience`` multiplies the time that a client gets in transfers: a simulation that runs k times faster than real
-    time passes k, because clients live in real time. ``links`` are the indices of the links that are open from the
-    start; another one is added when something comes from it, or by :meth:`add_link`. ``rates`` are the bytes per second
-    of slow links, ``shelf`` holds the logs that clients may download, ``camera`` takes stills, ``equipment`` moves
-    what the vehicle carries, ``witness`` notes what follows from a key. ``version`` is the distribution's, ``git`` the
-    revision in hex digits, ``uid`` 64 bits. ConfigError for an unknown profile.
+    Parameters
+    ----------
+    profile, version, git, uid
+        Who the vehicle is: name of its profile (ConfigError for an unknown one), the distribution's version, the
+        revision in hex digits, 64 bits that tell this vehicle from others.
+    links
+        Indices of the links that are open from the start. Another one is added when something comes from it, or by
+        :meth:`add_link`.
+    patience
+        Factor on the time that a client gets in transfers: a simulation that runs k times faster than real time
+        passes k, because clients live in real time.
+    shelf, camera, equipment
+        The logs that clients may download, who takes stills, who moves what the vehicle carries; None = none.
+    rates
+        Bytes per second of slow links.
+    witness
+        Records what follows from a signing key.
     """
 
     def __init__(
@@ -65,15 +146,11 @@ class MavlinkServer:
         witness: Witness | None = None,
         equipment: EquipmentOrders | None = None,
     ) -> None:
-        identity = profile_by_name(profile)
-        from autopilot.mavlink.dispatch import Dispatcher, VehicleIdentity
-        from autopilot.mavlink.signing import Signing
-
-        self._profile = identity
-        self._dispatcher: Dispatcher = Dispatcher(
+        identity = VehicleIdentity(name=NAME, version=version, git=git, uid=uid)
+        self._ctx = ctx = Context(
             sysid=sysid,
-            profile=identity,
-            identity=VehicleIdentity(name=NAME, version=version, git=git, uid=uid),
+            profile=profile_by_name(profile),
+            identity=identity,
             params=params,
             plans=plans,
             vehicle=vehicle,
@@ -82,13 +159,219 @@ class MavlinkServer:
             guard=guard or Guard(),
             saving=saving,
             signing=Signing(signing, patience, witness),
-            shelf=shelf,
-            rates=rates,
-            camera=camera,
-            equipment=equipment,
+            budgets={link: Budget(rate / patience) for link, rate in (rates or {}).items()},
         )
+        self.parameters = Parameters(ctx)
+        metadata = make_metadata(self.parameters.specs, name=identity.name, version=identity.version)
+        self._files = FileTransfer(ctx, metadata.files, shelf, self.parameters.packed_file)
+        self._logs = LogDownload(ctx, shelf)
+        self._operators = Operators(ctx, self.parameters.known_value)
+        self.missions = Missions(ctx)
+        self.utility = Utility(ctx)
+        self.pilot = PilotInputs(ctx, equipment, camera)
+        self._set_points = SetPoints(ctx)
+        self._external = ExternalPoses(ctx, lambda: self.utility.utc_offset_us)
+        self._others = Others(ctx)
+        self._status = StatusMessages(ctx)
+        self._telemetry = NavigationMessages(ctx)
+        self._sensors = SensorMessages(ctx, self._telemetry)
+        self._outputs = OutputMessages(ctx, self._telemetry, lambda: self.pilot.gain, equipment)
+        self._progress = ProgressMessages(ctx, self.missions)
+        self._flight = FlightInformation(ctx)
+        builders: dict[int, Builder] = {}
+        self._streams = Streams(ctx, builders)
+        self._high_latency = HighLatency(ctx, self._streams, self._status, self._telemetry, self._progress)
+        builders.update(
+            {
+                **self._flight.builders(),
+                **self._high_latency.builders(),
+                **self._status.builders(),
+                **self._telemetry.builders(),
+                **self._sensors.builders(),
+                **self._outputs.builders(),
+                **ComponentMetadata(ctx, metadata).builders(),
+                mav.MAVLINK_MSG_ID_MISSION_CURRENT: self._progress.mission_current,
+                mav.MAVLINK_MSG_ID_SYSTEM_TIME: self.utility.system_time,
+                mav.MAVLINK_MSG_ID_TIMESYNC: self.utility.timesync,
+                extra.MAVLINK_MSG_ID_CURRENT_EVENT_SEQUENCE: self.utility.event_sequence,
+                STATUS_ID: self._operators.status,
+            }
+        )
+        self._vehicle = VehicleService(ctx, self._telemetry, self._progress)
+        requests = Requests(ctx, self._streams)
+        # A request for control is judged by itself, also while somebody else has it.
+        control = {
+            REQUEST: request(self._operators.request),
+            mav.MAV_CMD_CONTROL_HIGH_LATENCY: action(self._high_latency.control),
+        }
+        carried = {} if equipment is None else EquipmentCommands(equipment).table()
+        maintenance = Maintenance(ctx, self.parameters)
+        table = {**self._vehicle.table(), **requests.table(), **maintenance.table(), **control, **carried}
+        self._camera: CameraComponent | None = None
+        self._to_camera: CommandProtocol | None = None
+        """Commands that are addressed to the camera, or that only it can answer."""
+        self._ours = _OUR_COMPONENTS
+        if camera is not None:
+            self._camera = CameraComponent(ctx, camera, lambda: self.utility.utc_offset_us)
+            taken = {**self._camera.actions(), **self._camera.requests()}
+            self._to_camera = CommandProtocol(ctx, taken, self._keeps_out, CAMERA_COMPID)
+            table = {**self._camera.actions(), **table}
+            self._ours = _OUR_COMPONENTS | {CAMERA_COMPID}
+        self._commands = CommandProtocol(ctx, table, self._keeps_out)
+        self._keys = Keys(ctx, lambda address: self._intake.reach(address))
+        self._handlers = self._table()
+        self._router = Router(ctx, ours=self._ours.__contains__)
+        self._intake = MessageInbox(self._handlers.keys(), _HEAVY, self._handle, ctx.signing.admits, self._heard)
+        self._valid_us: LatestUsed[Address, int] = LatestUsed(MAX_INBOXES)
+        """When each client was last understood."""
+        self._new: Recent[Address] = Recent(float("inf"))
+        """Clients that have spoken MAVLink 2."""
+        self._announcements = PeriodicMessages(ctx, self._status, self._telemetry, self._intake)
+        self.last_gcs_t_us: int | None = None
+        """When a ground station or companion computer last sent a HEARTBEAT; None before the first."""
+        self._before_hearing: tuple[Work, ...] = (("message", self._keys.tick), ("plans", self.missions.answer))
+        self._before_news = self._works_before_news()
+        self._after_news = self._works_after_news()
+        files, logs = self._files.tick, self._logs.tick
+        self._at_last = self._works_at_last(logs, files), self._works_at_last(files, logs)
+        """On even ticks and on odd ones."""
         for link in links:
-            self._dispatcher.add_link(link)
+            self.add_link(link)
+
+    def _works_before_news(self) -> tuple[Work, ...]:
+        """Of every tick, in this order."""
+        say = self._announcements
+        return (
+            ("telemetry", say.flood),
+            ("telemetry", say.refusals),
+            ("telemetry", self._operators.tick),
+            ("heartbeat", say.heartbeat),
+            ("telemetry", say.greetings),
+        )
+
+    def _works_after_news(self) -> tuple[Work, ...]:
+        """The same once events are told."""
+        shown = (self._announcements.place, self._sensors.tick, self._outputs.tick, self._flight.tick)
+        camera = () if self._camera is None else (self._camera.tick,)
+        return tuple(("telemetry", work) for work in (*shown, self._high_latency.tick, *camera))
+
+    def _works_at_last(self, *turns: Callable[[], None]) -> tuple[Work, ...]:
+        """The same at the end of a tick; ``turns`` are whose turn it is to use what the links can carry."""
+        return (
+            ("parameters", self.parameters.tick),
+            ("plans", self.missions.tick),
+            ("telemetry", self._streams.tick),
+            *(("files", turn) for turn in turns),
+        )
+
+    def _table(self) -> Mapping[int, Handler]:
+        missions, parameters, utility = self.missions, self.parameters, self.utility
+        return {
+            mav.MAVLINK_MSG_ID_HEARTBEAT: self._on_heartbeat,
+            mav.MAVLINK_MSG_ID_COMMAND_LONG: self._on_command,
+            mav.MAVLINK_MSG_ID_COMMAND_INT: self._on_command,
+            extra.MAVLINK_MSG_ID_COMMAND_CANCEL: self._on_cancel,
+            mav.MAVLINK_MSG_ID_SET_MODE: self._on_set_mode,
+            mav.MAVLINK_MSG_ID_SET_GPS_GLOBAL_ORIGIN: self._on_set_origin,
+            mav.MAVLINK_MSG_ID_PARAM_REQUEST_LIST: lambda peer, msg: parameters.on_request_list(peer),
+            mav.MAVLINK_MSG_ID_PARAM_REQUEST_READ: parameters.on_request_read,
+            mav.MAVLINK_MSG_ID_PARAM_SET: parameters.on_set,
+            mav.MAVLINK_MSG_ID_MISSION_COUNT: missions.on_count,
+            mav.MAVLINK_MSG_ID_MISSION_ITEM_INT: missions.on_item,
+            mav.MAVLINK_MSG_ID_MISSION_ITEM: missions.on_float_item,
+            mav.MAVLINK_MSG_ID_MISSION_CLEAR_ALL: missions.on_clear_all,
+            mav.MAVLINK_MSG_ID_MISSION_REQUEST_LIST: missions.on_request_list,
+            mav.MAVLINK_MSG_ID_MISSION_REQUEST_INT: missions.on_request,
+            mav.MAVLINK_MSG_ID_MISSION_REQUEST: missions.on_request,
+            mav.MAVLINK_MSG_ID_MISSION_ACK: missions.on_ack,
+            mav.MAVLINK_MSG_ID_MISSION_WRITE_PARTIAL_LIST: missions.on_write_partial_list,
+            mav.MAVLINK_MSG_ID_MISSION_SET_CURRENT: self._progress.on_set_current,
+            mav.MAVLINK_MSG_ID_PING: utility.on_ping,
+            mav.MAVLINK_MSG_ID_TIMESYNC: utility.on_timesync,
+            extra.MAVLINK_MSG_ID_REQUEST_EVENT: utility.on_request_event,
+            mav.MAVLINK_MSG_ID_SYSTEM_TIME: lambda peer, msg: utility.on_system_time(msg),
+            mav.MAVLINK_MSG_ID_FILE_TRANSFER_PROTOCOL: self._files.on_message,
+            mav.MAVLINK_MSG_ID_LOG_REQUEST_LIST: self._logs.on_request_list,
+            mav.MAVLINK_MSG_ID_LOG_REQUEST_DATA: self._logs.on_request_data,
+            mav.MAVLINK_MSG_ID_LOG_REQUEST_END: lambda peer, msg: self._logs.on_request_end(peer),
+            mav.MAVLINK_MSG_ID_LOG_ERASE: lambda peer, msg: self._logs.on_erase(peer),
+            mav.MAVLINK_MSG_ID_VISION_POSITION_ESTIMATE: self._external.on_vision_position_estimate,
+            mav.MAVLINK_MSG_ID_ODOMETRY: self._external.on_odometry,
+            mav.MAVLINK_MSG_ID_MANUAL_CONTROL: self.pilot.on_manual_control,
+            mav.MAVLINK_MSG_ID_RC_CHANNELS_OVERRIDE: self.pilot.on_override,
+            mav.MAVLINK_MSG_ID_SET_POSITION_TARGET_LOCAL_NED: self._set_points.on_local,
+            mav.MAVLINK_MSG_ID_SET_POSITION_TARGET_GLOBAL_INT: self._set_points.on_global,
+            mav.MAVLINK_MSG_ID_SET_ATTITUDE_TARGET: self._set_points.on_attitude,
+            mav.MAVLINK_MSG_ID_SET_ACTUATOR_CONTROL_TARGET: self._set_points.on_actuators,
+            mav.MAVLINK_MSG_ID_REQUEST_DATA_STREAM: self._on_request_data_stream,
+            mav.MAVLINK_MSG_ID_SETUP_SIGNING: self._keys.on_setup,
+            mav.MAVLINK_MSG_ID_GLOBAL_POSITION_INT: self._others.on_global_position_int,
+            mav.MAVLINK_MSG_ID_ADSB_VEHICLE: self._others.on_adsb_vehicle,
+            mav.MAVLINK_MSG_ID_AIS_VESSEL: self._others.on_ais_vessel,
+            mav.MAVLINK_MSG_ID_OBSTACLE_DISTANCE: self._others.on_obstacle_distance,
+        }
+
+    # Links
+
+    def add_link(self, link: int) -> None:
+        """Open a link: heartbeat and telemetry go out on it from now on."""
+        self._ctx.add_link(link)
+
+    def remove_link(self, link: int) -> None:
+        self._ctx.remove_link(link)
+        self._intake.forget_link(link)
+        self._streams.forget(link)
+        self._high_latency.forget(link)
+        self._announcements.forget(link)
+
+    def finish(self) -> None:
+        """The end of a run, before what it keeps is written."""
+        self._ctx.signing.finish()
+
+    def custom_mode(self, mode: FlightMode) -> int:
+        """The profile's custom_mode number of a mode."""
+        return self._ctx.profile.custom_modes[mode]
+
+    @property
+    def dropped_rx(self) -> int:
+        """Stretches of damaged input so far, all links."""
+        return self._intake.dropped
+
+    @property
+    def last_pilot_t_us(self) -> int | None:
+        """When a pilot's sticks were last received; None before the first."""
+        return self.pilot.last_us
+
+    @property
+    def sticks(self) -> Sticks | None:
+        """A pilot's sticks, None = nobody steers (any more)."""
+        return self.pilot.sticks
+
+    @property
+    def uploading(self) -> bool:
+        """A plan is being transferred to us."""
+        return self.missions.uploading
+
+    @property
+    def utc_offset_us(self) -> int | None:
+        """Unix time minus service time [us] as a ground station gave it (SYSTEM_TIME), None before."""
+        return self.utility.utc_offset_us
+
+    def take_notices(self) -> tuple[Event, ...]:
+        """What the server itself has sent to operators since the last call (plans taken or refused), for the log."""
+        notices, self._ctx.notices = tuple(self._ctx.notices), []
+        return notices
+
+    def take_samples(self) -> tuple[ExternalPoseSample, ...]:
+        """Poses that clients have sent since the last call (VISION_POSITION_ESTIMATE, ODOMETRY), for the estimator."""
+        samples, self._ctx.samples = tuple(self._ctx.samples), []
+        return samples
+
+    def take_tracks(self) -> tuple[tuple[ObstacleTrack, ...], tuple[int, ...]]:
+        """Obstacles and vehicles that clients have reported since the last call, and numbers of those gone."""
+        return self._others.take()
+
+    # One tick
 
     def step(
         self,
@@ -99,83 +382,182 @@ class MavlinkServer:
         reached: Sequence[int] = (),
     ) -> tuple[MavlinkFrame, ...]:
         """Handle what was received, then heartbeats, news, retries and telemetry. Never raises on received bytes."""
-        return self._dispatcher.step(t_us, rx, view, events, reached)
+        ctx = self._ctx
+        ctx.t_us, ctx.view, ctx.tx = t_us, view, []
+        if ctx.announce_place:
+            ctx.announce_place = False
+            self._announcements.place_again()
+        run_all, run = ctx.guard.run_all, ctx.guard.run
+        for budget in ctx.budgets.values():
+            budget.tick(t_us)
+        run_all(self._before_hearing)
+        for frame in rx:
+            self._push(frame)
+        run("message", self._commands.tick, None)
+        run("message", self._intake.work, None)
+        ctx.received = self._intake.received
+
+        def given() -> VehicleView:
+            return view
+
+        run_all(self._before_news, given)
+        for event in events:
+            run("telemetry", partial(ctx.relay, event.severity, event.text), None, partial(repr, event))
+        run_all(self._after_news, given)
+        run("progress", partial(self._progress.tick, reached), None, given)
+        # In turns: on a narrow link whoever comes first takes what there is.
+        run_all(self._at_last[t_us // TICK_US % 2], given)
+        return tuple(ctx.tx)
 
     def serve(self, t_us: int, rx: Sequence[MavlinkFrame]) -> tuple[MavlinkFrame, ...]:
         """Receive between two ticks. Plan transfers, parameter reads and time requests are answered at once; anything
         else waits for :meth:`step`, and with it whatever its client sends after it."""
-        return self._dispatcher.serve(t_us, rx)
+        ctx = self._ctx
+        ctx.t_us, ctx.tx = t_us, []
+        for budget in ctx.budgets.values():
+            budget.tick(t_us)
+        ctx.guard.run("plans", self.missions.answer, None)
+        for frame in rx:
+            inbox = self._push(frame)
+            if inbox is not None:
+                self._intake.serve(inbox, self._is_urgent)
+        return tuple(ctx.tx)
 
     def beat(self) -> tuple[MavlinkFrame, ...]:
-        """A HEARTBEAT of every component for every link while the loop waits; changes nothing, may be called at any
-        moment of a tick."""
-        return self._dispatcher.beat()
+        """A HEARTBEAT of every component for every link while the loop waits, at any moment of a tick: nothing counts
+        it, so a run is the same with it or without."""
+        ctx = self._ctx
+        beats = [(COMPID, self._status.heartbeat())]
+        if self._camera is not None:
+            beats.append((CAMERA_COMPID, self._camera.heartbeat()))
+        return tuple(
+            frame
+            for link in ctx.links
+            if link not in ctx.quiet
+            for source, message in beats
+            for frame in ctx.frames(link, EVERYONE, message, counted=False, source=source)
+        )
 
     def standing(self, link: int, client: int) -> ClientRecord:
-        """What a client of a link has shown of itself so far."""
-        return self._dispatcher.standing(link, client)
+        """What a client has shown of itself so far."""
+        owner = self._operators.owner
+        in_control = owner is not None and (owner.link, owner.client) == (link, client)
+        return ClientRecord(self._valid_us.get((link, client)), in_control)
 
-    def finish(self) -> None:
-        """The end of a run, before what it keeps is written."""
-        self._dispatcher.finish()
+    def _push(self, frame: MavlinkFrame) -> Inbox | None:
+        if frame.link < 0:
+            return None
+        self._ctx.add_link(frame.link)
+        return self._intake.push(frame)
+
+    def _is_urgent(self, address: Address, msg: Message) -> bool:
+        link, client = address
+        peer = MavlinkPeer(link, msg.get_srcSystem(), msg.get_srcComponent(), client)
+        return msg.get_msgId() in _URGENT and not self.missions.concludes(peer, msg)
+
+    def _handle(self, address: Address, msg: Message) -> None:
+        """One message. What fails at it costs this message only; a command is answered FAILED."""
+        sysid = msg.get_srcSystem()
+        speaker = msg.get_srcComponent()  # one of our components: an echo, or a second of us
+        ours = sysid == self._ctx.sysid and speaker in (COMPID, CAMERA_COMPID) and speaker in self._ours
+        if sysid == 0 or ours or not self._for_us(msg):
+            return
+        link, client = address
+        peer = MavlinkPeer(link, sysid, msg.get_srcComponent(), client)
+        self._note_version(address, msg)
+        self._announcements.greet(peer)
+        if self._operators.refused(peer, msg):
+            return
+        try:
+            self._handlers[msg.get_msgId()](peer, msg)
+        except Exception as error:  # noqa: BLE001 - a guard: counted, said and kept by it, or raised again
+            secret = msg.get_msgId() == mav.MAVLINK_MSG_ID_SETUP_SIGNING
+            self._ctx.guard.note("message", error, lambda: (peer, "a signing key" if secret else msg.to_dict()))
+            if msg.get_msgId() in COMMANDS:
+                failed = mav.MAVLink_command_ack_message(
+                    msg.command, CommandResult.FAILED, 0, 0, peer.sysid, peer.compid
+                )
+                self._ctx.send(peer, failed)
+
+    def _note_version(self, address: Address, msg: Message) -> None:
+        """A client that has only spoken MAVLink 1 is answered in it. It is shown once that there is MAVLink 2: a client
+        that knows both (pymavlink) begins with 1 and goes over then."""
+        ctx, (link, client) = self._ctx, address
+        known = ctx.old.get(link, frozenset())
+        if msg.get_msgbuf()[0] != mav.PROTOCOL_MARKER_V1:
+            if client in known:
+                ctx.old[link] = known - {client}
+            self._new.add(address, ctx.t_us)
+        elif client not in known and not self._new.knows(address, ctx.t_us):
+            ctx.send(MavlinkPeer(link, 0, 0, client), self._status.heartbeat())
+            clients = {number for number in known if (link, number) in self._intake}
+            ctx.old[link] = frozenset((*clients, client))
+
+    def _heard(self, address: Address, frame: bytes) -> None:
+        """A good frame, for us or not: perhaps somebody else wants it."""
+        self._valid_us[address] = self._ctx.t_us
+
+        def note() -> None:
+            self._high_latency.heard(address)
+            self._router.heard(address, frame)
+
+        self._ctx.guard.run("message", note, None)
+
+    def _keeps_out(self, call: Call) -> str:
+        return self._operators.refusal(call.peer, grave=call.command in GRAVE_COMMANDS)
 
     def rights(self) -> Rights:
-        """Who may send what."""
-        return self._dispatcher.rights()
+        """Who may send what, as this server handles it."""
+        tables = [self._commands.table, *([] if self._to_camera is None else [self._to_camera.table])]
+        entries = {number: entry for table in tables for number, entry in table.items()}
+        return rights(self._handlers, entries)
 
-    def custom_mode(self, mode: FlightMode) -> int:
-        """The profile's custom_mode number of a mode."""
-        return self._profile.custom_modes[mode]
+    def _for_us(self, msg: Message) -> bool:
+        """Addressed to us, to all, or to nobody. The camera takes commands only."""
+        component = getattr(msg, "target_component", 0)
+        if getattr(msg, "target_system", 0) not in (0, self._ctx.sysid) or component not in self._ours:
+            return False
+        return component != CAMERA_COMPID or msg.get_msgId() in COMMANDS
 
-    def add_link(self, link: int) -> None:
-        """Open a link: heartbeat and telemetry go out on it from now on."""
-        self._dispatcher.add_link(link)
+    # Messages that need no service of their own
 
-    def remove_link(self, link: int) -> None:
-        """Close a link and forget its rates."""
-        self._dispatcher.remove_link(link)
+    def _on_heartbeat(self, peer: MavlinkPeer, msg: Message) -> None:
+        if msg.type in _OPERATORS:
+            self._operators.heard(peer)
+            self.last_gcs_t_us = self._ctx.t_us
 
-    def take_notices(self) -> tuple[Event, ...]:
-        """What the server itself told operators since the last call (plans taken or refused, reasons), for the log."""
-        return self._dispatcher.take_notices()
+    def _on_command(self, peer: MavlinkPeer, msg: Message) -> None:
+        """To the autopilot; to the camera if it is addressed, or if it is asked of everybody what the camera knows."""
+        camera, component = self._to_camera, msg.target_component
+        if camera is None or self._camera is None or component in (COMPID, MISSION_COMPID):
+            self._commands.on_command(peer, msg)
+        elif component == CAMERA_COMPID or self._camera.answers(call_of(peer, msg)):
+            camera.on_command(peer, msg)
+        else:
+            self._commands.on_command(peer, msg)
 
-    def take_samples(self) -> tuple[ExternalPoseSample, ...]:
-        """Poses that clients have sent since the last call (VISION_POSITION_ESTIMATE, ODOMETRY), for the estimator."""
-        return self._dispatcher.take_samples()
+    def _on_set_mode(self, peer: MavlinkPeer, msg: Message) -> None:
+        self._explain(peer, self._vehicle.set_mode_message(msg.base_mode, msg.custom_mode))
 
-    def take_tracks(self) -> tuple[tuple[ObstacleTrack, ...], tuple[int, ...]]:
-        """Obstacles and vehicles that others have told of since the last call, and numbers of those that have gone."""
-        return self._dispatcher.take_tracks()
+    def _on_cancel(self, peer: MavlinkPeer, msg: Message) -> None:
+        """COMMAND_CANCEL: the command that is being carried out ends and its client gets CANCELLED; any other is over,
+        and nothing is said (common.xml)."""
+        if self._vehicle.cancel(msg.command):
+            ack = mav.MAVLink_command_ack_message(msg.command, CommandResult.CANCELLED, 0, 0, peer.sysid, peer.compid)
+            self._ctx.send(peer, ack)
 
-    @property
-    def dropped_rx(self) -> int:
-        """Stretches of damaged input so far, all links."""
-        return self._dispatcher.dropped_rx
+    def _on_set_origin(self, peer: MavlinkPeer, msg: Message) -> None:
+        self._explain(peer, self._vehicle.set_origin_message(msg.latitude, msg.longitude, msg.altitude))
 
-    @property
-    def last_gcs_t_us(self) -> int | None:
-        """When a ground station or companion computer last sent a HEARTBEAT; None before the first."""
-        return self._dispatcher.last_gcs_t_us
+    def _on_request_data_stream(self, peer: MavlinkPeer, msg: Message) -> None:
+        self._streams.on_request_data_stream(
+            peer.link, msg.req_stream_id, msg.req_message_rate, start=msg.start_stop != 0
+        )
 
-    @property
-    def last_pilot_t_us(self) -> int | None:
-        """When a pilot's sticks were last heard; None before the first."""
-        return self._dispatcher.pilot.last_us
-
-    @property
-    def sticks(self) -> Sticks | None:
-        """A pilot's sticks, None = nobody steers (any more)."""
-        return self._dispatcher.pilot.sticks
-
-    @property
-    def uploading(self) -> bool:
-        """A plan is being transferred to us."""
-        return self._dispatcher.missions.uploading
-
-    @property
-    def utc_offset_us(self) -> int | None:
-        """Unix time minus service time [us] as a ground station told it (SYSTEM_TIME), None before."""
-        return self._dispatcher.utility.utc_offset_us
+    def _explain(self, peer: MavlinkPeer, answer: CommandReply) -> None:
+        """Messages without acknowledgement say a refusal as text."""
+        if answer.result is not CommandResult.ACCEPTED and answer.reason:
+            self._ctx.say(notices.REFUSED(reason=answer.reason), peer)
 
 
 def blank_view() -> VehicleView:
@@ -190,8 +572,8 @@ def blank_view() -> VehicleView:
         command=None,
         progress=None,
         target_ned_m=None,
-        origin=_NOWHERE,
-        home=_NOWHERE,
+        origin=_ZERO,
+        home=_ZERO,
         prearm_reasons=(),
         failsafes=0,
         cpu_load=0.0,

@@ -50,11 +50,9 @@ class SetPoints:
         self._ctx = ctx
 
     def on_local(self, peer: MavlinkPeer, msg: Message) -> None:
-        """SET_POSITION_TARGET_LOCAL_NED."""
         self._take(peer, msg, self._of_local)
 
     def on_global(self, peer: MavlinkPeer, msg: Message) -> None:
-        """SET_POSITION_TARGET_GLOBAL_INT."""
         self._take(peer, msg, self._of_global)
 
     def on_attitude(self, peer: MavlinkPeer, msg: Message) -> None:

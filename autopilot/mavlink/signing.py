@@ -23,6 +23,7 @@ from autopilot.core.witness import Noted, Witness
 from autopilot.mavlink.api import AHEAD_UNITS, UNITS_PER_S, SigningState, SigningStore
 from autopilot.mavlink.bounded_table import LatestUsed
 from autopilot.mavlink.dialect import mav
+from autopilot.mavlink.wire import SIGNATURE_BYTES, is_signed, message_id
 
 KEY_BYTES = 32
 OLD_UNITS = 60 * UNITS_PER_S
@@ -37,9 +38,6 @@ MAX_STAMP = (1 << 48) - 1
 LATEST_STAMP = MAX_STAMP - 100 * OLD_UNITS
 """Later times (the year 2104) are not heard: they would leave none for anybody else."""
 
-_SIGNED = mav.MAVLINK_IFLAG_SIGNED
-_V1 = mav.PROTOCOL_MARKER_V1
-_BLOCK = mav.MAVLINK_SIGNATURE_BLOCK_LEN
 _TAG = 6
 """Bytes of the hash that are sent."""
 _BEATS = 0x80
@@ -149,11 +147,10 @@ class Signing:
 
     def admits(self, frame: bytes, reach: Reach) -> bool:
         """Whether a whole frame with a good checksum is to be heard. Its time is used up by being asked for."""
-        if frame[0] == _V1 or not frame[2] & _SIGNED:
+        if not is_signed(frame):
             if self.key is None or reach is Reach.PROCESS or (reach is Reach.MACHINE and self.local_may_be_silent):
                 return True
-            number = frame[5] if frame[0] == _V1 else int.from_bytes(frame[7:10], "little")
-            if number in UNSIGNABLE:
+            if message_id(frame) in UNSIGNABLE:
                 return True
             self.refused.unsigned += 1
             return False
@@ -161,8 +158,8 @@ class Signing:
         if key is None or not self._witness.ask("signature", True, lambda: is_signed_with(key, frame)):
             self.refused.unknown_key += 1
             return False
-        stream = (frame[-_BLOCK], frame[5], frame[6])
-        stamp = int.from_bytes(frame[1 - _BLOCK : -_TAG], "little")
+        stream = (frame[-SIGNATURE_BYTES], frame[5], frame[6])
+        stamp = int.from_bytes(frame[1 - SIGNATURE_BYTES : -_TAG], "little")
         last = self._streams.get(stream)
         if last is None:
             fresh = stamp > self._floor and stamp + OLD_UNITS >= self.stamp
@@ -188,7 +185,7 @@ class Signing:
 
 def signed(frame: bytes, crc_extra: int, key: bytes, number: int, stamp: int) -> bytes:
     """An unsigned MAVLink 2 frame, signed as link ``number`` at signing time ``stamp``."""
-    body = bytes((frame[1], frame[2] | _SIGNED)) + frame[3:-2]
+    body = bytes((frame[1], frame[2] | mav.MAVLINK_IFLAG_SIGNED)) + frame[3:-2]
     crc = checksum(body + bytes((crc_extra,)))
     text = frame[:1] + body + crc.to_bytes(2, "little") + bytes((number,)) + stamp.to_bytes(6, "little")
     return text + _tag(key, text)
@@ -196,9 +193,7 @@ def signed(frame: bytes, crc_extra: int, key: bytes, number: int, stamp: int) ->
 
 def is_signed_with(key: bytes, frame: bytes) -> bool:
     """Whether a whole frame is signed with a key; of its time nothing is said."""
-    if frame[0] == _V1 or not frame[2] & _SIGNED:
-        return False
-    return hmac.compare_digest(_tag(key, frame[:-_TAG]), frame[-_TAG:])
+    return is_signed(frame) and hmac.compare_digest(_tag(key, frame[:-_TAG]), frame[-_TAG:])
 
 
 def _tag(key: bytes, text: bytes) -> bytes:

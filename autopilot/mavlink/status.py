@@ -116,26 +116,24 @@ def available_mode(profile: Profile, index: int) -> Message:
 
 
 class StatusMessages:
-    """Status messages of the present tick."""
-
     def __init__(self, ctx: Context) -> None:
         self._ctx = ctx
 
     def builders(self) -> Mapping[int, Builder]:
-        """Builder of each message by id."""
         return {
             mav.MAVLINK_MSG_ID_HEARTBEAT: self.heartbeat,
             mav.MAVLINK_MSG_ID_SYS_STATUS: self.sys_status,
             mav.MAVLINK_MSG_ID_EXTENDED_SYS_STATE: self.extended_sys_state,
             mav.MAVLINK_MSG_ID_BATTERY_STATUS: self.battery_status,
-            mav.MAVLINK_MSG_ID_AUTOPILOT_VERSION: self.autopilot_version,
+            mav.MAVLINK_MSG_ID_AUTOPILOT_VERSION: lambda: autopilot_version(self._ctx.identity, self._ctx.profile),
             mav.MAVLINK_MSG_ID_CURRENT_MODE: self.current_mode,
-            mav.MAVLINK_MSG_ID_AVAILABLE_MODES_MONITOR: self.available_modes_monitor,
-            MSG_ID_PROTOCOL_VERSION: self.protocol_version,
+            mav.MAVLINK_MSG_ID_AVAILABLE_MODES_MONITOR: lambda: mav.MAVLink_available_modes_monitor_message(
+                0
+            ),  # the list never changes
+            MSG_ID_PROTOCOL_VERSION: protocol_version,
         }
 
     def heartbeat(self) -> Message:
-        """HEARTBEAT."""
         ctx, view = self._ctx, self._ctx.view
         base_mode = mav.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED
         if view.mode is not FlightMode.MANUAL:
@@ -253,25 +251,9 @@ class StatusMessages:
             return 0
         return limited(left_j / power_w, 1, 0x7FFF_FFFF)
 
-    def autopilot_version(self) -> Message | None:
-        """AUTOPILOT_VERSION."""
-        return autopilot_version(self._ctx.identity, self._ctx.profile)
-
-    def protocol_version(self) -> Message | None:
-        """PROTOCOL_VERSION."""
-        return protocol_version()
-
     def current_mode(self) -> Message | None:
         """CURRENT_MODE: what it does and what the operator asked for."""
         view, modes = self._ctx.view, self._ctx.profile.custom_modes
         return mav.MAVLink_current_mode_message(
             MODE_ROWS[view.mode].standard, modes[view.mode], modes[view.intended_mode]
         )
-
-    def available_modes_monitor(self) -> Message | None:
-        """AVAILABLE_MODES_MONITOR: the list never changes."""
-        return mav.MAVLink_available_modes_monitor_message(0)
-
-    def available_mode(self, index: int) -> Message:
-        """AVAILABLE_MODES of one mode, ``index`` from 1."""
-        return available_mode(self._ctx.profile, index)

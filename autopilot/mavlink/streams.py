@@ -106,7 +106,6 @@ class LinkStreams:
         self.next_us = t_us
 
     def take_due(self, t_us: int) -> list[int]:
-        """Messages due now, rescheduled."""
         due = self.due(t_us)
         for msg_id in due:
             self.done(msg_id, t_us)
@@ -114,7 +113,6 @@ class LinkStreams:
         return due
 
     def due(self, t_us: int) -> list[int]:
-        """Messages due now."""
         return [msg_id for msg_id, at_us in self.due_us.items() if at_us <= t_us]
 
     def done(self, msg_id: int, t_us: int) -> None:
@@ -139,7 +137,6 @@ class Streams:
         """Of links that get one message only for a while."""
 
     def of(self, link: int) -> LinkStreams:
-        """The schedule of a link."""
         streams = self._links.get(link)
         if streams is None:
             streams = self._links[link] = LinkStreams(self._ctx.t_us)
@@ -238,6 +235,5 @@ class Streams:
             self._ctx.send(link, message)
 
     def forget(self, link: int) -> None:
-        """Drop the schedule of a closed link."""
         self._links.pop(link, None)
         self._before.pop(link, None)

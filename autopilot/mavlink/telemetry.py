@@ -83,15 +83,12 @@ def motion_of(nav: NavState) -> MotionNumbers | None:
 
 
 class NavigationMessages:
-    """Navigation messages of the present tick."""
-
     def __init__(self, ctx: Context) -> None:
         self._ctx = ctx
         self._nav: NavState | None = None
         self._motion: MotionNumbers | None = None
 
     def builders(self) -> Mapping[int, Builder]:
-        """Builder of each message by id."""
         return {
             mav.MAVLINK_MSG_ID_ATTITUDE: self.attitude,
             mav.MAVLINK_MSG_ID_ATTITUDE_QUATERNION: self.attitude_quaternion,
@@ -122,7 +119,6 @@ class NavigationMessages:
         return None if m is None else place_from_ned(self._ctx.view.origin, m.north, m.east, m.down)
 
     def attitude(self) -> Message | None:
-        """ATTITUDE."""
         m = self.motion()
         if m is None:
             return None

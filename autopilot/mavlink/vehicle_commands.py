@@ -1,7 +1,7 @@
 """Commands that make the vehicle do something: arm, modes, mission, go-to, speed, home, origin."""
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 
 from pymavlink.dialects.v20 import development as mav
 
@@ -10,7 +10,7 @@ from autopilot.core.geodesy import MAX_ORIGIN_LAT_DEG, GeodeticPosition, far_tex
 from autopilot.core.plan import PlanKind
 from autopilot.mavlink import home_item
 from autopilot.mavlink.api import ACCEPTED, Circling, CommandReply, CommandResult, FlightMode, OrbitYaw
-from autopilot.mavlink.commands import Call, CommandRow, Reply, denied
+from autopilot.mavlink.commands import Call, CommandRow, Reply, action, denied, request
 from autopilot.mavlink.context import Context
 from autopilot.mavlink.flight_modes import STANDARD_MODES
 from autopilot.mavlink.profiles import CUSTOM_MODE_FLAG
@@ -57,13 +57,9 @@ class VehicleService:
         self._progress = progress
 
     def table(self) -> Mapping[int, CommandRow]:
-        """Commands of this service."""
 
         def here(mode: FlightMode) -> CommandRow:
-            return CommandRow(handler=lambda call: self.mode_here(call, mode), action=True)
-
-        def action(handler: Callable[[Call], Reply]) -> CommandRow:
-            return CommandRow(handler=handler, action=True)
+            return action(lambda call: self.mode_here(call, mode))
 
         return {
             mav.MAV_CMD_COMPONENT_ARM_DISARM: action(self.arm_disarm),
@@ -87,7 +83,7 @@ class VehicleService:
             ),
             mav.MAV_CMD_DO_FENCE_ENABLE: action(self.fence_enable),
             mav.MAV_CMD_DO_FLIGHTTERMINATION: action(self.terminate),
-            mav.MAV_CMD_RUN_PREARM_CHECKS: CommandRow(handler=self.run_prearm_checks, action=False),
+            mav.MAV_CMD_RUN_PREARM_CHECKS: request(self.run_prearm_checks),
         }
 
     # Arming and modes

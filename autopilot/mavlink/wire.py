@@ -32,7 +32,8 @@ CHECKSUM_WORK = 2
 DECODE_WORK = 8
 """Work of decoding a message that somebody wants."""
 
-_V1, _V2 = mav.PROTOCOL_MARKER_V1, mav.PROTOCOL_MARKER_V2
+V1, _V2 = mav.PROTOCOL_MARKER_V1, mav.PROTOCOL_MARKER_V2
+SIGNATURE_BYTES: int = mav.MAVLINK_SIGNATURE_BLOCK_LEN
 _CRC_BYTES = 2
 _V1_OVERHEAD = mav.HEADER_LEN_V1 + _CRC_BYTES
 _V2_OVERHEAD = mav.HEADER_LEN_V2 + _CRC_BYTES
@@ -171,7 +172,7 @@ class LinkParser:
 
     def _decoded(self, frame: bytes, work: Work) -> Message | None:
         """The message of a good frame; None if nobody wants it."""
-        if self._wanted is not None and _id_of(frame) not in self._wanted:
+        if self._wanted is not None and message_id(frame) not in self._wanted:
             return None
         work.left -= DECODE_WORK
         try:
@@ -180,8 +181,14 @@ class LinkParser:
             return None
 
 
-def _id_of(frame: bytes) -> int:
-    return frame[5] if frame[0] == _V1 else int.from_bytes(frame[7:10], "little")
+def message_id(frame: bytes) -> int:
+    """Of a whole frame."""
+    return frame[5] if frame[0] == V1 else int.from_bytes(frame[7:10], "little")
+
+
+def is_signed(frame: bytes) -> bool:
+    """Whether a whole frame has a signature, of whatever key."""
+    return frame[0] != V1 and bool(frame[2] & mav.MAVLINK_IFLAG_SIGNED)
 
 
 def _frame_at(data: bytes, pos: int, work: Work) -> int:
@@ -194,10 +201,10 @@ def _frame_at(data: bytes, pos: int, work: Work) -> int:
             return -1
         if left < mav.HEADER_LEN_V2:
             return 0
-        signature = mav.MAVLINK_SIGNATURE_BLOCK_LEN if data[pos + 2] else 0
+        signature = SIGNATURE_BYTES if data[pos + 2] else 0
         size = data[pos + 1] + _V2_OVERHEAD + signature
         known = _KNOWN.get(data[pos + 7] | data[pos + 8] << 8 | data[pos + 9] << 16)
-    elif data[pos] == _V1:
+    elif data[pos] == V1:
         if left < mav.HEADER_LEN_V1:
             return 0
         signature, size = 0, data[pos + 1] + _V1_OVERHEAD
@@ -211,7 +218,7 @@ def _frame_at(data: bytes, pos: int, work: Work) -> int:
     end = pos + size
     if known is None:
         # An id without known checksum seed: believe it only if the next frame follows right behind.
-        return size if left == size or data[end] in (_V1, _V2) else -1
+        return size if left == size or data[end] in (V1, _V2) else -1
     work.left -= CHECKSUM_WORK
     crc_at = end - signature - _CRC_BYTES
     good = checksum(data[pos + 1 : crc_at] + bytes((known[0],))) == data[crc_at] | data[crc_at + 1] << 8
@@ -220,7 +227,7 @@ def _frame_at(data: bytes, pos: int, work: Work) -> int:
 
 def _next_marker(data: bytes, start: int, stop: int) -> int:
     """Index of the next possible start of a frame before ``stop``, or ``stop``."""
-    found = [i for i in (data.find(_V1, start, stop), data.find(_V2, start, stop)) if i >= 0]
+    found = [i for i in (data.find(V1, start, stop), data.find(_V2, start, stop)) if i >= 0]
     return min(found, default=stop)
 
 
@@ -252,7 +259,7 @@ class LinkEncoder:
         payload = frame[_V2_OVERHEAD - _CRC_BYTES : -_CRC_BYTES].ljust(size, b"\0")[:size]
         body = bytes((size, frame[4], frame[5], frame[6], number)) + payload
         crc = checksum(body + bytes((message.crc_extra,)))
-        return bytes((_V1,)) + body + crc.to_bytes(_CRC_BYTES, "little")
+        return bytes((V1,)) + body + crc.to_bytes(_CRC_BYTES, "little")
 
     def _count(self, counted: bool) -> None:
         if counted:

@@ -22,9 +22,8 @@ from autopilot.drivers.links import open_link
 from autopilot.drivers.protocols import Link, Received
 from autopilot.mavlink.boot import BootLink, BootSigning
 from autopilot.mavlink.boot_identity import BootIdentity
-from autopilot.mavlink.context import VehicleIdentity
+from autopilot.mavlink.context import NAME, VehicleIdentity
 from autopilot.mavlink.profiles import profile_by_name
-from autopilot.mavlink.server import NAME
 from autopilot.run.config import system_id, vehicle_uid
 from autopilot.run.provenance import revision
 from autopilot.run.signing_files import SigningFiles

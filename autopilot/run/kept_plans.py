@@ -25,10 +25,9 @@ from autopilot.core.plan import PlanKind
 from autopilot.core.state_file import Loss, StateFile
 from autopilot.core.witness import Noted, Witness
 from autopilot.mavlink.missions import CLEAR_ORDER
-from autopilot.mission.loading import load_plan
 from autopilot.mission.plan_model import PlanFile
 from autopilot.mission.sequencer import Position
-from autopilot.mission.store import Plans
+from autopilot.mission.store import Plans, load_plan
 from autopilot.run.plans_format import Content, PlansSnapshot, decode, encode, place_of, plan_item
 
 PLANS_KEPT = "plans kept"

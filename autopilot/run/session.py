@@ -23,8 +23,8 @@ from autopilot.drivers.protocols import Link
 from autopilot.estimator.frame_filter import FrameFilter
 from autopilot.estimator.vision import MarkerDetector
 from autopilot.estimator.vision_lane import VisionWorker
-from autopilot.mission.loading import load_plan
 from autopilot.mission.plan_files import read_plan
+from autopilot.mission.store import load_plan
 from autopilot.run.allocator import give_back_large_blocks
 from autopilot.run.clocks import LockstepClock, PacedClock, make_clock
 from autopilot.run.compose import ServiceSetup, build_service, end_slow_work

@@ -82,7 +82,7 @@ def test_a_starting_vehicle_says_what_it_is_in_the_words_of_the_running_one(prof
     """Version with fence and rally points, protocol, metadata, modes: each as the service says it later."""
     world = World(profile)
     client = world.client(number=1, sysid=255)
-    identity = world.server._dispatcher._ctx.identity
+    identity = world.server._ctx.identity
     boot = BootLink(1, profile, BootIdentity(profile_by_name(profile), lambda: identity))
     for number, index in ((148, 0), (300, 0), (395, 0), (397, 0), (435, 0), (435, 2)):
         ack, *early = asked(boot, request(number, index))

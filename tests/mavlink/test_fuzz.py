@@ -112,7 +112,7 @@ def test_a_flood_of_clients_does_not_grow_the_server() -> None:
             listed = mav.MAVLink_mission_request_list_message(1, 1, 0)
             frames += [MavlinkFrame(link=0, data=bytes(m.pack(sender))) for m in (asked, listed)]
     world.server.step(10_000, frames, world.view)
-    inside = world.server._dispatcher
+    inside = world.server
     assert len(inside._announcements._greeted) <= 64 and len(inside._commands._last) <= 64
     assert len(inside.missions._downloads) <= 16
 

@@ -113,7 +113,7 @@ SOLVED = NmpcStatus(
 
 def every_message(world: World) -> list[tuple[str, Any]]:
     """Name and content of all that the server can say of its view."""
-    inside = world.server._dispatcher
+    inside = world.server
     ids = sorted(inside._streams._builders)
     return [(str(msg_id), message) for msg_id in ids for message in inside._streams.build(msg_id)]
 
@@ -123,9 +123,9 @@ def every_message(world: World) -> list[tuple[str, Any]]:
 @settings(max_examples=150)
 def test_every_message_can_be_packed_whatever_the_state(view: VehicleView, t_us: int) -> None:
     world = WORLD
-    world.server._dispatcher._ctx.view = replace(view, t_us=t_us)
-    world.server._dispatcher._ctx.t_us = t_us
-    world.server._dispatcher._telemetry._nav = None
+    world.server._ctx.view = replace(view, t_us=t_us)
+    world.server._ctx.t_us = t_us
+    world.server._telemetry._nav = None
     reader = mav.MAVLink(None)
     for name, message in every_message(world):
         packed = bytes(message.pack(mav.MAVLink(None, srcSystem=1, srcComponent=1)))
@@ -145,10 +145,10 @@ def test_a_tick_goes_on_whatever_the_state(view: VehicleView) -> None:
 
 @pytest.mark.parametrize("north_m", [3e4, 1e6, 1e8])
 def test_no_wrong_place_is_shown_for_an_estimate_that_has_run_off(north_m: float) -> None:
-    WORLD.server._dispatcher._ctx.view = base_view(nav=nav_state(pos_ned_m=np.array([north_m, 0.0, 0.4])))
-    WORLD.server._dispatcher._telemetry._nav = None
-    assert WORLD.server._dispatcher._telemetry.global_position_int() is None
-    assert WORLD.server._dispatcher._telemetry.local_position_ned() is not None
+    WORLD.server._ctx.view = base_view(nav=nav_state(pos_ned_m=np.array([north_m, 0.0, 0.4])))
+    WORLD.server._telemetry._nav = None
+    assert WORLD.server._telemetry.global_position_int() is None
+    assert WORLD.server._telemetry.local_position_ned() is not None
 
 
 WORLD = World()

@@ -61,7 +61,7 @@ def test_a_flood_is_throttled_and_named_and_others_are_served_at_once(kind: str,
     named = [message for message in client.got("STATUSTEXT") if "192.0.2.7:5555 floods" in message.text]
     assert len(named) == 1 + (6_000_000 - TICK_US) // FLOOD_AGAIN_US
     assert all(message.severity == mav.MAV_SEVERITY_WARNING and len(message.text) <= 50 for message in named)
-    intake = world.server._dispatcher._intake
+    intake = world.server._intake
     assert sum(inbox.parser.backlog for inbox in intake._inboxes.values()) <= MAX_BACKLOG_BYTES
     assert any("bytes dropped" in event.text for event in world.server.take_notices())
 
@@ -135,7 +135,7 @@ def test_the_memory_for_clients_is_bounded() -> None:
     world = World()
     frames = [MavlinkFrame(link=0, client=n, data=b"\xfd\x20\x00") for n in range(10 * MAX_INBOXES)]
     world.server.step(TICK_US, frames, world.view)
-    assert len(world.server._dispatcher._intake._inboxes) <= MAX_INBOXES
+    assert len(world.server._intake._inboxes) <= MAX_INBOXES
 
 
 # Between ticks
@@ -288,7 +288,7 @@ def test_a_client_that_is_different_every_time_is_remembered_up_to_a_limit(told:
     """Neither the texts that it is told nor the marks of what it sends pile up, and a tick costs what it did."""
     world = World()
     client = world.client(number=QUIET)
-    context, missions = world.server._dispatcher._ctx, world.server._dispatcher.missions
+    context, missions = world.server._ctx, world.server.missions
     for n in range(3 * MAX_RECENT):
         client.send(mav.MAVLink_mission_count_message(1, 1, 10_000 + n if told == "a text each" else 1 + n % 200, 0))
         if n % 16 == 15:

@@ -138,7 +138,7 @@ def test_mavsdk_gets_along(link: tuple[World, Any]) -> None:
         param.set_param_float("SPD_CRUISE", 50.0)
     every = param.get_all_params()
     names = {value.name for value in (*every.int_params, *every.float_params)}
-    assert names == set(world.params) | set(stubs_of(world.server._profile))
+    assert names == set(world.params) | set(stubs_of(world.server._ctx.profile))
 
     raw.clear_mission()
     assert world.plans.items(PlanKind.MISSION) == ()

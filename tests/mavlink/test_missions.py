@@ -587,7 +587,7 @@ def test_a_plan_that_is_in_force_is_acknowledged_whatever_its_client_says_then(w
         world.run(0.1)
     world.plans.decide(world.plans.waiting.pop())
     client.rx.clear()
-    revision = world.server._dispatcher.missions.revision
+    revision = world.server.missions.revision
     message = {
         "cancelled": mav.MAVLink_mission_ack_message(1, 1, mav.MAV_MISSION_OPERATION_CANCELLED, 0),
         "another": mav.MAVLink_mission_count_message(1, 1, 3, 0),
@@ -604,7 +604,7 @@ def test_a_plan_that_is_in_force_is_acknowledged_whatever_its_client_says_then(w
         world.tick()
         acks = [m.type for m in client.got("MISSION_ACK")]
     assert acks[:1] == [mav.MAV_MISSION_ACCEPTED] and len(world.plans.stored[PlanKind.MISSION]) == 2
-    assert world.server._dispatcher.missions.revision == revision + 1
+    assert world.server.missions.revision == revision + 1
 
 
 def test_a_plan_in_force_that_the_disk_has_not_got_is_told_of_when_its_client_goes_on() -> None:

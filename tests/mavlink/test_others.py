@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from mavlink_harness import ORIGIN, World, mav, nav_state
 
-from autopilot.command.surroundings import Environment
+from autopilot.command.environment import Environment
 from autopilot.core.geodesy import e7_from_deg, place_from_ned
 from autopilot.core.geometry import Circle, Fence, Polygon
 from autopilot.core.params import ParamSet
@@ -143,7 +143,7 @@ def test_what_beams_see_of_the_fence_is_known() -> None:
         inclusions=(Polygon(vertices_ned_m=walls),),
         exclusions=(Circle(center_ned_m=np.array([0.94, 0.0]), radius_m=0.16),),
     )
-    surroundings = Environment(load_vehicle("lbv150"), ParamSet())
+    environment = Environment(load_vehicle("lbv150"), ParamSet())
     places = {1: (0.8, 0.05), 2: (2.5, 0.3), 3: (0.0, 0.7), 4: (0.2, -1.45)}
     tracks = [
         ObstacleTrack(t_us=0, track_id=(4 << 28) + n, pos_ned_m=np.array(at), vel_ned_m_s=np.zeros(2), radius_m=0.1)
@@ -152,7 +152,7 @@ def test_what_beams_see_of_the_fence_is_known() -> None:
     vehicle = ObstacleTrack(
         t_us=0, track_id=(1 << 28) + 2, pos_ned_m=np.array([2.4, 0.0]), vel_ned_m_s=np.zeros(2), radius_m=0.3
     )
-    surroundings.note_others(0, [*tracks, vehicle], (), fence)
-    assert [t.track_id for t in surroundings.tracks.at(0)] == [vehicle.track_id, (4 << 28) + 3]
-    surroundings.note_others(0, (), ((4 << 28) + 3,), fence)
-    assert [t.track_id for t in surroundings.tracks.at(0)] == [vehicle.track_id]
+    environment.note_others(0, [*tracks, vehicle], (), fence)
+    assert [t.track_id for t in environment.tracks.at(0)] == [vehicle.track_id, (4 << 28) + 3]
+    environment.note_others(0, (), ((4 << 28) + 3,), fence)
+    assert [t.track_id for t in environment.tracks.at(0)] == [vehicle.track_id]

@@ -24,13 +24,13 @@ def world_fixture(request: pytest.FixtureRequest) -> World:
 
 def as_wire(world: World, value: float, wire_type: int) -> float:
     """What a client of this profile puts into param_value."""
-    if wire_type == INT32 and world.server._profile.name != "ardusub":
+    if wire_type == INT32 and world.server._ctx.profile.name != "ardusub":
         return struct.unpack("<f", struct.pack("<i", int(value)))[0]
     return value
 
 
 def from_wire(world: World, message: object) -> float:
-    if message.param_type == INT32 and world.server._profile.name != "ardusub":
+    if message.param_type == INT32 and world.server._ctx.profile.name != "ardusub":
         return struct.unpack("<i", struct.pack("<f", message.param_value))[0]
     return message.param_value
 
@@ -44,7 +44,7 @@ def test_the_list_is_complete_typed_and_stable(world: World) -> None:
     client = world.client()
     for _ in range(2):
         got = client.ask(mav.MAVLink_param_request_list_message(1, 0), "PARAM_VALUE", 1.0)
-        stubs = STUBS.get(world.server._profile.name, {})
+        stubs = STUBS.get(world.server._ctx.profile.name, {})
         count = len(PARAMETERS) + len(stubs)
         assert [m.param_index for m in got] == list(range(count))
         assert {m.param_count for m in got} == {count}
@@ -85,7 +85,7 @@ def test_a_client_that_has_the_list_need_not_load_it(world: World) -> None:
         wire = struct.pack("<f", m.param_value)
         crc = file_crc32(m.param_id.encode() + wire, crc)
     answer = client.ask(mav.MAVLink_param_request_read_message(1, 1, b"_HASH_CHECK", -1), "PARAM_VALUE", 0.05)
-    if world.server._profile.name == "ardusub":
+    if world.server._ctx.profile.name == "ardusub":
         assert not answer
         return
     assert struct.unpack("<I", struct.pack("<f", answer[0].param_value))[0] == crc
@@ -204,7 +204,7 @@ def test_integers_travel_as_the_profile_says(world: World) -> None:
     (value,) = set_param(client, "FS_SOLVER_N", 77, INT32)
     assert world.params["FS_SOLVER_N"] == 77.0
     assert from_wire(world, value) == 77
-    assert (value.param_value == 77.0) == (world.server._profile.name == "ardusub")
+    assert (value.param_value == 77.0) == (world.server._ctx.profile.name == "ardusub")
 
 
 @pytest.mark.parametrize(

@@ -82,7 +82,7 @@ def has_happened(world: World, act: str) -> bool:
         return "end_run" in [call[0] for call in world.vehicle.calls]
     if act == "reset":
         return bool(world.params["SPD_CRUISE"] == world.params.spec("SPD_CRUISE").default)
-    inside = world.server._dispatcher
+    inside = world.server
     if act == "erase":
         return inside._logs._erasing is not None or "Logs erased" in world.clients[0].texts()
     return bool((inside._ctx.signing.key is not None) == (act == "key"))
@@ -108,8 +108,8 @@ def test_by_parameter_only_the_operator_in_control_may(act: str, tmp_path: Path)
     world.params.set("SPD_CRUISE", 0.2)
     world.params.set("MAV_CTRL_NEEDED", 1)
     if act == "no key":
-        world.server._dispatcher._ctx.signing.set_key(KEY, 0)
-        world.server._dispatcher._ctx.signing.local_may_be_silent = True
+        world.server._ctx.signing.set_key(KEY, 0)
+        world.server._ctx.signing.local_may_be_silent = True
         world.params.set("SIGN_LOCAL", 1)
     ask, text = ACTS[act]
     ask(who)
@@ -132,7 +132,7 @@ def test_by_parameter_only_the_operator_in_control_may(act: str, tmp_path: Path)
 
 def test_what_is_grave_is_handled() -> None:
     """The table names nothing that the service does not know."""
-    inside = World().server._dispatcher
+    inside = World().server
     assert set(inside._handlers) >= GRAVE and set(inside._commands.table) >= GRAVE_COMMANDS
 
 

@@ -136,7 +136,7 @@ def test_a_client_of_mavlink_1_gets_no_mavlink_2_of_others() -> None:
 def test_messages_of_other_dialects_are_counted_and_nothing_else(old: bool) -> None:
     """Their checksum's seed is not known here: whoever passes them on passes on damage. What comes behind is heard."""
     there = net()
-    intake = there.world.server._dispatcher._intake
+    intake = there.world.server._intake
     foreign = [number for number in everybody.mavlink_map if number not in mav.mavlink_map]
     assert len(foreign) > 100
     sender = everybody.MAVLink(None, srcSystem=STATION[0], srcComponent=STATION[1])

@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from mission_helpers import NAN, ORIGIN, circle, local, plain, waypoint
 
 from autopilot.core.plan import MissionResult, PlanItem, PlanKind
 from autopilot.mission.item_types import parse_step
 from autopilot.mission.items import ChangeSpeed, Command, GoTo, Jump, ReturnHome, SetHeading, SetHome, Surface, Wait
 from autopilot.mission.validation import check_item
+from tests.plan_items import NAN, ORIGIN, circle, local, plain, waypoint
 
 GOOD = PlanItem(seq=3, frame=3, command=16, param4=NAN, x=379755000, y=237790000, z=-0.45)
 R = MissionResult

@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from mission_helpers import NAN
 
 from autopilot.core.errors import PlanError
 from autopilot.core.geodesy import Origin
@@ -21,6 +20,7 @@ from autopilot.mission.plan_model import FLOAT32_MAX, PlanFile, without_home
 from autopilot.mission.qgc_plan import read_qgc_plan, write_qgc_plan
 from autopilot.mission.store import plan_checksum
 from autopilot.mission.waypoints_file import read_waypoints
+from tests.plan_items import NAN
 
 PAPER = write_qgc_plan(paper_plan())
 

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from mission_helpers import ORIGIN, RADIUS_M, box, circle, context, local, plain, polygon, tank, waypoint
 
 from autopilot.core.desk import Cancel, WithdrawnError
 from autopilot.core.geometry import Circle, Polygon, Shape
@@ -20,6 +19,7 @@ from autopilot.mission.fence import read_fence
 from autopilot.mission.gaps import narrow_gaps
 from autopilot.mission.judgement import PLAN_PARAMETERS, PlanVerdict, Question, judge
 from autopilot.mission.store import CHECK_TICKS, Plans
+from tests.plan_items import ORIGIN, RADIUS_M, box, circle, context, local, plain, polygon, tank, waypoint
 
 MOST = MAX_ITEMS[PlanKind.FENCE]
 

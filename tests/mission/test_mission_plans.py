@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from mission_helpers import NAN, ORIGIN, RADIUS_M, box, circle, local, nav, plain, polygon, tank, waypoint
 
 from autopilot.core.geodesy import Origin
 from autopilot.core.geometry import Circle, Polygon
@@ -17,6 +16,7 @@ from autopilot.core.plan import MAX_ITEMS, MissionResult, PlanItem, PlanKind
 from autopilot.mission.fence import fence_clearance_m
 from autopilot.mission.paper import paper_plan
 from autopilot.mission.store import Plans, plan_checksum
+from tests.plan_items import NAN, ORIGIN, RADIUS_M, box, circle, local, nav, plain, polygon, tank, waypoint
 
 R = MissionResult
 

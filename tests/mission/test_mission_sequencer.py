@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from mission_helpers import NAN, ORIGIN, local, nav, plain, waypoint
 
 from autopilot.core.errors import PlanError
 from autopilot.core.frames import wrap_pi
@@ -18,6 +17,7 @@ from autopilot.mission.item_types import parse_step
 from autopilot.mission.items import Command
 from autopilot.mission.paper import paper_plan
 from autopilot.mission.sequencer import Action, Sequencer, SequencerOutput, is_inside
+from tests.plan_items import NAN, ORIGIN, local, nav, plain, waypoint
 
 TICK_US = 10_000
 S = ProgressState

@@ -5,7 +5,6 @@ import math
 import numpy as np
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
-from mission_helpers import ORIGIN, RADIUS_M, local, nav, plain, tank, waypoint
 
 from autopilot.core.frames import wrap_pi
 from autopilot.core.messages import Goal, ProgressState
@@ -15,6 +14,7 @@ from autopilot.mission.item_types import ITEM_TYPES
 from autopilot.mission.items import Circuit, Gate, GoTo, Jump, Near, Surface, Wait
 from autopilot.mission.sequencer import Action, Sequencer
 from autopilot.mission.store import Plans
+from tests.plan_items import ORIGIN, RADIUS_M, local, nav, plain, tank, waypoint
 
 STEP_S = 0.1
 TICKS = 4000

@@ -5,11 +5,10 @@ from typing import Any
 import numpy as np
 
 from autopilot.command.commander import Commander
-from autopilot.command.conditions import TickInputs
 from autopilot.command.decision import Decision
-from autopilot.command.facts import VehicleStatus
+from autopilot.command.vehicle_status import VehicleStatus
 from autopilot.core.desk import Desk
-from autopilot.core.messages import NavDoubt, NavHealth, NavState
+from autopilot.core.messages import NavHealth, NavState
 from autopilot.core.params import ParamSet
 from autopilot.core.plan import PlanKind
 from autopilot.core.samples import PowerSample
@@ -35,18 +34,9 @@ class Bench:
         self.yaw = 0.0
         self.health: NavHealth | None = NavHealth.GOOD
         self.remaining = 0.9
-        self.ahrs_age_s: float | None = 0.01
         self.vel_frd_m_s = np.zeros(3)
         self.current = np.zeros(3)
-        self.failures = 0
-        self.unreachable = False
-        self.thruster_share: tuple[float, ...] = (1.0,) * 4
-        self.thruster_problem = ""
-        self.thrusters_unseen: tuple[str, ...] = ()
-        self.thrusters_doubtful: tuple[tuple[str, ...], ...] = ()
-        self.command_delay_s = 0.0
-        self.doubts: frozenset[NavDoubt] = frozenset()
-        self.facts = VehicleStatus()
+        self.status = VehicleStatus(ahrs_age_s=0.01, thruster_share=(1.0,) * 4)
         self.texts: list[str] = []
 
     def nav(self) -> NavState | None:
@@ -68,25 +58,12 @@ class Bench:
     def run(self, seconds: float = 0.01) -> Decision:
         for _ in range(max(1, round(seconds * 100))):
             self.t_us += TICK_US
-            decision = self.commander.step(
-                TickInputs(
-                    t_us=self.t_us,
-                    nav=self.nav(),
-                    power=PowerSample(
-                        t_us=self.t_us, voltage_v=18.0, current_a=1.0, energy_used_j=0.0, remaining=self.remaining
-                    ),
-                    ahrs_age_s=self.ahrs_age_s,
-                    solver_failures=self.failures,
-                    unreachable=self.unreachable,
-                    thruster_share=self.thruster_share,
-                    thruster_problem=self.thruster_problem,
-                    thrusters_unseen=self.thrusters_unseen,
-                    thrusters_doubtful=self.thrusters_doubtful,
-                    command_delay_s=self.command_delay_s,
-                    nav_doubts=self.doubts,
-                    facts=self.facts,
-                )
+            status = self.status
+            status.t_us, status.nav = self.t_us, self.nav()
+            status.power = PowerSample(
+                t_us=self.t_us, voltage_v=18.0, current_a=1.0, energy_used_j=0.0, remaining=self.remaining
             )
+            decision = self.commander.step(status)
             self.texts += [event.text for event in self.commander.drain_events()]
         return decision
 

@@ -1,6 +1,5 @@
 """A vehicle that is sent missions over MAVLink, as ground stations do it, and flies them."""
 
-import math
 from collections.abc import Sequence
 from typing import Any
 
@@ -10,37 +9,14 @@ from pymavlink.dialects.v20 import development as mav
 
 from autopilot.core.plan import PlanItem, PlanKind
 from autopilot.core.plan_wire import item_message
+from tests.plan_items import local
 
-NAN = math.nan
 MISSION = (4 << 16) | (4 << 24)
 
 
 def placed(seq: int, command: int, x: float, y: float, depth: float, *params: float) -> PlanItem:
     """An item at local metres."""
-    p1, p2, p3, p4 = (*params, *(0.0,) * (4 - len(params)))
-    return PlanItem(
-        seq=seq,
-        frame=1,
-        command=command,
-        param1=p1,
-        param2=p2,
-        param3=p3,
-        param4=p4,
-        x=round(x * 1e4),
-        y=round(y * 1e4),
-        z=depth,
-    )
-
-
-def waypoint(seq: int, x: float, y: float, depth: float = 0.5, yaw_deg: float = NAN) -> PlanItem:
-    """NAV_WAYPOINT without a stop."""
-    return placed(seq, 16, x, y, depth, 0.0, 0.0, 0.0, yaw_deg)
-
-
-def plain(seq: int, command: int, *params: float) -> PlanItem:
-    """An item without a place."""
-    p1, p2, p3, p4 = (*params, *(0.0,) * (4 - len(params)))
-    return PlanItem(seq=seq, frame=2, command=command, param1=p1, param2=p2, param3=p3, param4=p4)
+    return local(seq, command, x, y, depth, (*params, *(0.0,) * (4 - len(params))))
 
 
 class MissionWorld(PilotedWorld):

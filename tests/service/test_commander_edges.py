@@ -5,15 +5,10 @@ import pytest
 from commander_bench import OK, Bench
 
 from autopilot.core.messages import Failsafe, NavHealth
-from autopilot.core.plan import PlanItem, PlanKind
+from autopilot.core.plan import PlanKind
 from autopilot.mavlink.api import CommandResult, FlightMode
 from autopilot.mission.paper import paper_plan
-
-
-def circle(north_m: float, east_m: float, radius_m: float) -> PlanItem:
-    """An exclusion in local metres."""
-    x, y = round(north_m * 1e4), round(east_m * 1e4)
-    return PlanItem(seq=0, frame=1, command=5004, param1=radius_m, param4=0.0, x=x, y=y)
+from tests.plan_items import circle
 
 
 def test_a_failsafe_that_holds_does_not_go_on_to_the_waypoint() -> None:
@@ -60,9 +55,9 @@ def test_the_operator_may_surface_while_a_failsafe_holds() -> None:
 def test_a_mere_warning_does_not_keep_the_operator_from_taking_over() -> None:
     bench = Bench(FS_BATT_ACT=0).armed()
     bench.remaining = 0.05
-    bench.failures = 1000
+    bench.status.solver_failures = 1000
     assert bench.run(0.02).mode is FlightMode.SURFACE
-    bench.failures = 0
+    bench.status.solver_failures = 0
     assert bench.run(0.02).failsafes == 1 << Failsafe.BATTERY
     assert bench.commander.set_mode(FlightMode.HOLD).result is OK
     assert bench.run().mode is FlightMode.HOLD
@@ -72,7 +67,7 @@ def test_a_start_that_a_failsafe_refuses_leaves_the_mission_where_it_is() -> Non
     bench = Bench()
     bench.load()
     bench.armed()
-    bench.failures = 1000
+    bench.status.solver_failures = 1000
     bench.run(0.02)
     assert bench.commander.start_mission(2).result is CommandResult.DENIED
     assert bench.run().progress.current_seq == 0
@@ -111,7 +106,7 @@ def test_return_is_refused_while_home_is_forbidden() -> None:
     decision = bench.run()
     assert decision.goal is not None
     assert decision.goal.pos_ned_m == pytest.approx([home[0], home[1], bench.pos[2]])
-    assert bench.plans.replace(PlanKind.FENCE, (circle(home[0], home[1], 0.5),)) is None
+    assert bench.plans.replace(PlanKind.FENCE, (circle(0, home[0], home[1], 0.5),)) is None
     answer = bench.commander.set_mode(FlightMode.RETURN)
     assert answer.result is CommandResult.DENIED
     assert "home" in answer.reason
@@ -120,10 +115,10 @@ def test_return_is_refused_while_home_is_forbidden() -> None:
 def test_a_fence_upon_the_vehicle_is_reported() -> None:
     bench = Bench().armed()
     bench.run()
-    assert bench.plans.replace(PlanKind.FENCE, (circle(3.0, 0.0, 0.5),)) is None
+    assert bench.plans.replace(PlanKind.FENCE, (circle(0, 3.0, 0.0, 0.5),)) is None
     bench.run()
     assert not any("New fence" in text for text in bench.texts)
-    assert bench.plans.replace(PlanKind.FENCE, (circle(bench.pos[0], bench.pos[1] + 0.4, 0.3),)) is None
+    assert bench.plans.replace(PlanKind.FENCE, (circle(0, bench.pos[0], bench.pos[1] + 0.4, 0.3),)) is None
     bench.run()
     assert any("New fence" in text and "0.20 m" in text for text in bench.texts)
 
@@ -131,9 +126,9 @@ def test_a_fence_upon_the_vehicle_is_reported() -> None:
 def test_position_and_way_are_reported_once() -> None:
     bench = Bench().armed()
     bench.run()
-    bench.health, bench.unreachable = NavHealth.DEAD_RECKONING, True
+    bench.health, bench.status.unreachable = NavHealth.DEAD_RECKONING, True
     assert bench.run(0.1).armed
-    bench.health, bench.unreachable = NavHealth.GOOD, False
+    bench.health, bench.status.unreachable = NavHealth.GOOD, False
     bench.run(0.1)
     for word in ("Dead reckoning", "No free path", "good again"):
         assert sum(word in text for text in bench.texts) == 1, word
@@ -170,9 +165,9 @@ def test_a_new_mission_does_not_end_a_failsafe() -> None:
     bench.armed()
     bench.commander.start_mission(None)
     bench.run()
-    bench.failures = 1000
+    bench.status.solver_failures = 1000
     assert bench.run(0.02).mode is FlightMode.SURFACE
-    bench.failures = 0
+    bench.status.solver_failures = 0
     bench.run()
     assert bench.plans.replace(PlanKind.MISSION, paper_plan(2).mission) is None
     assert bench.run(0.02).mode is FlightMode.SURFACE

@@ -12,8 +12,8 @@ from autopilot.analysis.flow_maps import b6_map, forecast_of, write_flow_map
 from autopilot.cli.main import cli
 from autopilot.command.change_watch import ChangeWatch
 from autopilot.command.commander import Commander
-from autopilot.command.conditions import TickInputs
 from autopilot.command.map_check import MapCheck, parse_utc
+from autopilot.command.vehicle_status import VehicleStatus
 from autopilot.control.water.current_map import CurrentMap
 from autopilot.control.water.map_reading import load_current_map
 from autopilot.core.errors import ConfigError
@@ -108,13 +108,13 @@ def test_in_open_water_the_legs_have_to_be_on_the_map_and_arming_is_refused_with
     plans = _plans(CurrentMap(nodes), params)
     assert plans.replace(PlanKind.FENCE, paper_plan().fence) is None
     commander = Commander(vehicle, params, plans)
-    commander.step(TickInputs(t_us=0, nav=_nav(0), power=None, ahrs_age_s=0.01, solver_failures=0, unreachable=False))
+    commander.step(VehicleStatus(t_us=0, nav=_nav(0), ahrs_age_s=0.01))
     assert commander.arm(False).result is CommandResult.ACCEPTED
     commander.disarm(False)
     moved = replace(plans.origin, lat_deg=plans.origin.lat_deg + 0.01)
     assert plans.set_origin(moved) is None
     assert "placed about another origin" in plans.problem
-    commander.step(TickInputs(t_us=9, nav=_nav(9), power=None, ahrs_age_s=0.01, solver_failures=0, unreachable=False))
+    commander.step(VehicleStatus(t_us=9, nav=_nav(9), ahrs_age_s=0.01))
     assert "placed about another origin" in commander.arm(False).reason
 
 
@@ -134,7 +134,7 @@ def test_arming_is_refused_when_parameters_make_the_map_too_small(tmp_path: Path
     plans = _plans(load_current_map(tmp_path / "m.npz"), params)
     assert plans.replace(PlanKind.FENCE, paper_plan().fence) is None
     commander = Commander(vehicle, params, plans)
-    commander.step(TickInputs(t_us=0, nav=_nav(0), power=None, ahrs_age_s=0.01, solver_failures=0, unreachable=False))
+    commander.step(VehicleStatus(t_us=0, nav=_nav(0), ahrs_age_s=0.01))
     assert commander.prearm_reasons() == ()
     params.set("DEPTH_MAX", params["DEPTH_MAX"] + 0.5)
     answer = commander.arm(False)
@@ -147,7 +147,7 @@ def test_water_faster_than_the_vehicle_is_said_when_the_fence_arrives(tmp_path: 
     plans = _plans(_water(tmp_path / "m.npz", speed=0.8), params)
     watch = ChangeWatch(vehicle, plans, Goals(vehicle, params, plans))
     assert plans.replace(PlanKind.FENCE, paper_plan().fence) is None
-    conditions = TickInputs(t_us=0, nav=None, power=None, ahrs_age_s=0.01, solver_failures=0, unreachable=False)
+    conditions = VehicleStatus(t_us=0, nav=None, ahrs_age_s=0.01)
     texts = watch.look(conditions, armed=False)
     assert (
         Severity.WARNING,

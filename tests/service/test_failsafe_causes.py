@@ -430,9 +430,9 @@ CAUSES: tuple[Cause, ...] = (
     ),
 )  # fmt: skip
 
-PLUMBING = {"c", "s", "power", "facts", "t_us", "min", "max", "_age", "_NAN", "_DOUBTS", "isdisjoint", "armed_us"}
+PLUMBING = {"v", "f", "power", "t_us", "min", "max", "_age", "_NAN", "_DOUBTS", "isdisjoint", "armed_us"}
 PLUMBING |= {"below", "float", "NavDoubt", "CAMERA"}
-PLUMBING |= {"FACTS", "latched_us", "shown_us"}
+PLUMBING |= {"VEHICLE_STATUS", "latched_us", "shown_us"}
 
 
 def test_every_quantity_that_a_row_looks_at_has_a_cause_here() -> None:

@@ -184,7 +184,7 @@ def test_a_message_that_cannot_be_handled_is_answered_and_nothing_else_happens(f
 
 def test_telemetry_that_cannot_be_built_costs_that_message(flight: Callable[..., Flight]) -> None:
     made = flight()
-    streams = made.session.parts.server._dispatcher._streams
+    streams = made.session.parts.server._streams
     streams._builders = {**streams._builders, mav.MAVLINK_MSG_ID_VFR_HUD: broken}
     made.client.heard.clear()
     made.fly(2.2)
@@ -196,7 +196,7 @@ def test_telemetry_that_cannot_be_built_costs_that_message(flight: Callable[...,
 
 def test_what_no_part_catches_ends_in_neutral(flight: Callable[..., Flight]) -> None:
     made = flight()
-    made.session.service._decide = broken  # type: ignore[method-assign]
+    made.session.service._outputs = broken  # type: ignore[method-assign]
     after = made.fly(1.5)
     assert all(at_rest(tick) for tick in after)
     assert not after[-1].mode.armed

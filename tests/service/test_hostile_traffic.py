@@ -41,10 +41,10 @@ def fuzzer(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Fuzzer]:
 
 
 def test_the_fuzzer_knows_every_message_that_is_handled(fuzzer: Fuzzer) -> None:
-    inside = fuzzer.session.parts.server._dispatcher
+    inside = fuzzer.session.parts.server
     assert set(inside._handlers) == set(HANDLED)
     assert set(inside._commands._table) == {*COMMANDS, *EQUIPMENT_COMMANDS}
-    pictured = WORLD.parts.server._dispatcher
+    pictured = WORLD.parts.server
     assert set(pictured._commands._table) == {*COMMANDS, *EQUIPMENT_COMMANDS, *CAMERA_COMMANDS} - REQUESTS
     assert pictured._to_camera is not None
     assert set(pictured._to_camera._table) == {*CAMERA_COMMANDS, 204, 205, 512}
@@ -75,7 +75,7 @@ def test_strangers_and_sticks_and_a_key(tmp_path: Path) -> None:
 
 def test_logs_of_whoever_runs_the_fuzzer_are_not_its_clients_to_erase(fuzzer: Fuzzer, tmp_path: Path) -> None:
     """It had the folder of the user's own flights on its shelf, and LOG_ERASE among its messages."""
-    shelf = fuzzer.session.parts.server._dispatcher._logs._shelf
+    shelf = fuzzer.session.parts.server._logs._shelf
     assert shelf.shelf._folder.is_relative_to(tmp_path.parent)
 
 

@@ -2,10 +2,11 @@
 
 import numpy as np
 import pytest
-from mission_world import NAN, MissionWorld, placed, plain, waypoint
+from mission_world import MissionWorld, placed
 
 from autopilot.core.frames import wrap_pi
 from autopilot.mavlink.dialect import mav
+from tests.plan_items import NAN, plain, waypoint
 
 HOLD = (4 << 16) | (3 << 24)
 

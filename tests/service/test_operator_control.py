@@ -17,7 +17,7 @@ TAKE = 32100
 
 def state(world: ServiceWorld) -> dict[str, Any]:
     """All that a client can change."""
-    parts, inside = world.parts, world.parts.server._dispatcher
+    parts, inside = world.parts, world.parts.server
     commander = parts.commander
     return {
         "parameters": tuple(world.params.values()),
@@ -55,7 +55,7 @@ def test_nothing_that_is_handled_changes_anything_for_a_stranger() -> None:
     world = owned()
     world.run(0.1)
     traffic = Traffic(3, senders=(Sender(STRANGER),))
-    inside = world.parts.server._dispatcher
+    inside = world.parts.server
     ids, commands = sorted(inside._handlers), sorted(inside._commands._table)
     rng = random.Random(4)
     before = state(world)

@@ -105,7 +105,7 @@ def test_items_given_up_one_after_the_other_end_the_mission() -> None:
 
 def test_no_free_way_is_named_as_such() -> None:
     bench = _started()
-    bench.unreachable = True
+    bench.status.unreachable = True
     bench.run(12.0)
     assert any(text == "Skipped item 0, out of reach: no free way" for text in bench.texts)
 

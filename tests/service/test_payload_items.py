@@ -6,13 +6,14 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from mission_world import NAN, MissionWorld, plain, waypoint
+from mission_world import MissionWorld
 
 from autopilot.core.desk import Desk
 from autopilot.core.messages import Outputs
 from autopilot.core.samples import CameraFrame, Sample
 from autopilot.core.stills import StillRecord
 from autopilot.run.still_files import StillStore
+from tests.plan_items import NAN, plain, waypoint
 
 START = (-1.2, 0.6, 0.5, 0.0)
 EXPOSURE_US = 33_333

@@ -19,17 +19,9 @@ from autopilot.mavlink.api import CommandResult, FlightMode
 from autopilot.mission.fence import fence_clearance_m
 from autopilot.mission.judgement import judge
 from autopilot.mission.store import CHECK_TICKS, Change, plan_checksum
+from tests.plan_items import box, circle, local, waypoint
 
 HALF_N, HALF_E = 3.0, 2.0
-
-
-def local(seq: int, command: int, north: float, east: float, z: float = 0.0, p1: float = 0.0) -> PlanItem:
-    return PlanItem(seq=seq, frame=1, command=command, param1=p1, x=round(north * 1e4), y=round(east * 1e4), z=z)
-
-
-def box(seq: int, command: int, north: float, east: float, half_n: float, half_e: float) -> list[PlanItem]:
-    corners = ((-1, -1), (1, -1), (1, 1), (-1, 1))
-    return [local(seq + k, command, north + a * half_n, east + b * half_e, p1=4.0) for k, (a, b) in enumerate(corners)]
 
 
 coordinate = st.tuples(st.floats(-HALF_N, HALF_N), st.floats(-HALF_E, HALF_E))
@@ -39,7 +31,7 @@ depth = st.sampled_from((0.3, 0.5, 1.1, 1.6))
 @st.composite
 def missions(draw: st.DrawFn) -> tuple[PlanItem, ...]:
     places = draw(st.lists(st.tuples(coordinate, depth), max_size=4))
-    return tuple(local(k, 16, north, east, z) for k, ((north, east), z) in enumerate(places))
+    return tuple(waypoint(k, north, east, z) for k, ((north, east), z) in enumerate(places))
 
 
 @st.composite
@@ -47,11 +39,11 @@ def fences(draw: st.DrawFn) -> tuple[PlanItem, ...]:
     items: list[PlanItem] = []
     if draw(st.booleans()):
         scale = draw(st.sampled_from((1.2, 1.0, 0.6)))
-        items += box(0, 5001, 0.0, 0.0, scale * HALF_N, scale * HALF_E)
+        items += box(0, 0.0, 0.0, scale * HALF_N, scale * HALF_E, True)
     for north, east in draw(st.lists(coordinate, max_size=2)):
-        items.append(local(len(items), 5004, north, east, p1=draw(st.sampled_from((0.2, 0.5, 1.0)))))
+        items.append(circle(len(items), north, east, draw(st.sampled_from((0.2, 0.5, 1.0)))))
     if draw(st.booleans()):
-        items += box(len(items), 5002, draw(st.floats(-2.0, 2.0)), 0.0, 0.1, draw(st.sampled_from((0.8, 2.5))))
+        items += box(len(items), draw(st.floats(-2.0, 2.0)), 0.0, 0.1, draw(st.sampled_from((0.8, 2.5))), False)
     return tuple(items)
 
 
@@ -188,9 +180,9 @@ def test_in_any_order_nothing_unfit_is_flown_and_what_is_told_is_true(
     yard.pos = np.array([*place, 0.5])
     yard.run()
     if begun:
-        wide = box(0, 5001, 0.0, 0.0, 2.0 * HALF_N, 2.0 * HALF_E)
+        wide = box(0, 0.0, 0.0, 2.0 * HALF_N, 2.0 * HALF_E, True)
         assert yard.plans.replace(PlanKind.FENCE, tuple(wide)) is None
-        assert yard.plans.replace(PlanKind.MISSION, (local(0, 16, 0.0, 0.0, 0.5), local(1, 16, 2.0, 1.0, 0.5))) is None
+        assert yard.plans.replace(PlanKind.MISSION, (waypoint(0, 0.0, 0.0), waypoint(1, 2.0, 1.0))) is None
         yard.run()
     if begun > 1:
         assert yard.commander.arm(False).result is OK
@@ -218,7 +210,7 @@ def test_in_any_order_nothing_unfit_is_flown_and_what_is_told_is_true(
 
 def test_the_answer_to_a_check_comes_a_counted_number_of_ticks_later() -> None:
     yard = Yard()
-    fence = tuple(box(0, 5001, 0.0, 0.0, HALF_N, HALF_E))
+    fence = tuple(box(0, 0.0, 0.0, HALF_N, HALF_E, True))
     change = yard.plans.propose({PlanKind.FENCE: fence})
     for _ in range(CHECK_TICKS - 1):
         yard.run()
@@ -257,7 +249,7 @@ def test_parameters_that_forbid_a_running_mission_make_it_hold() -> None:
 
 def test_parameters_that_never_rest_do_not_keep_a_client_waiting_for_ever() -> None:
     yard = Yard()
-    change = yard.plans.propose({PlanKind.FENCE: tuple(box(0, 5001, 0.0, 0.0, HALF_N, HALF_E))})
+    change = yard.plans.propose({PlanKind.FENCE: tuple(box(0, 0.0, 0.0, HALF_N, HALF_E, True))})
     for k in range(200):
         yard.params.set("DEPTH_MAX", 2.0 + k % 2)
         yard.run()
@@ -281,16 +273,16 @@ def test_an_armed_vehicle_keeps_a_fence_that_it_does_not_break() -> None:
         return "" if change.rejection is None else change.rejection.reason
 
     north, east, _ = yard.pos
-    around = local(len(tank), 5004, north + 0.1, east, p1=0.3)
+    around = circle(len(tank), north + 0.1, east, 0.3)
     assert "disarm" in offer(())
     assert "the vehicle would be" in offer((*tank, around))
-    assert "armed and item 1 is" in offer((*tank[:4], local(4, 5004, 1.75, 0.0, p1=0.1)))
+    assert "armed and item 1 is" in offer((*tank[:4], circle(4, 1.75, 0.0, 0.1)))
     assert offer(tuple(replace(item) for item in tank)) == ""
     assert yard.commander.armed
     yard.params.set("FENCE_ARMED_CHG", 1)
     assert offer(()) == ""
     assert float(fence_clearance_m(yard.commander.fence, yard.pos[None, :2])[0]) == np.inf
-    assert offer((*tank[:4], local(4, 5004, 1.75, 0.0, p1=0.1))) == ""
+    assert offer((*tank[:4], circle(4, 1.75, 0.0, 0.1))) == ""
     assert yard.commander.start_mission(None).result is CommandResult.DENIED
 
 

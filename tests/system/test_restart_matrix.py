@@ -159,7 +159,7 @@ def test_what_was_acknowledged_holds_after_a_restart(
         vehicle = Vehicle(folder, NOW_S + DOWN_S + start + CLOCKS_S.get(medium, 0.0))
         assert not vehicle.armed and not vehicle.tick().mode.armed
         assert vehicle.has_all() == (medium != "damaged")
-        assert vehicle.session.parts.server._dispatcher._ctx.signing.key == KEY
+        assert vehicle.session.parts.server._ctx.signing.key == KEY
         told = vehicle.client.texts()
         assert any(text.startswith("No arming: ") for text in told) == (medium in BROKEN), told
         replay(vehicle, recorded)

@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 
 from autopilot.command.arming import CHECKING
-from autopilot.command.conditions import TickInputs
 from autopilot.command.modes.mode import GO_ON, FlightModeBehaviour, ModeStep, Tools, denied
+from autopilot.command.vehicle_status import VehicleStatus
 from autopilot.core import operator_messages as notices
 from autopilot.core.messages import Goal, NavState
 from autopilot.core.plan import PlanKind
@@ -32,13 +32,13 @@ class MissionMode(FlightModeBehaviour):
     name = FlightMode.MISSION
     changes_depth = False
 
-    def refusal(self, conditions: TickInputs | None, *, armed: bool) -> CommandReply | None:
+    def refusal(self, status: VehicleStatus | None, *, armed: bool) -> CommandReply | None:
         """However it is to be begun."""
         if not self._plans.items(PlanKind.MISSION):
             return denied("No mission: upload one first")
         if self._plans.checking:
             return CommandReply(result=CommandResult.TEMPORARILY_REJECTED, reason=f"Mission denied: {CHECKING}")
-        reason, nav = self._plans.problem, None if conditions is None else conditions.estimate
+        reason, nav = self._plans.problem, None if status is None else status.estimate
         if armed:
             if not reason and nav is not None and self._goals.clearance_m(nav.pos_ned_m) < 0.0:
                 reason = "outside the fence or in an obstacle: go to a free place first"
@@ -53,9 +53,9 @@ class MissionMode(FlightModeBehaviour):
         """It stays where it stands."""
         self._mission.sequencer.pause()
 
-    def step(self, conditions: TickInputs, nav: NavState) -> ModeStep:
+    def step(self, status: VehicleStatus, nav: NavState) -> ModeStep:
         """The goal of this tick, or what the mission ends with."""
-        t_us = conditions.t_us
+        t_us = status.t_us
         out = self._mission.step(t_us, nav)
         if out.home_ned_m is not None:
             self._mission.move_home(out.home_ned_m)
@@ -65,10 +65,10 @@ class MissionMode(FlightModeBehaviour):
         surface = FlightMode.SURFACE if out.action is Action.SURFACE else None
         return ModeStep(goal=out.goal, choose=surface, reached=out.reached, orders=out.orders)
 
-    def watch(self, conditions: TickInputs, goal: Goal, nav: NavState) -> ModeStep:
+    def watch(self, status: VehicleStatus, goal: Goal, nav: NavState) -> ModeStep:
         """An item that the vehicle gets no nearer to."""
         travels = self._mission.sequencer.travelling
-        return self._watch_way(conditions, goal, nav, flies=True) if travels else super().watch(conditions, goal, nav)
+        return self._watch_way(status, goal, nav, flies=True) if travels else super().watch(status, goal, nav)
 
 
 class ReturnMode(FlightModeBehaviour):
@@ -77,19 +77,18 @@ class ReturnMode(FlightModeBehaviour):
     name = FlightMode.RETURN
     changes_depth = False
 
-    def refusal(self, conditions: TickInputs | None, *, armed: bool) -> CommandReply | None:
+    def refusal(self, status: VehicleStatus | None, *, armed: bool) -> CommandReply | None:
         """Home beyond the fence."""
         refusal = self._goals.refuse_home()
         return denied(f"Return denied: {refusal}") if refusal else None
 
     def place(self, nav: NavState) -> Goal:
-        """Home."""
         return self._goals.home(nav)
 
-    def watch(self, conditions: TickInputs, goal: Goal, nav: NavState) -> ModeStep:
+    def watch(self, status: VehicleStatus, goal: Goal, nav: NavState) -> ModeStep:
         """A home that the vehicle gets no nearer to."""
         there = is_inside(goal, nav)
-        return super().watch(conditions, goal, nav) if there else self._watch_way(conditions, goal, nav, flies=False)
+        return super().watch(status, goal, nav) if there else self._watch_way(status, goal, nav, flies=False)
 
 
 class SurfaceMode(FlightModeBehaviour):
@@ -99,12 +98,11 @@ class SurfaceMode(FlightModeBehaviour):
     changes_depth = False
 
     def place(self, nav: NavState) -> Goal:
-        """Above where the vehicle comes to rest."""
         return self._goals.surface(nav)
 
-    def watch(self, conditions: TickInputs, goal: Goal, nav: NavState) -> ModeStep:
+    def watch(self, status: VehicleStatus, goal: Goal, nav: NavState) -> ModeStep:
         """At the surface it is over."""
-        super().watch(conditions, goal, nav)
+        super().watch(status, goal, nav)
         if nav.pos_ned_m[2] > self._goals.top_m + SURFACED_M:
             return GO_ON
         self._operator.say(notices.SURFACED())
@@ -137,13 +135,12 @@ class TakeoffMode(FlightModeBehaviour):
         return ""
 
     def place(self, nav: NavState) -> Goal:
-        """Below where the vehicle comes to rest."""
         rest = self._goals.hold(nav)
         return replace(rest, pos_ned_m=np.array([*rest.pos_ned_m[:2], self._depth_m]))
 
-    def watch(self, conditions: TickInputs, goal: Goal, nav: NavState) -> ModeStep:
+    def watch(self, status: VehicleStatus, goal: Goal, nav: NavState) -> ModeStep:
         """At its depth it is over."""
-        super().watch(conditions, goal, nav)
+        super().watch(status, goal, nav)
         if abs(nav.pos_ned_m[2] - goal.pos_ned_m[2]) >= DIVED_M:
             return GO_ON
         self._operator.say(notices.DIVED(depth_m=goal.pos_ned_m[2]))

@@ -2,8 +2,8 @@
 
 import math
 
-from autopilot.command.conditions import TickInputs
 from autopilot.command.modes.mode import GO_ON, FlightModeBehaviour, ModeStep, Tools
+from autopilot.command.vehicle_status import VehicleStatus
 from autopilot.core import operator_messages as notices
 from autopilot.core.geodesy import refuse_place
 from autopilot.core.messages import NavState
@@ -28,7 +28,7 @@ class CircleMode(FlightModeBehaviour):
         reason = self._choose_ahead(nav)
         return f"Circle denied: {reason}" if reason else ""
 
-    def step(self, conditions: TickInputs, nav: NavState) -> ModeStep:
+    def step(self, status: VehicleStatus, nav: NavState) -> ModeStep:
         """Until its turns are made."""
         if self._circle is None:
             return GO_ON

@@ -5,8 +5,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from autopilot.command.conditions import TickInputs
 from autopilot.command.modes.mode import FlightModeBehaviour, ModeStep, Tools, denied
+from autopilot.command.vehicle_status import VehicleStatus
 from autopilot.core import operator_messages as notices
 from autopilot.core.frames import FloatArray, wrap_pi
 from autopilot.core.messages import Goal, NavState, VelocityGoal
@@ -39,10 +39,10 @@ class GuidedMode(FlightModeBehaviour):
         self._made_of: SetPoint | None = None
         self._age = 0
 
-    def refusal(self, conditions: TickInputs | None, *, armed: bool) -> CommandReply | None:
+    def refusal(self, status: VehicleStatus | None, *, armed: bool) -> CommandReply | None:
         """No position, or nothing to follow."""
-        refusal = super().refusal(conditions, armed=armed)
-        if refusal is None and armed and conditions is not None and not self._alive(conditions.t_us):
+        refusal = super().refusal(status, armed=armed)
+        if refusal is None and armed and status is not None and not self._alive(status.t_us):
             refusal = denied(f"Offboard denied: {self._lacks}")
         return refusal
 
@@ -50,9 +50,9 @@ class GuidedMode(FlightModeBehaviour):
         """What set points leave open is held from here."""
         self._forget()
 
-    def step(self, conditions: TickInputs, nav: NavState) -> ModeStep:
+    def step(self, status: VehicleStatus, nav: NavState) -> ModeStep:
         """As long as they come."""
-        if self._alive(conditions.t_us):
+        if self._alive(status.t_us):
             return ModeStep(goal=self._followed(nav))
         self._operator.say(notices.SETPOINTS_STOPPED())
         return ModeStep(enter=FlightMode.HOLD)
@@ -103,7 +103,6 @@ class GuidedMode(FlightModeBehaviour):
         return replace(goal, speed_m_s=max(math.hypot(north, east), 0.01) if moves else goal.speed_m_s, drive=drive)
 
     def _velocity(self, point: SetPoint, nav: NavState) -> tuple[float, float]:
-        """North and east."""
         if point.vel_m_s is None:
             return 0.0, 0.0
         a, b = point.vel_m_s

@@ -4,8 +4,8 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 from autopilot.command.announcements import Announcements
-from autopilot.command.conditions import TickInputs
 from autopilot.command.mission_run import MissionRun
+from autopilot.command.vehicle_status import VehicleStatus
 from autopilot.control.thrust.by_hand import ByHand
 from autopilot.core.messages import Goal, NavState
 from autopilot.core.params import ParamSet
@@ -20,7 +20,6 @@ RELEASED = Sticks()
 
 
 def denied(reason: str) -> CommandReply:
-    """No, and why."""
     return CommandReply(result=CommandResult.DENIED, reason=reason)
 
 
@@ -78,9 +77,9 @@ class FlightModeBehaviour:
         self._mission = tools.mission
         self._operator = tools.operator
 
-    def refusal(self, conditions: TickInputs | None, *, armed: bool) -> CommandReply | None:
-        """Why it cannot be entered, None if it can. ``conditions`` are None before the first tick."""
-        if self.steered and self.needs_position and armed and conditions is not None and conditions.estimate is None:
+    def refusal(self, status: VehicleStatus | None, *, armed: bool) -> CommandReply | None:
+        """Why it cannot be entered, None if it can. ``status`` is None before the first tick."""
+        if self.steered and self.needs_position and armed and status is not None and status.estimate is None:
             return denied(f"{self.name.name} denied: no position, use STABILIZE")
         return None
 
@@ -98,16 +97,15 @@ class FlightModeBehaviour:
         """Where it goes from here, until a step says otherwise."""
         return self._goals.hold(nav)
 
-    def step(self, conditions: TickInputs, nav: NavState) -> ModeStep:
-        """One tick with a position."""
+    def step(self, status: VehicleStatus, nav: NavState) -> ModeStep:
         return GO_ON
 
-    def watch(self, conditions: TickInputs, goal: Goal, nav: NavState) -> ModeStep:
+    def watch(self, status: VehicleStatus, goal: Goal, nav: NavState) -> ModeStep:
         """After the goal of the tick is known: does it end?"""
         self._mission.forget_progress()
         return GO_ON
 
-    def by_hand(self, conditions: TickInputs) -> ByHand | None:
+    def by_hand(self, status: VehicleStatus) -> ByHand | None:
         """What a pilot asks for where there is no position, None = nothing can be done without one."""
         return None
 
@@ -118,7 +116,7 @@ class FlightModeBehaviour:
         """Another depth within the mode: why not, "" when it is gone to; None = the mode has no way of its own."""
         return None
 
-    def _watch_way(self, conditions: TickInputs, goal: Goal, nav: NavState, *, flies: bool) -> ModeStep:
+    def _watch_way(self, status: VehicleStatus, goal: Goal, nav: NavState, *, flies: bool) -> ModeStep:
         """A goal that is travelled to, ``flies``: an item of the mission, else home."""
-        stuck = self._mission.watch_way(conditions, goal, nav, flies=flies)
+        stuck = self._mission.watch_way(status, goal, nav, flies=flies)
         return ModeStep(enter=FlightMode.HOLD) if stuck else GO_ON

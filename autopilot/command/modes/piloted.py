@@ -11,8 +11,8 @@ from typing import ClassVar
 
 import numpy as np
 
-from autopilot.command.conditions import TickInputs
 from autopilot.command.modes.mode import RELEASED, FlightModeBehaviour, ModeStep, Tools, denied
+from autopilot.command.vehicle_status import VehicleStatus
 from autopilot.control.thrust.by_hand import ByHand
 from autopilot.core.frames import FloatArray
 from autopilot.core.messages import Goal, NavState, VelocityGoal
@@ -77,9 +77,9 @@ class PilotedMode(FlightModeBehaviour):
         """What is held is another thing with a position than without."""
         self.enter(None)
 
-    def step(self, conditions: TickInputs, nav: NavState) -> ModeStep:
+    def step(self, status: VehicleStatus, nav: NavState) -> ModeStep:
         """The motion that the sticks ask for."""
-        return ModeStep(goal=self._goal_of(conditions.sticks or RELEASED, nav))
+        return ModeStep(goal=self._goal_of(status.sticks or RELEASED, nav))
 
     def _goal_of(self, sticks: Sticks, nav: NavState) -> Goal:
         """The same object while nothing changes."""
@@ -94,9 +94,9 @@ class PilotedMode(FlightModeBehaviour):
         assert self._goal is not None
         return self._goal
 
-    def by_hand(self, conditions: TickInputs) -> ByHand | None:
+    def by_hand(self, status: VehicleStatus) -> ByHand | None:
         """Forces, and what of depth and heading can be held."""
-        sticks = conditions.sticks or RELEASED
+        sticks = status.sticks or RELEASED
         reach = self._reach_n()
         wish = np.array([sticks.ahead, sticks.starboard, -sticks.up, sticks.turn])
         return ByHand(
@@ -121,7 +121,6 @@ class PilotedMode(FlightModeBehaviour):
         )
 
     def _planar(self, sticks: Sticks, nav: NavState, rest: Goal) -> VelocityGoal:
-        """North and east."""
         yaw, held = float(nav.rpy_rad[2]), self._held
         ahead, starboard = sticks.ahead, sticks.starboard
         north, east = 0.0, 0.0
@@ -172,7 +171,6 @@ class PilotedMode(FlightModeBehaviour):
         self._held.depth_m = None
 
     def _yaw_rate(self) -> float:
-        """At a full stick."""
         return min(self._params["PILOT_RATE_YAW"], YAW_SHARE * self._params["SPD_YAW_MAX"])
 
     def _reach_n(self) -> FloatArray:
@@ -203,11 +201,11 @@ class DepthHoldMode(PilotedMode):
     name = FlightMode.ALT_HOLD
     needs_position = False
 
-    def refusal(self, conditions: TickInputs | None, *, armed: bool) -> CommandReply | None:
+    def refusal(self, status: VehicleStatus | None, *, armed: bool) -> CommandReply | None:
         """Neither position nor depth."""
-        if not armed or conditions is None or conditions.estimate is not None:
+        if not armed or status is None or status.estimate is not None:
             return None
-        felt = conditions.facts.felt(conditions.t_us)
+        felt = status.felt(status.t_us)
         return denied(f"{self.name.name} denied: no depth, use STABILIZE") if felt.depth_m is None else None
 
 

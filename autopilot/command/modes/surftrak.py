@@ -3,9 +3,9 @@
 import math
 from dataclasses import replace
 
-from autopilot.command.conditions import TickInputs
 from autopilot.command.modes.mode import RELEASED, ModeStep, Tools, denied
 from autopilot.command.modes.piloted import DepthHoldMode
+from autopilot.command.vehicle_status import VehicleStatus
 from autopilot.control.thrust.by_hand import ByHand
 from autopilot.core import operator_messages as notices
 from autopilot.core.clock import TICK_US
@@ -45,7 +45,7 @@ class SurftrakMode(DepthHoldMode):
         """Depth of the floor below, None = not known."""
         self._now_m: float | None = None
         """Height of now, None = not known."""
-        self._told: bool | None = None
+        self._reported: bool | None = None
         """Whether the floor was known when that was last told."""
         self._floor_m_s = 0.0
         """How fast it falls below us, as we move over it."""
@@ -53,29 +53,29 @@ class SurftrakMode(DepthHoldMode):
         """The height is being made good."""
         super().__init__(tools)
 
-    def refusal(self, conditions: TickInputs | None, *, armed: bool) -> CommandReply | None:
+    def refusal(self, status: VehicleStatus | None, *, armed: bool) -> CommandReply | None:
         """Nothing looks down, or the floor is too far."""
-        refusal = super().refusal(conditions, armed=armed)
-        if refusal is None and armed and conditions is not None and self._height_of(conditions) is None:
+        refusal = super().refusal(status, armed=armed)
+        if refusal is None and armed and status is not None and self._height_of(status) is None:
             refusal = denied("SURFTRAK denied: no range to the floor, use ALT_HOLD")
         return refusal
 
     def enter(self, nav: NavState | None) -> None:
         """The height of here is held."""
         super().enter(nav)
-        self._height_m = self._floor_m = self._now_m = self._told = None
+        self._height_m = self._floor_m = self._now_m = self._reported = None
         self._floor_m_s, self._chases = 0.0, False
 
-    def step(self, conditions: TickInputs, nav: NavState) -> ModeStep:
+    def step(self, status: VehicleStatus, nav: NavState) -> ModeStep:
         """The motion that the sticks ask for, over the floor of now."""
-        self._look(conditions, float(nav.pos_ned_m[2]))
-        return super().step(conditions, nav)
+        self._update_height(status, float(nav.pos_ned_m[2]))
+        return super().step(status, nav)
 
-    def by_hand(self, conditions: TickInputs) -> ByHand | None:
+    def by_hand(self, status: VehicleStatus) -> ByHand | None:
         """Without a position: the height by the rate of climb."""
-        wish = super().by_hand(conditions)
-        self._look(conditions, 0.0)
-        up = (conditions.sticks or RELEASED).up
+        wish = super().by_hand(status)
+        self._update_height(status, 0.0)
+        up = (status.sticks or RELEASED).up
         if wish is None or up or self._now_m is None:
             self._height_m = None if up else self._height_m
             return wish
@@ -85,13 +85,13 @@ class SurftrakMode(DepthHoldMode):
         sinks = max(-most, min(most, HEIGHT_GAIN_1_S * error_m)) if abs(error_m) > PLAY_M else 0.0
         return replace(wish, down_m_s=sinks)
 
-    def _look(self, conditions: TickInputs, depth_m: float) -> None:
+    def _update_height(self, status: VehicleStatus, depth_m: float) -> None:
         """Where the floor is, as fast as the vehicle may follow it."""
-        self._now_m = self._height_of(conditions)
+        self._now_m = self._height_of(status)
         known = self._now_m is not None
-        if self._told is not None and known is not self._told:
+        if self._reported is not None and known is not self._reported:
             self._operator.say(notices.FLOOR_BACK() if known else notices.FLOOR_LOST())
-        self._told = known
+        self._reported = known
         if self._now_m is None:
             return
         seen_m = depth_m + self._now_m
@@ -139,6 +139,6 @@ class SurftrakMode(DepthHoldMode):
         return super()._planar(sticks, nav, rest)
 
     @staticmethod
-    def _height_of(conditions: TickInputs) -> float | None:
-        attitude: FloatArray | None = None if conditions.nav is None else conditions.nav.rpy_rad
-        return conditions.facts.floor.height_m(conditions.t_us, attitude)
+    def _height_of(status: VehicleStatus) -> float | None:
+        attitude: FloatArray | None = None if status.nav is None else status.nav.rpy_rad
+        return status.floor.height_m(status.t_us, attitude)

@@ -31,6 +31,7 @@ class Actuation:
 
     def __init__(self, vehicle: Vehicle, params: ParamSet) -> None:
         self._sharing = Sharing.of(vehicle)
+        self._params = params
         self._losses = ThrusterLosses(vehicle, params)
         self._delay = CommandDelay(vehicle, params)
         self._levelling = Levelling(vehicle)
@@ -89,6 +90,11 @@ class Actuation:
         keeps for itself lower the bounds."""
         can_n = self._can_n
         return can_n - self._levelling.reserve_n(can_n)
+
+    @property
+    def command_limit_n(self) -> FloatArray:
+        """(n,) the same within THR_LIMIT: the bounds of every command."""
+        return np.minimum(self.limit_n, self._params["THR_LIMIT"])
 
     @property
     def _can_n(self) -> FloatArray:

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from autopilot.control.thrust.slew import slewed
 from autopilot.control.thrust.thrust_tuning import BY_HAND
 from autopilot.core.frames import FloatArray, wrap_pi
 from autopilot.core.sharing import Sharing
@@ -66,10 +67,8 @@ class HandLaw:
         if wish.down_m_s is not None and felt.depth_m is not None:
             force[2] = self._heave_n(wish.down_m_s, felt.depth_m, elapsed_s, limit_n)
         thrust = self._sharing.thrust_n(force, limit_n)
-        most = BY_HAND.slew_share_1_s * elapsed_s * np.maximum(limit_n, 1e-9)
-        self._thrust_n = np.clip(np.clip(thrust, self._thrust_n - most, self._thrust_n + most), -limit_n, limit_n)
-        result: FloatArray = self._thrust_n.copy()
-        return result
+        self._thrust_n = slewed(thrust, self._thrust_n, limit_n, elapsed_s)
+        return self._thrust_n.copy()
 
     def _moment(self, wish_rad_s: float, yaw_rad: float, rate_rad_s: float) -> float:
         """Of the heading that is held, or of the turn that is asked for."""

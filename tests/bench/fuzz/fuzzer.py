@@ -265,7 +265,7 @@ def _session(seed: int, folder: Path, key: bytes | None = None) -> SitlSession:
         os.utime(log, (LOGGED_S + number, LOGGED_S + number))
     session = open_sitl(settings, {}, log=False, now_s=LOGGED_S)
     if key is not None:
-        ctx: Any = session.parts.server._dispatcher._ctx
+        ctx: Any = session.parts.server._ctx
         ctx.signing.set_key(key)
         ctx.key_changed()
     return session

@@ -27,7 +27,7 @@ class Witness:
     def __init__(self, session: SitlSession) -> None:
         self._server: MavlinkServer = session.parts.server
         self._session = session
-        self._inside: Any = self._server._dispatcher
+        self._inside: Any = self._server
         self._stamps: set[tuple[tuple[int, int, int], int]] = set()
         self._key: bytes | None = None
         self._key_us = 0
@@ -112,7 +112,7 @@ class Witness:
 
     def _watched(self, handler: Callable[[Any, Any], None]) -> Callable[[Any, Any], None]:
         """A message's handler between two looks at the state: by its answers it is judged."""
-        ctx = self._server._dispatcher._ctx
+        ctx = self._server._ctx
 
         operators = self._inside._operators
 

@@ -1,4 +1,4 @@
-"""Where the vehicle is and how it gets on, as failsafes look at it: plain numbers, most made ten times a second.
+"""What failsafes derive from the vehicle's status over time: plain numbers, most made ten times a second.
 
 NaN is what is not known, or does not apply now.
 """
@@ -6,10 +6,9 @@ NaN is what is not known, or does not apply now.
 import math
 from collections import deque
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
 
-from autopilot.command.command_tuning import SITUATION
-from autopilot.command.facts import NEVER
+from autopilot.command.command_tuning import FAILSAFE_INPUTS
+from autopilot.command.vehicle_status import NEVER, VehicleStatus
 from autopilot.core.messages import NavHealth
 from autopilot.core.params import ParamSet
 from autopilot.core.vehicle import Vehicle
@@ -18,12 +17,9 @@ from autopilot.mission.items import Jump, Step
 from autopilot.mission.sequencer import Position, Sequencer
 from autopilot.mission.store import Plans
 
-if TYPE_CHECKING:
-    from autopilot.command.conditions import TickInputs
-
 
 class FailsafeInputs:
-    """Numbers of now."""
+    """Numbers of now, refreshed by :meth:`update`."""
 
     def __init__(self, vehicle: Vehicle, params: ParamSet, plans: Plans, goals: Goals, sequencer: Sequencer) -> None:
         self._radius_m = vehicle.radius_m
@@ -40,7 +36,7 @@ class FailsafeInputs:
         self._slow_us: int | None = None
         self._last_m: tuple[float, float, float] | None = None
         self._travelled_m = 0.0
-        self._spent: deque[tuple[int, float, float]] = deque(maxlen=int(SITUATION.window_s))
+        self._spent: deque[tuple[int, float, float]] = deque(maxlen=int(FAILSAFE_INPUTS.window_s))
         self._rest: tuple[Position | None, int, float] | None = None
         self._low_us: int | None = None
         self._critical_us: int | None = None
@@ -65,11 +61,11 @@ class FailsafeInputs:
         self.low_voltage = self.critical_voltage = math.inf
         """-1 = the voltage is too low and has been for BATT_LOW_TIMER, else inf."""
 
-    def look(
-        self, conditions: "TickInputs", *, armed: bool, surfacing: bool, on_mission: bool, blind: bool = False
+    def update(
+        self, status: VehicleStatus, *, armed: bool, surfacing: bool, on_mission: bool, blind: bool = False
     ) -> None:
         """Once per tick. ``blind``: somebody steers who needs no position."""
-        t_us, nav = conditions.t_us, conditions.nav
+        t_us, nav = status.t_us, status.nav
         valid = nav is not None and nav.health is not NavHealth.INVALID
         self._known = self._known or valid
         self.nav_lost = 1.0 if self._known and not valid and not blind else 0.0
@@ -80,40 +76,39 @@ class FailsafeInputs:
         if nav is not None and nav.health is NavHealth.GOOD:
             self._fix_us = t_us
         self._ticks += 1
-        if self._ticks % SITUATION.look_ticks:
+        if self._ticks % FAILSAFE_INPUTS.update_ticks:
             return
         self.no_fix_s = 1e-6 * (t_us - self._fix_us) if self._known else NEVER
-        self._look_ascent(t_us, blind=armed and surfacing and not valid)
-        self.silent_s, self.silent_sensor = conditions.facts.silent(t_us)
-        self.silent_how = conditions.facts.how_silent(self.silent_sensor)
-        self._look_voltage(conditions)
+        self._update_ascent(t_us, blind=armed and surfacing and not valid)
+        self.silent_s, self.silent_sensor = status.silent(t_us)
+        self.silent_how = status.how_silent(self.silent_sensor)
+        self._update_voltage(status)
         if nav is None or not valid:
             self.beyond_m = self.stuck_s = self.tether_m = NEVER
         elif armed:
-            self._look_place(conditions, on_mission=on_mission)
+            self._update_place(status, on_mission=on_mission)
         if nav is not None:
             roll, pitch, _ = nav.rpy_rad.tolist()
             self.tilt_deg = math.degrees(math.acos(max(-1.0, min(1.0, math.cos(roll) * math.cos(pitch)))))
 
     def _begin(self, t_us: int) -> None:
-        """Armed."""
         self.armed_us = t_us
         self._travelled_m, self._last_m, self._slow_us = 0.0, None, None
         self._spent.clear()
         self.beyond_m = self.stuck_s = self.tether_m = self.energy_lack = NEVER
 
-    def _look_ascent(self, t_us: int, *, blind: bool) -> None:
+    def _update_ascent(self, t_us: int, *, blind: bool) -> None:
         if not blind:
             self._blind_us, self.blind_s = None, NEVER
             return
         self._blind_us = t_us if self._blind_us is None else self._blind_us
         self.blind_s = 1e-6 * (t_us - self._blind_us)
 
-    def _look_voltage(self, conditions: "TickInputs") -> None:
-        power, params = conditions.power, self._params
+    def _update_voltage(self, status: VehicleStatus) -> None:
+        power, params = status.power, self._params
         if power is None:
             return
-        t_us, patience_us = conditions.t_us, params["BATT_LOW_TIMER"] * 1e6
+        t_us, patience_us = status.t_us, params["BATT_LOW_TIMER"] * 1e6
         if power.voltage_v >= (params["BATT_LOW_VOLT"] or self._limits.low_v):
             self._low_us = None
         elif self._low_us is None:
@@ -126,8 +121,8 @@ class FailsafeInputs:
         late = self._critical_us is not None and t_us - self._critical_us >= patience_us
         self.critical_voltage = -1.0 if late else math.inf
 
-    def _look_place(self, conditions: "TickInputs", *, on_mission: bool) -> None:
-        nav, params = conditions.nav, self._params
+    def _update_place(self, status: VehicleStatus, *, on_mission: bool) -> None:
+        nav, params = status.nav, self._params
         assert nav is not None
         x, y, z = place = tuple(nav.pos_ned_m.tolist())
         deep_m = max(z - params["DEPTH_MAX"], params["DEPTH_MIN"] - z - self._goals.top_m)
@@ -137,35 +132,37 @@ class FailsafeInputs:
         self._last_m = (x, y, z)
         home = self._plans.home_ned_m.tolist()
         self.tether_m = self._travelled_m if params["TETHER_COUNT"] else math.dist(place, home)
-        self._look_motion(conditions)
-        if self._ticks % (10 * SITUATION.look_ticks) == 0:
-            self._look_energy(conditions, on_mission=on_mission)
+        self._update_motion(status)
+        if self._ticks % (10 * FAILSAFE_INPUTS.update_ticks) == 0:
+            self._update_energy(status, on_mission=on_mission)
 
-    def _look_motion(self, conditions: "TickInputs") -> None:
-        nav, thrust_n, left_m = conditions.nav, conditions.facts.thrust_n, conditions.way_left_m
+    def _update_motion(self, status: VehicleStatus) -> None:
+        nav, thrust_n, left_m = status.nav, status.thrust_n, status.way_left_m
         assert nav is not None
         vx, vy, vz = nav.vel_frd_m_s.tolist()
-        slow = vx * vx + vy * vy + vz * vz < SITUATION.slow_m_s * SITUATION.slow_m_s
-        pushes = thrust_n is not None and float(abs(thrust_n).max()) >= SITUATION.pushed * self._params["THR_LIMIT"]
-        if not (slow and pushes and left_m is not None and left_m > SITUATION.away_m):
+        slow = vx * vx + vy * vy + vz * vz < FAILSAFE_INPUTS.slow_m_s * FAILSAFE_INPUTS.slow_m_s
+        pushes = (
+            thrust_n is not None and float(abs(thrust_n).max()) >= FAILSAFE_INPUTS.pushed * self._params["THR_LIMIT"]
+        )
+        if not (slow and pushes and left_m is not None and left_m > FAILSAFE_INPUTS.away_m):
             self._slow_us, self.stuck_s = None, 0.0
             return
-        self._slow_us = conditions.t_us if self._slow_us is None else self._slow_us
-        self.stuck_s = 1e-6 * (conditions.t_us - self._slow_us)
+        self._slow_us = status.t_us if self._slow_us is None else self._slow_us
+        self.stuck_s = 1e-6 * (status.t_us - self._slow_us)
 
-    def _look_energy(self, conditions: "TickInputs", *, on_mission: bool) -> None:
-        power = conditions.power
+    def _update_energy(self, status: VehicleStatus, *, on_mission: bool) -> None:
+        power = status.power
         if power is None or not on_mission:
             self._spent.clear()
             self.energy_lack = NEVER
             return
-        self._spent.append((conditions.t_us, power.energy_used_j, self._travelled_m))
+        self._spent.append((status.t_us, power.energy_used_j, self._travelled_m))
         then_us, then_j, then_m = self._spent[0]
         way_m = self._travelled_m - then_m
-        if conditions.t_us - then_us < SITUATION.least_s * 1e6 or way_m < SITUATION.least_m:
+        if status.t_us - then_us < FAILSAFE_INPUTS.least_s * 1e6 or way_m < FAILSAFE_INPUTS.least_m:
             return
         j_m = (power.energy_used_j - then_j) / way_m
-        left_m = (conditions.way_left_m or 0.0) + self._rest_m()
+        left_m = (status.way_left_m or 0.0) + self._rest_m()
         self.energy_lack = left_m * j_m / self._capacity_j + self._params["FS_ENRG_RES"] - power.remaining
 
     def _rest_m(self) -> float:
@@ -180,7 +177,7 @@ def rest_of_way_m(steps: Sequence[Step], position: Position) -> float:
     """Length of a mission from the goal of ``position`` on. Jumps without an end are not made."""
     done = dict(position.jumps_done)
     cursor, last, way_m = position.cursor, None, 0.0
-    for _ in range(SITUATION.max_steps):
+    for _ in range(FAILSAFE_INPUTS.max_steps):
         if not 0 <= cursor < len(steps):
             break
         step = steps[cursor]

@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from autopilot.command.facts import Jolts, VehicleStatus
+from autopilot.command.collision import CollisionDetector
+from autopilot.command.vehicle_status import VehicleStatus
 from autopilot.core.messages import Inputs
 from autopilot.core.samples import AhrsSample, DepthSample
 from autopilot.core.vehicle import load_vehicle
@@ -12,13 +13,13 @@ from autopilot.run.outside import HandsBack, WeightRelease
 
 def felt(accel: np.ndarray, thrust_n: np.ndarray | None = None) -> bool:
     """Whether 2 s of rest and then these accelerations ahead (n,) are a collision."""
-    jolts, found = Jolts(load_vehicle("lbv150").to_model()), False
+    detector, found = CollisionDetector(load_vehicle("lbv150").to_model()), False
     for tick, ahead in enumerate([*np.zeros(200), *accel, *np.zeros(100)]):
         zero = np.zeros(3)
         sample = AhrsSample(
             t_us=tick * 10_000, rpy_rad=zero, rate_frd_rad_s=zero, accel_frd_m_s2=np.array([ahead, 0.0, -9.81])
         )
-        found |= jolts.look(sample, thrust_n, 3.0)
+        found |= detector.update(sample, thrust_n, 3.0)
     return found
 
 
@@ -39,23 +40,23 @@ def test_what_thrust_can_make_is_none() -> None:
 
 
 def test_a_frozen_depth_is_a_silent_sensor() -> None:
-    facts = VehicleStatus()
+    status = VehicleStatus()
     for tick in range(60):
         depth_m = 1.0 + 1e-4 * min(tick, 20)
-        facts.note_sample(tick * 100_000, DepthSample(t_us=tick * 100_000, depth_m=depth_m, sigma_m=0.01))
-    age_s, name = facts.silent(5_900_000)
+        status.note_sample(tick * 100_000, DepthSample(t_us=tick * 100_000, depth_m=depth_m, sigma_m=0.01))
+    age_s, name = status.silent(5_900_000)
     assert name == "depth sensor" and age_s == pytest.approx(2.0, abs=0.15)
 
 
 def test_late_ticks_are_a_share_of_the_last_second() -> None:
-    facts = VehicleStatus()
-    facts.note(Inputs(t_us=1_000_000, overruns=0))
-    facts.note(Inputs(t_us=2_000_000, overruns=30))
-    assert facts.late_share == pytest.approx(0.3)
-    facts.note(Inputs(t_us=3_000_000, overruns=30, clock_jump_s=0.4))
-    assert facts.late_share == 0.0 and not facts.jumped_us >= 0.0
-    facts.note(Inputs(t_us=3_010_000, clock_jump_s=-3600.0))
-    assert facts.jumped_us == 3_010_000
+    status = VehicleStatus()
+    status.note(Inputs(t_us=1_000_000, overruns=0))
+    status.note(Inputs(t_us=2_000_000, overruns=30))
+    assert status.late_share == pytest.approx(0.3)
+    status.note(Inputs(t_us=3_000_000, overruns=30, clock_jump_s=0.4))
+    assert status.late_share == 0.0 and not status.jumped_us >= 0.0
+    status.note(Inputs(t_us=3_010_000, clock_jump_s=-3600.0))
+    assert status.jumped_us == 3_010_000
 
 
 def test_a_device_offers_effects_by_having_them() -> None:

@@ -6,9 +6,10 @@ import numpy as np
 
 from autopilot.command.battery_watch import BatteryWatch
 from autopilot.command.camera_watch import CameraWatch
-from autopilot.command.command_tuning import SURROUNDINGS
+from autopilot.command.collision import CollisionDetector
+from autopilot.command.command_tuning import ENVIRONMENT
 from autopilot.command.device_watch import DeviceWatch
-from autopilot.command.facts import Jolts, VehicleStatus
+from autopilot.command.vehicle_status import VehicleStatus
 from autopilot.control.fence.obstacles import clearance_m
 from autopilot.control.fence.tracks import Tracks
 from autopilot.core import operator_messages as notices
@@ -40,7 +41,7 @@ class Environment:
 
     def __init__(self, vehicle: Vehicle, params: ParamSet) -> None:
         self._params = params
-        self._jolts = Jolts(vehicle.to_model())
+        self._collisions = CollisionDetector(vehicle.to_model())
         self.power_watch = BatteryWatch(vehicle.battery.limits)
         self._events: list[Event] = []
         self.devices = DeviceWatch()
@@ -51,16 +52,15 @@ class Environment:
         """The flight controller below us."""
         self.refusals: tuple[str, ...] = ()
         """What devices have against arming."""
-        self.facts = VehicleStatus()
-        """What failsafes go by."""
+        self.status = VehicleStatus()
         self._t_us = 0
-        self._told_over = False
+        self._reported_over = False
         """That the vehicle would be deep inside of an obstacle."""
         self.sensed = Sensed()
         """The newest of each sensor."""
-        self.facts.floor.mount("altimeter", vehicle.altimeter.position_frd_m, vehicle.altimeter.direction_frd)
+        self.status.floor.mount("altimeter", vehicle.altimeter.position_frd_m, vehicle.altimeter.direction_frd)
         if vehicle.laser is not None:
-            self.facts.floor.mount("laser", vehicle.laser.position_frd_m, vehicle.laser.direction_frd)
+            self.status.floor.mount("laser", vehicle.laser.position_frd_m, vehicle.laser.direction_frd)
         with_laser = vehicle.camera is not None and vehicle.laser is not None
         self._camera = CameraModel.of(vehicle.eye, vehicle.laser) if with_laser else None
 
@@ -75,13 +75,12 @@ class Environment:
         return None if self.power is None else self.power.voltage_v
 
     def note(self, inputs: Inputs) -> None:
-        """Take a tick's inputs."""
         self._t_us = inputs.t_us
         self._events += self.devices.step(inputs.t_us, inputs.troubles)
         self._events += self.camera.step(inputs.t_us, inputs.pictures, inputs.samples)
         self.below, self.refusals = inputs.below, inputs.refusals
-        facts = self.facts
-        facts.note(inputs)
+        status = self.status
+        status.note(inputs)
         for sample in inputs.samples:
             if isinstance(sample, INERTIAL):
                 self._feel(inputs.t_us, sample)
@@ -93,27 +92,27 @@ class Environment:
             if isinstance(sample, ObstacleTrack):
                 self.tracks.note(inputs.t_us, sample)
             else:
-                facts.note_sample(inputs.t_us, sample)
+                status.note_sample(inputs.t_us, sample)
 
     def _note_power(self, t_us: int, sample: PowerSample) -> None:
         """One reading of the battery; what is not believed is as good as silence."""
         share = self._power_share(sample.t_us)
         if not self.power_watch.note(t_us, sample):
-            self.facts.note_implausible(t_us, "power monitor")
+            self.status.note_implausible(t_us, "power monitor")
             return
-        self.facts.note_sample(t_us, sample)
+        self.status.note_sample(t_us, sample)
         power_w, before_w = sample.voltage_v * sample.current_a, self.sensed.power_w
         self.sensed.power_w = power_w if before_w is None else before_w + share * (power_w - before_w)
 
     def _feel(self, t_us: int, sample: AhrsSample | ImuSample) -> None:
         """What comes with every tick."""
-        facts, sensed = self.facts, self.sensed
+        status, sensed = self.status, self.sensed
         sensed.inertial = sample
         sensed.vibration.note(sample.accel_frd_m_s2)
         if isinstance(sample, AhrsSample):
-            facts.note_ahrs(t_us, sample)
-        if self._jolts.look(sample, facts.thrust_n, self._params["FS_COLL_ACC"]):
-            facts.collided_us = t_us
+            status.note_ahrs(t_us, sample)
+        if self._collisions.update(sample, status.thrust_n, self._params["FS_COLL_ACC"]):
+            status.collided_us = t_us
 
     def note_others(self, t_us: int, tracks: Sequence[ObstacleTrack], gone: Sequence[int], fence: Fence) -> None:
         """Take what others have told of; what beams see of the fence itself is known."""
@@ -121,7 +120,7 @@ class Environment:
             self.tracks.forget(number)
         beams = [track for track in tracks if track.track_id >= BEAM_TRACKS]
         free_m = clearance_m(fence, np.array([track.pos_ned_m for track in beams])) if beams else ()
-        known = {track.track_id for track, clear_m in zip(beams, free_m, strict=True) if clear_m < SURROUNDINGS.known_m}
+        known = {track.track_id for track, clear_m in zip(beams, free_m, strict=True) if clear_m < ENVIRONMENT.known_m}
         for track in tracks:
             if track.track_id not in known:
                 self.tracks.note(t_us, track)
@@ -133,24 +132,24 @@ class Environment:
             self._show_laser(t_us, sample)
         elif isinstance(sample, AltimeterSample):
             sensed.newest[AltimeterSample] = sample
-            self.facts.floor.note("altimeter", t_us, sample.range_m)
+            self.status.floor.note("altimeter", t_us, sample.range_m)
         elif not isinstance(sample, MarkerSighting):
             sensed.newest[type(sample)] = sample
         elif sample.laser_px is not None and self._camera is not None:
             shown = sensed.of(LaserSample)
-            if shown is None or t_us - shown.t_us >= SURROUNDINGS.range_us:
+            if shown is None or t_us - shown.t_us >= ENVIRONMENT.range_us:
                 found = dot_range(self._camera, sample.laser_px)
                 if found is not None:
                     self._show_laser(t_us, LaserSample(t_us=sample.t_us, range_m=found[0], sigma_m=found[1]))
 
     def _show_laser(self, t_us: int, sample: LaserSample) -> None:
         self.sensed.newest[LaserSample] = sample
-        self.facts.floor.note("laser", t_us, sample.range_m)
+        self.status.floor.note("laser", t_us, sample.range_m)
 
     def _power_share(self, t_us: int) -> float:
         """Share that a new sample has of the mean power."""
         passed_s = 1e-6 * (t_us - (t_us if self.power is None else self.power.t_us))
-        return min(max(passed_s / SURROUNDINGS.power_s, 0.0), 1.0)
+        return min(max(passed_s / ENVIRONMENT.power_s, 0.0), 1.0)
 
     @property
     def thruster_problem(self) -> str:
@@ -172,9 +171,9 @@ class Environment:
     def take_events(self) -> list[Event]:
         """Lines for the operator since the last call."""
         over_m = self.tracks.over_m
-        if over_m is not None and not self._told_over:
+        if over_m is not None and not self._reported_over:
             self._events.append(notices.IN_OBSTACLE.event(self._t_us, size_m=over_m))
-        self._told_over = over_m is not None
+        self._reported_over = over_m is not None
         events, self._events = self._events + self.power_watch.take_events(), []
         return events
 

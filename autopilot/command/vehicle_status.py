@@ -1,31 +1,27 @@
-"""What the service is told beside the estimate, as failsafes look at it: the newest of each, plain numbers.
+"""What is known of the vehicle: estimate, battery, thrusters, sensors, links.
 
-One object, changed in place and only when something comes: a tick on which nothing does costs nothing. What has never
-been heard is NaN, which no bound exceeds.
+One object, changed in place. What has never been received is NaN, which no bound exceeds.
 """
 
 import math
 from dataclasses import dataclass, field
 
-import numpy as np
-
-from autopilot.command.command_tuning import FACTS
+from autopilot.command.command_tuning import VEHICLE_STATUS
 from autopilot.command.floor_ranges import FloorRanges
 from autopilot.control.thrust.by_hand import Felt
 from autopilot.core.frames import FloatArray
-from autopilot.core.messages import Inputs
-from autopilot.core.model4 import Model4
+from autopilot.core.messages import Below, Inputs, NavDoubt, NavHealth, NavState
 from autopilot.core.samples import (
     AhrsSample,
     DepthSample,
     HullSample,
-    ImuSample,
     LeakSample,
     PilotSample,
     PowerSample,
     Sample,
     VelocitySample,
 )
+from autopilot.mavlink.api import Sticks
 
 NEVER = math.nan
 
@@ -46,9 +42,51 @@ class _SensorRecord:
     """What is wrong with it when it has said nothing new."""
 
 
-@dataclass(slots=True, eq=False)
+@dataclass(slots=True, eq=False, kw_only=True)
 class VehicleStatus:
-    """Newest facts. Times are the service's [us]."""
+    """Read by modes, failsafes and arming. Times are the service's [us].
+
+    The first fields are set once per tick, just before the commander's step, so that a request that comes between two
+    ticks sees those of the last one. The others are set by the samples as they come.
+    """
+
+    t_us: int = 0
+    """Of the tick."""
+    nav: NavState | None = None
+    power: PowerSample | None = None
+    """The newest reading of the battery that is plausible."""
+    ahrs_age_s: float | None = None
+    """Since the last good sample (a frozen device sends none), None before the first."""
+    solver_failures: int = 0
+    """NMPC steps in a row without a solution."""
+    unreachable: bool = False
+    """The controller finds no path to its goal."""
+    way_left_m: float | None = None
+    """Length of the path to the goal as the controller flies it, None without one."""
+    nav_doubts: frozenset[NavDoubt] = frozenset()
+    """What speaks against the estimate or its sensors."""
+    nav_disagrees: bool = False
+    """The shadow estimator has been somewhere else for a while."""
+    thruster_share: tuple[float, ...] = ()
+    """Effectiveness of each thruster, in the order of the vehicle file; empty = not known."""
+    thrusters_doubtful: tuple[tuple[str, ...], ...] = ()
+    """Groups of redundant thrusters, one of which is weak: their loss is shared out equally."""
+    thruster_problem: str = ""
+    """What the remaining thrusters cannot do."""
+    watchdog_problem: str = ""
+    """What is wrong with the process that stops the thrusters when the service cannot."""
+    thrusters_unseen: tuple[str, ...] = ()
+    """Thrusters used too little for a loss of half their thrust to be noticed."""
+    command_delay_s: float = 0.0
+    """Command latency; 0 until it is certain."""
+    fault: str = ""
+    """What has failed inside the service within the last seconds."""
+    below: Below | None = None
+    """The flight controller, None without one."""
+    refusals: tuple[str, ...] = ()
+    """Reasons of devices against arming."""
+    sticks: Sticks | None = None
+    """Of the pilot, None = nobody steers (any more)."""
 
     gcs_us: float = NEVER
     """Last heartbeat of a ground station or companion."""
@@ -77,35 +115,39 @@ class VehicleStatus:
     thrust_n: FloatArray | None = None
     """(n,) commanded now."""
     sensors: dict[str, _SensorRecord] = field(default_factory=dict)
-    """Those that have spoken and have to go on."""
+    """Those that have been received and have to go on."""
     _late: int = 0
     _late_us: int = 0
+
+    @property
+    def estimate(self) -> NavState | None:
+        """The estimate, None when there is none or it is lost."""
+        return None if self.nav is None or self.nav.health is NavHealth.INVALID else self.nav
 
     def note(self, inputs: Inputs) -> None:
         """What comes beside samples."""
         t_us = inputs.t_us
         self.log_lost = inputs.log_lost
-        if inputs.clock_jump_s and abs(inputs.clock_jump_s) >= FACTS.jump_s:
+        if inputs.clock_jump_s and abs(inputs.clock_jump_s) >= VEHICLE_STATUS.jump_s:
             self.jumped_us = t_us
-        if t_us - self._late_us >= FACTS.late_every_us:
+        if t_us - self._late_us >= VEHICLE_STATUS.late_every_us:
             since_ticks = (t_us - self._late_us) * 1e-4
             self.late_share = (inputs.overruns - self._late) / since_ticks
             self._late, self._late_us = inputs.overruns, t_us
 
     def note_ahrs(self, t_us: int, sample: AhrsSample) -> None:
-        """The newest attitude."""
         yaw, rate = sample.rpy_rad.item(2), sample.rate_frd_rad_s.item(2)
         if math.isfinite(yaw + rate):
             self.yaw_rad, self.yaw_rate_rad_s, self.ahrs_us = yaw, rate, t_us
 
     def felt(self, t_us: int) -> Felt:
         """What is known of the vehicle without a position, and not too old."""
-        yaw = self.yaw_rad if t_us - self.ahrs_us <= FACTS.felt_us else None
-        depth = self.depth_m if t_us - self.depth_us <= FACTS.felt_us else None
+        yaw = self.yaw_rad if t_us - self.ahrs_us <= VEHICLE_STATUS.felt_us else None
+        depth = self.depth_m if t_us - self.depth_us <= VEHICLE_STATUS.felt_us else None
         return Felt(yaw_rad=yaw, yaw_rate_rad_s=self.yaw_rate_rad_s, depth_m=depth)
 
     def note_sample(self, t_us: int, sample: Sample) -> None:
-        """One sample that is none of the AHRS: those come with every tick (:class:`Jolts`)."""
+        """One sample that is none of the AHRS: those come at every tick."""
         if isinstance(sample, LeakSample):
             self._spoke(t_us, "leak probe")
             if sample.wet:
@@ -159,49 +201,5 @@ class VehicleStatus:
             heard = self.sensors[name] = _SensorRecord(t_us)
         heard.equal = heard.equal + 1 if reading == heard.reading else 0
         heard.reading = reading
-        if heard.equal < FACTS.frozen_readings:
+        if heard.equal < VEHICLE_STATUS.frozen_readings:
             heard.last_us = t_us
-
-
-class Jolts:
-    """Finds jolts in the accelerometer: a push that comes and goes, larger than thrust can make."""
-
-    def __init__(self, model: Model4) -> None:
-        self._per_n = np.array(model.allocation)[:2] / np.array(model.mass_kg)[:2, None]
-        """(2, n) acceleration ahead and sideways by each newton of each thruster."""
-        self._base: tuple[float, float] | None = None
-        self._began_us: int | None = None
-        self._peak = 0.0
-
-    def look(self, sample: AhrsSample | ImuSample, thrust_n: FloatArray | None, least_m_s2: float) -> bool:
-        """Whether a jolt of at least that size has just ended."""
-        ax, ay, _ = sample.accel_frd_m_s2.tolist()
-        if self._base is None:
-            self._base = (ax, ay)
-            return False
-        bx, by = self._base
-        dx, dy = ax - bx, ay - by
-        size = math.sqrt(dx * dx + dy * dy)
-        if not size < 1e6:  # no reading
-            return False
-        if self._began_us is None:
-            if size < least_m_s2:
-                share = 0.01 / FACTS.base_time_s
-                self._base = (bx + share * dx, by + share * dy)
-                return False
-            self._began_us, self._peak = sample.t_us, 0.0
-        self._peak = max(self._peak, size - self._commanded(thrust_n))
-        if size >= 0.5 * least_m_s2 and sample.t_us - self._began_us < FACTS.jolt_us:
-            return False
-        ended = size < 0.5 * least_m_s2
-        self._began_us = None
-        if not ended:
-            self._base = (ax, ay)
-        return ended and self._peak >= least_m_s2
-
-    def _commanded(self, thrust_n: FloatArray | None) -> float:
-        """Twice what thrust accelerates by: it may have been the opposite a moment ago."""
-        if thrust_n is None:
-            return 0.0
-        ax, ay = (self._per_n @ thrust_n).tolist()
-        return 2.0 * math.hypot(ax, ay)
