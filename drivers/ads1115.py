@@ -66,11 +66,9 @@ class Ads1115(Closing):
         register(self._bus, self._options.address, CONFIG, 2)
 
     def close(self) -> None:
-        """Let go of the bus."""
         self._bus.close()
 
     def poll(self, t_us: int) -> list[PowerSample]:
-        """A sample when one is due."""
         if self._asked is None:
             if t_us >= self._next_us:
                 self._next_us = t_us + PERIOD_US

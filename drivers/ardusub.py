@@ -154,7 +154,6 @@ class ArduSub(Closing):
         return self._telemetry.bad_samples
 
     def open(self) -> None:
-        """Open the link; whether anybody is there shows later."""
         if self._wire is None:
             wire = Wire(open_link(self._options.connect), system=self._options.system, ours=self._options.gcs_system)
             self._telemetry = self._new_telemetry()
@@ -316,7 +315,6 @@ class ArduSub(Closing):
     # Who has it
 
     def command(self, t_us: int, *, armed: bool) -> None:
-        """Whether our thrust is meant to act."""
         watch = self._watch
         if watch.wanted and not armed:
             self._let_go()
@@ -445,7 +443,6 @@ class ArduSub(Closing):
         return False
 
     def neutral(self) -> None:
-        """Stop all thrusters now."""
         self._let_go()
 
     def _rest_of(self, t_us: int) -> None:

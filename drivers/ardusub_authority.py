@@ -175,7 +175,6 @@ class AuthorityWatch:
         return self.wanted
 
     def take(self, t_us: int, message: Any) -> None:
-        """Note a message."""
         match message.get_type():
             case "HEARTBEAT":
                 self.mode, self.known, self._beat_us = int(message.custom_mode), True, t_us

@@ -65,7 +65,6 @@ class SilenceTest:
         return self._step is SilenceStep.DONE
 
     def tick(self, t_us: int) -> None:
-        """Go on."""
         if self._since_us is None:
             self._since_us = t_us
         self._servos_us = ()
@@ -174,7 +173,6 @@ class SilenceTest:
             self._go(t_us, SilenceStep.END)
 
     def _end(self, t_us: int, passed_us: int) -> None:
-        """Neutral, and disarmed."""
         if self._rest and t_us - self._sent_us >= SEND_EVERY_US:
             self._sent_us, self._rest = t_us, self._rest - 1
             self._wire.override(NEUTRAL)

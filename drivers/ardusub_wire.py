@@ -65,7 +65,6 @@ class Wire:
                     self._note_other(message)
 
     def _note_other(self, message: Any) -> None:
-        """A heartbeat of somebody else on the link."""
         system, component = message.get_srcSystem(), message.get_srcComponent()
         if message.autopilot != INVALID_AUTOPILOT and component == AUTOPILOT:
             self.other_systems.add(system)
@@ -92,19 +91,15 @@ class Wire:
         self._command(ARM_DISARM, float(armed), 0.0 if armed else FORCE_DISARM)
 
     def interval(self, message_id: int, rate_hz: float) -> None:
-        """Ask for a message so often."""
         self._command(SET_INTERVAL, float(message_id), 1e6 / rate_hz)
 
     def ask_for(self, message_id: int) -> None:
-        """Ask for a message once."""
         self._command(REQUEST_MESSAGE, float(message_id))
 
     def order(self, command: int, first: float, second: float) -> None:
-        """A command with two parameters."""
         self._command(command, first, second)
 
     def read_parameter(self, name: str) -> None:
-        """Ask for one."""
         self._send(self._mav.param_request_read_encode(self._system, AUTOPILOT, name.encode(), -1))
 
     def _command(self, command: int, first: float, second: float = 0.0) -> None:
@@ -116,5 +111,4 @@ class Wire:
         self._link.send(bytes(message.pack(self._mav)))
 
     def close(self) -> None:
-        """Let go of the link."""
         self._link.close()

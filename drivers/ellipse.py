@@ -62,11 +62,9 @@ class Ellipse(Closing):
 
     @property
     def bad_frames(self) -> int:
-        """Frames dropped for their checksum, size or end."""
         return self._parser.bad_frames
 
     def open(self) -> None:
-        """Open the line and configure the device."""
         self._port.open()
         self._parser = wire.EllipseParser()
         self.clock.begin()
@@ -77,7 +75,6 @@ class Ellipse(Closing):
         self._port.close()
 
     def poll(self, t_us: int) -> list[AhrsSample]:
-        """What has arrived. DriverError when the line is gone."""
         samples = []
         for arrival_us, data in self._port.read(t_us):
             for frame in self._parser.feed(data):
@@ -93,7 +90,6 @@ class Ellipse(Closing):
         return samples
 
     def take_notices(self) -> list[tuple[Severity, str]]:
-        """What operators should know since the last call."""
         return self.clock.take_notices()
 
     def _configure(self) -> None:

@@ -63,7 +63,6 @@ class Attitude:
 
 
 def encode_frame(message: int, kind: int, data: bytes = b"") -> bytes:
-    """The bytes of one frame."""
     if len(data) > MAX_DATA:
         raise ValueError(f"{len(data)} bytes do not fit in a frame, at most {MAX_DATA} do")
     body = struct.pack("<BBH", message, kind, len(data)) + data

@@ -18,7 +18,6 @@ class FrameCutter:
         self.skipped = 0
 
     def feed(self, data: bytes) -> list[bytes]:
-        """The frames that are complete now, oldest first."""
         self._buffer += data
         buffer, frames, at = self._buffer, [], 0
         while at < len(buffer):

@@ -69,11 +69,9 @@ class Ig500(Closing):
 
     @property
     def bad_frames(self) -> int:
-        """Frames dropped for their checksum, size or end."""
         return self._parser.bad_frames
 
     def open(self) -> None:
-        """Open the port and configure the device."""
         self._port.open()
         self.clock.begin()
         self._configure()
@@ -102,7 +100,6 @@ class Ig500(Closing):
         return samples
 
     def take_notices(self) -> list[tuple[Severity, str]]:
-        """What operators should know since the last call."""
         return self.clock.take_notices()
 
     @property

@@ -37,33 +37,26 @@ class Ig500Device(Closing):
 
     @property
     def driver(self) -> Ig500:
-        """What speaks the protocol."""
         return self._driver
 
     @property
     def bad_frames(self) -> int:
-        """Frames dropped for their checksum, size or end."""
         return self._driver.bad_frames
 
     @property
     def bad_samples(self) -> int:
-        """Frames that are intact but useless."""
         return self._driver.bad_samples
 
     def take_notices(self) -> list[tuple[Severity, str]]:
-        """What operators should know since the last call."""
         return self._driver.take_notices()
 
     def open(self) -> None:
-        """Open the line and configure the device."""
         self._driver.open()
 
     def close(self) -> None:
-        """Close the line."""
         self._driver.close()
 
     def poll(self, t_us: int) -> list[AhrsSample | ImuSample]:
-        """What has arrived. DriverError when the line is gone."""
         samples = self._driver.poll(t_us)
         if self._port.lost:
             raise DriverError("serial line gone, check the cable")

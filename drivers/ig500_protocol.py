@@ -96,7 +96,6 @@ class Ig500Frame:
 
 
 def encode_frame(command: int, data: bytes = b"") -> bytes:
-    """The bytes of one frame."""
     if len(data) > MAX_DATA:
         raise ValueError(f"{len(data)} bytes do not fit in a frame, at most {MAX_DATA} do")
     body = struct.pack(">BH", command, len(data)) + data
@@ -146,7 +145,6 @@ class OutputCodec:
 
     @property
     def size(self) -> int:
-        """Bytes of data."""
         return self._struct.size
 
     def encode(self, values: Mapping[OutputField, tuple[float, ...]]) -> bytes:

@@ -33,8 +33,6 @@ class Ina219Options(Table, frozen=True, kw_only=True):
 
 
 class Ina219(Closing):
-    """The driver."""
-
     Options = Ina219Options
 
     def __init__(self, vehicle: Vehicle, options: Ina219Options, *, bus: I2cBus | None = None) -> None:
@@ -53,7 +51,6 @@ class Ina219(Closing):
         self._check()
 
     def close(self) -> None:
-        """Let go of the bus."""
         self._bus.close()
 
     def _check(self) -> None:
@@ -62,7 +59,6 @@ class Ina219(Closing):
             raise DriverError(f"setting 0x{found:04x} instead of 0x{SETTING:04x}")
 
     def poll(self, t_us: int) -> list[PowerSample]:
-        """A sample when one is due."""
         if t_us < self._next_us:
             return []
         self._next_us = t_us + PERIOD_US

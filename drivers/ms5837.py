@@ -118,7 +118,6 @@ class Ms5837(Closing):
         self._stage, self._next_us, self._bad = "idle", None, 0
 
     def close(self) -> None:
-        """Let go of the bus."""
         self._bus.close()
 
     def poll(self, t_us: int) -> list[DepthSample]:

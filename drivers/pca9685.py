@@ -47,8 +47,6 @@ class Pca9685Options(Table, frozen=True, kw_only=True):
 
 
 class Pca9685(KeptOutput):
-    """The driver."""
-
     Options = Pca9685Options
     driver = "pca9685"
 

@@ -62,11 +62,9 @@ class Ping1d(Closing):
 
     @property
     def bad_frames(self) -> int:
-        """Frames dropped for their length or checksum."""
         return self._parser.bad_frames
 
     def open(self) -> None:
-        """Open the line and set the device up."""
         self._port.open()
         self._parser, self._asked_us = wire.PingParser(), None
         self._configure()
@@ -76,7 +74,6 @@ class Ping1d(Closing):
         self._port.close()
 
     def poll(self, t_us: int) -> list[AltimeterSample]:
-        """What has arrived. DriverError when the line is gone."""
         samples, heard = [], False
         for arrival_us, data in self._port.read(t_us):
             for frame in self._parser.feed(data):

@@ -42,7 +42,6 @@ class Distance:
 
 
 def encode(message: int, payload: bytes = b"", *, sender: int = 0, receiver: int = 0) -> bytes:
-    """The bytes of a message."""
     frame = HEADER.pack(START, len(payload), message, sender, receiver) + payload
     return frame + (sum(frame) & 0xFFFF).to_bytes(CHECKSUM_BYTES, "little")
 
@@ -73,7 +72,6 @@ class PingParser:
         """Frames with a wrong length or checksum."""
 
     def feed(self, data: bytes) -> list[PingFrame]:
-        """The frames that are complete now, oldest first."""
         self._buffer += data
         buffer, frames, at = self._buffer, [], 0
         while True:

@@ -43,7 +43,6 @@ class SabertoothOptions(Table, frozen=True, kw_only=True):
 
 
 def packet(address: int, command: int, data: int) -> bytes:
-    """The bytes of one command."""
     return bytes([address, command, data, (address + command + data) & 0x7F])
 
 

@@ -47,7 +47,6 @@ class SbgParser(Generic[F]):
         """Frames with a wrong size, checksum or end."""
 
     def feed(self, data: bytes) -> list[F]:
-        """The frames that are complete now, oldest first."""
         framing = self._framing
         sync = framing.sync
         self._buffer += data

@@ -30,8 +30,6 @@ class SysfsPwmOptions(Table, frozen=True, kw_only=True):
 
 
 class SysfsPwm(KeptOutput):
-    """The driver."""
-
     Options = SysfsPwmOptions
     driver = "sysfs_pwm"
 

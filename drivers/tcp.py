@@ -55,11 +55,9 @@ class _TcpConnection:
         """Whether it was closed because it does not read."""
 
     def fileno(self) -> int:
-        """File descriptor, negative when closed."""
         return self._socket.fileno()
 
     def recv(self) -> list[Received]:
-        """Frames that have become complete."""
         self._flush()
         try:
             data = self._socket.recv(CHUNK)
@@ -83,7 +81,6 @@ class _TcpConnection:
         return self.open
 
     def close(self) -> None:
-        """Close; what is pending is lost."""
         self.open = False
         self._socket.close()
 
@@ -131,23 +128,19 @@ class TcpServer:
 
     @property
     def name(self) -> str:
-        """The connection string."""
         return self._name
 
     @property
     def clients(self) -> int:
-        """How many are connected."""
         return len(self._clients)
 
     def filenos(self) -> list[int]:
-        """All connections, and the listening socket while somebody could come in."""
         numbers = [client.fileno() for client in self._clients.values()]
         if not self._full:
             numbers.append(self._listener.fileno())
         return [number for number in numbers if number >= 0]
 
     def recv(self, t_us: int) -> list[Received]:
-        """Frames since the last call, client by client."""
         self._admission.begin()
         self._accept(t_us)
         frames = []
@@ -160,7 +153,6 @@ class TcpServer:
         return frames
 
     def send(self, data: bytes, client: int = EVERYONE, beside: frozenset[int] = frozenset()) -> None:
-        """Send to every client, or to one."""
         for stream in self._clients.values():
             if stream.client in beside:
                 continue
@@ -173,7 +165,6 @@ class TcpServer:
         return self._news.take()
 
     def close(self) -> None:
-        """Close all connections and the port."""
         for client in self._clients.values():
             client.close()
         self._clients = {}
@@ -238,21 +229,17 @@ class TcpClient:
 
     @property
     def problem(self) -> str | None:
-        """Whether the server is away."""
         return None if self._closed or self._stream.open else "server gone, connecting again"
 
     @property
     def name(self) -> str:
-        """The connection string."""
         return self._name
 
     def filenos(self) -> list[int]:
-        """The connection, while there is one."""
         number = self._stream.fileno()
         return [] if number < 0 else [number]
 
     def recv(self, t_us: int) -> list[Received]:
-        """Frames since the last call."""
         if self._closed:
             return []
         if self._stream.open:
@@ -263,12 +250,10 @@ class TcpClient:
         return []
 
     def send(self, data: bytes, client: int = EVERYONE, beside: frozenset[int] = frozenset()) -> None:
-        """Send, or drop when there is no connection."""
         if self._closed or not self._stream.open or not self._stream.send(data):
             self.dropped_tx += 1
 
     def close(self) -> None:
-        """Close the connection for good."""
         self._closed = True
         self._stream.close()
         if self._attempt is not None:

@@ -93,7 +93,6 @@ class _Udp:
 
     @property
     def name(self) -> str:
-        """The connection string."""
         return self._name
 
     @property
@@ -102,16 +101,13 @@ class _Udp:
         return tuple(self._known)
 
     def filenos(self) -> list[int]:
-        """The socket, while it is open."""
         number = self._socket.fileno()
         return [] if number < 0 else [number]
 
     def close(self) -> None:
-        """Let go of the port."""
         self._socket.close()
 
     def recv(self, t_us: int) -> list[Received]:
-        """Datagrams since the last call, with who sent them."""
         received: list[Received] = []
         bytes_of: dict[int, int] = {}
         self._admission.begin()
@@ -216,7 +212,6 @@ class UdpOut(_Udp):
         """Of the target, heard or not."""
 
     def send(self, data: bytes, client: int = EVERYONE, beside: frozenset[int] = frozenset()) -> None:
-        """Send one datagram: to the target, or to one client that has spoken."""
         if client == EVERYONE and beside and any(self._addresses.get(other) == self._target for other in beside):
             return
         if client == EVERYONE or self._addresses.get(client) == self._target:
@@ -245,12 +240,11 @@ class UdpBroadcast(_Udp):
         self._now_us = 0
 
     def recv(self, t_us: int) -> list[Received]:
-        """Datagrams since the last call, with who sent them."""
         self._now_us = t_us
         return super().recv(t_us)
 
     def send(self, data: bytes, client: int = EVERYONE, beside: frozenset[int] = frozenset()) -> None:
-        """Send one datagram to every client, or to one; while there is none, heartbeats to the whole network."""
+        """To every client, or to one; while there is none, heartbeats to the whole network."""
         if client != EVERYONE:
             self._send_one(data, client)
             return
@@ -279,7 +273,6 @@ class UdpIn(_Udp):
             raise bind_error(name, port, error) from error
 
     def send(self, data: bytes, client: int = EVERYONE, beside: frozenset[int] = frozenset()) -> None:
-        """Send one datagram to every client, or to one."""
         if client != EVERYONE:
             self._send_one(data, client)
             return

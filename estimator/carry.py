@@ -80,7 +80,6 @@ class Correction(NamedTuple):
         return after, PastUpdate(look.gain - behind.dot(pull), look.jacobian, spread, look.y - known)
 
     def on(self, state: FilterState) -> FilterState:
-        """The state with it."""
         return FilterState(state.x + self.w.dot(self.e), symmetric(state.p - self.w.dot(self.c).dot(self.w.T)))
 
 

@@ -113,7 +113,6 @@ class AidedEstimator:
         self._counts = dict.fromkeys(("clock.backwards", "ahrs.blind_steps"), 0)
 
     def step(self, t_us: int, samples: Sequence[Sample], thrust_n: FloatArray) -> NavState | None:
-        """See :class:`autopilot.estimator.protocol.Estimator`."""
         if t_us <= self._fusion.now_us:
             self._counts["clock.backwards"] += 1
             return self._last
@@ -165,11 +164,9 @@ class AidedEstimator:
         return held_us is not None and t_us - held_us >= ENGINE.anchored_us and t_us - since_us >= ENGINE.doubt_us
 
     def take_aids(self) -> tuple[AidStatus, ...]:
-        """See :class:`autopilot.estimator.protocol.Estimator`."""
         return self._fusion.take_statuses()
 
     def counters(self) -> Mapping[str, int]:
-        """See :class:`autopilot.estimator.protocol.Estimator`."""
         result = {
             "resets": self._fusion.resets,
             **self._counts,
@@ -190,29 +187,24 @@ class AidedEstimator:
         return self._sources.pictures.take_made()
 
     def take_remarks(self) -> tuple[str, ...]:
-        """See :class:`autopilot.estimator.protocol.Estimator`."""
         return tuple(text for watch in self._monitors for text in watch.take_texts())
 
     @property
     def refined_map(self) -> MarkerMap | None:
-        """See :class:`autopilot.estimator.protocol.Estimator`."""
         if self._markers is None or self._fusion.past is None:
             return self._markers
         return refined_map(self._markers, self._fusion.history.newest.state.sheets)
 
     @property
     def doubts(self) -> frozenset[NavDoubt]:
-        """See :class:`autopilot.estimator.protocol.Estimator`."""
         return self._against
 
     @property
     def ahrs_us(self) -> int | None:
-        """See :class:`autopilot.estimator.protocol.Estimator`."""
         return self._ahrs_us
 
     @property
     def shadow(self) -> ShadowStatus | None:
-        """Nobody watches a single estimator."""
         return None
 
     # Samples in.
@@ -364,7 +356,6 @@ class AidedEstimator:
     # Measurements.
 
     def _fuse_due(self) -> None:
-        """Use what is due."""
         history, sources = self._fusion.history, self._sources
         health = None if self._last is None else self._last.health
         for sample in self._intake.due(history.newest.t_us):

@@ -53,7 +53,6 @@ class Fusion:
         self._statuses.append(aid.judged(measurement.t_us, self.now_us, judged, used, fit))
 
     def fuse(self, node: Node, measurement: Measurement, aid: Aid) -> Innovation:
-        """Gate a measurement and use it if it passes."""
         judged = self.judge(node, measurement)
         if judged.passes:
             self.history.correct(node, measurement, judged)

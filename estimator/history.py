@@ -75,14 +75,12 @@ class History:
 
     @property
     def newest(self) -> Node:
-        """The latest node."""
         node = self._nodes[-1]
         if self._changed is not None or node.pending:
             self._settle(node)
         return node
 
     def append(self, t_us: int, moment: Moment, step: InertialStep) -> Node:
-        """Predict from the newest node to a new one."""
         state = self._core.predict(self.newest.state, step)
         node = Node(t_us, moment, step, state, state, transition=self._core.transition())
         self._nodes.append(node)
@@ -99,19 +97,16 @@ class History:
         return None
 
     def correct(self, node: Node, measurement: Measurement, innovation: Innovation) -> None:
-        """Use a measurement at ``node``."""
         if self._place(node, measurement, innovation.look):
             node.state = self._core.correct(node.state, innovation)
             node.looks.append(innovation.look)
 
     def reopen(self, node: Node, reopening: Reopening) -> None:
-        """Forget states at ``node``."""
         if self._place(node, reopening):
             node.state = self._core.reopen(node.state, reopening.part, reopening.variance, reopening.value)
             node.looks.append(None)
 
     def loosen(self, node: Node, loosening: Loosening) -> None:
-        """Believe less of a sheet at ``node``."""
         if self._place(node, loosening):
             node.state = self._core.loosen(node.state, loosening.sheet, loosening.sigma, loosening.variance)
             node.looks.append(None)

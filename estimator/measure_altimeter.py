@@ -87,7 +87,6 @@ class AltimeterAid(ScalarAid[AltimeterSample]):
         return len(lately) >= HEARD and not any(abs(sample.range_m - 2.0 * range_m) < near_m for range_m in lately)
 
     def measured(self, sample: AltimeterSample) -> AltimeterRange | None:
-        """See :class:`ScalarAid`."""
         if self._floor_depth_m is None or not _sane(sample):
             return self.counted(None)
         return AltimeterRange(

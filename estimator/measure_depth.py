@@ -68,5 +68,4 @@ class DepthAid(ScalarAid[DepthSample]):
         self._mount_frd_m = vehicle.depth_sensor.position_frd_m
 
     def measured(self, sample: DepthSample) -> Depth | None:
-        """See :class:`ScalarAid`."""
         return self.counted(depth_from_sample(sample, self._mount_frd_m))

@@ -35,7 +35,6 @@ class Alignment(NamedTuple):
     origin_ned_m: tuple[float, float, float]
 
     def to_ned(self, pos_m: FloatArray, yaw_rad: float) -> tuple[FloatArray, float]:
-        """A pose in our frame."""
         return self.rotation() @ pos_m + np.array(self.origin_ned_m), yaw_rad + self.turn_rad
 
     def rotation(self) -> FloatArray:
@@ -135,7 +134,6 @@ class ExternalAid(FixAid[ExternalPoseSample]):
         return self.counted(fix_from_external(sample, inertial, self._mount_frd_m))
 
     def fix(self, sample: ExternalPoseSample, node: Node) -> PoseFix | None:
-        """See :class:`FixAid`."""
         if not well_formed(sample):
             return self.counted(None)
         self._note_jump(sample)

@@ -36,7 +36,6 @@ class LaserRange(FloorRange):
         return max(down_of(inertial, self.beam_frd), LEAST_COSINE)
 
     def predicted(self, x: FloatArray, moment: Moment, after_s: float) -> FloatArray:
-        """The range and the bias."""
         # Not super(): a dataclass with slots is another class than the one that its methods were written in.
         return FloorRange.predicted(self, x, moment, after_s) + x.item(LASER_BIAS)
 
@@ -87,11 +86,9 @@ class LaserAid(ScalarAid[LaserSample | MarkerSighting]):
 
     @property
     def offset_us(self) -> int:
-        """See :class:`Aid`."""
         return self._pictures.offset_us
 
     def measured(self, sample: LaserSample | MarkerSighting) -> LaserRange | None:
-        """See :class:`ScalarAid`."""
         shown = self._of_picture(sample) if isinstance(sample, MarkerSighting) else sample
         floor_m = self._floor_depth_m
         if shown is None or floor_m is None:

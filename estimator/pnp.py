@@ -212,7 +212,6 @@ def add_priors(
 
 
 def rms_of(residual: FloatArray) -> float:
-    """Root mean square."""
     return math.sqrt(float(residual @ residual) / len(residual))
 
 

@@ -305,7 +305,6 @@ def _windows(parameters: Any, first_px: int, last_px: int, step_px: int) -> None
 
 
 def _bounds(parameters: Any, least_px: float, most_px: float, image_px: int) -> None:
-    """Sides that a marker may have."""
     parameters.minMarkerPerimeterRate = max(VISION.min_side_px, VISION.size_band[0] * least_px) * 4.0 / image_px
     parameters.maxMarkerPerimeterRate = VISION.size_band[1] * 4.0 * most_px / image_px
 

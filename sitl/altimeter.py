@@ -48,11 +48,9 @@ class SimAltimeter(LossySensor[AltimeterSample]):
     def of(
         cls, table: AltimeterSensor, mount: AltimeterMount, world: SensedWorld, faults: Iterable[Fault], seed: int
     ) -> "SimAltimeter":
-        """In a world."""
         return cls(table, mount, world.floor_depth_m, faults, seed)
 
     def observe(self, truth: Truth) -> None:
-        """Take the sample that is due at ``truth.t_us``."""
         self._taken()
         noise, chance = self._rng.standard_normal(2).tolist(), self._rng.random(3).tolist()
         range_m = self._echo_m(truth)

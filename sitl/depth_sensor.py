@@ -43,11 +43,9 @@ class SimDepthSensor(LossySensor[DepthSample]):
     def of(
         cls, table: DepthSensor, mount: DepthMount, world: SensedWorld, faults: Iterable[Fault], seed: int
     ) -> "SimDepthSensor":
-        """In a world."""
         return cls(table, mount, faults, seed, world.waves)
 
     def observe(self, truth: Truth) -> None:
-        """Take the sample that is due at ``truth.t_us``."""
         self._taken()
         noise, chance = self._rng.standard_normal(3).tolist(), self._rng.random(3).tolist()
         self._offset_m += self._walk_m * noise[0]

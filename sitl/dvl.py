@@ -34,11 +34,9 @@ class SimDvl(LossySensor[VelocitySample]):
 
     @classmethod
     def of(cls, table: DvlSensor, mount: DvlMount, world: SensedWorld, faults: Iterable[Fault], seed: int) -> "SimDvl":
-        """In a world."""
         return cls(table, mount, world.floor_depth_m, faults, seed)
 
     def observe(self, truth: Truth) -> None:
-        """Take the sample that is due at ``truth.t_us``."""
         self._taken()
         noise, chance = self._rng.standard_normal(4), self._rng.random(5)
         if self._lost(truth.t_us, float(chance[0])):

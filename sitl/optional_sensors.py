@@ -36,9 +36,7 @@ class OptionalSensor(Protocol):
         """When it looks next."""
         ...
 
-    def observe(self, truth: Truth) -> None:
-        """Look."""
-        ...
+    def observe(self, truth: Truth) -> None: ...
 
     def poll(self, t_us: int) -> list[Sample]:
         """What has arrived up to ``t_us``."""
