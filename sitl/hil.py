@@ -47,7 +47,7 @@ class SerialAhrs(Closing):
 
     @property
     def driver(self) -> Ig500:
-        return self._device.driver
+        return self._device
 
     def open(self) -> None:
         self.line.open()
