@@ -25,6 +25,15 @@ FORCE_DISARM = 21196.0
 KEEP_US = 65535
 """In an override: this channel is not ours."""
 
+SEND_EVERY_US, HEARTBEAT_US = 20_000, 1_000_000
+"""It reads its channels at 50 Hz, and misses its ground station's heartbeat after seconds."""
+REST_SENDS = 3
+"""How often 1500 is sent after the last command."""
+SERVO_ID, SERVO_HZ = 36, 50.0
+"""SERVO_OUTPUT_RAW, and how often it is asked for."""
+ENOUGH = 0.7
+"""Share of a rate below which it is asked for anew."""
+
 
 class Wire:
     """Talks to one flight controller over one link. Whatever else is on the link is passed over."""

@@ -79,6 +79,17 @@ class LinuxI2c(Closing):
         return self._bus, self._message
 
 
+class I2cSensor(Closing):
+    """A sensor on a bus, which it opens and closes."""
+
+    def __init__(self, number: int, bus: I2cBus | None) -> None:
+        """``bus``: instead of Linux's of that number."""
+        self._bus = LinuxI2c(number) if bus is None else bus
+
+    def close(self) -> None:
+        self._bus.close()
+
+
 def register(bus: I2cBus, address: int, number: int, count: int = 1) -> int:
     """A register, high byte first. OSError also when the answer is cut short."""
     data = bus.exchange(address, bytes([number]), count)

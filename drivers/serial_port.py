@@ -123,7 +123,7 @@ class SerialLink:
     """MAVLink on a serial line. A device that goes is opened again when it comes back under its name."""
 
     def __init__(self, name: str, device: str, baud: int) -> None:
-        self._name, self._device = name, device
+        self.name, self._device = name, device
         self._cutter = FrameCutter()
         self._attempt_us = 0
         self._numbering = Numbering()
@@ -131,10 +131,6 @@ class SerialLink:
         self._port.open()
         self.dropped_tx = 0
         """Frames that the line did not take."""
-
-    @property
-    def name(self) -> str:
-        return self._name
 
     @property
     def problem(self) -> str | None:

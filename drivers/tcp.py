@@ -104,7 +104,7 @@ class TcpServer:
     """A port that listens has none: clients come and go."""
 
     def __init__(self, name: str, host: str, port: int) -> None:
-        self._name = name
+        self.name = name
         self._clients: dict[int, _TcpConnection] = {}
         """By number."""
         self._numbers = 0
@@ -125,10 +125,6 @@ class TcpServer:
         except OSError as error:
             self._listener.close()
             raise bind_error(name, port, error) from error
-
-    @property
-    def name(self) -> str:
-        return self._name
 
     @property
     def clients(self) -> int:
@@ -211,7 +207,7 @@ class TcpClient:
     """Connects to a server; tries again while the server is away, and what is sent meanwhile is lost."""
 
     def __init__(self, name: str, host: str, port: int) -> None:
-        self._name = name
+        self.name = name
         self._address = resolve(name, host, port)
         self._attempt_us = 0
         self._attempt: socket.socket | None = None
@@ -230,10 +226,6 @@ class TcpClient:
     @property
     def problem(self) -> str | None:
         return None if self._closed or self._stream.open else "server gone, connecting again"
-
-    @property
-    def name(self) -> str:
-        return self._name
 
     def filenos(self) -> list[int]:
         number = self._stream.fileno()
@@ -265,7 +257,7 @@ class TcpClient:
             attempt, self._attempt = self._attempt, None
             try:
                 attempt.getpeername()
-                self._stream = _TcpConnection(attempt, EVERYONE, self._name, reach_of(self._address[0]))
+                self._stream = _TcpConnection(attempt, EVERYONE, self.name, reach_of(self._address[0]))
                 return
             except OSError:
                 attempt.close()

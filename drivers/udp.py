@@ -75,7 +75,7 @@ class _Udp:
     """A datagram socket has none: what is sent may always get lost."""
 
     def __init__(self, name: str) -> None:
-        self._name = name
+        self.name = name
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self._socket.setblocking(False)
         self._known: dict[Address, _Peer] = {}
@@ -90,10 +90,6 @@ class _Udp:
         self._look_us = 0
         self.dropped_tx = 0
         """Datagrams that could not be sent."""
-
-    @property
-    def name(self) -> str:
-        return self._name
 
     @property
     def peers(self) -> tuple[Address, ...]:
@@ -199,8 +195,8 @@ class _Udp:
             self._send_to(self._known[address].numbering(data), address)
 
 
-class UdpOut(_Udp):
-    """Sends to one address, and takes what its host sends to the socket (from whatever port); others are not heard."""
+class _Directed(_Udp):
+    """A socket that sends to an address before anybody has been heard."""
 
     def __init__(self, name: str, host: str, port: int) -> None:
         self._target = resolve(name, host, port)
@@ -210,6 +206,10 @@ class UdpOut(_Udp):
             self._socket.bind((LOOPBACK, 0))
         self._numbering = Numbering()
         """Of the target, heard or not."""
+
+
+class UdpOut(_Directed):
+    """Sends to one address, and takes what its host sends to the socket (from whatever port); others are not heard."""
 
     def send(self, data: bytes, client: int = EVERYONE, beside: frozenset[int] = frozenset()) -> None:
         if client == EVERYONE and beside and any(self._addresses.get(other) == self._target for other in beside):
@@ -226,17 +226,13 @@ class UdpOut(_Udp):
         return address == self._target
 
 
-class UdpBroadcast(_Udp):
+class UdpBroadcast(_Directed):
     """Calls to everyone at a broadcast address, once per second, until somebody answers; from then on it speaks to who
     has answered. When all have been silent for KEEP_US it calls again."""
 
     def __init__(self, name: str, host: str, port: int) -> None:
-        self._target = resolve(name, host, port)
-        super().__init__(name)
+        super().__init__(name, host, port)
         self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_BROADCAST, 1)
-        if self._target[0].startswith(LOOPBACK_NET):
-            self._socket.bind((LOOPBACK, 0))
-        self._numbering = Numbering()
         self._now_us = 0
 
     def recv(self, t_us: int) -> list[Received]:

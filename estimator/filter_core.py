@@ -25,7 +25,7 @@ class Innovation(NamedTuple):
     """(21, m) covariance between state and residual; None where :attr:`after` is known."""
     after: FilterState | None = None
     """The state if it is used, when that is known already."""
-    look: PastUpdate | None = None
+    update: PastUpdate | None = None
     """The update for :mod:`autopilot.estimator.carry`; None where its effect cannot be carried on."""
 
     @property

@@ -71,7 +71,7 @@ class Fusion:
         if miss is None or part is None:
             return
         variance = max(miss, _initial_variance(part))
-        self.history.reopen(node, Reopening(aid.sensor, measurement.t_us, part, variance))
+        self.history.forget(node, Reopening(aid.sensor, measurement.t_us, part, variance))
         aid.reset(self.now_us)
 
     def move(self, pose: FloatArray, noise: FloatArray, vel_ned_m_s: FloatArray, forgotten: Iterable[slice]) -> None:

@@ -123,8 +123,8 @@ class KalmanCore:
         if sheets is not None:  # considered, not corrected: this says next to nothing of them
             sheets = sheets._replace(cross=sheets.cross - kf.K.dot(h.dot(sheets.cross)))
         after = FilterState(kf.x, symmetric(kf.P), sheets)
-        look = None if sheets is not None else PastUpdate(kf.K, h, kf.S, kf.y)
-        return Innovation(kf.y, kf.S.diagonal(), ratio, kf.K, None, after, look)
+        update = None if sheets is not None else PastUpdate(kf.K, h, kf.S, kf.y)
+        return Innovation(kf.y, kf.S.diagonal(), ratio, kf.K, None, after, update)
 
     def _on_sheets(
         self, state: FilterState, measurement: Measurement, ground: SheetDependence, moment: Moment, after_s: float

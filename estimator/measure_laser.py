@@ -11,7 +11,7 @@ from autopilot.core.vehicle import Laser, Vehicle
 from autopilot.estimator.aiding import ScalarAid
 from autopilot.estimator.inertial import Inertial, down_of
 from autopilot.estimator.measure_range import LEAST_COSINE, FloorRange, unit
-from autopilot.estimator.measurement import Moment
+from autopilot.estimator.measurement import MAX_SIGMA_M, Moment
 from autopilot.estimator.pictures import Pictures
 from autopilot.estimator.states import LASER_BIAS, one
 
@@ -19,7 +19,6 @@ MIN_SIGMA_M = 0.005
 """Floor of the range noise: waves of the floor, calibration."""
 
 MAX_RANGE_M = 50.0
-MAX_SIGMA_M = 10.0
 
 NO_LASER = Laser(position_frd_m=(0.0, 0.0, 0.0))
 """Stands for the laser of a vehicle that has none: no sample of it will come."""

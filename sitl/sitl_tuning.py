@@ -186,7 +186,7 @@ class PlantTuning:
     """Integration step where the hull may touch something: 36 steps in the period of the hull on the contact's
     spring."""
     gravity_m_s2: float = 9.80665
-    """Standard gravity, for what an accelerometer feels."""
+    """Standard gravity: what an accelerometer feels, and what drives waves."""
     zero: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
 
@@ -212,7 +212,6 @@ POSE_SENSOR = PoseSensorTuning()
 
 @dataclass(frozen=True, slots=True)
 class WavesTuning:
-    gravity_m_s2: float = 9.80665
     deep: float = 30.0
     """From this k h on the bottom is not felt: exp(-k h) is below 1e-13."""
     newton_steps: int = 50

@@ -25,12 +25,12 @@ import numpy as np
 from autopilot.core.toml_table import Vec3
 from autopilot.sitl.current_fields import CurrentField, Gradient
 from autopilot.sitl.scenario_tables import Waves
-from autopilot.sitl.sitl_tuning import WAVES
+from autopilot.sitl.sitl_tuning import PLANT, WAVES
 
 
 def wave_number(omega_rad_s: float, depth_m: float) -> float:
     """k [1/m] of the dispersion relation, by Newton's method; ``depth_m`` may be infinite."""
-    deep = omega_rad_s * omega_rad_s / WAVES.gravity_m_s2
+    deep = omega_rad_s * omega_rad_s / PLANT.gravity_m_s2
     if deep * depth_m > WAVES.deep:
         return deep
     kh, target = max(deep * depth_m, math.sqrt(deep * depth_m)), deep * depth_m
