@@ -80,11 +80,9 @@ class Admission(Generic[K]):
         self._turn += 1
 
     def heard(self, key: K, t_us: int) -> None:
-        """Bytes came of somebody who has a place."""
         self._places[key].heard_us = t_us
 
     def leave(self, key: K) -> None:
-        """A place is given back."""
         self._places.pop(key, None)
 
     def has_room(self, t_us: int) -> bool:

@@ -10,9 +10,8 @@ import msgspec
 from autopilot.core.samples import PowerSample
 from autopilot.core.toml_table import Positive, Table
 from autopilot.core.vehicle import Vehicle
-from autopilot.drivers.base import Closing
-from autopilot.drivers.battery_meter import EnergyMeter
-from autopilot.drivers.i2c import I2cBus, LinuxI2c, register
+from autopilot.drivers.battery_meter import BatteryMonitor
+from autopilot.drivers.i2c import I2cBus, register
 
 CONVERSION, CONFIG = 0x00, 0x01
 SINGLE_SHOT = 0xC1E3
@@ -43,21 +42,17 @@ class Ads1115Options(Table, frozen=True, kw_only=True):
             raise ValueError(f"`voltage_channel` and `current_channel` are both {self.voltage_channel}; one each")
 
 
-class Ads1115(Closing):
+class Ads1115(BatteryMonitor):
     """The driver: the two channels in turn, a conversion asked for in one poll and read in a later one."""
 
     Options = Ads1115Options
 
     def __init__(self, vehicle: Vehicle, options: Ads1115Options, *, bus: I2cBus | None = None) -> None:
-        self._bus = LinuxI2c(options.bus) if bus is None else bus
+        super().__init__(vehicle, options.bus, bus)
         self._options = options
-        self._meter = EnergyMeter(vehicle.battery.capacity_j, vehicle.battery.limits)
-        self.bad_samples = 0
-        """Readings that no battery gives."""
         self._channels = (options.voltage_channel, options.current_channel)
         self._values_v = [0.0, 0.0]
         self._asked: tuple[int, int] | None = None
-        self._next_us = -(1 << 62)
 
     def open(self) -> None:
         """Set the device up. DriverError or OSError if it is not there."""
@@ -65,12 +60,7 @@ class Ads1115(Closing):
         self._asked = None
         register(self._bus, self._options.address, CONFIG, 2)
 
-    def close(self) -> None:
-        """Let go of the bus."""
-        self._bus.close()
-
     def poll(self, t_us: int) -> list[PowerSample]:
-        """A sample when one is due."""
         if self._asked is None:
             if t_us >= self._next_us:
                 self._next_us = t_us + PERIOD_US
@@ -95,9 +85,7 @@ class Ads1115(Closing):
         options = self._options
         volt = max(0.0, self._values_v[0]) * options.volt_per_volt
         ampere = (self._values_v[1] - options.current_offset_v) * options.ampere_per_volt
-        sample = self._meter.sample(t_us, volt, ampere)
-        self.bad_samples += sample is None
-        return [] if sample is None else [sample]
+        return self._samples(t_us, volt, ampere)
 
     def _setting(self, index: int) -> int:
         return SINGLE_SHOT | RANGE_4V | self._channels[index] << 12

@@ -28,27 +28,35 @@ from autopilot.drivers.ardusub_prearm import RUN_CHECKS, SYS_STATUS_ID, PrearmWa
 from autopilot.drivers.ardusub_senders import OutputWatch
 from autopilot.drivers.ardusub_settings import ArduSubSettings
 from autopilot.drivers.ardusub_telemetry import ArduSubTelemetry
-from autopilot.drivers.ardusub_wire import Wire
+from autopilot.drivers.ardusub_wire import (
+    ENOUGH,
+    HEARTBEAT_US,
+    REST_SENDS,
+    SEND_EVERY_US,
+    SERVO_HZ,
+    SERVO_ID,
+    Wire,
+)
 from autopilot.drivers.base import Closing
 from autopilot.drivers.links import open_link
 
-SEND_EVERY_US = 20_000
-"""It reads its channels at 50 Hz."""
 HEARTBEAT = 0
-HEARTBEAT_US = 1_000_000
 ASK_EVERY_US = 500_000
 PARAMETERS_PER_ASK = 16
 READ_AGAIN_US = 30_000_000
 """Parameters act live and may be changed by the pilot: while disarmed they are read anew."""
 STALE_US = 500_000
 """Nothing heard for so long: it is silent."""
-REST_SENDS = 3
-"""How often 1500 is sent after the last command."""
-
-SERVO_RATE_HZ, SLOW_HZ, PRESSURE_HZ, STATUS_HZ = 50.0, 2.0, 20.0, 1.0
+MESSAGE_IDS = {
+    "ATTITUDE": 30,
+    "RAW_IMU": 27,
+    "SCALED_PRESSURE2": 137,
+    "SERVO_OUTPUT_RAW": SERVO_ID,
+    "DISTANCE_SENSOR": 132,
+    "BATTERY_STATUS": 147,
+}
+SLOW_HZ, PRESSURE_HZ, STATUS_HZ = 2.0, 20.0, 1.0
 REBOOT_MS = 1000
-ENOUGH = 0.7
-"""Share of a rate below which it is asked for anew."""
 SHOWN_SEVERITY = 4
 """MAV_SEVERITY_WARNING: what it says that is less is for its own ground station."""
 MAX_NOTICES = 20
@@ -89,18 +97,10 @@ class ArduSub(Closing):
             "ATTITUDE": vehicle.ahrs.rate_hz,
             "RAW_IMU": vehicle.ahrs.rate_hz,
             "SCALED_PRESSURE2": PRESSURE_HZ,
-            "SERVO_OUTPUT_RAW": SERVO_RATE_HZ,
+            "SERVO_OUTPUT_RAW": SERVO_HZ,
             "DISTANCE_SENSOR": vehicle.altimeter.rate_hz,
             "BATTERY_STATUS": SLOW_HZ,
         }
-        self._ids = {
-            "ATTITUDE": 30,
-            "RAW_IMU": 27,
-            "SCALED_PRESSURE2": 137,
-            "SERVO_OUTPUT_RAW": 36,
-            "DISTANCE_SENSOR": 132,
-        }
-        self._ids["BATTERY_STATUS"] = 147
         self._wire: Wire | None = None
         self._telemetry = self._new_telemetry()
         self._watch = AuthorityWatch()
@@ -154,7 +154,6 @@ class ArduSub(Closing):
         return self._telemetry.bad_samples
 
     def open(self) -> None:
-        """Open the link; whether anybody is there shows later."""
         if self._wire is None:
             wire = Wire(open_link(self._options.connect), system=self._options.system, ours=self._options.gcs_system)
             self._telemetry = self._new_telemetry()
@@ -296,7 +295,7 @@ class ArduSub(Closing):
         """For messages that do not come as often as they should, and for parameters."""
         for kind, rate_hz in self._rates_hz.items():
             if self._heard_of[kind] < int(ENOUGH * rate_hz * passed_s):
-                wire.interval(self._ids[kind], rate_hz)
+                wire.interval(MESSAGE_IDS[kind], rate_hz)
             self._heard_of[kind] = 0
         if not self._watch.wanted and self._prearm.due(t_us):
             wire.interval(SYS_STATUS_ID, STATUS_HZ)
@@ -316,7 +315,6 @@ class ArduSub(Closing):
     # Who has it
 
     def command(self, t_us: int, *, armed: bool) -> None:
-        """Whether our thrust is meant to act."""
         watch = self._watch
         if watch.wanted and not armed:
             self._let_go()
@@ -445,7 +443,6 @@ class ArduSub(Closing):
         return False
 
     def neutral(self) -> None:
-        """Stop all thrusters now."""
         self._let_go()
 
     def _rest_of(self, t_us: int) -> None:

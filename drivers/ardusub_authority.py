@@ -8,6 +8,7 @@ that came behind its answer shows it.
 from typing import Any
 
 from autopilot.core.messages import Authority
+from autopilot.drivers.ardusub_wire import ARM_DISARM
 
 MANUAL = 19
 MODE_NAMES = {
@@ -34,7 +35,6 @@ SPOOL_US = 1_050_000
 ASK_EVERY_US = 1_000_000
 GIVE_UP_US = 5_000_000
 """So long it may take to arm."""
-ARM_DISARM = 400
 DISARM_EVERY_US = 250_000
 """A disarming that is waited for is asked for so often,"""
 BEAT_EVERY_US = 100_000
@@ -175,7 +175,6 @@ class AuthorityWatch:
         return self.wanted
 
     def take(self, t_us: int, message: Any) -> None:
-        """Note a message."""
         match message.get_type():
             case "HEARTBEAT":
                 self.mode, self.known, self._beat_us = int(message.custom_mode), True, t_us

@@ -59,7 +59,6 @@ class ArduSubFrame:
 
     @property
     def motors(self) -> int:
-        """How many."""
         return len(_FLAT_FACTORS) + len(self.upright_factors)
 
 
@@ -196,7 +195,6 @@ class Mixer:
 
     @property
     def motors(self) -> int:
-        """How many."""
         return len(self._order)
 
     def take(self, parameters: Mapping[str, float]) -> None:

@@ -30,7 +30,6 @@ class Passing:
         self._wanted[:] = pulses_us[: len(self._wanted)]
 
     def forget(self) -> None:
-        """It has been rebooted."""
         self._done = [output.start_us for output in self._outputs]
         self._asked = None
 

@@ -27,7 +27,6 @@ class PrearmWatch:
         self._asked_us: int | None = None
 
     def take(self, t_us: int, message: Any) -> None:
-        """Note a message."""
         kind = message.get_type()
         if kind == "SYS_STATUS":
             told = message.onboard_control_sensors_present & message.onboard_control_sensors_enabled & PREARM_BIT
@@ -36,7 +35,6 @@ class PrearmWatch:
             self._text, self._text_us = message.text[len(PREFIX) :].strip(), t_us
 
     def due(self, t_us: int) -> bool:
-        """Whether it is to be asked now."""
         if self._asked_us is not None and t_us - self._asked_us < ASK_AGAIN_US:
             return False
         self._asked_us = t_us

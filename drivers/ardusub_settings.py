@@ -125,15 +125,12 @@ class ArduSubSettings:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """All that are wanted."""
         return tuple(self._asked)
 
     def missing(self) -> list[str]:
-        """Those that have not come and still may."""
         return [name for name, asked in self._asked.items() if name not in self.values and asked < NAMES_GONE_AFTER]
 
     def ask(self, name: str) -> None:
-        """Note that it is asked for."""
         self._asked[name] += 1
 
     def advice(self) -> tuple[tuple[str, str], ...]:

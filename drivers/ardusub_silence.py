@@ -9,22 +9,19 @@ from typing import Any
 
 from autopilot.drivers.ardusub_authority import ARMED_FLAG, MANUAL, SPOOL_US
 from autopilot.drivers.ardusub_mixing import NEUTRAL
-from autopilot.drivers.ardusub_wire import Wire
+from autopilot.drivers.ardusub_wire import ENOUGH, HEARTBEAT_US, REST_SENDS, SEND_EVERY_US, SERVO_HZ, SERVO_ID, Wire
 
 FORWARD, PUSH_US = 4, 80
 """Channel of the thrust ahead, and how far off neutral it is held [us]: a fifth of its range."""
 SHOWN_US, STILL_US = 20, 4
 """Off neutral by so much a motor turns; by less it stands."""
-SERVO_ID, SERVO_HZ, ENOUGH = 36, 50.0, 0.7
-"""What is asked of its outputs, and the share of it that is enough."""
-SEND_EVERY_US, ASK_EVERY_US, BEAT_EVERY_US = 20_000, 1_000_000, 1_000_000
+ASK_EVERY_US = 1_000_000
 CONTACT_US, ARM_US, PUSH_FOR_US = 10_000_000, 8_000_000, 1_000_000
 """So long each step may take at most; thrust is held for the last."""
 SILENT_US = 10_000_000
 """Silence that is long enough."""
 END_US = 3_000_000
 """So long it may take to disarm."""
-NEUTRAL_SENDS = 3
 
 
 class SilenceStep(Enum):
@@ -65,31 +62,26 @@ class SilenceTest:
         return self._step is SilenceStep.DONE
 
     def tick(self, t_us: int) -> None:
-        """Go on."""
         if self._since_us is None:
             self._since_us = t_us
         self._servos_us = ()
         for message in self._wire.receive(t_us):
             self._hear(message)
         passed_us = t_us - self._since_us
-        match self._step:
-            case SilenceStep.CONTACT:
-                self._contact(t_us, passed_us)
-            case SilenceStep.ARM:
-                self._arm(t_us, passed_us)
-            case SilenceStep.PUSH:
-                self._push(t_us, passed_us)
-            case SilenceStep.SILENCE:
-                self._silence(t_us, passed_us)
-            case SilenceStep.END:
-                self._end(t_us, passed_us)
-            case SilenceStep.DONE:
-                return
+        steps = {
+            SilenceStep.CONTACT: self._contact,
+            SilenceStep.ARM: self._arm,
+            SilenceStep.PUSH: self._push,
+            SilenceStep.SILENCE: self._silence,
+            SilenceStep.END: self._end,
+        }
+        if self._step in steps:
+            steps[self._step](t_us, passed_us)
 
     def abort(self) -> None:
         """Whatever it is doing: neutral, and disarmed if it was armed by this."""
         if self._step in (SilenceStep.ARM, SilenceStep.PUSH, SilenceStep.SILENCE, SilenceStep.END):
-            for _ in range(NEUTRAL_SENDS):
+            for _ in range(REST_SENDS):
                 self._wire.override(NEUTRAL)
             self._wire.arm(armed=False)
 
@@ -110,7 +102,7 @@ class SilenceTest:
         self._asked_us = t_us - ASK_EVERY_US
 
     def _give_up(self, t_us: int, problem: str) -> None:
-        self.problem, self._rest = problem, NEUTRAL_SENDS
+        self.problem, self._rest = problem, REST_SENDS
         self._go(t_us, SilenceStep.END)
 
     def _due(self, t_us: int) -> bool:
@@ -120,7 +112,7 @@ class SilenceTest:
         return True
 
     def _beat(self, t_us: int) -> None:
-        if t_us - self._beat_us >= BEAT_EVERY_US:
+        if t_us - self._beat_us >= HEARTBEAT_US:
             self._beat_us = t_us
             self._wire.heartbeat()
 
@@ -170,11 +162,10 @@ class SilenceTest:
         if still:
             self.neutral_s = 1e-6 * (t_us - self._sent_us)
         if still or passed_us > SILENT_US:
-            self._rest = NEUTRAL_SENDS
+            self._rest = REST_SENDS
             self._go(t_us, SilenceStep.END)
 
     def _end(self, t_us: int, passed_us: int) -> None:
-        """Neutral, and disarmed."""
         if self._rest and t_us - self._sent_us >= SEND_EVERY_US:
             self._sent_us, self._rest = t_us, self._rest - 1
             self._wire.override(NEUTRAL)

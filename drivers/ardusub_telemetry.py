@@ -8,8 +8,8 @@ import numpy as np
 from autopilot.core.device_clock import DeviceClock
 from autopilot.core.samples import AhrsSample, AltimeterSample, DepthSample, LeakSample, PowerSample, Sample
 from autopilot.core.vehicle import Vehicle
+from autopilot.drivers.base import G_M_S2
 
-G_M_S2 = 9.80665
 FRESH_IMU_US = 50_000
 """An acceleration older than this beside an attitude: the sample is left out."""
 CLOCK_SPAN_US = (1 << 32) * 1000

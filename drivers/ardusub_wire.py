@@ -25,6 +25,15 @@ FORCE_DISARM = 21196.0
 KEEP_US = 65535
 """In an override: this channel is not ours."""
 
+SEND_EVERY_US, HEARTBEAT_US = 20_000, 1_000_000
+"""It reads its channels at 50 Hz, and misses its ground station's heartbeat after seconds."""
+REST_SENDS = 3
+"""How often 1500 is sent after the last command."""
+SERVO_ID, SERVO_HZ = 36, 50.0
+"""SERVO_OUTPUT_RAW, and how often it is asked for."""
+ENOUGH = 0.7
+"""Share of a rate below which it is asked for anew."""
+
 
 class Wire:
     """Talks to one flight controller over one link. Whatever else is on the link is passed over."""
@@ -65,7 +74,6 @@ class Wire:
                     self._note_other(message)
 
     def _note_other(self, message: Any) -> None:
-        """A heartbeat of somebody else on the link."""
         system, component = message.get_srcSystem(), message.get_srcComponent()
         if message.autopilot != INVALID_AUTOPILOT and component == AUTOPILOT:
             self.other_systems.add(system)
@@ -92,19 +100,15 @@ class Wire:
         self._command(ARM_DISARM, float(armed), 0.0 if armed else FORCE_DISARM)
 
     def interval(self, message_id: int, rate_hz: float) -> None:
-        """Ask for a message so often."""
         self._command(SET_INTERVAL, float(message_id), 1e6 / rate_hz)
 
     def ask_for(self, message_id: int) -> None:
-        """Ask for a message once."""
         self._command(REQUEST_MESSAGE, float(message_id))
 
     def order(self, command: int, first: float, second: float) -> None:
-        """A command with two parameters."""
         self._command(command, first, second)
 
     def read_parameter(self, name: str) -> None:
-        """Ask for one."""
         self._send(self._mav.param_request_read_encode(self._system, AUTOPILOT, name.encode(), -1))
 
     def _command(self, command: int, first: float, second: float = 0.0) -> None:
@@ -116,5 +120,4 @@ class Wire:
         self._link.send(bytes(message.pack(self._mav)))
 
     def close(self) -> None:
-        """Let go of the link."""
         self._link.close()

@@ -4,6 +4,9 @@ from abc import ABC, abstractmethod
 from types import TracebackType
 from typing import Self
 
+G_M_S2 = 9.80665
+"""Standard gravity: what a pressure is worth in depth, and a g in acceleration."""
+
 
 class Closing(ABC):
     """Opens on entering a ``with`` block and closes on leaving it."""

@@ -1,7 +1,8 @@
 """What every battery monitor makes of voltage and current: energy used and the share that is left."""
 
 from autopilot.core.samples import PowerSample, plausible
-from autopilot.core.vehicle import BatteryLimits
+from autopilot.core.vehicle import BatteryLimits, Vehicle
+from autopilot.drivers.i2c import I2cBus, I2cSensor
 
 LONGEST_GAP_US = 2_000_000
 """A longer gap is bridged with no more than this much of the present power: nobody knows what was drawn meanwhile."""
@@ -33,3 +34,19 @@ class EnergyMeter:
             return None
         self._used_j, self._last = used_j, (t_us, power_w)
         return sample
+
+
+class BatteryMonitor(I2cSensor):
+    """A battery monitor on an I2C bus."""
+
+    def __init__(self, vehicle: Vehicle, number: int, bus: I2cBus | None) -> None:
+        super().__init__(number, bus)
+        self._meter = EnergyMeter(vehicle.battery.capacity_j, vehicle.battery.limits)
+        self._next_us = -(1 << 62)
+        self.bad_samples = 0
+        """Readings that no battery gives."""
+
+    def _samples(self, t_us: int, voltage_v: float, current_a: float) -> list[PowerSample]:
+        sample = self._meter.sample(t_us, voltage_v, current_a)
+        self.bad_samples += sample is None
+        return [] if sample is None else [sample]

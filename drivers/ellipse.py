@@ -7,17 +7,16 @@ import msgspec
 import numpy as np
 
 from autopilot.core.device_clock import DeviceClock
-from autopilot.core.errors import DriverError
 from autopilot.core.frames import rpy_from_quat
 from autopilot.core.messages import Severity
 from autopilot.core.samples import AhrsSample
 from autopilot.core.toml_table import Table
 from autopilot.core.vehicle import Vehicle
 from autopilot.drivers import ellipse_protocol as wire
-from autopilot.drivers.base import Closing
-from autopilot.drivers.ig500 import ASK_AGAIN_POLLS, QUATERNION_TOLERANCE
+from autopilot.drivers.ig500 import QUATERNION_TOLERANCE
 from autopilot.drivers.protocols import BytePort
 from autopilot.drivers.serial_port import SerialPort
+from autopilot.drivers.serial_sensor import SerialSensor
 
 LOGS = (wire.IMU_DATA, wire.EKF_QUATERNION)
 CLOCK_SPAN_US = 1 << 32
@@ -38,62 +37,28 @@ class EllipseOptions(Table, frozen=True, kw_only=True):
             raise ValueError(f"`divider` = {self.divider}: the device knows 1, 2, 4, 5, 8, 10, 20, 40 and 200")
 
 
-class Ellipse(Closing):
-    """A :class:`autopilot.drivers.protocols.Sensor`. The device is mounted with its axes forward, right, down."""
+class Ellipse(SerialSensor[AhrsSample]):
+    """The device is mounted with its axes forward, right, down."""
 
     Options = EllipseOptions
 
     def __init__(self, vehicle: Vehicle, options: EllipseOptions, *, port: BytePort | None = None) -> None:
-        self._port: BytePort = SerialPort(options.port, options.baud) if port is None else port
+        super().__init__(SerialPort(options.port, options.baud) if port is None else port, wire.EllipseParser())
         self._latency_us = round(vehicle.ahrs.latency_s * 1e6)
         self._mode = options.divider
-        self._parser = wire.EllipseParser()
         self.clock = DeviceClock(CLOCK_SPAN_US)
         """The device's, on the service's time."""
         self._imu: wire.Imu | None = None
         self._attitude: wire.Attitude | None = None
-        self._silent_polls = 0
         self.confirmed: set[int] = set()
         """Logs that the device says it sends as asked."""
-        self.bad_samples = 0
-        """Frames that are intact but useless."""
         self.configured_count = 0
         """How often the device was configured since the start."""
 
-    @property
-    def bad_frames(self) -> int:
-        """Frames dropped for their checksum, size or end."""
-        return self._parser.bad_frames
-
-    def open(self) -> None:
-        """Open the line and configure the device."""
-        self._port.open()
-        self._parser = wire.EllipseParser()
+    def _begin(self) -> None:
         self.clock.begin()
-        self._configure()
-
-    def close(self) -> None:
-        """Close the line; the device goes on sending to nobody."""
-        self._port.close()
-
-    def poll(self, t_us: int) -> list[AhrsSample]:
-        """What has arrived. DriverError when the line is gone."""
-        samples = []
-        for arrival_us, data in self._port.read(t_us):
-            for frame in self._parser.feed(data):
-                sample = self._take(arrival_us, frame)
-                if sample is not None:
-                    samples.append(sample)
-        if getattr(self._port, "lost", False):
-            raise DriverError("serial line gone, check the cable")
-        self._silent_polls = 0 if samples else self._silent_polls + 1
-        if self._silent_polls >= ASK_AGAIN_POLLS:
-            self._silent_polls = 0
-            self._configure()
-        return samples
 
     def take_notices(self) -> list[tuple[Severity, str]]:
-        """What operators should know since the last call."""
         return self.clock.take_notices()
 
     def _configure(self) -> None:

@@ -8,11 +8,7 @@ import math
 import struct
 from dataclasses import dataclass
 
-from autopilot.drivers.sbg_frames import Framing, SbgParser, crc16
-
-SYNC = b"\xff\x5a"
-END = 0x33
-MAX_DATA = 4086
+from autopilot.drivers.sbg_frames import SbgParser
 
 LOGS, COMMANDS = 0x00, 0x10
 """Classes."""
@@ -62,12 +58,17 @@ class Attitude:
     status: int
 
 
+class EllipseParser(SbgParser[EllipseFrame]):
+    """Frames of an Ellipse."""
+
+    sync, end, head_bytes, max_data, order = b"\xff\x5a", 0x33, 6, 4086, "<"
+
+    def _make(self, ids: bytes, data: bytes) -> EllipseFrame:
+        return EllipseFrame(ids[0], ids[1], data)
+
+
 def encode_frame(message: int, kind: int, data: bytes = b"") -> bytes:
-    """The bytes of one frame."""
-    if len(data) > MAX_DATA:
-        raise ValueError(f"{len(data)} bytes do not fit in a frame, at most {MAX_DATA} do")
-    body = struct.pack("<BBH", message, kind, len(data)) + data
-    return SYNC + body + struct.pack("<HB", crc16(body), END)
+    return EllipseParser.encoded(bytes([message, kind]), data)
 
 
 def encode_output(log: int, mode: int) -> bytes:
@@ -118,11 +119,3 @@ def decode_attitude(data: bytes) -> Attitude | None:
     if not all(map(math.isfinite, numbers)):
         return None
     return Attitude(device_us, tuple(numbers[0:4]), status)
-
-
-class EllipseParser(SbgParser[EllipseFrame]):
-    """Frames of an Ellipse."""
-
-    def __init__(self) -> None:
-        framing = Framing(sync=SYNC, end=END, id_bytes=2, max_data=MAX_DATA, order="little")
-        super().__init__(framing, lambda ids, data: EllipseFrame(ids[0], ids[1], data))

@@ -1,8 +1,13 @@
-"""Cuts a byte stream (TCP, serial) into whole MAVLink frames, without knowing any message.
+"""Cuts a byte stream (TCP, serial) into whole frames: MAVLink's without knowing any message, and those of devices.
 
-A frame is known by its start byte and length alone (https://mavlink.io/en/guide/serialization.html); checksums are the
-reader's business. A start byte that was none is noticed when no other follows its frame.
+A MAVLink frame is known by its start byte and length alone (https://mavlink.io/en/guide/serialization.html); checksums
+are the reader's business. A start byte that was none is noticed when no other follows its frame.
 """
+
+from abc import ABC, abstractmethod
+from typing import ClassVar, Generic, TypeVar
+
+F = TypeVar("F")
 
 _V1, _V2 = 0xFE, 0xFD
 _V1_OVERHEAD, _V2_OVERHEAD, _SIGNATURE = 8, 12, 13
@@ -18,7 +23,6 @@ class FrameCutter:
         self.skipped = 0
 
     def feed(self, data: bytes) -> list[bytes]:
-        """The frames that are complete now, oldest first."""
         self._buffer += data
         buffer, frames, at = self._buffer, [], 0
         while at < len(buffer):
@@ -53,3 +57,60 @@ def _frame_size(buffer: bytearray, at: int) -> int | None:
     if buffer[at] == _V1:
         return length + _V1_OVERHEAD
     return length + _V2_OVERHEAD + (_SIGNATURE if buffer[at + 2] & _SIGNED else 0)
+
+
+class FrameParser(ABC, Generic[F]):
+    """Frames of a device that begin with sync bytes and hold their length. However the bytes are cut, it never raises;
+    the counters say what was thrown away."""
+
+    sync: ClassVar[bytes]
+    head_bytes: ClassVar[int]
+    """Bytes from the sync on that tell how long the frame is."""
+
+    def __init__(self) -> None:
+        self._buffer = bytearray()
+        self.skipped = 0
+        """Bytes outside of any good frame."""
+        self.bad_frames = 0
+        """Frames with a wrong size, checksum or end."""
+
+    @abstractmethod
+    def _size(self, head: bytes) -> int | None:
+        """Bytes of the frame that begins so, None if no frame does."""
+
+    @abstractmethod
+    def _frame(self, data: bytes) -> F | None:
+        """The frame of these bytes, None if they are damaged."""
+
+    def restart(self) -> None:
+        """Forget a frame that is not complete yet."""
+        self._buffer.clear()
+
+    def feed(self, data: bytes) -> list[F]:
+        """The frames that are complete now, oldest first."""
+        self._buffer += data
+        buffer, sync, frames, at = self._buffer, self.sync, [], 0
+        while True:
+            start = buffer.find(sync, at)
+            if start < 0:
+                keep = 1 if buffer[-1:] == sync[:1] and len(buffer) > at else 0
+                self.skipped += len(buffer) - at - keep
+                at = len(buffer) - keep
+                break
+            self.skipped += start - at
+            at = start
+            if len(buffer) < at + self.head_bytes:
+                break
+            size = self._size(bytes(buffer[at : at + self.head_bytes]))
+            if size is not None and len(buffer) < at + size:
+                break
+            frame = None if size is None else self._frame(bytes(buffer[at : at + size]))
+            if size is None or frame is None:
+                self.bad_frames += 1
+                self.skipped += len(sync)
+                at += len(sync)  # not the whole frame: the size itself may be what is damaged
+                continue
+            frames.append(frame)
+            at += size
+        del buffer[:at]
+        return frames

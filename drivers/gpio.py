@@ -10,13 +10,9 @@ from autopilot.drivers.protocols import Device
 class GpioLine(Device, Protocol):
     """One line. OSError when the chip has gone."""
 
-    def get(self) -> bool:
-        """Whether it is active."""
-        ...
+    def get(self) -> bool: ...
 
-    def set(self, active: bool) -> None:
-        """Switch it, if it is an output."""
-        ...
+    def set(self, active: bool) -> None: ...
 
 
 class LinuxGpio(Closing):
@@ -54,17 +50,14 @@ class LinuxGpio(Closing):
         self._value = Value
 
     def close(self) -> None:
-        """Give the line back."""
         request, self._request = self._request, None
         if request is not None:
             request.release()
 
     def get(self) -> bool:
-        """Whether it is active."""
         return bool(self._held().get_value(self._line) == self._value.ACTIVE)
 
     def set(self, active: bool) -> None:
-        """Switch it."""
         self._held().set_value(self._line, self._value.ACTIVE if active else self._value.INACTIVE)
 
     def _held(self) -> Any:

@@ -16,13 +16,9 @@ BUS_TIMEOUT_10MS = 1
 class I2cBus(Device, Protocol):
     """Transactions. OSError when nobody acknowledges or the bus hangs."""
 
-    def write(self, address: int, data: bytes) -> None:
-        """Send bytes to a device."""
-        ...
+    def write(self, address: int, data: bytes) -> None: ...
 
-    def read(self, address: int, count: int) -> bytes:
-        """Bytes from a device."""
-        ...
+    def read(self, address: int, count: int) -> bytes: ...
 
     def exchange(self, address: int, data: bytes, count: int) -> bytes:
         """Send, then read after a repeated start: how registers are read."""
@@ -38,7 +34,6 @@ class LinuxI2c(Closing):
         self._message: Any = None
 
     def open(self) -> None:
-        """Open the bus; DriverError says why that fails."""
         if self._bus is not None:
             return
         try:
@@ -58,25 +53,21 @@ class LinuxI2c(Closing):
             ) from error
 
     def close(self) -> None:
-        """Close the bus."""
         bus, self._bus = self._bus, None
         if bus is not None:
             bus.close()
 
     def write(self, address: int, data: bytes) -> None:
-        """Send bytes to a device."""
         bus, message = self._parts()
         bus.i2c_rdwr(message.write(address, data))
 
     def read(self, address: int, count: int) -> bytes:
-        """Bytes from a device."""
         bus, message = self._parts()
         reply = message.read(address, count)
         bus.i2c_rdwr(reply)
         return bytes(reply)
 
     def exchange(self, address: int, data: bytes, count: int) -> bytes:
-        """Send, then read."""
         bus, message = self._parts()
         reply = message.read(address, count)
         bus.i2c_rdwr(message.write(address, data), reply)
@@ -86,6 +77,17 @@ class LinuxI2c(Closing):
         if self._bus is None:
             raise DriverError(f"/dev/i2c-{self._number} is closed; open it before use")
         return self._bus, self._message
+
+
+class I2cSensor(Closing):
+    """A sensor on a bus, which it opens and closes."""
+
+    def __init__(self, number: int, bus: I2cBus | None) -> None:
+        """``bus``: instead of Linux's of that number."""
+        self._bus = LinuxI2c(number) if bus is None else bus
+
+    def close(self) -> None:
+        self._bus.close()
 
 
 def register(bus: I2cBus, address: int, number: int, count: int = 1) -> int:

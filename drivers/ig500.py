@@ -8,7 +8,6 @@ from autopilot.core.device_clock import DeviceClock
 from autopilot.core.frames import rpy_from_quat
 from autopilot.core.messages import Severity
 from autopilot.core.samples import AhrsSample, ImuSample
-from autopilot.drivers.base import Closing
 from autopilot.drivers.ig500_protocol import (
     AHRS_MASK,
     CONTINUOUS_OUTPUT,
@@ -16,6 +15,7 @@ from autopilot.drivers.ig500_protocol import (
     RAW_MASK,
     RETURN_OUTPUT_MASK,
     STATUS_GOOD,
+    Ig500Frame,
     Ig500Parser,
     Ig500Status,
     OutputCodec,
@@ -26,16 +26,15 @@ from autopilot.drivers.ig500_protocol import (
     encode_output_mask,
 )
 from autopilot.drivers.protocols import BytePort
+from autopilot.drivers.serial_sensor import SerialSensor
 
-ASK_AGAIN_POLLS = 100
-"""Polls without a good sample after which the device is configured again (1 s at the 100 Hz tick)."""
 QUATERNION_TOLERANCE = 0.05
 """Samples whose quaternion's norm is farther from 1 are dropped."""
 CLOCK_SPAN_US = (1 << 32) * 1000
 """The device's milliseconds begin anew after 50 days."""
 
 
-class Ig500(Closing):
+class Ig500(SerialSensor[AhrsSample | ImuSample]):
     """The driver. Frames of the body: the device is mounted with its axes forward, right, down.
 
     A measurement does not say which fields it holds, so none is believed before the device has said that its mask is
@@ -44,7 +43,7 @@ class Ig500(Closing):
 
     def __init__(self, port: BytePort, latency_s: float, divider: int = 1, *, attitude: bool = True) -> None:
         """``attitude`` False: ask for the raw sensors only, magnetometer included."""
-        self._port = port
+        super().__init__(port, Ig500Parser())
         self._latency_us = round(latency_s * 1e6)
         self._divider = divider
         self._mask = AHRS_MASK if attitude else RAW_MASK
@@ -57,52 +56,25 @@ class Ig500(Closing):
         self.status: Ig500Status | None = None
         """What the device says of itself with its last measurement."""
         self._status_bits: int | None = None
-        self._parser = Ig500Parser()
         self.clock = DeviceClock(CLOCK_SPAN_US)
         """The device's, on the service's time."""
-        self._silent_polls = 0
         self._last_device_us = -1
-        self.bad_samples = 0
-        """Frames that are intact but useless (wrong size, not finite, no rotation, time standing still)."""
         self.configured_count = 0
         """How often the device was configured: 1 at opening, more when it fell silent."""
 
-    @property
-    def bad_frames(self) -> int:
-        """Frames dropped for their checksum, size or end."""
-        return self._parser.bad_frames
-
-    def open(self) -> None:
-        """Open the port and configure the device."""
-        self._port.open()
+    def _begin(self) -> None:
         self.clock.begin()
-        self._configure()
 
-    def close(self) -> None:
-        """Close the port; the device goes on sending to nobody."""
-        self._port.close()
-
-    def poll(self, t_us: int) -> list[AhrsSample | ImuSample]:
-        """The samples that have arrived, stamped with their time of validity."""
-        samples: list[AhrsSample | ImuSample] = []
-        for arrival_us, data in self._port.read(t_us):
-            for frame in self._parser.feed(data):
-                if frame.command == RETURN_OUTPUT_MASK:
-                    self._confirmed = decode_output_mask(frame.data) == self._mask
-                elif frame.command == CONTINUOUS_OUTPUT and self._confirmed:
-                    sample = self._sample(arrival_us, frame.data)
-                    if sample is None:
-                        self.bad_samples += 1
-                    else:
-                        samples.append(sample)
-        self._silent_polls = 0 if samples else self._silent_polls + 1
-        if self._silent_polls >= ASK_AGAIN_POLLS:
-            self._silent_polls = 0
-            self._configure()
-        return samples
+    def _take(self, arrival_us: int, frame: Ig500Frame) -> AhrsSample | ImuSample | None:
+        if frame.command == RETURN_OUTPUT_MASK:
+            self._confirmed = decode_output_mask(frame.data) == self._mask
+        if frame.command != CONTINUOUS_OUTPUT or not self._confirmed:
+            return None
+        sample = self._sample(arrival_us, frame.data)
+        self.bad_samples += sample is None
+        return sample
 
     def take_notices(self) -> list[tuple[Severity, str]]:
-        """What operators should know since the last call."""
         return self.clock.take_notices()
 
     @property

@@ -4,12 +4,8 @@ from typing import Annotated
 
 import msgspec
 
-from autopilot.core.errors import DriverError
-from autopilot.core.messages import Severity
-from autopilot.core.samples import AhrsSample, ImuSample
 from autopilot.core.toml_table import Table
 from autopilot.core.vehicle import Vehicle
-from autopilot.drivers.base import Closing
 from autopilot.drivers.ig500 import Ig500
 from autopilot.drivers.serial_port import SerialPort
 
@@ -26,45 +22,11 @@ class Ig500Options(Table, frozen=True, kw_only=True):
     """False: raw sensors only, the attitude is made on board."""
 
 
-class Ig500Device(Closing):
-    """A :class:`autopilot.drivers.protocols.Sensor`."""
+class Ig500Device(Ig500):
+    """The driver on the line that the configuration names."""
 
     Options = Ig500Options
 
     def __init__(self, vehicle: Vehicle, options: Ig500Options) -> None:
-        self._port = SerialPort(options.port, options.baud)
-        self._driver = Ig500(self._port, vehicle.ahrs.latency_s, options.divider, attitude=options.attitude)
-
-    @property
-    def driver(self) -> Ig500:
-        """What speaks the protocol."""
-        return self._driver
-
-    @property
-    def bad_frames(self) -> int:
-        """Frames dropped for their checksum, size or end."""
-        return self._driver.bad_frames
-
-    @property
-    def bad_samples(self) -> int:
-        """Frames that are intact but useless."""
-        return self._driver.bad_samples
-
-    def take_notices(self) -> list[tuple[Severity, str]]:
-        """What operators should know since the last call."""
-        return self._driver.take_notices()
-
-    def open(self) -> None:
-        """Open the line and configure the device."""
-        self._driver.open()
-
-    def close(self) -> None:
-        """Close the line."""
-        self._driver.close()
-
-    def poll(self, t_us: int) -> list[AhrsSample | ImuSample]:
-        """What has arrived. DriverError when the line is gone."""
-        samples = self._driver.poll(t_us)
-        if self._port.lost:
-            raise DriverError("serial line gone, check the cable")
-        return samples
+        port = SerialPort(options.port, options.baud)
+        super().__init__(port, vehicle.ahrs.latency_s, options.divider, attitude=options.attitude)

@@ -13,12 +13,7 @@ from dataclasses import dataclass
 from enum import IntFlag
 
 from autopilot.core.errors import ConfigError
-from autopilot.drivers.sbg_frames import Framing, SbgParser, crc16
-
-SYNC = b"\xff\x02"
-END = 0x03
-MAX_DATA = 504
-"""Bytes of data that a frame may carry."""
+from autopilot.drivers.sbg_frames import SbgParser
 
 ACKNOWLEDGE = 0x01
 SET_OUTPUT_MASK, GET_OUTPUT_MASK, RETURN_OUTPUT_MASK = 0x50, 0x51, 0x52
@@ -95,12 +90,17 @@ class Ig500Frame:
     data: bytes
 
 
+class Ig500Parser(SbgParser[Ig500Frame]):
+    """Frames of an IG-500."""
+
+    sync, end, head_bytes, max_data, order = b"\xff\x02", 0x03, 5, 504, ">"
+
+    def _make(self, ids: bytes, data: bytes) -> Ig500Frame:
+        return Ig500Frame(ids[0], data)
+
+
 def encode_frame(command: int, data: bytes = b"") -> bytes:
-    """The bytes of one frame."""
-    if len(data) > MAX_DATA:
-        raise ValueError(f"{len(data)} bytes do not fit in a frame, at most {MAX_DATA} do")
-    body = struct.pack(">BH", command, len(data)) + data
-    return SYNC + body + struct.pack(">HB", crc16(body), END)
+    return Ig500Parser.encoded(bytes([command]), data)
 
 
 def encode_output_mask(mask: OutputField) -> bytes:
@@ -116,14 +116,6 @@ def decode_output_mask(data: bytes) -> int | None:
 def encode_continuous_mode(divider: int) -> bytes:
     """Command that starts the continuous output at the filter's rate over ``divider``, until the next power-up."""
     return encode_frame(SET_CONTINUOUS_MODE, struct.pack(">BBB", 0, 1, divider))
-
-
-class Ig500Parser(SbgParser[Ig500Frame]):
-    """Frames of an IG-500."""
-
-    def __init__(self) -> None:
-        framing = Framing(sync=SYNC, end=END, id_bytes=1, max_data=MAX_DATA, order="big")
-        super().__init__(framing, lambda ids, data: Ig500Frame(ids[0], data))
 
 
 class OutputCodec:
@@ -146,7 +138,6 @@ class OutputCodec:
 
     @property
     def size(self) -> int:
-        """Bytes of data."""
         return self._struct.size
 
     def encode(self, values: Mapping[OutputField, tuple[float, ...]]) -> bytes:

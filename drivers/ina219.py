@@ -8,9 +8,8 @@ from autopilot.core.errors import DriverError
 from autopilot.core.samples import PowerSample
 from autopilot.core.toml_table import Positive, Table
 from autopilot.core.vehicle import Vehicle
-from autopilot.drivers.base import Closing
-from autopilot.drivers.battery_meter import EnergyMeter
-from autopilot.drivers.i2c import I2cBus, LinuxI2c, register
+from autopilot.drivers.battery_meter import BatteryMonitor
+from autopilot.drivers.i2c import I2cBus, register
 
 CONFIG, SHUNT, BUS = 0x00, 0x01, 0x02
 SETTING = 0x3FFF
@@ -32,18 +31,12 @@ class Ina219Options(Table, frozen=True, kw_only=True):
     shunt_ohm: Positive = 0.01
 
 
-class Ina219(Closing):
-    """The driver."""
-
+class Ina219(BatteryMonitor):
     Options = Ina219Options
 
     def __init__(self, vehicle: Vehicle, options: Ina219Options, *, bus: I2cBus | None = None) -> None:
-        self._bus = LinuxI2c(options.bus) if bus is None else bus
+        super().__init__(vehicle, options.bus, bus)
         self._options = options
-        self._meter = EnergyMeter(vehicle.battery.capacity_j, vehicle.battery.limits)
-        self.bad_samples = 0
-        """Readings that no battery gives."""
-        self._next_us = -(1 << 62)
         self._count = 0
 
     def open(self) -> None:
@@ -52,17 +45,12 @@ class Ina219(Closing):
         self._bus.write(self._options.address, bytes([CONFIG]) + SETTING.to_bytes(2, "big"))
         self._check()
 
-    def close(self) -> None:
-        """Let go of the bus."""
-        self._bus.close()
-
     def _check(self) -> None:
         found = register(self._bus, self._options.address, CONFIG, 2)
         if found != SETTING:
             raise DriverError(f"setting 0x{found:04x} instead of 0x{SETTING:04x}")
 
     def poll(self, t_us: int) -> list[PowerSample]:
-        """A sample when one is due."""
         if t_us < self._next_us:
             return []
         self._next_us = t_us + PERIOD_US
@@ -75,6 +63,4 @@ class Ina219(Closing):
             self.bad_samples += 1
             return []
         shunt -= (shunt & 0x8000) << 1
-        sample = self._meter.sample(t_us, (bus >> 3) * BUS_V, shunt * SHUNT_V / self._options.shunt_ohm)
-        self.bad_samples += sample is None
-        return [] if sample is None else [sample]
+        return self._samples(t_us, (bus >> 3) * BUS_V, shunt * SHUNT_V / self._options.shunt_ohm)

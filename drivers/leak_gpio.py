@@ -39,7 +39,6 @@ class GpioLeak(Closing):
         self._next_us = None
 
     def close(self) -> None:
-        """Give the line back."""
         self._line.close()
 
     def poll(self, t_us: int) -> list[LeakSample]:

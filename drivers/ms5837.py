@@ -15,8 +15,8 @@ from autopilot.core.errors import DriverError
 from autopilot.core.samples import DepthSample
 from autopilot.core.toml_table import Positive, Table
 from autopilot.core.vehicle import Vehicle
-from autopilot.drivers.base import Closing
-from autopilot.drivers.i2c import I2cBus, LinuxI2c, register
+from autopilot.drivers.base import G_M_S2
+from autopilot.drivers.i2c import I2cBus, I2cSensor, register
 
 ADDRESS = 0x76
 """Every MS5837 has this one."""
@@ -27,7 +27,6 @@ CONVERSION_US = 19_000
 """Data sheet: 18.08 ms at most."""
 RESET_S = 0.01
 WORDS = 7
-G_M_S2 = 9.80665
 MAX_BAD = 5
 """Useless answers in a row after which it is reset."""
 
@@ -87,14 +86,14 @@ def compensated(kind: Kind, words: Sequence[int], d1: int, d2: int) -> tuple[flo
     return hundredths_mbar, (temp - temp_less) / 100
 
 
-class Ms5837(Closing):
+class Ms5837(I2cSensor):
     """The driver: a :class:`autopilot.drivers.protocols.Sensor`."""
 
     Options = Ms5837Options
 
     def __init__(self, vehicle: Vehicle, options: Ms5837Options, *, bus: I2cBus | None = None) -> None:
         """At the rate of the vehicle file's ``[depth_sensor]``, or the sensor's own if that is less."""
-        self._bus = LinuxI2c(options.bus) if bus is None else bus
+        super().__init__(options.bus, bus)
         self._options = options
         self._period_us = max(round(1e6 / vehicle.depth_sensor.rate_hz), 2 * CONVERSION_US)
         self._words: tuple[int, ...] = ()
@@ -116,10 +115,6 @@ class Ms5837(Closing):
         time.sleep(RESET_S)
         self._words = self._calibration()
         self._stage, self._next_us, self._bad = "idle", None, 0
-
-    def close(self) -> None:
-        """Let go of the bus."""
-        self._bus.close()
 
     def poll(self, t_us: int) -> list[DepthSample]:
         """One small step of a measurement; the sample with the last."""

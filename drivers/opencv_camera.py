@@ -171,7 +171,6 @@ class OpenCvCamera(Closing):
         self._heard_us, self._grabber = None, _Grabber(capture)
 
     def close(self) -> None:
-        """Let go of the camera."""
         grabber, self._grabber = self._grabber, None
         if grabber is not None:
             grabber.stop()

@@ -13,11 +13,12 @@ from typing import Annotated
 
 import msgspec
 
-from autopilot.core.errors import ConfigError, DriverError
+from autopilot.core.errors import DriverError
 from autopilot.core.toml_table import Table
 from autopilot.core.vehicle import Vehicle
 from autopilot.drivers.gpio import GpioLine, LinuxGpio
 from autopilot.drivers.i2c import I2cBus, LinuxI2c, register
+from autopilot.drivers.thruster_output import check_names
 from autopilot.drivers.watchdog import KeptOutput
 
 MODE1, MODE2, LED0, ALL_OFF_HIGH, PRESCALE = 0x00, 0x01, 0x06, 0xFD, 0xFE
@@ -47,8 +48,6 @@ class Pca9685Options(Table, frozen=True, kw_only=True):
 
 
 class Pca9685(KeptOutput):
-    """The driver."""
-
     Options = Pca9685Options
     driver = "pca9685"
 
@@ -79,14 +78,9 @@ class Pca9685(KeptOutput):
         self._prescale = min(255, max(3, round(options.clock_hz / (COUNTS * options.rate_hz)) - 1))
         self._count_us = (self._prescale + 1) / options.clock_hz * 1e6
         longest_us = self._longest_us + max(options.trim_us.values(), default=0.0)
-        if longest_us >= (COUNTS - 1) * self._count_us:
-            raise ConfigError(
-                f"`rate_hz` = {options.rate_hz:g}: a pulse of {longest_us:g} us does not fit; use a lower one"
-            )
+        self._check_rate(options.rate_hz, longest_us, (COUNTS - 1) * self._count_us)
         names = {thruster.name: thruster.channel for thruster in vehicle.thrusters}
-        unknown = sorted(set(options.trim_us) - set(names))
-        if unknown:
-            raise ConfigError(f"`trim_us` names {unknown[0]!r}, which is no thruster; use one of {', '.join(names)}")
+        check_names("trim_us", options.trim_us, names)
         self._trim_us = {names[name]: trim_us for name, trim_us in options.trim_us.items()}
         self._runs = _runs(sorted((*names.values(), *spare)))
 

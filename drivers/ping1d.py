@@ -6,14 +6,13 @@ from typing import Annotated
 
 import msgspec
 
-from autopilot.core.errors import DriverError
 from autopilot.core.samples import AltimeterSample
 from autopilot.core.toml_table import NonNegative, Positive, Table
 from autopilot.core.vehicle import Vehicle
 from autopilot.drivers import ping_protocol as wire
-from autopilot.drivers.base import Closing
 from autopilot.drivers.protocols import BytePort
 from autopilot.drivers.serial_port import SerialPort
+from autopilot.drivers.serial_sensor import SerialSensor
 
 ASK_AGAIN_US = 1_000_000
 """After so long without a range the device is set up again: it has been without power, or was not there yet."""
@@ -41,57 +40,40 @@ class Ping1dOptions(Table, frozen=True, kw_only=True):
     """Standard deviation close by; 0.5 % of the range comes on top."""
 
 
-class Ping1d(Closing):
-    """A :class:`autopilot.drivers.protocols.Sensor`."""
+class Ping1d(SerialSensor[AltimeterSample]):
+    """Echosounder that looks along its beam."""
 
     Options = Ping1dOptions
 
     def __init__(self, vehicle: Vehicle, options: Ping1dOptions, *, port: BytePort | None = None) -> None:
         """At the rate of the vehicle file's ``[altimeter]``."""
-        self._port: BytePort = SerialPort(options.port, options.baud) if port is None else port
+        super().__init__(SerialPort(options.port, options.baud) if port is None else port, wire.PingParser())
         self._options = options
         self._latency_us = round(1e6 * vehicle.altimeter.latency_s)
         self._interval_ms = max(LEAST_INTERVAL_MS, round(1e3 / vehicle.altimeter.rate_hz))
-        self._parser = wire.PingParser()
+        self._heard = False
+        """Whether a range has come since the last poll, good or not."""
         self._asked_us: int | None = None
         self._last_us = -(1 << 62)
-        self.bad_samples = 0
-        """Ranges that the device cannot measure."""
         self.weak = 0
         """Echoes of which it was not sure enough."""
 
-    @property
-    def bad_frames(self) -> int:
-        """Frames dropped for their length or checksum."""
-        return self._parser.bad_frames
+    def _begin(self) -> None:
+        self._asked_us = None
 
-    def open(self) -> None:
-        """Open the line and set the device up."""
-        self._port.open()
-        self._parser, self._asked_us = wire.PingParser(), None
-        self._configure()
+    def _too_silent(self, t_us: int, *, heard: bool) -> bool:
+        heard, self._heard = self._heard, False
+        if not heard and self._asked_us is not None and t_us - self._asked_us < ASK_AGAIN_US:
+            return False
+        silent = not heard and self._asked_us is not None
+        self._asked_us = t_us
+        return silent
 
-    def close(self) -> None:
-        """Close the line; the device goes on sending to nobody."""
-        self._port.close()
-
-    def poll(self, t_us: int) -> list[AltimeterSample]:
-        """What has arrived. DriverError when the line is gone."""
-        samples, heard = [], False
-        for arrival_us, data in self._port.read(t_us):
-            for frame in self._parser.feed(data):
-                if frame.message == wire.DISTANCE_SIMPLE:
-                    heard = True
-                    sample = self._sample(arrival_us, wire.decode_distance(frame.payload))
-                    samples += [] if sample is None else [sample]
-        if getattr(self._port, "lost", False):
-            raise DriverError("serial line gone, check the cable")
-        if heard or self._asked_us is None:
-            self._asked_us = t_us
-        elif t_us - self._asked_us >= ASK_AGAIN_US:
-            self._asked_us = t_us
-            self._configure()
-        return samples
+    def _take(self, arrival_us: int, frame: wire.PingFrame) -> AltimeterSample | None:
+        if frame.message != wire.DISTANCE_SIMPLE:
+            return None
+        self._heard = True
+        return self._sample(arrival_us, wire.decode_distance(frame.payload))
 
     def _configure(self) -> None:
         options = self._options

@@ -7,6 +7,8 @@ sum of all bytes before it (u16); little endian.
 import struct
 from dataclasses import dataclass
 
+from autopilot.drivers.framing import FrameParser
+
 GENERAL_REQUEST = 6
 SET_RANGE, SET_SPEED_OF_SOUND, SET_MODE_AUTO, SET_PING_INTERVAL = 1001, 1002, 1003, 1004
 DISTANCE_SIMPLE = 1211
@@ -42,7 +44,6 @@ class Distance:
 
 
 def encode(message: int, payload: bytes = b"", *, sender: int = 0, receiver: int = 0) -> bytes:
-    """The bytes of a message."""
     frame = HEADER.pack(START, len(payload), message, sender, receiver) + payload
     return frame + (sum(frame) & 0xFFFF).to_bytes(CHECKSUM_BYTES, "little")
 
@@ -62,43 +63,19 @@ def decode_distance(payload: bytes) -> Distance | None:
     return Distance(range_m=1e-3 * range_mm, confidence=0.01 * percent) if percent <= 100 else None
 
 
-class PingParser:
-    """Bytes in, frames out, however the bytes are cut. Never raises; the counters say what was thrown away."""
+class PingParser(FrameParser[PingFrame]):
+    """Frames of an echosounder."""
 
-    def __init__(self) -> None:
-        self._buffer = bytearray()
-        self.skipped = 0
-        """Bytes outside of any good frame."""
-        self.bad_frames = 0
-        """Frames with a wrong length or checksum."""
+    sync, head_bytes = START, HEADER.size
 
-    def feed(self, data: bytes) -> list[PingFrame]:
-        """The frames that are complete now, oldest first."""
-        self._buffer += data
-        buffer, frames, at = self._buffer, [], 0
-        while True:
-            start = buffer.find(START, at)
-            if start < 0:
-                keep = 1 if buffer[-1:] == START[:1] and len(buffer) > at else 0
-                self.skipped += len(buffer) - at - keep
-                at = len(buffer) - keep
-                break
-            self.skipped += start - at
-            at = start
-            if len(buffer) < at + HEADER.size:
-                break
-            _, length, message, _, _ = HEADER.unpack_from(buffer, at)
-            sum_at = at + HEADER.size + length
-            impossible = length > LENGTHS.get(message, MAX_PAYLOAD) or length < LENGTHS.get(message, 0)
-            if not impossible and len(buffer) < sum_at + CHECKSUM_BYTES:
-                break
-            told = int.from_bytes(buffer[sum_at : sum_at + CHECKSUM_BYTES], "little")
-            if impossible or told != sum(buffer[at:sum_at]) & 0xFFFF:
-                self.bad_frames += 1
-                self.skipped += len(START)
-                at += len(START)  # not the whole frame: the length itself may be what is damaged
-                continue
-            frames.append(PingFrame(message=message, payload=bytes(buffer[at + HEADER.size : sum_at])))
-            at = sum_at + CHECKSUM_BYTES
-        del buffer[:at]
-        return frames
+    def _size(self, head: bytes) -> int | None:
+        _, length, message, _, _ = HEADER.unpack(head)
+        if not LENGTHS.get(message, 0) <= length <= LENGTHS.get(message, MAX_PAYLOAD):
+            return None
+        return HEADER.size + int(length) + CHECKSUM_BYTES
+
+    def _frame(self, data: bytes) -> PingFrame | None:
+        body, told = data[:-CHECKSUM_BYTES], int.from_bytes(data[-CHECKSUM_BYTES:], "little")
+        if told != sum(body) & 0xFFFF:
+            return None
+        return PingFrame(message=HEADER.unpack_from(body)[2], payload=body[HEADER.size :])

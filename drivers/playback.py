@@ -68,7 +68,6 @@ class Playback(Closing):
         self._next = self._lane.submit(lambda: first)
 
     def close(self) -> None:
-        """Stop."""
         lane, self._lane, self._next = self._lane, None, None
         if lane is not None:
             lane.shutdown(wait=False, cancel_futures=True)
@@ -90,7 +89,6 @@ class Playback(Closing):
         return newest
 
     def _all(self) -> Iterator[Picture]:
-        """All pictures, again and again if so asked."""
         offset_s = 0.0
         while True:
             last_s = 0.0

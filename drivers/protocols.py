@@ -1,7 +1,7 @@
-"""What every device looks like to the service: a sensor, a byte port, a thruster output, a link.
+"""The interfaces of devices to the service: sensor, byte port, thruster output, flight controller, link.
 
-Time is handed in by the caller (``t_us``, microseconds since the service's clock started); no driver reads a clock.
-Opening may raise DriverError; bad data from a device never raises, it is counted and dropped. Closing twice is allowed.
+The caller passes the time (``t_us``, microseconds since the service's clock started); no driver reads a clock. Opening
+may raise DriverError. Bad data from a device never raises: it is counted and dropped. Closing twice is allowed.
 """
 
 from collections.abc import Callable, Sequence
@@ -23,11 +23,17 @@ class Device(Protocol):
     """Something that is opened, used inside a ``with`` block, and closed."""
 
     def open(self) -> None:
-        """Take hold of the device; DriverError says why it cannot be had and what to do."""
+        """Open the device.
+
+        Raises
+        ------
+        DriverError
+            It cannot be opened; the text gives the reason and the remedy.
+        """
         ...
 
     def close(self) -> None:
-        """Let go of the device. Idempotent."""
+        """Close the device. Idempotent."""
         ...
 
     def __enter__(self) -> Self: ...
@@ -41,24 +47,40 @@ class Sensor(Device, Protocol[T]):
     """A source of samples (:mod:`autopilot.core.messages`)."""
 
     def poll(self, t_us: int) -> list[T]:
-        """What has arrived up to ``t_us``, oldest first. Never blocks, never raises because of bad data."""
+        """Samples that have arrived up to ``t_us``, without blocking.
+
+        Parameters
+        ----------
+        t_us
+            The present time [us].
+
+        Returns
+        -------
+        list
+            Oldest first, each stamped with its time of measurement [us]; empty if there is none.
+
+        Raises
+        ------
+        DriverError, OSError
+            The device is gone. Bad data does not raise.
+        """
         ...
 
 
 @runtime_checkable
 class Noticing(Protocol):
-    """A sensor that has something to say of itself, for instance of its clock (:mod:`autopilot.core.device_clock`)."""
+    """A sensor with messages about itself, for instance about its clock (:mod:`autopilot.core.device_clock`)."""
 
     def take_notices(self) -> "Sequence[tuple[Severity, str]]":
-        """What operators should know since the last call; the device's name is put before it."""
+        """Messages to the operator since the last call: severity and text, without the device's name."""
         ...
 
 
 class BytePort(Device, Protocol):
-    """A stream of bytes in both directions: a serial line, or what stands for one."""
+    """A bidirectional stream of bytes: a serial line or its emulation."""
 
     def read(self, t_us: int) -> list[tuple[int, bytes]]:
-        """What has arrived up to ``t_us``: (time of arrival [us], bytes), oldest first. Never blocks."""
+        """Received chunks up to ``t_us`` as (time of arrival [us], bytes), oldest first. Never blocks."""
         ...
 
     def write(self, data: bytes) -> None:
@@ -70,11 +92,24 @@ class ThrusterOutput(Device, Protocol):
     """Pulses to the thruster amplifiers. Neutral when opened, closed, in error, and when commands stop coming."""
 
     def write(self, t_us: int, pwm_us: Sequence[int]) -> None:
-        """Command one pulse per thruster [us]; entries beyond the last thruster are ignored."""
+        """Command the thrusters.
+
+        Parameters
+        ----------
+        t_us
+            The present time [us].
+        pwm_us
+            One pulse per thruster [us], in the order of the vehicle file; further entries are ignored.
+
+        Raises
+        ------
+        DriverError
+            The command did not get through; the thrusters are neutral where that is possible.
+        """
         ...
 
     def check(self, t_us: int) -> bool:
-        """To be called every tick: goes to neutral when the last command is too old; True while it is."""
+        """Called every tick: sets neutral when the last command is too old. True while it is."""
         ...
 
     def neutral(self) -> None:
@@ -84,88 +119,88 @@ class ThrusterOutput(Device, Protocol):
 
 @runtime_checkable
 class PayloadOutput(Protocol):
-    """An output that also moves what the vehicle carries (``[[payload]]`` of the vehicle file)."""
+    """An output that also drives the payload (``[[payload]]`` of the vehicle file)."""
 
     def unwired(self) -> dict[str, str]:
-        """Things that it cannot move, by name, and why."""
+        """Payload that it cannot drive: name -> reason."""
         ...
 
     def set_payload(self, t_us: int, pulses_us: Sequence[int]) -> None:
-        """What all of it is to get, in the order of the vehicle file; called on every tick."""
+        """Pulses of the payload [us], in the order of the vehicle file; called every tick."""
         ...
 
 
 @runtime_checkable
 class WatchedOutput(Protocol):
-    """An output that a process beside the service stops when the service cannot (:mod:`autopilot.drivers.watchdog`)."""
+    """An output with a watchdog process that stops it when the service cannot (:mod:`autopilot.drivers.watchdog`)."""
 
     @property
     def watchdog_problem(self) -> str:
-        """What is wrong with that process, "" while it answers or none is needed."""
+        """Problem of the watchdog process, "" while it answers or none is needed."""
         ...
 
     @property
     def watchdog_failed(self) -> bool:
-        """Whether that is more than that the first one is starting."""
+        """Whether the problem is more than the first process still starting."""
         ...
 
 
 class FlightController(Sensor[Any], ThrusterOutput, Protocol):
-    """An autopilot below ours: it measures, and drives the thrusters with what we ask for as long as it is asked to."""
+    """A lower autopilot: it has sensors, and drives the thrusters as commanded while our commands have authority."""
 
     def command(self, t_us: int, *, armed: bool) -> None:
-        """To be called every tick before ``write``: whether our thrust is meant to act."""
+        """Called every tick before ``write``: whether our thrust commands are to act."""
         ...
 
     def hand_back(self, t_us: int) -> None:
-        """Nothing is commanded any more, and it is left armed; after ``command`` and ``write`` of the same tick."""
+        """Stop commanding and leave it armed; called after ``command`` and ``write`` of the same tick."""
         ...
 
     def stop(self, t_us: int) -> None:
-        """Disarm it, whoever armed it; called on every tick until :meth:`below` says that it is not armed."""
+        """Disarm it, whoever armed it; called every tick until :meth:`below` reports it disarmed."""
         ...
 
     def stand_down(self, t_us: int) -> bool:
-        """The service ends: called instead of ``poll`` until True, or for a bounded time. Disarms what is ours."""
+        """Shutdown: called instead of ``poll`` until it returns True, for a bounded time. Disarms what we armed."""
         ...
 
     def below(self, t_us: int) -> "Below":
-        """Who has the vehicle now. After ``poll`` on the same tick."""
+        """State of authority and arming; called after ``poll`` on the same tick."""
         ...
 
     def advice(self) -> tuple[tuple[str, str], ...]:
-        """What could be set better though it flies, and how."""
+        """Settings that could be better although it flies: (finding, remedy)."""
         ...
 
     def take_notices(self) -> "Sequence[tuple[Severity, str]]":
-        """What it says that operators should know, since the last call."""
+        """Its messages to the operator since the last call: severity and text."""
         ...
 
 
 class Received(NamedTuple):
-    """A datagram or frame, and who sent it."""
+    """A datagram or frame with its sender."""
 
     data: bytes
     client: int
     """A number per address or connection, never used again for another; EVERYONE on a link with one other end."""
     sender: str
-    """The client as operators know it: address and port, or device."""
+    """Name of the client for operators: address and port, or device."""
     reach: Reach = Reach.NETWORK
-    """How far away it is."""
+    """Whether the client is on this machine or in the network."""
 
 
 class Link(Protocol):
-    """A MAVLink connection. Whole datagrams or whole frames, never a part of one. Open from construction on.
+    """A MAVLink connection. Transfers whole datagrams or frames only. Open from construction on.
 
-    Nothing raises after construction: what breaks is counted, shown in ``problem``, and mended when that is possible.
+    Nothing raises after construction: failures are counted, reported in ``problem`` and repaired when possible.
     """
 
     dropped_tx: int
-    """What could not be sent so far: frames, or clients that were lost."""
+    """Frames that could not be sent so far, or clients lost by it."""
 
     @property
     def problem(self) -> str | None:
-        """What is wrong now and what to do, for operators; None while all is well."""
+        """Present problem and remedy for operators; None while there is none."""
         ...
 
     @property
@@ -174,12 +209,21 @@ class Link(Protocol):
         ...
 
     def recv(self, t_us: int) -> list[Received]:
-        """What has come up to ``t_us``, oldest first per client, bounded in bytes per client. Never blocks."""
+        """Data received up to ``t_us``, oldest first per client, bounded in bytes per client. Never blocks."""
         ...
 
     def send(self, data: bytes, client: int = EVERYONE, beside: frozenset[int] = frozenset()) -> None:
-        """Send to everyone at the other end (but those ``beside``), or to one client. Never blocks: what cannot be sent
-        is dropped and counted."""
+        """Send data without blocking; what cannot be sent is dropped and counted.
+
+        Parameters
+        ----------
+        data
+            One datagram or frame.
+        client
+            Number of one client, or EVERYONE.
+        beside
+            Clients that are left out.
+        """
         ...
 
     def filenos(self) -> list[int]:
@@ -187,17 +231,17 @@ class Link(Protocol):
         ...
 
     def close(self) -> None:
-        """Let go of the port. Idempotent."""
+        """Close the port. Idempotent."""
         ...
 
 
 @runtime_checkable
 class SharedLink(Protocol):
-    """A link with places for so many clients and no more."""
+    """A link with a limited number of clients."""
 
     standing: Callable[[int], ClientRecord]
-    """What a client (its number) has shown of itself; set by who reads what the link brings."""
+    """Client number -> what it has sent so far; set by the reader of the link."""
 
     def take_news(self) -> tuple[bool, str] | None:
-        """Who lost his place or found none since the last call: whether it is a warning, and a line."""
+        """Clients that were displaced or refused since the last call: whether it is a warning, and one line."""
         ...

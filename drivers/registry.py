@@ -35,7 +35,6 @@ DEVICE_KINDS = tuple(kind for kind in BACKENDS if kind != "link")
 
 
 def backend_names(kind: str) -> list[str]:
-    """Names of one kind; ConfigError for an unknown kind."""
     if kind not in BACKENDS:
         raise ConfigError(f"no kind of driver is called {kind!r}; use one of {', '.join(BACKENDS)}")
     return sorted(BACKENDS[kind])

@@ -59,13 +59,11 @@ class RetryingDevice(Generic[D]):
 
     @property
     def state(self) -> DeviceState:
-        """How it is now."""
         if not self._up:
             return DeviceState.DOWN
         return DeviceState.SILENT if self._silent else DeviceState.UP
 
     def take_notices(self) -> Sequence[tuple[Severity, str]]:
-        """What operators should know since the last call."""
         notices, self._notices = self._notices, []
         return notices
 
@@ -118,7 +116,6 @@ class RetryingDevice(Generic[D]):
         self._fail(t_us, problem)
 
     def close(self) -> None:
-        """Let go of the device."""
         self._up = False
         self._lane.shutdown(wait=False, cancel_futures=True)
         self.device.close()
@@ -152,7 +149,6 @@ class SteadySensor(RetryingDevice[Sensor[Any]]):
         self._noticing = device if isinstance(device, Noticing) else None
 
     def poll(self, t_us: int) -> list[Any]:
-        """What has arrived."""
         nothing: list[Any] = []
         samples = self.use(t_us, lambda: self.device.poll(t_us), nothing)
         self.heard(t_us, samples)
@@ -173,7 +169,6 @@ class SteadyOutput(RetryingDevice[Out]):
         self._failed = 0
 
     def write(self, t_us: int, pwm_us: Sequence[int]) -> None:
-        """Command one pulse per thruster [us]."""
         if not self.attend(t_us):
             if self.opened_count == 0 and not self._told:  # the first opening is still under way
                 return
@@ -198,7 +193,6 @@ class SteadyController(SteadyOutput[FlightController]):
     """A flight controller below us."""
 
     def poll(self, t_us: int) -> list[Any]:
-        """What it has measured."""
         nothing: list[Any] = []
         samples = self.use(t_us, lambda: self.device.poll(t_us), nothing)
         self.heard(t_us, samples)

@@ -15,7 +15,7 @@ from autopilot.core.toml_table import Table
 from autopilot.core.vehicle import Vehicle
 from autopilot.drivers.protocols import BytePort
 from autopilot.drivers.serial_port import SerialPort
-from autopilot.drivers.thruster_output import SafeThrusterOutput
+from autopilot.drivers.thruster_output import SafeThrusterOutput, check_names
 
 FIRST_ADDRESS = 128
 AUTOBAUD = bytes([0xAA])
@@ -43,7 +43,6 @@ class SabertoothOptions(Table, frozen=True, kw_only=True):
 
 
 def packet(address: int, command: int, data: int) -> bytes:
-    """The bytes of one command."""
     return bytes([address, command, data, (address + command + data) & 0x7F])
 
 
@@ -57,9 +56,7 @@ class Sabertooth(SafeThrusterOutput):
         self._port = SerialPort(options.port, options.baud) if port is None else port
         self._puts = 0
         names = [thruster.name for thruster in vehicle.thrusters]
-        unknown = sorted(set(options.motors) - set(names))
-        if unknown:
-            raise ConfigError(f"`motors` names {unknown[0]!r}, which is no thruster; use one of {', '.join(names)}")
+        check_names("motors", options.motors, names)
         self._motors: dict[int, tuple[int, int]] = {}
         """Channel -> address, motor."""
         for thruster in vehicle.thrusters:

@@ -1,13 +1,13 @@
 """What the frames of SBG Systems' references have in common: sync, ids, size, data, checksum, end."""
 
 import binascii
-from collections.abc import Callable
-from dataclasses import dataclass
-from typing import Generic, Literal, TypeVar
+import struct
+from typing import ClassVar, Literal
 
-F = TypeVar("F")
+from autopilot.drivers.framing import F, FrameParser
 
-_SIZE_BYTES, _CRC_BYTES = 2, 2
+_SIZE_BYTES, _TAIL_BYTES = 2, 3
+"""Of the size, and of checksum and end."""
 _REVERSED = bytes(int(f"{value:08b}"[::-1], 2) for value in range(256))
 
 
@@ -17,70 +17,35 @@ def crc16(data: bytes) -> int:
     return _REVERSED[plain & 0xFF] << 8 | _REVERSED[plain >> 8]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Framing:
-    """How one family of devices does it."""
+class SbgParser(FrameParser[F]):
+    """Frames of one family of devices. The checksum covers ids, size and data."""
 
-    sync: bytes
-    end: int
+    end: ClassVar[int]
     """The last byte."""
-    id_bytes: int
-    """Between sync and size: what the frame is."""
-    max_data: int
+    max_data: ClassVar[int]
     """Bytes of data that a frame may carry."""
-    order: Literal["little", "big"]
-    """Of the bytes of size and checksum, which covers ids, size and data."""
+    order: ClassVar[Literal["<", ">"]]
+    """Of the bytes of size and checksum, as :mod:`struct` writes it."""
 
+    def _make(self, ids: bytes, data: bytes) -> F:
+        """A frame of what stands between sync and size, and of its data."""
+        raise NotImplementedError
 
-class SbgParser(Generic[F]):
-    """Bytes in, frames out, however the bytes are cut. Never raises; the counters say what was thrown away."""
+    @classmethod
+    def encoded(cls, ids: bytes, data: bytes) -> bytes:
+        """The bytes of one frame. ValueError if the data do not fit."""
+        if len(data) > cls.max_data:
+            raise ValueError(f"{len(data)} bytes do not fit in a frame, at most {cls.max_data} do")
+        body = ids + struct.pack(f"{cls.order}H", len(data)) + data
+        return cls.sync + body + struct.pack(f"{cls.order}HB", crc16(body), cls.end)
 
-    def __init__(self, framing: Framing, make: Callable[[bytes, bytes], F]) -> None:
-        """``make``: a frame of its ids and its data."""
-        self._framing, self._make = framing, make
-        self._size_at = len(framing.sync) + framing.id_bytes
-        self._data_at = self._size_at + _SIZE_BYTES
-        self._buffer = bytearray()
-        self.skipped = 0
-        """Bytes outside of any good frame."""
-        self.bad_frames = 0
-        """Frames with a wrong size, checksum or end."""
+    def _size(self, head: bytes) -> int | None:
+        (size,) = struct.unpack_from(f"{self.order}H", head, self.head_bytes - _SIZE_BYTES)
+        return self.head_bytes + size + _TAIL_BYTES if size <= self.max_data else None
 
-    def feed(self, data: bytes) -> list[F]:
-        """The frames that are complete now, oldest first."""
-        framing = self._framing
-        sync = framing.sync
-        self._buffer += data
-        buffer, frames, at = self._buffer, [], 0
-        while True:
-            start = buffer.find(sync, at)
-            if start < 0:
-                keep = 1 if buffer[-1:] == sync[:1] and len(buffer) > at else 0
-                self.skipped += len(buffer) - at - keep
-                at = len(buffer) - keep
-                break
-            self.skipped += start - at
-            at = start
-            if len(buffer) < at + self._data_at:
-                break
-            size = int.from_bytes(buffer[at + self._size_at : at + self._data_at], framing.order)
-            crc_at = at + self._data_at + size
-            end = crc_at + _CRC_BYTES + 1
-            if size <= framing.max_data and len(buffer) < end:
-                break
-            if size > framing.max_data or not self._good(at, crc_at):
-                self.bad_frames += 1
-                self.skipped += len(sync)
-                at += len(sync)  # not the whole frame: the size itself may be what is damaged
-                continue
-            ids = bytes(buffer[at + len(sync) : at + self._size_at])
-            frames.append(self._make(ids, bytes(buffer[at + self._data_at : crc_at])))
-            at = end
-        del buffer[:at]
-        return frames
-
-    def _good(self, at: int, crc_at: int) -> bool:
-        buffer, framing = self._buffer, self._framing
-        crc = int.from_bytes(buffer[crc_at : crc_at + _CRC_BYTES], framing.order)
-        covered = bytes(buffer[at + len(framing.sync) : crc_at])
-        return buffer[crc_at + _CRC_BYTES] == framing.end and crc == crc16(covered)
+    def _frame(self, data: bytes) -> F | None:
+        crc, end = struct.unpack_from(f"{self.order}HB", data, len(data) - _TAIL_BYTES)
+        if end != self.end or crc != crc16(data[len(self.sync) : -_TAIL_BYTES]):
+            return None
+        ids = data[len(self.sync) : self.head_bytes - _SIZE_BYTES]
+        return self._make(ids, data[self.head_bytes : -_TAIL_BYTES])

@@ -112,7 +112,6 @@ class SerialPort(Closing):
         self.lost = True
 
     def close(self) -> None:
-        """Close the line."""
         self.lost = False
         fd, self._fd = self._fd, None
         if fd is not None:
@@ -124,7 +123,7 @@ class SerialLink:
     """MAVLink on a serial line. A device that goes is opened again when it comes back under its name."""
 
     def __init__(self, name: str, device: str, baud: int) -> None:
-        self._name, self._device = name, device
+        self.name, self._device = name, device
         self._cutter = FrameCutter()
         self._attempt_us = 0
         self._numbering = Numbering()
@@ -134,21 +133,13 @@ class SerialLink:
         """Frames that the line did not take."""
 
     @property
-    def name(self) -> str:
-        """The connection string."""
-        return self._name
-
-    @property
     def problem(self) -> str | None:
-        """Whether the device is away."""
         return "device gone, check the cable" if self._port.lost else None
 
     def filenos(self) -> list[int]:
-        """The line, while it is open."""
         return [] if self._port.fd is None else [self._port.fd]
 
     def recv(self, t_us: int) -> list[Received]:
-        """Frames since the last call."""
         if self._port.lost and t_us - self._attempt_us >= REOPEN_US:
             self._attempt_us = t_us
             with contextlib.suppress(DriverError):
@@ -161,12 +152,10 @@ class SerialLink:
         ]
 
     def send(self, data: bytes, client: int = EVERYONE, beside: frozenset[int] = frozenset()) -> None:
-        """Send one frame."""
         try:
             self._port.write(self._numbering(data))
         except DriverError:
             self.dropped_tx += 1
 
     def close(self) -> None:
-        """Close the line."""
         self._port.close()

@@ -15,6 +15,7 @@ import msgspec
 from autopilot.core.errors import ConfigError, DriverError
 from autopilot.core.toml_table import Table
 from autopilot.core.vehicle import Vehicle
+from autopilot.drivers.thruster_output import check_names
 from autopilot.drivers.watchdog import KeptOutput
 
 
@@ -30,8 +31,6 @@ class SysfsPwmOptions(Table, frozen=True, kw_only=True):
 
 
 class SysfsPwm(KeptOutput):
-    """The driver."""
-
     Options = SysfsPwmOptions
     driver = "sysfs_pwm"
 
@@ -45,14 +44,9 @@ class SysfsPwm(KeptOutput):
         super().__init__(vehicle, options, kept=kept, spare=spare)
         self._chip = Path(options.chip)
         self._period_ns = round(1e9 / options.rate_hz)
-        if 1000 * self._longest_us >= self._period_ns:
-            raise ConfigError(
-                f"`rate_hz` = {options.rate_hz:g}: a pulse of {self._longest_us} us does not fit; use a lower one"
-            )
+        self._check_rate(options.rate_hz, self._longest_us, self._period_ns / 1000)
         names = [*(thruster.name for thruster in vehicle.thrusters), *(output.name for output in vehicle.payload)]
-        unknown = sorted(set(options.outputs) - set(names))
-        if unknown:
-            raise ConfigError(f"`outputs` names {unknown[0]!r}, which is no thruster; use one of {', '.join(names)}")
+        check_names("outputs", options.outputs, names)
         carried = [(vehicle.payload[index].name, channel) for channel, index in spare.items()]
         self._outputs: dict[int, int] = {}
         """Channel -> number of the output."""

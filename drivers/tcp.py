@@ -55,11 +55,9 @@ class _TcpConnection:
         """Whether it was closed because it does not read."""
 
     def fileno(self) -> int:
-        """File descriptor, negative when closed."""
         return self._socket.fileno()
 
     def recv(self) -> list[Received]:
-        """Frames that have become complete."""
         self._flush()
         try:
             data = self._socket.recv(CHUNK)
@@ -83,7 +81,6 @@ class _TcpConnection:
         return self.open
 
     def close(self) -> None:
-        """Close; what is pending is lost."""
         self.open = False
         self._socket.close()
 
@@ -107,7 +104,7 @@ class TcpServer:
     """A port that listens has none: clients come and go."""
 
     def __init__(self, name: str, host: str, port: int) -> None:
-        self._name = name
+        self.name = name
         self._clients: dict[int, _TcpConnection] = {}
         """By number."""
         self._numbers = 0
@@ -130,24 +127,16 @@ class TcpServer:
             raise bind_error(name, port, error) from error
 
     @property
-    def name(self) -> str:
-        """The connection string."""
-        return self._name
-
-    @property
     def clients(self) -> int:
-        """How many are connected."""
         return len(self._clients)
 
     def filenos(self) -> list[int]:
-        """All connections, and the listening socket while somebody could come in."""
         numbers = [client.fileno() for client in self._clients.values()]
         if not self._full:
             numbers.append(self._listener.fileno())
         return [number for number in numbers if number >= 0]
 
     def recv(self, t_us: int) -> list[Received]:
-        """Frames since the last call, client by client."""
         self._admission.begin()
         self._accept(t_us)
         frames = []
@@ -160,7 +149,6 @@ class TcpServer:
         return frames
 
     def send(self, data: bytes, client: int = EVERYONE, beside: frozenset[int] = frozenset()) -> None:
-        """Send to every client, or to one."""
         for stream in self._clients.values():
             if stream.client in beside:
                 continue
@@ -173,7 +161,6 @@ class TcpServer:
         return self._news.take()
 
     def close(self) -> None:
-        """Close all connections and the port."""
         for client in self._clients.values():
             client.close()
         self._clients = {}
@@ -220,7 +207,7 @@ class TcpClient:
     """Connects to a server; tries again while the server is away, and what is sent meanwhile is lost."""
 
     def __init__(self, name: str, host: str, port: int) -> None:
-        self._name = name
+        self.name = name
         self._address = resolve(name, host, port)
         self._attempt_us = 0
         self._attempt: socket.socket | None = None
@@ -238,21 +225,13 @@ class TcpClient:
 
     @property
     def problem(self) -> str | None:
-        """Whether the server is away."""
         return None if self._closed or self._stream.open else "server gone, connecting again"
 
-    @property
-    def name(self) -> str:
-        """The connection string."""
-        return self._name
-
     def filenos(self) -> list[int]:
-        """The connection, while there is one."""
         number = self._stream.fileno()
         return [] if number < 0 else [number]
 
     def recv(self, t_us: int) -> list[Received]:
-        """Frames since the last call."""
         if self._closed:
             return []
         if self._stream.open:
@@ -263,12 +242,10 @@ class TcpClient:
         return []
 
     def send(self, data: bytes, client: int = EVERYONE, beside: frozenset[int] = frozenset()) -> None:
-        """Send, or drop when there is no connection."""
         if self._closed or not self._stream.open or not self._stream.send(data):
             self.dropped_tx += 1
 
     def close(self) -> None:
-        """Close the connection for good."""
         self._closed = True
         self._stream.close()
         if self._attempt is not None:
@@ -280,7 +257,7 @@ class TcpClient:
             attempt, self._attempt = self._attempt, None
             try:
                 attempt.getpeername()
-                self._stream = _TcpConnection(attempt, EVERYONE, self._name, reach_of(self._address[0]))
+                self._stream = _TcpConnection(attempt, EVERYONE, self.name, reach_of(self._address[0]))
                 return
             except OSError:
                 attempt.close()

@@ -5,14 +5,22 @@ vehicle file's ``drive.command_timeout_s``. A back end only says how to put puls
 """
 
 from abc import abstractmethod
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 
-from autopilot.core.errors import DriverError
+from autopilot.core.errors import ConfigError, DriverError
 from autopilot.core.vehicle import Vehicle
 from autopilot.drivers.base import Closing
 
 INSPECT_EVERY = 25
 """Commands between two looks at a device that acknowledges commands even when it does not follow them (0.25 s)."""
+
+
+def check_names(option: str, given: Iterable[str], known: Iterable[str]) -> None:
+    """ConfigError if an option names something that is none of the ``known``."""
+    known = tuple(known)
+    unknown = sorted(set(given) - set(known))
+    if unknown:
+        raise ConfigError(f"`{option}` names {unknown[0]!r}, which is no thruster; use one of {', '.join(known)}")
 
 
 class SafeThrusterOutput(Closing):
@@ -63,6 +71,11 @@ class SafeThrusterOutput(Closing):
     def _release(self) -> None:
         """Close the device, which may be half open or gone; the outputs are neutral where that was possible. Never
         raises."""
+
+    def _check_rate(self, rate_hz: float, longest_us: float, most_us: float) -> None:
+        """ConfigError if pulses at that rate are too short for the longest."""
+        if longest_us >= most_us:
+            raise ConfigError(f"`rate_hz` = {rate_hz:g}: a pulse of {longest_us:g} us does not fit; use a lower one")
 
     @property
     def _neutral_us(self) -> tuple[int, ...]:

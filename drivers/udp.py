@@ -75,7 +75,7 @@ class _Udp:
     """A datagram socket has none: what is sent may always get lost."""
 
     def __init__(self, name: str) -> None:
-        self._name = name
+        self.name = name
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self._socket.setblocking(False)
         self._known: dict[Address, _Peer] = {}
@@ -92,26 +92,18 @@ class _Udp:
         """Datagrams that could not be sent."""
 
     @property
-    def name(self) -> str:
-        """The connection string."""
-        return self._name
-
-    @property
     def peers(self) -> tuple[Address, ...]:
         """Who is known, the one silent for longest first."""
         return tuple(self._known)
 
     def filenos(self) -> list[int]:
-        """The socket, while it is open."""
         number = self._socket.fileno()
         return [] if number < 0 else [number]
 
     def close(self) -> None:
-        """Let go of the port."""
         self._socket.close()
 
     def recv(self, t_us: int) -> list[Received]:
-        """Datagrams since the last call, with who sent them."""
         received: list[Received] = []
         bytes_of: dict[int, int] = {}
         self._admission.begin()
@@ -203,8 +195,8 @@ class _Udp:
             self._send_to(self._known[address].numbering(data), address)
 
 
-class UdpOut(_Udp):
-    """Sends to one address, and takes what its host sends to the socket (from whatever port); others are not heard."""
+class _Directed(_Udp):
+    """A socket that sends to an address before anybody has been heard."""
 
     def __init__(self, name: str, host: str, port: int) -> None:
         self._target = resolve(name, host, port)
@@ -215,8 +207,11 @@ class UdpOut(_Udp):
         self._numbering = Numbering()
         """Of the target, heard or not."""
 
+
+class UdpOut(_Directed):
+    """Sends to one address, and takes what its host sends to the socket (from whatever port); others are not heard."""
+
     def send(self, data: bytes, client: int = EVERYONE, beside: frozenset[int] = frozenset()) -> None:
-        """Send one datagram: to the target, or to one client that has spoken."""
         if client == EVERYONE and beside and any(self._addresses.get(other) == self._target for other in beside):
             return
         if client == EVERYONE or self._addresses.get(client) == self._target:
@@ -231,26 +226,21 @@ class UdpOut(_Udp):
         return address == self._target
 
 
-class UdpBroadcast(_Udp):
+class UdpBroadcast(_Directed):
     """Calls to everyone at a broadcast address, once per second, until somebody answers; from then on it speaks to who
     has answered. When all have been silent for KEEP_US it calls again."""
 
     def __init__(self, name: str, host: str, port: int) -> None:
-        self._target = resolve(name, host, port)
-        super().__init__(name)
+        super().__init__(name, host, port)
         self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_BROADCAST, 1)
-        if self._target[0].startswith(LOOPBACK_NET):
-            self._socket.bind((LOOPBACK, 0))
-        self._numbering = Numbering()
         self._now_us = 0
 
     def recv(self, t_us: int) -> list[Received]:
-        """Datagrams since the last call, with who sent them."""
         self._now_us = t_us
         return super().recv(t_us)
 
     def send(self, data: bytes, client: int = EVERYONE, beside: frozenset[int] = frozenset()) -> None:
-        """Send one datagram to every client, or to one; while there is none, heartbeats to the whole network."""
+        """To every client, or to one; while there is none, heartbeats to the whole network."""
         if client != EVERYONE:
             self._send_one(data, client)
             return
@@ -279,7 +269,6 @@ class UdpIn(_Udp):
             raise bind_error(name, port, error) from error
 
     def send(self, data: bytes, client: int = EVERYONE, beside: frozenset[int] = frozenset()) -> None:
-        """Send one datagram to every client, or to one."""
         if client != EVERYONE:
             self._send_one(data, client)
             return

@@ -56,19 +56,16 @@ class KeptOutput(SafeThrusterOutput):
             self.keeper.start()
 
     def write(self, t_us: int, pwm_us: Any) -> None:
-        """Command one pulse per thruster [us]."""
         super().write(t_us, pwm_us)
         if self.keeper is not None:
             self.keeper.beat(t_us)
 
     def check(self, t_us: int) -> bool:
-        """As :meth:`SafeThrusterOutput.check`; looks after the keeper."""
         if self.keeper is not None:
             self.keeper.look(t_us)
         return super().check(t_us)
 
     def close(self) -> None:
-        """Neutral, and nobody stands by any more."""
         super().close()
         keeper, self.keeper = self.keeper, None
         if keeper is not None:

@@ -95,7 +95,6 @@ class WaterLinkedA50(Closing):
         """Above the bottom, last report with a lock."""
 
     def open(self) -> None:
-        """Connect. DriverError if nobody answers."""
         if self._socket is not None:
             return
         host, port = self._options.host, self._options.port
@@ -110,13 +109,11 @@ class WaterLinkedA50(Closing):
         self.clock.begin()
 
     def close(self) -> None:
-        """Hang up."""
         connection, self._socket = self._socket, None
         if connection is not None:
             connection.close()
 
     def poll(self, t_us: int) -> list[VelocitySample]:
-        """What has arrived. DriverError when the connection is gone."""
         if self._socket is None:
             return []
         self._heard_us = t_us if self._heard_us is None else self._heard_us
@@ -164,7 +161,6 @@ class WaterLinkedA50(Closing):
         )
 
     def take_notices(self) -> list[tuple[Severity, str]]:
-        """What operators should know since the last call."""
         return self.clock.take_notices()
 
     def _delay_us(self, report: Report) -> int:

@@ -128,7 +128,6 @@ class Aid:
         return float((mean * mean).max())
 
     def reset(self, now_us: int) -> None:
-        """Begin anew: what follows is judged afresh."""
         self.counts["resets"] += 1
         self.rejected_in_row = self._fused_in_row = 0
         self._rejected.clear()

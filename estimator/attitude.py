@@ -97,7 +97,6 @@ class AttitudeFilter:
 
     @property
     def field_disturbed(self) -> bool:
-        """Whether the magnetometer is not believed now."""
         return self._field.disturbed
 
     @property

@@ -146,7 +146,6 @@ class CameraMonitor(Monitor):
         return "Picture" if self._pictures else "Pose"
 
     def note_picture(self) -> None:
-        """A picture has come."""
         self._pictures = True
 
     def look_at_focal(self, share: float, sigma: float) -> bool:

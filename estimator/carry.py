@@ -67,20 +67,19 @@ class Correction(NamedTuple):
         c[:k, :k], c[k:, k:] = self.c, other.c
         return Correction(np.concatenate((self.w, other.w), axis=1), c, np.concatenate((self.e, other.e)))
 
-    def through(self, look: PastUpdate) -> tuple["Correction", PastUpdate]:
+    def through(self, update: PastUpdate) -> tuple["Correction", PastUpdate]:
         """Behind an update that had been made without it, and what that update is with it."""
         w, c, e = self
-        v = look.jacobian.dot(w).T
+        v = update.jacobian.dot(w).T
         cv = c.dot(v)
-        spread = symmetric(look.spread - v.T.dot(cv))
+        spread = symmetric(update.spread - v.T.dot(cv))
         pull = cv.dot(_inverse(spread))
-        behind = w - look.gain.dot(v.T)
+        behind = w - update.gain.dot(v.T)
         known = v.T.dot(e)
-        after = Correction(behind, symmetric(c + pull.dot(cv.T)), e + pull.dot(known - look.y))
-        return after, PastUpdate(look.gain - behind.dot(pull), look.jacobian, spread, look.y - known)
+        after = Correction(behind, symmetric(c + pull.dot(cv.T)), e + pull.dot(known - update.y))
+        return after, PastUpdate(update.gain - behind.dot(pull), update.jacobian, spread, update.y - known)
 
     def on(self, state: FilterState) -> FilterState:
-        """The state with it."""
         return FilterState(state.x + self.w.dot(self.e), symmetric(state.p - self.w.dot(self.c).dot(self.w.T)))
 
 

@@ -85,7 +85,6 @@ class ObserverCore:
         self._growth[DEPTH_OFFSET] = COMPLEMENTARY.depth_offset_noise**2
 
     def start(self, x: FloatArray) -> FilterState:
-        """Around ``x``."""
         return FilterState(x, INITIAL_SIGMA**2)
 
     def predict(self, state: FilterState, step: InertialStep) -> FilterState:
@@ -136,7 +135,6 @@ class ObserverCore:
         return FilterState(state.x + innovation.gain @ innovation.y, p)
 
     def relocate(self, state: FilterState, pose: FloatArray, noise: FloatArray, vel_ned_m_s: FloatArray) -> FilterState:
-        """See :class:`autopilot.estimator.filter_core.FilterCore`."""
         x, p = state.x.copy(), state.p.copy()
         x[HEADING_OFFSET] -= pose[3] - x[YAW]
         x[POS], x[YAW], x[VEL] = pose[:3], pose[3], vel_ned_m_s
@@ -147,7 +145,6 @@ class ObserverCore:
     def reopen(
         self, state: FilterState, part: slice, variance: float, value: Sequence[float] | None = None
     ) -> FilterState:
-        """See :class:`autopilot.estimator.filter_core.FilterCore`."""
         x, p = state.x, state.p.copy()
         p[part] = variance
         if value is not None:
@@ -175,7 +172,6 @@ class ObserverCore:
         ]
 
     def planar_variance(self, state: FilterState) -> float:
-        """See :class:`autopilot.estimator.filter_core.FilterCore`."""
         return max(state.p.item(NORTH), state.p.item(EAST))
 
 
@@ -210,7 +206,6 @@ def create_complementary(
     floor_depth_m: float | None,
     options: EstimatorOptions = DEFAULT_OPTIONS,
 ) -> AidedEstimator:
-    """The observer behind :class:`autopilot.estimator.protocol.Estimator`."""
     return AidedEstimator(ObserverCore(), vehicle, markers, floor_depth_m, replace(options, current_3d=False))
 
 

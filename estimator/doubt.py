@@ -87,7 +87,6 @@ class AccelDoubt(_InertialDoubt):
         return True
 
     def believe(self) -> None:
-        """It is believed again."""
         self.since_us = None
         self._smooth, self._usual = [0.0, 0.0, 0.0], [0.0, 0.0, 0.0]
 
@@ -149,6 +148,5 @@ class GyroDoubt(_InertialDoubt):
         return True
 
     def believe(self) -> None:
-        """It is believed again."""
         self.since_us = None
         self._quick = self._apart = self._slow = 0.0

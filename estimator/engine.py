@@ -15,7 +15,7 @@ from dataclasses import replace
 from autopilot.core.camera import CameraModel
 from autopilot.core.frames import FloatArray, wrap_pi
 from autopilot.core.markers import MarkerMap
-from autopilot.core.messages import AidStatus, NavDoubt, NavState, ShadowStatus
+from autopilot.core.messages import AidStatus, NavDoubt, NavState
 from autopilot.core.samples import AhrsSample, ImuSample, LaserSample, MarkerSighting, PoseSample, Sample
 from autopilot.core.vehicle import Vehicle
 from autopilot.estimator.aiding import Aid
@@ -35,9 +35,10 @@ from autopilot.estimator.markers_pose import MarkerSolver
 from autopilot.estimator.measure_model import MODEL_EVERY
 from autopilot.estimator.measure_pose import PoseFix
 from autopilot.estimator.measurement import Moment
-from autopilot.estimator.monitor import NOTHING, Monitor
+from autopilot.estimator.monitors import Monitors
 from autopilot.estimator.options import DEFAULT_OPTIONS, EstimatorOptions
 from autopilot.estimator.output import judge_health, nav_state
+from autopilot.estimator.protocol import Estimator
 from autopilot.estimator.recalibration import Recalibration
 from autopilot.estimator.refined import refined_map
 from autopilot.estimator.sources import Sources
@@ -51,8 +52,8 @@ PICTURES = (PoseSample, MarkerSighting)
 """Kinds of samples that make a node, and that give a pose by a picture."""
 
 
-class AidedEstimator:
-    """:class:`autopilot.estimator.protocol.Estimator` on a filter core."""
+class AidedEstimator(Estimator):
+    """On a filter core."""
 
     def __init__(
         self,
@@ -77,32 +78,18 @@ class AidedEstimator:
         self._trim = TiltTrim()
         self._thrust = ThrustLag(vehicle.thrusters)
         # What watches over them.
-        witness = self._sources.markers.trust
+        trust = self._sources.markers.trust
         camera = vehicle.camera or NO_CAMERA
         self._latency_s = camera.latency_s
-        self._evidence = Evidence()
-        self._imu = ImuWatch(self._sources.model.vehicle, witness)
-        self._camera = CameraMonitor(camera, options.stamps_every_s, None if markers is None else markers.floor_m)
-        map_watch = None if markers is None else MapWatch(markers)
-        watches = (self._evidence, self._imu, self._camera, map_watch, witness)
-        self._monitors: tuple[Monitor, ...] = tuple(watch for watch in watches if watch is not None)
-        self._fixes = Fixes(
-            self._fusion,
-            self._sources,
-            imu=self._imu,
-            evidence=self._evidence,
-            camera=self._camera,
-            map_watch=map_watch,
-            trim=self._trim,
+        self._monitors = monitors = Monitors(
+            Evidence(),
+            ImuWatch(self._sources.model.vehicle, trust),
+            CameraMonitor(camera, options.stamps_every_s, None if markers is None else markers.floor_m),
+            None if markers is None else MapWatch(markers),
+            trust,
         )
-        self._recalibration = Recalibration(
-            self._fusion,
-            self._sources,
-            self._intake,
-            imu=self._imu,
-            evidence=self._evidence,
-            camera=self._camera,
-        )
+        self._fixes = Fixes(self._fusion, self._sources, monitors, self._trim)
+        self._recalibration = Recalibration(self._fusion, self._sources, self._intake, monitors)
         self._recent: deque[Inertial] = deque(maxlen=128)
         self._last: NavState | None = None
         self._against: frozenset[NavDoubt] = frozenset()
@@ -113,7 +100,6 @@ class AidedEstimator:
         self._counts = dict.fromkeys(("clock.backwards", "ahrs.blind_steps"), 0)
 
     def step(self, t_us: int, samples: Sequence[Sample], thrust_n: FloatArray) -> NavState | None:
-        """See :class:`autopilot.estimator.protocol.Estimator`."""
         if t_us <= self._fusion.now_us:
             self._counts["clock.backwards"] += 1
             return self._last
@@ -129,7 +115,7 @@ class AidedEstimator:
             return None
         self._fuse_due()
         if self._options.compensate_latency:
-            self._camera.look_at_stamps()
+            self._monitors.camera.look_at_stamps()
             self._recalibration.retime()
         self._recalibration.rescale()
         self._last = self._state(t_us, self._fusion.history.newest)
@@ -138,7 +124,7 @@ class AidedEstimator:
     def _state(self, t_us: int, newest: Node) -> NavState:
         """What is told of the newest node."""
         core, ground_us = self._fusion.core, self._sources.velocity.ground_us
-        doubts = self._against = frozenset(doubt for watch in self._monitors for doubt in watch.doubts(t_us, newest))
+        doubts = self._against = self._monitors.doubts(t_us, newest)
         health = judge_health(
             newest,
             core,
@@ -147,29 +133,23 @@ class AidedEstimator:
             tracked=ground_us is not None and t_us - ground_us <= ENGINE.tracked_us,
             doubted=bool(doubts) and not self._harmless(doubts, t_us),
         )
-        more = NOTHING
-        for watch in self._monitors:
-            found = watch.unexplained_variance(t_us, newest)
-            if found is not NOTHING:
-                more = more + found
+        more = self._monitors.unexplained_variance(t_us, newest)
         return nav_state(core, newest, t_us, health, self._fusion.resets, more, doubts)
 
     def _harmless(self, doubts: frozenset[NavDoubt], t_us: int) -> bool:
         """Whether fixes hold the position in spite of the doubts: only inertial sensors or the range are concerned."""
         if NavDoubt.FIXES in doubts or NavDoubt.CAMERA in doubts:
             return False
-        since_us = self._imu.since_us
+        since_us = self._monitors.imu.since_us
         if since_us is None:
             return True
         held_us = self._anchored_since_us
         return held_us is not None and t_us - held_us >= ENGINE.anchored_us and t_us - since_us >= ENGINE.doubt_us
 
     def take_aids(self) -> tuple[AidStatus, ...]:
-        """See :class:`autopilot.estimator.protocol.Estimator`."""
         return self._fusion.take_statuses()
 
     def counters(self) -> Mapping[str, int]:
-        """See :class:`autopilot.estimator.protocol.Estimator`."""
         result = {
             "resets": self._fusion.resets,
             **self._counts,
@@ -181,39 +161,29 @@ class AidedEstimator:
             "thrust.malformed": self._thrust.malformed,
             **self._sources.counts(),
         }
-        for watch in self._monitors:
-            result.update(watch.counts())
+        for monitor in self._monitors.all:
+            result.update(monitor.counts())
         return result
 
     def take_made(self) -> tuple[PoseSample | LaserSample, ...]:
-        """Poses and ranges from pictures since the last call, stamped as the pictures were."""
         return self._sources.pictures.take_made()
 
     def take_remarks(self) -> tuple[str, ...]:
-        """See :class:`autopilot.estimator.protocol.Estimator`."""
-        return tuple(text for watch in self._monitors for text in watch.take_texts())
+        return tuple(text for monitor in self._monitors.all for text in monitor.take_texts())
 
     @property
     def refined_map(self) -> MarkerMap | None:
-        """See :class:`autopilot.estimator.protocol.Estimator`."""
         if self._markers is None or self._fusion.past is None:
             return self._markers
         return refined_map(self._markers, self._fusion.history.newest.state.sheets)
 
     @property
     def doubts(self) -> frozenset[NavDoubt]:
-        """See :class:`autopilot.estimator.protocol.Estimator`."""
         return self._against
 
     @property
     def ahrs_us(self) -> int | None:
-        """See :class:`autopilot.estimator.protocol.Estimator`."""
         return self._ahrs_us
-
-    @property
-    def shadow(self) -> ShadowStatus | None:
-        """Nobody watches a single estimator."""
-        return None
 
     # Samples in.
 
@@ -235,8 +205,8 @@ class AidedEstimator:
             self._intake.admit(sample, now_us)
             if isinstance(sample, PICTURES):
                 if isinstance(sample, MarkerSighting):
-                    self._camera.note_picture()
-                self._camera.stamps.arrives(now_us, sample.t_us - now_us, self._latency_s)
+                    self._monitors.camera.note_picture()
+                self._monitors.camera.stamps.arrives(now_us, sample.t_us - now_us, self._latency_s)
 
     def _take_inertial(self, given: AhrsSample | ImuSample) -> None:
         """One sample that makes a node, if it is good."""
@@ -257,7 +227,7 @@ class AidedEstimator:
     def _feel(self, inertial: Inertial) -> None:
         """One moment more, measured or made up."""
         self._recent.append(inertial)
-        self._camera.stamps.feel(inertial)
+        self._monitors.camera.stamps.feel(inertial)
         if self._fusion.past is not None:
             self._advance(self._fusion.past, inertial)
 
@@ -275,8 +245,8 @@ class AidedEstimator:
             mode = ProcessNoiseMode.COASTING
         elif self._trim.fresh(inertial.t_us):
             mode = ProcessNoiseMode.TRIMMED
-        if inertial.real and self._imu.since_us is not None:
-            driven, step = self._imu.drive(newest, inertial)
+        if inertial.real and self._monitors.imu.since_us is not None:
+            driven, step = self._monitors.imu.drive(newest, inertial)
             node = history.append(inertial.t_us, moment._replace(inertial=driven), step)
         else:
             node = history.append(inertial.t_us, moment, step_between(newest.moment.inertial, inertial, mode))
@@ -287,7 +257,7 @@ class AidedEstimator:
         self._inertial_count += 1
         if heading.due(self._inertial_count):
             self._fusion.fuse_scalar(node, heading.measured(inertial), heading, fixed=True)
-        if model_tells and self._imu.accel.believed and model.due(self._inertial_count):
+        if model_tells and self._monitors.imu.accel.believed and model.due(self._inertial_count):
             self._fusion.fuse_scalar(node, model.measured(inertial), model, fixed=True)
 
     def _watch_imu(self, history: History, before: Node, node: Node, raw: Inertial, *, anchored: bool) -> None:
@@ -296,26 +266,26 @@ class AidedEstimator:
             self._anchored_since_us = None
         elif self._anchored_since_us is None:
             self._anchored_since_us = node.t_us
-        model = self._sources.model
-        found = self._imu.look(
+        model, (evidence, imu, camera, *_) = self._sources.model, self._monitors
+        found = imu.look(
             before,
             node,
             raw,
             model_dt_s=1e-6 * MODEL_EVERY * (node.t_us - before.t_us) * model.due(self._inertial_count),
             anchored=anchored,
-            denied=self._evidence.denies,
-            heading_denied=not self._camera.stamps.suspects and self._evidence.denies_heading(self._imu.gyro.quick_rad),
+            denied=evidence.denies,
+            heading_denied=not camera.stamps.suspects and evidence.denies_heading(imu.gyro.quick_rad),
             model_rejected=model.rejected_in_row,
             compass_rejected=self._sources.heading.rejected_in_row,
         )
         if found is NOTHING_NEW:
             return
         if found.doubted:
-            history.redrive(node.t_us - ENGINE.redriven_us, self._imu.drive, model.sensor)
+            history.redrive(node.t_us - ENGINE.redriven_us, imu.drive, model.sensor)
             for aid in self._sources.fixes:
                 aid.trust.begin_anew()
-        for reopening in self._imu.reopenings(found, node.t_us):
-            history.reopen(node, reopening)
+        for reopening in imu.reopenings(found, node.t_us):
+            history.forget(node, reopening)
 
     def _go_blind(self) -> None:
         """Without AHRS data for too long: let the vehicle model move the state."""
@@ -364,7 +334,6 @@ class AidedEstimator:
     # Measurements.
 
     def _fuse_due(self) -> None:
-        """Use what is due."""
         history, sources = self._fusion.history, self._sources
         health = None if self._last is None else self._last.health
         for sample in self._intake.due(history.newest.t_us):

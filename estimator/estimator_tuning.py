@@ -5,8 +5,6 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True, slots=True)
 class CameraDoubtTuning:
-    """Of :mod:`autopilot.estimator.camera_doubt`."""
-
     late_s: float = 0.005
     late_share: float = 0.1
     """Stamps are called late from here on, when it is known to this share of it,"""
@@ -46,8 +44,6 @@ CAMERA_DOUBT = CameraDoubtTuning()
 
 @dataclass(frozen=True, slots=True)
 class ComplementaryTuning:
-    """Of :mod:`autopilot.estimator.complementary`."""
-
     fix_period_s: float = 1.0 / 30.0
     """The gains per fix below are the continuous ones times this."""
     k_current_s: float = 0.024
@@ -75,8 +71,6 @@ COMPLEMENTARY = ComplementaryTuning()
 
 @dataclass(frozen=True, slots=True)
 class DoubtTuning:
-    """Of :mod:`autopilot.estimator.doubt`."""
-
     residual_time_s: float = 0.2
     """The accelerometer's residual is smoothed over this: longer than its noise, shorter than it takes to drift
     away."""
@@ -110,8 +104,6 @@ DOUBT = DoubtTuning()
 
 @dataclass(frozen=True, slots=True)
 class EngineTuning:
-    """Of :mod:`autopilot.estimator.engine`."""
-
     ahrs_wait_us: int = 60_000
     """After so long without AHRS data the filter goes on without."""
     blind_step_us: int = 20_000
@@ -136,8 +128,6 @@ ENGINE = EngineTuning()
 
 @dataclass(frozen=True, slots=True)
 class EvidenceTuning:
-    """Of :mod:`autopilot.estimator.evidence`."""
-
     ratio_share: float = 0.2
     ratio_most: float = 2.0
     ratio_shows: float = 0.35
@@ -170,8 +160,6 @@ EVIDENCE = EvidenceTuning()
 
 @dataclass(frozen=True, slots=True)
 class FixMotionTuning:
-    """Of :mod:`autopilot.estimator.fix_motion`."""
-
     span_us: int = 4_000_000
     """At most so long a run of fixes is held against dead reckoning."""
     most: int = 128
@@ -194,8 +182,6 @@ FIX_MOTION = FixMotionTuning()
 
 @dataclass(frozen=True, slots=True)
 class FrameFilterTuning:
-    """Of :mod:`autopilot.estimator.frame_filter`."""
-
     step_px: int = 8
     """Every eighth pixel of every eighth row is looked at: 4800 of an image of 640 x 480."""
     dark_level: float = 6.0
@@ -216,8 +202,6 @@ FRAME_FILTER = FrameFilterTuning()
 
 @dataclass(frozen=True, slots=True)
 class LaserDotTuning:
-    """Of :mod:`autopilot.estimator.laser_detector`."""
-
     range_band: tuple[float, float] = (0.75, 1.35)
     """The dot is looked for within these factors of the predicted range."""
     range_slack_m: float = 0.03
@@ -242,8 +226,6 @@ LASER_DOT = LaserDotTuning()
 
 @dataclass(frozen=True, slots=True)
 class MagneticTuning:
-    """Of :mod:`autopilot.estimator.magnetic`."""
-
     size_share: float = 0.1
     smooth_s: float = 0.05
     most_share: float = 3.0
@@ -263,8 +245,6 @@ MAGNETIC = MagneticTuning()
 
 @dataclass(frozen=True, slots=True)
 class MapWatchTuning:
-    """Of :mod:`autopilot.estimator.map_watch`."""
-
     sightings: int = 8
     """Pictures that must show a marker at the same wrong place."""
     alone: int = 30
@@ -289,8 +269,6 @@ MAP_WATCH = MapWatchTuning()
 
 @dataclass(frozen=True, slots=True)
 class MarkerLooksTuning:
-    """Of :mod:`autopilot.estimator.marker_looks`."""
-
     off_center: float = 0.22
     off_center_px: float = 2.0
     """Each cell is sampled at four points this far from its centre [cells], at most so many pixels: light that changes
@@ -319,8 +297,6 @@ MARKER_LOOKS = MarkerLooksTuning()
 
 @dataclass(frozen=True, slots=True)
 class MarkersPoseTuning:
-    """Of :mod:`autopilot.estimator.markers_pose`."""
-
     nearest_m: float = 0.45
     """A marker is not looked for further from where it seems to lie: markers of one id are a metre and more apart."""
     common_shift_m: float = 0.06
@@ -361,8 +337,6 @@ MARKERS_POSE = MarkersPoseTuning()
 
 @dataclass(frozen=True, slots=True)
 class PnpTuning:
-    """Of :mod:`autopilot.estimator.pnp`."""
-
     steps: int = 10
     converged: float = 4e-3
     """Steps end when nothing moved by more than this [m, rad]; what is left is about its square, 0.02 mm."""
@@ -396,8 +370,6 @@ PNP = PnpTuning()
 
 @dataclass(frozen=True, slots=True)
 class StampWatchTuning:
-    """Of :mod:`autopilot.estimator.stamp_watch`."""
-
     window_us: int = 2_000_000
     least_us: int = 600_000
     least_fixes: int = 12
@@ -465,8 +437,6 @@ STAMP_WATCH = StampWatchTuning()
 
 @dataclass(frozen=True, slots=True)
 class VisionTuning:
-    """Of :mod:`autopilot.estimator.vision`."""
-
     hint_margin_px: float = 60.0
     hint_margin_m: float = 0.06
     """Markers so far outside of the predicted image (the larger one, seen on the floor) may be in view: some

@@ -69,7 +69,6 @@ class Evidence(Monitor):
             self.jumps += 1
 
     def begin_anew(self, t_us: int) -> None:
-        """The filter has been moved to where fixes are."""
         self.forgive()
         self._resets_us.append(t_us)
 
@@ -78,7 +77,6 @@ class Evidence(Monitor):
         self.denied, self._fix_ratio, self._heading_ratio, self._fix_miss = 0, 0.0, 0.0, np.zeros(4)
 
     def doubts(self, t_us: int, newest: Node) -> set[NavDoubt]:
-        """See :class:`Monitor`."""
         found = set()
         jumped = self._jump_us is not None and t_us - self._jump_us <= EVIDENCE.jump_us
         if self.denied >= EVIDENCE.denied_after or jumped:
@@ -92,7 +90,6 @@ class Evidence(Monitor):
         return found
 
     def counts(self) -> dict[str, int]:
-        """See :class:`Monitor`."""
         return {"doubt.jumps": self.jumps}
 
     def unexplained_variance(self, t_us: int, newest: Node) -> FloatArray:

@@ -25,12 +25,11 @@ class Innovation(NamedTuple):
     """(21, m) covariance between state and residual; None where :attr:`after` is known."""
     after: FilterState | None = None
     """The state if it is used, when that is known already."""
-    look: PastUpdate | None = None
+    update: PastUpdate | None = None
     """The update for :mod:`autopilot.estimator.carry`; None where its effect cannot be carried on."""
 
     @property
     def passes(self) -> bool:
-        """Whether it is to be used."""
         return self.test_ratio <= 1.0
 
 
@@ -49,9 +48,9 @@ class FilterCore(Protocol):
         """Jacobian (21, 21) of the last prediction, a new array; None: what this filter corrects cannot be carried."""
         ...
 
-    def innovation(self, state: FilterState, measurement: Measurement, moment: Moment, after_s: float) -> Innovation:
-        """Residual and gate."""
-        ...
+    def innovation(
+        self, state: FilterState, measurement: Measurement, moment: Moment, after_s: float
+    ) -> Innovation: ...
 
     def correct(self, state: FilterState, innovation: Innovation) -> FilterState:
         """State after the measurement that ``innovation`` was made of."""

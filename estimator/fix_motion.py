@@ -49,7 +49,6 @@ class FixMotion:
         return len(self._run)
 
     def clear(self) -> None:
-        """Dead reckoning begins anew."""
         self._run.clear()
 
     def add(self, seen: FixResidual) -> None:
@@ -108,7 +107,6 @@ class FixRun:
 
     @property
     def follows(self) -> bool:
-        """Whether its fixes move as dead reckoning does."""
         return self.apart <= 1.0 and self.fits
 
     @property

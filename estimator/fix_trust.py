@@ -36,11 +36,9 @@ class FixTrust(Doubt):
         self._back_us: int | None = None
 
     def doubts(self, t_us: int, newest: Node) -> tuple[NavDoubt, ...]:
-        """See :class:`Monitor`."""
         return (NavDoubt.CAMERA,) if self.doubtful(t_us) else ()
 
     def counts(self) -> dict[str, int]:
-        """See :class:`Monitor`."""
         return {"doubt.camera": self.count}
 
     def doubtful(self, t_us: int) -> bool:
@@ -80,7 +78,6 @@ class FixTrust(Doubt):
         self.begin_anew()
 
     def note_reset(self, t_us: int) -> None:
-        """Its fixes have moved the filter."""
         self._reset_us = t_us
         self.begin_anew()
 

@@ -11,18 +11,15 @@ import numpy as np
 
 from autopilot.core.frames import FloatArray
 from autopilot.core.messages import NavHealth
-from autopilot.estimator.camera_doubt import CameraMonitor
 from autopilot.estimator.estimator_tuning import MAP_WATCH
-from autopilot.estimator.evidence import Evidence
 from autopilot.estimator.filter_core import Innovation
 from autopilot.estimator.fix_aid import FixAid
 from autopilot.estimator.fix_motion import FixResidual, drift_variance, plausible
 from autopilot.estimator.fix_trust import DENYING
 from autopilot.estimator.fusion import Fusion
 from autopilot.estimator.history import Loosening, Node
-from autopilot.estimator.imu_watch import ImuWatch
-from autopilot.estimator.map_watch import MapWatch
 from autopilot.estimator.measure_pose import PoseFix
+from autopilot.estimator.monitors import Monitors
 from autopilot.estimator.sources import Sources
 from autopilot.estimator.states import ACCEL_BIAS, CURRENT, CURRENT_RATE, VEL, YAW
 from autopilot.estimator.tilt import TiltTrim
@@ -38,19 +35,9 @@ ASTRAY = (ACCEL_BIAS, CURRENT, CURRENT_RATE)
 class Fixes:
     """Of one estimator."""
 
-    def __init__(
-        self,
-        fusion: Fusion,
-        sources: Sources,
-        *,
-        imu: ImuWatch,
-        evidence: Evidence,
-        camera: CameraMonitor,
-        map_watch: MapWatch | None,
-        trim: TiltTrim,
-    ) -> None:
-        self._fusion, self._sources = fusion, sources
-        self._imu, self._evidence, self._camera, self._map, self._trim = imu, evidence, camera, map_watch, trim
+    def __init__(self, fusion: Fusion, sources: Sources, monitors: Monitors, trim: TiltTrim) -> None:
+        self._fusion, self._sources, self._trim = fusion, sources, trim
+        self._evidence, self._imu, self._camera, self._map, _ = monitors
         self._learned_us = -LEARN_EVERY_US
         self.counts = dict.fromkeys(("sheets.fused", "sheets.rejected", "sheets.loosened"), 0)
 
@@ -148,7 +135,7 @@ class Fixes:
             self._map.look(fix)
         for sheet in self._map.loosened(fix, rejected=rejected):
             laid = self._map.laid(sheet)
-            self._fusion.history.loosen(node, Loosening("sheets", fix.t_us, sheet, laid, MAP_WATCH.loose_variance))
+            self._fusion.history.forget(node, Loosening("sheets", fix.t_us, sheet, laid, MAP_WATCH.loose_variance))
             self.counts["sheets.loosened"] += 1
 
     def _learn_sheets(self, node: Node, fix: PoseFix, known: Sequence[int]) -> None:

@@ -43,7 +43,6 @@ class FrameFilter:
         return verdict
 
     def take_reports(self) -> tuple[PictureReport, ...]:
-        """What was judged since the last call."""
         reports, self._reports = tuple(self._reports), []
         return reports
 

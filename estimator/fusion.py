@@ -53,7 +53,6 @@ class Fusion:
         self._statuses.append(aid.judged(measurement.t_us, self.now_us, judged, used, fit))
 
     def fuse(self, node: Node, measurement: Measurement, aid: Aid) -> Innovation:
-        """Gate a measurement and use it if it passes."""
         judged = self.judge(node, measurement)
         if judged.passes:
             self.history.correct(node, measurement, judged)
@@ -72,7 +71,7 @@ class Fusion:
         if miss is None or part is None:
             return
         variance = max(miss, _initial_variance(part))
-        self.history.reopen(node, Reopening(aid.sensor, measurement.t_us, part, variance))
+        self.history.forget(node, Reopening(aid.sensor, measurement.t_us, part, variance))
         aid.reset(self.now_us)
 
     def move(self, pose: FloatArray, noise: FloatArray, vel_ned_m_s: FloatArray, forgotten: Iterable[slice]) -> None:

@@ -28,7 +28,6 @@ class SheetTies(Measurement):
         return np.zeros(len(self.z))
 
     def jacobian(self, x: FloatArray, moment: Moment, after_s: float) -> FloatArray:
-        """Nothing."""
         return np.zeros((len(self.z), NX))
 
 

@@ -3,7 +3,7 @@
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import NamedTuple
+from typing import NamedTuple, TypeAlias
 
 from autopilot.core.frames import FloatArray
 from autopilot.core.sensors import AID_SENSORS
@@ -27,6 +27,10 @@ class Reopening(NamedTuple):
     value: tuple[float, ...] | None = None
     """What they are from then on, None = as they were."""
 
+    def applied(self, core: FilterCore, state: FilterState) -> FilterState:
+        """The state after it."""
+        return core.reopen(state, self.part, self.variance, self.value)
+
 
 class Loosening(NamedTuple):
     """A sheet of the map does not lie where it was believed to: it may have moved by any amount of this variance."""
@@ -38,6 +42,14 @@ class Loosening(NamedTuple):
     """(4,) how well it was laid,"""
     variance: tuple[float, ...]
     """(4,) and what comes on top."""
+
+    def applied(self, core: FilterCore, state: FilterState) -> FilterState:
+        """The state after it."""
+        return core.loosen(state, self.sheet, self.sigma, self.variance)
+
+
+Change: TypeAlias = Measurement | Reopening | Loosening
+"""What happens to the state at a node."""
 
 
 @dataclass(slots=True, eq=False)
@@ -52,9 +64,9 @@ class Node:
     """After the measurements of this node."""
     prior: FilterState | None = None
     """Before them; None for the first node, which takes them in the order of their arrival."""
-    used: list[Measurement | Reopening | Loosening] = field(default_factory=list)
+    used: list[Change] = field(default_factory=list)
     """What has been used here, in the order of :func:`_rank`."""
-    looks: list[PastUpdate | None] = field(default_factory=list)
+    updates: list[PastUpdate | None] = field(default_factory=list)
     """The updates that it made."""
     transition: FloatArray | None = None
     """Jacobian (21, 21) of the step."""
@@ -75,14 +87,12 @@ class History:
 
     @property
     def newest(self) -> Node:
-        """The latest node."""
         node = self._nodes[-1]
         if self._changed is not None or node.pending:
             self._settle(node)
         return node
 
     def append(self, t_us: int, moment: Moment, step: InertialStep) -> Node:
-        """Predict from the newest node to a new one."""
         state = self._core.predict(self.newest.state, step)
         node = Node(t_us, moment, step, state, state, transition=self._core.transition())
         self._nodes.append(node)
@@ -99,22 +109,15 @@ class History:
         return None
 
     def correct(self, node: Node, measurement: Measurement, innovation: Innovation) -> None:
-        """Use a measurement at ``node``."""
-        if self._place(node, measurement, innovation.look):
+        if self._place(node, measurement, innovation.update):
             node.state = self._core.correct(node.state, innovation)
-            node.looks.append(innovation.look)
+            node.updates.append(innovation.update)
 
-    def reopen(self, node: Node, reopening: Reopening) -> None:
-        """Forget states at ``node``."""
-        if self._place(node, reopening):
-            node.state = self._core.reopen(node.state, reopening.part, reopening.variance, reopening.value)
-            node.looks.append(None)
-
-    def loosen(self, node: Node, loosening: Loosening) -> None:
-        """Believe less of a sheet at ``node``."""
-        if self._place(node, loosening):
-            node.state = self._core.loosen(node.state, loosening.sheet, loosening.sigma, loosening.variance)
-            node.looks.append(None)
+    def forget(self, node: Node, change: Reopening | Loosening) -> None:
+        """Know less of some states or of a sheet at ``node``."""
+        if self._place(node, change):
+            node.state = change.applied(self._core, node.state)
+            node.updates.append(None)
 
     def _settle(self, until: Node) -> None:
         """Tell the nodes after the one that has changed of it, up to and with ``until``: carry the change on, or
@@ -130,7 +133,7 @@ class History:
                     later.append(other)
             later.reverse()
             correction = self._correction
-            if correction is not None and all(None not in other.looks for other in later):
+            if correction is not None and all(None not in other.updates for other in later):
                 self._correction = _carried(correction, later)
             else:
                 self._correction = None
@@ -168,7 +171,7 @@ class History:
                 self._compute(before, [node])
             before = node
 
-    def _place(self, node: Node, new: Measurement | Reopening | Loosening, look: PastUpdate | None = None) -> bool:
+    def _place(self, node: Node, new: Change, update: PastUpdate | None = None) -> bool:
         """Put it among what the node has used. True if it comes last, else the node has been computed again.
 
         The order does not depend on when things arrived, so neither does the result."""
@@ -180,7 +183,7 @@ class History:
                 place -= 1
         last = place == len(node.used)
         if node is not self._nodes[-1]:
-            carried = None if look is None or not last else Correction(look.gain, look.spread, look.y)
+            carried = None if update is None or not last else Correction(update.gain, update.spread, update.y)
             self._note(node, carried)
         node.used.insert(place, new)
         if last:
@@ -216,17 +219,15 @@ class History:
         return before
 
     def _corrected(self, node: Node, state: FilterState) -> FilterState:
-        node.looks = []
+        node.updates = []
         for item in node.used:
-            look = None
-            if isinstance(item, Reopening):
-                state = self._core.reopen(state, item.part, item.variance, item.value)
-            elif isinstance(item, Loosening):
-                state = self._core.loosen(state, item.sheet, item.sigma, item.variance)
+            update = None
+            if isinstance(item, Reopening | Loosening):
+                state = item.applied(self._core, state)
             else:
                 innovation = self._core.innovation(state, item, node.moment, 1e-6 * (item.t_us - node.t_us))
-                state, look = self._core.correct(state, innovation), innovation.look
-            node.looks.append(look)
+                state, update = self._core.correct(state, innovation), innovation.update
+            node.updates.append(update)
         return state
 
 
@@ -235,9 +236,9 @@ def _carried(correction: Correction, nodes: list[Node]) -> Correction:
     for node in nodes:
         assert node.transition is not None
         correction = Correction(node.transition.dot(correction.w), correction.c, correction.e)
-        for i, look in enumerate(node.looks):
-            assert look is not None
-            correction, node.looks[i] = correction.through(look)
+        for i, update in enumerate(node.updates):
+            assert update is not None
+            correction, node.updates[i] = correction.through(update)
         node.pending.append(correction)
     return correction
 
@@ -245,5 +246,5 @@ def _carried(correction: Correction, nodes: list[Node]) -> Correction:
 _ORDER = {name: number for number, name in enumerate(AID_SENSORS)}
 
 
-def _rank(item: Measurement | Reopening | Loosening) -> tuple[int, int]:
+def _rank(item: Change) -> tuple[int, int]:
     return item.t_us, _ORDER.get(item.sensor, len(_ORDER))

@@ -65,7 +65,6 @@ class ImuWatch(Monitor):
                 yield name
 
     def counts(self) -> dict[str, int]:
-        """See :class:`Monitor`."""
         return {
             "doubt.accel": self.accel.count,
             "doubt.gyro": self.gyro.count,
@@ -73,7 +72,6 @@ class ImuWatch(Monitor):
         }
 
     def forgive(self) -> None:
-        """Both sensors are believed again."""
         self.accel.believe()
         self.gyro.believe()
 

@@ -83,7 +83,6 @@ class KalmanCore:
         self._wider: dict[int, ExtendedKalmanFilter] = {}
 
     def start(self, x: FloatArray) -> FilterState:
-        """Diagonal covariance."""
         return FilterState(x, np.diag(self._sigma**2))
 
     def predict(self, state: FilterState, step: InertialStep) -> FilterState:
@@ -99,7 +98,6 @@ class KalmanCore:
         return FilterState(kf.x, kf.P, sheets)
 
     def transition(self) -> FloatArray | None:
-        """See :class:`autopilot.estimator.filter_core.FilterCore`."""
         return self._kf.F.copy()
 
     def innovation(self, state: FilterState, measurement: Measurement, moment: Moment, after_s: float) -> Innovation:
@@ -125,8 +123,8 @@ class KalmanCore:
         if sheets is not None:  # considered, not corrected: this says next to nothing of them
             sheets = sheets._replace(cross=sheets.cross - kf.K.dot(h.dot(sheets.cross)))
         after = FilterState(kf.x, symmetric(kf.P), sheets)
-        look = None if sheets is not None else PastUpdate(kf.K, h, kf.S, kf.y)
-        return Innovation(kf.y, kf.S.diagonal(), ratio, kf.K, None, after, look)
+        update = None if sheets is not None else PastUpdate(kf.K, h, kf.S, kf.y)
+        return Innovation(kf.y, kf.S.diagonal(), ratio, kf.K, None, after, update)
 
     def _on_sheets(
         self, state: FilterState, measurement: Measurement, ground: SheetDependence, moment: Moment, after_s: float
@@ -170,7 +168,6 @@ class KalmanCore:
         return Innovation(kf.y, kf.S.diagonal(), ratio, gain, None, after)
 
     def correct(self, state: FilterState, innovation: Innovation) -> FilterState:
-        """What filterpy's update has made of it."""
         assert innovation.after is not None
         return innovation.after
 
@@ -189,7 +186,6 @@ class KalmanCore:
     def reopen(
         self, state: FilterState, part: slice, variance: float, value: Sequence[float] | None = None
     ) -> FilterState:
-        """See :class:`autopilot.estimator.filter_core.FilterCore`."""
         x, p = state.x, state.p.copy()
         p[part, :] = 0.0
         p[:, part] = 0.0
@@ -200,7 +196,6 @@ class KalmanCore:
         return FilterState(x, p, _forgotten(state.sheets, part))
 
     def loosen(self, state: FilterState, sheet: int, sigma: Sequence[float], variance: Sequence[float]) -> FilterState:
-        """See :class:`autopilot.estimator.filter_core.FilterCore`."""
         sheets = entered(state.sheets, (sheet,), np.array([sigma]), MAX_SHEETS)
         cov = sheets.cov.copy()
         columns = columns_of(sheets.which, (sheet,))
@@ -226,7 +221,6 @@ class KalmanCore:
         return [pn, pe, pd, yaw, forward, right, down, cn, ce, below]
 
     def planar_variance(self, state: FilterState) -> float:
-        """From the diagonal."""
         return max(state.p.item(NORTH, NORTH), state.p.item(EAST, EAST))
 
 

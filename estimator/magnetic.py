@@ -52,7 +52,6 @@ class FieldWatch:
         return 1.0
 
     def _other(self, dt_s: float, now: Field, rate_rad_s: float) -> float:
-        """A field that is not the known one."""
         self._other_s += dt_s
         if self._candidate is None or not _alike(now, self._candidate):
             self._candidate, self._alike_s = now, 0.0

@@ -76,7 +76,6 @@ class MapWatch(Monitor):
         return result
 
     def doubts(self, t_us: int, newest: Node) -> tuple[NavDoubt, ...]:
-        """See :class:`Monitor`."""
         found_of_late = self._found_us is not None and t_us - self._found_us <= MAP_WATCH.held_us
         return (NavDoubt.MAP,) if found_of_late else ()
 
@@ -174,6 +173,5 @@ class MapWatch(Monitor):
 
 
 def _way(north_m: float, east_m: float) -> str:
-    """The nearest of eight directions."""
     eighth = round(math.atan2(east_m, north_m) / (math.pi / 4.0)) % 8
     return ("north", "NE", "east", "SE", "south", "SW", "west", "NW")[eighth]

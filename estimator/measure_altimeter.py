@@ -19,6 +19,7 @@ from autopilot.estimator.aiding import ScalarAid
 from autopilot.estimator.history import Node
 from autopilot.estimator.inertial import Inertial, down_of
 from autopilot.estimator.measure_range import LEAST_COSINE, FloorRange, unit
+from autopilot.estimator.measurement import MAX_SIGMA_M
 from autopilot.estimator.states import DOWN
 
 MIN_SIGMA_M, SIGMA_SHARE = 0.03, 0.02
@@ -26,7 +27,7 @@ MIN_SIGMA_M, SIGMA_SHARE = 0.03, 0.02
 KNOWN_SHARE = 0.7
 """While the depth is known better than to this share of an echo's standard deviation by something else, it is left
 out: many echoes with one and the same error would make a sure and wrong depth."""
-MAX_RANGE_M, MAX_SIGMA_M = 200.0, 10.0
+MAX_RANGE_M = 200.0
 LEAST_CONFIDENCE = 0.5
 HEARD, HEARD_MOST, HEARD_US = 5, 8, 4_000_000
 """Echoes, of so long, that must have been heard before one is used, and that it is held against: with one in five
@@ -87,7 +88,6 @@ class AltimeterAid(ScalarAid[AltimeterSample]):
         return len(lately) >= HEARD and not any(abs(sample.range_m - 2.0 * range_m) < near_m for range_m in lately)
 
     def measured(self, sample: AltimeterSample) -> AltimeterRange | None:
-        """See :class:`ScalarAid`."""
         if self._floor_depth_m is None or not _sane(sample):
             return self.counted(None)
         return AltimeterRange(

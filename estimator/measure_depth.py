@@ -10,12 +10,11 @@ from autopilot.core.samples import DepthSample
 from autopilot.core.vehicle import Vehicle
 from autopilot.estimator.aiding import ScalarAid
 from autopilot.estimator.inertial import down_of
-from autopilot.estimator.measurement import Measurement, Moment
+from autopilot.estimator.measurement import MAX_SIGMA_M, Measurement, Moment
 from autopilot.estimator.states import DEPTH_OFFSET, DOWN, NX, VEL_DOWN, one
 
 MIN_SIGMA_M = 0.003
 """Floor of the noise: waves, and the pressure of the flow round the hull (v^2/2g is 6 mm at 0.35 m/s)."""
-MAX_SIGMA_M = 10.0
 DEEPEST_M, HIGHEST_M = 12_000.0, -10.0
 """Outside of these no vehicle has ever been."""
 
@@ -68,5 +67,4 @@ class DepthAid(ScalarAid[DepthSample]):
         self._mount_frd_m = vehicle.depth_sensor.position_frd_m
 
     def measured(self, sample: DepthSample) -> Depth | None:
-        """See :class:`ScalarAid`."""
         return self.counted(depth_from_sample(sample, self._mount_frd_m))

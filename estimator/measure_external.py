@@ -17,14 +17,14 @@ from autopilot.estimator.fix_aid import FixAid
 from autopilot.estimator.history import Node
 from autopilot.estimator.inertial import Inertial
 from autopilot.estimator.measure_pose import MAX_DISTANCE_M, MAX_YAW_RAD, PoseFix
+from autopilot.estimator.measurement import MAX_SIGMA_M
 from autopilot.estimator.states import POS, VEL, YAW
 
 MIN_SIGMA_M, MIN_SIGMA_RAD = 0.002, math.radians(0.1)
 """Floors of what a source claims."""
 UNKNOWN_SIGMA_M, UNKNOWN_SIGMA_RAD = 0.1, 0.1
 """Taken when the source gives no covariance (the defaults of PX4's EKF2_EVP_NOISE and EKF2_EVA_NOISE)."""
-MAX_SIGMA_M, MAX_SIGMA_RAD = 10.0, math.pi
-"""A pose that is worse than this says nothing worth having."""
+MAX_SIGMA_RAD = math.pi
 
 
 class Alignment(NamedTuple):
@@ -35,7 +35,6 @@ class Alignment(NamedTuple):
     origin_ned_m: tuple[float, float, float]
 
     def to_ned(self, pos_m: FloatArray, yaw_rad: float) -> tuple[FloatArray, float]:
-        """A pose in our frame."""
         return self.rotation() @ pos_m + np.array(self.origin_ned_m), yaw_rad + self.turn_rad
 
     def rotation(self) -> FloatArray:
@@ -135,7 +134,6 @@ class ExternalAid(FixAid[ExternalPoseSample]):
         return self.counted(fix_from_external(sample, inertial, self._mount_frd_m))
 
     def fix(self, sample: ExternalPoseSample, node: Node) -> PoseFix | None:
-        """See :class:`FixAid`."""
         if not well_formed(sample):
             return self.counted(None)
         self._note_jump(sample)

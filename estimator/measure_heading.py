@@ -27,11 +27,9 @@ class Heading(Measurement):
     """z = (1,) yaw of the AHRS [rad], at the very moment of its sample."""
 
     def predicted(self, x: FloatArray, moment: Moment, after_s: float) -> FloatArray:
-        """True heading plus offset."""
         return np.array([x.item(YAW) + x.item(HEADING_OFFSET)])
 
     def jacobian(self, x: FloatArray, moment: Moment, after_s: float) -> FloatArray:
-        """Constant."""
         return _JACOBIAN
 
     def residual(self, z: FloatArray, predicted: FloatArray) -> FloatArray:
@@ -40,7 +38,6 @@ class Heading(Measurement):
 
 
 def heading_of(inertial: Inertial) -> Heading:
-    """The heading measurement of one AHRS sample."""
     return Heading(sensor="heading", t_us=inertial.t_us, z=np.array([inertial.ahrs_yaw_rad]), noise=_NOISE)
 
 
@@ -55,5 +52,4 @@ class HeadingAid(ScalarAid[Inertial]):
         return count % HEADING_EVERY == 0
 
     def measured(self, sample: Inertial) -> Heading:
-        """See :class:`ScalarAid`."""
         return heading_of(sample)

@@ -11,7 +11,7 @@ from autopilot.core.vehicle import Laser, Vehicle
 from autopilot.estimator.aiding import ScalarAid
 from autopilot.estimator.inertial import Inertial, down_of
 from autopilot.estimator.measure_range import LEAST_COSINE, FloorRange, unit
-from autopilot.estimator.measurement import Moment
+from autopilot.estimator.measurement import MAX_SIGMA_M, Moment
 from autopilot.estimator.pictures import Pictures
 from autopilot.estimator.states import LASER_BIAS, one
 
@@ -19,7 +19,6 @@ MIN_SIGMA_M = 0.005
 """Floor of the range noise: waves of the floor, calibration."""
 
 MAX_RANGE_M = 50.0
-MAX_SIGMA_M = 10.0
 
 NO_LASER = Laser(position_frd_m=(0.0, 0.0, 0.0))
 """Stands for the laser of a vehicle that has none: no sample of it will come."""
@@ -36,7 +35,6 @@ class LaserRange(FloorRange):
         return max(down_of(inertial, self.beam_frd), LEAST_COSINE)
 
     def predicted(self, x: FloatArray, moment: Moment, after_s: float) -> FloatArray:
-        """The range and the bias."""
         # Not super(): a dataclass with slots is another class than the one that its methods were written in.
         return FloorRange.predicted(self, x, moment, after_s) + x.item(LASER_BIAS)
 
@@ -87,11 +85,9 @@ class LaserAid(ScalarAid[LaserSample | MarkerSighting]):
 
     @property
     def offset_us(self) -> int:
-        """See :class:`Aid`."""
         return self._pictures.offset_us
 
     def measured(self, sample: LaserSample | MarkerSighting) -> LaserRange | None:
-        """See :class:`ScalarAid`."""
         shown = self._of_picture(sample) if isinstance(sample, MarkerSighting) else sample
         floor_m = self._floor_depth_m
         if shown is None or floor_m is None:

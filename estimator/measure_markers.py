@@ -29,18 +29,15 @@ class MarkersAid(FixAid[PoseSample | MarkerSighting]):
 
     @property
     def offset_us(self) -> int:
-        """See :class:`Aid`."""
         return self._pictures.offset_us
 
     def first_fix(self, sample: PoseSample | MarkerSighting, inertial: Inertial) -> PoseFix | None:
-        """See :class:`FixAid`."""
         if isinstance(sample, PoseSample):
             return self.counted(fix_from_sample(sample, self.sensor))
         solver = self._solver_of(sample)
         return None if solver is None else self._kept(solver.locate(sample, inertial.roll_rad, inertial.pitch_rad))
 
     def fix(self, sample: PoseSample | MarkerSighting, node: Node) -> PoseFix | None:
-        """See :class:`FixAid`."""
         if isinstance(sample, PoseSample):
             return self.counted(fix_from_sample(sample, self.sensor))
         solver = self._solver_of(sample)

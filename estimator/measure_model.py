@@ -71,7 +71,6 @@ class ModelAcceleration(Measurement):
         return np.array((ahead + x.item(BIAS_AHEAD), right + x.item(BIAS_RIGHT), down + x.item(BIAS_DOWN)))
 
     def jacobian(self, x: FloatArray, moment: Moment, after_s: float) -> FloatArray:
-        """Rows forward, right (and down)."""
         return self.vehicle.jacobian(x, moment)[: len(self.z)].copy()
 
 
@@ -127,12 +126,10 @@ class VehicleAcceleration:
         self._none = (0.0,) * (_THRUSTERS - model.thrusters)
 
     def at(self, x: FloatArray, moment: Moment) -> tuple[float, float, float, float]:
-        """See :func:`expected_acceleration`."""
         self._ask(x, moment)
         return self._acceleration
 
     def jacobian(self, x: FloatArray, moment: Moment) -> FloatArray:
-        """See :func:`acceleration_jacobian`; not to be kept."""
         self._ask(x, moment)
         if self._jacobian is None:
             self._jacobian = acceleration_jacobian(self._model, self._follow, x, moment)
@@ -291,5 +288,4 @@ class ModelAid(ScalarAid[Inertial]):
         return self._options.model_aid and not idle(moment, x)
 
     def measured(self, sample: Inertial) -> ModelAcceleration:
-        """See :class:`ScalarAid`."""
         return model_aid_of(sample, self.vehicle, vertical=self._options.current_3d)

@@ -122,7 +122,6 @@ class VelocityAid(ScalarAid[VelocitySample]):
         """Time of validity of the newest velocity over ground that has been used, None before the first."""
 
     def measured(self, sample: VelocitySample) -> BodyVelocity | None:
-        """See :class:`ScalarAid`."""
         return self.counted(velocity_from_sample(sample, self._mount_frd_m))
 
     def reopened(self, measurement: BodyVelocity, *, fixed: bool) -> slice | None:
@@ -133,7 +132,6 @@ class VelocityAid(ScalarAid[VelocitySample]):
         return None if fixed else self.own
 
     def used(self, measurement: BodyVelocity) -> None:
-        """See :class:`ScalarAid`."""
         over_ground = measurement.lock is VelocityLock.BOTTOM
         if over_ground:
             self.ground_us = max(measurement.t_us, -1 if self.ground_us is None else self.ground_us)

@@ -11,6 +11,10 @@ CHI2_999 = {1: 10.83, 2: 13.82, 3: 16.27, 4: 18.47}
 """99.9 % points of the chi-square distribution by degrees of freedom (Abramowitz & Stegun, table 26.8)."""
 
 
+MAX_SIGMA_M = 10.0
+"""A sample that claims a larger standard deviation says nothing worth having."""
+
+
 def chi2_999(freedom: int) -> float:
     """The same for any number of degrees of freedom (Wilson and Hilferty's approximation from five on)."""
     known = CHI2_999.get(freedom)

@@ -35,7 +35,6 @@ class Monitor:
         return {}
 
     def take_texts(self) -> tuple[str, ...]:
-        """What is new, for the operator."""
         if not self._texts:
             return ()
         texts, self._texts = tuple(self._texts), []

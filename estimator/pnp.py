@@ -12,6 +12,7 @@ itself says what to expect of each marker's corners; the residuals say how right
 """
 
 import math
+from abc import ABC, abstractmethod
 from typing import NamedTuple
 
 import numpy as np
@@ -61,54 +62,130 @@ def solve_pose(
 
     None if it does not converge, if the residuals' root mean square is above ``max_rms_px``, or if few markers want
     another tilt than the start's, which is the AHRS's."""
-    pos = np.array(pos_ned_m, dtype=float)
-    rotation = r_ned_from_frd(rpy_rad)
-    up_prior = rotation.T[:, 2].copy()
-    few = len(points_ned_m) <= PNP.few_points
-    tilt = (PNP.tilt_sigma_few_rad if few else PNP.tilt_sigma_many_rad) ** -2
-    inward = inward_of(pixels)
-    shrink = shrink_px
-    expected = expected_px(sigma_px, len(pixels))
-    keep = np.ones(2 * len(pixels), dtype=bool)
-    jac = np.empty((2 * len(pixels), 7))
-    linear = None
-    for step in range(PNP.steps):
-        if linear is None:
-            linear = linearise_corners(camera, points_ned_m, pixels, pos, rotation)
-            if linear is None:
-                return None
-            jac[:, :6], jac[:, 6] = linear[1], inward
-            residual = linear[0] - shrink * inward
-            left = residual
-        weighted = jac.T * (keep / (expected * expected))
-        seen, toward = weighted @ jac, weighted @ residual
-        scale = corner_scale((left / expected)[keep])
-        information, gradient = _with_priors(seen, toward, scale, rotation, up_prior, tilt, shrink_px - shrink)
-        delta: FloatArray = np.asarray(np.linalg.solve(information, gradient), dtype=np.float64)
-        left = residual - jac @ delta
-        settled = float(np.abs(delta[:6]).max()) < PNP.converged
-        if settled:
-            fits = corners_that_fit(left / expected)
-            if not ((fits == keep).all() or step == PNP.steps - 1):
-                keep = fits  # so near, the derivatives are what they were
-                continue
-        pos = pos + delta[:3]
-        rotation = turn_matrix(delta[3:6]) @ rotation
-        shrink += float(delta[6])
-        if settled:
-            break
+    fit = _PoseFit(camera, points_ned_m, pixels, sigma_px, pos_ned_m, rpy_rad, shrink_px)
+    return fit.pose(max_rms_px) if fit.converges() else None
+
+
+class CornerFit(ABC):
+    """Gauss-Newton over position, rotation, blur, and in a subclass more, from corners (k, 3) seen at pixels (k, 2)."""
+
+    def __init__(
+        self,
+        camera: CameraModel,
+        pixels: FloatArray,
+        sigma_px: FloatArray | None,
+        pos_ned_m: FloatArray,
+        rpy_rad: FloatArray,
+        shrink_px: float,
+        unknowns: int,
+    ) -> None:
+        self._camera, self._pixels = camera, pixels
+        self._pos = np.array(pos_ned_m, dtype=float)
+        self._rotation = r_ned_from_frd(rpy_rad)
+        self._up_prior = self._rotation.T[:, 2].copy()
+        self._inward, self._expected = inward_of(pixels), expected_px(sigma_px, len(pixels))
+        self._shrink = self._shrink_prior = shrink_px
+        self._keep = np.ones(2 * len(pixels), dtype=bool)
+        """Pixel coordinates that are no outliers."""
+        self._jac = np.zeros((2 * len(pixels), unknowns))
+        self._jac[:, 6] = self._inward
+        self._left = self._inward
+        """(2k,) residuals after the last step."""
+
+    @abstractmethod
+    def _points_ned_m(self) -> FloatArray:
+        """(k, 3) the corners as the unknowns are now."""
+
+    @abstractmethod
+    def _normal_equations(self, residual: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Information and gradient of all unknowns, priors included."""
+
+    def _linearised(self, jac: FloatArray) -> None:
+        """Take in the derivatives (2k, 6) by the pose."""
+        self._jac[:, :6] = jac
+
+    def _move(self, delta: FloatArray) -> None:
+        self._pos = self._pos + delta[:3]
+        self._rotation = turn_matrix(delta[3:6]) @ self._rotation
+        self._shrink += float(delta[6])
+
+    @property
+    def _lean(self) -> FloatArray:
+        """(3,) the vertical of the tilt's prior seen through the rotation."""
+        return self._rotation @ self._up_prior
+
+    def converges(self) -> bool:
+        """Step until nothing moves and the outliers stay the same; False if it does not come to that."""
         linear = None
-    else:
-        return None
-    rms = rms_of(left)
-    if not rms <= max_rms_px or (few and math.acos(min(1.0, float(rotation[2] @ up_prior))) > LEAN_MAX_RAD):
-        return None
-    scale = corner_scale((left / expected)[keep])
-    information, _ = _with_priors(seen, toward, scale, rotation, up_prior, tilt, 0.0)
-    covariance: FloatArray = PNP.inflation * np.asarray(np.linalg.inv(information), dtype=np.float64)
-    noise = floored(covariance[_POSE])
-    sigma_tilt_rad = float(np.sqrt(max(covariance[3, 3], covariance[4, 4])))
-    return Pose(pos, rpy_from_r(rotation), noise, sigma_tilt_rad, left.reshape(-1, 2), rms)
+        for step in range(PNP.steps):
+            if linear is None:
+                linear = linearise_corners(self._camera, self._points_ned_m(), self._pixels, self._pos, self._rotation)
+                if linear is None:
+                    return False
+                self._linearised(linear[1])
+                residual = self._left = linear[0] - self._shrink * self._inward
+            delta: FloatArray = np.asarray(np.linalg.solve(*self._normal_equations(residual)), dtype=np.float64)
+            self._left = residual - self._jac @ delta
+            moved = np.abs(delta)
+            moved[6] = 0.0  # blur may go on
+            settled = float(moved.max()) < PNP.converged
+            if settled:
+                fits = corners_that_fit(self._left / self._expected)
+                if not ((fits == self._keep).all() or step == PNP.steps - 1):
+                    self._keep = fits  # so near, the derivatives are what they were
+                    continue
+            self._move(delta)
+            if settled:
+                return True
+            linear = None
+        return False
+
+
+class _PoseFit(CornerFit):
+    """The pose alone, over corners whose places are known."""
+
+    def __init__(
+        self,
+        camera: CameraModel,
+        points_ned_m: FloatArray,
+        pixels: FloatArray,
+        sigma_px: FloatArray | None,
+        pos_ned_m: FloatArray,
+        rpy_rad: FloatArray,
+        shrink_px: float,
+    ) -> None:
+        super().__init__(camera, pixels, sigma_px, pos_ned_m, rpy_rad, shrink_px, 7)
+        self._points = points_ned_m
+        self._few = len(points_ned_m) <= PNP.few_points
+        self._tilt = (PNP.tilt_sigma_few_rad if self._few else PNP.tilt_sigma_many_rad) ** -2
+
+    def _points_ned_m(self) -> FloatArray:
+        return self._points
+
+    def _normal_equations(self, residual: FloatArray) -> tuple[FloatArray, FloatArray]:
+        weighted = self._jac.T * (self._keep / (self._expected * self._expected))
+        self._seen, self._toward = weighted @ self._jac, weighted @ residual
+        return self._with_priors(self._shrink_prior - self._shrink)
+
+    def _with_priors(self, shrink_off_px: float) -> tuple[FloatArray, FloatArray]:
+        """Information (7, 7) and gradient (7,) of pixels whose errors are as the residuals show, and of the priors."""
+        scale = corner_scale((self._left / self._expected)[self._keep])
+        information, gradient = self._seen / (scale * scale), self._toward / (scale * scale)
+        add_priors(information, gradient, self._lean, self._tilt, shrink_off_px)
+        return information, gradient
+
+    def pose(self, max_rms_px: float) -> Pose | None:
+        """The pose that it has converged to, if it is good enough."""
+        rms = rms_of(self._left)
+        if not rms <= max_rms_px or (
+            self._few and math.acos(min(1.0, float(self._rotation[2] @ self._up_prior))) > LEAN_MAX_RAD
+        ):
+            return None
+        information, _ = self._with_priors(0.0)
+        covariance: FloatArray = PNP.inflation * np.asarray(np.linalg.inv(information), dtype=np.float64)
+        noise = floored(covariance[_POSE])
+        sigma_tilt_rad = float(np.sqrt(max(covariance[3, 3], covariance[4, 4])))
+        return Pose(self._pos, rpy_from_r(self._rotation), noise, sigma_tilt_rad, self._left.reshape(-1, 2), rms)
 
 
 _POSE = np.ix_([0, 1, 2, 5], [0, 1, 2, 5])
@@ -179,22 +256,6 @@ def linearise_corners(
     return residual.reshape(-1), jac
 
 
-def _with_priors(
-    seen: FloatArray,
-    toward: FloatArray,
-    scale: float,
-    rotation: FloatArray,
-    up_prior: FloatArray,
-    tilt: float,
-    shrink_off_px: float,
-) -> tuple[FloatArray, FloatArray]:
-    """Information (7, 7) and gradient (7,) of pixels whose errors are ``scale`` times what is expected, and of
-    :func:`add_priors`."""
-    information, gradient = seen / (scale * scale), toward / (scale * scale)
-    add_priors(information, gradient, rotation @ up_prior, tilt, shrink_off_px)
-    return information, gradient
-
-
 def add_priors(
     information: FloatArray | None, gradient: FloatArray, lean: FloatArray, tilt: float, shrink_off_px: float
 ) -> None:
@@ -212,7 +273,6 @@ def add_priors(
 
 
 def rms_of(residual: FloatArray) -> float:
-    """Root mean square."""
     return math.sqrt(float(residual @ residual) / len(residual))
 
 

@@ -6,11 +6,9 @@ import math
 import numpy as np
 
 from autopilot.core.frames import FloatArray
-from autopilot.estimator.camera_doubt import CameraMonitor
-from autopilot.estimator.evidence import Evidence
 from autopilot.estimator.fusion import Fusion
-from autopilot.estimator.imu_watch import ImuWatch
 from autopilot.estimator.intake import SampleBuffer
+from autopilot.estimator.monitors import Monitors
 from autopilot.estimator.sources import Sources
 from autopilot.estimator.states import ACCEL_BIAS, GYRO_BIAS, POS, VEL, YAW, one
 
@@ -23,18 +21,9 @@ CARRIED_SIGMA = np.array([0.005, 0.005, 0.005, 0.01])
 class Recalibration:
     """Of one estimator."""
 
-    def __init__(
-        self,
-        fusion: Fusion,
-        sources: Sources,
-        intake: SampleBuffer,
-        *,
-        imu: ImuWatch,
-        evidence: Evidence,
-        camera: CameraMonitor,
-    ) -> None:
+    def __init__(self, fusion: Fusion, sources: Sources, intake: SampleBuffer, monitors: Monitors) -> None:
         self._fusion, self._sources, self._intake = fusion, sources, intake
-        self._imu, self._evidence, self._camera = imu, evidence, camera
+        self._evidence, self._imu, self._camera, *_ = monitors
         self._focal_share = 0.0
         self.counts = dict.fromkeys(("stamps.retimed", "focal.rescaled"), 0)
 

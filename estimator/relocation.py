@@ -15,7 +15,6 @@ class Relocation:
         self._fixes: deque[PoseFix] = deque(maxlen=REJECT_COUNT)
 
     def accepted(self) -> None:
-        """A fix passed the gate."""
         self._fixes.clear()
 
     def agreeing_with(self, fix: PoseFix) -> int:

@@ -23,7 +23,6 @@ def product(a: Four, b: Four) -> Four:
 
 
 def turned(q: Four, v: Three) -> Three:
-    """The vector after the rotation."""
     w, x, y, z = q
     a, b, c = v
     i, j, k = 2.0 * (y * c - z * b), 2.0 * (z * a - x * c), 2.0 * (x * b - y * a)
@@ -68,7 +67,6 @@ def roll_pitch_yaw(q: Four) -> Three:
 
 
 def rows(q: Four) -> tuple[Three, Three, Three]:
-    """Of the rotation matrix."""
     w, x, y, z = q
     return (
         (1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - w * z), 2.0 * (x * z + w * y)),

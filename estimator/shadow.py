@@ -44,7 +44,6 @@ class Shadowed:
         self._ticks = 0
 
     def step(self, t_us: int, samples: Sequence[Sample], thrust_n: FloatArray) -> NavState | None:
-        """See :class:`autopilot.estimator.protocol.Estimator`."""
         nav = self._flown.step(t_us, samples, thrust_n)
         self._waiting += [sample for sample in samples if self._wanted(sample)]
         self._waiting += self._flown.take_made()
@@ -57,7 +56,6 @@ class Shadowed:
         return nav
 
     def take_aids(self) -> tuple[AidStatus, ...]:
-        """Of the flown estimator."""
         return self._flown.take_aids()
 
     def take_made(self) -> tuple[PoseSample | LaserSample, ...]:
@@ -65,7 +63,6 @@ class Shadowed:
         return ()
 
     def take_remarks(self) -> tuple[str, ...]:
-        """Of the flown estimator."""
         return self._flown.take_remarks()
 
     def counters(self) -> Mapping[str, int]:
@@ -74,17 +71,14 @@ class Shadowed:
 
     @property
     def ahrs_us(self) -> int | None:
-        """See :class:`autopilot.estimator.protocol.Estimator`."""
         return self._flown.ahrs_us
 
     @property
     def refined_map(self) -> MarkerMap | None:
-        """Of the flown estimator."""
         return self._flown.refined_map
 
     @property
     def doubts(self) -> frozenset[NavDoubt]:
-        """Of the flown estimator."""
         return self._flown.doubts
 
     @property

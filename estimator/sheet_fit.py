@@ -12,20 +12,11 @@ from typing import NamedTuple
 import numpy as np
 
 from autopilot.core.camera import CameraModel
-from autopilot.core.frames import FloatArray, r_ned_from_frd, rpy_from_r
+from autopilot.core.frames import FloatArray, rpy_from_r
 from autopilot.core.map_errors import STATES
 from autopilot.core.markers import IntArray
 from autopilot.estimator.estimator_tuning import PNP
-from autopilot.estimator.pnp import (
-    add_priors,
-    corners_that_fit,
-    expected_px,
-    floored,
-    inward_of,
-    linearise_corners,
-    rms_of,
-    turn_matrix,
-)
+from autopilot.estimator.pnp import CornerFit, add_priors, floored, rms_of
 
 TILT_INFORMATION = 0.009**-2
 """0.5 degrees: the AHRS's tilt as a prior, however many markers are seen."""
@@ -119,61 +110,72 @@ def fit_on_sheets(
     """Pose of the corners ``seen``, the sheets' offsets being ``belief`` (4n,), (4n, 4n), near a rough pose.
 
     None if it does not converge or the residuals' root mean square is above ``max_rms_px``."""
-    pos = np.array(pos_ned_m, dtype=float)
-    rotation = r_ned_from_frd(rpy_rad)
-    up_prior = rotation.T[:, 2].copy()
-    believed, covariance = belief
-    size = len(believed)
-    prior = np.linalg.inv(covariance + np.eye(size) * BELIEF_FLOOR**2)
-    offset = believed.copy()
-    pixels = seen.pixels.reshape(-1, 2)
-    inward, expected = inward_of(pixels), _expected(seen)
-    shrink = PNP.shrink_px
-    keep = np.ones(2 * len(pixels), dtype=bool)
-    places = _places(seen, 7 + size)
-    jac = np.zeros((2 * len(pixels), 7 + size))
-    jac[:, 6] = inward
-    linear = None
-    for step in range(PNP.steps):
-        if linear is None:
-            points, arm = _points(seen, offset)
-            linear = linearise_corners(camera, points.reshape(-1, 3), pixels, pos, rotation)
-            if linear is None:
-                return None
-            jac[:, :6] = linear[1]
-            jac.reshape(-1)[places] = _by_offsets(linear[1], arm)[seen.sheet >= 0]
-            residual = linear[0] - shrink * inward
-            left = residual
-        weighted = jac.T * (_weights(camera, seen, left, expected, keep, pos, points, 7 + size) * keep)
-        information, gradient = weighted @ jac, weighted @ residual
-        add_priors(information, gradient, rotation @ up_prior, TILT_INFORMATION, PNP.shrink_px - shrink)
-        full, toward = information.copy(), gradient
-        full[7:, 7:] += prior
-        toward[7:] += prior @ (believed - offset)
-        delta: FloatArray = np.asarray(np.linalg.solve(full, toward), dtype=np.float64)
-        left = residual - jac @ delta
-        settled = max(float(np.abs(delta[:6]).max()), float(np.abs(delta[7:]).max())) < PNP.converged
-        if settled:
-            fits = corners_that_fit(left / expected)
-            if not ((fits == keep).all() or step == PNP.steps - 1):
-                keep = fits  # so near, the derivatives are what they were
-                continue
-        pos = pos + delta[:3]
-        rotation = turn_matrix(delta[3:6]) @ rotation
-        shrink += float(delta[6])
-        offset = offset + delta[7:]
-        if settled:
-            break
-        linear = None
-    else:
-        return None
-    rms = rms_of(left)
-    if not rms <= max_rms_px:
-        return None
-    gradient = weighted @ left
-    add_priors(None, gradient, rotation @ up_prior, TILT_INFORMATION, PNP.shrink_px - shrink)
-    posterior: FloatArray = np.asarray(np.linalg.inv(full), dtype=np.float64)
-    return _pieces(information, gradient, posterior, pos, rotation, offset, (believed, covariance), left, rms, jac)
+    fit = _SheetFit(camera, seen, belief, pos_ned_m, rpy_rad)
+    return fit.pose(max_rms_px) if fit.converges() else None
+
+
+class _SheetFit(CornerFit):
+    """The pose and the sheets' offsets."""
+
+    def __init__(
+        self,
+        camera: CameraModel,
+        seen: SheetCorners,
+        belief: tuple[FloatArray, FloatArray],
+        pos_ned_m: FloatArray,
+        rpy_rad: FloatArray,
+    ) -> None:
+        size = len(belief[0])
+        sigma_px = None if seen.sigma_px is None else np.repeat(seen.sigma_px, 4)
+        pixels = seen.pixels.reshape(-1, 2)
+        super().__init__(camera, pixels, sigma_px, pos_ned_m, rpy_rad, PNP.shrink_px, 7 + size)
+        self._sheets, self._belief = seen, belief
+        self._prior = np.linalg.inv(belief[1] + np.eye(size) * BELIEF_FLOOR**2)
+        self._offset = belief[0].copy()
+        self._places = _places(seen, 7 + size)
+
+    def _points_ned_m(self) -> FloatArray:
+        self._points, self._arm = _points(self._sheets, self._offset)
+        return self._points.reshape(-1, 3)
+
+    def _linearised(self, jac: FloatArray) -> None:
+        super()._linearised(jac)
+        self._jac.reshape(-1)[self._places] = _by_offsets(jac, self._arm)[self._sheets.sheet >= 0]
+
+    def _normal_equations(self, residual: FloatArray) -> tuple[FloatArray, FloatArray]:
+        self._weighted = self._jac.T * (self._weights() * self._keep)
+        self._information, gradient = self._weighted @ self._jac, self._weighted @ residual
+        add_priors(self._information, gradient, self._lean, TILT_INFORMATION, self._shrink_prior - self._shrink)
+        self._full = self._information.copy()
+        self._full[7:, 7:] += self._prior
+        gradient[7:] += self._prior @ (self._belief[0] - self._offset)
+        return self._full, gradient
+
+    def _move(self, delta: FloatArray) -> None:
+        super()._move(delta)
+        self._offset = self._offset + delta[7:]
+
+    def _weights(self) -> FloatArray:
+        """(8m,) inverse variance of each pixel coordinate: of corners, and of markers on their sheets, which all four
+        corners share."""
+        away_m = np.maximum(self._points[:, 0, 2] - self._pos[2], 0.05)
+        print_px = self._sheets.sigma_m * self._camera.focal_water_px / away_m
+        expected = self._expected[::8]
+        scale, share = scatter(self._left / self._expected, self._keep, print_px / expected, self._jac.shape[1])
+        result: FloatArray = np.repeat(1.0 / ((scale * expected) ** 2 + 4.0 * share * print_px**2), 8)
+        return result
+
+    def pose(self, max_rms_px: float) -> SheetPose | None:
+        """What it has converged to, if it is good enough."""
+        left = self._left
+        rms = rms_of(left)
+        if not rms <= max_rms_px:
+            return None
+        gradient = self._weighted @ left
+        add_priors(None, gradient, self._lean, TILT_INFORMATION, self._shrink_prior - self._shrink)
+        posterior: FloatArray = np.asarray(np.linalg.inv(self._full), dtype=np.float64)
+        pos, rotation, offset, belief = self._pos, self._rotation, self._offset, self._belief
+        return _pieces(self._information, gradient, posterior, pos, rotation, offset, belief, left, rms, self._jac)
 
 
 def _points(seen: SheetCorners, offset: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -208,30 +210,6 @@ def _by_offsets(jac: FloatArray, arm: FloatArray) -> FloatArray:
     np.negative(by_pos, out=result[..., :3])
     result[..., 3] = by_pos[..., 0] * arm[..., 1:] - by_pos[..., 1] * arm[..., :1]
     return result.reshape(-1, 8, STATES)
-
-
-def _expected(seen: SheetCorners) -> FloatArray:
-    """(8m,) standard deviations of pixel coordinates by the image."""
-    return expected_px(None if seen.sigma_px is None else np.repeat(seen.sigma_px, 4), 4 * len(seen.sheet))
-
-
-def _weights(
-    camera: CameraModel,
-    seen: SheetCorners,
-    residual: FloatArray,
-    expected: FloatArray,
-    keep: FloatArray,
-    pos: FloatArray,
-    points: FloatArray,
-    unknowns: int,
-) -> FloatArray:
-    """(8m,) inverse variance of each pixel coordinate: of corners, and of markers on their sheets, which all four
-    corners share."""
-    away_m = np.maximum(points[:, 0, 2] - pos[2], 0.05)
-    print_px = seen.sigma_m * camera.focal_water_px / away_m
-    scale, share = scatter(residual / expected, keep, print_px / expected[::8], unknowns)
-    result: FloatArray = np.repeat(1.0 / ((scale * expected[::8]) ** 2 + 4.0 * share * print_px**2), 8)
-    return result
 
 
 def scatter(residual: FloatArray, keep: FloatArray, print_sigma: FloatArray, unknowns: int) -> tuple[float, float]:

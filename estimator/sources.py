@@ -90,7 +90,6 @@ class Sources:
         return replace(sample, t_us=sample.t_us + offset_us) if offset_us else sample
 
     def counts(self) -> dict[str, int]:
-        """Of all sources, as ``sensor.what``."""
         counts = {name: count for aid in self.all for name, count in aid.named_counts()}
         return {**counts, **self.markers.solver_counts()}
 

@@ -96,7 +96,6 @@ class StampWatch:
         return True
 
     def feel(self, inertial: Inertial) -> None:
-        """One inertial sample."""
         if not inertial.real or (self._imu and inertial.t_us - self._imu[-1][0] > STAMP_WATCH.gap_us):
             self._imu.clear()
             self._fixes.clear()
@@ -380,11 +379,9 @@ class _Fit:
         return result
 
     def only(self, good: NDArray[np.bool_]) -> "_Fit":
-        """Of some rows."""
         return _Fit(self._by[good], self._what[good])
 
     def fit(self, floor: float) -> _Goodness:
-        """At the best delay."""
         n, p = self._by.shape
         *_, shown = squares = self._squares + n * floor * floor
         return _Goodness(float(squares[:-1].min()) / (n - p), float(shown) / (n - p), (n - p) / STAMP_WATCH.alike)

@@ -50,7 +50,6 @@ INITIAL_SIGMA_CURRENT_DOWN_M_S = 0.05
 
 
 def one(index: int) -> slice:
-    """A single state."""
     return slice(index, index + 1)
 
 

@@ -290,50 +290,46 @@ def _smoothed(grey: Any, cell_px: float) -> Any:
     return grey if side_px == 1 else cv2.GaussianBlur(grey, (side_px, side_px), 0.0)
 
 
-def _parameters(hazy: bool, constant: float) -> Any:
+def _parameters(hazy: bool, constant: float, windows_px: tuple[int, int, int]) -> Any:
+    """The detector's, with the first, last and step of its threshold windows."""
     parameters = cv2.aruco.DetectorParameters()
     parameters.adaptiveThreshConstant = VISION.hazy_threshold_constant if hazy else constant
     parameters.minOtsuStdDev = VISION.hazy_min_otsu_std_dev if hazy else VISION.min_otsu_std_dev
     parameters.cornerRefinementMethod = cv2.aruco.CORNER_REFINE_NONE
     parameters.errorCorrectionRate = VISION.correction
+    parameters.adaptiveThreshWinSizeMin, parameters.adaptiveThreshWinSizeMax = windows_px[:2]
+    parameters.adaptiveThreshWinSizeStep = windows_px[2]
     return parameters
 
 
-def _windows(parameters: Any, first_px: int, last_px: int, step_px: int) -> None:
-    parameters.adaptiveThreshWinSizeMin, parameters.adaptiveThreshWinSizeMax = first_px, last_px
-    parameters.adaptiveThreshWinSizeStep = step_px
-
-
 def _bounds(parameters: Any, least_px: float, most_px: float, image_px: int) -> None:
-    """Sides that a marker may have."""
     parameters.minMarkerPerimeterRate = max(VISION.min_side_px, VISION.size_band[0] * least_px) * 4.0 / image_px
     parameters.maxMarkerPerimeterRate = VISION.size_band[1] * 4.0 * most_px / image_px
 
 
 def _tracking(least_px: float, most_px: float, image_px: int, hazy: bool, scale: float) -> Any:
-    parameters = _parameters(hazy, VISION.threshold_constant)
+    parameters = _parameters(hazy, VISION.threshold_constant, (VISION.window_px, VISION.window_px, 1))
     parameters.minDistanceToBorder = round(VISION.border_px / scale)
-    _windows(parameters, VISION.window_px, VISION.window_px, 1)
     _bounds(parameters, least_px, most_px, image_px)
     return parameters
 
 
 def _second_look(least_px: float, most_px: float, image_px: int, hazy: bool, smoothed: bool) -> Any:
-    parameters = _parameters(hazy and smoothed, VISION.threshold_constant if hazy else VISION.second_constant)
-    _windows(parameters, *(VISION.hazy_second_windows_px if smoothed else VISION.second_windows_px))
+    windows_px = VISION.hazy_second_windows_px if smoothed else VISION.second_windows_px
+    constant = VISION.threshold_constant if hazy else VISION.second_constant
+    parameters = _parameters(hazy and smoothed, constant, windows_px)
     _bounds(parameters, least_px, most_px, image_px)
     return parameters
 
 
 def _acquiring(image_px: int, hazy: bool) -> Any:
-    parameters = _parameters(hazy, VISION.threshold_constant)
-    _windows(parameters, *VISION.acquire_windows_px)
+    parameters = _parameters(hazy, VISION.threshold_constant, VISION.acquire_windows_px)
     parameters.minMarkerPerimeterRate = 4.0 * VISION.min_side_px / image_px
     return parameters
 
 
 def _acquiring_small(image_px: int, hazy: bool) -> Any:
-    parameters = _parameters(False, VISION.threshold_constant if hazy else VISION.second_constant)
-    _windows(parameters, *VISION.second_windows_px)
+    constant = VISION.threshold_constant if hazy else VISION.second_constant
+    parameters = _parameters(False, constant, VISION.second_windows_px)
     parameters.minMarkerPerimeterRate = 4.0 * VISION.min_side_px / image_px
     return parameters

@@ -34,9 +34,7 @@ MAX_PENDING = 4
 class Detector(Protocol):
     """Pure function from a frame (and where the vehicle probably was) to what is in it."""
 
-    def detect(self, frame: CameraFrame, hint: Hint | None) -> MarkerSighting:
-        """Find markers and the laser dot."""
-        ...
+    def detect(self, frame: CameraFrame, hint: Hint | None) -> MarkerSighting: ...
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -157,6 +155,5 @@ class VisionWorker:
         return result
 
     def close(self) -> None:
-        """Stop the thread."""
         self._waiting = None
         self._pool.shutdown(wait=True, cancel_futures=True)

@@ -153,7 +153,6 @@ class Ig500Emulator(DelayedSensor[bytes]):
     # The cable's side.
 
     def read(self, t_us: int) -> list[tuple[int, bytes]]:
-        """What has arrived up to ``t_us``."""
         return self._arrived(t_us)
 
     def write(self, data: bytes) -> None:

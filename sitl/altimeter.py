@@ -8,51 +8,30 @@ import numpy as np
 from autopilot.core.frames import r_ned_from_frd
 from autopilot.core.samples import AltimeterSample
 from autopilot.core.vehicle import AltimeterMount
-from autopilot.sitl.delayed import LossySensor
-from autopilot.sitl.fault_tables import SensorFrozen
-from autopilot.sitl.optional_sensors import SensedWorld
+from autopilot.sitl.optional_sensors import OptionalSensor, SensedWorld
 from autopilot.sitl.plant import Truth
 from autopilot.sitl.scenario_tables import Fault
 from autopilot.sitl.sensor_tables import AltimeterSensor
 
-NAME = "altimeter"
 GRAZING_RAD = math.radians(15.0)
 """So far beyond the edge of its beam a smooth floor throws nothing back."""
 
 
-class SimAltimeter(LossySensor[AltimeterSample]):
-    """Takes samples of the truth and delivers them after their latency."""
+class SimAltimeter(OptionalSensor[AltimeterSample, float]):
+    """In open water nothing echoes."""
+
+    name, seed, nothing = "altimeter", 60, 0.0
 
     def __init__(
-        self,
-        sensor: AltimeterSensor,
-        mount: AltimeterMount,
-        floor_depth_m: float | None,
-        faults: Iterable[Fault],
-        seed: int,
+        self, table: AltimeterSensor, mount: AltimeterMount, world: SensedWorld, faults: Iterable[Fault], seed: int
     ) -> None:
-        """``floor_depth_m`` None: open water, nothing echoes."""
-        faults = list(faults)
-        super().__init__(sensor, (mount.rate_hz, mount.latency_s), faults, (seed, 60), sensor=NAME)
-        self._sensor = sensor
-        self._floor_depth_m = floor_depth_m
-        self._mount_frd_m = np.array(mount.position_frd_m)
+        super().__init__(table, mount, world, faults, seed)
         beam = np.array(mount.direction_frd)
         self._beam_frd = beam / np.linalg.norm(beam)
         self._half_beam_rad = 0.5 * mount.beam_width_rad
-        self._scale = 1.0 + sensor.scale_error * float(self._rng.standard_normal())
-        self._frozen = [f for f in faults if isinstance(f, SensorFrozen) and f.sensor == NAME]
-        self._last_m = 0.0
-
-    @classmethod
-    def of(
-        cls, table: AltimeterSensor, mount: AltimeterMount, world: SensedWorld, faults: Iterable[Fault], seed: int
-    ) -> "SimAltimeter":
-        """In a world."""
-        return cls(table, mount, world.floor_depth_m, faults, seed)
+        self._scale = 1.0 + table.scale_error * float(self._rng.standard_normal())
 
     def observe(self, truth: Truth) -> None:
-        """Take the sample that is due at ``truth.t_us``."""
         self._taken()
         noise, chance = self._rng.standard_normal(2).tolist(), self._rng.random(3).tolist()
         range_m = self._echo_m(truth)
@@ -62,9 +41,7 @@ class SimAltimeter(LossySensor[AltimeterSample]):
         range_m = self._scale * range_m + sigma_m * noise[0]
         if chance[1] < self._sensor.multiple_probability:
             range_m *= 2.0
-        if any(fault.holds(truth.t_us) for fault in self._frozen):
-            range_m = self._last_m
-        self._last_m = range_m
+        range_m = self._read(truth.t_us, range_m)
         if self._sensor.least_range_m <= range_m <= self._sensor.most_range_m:
             confidence = max(0.0, 1.0 - 0.3 * chance[2])
             sample = AltimeterSample(t_us=truth.t_us, range_m=range_m, sigma_m=sigma_m, confidence=confidence)
@@ -72,10 +49,10 @@ class SimAltimeter(LossySensor[AltimeterSample]):
 
     def _echo_m(self, truth: Truth) -> float | None:
         """Range to the nearest point of the floor within the beam, None = no echo."""
-        if self._floor_depth_m is None:
+        if self._world.floor_depth_m is None:
             return None
         r = r_ned_from_frd(truth.rpy_rad)
-        height_m = self._floor_depth_m - float(truth.pos_ned_m[2] + r[2] @ self._mount_frd_m)
+        height_m = self._world.floor_depth_m - float(truth.pos_ned_m[2] + r[2] @ self._mount_frd_m)
         off_rad = math.acos(max(-1.0, min(1.0, float(r[2] @ self._beam_frd)))) - self._half_beam_rad
         if height_m <= 0.0 or off_rad > GRAZING_RAD:
             return None

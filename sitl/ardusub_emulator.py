@@ -18,6 +18,7 @@ from autopilot.core.vehicle import Vehicle
 from autopilot.drivers.ardusub_mixing import NEUTRAL_US, SPAN_US
 from autopilot.drivers.ardusub_prearm import PREARM_BIT
 from autopilot.sitl.plant import Truth
+from autopilot.sitl.sitl_tuning import PLANT
 from autopilot.sitl.thruster_models import wrench_of
 
 SYSTEM, COMPONENT = 1, 1
@@ -47,7 +48,7 @@ STILL_US = 510_000
 DISARM_HEARD_US = 400_000
 """A heartbeat that shows a disarming comes up to so much later."""
 
-GROUND_PA, WATER_KG_M3, G = 101_325.0, 998.0, 9.80665
+GROUND_PA, WATER_KG_M3, G = 101_325.0, 998.0, PLANT.gravity_m_s2
 ACCEL_NOISE_M_S2, RATE_NOISE_RAD_S = 0.02, 0.002
 TILT_RAD, YAW_RAD, SLOW_S = 0.005, 0.01, 20.0
 """Slow errors of its attitude."""

@@ -60,7 +60,6 @@ class SimCamera:
 
     @property
     def camera(self) -> CameraModel:
-        """The true camera."""
         return self._camera
 
     def with_faults(self, faults: Sequence[LensFault | Mounting]) -> "SimCamera":

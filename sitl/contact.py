@@ -240,7 +240,6 @@ class ContactLog:
         return (*self._closed, *self._open.values())[: CONTACT.max_records]
 
     def update(self, t_us: int, touches: Sequence[Touch]) -> None:
-        """Take note of what is touched now."""
         depths: dict[str, float] = {}
         for touch in touches:
             if touch.depth_m > 0.0:

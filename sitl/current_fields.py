@@ -52,21 +52,17 @@ class Uniform:
 
     @property
     def steady_uniform(self) -> bool:
-        """True without a tide."""
         return self.tide_m_s == CURRENTS.zero
 
     def velocity(self, pos_ned_m: Sequence[float], t_s: float) -> Vec3:
-        """See :class:`CurrentField`."""
         s = math.sin(2.0 * math.pi * t_s / self.tide_period_s)
         c, a = self.velocity_m_s, self.tide_m_s
         return (c[0] + s * a[0], c[1] + s * a[1], c[2] + s * a[2])
 
     def gradient(self, pos_ned_m: Sequence[float], t_s: float) -> Gradient:
-        """See :class:`CurrentField`."""
         return CURRENTS.zero_gradient
 
     def rate(self, pos_ned_m: Sequence[float], t_s: float) -> Vec3:
-        """See :class:`CurrentField`."""
         omega = 2.0 * math.pi / self.tide_period_s
         s = omega * math.cos(omega * t_s)
         return (s * self.tide_m_s[0], s * self.tide_m_s[1], s * self.tide_m_s[2])
@@ -82,20 +78,16 @@ class WithFlow:
 
     @property
     def steady_uniform(self) -> bool:
-        """As the field that it is added to."""
         return self.field.steady_uniform
 
     def velocity(self, pos_ned_m: Sequence[float], t_s: float) -> Vec3:
-        """See :class:`CurrentField`."""
         north, east, down = self.field.velocity(pos_ned_m, t_s)
         return (north + self.added_m_s[0], east + self.added_m_s[1], down)
 
     def gradient(self, pos_ned_m: Sequence[float], t_s: float) -> Gradient:
-        """See :class:`CurrentField`."""
         return self.field.gradient(pos_ned_m, t_s)
 
     def rate(self, pos_ned_m: Sequence[float], t_s: float) -> Vec3:
-        """See :class:`CurrentField`."""
         return self.field.rate(pos_ned_m, t_s)
 
 
@@ -105,11 +97,9 @@ class _Steady:
 
     @property
     def steady_uniform(self) -> bool:
-        """False: it varies in space."""
         return False
 
     def rate(self, pos_ned_m: Sequence[float], t_s: float) -> Vec3:
-        """See :class:`CurrentField`."""
         return CURRENTS.zero
 
 
@@ -135,7 +125,6 @@ class TankJet(_Steady):
         return min(max(xi, 0.0), 1.0), math.sin(phase), math.cos(phase)
 
     def velocity(self, pos_ned_m: Sequence[float], t_s: float) -> Vec3:
-        """See :class:`CurrentField`."""
         xi, s, c = self._local(pos_ned_m)
         rest = 1.0 - xi
         scale = CURRENTS.jet_profile * self.speed_m_s * rest
@@ -143,7 +132,6 @@ class TankJet(_Steady):
         return (-scale * c * xi * rest, scale * s * (1.0 - 3.0 * xi) * aspect, 0.0)
 
     def gradient(self, pos_ned_m: Sequence[float], t_s: float) -> Gradient:
-        """See :class:`CurrentField`."""
         xi, s, c = self._local(pos_ned_m)
         k = 2.0 * math.pi / self.width_m
         rest = 1.0 - xi
@@ -167,7 +155,6 @@ class Turned:
 
     @property
     def steady_uniform(self) -> bool:
-        """As the field that is turned."""
         return self.field.steady_uniform
 
     def _back(self, pos_ned_m: Sequence[float]) -> Vec3:
@@ -181,7 +168,6 @@ class Turned:
         return (c * vector[0] - s * vector[1], s * vector[0] + c * vector[1], vector[2])
 
     def velocity(self, pos_ned_m: Sequence[float], t_s: float) -> Vec3:
-        """See :class:`CurrentField`."""
         return self._turn(self.field.velocity(self._back(pos_ned_m), t_s))
 
     def gradient(self, pos_ned_m: Sequence[float], t_s: float) -> Gradient:
@@ -193,7 +179,6 @@ class Turned:
         return (a * c - b * s, a * s + b * c, d * c - e * s, d * s + e * c)
 
     def rate(self, pos_ned_m: Sequence[float], t_s: float) -> Vec3:
-        """See :class:`CurrentField`."""
         return self._turn(self.field.rate(self._back(pos_ned_m), t_s))
 
 
@@ -216,13 +201,11 @@ class Vortex(_Steady):
         return scale * grown / q, scale / a * ((1.0 - grown) / q - grown / (q * q))
 
     def velocity(self, pos_ned_m: Sequence[float], t_s: float) -> Vec3:
-        """See :class:`CurrentField`."""
         dx, dy = pos_ned_m[0] - self.center_m[0], pos_ned_m[1] - self.center_m[1]
         omega, _ = self._profile(dx * dx + dy * dy)
         return (-omega * dy, omega * dx, 0.0)
 
     def gradient(self, pos_ned_m: Sequence[float], t_s: float) -> Gradient:
-        """See :class:`CurrentField`."""
         dx, dy = pos_ned_m[0] - self.center_m[0], pos_ned_m[1] - self.center_m[1]
         omega, slope = self._profile(dx * dx + dy * dy)
         cross = 2.0 * slope * dx * dy
@@ -238,11 +221,9 @@ class Shear(_Steady):
     center_y_m: float = 0.0
 
     def velocity(self, pos_ned_m: Sequence[float], t_s: float) -> Vec3:
-        """See :class:`CurrentField`."""
         return (self.speed_m_s + self.shear_1_s * (pos_ned_m[1] - self.center_y_m), 0.0, 0.0)
 
     def gradient(self, pos_ned_m: Sequence[float], t_s: float) -> Gradient:
-        """See :class:`CurrentField`."""
         return (0.0, self.shear_1_s, 0.0, 0.0)
 
 
@@ -258,12 +239,10 @@ class Bickley(_Steady):
         return math.tanh((pos_ned_m[1] - self.center_y_m) / self.width_m)
 
     def velocity(self, pos_ned_m: Sequence[float], t_s: float) -> Vec3:
-        """See :class:`CurrentField`."""
         th = self._tanh(pos_ned_m)
         return (self.speed_m_s * (1.0 - th * th), 0.0, 0.0)
 
     def gradient(self, pos_ned_m: Sequence[float], t_s: float) -> Gradient:
-        """See :class:`CurrentField`."""
         th = self._tanh(pos_ned_m)
         return (0.0, -2.0 * self.speed_m_s * th * (1.0 - th * th) / self.width_m, 0.0, 0.0)
 
@@ -276,13 +255,11 @@ class Gyre(_Steady):
     cell_m: float
 
     def velocity(self, pos_ned_m: Sequence[float], t_s: float) -> Vec3:
-        """See :class:`CurrentField`."""
         a, b = math.pi * pos_ned_m[0] / self.cell_m, math.pi * pos_ned_m[1] / self.cell_m
         u = self.speed_m_s
         return (u * math.sin(a) * math.cos(b), -u * math.cos(a) * math.sin(b), 0.0)
 
     def gradient(self, pos_ned_m: Sequence[float], t_s: float) -> Gradient:
-        """See :class:`CurrentField`."""
         a, b = math.pi * pos_ned_m[0] / self.cell_m, math.pi * pos_ned_m[1] / self.cell_m
         k = self.speed_m_s * math.pi / self.cell_m
         even, odd = k * math.cos(a) * math.cos(b), k * math.sin(a) * math.sin(b)

@@ -44,7 +44,6 @@ class DelayedSensor(AlwaysOpen, Generic[T]):
         """When the next sample is taken."""
 
     def poll(self, t_us: int) -> list[T]:
-        """What has arrived up to ``t_us``."""
         return [sample for _, sample in self._arrived(t_us)]
 
     def _arrived(self, t_us: int) -> list[tuple[int, T]]:

@@ -95,11 +95,9 @@ class GridField:
 
     @property
     def steady_uniform(self) -> bool:
-        """False: it varies in space."""
         return False
 
     def velocity(self, pos_ned_m: Sequence[float], t_s: float) -> Vec3:
-        """See :class:`autopilot.sitl.current_fields.CurrentField`."""
         f, g = self._shares(pos_ned_m)
         c = [
             (c00 * (1.0 - g) + c01 * g) * (1.0 - f) + (c10 * (1.0 - g) + c11 * g) * f
@@ -121,7 +119,6 @@ class GridField:
         return (*rows[0], *rows[1])
 
     def rate(self, pos_ned_m: Sequence[float], t_s: float) -> Vec3:
-        """See :class:`autopilot.sitl.current_fields.CurrentField`."""
         per_s = self._spacing(0, t_s)
         if per_s == 0.0:
             return (0.0, 0.0, 0.0)

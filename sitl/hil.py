@@ -47,20 +47,16 @@ class SerialAhrs(Closing):
 
     @property
     def driver(self) -> Ig500:
-        """The driver, for its counters."""
-        return self._device.driver
+        return self._device
 
     def open(self) -> None:
-        """Plug the device in."""
         self.line.open()
 
     def close(self) -> None:
-        """Close the driver, then pull the cable."""
         self._steady.close()
         self.line.close()
 
     def poll(self, t_us: int) -> list[AhrsSample | ImuSample]:
-        """What has come through the line."""
         self.line.pump(t_us)
         return self._steady.poll(t_us)
 
@@ -78,7 +74,6 @@ class NetworkCamera(Closing):
         self._steady: SteadySensor | None = None
 
     def open(self) -> None:
-        """Start rendering and the stream."""
         self._feed.open()
         self.server.open()
         threading.Thread(target=self._send, name="stream", daemon=True).start()
@@ -86,7 +81,6 @@ class NetworkCamera(Closing):
         self._steady = SteadySensor(OpenCvCamera(self._vehicle, options), "Camera")
 
     def close(self) -> None:
-        """Stop both."""
         self._due.put(None)
         self.server.close()
         if self._steady is not None:
@@ -94,7 +88,6 @@ class NetworkCamera(Closing):
         self._feed.close()
 
     def poll(self, t_us: int) -> list[CameraFrame]:
-        """The picture that has come through the network."""
         self._time.hear(t_us, machine_us())
         for frame in self._feed.poll(t_us):
             self._due.put((self._time.clock_at(frame.t_us + self._way_us), frame))

@@ -39,7 +39,6 @@ class SimHullSensor(AlwaysOpen):
         return True
 
     def observe(self, truth: Truth) -> None:
-        """Look."""
         t_us = truth.t_us
         self.next_us += PERIOD_US
         if self._gaps.silent(t_us):
@@ -55,6 +54,5 @@ class SimHullSensor(AlwaysOpen):
         ]
 
     def poll(self, t_us: int) -> list[LeakSample | HullSample]:
-        """Samples since the last call."""
         samples, self._samples = self._samples, []
         return samples

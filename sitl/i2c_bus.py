@@ -13,9 +13,7 @@ class I2cChip(Protocol):
         """A write transaction."""
         ...
 
-    def read(self, count: int) -> bytes:
-        """A read transaction."""
-        ...
+    def read(self, count: int) -> bytes: ...
 
 
 class EmulatedI2c(AlwaysOpen):
@@ -38,14 +36,12 @@ class EmulatedI2c(AlwaysOpen):
         self._chip(address).write(data)
 
     def read(self, address: int, count: int) -> bytes:
-        """A read transaction."""
         data = self._chip(address).read(count)
         if self.noise is not None:
             data = (self.noise * (count // len(self.noise) + 1))[:count]
         return data[: max(0, count - self.cut)]
 
     def exchange(self, address: int, data: bytes, count: int) -> bytes:
-        """Write, then read in one transaction."""
         self._chip(address).write(data)
         return self.read(address, count)
 
@@ -88,7 +84,6 @@ class Pca9685Chip:
             self._step()
 
     def read(self, count: int) -> bytes:
-        """Values from the register that was written last."""
         values = bytearray()
         for _ in range(count):
             values.append(self._registers[self._pointer])

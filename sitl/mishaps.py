@@ -24,7 +24,6 @@ class ScheduledFaults:
         self._acts = False
 
     def add(self, mishap: Mishap) -> None:
-        """One more, while the simulation runs."""
         if isinstance(mishap, BatterySag):
             self._sags = sorted([*self._sags, mishap], key=lambda sag: sag.at_s)
         else:

@@ -84,8 +84,6 @@ def _added(where: str, key: str, factor: float, hull: float, added: float) -> fl
 
 
 def _body(body: Body, factors: Mapping[str, float], where: str) -> Body:
-    """The body with its factors applied."""
-
     def factor(key: str) -> float:
         return factors.get(key, 1.0)
 
@@ -116,7 +114,6 @@ def _body(body: Body, factors: Mapping[str, float], where: str) -> Body:
 
 
 def _drive(drive: ThrusterDrive, factors: Mapping[str, float]) -> ThrusterDrive:
-    """The drive with its factors applied."""
     thrust, deadband = factors.get("thrust", 1.0), factors.get("deadband", 1.0)
     power, reverse = factors.get("power", 1.0), drive.reverse_power_w_n15
     common = msgspec.structs.replace(

@@ -34,18 +34,15 @@ class MjpegServer(Closing):
 
     @property
     def clients(self) -> int:
-        """How many are served now."""
         return self._clients
 
     def open(self) -> None:
-        """Listen on this machine."""
         if self._listener is None:
             self._listener = socket.create_server(("127.0.0.1", self.port))
             self.port = self._listener.getsockname()[1]
             threading.Thread(target=self._accept, args=(self._listener,), name="mjpeg", daemon=True).start()
 
     def close(self) -> None:
-        """Hang up on everybody."""
         listener, self._listener = self._listener, None
         if listener is not None:
             with suppress(OSError):

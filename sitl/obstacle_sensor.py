@@ -48,7 +48,6 @@ class SimObstacleSensor(DelayedSensor[ObstacleTrack]):
         self._taken()
 
     def observe(self, truth: Truth) -> None:
-        """Look round at ``truth.t_us``."""
         self._taken()
         for number, path, radius_m in self._seen:
             motion = path.at(truth.t_us * 1e-6) if isinstance(path, MovingPath) else path

@@ -31,7 +31,6 @@ class ScriptedOperator:
 
     @property
     def started(self) -> bool:
-        """Whether the mission start was accepted."""
         return not self._todo
 
     def step(self, t_us: int, received: Sequence[bytes]) -> list[bytes]:

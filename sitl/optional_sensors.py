@@ -1,63 +1,74 @@
-"""Simulated sensors that a scenario may have or not: what they are made of."""
+"""Simulated sensors that a scenario may have or not: what they share, and how they are made."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass
 from importlib import import_module
-from typing import Any, Protocol
+from typing import Any, ClassVar, Generic, TypeVar
+
+import numpy as np
 
 from autopilot.core.samples import Sample
 from autopilot.core.sensors import SENSOR_ROWS
 from autopilot.core.vehicle import Vehicle
+from autopilot.sitl.delayed import LossySensor
+from autopilot.sitl.fault_tables import SensorFrozen
 from autopilot.sitl.plant import Truth
 from autopilot.sitl.scenario_tables import Fault
 from autopilot.sitl.sensor_tables import Sensors
 from autopilot.sitl.waves import WaveTrain
+
+S = TypeVar("S", bound=Sample)
+V = TypeVar("V")
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class SensedWorld:
     """What they can measure."""
 
-    floor_depth_m: float | None
+    floor_depth_m: float | None = None
     """None = open water."""
-    waves: WaveTrain | None
+    waves: WaveTrain | None = None
 
 
-class OptionalSensor(Protocol):
-    """One of them."""
+class OptionalSensor(LossySensor[S], Generic[S, V]):
+    """Takes samples of the truth where it sits, and delivers them after their latency; ``V`` is what it reads."""
 
-    @classmethod
-    def of(cls, table: Any, mount: Any, world: SensedWorld, faults: Iterable[Fault], seed: int) -> "OptionalSensor":
+    name: ClassVar[str]
+    """What faults call it."""
+    seed: ClassVar[int]
+    """Of its random numbers; the next one is that of its gaps."""
+    nothing: V
+    """What it repeats when it is frozen before its first reading."""
+
+    def __init__(self, table: Any, mount: Any, world: SensedWorld, faults: Iterable[Fault], seed: int) -> None:
         """``table``: of the scenario; ``mount``: of the vehicle file."""
-        ...
-
-    @property
-    def next_us(self) -> int:
-        """When it looks next."""
-        ...
+        faults = list(faults)
+        super().__init__(table, (mount.rate_hz, mount.latency_s), faults, (seed, self.seed), sensor=self.name)
+        self._sensor, self._world = table, world
+        self._mount_frd_m = np.array(mount.position_frd_m)
+        self._frozen = [f for f in faults if isinstance(f, SensorFrozen) and f.sensor == self.name]
+        self._last = self.nothing
 
     def observe(self, truth: Truth) -> None:
-        """Look."""
-        ...
+        """Take the sample that is due at ``truth.t_us``."""
+        raise NotImplementedError
 
-    def poll(self, t_us: int) -> list[Sample]:
-        """What has arrived up to ``t_us``."""
-        ...
-
-    def add(self, fault: Fault) -> bool:
-        """A fault begins at its time; whether it is one of this sensor."""
-        ...
+    def _read(self, t_us: int, value: V) -> V:
+        """The reading, or the last one while the sensor is frozen."""
+        if not any(fault.holds(t_us) for fault in self._frozen):
+            self._last = value
+        return self._last
 
 
 def optional_sensors(
     sensors: Sensors, vehicle: Vehicle, world: SensedWorld, faults: Iterable[Fault], seed: int
-) -> list[OptionalSensor]:
+) -> list[OptionalSensor[Any, Any]]:
     """Those that the scenario has."""
     found = []
     for row in SENSOR_ROWS:
         table = getattr(sensors, row.device) if row.simulated else None
         if table is not None:
             module, _, name = row.simulated.partition(":")
-            kind: type[OptionalSensor] = getattr(import_module(module), name)
-            found.append(kind.of(table, getattr(vehicle, row.table), world, faults, seed))
+            kind: type[OptionalSensor[Any, Any]] = getattr(import_module(module), name)
+            found.append(kind(table, getattr(vehicle, row.table), world, faults, seed))
     return found

@@ -34,7 +34,6 @@ class OutageClock:
         return False
 
     def silent(self, t_us: int) -> bool:
-        """Whether nothing comes out at that time."""
         t_s = t_us / 1e6
         while t_s >= self._end_s > 0.0:
             self._draw()

@@ -34,7 +34,6 @@ class SimPayload:
             self._wanted[index] = float(share > 0.5) if self._outputs[index].kind == "relay" else share
 
     def advance(self, t_us: int) -> None:
-        """Let time go on."""
         passed_s, self._t_us = (t_us - self._t_us) * 1e-6, t_us
         if self._shares == self._wanted:
             return

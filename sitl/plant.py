@@ -170,7 +170,6 @@ class Plant:
 
     @property
     def truth(self) -> Truth:
-        """The present truth."""
         instant = self._here()
         if isinstance(instant.change, CompiledHull):
             numbers = instant.change.measured(self._held)
@@ -234,7 +233,6 @@ class Plant:
         self._instant = None
 
     def current_at(self, pos_ned_m: Sequence[float], t_s: float) -> Vec3:
-        """The current (3,) NED at a place and time."""
         return self._world.current.velocity(pos_ned_m, t_s)
 
     @property

@@ -53,7 +53,6 @@ class SimPoseSensor(LossySensor[PoseSample | LaserSample]):
         return self._pictures.add(fault) or super().add(fault)
 
     def observe(self, truth: Truth) -> None:
-        """Take the sample that is due at ``truth.t_us``."""
         self._taken()
         noise = self._rng.standard_normal(6).tolist()
         chance = self._rng.random(6).tolist()

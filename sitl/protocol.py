@@ -1,4 +1,4 @@
-"""What a plant is to the simulation, and how one is made (docs/extend.md)."""
+"""The interface between a plant and the simulation, and how a plant is made (docs/extend.md)."""
 
 from abc import abstractmethod
 from collections.abc import Sequence
@@ -19,21 +19,21 @@ PLANTS = {"rigid-body": "autopilot.sitl.protocol:rigid_body"}
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class PlantContext:
-    """What a plant is made of. What a scenario asks for and a plant cannot do it refuses with ConfigError."""
+    """Everything that a plant is constructed from. ConfigError if the scenario asks for what the plant cannot do."""
 
     scenario: Scenario
-    """Start, tank, obstacles, current, tether, mismatch and thruster faults are the plant's business."""
+    """The plant models start, tank, obstacles, current, tether, mismatch and thruster faults."""
     vehicle: Vehicle
-    """The vehicle file; ``body`` and ``thrusters`` are meant for plants."""
+    """The vehicle file; a plant uses ``body`` and ``thrusters``."""
     seed: int
-    """Of the run; all randomness comes from it."""
+    """Seed of the run; all randomness derives from it."""
 
 
 class PlantLike(Protocol):
-    """Pulses in, truth out: the vehicle in its world. Sensors, faults of sensors, and late commands are not its part.
+    """Pulses in, truth out: the vehicle in its world, without sensors, sensor faults and command latency.
 
-    World NED with the surface at depth 0, body FRD, SI, radians. Deterministic: the same calls give the same truth bit
-    for bit. What raises is told as sensors that failed, and the plant is asked again on the next tick.
+    World frame NED with the surface at depth 0, body frame FRD, SI units, radians. Deterministic: the same calls give
+    the same truth bit for bit. An exception counts as failed sensors; the plant is called again on the next tick.
     """
 
     @property
@@ -44,14 +44,21 @@ class PlantLike(Protocol):
 
     @abstractmethod
     def advance(self, t_us: int, pwm_us: Sequence[int]) -> None:
-        """Move on to ``t_us``, no earlier than the last one, with these pulses held: one per channel (from 1 on),
-        missing or 0 = off."""
+        """Advance the simulation with constant pulses.
+
+        Parameters
+        ----------
+        t_us
+            Time to advance to [us], not before the last one.
+        pwm_us
+            One pulse per channel, channel 1 first [us]; missing or 0 = off.
+        """
         ...
 
 
 @runtime_checkable
 class SteerablePlant(Protocol):
-    """What a plant may offer beside, for whoever steers a simulation by hand (the live view)."""
+    """Optional: changes of a running simulation by the live view."""
 
     @property
     def solids(self) -> tuple[Cylinder | Sphere | Prism, ...]:
@@ -59,19 +66,19 @@ class SteerablePlant(Protocol):
         ...
 
     def suffer(self, fault: ThrusterLoss | Mishap) -> None:
-        """A fault of hull, thrusters or battery that nobody knew of at the start."""
+        """Begin a fault of hull, thrusters or battery that the scenario does not have. ConfigError if unsupported."""
         ...
 
     def add_flow(self, flow_m_s: Vec2) -> None:
-        """From now on this flow (north, east) is added to the scenario's current everywhere."""
+        """Add a uniform flow (north, east) [m/s] to the scenario's current; replaces the one added before."""
         ...
 
     def current_at(self, pos_ned_m: Sequence[float], t_s: float) -> Vec3:
-        """The current (3,) NED at a place and time."""
+        """The current (3,) NED [m/s] at a position (3,) NED [m] and time [s]."""
         ...
 
     def put_obstacle(self, number: int, north_m: float, east_m: float) -> None:
-        """The obstacle of that number (from 1) stands there from now on."""
+        """Move the obstacle of that number (from 1) to a position [m]. ConfigError if the hull is there."""
         ...
 
 

@@ -28,7 +28,6 @@ class PtyLine(Closing):
         """Bytes of the device that the line did not take."""
 
     def open(self) -> None:
-        """Plug the device in."""
         if self._far is None:
             self._far, self._near = pty.openpty()  # the near end stays open: it has to outlive drivers that come and go
             tty.setraw(self._near)

@@ -5,8 +5,6 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True, slots=True)
 class AhrsTuning:
-    """Of :mod:`autopilot.sitl.ahrs`."""
-
     accuracy_rad: float = 0.02
     """What the device says of its own attitude."""
     clock_span_ms: int = 1 << 32
@@ -22,8 +20,6 @@ AHRS = AhrsTuning()
 
 @dataclass(frozen=True, slots=True)
 class ArdupilotJsonTuning:
-    """Of :mod:`autopilot.sitl.ardupilot_json`."""
-
     port: int = 9002
     rates_hz: tuple[int, int] = (1, 20000)
     """What a loop rate can be; anything else is a damaged packet."""
@@ -36,8 +32,6 @@ ARDUPILOT_JSON = ArdupilotJsonTuning()
 
 @dataclass(frozen=True, slots=True)
 class ArdusubVehicleTuning:
-    """Of :mod:`autopilot.sitl.ardusub_vehicle`."""
-
     pose_period_us: int = 33_333
     pose_sigma_m: float = 0.005
     yaw_sigma_rad: float = 0.008
@@ -51,8 +45,6 @@ ARDUSUB_VEHICLE = ArdusubVehicleTuning()
 
 @dataclass(frozen=True, slots=True)
 class CameraTuning:
-    """Of :mod:`autopilot.sitl.camera_sensor`."""
-
     step_px: int = 8
     """Distance of the rays that are really cut with the floor."""
     wall_level: int = 60
@@ -101,8 +93,6 @@ CAMERA_TUNED = CameraTuning()
 
 @dataclass(frozen=True, slots=True)
 class CameraFeedTuning:
-    """Of :mod:`autopilot.sitl.camera_feed`."""
-
     fog_level: float = 130.0
     fog_blur_px: float = 25.0
     spoilt_noise: float = 2.0
@@ -117,8 +107,6 @@ CAMERA_FEED = CameraFeedTuning()
 
 @dataclass(frozen=True, slots=True)
 class ContactTuning:
-    """Of :mod:`autopilot.sitl.contact`."""
-
     stiffness_n_m: float = 2.0e4
     """Assumed: a bumper bar; full thrust (29 N) presses it in by 1.5 mm, a run at 0.5 m/s by about 15 mm."""
     damping_n_s_m: float = 350.0
@@ -134,8 +122,6 @@ CONTACT = ContactTuning()
 
 @dataclass(frozen=True, slots=True)
 class CurrentFieldsTuning:
-    """Of :mod:`autopilot.sitl.current_fields`."""
-
     zero: tuple[float, float, float] = (0.0, 0.0, 0.0)
     zero_gradient: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
     jet_profile: float = 27.0 / 4.0
@@ -149,8 +135,6 @@ CURRENTS = CurrentFieldsTuning()
 
 @dataclass(frozen=True, slots=True)
 class FloorTuning:
-    """Of :mod:`autopilot.sitl.floor`."""
-
     px_per_m: float = 1000.0
     """Resolution of the finest level; the camera of the LBV150 shows 900 px per metre from 1.1 m above the floor."""
     max_px: float = 40e6
@@ -178,8 +162,6 @@ FLOOR = FloorTuning()
 
 @dataclass(frozen=True, slots=True)
 class OperatorTuning:
-    """Of :mod:`autopilot.sitl.operator`."""
-
     gcs_system: int = 255
     gcs_component: int = 190
     """Ids of an ordinary ground station (MAV_COMP_ID_MISSIONPLANNER)."""
@@ -198,15 +180,13 @@ OPERATOR = OperatorTuning()
 
 @dataclass(frozen=True, slots=True)
 class PlantTuning:
-    """Of :mod:`autopilot.sitl.plant`."""
-
     step_us: int = 10_000
     """Integration step in open water: 15 steps in the thruster lag of 0.15 s, the fastest thing there."""
     near_step_us: int = 5_000
     """Integration step where the hull may touch something: 36 steps in the period of the hull on the contact's
     spring."""
     gravity_m_s2: float = 9.80665
-    """Standard gravity, for what an accelerometer feels."""
+    """Standard gravity: what an accelerometer feels, and what drives waves."""
     zero: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
 
@@ -215,8 +195,6 @@ PLANT = PlantTuning()
 
 @dataclass(frozen=True, slots=True)
 class PoseSensorTuning:
-    """Of :mod:`autopilot.sitl.pose_sensor`."""
-
     reference_height_m: float = 1.0
     """Height of the camera above the floor at which the scenario's standard deviations hold."""
     least_scale: float = 0.3
@@ -234,9 +212,6 @@ POSE_SENSOR = PoseSensorTuning()
 
 @dataclass(frozen=True, slots=True)
 class WavesTuning:
-    """Of :mod:`autopilot.sitl.waves`."""
-
-    gravity_m_s2: float = 9.80665
     deep: float = 30.0
     """From this k h on the bottom is not felt: exp(-k h) is below 1e-13."""
     newton_steps: int = 50

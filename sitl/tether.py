@@ -27,7 +27,6 @@ class TetherForce:
     slack_m: float = SLACK_M
 
     def __call__(self, pos_ned_m: Vec3, vel_water_ned_m_s: Vec3) -> Vec3:
-        """The force [N]."""
         x, y, z = pos_ned_m
         vn, ve, vd = vel_water_ned_m_s
         entry_n, entry_e, entry_d = self.entry_ned_m

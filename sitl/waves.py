@@ -25,12 +25,12 @@ import numpy as np
 from autopilot.core.toml_table import Vec3
 from autopilot.sitl.current_fields import CurrentField, Gradient
 from autopilot.sitl.scenario_tables import Waves
-from autopilot.sitl.sitl_tuning import WAVES
+from autopilot.sitl.sitl_tuning import PLANT, WAVES
 
 
 def wave_number(omega_rad_s: float, depth_m: float) -> float:
     """k [1/m] of the dispersion relation, by Newton's method; ``depth_m`` may be infinite."""
-    deep = omega_rad_s * omega_rad_s / WAVES.gravity_m_s2
+    deep = omega_rad_s * omega_rad_s / PLANT.gravity_m_s2
     if deep * depth_m > WAVES.deep:
         return deep
     kh, target = max(deep * depth_m, math.sqrt(deep * depth_m)), deep * depth_m
@@ -71,14 +71,12 @@ class Component:
         return self.omega_rad_s * t_s - self.k_1_m * along + self.phase_rad
 
     def velocity(self, pos_ned_m: Sequence[float], t_s: float) -> Vec3:
-        """Orbital velocity (3,) NED [m/s]."""
         ahead, down, _ = self._shares(pos_ned_m[2])
         theta, scale = self._theta(pos_ned_m, t_s), self.amplitude_m * self.omega_rad_s
         u = scale * ahead * math.cos(theta)
         return (self.north * u, self.east * u, scale * down * math.sin(theta))
 
     def gradient(self, pos_ned_m: Sequence[float], t_s: float) -> Gradient:
-        """d c_i / d x_j [1/s] in the plane."""
         ahead, _, _ = self._shares(pos_ned_m[2])
         slope = self.amplitude_m * self.omega_rad_s * self.k_1_m * ahead * math.sin(self._theta(pos_ned_m, t_s))
         cross = slope * self.north * self.east
@@ -124,11 +122,9 @@ class WithWaves:
 
     @property
     def steady_uniform(self) -> bool:
-        """False: waves are neither."""
         return False
 
     def velocity(self, pos_ned_m: Sequence[float], t_s: float) -> Vec3:
-        """See :class:`autopilot.sitl.current_fields.CurrentField`."""
         n, e, d = self.field.velocity(pos_ned_m, t_s)
         for each in self.waves.components:
             vn, ve, vd = each.velocity(pos_ned_m, t_s)
@@ -136,7 +132,6 @@ class WithWaves:
         return (n, e, d)
 
     def gradient(self, pos_ned_m: Sequence[float], t_s: float) -> Gradient:
-        """See :class:`autopilot.sitl.current_fields.CurrentField`."""
         nn, ne, en, ee = self.field.gradient(pos_ned_m, t_s)
         for each in self.waves.components:
             a, b, c, d = each.gradient(pos_ned_m, t_s)
@@ -144,7 +139,6 @@ class WithWaves:
         return (nn, ne, en, ee)
 
     def rate(self, pos_ned_m: Sequence[float], t_s: float) -> Vec3:
-        """See :class:`autopilot.sitl.current_fields.CurrentField`."""
         n, e, d = self.field.rate(pos_ned_m, t_s)
         for each in self.waves.components:
             vn, ve, vd = each.rate(pos_ned_m, t_s)

@@ -5,8 +5,6 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True, slots=True)
 class BoardsTuning:
-    """Of :mod:`autopilot.calibrate.boards`."""
-
     min_corners: int = 8
     """A view with fewer says little: a homography has eight unknowns already with four."""
     refine_cells: float = 0.7
@@ -23,8 +21,6 @@ BOARDS = BoardsTuning()
 
 @dataclass(frozen=True, slots=True)
 class ExtrinsicsTuning:
-    """Of :mod:`autopilot.calibrate.extrinsics`."""
-
     ahrs_error_time_s: float = 20.0
     """Slow errors of an attitude reference change in about this time: so often they are drawn anew."""
     hop_s: float = 0.4
@@ -43,8 +39,6 @@ EXTRINSICS = ExtrinsicsTuning()
 
 @dataclass(frozen=True, slots=True)
 class FlightTuning:
-    """Of :mod:`autopilot.calibrate.recorded_flight`."""
-
     nearest_m: float = 0.4
     """A marker is taken for one no farther than this from where the logged estimate puts it: ids repeat after a
     metre."""
@@ -60,8 +54,6 @@ FLIGHT = FlightTuning()
 
 @dataclass(frozen=True, slots=True)
 class IntrinsicsTuning:
-    """Of :mod:`autopilot.calibrate.intrinsics`."""
-
     min_views: int = 8
     """Each view brings six unknowns of its own; fewer leave focal length and distortion to chance."""
     reject_factor: float = 2.5
@@ -97,8 +89,6 @@ INTRINSICS = IntrinsicsTuning()
 
 @dataclass(frozen=True, slots=True)
 class LaserDotsTuning:
-    """Of :mod:`autopilot.calibrate.laser_dots`."""
-
     per_picture: int = 3
     smooth_px: float = 1.5
     apart_px: int = 12
@@ -118,8 +108,6 @@ LASER_DOTS = LaserDotsTuning()
 
 @dataclass(frozen=True, slots=True)
 class LaserFitTuning:
-    """Of :mod:`autopilot.calibrate.laser_fit`."""
-
     inlier_px: float = 4.0
     tries: int = 3000
     max_slope: float = 0.35
@@ -138,8 +126,6 @@ LASER_FIT = LaserFitTuning()
 
 @dataclass(frozen=True, slots=True)
 class MotionFitTuning:
-    """Of :mod:`autopilot.calibrate.motion_fit`."""
-
     baseline_s: float = 0.35
     """Long enough for the turn to stand out of the noise of two poses, short enough for the gyro noise."""
     baseline_slack_s: float = 0.12
@@ -167,8 +153,6 @@ MOTION_FIT = MotionFitTuning()
 
 @dataclass(frozen=True, slots=True)
 class PoseFitTuning:
-    """Of :mod:`autopilot.calibrate.pose_fit`."""
-
     steps: int = 8
     converged: float = 1e-7
     shrink_px: float = 0.25
@@ -189,8 +173,6 @@ POSE_FIT = PoseFitTuning()
 
 @dataclass(frozen=True, slots=True)
 class ThrustCurveTuning:
-    """Of :mod:`autopilot.calibrate.thrust_curve`."""
-
     least_rows: int = 6
     still_share: float = 0.01
     """Thrusts below this part of the largest are none: a load cell's zero is never quite 0."""
@@ -203,8 +185,6 @@ THRUST_CURVE = ThrustCurveTuning()
 
 @dataclass(frozen=True, slots=True)
 class ViewsTuning:
-    """Of :mod:`autopilot.calibrate.views`."""
-
     new_view_share: float = 0.06
     """A live view is taken when the board's corners have moved by this share of the image's width since every other
     one."""

@@ -5,8 +5,6 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True, slots=True)
 class AdjustmentTuning:
-    """Of :mod:`autopilot.markermaps.adjustment`."""
-
     steps: int = 40
     first_damping: float = 1e-10
     last_damping: float = 1e-13
@@ -33,8 +31,6 @@ ADJUSTMENT = AdjustmentTuning()
 
 @dataclass(frozen=True, slots=True)
 class BootstrapTuning:
-    """Of :mod:`autopilot.markermaps.bootstrap`."""
-
     agree_px: float = 12.0
     """Corners of a known marker lie this close to where the pose of the others puts them."""
     same_share: float = 0.5
@@ -59,8 +55,6 @@ BOOTSTRAP = BootstrapTuning()
 
 @dataclass(frozen=True, slots=True)
 class CheckTuning:
-    """Of :mod:`autopilot.markermaps.check_markers`."""
-
     quiet_cells: float = 1.0
     """A black square needs this many of its cells of white around it, or detectors take two markers for one."""
     heights_m: tuple[float, float, float, float] = (0.3, 0.45, 0.8, 1.2)
@@ -74,8 +68,6 @@ CHECK = CheckTuning()
 
 @dataclass(frozen=True, slots=True)
 class SheetsTuning:
-    """Of :mod:`autopilot.markermaps.sheets`."""
-
     footer_mm: float = 9.0
     """Below the cut area, for the scale bar and the sheet's name."""
     mark_mm: float = 4.0
@@ -95,8 +87,6 @@ SHEETS = SheetsTuning()
 
 @dataclass(frozen=True, slots=True)
 class SightingsTuning:
-    """Of :mod:`autopilot.markermaps.sightings`."""
-
     most_of_a_film: int = 120
     """Frames of a film that are looked at."""
     misread_cells: int = 2
@@ -111,8 +101,6 @@ SIGHTINGS = SightingsTuning()
 
 @dataclass(frozen=True, slots=True)
 class SurveyTuning:
-    """Of :mod:`autopilot.markermaps.survey`."""
-
     min_sights: int = 2
     """A marker that fewer views show is left out of the map: nothing checks it."""
     fixed_sigma: tuple[float, float] = (0.0001, 0.0005)

@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 from autopilot.core.device_clock import DeviceClock
 from autopilot.core.frames import quat_from_rpy
 from autopilot.drivers.base import Closing
-from autopilot.drivers.ig500 import ASK_AGAIN_POLLS, Ig500
+from autopilot.drivers.ig500 import Ig500
 from autopilot.drivers.ig500_protocol import (
     AHRS_MASK,
     CONTINUOUS_OUTPUT,
@@ -32,6 +32,7 @@ from autopilot.drivers.ig500_protocol import (
     encode_frame,
 )
 from autopilot.drivers.serial_port import SerialPort
+from autopilot.drivers.serial_sensor import ASK_AGAIN_POLLS
 
 CODEC = OutputCodec(AHRS_MASK)
 

@@ -9,19 +9,18 @@ from hypothesis import strategies as st
 from autopilot.core.errors import ConfigError
 from autopilot.drivers.ig500_protocol import (
     AHRS_MASK,
-    MAX_DATA,
     Ig500Frame,
     Ig500Parser,
     OutputCodec,
     OutputField,
-    crc16,
     encode_continuous_mode,
     encode_frame,
     encode_output_mask,
 )
+from autopilot.drivers.sbg_frames import crc16
 
 COMMANDS = st.integers(0, 255)
-DATA = st.binary(max_size=MAX_DATA)
+DATA = st.binary(max_size=Ig500Parser.max_data)
 
 
 def bitwise_crc(data: bytes) -> int:
@@ -74,7 +73,7 @@ def test_any_bytes_never_raise_and_memory_is_bounded(chunks: list[bytes]) -> Non
     parser = Ig500Parser()
     for chunk in chunks:
         parser.feed(chunk)
-    assert len(parser._buffer) <= MAX_DATA + 8
+    assert len(parser._buffer) <= Ig500Parser.max_data + 8
 
 
 @settings(deadline=None)
@@ -102,7 +101,7 @@ def test_a_damaged_frame_is_dropped_and_the_next_one_is_not(command: int, conten
 
 def test_too_much_data_does_not_fit() -> None:
     with pytest.raises(ValueError, match="505 bytes"):
-        encode_frame(1, bytes(MAX_DATA + 1))
+        encode_frame(1, bytes(Ig500Parser.max_data + 1))
 
 
 FLOATS = st.floats(width=32, allow_nan=False, allow_infinity=False)

@@ -11,6 +11,7 @@ from sensor_helpers import FLOOR_M, sampled
 from autopilot.core.frames import r_ned_from_frd
 from autopilot.core.vehicle import AltimeterMount
 from autopilot.sitl.altimeter import SimAltimeter
+from autopilot.sitl.optional_sensors import SensedWorld
 from autopilot.sitl.scenario_tables import SensorSilence
 from autopilot.sitl.sensor_tables import AltimeterSensor, Outages
 
@@ -22,7 +23,9 @@ DEPTH_M = 0.4
 def altimeter(
     settings: AltimeterSensor = EXACT, floor_m: float | None = FLOOR_M, faults: Any = (), seed: int = 1
 ) -> SimAltimeter:
-    return SimAltimeter(settings, AltimeterMount(position_frd_m=LEVER), floor_m, faults, seed)
+    return SimAltimeter(
+        settings, AltimeterMount(position_frd_m=LEVER), SensedWorld(floor_depth_m=floor_m), faults, seed
+    )
 
 
 def ranges(sensor: SimAltimeter, seconds: float = 10.0, **truth: Any) -> list[float]:

@@ -12,6 +12,7 @@ from autopilot.core.samples import VelocityLock
 from autopilot.core.vehicle import DepthMount, DvlMount
 from autopilot.sitl.depth_sensor import SimDepthSensor
 from autopilot.sitl.dvl import SimDvl
+from autopilot.sitl.optional_sensors import SensedWorld
 from autopilot.sitl.scenario import load_scenario, scenario_path
 from autopilot.sitl.scenario_tables import SensorSilence
 from autopilot.sitl.sensor_tables import DepthSensor, DvlSensor, Outages
@@ -22,11 +23,11 @@ EXACT_DVL = DvlSensor(sigma_m_s=0.0, bias_m_s=0.0, scale_error=0.0, drop_probabi
 
 
 def depth(settings: DepthSensor = EXACT_DEPTH, faults: Any = (), seed: int = 1) -> SimDepthSensor:
-    return SimDepthSensor(settings, DepthMount(position_frd_m=LEVER), faults, seed)
+    return SimDepthSensor(settings, DepthMount(position_frd_m=LEVER), SensedWorld(), faults, seed)
 
 
 def dvl(settings: DvlSensor = EXACT_DVL, floor_m: float | None = FLOOR_M, faults: Any = (), seed: int = 1) -> SimDvl:
-    return SimDvl(settings, DvlMount(position_frd_m=LEVER), floor_m, faults, seed)
+    return SimDvl(settings, DvlMount(position_frd_m=LEVER), SensedWorld(floor_depth_m=floor_m), faults, seed)
 
 
 def test_depth_is_that_of_the_sensor_and_arrives_late() -> None:

@@ -15,7 +15,7 @@ from autopilot.sitl.environment import SimulatedWaters, water_field
 from autopilot.sitl.plant import Plant, build_plant
 from autopilot.sitl.scenario import load_scenario
 from autopilot.sitl.scenario_tables import Waves
-from autopilot.sitl.sitl_tuning import WAVES
+from autopilot.sitl.sitl_tuning import PLANT
 from autopilot.sitl.waves import WithWaves, wave_number, wave_train
 
 TEXT = """
@@ -59,8 +59,8 @@ def field_of(table: Waves, depth_m: float | None) -> WithWaves:
 @given(omega=st.floats(0.2, 8.0), depth_m=st.floats(0.2, 200.0))
 def test_the_wave_number_solves_the_dispersion_relation(omega: float, depth_m: float) -> None:
     k = wave_number(omega, depth_m)
-    assert WAVES.gravity_m_s2 * k * math.tanh(k * depth_m) == pytest.approx(omega**2, rel=1e-9)
-    assert k >= omega**2 / WAVES.gravity_m_s2 * (1.0 - 1e-9), "a bottom makes waves shorter"
+    assert PLANT.gravity_m_s2 * k * math.tanh(k * depth_m) == pytest.approx(omega**2, rel=1e-9)
+    assert k >= omega**2 / PLANT.gravity_m_s2 * (1.0 - 1e-9), "a bottom makes waves shorter"
 
 
 @settings(max_examples=40)
@@ -102,7 +102,7 @@ def test_in_deep_water_it_decays_by_exp_of_kz() -> None:
     """4 s: 25 m long; half a length down only 4 % are left."""
     field = field_of(Waves(height_m=0.4, period_s=4.0), None)
     length = 2.0 * math.pi / wave_number(2.0 * math.pi / 4.0, math.inf)
-    assert length == pytest.approx(WAVES.gravity_m_s2 * 16.0 / (2.0 * math.pi))
+    assert length == pytest.approx(PLANT.gravity_m_s2 * 16.0 / (2.0 * math.pi))
     assert field.velocity((0.0, 0.0, 0.0), 0.0)[0] == pytest.approx(0.2 * 2.0 * math.pi / 4.0)
     assert field.velocity((0.0, 0.0, length / 2.0), 0.0)[0] == pytest.approx(
         math.exp(-math.pi) * 0.2 * 2.0 * math.pi / 4.0

@@ -1,0 +1,42 @@
+"""The monitors of one estimator, and what they say together."""
+
+from typing import NamedTuple
+
+from autopilot.core.frames import FloatArray
+from autopilot.core.messages import NavDoubt
+from autopilot.estimator.camera_doubt import CameraMonitor
+from autopilot.estimator.evidence import Evidence
+from autopilot.estimator.fix_trust import FixTrust
+from autopilot.estimator.history import Node
+from autopilot.estimator.imu_watch import ImuWatch
+from autopilot.estimator.map_watch import MapWatch
+from autopilot.estimator.monitor import NOTHING, Monitor
+
+
+class Monitors(NamedTuple):
+    """In the order in which they are asked."""
+
+    evidence: Evidence
+    imu: ImuWatch
+    camera: CameraMonitor
+    map: MapWatch | None
+    """None without a map."""
+    fixes: FixTrust
+    """Of the camera's poses."""
+
+    @property
+    def all(self) -> tuple[Monitor, ...]:
+        return tuple(each for each in self if each is not None)
+
+    def doubts(self, t_us: int, newest: Node) -> frozenset[NavDoubt]:
+        """What speaks against the estimate or its sensors."""
+        return frozenset(doubt for each in self.all for doubt in each.doubts(t_us, newest))
+
+    def unexplained_variance(self, t_us: int, newest: Node) -> FloatArray:
+        """(4,) north, east, down, yaw on top of the filter's; negative where more is known than the filter holds."""
+        more = NOTHING
+        for each in self.all:
+            found = each.unexplained_variance(t_us, newest)
+            if found is not NOTHING:
+                more = more + found
+        return more
