@@ -12,6 +12,7 @@ from pymavlink.dialects.v20 import development as mav
 
 from autopilot.client.plan_client import PlanUpload
 from autopilot.core.clock import TICK_US
+from autopilot.core.geodesy import geodetic_from_ned
 from autopilot.core.messages import Inputs, Outputs
 from autopilot.core.plan import PlanItem, PlanKind
 from autopilot.mission.local_plan import (
@@ -23,6 +24,7 @@ from autopilot.mission.local_plan import (
     WaypointTable,
     plan_of_local,
 )
+from autopilot.mission.paper import paper_plan
 from autopilot.mission.plan_model import PlanFile
 from autopilot.run.config import flight_settings
 from autopilot.run.sitl_session import SitlSession, open_sitl
@@ -247,3 +249,18 @@ def crowded_plan(
             fence=fence if obstacles else FenceTable(),
         )
     )
+
+
+def on_its_way(flight: PilotedFlight, seconds: float) -> None:
+    """Upload the paper's plan, start it and fly for a while."""
+    plan = paper_plan(1)
+    flight.upload(PlanKind.FENCE, plan.fence)
+    flight.upload(PlanKind.MISSION, plan.mission)
+    flight.start()
+    flight.fly(seconds)
+
+
+def go_to(flight: PilotedFlight, place_ned_m: tuple[float, float, float]) -> None:
+    """Send a go-to in local coordinates."""
+    lat, lon, _ = geodetic_from_ned(flight.session.parts.plans.origin, np.array(place_ned_m))
+    flight.pilot.go_to(lat, lon, place_ned_m[2])
