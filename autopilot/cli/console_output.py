@@ -2,13 +2,15 @@
 
 import json
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
 import click
 
 if TYPE_CHECKING:
     from rich.console import Console
+    from rich.progress import Progress
 
 
 EXIT_FAILED = 1
@@ -61,3 +63,24 @@ def _is_number(cell: object) -> bool:
     except ValueError:
         return False
     return True
+
+
+@contextmanager
+def progress_bar(
+    text: str, *, elapsed: bool = False, remaining: bool = False, transient: bool = False, quiet: bool = False
+) -> Iterator["Progress | None"]:
+    """A bar on stderr behind ``text``, rich's markup of a task; None if stderr is no terminal, or with ``quiet``."""
+    if quiet:
+        yield None
+        return
+    from rich import progress
+    from rich.console import Console
+
+    console = Console(stderr=True)
+    if not console.is_terminal:
+        yield None
+        return
+    times = [progress.TimeElapsedColumn()] * elapsed + [progress.TimeRemainingColumn()] * remaining
+    columns = (progress.TextColumn(text), progress.BarColumn(), progress.MofNCompleteColumn(), *times)
+    with progress.Progress(*columns, console=console, transient=transient) as bar:
+        yield bar
