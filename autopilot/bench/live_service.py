@@ -75,18 +75,15 @@ class Station:
 
     @classmethod
     def udp(cls, port: int, sysid: int = 255, compid: int = 190) -> "Station":
-        """On UDP."""
         end = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         end.connect((LOCAL, port))
         return cls(end, sysid, compid)
 
     @classmethod
     def tcp(cls, port: int, sysid: int = 255, compid: int = 190) -> "Station":
-        """On TCP."""
         return cls(socket.create_connection((LOCAL, port)), sysid, compid)
 
     def send(self, message: Message) -> None:
-        """One message."""
         codec = mav.MAVLink(None, srcSystem=self.sysid, srcComponent=self.compid)
         codec.seq, self._seq = self._seq, (self._seq + 1) & 0xFF
         with contextlib.suppress(ConnectionError, BlockingIOError):
@@ -141,7 +138,6 @@ class Station:
         return max(after - before for before, after in itertools.pairwise(times))
 
     def close(self) -> None:
-        """Free the socket."""
         self.socket.close()
 
 

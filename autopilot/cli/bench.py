@@ -40,13 +40,11 @@ class _Benchmarks(click.Group):
     """Options may stand before the benchmark's name, and one of another benchmark is told to whom it belongs."""
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
-        """See :class:`click.Group`."""
         return super().parse_args(ctx, self._name_first(args))
 
     def resolve_command(
         self, ctx: click.Context, args: list[str]
     ) -> tuple[str | None, click.Command | None, list[str]]:
-        """See :class:`click.Group`."""
         if args and args[0] in KNOWN_STUDIES and args[0] not in self.commands:
             raise click.UsageError(f"{args[0]} is a study: run it in a source checkout of this project", ctx)
         name, command, rest = super().resolve_command(ctx, args)

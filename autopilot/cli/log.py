@@ -159,7 +159,6 @@ def _tell_loss(opened: "Log", done: str = "drawn") -> None:
 
 
 def print_rows(rows: "list[BoundRow]", title: str) -> None:
-    """Print an acceptance table."""
     from rich.box import SIMPLE
     from rich.table import Table
     from rich.text import Text

@@ -93,7 +93,6 @@ _WITH = {
 
 
 def estimator_rows(short: bool, seeds: range | None = None, groups: tuple[str, ...] = ()) -> Rows:
-    """See :func:`estimator`."""
     from tests.bench.estimator import (
         CAMERA_SEEDS,
         COST,
@@ -184,7 +183,6 @@ def energy(short: bool, recompute: bool, cases: tuple[str, ...], figures: str | 
 
 
 def energy_rows(short: bool, cases: tuple[str, ...] = (), figures: str | None = None) -> Rows:
-    """See :func:`energy`."""
     from tests.bench.energy.bench import bench_energy
 
     result = bench_energy(short, tell, cases)

@@ -18,8 +18,6 @@ MAX_TEXT = 120
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FaultRow:
-    """A line of the table."""
-
     part: str
     finding: str
     before: str

@@ -56,22 +56,18 @@ class Pilot:
         """Every message of the vehicle but its telemetry's most frequent."""
 
     def command(self, command: int, *params: float) -> None:
-        """Send a COMMAND_LONG."""
         self._out.append(mav.MAVLink_command_long_message(1, 1, command, 0, *(*params, *(0.0,) * 7)[:7]))
 
     def go_to(self, lat_deg: float, lon_deg: float, depth_m: float) -> None:
-        """Send a go-to."""
         place = (round(lat_deg * 1e7), round(lon_deg * 1e7), -depth_m)
         self._out.append(mav.MAVLink_command_int_message(1, 1, 6, REPOSITION, 0, 0, -1.0, 1.0, 0.0, np.nan, *place))
 
     def upload(self, kind: PlanKind, items: Sequence[PlanItem]) -> PlanUpload:
-        """Begin an upload."""
         self._upload = PlanUpload(kind, items)
         self._out += self._upload.begin(max(self._last_s, 0.0))
         return self._upload
 
     def step(self, t_us: int, received: Sequence[bytes]) -> list[bytes]:
-        """One tick."""
         t_s = t_us * 1e-6
         for data in received:
             for message in self._mav.parse_buffer(data) or ():
@@ -138,7 +134,6 @@ class PilotedFlight:
             raise RuntimeError(f"{kind.name.lower()} upload: {exchange.outcome.reason}")
 
     def start(self) -> None:
-        """Arm, and start the mission."""
         nav = self.session.service
         self.until(lambda: nav.nav is not None, "a position")
         self.fly(2.0)
