@@ -28,8 +28,6 @@ def found() -> str | None:
 
 
 class BrowserPage:
-    """One page of a browser."""
-
     def __init__(self, to_browser: int, from_browser: int) -> None:
         self._to, self._from = to_browser, from_browser
         self._left = b""
@@ -43,7 +41,6 @@ class BrowserPage:
             self.call(f"{domain}.enable")
 
     def call(self, method: str, **params: Any) -> dict[str, Any]:
-        """A command and its answer."""
         self._number += 1
         number = self._number
         message = {"id": number, "method": method, "params": params}
@@ -68,7 +65,6 @@ class BrowserPage:
         self.call("Emulation.setEmulatedMedia", features=[scheme])
 
     def open(self, url: str) -> None:
-        """Go there."""
         self.call("BrowserPage.navigate", url=url)
 
     def ask(self, expression: str) -> Any:
@@ -79,7 +75,6 @@ class BrowserPage:
         return answer["result"].get("value")
 
     def wait(self, expression: str, patience_s: float = PATIENCE_S) -> Any:
-        """Until it is true."""
         begin_s = time.monotonic()
         while time.monotonic() - begin_s < patience_s:
             if value := self.ask(expression):
@@ -88,7 +83,6 @@ class BrowserPage:
         raise TimeoutError(f"never true: {expression}")
 
     def picture(self, path: Path) -> None:
-        """What is seen, as PNG."""
         path.write_bytes(base64.b64decode(self.call("BrowserPage.captureScreenshot", format="png")["data"]))
 
     def _hear(self, patience_s: float) -> dict[str, Any] | None:

@@ -22,7 +22,6 @@ def arrow(axes: Any, at: tuple[float, float], to: tuple[float, float], text: str
 
 
 def hull(axes: Any, at: tuple[float, float], length: float, width: float, turned_rad: float) -> None:
-    """An outline of the vehicle."""
     corners = [(0.5, 0.0), (0.3, 0.5), (-0.5, 0.5), (-0.5, -0.5), (0.3, -0.5)]
     c, s = math.cos(turned_rad), math.sin(turned_rad)
     x = [at[0] + c * length * a - s * width * b for a, b in corners]
@@ -74,7 +73,6 @@ def from_the_side(axes: Any) -> None:
 
 
 def draw(path: Path) -> None:
-    """Both views into one picture."""
     figure = Figure(figsize=(9.6, 4.2), layout="constrained")
     FigureCanvasAgg(figure)
     for axes, view in zip(figure.subplots(1, 2), (from_above, from_the_side), strict=True):

@@ -50,7 +50,6 @@ class PluginRow:
         self.nothing: list[str] = []
 
     def markdown(self) -> str:
-        """A line of the table."""
         if self.name.endswith("_server") or self.name == "server_utility":
             return f"| {self.name} | | | {OTHER_SIDE} |"
         cells = (", ".join(dict.fromkeys(cell)) for cell in (self.works, self.refused, self.nothing))
@@ -72,12 +71,10 @@ class Bench:
         return bool(self._telemetry.health_all_ok())
 
     def plugin(self, name: str) -> Any:
-        """A plugin of the vehicle."""
         module = import_module(f"mavsdk.plugins.{name}")
         return getattr(module, "".join(part.capitalize() for part in name.split("_")))(self.system)
 
     def row(self, name: str) -> PluginRow:
-        """Try one plugin."""
         row = PluginRow(name)
         probes = PROBES.get(name)
         if probes is None or name.endswith("_server"):
@@ -488,7 +485,6 @@ def bench_on_a_vehicle() -> Iterator[Bench]:
 
 
 def table(names: list[str], show: Callable[[str], None] = lambda _: None) -> str:
-    """Markdown."""
     lines = ["| plugin | works | refused | nothing comes, or not offered |", "| --- | --- | --- | --- |"]
     with bench_on_a_vehicle() as bench:
         for name in names:
@@ -505,7 +501,6 @@ def written() -> str:
 
 
 def main() -> int:
-    """Command line."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--write", action="store_true")
     parser.add_argument("--only", action="append")

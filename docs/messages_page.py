@@ -33,7 +33,6 @@ def sections() -> dict[str, list[str]]:
 
 
 def page() -> str:
-    """The whole page."""
     parts = [HEAD]
     for heading, names in sections().items():
         parts.append(f"## {heading}\n\n| severity | text | meaning | remedy |\n| --- | --- | --- | --- |")

@@ -107,7 +107,6 @@ def seen(log: Path) -> None:
 
 
 def main(log: Path) -> None:
-    """All of them."""
     if not log.exists():
         sys.exit(f"{log}: there is no such log; `autopilot demo` makes one")
     drawn(log)

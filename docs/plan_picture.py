@@ -46,7 +46,6 @@ def shapes(plan: PlanFile) -> tuple[list[tuple[list[Place], bool]], list[tuple[P
 
 
 def draw(path: Path, target: Path) -> None:
-    """Both views side by side."""
     plan = read_plan(path)
     assert plan.home is not None, f"{path} has no home"
     home = plan.home

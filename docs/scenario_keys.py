@@ -55,7 +55,6 @@ def lines(name: str, kind: Any, listed: bool = False) -> list[str]:
 
 
 def listing() -> str:
-    """The whole list."""
     found = []
     for name, kind in typing.get_type_hints(Scenario).items():
         if name not in ("params", "spread"):

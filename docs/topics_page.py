@@ -73,7 +73,6 @@ def field_line(field: CdrField, text: str) -> str:
 
 
 def page() -> str:
-    """The whole page."""
     texts_of = described()
     parts = [HEAD]
     first: dict[str, str] = {}

@@ -95,7 +95,6 @@ def verdict(copy: Copy, place: Place, tests: list[Path]) -> str:
 
 
 def main() -> int:
-    """Exit code."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--places", type=int, default=200)

@@ -20,8 +20,6 @@ _BOUNDED = {"min": "max", "max": "min", "np.minimum": "np.maximum", "np.maximum"
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Place:
-    """One change."""
-
     path: Path
     """Of the source, from the root of the repository."""
     line: int
@@ -35,11 +33,9 @@ class Place:
 
     @property
     def name(self) -> str:
-        """For people."""
         return f"{self.path}:{self.line}:{self.column} {self.kind}: {self.before} -> {self.after}"
 
     def applied(self, source: bytes) -> bytes:
-        """The source with the change."""
         return source[: self.begin] + f"({self.after})".encode() + source[self.end :]
 
     def key(self, source: bytes) -> str:

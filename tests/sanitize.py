@@ -48,7 +48,6 @@ def runtime() -> str:
 
 
 def main() -> int:
-    """Exit code of the tests."""
     with tempfile.TemporaryDirectory() as folder:
         library = build(Path(folder))
         env = os.environ | {

@@ -136,7 +136,6 @@ class Installed:
 
 @pytest.fixture(scope="module")
 def installed(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Installed:
-    """Once for all tests."""
     pytest.importorskip("pip")
     return Installed(wheel, tmp_path_factory.mktemp("installed"))
 

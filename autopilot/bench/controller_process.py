@@ -27,5 +27,4 @@ def measure() -> dict[str, float]:
 
 
 def main() -> None:
-    """Print them as JSON."""
     print(json.dumps(measure()))

@@ -19,8 +19,6 @@ FLIGHT_S = 30.0
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class EstimateRow:
-    """One figure of one flight."""
-
     seed: int
     figure: str
     measured: float | None

@@ -45,8 +45,6 @@ PATIENCE_S = 120.0
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LoopRow:
-    """A figure."""
-
     what: str
     value: float
     unit: str

@@ -39,7 +39,6 @@ class Pace:
         self._spent_s, self._calls = 0.0, 0
 
     def look(self, calls: int = 20) -> None:
-        """Some calls more."""
         begin_s = time.thread_time()
         for _ in range(calls):
             self._kalman.predict()

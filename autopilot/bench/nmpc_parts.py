@@ -38,7 +38,6 @@ class PartTimer:
         self.steps: list[dict[str, float]] = []
 
     def wrap(self, name: str, call: Callable[..., Any]) -> Callable[..., Any]:
-        """The same call, timed."""
 
         def timed(*args: Any, **named: Any) -> Any:
             began = self._cpu_clock()
@@ -50,7 +49,6 @@ class PartTimer:
         return timed
 
     def lap(self) -> None:
-        """A step is over."""
         self.steps.append(self._now)
         self._now = {}
 

@@ -12,8 +12,9 @@ import click
 
 from autopilot.cli import bench_rows
 from autopilot.cli.bench_rows import Work
-from autopilot.cli.bench_tables import SITL_HEADS, TITLES, names
+from autopilot.cli.bench_tables import SHORT, SITL_HEADS, TITLES, names
 from autopilot.cli.console_output import emit_json
+from autopilot.cli.shared_options import JSON
 
 ROOT = Path(__file__).resolve().parents[2]
 STUDIES = "tests.bench.studies"
@@ -39,13 +40,11 @@ class _Benchmarks(click.Group):
     """Options may stand before the benchmark's name, and one of another benchmark is told to whom it belongs."""
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
-        """See :class:`click.Group`."""
         return super().parse_args(ctx, self._name_first(args))
 
     def resolve_command(
         self, ctx: click.Context, args: list[str]
     ) -> tuple[str | None, click.Command | None, list[str]]:
-        """See :class:`click.Group`."""
         if args and args[0] in KNOWN_STUDIES and args[0] not in self.commands:
             raise click.UsageError(f"{args[0]} is a study: run it in a source checkout of this project", ctx)
         name, command, rest = super().resolve_command(ctx, args)
@@ -94,8 +93,8 @@ def _add_studies() -> None:
     epilog="Times depend on the machine and on what else it does: each table says how slow the machine is just now."
     " A source checkout has studies of the controller, the estimator and of faults besides.",
 )
-@click.option("--short", is_flag=True, help="Fewer samples, for a quick look.")
-@click.option("--json", "as_json", is_flag=True, help="Machine-readable output.")
+@SHORT
+@JSON
 @click.pass_context
 def bench(ctx: click.Context, short: bool, as_json: bool) -> None:
     """Run a benchmark, or the seven of `make bench` one after the other when none is named.
@@ -113,6 +112,6 @@ def bench(ctx: click.Context, short: bool, as_json: bool) -> None:
         emit_json(results)
 
 
-for _command in (bench_rows.nmpc, bench_rows.sitl, bench_rows.estimator, bench_rows.loop):
-    bench.add_command(_command)
+for _name, (_title, _work) in ALL.items():
+    bench.add_command(bench_rows.rows_command(_name, _title, _work, SITL_HEADS if _name == "sitl" else None))
 _add_studies()

@@ -5,7 +5,7 @@ from dataclasses import asdict
 
 import click
 
-from autopilot.cli.bench_tables import SHORT, SITL_HEADS, TITLES, Rows, print_rows
+from autopilot.cli.bench_tables import SHORT, Rows, print_rows
 from autopilot.cli.console_output import emit_json
 from autopilot.cli.shared_options import JSON
 
@@ -35,75 +35,55 @@ def run_one(
         emit_json({name: found})
 
 
-@click.command()
-@SHORT
-@JSON
-def nmpc(short: bool, as_json: bool) -> None:
+def rows_command(name: str, title: str, work: Work, heads: Mapping[str, str] | None = None) -> click.Command:
+    """The command of a benchmark without options of its own; its help is what ``work`` says of itself."""
+
+    @click.command(name, help=work.__doc__)
+    @SHORT
+    @JSON
+    def command(short: bool, as_json: bool) -> None:
+        run_one(name, title, work, short=short, as_json=as_json, heads=heads)
+
+    return command
+
+
+def nmpc_rows(short: bool) -> Rows:
     """CPU time of one control step, beside IPOPT and fatrop.
 
     Several grids, the same problems in the same run; with 2, 10 and 50 obstacles; failures from 200 random starts;
     start-up and memory (minutes; less with --short).
     """
-    run_one("nmpc", TITLES["nmpc"], nmpc_rows, short=short, as_json=as_json)
-
-
-def nmpc_rows(short: bool) -> Rows:
-    """See :func:`nmpc`."""
     from autopilot.bench.nmpc import STARTS, bench_nmpc
 
     rows = bench_nmpc(steps=100 if short else 400, slowness=_slowness(), starts=STARTS // 10 if short else STARTS)
     return [asdict(row) for row in rows]
 
 
-@click.command()
-@SHORT
-@JSON
-def sitl(short: bool, as_json: bool) -> None:
+def sitl_rows(short: bool) -> Rows:
     """Speed against real time, CPU time per tick, memory.
 
     With a rendered camera and with pose samples.
     """
-    run_one("sitl", TITLES["sitl"], sitl_rows, short=short, as_json=as_json, heads=SITL_HEADS)
-
-
-def sitl_rows(short: bool) -> Rows:
-    """See :func:`sitl`."""
     from autopilot.bench.sitl_row import bench_sitl
 
     return [asdict(row) for row in bench_sitl(duration_s=10.0 if short else 30.0)]
 
 
-@click.command()
-@SHORT
-@JSON
-def estimator(short: bool, as_json: bool) -> None:
+def estimator_rows(short: bool) -> Rows:
     """Error of the estimate in flights of the paper's tour.
 
     With positions from the pose sensor, several seeds (a minute; one seed with --short).
     """
-    run_one("estimator", TITLES["estimator"], estimator_rows, short=short, as_json=as_json)
-
-
-def estimator_rows(short: bool) -> Rows:
-    """See :func:`estimator`."""
     from autopilot.bench.estimator_row import SEEDS, bench_estimator
 
     return [asdict(row) for row in bench_estimator(SEEDS[:1] if short else SEEDS)]
 
 
-@click.command()
-@SHORT
-@JSON
-def loop(short: bool, as_json: bool) -> None:
+def loop_rows(_short: bool) -> Rows:
     """CPU time of the loop's ticks in real time, with uploads in flight.
 
     With a camera: heartbeats and upload times while 500 items and a fence of 50 octagons are uploaded (half a minute).
     """
-    run_one("loop", TITLES["loop"], loop_rows, short=short, as_json=as_json)
-
-
-def loop_rows(_short: bool) -> Rows:
-    """See :func:`loop`."""
     from autopilot.bench.loop import bench_loop
 
     return [{**asdict(row), "kept": row.kept} for row in bench_loop()]

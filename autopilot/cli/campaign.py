@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import signal
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
@@ -12,7 +13,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 import click
 
-from autopilot.cli.console_output import EXIT_FAILED, emit_json, print_table
+from autopilot.cli.console_output import EXIT_FAILED, emit_json, print_table, progress_bar
 from autopilot.cli.finite import FiniteRange
 from autopilot.cli.service_options import part_name
 from autopilot.cli.shared_options import CAMPAIGN_OUT, CAMPAIGN_PARAM, ENGINE, JOBS, JSON, SCENARIO_VEHICLE
@@ -39,26 +40,18 @@ class _Campaign(click.Group):
 
     def list_commands(self, ctx: click.Context) -> list[str]:
         """In alphabetical order."""
-        return sorted([*self.commands, ROOMS, SETS, FAULTS])
+        return sorted([*self.commands, *_MODULES])
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
-        """``rooms``, ``sets`` and ``faults`` have modules of their own."""
-        if cmd_name == FAULTS:
-            from autopilot.cli.campaign_faults import faults
-
-            return faults
-        if cmd_name == SETS:
-            from autopilot.cli.campaign_sets import sets
-
-            return sets
-        if cmd_name != ROOMS:
+        """Import the module of a command that has one."""
+        if cmd_name not in _MODULES:
             return super().get_command(ctx, cmd_name)
-        from autopilot.cli.campaign_rooms import rooms
+        command: click.Command = getattr(importlib.import_module(_MODULES[cmd_name]), cmd_name)
+        return command
 
-        return rooms
 
-
-FLY, ROOMS, SETS, FAULTS = "fly", "rooms", "sets", "faults"
+FLY = "fly"
+_MODULES = {name: f"autopilot.cli.campaign_{name}" for name in ("rooms", "sets", "faults")}
 
 
 @click.group(cls=_Campaign)
@@ -324,36 +317,18 @@ def verdict(result: RunResult) -> str:
 @contextmanager
 def _progress(name: str, *, quiet: bool) -> Iterator[_Show]:
     """A bar on a terminal, a line per run elsewhere."""
-    from rich.console import Console
-    from rich.progress import (
-        BarColumn,
-        MofNCompleteColumn,
-        Progress,
-        TextColumn,
-        TimeElapsedColumn,
-        TimeRemainingColumn,
-    )
-
-    console = Console(stderr=True)
     failures = 0
-
-    if quiet or not console.is_terminal:
-
-        def line(result: RunResult | None, done: int, total: int) -> None:
-            if result is not None and not quiet:
-                click.echo(f"{name}: {done} of {total}: {verdict(result)}", err=True)
-
-        yield line
-        return
-    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn())
-    with Progress(*columns, TimeElapsedColumn(), TimeRemainingColumn(), console=console) as progress:
-        bar = progress.add_task(name, total=None)
+    with progress_bar("{task.description}", elapsed=True, remaining=True, quiet=quiet) as bar:
+        task = None if bar is None else bar.add_task(name, total=None)
 
         def show(result: RunResult | None, done: int, total: int) -> None:
             nonlocal failures
             failures += result is not None and result.failed
-            if result is not None and result.failed:
-                progress.console.print(verdict(result), highlight=False)
-            progress.update(bar, completed=done, total=total, description=f"{name}: {failures} failed")
+            if bar is not None and task is not None:
+                if result is not None and result.failed:
+                    bar.console.print(verdict(result), highlight=False)
+                bar.update(task, completed=done, total=total, description=f"{name}: {failures} failed")
+            elif result is not None and not quiet:
+                click.echo(f"{name}: {done} of {total}: {verdict(result)}", err=True)
 
         yield show

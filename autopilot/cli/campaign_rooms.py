@@ -122,7 +122,6 @@ def _alone(out: Path, seed: int, room: int, mode: int, *, quiet: bool) -> RoomRe
 
 
 def _line(result: RoomResult) -> str:
-    """One flight in one line."""
     mode = next(name for name, number in MODE_NAMES.items() if number == result.mode)
     faults = f"  FAILED: {'; '.join(result.faults)}" if result.failed else f"  {result.what}" if result.what else ""
     cost = f"{result.simulated_s:.0f} s, {result.cpu_s:.0f} s CPU"

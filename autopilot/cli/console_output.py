@@ -1,13 +1,16 @@
 """Tables and JSON for all commands."""
 
 import json
-from collections.abc import Sequence
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
 import click
 
 if TYPE_CHECKING:
     from rich.console import Console
+    from rich.progress import Progress
 
 
 EXIT_FAILED = 1
@@ -16,8 +19,16 @@ EXIT_LOSS = 3
 
 
 def emit_json(value: Any) -> None:
-    """Print a value as JSON."""
-    click.echo(json.dumps(value, indent=2, sort_keys=True, default=str))
+    """Print a value as JSON; numbers that are not finite, which JSON does not have, are null."""
+    click.echo(json.dumps(_finite(value), indent=2, sort_keys=True, default=str, allow_nan=False))
+
+
+def _finite(value: Any) -> Any:
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    if isinstance(value, Mapping):
+        return {key: _finite(each) for key, each in value.items()}
+    return [_finite(each) for each in value] if isinstance(value, list | tuple) else value
 
 
 FILE_WIDTH = 140
@@ -52,3 +63,24 @@ def _is_number(cell: object) -> bool:
     except ValueError:
         return False
     return True
+
+
+@contextmanager
+def progress_bar(
+    text: str, *, elapsed: bool = False, remaining: bool = False, transient: bool = False, quiet: bool = False
+) -> Iterator["Progress | None"]:
+    """A bar on stderr behind ``text``, rich's markup of a task; None if stderr is no terminal, or with ``quiet``."""
+    if quiet:
+        yield None
+        return
+    from rich import progress
+    from rich.console import Console
+
+    console = Console(stderr=True)
+    if not console.is_terminal:
+        yield None
+        return
+    times = [progress.TimeElapsedColumn()] * elapsed + [progress.TimeRemainingColumn()] * remaining
+    columns = (progress.TextColumn(text), progress.BarColumn(), progress.MofNCompleteColumn(), *times)
+    with progress.Progress(*columns, console=console, transient=transient) as bar:
+        yield bar

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from autopilot.cli.console_output import EXIT_FAILED, emit_json
+from autopilot.cli.console_output import EXIT_FAILED, emit_json, progress_bar
 from autopilot.cli.finite import FiniteRange
 from autopilot.cli.shared_options import JSON, SEED
 
@@ -85,27 +85,17 @@ def _plain(result: FlightResult) -> dict[str, object]:
 @contextmanager
 def _progress(name: str, quiet: bool) -> Iterator[Show]:
     """A bar on a terminal, a line per news elsewhere."""
-    from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+    shown = ""
+    with progress_bar("{task.description:44}", elapsed=True, quiet=quiet) as bar:
+        task = None if bar is None else bar.add_task(name, total=None)
 
-    console = Console(stderr=True)
-    if quiet or not console.is_terminal:
-        shown = ""
-
-        def line(what: str, done: int, total: int) -> None:
+        def show(what: str, done: int, total: int) -> None:
             nonlocal shown
             text = f"{name}: {what}" + (f", waypoint {done} of {total}" if done else "")
-            if text != shown and not quiet:
+            if bar is not None and task is not None:
+                bar.update(task, description=f"{name}: {what}", completed=done, total=total or None)
+            elif text != shown and not quiet:
                 click.echo(text, err=True)
             shown = text
 
-        yield line
-        return
-    columns = (TextColumn("{task.description:44}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
-    with Progress(*columns, console=console) as progress:
-        task = progress.add_task(name, total=None)
-
-        def bar(what: str, done: int, total: int) -> None:
-            progress.update(task, description=f"{name}: {what}", completed=done, total=total or None)
-
-        yield bar
+        yield show

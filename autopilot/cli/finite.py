@@ -7,10 +7,7 @@ import click
 
 
 class Finite(click.types.FloatParamType):
-    """Any number."""
-
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
-        """See :class:`click.ParamType`."""
         number = float(super().convert(value, param, ctx))
         if not math.isfinite(number):
             self.fail(f"{number} is not a finite number", param, ctx)
@@ -18,8 +15,5 @@ class Finite(click.types.FloatParamType):
 
 
 class FiniteRange(click.FloatRange):
-    """A number within its bounds."""
-
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
-        """See :class:`click.ParamType`."""
         return float(super().convert(Finite().convert(value, param, ctx), param, ctx))

@@ -57,7 +57,6 @@ class LazyGroup(click.Group):
     """Lists commands from the table and imports one only when it is used."""
 
     def list_commands(self, ctx: click.Context) -> list[str]:
-        """Names in alphabetical order."""
         return sorted(_COMMANDS)
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:

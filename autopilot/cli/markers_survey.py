@@ -176,7 +176,6 @@ def _index_of(rough: "MarkerMap", text: str, option: str) -> int:
 
 
 def _print_survey(result: "Survey", out: str | None) -> None:
-    """Tables of a survey."""
     import numpy as np
 
     def mm(value: float) -> str:
@@ -246,7 +245,6 @@ def _survey_warnings(result: "Survey", *, known: bool) -> list[str]:
 
 
 def _survey_json(result: "Survey") -> dict[str, Any]:
-    """All figures of a survey."""
     from dataclasses import asdict
 
     return {

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from autopilot.cli.console_output import EXIT_FAILED, EXIT_LOSS, emit_json, print_table
+from autopilot.cli.console_output import EXIT_FAILED, EXIT_LOSS, emit_json, print_table, progress_bar
 from autopilot.cli.finite import FiniteRange
 from autopilot.cli.mission_new import new
 from autopilot.cli.shared_options import JSON
@@ -250,25 +250,13 @@ def _vehicle(session: VehicleConnection) -> dict[str, int] | None:
 
 @contextmanager
 def _bar(name: str, quiet: bool) -> Iterator[Callable[[int, int], None] | None]:
-    """A progress bar on stderr, if that is a terminal."""
-    if quiet:
-        yield None
-        return
-    from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
-
-    console = Console(stderr=True)
-    if not console.is_terminal:
-        yield None
-        return
-    columns = (TextColumn("{task.description:8}"), BarColumn(), MofNCompleteColumn())
-    with Progress(*columns, console=console, transient=True) as progress:
-        task = progress.add_task(name, total=None)
-
-        def advance(done: int, total: int) -> None:
-            progress.update(task, completed=done, total=total)
-
-        yield advance
+    """What shows how far an exchange is, if anything does."""
+    with progress_bar("{task.description:8}", transient=True, quiet=quiet) as bar:
+        if bar is None:
+            yield None
+            return
+        task = bar.add_task(name, total=None)
+        yield lambda done, total: bar.update(task, completed=done, total=total)
 
 
 class _StatusLine:

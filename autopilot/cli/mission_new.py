@@ -29,7 +29,6 @@ class Numbers(_NumbersType):
         self.what, self.least, self.most, self.separator = what, least, most or least, separator
 
     def get_metavar(self, param: click.Parameter, ctx: click.Context | None = None) -> str:
-        """As it is written."""
         return self.what
 
     def convert(self, value: object, param: click.Parameter | None, ctx: click.Context | None) -> tuple[float, ...]:

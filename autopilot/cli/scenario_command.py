@@ -40,7 +40,6 @@ def list_shipped(as_json: bool) -> None:
 
 
 def _plain(known: Scenario) -> dict[str, str | int]:
-    """A scenario in words."""
     return {
         "name": known.scenario.name,
         "description": known.scenario.description,

@@ -16,8 +16,6 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Row:
-    """One thruster, for a table."""
-
     name: str
     channel: int
     position: str

@@ -43,8 +43,6 @@ PHASES = 3
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Quiet:
-    """What one flight said."""
-
     scenario: str
     vehicle: str
     seed: int

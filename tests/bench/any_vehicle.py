@@ -47,8 +47,6 @@ accept_m = 0.2
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Outcome:
-    """What came of one vehicle."""
-
     seed: int
     thrusters: int
     refused: str
@@ -72,7 +70,6 @@ class Outcome:
 
 
 def vehicle_tables(seed: int) -> dict[str, Any]:
-    """A vehicle file."""
     rng = np.random.default_rng((20_251, seed))
     shipped = resources.files("autopilot") / "data" / "vehicles" / "lbv150.toml"
     tables: dict[str, Any] = tomllib.loads(shipped.read_text(encoding="utf-8"))

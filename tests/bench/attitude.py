@@ -56,8 +56,6 @@ PUBLISHED = {
 
 
 class Attitude(Protocol):
-    """A filter."""
-
     def step(self, sample: ImuSample) -> FloatArray:
         """Take in a sample; (3,) roll, pitch, yaw."""
         ...

@@ -283,7 +283,6 @@ def _attached_magnet(
 def _motors(
     rng: np.random.Generator, t_s: FloatArray, way: _Way, position: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Currents to the thrusters."""
     return np.zeros_like(position), way.thrust[:, None] * rng.normal(0.0, 0.15, 3)
 
 

@@ -26,8 +26,6 @@ COLUMNS = (("horizontal", slice(0, 2)), ("vertical", slice(2, 3)), ("yaw", slice
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Case:
-    """What is wrong."""
-
     name: str
     focal: float = 0.0
     """Share by which the vehicle file's focal length is too long."""
@@ -63,12 +61,10 @@ def bench_calibration(seeds: Sequence[int], pool: Executor) -> list[EstimatorBen
 
 
 def fly_cases(recording: Recording, seed: int, cases: Sequence[Case] = CASES) -> tuple[OverFloor, ...]:
-    """All cases with one seed."""
     return tuple(fly_case(recording, case, seed) for case in cases)
 
 
 def fly_case(recording: Recording, case: Case, seed: int) -> OverFloor:
-    """One case with one seed."""
     camera, late_us = Camera(recording), round(1e6 * case.late_s)
     camera.poses = {t_us + late_us: pose for t_us, pose in camera.poses.items()}
     told, vehicle = recording.vehicle.eye, recording.vehicle

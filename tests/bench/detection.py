@@ -59,8 +59,6 @@ LOOK_EVERY = 25
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DetectionRow:
-    """All pictures of one source."""
-
     source: str
     frames: int
     shown: int

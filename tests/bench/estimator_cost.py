@@ -41,7 +41,6 @@ class _Timed:
         self._ticks = 0
 
     def step(self, t_us: int, samples: Sequence[Sample], thrust_n: FloatArray, *, keep: bool) -> None:
-        """One tick."""
         self._ticks += 1
         if self._ticks % PACE_EVERY == 1:
             self.pace.look()

@@ -68,8 +68,6 @@ class Limit:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class EstimatorBenchRow:
-    """One figure."""
-
     figure: str
     measured: float
     """Over all seeds."""

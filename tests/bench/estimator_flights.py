@@ -84,14 +84,11 @@ class _OpenCore(KalmanCore):
         """Of position, yaw and velocity: the first seven states."""
 
     def variance(self, state: FilterState, cos_yaw: float, sin_yaw: float) -> list[float]:
-        """As the filter."""
         self.covariance = state.p[:7, :7].copy()
         return super().variance(state, cos_yaw, sin_yaw)
 
 
 class Watching(Protocol):
-    """What flies along."""
-
     nav: NavState | None
     """What it says now."""
 

@@ -96,8 +96,6 @@ class ImageRow:
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class _Shot:
-    """What came of one picture."""
-
     error: FloatArray | None
     """(4,) north, east, down [m], yaw [rad]; None = lost."""
     nees: float

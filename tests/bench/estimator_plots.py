@@ -65,7 +65,6 @@ def draw_images(rows: Sequence[ImageRow], folder: str) -> str:
 
 
 def _bars(axes: "np.ndarray[tuple[int, ...], np.dtype[np.object_]]") -> None:
-    """What is asked for."""
     for axis in axes[0, :2]:
         _bar(axis, 1e3 * CLEAR_BAR_M, "up to 1 1/m")
         _bar(axis, 1e3 * TURBID_BAR_M, "2 1/m")

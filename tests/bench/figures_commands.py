@@ -93,7 +93,6 @@ _WITH = {
 
 
 def estimator_rows(short: bool, seeds: range | None = None, groups: tuple[str, ...] = ()) -> Rows:
-    """See :func:`estimator`."""
     from tests.bench.estimator import (
         CAMERA_SEEDS,
         COST,
@@ -146,19 +145,11 @@ def _attitude(short: bool, data: Path | None, seeds: range | None, *, as_json: b
     judge(kept, {"rows": table, "median_inclination": median}, show, as_json=as_json)
 
 
-@click.command()
-@SHORT
-@JSON
-def pockets(short: bool, as_json: bool) -> None:
+def pockets_rows(short: bool) -> Rows:
     """Goals behind pockets, cylinders on the line, staggered gaps.
 
     Reached from 60 starts each (five minutes; 6 starts with --short, or among all benchmarks).
     """
-    run_one("pockets", TITLES["pockets"], pockets_rows, short=short, as_json=as_json)
-
-
-def pockets_rows(short: bool) -> Rows:
-    """See :func:`pockets`."""
     from tests.bench.pockets import SHORT_STARTS, STARTS, bench_pockets
 
     return [asdict(row) for row in bench_pockets(SHORT_STARTS if short else STARTS)]
@@ -192,7 +183,6 @@ def energy(short: bool, recompute: bool, cases: tuple[str, ...], figures: str | 
 
 
 def energy_rows(short: bool, cases: tuple[str, ...] = (), figures: str | None = None) -> Rows:
-    """See :func:`energy`."""
     from tests.bench.energy.bench import bench_energy
 
     result = bench_energy(short, tell, cases)
@@ -204,39 +194,27 @@ def energy_rows(short: bool, cases: tuple[str, ...] = (), figures: str | None = 
     return [asdict(row) for row in result.rows]
 
 
-@click.command("energy-latency")
-@SHORT
-@JSON
-def energy_latency(short: bool, as_json: bool) -> None:
+def latency_rows(short: bool) -> Rows:
     """CPU time of energy plans per kind of request.
 
     In the tank, a basin and open water, beside when their answers are due in lockstep (a minute or two; half with
     --short).
     """
-    run_one("energy-latency", TITLES["energy-latency"], latency_rows, short=short, as_json=as_json)
-
-
-def latency_rows(short: bool) -> Rows:
-    """See :func:`energy_latency`."""
     from tests.bench.energy.latency import RUNS, SHORT_RUNS, bench_latency
 
     return [asdict(row) for row in bench_latency(SHORT_RUNS if short else RUNS, slowness=slowness())]
 
 
-@click.command()
-@SHORT
-@JSON
-def modes(short: bool, as_json: bool) -> None:
+def modes_rows(short: bool) -> Rows:
     """Both costs of the controller (MPC_COST 0 and 1).
 
     In the paper's tank and in other waters: energy, time, clearance, smoothness, CPU time (five minutes, two with
     --short).
     """
-    run_one("modes", TITLES["modes"], modes_rows, short=short, as_json=as_json)
-
-
-def modes_rows(short: bool) -> Rows:
-    """See :func:`modes`."""
     from tests.bench.modes import bench_modes
 
     return [asdict(row) for row in bench_modes(short, tell)]
+
+
+ROWS = {"pockets": pockets_rows, "energy-latency": latency_rows, "modes": modes_rows}
+"""Studies without options of their own."""

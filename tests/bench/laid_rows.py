@@ -31,8 +31,6 @@ XY, Z, YAW = slice(0, 2), slice(2, 3), slice(3, 4)
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class LaidRun:
-    """What one seed gives."""
-
     rigid: tuple[tuple[OverFloor, OverFloor], ...]
     """Per level: with the plan, of whose sheets nothing is said, and with what had been made of it by the end."""
     printed: OverFloor
@@ -50,7 +48,6 @@ def bench_laid(seeds: Sequence[int], pool: Executor) -> list[EstimatorBenchRow]:
 
 
 def fly_laid(recording: Recording, seed: int) -> LaidRun:
-    """All floors of one seed."""
     camera = Camera(recording)
     plan, nothing_said = recording.plan, told_plan(recording.plan, None)
     rigid = []
@@ -76,7 +73,6 @@ def fly_laid(recording: Recording, seed: int) -> LaidRun:
 
 
 def laid_rows(runs: Sequence[LaidRun]) -> list[EstimatorBenchRow]:
-    """The table."""
     rows = []
     count = len(runs)
     for k, (rms_m, bar_m) in enumerate(LEVELS_M):

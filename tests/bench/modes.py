@@ -136,7 +136,6 @@ def task_of(water: Water, cost: float) -> Task:
 
 
 def row_of(water: Water, cost: float, result: RunResult) -> ModeRow:
-    """The figures of a flight."""
     kept = [margin.margin for name, margin in result.margins.items() if name not in SPEEDS]
     steps, smooth = max(result.steps, 1), result.smoothness
     return ModeRow(

@@ -24,8 +24,6 @@ RATE_HZ = 15.0
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PictureFlight:
-    """What one flight showed."""
-
     kind: str
     seed: int
     sensors: str
@@ -68,7 +66,6 @@ def drawn(kind: str, seed: int) -> tuple[Mapping[str, Any], float, float]:
 
 
 def fly_pictures(kind: str, seed: int, sensors: str) -> PictureFlight:
-    """One flight."""
     fault, at_s, lasts_s = drawn(kind, seed)
     changes = {"sensors": {"camera": {"rate_hz": RATE_HZ}}} if sensors == "camera" else None
     flight = FaultFlight(

@@ -35,8 +35,6 @@ START_CLEARANCE_M = 0.38
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PocketRow:
-    """One world from all starts."""
-
     world: str
     starts: int
     reached: int

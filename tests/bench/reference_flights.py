@@ -29,8 +29,6 @@ SAME = 1e-9
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ReferenceFlight:
-    """One flight."""
-
     scenario: str
     sensors: str
     duration_s: float | None
@@ -56,8 +54,6 @@ SHORT = tuple(name for name, flight in FLIGHTS.items() if flight.duration_s is n
 
 
 class Release(msgspec.Struct, frozen=True, kw_only=True):
-    """What one version flies."""
-
     version: str
     revision: str
     flights: dict[str, dict[str, float]]

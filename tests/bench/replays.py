@@ -25,8 +25,6 @@ WHOLE_S = 1800.0
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ReplayRow:
-    """One flight and its replay."""
-
     flight: str
     sensors: str
     speed: float

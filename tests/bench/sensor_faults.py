@@ -36,8 +36,6 @@ LEAD_S = 0.5
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FaultFlight:
-    """One flight."""
-
     faults: tuple[Mapping[str, Any], ...] = ()
     """``[[fault]]`` tables without ``at_s``."""
     gap_s: float = 0.0
@@ -81,7 +79,6 @@ class FaultResult:
 
     @property
     def kept(self) -> bool:
-        """All that is promised."""
         honest = self.inside >= 0.95 and self.unflagged_s <= DEADLINE_S
         return honest and self.contacts == 0 and not self.thrusters_blamed
 
@@ -105,8 +102,6 @@ def _seen_after(aid: AidStatus, t_s: float) -> bool:
 
 
 class _Watch:
-    """Looks at every tick."""
-
     def __init__(self, session: SitlSession, from_s: float, until_s: float = math.inf) -> None:
         self._truth = session.device
         self._from_s = from_s

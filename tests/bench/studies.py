@@ -2,14 +2,18 @@
 
 import click
 
-from autopilot.cli.bench_rows import Work
+from autopilot.cli.bench_rows import Work, rows_command
 from tests.bench import figures_commands as figures
 from tests.bench import judged_commands as judged
 from tests.bench import replay_commands
 from tests.bench.tables import TITLES
 
 COMMANDS: tuple[click.Command, ...] = (
-    *(figures.estimator, figures.pockets, figures.energy, figures.energy_latency, figures.modes),
+    *(
+        figures.estimator,
+        figures.energy,
+        *(rows_command(name, TITLES[name], work) for name, work in figures.ROWS.items()),
+    ),
     *(judged.faults, judged.fuzz, judged.sensor_faults, judged.detection, judged.vehicles, judged.kills, judged.soak),
     *(judged.alarms, judged.picture_faults, judged.thruster_health),
     *(replay_commands.replay, replay_commands.reference),

@@ -6,7 +6,7 @@ from typing import TypeVar
 import click
 
 from autopilot.cli.bench_tables import Rows, print_rows
-from autopilot.cli.console_output import emit_json
+from autopilot.cli.console_output import emit_json, progress_bar
 
 _Part = TypeVar("_Part")
 _Result = TypeVar("_Result")
@@ -101,22 +101,18 @@ def told_one_by_one(
 
     A terminal shows a bar below these lines, with the part that is worked on.
     """
-    from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
-
     results = []
-    console = Console(stderr=True)
-    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
-    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as progress:
-        bar = progress.add_task("", total=len(parts))
+    with progress_bar("{task.description}", elapsed=True, transient=True) as bar:
+        task = None if bar is None else bar.add_task("", total=len(parts))
         for number, part in enumerate(parts, 1):
-            progress.update(bar, description=str(part), completed=number - 1)
+            if bar is not None and task is not None:
+                bar.update(task, description=str(part), completed=number - 1)
             results.append(work(part))
             line = f"{number} of {len(parts)}  {part}: {outcome(results[-1])}"
-            if console.is_terminal:
-                progress.console.print(line, highlight=False, markup=False)
-            else:
+            if bar is None:
                 tell(line)
+            else:
+                bar.console.print(line, highlight=False, markup=False)
     return results
 
 

@@ -37,8 +37,6 @@ SURE = 0.95
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class HealthFlight:
-    """One flight."""
-
     kind: str
     """r1 to r4, or random."""
     run: int
@@ -53,15 +51,12 @@ class HealthFlight:
 
     @property
     def name(self) -> str:
-        """Unique."""
         lost = "" if self.thruster is None else f"-{NAMES[self.thruster]}-{100.0 * self.share:.0f}-at-{self.at_s:g}"
         return f"{self.kind}-{self.run}-{self.cost}-{self.seconds:g}{lost}"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Outcome:
-    """What the detector said."""
-
     name: str
     revision: str
     armed_s: float
@@ -74,8 +69,6 @@ class Outcome:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Row:
-    """Flights of one kind together."""
-
     what: str
     flights: int
     minutes: float
@@ -109,7 +102,6 @@ def planned(sound: int, lossy: int) -> list[HealthFlight]:
 
 
 def fly_flight(flight: HealthFlight) -> Outcome:
-    """Fly it."""
     return _fly_random(flight) if flight.kind == RANDOM else _fly_campaign(flight)
 
 
@@ -133,7 +125,6 @@ def bench_thruster_health(
 
 
 def _kept(folder: Path | None) -> Iterable[Outcome]:
-    """Outcomes of this revision."""
     path = None if folder is None else folder / "flights.jsonl"
     if path is None or not path.exists():
         return
@@ -228,8 +219,6 @@ def _fly_campaign(flight: HealthFlight) -> Outcome:
 
 
 class _Watch:
-    """Looks at every tick."""
-
     def __init__(self, flight: HealthFlight) -> None:
         self._flight = flight
         self._armed_us = 0
@@ -257,7 +246,6 @@ class _Watch:
                 self._found_s = t_s - self._flight.at_s
 
     def outcome(self) -> Outcome:
-        """All of it."""
         return Outcome(
             name=self._flight.name,
             revision=revision(),

@@ -52,8 +52,6 @@ THRUSTERS = 4
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Loss:
-    """What happens to one thruster."""
-
     thruster: int
     share: float
     """That is left."""
@@ -100,7 +98,6 @@ def drawn_vehicle(rng: np.random.Generator, vehicle: Vehicle, spread: float = 0.
 
 
 def drawn_current(rng: np.random.Generator) -> Any:
-    """A water to fly in."""
     speed, way = float(rng.uniform(0.05, 0.35)), float(rng.uniform(-math.pi, math.pi))
     place = (float(rng.uniform(-1.0, 1.0)), float(rng.uniform(-1.0, 1.0)))
     tables = (

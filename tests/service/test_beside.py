@@ -10,8 +10,7 @@ from autopilot.control.energy.search import EnergyPlanner
 from autopilot.control.robust import regions
 from autopilot.control.way.planner import Planner
 from autopilot.core.messages import Outputs, Severity
-from tests.bench.faults.beside import go_to, on_its_way
-from tests.bench.faults.pilot import piloted
+from tests.bench.faults.pilot import go_to, on_its_way, piloted
 
 WARNING = "No energy plan: flying the plain route"
 

@@ -1,5 +1,6 @@
 """Bad input over MAVLink against the whole service: one clear line, the right result, and what was before stays."""
 
+import functools
 import math
 import random
 from collections.abc import Callable
@@ -61,19 +62,26 @@ def _keys(items: Any) -> list[tuple[object, ...]]:
 MakeHarbour: TypeAlias = Callable[..., tuple[Harbour, WireClient]]
 
 
+def with_plans(session: OpenSession, *others: WireClient) -> tuple[Harbour, WireClient]:
+    """A vehicle in the tank with the paper's fence and mission in force, and a client."""
+    client = WireClient()
+    made = Harbour(session(sensors="pose", peers=(client, *others)))
+    made.run(0.5)
+    assert made.offer(client, PlanKind.FENCE, PLAN.fence) == MissionResult.ACCEPTED
+    assert made.offer(client, PlanKind.MISSION, PLAN.mission) == MissionResult.ACCEPTED
+    return made, client
+
+
 @pytest.fixture
 def harbour(session: OpenSession) -> MakeHarbour:
-    """A vehicle in the tank with the paper's fence and mission in force, and a client."""
+    """Makes a vehicle of the test's own."""
+    return functools.partial(with_plans, session)
 
-    def make(*others: WireClient, params: dict[str, float] | None = None) -> tuple[Harbour, WireClient]:
-        client = WireClient()
-        made = Harbour(session(sensors="pose", peers=(client, *others), params=params))
-        made.run(0.5)
-        assert made.offer(client, PlanKind.FENCE, PLAN.fence) == MissionResult.ACCEPTED
-        assert made.offer(client, PlanKind.MISSION, PLAN.mission) == MissionResult.ACCEPTED
-        return made, client
 
-    return make
+@pytest.fixture(scope="module")
+def unmoved(module_session: OpenSession) -> tuple[Harbour, WireClient]:
+    """The vehicle of all tests after which its plans are what they were."""
+    return with_plans(module_session)
 
 
 def _assert_one_line(client: WireClient, *named: str) -> None:
@@ -150,9 +158,9 @@ BAD_WAYPOINTS = {
 
 
 @pytest.mark.parametrize("name", BAD_WAYPOINTS)
-def test_bad_waypoint(harbour: MakeHarbour, name: str) -> None:
+def test_bad_waypoint(unmoved: tuple[Harbour, WireClient], name: str) -> None:
     item, result, named = BAD_WAYPOINTS[name]
-    made, client = harbour()
+    made, client = unmoved
     assert made.offer(client, PlanKind.MISSION, (GOOD, item, _local(2, 1.75, 0.0))) == result
     _assert_one_line(client, "Mission refused", *named)
     _assert_unchanged(made, client)
@@ -216,8 +224,8 @@ def test_no_path_between_waypoints(harbour: MakeHarbour) -> None:
     _assert_not_flown(made, client, "no free path from item 0 to item 1", "open the fence")
 
 
-def test_too_many_items(harbour: MakeHarbour) -> None:
-    made, client = harbour()
+def test_too_many_items(unmoved: tuple[Harbour, WireClient]) -> None:
+    made, client = unmoved
     for kind in PlanKind:
         assert made.offer(client, kind, (), count=MAX_ITEMS[kind] + 2) == MissionResult.NO_SPACE
         _assert_one_line(
@@ -226,8 +234,8 @@ def test_too_many_items(harbour: MakeHarbour) -> None:
         _assert_unchanged(made, client)
 
 
-def test_unknown_plan_type(harbour: MakeHarbour) -> None:
-    made, client = harbour()
+def test_unknown_plan_type(unmoved: tuple[Harbour, WireClient]) -> None:
+    made, client = unmoved
     client.inbox.clear()
     client.send(mav.MAVLink_mission_count_message(1, 1, 3, 7))
     made.run(0.3)
@@ -270,9 +278,9 @@ BAD_FENCES = {
 
 
 @pytest.mark.parametrize("name", BAD_FENCES)
-def test_bad_fence(harbour: MakeHarbour, name: str) -> None:
+def test_bad_fence(unmoved: tuple[Harbour, WireClient], name: str) -> None:
     fence, result, named = BAD_FENCES[name]
-    made, client = harbour()
+    made, client = unmoved
     assert made.offer(client, PlanKind.FENCE, fence) == result
     _assert_one_line(client, "Fence refused", *named)
     _assert_unchanged(made, client)

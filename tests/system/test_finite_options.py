@@ -1,10 +1,15 @@
-"""No number of the command line may be nan or inf: both are floats, and pass comparisons or open ends."""
+"""No number of the command line may be nan or inf, which pass comparisons or open ends, and none is printed as JSON."""
 
+import json
+import math
 from collections.abc import Iterator
+from pathlib import Path
 
 import click
+import numpy as np
 import pytest
 
+from autopilot.cli.console_output import emit_json
 from autopilot.cli.main import cli, run
 
 
@@ -45,3 +50,12 @@ def test_a_campaign_does_not_begin(value: str, tmp_path: object, capsys: pytest.
     command = ["campaign", "r1", "--runs", "2", "--out", f"{tmp_path}/out", "--duration", value]
     assert run(lambda: cli(command, prog_name="autopilot", standalone_mode=False)) == 2
     assert f"'--duration': {value} is not a finite number" in capsys.readouterr().err
+
+
+def test_json_has_null_for_numbers_that_it_cannot_write(capsys: pytest.CaptureFixture[str]) -> None:
+    def refused(text: str) -> None:
+        raise AssertionError(text)
+
+    emit_json({"rows": [{"far": math.inf, "near": (1.5, math.nan)}], "none": np.float64("-inf"), "name": Path("a")})
+    told = json.loads(capsys.readouterr().out, parse_constant=refused)
+    assert told == {"rows": [{"far": None, "near": [1.5, None]}], "none": None, "name": "a"}

@@ -5,6 +5,7 @@ import pty
 import random
 import socket
 import threading
+import time
 import tty
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
@@ -14,6 +15,7 @@ import pytest
 from pymavlink.dialects.v20 import development as mav
 
 from autopilot.bench.live_service import Station, waypoint
+from autopilot.core.clients import Reach
 from autopilot.core.clock import TICK_US
 from autopilot.core.desk import Cancel
 from autopilot.core.errors import DriverError
@@ -22,6 +24,7 @@ from autopilot.core.messages import Inputs, MavlinkFrame, Outputs
 from autopilot.core.samples import CameraFrame
 from autopilot.drivers.links import open_link
 from autopilot.drivers.protocols import Received
+from autopilot.drivers.udp import reach_of
 from autopilot.log.reader import open_log
 from autopilot.run.children import free_port
 from autopilot.run.clocks import LockstepClock
@@ -72,7 +75,6 @@ class Ticks:
 
 
 def drain(station: Station) -> list[Any]:
-    """All that has come."""
     found: list[Any] = []
     while more := station.receive(0.0):
         found += more
@@ -301,6 +303,23 @@ def test_a_stranger_is_not_heard_on_udpout(opened: Open) -> None:
             ticks(5)
             commands[who] = [m.result for m in drain(station) if m.get_type() == "COMMAND_ACK"]
         assert commands == {"stranger": [], "target": [0]}
+
+
+@pytest.mark.parametrize(("kind", "sort"), [("udpin", socket.SOCK_DGRAM), ("tcpin", socket.SOCK_STREAM)])
+def test_a_client_of_this_machine_is_known_as_such(kind: str, sort: socket.SocketKind) -> None:
+    """It may give the vehicle a signing key."""
+    port = free_port(sort)
+    link = open_link(f"{kind}:{LOCAL}:{port}")
+    station = Station.udp(port) if kind == "udpin" else Station.tcp(port)
+    heard: list[Received] = []
+    begin_s = time.monotonic()
+    while not heard and time.monotonic() - begin_s < PATIENCE_S:
+        station.beat()
+        heard += link.recv(0)
+    assert {one.reach for one in heard} == {Reach.MACHINE}
+    assert [reach_of(host) for host in ("127.0.0.9", "192.168.2.1")] == [Reach.MACHINE, Reach.NETWORK]
+    link.close()
+    station.close()
 
 
 class Broken:

@@ -37,8 +37,6 @@ B = (1.75, 0.0, 0.30, math.pi)
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class EnergyGoal:
-    """Where a leg ends."""
-
     pos_ned_m: tuple[float, float, float]
     yaw_rad: float | None
 

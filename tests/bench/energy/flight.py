@@ -69,8 +69,6 @@ Pilot: TypeAlias = Callable[[int, NavState, Goal, Fence], FloatArray]
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class EnergyFlight:
-    """What was flown."""
-
     case: str
     pilot: str
     finished: bool

@@ -73,7 +73,6 @@ class _Water:
 
 
 def bench_latency(runs: int = RUNS, slowness: float = 1.0) -> Iterator[LatencyRow]:
-    """Rows one by one."""
     vehicle = load_vehicle("lbv150")
     planner = EnergyPlanner(vehicle.to_model(), PowerModel.of(vehicle))
     planner.warm()

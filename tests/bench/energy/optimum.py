@@ -46,8 +46,6 @@ cheapest speed in still water."""
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Guess:
-    """A way to begin with."""
-
     label: str
     ways_ned_m: tuple[tuple[tuple[float, float], ...], ...]
     """Places between start and goal, per leg."""
@@ -57,8 +55,6 @@ class Guess:
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Optimum:
-    """One solved flight."""
-
     guess: Guess
     """Where it began."""
     solved: bool
@@ -74,7 +70,6 @@ class Optimum:
 
     @property
     def label(self) -> str:
-        """The way it goes."""
         return self.guess.label
 
 
@@ -316,7 +311,6 @@ def tank_guess(legs: Sequence[TankLeg]) -> Guess:
 
 
 def tank_guesses(corridor: bool) -> list[Guess]:
-    """Every lap."""
     return [tank_guess(lap) for lap in itertools.product(tank_legs(corridor), repeat=2)]
 
 

@@ -106,7 +106,6 @@ def comparator(records: dict[str, Record], case: str, laps: int, corridor: bool,
 
 
 def load_records(path: Path = DATA) -> dict[str, Record]:
-    """The committed optima."""
     raw: dict[str, dict[str, Any]] = json.loads(path.read_text())
     return {
         name: Record(

@@ -1,21 +1,23 @@
-"""Runs the findings one after the other. A module of this package with ``FINDINGS`` is one part of the table."""
+"""Runs the findings one after the other: tests of this checkout, and measurements where a figure is promised."""
 
-import importlib
-from collections.abc import Callable, Iterator
+import subprocess
+from collections.abc import Callable
 from dataclasses import dataclass
 
+from autopilot.core.own_python import ROOT, python_command
+from tests.bench.faults.exchange import EXCHANGES
+from tests.bench.faults.figures import FIGURES
 from tests.bench.faults.finding import Finding, Measured
+from tests.bench.faults.findings import TESTED
 
 PARTS: tuple[str, ...] = ("link", "exchange", "plans", "beside", "estimator", "machine", "guard", "loop")
-"""Modules of this package, in the table's order."""
+"""In the table's order."""
 MAX_TEXT = 120
-"""Of an exception, in characters."""
+"""Of an exception or a failed test, in characters."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FaultRow:
-    """A line of the table."""
-
     part: str
     finding: str
     before: str
@@ -24,10 +26,20 @@ class FaultRow:
     kept: bool
 
 
-def findings(part: str | None = None) -> Iterator[Finding]:
+def findings(part: str | None = None) -> list[Finding]:
     """All findings, or those of one part."""
-    for name in PARTS if part is None else (part,):
-        yield from importlib.import_module(f"tests.bench.faults.{name}").FINDINGS
+    found = (*TESTED, *FIGURES, *EXCHANGES)
+    return [finding for name in PARTS for finding in found if finding.part == name and part in (None, name)]
+
+
+def _tested(tests: tuple[str, ...]) -> Measured:
+    """What pytest says of them."""
+    command = [*python_command("import sys, pytest; sys.exit(pytest.main(sys.argv[1:]))"), "--tb=no", *tests]
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
+    lines = done.stdout.strip().splitlines() or done.stderr.strip().splitlines() or ["no answer of pytest"]
+    failed = [line for line in lines if line.startswith(("FAILED", "ERROR"))]
+    text = (failed or lines[-1:])[0].strip("= ")
+    return Measured(text=text[:MAX_TEXT], kept=done.returncode == 0)
 
 
 def bench_faults(part: str | None = None, show: Callable[[str], None] = lambda _: None) -> list[FaultRow]:
@@ -36,7 +48,7 @@ def bench_faults(part: str | None = None, show: Callable[[str], None] = lambda _
     for finding in findings(part):
         show(f"{finding.part}: {finding.name}")
         try:
-            now = finding.measure()
+            now = _tested(finding.tests) if finding.measure is None else finding.measure()
         except Exception as error:  # noqa: BLE001 - the table has to say so, and go on
             now = Measured(text=f"{type(error).__name__}: {error}"[:MAX_TEXT], kept=False)
         rows.append(

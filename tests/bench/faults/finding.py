@@ -1,4 +1,4 @@
-"""A finding and how it is measured again."""
+"""A finding and how it is looked at again: by tests, or by a measurement."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -16,15 +16,16 @@ class Measured:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Finding:
-    """Something that came from outside and broke the service, and its measurement."""
+    """Something that came from outside and broke the service."""
 
     part: str
-    """loop, guard, estimator, plans, link or machine."""
     name: str
     """What is done to the service, in a few words."""
     before: str
     """What happened at revision 0501193, as measured then."""
     promise: str
     """What has to happen."""
-    measure: Callable[[], Measured]
-    """Does it to the real service and measures. Seconds to a minute; no display, network beyond loopback or root."""
+    tests: tuple[str, ...] = ()
+    """Tests that do it, as pytest names them,"""
+    measure: Callable[[], Measured] | None = None
+    """or what measures it with the real service: seconds to a minute."""

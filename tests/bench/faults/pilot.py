@@ -12,6 +12,7 @@ from pymavlink.dialects.v20 import development as mav
 
 from autopilot.client.plan_client import PlanUpload
 from autopilot.core.clock import TICK_US
+from autopilot.core.geodesy import geodetic_from_ned
 from autopilot.core.messages import Inputs, Outputs
 from autopilot.core.plan import PlanItem, PlanKind
 from autopilot.mission.local_plan import (
@@ -23,6 +24,7 @@ from autopilot.mission.local_plan import (
     WaypointTable,
     plan_of_local,
 )
+from autopilot.mission.paper import paper_plan
 from autopilot.mission.plan_model import PlanFile
 from autopilot.run.config import flight_settings
 from autopilot.run.sitl_session import SitlSession, open_sitl
@@ -54,22 +56,18 @@ class Pilot:
         """Every message of the vehicle but its telemetry's most frequent."""
 
     def command(self, command: int, *params: float) -> None:
-        """Send a COMMAND_LONG."""
         self._out.append(mav.MAVLink_command_long_message(1, 1, command, 0, *(*params, *(0.0,) * 7)[:7]))
 
     def go_to(self, lat_deg: float, lon_deg: float, depth_m: float) -> None:
-        """Send a go-to."""
         place = (round(lat_deg * 1e7), round(lon_deg * 1e7), -depth_m)
         self._out.append(mav.MAVLink_command_int_message(1, 1, 6, REPOSITION, 0, 0, -1.0, 1.0, 0.0, np.nan, *place))
 
     def upload(self, kind: PlanKind, items: Sequence[PlanItem]) -> PlanUpload:
-        """Begin an upload."""
         self._upload = PlanUpload(kind, items)
         self._out += self._upload.begin(max(self._last_s, 0.0))
         return self._upload
 
     def step(self, t_us: int, received: Sequence[bytes]) -> list[bytes]:
-        """One tick."""
         t_s = t_us * 1e-6
         for data in received:
             for message in self._mav.parse_buffer(data) or ():
@@ -136,7 +134,6 @@ class PilotedFlight:
             raise RuntimeError(f"{kind.name.lower()} upload: {exchange.outcome.reason}")
 
     def start(self) -> None:
-        """Arm, and start the mission."""
         nav = self.session.service
         self.until(lambda: nav.nav is not None, "a position")
         self.fly(2.0)
@@ -247,3 +244,18 @@ def crowded_plan(
             fence=fence if obstacles else FenceTable(),
         )
     )
+
+
+def on_its_way(flight: PilotedFlight, seconds: float) -> None:
+    """Upload the paper's plan, start it and fly for a while."""
+    plan = paper_plan(1)
+    flight.upload(PlanKind.FENCE, plan.fence)
+    flight.upload(PlanKind.MISSION, plan.mission)
+    flight.start()
+    flight.fly(seconds)
+
+
+def go_to(flight: PilotedFlight, place_ned_m: tuple[float, float, float]) -> None:
+    """Send a go-to in local coordinates."""
+    lat, lon, _ = geodetic_from_ned(flight.session.parts.plans.origin, np.array(place_ned_m))
+    flight.pilot.go_to(lat, lon, place_ned_m[2])

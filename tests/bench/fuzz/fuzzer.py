@@ -9,6 +9,7 @@ Every service flies several moods in turn. Services are without a key and with o
 between clients of three links, some clients speak MAVLink 1.
 """
 
+import math
 import os
 from collections.abc import Sequence
 from dataclasses import replace
@@ -149,8 +150,9 @@ class Fuzzer:
             if device.truth.contact_count > self._contacts:
                 raise BrokenRuleError(f"the hull touches something at {device.truth.pos_ned_m}")
 
-    def episode(self, ticks: int = EPISODE_TICKS, mood: Mood | None = None) -> bool:
-        """One mood: calm first, so that there is something to lose. False = with this vehicle it is not possible."""
+    def episode(self, ticks: int = EPISODE_TICKS, mood: Mood | None = None, *, most: float = math.inf) -> bool:
+        """One mood, ended early when this service has had ``most`` messages: calm first, so that there is something to
+        lose. False = with this vehicle it is not possible."""
         rng = self._rng
         mood = mood or (Mood.ANYTHING, Mood.ANYTHING, Mood.STRANGERS, Mood.STEERING)[rng.integers(4)]
         wild, per_tick = bool(rng.random() < 0.4) and mood is Mood.ANYTHING, int(rng.choice(PER_TICK))
@@ -159,6 +161,8 @@ class Fuzzer:
         if mood is not Mood.ANYTHING and not self._fly(owned=mood is Mood.STRANGERS):
             return False
         for tick in range(ticks):
+            if self.result.messages >= most:
+                break
             frames = [self._traffic.frame() for _ in range(per_tick)]
             if mood is Mood.STRANGERS and tick % 100 == 0:
                 frames.append(self._order(mav.MAVLink_heartbeat_message(6, 8, 0, 0, 0, 3)))

@@ -333,7 +333,6 @@ class Traffic:
         return mav.MAVLink_param_set_message(1, 1, name.encode(), value, rng.choice((9, 9, 6, 1, 10)))
 
     def _command(self) -> Any:
-        """What operators send."""
         rng = self._rng
         lat, lon = LAT_E7 + round(rng.gauss(0, 300)), LON_E7 + round(rng.gauss(0, 300))
         command, params, z = rng.choice(

@@ -23,7 +23,7 @@ SETTLED_MESSAGES = 20_000
 
 
 def run_fuzz(messages: int, seed: int = 1, show: Callable[[Result], None] = lambda _: None) -> Result:
-    """Throw ``messages`` at the service. A failure is kept and a fresh service goes on from there."""
+    """Throw ``messages`` at the service, and those of the last tick. A failure is kept, a fresh service goes on."""
     process = psutil.Process()
     guarded = os.environ.get(VARIABLE)
     os.environ[VARIABLE] = "raise"
@@ -50,7 +50,7 @@ def _run(messages: int, seed: int, show: Callable[[Result], None], process: psut
                         break
                     with warnings.catch_warnings():
                         warnings.simplefilter("ignore")  # overflow in what is made of nonsense is no finding
-                        able = fuzzer.episode()
+                        able = fuzzer.episode(most=messages - before.messages)
                     total.put_together(before, fuzzer.result)
                     total.seconds = time.monotonic() - began_s
                     total.rss_end_mb = process.memory_info().rss / 1e6

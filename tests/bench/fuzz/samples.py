@@ -37,8 +37,6 @@ SCALES = {
 
 
 class Noise:
-    """Wild samples of every kind."""
-
     def __init__(self, seed: int) -> None:
         self._rng = random.Random(seed)
         self._before: list[Sample] = []
@@ -59,26 +57,21 @@ class Noise:
         return tuple(given)
 
     def _any(self, row: SampleRow, t_us: int) -> Sample:
-        """A sample of that kind."""
         sample: Sample = self._sighting(t_us) if row.of is MarkerSighting else sample_of(row, t_us, self)
         return sample
 
     def missing(self) -> bool:
-        """See :class:`tests.sample_kinds.Draw`."""
         return self._rng.random() < 0.5
 
     def scalar(self, name: str, kind: type) -> Any:
-        """See :class:`tests.sample_kinds.Draw`."""
         if kind is bool:
             return self._rng.random() < 0.02
         return self._rng.randrange(-3, 60) if kind is int else self._number(SCALES.get(name, 1.0))
 
     def member(self, kind: type[Enum]) -> Enum:
-        """See :class:`tests.sample_kinds.Draw`."""
         return self._rng.choice(list(kind))
 
     def array(self, name: str, size: int) -> FloatArray:
-        """See :class:`tests.sample_kinds.Draw`."""
         return self._array(size, SCALES.get(name, 1.0))
 
     def _time(self, t_us: int) -> int:

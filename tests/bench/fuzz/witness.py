@@ -63,7 +63,6 @@ class Witness:
         return sent
 
     def serve(self, t_us: int, rx: Sequence[MavlinkFrame]) -> tuple[MavlinkFrame, ...]:
-        """As the server's."""
         sent = self._server.serve(t_us, rx)
         self._served += self._read(sent)
         return sent
