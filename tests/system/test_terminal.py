@@ -15,14 +15,14 @@ from autopilot.cli.main import cli
 SAID = """
 from autopilot.cli.demo_command import _progress
 from autopilot.cli.log import print_rows
-from autopilot.log.check import Row, Verdict
+from autopilot.log.rows import BoundRow, BoundVerdict
 
 with _progress("tank", quiet=False) as show:
     show("mission active", 1, 7)
     show("mission active", 1, 7)
     show("mission active", 2, 7)
-make = lambda name, verdict: Row(name=name, unit="m", limit=1.0, worst=0.5, margin=0.5, verdict=verdict)
-print_rows([make("good", Verdict.PASS), make("bad", Verdict.FAIL)], "title")
+make = lambda name, verdict: BoundRow(name=name, unit="m", limit=1.0, worst=0.5, margin=0.5, verdict=verdict)
+print_rows([make("good", BoundVerdict.PASS), make("bad", BoundVerdict.FAIL)], "title")
 """
 COLOR = re.compile(r"\x1b\[[\d;]*\b(?:3[0-7]|9[0-7]|38;\d[\d;]*)m")
 ESCAPE = "\x1b"
