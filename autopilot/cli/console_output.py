@@ -1,6 +1,7 @@
 """Tables and JSON for all commands."""
 
 import json
+import math
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
@@ -16,8 +17,16 @@ EXIT_LOSS = 3
 
 
 def emit_json(value: Any) -> None:
-    """Print a value as JSON."""
-    click.echo(json.dumps(value, indent=2, sort_keys=True, default=str))
+    """Print a value as JSON; numbers that are not finite, which JSON does not have, are null."""
+    click.echo(json.dumps(_finite(value), indent=2, sort_keys=True, default=str))
+
+
+def _finite(value: Any) -> Any:
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    if isinstance(value, dict):
+        return {key: _finite(inner) for key, inner in value.items()}
+    return [_finite(inner) for inner in value] if isinstance(value, list | tuple) else value
 
 
 FILE_WIDTH = 140

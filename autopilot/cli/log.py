@@ -1,6 +1,5 @@
 """``autopilot log``: look into a log. Exit codes: 0 ok, 1 failed or unreadable, 3 warnings or loss."""
 
-import math
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -149,9 +148,7 @@ def programs(log_file: Path, as_json: bool) -> None:
 
 
 def _as_json(trial: "Trial") -> dict[str, Any]:
-    """Numbers that are not finite are null."""
-    values = {key: None if isinstance(v, float) and not math.isfinite(v) else v for key, v in asdict(trial).items()}
-    return {**values, "status": None if trial.status is None else trial.status.name}
+    return {**asdict(trial), "status": None if trial.status is None else trial.status.name}
 
 
 def _tell_loss(opened: "Log", done: str = "drawn") -> None:
