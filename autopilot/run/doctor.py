@@ -27,10 +27,9 @@ from autopilot.drivers.retry import DeviceState
 from autopilot.run.config import EffectiveSettings, system_id
 from autopilot.run.doctor_links import ListeningLink, Speaker, company
 from autopilot.run.doctor_samples import judge_samples
-from autopilot.run.findings import Finding, FindingSeverity
+from autopilot.run.findings import Finding, FindingSeverity, silent_remedy
 from autopilot.run.hardware import NAMES, HardwareVehicle
 from autopilot.run.hardware_session import open_vehicle, state_folder, vehicle_params
-from autopilot.run.remedies import silent_remedy
 from autopilot.run.session import Session
 from autopilot.run.vehicle_config import VehicleConfig
 

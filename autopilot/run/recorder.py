@@ -19,6 +19,7 @@ from autopilot.core.samples import CameraFrame
 from autopilot.log.description import RunDescription
 from autopilot.log.log_session import LoggedTruth, RunLog, SimulationRecord
 from autopilot.log.writer import Payload
+from autopilot.run.outside import NoticeQueue
 
 CLOSE_S = 30.0
 """How long the end of a run waits for a disk that does not answer."""
@@ -64,7 +65,7 @@ class NullRecorder:
         """Nothing to close."""
 
 
-class RunRecorder:
+class RunRecorder(NoticeQueue):
     """One log per session (``path`` fixed) or one per arming (``open_log`` called at every arming).
 
     ``waits``: in lockstep a log is finished at the disarming; where time does not wait, beside the loop.
@@ -81,6 +82,7 @@ class RunRecorder:
         waits: bool = True,
     ) -> None:
         """LogError if the session's log cannot be made: nothing runs yet."""
+        super().__init__()
         self._open_log = open_log
         self._describe = describe
         self._truth = truth
@@ -92,7 +94,6 @@ class RunRecorder:
         """Logs that are being finished, and whether the operator knows what was wrong with them."""
         self._dropped_before = 0
         self._told_slow = False
-        self._notices: list[tuple[Severity, str]] = []
         self._plan_revision = plan_revision
         self._described = plan_revision()
         self.lost = False
@@ -121,13 +122,6 @@ class RunRecorder:
     def queued(self) -> tuple[int, int]:
         """Messages and bytes that wait to be written to the present log."""
         return (0, 0) if self._log is None else self._log.queued
-
-    def take_notices(self) -> tuple[tuple[Severity, str], ...]:
-        """What the operator should know of the log since the last call: severity and text."""
-        if not self._notices:
-            return ()
-        notices, self._notices = tuple(self._notices), []
-        return notices
 
     def record(self, inputs: Inputs, outputs: Outputs, frames: Sequence[CameraFrame]) -> None:
         """Log one tick."""

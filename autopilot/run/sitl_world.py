@@ -29,10 +29,9 @@ from autopilot.run.clocks import LockstepClock, PacedClock
 from autopilot.run.compose import forecast_of
 from autopilot.run.config import EffectiveSettings, chosen_part, system_id
 from autopilot.run.outside import InProcessClient
-from autopilot.run.sitl_describe import describe_run
+from autopilot.run.sitl_describe import describe_run, part_origins
 from autopilot.run.sitl_fence import scenario_plan
 from autopilot.run.sitl_params import sitl_params, state_folder
-from autopilot.run.sitl_parts import part_origins
 from autopilot.run.sitl_view import Steering, WatchedSitl
 from autopilot.run.world import Told, WaterTold, World
 from autopilot.sitl.backend import SimulatedVehicle, simulated_vehicle

@@ -4,7 +4,7 @@ A session (:mod:`autopilot.run.session`) is opened, run, recorded and closed ali
 """
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Hashable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -12,6 +12,7 @@ from autopilot.command.service_parts import Parts
 from autopilot.control.water.currents import CurrentForecast
 from autopilot.core.desk import Desk
 from autopilot.core.geodesy import Origin
+from autopilot.core.geometry import Fence
 from autopilot.core.markers import MarkerMap
 from autopilot.core.messages import Below, Inputs, Severity
 from autopilot.core.param_file import PersistentParams
@@ -25,8 +26,9 @@ from autopilot.run.clocks import LockstepClock, PacedClock
 from autopilot.run.config import EffectiveSettings
 from autopilot.run.outside import InProcessClient, VehicleIo
 from autopilot.run.recorder import TruthSource
-from autopilot.run.watched import WatchedService
 from autopilot.view.controls import Controls
+from autopilot.view.feed import TruthSeen
+from autopilot.view.shown import Solid
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -54,6 +56,35 @@ class WaterTold:
     basin: str
     map_file: Path | None = None
     map_start: str | None = None
+
+
+class WatchedService:
+    """A service; ``describe`` makes the description of now."""
+
+    def __init__(self, parts: Parts, describe: Callable[[], RunDescription]) -> None:
+        self._parts = parts
+        self._describe = describe
+
+    def revision(self) -> Hashable:
+        """Changes with plans and parameters. The fence comes into force a little after its plan."""
+        parts = self._parts
+        return parts.plans.revision, id(parts.commander.fence), tuple(parts.params.values())
+
+    def describe(self) -> RunDescription:
+        """The run as things stand now."""
+        return self._describe()
+
+    def fence(self) -> Fence:
+        """The fence in force."""
+        return self._parts.commander.fence
+
+    def truth(self) -> TruthSeen | None:
+        """Nobody knows."""
+        return None
+
+    def solids(self) -> tuple[Solid, ...]:
+        """Nobody knows."""
+        return ()
 
 
 class World(ABC):
