@@ -14,7 +14,7 @@ from autopilot.core.errors import LogError
 from autopilot.core.frames import FloatArray
 from autopilot.core.messages import ProgressState
 from autopilot.log.description import FenceItemDescription, Obstacle, Point2, RunDescription, Waypoint
-from autopilot.log.packing.estimate import COUNTER_NAMES, LAST_NAMES
+from autopilot.log.packing.record_values import COUNTER_NAMES, LAST_NAMES
 from autopilot.log.reader import Log, MessageTable
 from autopilot.log.schemas import layout
 from autopilot.log.topics import type_of

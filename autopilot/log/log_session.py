@@ -14,7 +14,7 @@ from autopilot.core.messages import Event, Inputs, LoopStats, Outputs
 from autopilot.core.samples import CameraFrame
 from autopilot.log.description import ATTACHMENT, RunDescription, to_json
 from autopilot.log.packer import Packer, Sink
-from autopilot.log.packing.vehicle_records import TruthLike
+from autopilot.log.record_table import TruthLike
 from autopilot.log.writer import LogHead, LogWriter, Payload
 
 CAMERA_US = 500_000

@@ -19,7 +19,7 @@ from autopilot.core.param_file import PersistentParams
 from autopilot.core.params import ParamSet
 from autopilot.core.vehicle import Vehicle
 from autopilot.log.description import RunDescription
-from autopilot.log.packing.vehicle_records import TruthLike
+from autopilot.log.record_table import TruthLike
 from autopilot.mission.plan_files import PlanFile
 from autopilot.mission.store import WaterCheck
 from autopilot.run.clocks import LockstepClock, PacedClock

@@ -17,7 +17,7 @@ from autopilot.core.messages import Inputs, LoopStats, Outputs
 from autopilot.core.samples import CameraFrame
 from autopilot.log.description import RunDescription
 from autopilot.log.log_session import RunLog
-from autopilot.log.packing.vehicle_records import TruthLike
+from autopilot.log.record_table import TruthLike
 from autopilot.log.schemas import ENCODING, MESSAGE_ENCODING, definition, ros_name
 from autopilot.log.topics import AID_PREFIX, TOPICS, type_of
 from autopilot.log.writer import Payload, Work

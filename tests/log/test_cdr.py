@@ -46,7 +46,8 @@ from autopilot.core.samples import (
 from autopilot.core.sensors import AID_SENSORS
 from autopilot.log import topics, visuals
 from autopilot.log.cdr import ENCAPSULATION, CdrBuffer, decode, fixed_layout, parse_definition
-from autopilot.log.packing import decisions, estimate, sensor_records, service_records, vehicle_records
+from autopilot.log.packing import sensor_records
+from autopilot.log.packing.records import pack_record
 from autopilot.log.sample_table import SAMPLE_ROWS, SampleRow
 from autopilot.log.schemas import definition, layout, ros_name, type_names, types_of
 from autopilot.replay.inputs import SAMPLES
@@ -132,13 +133,13 @@ def test_nav(stamp: int, a: Any, b: Any, c: Any, d: Any, e: Any, f: Any, var: An
         reset_count=resets,
         doubts=frozenset(doubt for bit, doubt in enumerate(NavDoubt) if resets >> bit & 1),
     )
-    state = read_back("autopilot_msgs/VehicleState", vehicle_records.vehicle_state(stamp, nav))
+    state = read_back("autopilot_msgs/VehicleState", pack_record("/nav/state", stamp, nav))
     assert stamp_of(state.header) == stamp and state.header.frame_id == "ned"
     for field in ("pos_ned_m", "rpy_rad", "vel_frd_m_s", "vel_water_frd_m_s", "rate_frd_rad_s", "current_ned_m_s"):
         np.testing.assert_array_equal(getattr(state, field), getattr(nav, field))
-    covariance = read_back("autopilot_msgs/NavCovariance", estimate.nav_covariance(stamp, nav))
+    covariance = read_back("autopilot_msgs/NavCovariance", pack_record("/nav/covariance", stamp, nav))
     np.testing.assert_array_equal(covariance.variance, var)
-    status = read_back("autopilot_msgs/NavStatus", estimate.nav_status(stamp, nav))
+    status = read_back("autopilot_msgs/NavStatus", pack_record("/nav/status", stamp, nav))
     assert (status.health, status.reset_count) == (health % 3, resets)
     assert status.doubts == resets % (1 << len(NavDoubt))
 
@@ -157,10 +158,10 @@ def test_truth_thrusters_and_contact(stamp: int, thrust: list[float], power: flo
         thrust_n=np.array(thrust),
         power_w=power,
     )
-    state = read_back("autopilot_msgs/ThrusterState", vehicle_records.thruster_state(stamp, truth))
+    state = read_back("autopilot_msgs/ThrusterState", pack_record("/sim/thrusters", stamp, truth))
     np.testing.assert_array_equal(state.thrust_n, thrust + [0.0] * (8 - len(thrust)))
     assert state.power_w == power
-    contact = read_back("autopilot_msgs/ContactState", vehicle_records.contact_state(stamp, count, depth))
+    contact = read_back("autopilot_msgs/ContactState", pack_record("/sim/contact", stamp, (count, depth)))
     assert (contact.count, contact.penetration_m) == (count, depth)
 
 
@@ -168,7 +169,7 @@ def test_truth_thrusters_and_contact(stamp: int, thrust: list[float], power: flo
 @settings(max_examples=25, deadline=None)
 def test_goal(stamp: int, pos: Any, yaw: float | None, speed: float, radius: float, band: float, seq: int) -> None:
     goal = Goal(pos_ned_m=pos, yaw_rad=yaw, speed_m_s=speed, accept_radius_m=radius, accept_yaw_rad=band, seq=seq)
-    read = read_back("autopilot_msgs/Goal", decisions.goal(stamp, goal))
+    read = read_back("autopilot_msgs/Goal", pack_record("/ctl/goal", stamp, goal))
     np.testing.assert_array_equal(read.pos_ned_m, pos)
     assert (read.yaw_free, read.yaw_rad) == ((1, 0.0) if yaw is None else (0, yaw))
     assert (read.speed_m_s, read.accept_radius_m, read.accept_yaw_rad, read.seq) == (speed, radius, band, seq)
@@ -187,7 +188,7 @@ def test_control_and_system(
     a: int,
     b: int,
 ) -> None:
-    command = decisions.thruster_command(stamp, ThrusterCommand(t_us=0, thrust_n=thrust, pwm_us=tuple(pwm)))
+    command = pack_record("/out/thrusters", stamp, ThrusterCommand(t_us=0, thrust_n=thrust, pwm_us=tuple(pwm)))
     read = read_back("autopilot_msgs/ThrusterCommand", command)
     np.testing.assert_array_equal(read.thrust_n, thrust)
     assert read.pwm_us.tolist() == pwm + [0] * (8 - len(pwm))
@@ -203,28 +204,28 @@ def test_control_and_system(
         tube_m=x,
         penalty_use=y,
     )
-    read = read_back("autopilot_msgs/NmpcStatus", decisions.nmpc_status(stamp, nmpc))
+    read = read_back("autopilot_msgs/NmpcStatus", pack_record("/ctl/nmpc", stamp, nmpc))
     assert (read.status, read.fallback, read.iterations, read.solve_s, read.cost) == (3, 1, count, x, y)
     assert (read.slack_max, read.margin_m, read.tube_m, read.penalty_use) == (x, y, x, y)
     progress = MissionProgress(t_us=0, current_seq=-1, reached_seq=3, lap=count, state=ProgressState.ACTIVE)
-    read = read_back("autopilot_msgs/MissionProgress", decisions.mission_progress(stamp, progress))
+    read = read_back("autopilot_msgs/MissionProgress", pack_record("/mission/progress", stamp, progress))
     assert (read.current_seq, read.reached_seq, read.lap, read.state) == (-1, 3, count, 3)
     mode = ModeState(t_us=0, armed=flag, custom_mode=a, failsafes=b)
-    read = read_back("autopilot_msgs/ModeState", decisions.mode_state(stamp, mode))
+    read = read_back("autopilot_msgs/ModeState", pack_record("/sys/mode", stamp, mode))
     assert (read.armed, read.custom_mode, read.failsafes) == (flag, a, b)
     parts = tuple(x if part == LoopPart.RECORD else 0.0 for part in LoopPart)
     stats = LoopStats(t_us=0, tick_s=x, cpu_s=y, overruns=a, dropped_log=b, dropped_frames=b, part_s=parts)
-    read = read_back("autopilot_msgs/LoopStats", service_records.loop_stats(stamp, stats))
+    read = read_back("autopilot_msgs/LoopStats", pack_record("/sys/loop", stamp, stats))
     assert (read.tick_s, read.cpu_s, read.overruns, read.dropped_log, read.dropped_frames) == (x, y, a, b, b)
     assert read.late_part == int(stats.late_part) and tuple(read.part_s) == parts
     process = ProcessStats(rss_bytes=a, log_queue=b, log_queue_bytes=a, threads=count, collect_s=x)
-    read = read_back("autopilot_msgs/ProcessStats", service_records.process_stats(stamp, process))
+    read = read_back("autopilot_msgs/ProcessStats", pack_record("/sys/process", stamp, process))
     assert (read.rss, read.log_queue, read.log_queue_bytes, read.threads, read.collect_s) == (a, b, a, count, x)
     fit = MarkerFit(known=count, used=3, rms_px=x, worst_px=y)
-    read = read_back("autopilot_msgs/MarkerFit", estimate.marker_fit(stamp, fit))
+    read = read_back("autopilot_msgs/MarkerFit", pack_record("/nav/fit", stamp, fit))
     assert (read.known, read.used, read.rms_px, read.worst_px) == (count, 3, x, y)
     inputs = Inputs(t_us=0, overruns=a, cpu_load=x)
-    read = read_back("autopilot_msgs/InputTick", service_records.input_tick(stamp, inputs))
+    read = read_back("autopilot_msgs/InputTick", pack_record("/in/tick", stamp, inputs))
     assert (read.samples, read.frames, read.overruns, read.cpu_load) == (0, 0, a, x)
     aid = AidStatus(
         t_us=0,
@@ -236,7 +237,7 @@ def test_control_and_system(
         state=AidState.REJECTING,
         age_s=y,
     )
-    read = read_back("autopilot_msgs/AidStatus", estimate.aid_status(stamp, aid))
+    read = read_back("autopilot_msgs/AidStatus", pack_record("/nav/aid/markers", stamp, aid))
     np.testing.assert_array_equal(read.innovation, thrust[:3])
     np.testing.assert_array_equal(read.innovation_var, thrust[3:6])
     assert (read.test_ratio, read.fused, read.state, read.age_s) == (x, flag, 3, y)
@@ -265,8 +266,7 @@ def test_what_viewers_get_of_samples(stamp: int, rpy: list[float], v: Any, x: fl
 def test_a_sample_of_any_kind_comes_back(row: SampleRow, stamp: int, data: st.DataObject) -> None:
     """As another decoder understands the message, and as a replay reads it."""
     sample = data.draw(samples_of(row))
-    topic, pack = sensor_records.SAMPLES[row.of]
-    message = pack(stamp, sample)
+    message = pack_record(row.topic, stamp, sample)
     read = read_back(f"autopilot_msgs/{row.type}", message)
     for name in read.__dataclass_fields__.keys() & row.of.__dataclass_fields__.keys():
         meant = getattr(sample, name)
@@ -276,7 +276,7 @@ def test_a_sample_of_any_kind_comes_back(row: SampleRow, stamp: int, data: st.Da
             np.ravel(np.resize(missing, np.size(getattr(read, name))) if meant is None else meant),
         )
     raw = np.frombuffer(message, layout(f"autopilot_msgs/{row.type}").dtype, offset=0)[0]
-    again = SAMPLES[topic]({"t_us": sample.t_us, **{name: raw[name] for name in raw.dtype.names}})
+    again = SAMPLES[row.topic]({"t_us": sample.t_us, **{name: raw[name] for name in raw.dtype.names}})
     for name in row.of.__dataclass_fields__:
         np.testing.assert_equal(getattr(again, name), getattr(sample, name))
 
@@ -312,7 +312,7 @@ def samples_of(draw: st.DrawFn, row: SampleRow) -> Any:
 def test_estimator_watch(stamp: int, v: Any, x: float, y: float, count: int, flag: bool) -> None:
     counts = {"ahrs.stuck": count, "depth.rejected": count, "laser.resets": 2, "unknown": 9}
     counters = NavCounters(t_us=0, counts=counts)
-    read = read_back("autopilot_msgs/NavCounters", estimate.nav_counters(stamp, counters))
+    read = read_back("autopilot_msgs/NavCounters", pack_record("/nav/counters", stamp, counters))
     assert (read.ahrs_stuck, read.rejected[AID_SENSORS.index("depth")], read.aid_resets[6]) == (count, count, 2)
     assert read.ahrs_good == read.received.sum() == 0
     shadow = ShadowStatus(
@@ -323,7 +323,7 @@ def test_estimator_watch(stamp: int, v: Any, x: float, y: float, count: int, fla
         ratio=y,
         disagrees=flag,
     )
-    read = read_back("autopilot_msgs/ShadowStatus", estimate.shadow_status(stamp, shadow))
+    read = read_back("autopilot_msgs/ShadowStatus", pack_record("/nav/shadow", stamp, shadow))
     np.testing.assert_array_equal(read.pos_difference_ned_m, v)
     assert (read.yaw_difference_rad, read.ratio, read.disagrees) == (x, y, flag)
 
@@ -353,7 +353,7 @@ def test_marker_sighting(stamp: int, count: int, laser: bool, decode_us: int) ->
 @given(stamps, st.binary(min_size=0, max_size=280), st.integers(-1, 20), st.integers(0, 0xFFFF))
 @settings(max_examples=25, deadline=None)
 def test_mavlink_frame(stamp: int, data: bytes, link: int, client: int) -> None:
-    read = read_back("autopilot_msgs/MavlinkFrame", service_records.mavlink_frame(stamp, data, link, client))
+    read = read_back("autopilot_msgs/MavlinkFrame", pack_record("/in/mavlink", stamp, (data, link, client)))
     assert read.data.tobytes()[: read.length] == data
     assert read.link == (255 if link < 0 else link)
     assert read.client == client
@@ -419,7 +419,7 @@ def test_decoder_survives_anything(name: str, data: bytes) -> None:
 
 
 def test_decoder_names_the_type_of_a_short_message() -> None:
-    data = vehicle_records.contact_state(0, 1, 0.0)
+    data = pack_record("/sim/contact", 0, (1, 0.0))
     for length in range(len(data)):
         with pytest.raises(LogError, match="ContactState"):
             decode(types_of("autopilot_msgs/ContactState"), "autopilot_msgs/ContactState", data[:length])
