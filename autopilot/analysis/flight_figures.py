@@ -27,8 +27,6 @@ Figures = dict[str, float]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Moved:
-    """One figure of two flights."""
-
     figure: str
     before: float | None
     after: float | None

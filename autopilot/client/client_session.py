@@ -52,8 +52,6 @@ class CommandRefusedError(AutopilotError):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class VehicleInfo:
-    """Who answered."""
-
     system: int
     component: int
     autopilot: int
@@ -112,17 +110,14 @@ class VehicleConnection:
         """Called with every STATUSTEXT."""
 
     def __enter__(self) -> Self:
-        """The session itself."""
         return self
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        """Close the connection."""
         self.close()
 
     def close(self) -> None:
-        """Close the connection."""
         self._link.close()
 
     def connect(self, timeout_s: float = 10.0, system: int | None = None) -> VehicleInfo:
@@ -237,7 +232,6 @@ class VehicleConnection:
                 self.on_text(text)
 
     def send(self, message: Message) -> None:
-        """Send one message of the dialect."""
         self._link.send(bytes(message.pack(self._codec)))
 
     def _is_for_us(self, message: Message) -> bool:

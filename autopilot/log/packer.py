@@ -94,7 +94,6 @@ class Packer:
             self._sink.attach(name, t_us, data)
 
     def inputs(self, inputs: Inputs) -> None:
-        """Everything that goes into ``step``, in its order."""
         t_us = inputs.t_us
         self._record("/in/tick", t_us, inputs)
         for sample in inputs.samples:
@@ -107,7 +106,6 @@ class Packer:
             self._write("/in/step", t_us, step_notes.pack(notes))
 
     def camera(self, frame: CameraFrame) -> None:
-        """An image, compressed when the sink wants it."""
         stamp_ns = self._ns(frame.t_us)
         self._pictures.append(frame.t_us)
         self._sink.write("/in/camera", frame.t_us, partial(_jpeg, frame, stamp_ns))
@@ -121,7 +119,6 @@ class Packer:
         self._write("/payload/image", exposure_us, data)
 
     def truth(self, t_us: int, truth: TruthLike) -> None:
-        """The simulated vehicle, once per tick."""
         if self._due("/sim/truth", t_us, TRUTH_US):
             self._record("/sim/truth", t_us, truth)
         if self._due("/sim/thrusters", t_us, THRUSTERS_US):
@@ -142,7 +139,6 @@ class Packer:
             self._on_change("/sim/payload", t_us, shares)
 
     def loop(self, stats: LoopStats) -> None:
-        """Health of the loop, once per second."""
         self._record("/sys/loop", stats.t_us, stats)
         if stats.process is not None:
             self._record("/sys/process", stats.t_us, stats.process)
@@ -152,7 +148,6 @@ class Packer:
         self._write("/rosout", event.t_us, visuals.event(self._ns(event.t_us), event))
 
     def outputs(self, outputs: Outputs) -> None:
-        """Everything that ``step`` decided."""
         t_us = outputs.t_us
         stamp_ns = self._ns(t_us)
         if outputs.nav is not None:

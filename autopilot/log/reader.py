@@ -35,8 +35,6 @@ _MESSAGE_HEAD = np.dtype([("channel", "<u2"), ("sequence", "<u4"), ("log_time", 
 
 @dataclass(frozen=True, slots=True)
 class TopicInfo:
-    """One topic of a log."""
-
     type: str
     """``package/Name``"""
     count: int
@@ -44,8 +42,6 @@ class TopicInfo:
 
 @dataclass(frozen=True, slots=True)
 class DecodedMessage:
-    """A decoded message of any type."""
-
     t_us: int
     value: dict[str, Any]
 
@@ -68,8 +64,6 @@ CLOCKED = ("/in/tick", "/nav/state", "/sim/truth")
 
 
 class Log:
-    """A log that is being read."""
-
     def __init__(self, path: Path) -> None:
         """See :func:`open_log`."""
         self.path = path
@@ -117,7 +111,6 @@ class Log:
 
     @property
     def message_count(self) -> int:
-        """Messages in all topics."""
         return sum(self._contents.counts.values())
 
     @property

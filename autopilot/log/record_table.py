@@ -66,8 +66,6 @@ class TruthLike(Protocol):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RecordRow(MessageRow):
-    """One kind of record."""
-
     topics: tuple[str, ...]
     frame: str = "frd"
     values: Callable[[Any], Iterable[Any]] | None = None

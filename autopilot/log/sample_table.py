@@ -30,13 +30,13 @@ from autopilot.core.samples import (
 class MessageRow:
     """One kind of message of ours, made of an object."""
 
+    of: type | None = None
+    """Class of the object, by whose annotations it is packed; None where ``put`` or ``values`` say all."""
     type: str
     """Its name in ``autopilot_msgs``."""
     frame: str
     fields: str
     """Behind its header, as ``ros2msg``: what has an attribute's name holds it."""
-    of: type | None = None
-    """Class of the object, by whose annotations it is packed; None where ``put`` or ``values`` say all."""
     known: Mapping[str, str] = field(default_factory=dict)
     """Field that says whether an attribute is known -> the attribute."""
     put: Mapping[str, Callable[[Any], Any]] = field(default_factory=dict)
@@ -45,8 +45,6 @@ class MessageRow:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SampleRow(MessageRow):
-    """One kind of sample."""
-
     of: type
     topic: str
     shapes: Mapping[str, tuple[int, ...]] = field(default_factory=dict)

@@ -59,7 +59,6 @@ class _SettledOutputs:
         self._changed_us = 0
 
     def tick(self, inputs: Inputs, outputs: Outputs, frames: Sequence[CameraFrame]) -> None:
-        """A tick is over."""
         self.outputs = outputs
         self.aids.update((aid.sensor, outputs.t_us) for aid in outputs.aids if aid.fused)
         reasons = self._session_of().parts.commander.readiness
@@ -255,7 +254,6 @@ def _devices(vehicle: HardwareVehicle, config: VehicleConfig) -> list[Finding]:
 
 
 def _company(speakers: Sequence[Speaker], system: int) -> list[Finding]:
-    """Who else is on the links."""
     verdicts = {True: FindingSeverity.FAIL, None: FindingSeverity.WARN, False: FindingSeverity.OK}
     found = [
         Finding(verdict=verdicts[bad], what="who speaks", found=what, remedy=remedy)
@@ -288,7 +286,6 @@ def _flight(
 
 
 def _thing(what: str, there: bool, found: str, remedy: str) -> Finding:
-    """Something that is on board or not."""
     if there:
         return Finding(verdict=FindingSeverity.OK, what=what, found=found)
     return Finding(

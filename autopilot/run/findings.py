@@ -10,8 +10,6 @@ from autopilot.drivers.links import Connection, parse_connection
 
 
 class FindingSeverity(Enum):
-    """How bad it is."""
-
     OK = "ok"
     WARN = "warn"
     FAIL = "fail"
@@ -19,8 +17,6 @@ class FindingSeverity(Enum):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Finding:
-    """One line of the doctor's."""
-
     verdict: FindingSeverity
     what: str
     found: str

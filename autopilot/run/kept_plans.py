@@ -129,7 +129,6 @@ class KeptPlans(NoticeQueue):
             self._notices.append(notices.PLANS_NOT_SAVED(cause=cause_of(error)))
 
     def finish(self) -> None:
-        """Write what is not yet on disk."""
         self._note_failure(self._keeper.finish())
 
     def _note_failure(self, error: Exception | None) -> None:

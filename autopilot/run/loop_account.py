@@ -18,8 +18,6 @@ STATS_EVERY_TICKS = 100
 
 @dataclass(slots=True)
 class LoopCounters:
-    """What the loop has seen so far."""
-
     ticks: int = 0
     overruns: int = 0
     worst_tick_s: float = 0.0
@@ -28,8 +26,6 @@ class LoopCounters:
 
 
 class LoopAccount:
-    """Adds ticks up."""
-
     def __init__(self, *, paced: bool) -> None:
         """Without a pace there is no load."""
         self._paced = paced
@@ -101,7 +97,6 @@ class Pauses:
 
 @cache
 def pauses() -> Pauses:
-    """Those of this process."""
     return Pauses()
 
 

@@ -135,18 +135,14 @@ class Onlooker(Protocol):
 
 
 class Onlookers:
-    """More than one of them."""
-
     def __init__(self, *those: Onlooker) -> None:
         self._those = those
 
     def tick(self, inputs: Inputs, outputs: Outputs, frames: Sequence[CameraFrame]) -> None:
-        """A tick is over."""
         for each in self._those:
             each.tick(inputs, outputs, frames)
 
     def loop_stats(self, stats: LoopStats) -> None:
-        """Health of the loop."""
         for each in self._those:
             each.loop_stats(stats)
 

@@ -52,7 +52,6 @@ class NullRecorder:
         """There is no log for it."""
 
     def take_notices(self) -> tuple[tuple[Severity, str], ...]:
-        """Nothing to say."""
         return ()
 
     def record(self, inputs: Inputs, outputs: Outputs, frames: Sequence[CameraFrame]) -> None:
@@ -108,7 +107,6 @@ class RunRecorder(NoticeQueue):
         return None if log is None or log.failure is not None or log.path == Path() else log.path
 
     def still(self, exposure_us: int, png: bytes) -> None:
-        """A picture for the present log."""
         if self._log is not None:
             self._log.still(exposure_us, png)
 
@@ -124,7 +122,6 @@ class RunRecorder(NoticeQueue):
         return (0, 0) if self._log is None else self._log.queued
 
     def record(self, inputs: Inputs, outputs: Outputs, frames: Sequence[CameraFrame]) -> None:
-        """Log one tick."""
         self._describe_news(inputs.t_us, outputs.mode.armed)
         self._look_after_ending()
         log = self._log
@@ -146,7 +143,6 @@ class RunRecorder(NoticeQueue):
             raise error  # to the guard, as if it had come up here
 
     def loop_stats(self, stats: LoopStats) -> None:
-        """Log the health of the loop."""
         if self._log is not None:
             self._log.loop(stats)
 
@@ -171,7 +167,6 @@ class RunRecorder(NoticeQueue):
             self._begin()
 
     def _begin(self) -> None:
-        """A new log, if the disk allows."""
         self._told_slow = False
         try:
             self._log = self._open_log()

@@ -68,8 +68,6 @@ class PersistentState:
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Session:
-    """A run that is ready to go."""
-
     world: World
     vehicle: Vehicle
     service: Autopilot
@@ -116,7 +114,6 @@ class Session:
         end.callback(self.recorder.close)
 
     def _status(self) -> str:
-        """One line for who asks the service manager."""
         commander = self.parts.commander
         return f"{self.vehicle.name}: {'armed' if commander.armed else 'disarmed'}, {commander.mode.name}"
 

@@ -57,7 +57,6 @@ class LogContents:
             self._attachments["markers.toml"] = marker_file_text(told.markers).encode()
 
     def description(self) -> RunDescription:
-        """The run as things stand now."""
         return self._world.describe(self._parts)
 
     def plans(self) -> dict[str, Payload]:

@@ -46,18 +46,14 @@ OPEN_WATER_M = 10.0
 
 
 class WatchedSitl(WatchedService):
-    """A service and the simulated world round it."""
-
     def __init__(self, parts: Parts, describe: Callable[[], RunDescription], vehicle: SimulatedVehicle) -> None:
         super().__init__(parts, describe)
         self._vehicle = vehicle
 
     def truth(self) -> TruthSeen | None:
-        """Where the vehicle really is."""
         return self._vehicle.truth
 
     def solids(self) -> tuple[Solid, ...]:
-        """Obstacles where they are now."""
         plant = self._vehicle.steerable
         if plant is None:
             return ()
@@ -119,7 +115,6 @@ class Steering(NoticeQueue):
 
     @property
     def steered(self) -> Steered:
-        """How things stand."""
         flow = None if self._vehicle.steerable is None else self._flow_m_s
         return Steered(paused=self._paused, speed=self._speed, extra_current_ned_m_s=flow)
 
@@ -204,7 +199,6 @@ class Steering(NoticeQueue):
         return text
 
     def _pace(self, t_us: int) -> None:
-        """The clock goes on from here."""
         if isinstance(self._clock, PacedClock):
             self._clock.go_on(t_us, self._speed)
 

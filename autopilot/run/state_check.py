@@ -91,12 +91,10 @@ class StateCheck(NoticeQueue):
         return self._reasons
 
     def _failures(self) -> list[str]:
-        """What cannot be kept now."""
         found = [text for ask in self._unsaved if (text := ask())]
         return [f"disk takes no writes ({self._disk})", *found] if self._disk else found
 
     def _look(self, tick: int) -> None:
-        """Something has changed."""
         self._failing = failing = self._failures()
         for text in [text for text, it in self._open.items() if it.loss is None and text not in failing]:
             del self._open[text]

@@ -71,19 +71,15 @@ class WatchedService:
         return parts.plans.revision, id(parts.commander.fence), tuple(parts.params.values())
 
     def describe(self) -> RunDescription:
-        """The run as things stand now."""
         return self._describe()
 
     def fence(self) -> Fence:
-        """The fence in force."""
         return self._parts.commander.fence
 
     def truth(self) -> TruthSeen | None:
-        """Nobody knows."""
         return None
 
     def solids(self) -> tuple[Solid, ...]:
-        """Nobody knows."""
         return ()
 
 
