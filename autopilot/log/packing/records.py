@@ -27,7 +27,8 @@ LARGEST = {"uint8": 0xFF, "uint16": 0xFFFF, "uint32": 0xFFFFFFFF}
 
 def packer_of(row: MessageRow) -> Pack:
     """Packs what a row is of as its message."""
-    full, hints = f"autopilot_msgs/{row.type}", {} if row.of is None else get_type_hints(row.of)
+    full = f"autopilot_msgs/{row.type}"
+    hints: dict[str, Any] = {} if row.of is None else get_type_hints(row.of)
     scope: dict[str, Any] = {
         "pack": layout(full).packer.pack,
         "padded": padded,
