@@ -1,7 +1,7 @@
 """Counts what there is to read: ``python docs/lines.py``.
 
 Lines of Python and C by folder: all of them, and of Python those with code (no blank lines, comments, docstrings), and
-numbers that stand by themselves in modules and not in a table of their package (``tuned.py``).
+numbers that stand by themselves in modules and not in a table of their package (``<package>_tuning.py``).
 ``--json`` gives the same as one object, to compare two revisions.
 """
 

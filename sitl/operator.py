@@ -1,7 +1,7 @@
 """An operator in the vehicle's own time: arms and starts the plan that is already on board, over MAVLink.
 
-Lives in the same process and the same simulated time as the service (:class:`autopilot.run.runtime.Peer`), so that a
-whole mission is reproducible bit for bit.
+Lives in the same process and the same simulated time as the service (:class:`autopilot.run.outside.InProcessClient`),
+so that a whole mission is reproducible bit for bit.
 """
 
 from collections.abc import Iterable, Sequence

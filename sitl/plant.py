@@ -165,7 +165,7 @@ class Plant:
 
     @property
     def contacts(self) -> tuple[ContactRecord, ...]:
-        """Every contact of the hull so far (at most :data:`autopilot.sitl.contact.MAX_RECORDS`)."""
+        """Every contact of the hull so far (at most ``CONTACT.max_records``, :mod:`autopilot.sitl.sitl_tuning`)."""
         return self._contacts.records
 
     @property

@@ -13,13 +13,13 @@ MACHINE = (
     "solve time",
     "longest tick",
     "loop overruns",
-    "lost log messages",
-    "slowest",
+    "control steps beyond their period",
+    "log messages lost",
+    "log queue",
     "memory",
-    "messages waiting",
-    "longest garbage",
+    "longest garbage collection",
 )
-"""Rows of the acceptance table that are the machine's and not the flight's, by how they begin."""
+"""Rows of the acceptance table that measure the computer and not the flight, by how they begin."""
 
 Figures = dict[str, float]
 """Name with unit -> value, in the order of the table."""
@@ -27,8 +27,6 @@ Figures = dict[str, float]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Moved:
-    """One figure of two flights."""
-
     figure: str
     before: float | None
     after: float | None

@@ -48,8 +48,6 @@ def basin(obstacles: int, seed: int = 3) -> Fence:
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class LoopFlight:
-    """What a closed loop cost."""
-
     x: FloatArray
     """(steps, 8) states after each step."""
     solve_s: FloatArray

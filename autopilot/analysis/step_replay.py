@@ -70,8 +70,6 @@ class OtherSide:
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class StepView:
-    """What a control step looks like."""
-
     t_s: float
     output: ControlOutput
     """As it was flown."""

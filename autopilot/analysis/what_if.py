@@ -32,8 +32,6 @@ LONGER = 1.5
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class WhatIf:
-    """How two runs differ."""
-
     changes: tuple[tuple[str, float, float], ...]
     """Parameter, value of the log, value tried."""
     moved: tuple[Moved, ...]

@@ -80,7 +80,6 @@ class UdpLink:
                 raise DriverError(f"cannot send: {error.strerror or error}; check network and address") from error
 
     def receive(self, timeout_s: float) -> bytes:
-        """One datagram."""
         ready, _, _ = select.select([self._socket], [], [], max(0.0, timeout_s))
         if not ready:
             return b""
@@ -94,7 +93,6 @@ class UdpLink:
         return data
 
     def close(self) -> None:
-        """Free the socket."""
         self._socket.close()
 
 
@@ -126,5 +124,4 @@ class TcpLink:
         return data
 
     def close(self) -> None:
-        """Free the socket."""
         self._socket.close()

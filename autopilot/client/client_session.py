@@ -52,8 +52,6 @@ class CommandRefusedError(AutopilotError):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class VehicleInfo:
-    """Who answered."""
-
     system: int
     component: int
     autopilot: int
@@ -112,23 +110,35 @@ class VehicleConnection:
         """Called with every STATUSTEXT."""
 
     def __enter__(self) -> Self:
-        """The session itself."""
         return self
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        """Close the connection."""
         self.close()
 
     def close(self) -> None:
-        """Close the connection."""
         self._link.close()
 
     def connect(self, timeout_s: float = 10.0, system: int | None = None) -> VehicleInfo:
-        """Wait for the heartbeat of an autopilot (component 1) that has started. DriverError when none comes.
+        """Wait for the heartbeat of an autopilot (component 1) that has started.
 
-        One that says that it is starting is waited for longer, but not for ever.
+        Parameters
+        ----------
+        timeout_s
+            Longest wait [s]; for a vehicle in MAV_STATE_BOOT five minutes more.
+        system
+            MAVLink system id to wait for, None = the first autopilot.
+
+        Returns
+        -------
+        VehicleInfo
+            Whose heartbeat it was; all other methods are about this vehicle.
+
+        Raises
+        ------
+        DriverError
+            No heartbeat came.
         """
         end_s = self._clock_s() + timeout_s
         latest_s, starting = end_s + _START_S, False
@@ -237,7 +247,6 @@ class VehicleConnection:
                 self.on_text(text)
 
     def send(self, message: Message) -> None:
-        """Send one message of the dialect."""
         self._link.send(bytes(message.pack(self._codec)))
 
     def _is_for_us(self, message: Message) -> bool:
@@ -290,7 +299,22 @@ class VehicleConnection:
         return self.vehicle is not None and self.vehicle.autopilot == mav.MAV_AUTOPILOT_ARDUPILOTMEGA
 
     def upload(self, kind: PlanKind, items: Sequence[PlanItem], on_progress: Progress | None = None) -> None:
-        """Replace a plan. PlanError with the vehicle's reason when it refuses; its old plan is in force then."""
+        """Replace a plan (mission, fence or rally points).
+
+        Parameters
+        ----------
+        kind
+            Which of them.
+        items
+            As they go over the wire (:class:`autopilot.core.plan.PlanItem`).
+        on_progress
+            Called with items done and items in all.
+
+        Raises
+        ------
+        PlanError
+            The vehicle's reason for refusing; its old plan is in force then.
+        """
         target = self._address()
         wire = tuple(items)
         plain = wire
@@ -324,7 +348,18 @@ class VehicleConnection:
         return next((t.removeprefix(_PLAN_CHECK) for t in check.complaints if t.startswith(_PLAN_CHECK)), "")
 
     def download(self, kind: PlanKind, on_progress: Progress | None = None) -> tuple[PlanItem, ...]:
-        """Read a plan. PlanError when the vehicle does not give it."""
+        """Read a plan.
+
+        Returns
+        -------
+        tuple of PlanItem
+            In the order of their numbers, without a home item.
+
+        Raises
+        ------
+        PlanError
+            The vehicle does not send it.
+        """
         download = PlanDownload(kind, self._address(), self._timers)
         outcome = self.run(download, on_progress)
         if not outcome.accepted:
@@ -334,13 +369,37 @@ class VehicleConnection:
         return download.items
 
     def command(self, command: int, *params: float) -> None:
-        """Send a command until it is answered. CommandRefusedError with the vehicle's reason when it says no."""
+        """Send a command until it is answered.
+
+        Parameters
+        ----------
+        command
+            MAV_CMD.
+        params
+            Up to seven, in MAVLink's units; the rest is 0.
+
+        Raises
+        ------
+        CommandRefusedError
+            The vehicle's reason, or that it does not answer.
+        """
         outcome = self.run(CommandSend(command, params, self._address(), self._timers))
         if not outcome.accepted:
             raise CommandRefusedError(outcome.reason)
 
     def arm(self, force: bool = False) -> None:
-        """Arm and wait until the heartbeat shows it. CommandRefusedError with the reasons when it is not ready."""
+        """Arm and wait until the heartbeat shows it.
+
+        Parameters
+        ----------
+        force
+            Without the arming checks.
+
+        Raises
+        ------
+        CommandRefusedError
+            The reasons why the vehicle is not ready.
+        """
         self.command(mav.MAV_CMD_COMPONENT_ARM_DISARM, 1.0, _FORCE_ARM if force else 0.0)
         begun = self.vehicle_s, self._clock_s()
         while not (self.vehicle is not None and self.vehicle.armed) and self._since(*begun) < _SHOWN_S:
@@ -363,9 +422,26 @@ class VehicleConnection:
         timeout_s: float = math.inf,
         silence_s: float = SILENCE_S,
     ) -> MissionStatus:
-        """Watch until the mission is complete or the vehicle is disarmed; gives the last status.
+        """Watch until the mission is complete or the vehicle is disarmed.
 
-        DriverError when the vehicle falls silent, or the mission takes longer than ``timeout_s`` of vehicle time.
+        Parameters
+        ----------
+        on_status
+            Called with every status that differs from the one before.
+        timeout_s
+            Longest mission, of the vehicle's time [s].
+        silence_s
+            Silence after which the vehicle is given up [s].
+
+        Returns
+        -------
+        MissionStatus
+            The last one.
+
+        Raises
+        ------
+        DriverError
+            The vehicle falls silent, or the mission takes longer.
         """
         self._address()
         since = self.vehicle_s, self._clock_s()

@@ -30,12 +30,10 @@ class CommandSend(BaseExchange):
         return self._percent, 100
 
     def begin(self, t_s: float) -> list[Message]:
-        """The command."""
         self._start(t_s)
         return [self._message()]
 
     def handle(self, message: Message, t_s: float) -> list[Message]:
-        """Its answer."""
         if not self._listens(message, t_s):
             return []
         if message.get_type() == "COMMAND_ACK" and message.command == self._command:

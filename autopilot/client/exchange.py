@@ -39,8 +39,6 @@ class VehicleAddress:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ExchangeResult:
-    """How an exchange ended."""
-
     result: int | None
     """MAV_MISSION_RESULT or MAV_RESULT (0 = accepted in both), None = the vehicle stayed silent."""
     reason: str

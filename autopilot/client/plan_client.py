@@ -48,12 +48,10 @@ class PlanUpload(BaseExchange):
         return self._highest == len(self._items) - 1
 
     def begin(self, t_s: float) -> list[Message]:
-        """MISSION_COUNT."""
         self._start(t_s)
         return [self._count()]
 
     def handle(self, message: Message, t_s: float) -> list[Message]:
-        """Items that are asked for; the end."""
         if not self._listens(message, t_s) or getattr(message, "mission_type", None) != self._kind:
             return []
         kind = message.get_type()
@@ -117,12 +115,10 @@ class PlanDownload(BaseExchange):
         return tuple(self._items)
 
     def begin(self, t_s: float) -> list[Message]:
-        """MISSION_REQUEST_LIST."""
         self._start(t_s)
         return [self._request()]
 
     def handle(self, message: Message, t_s: float) -> list[Message]:
-        """The next request, or the final ACK."""
         if not self._listens(message, t_s) or getattr(message, "mission_type", None) != self._kind:
             return []
         kind = message.get_type()
@@ -143,7 +139,6 @@ class PlanDownload(BaseExchange):
         return [mav.MAVLink_mission_ack_message(target.system, target.component, 0, int(self._kind))]
 
     def tick(self, t_s: float) -> list[Message]:
-        """The pending request again."""
         wait_s = self._timers.general_s if self._count is None else self._timers.item_s
         if self._waits(t_s) or t_s - self._sent_s < wait_s:
             return []

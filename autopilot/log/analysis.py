@@ -14,7 +14,7 @@ from autopilot.core.errors import LogError
 from autopilot.core.frames import FloatArray
 from autopilot.core.messages import ProgressState
 from autopilot.log.description import FenceItemDescription, Obstacle, Point2, RunDescription, Waypoint
-from autopilot.log.packing.estimate import COUNTER_NAMES, LAST_NAMES
+from autopilot.log.packing.record_values import COUNTER_NAMES, LAST_NAMES
 from autopilot.log.reader import Log, MessageTable
 from autopilot.log.schemas import layout
 from autopilot.log.topics import type_of
@@ -59,7 +59,6 @@ class VehicleTrack:
     current_ned_m_s: FloatArray
 
     def between(self, span: "Span") -> "VehicleTrack":
-        """The part within a span of time."""
         keep = span.holds(self.t_s)
         return VehicleTrack(**{name: getattr(self, name)[keep] for name in self.__slots__})
 
@@ -150,7 +149,6 @@ class EstimateError:
 
 
 def load_flight(log: Log) -> FlightRecord:
-    """Read what is judged in one pass."""
     log.load(TOPICS_OF_INTEREST)
     log.check_clock()
     truth, nav = _track(log, "/sim/truth"), _track(log, "/nav/state")
@@ -164,8 +162,6 @@ def load_flight(log: Log) -> FlightRecord:
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Prediction:
-    """A prediction of the controller."""
-
     t_s: float
     """When it was made."""
     at_s: FloatArray

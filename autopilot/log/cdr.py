@@ -40,8 +40,6 @@ PRIMITIVES: dict[str, tuple[str, int]] = {
 
 @dataclass(frozen=True, slots=True)
 class CdrField:
-    """One field of a message definition."""
-
     name: str
     type: str
     """A primitive, ``string`` or a message type ``package/Name``."""
@@ -208,7 +206,6 @@ class CdrBuffer:
         self._data = bytearray(ENCAPSULATION)
 
     def getvalue(self) -> bytes:
-        """The message so far."""
         return bytes(self._data)
 
     def put(self, kind: str, *values: float) -> None:
@@ -228,17 +225,14 @@ class CdrBuffer:
         self._data += raw + b"\0"
 
     def blob(self, raw: bytes) -> None:
-        """A sequence of bytes."""
         self.put("uint32", len(raw))
         self._data += raw
 
     def header(self, stamp_ns: int, frame_id: str) -> None:
-        """A std_msgs/Header."""
         self.stamp(stamp_ns)
         self.string(frame_id)
 
     def stamp(self, stamp_ns: int) -> None:
-        """A builtin_interfaces/Time."""
         sec, nanosec = divmod(stamp_ns, 1_000_000_000)
         self.align(4)
         self._data += struct.pack("<iI", sec, nanosec)

@@ -155,7 +155,6 @@ def _was_started(flight: FlightRecord) -> bool:
 
 
 def _mission_rows(flight: FlightRecord, run: RunDescription) -> list[BoundRow]:
-    """Laps and waypoints."""
     if not run.waypoints:
         return []
     tour = visits(flight.judged.between(flight.armed), run)

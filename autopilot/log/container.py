@@ -44,8 +44,6 @@ class Damage(Exception):
 
 @dataclass(frozen=True, slots=True)
 class Schema:
-    """A schema record."""
-
     name: str
     encoding: str
     text: str
@@ -53,8 +51,6 @@ class Schema:
 
 @dataclass(frozen=True, slots=True)
 class Channel:
-    """A channel record."""
-
     topic: str
     schema_id: int
     encoding: str

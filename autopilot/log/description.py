@@ -189,7 +189,6 @@ def _shape(shape: Shape, inclusion: bool) -> FenceItemDescription:
 
 
 def to_json(description: RunDescription) -> bytes:
-    """The attachment's bytes."""
     return msgspec.json.format(msgspec.json.encode(description), indent=1)
 
 

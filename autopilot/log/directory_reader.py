@@ -34,8 +34,6 @@ class LogShelf:
         return self.desk.submit(tick + DUE_TICKS, lambda _, cancel: self._listed(cancel), None)
 
     def read(self, tick: int, path: str, offset: int, size: int) -> Ticket[bytes]:
-        """At most ``size`` bytes from ``offset``."""
-
         def work(_: None, cancel: Cancel) -> bytes:
             cancel.check()
             with self._found(path).open("rb") as file:
@@ -45,8 +43,6 @@ class LogShelf:
         return self.desk.submit(tick + DUE_TICKS, work, None)
 
     def crc32(self, tick: int, path: str) -> Ticket[int]:
-        """Checksum of a whole file."""
-
         def work(_: None, cancel: Cancel) -> int:
             crc = 0
             with self._found(path).open("rb") as file:

@@ -69,7 +69,6 @@ def export_stills(log: Log, folder: Path) -> Iterator[Path]:
 
 
 def columns_of(log: Log, topic: str) -> Columns:
-    """A topic's messages as columns."""
     try:
         return flat_columns(log[topic])
     except LogError:

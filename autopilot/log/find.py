@@ -10,8 +10,6 @@ from autopilot.log.reader import open_log
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Found:
-    """One log."""
-
     path: Path
     duration_s: float
     messages: int

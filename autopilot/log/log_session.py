@@ -14,7 +14,7 @@ from autopilot.core.messages import Event, Inputs, LoopStats, Outputs
 from autopilot.core.samples import CameraFrame
 from autopilot.log.description import ATTACHMENT, RunDescription, to_json
 from autopilot.log.packer import Packer, Sink
-from autopilot.log.packing.vehicle_records import TruthLike
+from autopilot.log.record_table import TruthLike
 from autopilot.log.writer import LogHead, LogWriter, Payload
 
 CAMERA_US = 500_000
@@ -152,7 +152,6 @@ class RunLog:
 
     @property
     def path(self) -> Path:
-        """The MCAP file."""
         return self._writer.path
 
     @property
@@ -227,7 +226,6 @@ class RunLog:
         self._hand_over("/in/tick", t_us, pack, messages, size)
 
     def inputs(self, inputs: Inputs) -> None:
-        """Everything that goes into ``step``, in its order."""
         messages, size = _room(len(inputs.samples), len(inputs.mavlink_rx))
         self._hand_over("/in/tick", inputs.t_us, lambda: self._packer.inputs(inputs), 1 + messages, size)
 
@@ -241,7 +239,6 @@ class RunLog:
         self._hand_over("/payload/image", exposure_us, lambda: self._packer.still(exposure_us, png), size=len(png))
 
     def truth(self, t_us: int, truth: TruthLike) -> None:
-        """The simulated vehicle, once per tick."""
         self._hand_over("/sim/truth", t_us, lambda: self._packer.truth(t_us, truth), 2, TICK_BYTES)
 
     def contact(self, t_us: int, count: int, penetration_m: float) -> None:
@@ -253,7 +250,6 @@ class RunLog:
         self._hand_over("", t_us, lambda: self._packer.payload_truth(t_us, shares))
 
     def loop(self, stats: LoopStats) -> None:
-        """Health of the loop, once per second."""
         self._hand_over("/sys/loop", stats.t_us, lambda: self._packer.loop(stats))
 
     def event(self, event: Event) -> None:
@@ -261,7 +257,6 @@ class RunLog:
         self._hand_over("/rosout", event.t_us, lambda: self._packer.event(event))
 
     def outputs(self, outputs: Outputs) -> None:
-        """Everything that ``step`` decided."""
         messages, size = _room(0, len(outputs.mavlink_tx))
         size += 0 if outputs.control is None else CONTROL_BYTES
         self._hand_over(

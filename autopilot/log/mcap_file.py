@@ -66,18 +66,15 @@ class McapFile:
         self._compressor = zstandard.ZstdCompressor()
 
     def start(self, profile: str, library: str) -> None:
-        """What the file begins with."""
         self._stream.write(MAGIC)
         self._put(Header(profile, library))
 
     def add_metadata(self, name: str, data: Mapping[str, str]) -> None:
-        """A metadata record, at once."""
         offset = self._stream.tell()
         length = self._put(Metadata(name=name, metadata=dict(data)))
         self._metadata.append(MetadataIndex(offset=offset, length=length, name=name))
 
     def add_attachment(self, create_ns: int, log_ns: int, name: str, media_type: str, data: bytes) -> None:
-        """An attachment, at once."""
         offset = self._stream.tell()
         attachment = Attachment(create_time=create_ns, log_time=log_ns, name=name, media_type=media_type, data=data)
         self._attachments.append(

@@ -23,8 +23,19 @@ class MessageTable(np.ndarray[Any, np.dtype[np.void]]):
         return found.view(np.ndarray) if isinstance(key, str) else found
 
     def to_pandas(self) -> Any:
-        """A pandas.DataFrame indexed by ``t_s``, arrays element by element (``pos_ned_m[0]``). LogError without
-        pandas."""
+        """The table for pandas.
+
+        Returns
+        -------
+        pandas.DataFrame
+            Indexed by ``t_s`` [s]; arrays element by element (``pos_ned_m[0]``), nested fields by their path
+            (``orientation.x``).
+
+        Raises
+        ------
+        LogError
+            pandas is not installed.
+        """
         try:
             pandas = importlib.import_module("pandas")
         except ImportError as error:

@@ -8,7 +8,7 @@ are packed. Inputs are stamped with their time of validity; ``/in/tick`` opens t
 from collections import deque
 from collections.abc import Hashable, Mapping, Sequence
 from functools import partial
-from typing import Protocol
+from typing import Any, Protocol
 
 from autopilot.core.errors import LogError
 from autopilot.core.frames import FloatArray
@@ -18,17 +18,9 @@ from autopilot.core.samples import CameraFrame, MarkerSighting, PowerSample, Sam
 from autopilot.log import visuals
 from autopilot.log.description import ATTACHMENT, RunDescription, to_json
 from autopilot.log.mavlink_frames import Removed, StreamCutter
-from autopilot.log.packing import (
-    decisions,
-    estimate,
-    payload_records,
-    programs,
-    sensor_records,
-    service_records,
-    step_notes,
-    vehicle_records,
-)
-from autopilot.log.packing.records import Pack
+from autopilot.log.packing import programs, sensor_records, step_notes
+from autopilot.log.packing.records import Pack, pack_record
+from autopilot.log.record_table import TruthLike
 from autopilot.log.scene import TRUE_CURRENT, body_markers, current_marker, moving_markers, scene_markers
 from autopilot.log.topics import AID_PREFIX
 from autopilot.log.writer import Payload
@@ -102,20 +94,18 @@ class Packer:
             self._sink.attach(name, t_us, data)
 
     def inputs(self, inputs: Inputs) -> None:
-        """Everything that goes into ``step``, in its order."""
         t_us = inputs.t_us
-        self._write("/in/tick", t_us, service_records.input_tick(self._ns(t_us), inputs))
+        self._record("/in/tick", t_us, inputs)
         for sample in inputs.samples:
             self._sample(sample)
         if inputs.below is not None:
-            self._on_change("/in/below", t_us, service_records.below(self._ns(t_us), inputs.below))
+            self._on_change("/in/below", t_us, inputs.below)
         removed = [self._mavlink("/in/mavlink", t_us, frame) for frame in inputs.mavlink_rx]
         notes = step_notes.notes_of(inputs, removed, self._standing)
         if notes is not None:
             self._write("/in/step", t_us, step_notes.pack(notes))
 
     def camera(self, frame: CameraFrame) -> None:
-        """An image, compressed when the sink wants it."""
         stamp_ns = self._ns(frame.t_us)
         self._pictures.append(frame.t_us)
         self._sink.write("/in/camera", frame.t_us, partial(_jpeg, frame, stamp_ns))
@@ -128,12 +118,11 @@ class Packer:
         data = visuals.compressed_image(self._ns(exposure_us), png, "png")
         self._write("/payload/image", exposure_us, data)
 
-    def truth(self, t_us: int, truth: vehicle_records.TruthLike) -> None:
-        """The simulated vehicle, once per tick."""
+    def truth(self, t_us: int, truth: TruthLike) -> None:
         if self._due("/sim/truth", t_us, TRUTH_US):
-            self._write("/sim/truth", t_us, vehicle_records.vehicle_state(self._ns(t_us), truth))
+            self._record("/sim/truth", t_us, truth)
         if self._due("/sim/thrusters", t_us, THRUSTERS_US):
-            self._write("/sim/thrusters", t_us, vehicle_records.thruster_state(self._ns(t_us), truth))
+            self._record("/sim/thrusters", t_us, truth)
         if self._due("/viz/truth", t_us, VIZ_US):
             self._truth = truth.pos_ned_m.copy(), truth.current_ned_m_s.copy()
             self._write("/viz/truth", t_us, visuals.pose_stamped(self._ns(t_us), truth))
@@ -142,67 +131,64 @@ class Packer:
     def contact(self, t_us: int, count: int, penetration_m: float) -> None:
         """Contacts of the simulated hull begun so far and the deepest penetration of now, once per tick."""
         if self._changed("/sim/contact", t_us, (count, penetration_m)):
-            self._on_change("/sim/contact", t_us, vehicle_records.contact_state(self._ns(t_us), count, penetration_m))
+            self._on_change("/sim/contact", t_us, (count, penetration_m))
 
     def payload_truth(self, t_us: int, shares: tuple[float, ...]) -> None:
         """Where the simulated vehicle's equipment is, once per tick."""
         if shares and self._changed("/sim/payload", t_us, shares):
-            self._on_change("/sim/payload", t_us, payload_records.truth(self._ns(t_us), shares))
+            self._on_change("/sim/payload", t_us, shares)
 
     def loop(self, stats: LoopStats) -> None:
-        """Health of the loop, once per second."""
-        self._write("/sys/loop", stats.t_us, service_records.loop_stats(self._ns(stats.t_us), stats))
+        self._record("/sys/loop", stats.t_us, stats)
         if stats.process is not None:
-            self._write("/sys/process", stats.t_us, service_records.process_stats(self._ns(stats.t_us), stats.process))
+            self._record("/sys/process", stats.t_us, stats.process)
 
     def event(self, event: Event) -> None:
         """A line that does not come from ``step`` (``Outputs.events`` are written by ``outputs``)."""
         self._write("/rosout", event.t_us, visuals.event(self._ns(event.t_us), event))
 
     def outputs(self, outputs: Outputs) -> None:
-        """Everything that ``step`` decided."""
         t_us = outputs.t_us
         stamp_ns = self._ns(t_us)
         if outputs.nav is not None:
             self._nav(t_us, stamp_ns, outputs.nav)
         if outputs.estimated_from is not None:
             given = outputs.estimated_from
-            self._on_change("/nav/thrust", t_us, estimate.acting_thrust(stamp_ns, given.thrust_n))
+            self._on_change("/nav/thrust", t_us, given.thrust_n)
             for pose in given.samples:
-                self._write("/nav/external", pose.t_us, sensor_records.external_pose(self._ns(pose.t_us), pose))
+                self._record("/nav/external", pose.t_us, pose)
         for aid in outputs.aids:
-            self._write(AID_PREFIX + aid.sensor, aid.t_us, estimate.aid_status(self._ns(aid.t_us), aid))
+            self._record(AID_PREFIX + aid.sensor, aid.t_us, aid)
             if aid.fit is not None:
-                self._write("/nav/fit", aid.t_us, estimate.marker_fit(self._ns(aid.t_us), aid.fit))
+                self._record("/nav/fit", aid.t_us, aid.fit)
         if outputs.counters is not None:
-            self._write("/nav/counters", t_us, estimate.nav_counters(stamp_ns, outputs.counters))
+            self._record("/nav/counters", t_us, outputs.counters)
         if outputs.shadow is not None and self._due("/nav/shadow", t_us, SHADOW_US):
-            self._write("/nav/shadow", t_us, estimate.shadow_status(stamp_ns, outputs.shadow))
+            self._record("/nav/shadow", t_us, outputs.shadow)
         mode, done = outputs.mode, outputs.progress
         if self._changed("/sys/mode", t_us, (mode.armed, mode.custom_mode, mode.failsafes)):
-            self._on_change("/sys/mode", t_us, decisions.mode_state(stamp_ns, mode))
+            self._on_change("/sys/mode", t_us, mode)
         if done is not None and self._changed(
             "/mission/progress", t_us, (done.current_seq, done.reached_seq, done.lap, done.state)
         ):
-            self._on_change("/mission/progress", t_us, decisions.mission_progress(stamp_ns, done))
+            self._on_change("/mission/progress", t_us, done)
         if outputs.goal is not None and self._changed("/ctl/goal", t_us, outputs.goal):
-            self._on_change("/ctl/goal", t_us, decisions.goal(stamp_ns, outputs.goal))
+            self._on_change("/ctl/goal", t_us, outputs.goal)
         drive = None if outputs.goal is None else outputs.goal.drive
         if (drive is not None or "/ctl/drive" in self._last_key) and self._changed("/ctl/drive", t_us, drive):
-            self._on_change("/ctl/drive", t_us, decisions.drive(stamp_ns, drive))
+            self._on_change("/ctl/drive", t_us, drive)
         if outputs.control is not None:
             self._control(t_us, stamp_ns, outputs)
-        command = decisions.thruster_command(stamp_ns, outputs.command)
-        self._on_change("/out/thrusters", t_us, command, always=outputs.control is not None)
+        self._on_change("/out/thrusters", t_us, outputs.command, always=outputs.control is not None)
         if outputs.thrusters is not None:
-            self._write("/ctl/thrusters", t_us, decisions.thruster_health(stamp_ns, outputs.thrusters))
+            self._record("/ctl/thrusters", t_us, outputs.thrusters)
         if outputs.payload is not None and self._changed("/payload/outputs", t_us, outputs.payload.pulses_us):
-            self._on_change("/payload/outputs", t_us, payload_records.outputs(stamp_ns, outputs.payload))
+            self._on_change("/payload/outputs", t_us, outputs.payload)
         for record in outputs.stills:
             exposure_us = record.still.exposure_us
-            self._write("/payload/still", exposure_us, payload_records.still(self._ns(exposure_us), record))
+            self._record("/payload/still", exposure_us, record)
         for name, value in outputs.parameters.items():
-            self._write("/sys/parameters", t_us, service_records.parameter_change(stamp_ns, name, value))
+            self._record("/sys/parameters", t_us, (name, value))
         for frame in outputs.mavlink_tx:
             self._mavlink("/out/mavlink", t_us, frame)
         for event in outputs.events:
@@ -228,6 +214,10 @@ class Packer:
     def _write(self, topic: str, t_us: int, payload: bytes) -> None:
         self._sink.write(topic, t_us, payload)
 
+    def _record(self, topic: str, t_us: int, value: Any) -> None:
+        """A message of ours, made of ``value`` as the row of its type says."""
+        self._write(topic, t_us, pack_record(topic, self._ns(t_us), value))
+
     def _due(self, topic: str, t_us: int, period_us: int) -> bool:
         last = self._last_us.get(topic)
         if last is not None and t_us - last < period_us:
@@ -242,8 +232,9 @@ class Packer:
         self._last_key[topic] = key
         return True
 
-    def _on_change(self, topic: str, t_us: int, payload: bytes, always: bool = False) -> None:
-        """Write when the content differs from the last, when ``always``, and every SLOW_US."""
+    def _on_change(self, topic: str, t_us: int, value: Any, always: bool = False) -> None:
+        """A record when its content differs from the last, when ``always``, and every SLOW_US."""
+        payload = pack_record(topic, self._ns(t_us), value)
         changed = self._last_body.get(topic) != payload[_BODY:]
         if changed or always or t_us - self._last_us[topic] >= SLOW_US:
             self._last_body[topic] = payload[_BODY:]
@@ -252,8 +243,11 @@ class Packer:
 
     def _sample(self, sample: Sample) -> None:
         t_us, stamp_ns = sample.t_us, self._ns(sample.t_us)
-        topic, pack = sensor_records.SAMPLES[type(sample)]
-        self._write(topic, t_us, pack(stamp_ns, sample))
+        topic = sensor_records.SAMPLE_TOPICS[type(sample)]
+        if isinstance(sample, MarkerSighting):
+            self._write(topic, t_us, sensor_records.marker_sighting(stamp_ns, sample))
+        else:
+            self._record(topic, t_us, sample)
         if type(sample) in VIEWERS:
             topic, pack = VIEWERS[type(sample)]
             self._write(topic, t_us, pack(stamp_ns, sample))
@@ -270,9 +264,8 @@ class Packer:
             cutter = self._cutters[stream] = StreamCutter()
             if self._lost_bytes:
                 cutter.lose_track()
-        stamp_ns = self._ns(t_us)
         for piece in cutter.cut(frame.data):
-            self._write(topic, t_us, service_records.mavlink_frame(stamp_ns, piece.data, frame.link, frame.client))
+            self._record(topic, t_us, (piece.data, frame.link, frame.client))
             if piece.is_packet:
                 self._sink.write_packet(t_us, piece.data)
         return cutter.removed
@@ -281,14 +274,14 @@ class Packer:
         """Write what has waited for the end of a packet."""
         topic, link, client = stream
         for piece in self._cutters.pop(stream).rest():
-            self._write(topic, t_us, service_records.mavlink_frame(self._ns(t_us), piece.data, link, client))
+            self._record(topic, t_us, (piece.data, link, client))
 
     def _nav(self, t_us: int, stamp_ns: int, nav: NavState) -> None:
-        self._write("/nav/state", t_us, vehicle_records.vehicle_state(stamp_ns, nav))
+        self._record("/nav/state", t_us, nav)
         if self._changed("/nav/status", t_us, (nav.health, nav.reset_count)):
-            self._on_change("/nav/status", t_us, estimate.nav_status(stamp_ns, nav))
+            self._on_change("/nav/status", t_us, nav)
         if self._due("/nav/covariance", t_us, COVARIANCE_US):
-            self._write("/nav/covariance", t_us, estimate.nav_covariance(stamp_ns, nav))
+            self._record("/nav/covariance", t_us, nav)
         if self._due("/viz/pose", t_us, VIZ_US):
             self._write("/viz/pose", t_us, visuals.pose_stamped(stamp_ns, nav))
             self._write("/viz/tf", t_us, visuals.transforms(stamp_ns, nav, self._description.camera))
@@ -317,12 +310,12 @@ class Packer:
     def _control(self, t_us: int, stamp_ns: int, outputs: Outputs) -> None:
         control = outputs.control
         assert control is not None
-        self._write("/ctl/nmpc", t_us, decisions.nmpc_status(stamp_ns, control.status))
+        self._record("/ctl/nmpc", t_us, control.status)
         for program in control.unsolved[: MAX_PROGRAMS - self._programs]:
             self._programs += 1
             self._sink.attach(programs.NAME.format(self._programs), t_us, partial(programs.pack, program))
         if control.plan is not None:
-            self._write("/ctl/plan", t_us, decisions.energy_plan(stamp_ns, control.plan))
+            self._record("/ctl/plan", t_us, control.plan)
         if not self._due("/ctl/horizon", t_us, HORIZON_US):
             return
         places, after_s = control.horizon_ned_m.tolist(), control.nominal_t_s.tolist()

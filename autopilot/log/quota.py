@@ -22,8 +22,6 @@ KEEP_FREE_BYTES = 256 * 1024 * 1024
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FlightFiles:
-    """Files of one flight, which go together."""
-
     log: Path
     files: tuple[Path, ...]
     bytes: int

@@ -35,16 +35,31 @@ _MESSAGE_HEAD = np.dtype([("channel", "<u2"), ("sequence", "<u4"), ("log_time", 
 
 @dataclass(frozen=True, slots=True)
 class TopicInfo:
-    """One topic of a log."""
+    """A topic of a log.
+
+    Attributes
+    ----------
+    type
+        Message type, ``package/Name``.
+    count
+        Readable messages.
+    """
 
     type: str
-    """``package/Name``"""
     count: int
 
 
 @dataclass(frozen=True, slots=True)
 class DecodedMessage:
-    """A decoded message of any type."""
+    """A message of any type.
+
+    Attributes
+    ----------
+    t_us
+        Log time on the service's clock [us].
+    value
+        Field -> value: numbers, text, ``bytes``, lists, nested messages as dictionaries.
+    """
 
     t_us: int
     value: dict[str, Any]
@@ -59,7 +74,23 @@ class _Raw:
 
 
 def open_log(path: str | Path) -> "Log":
-    """Open a log. LogError if there is no such file or it is not MCAP; a damaged one opens as far as it can be."""
+    """Open an MCAP log; a damaged one opens as far as it can be read.
+
+    Parameters
+    ----------
+    path
+        The file.
+
+    Returns
+    -------
+    Log
+        Reads topics when they are asked for; :attr:`Log.problems` says what is damaged.
+
+    Raises
+    ------
+    LogError
+        There is no such file, or it is not MCAP.
+    """
     return Log(Path(path))
 
 
@@ -68,7 +99,12 @@ CLOCKED = ("/in/tick", "/nav/state", "/sim/truth")
 
 
 class Log:
-    """A log that is being read."""
+    """A log that is open for reading (:func:`open_log`).
+
+    ``log["/nav/state"]`` is a topic of fixed-size messages as a :class:`~autopilot.log.message_table.MessageTable`;
+    ``topic in log`` says whether it has messages. SI units, world NED, body FRD (docs/topics.md); times ``t_us`` are
+    microseconds of the service's clock, which read zero at Unix time :attr:`epoch_ns`.
+    """
 
     def __init__(self, path: Path) -> None:
         """See :func:`open_log`."""
@@ -117,7 +153,6 @@ class Log:
 
     @property
     def message_count(self) -> int:
-        """Messages in all topics."""
         return sum(self._contents.counts.values())
 
     @property
@@ -136,7 +171,23 @@ class Log:
         return info is not None and info.count > 0
 
     def __getitem__(self, topic: str) -> MessageTable:
-        """A fixed-size topic as one array. LogError if it is missing or of variable size (use :meth:`messages`)."""
+        """A topic of fixed-size messages.
+
+        Parameters
+        ----------
+        topic
+            Its name, for example ``/sim/truth``.
+
+        Returns
+        -------
+        MessageTable
+            (n,) one row per message, read once and kept.
+
+        Raises
+        ------
+        LogError
+            The topic is missing, damaged or of variable size (use :meth:`messages`).
+        """
         if topic not in self._tables:
             self._tables[topic] = self._table(topic)
         return self._tables[topic]
@@ -148,9 +199,25 @@ class Log:
         return self[topic]
 
     def align(self, topics: Sequence[str], rate_hz: float) -> dict[str, MessageTable]:
-        """Fixed-size topics on one clock: at ``rate_hz``, from when all have begun to when the first ends, each
-        topic's last message. ``t_us`` is the common time. LogError for a topic that is missing or empty, and where
-        they have no time in common."""
+        """Topics of fixed-size messages on one clock, from when all have begun to when the first ends.
+
+        Parameters
+        ----------
+        topics
+            Their names.
+        rate_hz
+            Of the common clock.
+
+        Returns
+        -------
+        dict
+            Topic -> (n,) its last message at each time of the clock; ``t_us`` is the common time.
+
+        Raises
+        ------
+        LogError
+            A topic is missing, empty or of variable size, or they have no time in common.
+        """
         if not rate_hz > 0.0 or not topics:
             raise LogError(f"{self.path}: align() needs topics and a rate above 0 Hz, not {rate_hz:g}")
         self.load(topics)
@@ -172,7 +239,13 @@ class Log:
         return found
 
     def messages(self, topic: str) -> list[DecodedMessage]:
-        """Every message of a topic of any type, decoded. LogError if the topic is missing or a message is damaged."""
+        """Every message of a topic of any type, decoded, in the order of the file.
+
+        Raises
+        ------
+        LogError
+            The topic is missing, its schema is not ros2msg, or a message is damaged.
+        """
         types, name = self._types(topic)
         self.load([topic])
         raw = self._raw[topic]

@@ -23,8 +23,6 @@ RECOVERED_RECORD = "recovered"
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Recovery:
-    """What became of one unfinished log."""
-
     path: Path
     messages: int
     """Messages that were saved."""

@@ -27,8 +27,6 @@ EDGE = 0.06
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Curve:
-    """One line of a plot."""
-
     name: str
     t_s: FloatArray
     values: FloatArray
@@ -41,8 +39,6 @@ class Curve:
 
 @dataclass(frozen=True, slots=True)
 class Band:
-    """A stretch of one mode."""
-
     start_s: float
     end_s: float
     name: str
@@ -51,8 +47,6 @@ class Band:
 
 @dataclass(frozen=True, slots=True)
 class Mark:
-    """Something that happened."""
-
     t_s: float
     text: str
     color: str

@@ -6,8 +6,6 @@ from enum import Enum
 
 
 class BoundVerdict(Enum):
-    """What a row says."""
-
     PASS = "pass"
     WARN = "warn"
     """The tolerance was used, or something happened that an operator should look at."""
@@ -52,7 +50,6 @@ def row(subject: str, name: str, unit: str, value: float, note: str = "") -> Bou
 
 
 def under(subject: str, made: BoundRow) -> BoundRow:
-    """A row under its subject."""
     return replace(made, subject=subject)
 
 

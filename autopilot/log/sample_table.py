@@ -27,22 +27,28 @@ from autopilot.core.samples import (
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class SampleRow:
-    """One kind of sample."""
+class MessageRow:
+    """One kind of message of ours, made of an object."""
 
-    of: type
-    topic: str
+    of: type | None = None
+    """Class of the object, by whose annotations it is packed; None where ``put`` or ``values`` say all."""
     type: str
-    """Name of its message in ``autopilot_msgs``."""
+    """Its name in ``autopilot_msgs``."""
     frame: str
     fields: str
-    """Of the message behind its header, as ``ros2msg``: what has an attribute's name holds it."""
+    """Behind its header, as ``ros2msg``: what has an attribute's name holds it."""
     known: Mapping[str, str] = field(default_factory=dict)
     """Field that says whether an attribute is known -> the attribute."""
-    shapes: Mapping[str, tuple[int, ...]] = field(default_factory=dict)
-    """Of arrays that are not flat."""
     put: Mapping[str, Callable[[Any], Any]] = field(default_factory=dict)
     """Field -> its value, where no attribute has its name."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SampleRow(MessageRow):
+    of: type
+    topic: str
+    shapes: Mapping[str, tuple[int, ...]] = field(default_factory=dict)
+    """Of arrays that are not flat."""
     estimator: bool = True
     """The estimator has a use for it."""
 

@@ -63,8 +63,6 @@ class ThrustCommands:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Smoothness:
-    """The figures."""
-
     alternating: float
     """Share of the steps."""
     variation_n_s: float

@@ -222,8 +222,6 @@ def battery_state(stamp_ns: int, sample: PowerSample) -> bytes:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class VisualMarker:
-    """One visualization_msgs/Marker."""
-
     ARROW = 0
     SPHERE = 2
     CYLINDER = 3

@@ -319,7 +319,6 @@ class LogWriter:
                 return
 
     def _drain(self) -> None:
-        """Write what is queued now."""
         for _ in range(len(self._queue)):
             topic, t_us, payload, work, messages, size, missed = self._queue.popleft()
             for name, count in (missed or {}).items():
@@ -349,7 +348,6 @@ class LogWriter:
             self._errors.append(error)
 
     def _guard(self, action: Callable[[], object]) -> None:
-        """Run one step of writing."""
         try:
             action()
         except (OSError, LogError) as error:
@@ -430,7 +428,6 @@ class WriterSink:
         self._put = put
 
     def write(self, topic: str, t_us: int, payload: Payload) -> None:
-        """One CDR message."""
         self._put(topic, t_us, payload)
 
     def write_packet(self, t_us: int, packet: bytes) -> None:
@@ -438,5 +435,4 @@ class WriterSink:
         self._put(_TLOG, t_us, packet)
 
     def attach(self, name: str, t_us: int, data: Payload) -> None:
-        """An attachment."""
         self._put(_ATTACHMENT + name, t_us, data)

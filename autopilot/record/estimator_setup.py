@@ -24,8 +24,6 @@ VEHICLE_FILE = "vehicle.json"
 
 
 class EstimatorSetup(msgspec.Struct, frozen=True, kw_only=True):
-    """How the estimator of a run was made."""
-
     name: str
     floor_depth_m: float | None
     shadow: bool

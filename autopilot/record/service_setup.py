@@ -18,8 +18,6 @@ FORMAT = 1
 
 
 class SigningRecord(msgspec.Struct, frozen=True, kw_only=True):
-    """Where the signing key is kept."""
-
     key: bool
     """There was one at the start."""
     stamp: int
@@ -38,8 +36,6 @@ class CurrentsRecord(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class ServiceRecord(msgspec.Struct, frozen=True, kw_only=True):
-    """How the service of a run was made."""
-
     format: int = FORMAT
     profile: str
     instance: int

@@ -160,8 +160,6 @@ class _Saving:
 
 
 class _Store:
-    """The same for the signing key."""
-
     def __init__(self, key: bytes | None, stamp: int) -> None:
         self.state = SigningState(key, stamp)
 

@@ -20,7 +20,7 @@ from autopilot.core.markers import MarkerMap
 from autopilot.core.messages import NavState
 from autopilot.estimator.create import create_estimator
 from autopilot.estimator.options import EstimatorOptions
-from autopilot.log.packing import estimate, vehicle_records
+from autopilot.log.packing.records import pack_record
 from autopilot.log.reader import Log, MessageTable
 from autopilot.log.writer import LogWriter
 from autopilot.record.estimator_setup import EstimatorSetup, read_markers, read_setup, read_vehicle
@@ -256,9 +256,9 @@ def write_replay(path: Path, log: Log, states: Sequence[NavState]) -> Path:
     ) as writer:
         for state in states:
             stamp_ns = log.epoch_ns + state.t_us * 1000
-            writer.write("/nav/state", state.t_us, vehicle_records.vehicle_state(stamp_ns, state))
-            writer.write("/nav/covariance", state.t_us, estimate.nav_covariance(stamp_ns, state))
-            writer.write("/nav/status", state.t_us, estimate.nav_status(stamp_ns, state))
+            writer.write("/nav/state", state.t_us, pack_record("/nav/state", stamp_ns, state))
+            writer.write("/nav/covariance", state.t_us, pack_record("/nav/covariance", stamp_ns, state))
+            writer.write("/nav/status", state.t_us, pack_record("/nav/status", stamp_ns, state))
     return path
 
 

@@ -8,7 +8,7 @@ from typing import Any
 from autopilot.core.errors import LogError
 from autopilot.core.messages import Inputs
 from autopilot.core.samples import Sample
-from autopilot.log.packing.service_records import ALL_LINKS
+from autopilot.log.packing.record_values import ALL_LINKS
 from autopilot.log.packing.step_notes import EMPTY, LatchedNotes, StepNotes, inputs_with, unpack
 from autopilot.log.reader import Log, MessageTable
 from autopilot.replay.inputs import SAMPLES, TICK

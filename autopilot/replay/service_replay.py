@@ -39,8 +39,6 @@ _TAG = 6
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ReplayResult:
-    """What became of a replay."""
-
     ticks: int
     messages: int
     """That were compared."""
@@ -54,7 +52,6 @@ class ReplayResult:
 
     @property
     def same(self) -> bool:
-        """Everything that was compared."""
         return not self.differences
 
 

@@ -192,7 +192,6 @@ class _Link:
         return self._lost, self._came, self._damaged, self._late
 
     def came(self, sequence: int) -> None:
-        """A sound packet."""
         self._came += 1
         self._follow(sequence)
 

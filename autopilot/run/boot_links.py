@@ -123,7 +123,6 @@ class BootLinks:
             link.send(boot.heartbeat())
 
     def _answer(self, index: int, one: Received, now_s: float) -> None:
-        """What has been received from a client."""
         data, client, sender, reach = one
         answers, left = self._boot[index].answer(data, client, reach)
         for asked, message in left.items():

@@ -21,7 +21,6 @@ class PacedClock:
         self._start_us, self._start_s, self.speed = t_us, time.monotonic(), speed
 
     def wait_until(self, t_us: int) -> int:
-        """Sleep until ``t_us``."""
         time.sleep(self.left_s(t_us))
         return self.now_us()
 
@@ -37,7 +36,6 @@ class LockstepClock:
         self._t_us = 0
 
     def now_us(self) -> int:
-        """Time of the present tick."""
         return self._t_us
 
     def wait_until(self, t_us: int) -> int:
@@ -46,7 +44,6 @@ class LockstepClock:
         return t_us
 
     def left_s(self, t_us: int) -> float:
-        """Nothing to wait for."""
         return 0.0
 
 

@@ -42,19 +42,15 @@ class Setting:
 
 @dataclass(slots=True)
 class EffectiveSettings:
-    """Effective settings by name."""
-
     table: dict[str, Setting] = field(default_factory=dict)
 
     def put(self, name: str, value: Any, origin: str) -> None:
-        """Set a value; later calls win."""
         self.table[name] = Setting(value=value, origin=origin)
 
     def __getitem__(self, name: str) -> Any:
         return self.table[name].value
 
     def values(self) -> dict[str, Any]:
-        """Plain values."""
         return {name: setting.value for name, setting in sorted(self.table.items())}
 
 

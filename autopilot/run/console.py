@@ -30,7 +30,6 @@ class Console:
             return
 
     def close(self, patience_s: float = 2.0) -> None:
-        """Print what waits, if the console takes it."""
         try:
             self._lines.put(None, timeout=patience_s)
         except queue.Full:
@@ -55,7 +54,6 @@ class EventLines:
         """How an operator has ended the run."""
 
     def step(self, outputs: Outputs) -> None:
-        """Look at a tick."""
         self.run_end = self.run_end or outputs.run_end
         for event in outputs.events:
             if event.severity < Severity.DEBUG:

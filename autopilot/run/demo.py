@@ -41,8 +41,6 @@ Show = Callable[[str, int, int], None]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FlightResult:
-    """One flight and its verdict."""
-
     scenario: str
     log: Path
     report: Path

@@ -27,10 +27,9 @@ from autopilot.drivers.retry import DeviceState
 from autopilot.run.config import EffectiveSettings, system_id
 from autopilot.run.doctor_links import ListeningLink, Speaker, company
 from autopilot.run.doctor_samples import judge_samples
-from autopilot.run.findings import Finding, FindingSeverity
+from autopilot.run.findings import Finding, FindingSeverity, silent_remedy
 from autopilot.run.hardware import NAMES, HardwareVehicle
 from autopilot.run.hardware_session import open_vehicle, state_folder, vehicle_params
-from autopilot.run.remedies import silent_remedy
 from autopilot.run.session import Session
 from autopilot.run.vehicle_config import VehicleConfig
 
@@ -60,7 +59,6 @@ class _SettledOutputs:
         self._changed_us = 0
 
     def tick(self, inputs: Inputs, outputs: Outputs, frames: Sequence[CameraFrame]) -> None:
-        """A tick is over."""
         self.outputs = outputs
         self.aids.update((aid.sensor, outputs.t_us) for aid in outputs.aids if aid.fused)
         reasons = self._session_of().parts.commander.readiness
@@ -256,7 +254,6 @@ def _devices(vehicle: HardwareVehicle, config: VehicleConfig) -> list[Finding]:
 
 
 def _company(speakers: Sequence[Speaker], system: int) -> list[Finding]:
-    """Who else is on the links."""
     verdicts = {True: FindingSeverity.FAIL, None: FindingSeverity.WARN, False: FindingSeverity.OK}
     found = [
         Finding(verdict=verdicts[bad], what="who speaks", found=what, remedy=remedy)
@@ -289,7 +286,6 @@ def _flight(
 
 
 def _thing(what: str, there: bool, found: str, remedy: str) -> Finding:
-    """Something that is on board or not."""
     if there:
         return Finding(verdict=FindingSeverity.OK, what=what, found=found)
     return Finding(

@@ -34,8 +34,6 @@ MAX_SPEAKERS = 64
 
 @dataclass(slots=True, eq=False)
 class Speaker:
-    """Somebody on the links."""
-
     system: int
     component: int
     senders: set[str] = field(default_factory=set)
@@ -47,7 +45,6 @@ class Speaker:
 
     @property
     def name(self) -> str:
-        """For people."""
         return f"system {self.system} at {', '.join(sorted(self.senders))}"
 
 
@@ -65,20 +62,16 @@ class ListeningLink:
 
     @property
     def problem(self) -> str | None:
-        """The link's own."""
         return self._link.problem
 
     @property
     def name(self) -> str:
-        """The connection string."""
         return self._link.name
 
     def filenos(self) -> list[int]:
-        """The link's own."""
         return self._link.filenos()
 
     def close(self) -> None:
-        """Let go of the port."""
         self._link.close()
 
     def send(self, data: bytes, client: int = EVERYONE, beside: frozenset[int] = frozenset()) -> None:

@@ -7,8 +7,7 @@ import numpy as np
 
 from autopilot.core.sensors import SENSOR_ROWS, SensorRow
 from autopilot.drivers.devices import CAMERA, FLIGHT_CONTROLLER
-from autopilot.run.findings import Finding, FindingSeverity
-from autopilot.run.remedies import slow_remedy
+from autopilot.run.findings import Finding, FindingSeverity, slow_remedy
 from autopilot.run.vehicle_config import VehicleConfig
 
 ENOUGH, TOO_MUCH = 0.7, 1.5

@@ -58,7 +58,6 @@ class HardwareVehicle:
 
     @property
     def devices(self) -> tuple[RetryingDevice[Any], ...]:
-        """All of them, for the doctor."""
         rest = (self._camera, self._output)
         return (*self._sensors.values(), *(device for device in rest if device is not None))
 
@@ -69,7 +68,6 @@ class HardwareVehicle:
             self._output.check(t_us)
 
     def poll(self, t_us: int) -> Sequence[Sample]:
-        """Samples that have arrived."""
         samples: list[Sample] = []
         if self._below is not None:
             found = self._below.poll(t_us)
@@ -86,7 +84,6 @@ class HardwareVehicle:
         return [sample for sample in samples if sample not in self._early] if self._early else samples
 
     def frames(self, t_us: int) -> Sequence[CameraFrame]:
-        """Images that have arrived."""
         return () if self._camera is None else self._camera.poll(t_us)
 
     def write(self, t_us: int, command: ThrusterCommand) -> None:
@@ -163,7 +160,6 @@ class HardwareVehicle:
         return self._below is not None and self._below.state is not DeviceState.DOWN
 
     def take_notices(self) -> Sequence[tuple[Severity, str]]:
-        """Which devices have gone or come."""
         told = [notice for device in self.devices for notice in device.take_notices()]
         if self._below is not None:
             told += self._below.device.take_notices()

@@ -94,15 +94,12 @@ class HardwareWorld(World):
         parts.equipment.leave_out(self.device.unwired)
 
     def epoch_ns(self) -> int:
-        """Now."""
         return time.time_ns()
 
     def describe(self, parts: Parts) -> RunDescription:
-        """What the service knows."""
         return describe_service(parts, self._config.file.place.name)
 
     def metadata(self) -> dict[str, str]:
-        """Configuration, place and devices."""
         place = self._config.file.place
         return {
             "config": self._config.path.name,
@@ -113,11 +110,9 @@ class HardwareWorld(World):
         }
 
     def attachments(self) -> dict[str, bytes]:
-        """The configuration file."""
         return {"config_file.json": msgspec.json.encode(self._config.file)}
 
     def controls(self, clock: PacedClock | LockstepClock) -> ReadOnly:
-        """None: it is only looked at."""
         return ReadOnly()
 
     def below(self, t_us: int) -> Below | None:
@@ -125,7 +120,6 @@ class HardwareWorld(World):
         return self.device.below(t_us)
 
     def notices(self) -> Sequence[tuple[Severity, str]]:
-        """Which devices have gone or come."""
         return self.device.take_notices()
 
     def refusals(self, t_us: int) -> tuple[str, ...]:

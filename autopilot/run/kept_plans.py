@@ -6,7 +6,6 @@ disarmed and holds. The file itself: :mod:`autopilot.run.plans_format`.
 """
 
 import math
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Protocol
 
@@ -20,7 +19,6 @@ from autopilot.core.errors import ConfigError, PlanError
 from autopilot.core.frames import FloatArray
 from autopilot.core.geodesy import Origin
 from autopilot.core.latest_value_writer import LatestValueWriter
-from autopilot.core.messages import Severity
 from autopilot.core.plan import PlanKind
 from autopilot.core.state_file import Loss, StateFile
 from autopilot.core.witness import Noted, Witness
@@ -28,6 +26,7 @@ from autopilot.mavlink.missions import CLEAR_ORDER
 from autopilot.mission.plan_model import PlanFile
 from autopilot.mission.sequencer import Position
 from autopilot.mission.store import Plans, load_plan
+from autopilot.run.outside import NoticeQueue
 from autopilot.run.plans_format import Content, PlansSnapshot, decode, encode, place_of, plan_item
 
 PLANS_KEPT = "plans kept"
@@ -53,13 +52,14 @@ class Restored(Protocol):
         ...
 
 
-class KeptPlans:
+class KeptPlans(NoticeQueue):
     """Keeps the plans of one service. The writing goes over a desk."""
 
     def __init__(
         self, path: Path, plans: Plans, vehicle: Restored, desk: Desk | None = None, witness: Witness | None = None
     ) -> None:
         """``desk``: the lane of the disk, by default the caller's own time; ``witness`` notes when it has not yet."""
+        super().__init__()
         seen: Witness = Noted() if witness is None else witness
         self._file = StateFile(path)
         self._plans = plans
@@ -73,7 +73,6 @@ class KeptPlans:
         self._home: FloatArray = plans.home_ned_m
         self._origin = plans.origin
         self._position = vehicle.mission_position
-        self._notices: list[tuple[Severity, str]] = []
         self.failure: str | None = None
         """Why the last change is not on disk; None while all is well."""
         self.unsaved = ""
@@ -128,15 +127,7 @@ class KeptPlans:
         if error is not None and before is None:
             self._notices.append(notices.PLANS_NOT_SAVED(cause=cause_of(error)))
 
-    def take_notices(self) -> Sequence[tuple[Severity, str]]:
-        """What the operator should know since the last call."""
-        if not self._notices:
-            return ()
-        notices, self._notices = self._notices, []
-        return notices
-
     def finish(self) -> None:
-        """Write what is not yet on disk."""
         self._note_failure(self._keeper.finish())
 
     def _note_failure(self, error: Exception | None) -> None:

@@ -1,12 +1,16 @@
 """What the ticks of a loop cost: statistics once per second, and what the run comes to."""
 
+import gc
+import threading
 import time
 from dataclasses import dataclass
+from functools import cache
+
+import psutil
 
 from autopilot.core.clock import TICK_US
 from autopilot.core.marks import TickTimer
-from autopilot.core.messages import LoopStats
-from autopilot.run.process_stats import pauses, process_stats
+from autopilot.core.messages import LoopStats, ProcessStats
 
 STATS_EVERY_TICKS = 100
 """Loop statistics once per second."""
@@ -14,8 +18,6 @@ STATS_EVERY_TICKS = 100
 
 @dataclass(slots=True)
 class LoopCounters:
-    """What the loop has seen so far."""
-
     ticks: int = 0
     overruns: int = 0
     worst_tick_s: float = 0.0
@@ -24,8 +26,6 @@ class LoopCounters:
 
 
 class LoopAccount:
-    """Adds ticks up."""
-
     def __init__(self, *, paced: bool) -> None:
         """Without a pace there is no load."""
         self._paced = paced
@@ -71,3 +71,51 @@ class LoopAccount:
         counters.worst_tick_s = max(counters.worst_tick_s, self._worst_tick_s)
         self._cpu_mark_s, self._busy_s, self._worst_tick_s = cpu_s, 0.0, 0.0
         return stats
+
+
+class Pauses:
+    """The longest pause of the garbage collector since it was last asked."""
+
+    def __init__(self) -> None:
+        """Listen from now on: the collector's callbacks are of the whole process, so there is one of these."""
+        self._begun_s: float | None = None
+        self._longest_s = 0.0
+        gc.callbacks.append(self._heard)
+
+    def take(self) -> float:
+        """Seconds, 0 without any."""
+        longest_s, self._longest_s = self._longest_s, 0.0
+        return longest_s
+
+    def _heard(self, phase: str, _: dict[str, int]) -> None:
+        if phase == "start":
+            self._begun_s = time.perf_counter()
+        elif self._begun_s is not None:
+            self._longest_s = max(self._longest_s, time.perf_counter() - self._begun_s)
+            self._begun_s = None
+
+
+@cache
+def pauses() -> Pauses:
+    return Pauses()
+
+
+@cache
+def _process() -> psutil.Process:
+    return psutil.Process()
+
+
+def process_stats(queued: tuple[int, int]) -> ProcessStats:
+    """As it is now; ``queued``: messages and bytes that wait for the writer of the log."""
+    try:
+        rss = int(_process().memory_info().rss)
+    except (psutil.Error, OSError):
+        rss = 0
+    messages, size = queued
+    return ProcessStats(
+        rss_bytes=rss,
+        log_queue=messages,
+        log_queue_bytes=size,
+        threads=threading.active_count(),
+        collect_s=pauses().take(),
+    )

@@ -3,9 +3,21 @@
 from collections.abc import Sequence
 from typing import Protocol, runtime_checkable
 
-from autopilot.core.messages import Inputs, LoopStats, Outputs, ThrusterCommand
+from autopilot.core.messages import Inputs, LoopStats, Outputs, Severity, ThrusterCommand
 from autopilot.core.payload import PayloadState
 from autopilot.core.samples import CameraFrame, Sample
+
+
+class NoticeQueue:
+    """Whoever has messages for operators (severity, text), which wait for the next tick."""
+
+    def __init__(self) -> None:
+        self._notices: list[tuple[Severity, str]] = []
+
+    def take_notices(self) -> Sequence[tuple[Severity, str]]:
+        """Those since the last call."""
+        taken, self._notices = tuple(self._notices), []
+        return taken
 
 
 class VehicleIo(Protocol):
@@ -123,18 +135,14 @@ class Onlooker(Protocol):
 
 
 class Onlookers:
-    """More than one of them."""
-
     def __init__(self, *those: Onlooker) -> None:
         self._those = those
 
     def tick(self, inputs: Inputs, outputs: Outputs, frames: Sequence[CameraFrame]) -> None:
-        """A tick is over."""
         for each in self._those:
             each.tick(inputs, outputs, frames)
 
     def loop_stats(self, stats: LoopStats) -> None:
-        """Health of the loop."""
         for each in self._those:
             each.loop_stats(stats)
 

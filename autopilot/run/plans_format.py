@@ -21,8 +21,6 @@ _Number = float | str
 
 
 class _PlansHead(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """The first line."""
-
     format: str
     version: int
     crc32: int
@@ -30,8 +28,6 @@ class _PlansHead(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
 
 
 class _Item(msgspec.Struct, frozen=True, array_like=True):
-    """A :class:`PlanItem`."""
-
     seq: int
     frame: int
     command: int
@@ -44,16 +40,12 @@ class _Item(msgspec.Struct, frozen=True, array_like=True):
 
 
 class _OriginEntry(msgspec.Struct, frozen=True, array_like=True):
-    """An :class:`Origin`."""
-
     lat_deg: float
     lon_deg: float
     alt_m: float
 
 
 class Content(msgspec.Struct, frozen=True, kw_only=True):
-    """The second line."""
-
     configured_origin: _OriginEntry
     """What the service came up with."""
     origin: _OriginEntry

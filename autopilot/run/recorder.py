@@ -19,6 +19,7 @@ from autopilot.core.samples import CameraFrame
 from autopilot.log.description import RunDescription
 from autopilot.log.log_session import LoggedTruth, RunLog, SimulationRecord
 from autopilot.log.writer import Payload
+from autopilot.run.outside import NoticeQueue
 
 CLOSE_S = 30.0
 """How long the end of a run waits for a disk that does not answer."""
@@ -51,7 +52,6 @@ class NullRecorder:
         """There is no log for it."""
 
     def take_notices(self) -> tuple[tuple[Severity, str], ...]:
-        """Nothing to say."""
         return ()
 
     def record(self, inputs: Inputs, outputs: Outputs, frames: Sequence[CameraFrame]) -> None:
@@ -64,7 +64,7 @@ class NullRecorder:
         """Nothing to close."""
 
 
-class RunRecorder:
+class RunRecorder(NoticeQueue):
     """One log per session (``path`` fixed) or one per arming (``open_log`` called at every arming).
 
     ``waits``: in lockstep a log is finished at the disarming; where time does not wait, beside the loop.
@@ -81,6 +81,7 @@ class RunRecorder:
         waits: bool = True,
     ) -> None:
         """LogError if the session's log cannot be made: nothing runs yet."""
+        super().__init__()
         self._open_log = open_log
         self._describe = describe
         self._truth = truth
@@ -92,7 +93,6 @@ class RunRecorder:
         """Logs that are being finished, and whether the operator knows what was wrong with them."""
         self._dropped_before = 0
         self._told_slow = False
-        self._notices: list[tuple[Severity, str]] = []
         self._plan_revision = plan_revision
         self._described = plan_revision()
         self.lost = False
@@ -107,7 +107,6 @@ class RunRecorder:
         return None if log is None or log.failure is not None or log.path == Path() else log.path
 
     def still(self, exposure_us: int, png: bytes) -> None:
-        """A picture for the present log."""
         if self._log is not None:
             self._log.still(exposure_us, png)
 
@@ -122,15 +121,7 @@ class RunRecorder:
         """Messages and bytes that wait to be written to the present log."""
         return (0, 0) if self._log is None else self._log.queued
 
-    def take_notices(self) -> tuple[tuple[Severity, str], ...]:
-        """What the operator should know of the log since the last call: severity and text."""
-        if not self._notices:
-            return ()
-        notices, self._notices = tuple(self._notices), []
-        return notices
-
     def record(self, inputs: Inputs, outputs: Outputs, frames: Sequence[CameraFrame]) -> None:
-        """Log one tick."""
         self._describe_news(inputs.t_us, outputs.mode.armed)
         self._look_after_ending()
         log = self._log
@@ -152,7 +143,6 @@ class RunRecorder:
             raise error  # to the guard, as if it had come up here
 
     def loop_stats(self, stats: LoopStats) -> None:
-        """Log the health of the loop."""
         if self._log is not None:
             self._log.loop(stats)
 
@@ -177,7 +167,6 @@ class RunRecorder:
             self._begin()
 
     def _begin(self) -> None:
-        """A new log, if the disk allows."""
         self._told_slow = False
         try:
             self._log = self._open_log()

@@ -15,6 +15,7 @@ from autopilot.core import operator_messages as notices
 from autopilot.core.camera import CameraModel
 from autopilot.core.desk import Desk
 from autopilot.core.errors import PlanError
+from autopilot.core.lane import DaemonLane
 from autopilot.core.messages import Outputs, Severity
 from autopilot.core.param_file import PersistentParams
 from autopilot.core.vehicle import Vehicle
@@ -23,13 +24,13 @@ from autopilot.drivers.protocols import Link
 from autopilot.estimator.frame_filter import FrameFilter
 from autopilot.estimator.vision import MarkerDetector
 from autopilot.estimator.vision_lane import VisionWorker
+from autopilot.log.directory_reader import LogShelf
 from autopilot.mission.plan_files import read_plan
 from autopilot.mission.store import load_plan
 from autopilot.run.allocator import give_back_large_blocks
 from autopilot.run.clocks import LockstepClock, PacedClock, make_clock
 from autopilot.run.compose import ServiceSetup, build_service, end_slow_work
-from autopilot.run.config import chosen_part
-from autopilot.run.downloads import log_shelf
+from autopilot.run.config import EffectiveSettings, chosen_part
 from autopilot.run.kept_plans import KeptPlans
 from autopilot.run.outside import Onlooker, Onlookers, VehicleIo
 from autopilot.run.recorder import NullRecorder, RunRecorder
@@ -67,8 +68,6 @@ class PersistentState:
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Session:
-    """A run that is ready to go."""
-
     world: World
     vehicle: Vehicle
     service: Autopilot
@@ -115,7 +114,6 @@ class Session:
         end.callback(self.recorder.close)
 
     def _status(self) -> str:
-        """One line for who asks the service manager."""
         commander = self.parts.commander
         return f"{self.vehicle.name}: {'armed' if commander.armed else 'disarmed'}, {commander.mode.name}"
 
@@ -328,3 +326,9 @@ def _marker_vision(told: Told, *, paced: bool) -> VisionWorker | None:
     detector = MarkerDetector(CameraModel.of(camera, told.vehicle.laser), told.markers)
     frame_filter = FrameFilter(camera.width_px, camera.height_px)
     return VisionWorker(detector, delay_s=0.5 * camera.latency_s, frame_filter=frame_filter, paced=paced)
+
+
+def log_shelf(settings: EffectiveSettings, *, patient: bool) -> LogShelf:
+    """The logs of a run's folder. ``patient``: in lockstep the loop waits for the disk."""
+    single = None if settings["log"] is None else Path(settings["log"])
+    return LogShelf(Path(settings["log_dir"]), Desk(DaemonLane("files"), patient=patient), single)

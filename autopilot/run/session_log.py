@@ -11,18 +11,27 @@ from autopilot import __version__
 from autopilot.command.service_parts import Parts
 from autopilot.core.errors import LogError
 from autopilot.core.marker_files import marker_file_text
+from autopilot.core.plan import PlanKind
 from autopilot.log.description import RunDescription
 from autopilot.log.log_session import RunLog, free_path, log_path, open_run_log, open_run_log_beside
 from autopilot.log.quota import make_room
 from autopilot.log.recover import recover_unfinished
 from autopilot.log.writer import LogHead, Payload
 from autopilot.record.estimator_setup import estimator_attachments
+from autopilot.record.service_setup import (
+    CURRENTS_FILE,
+    SERVICE_FILE,
+    START_PLANS_FILE,
+    CurrentsRecord,
+    ServiceRecord,
+    SigningRecord,
+)
 from autopilot.run.compose import ServiceSetup
 from autopilot.run.describe import plan_items, plans_json
+from autopilot.run.plans_format import PlansSnapshot, encode
 from autopilot.run.provenance import revision
 from autopilot.run.recorder import RunRecorder
-from autopilot.run.service_record import service_attachments
-from autopilot.run.world import World
+from autopilot.run.world import WaterTold, World
 
 
 class LogContents:
@@ -48,7 +57,6 @@ class LogContents:
             self._attachments["markers.toml"] = marker_file_text(told.markers).encode()
 
     def description(self) -> RunDescription:
-        """The run as things stand now."""
         return self._world.describe(self._parts)
 
     def plans(self) -> dict[str, Payload]:
@@ -139,3 +147,45 @@ def _make_folder(folder: Path) -> None:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise LogError(f"log folder {folder}: cannot be made ({error.strerror}); choose another place") from error
+
+
+def service_attachments(setup: ServiceSetup, parts: Parts, water: WaterTold) -> dict[str, bytes]:
+    """All that is needed to make that service again, as it is before its first tick."""
+    signing = None if setup.signing is None else setup.signing.state
+    record = ServiceRecord(
+        profile=setup.profile,
+        instance=setup.instance,
+        controller=setup.controller,
+        estimator=setup.estimator,
+        origin=(setup.origin.lat_deg, setup.origin.lon_deg, setup.origin.alt_m),
+        floor_depth_m=setup.floor_depth_m,
+        currents=CurrentsRecord(
+            kind=water.kind,
+            basin=water.basin,
+            map_suffix="" if water.map_file is None else water.map_file.suffix,
+            map_start_utc=water.map_start,
+        ),
+        links=setup.links,
+        rates={str(link): rate for link, rate in setup.rates.items()},
+        patience=setup.patience,
+        waits_for_plans=setup.waits_for_plans,
+        saving=setup.saving is not None,
+        shelf=setup.shelf is not None,
+        pictures=setup.pictures,
+        signing=None if signing is None else SigningRecord(key=signing.key is not None, stamp=signing.stamp),
+        parameters=dict(setup.params),
+        git=setup.git,
+    )
+    plans = parts.plans
+    start = PlansSnapshot(
+        configured_origin=setup.origin,
+        origin=plans.origin,
+        home_ned_m=plans.home_ned_m,
+        items={kind: plans.items(kind) for kind in PlanKind},
+        position=parts.commander.mission_position,
+    )
+    return {
+        SERVICE_FILE: msgspec.json.encode(record),
+        START_PLANS_FILE: encode(start),
+        **({} if water.map_file is None else {CURRENTS_FILE: water.map_file.read_bytes()}),
+    }

@@ -71,7 +71,6 @@ class SigningFiles:
 
     @property
     def path(self) -> Path:
-        """Of the key."""
         return self._key.path
 
     @property
@@ -80,11 +79,9 @@ class SigningFiles:
         return self._state
 
     def keep(self, tick: int, state: SigningState) -> None:
-        """Have it written, beside the loop."""
         self._keeper.put(tick, state)
 
     def poll(self, tick: int) -> Saved | None:
-        """What became of one of them."""
         kept = self._keeper.poll(tick)
         if kept is None:
             return None
@@ -92,7 +89,6 @@ class SigningFiles:
         return Saved(number=kept.number, failure="" if kept.error is None else cause_of(kept.error))
 
     def finish(self) -> None:
-        """The end of a run."""
         self._note(self._keeper.finish())
 
     def write_key(self, key: bytes | None) -> None:

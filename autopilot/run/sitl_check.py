@@ -37,8 +37,6 @@ TIGHT = 0.8
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ScenarioFindings:
-    """What was found."""
-
     facts: dict[str, str]
     problems: tuple[str, ...]
     """It cannot be simulated, or its plan not be flown."""

@@ -39,7 +39,6 @@ class RunWatch:
         """Nothing will complete it any more: the operator in this process does not start it twice."""
 
     def step(self, outputs: Outputs) -> None:
-        """Look at a tick."""
         self._lines.step(outputs)
         self._look_for_contacts(outputs.t_us)
         armed, begins = outputs.mode.armed, outputs.mode.armed and not self._armed

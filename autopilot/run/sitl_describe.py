@@ -4,9 +4,15 @@ from collections.abc import Mapping
 from dataclasses import fields, replace
 from typing import Any
 
+from autopilot import __version__
 from autopilot.command.service_parts import Parts
+from autopilot.control.protocol import find_controller
+from autopilot.core.plugins import Plugin
+from autopilot.estimator.create import find_estimator
 from autopilot.log.description import AcceptBounds, Obstacle, PartOrigin, RunDescription
+from autopilot.run.config import EffectiveSettings, chosen_part
 from autopilot.run.describe import describe_service
+from autopilot.sitl.protocol import find_plant
 from autopilot.sitl.scenario_tables import MovingObstacle, PrismObstacle, Scenario, SphereObstacle
 from autopilot.sitl.scenario_tables import Obstacle as SolidTable
 
@@ -56,3 +62,19 @@ def _obstacle(obstacle: SolidTable, number: int) -> Obstacle:
         )
     kind = "sphere" if isinstance(obstacle, SphereObstacle) else "cylinder"
     return Obstacle(center_m=tuple(obstacle.center_m), radius_m=obstacle.radius_m, name=f"{kind} {number}")
+
+
+def part_origins(settings: EffectiveSettings, scenario: Scenario) -> dict[str, PartOrigin]:
+    """By role. ConfigError if there is no such part."""
+    told = scenario.plugins
+    return {
+        "controller": _origin(find_controller(*chosen_part(settings, "controller", told.controller))),
+        "estimator": _origin(find_estimator(*chosen_part(settings, "estimator", told.estimator))),
+        "plant": _origin(find_plant(*chosen_part(settings, "plant", told.plant))),
+    }
+
+
+def _origin(part: Plugin) -> PartOrigin:
+    shipped = not part.version and not part.sha256
+    version = f"underwater-autopilot {__version__}" if shipped else part.version
+    return PartOrigin(name=part.name, target=part.target, version=version, sha256=part.sha256)

@@ -22,7 +22,6 @@ class SitlSession(Session):
 
     @property
     def scenario(self) -> Scenario:
-        """What is simulated."""
         return self.world.scenario
 
     @property

@@ -5,7 +5,7 @@ the log, since the run is then no longer the scenario's alone.
 """
 
 import queue
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from concurrent.futures import Future
 from concurrent.futures import TimeoutError as NoAnswer
 
@@ -15,10 +15,10 @@ import numpy as np
 from autopilot.command.service_parts import Parts
 from autopilot.core import operator_messages as notices
 from autopilot.core.errors import ConfigError
-from autopilot.core.messages import Severity
 from autopilot.log.description import RunDescription
 from autopilot.run.clocks import LockstepClock, PacedClock
-from autopilot.run.watched import WatchedService
+from autopilot.run.outside import NoticeQueue
+from autopilot.run.world import WatchedService
 from autopilot.sitl.backend import SimulatedVehicle
 from autopilot.sitl.contact import Prism, Sphere
 from autopilot.sitl.scenario_tables import Fault, Scenario
@@ -46,18 +46,14 @@ OPEN_WATER_M = 10.0
 
 
 class WatchedSitl(WatchedService):
-    """A service and the simulated world round it."""
-
     def __init__(self, parts: Parts, describe: Callable[[], RunDescription], vehicle: SimulatedVehicle) -> None:
         super().__init__(parts, describe)
         self._vehicle = vehicle
 
     def truth(self) -> TruthSeen | None:
-        """Where the vehicle really is."""
         return self._vehicle.truth
 
     def solids(self) -> tuple[Solid, ...]:
-        """Obstacles where they are now."""
         plant = self._vehicle.steerable
         if plant is None:
             return ()
@@ -82,16 +78,16 @@ class WatchedSitl(WatchedService):
         return tuple(found)
 
 
-class Steering:
+class Steering(NoticeQueue):
     """Does what the page asks for. ``do`` is called by the page's threads, everything else by the loop."""
 
     def __init__(self, scenario: Scenario, vehicle: SimulatedVehicle, clock: PacedClock | LockstepClock) -> None:
+        super().__init__()
         self._scenario, self._vehicle, self._clock = scenario, vehicle, clock
         self._asked: queue.SimpleQueue[tuple[Ask, Future[str]]] = queue.SimpleQueue()
         self._speed = clock.speed if isinstance(clock, PacedClock) else 0.0
         self._paused = False
         self._flow_m_s = (0.0, 0.0)
-        self._notices: list[tuple[Severity, str]] = []
         self._over = False
         self.reset = False
         """The run is to begin anew."""
@@ -119,7 +115,6 @@ class Steering:
 
     @property
     def steered(self) -> Steered:
-        """How things stand."""
         flow = None if self._vehicle.steerable is None else self._flow_m_s
         return Steered(paused=self._paused, speed=self._speed, extra_current_ned_m_s=flow)
 
@@ -170,13 +165,6 @@ class Steering:
                 answer.set_exception(ViewError(str(error)))
         return self._paused
 
-    def take_notices(self) -> Sequence[tuple[Severity, str]]:
-        """What has been done since the last call, for operators and the log."""
-        if not self._notices:
-            return ()
-        notices, self._notices = self._notices, []
-        return notices
-
     def end(self) -> None:
         """The run is over: nobody waits for an answer any more."""
         self._over = True
@@ -211,7 +199,6 @@ class Steering:
         return text
 
     def _pace(self, t_us: int) -> None:
-        """The clock goes on from here."""
         if isinstance(self._clock, PacedClock):
             self._clock.go_on(t_us, self._speed)
 

@@ -29,10 +29,9 @@ from autopilot.run.clocks import LockstepClock, PacedClock
 from autopilot.run.compose import forecast_of
 from autopilot.run.config import EffectiveSettings, chosen_part, system_id
 from autopilot.run.outside import InProcessClient
-from autopilot.run.sitl_describe import describe_run
+from autopilot.run.sitl_describe import describe_run, part_origins
 from autopilot.run.sitl_fence import scenario_plan
 from autopilot.run.sitl_params import sitl_params, state_folder
-from autopilot.run.sitl_parts import part_origins
 from autopilot.run.sitl_view import Steering, WatchedSitl
 from autopilot.run.world import Told, WaterTold, World
 from autopilot.sitl.backend import SimulatedVehicle, simulated_vehicle
@@ -69,23 +68,18 @@ class SimulatedDevice:
         return self._vehicle.payload.shares
 
     def actuate(self, t_us: int, state: PayloadState) -> None:
-        """Move what it carries."""
         self._vehicle.payload.set(state.pulses_us)
 
     def advance(self, t_us: int) -> None:
-        """Let the plant go on."""
         self._vehicle.advance(t_us)
 
     def poll(self, t_us: int) -> Sequence[Sample]:
-        """Samples that have arrived."""
         return self._vehicle.poll(t_us)
 
     def frames(self, t_us: int) -> Sequence[CameraFrame]:
-        """Images that have arrived."""
         return self._vehicle.frames(t_us)
 
     def write(self, t_us: int, command: ThrusterCommand) -> None:
-        """Drive the thrusters."""
         self._armed = command.armed
         self._vehicle.write(command.pwm_us[: self._thrusters])
 
@@ -94,13 +88,10 @@ class SimulatedDevice:
         return self._vehicle.below(t_us, armed=self._armed)
 
     def close(self) -> None:
-        """Thrusters to neutral."""
         self._vehicle.close()
 
 
 class SimulatedWorld(World):
-    """A scenario, and the settings that change it."""
-
     device: SimulatedDevice
     simulated = True
 
@@ -161,7 +152,6 @@ class SimulatedWorld(World):
         self.steering: Steering | None = None
 
     def open_device(self, parts: Parts) -> None:
-        """The plant begins."""
         self.device = self.truth_source = SimulatedDevice(self._vehicle, len(self.told.vehicle.thrusters))
 
     def epoch_ns(self) -> int:
@@ -173,11 +163,9 @@ class SimulatedWorld(World):
         return scenario_plan(plan, self.scenario)
 
     def describe(self, parts: Parts) -> RunDescription:
-        """What the service knows, and the scenario."""
         return describe_run(self.scenario, parts, seed=self.seed, speed=self.speed, origins=self._parts)
 
     def metadata(self) -> dict[str, str]:
-        """Scenario, parts and current."""
         return {
             "scenario": self.scenario.scenario.name,
             "seed": str(self.seed),
@@ -190,20 +178,16 @@ class SimulatedWorld(World):
         }
 
     def attachments(self) -> dict[str, bytes]:
-        """The scenario."""
         return {"scenario.json": msgspec.json.encode(self.scenario)}
 
     def watched(self, parts: Parts) -> WatchedSitl:
-        """With the truth."""
         return WatchedSitl(parts, lambda: self.describe(parts), self._vehicle)
 
     def controls(self, clock: PacedClock | LockstepClock) -> Steering:
-        """Everything that can be done to a simulation."""
         self.steering = Steering(self.scenario, self._vehicle, clock)
         return self.steering
 
     def truth(self) -> Truth:
-        """Where the vehicle really is."""
         return self._vehicle.truth
 
     def below(self, t_us: int) -> Below | None:
@@ -211,15 +195,12 @@ class SimulatedWorld(World):
         return self.device.below(t_us)
 
     def notices(self) -> Sequence[tuple[Severity, str]]:
-        """What was done to it by hand."""
         return () if self.steering is None else self.steering.take_notices()
 
     def mishaps(self, inputs: Inputs) -> Inputs:
-        """The machine's faults of the scenario."""
         return self._machine.put_into(inputs)
 
     def hold(self, t_us: int) -> bool:
-        """Whether somebody has paused it."""
         return self.steering is not None and self.steering.hold(t_us)
 
 

@@ -15,9 +15,9 @@ from autopilot.core.clock import TICK_US
 from autopilot.core.desk import Cancel, Desk, Ticket
 from autopilot.core.disk import cause_of
 from autopilot.core.latest_value_writer import KEEP_TICKS, RETRY_TICKS
-from autopilot.core.messages import Severity
 from autopilot.core.params import ParamSet
 from autopilot.core.state_file import Loss
+from autopilot.run.outside import NoticeQueue
 
 ACCEPT = "STATE_ACCEPT"
 PROBE_BYTES = 65_536
@@ -53,7 +53,7 @@ class _Open:
     accepted: bool = False
 
 
-class StateCheck:
+class StateCheck(NoticeQueue):
     """One vehicle's. Asked once per tick."""
 
     def __init__(
@@ -66,13 +66,13 @@ class StateCheck:
     ) -> None:
         """``desk``: the lane of the disk; ``losses``: found at the start; ``unsaved``: asked what is not being kept at
         the moment, "" = all is."""
+        super().__init__()
         self._params, self._folder, self._desk = params, folder, desk
         self._unsaved = unsaved
         self._count = 0
         self._open: dict[str, _Open] = {}
         self._failing: list[str] = []
         self._accepted = -1.0
-        self._notices: list[tuple[Severity, str]] = []
         self._reasons: tuple[str, ...] = ()
         self._disk = probe(folder)
         self._probing: Ticket[str] | None = None
@@ -90,20 +90,11 @@ class StateCheck:
             self._look(tick)
         return self._reasons
 
-    def take_notices(self) -> Sequence[tuple[Severity, str]]:
-        """What the operator should know since the last call."""
-        if not self._notices:
-            return ()
-        notices, self._notices = self._notices, []
-        return notices
-
     def _failures(self) -> list[str]:
-        """What cannot be kept now."""
         found = [text for ask in self._unsaved if (text := ask())]
         return [f"disk takes no writes ({self._disk})", *found] if self._disk else found
 
     def _look(self, tick: int) -> None:
-        """Something has changed."""
         self._failing = failing = self._failures()
         for text in [text for text, it in self._open.items() if it.loss is None and text not in failing]:
             del self._open[text]

@@ -161,7 +161,6 @@ class Transport:
         return tuple(events)
 
     def close(self) -> None:
-        """Let go of all ports."""
         for index, link in enumerate(self._links):
             self._try(index, "close", link.close, None)
 

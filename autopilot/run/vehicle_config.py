@@ -67,8 +67,6 @@ class ServiceTable(Table, frozen=True, kw_only=True):
 
 
 class ConfigFile(Table, frozen=True, kw_only=True):
-    """The whole file."""
-
     vehicle: str
     """A shipped vehicle's name, or a vehicle file."""
     place: SiteTable = SiteTable()
@@ -90,7 +88,6 @@ class VehicleConfig:
 
     @property
     def has_camera(self) -> bool:
-        """Whether there are pictures."""
         return CAMERA in self.devices
 
 

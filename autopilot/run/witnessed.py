@@ -22,11 +22,9 @@ class WitnessedSaving:
     witness: Witness
 
     def save(self, tick: int, name: str) -> int | None:
-        """Have the value in force kept."""
         return self.witness.ask("parameter saving", None, lambda: self.saving.save(tick, name))
 
     def saved(self, tick: int) -> Saved | None:
-        """What became of requests, once."""
         return _saved(self.witness, "parameters saved", lambda: self.saving.saved(tick))
 
 
@@ -52,11 +50,9 @@ class WitnessedStore:
         return self.store.state
 
     def keep(self, tick: int, state: SigningState) -> None:
-        """Have it written."""
         self.store.keep(tick, state)
 
     def poll(self, tick: int) -> Saved | None:
-        """What became of one of them."""
         return _saved(self.witness, "key saved", lambda: self.store.poll(tick))
 
 
@@ -68,22 +64,18 @@ class WitnessedShelf:
     witness: Witness
 
     def list(self, tick: int) -> Ticket[tuple[ShelfFile, ...]]:
-        """All files."""
         self._note()
         return self.shelf.list(tick)
 
     def read(self, tick: int, path: str, offset: int, size: int) -> Ticket[bytes]:
-        """At most ``size`` bytes from ``offset``."""
         self._note()
         return self.shelf.read(tick, path, offset, size)
 
     def crc32(self, tick: int, path: str) -> Ticket[int]:
-        """Checksum of a whole file."""
         self._note()
         return self.shelf.crc32(tick, path)
 
     def erase(self, tick: int) -> Ticket[int]:
-        """Remove all finished flights."""
         self._note()
         return self.shelf.erase(tick)
 

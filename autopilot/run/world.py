@@ -4,7 +4,7 @@ A session (:mod:`autopilot.run.session`) is opened, run, recorded and closed ali
 """
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Hashable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -12,21 +12,23 @@ from autopilot.command.service_parts import Parts
 from autopilot.control.water.currents import CurrentForecast
 from autopilot.core.desk import Desk
 from autopilot.core.geodesy import Origin
+from autopilot.core.geometry import Fence
 from autopilot.core.markers import MarkerMap
 from autopilot.core.messages import Below, Inputs, Severity
 from autopilot.core.param_file import PersistentParams
 from autopilot.core.params import ParamSet
 from autopilot.core.vehicle import Vehicle
 from autopilot.log.description import RunDescription
-from autopilot.log.packing.vehicle_records import TruthLike
+from autopilot.log.record_table import TruthLike
 from autopilot.mission.plan_files import PlanFile
 from autopilot.mission.store import WaterCheck
 from autopilot.run.clocks import LockstepClock, PacedClock
 from autopilot.run.config import EffectiveSettings
 from autopilot.run.outside import InProcessClient, VehicleIo
 from autopilot.run.recorder import TruthSource
-from autopilot.run.watched import WatchedService
 from autopilot.view.controls import Controls
+from autopilot.view.feed import TruthSeen
+from autopilot.view.shown import Solid
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -54,6 +56,31 @@ class WaterTold:
     basin: str
     map_file: Path | None = None
     map_start: str | None = None
+
+
+class WatchedService:
+    """A service; ``describe`` makes the description of now."""
+
+    def __init__(self, parts: Parts, describe: Callable[[], RunDescription]) -> None:
+        self._parts = parts
+        self._describe = describe
+
+    def revision(self) -> Hashable:
+        """Changes with plans and parameters. The fence comes into force a little after its plan."""
+        parts = self._parts
+        return parts.plans.revision, id(parts.commander.fence), tuple(parts.params.values())
+
+    def describe(self) -> RunDescription:
+        return self._describe()
+
+    def fence(self) -> Fence:
+        return self._parts.commander.fence
+
+    def truth(self) -> TruthSeen | None:
+        return None
+
+    def solids(self) -> tuple[Solid, ...]:
+        return ()
 
 
 class World(ABC):

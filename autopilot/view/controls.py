@@ -104,9 +104,7 @@ class ReadOnly:
     steered = Steered()
 
     def flow(self, t_s: float, depth_m: float) -> FlowView | None:
-        """Nobody knows."""
         return None
 
     def do(self, ask: Ask) -> str:
-        """Nothing."""
         raise ViewError("this view is read-only: use a ground station")

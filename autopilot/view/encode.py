@@ -48,7 +48,6 @@ JPEG_QUALITY = 70
 def scene_of(
     snapshot: TickSnapshot, vehicle: Vehicle, steerable: Steerable, *, simulated: bool, pictures: bool
 ) -> SceneView:
-    """What seldom changes."""
     run, camera = snapshot.description, vehicle.camera if pictures else None
     bounds = run.paper_bounds
     return SceneView(
@@ -81,7 +80,6 @@ def scene_of(
 
 
 def frame_of(snapshot: TickSnapshot, vehicle: Vehicle, steered: Steered, *, now_s: float, viewers: int) -> ViewFrame:
-    """What changes all the time."""
     out, mode = snapshot.outputs, snapshot.outputs.mode
     t_us, count = out.t_us, len(vehicle.thrusters)
     health, limits_s = snapshot.thrusters, sensor_limits_s(vehicle)

@@ -183,7 +183,6 @@ class Feed:
         """The newest; None before the first."""
 
     def tick(self, inputs: Inputs, outputs: Outputs, frames: Sequence[CameraFrame]) -> None:
-        """A tick is over."""
         if outputs.events:
             for event in outputs.events:
                 self._told += 1
@@ -204,7 +203,6 @@ class Feed:
             self._put(now_s, outputs)
 
     def loop_stats(self, stats: LoopStats) -> None:
-        """Health of the loop, once per second."""
         self._kept.loop = stats
 
     def _keep(self, inputs: Inputs, outputs: Outputs) -> None:
@@ -264,7 +262,6 @@ class Feed:
         )
 
     def _put(self, now_s: float, outputs: Outputs) -> None:
-        """Leave a new snapshot."""
         run, kept, t_us = self._watched_run, self._kept, outputs.t_us
         described = self._described
         if described is None or now_s >= self._scene_due_s:

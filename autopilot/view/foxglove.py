@@ -17,7 +17,7 @@ from autopilot.core.messages import Inputs, LoopStats, Outputs
 from autopilot.core.samples import CameraFrame
 from autopilot.log.description import RunDescription
 from autopilot.log.log_session import RunLog
-from autopilot.log.packing.vehicle_records import TruthLike
+from autopilot.log.record_table import TruthLike
 from autopilot.log.schemas import ENCODING, MESSAGE_ENCODING, definition, ros_name
 from autopilot.log.topics import AID_PREFIX, TOPICS, type_of
 from autopilot.log.writer import Payload, Work
@@ -64,12 +64,10 @@ class FoxgloveServer:
 
     @property
     def url(self) -> str:
-        """What a viewer is to be given."""
         return f"ws://127.0.0.1:{self.port}"
 
     @property
     def watched(self) -> bool:
-        """Whether anything is subscribed to."""
         return bool(self._subscribed)
 
     def attach(
@@ -125,13 +123,11 @@ class _Listener:
         self._lock = threading.Lock()
 
     def on_subscribe(self, _client: Any, channel: Any) -> None:
-        """One more wants it."""
         with self._lock:
             self._counts[channel.topic] = self._counts.get(channel.topic, 0) + 1
             self._topics.add(channel.topic)
 
     def on_unsubscribe(self, _client: Any, channel: Any) -> None:
-        """One less."""
         with self._lock:
             self._counts[channel.topic] = self._counts.get(channel.topic, 1) - 1
             if self._counts[channel.topic] <= 0:
@@ -139,8 +135,6 @@ class _Listener:
 
 
 class _Messages:
-    """Takes the place of a log's file."""
-
     path, dropped, queued, failure, cause, finished = Path(), 0, (0, 0), None, "", False
 
     def __init__(self, server: FoxgloveServer, epoch_ns: int) -> None:
@@ -149,20 +143,16 @@ class _Messages:
 
     @property
     def sink(self) -> "_Messages":
-        """Nothing waits on the way."""
         return self
 
     def defer(self, topic: str, t_us: int, work: Work, messages: int, size: int) -> bool:
-        """Done at once: an error comes up here."""
         work()
         return True
 
     def take_error(self) -> Exception | None:
-        """There are none that wait."""
         return None
 
     def write(self, topic: str, t_us: int, payload: Payload) -> None:
-        """To those who subscribed to it."""
         if topic.startswith(AID_PREFIX):
             self._server.announce(topic)
         self._server.put(topic, self.epoch_ns + 1000 * t_us, payload)
@@ -196,7 +186,6 @@ class LiveLog:
         self._describe_s = 0.0
 
     def tick(self, inputs: Inputs, outputs: Outputs, frames: Sequence[CameraFrame]) -> None:
-        """A tick is over."""
         if not self._server.watched:
             self._log = None
             return
@@ -210,7 +199,6 @@ class LiveLog:
         log.outputs(outputs)
 
     def loop_stats(self, stats: LoopStats) -> None:
-        """Health of the loop, once per second."""
         if self._log is not None:
             self._log.loop(stats)
 

@@ -102,8 +102,6 @@ def _version() -> str:
 
 
 class ViewServer:
-    """The live view of a process."""
-
     def __init__(self, port: int | None) -> None:
         """ConfigError if the port is taken; without one the first free port from the default on is used."""
         self.hub = Hub()
@@ -126,19 +124,15 @@ class ViewServer:
 
     @property
     def url(self) -> str:
-        """Where the page is."""
         return f"http://127.0.0.1:{self._server.server_address[1]}/"
 
     def close(self) -> None:
-        """Send everybody away."""
         self.hub.close()
         self._server.shutdown()
         self._server.server_close()
 
 
 class _Handler(BaseHTTPRequestHandler):
-    """One request."""
-
     server: _Server
     timeout = REQUEST_S
     server_version = "autopilot"
@@ -165,7 +159,6 @@ class _Handler(BaseHTTPRequestHandler):
             self._say(404, "there is no such page; the view is at /")
 
     def do_POST(self) -> None:
-        """Something is asked for."""
         if not self._from_here() or not self._from_the_page():
             return
         controls = self.server.hub.controls

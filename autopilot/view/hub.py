@@ -42,13 +42,11 @@ class Viewer:
         """The scene that it has been given; the hub's."""
 
     def put(self, kind: str, data: bytes) -> None:
-        """In place of the one before."""
         with self._news:
             self._waiting[kind] = data
             self._news.notify()
 
     def end(self) -> None:
-        """Nothing more comes."""
         with self._news:
             self._over = True
             self._news.notify()
@@ -67,8 +65,6 @@ class Viewer:
 
 
 class _Run:
-    """A run that is looked at."""
-
     def __init__(self, feed: Feed, vehicle: Vehicle, controls: Controls, simulated: bool, pictures: bool) -> None:
         self.feed, self.vehicle, self.controls = feed, vehicle, controls
         self.simulated, self.pictures = simulated, pictures
@@ -125,13 +121,11 @@ class Hub:
 
     @property
     def controls(self) -> Controls | None:
-        """Of the run of now."""
         run = self._run
         return None if run is None else run.controls
 
     @property
     def viewers(self) -> int:
-        """How many look."""
         return len(self._viewers)
 
     def join(self, *, pictures: bool) -> Viewer | None:
@@ -146,7 +140,6 @@ class Hub:
         return viewer
 
     def leave(self, viewer: Viewer) -> None:
-        """One less."""
         with self._lock:
             self._viewers = [other for other in self._viewers if other is not viewer]
         self._count()
@@ -173,7 +166,6 @@ class Hub:
                 time.sleep(1.0)
 
     def _give(self) -> None:
-        """News of the run to all viewers."""
         run, now_s = self._run, time.monotonic()
         snapshot = None if run is None else run.feed.snapshot
         if run is None or snapshot is None:

@@ -55,8 +55,6 @@ class AgeLimits(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class FaultOffer(msgspec.Struct, frozen=True, kw_only=True):
-    """A fault that can be called up."""
-
     label: str
     fault: dict[str, object]
     """A scenario's ``[[fault]]`` table without ``at_s``."""
@@ -76,8 +74,6 @@ class Steerable(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class SceneView(msgspec.Struct, frozen=True, kw_only=True):
-    """What seldom changes."""
-
     title: str
     vehicle: str
     simulated: bool
@@ -143,8 +139,6 @@ class Solid(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class ObstacleView(msgspec.Struct, frozen=True, kw_only=True):
-    """An obstacle that was reported."""
-
     number: int
     pos_ned_m: Point2
     vel_ned_m_s: Point2
@@ -153,8 +147,6 @@ class ObstacleView(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class GoalView(msgspec.Struct, frozen=True, kw_only=True):
-    """The goal of now."""
-
     pos_ned_m: Point3
     yaw_rad: float | None
     accept_radius_m: float
@@ -164,8 +156,6 @@ class GoalView(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Control(msgspec.Struct, frozen=True, kw_only=True):
-    """The last control step."""
-
     status: str
     fallback: str
     age_s: float
@@ -210,8 +200,6 @@ class DeviceView(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class ProgressView(msgspec.Struct, frozen=True, kw_only=True):
-    """How far the mission is."""
-
     state: str
     item: int
     reached: int
@@ -241,8 +229,6 @@ class Loop(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class MessageView(msgspec.Struct, frozen=True, kw_only=True):
-    """A line for the operator."""
-
     number: int
     """Counts from 1."""
     t_s: float

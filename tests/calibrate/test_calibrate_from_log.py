@@ -18,7 +18,7 @@ from autopilot.core.params import ParamSet
 from autopilot.core.samples import AhrsSample, MarkerSighting
 from autopilot.core.vehicle import load_vehicle
 from autopilot.log.packing import sensor_records
-from autopilot.log.packing.vehicle_records import vehicle_state
+from autopilot.log.packing.records import pack_record
 from autopilot.log.writer import LogWriter
 from autopilot.record.estimator_setup import estimator_attachments
 
@@ -55,7 +55,7 @@ def record(path: Path, *, markers: bool = True, sightings: bool = True) -> Path:
         ):
             t_us = round(t_s * 1e6)
             sample = AhrsSample(t_us=t_us, rpy_rad=rpy, rate_frd_rad_s=rate, accel_frd_m_s2=force)
-            log.write("/in/ahrs_raw", t_us, sensor_records.ahrs_raw(EPOCH_NS + 1000 * t_us, sample))
+            log.write("/in/ahrs_raw", t_us, pack_record("/in/ahrs_raw", EPOCH_NS + 1000 * t_us, sample))
         for t_s in np.arange(0.0, DURATION_S, 1.0 / 15.0):
             t_us = round((t_s + 1.0 + LATE_S) * 1e6)
             pos, rpy = motion.pos(np.array([t_s]))[0], motion.rpy(np.array([t_s]))[0]
@@ -65,7 +65,7 @@ def record(path: Path, *, markers: bool = True, sightings: bool = True) -> Path:
                 pos_ned_m=pos + 0.01, rpy_rad=rpy, vel_frd_m_s=zero, vel_water_frd_m_s=zero, rate_frd_rad_s=zero,
                 current_ned_m_s=zero,
             )  # fmt: skip
-            log.write("/nav/state", t_us, vehicle_state(EPOCH_NS + 1000 * t_us, state))  # type: ignore[arg-type]
+            log.write("/nav/state", t_us, pack_record("/nav/state", EPOCH_NS + 1000 * t_us, state))
             if not sightings:
                 continue
             seen = floor.visible(true, pos, r)[:24]

@@ -17,7 +17,7 @@ from autopilot.estimator.attitude import APART_RAD, AttitudeFilter, AttitudeSour
 from autopilot.estimator.estimator_tuning import MAGNETIC
 from autopilot.estimator.gyro_bias import MAX_RAD_S
 from autopilot.estimator.protocol import Estimator
-from autopilot.log.packing.estimate import nav_counters
+from autopilot.log.packing.records import pack_record
 from autopilot.log.schemas import layout
 from tests.bench.attitude import AttitudeErrors, errors_of
 from tests.bench.attitude_fixed import FixedGainFilter, FixedGains
@@ -284,7 +284,7 @@ def test_a_magnet_beside_raw_sensors_reaches_the_counters_and_the_log(make: Make
         estimator.step(sample.t_us + 3000, (sample,), np.zeros(4))
     counts = estimator.counters()
     assert counts["ahrs.field_disturbances"] == 2
-    packed = nav_counters(0, NavCounters(t_us=22_000_000, counts=counts))
+    packed = pack_record("/nav/counters", 0, NavCounters(t_us=22_000_000, counts=counts))
     kind = layout("autopilot_msgs/NavCounters").dtype
     (row,) = np.frombuffer(packed[len(packed) - kind.itemsize :], kind)
     assert row["ahrs_field_disturbances"] == 2

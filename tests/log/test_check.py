@@ -230,12 +230,12 @@ def test_only_the_armed_time_is_judged(tmp_path: Path) -> None:
 
 
 def test_a_log_without_description_or_track(tmp_path: Path) -> None:
-    from autopilot.log.packing import vehicle_records
+    from autopilot.log.packing.records import pack_record
     from autopilot.log.writer import LogWriter
 
     path = tmp_path / "bare.mcap"
     with LogWriter(path, epoch_ns=EPOCH_NS, metadata={}, attachments={}) as log:
-        log.write("/sim/contact", 0, vehicle_records.contact_state(EPOCH_NS, 1, 0.0))
+        log.write("/sim/contact", 0, pack_record("/sim/contact", EPOCH_NS, (1, 0.0)))
     for bare in (path, write_bare(tmp_path / "d.mcap", to_json(DESCRIPTION))):
         with pytest.raises(LogError, match="neither /sim/truth nor /nav/state"):
             acceptance_table(open_log(bare))

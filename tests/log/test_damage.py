@@ -216,12 +216,12 @@ def test_recovery(sound: Path, tmp_path: Path) -> None:
 _VICTIM = """
 import sys, time
 from pathlib import Path
-from autopilot.log.packing import vehicle_records as vehicle
+from autopilot.log.packing.records import pack_record
 from autopilot.log.writer import LogWriter
 log = LogWriter(Path(sys.argv[1]), epoch_ns=10**18, metadata={}, attachments={"a": b"b"})
 t_us = 0
 while True:
-    log.write("/sim/contact", t_us, vehicle.contact_state(10**18 + t_us * 1000, t_us // 1000, 0.0))
+    log.write("/sim/contact", t_us, pack_record("/sim/contact", 10**18 + t_us * 1000, (t_us // 1000, 0.0)))
     t_us += 1000
     time.sleep(0.001)
     if t_us == 1_500_000:

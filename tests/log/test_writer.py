@@ -23,7 +23,7 @@ from autopilot.core.samples import CameraFrame
 from autopilot.log.compare import compare_logs
 from autopilot.log.description import from_json
 from autopilot.log.log_session import RunLog, log_path, open_run_log
-from autopilot.log.packing import service_records, vehicle_records
+from autopilot.log.packing.records import pack_record
 from autopilot.log.reader import open_log
 from autopilot.log.topics import TOPICS
 from autopilot.log.writer import LogWriter
@@ -36,7 +36,7 @@ def full_log(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def contact(t_us: int) -> bytes:
-    return vehicle_records.contact_state(EPOCH_NS + t_us * 1000, t_us, 0.5)
+    return pack_record("/sim/contact", EPOCH_NS + t_us * 1000, (t_us, 0.5))
 
 
 def small(path: Path, **options: object) -> LogWriter:
@@ -357,4 +357,4 @@ def plain(text: str) -> str:
 def test_long_texts_of_the_vehicle_below_are_cut_between_characters() -> None:
     for padding in range(4):
         said = Below(t_us=0, authority=Authority.STOPPED, acts=False, text="x" * padding + "é" * 60)
-        assert b"x" * padding + "é".encode() * ((64 - padding) // 2) in service_records.below(0, said)
+        assert b"x" * padding + "é".encode() * ((64 - padding) // 2) in pack_record("/in/below", 0, said)

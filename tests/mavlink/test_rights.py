@@ -11,9 +11,9 @@ from mavlink_harness import Client, World, mav
 from autopilot.core.clients import Reach
 from autopilot.core.desk import Desk
 from autopilot.core.messages import MavlinkFrame
+from autopilot.log.directory_reader import LogShelf
 from autopilot.mavlink.api import CommandResult, SigningState
 from autopilot.mavlink.operators import GRAVE, GRAVE_COMMANDS
-from autopilot.run.downloads import LogShelf
 
 TAKE, REBOOT, STORAGE = 32100, mav.MAV_CMD_PREFLIGHT_REBOOT_SHUTDOWN, mav.MAV_CMD_PREFLIGHT_STORAGE
 KEY = bytes(range(32))

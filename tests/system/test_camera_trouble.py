@@ -11,7 +11,7 @@ from autopilot.command.camera_watch import FOGGY, MESSAGES, SILENT
 from autopilot.core.messages import Outputs
 from autopilot.core.operator_messages import CAMERA_WORKS
 from autopilot.log.analysis import last_counts
-from autopilot.log.packing.estimate import COUNTER_NAMES
+from autopilot.log.packing.record_values import COUNTER_NAMES
 from autopilot.log.reader import open_log
 from autopilot.log.report import write_report
 from autopilot.sitl.scenario import scenario_path

@@ -12,42 +12,42 @@ from types import NoneType, UnionType
 from typing import Any, get_args, get_origin, get_type_hints
 
 from autopilot.core.messages import MAX_THRUSTERS
+from autopilot.core.samples import MarkerSighting
 from autopilot.log.cdr import ENCAPSULATION, CdrField
 from autopilot.log.packing.parts import NS, clip, padded
+from autopilot.log.record_table import RECORD_ROWS, RecordRow
+from autopilot.log.sample_table import SAMPLE_ROWS, MessageRow
 from autopilot.log.schemas import layout, types_of
+from autopilot.log.topics import type_of
 
 Pack = Callable[[int, Any], bytes]
 """From the stamp [ns] and the object."""
-Put = Mapping[str, Callable[[Any], Any]]
-"""Field -> its value (its values, of an array) of an object."""
-
 LARGEST = {"uint8": 0xFF, "uint16": 0xFFFF, "uint32": 0xFFFFFFFF}
 
 
-def packer_of(
-    of: type, name: str, frame: str, *, known: Mapping[str, str] | None = None, put: Put | None = None
-) -> Pack:
-    """Packs an ``of`` as ``autopilot_msgs/<name>`` in the frame ``frame``.
-
-    ``known``: field that says whether an attribute is known -> the attribute.
-    """
-    full = f"autopilot_msgs/{name}"
-    given, hints, known = put or {}, get_type_hints(of), known or {}
+def packer_of(row: MessageRow) -> Pack:
+    """Packs what a row is of as its message."""
+    full = f"autopilot_msgs/{row.type}"
+    hints: dict[str, Any] = {} if row.of is None else get_type_hints(row.of)
     scope: dict[str, Any] = {
         "pack": layout(full).packer.pack,
         "padded": padded,
         "clip": clip,
         "nan": math.nan,
-        **{f"put_{field}": function for field, function in given.items()},
+        **{f"put_{field}": function for field, function in row.put.items()},
     }
-    parts = [repr(ENCAPSULATION), f"*divmod(stamp_ns, {NS})", str(len(frame) + 1), repr(frame.encode() + b"\0")]
-    for field in types_of(full)[full][1:]:
-        if field.name in given:
+    parts = [repr(ENCAPSULATION), f"*divmod(stamp_ns, {NS})", str(len(row.frame) + 1), repr(row.frame.encode() + b"\0")]
+    values = row.values if isinstance(row, RecordRow) else None
+    if values is not None:
+        scope["values"] = values
+        parts.append("*values(value)")
+    for field in types_of(full)[full][1:] if values is None else ():
+        if field.name in row.put:
             parts.append(f"{'*' if field.count else ''}put_{field.name}(value)")
-        elif field.name in known:
-            parts.append(f"int(value.{known[field.name]} is not None)")
+        elif field.name in row.known:
+            parts.append(f"int(value.{row.known[field.name]} is not None)")
         else:
-            parts.append(_packed(field, hints.get(field.name) or _returned(of, field.name)))
+            parts.append(_packed(field, hints.get(field.name) or _returned(row.of, field.name)))
     made: Pack = eval(f"lambda stamp_ns, value: pack({', '.join(parts)})", scope)
     return made
 
@@ -95,9 +95,9 @@ def _packed(field: CdrField, hint: Any) -> str:
     return f"int({value})"
 
 
-def _returned(of: type, name: str) -> Any:
+def _returned(of: type | None, name: str) -> Any:
     """The type of a property."""
-    return get_type_hints(getattr(of, name).fget)["return"]
+    return get_type_hints(getattr(of, name).fget)["return"] if of is not None else None
 
 
 def _optional(hint: Any) -> bool:
@@ -107,3 +107,13 @@ def _optional(hint: Any) -> bool:
 def _kind(hint: Any) -> Any:
     """The type of a value that is there."""
     return next(arg for arg in get_args(hint) if arg is not NoneType) if _optional(hint) else hint
+
+
+_PACKERS = {f"autopilot_msgs/{row.type}": packer_of(row) for row in RECORD_ROWS} | {
+    f"autopilot_msgs/{row.type}": packer_of(row) for row in SAMPLE_ROWS if row.of is not MarkerSighting
+}
+
+
+def pack_record(topic: str, stamp_ns: int, value: Any) -> bytes:
+    """A message of a topic with a type of ours (but for sightings of markers)."""
+    return _PACKERS[type_of(topic)](stamp_ns, value)

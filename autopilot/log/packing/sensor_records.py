@@ -6,10 +6,10 @@ import struct
 import numpy as np
 
 from autopilot.core.frames import quat_from_rpy
-from autopilot.core.samples import MAX_SIGHTED, AhrsSample, ExternalPoseSample, LaserSample, MarkerSighting
+from autopilot.core.samples import MAX_SIGHTED, AhrsSample, LaserSample, MarkerSighting
 from autopilot.log.cdr import ENCAPSULATION
 from autopilot.log.packing.parts import FRD, NS, UINT32, clip
-from autopilot.log.packing.records import Pack, packer_of
+from autopilot.log.packing.records import Pack
 from autopilot.log.sample_table import SAMPLE_ROWS
 from autopilot.log.schemas import layout
 
@@ -69,14 +69,7 @@ def laser_range(stamp_ns: int, sample: LaserSample) -> bytes:
     return _range(ENCAPSULATION, *divmod(stamp_ns, NS), *FRD, 1, 0.0, 0.0, math.inf, sample.range_m, variance)
 
 
-SAMPLES: dict[type, tuple[str, Pack]] = {
-    row.of: (row.topic, packer_of(row.of, row.type, row.frame, known=row.known, put=row.put))
-    for row in SAMPLE_ROWS
-    if row.of is not MarkerSighting
-} | {MarkerSighting: ("/in/markers", marker_sighting)}
-"""Class of a sample -> its topic and how it is packed: exactly what the estimator got."""
+SAMPLE_TOPICS: dict[type, str] = {row.of: row.topic for row in SAMPLE_ROWS}
+"""Class of a sample -> its topic: exactly what the estimator got."""
 VIEWERS: dict[type, tuple[str, Pack]] = {AhrsSample: ("/in/ahrs", imu), LaserSample: ("/in/laser", laser_range)}
 """The same as a standard message, where there is one that viewers know."""
-
-ahrs_raw = SAMPLES[AhrsSample][1]
-external_pose = SAMPLES[ExternalPoseSample][1]
