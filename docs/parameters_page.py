@@ -20,7 +20,7 @@ def table() -> str:
     """One row per parameter; numbered ones share a row."""
     from autopilot.core.params import PARAMETERS
 
-    lines = ["| name | default | range | unit | meaning |", "| --- | --- | --- | --- | --- |"]
+    lines = ["| name | default, range | meaning |", "| --- | --- | --- |"]
     seen: set[str] = set()
     for spec in sorted(PARAMETERS, key=lambda spec: spec.name):
         numbered = _NUMBERED.match(spec.name)
@@ -31,8 +31,8 @@ def table() -> str:
         meaning = spec.help.replace(ACTIONS, "action")
         if numbered:
             meaning = re.sub(r"\b(button|thruster) \d+", r"\1 n", meaning)
-        bounds = f"{spec.minimum:g} to {spec.maximum:g}"
-        lines.append(f"| `{name}` | {spec.default:g} | {bounds} | {spec.unit} | {meaning} |")
+        value = f"{spec.default:g} {spec.unit}".rstrip()
+        lines.append(f"| `{name}` | {value}, {spec.minimum:g}..{spec.maximum:g} | {meaning.rstrip('.')} |")
     return "\n".join(lines)
 
 
