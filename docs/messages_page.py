@@ -20,9 +20,9 @@ What a text on the ground station means beyond its words, and what to do. Every 
 autopilot log export run.mcap --topic /rosout      # the texts of a flight, as CSV
 ```
 
-Names in braces are filled in when the text is sent. Conditions after "Failsafe" are in [failsafes.md](failsafes.md).
-Texts above 50 characters arrive in chunks, which ground stations join. Written by
-`python docs/messages_page.py --write` from [operator_messages.py](../autopilot/core/operator_messages.py).
+Names in braces are filled in when the text is sent; texts without an explanation stand last in their group. Conditions
+after "Failsafe" are in [failsafes.md](failsafes.md). Texts above 50 characters arrive in chunks, which ground stations
+join. By `python docs/messages_page.py --write` from [operator_messages.py](../autopilot/core/operator_messages.py).
 """
 
 
@@ -44,27 +44,21 @@ def shown(row: operator_messages.Row) -> str:
     return "`" + re.sub(r"\{(\w+):[^}]*\}", r"{\1}", row.template).replace("`", "") + "`"
 
 
-def plain(rows: list[operator_messages.Row]) -> str:
-    """Texts that say all themselves, by severity."""
-    texts: dict[str, list[str]] = {}
-    for row in sorted(rows, key=lambda row: row.severity):
-        texts.setdefault(row.severity.name, []).append(shown(row))
-    return "\n".join(f"* {severity}: {', '.join(found)}" for severity, found in texts.items())
+def listed(rows: list[operator_messages.Row]) -> list[str]:
+    """Texts of one severity: those to explain line by line, then those that say all themselves."""
+    lines = [f"* {shown(row)}: {f'{row.meaning} {row.remedy}'.strip()}" for row in rows if row.meaning or row.remedy]
+    plain = [shown(row) for row in rows if not (row.meaning or row.remedy)]
+    return [*lines, f"* {', '.join(plain)}"] if plain else lines
 
 
 def page() -> str:
     """The whole page."""
     parts = [HEAD]
     for heading, names in sections().items():
+        parts.append(f"## {heading}\n")
         rows = [operator_messages.ROWS[name] for name in names]
-        explained = [row for row in rows if row.meaning or row.remedy]
-        parts.append(f"## {heading}\n\n| severity | text | meaning, remedy |\n| --- | --- | --- |")
-        parts += [
-            f"| {row.severity.name} | {shown(row)} | {f'{row.meaning} {row.remedy}'.strip()} |"
-            for row in sorted(explained, key=lambda row: row.severity)
-        ]
-        left = plain([row for row in rows if row not in explained])
-        parts += ["", left, ""] if left else [""]
+        for severity in sorted({row.severity for row in rows}):
+            parts += [f"**{severity.name}**\n", *listed([row for row in rows if row.severity == severity]), ""]
     return "\n".join(parts).rstrip() + "\n"
 
 

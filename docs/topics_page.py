@@ -26,9 +26,10 @@ autopilot log info run.mcap      # topics and rates of a log
 ```
 
 A field's name ends with its SI unit and holds its frame: `pos_ned_m` in NED and metres, `vel_frd_m_s` in body axes and
-m/s; `us` is microseconds. Every message begins with a `header` (stamp = log time, frame) unless its standard type has
-none. Types of `autopilot_msgs` are of fixed size; every file contains all definitions. Arrays are filled with 0 beyond
-what is used. "On change" topics are also written once per second. `/sim` and `/viz/truth`: simulation only.
+m/s; `us` is microseconds. It is float64 unless a type is given. Every message begins with a `header` (stamp = log time,
+frame) unless its standard type has none. Types of `autopilot_msgs` are of fixed size, their arrays 0 beyond what is
+used; every file contains all definitions. "On change" topics are also written once per second. `/sim` and `/viz/truth`:
+simulation only.
 
 Written by `python docs/topics_page.py --write` from `docs/topics.csv` and `autopilot/log/schemas.py`.
 """
@@ -58,9 +59,10 @@ def missing() -> list[str]:
 
 
 def field_line(field: CdrField, text: str) -> str:
-    """A field of our own types: name, type, meaning."""
+    """A field of our own types: name with size, type unless it is float64, meaning."""
     size = "" if field.count is None else f"[{field.count}]"
-    return f"* `{field.name}` {field.type}{size}: {text.replace(', unused = 0', '')}"
+    kind = "" if field.type == "float64" else f" {field.type}"
+    return f"* `{field.name}{size}`{kind}: {text.replace(', unused = 0', '')}"
 
 
 def page() -> str:
