@@ -111,7 +111,7 @@ _ROWS = (
     ItemType(
         command=Command.DO_CHANGE_SPEED,
         parse=do_items.change_speed,
-        uses=("p1 0 or 1, p2 speed over ground [m/s], at most `SPD_PLANAR_MAX` (-2 = `SPD_CRUISE` again)"),
+        uses="p1 0 or 1, p2 speed over ground [m/s], at most `SPD_PLANAR_MAX`; -2 = `SPD_CRUISE` again",
     ),
     ItemType(
         command=Command.DO_SET_HOME,
