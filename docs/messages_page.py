@@ -14,10 +14,11 @@ TABLE = Path(operator_messages.__file__)
 PAGE = Path(__file__).resolve().parent / "messages.md"
 HEAD = """# Messages to operators
 
-What a text on the ground station means beyond its words, and what to do. Every text is also in the log.
+Meaning and remedy of the texts on a ground station, where the text does not say all. Every text is also in the log.
 
+<!-- tested -->
 ```
-autopilot log export run.mcap --topic /rosout      # the texts of a flight, as CSV
+autopilot log export out/demo/run.mcap --topic /rosout      # the texts of a flight, as CSV
 ```
 
 Names in braces are filled in when the text is sent; texts without an explanation stand last in their group. Conditions

@@ -21,8 +21,9 @@ HEAD = """# Topics and fields
 
 Every topic of a log: message type, rate, meaning and fields.
 
+<!-- tested -->
 ```
-autopilot log info run.mcap      # topics and rates of a log
+autopilot log info out/demo/run.mcap      # topics and rates of a log
 ```
 
 A field's name ends with its SI unit and holds its frame: `pos_ned_m` in NED and metres, `vel_frd_m_s` in body axes and
