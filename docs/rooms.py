@@ -49,7 +49,7 @@ def imports_of(path: Path, known: dict[str, Path]) -> set[str]:
 @cache
 def _names(path: Path) -> frozenset[tuple[str, str]]:
     """What a file imports, wherever in it: each name with its module in front, and that module."""
-    found = set()
+    found: set[tuple[str, str]] = set()
     for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
         if isinstance(node, ast.Import):
             found.update((alias.name, alias.name) for alias in node.names)
