@@ -299,10 +299,9 @@ PARAMETERS: tuple[ParamSpec, ...] = (
         kept=False,
     ),
     _int("THR_DETECT", 1, 0, 1, "Thrust losses: 0 = only by THRn_HEALTH, 1 = detected from the motion."),
-    _real("THR1_HEALTH", 1.0, 0.0, 1.0, "", "Known effectiveness, 0 to 1, of thruster 1."),
     *(
         _real(f"THR{i}_HEALTH", 1.0, 0.0, 1.0, "", f"Known effectiveness, 0 to 1, of thruster {i}.")
-        for i in range(2, 9)
+        for i in range(1, 9)
     ),
     _real("TKOFF_DEPTH", 0.5, 0.05, 6000.0, "m", "Depth of NAV_TAKEOFF without one in the command."),
     _real("WP_ACCEPT_RADIUS", 0.3, 0.02, 50.0, "m", "Acceptance radius where an item gives none."),
