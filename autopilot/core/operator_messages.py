@@ -149,7 +149,7 @@ ESTIMATE_NOT_FINITE = _error(
     "Keep the log.",
 )
 ESTIMATE_FINITE = _info("Estimate is finite again")
-ESTIMATOR_REMARK = _warning("{text}", "One of those below, or from an estimator of your own.")
+ESTIMATOR_REMARK = _warning("{text}", "From an estimator of your own.")
 STAMPS_JUMPED = _warning("{name} stamps jumped {jump_ms:+.0f} ms: check its clock")
 STAMPS_OFF = _warning(
     "{name} stamps {off_ms:.0f} ms {what}: calibrate latency", "Images disagree with the gyro in time."
