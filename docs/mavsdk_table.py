@@ -31,13 +31,12 @@ LAT, LON = 37.9755, 23.7790
 
 Probe = tuple[str, Callable[[], Any]]
 
-OTHER_SIDE = "not for clients"
-
 
 def plugin_names() -> list[str]:
-    """All plugins of the installed package."""
+    """Plugins for clients in the installed package: not those of the other side (servers)."""
     folder = Path(mavsdk.plugins.__file__ or "").parent
-    return sorted(path.name for path in folder.iterdir() if (path / "__init__.py").exists())
+    names = sorted(path.name for path in folder.iterdir() if (path / "__init__.py").exists())
+    return [name for name in names if "server" not in name]
 
 
 class PluginRow:
@@ -46,14 +45,17 @@ class PluginRow:
     def __init__(self, name: str) -> None:
         self.name = name
         self.works: list[str] = []
-        self.refused: list[str] = []
-        self.nothing: list[str] = []
+        self.refused: dict[str, list[str]] = {}
+        """By outcome."""
 
     def markdown(self) -> str:
-        if self.name.endswith("_server") or self.name == "server_utility":
-            return f"| {self.name} | | | {OTHER_SIDE} |"
-        cells = (", ".join(dict.fromkeys(cell)) for cell in (self.works, self.refused, self.nothing))
-        return f"| {self.name} | {' | '.join(cells)} |"
+        """A line of the table."""
+        refused = "; ".join(f"{outcome}: {', '.join(calls)}" for outcome, calls in self.refused.items())
+        return f"| {self.name} | {', '.join(dict.fromkeys(self.works))} | {refused} |"
+
+    def refuse(self, outcome: str, call: str) -> None:
+        """A call that did not work."""
+        self.refused.setdefault(outcome, []).append(call)
 
 
 class Bench:
@@ -61,10 +63,7 @@ class Bench:
 
     def __init__(self, system: Any, folder: Path) -> None:
         self.system, self.folder = system, folder
-        self.texts: list[str] = []
-        telemetry = self.plugin("telemetry")
-        telemetry.subscribe_status_text(lambda text, _: self.texts.append(text.text))
-        self._telemetry = telemetry
+        self._telemetry = self.plugin("telemetry")
 
     def ready(self) -> bool:
         """Whether MAVSDK takes the vehicle for one that is."""
@@ -77,7 +76,7 @@ class Bench:
     def row(self, name: str) -> PluginRow:
         row = PluginRow(name)
         probes = PROBES.get(name)
-        if probes is None or name.endswith("_server"):
+        if probes is None:
             return row
         calls, streams = probes(self)
         for label, call in calls:
@@ -97,19 +96,15 @@ class Bench:
                 result = getattr(error, "result", None)
                 outcome.append(getattr(result, "name", f"{type(error).__name__}: {error}"[:60]))
 
-        before = len(self.texts)
         thread = threading.Thread(target=run, daemon=True)
         thread.start()
         thread.join(PATIENCE_S)
         if not outcome:
-            row.nothing.append(f"{label} (hangs)")
+            row.refuse("hangs", label)
         elif not outcome[0]:
             row.works.append(label)
         else:
-            time.sleep(0.3)
-            said = " with text" if len(self.texts) > before else ""
-            where = row.nothing if outcome[0] in ("TIMEOUT", "NO_SYSTEM") else row.refused
-            where.append(f"{label} ({outcome[0]}{said})")
+            row.refuse(outcome[0], label)
 
     def _listen(self, row: PluginRow, streams: list[tuple[str, Callable[[Callable[..., None]], Any]]]) -> None:
         told: set[str] = set()
@@ -119,7 +114,10 @@ class Bench:
         while time.monotonic() < end_s and len(told) < len(streams):
             time.sleep(0.1)
         for label, _ in streams:
-            (row.works if label in told else row.nothing).append(label if label in told else f"{label} (silent)")
+            if label in told:
+                row.works.append(label)
+            else:
+                row.refuse("silent", label)
 
 
 def started(begin: Callable[[Callable[..., None]], Any]) -> Callable[[], Any]:
@@ -485,7 +483,8 @@ def bench_on_a_vehicle() -> Iterator[Bench]:
 
 
 def table(names: list[str], show: Callable[[str], None] = lambda _: None) -> str:
-    lines = ["| plugin | works | refused | nothing comes, or not offered |", "| --- | --- | --- | --- |"]
+    """Markdown."""
+    lines = ["| plugin | works | does not |", "| --- | --- | --- |"]
     with bench_on_a_vehicle() as bench:
         for name in names:
             lines.append(bench.row(name).markdown())

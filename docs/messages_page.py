@@ -14,10 +14,16 @@ TABLE = Path(operator_messages.__file__)
 PAGE = Path(__file__).resolve().parent / "messages.md"
 HEAD = """# Messages to operators
 
-What a text on the ground station means and what to do. Written by `python docs/messages_page.py --write` from
-[operator_messages.py](../autopilot/core/operator_messages.py). Names in braces are filled in when the text is sent.
-Conditions after "Failsafe" are in [failsafes.md](failsafes.md). Texts above 50 characters arrive in chunks, which
-ground stations join. Every text is also in the log.
+Meaning and remedy of the texts on a ground station, where the text does not say all. Every text is also in the log.
+
+<!-- tested -->
+```
+autopilot log export out/demo/run.mcap --topic /rosout      # the texts of a flight, as CSV
+```
+
+Names in braces are filled in when the text is sent; texts without an explanation stand last in their group. Conditions
+after "Failsafe" are in [failsafes.md](failsafes.md). Texts above 50 characters arrive in chunks, which ground stations
+join. By `python docs/messages_page.py --write` from [operator_messages.py](../autopilot/core/operator_messages.py).
 """
 
 
@@ -32,15 +38,27 @@ def sections() -> dict[str, list[str]]:
     return found
 
 
+def shown(row: operator_messages.Row) -> str:
+    """The text without the formats of its fields; one that is all a field has none to look up."""
+    if re.fullmatch(r"\{\w+\}", row.template):
+        return "(varies)"
+    return "`" + re.sub(r"\{(\w+):[^}]*\}", r"{\1}", row.template).replace("`", "") + "`"
+
+
+def listed(rows: list[operator_messages.Row]) -> list[str]:
+    """Texts of one severity: those to explain line by line, then those that say all themselves."""
+    lines = [f"* {shown(row)}: {f'{row.meaning} {row.remedy}'.strip()}" for row in rows if row.meaning or row.remedy]
+    plain = [shown(row) for row in rows if not (row.meaning or row.remedy)]
+    return [*lines, f"* {', '.join(plain)}"] if plain else lines
+
+
 def page() -> str:
     parts = [HEAD]
     for heading, names in sections().items():
-        parts.append(f"## {heading}\n\n| severity | text | meaning | remedy |\n| --- | --- | --- | --- |")
-        for name in names:
-            row = operator_messages.ROWS[name]
-            text = re.sub(r"\{(\w+):[^}]*\}", r"{\1}", row.template).replace("`", "")
-            parts.append(f"| {row.severity.name} | `{text}` | {row.meaning} | {row.remedy} |")
-        parts.append("")
+        parts.append(f"## {heading}\n")
+        rows = [operator_messages.ROWS[name] for name in names]
+        for severity in sorted({row.severity for row in rows}):
+            parts += [f"**{severity.name}**\n", *listed([row for row in rows if row.severity == severity]), ""]
     return "\n".join(parts).rstrip() + "\n"
 
 

@@ -20,19 +20,23 @@ def table() -> str:
     """One row per parameter; numbered ones share a row."""
     from autopilot.core.params import PARAMETERS
 
-    lines = ["| name | default | range | unit | meaning |", "| --- | --- | --- | --- | --- |"]
+    lines = ["| name | default, range | meaning |", "| --- | --- | --- |"]
     seen: set[str] = set()
-    for spec in sorted(PARAMETERS, key=lambda spec: spec.name):
+    acts = ", ".join(
+        f"`{spec.name}`" for spec in sorted(PARAMETERS, key=lambda spec: spec.name) if ACTIONS in spec.help
+    )
+    lines.append(f"| `FS_*_ACT` | [failsafes.md](failsafes.md), 0..6 | {ACTIONS}: {acts} |")
+    for spec in sorted((spec for spec in PARAMETERS if ACTIONS not in spec.help), key=lambda spec: spec.name):
         numbered = _NUMBERED.match(spec.name)
         name = f"{numbered[1]}n{numbered[2]}" if numbered else spec.name
         if name in seen:
             continue
         seen.add(name)
-        meaning = spec.help.replace(ACTIONS, "action")
+        meaning = spec.help
         if numbered:
             meaning = re.sub(r"\b(button|thruster) \d+", r"\1 n", meaning)
-        bounds = f"{spec.minimum:g} to {spec.maximum:g}"
-        lines.append(f"| `{name}` | {spec.default:g} | {bounds} | {spec.unit} | {meaning} |")
+        value = f"{spec.default:g} {spec.unit}".rstrip()
+        lines.append(f"| `{name}` | {value}, {spec.minimum:g}..{spec.maximum:g} | {meaning.rstrip('.')} |")
     return "\n".join(lines)
 
 

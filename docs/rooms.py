@@ -1,9 +1,8 @@
-"""Draws the rooms of the code and the arrows between them from the imports: ``python docs/rooms.py --write``.
+"""Draws the packages and the imports between them: ``python docs/rooms.py --write``.
 
-A room is a folder of Python modules; ``autopilot/control`` has rooms of its own. The drawing is a Mermaid diagram in
-``docs/architecture.md``, between the lines ``rooms:begin`` and ``rooms:end``. What everything imports (``core``) and
-what imports everything (composition: command line, benchmarks, campaigns) is left out of the picture and stands in
-the table below it.
+The drawing is a Mermaid diagram in ``docs/architecture.md``, between the lines ``rooms:begin`` and ``rooms:end``. The
+packages of ``autopilot/control`` are drawn as one. ``core``, which all import, and those that import everything
+(command line, benchmarks, campaigns) are left out, and so are arrows that follow from others.
 """
 
 import argparse
@@ -50,7 +49,7 @@ def imports_of(path: Path, known: dict[str, Path]) -> set[str]:
 @cache
 def _names(path: Path) -> frozenset[tuple[str, str]]:
     """What a file imports, wherever in it: each name with its module in front, and that module."""
-    found = set()
+    found: set[tuple[str, str]] = set()
     for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
         if isinstance(node, ast.Import):
             found.update((alias.name, alias.name) for alias in node.names)
@@ -84,20 +83,31 @@ def circles(rooms: dict[str, set[str]]) -> list[tuple[str, ...]]:
     return sorted(groups)
 
 
+def drawn() -> dict[str, set[str]]:
+    """The arrows of the picture: control as one package, without arrows that follow from others."""
+    whole: dict[str, set[str]] = {}
+    for room, names in arrows().items():
+        found = whole.setdefault(_whole(room), set())
+        found.update({_whole(name) for name in names if name not in UNDRAWN} - {_whole(room)})
+    kept = {room: names for room, names in whole.items() if room not in UNDRAWN}
+
+    def behind(room: str) -> set[str]:
+        return kept[room].union(*(behind(name) for name in kept[room]))
+
+    return {room: names - {far for name in names for far in behind(name)} for room, names in kept.items()}
+
+
+def _whole(room: str) -> str:
+    return "autopilot.control" if room.startswith("autopilot.control.") else room
+
+
 def drawing() -> str:
-    """The diagram and the table, as they stand in the page."""
-    rooms = arrows()
-    short = {room: room.removeprefix("autopilot.") for room in rooms}
+    """The diagram as it stands in the page."""
     lines = ["```mermaid", "flowchart TD"]
-    for room in sorted(rooms):
-        if room not in UNDRAWN:
-            lines += [f"    {short[room]} --> {short[name]}" for name in sorted(rooms[room]) if name not in UNDRAWN]
-    lines += ["```", "", "| room | imports from |", "| --- | --- |"]
-    lines += [
-        f"| `{short[room]}` | {', '.join(short[name] for name in sorted(rooms[room])) or 'nothing of ours'} |"
-        for room in sorted(rooms)
-    ]
-    return "\n".join(lines)
+    for room, names in sorted(drawn().items()):
+        short = room.removeprefix("autopilot.")
+        lines += [f"    {short} --> {name.removeprefix('autopilot.')}" for name in sorted(names)]
+    return "\n".join([*lines, "```"])
 
 
 def page_with(text: str) -> str:

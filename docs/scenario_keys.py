@@ -51,7 +51,18 @@ def lines(name: str, kind: Any, listed: bool = False) -> list[str]:
             else:
                 keys.append(f"{field.encode_name}={value(field.default)}")
         found += [f"{head} {' '.join(keys)}", *inner] if keys else inner
-    return found
+    return _common_first(found)
+
+
+def _common_first(found: list[str]) -> list[str]:
+    """Keys that every kind of a table has, once."""
+    keys = [set(line.split()[1:]) for line in found if " kind=" in line]
+    common = set.intersection(*keys) if len(keys) > 1 else set()
+    if not common:
+        return found
+    head = found[0].split()[0]
+    left = [" ".join(word for word in line.split() if word not in common) for line in found]
+    return [f"{head} kind* {' '.join(sorted(common))}", *left]
 
 
 def listing() -> str:

@@ -31,9 +31,9 @@ def served() -> Rights:
 def table(rights: Rights) -> str:
     """As it stands in the page."""
     rows = {
-        "anyone, always: reads, asks, says what it measures": rights.anyone,
-        "anyone while nobody is in control, else only who is": rights.control,
-        "the same; with `MAV_CTRL_NEEDED` 1 nobody while nobody is in control. All are told who it was": rights.grave,
+        "everybody: reads, requests, measurements": rights.anyone,
+        "the station in control; everybody while there is none": rights.control,
+        "the same; with `MAV_CTRL_NEEDED` 1 only the station in control": rights.grave,
     }
     lines = ["| who | messages | commands |", "| --- | --- | --- |"]
     lines += [

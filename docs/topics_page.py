@@ -17,20 +17,22 @@ HERE = Path(__file__).resolve().parent
 PAGE, TABLE = HERE / "topics.md", HERE / "topics.csv"
 OWN = "autopilot_msgs/"
 AID = AID_PREFIX + "<sensor>"
-UNITS = (
-    *(("_rad_s", "rad/s"), ("_m_s2", "m/s²"), ("_m_s", "m/s"), ("_rad", "rad"), ("_deg", "deg"), ("_us", "µs")),
-    *(("_m", "m"), ("_n", "N"), ("_s", "s"), ("_j", "J"), ("_w", "W"), ("_v", "V"), ("_a", "A"), ("_c", "°C")),
-    *(("_pa", "Pa"), ("_px", "px")),
-)
-FRAMES = ("ned", "frd", "cam")
 HEAD = """# Topics and fields
 
-Which topics and fields does a log have? Written by `python docs/topics_page.py --write` from `docs/topics.csv` and
-`autopilot/log/schemas.py`. `autopilot log info LOG` prints the rates of a log.
+Every topic of a log: message type, rate, meaning and fields.
 
-SI units, world `ned`, body `frd`. A field has its type, (unit, frame) and meaning. Every message begins with a `header`
-(stamp = log time, frame) unless its standard type has none. Own types (`autopilot_msgs`) are of fixed size; every file
-contains all definitions. "On change" topics are also written once per second. `/sim` and `/viz/truth`: simulation only.
+<!-- tested -->
+```
+autopilot log info out/demo/run.mcap      # topics and rates of a log
+```
+
+A field's name ends with its SI unit and holds its frame: `pos_ned_m` in NED and metres, `vel_frd_m_s` in body axes and
+m/s; `us` is microseconds. It is float64 unless a type is given. Every message begins with a `header` (stamp = log time,
+frame) unless its standard type has none. Types of `autopilot_msgs` are of fixed size, their arrays 0 beyond what is
+used; every file contains all definitions. "On change" topics are also written once per second. `/sim` and `/viz/truth`:
+simulation only.
+
+Written by `python docs/topics_page.py --write` from `docs/topics.csv` and `autopilot/log/schemas.py`.
 """
 
 
@@ -38,14 +40,6 @@ def described() -> dict[str, tuple[str, str]]:
     """Topic -> rate and text."""
     with TABLE.open(encoding="utf-8", newline="") as file:
         return {row["topic"]: (row["rate"], row["what"]) for row in csv.DictReader(file)}
-
-
-def unit(name: str) -> str:
-    """Unit and frame by the name of a field."""
-    base = name.removesuffix("_var")
-    ending = next((text for end, text in UNITS if base.endswith(end)), "")
-    frame = next((part.upper() if part != "cam" else "camera" for part in name.split("_") if part in FRAMES), "")
-    return ", ".join(part for part in (ending, frame) if part)
 
 
 def missing() -> list[str]:
@@ -66,10 +60,10 @@ def missing() -> list[str]:
 
 
 def field_line(field: CdrField, text: str) -> str:
-    """A field of our own types: name, type, unit and frame, meaning."""
+    """A field of our own types: name with size, type unless it is float64, meaning."""
     size = "" if field.count is None else f"[{field.count}]"
-    units = f" ({unit(field.name)})" if unit(field.name) else ""
-    return f"* `{field.name}` {field.type}{size}{units}: {text}"
+    kind = "" if field.type == "float64" else f" {field.type}"
+    return f"* `{field.name}{size}`{kind}: {text.replace(', unused = 0', '')}"
 
 
 def page() -> str:
@@ -86,8 +80,6 @@ def page() -> str:
             texts = comments(kind)
             own = [field for field in types_of(kind)[kind] if field.name != "header"]
             parts.append("\n".join(field_line(field, texts.get(field.name, "")) for field in own) + "\n")
-        else:
-            parts.append(f"Fields: {', '.join(f'`{field.name}`' for field in types_of(kind)[kind])}.\n")
     return "\n".join(parts)
 
 

@@ -83,7 +83,7 @@ _ROWS = (
     ItemType(
         Command.DO_CHANGE_SPEED,
         do_items.change_speed,
-        "p1 0 or 1, p2 speed over ground [m/s], at most `SPD_PLANAR_MAX` (-2 = `SPD_CRUISE` again)",
+        "p1 0 or 1, p2 speed over ground [m/s], at most `SPD_PLANAR_MAX`; -2 = `SPD_CRUISE` again",
     ),
     ItemType(Command.DO_SET_HOME, do_items.set_home, "p1 1 = here"),
     ItemType(

@@ -33,9 +33,9 @@ def failsafe_texts() -> list[FailsafeText]:
 
 def failsafe_markdown() -> str:
     """What docs/failsafes.md holds between its marks."""
-    lines = ["| bit | failsafe | begins when | over | what is done | text |", "| --- | --- | --- | --- | --- | --- |"]
+    lines = ["| bit | failsafe | begins when; over | action | text |", "| --- | --- | --- | --- | --- |"]
     lines += [
-        f"| {text.bit} | {text.name} | {text.condition} | {text.over} | {_short(text.action)} | {text.said} |"
+        f"| {text.bit} | {text.name} | {text.condition}{_ending(text.over)} | {_short(text.action)} | {text.said} |"
         for text in failsafe_texts()
     ]
     lines += ["", "| effect, weakest first | as a number | |", "| --- | --- | --- |"]
@@ -48,6 +48,12 @@ def with_table(page: str) -> str:
     """A page with the table between its marks made anew."""
     begin, end = page.index(BEGIN) + len(BEGIN), page.index(END)
     return f"{page[:begin]}\n{failsafe_markdown()}{page[end:]}"
+
+
+def _ending(over: str) -> str:
+    """When it is over, unless that is as soon as the condition is."""
+    parts = [part for part in over.split(", ") if part != "at once"]
+    return f"; over: {', '.join(parts)}" if parts else ""
 
 
 def _short(action: str) -> str:

@@ -1,7 +1,7 @@
 """The failsafes, one row each: condition, when it begins and ends, what is done, what is said.
 
 Data only. :mod:`autopilot.command.failsafes` evaluates it once per tick, docs/failsafes.md is generated from it
-(``autopilot failsafes --markdown``), and every row has a fault scenario (:mod:`autopilot.campaign.fault_cases`).
+(``autopilot failsafes --write``), and every row has a fault scenario (:mod:`autopilot.campaign.fault_cases`).
 
 A row looks at one quantity. It begins when that has been at its bound or beyond for ``enter_s`` and ends when it has
 been back by ``gap`` for ``leave_s``. NaN is neither: what nobody measures raises nothing.
@@ -182,7 +182,7 @@ ROWS: tuple[FailsafeRow, ...] = (
     ),
     FailsafeRow(
         rule=Failsafe.DEAD_RECKONING,
-        condition="no position fix for `FS_DR_TIME` (dead reckoning)",
+        condition="no position fix for `FS_DR_TIME`",
         level=lambda v, f: f.no_fix_s,
         enter="FS_DR_TIME",
         action="FS_DR_ACT",

@@ -18,7 +18,7 @@ _SEED = click.option("--seed", type=int, default=1, show_default=True, help="Whe
 @click.command()
 @click.option("--short", is_flag=True, hidden=True)
 @click.option("--part", help="Only the findings of this part (loop, plans ...).")
-@click.option("--markdown", "as_markdown", is_flag=True, help="Print the table as docs/reliability.md has it.")
+@click.option("--markdown", "as_markdown", is_flag=True, help="Print a Markdown table.")
 @JSON
 def faults(short: bool, part: str | None, as_markdown: bool, as_json: bool) -> None:
     """What clients, wires, disks and sensors can do to the service.

@@ -30,7 +30,7 @@ def test_the_page_is_current(generator: dict[str, Any]) -> None:
     assert page == generator["page"](), "run python docs/topics_page.py --write"
     for topic in TOPICS:
         assert f"## {topic}\n" in page
-    assert "* `pos_ned_m` float64[3] (m, NED): place\n" in page
+    assert "* `pos_ned_m[3]`: place\n" in page
 
 
 def test_what_is_not_documented_is_named(generator: dict[str, Any], monkeypatch: pytest.MonkeyPatch) -> None:

@@ -87,8 +87,8 @@ def test_senders_give_the_fields_of_the_row() -> None:
     assert wrong == []
 
 
-def test_rows_say_what_they_mean() -> None:
-    assert [name for name, row in ROWS.items() if not row.meaning.endswith(".")] == []
+def test_meanings_and_remedies_are_sentences() -> None:
+    assert [name for name, row in ROWS.items() if row.meaning and not row.meaning.endswith(".")] == []
     assert [name for name, row in ROWS.items() if row.remedy and not row.remedy.endswith(".")] == []
 
 

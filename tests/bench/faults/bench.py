@@ -65,7 +65,7 @@ def bench_faults(part: str | None = None, show: Callable[[str], None] = lambda _
 
 
 def markdown(rows: list[FaultRow]) -> str:
-    """The table of docs/reliability.md."""
+    """The results as a Markdown table."""
     head = "| part | what is done | promised | measured | kept |\n| --- | --- | --- | --- | --- |\n"
     return head + "".join(
         f"| {r.part} | {r.finding} | {r.promise} | {r.now} | {'yes' if r.kept else 'NO'} |\n" for r in rows

@@ -1,0 +1,12 @@
+"""The reference flights in docs/results.md are those that the benchmark compares with."""
+
+import runpy
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[2]
+
+
+def test_the_reference_flights_are_those_of_the_benchmark() -> None:
+    script = runpy.run_path(str(ROOT / "docs" / "results_page.py"))
+    text = (ROOT / "docs" / "results.md").read_text(encoding="utf-8")
+    assert text == script["written"](text), "run python docs/results_page.py --write"
