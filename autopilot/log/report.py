@@ -209,7 +209,7 @@ def _header(flight: FlightRecord, rows: Sequence[BoundRow]) -> str:
     pairs += [
         ("judged on", "truth" if flight.truth is not None else "estimate"),
         ("armed", f"{armed.start_s:.1f} s to {armed.end_s:.1f} s"),
-        ("way", f"{float(((steps**2).sum(axis=1) ** 0.5).sum()):.1f} m in {armed.end_s - armed.start_s:.1f} s"),
+        ("path length", f"{float(((steps**2).sum(axis=1) ** 0.5).sum()):.1f} m in {armed.end_s - armed.start_s:.1f} s"),
         ("fastest", f"{float(track.planar_speed_m_s.max(initial=0.0)):.2f} m/s in the water"),
         ("messages", f"{log.message_count} on {len(log.topics)} topics"),
     ]

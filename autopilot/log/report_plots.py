@@ -422,7 +422,7 @@ class Plots:
                 _draw_moved(plot, one, run)
         rows = np.arange(0, len(track.t_s), max(1, len(track.t_s) // (4 * BUCKETS)))
         x, y = track.pos_ned_m[rows, 0].astype(np.float32), track.pos_ned_m[rows, 1].astype(np.float32)
-        items = [("way", [_draw_way(plot, "way", x, y, line_color="#333333", line_width=1.5)])]
+        items = [("path", [_draw_way(plot, "path", x, y, line_color="#333333", line_width=1.5)])]
         laps = lap_spans(visits(track, run), run, self._flight.armed.start_s) if run is not None else []
         colors = COLORS if len(laps) <= MOST_LAPS else viridis(len(laps))
         named = set(range(len(laps)))

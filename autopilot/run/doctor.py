@@ -7,6 +7,7 @@ rates, noise, and whether what is measured can be true. Nothing moves.
 """
 
 import contextlib
+import re
 import shutil
 import sys
 import tempfile
@@ -320,11 +321,13 @@ def _position(look: _SettledOutputs, config: VehicleConfig, settings: EffectiveS
 
 
 def _failed(what: str, text: str) -> Finding:
-    """A text of the service's: what is wrong, and behind the last sign of that kind what to do."""
+    """A text of the service's: the fault, and after the last sign of that kind outside of parentheses the remedy."""
     found, remedy = text, REST
+    outside = re.sub(r"\([^)]*\)", lambda inside: "_" * len(inside[0]), text)
     for sign in ("; ", ": ", ", "):
-        if sign in text:
-            found, _, remedy = text.rpartition(sign)
+        at = outside.rfind(sign)
+        if at >= 0:
+            found, remedy = text[:at], text[at + len(sign) :]
             break
     return Finding(verdict=FindingSeverity.FAIL, what=what, found=found, remedy=remedy)
 
