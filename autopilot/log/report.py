@@ -223,7 +223,7 @@ def _header(flight: FlightRecord, rows: Sequence[BoundRow]) -> str:
 
 
 def _acceptance(rows: Sequence[BoundRow]) -> str:
-    out = ["<table><tr><th>bound</th><th>limit</th><th>worst</th><th>margin</th><th>unit</th><th>at [s]</th>"]
+    out = ["<table><tr><th>quantity</th><th>limit</th><th>worst</th><th>margin</th><th>unit</th><th>at [s]</th>"]
     out.append("<th>verdict</th><th></th></tr>\n")
     subject = ""
     for row in rows:

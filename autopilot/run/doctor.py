@@ -310,7 +310,8 @@ def _position(look: _SettledOutputs, config: VehicleConfig, settings: EffectiveS
     if nav is None or not places:
         return Finding(verdict=FindingSeverity.FAIL, what="position", found="no source", remedy=remedy)
     sigma_m = float(max(nav.variance[:3])) ** 0.5
-    found = f"{nav.health.name.lower()}, from {', '.join(places)}, sigma {1e3 * sigma_m:.0f} mm"
+    health = nav.health.name.lower().replace("_", " ")
+    found = f"{health}, from {', '.join(places)}, sigma {1e3 * sigma_m:.0f} mm"
     good = nav.health is NavHealth.GOOD
     return Finding(
         verdict=FindingSeverity.OK if good else FindingSeverity.FAIL,
