@@ -203,7 +203,7 @@ class Plots:
                 "code", flags
             ),
             "Cost": one("cost", "cost"),
-            "Slack of soft limits": one("slack_max", "slack"),
+            "Largest slack of soft limits": one("slack_max", "slack"),
             "Smallest clearance in the prediction, and tube": self._sheet.plot("distance [m]", room),
             "Predicted energy to the goal": self._sheet.plot("energy [J]", energy),
         }

@@ -302,7 +302,8 @@ def _position(look: _SettledOutputs, config: VehicleConfig, settings: EffectiveS
     nav = None if look.outputs is None else look.outputs.nav
     places = [name for name in ("markers", "external") if name in look.aids]
     source = "markers in view" if config.has_camera else "VISION_POSITION_ESTIMATE or ODOMETRY"
-    remedy = f"{source}: nothing of it was used; " + (
+    used = "it is used too rarely" if places else "nothing of it was used"
+    remedy = f"{source}: {used}; " + (
         "put the vehicle over its markers, check map, light and lens"
         if config.has_camera
         else f"let the tracking system send to {' or '.join(settings['connect'])}"
