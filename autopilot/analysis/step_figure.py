@@ -55,7 +55,7 @@ def _draw_plan(ax: Axes, view: StepView) -> None:
         if len(side.route_ned_m):
             ax.plot(side.route_ned_m[:, 1], side.route_ned_m[:, 0], color=OTHER, ls=":", lw=1.4, label=label)
     route = view.output.route_ned_m
-    ax.plot(route[:, 1], route[:, 0], color=WAY, lw=1.2, label="way")
+    ax.plot(route[:, 1], route[:, 0], color=WAY, lw=1.2, label="route")
     ax.plot(view.problem.x_ref[:, 1], view.problem.x_ref[:, 0], color=WAY, ls="", marker=".", ms=4, label="reference")
     ax.plot(view.plan_x[:, 1], view.plan_x[:, 0], color=PLAN, marker="o", ms=3, lw=1.4, label="plan flown")
     ax.plot(view.best_x[:, 1], view.best_x[:, 0], color=BEST, ls="--", lw=1.2, label="converged (IPOPT)")

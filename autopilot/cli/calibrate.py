@@ -375,7 +375,7 @@ def thrusters(table: Path, vehicle: str, thruster: str | None, out: Path | None,
         curves = [{"supply_v": c.supply_v, "pulse_us": c.pulse_us, "thrust_n": c.thrust_n} for c in found.curves]
         emit_json({"readings": len(readings), "rms_n": found.rms_n, "curves": curves})
     else:
-        click.echo(f"{table}: {len(readings)} readings, {len(found.curves)} voltages, rms {found.rms_n:.2f} N")
+        click.echo(f"{table}: {len(readings)} readings, {len(found.curves)} supply voltages, rms {found.rms_n:.2f} N")
     if out is not None:
         write_curves(vehicle, curves_text(found.curves), origin, out)
     elif not as_json:

@@ -127,7 +127,7 @@ def fly(
 
     Every run is the whole service on the simulated vehicle, judged on the plant's truth at 100 Hz. Finished runs are
     kept in OUT, one line each; the same command resumes where it was stopped. At the end there are runs.csv (and
-    runs.parquet where pyarrow is installed), figures, and logs of the worst runs. Exit code 1 if a bar is broken.
+    runs.parquet where pyarrow is installed), figures, and logs of the worst runs. Exit code 1 if a bound is broken.
 
     The word fly may be left out.
     """
@@ -163,7 +163,7 @@ def fly(
         emit_json({"passed": summary.passed, "scenario": name, **_plain(summary), **places})
     else:
         _print(summary, name, out, logged)
-        click.echo(f"{name}: {'no bar is broken' if summary.passed else 'A BAR IS BROKEN'}; runs in {out}")
+        click.echo(f"{name}: {'all bounds hold' if summary.passed else 'A BOUND IS BROKEN'}; runs in {out}")
     if not summary.passed:
         raise click.exceptions.Exit(EXIT_FAILED)
 
@@ -259,7 +259,7 @@ def _print(summary: Summary, name: str, out: Path, logs: Mapping[int, Path]) -> 
     held = {True: "pass", False: "FAIL", None: ""}
     print_table(
         f"{name}: {summary.finished} of {summary.asked} runs",
-        ("", "bar", "value", "", "note"),
+        ("quantity", "bound", "value", "verdict", "note"),
         [(bar.name, bar.bar, bar.value, held[bar.held], bar.note) for bar in summary.bars],
     )
     heads = tuple("min" if p == 0.0 else "max" if p == 100.0 else f"p{p:g}" for p in PERCENTILES)

@@ -49,7 +49,7 @@ def sets(
     """Fly the sets R1 to R4, RUNS runs of each in turn: 1,200 in a night or two, resumable, with one table at the end.
 
     Finished runs are kept in OUT/SET; the same command resumes where it was stopped. At the end every folder has its
-    table of runs, figures, and logs of its worst runs. Exit code 1 if a bar is broken.
+    table of runs, figures, and logs of its worst runs. Exit code 1 if a bound is broken.
     """
     from autopilot.campaign import run_table as tables
     from autopilot.campaign.definition import define

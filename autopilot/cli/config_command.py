@@ -1,5 +1,6 @@
-"""``autopilot config``: what a run would use, and where each value comes from."""
+"""``autopilot config``: what a run would use and where each value comes from; a configuration to edit."""
 
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
@@ -13,7 +14,7 @@ if TYPE_CHECKING:
 
 @click.group()
 def config() -> None:
-    """Show the effective configuration."""
+    """Show the effective configuration, write a vehicle configuration to edit."""
 
 
 @config.command()
@@ -31,7 +32,7 @@ def show(scenario: str | None, file: str | None, instance: int, as_json: bool) -
         emit_json({"settings": origins, **trees})
         return
     print_table(
-        "EffectiveSettings",
+        "Settings",
         ("name", "value", "origin"),
         [(name, setting.value, setting.origin) for name, setting in sorted(settings.table.items())],
     )
@@ -39,6 +40,28 @@ def show(scenario: str | None, file: str | None, instance: int, as_json: bool) -
         rows = [(key, value) for key, value in _flatten(tree) if not key.startswith("sources")]
         name = tree.get("name", "") if isinstance(tree, dict) else ""
         print_table(f"{title.capitalize()} {name}".rstrip(), ("key", "value"), rows)
+
+
+@config.command()
+@click.argument("name")
+@click.option(
+    "--from", "source", default="bluerov2-ardusub", show_default=True, help="Shipped configuration or file to copy."
+)
+@click.option("--out", type=click.Path(file_okay=False, path_type=Path), default=Path(), help="Folder (default: here).")
+def new(name: str, source: str, out: Path) -> None:
+    """Write NAME.toml, a commented configuration for `autopilot run` to edit, with its marker map beside it."""
+    from autopilot.run.sitl_copy import write_copies
+    from autopilot.run.vehicle_config import load_config
+
+    loaded = load_config(source)
+    target = out / f"{name}.toml"
+    copies = {target: loaded.path.read_bytes()}
+    if loaded.markers is not None and loaded.file.place.markers is not None:
+        copies[out / loaded.file.place.markers] = loaded.markers.read_bytes()
+    write_copies(copies, out)
+    for path in copies:
+        click.echo(str(path))
+    click.echo(f"edit it, then: autopilot doctor --config {target}")
 
 
 def _of_sitl(scenario: str | None, instance: int) -> "tuple[EffectiveSettings, dict[str, object]]":

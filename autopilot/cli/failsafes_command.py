@@ -1,5 +1,6 @@
 """``autopilot failsafes``: the table of failsafes without a vehicle."""
 
+import re
 from dataclasses import asdict
 from pathlib import Path
 
@@ -14,7 +15,7 @@ from autopilot.cli.shared_options import JSON
 @click.option("--markdown", is_flag=True, help="As a Markdown table.")
 @click.option("--write", type=click.Path(path_type=Path, dir_okay=False, exists=True), help="Bring a page up to date.")
 def failsafes(as_json: bool, markdown: bool, write: Path | None) -> None:
-    """All failsafes: when they begin and end, what they do (bold: the default), what they say."""
+    """All failsafes: when they begin and end, what they do (with the default), what they say."""
     from autopilot.command.failsafe_docs import failsafe_markdown, failsafe_texts, with_table
 
     if write is not None:
@@ -24,6 +25,11 @@ def failsafes(as_json: bool, markdown: bool, write: Path | None) -> None:
     elif markdown:
         click.echo(failsafe_markdown(), nl=False)
     else:
-        columns = ("bit", "failsafe", "begins when", "over", "what is done", "text")
+        columns = ("bit", "failsafe", "begins when", "ends", "action", "message")
         rows = [tuple(asdict(text).values()) for text in failsafe_texts()]
-        print_table("Failsafes", columns, [[str(cell).replace("`", "") for cell in row] for row in rows])
+        print_table("Failsafes", columns, [[_plain(str(cell)) for cell in row] for row in rows])
+
+
+def _plain(cell: str) -> str:
+    """Without the marks of Markdown."""
+    return re.sub(r"\*\*(.+?)\*\*", r"\1 (default)", cell.replace("`", ""))

@@ -172,11 +172,11 @@ def print_rows(rows: "list[BoundRow]", title: str) -> None:
         BoundVerdict.INFO: "dim",
     }
     table = Table(title=Text(title), title_justify="left", caption_justify="left", box=SIMPLE, padding=(0, 1, 0, 0))
-    table.add_column("bound", no_wrap=True)
+    table.add_column("quantity", no_wrap=True)
     for column in ("limit", "worst", "margin"):
         table.add_column(column, justify="right", no_wrap=True)
     table.add_column("unit", no_wrap=True)
-    table.add_column("", no_wrap=True)
+    table.add_column("verdict", no_wrap=True)
     table.add_column("note")
     subject = ""
     for row in rows:

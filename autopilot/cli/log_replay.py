@@ -157,7 +157,7 @@ def _what_if(opened: "Log", texts: tuple[str, ...], out: Path | None, *, in_open
         if as_json:
             emit_json({"log": str(opened.path), "loop": "open", **asdict(flat)})
             return
-        _tell_changes(opened, "open loop: the recorded inputs, so the vehicle stays where it was", flat.changes)
+        _tell_changes(opened, "open loop: the recorded inputs, so the motion is that of the log", flat.changes)
         click.echo(
             f"{flat.steps} control steps: thrust rms {flat.rms_before_n:.3f} N then, {flat.rms_after_n:.3f} N now, "
             f"difference rms {flat.rms_n:.3f} N, largest {flat.largest_n:.2f} N at {flat.largest_at_s:.2f} s"

@@ -1,5 +1,6 @@
 """``autopilot log tlog``: how regular the attitude in a ground station's file is."""
 
+from collections import Counter
 from dataclasses import asdict
 from pathlib import Path
 
@@ -30,6 +31,9 @@ def tlog(file: Path, as_json: bool) -> None:
         )
         for piece, count in found.damaged.items():
             click.echo(f"  {count} x {piece}")
+        copies = Counter(gap.reason(found.median_s) for gap in found.gaps if gap.sender_s == 0.0)
+        for reason, count in copies.items():
+            click.echo(f"  {count} x {reason}")
         rows = [
             [
                 f"{gap.at_s:.2f}",
@@ -38,8 +42,10 @@ def tlog(file: Path, as_json: bool) -> None:
                 gap.reason(found.median_s) or "not explained",
             ]
             for gap in found.gaps
+            if gap.sender_s != 0.0
         ]
-        print_table("Gaps between attitudes", ["at s", "arrival s", "sender's clock s", "cause"], rows)
+        if rows:
+            print_table("Gaps between attitudes", ["at s", "arrival s", "sender's clock s", "cause"], rows)
         click.echo(", ".join(f"{name} {count}" for name, count in found.counters.items()))
     if found.unexplained:
         raise click.exceptions.Exit(EXIT_FAILED)

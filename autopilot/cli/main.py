@@ -17,7 +17,7 @@ _COMMANDS: dict[str, tuple[str, str]] = {
     "calibrate": ("autopilot.cli.calibrate:calibrate", "Calibrate camera, laser, mounting, latency, thrusters."),
     "campaign": ("autopilot.cli.campaign:campaign", "Monte Carlo over seeds and spreads of a scenario, resumable."),
     "certify": ("autopilot.cli.certify:certify", "Margins, Lipschitz sets and terminal regions of a plan."),
-    "config": ("autopilot.cli.config_command:config", "Show the effective configuration and where it comes from."),
+    "config": ("autopilot.cli.config_command:config", "Show the effective configuration; copy one to edit."),
     "currents": ("autopilot.cli.currents_command:currents", "Check current maps, make the benchmark's."),
     "demo": ("autopilot.cli.demo_command:demo", "Fly the paper's mission in the simulated tank and judge it."),
     "doctor": (

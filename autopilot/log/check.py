@@ -330,7 +330,7 @@ def _smoothness_rows(flight: FlightRecord) -> list[BoundRow]:
     return [
         _smooth("alternating commands", "%", 100.0 * BARS.alternating, 100.0 * found.alternating, end_s, "by 2 N"),
         _smooth("thrust variation / that below 2 Hz", "", BARS.ratio, found.ratio, end_s, slow),
-        _smooth("largest step of thrust", "N", BARS.step_n, found.step_n, found.step_at_s, "but starts and limits"),
+        _smooth("largest step of thrust", "N", BARS.step_n, found.step_n, found.step_at_s, "without starts and limits"),
         _smooth("reversals of a thruster", "1/s", BARS.reversals_1_s, found.reversals_1_s, end_s, "worst thruster"),
         _smooth("unreported fallback steps", "", BARS.silent, float(found.silent), end_s),
     ]

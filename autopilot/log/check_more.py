@@ -82,7 +82,7 @@ def way_m(track: VehicleTrack) -> float:
 
 def _mission(flight: FlightRecord) -> list[BoundRow]:
     track = flight.judged.between(flight.armed)
-    rows = [row("Mission", "way", "m", way_m(track), f"in {flight.armed.end_s - flight.armed.start_s:.1f} s")]
+    rows = [row("Mission", "path length", "m", way_m(track), f"in {flight.armed.end_s - flight.armed.start_s:.1f} s")]
     rows += _detour(flight)
     progress, mode = flight.table("/mission/progress"), flight.table("/sys/mode")
     if progress is not None and mode is not None and len(progress) and len(mode):
@@ -114,7 +114,7 @@ def _tracking(flight: FlightRecord) -> list[BoundRow]:
     if seen.any():
         for index, axis in enumerate("xyz"):
             away = np.interp(then_s[seen], track.t_s, track.pos_ned_m[:, index]) - then_m[seen, index]
-            note = f"95 % {np.percentile(np.abs(away), 95.0):.3f}, largest {np.abs(away).max():.3f} m"
+            note = f"p95 {np.percentile(np.abs(away), 95.0):.3f}, largest {np.abs(away).max():.3f} m"
             name = f"{AHEAD_S:g} s prediction error, {axis} rms"
             rows.append(row("Tracking", name, "m", float(np.sqrt(np.mean(away**2))), note))
     commands, acting = flight.table("/out/thrusters"), flight.table("/sim/thrusters")
@@ -215,7 +215,7 @@ def _estimator(flight: FlightRecord) -> list[BoundRow]:
         )
         means = np.abs(over[keep].mean(axis=0))
         lag = _lag_one(over[keep][:, int(np.argmax(over[keep].std(axis=0)))])
-        note = f"correlation of neighbours {lag:.2f}"
+        note = f"lag-1 autocorrelation {lag:.2f}"
         rows.append(at_most("Estimate", f"{sensor}: bias over sigma", "", MOST_BIAS, float(means.max()), note))
         fused_s = seconds(mine)[mine["fused"] != 0]
         if len(fused_s) > 1:
@@ -267,7 +267,7 @@ def _fit(flight: FlightRecord) -> list[BoundRow]:
     if len(mine) < FEWEST:
         return []
     rms = float(np.sqrt(np.mean(mine["rms_px"] ** 2)))
-    note = f"95 % {np.percentile(mine['rms_px'], 95.0):.2f}, worst corner {mine['worst_px'].max():.2f} px"
+    note = f"p95 {np.percentile(mine['rms_px'], 95.0):.2f}, worst corner {mine['worst_px'].max():.2f} px"
     out = 100.0 * float(1.0 - mine["used"].sum() / max(int(mine["known"].sum()), 1))
     return [
         at_most("Camera", "reprojection error, rms", "px", MOST_REPROJECTION_PX, rms, note),
@@ -328,7 +328,7 @@ def _current(flight: FlightRecord) -> list[BoundRow]:
     worked = drag_work(flight)
     if worked is not None:
         share = 100.0 * worked.flown_j / worked.still_j
-        note = f"{worked.flown_j:.0f} of {worked.still_j:.0f} J: same way and ground speed, drag by the vehicle file"
+        note = f"{worked.flown_j:.0f} of {worked.still_j:.0f} J: same path and ground speed, drag of the vehicle file"
         rows.append(row("Current", "drag work relative to still water", "%", share, note))
     if flight.truth is not None and flight.nav is not None:
         error = estimate_error(flight.truth, flight.nav.between(flight.mission))
@@ -424,7 +424,7 @@ def _inertial(flight: FlightRecord) -> list[BoundRow]:
 def _clipping(samples: MessageTable) -> BoundRow:
     rates, forces = clipped(samples["rate_frd_rad_s"], samples["accel_frd_m_s2"])
     note = f"turn rate {rates}, specific force {forces}" if rates + forces else ""
-    return under("Motion sensor", counted("samples at the end of the sensor's range", rates + forces, note))
+    return under("Motion sensor", counted("saturated samples", rates + forces, note))
 
 
 def _told(flight: FlightRecord) -> list[BoundRow]:

@@ -208,7 +208,7 @@ def _header(flight: FlightRecord, rows: Sequence[BoundRow]) -> str:
     pairs += [
         ("judged on", "truth" if flight.truth is not None else "estimate"),
         ("armed", f"{armed.start_s:.1f} s to {armed.end_s:.1f} s"),
-        ("way", f"{float(((steps**2).sum(axis=1) ** 0.5).sum()):.1f} m in {armed.end_s - armed.start_s:.1f} s"),
+        ("path length", f"{float(((steps**2).sum(axis=1) ** 0.5).sum()):.1f} m in {armed.end_s - armed.start_s:.1f} s"),
         ("fastest", f"{float(track.planar_speed_m_s.max(initial=0.0)):.2f} m/s in the water"),
         ("messages", f"{log.message_count} on {len(log.topics)} topics"),
     ]
@@ -222,7 +222,7 @@ def _header(flight: FlightRecord, rows: Sequence[BoundRow]) -> str:
 
 
 def _acceptance(rows: Sequence[BoundRow]) -> str:
-    out = ["<table><tr><th>bound</th><th>limit</th><th>worst</th><th>margin</th><th>unit</th><th>at [s]</th>"]
+    out = ["<table><tr><th>quantity</th><th>limit</th><th>worst</th><th>margin</th><th>unit</th><th>at [s]</th>"]
     out.append("<th>verdict</th><th></th></tr>\n")
     subject = ""
     for row in rows:

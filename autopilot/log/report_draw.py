@@ -171,6 +171,8 @@ class TimeSheet:
         )
         plot.toolbar.logo = None
         plot.xaxis.axis_label, plot.yaxis.axis_label = "time [s]", label
+        if log_scale:
+            plot.yaxis.ticker.desired_num_ticks = 3  # of one decade all labels would overlap
         for band in self._bands:
             plot.add_layout(
                 BoxAnnotation(

@@ -153,7 +153,7 @@ class Plots:
                 )
                 for i, axis in enumerate("xyz")
             ]
-            plots[f"Position: {AHEAD_S:g} s prediction error"] = self._sheet.plot("[mm]", missed)
+            plots[f"Position: {AHEAD_S:g} s prediction error"] = self._sheet.plot("error [mm]", missed)
         return plots
 
     def _bounds(self) -> Subject:
@@ -199,11 +199,13 @@ class Plots:
                 "CPU time of a step [ms]", solve_ms, CONTROL_PERIOD_MS, "deadline"
             ),
             "Quadratic programs solved": one("iterations", "iterations"),
-            "Status (0 ok) and fallback (1 shifted plan, 2 station keeping, 3 neutral)": self._sheet.plot("", flags),
+            "Status (0 ok) and fallback (1 shifted plan, 2 station keeping, 3 neutral)": self._sheet.plot(
+                "code", flags
+            ),
             "Cost": one("cost", "cost"),
-            "Slack of soft limits": one("slack_max", "slack"),
-            "Smallest clearance in the prediction, and tube": self._sheet.plot("[m]", room),
-            "Predicted energy to the goal": self._sheet.plot("[J]", energy),
+            "Largest slack of soft limits": one("slack_max", "slack"),
+            "Smallest clearance in the prediction, and tube": self._sheet.plot("distance [m]", room),
+            "Predicted energy to the goal": self._sheet.plot("energy [J]", energy),
         }
 
     def _estimator(self) -> Subject:
@@ -262,7 +264,7 @@ class Plots:
             "Markers in the picture": self._sheet.plot(
                 "markers", [Curve(name="markers", t_s=t_s, values=table["count"].astype(float))]
             ),
-            "Time between pictures and of detection": self._sheet.plot("[ms]", [gap, decode]),
+            "Time between pictures and of detection": self._sheet.plot("time [ms]", [gap, decode]),
             "Reprojection error": self._reprojection(),
         }
 
@@ -272,7 +274,7 @@ class Plots:
             return None
         names = (("rms_px", "rms of the corners"), ("worst_px", "worst corner"))
         curves = [Curve(name=name, t_s=seconds(fit), values=fit[field]) for field, name in names]
-        return self._sheet.plot("[px]", curves, (MOST_REPROJECTION_PX,))
+        return self._sheet.plot("error [px]", curves, (MOST_REPROJECTION_PX,))
 
     def _thrusters(self) -> Subject:
         table, acting = self._flight.table("/out/thrusters"), self._flight.table("/sim/thrusters")
@@ -295,7 +297,7 @@ class Plots:
                 Curve(name=name, t_s=seconds(health), values=100.0 * health["effectiveness"][:, index], steps=True)
                 for index, name in enumerate(names)
             ]
-            plots["Thruster effectiveness"] = self._sheet.plot("[%]", shares)
+            plots["Thruster effectiveness"] = self._sheet.plot("effectiveness [%]", shares)
         return plots
 
     def _current(self) -> Subject:
@@ -307,7 +309,7 @@ class Plots:
         along = [Curve(name=name, t_s=t.t_s, values=along_track(t)) for name, t in self._known]
         return {
             "Current": self._sheet.plot("current [m/s]", curves),
-            "Current along the path (above 0 = following)": self._sheet.plot("[m/s]", along, (0.0,)),
+            "Current along the path (above 0 = following)": self._sheet.plot("current [m/s]", along, (0.0,)),
         }
 
     def _power(self) -> Subject:
@@ -349,7 +351,7 @@ class Plots:
         return {
             "Specific force": self._sheet.plot("[m/s²]", [Curve(name="norm", t_s=t_s, values=norm)]),
             "Time between samples": self._sheet.plot(
-                "[ms]", [Curve(name="since the sample before", t_s=t_s[1:], values=1e3 * np.diff(t_s))]
+                "interval [ms]", [Curve(name="since the sample before", t_s=t_s[1:], values=1e3 * np.diff(t_s))]
             ),
             "Spectra of the rates": spectrum("(rad/s)²/Hz", rates),
             "Spectra of the specific force": spectrum("(m/s²)²/Hz", forces),
@@ -370,9 +372,9 @@ class Plots:
         if loop is not None:
             t_s = seconds(loop)
             tick = [Curve(name="longest tick of a second", t_s=t_s, values=1e3 * loop["tick_s"])]
-            plots["Loop"] = self._sheet.plot("[ms]", tick, (TICK_MS,), log_scale=True)
+            plots["Loop"] = self._sheet.plot("time [ms]", tick, (TICK_MS,), log_scale=True)
             plots["CPU time per second"] = self._sheet.plot(
-                "[s]", [Curve(name="whole process", t_s=t_s, values=loop["cpu_s"])]
+                "CPU time [s]", [Curve(name="whole process", t_s=t_s, values=loop["cpu_s"])]
             )
             lost = [
                 Curve(name=name, t_s=t_s, values=loop[field].astype(float), steps=True)
@@ -387,14 +389,14 @@ class Plots:
         if received is not None and sent is not None:
             at_s, trip_s = round_trips(received, sent)
             trips = [Curve(name="TIMESYNC", t_s=at_s, values=1e3 * trip_s)]
-            plots["MAVLink round trip"] = self._sheet.plot("[ms]", trips)
+            plots["MAVLink round trip"] = self._sheet.plot("round trip [ms]", trips)
         process = flight.table("/sys/process")
         if process is not None:
             t_s = seconds(process)
             for title, label, name, field, scale in (
-                ("Memory", "[MB]", "in memory", "rss", 1e-6),
+                ("Memory", "memory [MB]", "in memory", "rss", 1e-6),
                 ("Log queue", "messages", "waiting", "log_queue", 1.0),
-                ("Longest garbage collection of a second", "[ms]", "longest", "collect_s", 1e3),
+                ("Longest garbage collection of a second", "time [ms]", "longest", "collect_s", 1e3),
             ):
                 curve = Curve(name=name, t_s=t_s, values=scale * process[field].astype(float), steps=True)
                 plots[title] = self._sheet.plot(label, [curve])
@@ -422,7 +424,7 @@ class Plots:
                 _draw_moved(plot, one, run)
         rows = np.arange(0, len(track.t_s), max(1, len(track.t_s) // (4 * BUCKETS)))
         x, y = track.pos_ned_m[rows, 0].astype(np.float32), track.pos_ned_m[rows, 1].astype(np.float32)
-        items = [("way", [_draw_way(plot, "way", x, y, line_color="#333333", line_width=1.5)])]
+        items = [("path", [_draw_way(plot, "path", x, y, line_color="#333333", line_width=1.5)])]
         laps = lap_spans(visits(track, run), run, self._flight.armed.start_s) if run is not None else []
         colors = COLORS if len(laps) <= MOST_LAPS else viridis(len(laps))
         named = set(range(len(laps)))

@@ -7,6 +7,7 @@ rates, noise, and whether what is measured can be true. Nothing moves.
 """
 
 import contextlib
+import re
 import shutil
 import sys
 import tempfile
@@ -297,7 +298,8 @@ def _position(look: _SettledOutputs, config: VehicleConfig, settings: EffectiveS
     nav = None if look.outputs is None else look.outputs.nav
     places = [name for name in ("markers", "external") if name in look.aids]
     source = "markers in view" if config.has_camera else "VISION_POSITION_ESTIMATE or ODOMETRY"
-    remedy = f"{source}: nothing of it was used; " + (
+    used = "it is used too rarely" if places else "nothing of it was used"
+    remedy = f"{source}: {used}; " + (
         "put the vehicle over its markers, check map, light and lens"
         if config.has_camera
         else f"let the tracking system send to {' or '.join(settings['connect'])}"
@@ -305,7 +307,8 @@ def _position(look: _SettledOutputs, config: VehicleConfig, settings: EffectiveS
     if nav is None or not places:
         return Finding(verdict=FindingSeverity.FAIL, what="position", found="no source", remedy=remedy)
     sigma_m = float(max(nav.variance[:3])) ** 0.5
-    found = f"{nav.health.name.lower()}, from {', '.join(places)}, sigma {1e3 * sigma_m:.0f} mm"
+    health = nav.health.name.lower().replace("_", " ")
+    found = f"{health}, from {', '.join(places)}, sigma {1e3 * sigma_m:.0f} mm"
     good = nav.health is NavHealth.GOOD
     return Finding(
         verdict=FindingSeverity.OK if good else FindingSeverity.FAIL,
@@ -316,11 +319,13 @@ def _position(look: _SettledOutputs, config: VehicleConfig, settings: EffectiveS
 
 
 def _failed(what: str, text: str) -> Finding:
-    """A text of the service's: what is wrong, and behind the last sign of that kind what to do."""
+    """A text of the service's: the fault, and after the last sign of that kind outside of parentheses the remedy."""
     found, remedy = text, REST
+    outside = re.sub(r"\([^)]*\)", lambda inside: "_" * len(inside[0]), text)
     for sign in ("; ", ": ", ", "):
-        if sign in text:
-            found, _, remedy = text.rpartition(sign)
+        at = outside.rfind(sign)
+        if at >= 0:
+            found, remedy = text[:at], text[at + len(sign) :]
             break
     return Finding(verdict=FindingSeverity.FAIL, what=what, found=found, remedy=remedy)
 

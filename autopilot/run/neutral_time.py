@@ -23,7 +23,7 @@ def measure(config: VehicleConfig, *, speed: float = 1.0, on_step: Callable[[int
     the link cannot be had."""
     setup = config.devices.get(FLIGHT_CONTROLLER)
     if setup is None or not isinstance(setup.options, ArduSubOptions):
-        remedy = "pull the plug of the companion with the motors turning (docs/hardware.md, section 3)"
+        remedy = "pull the plug of the companion with the motors turning (docs/hardware.md, section 4)"
         return Finding(
             verdict=FindingSeverity.WARN, what=WHAT, found="cannot be measured on these devices", remedy=remedy
         )

@@ -33,16 +33,21 @@ def copy_scenario(name: str, source: str, folder: Path) -> list[Path]:
     edited = _edited(text, name, plan_name, drawn=bool(drawn))
     more = (resources.files("autopilot") / "data" / "templates" / "scenario-more.toml").read_text(encoding="utf-8")
     copies[folder / f"{name}.toml"] = f"{edited.rstrip()}\n\n{more}".encode()
+    write_copies(copies, folder)
+    return list(copies)
+
+
+def write_copies(copies: dict[Path, bytes], folder: Path) -> None:
+    """Write the files into the folder. ConfigError, and nothing is written, where one of them exists."""
     there = next((path for path in copies if path.exists()), None)
     if there is not None:
         raise ConfigError(f"{there}: is there already; choose another name or --out")
     try:
-        folder.mkdir(parents=True, exist_ok=True)
         for path, data in copies.items():
+            path.parent.mkdir(parents=True, exist_ok=True)
             path.write_bytes(data)
     except OSError as error:
         raise ConfigError(f"{folder}: cannot be written ({error.strerror}); choose another --out") from error
-    return list(copies)
 
 
 def _edited(text: str, name: str, plan: str | None, *, drawn: bool) -> str:

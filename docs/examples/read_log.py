@@ -30,7 +30,7 @@ depth_m = both["/nav/state"]["pos_ned_m"][:, 2]
 print("correlation of depth and margin:", f"{np.corrcoef(depth_m, both['/ctl/nmpc']['margin_m'])[0, 1]:.2f}")
 
 # %% [markdown]
-# As a pandas table, where pandas is installed (`pip install 'underwater-autopilot[analysis]'`).
+# As a pandas table, where the extra `analysis` is installed.
 
 # %%
 try:

@@ -199,7 +199,7 @@ def swings(by_m: float, until_s: float) -> Callable[[float, Truth], Truth]:
 def test_a_sound_log_passes(tmp_path: Path) -> None:
     rows = golden(tmp_path / "a.mcap")
     assert warned(rows) == set()
-    assert rows["way"].worst == pytest.approx(2 * 4.0, rel=0.1)
+    assert rows["path length"].worst == pytest.approx(2 * 4.0, rel=0.1)
     assert rows["NEES of the position"].worst == pytest.approx(0.32, abs=0.05)
     assert rows["parameters changed"].note == "MPC_Q_POS"
     assert rows["commands refused"].worst == 0.0
@@ -215,8 +215,8 @@ def test_a_sound_log_passes(tmp_path: Path) -> None:
         ("NEES of the position", {"change_outputs": overconfident}),
         ("control steps beyond their period", {"change_outputs": late}),
         ("longest time between samples", {"change_inputs": silent}),
-        ("samples at the end of the sensor's range", {"change_inputs": clips(rate=True)}),
-        ("samples at the end of the sensor's range", {"change_inputs": clips(rate=False)}),
+        ("saturated samples", {"change_inputs": clips(rate=True)}),
+        ("saturated samples", {"change_inputs": clips(rate=False)}),
         ("lowest voltage", {"change_inputs": empty}),
         ("inbound MAVLink messages lost", {"change_inputs": lossy}),
         ("reprojection error, rms", {"change_outputs": fits(rms_px=1.3, worst_px=4.0)}),

@@ -1,4 +1,4 @@
-"""`config show` tells where every value of a run comes from, simulated or real."""
+"""`config show` tells where every value of a run comes from; `config new` writes a configuration to edit."""
 
 import json
 from pathlib import Path
@@ -7,7 +7,8 @@ import pytest
 from click.testing import CliRunner
 
 from autopilot.cli.config_command import config
-from autopilot.run.vehicle_config import config_names
+from autopilot.core.errors import ConfigError
+from autopilot.run.vehicle_config import config_names, load_config
 
 
 @pytest.mark.parametrize("name", config_names())
@@ -26,3 +27,12 @@ def test_a_vehicles_configuration(name: str, monkeypatch: pytest.MonkeyPatch, tm
 def test_one_or_the_other() -> None:
     done = CliRunner().invoke(config, ["show", "paper-tank", "--config", "lbv150"])
     assert done.exit_code == 2 and "give one" in done.output
+
+
+@pytest.mark.parametrize("name", config_names())
+def test_a_copy_to_edit_loads(name: str, tmp_path: Path) -> None:
+    done = CliRunner().invoke(config, ["new", "mine", "--from", name, "--out", str(tmp_path)])
+    assert done.exit_code == 0, done.output
+    assert load_config(str(tmp_path / "mine.toml")).file == load_config(name).file
+    again = CliRunner().invoke(config, ["new", "mine", "--out", str(tmp_path)])
+    assert isinstance(again.exception, ConfigError) and "choose another name" in str(again.exception)

@@ -18,7 +18,7 @@ export const LEGEND = [
   ["vehicle (nose filled), track", "trail", "line"], ["truth", "truth", "line"], ["prediction", "horizon", "line"],
   ["its tube", "tube", "area"], ["route", "route", "dotted"], ["fence, depth limits", "fence", "dashed"],
   ["kept free", "margin", "area"], ["obstacle", "solid", "area"], ["waypoint, acceptance, heading", "place", "dashed"],
-  ["goal", "goal", "line"], ["current", "flow", "line"], ["current felt", "felt", "line"], ["reported obstacle", "track", "dotted"],
+  ["goal", "goal", "line"], ["current", "flow", "line"], ["estimated current", "felt", "line"], ["reported obstacle", "track", "dotted"],
 ];
 
 // Arrows of the current: a round figure, of the size of the fastest there is, is drawn as long as this share of the

@@ -161,7 +161,7 @@ function showBars(scene, frame) {
   if (current(frame)) rows.push(bar("Solve time", control.solve_ms, limits.solve_ms, `${fixed(control.solve_ms, 1)} / ${limits.solve_ms} ms`));
   if (frame.clearance_m !== null) {
     const room = frame.clearance_m - radius;
-    const row = bar("Distance to fence", Math.max(0, 1 - room), 1, `${fixed(room)} m`);
+    const row = bar("Clearance", Math.max(0, 1 - room), 1, `${fixed(room)} m`);
     row.title = "Body to the fence; full = touching";
     rows.push(row);
   }
@@ -177,7 +177,7 @@ function showBars(scene, frame) {
 
 function showSensors(frame) {
   const head = element("tr");
-  head.append(...["sensor", "state", "ratio", "age"].map((words) => element("th", words)));
+  head.append(...["sensor", "state", "test ratio", "age"].map((words) => element("th", words)));
   const line = (name, words, kind, ratio, age) => {
     const row = element("tr");
     row.append(element("td", name), element("td", words, kind), element("td", ratio), element("td", ageText(age), words === "silent" ? "warn" : ""));
