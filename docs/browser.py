@@ -39,7 +39,7 @@ class BrowserPage:
         """What went wrong on the page: exceptions, failed requests, lines on the console that are no mere words."""
         target = self.call("Target.createTarget", url="about:blank")["targetId"]
         self._session = self.call("Target.attachToTarget", targetId=target, flatten=True)["sessionId"]
-        for domain in ("BrowserPage", "Runtime", "Log", "Network"):
+        for domain in ("Page", "Runtime", "Log", "Network"):
             self.call(f"{domain}.enable")
 
     def call(self, method: str, **params: Any) -> dict[str, Any]:
@@ -69,7 +69,7 @@ class BrowserPage:
 
     def open(self, url: str) -> None:
         """Go there."""
-        self.call("BrowserPage.navigate", url=url)
+        self.call("Page.navigate", url=url)
 
     def ask(self, expression: str) -> Any:
         """The value of an expression on the page."""
@@ -89,7 +89,7 @@ class BrowserPage:
 
     def picture(self, path: Path) -> None:
         """What is seen, as PNG."""
-        path.write_bytes(base64.b64decode(self.call("BrowserPage.captureScreenshot", format="png")["data"]))
+        path.write_bytes(base64.b64decode(self.call("Page.captureScreenshot", format="png")["data"]))
 
     def _hear(self, patience_s: float) -> dict[str, Any] | None:
         """The next message, None when none comes."""
