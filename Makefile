@@ -4,7 +4,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip --disable-pip-version-check install --quiet
 
-.PHONY: demo test lint library sanitize mutations bench clean
+.PHONY: demo test lint docs library sanitize mutations bench clean
 
 $(VENV)/installed: pyproject.toml setup.py $(wildcard autopilot/data/native/*.[ch]) autopilot/core/model4.py autopilot/control/nmpc/model_code.py autopilot/control/energy/interval.py
 	@echo "setting up $(VENV) (about a minute)"
@@ -17,6 +17,11 @@ $(VENV)/tools: $(VENV)/installed
 	$(PIP) --editable '.[test,lint]'
 	@touch $@
 
+$(VENV)/docs: $(VENV)/tools
+	@echo "installing the tools of the documentation"
+	$(PIP) --editable '.[docs]'
+	@touch $@
+
 demo: $(VENV)/installed
 	$(BIN)/autopilot demo --out out/demo
 
@@ -27,6 +32,11 @@ lint: $(VENV)/tools
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
+
+# The pages as one site, out/docs/index.html. A broken link or anchor fails.
+docs: $(VENV)/docs
+	NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build --strict
+	SITE=out/docs $(BIN)/python -m pytest tests/docs/test_doc_site.py
 
 # Fails, with the reason, where the package works without its compiled library.
 library: $(VENV)/installed
