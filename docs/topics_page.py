@@ -26,7 +26,7 @@ FRAMES = ("ned", "frd", "cam")
 HEAD = """# Topics and fields
 
 Which topics and fields does a log have? Written by `python docs/topics_page.py --write` from `docs/topics.csv` and
-`autopilot/log/schemas.py`. `autopilot log info LOG` prints the rates of a log.
+the tables in `autopilot/log` (`sample_table.py`, `record_table.py`). `autopilot log info LOG` prints its rates.
 
 SI units, world `ned`, body `frd`. A field has its type, (unit, frame) and meaning. Every message begins with a `header`
 (stamp = log time, frame) unless its standard type has none. Own types (`autopilot_msgs`) are of fixed size; every file
@@ -60,7 +60,7 @@ def missing() -> list[str]:
             texts = comments(kind)
             fields = [field.name for field in types_of(kind)[kind] if field.name != "header"]
             found += [
-                f"{kind}.{name}: no comment in autopilot/log/schemas.py" for name in fields if not texts.get(name)
+                f"{kind}.{name}: no comment in its table in autopilot/log" for name in fields if not texts.get(name)
             ]
     return found
 
