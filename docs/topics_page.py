@@ -32,7 +32,8 @@ frame) unless its standard type has none. Types of `autopilot_msgs` are of fixed
 used; every file contains all definitions. "On change" topics are also written once per second. `/sim` and `/viz/truth`:
 simulation only.
 
-Written by `python docs/topics_page.py --write` from `docs/topics.csv` and `autopilot/log/schemas.py`.
+Written by `python docs/topics_page.py --write` from `docs/topics.csv` and the tables
+in `autopilot/log` (`sample_table.py`, `record_table.py`).
 """
 
 
@@ -54,7 +55,7 @@ def missing() -> list[str]:
             texts = comments(kind)
             fields = [field.name for field in types_of(kind)[kind] if field.name != "header"]
             found += [
-                f"{kind}.{name}: no comment in autopilot/log/schemas.py" for name in fields if not texts.get(name)
+                f"{kind}.{name}: no comment in its table in autopilot/log" for name in fields if not texts.get(name)
             ]
     return found
 

@@ -82,6 +82,12 @@ def golden(
     return {row.name: row for row in acceptance_table(open_log(path))}
 
 
+@pytest.fixture(scope="module")
+def sound(tmp_path_factory: pytest.TempPathFactory) -> dict[str, BoundRow]:
+    """The rows of a log in which nothing is wrong."""
+    return golden(tmp_path_factory.mktemp("golden") / "sound.mcap")
+
+
 def warned(rows: dict[str, BoundRow]) -> set[str]:
     return {name for name, row in rows.items() if row.verdict in (BoundVerdict.WARN, BoundVerdict.FAIL)}
 
@@ -196,8 +202,8 @@ def swings(by_m: float, until_s: float) -> Callable[[float, Truth], Truth]:
     return swing
 
 
-def test_a_sound_log_passes(tmp_path: Path) -> None:
-    rows = golden(tmp_path / "a.mcap")
+def test_a_sound_log_passes(sound: dict[str, BoundRow]) -> None:
+    rows = sound
     assert warned(rows) == set()
     assert rows["path length"].worst == pytest.approx(2 * 4.0, rel=0.1)
     assert rows["NEES of the position"].worst == pytest.approx(0.32, abs=0.05)
@@ -246,14 +252,14 @@ def test_a_sensor_that_stops_or_counts_in_large_steps_is_not_clipped() -> None:
         assert clipped(at_the_end, forces)[0] > 20 and clipped(at_the_end, forces)[1] == 0
 
 
-def test_what_the_current_spared(tmp_path: Path) -> None:
+def test_what_the_current_spared(sound: dict[str, BoundRow], tmp_path: Path) -> None:
     """Half of the speed through the water: an eighth (quadratic drag) to a quarter (linear) of the work."""
 
     def carried(t_s: float, truth: Truth) -> Truth:
         return replace(truth, vel_water_frd_m_s=0.5 * truth.vel_frd_m_s)
 
     name = "drag work relative to still water"
-    assert golden(tmp_path / "a.mcap")[name].worst == pytest.approx(100.0)
+    assert sound[name].worst == pytest.approx(100.0)
     row = golden(tmp_path / "b.mcap", change_truth=carried)[name]
     assert row.worst is not None and 12.5 <= row.worst <= 25.0
 
@@ -290,12 +296,12 @@ def test_thrust_and_energy_are_told_by_thruster_and_waypoint(tmp_path: Path) -> 
     assert "thrust imbalance, port over starboard" not in nameless
 
 
-def test_a_goal_that_is_held_tells_overshoot_and_settling(tmp_path: Path) -> None:
+def test_a_goal_that_is_held_tells_overshoot_and_settling(sound: dict[str, BoundRow], tmp_path: Path) -> None:
     rows = golden(tmp_path / "a.mcap", change_outputs=held, change_truth=swings(0.15, 5.0), **HELD)
     assert not warned(rows)
     assert rows["overshoot at a goal"].worst == pytest.approx(0.15, abs=0.01)
     assert rows["settling time in a goal's region"].worst == pytest.approx(5.0, abs=0.6)
-    assert "settling time in a goal's region" not in golden(tmp_path / "b.mcap"), "both goals are flown through"
+    assert "settling time in a goal's region" not in sound, "both goals are flown through"
 
 
 def test_round_trips_are_those_of_our_own_requests(tmp_path: Path) -> None:
@@ -307,7 +313,7 @@ def test_round_trips_are_those_of_our_own_requests(tmp_path: Path) -> None:
     assert row.verdict is BoundVerdict.INFO, "in lockstep clients live in another time"
 
 
-def test_memory_that_grows_is_told(tmp_path: Path) -> None:
+def test_memory_that_grows_is_told(sound: dict[str, BoundRow], tmp_path: Path) -> None:
     def memory(grows: float) -> BoundRow:
         span = {
             "end_us": 130_000_000,
@@ -323,12 +329,12 @@ def test_memory_that_grows_is_told(tmp_path: Path) -> None:
 
     assert memory(0.0).verdict is BoundVerdict.PASS
     assert memory(0.01).verdict is BoundVerdict.WARN
-    assert golden(tmp_path / "b.mcap")["memory"].verdict is BoundVerdict.INFO, "too short to say"
+    assert sound["memory"].verdict is BoundVerdict.INFO, "too short to say"
 
 
-def test_energy_is_told_by_thruster(tmp_path: Path) -> None:
+def test_energy_is_told_by_thruster(sound: dict[str, BoundRow]) -> None:
     """Of the vehicle file's c |F|^1.5, and what is left for everything else."""
-    rows = golden(tmp_path / "a.mcap")
+    rows = sound
     port = VEHICLE.thrusters[0]
     assert rows["energy of the thrusters"].note.startswith(
         f"{port.name} {port.drive.power_w_n15 * 3.0**1.5 * (1e-6 * END_US - 0.1):.0f}, "
