@@ -30,7 +30,6 @@ class Breaking(MotionController):
         super().__init__(given.vehicle, currents=given.currents, desks=given.desks, trajectories=given.trajectories)
 
     def step(self, t_us: int, *given: Any, **named: Any) -> ControlOutput:
-        """See :class:`autopilot.control.protocol.Controller`."""
         if t_us >= Breaking.from_s * 1e6:
             self._break()
         return super().step(t_us, *given, **named)
@@ -52,8 +51,6 @@ class Unsolved(Breaking):
 
 
 class Raising(Breaking):
-    """Raises once."""
-
     raised = False
 
     def _break(self) -> None:
@@ -74,7 +71,6 @@ class DisplacedEstimator(AidedEstimator):
         super().__init__(core, given.vehicle, given.markers, given.floor_depth_m, given.options)
 
     def step(self, t_us: int, samples: Sequence[Sample], thrust_n: FloatArray) -> NavState | None:
-        """See :class:`autopilot.estimator.protocol.Estimator`."""
         nav = super().step(t_us, samples, thrust_n)
         since_s = 1e-6 * t_us - Breaking.from_s
         if nav is None or not 0.0 <= since_s < self.LASTS_S:

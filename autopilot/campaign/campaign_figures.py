@@ -62,7 +62,6 @@ def _margins(flown: Sequence[RunResult], title: str) -> Figure | None:
 
 
 def _energy(flown: Sequence[RunResult], title: str) -> Figure | None:
-    """Energy of every lap."""
     laps = [energy for result in flown for energy in result.energy_j]
     if not laps:
         return None

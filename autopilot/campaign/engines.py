@@ -77,7 +77,6 @@ class InProcess:
     """One after the other, here."""
 
     def run(self, tasks: Sequence[Flyable[Result]], stop: Stop) -> Iterator[Result]:
-        """See :class:`CampaignEngine`."""
         for task in tasks:
             if stop():
                 return

@@ -21,8 +21,6 @@ BETWEEN_S = {"paper-tank": (9.0, 40.0), "harbour": (9.0, 90.0)}
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FaultTask:
-    """One flight to be flown."""
-
     case: FaultCase
     scenario: str
     run: int

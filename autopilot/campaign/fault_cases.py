@@ -77,7 +77,7 @@ CASES: tuple[FaultCase, ...] = (
     ),
     FaultCase(
         rule=Failsafe.NAV_CHECK,
-        estimator=f"{BROKEN}:Displaced",
+        estimator=f"{BROKEN}:DisplacedEstimator",
         effect="warn",
         within_s=8.0,
     ),

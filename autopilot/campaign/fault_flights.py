@@ -36,8 +36,6 @@ AT_SURFACE_M = 0.12
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FaultResult:
-    """What one flight showed."""
-
     rule: str
     scenario: str
     seed: int

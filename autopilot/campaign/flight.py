@@ -4,13 +4,40 @@ import tempfile
 import time
 from collections.abc import Callable
 from pathlib import Path
+from typing import TypeVar
 
 from autopilot.campaign.judge import judge
 from autopilot.campaign.results import RunResult, Task
 from autopilot.campaign.tick_watch import TickWatch
 from autopilot.run.config import EffectiveSettings, flight_settings
 from autopilot.run.sitl_describe import describe_run
-from autopilot.run.sitl_session import open_sitl
+from autopilot.run.sitl_session import SitlSession, open_sitl
+from autopilot.sitl.plant import Truth
+
+Watch = TypeVar("Watch", bound=TickWatch)
+
+
+def run_watched(
+    settings: EffectiveSettings,
+    params: dict[str, float],
+    kind: Callable[[Callable[[], Truth]], Watch],
+    stop: Callable[[], bool],
+    over: Callable[[Watch], bool],
+) -> tuple[SitlSession, Watch] | None:
+    """Fly in lockstep under a watch of that kind until it is ``over`` or the duration ends; None if ``stop`` said so.
+
+    AutopilotError if it cannot be flown."""
+    watch = kind(lambda: session.device.truth)
+    session = open_sitl(settings, params, log=settings["log"] is not None, on_tick=watch.tick)
+    stopped = False
+
+    def enough() -> bool:
+        nonlocal stopped
+        stopped = stop()
+        return stopped or over(watch)
+
+    session.run(enough)
+    return None if stopped else (session, watch)
 
 
 def fly(task: Task, stop: Callable[[], bool] = lambda: False, *, log: Path | None = None) -> RunResult | None:
@@ -19,18 +46,11 @@ def fly(task: Task, stop: Callable[[], bool] = lambda: False, *, log: Path | Non
     AutopilotError if it cannot be flown."""
     cpu_s = time.process_time()
     with tempfile.TemporaryDirectory(prefix="campaign-") as folder:
-        watch = TickWatch(lambda: session.device.truth)
-        session = open_sitl(_settings(task, Path(folder), log), task.params, log=log is not None, on_tick=watch.tick)
-        stopped = False
-
-        def enough() -> bool:
-            nonlocal stopped
-            stopped = stop()
-            return stopped or watch.over
-
-        session.run(enough)
-        if stopped:
+        settings = _settings(task, Path(folder), log)
+        flown = run_watched(settings, task.params, TickWatch, stop, lambda watch: watch.over)
+        if flown is None:
             return None
+        session, watch = flown
         run = describe_run(session.scenario, session.parts, seed=task.seed, speed=0.0)
         return judge(task, session.scenario, run, watch, session.device.truth, time.process_time() - cpu_s)
 

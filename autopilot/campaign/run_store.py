@@ -49,7 +49,6 @@ class Shard:
 
     @property
     def file_name(self) -> str:
-        """Where its lines are."""
         return "runs.jsonl" if self.count == 1 else f"runs-{self.index}of{self.count}.jsonl"
 
 
@@ -81,7 +80,6 @@ class ResultStore(Generic[Result]):
         _drop_cut_line(path)
 
     def close(self) -> None:
-        """Give the file free."""
         self._file.close()
 
     def append(self, result: Result) -> None:
@@ -93,7 +91,6 @@ class Store(ResultStore[RunResult]):
     """A folder that is open for one shard."""
 
     def __init__(self, folder: Path, campaign: Campaign, shard: Shard) -> None:
-        """See :class:`ResultStore`."""
         self._folder, self._identity = folder, campaign.identity
         super().__init__(
             folder / shard.file_name, lambda run: f"run {run.run}", option="--shard", prepare=self._prepare

@@ -23,7 +23,7 @@ ALARM = "Thruster "
 
 
 @dataclass(frozen=True, slots=True)
-class Share:
+class Proportion:
     """So many of so many, and the interval of shares that this does not rule out."""
 
     hits: int
@@ -36,7 +36,7 @@ class Share:
 
 
 @dataclass(frozen=True, slots=True)
-class Middle:
+class MedianInterval:
     """A median over runs and its interval, None if there are too few."""
 
     median: float | None
@@ -44,7 +44,6 @@ class Middle:
     high: float | None = None
 
     def text(self, digits: int) -> str:
-        """Median and interval."""
         if self.median is None:
             return ""
         if self.low is None or self.high is None:
@@ -54,8 +53,6 @@ class Middle:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TableRow:
-    """One campaign."""
-
     scenario: str
     mode: str
     params: dict[str, float]
@@ -64,11 +61,11 @@ class TableRow:
     runs: int
     errors: int
     """Runs that could not be flown."""
-    arrived: Share
+    arrived: Proportion
     """Runs with all laps."""
-    failed: Share
+    failed: Proportion
     """Runs that break what the scenario holds against a run."""
-    alarmed: Share
+    alarmed: Proportion
     """Runs in which a thruster was called weak."""
     contacts: int
     """Runs that touched anything."""
@@ -77,17 +74,17 @@ class TableRow:
     least_m: float | None
     """Least distance that is left to a cylinder, a wall, the fence or the depth band, of all runs."""
     failsafes: tuple[str, ...]
-    rough: Share
+    rough: Proportion
     """Runs that miss a bar of smooth commands (:data:`autopilot.log.smoothness.BARS`)."""
-    lap_j: Middle
+    lap_j: MedianInterval
     """Of the mean lap of each run."""
-    lap_s: Middle
-    pos_mm: Middle
+    lap_s: MedianInterval
+    pos_mm: MedianInterval
     """Root mean square error of the estimated position until the mission is complete,"""
     worst_mm: float | None
     """and the largest of all runs."""
-    fallbacks_pct: Middle
-    cpu_s: Middle
+    fallbacks_pct: MedianInterval
+    cpu_s: MedianInterval
     """Of a whole run."""
 
 
@@ -96,27 +93,27 @@ class Pairing:
     """Two modes of one set: run k of both has the same vehicle in the same water."""
 
     scenario: str
-    ratio: Middle
+    ratio: MedianInterval
     """Least energy over quadratic, of the mean laps of runs that arrived in both."""
-    cheaper: Share
+    cheaper: Proportion
 
 
-def share(hits: int, count: int) -> Share:
+def proportion(hits: int, count: int) -> Proportion:
     """With the two-sided interval at CONFIDENCE; all of 0 to 1 without runs."""
-    return Share(hits, count, *failure_interval(hits, count))
+    return Proportion(hits, count, *failure_interval(hits, count))
 
 
-def middle(values: Sequence[float]) -> Middle:
+def median_interval(values: Sequence[float]) -> MedianInterval:
     """The median between the order statistics whose ranks a binomial variable of 1/2 leaves with CONFIDENCE."""
     from scipy.stats import binom
 
     ordered = sorted(values)
     count = len(ordered)
     if not count:
-        return Middle(None)
+        return MedianInterval(None)
     rank = int(binom.ppf(0.5 * (1.0 - CONFIDENCE), count, 0.5))
     bounds = (ordered[rank - 1], ordered[count - rank]) if rank else ()
-    return Middle(float(np.median(ordered)), *bounds)
+    return MedianInterval(float(np.median(ordered)), *bounds)
 
 
 def row_of(identity: CampaignIdentity, results: Iterable[RunResult]) -> TableRow:
@@ -131,20 +128,20 @@ def row_of(identity: CampaignIdentity, results: Iterable[RunResult]) -> TableRow
         revision=identity.revision,
         runs=len(runs),
         errors=len(runs) - len(flown),
-        arrived=share(sum(_arrived(each) for each in runs), len(runs)),
-        failed=share(sum(each.failed for each in runs), len(runs)),
-        alarmed=share(sum(any(ALARM in event for event in each.events) for each in flown), len(flown)),
+        arrived=proportion(sum(_arrived(each) for each in runs), len(runs)),
+        failed=proportion(sum(each.failed for each in runs), len(runs)),
+        alarmed=proportion(sum(any(ALARM in event for event in each.events) for each in flown), len(flown)),
         contacts=sum(each.contacts > 0 for each in flown),
         beyond=sum(bool(each.beyond) for each in flown),
         least_m=min(kept, default=None),
         failsafes=tuple(sorted({name for each in flown for name in each.failsafes})),
-        rough=share(sum(bool(each.rough) for each in flown), len(flown)),
+        rough=proportion(sum(bool(each.rough) for each in flown), len(flown)),
         lap_j=_laps(flown, lambda each: each.energy_j),
         lap_s=_laps(flown, lambda each: each.lap_s),
-        pos_mm=middle([1e3 * each.pos_rms_m for each in flown]),
+        pos_mm=median_interval([1e3 * each.pos_rms_m for each in flown]),
         worst_mm=max((1e3 * each.pos_max_m for each in flown), default=None),
-        fallbacks_pct=middle([100.0 * each.fallbacks / each.steps for each in flown if each.steps]),
-        cpu_s=middle([each.cpu_s for each in flown]),
+        fallbacks_pct=median_interval([100.0 * each.fallbacks / each.steps for each in flown if each.steps]),
+        cpu_s=median_interval([each.cpu_s for each in flown]),
     )
 
 
@@ -163,7 +160,9 @@ def pairing(scenario: str, quadratic: dict[int, RunResult], least: dict[int, Run
     if not ratios:
         return None
     return Pairing(
-        scenario=scenario, ratio=middle(ratios), cheaper=share(sum(each < 1.0 for each in ratios), len(ratios))
+        scenario=scenario,
+        ratio=median_interval(ratios),
+        cheaper=proportion(sum(each < 1.0 for each in ratios), len(ratios)),
     )
 
 
@@ -201,7 +200,6 @@ HEADS = (
 
 
 def cells(row: TableRow) -> tuple[str, ...]:
-    """One line of the table."""
     extra = "".join(f", {name} {value:g}" for name, value in row.params.items())
     return (
         *(row.scenario, row.mode + extra, str(row.runs), str(row.arrived), str(row.failed)),
@@ -222,7 +220,6 @@ def markdown(rows: Sequence[TableRow], pairs: Sequence[Pairing]) -> str:
 
 
 def pair_text(pair: Pairing) -> str:
-    """In words."""
     return (
         f"{pair.scenario}: a lap of least energy takes {pair.ratio.text(2)} of the quadratic one with the same vehicle"
         f" in the same water; cheaper in {pair.cheaper}."
@@ -243,5 +240,5 @@ def _mode(identity: CampaignIdentity) -> float:
     return float(ParamSet()[MODE] if given is None else given)
 
 
-def _laps(flown: Sequence[RunResult], of: Callable[[RunResult], list[float]]) -> Middle:
-    return middle([float(np.mean(of(each))) for each in flown if of(each)])
+def _laps(flown: Sequence[RunResult], of: Callable[[RunResult], list[float]]) -> MedianInterval:
+    return median_interval([float(np.mean(of(each))) for each in flown if of(each)])

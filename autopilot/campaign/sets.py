@@ -22,12 +22,10 @@ class SetTask:
     task: Task
 
     def fly(self, stop: Callable[[], bool] = lambda: False) -> tuple[str, RunResult] | None:
-        """See :class:`autopilot.campaign.engines.Flyable`."""
         result = self.task.fly(stop)
         return None if result is None else (self.name, result)
 
     def failed(self, error: str) -> tuple[str, RunResult]:
-        """See :class:`autopilot.campaign.engines.Flyable`."""
         return self.name, self.task.failed(error)
 
 

@@ -31,7 +31,7 @@ class Bar:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Spreadout:
+class Distribution:
     """How a figure is distributed over the runs."""
 
     name: str
@@ -47,17 +47,15 @@ class Spreadout:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Summary:
-    """A campaign so far."""
-
     asked: int
     """Runs that were asked for."""
     finished: int
     bars: tuple[Bar, ...]
-    margins: tuple[Spreadout, ...]
-    figures: tuple[Spreadout, ...]
+    margins: tuple[Distribution, ...]
+    figures: tuple[Distribution, ...]
     failed: tuple[RunResult, ...]
     """Runs that break what the scenario holds against a run."""
-    shy: tuple[RunResult, ...]
+    within_tolerance: tuple[RunResult, ...]
     """Runs that broke a bound within its tolerance, or missed something that is not held against them."""
 
     @property
@@ -100,7 +98,7 @@ def summarise(results: Sequence[RunResult], asked: int) -> Summary:
         margins=tuple(_margins(flown)),
         figures=tuple(_figures(flown)),
         failed=failed,
-        shy=tuple(r for r in flown if not r.failed and (r.broken or r.laps_missing)),
+        within_tolerance=tuple(r for r in flown if not r.failed and (r.broken or r.laps_missing)),
     )
 
 
@@ -177,7 +175,7 @@ def _smooth(flown: Sequence[RunResult]) -> list[Bar]:
     return bars
 
 
-def _margins(flown: Sequence[RunResult]) -> list[Spreadout]:
+def _margins(flown: Sequence[RunResult]) -> list[Distribution]:
     names = list(dict.fromkeys(name for result in flown for name in result.margins))
     units = {"planar speed": "m/s", "heave": "m/s", "yaw rate": "rad/s", "thrust": "N"}
     return [
@@ -192,7 +190,7 @@ def _margins(flown: Sequence[RunResult]) -> list[Spreadout]:
     ]
 
 
-def _figures(flown: Sequence[RunResult]) -> list[Spreadout]:
+def _figures(flown: Sequence[RunResult]) -> list[Distribution]:
     laps = [energy for result in flown for energy in result.energy_j]
     rows = [
         _spread("energy per lap", "J", laps),
@@ -213,6 +211,6 @@ def _figures(flown: Sequence[RunResult]) -> list[Spreadout]:
     return [row for row in rows if row.count]
 
 
-def _spread(name: str, unit: str, values: Sequence[float], *, broken: int = 0, beyond: int = 0) -> Spreadout:
+def _spread(name: str, unit: str, values: Sequence[float], *, broken: int = 0, beyond: int = 0) -> Distribution:
     at = tuple(float(value) for value in np.percentile(values, PERCENTILES)) if len(values) else ()
-    return Spreadout(name=name, unit=unit, count=len(values), percentiles=at, broken=broken, beyond=beyond)
+    return Distribution(name=name, unit=unit, count=len(values), percentiles=at, broken=broken, beyond=beyond)

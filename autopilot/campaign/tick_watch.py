@@ -24,8 +24,6 @@ HOLD_S = 3.0
 
 
 class TickWatch:
-    """Called after every tick."""
-
     def __init__(self, truth: Callable[[], Truth]) -> None:
         self._truth = truth
         self._rows: FloatArray = np.full((FIRST_ROWS, len(COLUMNS)), np.nan)
@@ -51,7 +49,6 @@ class TickWatch:
         self._goal: tuple[float, ...] | None = None
 
     def tick(self, outputs: Outputs) -> None:
-        """Take note of one tick."""
         t_s = outputs.t_us * 1e-6
         self._note_phase(outputs, t_s)
         if self._armed_s is None or self._disarmed_s is not None:

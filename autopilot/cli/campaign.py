@@ -35,11 +35,9 @@ class _Campaign(click.Group):
     """``table``, ``rooms``, ``sets`` and ``faults`` are commands; whatever else follows ``campaign`` is flown."""
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
-        """See :class:`click.Group`."""
         return super().parse_args(ctx, args if args and args[0] in self.list_commands(ctx) else [FLY, *args])
 
     def list_commands(self, ctx: click.Context) -> list[str]:
-        """In alphabetical order."""
         return sorted([*self.commands, *_MODULES])
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
@@ -248,7 +246,7 @@ def _plain(summary: Summary) -> dict[str, Any]:
         "margins": [asdict(row) for row in summary.margins],
         "distributions": [asdict(row) for row in summary.figures],
         "failed": [run(result) for result in summary.failed],
-        "within_tolerance": [run(result) for result in summary.shy],
+        "within_tolerance": [run(result) for result in summary.within_tolerance],
     }
 
 
@@ -273,7 +271,7 @@ def _print(summary: Summary, name: str, out: Path, logs: Mapping[int, Path]) -> 
         ("", "unit", "count", *heads),
         [(f.name, f.unit, f.count, *(f"{v:.4g}" for v in f.percentiles)) for f in summary.figures],
     )
-    listed = [(result, "failed") for result in summary.failed] + [(result, "") for result in summary.shy]
+    listed = [(result, "failed") for result in summary.failed] + [(result, "") for result in summary.within_tolerance]
     if listed:
         rows = [
             (

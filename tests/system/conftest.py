@@ -1,48 +1,17 @@
 """The whole service, in this process with virtual time or as a process of its own."""
 
 import contextlib
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any
 
 import pytest
-from system_harness import OpenSession, RunningService
+from system_harness import OpenSession, RunningService, sessions
 
-from autopilot.core.messages import Outputs
 from autopilot.run.children import Child, autopilot_command, free_port
-from autopilot.run.config import flight_settings
-from autopilot.run.sitl_session import SitlSession, open_sitl
-
-
-@contextlib.contextmanager
-def sessions(folder: Path) -> Iterator[OpenSession]:
-    """Makes sessions with nothing shared: no sockets, a state folder of their own, lockstep."""
-    opened: list[SitlSession] = []
-
-    def make(
-        scenario: str = "paper-tank",
-        *,
-        peers: Sequence[Any] = (),
-        params: dict[str, float] | None = None,
-        log: Path | None = None,
-        on_tick: Callable[[Outputs], None] = lambda _: None,
-        **given: Any,
-    ) -> SitlSession:
-        settings = flight_settings(folder / "state", {"scenario": scenario, **given})
-        settings.put("log", None if log is None else str(log), "test")
-        made = open_sitl(settings, params or {}, log=log is not None, peers=peers, on_tick=on_tick)
-        opened.append(made)
-        return made
-
-    yield make
-    for made in opened:
-        made.runtime.close()
-        made.recorder.close()
 
 
 @pytest.fixture
 def session(tmp_path: Path) -> Iterator[OpenSession]:
-    """Sessions of a test."""
     with sessions(tmp_path) as make:
         yield make
 

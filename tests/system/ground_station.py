@@ -469,7 +469,6 @@ class GroundStation:
         return None
 
     def folder(self, path: str) -> list[str]:
-        """The entries of a folder."""
         names: list[str] = []
         while True:
             answer = self._ftp(3, path.encode(), len(names))
@@ -561,7 +560,6 @@ class GroundStation:
 
     @property
     def mode(self) -> str:
-        """As it is shown."""
         number = self.last["HEARTBEAT"].custom_mode
         return next((name for name, custom in self.modes.items() if custom == number), f"Custom:{number:#x}")
 
@@ -638,7 +636,6 @@ class GroundStation:
         self.command(192, -1.0, 1.0, 0.0, NAN, frame=0, place=(round(lat_deg * 1e7), round(lon_deg * 1e7), alt_m))
 
     def change_altitude(self, by_m: float) -> None:
-        """The altitude slider."""
         if self.profile == "ardusub":
             self.send(
                 mav.MAVLink_set_position_target_local_ned_message(

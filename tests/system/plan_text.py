@@ -15,11 +15,9 @@ PILLARS = ((-0.625, -0.625), (0.9375, 0.0))
 
 
 def pillar(north_m: float, east_m: float) -> str:
-    """One of the cylinders."""
     return f"[[fence.circle]]\nx_m = {north_m}\ny_m = {east_m}\nradius_m = 0.16\n"
 
 
 def waypoint(north_m: float, east_m: float, depth_m: float, accept_m: float | None = None) -> str:
-    """An item."""
     accept = "" if accept_m is None else f"accept_m = {accept_m}\n"
     return f"[[waypoint]]\nx_m = {north_m}\ny_m = {east_m}\ndepth_m = {depth_m}\n{accept}"

@@ -1,13 +1,15 @@
 """What the whole-system tests share."""
 
-from collections.abc import Callable
+import contextlib
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from autopilot.core.messages import Outputs, ProgressState
 from autopilot.run.children import Child
-from autopilot.run.sitl_session import SitlSession
+from autopilot.run.config import flight_settings
+from autopilot.run.sitl_session import SitlSession, open_sitl
 
 ROOT = Path(__file__).resolve().parents[2]
 PAPER_PLAN = ROOT / "sitl" / "scenarios" / "paper.plan"
@@ -45,3 +47,29 @@ class RunningService:
         assert self.child.at_work(), "the service hangs"
         spent_s = self.child.cpu_s()
         assert spent_s is None or spent_s < cpu_s, f"the service has used {spent_s:.0f} s of CPU time"
+
+
+@contextlib.contextmanager
+def sessions(folder: Path) -> Iterator[OpenSession]:
+    """Makes sessions with nothing shared: no sockets, a state folder of their own, lockstep."""
+    opened: list[SitlSession] = []
+
+    def make(
+        scenario: str = "paper-tank",
+        *,
+        peers: Sequence[Any] = (),
+        params: dict[str, float] | None = None,
+        log: Path | None = None,
+        on_tick: Callable[[Outputs], None] = lambda _: None,
+        **given: Any,
+    ) -> SitlSession:
+        settings = flight_settings(folder / "state", {"scenario": scenario, **given})
+        settings.put("log", None if log is None else str(log), "test")
+        made = open_sitl(settings, params or {}, log=log is not None, peers=peers, on_tick=on_tick)
+        opened.append(made)
+        return made
+
+    yield make
+    for made in opened:
+        made.runtime.close()
+        made.recorder.close()

@@ -485,7 +485,7 @@ def made_up(run: int, margin: float = 0.05, **changes: Any) -> RunResult:
 def test_bars_and_percentiles() -> None:
     summary = summarise([made_up(run, 0.001 * run) for run in range(101)], 101)
     assert summary.passed
-    assert summary.failed == summary.shy == ()
+    assert summary.failed == summary.within_tolerance == ()
     (margin,) = summary.margins
     assert margin.percentiles == pytest.approx((0.0, 0.001, 0.005, 0.050, 0.095, 0.100))
     energy = {row.name: row for row in summary.figures}["energy per lap"]
@@ -495,7 +495,7 @@ def test_bars_and_percentiles() -> None:
 
 
 @pytest.mark.parametrize(
-    ("bad", "failed", "shy"),
+    ("bad", "failed", "within_tolerance"),
     [
         ({"margin": -0.005}, False, True),
         ({"margin": -0.0101}, True, False),
@@ -506,12 +506,12 @@ def test_bars_and_percentiles() -> None:
         ({"judged": "contact", "contacts": 1}, True, False),
     ],
 )
-def test_what_fails_a_run(bad: dict[str, Any], failed: bool, shy: bool) -> None:
+def test_what_fails_a_run(bad: dict[str, Any], failed: bool, within_tolerance: bool) -> None:
     judged = bad.get("judged", "bounds")
     runs = [made_up(0, judged=judged), made_up(1, **bad)]
     summary = summarise(runs, 2)
     assert [result.run for result in summary.failed] == [1] * failed
-    assert [result.run for result in summary.shy] == [1] * shy
+    assert [result.run for result in summary.within_tolerance] == [1] * within_tolerance
     assert summary.passed is not failed
 
 

@@ -13,7 +13,7 @@ from scipy.stats import binom
 from autopilot.campaign.definition import define
 from autopilot.campaign.results import Margin, RunResult, failure
 from autopilot.campaign.run_store import Shard, Store
-from autopilot.campaign.run_table import middle, share
+from autopilot.campaign.run_table import median_interval, proportion
 from autopilot.cli.main import cli
 from autopilot.core.errors import ConfigError
 
@@ -22,7 +22,7 @@ from autopilot.core.errors import ConfigError
 def test_shares_at_the_ends_of_the_interval_are_just_not_ruled_out(count: int, part: float) -> None:
     """With the share at an end of the interval, so many hits or more (or fewer) have a chance of 2.5 %."""
     hits = round(part * count)
-    found = share(hits, count)
+    found = proportion(hits, count)
     assert found.low <= hits / count <= found.high
     if hits > 0:
         assert binom.sf(hits - 1, count, found.low) == pytest.approx(0.025, rel=1e-6)
@@ -33,7 +33,7 @@ def test_shares_at_the_ends_of_the_interval_are_just_not_ruled_out(count: int, p
 @given(values=st.lists(st.floats(-1e6, 1e6), min_size=1, max_size=80, unique=True))
 def test_interval_of_a_median_misses_it_once_in_twenty_times(values: list[float]) -> None:
     """It does if fewer than ``below`` or at least ``count - above`` values lie below the true median, each with 1/2."""
-    found, count = middle(values), len(values)
+    found, count = median_interval(values), len(values)
     assert found.median is not None
     if found.low is None or found.high is None:
         assert count < 6, "the range of six values holds the median in 97 %"

@@ -31,8 +31,6 @@ NOBODY = "udpout:127.0.0.1:9"
 
 @dataclass(frozen=True)
 class Done:
-    """What a command left."""
-
     code: int
     out: str
     err: str
@@ -328,7 +326,6 @@ def flight(module_session: OpenSession, tmp_path_factory: pytest.TempPathFactory
 
 @pytest.fixture
 def flown(flight: Path, tmp_path: Path) -> Path:
-    """A copy of it."""
     return shutil.copytree(flight, tmp_path / "logs") / "flown.mcap"
 
 

@@ -34,8 +34,6 @@ def scenario_in(folder: Path) -> str:
 
 
 class Cluster:
-    """A scheduler and its workers."""
-
     def __init__(self, folder: Path) -> None:
         port = free_port()
         self.address = f"tcp://127.0.0.1:{port}"

@@ -1,5 +1,6 @@
 """Every row of the table of failsafes has a fault scenario; some are flown here, all by ``campaign faults``."""
 
+import importlib
 from pathlib import Path
 
 import msgspec
@@ -28,6 +29,8 @@ def test_a_row_has_a_scenario_that_can_be_flown_and_asks_for_an_effect_of_the_ro
     for fault in case.faults:
         msgspec.convert({**fault, "at_s": 1.0}, Fault)
     assert case.faults or case.set_then or case.controller or case.estimator
+    for module, _, name in (part.partition(":") for part in (case.controller, case.estimator) if part and ":" in part):
+        assert hasattr(importlib.import_module(module), name)
     assert case.effect in row.effects or case.rule.name == "FAULT"  # FAULT: the guard acts, docs/reliability.md
     if row.action:
         assert row.effects[int(params[row.action])] == case.effect

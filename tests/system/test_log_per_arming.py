@@ -1,38 +1,21 @@
 """Without --log every arming has a log of its own, closed when the vehicle is disarmed."""
 
 import json
-from collections.abc import Sequence
 from pathlib import Path
 
 import pytest
-from pymavlink.dialects.v20 import development as mav
+from wire_client import ArmingSchedule
 
 from autopilot.log.reader import open_log
 from autopilot.run.config import flight_settings, gather, sitl_defaults
 from autopilot.run.sitl_session import open_sitl
 
 
-class Switch:
-    """Arms and disarms at given times."""
-
-    def __init__(self, times_s: dict[float, int]) -> None:
-        self._codec = mav.MAVLink(None, srcSystem=255, srcComponent=190)
-        self._todo = sorted((round(t * 1e6), arm) for t, arm in times_s.items())
-
-    def step(self, t_us: int, received: Sequence[bytes]) -> list[bytes]:
-        out = []
-        while self._todo and self._todo[0][0] <= t_us:
-            arm = self._todo.pop(0)[1]
-            message = self._codec.command_long_encode(1, 1, mav.MAV_CMD_COMPONENT_ARM_DISARM, 0, arm, 0, 0, 0, 0, 0, 0)
-            out.append(bytes(message.pack(self._codec)))
-        return out
-
-
 def test_one_log_per_arming(tmp_path: Path) -> None:
     settings = flight_settings(
         tmp_path / "state", {"sensors": "pose", "duration": 7.0, "log_dir": str(tmp_path / "logs")}
     )
-    open_sitl(settings, {"FENCE_REQUIRED": 0.0}, peers=[Switch({2.0: 1, 3.5: 0, 4.5: 1, 6.0: 0})]).run()
+    open_sitl(settings, {"FENCE_REQUIRED": 0.0}, peers=[ArmingSchedule({2.0: 1, 3.5: 0, 4.5: 1, 6.0: 0})]).run()
     logs = sorted((tmp_path / "logs").rglob("*.mcap"))
     assert len(logs) == 2
     for path, begin_s in zip(logs, (2.0, 4.5), strict=True):
@@ -54,7 +37,7 @@ def test_old_logs_make_room_for_a_new_one_which_says_so(tmp_path: Path) -> None:
     places = {"connect": (), "state_dir": str(tmp_path / "state"), "log_dir": str(tmp_path / "logs")}
     for name, value in {**places, "log_quota_mb": 1.0}.items():
         settings.put(name, value, "test")
-    open_sitl(settings, {"FENCE_REQUIRED": 0.0}, peers=[Switch({2.0: 1})]).run()
+    open_sitl(settings, {"FENCE_REQUIRED": 0.0}, peers=[ArmingSchedule({2.0: 1})]).run()
     (new,) = sorted((tmp_path / "logs").rglob("*.mcap"))
     assert new != old
     assert open_log(new).metadata["run"]["removed_logs"] == "2020-02-02/10_20_30.mcap"

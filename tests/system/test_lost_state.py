@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 from broken_disks import Disk
 from pymavlink.dialects.v20 import development as mav
-from system_harness import OpenSession
+from system_harness import OpenSession, sessions
 from wire_client import Harbour, WireClient
 
 from autopilot.client.client_session import VehicleConnection as ClientSession
@@ -53,9 +53,22 @@ class Vehicle(Harbour):
         return " ".join(self.client.texts())
 
 
-def prepared(session: OpenSession) -> None:
-    """A run that has kept parameters (twice) and plans, ended in an orderly way."""
-    vehicle = Vehicle(session)
+@pytest.fixture(scope="module")
+def kept_state(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """What a run has left that has kept parameters (twice) and plans, and ended in an orderly way."""
+    folder = tmp_path_factory.mktemp("prepared")
+    with sessions(folder) as session:
+        _keep(Vehicle(session))
+    return folder / "state"
+
+
+@pytest.fixture
+def prepared(kept_state: Path, tmp_path: Path) -> Path:
+    """A copy of it, in which the test's own runs begin."""
+    return Path(shutil.copytree(kept_state, tmp_path / "state"))
+
+
+def _keep(vehicle: Vehicle) -> None:
     plan = paper_plan()
     assert vehicle.offer(vehicle.client, PlanKind.MISSION, plan.mission) == 0
     assert vehicle.offer(vehicle.client, PlanKind.FENCE, plan.fence) == 0
@@ -73,10 +86,10 @@ def has_all(vehicle: Vehicle) -> bool:
 
 
 @pytest.mark.parametrize(("error", "named"), [(errno.EROFS, "disk read-only"), (errno.ENOSPC, "disk full")])
+@pytest.mark.usefixtures("prepared")
 def test_a_disk_that_takes_no_writes_is_read_and_arms_only_when_accepted(
     session: OpenSession, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, error: int, named: str
 ) -> None:
-    prepared(session)
     disk = Disk(monkeypatch, tmp_path / "state")
     disk.break_with(error)
     vehicle = Vehicle(session)
@@ -101,11 +114,11 @@ def test_a_disk_that_takes_no_writes_is_read_and_arms_only_when_accepted(
 
 @pytest.mark.parametrize("kind", FILES)
 @pytest.mark.parametrize("damage", ["cut", "bent", "emptied", "folder"])
+@pytest.mark.usefixtures("prepared")
 def test_a_damaged_file_keeps_the_vehicle_disarmed_until_it_is_accepted(
     session: OpenSession, tmp_path: Path, kind: str, damage: str
 ) -> None:
-    """At this start and at the next ones, though nothing is left to be found damaged then."""
-    prepared(session)
+    """At this start and at the next one, though nothing is left to be found damaged then."""
     path = tmp_path / "state" / "sitl-0" / FILES[kind]
     data = path.read_bytes()
     previous = path.with_name(path.name + ".previous")
@@ -120,7 +133,7 @@ def test_a_damaged_file_keeps_the_vehicle_disarmed_until_it_is_accepted(
             path.write_bytes(b"")
         case _:
             path.mkdir()
-    for start in range(3):
+    for start in range(2):
         vehicle = Vehicle(session)
         assert not has_all(vehicle)
         assert any(kind in text or "stored" in text for text in vehicle.greeted), vehicle.greeted
@@ -139,10 +152,10 @@ def test_a_damaged_file_keeps_the_vehicle_disarmed_until_it_is_accepted(
     assert vehicle.arm() == ACCEPTED, "it is known"
 
 
+@pytest.mark.usefixtures("prepared")
 def test_a_disk_that_fills_while_the_vehicle_runs_is_a_reason_from_the_next_save_on(
     session: OpenSession, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    prepared(session)
     disk = Disk(monkeypatch, tmp_path / "state")
     vehicle = Vehicle(session)
     disk.break_with(errno.ENOSPC)
@@ -191,11 +204,11 @@ def read_only(folder: Path) -> Iterator[None]:
         subprocess.run(["umount", "-l", str(folder)], check=True)
 
 
+@pytest.mark.usefixtures("prepared")
 def test_a_service_on_a_read_only_disk_has_what_it_had_and_says_why_it_does_not_arm(
     session: OpenSession, tmp_path: Path
 ) -> None:
     """The real process on a real file system."""
-    prepared(session)
     port = free_port()
     command = autopilot_command(
         *("sitl", "paper-tank", "--quiet", "--sensors", "pose", "--speed", "1", "--keep-plans"),

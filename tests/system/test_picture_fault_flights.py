@@ -69,11 +69,3 @@ def test_spoilt_pictures_give_no_other_place(kind: str, seed: int, keys: dict[st
     assert honest(result), result
     assert result.worst_m < 0.3 and not blamed(result, "Accelerometer", "Gyro")
     assert result.back_s is not None and result.back_s < 2.0
-
-
-def test_a_sound_flight_names_no_camera() -> None:
-    """Wrong mass and drag, and a gap: that is the vehicle's error."""
-    mismatch = {"vehicle": {"mismatch": {"mass": 1.2, "drag": 0.8, "linear_drag": 0.8}}}
-    result = fly_fault(FaultFlight(gap_s=3.0, at_s=AT_S, seed=7, changes=mismatch, duration_s=15.0))
-    assert result.contacts == 0 and result.resets <= 1
-    assert not blamed(result, CAMERA_WRONG, HOLDS), result.texts

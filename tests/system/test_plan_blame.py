@@ -39,17 +39,14 @@ def at(command: int, north: float, east: float, down: float, *params: float) -> 
 
 
 def order(command: int, *params: float) -> PlanItem:
-    """An item without a place."""
     return replace(at(command, 0.0, 0.0, 0.0, *params), frame=MavFrame.MISSION)
 
 
 def numbered(items: Sequence[PlanItem]) -> list[PlanItem]:
-    """From 0."""
     return [replace(item, seq=seq) for seq, item in enumerate(items)]
 
 
 def place(draw: random.Random, down: float = 0.5) -> PlanItem:
-    """A waypoint without fault."""
     return at(Command.NAV_WAYPOINT, draw.uniform(-2, 2), draw.uniform(-1, 1), down, 0, 0, 0, math.nan)
 
 
@@ -61,7 +58,6 @@ def mission(draw: random.Random, guilty: PlanItem, *behind: PlanItem, last: bool
 
 
 def polygon(points: Sequence[tuple[float, float]], *, inside: bool = False) -> list[PlanItem]:
-    """Vertices of a fence."""
     command = Command.FENCE_POLYGON_VERTEX_INCLUSION if inside else Command.FENCE_POLYGON_VERTEX_EXCLUSION
     return [at(command, north, east, 0.0, len(points)) for north, east in points]
 

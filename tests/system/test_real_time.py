@@ -5,12 +5,12 @@ import resource
 import subprocess
 import sys
 import threading
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import pytest
-from pymavlink.dialects.v20 import development as mav
+from wire_client import ArmingSchedule
 
 from autopilot.core.messages import Outputs
 from autopilot.core.samples import CameraFrame, MarkerSighting
@@ -46,38 +46,9 @@ class Progress:
             self.stuck |= not self._moved.wait_for(lambda: self.stuck or self._ticks >= until, PATIENCE_S)
 
     def release(self) -> None:
-        """The loop has ended."""
         with self._moved:
             self._ticks += 1_000_000
             self._moved.notify_all()
-
-
-class Operator:
-    """Arms and disarms at given times, and notes what the vehicle says."""
-
-    def __init__(self, times_s: dict[float, int], before: dict[float, Callable[[], object]] | None = None) -> None:
-        self._codec = mav.MAVLink(None, srcSystem=255, srcComponent=190)
-        self._parser = mav.MAVLink(None)
-        self._todo = sorted((round(t * 1e6), arm) for t, arm in times_s.items())
-        self._before = sorted((round(t * 1e6), act) for t, act in (before or {}).items())
-        self.texts: list[tuple[float, int, str]] = []
-
-    def step(self, t_us: int, received: Sequence[bytes]) -> list[bytes]:
-        for data in received:
-            for message in self._parser.parse_buffer(data) or ():
-                if message.get_type() == "STATUSTEXT":
-                    self.texts.append((t_us * 1e-6, message.severity, message.text))
-        while self._before and self._before[0][0] <= t_us:
-            self._before.pop(0)[1]()
-        out = []
-        while self._todo and self._todo[0][0] <= t_us:
-            arm = self._todo.pop(0)[1]
-            message = self._codec.command_long_encode(1, 1, mav.MAV_CMD_COMPONENT_ARM_DISARM, 0, arm, 0, 0, 0, 0, 0, 0)
-            out.append(bytes(message.pack(self._codec)))
-        return out
-
-    def said(self, start: str) -> list[tuple[float, int, str]]:
-        return [text for text in self.texts if text[2].startswith(start)]
 
 
 def _session(folder: Path, *, on_tick: Callable[[Outputs], None] = lambda _: None, **given: Any) -> SitlSession:
@@ -141,7 +112,7 @@ def test_a_slow_disk_does_not_hold_the_loop_and_nothing_of_the_first_moments_is_
 
     monkeypatch.setattr(writer, "_open_locked", slow_make)
     monkeypatch.setattr(writer.LogWriter, "_finish", slow_finish)
-    operator = Operator({2.0: 1, 4.0: 0})
+    operator = ArmingSchedule({2.0: 1, 4.0: 0})
     session = _session(tmp_path, duration=6.0, peers=[operator], on_tick=progress.tick)
     session.run()
     assert not progress.stuck
@@ -166,7 +137,7 @@ def test_a_queue_that_is_full_drops_counts_and_says_so(tmp_path: Path, monkeypat
         return make(path)
 
     monkeypatch.setattr(writer, "_open_locked", slow_make)
-    operator = Operator({2.0: 1, 4.0: 0})
+    operator = ArmingSchedule({2.0: 1, 4.0: 0})
     session = _session(tmp_path, duration=5.0, peers=[operator], on_tick=progress.tick)
     session.run()
     assert not progress.stuck
@@ -182,7 +153,7 @@ def test_a_log_folder_that_is_gone_is_said_at_once_and_tried_again(tmp_path: Pat
         logs.rmdir()
         logs.write_bytes(b"a file in the folder's place")
 
-    operator = Operator({2.0: 1, 3.0: 0, 4.0: 1, 5.0: 0}, {1.0: spoil, 3.5: logs.unlink})
+    operator = ArmingSchedule({2.0: 1, 3.0: 0, 4.0: 1, 5.0: 0}, {1.0: spoil, 3.5: logs.unlink})
     session = _session(tmp_path, speed=speed, duration=6.0, peers=[operator])
     session.run()
     assert session.runtime.counters.ticks == 600

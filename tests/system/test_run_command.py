@@ -12,18 +12,12 @@ import pytest
 from autopilot.core.errors import ConfigError
 from autopilot.log.reader import open_log
 from autopilot.mission.plan_files import write_plan
-from autopilot.run.children import autopilot_command
+from autopilot.run.children import autopilot_command, free_port
 from autopilot.run.demo import paper_plan
 from autopilot.run.vehicle_config import load_config
 from autopilot.sitl.scenario import load_scenario
 
 ARDUSUB = '[devices.flight_controller]\ndriver = "ardusub"\nframe = "vectored"\nconnect = "udpin:127.0.0.1:{port}"\n'
-
-
-def _port() -> int:
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])
 
 
 def _file(folder: Path, text: str) -> Path:
@@ -34,7 +28,7 @@ def _file(folder: Path, text: str) -> Path:
 
 def _rov(folder: Path) -> Path:
     text = 'vehicle = "bluerov2"\n[service]\nstate_dir = "state"\nlog_dir = "logs"\n'
-    return _file(folder, text + f'connect = ["udpin:127.0.0.1:{_port()}"]\n' + ARDUSUB.format(port=_port()))
+    return _file(folder, text + f'connect = ["udpin:127.0.0.1:{free_port()}"]\n' + ARDUSUB.format(port=free_port()))
 
 
 def test_sigterm_ends_a_run_with_a_whole_log(tmp_path: Path) -> None:

@@ -26,7 +26,6 @@ class Line:
         self.carried = 0
 
     def take(self) -> list[Any]:
-        """What arrives on this tick."""
         self._may = min(self._may + BYTES_PER_TICK, 300.0)
         try:
             data = os.read(self._descriptor, int(self._may))

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 from system_harness import ROOT, OpenSession
+from wire_client import WireClient
 
 from autopilot.core.messages import Outputs
 from autopilot.core.plan import PlanKind
@@ -27,27 +28,19 @@ STEP_N, STEP_M = 3.0, 0.1
 """A switch of modes changes no thruster and no depth by more."""
 
 
-class Pilot:
-    """A joystick and its ground station, in the vehicle's time (:class:`autopilot.run.outside.InProcessClient`)."""
+class Pilot(WireClient):
+    """A joystick and its ground station, in the vehicle's time."""
 
-    def __init__(self) -> None:
-        self._codec: Any = mav.MAVLink(None, srcSystem=255, srcComponent=190)
-        self._codec.robust_parsing = True
-        self.sticks: tuple[int, int, int, int] | None = None
-        self.orders: list[Any] = []
-        self.heard: list[Any] = []
+    sticks: tuple[int, int, int, int] | None = None
 
     def step(self, t_us: int, received: Sequence[bytes]) -> list[bytes]:
-        """Sticks 25 times a second, a heartbeat every second, orders at once."""
-        for data in received:
-            self.heard += self._codec.parse_buffer(data) or ()
-        said, self.orders = self.orders, []
+        """Orders at once, a heartbeat every second, sticks 25 times a second."""
         if t_us % 1_000_000 == 0:
-            said.append(mav.MAVLink_heartbeat_message(6, 8, 0, 0, 4, 3))
+            self.send(mav.MAVLink_heartbeat_message(6, 8, 0, 0, 4, 3))
         if self.sticks is not None and t_us % 40_000 == 0:
             x, y, z, r = self.sticks
-            said.append(mav.MAVLink_manual_control_message(1, x, y, z, r, 0))
-        return [message.pack(self._codec) for message in said]
+            self.send(mav.MAVLink_manual_control_message(1, x, y, z, r, 0))
+        return super().step(t_us, received)
 
 
 class Flight:
@@ -80,11 +73,11 @@ class Flight:
 
     def command(self, number: int, *params: float, accepted: bool = True) -> None:
         """COMMAND_LONG, and what becomes of it."""
-        self.pilot.heard.clear()
-        self.pilot.orders.append(mav.MAVLink_command_long_message(1, 1, number, 0, *(*params, *[0.0] * 7)[:7]))
+        self.pilot.inbox.clear()
+        self.pilot.send(mav.MAVLink_command_long_message(1, 1, number, 0, *(*params, *[0.0] * 7)[:7]))
         self.run(0.05, self.pilot.sticks)
-        acks = [m.result for m in self.pilot.heard if m.get_type() == "COMMAND_ACK"]
-        texts = [m.text for m in self.pilot.heard if m.get_type() == "STATUSTEXT"]
+        acks = [m.result for m in self.pilot.heard("COMMAND_ACK")]
+        texts = [m.text for m in self.pilot.heard("STATUSTEXT")]
         assert (acks == [0]) is accepted, (number, acks, texts)
 
     def mode(self, custom_mode: int) -> None:
@@ -116,7 +109,7 @@ def random_flight(flight: Flight, seed: int, legs: int) -> None:
         else:
             since = len(flight.thrust)
             orbit = (rng.choice((0.3, -0.3)), 0.15, 0.0, 0.0)
-            flight.pilot.orders.append(
+            flight.pilot.send(
                 mav.MAVLink_command_int_message(1, 1, 3, 34, 0, 0, *orbit, 0x7FFF_FFFF, 0x7FFF_FFFF, math.nan)
             )
             flight.run(0.3, flight.pilot.sticks)
@@ -155,7 +148,7 @@ def test_position_is_held_and_braking_does_not_rebound(session: OpenSession) -> 
     assert flight.drift_m(5.0) < 0.1
     assert np.linalg.norm(flight.place[-1] - stop) < 0.1
     for _ in range(2):
-        flight.pilot.orders.append(
+        flight.pilot.send(
             mav.MAVLink_command_int_message(1, 1, 3, 34, 0, 0, 0.3, 0.15, 0.0, 0.0, 0x7FFF_FFFF, 0x7FFF_FFFF, math.nan)
         )
         flight.run(2.0)

@@ -50,8 +50,6 @@ def test_a_service_that_ends_or_hangs_leaves_thrusters_neutral_wherever_it_was_s
 
 
 class Flight:
-    """The service in this process."""
-
     def __init__(self, vehicle: PwmVehicle, folder: Path) -> None:
         settings = gather(vehicle_defaults(0), {"state_dir": str(folder), "log": str(folder / "run.mcap")}, {})
         config = load_config(str(vehicle.config))

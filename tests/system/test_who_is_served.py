@@ -64,8 +64,6 @@ def vehicle_fixture(tmp_path: Path) -> Iterator[Vehicle]:
 
 
 class Bore:
-    """One of the crowd."""
-
     def __init__(self, vehicle: Vehicle, kind: str, sort: str, draw: random.Random) -> None:
         self.socket, self._sort, self._draw = vehicle.connect(kind), sort, draw
         if sort == "silent" and kind == "udp":
@@ -74,7 +72,6 @@ class Bore:
             self._say(bytes(_heartbeat().pack(mav.MAVLink(None, srcSystem=draw.randint(2, 250), srcComponent=1))))
 
     def act(self) -> None:
-        """A tick of it."""
         if self._sort == "junk" and self._draw.random() < 0.1:
             self._say(self._draw.choice((b"\xfd", b"\xfe\x09")) * self._draw.randint(1, 40))
 

@@ -1,5 +1,6 @@
 """Clients that speak raw MAVLink in the vehicle's own time, for sessions in this process."""
 
+import functools
 from collections import defaultdict
 from collections.abc import Callable, Sequence
 from typing import Any
@@ -57,6 +58,33 @@ class WireClient:
         return whole
 
 
+class ArmingSchedule(WireClient):
+    """Arms (1) and disarms (0) at given times [s], and does what is to be done before; keeps when texts came."""
+
+    def __init__(self, times_s: dict[float, int], before: dict[float, Callable[[], object]] | None = None) -> None:
+        super().__init__()
+        arm, actions = mav.MAV_CMD_COMPONENT_ARM_DISARM, before or {}
+        orders = {t_s: mav.MAVLink_command_long_message(1, 1, arm, 0, on, *[0.0] * 6) for t_s, on in times_s.items()}
+        self._todo = sorted(
+            [(round(t_s * 1e6), 0, action) for t_s, action in actions.items()]
+            + [(round(t_s * 1e6), 1, functools.partial(self.send, order)) for t_s, order in orders.items()],
+            key=lambda entry: entry[:2],
+        )
+        self._said: list[tuple[float, int, str]] = []
+
+    def step(self, t_us: int, received: Sequence[bytes]) -> list[bytes]:
+        while self._todo and self._todo[0][0] <= t_us:
+            self._todo.pop(0)[2]()
+        known = len(self.inbox)
+        outbox = super().step(t_us, received)
+        self._said += [(t_us * 1e-6, m.severity, m.text) for m in self.inbox[known:] if m.get_type() == "STATUSTEXT"]
+        return outbox
+
+    def said(self, start: str) -> list[tuple[float, int, str]]:
+        """Time [s], severity and text of those that begin so."""
+        return [text for text in self._said if text[2].startswith(start)]
+
+
 class Harbour:
     """A session and the time in it."""
 
@@ -85,7 +113,6 @@ class Harbour:
     # Exchanges that every client has
 
     def command(self, client: WireClient, command: int, *params: float) -> int:
-        """COMMAND_LONG and its result."""
         client.inbox.clear()
         filled = (*params, *(0.0,) * (7 - len(params)))
         client.send(mav.MAVLink_command_long_message(1, 1, command, 0, *filled))

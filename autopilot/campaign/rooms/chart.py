@@ -38,8 +38,6 @@ KEPT_GRAPHS = 3
 
 @dataclass(frozen=True, slots=True)
 class QuickestPath:
-    """A quickest way."""
-
     time_s: float
     """inf = there is none."""
     length_m: float
@@ -127,8 +125,6 @@ class Chart:
 
 
 class Ways:
-    """Quickest ways over cells."""
-
     def __init__(self, free: BoolArray, low: FloatArray, cell_m: float) -> None:
         self._free, self._low, self._cell_m = free, low, cell_m
         self._number: NDArray[np.int64] = np.full(free.shape, -1, dtype=np.int64)
@@ -235,7 +231,6 @@ _STEPS = tuple(
 
 
 def still(places: FloatArray) -> FloatArray:
-    """No current."""
     return np.zeros((1, len(places), 2))
 
 

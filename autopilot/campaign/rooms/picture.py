@@ -15,7 +15,6 @@ ARROWS = 16
 
 
 def draw(room: RandomWorld, flown: Flown, path: Path) -> None:
-    """Write a PNG."""
     from matplotlib.figure import Figure
     from matplotlib.patches import Circle, Polygon
 

@@ -49,8 +49,6 @@ START_SHARE = 0.75
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RandomWorld:
-    """All of a room."""
-
     seed: int
     kind: str
     layout: WorldLayout
@@ -62,7 +60,6 @@ class RandomWorld:
 
     @property
     def vehicle(self) -> Vehicle:
-        """Its vehicle."""
         return vehicle_of(vehicle_tables(self.vehicle_number))
 
     @property
@@ -73,7 +70,6 @@ class RandomWorld:
 
     @property
     def waypoints(self) -> list[dict[str, Any]]:
-        """Of the plan."""
         result: list[dict[str, Any]] = self.plan["waypoint"]
         return result
 
@@ -87,7 +83,6 @@ class RandomWorld:
 
 
 def make_room(seed: int) -> RandomWorld:
-    """The room of a seed."""
     rng = np.random.default_rng((seed, 10))
     kind = str(rng.choice(KINDS, p=_KIND_WEIGHTS))
     number = 0 if kind == "tank" and rng.random() < 0.4 else int(rng.integers(VEHICLES))

@@ -28,7 +28,6 @@ def vehicle_tables(number: int) -> dict[str, Any]:
 
 
 def vehicle_of(tables: dict[str, Any]) -> Vehicle:
-    """The vehicle that tables describe."""
     vehicle: Vehicle = convert(copy.deepcopy(tables), Vehicle, "room")
     return vehicle
 

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import msgspec
 
+from autopilot.campaign.flight import run_watched
 from autopilot.campaign.rooms.prospect import Prospect, prospect
 from autopilot.campaign.rooms.random_world import SCENARIO_FILE, RandomWorld, make_room, write_files
 from autopilot.campaign.rooms.verdict import is_hopeless, judge_flight, judge_refusal
@@ -17,7 +18,6 @@ from autopilot.campaign.tick_watch import TickWatch
 from autopilot.core.errors import PlanError
 from autopilot.core.messages import Fallback, Outputs, Severity
 from autopilot.run.config import flight_settings
-from autopilot.run.sitl_session import open_sitl
 from autopilot.sitl.plant import Truth
 
 ARMING_S = 12.0
@@ -41,7 +41,6 @@ class RoomWatch(TickWatch):
         self.first_failsafe_s: float | None = None
 
     def tick(self, outputs: Outputs) -> None:
-        """See :class:`TickWatch`."""
         super().tick(outputs)
         t_s = outputs.t_us * 1e-6
         for event in outputs.events:
@@ -70,8 +69,6 @@ class RoomWatch(TickWatch):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RoomTask:
-    """One flight."""
-
     room: int
     mode: int
     seed: int
@@ -108,29 +105,25 @@ def fly_room(
     with tempfile.TemporaryDirectory(prefix="room-") as folder:
         write_files(room, Path(folder), mode=mode, duration_s=duration_s)
         given = {"scenario": str(Path(folder) / SCENARIO_FILE), "seed": room.seed, "start": True, "log": log}
-        watch = RoomWatch(lambda: session.device.truth)
+        settings = flight_settings(folder, given)
         try:
-            session = open_sitl(flight_settings(folder, given), {}, log=log is not None, on_tick=watch.tick)
+            flown = run_watched(settings, {}, RoomWatch, stop, lambda watch: _over(watch, chances, mode))
         except PlanError as error:
             result = judge_refusal(room, chances, str(error))
             return Flown(_timed(result, room, mode, begun_s), None, chances)
-        stopped = False
-
-        def enough() -> bool:
-            nonlocal stopped
-            stopped = stop()
-            if watch.given_up and not chances.sure_after(watch.reached_seq, mode):
-                return True
-            return stopped or watch.over or watch.never_armed
-
-        session.run(enough)
-        if stopped:
+        if flown is None:
             return None
+        session, watch = flown
         if watch.never_armed or not len(watch.rows):
             result = judge_refusal(room, chances, watch.not_armed or "not armed, and nothing was said")
         else:
             result = judge_flight(room, chances, mode, watch, session.device.truth)
         return Flown(_timed(result, room, mode, begun_s), watch, chances, session.device.truth)
+
+
+def _over(watch: RoomWatch, chances: Prospect, mode: int) -> bool:
+    hopeless = watch.given_up and not chances.sure_after(watch.reached_seq, mode)
+    return hopeless or watch.over or watch.never_armed
 
 
 def _timed(result: RoomResult, room: RandomWorld, mode: int, begun_s: float) -> RoomResult:

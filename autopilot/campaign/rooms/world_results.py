@@ -83,5 +83,4 @@ class RoomResult(msgspec.Struct, frozen=True, kw_only=True):
 
     @property
     def failed(self) -> bool:
-        """Anything is held against it."""
         return bool(self.faults)

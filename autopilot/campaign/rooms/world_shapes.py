@@ -34,8 +34,6 @@ Solid: TypeAlias = Disc | Block
 
 @dataclass(frozen=True, slots=True)
 class WorldLayout:
-    """What stands in a room."""
-
     outline_m: Corners | None
     """Walls all round, None = open water."""
     solids: tuple[Solid, ...] = ()

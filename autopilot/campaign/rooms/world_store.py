@@ -30,7 +30,6 @@ class RoomStore(ResultStore[RoomResult]):
     """A folder that is open for one process."""
 
     def __init__(self, folder: Path, seed: int) -> None:
-        """See :class:`autopilot.campaign.run_store.ResultStore`."""
         mine = WorldsIdentity(format=FORMAT, version=__version__, revision=revision(), seed=seed)
         super().__init__(
             folder / LINES,

@@ -12,8 +12,6 @@ from autopilot.campaign.summary import failure_bound
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ModeSummary:
-    """One row of the table."""
-
     mode: int
     flights: int
     reached: int
@@ -37,7 +35,6 @@ class ModeSummary:
 
 
 def summarise(results: Sequence[RoomResult], mode: int) -> ModeSummary:
-    """The flights of one mode."""
     mine = [result for result in results if result.mode == mode]
 
     def count(outcome: WorldOutcome) -> int:
