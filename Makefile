@@ -28,7 +28,7 @@ lint: $(VENV)/tools
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 
-# Fails, with the reason, where the package works without its compiled library.
+# Fails, with the reason, where the compiled library cannot be used.
 library: $(VENV)/installed
 	$(BIN)/python -c "import sys; from autopilot.core.compiled import missing; sys.exit(missing())"
 
