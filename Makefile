@@ -38,7 +38,7 @@ docs: $(VENV)/docs
 	NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build --strict
 	SITE=out/docs $(BIN)/python -m pytest tests/docs/test_doc_site.py
 
-# Fails, with the reason, where the package works without its compiled library.
+# Fails, with the reason, where the compiled library cannot be used.
 library: $(VENV)/installed
 	$(BIN)/python -c "import sys; from autopilot.core.compiled import missing; sys.exit(missing())"
 

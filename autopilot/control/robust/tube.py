@@ -41,7 +41,8 @@ class TubeTable:
         """(nodes, STATES_OUT + thrusters, GROUPS) without surge."""
         place = (0.0 - self.first_m_s) / self.step_m_s
         low = int(place)
-        return self.variance[low] + (place - low) * (self.variance[low + 1] - self.variance[low])
+        result: FloatArray = self.variance[low] + (place - low) * (self.variance[low + 1] - self.variance[low])
+        return result
 
 
 def _growth(model: Model4, grid: TimeGrid, ancillary: Ancillary) -> FloatArray:
