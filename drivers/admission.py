@@ -85,7 +85,7 @@ class Admission(Generic[K]):
     def leave(self, key: K) -> None:
         self._places.pop(key, None)
 
-    def has_room(self, t_us: int) -> bool:
+    def has_place(self, t_us: int) -> bool:
         """Whether the next one who asks is admitted."""
         return len(self._places) < self._most - 1 or self._decide(t_us).admitted
 

@@ -114,7 +114,7 @@ class ArduSub(Closing):
         self._now_us = 0
         self._heard_us: int | None = None
         self._heard_of = dict.fromkeys(self._rates_hz, 0)
-        """How often each has come since it was last looked at."""
+        """How often each has come since it was last counted."""
         self._beat_us = self._asked_us = self._read_us = -(1 << 62)
         self._again: deque[str] = deque()
         """Parameters that are to be read anew."""
@@ -125,7 +125,7 @@ class ArduSub(Closing):
         """So often 1500 has still to be sent."""
         self._senders = OutputWatch()
         self._seen: tuple[int, tuple[int, ...]] | None = None
-        """What is at the servo rail, and when that was told."""
+        """What is at the servo rail, and when that was reported."""
         self.saturated_count = 0
         """Commands that did not fit its channels."""
 
@@ -182,7 +182,7 @@ class ArduSub(Closing):
     # What it measures
 
     def poll(self, t_us: int) -> list[Sample]:
-        """What has arrived; and what has to be asked for or told regularly."""
+        """What has arrived; and what has to be asked for or sent regularly."""
         wire = self._open_wire()
         self._now_us = t_us
         samples: list[Sample] = []
@@ -368,7 +368,7 @@ class ArduSub(Closing):
         )
 
     def _pulses_us(self, t_us: int) -> tuple[int, ...]:
-        """What the thrusters get, whoever it is from; () when it has not been told of late."""
+        """What the thrusters get, whoever it is from; () when it has not been reported of late."""
         if self._seen is None or t_us - self._seen[0] > STALE_US:
             return ()
         return self._mixer.pulses_us(self._seen[1])

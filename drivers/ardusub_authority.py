@@ -127,7 +127,7 @@ class AuthorityWatch:
         self.handed_back = self.armed
 
     def stop(self, t_us: int) -> None:
-        """Disarm it, whoever armed it and whatever its mode; told on every tick until :meth:`is_armed` says False."""
+        """Disarm it, whoever armed it and whatever its mode; sent on every tick until :meth:`is_armed` says False."""
         if self._stop_us is None:
             self._stop_us, self._answered = t_us, False
             self._asked_us = t_us - DISARM_EVERY_US

@@ -71,7 +71,7 @@ class OutputWatch:
         self.rival = False
 
     def skip(self) -> None:
-        """Reports that say nothing now, as behind a silence: another sender that was there is believed to be."""
+        """Reports that say nothing now, as behind a silence: another sender that was there is assumed to be."""
         self._wrong.clear()
         self._since_us, self.problem = None, ""
 

@@ -39,14 +39,14 @@ class ArduSubTelemetry:
         self._vehicle = vehicle
         self._density = density_kg_m3
         self._depth_sigma_m = depth_sigma_m
-        self._told_ground_pa = ground_pa
+        self._given_ground_pa = ground_pa
         self.clock = DeviceClock(CLOCK_SPAN_US)
         """Its own, on ours."""
         self._accel: tuple[int, list[float]] | None = None
         self._pressure: tuple[int, float] = (-AGAIN_US, math.nan)
         """The last one that was passed on."""
         self._leak_us: int | None = None
-        self._leak_told_us = -LEAK_EVERY_US
+        self._leak_reported_us = -LEAK_EVERY_US
         self.supply_v: float | None = None
         self.parameters: dict[str, float] = {}
         """Its own, as far as they are known."""
@@ -77,9 +77,9 @@ class ArduSubTelemetry:
     def leak(self, t_us: int) -> list[Sample]:
         """What the leak probe says, once per second: it warns at times, and says nothing while it is dry."""
         wet = self._leak_us is not None and t_us - self._leak_us < LEAK_HOLD_US
-        if t_us - self._leak_told_us < LEAK_EVERY_US and self._leak_us != t_us:
+        if t_us - self._leak_reported_us < LEAK_EVERY_US and self._leak_us != t_us:
             return []
-        self._leak_told_us = t_us
+        self._leak_reported_us = t_us
         return [LeakSample(t_us=t_us, wet=wet)]
 
     def _attitude(self, t_us: int, message: Any) -> list[Sample]:
@@ -104,8 +104,8 @@ class ArduSubTelemetry:
 
     def _depth(self, t_us: int, message: Any) -> list[Sample]:
         """By the sensor outside of the hull."""
-        told_pa = self._told_ground_pa
-        ground_pa = self.parameters.get("BARO2_GND_PRESS") if told_pa is None else told_pa
+        given_pa = self._given_ground_pa
+        ground_pa = self.parameters.get("BARO2_GND_PRESS") if given_pa is None else given_pa
         if ground_pa is None or ground_pa <= 0.0 or not math.isfinite(message.press_abs):
             return []
         if message.press_abs == self._pressure[1] and t_us - self._pressure[0] < AGAIN_US:

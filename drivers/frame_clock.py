@@ -36,7 +36,7 @@ EARLY_SIGMAS, EARLY = 3.3, (0.05, 0.45)
 """A picture may come early by so many standard deviations, at least and at most so many beats; what is later than the
 rest of a beat is taken for the next picture. Delays have long tails on one side only."""
 PAUSE_BEATS = 60.0
-"""After a silence of so many pictures the beat is looked for anew."""
+"""After a silence of so many pictures the beat is looked for again."""
 LOST_COUNT = 20
 """So many in a row off the line on one side: something in between has changed, and the line begins anew with them."""
 

@@ -19,7 +19,7 @@ SHUNT_V, BUS_V = 10e-6, 4e-3
 OVERFLOW = 1 << 0
 PERIOD_US = 200_000
 CHECK_EVERY = 10
-"""Samples between two looks at its setting: it forgets it when its power fails."""
+"""Samples between two checks of its setting: it forgets it when its power fails."""
 
 
 class Ina219Options(Table, frozen=True, kw_only=True):

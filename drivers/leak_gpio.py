@@ -11,7 +11,7 @@ from autopilot.drivers.base import Closing
 from autopilot.drivers.gpio import GpioLine, LinuxGpio
 
 PERIOD_US = 200_000
-"""Between samples while nothing changes; a change is told at once."""
+"""Between samples while nothing changes; a change is reported at once."""
 
 
 class GpioLeakOptions(Table, frozen=True, kw_only=True):

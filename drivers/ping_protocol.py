@@ -22,7 +22,7 @@ MAX_PAYLOAD = 512
 """The longest message (a profile) has 200 points and some numbers."""
 _SIMPLE = struct.Struct("<IB")
 LENGTHS = {DISTANCE_SIMPLE: _SIMPLE.size}
-"""Of payloads that are always as long. A damaged length is told at once by that: waited for, it would hold up the
+"""Of payloads that are always as long. A damaged length shows at once by that: waited for, it would hold up the
 frames of seconds, which would be stamped too late."""
 
 

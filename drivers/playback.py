@@ -46,7 +46,7 @@ class Playback(Closing):
         self._path = Path(options.path)
         self._folder_hz = options.rate_hz or vehicle.eye.rate_hz
         self._transport_us = round(1e6 * LATENCY_SHARE * vehicle.eye.latency_s)
-        self._lane: DaemonLane | None = None
+        self._executor: DaemonLane | None = None
         self._pictures: Iterator[Picture] = iter(())
         self._next: Future[Picture | None] | None = None
         self._start_us: int | None = None
@@ -55,7 +55,7 @@ class Playback(Closing):
 
     def open(self) -> None:
         """Begin at the first picture. DriverError if there is none."""
-        if self._lane is not None:
+        if self._executor is not None:
             return
         pictures = self._all()
         first = next(pictures, None)
@@ -64,18 +64,18 @@ class Playback(Closing):
                 f"{self._path} holds no pictures; give a folder of images, a video or a log with pictures"
             )
         self._pictures, self._start_us, self.ended = pictures, None, False
-        self._lane = DaemonLane("playback")
-        self._next = self._lane.submit(lambda: first)
+        self._executor = DaemonLane("playback")
+        self._next = self._executor.submit(lambda: first)
 
     def close(self) -> None:
-        lane, self._lane, self._next = self._lane, None, None
+        lane, self._executor, self._next = self._executor, None, None
         if lane is not None:
             lane.shutdown(wait=False, cancel_futures=True)
 
     def poll(self, t_us: int) -> list[CameraFrame]:
         """The newest picture that is due and decoded."""
         newest: list[CameraFrame] = []
-        while self._lane is not None and self._next is not None and self._next.done():
+        while self._executor is not None and self._next is not None and self._next.done():
             picture = self._next.result()
             if picture is None:
                 self.ended, self._next = True, None
@@ -85,7 +85,7 @@ class Playback(Closing):
             if taken_us + self._transport_us > t_us:
                 break
             newest = [CameraFrame(t_us=taken_us, image_bgr=picture[1])]
-            self._next = self._lane.submit(lambda: next(self._pictures, None))
+            self._next = self._executor.submit(lambda: next(self._pictures, None))
         return newest
 
     def _all(self) -> Iterator[Picture]:

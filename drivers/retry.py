@@ -47,7 +47,7 @@ class RetryingDevice(Generic[D]):
         self.problem = "not opened yet"
         """Why it is not there, "" while it is."""
         self.opened_count = 0
-        self._lane = DaemonLane(f"device {name}")
+        self._executor = DaemonLane(f"device {name}")
         self._opening: Future[None] | None = None
         self._up = False
         self._silent = False
@@ -55,7 +55,7 @@ class RetryingDevice(Generic[D]):
         self._retry_us = 0
         self._pause_us = FIRST_PAUSE_US
         self._notices: list[tuple[Severity, str]] = []
-        self._told = ""
+        self._reported = ""
 
     @property
     def state(self) -> DeviceState:
@@ -82,7 +82,7 @@ class RetryingDevice(Generic[D]):
                 raise error
             self._fail(t_us, str(error))
         if self._opening is None and t_us >= self._retry_us:
-            self._opening = self._lane.submit(self.device.open)
+            self._opening = self._executor.submit(self.device.open)
         return False
 
     def use(self, t_us: int, work: Callable[[], T], otherwise: T) -> T:
@@ -112,20 +112,20 @@ class RetryingDevice(Generic[D]):
     def lose(self, t_us: int, problem: str) -> None:
         """It is gone: close it, and try again after a pause."""
         self._up = False
-        self._lane.submit(self.device.close)
+        self._executor.submit(self.device.close)
         self._fail(t_us, problem)
 
     def close(self) -> None:
         self._up = False
-        self._lane.shutdown(wait=False, cancel_futures=True)
+        self._executor.shutdown(wait=False, cancel_futures=True)
         self.device.close()
 
     def _begin(self, t_us: int) -> None:
         self._up, self._silent, self._heard_us = True, False, t_us
         self.opened_count += 1
         self.problem, self._pause_us = "", FIRST_PAUSE_US
-        if self._told or self.opened_count > 1:
-            self._told = ""
+        if self._reported or self.opened_count > 1:
+            self._reported = ""
             row = notices.DEVICE_RECONNECTED if self.opened_count > 1 else notices.DEVICE_CONNECTED
             self._notices.append(row(name=self.name))
 
@@ -133,8 +133,8 @@ class RetryingDevice(Generic[D]):
         self.problem = problem
         self._retry_us = t_us + self._pause_us
         self._pause_us = min(2 * self._pause_us, LONGEST_PAUSE_US)
-        if problem != self._told:
-            self._told = problem
+        if problem != self._reported:
+            self._reported = problem
             self._notices.append(notices.DEVICE_DOWN(name=self.name, problem=problem))
 
     def _tell(self, severity: Severity, text: str) -> None:
@@ -170,7 +170,7 @@ class SteadyOutput(RetryingDevice[Out]):
 
     def write(self, t_us: int, pwm_us: Sequence[int]) -> None:
         if not self.attend(t_us):
-            if self.opened_count == 0 and not self._told:  # the first opening is still under way
+            if self.opened_count == 0 and not self._reported:  # the first opening is still under way
                 return
             raise DriverError(f"{self.name} down: {self.problem}")
         try:

@@ -110,7 +110,7 @@ class TcpServer:
         self._numbers = 0
         self.standing: Callable[[int], ClientRecord] = lambda client: UNPROVEN
         self._admission: Admission[int] = Admission(MAX_CLIENTS, lambda client: self.standing(client), GRACE_US)
-        self._news = DoorNews()
+        self._notices = DoorNews()
         self._full = False
         """Whether somebody may be waiting who cannot come in now."""
         self.dropped_tx = 0
@@ -158,7 +158,7 @@ class TcpServer:
 
     def take_news(self) -> tuple[bool, str] | None:
         """Who lost his place or found none since the last call."""
-        return self._news.take()
+        return self._notices.take()
 
     def close(self) -> None:
         for client in self._clients.values():
@@ -171,15 +171,15 @@ class TcpServer:
             self._admission.leave(number)
             gone = self._clients.pop(number)
             if gone.slow:
-                self._news.note(f"{gone.sender} cut off: it does not read")
+                self._notices.note(f"{gone.sender} cut off: it does not read")
 
     def _accept(self, t_us: int) -> None:
         """Let in who waits, as far as there are places."""
         for _ in range(MAX_ACCEPTED):
-            self._full = not self._admission.has_room(t_us)
+            self._full = not self._admission.has_place(t_us)
             if self._full:
                 if select.select([self._listener], [], [], 0.0)[0]:
-                    self._news.note(f"a client waits for a place: {len(self._clients)} are served")
+                    self._notices.note(f"a client waits for a place: {len(self._clients)} are served")
                 return
             try:
                 connection, address = self._listener.accept()
@@ -199,7 +199,7 @@ class TcpServer:
         if entry.displaced is not None:
             gone = self._clients.pop(entry.displaced.key)
             gone.close()
-            self._news.note(displaced_text(gone.sender, entry.displaced), warning=False)
+            self._notices.note(displaced_text(gone.sender, entry.displaced), warning=False)
         self._clients[stream.client] = stream
 
 

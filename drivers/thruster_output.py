@@ -12,7 +12,7 @@ from autopilot.core.vehicle import Vehicle
 from autopilot.drivers.base import Closing
 
 INSPECT_EVERY = 25
-"""Commands between two looks at a device that acknowledges commands even when it does not follow them (0.25 s)."""
+"""Commands between two checks of a device that acknowledges commands even when it does not follow them (0.25 s)."""
 
 
 def check_names(option: str, given: Iterable[str], known: Iterable[str]) -> None:
@@ -48,7 +48,7 @@ class SafeThrusterOutput(Closing):
         self._open = False
         self._at_rest = False
         self._writes = 0
-        self._doubtful = False
+        self._suspect = False
         self.stale_count = 0
         """How often the outputs went to neutral because commands stopped coming."""
         self.clamped_count = 0
@@ -65,7 +65,7 @@ class SafeThrusterOutput(Closing):
         """Put one pulse per channel [us] on the wire, 0 = none. May raise DriverError or OSError."""
 
     def _inspect(self) -> None:
-        """Ask the device whether it still does what it is told. DriverError or OSError if not; nothing: cannot."""
+        """Ask the device whether it still follows commands. DriverError or OSError if not; nothing: cannot."""
 
     @abstractmethod
     def _release(self) -> None:
@@ -107,7 +107,7 @@ class SafeThrusterOutput(Closing):
         except BaseException:
             self._release()
             raise
-        self._open, self._at_rest, self._doubtful, self._last_us = True, True, False, None
+        self._open, self._at_rest, self._suspect, self._last_us = True, True, False, None
 
     def write(self, t_us: int, pwm_us: Sequence[int]) -> None:
         """Command one pulse per thruster [us]. DriverError (and neutral) if too few, closed, or the wire fails."""
@@ -126,12 +126,12 @@ class SafeThrusterOutput(Closing):
         self._at_rest = False
         self._writes += 1
         try:
-            if self._doubtful or self._writes % INSPECT_EVERY == 0:
-                self._doubtful = (
-                    True  # and stays so until it passes, lest the commands between looks seem to get through
+            if self._suspect or self._writes % INSPECT_EVERY == 0:
+                self._suspect = (
+                    True  # and stays so until it passes, lest the commands between checks seem to get through
                 )
                 self._inspect()
-                self._doubtful = False
+                self._suspect = False
             self._put(self._by_channel(sent))
         except (DriverError, OSError) as error:
             self._try_neutral()

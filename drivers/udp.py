@@ -26,8 +26,8 @@ FORGET_US = 100_000_000
 """A client is forgotten after so much silence."""
 FORGET_UNPROVEN_US = 10_000_000
 """The same of one that has never said anything valid."""
-LOOK_US = 1_000_000
-"""Between looks for those who are silent."""
+CHECK_US = 1_000_000
+"""Between checks for silent clients."""
 LOOPBACK_NET = "127."
 
 Address = tuple[str, int]
@@ -86,8 +86,8 @@ class _Udp:
         self._admission: Admission[Address] = Admission(
             MAX_PEERS, lambda address: self.standing(self._known[address].client)
         )
-        self._news = DoorNews()
-        self._look_us = 0
+        self._notices = DoorNews()
+        self._checked_us = 0
         self.dropped_tx = 0
         """Datagrams that could not be sent."""
 
@@ -127,7 +127,7 @@ class _Udp:
 
     def take_news(self) -> tuple[bool, str] | None:
         """Who lost his place or found none since the last call."""
-        return self._news.take()
+        return self._notices.take()
 
     def _peer(self, t_us: int, address: Address) -> _Peer | None:
         """The client of an address, now the last to have spoken; None when there is no place for another."""
@@ -148,9 +148,9 @@ class _Udp:
         if entry.displaced is not None:
             gone = self._known[entry.displaced.key]
             self._drop(entry.displaced.key)
-            self._news.note(displaced_text(gone.sender, entry.displaced), warning=False)
+            self._notices.note(displaced_text(gone.sender, entry.displaced), warning=False)
         if not entry.admitted:
-            self._news.note(f"{sender} turned away: {len(self._known)} clients are served")
+            self._notices.note(f"{sender} turned away: {len(self._known)} clients are served")
             return None
         self._numbers += 1
         peer = _Peer(self._numbers, sender, t_us, reach_of(address[0]))
@@ -158,9 +158,9 @@ class _Udp:
         return peer
 
     def _forget(self, t_us: int) -> None:
-        if 0 <= t_us - self._look_us < LOOK_US:
+        if 0 <= t_us - self._checked_us < CHECK_US:
             return
-        self._look_us = t_us
+        self._checked_us = t_us
         for address in self._admission.idle(t_us, FORGET_UNPROVEN_US, FORGET_US):
             self._drop(address)
 

@@ -35,7 +35,7 @@ class KeptOutput(SafeThrusterOutput):
         an emulated board). The keeper sets what is carried to where it was at the start."""
         super().__init__(vehicle, spare)
         self._kept = kept
-        self._told = msgspec.json.encode([self.driver, vehicle, options]) + b"\n"
+        self._request = msgspec.json.encode([self.driver, vehicle, options]) + b"\n"
         self.keeper: KeeperProcess | None = None
 
     @property
@@ -52,7 +52,7 @@ class KeptOutput(SafeThrusterOutput):
         """Set the device to neutral, and have somebody stand by."""
         super().open()
         if self._kept and self.keeper is None:
-            self.keeper = KeeperProcess(self._told)
+            self.keeper = KeeperProcess(self._request)
             self.keeper.start()
 
     def write(self, t_us: int, pwm_us: Any) -> None:
@@ -74,10 +74,10 @@ class KeptOutput(SafeThrusterOutput):
 
 def main() -> None:
     """Stand by until the farewell."""
-    line, told = listen()
-    if not told:
+    line, request = listen()
+    if not request:
         return  # nothing was commanded yet
-    driver, vehicle, options = msgspec.json.decode(told, type=tuple[str, msgspec.Raw, msgspec.Raw])
+    driver, vehicle, options = msgspec.json.decode(request, type=tuple[str, msgspec.Raw, msgspec.Raw])
     kind = load_backend("thrusters", driver)
     output = kind(
         msgspec.json.decode(vehicle, type=Vehicle), msgspec.json.decode(options, type=kind.Options), kept=False

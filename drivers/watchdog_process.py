@@ -46,10 +46,10 @@ _Running = tuple["subprocess.Popen[bytes]", socket.socket]
 class KeeperProcess:
     """Not thread-safe. Times are the service's [us]."""
 
-    def __init__(self, told: bytes) -> None:
-        """``told``: the line that it begins with, what it has to know of the output."""
-        self._told = told
-        self._lane = DaemonLane("keeper")
+    def __init__(self, request: bytes) -> None:
+        """``request``: the line that it begins with, the output's driver, vehicle and options."""
+        self._request = request
+        self._executor = DaemonLane("keeper")
         self._coming: Future[_Running] | None = None
         self._process: subprocess.Popen[bytes] | None = None
         self._line: socket.socket | None = None
@@ -79,9 +79,9 @@ class KeeperProcess:
             return
         self.starts += 1
         try:
-            self._coming = self._lane.submit(_start, self._told)
+            self._coming = self._executor.submit(_start, self._request)
         except RuntimeError as error:  # no thread to be had; the lane keeps the job
-            self._lane, self._coming = DaemonLane("keeper"), Future()
+            self._executor, self._coming = DaemonLane("keeper"), Future()
             self._coming.set_exception(OSError(str(error)))
 
     def beat(self, t_us: int) -> None:
@@ -134,7 +134,7 @@ class KeeperProcess:
                 self._line.send(bytes([FAREWELL]))
         self._let_go()
         self._reap(END_S)
-        self._lane.shutdown(wait=False)
+        self._executor.shutdown(wait=False)
 
     def _take(self, t_us: int, coming: "Future[_Running]") -> None:
         self._coming = None
@@ -184,7 +184,7 @@ class KeeperProcess:
         if process is None:
             return
         if patience_s == 0.0:
-            self._lane.submit(process.wait)
+            self._executor.submit(process.wait)
             return
         try:
             process.wait(patience_s)
@@ -193,7 +193,7 @@ class KeeperProcess:
             process.wait()
 
 
-def _start(told: bytes) -> _Running:
+def _start(request: bytes) -> _Running:
     """A new process and the line to it. OSError if there is none to be had."""
     ours, its = socket.socketpair()
     before = signal.pthread_sigmask(signal.SIG_BLOCK, _ENDINGS)  # inherited: no moment in which they would end it
@@ -208,23 +208,23 @@ def _start(told: bytes) -> _Running:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
         its.close()
     with contextlib.suppress(OSError):  # it has ended: found out by whoever looks
-        ours.sendall(told)
+        ours.sendall(request)
     ours.setblocking(False)
     return process, ours
 
 
 def listen() -> tuple[socket.socket, bytes]:
-    """In the keeper: the line to the service, and what it was told; b"" when the service has gone before."""
+    """In the keeper: the line to the service, and the request; b"" when the service has gone before."""
     for number in _ENDINGS:
         signal.signal(number, signal.SIG_IGN)
     line = socket.socket(fileno=os.dup(0))
-    told = b""
-    while not told.endswith(b"\n"):
+    request = b""
+    while not request.endswith(b"\n"):
         byte = hear(line, 1)
         if not byte:
             return line, b""
-        told += byte
-    return line, told
+        request += byte
+    return line, request
 
 
 def hear(line: socket.socket, size: int = 4096) -> bytes:

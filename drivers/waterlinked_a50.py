@@ -83,7 +83,7 @@ class WaterLinkedA50(Closing):
         self._last_us = -(1 << 62)
         self._delays_us: deque[int] = deque(maxlen=USUAL_DELAYS)
         self.clock = DeviceClock()
-        """Its clock (Unix time), on the service's time: only the age of a report is of use, but jumps are told."""
+        """Its clock (Unix time), on the service's time: only the age of a report is of use, but jumps are reported."""
         self._decoder = msgspec.json.Decoder(Report)
         self.bad_frames = 0
         """Lines that are no report."""

@@ -49,7 +49,7 @@ class Aid:
     own: ClassVar[slice | None] = None
     """States that are reopened when the sensor is reset, None = it is not reset like that."""
     of_pictures: ClassVar[bool] = False
-    """Whether its samples are made of pictures: stamped as these are, and believed as the camera is."""
+    """Whether its samples are made of pictures: stamped as these are, and trusted as the camera is."""
 
     def __init__(self, time_offset_s: float = 0.0) -> None:
         self._offset_us = round(1e6 * time_offset_s)

@@ -16,7 +16,7 @@ import numpy as np
 
 from autopilot.core.frames import FloatArray, wrap_pi
 from autopilot.core.samples import AhrsSample, ImuSample
-from autopilot.estimator.gyro_bias import LOOK_S, GyroBias
+from autopilot.estimator.gyro_bias import WINDOW_S, GyroBias
 from autopilot.estimator.inertial import GRAVITY_M_S2, MAX_ACCEL_M_S2, MAX_RATE_RAD_S, within
 from autopilot.estimator.magnetic import FieldWatch
 from autopilot.estimator.rotation import (
@@ -46,7 +46,7 @@ class AttitudeTuning:
     other estimator behind it: 16 mm instead of 10)."""
     heading_noise_rad_s: float = math.radians(5.0)
     """The same of the heading's corrections."""
-    look_s: float = LOOK_S
+    window_s: float = WINDOW_S
     """How long corrections are gathered before the gyros' bias learns from them."""
 
 
@@ -61,7 +61,7 @@ MIN_FORCE_M_S2 = 0.5 * GRAVITY_M_S2
 
 WATCH_EVERY_US = 35_000
 """An AHRS is watched by samples at least so far apart, every fourth one at 100 Hz: five degrees need no more."""
-WATCH_TUNING = AttitudeTuning(look_s=0.5)
+WATCH_TUNING = AttitudeTuning(window_s=0.5)
 """Nor do they need the gyros' bias ten times a second."""
 APART_RAD = math.radians(5.0)
 APART_US = 1_000_000
@@ -73,7 +73,7 @@ class AttitudeFilter:
 
     def __init__(self, tuning: AttitudeTuning = DEFAULT_TUNING) -> None:
         self._tuning = tuning
-        self._bias = GyroBias(tuning.tilt_s, tuning.tilt_noise_rad_s, tuning.heading_noise_rad_s, tuning.look_s)
+        self._bias = GyroBias(tuning.tilt_s, tuning.tilt_noise_rad_s, tuning.heading_noise_rad_s, tuning.window_s)
         self._field = FieldWatch()
         self._t_us = self._magnet_us = -1
         self._age_s = 0.0
@@ -193,7 +193,7 @@ class AttitudeSource:
         self.disagreements = 0
         """How often the AHRS's tilt left its own gyros' and accelerometers'."""
         self.field_disturbances = 0
-        """How often the magnetometer of a device without an attitude of its own ceased to be believed."""
+        """How often the magnetometer of a device without an attitude of its own was rejected."""
         self.disagrees = False
 
     def attitude(self, sample: ImuSample) -> AhrsSample:

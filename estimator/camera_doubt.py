@@ -34,7 +34,7 @@ NO_CAMERA = Camera(
 """Stands for the camera of a vehicle that has none: no picture of it will come."""
 
 
-def focal_look(
+def focal_estimate(
     camera: CameraModel, pixels: FloatArray, residual_px: FloatArray, jacobian: FloatArray
 ) -> tuple[float, float] | None:
     """Share by which the focal length is too long, and its standard deviation, from one picture.
@@ -81,11 +81,11 @@ class CameraMonitor(Monitor):
         self._focal_sigma = camera.focal_sigma
         self._stamp_sigma_s = camera.time_offset_sigma_s
         self._mounting = _of_mounting(camera)
-        self._late_told_s: float | None = None
-        self._focal_told = False
+        self._late_reported_s: float | None = None
+        self._focal_reported = False
         self._pictures = False
         self._weight = self._sum = 0.0
-        self._looks = 0
+        self._estimates = 0
         self.focal_share = 0.0
         """By which the focal length is taken to be too long, 0 = it fits as far as is known."""
         self._found_focal_sigma = 0.0
@@ -120,22 +120,22 @@ class CameraMonitor(Monitor):
         return more
 
     def doubts(self, t_us: int, newest: Node) -> tuple[NavDoubt, ...]:
-        """See :class:`Monitor`: that the calibration is wrong, as the operator has been told."""
-        still_late = self._late_told_s is not None and abs(self.stamps.late_s) >= CAMERA_DOUBT.late_still_s
-        return (NavDoubt.CALIBRATION,) if self._focal_told or still_late else ()
+        """See :class:`Monitor`: that the calibration is wrong, as has been reported to the operator."""
+        still_late = self._late_reported_s is not None and abs(self.stamps.late_s) >= CAMERA_DOUBT.late_still_s
+        return (NavDoubt.CALIBRATION,) if self._focal_reported or still_late else ()
 
-    def look_at_stamps(self) -> bool:
+    def check_stamps(self) -> bool:
         """Whether stamps have been found to be late, or late by another time than was known."""
         changed = self.stamps.look()
         late_s = self.stamps.late_s
-        jumped_s, told_s = self.stamps.jumped_s, self._late_told_s
+        jumped_s, reported_s = self.stamps.jumped_s, self._late_reported_s
         sure = 0.0 < self.stamps.sigma_s < CAMERA_DOUBT.late_share * max(abs(late_s), 2.0 * CAMERA_DOUBT.late_s)
         if jumped_s:
             if abs(jumped_s) >= max(CAMERA_DOUBT.late_s, CAMERA_DOUBT.jump_sigmas * self.stamps.sigma_s):
-                self.stamps.jumped_s, self._late_told_s = 0.0, late_s
+                self.stamps.jumped_s, self._late_reported_s = 0.0, late_s
                 self._texts.append(notices.STAMPS_JUMPED(name=self._name, jump_ms=1e3 * jumped_s).text)
-        elif told_s is None and abs(late_s) >= CAMERA_DOUBT.late_s and sure:
-            self._late_told_s = late_s
+        elif reported_s is None and abs(late_s) >= CAMERA_DOUBT.late_s and sure:
+            self._late_reported_s = late_s
             what = "late" if late_s > 0.0 else "early"
             self._texts.append(notices.STAMPS_OFF(name=self._name, off_ms=1e3 * abs(late_s), what=what).text)
         return changed
@@ -148,20 +148,20 @@ class CameraMonitor(Monitor):
     def note_picture(self) -> None:
         self._pictures = True
 
-    def look_at_focal(self, share: float, sigma: float) -> bool:
+    def update_focal(self, share: float, sigma: float) -> bool:
         """One more picture's opinion of the focal length. True if :attr:`focal_share` has changed."""
         weight = sigma**-2
-        keep = 1.0 - 1.0 / CAMERA_DOUBT.forget_looks
+        keep = 1.0 - 1.0 / CAMERA_DOUBT.forget_estimates
         self._weight, self._sum = keep * self._weight + weight, keep * self._sum + weight * (self.focal_share + share)
-        self._looks += 1
+        self._estimates += 1
         mean, spread = self._sum / self._weight, self._weight**-0.5
         prior, bend = max(self._focal_sigma, CAMERA_DOUBT.focal_prior) ** 2, CAMERA_DOUBT.bend_sigma**2 + spread**2
         known = mean * prior / (prior + bend)
         self._focal_pending = known - self.focal_share if abs(mean) > CAMERA_DOUBT.focal_seems * spread else 0.0
-        if self._looks < CAMERA_DOUBT.focal_looks or abs(mean) <= CAMERA_DOUBT.focal_sigmas * spread:
+        if self._estimates < CAMERA_DOUBT.focal_estimates or abs(mean) <= CAMERA_DOUBT.focal_sigmas * spread:
             return False
-        if abs(known) >= CAMERA_DOUBT.focal_named and not self._focal_told:
-            self._focal_told = True
+        if abs(known) >= CAMERA_DOUBT.focal_named and not self._focal_reported:
+            self._focal_reported = True
             what = "long" if mean > 0.0 else "short"
             self._texts.append(notices.FOCAL_LENGTH_OFF(percent=100.0 * abs(mean), what=what).text)
         if abs(self._focal_pending) < (CAMERA_DOUBT.focal_step if self.focal_share else CAMERA_DOUBT.focal_share):

@@ -157,7 +157,7 @@ class ObserverCore:
         return state
 
     def variance(self, state: FilterState, cos_yaw: float, sin_yaw: float) -> list[float]:
-        """Of the current a constant is told: the observer does not know it."""
+        """A constant for the current: the observer does not estimate it."""
         p = state.p.tolist()
         water = max(p[VEL_NORTH], p[VEL_EAST]) + COMPLEMENTARY.current_variance
         down = p[VEL_DOWN] + VERTICAL_CURRENT_VARIANCE

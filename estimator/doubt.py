@@ -1,4 +1,4 @@
-"""Which inertial sensor is not believed: what it says against what thrust, compass and fixes say.
+"""Which inertial sensor is suspect: what it says against what thrust, compass and fixes say.
 
 The vehicle model and the accelerometer say the same of the acceleration within 0.1 m/s^2, thruster losses, tether and
 jets included; gyro and AHRS heading the same of the turn within two degrees per second. A sensor that breaks, is hit or
@@ -25,7 +25,7 @@ QUICK_TURN_LIMIT_RAD = math.radians(0.5)
 
 
 class _InertialDoubt(Doubt):
-    """A sensor that is believed again when what it says beyond its witness has been steady for a while."""
+    """A sensor that is trusted again when what it says beyond its witness has been steady for a while."""
 
     def __init__(self, size: int, limit: float) -> None:
         """``limit``: of the scatter of its ``size`` values that counts as steady."""
@@ -36,14 +36,14 @@ class _InertialDoubt(Doubt):
         self._steady_s = 0.0
 
     def _cease(self, t_us: int, first: Sequence[float]) -> None:
-        """It is not believed any more, and says ``first`` by now."""
-        self.disbelieve(t_us)
+        """It is suspect from now on; its first offset is ``first``."""
+        self.suspect(t_us)
         self._mean = list(first)
         self._scatter = [self._limit * 10.0] * len(self._mean)
         self._steady_s = 0.0
 
     def steady_offset(self, dt_s: float, unexplained: Sequence[float], *, anchored: bool) -> list[float] | None:
-        """The offset to believe it with again, once that is known. ``unexplained``: reading minus the witness's."""
+        """The offset to trust it with again, once that is known. ``unexplained``: reading minus the witness's."""
         share = min(1.0, dt_s / DOUBT.steady_time_s)
         for i, value in enumerate(unexplained):
             self._mean[i] += share * (value - self._mean[i])
@@ -64,7 +64,7 @@ class AccelDoubt(_InertialDoubt):
     def look(
         self, t_us: int, dt_s: float, residual: Sequence[float], *, anchored: bool, denied: bool, rejected: int
     ) -> bool:
-        """True when it ceases to be believed now. ``residual`` (3,): reading, offset taken off, minus the model's.
+        """True when it becomes suspect now. ``residual`` (3,): reading, offset taken off, minus the model's.
 
         ``anchored``: fixes or velocities over ground are being used; ``denied``: they are being rejected.
         """
@@ -128,7 +128,7 @@ class GyroDoubt(_InertialDoubt):
         heading_denied: bool,
         compass_rejected: int,
     ) -> bool:
-        """True when it ceases to be believed now. Rates without the gyro's known bias.
+        """True when it becomes suspect now. Rates without the gyro's known bias.
 
         ``heading_denied``: fixes are being rejected for their heading."""
         apart = wrap_pi(turn_rad - rate_rad_s * dt_s)

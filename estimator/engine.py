@@ -71,7 +71,7 @@ class AidedEstimator(Estimator):
         self._fusion = Fusion(core)
         self._startup = StartUp()
         # The AHRS, or the IMU that stands for it, and what drives the vehicle.
-        self._door = AhrsDoor()
+        self._validator = AhrsDoor()
         self._attitude = AttitudeSource()
         self._mount = AhrsMount(vehicle.ahrs.position_frd_m)
         self._ahrs_offset_us = round(1e6 * vehicle.ahrs.time_offset_s)
@@ -115,14 +115,14 @@ class AidedEstimator(Estimator):
             return None
         self._fuse_due()
         if self._options.compensate_latency:
-            self._monitors.camera.look_at_stamps()
+            self._monitors.camera.check_stamps()
             self._recalibration.retime()
         self._recalibration.rescale()
         self._last = self._state(t_us, self._fusion.history.newest)
         return self._last
 
     def _state(self, t_us: int, newest: Node) -> NavState:
-        """What is told of the newest node."""
+        """The estimate at the newest node."""
         core, ground_us = self._fusion.core, self._sources.velocity.ground_us
         doubts = self._against = self._monitors.doubts(t_us, newest)
         health = judge_health(
@@ -137,14 +137,14 @@ class AidedEstimator(Estimator):
         return nav_state(core, newest, t_us, health, self._fusion.resets, more, doubts)
 
     def _harmless(self, doubts: frozenset[NavDoubt], t_us: int) -> bool:
-        """Whether fixes hold the position in spite of the doubts: only inertial sensors or the range are concerned."""
+        """Whether fixes hold the position in spite of suspect sensors: only inertial ones or the range."""
         if NavDoubt.FIXES in doubts or NavDoubt.CAMERA in doubts:
             return False
         since_us = self._monitors.imu.since_us
         if since_us is None:
             return True
         held_us = self._anchored_since_us
-        return held_us is not None and t_us - held_us >= ENGINE.anchored_us and t_us - since_us >= ENGINE.doubt_us
+        return held_us is not None and t_us - held_us >= ENGINE.anchored_us and t_us - since_us >= ENGINE.suspect_us
 
     def take_aids(self) -> tuple[AidStatus, ...]:
         return self._fusion.take_statuses()
@@ -155,7 +155,7 @@ class AidedEstimator(Estimator):
             **self._counts,
             **self._fixes.counts,
             **self._recalibration.counts,
-            **{f"ahrs.{verdict.value}": count for verdict, count in self._door.counts.items()},
+            **{f"ahrs.{verdict.value}": count for verdict, count in self._validator.counts.items()},
             "ahrs.tilt_disagreements": self._attitude.disagreements,
             "ahrs.field_disturbances": self._attitude.field_disturbances,
             "thrust.malformed": self._thrust.malformed,
@@ -216,7 +216,7 @@ class AidedEstimator(Estimator):
         if self._ahrs_offset_us:
             sample = replace(sample, t_us=sample.t_us + self._ahrs_offset_us)
         newest_us = self._recent[-1].t_us if self._recent else -1
-        if not self._door.let_in(sample, now_us, newest_us):
+        if not self._validator.let_in(sample, now_us, newest_us):
             return
         self._ahrs_us = now_us
         if own and self._options.watch_tilt:
@@ -261,7 +261,7 @@ class AidedEstimator(Estimator):
             self._fusion.fuse_scalar(node, model.measured(inertial), model, fixed=True)
 
     def _watch_imu(self, history: History, before: Node, node: Node, raw: Inertial, *, anchored: bool) -> None:
-        """Cease to believe a sensor that the evidence denies, and believe it again when it has mended."""
+        """Suspect a sensor that the evidence contradicts, and trust it again when it has recovered."""
         if not anchored:
             self._anchored_since_us = None
         elif self._anchored_since_us is None:
@@ -283,7 +283,7 @@ class AidedEstimator(Estimator):
         if found.doubted:
             history.redrive(node.t_us - ENGINE.redriven_us, imu.drive, model.sensor)
             for aid in self._sources.fixes:
-                aid.trust.begin_anew()
+                aid.trust.restart()
         for reopening in imu.reopenings(found, node.t_us):
             history.forget(node, reopening)
 

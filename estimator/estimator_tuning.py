@@ -9,14 +9,14 @@ class CameraDoubtTuning:
     late_share: float = 0.1
     """Stamps are called late from here on, when it is known to this share of it,"""
     jump_sigmas: float = 3.0
-    """A jump of stamps is told from 5 ms and so many standard deviations on."""
+    """A jump of stamps is reported from 5 ms and so many standard deviations on."""
     late_still_s: float = 0.0025
     """and until what is known of them comes down to this."""
     focal_share: float = 0.003
     focal_named: float = 0.01
     focal_sigmas: float = 6.0
-    focal_looks: int = 10
-    """A focal length is corrected from the first share on, when it is so sure and after so many looks, and named from
+    focal_estimates: int = 10
+    """A focal length is corrected from the first share on, when it is so sure, after so many estimates, and named from
     the second one on."""
     focal_seems: float = 3.0
     """What is known less surely than that does not even count as error."""
@@ -28,10 +28,10 @@ class CameraDoubtTuning:
     far either may be off (share, one standard deviation); the height hangs on the first only."""
     aside_m: float = 0.1
     """A picture whose scale is wrong is off sideways by that share of this: its middle is not below the vehicle."""
-    look_every_us: int = 200_000
+    focal_every_us: int = 200_000
     pattern_noise: float = 3.0
     """Corner errors of one place and of one lens are alike: a picture's own standard deviation counts so many times."""
-    forget_looks: int = 600
+    forget_estimates: int = 600
     """Looks (two minutes) after which older ones count for less."""
     least_markers: int = 6
     """Fewer show no pattern,"""
@@ -47,7 +47,7 @@ class ComplementaryTuning:
     fix_period_s: float = 1.0 / 30.0
     """The gains per fix below are the continuous ones times this."""
     k_current_s: float = 0.024
-    """m/s per m/s^2 of every look at the model (50 Hz): time constant 0.4 s at cruise speed, 3 s at rest."""
+    """m/s per m/s^2 of every update by the model (50 Hz): time constant 0.4 s at cruise speed, 3 s at rest."""
     fix_floor: tuple[float, float] = (0.008, 0.004)
     """m, rad: fixes are never taken as better than this, which sets k1 to about 8 /s in steady state."""
     gate_floor: tuple[float, float] = (0.03, 0.02)
@@ -93,7 +93,7 @@ class DoubtTuning:
     """Fixes rejected in a row, and agreeing among themselves, that deny the estimate: 1 in 10^9 by chance."""
     steady_time_s: float = 1.0
     steady_s: float = 3.0
-    """A sensor is believed again after so long of steadiness with fixes ..."""
+    """A sensor is trusted again after so long of steadiness with fixes ..."""
     steady_m_s2: float = 0.12
     steady_rad_s: float = 0.06
     """... within these, smoothed absolute deviations from its mean."""
@@ -116,11 +116,11 @@ class EngineTuning:
     tracked_us: int = 1_000_000
     """So recent a velocity over ground keeps dead reckoning going."""
     redriven_us: int = 800_000
-    """A sensor that ceases to be believed has been wrong for up to so long."""
-    doubt_us: int = 1_000_000
-    """At least so long an estimate is not called good after a sensor has ceased to be believed."""
+    """A sensor that becomes suspect has been wrong for up to so long."""
+    suspect_us: int = 1_000_000
+    """At least so long an estimate is not called good after a sensor has become suspect."""
     anchored_us: int = 500_000
-    """With a sensor that is not believed the estimate is good only when fixes have been used for so long."""
+    """With a suspect sensor the estimate is good only when fixes have been used for so long."""
 
 
 ENGINE = EngineTuning()
@@ -168,7 +168,7 @@ class FixMotionTuning:
     systematic_per_s: float = 0.02
     """and more for each second without a fix [m/s per s]: jets change the velocity by 0.1 m/s within 5 s."""
     unaided: float = 0.2
-    """[m/s, rad/s] more while the accelerometer (the gyro) is not believed."""
+    """[m/s, rad/s] more while the accelerometer (the gyro) is suspect."""
     sure: float = 12.0
     """Difference of the logarithms of two likelihoods that is acted on: 4.9 sigma."""
     least: int = 3
@@ -248,11 +248,11 @@ class MapWatchTuning:
     sightings: int = 8
     """Pictures that must show a marker at the same wrong place."""
     alone: int = 30
-    """Pictures until an id at another marker's place is told although that one has not been seen at its own."""
+    """Pictures until an id at another marker's place is reported although that one has not been seen at its own."""
     same_m: float = 0.006
     """A marker that does not move is seen within this, standard deviation."""
     taken_m: float = 0.015
-    """So close to where the map has another marker a stray lies in that one's place."""
+    """So close to where the map has another marker an outlier lies in that one's place."""
     strains: int = 5
     strains_us: int = 1_000_000
     """Pictures within a time in which a sheet does not fit to its neighbours: it may lie anywhere then."""
@@ -314,12 +314,12 @@ class MarkersPoseTuning:
     first_rms_px: float = 40.0
     final_rms_px: float = 3.0
     """A fit may be this bad before and after markers have been left out."""
-    strays_from: int = 4
-    """Markers that a pose must stand on before others are called astray by it,"""
-    stray_m: float = 0.012
+    outliers_from: int = 4
+    """Markers that a pose must stand on before others are called outliers by it,"""
+    outlier_m: float = 0.012
     """and how far off those are."""
     strain_most: float = 30.0
-    """Squared distance of a sheet's offset from what is believed of it, of 4: it lies wrongly, and is left out."""
+    """Squared distance of a sheet's offset from its estimate, of 4: it lies wrongly, and is left out."""
     steep: float = 0.3
     """A ray that goes down by less than this per unit of length is not followed to a marker's depth, but to its nearest
     point."""
@@ -380,7 +380,7 @@ class StampWatchTuning:
     """Inertial sensors that are silent for longer begin a new window."""
     look_s: float = 0.5
     """How often all is added up, unless told otherwise;"""
-    looks_soon: int = 30
+    checks_soon: int = 30
     """while fixes miss with each of them, so many at most before the next that does not."""
     forget_s: float = 60.0
     """Older windows count for less."""
@@ -405,9 +405,9 @@ class StampWatchTuning:
     """Windows that tell how well they fit as a rule: their median. An offset that lasts is fitted after one of them."""
     lasts_us: int = 500_000
     lasts_s: float = 0.01
-    """A delay is acted on once it has been found for so long, from look to look within this or three sigma,"""
+    """A delay is acted on once it has been found for so long, from window to window within this or three sigma,"""
     settled_count: int = 2
-    """if so many windows have told what is usual: stamps that are late from the start have not changed."""
+    """if so many windows have shown what is usual: stamps that are late from the start have not changed."""
     sure: float = 12.0
     """Difference of the logarithms of two likelihoods that is acted on: 4.9 sigma."""
     suspected: float = 4.0
@@ -425,8 +425,8 @@ class StampWatchTuning:
     """Of a new age in the usual one."""
     missed_us: int = 1_000_000
     """Fixes that have missed so long before the age was found to have changed missed for it."""
-    doubted_us: int = 4_000_000
-    """So long after such a step other sensors are not blamed for what stamps may have done."""
+    suspect_us: int = 4_000_000
+    """So long after such a step other sensors are not suspect for what stamps may have done."""
     apart_s: float = 0.001
     apart_first_s: float = 0.003
     """Smaller changes are not worth it; nor is a first one."""
@@ -469,7 +469,7 @@ class VisionTuning:
     (OpenCV's own choice): 3 of 36 in tag36h11, 2 of 25 in tag25h9, none in DICT_4X4_1000."""
     second_windows_px: tuple[int, int, int] = (3, 23, 10)
     second_constant: float = 7.0
-    """Windows and threshold constant of the second look: OpenCV's own."""
+    """Windows and threshold constant of the second pass: OpenCV's own."""
     hazy_second_windows_px: tuple[int, int, int] = (7, 23, 16)
     """The same in a smoothed image."""
     border_px: float = 3.0
@@ -479,7 +479,7 @@ class VisionTuning:
     least_fit: float = 0.4
     """What correlates less with the marker that it was read as is none."""
     around: float = 0.75
-    """The second look takes in this share of the marker's size on each side,"""
+    """The second pass takes in this share of the marker's size on each side,"""
     around_px: float = 8.0
     """and at least so many pixels: the white around it, and the error of the prediction."""
     most_areas: int = 12

@@ -68,7 +68,7 @@ class Evidence(Monitor):
             self._jump_us, self._jump_m_rad = t_us, np.array([across, across, miss.item(2), miss.item(3)])
             self.jumps += 1
 
-    def begin_anew(self, t_us: int) -> None:
+    def restart(self, t_us: int) -> None:
         self.forgive()
         self._resets_us.append(t_us)
 

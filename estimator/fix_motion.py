@@ -139,7 +139,7 @@ def drift_variance(variance: FloatArray, gap_s: float, *, accel: bool, gyro: boo
 
 
 def plausible(y: FloatArray, variance: FloatArray, drift: FloatArray, gap_s: float) -> bool:
-    """Whether dead reckoning may have gone astray by ``y`` (4,) within a gap, ``variance`` (4,) by its own word and
+    """Whether dead reckoning may have drifted by ``y`` (4,) within a gap, ``variance`` (4,) by its own word and
     ``drift`` (4,) as in :class:`FixResidual`."""
     return float((y**2 / (variance + drift * gap_s * gap_s)).sum()) <= CHI2_999[4]
 

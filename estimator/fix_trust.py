@@ -1,4 +1,4 @@
-"""Whether the camera is believed: its fixes must move as dead reckoning does, and must not move the filter twice.
+"""Whether the camera is trusted: its fixes must move as dead reckoning does, and must not move the filter twice.
 
 A camera that is not believed is still watched. It is believed again when its fixes have moved with the vehicle for a
 while, and not as a picture that stands still.
@@ -17,7 +17,7 @@ DENYING = 6
 AGAIN_US = 3_000_000
 """A second reset within so long: the camera is wrong."""
 BACK_US, BACK_COUNT = 1_000_000, 4
-"""Fixes must have moved with the vehicle for so long, and be so many, before they are believed again;"""
+"""Fixes must have moved with the vehicle for so long, and be so many, before they are trusted again;"""
 PATIENT_US = 3_000_000
 """when nothing moves they must have been inside the gate for so long."""
 PROBATION_US = 3_000_000
@@ -49,7 +49,7 @@ class FixTrust(Doubt):
         """Whether its fixes could tell then which of the other sensors was wrong."""
         return self.since_us is None or t_us < self.since_us
 
-    def begin_anew(self) -> None:
+    def restart(self) -> None:
         """Dead reckoning begins anew: a fix has been used, or the past has been computed again."""
         self._run.clear()
         self._last = None
@@ -75,14 +75,14 @@ class FixTrust(Doubt):
         """It has been right again for a while at ``back_us``; None: it may be as doubtful as it was."""
         self.since_us = None
         self._back_us = self._back_us if back_us is None else back_us
-        self.begin_anew()
+        self.restart()
 
     def note_reset(self, t_us: int) -> None:
         self._reset_us = t_us
-        self.begin_anew()
+        self.restart()
 
     def may_reset(self, t_us: int, count: int) -> bool:
-        """Whether its fixes, so many that agree, may move the filter: not when they have done so, or were not believed,
+        """Whether its fixes, so many that agree, may move the filter: not when they have done so, or were suspect,
         a moment ago, unless it is the gyro that they deny."""
         again = self._reset_us is not None and t_us - self._reset_us <= AGAIN_US
         if not again and not self.doubtful(t_us):

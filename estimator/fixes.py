@@ -1,4 +1,4 @@
-"""Poses: how they are used, and what follows from them for map, camera, tilt, doubts and resets.
+"""Poses: how they are used, and what follows from them for map, camera, tilt, monitors and resets.
 
 A fix that passes its gate corrects the filter. Fixes that do not pass but agree among themselves move it, unless they
 are less to be believed than dead reckoning is; then their source is only watched until it is right again.
@@ -55,11 +55,11 @@ class Fixes:
         if from_camera:
             self._camera.stamps.see(fix, missed=not judged.passes or self._evidence.shows)
             if fix.focal is not None:
-                self._camera.look_at_focal(*fix.focal)
+                self._camera.update_focal(*fix.focal)
             self._watch_map(node, fix, rejected=not judged.passes)
         if judged.passes:
             aid.relocation.accepted()
-            aid.trust.begin_anew()
+            aid.trust.restart()
             aid.jumped = False
             self._learn_sheets(node, fix, known)
             if fix.tilt_rad is not None and node.moment.inertial.real:
@@ -71,7 +71,7 @@ class Fixes:
             self._consider_reset(fix, aid, judged, seen)
 
     def _consider_reset(self, fix: PoseFix, aid: FixAid[Any], missed: Innovation, seen: FixResidual) -> None:
-        """After a fix that was rejected: go where fixes are, or cease to believe them."""
+        """After a fix that was rejected: relocate to where fixes are, or suspect them."""
         trust, now_us = aid.trust, self._fusion.now_us
         gap = self._sources.in_gap(fix.t_us)
         lost = gap or self._imu.since_us is not None or aid.jumped
@@ -90,7 +90,7 @@ class Fixes:
             wrong = self._imu.since_us is None and not may_move
         if from_camera and wrong:
             # It shows another place or time: what its fixes have denied so far they have denied wrongly.
-            trust.disbelieve(now_us)
+            trust.suspect(now_us)
             self._evidence.forgive()
         elif not denied:
             if not lost:
@@ -98,7 +98,7 @@ class Fixes:
             self._relocate(fix, aid, float(missed.y[3]), velocity, lost=lost)
 
     def _watch(self, node: Node, fix: PoseFix, aid: FixAid[Any], *, lost: bool) -> None:
-        """A fix of a camera that is not believed: not used, until a run of them is right again."""
+        """A fix of a suspect camera: not used, until a run of them is right again."""
         trust, now_us = aid.trust, self._fusion.now_us
         judged = self._fusion.judge(node, fix)
         self._fusion.report(fix, aid, judged, used=False)
@@ -156,14 +156,14 @@ class Fixes:
             self._fusion.history.correct(node, ties, judged)
             self.counts["sheets.fused"] += 1
             if self._map is not None:
-                self._map.look_at_sheets(fix.t_us, node.state.sheets, fix.ground.sheets)
+                self._map.check_sheets(fix.t_us, node.state.sheets, fix.ground.sheets)
         else:
             self.counts["sheets.rejected"] += 1
 
     def _relocate(
         self, fix: PoseFix, aid: FixAid[Any], turn_rad: float, vel_ned_m_s: FloatArray, *, lost: bool
     ) -> None:
-        """Believe the fixes and not ourselves. One who was ``lost`` has been carried astray by what was taken for
+        """Trust the fixes and not the estimate. One who was ``lost`` has been carried astray by what was taken for
         granted on the way."""
         fusion = self._fusion
         newest, now_us = fusion.history.newest, fusion.now_us
@@ -171,8 +171,8 @@ class Fixes:
         pose = np.append(pos, newest.state.x[YAW] + turn_rad)
         fusion.move(pose, fix.noise + np.eye(4) * RELOCATED_VARIANCE, vel_ned_m_s, ASTRAY if lost else ())
         fusion.resets += 1
-        self._sources.begin_anew()
-        self._evidence.begin_anew(now_us)
+        self._sources.restart()
+        self._evidence.restart(now_us)
         aid.reset(now_us)
         aid.last_fused_us = fix.t_us
         aid.trust.note_reset(now_us)

@@ -1,4 +1,4 @@
-"""A filter core with its past: gates what is measured, uses it, reports it; and is moved when it has gone astray."""
+"""A filter core with its past: gates what is measured, uses it, reports it; and is reset when it has diverged."""
 
 from collections.abc import Iterable
 from typing import Any

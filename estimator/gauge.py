@@ -12,7 +12,7 @@ from autopilot.core.map_errors import STATES, MapErrors
 from autopilot.estimator.states import EAST, NORTH, SheetStates
 
 KNOWN_SHARE = 0.25
-"""An offset is known when its variance is this share of what it was believed to be."""
+"""An offset is known when its variance is this share of its prior."""
 WORD_COUNT = 4.0
 """The map's word on how well its sheets were laid counts as so many offsets."""
 KINDS = ((0, 1), (2,), (3,))

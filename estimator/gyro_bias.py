@@ -18,7 +18,7 @@ from filterpy.kalman import KalmanFilter
 from autopilot.core.frames import FloatArray
 from autopilot.estimator.rotation import Four, Three, rows
 
-LOOK_S = 0.1
+WINDOW_S = 0.1
 """Corrections are gathered for so long, unless told otherwise."""
 SIGMA_RAD_S = math.radians(0.5)
 """Of a gyro of which nothing is known."""
@@ -32,9 +32,9 @@ UNTOLD = 1e6
 class GyroBias:
     """What the gyros show at rest, body axes."""
 
-    def __init__(self, tilt_s: float, tilt_noise: float, heading_noise: float, look_s: float = LOOK_S) -> None:
+    def __init__(self, tilt_s: float, tilt_noise: float, heading_noise: float, window_s: float = WINDOW_S) -> None:
         """``tilt_s``: of the low-pass filter for the specific force (two stages). Noises: rad/s, of means over 1 s."""
-        self._look_s = look_s
+        self._window_s = window_s
         self._stage_s = 0.5 * tilt_s
         self._wait_s = tilt_s
         self._tilt_noise, self._heading_noise = tilt_noise, heading_noise
@@ -69,7 +69,7 @@ class GyroBias:
 
     def look(self, level_from_body: Four, heading_settled_s: float) -> None:
         """Learn from what was gathered if that is long enough. The heading counts from ``heading_settled_s`` on."""
-        if self._time_s < self._look_s:
+        if self._time_s < self._window_s:
             return
         self._age_s += self._time_s
         turn = np.array(rows(level_from_body))

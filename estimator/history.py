@@ -33,7 +33,7 @@ class Reopening(NamedTuple):
 
 
 class Loosening(NamedTuple):
-    """A sheet of the map does not lie where it was believed to: it may have moved by any amount of this variance."""
+    """A sheet of the map does not lie where it was estimated to: it may have moved by any amount of this variance."""
 
     sensor: str
     t_us: int
@@ -75,7 +75,7 @@ class Node:
 
 
 class History:
-    """Nodes of the last second, oldest first. What changes a node is told to those after it when they are asked for."""
+    """Nodes of the last second, oldest first. Changes of a node are carried to later ones when these are asked for."""
 
     def __init__(self, core: FilterCore, first: Node) -> None:
         self._core = core

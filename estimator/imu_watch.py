@@ -1,4 +1,4 @@
-"""Watches accelerometer and gyro, and stands in for the one that is not believed.
+"""Watches accelerometer and gyro, and replaces the one that is suspect.
 
 The vehicle model, driven by the commanded thrust, gives the acceleration; the AHRS's heading gives the turning. When a
 sensor ceases to be believed, the last moments are computed again without it: it was wrong for a while before it showed.
@@ -27,21 +27,21 @@ class Verdicts(NamedTuple):
     """What one sample has changed."""
 
     doubted: bool = False
-    """A sensor is not believed any more: compute the last moments again."""
+    """A sensor has become suspect: compute the last moments again."""
     apart_rad: float = 0.0
     """So far have gyro and compass come apart, and which of them is wrong is not known; 0 = no news."""
     jump_rad: float = 0.0
     """So far has the compass jumped; 0 = no news."""
     accel_offset: tuple[float, ...] | None = None
     gyro_offset: tuple[float, ...] | None = None
-    """Not None: believed again with this offset."""
+    """Not None: trusted again with this offset."""
 
 
 NOTHING_NEW = Verdicts()
 
 
 class ImuWatch(Monitor):
-    """Both doubts of one estimator."""
+    """Both inertial monitors of one estimator."""
 
     def __init__(self, vehicle: VehicleAcceleration, witness: FixTrust) -> None:
         """``witness``: of the fixes that tell which sensor is wrong."""
@@ -52,7 +52,7 @@ class ImuWatch(Monitor):
 
     @property
     def since_us(self) -> int | None:
-        """When the younger of the doubts began, None without any."""
+        """When the later of the suspicions began, None without any."""
         accel_us, gyro_us = self.accel.since_us, self.gyro.since_us
         if accel_us is None or gyro_us is None:
             return gyro_us if accel_us is None else accel_us
@@ -76,13 +76,13 @@ class ImuWatch(Monitor):
         self.gyro.believe()
 
     def forgive_unwitnessed(self) -> None:
-        """Fixes will tell who is wrong: believe again what nobody could judge."""
+        """Fixes will show what is wrong: trust again what could not be judged."""
         for sensor in (self.accel, self.gyro):
             if sensor.since_us is not None and not self._witness.witnessed(sensor.since_us):
                 sensor.believe()
 
     def reopenings(self, found: Verdicts, t_us: int) -> Iterator[Reopening]:
-        """What is not known any more by these verdicts; sensors that have mended are believed again."""
+        """What is not known any more by these verdicts; sensors that have recovered are trusted again."""
         forgotten: list[tuple[slice, float, tuple[float, ...] | None]] = []
         if found.apart_rad:
             forgotten += [(part, found.apart_rad**2, None) for part in (one(YAW), one(HEADING_OFFSET))]
@@ -98,7 +98,7 @@ class ImuWatch(Monitor):
             yield Reopening("imu", t_us, part, variance, value)
 
     def drive(self, before: Node, inertial: Inertial) -> tuple[Inertial, InertialStep]:
-        """The moment after ``before`` without the sensors that are not believed, and the step to it."""
+        """The moment after ``before`` without the suspect sensors, and the step to it."""
         last = before.moment.inertial
         if not inertial.real:
             return inertial, step_between(last, inertial, ProcessNoiseMode.BLIND)

@@ -42,11 +42,11 @@ class ProcessNoiseMode(IntEnum):
     TRIMMED = 3
     """Vision, and its tilt keeps gravity out of the acceleration."""
     MODEL = 4
-    """The accelerometer is not believed: the acceleration is the vehicle model's."""
+    """The accelerometer is suspect: the acceleration is the vehicle model's."""
     COMPASS = 5
-    """The gyro is not believed: the turning is the AHRS heading's."""
+    """The gyro is suspect: the turning is the AHRS heading's."""
     MODEL_COMPASS = 6
-    """Neither is believed."""
+    """Both are suspect."""
 
 
 class Inertial(NamedTuple):

@@ -56,9 +56,9 @@ class MapWatch(Monitor):
         self._frame = None if errors is None or not any(errors.frame_sigma) else errors.frame_sigma
         self._gauge = None if errors is None else Gauge(errors)
         self._middle = markers.centers_ned_m.mean(axis=0).tolist()
-        self._strays: dict[tuple[int, int], _MisplacedMarker] = {}
+        self._misplaced: dict[tuple[int, int], _MisplacedMarker] = {}
         self._strained: dict[int, deque[int]] = {}
-        self._told_sheets: set[int] = set()
+        self._reported_sheets: set[int] = set()
         self._found_us: int | None = None
 
     def unexplained_variance(self, t_us: int, newest: Node) -> FloatArray:
@@ -81,16 +81,16 @@ class MapWatch(Monitor):
 
     def look(self, fix: PoseFix) -> None:
         """One pose that was used, with the markers that did not fit to it."""
-        for stray in fix.strays:
-            place = self._strays.setdefault((stray.code, stray.marker), _MisplacedMarker())
-            place.add(stray.north_m, stray.east_m)
+        for outlier in fix.outliers:
+            place = self._misplaced.setdefault((outlier.code, outlier.marker), _MisplacedMarker())
+            place.add(outlier.north_m, outlier.east_m)
             if place.steady:
                 self._found_us = fix.t_us
                 if not place.told:
-                    self._judge(stray, place)
+                    self._judge(outlier, place)
 
     def loosened(self, fix: PoseFix, *, rejected: bool) -> list[int]:
-        """Sheets whose places are to be believed no longer, because of one picture more."""
+        """Sheets whose places become suspect by one picture more."""
         result = []
         suspects = set(fix.strained)
         if rejected and fix.ground is not None and len(fix.ground.sheets) == 1:
@@ -109,7 +109,7 @@ class MapWatch(Monitor):
         assert errors is not None
         return tuple(errors.sigma[sheet].tolist())
 
-    def look_at_sheets(self, t_us: int, states: SheetStates | None, sheets: tuple[int, ...]) -> None:
+    def check_sheets(self, t_us: int, states: SheetStates | None, sheets: tuple[int, ...]) -> None:
         """Sheets of a picture: whether they lie farther off than they were said to."""
         errors = self._markers.errors
         if errors is None or states is None:
@@ -117,7 +117,7 @@ class MapWatch(Monitor):
         if self._gauge is not None:
             self._gauge.look(states)
         for sheet in sheets:
-            if sheet in self._told_sheets or sheet not in states.which:
+            if sheet in self._reported_sheets or sheet not in states.which:
                 continue
             k = STATES * states.which.index(sheet)
             offset, variance = states.offset[k : k + STATES], states.cov.diagonal()[k : k + STATES]
@@ -125,20 +125,20 @@ class MapWatch(Monitor):
             # Its heading is known from the first pictures on; its place is never known better than the map's frame.
             known = variance[3] < KNOWN_SHARE * prior[3]
             if known and float((offset * offset / (prior + variance)).sum()) > MAP_WATCH.off_distance2:
-                self._told_sheets.add(sheet)
+                self._reported_sheets.add(sheet)
                 off_mm = 1e3 * math.hypot(float(offset[0]), float(offset[1]))
                 turn_deg = math.degrees(float(offset[3]))
                 found = notices.SHEET_OFF(name=errors.names[sheet], off_mm=off_mm, turn_deg=turn_deg)
                 self._tell(t_us, found.text)
 
-    def _judge(self, stray: Stray, place: _MisplacedMarker) -> None:
+    def _judge(self, outlier: Stray, place: _MisplacedMarker) -> None:
         markers = self._markers
         apart = np.hypot(markers.centers_ned_m[:, 0] - place.north_m, markers.centers_ned_m[:, 1] - place.east_m)
         nearest = int(apart.argmin())
-        name = stray.code % ID_SPAN
-        if float(apart[nearest]) < MAP_WATCH.taken_m and int(markers.ids[nearest]) != stray.code:
+        name = outlier.code % ID_SPAN
+        if float(apart[nearest]) < MAP_WATCH.taken_m and int(markers.ids[nearest]) != outlier.code:
             other = int(markers.ids[nearest])
-            partner = self._at(other, stray.marker)
+            partner = self._at(other, outlier.marker)
             if partner is not None:
                 partner.told = place.told = True
                 self._tell(self._found_us, notices.MARKERS_SWAPPED(number=name, other=other % ID_SPAN).text)
@@ -147,11 +147,11 @@ class MapWatch(Monitor):
                 self._tell(self._found_us, notices.MARKER_TAKES_PLACE(number=name, other=other % ID_SPAN).text)
             return
         place.told = True
-        if stray.marker < 0:
+        if outlier.marker < 0:
             self._tell(self._found_us, notices.MARKER_UNKNOWN(number=name).text)
             return
-        north_m = place.north_m - float(markers.centers_ned_m[stray.marker, 0])
-        east_m = place.east_m - float(markers.centers_ned_m[stray.marker, 1])
+        north_m = place.north_m - float(markers.centers_ned_m[outlier.marker, 0])
+        east_m = place.east_m - float(markers.centers_ned_m[outlier.marker, 1])
         way = _way(north_m, east_m)
         off_cm = 100.0 * math.hypot(north_m, east_m)
         self._tell(self._found_us, notices.MARKER_OFF(number=name, off_cm=off_cm, way=way).text)
@@ -161,7 +161,7 @@ class MapWatch(Monitor):
         if index < 0:
             return None
         center = self._markers.centers_ned_m[index]
-        for (other, _), place in self._strays.items():
+        for (other, _), place in self._misplaced.items():
             near = math.hypot(place.north_m - float(center[0]), place.east_m - float(center[1])) < MAP_WATCH.taken_m
             if other == code and near and place.count >= MAP_WATCH.sightings // 2:
                 return place

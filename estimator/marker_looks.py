@@ -29,7 +29,7 @@ class Looks(NamedTuple):
     """Of the outline: the distance over which its steepest slope would go from black to white."""
 
 
-def looks_of(grey: Any, quads: FloatArray, patterns: FloatArray) -> Looks:
+def marker_images(grey: Any, quads: FloatArray, patterns: FloatArray) -> Looks:
     """Of markers with corners ``quads`` (n, 4, 2) [px] and cells ``patterns`` (n, s, s), 1 white, border included."""
     n, cells = patterns.shape[:2]
     to_px = _homographies(quads)

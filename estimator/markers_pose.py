@@ -20,7 +20,7 @@ from autopilot.core.map_errors import STATES, MapErrors
 from autopilot.core.markers import IntArray, MarkerMap
 from autopilot.core.messages import MarkerFit
 from autopilot.core.samples import MarkerSighting
-from autopilot.estimator.camera_doubt import focal_look
+from autopilot.estimator.camera_doubt import focal_estimate
 from autopilot.estimator.estimator_tuning import CAMERA_DOUBT, MARKERS_POSE
 from autopilot.estimator.ground import SheetTies, believed
 from autopilot.estimator.measure_pose import PoseFix, SheetDependence, Stray
@@ -60,7 +60,7 @@ class MarkerSolver:
     """Poses from sightings for one camera over one floor. Functions of their arguments, which are counted."""
 
     def __init__(self, camera: CameraModel, markers: MarkerMap) -> None:
-        self._camera = self._told_camera = camera
+        self._camera = self._given_camera = camera
         self._corners_ned_m = markers.corners_ned_m
         self._plane_m = markers.corners_ned_m[..., 0] + 1j * markers.corners_ned_m[..., 1]
         self._depth_m = markers.centers_ned_m[:, 2]
@@ -68,7 +68,7 @@ class MarkerSolver:
         """Markers that the map does not have; fits that are bad, or that lean off the AHRS's tilt."""
         self._errors = markers.errors
         self._centers_m = markers.centers_ned_m[:, :2]
-        self._focal_us = -CAMERA_DOUBT.look_every_us
+        self._focal_us = -CAMERA_DOUBT.focal_every_us
         self._level = markers.level
         self._floor_m = markers.floor_m
         lean_m = np.ptp(markers.corners_ned_m[..., 2], axis=1)
@@ -87,11 +87,11 @@ class MarkerSolver:
             self._candidates[row, : len(of_id)] = of_id
             self._candidate_centers[row, : len(of_id)] = [self._centers[j] for j in of_id]
 
-    def believe_focal(self, share: float) -> None:
+    def set_focal(self, share: float) -> None:
         """From now on take the focal length for too long by that share of what it should be."""
-        told = self._told_camera
-        fx, fy = (f / (1.0 + share) for f in told.focal_px)
-        self._camera = replace(told, focal_px=(fx, fy))
+        given = self._given_camera
+        fx, fy = (f / (1.0 + share) for f in given.focal_px)
+        self._camera = replace(given, focal_px=(fx, fy))
 
     def well_formed(self, sighting: MarkerSighting) -> bool:
         """Whether the arrays have the right shapes and hold pixels that an image can have."""
@@ -132,12 +132,12 @@ class MarkerSolver:
         if solved is None:
             return None
         away_m = self._floor_m - float(pos_ned_m[2])
-        if count < MARKERS_POSE.strays_from or (
+        if count < MARKERS_POSE.outliers_from or (
             count == len(match.known)
-            and solved.worst_px * away_m < 0.5 * MARKERS_POSE.stray_m * self._camera.focal_water_px
+            and solved.worst_px * away_m < 0.5 * MARKERS_POSE.outlier_m * self._camera.focal_water_px
         ):
             return solved.fix
-        return replace(solved.fix, strays=self._strays(sighting, match, solved.fix))
+        return replace(solved.fix, outliers=self._outliers(sighting, match, solved.fix))
 
     def _match(self, sighting: MarkerSighting, pos_ned_m: FloatArray, rpy_rad: FloatArray) -> _Match | None:
         """The nearest marker of its id to where each marker of the image seems to lie; None if there is none at all."""
@@ -169,7 +169,7 @@ class MarkerSolver:
         taken = np.where(off_m <= MARKERS_POSE.nearest_m, taken, -1)
         return _Match(known, taken, shift, rays_cam) if (taken >= 0).any() else None
 
-    def _strays(self, sighting: MarkerSighting, match: _Match, fix: PoseFix) -> tuple[Stray, ...]:
+    def _outliers(self, sighting: MarkerSighting, match: _Match, fix: PoseFix) -> tuple[Stray, ...]:
         """Markers of the image that do not lie at their places, seen from the pose that the others ask for."""
         assert fix.tilt_rad is not None
         taken = match.taken
@@ -194,7 +194,7 @@ class MarkerSolver:
         off = np.where(taken >= 0, np.hypot(*(seen - self._centers_m[taken]).T), np.inf)
         return tuple(
             Stray(sighting.ids[int(match.known[n])], int(taken[n]), float(seen[n, 0]), float(seen[n, 1]))
-            for n in np.flatnonzero((off > MARKERS_POSE.stray_m) & ~unknown)
+            for n in np.flatnonzero((off > MARKERS_POSE.outlier_m) & ~unknown)
         )
 
     def _miss(self, j: int, eye_ned_m: FloatArray, ray_ned: FloatArray) -> tuple[float, int, complex]:
@@ -323,7 +323,7 @@ class MarkerSolver:
             linear = linearise_corners(self._camera, at, corners, best.pos_ned_m, r_ned_from_frd(best.rpy_rad))
             if linear is not None:
                 jacobian = np.column_stack((linear[1], inward_of(corners)))
-                focal = focal_look(self._camera, corners, best.residual_px.reshape(-1), jacobian)
+                focal = focal_estimate(self._camera, corners, best.residual_px.reshape(-1), jacobian)
         fix = PoseFix(
             sensor="markers",
             t_us=sighting.t_us,
@@ -347,7 +347,7 @@ class MarkerSolver:
 
     def _focal_due(self, t_us: int, markers: int) -> bool:
         """Whether this picture is to be asked for the focal length."""
-        if markers < CAMERA_DOUBT.least_markers or abs(t_us - self._focal_us) < CAMERA_DOUBT.look_every_us:
+        if markers < CAMERA_DOUBT.least_markers or abs(t_us - self._focal_us) < CAMERA_DOUBT.focal_every_us:
             return False
         self._focal_us = t_us
         return True
@@ -408,7 +408,7 @@ class MarkerSolver:
         focal = None
         if self._focal_due(sighting.t_us, len(corners.sheet)):
             residual = best.residual_px.reshape(-1)
-            focal = focal_look(self._camera, corners.pixels.reshape(-1, 2), residual, best.jacobian)
+            focal = focal_estimate(self._camera, corners.pixels.reshape(-1, 2), residual, best.jacobian)
         fix = PoseFix(
             sensor="markers",
             t_us=sighting.t_us,

@@ -76,9 +76,9 @@ class AltimeterAid(ScalarAid[AltimeterSample]):
         floor_known = self._floor_depth_m is not None
         sure_enough = sample.confidence >= LEAST_CONFIDENCE
         looks_down = down_of(node.moment.inertial, self._beam_frd) > STEEPEST
-        depth_in_doubt = depth_variance > (KNOWN_SHARE * _sigma_m(sample)) ** 2
+        depth_unsure = depth_variance > (KNOWN_SHARE * _sigma_m(sample)) ** 2
         once = self._came_back_once(sample) if sure_enough else False
-        return floor_known and sure_enough and once and looks_down and depth_in_doubt
+        return floor_known and sure_enough and once and looks_down and depth_unsure
 
     def _came_back_once(self, sample: AltimeterSample) -> bool:
         """Whether it is known to be no multiple of those before it, which it joins."""

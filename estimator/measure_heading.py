@@ -13,7 +13,7 @@ from autopilot.estimator.states import HEADING_OFFSET, NX, YAW, one
 HEADING_EVERY = 20
 """AHRS samples per heading measurement: 5 Hz, its errors are slow."""
 SIGMA_RAD = 0.026
-"""1.5 degrees: the AHRS's short-term heading error, for 5 looks per second that share it."""
+"""1.5 degrees: the AHRS's short-term heading error, for 5 updates per second that share it."""
 
 _JACOBIAN: FloatArray = np.zeros((1, NX))
 _JACOBIAN[0, YAW] = _JACOBIAN[0, HEADING_OFFSET] = 1.0

@@ -48,13 +48,13 @@ from autopilot.estimator.states import (
 )
 
 MODEL_EVERY = 2
-"""AHRS samples per look at the vehicle model: 50 Hz."""
+"""AHRS samples per update by the vehicle model: 50 Hz."""
 IDLE_THRUST_N = 0.3
 IDLE_SPEED_M_S = 0.03
 """Below both the vehicle may be moored, held or aground: the model has nothing to say."""
 
 SIGMA_M_S2 = 0.06
-"""Error of the modelled acceleration: tether, drag and thrust coefficients. For 50 looks per second that share it."""
+"""Error of the modelled acceleration: tether, drag and thrust coefficients. For 50 updates per second that share it."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)

@@ -38,7 +38,7 @@ class SheetDependence(NamedTuple):
     sheets: tuple[int, ...]
     """Numbers of the sheets."""
     sigma: FloatArray
-    """(n, 4) how well they were laid: what a sheet is believed to be off when it is first seen."""
+    """(n, 4) how well they were laid: prior standard deviations of a sheet that is first seen."""
     jacobian: FloatArray
     """(m, 4n) d prediction / d offsets."""
     at: FloatArray
@@ -74,7 +74,7 @@ class PoseFix(Measurement):
     """Share by which the image says that the focal length is too long, and its standard deviation; None = nothing."""
     strained: tuple[int, ...] = ()
     """Sheets of the image that do not fit to the others; left out of the pose."""
-    strays: tuple[Stray, ...] = ()
+    outliers: tuple[Stray, ...] = ()
     """Its markers that do not lie where the map has them."""
     fit: MarkerFit | None = None
     """How well its markers fit, None = it is not of markers."""

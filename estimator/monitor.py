@@ -47,7 +47,7 @@ class Doubt(Monitor):
     def __init__(self) -> None:
         super().__init__()
         self.since_us: int | None = None
-        """When the sensor ceased to be believed, None = it is believed."""
+        """When the sensor became suspect, None = it is trusted."""
         self.count = 0
         """How often it has."""
 
@@ -56,7 +56,7 @@ class Doubt(Monitor):
         """Whether what the sensor says is used."""
         return self.since_us is None
 
-    def disbelieve(self, t_us: int) -> None:
+    def suspect(self, t_us: int) -> None:
         """From now on it is only watched."""
         self.since_us = t_us
         self.count += 1

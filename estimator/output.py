@@ -1,4 +1,4 @@
-"""From the filter's state to what the vehicle is told."""
+"""From the filter's state to the published estimate."""
 
 import math
 

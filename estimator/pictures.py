@@ -34,7 +34,7 @@ class Pictures:
         self._made.clear()
         return made
 
-    def believe_focal(self, share: float) -> None:
+    def set_focal(self, share: float) -> None:
         """From now on take the camera's focal length for too long by that share."""
         if self.solver is not None:
-            self.solver.believe_focal(share)
+            self.solver.set_focal(share)

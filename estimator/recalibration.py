@@ -55,7 +55,7 @@ class Recalibration:
         if share == before:
             return
         self._focal_share = share
-        self._sources.pictures.believe_focal(share)
+        self._sources.pictures.set_focal(share)
         more = (1.0 + share) / (1.0 + before) - 1.0
         height_m = self._camera.height_m(self._fusion.history.newest.state.x)
         self._carry(np.array([0.0, 0.0, height_m * more, 0.0]), np.zeros(3))
@@ -69,7 +69,7 @@ class Recalibration:
         pose = np.append(x[POS], x[YAW]) + along
         self._fusion.move(pose, noise, x[VEL] + velocity, (one(GYRO_BIAS), ACCEL_BIAS))
         self._imu.forgive()
-        self._sources.begin_anew()
+        self._sources.restart()
         for aid in self._sources.fixes:
             aid.trust.believe(None if aid.trust.believed else self._fusion.now_us)
         self._evidence.forgive()

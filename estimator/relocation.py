@@ -27,7 +27,7 @@ class Relocation:
         return count
 
     def rejected(self, fix: PoseFix, lost: bool) -> FloatArray | None:
-        """A fix did not pass. Not None: believe it and move there, at this velocity (3,) NED over ground.
+        """A fix did not pass. Not None: accept it and move there, at this velocity (3,) NED over ground.
 
         As many fixes must agree as make a sensor count as rejecting, or, when the filter is ``lost`` (no good fix
         for a while), as at start-up."""

@@ -1,4 +1,4 @@
-"""A second estimator in the shadow of the flown one: the same sensors, another filter, and a look at the difference.
+"""A second estimator in the shadow of the flown one: the same sensors, another filter, and the difference compared.
 
 Poses are made of pictures once, by the flown estimator; its shadow gets them as a pose sensor's. What the two have in
 common (association of markers, the marker map, the AHRS) is therefore not checked; what each makes of it is: gates,
@@ -24,7 +24,7 @@ YAW_FLOOR_RAD = math.radians(5.0)
 AHRS_EVERY_US = 25_000
 """The shadow gets AHRS samples that are at least so far apart, every third one at 100 Hz: a third of the cost."""
 EVERY_TICKS = 10
-"""The shadow is stepped this often (with the thrust of the last tick): the comparison is told ten times a second."""
+"""The shadow is stepped this often (with the thrust of the last tick): compared ten times a second."""
 AFTER_US = 1_000_000
 """So long the difference must be too large, or within its bounds again."""
 

@@ -78,11 +78,11 @@ class Sources:
         seen_us = self.markers.last_fused_us
         return seen_us is not None and t_us - seen_us <= 1e6 * self._options.dead_reckoning_after_s
 
-    def begin_anew(self) -> None:
+    def restart(self) -> None:
         """The filter has been moved: what rejected fixes have said does not hold any more."""
         for aid in self.fixes:
             aid.relocation.accepted()
-            aid.trust.begin_anew()
+            aid.trust.restart()
 
     def on_our_clock(self, sample: Sample) -> Sample:
         """The sample with its sensor's time offset taken off."""

@@ -47,7 +47,7 @@ class StampWatch:
         self._fixes: deque[tuple[int, float, float, float, float, float]] = deque()
         self._usual_heading, self._usual_place = _Usual(), _Usual()
         self._old, self._last = np.zeros(len(GRID_S)), np.zeros(len(GRID_S))
-        self._last_us = self._looked_us = 0
+        self._last_us = self._checked_us = 0
         self._found_s, self._found_us = math.inf, 0
         self._soon = 0
         self.jumped_s = 0.0
@@ -62,12 +62,12 @@ class StampWatch:
     @property
     def suspects(self) -> bool:
         """Whether late stamps would explain by far better what fixes say, or what pictures' ages at arrival say."""
-        moved = self._moved_s != 0.0 and self._arrived_us - self._moved_us < STAMP_WATCH.doubted_us
+        moved = self._moved_s != 0.0 and self._arrived_us - self._moved_us < STAMP_WATCH.suspect_us
         return self._explains or moved or self._ages.off_s != 0.0
 
     @property
     def unsure_s(self) -> float:
-        """By how much stamps may have moved that nothing has told of yet: the age of pictures has changed so much, and
+        """By how much stamps may have moved that nothing has shown yet: the age of pictures has changed so much, and
         fixes have missed since. Pictures that only come later miss nothing."""
         return abs(self._moved_s) if self._missed_us >= self._moved_us - STAMP_WATCH.missed_us else 0.0
 
@@ -124,11 +124,11 @@ class StampWatch:
         if not self._fixes or not self._imu:
             return False
         now_us = self._fixes[-1][0]
-        if now_us - self._looked_us < (1 if 0 < self._soon <= STAMP_WATCH.looks_soon else self._every_us):
+        if now_us - self._checked_us < (1 if 0 < self._soon <= STAMP_WATCH.checks_soon else self._every_us):
             return False
-        if now_us - self._looked_us > 2 * self._every_us:
+        if now_us - self._checked_us > 2 * self._every_us:
             self._found_s = math.inf
-        self._looked_us = now_us
+        self._checked_us = now_us
         window = self._window()
         if window is None:
             return False
@@ -160,7 +160,7 @@ class StampWatch:
         return float(np.interp(self.late_s, GRID_S, cost) - cost.min())
 
     def _known(self) -> bool:
-        """Whether windows of before have told how late stamps are."""
+        """Whether earlier windows have shown how late stamps are."""
         return bool(self._old.max() - self._old.min() > STAMP_WATCH.sure)
 
     def _forget(self) -> None:
@@ -200,9 +200,9 @@ class StampWatch:
     def _lasts(self, late_s: float, sigma_s: float) -> bool:
         """Whether this delay has been found for long enough."""
         if abs(late_s - self._found_s) > max(STAMP_WATCH.lasts_s, 3.0 * sigma_s):
-            self._found_s, self._found_us = late_s, self._looked_us
+            self._found_s, self._found_us = late_s, self._checked_us
         return (
-            self._looked_us - self._found_us >= STAMP_WATCH.lasts_us
+            self._checked_us - self._found_us >= STAMP_WATCH.lasts_us
             or self._usual_heading.count < STAMP_WATCH.settled_count
         )
 
@@ -280,7 +280,7 @@ class _Usual:
 
     @property
     def count(self) -> int:
-        """How many windows have told."""
+        """How many windows count."""
         return len(self._shares)
 
     def fits(self, found: _Goodness, told: float) -> bool:
@@ -399,8 +399,8 @@ class _Fit:
 
 
 def _chance(freedom: float) -> float:
-    """Chi-square per degree of freedom that is exceeded by chance beyond ``STAMP_WATCH.unfit_sigma``"
-    " (Wilson and Hilferty 1931)."""
+    """Chi-square per degree of freedom that is exceeded by chance beyond ``STAMP_WATCH.unfit_sigma``
+    (Wilson and Hilferty 1931)."""
     spread = 2.0 / (9.0 * freedom)
     return (1.0 - spread + STAMP_WATCH.unfit_sigma * math.sqrt(spread)) ** 3
 

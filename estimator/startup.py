@@ -1,4 +1,4 @@
-"""Start-up: believe a pose once three fixes agree, wherever the vehicle stands."""
+"""Start-up: accept a pose once three fixes agree, wherever the vehicle stands."""
 
 import math
 from collections import deque
@@ -23,7 +23,7 @@ class StartUp:
         self._fixes: deque[PoseFix] = deque(maxlen=12)
 
     def offer(self, fix: PoseFix) -> bool:
-        """True if ``fix`` can be believed: at least two others of the last second agree with it."""
+        """True if ``fix`` can be accepted: at least two others of the last second agree with it."""
         others = [f for f in self._fixes if f.t_us != fix.t_us and abs(fix.t_us - f.t_us) <= WINDOW_US]
         self._fixes.append(fix)
         return 1 + sum(agree(fix, other) for other in others) >= AGREE_COUNT

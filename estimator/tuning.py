@@ -66,7 +66,7 @@ BLIND_ACCEL_NOISE = 0.15
 MODEL_ACCEL_NOISE = 0.04
 """m/s^2/sqrt(Hz) when the vehicle model is all there is: 0.03 m/s^2 that changes within a second, tether and jet."""
 TILTED_GYRO_NOISE = 0.01
-"""rad/s/sqrt(Hz) when the accelerometer is not believed: its tilt may be wrong, and with it the axis of turning."""
+"""rad/s/sqrt(Hz) when the accelerometer is suspect: its tilt may be wrong, and with it the axis of turning."""
 COMPASS_NOISE = 0.03
 """rad/s/sqrt(Hz) when the turning is the AHRS heading's: its slow error of a degree and the steel of the tank."""
 

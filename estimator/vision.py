@@ -27,7 +27,7 @@ from autopilot.core.markers import ID_SPAN, IntArray, MarkerMap
 from autopilot.core.samples import MAX_SIGHTED, CameraFrame, MarkerSighting
 from autopilot.estimator.estimator_tuning import VISION
 from autopilot.estimator.laser_detector import find_dot
-from autopilot.estimator.marker_looks import corner_sigma_px, looks_of, patterns_of
+from autopilot.estimator.marker_looks import corner_sigma_px, marker_images, patterns_of
 
 EXACT = ("DICT_APRILTAG_16h5",)
 """Families that are not corrected: thirty words of 16 cells with one cell wrong, each in four directions, are one in
@@ -125,9 +125,9 @@ class MarkerDetector:
         found = _Found(words[found.ids], found.quads * np.float32(scale))
         for left, top, right, bottom in _missing_areas(ids, predicted, found, grey.shape):
             part = np.ascontiguousarray(smooth[top:bottom, left:right])
-            again = _quads(part, dictionary, _second_look(least_px, most_px, max(part.shape), hazy, smooth is not grey))
+            again = _quads(part, dictionary, _second_pass(least_px, most_px, max(part.shape), hazy, smooth is not grey))
             found = found.with_new(_Found(words[again.ids], again.quads + np.array([left, top], dtype=np.float32)))
-        return self._believed(smooth, dictionary, found)
+        return self._accepted(smooth, dictionary, found)
 
     def _search(self, grey: Any, hazy: bool, ids: IntArray) -> "_Seen":
         """Markers whose id is one of ``ids``, all of one dictionary."""
@@ -139,18 +139,18 @@ class MarkerDetector:
         rest = cv2.fillPoly(grey.copy(), np.round(found.quads).astype(np.int32), 255.0) if len(found.ids) else grey
         again = _quads(rest, dictionary, _acquiring_small(max(grey.shape), hazy))
         found = found.with_new(again)
-        return self._believed(smooth if hazy else grey, dictionary, _Found(words[found.ids], found.quads))
+        return self._accepted(smooth if hazy else grey, dictionary, _Found(words[found.ids], found.quads))
 
-    def _believed(self, grey: Any, dictionary: Any, found: "_Found") -> "_Seen":
+    def _accepted(self, grey: Any, dictionary: Any, found: "_Found") -> "_Seen":
         """With corners to fractions of a pixel, without what does not look like the marker that it reads as."""
         if not len(found.ids):
             return _Seen(found.ids, np.empty((0, 4, 2)), np.empty(0))
         halves = _window_px(found.quads, dictionary.markerSize + 2)
         quads = _refined(grey, found.quads, halves)
-        looks = looks_of(grey, quads, self._patterns[int(found.ids[0]) // ID_SPAN][found.ids % ID_SPAN])
-        sure = looks.fit >= VISION.least_fit
+        images = marker_images(grey, quads, self._patterns[int(found.ids[0]) // ID_SPAN][found.ids % ID_SPAN])
+        sure = images.fit >= VISION.least_fit
         # As the log keeps it.
-        sigma = corner_sigma_px(looks, halves).astype(np.float32).astype(np.float64)
+        sigma = corner_sigma_px(images, halves).astype(np.float32).astype(np.float64)
         return _Seen(found.ids[sure], quads[sure], sigma[sure])
 
     def _words(self, ids: IntArray) -> Any:
@@ -181,7 +181,7 @@ class _Found(NamedTuple):
 
 
 class _Seen(NamedTuple):
-    """What is believed of them."""
+    """What is accepted of them."""
 
     ids: IntArray
     """(n,)"""
@@ -314,7 +314,7 @@ def _tracking(least_px: float, most_px: float, image_px: int, hazy: bool, scale:
     return parameters
 
 
-def _second_look(least_px: float, most_px: float, image_px: int, hazy: bool, smoothed: bool) -> Any:
+def _second_pass(least_px: float, most_px: float, image_px: int, hazy: bool, smoothed: bool) -> Any:
     windows_px = VISION.hazy_second_windows_px if smoothed else VISION.second_windows_px
     constant = VISION.threshold_constant if hazy else VISION.second_constant
     parameters = _parameters(hazy and smoothed, constant, windows_px)

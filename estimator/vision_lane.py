@@ -23,7 +23,7 @@ from autopilot.estimator.vision import Hint
 
 ACQUISITION_EVERY = 6
 """Without a prediction the whole dictionary is searched, which is slow: every sixth frame, 5 Hz."""
-DOUBTED_EVERY = 3
+SUSPECT_EVERY = 3
 """With a prediction that is not good every third frame is searched without it: a vehicle that is somewhere else would
 not find itself among the markers that should be in view."""
 
@@ -68,7 +68,7 @@ class VisionWorker:
         self._pending: deque[_Pending] = deque()
         self._waiting: _FrameRequest | None = None
         """Paced only: the newest frame, behind the one that is in work."""
-        self._blind_frames = self._doubted_frames = 0
+        self._blind_frames = self._suspect_frames = 0
         self._found = False
         """Whether the last picture showed markers."""
         self.dropped = 0
@@ -86,12 +86,12 @@ class VisionWorker:
             return
         hint = None
         if nav is not None and nav.health is not NavHealth.INVALID:
-            self._doubted_frames = self._doubted_frames + 1 if nav.health is not NavHealth.GOOD else 0
-            if self._doubted_frames % DOUBTED_EVERY != 1:
+            self._suspect_frames = self._suspect_frames + 1 if nav.health is not NavHealth.GOOD else 0
+            if self._suspect_frames % SUSPECT_EVERY != 1:
                 hint = Hint(pos_ned_m=nav.pos_ned_m, rpy_rad=nav.rpy_rad)
         else:
             self._blind_frames += 1
-            every = DOUBTED_EVERY if nav is not None and self._found else ACQUISITION_EVERY
+            every = SUSPECT_EVERY if nav is not None and self._found else ACQUISITION_EVERY
             if self._blind_frames % every != 1:
                 return
         request = _FrameRequest(due_us=t_us + self._delay_us, frame=frame, hint=hint)

@@ -34,7 +34,7 @@ from autopilot.sitl.sensor_tables import AhrsSensor
 from autopilot.sitl.sitl_tuning import AHRS
 
 POWER_UP_MASK = OutputField.EULER | OutputField.GYRO | OutputField.ACCEL
-"""What the device would send before it is told otherwise."""
+"""What the device sends until it is configured."""
 DIP_RAD = math.radians(55.0)
 """Of the magnetic field below the horizontal, as in southern Europe. The field's horizontal part has size 1."""
 

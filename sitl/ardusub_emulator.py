@@ -38,8 +38,8 @@ CHANNEL_OF = {"P": 0, "R": 1, "T": 2, "Y": 3, "F": 4, "L": 5}
 CHANNEL_NUMBERS = {"PITCH": 1, "ROLL": 2, "THROTTLE": 3, "YAW": 4, "FORWARD": 5, "LATERAL": 6}
 """RCMAP_..., as it comes."""
 PLANE = 4
-SERVOS, RELAYS = 16, 2
 """Motors 1 to 4 lie in the plane."""
+SERVOS, RELAYS = 16, 2
 
 READ_US = 20_000
 """Channels are read so often."""

@@ -37,11 +37,11 @@ POWER_PERIOD_US = 500_000
 
 
 class TruthSampler(Protocol):
-    """A simulated device that looks at the truth at times of its own."""
+    """A simulated device that samples the truth at times of its own."""
 
     @property
     def next_us(self) -> int:
-        """When it looks next."""
+        """When it samples next."""
         ...
 
     def observe(self, truth: Truth) -> None:
@@ -277,7 +277,7 @@ class SimulatedVehicle(Closing):
             self._observers.append(self._obstacles)
 
     def advance(self, t_us: int) -> None:
-        """Move the plant on to ``t_us`` with the last pulses; every sensor looks at its own times on the way."""
+        """Move the plant on to ``t_us`` with the last pulses; every sensor samples at its own times on the way."""
         self.output.check(t_us)
         self.payload.advance(t_us)
         while self._due_us <= t_us:

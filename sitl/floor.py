@@ -97,7 +97,7 @@ def told_markers(scenario: Scenario) -> MarkerMap | None:
 
 
 def told_floor_m(scenario: Scenario) -> float | None:
-    """Depth of the floor that the vehicle is told, None in open water."""
+    """Depth of the floor that the vehicle assumes, None in open water."""
     return None if scenario.tank is None else scenario.tank.depth_m + scenario.markers.told_deeper_m
 
 

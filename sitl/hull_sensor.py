@@ -26,7 +26,7 @@ class SimHullSensor(AlwaysOpen):
         self._gaps = OutageClock(Outages(), faults, np.random.default_rng(0), sensor="hull")
         self._samples: list[LeakSample | HullSample] = []
         self.next_us = 0
-        """When it looks next."""
+        """When it samples next."""
 
     def add(self, fault: Fault) -> bool:
         """A fault that begins while the simulation runs; whether it is one of this sensor."""

@@ -315,15 +315,15 @@ class Plant:
             raise ConfigError(f"thruster {name!r} does not exist; use one of {', '.join(names)}")
         return names.index(name)
 
-    def _step(self, room_us: int, pwm_us: Sequence[int]) -> None:
-        """One step, no longer than ``room_us``."""
+    def _step(self, limit_us: int, pwm_us: Sequence[int]) -> None:
+        """One step, no longer than ``limit_us``."""
         while self._losses and self._losses[0].at_s * 1e6 <= self._t_us:
             happened = self._losses.pop(0)
             self.set_thruster_loss(happened.thruster, happened.loss)
         if not self._mishaps.none:
-            self._suffer()
+            self._apply_faults()
         instant = self._here()
-        dt_us = min(PLANT.near_step_us if instant.near else PLANT.step_us, room_us)
+        dt_us = min(PLANT.near_step_us if instant.near else PLANT.step_us, limit_us)
         dt_s = dt_us * 1e-6
         supply_v = 0.0 if self._battery.empty else self._battery.voltage_v
         self._thrusters.step(pwm_us, supply_v, dt_s)
@@ -349,7 +349,7 @@ class Plant:
         if instant.near:
             self._contacts.update(self._t_us, self._surroundings.touches(self._state[:3]))
 
-    def _suffer(self) -> None:
+    def _apply_faults(self) -> None:
         """What happens to hull and battery now."""
         remaining = self._mishaps.sagged(self._t_us)
         if remaining is not None:

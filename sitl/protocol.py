@@ -39,7 +39,7 @@ class PlantLike(Protocol):
     @property
     @abstractmethod
     def truth(self) -> Truth:
-        """The present truth; asked for at the times at which sensors look, and by the log."""
+        """The present truth; asked for at the times at which sensors sample, and by the log."""
         ...
 
     @abstractmethod

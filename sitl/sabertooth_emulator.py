@@ -18,7 +18,7 @@ class SabertoothEmulator(AlwaysOpen):
         self.power_up()
 
     def power_up(self) -> None:
-        """All that was told is forgotten."""
+        """All settings are forgotten."""
         self.duty: dict[tuple[int, int], float] = {(a, m): 0.0 for a in self._addresses for m in (1, 2)}
         """(address, motor) -> duty now, -1 to 1."""
         self.timeout_s: dict[int, float] = dict.fromkeys(self._addresses, 0.0)

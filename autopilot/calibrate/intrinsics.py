@@ -2,6 +2,7 @@
 views covered the image and the angles."""
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -101,24 +102,25 @@ def _fit_with_focal(found: Views, result: Intrinsics, factor: float, fix_k3: boo
     fx, fy, cx, cy, *coefficients = result.values.tolist()
     matrix: Any = np.array([[factor * fx, 0.0, cx], [0.0, factor * fy, cy], [0.0, 0.0, 1.0]])
     flags = cv2.CALIB_USE_INTRINSIC_GUESS | cv2.CALIB_FIX_FOCAL_LENGTH | (cv2.CALIB_FIX_K3 if fix_k3 else 0)
-    points: Any = [view.points_m.astype(np.float32).reshape(-1, 1, 3) for view in result.views]
-    pixels: Any = [view.pixels.astype(np.float32).reshape(-1, 1, 2) for view in result.views]
-    size = (found.width_px, found.height_px)
     try:
-        rms, *_ = cv2.calibrateCamera(points, pixels, size, matrix, np.array(coefficients), flags=flags)
+        rms, *_ = cv2.calibrateCamera(*_for_opencv(found, result.views), matrix, np.array(coefficients), flags=flags)
     except cv2.error:
         return None
     return float(rms) ** 2 * sum(len(view.pixels) for view in result.views)
 
 
+def _for_opencv(found: Views, views: Sequence[BoardView]) -> tuple[Any, Any, tuple[int, int]]:
+    """Points on the board and their pixels, both per view, and the size of the images."""
+    points = [view.points_m.astype(np.float32).reshape(-1, 1, 3) for view in views]
+    pixels = [view.pixels.astype(np.float32).reshape(-1, 1, 2) for view in views]
+    return points, pixels, (found.width_px, found.height_px)
+
+
 def _fit(found: Views, views: list[BoardView], left_out: tuple[tuple[str, str], ...], fix_k3: bool) -> Intrinsics:
     flags = cv2.CALIB_FIX_K3 if fix_k3 else 0
-    size = (found.width_px, found.height_px)
-    points: Any = [view.points_m.astype(np.float32).reshape(-1, 1, 3) for view in views]
-    pixels: Any = [view.pixels.astype(np.float32).reshape(-1, 1, 2) for view in views]
     try:
         rms, matrix, distortion, turns, shifts, sigma, _, _ = cv2.calibrateCameraExtended(
-            points, pixels, size, None, None, flags=flags
+            *_for_opencv(found, views), None, None, flags=flags
         )
     except cv2.error as error:
         raise ConfigError(

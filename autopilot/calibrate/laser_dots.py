@@ -36,13 +36,8 @@ def green_dots(image_bgr: Any) -> FloatArray:
     )
     spread = max(MAD_TO_SIGMA * float(np.median(np.abs(smooth))), 0.3)
     limit = max(LASER_DOTS.min_excess, LASER_DOTS.min_sigmas * spread)
-    work = smooth.copy()
-    (
-        work[: LASER_DOTS.edge_px],
-        work[-LASER_DOTS.edge_px :],
-        work[:, : LASER_DOTS.edge_px],
-        work[:, -LASER_DOTS.edge_px :],
-    ) = 0.0, 0.0, 0.0, 0.0
+    work, inside = np.zeros_like(smooth), slice(LASER_DOTS.edge_px, -LASER_DOTS.edge_px)
+    work[inside, inside] = smooth[inside, inside]
     out = []
     for _ in range(LASER_DOTS.per_picture):
         row, column = (int(v) for v in np.unravel_index(int(work.argmax()), work.shape))

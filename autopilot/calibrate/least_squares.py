@@ -49,7 +49,7 @@ def covariance(
         cross = scores[lag:].T @ scores[:-lag]
         middle += (1.0 - lag / (lags + 1)) * (cross + cross.T)
     result: FloatArray = inverse @ middle @ inverse
-    # Negatively correlated residuals can make this smaller than noise alone would be: never believe less than a tenth.
+    # Negatively correlated residuals can make this smaller than noise alone would be: never accept less than a tenth.
     floor = 0.1 * np.diag(inverse)
     low = np.maximum(floor - np.diag(result), 0.0)
     result += np.diag(low)

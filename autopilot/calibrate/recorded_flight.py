@@ -37,7 +37,7 @@ class CameraFlight:
     """A log's camera poses and AHRS samples."""
 
     vehicle: Vehicle
-    """What the service believed, or the vehicle file given instead."""
+    """What the service flew with, or the vehicle file given instead."""
     camera: CameraModel
     t_s: FloatArray
     """(n,) rising; the stamps of the sightings with the vehicle file's ``camera.time_offset_s`` added."""
@@ -98,7 +98,7 @@ def read_flight(path: Path, vehicle: str | None = None, markers: Path | None = N
 
 
 def marker_map(log: Log, file: Path | None) -> MarkerMap:
-    """The markers that were flown over: a map file, else what the service was told. LogError if there is neither."""
+    """The markers that were flown over: a map file, else the service's own. LogError if there is neither."""
     markers = load_marker_map(file) if file is not None else read_markers(log.attachments)
     if markers is None:
         raise LogError(f"{log.path}: does not tell where the markers lie; give the marker map with --map")

@@ -9,7 +9,7 @@ factorised, all derivatives analytic; steps at first order in small rotations, a
 """
 
 from dataclasses import dataclass, field
-from typing import Any, TypeAlias
+from typing import Any
 
 import numpy as np
 
@@ -69,9 +69,9 @@ class Adjusted:
     residual_px: FloatArray
     """(k, 4, 2)"""
     weight: FloatArray
-    """(k, 4) of corners, 1 = believed."""
+    """(k, 4) of corners, 1 = accepted."""
     sigma_px: float
-    """Standard deviation of a corner along one axis, of those believed."""
+    """Standard deviation of a corner along one axis, of those accepted."""
     sigma_m: FloatArray
     """(m, 3) of the markers' places, north, east, down."""
     sigma_turn_rad: FloatArray
@@ -249,24 +249,17 @@ def _marker_sigmas(network: Network, normal: Any) -> tuple[FloatArray, FloatArra
     return sigma[:, :3], sigma[:, 5]
 
 
-Poses: TypeAlias = tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray, float]
+_ESTIMATED = ("eyes_ned_m", "r_ned_from_cam", "centers_ned_m", "r_ned_from_marker", "view_shrink_px", "shrink_px")
 
 
-def _poses(network: Network) -> Poses:
-    return (
-        network.eyes_ned_m,
-        network.r_ned_from_cam,
-        network.centers_ned_m,
-        network.r_ned_from_marker,
-        network.view_shrink_px,
-        network.shrink_px,
-    )
+def _poses(network: Network) -> dict[str, Any]:
+    """The present estimate, for :func:`_restore`."""
+    return {name: getattr(network, name) for name in _ESTIMATED}
 
 
-def _restore(network: Network, poses: Poses) -> None:
-    network.eyes_ned_m, network.r_ned_from_cam = poses[0], poses[1]
-    network.centers_ned_m, network.r_ned_from_marker = poses[2], poses[3]
-    network.view_shrink_px, network.shrink_px = poses[4], poses[5]
+def _restore(network: Network, poses: dict[str, Any]) -> None:
+    for name, value in poses.items():
+        setattr(network, name, value)
 
 
 def _apply(network: Network, step: FloatArray) -> None:

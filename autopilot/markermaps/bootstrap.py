@@ -228,22 +228,18 @@ class _World:
     def _place_others(self, tied: TiedView) -> None:
         """Places for the markers of a view that have none; those placed before move to the mean of their sights."""
         for k, marker_id in enumerate(tied.view.ids.tolist()):
-            if marker_id not in self._sizes_m:
-                continue
-            if k in tied.known:
-                index = tied.known[k]
-                if index < self._fixed:
-                    continue
-                seen = self._seen(tied, k, marker_id)
-                if seen is not None:
-                    _average(self.markers[index], seen)
+            index = tied.known.get(k)
+            if marker_id not in self._sizes_m or (index is not None and index < self._fixed):
                 continue
             seen = self._seen(tied, k, marker_id)
-            if seen is None or self._near_known(seen):
+            if seen is None:
                 continue
-            self._by_id.setdefault(marker_id, []).append(len(self.markers))
-            tied.known[k] = len(self.markers)
-            self.markers.append(seen)
+            if index is not None:
+                _average(self.markers[index], seen)
+            elif not self._near_known(seen):
+                self._by_id.setdefault(marker_id, []).append(len(self.markers))
+                tied.known[k] = len(self.markers)
+                self.markers.append(seen)
 
     def _near_known(self, seen: Placed) -> bool:
         """Whether a marker of this id lies so close that the new one must be a mistake."""

@@ -108,7 +108,7 @@ class SurveyTuning:
     misread_share: float = 1.0 / 3.0
     """A marker whose cells are wrong in this share of its sights is worth a word."""
     believed: float = 0.25
-    """A sight whose corners weigh less than this on average was not believed."""
+    """A sight whose corners weigh less than this on average was rejected."""
 
 
 SURVEY = SurveyTuning()

@@ -28,7 +28,7 @@ class SurveyedMarker:
     fixed: bool
     sights: int
     rms_px: float
-    """Of its corners' residuals, those not believed left out."""
+    """Of its corners' residuals, outliers left out."""
     sigma_m: float
     """Larger one of the standard deviations of its place north and east (and down, if that was free)."""
     sigma_yaw_rad: float
@@ -143,6 +143,8 @@ def _adjusted(
     placed = bootstrap.markers
     centers = np.array([m.center_ned_m for m in placed])
     nominal = _match(rough, placed, centers, fixed, seeds)
+    of_rough = placed_markers(rough)
+    prior = [of_rough[n] if n >= 0 else m for n, m in zip(nominal, placed, strict=True)]
     known = nominal >= 0
     view, marker, corners = network_indices(bootstrap)
     network = Network(
@@ -156,15 +158,10 @@ def _adjusted(
         view=view,
         marker=marker,
         corners_px=corners,
-        prior_centers_ned_m=centers.copy(),
-        prior_r_ned_from_marker=np.array([m.r_ned_from_marker for m in placed]),
-        prior_sigma=np.full((len(placed), 2), np.inf),
+        prior_centers_ned_m=np.array([p.center_ned_m for p in prior]),
+        prior_r_ned_from_marker=np.array([p.r_ned_from_marker for p in prior]),
+        prior_sigma=np.where(known[:, None], rough_sigma, np.inf),
     )
-    of_rough = placed_markers(rough)
-    for k in np.flatnonzero(known):
-        network.prior_centers_ned_m[k] = of_rough[nominal[k]].center_ned_m
-        network.prior_r_ned_from_marker[k] = of_rough[nominal[k]].r_ned_from_marker
-        network.prior_sigma[k] = rough_sigma
     if len(fixed):
         anchors = np.flatnonzero(np.isin(nominal, fixed)).tolist()
     else:

@@ -78,7 +78,7 @@ def test_nobody_who_counts_is_displaced_before_one_who_counts_less(
         if what == "wait":
             port.t_us += steps * STEP_US
         elif what == "enter" and not there:
-            room = port.admission.has_room(port.t_us)
+            room = port.admission.has_place(port.t_us)
             assert port.enter(key) == room
         elif what == "bytes" and there:
             port.admission.heard(key, port.t_us)

@@ -218,16 +218,15 @@ SIZES_S = st.one_of(
 
 @pytest.mark.parametrize("name", SOURCES)
 @given(size_s=SIZES_S, back=st.booleans(), at_s=st.floats(3.0, 4.0), wraps=st.booleans())
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=12, deadline=None)
 def test_a_jump_costs_half_a_second_at_most_and_is_told(
     name: str, size_s: float, back: bool, at_s: float, wraps: bool
 ) -> None:
-    jumps = [(at_s, -size_s if back else size_s)]
     span_us = SOURCES[name]().span_us
     begin_us = span_us - 5_000_000 if wraps and span_us < UNIX_US else 30_000_000_000
     settled = 1e-6 * SETTLED * SOURCES[name]().period_us
-    jumps = [(at_s + settled, jumps[0][1])]
-    run = fly(name, jumps, settled + 8.0, begin_us=begin_us)
+    jumps = [(at_s + settled, -size_s if back else size_s)]
+    run = fly(name, jumps, settled + 6.0, begin_us=begin_us)
     right(run, jumps)
     assert run.source.clock.jumps == 1
     ((_, text),) = run.source.clock.take_notices()
@@ -238,17 +237,17 @@ def test_a_jump_costs_half_a_second_at_most_and_is_told(
 
 
 @pytest.mark.parametrize("name", SOURCES)
-@given(jumps=st.lists(st.tuples(st.floats(1.0, 20.0), st.floats(-30.0, 30.0)), min_size=2, max_size=30))
-@settings(max_examples=12, deadline=None)
+@given(jumps=st.lists(st.tuples(st.floats(1.0, 10.0), st.floats(-30.0, 30.0)), min_size=2, max_size=20))
+@settings(max_examples=6, deadline=None)
 def test_repeated_jumps_never_silence_a_device(name: str, jumps: list[tuple[float, float]]) -> None:
-    run = fly(name, jumps, 24.0)
+    run = fly(name, jumps, 13.0)
     assert max(run.silences_us()) <= COST_US + 2 * run.source.period_us
     calm = [stamped for stamped in run.stamps if not any(0 <= stamped[1] - at * 1e6 <= COST_US for at, _ in jumps)]
     assert all(abs(stamp_us - taken_us) <= NEAR_US + 2_000 for stamp_us, taken_us, _ in calm)
 
 
 @pytest.mark.parametrize("name", SOURCES)
-@pytest.mark.parametrize("drift", [-3e-4, 0.0, 3e-4])
+@pytest.mark.parametrize("drift", [-3e-4, 3e-4])
 def test_a_sound_clock_is_never_blamed(name: str, drift: float) -> None:
     """Drift, a counter that begins anew, frames that are lost and a line that stalls are no jumps."""
     rng = np.random.default_rng(8)

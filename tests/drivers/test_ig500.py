@@ -1,19 +1,11 @@
-"""The AHRS driver: stamps, counters, configuration, and the whole way over a pseudo-terminal."""
+"""The AHRS driver: stamps, counters, configuration."""
 
-import os
-import pty
-import select
 import struct
-import tty
-from collections.abc import Callable
-from typing import Any
 
 import numpy as np
-import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from autopilot.core.device_clock import DeviceClock
 from autopilot.core.frames import quat_from_rpy
 from autopilot.drivers.base import Closing
 from autopilot.drivers.ig500 import Ig500
@@ -31,7 +23,6 @@ from autopilot.drivers.ig500_protocol import (
     OutputField,
     encode_frame,
 )
-from autopilot.drivers.serial_port import SerialPort
 from autopilot.drivers.serial_sensor import ASK_AGAIN_POLLS
 
 CODEC = OutputCodec(AHRS_MASK)
@@ -113,24 +104,6 @@ def test_stamps_follow_the_device_clock_and_not_the_jitter_of_arrival() -> None:
     assert settled.std() < 600  # the arrivals scatter by 3000
 
 
-@pytest.mark.parametrize("jump_ms", [-5000, 70_000])
-def test_device_clock_starts_anew_after_a_reset(jump_ms: int) -> None:
-    clock = DeviceClock()
-    for k in range(300):
-        assert clock.stamp(10_000 * k, 10_000 * k) == 10_000 * k
-    offset = 1000 * jump_ms
-    stamps = [clock.stamp(10_000 * k, 10_000 * k + offset) for k in range(300, 500)]
-    assert stamps[-1] == 10_000 * 499
-
-
-def test_device_clock_is_not_moved_by_a_late_burst() -> None:
-    clock = DeviceClock()
-    for k in range(300):
-        clock.stamp(10_000 * k, 10_000 * k)
-    late = [clock.stamp(3_300_000, 10_000 * k) for k in range(300, 330)]  # all at once, up to 0.3 s late
-    assert max(abs(stamp - 10_000 * k) for k, stamp in zip(range(300, 330), late, strict=True)) < 2_000
-
-
 def test_useless_content_is_counted_and_dropped() -> None:
     port = ScriptedPort()
     driver = Ig500(port, latency_s=0.0)
@@ -210,36 +183,3 @@ def test_says_what_is_not_in_order_by_the_device_s_own_account() -> None:
     port.chunks = [(2, frame(20))]
     driver.poll(2)
     assert driver.warnings == []
-
-
-def test_over_a_real_serial_line() -> None:
-    device, line = pty.openpty()
-    tty.setraw(device)
-
-    def soon(look: Callable[[], list[Any]], count: int) -> list[Any]:
-        """What ``look`` gives in all, once it is ``count``: a terminal hands bytes on in its own time."""
-        found: list[Any] = []
-        for _ in range(400):
-            found += look()
-            if len(found) >= count:
-                break
-            select.select([], [], [], 0.005)
-        return found
-
-    try:
-        with Ig500(SerialPort(os.ttyname(line), 115200), latency_s=0.01) as driver:
-            parser = Ig500Parser()
-            commands = soon(lambda: parser.feed(os.read(device, 1024)), 3)
-            assert [f.command for f in commands] == [SET_OUTPUT_MASK, GET_OUTPUT_MASK, SET_CONTINUOUS_MODE]
-            os.write(device, encode_frame(RETURN_OUTPUT_MASK, struct.pack(">I", AHRS_MASK)))
-            assert driver.poll(0) == []
-            data = frame(40, 0.5)
-            os.write(device, data[:20])
-            assert driver.poll(45_000) == []
-            os.write(device, data[20:])
-            (sample,) = soon(lambda: driver.poll(50_000), 1)
-            assert sample.t_us == 40_000
-            assert sample.rpy_rad[2] == pytest.approx(0.5, abs=1e-6)
-    finally:
-        os.close(device)
-        os.close(line)

@@ -1,4 +1,4 @@
-"""The IG-500's wire format: checksums, resynchronisation, fields."""
+"""The IG-500's wire format: checksums and fields."""
 
 import struct
 
@@ -9,7 +9,6 @@ from hypothesis import strategies as st
 from autopilot.core.errors import ConfigError
 from autopilot.drivers.ig500_protocol import (
     AHRS_MASK,
-    Ig500Frame,
     Ig500Parser,
     OutputCodec,
     OutputField,
@@ -18,9 +17,6 @@ from autopilot.drivers.ig500_protocol import (
     encode_output_mask,
 )
 from autopilot.drivers.sbg_frames import crc16
-
-COMMANDS = st.integers(0, 255)
-DATA = st.binary(max_size=Ig500Parser.max_data)
 
 
 def bitwise_crc(data: bytes) -> int:
@@ -53,50 +49,6 @@ def test_frame_layout() -> None:
 def test_commands_of_the_driver() -> None:
     assert encode_continuous_mode(4)[:8] == b"\xff\x02\x53\x00\x03\x00\x01\x04"
     assert encode_output_mask(AHRS_MASK)[:10] == b"\xff\x02\x50\x00\x05\x00\x00\x20\x18\x19"
-
-
-@settings(deadline=None)
-@given(st.lists(st.tuples(COMMANDS, DATA), max_size=5), st.data())
-def test_frames_survive_any_cut(frames: list[tuple[int, bytes]], data: st.DataObject) -> None:
-    stream = b"".join(encode_frame(command, content) for command, content in frames)
-    cuts = sorted(data.draw(st.lists(st.integers(0, len(stream)), max_size=6)))
-    parser, out = Ig500Parser(), []
-    for start, end in zip([0, *cuts], [*cuts, len(stream)], strict=True):
-        out += parser.feed(stream[start:end])
-    assert out == [Ig500Frame(command, content) for command, content in frames]
-    assert parser.skipped == parser.bad_frames == 0
-
-
-@settings(deadline=None)
-@given(st.lists(st.binary(max_size=700), max_size=6))
-def test_any_bytes_never_raise_and_memory_is_bounded(chunks: list[bytes]) -> None:
-    parser = Ig500Parser()
-    for chunk in chunks:
-        parser.feed(chunk)
-    assert len(parser._buffer) <= Ig500Parser.max_data + 8
-
-
-@settings(deadline=None)
-@given(st.binary(max_size=60), COMMANDS, st.binary(max_size=80))
-def test_finds_the_frame_behind_noise(noise: bytes, command: int, content: bytes) -> None:
-    # A following run of zeros pushes the frame through whatever size the noise has announced.
-    parser = Ig500Parser()
-    frames = parser.feed(noise + encode_frame(command, content) + bytes(600))
-    assert Ig500Frame(command, content) in frames
-
-
-@settings(deadline=None)
-@given(COMMANDS, st.binary(max_size=80), st.data())
-def test_a_damaged_frame_is_dropped_and_the_next_one_is_not(command: int, content: bytes, data: st.DataObject) -> None:
-    frame = bytearray(encode_frame(command, content))
-    place = data.draw(st.integers(0, len(frame) - 1))
-    frame[place] ^= data.draw(st.integers(1, 255))
-    parser = Ig500Parser()
-    good = Ig500Frame(0x90, b"good")
-    frames = parser.feed(bytes(frame) + encode_frame(good.command, good.data) + bytes(600))
-    assert good in frames
-    assert all(found == good or found != Ig500Frame(command, content) for found in frames)
-    assert parser.skipped > 0
 
 
 def test_too_much_data_does_not_fit() -> None:

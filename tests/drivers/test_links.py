@@ -56,6 +56,29 @@ class Peer:
         self.read = read
 
 
+def udp(port: int | None = None) -> socket.socket:
+    """Bound to any port, or connected to that one."""
+    end = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+    end.settimeout(PATIENT_S)
+    if port is None:
+        end.bind((LOCAL, 0))
+    else:
+        end.connect((LOCAL, port))
+    return end
+
+
+def tcp(port: int) -> socket.socket:
+    """Connected to that port."""
+    return socket.create_connection((LOCAL, port), PATIENT_S)
+
+
+def terminal() -> tuple[int, int]:
+    """A pseudo-terminal: the device's end and the line."""
+    device, line = pty.openpty()
+    tty.setraw(device)
+    return device, line
+
+
 def socket_peer(end: socket.socket) -> Peer:
     end.settimeout(PATIENT_S)
     return Peer(end.send, lambda: end.recv(4096))
@@ -68,13 +91,9 @@ def connected(kind: str) -> Iterator[tuple[Link, Peer]]:
         if kind == "udpin":
             port = free_port()
             link = open_link(f"udpin:{LOCAL}:{port}")
-            end = stack.enter_context(socket.socket(socket.AF_INET, socket.SOCK_DGRAM))
-            end.connect((LOCAL, port))
-            peer = socket_peer(end)
+            peer = socket_peer(stack.enter_context(udp(port)))
         elif kind == "udpout":
-            end = stack.enter_context(socket.socket(socket.AF_INET, socket.SOCK_DGRAM))
-            end.bind((LOCAL, 0))
-            end.settimeout(PATIENT_S)
+            end = stack.enter_context(udp())
             link = open_link(f"udpout:{LOCAL}:{end.getsockname()[1]}")
             link.send(b"hello")
             _, address = end.recvfrom(100)
@@ -83,16 +102,15 @@ def connected(kind: str) -> Iterator[tuple[Link, Peer]]:
         elif kind == "tcpin":
             port = free_port(socket.SOCK_STREAM)
             link = open_link(f"tcpin:{LOCAL}:{port}")
-            peer = socket_peer(stack.enter_context(socket.create_connection((LOCAL, port))))
+            peer = socket_peer(stack.enter_context(tcp(port)))
         elif kind == "tcp":
             server = stack.enter_context(socket.create_server((LOCAL, 0)))
             link = open_link(f"tcp:{LOCAL}:{server.getsockname()[1]}")
             peer = socket_peer(stack.enter_context(server.accept()[0]))
         else:
-            device, line = pty.openpty()
+            device, line = terminal()
             stack.callback(os.close, device)
             stack.callback(os.close, line)
-            tty.setraw(device)
             link = open_link(f"{os.ttyname(line)}:115200")
             peer = Peer(lambda data: os.write(device, data), lambda: os.read(device, 4096))
         stack.callback(link.close)
@@ -142,13 +160,25 @@ def test_closed_links_are_silent(ends: tuple[Link, Peer]) -> None:
     assert link.recv(0) == []
 
 
+@pytest.fixture
+def server() -> Iterator[TcpServer]:
+    link = open_link(f"tcpin:{LOCAL}:{free_port(socket.SOCK_STREAM)}")
+    assert isinstance(link, TcpServer)
+    with contextlib.closing(link):
+        yield link
+
+
+def port_of(link: Link) -> int:
+    return int(link.name.rpartition(":")[2])
+
+
 @pytest.mark.parametrize("kind", ["udpin", "tcpin"])
 def test_a_port_in_use_is_one_clear_line(kind: str) -> None:
     with connected(kind) as (link, _), pytest.raises(DriverError) as refusal:
         open_link(link.name)
     text = str(refusal.value)
     assert "\n" not in text
-    assert f"port {link.name.rpartition(':')[2]} is already in use; stop the program" in text
+    assert f"port {port_of(link)} is already in use; stop the program" in text
 
 
 def test_a_server_that_is_not_there_is_named() -> None:
@@ -187,9 +217,8 @@ def test_udpin_answers_everyone_it_has_heard_up_to_a_limit() -> None:
     link = UdpIn("test", LOCAL, port := free_port())
     link.standing = lambda client: ClientRecord(valid_us=0)
     with contextlib.ExitStack() as stack:
-        ends = [stack.enter_context(socket.socket(socket.AF_INET, socket.SOCK_DGRAM)) for _ in range(MAX_PEERS + 3)]
+        ends = [stack.enter_context(udp()) for _ in range(MAX_PEERS + 3)]
         for number, end in enumerate(ends):
-            end.settimeout(PATIENT_S)
             end.sendto(frame(number), (LOCAL, port))
             known = number < MAX_PEERS + 1
             assert receive(link, 1) == ([frame(number)] if known else [])
@@ -217,10 +246,7 @@ def test_udpin_forgets_who_is_silent_and_keeps_who_speaks(proven: bool) -> None:
     forget_us = FORGET_US if proven else FORGET_UNPROVEN_US
     link = UdpIn("test", LOCAL, port := free_port())
     link.standing = lambda client: ClientRecord(valid_us=0 if proven else None)
-    with (
-        socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as silent,
-        socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as lively,
-    ):
+    with udp() as silent, udp() as lively:
         silent.sendto(b"1", (LOCAL, port))
         lively.sendto(b"2", (LOCAL, port))
         receive(link, 2)
@@ -234,19 +260,10 @@ def test_udpin_forgets_who_is_silent_and_keeps_who_speaks(proven: bool) -> None:
 
 @pytest.mark.parametrize("kind", ["udpin", "tcpin"])
 def test_clients_of_a_port_are_told_apart_and_answered_apart(kind: str) -> None:
-    udp = kind == "udpin"
-    port = free_port(socket.SOCK_DGRAM if udp else socket.SOCK_STREAM)
+    port = free_port(socket.SOCK_DGRAM if kind == "udpin" else socket.SOCK_STREAM)
     link = open_link(f"{kind}:{LOCAL}:{port}")
     with contextlib.ExitStack() as stack:
-        ends = []
-        for _ in range(3):
-            if udp:
-                end = stack.enter_context(socket.socket(socket.AF_INET, socket.SOCK_DGRAM))
-                end.connect((LOCAL, port))
-            else:
-                end = stack.enter_context(socket.create_connection((LOCAL, port)))
-            end.settimeout(PATIENT_S)
-            ends.append(end)
+        ends = [stack.enter_context((udp if kind == "udpin" else tcp)(port)) for _ in range(3)]
         numbers = []
         for n, end in enumerate(ends):
             end.send(frame(n))
@@ -270,10 +287,7 @@ def test_clients_of_a_port_are_told_apart_and_answered_apart(kind: str) -> None:
 
 def test_a_flood_on_one_address_leaves_room_for_the_others() -> None:
     link = UdpIn("test", LOCAL, port := free_port())
-    with (
-        socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as loud,
-        socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as quiet,
-    ):
+    with udp() as loud, udp() as quiet:
         for _ in range(20):
             loud.sendto(b"\xfe" * 1024, (LOCAL, port))
         quiet.sendto(frame(1), (LOCAL, port))
@@ -305,14 +319,7 @@ def test_nothing_is_open_beyond_the_loopback_unless_it_is_asked_for(text: str) -
 
 
 def test_udpout_hears_its_target_and_no_other_host() -> None:
-    with (
-        socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as target,
-        socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sibling,
-        socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as stranger,
-    ):
-        target.bind((LOCAL, 0))
-        target.settimeout(PATIENT_S)
-        sibling.settimeout(PATIENT_S)
+    with udp() as target, udp() as sibling, socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as stranger:
         try:
             stranger.bind(("127.0.0.9", 0))
         except OSError:
@@ -336,8 +343,7 @@ def test_udpout_hears_its_target_and_no_other_host() -> None:
 def test_a_serial_device_that_goes_is_named_and_opened_again(tmp_path: Path) -> None:
     """The device's name is a link, as udev makes one: it is gone while the device is."""
     name = tmp_path / "ttyROV"
-    device, line = pty.openpty()
-    tty.setraw(device)
+    device, line = terminal()
     name.symlink_to(os.ttyname(line))
     link = open_link(f"{name}:115200")
     os.close(line)
@@ -352,8 +358,7 @@ def test_a_serial_device_that_goes_is_named_and_opened_again(tmp_path: Path) -> 
     assert link.problem == "device gone, check the cable"
     assert link.filenos() == []
     assert link.dropped_tx > 0
-    device, line = pty.openpty()
-    tty.setraw(device)
+    device, line = terminal()
     name.symlink_to(os.ttyname(line))
     assert link.recv(3_000_000 + REOPEN_US) == []
     assert link.problem is None
@@ -370,8 +375,7 @@ def test_a_serial_device_that_goes_is_named_and_opened_again(tmp_path: Path) -> 
 def test_a_serial_line_whose_close_fails_is_let_go_of_and_opened_again(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    device, line = pty.openpty()
-    tty.setraw(device)
+    device, line = terminal()
     name = tmp_path / "ttyROV"
     name.symlink_to(os.ttyname(line))
     link = open_link(f"{name}:115200")
@@ -399,35 +403,29 @@ def test_a_serial_line_whose_close_fails_is_let_go_of_and_opened_again(
     os.close(device)
 
 
-def test_tcp_clients_do_not_mix_and_all_get_everything() -> None:
-    link = open_link(f"tcpin:{LOCAL}:{(port := free_port(socket.SOCK_STREAM))}")
-    with socket.create_connection((LOCAL, port)) as one, socket.create_connection((LOCAL, port)) as two:
-        one.settimeout(PATIENT_S)
-        two.settimeout(PATIENT_S)
+def test_tcp_clients_do_not_mix_and_all_get_everything(server: TcpServer) -> None:
+    with tcp(port_of(server)) as one, tcp(port_of(server)) as two:
         one.send(frame(1)[:5])
         two.send(frame(2)[:7])
-        assert receive(link, 1) == []
+        assert receive(server, 1) == []
         one.send(frame(1)[5:])
         two.send(frame(2)[7:])
-        assert sorted(receive(link, 2)) == [frame(1), frame(2)]
-        link.send(frame(9))
+        assert sorted(receive(server, 2)) == [frame(1), frame(2)]
+        server.send(frame(9))
         assert one.recv(100) == two.recv(100) == frame(9)
         two.close()
         one.send(frame(3))
-        assert receive(link, 1) == [frame(3)]
-        link.send(frame(10))
+        assert receive(server, 1) == [frame(3)]
+        server.send(frame(10))
         assert one.recv(100) == frame(10)
-    link.close()
 
 
-def test_a_tcp_connection_whose_other_end_is_gone_is_noticed() -> None:
+def test_a_tcp_connection_whose_other_end_is_gone_is_noticed(server: TcpServer) -> None:
     """A cut tether says no goodbye: the system asks, and ends the connection within half a minute."""
-    link = open_link(f"tcpin:{LOCAL}:{(port := free_port(socket.SOCK_STREAM))}")
-    assert isinstance(link, TcpServer)
-    with socket.create_connection((LOCAL, port)) as end:
+    with tcp(port_of(server)) as end:
         end.send(frame(1))
-        receive(link, 1)
-        (number,) = [number for number in link.filenos() if number != link.filenos()[-1]]
+        receive(server, 1)
+        (number,) = [number for number in server.filenos() if number != server.filenos()[-1]]
         with socket.socket(fileno=os.dup(number)) as accepted:
             assert accepted.getsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE)
             idle, gap, count, unacknowledged_ms = (
@@ -440,66 +438,55 @@ def test_a_tcp_connection_whose_other_end_is_gone_is_noticed() -> None:
                 )
             )
             assert idle + gap * count <= 30 and 0 < unacknowledged_ms <= 30_000
-    link.close()
 
 
-def test_tcp_clients_that_say_nothing_make_room() -> None:
+def test_tcp_clients_that_say_nothing_make_room(server: TcpServer) -> None:
     """In the order in which they came; who came last and has not had his time stays, and others wait meanwhile."""
-    link = open_link(f"tcpin:{LOCAL}:{(port := free_port(socket.SOCK_STREAM))}")
-    assert isinstance(link, TcpServer)
     with contextlib.ExitStack() as stack:
-        silent = [stack.enter_context(socket.create_connection((LOCAL, port))) for _ in range(MAX_CLIENTS + 1)]
+        silent = [stack.enter_context(tcp(port_of(server))) for _ in range(MAX_CLIENTS + 1)]
         for _ in range(4):
-            link.recv(0)
-        assert link.clients == MAX_CLIENTS + 1
-        late = stack.enter_context(socket.create_connection((LOCAL, port)))
+            server.recv(0)
+        assert server.clients == MAX_CLIENTS + 1
+        late = stack.enter_context(tcp(port_of(server)))
         late.send(frame(7))
-        assert entries(link, 1, GRACE_US - 1) == []
-        assert link.take_news() == (True, "a client waits for a place: 9 are served (199 more)")
-        assert receive(link, 1, GRACE_US) == [frame(7)]
+        assert entries(server, 1, GRACE_US - 1) == []
+        assert server.take_news() == (True, "a client waits for a place: 9 are served (199 more)")
+        assert receive(server, 1, GRACE_US) == [frame(7)]
         name = f"{LOCAL}:{silent[0].getsockname()[1]}"
-        assert link.take_news() == (False, f"{name} lost its place: sent nothing valid")
-        silent[0].settimeout(PATIENT_S)
+        assert server.take_news() == (False, f"{name} lost its place: sent nothing valid")
         assert silent[0].recv(10) == b""
-    link.close()
 
 
-def test_tcp_clients_that_are_heard_keep_their_places_and_one_is_kept_for_the_operator() -> None:
-    link = open_link(f"tcpin:{LOCAL}:{(port := free_port(socket.SOCK_STREAM))}")
-    assert isinstance(link, TcpServer)
+def test_tcp_clients_that_are_heard_keep_their_places_and_one_is_kept_for_the_operator(server: TcpServer) -> None:
     now_us, operator = 0, 0
-    link.standing = lambda client: ClientRecord(valid_us=now_us, in_control=client == operator)
+    server.standing = lambda client: ClientRecord(valid_us=now_us, in_control=client == operator)
     with contextlib.ExitStack() as stack:
         for _ in range(MAX_CLIENTS + 1):
-            stack.enter_context(socket.create_connection((LOCAL, port))).send(frame(1))
-        entries(link, MAX_CLIENTS + 1, 0)
+            stack.enter_context(tcp(port_of(server))).send(frame(1))
+        entries(server, MAX_CLIENTS + 1, 0)
         now_us = KEEP_US
-        station = stack.enter_context(socket.create_connection((LOCAL, port)))
+        station = stack.enter_context(tcp(port_of(server)))
         station.send(frame(2))
-        (heard,) = entries(link, 1, now_us)
+        (heard,) = entries(server, 1, now_us)
         operator = heard.client
         now_us *= 10
-        another = stack.enter_context(socket.create_connection((LOCAL, port)))
+        another = stack.enter_context(tcp(port_of(server)))
         another.send(frame(3))
-        assert [entry.data for entry in entries(link, 1, now_us)] == [frame(3)]
+        assert [entry.data for entry in entries(server, 1, now_us)] == [frame(3)]
         station.send(frame(4))
-        assert [entry.client for entry in entries(link, 1, now_us)] == [operator]
-    link.close()
+        assert [entry.client for entry in entries(server, 1, now_us)] == [operator]
 
 
-def test_tcp_server_cuts_off_a_client_that_does_not_read() -> None:
-    link = open_link(f"tcpin:{LOCAL}:{(port := free_port(socket.SOCK_STREAM))}")
-    with socket.create_connection((LOCAL, port)) as lazy:
+def test_tcp_server_cuts_off_a_client_that_does_not_read(server: TcpServer) -> None:
+    with tcp(port_of(server)) as lazy:
         lazy.send(frame(1))
-        receive(link, 1)
+        receive(server, 1)
         for _ in range(20_000):
-            link.send(bytes(280))
-            if link.dropped_tx:
+            server.send(bytes(280))
+            if server.dropped_tx:
                 break
-        assert isinstance(link, TcpServer)
-        assert link.clients == 0
-        assert link.take_news() == (True, f"{LOCAL}:{lazy.getsockname()[1]} cut off: it does not read")
-    link.close()
+        assert server.clients == 0
+        assert server.take_news() == (True, f"{LOCAL}:{lazy.getsockname()[1]} cut off: it does not read")
 
 
 def test_tcp_client_connects_again() -> None:

@@ -11,43 +11,11 @@ from autopilot.drivers import ping_protocol as wire
 from autopilot.drivers.base import AlwaysOpen
 from autopilot.drivers.ping1d import Ping1d, Ping1dOptions
 
-frames = st.tuples(st.integers(0, 0xFFFF).filter(lambda number: number not in wire.LENGTHS), st.binary(max_size=60))
-
 
 def test_the_bytes_are_those_of_the_documentation() -> None:
     """The documentation's example: a general request for protocol_version."""
     request = wire.encode(wire.GENERAL_REQUEST, struct.pack("<H", 5))
     assert request == bytes([0x42, 0x52, 0x02, 0x00, 0x06, 0x00, 0x00, 0x00, 0x05, 0x00, 0xA1, 0x00])
-
-
-@given(st.lists(frames, max_size=6), st.lists(st.integers(1, 40), min_size=1, max_size=8))
-@settings(max_examples=100, deadline=None)
-def test_frames_come_out_however_they_are_cut(messages: list[tuple[int, bytes]], cuts: list[int]) -> None:
-    data = b"".join(wire.encode(number, payload) for number, payload in messages)
-    parser, found = wire.PingParser(), []
-    while data:
-        cut = cuts[len(found) % len(cuts)]
-        found += parser.feed(data[:cut])
-        data = data[cut:]
-    assert [(frame.message, frame.payload) for frame in found] == messages
-    assert parser.bad_frames == parser.skipped == 0
-
-
-@given(frames, st.binary(max_size=30), st.data())
-@settings(max_examples=150, deadline=None)
-def test_a_damaged_frame_is_counted_and_the_next_one_comes_through(
-    message: tuple[int, bytes], noise: bytes, data: st.DataObject
-) -> None:
-    good = wire.encode(*message)
-    at = data.draw(st.integers(0, len(good) - 1))
-    flip = data.draw(st.integers(1, 255))
-    damaged = bytearray(good)
-    damaged[at] ^= flip
-    parser = wire.PingParser()
-    parser.feed(bytes(damaged))
-    found = parser.feed(noise.replace(b"B", b"") + b"\0" * (wire.MAX_PAYLOAD + 100) + good)
-    assert found[-1:] and (found[-1].message, found[-1].payload) == message
-    assert parser.skipped > 0
 
 
 @pytest.mark.parametrize("bit", range(16))

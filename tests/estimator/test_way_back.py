@@ -7,7 +7,7 @@ from autopilot.core.messages import NavHealth, NavState
 from autopilot.core.samples import CameraFrame, MarkerSighting
 from autopilot.estimator.frame_filter import FrameFilter
 from autopilot.estimator.vision import Hint
-from autopilot.estimator.vision_lane import ACQUISITION_EVERY, DOUBTED_EVERY, VisionWorker
+from autopilot.estimator.vision_lane import ACQUISITION_EVERY, SUSPECT_EVERY, VisionWorker
 
 SHAPE = (48, 64, 3)
 
@@ -49,10 +49,10 @@ def test_a_good_estimate_is_always_the_hint() -> None:
 
 
 def test_in_dead_reckoning_every_third_picture_is_searched_without() -> None:
-    assert searched(NavHealth.DEAD_RECKONING) == [(k, k % DOUBTED_EVERY != 0) for k in range(18)]
+    assert searched(NavHealth.DEAD_RECKONING) == [(k, k % SUSPECT_EVERY != 0) for k in range(18)]
 
 
-@pytest.mark.parametrize(("found", "every"), [(True, DOUBTED_EVERY), (False, ACQUISITION_EVERY)])
+@pytest.mark.parametrize(("found", "every"), [(True, SUSPECT_EVERY), (False, ACQUISITION_EVERY)])
 def test_a_lost_vehicle_looks_more_often_once_there_is_something_to_see(found: bool, every: int) -> None:
     times = [t_us for t_us, hinted in searched(NavHealth.INVALID, found=found) if not hinted]
     assert times[0] == 0 and np.diff(times[1:]).tolist() == [every] * (len(times) - 2)

@@ -65,8 +65,7 @@ def camera_file(path: Path, model: CameraModel, *, ros: bool) -> Path:
     return path
 
 
-@pytest.mark.parametrize("fisheye", [False, True])
-@pytest.mark.parametrize("seed", [1, 2])
+@pytest.mark.parametrize(("fisheye", "seed"), [(False, 1), (True, 2)])
 def test_walls_boxes_and_floor_from_a_walk_round(fisheye: bool, seed: int) -> None:
     """Nothing known but the printed size: places within a millimetre of each other, on all faces."""
     true, result = surveyed(camera(fisheye=fisheye), seed)

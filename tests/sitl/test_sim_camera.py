@@ -36,7 +36,7 @@ POSES = [
 ]
 
 
-@pytest.mark.parametrize("camera_height_m", [0.45, 0.8, 1.1, 1.2])
+@pytest.mark.parametrize("camera_height_m", [0.45, 1.2])
 @pytest.mark.parametrize(("place", "rpy_rad"), POSES)
 def test_detected_corners_are_where_the_true_ones_project(
     camera_height_m: float, place: tuple[float, float], rpy_rad: tuple[float, float, float]
