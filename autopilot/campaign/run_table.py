@@ -195,7 +195,8 @@ HEADS = (
         "least distance kept",
         "thruster alarms",
     ),
-    *("failsafes", "not smooth", "lap J", "lap s", "estimate mm", "at worst", "fallbacks %", "CPU s a run"),
+    *("failsafes", "not smooth", "lap [J]", "lap [s]", "estimate rms [mm]", "largest error [mm]"),
+    *("fallbacks [%]", "CPU per run [s]"),
 )
 
 

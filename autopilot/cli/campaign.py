@@ -61,13 +61,13 @@ def campaign() -> None:
 @click.argument(
     "folders", nargs=-1, required=True, type=click.Path(exists=True, file_okay=False, path_type=Path), metavar="DIR..."
 )
-@click.option("--markdown", is_flag=True, help="As docs/campaign.md has it.")
+@click.option("--markdown", is_flag=True, help="As a Markdown table.")
 @JSON
 def table(folders: tuple[Path, ...], markdown: bool, as_json: bool) -> None:
     """Campaigns of the folders DIR beside each other, as far as they are flown.
 
-    One row per folder; shares and medians with their intervals of 95 % confidence. Where a set was flown in both modes
-    (--param MPC_COST=0 and 1), the modes are compared run by run: run k has the same vehicle and water in both.
+    One column per folder; shares and medians with their intervals of 95 % confidence. Where a set was flown in both
+    modes (--param MPC_COST=0 and 1), the modes are compared run by run: run k has the same vehicle and water in both.
     """
     from autopilot.campaign import run_table as tables
 
@@ -77,7 +77,8 @@ def table(folders: tuple[Path, ...], markdown: bool, as_json: bool) -> None:
     elif markdown:
         click.echo(tables.markdown(rows, pairs), nl=False)
     else:
-        print_table("campaigns", tables.HEADS, [tables.cells(row) for row in rows])
+        names, *quantities = zip(tables.HEADS, *(tables.cells(row) for row in rows), strict=True)
+        print_table("campaigns", names, quantities)  # a column per folder: a row would not fit a terminal
         for pair in pairs:
             click.echo(tables.pair_text(pair))
 

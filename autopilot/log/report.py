@@ -40,6 +40,8 @@ td.note { color: #555; }
 .problem { border-left: 4px solid #c62828; padding: 4px 10px; background: #fdecea; }
 .strip { display: flex; flex-wrap: wrap; gap: 8px; } .strip figure { margin: 0; font-size: 12px; color: #555; }
 nav a { margin-right: 12px; white-space: nowrap; } details { margin: 8px 0; } summary { cursor: pointer; }
+@media (max-width: 640px) { .facts { columns: 1; } table { display: block; overflow-x: auto; }
+nav a { white-space: normal; } }
 """
 _SCRIPT = """
 function saveCsv(id, name) {
