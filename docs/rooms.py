@@ -33,7 +33,7 @@ def modules() -> dict[str, Path]:
 
 
 def room_of(module: str, path: Path) -> str:
-    """The room that a module lives in, e.g. ``autopilot.control.fence``."""
+    """The room that a module lives in, e.g. ``autopilot.control.constraints``."""
     package = module if path.name == "__init__.py" else module.rpartition(".")[0]
     while package.rpartition(".")[0] not in ("", *SPLIT):
         package = package.rpartition(".")[0]

@@ -164,7 +164,7 @@ def _first(candidates: Iterable[tuple[int, DisplacedClient[K]]]) -> DisplacedCli
     return None if least is None else least[1]
 
 
-class DoorNews:
+class AdmissionNotices:
     """What operators should know of a port: who lost his place, and who found none. One line each time that it is asked
     for; how often that is, is the caller's business."""
 

@@ -17,7 +17,7 @@ import msgspec
 
 from autopilot.core import operator_messages as notices
 from autopilot.core.errors import DriverError
-from autopilot.core.messages import Authority, Below, Severity
+from autopilot.core.messages import Authority, FlightControllerState, Severity
 from autopilot.core.samples import Sample
 from autopilot.core.toml_table import NonNegative, Positive, Table
 from autopilot.core.vehicle import Vehicle
@@ -352,10 +352,10 @@ class ArduSub(Closing):
         """By its heartbeat, None = not known."""
         return None if self._silent(t_us) else self._watch.is_armed(t_us)
 
-    def below(self, t_us: int) -> Below:
+    def below(self, t_us: int) -> FlightControllerState:
         """Who has the vehicle now."""
         watch = self._watch
-        return Below(
+        return FlightControllerState(
             t_us=t_us,
             authority=watch.authority,
             acts=watch.acts(t_us) and not self._silent(t_us),

@@ -10,8 +10,8 @@ from concurrent.futures import Future
 from pathlib import Path
 from typing import Any
 
+from autopilot.core.daemon_executor import DaemonExecutor
 from autopilot.core.errors import DriverError
-from autopilot.core.lane import DaemonLane
 from autopilot.core.samples import CameraFrame
 from autopilot.core.toml_table import Positive, Table
 from autopilot.core.vehicle import Vehicle
@@ -46,7 +46,7 @@ class Playback(Closing):
         self._path = Path(options.path)
         self._folder_hz = options.rate_hz or vehicle.eye.rate_hz
         self._transport_us = round(1e6 * LATENCY_SHARE * vehicle.eye.latency_s)
-        self._executor: DaemonLane | None = None
+        self._executor: DaemonExecutor | None = None
         self._pictures: Iterator[Picture] = iter(())
         self._next: Future[Picture | None] | None = None
         self._start_us: int | None = None
@@ -64,13 +64,13 @@ class Playback(Closing):
                 f"{self._path} holds no pictures; give a folder of images, a video or a log with pictures"
             )
         self._pictures, self._start_us, self.ended = pictures, None, False
-        self._executor = DaemonLane("playback")
+        self._executor = DaemonExecutor("playback")
         self._next = self._executor.submit(lambda: first)
 
     def close(self) -> None:
-        lane, self._executor, self._next = self._executor, None, None
-        if lane is not None:
-            lane.shutdown(wait=False, cancel_futures=True)
+        executor, self._executor, self._next = self._executor, None, None
+        if executor is not None:
+            executor.shutdown(wait=False, cancel_futures=True)
 
     def poll(self, t_us: int) -> list[CameraFrame]:
         """The newest picture that is due and decoded."""

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, Self, TypeVar, runt
 from autopilot.core.clients import EVERYONE, ClientRecord, Reach
 
 if TYPE_CHECKING:  # links are opened before anything heavy is loaded
-    from autopilot.core.messages import Below, Severity
+    from autopilot.core.messages import FlightControllerState, Severity
 
 T = TypeVar("T")
 
@@ -164,7 +164,7 @@ class FlightController(Sensor[Any], ThrusterOutput, Protocol):
         """Shutdown: called instead of ``poll`` until it returns True, for a bounded time. Disarms what we armed."""
         ...
 
-    def below(self, t_us: int) -> "Below":
+    def below(self, t_us: int) -> "FlightControllerState":
         """State of authority and arming; called after ``poll`` on the same tick."""
         ...
 

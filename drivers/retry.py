@@ -11,8 +11,8 @@ from enum import Enum
 from typing import Any, Generic, TypeVar
 
 from autopilot.core import operator_messages as notices
+from autopilot.core.daemon_executor import DaemonExecutor
 from autopilot.core.errors import DriverError
-from autopilot.core.lane import DaemonLane
 from autopilot.core.messages import Severity
 from autopilot.drivers.protocols import Device, FlightController, Noticing, Sensor, ThrusterOutput
 
@@ -47,7 +47,7 @@ class RetryingDevice(Generic[D]):
         self.problem = "not opened yet"
         """Why it is not there, "" while it is."""
         self.opened_count = 0
-        self._executor = DaemonLane(f"device {name}")
+        self._executor = DaemonExecutor(f"device {name}")
         self._opening: Future[None] | None = None
         self._up = False
         self._silent = False

@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 from autopilot.core.clients import EVERYONE, UNPROVEN, ClientRecord, Reach
 from autopilot.core.errors import DriverError
-from autopilot.drivers.admission import Admission, DoorNews, displaced_text
+from autopilot.drivers.admission import Admission, AdmissionNotices, displaced_text
 from autopilot.drivers.framing import FrameCutter
 from autopilot.drivers.numbering import Numbering
 from autopilot.drivers.protocols import Received
@@ -110,7 +110,7 @@ class TcpServer:
         self._numbers = 0
         self.standing: Callable[[int], ClientRecord] = lambda client: UNPROVEN
         self._admission: Admission[int] = Admission(MAX_CLIENTS, lambda client: self.standing(client), GRACE_US)
-        self._notices = DoorNews()
+        self._notices = AdmissionNotices()
         self._full = False
         """Whether somebody may be waiting who cannot come in now."""
         self.dropped_tx = 0

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 
 from autopilot.core.clients import EVERYONE, UNPROVEN, ClientRecord, Reach
 from autopilot.core.errors import DriverError
-from autopilot.drivers.admission import KEEP_US, Admission, DoorNews, displaced_text
+from autopilot.drivers.admission import KEEP_US, Admission, AdmissionNotices, displaced_text
 from autopilot.drivers.numbering import Numbering
 from autopilot.drivers.protocols import LOOPBACK, Received
 
@@ -86,7 +86,7 @@ class _Udp:
         self._admission: Admission[Address] = Admission(
             MAX_PEERS, lambda address: self.standing(self._known[address].client)
         )
-        self._notices = DoorNews()
+        self._notices = AdmissionNotices()
         self._checked_us = 0
         self.dropped_tx = 0
         """Datagrams that could not be sent."""

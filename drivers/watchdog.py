@@ -18,7 +18,7 @@ from autopilot.core.toml_table import Table
 from autopilot.core.vehicle import Vehicle
 from autopilot.drivers.registry import load_backend
 from autopilot.drivers.thruster_output import SafeThrusterOutput
-from autopilot.drivers.watchdog_process import FAREWELL, HELLO, KeeperProcess, hear, listen
+from autopilot.drivers.watchdog_process import FAREWELL, HELLO, WatchdogState, hear, listen
 
 TRIES, PAUSE_S = 20, 0.05
 """How often neutral is tried when it does not get through."""
@@ -36,40 +36,40 @@ class KeptOutput(SafeThrusterOutput):
         super().__init__(vehicle, spare)
         self._kept = kept
         self._request = msgspec.json.encode([self.driver, vehicle, options]) + b"\n"
-        self.keeper: KeeperProcess | None = None
+        self.watchdog: WatchdogState | None = None
 
     @property
     def watchdog_problem(self) -> str:
         """What is wrong with the keeper, "" while one answers or none is needed."""
-        return "" if self.keeper is None else self.keeper.problem
+        return "" if self.watchdog is None else self.watchdog.problem
 
     @property
     def watchdog_failed(self) -> bool:
         """Whether that is more than that the first keeper is starting."""
-        return self.keeper is not None and self.keeper.failed
+        return self.watchdog is not None and self.watchdog.failed
 
     def open(self) -> None:
         """Set the device to neutral, and have somebody stand by."""
         super().open()
-        if self._kept and self.keeper is None:
-            self.keeper = KeeperProcess(self._request)
-            self.keeper.start()
+        if self._kept and self.watchdog is None:
+            self.watchdog = WatchdogState(self._request)
+            self.watchdog.start()
 
     def write(self, t_us: int, pwm_us: Any) -> None:
         super().write(t_us, pwm_us)
-        if self.keeper is not None:
-            self.keeper.beat(t_us)
+        if self.watchdog is not None:
+            self.watchdog.beat(t_us)
 
     def check(self, t_us: int) -> bool:
-        if self.keeper is not None:
-            self.keeper.look(t_us)
+        if self.watchdog is not None:
+            self.watchdog.look(t_us)
         return super().check(t_us)
 
     def close(self) -> None:
         super().close()
-        keeper, self.keeper = self.keeper, None
-        if keeper is not None:
-            keeper.end(neutral=self._at_rest)
+        watchdog, self.watchdog = self.watchdog, None
+        if watchdog is not None:
+            watchdog.end(neutral=self._at_rest)
 
 
 def main() -> None:

@@ -13,7 +13,7 @@ import socket
 import subprocess
 from concurrent.futures import Future
 
-from autopilot.core.lane import DaemonLane
+from autopilot.core.daemon_executor import DaemonExecutor
 from autopilot.core.own_python import python_command
 
 FAREWELL = 255
@@ -43,13 +43,13 @@ _ENDINGS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 _Running = tuple["subprocess.Popen[bytes]", socket.socket]
 
 
-class KeeperProcess:
+class WatchdogState:
     """Not thread-safe. Times are the service's [us]."""
 
     def __init__(self, request: bytes) -> None:
         """``request``: the line that it begins with, the output's driver, vehicle and options."""
         self._request = request
-        self._executor = DaemonLane("keeper")
+        self._executor = DaemonExecutor("keeper")
         self._coming: Future[_Running] | None = None
         self._process: subprocess.Popen[bytes] | None = None
         self._line: socket.socket | None = None
@@ -81,7 +81,7 @@ class KeeperProcess:
         try:
             self._coming = self._executor.submit(_start, self._request)
         except RuntimeError as error:  # no thread to be had; the lane keeps the job
-            self._executor, self._coming = DaemonLane("keeper"), Future()
+            self._executor, self._coming = DaemonExecutor("keeper"), Future()
             self._coming.set_exception(OSError(str(error)))
 
     def beat(self, t_us: int) -> None:

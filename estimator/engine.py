@@ -20,17 +20,25 @@ from autopilot.core.samples import AhrsSample, ImuSample, LaserSample, MarkerSig
 from autopilot.core.vehicle import Vehicle
 from autopilot.estimator.aiding import Aid
 from autopilot.estimator.attitude import AttitudeSource
-from autopilot.estimator.camera_doubt import NO_CAMERA, CameraMonitor
+from autopilot.estimator.camera_monitor import NO_CAMERA, CameraMonitor
 from autopilot.estimator.estimator_tuning import ENGINE
 from autopilot.estimator.evidence import Evidence
 from autopilot.estimator.filter_core import FilterCore
 from autopilot.estimator.fixes import Fixes
 from autopilot.estimator.fusion import Fusion
 from autopilot.estimator.history import History, Node
-from autopilot.estimator.imu_watch import NOTHING_NEW, ImuWatch
-from autopilot.estimator.inertial import AhrsDoor, AhrsMount, Inertial, ProcessNoiseMode, level, made_up, step_between
+from autopilot.estimator.imu_monitor import NOTHING_NEW, ImuMonitor
+from autopilot.estimator.inertial import (
+    AhrsMount,
+    ImuValidator,
+    Inertial,
+    ProcessNoiseMode,
+    level,
+    made_up,
+    step_between,
+)
 from autopilot.estimator.intake import SampleBuffer
-from autopilot.estimator.map_watch import MapWatch
+from autopilot.estimator.map_monitor import MapMonitor
 from autopilot.estimator.markers_pose import MarkerSolver
 from autopilot.estimator.measure_model import MODEL_EVERY
 from autopilot.estimator.measure_pose import PoseFix
@@ -71,7 +79,7 @@ class AidedEstimator(Estimator):
         self._fusion = Fusion(core)
         self._startup = StartUp()
         # The AHRS, or the IMU that stands for it, and what drives the vehicle.
-        self._validator = AhrsDoor()
+        self._validator = ImuValidator()
         self._attitude = AttitudeSource()
         self._mount = AhrsMount(vehicle.ahrs.position_frd_m)
         self._ahrs_offset_us = round(1e6 * vehicle.ahrs.time_offset_s)
@@ -83,9 +91,9 @@ class AidedEstimator(Estimator):
         self._latency_s = camera.latency_s
         self._monitors = monitors = Monitors(
             Evidence(),
-            ImuWatch(self._sources.model.vehicle, trust),
+            ImuMonitor(self._sources.model.vehicle, trust),
             CameraMonitor(camera, options.stamps_every_s, None if markers is None else markers.floor_m),
-            None if markers is None else MapWatch(markers),
+            None if markers is None else MapMonitor(markers),
             trust,
         )
         self._fixes = Fixes(self._fusion, self._sources, monitors, self._trim)
@@ -133,7 +141,7 @@ class AidedEstimator(Estimator):
             tracked=ground_us is not None and t_us - ground_us <= ENGINE.tracked_us,
             doubted=bool(doubts) and not self._harmless(doubts, t_us),
         )
-        more = self._monitors.unexplained_variance(t_us, newest)
+        more = self._monitors.systematic_variance(t_us, newest)
         return nav_state(core, newest, t_us, health, self._fusion.resets, more, doubts)
 
     def _harmless(self, doubts: frozenset[NavDoubt], t_us: int) -> bool:

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 
 @dataclass(frozen=True, slots=True)
-class CameraDoubtTuning:
+class CameraMonitorTuning:
     late_s: float = 0.005
     late_share: float = 0.1
     """Stamps are called late from here on, when it is known to this share of it,"""
@@ -39,7 +39,7 @@ class CameraDoubtTuning:
     """nor does a lens that bends all corners of a picture by less than this together."""
 
 
-CAMERA_DOUBT = CameraDoubtTuning()
+CAMERA_MONITOR = CameraMonitorTuning()
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,7 +70,7 @@ COMPLEMENTARY = ComplementaryTuning()
 
 
 @dataclass(frozen=True, slots=True)
-class DoubtTuning:
+class InertialMonitorTuning:
     residual_time_s: float = 0.2
     """The accelerometer's residual is smoothed over this: longer than its noise, shorter than it takes to drift
     away."""
@@ -99,7 +99,7 @@ class DoubtTuning:
     """... within these, smoothed absolute deviations from its mean."""
 
 
-DOUBT = DoubtTuning()
+INERTIAL_MONITOR = InertialMonitorTuning()
 
 
 @dataclass(frozen=True, slots=True)
@@ -244,7 +244,7 @@ MAGNETIC = MagneticTuning()
 
 
 @dataclass(frozen=True, slots=True)
-class MapWatchTuning:
+class MapMonitorTuning:
     sightings: int = 8
     """Pictures that must show a marker at the same wrong place."""
     alone: int = 30
@@ -264,11 +264,11 @@ class MapWatchTuning:
     """So long after the last finding the map is called doubtful."""
 
 
-MAP_WATCH = MapWatchTuning()
+MAP_MONITOR = MapMonitorTuning()
 
 
 @dataclass(frozen=True, slots=True)
-class MarkerLooksTuning:
+class MarkerImageTuning:
     off_center: float = 0.22
     off_center_px: float = 2.0
     """Each cell is sampled at four points this far from its centre [cells], at most so many pixels: light that changes
@@ -292,7 +292,7 @@ class MarkerLooksTuning:
     min_sigma_px: float = 0.06
 
 
-MARKER_LOOKS = MarkerLooksTuning()
+MARKER_IMAGE = MarkerImageTuning()
 
 
 @dataclass(frozen=True, slots=True)
@@ -369,7 +369,7 @@ PNP = PnpTuning()
 
 
 @dataclass(frozen=True, slots=True)
-class StampWatchTuning:
+class StampMonitorTuning:
     window_us: int = 2_000_000
     least_us: int = 600_000
     least_fixes: int = 12
@@ -432,7 +432,7 @@ class StampWatchTuning:
     """Smaller changes are not worth it; nor is a first one."""
 
 
-STAMP_WATCH = StampWatchTuning()
+STAMP_MONITOR = StampMonitorTuning()
 
 
 @dataclass(frozen=True, slots=True)

@@ -7,7 +7,7 @@ import numpy as np
 
 from autopilot.core.frames import FloatArray
 from autopilot.core.messages import NavDoubt
-from autopilot.estimator.estimator_tuning import DOUBT, EVIDENCE
+from autopilot.estimator.estimator_tuning import EVIDENCE, INERTIAL_MONITOR
 from autopilot.estimator.filter_core import Innovation
 from autopilot.estimator.history import Node
 from autopilot.estimator.measurement import CHI2_999
@@ -34,7 +34,7 @@ class Evidence(Monitor):
     @property
     def denies(self) -> bool:
         """Whether fixes speak against the estimate."""
-        return self.denied >= DOUBT.contradictions or self._fix_ratio > EVIDENCE.ratio_denies
+        return self.denied >= INERTIAL_MONITOR.contradictions or self._fix_ratio > EVIDENCE.ratio_denies
 
     @property
     def shows(self) -> bool:
@@ -92,7 +92,7 @@ class Evidence(Monitor):
     def counts(self) -> dict[str, int]:
         return {"doubt.jumps": self.jumps}
 
-    def unexplained_variance(self, t_us: int, newest: Node) -> FloatArray:
+    def systematic_variance(self, t_us: int, newest: Node) -> FloatArray:
         """See :class:`Monitor`: what sensors deny each other and no state explains."""
         laser_bias_m = newest.state.x.item(LASER_BIAS)
         far = abs(laser_bias_m) > EVIDENCE.range_miss_m

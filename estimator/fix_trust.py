@@ -9,7 +9,7 @@ from autopilot.estimator.estimator_tuning import FIX_MOTION
 from autopilot.estimator.fix_motion import FixMotion, FixResidual, FixRun
 from autopilot.estimator.history import Node
 from autopilot.estimator.measure_pose import PoseFix
-from autopilot.estimator.monitor import Doubt
+from autopilot.estimator.monitor import MonitorFinding
 from autopilot.estimator.startup import agree
 
 DENYING = 6
@@ -25,7 +25,7 @@ PROBATION_US = 3_000_000
 move nearly as the vehicle does."""
 
 
-class FixTrust(Doubt):
+class FixTrust(MonitorFinding):
     """Of one source of fixes."""
 
     def __init__(self) -> None:

@@ -11,7 +11,7 @@ import numpy as np
 
 from autopilot.core.frames import FloatArray
 from autopilot.core.messages import NavHealth
-from autopilot.estimator.estimator_tuning import MAP_WATCH
+from autopilot.estimator.estimator_tuning import MAP_MONITOR
 from autopilot.estimator.filter_core import Innovation
 from autopilot.estimator.fix_aid import FixAid
 from autopilot.estimator.fix_motion import FixResidual, drift_variance, plausible
@@ -135,7 +135,7 @@ class Fixes:
             self._map.look(fix)
         for sheet in self._map.loosened(fix, rejected=rejected):
             laid = self._map.laid(sheet)
-            self._fusion.history.forget(node, Loosening("sheets", fix.t_us, sheet, laid, MAP_WATCH.loose_variance))
+            self._fusion.history.forget(node, Loosening("sheets", fix.t_us, sheet, laid, MAP_MONITOR.loose_variance))
             self.counts["sheets.loosened"] += 1
 
     def _learn_sheets(self, node: Node, fix: PoseFix, known: Sequence[int]) -> None:

@@ -199,7 +199,7 @@ def within(values: Sequence[float], most: float) -> bool:
     return -most <= a <= most and -most <= b <= most and -most <= c <= most
 
 
-class AhrsDoor:
+class ImuValidator:
     """Lets good AHRS samples in and counts the others."""
 
     def __init__(self) -> None:

@@ -20,10 +20,10 @@ from autopilot.core.map_errors import STATES, MapErrors
 from autopilot.core.markers import IntArray, MarkerMap
 from autopilot.core.messages import MarkerFit
 from autopilot.core.samples import MarkerSighting
-from autopilot.estimator.camera_doubt import focal_estimate
-from autopilot.estimator.estimator_tuning import CAMERA_DOUBT, MARKERS_POSE
+from autopilot.estimator.camera_monitor import focal_estimate
+from autopilot.estimator.estimator_tuning import CAMERA_MONITOR, MARKERS_POSE
 from autopilot.estimator.ground import SheetTies, believed
-from autopilot.estimator.measure_pose import PoseFix, SheetDependence, Stray
+from autopilot.estimator.measure_pose import MarkerOutlier, PoseFix, SheetDependence
 from autopilot.estimator.pnp import inward_of, linearise_corners, solve_pose
 from autopilot.estimator.sheet_fit import SheetCorners, SheetPose, fit_on_sheets
 from autopilot.estimator.states import SheetStates
@@ -68,7 +68,7 @@ class MarkerSolver:
         """Markers that the map does not have; fits that are bad, or that lean off the AHRS's tilt."""
         self._errors = markers.errors
         self._centers_m = markers.centers_ned_m[:, :2]
-        self._focal_us = -CAMERA_DOUBT.focal_every_us
+        self._focal_us = -CAMERA_MONITOR.focal_every_us
         self._level = markers.level
         self._floor_m = markers.floor_m
         lean_m = np.ptp(markers.corners_ned_m[..., 2], axis=1)
@@ -169,7 +169,7 @@ class MarkerSolver:
         taken = np.where(off_m <= MARKERS_POSE.nearest_m, taken, -1)
         return _Match(known, taken, shift, rays_cam) if (taken >= 0).any() else None
 
-    def _outliers(self, sighting: MarkerSighting, match: _Match, fix: PoseFix) -> tuple[Stray, ...]:
+    def _outliers(self, sighting: MarkerSighting, match: _Match, fix: PoseFix) -> tuple[MarkerOutlier, ...]:
         """Markers of the image that do not lie at their places, seen from the pose that the others ask for."""
         assert fix.tilt_rad is not None
         taken = match.taken
@@ -193,7 +193,7 @@ class MarkerSolver:
         seen = seen - moved
         off = np.where(taken >= 0, np.hypot(*(seen - self._centers_m[taken]).T), np.inf)
         return tuple(
-            Stray(sighting.ids[int(match.known[n])], int(taken[n]), float(seen[n, 0]), float(seen[n, 1]))
+            MarkerOutlier(sighting.ids[int(match.known[n])], int(taken[n]), float(seen[n, 0]), float(seen[n, 1]))
             for n in np.flatnonzero((off > MARKERS_POSE.outlier_m) & ~unknown)
         )
 
@@ -347,7 +347,7 @@ class MarkerSolver:
 
     def _focal_due(self, t_us: int, markers: int) -> bool:
         """Whether this picture is to be asked for the focal length."""
-        if markers < CAMERA_DOUBT.least_markers or abs(t_us - self._focal_us) < CAMERA_DOUBT.focal_every_us:
+        if markers < CAMERA_MONITOR.least_markers or abs(t_us - self._focal_us) < CAMERA_MONITOR.focal_every_us:
             return False
         self._focal_us = t_us
         return True

@@ -47,7 +47,7 @@ class SheetDependence(NamedTuple):
     """Whether the offsets are to be corrected; otherwise they are only taken into account."""
 
 
-class Stray(NamedTuple):
+class MarkerOutlier(NamedTuple):
     """A marker seen where the map does not have it."""
 
     code: int
@@ -74,7 +74,7 @@ class PoseFix(Measurement):
     """Share by which the image says that the focal length is too long, and its standard deviation; None = nothing."""
     strained: tuple[int, ...] = ()
     """Sheets of the image that do not fit to the others; left out of the pose."""
-    outliers: tuple[Stray, ...] = ()
+    outliers: tuple[MarkerOutlier, ...] = ()
     """Its markers that do not lie where the map has them."""
     fit: MarkerFit | None = None
     """How well its markers fit, None = it is not of markers."""

@@ -26,7 +26,7 @@ class Monitor:
         """What speaks against the estimate or its sensors."""
         return ()
 
-    def unexplained_variance(self, t_us: int, newest: Node) -> FloatArray:
+    def systematic_variance(self, t_us: int, newest: Node) -> FloatArray:
         """(4,) north, east, down, yaw on top of the filter's; negative where more is known than the filter holds."""
         return NOTHING
 
@@ -41,7 +41,7 @@ class Monitor:
         return texts
 
 
-class Doubt(Monitor):
+class MonitorFinding(Monitor):
     """A watch over one sensor, which it believes or does not."""
 
     def __init__(self) -> None:

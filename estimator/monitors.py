@@ -4,12 +4,12 @@ from typing import NamedTuple
 
 from autopilot.core.frames import FloatArray
 from autopilot.core.messages import NavDoubt
-from autopilot.estimator.camera_doubt import CameraMonitor
+from autopilot.estimator.camera_monitor import CameraMonitor
 from autopilot.estimator.evidence import Evidence
 from autopilot.estimator.fix_trust import FixTrust
 from autopilot.estimator.history import Node
-from autopilot.estimator.imu_watch import ImuWatch
-from autopilot.estimator.map_watch import MapWatch
+from autopilot.estimator.imu_monitor import ImuMonitor
+from autopilot.estimator.map_monitor import MapMonitor
 from autopilot.estimator.monitor import NOTHING, Monitor
 
 
@@ -17,9 +17,9 @@ class Monitors(NamedTuple):
     """In the order in which they are asked."""
 
     evidence: Evidence
-    imu: ImuWatch
+    imu: ImuMonitor
     camera: CameraMonitor
-    map: MapWatch | None
+    map: MapMonitor | None
     """None without a map."""
     fixes: FixTrust
     """Of the camera's poses."""
@@ -32,11 +32,11 @@ class Monitors(NamedTuple):
         """What speaks against the estimate or its sensors."""
         return frozenset(doubt for each in self.all for doubt in each.doubts(t_us, newest))
 
-    def unexplained_variance(self, t_us: int, newest: Node) -> FloatArray:
+    def systematic_variance(self, t_us: int, newest: Node) -> FloatArray:
         """(4,) north, east, down, yaw on top of the filter's; negative where more is known than the filter holds."""
         more = NOTHING
         for each in self.all:
-            found = each.unexplained_variance(t_us, newest)
+            found = each.systematic_variance(t_us, newest)
             if found is not NOTHING:
                 more = more + found
         return more

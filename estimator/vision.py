@@ -27,7 +27,7 @@ from autopilot.core.markers import ID_SPAN, IntArray, MarkerMap
 from autopilot.core.samples import MAX_SIGHTED, CameraFrame, MarkerSighting
 from autopilot.estimator.estimator_tuning import VISION
 from autopilot.estimator.laser_detector import find_dot
-from autopilot.estimator.marker_looks import corner_sigma_px, marker_images, patterns_of
+from autopilot.estimator.marker_image import corner_sigma_px, marker_images, patterns_of
 
 EXACT = ("DICT_APRILTAG_16h5",)
 """Families that are not corrected: thirty words of 16 cells with one cell wrong, each in four directions, are one in

@@ -10,14 +10,14 @@ from autopilot.core.plan import MissionResult, PlanItem
 from autopilot.mission.decode import depth_m, horizontal_ned_m, is_here, number, refuse, whole, wrong
 from autopilot.mission.items import (
     AMSL_FRAMES,
-    Agreed,
     ChangeSpeed,
     Command,
     Gate,
     Jump,
-    LookAt,
     MavFrame,
     Near,
+    NoOp,
+    RegionOfInterest,
     SetHeading,
     SetHome,
     Step,
@@ -100,14 +100,14 @@ def look_at(item: PlanItem, origin: Origin) -> Step:
     """DO_SET_ROI_LOCATION, DO_SET_ROI (a place, or 0, 0 = nothing any more), DO_SET_ROI_NONE. The altitude is not
     used: the vehicle turns, it does not pitch."""
     if item.command == Command.DO_SET_ROI_NONE:
-        return LookAt(seq=item.seq, place_ned_m=None)
+        return RegionOfInterest(seq=item.seq, place_ned_m=None)
     if item.command == Command.DO_SET_ROI:
         mode = number(item, 1, "ROI mode") or 0.0
         if mode not in (ROI_NONE, ROI_LOCATION):
             raise wrong(item, 1, "ROI mode", "use 3 (a place) or 0 (none)")
         if is_here(item):
-            return LookAt(seq=item.seq, place_ned_m=None)
-    return LookAt(seq=item.seq, place_ned_m=np.array(horizontal_ned_m(item, origin)))
+            return RegionOfInterest(seq=item.seq, place_ned_m=None)
+    return RegionOfInterest(seq=item.seq, place_ned_m=np.array(horizontal_ned_m(item, origin)))
 
 
 ROI_NONE, ROI_LOCATION = 0.0, 3.0
@@ -119,4 +119,4 @@ def fence_on(item: PlanItem, origin: Origin) -> Step:
     if number(item, 1, "enable flag") != 1.0:
         text = "the fence cannot be switched off (param1): use 1, or clear the fence before the mission"
         raise refuse(item, MissionResult.INVALID_PARAM1, text)
-    return Agreed(seq=item.seq)
+    return NoOp(seq=item.seq)

@@ -11,7 +11,7 @@ from autopilot.core.geodesy import Origin
 from autopilot.core.plan import MissionResult, PlanItem
 from autopilot.mission import do_items, nav_items, payload_items
 from autopilot.mission.decode import refuse
-from autopilot.mission.items import GLOBAL_FRAMES, Agreed, Command, MavFrame, Step
+from autopilot.mission.items import GLOBAL_FRAMES, Command, MavFrame, NoOp, Step
 
 
 @dataclass(frozen=True, slots=True)
@@ -149,7 +149,7 @@ ITEM_TYPES: dict[int, ItemType] = {int(row.command): row for row in _ROWS}
 def parse_step(item: PlanItem, origin: Origin) -> Step:
     """The step that a mission item asks for; ItemRefusedError if it cannot be flown."""
     if item.is_home:
-        return Agreed(seq=item.seq)
+        return NoOp(seq=item.seq)
     found = ITEM_TYPES.get(item.command)
     if found is None:
         known = ", ".join(str(number) for number in ITEM_TYPES)

@@ -115,7 +115,7 @@ class ReturnHome:
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class Circuit:
+class LoiterTurns:
     """Round a place (NAV_LOITER_TURNS)."""
 
     seq: int
@@ -196,7 +196,7 @@ class SetHome:
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class LookAt:
+class RegionOfInterest:
     """What the vehicle looks at from here on (DO_SET_ROI...)."""
 
     seq: int
@@ -205,7 +205,7 @@ class LookAt:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Agreed:
+class NoOp:
     """Asks for what is so anyway (DO_FENCE_ENABLE 1), or for nothing (home before a mission)."""
 
     seq: int
@@ -223,7 +223,7 @@ Travel: TypeAlias = GoTo | Surface | ReturnHome
 """Steps that go to a place."""
 Passage: TypeAlias = Near | Gate
 """Steps that end on the way to the place of a later one."""
-Timed: TypeAlias = Travel | Circuit | Passage | Wait
+Timed: TypeAlias = Travel | LoiterTurns | Passage | Wait
 """Steps that take time; all others are done in passing."""
-Instant: TypeAlias = Jump | ChangeSpeed | SetHeading | SetHome | LookAt | Agreed | Order
+Instant: TypeAlias = Jump | ChangeSpeed | SetHeading | SetHome | RegionOfInterest | NoOp | Order
 Step: TypeAlias = Timed | Instant

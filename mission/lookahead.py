@@ -4,11 +4,11 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import get_args
 
 from autopilot.mission.items import (
-    Agreed,
     ChangeSpeed,
-    Circuit,
     GoTo,
     Jump,
+    LoiterTurns,
+    NoOp,
     Order,
     Passage,
     SetHeading,
@@ -21,7 +21,7 @@ LONGEST_WALK = 64
 """Steps looked at: a plan of empty jumps ends the look ahead."""
 
 
-PASSED = (ChangeSpeed, SetHome, Order, Agreed, *get_args(Passage))
+PASSED = (ChangeSpeed, SetHome, Order, NoOp, *get_args(Passage))
 """Steps that change nothing of the way to the next waypoint."""
 
 
@@ -81,6 +81,6 @@ def next_place(steps: Sequence[Step], cursor: int, jumps_done: Mapping[int, int]
         step = steps[index]
         if isinstance(step, GoTo | Surface) and step.pos_ned_m is not None:
             return index
-        if isinstance(step, Circuit) and step.centre_ned_m is not None:
+        if isinstance(step, LoiterTurns) and step.centre_ned_m is not None:
             return index
     return None

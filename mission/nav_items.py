@@ -16,7 +16,7 @@ from autopilot.mission.decode import (
     seconds,
     wrong,
 )
-from autopilot.mission.items import AMSL_FRAMES, Circuit, Command, GoTo, MavFrame, ReturnHome, Step, Surface, Wait
+from autopilot.mission.items import AMSL_FRAMES, Command, GoTo, LoiterTurns, MavFrame, ReturnHome, Step, Surface, Wait
 from autopilot.mission.mission_tuning import NAV_ITEMS
 
 
@@ -66,7 +66,7 @@ def circuit(item: PlanItem, origin: Origin) -> Step:
     if radius and not least <= abs(radius) <= most:
         raise wrong(item, 3, "radius", f"use {least:g} to {most:g} m (negative = to port), 0 = CIRCLE_RADIUS", " m")
     centre = None if is_here(item) else pos_ned_m(item, origin)
-    return Circuit(
+    return LoiterTurns(
         seq=item.seq,
         centre_ned_m=centre,
         radius_m=abs(radius) or None,

@@ -16,13 +16,13 @@ from autopilot.core.frames import FloatArray, wrap_pi
 from autopilot.core.messages import Goal, MissionProgress, NavState, ProgressState
 from autopilot.mission.items import (
     ChangeSpeed,
-    Circuit,
     GoTo,
     Instant,
     Jump,
-    LookAt,
+    LoiterTurns,
     Order,
     Passage,
+    RegionOfInterest,
     ReturnHome,
     SetHeading,
     SetHome,
@@ -172,7 +172,7 @@ class Sequencer:
         run = self._run
         if run.state is not ProgressState.ACTIVE or not run.entered or run.inside_since_us is not None:
             return False
-        return isinstance(self._steps[run.cursor], Travel | Circuit | Passage)
+        return isinstance(self._steps[run.cursor], Travel | LoiterTurns | Passage)
 
     @property
     def circle_left_m(self) -> float | None:
@@ -306,7 +306,7 @@ class Sequencer:
             self._set_heading(step, float(nav.rpy_rad[2]))
         elif isinstance(step, Order):
             self._orders.append(step)
-        elif isinstance(step, LookAt):
+        elif isinstance(step, RegionOfInterest):
             self._look_at(step.place_ned_m)
         elif isinstance(step, SetHome):
             place = nav.pos_ned_m if step.pos_ned_m is None else step.pos_ned_m
@@ -386,7 +386,7 @@ class Sequencer:
             self._run.waited_us += t_us - since_us
             self._run.clock_us = t_us
             return self._run.waited_us >= step.duration_s * 1e6
-        if isinstance(step, Circuit):
+        if isinstance(step, LoiterTurns):
             circle = self._run.circle
             if circle is None:
                 return True
@@ -426,6 +426,10 @@ class Sequencer:
             self._complete(Action.HOLD)
         else:
             self._advance(self._run.cursor + 1)
-            if isinstance(step, GoTo | Circuit) and not step.autocontinue and self._run.state is ProgressState.ACTIVE:
+            if (
+                isinstance(step, GoTo | LoiterTurns)
+                and not step.autocontinue
+                and self._run.state is ProgressState.ACTIVE
+            ):
                 self._run.state = ProgressState.PAUSED
                 self._run.pause_goal = self._run.goal

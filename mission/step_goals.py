@@ -10,9 +10,9 @@ from autopilot.core.frames import FloatArray, wrap_pi
 from autopilot.core.messages import Goal, NavHealth, NavState, ProgressState
 from autopilot.mission.circling import LoiterCircle
 from autopilot.mission.items import (
-    Circuit,
     Gate,
     GoTo,
+    LoiterTurns,
     Near,
     Passage,
     ReturnHome,
@@ -81,7 +81,7 @@ class StepGoals:
     def first(self, step: Timed, nav: NavState) -> Goal | None:
         """The goal that a step begins with, None while that is unknown."""
         run = self.run
-        if isinstance(step, Circuit):
+        if isinstance(step, LoiterTurns):
             return self._begin_circle(step, nav)
         if isinstance(step, Passage):
             return self._goal_beyond(step, nav)
@@ -90,7 +90,7 @@ class StepGoals:
             return None if target is None else run.goal
         return self._leading_on(self.of(step, target), run.cursor)
 
-    def _begin_circle(self, step: Circuit, nav: NavState) -> Goal | None:
+    def _begin_circle(self, step: LoiterTurns, nav: NavState) -> Goal | None:
         """Round its centre, or round where the mission stands."""
         run = self.run
         here = nav.pos_ned_m if bool(np.all(np.isfinite(nav.pos_ned_m))) else None
@@ -131,7 +131,7 @@ class StepGoals:
                 target = self._target_ned_m(later, nav)
                 if target is not None:
                     return self._leading_on(self.of(later, target), found)
-            if isinstance(later, Circuit) and later.centre_ned_m is not None:
+            if isinstance(later, LoiterTurns) and later.centre_ned_m is not None:
                 radius_m = self._params["CIRCLE_RADIUS"] if later.radius_m is None else later.radius_m
                 away = nav.pos_ned_m[:2] - later.centre_ned_m[:2]
                 out = away / max(float(np.hypot(*away)), 1e-6)

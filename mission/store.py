@@ -13,7 +13,7 @@ from operator import itemgetter
 
 import numpy as np
 
-from autopilot.core.desk import Cancel, Desk, Ticket
+from autopilot.core.background import BackgroundTask, BackgroundWorker, Cancel
 from autopilot.core.errors import PlanError
 from autopilot.core.frames import FloatArray
 from autopilot.core.geodesy import MAX_RANGE_M, GeodeticPosition, Origin, far_text, geodetic_from_ned, ned_from_geodetic
@@ -24,7 +24,7 @@ from autopilot.core.plan import MissionResult, PlanChange, PlanItem, PlanKind, P
 from autopilot.mission.fence import FenceShape, build_fence
 from autopilot.mission.item_types import parse_step
 from autopilot.mission.items import Order, Step
-from autopilot.mission.judgement import EMPTY, PLAN_PARAMETERS, Plans3, PlanVerdict, Question, WaterCheck, judge
+from autopilot.mission.plan_check import EMPTY, PLAN_PARAMETERS, PlanCheckInputs, Plans3, PlanVerdict, WaterCheck, judge
 from autopilot.mission.plan_model import PlanFile
 from autopilot.mission.validation import check_item
 
@@ -97,7 +97,7 @@ class Plans(PlanStore):
         radius_m: float,
         origin: Origin | None = None,
         water: WaterCheck | None = None,
-        desk: Desk | None = None,
+        worker: BackgroundWorker | None = None,
     ) -> None:
         self._params = params
         self._live = params.live if isinstance(params, ParamSet) else params
@@ -109,12 +109,12 @@ class Plans(PlanStore):
         self._plans: Plans3 = EMPTY
         self._sums: dict[PlanKind, tuple[tuple[PlanItem, ...], int]] = {}
         """Plans whose checksum is known."""
-        self._desk = desk
+        self._worker = worker
         self._now = 0
-        self._ticket: Ticket[PlanVerdict] | None = None
-        self._asked: Question | None = None
+        self._task: BackgroundTask[PlanVerdict] | None = None
+        self._asked: PlanCheckInputs | None = None
         self._change: Change | None = None
-        self._wanted: Question | None = None
+        self._wanted: PlanCheckInputs | None = None
         self._verdict = PlanVerdict(question=self._question())
         self.guard: Guard = lambda kinds, verdict: None
         """Asked before plans are taken that came by :meth:`propose`."""
@@ -122,13 +122,13 @@ class Plans(PlanStore):
         """Why the vehicle has nothing that could carry out an order, "" when it has."""
         self.revision = 0
         """Grows by one whenever a plan or the origin changes."""
-        self.keeper: Callable[[], bool] | None = None
+        self.watchdog: Callable[[], bool] | None = None
         """Whether what is in force now is kept (or cannot be), asked of whoever keeps it."""
 
     @property
     def kept(self) -> bool:
         """Whether the plans in force are where they are kept, or known not to get there; always where none are."""
-        return self.keeper is None or self.keeper()
+        return self.watchdog is None or self.watchdog()
 
     @property
     def origin(self) -> Origin:
@@ -171,7 +171,7 @@ class Plans(PlanStore):
     @property
     def verdict(self) -> PlanVerdict:
         """The newest answer about the plans in force: the same object until there is another one."""
-        if self._desk is None and not self._is_current():
+        if self._worker is None and not self._is_current():
             self._take(judge(self._question(), Cancel()))
         return self._verdict
 
@@ -183,7 +183,7 @@ class Plans(PlanStore):
     @property
     def checking(self) -> bool:
         """Whether parameters or origin have changed and it is not known yet what that means for the plans."""
-        return self._desk is not None and not self._is_current()
+        return self._worker is not None and not self._is_current()
 
     @property
     def placed(self) -> bool:
@@ -223,7 +223,7 @@ class Plans(PlanStore):
         if self._change is not None:
             self._change.cancel()
         change = self._change = Change(plans)
-        if self._desk is None:
+        if self._worker is None:
             self._decide(change, judge(self._question(change), Cancel()))
         else:
             self._ask()
@@ -258,21 +258,21 @@ class Plans(PlanStore):
     def tick(self) -> None:
         """Once per tick: take an answer that is due, ask when something has changed."""
         self._now += 1
-        if self._desk is None:
+        if self._worker is None:
             return
         if self._change is not None and self._change.done:
             self._drop()
-        if self._ticket is not None:
-            answer = self._ticket.poll(self._now)
+        if self._task is not None:
+            answer = self._task.poll(self._now)
             if answer is not None:
-                self._ticket = None
+                self._task = None
                 if answer.error is None:
                     self._hear(answer.get())
                 else:
                     self._hear(_failed(self._asked or self._question(self._change), answer.error))
         wanted = self._question(self._change)
         needed = self._change is not None or not wanted.same(self._verdict.question)
-        if not needed or (self._ticket is not None and self._asked is not None and wanted.same(self._asked)):
+        if not needed or (self._task is not None and self._asked is not None and wanted.same(self._asked)):
             return
         if self._change is not None and self._change.asked >= MAX_ASKED:
             text = "parameters or origin change faster than plans are checked; try again"
@@ -283,13 +283,13 @@ class Plans(PlanStore):
 
     def _ask(self) -> None:
         """Ask about the plans as they are to be, instead of what was asked before."""
-        assert self._desk is not None
-        if self._ticket is not None:
-            self._ticket.cancel()
+        assert self._worker is not None
+        if self._task is not None:
+            self._task.cancel()
         if self._change is not None:
             self._change.asked += 1
         self._asked = self._question(self._change)
-        self._ticket = self._desk.submit(self._now + CHECK_TICKS, judge, self._asked)
+        self._task = self._worker.submit(self._now + CHECK_TICKS, judge, self._asked)
 
     def _hear(self, verdict: PlanVerdict) -> None:
         """An answer: to the open change, or about the plans in force."""
@@ -333,23 +333,23 @@ class Plans(PlanStore):
         self._drop()
 
     def _drop(self) -> None:
-        if self._ticket is not None:
-            self._ticket.cancel()
+        if self._task is not None:
+            self._task.cancel()
         if self._change is not None:
             self._change.cancel()
-        self._ticket = self._asked = self._change = None
+        self._task = self._asked = self._change = None
 
     def _is_current(self) -> bool:
         return self._verdict.question.same(self._question())
 
-    def _question(self, change: Change | None = None) -> Question:
+    def _question(self, change: Change | None = None) -> PlanCheckInputs:
         """What is to be known now; without a change the same object as long as it is the same question."""
         limits = _limits(self._live)
         known = self._wanted
         asked_before = known is not None and known.plans is self._plans and known.origin is self._origin
         if change is None and known is not None and asked_before and known.limits == limits:
             return known
-        wanted = Question(
+        wanted = PlanCheckInputs(
             plans=self._plans if change is None else {**self._plans, **change.plans},
             origin=self._origin,
             limits=limits,
@@ -361,7 +361,7 @@ class Plans(PlanStore):
         return wanted
 
 
-def _failed(question: Question, error: Exception) -> PlanVerdict:
+def _failed(question: PlanCheckInputs, error: Exception) -> PlanVerdict:
     """The check itself has failed: nothing may be flown, and the plans asked about are not taken."""
     text = f"the plan check failed ({type(error).__name__}): send the plan again, and report this with the log"
     own = tuple(PlanProblem(kind=kind, seq=0, result=MissionResult.ERROR, reason=text) for kind in PlanKind)

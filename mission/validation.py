@@ -23,10 +23,10 @@ from autopilot.mission.gaps import NarrowPassage, narrow_gaps
 from autopilot.mission.item_types import parse_step
 from autopilot.mission.items import (
     ChangeSpeed,
-    Circuit,
     Command,
     GoTo,
     Jump,
+    LoiterTurns,
     Near,
     SetHome,
     Step,
@@ -144,7 +144,7 @@ def _depth_of(step: Step, params: Mapping[str, float]) -> float | None:
     """Depth [m] that a step goes to, None when that is not known yet, or does not count."""
     if isinstance(step, GoTo) and step.dives:
         return params["TKOFF_DEPTH"] if step.dive_m is None else step.dive_m
-    place = step.pos_ned_m if isinstance(step, GoTo) else step.centre_ned_m if isinstance(step, Circuit) else None
+    place = step.pos_ned_m if isinstance(step, GoTo) else step.centre_ned_m if isinstance(step, LoiterTurns) else None
     return None if place is None else float(place[2])
 
 
@@ -155,7 +155,7 @@ def _order_problems(steps: Sequence[Step]) -> Iterator[PlanRejection]:
         if isinstance(step, Near) and not goes_on:
             text = f"item {step.seq}: no place comes after this condition; put it before a waypoint"
             yield PlanRejection(seq=step.seq, result=MissionResult.INVALID, reason=text)
-        goes_on |= isinstance(step, Travel | Circuit | Jump)
+        goes_on |= isinstance(step, Travel | LoiterTurns | Jump)
 
 
 def _jump_problems(steps: Sequence[Step]) -> Iterator[PlanRejection]:
@@ -177,7 +177,7 @@ def _jump_problems(steps: Sequence[Step]) -> Iterator[PlanRejection]:
 def _takes_time(step: Step) -> bool:
     if isinstance(step, Wait):
         return step.duration_s > 0.0
-    return isinstance(step, Travel | Circuit)
+    return isinstance(step, Travel | LoiterTurns)
 
 
 def _spins(steps: Sequence[Step], start: Jump) -> bool:
@@ -304,11 +304,11 @@ def joint_problems(
     yield from _place_conflicts(points, shapes)
 
 
-def _circles(steps: Sequence[Step]) -> Iterator[tuple[Circuit, FloatArray]]:
+def _circles(steps: Sequence[Step]) -> Iterator[tuple[LoiterTurns, FloatArray]]:
     """All circles whose centre (3,) is known: their own, or the place that comes before them in the plan."""
     last: FloatArray | None = None
     for step in steps:
-        if isinstance(step, Circuit):
+        if isinstance(step, LoiterTurns):
             if step.centre_ned_m is not None:
                 last = step.centre_ned_m
             if last is not None:
@@ -319,7 +319,7 @@ def _circles(steps: Sequence[Step]) -> Iterator[tuple[Circuit, FloatArray]]:
 
 
 def _ring_places(
-    circles: Sequence[tuple[Circuit, FloatArray]],
+    circles: Sequence[tuple[LoiterTurns, FloatArray]],
     shapes: Sequence[FenceShape],
     ctx: PlanContext,
     check_cancel: Callable[[], None],

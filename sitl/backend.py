@@ -7,7 +7,7 @@ from typing import Literal, Protocol
 from autopilot.core.camera import CameraModel
 from autopilot.core.errors import ConfigError
 from autopilot.core.markers import MarkerMap
-from autopilot.core.messages import Below
+from autopilot.core.messages import FlightControllerState
 from autopilot.core.samples import CameraFrame, PowerSample, Sample
 from autopilot.core.toml_table import Vec2
 from autopilot.core.vehicle import Vehicle
@@ -49,7 +49,7 @@ class TruthSampler(Protocol):
         ...
 
 
-class Suffering(Protocol):
+class FaultySensor(Protocol):
     """A simulated sensor that can fail while it runs."""
 
     def add(self, fault: Fault) -> bool:
@@ -201,7 +201,7 @@ class SimulatedVehicle(Closing):
             self._observers.append(feed)
             self.markers = floor.markers
         self._due_us = 0
-        own: tuple[Suffering | None, ...] = (feed, self._pose, self._hull, *self._optional)
+        own: tuple[FaultySensor | None, ...] = (feed, self._pose, self._hull, *self._optional)
         self._faulty = [sensor for sensor in own if sensor is not None]
 
     def open(self) -> None:
@@ -237,13 +237,13 @@ class SimulatedVehicle(Closing):
         """The plant, if it can be steered by hand."""
         return self._plant if isinstance(self._plant, SteerablePlant) else None
 
-    def suffer(self, fault: Fault) -> None:
+    def begin_fault(self, fault: Fault) -> None:
         """A fault begins that the scenario does not have. ConfigError if nothing here can have it."""
         plant = self.steerable
         if isinstance(fault, ThrusterLoss | Shove | Snag | BatterySag):
             if plant is None:
                 raise ConfigError("this plant takes no faults while it runs; write it into the scenario")
-            plant.suffer(fault)
+            plant.begin_fault(fault)
         elif not any(sensor.add(fault) for sensor in self._faulty):
             kind = fault.__struct_config__.tag
             raise ConfigError(f"fault {kind} cannot begin while the simulation runs; write it into the scenario")
@@ -309,7 +309,7 @@ class SimulatedVehicle(Closing):
         self.output.write(self._t_us, pwm_us)
         self._shared.sent(self._t_us, self.output.pwm_us)
 
-    def below(self, t_us: int, *, armed: bool) -> Below | None:
+    def below(self, t_us: int, *, armed: bool) -> FlightControllerState | None:
         """What a flight controller says of its outputs, where the scenario has one."""
         return self._shared.below(t_us, armed=armed)
 

@@ -21,14 +21,14 @@ from autopilot.core.frames import FloatArray, r_ned_from_frd
 from autopilot.sitl.fault_tables import LensFault, Mounting
 from autopilot.sitl.floor import Floor, Image
 from autopilot.sitl.plant import Truth
-from autopilot.sitl.sensor_tables import CameraLook, LaserSensor
+from autopilot.sitl.sensor_tables import ImageModel, LaserSensor
 from autopilot.sitl.sitl_tuning import CAMERA_TUNED
 
 
 class SimCamera:
     """Renders for one camera, one floor and one look."""
 
-    def __init__(self, camera: CameraModel, floor: Floor, look: CameraLook, seed: int, laser: bool = True) -> None:
+    def __init__(self, camera: CameraModel, floor: Floor, look: ImageModel, seed: int, laser: bool = True) -> None:
         """``camera`` is the true one; ``seed`` chooses the noise. Sets OpenCV to one thread (others only spin)."""
         cv2.setNumThreads(1)
         self._camera = camera
@@ -224,7 +224,7 @@ def faulty(camera: CameraModel, faults: Sequence[LensFault | Mounting]) -> Camer
     return camera
 
 
-def true_camera(model: CameraModel, look: CameraLook, laser: LaserSensor) -> CameraModel:
+def true_camera(model: CameraModel, look: ImageModel, laser: LaserSensor) -> CameraModel:
     """The camera and the beam of a scenario that differ from ``model``, the vehicle file's, by its errors."""
     laser_frd_m = model.position_frd_m + model.r_frd_from_cam @ model.laser_offset_cam_m + laser.position_error_m
     beam_frd = r_ned_from_frd(np.array([*laser.tilt_error_rad, 0.0])) @ model.r_frd_from_cam @ model.laser_direction_cam

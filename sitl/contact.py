@@ -92,7 +92,7 @@ def _feet(polygon: Sequence[Vec2], x: float, y: float) -> list[tuple[float, floa
     return feet
 
 
-class SolidSurroundings:
+class SolidGeometry:
     """Everything solid round a hull of given size."""
 
     def __init__(

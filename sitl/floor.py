@@ -86,7 +86,7 @@ def sheets_moved(
     return replace(planned, corners_ned_m=corners, errors=None)
 
 
-def told_markers(scenario: Scenario) -> MarkerMap | None:
+def given_markers(scenario: Scenario) -> MarkerMap | None:
     """The map that the vehicle has: where the markers were meant to lie, and how well they were laid."""
     planned, laid = _planned(scenario), scenario.markers.laid
     if planned is None:
@@ -96,7 +96,7 @@ def told_markers(scenario: Scenario) -> MarkerMap | None:
     return told if deeper_m == 0.0 else deeper(told, deeper_m)
 
 
-def told_floor_m(scenario: Scenario) -> float | None:
+def given_floor_m(scenario: Scenario) -> float | None:
     """Depth of the floor that the vehicle assumes, None in open water."""
     return None if scenario.tank is None else scenario.tank.depth_m + scenario.markers.told_deeper_m
 

@@ -20,7 +20,7 @@ from autopilot.core.toml_table import Vec2, Vec3
 from autopilot.core.vehicle import Vehicle
 from autopilot.sitl.battery import SimulatedBattery
 from autopilot.sitl.compiled_hull import STRUCTS, CompiledHull
-from autopilot.sitl.contact import ContactLog, ContactRecord, Cylinder, Prism, SolidSurroundings, Sphere, moved_to
+from autopilot.sitl.contact import ContactLog, ContactRecord, Cylinder, Prism, SolidGeometry, Sphere, moved_to
 from autopilot.sitl.current_fields import WithFlow
 from autopilot.sitl.environment import SimulatedWaters, build_world
 from autopilot.sitl.fault_tables import BatterySag, Mishap, Shove, Snag
@@ -129,7 +129,7 @@ class Plant:
         )
         entry = world.tether_entry_ned_m
         self._tether = None if entry is None else make_tether(self._vehicle.tether, entry)
-        self._surroundings = SolidSurroundings(
+        self._surroundings = SolidGeometry(
             polygon_ned_m=world.polygon_ned_m,
             floor_m=world.floor_m,
             solids=world.solids,
@@ -217,7 +217,7 @@ class Plant:
         self._external = (*force_frd_n, *moment_frd_n_m, *force_ned_n)
         self._instant = None
 
-    def suffer(self, fault: ThrusterLoss | Mishap) -> None:
+    def begin_fault(self, fault: ThrusterLoss | Mishap) -> None:
         """A fault of hull, thrusters or battery that nobody knew of at the start. ConfigError if it cannot happen."""
         if isinstance(fault, ThrusterLoss):
             self._thruster_index(fault.thruster)
@@ -247,7 +247,7 @@ class Plant:
         if not 1 <= number <= len(solids):
             raise ConfigError(f"obstacle {number} does not exist; there are {len(solids)}")
         before = self._surroundings.touches(self._state[:3])
-        trial = SolidSurroundings(
+        trial = SolidGeometry(
             polygon_ned_m=None,
             floor_m=None,
             solids=[moved_to(solids[number - 1], north_m, east_m)],

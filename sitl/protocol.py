@@ -65,7 +65,7 @@ class SteerablePlant(Protocol):
         """The obstacles where they are now, in the scenario's order."""
         ...
 
-    def suffer(self, fault: ThrusterLoss | Mishap) -> None:
+    def begin_fault(self, fault: ThrusterLoss | Mishap) -> None:
         """Begin a fault of hull, thrusters or battery that the scenario does not have. ConfigError if unsupported."""
         ...
 

@@ -15,7 +15,7 @@ from autopilot.sitl.fault_tables import (
     SensorFault,
     SensorFrozen,
 )
-from autopilot.sitl.sensor_tables import CameraLook, OptionalName, Probability, Sensors
+from autopilot.sitl.sensor_tables import ImageModel, OptionalName, Probability, Sensors
 
 Latitude = Annotated[float, msgspec.Meta(ge=-90.0, le=90.0)]
 Longitude = Annotated[float, msgspec.Meta(ge=-180.0, le=180.0)]
@@ -419,7 +419,7 @@ class Scenario(Table, frozen=True, kw_only=True):
     waves: Waves | None = None
     vehicle: VehicleStart
     sensors: Sensors = Sensors()
-    camera: CameraLook = CameraLook()
+    camera: ImageModel = ImageModel()
     markers: Markers = Markers()
     controller: ControllerTable = ControllerTable()
     plugins: Plugins = Plugins()

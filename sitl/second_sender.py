@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 
-from autopilot.core.messages import Authority, Below
+from autopilot.core.messages import Authority, FlightControllerState
 from autopilot.drivers.ardusub_senders import OutputWatch
 from autopilot.sitl.fault_tables import SecondSender
 from autopilot.sitl.scenario_tables import Fault
@@ -39,7 +39,7 @@ class SharedThrusters:
         if self._faults:
             self._watch.sent(t_us, pulses_us)
 
-    def below(self, t_us: int, *, armed: bool) -> Below | None:
+    def below(self, t_us: int, *, armed: bool) -> FlightControllerState | None:
         """As a flight controller reports it; None in a vehicle without one."""
         if not self._faults:
             return None
@@ -48,4 +48,6 @@ class SharedThrusters:
             self._watch.look(t_us, t_us & 0xFFFFFFFF, self._found, slow_heave=False)
         rival = armed and self._watch.rival
         pulses_us = self._found if rival else ()
-        return Below(t_us=t_us, authority=Authority.OURS, acts=True, pulses_us=pulses_us, armed=armed, rival=rival)
+        return FlightControllerState(
+            t_us=t_us, authority=Authority.OURS, acts=True, pulses_us=pulses_us, armed=armed, rival=rival
+        )

@@ -220,7 +220,7 @@ class Sensors(Table, frozen=True, kw_only=True):
     altimeter: AltimeterSensor | None = None
 
 
-class CameraLook(Table, frozen=True, kw_only=True):
+class ImageModel(Table, frozen=True, kw_only=True):
     """``[camera]``: how pictures look. Defaults: a lit tank with clear water."""
 
     focal_factor: Positive = 1.0

@@ -249,9 +249,9 @@ def test_the_keeper_of_an_installation_stops_the_thrusters_of_a_killed_service(
         service = subprocess.Popen(command, cwd=hostile, env=installed.environment, stdout=subprocess.DEVNULL)
         try:
             vehicle.fly()
-            (keeper,) = keepers_of(service.pid)
+            (watchdog,) = keepers_of(service.pid)
         finally:
             service.kill()
             service.wait()
-        until(lambda: vehicle.still and gone(keeper))
+        until(lambda: vehicle.still and gone(watchdog))
     assert imported_from(hostile) == []

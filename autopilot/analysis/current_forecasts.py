@@ -7,8 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from autopilot.analysis.nmpc_flight import TANK
-from autopilot.control.water.current_learning import LearnedCurrent
-from autopilot.control.water.currents import (
+from autopilot.control.current.current_learning import EstimatedFlow
+from autopilot.control.current.currents import (
     CurrentForecast,
     EstimatedCurrent,
     NoCurrent,
@@ -59,7 +59,7 @@ class _Flight:
 def compare_forecasts(path: Path) -> list[ForecastRow]:
     """Fly the forecasts along a simulated flight's log. LogError if the log does not hold what is needed."""
     flight = _flight(open_log(path))
-    flow = LearnedCurrent()
+    flow = EstimatedFlow()
     flow.within(TANK)
     forecasts: dict[str, CurrentForecast] = {
         "none": NoCurrent(),

@@ -12,10 +12,10 @@ import numpy as np
 from autopilot.analysis.estimates import estimate_of
 from autopilot.control.controller import MotionController
 from autopilot.control.nmpc.ocp import discrete_dynamics
+from autopilot.core.control_allocator import ControlAllocator
 from autopilot.core.geometry import Fence
 from autopilot.core.messages import Goal
 from autopilot.core.params import ParamSet
-from autopilot.core.sharing import Sharing
 from autopilot.core.vehicle import load_vehicle
 
 TICK_US = 10_000
@@ -74,7 +74,7 @@ def munk_case(*, step_ticks: int = 20, inner: bool, seconds: float) -> MunkRow:
         seq=-1,
     )
     rng = np.random.default_rng(SEED)
-    sharing, no_limit = Sharing(model), np.full(model.thrusters, np.inf)
+    allocator, no_limit = ControlAllocator(model), np.full(model.thrusters, np.inf)
     fade = math.exp(-TICK_US * 1e-6 / CORRELATION_S)
     x, acting, command, moment = np.zeros(8), np.zeros(4), np.zeros(4), np.zeros(2)
     x[2] = 1.0
@@ -89,7 +89,7 @@ def munk_case(*, step_ticks: int = 20, inner: bool, seconds: float) -> MunkRow:
             command = command if between is None else between
         moment = fade * moment + math.sqrt(1.0 - fade * fade) * rng.normal(size=2) * (FORCE_N, MOMENT_N_M)
         acting = acting + lag * (command - acting)
-        push = sharing.thrust_n(np.array([0.0, moment[0], 0.0, moment[1]]), no_limit)
+        push = allocator.thrust_n(np.array([0.0, moment[0], 0.0, moment[1]]), no_limit)
         x = move(x, acting + push, np.zeros(3))[0].full().ravel()
         rows.append(x)
         commands.append(command)

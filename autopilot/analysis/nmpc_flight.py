@@ -9,7 +9,7 @@ import numpy as np
 from autopilot.analysis.estimates import estimate_of
 from autopilot.control.controller import MotionController
 from autopilot.control.nmpc.ocp import discrete_dynamics
-from autopilot.control.way.way_tuning import GUIDANCE
+from autopilot.control.path.path_tuning import GUIDANCE
 from autopilot.core.frames import FloatArray, wrap_pi
 from autopilot.core.geometry import Circle, Fence, Polygon
 from autopilot.core.messages import ControlOutput, Goal

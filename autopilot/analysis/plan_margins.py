@@ -10,19 +10,19 @@ import numpy as np
 from autopilot.analysis.estimates import estimate_of
 from autopilot.control.controller import MotionController
 from autopilot.control.nmpc.grid import TimeGrid, geometric_grid, uniform_grid
+from autopilot.control.path.path_tuning import GUIDANCE
 from autopilot.control.robust.disturbance import DisturbanceBound
 from autopilot.control.robust.error_model import disturbance_matrix, error_jacobian, input_matrix
 from autopilot.control.robust.lipschitz import TUNED_SCALES, UNIT_SCALES, lipschitz_report
 from autopilot.control.robust.margins import Margins
 from autopilot.control.robust.riccati import exponential
 from autopilot.control.robust.terminal import TerminalLimits, certify, terminal_law, unit_samples
-from autopilot.control.way.way_tuning import GUIDANCE
+from autopilot.core.control_allocator import ControlAllocator
 from autopilot.core.frames import FloatArray
 from autopilot.core.geometry import Fence
 from autopilot.core.messages import Goal, NavState
 from autopilot.core.model4 import Model4, U
 from autopilot.core.params import ParamSet
-from autopilot.core.sharing import Sharing
 from autopilot.core.vehicle import Vehicle
 from autopilot.mission.fence import fence_clearance_m
 
@@ -204,7 +204,7 @@ def certificate_table(
             clearance_m=clearance - vehicle.radius_m - float(back.clearance_m[-1]),
         )
         for current in currents_ned_m_s:
-            law = terminal_law(Sharing.of(vehicle), goal.yaw_rad or 0.0, current, q, r, limits.thrust_n)
+            law = terminal_law(ControlAllocator.of(vehicle), goal.yaw_rad or 0.0, current, q, r, limits.thrust_n)
             made = certify(model, law, goal, limits, points)
             rows.append(
                 CertificateRow(

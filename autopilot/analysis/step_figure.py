@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Circle as RoundPatch
 from matplotlib.patches import Polygon as CornerPatch
 
-from autopilot.analysis.step_replay import StepView
+from autopilot.analysis.step_replay import ControlStepView
 from autopilot.core.errors import LogError
 from autopilot.core.geometry import Circle, Shape
 from autopilot.core.model4 import YAW, U, V
@@ -21,7 +21,7 @@ AROUND_M = 0.8
 """What is drawn beyond way and prediction."""
 
 
-def write_step_figure(view: StepView, path: Path) -> Path:
+def write_step_figure(view: ControlStepView, path: Path) -> Path:
     """Draw a step as PNG. LogError if the file cannot be written."""
     with mpl.rc_context(STYLE):
         figure = Figure(figsize=(11.0, 6.0))
@@ -41,7 +41,7 @@ def write_step_figure(view: StepView, path: Path) -> Path:
     return path
 
 
-def _draw_plan(ax: Axes, view: StepView) -> None:
+def _draw_plan(ax: Axes, view: ControlStepView) -> None:
     """From above, north up."""
     for shape in view.fence.exclusions:
         _draw_shape(ax, shape, facecolor="#bbbbbb", edgecolor="#444444")
@@ -90,7 +90,7 @@ def _draw_shape(ax: Axes, shape: Shape, *, facecolor: str, edgecolor: str) -> No
         ax.add_patch(CornerPatch(corners, closed=True, facecolor=facecolor, edgecolor=edgecolor, lw=1.0))
 
 
-def _draw_speed(ax: Axes, view: StepView) -> None:
+def _draw_speed(ax: Axes, view: ControlStepView) -> None:
     t_s = view.grid_t_s
     for x, color, style, label in (
         (view.plan_x, PLAN, "-", "plan flown"),
@@ -105,7 +105,7 @@ def _draw_speed(ax: Axes, view: StepView) -> None:
     ax.tick_params(labelbottom=False)
 
 
-def _draw_thrust(ax: Axes, view: StepView) -> None:
+def _draw_thrust(ax: Axes, view: ControlStepView) -> None:
     t_s = view.grid_t_s[:-1]
     for number in range(view.plan_n.shape[1]):
         color = LAP_COLORS[number % len(LAP_COLORS)]
@@ -119,7 +119,7 @@ def _draw_thrust(ax: Axes, view: StepView) -> None:
     ax.tick_params(labelbottom=False)
 
 
-def _draw_limits(ax: Axes, view: StepView) -> None:
+def _draw_limits(ax: Axes, view: ControlStepView) -> None:
     """When which limit holds the converged plan, the strongest on top."""
     shown = view.limits[:6]
     for row, limit in enumerate(reversed(shown)):

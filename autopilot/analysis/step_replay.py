@@ -12,7 +12,7 @@ import numpy as np
 from autopilot.analysis.ipopt import PLANE, IpoptNmpc
 from autopilot.control.controller import MotionController
 from autopilot.control.nmpc.solver import PLANES, NmpcProblem
-from autopilot.control.way.planner import Planner
+from autopilot.control.path.planner import Planner
 from autopilot.core.errors import LogError
 from autopilot.core.frames import FloatArray
 from autopilot.core.geometry import Circle, Fence, Polygon, Shape
@@ -69,7 +69,7 @@ class OtherSide:
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class StepView:
+class ControlStepView:
     t_s: float
     output: ControlOutput
     """As it was flown."""
@@ -95,7 +95,7 @@ class StepView:
     others: tuple[OtherSide, ...]
 
 
-def look_at_step(log: Log, t_s: float) -> StepView:
+def inspect_step(log: Log, t_s: float) -> ControlStepView:
     """The first control step at or after ``t_s``. LogError if there is none, or another controller flew."""
     controller, output, at_s, thrusters = _flown_to(log, t_s)
     now, problem = controller.situation, controller.nmpc.last_problem
@@ -108,7 +108,7 @@ def look_at_step(log: Log, t_s: float) -> StepView:
     best_x, best_n, final, converged, rounds = _converge(
         exact, now.planner, problem, nmpc.grid.t_s, controller.keep_m, plan_x, plan_n
     )
-    return StepView(
+    return ControlStepView(
         t_s=at_s,
         output=output,
         goal=now.goal,
@@ -326,7 +326,7 @@ def _length_m(way: FloatArray) -> float:
     return float(np.hypot(*np.diff(way, axis=0).T).sum())
 
 
-def worst(view: StepView) -> dict[str, float]:
+def worst(view: ControlStepView) -> dict[str, float]:
     """How far the flown plan is from the converged one: place [m], first thrust [N], cost."""
     return {
         "place_m": float(np.hypot(*(view.plan_x[:, :2] - view.best_x[:, :2]).T).max()),

@@ -18,8 +18,8 @@ import numpy as np
 from autopilot.analysis.ipopt import IpoptNmpc
 from autopilot.analysis.nmpc_flight import TANK, WAYPOINTS, LoopFlight, basin, fly
 from autopilot.bench.nmpc_parts import QP, parts_of
+from autopilot.control.constraints.obstacles import Features
 from autopilot.control.controller import MotionController
-from autopilot.control.fence.obstacles import Features
 from autopilot.control.nmpc import ocp
 from autopilot.control.nmpc.grid import TimeGrid, geometric_grid, uniform_grid
 from autopilot.core.frames import FloatArray

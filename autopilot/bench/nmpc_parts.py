@@ -8,12 +8,12 @@ from typing import Any
 import numpy as np
 
 from autopilot.analysis.nmpc_flight import LoopFlight, fly
+from autopilot.control.constraints.obstacles import Features
 from autopilot.control.controller import MotionController
-from autopilot.control.fence.obstacles import Features
 from autopilot.control.nmpc.solver import Nmpc
+from autopilot.control.path.guidance import RouteGuidance
 from autopilot.control.robust.margins import Margins
 from autopilot.control.robust.regions import TerminalRegions
-from autopilot.control.way.guidance import RouteGuidance
 from autopilot.core.frames import FloatArray
 from autopilot.core.messages import ControlOutput
 from autopilot.core.vehicle import Vehicle

@@ -9,7 +9,7 @@ from autopilot.campaign.tube_study import TubeCheck
 from autopilot.core.frames import FloatArray, wrap_pi
 from autopilot.core.messages import Event, Failsafe, Fallback, Outputs, ProgressState, Severity
 from autopilot.log.analysis import Span, VehicleTrack
-from autopilot.log.smoothness import ThrustCommands, is_told
+from autopilot.log.smoothness import ThrustCommands, is_reported
 from autopilot.sitl.plant import Truth
 
 COLUMNS = (
@@ -125,7 +125,7 @@ class TickWatch:
             thrust_n=np.array([thrust_n for _, _, thrust_n in kept]).reshape(len(kept), self._thrusters),
             fallback=np.array([fallback for _, fallback, _ in kept], dtype=np.uint8),
             starts_s=np.array([self._armed_s or 0.0, *self._starts_s]),
-            told_s=np.array(self._told_s),
+            reported_s=np.array(self._told_s),
             limit_n=limit_n,
         )
 
@@ -147,7 +147,7 @@ class TickWatch:
         if outputs.events:
             for event in outputs.events:
                 self._note_event(event, t_s)
-            self._told_s += [t_s] * int(is_told([event.text for event in outputs.events]).sum())
+            self._told_s += [t_s] * int(is_reported([event.text for event in outputs.events]).sum())
 
     def _note_event(self, event: Event, t_s: float) -> None:
         if event.severity > Severity.WARNING:

@@ -13,7 +13,7 @@ from autopilot.cli.shared_options import CAMPAIGN_OUT, ENGINE, JOBS, JSON
 from autopilot.core.extras import need_analysis
 
 if TYPE_CHECKING:
-    from autopilot.campaign.rooms.world_results import RoomResult
+    from autopilot.campaign.worlds.world_results import WorldResult
 
 MODE_NAMES = {"quadratic": 0, "energy": 1}
 
@@ -60,20 +60,20 @@ def rooms(
 
 def _all(
     out: Path, seed: int, runs: int, modes: list[int], engine: str, jobs: int | None, *, quiet: bool
-) -> list[RoomResult]:
+) -> list[WorldResult]:
     """Fly what is missing; all finished flights that were asked for."""
     from autopilot.campaign.engines import make_engine
-    from autopilot.campaign.rooms.world_flight import RoomTask
-    from autopilot.campaign.rooms.world_store import RoomStore, read_flights
+    from autopilot.campaign.worlds.world_flight import WorldTask
+    from autopilot.campaign.worlds.world_store import WorldStore, read_flights
     from autopilot.cli.campaign import stoppable
     from autopilot.sitl.spread import run_seed
 
-    store = RoomStore(out, seed)
+    store = WorldStore(out, seed)
     try:
         finished = read_flights(out)
         asked = [(room, mode) for room in range(runs) for mode in modes]
         tasks = [
-            RoomTask(room=room, mode=mode, seed=run_seed(seed, room))
+            WorldTask(room=room, mode=mode, seed=run_seed(seed, room))
             for room, mode in asked
             if (room, mode) not in finished
         ]
@@ -93,13 +93,13 @@ def _all(
         store.close()
 
 
-def _alone(out: Path, seed: int, room: int, mode: int, *, quiet: bool) -> RoomResult:
+def _alone(out: Path, seed: int, room: int, mode: int, *, quiet: bool) -> WorldResult:
     """One flight with log, picture and files."""
     import msgspec
 
-    from autopilot.campaign.rooms.picture import draw
-    from autopilot.campaign.rooms.random_world import make_room, write_files
-    from autopilot.campaign.rooms.world_flight import fly_room
+    from autopilot.campaign.worlds.picture import draw
+    from autopilot.campaign.worlds.random_world import make_room, write_files
+    from autopilot.campaign.worlds.world_flight import fly_world
     from autopilot.sitl.spread import run_seed
 
     made = make_room(run_seed(seed, room))
@@ -108,7 +108,7 @@ def _alone(out: Path, seed: int, room: int, mode: int, *, quiet: bool) -> RoomRe
     folder.mkdir(parents=True, exist_ok=True)
     log = folder / "run.mcap"
     log.unlink(missing_ok=True)
-    flown = fly_room(made, mode, log=str(log))
+    flown = fly_world(made, mode, log=str(log))
     assert flown is not None  # nobody stops it
     write_files(made, folder, mode=mode, duration_s=flown.prospect.bound_s(mode))
     draw(made, flown, folder / "flight.png")
@@ -121,22 +121,22 @@ def _alone(out: Path, seed: int, room: int, mode: int, *, quiet: bool) -> RoomRe
     return result
 
 
-def _line(result: RoomResult) -> str:
+def _line(result: WorldResult) -> str:
     mode = next(name for name, number in MODE_NAMES.items() if number == result.mode)
     faults = f"  FAILED: {'; '.join(result.faults)}" if result.failed else f"  {result.what}" if result.what else ""
     cost = f"{result.simulated_s:.0f} s, {result.cpu_s:.0f} s CPU"
     return f"room {result.room} {mode}: {result.outcome} ({cost}; {result.title}){faults}"
 
 
-def _plain(result: RoomResult) -> dict[str, Any]:
+def _plain(result: WorldResult) -> dict[str, Any]:
     import msgspec
 
     plain: dict[str, Any] = msgspec.to_builtins(result)
     return {**plain, "faults": result.faults}
 
 
-def _report(results: list[RoomResult], modes: list[int], out: Path, seed: int, *, as_json: bool) -> None:
-    from autopilot.campaign.rooms.world_summary import summarise
+def _report(results: list[WorldResult], modes: list[int], out: Path, seed: int, *, as_json: bool) -> None:
+    from autopilot.campaign.worlds.world_summary import summarise
 
     rows = [summarise(results, mode) for mode in modes]
     failed = [result for result in results if result.failed]

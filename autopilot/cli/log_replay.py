@@ -79,9 +79,9 @@ def replay(
 def _take_apart(opened: "Log", step_s: float, figure: Path | None, *, as_json: bool) -> None:
     """One control step: what limits it, how far it is from the converged plan, what lies on the other sides."""
     from autopilot.analysis.step_figure import write_step_figure
-    from autopilot.analysis.step_replay import look_at_step, worst
+    from autopilot.analysis.step_replay import inspect_step, worst
 
-    view = look_at_step(opened, step_s)
+    view = inspect_step(opened, step_s)
     path = figure or opened.path.with_name(f"{opened.path.stem}_step_{view.t_s:.2f}.png")
     write_step_figure(view, path)
     apart, status = worst(view), view.output.status

@@ -159,7 +159,7 @@ def check(file: Path, vehicle: str, overrides: tuple[str, ...], as_json: bool) -
     from autopilot.core.params import ParamSet
     from autopilot.core.plan import PlanKind
     from autopilot.core.vehicle import load_vehicle
-    from autopilot.mission.judgement import judge_file
+    from autopilot.mission.plan_check import judge_file
     from autopilot.mission.plan_files import read_plan
     from autopilot.run.config import parse_overrides
 

@@ -90,7 +90,6 @@ def new(
     from autopilot.core.origin_params import params_origin
     from autopilot.core.params import ParamSet
     from autopilot.core.vehicle import load_vehicle
-    from autopilot.mission.judgement import judge_file
     from autopilot.mission.local_plan import (
         CircleTable,
         EndTable,
@@ -101,6 +100,7 @@ def new(
         RepeatTable,
         plan_of_local,
     )
+    from autopilot.mission.plan_check import judge_file
     from autopilot.mission.plan_files import write_plan
 
     if out.suffix != ".plan":

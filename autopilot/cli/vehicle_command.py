@@ -49,7 +49,7 @@ def vehicle() -> None:
 def check(file: str, as_json: bool) -> None:
     """What the vehicle of FILE (or a shipped name) can do; exit 1, with the reason, if it cannot be flown."""
     from autopilot.core.vehicle import load_vehicle
-    from autopilot.core.vehicle_facts import CRUISE_M_S, facts_of
+    from autopilot.core.vehicle_summary import CRUISE_M_S, facts_of
 
     known = load_vehicle(file)
     facts = facts_of(known)

@@ -2,7 +2,7 @@
 
 from autopilot.command.command_tuning import WATCH
 from autopilot.command.vehicle_status import VehicleStatus
-from autopilot.control.thrust.twins import lossy_share
+from autopilot.control.thrust.redundancy import lossy_share
 from autopilot.core import operator_messages as notices
 from autopilot.core.messages import NavDoubt, NavHealth, NavState
 from autopilot.core.operator_messages import OperatorText
@@ -91,9 +91,9 @@ class ChangeWatch:
         for group in doubtful:
             if group not in self._doubtful:
                 left = 100.0 * lossy_share([share_of[name] for name in group])
-                texts.append(notices.TWIN_LOSS(names=", ".join(group), percent=left))
+                texts.append(notices.REDUNDANT_LOSS(names=", ".join(group), percent=left))
         sound = [group for group in self._doubtful if group not in doubtful and all(share_of[t] == 1.0 for t in group)]
-        texts += [notices.TWINS_RESTORED(names=", ".join(group)) for group in sound]
+        texts += [notices.REDUNDANT_RESTORED(names=", ".join(group)) for group in sound]
         self._doubtful = doubtful
         return texts
 

@@ -21,7 +21,7 @@ from autopilot.command.mode_machine import ModeMachine
 from autopilot.command.modes.automatic import TakeoffMode
 from autopilot.command.modes.circle import CircleMode
 from autopilot.command.modes.guided import GuidedMode
-from autopilot.command.modes.mode import Tools, denied
+from autopilot.command.modes.mode import ModeContext, denied
 from autopilot.command.motor_tests import MotorTests
 from autopilot.command.plan_watch import FenceGuard, PlanCheckNews
 from autopilot.command.vehicle_status import VehicleStatus
@@ -36,7 +36,7 @@ from autopilot.core.plan import PlanKind, PlanRejection
 from autopilot.core.vehicle import Vehicle
 from autopilot.mavlink.api import ACCEPTED, Circling, CommandReply, CommandResult, FlightMode, MotorTest, SetPoint
 from autopilot.mission.goals import Goals
-from autopilot.mission.judgement import PlanVerdict
+from autopilot.mission.plan_check import PlanVerdict
 from autopilot.mission.sequencer import Position
 from autopilot.mission.store import Plans
 
@@ -68,7 +68,7 @@ class Commander:
         self._mission = MissionRun(params, plans, self._operator, speed_m_s or (lambda _: params["SPD_PLANAR_MAX"]))
         self._failsafe_inputs = FailsafeInputs(vehicle, params, plans, self._goals, self._mission.sequencer)
         self._failsafes = FailsafeRules(params, self._failsafe_inputs)
-        tools = Tools(
+        tools = ModeContext(
             vehicle=vehicle,
             params=params,
             plans=plans,
@@ -102,7 +102,7 @@ class Commander:
         return self._modes.armed or (below is not None and below.armed is True)
 
     @property
-    def stops_below(self) -> bool:
+    def disarms_flight_controller(self) -> bool:
         """Whether the flight controller below is to be disarmed."""
         return self._disarming.waits and not self._modes.armed
 
@@ -183,7 +183,7 @@ class Commander:
         With a flight controller below the answer is IN_PROGRESS until its heartbeat shows it (:meth:`disarmed`)."""
         modes = self._modes
         modes.disarm(force=force)
-        modes.stops_below = modes.handed_back = False
+        modes.disarms_flight_controller = modes.handed_back = False
         self._disarming.begin()
         return self._disarming.answer
 
@@ -394,7 +394,7 @@ class Commander:
         self._watch_check(status.t_us)
         for text in self._watch.look(status, armed=modes.armed):
             self._operator.say(text)
-        modes.watch_below(status.below, self._may_resume)
+        modes.watch_flight_controller(status.below, self._may_resume)
         mode = modes.mode
         self._failsafe_inputs.update(
             status,
@@ -409,7 +409,7 @@ class Commander:
         self._ticks += 1
         goal, reached = modes.advance(status)
         test = self._tests.step(status)
-        self._stop_below(status)
+        self._disarm_flight_controller(status)
         orders, modes.equipment_orders = tuple(modes.equipment_orders), []
         return Decision(
             orders=orders,
@@ -425,13 +425,13 @@ class Commander:
             by_hand=modes.by_hand(status) if test is None else None,
             drop_weight=modes.drop_weight,
             hand_back=modes.handed_back,
-            stop_below=self.stops_below,
+            disarm_flight_controller=self.disarms_flight_controller,
         )
 
-    def _stop_below(self, status: VehicleStatus) -> None:
+    def _disarm_flight_controller(self, status: VehicleStatus) -> None:
         """What has been disarmed is disarmed below."""
-        if self._modes.stops_below:
-            self._modes.stops_below = False
+        if self._modes.disarms_flight_controller:
+            self._modes.disarms_flight_controller = False
             self._disarming.begin()
         self._disarming.step(status.below)
 

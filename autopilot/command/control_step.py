@@ -7,19 +7,19 @@ import numpy as np
 
 from autopilot.command.decision import Decision, Pose
 from autopilot.command.modes.mode_table import STEERED
-from autopilot.control.fence.tracks import Tracks
+from autopilot.control.constraints.tracks import Tracks
 from autopilot.control.protocol import Controller, sound, sound_thrust_n
 from autopilot.control.robust.fallback import station_keeping_thrust
 from autopilot.control.thrust.actuation import Actuation
-from autopilot.control.thrust.by_hand import Felt, HandLaw
+from autopilot.control.thrust.by_hand import HandLaw, PositionlessState
 from autopilot.control.thrust.slew import slewed
 from autopilot.core.clock import TICK_US
+from autopilot.core.control_allocator import ControlAllocator
 from autopilot.core.frames import FloatArray
 from autopilot.core.geometry import Fence
 from autopilot.core.messages import ControlOutput, Fallback, Goal, NavHealth, NavState, NmpcStatus, SolveStatus
 from autopilot.core.model4 import NX, YAW
 from autopilot.core.params import ParamSet
-from autopilot.core.sharing import Sharing
 from autopilot.core.vehicle import Vehicle
 from autopilot.mavlink.api import FlightMode
 
@@ -37,8 +37,8 @@ class ControlStep:
         self._actuation = actuation
         self._params = params
         self._tracks = tracks
-        self._sharing = Sharing.of(vehicle)
-        self._hand = HandLaw(self._sharing)
+        self._allocator = ControlAllocator.of(vehicle)
+        self._hand = HandLaw(self._allocator)
         self._soft: tuple[int, FloatArray] | None = None
         """Time and thrust of the last tick, from the one on which a pilot without a position let go, or on which a mode
         began or ended in which somebody steers."""
@@ -46,7 +46,7 @@ class ControlStep:
         """Time and mode of the last tick that had a goal."""
         self._switched = False
         """The controller has not answered since such a mode began or ended."""
-        self.felt: Callable[[int], Felt] = lambda _: Felt()
+        self.felt: Callable[[int], PositionlessState] = lambda _: PositionlessState()
         """What is known without a position, asked only then."""
         self.thrust_n: FloatArray = actuation.nothing()
         """(n,) wanted now."""
@@ -148,7 +148,7 @@ class ControlStep:
         wanted = np.zeros(NX)
         wanted[:3], wanted[YAW] = place[:3], place[3]
         limit_n = self._actuation.command_limit_n
-        thrust_n = station_keeping_thrust(self._sharing, model_state(nav), wanted, nav.current_ned_m_s, limit_n)
+        thrust_n = station_keeping_thrust(self._allocator, model_state(nav), wanted, nav.current_ned_m_s, limit_n)
         return thrust_n if np.isfinite(thrust_n).all() else self._actuation.nothing()
 
     def _control(self, t_us: int, nav: NavState, goal: Goal, fence: Fence) -> ControlOutput:

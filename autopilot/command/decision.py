@@ -36,5 +36,5 @@ class Decision:
     """Of mission items passed on this tick, for what the vehicle carries."""
     hand_back: bool = False
     """A failsafe has given the thrusters to the flight controller below."""
-    stop_below: bool = False
+    disarm_flight_controller: bool = False
     """The flight controller below is to be disarmed, until its heartbeat shows it."""

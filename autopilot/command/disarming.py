@@ -5,7 +5,7 @@ A vehicle without one below is disarmed when its thrusters are neutral: there is
 
 from autopilot.command.announcements import Announcements
 from autopilot.core import operator_messages as notices
-from autopilot.core.messages import Below
+from autopilot.core.messages import FlightControllerState
 from autopilot.mavlink.api import ACCEPTED, CommandReply, CommandResult
 
 CONFIRM_TICKS = 300
@@ -46,7 +46,7 @@ class Disarming:
             self.answer = CommandReply(result=CommandResult.FAILED, reason=ARMED_ANEW)
         self._ticks = None
 
-    def step(self, below: Below | None) -> None:
+    def step(self, below: FlightControllerState | None) -> None:
         """Once per tick. What is known on the tick of the request is of before it."""
         if below is not None or self._alone is None:
             self._alone = below is None

@@ -10,13 +10,13 @@ from autopilot.command.collision import CollisionDetector
 from autopilot.command.command_tuning import ENVIRONMENT
 from autopilot.command.device_watch import DeviceWatch
 from autopilot.command.vehicle_status import VehicleStatus
-from autopilot.control.fence.obstacles import clearance_m
-from autopilot.control.fence.tracks import Tracks
+from autopilot.control.constraints.obstacles import clearance_m
+from autopilot.control.constraints.tracks import Tracks
 from autopilot.core import operator_messages as notices
 from autopilot.core.camera import CameraModel
 from autopilot.core.geometry import Fence
 from autopilot.core.laser_dot import dot_range
-from autopilot.core.messages import Below, Event, Inputs
+from autopilot.core.messages import Event, FlightControllerState, Inputs
 from autopilot.core.params import ParamSet
 from autopilot.core.samples import (
     AhrsSample,
@@ -48,7 +48,7 @@ class Environment:
         self.camera = CameraWatch()
         self.tracks = Tracks()
         """Obstacles beside the fence."""
-        self.below: Below | None = None
+        self.below: FlightControllerState | None = None
         """The flight controller below us."""
         self.refusals: tuple[str, ...] = ()
         """What devices have against arming."""

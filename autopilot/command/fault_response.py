@@ -17,11 +17,11 @@ from autopilot.command.commander import Commander
 from autopilot.command.control_step import ControlStep, model_state
 from autopilot.control.robust.fallback import station_keeping_thrust
 from autopilot.core import operator_messages as notices
+from autopilot.core.control_allocator import ControlAllocator
 from autopilot.core.frames import FloatArray
 from autopilot.core.guard import Fault, Guard
 from autopilot.core.messages import Event, NavHealth, NavState
 from autopilot.core.params import ParamSet
-from autopilot.core.sharing import Sharing
 from autopilot.core.vehicle import Vehicle
 
 FLIGHT_PARTS = frozenset(("estimator", "thrusters", "commander", "controller", "allocation", "tick"))
@@ -34,7 +34,7 @@ class FaultResponse:
     def __init__(
         self, vehicle: Vehicle, params: ParamSet, guard: Guard, commander: Commander, motion: ControlStep
     ) -> None:
-        self._sharing = Sharing.of(vehicle)
+        self._allocator = ControlAllocator.of(vehicle)
         self._params = params
         self._guard = guard
         self._commander = commander
@@ -140,4 +140,4 @@ class FaultResponse:
             return np.zeros(len(limit_n))
         if self._place is None:
             self._place = x.copy()
-        return station_keeping_thrust(self._sharing, x, self._place, current, limit_n)
+        return station_keeping_thrust(self._allocator, x, self._place, current, limit_n)

@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 
 from autopilot.command.command_tuning import MAP_CHECK
-from autopilot.control.water.current_map import CurrentMap
-from autopilot.control.water.map_reading import load_current_map
+from autopilot.control.current.current_map import CurrentMap
+from autopilot.control.current.map_reading import load_current_map
 from autopilot.core.errors import ConfigError, PlanError
 from autopilot.core.frames import FloatArray
 from autopilot.core.geodesy import Origin, ned_from_geodetic

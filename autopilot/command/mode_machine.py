@@ -6,12 +6,12 @@ from typing import TypeVar
 from autopilot.command.decision import Pose
 from autopilot.command.failsafe_table import Effect
 from autopilot.command.failsafes import FailsafeRules
-from autopilot.command.modes.mode import FlightModeBehaviour, ModeStep, Tools, denied
+from autopilot.command.modes.mode import FlightModeBehaviour, ModeContext, ModeStep, denied
 from autopilot.command.modes.mode_table import MODES
 from autopilot.command.vehicle_status import VehicleStatus
 from autopilot.control.thrust.by_hand import ByHand
 from autopilot.core import operator_messages as notices
-from autopilot.core.messages import Authority, Below, Failsafe, Goal, NavState
+from autopilot.core.messages import Authority, Failsafe, FlightControllerState, Goal, NavState
 from autopilot.mavlink.api import CommandReply, FlightMode
 from autopilot.mission.items import Order
 
@@ -21,7 +21,7 @@ M = TypeVar("M", bound=FlightModeBehaviour)
 class ModeMachine:
     """Does what it is told: whether it may is asked before (:mod:`autopilot.command.commander`)."""
 
-    def __init__(self, tools: Tools, failsafes: FailsafeRules) -> None:
+    def __init__(self, tools: ModeContext, failsafes: FailsafeRules) -> None:
         self._goals = tools.goals
         self._mission = tools.mission
         self._operator = tools.operator
@@ -44,7 +44,7 @@ class ModeMachine:
         """Where the mode in force goes, None as long as it has not been asked."""
         self.drop_weight = False
         """A failsafe has let the drop weight go, since the last arming."""
-        self.stops_below = False
+        self.disarms_flight_controller = False
         """A disarming of ours is to reach the flight controller below; taken by the commander."""
         self.handed_back = False
         """A failsafe has given the thrusters to the flight controller below, since the last arming."""
@@ -106,7 +106,7 @@ class ModeMachine:
 
     def arm(self) -> None:
         """Thrusters may turn; home is here. The mode is to be entered then."""
-        self.armed, self.stops_below = True, False
+        self.armed, self.disarms_flight_controller = True, False
         self.drop_weight = self.handed_back = False
         self._failsafes.clear()
         if self.nav is not None:
@@ -118,7 +118,7 @@ class ModeMachine:
         if not self.armed:
             return
         self.armed = self.yielded = False
-        self.stops_below = True
+        self.disarms_flight_controller = True
         self._override = None
         self.enter(FlightMode.HOLD)
         self._operator.say(notices.EMERGENCY_STOP() if force else notices.DISARMED())
@@ -161,14 +161,14 @@ class ModeMachine:
 
     # The flight controller below
 
-    def watch_below(self, below: Below | None, may_resume: Callable[[], bool]) -> None:
+    def watch_flight_controller(self, below: FlightControllerState | None, may_resume: Callable[[], bool]) -> None:
         """Let go when its pilot takes the vehicle, take it back when he gives it back, and stop when it has stopped."""
         if below is None or not self.armed:
             return
         if below.authority is Authority.STOPPED:
-            self._operator.say(notices.STOPPED_BELOW(reason=below.text))
+            self._operator.say(notices.FLIGHT_CONTROLLER_DISARMED(reason=below.text))
             self.disarm(force=True)
-            self.stops_below = False
+            self.disarms_flight_controller = False
         elif below.authority is Authority.PILOT and not self.yielded:
             self._before = self.chosen
             self.enter(FlightMode.HOLD)
@@ -197,7 +197,7 @@ class ModeMachine:
             self._operator.say(notices.FAILSAFE_ENDS_FLIGHT(verb=verb, conditions=self._failsafes.describe()))
             self.handed_back = action == "hand back"
             self.disarm(force=True)
-            self.stops_below = not self.handed_back
+            self.disarms_flight_controller = not self.handed_back
             return
         if action == "drop" and not self.drop_weight:
             self.drop_weight = True

@@ -11,8 +11,8 @@ from autopilot.core.plan import MissionResult, PlanKind, PlanRejection
 from autopilot.core.vehicle import Vehicle
 from autopilot.mission.clearance import Clearance
 from autopilot.mission.goals import Goals
-from autopilot.mission.judgement import PlanVerdict
 from autopilot.mission.mission_tuning import VALIDATION
+from autopilot.mission.plan_check import PlanVerdict
 from autopilot.mission.store import Plans, plan_checksum
 
 REPEAT_US = 5_000_000

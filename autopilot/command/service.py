@@ -17,7 +17,7 @@ from autopilot.command.environment import Environment
 from autopilot.command.estimation import Estimated, Estimation
 from autopilot.command.fault_response import FaultResponse
 from autopilot.command.payload_orders import PayloadOrders
-from autopilot.command.service_parts import Parts
+from autopilot.command.service_parts import ServiceParts
 from autopilot.core.clients import ClientRecord
 from autopilot.core.frames import FloatArray
 from autopilot.core.marks import LoopPart, Marks, NoMarks
@@ -88,7 +88,7 @@ class Stage:
 class Autopilot:
     """The service. Not thread-safe: one caller, time never going back."""
 
-    def __init__(self, parts: Parts) -> None:
+    def __init__(self, parts: ServiceParts) -> None:
         self._parts = parts
         parts.params.take_changes()  # what was set before the first tick is in the log's description
         self.marks: Marks = NoMarks()
@@ -211,7 +211,7 @@ class Autopilot:
             thrusters=tick.thrusters,
             drop_weight=decision.drop_weight,
             hand_back=decision.hand_back,
-            stop_below=decision.stop_below,
+            disarm_flight_controller=decision.disarm_flight_controller,
             payload=tick.payload,
             shots=tick.shots,
             stills=tick.stills,
@@ -232,7 +232,7 @@ class Autopilot:
             mode=self._mode_state(t_us, armed=self._faults.drives, decision=self._decision, fault=True),
             drop_weight=self._decision is not None and self._decision.drop_weight,
             hand_back=self._decision is not None and self._decision.hand_back,
-            stop_below=self._parts.commander.stops_below,
+            disarm_flight_controller=self._parts.commander.disarms_flight_controller,
             events=self._events,
         )
 
@@ -379,7 +379,13 @@ class Autopilot:
         self._faults.step()
         if self._faults.stopped:
             decision = replace(
-                decision, armed=False, stop_below=True, goal=None, blind_ascent=False, by_hand=None, motor_test=None
+                decision,
+                armed=False,
+                disarm_flight_controller=True,
+                goal=None,
+                blind_ascent=False,
+                by_hand=None,
+                motor_test=None,
             )
         tick.decision = decision
 
@@ -397,7 +403,7 @@ class Autopilot:
             failsafes=_with_fault(last),
             drop_weight=last is not None and last.drop_weight,
             hand_back=last is not None and last.hand_back,
-            stop_below=commander.stops_below,
+            disarm_flight_controller=commander.disarms_flight_controller,
         )
 
     def _carry_out_orders(self, tick: TickState) -> None:

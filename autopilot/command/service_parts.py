@@ -8,11 +8,11 @@ from autopilot.command.equipment import Equipment
 from autopilot.command.photographer import Photographer
 from autopilot.control.protocol import Controller
 from autopilot.control.thrust.actuation import Actuation
-from autopilot.core.desk import Desk
+from autopilot.core.background import BackgroundWorker
 from autopilot.core.guard import Guard
+from autopilot.core.nondeterminism import NondeterminismSource
 from autopilot.core.params import ParamSet
 from autopilot.core.vehicle import Vehicle
-from autopilot.core.witness import Witness
 from autopilot.estimator.protocol import Estimator
 from autopilot.mission.store import Plans
 
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class Parts:
+class ServiceParts:
     """Everything that the composition root puts together."""
 
     vehicle: Vehicle
@@ -36,7 +36,7 @@ class Parts:
     equipment: Equipment
     photographer: Photographer | None = None
     """None without a camera."""
-    witness: Witness
+    nondeterminism: NondeterminismSource
     """Notes what the service is told in answer to its own questions, for the log."""
-    desks: tuple[Desk, ...] = ()
+    desks: tuple[BackgroundWorker, ...] = ()
     """Where slow work is asked for: while the loop waits there it attends to its links."""

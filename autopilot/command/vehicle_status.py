@@ -8,9 +8,9 @@ from dataclasses import dataclass, field
 
 from autopilot.command.command_tuning import VEHICLE_STATUS
 from autopilot.command.floor_ranges import FloorRanges
-from autopilot.control.thrust.by_hand import Felt
+from autopilot.control.thrust.by_hand import PositionlessState
 from autopilot.core.frames import FloatArray
-from autopilot.core.messages import Below, Inputs, NavDoubt, NavHealth, NavState
+from autopilot.core.messages import FlightControllerState, Inputs, NavDoubt, NavHealth, NavState
 from autopilot.core.samples import (
     AhrsSample,
     DepthSample,
@@ -81,7 +81,7 @@ class VehicleStatus:
     """Command latency; 0 until it is certain."""
     fault: str = ""
     """What has failed inside the service within the last seconds."""
-    below: Below | None = None
+    below: FlightControllerState | None = None
     """The flight controller, None without one."""
     refusals: tuple[str, ...] = ()
     """Reasons of devices against arming."""
@@ -140,11 +140,11 @@ class VehicleStatus:
         if math.isfinite(yaw + rate):
             self.yaw_rad, self.yaw_rate_rad_s, self.ahrs_us = yaw, rate, t_us
 
-    def felt(self, t_us: int) -> Felt:
+    def felt(self, t_us: int) -> PositionlessState:
         """What is known of the vehicle without a position, and not too old."""
         yaw = self.yaw_rad if t_us - self.ahrs_us <= VEHICLE_STATUS.felt_us else None
         depth = self.depth_m if t_us - self.depth_us <= VEHICLE_STATUS.felt_us else None
-        return Felt(yaw_rad=yaw, yaw_rate_rad_s=self.yaw_rate_rad_s, depth_m=depth)
+        return PositionlessState(yaw_rad=yaw, yaw_rate_rad_s=self.yaw_rate_rad_s, depth_m=depth)
 
     def note_sample(self, t_us: int, sample: Sample) -> None:
         """One sample that is none of the AHRS: those come at every tick."""

@@ -6,9 +6,9 @@ import numpy as np
 
 from autopilot.control.nmpc import ocp
 from autopilot.control.nmpc.grid import TimeGrid
+from autopilot.control.path.guidance import GuidanceInputs, Reference
 from autopilot.control.robust.robust_tuning import TUBE
 from autopilot.control.robust.tightening import BackOffs
-from autopilot.control.way.guidance import GuidanceInputs, Reference
 from autopilot.core import compiled
 from autopilot.core.frames import FloatArray
 from autopilot.core.model4 import Z
@@ -86,7 +86,7 @@ def left_n(limit_n: FloatArray, back_off_n: FloatArray) -> FloatArray:
     return left
 
 
-class PlanRoom:
+class PlanClearance:
     """By how much a plan meets its half-planes; of one set of arrays."""
 
     def __init__(self, path: FloatArray, plane_n: FloatArray, plane_d_m: FloatArray) -> None:

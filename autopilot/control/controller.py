@@ -8,17 +8,24 @@ from dataclasses import replace
 import numpy as np
 
 from autopilot.control.bounds import largest_gap
+from autopilot.control.constraints.obstacles import Movers, fence_key
+from autopilot.control.constraints.tracks import IntendedMotion, Obstructions
+from autopilot.control.current.buoyancy import BuoyancyEstimator
+from autopilot.control.current.currents import CurrentForecast, EstimatedCurrent
 from autopilot.control.energy.energy_guidance import EnergyGuidance
 from autopilot.control.energy.power import PowerModel
 from autopilot.control.energy.request import TrajectoryPlanner
 from autopilot.control.energy.search import EnergyPlanner
-from autopilot.control.fence.obstacles import Movers, fence_key
-from autopilot.control.fence.tracks import IntendedMotion, Obstructions
 from autopilot.control.nmpc import ocp
 from autopilot.control.nmpc.grid import TimeGrid, geometric_grid
 from autopilot.control.nmpc.lag import ThrusterLag
 from autopilot.control.nmpc.reversal import Reversals
 from autopilot.control.nmpc.solver import NmpcResult
+from autopilot.control.path import shortest
+from autopilot.control.path.drive import DriveGuidance
+from autopilot.control.path.guidance import Guidance, GuidanceInputs, Reference, RouteGuidance
+from autopilot.control.path.planner import Planner
+from autopilot.control.path.workers import BackgroundWorkers
 from autopilot.control.protocol import Controller, ControllerContext
 from autopilot.control.robust.fallback import FallbackWatch, FiniteWatch
 from autopilot.control.robust.inner import InnerLoop, plan_error
@@ -27,14 +34,8 @@ from autopilot.control.robust.penalty import PenaltyWatch
 from autopilot.control.robust.station import StationKeeper
 from autopilot.control.step_program import StepProgram
 from autopilot.control.thrust.slew import slewed
-from autopilot.control.water.currents import CurrentForecast, EstimatedCurrent
-from autopilot.control.water.lift import Lift
-from autopilot.control.way import shortest
-from autopilot.control.way.desks import Desks
-from autopilot.control.way.drive import DriveGuidance
-from autopilot.control.way.guidance import Guidance, GuidanceInputs, Reference, RouteGuidance
-from autopilot.control.way.planner import Planner
 from autopilot.core import operator_messages as notices
+from autopilot.core.control_allocator import ControlAllocator, lacking_thrust
 from autopilot.core.errors import ConfigError
 from autopilot.core.frames import FloatArray, unwrap_near
 from autopilot.core.geometry import Fence
@@ -52,7 +53,6 @@ from autopilot.core.model4 import NO_STATE, YAW, U, X
 from autopilot.core.params import ParamSet
 from autopilot.core.response import Response
 from autopilot.core.samples import ObstacleTrack
-from autopilot.core.sharing import Sharing, lacking_thrust
 from autopilot.core.vehicle import Vehicle
 
 LONGEST_SHIFT_S = 1.0
@@ -84,7 +84,7 @@ class MotionController:
         horizon_s: float = 8.0,
         grid: TimeGrid | None = None,
         currents: CurrentForecast | None = None,
-        desks: Desks | None = None,
+        desks: BackgroundWorkers | None = None,
         trajectories: TrajectoryPlanner | None = None,
         cpu_clock: Callable[[], float] = time.thread_time,
         backends: tuple[ocp.QpBackend, ...] = ocp.BACKENDS,
@@ -93,16 +93,16 @@ class MotionController:
         self._model = vehicle.to_model()
         self._cpu_clock = cpu_clock
         grid = grid or geometric_grid(n, horizon_s)
-        self.desks = desks = desks or Desks()
+        self.desks = desks = desks or BackgroundWorkers()
         """Whoever owns the loop closes them, and says what is attended to while an answer is waited for."""
-        self._sharing = sharing = Sharing.of(vehicle)
+        self._allocator = allocator = ControlAllocator.of(vehicle)
         response = Response.of(vehicle.thrusters)
         self._most_n = np.array([thruster.limit_n for thruster in vehicle.thrusters])
         lacking = lacking_thrust(self._model, self._most_n)
         if lacking:
             raise ConfigError(f"vehicle {vehicle.name}: {lacking}")
         self._program = StepProgram(
-            sharing,
+            allocator,
             grid,
             vehicle.radius_m,
             backends,
@@ -114,10 +114,10 @@ class MotionController:
         if self.nmpc.slower:
             self._solver_news.insert(0, notices.SLOWER_SOLVER(name=self.nmpc.solver))
         self._lag = ThrusterLag(self._model, response)
-        self._lift = Lift(self._model, vehicle.hull_half_height_m)
+        self._lift = BuoyancyEstimator(self._model, vehicle.hull_half_height_m)
         self._forecast = currents or EstimatedCurrent()
         self._inner = InnerLoop(self.margins.ancillary, grid)
-        self._station = StationKeeper(sharing)
+        self._station = StationKeeper(allocator)
         self._reversals = Reversals(self._most_n)
         self._penalty = PenaltyWatch()
         self._fallbacks, self._numbers = FallbackWatch(), FiniteWatch()
@@ -125,10 +125,10 @@ class MotionController:
         self._plan_current = np.zeros(3)
         self.trajectories = trajectories = trajectories or EnergyPlanner(self._model, PowerModel.of(vehicle))
         """Makes plans of least energy."""
-        route = RouteGuidance(sharing, grid, desks.routes)
-        energy = EnergyGuidance(sharing, grid, desks.trajectories, trajectories, route)
+        route = RouteGuidance(allocator, grid, desks.routes)
+        energy = EnergyGuidance(allocator, grid, desks.trajectories, trajectories, route)
         self._guidances: tuple[Guidance, ...] = (route, energy)
-        self._drive = DriveGuidance(sharing, grid)
+        self._drive = DriveGuidance(allocator, grid)
         self._guidance: Guidance = self._guidances[0]
         self._planner: Planner | None = None
         self._planner_key: tuple[object, ...] = ()
@@ -150,9 +150,9 @@ class MotionController:
     def warm(self, params: ParamSet) -> None:
         """Have imported and built beside the loop what first answers need: else they would come a second late."""
         routes, trajectories = self.desks.routes, self.desks.trajectories
-        if not routes.patient:
+        if not routes.blocking:
             routes.submit(0, lambda _, __: shortest.warm(), None)
-        if not trajectories.patient and int(params["MPC_COST"]):
+        if not trajectories.blocking and int(params["MPC_COST"]):
             trajectories.submit(0, lambda planner, _: planner.warm(), self.trajectories)
 
     def reset(self) -> None:
@@ -344,7 +344,7 @@ class MotionController:
         """Learn the vertical force that the vehicle file does not know; all that plans and holds counts on it."""
         low_m, high_m = max(fence.depth_min_m, params["DEPTH_MIN"]), min(fence.depth_max_m, params["DEPTH_MAX"])
         self._lift.look(nav, low_m, high_m, limit_n)
-        self._sharing.buoyancy_excess_n = self._lift.excess_n
+        self._allocator.buoyancy_excess_n = self._lift.excess_n
         self._lag.trim(self._lift.excess_n)
 
     def _state(self, nav: NavState) -> FloatArray:

@@ -12,9 +12,9 @@ from typing import Protocol
 
 import numpy as np
 
+from autopilot.control.current.currents import CurrentForecast
 from autopilot.control.energy.request import TrajectoryPlanner
-from autopilot.control.water.currents import CurrentForecast
-from autopilot.control.way.desks import Desks
+from autopilot.control.path.workers import BackgroundWorkers
 from autopilot.core.frames import FloatArray
 from autopilot.core.geometry import Fence
 from autopilot.core.messages import ControlOutput, Fallback, Goal, NavState, NmpcStatus, Severity, SolveStatus
@@ -41,7 +41,7 @@ class ControllerContext:
     """Its 4-DoF model: masses, drags, and the allocation (4 x N): surge, sway, heave [N], yaw [N m] per N of thrust."""
     currents: CurrentForecast
     """What is known of the water beside the estimate's current."""
-    desks: Desks
+    desks: BackgroundWorkers
     """Lanes for work that does not fit into a step. Whoever composes the service closes them."""
     trajectories: TrajectoryPlanner | None = None
     """Who plans by energy; None = the shipped planner."""

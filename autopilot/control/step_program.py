@@ -11,23 +11,23 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from autopilot.control.bounds import SLOWEST_CAP_M_S, PlanRoom, ProgramBounds, largest_gap, left_n
-from autopilot.control.fence.obstacles import Movers
+from autopilot.control.bounds import SLOWEST_CAP_M_S, PlanClearance, ProgramBounds, largest_gap, left_n
+from autopilot.control.constraints.obstacles import Movers
 from autopilot.control.nmpc import ocp
 from autopilot.control.nmpc.grid import TimeGrid
 from autopilot.control.nmpc.solver import Nmpc, NmpcProblem, NmpcResult
 from autopilot.control.nmpc.unsolved import saved
+from autopilot.control.path.guidance import GuidanceInputs, Reference, Weights
+from autopilot.control.path.planner import Planner
 from autopilot.control.robust.margins import Margins
 from autopilot.control.robust.regions import TerminalRegions
 from autopilot.control.robust.terminal import TerminalLimits
-from autopilot.control.way.guidance import GuidanceInputs, Reference, Weights
-from autopilot.control.way.planner import Planner
-from autopilot.core.desk import Desk
+from autopilot.core.background import BackgroundWorker
+from autopilot.core.control_allocator import ControlAllocator
 from autopilot.core.frames import FloatArray
 from autopilot.core.messages import SolveStatus, UnsolvedProgram
 from autopilot.core.model4 import AXES, YAW, U
 from autopilot.core.params import ParamSet
-from autopilot.core.sharing import Sharing
 
 CONVERGED_N = 0.05
 """A plan has converged when a QP changes the thrust to be commanded by less than this."""
@@ -80,18 +80,18 @@ class StepProgram:
 
     def __init__(
         self,
-        sharing: Sharing,
+        allocator: ControlAllocator,
         grid: TimeGrid,
         radius_m: float,
         backends: tuple[ocp.QpBackend, ...],
-        certificates: Desk,
+        certificates: BackgroundWorker,
         thrusters: tuple[str, ...],
     ) -> None:
         """``thrusters``: their names."""
-        model, self._sharing, self._thrusters = sharing.model, sharing, thrusters
+        model, self._allocator, self._thrusters = allocator.model, allocator, thrusters
         self.nmpc = Nmpc(model, grid, backends=backends)
         self.margins = Margins(model, grid)
-        self.regions = TerminalRegions(sharing, certificates)
+        self.regions = TerminalRegions(allocator, certificates)
         self._bounds = bounds = ProgramBounds(grid, model.thrusters, radius_m)
         self.tube_m = bounds.tube_m
         """(N+1,) distance that every node of the last plan keeps from boundaries beyond the body."""
@@ -100,7 +100,7 @@ class StepProgram:
         self._plane_d = np.zeros((grid.n - 1, self.nmpc.planes))
         self._path = self.nmpc.x[: grid.n, :2]
         self._t_s = grid.t_s[: grid.n]
-        self._room = PlanRoom(self._path[1:], self._plane_n, self._plane_d)
+        self._room = PlanClearance(self._path[1:], self._plane_n, self._plane_d)
         self._weights = Weights(model.thrusters)
         self._currents = np.zeros((grid.n, 3))
         self._unsolved: list[tuple[SolveStatus, NmpcProblem, FloatArray, FloatArray]] = []
@@ -155,7 +155,7 @@ class StepProgram:
                 thrust_limit_n=bounds.thrust_n,
                 plane_n=self._plane_n,
                 plane_d_m=self._plane_d,
-                buoyancy_excess_n=np.array([self._sharing.buoyancy_excess_n]),
+                buoyancy_excess_n=np.array([self._allocator.buoyancy_excess_n]),
             )
 
         states, thrusts = nmpc.x.copy(), nmpc.u.copy()

@@ -9,7 +9,7 @@ from concurrent.futures import wait
 from dataclasses import dataclass
 from typing import Generic, TypeVar
 
-from autopilot.core.desk import Cancel, Desk, Ticket
+from autopilot.core.background import BackgroundTask, BackgroundWorker, Cancel
 
 KEEP_TICKS = 5
 """In lockstep a write is done so many ticks after it was asked for: 50 ms, what a flash disk needs for an fsync."""
@@ -34,24 +34,24 @@ class WriteResult:
 class LatestValueWriter(Generic[Q]):
     """``write`` gets states that do not change any more and may raise; what failed is tried again."""
 
-    def __init__(self, desk: Desk, write: Callable[[Q], None], ticks: int = KEEP_TICKS) -> None:
-        self._desk, self._write, self._ticks = desk, write, ticks
+    def __init__(self, worker: BackgroundWorker, write: Callable[[Q], None], ticks: int = KEEP_TICKS) -> None:
+        self._worker, self._write, self._ticks = worker, write, ticks
         self._number = self._asked = self._done = 0
         self._newest: Q | None = None
-        self._ticket: Ticket[int] | None = None
+        self._task: BackgroundTask[int] | None = None
         self._again_at: int | None = None
         """When a write that failed is tried again."""
 
     @property
     def busy(self) -> bool:
         """Whether something is being written or waits for it."""
-        return self._ticket is not None
+        return self._task is not None
 
     def put(self, tick: int, state: Q) -> int:
         """Ask for ``state`` to be written; the result is its number."""
         self._number += 1
         self._newest = state
-        if self._ticket is None:
+        if self._task is None:
             self._ask(tick)
         return self._number
 
@@ -59,10 +59,10 @@ class LatestValueWriter(Generic[Q]):
         """What became of the write that has ended, once."""
         if self._again_at is not None and tick >= self._again_at:
             self._ask(tick)
-        answer = None if self._ticket is None else self._ticket.poll(tick)
+        answer = None if self._task is None else self._task.poll(tick)
         if answer is None:
             return None
-        number, self._ticket = self._asked, None
+        number, self._task = self._asked, None
         if self._asked < self._number:
             self._ask(tick)
         elif answer.error is not None:
@@ -84,10 +84,10 @@ class LatestValueWriter(Generic[Q]):
                 self._done = number
 
         try:
-            if self._desk.executor is None:
+            if self._worker.executor is None:
                 work()
                 return None
-            future = self._desk.executor.submit(work)
+            future = self._worker.executor.submit(work)
             if not wait((future,), timeout_s).done:
                 return TimeoutError("disk does not answer")
             future.result()
@@ -105,4 +105,4 @@ class LatestValueWriter(Generic[Q]):
             return number
 
         self._asked, self._again_at = number, None
-        self._ticket = self._desk.submit(tick + self._ticks, work, state)
+        self._task = self._worker.submit(tick + self._ticks, work, state)

@@ -3,11 +3,11 @@
 from dataclasses import dataclass
 from typing import Protocol
 
-from autopilot.core.desk import Ticket
+from autopilot.core.background import BackgroundTask
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class ShelfFile:
+class LogDirectoryEntry:
     """One file."""
 
     path: str
@@ -18,24 +18,24 @@ class ShelfFile:
     """Unix time."""
 
 
-class Shelf(Protocol):
+class LogDirectory(Protocol):
     """A folder that is read and, by :meth:`erase` alone, emptied. Tickets are polled with the count of ticks.
 
     Nothing outside of the folder can be named: an answer's error is then a LogError, as for what does not exist.
     """
 
-    def list(self, tick: int) -> Ticket[tuple[ShelfFile, ...]]:
+    def list(self, tick: int) -> BackgroundTask[tuple[LogDirectoryEntry, ...]]:
         """All files, oldest first."""
         ...
 
-    def read(self, tick: int, path: str, offset: int, size: int) -> Ticket[bytes]:
+    def read(self, tick: int, path: str, offset: int, size: int) -> BackgroundTask[bytes]:
         """At most ``size`` bytes from ``offset``; fewer at the end."""
         ...
 
-    def crc32(self, tick: int, path: str) -> Ticket[int]:
+    def crc32(self, tick: int, path: str) -> BackgroundTask[int]:
         """Checksum of a whole file, as :func:`autopilot.core.crc.file_crc32` has it."""
         ...
 
-    def erase(self, tick: int) -> Ticket[int]:
+    def erase(self, tick: int) -> BackgroundTask[int]:
         """Remove all finished flights; how many."""
         ...

@@ -14,10 +14,10 @@ from autopilot.core.clients import EVERYONE, Reach
 from autopilot.core.frames import FloatArray
 from autopilot.core.guard import Fault
 from autopilot.core.marks import LoopPart
+from autopilot.core.nondeterminism import Note
 from autopilot.core.payload import PayloadState
 from autopilot.core.samples import ExternalPoseSample, PictureReport, Sample
 from autopilot.core.stills import CameraReport, StillRecord, StoredStill
-from autopilot.core.witness import Note
 
 MAX_THRUSTERS = 8
 """Width of the thruster arrays in logs and outputs."""
@@ -78,7 +78,7 @@ class Inputs:
     """By how much the machine's clock of day has jumped against the one that only counts, since the last tick."""
     frame_counts: Mapping[str, int] | None = None
     """What became of pictures so far, by name (``frames.ok`` ...); None without a camera."""
-    below: "Below | None" = None
+    below: "FlightControllerState | None" = None
     """Whether the flight controller below takes our thrust; None without one."""
     refusals: tuple[str, ...] = ()
     """What devices have against arming, a line each."""
@@ -118,7 +118,7 @@ class Authority(Enum):
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class Below:
+class FlightControllerState:
     """The flight controller below us."""
 
     t_us: int
@@ -512,7 +512,7 @@ class Failsafe(IntEnum):
     PILOT = 9
     DEAD_RECKONING = 10
     SENSOR = 11
-    DOUBT = 12
+    INERTIAL_MONITOR = 12
     BATTERY_CRITICAL = 13
     ENERGY = 14
     LEAK = 15
@@ -639,7 +639,7 @@ class Outputs:
     """A failsafe wants the drop weight off."""
     hand_back: bool = False
     """A failsafe has given the thrusters to whatever is below us; ``command`` is neutral."""
-    stop_below: bool = False
+    disarm_flight_controller: bool = False
     """The flight controller below is to be disarmed, until its heartbeat shows it."""
     payload: PayloadState | None = None
     """What gripper, lights, relays and the like get; None on a vehicle without any."""

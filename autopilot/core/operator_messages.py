@@ -97,7 +97,7 @@ SERVICE_RESTARTS = _info("Service restarts: asked for by {client}", "PREFLIGHT_R
 
 # Flight controller and its pilot
 
-STOPPED_BELOW = _critical(
+FLIGHT_CONTROLLER_DISARMED = _critical(
     "Flight controller disarmed: {reason}",
     "The autopilot has disarmed too.",
     "Read the flight controller's messages, then arm again.",
@@ -195,12 +195,12 @@ LATENCY = _warning(
     "Time from command to motion.",
     "Check network and flight controller load too.",
 )
-TWIN_LOSS = _warning(
+REDUNDANT_LOSS = _warning(
     "One of {names} gives {percent:.0f} % of its thrust",
     "The motion does not show which of these redundant thrusters.",
     "Test each with a motor test.",
 )
-TWINS_RESTORED = _info("{names} give their full thrust again")
+REDUNDANT_RESTORED = _info("{names} give their full thrust again")
 THRUSTER_LOSS = _warning(
     "Thruster {name} gives {percent:.0f} % of its thrust",
     "The allocation accounts for it.",

@@ -12,7 +12,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-from autopilot.core.desk import Desk
+from autopilot.core.background import BackgroundWorker
 from autopilot.core.disk import cause_of
 from autopilot.core.errors import ConfigError
 from autopilot.core.latest_value_writer import LatestValueWriter
@@ -110,15 +110,15 @@ def write_param_file(path: Path, values: Mapping[str, float], *, sysid: int = 1)
 
 
 def kept_params(
-    folder: Path, params: ParamSet, overrides: Mapping[str, float], desk: Desk | None
+    folder: Path, params: ParamSet, overrides: Mapping[str, float], worker: BackgroundWorker | None
 ) -> tuple["PersistentParams", tuple[str, ...]]:
     """``params``, which have the defaults of vehicle and place, with what earlier runs have kept in ``folder`` and the
     ``overrides`` of the command line; the result is where they are kept from now on and what is wrong with the file.
 
     Without the ``desk`` of the disk they are only looked at: nothing is cleaned up, nothing set aside.
     """
-    persistent = PersistentParams(folder / "parameters.params", params, desk)
-    warnings = persistent.load(mend=desk is not None)
+    persistent = PersistentParams(folder / "parameters.params", params, worker)
+    warnings = persistent.load(mend=worker is not None)
     for name, value in overrides.items():
         params.set(name, value)
     return persistent, warnings
@@ -130,7 +130,7 @@ class PersistentParams:
     The writing goes over a desk; :meth:`save` and :meth:`saved` are what the parameter protocol asks.
     """
 
-    def __init__(self, path: Path, params: ParamSet, desk: Desk | None = None) -> None:
+    def __init__(self, path: Path, params: ParamSet, worker: BackgroundWorker | None = None) -> None:
         """``desk``: the lane of the disk, by default the caller's own time."""
         self._file = StateFile(path)
         self._params = params
@@ -138,8 +138,8 @@ class PersistentParams:
         self._unknown: tuple[str, ...] = ()
         self._unusable: tuple[str, ...] = ()
         """Lines that stay in the file until an operator accepts that they are not used."""
-        self._desk = desk or Desk()
-        self._keeper: LatestValueWriter[bytes] = LatestValueWriter(self._desk, self._file.write)
+        self._worker = worker or BackgroundWorker()
+        self._watchdog: LatestValueWriter[bytes] = LatestValueWriter(self._worker, self._file.write)
         self._number = 0
         self.failure: str | None = None
         """Why the last change is not on disk; None while all is well."""
@@ -174,13 +174,13 @@ class PersistentParams:
         if self._wanted.get(name) != value:
             self._wanted[name] = value
             self._unusable = tuple(line for line in self._unusable if name not in re.split(r"[,\s]+", line))
-        elif not self._keeper.busy and self.failure is None:
+        elif not self._watchdog.busy and self.failure is None:
             return None
         return self._put(tick)
 
     def saved(self, tick: int) -> Saved | None:
         """What became of a write, once."""
-        kept = self._keeper.poll(tick)
+        kept = self._watchdog.poll(tick)
         if kept is None:
             return None
         self._note(kept.error)
@@ -188,7 +188,7 @@ class PersistentParams:
 
     def finish(self) -> None:
         """Write what is not yet on disk."""
-        self._note(self._keeper.finish())
+        self._note(self._watchdog.finish())
 
     def _note(self, error: Exception | None) -> None:
         self.failure = None if error is None else f"parameters are not saved: {self._file.path}: {error}"
@@ -196,7 +196,7 @@ class PersistentParams:
 
     def _put(self, tick: int) -> int:
         text = param_text(self._wanted, more=(*self._unknown, *self._unusable)).encode()
-        self._number = self._keeper.put(tick, _check_line(text) + text)
+        self._number = self._watchdog.put(tick, _check_line(text) + text)
         return self._number
 
     def _lost(self, found: ParamText | None, problems: list[str]) -> tuple[Loss, ...]:
@@ -215,7 +215,7 @@ class PersistentParams:
         return (Loss(text, self._accept),)
 
     def _accept(self, tick: int) -> None:
-        self._desk.run(self._file.accept)
+        self._worker.run(self._file.accept)
         if self._unusable:
             self._unusable = ()
             self._put(tick)

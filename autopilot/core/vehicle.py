@@ -12,11 +12,11 @@ from typing import Annotated, Literal
 import msgspec
 import numpy as np
 
+from autopilot.core.control_allocator import lacking_thrust
 from autopilot.core.errors import ConfigError
 from autopilot.core.flat_port import FlatPort
 from autopilot.core.model4 import Model4
 from autopilot.core.payload import MAX_PAYLOAD
-from autopilot.core.sharing import lacking_thrust
 from autopilot.core.thrusters import (
     MAX_THRUSTERS,
     MIN_THRUSTERS,

@@ -37,7 +37,7 @@ from autopilot.log.check_more import more_rows
 from autopilot.log.description import AcceptBounds, RunDescription
 from autopilot.log.reader import Log, MessageTable
 from autopilot.log.rows import BoundRow, BoundVerdict, counted, info
-from autopilot.log.smoothness import BARS, ThrustCommands, is_told, measure
+from autopilot.log.smoothness import BARS, ThrustCommands, is_reported, measure
 
 __all__ = ("BoundRow", "BoundVerdict", "acceptance_table", "flown_commands", "format_figure", "overall", "slowest_part")
 
@@ -306,13 +306,13 @@ def flown_commands(flight: FlightRecord) -> ThrustCommands | None:
         moved = (np.diff(goals["pos_ned_m"], axis=0) != 0.0).any(axis=1) | (np.diff(goals["seq"]) != 0)
         starts_s.append(seconds(goals)[1:][moved])
     events = flight.log.messages("/rosout") if "/rosout" in flight.log else []
-    told = is_told([event.value["msg"] for event in events])
+    told = is_reported([event.value["msg"] for event in events])
     return ThrustCommands(
         t_s=seconds(nmpc),
         thrust_n=rows["thrust_n"][:, : thruster_count(commands)],
         fallback=nmpc["fallback"],
         starts_s=np.concatenate(starts_s),
-        told_s=np.array([event.t_us * 1e-6 for event in events])[told],
+        reported_s=np.array([event.t_us * 1e-6 for event in events])[told],
         limit_n=flight.run.parameters.get("THR_LIMIT", math.inf) if flight.run is not None else math.inf,
     )
 

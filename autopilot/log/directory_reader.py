@@ -4,10 +4,10 @@ import fnmatch
 import glob
 from pathlib import Path, PurePosixPath
 
+from autopilot.core.background import BackgroundTask, BackgroundWorker, Cancel
 from autopilot.core.crc import file_crc32
-from autopilot.core.desk import Cancel, Desk, Ticket
 from autopilot.core.errors import LogError
-from autopilot.core.log_directory import ShelfFile
+from autopilot.core.log_directory import LogDirectoryEntry
 from autopilot.log.quota import flights, remove_flight
 
 DUE_TICKS = 1
@@ -23,26 +23,26 @@ STILLS = ".still-*.png"
 """How the stills of a log end, behind its name."""
 
 
-class LogShelf:
+class LogDirectoryReader:
     """The logs below ``folder``, and the one at ``single`` (``--log``) if there is one."""
 
-    def __init__(self, folder: Path, desk: Desk, single: Path | None = None) -> None:
-        self._folder, self.desk, self._single = folder, desk, single
+    def __init__(self, folder: Path, worker: BackgroundWorker, single: Path | None = None) -> None:
+        self._folder, self.worker, self._single = folder, worker, single
 
-    def list(self, tick: int) -> Ticket[tuple[ShelfFile, ...]]:
+    def list(self, tick: int) -> BackgroundTask[tuple[LogDirectoryEntry, ...]]:
         """All files, oldest first; what goes meanwhile is left out."""
-        return self.desk.submit(tick + DUE_TICKS, lambda _, cancel: self._listed(cancel), None)
+        return self.worker.submit(tick + DUE_TICKS, lambda _, cancel: self._listed(cancel), None)
 
-    def read(self, tick: int, path: str, offset: int, size: int) -> Ticket[bytes]:
+    def read(self, tick: int, path: str, offset: int, size: int) -> BackgroundTask[bytes]:
         def work(_: None, cancel: Cancel) -> bytes:
             cancel.check()
             with self._found(path).open("rb") as file:
                 file.seek(offset)
                 return file.read(size)
 
-        return self.desk.submit(tick + DUE_TICKS, work, None)
+        return self.worker.submit(tick + DUE_TICKS, work, None)
 
-    def crc32(self, tick: int, path: str) -> Ticket[int]:
+    def crc32(self, tick: int, path: str) -> BackgroundTask[int]:
         def work(_: None, cancel: Cancel) -> int:
             crc = 0
             with self._found(path).open("rb") as file:
@@ -51,16 +51,16 @@ class LogShelf:
                     crc = file_crc32(piece, crc)
             return crc
 
-        return self.desk.submit(tick + DUE_TICKS, work, None)
+        return self.worker.submit(tick + DUE_TICKS, work, None)
 
-    def erase(self, tick: int) -> Ticket[int]:
+    def erase(self, tick: int) -> BackgroundTask[int]:
         """Remove all flights of the folder but those that are being written; a log with a name of its own stays."""
-        return self.desk.submit(
+        return self.worker.submit(
             tick + DUE_TICKS, lambda _, cancel: sum(remove_flight(flight) for flight in flights(self._folder)), None
         )
 
-    def _listed(self, cancel: Cancel) -> tuple[ShelfFile, ...]:
-        found: list[ShelfFile] = []
+    def _listed(self, cancel: Cancel) -> tuple[LogDirectoryEntry, ...]:
+        found: list[LogDirectoryEntry] = []
         root = self._folder.resolve()
         candidates = [(path, path.relative_to(root).as_posix()) for path in root.glob("**/*")]
         if self._single is not None:
@@ -72,7 +72,7 @@ class LogShelf:
             try:
                 if path.suffix in SUFFIXES and not path.is_symlink() and path.is_file():
                     stat = path.stat()
-                    found.append(ShelfFile(path=name, size=stat.st_size, modified_s=int(stat.st_mtime)))
+                    found.append(LogDirectoryEntry(path=name, size=stat.st_size, modified_s=int(stat.st_mtime)))
             except OSError:
                 continue
         return tuple(sorted(found, key=lambda file: (file.modified_s, file.path))[-MAX_FILES:])

@@ -28,7 +28,7 @@ from autopilot.log.figure_parts import (
     time_axis,
 )
 from autopilot.log.figure_plan import draw_plan
-from autopilot.log.plan_facts import met_current, moved_obstacles, plan_box
+from autopilot.log.plan_summary import met_current, moved_obstacles, plan_box
 
 PLAN_IN, AROUND_PLAN_IN, PLAN_HEIGHTS_IN = 5.7, 1.25, (2.6, 9.0)
 """Width of a plan without its axes, what its legend and axes need above and below it, how high it may be with them."""

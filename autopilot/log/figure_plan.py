@@ -6,7 +6,7 @@ from matplotlib.axes import Axes
 from matplotlib.patches import Circle, Polygon
 
 from autopilot.log.description import Point2, RunDescription
-from autopilot.log.plan_facts import MovedObstacle
+from autopilot.log.plan_summary import MovedObstacle
 from autopilot.log.scene import outline
 
 MOVED = "#555555"

@@ -31,7 +31,7 @@ from autopilot.log.analysis import (
 from autopilot.log.check_more import MOST_REPROJECTION_PX
 from autopilot.log.check_outside import round_trips
 from autopilot.log.description import RunDescription
-from autopilot.log.plan_facts import MetCurrent, MovedObstacle, met_current, moved_obstacles
+from autopilot.log.plan_summary import MetCurrent, MovedObstacle, met_current, moved_obstacles
 from autopilot.log.report_draw import (
     BUCKETS,
     COLORS,

@@ -56,7 +56,7 @@ class ThrustCommands:
     """(n,) :class:`Fallback`"""
     starts_s: FloatArray
     """Times of arming, and of goals that are another place."""
-    told_s: FloatArray
+    reported_s: FloatArray
     """Times at which an operator heard of a fallback."""
     limit_n: float
 
@@ -168,11 +168,11 @@ def _reversals(thrust_n: FloatArray) -> int:
 def _silent(commands: ThrustCommands) -> int:
     """A neutral command has its own texts: there is no estimate, or it is not known whether commands act."""
     flown = (commands.fallback == Fallback.SHIFTED_PLAN) | (commands.fallback == Fallback.STATION_KEEPING)
-    when, told = commands.t_s[flown], commands.told_s
+    when, told = commands.t_s[flown], commands.reported_s
     heard = (told[None] >= when[:, None] - TOLD_S) & (told[None] <= when[:, None] + ANSWER_S)
     return int(np.count_nonzero(~heard.any(axis=1)))
 
 
-def is_told(texts: Sequence[str]) -> NDArray[np.bool_]:
+def is_reported(texts: Sequence[str]) -> NDArray[np.bool_]:
     """Which texts tell an operator of a fallback."""
     return np.array([text.startswith(FALLBACK_TEXT) for text in texts], dtype=bool)

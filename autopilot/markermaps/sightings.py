@@ -16,7 +16,7 @@ from autopilot.core.frames import FloatArray
 from autopilot.core.markers import ID_SPAN, IntArray, MarkerMap
 from autopilot.core.samples import CameraFrame
 from autopilot.core.vehicle import Vehicle
-from autopilot.estimator.marker_looks import misread_cells, patterns_of
+from autopilot.estimator.marker_image import misread_cells, patterns_of
 from autopilot.estimator.vision import MarkerDetector
 from autopilot.log.reader import Log, open_log
 from autopilot.markermaps.markermaps_tuning import SIGHTINGS

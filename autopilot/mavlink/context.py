@@ -16,7 +16,7 @@ from autopilot.mavlink.api import VehicleCommands, VehicleView
 from autopilot.mavlink.budget import Budget
 from autopilot.mavlink.dialect import mav
 from autopilot.mavlink.profiles import Profile
-from autopilot.mavlink.recent import Recent
+from autopilot.mavlink.recent_keys import RecentKeys
 from autopilot.mavlink.signing import Signing
 from autopilot.mavlink.wire import LinkEncoder, Message
 
@@ -106,7 +106,7 @@ class Context:
     """Good frames so far, all links."""
     announce_place: bool = False
     """Send origin and home on all links once the vehicle's view is fresh."""
-    _said: Recent[tuple[int, int, str]] = field(default_factory=lambda: Recent(SAME_TEXT_US))
+    _said: RecentKeys[tuple[int, int, str]] = field(default_factory=lambda: RecentKeys(SAME_TEXT_US))
     """Texts of the last seconds by link and client."""
     _text_id: int = 0
 

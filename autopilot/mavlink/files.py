@@ -4,8 +4,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from autopilot.core.desk import Ticket
-from autopilot.core.log_directory import Shelf, ShelfFile
+from autopilot.core.background import BackgroundTask
+from autopilot.core.log_directory import LogDirectory, LogDirectoryEntry
 
 LOGS = "@MAV_LOG"
 """The folder of logs that clients ask for by this name, whatever it is called on the disk."""
@@ -28,12 +28,12 @@ class OpenFile:
     path: str
     size: int
     content: bytes | None = None
-    shelf: Shelf | None = None
+    shelf: LogDirectory | None = None
     failed: bool = False
     """The disk did not give what was there when it was opened."""
     _start: int = 0
     _block: bytes = b""
-    _ticket: Ticket[bytes] | None = None
+    _task: BackgroundTask[bytes] | None = None
     _wanted: int = 0
 
     def data(self, tick: int, offset: int, size: int) -> bytes | None:
@@ -49,24 +49,24 @@ class OpenFile:
             return self._block[at : at + size]
         if self.failed:
             return b""
-        if self._ticket is None or self._wanted != offset:
+        if self._task is None or self._wanted != offset:
             self.close()
             self._wanted = offset
-            self._ticket = self.shelf.read(tick, self.path, offset, min(BLOCK_BYTES, self.size - offset))
+            self._task = self.shelf.read(tick, self.path, offset, min(BLOCK_BYTES, self.size - offset))
         return None
 
     def close(self) -> None:
         """Nobody waits for the disk any more."""
-        if self._ticket is not None:
-            self._ticket.cancel()
-            self._ticket = None
+        if self._task is not None:
+            self._task.cancel()
+            self._task = None
 
     def _take(self, tick: int) -> None:
         """What the disk has given."""
-        answer = None if self._ticket is None else self._ticket.poll(tick)
+        answer = None if self._task is None else self._task.poll(tick)
         if answer is None:
             return
-        self._ticket = None
+        self._task = None
         self._start, self._block = self._wanted, answer.value or b""
         expected = min(BLOCK_BYTES, self.size - self._start)
         self.failed = answer.error is not None or len(self._block) < expected
@@ -78,7 +78,9 @@ def parts_of(path: str) -> tuple[str, ...] | None:
     return None if ".." in parts or "\0" in path else parts
 
 
-def folder_entries(files: Mapping[str, bytes], logs: tuple[ShelfFile, ...], path: str) -> list[FolderEntry] | None:
+def folder_entries(
+    files: Mapping[str, bytes], logs: tuple[LogDirectoryEntry, ...], path: str
+) -> list[FolderEntry] | None:
     """What a folder holds, in a fixed order; None if there is none of that name."""
     parts = parts_of(path)
     if parts is None:

@@ -11,10 +11,10 @@ from dataclasses import dataclass, replace
 from enum import IntEnum
 from typing import Protocol
 
+from autopilot.core.background import BackgroundTask
 from autopilot.core.clock import TICK_US
 from autopilot.core.crc import file_crc32
-from autopilot.core.desk import Ticket
-from autopilot.core.log_directory import Shelf, ShelfFile
+from autopilot.core.log_directory import LogDirectory, LogDirectoryEntry
 from autopilot.mavlink.bounded_table import LatestUsed
 from autopilot.mavlink.budget import FILES
 from autopilot.mavlink.context import MavlinkPeer
@@ -124,8 +124,8 @@ class _FtpClient:
     """Number and opcode of the last request, and its answer."""
     waiting: FtpPacket | None = None
     """What the disk is being asked for."""
-    listing: Ticket[tuple[ShelfFile, ...]] | None = None
-    crc: Ticket[int] | None = None
+    listing: BackgroundTask[tuple[LogDirectoryEntry, ...]] | None = None
+    crc: BackgroundTask[int] | None = None
     burst: FtpPacket | None = None
     """The burst that goes on, at the offset and with the number of its next packet."""
     burst_left: int = 0
@@ -134,9 +134,9 @@ class _FtpClient:
 
     def stop(self) -> None:
         """Nothing is waited for any more."""
-        for ticket in (self.listing, self.crc):
-            if ticket is not None:
-                ticket.cancel()
+        for task in (self.listing, self.crc):
+            if task is not None:
+                task.cancel()
         self.waiting = self.listing = self.crc = self.burst = None
 
     def close(self) -> None:
@@ -155,7 +155,7 @@ class FileTransfer:
         self,
         ctx: Outlet,
         files: Mapping[str, bytes],
-        shelf: Shelf | None,
+        shelf: LogDirectory | None,
         made: Callable[[str], bytes | None] = lambda path: None,
     ) -> None:
         self._ctx, self._files, self._shelf, self._made = ctx, files, shelf, made
@@ -262,7 +262,7 @@ class FileTransfer:
                 self._go_on_listed(peer, client, request, listed.value or ())
 
     def _go_on_listed(
-        self, peer: MavlinkPeer, client: _FtpClient, request: FtpPacket, logs: tuple[ShelfFile, ...]
+        self, peer: MavlinkPeer, client: _FtpClient, request: FtpPacket, logs: tuple[LogDirectoryEntry, ...]
     ) -> None:
         if request.opcode == Op.LIST:
             self._answer_list(peer, client, request, logs)
@@ -309,7 +309,7 @@ class FileTransfer:
         self._ack(peer, client, request, (file.size & 0xFFFF_FFFF).to_bytes(4, "little"))
 
     def _answer_list(
-        self, peer: MavlinkPeer, client: _FtpClient, request: FtpPacket, logs: tuple[ShelfFile, ...]
+        self, peer: MavlinkPeer, client: _FtpClient, request: FtpPacket, logs: tuple[LogDirectoryEntry, ...]
     ) -> None:
         """The entries from the number that is asked for, as many as fit."""
         entries = folder_entries(self._files, logs, request.path)

@@ -7,9 +7,9 @@ else, as ground stations expect). Times and sizes are those of the files. One pi
 from dataclasses import dataclass
 
 from autopilot.core import operator_messages as notices
+from autopilot.core.background import BackgroundTask
 from autopilot.core.clock import TICK_US
-from autopilot.core.desk import Ticket
-from autopilot.core.log_directory import Shelf, ShelfFile
+from autopilot.core.log_directory import LogDirectory, LogDirectoryEntry
 from autopilot.mavlink.bounded_table import LatestUsed
 from autopilot.mavlink.budget import FILES
 from autopilot.mavlink.context import Context, MavlinkPeer
@@ -33,9 +33,9 @@ _LOG = ".mcap"
 class _LogClient:
     """What is kept of one client."""
 
-    logs: tuple[ShelfFile, ...] | None = None
+    logs: tuple[LogDirectoryEntry, ...] | None = None
     """The list by which it knows numbers, None before it has asked."""
-    listing: Ticket[tuple[ShelfFile, ...]] | None = None
+    listing: BackgroundTask[tuple[LogDirectoryEntry, ...]] | None = None
     entries: range = range(0)
     """Numbers of the entries that are still to be sent."""
     wanted: tuple[int, int, int] | None = None
@@ -54,11 +54,11 @@ class _LogClient:
 
 
 class LogDownload:
-    def __init__(self, ctx: Context, shelf: Shelf | None) -> None:
+    def __init__(self, ctx: Context, shelf: LogDirectory | None) -> None:
         self._ctx, self._shelf = ctx, shelf
         self._first = 1 if ctx.profile.home_is_item_0 else 0
         self._clients: LatestUsed[MavlinkPeer, _LogClient] = LatestUsed(MAX_CLIENTS, _LogClient.stop)
-        self._erasing: tuple[MavlinkPeer, Ticket[int]] | None = None
+        self._erasing: tuple[MavlinkPeer, BackgroundTask[int]] | None = None
 
     def on_request_list(self, peer: MavlinkPeer, msg: Message) -> None:
         """LOG_REQUEST_LIST: an entry for each number from start to end; one of log 0 when there are none."""
@@ -116,7 +116,7 @@ class LogDownload:
     def _tick(self) -> int:
         return self._ctx.t_us // TICK_US
 
-    def _listed(self, client: _LogClient, files: tuple[ShelfFile, ...]) -> None:
+    def _listed(self, client: _LogClient, files: tuple[LogDirectoryEntry, ...]) -> None:
         client.logs = tuple(file for file in files if file.path.endswith(_LOG))
         last = self._first + len(client.logs) - 1
         wanted = client.entries
@@ -125,7 +125,7 @@ class LogDownload:
         else:
             client.entries = range(max(wanted.start, self._first), min(wanted.stop, last + 1))
 
-    def _send_entries(self, peer: MavlinkPeer, client: _LogClient, logs: tuple[ShelfFile, ...]) -> None:
+    def _send_entries(self, peer: MavlinkPeer, client: _LogClient, logs: tuple[LogDirectoryEntry, ...]) -> None:
         count, last = len(logs), self._first + len(logs) - 1
         for _ in range(min(ENTRIES_PER_TICK, len(client.entries))):
             if not self._ctx.has_room(peer.link, FILES):
@@ -138,7 +138,7 @@ class LogDownload:
             size = min(log.size, 0xFFFF_FFFF)
             self._ctx.send(peer, mav.MAVLink_log_entry_message(number, count, last, log.modified_s & 0xFFFF_FFFF, size))
 
-    def _send_data(self, peer: MavlinkPeer, client: _LogClient, logs: tuple[ShelfFile, ...]) -> None:
+    def _send_data(self, peer: MavlinkPeer, client: _LogClient, logs: tuple[LogDirectoryEntry, ...]) -> None:
         ctx = self._ctx
         for _ in range(PACKETS_PER_TICK):
             if client.wanted is None or not ctx.has_room(peer.link, FILES):
@@ -160,7 +160,7 @@ class LogDownload:
             left = count - len(data)
             client.wanted = (number, offset + len(data), left) if left > 0 and len(data) == DATA_BYTES else None
 
-    def _file(self, client: _LogClient, logs: tuple[ShelfFile, ...], number: int) -> OpenFile | None:
+    def _file(self, client: _LogClient, logs: tuple[LogDirectoryEntry, ...], number: int) -> OpenFile | None:
         """The log that a client reads, kept open between its requests."""
         index = number - self._first
         if not 0 <= index < len(logs):
@@ -173,8 +173,8 @@ class LogDownload:
     def _go_on_erasing(self) -> None:
         if self._erasing is None:
             return
-        peer, ticket = self._erasing
-        answer = ticket.poll(self._tick)
+        peer, task = self._erasing
+        answer = task.poll(self._tick)
         if answer is None:
             return
         self._erasing = None

@@ -17,7 +17,7 @@ from autopilot.mavlink import home_item
 from autopilot.mavlink.bounded_table import LatestUsed
 from autopilot.mavlink.context import Context, MavlinkPeer
 from autopilot.mavlink.dialect import extra, mav
-from autopilot.mavlink.recent import Recent
+from autopilot.mavlink.recent_keys import RecentKeys
 from autopilot.mavlink.wire import Message
 
 RETRY_US = 300_000
@@ -103,7 +103,7 @@ class Missions:
         self._checking: Checking | None = None
         self._finished: Finished | None = None
         self._downloads: LatestUsed[tuple[MavlinkPeer, PlanKind], Download] = LatestUsed(MAX_DOWNLOADS)
-        self._counts: Recent[tuple[MavlinkPeer, int, int]] = Recent(DUPLICATE_US * ctx.patience)
+        self._counts: RecentKeys[tuple[MavlinkPeer, int, int]] = RecentKeys(DUPLICATE_US * ctx.patience)
         self.current_wire_seq = 0
         """What downloads mark as current."""
         self.revision = 0

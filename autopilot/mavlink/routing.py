@@ -15,7 +15,7 @@ from autopilot.mavlink.budget import LISTS
 from autopilot.mavlink.context import COMPID, Context
 from autopilot.mavlink.dialect import mav
 from autopilot.mavlink.inbox import Address
-from autopilot.mavlink.recent import Recent
+from autopilot.mavlink.recent_keys import RecentKeys
 from autopilot.mavlink.wire import SIGNATURE_BYTES, V1, is_signed, message_id
 
 AGAIN_US = 500_000
@@ -38,7 +38,7 @@ class Router:
         """``ours``: whether a component of our system is the service itself."""
         self._ctx, self._ours = ctx, ours
         self._places: LatestUsed[Component, LatestUsed[Address, None]] = LatestUsed(MAX_KNOWN)
-        self._passed: Recent[bytes] = Recent(AGAIN_US * ctx.patience)
+        self._passed: RecentKeys[bytes] = RecentKeys(AGAIN_US * ctx.patience)
         self.forwarded = 0
         """Packets passed on so far."""
 

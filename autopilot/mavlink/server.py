@@ -11,12 +11,12 @@ from autopilot.core.clients import EVERYONE, ClientRecord
 from autopilot.core.clock import TICK_US
 from autopilot.core.geodesy import GeodeticPosition
 from autopilot.core.guard import Guard, Work
-from autopilot.core.log_directory import Shelf
+from autopilot.core.log_directory import LogDirectory
 from autopilot.core.messages import Event, MavlinkFrame
+from autopilot.core.nondeterminism import NondeterminismSource
 from autopilot.core.params import ParamSaving, ParamSet
 from autopilot.core.plan import PlanStore
 from autopilot.core.samples import ExternalPoseSample, ObstacleTrack
-from autopilot.core.witness import Witness
 from autopilot.mavlink.api import (
     CommandReply,
     CommandResult,
@@ -35,33 +35,33 @@ from autopilot.mavlink.context import COMMANDS, COMPID, MISSION_COMPID, NAME, Co
 from autopilot.mavlink.dialect import extra, mav
 from autopilot.mavlink.equipment_api import EquipmentOrders
 from autopilot.mavlink.equipment_commands import EquipmentCommands
-from autopilot.mavlink.external import ExternalPoses
+from autopilot.mavlink.external_poses import ExternalPoses
 from autopilot.mavlink.flight_information import FlightInformation
 from autopilot.mavlink.ftp import FileTransfer
 from autopilot.mavlink.high_latency import HighLatency
 from autopilot.mavlink.inbox import MAX_INBOXES, Address, Inbox, MessageInbox
-from autopilot.mavlink.keys import Keys
 from autopilot.mavlink.logs import LogDownload
 from autopilot.mavlink.maintenance import Maintenance
 from autopilot.mavlink.metadata import ComponentMetadata, make_metadata
 from autopilot.mavlink.missions import Missions
 from autopilot.mavlink.operators import GRAVE_COMMANDS, REQUEST, STATUS_ID, Operators, Rights, rights
-from autopilot.mavlink.others import Others
 from autopilot.mavlink.output_messages import OutputMessages
 from autopilot.mavlink.parameters import Parameters
 from autopilot.mavlink.periodic_messages import PeriodicMessages
 from autopilot.mavlink.pilot import PilotInputs
 from autopilot.mavlink.profiles import profile_by_name
 from autopilot.mavlink.progress import ProgressMessages
-from autopilot.mavlink.recent import Recent
+from autopilot.mavlink.recent_keys import RecentKeys
 from autopilot.mavlink.requests import Requests
 from autopilot.mavlink.routing import Router
 from autopilot.mavlink.sensor_messages import SensorMessages
 from autopilot.mavlink.setpoints import SetPoints
 from autopilot.mavlink.signing import Signing
+from autopilot.mavlink.signing_setup import SigningSetup
 from autopilot.mavlink.status import StatusMessages
 from autopilot.mavlink.streams import Streams
 from autopilot.mavlink.telemetry import Builder, NavigationMessages
+from autopilot.mavlink.traffic import TrafficReports
 from autopilot.mavlink.utility import Utility
 from autopilot.mavlink.vehicle_commands import VehicleService
 from autopilot.mavlink.wire import Message
@@ -140,10 +140,10 @@ class MavlinkServer:
         guard: Guard | None = None,
         saving: ParamSaving | None = None,
         signing: SigningStore | None = None,
-        shelf: Shelf | None = None,
+        shelf: LogDirectory | None = None,
         rates: Mapping[int, float] | None = None,
         camera: CameraOrders | None = None,
-        witness: Witness | None = None,
+        nondeterminism: NondeterminismSource | None = None,
         equipment: EquipmentOrders | None = None,
     ) -> None:
         identity = VehicleIdentity(name=NAME, version=version, git=git, uid=uid)
@@ -158,7 +158,7 @@ class MavlinkServer:
             patience=patience,
             guard=guard or Guard(),
             saving=saving,
-            signing=Signing(signing, patience, witness),
+            signing=Signing(signing, patience, nondeterminism),
             budgets={link: Budget(rate / patience) for link, rate in (rates or {}).items()},
         )
         self.parameters = Parameters(ctx)
@@ -171,7 +171,7 @@ class MavlinkServer:
         self.pilot = PilotInputs(ctx, equipment, camera)
         self._set_points = SetPoints(ctx)
         self._external = ExternalPoses(ctx, lambda: self.utility.utc_offset_us)
-        self._others = Others(ctx)
+        self._others = TrafficReports(ctx)
         self._status = StatusMessages(ctx)
         self._telemetry = NavigationMessages(ctx)
         self._sensors = SensorMessages(ctx, self._telemetry)
@@ -218,13 +218,13 @@ class MavlinkServer:
             table = {**self._camera.actions(), **table}
             self._ours = _OUR_COMPONENTS | {CAMERA_COMPID}
         self._commands = CommandProtocol(ctx, table, self._keeps_out)
-        self._keys = Keys(ctx, lambda address: self._intake.reach(address))
+        self._keys = SigningSetup(ctx, lambda address: self._intake.reach(address))
         self._handlers = self._table()
         self._router = Router(ctx, ours=self._ours.__contains__)
         self._intake = MessageInbox(self._handlers.keys(), _HEAVY, self._handle, ctx.signing.admits, self._heard)
         self._valid_us: LatestUsed[Address, int] = LatestUsed(MAX_INBOXES)
         """When each client was last understood."""
-        self._new: Recent[Address] = Recent(float("inf"))
+        self._new: RecentKeys[Address] = RecentKeys(float("inf"))
         """Clients that have spoken MAVLink 2."""
         self._announcements = PeriodicMessages(ctx, self._status, self._telemetry, self._intake)
         self.last_gcs_t_us: int | None = None

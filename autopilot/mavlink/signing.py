@@ -19,7 +19,7 @@ from dataclasses import dataclass
 from autopilot.core.clients import Reach
 from autopilot.core.clock import TICK_US
 from autopilot.core.crc import checksum
-from autopilot.core.witness import Noted, Witness
+from autopilot.core.nondeterminism import NondeterminismRecorder, NondeterminismSource
 from autopilot.mavlink.api import AHEAD_UNITS, UNITS_PER_S, SigningState, SigningStore
 from autopilot.mavlink.bounded_table import LatestUsed
 from autopilot.mavlink.dialect import mav
@@ -61,11 +61,16 @@ class Signing:
     """One per service: all links share key and time."""
 
     def __init__(
-        self, store: SigningStore | None = None, patience: float = 1.0, witness: Witness | None = None
+        self,
+        store: SigningStore | None = None,
+        patience: float = 1.0,
+        nondeterminism: NondeterminismSource | None = None,
     ) -> None:
         """``patience``: how much faster than its clients' time the service's may run. ``witness`` stands by when
         signatures are verified: a replay has no key."""
-        self._witness: Witness = Noted() if witness is None else witness
+        self._nondeterminism: NondeterminismSource = (
+            NondeterminismRecorder() if nondeterminism is None else nondeterminism
+        )
         self._store, self._patience = store, patience
         found = SigningState(None, 0) if store is None else store.state
         self.key = found.key
@@ -155,7 +160,7 @@ class Signing:
             self.refused.unsigned += 1
             return False
         key = self.key
-        if key is None or not self._witness.ask("signature", True, lambda: is_signed_with(key, frame)):
+        if key is None or not self._nondeterminism.ask("signature", True, lambda: is_signed_with(key, frame)):
             self.refused.unknown_key += 1
             return False
         stream = (frame[-SIGNATURE_BYTES], frame[5], frame[6])

@@ -8,16 +8,16 @@ import numpy as np
 
 from autopilot.command.map_check import MapCheck, open_map
 from autopilot.command.service import Autopilot
-from autopilot.command.service_parts import Parts
-from autopilot.control.water.current_map import CurrentMap
-from autopilot.control.water.currents import CurrentForecast, MappedCurrent
-from autopilot.core.desk import Desk
+from autopilot.command.service_parts import ServiceParts
+from autopilot.control.current.current_map import CurrentMap
+from autopilot.control.current.currents import CurrentForecast, MappedCurrent
+from autopilot.core.background import BackgroundWorker
 from autopilot.core.errors import ConfigError, LogError
 from autopilot.core.geodesy import Origin
+from autopilot.core.nondeterminism import NondeterminismReplay
 from autopilot.core.params import ParamSet, Saved
 from autopilot.core.plan import PlanKind
-from autopilot.core.witness import Recalled
-from autopilot.log.directory_reader import LogShelf
+from autopilot.log.directory_reader import LogDirectoryReader
 from autopilot.log.reader import Log
 from autopilot.mavlink.api import SigningState
 from autopilot.record.estimator_setup import read_markers, read_setup, read_vehicle
@@ -41,10 +41,10 @@ PLACEHOLDER_KEY = b"\xa5" * 32
 def service_again(
     log: Log,
     *,
-    witness: Recalled,
+    nondeterminism: NondeterminismReplay,
     folder: Path,
     changes: Iterable[tuple[str, float]] = (),
-) -> tuple[Autopilot, Parts]:
+) -> tuple[Autopilot, ServiceParts]:
     """The service of a log as it was before its first tick, with some parameters changed.
 
     ``witness`` gives the answers of then, ``folder`` is for files of this call. LogError if the log does not say
@@ -62,7 +62,7 @@ def service_again(
     water = _water(log, record, origin, folder)
     signing = record.signing
     store = None if signing is None else _Store(PLACEHOLDER_KEY if signing.key else None, signing.stamp)
-    shelf = LogShelf(folder / "none", Desk()) if record.shelf else None
+    shelf = LogDirectoryReader(folder / "none", BackgroundWorker()) if record.shelf else None
     setup = ServiceSetup(
         vehicle=read_vehicle(log),
         params=params,
@@ -90,11 +90,11 @@ def service_again(
         pictures=record.pictures,
         waits_for_plans=record.waits_for_plans,
         git=record.git,
-        witness=witness,
+        nondeterminism=nondeterminism,
     )
     read_setup(log)  # named now if it is damaged
     service, parts = build_service(setup)
-    _take_plans(log, parts, witness)
+    _take_plans(log, parts, nondeterminism)
     return service, parts
 
 
@@ -120,7 +120,7 @@ def _formula(log: Log) -> CurrentForecast:
         raise LogError(f"{log.path}: attachment scenario.json: {error}; the log is of another version") from error
 
 
-def _take_plans(log: Log, parts: Parts, witness: Recalled) -> None:
+def _take_plans(log: Log, parts: ServiceParts, nondeterminism: NondeterminismReplay) -> None:
     """Plans, origin, home and place in the mission as they were before the first tick."""
     data = log.attachments.get(START_PLANS_FILE)
     if data is None:
@@ -144,7 +144,7 @@ def _take_plans(log: Log, parts: Parts, witness: Recalled) -> None:
         parts.commander.restore_home(np.array(content.home_ned_m))
     if content.position is not None and content.mission:
         parts.commander.stand_at(content.position)
-    plans.keeper = lambda: witness.ask(PLANS_KEPT, True, lambda: True)
+    plans.watchdog = lambda: nondeterminism.ask(PLANS_KEPT, True, lambda: True)
 
 
 class _Saving:

@@ -9,7 +9,7 @@ import numpy as np
 
 from autopilot.core.errors import LogError
 from autopilot.core.frames import FloatArray
-from autopilot.core.messages import MAX_THRUSTERS, Authority, Below, VelocityGoal
+from autopilot.core.messages import MAX_THRUSTERS, Authority, FlightControllerState, VelocityGoal
 from autopilot.core.samples import MarkerSighting, Sample
 from autopilot.log.packing.records import reader_of
 from autopilot.log.reader import Log
@@ -45,9 +45,9 @@ def marker_sighting(row: Any) -> MarkerSighting:
     )
 
 
-def below(row: Any) -> Below:
+def below(row: Any) -> FlightControllerState:
     """From a row of ``/in/below``. It is written when it changes: ``t_us`` is when it did."""
-    return Below(
+    return FlightControllerState(
         t_us=int(row["t_us"]),
         authority=tuple(Authority)[int(row["authority"])],
         acts=bool(row["acts"]),

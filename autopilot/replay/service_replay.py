@@ -15,10 +15,10 @@ from typing import Any
 import numpy as np
 
 from autopilot.command.service import Autopilot
-from autopilot.command.service_parts import Parts
+from autopilot.command.service_parts import ServiceParts
 from autopilot.core.errors import LogError
 from autopilot.core.messages import Inputs, MavlinkFrame, Outputs
-from autopilot.core.witness import Recalled
+from autopilot.core.nondeterminism import NondeterminismReplay
 from autopilot.log.compare import WALL_CLOCK_FIELDS, WALL_CLOCK_TOPICS, Difference, compare_logs
 from autopilot.log.description import RunDescription
 from autopilot.log.log_session import RunLog
@@ -27,7 +27,7 @@ from autopilot.log.writer import LogWriter
 from autopilot.replay.again import service_again
 from autopilot.replay.service_inputs import ServiceInputs
 from autopilot.run.compose import end_slow_work
-from autopilot.run.witnessed import SHELF_ASKED
+from autopilot.run.recorded_answers import SHELF_ASKED
 
 NOT_OURS = ("/sim/", "/viz/", "/in/camera")
 """How topics begin that are the world's, or for viewers alone."""
@@ -63,9 +63,9 @@ class Rerun:
     changes: tuple[tuple[str, float], ...] = ()
     """Parameters that differ from the log's."""
     _end: ExitStack = field(default_factory=ExitStack)
-    _witness: Recalled = field(default_factory=Recalled)
+    _nondeterminism: NondeterminismReplay = field(default_factory=NondeterminismReplay)
     service: Autopilot = field(init=False)
-    parts: Parts = field(init=False)
+    parts: ServiceParts = field(init=False)
     inputs: ServiceInputs = field(init=False)
     looked_at_logs_us: int | None = None
     """When a client first looked at the logs on board, which are not in this one."""
@@ -75,7 +75,7 @@ class Rerun:
             folder = Path(undo.enter_context(tempfile.TemporaryDirectory(prefix="replay-")))
             self.inputs = ServiceInputs(self.log)
             self.service, self.parts = service_again(
-                self.log, witness=self._witness, folder=folder, changes=self.changes
+                self.log, nondeterminism=self._nondeterminism, folder=folder, changes=self.changes
             )
             undo.callback(end_slow_work, self.parts)
             self._end = undo.pop_all()
@@ -86,7 +86,7 @@ class Rerun:
 
     def step(self, inputs: Inputs) -> Outputs:
         """What was done between the tick before and this one, and this tick; as it is logged."""
-        self._witness.tell(inputs.answers)
+        self._nondeterminism.tell(inputs.answers)
         if self.looked_at_logs_us is None and any(note.kind == SHELF_ASKED for note in inputs.answers):
             self.looked_at_logs_us = inputs.t_us
         sent: list[MavlinkFrame] = []

@@ -7,32 +7,32 @@ from dataclasses import dataclass, field
 from autopilot import __version__
 from autopilot.command.commander import Commander
 from autopilot.command.equipment import Equipment
+from autopilot.command.margin_check import MarginCheck
 from autopilot.command.photographer import Photographer
-from autopilot.command.readiness import MarginCheck
 from autopilot.command.service import Autopilot
-from autopilot.command.service_parts import Parts
+from autopilot.command.service_parts import ServiceParts
+from autopilot.control.current.current_learning import Basin, EstimatedFlow
+from autopilot.control.current.currents import CurrentForecast, EstimatedCurrent, NoCurrent
 from autopilot.control.energy.request import TrajectoryPlanner
+from autopilot.control.path.workers import BackgroundWorkers
 from autopilot.control.protocol import ControllerContext, create_controller
 from autopilot.control.thrust.actuation import Actuation
-from autopilot.control.water.current_learning import Basin, LearnedCurrent
-from autopilot.control.water.currents import CurrentForecast, EstimatedCurrent, NoCurrent
-from autopilot.control.way.desks import Desks
-from autopilot.core.desk import Desk
+from autopilot.core.background import BackgroundWorker
 from autopilot.core.geodesy import Origin
 from autopilot.core.guard import Guard
 from autopilot.core.markers import MarkerMap
+from autopilot.core.nondeterminism import NondeterminismRecorder, NondeterminismSource
 from autopilot.core.params import ParamSaving, ParamSet
 from autopilot.core.vehicle import Vehicle
-from autopilot.core.witness import Noted, Witness
 from autopilot.estimator.create import create_estimator
-from autopilot.log.directory_reader import LogShelf
+from autopilot.log.directory_reader import LogDirectoryReader
 from autopilot.mavlink.api import SigningStore
 from autopilot.mavlink.server import MavlinkServer
 from autopilot.mission.store import Plans, WaterCheck
 from autopilot.record.estimator_setup import options_of
 from autopilot.run.config import system_id, vehicle_uid
 from autopilot.run.provenance import revision
-from autopilot.run.witnessed import WitnessedSaving, WitnessedShelf, WitnessedStore
+from autopilot.run.recorded_answers import RecordedLogDirectory, WitnessedSaving, WitnessedStore
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -69,7 +69,7 @@ class ServiceSetup:
     """Where parameters are kept that operators set, None = nowhere."""
     signing: SigningStore | None = None
     """Where the signing key is kept, None = nowhere."""
-    shelf: LogShelf | None = None
+    shelf: LogDirectoryReader | None = None
     """The logs that clients may download, None = none."""
     pictures: bool = False
     """Whether there is a camera that delivers pictures."""
@@ -77,7 +77,7 @@ class ServiceSetup:
     """Whether the loop waits for a trajectory that is due (a simulation without pace) or goes on (what is paced)."""
     git: str = field(default_factory=revision)
     """Revision of the code, as clients are told."""
-    witness: Witness = field(default_factory=Noted)
+    nondeterminism: NondeterminismSource = field(default_factory=NondeterminismRecorder)
     """Notes the answers that do not follow from the inputs, for the log; a replay's gives them."""
 
 
@@ -91,32 +91,32 @@ def forecast_of(kind: str, basin: Basin | str, known: Callable[[], CurrentForeca
         case "uniform":
             return EstimatedCurrent()
         case _:
-            return LearnedCurrent(Basin(basin))
+            return EstimatedFlow(Basin(basin))
 
 
-def end_slow_work(parts: Parts, *desks: Desk) -> None:
+def end_slow_work(parts: ServiceParts, *desks: BackgroundWorker) -> None:
     """Nobody wants routes, plans and checks any more: what has not begun does not begin. ``desks``: more to close."""
     try:
         parts.plans.close()
         parts.controller.reset()
     finally:
-        for desk in (*parts.desks, *desks):
-            desk.close()
+        for worker in (*parts.desks, *desks):
+            worker.close()
 
 
 def build_service(
-    setup: ServiceSetup, *, desks: Desks | None = None, trajectories: TrajectoryPlanner | None = None
-) -> tuple[Autopilot, Parts]:
+    setup: ServiceSetup, *, desks: BackgroundWorkers | None = None, trajectories: TrajectoryPlanner | None = None
+) -> tuple[Autopilot, ServiceParts]:
     """The service and its parts (the runtime needs some of them for persistence and the log).
 
     ``desks``: where the controller has its slow work done, a thread per kind of work without any; ``trajectories``:
     who plans by energy, the shipped planner without any.
     """
-    params, vehicle, witness = setup.params, setup.vehicle, setup.witness
-    desks = desks or Desks.beside(patient=setup.waits_for_plans)
-    checks = Desk(ThreadPoolExecutor(1, thread_name_prefix="plans"), patient=setup.waits_for_plans)
-    for name, desk in zip((*desks.names, "plans"), (*desks.lanes, checks), strict=True):
-        desk.witnessed(name, witness)
+    params, vehicle, nondeterminism = setup.params, setup.vehicle, setup.nondeterminism
+    desks = desks or BackgroundWorkers.beside(blocking=setup.waits_for_plans)
+    checks = BackgroundWorker(ThreadPoolExecutor(1, thread_name_prefix="plans"), blocking=setup.waits_for_plans)
+    for name, worker in zip((*desks.names, "plans"), (*desks.executors, checks), strict=True):
+        worker.witnessed(name, nondeterminism)
     plans = Plans(params, vehicle.radius_m, setup.origin, setup.water, checks)
     context = ControllerContext(
         vehicle=vehicle,
@@ -131,12 +131,12 @@ def build_service(
     guard = Guard()
     photographer = Photographer(vehicle) if setup.pictures else None
     equipment = Equipment(vehicle)
-    parts = Parts(
+    parts = ServiceParts(
         equipment=equipment,
         photographer=photographer,
         guard=guard,
-        witness=witness,
-        desks=(*desks.lanes, checks, *(() if setup.shelf is None else (setup.shelf.desk,))),
+        nondeterminism=nondeterminism,
+        desks=(*desks.executors, checks, *(() if setup.shelf is None else (setup.shelf.worker,))),
         vehicle=vehicle,
         params=params,
         plans=plans,
@@ -164,10 +164,10 @@ def build_service(
             links=range(setup.links),
             patience=setup.patience,
             guard=guard,
-            saving=None if setup.saving is None else WitnessedSaving(setup.saving, witness),
-            signing=None if setup.signing is None else WitnessedStore(setup.signing, witness),
-            shelf=None if setup.shelf is None else WitnessedShelf(setup.shelf, witness),
-            witness=witness,
+            saving=None if setup.saving is None else WitnessedSaving(setup.saving, nondeterminism),
+            signing=None if setup.signing is None else WitnessedStore(setup.signing, nondeterminism),
+            shelf=None if setup.shelf is None else RecordedLogDirectory(setup.shelf, nondeterminism),
+            nondeterminism=nondeterminism,
             rates=setup.rates,
             camera=photographer,
             equipment=equipment,

@@ -4,7 +4,7 @@ from collections.abc import Mapping
 
 import msgspec
 
-from autopilot.command.service_parts import Parts
+from autopilot.command.service_parts import ServiceParts
 from autopilot.core.camera import CameraModel
 from autopilot.core.plan import PlanItem, PlanKind
 from autopilot.log.description import AcceptBounds, CameraView, RunDescription, Waypoint, fence_shapes
@@ -13,7 +13,7 @@ from autopilot.mission.items import GoTo, Jump
 from autopilot.mission.store import Plans
 
 
-def describe_service(parts: Parts, place: str) -> RunDescription:
+def describe_service(parts: ServiceParts, place: str) -> RunDescription:
     """What the service knows of its run as things stand now; ``place`` names the site or the scenario."""
     params = parts.params
     waypoints, laps = _tour(parts)
@@ -67,7 +67,7 @@ def plans_json(items: Mapping[PlanKind, tuple[PlanItem, ...]]) -> bytes:
     return msgspec.json.encode({kind.name.lower(): items[kind] for kind in PlanKind})
 
 
-def _tour(parts: Parts) -> tuple[tuple[Waypoint, ...], int | None]:
+def _tour(parts: ServiceParts) -> tuple[tuple[Waypoint, ...], int | None]:
     """The places of one lap, and the laps that the mission asks for (None = it is not a tour of laps)."""
     steps = parts.plans.steps()
     params = parts.params

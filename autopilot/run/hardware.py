@@ -4,7 +4,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Any
 
-from autopilot.core.messages import Below, Severity, ThrusterCommand
+from autopilot.core.messages import FlightControllerState, Severity, ThrusterCommand
 from autopilot.core.payload import PayloadState
 from autopilot.core.samples import CameraFrame, Sample
 from autopilot.core.sensors import SENSOR_ROWS
@@ -110,7 +110,7 @@ class HardwareVehicle:
         if self._below is not None and self._below.attend(t_us):
             self._below.device.hand_back(t_us)
 
-    def stop_below(self, t_us: int) -> None:
+    def disarm_flight_controller(self, t_us: int) -> None:
         """The flight controller below is disarmed, whoever armed it."""
         if self._below is not None and self._below.attend(t_us):
             self._below.device.stop(t_us)
@@ -122,7 +122,7 @@ class HardwareVehicle:
             return True
         return controller.use(t_us, lambda: controller.device.stand_down(t_us), False)
 
-    def below(self, t_us: int) -> Below | None:
+    def below(self, t_us: int) -> FlightControllerState | None:
         """Who has the vehicle, None without a flight controller."""
         if self._below is None:
             return None
@@ -152,7 +152,7 @@ class HardwareVehicle:
         return () if device is None else device.advice()
 
     def _missing(self) -> list[RetryingDevice[Any]]:
-        """Without a flight controller that is only silent: it says itself why (:class:`Below`)."""
+        """Without a flight controller that is only silent: it says itself why (:class:`FlightControllerState`)."""
         away = [device for device in self.devices if device.state is not DeviceState.UP]
         return [device for device in away if device is not self._below or device.state is DeviceState.DOWN]
 

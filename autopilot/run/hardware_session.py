@@ -7,12 +7,12 @@ from typing import Unpack
 
 import msgspec
 
-from autopilot.command.service_parts import Parts
-from autopilot.control.water.currents import NoCurrent
-from autopilot.core.desk import Desk
-from autopilot.core.lane import DaemonLane
+from autopilot.command.service_parts import ServiceParts
+from autopilot.control.current.currents import NoCurrent
+from autopilot.core.background import BackgroundWorker
+from autopilot.core.daemon_executor import DaemonExecutor
 from autopilot.core.marker_files import load_marker_map
-from autopilot.core.messages import Below, Severity
+from autopilot.core.messages import FlightControllerState, Severity
 from autopilot.core.origin_params import params_origin
 from autopilot.core.param_file import PersistentParams, kept_params
 from autopilot.core.params import ParamSet
@@ -25,7 +25,7 @@ from autopilot.run.describe import describe_service
 from autopilot.run.hardware import HardwareVehicle
 from autopilot.run.session import Session, SessionOptions, open_session
 from autopilot.run.vehicle_config import VehicleConfig, apply_parameters
-from autopilot.run.world import Told, WaterTold, World
+from autopilot.run.world import CurrentSource, KnownEnvironment, World
 from autopilot.view.controls import ReadOnly
 
 
@@ -43,7 +43,7 @@ def vehicle_params(
     config: VehicleConfig,
     overrides: dict[str, float],
     instance: int,
-    disk: Desk | None = None,
+    disk: BackgroundWorker | None = None,
 ) -> tuple[ParamSet, PersistentParams, tuple[str, ...]]:
     """Defaults < the file's < saved by earlier runs < command line; as in SITL (:mod:`autopilot.run.sitl_params`)."""
     params = ParamSet()
@@ -73,9 +73,9 @@ class HardwareWorld(World):
         place = config.file.place
         self.settings, self.speed, self._config = settings, speed, config
         self.folder = state_folder(settings, config, instance)
-        self.disk = Desk(DaemonLane("disk"), patient=speed == 0.0)
+        self.disk = BackgroundWorker(DaemonExecutor("disk"), blocking=speed == 0.0)
         self.params, self.persistent, self.warnings = vehicle_params(settings, config, overrides, instance, self.disk)
-        self.told = Told(
+        self.told = KnownEnvironment(
             vehicle=config.vehicle,
             origin=params_origin(self.params),
             markers=None if config.markers is None else load_marker_map(config.markers),
@@ -83,12 +83,12 @@ class HardwareWorld(World):
             currents=forecast_of(place.currents, place.basin, NoCurrent),
             pictures=config.has_camera,
         )
-        self.water = WaterTold(kind=place.currents, basin=place.basin)
+        self.water = CurrentSource(kind=place.currents, basin=place.basin)
         self.plan = None if settings["plan"] is None else Path(settings["plan"])
         self.skips = speed > 0.0
         self.duration_s = settings["duration"]
 
-    def open_device(self, parts: Parts) -> None:
+    def open_device(self, parts: ServiceParts) -> None:
         """Nothing is opened before the first tick."""
         self.device = HardwareVehicle(self._config)
         parts.equipment.leave_out(self.device.unwired)
@@ -96,7 +96,7 @@ class HardwareWorld(World):
     def epoch_ns(self) -> int:
         return time.time_ns()
 
-    def describe(self, parts: Parts) -> RunDescription:
+    def describe(self, parts: ServiceParts) -> RunDescription:
         return describe_service(parts, self._config.file.place.name)
 
     def metadata(self) -> dict[str, str]:
@@ -115,7 +115,7 @@ class HardwareWorld(World):
     def controls(self, clock: PacedClock | LockstepClock) -> ReadOnly:
         return ReadOnly()
 
-    def below(self, t_us: int) -> Below | None:
+    def below(self, t_us: int) -> FlightControllerState | None:
         """The flight controller's word, where there is one."""
         return self.device.below(t_us)
 

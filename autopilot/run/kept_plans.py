@@ -12,16 +12,16 @@ from typing import Protocol
 import numpy as np
 
 from autopilot.core import operator_messages as notices
+from autopilot.core.background import BackgroundWorker
 from autopilot.core.clock import TICK_US
-from autopilot.core.desk import Desk
 from autopilot.core.disk import cause_of
 from autopilot.core.errors import ConfigError, PlanError
 from autopilot.core.frames import FloatArray
 from autopilot.core.geodesy import Origin
 from autopilot.core.latest_value_writer import LatestValueWriter
+from autopilot.core.nondeterminism import NondeterminismRecorder, NondeterminismSource
 from autopilot.core.plan import PlanKind
 from autopilot.core.state_file import Loss, StateFile
-from autopilot.core.witness import Noted, Witness
 from autopilot.mavlink.missions import CLEAR_ORDER
 from autopilot.mission.plan_model import PlanFile
 from autopilot.mission.sequencer import Position
@@ -56,17 +56,22 @@ class KeptPlans(NoticeQueue):
     """Keeps the plans of one service. The writing goes over a desk."""
 
     def __init__(
-        self, path: Path, plans: Plans, vehicle: Restored, desk: Desk | None = None, witness: Witness | None = None
+        self,
+        path: Path,
+        plans: Plans,
+        vehicle: Restored,
+        worker: BackgroundWorker | None = None,
+        nondeterminism: NondeterminismSource | None = None,
     ) -> None:
         """``desk``: the lane of the disk, by default the caller's own time; ``witness`` notes when it has not yet."""
         super().__init__()
-        seen: Witness = Noted() if witness is None else witness
+        seen: NondeterminismSource = NondeterminismRecorder() if nondeterminism is None else nondeterminism
         self._file = StateFile(path)
         self._plans = plans
         self._vehicle = vehicle
-        self._desk = desk or Desk()
-        self._keeper: LatestValueWriter[PlansSnapshot] = LatestValueWriter(
-            self._desk, lambda now: self._file.write(encode(now))
+        self._worker = worker or BackgroundWorker()
+        self._watchdog: LatestValueWriter[PlansSnapshot] = LatestValueWriter(
+            self._worker, lambda now: self._file.write(encode(now))
         )
         self._configured = plans.origin
         self._revision = plans.revision
@@ -79,7 +84,7 @@ class KeptPlans(NoticeQueue):
         """The same for the operator, "" while all is well."""
         self.losses: tuple[Loss, ...] = ()
         """What :meth:`load` has not found again."""
-        plans.keeper = lambda: seen.ask(PLANS_KEPT, True, self._settled)
+        plans.watchdog = lambda: seen.ask(PLANS_KEPT, True, self._settled)
 
     def load(self) -> tuple[str, ...]:
         """Take what was kept, before the loop runs. The result is what an operator should know."""
@@ -103,7 +108,7 @@ class KeptPlans(NoticeQueue):
         elif problems:
             problems.append("there is no plan on board, upload it again")
             lost = _NOT_LOADED
-        self.losses = (Loss(lost, lambda tick: self._desk.run(self._file.accept)),) if lost else ()
+        self.losses = (Loss(lost, lambda tick: self._worker.run(self._file.accept)),) if lost else ()
         return tuple(problems)
 
     def skip(self) -> None:
@@ -118,8 +123,8 @@ class KeptPlans(NoticeQueue):
         same_places = plans.home_ned_m is self._home and plans.origin is self._origin
         if plans.revision != self._revision or not same_places or position != self._position:
             self._note()
-            self._keeper.put(tick, self._snapshot())
-        kept = self._keeper.poll(tick)
+            self._watchdog.put(tick, self._snapshot())
+        kept = self._watchdog.poll(tick)
         if kept is None:
             return
         before, error = self.failure, kept.error
@@ -128,7 +133,7 @@ class KeptPlans(NoticeQueue):
             self._notices.append(notices.PLANS_NOT_SAVED(cause=cause_of(error)))
 
     def finish(self) -> None:
-        self._note_failure(self._keeper.finish())
+        self._note_failure(self._watchdog.finish())
 
     def _note_failure(self, error: Exception | None) -> None:
         self.failure = None if error is None else f"plans are not saved: {self._file.path}: {error}"
@@ -136,7 +141,7 @@ class KeptPlans(NoticeQueue):
 
     def _settled(self) -> bool:
         """Whether what is in force is on disk, or the disk has refused it."""
-        return self._plans.revision == self._revision and not self._keeper.busy
+        return self._plans.revision == self._revision and not self._watchdog.busy
 
     def _take_none(self, home_ned_m: FloatArray) -> None:
         """Back to what a service without stored plans has; that is what is kept from the first tick on."""

@@ -65,10 +65,10 @@ class HandsBack(Protocol):
 
 
 @runtime_checkable
-class StopsBelow(Protocol):
+class DisarmsFlightController(Protocol):
     """A vehicle with a flight controller below us that can be disarmed whoever armed it."""
 
-    def stop_below(self, t_us: int) -> None:
+    def disarm_flight_controller(self, t_us: int) -> None:
         """Called on every tick until its heartbeat shows that it is disarmed."""
         ...
 

@@ -21,32 +21,32 @@ from autopilot.core.errors import DriverError
 from autopilot.core.guard import Fault, Guard
 from autopilot.core.marks import LoopPart, TickTimer
 from autopilot.core.messages import (
-    Below,
     Between,
     DeviceRole,
     DeviceTrouble,
     Event,
+    FlightControllerState,
     Inputs,
     MavlinkFrame,
     Outputs,
     Severity,
     ThrusterCommand,
 )
+from autopilot.core.nondeterminism import Note
 from autopilot.core.samples import CameraFrame, Sample
 from autopilot.core.stills import StoredStill
-from autopilot.core.witness import Note
 from autopilot.drivers.protocols import Link
-from autopilot.estimator.vision_lane import VisionWorker
+from autopilot.estimator.vision_worker import VisionWorker
 from autopilot.run.clocks import DayClock
 from autopilot.run.loop_account import LoopAccount
 from autopilot.run.outside import (
     Actuates,
+    DisarmsFlightController,
     HandsBack,
     HasWatchdog,
     InProcessClient,
     Onlooker,
     Recorder,
-    StopsBelow,
     VehicleIo,
     WeightRelease,
 )
@@ -92,7 +92,7 @@ class Runtime:
         on_tick: Callable[[Outputs], None] = lambda _: None,
         paced: bool = False,
         notices: Callable[[], Sequence[tuple[Severity, str]]] = lambda: (),
-        below: Callable[[int], Below | None] = lambda _: None,
+        below: Callable[[int], FlightControllerState | None] = lambda _: None,
         refusals: Callable[[int], tuple[str, ...]] = lambda _: (),
         skips: bool = False,
         onlooker: Onlooker | None = None,
@@ -125,7 +125,7 @@ class Runtime:
         self._carries = device if isinstance(device, Actuates) else None
         self._below_us = device if isinstance(device, HandsBack) else None
         self._watchdog = device if isinstance(device, HasWatchdog) else None
-        self._stopped_by = device if isinstance(device, StopsBelow) else None
+        self._stopped_by = device if isinstance(device, DisarmsFlightController) else None
         self._vision = vision
         self._outside: tuple[Fault, ...] = ()
         """Exceptions of drivers on this tick."""
@@ -314,8 +314,8 @@ class Runtime:
             self._try(t_us, DeviceRole.THRUSTERS, partial(self._release.release_weight, t_us), None)
         if outputs.payload is not None and self._carries is not None:
             self._try(t_us, DeviceRole.THRUSTERS, partial(self._carries.actuate, t_us, outputs.payload), None)
-        if outputs.stop_below and self._stopped_by is not None:
-            self._try(t_us, DeviceRole.THRUSTERS, partial(self._stopped_by.stop_below, t_us), None)
+        if outputs.disarm_flight_controller and self._stopped_by is not None:
+            self._try(t_us, DeviceRole.THRUSTERS, partial(self._stopped_by.disarm_flight_controller, t_us), None)
         if outputs.hand_back and self._below_us is not None:
             self._try(t_us, DeviceRole.THRUSTERS, partial(self._below_us.hand_back, t_us), None)
 

@@ -10,12 +10,12 @@ from pathlib import Path
 from typing import TypedDict, TypeVar
 
 from autopilot.command.service import Autopilot
-from autopilot.command.service_parts import Parts
+from autopilot.command.service_parts import ServiceParts
 from autopilot.core import operator_messages as notices
+from autopilot.core.background import BackgroundWorker
 from autopilot.core.camera import CameraModel
-from autopilot.core.desk import Desk
+from autopilot.core.daemon_executor import DaemonExecutor
 from autopilot.core.errors import PlanError
-from autopilot.core.lane import DaemonLane
 from autopilot.core.messages import Outputs, Severity
 from autopilot.core.param_file import PersistentParams
 from autopilot.core.vehicle import Vehicle
@@ -23,8 +23,8 @@ from autopilot.drivers.links import open_link, parse_connection
 from autopilot.drivers.protocols import Link
 from autopilot.estimator.frame_filter import FrameFilter
 from autopilot.estimator.vision import MarkerDetector
-from autopilot.estimator.vision_lane import VisionWorker
-from autopilot.log.directory_reader import LogShelf
+from autopilot.estimator.vision_worker import VisionWorker
+from autopilot.log.directory_reader import LogDirectoryReader
 from autopilot.mission.plan_files import read_plan
 from autopilot.mission.store import load_plan
 from autopilot.run.allocator import give_back_large_blocks
@@ -40,7 +40,7 @@ from autopilot.run.session_log import open_recorder
 from autopilot.run.signing_files import SigningFiles
 from autopilot.run.state_check import StateCheck
 from autopilot.run.still_files import StillStore
-from autopilot.run.world import Told, World
+from autopilot.run.world import KnownEnvironment, World
 from autopilot.view.foxglove import FoxgloveServer
 from autopilot.view.hub import Hub
 
@@ -60,7 +60,7 @@ class PersistentState:
     params: PersistentParams
     plans: KeptPlans | None
     """Where the plans are kept, None when they are not."""
-    disk: Desk
+    disk: BackgroundWorker
     """The lane on which they write."""
     signing: SigningFiles | None = None
     """The signing key and its time."""
@@ -71,7 +71,7 @@ class Session:
     world: World
     vehicle: Vehicle
     service: Autopilot
-    parts: Parts
+    parts: ServiceParts
     device: VehicleIo
     runtime: Runtime
     recorder: RunRecorder | NullRecorder
@@ -161,7 +161,7 @@ def open_session(
     service, parts = build_service(setup)
     plans = None
     if world.keeps_plans:
-        plans = KeptPlans(world.folder / "plans.json", parts.plans, parts.commander, disk, parts.witness)
+        plans = KeptPlans(world.folder / "plans.json", parts.plans, parts.commander, disk, parts.nondeterminism)
     warnings = (*world.warnings, *signing.warnings, *_take_plans(parts, world, plans))
     world.open_device(parts)
     with _opened(world.device, settings["connect"], links) as open_links:
@@ -201,11 +201,11 @@ def open_session(
         onlooker=beside or _onlooker(world, parts, clock, view, foxglove),
         hold=world.hold,
         stills=StillStore(recorder, disk, Path(settings["log_dir"])) if told.pictures else None,
-        answers=parts.witness.take,
+        answers=parts.nondeterminism.take,
         mishaps=world.mishaps,
     )
-    for desk in (*parts.desks, disk):
-        desk.idle = runtime.attend
+    for worker in (*parts.desks, disk):
+        worker.idle = runtime.attend
     return kind(
         world=world,
         vehicle=told.vehicle,
@@ -245,13 +245,17 @@ def _service_setup(world: World, instance: int, signing: SigningFiles) -> Servic
         pictures=told.pictures,
         saving=world.persistent,
         signing=signing,
-        shelf=log_shelf(settings, patient=speed == 0.0),
+        shelf=log_shelf(settings, blocking=speed == 0.0),
         rates=link_rates(settings["connect"]),
     )
 
 
 def _onlooker(
-    world: World, parts: Parts, clock: PacedClock | LockstepClock, view: Hub | None, foxglove: FoxgloveServer | None
+    world: World,
+    parts: ServiceParts,
+    clock: PacedClock | LockstepClock,
+    view: Hub | None,
+    foxglove: FoxgloveServer | None,
 ) -> Onlooker | None:
     """The loop's ends of the live view and of other viewers, None without any."""
     told, watched = world.told, world.watched(parts)
@@ -265,11 +269,11 @@ def _onlooker(
     return Onlookers(*found) if found else None
 
 
-def _state_check(parts: Parts, kept: PersistentState) -> StateCheck:
+def _state_check(parts: ServiceParts, kept: PersistentState) -> StateCheck:
     """What is missing of what was kept, or cannot be kept."""
-    keepers = tuple(keeper for keeper in (kept.params, kept.plans, kept.signing) if keeper is not None)
-    losses = [loss for keeper in keepers for loss in keeper.losses]
-    unsaved = [partial(getattr, keeper, "unsaved") for keeper in keepers]
+    keepers = tuple(watchdog for watchdog in (kept.params, kept.plans, kept.signing) if watchdog is not None)
+    losses = [loss for watchdog in keepers for loss in watchdog.losses]
+    unsaved = [partial(getattr, watchdog, "unsaved") for watchdog in keepers]
     return StateCheck(parts.params, kept.folder, kept.disk, losses, unsaved)
 
 
@@ -283,7 +287,7 @@ def link_rates(connections: Sequence[str]) -> dict[int, float]:
     return {number: LINE_SHARE * line.number / 10.0 for number, line in found if line.kind == "serial"}
 
 
-def _take_plans(parts: Parts, world: World, kept: KeptPlans | None) -> tuple[str, ...]:
+def _take_plans(parts: ServiceParts, world: World, kept: KeptPlans | None) -> tuple[str, ...]:
     """The plan to have on board: of a file, else what was kept. The result is what an operator should know.
 
     PlanError if the file is no plan, or cannot be flown though it is to be flown at once.
@@ -318,7 +322,7 @@ def _opened(device: VehicleIo, connections: Sequence[str], links: Sequence[Link]
         raise
 
 
-def _marker_vision(told: Told, *, paced: bool) -> VisionWorker | None:
+def _marker_vision(told: KnownEnvironment, *, paced: bool) -> VisionWorker | None:
     """Detection beside the loop, None when there are no pictures."""
     if told.markers is None:
         return None
@@ -328,7 +332,9 @@ def _marker_vision(told: Told, *, paced: bool) -> VisionWorker | None:
     return VisionWorker(detector, delay_s=0.5 * camera.latency_s, frame_filter=frame_filter, paced=paced)
 
 
-def log_shelf(settings: EffectiveSettings, *, patient: bool) -> LogShelf:
+def log_shelf(settings: EffectiveSettings, *, blocking: bool) -> LogDirectoryReader:
     """The logs of a run's folder. ``patient``: in lockstep the loop waits for the disk."""
     single = None if settings["log"] is None else Path(settings["log"])
-    return LogShelf(Path(settings["log_dir"]), Desk(DaemonLane("files"), patient=patient), single)
+    return LogDirectoryReader(
+        Path(settings["log_dir"]), BackgroundWorker(DaemonExecutor("files"), blocking=blocking), single
+    )

@@ -8,7 +8,7 @@ from pathlib import Path
 import msgspec
 
 from autopilot import __version__
-from autopilot.command.service_parts import Parts
+from autopilot.command.service_parts import ServiceParts
 from autopilot.core.errors import LogError
 from autopilot.core.marker_files import marker_file_text
 from autopilot.core.plan import PlanKind
@@ -31,13 +31,13 @@ from autopilot.run.describe import plan_items, plans_json
 from autopilot.run.plans_format import PlansSnapshot, encode
 from autopilot.run.provenance import revision
 from autopilot.run.recorder import RunRecorder
-from autopilot.run.world import WaterTold, World
+from autopilot.run.world import CurrentSource, World
 
 
 class LogContents:
     """What the logs of a session begin with. What does not change is made once, at the start and not in a tick."""
 
-    def __init__(self, world: World, setup: ServiceSetup, parts: Parts) -> None:
+    def __init__(self, world: World, setup: ServiceSetup, parts: ServiceParts) -> None:
         self._world, self._parts = world, parts
         told = world.told
         self._metadata = {
@@ -86,7 +86,7 @@ class LogContents:
         return made
 
 
-def open_recorder(world: World, setup: ServiceSetup, parts: Parts) -> RunRecorder:
+def open_recorder(world: World, setup: ServiceSetup, parts: ServiceParts) -> RunRecorder:
     """The recorder of a session. LogError if there is no place for its logs.
 
     In lockstep a log is made and finished in the tick, which is the same on every machine; at a speed beside the loop,
@@ -149,7 +149,7 @@ def _make_folder(folder: Path) -> None:
         raise LogError(f"log folder {folder}: cannot be made ({error.strerror}); choose another place") from error
 
 
-def service_attachments(setup: ServiceSetup, parts: Parts, water: WaterTold) -> dict[str, bytes]:
+def service_attachments(setup: ServiceSetup, parts: ServiceParts, water: CurrentSource) -> dict[str, bytes]:
     """All that is needed to make that service again, as it is before its first tick."""
     signing = None if setup.signing is None else setup.signing.state
     record = ServiceRecord(

@@ -9,7 +9,7 @@ import stat
 import time
 from pathlib import Path
 
-from autopilot.core.desk import Desk
+from autopilot.core.background import BackgroundWorker
 from autopilot.core.disk import cause_of
 from autopilot.core.errors import ConfigError
 from autopilot.core.latest_value_writer import LatestValueWriter
@@ -26,12 +26,12 @@ EPOCH_S = 1_420_070_400
 class SigningFiles:
     """One vehicle's. ConfigError for a key that cannot be used: no vehicle is open because a file is damaged."""
 
-    def __init__(self, folder: Path, desk: Desk | None = None, *, now_s: float | None = None) -> None:
+    def __init__(self, folder: Path, worker: BackgroundWorker | None = None, *, now_s: float | None = None) -> None:
         """``desk``: the lane of the disk, None = nothing is written, only looked at; ``now_s``: Unix time."""
         self._key = StateFile(folder / KEY_FILE, copies=False, private=True)
         self._time = StateFile(folder / "signing.time")
         key, warnings = self._read_key()
-        kept, problems = self._time.read(_parse_time, set_aside=desk is not None)
+        kept, problems = self._time.read(_parse_time, set_aside=worker is not None)
         if problems and kept is not None:
             kept += AHEAD_UNITS  # the copy before the last: the last was at most so much later
         self.warnings = (*warnings, *problems)
@@ -41,17 +41,17 @@ class SigningFiles:
         clock = max(0, round(((time.time() if now_s is None else now_s) - EPOCH_S) * UNITS_PER_S))
         self._state = SigningState(key, max(kept or 0, clock))
         self._written = key
-        self._desk = desk or Desk()
-        self._keeper: LatestValueWriter[SigningState] = LatestValueWriter(self._desk, self._write)
+        self._worker = worker or BackgroundWorker()
+        self._watchdog: LatestValueWriter[SigningState] = LatestValueWriter(self._worker, self._write)
         self.unsaved = ""
         """Why the time is not on disk, "" while it is."""
-        if key is not None and desk is not None:
+        if key is not None and worker is not None:
             self._begin(lost=bool(problems) or self._time.lost)
 
     def _begin(self, *, lost: bool) -> None:
         if lost:
             text = "signing time damaged, the machine's clock is in force"
-            self.losses = (Loss(text, lambda tick: self._desk.run(self._time.accept)),)
+            self.losses = (Loss(text, lambda tick: self._worker.run(self._time.accept)),)
         try:
             self._write(SigningState(self._state.key, self._state.stamp + AHEAD_UNITS))
         except OSError as error:
@@ -79,17 +79,17 @@ class SigningFiles:
         return self._state
 
     def keep(self, tick: int, state: SigningState) -> None:
-        self._keeper.put(tick, state)
+        self._watchdog.put(tick, state)
 
     def poll(self, tick: int) -> Saved | None:
-        kept = self._keeper.poll(tick)
+        kept = self._watchdog.poll(tick)
         if kept is None:
             return None
         self._note(kept.error)
         return Saved(number=kept.number, failure="" if kept.error is None else cause_of(kept.error))
 
     def finish(self) -> None:
-        self._note(self._keeper.finish())
+        self._note(self._watchdog.finish())
 
     def write_key(self, key: bytes | None) -> None:
         """Another key, None = none, at once. ConfigError when the disk does not take it."""

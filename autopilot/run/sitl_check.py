@@ -10,14 +10,14 @@ from autopilot.core.geodesy import Origin
 from autopilot.core.geometry import Fence
 from autopilot.core.params import ParamSet
 from autopilot.core.vehicle import Vehicle, load_vehicle
-from autopilot.core.vehicle_facts import facts_of
+from autopilot.core.vehicle_summary import facts_of
 from autopilot.mission.fence import FenceShape, build_fence
 from autopilot.mission.items import GoTo, Step
-from autopilot.mission.judgement import judge_file
+from autopilot.mission.plan_check import judge_file
 from autopilot.mission.plan_files import read_plan
 from autopilot.run.sitl_console import unknown_obstacles
 from autopilot.run.sitl_fence import scenario_plan
-from autopilot.sitl.contact import SolidSurroundings
+from autopilot.sitl.contact import SolidGeometry
 from autopilot.sitl.environment import build_world
 from autopilot.sitl.plant import build_plant
 from autopilot.sitl.scenario import plan_path
@@ -124,7 +124,7 @@ def _fence(shapes: tuple[FenceShape, ...], params: ParamSet) -> Fence:
 def _room_at_start(scenario: Scenario, vehicle: Vehicle) -> list[str]:
     """Whether the vehicle's ball is free where it starts (the hull is, or there would be no plant)."""
     world = build_world(scenario)
-    around = SolidSurroundings(
+    around = SolidGeometry(
         polygon_ned_m=world.polygon_ned_m,
         floor_m=None,
         solids=world.solids,

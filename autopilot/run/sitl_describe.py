@@ -5,7 +5,7 @@ from dataclasses import fields, replace
 from typing import Any
 
 from autopilot import __version__
-from autopilot.command.service_parts import Parts
+from autopilot.command.service_parts import ServiceParts
 from autopilot.control.protocol import find_controller
 from autopilot.core.plugins import Plugin
 from autopilot.estimator.create import find_estimator
@@ -18,7 +18,7 @@ from autopilot.sitl.scenario_tables import Obstacle as SolidTable
 
 
 def describe_run(
-    scenario: Scenario, parts: Parts, *, seed: int, speed: float, origins: Mapping[str, PartOrigin] | None = None
+    scenario: Scenario, parts: ServiceParts, *, seed: int, speed: float, origins: Mapping[str, PartOrigin] | None = None
 ) -> RunDescription:
     """The description of a simulated run as things stand now. ``origins``: of controller, estimator and plant."""
     tank = scenario.tank

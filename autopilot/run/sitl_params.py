@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from autopilot.core.desk import Desk
+from autopilot.core.background import BackgroundWorker
 from autopilot.core.origin_params import set_origin_deg
 from autopilot.core.param_file import PersistentParams, kept_params
 from autopilot.core.params import ParamSet
@@ -24,7 +24,7 @@ def sitl_params(
     scenario: Scenario,
     overrides: dict[str, float],
     instance: int,
-    disk: Desk | None = None,
+    disk: BackgroundWorker | None = None,
 ) -> tuple[ParamSet, PersistentParams, tuple[str, ...]]:
     """Defaults < scenario's origin, tank, disturbance bounds and parameters < saved by earlier runs < command line.
 

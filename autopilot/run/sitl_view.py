@@ -12,7 +12,7 @@ from concurrent.futures import TimeoutError as NoAnswer
 import msgspec
 import numpy as np
 
-from autopilot.command.service_parts import Parts
+from autopilot.command.service_parts import ServiceParts
 from autopilot.core import operator_messages as notices
 from autopilot.core.errors import ConfigError
 from autopilot.log.description import RunDescription
@@ -35,7 +35,7 @@ from autopilot.view.controls import (
     ViewError,
 )
 from autopilot.view.feed import TruthSeen
-from autopilot.view.shown import FaultOffer, FlowView, Solid, Steerable
+from autopilot.view.page_state import FaultOffer, FlowView, Solid, Steerable
 
 ANSWER_S = 5.0
 """The loop answers an ask in that time, or is busy."""
@@ -46,7 +46,7 @@ OPEN_WATER_M = 10.0
 
 
 class WatchedSitl(WatchedService):
-    def __init__(self, parts: Parts, describe: Callable[[], RunDescription], vehicle: SimulatedVehicle) -> None:
+    def __init__(self, parts: ServiceParts, describe: Callable[[], RunDescription], vehicle: SimulatedVehicle) -> None:
         super().__init__(parts, describe)
         self._vehicle = vehicle
 
@@ -214,7 +214,7 @@ class Steering(NoticeQueue):
             fault: Fault = msgspec.convert({**table, "at_s": 1e-6 * t_us}, Fault)
         except msgspec.ValidationError as error:
             raise ViewError(f"fault: {error}") from error
-        self._vehicle.suffer(fault)
+        self._vehicle.begin_fault(fault)
         which = (str(table[name]) for name in ("thruster", "looks") if name in table)
         return " ".join((f"Fault {fault.__struct_config__.tag}", *which))
 

@@ -8,17 +8,17 @@ from typing import Literal, cast
 import msgspec
 
 from autopilot.command.map_check import MapCheck, open_map
-from autopilot.command.service_parts import Parts
-from autopilot.control.water.current_map import CurrentMap
-from autopilot.control.water.currents import CurrentForecast, MappedCurrent, PointwiseField
-from autopilot.control.water.water_tuning import CURRENTS
-from autopilot.core.desk import Desk
+from autopilot.command.service_parts import ServiceParts
+from autopilot.control.current.current_map import CurrentMap
+from autopilot.control.current.current_tuning import CURRENTS
+from autopilot.control.current.currents import CurrentForecast, MappedCurrent, PointwiseField
+from autopilot.core.background import BackgroundWorker
+from autopilot.core.daemon_executor import DaemonExecutor
 from autopilot.core.errors import ConfigError
 from autopilot.core.geodesy import Origin
-from autopilot.core.lane import DaemonLane
 from autopilot.core.marker_files import load_marker_map
 from autopilot.core.markers import MarkerMap
-from autopilot.core.messages import Below, Inputs, Severity, ThrusterCommand
+from autopilot.core.messages import FlightControllerState, Inputs, Severity, ThrusterCommand
 from autopilot.core.origin_params import params_origin
 from autopilot.core.payload import PayloadState
 from autopilot.core.samples import CameraFrame, Sample
@@ -33,10 +33,10 @@ from autopilot.run.sitl_describe import describe_run, part_origins
 from autopilot.run.sitl_fence import scenario_plan
 from autopilot.run.sitl_params import sitl_params, state_folder
 from autopilot.run.sitl_view import Steering, WatchedSitl
-from autopilot.run.world import Told, WaterTold, World
+from autopilot.run.world import CurrentSource, KnownEnvironment, World
 from autopilot.sitl.backend import SimulatedVehicle, simulated_vehicle
 from autopilot.sitl.current_fields import current_field
-from autopilot.sitl.floor import told_floor_m, told_markers
+from autopilot.sitl.floor import given_floor_m, given_markers
 from autopilot.sitl.hil import Wire, wires
 from autopilot.sitl.machine_faults import MachineFaults
 from autopilot.sitl.operator import ScriptedOperator
@@ -83,7 +83,7 @@ class SimulatedDevice:
         self._armed = command.armed
         self._vehicle.write(command.pwm_us[: self._thrusters])
 
-    def below(self, t_us: int) -> Below | None:
+    def below(self, t_us: int) -> FlightControllerState | None:
         """What the flight controller below says, in a scenario that has one."""
         return self._vehicle.below(t_us, armed=self._armed)
 
@@ -107,7 +107,7 @@ class SimulatedWorld(World):
             scenario = with_vehicle(scenario, settings["vehicle"], "--vehicle")
         self.settings, self.scenario, self.speed = settings, scenario, float(settings["speed"])
         self.folder = state_folder(settings, instance)
-        self.disk = Desk(DaemonLane("disk"), patient=self.speed == 0.0)
+        self.disk = BackgroundWorker(DaemonExecutor("disk"), blocking=self.speed == 0.0)
         self.params, self.persistent, self.warnings = sitl_params(settings, scenario, overrides, instance, self.disk)
         self.seed: int = scenario.scenario.seed if settings["seed"] is None else settings["seed"]
         vehicle = load_vehicle(scenario.vehicle.model)
@@ -117,11 +117,11 @@ class SimulatedWorld(World):
         self._map = _map(settings, scenario, origin)
         markers = _told_markers(settings, scenario, self._vehicle.markers)
         kind, basin = knowledge(settings, scenario), settings["basin"] or scenario.controller.basin
-        self.told = Told(
+        self.told = KnownEnvironment(
             vehicle=vehicle,
             origin=origin,
             markers=markers,
-            floor_depth_m=told_floor_m(scenario),
+            floor_depth_m=given_floor_m(scenario),
             # Without a map file a map is the scenario's own formula.
             currents=forecast_of(
                 kind, basin, lambda: formula(scenario) if self._map is None else MappedCurrent(self._map)
@@ -131,7 +131,7 @@ class SimulatedWorld(World):
             controller=scenario.plugins.controller,
             estimator=scenario.plugins.estimator,
         )
-        self.water = WaterTold(
+        self.water = CurrentSource(
             kind=kind,
             basin=basin,
             map_file=None if self._map is None else map_path(settings, scenario),
@@ -151,7 +151,7 @@ class SimulatedWorld(World):
         self._machine = MachineFaults(scenario.fault)
         self.steering: Steering | None = None
 
-    def open_device(self, parts: Parts) -> None:
+    def open_device(self, parts: ServiceParts) -> None:
         self.device = self.truth_source = SimulatedDevice(self._vehicle, len(self.told.vehicle.thrusters))
 
     def epoch_ns(self) -> int:
@@ -162,7 +162,7 @@ class SimulatedWorld(World):
         """With the fence that the scenario draws."""
         return scenario_plan(plan, self.scenario)
 
-    def describe(self, parts: Parts) -> RunDescription:
+    def describe(self, parts: ServiceParts) -> RunDescription:
         return describe_run(self.scenario, parts, seed=self.seed, speed=self.speed, origins=self._parts)
 
     def metadata(self) -> dict[str, str]:
@@ -180,7 +180,7 @@ class SimulatedWorld(World):
     def attachments(self) -> dict[str, bytes]:
         return {"scenario.json": msgspec.json.encode(self.scenario)}
 
-    def watched(self, parts: Parts) -> WatchedSitl:
+    def watched(self, parts: ServiceParts) -> WatchedSitl:
         return WatchedSitl(parts, lambda: self.describe(parts), self._vehicle)
 
     def controls(self, clock: PacedClock | LockstepClock) -> Steering:
@@ -190,7 +190,7 @@ class SimulatedWorld(World):
     def truth(self) -> Truth:
         return self._vehicle.truth
 
-    def below(self, t_us: int) -> Below | None:
+    def below(self, t_us: int) -> FlightControllerState | None:
         """A flight controller's word, in a scenario that has one."""
         return self.device.below(t_us)
 
@@ -244,7 +244,7 @@ def _wires(settings: EffectiveSettings) -> frozenset[Wire]:
 def _told_markers(settings: EffectiveSettings, scenario: Scenario, true: MarkerMap | None) -> MarkerMap | None:
     """The map of ``--markers``, else what the scenario gives to the vehicle. ConfigError if there is no use for it."""
     if settings["markers"] is None:
-        return None if true is None else told_markers(scenario)
+        return None if true is None else given_markers(scenario)
     if true is None:
         raise ConfigError("--markers needs pictures, and this run has none; use --sensors camera or leave it out")
     return load_marker_map(Path(settings["markers"]))

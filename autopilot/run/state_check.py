@@ -11,8 +11,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from autopilot.core import operator_messages as notices
+from autopilot.core.background import BackgroundTask, BackgroundWorker, Cancel
 from autopilot.core.clock import TICK_US
-from autopilot.core.desk import Cancel, Desk, Ticket
 from autopilot.core.disk import cause_of
 from autopilot.core.latest_value_writer import KEEP_TICKS, RETRY_TICKS
 from autopilot.core.params import ParamSet
@@ -60,14 +60,14 @@ class StateCheck(NoticeQueue):
         self,
         params: ParamSet,
         folder: Path,
-        desk: Desk,
+        worker: BackgroundWorker,
         losses: Sequence[Loss],
         unsaved: Sequence[Callable[[], str]] = (),
     ) -> None:
         """``desk``: the lane of the disk; ``losses``: found at the start; ``unsaved``: asked what is not being kept at
         the moment, "" = all is."""
         super().__init__()
-        self._params, self._folder, self._desk = params, folder, desk
+        self._params, self._folder, self._worker = params, folder, worker
         self._unsaved = unsaved
         self._count = 0
         self._open: dict[str, _Open] = {}
@@ -75,7 +75,7 @@ class StateCheck(NoticeQueue):
         self._accepted = -1.0
         self._reasons: tuple[str, ...] = ()
         self._disk = probe(folder)
-        self._probing: Ticket[str] | None = None
+        self._probing: BackgroundTask[str] | None = None
         self._probe_at = RETRY_TICKS
         for loss in losses:
             self._begin(loss.text, loss)
@@ -129,7 +129,7 @@ class StateCheck(NoticeQueue):
             def work(folder: Path, _: Cancel) -> str:
                 return probe(folder)
 
-            self._probing = self._desk.submit(tick + KEEP_TICKS, work, self._folder)
+            self._probing = self._worker.submit(tick + KEEP_TICKS, work, self._folder)
             return
         answer = self._probing.poll(tick)
         if answer is not None:

@@ -11,8 +11,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Protocol
 
+from autopilot.core.background import BackgroundTask, BackgroundWorker, Cancel
 from autopilot.core.clock import TICK_US
-from autopilot.core.desk import Cancel, Desk, Ticket
 from autopilot.core.errors import LogError
 from autopilot.core.samples import CameraFrame
 from autopilot.core.stills import CameraReport, StoredStill
@@ -53,15 +53,15 @@ class _Picture:
 class StillStore:
     """The runtime's end of :class:`autopilot.command.photographer.Photographer`. Called once per tick."""
 
-    def __init__(self, log: StillLog, desk: Desk, folder: Path) -> None:
+    def __init__(self, log: StillLog, worker: BackgroundWorker, folder: Path) -> None:
         """``folder``: of all logs; paths for clients are below it."""
-        self._log, self._desk, self._folder = log, desk, folder
+        self._log, self._worker, self._folder = log, worker, folder
         self._asked: deque[tuple[int, int]] = deque()
         """Number and time of what has been asked for and not been exposed."""
-        self._writing: list[tuple[StoredStill, Ticket[bytes]]] = []
+        self._writing: list[tuple[StoredStill, BackgroundTask[bytes]]] = []
         self._done: list[StoredStill] = []
         self._frame_us: int | None = None
-        self._space: Ticket[tuple[int, int]] | None = None
+        self._space: BackgroundTask[tuple[int, int]] | None = None
         self._total_bytes = self._free_bytes = 0
         self._space_tick = 0
 
@@ -76,8 +76,8 @@ class StillStore:
         while self._asked and t_us - self._asked[0][1] > WAIT_US:
             index, _ = self._asked.popleft()
             self._fail(index, t_us, "camera delivers no picture")
-        for still, ticket in self._writing:
-            answer = ticket.poll(tick)
+        for still, task in self._writing:
+            answer = task.poll(tick)
             if answer is None:
                 continue
             if answer.error is not None or answer.value is None:
@@ -85,7 +85,7 @@ class StillStore:
                 continue
             self._log.still(still.exposure_us, answer.value)
             self._done.append(replace(still, size=len(answer.value)))
-        self._writing = [(still, ticket) for still, ticket in self._writing if ticket.open]
+        self._writing = [(still, task) for still, task in self._writing if task.open]
         done, self._done = tuple(self._done), []
         return done
 
@@ -124,7 +124,7 @@ class StillStore:
             height_px=int(rows),
         )
         picture = _Picture(pixels=frame.image_bgr.copy(), file=file)
-        self._writing.append((still, self._desk.submit(tick + DUE_TICKS, _store, picture)))
+        self._writing.append((still, self._worker.submit(tick + DUE_TICKS, _store, picture)))
 
     def _path_for_clients(self, file: Path) -> str:
         """As :class:`autopilot.log.directory_reader.LogShelf` names it."""
@@ -146,7 +146,7 @@ class StillStore:
         elif tick >= self._space_tick:
             self._space_tick = tick + SPACE_TICKS
             log = self._log.path
-            self._space = self._desk.submit(tick + 1, _space, self._folder if log is None else log.parent)
+            self._space = self._worker.submit(tick + 1, _space, self._folder if log is None else log.parent)
 
 
 def _store(picture: _Picture, cancel: Cancel) -> bytes:

@@ -8,13 +8,13 @@ from collections.abc import Callable, Hashable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from autopilot.command.service_parts import Parts
-from autopilot.control.water.currents import CurrentForecast
-from autopilot.core.desk import Desk
+from autopilot.command.service_parts import ServiceParts
+from autopilot.control.current.currents import CurrentForecast
+from autopilot.core.background import BackgroundWorker
 from autopilot.core.geodesy import Origin
 from autopilot.core.geometry import Fence
 from autopilot.core.markers import MarkerMap
-from autopilot.core.messages import Below, Inputs, Severity
+from autopilot.core.messages import FlightControllerState, Inputs, Severity
 from autopilot.core.param_file import PersistentParams
 from autopilot.core.params import ParamSet
 from autopilot.core.vehicle import Vehicle
@@ -28,11 +28,11 @@ from autopilot.run.outside import InProcessClient, VehicleIo
 from autopilot.run.recorder import TruthSource
 from autopilot.view.controls import Controls
 from autopilot.view.feed import TruthSeen
-from autopilot.view.shown import Solid
+from autopilot.view.page_state import Solid
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class Told:
+class KnownEnvironment:
     """What a service is told of its vehicle and of the place, and nothing of the truth. The fields are those of
     :class:`autopilot.run.compose.ServiceSetup`; ``controller`` and ``estimator`` are those that fly unless the
     settings name others."""
@@ -49,8 +49,8 @@ class Told:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class WaterTold:
-    """From what :attr:`Told.currents` was made, for the log."""
+class CurrentSource:
+    """From what :attr:`KnownEnvironment.currents` was made, for the log."""
 
     kind: str
     basin: str
@@ -61,7 +61,7 @@ class WaterTold:
 class WatchedService:
     """A service; ``describe`` makes the description of now."""
 
-    def __init__(self, parts: Parts, describe: Callable[[], RunDescription]) -> None:
+    def __init__(self, parts: ServiceParts, describe: Callable[[], RunDescription]) -> None:
         self._parts = parts
         self._describe = describe
 
@@ -87,13 +87,13 @@ class World(ABC):
     """One world; used by one session."""
 
     settings: EffectiveSettings
-    told: Told
-    water: WaterTold
+    told: KnownEnvironment
+    water: CurrentSource
     speed: float
     """1 on hardware, 0 = as fast as possible."""
     folder: Path
     """What an instance keeps between runs."""
-    disk: Desk
+    disk: BackgroundWorker
     """The lane on which that is written."""
     params: ParamSet
     persistent: PersistentParams
@@ -113,18 +113,18 @@ class World(ABC):
     """It does not wait for a loop that is late."""
     duration_s: float | None
     markers_from_file: bool = True
-    """:attr:`Told.markers` stand in a file of their own."""
+    """:attr:`KnownEnvironment.markers` stand in a file of their own."""
 
     @abstractmethod
     def epoch_ns(self) -> int:
         """Log time of the vehicle's time zero, asked when the devices are open."""
 
     @abstractmethod
-    def open_device(self, parts: Parts) -> None:
+    def open_device(self, parts: ServiceParts) -> None:
         """The vehicle's devices, for that service."""
 
     @abstractmethod
-    def describe(self, parts: Parts) -> RunDescription:
+    def describe(self, parts: ServiceParts) -> RunDescription:
         """The run as things stand now."""
 
     @abstractmethod
@@ -136,14 +136,14 @@ class World(ABC):
         """The files that its logs hold of it."""
 
     @abstractmethod
-    def below(self, t_us: int) -> Below | None:
+    def below(self, t_us: int) -> FlightControllerState | None:
         """Who has the vehicle at a time, where there is a flight controller below."""
 
     def finish_plan(self, plan: PlanFile) -> tuple[PlanFile, tuple[str, ...]]:
         """What becomes of a plan from a file before it is taken, and a word about that."""
         return plan, ()
 
-    def watched(self, parts: Parts) -> WatchedService:
+    def watched(self, parts: ServiceParts) -> WatchedService:
         """What viewers see of it."""
         return WatchedService(parts, lambda: self.describe(parts))
 

@@ -7,7 +7,7 @@ come ten times per second. Rates stand in the vehicle file; what has none there 
 from autopilot.core.sensors import SENSOR_ROWS
 from autopilot.core.vehicle import Vehicle
 from autopilot.view.feed import CAMERA, FRAME_S, PICTURE_S
-from autopilot.view.shown import AgeLimits
+from autopilot.view.page_state import AgeLimits
 
 MISSED = 5
 """So many in a row that did not come are no accident."""

@@ -10,7 +10,7 @@ import msgspec
 
 from autopilot.core.errors import AutopilotError
 from autopilot.core.toml_table import Table
-from autopilot.view.shown import FlowView, Point2, Steerable
+from autopilot.view.page_state import FlowView, Point2, Steerable
 
 MAX_SPEED, MIN_SPEED = 20.0, 0.1
 MAX_FLOW_M_S = 1.0

@@ -17,7 +17,7 @@ from autopilot.view.ages import CONTROL_S, UNKNOWN_S, age_limits, sensor_limits_
 from autopilot.view.controls import Steered
 from autopilot.view.feed import CapturedPicture as TakenPicture
 from autopilot.view.feed import TickSnapshot, TruthSeen
-from autopilot.view.shown import (
+from autopilot.view.page_state import (
     BatteryView,
     Control,
     DeviceView,

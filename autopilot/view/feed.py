@@ -29,7 +29,7 @@ from autopilot.core.messages import (
 from autopilot.core.samples import CameraFrame, MarkerSighting, ObstacleTrack, PowerSample, Sample
 from autopilot.core.sensors import SENSOR_ROWS, SensorRow
 from autopilot.log.description import RunDescription
-from autopilot.view.shown import Solid
+from autopilot.view.page_state import Solid
 
 FRAME_S = 0.1
 """Real time between two frames of the page."""

@@ -2,8 +2,8 @@
 
 import numpy as np
 
+from autopilot.control.path.planner import Planner
 from autopilot.control.protocol import Controller, ControllerContext, simple_output
-from autopilot.control.way.planner import Planner
 from autopilot.core.frames import wrap_pi
 
 

@@ -29,7 +29,7 @@ from autopilot.sitl.camera_sensor import SimCamera
 from autopilot.sitl.floor import build_floor
 from autopilot.sitl.plant import build_plant
 from autopilot.sitl.scenario import load_scenario
-from autopilot.sitl.sensor_tables import CameraLook
+from autopilot.sitl.sensor_tables import ImageModel
 from tests.bench.estimator_images import (
     GUESS_SIGMA_M,
     GUESS_SIGMA_RAD,
@@ -140,7 +140,7 @@ def _rendered(dictionary: str, count: int, seed: int) -> Iterator[_Picture]:
     rng = np.random.default_rng(seed)
     for k in range(count):
         if k % LOOK_EVERY == 0:
-            look = CameraLook(turbidity_1_m=float(rng.uniform(*TURBIDITY_1_M)))
+            look = ImageModel(turbidity_1_m=float(rng.uniform(*TURBIDITY_1_M)))
             renderer = SimCamera(camera, floor, look, int(rng.integers(1 << 30)))
         below_m = float(camera.position_frd_m[2]) + rng.uniform(*HEIGHT_M)
         pos = np.array([*(rng.uniform(-1.0, 1.0, 2) * [2.4, 1.4]), floor.depth_m - below_m])

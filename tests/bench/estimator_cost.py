@@ -12,7 +12,7 @@ from autopilot.core.messages import NavState
 from autopilot.core.samples import MarkerSighting, Sample
 from autopilot.estimator.create import create_estimator
 from autopilot.run.sitl_session import SitlSession
-from autopilot.sitl.floor import told_markers
+from autopilot.sitl.floor import given_markers
 from tests.bench.estimator_figures import EstimatorBenchRow, Limit, verdict
 from tests.bench.estimator_flights import FlightSpec, open_flight, watch
 
@@ -32,7 +32,7 @@ class _Timed:
 
     def __init__(self, session: SitlSession, sensors: str) -> None:
         scenario = session.scenario
-        markers = told_markers(scenario) if sensors == "camera" else None
+        markers = given_markers(scenario) if sensors == "camera" else None
         floor_m = None if scenario.tank is None else scenario.tank.depth_m
         self._estimator = create_estimator("ekf", session.vehicle, markers, floor_depth_m=floor_m, shadow=True)
         self.nav: NavState | None = None

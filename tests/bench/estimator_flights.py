@@ -27,7 +27,7 @@ from autopilot.mission.paper import paper_plan
 from autopilot.mission.plan_files import write_plan
 from autopilot.run.config import flight_settings
 from autopilot.run.sitl_session import SitlSession, open_sitl
-from autopilot.sitl.floor import told_markers
+from autopilot.sitl.floor import given_markers
 from autopilot.sitl.scenario import scenario_path
 from autopilot.sitl.toml_text import toml_text
 from tests.bench.estimator_figures import Watched
@@ -103,7 +103,7 @@ class _Watcher:
     def __init__(self, name: str, session: SitlSession, sensors: str) -> None:
         scenario = session.scenario
         self._core = _OpenCore()
-        markers = told_markers(scenario) if sensors == "camera" else None
+        markers = given_markers(scenario) if sensors == "camera" else None
         floor_depth_m = None if scenario.tank is None else scenario.tank.depth_m
         self._engine = AidedEstimator(self._core, session.vehicle, markers, floor_depth_m, OPTIONS[name])
         self._alter: Callable[[Sample], Sample] = _shifted if name == SHIFTED else lambda sample: sample

@@ -25,7 +25,7 @@ from autopilot.sitl.camera_sensor import SimCamera
 from autopilot.sitl.floor import Floor, build_floor
 from autopilot.sitl.plant import Truth, build_plant
 from autopilot.sitl.scenario import load_scenario
-from autopilot.sitl.sensor_tables import CameraLook
+from autopilot.sitl.sensor_tables import ImageModel
 from tests.bench.estimator_figures import Limit, rms
 
 SCENARIO, VEHICLE = "paper-tank", "lbv150"
@@ -128,7 +128,7 @@ class ImageBench:
     def cell(self, turbidity_1_m: float, height_m: float, places: int, slow: float) -> ImageRow:
         """All places of one height in one water."""
         seed = round(1000 * height_m)
-        renderer = SimCamera(self._camera, self._floor, CameraLook(turbidity_1_m=turbidity_1_m), seed)
+        renderer = SimCamera(self._camera, self._floor, ImageModel(turbidity_1_m=turbidity_1_m), seed)
         rng = np.random.default_rng(seed)
         return _row(turbidity_1_m, height_m, [self._shot(renderer, height_m, k, rng) for k in range(places)], slow)
 

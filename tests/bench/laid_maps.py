@@ -26,7 +26,7 @@ from autopilot.core.vehicle import Vehicle, load_vehicle
 from autopilot.estimator.create import create_estimator
 from autopilot.log.analysis import VehicleTrack, load_flight
 from autopilot.log.reader import open_log
-from autopilot.sitl.floor import sheets_moved, sheets_of, told_markers
+from autopilot.sitl.floor import given_markers, sheets_moved, sheets_of
 from autopilot.sitl.scenario import load_scenario
 from tests.bench.estimator_flights import BASE, FlightSpec, open_flight, watch
 
@@ -115,7 +115,7 @@ def record(seed: int, duration_s: float = RECORDED_S) -> Recording:
         session.run()
         truth = load_flight(open_log(log)).truth
     scenario = load_scenario(BASE)
-    plan = told_markers(scenario)
+    plan = given_markers(scenario)
     assert truth is not None
     assert plan is not None
     assert scenario.tank is not None

@@ -12,8 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from autopilot.analysis.estimates import estimate_of
+from autopilot.control.constraints.obstacles import clearance_m
 from autopilot.control.controller import MotionController
-from autopilot.control.fence.obstacles import clearance_m
 from autopilot.control.nmpc.ocp import discrete_dynamics
 from autopilot.core.frames import FloatArray
 from autopilot.core.geometry import Circle, Fence, Polygon

@@ -2,7 +2,7 @@
 
 import pytest
 
-from autopilot.control.fence.obstacles import clearance_m
+from autopilot.control.constraints.obstacles import clearance_m
 from tests.bench.pockets import WORLDS, bench_pockets, starts
 
 

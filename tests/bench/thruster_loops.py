@@ -18,11 +18,11 @@ import numpy as np
 from autopilot.control.thrust.allocation import Allocation
 from autopilot.control.thrust.thrust_tuning import LOSSES
 from autopilot.control.thrust.thruster_health import ThrusterHealth, usable
+from autopilot.core.control_allocator import ControlAllocator
 from autopilot.core.frames import FloatArray, wrap_pi
 from autopilot.core.messages import NavHealth, NavState
 from autopilot.core.model4 import Model4, body_acceleration
 from autopilot.core.response import Response
-from autopilot.core.sharing import Sharing
 from autopilot.core.vehicle import Vehicle, load_vehicle
 from autopilot.sitl.current_fields import current_field
 from autopilot.sitl.environment import SimulatedWaters
@@ -122,7 +122,7 @@ class _Pilot:
     def __init__(self, rng: np.random.Generator, model: Model4) -> None:
         self._rng = rng
         self._model = model
-        self._sharing = Sharing(model)
+        self._allocator = ControlAllocator(model)
         self._until_s = 0.0
         self._target = np.zeros(4)
         self._speed = 0.3
@@ -146,7 +146,7 @@ class _Pilot:
         now = (*(float(v) for v in nav.vel_water_frd_m_s), float(nav.rate_frd_rad_s[2]))
         drift = body_acceleration(model, wanted, (0.0,) * model.thrusters, math)
         force = [m * (1.5 * (w - v) - a) for m, w, v, a in zip(model.mass_kg, wanted, now, drift, strict=True)]
-        return self._sharing.thrust_n(np.array(force), np.full(model.thrusters, 11.0))
+        return self._allocator.thrust_n(np.array(force), np.full(model.thrusters, 11.0))
 
     def _choose(self, t_s: float) -> None:
         rng = self._rng

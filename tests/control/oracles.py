@@ -7,19 +7,19 @@ from typing import Any
 import numpy as np
 
 from autopilot.control.bounds import SLOWEST_CAP_M_S
+from autopilot.control.current.current_learning import FlowFit
+from autopilot.control.current.currents import correction_share
 from autopilot.control.energy.energy_tuning import TRACK
 from autopilot.control.energy.trajectory import Trajectory
 from autopilot.control.nmpc.grid import TimeGrid
+from autopilot.control.path.path_tuning import REFERENCE
+from autopilot.control.path.reference import ReferenceTarget
 from autopilot.control.robust.ancillary import Ancillary
 from autopilot.control.robust.disturbance import DisturbanceBound, EstimateSpread, channel_variances
 from autopilot.control.robust.inner import plan_error
 from autopilot.control.robust.robust_tuning import TUBE
 from autopilot.control.robust.tightening import BackOffs, FixedMargins
 from autopilot.control.robust.tube import SPEED_SHARE, TubeMargins, TubeTable
-from autopilot.control.water.current_learning import FlowFit
-from autopilot.control.water.currents import correction_share
-from autopilot.control.way.reference import ReferenceTarget
-from autopilot.control.way.way_tuning import REFERENCE
 from autopilot.core.frames import FloatArray, unwrap_near
 from autopilot.core.messages import NavState
 from autopilot.core.model4 import NX, YAW, U, Z

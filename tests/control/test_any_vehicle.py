@@ -18,13 +18,13 @@ from autopilot.control.nmpc.native import NativeStep
 from autopilot.control.nmpc.solver import QpStep, passes_self_test
 from autopilot.control.robust.fallback import station_keeping_thrust
 from autopilot.control.thrust.thruster_health import ThrusterHealth
+from autopilot.core.control_allocator import ControlAllocator
 from autopilot.core.errors import ConfigError
 from autopilot.core.frames import FloatArray
 from autopilot.core.geometry import Fence
 from autopilot.core.messages import Fallback
 from autopilot.core.params import ParamSet
 from autopilot.core.response import Response
-from autopilot.core.sharing import Sharing
 from autopilot.core.vehicle import Vehicle
 from autopilot.identify.prediction import CoefficientScale, model_of, predict
 
@@ -115,12 +115,12 @@ def test_a_lost_thruster_of_a_bluerov2_is_made_up_for(lost: int) -> None:
 
 def test_the_fallback_holds_a_heavy_with_a_lost_thruster() -> None:
     vehicle = bluerov2(4)
-    model, sharing, limit = vehicle.to_model(), Sharing.of(vehicle), np.full(8, 12.0)
+    model, allocator, limit = vehicle.to_model(), ControlAllocator.of(vehicle), np.full(8, 12.0)
     limit[2] = 0.0
     x, held, flow = np.array([0.5, -0.3, 1.0, 0.6, 0.0, 0.0, 0.0, 0.0]), np.zeros(8), np.array([0.1, -0.1, 0.0])
     held[2] = 1.2
     for _ in range(800):
-        thrust = station_keeping_thrust(sharing, x, held, flow, limit)
+        thrust = station_keeping_thrust(allocator, x, held, flow, limit)
         assert (np.abs(thrust) <= limit).all()
         x = rk4(model, x, thrust, slow_flow, 0.05)
     assert np.linalg.norm(x[:3] - held[:3]) < 0.02 and abs(x[3]) < 0.02
@@ -130,9 +130,9 @@ def test_a_vehicle_that_lacks_an_axis_is_refused_by_name() -> None:
     allocation = np.array(LBV150.to_model().allocation)
     with pytest.raises(ConfigError, match="vehicle made: no thrust in sway: no thruster pushes that way"):
         MotionController(vehicle_with(allocation[:, :3]))
-    twin = np.delete(vectored(2), [2, 3], axis=1)
+    redundant_one = np.delete(vectored(2), [2, 3], axis=1)
     with pytest.raises(ConfigError, match="alone: it comes only with"):
-        MotionController(vehicle_with(twin))
+        MotionController(vehicle_with(redundant_one))
 
 
 def test_thrusters_with_limits_and_lags_of_their_own() -> None:
@@ -184,7 +184,7 @@ def test_a_lost_horizontal_thruster_of_a_bluerov2_is_found_in_any_order(lost: in
         t_s = tick * dt
         ahead, aside, turn = 4.0 * math.sin(t_s), 4.0 * math.sin(1.4 * t_s), 0.4 * math.sin(1.8 * t_s)
         down = 2.0 + 4.0 * math.copysign(1.0, math.sin(1.6 * t_s))
-        thrust = Sharing(model).thrust_n(np.array([ahead, aside, down, turn]), np.full(6, 12.0))
+        thrust = ControlAllocator(model).thrust_n(np.array([ahead, aside, down, turn]), np.full(6, 12.0))
         acting += (1.0 - math.exp(-dt / 0.15)) * (thrust - acting)
         gives = np.where(np.arange(6) == at, 0.1 if t_s >= 10.0 else 1.0, 1.0)
         x = rk4(model, x, acting * gives, still, dt)

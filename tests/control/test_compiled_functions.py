@@ -13,24 +13,24 @@ import pytest
 from control_loop import MODEL, nav_state
 from vehicles import drawn
 
-from autopilot.control.bounds import PlanRoom, ProgramBounds, largest_gap
+from autopilot.control.bounds import PlanClearance, ProgramBounds, largest_gap
+from autopilot.control.constraints.obstacles import Features
+from autopilot.control.current.current_learning import EstimatedFlow, FlowFit
 from autopilot.control.energy.track import TrackedTrajectory
 from autopilot.control.energy.trajectory import Trajectory
-from autopilot.control.fence.obstacles import Features
 from autopilot.control.nmpc import ocp
 from autopilot.control.nmpc.grid import geometric_grid, uniform_grid
 from autopilot.control.nmpc.lag import STEPS, ThrusterLag
+from autopilot.control.path.reference import ReferenceRollout, ReferenceTarget, Route
 from autopilot.control.robust.ancillary import Ancillary
 from autopilot.control.robust.inner import InnerLoop
 from autopilot.control.robust.margins import Margins
 from autopilot.control.robust.tightening import BackOffs
-from autopilot.control.water.current_learning import FlowFit, LearnedCurrent
-from autopilot.control.way.reference import QuickMarch, ReferenceTarget, Route
+from autopilot.core.control_allocator import ControlAllocator
 from autopilot.core.frames import FloatArray
 from autopilot.core.geometry import Circle, Fence, Polygon
 from autopilot.core.params import ParamSet
 from autopilot.core.response import Response
-from autopilot.core.sharing import Sharing
 from tests.hostile_numbers import HOSTILE, agree, outcome, with_one
 
 pytestmark = pytest.mark.filterwarnings("ignore::RuntimeWarning")
@@ -75,7 +75,7 @@ def test_bounds_of_a_program(per_node: bool, value: float | None) -> None:
 def test_room_of_a_plan_and_gaps_between_tables(value: float | None) -> None:
     rng = np.random.default_rng(1)
     x, normals, offsets = np.zeros((12, 8)), np.zeros((11, 3, 2)), np.zeros((11, 3))
-    room = PlanRoom(x[1:, :2], normals, offsets)
+    room = PlanClearance(x[1:, :2], normals, offsets)
     for turn in range(45):
         given = {name: rng.normal(size=each.shape) for name, each in (("x", x), ("n", normals), ("d", offsets))}
         hostile = _spoil(rng, given, turn, value)
@@ -168,7 +168,7 @@ def test_places_on_a_trajectory(value: float | None) -> None:
 @with_and_without
 @pytest.mark.parametrize("cells", [0, 1, 40])
 def test_the_learned_flow(cells: int, value: float | None) -> None:
-    rng, current = np.random.default_rng(cells), LearnedCurrent()
+    rng, current = np.random.default_rng(cells), EstimatedFlow()
     for turn in range(18):
         given = {"along": rng.normal(size=(21, 3)), "t_s": np.linspace(0.0, 40.0, 21), "here": rng.normal(size=8)}
         given |= {"mean": rng.normal(size=2)}
@@ -224,7 +224,7 @@ def _fence(rng: np.random.Generator) -> Fence:
 
 @with_and_without
 def test_half_planes(value: float | None) -> None:
-    """In the common case; the others are left to :mod:`autopilot.control.fence.chords`, the oracle here."""
+    """In the common case; the others are left to :mod:`autopilot.control.constraints.chords`, the oracle here."""
     rng, quick, turns = np.random.default_rng(8), 0, 90 if value else 400
     for turn in range(turns):
         features, slots, m = Features(_fence(rng)), int(rng.integers(2, 10)), int(rng.integers(1, 20))
@@ -269,8 +269,8 @@ def _limits(rng: np.random.Generator, thrusters: int) -> FloatArray:
 @pytest.mark.parametrize("thrusters", [4, 5, 8])
 def test_references_and_the_thrust_that_holds_them(thrusters: int) -> None:
     rng, grid = np.random.default_rng(thrusters), geometric_grid()
-    sharing = Sharing(drawn(rng, thrusters).to_model())
-    made = QuickMarch(sharing, grid.t_s)
+    allocator = ControlAllocator(drawn(rng, thrusters).to_model())
+    made = ReferenceRollout(allocator, grid.t_s)
     for turn in range(150):
         route = Route(np.cumsum(rng.normal(size=(rng.integers(1, 6), 2)) * rng.uniform(0.0, 2.0), axis=0))
         x0, current = rng.normal(size=8), rng.choice([0.0, 0.1, 0.5]) * rng.normal(size=3)
@@ -290,7 +290,7 @@ def test_references_and_the_thrust_that_holds_them(thrusters: int) -> None:
         meant = oracles.references(grid.t_s, x0, target, current)
         made(x0 + 1.0, target, current, limit_n)  # an answer is no view of the next one
         assert np.allclose(x, meant, rtol=1e-12, atol=1e-12)
-        assert np.allclose(thrust, sharing.hold_n(meant[:-1, 4:], limit_n), rtol=1e-9, atol=1e-9)
+        assert np.allclose(thrust, allocator.hold_n(meant[:-1, 4:], limit_n), rtol=1e-9, atol=1e-9)
 
 
 TARGET = ReferenceTarget(
@@ -310,7 +310,7 @@ NUMBERS = [field.name for field in dataclasses.fields(TARGET) if field.type is f
 @pytest.mark.parametrize("hostile", [*NUMBERS, "x0", "current"])
 def test_no_reference_is_made_of_what_is_no_number(hostile: str, value: float) -> None:
     rng, grid = np.random.default_rng(3), uniform_grid(7)
-    made = QuickMarch(Sharing(drawn(rng, 4).to_model()), grid.t_s)
+    made = ReferenceRollout(ControlAllocator(drawn(rng, 4).to_model()), grid.t_s)
     for _ in range(4):
         x0, current, target = rng.normal(size=8), 0.1 * rng.normal(size=3), TARGET
         if hostile == "x0":

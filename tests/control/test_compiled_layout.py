@@ -11,11 +11,11 @@ import pytest
 from control_loop import MODEL, nav_state
 
 import autopilot
-from autopilot.control.bounds import PlanRoom, largest_gap
-from autopilot.control.fence.obstacles import Features
+from autopilot.control.bounds import PlanClearance, largest_gap
+from autopilot.control.constraints.obstacles import Features
+from autopilot.control.current.current_learning import FlowFit
 from autopilot.control.nmpc.grid import uniform_grid
 from autopilot.control.robust.margins import Margins
-from autopilot.control.water.current_learning import FlowFit
 from autopilot.core import compiled
 from autopilot.core.compiled import Mirror
 from autopilot.core.errors import ConfigError
@@ -180,9 +180,9 @@ def test_other_arrays_that_are_too_short_are_refused() -> None:
         with pytest.raises(ValueError, match=r"^x is float64 .*; give contiguous float64 \(6, 8\)"):
             tube.back_offs(nav, np.zeros(shape), thrust, params)
     with pytest.raises(ValueError, match="does not fit to plane_d_m"):
-        PlanRoom(np.zeros((4, 2)), np.zeros((5, 3, 2)), np.zeros((5, 3)))
+        PlanClearance(np.zeros((4, 2)), np.zeros((5, 3, 2)), np.zeros((5, 3)))
     with pytest.raises(ValueError, match=r"^plane_n is"):
-        PlanRoom(np.zeros((5, 2)), np.zeros((5, 2, 2)), np.zeros((5, 3)))
+        PlanClearance(np.zeros((5, 2)), np.zeros((5, 2, 2)), np.zeros((5, 3)))
     with pytest.raises(ValueError, match=r"^b is"):
         largest_gap(np.zeros((9, 8)), np.zeros((8, 8)), 0, 2)
     with pytest.raises(ValueError, match="columns 6 to 9 of 8"):

@@ -21,10 +21,10 @@ from autopilot.control.energy.power import PowerModel
 from autopilot.control.energy.request import Plan, TrajectoryRequest
 from autopilot.control.energy.search import EnergyPlanner
 from autopilot.control.energy.trajectory import Ask, Program, Trajectory
-from autopilot.control.way.desks import Desks
-from autopilot.control.way.planner import Planner
-from autopilot.control.way.way_tuning import GUIDANCE
-from autopilot.core.desk import Cancel, Desk, WithdrawnError
+from autopilot.control.path.path_tuning import GUIDANCE
+from autopilot.control.path.planner import Planner
+from autopilot.control.path.workers import BackgroundWorkers
+from autopilot.core.background import BackgroundWorker, Cancel, WithdrawnError
 from autopilot.core.frames import FloatArray
 from autopilot.core.geometry import Circle, Fence, Polygon
 from autopilot.core.messages import Fallback, Goal, Severity
@@ -69,8 +69,10 @@ class Loop:
             self.step(to, fence)
 
 
-def on(executor: ThreadPoolExecutor, *, patient: bool) -> Desks:
-    return Desks(routes=Desk(executor, patient=patient), trajectories=Desk(executor, patient=patient))
+def on(executor: ThreadPoolExecutor, *, blocking: bool) -> BackgroundWorkers:
+    return BackgroundWorkers(
+        routes=BackgroundWorker(executor, blocking=blocking), trajectories=BackgroundWorker(executor, blocking=blocking)
+    )
 
 
 def pillar(x: float, y: float, radius_m: float = 0.3) -> Fence:
@@ -91,7 +93,7 @@ def test_a_new_fence_binds_at_once_and_the_loop_never_waits_for_the_way_round() 
     """The search is held up for 20 s: the vehicle stops before what has appeared on its route, and goes on after."""
     gate, far = threading.Event(), goal(2.5, -0.35, 0.45, None)
     with ThreadPoolExecutor(1) as executor:
-        controller = MotionController(VEHICLE, desks=on(executor, patient=False), cpu_clock=lambda: 0.0)
+        controller = MotionController(VEHICLE, desks=on(executor, blocking=False), cpu_clock=lambda: 0.0)
         loop = Loop(controller)
         loop.fly(60, far, OPEN)
         assert loop.x[4] > 0.25
@@ -121,7 +123,7 @@ def test_a_loop_that_never_rests_gets_its_route_all_the_same() -> None:
         executor.submit(os.sched_setaffinity, 0, cores[1:]).result()
         os.sched_setaffinity(0, cores[:1])
         try:
-            loop = Loop(MotionController(VEHICLE, desks=on(executor, patient=False), cpu_clock=lambda: 0.0))
+            loop = Loop(MotionController(VEHICLE, desks=on(executor, blocking=False), cpu_clock=lambda: 0.0))
             lengths = [len(loop.step(goal(2.0, -0.35, 0.45, None), pillar(0.0, -0.35))) for _ in range(1500)]
         finally:
             os.sched_setaffinity(0, cores)
@@ -132,7 +134,7 @@ def test_what_does_not_bar_the_route_does_not_stop_the_vehicle() -> None:
     """A new fence beside the route: it goes on while the way is looked for."""
     gate, far = threading.Event(), goal(1.75, 0.0, 0.3, math.pi)
     with ThreadPoolExecutor(1) as executor:
-        loop = Loop(MotionController(VEHICLE, desks=on(executor, patient=False), cpu_clock=lambda: 0.0))
+        loop = Loop(MotionController(VEHICLE, desks=on(executor, blocking=False), cpu_clock=lambda: 0.0))
         executor.submit(lambda: None).result()
         for _ in range(100):
             route = loop.step(far, TANK)
@@ -194,7 +196,7 @@ def test_superseded_plans_are_not_made() -> None:
     planner.warm()
     with ThreadPoolExecutor(1) as executor:
         controller = MotionController(
-            VEHICLE, desks=on(executor, patient=True), trajectories=planner, cpu_clock=lambda: 0.0
+            VEHICLE, desks=on(executor, blocking=True), trajectories=planner, cpu_clock=lambda: 0.0
         )
         params = ParamSet({"MPC_COST": 1})
         goals = [goal(1.75, 0.02 * i, 0.30, None) for i in range(20)]
@@ -378,9 +380,11 @@ def test_a_plan_that_is_late_is_waited_for_under_way_and_told_once() -> None:
     """The planner is held up: the leg is flown by the route to its end, with one word."""
     gate = threading.Event()
     with ThreadPoolExecutor(1) as executor:
-        controller = MotionController(VEHICLE, desks=on(executor, patient=False), cpu_clock=lambda: 0.0)
-        controller.desks = Desks(routes=Desk(), trajectories=Desk(executor, patient=False))
-        controller._guidances[1]._route._desk = Desk()  # type: ignore[attr-defined]
+        controller = MotionController(VEHICLE, desks=on(executor, blocking=False), cpu_clock=lambda: 0.0)
+        controller.desks = BackgroundWorkers(
+            routes=BackgroundWorker(), trajectories=BackgroundWorker(executor, blocking=False)
+        )
+        controller._guidances[1]._route._worker = BackgroundWorker()  # type: ignore[attr-defined]
         executor.submit(gate.wait, 60.0)
         loop = Loop(controller, MPC_COST=1)
         told: list[str] = []

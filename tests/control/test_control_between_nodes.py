@@ -9,8 +9,8 @@ from control_loop import VEHICLE, fly, goal
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from autopilot.control.constraints.obstacles import Features, Movers, clearance_m
 from autopilot.control.controller import MotionController
-from autopilot.control.fence.obstacles import Features, Movers, clearance_m
 from autopilot.core.geometry import Circle, Fence, Polygon
 
 RADIUS_M = 0.33

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from control_loop import MODEL, STEP_US, TANK, VEHICLE, A, B, fly, goal, jet, nav_state, rk4, still
 
+from autopilot.control.constraints.obstacles import clearance_m
 from autopilot.control.controller import MotionController
-from autopilot.control.fence.obstacles import clearance_m
 from autopilot.control.nmpc.native import NativeStep
 from autopilot.control.nmpc.solver import QpStep
 from autopilot.core.geometry import Circle, Fence

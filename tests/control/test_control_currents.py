@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from autopilot.control.water.current_memory import CurrentMemory
-from autopilot.control.water.currents import (
+from autopilot.control.current.current_memory import CurrentMemory
+from autopilot.control.current.currents import (
     CurrentForecast,
     EstimatedCurrent,
     MappedCurrent,

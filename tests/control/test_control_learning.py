@@ -9,10 +9,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from autopilot.control.controller import MotionController
+from autopilot.control.current.current_learning import Basin, EstimatedFlow, narrowest_width_m
+from autopilot.control.current.current_tuning import CURRENT_LEARNING
+from autopilot.control.current.currents import EstimatedCurrent
 from autopilot.control.energy.trajectory import Program, Trajectory
-from autopilot.control.water.current_learning import Basin, LearnedCurrent, narrowest_width_m
-from autopilot.control.water.currents import EstimatedCurrent
-from autopilot.control.water.water_tuning import CURRENT_LEARNING
 from autopilot.core.geometry import Circle, Fence
 from autopilot.core.messages import NavHealth
 from autopilot.core.params import ParamSet
@@ -26,8 +26,8 @@ def along(x: float, y: float, t_s: float, current: np.ndarray, health: NavHealth
     return nav_state(round(t_s * 1e6), state, current, health)
 
 
-def taught(sweep_y: float = 0.0, basin: Basin = Basin.CLOSED) -> tuple[LearnedCurrent, object]:
-    forecast = LearnedCurrent(basin)
+def taught(sweep_y: float = 0.0, basin: Basin = Basin.CLOSED) -> tuple[EstimatedFlow, object]:
+    forecast = EstimatedFlow(basin)
     forecast.within(TANK)
     for k in range(201):
         x = -1.8 + 3.6 * k / 200
@@ -36,7 +36,7 @@ def taught(sweep_y: float = 0.0, basin: Basin = Basin.CLOSED) -> tuple[LearnedCu
     return forecast, nav
 
 
-def ask(forecast: LearnedCurrent, nav: object, places: np.ndarray) -> np.ndarray:
+def ask(forecast: EstimatedFlow, nav: object, places: np.ndarray) -> np.ndarray:
     out = np.empty((len(places), 3))
     forecast.fill(nav, np.column_stack([places, np.full(len(places), 0.5)]), np.zeros(len(places)), out)  # type: ignore[arg-type]
     return out
@@ -65,7 +65,7 @@ def test_water_that_does_not_vary_is_expected_to_go_on_so() -> None:
     """Tens of metres ahead the forecast is what was felt so far, in any fence; nobody waits for a return flow."""
     everywhere = np.array([0.08, 0.13, 0.0])
     for fence in (Fence(), Fence(inclusions=(Circle(center_ned_m=np.zeros(2), radius_m=60.0),))):
-        forecast = LearnedCurrent()
+        forecast = EstimatedFlow()
         forecast.within(fence)
         for k in range(400):
             nav = along(0.05 * k, 0.0, 0.1 * k, everywhere)
@@ -83,12 +83,12 @@ def test_the_estimate_rules_here_and_now() -> None:
 
 
 def test_memory_is_bounded_and_bad_estimates_teach_nothing() -> None:
-    forecast = LearnedCurrent()
+    forecast = EstimatedFlow()
     forecast.within(TANK)
     for k in range(3 * CURRENT_LEARNING.max_cells):
         forecast.view(along(0.7 * k, 0.0, 1.0 * k, np.array([0.1, 0.0, 0.0])))
     assert len(forecast._cells) == CURRENT_LEARNING.max_cells
-    fresh = LearnedCurrent()
+    fresh = EstimatedFlow()
     fresh.view(along(0.0, 0.0, 0.0, np.array([math.nan, 0.0, 0.0])))
     fresh.view(along(0.0, 0.0, 1.0, np.array([0.5, 0.0, 0.0]), NavHealth.DEAD_RECKONING))
     assert not fresh._cells
@@ -111,8 +111,8 @@ def test_in_any_water_it_is_hardly_worse_than_uniform_and_better_where_the_flow_
     for seed in range(2):
         forecasts = {
             "uniform": EstimatedCurrent(),
-            "unknown": LearnedCurrent(),
-            "closed": LearnedCurrent(Basin.CLOSED),
+            "unknown": EstimatedFlow(),
+            "closed": EstimatedFlow(Basin.CLOSED),
         }
         found = errors_of(world_of(kind, seed, legs=4, limit_s=250.0), forecasts)
         rows.append([found[name] for name in forecasts])
@@ -129,7 +129,7 @@ def test_a_fence_does_not_make_a_basin(speed: float, direction: float, width_m: 
     """A steady stream through a fenced room of any size, felt on two legs of 1.5 correlation lengths: nothing but the
     stream is expected from there on, whatever was believed before."""
     stream = speed * np.array([math.cos(direction), math.sin(direction), 0.0])
-    forecast = LearnedCurrent(basin)
+    forecast = EstimatedFlow(basin)
     forecast.within(room(width_m, width_m))
     leg_m, step_s = 0.375 * width_m, 0.1 * max(1.0, 0.05 * width_m)
     for k in range(201):
@@ -159,7 +159,7 @@ def test_what_proves_wrong_is_dropped_within_seconds_and_taken_up_again() -> Non
 def test_gyres_in_open_water_are_foreseen_from_the_first_leg_on() -> None:
     """Straight through gyres, the water felt on the way: the next 6 m are known better from the start."""
     gyre = Gyre(speed_m_s=0.3, cell_m=20.0)
-    forecast, uniform = LearnedCurrent(), EstimatedCurrent()
+    forecast, uniform = EstimatedFlow(), EstimatedCurrent()
     forecast.within(Fence())
     errors, trust = [], []
     for k in range(700):
@@ -189,7 +189,7 @@ def test_a_goal_up_a_stream_through_a_fence_is_flown_to_and_not_round(monkeypatc
 
     monkeypatch.setattr(Program, "solve", counted)
     flown = fly(
-        MotionController(VEHICLE, currents=LearnedCurrent()),
+        MotionController(VEHICLE, currents=EstimatedFlow()),
         [goal(2.0, 0.0, 0.6, None)],
         [-2.0, 0.0, 0.6, 0.0, 0.0, 0.0, 0.0, 0.0],
         fence=room(10.0, 10.0),

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from autopilot.control.nmpc import ocp
 from autopilot.control.nmpc.grid import MAX_RK4_STEP_S, geometric_grid, shift_matrices, uniform_grid
 from autopilot.core import model4
-from autopilot.core.sharing import Sharing
+from autopilot.core.control_allocator import ControlAllocator
 
 state = st.tuples(
     *[st.floats(-3, 3)] * 3, st.floats(-7, 7), st.floats(-0.6, 0.6), st.floats(-0.6, 0.6), st.floats(-0.3, 0.3),
@@ -80,7 +80,7 @@ def test_substeps_chain_their_jacobians() -> None:
 
 def test_steady_thrust_holds_the_velocity() -> None:
     nu = [0.3, -0.1, 0.05, 0.4]
-    tau = Sharing(MODEL).hold_n(np.array([nu]), np.full(4, np.inf))[0]
+    tau = ControlAllocator(MODEL).hold_n(np.array([nu]), np.full(4, np.inf))[0]
     assert np.allclose(model4.body_acceleration(MODEL, nu, tau.tolist(), math), 0.0, atol=1e-9)
 
 

@@ -8,15 +8,15 @@ import pytest
 from control_loop import MODEL, TANK
 
 from autopilot.analysis.ipopt import IpoptNmpc
-from autopilot.control.fence.obstacles import Features
+from autopilot.control.constraints.obstacles import Features
 from autopilot.control.nmpc import native, ocp
 from autopilot.control.nmpc.grid import geometric_grid, uniform_grid
 from autopilot.control.nmpc.solver import PLANES, Nmpc, NmpcProblem, QpStep, choose_step, passes_self_test
-from autopilot.control.way.planner import Planner
-from autopilot.control.way.reference import QuickMarch, ReferenceTarget, Route
+from autopilot.control.path.planner import Planner
+from autopilot.control.path.reference import ReferenceRollout, ReferenceTarget, Route
+from autopilot.core.control_allocator import ControlAllocator
 from autopilot.core.errors import ConfigError
 from autopilot.core.messages import SolveStatus
-from autopilot.core.sharing import Sharing
 
 RADIUS_M = 0.33
 WEIGHTS = np.array([20.0, 20.0, 40.0, 3.0, 8.0, 8.0, 8.0, 0.5, 0.02, 0.02, 0.02, 0.02])
@@ -36,7 +36,7 @@ def problem(grid, x0: np.ndarray, goal=(1.75, 0.0), yaw: float = -math.pi, plane
         heave_limit_m_s=0.25,
         yaw_rate_limit_rad_s=1.0,
     )
-    reference, thrust_n = QuickMarch(Sharing(MODEL), grid.t_s)(x0, target, current, np.full(4, np.inf))
+    reference, thrust_n = ReferenceRollout(ControlAllocator(MODEL), grid.t_s)(x0, target, current, np.full(4, np.inf))
     normals, offsets = np.zeros((grid.n - 1, planes, 2)), np.zeros((grid.n - 1, planes))
     Features(TANK).half_planes(reference[: grid.n, :2], grid.t_s[: grid.n], RADIUS_M, planes, normals, offsets)
     return NmpcProblem(

@@ -8,8 +8,8 @@ from control_loop import TANK
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from autopilot.control.fence.fence_tuning import FEATURES
-from autopilot.control.fence.obstacles import Features, clearance_m
+from autopilot.control.constraints.constraints_tuning import FEATURES
+from autopilot.control.constraints.obstacles import Features, clearance_m
 from autopilot.core.geometry import Circle, Fence, Polygon
 
 L_ROOM = np.array([[-3.0, -3.0], [-3.0, 3.0], [0.0, 3.0], [0.0, 0.0], [3.0, 0.0], [3.0, -3.0]])

@@ -9,16 +9,16 @@ from control_loop import MODEL, TANK
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from autopilot.control.fence.obstacles import clearance_m
+from autopilot.control.constraints.obstacles import clearance_m
 from autopilot.control.nmpc.grid import geometric_grid
+from autopilot.control.path.path_tuning import PLANNER
+from autopilot.control.path.planner import Planner
+from autopilot.control.path.reference import ReferenceRollout, ReferenceTarget, Route, turn_target, water_speed_share
 from autopilot.control.robust.fallback import station_keeping_thrust
-from autopilot.control.way.planner import Planner
-from autopilot.control.way.reference import QuickMarch, ReferenceTarget, Route, turn_target, water_speed_share
-from autopilot.control.way.way_tuning import PLANNER
+from autopilot.core.control_allocator import ControlAllocator
 from autopilot.core.frames import FloatArray
 from autopilot.core.geometry import Circle, Fence, Polygon
 from autopilot.core.model4 import state_derivative
-from autopilot.core.sharing import Sharing
 from autopilot.mission.mission_tuning import VALIDATION
 from autopilot.mission.reach import free_regions
 
@@ -180,7 +180,7 @@ def target(**changes) -> ReferenceTarget:
 
 
 def references(t_s: FloatArray, x0: FloatArray, target: ReferenceTarget, current: FloatArray) -> FloatArray:
-    return QuickMarch(Sharing(MODEL), t_s)(x0, target, current, np.full(4, np.inf))[0]
+    return ReferenceRollout(ControlAllocator(MODEL), t_s)(x0, target, current, np.full(4, np.inf))[0]
 
 
 @given(st.floats(0.01, 10.0), st.floats(0.02, 0.45), st.floats(-2.0, 2.0))
@@ -262,11 +262,13 @@ def test_station_keeping_balances_the_current_and_pulls_back() -> None:
     x = held.copy()
     c, s = math.cos(0.7), math.sin(0.7)
     x[4], x[5] = -(c * 0.15 - s * 0.1), -(-s * 0.15 - c * 0.1)
-    balance = station_keeping_thrust(Sharing(MODEL), x, held, current, limit)
+    balance = station_keeping_thrust(ControlAllocator(MODEL), x, held, current, limit)
     rate = state_derivative(MODEL, x.tolist(), balance.tolist(), current.tolist(), math)
     assert np.allclose(rate, 0.0, atol=1e-9)
     away = x + np.array([-0.3, 0.0, 0.2, -0.4, 0.0, 0.0, 0.0, 0.0])
-    pull = station_keeping_thrust(Sharing(MODEL), away, held, current, limit) - balance
+    pull = station_keeping_thrust(ControlAllocator(MODEL), away, held, current, limit) - balance
     assert pull[2] < 0.0
     assert pull[0] > pull[1]
-    assert (np.abs(station_keeping_thrust(Sharing(MODEL), away + 5.0, held, current, np.full(4, 2.0))) <= 2.0).all()
+    assert (
+        np.abs(station_keeping_thrust(ControlAllocator(MODEL), away + 5.0, held, current, np.full(4, 2.0))) <= 2.0
+    ).all()

@@ -25,7 +25,7 @@ def smoothness(flight: Flight) -> Smoothness:
             thrust_n=flight.thrust_n,
             fallback=np.array([output.status.fallback for output in flight.outputs], dtype=np.uint8),
             starts_s=np.array([0.0, *flight.reached_s]),
-            told_s=np.zeros(0),
+            reported_s=np.zeros(0),
             limit_n=12.0,
         )
     )

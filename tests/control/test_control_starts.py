@@ -24,7 +24,7 @@ from autopilot.control.nmpc.reversal import LEAST_SHARE
 from autopilot.control.nmpc.unsolved import solve_again
 from autopilot.control.step_program import MOST_QPS
 from autopilot.control.thrust.thrust_tuning import BY_HAND
-from autopilot.core.desk import Cancel
+from autopilot.core.background import Cancel
 from autopilot.core.frames import FloatArray
 from autopilot.core.geometry import Circle, Fence, Polygon
 from autopilot.core.messages import Fallback, Goal, SolveStatus

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 from control_loop import TANK, VEHICLE, A, B, fly, goal
 
+from autopilot.control.constraints.constraints_tuning import TRACKS
+from autopilot.control.constraints.tracks import IntendedMotion, Obstructions, Tracks, movers_of
 from autopilot.control.controller import MotionController
-from autopilot.control.fence.fence_tuning import TRACKS
-from autopilot.control.fence.tracks import IntendedMotion, Obstructions, Tracks, movers_of
 from autopilot.core.geometry import Fence
 from autopilot.core.messages import Fallback
 from autopilot.core.samples import ObstacleTrack

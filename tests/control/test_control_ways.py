@@ -7,14 +7,14 @@ import numpy as np
 import pytest
 from control_loop import MODEL, VEHICLE, goal, nav_state
 
+from autopilot.control.constraints.obstacles import Features
+from autopilot.control.current.currents import EstimatedCurrent
 from autopilot.control.energy.field import LONGEST_MOVE, EnergyField
 from autopilot.control.energy.flow import FlowField, area_of, sample_flow
 from autopilot.control.energy.power import PowerModel, speed_table
 from autopilot.control.energy.request import TrajectoryRequest
 from autopilot.control.energy.search import EnergyPlanner
-from autopilot.control.fence.obstacles import Features
-from autopilot.control.water.currents import EstimatedCurrent
-from autopilot.control.way.planner import Planner
+from autopilot.control.path.planner import Planner
 from autopilot.core.frames import FloatArray
 from autopilot.core.free_space import MAX_CELLS, FreeSpace
 from autopilot.core.geometry import Circle, Fence, Polygon

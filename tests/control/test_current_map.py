@@ -11,8 +11,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.io import netcdf_file
 
-from autopilot.control.water.current_map import CurrentMap, MapNodes
-from autopilot.control.water.map_reading import load_current_map
+from autopilot.control.current.current_map import CurrentMap, MapNodes
+from autopilot.control.current.map_reading import load_current_map
 from autopilot.core.errors import ConfigError
 
 RNG = np.random.default_rng(11)

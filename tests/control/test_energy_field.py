@@ -8,11 +8,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from autopilot.control.constraints.obstacles import Features
+from autopilot.control.current.currents import EstimatedCurrent
 from autopilot.control.energy.field import LONGEST_MOVE, EnergyField, other_ways
 from autopilot.control.energy.flow import FlowField, FlowSamples, area_of, sample_flow
 from autopilot.control.energy.power import PowerModel, energy_per_metre, speed_table
-from autopilot.control.fence.obstacles import Features
-from autopilot.control.water.currents import EstimatedCurrent
 from autopilot.core.free_space import Area, FreeSpace
 from autopilot.core.geometry import Circle, Fence, Polygon
 from autopilot.core.model4 import steady_force

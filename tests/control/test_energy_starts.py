@@ -13,7 +13,7 @@ from autopilot.control.energy.request import Plan, TrajectoryRequest
 from autopilot.control.energy.search import EnergyPlanner
 from autopilot.control.energy.trajectory import Ask, Program, Trajectory
 from autopilot.core import compiled
-from autopilot.core.desk import Cancel
+from autopilot.core.background import Cancel
 from autopilot.core.frames import FloatArray
 from autopilot.core.geometry import Fence
 from autopilot.core.messages import Goal

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from autopilot.control.controller import MotionController
+from autopilot.control.current.currents import EstimatedCurrent, MappedCurrent, PointwiseField
 from autopilot.control.energy.energy_tuning import LEG_TASK
 from autopilot.control.energy.flow import area_of, sample_flow
 from autopilot.control.energy.leg_task import shifted
@@ -14,7 +15,6 @@ from autopilot.control.energy.power import PowerModel
 from autopilot.control.energy.request import TrajectoryRequest
 from autopilot.control.energy.search import EnergyPlanner
 from autopilot.control.energy.track import TrackedTrajectory, joined
-from autopilot.control.water.currents import EstimatedCurrent, MappedCurrent, PointwiseField
 from autopilot.core import model4
 from autopilot.core.frames import FloatArray
 from autopilot.core.geometry import Fence

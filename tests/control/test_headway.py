@@ -11,10 +11,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from autopilot.control.controller import MotionController
-from autopilot.control.way import guidance
-from autopilot.control.way.guidance import BEHIND_M, LEAD_M, Lead
-from autopilot.control.way.reference import Route
-from autopilot.control.way.way_tuning import GUIDANCE
+from autopilot.control.path import guidance
+from autopilot.control.path.guidance import BEHIND_M, LOOKAHEAD_M, ReferenceLookahead
+from autopilot.control.path.path_tuning import GUIDANCE
+from autopilot.control.path.reference import Route
 from autopilot.core.frames import FloatArray
 from autopilot.core.geometry import Fence
 from autopilot.core.messages import Goal
@@ -88,8 +88,8 @@ def test_a_vehicle_that_goes_as_it_should_is_not_hurried(
 ) -> None:
     """Starts, turns on the spot, the paper's jet, arrivals, holding: bit for bit as if there were no lead."""
     flights = []
-    for most_m in (guidance.LEAD_M, 0.0):
-        monkeypatch.setattr(guidance, "LEAD_M", most_m)
+    for most_m in (guidance.LOOKAHEAD_M, 0.0):
+        monkeypatch.setattr(guidance, "LOOKAHEAD_M", most_m)
         controller, params = MotionController(VEHICLE, cpu_clock=lambda: 0.0), ParamSet({"MPC_COST": 0})
         state = [*start, 0.0, 0.0, 0.0, 0.0]
         flights.append(fly(controller, [to], state, params=params, current=jet, noise=0.01, limit_s=22.0, hold=True))
@@ -99,13 +99,13 @@ def test_a_vehicle_that_goes_as_it_should_is_not_hurried(
 @given(st.lists(st.tuples(st.floats(-0.3, 0.3), st.floats(0.0, 0.5)), min_size=1, max_size=200))
 @settings(max_examples=40, deadline=None)
 def test_the_lead_is_bounded_and_gone_once_the_vehicle_has_made_it_good(steps: list[tuple[float, float]]) -> None:
-    route, lead, s_m, t_us = Route(np.array([[0.0, 0.0], [100.0, 0.0]])), Lead(), 40.0, 0
+    route, lead, s_m, t_us = Route(np.array([[0.0, 0.0], [100.0, 0.0]])), ReferenceLookahead(), 40.0, 0
     for speed, asked in steps:
         lead.ask(np.zeros(3), np.array([asked * 0.1, 0.0, 0.0]), 0.1)
         s_m, t_us = s_m + 0.05 * speed, t_us + 50_000
         lead.look(t_us, route, s_m)
-        assert 0.0 <= lead.m <= LEAD_M + 1e-12
-    lead.look(t_us + 50_000, route, s_m + BEHIND_M + LEAD_M + 0.05 * GUIDANCE.least_progress_m_s)
+        assert 0.0 <= lead.m <= LOOKAHEAD_M + 1e-12
+    lead.look(t_us + 50_000, route, s_m + BEHIND_M + LOOKAHEAD_M + 0.05 * GUIDANCE.least_progress_m_s)
     assert lead.m == 0.0
     other = Route(np.array([[0.0, 0.0], [50.0, 0.0]]))
     lead.look(t_us + 100_000, other, 0.0)

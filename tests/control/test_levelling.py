@@ -10,12 +10,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from autopilot.control.thrust.actuation import Actuation
-from autopilot.control.thrust.levelling import Levelling
-from autopilot.control.thrust.thrust_tuning import LEVELLING
+from autopilot.control.thrust.attitude_stabilisation import AttitudeStabilizer
+from autopilot.control.thrust.thrust_tuning import ATTITUDE_STABILISATION
+from autopilot.core.control_allocator import ControlAllocator
 from autopilot.core.frames import FloatArray
 from autopilot.core.messages import NavState
 from autopilot.core.params import ParamSet
-from autopilot.core.sharing import Sharing
 from autopilot.core.thrusters import wrench_matrix
 from autopilot.core.vehicle import Vehicle, load_vehicle
 from autopilot.sitl.environment import SimulatedWaters
@@ -41,13 +41,13 @@ def tilts(vehicle: Vehicle, force: FloatArray, seconds: float = 12.0, lost: int 
     plant = Plant(vehicle, SimulatedWaters(), start_pos_ned_m=(0.0, 0.0, 20.0), start_rpy_rad=(0.1, -0.1, 0.0))
     if lost is not None:
         plant.set_thruster_loss(vehicle.thrusters[lost].name, 1.0)
-    most, sharing, thrust = 0.0, Sharing.of(vehicle), np.zeros(len(vehicle.thrusters))
+    most, allocator, thrust = 0.0, ControlAllocator.of(vehicle), np.zeros(len(vehicle.thrusters))
     for tick in range(round(seconds * 1e6 / TICK_US)):
         t_us, truth = tick * TICK_US, plant.truth
         nav = nav_of(truth)
         acting_n = actuation.send(t_us)
         actuation.learn(t_us, nav, acting_n, None, armed=True, reached=True)
-        thrust = sharing.thrust_n(force, actuation.limit_n) if tick % 5 == 0 else thrust
+        thrust = allocator.thrust_n(force, actuation.limit_n) if tick % 5 == 0 else thrust
         command = actuation.command(t_us, thrust, armed=True)
         plant.advance(t_us + TICK_US, command.pwm_us[: len(vehicle.thrusters)])
         if t_us > 2_000_000:
@@ -76,12 +76,16 @@ def test_pushed_aside_and_turning_with_a_vertical_thruster_lost() -> None:
 @settings(max_examples=50)
 def test_the_axes_are_left_alone_and_the_reserve_is_enough(seed: int) -> None:
     rng, vehicle = np.random.default_rng(seed), HEAVY
-    loop = Levelling(vehicle)
+    loop = AttitudeStabilizer(vehicle)
     thrusters = vehicle.thrusters
     wrench = np.array(wrench_matrix([t.position_frd_m for t in thrusters], [t.direction_frd for t in thrusters]))
     limit = rng.uniform(5.0, 30.0, 8) * (np.arange(8) != rng.integers(4, 12))
     reserve = loop.reserve_n(limit)
-    assert (reserve >= 0.0).all() and (reserve <= LEVELLING.most * limit + 1e-12).all() and not reserve[:4].any()
+    assert (
+        (reserve >= 0.0).all()
+        and (reserve <= ATTITUDE_STABILISATION.most * limit + 1e-12).all()
+        and not reserve[:4].any()
+    )
     wanted = rng.uniform(-1.0, 1.0, 8) * (limit - reserve)
     thrust = loop.thrust_n(wanted, limit, rng.normal(size=3) * 0.3, rng.normal(size=3) * 0.5)
     assert (np.abs(thrust) <= limit + 1e-9).all()
@@ -92,7 +96,7 @@ def test_the_axes_are_left_alone_and_the_reserve_is_enough(seed: int) -> None:
 def test_what_cannot_be_pushed_is_left_alone(name: str) -> None:
     vehicle = load_vehicle(name)
     n = len(vehicle.thrusters)
-    loop, limit, wanted = Levelling(vehicle), np.full(n, 10.0), np.linspace(-3.0, 3.0, n)
+    loop, limit, wanted = AttitudeStabilizer(vehicle), np.full(n, 10.0), np.linspace(-3.0, 3.0, n)
     turned = loop.thrust_n(wanted, limit, np.array([0.0, 0.4, 0.0]), np.array([0.0, 0.3, 0.0]))
     thrusters = vehicle.thrusters
     wrench = np.array(wrench_matrix([t.position_frd_m for t in thrusters], [t.direction_frd for t in thrusters]))
@@ -106,7 +110,7 @@ def test_the_noise_of_rates_and_of_the_controller_turns_no_thruster_to_and_fro(n
     """Two verticals share a weight of 1 N and level what a slow sway tilts: pulses changed sides six to eight times a
     second."""
     vehicle, rng, seconds = load_vehicle(name), np.random.default_rng(1), 12.0
-    actuation, sharing = Actuation(vehicle, ParamSet()), Sharing.of(vehicle)
+    actuation, allocator = Actuation(vehicle, ParamSet()), ControlAllocator.of(vehicle)
     plant = Plant(vehicle, SimulatedWaters(), start_pos_ned_m=(0.0, 0.0, 20.0))
     count, pulses, most = len(vehicle.thrusters), [], np.zeros(2)
     for tick in range(round(100 * seconds)):
@@ -114,7 +118,7 @@ def test_the_noise_of_rates_and_of_the_controller_turns_no_thruster_to_and_fro(n
         nav = replace(nav, rate_frd_rad_s=nav.rate_frd_rad_s + rng.normal(0.0, 0.008, 3))
         actuation.learn(t_us, nav, actuation.send(t_us), None, armed=True, reached=True)
         force = np.array([2.0, 2.0 * math.sin(0.006 * tick), 1.0 + math.sin(0.002 * tick), 0.0])
-        wanted = sharing.thrust_n(force, actuation.limit_n) + rng.normal(0.0, 0.1, count)
+        wanted = allocator.thrust_n(force, actuation.limit_n) + rng.normal(0.0, 0.1, count)
         command = actuation.command(t_us, wanted, armed=True)
         plant.advance(t_us + TICK_US, command.pwm_us[:count])
         pulses.append(command.pwm_us[4:count])

@@ -10,8 +10,8 @@ from control_loop import STEP_US, goal, nav_state, rk4, still
 
 from autopilot.control.controller import MotionController
 from autopilot.control.nmpc import ocp
+from autopilot.control.thrust.redundancy import tilt_of
 from autopilot.control.thrust.thruster_health import ThrusterHealth
-from autopilot.control.thrust.twins import tilt_of
 from autopilot.core.frames import FloatArray
 from autopilot.core.geometry import Fence
 from autopilot.core.messages import Fallback, Goal, NavState, Severity, SolveStatus, VelocityGoal

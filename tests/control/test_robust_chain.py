@@ -10,12 +10,12 @@ from autopilot.campaign.tube_study import TubeCheck
 from autopilot.control.controller import MotionController
 from autopilot.control.robust.penalty import PATIENCE_STEPS, PenaltyWatch
 from autopilot.control.robust.station import StationKeeper
+from autopilot.core.control_allocator import ControlAllocator
 from autopilot.core.frames import FloatArray, wrap_pi
 from autopilot.core.geometry import Circle, Fence
 from autopilot.core.messages import ControlOutput, Fallback, Goal, SolveStatus
 from autopilot.core.operator_messages import LIMITS_GIVEN_UP
 from autopilot.core.params import ParamSet
-from autopilot.core.sharing import Sharing
 
 OPEN = Fence(depth_max_m=5.0)
 START = np.array([-1.6, -0.35, 0.45, 0.0, 0.0, 0.0, 0.0, 0.0])
@@ -103,18 +103,18 @@ def test_station_keeping_ends_inside_the_invariant_set() -> None:
     rig.controller._plan_age_s = None
     rig.fly(far, 25.0)
     assert rig.fallbacks()[-1] is Fallback.STATION_KEEPING
-    keeper = rig.controller._station
-    assert keeper.inside and keeper.target is not None
-    assert np.hypot(*(rig.x[:2] - keeper.target[:2])) < 0.02 and abs(wrap_pi(rig.x[3] - keeper.target[3])) < 0.05
+    watchdog = rig.controller._station
+    assert watchdog.inside and watchdog.target is not None
+    assert np.hypot(*(rig.x[:2] - watchdog.target[:2])) < 0.02 and abs(wrap_pi(rig.x[3] - watchdog.target[3])) < 0.05
     rig.fail_solver(False)
     rig.fly(far, 1.0)
-    assert rig.fallbacks()[-1] is Fallback.NONE and keeper.target is None
+    assert rig.fallbacks()[-1] is Fallback.NONE and watchdog.target is None
 
 
 def test_station_keeper_falls_back_to_the_cascade_in_water_that_is_too_fast() -> None:
-    keeper = StationKeeper(Sharing(MODEL))
-    thrust = keeper.thrust(START, np.array([0.9, 0.0, 0.0]), np.full(4, 12.0))
-    assert not keeper.inside and np.isfinite(thrust).all() and np.abs(thrust).max() <= 12.0
+    watchdog = StationKeeper(ControlAllocator(MODEL))
+    thrust = watchdog.thrust(START, np.array([0.9, 0.0, 0.0]), np.full(4, 12.0))
+    assert not watchdog.inside and np.isfinite(thrust).all() and np.abs(thrust).max() <= 12.0
 
 
 def test_a_jump_of_the_current_is_ridden_out() -> None:

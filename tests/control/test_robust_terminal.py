@@ -26,16 +26,16 @@ from autopilot.control.robust.terminal import (
     violations,
 )
 from autopilot.core import model4
-from autopilot.core.desk import Desk
+from autopilot.core.background import BackgroundWorker
+from autopilot.core.control_allocator import ControlAllocator
 from autopilot.core.frames import FloatArray
 from autopilot.core.geometry import Circle, Fence
 from autopilot.core.messages import Goal, Severity
 from autopilot.core.params import ParamSet
-from autopilot.core.sharing import Sharing
 
 Q = np.array([20.0, 20.0, 40.0, 3.0, 8.0, 8.0, 8.0, 0.5])
 R = np.full(4, 0.02)
-SHARING, LIMIT_N = Sharing(MODEL), np.full(4, 12.0)
+SHARING, LIMIT_N = ControlAllocator(MODEL), np.full(4, 12.0)
 FEW = unit_samples(4_000)
 flows = st.tuples(st.floats(-0.3, 0.3), st.floats(-0.3, 0.3))
 
@@ -157,7 +157,7 @@ def test_region_error_turns_into_the_frame_of_the_goal() -> None:
 
 
 def test_regions_are_certified_beside_the_loop_and_told_to_the_log_once() -> None:
-    regions = TerminalRegions(SHARING, Desk())
+    regions = TerminalRegions(SHARING, BackgroundWorker())
     still = np.zeros(3)
     steps = 0
     while regions.certificate is None:
@@ -193,7 +193,7 @@ def test_the_controller_certifies_its_goal_while_it_flies(cost: float) -> None:
 
 
 def test_a_goal_without_a_region_is_something_to_mend() -> None:
-    regions = TerminalRegions(SHARING, Desk())
+    regions = TerminalRegions(SHARING, BackgroundWorker())
     for _ in range(2 * REGIONS.answer_steps):
         regions.follow(B, math.pi, np.zeros(3), -0.01, lambda: limits(clearance_m=-0.01), Q, R)
     told = [text for severity, text in regions.take_news() if severity <= Severity.INFO]

@@ -9,12 +9,12 @@ from control_loop import rk4
 
 from autopilot.control.thrust.allocation import Allocation
 from autopilot.control.thrust.thruster_health import ThrusterHealth, hover_problem, told, usable
+from autopilot.core.control_allocator import ControlAllocator
 from autopilot.core.frames import FloatArray
 from autopilot.core.messages import NavHealth, NavState
 from autopilot.core.model4 import Model4
 from autopilot.core.params import ParamSet
 from autopilot.core.response import Response
-from autopilot.core.sharing import Sharing
 from autopilot.core.vehicle import load_vehicle
 
 VEHICLE = load_vehicle("lbv150")
@@ -178,13 +178,13 @@ def test_told_values_and_compensated_pulses() -> None:
 
 def test_what_is_left_of_the_vehicle() -> None:
     full, still, flow = np.full(4, 12.0), np.zeros(3), np.array([0.25, 0.0, 0.0])
-    assert hover_problem(Sharing(MODEL), full, flow) == ""
-    assert hover_problem(Sharing(MODEL), full * [1, 1, 0, 1], still) == "depth cannot be held"
-    assert hover_problem(Sharing(MODEL), full * [0, 0, 1, 1], still) == "heading cannot be held"
+    assert hover_problem(ControlAllocator(MODEL), full, flow) == ""
+    assert hover_problem(ControlAllocator(MODEL), full * [1, 1, 0, 1], still) == "depth cannot be held"
+    assert hover_problem(ControlAllocator(MODEL), full * [0, 0, 1, 1], still) == "heading cannot be held"
     # With one horizontal thruster the vehicle stays beam on to the current, not bow on.
-    assert hover_problem(Sharing(MODEL), full * [0, 1, 1, 1], flow) == ""
-    assert hover_problem(Sharing(MODEL), full * [0, 1, 1, 1], flow, math.pi / 2) == ""
-    assert "at this heading" in hover_problem(Sharing(MODEL), full * [0, 1, 1, 1], flow, 0.0)
+    assert hover_problem(ControlAllocator(MODEL), full * [0, 1, 1, 1], flow) == ""
+    assert hover_problem(ControlAllocator(MODEL), full * [0, 1, 1, 1], flow, math.pi / 2) == ""
+    assert "at this heading" in hover_problem(ControlAllocator(MODEL), full * [0, 1, 1, 1], flow, 0.0)
     # Without the lateral one it is the other way round, and with neither nothing is left.
-    assert hover_problem(Sharing(MODEL), full * [1, 1, 1, 0], flow, math.pi) == ""
-    assert "0.25 m/s" in hover_problem(Sharing(MODEL), full * [0, 1, 1, 0], flow)
+    assert hover_problem(ControlAllocator(MODEL), full * [1, 1, 1, 0], flow, math.pi) == ""
+    assert "0.25 m/s" in hover_problem(ControlAllocator(MODEL), full * [0, 1, 1, 0], flow)

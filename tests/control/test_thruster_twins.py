@@ -10,11 +10,11 @@ from hypothesis import strategies as st
 from vehicles import bluerov2, drawn
 
 from autopilot.control.thrust.actuation import Actuation
-from autopilot.control.thrust.twins import alike, lossy_share, tilt_of, weak_thrusters
+from autopilot.control.thrust.redundancy import alike, lossy_share, tilt_of, weak_thrusters
+from autopilot.core.control_allocator import ControlAllocator
 from autopilot.core.frames import FloatArray
 from autopilot.core.model4 import Model4
 from autopilot.core.params import ParamSet
-from autopilot.core.sharing import Sharing
 from autopilot.core.vehicle import Vehicle, load_vehicle
 from autopilot.sitl.environment import SimulatedWaters
 from autopilot.sitl.plant import Plant
@@ -52,7 +52,7 @@ def manoeuvre(
 ) -> Said:
     """The thrusters as the service has them under the simulated vehicle, pushed along all axes; one is lost at LOST_S.
     ``tell``: a parameter that an operator sets at a time [s]."""
-    params, sharing = ParamSet(), Sharing.of(vehicle)
+    params, allocator = ParamSet(), ControlAllocator.of(vehicle)
     actuation = Actuation(vehicle, params)
     plant = Plant(vehicle, SimulatedWaters(), start_pos_ned_m=(0.0, 0.0, 30.0), mismatch={"thrust": gain})
     rng, said, n = np.random.default_rng(seed), Said(), len(vehicle.thrusters)
@@ -83,7 +83,7 @@ def manoeuvre(
             down = 2.0 + 6.0 * (30.0 - truth.pos_ned_m[2]) + most_n * math.copysign(1.0, math.sin(1.6 * t_s + phase[2]))
             ahead, aside = 5.0 * math.sin(t_s + phase[0]), 5.0 * math.sin(1.4 * t_s + phase[1])
             wanted = np.array([ahead, aside, down, 0.5 * math.sin(1.8 * t_s + phase[3])])
-            thrust = sharing.thrust_n(wanted, actuation.limit_n)
+            thrust = allocator.thrust_n(wanted, actuation.limit_n)
         command = actuation.command(t_us, thrust, armed=True)
         pulses = command.pwm_us[:n]
         gives = np.ones(n)
@@ -103,9 +103,9 @@ def test_a_dead_thruster_is_named_alone_or_with_its_twins_and_never_a_sound_one(
     """All thrusters of all vehicle files."""
     vehicle = SHIPPED[name]
     said = manoeuvre(vehicle, lost, 21.0, seed=lost)
-    twins = set(np.flatnonzero(alike(vehicle.to_model())[lost]).tolist())
+    redundant = set(np.flatnonzero(alike(vehicle.to_model())[lost]).tolist())
     assert LOST_S < said.first_s < LOST_S + 12.0
-    assert all(lost in named and named <= twins for named in said.named)
+    assert all(lost in named and named <= redundant for named in said.named)
 
 
 @pytest.mark.parametrize("name", list(SHIPPED))
@@ -154,8 +154,8 @@ def test_twins_are_those_that_push_the_same_way_or_the_opposite(seed: int, thrus
     columns = np.array(model.allocation)
     for sign in (1.0, -1.0):
         more = np.column_stack([columns, sign * columns[:, 0]])
-        twins = alike(with_columns(model, more))
-        assert twins[0, thrusters] and (twins == twins.T).all() and twins.diagonal().all()
+        redundant = alike(with_columns(model, more))
+        assert redundant[0, thrusters] and (redundant == redundant.T).all() and redundant.diagonal().all()
     other = np.array([0.0, 0.0, 1.0, 0.0]), np.array([math.sin(turned), 0.0, math.cos(turned), 0.0])
     aside = alike(with_columns(replace(model, mass_kg=(20.0, 20.0, 20.0, 0.3)), np.column_stack(other)))
     assert abs(turned - 0.2) < 0.01 or bool(aside[0, 1]) is (math.sin(turned) < 0.2)

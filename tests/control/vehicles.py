@@ -6,8 +6,8 @@ from typing import Any
 import msgspec
 import numpy as np
 
+from autopilot.core.control_allocator import lacking_thrust
 from autopilot.core.frames import FloatArray
-from autopilot.core.sharing import lacking_thrust
 from autopilot.core.thrusters import ThrusterTable
 from autopilot.core.vehicle import Model4Table, Vehicle, load_vehicle
 

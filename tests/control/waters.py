@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from autopilot.control.water.currents import CurrentForecast
+from autopilot.control.current.currents import CurrentForecast
 from autopilot.core.frames import FloatArray
 from autopilot.core.geometry import Fence, Polygon
 from autopilot.sitl.current_fields import Bickley, CurrentField, Gyre, Shear, TankJet, Uniform

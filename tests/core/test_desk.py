@@ -6,7 +6,7 @@ from concurrent.futures import ThreadPoolExecutor
 
 import pytest
 
-from autopilot.core.desk import Cancel, Desk
+from autopilot.core.background import BackgroundWorker, Cancel
 
 
 @pytest.fixture
@@ -21,46 +21,46 @@ def twice(number: int, _: Cancel) -> int:
 
 def test_an_answer_comes_once_and_not_before_it_is_due(one_thread: ThreadPoolExecutor) -> None:
     for executor in (None, one_thread):
-        ticket = Desk(executor).submit(7, twice, 21)
-        assert ticket.poll(6) is None
-        answer = ticket.poll(7)
+        task = BackgroundWorker(executor).submit(7, twice, 21)
+        assert task.poll(6) is None
+        answer = task.poll(7)
         assert answer is not None
         assert answer.get() == 42
-        assert ticket.poll(8) is None
+        assert task.poll(8) is None
 
 
 def test_a_patient_desk_waits_and_lets_the_loop_attend_to_what_cannot_wait(one_thread: ThreadPoolExecutor) -> None:
     release = threading.Event()
-    desk = Desk(one_thread)
-    desk.idle = release.set
-    ticket = desk.submit(0, lambda _, cancel: release.wait(60.0), None)
-    answer = ticket.poll(0)
+    worker = BackgroundWorker(one_thread)
+    worker.idle = release.set
+    task = worker.submit(0, lambda _, cancel: release.wait(60.0), None)
+    answer = task.poll(0)
     assert answer is not None
     assert answer.get() is True
 
 
 def test_in_real_time_the_loop_goes_on_and_a_late_answer_is_counted_once(one_thread: ThreadPoolExecutor) -> None:
     release = threading.Event()
-    desk = Desk(one_thread, patient=False)
-    ticket = desk.submit(1, lambda _, cancel: release.wait(60.0), None)
-    assert [ticket.poll(now) for now in range(4)] == [None] * 4
-    assert desk.late == 1
+    worker = BackgroundWorker(one_thread, blocking=False)
+    task = worker.submit(1, lambda _, cancel: release.wait(60.0), None)
+    assert [task.poll(now) for now in range(4)] == [None] * 4
+    assert worker.late == 1
     release.set()
     one_thread.submit(lambda: None).result()
-    assert ticket.poll(4) is not None
+    assert task.poll(4) is not None
 
 
 def test_what_is_cancelled_before_it_begins_is_never_begun(one_thread: ThreadPoolExecutor) -> None:
     release, begun = threading.Event(), []
-    desk = Desk(one_thread)
+    worker = BackgroundWorker(one_thread)
 
     def work(number: int, cancel: Cancel) -> None:
         begun.append(number)
         release.wait(60.0)
 
-    tickets = [desk.submit(0, work, number) for number in range(20)]
-    for ticket in tickets[:-1]:
-        ticket.cancel()
+    tickets = [worker.submit(0, work, number) for number in range(20)]
+    for task in tickets[:-1]:
+        task.cancel()
     release.set()
     assert tickets[-1].poll(0) is not None
     assert tickets[0].poll(0) is None
@@ -77,9 +77,9 @@ def test_work_that_is_under_way_sees_that_it_is_cancelled(one_thread: ThreadPool
             pass
         seen.set()
 
-    ticket = Desk(one_thread).submit(0, work, None)
+    task = BackgroundWorker(one_thread).submit(0, work, None)
     assert begun.wait(60.0)
-    ticket.cancel()
+    task.cancel()
     assert seen.wait(60.0)
 
 
@@ -88,7 +88,7 @@ def test_an_exception_of_the_work_is_its_answer(one_thread: ThreadPoolExecutor) 
         raise ValueError("no way")
 
     for executor in (None, one_thread):
-        answer = Desk(executor).submit(0, work, None).poll(0)
+        answer = BackgroundWorker(executor).submit(0, work, None).poll(0)
         assert answer is not None
         with pytest.raises(ValueError, match="no way"):
             answer.get()

@@ -13,7 +13,7 @@ from autopilot.core.frames import r_ned_from_frd
 from autopilot.core.map_errors import SHEET_SIGMA_M, SHEET_SIGMA_RAD, error_arrays, errors_of_arrays
 from autopilot.core.marker_files import load_marker_map, make_map, marker_file_text, placed_markers
 from autopilot.core.markers import MarkerMap, grid_floor
-from autopilot.sitl.floor import build_markers, told_floor_m, told_markers
+from autopilot.sitl.floor import build_markers, given_floor_m, given_markers
 from autopilot.sitl.scenario import load_scenario
 
 POLYGON = np.array([[-0.9, -0.6], [0.9, -0.6], [0.9, 0.6], [-0.9, 0.6]])
@@ -104,7 +104,7 @@ center_m = [0.65, 0.31, 1.5]
 
 def test_the_scenario_lays_another_floor_than_it_tells() -> None:
     scenario = load_scenario("hand-laid")
-    true, told = build_markers(scenario), told_markers(scenario)
+    true, told = build_markers(scenario), given_markers(scenario)
     assert true is not None
     assert told is not None
     assert told.errors is not None
@@ -123,13 +123,13 @@ def test_the_vehicle_of_a_campaign_is_told_what_a_person_knows() -> None:
     laid = msgspec.structs.replace(laid, print_scale=0.99, sigma_m=0.0, sigma_rad=0.0, print_sigma_m=0.0)
     markers = msgspec.structs.replace(scenario.markers, laid=laid, told_deeper_m=0.01)
     scenario = msgspec.structs.replace(scenario, markers=markers)
-    true, told = build_markers(scenario), told_markers(scenario)
+    true, told = build_markers(scenario), given_markers(scenario)
     assert true is not None
     assert told is not None
     assert told.errors is not None
     assert true.sizes_m == pytest.approx(0.99 * told.sizes_m)
     np.testing.assert_allclose(told.corners_ned_m[..., 2], true.corners_ned_m[..., 2] + 0.01)
-    assert told_floor_m(scenario) == pytest.approx(1.51)
+    assert given_floor_m(scenario) == pytest.approx(1.51)
     assert (told.errors.sigma[:, [0, 3]] == [SHEET_SIGMA_M, SHEET_SIGMA_RAD]).all()
     for k in range(len(told.errors.names)):
         mine = told.errors.sheet == k

@@ -14,9 +14,9 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "control"))
 
 from vehicles import BLUEROV2_HULL, LBV150, vectored, vehicle_with
 
+from autopilot.core.control_allocator import ControlAllocator, lacking_thrust
 from autopilot.core.frames import FloatArray
 from autopilot.core.model4 import Model4
-from autopilot.core.sharing import Sharing, lacking_thrust
 
 MODEL = LBV150.to_model()
 LIMIT_N = np.full(4, 12.0)
@@ -41,9 +41,9 @@ def made(seed: int) -> tuple[Model4, np.random.Generator]:
 def test_a_force_within_reach_is_made_with_least_energy(seed: int) -> None:
     model, rng = made(seed)
     watts = rng.uniform(0.5, 2.0, model.thrusters)
-    t, sharing = np.array(model.allocation), Sharing(model, watts.tolist())
+    t, allocator = np.array(model.allocation), ControlAllocator(model, watts.tolist())
     force = rng.normal(size=4) * [5.0, 5.0, 5.0, 1.0]
-    thrust = sharing.thrust_n(force, np.full(model.thrusters, np.inf))
+    thrust = allocator.thrust_n(force, np.full(model.thrusters, np.inf))
     assert np.allclose(t @ thrust, force, atol=1e-9)
     # Any other way of making it differs by what makes no force, and costs more.
     idle = np.linalg.svd(t)[2][4:]
@@ -56,11 +56,11 @@ def test_a_force_within_reach_is_made_with_least_energy(seed: int) -> None:
 @given(st.integers(0, 10_000))
 def test_bounds_are_hard_and_what_is_out_of_reach_comes_nearest(seed: int) -> None:
     model, rng = made(seed)
-    n, sharing = model.thrusters, Sharing(model)
+    n, allocator = model.thrusters, ControlAllocator(model)
     # Weak ones, and now and then one that is lost.
     limit = rng.uniform(0.0, 6.0, n) * (rng.uniform(size=n) > 0.15)
     force = rng.normal(size=4) * [10.0, 10.0, 10.0, 2.0]
-    thrust = sharing.thrust_n(force, limit)
+    thrust = allocator.thrust_n(force, limit)
     assert (np.abs(thrust) <= limit).all()
     t = np.array(model.allocation)
     root = np.linalg.cholesky(np.linalg.inv(t @ t.T)).T
@@ -80,28 +80,31 @@ def test_the_order_of_thrusters_does_not_matter(seed: int) -> None:
     other = with_columns(np.array(model.allocation)[:, order])
     limit, force = rng.uniform(0.0, 6.0, model.thrusters), rng.normal(size=4) * [10.0, 10.0, 10.0, 2.0]
     for bound in (limit, np.full(model.thrusters, np.inf)):
-        plain, mixed = Sharing(model).thrust_n(force, bound), Sharing(other).thrust_n(force, bound[order])
+        plain, mixed = (
+            ControlAllocator(model).thrust_n(force, bound),
+            ControlAllocator(other).thrust_n(force, bound[order]),
+        )
         assert np.allclose(plain[order], mixed, atol=1e-4)
 
 
 def test_as_many_thrusters_as_axes_have_one_answer_each_cut_at_its_bound() -> None:
-    thrust = Sharing(MODEL).thrust_n(np.array([WANTED, 4.0 * WANTED]), LIMIT_N)
+    thrust = ControlAllocator(MODEL).thrust_n(np.array([WANTED, 4.0 * WANTED]), LIMIT_N)
     exact = np.linalg.solve(np.array(MODEL.allocation), WANTED)
     assert np.allclose(thrust, [exact, np.clip(4.0 * exact, -12.0, 12.0)], atol=1e-12)
 
 
 def test_a_lost_thruster_is_made_up_for() -> None:
     model = with_columns(vectored(4))
-    sharing, limit = Sharing(model), np.array([12.0, 0.0, 12.0, 12.0, 12.0, 12.0, 0.0, 12.0])
-    thrust = sharing.thrust_n(WANTED, limit)
+    allocator, limit = ControlAllocator(model), np.array([12.0, 0.0, 12.0, 12.0, 12.0, 12.0, 0.0, 12.0])
+    thrust = allocator.thrust_n(WANTED, limit)
     assert thrust[1] == thrust[6] == 0.0 and np.allclose(np.array(model.allocation) @ thrust, WANTED)
 
 
 def test_reach_is_what_one_axis_gives_with_no_other() -> None:
-    assert Sharing(MODEL).reach(LIMIT_N) == pytest.approx([24.0, 12.0, 12.0, 2.88], rel=3e-3)
+    assert ControlAllocator(MODEL).reach(LIMIT_N) == pytest.approx([24.0, 12.0, 12.0, 2.88], rel=3e-3)
     half = np.array([6.0, 12.0, 12.0, 12.0])
     # Twice the weaker of the pair: more would turn the vehicle.
-    assert Sharing(MODEL).reach(half)[0] == pytest.approx(12.0, rel=3e-3)
+    assert ControlAllocator(MODEL).reach(half)[0] == pytest.approx(12.0, rel=3e-3)
 
 
 @pytest.mark.parametrize(

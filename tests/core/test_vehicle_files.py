@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 
 from autopilot.core.errors import ConfigError
 from autopilot.core.vehicle import Vehicle, checked, convert, load_vehicle, vehicle_names
-from autopilot.core.vehicle_facts import facts_of, terminal_speed, tilts_of
+from autopilot.core.vehicle_summary import facts_of, terminal_speed, tilts_of
 from autopilot.sitl.toml_text import toml_text
 
 FOLDER = resources.files("autopilot") / "data"

@@ -4,7 +4,7 @@ import pytest
 from md_pages import ROOT
 
 from autopilot.core.vehicle import load_vehicle, vehicle_names
-from autopilot.core.vehicle_facts import facts_of
+from autopilot.core.vehicle_summary import facts_of
 
 
 def table() -> dict[str, list[str]]:

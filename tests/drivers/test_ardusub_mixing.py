@@ -6,8 +6,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from autopilot.control.thrust.allocation import Allocation
+from autopilot.core.control_allocator import ControlAllocator
 from autopilot.core.errors import ConfigError
-from autopilot.core.sharing import Sharing
 from autopilot.core.thrusters import wrench_matrix
 from autopilot.core.vehicle import Vehicle, load_vehicle
 from autopilot.drivers.ardusub_mixing import FRAMES, NEUTRAL, Mixer
@@ -22,7 +22,7 @@ SUPPLY = st.floats(13.0, 17.0)
 def _pulses(vehicle: Vehicle, force: tuple[float, ...], supply_v: float) -> tuple[int, ...]:
     """As the service makes them."""
     limit_n = np.full(len(vehicle.thrusters), 12.0)
-    thrust_n = Sharing.of(vehicle).thrust_n(np.array(force), limit_n)
+    thrust_n = ControlAllocator.of(vehicle).thrust_n(np.array(force), limit_n)
     return Allocation(vehicle.thrusters).pulses_us(thrust_n, supply_v)
 
 

@@ -16,7 +16,7 @@ from output_rigs import VEHICLE, SysfsPwmRig
 from pwm_vehicle import gone, keepers_of, until
 
 from autopilot.drivers.sysfs_pwm import SysfsPwm, SysfsPwmOptions
-from autopilot.drivers.watchdog_process import LONGEST_PAUSE_US, KeeperProcess
+from autopilot.drivers.watchdog_process import LONGEST_PAUSE_US, WatchdogState
 
 pytestmark = pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="processes are looked up in /proc")
 
@@ -35,9 +35,9 @@ def keep(output: SysfsPwm, done: Callable[[], bool], t_us: int = 0) -> int:
     raise AssertionError("it does not happen")
 
 
-def kept(output: SysfsPwm) -> KeeperProcess:
-    assert output.keeper is not None
-    return output.keeper
+def kept(output: SysfsPwm) -> WatchdogState:
+    assert output.watchdog is not None
+    return output.watchdog
 
 
 @pytest.fixture
@@ -136,9 +136,9 @@ def test_one_that_cannot_be_started_is_tried_again_with_pauses(
 ) -> None:
     output.open()  # with a keeper that lives; then no other is to be had
     t_us = keep(output, lambda: output.watchdog_problem == "")
-    keeper = kept(output)
+    watchdog = kept(output)
     with state(monkeypatch):  # type: ignore[attr-defined]
-        os.kill(keeper.pid or 0, signal.SIGKILL)
+        os.kill(watchdog.pid or 0, signal.SIGKILL)
         t_us = keep(output, lambda: output.watchdog_problem not in ("", "is starting"), t_us)
         begin_us = t_us
         while t_us - begin_us < 60_000_000:
@@ -147,8 +147,8 @@ def test_one_that_cannot_be_started_is_tried_again_with_pauses(
             output.check(t_us)
             time.sleep(0.002)
         assert output.watchdog_failed
-        assert 3 <= keeper.starts <= 2 + 5 + 60_000_000 // LONGEST_PAUSE_US
-    until(lambda: keeper._coming is None or keeper._coming.done())
+        assert 3 <= watchdog.starts <= 2 + 5 + 60_000_000 // LONGEST_PAUSE_US
+    until(lambda: watchdog._coming is None or watchdog._coming.done())
     keep(output, lambda: output.watchdog_problem == "", t_us)
 
 

@@ -22,10 +22,10 @@ from autopilot.estimator.frame_filter import FrameFilter, quantile
 from autopilot.estimator.markers_pose import MarkerSolver
 from autopilot.estimator.pnp import solve_pose
 from autopilot.estimator.vision import Hint, MarkerDetector
-from autopilot.estimator.vision_lane import VisionWorker
+from autopilot.estimator.vision_worker import VisionWorker
 from autopilot.sitl.camera_sensor import SimCamera
 from autopilot.sitl.floor import Floor
-from autopilot.sitl.sensor_tables import CameraLook
+from autopilot.sitl.sensor_tables import ImageModel
 
 POS, RPY = np.array([0.5, -0.2, 0.6]), np.array([0.01, -0.01, 0.4])
 HINT = Hint(pos_ned_m=POS + 0.004, rpy_rad=RPY)
@@ -34,7 +34,7 @@ HINT = Hint(pos_ned_m=POS + 0.004, rpy_rad=RPY)
 @pytest.fixture(scope="module")
 def pictures(tank: Floor) -> list[np.ndarray]:
     """Of one place, and of one 6 cm further north."""
-    renderer = SimCamera(CAMERA, tank, CameraLook(), 1)
+    renderer = SimCamera(CAMERA, tank, ImageModel(), 1)
     return [renderer.render(truth_at(POS + np.array([step, 0.0, 0.0]), RPY), k) for k, step in enumerate((0.0, 0.06))]
 
 
@@ -60,7 +60,7 @@ def test_each_kind_of_bad_picture_has_a_name(pictures: list[np.ndarray]) -> None
 
 
 def test_thick_haze_and_a_dark_tank_are_no_faults(tank: Floor) -> None:
-    for look in (CameraLook(turbidity_1_m=4.0), CameraLook(light=0.3), CameraLook(noise_levels=0.5, turbidity_1_m=3.0)):
+    for look in (ImageModel(turbidity_1_m=4.0), ImageModel(light=0.3), ImageModel(noise_levels=0.5, turbidity_1_m=3.0)):
         image = SimCamera(CAMERA, tank, look, 1).render(truth_at(POS, RPY), 0)
         assert verdicts(image) == [FrameVerdict.OK]
 

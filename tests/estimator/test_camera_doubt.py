@@ -14,7 +14,7 @@ from autopilot.core.markers import MarkerMap
 from autopilot.core.messages import NavDoubt, NavHealth
 from autopilot.core.samples import MarkerSighting, PoseSample
 from autopilot.core.vehicle import Vehicle
-from autopilot.estimator.camera_doubt import CameraMonitor, focal_estimate
+from autopilot.estimator.camera_monitor import CameraMonitor, focal_estimate
 from autopilot.estimator.ekf import create_ekf
 from autopilot.estimator.history import Node
 from autopilot.estimator.inertial import Inertial
@@ -207,7 +207,7 @@ def test_what_pictures_say_of_the_focal_length_counts_before_it_is_sure() -> Non
     assert not watch.update_focal(0.02, 0.005)
     still = Inertial(0, 0.0, 0.0, 0.0, 0.0, (0.0, 0.0, 0.0), np.zeros(3), (0.0, 0.0), True)
     node = Node(0, Moment(still, (0.0,) * 4), None, FilterState(np.zeros(NX), np.eye(NX)))
-    variance = watch.unexplained_variance(0, node)
+    variance = watch.systematic_variance(0, node)
     assert 0.015 < math.sqrt(variance[2]) < 0.03
     assert watch.take_texts() == ()
 

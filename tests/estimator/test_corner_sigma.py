@@ -15,7 +15,7 @@ from autopilot.estimator.pnp import solve_pose
 from autopilot.estimator.vision import Hint, MarkerDetector
 from autopilot.sitl.camera_sensor import SimCamera
 from autopilot.sitl.floor import Floor
-from autopilot.sitl.sensor_tables import CameraLook
+from autopilot.sitl.sensor_tables import ImageModel
 from tests.bench.photographs import PHOTOGRAPHS, Photograph, read_photographs
 
 BOARD = ("img_00", "choriginal", "img_02", "img_03")
@@ -26,7 +26,7 @@ def test_corners_are_as_far_off_as_the_image_says(
     tank: Floor, detector: MarkerDetector, height_m: float, turbidity: float
 ) -> None:
     """0.1 px in clear water to 0.7 px in thick haze, each within a factor of two of what is said of it."""
-    renderer = SimCamera(CAMERA, tank, CameraLook(turbidity_1_m=turbidity), 2)
+    renderer = SimCamera(CAMERA, tank, ImageModel(turbidity_1_m=turbidity), 2)
     errors, said = [], []
     for index, (pos, rpy) in enumerate(poses(height_m, 4, 5)):
         image = renderer.render(truth_at(pos, rpy), index)

@@ -21,7 +21,7 @@ from autopilot.sitl.camera_sensor import SimCamera
 from autopilot.sitl.floor import Floor
 from autopilot.sitl.plant import Truth, build_plant
 from autopilot.sitl.scenario import load_scenario
-from autopilot.sitl.sensor_tables import CameraLook
+from autopilot.sitl.sensor_tables import ImageModel
 
 
 def truth_at(pos: FloatArray, rpy: FloatArray) -> Truth:
@@ -47,7 +47,7 @@ def test_pose_from_rendered_images(
     tank: Floor, detector: MarkerDetector, height_m: float, turbidity: float, limit_m: float
 ) -> None:
     """No image lost, no false id kept, millimetres; the laser tells the range."""
-    renderer = SimCamera(CAMERA, tank, CameraLook(turbidity_1_m=turbidity), 1)
+    renderer = SimCamera(CAMERA, tank, ImageModel(turbidity_1_m=turbidity), 1)
     solver = MarkerSolver(CAMERA, tank.markers)
     rng = np.random.default_rng(9)
     ranges = 0
@@ -73,7 +73,7 @@ def test_pose_from_rendered_images(
 
 
 def test_without_a_hint_the_whole_dictionary_is_searched(tank: Floor, detector: MarkerDetector) -> None:
-    renderer = SimCamera(CAMERA, tank, CameraLook(), 1)
+    renderer = SimCamera(CAMERA, tank, ImageModel(), 1)
     solver = MarkerSolver(CAMERA, tank.markers)
     for index, (pos, rpy) in enumerate(poses(0.9, 2, 3)):
         frame = CameraFrame(t_us=0, image_bgr=renderer.render(truth_at(pos, rpy), index))
@@ -87,7 +87,7 @@ def test_without_a_hint_the_whole_dictionary_is_searched(tank: Floor, detector: 
 
 
 def test_wrong_hint_finds_little_and_nothing_false_survives(tank: Floor, detector: MarkerDetector) -> None:
-    renderer = SimCamera(CAMERA, tank, CameraLook(), 1)
+    renderer = SimCamera(CAMERA, tank, ImageModel(), 1)
     solver = MarkerSolver(CAMERA, tank.markers)
     pos, rpy = np.array([1.0, 0.5, 0.4]), np.array([0.0, 0.0, 0.3])
     frame = CameraFrame(t_us=0, image_bgr=renderer.render(truth_at(pos, rpy), 0))

@@ -7,7 +7,7 @@ from autopilot.core.messages import NavHealth, NavState
 from autopilot.core.samples import CameraFrame, MarkerSighting
 from autopilot.estimator.frame_filter import FrameFilter
 from autopilot.estimator.vision import Hint
-from autopilot.estimator.vision_lane import ACQUISITION_EVERY, SUSPECT_EVERY, VisionWorker
+from autopilot.estimator.vision_worker import ACQUISITION_EVERY, SUSPECT_EVERY, VisionWorker
 
 SHAPE = (48, 64, 3)
 

@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from autopilot.control.current.currents import EstimatedCurrent
+from autopilot.control.path.workers import BackgroundWorkers
 from autopilot.control.protocol import Controller, ControllerContext, create_controller, sound
-from autopilot.control.water.currents import EstimatedCurrent
-from autopilot.control.way.desks import Desks
 from autopilot.core.frames import FloatArray, wrap_pi
 from autopilot.core.geometry import Circle, Fence, Polygon
 from autopilot.core.messages import ControlOutput, Goal, NavHealth, NavState
@@ -67,7 +67,7 @@ def controller(request: pytest.FixtureRequest) -> Controller:
 
 def make_controller(name: str) -> Controller:
     return create_controller(
-        name, ControllerContext(vehicle=VEHICLE, model=MODEL, currents=EstimatedCurrent(), desks=Desks())
+        name, ControllerContext(vehicle=VEHICLE, model=MODEL, currents=EstimatedCurrent(), desks=BackgroundWorkers())
     )
 
 
@@ -118,7 +118,9 @@ def test_a_controller_says_what_it_has_against_arming(controller: Controller) ->
 @pytest.mark.parametrize("name", ["lbv150", "bluerov2", "bluerov2-heavy"])
 def test_the_example_flies_vehicles_with_any_number_of_thrusters(name: str) -> None:
     vehicle = load_vehicle(name)
-    given = ControllerContext(vehicle=vehicle, model=vehicle.to_model(), currents=EstimatedCurrent(), desks=Desks())
+    given = ControllerContext(
+        vehicle=vehicle, model=vehicle.to_model(), currents=EstimatedCurrent(), desks=BackgroundWorkers()
+    )
     controller, params = create_controller("my_controller:Follower", given), ParamSet()
     limit_n = np.full(len(vehicle.thrusters), 9.0)
     x, begin_m = np.array(START), math.hypot(*(GOAL.pos_ned_m[:2] - START[:2]))

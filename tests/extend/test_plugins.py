@@ -6,9 +6,9 @@ from pathlib import Path
 
 import pytest
 
+from autopilot.control.current.currents import NoCurrent
+from autopilot.control.path.workers import BackgroundWorkers
 from autopilot.control.protocol import CONTROLLERS, Controller, ControllerContext, create_controller, find_controller
-from autopilot.control.water.currents import NoCurrent
-from autopilot.control.way.desks import Desks
 from autopilot.core.errors import ConfigError
 from autopilot.core.vehicle import load_vehicle
 from autopilot.estimator.create import ESTIMATORS, create_estimator
@@ -25,7 +25,7 @@ WRITTEN = "lab_written"
 
 
 def context() -> ControllerContext:
-    return ControllerContext(vehicle=VEHICLE, model=VEHICLE.to_model(), currents=NoCurrent(), desks=Desks())
+    return ControllerContext(vehicle=VEHICLE, model=VEHICLE.to_model(), currents=NoCurrent(), desks=BackgroundWorkers())
 
 
 @pytest.fixture

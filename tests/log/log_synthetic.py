@@ -12,12 +12,12 @@ from autopilot.core.messages import (
     AidState,
     AidStatus,
     Authority,
-    Below,
     ControlOutput,
     EnergyPlan,
     EstimatorInputs,
     Event,
     Fallback,
+    FlightControllerState,
     Goal,
     Inputs,
     LoopStats,
@@ -280,7 +280,7 @@ def inputs_at(t_us: int, truth: Truth, full: bool = True) -> Inputs:
         mavlink_rx=(frame,),
         overruns=2,
         cpu_load=0.25,
-        below=Below(
+        below=FlightControllerState(
             t_us=t_us,
             authority=Authority.PILOT,
             acts=False,

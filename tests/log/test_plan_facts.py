@@ -14,7 +14,7 @@ from autopilot.log.check import acceptance_table
 from autopilot.log.description import AcceptBounds, Obstacle
 from autopilot.log.figure_paper import trajectory
 from autopilot.log.figure_parts import LAP_COLORS, make_scene
-from autopilot.log.plan_facts import LONGEST_ARROW, met_current, moved_obstacles, plan_box, round_figure
+from autopilot.log.plan_summary import LONGEST_ARROW, met_current, moved_obstacles, plan_box, round_figure
 from autopilot.log.reader import open_log
 from autopilot.log.report_plots import Plots
 

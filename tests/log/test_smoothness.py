@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from autopilot.core.messages import FALLBACK_TEXT, Fallback
-from autopilot.log.smoothness import BARS, ThrustCommands, is_told, low_passed, measure
+from autopilot.log.smoothness import BARS, ThrustCommands, is_reported, low_passed, measure
 
 T_S = np.arange(400) * 0.05
 
@@ -15,7 +15,7 @@ T_S = np.arange(400) * 0.05
 def commands(thrust_n: np.ndarray, **changes: object) -> ThrustCommands:
     """20 s of control steps: the same command for port and starboard, the others rest."""
     columns = np.stack([thrust_n, thrust_n, 0 * thrust_n, 0 * thrust_n], axis=1)
-    still = {"fallback": np.zeros(len(T_S), np.uint8), "starts_s": np.zeros(1), "told_s": np.zeros(0)}
+    still = {"fallback": np.zeros(len(T_S), np.uint8), "starts_s": np.zeros(1), "reported_s": np.zeros(0)}
     return ThrustCommands(**{"t_s": T_S, "thrust_n": columns, "limit_n": 12.0, **still, **changes})  # type: ignore[arg-type]
 
 
@@ -75,10 +75,10 @@ def test_fallbacks_want_a_word() -> None:
     fallback[100:116] = Fallback.STATION_KEEPING
     fallback[200:300] = Fallback.NEUTRAL
     plain = commands(np.ones(400), fallback=fallback)
-    found, told = measure(plain), measure(replace(plain, told_s=np.array([1.0])))
+    found, told = measure(plain), measure(replace(plain, reported_s=np.array([1.0])))
     assert found is not None and found.silent == 16
     assert told is not None and told.silent == 0
-    assert is_told([f"{FALLBACK_TEXT} holding", "Mission complete"]).tolist() == [True, False]
+    assert is_reported([f"{FALLBACK_TEXT} holding", "Mission complete"]).tolist() == [True, False]
 
 
 def test_a_pause_is_no_step_and_a_moment_says_nothing() -> None:

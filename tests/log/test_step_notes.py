@@ -8,17 +8,17 @@ from autopilot.core.clients import Reach
 from autopilot.core.guard import Fault
 from autopilot.core.messages import (
     Authority,
-    Below,
     Between,
     DeviceRole,
     DeviceTrouble,
     Event,
+    FlightControllerState,
     Inputs,
     MavlinkFrame,
 )
+from autopilot.core.nondeterminism import Note
 from autopilot.core.samples import FrameVerdict, PictureReport
 from autopilot.core.stills import CameraReport, StoredStill
-from autopilot.core.witness import Note
 from autopilot.log.mavlink_frames import NOTHING_REMOVED, StreamCutter
 from autopilot.log.packing import step_notes
 from autopilot.mavlink.dialect import mav
@@ -38,7 +38,7 @@ def test_every_input_comes_back_from_its_notes() -> None:
         log_lost=True,
         clock_jump_s=-0.5,
         frame_counts={"frames.ok": 7},
-        below=Below(
+        below=FlightControllerState(
             t_us=19_000, authority=Authority.PILOT, acts=False, text="MANUAL", pulses_us=(1500, 1600), armed=True
         ),
         refusals=("no AHRS",),

@@ -18,7 +18,15 @@ from rosbags.rosbag2 import Reader
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from autopilot.core.errors import LogError
-from autopilot.core.messages import Authority, Below, Event, Inputs, LoopStats, MavlinkFrame, VelocityGoal
+from autopilot.core.messages import (
+    Authority,
+    Event,
+    FlightControllerState,
+    Inputs,
+    LoopStats,
+    MavlinkFrame,
+    VelocityGoal,
+)
 from autopilot.core.samples import CameraFrame
 from autopilot.log.compare import compare_logs
 from autopilot.log.description import from_json
@@ -295,7 +303,7 @@ texts = st.text(max_size=40).filter(lambda text: len(text.encode(errors="replace
 """That fit into their field."""
 speeds = st.floats(-3.0, 3.0)
 belows = st.builds(
-    Below,
+    FlightControllerState,
     t_us=st.just(0),
     authority=st.sampled_from(Authority),
     acts=st.booleans(),
@@ -320,7 +328,7 @@ drives = st.none() | st.builds(
 @given(given_below=st.lists(belows, min_size=1, max_size=8), given_drive=st.lists(drives, min_size=1, max_size=8))
 @settings(max_examples=10, deadline=None)
 def test_what_the_vehicle_below_says_and_what_a_pilot_asks_for_stand_in_the_log_tick_by_tick(
-    given_below: list[Below], given_drive: list[VelocityGoal | None]
+    given_below: list[FlightControllerState], given_drive: list[VelocityGoal | None]
 ) -> None:
     """Written when they change: what holds at each tick is the last before it, equal in every field that fits."""
     pieces = zip_longest(given_below, given_drive, fillvalue=None)
@@ -356,5 +364,5 @@ def plain(text: str) -> str:
 
 def test_long_texts_of_the_vehicle_below_are_cut_between_characters() -> None:
     for padding in range(4):
-        said = Below(t_us=0, authority=Authority.STOPPED, acts=False, text="x" * padding + "é" * 60)
+        said = FlightControllerState(t_us=0, authority=Authority.STOPPED, acts=False, text="x" * padding + "é" * 60)
         assert b"x" * padding + "é".encode() * ((64 - padding) // 2) in pack_record("/in/below", 0, said)

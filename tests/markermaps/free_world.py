@@ -11,7 +11,7 @@ from autopilot.core.camera import CameraModel
 from autopilot.core.frames import FloatArray
 from autopilot.core.marker_files import PlacedMarker, make_map
 from autopilot.core.markers import MarkerMap
-from autopilot.estimator.marker_looks import patterns_of
+from autopilot.estimator.marker_image import patterns_of
 from autopilot.markermaps.sightings import SheetView
 
 

@@ -192,13 +192,13 @@ def test_from_images_by_the_command(tmp_path: Path) -> None:
     from autopilot.sitl.floor import build_floor
     from autopilot.sitl.plant import build_plant
     from autopilot.sitl.scenario import load_scenario
-    from autopilot.sitl.sensor_tables import CameraLook
+    from autopilot.sitl.sensor_tables import ImageModel
 
     scenario = load_scenario("paper-tank")
     floor = build_floor(scenario)
     assert floor is not None
     truth = build_plant(scenario, VEHICLE).truth
-    camera = SimCamera(CAMERA, floor, CameraLook(), 1)
+    camera = SimCamera(CAMERA, floor, ImageModel(), 1)
     rng = np.random.default_rng(7)
     files = []
     for k in range(7):

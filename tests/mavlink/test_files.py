@@ -12,10 +12,10 @@ from typing import Any
 import pytest
 from mavlink_harness import Client, Lossy, World, mav
 
+from autopilot.core.background import BackgroundWorker
 from autopilot.core.crc import file_crc32
-from autopilot.core.desk import Desk
 from autopilot.core.params import PARAMETERS, ParamType
-from autopilot.log.directory_reader import LogShelf
+from autopilot.log.directory_reader import LogDirectoryReader
 from autopilot.mavlink.ftp import Error, Op
 from autopilot.mavlink.stubs import STUBS
 
@@ -49,7 +49,7 @@ def folder_fixture(tmp_path: Path) -> Path:
 
 
 def world_with(folder: Path, profile: str = "px4", **kwargs: Any) -> World:
-    return World(profile, shelf=LogShelf(folder, Desk()), **kwargs)
+    return World(profile, shelf=LogDirectoryReader(folder, BackgroundWorker()), **kwargs)
 
 
 class Ftp:

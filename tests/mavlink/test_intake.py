@@ -11,7 +11,7 @@ from autopilot.core.clock import TICK_US
 from autopilot.core.messages import MavlinkFrame
 from autopilot.core.plan import MissionResult, PlanKind
 from autopilot.mavlink.inbox import CLIENT_WORK, FLOOD_AGAIN_US, MAX_INBOXES
-from autopilot.mavlink.recent import MAX_RECENT, Recent
+from autopilot.mavlink.recent_keys import MAX_RECENT, RecentKeys
 from autopilot.mavlink.wire import MAX_BACKLOG_BYTES, LinkParser, Work, checksum
 
 LOUD, QUIET = 3, 4
@@ -298,7 +298,7 @@ def test_a_client_that_is_different_every_time_is_remembered_up_to_a_limit(told:
 
 
 def test_what_was_said_lately_is_known_and_what_was_said_before_is_not() -> None:
-    recent: Recent[str] = Recent(100)
+    recent: RecentKeys[str] = RecentKeys(100)
     recent.add("a", 0)
     recent.add("b", 50)
     assert recent.knows("a", 99) and recent.knows("b", 99)

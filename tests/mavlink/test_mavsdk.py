@@ -22,11 +22,11 @@ from mavsdk.plugins.param import Param, ParamError
 from mavsdk.plugins.telemetry import Telemetry
 from mavsdk_link import found
 
-from autopilot.core.desk import Desk
+from autopilot.core.background import BackgroundWorker
 from autopilot.core.geodesy import GeodeticPosition
 from autopilot.core.messages import MavlinkFrame, MissionProgress, ProgressState
 from autopilot.core.plan import PlanKind
-from autopilot.log.directory_reader import LogShelf
+from autopilot.log.directory_reader import LogDirectoryReader
 from autopilot.mavlink.api import CommandReply, CommandResult, FlightMode
 from autopilot.mavlink.stubs import stubs_of
 
@@ -40,7 +40,7 @@ def link_fixture(request: pytest.FixtureRequest) -> Iterator[tuple[World, Any]]:
 
 
 @contextmanager
-def vehicle(profile: str, shelf: LogShelf | None = None) -> Iterator[tuple[World, Any]]:
+def vehicle(profile: str, shelf: LogDirectoryReader | None = None) -> Iterator[tuple[World, Any]]:
     """One vehicle as MAVSDK finds it."""
     world = World(profile, shelf=shelf)
     world.show(armed=False, mode=FlightMode.HOLD, intended_mode=FlightMode.HOLD)
@@ -165,7 +165,7 @@ def test_logs_and_metadata_come_whole(tmp_path: Path) -> None:
     folder.mkdir(parents=True)
     content = random.Random(5).randbytes(100_000)
     (folder / "10_00_00.mcap").write_bytes(content)
-    with vehicle("px4", LogShelf(folder.parent, Desk())) as (world, system):
+    with vehicle("px4", LogDirectoryReader(folder.parent, BackgroundWorker())) as (world, system):
         ftp = Ftp(system)
         assert [entry.name for entry in ftp.list_directory("@MAV_LOG").entries] == ["2026-11-22"]
         for burst in (True, False):

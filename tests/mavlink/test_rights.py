@@ -8,10 +8,10 @@ from typing import Any
 import pytest
 from mavlink_harness import Client, World, mav
 
+from autopilot.core.background import BackgroundWorker
 from autopilot.core.clients import Reach
-from autopilot.core.desk import Desk
 from autopilot.core.messages import MavlinkFrame
-from autopilot.log.directory_reader import LogShelf
+from autopilot.log.directory_reader import LogDirectoryReader
 from autopilot.mavlink.api import CommandResult, SigningState
 from autopilot.mavlink.operators import GRAVE, GRAVE_COMMANDS
 
@@ -65,7 +65,7 @@ def disarmed(folder: Path) -> tuple[World, Client, Client, Client]:
     (folder / "2026-11-22").mkdir()
     log = folder / "2026-11-22" / "10_00_00.mcap"
     log.write_bytes(bytes(100))
-    world = World(links=(0, 1), signing=Store(), shelf=LogShelf(folder, Desk()))
+    world = World(links=(0, 1), signing=Store(), shelf=LogDirectoryReader(folder, BackgroundWorker()))
     world.show(armed=False, under_way=False)
     who = Near(world, sysid=66, compid=7, number=1)
     world.clients.append(who)

@@ -17,8 +17,8 @@ from click.testing import CliRunner
 from mavlink_harness import World, mav
 
 from autopilot.cli.main import cli
+from autopilot.core.background import BackgroundWorker
 from autopilot.core.clients import Reach
-from autopilot.core.desk import Desk
 from autopilot.core.errors import ConfigError
 from autopilot.core.messages import MavlinkFrame
 from autopilot.core.params import Saved
@@ -182,7 +182,7 @@ class Station(Remote):
 
 def run_signed(folder: Path, seconds: float, true_s: float, clock_s: float) -> tuple[World, list[Station]]:
     """A service whose machine's clock stands at ``clock_s`` and four stations that speak every half second."""
-    world = World(signing=SigningFiles(folder, Desk(), now_s=clock_s))
+    world = World(signing=SigningFiles(folder, BackgroundWorker(), now_s=clock_s))
     stations = [
         Station(world, off_s, follows=follows, sysid=10 + number)
         for number, (off_s, follows) in enumerate(((0.0, False), (0.0, True), (-20.0, True), (45.0, False)))
@@ -213,7 +213,7 @@ def test_no_frame_from_before_a_restart_is_obeyed_after_it(
         world.server.finish()
         world.server._ctx.signing._store.finish()  # type: ignore[union-attr]
     down_s = NOW_S + 1.0 + run_s + 3.0  # what a start takes
-    world = World(signing=SigningFiles(tmp_path, Desk(), now_s=down_s + clock_off_s))
+    world = World(signing=SigningFiles(tmp_path, BackgroundWorker(), now_s=down_s + clock_off_s))
     for _ in range(3):
         for number, station in enumerate(stations):
             replayed = Remote(world, None, sysid=100 + number)  # on any link
@@ -235,7 +235,7 @@ def test_no_frame_from_before_a_restart_is_obeyed_after_it(
 def test_a_client_with_a_right_clock_goes_on_after_a_restart(tmp_path: Path, end: str) -> None:
     """Also one that does not go by what it hears: at once after an orderly end, 2 s after a kill at the latest."""
     SigningFiles(tmp_path, now_s=NOW_S).write_key(KEY)
-    world = World(signing=SigningFiles(tmp_path, Desk(), now_s=NOW_S))
+    world = World(signing=SigningFiles(tmp_path, BackgroundWorker(), now_s=NOW_S))
     station = Station(world, 0.0, follows=False, sysid=10)
     for turn in range(20):
         station.speak(NOW_S + 0.5 * turn + 0.1)
@@ -245,7 +245,7 @@ def test_a_client_with_a_right_clock_goes_on_after_a_restart(tmp_path: Path, end
         world.server.finish()
         world.server._ctx.signing._store.finish()  # type: ignore[union-attr]
     begin_s = NOW_S + 10.5 if end == "orderly" else NOW_S + 10.0 + 2.2
-    world = World(signing=SigningFiles(tmp_path, Desk(), now_s=begin_s))
+    world = World(signing=SigningFiles(tmp_path, BackgroundWorker(), now_s=begin_s))
     station.world = world
     station.speak(begin_s + 0.1)
     assert calls(world) == ["disarm"]
@@ -253,7 +253,7 @@ def test_a_client_with_a_right_clock_goes_on_after_a_restart(tmp_path: Path, end
 
 def test_a_client_whose_clock_is_far_ahead_is_heard_once_the_disk_has_its_time(tmp_path: Path) -> None:
     SigningFiles(tmp_path, now_s=NOW_S).write_key(KEY)
-    store = SigningFiles(tmp_path, Desk(), now_s=NOW_S)
+    store = SigningFiles(tmp_path, BackgroundWorker(), now_s=NOW_S)
     world = World(signing=store)
     station = Station(world, 600.0, follows=False, sysid=10)
     station.speak(NOW_S)
@@ -296,7 +296,7 @@ def test_a_damaged_signing_time_is_a_loss_and_nothing_that_was_heard_is_heard_ag
     SigningFiles(tmp_path, now_s=NOW_S).write_key(KEY)
     world, stations = run_signed(tmp_path, 9.0, NOW_S + 1.0, NOW_S)
     (tmp_path / "signing.time").write_text("nonsense")
-    files = SigningFiles(tmp_path, Desk(), now_s=0.0)  # and no clock
+    files = SigningFiles(tmp_path, BackgroundWorker(), now_s=0.0)  # and no clock
     assert [loss.text for loss in files.losses] == ["signing time damaged, the machine's clock is in force"]
     world = World(signing=files)
     for number, station in enumerate(stations):
@@ -364,7 +364,7 @@ def test_the_key_file_is_its_owners_and_the_time_never_goes_back(tmp_path: Path)
     used = 0
     clock_s = NOW_S
     for restart in range(5):
-        world = World(signing=SigningFiles(tmp_path, Desk(), now_s=clock_s))
+        world = World(signing=SigningFiles(tmp_path, BackgroundWorker(), now_s=clock_s))
         client = Remote(world, KEY)
         client.mav.signing.timestamp = used
         stamps = []

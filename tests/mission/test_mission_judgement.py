@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from autopilot.core.desk import Cancel, WithdrawnError
+from autopilot.core.background import Cancel, WithdrawnError
 from autopilot.core.geometry import Circle, Polygon, Shape
 from autopilot.core.params import ParamSet
 from autopilot.core.plan import MAX_ITEMS, MissionResult, PlanItem, PlanKind
@@ -17,17 +17,17 @@ from autopilot.core.shapes import boundary_gap_m, boundary_point, clearance_m
 from autopilot.mission.clearance import Clearance
 from autopilot.mission.fence import read_fence
 from autopilot.mission.gaps import narrow_gaps
-from autopilot.mission.judgement import PLAN_PARAMETERS, PlanVerdict, Question, judge
+from autopilot.mission.plan_check import PLAN_PARAMETERS, PlanCheckInputs, PlanVerdict, judge
 from autopilot.mission.store import CHECK_TICKS, Plans
 from tests.plan_items import ORIGIN, RADIUS_M, box, circle, context, local, plain, polygon, tank, waypoint
 
 MOST = MAX_ITEMS[PlanKind.FENCE]
 
 
-def question(mission: list[PlanItem], fence: list[PlanItem], rally: list[PlanItem], **params: float) -> Question:
+def question(mission: list[PlanItem], fence: list[PlanItem], rally: list[PlanItem], **params: float) -> PlanCheckInputs:
     plans = {PlanKind.MISSION: tuple(mission), PlanKind.FENCE: tuple(fence), PlanKind.RALLY: tuple(rally)}
     values = ParamSet(params)
-    return Question(
+    return PlanCheckInputs(
         plans={kind: tuple(replace(item, seq=k) for k, item in enumerate(items)) for kind, items in plans.items()},
         origin=ORIGIN,
         limits=tuple(values[name] for name in PLAN_PARAMETERS),
@@ -79,7 +79,7 @@ def test_a_check_that_is_not_wanted_any_more_ends_at_its_next_step(looks: int) -
 
 rng = np.random.default_rng(3)
 STAR = [((20 + 3 * (k % 2)) * math.cos(k / 250 * math.tau), 20 * math.sin(k / 250 * math.tau)) for k in range(1000)]
-HOSTILE: dict[str, Callable[[], Question]] = {
+HOSTILE: dict[str, Callable[[], PlanCheckInputs]] = {
     "dots side by side": lambda: question([], [circle(k, *rng.uniform(0.0, 0.6, 2), 0.001) for k in range(MOST)], []),
     "dots, tolerated": lambda: question(
         [], [circle(k, *rng.uniform(0.0, 0.6, 2), 0.001) for k in range(MOST)], [], FENCE_GAP_CHK=0
@@ -240,9 +240,9 @@ def test_what_is_asked_is_what_parameters_are_looked_at() -> None:
 
 
 def test_a_change_that_is_called_off_is_not_taken() -> None:
-    from autopilot.core.desk import Desk
+    from autopilot.core.background import BackgroundWorker
 
-    store = Plans(ParamSet(), RADIUS_M, ORIGIN, desk=Desk())
+    store = Plans(ParamSet(), RADIUS_M, ORIGIN, worker=BackgroundWorker())
     first = store.propose({PlanKind.FENCE: tuple(tank())})
     second = store.propose({PlanKind.MISSION: (waypoint(0, 0.0, 0.0),)})
     assert first.done and first.rejection is not None and "send it again" in first.rejection.reason
@@ -260,9 +260,9 @@ def test_a_change_that_is_called_off_is_not_taken() -> None:
 
 def test_a_decision_that_fails_is_an_answer_and_not_the_end_of_all_uploads() -> None:
     """What the guard of the plans raises goes on up; whoever waits for the change hears of it."""
-    from autopilot.core.desk import Desk
+    from autopilot.core.background import BackgroundWorker
 
-    store = Plans(ParamSet(), RADIUS_M, ORIGIN, desk=Desk())
+    store = Plans(ParamSet(), RADIUS_M, ORIGIN, worker=BackgroundWorker())
 
     def broken(kinds: object, verdict: PlanVerdict) -> None:
         raise ZeroDivisionError

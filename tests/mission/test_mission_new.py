@@ -12,7 +12,7 @@ from autopilot.cli.mission_new import new
 from autopilot.core.errors import ConfigError
 from autopilot.core.geodesy import ned_from_geodetic
 from autopilot.core.params import ParamSet
-from autopilot.mission.judgement import judge_file
+from autopilot.mission.plan_check import judge_file
 from autopilot.mission.plan_files import read_plan
 
 RADIUS_M = 0.3

@@ -390,11 +390,11 @@ def test_any_mission_comes_to_an_end_with_sane_outputs(specs: list[tuple], pause
     assert out.progress.state is S.COMPLETE
     assert out.action in (Action.HOLD, Action.SURFACE)
     if not pauses:
-        twin = Flight(items)
-        twin.sequencer.start()
-        twin.fly(12_000)
-        assert twin.reached == flight.reached
-        assert np.array_equal(twin.pos, flight.pos)
+        redundant_one = Flight(items)
+        redundant_one.sequencer.start()
+        redundant_one.fly(12_000)
+        assert redundant_one.reached == flight.reached
+        assert np.array_equal(redundant_one.pos, flight.pos)
 
 
 @given(st.floats(0.0, 1.0), st.floats(0.0, 0.5))

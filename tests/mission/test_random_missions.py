@@ -11,7 +11,7 @@ from autopilot.core.messages import Goal, ProgressState
 from autopilot.core.params import ParamSet
 from autopilot.core.plan import PlanItem, PlanKind
 from autopilot.mission.item_types import ITEM_TYPES
-from autopilot.mission.items import Circuit, Gate, GoTo, Jump, Near, Surface, Wait
+from autopilot.mission.items import Gate, GoTo, Jump, LoiterTurns, Near, Surface, Wait
 from autopilot.mission.sequencer import Action, Sequencer
 from autopilot.mission.store import Plans
 from tests.plan_items import ORIGIN, RADIUS_M, local, nav, plain, tank, waypoint
@@ -139,7 +139,7 @@ def ends(plans: Plans) -> bool:
         (isinstance(s, Jump) and (s.count is None or s.count > 3))
         or (isinstance(s, GoTo) and (s.hold_s is None or s.hold_s > 5.0))
         or (isinstance(s, Wait) and s.duration_s > 5.0)
-        or (isinstance(s, Circuit) and (s.turns > 2.0 or (s.radius_m or 1.0) > 1.0))
+        or (isinstance(s, LoiterTurns) and (s.turns > 2.0 or (s.radius_m or 1.0) > 1.0))
         for s in plans.steps()
     )
 
@@ -165,7 +165,9 @@ def test_what_is_sound_is_flown_to_its_end(items: tuple[PlanItem, ...]) -> None:
     state, reached, _ = fly(plans, params)
     assert state is ProgressState.COMPLETE
     flown = {
-        s.seq for s in plans.steps() if isinstance(s, GoTo | Circuit | Surface) or (isinstance(s, Wait) and s.reported)
+        s.seq
+        for s in plans.steps()
+        if isinstance(s, GoTo | LoiterTurns | Surface) or (isinstance(s, Wait) and s.reported)
     }
     jumps = any(isinstance(s, Jump) for s in plans.steps())
     assert set(reached) == flown or (jumps and set(reached) <= flown)

@@ -319,15 +319,19 @@ def test_a_wrong_system_id_is_told_with_the_one_that_is_heard(bench: Bench) -> N
 
 def test_who_speaks_is_named_and_nobody_can_arm_it(bench: Bench) -> None:
     """Two ground stations, both steer, one orders; another vehicle of our id; a rival at the flight controller."""
-    first, second, twin = (bench.below.codec(system, 190) for system in (255, 254, 1))
-    twin.srcComponent = 1
+    first, second, redundant_one = (bench.below.codec(system, 190) for system in (255, 254, 1))
+    redundant_one.srcComponent = 1
     order = DIALECT.MAVLink_command_long_message(1, 1, 400, 0, 1, 21196, 0, 0, 0, 0, 0)
 
     def others(t_us: int) -> list[bytes]:
         if t_us % 500_000:
             return []
         beat = DIALECT.MAVLink_heartbeat_message
-        sent = [(first, beat(6, 8, 0, 0, 4, 3)), (second, beat(6, 8, 0, 0, 4, 3)), (twin, beat(12, 12, 0, 0, 4, 3))]
+        sent = [
+            (first, beat(6, 8, 0, 0, 4, 3)),
+            (second, beat(6, 8, 0, 0, 4, 3)),
+            (redundant_one, beat(12, 12, 0, 0, 4, 3)),
+        ]
         stick = DIALECT.MAVLink_manual_control_message
         sent += [(first, stick(1, 500, 0, 500, 0, 0)), (second, stick(1, 500, 0, 500, 0, 0)), (first, order)]
         return [bytes(message.pack(codec)) for codec, message in sent]

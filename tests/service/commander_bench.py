@@ -7,7 +7,7 @@ import numpy as np
 from autopilot.command.commander import Commander
 from autopilot.command.decision import Decision
 from autopilot.command.vehicle_status import VehicleStatus
-from autopilot.core.desk import Desk
+from autopilot.core.background import BackgroundWorker
 from autopilot.core.messages import NavHealth, NavState
 from autopilot.core.params import ParamSet
 from autopilot.core.plan import PlanKind
@@ -24,10 +24,10 @@ OK = CommandResult.ACCEPTED
 class Bench:
     """Runs the commander tick by tick."""
 
-    def __init__(self, *, desk: Desk | None = None, **params: float) -> None:
+    def __init__(self, *, worker: BackgroundWorker | None = None, **params: float) -> None:
         self.params = ParamSet(params)
         vehicle = load_vehicle("lbv150")
-        self.plans = Plans(self.params, vehicle.radius_m, desk=desk)
+        self.plans = Plans(self.params, vehicle.radius_m, worker=worker)
         self.commander = Commander(vehicle, self.params, self.plans)
         self.t_us = 0
         self.pos = np.array([-1.0, 0.5, 0.5])

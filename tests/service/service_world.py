@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from pymavlink.dialects.v20 import development as mav
 
-from autopilot.control.water.currents import NoCurrent
+from autopilot.control.current.currents import NoCurrent
 from autopilot.core.geodesy import Origin
 from autopilot.core.messages import Inputs, MavlinkFrame, Outputs
 from autopilot.core.params import ParamSet

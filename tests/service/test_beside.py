@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from autopilot.control.energy.search import EnergyPlanner
+from autopilot.control.path.planner import Planner
 from autopilot.control.robust import regions
-from autopilot.control.way.planner import Planner
 from autopilot.core.messages import Outputs, Severity
 from tests.bench.faults.pilot import go_to, on_its_way, piloted
 

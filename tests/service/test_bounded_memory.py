@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from held import tables
 
-from autopilot.core.lane import DaemonLane
+from autopilot.core.daemon_executor import DaemonExecutor
 from autopilot.core.messages import MavlinkFrame
 from autopilot.run.allocator import LARGE_BYTES
 from tests.bench.fuzz.fuzzer import Fuzzer
@@ -49,7 +49,7 @@ def flood(fuzzer: Fuzzer, crowd: Crowd) -> dict[str, int]:
     for _ in range(TICKS):
         fuzzer.step([crowd.next() for _ in range(PER_TICK)], wild=False)
     gc.collect()
-    return tables(fuzzer._service, without=(fuzzer._witness, fuzzer.session.device))
+    return tables(fuzzer._service, without=(fuzzer._nondeterminism, fuzzer.session.device))
 
 
 def test_a_crowd_without_end_fills_no_table(tmp_path: Path) -> None:
@@ -95,16 +95,16 @@ class Work:
 
 
 def test_an_idle_lane_keeps_nothing_of_what_it_did_last() -> None:
-    lane = DaemonLane("test")
+    executor = DaemonExecutor("test")
     work = Work()
     there = weakref.ref(work)
-    assert lane.submit(work).result(60.0) == "done"
-    assert lane.submit(lambda: None).result(60.0) is None  # the first job has been laid down
+    assert executor.submit(work).result(60.0) == "done"
+    assert executor.submit(lambda: None).result(60.0) is None  # the first job has been laid down
     del work
     gc.collect()
     assert there() is None
-    thread = lane._thread
-    del lane
+    thread = executor._thread
+    del executor
     gc.collect()
     thread.join(60.0)
     assert not thread.is_alive()

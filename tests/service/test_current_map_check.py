@@ -14,8 +14,8 @@ from autopilot.command.change_watch import ChangeWatch
 from autopilot.command.commander import Commander
 from autopilot.command.map_check import MapCheck, parse_utc
 from autopilot.command.vehicle_status import VehicleStatus
-from autopilot.control.water.current_map import CurrentMap
-from autopilot.control.water.map_reading import load_current_map
+from autopilot.control.current.current_map import CurrentMap
+from autopilot.control.current.map_reading import load_current_map
 from autopilot.core.errors import ConfigError
 from autopilot.core.messages import NavHealth, NavState, Severity
 from autopilot.core.origin_params import params_origin

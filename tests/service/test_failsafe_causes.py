@@ -16,10 +16,10 @@ from service_world import TICK_US, ServiceWorld
 from autopilot.command.failsafe_table import _DOUBTS, RANK, ROWS, FailsafeRow
 from autopilot.core.messages import (
     Authority,
-    Below,
     DeviceRole,
     DeviceTrouble,
     Failsafe,
+    FlightControllerState,
     NavDoubt,
     NavHealth,
     NavState,
@@ -34,7 +34,7 @@ ARM, MODE = mav.MAV_CMD_COMPONENT_ARM_DISARM, mav.MAV_CMD_DO_SET_MODE
 HEARTBEAT = mav.MAVLink_heartbeat_message(mav.MAV_TYPE_GCS, mav.MAV_AUTOPILOT_INVALID, 0, 0, 4, 3)
 
 
-class Told:
+class KnownEnvironment:
     """The estimator, with what it says changed."""
 
     def __init__(self, inner: Any) -> None:
@@ -62,7 +62,7 @@ class CauseWorld(ServiceWorld):
         self.drop: tuple[type, ...] = ()
         self.each: Callable[[], None] = lambda: None
         self.rx: Callable[[int], Sequence[bytes]] = lambda _: ()
-        self.nav = Told(self.service._estimation._estimator)
+        self.nav = KnownEnvironment(self.service._estimation._estimator)
         self.service._estimation._estimator = self.nav  # type: ignore[assignment]
         self.parts.guard.raises = False
         self.bits = 0
@@ -358,7 +358,7 @@ CAUSES: tuple[Cause, ...] = (
     *_silent(),
     *(
         Cause(
-            rule=Failsafe.DOUBT, name=doubt.name, quantity="nav_doubts", not_before_s=0.9, within_s=2.0,
+            rule=Failsafe.INERTIAL_MONITOR, name=doubt.name, quantity="nav_doubts", not_before_s=0.9, within_s=2.0,
             act=lambda world, doubt=doubt: world.nav.fields.update(doubts=frozenset({doubt})),  # type: ignore[misc]
         )
         for doubt in sorted(_DOUBTS, key=str)
@@ -409,8 +409,8 @@ CAUSES: tuple[Cause, ...] = (
     ),
     Cause(
         rule=Failsafe.SENDER, name="rival", quantity="rival",
-        prepare=_inputs(below=Below(t_us=0, authority=Authority.OURS, acts=True, armed=True)),
-        act=_inputs(below=Below(t_us=0, authority=Authority.OURS, acts=True, armed=True, rival=True)),
+        prepare=_inputs(below=FlightControllerState(t_us=0, authority=Authority.OURS, acts=True, armed=True)),
+        act=_inputs(below=FlightControllerState(t_us=0, authority=Authority.OURS, acts=True, armed=True, rival=True)),
     ),
     Cause(
         rule=Failsafe.WATCHDOG, name="ended", quantity="watchdog_problem", not_before_s=2.9, within_s=4.0,

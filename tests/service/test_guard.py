@@ -19,7 +19,7 @@ from autopilot.core.messages import Failsafe, Fallback, Outputs
 from autopilot.core.samples import CameraFrame, MarkerSighting
 from autopilot.estimator.frame_filter import FrameFilter
 from autopilot.estimator.vision import Hint
-from autopilot.estimator.vision_lane import VisionWorker
+from autopilot.estimator.vision_worker import VisionWorker
 from autopilot.log.packer import MAX_PROGRAMS
 from autopilot.log.reader import open_log
 from autopilot.run.config import flight_settings

@@ -11,6 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from pymavlink.dialects.v20 import development as mav
 from service_world import ServiceWorld
+from tests.bench.fuzz.nondeterminism import BrokenRuleError
 
 from autopilot.core.params import PARAMETERS
 from autopilot.core.samples import PowerSample
@@ -28,7 +29,6 @@ from tests.bench.fuzz.messages import (
 )
 from tests.bench.fuzz.run import run_fuzz
 from tests.bench.fuzz.samples import ODD
-from tests.bench.fuzz.witness import BrokenRuleError
 
 pytestmark = pytest.mark.filterwarnings("ignore::RuntimeWarning")
 

@@ -9,8 +9,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from autopilot.command.service_parts import Parts
-from autopilot.core.desk import Desk
+from autopilot.command.service_parts import ServiceParts
+from autopilot.core.background import BackgroundWorker
 from autopilot.core.geodesy import Origin
 from autopilot.core.latest_value_writer import KEEP_TICKS, RETRY_TICKS, LatestValueWriter
 from autopilot.core.plan import PlanKind
@@ -23,7 +23,7 @@ from autopilot.run.kept_plans import KeptPlans
 from autopilot.run.sitl_session import open_sitl
 
 
-def _parts(folder: Path) -> Parts:
+def _parts(folder: Path) -> ServiceParts:
     values = flight_settings(folder / "state", {"sensors": "pose", "log_dir": str(folder / "logs")})
     return open_sitl(values, {}, log=False).parts
 
@@ -34,7 +34,7 @@ def _upload(plans: Plans) -> None:
         assert plans.replace(kind, plan.items(kind)) is None
 
 
-def _written(folder: Path) -> tuple[Path, Parts]:
+def _written(folder: Path) -> tuple[Path, ServiceParts]:
     """A file with the paper's plan, home and a position in the second lap."""
     path, parts = folder / "plans.json", _parts(folder)
     kept = KeptPlans(path, parts.plans, parts.commander)
@@ -50,7 +50,7 @@ def _written(folder: Path) -> tuple[Path, Parts]:
     return path, parts
 
 
-def _same(a: Parts, b: Parts) -> bool:
+def _same(a: ServiceParts, b: ServiceParts) -> bool:
     kinds = all(a.plans.checksum(kind) == b.plans.checksum(kind) for kind in PlanKind)
     items = all(repr(a.plans.items(kind)) == repr(b.plans.items(kind)) for kind in PlanKind)
     home = (a.plans.home_ned_m == b.plans.home_ned_m).all()
@@ -192,21 +192,21 @@ def test_the_newest_state_is_always_the_one_that_is_written(steps: list[tuple[bo
             raise OSError(28, "full")
         written.append(state)
 
-    keeper: LatestValueWriter[int] = LatestValueWriter(Desk(), write)
+    watchdog: LatestValueWriter[int] = LatestValueWriter(BackgroundWorker(), write)
     states = itertools.count(1)
     newest = 0
     for tick, (put, fails) in enumerate(steps):
         failing = fails
         if put:
             newest = next(states)
-            assert keeper.put(tick, newest) == newest
-        kept = keeper.poll(tick)
+            assert watchdog.put(tick, newest) == newest
+        kept = watchdog.poll(tick)
         if kept is not None:
             assert kept.number > settled
             settled = kept.number
             assert kept.error is not None or written[-1] == settled
     failing = False
-    assert keeper.finish() is None
+    assert watchdog.finish() is None
     assert (written[-1] if written else 0) == newest
     assert written == sorted(written)
 

@@ -9,9 +9,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from autopilot.core.desk import Desk
+from autopilot.core.background import BackgroundWorker
+from autopilot.core.daemon_executor import DaemonExecutor
 from autopilot.core.errors import ConfigError
-from autopilot.core.lane import DaemonLane
 from autopilot.core.latest_value_writer import KEEP_TICKS, RETRY_TICKS, LatestValueWriter
 from autopilot.core.param_file import PersistentParams, scan_param_file, write_param_file
 from autopilot.core.params import PARAMETERS, ParamSet, ParamType
@@ -183,15 +183,15 @@ def test_a_write_that_failed_is_tried_again_by_itself(tmp_path: Path) -> None:
 def test_a_disk_that_hangs_does_not_keep_a_service_from_ending() -> None:
     """The write never returns; the thread that does it is left behind."""
     stuck = threading.Event()
-    keeper: LatestValueWriter[int] = LatestValueWriter(
-        Desk(DaemonLane("stuck"), patient=False), lambda _: bool(stuck.wait())
+    watchdog: LatestValueWriter[int] = LatestValueWriter(
+        BackgroundWorker(DaemonExecutor("stuck"), blocking=False), lambda _: bool(stuck.wait())
     )
-    keeper.put(0, 1)
-    keeper.put(0, 2)
-    error = keeper.finish(0.05)
+    watchdog.put(0, 1)
+    watchdog.put(0, 2)
+    error = watchdog.finish(0.05)
     assert str(error) == "disk does not answer"
     stuck.set()
-    assert keeper.finish() is None
+    assert watchdog.finish() is None
     assert all(thread.daemon for thread in threading.enumerate() if thread.name == "stuck")
 
 
@@ -199,8 +199,8 @@ def test_whatever_a_write_raises_the_run_ends() -> None:
     def write(state: int) -> None:
         raise ValueError(f"{state} has no bytes")
 
-    for desk in (Desk(), Desk(DaemonLane("odd"), patient=False)):
-        keeper: LatestValueWriter[int] = LatestValueWriter(desk, write)
-        keeper.put(0, 1)
-        assert isinstance(keeper.finish(), ValueError)
-        desk.close()
+    for worker in (BackgroundWorker(), BackgroundWorker(DaemonExecutor("odd"), blocking=False)):
+        watchdog: LatestValueWriter[int] = LatestValueWriter(worker, write)
+        watchdog.put(0, 1)
+        assert isinstance(watchdog.finish(), ValueError)
+        worker.close()

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from mission_world import MissionWorld
 
-from autopilot.core.desk import Desk
+from autopilot.core.background import BackgroundWorker
 from autopilot.core.messages import Outputs
 from autopilot.core.samples import CameraFrame, Sample
 from autopilot.core.stills import StillRecord
@@ -28,7 +28,7 @@ class CameraWorld(MissionWorld):
         self.path: Path | None = folder / "run.mcap"
         self.stored: list[int] = []
         self.stills: list[StillRecord] = []
-        self._store = StillStore(self, Desk(), folder)
+        self._store = StillStore(self, BackgroundWorker(), folder)
         super().__init__(START)
 
     def still(self, exposure_us: int, png: bytes) -> None:

@@ -12,12 +12,12 @@ from hypothesis import strategies as st
 
 from autopilot.command.arming import CHECKING
 from autopilot.core import free_space
-from autopilot.core.desk import Cancel, Desk
+from autopilot.core.background import BackgroundWorker, Cancel
 from autopilot.core.geodesy import GeodeticPosition
 from autopilot.core.plan import PlanItem, PlanKind
 from autopilot.mavlink.api import CommandResult, FlightMode
 from autopilot.mission.fence import fence_clearance_m
-from autopilot.mission.judgement import judge
+from autopilot.mission.plan_check import judge
 from autopilot.mission.store import CHECK_TICKS, Change, plan_checksum
 from tests.plan_items import box, circle, local, waypoint
 
@@ -75,7 +75,7 @@ class Yard(Bench):
     """A bench whose plans are checked beside the loop, and which watches."""
 
     def __init__(self) -> None:
-        super().__init__(desk=Desk())
+        super().__init__(worker=BackgroundWorker())
         self.changes: list[Change] = []
         self._judged: dict[int, tuple[Any, str]] = {}
         self.run()

@@ -8,7 +8,7 @@ import pytest
 from commander_bench import OK, Bench
 
 from autopilot.command.commander import Commander
-from autopilot.command.readiness import MarginCheck
+from autopilot.command.margin_check import MarginCheck
 from autopilot.control.nmpc.grid import geometric_grid
 from autopilot.control.robust.margins import Margins
 from autopilot.core.geometry import Circle, Fence, Polygon

@@ -13,13 +13,13 @@ from autopilot.sitl.camera_sensor import SimCamera
 from autopilot.sitl.floor import Floor, build_floor
 from autopilot.sitl.plant import Truth
 from autopilot.sitl.scenario import load_scenario
-from autopilot.sitl.sensor_tables import CameraLook
+from autopilot.sitl.sensor_tables import ImageModel
 
 VEHICLE = load_vehicle("lbv150")
 SCENARIO = load_scenario("paper-tank")
 CAMERA = CameraModel.of_vehicle(VEHICLE)
 FLOOR_M = 1.5
-CLEAN = CameraLook(
+CLEAN = ImageModel(
     turbidity_1_m=0.0, blur_px=0.0, exposure_s=0.0, noise_levels=0.0, vignetting=0.0, caustics=0.0, laser_brightness=0.0
 )
 
@@ -79,6 +79,6 @@ def floor() -> Floor:
     return built
 
 
-def renderer(look: CameraLook = SCENARIO.camera, seed: int = 1, **changes: Any) -> SimCamera:
+def renderer(look: ImageModel = SCENARIO.camera, seed: int = 1, **changes: Any) -> SimCamera:
     """A camera over that floor."""
     return SimCamera(CAMERA, floor(), msgspec.structs.replace(look, **changes), seed)

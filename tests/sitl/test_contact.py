@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from plant_helpers import NEUTRAL, VEHICLE, body_with, kinetic_energy_j, plant
 
 from autopilot.core.errors import ConfigError
-from autopilot.sitl.contact import Cylinder, Prism, SolidSurroundings, Sphere, is_inside
+from autopilot.sitl.contact import Cylinder, Prism, SolidGeometry, Sphere, is_inside
 from autopilot.sitl.environment import SimulatedWaters
 from autopilot.sitl.plant import Plant
 from autopilot.sitl.sitl_tuning import CONTACT
@@ -23,7 +23,7 @@ POST = Cylinder(name="post", center_ned_m=(1.0, 0.0), radius_m=0.16)
 WORLD = SimulatedWaters(polygon_ned_m=TANK, floor_m=1.5, solids=(POST,))
 
 
-def surroundings(**changes: object) -> SolidSurroundings:
+def surroundings(**changes: object) -> SolidGeometry:
     options: dict[str, object] = {
         "polygon_ned_m": None,
         "floor_m": None,
@@ -32,7 +32,7 @@ def surroundings(**changes: object) -> SolidSurroundings:
         "hull_half_height_m": HALF_HEIGHT,
     }
     options.update(changes)
-    return SolidSurroundings(**options)
+    return SolidGeometry(**options)
 
 
 def pushed(force_ned_n: tuple[float, float, float], start: tuple[float, float, float]) -> Plant:

@@ -20,7 +20,7 @@ from autopilot.sitl.camera_sensor import SimCamera, true_camera
 from autopilot.sitl.floor import Floor, build_floor
 from autopilot.sitl.scenario import load_scenario
 from autopilot.sitl.scenario_tables import Markers, Scenario
-from autopilot.sitl.sensor_tables import CameraLook, LaserSensor
+from autopilot.sitl.sensor_tables import ImageModel, LaserSensor
 
 BOARDS = f"""
 [defaults]
@@ -72,7 +72,7 @@ def test_three_kinds_of_markers_in_one_picture(boards: Floor, yaw: float) -> Non
     """All that show are found, in their own dictionaries, with a hint and without one; the pose is right."""
     pos, rpy = np.array([0.0, 0.0, height(0.95)]), np.array([0.01, -0.02, yaw])
     frame = CameraFrame(
-        t_us=0, image_bgr=SimCamera(CAMERA, boards, CameraLook(), 1).render(truth_at(tuple(pos), tuple(rpy)), 0)
+        t_us=0, image_bgr=SimCamera(CAMERA, boards, ImageModel(), 1).render(truth_at(tuple(pos), tuple(rpy)), 0)
     )
     markers = boards.markers
     assert len(markers.dictionaries) == 3
@@ -119,7 +119,7 @@ def test_a_scenario_names_the_file_beside_it(tmp_path: Path) -> None:
 
 def corner_errors(told: str, height_m: float) -> FloatArray:
     """Detected minus projected corners in pictures through a pane 50 mm before the lens."""
-    look = CameraLook(port=Port(distance_m=0.05, thickness_m=0.006))
+    look = ImageModel(port=Port(distance_m=0.05, thickness_m=0.006))
     true = true_camera(CAMERA, look, LaserSensor())
     pos, rpy = np.array([0.3, -0.2, height(height_m)]), np.array([0.02, -0.01, 0.7])
     frame = CameraFrame(t_us=0, image_bgr=SimCamera(true, floor(), look, 1).render(truth_at(tuple(pos), tuple(rpy)), 0))

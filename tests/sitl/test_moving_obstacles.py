@@ -12,7 +12,7 @@ from autopilot.core.vehicle import load_vehicle
 from autopilot.log.analysis import obstacle_position
 from autopilot.log.description import Obstacle
 from autopilot.sitl.backend import SimulatedVehicle, simulated_vehicle
-from autopilot.sitl.contact import MovingCylinder, SolidSurroundings
+from autopilot.sitl.contact import MovingCylinder, SolidGeometry
 from autopilot.sitl.environment import SimulatedWaters
 from autopilot.sitl.moving import MovingPath
 from autopilot.sitl.plant import Plant
@@ -70,7 +70,7 @@ def test_a_moving_obstacle_pushes_a_vehicle_that_rests() -> None:
 
 
 def test_clearance_follows_the_obstacle() -> None:
-    around = SolidSurroundings(
+    around = SolidGeometry(
         polygon_ned_m=None, floor_m=None, solids=world(0.5).solids, hull_radius_m=0.2, hull_half_height_m=0.1
     )
     assert around.fastest_m_s == 0.5

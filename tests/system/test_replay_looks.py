@@ -12,7 +12,7 @@ from autopilot.analysis.flight_figures import MACHINE
 from autopilot.analysis.step_replay import other_sides
 from autopilot.analysis.what_if import closed_loop, open_loop, read_changes
 from autopilot.cli.main import cli
-from autopilot.control.way.planner import Planner
+from autopilot.control.path.planner import Planner
 from autopilot.core.errors import ConfigError, LogError
 from autopilot.core.geometry import Circle, Fence, Polygon
 from autopilot.log.check import acceptance_table

@@ -12,18 +12,18 @@ from click.testing import CliRunner
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from autopilot.campaign.rooms.chart import Chart
-from autopilot.campaign.rooms.prospect import prospect
-from autopilot.campaign.rooms.random_world import KINDS, RandomWorld, files_of, make_room, write_files
-from autopilot.campaign.rooms.verdict import judge_flight, judge_refusal
-from autopilot.campaign.rooms.world_flight import Flown, RoomTask, fly_room
-from autopilot.campaign.rooms.world_results import RoomResult, WorldOutcome
-from autopilot.campaign.rooms.world_shapes import Block, Disc, Point, WorldLayout, box, clearance_m
-from autopilot.campaign.rooms.world_store import read_flights
+from autopilot.campaign.worlds.distance_map import DistanceMap
+from autopilot.campaign.worlds.random_world import KINDS, RandomWorld, files_of, make_room, write_files
+from autopilot.campaign.worlds.reachability import prospect
+from autopilot.campaign.worlds.world_flight import Flown, WorldTask, fly_world
+from autopilot.campaign.worlds.world_judge import judge_flight, judge_refusal
+from autopilot.campaign.worlds.world_results import WorldOutcome, WorldResult
+from autopilot.campaign.worlds.world_shapes import Block, Disc, Point, WorldLayout, box, clearance_m
+from autopilot.campaign.worlds.world_store import read_flights
 from autopilot.cli.main import cli, run
 from autopilot.core.frames import FloatArray
 from autopilot.core.params import ParamSet
-from autopilot.mission.judgement import judge_file
+from autopilot.mission.plan_check import judge_file
 from autopilot.mission.plan_files import read_plan
 from autopilot.sitl.environment import build_world
 from autopilot.sitl.scenario import load_scenario
@@ -95,7 +95,7 @@ def test_a_vehicle_begins_with_more_room_than_it_keeps() -> None:
 @given(st.integers(0, 10**6))
 def test_the_chart_and_the_shapes_agree_on_clearances(seed: int) -> None:
     room = make_room(seed)
-    chart = Chart(room.layout, [room.start_m])
+    chart = DistanceMap(room.layout, [room.start_m])
     rng = np.random.default_rng(seed)
     for _ in range(40):
         offset = rng.uniform(-5.0, 5.0, 2)
@@ -108,7 +108,7 @@ def test_the_chart_and_the_shapes_agree_on_clearances(seed: int) -> None:
 @pytest.mark.parametrize(("width_m", "open_"), [(0.6, False), (0.8, True), (3.0, True)])
 def test_a_door_lets_through_what_it_is_wide_enough_for(width_m: float, open_: bool) -> None:
     here, there = (2.0, 0.0), (10.0, 1.0)
-    chart = Chart(hall_with_door(width_m), [here, there])
+    chart = DistanceMap(hall_with_door(width_m), [here, there])
     regions = chart.regions(0.33)
     assert bool(chart.regions_near(regions, here, 0.1) & chart.regions_near(regions, there, 0.1)) is open_
     way = chart.ways(0.33, [here, there]).quickest(here, there, 0.2, still, water_m_s=0.5, ground_m_s=0.4, worst=True)
@@ -120,13 +120,13 @@ def test_a_door_lets_through_what_it_is_wide_enough_for(width_m: float, open_: b
 )
 def test_ways_in_a_stream_take_as_long_as_the_triangle_of_speeds_says(goal: Point, expected_m_s: float) -> None:
     here = (6.0, -3.0) if goal[1] else (5.5, 0.0)
-    chart = Chart(WorldLayout(HALL), [here, goal])
+    chart = DistanceMap(WorldLayout(HALL), [here, goal])
     way = chart.ways(0.33, [here, goal]).quickest(here, goal, 0.16, stream, water_m_s=0.5, ground_m_s=9.0, worst=True)
     assert way.time_s == pytest.approx(math.dist(here, goal) / expected_m_s, rel=0.08)
 
 
 def test_water_faster_than_the_vehicle_leaves_no_way_up() -> None:
-    ways = Chart(WorldLayout(HALL), []).ways(0.33, [(5.0, 0.0), (10.0, 0.0)])
+    ways = DistanceMap(WorldLayout(HALL), []).ways(0.33, [(5.0, 0.0), (10.0, 0.0)])
     assert math.isinf(
         ways.quickest((5.0, 0.0), (10.0, 0.0), 0.2, stream, water_m_s=0.29, ground_m_s=1.0, worst=False).time_s
     )
@@ -173,7 +173,7 @@ def test_a_reason_that_is_none_is_a_wrong_refusal(reason: str) -> None:
 
 
 def test_every_shape_of_fault_is_held_against_a_flight() -> None:
-    fine = RoomResult(room=0, mode=0, seed=0, outcome=WorldOutcome.REACHED)
+    fine = WorldResult(room=0, mode=0, seed=0, outcome=WorldOutcome.REACHED)
     assert not fine.failed
     for changes in (
         {"contacts": 1},
@@ -184,7 +184,7 @@ def test_every_shape_of_fault_is_held_against_a_flight() -> None:
         {"outcome": WorldOutcome.NOT_REACHED},
     ):
         fields: dict[str, Any] = {"room": 0, "mode": 0, "seed": 0, "outcome": WorldOutcome.REACHED, **changes}
-        assert RoomResult(**fields).failed, changes
+        assert WorldResult(**fields).failed, changes
 
 
 def test_finished_flights_are_kept_and_the_folder_holds_one_campaign(tmp_path: Path) -> None:
@@ -219,12 +219,12 @@ def test_a_disc_and_a_block_are_as_far_apart_as_their_rims() -> None:
 def flown() -> tuple[RandomWorld, Flown]:
     """A tank with twelve obstacles, a wall with two doors and a jet, in the energy mode: 17 s of flight."""
     room = make_room(1_000_003)
-    result = fly_room(room, 1)
+    result = fly_world(room, 1)
     assert result is not None
     return room, result
 
 
-def judged_again(room: RandomWorld, flown: Flown) -> RoomResult:
+def judged_again(room: RandomWorld, flown: Flown) -> WorldResult:
     """The same flight as if it had been in another room."""
     assert flown.watch is not None
     assert flown.end is not None
@@ -273,7 +273,7 @@ def test_the_judge_sees_goals_that_were_not_visited_and_bounds_that_were_broken(
     ],
 )
 def test_a_wall_without_a_way_is_refused_by_the_service_itself(room: int, mode: int, reason: str) -> None:
-    result = RoomTask(room=room, mode=mode, seed=1_000_000 + room).fly()
+    result = WorldTask(room=room, mode=mode, seed=1_000_000 + room).fly()
     assert result is not None
     assert result.outcome is WorldOutcome.REFUSED
     assert reason in result.what

@@ -11,7 +11,7 @@ from hostile_folder import imported_from, make_hostile
 from pwm_vehicle import PwmVehicle, gone, keepers_of, until
 
 from autopilot.core.messages import Failsafe, Outputs
-from autopilot.drivers.watchdog_process import KeeperProcess
+from autopilot.drivers.watchdog_process import WatchdogState
 from autopilot.mavlink.api import CommandResult, FlightMode
 from autopilot.run.children import autopilot_command
 from autopilot.run.config import gather, vehicle_defaults
@@ -32,7 +32,7 @@ def test_a_service_that_ends_or_hangs_leaves_thrusters_neutral_wherever_it_was_s
         service = subprocess.Popen(command, cwd=hostile, stdout=subprocess.DEVNULL)
         try:
             vehicle.fly()
-            (keeper,) = keepers_of(service.pid)
+            (watchdog,) = keepers_of(service.pid)
             service.send_signal(number)
             until(lambda: vehicle.still)
             assert imported_from(hostile) == []
@@ -45,7 +45,7 @@ def test_a_service_that_ends_or_hangs_leaves_thrusters_neutral_wherever_it_was_s
             if number != signal.SIGTERM:
                 service.kill()
             service.wait()
-        until(lambda: gone(keeper))
+        until(lambda: gone(watchdog))
         assert vehicle.still
 
 
@@ -73,17 +73,17 @@ class Flight:
         raise AssertionError(f"not within {at_most_s} s: {self.texts[-6:]}")
 
     @property
-    def keeper(self) -> KeeperProcess | None:
-        return self.session.device._output.device.keeper  # type: ignore[union-attr, no-any-return]
+    def watchdog(self) -> WatchdogState | None:
+        return self.session.device._output.device.watchdog  # type: ignore[union-attr, no-any-return]
 
     @property
     def pid(self) -> int:
-        assert self.keeper is not None and self.keeper.pid is not None
-        return self.keeper.pid
+        assert self.watchdog is not None and self.watchdog.pid is not None
+        return self.watchdog.pid
 
     @property
     def alive(self) -> bool:
-        return self.keeper is not None and self.keeper.problem == ""
+        return self.watchdog is not None and self.watchdog.problem == ""
 
     def arm(self) -> None:
         """In MANUAL, which needs no position."""
@@ -116,7 +116,7 @@ def test_nobody_arms_before_the_watchdog_has_answered(flight: Flight, monkeypatc
     with monkeypatch.context() as slow:
         slow.setattr("autopilot.drivers.watchdog_process.CODE", "import time; time.sleep(600)")
         flight.until(lambda: "thruster watchdog is starting: wait" in flight.refusals(), 60.0)
-        flight.until(lambda: flight.keeper is not None and flight.keeper.pid is not None, 60.0)
+        flight.until(lambda: flight.watchdog is not None and flight.watchdog.pid is not None, 60.0)
     os.kill(flight.pid, signal.SIGKILL)
     flight.until(lambda: flight.alive, 90.0)
     flight.until(lambda: "watchdog" not in flight.refusals(), 30.0)
@@ -137,13 +137,13 @@ def test_a_watchdog_that_ends_again_and_again_is_a_failsafe_and_no_storm(
     flight: Flight, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     flight.arm()
-    keeper = flight.keeper
-    assert keeper is not None
-    before = keeper.starts
+    watchdog = flight.watchdog
+    assert watchdog is not None
+    before = watchdog.starts
     monkeypatch.setattr("autopilot.drivers.watchdog_process.CODE", "raise SystemExit(1)")
     os.kill(flight.pid, signal.SIGKILL)
     flight.until(lambda: flight.failing() and flight.session.parts.commander.mode is FlightMode.SURFACE, 30.0)
-    assert 1 <= keeper.starts - before <= 8
+    assert 1 <= watchdog.starts - before <= 8
     assert flight.texts.count("Thruster watchdog failed: has ended") == 1
     assert flight.texts.count("Failsafe: thruster watchdog has ended: surface") == 1
     assert flight.session.parts.commander.disarm(force=False).result is CommandResult.ACCEPTED

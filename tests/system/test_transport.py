@@ -15,9 +15,9 @@ import pytest
 from pymavlink.dialects.v20 import development as mav
 
 from autopilot.bench.live_service import Station, waypoint
+from autopilot.core.background import Cancel
 from autopilot.core.clients import Reach
 from autopilot.core.clock import TICK_US
-from autopilot.core.desk import Cancel
 from autopilot.core.errors import DriverError
 from autopilot.core.guard import Guard
 from autopilot.core.messages import Inputs, MavlinkFrame, Outputs
@@ -237,11 +237,11 @@ def test_a_loop_that_waits_at_a_desk_is_not_silent(opened: Open) -> None:
     def work(_: None, cancel: Cancel) -> bool:
         return heard.wait(PATIENCE_S)
 
-    for desk in session.parts.desks:
-        assert desk.patient
-    ticket = session.parts.desks[0].submit(0, work, None)
+    for worker in session.parts.desks:
+        assert worker.blocking
+    task = session.parts.desks[0].submit(0, work, None)
     listener.start()
-    answer = ticket.poll(0)
+    answer = task.poll(0)
     stop.set()
     listener.join()
     assert answer is not None and answer.get()

@@ -15,7 +15,7 @@ from autopilot.core.errors import ConfigError
 from autopilot.log.reader import open_log
 from autopilot.view.http_server import ViewServer
 from autopilot.view.hub import MAX_VIEWERS
-from autopilot.view.shown import FlowView, PictureView, SceneView, ViewFrame
+from autopilot.view.page_state import FlowView, PictureView, SceneView, ViewFrame
 
 SCENARIO = """
 [scenario]

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 from autopilot.command.arming import CHECKING
-from autopilot.command.modes.mode import GO_ON, FlightModeBehaviour, ModeStep, Tools, denied
+from autopilot.command.modes.mode import GO_ON, FlightModeBehaviour, ModeContext, ModeStep, denied
 from autopilot.command.vehicle_status import VehicleStatus
 from autopilot.core import operator_messages as notices
 from autopilot.core.messages import Goal, NavState
@@ -115,7 +115,7 @@ class TakeoffMode(FlightModeBehaviour):
     name = FlightMode.TAKEOFF
     steered = True
 
-    def __init__(self, tools: Tools) -> None:
+    def __init__(self, tools: ModeContext) -> None:
         super().__init__(tools)
         self._asked_m: float | None = None
         self._depth_m = 0.0

@@ -2,7 +2,7 @@
 
 import math
 
-from autopilot.command.modes.mode import GO_ON, FlightModeBehaviour, ModeStep, Tools
+from autopilot.command.modes.mode import GO_ON, FlightModeBehaviour, ModeContext, ModeStep
 from autopilot.command.vehicle_status import VehicleStatus
 from autopilot.core import operator_messages as notices
 from autopilot.core.geodesy import refuse_place
@@ -17,7 +17,7 @@ class CircleMode(FlightModeBehaviour):
     name = FlightMode.CIRCLE
     steered = True
 
-    def __init__(self, tools: Tools) -> None:
+    def __init__(self, tools: ModeContext) -> None:
         super().__init__(tools)
         self._circle: LoiterCircle | None = None
 

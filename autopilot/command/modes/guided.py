@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from autopilot.command.modes.mode import FlightModeBehaviour, ModeStep, Tools, denied
+from autopilot.command.modes.mode import FlightModeBehaviour, ModeContext, ModeStep, denied
 from autopilot.command.vehicle_status import VehicleStatus
 from autopilot.core import operator_messages as notices
 from autopilot.core.frames import FloatArray, wrap_pi
@@ -24,7 +24,7 @@ class GuidedMode(FlightModeBehaviour):
     name = FlightMode.GUIDED
     steered = True
 
-    def __init__(self, tools: Tools) -> None:
+    def __init__(self, tools: ModeContext) -> None:
         super().__init__(tools)
         self._point: SetPoint | None = None
         self._lacks = NONE_YET

@@ -24,7 +24,7 @@ def denied(reason: str) -> CommandReply:
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class Tools:
+class ModeContext:
     """What modes are made of."""
 
     vehicle: Vehicle
@@ -69,7 +69,7 @@ class FlightModeBehaviour:
     changes_depth: ClassVar[bool] = True
     """A command may send the vehicle to another depth out of it."""
 
-    def __init__(self, tools: Tools) -> None:
+    def __init__(self, tools: ModeContext) -> None:
         self._vehicle = tools.vehicle
         self._params = tools.params
         self._plans = tools.plans

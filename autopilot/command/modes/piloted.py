@@ -11,12 +11,12 @@ from typing import ClassVar
 
 import numpy as np
 
-from autopilot.command.modes.mode import RELEASED, FlightModeBehaviour, ModeStep, Tools, denied
+from autopilot.command.modes.mode import RELEASED, FlightModeBehaviour, ModeContext, ModeStep, denied
 from autopilot.command.vehicle_status import VehicleStatus
 from autopilot.control.thrust.by_hand import ByHand
+from autopilot.core.control_allocator import ControlAllocator
 from autopilot.core.frames import FloatArray
 from autopilot.core.messages import Goal, NavState, VelocityGoal
-from autopilot.core.sharing import Sharing
 from autopilot.mavlink.api import CommandReply, FlightMode, Sticks
 
 FRESH_TICKS = 5
@@ -58,10 +58,10 @@ class PilotedMode(FlightModeBehaviour):
     holds_place: ClassVar[bool] = False
     """The planar sticks are velocities over ground."""
 
-    def __init__(self, tools: Tools) -> None:
+    def __init__(self, tools: ModeContext) -> None:
         super().__init__(tools)
         self._model = tools.vehicle.to_model()
-        self._sharing = Sharing.of(tools.vehicle)
+        self._allocator = ControlAllocator.of(tools.vehicle)
         self._limits_n = np.array([thruster.limit_n for thruster in tools.vehicle.thrusters])
         self._reach: tuple[float, FloatArray] | None = None
         self.enter(None)
@@ -177,7 +177,7 @@ class PilotedMode(FlightModeBehaviour):
         """(4,) force of full sticks, each alone."""
         limit = self._params["THR_LIMIT"]
         if self._reach is None or self._reach[0] != limit:
-            self._reach = (limit, self._sharing.reach(np.minimum(self._limits_n, limit)))
+            self._reach = (limit, self._allocator.reach(np.minimum(self._limits_n, limit)))
         return self._reach[1]
 
 

@@ -3,7 +3,7 @@
 import math
 from dataclasses import replace
 
-from autopilot.command.modes.mode import RELEASED, ModeStep, Tools, denied
+from autopilot.command.modes.mode import RELEASED, ModeContext, ModeStep, denied
 from autopilot.command.modes.piloted import DepthHoldMode
 from autopilot.command.vehicle_status import VehicleStatus
 from autopilot.control.thrust.by_hand import ByHand
@@ -38,7 +38,7 @@ class SurftrakMode(DepthHoldMode):
 
     name = FlightMode.SURFTRAK
 
-    def __init__(self, tools: Tools) -> None:
+    def __init__(self, tools: ModeContext) -> None:
         self._height_m: float | None = None
         """What is held, None = its stick is out, or nothing has been seen of the floor."""
         self._floor_m: float | None = None

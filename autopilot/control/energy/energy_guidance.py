@@ -23,40 +23,45 @@ from autopilot.control.energy.track import TrackedTrajectory, joined
 from autopilot.control.energy.trajectory import Trajectory
 from autopilot.control.nmpc.grid import REFERENCE_DT_S, TimeGrid
 from autopilot.control.nmpc.ocp import TERMINAL_STAGES
-from autopilot.control.way.desks import TaskFailures
-from autopilot.control.way.guidance import GuidanceInputs, Reference, RouteGuidance, Weights
+from autopilot.control.path.guidance import GuidanceInputs, Reference, RouteGuidance, Weights
+from autopilot.control.path.workers import TaskFailures
 from autopilot.core import operator_messages as notices
-from autopilot.core.desk import Cancel, Desk, Ticket
+from autopilot.core.background import BackgroundTask, BackgroundWorker, Cancel
+from autopilot.core.control_allocator import ControlAllocator
 from autopilot.core.frames import FloatArray
 from autopilot.core.messages import EnergyPlan, Goal, Severity
 from autopilot.core.model4 import YAW, R, U, Z
-from autopilot.core.sharing import Sharing
 
 
 class EnergyGuidance:
-    """See :class:`autopilot.control.way.guidance.Guidance`."""
+    """See :class:`autopilot.control.path.guidance.Guidance`."""
 
     def __init__(
-        self, sharing: Sharing, grid: TimeGrid, desk: Desk, planner: TrajectoryPlanner, route: RouteGuidance
+        self,
+        allocator: ControlAllocator,
+        grid: TimeGrid,
+        worker: BackgroundWorker,
+        planner: TrajectoryPlanner,
+        route: RouteGuidance,
     ) -> None:
         """``route`` flies what ``planner`` has no plan for."""
         self._t_s = grid.t_s
         self._last_s, self._stages = float(grid.t_s[-2]), np.diff(grid.t_s)[1:] / REFERENCE_DT_S
         self._reach_s = float(2.0 * grid.t_s[-1] - grid.t_s[-2])
         """Time from which on the end of a trajectory is out of sight: see _shares."""
-        self._weights = Weights(sharing.model.thrusters)
-        self._sharing = sharing
-        self._desk, self._route = desk, route
+        self._weights = Weights(allocator.model.thrusters)
+        self._allocator = allocator
+        self._worker, self._route = worker, route
         # Not a method: work that is under way must not keep whoever asked for it, who keeps the work.
         self._plan = partial(planned, planner)
-        self._ticket: Ticket[Plan] | None = None
+        self._task: BackgroundTask[Plan] | None = None
         self._request: TrajectoryRequest | None = None
         self._mishaps = TaskFailures("energy planner", notices.NO_ENERGY_PLAN)
         self.reset()
 
     @property
     def unreachable(self) -> bool:
-        """See :class:`autopilot.control.way.guidance.Guidance`."""
+        """See :class:`autopilot.control.path.guidance.Guidance`."""
         return self._track is None and self._route.unreachable
 
     def reset(self) -> None:
@@ -83,7 +88,7 @@ class EnergyGuidance:
         self._news: EnergyPlan | None = None
 
     def take_news(self) -> list[tuple[Severity, str]]:
-        """See :class:`autopilot.control.way.guidance.Guidance`."""
+        """See :class:`autopilot.control.path.guidance.Guidance`."""
         return self._mishaps.take_news() + self._route.take_news()
 
     def reference(self, situation: GuidanceInputs) -> Reference:
@@ -120,11 +125,11 @@ class EnergyGuidance:
             weight_u = max(weight_u, GUIDANCE.following_thrust_weight)
         then = self._next
         x, thrust = track.sample(self._t_s, current, then)
-        thrust += self._lift_n(self._sharing.buoyancy_excess_n, now.thrust_limit_n)
+        thrust += self._lift_n(self._allocator.buoyancy_excess_n, now.thrust_limit_n)
         rest = 1.0 if then is None else track.missing
         if rest > 0.0 and self._last_s >= rest_s:
             after = self._t_s[:-1] >= rest_s
-            steady = self._sharing.hold_n(x[:-1][after][:, U : R + 1], now.thrust_limit_n)
+            steady = self._allocator.hold_n(x[:-1][after][:, U : R + 1], now.thrust_limit_n)
             thrust[after] += rest * (steady - thrust[after])
         weights = self._weights.look(params, weight_u)
         nodes, terminal = weights.x, weights.terminal
@@ -181,16 +186,16 @@ class EnergyGuidance:
             self._withdraw()
             self._track = self._next = None
             return fresh
-        answer, request = None if self._ticket is None else self._ticket.poll(self._step), self._request
+        answer, request = None if self._task is None else self._task.poll(self._step), self._request
         if answer is not None and request is not None:
-            self._ticket = self._request = None
+            self._task = self._request = None
             if answer.error is None:
                 fresh |= self._take(request, answer.get(), now)
             else:
                 self._fail(request, answer.error)
         off_m = 0.0 if self._track is None else self._track.advance(elapsed_s, now.x0)
         self._leave_if_lost(now, off_m)
-        if self._ticket is None:
+        if self._task is None:
             self._ask_if_needed(now, off_m, elapsed_s)
         elif self._track is None and self._step - self._asked_step == GUIDANCE.late_steps:
             self._mishaps.failed(NoPlanError("late"), felt=not self._route.unreachable)
@@ -199,7 +204,7 @@ class EnergyGuidance:
     def _lift_n(self, buoyancy_excess_n: float, limit_n: FloatArray) -> FloatArray:
         """(n,) thrust of those of ``limit_n`` (n,) that are alive which holds the vehicle against that buoyancy."""
         force = np.array([0.0, 0.0, buoyancy_excess_n, 0.0])
-        return self._sharing.thrust_n(force, np.where(limit_n > 0.0, np.inf, 0.0))
+        return self._allocator.thrust_n(force, np.where(limit_n > 0.0, np.inf, 0.0))
 
     def _leave_if_lost(self, now: GuidanceInputs, off_m: float) -> None:
         """A trajectory that the vehicle is far from, or that has ended without its goal, is followed no more.
@@ -283,7 +288,7 @@ class EnergyGuidance:
             eta_s=plan.eta_s,
             energy_j=plan.energy_j,
             trajectory_s=float(plan.trajectory.t_s[-1]),
-            late=self._desk.late,
+            late=self._worker.late,
         )
         return old is None or abs(track.trajectory.x[-1, YAW] - old.trajectory.x[-1, YAW]) > np.pi
 
@@ -380,7 +385,7 @@ class EnergyGuidance:
         begun: Trajectory | None = None
         if warm is not None:
             left = shifted(warm.trajectory, warm.clock_s + steps * PATIENCE.step_s, x0)
-            lift_n = self._lift_n(self._sharing.buoyancy_excess_n, now.thrust_limit_n)
+            lift_n = self._lift_n(self._allocator.buoyancy_excess_n, now.thrust_limit_n)
             begun = replace(left, thrust_n=left.thrust_n + lift_n)
         request = TrajectoryRequest(
             x0=x0.copy(),
@@ -391,7 +396,7 @@ class EnergyGuidance:
             flow=sample_flow(now.forecast, now.nav, area, float(x0[2])),
             limits=limits,
             thrust_limit_n=GUIDANCE.bound_share * now.thrust_limit_n,
-            buoyancy_excess_n=self._sharing.buoyancy_excess_n,
+            buoyancy_excess_n=self._allocator.buoyancy_excess_n,
             cruise_m_s=goal.speed_m_s,
             leg_depth_m=None if kind is Kind.NEXT else self._leg_depth_m,
             warm=begun,
@@ -401,12 +406,12 @@ class EnergyGuidance:
             self._asked_step = self._step
             self._patience.ask(now)
         self._request = request
-        self._ticket = self._desk.submit(self._step + steps, self._plan, request)
+        self._task = self._worker.submit(self._step + steps, self._plan, request)
 
     def _withdraw(self) -> None:
-        if self._ticket is not None:
-            self._ticket.cancel()
-        self._ticket = self._request = None
+        if self._task is not None:
+            self._task.cancel()
+        self._task = self._request = None
 
 
 def planned(planner: TrajectoryPlanner, request: TrajectoryRequest, cancel: Cancel) -> Plan:

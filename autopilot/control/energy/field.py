@@ -14,11 +14,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from autopilot.control.constraints.obstacles import Features
 from autopilot.control.energy.energy_tuning import FIELD
 from autopilot.control.energy.flow import FlowField
 from autopilot.control.energy.power import SpeedTable, energy_per_metre
-from autopilot.control.fence.obstacles import Features
-from autopilot.control.way.shortest import lengths_from
+from autopilot.control.path.shortest import lengths_from
 from autopilot.core.frames import FloatArray
 from autopilot.core.free_space import FreeSpace
 

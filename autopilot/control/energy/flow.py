@@ -10,8 +10,8 @@ from typing import Any
 
 import numpy as np
 
+from autopilot.control.current.currents import CurrentForecast
 from autopilot.control.energy.energy_tuning import FLOW
-from autopilot.control.water.currents import CurrentForecast
 from autopilot.core.frames import FloatArray
 from autopilot.core.free_space import Area, workspace_of
 from autopilot.core.geometry import Fence

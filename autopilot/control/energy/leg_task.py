@@ -6,17 +6,17 @@ from dataclasses import replace
 
 import numpy as np
 
+from autopilot.control.constraints.obstacles import Features
 from autopilot.control.energy.energy_tuning import LEG_TASK, SHOOTING
 from autopilot.control.energy.field import EnergyToGo, FieldPath
 from autopilot.control.energy.flow import FlowField
 from autopilot.control.energy.power import SpeedTable, energy_per_metre, planar_limit_m_s
 from autopilot.control.energy.request import Plan, TrajectoryRequest, no_plan
 from autopilot.control.energy.trajectory import Ask, Program, Trajectory
-from autopilot.control.fence.obstacles import Features
-from autopilot.core.desk import Cancel
+from autopilot.core.background import Cancel
+from autopilot.core.control_allocator import ControlAllocator
 from autopilot.core.frames import FloatArray, unwrap_near
 from autopilot.core.model4 import NX, YAW, R, U, V, W, X, Y, Z
-from autopilot.core.sharing import Sharing
 
 BOTH_TURNS_RAD = 0.4 * math.pi
 """A turn longer than this is tried both ways round."""
@@ -34,10 +34,10 @@ class LegTask:
         to_go: EnergyToGo,
         end_slope: FloatArray,
         program: Callable[[float], Program],
-        sharing: Sharing,
+        allocator: ControlAllocator,
         cancel: Cancel,
     ) -> None:
-        self._sharing, self._cancel = sharing, cancel
+        self._allocator, self._cancel = allocator, cancel
         self._request, self._features, self._flow, self._table = request, features, flow, table
         self._to_go, self._end_slope, self._program = to_go, end_slope, program
         self.reach_s = LEG_TASK.longest_s
@@ -55,7 +55,7 @@ class LegTask:
         goal = self._request.goal.following
         assert goal is not None
         request = replace(self._request, x0=end.x[-1], goal=goal, warm=None, leg_depth_m=None)
-        rest = (np.zeros(2), self._program, self._sharing, self._cancel)
+        rest = (np.zeros(2), self._program, self._allocator, self._cancel)
         return LegTask(request, self._features, self._flow, self._table, beyond, *rest)
 
     def first(self, way: FieldPath) -> Plan:
@@ -131,7 +131,7 @@ class LegTask:
         c, s = np.cos(x[:, YAW]), np.sin(x[:, YAW])
         x[:, U], x[:, V] = c * water[:, 0] + s * water[:, 1], c * water[:, 1] - s * water[:, 0]
         x[:, R] = np.gradient(x[:, YAW], t)
-        thrust = self._sharing.hold_n(0.5 * (x[1:, U:] + x[:-1, U:]), request.thrust_limit_n)
+        thrust = self._allocator.hold_n(0.5 * (x[1:, U:] + x[:-1, U:]), request.thrust_limit_n)
         x[0] = request.x0
         energy = end_s * float(self._table.power_w.min())
         return Trajectory(t_s=t, x=x, thrust_n=thrust, energy_j=energy, cost_j=energy, solved=False)

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from autopilot.control.energy.energy_tuning import PATIENCE
-from autopilot.control.way.guidance import GuidanceInputs
-from autopilot.control.way.planner import Planner
+from autopilot.control.path.guidance import GuidanceInputs
+from autopilot.control.path.planner import Planner
 
 
 class Kind(enum.Enum):

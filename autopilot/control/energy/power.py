@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from autopilot.control.energy.energy_tuning import POWER
+from autopilot.core.control_allocator import ControlAllocator
 from autopilot.core.frames import FloatArray
 from autopilot.core.model4 import AXES, Model4
-from autopilot.core.sharing import Sharing
 from autopilot.core.vehicle import Vehicle
 
 
@@ -82,7 +82,7 @@ def speed_table(
     force = np.zeros((count, AXES))
     force[:, 0] = (model.linear_drag[0] + model.quadratic_drag[0] * speed) * speed
     force[:, 2] = model.buoyancy_excess_n
-    thrust = Sharing(model, power.thrust_w_n15).thrust_n(force, np.full(model.thrusters, np.inf))
+    thrust = ControlAllocator(model, power.thrust_w_n15).thrust_n(force, np.full(model.thrusters, np.inf))
     watts = power.thrust_w(thrust)[:, np.abs(thrust).max(axis=0) > POWER.idle_n]
     return SpeedTable(speed_m_s=speed, power_w=power.hotel_w + watts.sum(axis=1), cruise_m_s=cruise_m_s)
 

@@ -7,7 +7,7 @@ from typing import Protocol
 from autopilot.control.energy.flow import FlowField, FlowSamples
 from autopilot.control.energy.patience import Kind
 from autopilot.control.energy.trajectory import Trajectory
-from autopilot.core.desk import Cancel
+from autopilot.core.background import Cancel
 from autopilot.core.frames import FloatArray
 from autopilot.core.geometry import Fence
 from autopilot.core.messages import Goal

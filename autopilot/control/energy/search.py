@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from autopilot.control.constraints.obstacles import Features, fence_key
 from autopilot.control.energy.energy_tuning import FLOW, LEG_TASK, SEARCH, TRAJECTORY
 from autopilot.control.energy.field import LONGEST_MOVE, EnergyField, EnergyToGo, FieldPath, other_ways
 from autopilot.control.energy.flow import FlowField, FlowSamples, area_of
@@ -13,21 +14,20 @@ from autopilot.control.energy.patience import Kind
 from autopilot.control.energy.power import PowerModel, SpeedTable, speed_table
 from autopilot.control.energy.request import Plan, TrajectoryRequest, no_plan
 from autopilot.control.energy.trajectory import Program, Trajectory
-from autopilot.control.fence.obstacles import Features, fence_key
-from autopilot.core.desk import Cancel
+from autopilot.core.background import Cancel
+from autopilot.core.control_allocator import ControlAllocator
 from autopilot.core.frames import FloatArray
 from autopilot.core.free_space import Area, FreeSpace
 from autopilot.core.geometry import Fence
 from autopilot.core.messages import Goal
 from autopilot.core.model4 import Model4
-from autopilot.core.sharing import Sharing
 
 
 class EnergyPlanner:
     """Keeps the built programs and the last features; otherwise a function of the request."""
 
     def __init__(self, model: Model4, power: PowerModel) -> None:
-        self._power, self._sharing = power, Sharing(model, power.thrust_w_n15)
+        self._power, self._allocator = power, ControlAllocator(model, power.thrust_w_n15)
         self._programs: dict[int, Program] = {}
         self._features: tuple[tuple[object, ...], Features] | None = None
         self._spaces: dict[int, tuple[Features, tuple[float, ...], FreeSpace]] = {}
@@ -46,8 +46,8 @@ class EnergyPlanner:
         cancel.check()
         features = self._features_of(request.fence)
         flow = FlowField(request.flow)
-        self._sharing.buoyancy_excess_n = request.buoyancy_excess_n
-        table = speed_table(self._sharing.model, self._power, float(request.limits[0]), request.cruise_m_s)
+        self._allocator.buoyancy_excess_n = request.buoyancy_excess_n
+        table = speed_table(self._allocator.model, self._power, float(request.limits[0]), request.cruise_m_s)
         found = self._field(request, features, flow, table)
         if found is None:
             return no_plan(request.goal, "no way")
@@ -55,7 +55,7 @@ class EnergyPlanner:
         cancel.check()
         beyond = _field_beyond(field, request.goal)
         end_slope = _slope_beyond(beyond, request.goal)
-        task = LegTask(request, features, flow, table, to_go, end_slope, self._program, self._sharing, cancel)
+        task = LegTask(request, features, flow, table, to_go, end_slope, self._program, self._allocator, cancel)
         task.guesses(best)
         # What ends at a gate has a new one.
         warm = None if request.warm is None or not task.complete else task.refine(request.warm, SEARCH.update_rounds)
@@ -155,7 +155,7 @@ class EnergyPlanner:
         need = duration_s / (LEG_TASK.intervals * TRAJECTORY.substep_s)
         substeps = next((s for s in SEARCH.substeps if s >= need), SEARCH.substeps[-1])
         if substeps not in self._programs:
-            self._programs[substeps] = Program(self._sharing.model, self._power, LEG_TASK.intervals, substeps)
+            self._programs[substeps] = Program(self._allocator.model, self._power, LEG_TASK.intervals, substeps)
         return self._programs[substeps]
 
 

@@ -17,7 +17,7 @@ import numpy as np
 from autopilot.control.energy.energy_tuning import SHOOTING, TRAJECTORY
 from autopilot.control.energy.power import PowerModel
 from autopilot.control.energy.shooting import Shooting
-from autopilot.core.desk import Cancel
+from autopilot.core.background import Cancel
 from autopilot.core.frames import FloatArray
 from autopilot.core.model4 import NX, Model4
 

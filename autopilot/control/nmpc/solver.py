@@ -15,11 +15,11 @@ import numpy as np
 from autopilot.control.nmpc import ocp
 from autopilot.control.nmpc.grid import REFERENCE_DT_S, TimeGrid, shift_matrices
 from autopilot.control.nmpc.native import NativeStep
+from autopilot.core.control_allocator import least_in_box
 from autopilot.core.errors import ConfigError
 from autopilot.core.frames import FloatArray
 from autopilot.core.messages import SolveStatus
 from autopilot.core.model4 import NX, Model4, U, rk4, state_derivative
-from autopilot.core.sharing import least_in_box
 
 PLANES = 8
 """Half-plane slots per stage: four walls of a tank and four obstacles."""

@@ -9,10 +9,10 @@ from autopilot.control.notice_queue import NoticeQueue
 from autopilot.control.robust.robust_tuning import FALLBACK
 from autopilot.core import model4
 from autopilot.core import operator_messages as notices
+from autopilot.core.control_allocator import ControlAllocator
 from autopilot.core.frames import FloatArray, wrap_pi
 from autopilot.core.messages import Fallback
 from autopilot.core.model4 import YAW, R, U, X, Y, Z
-from autopilot.core.sharing import Sharing
 
 TOLD = {
     Fallback.SHIFTED_PLAN: notices.FALLBACK_SHIFTED_PLAN,
@@ -72,7 +72,7 @@ class FiniteWatch(NoticeQueue):
 
 
 def station_keeping_thrust(
-    sharing: Sharing,
+    allocator: ControlAllocator,
     x: FloatArray,
     target: FloatArray,
     current_ned_m_s: FloatArray,
@@ -82,7 +82,7 @@ def station_keeping_thrust(
 
     Position error -> velocity over ground -> velocity through the water -> drag feed-forward plus velocity feedback.
     """
-    model = sharing.model
+    model = allocator.model
     dx, dy = float(target[X] - x[X]), float(target[Y] - x[Y])
     distance = math.hypot(dx, dy)
     speed = min(FALLBACK.position_gain_1_s * distance, FALLBACK.speed_limit_m_s)
@@ -110,4 +110,4 @@ def station_keeping_thrust(
             for m, w, v, a in zip(model.mass_kg, wanted, nu, drift, strict=True)
         ]
     )
-    return sharing.thrust_n(force, limit_n)
+    return allocator.thrust_n(force, limit_n)

@@ -9,13 +9,13 @@ import numpy as np
 
 from autopilot.control.nmpc.grid import TimeGrid
 from autopilot.control.notice_queue import NoticeQueue
+from autopilot.control.path.reference import water_speed_share
 from autopilot.control.robust.ancillary import Ancillary
 from autopilot.control.robust.lipschitz import LipschitzMargins
 from autopilot.control.robust.mismatch_evidence import SpeedEvidence
 from autopilot.control.robust.robust_tuning import TUBE
 from autopilot.control.robust.tightening import BackOffs, FixedMargins
 from autopilot.control.robust.tube import TubeMargins
-from autopilot.control.way.reference import water_speed_share
 from autopilot.core import operator_messages as notices
 from autopilot.core.frames import FloatArray
 from autopilot.core.messages import NavState

@@ -15,11 +15,11 @@ from autopilot.control.notice_queue import NoticeQueue
 from autopilot.control.robust.robust_tuning import REGIONS, TERMINAL
 from autopilot.control.robust.terminal import Certificate, Terminal, TerminalLimits, certify, terminal_law, unit_samples
 from autopilot.core import operator_messages as notices
-from autopilot.core.desk import Cancel, Desk, Ticket
+from autopilot.core.background import BackgroundTask, BackgroundWorker, Cancel
+from autopilot.core.control_allocator import ControlAllocator
 from autopilot.core.frames import FloatArray
 from autopilot.core.messages import Goal
 from autopilot.core.model4 import YAW, Model4, U
-from autopilot.core.sharing import Sharing
 
 AT_PLACE = ("clearance", "acceptance radius", "acceptance heading", "depth", "decrease")
 """Limits of the goal's place, whatever the water does; all others are of what the vehicle can do in it."""
@@ -45,10 +45,10 @@ def _certified(request: _RegionRequest, cancel: Cancel) -> Certificate:
 class TerminalRegions(NoticeQueue):
     """Law and certificate of the present goal."""
 
-    def __init__(self, sharing: Sharing, desk: Desk) -> None:
+    def __init__(self, allocator: ControlAllocator, worker: BackgroundWorker) -> None:
         super().__init__()
-        self._sharing, self._desk = sharing, desk
-        self._ticket: Ticket[Certificate] | None = None
+        self._allocator, self._worker = allocator, worker
+        self._task: BackgroundTask[Certificate] | None = None
         self.reset()
 
     def reset(self) -> None:
@@ -93,30 +93,30 @@ class TerminalRegions(NoticeQueue):
         moved = (
             max(abs(now - then) for now, then in zip(current, self._current, strict=True)) > REGIONS.current_step_m_s
         )
-        buoyancy_n = self._sharing.buoyancy_excess_n
+        buoyancy_n = self._allocator.buoyancy_excess_n
         moved |= abs(buoyancy_n - self._buoyancy_n) > REGIONS.buoyancy_step_n
-        if key != self._key or (moved and self._ticket is None):
+        if key != self._key or (moved and self._task is None):
             self._key, self._goal, self._current, self._buoyancy_n = key, goal, current, buoyancy_n
             told = limits()
-            self.law = terminal_law(self._sharing, yaw, current_ned_m_s, q, r, told.thrust_n)
+            self.law = terminal_law(self._allocator, yaw, current_ned_m_s, q, r, told.thrust_n)
             self._cost, self._nu = self.law.cost_ned(), self.law.nu.tolist()
             self.certificate = None
             self._withdraw()
-            request = _RegionRequest(model=self._sharing.model, law=self.law, goal=goal, limits=told, sampled=sampled)
-            self._ticket = self._desk.submit(self._step + REGIONS.answer_steps, _certified, request)
-        answer = None if self._ticket is None else self._ticket.poll(self._step)
+            request = _RegionRequest(model=self._allocator.model, law=self.law, goal=goal, limits=told, sampled=sampled)
+            self._task = self._worker.submit(self._step + REGIONS.answer_steps, _certified, request)
+        answer = None if self._task is None else self._task.poll(self._step)
         if answer is None:
             return
-        self._ticket, self.certificate = None, answer.value
+        self._task, self.certificate = None, answer.value
         if answer.value is not None:
             self._tell(goal, answer.value)
         else:
             self._news.append(notices.NO_CERTIFICATE(name=_name(goal), error=answer.error))
 
     def _withdraw(self) -> None:
-        if self._ticket is not None:
-            self._ticket.cancel()
-        self._ticket = None
+        if self._task is not None:
+            self._task.cancel()
+        self._task = None
 
     def cost_at(self, x_end: FloatArray, goal: Goal) -> FloatArray | None:
         """(8, 8) terminal Hessian for a reference that ends in ``x_end`` (8,): that of the goal if it ends there."""

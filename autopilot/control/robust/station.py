@@ -19,17 +19,17 @@ from autopilot.control.robust.terminal import (
     terminal_law,
     unit_samples,
 )
+from autopilot.core.control_allocator import ControlAllocator
 from autopilot.core.frames import FloatArray
 from autopilot.core.messages import Goal
 from autopilot.core.model4 import YAW
-from autopilot.core.sharing import Sharing
 
 
 class StationKeeper:
     """Holds one place after the other."""
 
-    def __init__(self, sharing: Sharing) -> None:
-        self._sharing = sharing
+    def __init__(self, allocator: ControlAllocator) -> None:
+        self._allocator = allocator
         self._samples = unit_samples(STATION.hold_samples)
         self._target: FloatArray | None = None
         self._law: Terminal | None = None
@@ -52,7 +52,7 @@ class StationKeeper:
         """Thrust (n,) that holds the place where this began."""
         if self._target is None:
             self._target = x.copy()
-        sunk_n = abs(self._sharing.buoyancy_excess_n - self._buoyancy_n)
+        sunk_n = abs(self._allocator.buoyancy_excess_n - self._buoyancy_n)
         flows = float(np.abs(current_ned_m_s - self._current).max()) > STATION.current_step_m_s
         if self._law is None or flows or sunk_n > STATION.buoyancy_step_n:
             self._make(self._target, current_ned_m_s, limit_n)
@@ -64,16 +64,16 @@ class StationKeeper:
                 self.inside = True
                 inner: FloatArray = np.clip(law.thrust_n + law.k @ error, -limit_n, limit_n)
                 return inner
-        return station_keeping_thrust(self._sharing, x, self._target, current_ned_m_s, limit_n)
+        return station_keeping_thrust(self._allocator, x, self._target, current_ned_m_s, limit_n)
 
     def _make(self, target: FloatArray, current: FloatArray, limit_n: FloatArray) -> None:
-        self._current, self._buoyancy_n = current.copy(), self._sharing.buoyancy_excess_n
+        self._current, self._buoyancy_n = current.copy(), self._allocator.buoyancy_excess_n
         law = terminal_law(
-            self._sharing,
+            self._allocator,
             float(target[YAW]),
             current,
             np.array(ANCILLARY.state_weights),
-            np.full(self._sharing.model.thrusters, ANCILLARY.thrust_weight),
+            np.full(self._allocator.model.thrusters, ANCILLARY.thrust_weight),
             limit_n,
         )
         place = Goal(
@@ -93,7 +93,7 @@ class StationKeeper:
             depth_max_m=math.inf,
             clearance_m=math.inf,
         )
-        job = CertificateJob(self._sharing.model, law, place, limits, self._samples)
+        job = CertificateJob(self._allocator.model, law, place, limits, self._samples)
         while job.certificate is None:
             job.advance(STATION.hold_samples)
         self._law, self._alpha = law, job.certificate.alpha

@@ -20,10 +20,10 @@ from autopilot.control.robust.error_model import error_jacobian, input_matrix
 from autopilot.control.robust.riccati import dare, discretise, gain, lyapunov
 from autopilot.control.robust.robust_tuning import TERMINAL
 from autopilot.core import model4
+from autopilot.core.control_allocator import ControlAllocator
 from autopilot.core.frames import FloatArray
 from autopilot.core.messages import Goal
 from autopilot.core.model4 import NX, YAW, Model4, R, U, V, W, X, Z
-from autopilot.core.sharing import Sharing
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -119,7 +119,7 @@ class Certificate:
 
 
 def terminal_law(
-    sharing: Sharing,
+    allocator: ControlAllocator,
     yaw_rad: float,
     current_ned_m_s: FloatArray,
     q: FloatArray,
@@ -129,13 +129,13 @@ def terminal_law(
     """Steady input, gain and cost of a goal with heading ``yaw_rad`` in a current; q (8,), r (n,) of the stage cost.
 
     Redundant thrusters share within ``limit_n`` (n,)."""
-    model, c, s = sharing.model, math.cos(yaw_rad), math.sin(yaw_rad)
+    model, c, s = allocator.model, math.cos(yaw_rad), math.sin(yaw_rad)
     cn, ce, cd = (float(v) for v in current_ned_m_s)
     nu = np.array([-(c * cn + s * ce), -(c * ce - s * cn), -cd, 0.0])
     force = model4.steady_force(model, nu.tolist(), math)
     # Where the thrusters cannot hold it, the limits say so by the thrust that it would take.
-    enough = sharing.makes(np.array(force), limit_n)
-    thrust = sharing.thrust_n(np.array(force), limit_n if enough else np.full(model.thrusters, np.inf))
+    enough = allocator.makes(np.array(force), limit_n)
+    thrust = allocator.thrust_n(np.array(force), limit_n if enough else np.full(model.thrusters, np.inf))
     a, b = _goal_jacobian(model, nu), input_matrix(model)
     a_d, b_d = discretise(a, b, REFERENCE_DT_S)
     weights = np.diag(np.maximum(q, 1e-6))

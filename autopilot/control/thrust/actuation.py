@@ -10,13 +10,13 @@ import math
 import numpy as np
 
 from autopilot.control.thrust.allocation import Allocation
+from autopilot.control.thrust.attitude_stabilisation import AttitudeStabilizer
 from autopilot.control.thrust.command_delay import CommandDelay
-from autopilot.control.thrust.levelling import Levelling
 from autopilot.control.thrust.losses import ThrusterLosses
+from autopilot.core.control_allocator import ControlAllocator
 from autopilot.core.frames import FloatArray
 from autopilot.core.messages import MAX_THRUSTERS, Goal, NavState, ThrusterCommand, ThrusterHealthState
 from autopilot.core.params import ParamSet
-from autopilot.core.sharing import Sharing
 from autopilot.core.vehicle import Vehicle
 
 MUCH_N = 1e3
@@ -30,13 +30,13 @@ class Actuation:
     """All thrusters of a vehicle (n of them), in the order of its file."""
 
     def __init__(self, vehicle: Vehicle, params: ParamSet) -> None:
-        self._sharing = Sharing.of(vehicle)
+        self._allocator = ControlAllocator.of(vehicle)
         self._params = params
         self._losses = ThrusterLosses(vehicle, params)
         self._delay = CommandDelay(vehicle, params)
-        self._levelling = Levelling(vehicle)
+        self._levelling = AttitudeStabilizer(vehicle)
         self._nav: NavState | None = None
-        self._count = self._sharing.model.thrusters
+        self._count = self._allocator.model.thrusters
         self._pulse_n = self.nothing()
         """What sound thrusters will give with the pulses of the last command."""
         self.allocation = Allocation(vehicle.thrusters)
@@ -146,7 +146,7 @@ class Actuation:
     def lift_n(self, limit_n: float) -> FloatArray:
         """(n,) straight up, the thruster that has to give most giving ``limit_n``; nothing when none can lift."""
         wanted = np.array([0.0, 0.0, -1.0, 0.0])
-        up = self._sharing.thrust_n(wanted, np.where(self._losses.share > 0.0, MUCH_N, 0.0))
+        up = self._allocator.thrust_n(wanted, np.where(self._losses.share > 0.0, MUCH_N, 0.0))
         most = float(np.abs(up).max())
         if most < NO_LIFT:
             return self.nothing()

@@ -11,8 +11,8 @@ import numpy as np
 
 from autopilot.control.thrust.slew import slewed
 from autopilot.control.thrust.thrust_tuning import BY_HAND
+from autopilot.core.control_allocator import ControlAllocator
 from autopilot.core.frames import FloatArray, wrap_pi
-from autopilot.core.sharing import Sharing
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -28,7 +28,7 @@ class ByHand:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Felt:
+class PositionlessState:
     """What is known without a position; None = not (any more)."""
 
     yaw_rad: float | None = None
@@ -39,9 +39,9 @@ class Felt:
 class HandLaw:
     """One instance per vehicle; asked once per tick while it flies."""
 
-    def __init__(self, sharing: Sharing) -> None:
-        self._sharing = sharing
-        self._thrust_n = np.zeros(sharing.model.thrusters)
+    def __init__(self, allocator: ControlAllocator) -> None:
+        self._allocator = allocator
+        self._thrust_n = np.zeros(allocator.model.thrusters)
         self.release()
 
     def release(self) -> None:
@@ -53,26 +53,28 @@ class HandLaw:
         self._rate_m_s = 0.0
         self._trim_n = 0.0
 
-    def thrust_n(self, t_us: int, wish: ByHand, felt: Felt, limit_n: FloatArray, now_n: FloatArray) -> FloatArray:
+    def thrust_n(
+        self, t_us: int, wish: ByHand, felt: PositionlessState, limit_n: FloatArray, now_n: FloatArray
+    ) -> FloatArray:
         """(n,) within ``limit_n``; ``now_n`` (n,) is what is commanded at the moment this begins."""
         if self._last_us is None:
             self._last_us, self._thrust_n = t_us, np.array(now_n, dtype=float)
         elapsed_s = min(max((t_us - self._last_us) * 1e-6, 0.0), 0.1)
         self._last_us = t_us
         force = wish.force.copy()
-        force[2] += self._sharing.model.buoyancy_excess_n
+        force[2] += self._allocator.model.buoyancy_excess_n
         self._feel_depth(felt.depth_m, elapsed_s)
         if wish.yaw_rate_rad_s is not None and felt.yaw_rad is not None:
             force[3] = self._moment(wish.yaw_rate_rad_s, felt.yaw_rad, felt.yaw_rate_rad_s)
         if wish.down_m_s is not None and felt.depth_m is not None:
             force[2] = self._heave_n(wish.down_m_s, felt.depth_m, elapsed_s, limit_n)
-        thrust = self._sharing.thrust_n(force, limit_n)
+        thrust = self._allocator.thrust_n(force, limit_n)
         self._thrust_n = slewed(thrust, self._thrust_n, limit_n, elapsed_s)
         return self._thrust_n.copy()
 
     def _moment(self, wish_rad_s: float, yaw_rad: float, rate_rad_s: float) -> float:
         """Of the heading that is held, or of the turn that is asked for."""
-        model = self._sharing.model
+        model = self._allocator.model
         if wish_rad_s or self._yaw_rad is None:
             self._yaw_rad = yaw_rad
         turn = wish_rad_s or _limited(
@@ -83,7 +85,7 @@ class HandLaw:
 
     def _heave_n(self, wish_m_s: float, depth_m: float, elapsed_s: float, limit_n: FloatArray) -> float:
         """Of the depth that is held, or of the rate that is asked for."""
-        model = self._sharing.model
+        model = self._allocator.model
         if wish_m_s or self._depth_m is None:
             self._depth_m = depth_m
         climb = wish_m_s or _limited(BY_HAND.depth_gain_1_s * (self._depth_m - depth_m), BY_HAND.heave_limit_m_s)

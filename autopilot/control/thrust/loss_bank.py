@@ -28,7 +28,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from autopilot.control.thrust.motion_looks import FilteredMotion
+from autopilot.control.thrust.filtered_motion import FilteredMotion
 from autopilot.control.thrust.thrust_tuning import LOSS_BANK
 from autopilot.core.frames import FloatArray
 from autopilot.core.model4 import Model4
@@ -225,10 +225,10 @@ class LossBank:
         at = self._at
         return self._x[LOSS_BANK.free, at.e].copy(), np.sqrt(np.diag(self._p[LOSS_BANK.free])[at.e])
 
-    def sum_sigma(self, twins: np.ndarray) -> FloatArray:
+    def sum_sigma(self, redundant: np.ndarray) -> FloatArray:
         """(n,) standard deviation of what each thruster and its ``twins`` (n, n) give together, without any belief."""
         of_e = self._p[LOSS_BANK.free][self._at.e, self._at.e]
-        together = twins.astype(float)
+        together = redundant.astype(float)
         result: FloatArray = np.sqrt(np.einsum("ij,jk,ik->i", together, of_e, together))
         return result
 

@@ -2,14 +2,14 @@
 
 import numpy as np
 
+from autopilot.control.thrust.redundancy import lossy_share, tilt_of, weak_thrusters
 from autopilot.control.thrust.thrust_tuning import LOSSES
 from autopilot.control.thrust.thruster_health import ThrusterHealth, hover_problem, told, usable
-from autopilot.control.thrust.twins import lossy_share, tilt_of, weak_thrusters
+from autopilot.core.control_allocator import ControlAllocator
 from autopilot.core.frames import FloatArray
 from autopilot.core.messages import Goal, NavState, ThrusterHealthState
 from autopilot.core.params import ParamSet
 from autopilot.core.response import Response
-from autopilot.core.sharing import Sharing
 from autopilot.core.vehicle import Vehicle
 
 
@@ -19,9 +19,9 @@ class ThrusterLosses:
     def __init__(self, vehicle: Vehicle, params: ParamSet) -> None:
         self._names = tuple(thruster.name for thruster in vehicle.thrusters)
         self._params = params
-        self._sharing = Sharing.of(vehicle)
+        self._allocator = ControlAllocator.of(vehicle)
         self._health = ThrusterHealth(
-            self._sharing.model,
+            self._allocator.model,
             Response.of(vehicle.thrusters),
             tilt=tilt_of(vehicle),
             submerged_m=LOSSES.submerged * vehicle.hull_half_height_m,
@@ -84,12 +84,17 @@ class ThrusterLosses:
             return False
         self._known = (said, found)
         before = self.share
-        found, doubts = found.copy(), [list(twins) for twins in self._health.doubtful]
-        for twins in doubts:
+        found, doubts = found.copy(), [list(redundant) for redundant in self._health.doubtful]
+        for redundant in doubts:
             # What is told of one of them is what was found of all.
-            if min(said[twin] for twin in twins) < lossy_share(found[twins].tolist()) + LOSSES.same_loss:
-                found[twins] = 1.0
-        self.doubtful = tuple(tuple(self._names[i] for i in twins) for twins in doubts if found[twins[0]] < 1.0)
+            if (
+                min(said[redundant_one] for redundant_one in redundant)
+                < lossy_share(found[redundant].tolist()) + LOSSES.same_loss
+            ):
+                found[redundant] = 1.0
+        self.doubtful = tuple(
+            tuple(self._names[i] for i in redundant) for redundant in doubts if found[redundant[0]] < 1.0
+        )
         self.share = usable(np.minimum(said, found))
         self.shares = tuple(self.share.tolist())
         return bool((self.share != before).any())
@@ -112,5 +117,5 @@ class ThrusterLosses:
             return ""
         current = np.zeros(3) if nav is None else nav.current_ned_m_s
         yaw_rad = goal.yaw_rad if goal is not None and not self.share.all() else None
-        problem = hover_problem(self._sharing, capability_n * self.share, current, yaw_rad)
+        problem = hover_problem(self._allocator, capability_n * self.share, current, yaw_rad)
         return f"{problem} (thruster {', '.join(weak)})" if problem else ""

@@ -30,8 +30,8 @@ BY_HAND = ByHandTuning()
 
 
 @dataclass(frozen=True, slots=True)
-class LevellingTuning:
-    """Of :mod:`autopilot.control.thrust.levelling`."""
+class AttitudeStabilisationTuning:
+    """Of :mod:`autopilot.control.thrust.attitude_stabilisation`."""
 
     most: float = 0.5
     """At most this share of a thruster's limit is kept for levelling."""
@@ -42,7 +42,7 @@ class LevellingTuning:
     the controller's thrust, several times a second, where two thrusters share a weight of 1 N."""
 
 
-LEVELLING = LevellingTuning()
+ATTITUDE_STABILISATION = AttitudeStabilisationTuning()
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,8 +95,8 @@ THRUSTER_HEALTH = ThrusterHealthTuning()
 
 
 @dataclass(frozen=True, slots=True)
-class TwinsTuning:
-    """Of :mod:`autopilot.control.thrust.twins`."""
+class RedundancyTuning:
+    """Of :mod:`autopilot.control.thrust.redundancy`."""
 
     alike: float = 0.2
     """Columns that differ by less than this share of them are hard to tell apart: 11 degrees."""
@@ -111,4 +111,4 @@ class TwinsTuning:
     """Of the tilt's acceleration [rad/s^2]: guessed before the fit, and at the least after it."""
 
 
-TWINS = TwinsTuning()
+REDUNDANCY = RedundancyTuning()

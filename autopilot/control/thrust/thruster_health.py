@@ -1,12 +1,12 @@
 """How much of its thrust each thruster still gives, from the pulses and the motion.
 
-:mod:`autopilot.control.thrust.motion_looks` says ten times per second what the model does not explain of the motion,
+:mod:`autopilot.control.thrust.filtered_motion` says ten times per second what the model does not explain of the motion,
 and :mod:`autopilot.control.thrust.loss_bank` weighs whether a thruster that lost its thrust explains it, or an error
 of the model, a tether, the water, a tug. Here it is decided: a loss is declared when the evidence for it is beyond
 doubt and ahead of that for every other thruster, and revoked when there is as much evidence that the thruster is
-sound. Thrusters that do the same (:mod:`autopilot.control.thrust.twins`) have the same evidence: where their tilt does
-not say which of them it is, they are declared together, each with its part of what they give. Told values (THR1_HEALTH
-to THR8_HEALTH) hold at once; what is told and what is found are combined by the smaller.
+sound. Redundant thrusters (:mod:`autopilot.control.thrust.redundancy`) have the same evidence: where their tilt does
+not say which of them it is, they are declared together, each with its part of what they give. The parameters
+THR1_HEALTH to THR8_HEALTH hold at once; of parameter and finding the smaller counts.
 """
 
 import math
@@ -15,16 +15,16 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from autopilot.control.thrust.filtered_motion import MotionFilter
 from autopilot.control.thrust.loss_bank import Beliefs, LossBank, Memory
-from autopilot.control.thrust.motion_looks import MotionLooks
+from autopilot.control.thrust.redundancy import TiltEvidence, alike
 from autopilot.control.thrust.thrust_tuning import THRUSTER_HEALTH
-from autopilot.control.thrust.twins import TiltEvidence, alike
+from autopilot.core.control_allocator import ControlAllocator
 from autopilot.core.frames import FloatArray
 from autopilot.core.messages import MAX_THRUSTERS, NavHealth, NavState
 from autopilot.core.model4 import Model4, steady_force
 from autopilot.core.params import ParamSet
 from autopilot.core.response import Response
-from autopilot.core.sharing import Sharing
 
 HEALTH_PARAMS = tuple(f"THR{i + 1}_HEALTH" for i in range(MAX_THRUSTERS))
 """What an operator or a speed controller's telemetry tells, in the order of the vehicle file."""
@@ -72,7 +72,7 @@ class Tuning:
 class _Doubt:
     """One of several twins is lossy."""
 
-    twins: tuple[int, ...]
+    redundant: tuple[int, ...]
     lossy: int
     """That stands for it in the bank."""
     by_s: float
@@ -95,7 +95,7 @@ class ThrusterHealth:
         beliefs: Beliefs | None = None,
     ) -> None:
         """Above the depth ``submerged_m`` the hull stands out of the water: heave tells nothing there. ``tilt`` (2, n)
-        is what thrusters do to roll and pitch (:func:`autopilot.control.thrust.twins.tilt_of`), None = not known."""
+        is what thrusters do to roll and pitch (:func:`autopilot.control.thrust.redundancy.tilt_of`), None = unknown."""
         self._tuning = tuning = tuning or Tuning()
         self._submerged_m = submerged_m
         self._bank = LossBank(model, beliefs)
@@ -104,7 +104,7 @@ class ThrusterHealth:
         self._paired = (np.array(model.allocation) != 0.0).sum(axis=0) > 1
         self._twins = alike(model)
         self._tilt = TiltEvidence(np.zeros((2, self._n)) if tilt is None else tilt)
-        self._looks = MotionLooks(
+        self._looks = MotionFilter(
             model, response, filter_s=tuning.filter_s, interval_s=tuning.interval_s, current_s=tuning.current_s
         )
         self._reset_count = -1
@@ -128,14 +128,14 @@ class ThrusterHealth:
     def lost(self) -> tuple[bool, ...]:
         """Whether each thruster is declared lossy, alone or as one of several (:attr:`doubtful`)."""
         lossy = list(self._bank.lossy)
-        for twin in (twin for doubt in self._doubts for twin in doubt.twins):
-            lossy[twin] = True
+        for redundant_one in (redundant_one for doubt in self._doubts for redundant_one in doubt.redundant):
+            lossy[redundant_one] = True
         return tuple(lossy)
 
     @property
     def doubtful(self) -> tuple[tuple[int, ...], ...]:
         """Thrusters that do the same of which one is lossy; nobody knows which."""
-        return tuple(doubt.twins for doubt in self._doubts)
+        return tuple(doubt.redundant for doubt in self._doubts)
 
     @property
     def effectiveness(self) -> FloatArray:
@@ -248,8 +248,8 @@ class ThrusterHealth:
         same motion, told wrongly."""
         result = np.zeros(self._n, dtype=bool)
         for doubt in self._doubts:
-            if self._tilt.clock_s - doubt.by_s < self._tuning.settle_s and self._tilt.tells(doubt.twins):
-                result[list(doubt.twins)] = True
+            if self._tilt.clock_s - doubt.by_s < self._tuning.settle_s and self._tilt.tells(doubt.redundant):
+                result[list(doubt.redundant)] = True
         return result
 
     def _rivals(self, evidence: FloatArray) -> FloatArray:
@@ -263,28 +263,28 @@ class ThrusterHealth:
         """Declare the best story of this thruster, or of the twin that it is likelier of."""
         bank = self._bank
         others = np.where(bank.lossy, bank.declared[0], 1.0)
-        twins = np.flatnonzero(self._twins[thruster] & ~np.array(bank.lossy))
-        if bank.lossy[thruster] or len(twins) == 1:
+        redundant = np.flatnonzero(self._twins[thruster] & ~np.array(bank.lossy))
+        if bank.lossy[thruster] or len(redundant) == 1:
             bank.accept(thruster)
             return
-        told = bank.evidence[twins] + self._tilt.of(twins.tolist(), self._tilt.clock_s, others)
-        lossy = int(twins[told.argmax()])
+        told = bank.evidence[redundant] + self._tilt.of(redundant.tolist(), self._tilt.clock_s, others)
+        lossy = int(redundant[told.argmax()])
         bank.accept(lossy)
         second, first = np.sort(told)[-2:]
         if first - second < self._tuning.which:
-            doubt = _Doubt(tuple(twins.tolist()), lossy, self._tilt.clock_s, bank.memory)
+            doubt = _Doubt(tuple(redundant.tolist()), lossy, self._tilt.clock_s, bank.memory)
             self._doubts = (*self._doubts, doubt)
 
     def _settled(self, doubt: _Doubt) -> bool:
         """Whether it is clear by now which of the twins is lossy; then it is declared alone."""
         bank = self._bank
-        if sum(bank.lossy[twin] for twin in doubt.twins) > 1:
+        if sum(bank.lossy[redundant_one] for redundant_one in doubt.redundant) > 1:
             return False
         others = np.where(bank.lossy, bank.declared[0], 1.0)
         others[doubt.lossy] = 1.0
-        told = self._tilt.of(doubt.twins, doubt.by_s, others)
+        told = self._tilt.of(doubt.redundant, doubt.by_s, others)
         second, first = np.sort(told)[-2:]
-        lossy = doubt.twins[int(told.argmax())]
+        lossy = doubt.redundant[int(told.argmax())]
         if first - second < self._tuning.which:
             return False
         if lossy != doubt.lossy:
@@ -299,8 +299,8 @@ class ThrusterHealth:
         """(n,) the same with what twins give shared out among those that one of is lossy."""
         shared = e.copy()
         for doubt in self._doubts:
-            twins = list(doubt.twins)
-            shared[twins] = e[twins].mean()
+            redundant = list(doubt.redundant)
+            shared[redundant] = e[redundant].mean()
         return shared
 
     def _needed(self) -> FloatArray:
@@ -329,14 +329,14 @@ def usable(effectiveness: FloatArray) -> FloatArray:
 
 
 def hover_problem(
-    sharing: Sharing, limit_n: FloatArray, current_ned_m_s: FloatArray, yaw_rad: float | None = None
+    allocator: ControlAllocator, limit_n: FloatArray, current_ned_m_s: FloatArray, yaw_rad: float | None = None
 ) -> str:
     """What a vehicle whose thrusters give up to ``limit_n`` (n,) cannot do any more in that current, "" if it can stay.
 
     Depth needs heave against the excess buoyancy, heading needs any thruster with an arm, and a place needs a heading
     (``yaw_rad``, None = any) at which the thrusters balance drag and Munk moment.
     """
-    model = sharing.model
+    model = allocator.model
     reach = np.abs(np.array(model.allocation)) @ limit_n
     if reach[2] <= 1.5 * abs(model.buoyancy_excess_n):
         return "depth cannot be held"
@@ -347,6 +347,6 @@ def hover_problem(
     for drift in any_heading if yaw_rad is None else (course - yaw_rad,):
         # Over ground the vehicle stands, so relative to the water it moves against the current.
         nu = (-speed * math.cos(drift), -speed * math.sin(drift), 0.0, 0.0)
-        if sharing.makes(np.array(steady_force(model, nu, math)), limit_n + THRUSTER_HEALTH.short_n):
+        if allocator.makes(np.array(steady_force(model, nu, math)), limit_n + THRUSTER_HEALTH.short_n):
             return ""
     return f"hover in {speed:.2f} m/s {'is not possible' if yaw_rad is None else 'at this heading is not possible'}"

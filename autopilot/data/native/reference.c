@@ -1,5 +1,5 @@
 /* What the prediction is compared with, node by node: the way along a route, and thrust that holds its velocities.
- * autopilot/control/way/reference.py says what the numbers mean. Forces come from the generated model. */
+ * autopilot/control/path/reference.py says what the numbers mean. Forces come from the generated model. */
 #include <math.h>
 #include <string.h>
 

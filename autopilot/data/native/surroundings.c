@@ -1,6 +1,6 @@
 /* What a plan meets, in the common case: half-planes of a fence with few features, margins of the tube.
  *
- * The same numbers as autopilot/control/fence/{features,chords,obstacles}.py and autopilot/control/robust/tube.py, which say
+ * The same numbers as autopilot/control/constraints/{features,chords,obstacles}.py and autopilot/control/robust/tube.py, which say
  * what they mean and stay for everything else: paths in forbidden ground or through walls, moving obstacles, fences with
  * many features. tests/control/test_compiled.py holds them against each other.
  */
@@ -12,7 +12,7 @@ typedef struct {
     double x, y;
 } Place;
 
-/* As control/fence/compiled_planes.py lays it out. */
+/* As control/constraints/compiled_planes.py lays it out. */
 typedef struct {
     long edges, rounds;
     const Place *a, *ab, *along, *normal; /* per edge */

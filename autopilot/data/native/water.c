@@ -1,4 +1,4 @@
-/* A learned flow and the forecast of currents by it (autopilot/control/water/current_learning.py). */
+/* A learned flow and the forecast of currents by it (autopilot/control/current/current_learning.py). */
 #include <math.h>
 
 #include "common.h"

@@ -3,7 +3,7 @@
 import math
 from collections.abc import Iterable
 
-from autopilot.core.messages import MAX_THRUSTERS, Authority, Below, NavCounters, VelocityGoal
+from autopilot.core.messages import MAX_THRUSTERS, Authority, FlightControllerState, NavCounters, VelocityGoal
 from autopilot.core.sensors import AID_SENSORS
 from autopilot.core.stills import StillRecord
 from autopilot.log.packing.parts import UINT16, UINT32, clip, padded
@@ -119,7 +119,7 @@ def still_values(record: StillRecord) -> Iterable[float]:
     )
 
 
-def below_values(value: Below) -> Iterable[int | bytes]:
+def below_values(value: FlightControllerState) -> Iterable[int | bytes]:
     """Of Below: the flight controller below us, texts cut to what the fields hold."""
     known = value.pulses_us[:MAX_THRUSTERS]
     return (

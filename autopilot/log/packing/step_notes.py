@@ -16,17 +16,17 @@ from autopilot.core.errors import LogError
 from autopilot.core.guard import Fault
 from autopilot.core.messages import (
     Authority,
-    Below,
     Between,
     DeviceRole,
     DeviceTrouble,
     Event,
+    FlightControllerState,
     Inputs,
     MavlinkFrame,
 )
+from autopilot.core.nondeterminism import Note
 from autopilot.core.samples import FrameVerdict, PictureReport
 from autopilot.core.stills import CameraReport, StoredStill
-from autopilot.core.witness import Note
 from autopilot.log.cdr import CdrBuffer
 from autopilot.log.mavlink_frames import Removed
 
@@ -55,8 +55,8 @@ class KeyPacket(msgspec.Struct, frozen=True, array_like=True):
     """Base64."""
 
 
-class BelowNote(msgspec.Struct, frozen=True, omit_defaults=True):
-    """A :class:`Below` without its time, which is the tick's."""
+class FlightControllerNote(msgspec.Struct, frozen=True, omit_defaults=True):
+    """A :class:`FlightControllerState` without its time, which is the tick's."""
 
     authority: str
     acts: bool
@@ -90,7 +90,7 @@ class StepNotes(msgspec.Struct, frozen=True, omit_defaults=True, kw_only=True):
     log_lost: bool = False
     clock_jump_s: float = 0.0
     frame_counts: dict[str, int] | msgspec.UnsetType | None = UNSET
-    below: BelowNote | msgspec.UnsetType | None = UNSET
+    below: FlightControllerNote | msgspec.UnsetType | None = UNSET
     refusals: tuple[str, ...] | msgspec.UnsetType = UNSET
 
 
@@ -102,7 +102,7 @@ class LatchedNotes:
     """What holds until it is written anew: of a log that is being written, and of one that is read."""
 
     frame_counts: Mapping[str, int] | None = None
-    below: BelowNote | None = None
+    below: FlightControllerNote | None = None
     refusals: tuple[str, ...] = ()
 
 
@@ -111,7 +111,7 @@ def notes_of(inputs: Inputs, removed: list[Removed], standing: LatchedNotes) -> 
 
     ``removed``: what was taken out of each of ``inputs.mavlink_rx``.
     """
-    below = None if inputs.below is None else _below_note(inputs.t_us, inputs.below)
+    below = None if inputs.below is None else _flight_controller_note(inputs.t_us, inputs.below)
     camera = inputs.camera
     quiet = not (
         inputs.mavlink_rx or inputs.between or inputs.notices or inputs.troubles or inputs.pictures or inputs.answers
@@ -221,8 +221,8 @@ def _counts(counts: Mapping[str, int] | None) -> dict[str, int] | None:
     return None if counts is None else dict(counts)
 
 
-def _below_note(t_us: int, below: Below) -> BelowNote:
-    return BelowNote(
+def _flight_controller_note(t_us: int, below: FlightControllerState) -> FlightControllerNote:
+    return FlightControllerNote(
         authority=below.authority.value,
         acts=below.acts,
         late_us=t_us - below.t_us,
@@ -235,8 +235,8 @@ def _below_note(t_us: int, below: Below) -> BelowNote:
     )
 
 
-def _below(t_us: int, note: BelowNote) -> Below:
-    return Below(
+def _below(t_us: int, note: FlightControllerNote) -> FlightControllerState:
+    return FlightControllerState(
         t_us=t_us - note.late_us,
         authority=Authority(note.authority),
         acts=note.acts,

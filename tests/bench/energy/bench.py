@@ -4,8 +4,8 @@ import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
-from autopilot.control.water.current_learning import LearnedCurrent
-from autopilot.control.water.currents import NoCurrent
+from autopilot.control.current.current_learning import EstimatedFlow
+from autopilot.control.current.currents import NoCurrent
 from autopilot.core.vehicle import Vehicle, load_vehicle
 from tests.bench.energy.cases import CASES
 from tests.bench.energy.flight import ENERGY_PARAMS, QUADRATIC_PARAMS, EnergyFlight, fly, los_pilot, nmpc_pilot
@@ -96,7 +96,7 @@ def _flights(vehicle: Vehicle, short: bool, names: Sequence[str]) -> Iterator[tu
             fenced = "energy, flow known, corridor fenced off"
             yield fly(case, again, fenced, vehicle, laps=1 if short else 0, corridor=False), KNOWN
     for name in () if short else [name for name in FELT_CASES if name in names]:
-        case, felt = CASES[name], LearnedCurrent()
+        case, felt = CASES[name], EstimatedFlow()
         for number, told in enumerate(("energy, flow felt", "energy, flow felt, second flight")):
             pilot = nmpc_pilot(vehicle, case, ENERGY_PARAMS, felt)
             yield fly(case, pilot, told, vehicle, clock_us=number * SECOND_FLIGHT_US), ESTIMATED

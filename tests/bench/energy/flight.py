@@ -9,10 +9,10 @@ import msgspec
 import numpy as np
 
 from autopilot.analysis.nmpc_flight import TANK
+from autopilot.control.constraints.obstacles import clearance_m
 from autopilot.control.controller import MotionController
+from autopilot.control.current.currents import CurrentForecast, MappedCurrent, PointwiseField
 from autopilot.control.energy.power import PowerModel
-from autopilot.control.fence.obstacles import clearance_m
-from autopilot.control.water.currents import CurrentForecast, MappedCurrent, PointwiseField
 from autopilot.core.frames import FloatArray, wrap_pi
 from autopilot.core.geometry import Circle, Fence
 from autopilot.core.messages import Goal, NavHealth, NavState

@@ -14,6 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from autopilot.analysis.nmpc_flight import TANK
+from autopilot.control.current.currents import CurrentForecast, EstimatedCurrent
 from autopilot.control.energy.energy_tuning import PATIENCE
 from autopilot.control.energy.flow import area_of, sample_flow
 from autopilot.control.energy.leg_task import shifted
@@ -21,7 +22,6 @@ from autopilot.control.energy.patience import ANSWER_STEPS, Kind
 from autopilot.control.energy.power import PowerModel
 from autopilot.control.energy.request import Plan, TrajectoryRequest
 from autopilot.control.energy.search import EnergyPlanner
-from autopilot.control.water.currents import CurrentForecast, EstimatedCurrent
 from autopilot.core.frames import FloatArray
 from autopilot.core.geometry import Circle, Fence, Polygon
 from autopilot.core.messages import Goal, NavState

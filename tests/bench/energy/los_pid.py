@@ -10,12 +10,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from autopilot.control.way.planner import Planner
+from autopilot.control.path.planner import Planner
+from autopilot.core.control_allocator import ControlAllocator
 from autopilot.core.frames import FloatArray, wrap_pi
 from autopilot.core.geometry import Fence
 from autopilot.core.messages import Goal, NavState
 from autopilot.core.model4 import Model4
-from autopilot.core.sharing import Sharing
 
 EXTRA_M = 0.05
 """The way keeps so much beyond the body radius: what the loops need."""
@@ -52,7 +52,7 @@ class LosPid:
 
     def __init__(self, model: Model4, radius_m: float, gains: LosGains, dt_s: float = 0.05) -> None:
         self._model, self._radius_m, self._gains, self._dt_s = model, radius_m, gains, dt_s
-        self._sharing, self._no_limit = Sharing(model), np.full(model.thrusters, np.inf)
+        self._allocator, self._no_limit = ControlAllocator(model), np.full(model.thrusters, np.inf)
         self._goal: Goal | None = None
         self._planner: Planner | None = None
         self._integral = np.zeros(4)
@@ -102,7 +102,7 @@ class LosPid:
             ]
         )
         mass = np.array(self._model.mass_kg)
-        wanted = self._sharing.thrust_n(mass * (proportional + self._integral), self._no_limit)
+        wanted = self._allocator.thrust_n(mass * (proportional + self._integral), self._no_limit)
         if float(np.abs(wanted).max()) < limit_n:
             self._integral = np.clip(self._integral + integral * errors * self._dt_s, -0.6, 0.6)
         return np.clip(wanted, -limit_n, limit_n)

@@ -17,9 +17,9 @@ import numpy as np
 
 from autopilot.control.energy.power import PowerModel
 from autopilot.core import model4
+from autopilot.core.control_allocator import ControlAllocator
 from autopilot.core.frames import FloatArray
 from autopilot.core.model4 import AXES, NX, YAW, Model4, R, U, V, W, X, Y, Z
-from autopilot.core.sharing import Sharing
 from tests.bench.energy.cases import (
     BODY_RADIUS_M,
     CYLINDERS,
@@ -194,7 +194,7 @@ class LeastEnergy:
         if not self._case.tank:
             wrench[:, 0] = (model.linear_drag[0] + model.quadratic_drag[0] * np.abs(u)) * u
             wrench[:, 2] = model.buoyancy_excess_n
-        thrust: FloatArray = Sharing(model).thrust_n(wrench, np.full(model.thrusters, np.inf))
+        thrust: FloatArray = ControlAllocator(model).thrust_n(wrench, np.full(model.thrusters, np.inf))
         return np.clip(thrust, -0.9 * THRUST_N, 0.9 * THRUST_N)
 
     def _first(self, guess: Guess, x0: FloatArray) -> tuple[FloatArray, FloatArray]:

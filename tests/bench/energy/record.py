@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 
 from autopilot.analysis.nmpc_flight import TANK
+from autopilot.control.constraints.obstacles import Features
 from autopilot.control.energy.field import LONGEST_MOVE, EnergyField
 from autopilot.control.energy.flow import FlowField, area_of, sample_flow
 from autopilot.control.energy.power import PowerModel, speed_table
-from autopilot.control.fence.obstacles import Features
 from autopilot.core.frames import FloatArray
 from autopilot.core.free_space import FreeSpace
 from autopilot.core.geometry import Fence

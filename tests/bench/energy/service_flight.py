@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 
 from autopilot.analysis.nmpc_flight import TANK
+from autopilot.control.constraints.obstacles import clearance_m
 from autopilot.control.energy.power import PowerModel
-from autopilot.control.fence.obstacles import clearance_m
 from autopilot.core.frames import FloatArray, wrap_pi
 from autopilot.core.messages import Outputs
 from autopilot.run.config import flight_settings

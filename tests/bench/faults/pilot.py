@@ -188,8 +188,8 @@ def _measure(flight: PilotedFlight) -> None:
     flight.session.runtime.wrap_step(timed_step)
     for name in ("step", "tick"):
         setattr(controller, name, _timed(getattr(controller, name), flight))
-    for desk in flight.session.parts.desks:
-        desk.wait = _not_counted(desk.wait, flight)  # type: ignore[method-assign, assignment]
+    for worker in flight.session.parts.desks:
+        worker.wait = _not_counted(worker.wait, flight)  # type: ignore[method-assign, assignment]
 
 
 def _not_counted(wait: Callable[[Any], Any], flight: PilotedFlight) -> Callable[[Any], Any]:

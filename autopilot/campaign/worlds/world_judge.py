@@ -1,0 +1,274 @@
+"""Is what became of a room right? Refusals are looked into, goals and bounds are judged on the plant's truth."""
+
+from __future__ import annotations
+
+import math
+import re
+from itertools import combinations
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from autopilot.campaign.worlds.random_world import RandomWorld
+from autopilot.campaign.worlds.reachability import Leg, Prospect, item_seqs
+from autopilot.campaign.worlds.world_results import WorldOutcome, WorldResult
+from autopilot.campaign.worlds.world_shapes import (
+    Block,
+    Disc,
+    Solid,
+    clearance_m,
+    polygon_clearance_m,
+    solid_clearance_m,
+)
+from autopilot.core.frames import wrap_pi
+from autopilot.log.smoothness import measure
+from autopilot.sitl.plant import Truth
+
+if TYPE_CHECKING:
+    from autopilot.campaign.worlds.world_flight import WorldWatch
+
+SEEN_M = 0.05
+"""A goal counts as visited by so much more than its acceptance: the estimate is not the truth."""
+SEEN_RAD = 0.06
+GAP_M = 0.03
+"""Corners of a fence are rounded on the wire."""
+DEPTH_M = 0.05
+CLEARANCE_M = 0.01
+SPEED_M_S = 0.02
+HEAVE_M_S = 0.015
+YAW_RATE_RAD_S = 0.05
+THRUST_N = 1e-6
+MOST_TOLD = 16
+_WATER = re.compile(r"current|upstream|water|out of reach", re.IGNORECASE)
+_GROUND = re.compile(r"no free (way|path)", re.IGNORECASE)
+_HOPELESS = re.compile(r"out of reach|no free (way|path)", re.IGNORECASE)
+
+
+def is_hopeless(text: str) -> bool:
+    """Whether the operator is told that the water or the ground lets the vehicle not go on."""
+    return bool(_HOPELESS.search(text))
+
+
+def judge_refusal(room: RandomWorld, chances: Prospect, reason: str) -> WorldResult:
+    """A room that was refused before the vehicle moved: is the reason that it was given so?"""
+    right, why = _refusal(room, chances, reason)
+    outcome = WorldOutcome.REFUSED if right else WorldOutcome.MISREFUSED
+    return WorldResult(
+        room=0,
+        mode=0,
+        seed=room.seed,
+        outcome=outcome,
+        what=_short(reason) if right else f"{_short(reason)} ({why})",
+        goals=len(chances.legs),
+    )
+
+
+def _short(reason: str) -> str:
+    """The reason without the file's name."""
+    return re.sub(r"^.*?\.toml: (cannot be flown: )?", "", reason).split("; mend the plan")[0]
+
+
+def _refusal(room: RandomWorld, chances: Prospect, reason: str) -> tuple[bool, str]:
+    """Whether a refusal is right, and if not why not."""
+    if "gap of" in reason:
+        return _narrow_gap(room), "no two shapes are nearer than the vehicle is wide"
+    found = re.search(r"no free path from item (\d+) to item (\d+)", reason)
+    if found:
+        leg = _leg(chances, int(found[2]))
+        return (leg is not None and not leg.ground), "there is a way on the chart"
+    if "no room for the vehicle" in reason:
+        return not any(leg.ground for leg in chances.legs), "there is room"
+    found = re.search(r"item (\d+)\b.*\b(inside|outside|from)\b", reason)
+    if found and "fence item" in reason:
+        waypoint = _waypoint(room, int(found[1]))
+        if waypoint is None:
+            return False, "there is no such item"
+        have = clearance_m(room.layout, (waypoint["x_m"], waypoint["y_m"]))
+        return have < chances.keep_m + GAP_M, f"it has {have:.2f} m"
+    found = re.search(r"item (\d+)", reason)
+    waypoint = None if found is None else _waypoint(room, int(found[1]), before=True)
+    params = room.scenario["params"]
+    if waypoint is not None and "DEPTH_M" in reason:
+        inside = params["DEPTH_MIN"] <= waypoint["depth_m"] <= params["DEPTH_MAX"]
+        return not inside, "its depth is in the band"
+    if waypoint is not None and "SPD_PLANAR_MAX" in reason and "speed_m_s" in waypoint:
+        return waypoint["speed_m_s"] > params["SPD_PLANAR_MAX"], "its speed is allowed"
+    if _WATER.search(reason):
+        legs = chances.legs if found is None else [leg for leg in chances.legs if leg.seq == int(found[1])]
+        return any(not leg.sure for leg in legs), "the water leaves a quarter of the speed"
+    return False, "the judge does not know this reason"
+
+
+def _waypoint(room: RandomWorld, seq: int, *, before: bool = False) -> dict[str, float] | None:
+    """The waypoint of a mission item; ``before``: its change of speed counts as it."""
+    for number, waypoint in zip(item_seqs(room), room.waypoints, strict=True):
+        if number == seq or (before and "speed_m_s" in waypoint and number == seq + 1):
+            return waypoint
+    return None
+
+
+def _leg(chances: Prospect, seq: int) -> Leg | None:
+    return next((leg for leg in chances.legs if leg.seq == seq), None)
+
+
+def _narrow_gap(room: RandomWorld) -> bool:
+    """Whether any two shapes leave less than the vehicle's width between them."""
+    width = 2.0 * room.vehicle.radius_m + GAP_M
+    solids = room.layout.solids
+    if any(0.0 < _gap_m(a, b) < width for a, b in combinations(solids, 2)):
+        return True
+    outline = room.layout.outline_m
+    if outline is None:
+        return False
+    return any(0.0 < min(-polygon_clearance_m(outline, place) for place in _rim(solid)) < width for solid in solids)
+
+
+def _rim(solid: Solid) -> list[tuple[float, float]]:
+    """Places round a solid, a few centimetres apart."""
+    if isinstance(solid, Disc):
+        north, east = solid.center_m
+        angles = np.linspace(0.0, 2.0 * math.pi, 120)
+        return [(north + solid.radius_m * math.cos(a), east + solid.radius_m * math.sin(a)) for a in angles]
+    points, after = np.array(solid.corners_m), np.roll(np.array(solid.corners_m), -1, axis=0)
+    rim = []
+    for a, b in zip(points, after, strict=True):
+        for share in np.linspace(0.0, 1.0, max(2, int(math.dist(a, b) / 0.05)), endpoint=False):
+            north, east = a + share * (b - a)
+            rim.append((float(north), float(east)))
+    return rim
+
+
+def _gap_m(a: Solid, b: Solid) -> float:
+    """Least distance between two solids, 0 or less where they overlap."""
+    if isinstance(a, Block) and isinstance(b, Disc):
+        a, b = b, a
+    if isinstance(a, Disc):
+        return solid_clearance_m(b, a.center_m) - a.radius_m
+    return min(
+        min(solid_clearance_m(b, place) for place in _rim(a)), min(solid_clearance_m(a, place) for place in _rim(b))
+    )
+
+
+def judge_flight(room: RandomWorld, chances: Prospect, mode: int, watch: WorldWatch, end: Truth) -> WorldResult:
+    """A room in which the vehicle moved."""
+    visited = _visits(room, watch)
+    goals = len(room.waypoints)
+    done = visited == goals and watch.completed
+    swept = _swept(chances, watch)
+    outcome, what = _outcome(room, chances, mode, watch, visited, done=done, swept=swept)
+    track = watch.rows
+    steps = np.diff(track[:, 1:3], axis=0)
+    return WorldResult(
+        room=0,
+        mode=mode,
+        seed=room.seed,
+        outcome=outcome,
+        what=what,
+        goals=goals,
+        visited=visited,
+        bound_s=round(chances.bound_s(mode), 1),
+        simulated_s=round(end.t_us * 1e-6, 2),
+        length_m=round(float(np.sum(np.hypot(steps[:, 0], steps[:, 1]))), 2),
+        energy_j=round(float(np.sum(watch.column("power_w")) * 0.01), 1),
+        contacts=0 if swept else end.contact_count,
+        failsafes=[] if swept else [f"{name} at {watch.first_failsafe_s:.1f} s" for name in watch.failsafe_names],
+        alarms=[text for _, _, text in watch.told if text.startswith("Thruster ")],
+        fallbacks=watch.fallbacks,
+        steps=watch.steps,
+        broken={} if swept else _broken(room, watch),
+        smoothness=measure(watch.commands(room.scenario["params"]["THR_LIMIT"])),
+        first_fallback_s=watch.first_fallback_s,
+        events=[f"{t_s:.1f} s {text}" for t_s, _, text in watch.told][:MOST_TOLD],
+    )
+
+
+def _visits(room: RandomWorld, watch: WorldWatch) -> int:
+    """How many waypoints the plant came to in their order."""
+    rows, params = watch.rows, room.scenario["params"]
+    at, visited = 0, 0
+    for waypoint in room.waypoints:
+        place = np.array((waypoint["x_m"], waypoint["y_m"], waypoint["depth_m"]))
+        accept = waypoint.get("accept_m", params["WP_ACCEPT_RADIUS"]) + SEEN_M
+        near = np.sqrt(np.sum((rows[at:, 1:4] - place) ** 2, axis=1)) <= accept
+        if "yaw_rad" in waypoint:
+            off = np.abs(np.angle(np.exp(1j * (rows[at:, 6] - waypoint["yaw_rad"]))))
+            near &= off <= ACCEPT_YAW_RAD + SEEN_RAD
+        if not near.any():
+            break
+        at += int(np.argmax(near))
+        visited += 1
+    return visited
+
+
+ACCEPT_YAW_RAD = 0.15
+"""Default of WP_ACCEPT_YAW."""
+
+
+def _swept(chances: Prospect, watch: WorldWatch) -> bool:
+    """The water was faster than the vehicle where it was."""
+    water = np.hypot(watch.column("c_n"), watch.column("c_e"))
+    return bool((water > 0.97 * chances.swims_m_s).any())
+
+
+def _outcome(
+    room: RandomWorld, chances: Prospect, mode: int, watch: WorldWatch, visited: int, *, done: bool, swept: bool
+) -> tuple[WorldOutcome, str]:
+    if done:
+        return WorldOutcome.REACHED, ""
+    stuck = chances.legs[min(visited, len(chances.legs) - 1)]
+    ground = [text for _, _, text in watch.told if _GROUND.search(text)]
+    said = [text for _, _, text in watch.told if _WATER.search(text) or _GROUND.search(text)]
+    said = [text for text in said if _names(text, stuck.seq)]
+    about = f"item {stuck.seq} ({visited} of {len(room.waypoints)} visited, {_away(room, watch, visited)})"
+    if ground and visited and not stuck.ground:
+        return WorldOutcome.NOT_REACHED, f"accepted though there is no way, and told on it: {about}"
+    if not stuck.must(mode) or swept:
+        if said:
+            return WorldOutcome.TOLD, f"{said[-1]} at {about}"
+        if not stuck.possible or swept:
+            return WorldOutcome.NOT_REACHED, f"cannot be reached and nothing was said: {about}"
+        return WorldOutcome.NOT_REACHED, f"hardly to be reached and nothing was said: {about}"
+    if watch.completed:
+        return WorldOutcome.NOT_REACHED, f"says complete without having been there: {about}"
+    last = f", said: {watch.told[-1][2]}" if watch.told else ""
+    return WorldOutcome.NOT_REACHED, f"{about} in {chances.bound_s(mode):.0f} s{last}"
+
+
+def _names(text: str, seq: int) -> bool:
+    """Whether a text speaks of an item, or of none by number."""
+    found = re.search(r"\bitem (\d+)", text, re.IGNORECASE)
+    return found is None or int(found[1]) == seq
+
+
+def _away(room: RandomWorld, watch: WorldWatch, visited: int) -> str:
+    row = watch.rows[-1]
+    if visited >= len(room.waypoints):
+        return "mission not complete"
+    waypoint = room.waypoints[visited]
+    distance = math.hypot(row[1] - waypoint["x_m"], row[2] - waypoint["y_m"])
+    deep = row[3] - waypoint["depth_m"]
+    turn = f", {abs(wrap_pi(row[6] - waypoint['yaw_rad'])):.2f} rad off" if "yaw_rad" in waypoint else ""
+    return f"{distance:.2f} m away, {deep:+.2f} m deep{turn}"
+
+
+def _broken(room: RandomWorld, watch: WorldWatch) -> dict[str, float]:
+    """Bounds that were broken by more than their tolerance."""
+    params, vehicle = room.scenario["params"], room.vehicle
+    rows = watch.rows[watch.mission.holds(watch.column("t_s"))]
+    found: dict[str, float] = {}
+
+    def hold(name: str, beyond: float, tolerance: float) -> None:
+        if not beyond <= tolerance:
+            found[name] = round(beyond, 4)
+
+    every = watch.rows[::5]
+    least = min(clearance_m(room.layout, (float(row[1]), float(row[2]))) for row in every)
+    hold("clearance", vehicle.radius_m - least, CLEARANCE_M)
+    hold("planar speed", float(np.max(np.hypot(rows[:, 10], rows[:, 11]))) - params["SPD_PLANAR_MAX"], SPEED_M_S)
+    hold("heave", float(np.max(np.abs(rows[:, 12]))) - params["SPD_HEAVE_MAX"], HEAVE_M_S)
+    hold("yaw rate", float(np.max(np.abs(rows[:, 15]))) - params["SPD_YAW_MAX"], YAW_RATE_RAD_S)
+    hold("thrust", float(np.max(rows[:, 19])) - params["THR_LIMIT"], THRUST_N)
+    hold("depth", float(np.max(rows[:, 3])) - params["DEPTH_MAX"], DEPTH_M)
+    if room.plan["end"]["action"] != "surface":
+        hold("depth above", params["DEPTH_MIN"] - float(np.min(rows[:, 3])), DEPTH_M)
+    return found

@@ -1,0 +1,86 @@
+"""What is kept of every flight in a room."""
+
+from enum import StrEnum
+
+import msgspec
+
+from autopilot.log.smoothness import BARS, Smoothness
+
+
+class WorldOutcome(StrEnum):
+    """How a flight ended, seen from outside."""
+
+    REACHED = "reached"
+    """Every goal, in time."""
+    REFUSED = "refused rightly"
+    """Before it began, for a reason that holds."""
+    TOLD = "told rightly"
+    """On the way: a goal that cannot be reached was named as such, and that is so."""
+    MISREFUSED = "refused wrongly"
+    NOT_REACHED = "not reached"
+    ERROR = "error"
+
+
+GOOD = (WorldOutcome.REACHED, WorldOutcome.REFUSED, WorldOutcome.TOLD)
+
+
+class WorldResult(msgspec.Struct, frozen=True, kw_only=True):
+    """One line of ``flights.jsonl``."""
+
+    room: int
+    """Number in the campaign, from 0."""
+    mode: int
+    """MPC_COST."""
+    seed: int
+    title: str = ""
+    outcome: WorldOutcome = WorldOutcome.ERROR
+    what: str = ""
+    """One line: the reason that was given, or what went wrong."""
+    goals: int = 0
+    visited: int = 0
+    """Goals that the plant came to, in order."""
+    bound_s: float = 0.0
+    """Longest that was waited."""
+    simulated_s: float = 0.0
+    cpu_s: float = 0.0
+    length_m: float = 0.0
+    """Flown over ground."""
+    energy_j: float = 0.0
+    contacts: int = 0
+    failsafes: list[str] = []
+    """That nothing justifies."""
+    alarms: list[str] = []
+    """Thrusters that were called weak and are not."""
+    fallbacks: int = 0
+    steps: int = 0
+    broken: dict[str, float] = {}
+    """Bounds broken by more than their tolerance -> by how much."""
+    smoothness: Smoothness | None = None
+    """Of the commands; None if there were too few of them."""
+    first_fallback_s: float | None = None
+    events: list[str] = []
+    """Notices and worse, the first ones."""
+
+    @property
+    def faults(self) -> list[str]:
+        """All that is held against it."""
+        found = [] if self.outcome in GOOD else [f"{self.outcome}: {self.what}"]
+        if self.contacts:
+            found.append(f"{self.contacts} contacts")
+        if self.failsafes:
+            found.append(f"failsafe {', '.join(self.failsafes)}")
+        if self.fallbacks:
+            found.append(f"{self.fallbacks} of {self.steps} steps by a fallback from {self.first_fallback_s:.1f} s on")
+        if self.alarms:
+            found.append(f"false alarm: {self.alarms[0]}")
+        found += [f"{name} by {value:.3g}" for name, value in self.broken.items()]
+        return found
+
+    @property
+    def rough(self) -> list[str]:
+        """Bars of smooth commands that are not kept; they do not count as a failure."""
+        return [] if self.smoothness is None else BARS.broken(self.smoothness)
+
+    @property
+    def failed(self) -> bool:
+        return bool(self.faults)

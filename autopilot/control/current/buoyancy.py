@@ -1,0 +1,115 @@
+"""The vertical force that the model does not know and that lasts: a wrong buoyancy, a payload, a tether that hangs.
+
+Nothing else absorbs it: a horizontal force is estimated as current, the vertical current is taken as zero, and the
+optimiser, which begins every plan at the estimate, has no integral. So what pushes the vehicle up or down beyond
+thrust, drag and the vehicle file's buoyancy is followed here and added to the buoyancy that the controller counts on:
+goals and speeds are held without offset (Pannocchia and Rawlings 2003: a disturbance that stays at steady state).
+
+It is the residual of the momentum, by the model that plans are made with: of the change of the vertical speed times
+the mass what thrust and drag leave. It is followed at once where nothing is known yet and slowly later on, so that
+waves are not answered as if they lasted. The vertical speed is the estimate's, which comes of depth sensor, fixes and
+accelerations and of no buoyancy.
+"""
+
+import math
+
+import numpy as np
+
+from autopilot.control.current.current_tuning import BUOYANCY_ESTIMATOR
+from autopilot.control.notice_queue import NoticeQueue
+from autopilot.core import operator_messages as notices
+from autopilot.core.frames import FloatArray
+from autopilot.core.messages import NavHealth, NavState
+from autopilot.core.model4 import ABS_SMOOTHING_M2_S2, Model4
+
+
+class BuoyancyEstimator(NoticeQueue):
+    """What buoyancy proves to be beyond the vehicle file. One instance per vehicle; asked once per control step."""
+
+    def __init__(self, model: Model4, half_height_m: float) -> None:
+        super().__init__()
+        self._mass_kg, self._file_n = model.mass_kg[2], model.buoyancy_excess_n
+        self._drag = model.linear_drag[2], model.quadratic_drag[2]
+        self._row = np.array(model.allocation[2])
+        self._size = np.abs(self._row)
+        self._submerged_m = BUOYANCY_ESTIMATOR.submerged * half_height_m
+        self.reset()
+
+    def reset(self) -> None:
+        """Nothing is known: somebody may have trimmed the vehicle."""
+        self.lift_n = 0.0
+        """[N] beyond the vehicle file, positive pushes up."""
+        self._learned_s = self._beyond_s = self._push_n = 0.0
+        self._told = ""
+        self.forget()
+
+    def forget(self) -> None:
+        """What comes next does not continue what was seen last."""
+        self._last: tuple[float, float, int] | None = None
+        self._impulse_ns = self._elapsed_s = 0.0
+
+    @property
+    def excess_n(self) -> float:
+        """Buoyancy minus weight [N] as it has proved to be."""
+        return self._file_n + self.lift_n
+
+    def push(self, acting_n: FloatArray, elapsed_s: float) -> None:
+        """Thrust (n,) that acts ``elapsed_s`` after the last call."""
+        before_n, self._push_n = self._push_n, self._row.dot(acting_n).item()
+        self._impulse_ns += 0.5 * elapsed_s * (before_n + self._push_n)
+        self._elapsed_s += elapsed_s
+
+    def look(self, nav: NavState, low_m: float, high_m: float, limit_n: FloatArray) -> None:
+        """Learn from what has become of the thrust since the last look. ``low_m`` and ``high_m``: the depth band;
+        ``limit_n`` (n,): what the thrusters give."""
+        seen = _down(nav.vel_frd_m_s, nav.rpy_rad), _down(nav.vel_water_frd_m_s, nav.rpy_rad), nav.reset_count
+        last, impulse_ns, elapsed_s = self._last, self._impulse_ns, self._elapsed_s
+        self._last, self._impulse_ns, self._elapsed_s = seen, 0.0, 0.0
+        most_n = self._size.dot(limit_n).item()
+        usable = nav.health is not NavHealth.INVALID and 0.0 < elapsed_s <= BUOYANCY_ESTIMATOR.longest_s
+        if last is None or last[2] != nav.reset_count or not usable:
+            return
+        rate = 0.5 * (seen[1] + last[1])
+        linear, square = self._drag
+        drag_n = (linear + square * math.sqrt(rate * rate + ABS_SMOOTHING_M2_S2)) * rate
+        # What is left of the momentum, upwards, beyond what is known.
+        left_ns = impulse_ns - elapsed_s * (drag_n + self.excess_n) - self._mass_kg * (seen[0] - last[0])
+        share_1_s = max(1.0 / (self._learned_s + BUOYANCY_ESTIMATOR.first_s), 1.0 / BUOYANCY_ESTIMATOR.follow_s)
+        change_n = share_1_s * left_ns
+        depth_m = float(nav.pos_ned_m[2])
+        if not math.isfinite(change_n + depth_m):
+            return
+        # Beyond the band something may hold the vehicle: at the floor no lift is learned, at the surface no weight.
+        held = change_n > 0.0 if depth_m >= high_m else change_n < 0.0 and depth_m <= max(low_m, self._submerged_m)
+        if not held:
+            self._learned_s += elapsed_s
+            self.lift_n = min(max(self.lift_n + change_n, -most_n - self._file_n), most_n - self._file_n)
+        self._tell(most_n, elapsed_s)
+
+    def _tell(self, most_n: float, elapsed_s: float) -> None:
+        """Once per flight, and again if it becomes too much."""
+        too_much = abs(self.excess_n) > BUOYANCY_ESTIMATOR.most_share * most_n
+        much = (
+            self._learned_s > BUOYANCY_ESTIMATOR.told_after_s
+            and abs(self.lift_n) > BUOYANCY_ESTIMATOR.told_share * most_n
+        )
+        self._beyond_s = self._beyond_s + elapsed_s if too_much or much else 0.0
+        if self._beyond_s < BUOYANCY_ESTIMATOR.stands_s:
+            return
+        if too_much:
+            found = notices.BUOYANCY_BEYOND_THRUST(trim="light" if self.excess_n > 0.0 else "heavy")
+        else:
+            way = "Lighter" if self.lift_n > 0.0 else "Heavier"
+            found = notices.BUOYANCY_OFF(way=way, force_n=abs(self.lift_n))
+        kind = found.text.split()[0]
+        if kind not in (self._told, "" if self._told != "Too" else kind):
+            self._told = kind
+            self._news.append(found)
+
+
+def _down(velocity_frd_m_s: FloatArray, rpy_rad: FloatArray) -> float:
+    """Of a velocity (3,) FRD at these angles (3,) the part straight down."""
+    u, v, w = velocity_frd_m_s.tolist()
+    roll, pitch, _ = rpy_rad.tolist()
+    down: float = math.cos(pitch) * (math.sin(roll) * v + math.cos(roll) * w) - math.sin(pitch) * u
+    return down

@@ -1,0 +1,127 @@
+"""What was seen of the water where: a coarse grid of weighted means that wraps round."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from autopilot.control.current.current_tuning import CURRENT_MEMORY
+from autopilot.core.frames import FloatArray
+
+PRIOR_WEIGHT = 0.1 / CURRENT_MEMORY.variance_floor_m2_s2
+"""Weight [s^3/m^2] of what is believed without memory: a tenth of a second of good estimates at the node. With
+more the first lap is worse, with less nothing changes (docs/control.md)."""
+
+
+@dataclass(slots=True, eq=False)
+class _Patch:
+    """The 5 x 5 nodes round the vehicle: found when it comes into another cell, and learned from aside until it leaves
+    or somebody asks."""
+
+    node: tuple[int, int]
+    """The one in the middle."""
+    north_m: FloatArray
+    """(5,) of its rows."""
+    east_m: FloatArray
+    """(5,) of its columns."""
+    slot: NDArray[np.int64]
+    """(25,) where they are kept."""
+    place: NDArray[np.int64]
+    """(25,) which nodes they are among all that are kept there."""
+    sums: FloatArray
+    """(25, 4) of them."""
+    learned_us: int
+    """When all of them have been taught last."""
+
+
+class CurrentMemory:
+    """Means (3,) by place. Bounded (0.9 MB), deterministic; planar: what was seen at one depth counts at all.
+
+    The nodes carry sums of weights w and of w c, w = duration / (variance + floor) times a Gaussian of the distance. At
+    a place the answer is (sum of w c + w0 c0) / (sum of w + w0), the sums being interpolated between the four nodes
+    round it and c0 what is believed anyway: a kernel average with a prior.
+    """
+
+    def __init__(self, scale_m: float) -> None:
+        """``scale_m``: length over which the current changes."""
+        self._cell_m = scale_m / CURRENT_MEMORY.cells_per_scale
+        self._spread_m = CURRENT_MEMORY.spread * scale_m
+        self._sums: FloatArray = np.zeros((CURRENT_MEMORY.nodes * CURRENT_MEMORY.nodes, 4))
+        self._place: NDArray[np.int64] = np.full(CURRENT_MEMORY.nodes * CURRENT_MEMORY.nodes, -1, dtype=np.int64)
+        self._learned_us: FloatArray = np.zeros(CURRENT_MEMORY.nodes * CURRENT_MEMORY.nodes)
+        self._around = np.arange(-CURRENT_MEMORY.reach, CURRENT_MEMORY.reach + 1)
+        self._patch: _Patch | None = None
+        """Where the last lesson was."""
+        self._last_us: int | None = None
+
+    def learn(self, t_us: int, pos_ned_m: FloatArray, seen_m_s: FloatArray, variance_m2_s2: float) -> None:
+        """Tell the nodes round a place (3,) what was seen there (3,), for as long as since the last time."""
+        elapsed_s = 0.0 if self._last_us is None else (t_us - self._last_us) * 1e-6
+        self._last_us = t_us
+        if elapsed_s <= 0.0:
+            return
+        x, y = pos_ned_m[:2].tolist()
+        patch = self._patch_round((round(x / self._cell_m), round(y / self._cell_m)), t_us)
+        r2 = np.add.outer(np.square(patch.north_m - x), np.square(patch.east_m - y)).reshape(-1)
+        gain = min(elapsed_s, CURRENT_MEMORY.longest_lesson_s) / (
+            max(variance_m2_s2, 0.0) + CURRENT_MEMORY.variance_floor_m2_s2
+        )
+        weight = gain * np.exp(-0.5 * r2 / self._spread_m**2)
+        patch.sums += weight[:, None] * np.array((1.0, *seen_m_s.tolist()))
+
+    def _patch_round(self, node: tuple[int, int], t_us: int) -> _Patch:
+        """The nodes round one, with what is left now of what they were taught."""
+        patch = self._patch
+        if patch is not None and patch.node == node:
+            patch.sums *= _left(patch.learned_us, t_us)
+            patch.learned_us = t_us
+            return patch
+        self._put_back()
+        north, east = node[0] + self._around, node[1] + self._around
+        slot, place = (found.reshape(-1) for found in _slot(north[:, None], east))
+        north_m, east_m = (np.asarray(nodes * self._cell_m, dtype=float) for nodes in (north, east))
+        sums = self._sums[slot] * self._kept(slot, place, t_us)[:, None]
+        self._patch = patch = _Patch(node, north_m, east_m, slot, place, sums, t_us)
+        return patch
+
+    def _put_back(self) -> None:
+        """What was learned aside."""
+        patch = self._patch
+        if patch is not None:
+            self._sums[patch.slot], self._place[patch.slot] = patch.sums, patch.place
+            self._learned_us[patch.slot] = patch.learned_us
+
+    def recall(self, t_us: int, pos_ned_m: FloatArray, prior_m_s: FloatArray) -> FloatArray:
+        """(n, 3) at places (n, 3): what was seen there, ``prior_m_s`` (3,) where nothing was."""
+        self._put_back()
+        scaled = pos_ned_m[:, :2].T / self._cell_m
+        corner = np.floor(scaled)
+        ahead = scaled - corner
+        # (2, n) of north and of east: the nodes before and behind every place, and how near they are.
+        north, east = corner.astype(np.int64)[:, None] + _BEFORE_AND_BEHIND
+        near_n, near_e = np.stack((1.0 - ahead, ahead), axis=1)
+        slot, place = _slot(north[:, None], east)
+        share = near_n[:, None] * near_e * self._kept(slot, place, t_us)
+        sums = (share[..., None] * self._sums[slot]).reshape(4, -1, 4).sum(axis=0)
+        out: FloatArray = (sums[:, 1:] + PRIOR_WEIGHT * prior_m_s) / (sums[:, :1] + PRIOR_WEIGHT)
+        return out
+
+    def _kept(self, slot: NDArray[np.int64], place: NDArray[np.int64], t_us: int) -> FloatArray:
+        """What is left of a node's weight: nothing if it is kept for another place."""
+        kept: FloatArray = np.where(self._place[slot] == place, _left(self._learned_us[slot], t_us), 0.0)
+        return kept
+
+
+def _left(learned_us: float | FloatArray, t_us: int) -> FloatArray:
+    """Share of a weight that is left of what was learned then."""
+    left: FloatArray = np.exp((learned_us - t_us) * (1e-6 / CURRENT_MEMORY.forget_s))
+    return left
+
+
+_BEFORE_AND_BEHIND: NDArray[np.int64] = np.array([[0], [1]])
+
+
+def _slot(north: NDArray[np.int64], east: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Where nodes are kept, and a number that tells each from the others that are kept there."""
+    slot = (north % CURRENT_MEMORY.nodes) * CURRENT_MEMORY.nodes + east % CURRENT_MEMORY.nodes
+    return slot, (north // CURRENT_MEMORY.nodes + (1 << 20)) * (1 << 22) + (east // CURRENT_MEMORY.nodes + (1 << 20))

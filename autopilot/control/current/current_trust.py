@@ -1,0 +1,93 @@
+"""Whether a learned flow foretells the current better than "the same everywhere" does.
+
+On the way, every fifth of the flow's length, the vehicle keeps what flow and estimate were there. Farther on it
+compares what each of them foretold for the new place with what is estimated now, and keeps the balance of the
+log-likelihoods.
+
+Without a fence errors have heavy tails: the logarithm is that of a Gaussian, -e^2 / 2s^2, as long as they are small,
+and -log(2s^2 + e^2) in general. What counts then is how many times larger one error is than the other: in a vortex both
+forecasts are far off, and the one that is a little farther off is not dropped for it.
+"""
+
+import math
+from collections import deque
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+
+from autopilot.control.current.current_tuning import CURRENT_TRUST
+from autopilot.control.current.currents import correction_share
+from autopilot.core.frames import FloatArray
+from autopilot.core.messages import NavState
+
+
+class Flowing(Protocol):
+    """A flow that does not change."""
+
+    def flow(self, places: FloatArray) -> FloatArray:
+        """(m, 2) [m/s] at places (m, 2)."""
+        ...
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class _Prediction:
+    """What was believed at a place on the way."""
+
+    nav: NavState
+    flow: Flowing
+
+
+class Trust:
+    """Balance of the two forecasts along the way that is flown."""
+
+    def __init__(self, length_m: float, *, sure: bool, tails: bool) -> None:
+        self._length_m = length_m
+        self._step_m = max(CURRENT_TRUST.least_step_m, CURRENT_TRUST.step_share * length_m)
+        self._tails = tails
+        self._balance = CURRENT_TRUST.sure if sure else CURRENT_TRUST.unsure
+        self._told: deque[_Prediction] = deque(maxlen=CURRENT_TRUST.kept)
+        self._last_us: int | None = None
+        self.share = _share(self._balance)
+        """0 = the estimate everywhere, 1 = the learned flow."""
+
+    def look(self, nav: NavState, flow: Flowing) -> None:
+        """At every control step: judge when the vehicle has come far enough."""
+        elapsed_s = 0.0 if self._last_us is None else max(0.0, (nav.t_us - self._last_us) * 1e-6)
+        self._last_us = nav.t_us
+        self.share += (_share(self._balance) - self.share) * min(1.0, elapsed_s / CURRENT_TRUST.ramp_s)
+        if self._told and _away_m(self._told[-1].nav, nav) < self._step_m:
+            return
+        self._judge(nav)
+        self._told.append(_Prediction(nav=nav, flow=flow))
+
+    def _judge(self, nav: NavState) -> None:
+        here, seen = nav.pos_ned_m[None], nav.current_ned_m_s[:2]
+        gains = []
+        for told in self._told:
+            if not CURRENT_TRUST.near_share <= _away_m(told.nav, nav) / self._length_m <= CURRENT_TRUST.far_share:
+                continue
+            before = told.nav.current_ned_m_s[:2]
+            flow = told.flow.flow(np.stack([nav.pos_ned_m[:2], told.nav.pos_ned_m[:2]]))
+            share = float(correction_share(told.nav, here, np.zeros(1), self._length_m)[0])
+            learned = flow[0] + share * (before - flow[1])
+            gains.append(self._cost(before - seen) - self._cost(learned - seen))
+        if gains:
+            gain = float(np.mean(gains))
+            self._balance = min(
+                max(self._balance + min(max(gain, -CURRENT_TRUST.worst), CURRENT_TRUST.worst), -CURRENT_TRUST.limit),
+                CURRENT_TRUST.limit,
+            )
+
+    def _cost(self, error_m_s: FloatArray) -> float:
+        """Negative logarithm of how likely an error is."""
+        square = float(np.square(error_m_s).sum()) / (2.0 * CURRENT_TRUST.error_m_s**2)
+        return math.log1p(square) if self._tails else square
+
+
+def _away_m(a: NavState, b: NavState) -> float:
+    return math.dist(a.pos_ned_m[:2].tolist(), b.pos_ned_m[:2].tolist())
+
+
+def _share(balance: float) -> float:
+    return 1.0 / (1.0 + math.exp(-2.0 * balance))

@@ -1,0 +1,182 @@
+"""Guidance of a motion instead of a place: a pilot's sticks, a circle, set points of velocity.
+
+The velocity that is asked for is followed as far as the workspace is free: the way ahead ends a braking distance before
+a boundary that it meets head on, and slides along one that it meets at an angle. Behind it stand the optimiser's
+constraints, as in every other mode.
+"""
+
+import math
+
+import numpy as np
+
+from autopilot.control.nmpc.grid import TimeGrid
+from autopilot.control.path.guidance import GuidanceInputs, Reference, Weights
+from autopilot.control.path.path_tuning import DRIVE, REFERENCE
+from autopilot.control.path.reference import ReferenceRollout, ReferenceTarget, Route, turn_target
+from autopilot.core.control_allocator import ControlAllocator
+from autopilot.core.frames import FloatArray, wrap_pi
+from autopilot.core.messages import Severity, VelocityGoal
+from autopilot.core.model4 import YAW, Z
+
+
+class DriveGuidance:
+    """See :class:`autopilot.control.path.guidance.Guidance`. Never at a loss: what is not free is not flown."""
+
+    unreachable = False
+
+    def __init__(self, allocator: ControlAllocator, grid: TimeGrid) -> None:
+        self._t_s = grid.t_s
+        self._weights = Weights(allocator.model.thrusters)
+        self._references = ReferenceRollout(allocator, grid.t_s)
+        self.reset()
+
+    def reset(self) -> None:
+        """See :class:`autopilot.control.path.guidance.Guidance`."""
+        self._fresh = True
+        self._yaw_target: float | None = None
+        self._way = np.zeros((1, 2))
+
+    def take_news(self) -> list[tuple[Severity, str]]:
+        """Nothing: whoever asked for the motion is told where it was asked for."""
+        return []
+
+    def ahead(self, here: FloatArray) -> FloatArray:
+        """See :class:`autopilot.control.path.guidance.Guidance`."""
+        return np.concatenate([here[None], self._way[1:]])
+
+    def reference(self, situation: GuidanceInputs) -> Reference:
+        """See :class:`autopilot.control.path.guidance.Guidance`."""
+        now, fresh, self._fresh = situation, self._fresh, False
+        drive = now.goal.drive or VelocityGoal()
+        target = self._target(now, drive)
+        x, thrust = self._references(now.x0, target, now.nav.current_ned_m_s, now.thrust_limit_n)
+        weights = self._weights.look(now.params)
+        return Reference(
+            x=x, thrust_n=thrust, weight_x=weights.x, weight_u=weights.u, terminal=weights.terminal, fresh=fresh
+        )
+
+    def _target(self, now: GuidanceInputs, drive: VelocityGoal) -> ReferenceTarget:
+        """Where the reference goes: far enough ahead that it does not brake before the horizon's end."""
+        params, horizon_s = now.params, float(self._t_s[-1])
+        route, cruise_m_s = self._route(now, drive, horizon_s)
+        depth_m, heave_m_s = float(now.goal.pos_ned_m[2]), params["SPD_HEAVE_MAX"]
+        if drive.down_m_s is not None:
+            rate = min(abs(drive.down_m_s), REFERENCE.heave_share * heave_m_s)
+            heave_m_s = max(rate, 1e-3) / REFERENCE.heave_share
+            far_m = rate * horizon_s + rate * rate / REFERENCE.heave_deceleration_m_s2
+            depth_m = float(now.x0[Z]) + math.copysign(far_m, drive.down_m_s)
+        low_m = max(now.fence.depth_min_m, params["DEPTH_MIN"])
+        high_m = max(low_m, min(now.fence.depth_max_m, params["DEPTH_MAX"]))
+        yaw_rad, yaw_rate = self._heading(now, drive, horizon_s)
+        return ReferenceTarget(
+            route=route,
+            s0_m=0.0,
+            depth_m=min(max(depth_m, low_m), high_m),
+            yaw_rad=yaw_rad,
+            cruise_m_s=cruise_m_s,
+            speed_limit_m_s=now.speed_cap_m_s,
+            heave_limit_m_s=heave_m_s,
+            yaw_rate_limit_rad_s=yaw_rate,
+            climb_at_once=drive.down_m_s is not None,
+        )
+
+    def _heading(self, now: GuidanceInputs, drive: VelocityGoal, horizon_s: float) -> tuple[float, float]:
+        """Heading of the reference's end, and the limit that makes it turn as fast as is asked."""
+        here, most = float(now.x0[YAW]), now.params["SPD_YAW_MAX"]
+        if drive.yaw_rate_rad_s is None:
+            wanted = here if now.goal.yaw_rad is None else now.goal.yaw_rad
+            if drive.yaw_trend_rad_s:
+                return self._trend(here, wanted, drive.yaw_trend_rad_s, horizon_s, most)
+            self._yaw_target = turn_target(here, wanted, self._yaw_target)
+            return self._yaw_target, most
+        self._yaw_target = None
+        rate = min(abs(drive.yaw_rate_rad_s), DRIVE.turn_share * most)
+        far = rate * horizon_s + rate * rate / REFERENCE.yaw_deceleration_rad_s2
+        return here + math.copysign(far, drive.yaw_rate_rad_s), max(rate, 1e-3) / REFERENCE.yaw_rate_share
+
+    def _trend(
+        self, here: float, wanted: float, trend_rad_s: float, horizon_s: float, most: float
+    ) -> tuple[float, float]:
+        """Of a heading that turns: what is missing of it is made good on the way, or first where that is much."""
+        self._yaw_target = None
+        lack = wrap_pi(wanted - here)
+        rate = trend_rad_s + lack / DRIVE.catch_up_s
+        if abs(rate) < 1e-3:
+            return here, most
+        rate = math.copysign(min(abs(rate), DRIVE.turn_share * most), rate)
+        return here + rate * horizon_s, abs(rate) / REFERENCE.yaw_rate_share
+
+    def _route(self, now: GuidanceInputs, drive: VelocityGoal, horizon_s: float) -> tuple[Route, float]:
+        """The free way ahead and the speed along it."""
+        start, velocity = now.x0[:2].copy(), complex(drive.north_m_s, drive.east_m_s)
+        speed = min(abs(velocity), now.speed_cap_m_s, now.goal.speed_m_s)
+        if abs(velocity) < DRIVE.slowest_m_s:
+            place = np.array(now.goal.pos_ned_m[:2], dtype=float)
+            way, speed = (
+                (np.stack([start, place]) if now.planner.sees(start, place) else start[None]),
+                DRIVE.hold_speed_m_s,
+            )
+        else:
+            way, share = self._free_way(now, velocity / abs(velocity), speed, drive.turn_rad_s, horizon_s)
+            speed *= share
+        if len(way) < 2 or float(np.abs(way[-1] - start).max()) < 1e-6:
+            out = now.planner.features.push_out(start[None], now.radius_m)
+            way = np.concatenate([start[None], start[None] + out])
+        self._way = way
+        return Route(way), speed
+
+    def _free_way(
+        self, now: GuidanceInputs, direction: complex, speed: float, turn_rad_s: float, horizon_s: float
+    ) -> tuple[FloatArray, float]:
+        """(m, 2) points from here on, and the share of the speed that boundaries leave."""
+        length_m = speed * horizon_s + speed * speed / REFERENCE.deceleration_m_s2 + DRIVE.step_m
+        count = min(max(math.ceil(length_m / DRIVE.step_m), 2), DRIVE.most_steps)
+        step_m, here = length_m / count, complex(now.x0[0], now.x0[1])
+        turn = turn_rad_s * step_m / max(speed, DRIVE.slowest_m_s)
+        headings = direction * np.exp(1j * turn * (np.arange(count) + 0.5))
+        way = np.concatenate(([here], here + step_m * np.cumsum(headings)))
+        features, keep_m = now.planner.features, now.radius_m + DRIVE.keep_extra_m
+        if features.count == 0:
+            return way.view(float).reshape(-1, 2), 1.0
+        room = features.clearance_up_to_m(way.view(float).reshape(-1, 2), 2.0 * keep_m)
+        near = np.flatnonzero(room[1:] < keep_m)
+        if not len(near):
+            return way.view(float).reshape(-1, 2), 1.0
+        points, shares = way[: int(near[0]) + 1].tolist(), [1.0] * int(near[0])
+        for heading in headings[int(near[0]) :].tolist():
+            ended, share = self._slide(now, points[-1], heading, step_m, keep_m)
+            if share < DRIVE.least_progress:
+                break
+            points.append(ended)
+            shares.append(share)
+        looked = max(1, round(DRIVE.share_over_m / step_m))
+        first = shares[:looked] + [0.0] * max(0, looked - len(shares))
+        # A way that ends is braked on by itself; the share is of the part that slides.
+        share = sum(first) / looked if len(shares) >= looked else 1.0
+        return np.array(points).view(float).reshape(-1, 2), max(share, DRIVE.least_progress)
+
+    @staticmethod
+    def _slide(
+        now: GuidanceInputs, here: complex, heading: complex, step_m: float, keep_m: float
+    ) -> tuple[complex, float]:
+        """The end of a step, pushed out of what it runs into, and the share of it that goes ahead."""
+        features = now.planner.features
+        wish = step_m * heading
+        place, along = here + wish, wish
+        for _ in range(DRIVE.pushes):
+            out_m = complex(*features.push_out(_point(place), keep_m)[0].tolist())
+            if not out_m:
+                break
+            place += out_m
+            away = out_m / abs(out_m)
+            into = min((along * away.conjugate()).real, 0.0)
+            along -= into * away
+        room = features.clearance_up_to_m(np.concatenate([_point(here), _point(place)]), keep_m)
+        if room[1] < keep_m - DRIVE.too_near_m and room[1] <= room[0]:
+            return place, 0.0
+        return place, min(max((along * heading.conjugate()).real / step_m, 0.0), 1.0)
+
+
+def _point(place: complex) -> FloatArray:
+    """As an array (1, 2)."""
+    return np.array([[place.real, place.imag]])

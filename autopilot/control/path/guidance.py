@@ -1,0 +1,376 @@
+"""Guidance: from a goal to what the optimiser is to follow.
+
+Two kinds share one interface: the route guidance marches along a free path at cruise speed (the paper's quadratic
+cost), the energy guidance follows a trajectory of least energy (:mod:`autopilot.control.energy`).
+"""
+
+import cmath
+import math
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+
+from autopilot.control.current.currents import CurrentForecast
+from autopilot.control.nmpc.grid import TimeGrid
+from autopilot.control.nmpc.ocp import TERMINAL_STAGES
+from autopilot.control.path.path_tuning import GUIDANCE, REFERENCE
+from autopilot.control.path.planner import Planner
+from autopilot.control.path.reference import ReferenceRollout, ReferenceTarget, Route, turn_target
+from autopilot.control.path.workers import TaskFailures
+from autopilot.core import operator_messages as notices
+from autopilot.core.background import BackgroundTask, BackgroundWorker, Cancel
+from autopilot.core.control_allocator import ControlAllocator
+from autopilot.core.frames import FloatArray, unwrap_near
+from autopilot.core.geometry import Fence
+from autopilot.core.messages import EnergyPlan, Goal, NavState, Severity
+from autopilot.core.model4 import NX, YAW
+from autopilot.core.params import ParamSet
+
+BEHIND_M, LOOKAHEAD_M = 0.15, 0.3
+"""So far the vehicle may fall behind that before the reference runs ahead of it, and so far it runs ahead at most."""
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class GuidanceInputs:
+    """What guidance goes by in one step."""
+
+    t_us: int
+    x0: FloatArray
+    """(8,) state at which the plan begins, yaw on the turn of the last steps."""
+    nav: NavState
+    goal: Goal
+    params: ParamSet
+    fence: Fence
+    planner: Planner
+    """Of the fence in force."""
+    radius_m: float
+    """That ways keep from every boundary."""
+    forecast: CurrentForecast
+    speed_cap_m_s: float
+    """Planar speed through the water that may be asked for."""
+    thrust_limit_n: FloatArray
+    """(n,)"""
+    last_plan: FloatArray | None = None
+    """(N+1, 8) what the optimiser predicted on the last step, from then on; None if it had no plan."""
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class Reference:
+    """What the optimiser compares its prediction with, and how it weighs the difference."""
+
+    x: FloatArray
+    """(N+1, 8)"""
+    thrust_n: FloatArray
+    """(N, n)"""
+    weight_x: FloatArray
+    """(8,) or (N-1, 8)"""
+    weight_u: FloatArray
+    """(n,) or (N, n)"""
+    terminal: FloatArray
+    """(8, 8)"""
+    fresh: bool
+    """It has nothing to do with the last one: the optimiser starts anew from it."""
+    plan: EnergyPlan | None = None
+    """On the step on which it came into force."""
+
+
+class Guidance(Protocol):
+    """One instance per vehicle; deterministic."""
+
+    @property
+    def unreachable(self) -> bool:
+        """True while there is no way to the goal; the vehicle holds its place."""
+        ...
+
+    def reset(self) -> None:
+        """Forget everything (after disarming, a jump of the estimate)."""
+        ...
+
+    def reference(self, situation: GuidanceInputs) -> Reference:
+        """The reference for this step."""
+        ...
+
+    def ahead(self, here: FloatArray) -> FloatArray:
+        """(m, 2) the way from ``here`` (2,) to the goal, first row here, for display."""
+        ...
+
+    def take_news(self) -> list[tuple[Severity, str]]:
+        """Severity and text of what the operator or the log should know since the last call."""
+        ...
+
+
+class Weights:
+    """Weights of the running cost as the parameters give them; made anew when those change."""
+
+    def __init__(self, thrusters: int) -> None:
+        self._thrusters = thrusters
+        self._of: tuple[ParamSet, int] | None = None
+        self._r = math.nan
+        self.x: FloatArray = np.zeros(NX)
+        """(8,)"""
+        self.u: FloatArray = np.zeros(thrusters)
+        """(n,)"""
+        self.terminal: FloatArray = np.zeros((NX, NX))
+        """(8, 8) TERMINAL_STAGES of those of the states."""
+
+    def look(self, params: ParamSet, r: float | None = None) -> "Weights":
+        """As they are now; ``r``: weight on the thrust, None = the parameter's."""
+        of, r = (params, params.revision), params["MPC_R_THRUST"] if r is None else r
+        if of != self._of:
+            self._of, q = of, params["MPC_Q_POS"]
+            self.x = np.array([q, q, params["MPC_Q_Z"], params["MPC_Q_YAW"], *GUIDANCE.velocity_weights])
+            self.terminal = np.diag(TERMINAL_STAGES * self.x)
+            self.x.setflags(write=False)
+        if r != self._r:
+            self._r, self.u = r, np.full(self._thrusters, r)
+            self.u.setflags(write=False)
+        return self
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class RouteRequest:
+    """A way that is to be looked for."""
+
+    planner: Planner
+    start_ned_m: FloatArray
+    """(2,)"""
+    goal_ned_m: FloatArray
+    """(2,)"""
+    goal_key: tuple[float, ...]
+
+
+def search_route(request: RouteRequest, cancel: Cancel) -> FloatArray | None:
+    """(m, 2) a free path, None if there is none."""
+    return request.planner.path(request.start_ned_m, request.goal_ned_m, cancel)
+
+
+class ReferenceLookahead:
+    """How far the reference runs ahead of a vehicle that falls behind.
+
+    A reference that begins where the vehicle is at every step cannot see that it makes no way: a force that lasts and
+    that the model lacks (more drag, less thrust, a pull) takes a constant speed off it. That matters where a current
+    leaves little more: there the vehicle would hover for ever, on thrust and speed that it has left. So what it falls
+    behind the least progress adds up, and the optimiser, which sees the reference ahead, puts the missing force on.
+    What goes as it should never gets so far, however it starts or turns round.
+    """
+
+    def __init__(self) -> None:
+        self.reset()
+
+    def reset(self) -> None:
+        """Another way: nothing is behind."""
+        self._behind_m = self._asked_m_s = 0.0
+        self._last: tuple[Route, int, float] | None = None
+
+    @property
+    def m(self) -> float:
+        """Along the route."""
+        return max(0.0, self._behind_m - BEHIND_M)
+
+    def look(self, t_us: int, route: Route, s_m: float) -> None:
+        """Once per step, with the arc length at which the vehicle is."""
+        if self._last is not None and self._last[0] is route:
+            elapsed_s = max(0.0, (t_us - self._last[1]) * 1e-6)
+            least_m = elapsed_s * min(GUIDANCE.least_progress_share * self._asked_m_s, GUIDANCE.least_progress_m_s)
+            self._behind_m = min(max(self._behind_m + least_m - (s_m - self._last[2]), 0.0), BEHIND_M + LOOKAHEAD_M)
+        self._last = route, t_us, s_m
+
+    def ask(self, begin_m: FloatArray, end_m: FloatArray, after_s: float) -> None:
+        """Where the reference is now and ``after_s`` later (each at least x and y)."""
+        self._asked_m_s = math.dist(begin_m[:2].tolist(), end_m[:2].tolist()) / after_s
+
+
+class RouteGuidance:
+    """Marches along the shortest free path at cruise speed over ground.
+
+    A straight way is taken at once. Another one is looked for beside the loop; until it is there the vehicle goes on
+    with the route that it has, if that is free, or else holds its place.
+    """
+
+    def __init__(self, allocator: ControlAllocator, grid: TimeGrid, worker: BackgroundWorker) -> None:
+        self._t_s = grid.t_s
+        self._weights = Weights(allocator.model.thrusters)
+        self._references = ReferenceRollout(allocator, grid.t_s)
+        self._worker = worker
+        self._task: BackgroundTask[FloatArray | None] | None = None
+        self._mishaps = TaskFailures("route search", notices.ROUTE_SEARCH_FAILED)
+        self._lead = ReferenceLookahead()
+        self.unreachable = False
+        self.reset()
+
+    def reset(self) -> None:
+        """See :class:`Guidance`."""
+        self._withdraw()
+        self._step = 0
+        self._asked: RouteRequest | None = None
+        self._asked_first = 0
+        self._goal_key: tuple[float, ...] | None = None
+        self._planner: Planner | None = None
+        self._route: Route | None = None
+        self._route_planner: Planner | None = None
+        self._s = 0.0
+        self._lead.reset()
+        self._routed_us = 0
+        self._yaw_target: float | None = None
+        self._hold: FloatArray | None = None
+        self.unreachable = False
+
+    def take_news(self) -> list[tuple[Severity, str]]:
+        """See :class:`Guidance`."""
+        return self._mishaps.take_news()
+
+    def reference(self, situation: GuidanceInputs) -> Reference:
+        """See :class:`Guidance`."""
+        fresh, route = self._update(situation)
+        self._lead.look(situation.t_us, route, self._s)
+        x, thrust = self._rollout(situation, route)
+        self._lead.ask(x[0], x[1], float(self._t_s[1]))
+        weights = self._weights.look(situation.params)
+        return Reference(
+            x=x, thrust_n=thrust, weight_x=weights.x, weight_u=weights.u, terminal=weights.terminal, fresh=fresh
+        )
+
+    @property
+    def searching(self) -> bool:
+        """While a route is being looked for."""
+        return self._task is not None
+
+    def ahead(self, here: FloatArray) -> FloatArray:
+        """See :class:`Guidance`."""
+        route = self._route
+        return here[None] if route is None or self.unreachable else route.ahead(here, self._s)
+
+    def _update(self, now: GuidanceInputs) -> tuple[bool, Route]:
+        """Whether the route is another one, and the route."""
+        goal, x0 = now.goal, now.x0
+        self._step += 1
+        key = (
+            *(float(p) for p in goal.pos_ned_m),
+            0.0 if goal.yaw_rad is None else goal.yaw_rad,
+            float(goal.yaw_rad is None),
+        )
+        if self._goal_key is None or key[3:] != self._goal_key[3:]:
+            self._yaw_target = None
+        if key != self._goal_key:
+            self.unreachable = False
+            self._lead.reset()
+        changed = key != self._goal_key or now.planner is not self._planner
+        self._goal_key, self._planner = key, now.planner
+        fresh = self._answered(now)
+        route = self._route
+        if route is not None and not fresh:
+            self._s, off = route.project(x0[:2], self._s)
+            pushed = (off > GUIDANCE.replan_distance_m or self.unreachable) and self._task is None
+            if not changed and pushed and now.t_us - self._routed_us >= GUIDANCE.replan_interval_us:
+                fresh = self._look(now)
+        if changed:
+            fresh |= self._look(now) or self._make_do(now)
+        assert self._route is not None
+        return fresh, self._route
+
+    def _look(self, now: GuidanceInputs) -> bool:
+        """Go straight to the goal if that is free (True), else ask for a way."""
+        start, goal = now.x0[:2].copy(), np.array(now.goal.pos_ned_m[:2], dtype=float)
+        self._routed_us = now.t_us
+        if now.planner.sees(start, goal):
+            self._withdraw()
+            self._take(now, np.stack([start, goal]), now.planner)
+            return True
+        if self._task is None:
+            self._asked_first = self._step
+        elif self._step - self._asked_first >= GUIDANCE.patience_steps:
+            return False
+        self._withdraw()
+        assert self._goal_key is not None
+        asked = RouteRequest(planner=now.planner, start_ned_m=start, goal_ned_m=goal, goal_key=self._goal_key)
+        self._asked = asked
+        self._task = self._worker.submit(self._step + GUIDANCE.answer_steps, search_route, asked)
+        return False
+
+    def _answered(self, now: GuidanceInputs) -> bool:
+        """Put the answer into force, if there is one. Whether the route is another one then."""
+        answer = None if self._task is None else self._task.poll(self._step)
+        asked = self._asked
+        if answer is None or asked is None:
+            return False
+        self._task = self._asked = None
+        path = answer.value
+        newest = asked.planner is now.planner and asked.goal_key == self._goal_key
+        if answer.error is None:
+            self._mishaps.succeeded()
+        else:
+            self._mishaps.failed(answer.error, felt=newest)
+        if newest:
+            return self._take(now, path, asked.planner)
+        # It has been overtaken, but it is the newest that there is.
+        usable = path is not None and now.planner.free(path)
+        fresh = usable and self._take(now, path, now.planner)
+        return self._look(now) or fresh
+
+    def _take(self, now: GuidanceInputs, path: FloatArray | None, planner: Planner) -> bool:
+        """Go along a path, or hold the place without one. Whether the route is another one."""
+        self.unreachable = path is None
+        if path is None:
+            return self._stay(now)
+        self._hold = None
+        self._route, self._route_planner = Route(path), planner
+        self._s, _ = self._route.project(now.x0[:2], 0.0)
+        return True
+
+    def _make_do(self, now: GuidanceInputs) -> bool:
+        """Until there is a way: the route in force if it is free, else the place. Whether the route is another one."""
+        route, same = self._route, now.planner is self._route_planner
+        if route is None or self._hold is not None:
+            return self._stay(now)
+        if not (same or now.planner.free(route.ahead(now.x0[:2], self._s))):
+            return self._stay(now)
+        self._route_planner = now.planner
+        return False
+
+    def _stay(self, now: GuidanceInputs) -> bool:
+        """Hold the place, or go on holding it. Whether the route is another one."""
+        if self._hold is not None and self._route is not None:
+            return False
+        self._hold = now.x0.copy()
+        self._route, self._route_planner, self._s = Route(np.stack([now.x0[:2]] * 2)), now.planner, 0.0
+        return True
+
+    def _withdraw(self) -> None:
+        if self._task is not None:
+            self._task.cancel()
+        self._task = None
+
+    def _facing(self, place_ned_m: FloatArray, x0: FloatArray) -> float:
+        """Heading towards a place (2,); a place that is under the vehicle has no direction."""
+        look = complex(*place_ned_m) - complex(x0[0], x0[1])
+        if abs(look) < GUIDANCE.facing_m:
+            return float(x0[YAW]) if self._yaw_target is None else self._yaw_target
+        return turn_target(float(x0[YAW]), cmath.phase(look), None)
+
+    def _rollout(self, now: GuidanceInputs, route: Route) -> tuple[FloatArray, FloatArray]:
+        """References (N+1, 8) along the route and their thrust (N, n); chooses the way round to the heading."""
+        hold, goal, x0, params = self._hold, now.goal, now.x0, now.params
+        if hold is not None:
+            self._yaw_target = float(hold[YAW])
+        elif goal.facing_ned_m is not None:
+            self._yaw_target = self._facing(goal.facing_ned_m, x0)
+        elif goal.yaw_rad is not None:
+            self._yaw_target = turn_target(float(x0[YAW]), goal.yaw_rad, self._yaw_target)
+        elif route.length_m - self._s > REFERENCE.turn_ahead_m or self._yaw_target is None:
+            look = route.point(min(self._s + REFERENCE.turn_ahead_m, route.length_m)) - complex(x0[0], x0[1])
+            if abs(look) > 0.5 * REFERENCE.turn_ahead_m:
+                self._yaw_target = unwrap_near(cmath.phase(look), float(x0[YAW]))
+            elif self._yaw_target is None:
+                self._yaw_target = float(x0[YAW])
+        target = ReferenceTarget(
+            route=route,
+            s0_m=min(self._s + self._lead.m, route.length_m),
+            depth_m=float(goal.pos_ned_m[2] if hold is None else hold[2]),
+            yaw_rad=self._yaw_target,
+            cruise_m_s=goal.speed_m_s,
+            speed_limit_m_s=now.speed_cap_m_s,
+            heave_limit_m_s=params["SPD_HEAVE_MAX"],
+            yaw_rate_limit_rad_s=params["SPD_YAW_MAX"],
+        )
+        return self._references(x0, target, now.nav.current_ned_m_s, now.thrust_limit_n)

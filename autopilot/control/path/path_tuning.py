@@ -1,0 +1,127 @@
+"""Tuned numbers of the way and how it is followed, by module."""
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True, slots=True)
+class DriveTuning:
+    """Of :mod:`autopilot.control.path.drive`."""
+
+    step_m: float = 0.12
+    """The way ahead is looked at this often."""
+    most_steps: int = 150
+    slowest_m_s: float = 0.01
+    """Slower than this is standing: the place is held."""
+    keep_extra_m: float = 0.02
+    """The way ahead keeps this beyond what the controller keeps, so that its reference can be followed."""
+    pushes: int = 3
+    """A step that ends too near to boundaries is pushed out of one after the other."""
+    too_near_m: float = 5e-3
+    """Where that has not helped by less than this, the way ends."""
+    least_progress: float = 0.15
+    """A step that a boundary leaves less of (about a glance at right angles) ends the way."""
+    share_over_m: float = 0.25
+    """The speed along a boundary is the share of the velocity that points along it, over so much of the way ahead."""
+    turn_share: float = 0.9
+    """Share of the yaw rate limit that is asked for at most."""
+    catch_up_s: float = 1.5
+    """A heading that turns is caught up with in about so long."""
+    hold_speed_m_s: float = 0.15
+    """Speed at which a place that is held is come back to."""
+
+
+DRIVE = DriveTuning()
+
+
+@dataclass(frozen=True, slots=True)
+class GuidanceTuning:
+    """Of :mod:`autopilot.control.path.guidance`."""
+
+    velocity_weights: tuple[float, float, float, float] = (8.0, 8.0, 8.0, 0.5)
+    """Weights on u, v, w [1/(m/s)^2] and r [1/(rad/s)^2]: enough to hold the cruise speed."""
+    replan_distance_m: float = 0.3
+    replan_interval_us: int = 1_000_000
+    """A vehicle that has been pushed this far off its route gets a new one, at most once a second."""
+    answer_steps: int = 2
+    """A route that is not a straight line comes so many control steps after it was asked for: 0.1 s at 20 Hz."""
+    patience_steps: int = 20
+    """Goals and fences that change faster than routes are found: after so many steps (1 s) without an answer the open
+    search is left to end, and its route is taken if it is free."""
+    least_progress_share: float = 0.8
+    least_progress_m_s: float = 0.05
+    """Progress that is expected of the vehicle: this share of the speed over ground that is asked for, at most so
+    much."""
+    facing_m: float = 0.1
+    """Nearer than this, a place that is looked at has no direction."""
+
+
+GUIDANCE = GuidanceTuning()
+
+
+@dataclass(frozen=True, slots=True)
+class PlannerTuning:
+    """Of :mod:`autopilot.control.path.planner`."""
+
+    planning_extra_m: float = 0.04
+    """Kept beyond the controller's own radius, so that the path lies where the controller can follow it with a margin,
+    and a passage that is open by centimetres only is not chosen."""
+    look_step_m: float = 0.05
+    """Straight lines are looked at this often."""
+    open_water_border_m: float = 3.0
+    """Without a workspace the grid covers start, goal and obstacles and this much beyond ..."""
+    open_water_step_m: float = 2.0
+    """... up to the next multiple of this: a start that has moved a little has the same grid."""
+    look_back_m: float = 10.0
+    """So much of a path that was made for another fence is looked at before it is gone on with."""
+    goal_snap_m: float = 0.3
+    """A goal this near to free ground is approached as far as the constraints allow."""
+    endpoint_relief_m: float = 0.25
+    """Near its ends a straight line may be as near to a boundary as the end itself."""
+    band_step_m: float = 0.1
+    max_band_points: int = 60
+    band_iterations: int = 25
+    """Enough to round a corner over half a metre."""
+    knight: tuple[tuple[int, int], tuple[int, int], tuple[int, int], tuple[int, int]] = (
+        (1, 2),
+        (2, 1),
+        (1, -2),
+        (2, -1),
+    )
+    """Moves beside those to the neighbours, so that ways have 16 directions."""
+
+
+PLANNER = PlannerTuning()
+
+
+@dataclass(frozen=True, slots=True)
+class ReferenceTuning:
+    """Of :mod:`autopilot.control.path.reference`."""
+
+    deceleration_m_s2: float = 0.12
+    heave_deceleration_m_s2: float = 0.1
+    yaw_deceleration_rad_s2: float = 0.4
+    """Of the approach to the goal: v = sqrt(2 a d)."""
+    yaw_rate_share: float = 0.55
+    """Share of the yaw rate limit that a planned turn uses."""
+    heave_share: float = 0.6
+    """Share of the heave limit that a planned change of depth uses."""
+    min_depth_time_s: float = 1.0
+    turn_ahead_m: float = 0.6
+    """Free heading looks along the route this far ahead."""
+    corner_ahead_m: float = 0.2
+    """The speed is chosen for the direction of the route this far ahead."""
+    water_speed_share: float = 0.95
+    upstream_speed_share: float = 0.985
+    """Share of the planar speed limit that the reference asks for, and that it asks for against currents that are
+    nearly as fast: there every centimetre per second of it is way that is made."""
+    slow_current_share: float = 0.78
+    fast_current_share: float = 0.88
+    """Between these shares of the limit that a current has against the way, one goes over into the other."""
+    slowest_m_s: float = 0.02
+    turn_hysteresis_rad: float = 0.5
+    """A half turn keeps its direction until the other way is shorter by this much."""
+    turn_tie_rad: float = 0.2
+    """Ways round that differ by less than twice this are about equal: 0.4 s of turning at the yaw rate limit."""
+
+
+REFERENCE = ReferenceTuning()

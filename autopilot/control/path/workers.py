@@ -1,0 +1,61 @@
+"""Where the controller has its slow work done, and what it says when that ends with an exception."""
+
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field
+
+from autopilot.control.notice_queue import NoticeQueue
+from autopilot.core import operator_messages as notices
+from autopilot.core.background import BackgroundWorker
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class BackgroundWorkers:
+    """One lane per kind of work, so that a route never waits for a trajectory. Without executors (the default) work is
+    done when it is due, by the caller."""
+
+    routes: BackgroundWorker = field(default_factory=BackgroundWorker)
+    trajectories: BackgroundWorker = field(default_factory=BackgroundWorker)
+    certificates: BackgroundWorker = field(default_factory=BackgroundWorker)
+
+    @classmethod
+    def beside(cls, *, blocking: bool) -> "BackgroundWorkers":
+        """A thread each. ``patient``: the loop waits for answers that are due."""
+        routes, trajectories, certificates = (
+            BackgroundWorker(ThreadPoolExecutor(1, thread_name_prefix=name), blocking=blocking)
+            for name in ("routes", "trajectories", "certificates")
+        )
+        return cls(routes=routes, trajectories=trajectories, certificates=certificates)
+
+    @property
+    def executors(self) -> tuple[BackgroundWorker, ...]:
+        """All of them."""
+        return self.routes, self.trajectories, self.certificates
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """In the same order."""
+        return "routes", "trajectories", "certificates"
+
+
+class TaskFailures(NoticeQueue):
+    """Work that ended with an exception: told the operator once until some succeeds, in full in the log."""
+
+    def __init__(self, work: str, told: notices.Row) -> None:
+        """``work``: what it is, for the log; ``told``: what the operator is told."""
+        super().__init__()
+        self._work, self._told_row = work, told
+        self._told = False
+        self._logged = False
+
+    def failed(self, error: Exception, *, felt: bool = True) -> None:
+        """Take note of one; the operator is told when the vehicle does something else because of it (``felt``)."""
+        if not self._logged:
+            self._logged = True
+            self._news.append(notices.WORK_FAILED(work=self._work, kind=type(error).__name__, error=error))
+        if felt and not self._told:
+            self._told = True
+            self._news.append(self._told_row())
+
+    def succeeded(self) -> None:
+        """The next one is news again."""
+        self._told = self._logged = False

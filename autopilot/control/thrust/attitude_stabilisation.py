@@ -1,0 +1,114 @@
+"""Roll and pitch of a vehicle whose thrusters can push them: held level by an inner loop from the AHRS.
+
+The controller steers surge, sway, heave and yaw and knows nothing of tilt. Where thrusters push below or above the
+centre of gravity its thrust tilts the vehicle; a heavy frame's righting moment is small against that. This loop adds
+thrust that makes a moment about roll and pitch and no force or moment in the four controlled axes: what the
+controller's own thrust would tilt by is cancelled at once, what is left is damped and turned back.
+
+The moments belong to inertia I and natural frequency w: M = -I (w^2 angle + 2 w rate) - tilt by thrust. The share of
+each thruster that this may take (:meth:`AttitudeStabilizer.reserve_n`) is not the controller's.
+"""
+
+import math
+
+import numpy as np
+
+from autopilot.control.thrust.thrust_tuning import ATTITUDE_STABILISATION
+from autopilot.core.frames import FloatArray
+from autopilot.core.thrusters import CONTROLLED, wrench_matrix
+from autopilot.core.vehicle import Vehicle
+
+LEVEL_RAD = math.radians(2.0)
+"""Within so much of level, in roll and pitch, levelling alone turns no thruster round ..."""
+
+
+MOST_TILT_RAD = math.radians(60.0)
+"""Beyond this an angle counts as so much."""
+
+
+class AttitudeStabilizer:
+    """The loop of one vehicle; does nothing for one without ``[levelling]`` or without the thrusters for it."""
+
+    def __init__(self, vehicle: Vehicle) -> None:
+        thrusters, table = vehicle.thrusters, vehicle.levelling
+        places, ways = [t.position_frd_m for t in thrusters], [t.direction_frd for t in thrusters]
+        wrench = np.array(wrench_matrix(places, ways))
+        self._controlled, self._tilt = wrench[list(CONTROLLED)], wrench[3:5]
+        self._inertia = np.zeros(2) if table is None else np.array(table.inertia_kg_m2)
+        self._rate_rad_s = 0.0 if table is None else table.natural_rad_s
+        self.given = table is not None
+        """Whether there is anything to do."""
+        self._ways: dict[bytes, FloatArray] = {}
+        self._least_n = ATTITUDE_STABILISATION.least_share * np.array([t.limit_n for t in thrusters])
+        self._turned = np.zeros(len(thrusters))
+        """Which way each turned last."""
+
+    def reserve_n(self, limit_n: FloatArray) -> FloatArray:
+        """(n,) what of ``limit_n`` (n,), 0 for a dead thruster, is kept from the controller.
+
+        As much as cancels the tilt of all others at their limits, at most :data:`ATTITUDE_STABILISATION.most` of the
+        thruster's own.
+        """
+        if not self.given:
+            return np.zeros_like(limit_n)
+        ways = self._ways_of(limit_n)
+        levels = np.abs(ways).max(axis=1) > 0.0
+        worst = np.abs(self._tilt) @ np.where(levels, 0.0, limit_n)
+        reserve: FloatArray = np.minimum(ATTITUDE_STABILISATION.most * limit_n, np.abs(ways) @ worst) * levels
+        return reserve
+
+    def thrust_n(
+        self, wanted_n: FloatArray, limit_n: FloatArray, rpy_rad: FloatArray, rate_frd_rad_s: FloatArray
+    ) -> FloatArray:
+        """(n,) the controller's thrust ``wanted_n`` with that of levelling added, within ``limit_n``; when there is no
+        room for all of it as much as leaves the four controlled axes alone."""
+        ways = self._ways_of(limit_n) if self.given else None
+        if ways is None or not ways.any():
+            return wanted_n
+        angle = np.clip(rpy_rad[:2], -MOST_TILT_RAD, MOST_TILT_RAD)
+        w = self._rate_rad_s
+        moment = -self._inertia * (w * w * angle + 2.0 * w * rate_frd_rad_s[:2]) - self._tilt @ wanted_n
+        more = ways @ moment
+        used = np.abs(more) > ATTITUDE_STABILISATION.small
+        if not used.any() or not np.isfinite(more).all():
+            return wanted_n
+        room = (limit_n - wanted_n * np.sign(more))[used] / np.abs(more)[used]
+        share = min(1.0, max(0.0, float(room.min())))
+        result: FloatArray = wanted_n + share * more
+        if float(np.abs(angle * ways.any(axis=0)).max()) < LEVEL_RAD:
+            result = self._unturned(wanted_n, share * more, result)
+        turns = np.abs(result) > ATTITUDE_STABILISATION.small
+        self._turned[turns] = np.sign(result[turns])
+        return result
+
+    def _unturned(self, wanted_n: FloatArray, more_n: FloatArray, result: FloatArray) -> FloatArray:
+        """(n,) with less of ``more_n`` (n,), so that it turns no thruster round for next to nothing: one that would be
+        rests, or does what the controller wants, which knows by itself what is worth it."""
+        for _ in more_n:
+            back = (result * self._turned < 0.0) & (np.abs(result) < self._least_n) & (wanted_n * more_n <= 0.0)
+            back &= (np.abs(result) > ATTITUDE_STABILISATION.small) & (result * more_n > 0.0)
+            if not back.any():
+                break
+            more_n = more_n * float((np.abs(wanted_n)[back] / np.abs(more_n)[back]).min())
+            result = wanted_n + more_n
+        return result
+
+    def _ways_of(self, limit_n: FloatArray) -> FloatArray:
+        """(n, 2) thrust for 1 N m about roll and pitch by the thrusters that are alive; 0 for what they cannot push."""
+        key = (limit_n > 0.0).tobytes()
+        if key not in self._ways:
+            self._ways[key] = self._found(limit_n > 0.0) if self.given else np.zeros((len(limit_n), 2))
+        return self._ways[key]
+
+    def _found(self, alive: np.ndarray) -> FloatArray:
+        """By least squares: a tilt that comes only with another axis is left alone."""
+        ways = np.zeros((len(alive), 2))
+        pushed = np.vstack([self._controlled, self._tilt]) * alive
+        inverse = np.linalg.pinv(pushed, rcond=ATTITUDE_STABILISATION.small)
+        for tilt in range(2):
+            way = inverse[:, 4 + tilt] * alive
+            effect = pushed @ way
+            effect[4 + tilt] -= 1.0
+            if float(np.abs(effect).max()) < 1e-3:
+                ways[:, tilt] = np.where(np.abs(way) > ATTITUDE_STABILISATION.small, way, 0.0)
+        return ways

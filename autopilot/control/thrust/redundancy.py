@@ -1,0 +1,150 @@
+"""Thrusters that do the same in surge, sway, heave and yaw, and which of them it is that lost its thrust.
+
+The two verticals of a BlueROV2 have the same column in the 4-DoF model: the motion along its axes tells that one of
+them gives nothing, and never which. Such thrusters are twins. What tells them apart is the tilt: one pushes to
+starboard of the centre of gravity, the other to port. The righting moment, the trim and the damping about roll and
+pitch are not in a vehicle file, so they are fitted together with the loss, over some ten seconds before and after it:
+
+    rate of roll = g (sum of arm x thrust) - l (arm x thrust of the one that is suspected, since the loss)
+                   + k sin(roll) + d (roll rate) + b
+
+The evidence for a suspect is the likelihood of what was seen under it, all that is fitted integrated out. It only
+chooses among twins; that there is a loss at all is not its to say.
+"""
+
+from collections import deque
+from collections.abc import Sequence
+
+import numpy as np
+
+from autopilot.control.thrust.filtered_motion import FilteredMotion
+from autopilot.control.thrust.thrust_tuning import REDUNDANCY
+from autopilot.core.frames import FloatArray
+from autopilot.core.model4 import Model4
+from autopilot.core.thrusters import wrench_matrix
+from autopilot.core.vehicle import Vehicle
+
+BEGUN_S = np.arange(0.5, 25.0, 1.0)
+"""So long before it is declared a loss may have begun; the likeliest of these counts."""
+
+MEANS = np.array([0.75, 1.0, -5.0, -1.0, 0.0])
+SPREADS = np.array([0.4, 0.5, 10.0, 5.0, 3.0])
+"""Believed of l and g (as shares of 1 / inertia), k [1/s^2], d [1/s] and b [rad/s^2]."""
+
+
+def alike(model: Model4) -> np.ndarray:
+    """(n, n) bool, whether thrusters are twins; each is its own. Those that push against each other can be twins."""
+    columns = np.array(model.allocation) / np.sqrt(np.array(model.mass_kg))[:, None]
+    columns = columns / np.linalg.norm(columns, axis=0)
+    sines = np.sqrt(np.maximum(1.0 - np.square(columns.T @ columns), 0.0))
+    result: np.ndarray = (sines < REDUNDANCY.alike) | np.eye(columns.shape[1], dtype=bool)
+    return result
+
+
+def tilt_of(vehicle: Vehicle) -> FloatArray:
+    """(2, n) what 1 N of each thruster accelerates roll and pitch by [rad/s^2]; the inertia is that of yaw where the
+    file has no other."""
+    thrusters = vehicle.thrusters
+    wrench = np.array(wrench_matrix([t.position_frd_m for t in thrusters], [t.direction_frd for t in thrusters]))
+    yaw = vehicle.to_model().mass_kg[3]
+    inertia = (yaw, yaw) if vehicle.levelling is None else vehicle.levelling.inertia_kg_m2
+    result: FloatArray = wrench[3:5] / np.array(inertia)[:, None]
+    return result
+
+
+def lossy_share(shares: Sequence[float]) -> float:
+    """What the one of several twins gives that is lossy, if they give that share each and the rest are sound."""
+    return max(0.0, sum(shares) - (len(shares) - 1))
+
+
+def weak_thrusters(names: Sequence[str], shares: Sequence[float], doubtful: Sequence[Sequence[str]]) -> list[str]:
+    """For a text: each that gives less than all of its thrust; of ``doubtful`` twins one does, nobody knows which."""
+    share_of = dict(zip(names, shares, strict=True))
+    alone = [name for name in names if share_of[name] < 1.0 and not any(name in redundant for redundant in doubtful)]
+    left = [(", ".join(redundant), lossy_share([share_of[name] for name in redundant])) for redundant in doubtful]
+    return [f"{name} {100.0 * share_of[name]:.0f} %" for name in alone] + [
+        f"one of {redundant} {100.0 * share:.0f} %" for redundant, share in left
+    ]
+
+
+class TiltEvidence:
+    """What the tilt of the last looks says of twins. ``tilt`` (2, n) as :func:`tilt_of` has it."""
+
+    def __init__(self, tilt: FloatArray) -> None:
+        self._tilt = tilt
+        self._looks: deque[tuple[float, FilteredMotion]] = deque(maxlen=REDUNDANCY.kept_looks)
+        self.clock_s = 0.0
+        """Sum of the time of all looks."""
+        self.looks = 0
+        """So many there were."""
+
+    def forget(self, looks: int = REDUNDANCY.kept_looks) -> None:
+        """The last looks say nothing."""
+        for _ in range(min(looks, len(self._looks))):
+            self._looks.pop()
+
+    def look(self, look: FilteredMotion) -> None:
+        """Remember it."""
+        self.clock_s += look.dt_s
+        self.looks += 1
+        self._looks.append((self.clock_s, look))
+
+    def tells(self, suspects: Sequence[int]) -> bool:
+        """Whether they tilt the hull differently at all."""
+        return bool((np.ptp(self._tilt[:, list(suspects)], axis=1) > REDUNDANCY.same_arm).any())
+
+    def of(self, suspects: Sequence[int], by_s: float, others: FloatArray) -> FloatArray:
+        """(suspects,) evidence for each of them [nats], of the worst 0: it lost thrust before ``by_s`` on the clock,
+        and the rest give the share ``others`` (n,)."""
+        told, arms = np.zeros(len(suspects)), self._tilt[:, list(suspects)]
+        axes = np.flatnonzero(np.ptp(arms, axis=1) > REDUNDANCY.same_arm)
+        if not len(axes) or not self._looks:
+            return told
+        clock_s, looks = zip(*self._looks, strict=True)
+        begins = np.unique(np.searchsorted(clock_s, by_s - BEGUN_S, side="right").clip(max=len(looks) - 1))
+        share = min(1.0, float(np.mean([look.dt_s for look in looks])) / REDUNDANCY.independent_s)
+        thrust_n, tilts = np.array([look.thrust_n for look in looks]), np.array([look.tilt for look in looks])
+        likely = np.zeros((len(suspects), len(begins)))
+        for axis in axes:
+            seen, angle, rate = tilts[:, axis].T
+            sound = np.column_stack([thrust_n @ (self._tilt[axis] * others), angle, rate, np.ones(len(looks))])
+            lacking = -thrust_n[:, list(suspects)] * arms[axis]
+            likely += _likelihoods(sound, lacking, begins, seen, share)
+        told = likely.max(axis=1)
+        result: FloatArray = told - told.min()
+        return result
+
+
+def _likelihoods(
+    sound: FloatArray, lacking: FloatArray, begins: np.ndarray, seen: FloatArray, share: float
+) -> FloatArray:
+    """(suspects, begins) log-likelihood of ``seen`` (m,), explained by ``sound`` (m, 4) and from the look ``begins`` on
+    by one column of ``lacking`` (m, suspects); with the noise of the best of them, of the looks the ``share`` being
+    independent."""
+    suspects, times = lacking.shape[1], len(begins)
+    prior, rest = np.diag(1.0 / np.square(SPREADS)), seen - sound @ MEANS[1:]
+
+    def since(terms: FloatArray) -> FloatArray:
+        """Sum of ``terms`` (m, suspects, ...) from each of ``begins`` on, (suspects, begins, ...)."""
+        result: FloatArray = np.moveaxis(np.cumsum(terms[::-1], axis=0)[::-1][begins], 0, 1)
+        return result
+
+    squares = since(np.square(lacking))
+    gram = np.zeros((suspects, times, 5, 5))
+    gram[..., 0, 0] = squares
+    gram[..., 1:, 1:] = sound.T @ sound
+    gram[..., 0, 1:] = gram[..., 1:, 0] = since(lacking[:, :, None] * sound[:, None, :])
+    # What is seen beyond what is believed of everything.
+    moved = np.empty((suspects, times, 5))
+    moved[..., 0] = since(lacking * rest[:, None]) - MEANS[0] * squares
+    moved[..., 1:] = sound.T @ rest - MEANS[0] * gram[..., 0, 1:]
+    total = float(rest @ rest) - 2.0 * MEANS[0] * since(lacking * rest[:, None]) + MEANS[0] ** 2 * squares
+    variance, told = REDUNDANCY.first_noise**2, np.zeros((suspects, times))
+    for _ in range(3):
+        weight = share / variance
+        a, b = weight * gram + prior, weight * moved
+        found = np.linalg.solve(a, b[..., None])[..., 0]
+        told = -0.5 * (weight * total - (b * found).sum(-1) + np.linalg.slogdet(a)[1])
+        missed = total - 2.0 * (found * moved).sum(-1) + np.einsum("...i,...ij,...j->...", found, gram, found)
+        variance = max(float(missed.min()) / len(seen), REDUNDANCY.least_noise**2)
+    return told

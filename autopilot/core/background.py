@@ -1,0 +1,147 @@
+"""Slow work beside the loop: a request is pure data, its answer comes a counted time after it.
+
+Everything that does not fit into a tick (validation of plans, route search, energy plans, certificates, disk) goes over
+a desk. A desk is one lane: its requests are worked off one after the other, a cancelled one that has not begun is never
+begun. What a run does must not depend on how fast the machine is, so in lockstep the loop waits at a *patient* desk for
+an answer that is due; in real time the loop goes on and takes the answer when it is ready, late ones are counted.
+Without an executor the work is done at the moment it is due (tests, studies).
+"""
+
+from collections.abc import Callable
+from concurrent.futures import CancelledError, Executor, Future, wait
+from concurrent.futures import TimeoutError as NotReadyError
+from dataclasses import dataclass
+from typing import Any, Generic, TypeVar, cast
+
+from autopilot.core.nondeterminism import NondeterminismSource
+
+ROOM_S = 0.0005
+"""So long a loop rests at each look at an answer that is late. A loop that never rests (a machine that does not keep
+up) gives its lock away and takes it back before the thread that works has woken up: the answer would never come."""
+
+IDLE_S = 0.05
+"""A loop that waits for an answer attends to what cannot wait (heartbeats) this often."""
+
+Q = TypeVar("Q")
+A = TypeVar("A")
+
+
+class WithdrawnError(Exception):
+    """Ends work whose answer nobody wants any more; nobody hears of it either."""
+
+
+class Cancel:
+    """Whether an answer is still wanted; long work looks at it between its steps and may return anything then."""
+
+    __slots__ = ("requested",)
+
+    def __init__(self) -> None:
+        self.requested = False
+
+    def check(self) -> None:
+        """Raise WithdrawnError if the answer is not wanted any more."""
+        if self.requested:
+            raise WithdrawnError
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class TaskResult(Generic[A]):
+    """What became of a request: a value, or the exception that ended the work."""
+
+    value: A | None
+    error: Exception | None = None
+
+    def get(self) -> A:
+        """The value, or the work's exception."""
+        if self.error is not None:
+            raise self.error
+        return cast(A, self.value)
+
+
+class BackgroundTask(Generic[A]):
+    """A request that has been handed in. ``poll`` gives its answer once; after ``cancel`` there is none."""
+
+    def __init__(self, worker: "BackgroundWorker", due: int, work: Callable[[], A], cancel: Cancel) -> None:
+        self._worker, self._work, self._cancel = worker, work, cancel
+        self._late = False
+        self._future: Future[A] | None = None if worker.executor is None else worker.executor.submit(work)
+        self.due = due
+        """When the answer is to be taken, in the caller's counts."""
+        self.open = True
+        """Until it is answered or cancelled."""
+
+    def poll(self, now: int) -> TaskResult[A] | None:
+        """The answer, once, when it is due (and, at a desk that is not patient, ready)."""
+        if not self.open or now < self.due:
+            return None
+        future = self._future
+        if future is not None and not self._worker.blocking and not self._worker.ready(future):
+            self._worker.late += not self._late
+            self._late = True
+            return None
+        self.open = False
+        try:
+            return TaskResult(value=self._work() if future is None else self._worker.wait(future))
+        except CancelledError:  # the desk was closed
+            return None
+        except Exception as error:  # noqa: BLE001 - the work's own; whoever asked decides what it means
+            return TaskResult(value=None, error=error)
+
+    def cancel(self) -> None:
+        """The answer is not wanted any more."""
+        self.open = False
+        self._cancel.requested = True
+        if self._future is not None:
+            self._future.cancel()
+
+
+class BackgroundWorker:
+    """One lane of slow work."""
+
+    def __init__(self, executor: Executor | None = None, *, blocking: bool = True) -> None:
+        self.executor, self.blocking = executor, blocking
+        self.late = 0
+        """Answers that were not there when they were due."""
+        self.idle: Callable[[], None] = lambda: None
+        """Called now and then while the loop waits for an answer."""
+        self.ready: Callable[[Future[Any]], bool] = _there
+        """Whether an answer is there, asked at a desk that is not patient. A replay has its own opinion, and waits."""
+
+    def witnessed(self, name: str, nondeterminism: NondeterminismSource) -> "BackgroundWorker":
+        """Have it noted when answers are ready; this desk."""
+        self.ready = lambda future: nondeterminism.ask(f"{name} ready", False, lambda: _there(future))
+        return self
+
+    def submit(self, due: int, work: Callable[[Q, Cancel], A], request: Q) -> BackgroundTask[A]:
+        """Ask for ``work(request, cancel)``; the answer is taken when the caller's count has reached ``due``.
+
+        ``request`` must not change any more, and ``work`` may touch nothing else that does.
+        """
+        cancel = Cancel()
+        return BackgroundTask(self, due, lambda: work(request, cancel), cancel)
+
+    def run(self, work: Callable[[], None]) -> None:
+        """Have ``work``, which does not raise, done in its turn; nobody waits for it."""
+        if self.executor is None:
+            work()
+        else:
+            self.executor.submit(work)
+
+    def wait(self, future: "Future[A]") -> A:
+        """The result of ``future``, whatever time that takes."""
+        while not future.done():
+            try:
+                return future.result(IDLE_S)
+            except NotReadyError:
+                self.idle()
+        return future.result()
+
+    def close(self) -> None:
+        """Begin nothing any more; what is being worked on is left to end."""
+        if self.executor is not None:
+            self.executor.shutdown(wait=False, cancel_futures=True)
+
+
+def _there(future: Future[Any]) -> bool:
+    """Whether it has ended; if not, whoever works on it gets room to go on."""
+    return future.done() or bool(wait((future,), ROOM_S).done)

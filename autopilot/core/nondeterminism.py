@@ -1,0 +1,90 @@
+"""What the service is told in answer to its own questions, so that a replay can be told the same.
+
+Beside its inputs a step asks a few things whose answers do not follow from them: whether slow work is ready (in real
+time), whether a disk has kept something, whether a signature is one of our key. Every such answer that is not the usual
+one is noted with its kind and with how often that had been asked since the last note was taken; a replay
+(:class:`NondeterminismReplay`) gives it at the same question again.
+"""
+
+from collections import Counter
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from typing import Protocol, TypeAlias, TypeVar, cast
+
+Fact: TypeAlias = bool | int | str | tuple[int, str] | None
+"""What is noted: it has to survive JSON."""
+
+F = TypeVar("F", bound=Fact)
+
+
+@dataclass(frozen=True, slots=True)
+class Note:
+    """An answer that was not the usual one."""
+
+    kind: str
+    number: int
+    """The n-th question of its kind of this tick, from 1."""
+    fact: Fact
+
+
+class NondeterminismSource(Protocol):
+    """Stands beside the questions."""
+
+    def ask(self, kind: str, usual: F, find: Callable[[], F]) -> F:
+        """The answer to a question; ``find`` gets it in flight, ``usual`` is the one that need not be noted."""
+        ...
+
+    def take(self) -> tuple[Note, ...]:
+        """The notes of the tick that ends now."""
+        ...
+
+
+class NondeterminismRecorder:
+    """A flight's: asks, and notes."""
+
+    def __init__(self) -> None:
+        self._asked: dict[str, int] = {}
+        self._notes: list[Note] = []
+
+    def ask(self, kind: str, usual: F, find: Callable[[], F]) -> F:
+        """Find the answer, and note it where it is not the usual one."""
+        self._asked[kind] = self._asked.get(kind, 0) + 1
+        fact = find()
+        if fact != usual:
+            self._notes.append(Note(kind, self._asked[kind], fact))
+        return fact
+
+    def take(self) -> tuple[Note, ...]:
+        """The notes since the last call; counting begins anew."""
+        if self._asked:
+            self._asked.clear()
+        if not self._notes:
+            return ()
+        notes, self._notes = tuple(self._notes), []
+        return notes
+
+
+class NondeterminismReplay:
+    """A replay's: says what was noted."""
+
+    def __init__(self) -> None:
+        self._asked: Counter[str] = Counter()
+        self._notes: tuple[Note, ...] = ()
+        self._facts: dict[tuple[str, int], Fact] = {}
+
+    def tell(self, notes: Iterable[Note]) -> None:
+        """The answers of the tick that begins now."""
+        self._asked.clear()
+        self._notes = tuple(notes)
+        self._facts = {(note.kind, note.number): note.fact for note in self._notes}
+
+    def ask(self, kind: str, usual: F, find: Callable[[], F]) -> F:
+        """What was answered then."""
+        del find
+        self._asked[kind] += 1
+        # Notes of a kind are of the kind of its usual answer.
+        return cast(F, self._facts.get((kind, self._asked[kind]), usual))
+
+    def take(self) -> tuple[Note, ...]:
+        """What has been told."""
+        return self._notes

@@ -1,0 +1,141 @@
+"""What a vehicle can do by its file: authority and speed per axis, power, and what the file does not say."""
+
+import math
+from dataclasses import dataclass
+
+import msgspec
+import numpy as np
+
+from autopilot.core.control_allocator import ControlAllocator
+from autopilot.core.model4 import AXES, AXIS_NAMES
+from autopilot.core.thrusters import CONTROLLED, wrench_matrix
+from autopilot.core.vehicle import Vehicle
+
+CRUISE_M_S = 0.3
+"""Ahead, where the power of cruising is told."""
+
+TILTING = 1e-6
+"""Share of the thrusters' moments below which they do not push roll or pitch."""
+
+UNSOURCED = frozenset({"name", "description", "sources", "payload"})
+"""Keys that need no source."""
+
+NAMED = 8
+"""So many keys without a source are named."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class AxisSummary:
+    """One controlled axis."""
+
+    axis: str
+    authority: float
+    """Force [N], of yaw moment [N m], that the thrusters make alone and both ways, buoyancy not counted."""
+    speed: float
+    """Steady speed [m/s], of yaw [rad/s], that it gives; of heave the slower of down and up. inf without drag."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class VehicleSummary:
+    """All of it."""
+
+    axes: tuple[AxisSummary, ...]
+    hover_w: float
+    """Electrical power at rest in still water, everything that is not a thruster included."""
+    cruise_w: float
+    """The same ahead at :data:`CRUISE_M_S`."""
+    tilts: tuple[str, ...]
+    """Of roll and pitch those that the thrusters push independently of the controlled axes: levelled in flight."""
+    missing: tuple[str, ...]
+    """What the file does not say, a line each."""
+
+
+def facts_of(vehicle: Vehicle) -> VehicleSummary:
+    """From a file that has been read."""
+    allocator, model = ControlAllocator.of(vehicle), vehicle.to_model()
+    limit_n = np.array([thruster.limit_n for thruster in vehicle.thrusters])
+    reach = allocator.reach(limit_n)
+    axes = []
+    for i in range(AXES):
+        force = float(reach[i]) - (abs(model.buoyancy_excess_n) if i == 2 else 0.0)
+        speed = terminal_speed(force, model.linear_drag[i], model.quadratic_drag[i])
+        axes.append(AxisSummary(axis=AXIS_NAMES[i], authority=float(reach[i]), speed=speed))
+    ahead = model.linear_drag[0] * CRUISE_M_S + model.quadratic_drag[0] * CRUISE_M_S**2
+    return VehicleSummary(
+        axes=tuple(axes),
+        hover_w=_power_w(vehicle, allocator, 0.0),
+        cruise_w=_power_w(vehicle, allocator, ahead),
+        tilts=tilts_of(vehicle),
+        missing=tuple(_missing(vehicle)),
+    )
+
+
+def terminal_speed(force: float, linear: float, quadratic: float) -> float:
+    """Where linear and quadratic drag take that force."""
+    if force <= 0.0:
+        return 0.0
+    if quadratic == 0.0:
+        return math.inf if linear == 0.0 else force / linear
+    return (math.sqrt(linear * linear + 4.0 * quadratic * force) - linear) / (2.0 * quadratic)
+
+
+def tilts_of(vehicle: Vehicle) -> tuple[str, ...]:
+    """Of roll and pitch those that thrust can push while surge, sway, heave and yaw stay as they are."""
+    thrusters = vehicle.thrusters
+    wrench = np.array(wrench_matrix([t.position_frd_m for t in thrusters], [t.direction_frd for t in thrusters]))
+    controlled, found = wrench[list(CONTROLLED)], []
+    idle = np.eye(len(thrusters)) - np.linalg.pinv(controlled) @ controlled
+    for name, row in (("roll", 3), ("pitch", 4)):
+        if float(np.abs(wrench[row] @ idle).max()) > TILTING * max(float(np.abs(wrench[3:]).max()), TILTING):
+            found.append(name)
+    return tuple(found)
+
+
+def _power_w(vehicle: Vehicle, allocator: ControlAllocator, ahead_n: float) -> float:
+    force = np.array([ahead_n, 0.0, allocator.model.buoyancy_excess_n, 0.0])
+    thrust_n = allocator.thrust_n(force, np.array([thruster.limit_n for thruster in vehicle.thrusters]))
+    total = vehicle.hotel_power_w
+    for thruster, thrust in zip(vehicle.thrusters, thrust_n.tolist(), strict=True):
+        drive = thruster.drive
+        c = drive.power_w_n15 if thrust >= 0.0 else drive.reverse_power_w_n15 or drive.power_w_n15
+        total += c * abs(thrust) ** 1.5
+    return total
+
+
+def _missing(vehicle: Vehicle) -> list[str]:
+    said = []
+    if vehicle.camera is None:
+        said.append("no [camera]: no markers are seen; a position has to come from outside (sitl --sensors pose)")
+    if vehicle.laser is None:
+        said.append("no [laser]: no altitude by a dot; markers, depth sensor or DVL give it")
+    sources = vehicle.sources
+    lacking = [key for key in _given(vehicle) if key not in sources and key.partition(".")[0] not in sources]
+    if lacking:
+        more = f" and {len(lacking) - NAMED} more" if len(lacking) > NAMED else ""
+        said.append(f"[sources] says nothing of {', '.join(lacking[:NAMED])}{more}")
+    assumed = sum(text.startswith("assumed") for text in sources.values())
+    if assumed:
+        said.append(f'{assumed} values have "assumed" as their source: autopilot identify and calibrate replace some')
+    return said
+
+
+def _given(vehicle: Vehicle) -> list[str]:
+    """``key`` or ``table.key`` of everything that a source can be given for; what is as by default needs none."""
+    result = []
+    for field in msgspec.structs.fields(vehicle):
+        value = getattr(vehicle, field.name)
+        if field.encode_name in UNSOURCED or value is None:
+            continue
+        if isinstance(value, msgspec.Struct):
+            keys = [inner.encode_name for inner in msgspec.structs.fields(value) if not _default(inner, value)]
+            result += [f"{field.encode_name}.{key}" for key in keys]
+        else:
+            result.append(field.encode_name)
+    return result
+
+
+def _default(field: msgspec.structs.FieldInfo, table: msgspec.Struct) -> bool:
+    """Whether the table leaves that key as it is without an entry."""
+    if field.default_factory is not msgspec.NODEFAULT:
+        return bool(getattr(table, field.name) == field.default_factory())
+    return field.default is not msgspec.NODEFAULT and bool(getattr(table, field.name) == field.default)

@@ -1,0 +1,37 @@
+"""What has been said or has come lately."""
+
+from collections import OrderedDict
+from collections.abc import Hashable
+from typing import Generic, TypeVar
+
+K = TypeVar("K", bound=Hashable)
+
+MAX_RECENT = 256
+"""So many are remembered; the oldest is forgotten first. Otherwise a client that makes each one different fills it."""
+
+
+class RecentKeys(Generic[K]):
+    """Remembers keys for ``keep_us``. Asking costs the same however much comes."""
+
+    def __init__(self, keep_us: float) -> None:
+        self._keep_us = keep_us
+        self._since_us: OrderedDict[K, int] = OrderedDict()
+        """The oldest first: keys are only ever added with the present time."""
+
+    def __len__(self) -> int:
+        return len(self._since_us)
+
+    def knows(self, key: K, t_us: int) -> bool:
+        """Whether a key has been added within the time before ``t_us``."""
+        while self._since_us and not 0 <= t_us - next(iter(self._since_us.values())) < self._keep_us:
+            self._since_us.popitem(last=False)
+        return key in self._since_us
+
+    def add(self, key: K, t_us: int) -> None:
+        self._since_us[key] = t_us
+        self._since_us.move_to_end(key)
+        if len(self._since_us) > MAX_RECENT:
+            self._since_us.popitem(last=False)
+
+    def clear(self) -> None:
+        self._since_us.clear()

@@ -1,0 +1,48 @@
+"""The signing key: how a client sets it, and what the disk says of it."""
+
+from collections.abc import Callable
+
+from autopilot.core import operator_messages as notices
+from autopilot.core.clients import Reach
+from autopilot.mavlink.context import Context, MavlinkPeer
+from autopilot.mavlink.dialect import mav
+from autopilot.mavlink.inbox import Address
+from autopilot.mavlink.signing import KEY_BYTES
+from autopilot.mavlink.wire import Message
+
+
+class SigningSetup:
+    """SETUP_SIGNING (https://mavlink.io/en/guide/message_signing.html)."""
+
+    def __init__(self, ctx: Context, reach: Callable[[Address], Reach]) -> None:
+        """``reach``: how far away a client is."""
+        self._ctx, self._reach = ctx, reach
+
+    def tick(self) -> None:
+        """Signing time goes on; a key that the disk has not got is told."""
+        ctx = self._ctx
+        ctx.signing.local_may_be_silent = ctx.params["SIGN_LOCAL"] > 0.0
+        problem = ctx.signing.tick(ctx.t_us)
+        if problem:
+            ctx.say(notices.SIGNING_NOT_SAVED(problem=problem))
+
+    def on_setup(self, peer: MavlinkPeer, msg: Message) -> None:
+        """SETUP_SIGNING: only from this machine, where nobody listens on the way, and while disarmed; a key that is in
+        force has to have signed it. All zero takes the key away."""
+        ctx = self._ctx
+        if self._reach((peer.link, peer.client)) is Reach.NETWORK:
+            ctx.say(notices.KEY_FROM_NETWORK(), peer)
+        elif ctx.view.armed:
+            ctx.say(notices.KEY_WHILE_ARMED(), peer)
+        elif ctx.signing.key is not None and not msg.get_msgbuf()[2] & mav.MAVLINK_IFLAG_SIGNED:
+            ctx.say(notices.KEY_UNSIGNED(), peer)
+        else:
+            key = bytes(msg.secret_key)
+            none = key == bytes(KEY_BYTES) and msg.initial_timestamp == 0
+            if not none and key == bytes(KEY_BYTES):
+                ctx.say(notices.KEY_ZERO(), peer)
+                return
+            ctx.signing.set_key(None if none else key, msg.initial_timestamp)
+            ctx.key_changed()
+            name = peer.name
+            ctx.say(notices.SIGNING_OFF(client=name) if none else notices.SIGNING_ON(client=name))

@@ -1,0 +1,171 @@
+"""What a camera's calibration is off, found in flight: stamps that are late, a focal length that does not fit.
+
+How late stamps are is found by :mod:`.estimator.stamp_watch`. The focal length: in a level picture a wrong one passes
+for another height, which nothing denies; only where the lens bends the picture it shows, because the bend grows
+with the focal length and the height does not: every picture tells the share that fits its residuals best, and hundreds
+together are sure.
+"""
+
+import math
+
+import numpy as np
+
+from autopilot.core import operator_messages as notices
+from autopilot.core.camera import CameraModel
+from autopilot.core.frames import FloatArray
+from autopilot.core.messages import NavDoubt
+from autopilot.core.vehicle import Camera
+from autopilot.estimator.estimator_tuning import CAMERA_MONITOR, STAMP_MONITOR
+from autopilot.estimator.history import Node
+from autopilot.estimator.monitor import NOTHING, Monitor
+from autopilot.estimator.stamp_monitor import StampMonitor
+from autopilot.estimator.states import DOWN, VEL, YAW
+
+NO_CAMERA = Camera(
+    width_px=1,
+    height_px=1,
+    rate_hz=1.0,
+    focal_px=(1.0, 1.0),
+    center_px=(0.0, 0.0),
+    distortion=(0.0,) * 5,
+    position_frd_m=(0.0,) * 3,
+    latency_s=0.0,
+)
+"""Stands for the camera of a vehicle that has none: no picture of it will come."""
+
+
+def focal_estimate(
+    camera: CameraModel, pixels: FloatArray, residual_px: FloatArray, jacobian: FloatArray
+) -> tuple[float, float] | None:
+    """Share by which the focal length is too long, and its standard deviation, from one picture.
+
+    ``pixels`` (m, 2) of the corners as seen, ``residual_px`` (2m,) of the fit, seen minus fitted, and its ``jacobian``
+    (2m, k) by all that was fitted. None where a lens that does not bend tells nothing."""
+    # Of the corners as fitted: those seen hold the noise of the residuals, all the pattern that a straight lens has.
+    fitted = (pixels - np.array(camera.center_px)).reshape(-1) - residual_px
+    both = np.column_stack((fitted, residual_px))
+    across, *_ = np.linalg.lstsq(jacobian, both, rcond=None)
+    pattern, rest = (both - jacobian @ across).T
+    power = float(pattern @ pattern)
+    if power < CAMERA_MONITOR.least_power_px * CAMERA_MONITOR.least_power_px:
+        return None
+    share = float(pattern @ rest) / power
+    noise = rest - share * pattern
+    sigma = math.sqrt(float(noise @ noise) / max(len(noise) - jacobian.shape[1] - 1, 1) / power)
+    return -share, CAMERA_MONITOR.pattern_noise * sigma
+
+
+def _of_mounting(camera: Camera) -> tuple[float, float, float, float] | None:
+    """Variances forward, right, down [m^2] and of the heading that the mounting's uncertainty is worth; None = none.
+
+    A picture shows where the camera is and how it is turned; the vehicle is the lever arm away from it."""
+    x, y, z = camera.position_frd_m
+    by_x, by_y, by_z = (sigma * sigma for sigma in camera.position_sigma_m)
+    roll, pitch, yaw = (sigma * sigma for sigma in camera.mounting_sigma_rad)
+    forward = by_x + pitch * z * z + yaw * y * y
+    right = by_y + roll * z * z + yaw * x * x
+    down = by_z + roll * y * y + pitch * x * x
+    return (forward, right, down, yaw) if forward + right + down + yaw > 0.0 else None
+
+
+class CameraMonitor(Monitor):
+    """Of one estimator."""
+
+    def __init__(
+        self, camera: Camera, stamps_every_s: float = STAMP_MONITOR.look_s, floor_m: float | None = None
+    ) -> None:
+        """``floor_m``: depth of the floor with the markers, None = there is none."""
+        super().__init__()
+        self._floor_m, self._camera_down_m = floor_m, camera.position_frd_m[2]
+        self.stamps = StampMonitor(stamps_every_s)
+        self._focal_sigma = camera.focal_sigma
+        self._stamp_sigma_s = camera.time_offset_sigma_s
+        self._mounting = _of_mounting(camera)
+        self._late_reported_s: float | None = None
+        self._focal_reported = False
+        self._pictures = False
+        self._weight = self._sum = 0.0
+        self._estimates = 0
+        self.focal_share = 0.0
+        """By which the focal length is taken to be too long, 0 = it fits as far as is known."""
+        self._found_focal_sigma = 0.0
+        self._focal_pending = 0.0
+        """What else it seems to be off, not yet surely or not worth correcting."""
+
+    def height_m(self, x: FloatArray) -> float:
+        """Of the camera over the floor with the markers, 0 = there is none."""
+        return 0.0 if self._floor_m is None else max(self._floor_m - x.item(DOWN) - self._camera_down_m, 0.0)
+
+    def systematic_variance(self, t_us: int, newest: Node) -> FloatArray:
+        """See :class:`Monitor`: what the calibration's uncertainty is worth, so high above the markers."""
+        x, yaw_rate_rad_s = newest.state.x, newest.moment.inertial.yaw_rate_rad_s
+        share = math.hypot(self._found_focal_sigma or self._focal_sigma, self._focal_pending)
+        across = share * CAMERA_MONITOR.aside_m
+        late_s = math.hypot(self.stamps.sigma_s or self._stamp_sigma_s, self.stamps.unsure_s)
+        if share == late_s == 0.0 and self._mounting is None:
+            return NOTHING
+        north, east, down = x[VEL].tolist()
+        more = np.array(
+            [
+                across * across + (late_s * north) ** 2,
+                across * across + (late_s * east) ** 2,
+                (share * self.height_m(x)) ** 2 + (late_s * down) ** 2,
+                (late_s * yaw_rate_rad_s) ** 2,
+            ]
+        )
+        if self._mounting is not None:
+            forward, right, down, yaw = self._mounting
+            c2 = math.cos(x.item(YAW)) ** 2
+            more += forward * c2 + right * (1.0 - c2), forward * (1.0 - c2) + right * c2, down, yaw
+        return more
+
+    def doubts(self, t_us: int, newest: Node) -> tuple[NavDoubt, ...]:
+        """See :class:`Monitor`: that the calibration is wrong, as has been reported to the operator."""
+        still_late = self._late_reported_s is not None and abs(self.stamps.late_s) >= CAMERA_MONITOR.late_still_s
+        return (NavDoubt.CALIBRATION,) if self._focal_reported or still_late else ()
+
+    def check_stamps(self) -> bool:
+        """Whether stamps have been found to be late, or late by another time than was known."""
+        changed = self.stamps.look()
+        late_s = self.stamps.late_s
+        jumped_s, reported_s = self.stamps.jumped_s, self._late_reported_s
+        sure = 0.0 < self.stamps.sigma_s < CAMERA_MONITOR.late_share * max(abs(late_s), 2.0 * CAMERA_MONITOR.late_s)
+        if jumped_s:
+            if abs(jumped_s) >= max(CAMERA_MONITOR.late_s, CAMERA_MONITOR.jump_sigmas * self.stamps.sigma_s):
+                self.stamps.jumped_s, self._late_reported_s = 0.0, late_s
+                self._texts.append(notices.STAMPS_JUMPED(name=self._name, jump_ms=1e3 * jumped_s).text)
+        elif reported_s is None and abs(late_s) >= CAMERA_MONITOR.late_s and sure:
+            self._late_reported_s = late_s
+            what = "late" if late_s > 0.0 else "early"
+            self._texts.append(notices.STAMPS_OFF(name=self._name, off_ms=1e3 * abs(late_s), what=what).text)
+        return changed
+
+    @property
+    def _name(self) -> str:
+        """What the stamps are of: without pictures no camera is blamed."""
+        return "Picture" if self._pictures else "Pose"
+
+    def note_picture(self) -> None:
+        self._pictures = True
+
+    def update_focal(self, share: float, sigma: float) -> bool:
+        """One more picture's opinion of the focal length. True if :attr:`focal_share` has changed."""
+        weight = sigma**-2
+        keep = 1.0 - 1.0 / CAMERA_MONITOR.forget_estimates
+        self._weight, self._sum = keep * self._weight + weight, keep * self._sum + weight * (self.focal_share + share)
+        self._estimates += 1
+        mean, spread = self._sum / self._weight, self._weight**-0.5
+        prior, bend = max(self._focal_sigma, CAMERA_MONITOR.focal_prior) ** 2, CAMERA_MONITOR.bend_sigma**2 + spread**2
+        known = mean * prior / (prior + bend)
+        self._focal_pending = known - self.focal_share if abs(mean) > CAMERA_MONITOR.focal_seems * spread else 0.0
+        if self._estimates < CAMERA_MONITOR.focal_estimates or abs(mean) <= CAMERA_MONITOR.focal_sigmas * spread:
+            return False
+        if abs(known) >= CAMERA_MONITOR.focal_named and not self._focal_reported:
+            self._focal_reported = True
+            what = "long" if mean > 0.0 else "short"
+            self._texts.append(notices.FOCAL_LENGTH_OFF(percent=100.0 * abs(mean), what=what).text)
+        if abs(self._focal_pending) < (CAMERA_MONITOR.focal_step if self.focal_share else CAMERA_MONITOR.focal_share):
+            return False
+        self.focal_share, self._focal_pending = known, 0.0
+        self._found_focal_sigma = math.sqrt(prior * bend / (prior + bend))
+        return True

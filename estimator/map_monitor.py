@@ -1,0 +1,177 @@
+"""What does not lie where the map has it, found in flight and named: moved markers, swapped ids, wrong sheets."""
+
+import math
+from collections import deque
+from dataclasses import dataclass
+
+import numpy as np
+
+from autopilot.core import operator_messages as notices
+from autopilot.core.frames import FloatArray
+from autopilot.core.map_errors import STATES
+from autopilot.core.markers import ID_SPAN, MarkerMap
+from autopilot.core.messages import NavDoubt
+from autopilot.estimator.estimator_tuning import MAP_MONITOR
+from autopilot.estimator.gauge import KNOWN_SHARE, Gauge
+from autopilot.estimator.history import Node
+from autopilot.estimator.measure_pose import MarkerOutlier, PoseFix
+from autopilot.estimator.monitor import Monitor
+from autopilot.estimator.states import EAST, NORTH, SheetStates
+
+
+@dataclass
+class _MisplacedMarker:
+    """Where a marker is seen that is not where the map has it."""
+
+    count: int = 0
+    north_m: float = 0.0
+    east_m: float = 0.0
+    scatter_m2: float = 0.0
+    told: bool = False
+
+    def add(self, north_m: float, east_m: float) -> None:
+        """One more sighting; begins anew when the place is another one."""
+        off = math.hypot(north_m - self.north_m, east_m - self.east_m)
+        if self.count and off > 5.0 * MAP_MONITOR.same_m:
+            self.count, self.scatter_m2 = 0, 0.0
+        self.count += 1
+        share = 1.0 / min(self.count, 50)
+        self.scatter_m2 += share * ((off * off if self.count > 1 else 0.0) - self.scatter_m2)
+        self.north_m += share * (north_m - self.north_m)
+        self.east_m += share * (east_m - self.east_m)
+
+    @property
+    def steady(self) -> bool:
+        """Whether it is a place and no accident."""
+        return self.count >= MAP_MONITOR.sightings and self.scatter_m2 < MAP_MONITOR.same_m * MAP_MONITOR.same_m
+
+
+class MapMonitor(Monitor):
+    """Of one estimator."""
+
+    def __init__(self, markers: MarkerMap) -> None:
+        super().__init__()
+        self._markers = markers
+        errors = markers.errors
+        self._frame = None if errors is None or not any(errors.frame_sigma) else errors.frame_sigma
+        self._gauge = None if errors is None else Gauge(errors)
+        self._middle = markers.centers_ned_m.mean(axis=0).tolist()
+        self._misplaced: dict[tuple[int, int], _MisplacedMarker] = {}
+        self._strained: dict[int, deque[int]] = {}
+        self._reported_sheets: set[int] = set()
+        self._found_us: int | None = None
+
+    def systematic_variance(self, t_us: int, newest: Node) -> FloatArray:
+        """See :class:`Monitor`: what the whole map may be off at the state's place, beyond what the filter holds of its
+        sheets; negative where these were laid better than the map says."""
+        x = newest.state.x
+        more = np.zeros(4) if self._gauge is None else self._gauge.more_variance(x)
+        if self._frame is None:
+            return more
+        across, down, turn = self._frame
+        north, east = x.item(NORTH) - self._middle[0], x.item(EAST) - self._middle[1]
+        swing = turn * turn * np.array([east * east, north * north])
+        frame = [across * across + swing[0], across * across + swing[1], down * down, turn * turn]
+        result: FloatArray = more + np.array(frame)
+        return result
+
+    def doubts(self, t_us: int, newest: Node) -> tuple[NavDoubt, ...]:
+        found_of_late = self._found_us is not None and t_us - self._found_us <= MAP_MONITOR.held_us
+        return (NavDoubt.MAP,) if found_of_late else ()
+
+    def look(self, fix: PoseFix) -> None:
+        """One pose that was used, with the markers that did not fit to it."""
+        for outlier in fix.outliers:
+            place = self._misplaced.setdefault((outlier.code, outlier.marker), _MisplacedMarker())
+            place.add(outlier.north_m, outlier.east_m)
+            if place.steady:
+                self._found_us = fix.t_us
+                if not place.told:
+                    self._judge(outlier, place)
+
+    def loosened(self, fix: PoseFix, *, rejected: bool) -> list[int]:
+        """Sheets whose places become suspect by one picture more."""
+        result = []
+        suspects = set(fix.strained)
+        if rejected and fix.ground is not None and len(fix.ground.sheets) == 1:
+            suspects.add(fix.ground.sheets[0])
+        for sheet in suspects:
+            times = self._strained.setdefault(sheet, deque(maxlen=MAP_MONITOR.strains))
+            times.append(fix.t_us)
+            if len(times) == MAP_MONITOR.strains and fix.t_us - times[0] <= MAP_MONITOR.strains_us:
+                times.clear()
+                result.append(sheet)
+        return result
+
+    def laid(self, sheet: int) -> tuple[float, ...]:
+        """How well a sheet was laid (4,)."""
+        errors = self._markers.errors
+        assert errors is not None
+        return tuple(errors.sigma[sheet].tolist())
+
+    def check_sheets(self, t_us: int, states: SheetStates | None, sheets: tuple[int, ...]) -> None:
+        """Sheets of a picture: whether they lie farther off than they were said to."""
+        errors = self._markers.errors
+        if errors is None or states is None:
+            return
+        if self._gauge is not None:
+            self._gauge.look(states)
+        for sheet in sheets:
+            if sheet in self._reported_sheets or sheet not in states.which:
+                continue
+            k = STATES * states.which.index(sheet)
+            offset, variance = states.offset[k : k + STATES], states.cov.diagonal()[k : k + STATES]
+            prior = errors.sigma[sheet] ** 2
+            # Its heading is known from the first pictures on; its place is never known better than the map's frame.
+            known = variance[3] < KNOWN_SHARE * prior[3]
+            if known and float((offset * offset / (prior + variance)).sum()) > MAP_MONITOR.off_distance2:
+                self._reported_sheets.add(sheet)
+                off_mm = 1e3 * math.hypot(float(offset[0]), float(offset[1]))
+                turn_deg = math.degrees(float(offset[3]))
+                found = notices.SHEET_OFF(name=errors.names[sheet], off_mm=off_mm, turn_deg=turn_deg)
+                self._tell(t_us, found.text)
+
+    def _judge(self, outlier: MarkerOutlier, place: _MisplacedMarker) -> None:
+        markers = self._markers
+        apart = np.hypot(markers.centers_ned_m[:, 0] - place.north_m, markers.centers_ned_m[:, 1] - place.east_m)
+        nearest = int(apart.argmin())
+        name = outlier.code % ID_SPAN
+        if float(apart[nearest]) < MAP_MONITOR.taken_m and int(markers.ids[nearest]) != outlier.code:
+            other = int(markers.ids[nearest])
+            partner = self._at(other, outlier.marker)
+            if partner is not None:
+                partner.told = place.told = True
+                self._tell(self._found_us, notices.MARKERS_SWAPPED(number=name, other=other % ID_SPAN).text)
+            elif place.count >= MAP_MONITOR.alone:
+                place.told = True
+                self._tell(self._found_us, notices.MARKER_TAKES_PLACE(number=name, other=other % ID_SPAN).text)
+            return
+        place.told = True
+        if outlier.marker < 0:
+            self._tell(self._found_us, notices.MARKER_UNKNOWN(number=name).text)
+            return
+        north_m = place.north_m - float(markers.centers_ned_m[outlier.marker, 0])
+        east_m = place.east_m - float(markers.centers_ned_m[outlier.marker, 1])
+        way = _way(north_m, east_m)
+        off_cm = 100.0 * math.hypot(north_m, east_m)
+        self._tell(self._found_us, notices.MARKER_OFF(number=name, off_cm=off_cm, way=way).text)
+
+    def _at(self, code: int, index: int) -> _MisplacedMarker | None:
+        """Strays of a marker seen where the map has marker ``index``."""
+        if index < 0:
+            return None
+        center = self._markers.centers_ned_m[index]
+        for (other, _), place in self._misplaced.items():
+            near = math.hypot(place.north_m - float(center[0]), place.east_m - float(center[1])) < MAP_MONITOR.taken_m
+            if other == code and near and place.count >= MAP_MONITOR.sightings // 2:
+                return place
+        return None
+
+    def _tell(self, t_us: int | None, text: str) -> None:
+        self._found_us = t_us
+        self._texts.append(text)
+
+
+def _way(north_m: float, east_m: float) -> str:
+    eighth = round(math.atan2(east_m, north_m) / (math.pi / 4.0)) % 8
+    return ("north", "NE", "east", "SE", "south", "SW", "west", "NW")[eighth]
