@@ -1,8 +1,8 @@
-/* What a plan meets, in the common case: half-planes of a fence with few features, margins of the tube.
+/* What a plan meets: half-planes of a fence with few features in the common case, margins of the tube.
  *
- * The same numbers as autopilot/control/constraints/{features,chords,obstacles}.py and autopilot/control/robust/tube.py, which say
- * what they mean and stay for everything else: paths in forbidden ground or through walls, moving obstacles, fences with
- * many features. tests/control/test_compiled.py holds them against each other.
+ * autopilot/control/constraints/chords.py does the half-planes in all other cases: paths in forbidden ground or through walls,
+ * moving obstacles, fences with many features; tests/control/test_compiled_functions.py holds both against each other.
+ * The tube: autopilot/control/robust/tube.py.
  */
 #include <math.h>
 
