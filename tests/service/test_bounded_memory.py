@@ -49,7 +49,7 @@ def flood(fuzzer: Fuzzer, crowd: Crowd) -> dict[str, int]:
     for _ in range(TICKS):
         fuzzer.step([crowd.next() for _ in range(PER_TICK)], wild=False)
     gc.collect()
-    return tables(fuzzer._service, without=(fuzzer._nondeterminism, fuzzer.session.device))
+    return tables(fuzzer._service, without=(fuzzer._observer, fuzzer.session.device))
 
 
 def test_a_crowd_without_end_fills_no_table(tmp_path: Path) -> None:

@@ -11,13 +11,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from pymavlink.dialects.v20 import development as mav
 from service_world import ServiceWorld
-from tests.bench.fuzz.nondeterminism import BrokenRuleError
 
 from autopilot.core.params import PARAMETERS
 from autopilot.core.samples import PowerSample
 from autopilot.core.stills import CameraReport
 from autopilot.mavlink.camera_component import REQUESTS
 from tests.bench.fuzz.fuzzer import Fuzzer, Mood
+from tests.bench.fuzz.message_observer import BrokenRuleError
 from tests.bench.fuzz.messages import (
     ALL_COMMANDS,
     CAMERA_COMMANDS,

@@ -11,6 +11,7 @@ Back-offs are frozen for one QP, as the real-time iteration is one QP.
 """
 
 import math
+from typing import cast
 
 import numpy as np
 
@@ -41,8 +42,8 @@ class TubeTable:
         """(nodes, STATES_OUT + thrusters, GROUPS) without surge."""
         place = (0.0 - self.first_m_s) / self.step_m_s
         low = int(place)
-        result: FloatArray = self.variance[low] + (place - low) * (self.variance[low + 1] - self.variance[low])
-        return result
+        below, above = self.variance[low], self.variance[low + 1]
+        return cast(FloatArray, below + (place - low) * (above - below))
 
 
 def _growth(model: Model4, grid: TimeGrid, ancillary: Ancillary) -> FloatArray:

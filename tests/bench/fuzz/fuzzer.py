@@ -19,7 +19,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from tests.bench.fuzz.nondeterminism import BrokenRuleError, NondeterminismSource
 
 from autopilot.command.service import Autopilot
 from autopilot.core.clients import Reach
@@ -32,6 +31,7 @@ from autopilot.mission.fence import fence_clearance_m
 from autopilot.mission.paper import paper_plan
 from autopilot.run.config import flight_settings
 from autopilot.run.sitl_session import SitlSession, open_sitl
+from tests.bench.fuzz.message_observer import BrokenRuleError, MessageObserver
 from tests.bench.fuzz.messages import Sender, Traffic
 from tests.bench.fuzz.result import Result
 from tests.bench.fuzz.samples import Noise
@@ -74,12 +74,12 @@ class Fuzzer:
         self._rng = np.random.default_rng(seed)
         self._key = sha256(seed.to_bytes(8, "little")).digest() if signed else None
         self.session = _session(seed, folder, self._key)
-        self._nondeterminism = NondeterminismSource(self.session)
-        signing = self._nondeterminism._inside._ctx.signing
+        self._observer = MessageObserver(self.session)
+        signing = self._observer._inside._ctx.signing
         self._traffic = Traffic(seed, _clients(self._key), lambda: int(signing.stamp))
         self._operator = Traffic(seed, (Sender(OWNER, link=2, client=1, key=self._key),), lambda: int(signing.stamp))
         self._noise = Noise(seed)
-        parts: Any = replace(self.session.parts, server=self._nondeterminism)  # type: ignore[arg-type]
+        parts: Any = replace(self.session.parts, server=self._observer)  # type: ignore[arg-type]
         self._service = Autopilot(parts)
         drive = self.session.vehicle.drive
         self._neutral = (drive.neutral_us,) * len(self.session.vehicle.thrusters)
@@ -118,7 +118,7 @@ class Fuzzer:
         result.ticks += 1
         result.samples += len(samples)
         result.armed_ticks += outputs.mode.armed
-        result.accepted, result.handled = self._nondeterminism.accepted, self._nondeterminism.handled
+        result.accepted, result.handled = self._observer.accepted, self._observer.handled
         self._check(outputs)
         return outputs
 
@@ -128,9 +128,9 @@ class Fuzzer:
             raise BrokenRuleError(f"disarmed, and pulses are {pulses}")
         if any(not isinstance(p, int) or not self._low_us <= p <= self._high_us for p in pulses):
             raise BrokenRuleError(f"pulses {pulses} are beyond the drive")
-        ctx = self._nondeterminism._inside._ctx
+        ctx = self._observer._inside._ctx
         silent = ctx.quiet.issuperset(ctx.links)  # clients have asked for high latency on every link
-        if silent or any(message.get_type() == "HEARTBEAT" for message in self._nondeterminism.heard):
+        if silent or any(message.get_type() == "HEARTBEAT" for message in self._observer.heard):
             self._beat_us = self._t_us
         if self._t_us - self._beat_us > LONGEST_GAP_US:
             raise BrokenRuleError(f"no heartbeat for {1e-6 * (self._t_us - self._beat_us):.2f} s")
@@ -183,7 +183,7 @@ class Fuzzer:
 
     def _calm(self) -> None:
         """An operator who puts things right again: key, parameters, plans, and (if the vehicle can) arming."""
-        parts, inside = self.session.parts, self._nondeterminism._inside
+        parts, inside = self.session.parts, self._observer._inside
         for _ in range(BACKLOG_TICKS):
             if not inside._intake._turns:
                 break
@@ -218,7 +218,7 @@ class Fuzzer:
             problem = parts.plans.replace(kind, items)
             if problem is not None:
                 raise BrokenRuleError(f"the paper's plan is refused: {problem}")
-        self._nondeterminism.allow()
+        self._observer.allow()
         for message in (
             command(1, 1, 400, 0, 1.0, FORCE_ARM, 0.0, 0.0, 0.0, 0.0, 0.0),
             command(1, 1, 300, 0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0),
@@ -234,7 +234,7 @@ class Fuzzer:
             outputs = self.step(frames, wild=False)
             fence = parts.commander.fence
             inside_m = float(fence_clearance_m(fence, device.truth.pos_ned_m[None, :2])[0])
-            if owned and self._nondeterminism._inside._operators.in_control != OWNER:
+            if owned and self._observer._inside._operators.in_control != OWNER:
                 return False  # what was left of floods before has taken it
             if outputs.mode.armed and inside_m >= self.session.vehicle.radius_m:
                 self._keeps_fence, self._contacts = True, device.truth.contact_count

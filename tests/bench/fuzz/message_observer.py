@@ -21,7 +21,7 @@ class BrokenRuleError(AssertionError):
     """A rule that holds whatever comes in did not."""
 
 
-class NondeterminismSource:
+class MessageObserver:
     """Stands before the MAVLink server and sees what a message has changed that must not."""
 
     def __init__(self, session: SitlSession) -> None:
