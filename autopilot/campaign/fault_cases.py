@@ -113,7 +113,7 @@ CASES: tuple[FaultCase, ...] = (
         within_s=3.8,
     ),
     FaultCase(
-        rule=Failsafe.INERTIAL_MONITOR,
+        rule=Failsafe.DOUBT,
         faults=(_fault("markers_moved", offset_m=[0.2, 0.2, 0.0]),),
         params={"FS_DOUBT_ACT": 1},
         effect="hold",

@@ -202,7 +202,7 @@ ROWS: tuple[FailsafeRow, ...] = (
         arming="{silent_sensor} {silence}: check its cable",
     ),
     FailsafeRow(
-        rule=Failsafe.INERTIAL_MONITOR,
+        rule=Failsafe.DOUBT,
         condition="fixes, range, map or calibration contradict each other for 1 s ([estimation.md](estimation.md))",
         level=lambda v, f: 0.0 if v.nav_doubts.isdisjoint(_DOUBTS) else 1.0,
         enter=1.0,

@@ -31,7 +31,7 @@ SIGNATURES: dict[str, tuple[Any, ...]] = {
     "tube_back_offs": (None, _ADDRESS, _WHOLE, _WHOLE, _WHOLE, _ADDRESS, _ADDRESS, _ADDRESS, _ADDRESS),
     "steady_thrust": (_WHOLE, _ADDRESS, _WHOLE, _ADDRESS, _ADDRESS),
     "nearest_on_route": (_REAL, _WHOLE, _ADDRESS, _ADDRESS, _ADDRESS, _REAL, _REAL, _REAL, _REAL, _ADDRESS),
-    "march": (_WHOLE, _ADDRESS, _ADDRESS),
+    "rollout": (_WHOLE, _ADDRESS, _ADDRESS),
     "program_bounds": (None, _ADDRESS),
     "least_room": (_REAL, _WHOLE, _WHOLE, _ADDRESS, _WHOLE, _ADDRESS, _ADDRESS),
     "largest_gap": (_REAL, _WHOLE, _WHOLE, _WHOLE, _WHOLE, _ADDRESS, _ADDRESS),

@@ -512,7 +512,7 @@ class Failsafe(IntEnum):
     PILOT = 9
     DEAD_RECKONING = 10
     SENSOR = 11
-    INERTIAL_MONITOR = 12
+    DOUBT = 12
     BATTERY_CRITICAL = 13
     ENERGY = 14
     LEAK = 15

@@ -414,7 +414,7 @@ float64 delay_s  # from the exposure until it was stored
         values=still_values,
     ),
     RecordRow(
-        type="FlightControllerState",
+        type="Below",
         topics=("/in/below",),
         fields="""
 uint8 authority  # 0 ours, 1 the pilot's, 2 stopped

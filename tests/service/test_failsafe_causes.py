@@ -358,7 +358,7 @@ CAUSES: tuple[Cause, ...] = (
     *_silent(),
     *(
         Cause(
-            rule=Failsafe.INERTIAL_MONITOR, name=doubt.name, quantity="nav_doubts", not_before_s=0.9, within_s=2.0,
+            rule=Failsafe.DOUBT, name=doubt.name, quantity="nav_doubts", not_before_s=0.9, within_s=2.0,
             act=lambda world, doubt=doubt: world.nav.fields.update(doubts=frozenset({doubt})),  # type: ignore[misc]
         )
         for doubt in sorted(_DOUBTS, key=str)

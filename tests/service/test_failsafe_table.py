@@ -180,4 +180,4 @@ def test_doubts_raise_their_row_and_a_wrong_sensor_does_not() -> None:
     bench.status.nav_doubts = frozenset({NavDoubt.ACCELEROMETER})
     assert bench.run(1.2).failsafes == 0
     bench.status.nav_doubts = frozenset({NavDoubt.MAP})
-    assert bench.run(1.2).failsafes == 1 << Failsafe.INERTIAL_MONITOR
+    assert bench.run(1.2).failsafes == 1 << Failsafe.DOUBT

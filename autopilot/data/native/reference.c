@@ -26,8 +26,8 @@ typedef struct {
     const double *t_s, *x0, *current, *s; /* (nodes), (NX), (3), (legs + 1) */
     const Place *corner, *tangent;        /* (legs + 1), (legs) */
     double *x, *thrust;                   /* (nodes, NX), (nodes - 1, thrusters) */
-} March;
-LAYOUT(March, nodes, legs, climb_at_once, s0_m, depth_m, yaw_rad, cruise_m_s, speed_limit_m_s, heave_limit_m_s, yaw_rate_limit_rad_s,
+} RolloutArguments;
+LAYOUT(RolloutArguments, nodes, legs, climb_at_once, s0_m, depth_m, yaw_rad, cruise_m_s, speed_limit_m_s, heave_limit_m_s, yaw_rate_limit_rad_s,
        corner_ahead_m, water_share, upstream_share, slow_current_share, fast_current_share, slowest_m_s, heave_share,
        yaw_rate_share, least_depth_time_s, deceleration, t_s, x0, current, s, corner, tangent, x, thrust)
 
@@ -55,7 +55,7 @@ EXPORT long steady_thrust(const ReferenceStruct *a, long m, const double *x, dou
 
 /* Speed along a tangent that is asked for and that the limit on speed through the water allows: against a current a
  * larger share of that is used, as `water_speed_share` of way/reference.py. */
-static double ground_speed(const March *a, Place tangent) {
+static double ground_speed(const RolloutArguments *a, Place tangent) {
     const double north = a->current[0], east = a->current[1], limit = a->speed_limit_m_s;
     const double along = tangent.x * north + tangent.y * east;
     const double span = a->fast_current_share - a->slow_current_share;
@@ -86,14 +86,14 @@ EXPORT double nearest_on_route(long legs, const Place *corner, const Place *tang
     return best_s;
 }
 
-static long leg_at(const March *a, double s) {
+static long leg_at(const RolloutArguments *a, double s) {
     long leg = 0;
     while (leg < a->legs - 1 && s >= a->s[leg + 1]) leg++;
     return leg;
 }
 
 /* References (nodes, NX) and their thrust; returns as steady_thrust does. */
-EXPORT long march(const March *a, const ReferenceStruct *steady) {
+EXPORT long rollout(const RolloutArguments *a, const ReferenceStruct *steady) {
     const double length = a->s[a->legs], rest = at_least(length - a->s0_m, 0.0);
     const Place ahead = a->tangent[leg_at(a, a->s0_m + at_most(a->corner_ahead_m, 0.5 * rest))];
     const double speed = ground_speed(a, ahead), dz = a->depth_m - a->x0[Z], turn = a->yaw_rad - a->x0[YAW];
