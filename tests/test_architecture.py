@@ -17,7 +17,7 @@ rooms = importlib.util.module_from_spec(_spec)
 _spec.loader.exec_module(rooms)
 
 NAMES = "autopilot"
-CONTROL = tuple(f"control.{part}" for part in ("energy", "fence", "nmpc", "robust", "thrust", "water", "way"))
+CONTROL = tuple(f"control.{part}" for part in ("constraints", "current", "energy", "nmpc", "path", "robust", "thrust"))
 ALLOWED: dict[str, tuple[str, ...]] = {
     "core": (),
     "client": ("core",),

@@ -320,7 +320,7 @@ class MotionController:
             self._numbers,
             self._guidance,
         ):
-            first += part.take_news()
+            first += part.take_notices()
         return first
 
     @property

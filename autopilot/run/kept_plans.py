@@ -20,13 +20,13 @@ from autopilot.core.frames import FloatArray
 from autopilot.core.geodesy import Origin
 from autopilot.core.latest_value_writer import LatestValueWriter
 from autopilot.core.nondeterminism import NondeterminismRecorder, NondeterminismSource
+from autopilot.core.notice_queue import NoticeQueue
 from autopilot.core.plan import PlanKind
 from autopilot.core.state_file import Loss, StateFile
 from autopilot.mavlink.missions import CLEAR_ORDER
 from autopilot.mission.plan_model import PlanFile
 from autopilot.mission.sequencer import Position
 from autopilot.mission.store import Plans, load_plan
-from autopilot.run.outside import NoticeQueue
 from autopilot.run.plans_format import Content, PlansSnapshot, decode, encode, place_of, plan_item
 
 PLANS_KEPT = "plans kept"

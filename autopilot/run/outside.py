@@ -3,21 +3,9 @@
 from collections.abc import Sequence
 from typing import Protocol, runtime_checkable
 
-from autopilot.core.messages import Inputs, LoopStats, Outputs, Severity, ThrusterCommand
+from autopilot.core.messages import Inputs, LoopStats, Outputs, ThrusterCommand
 from autopilot.core.payload import PayloadState
 from autopilot.core.samples import CameraFrame, Sample
-
-
-class NoticeQueue:
-    """Whoever has messages for operators (severity, text), which wait for the next tick."""
-
-    def __init__(self) -> None:
-        self._notices: list[tuple[Severity, str]] = []
-
-    def take_notices(self) -> Sequence[tuple[Severity, str]]:
-        """Those since the last call."""
-        taken, self._notices = tuple(self._notices), []
-        return taken
 
 
 class VehicleIo(Protocol):

@@ -15,11 +15,11 @@ from autopilot.core import operator_messages as notices
 from autopilot.core.disk import cause_of
 from autopilot.core.errors import LogError
 from autopilot.core.messages import Inputs, LoopStats, Outputs, Severity
+from autopilot.core.notice_queue import NoticeQueue
 from autopilot.core.samples import CameraFrame
 from autopilot.log.description import RunDescription
 from autopilot.log.log_session import LoggedTruth, RunLog, SimulationRecord
 from autopilot.log.writer import Payload
-from autopilot.run.outside import NoticeQueue
 
 CLOSE_S = 30.0
 """How long the end of a run waits for a disk that does not answer."""

@@ -15,9 +15,9 @@ import numpy as np
 from autopilot.command.service_parts import ServiceParts
 from autopilot.core import operator_messages as notices
 from autopilot.core.errors import ConfigError
+from autopilot.core.notice_queue import NoticeQueue
 from autopilot.log.description import RunDescription
 from autopilot.run.clocks import LockstepClock, PacedClock
-from autopilot.run.outside import NoticeQueue
 from autopilot.run.world import WatchedService
 from autopilot.sitl.backend import SimulatedVehicle
 from autopilot.sitl.contact import Prism, Sphere

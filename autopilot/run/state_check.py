@@ -15,9 +15,9 @@ from autopilot.core.background import BackgroundTask, BackgroundWorker, Cancel
 from autopilot.core.clock import TICK_US
 from autopilot.core.disk import cause_of
 from autopilot.core.latest_value_writer import KEEP_TICKS, RETRY_TICKS
+from autopilot.core.notice_queue import NoticeQueue
 from autopilot.core.params import ParamSet
 from autopilot.core.state_file import Loss
-from autopilot.run.outside import NoticeQueue
 
 ACCEPT = "STATE_ACCEPT"
 PROBE_BYTES = 65_536

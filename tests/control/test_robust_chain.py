@@ -157,10 +157,10 @@ def test_the_operator_hears_of_limits_that_are_given_up_once() -> None:
     for _ in range(PATIENCE_STEPS - 1):
         watch.watch(1.0)
     watch.watch(0.2)
-    assert watch.take_news() == []
+    assert watch.take_notices() == []
     for _ in range(3 * PATIENCE_STEPS):
         watch.watch(1.0)
-    assert watch.take_news() == [LIMITS_GIVEN_UP()]
+    assert watch.take_notices() == [LIMITS_GIVEN_UP()]
     assert len(LIMITS_GIVEN_UP.template) <= 50, "one STATUSTEXT"
 
 

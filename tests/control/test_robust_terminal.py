@@ -167,11 +167,11 @@ def test_regions_are_certified_beside_the_loop_and_told_to_the_log_once() -> Non
         assert steps < 200
     assert steps == REGIONS.answer_steps + 1
     assert regions.certificate.samples == TERMINAL.samples
-    news = regions.take_news()
+    news = regions.take_notices()
     assert len(news) == 1 and news[0][0] is Severity.DEBUG and "Item 0: alpha" in news[0][1]
     for _ in range(2 * steps):
         regions.follow(B, math.pi, np.array([0.07, 0.0, 0.0]), 0.3225, limits, Q, R)
-    assert regions.take_news() == [], "another current, the same story"
+    assert regions.take_notices() == [], "another current, the same story"
     assert regions.law is not None and regions.law.nu[0] == pytest.approx(0.07)
     end = np.array([*B.pos_ned_m, math.pi, *regions.law.nu])
     assert regions.cost_at(end, B) is not None
@@ -196,7 +196,7 @@ def test_a_goal_without_a_region_is_something_to_mend() -> None:
     regions = TerminalRegions(SHARING, BackgroundWorker())
     for _ in range(2 * REGIONS.answer_steps):
         regions.follow(B, math.pi, np.zeros(3), -0.01, lambda: limits(clearance_m=-0.01), Q, R)
-    told = [text for severity, text in regions.take_news() if severity <= Severity.INFO]
+    told = [text for severity, text in regions.take_notices() if severity <= Severity.INFO]
     assert told == ["Item 0: beyond the clearance limit, move it"]
 
 

@@ -268,10 +268,10 @@ def test_lipschitz_growth_is_the_published_formula_and_soon_vacuous() -> None:
 def test_the_lipschitz_mode_says_how_far_it_reaches_when_it_comes_into_force() -> None:
     margins, (x, thrust) = Margins(MODEL, GRID), cruise(0.3)
     margins.back_offs(nav_with(), x, thrust, ParamSet())
-    assert margins.take_news() == []
+    assert margins.take_notices() == []
     for _ in range(3):
         margins.back_offs(nav_with(), x, thrust, ParamSet({"MPC_TIGHTEN": 2}))
-    news = margins.take_news()
+    news = margins.take_notices()
     assert len(news) == 1 and "Lipschitz sets are empty from node" in news[0][1]
 
 

@@ -16,11 +16,11 @@ import math
 import numpy as np
 
 from autopilot.control.current.current_tuning import BUOYANCY_ESTIMATOR
-from autopilot.control.notice_queue import NoticeQueue
 from autopilot.core import operator_messages as notices
 from autopilot.core.frames import FloatArray
 from autopilot.core.messages import NavHealth, NavState
 from autopilot.core.model4 import ABS_SMOOTHING_M2_S2, Model4
+from autopilot.core.notice_queue import NoticeQueue
 
 
 class BuoyancyEstimator(NoticeQueue):
@@ -104,7 +104,7 @@ class BuoyancyEstimator(NoticeQueue):
         kind = found.text.split()[0]
         if kind not in (self._told, "" if self._told != "Too" else kind):
             self._told = kind
-            self._news.append(found)
+            self._notices.append(found)
 
 
 def _down(velocity_frd_m_s: FloatArray, rpy_rad: FloatArray) -> float:

@@ -85,11 +85,11 @@ class EnergyGuidance:
         self._patience = Patience()
         self._withdraw()
         self._by_route = False
-        self._news: EnergyPlan | None = None
+        self._notices: EnergyPlan | None = None
 
-    def take_news(self) -> list[tuple[Severity, str]]:
+    def take_notices(self) -> list[tuple[Severity, str]]:
         """See :class:`autopilot.control.path.guidance.Guidance`."""
-        return self._mishaps.take_news() + self._route.take_news()
+        return self._mishaps.take_notices() + self._route.take_notices()
 
     def reference(self, situation: GuidanceInputs) -> Reference:
         """See :class:`Guidance`."""
@@ -283,7 +283,7 @@ class EnergyGuidance:
             # The next leg was planned from where the last trajectory ended.
             self._next = None
         self._flow = plan.flow
-        self._news = EnergyPlan(
+        self._notices = EnergyPlan(
             seq=plan.goal.seq,
             eta_s=plan.eta_s,
             energy_j=plan.energy_j,
@@ -293,7 +293,7 @@ class EnergyGuidance:
         return old is None or abs(track.trajectory.x[-1, YAW] - old.trajectory.x[-1, YAW]) > np.pi
 
     def _take_news(self) -> EnergyPlan | None:
-        news, self._news = self._news, None
+        news, self._notices = self._notices, None
         return news
 
     def _ask_if_needed(self, now: GuidanceInputs, off_m: float, elapsed_s: float) -> None:

@@ -36,7 +36,7 @@ class DriveGuidance:
         self._yaw_target: float | None = None
         self._way = np.zeros((1, 2))
 
-    def take_news(self) -> list[tuple[Severity, str]]:
+    def take_notices(self) -> list[tuple[Severity, str]]:
         """Nothing: whoever asked for the motion is told where it was asked for."""
         return []
 

@@ -95,7 +95,7 @@ class Guidance(Protocol):
         """(m, 2) the way from ``here`` (2,) to the goal, first row here, for display."""
         ...
 
-    def take_news(self) -> list[tuple[Severity, str]]:
+    def take_notices(self) -> list[tuple[Severity, str]]:
         """Severity and text of what the operator or the log should know since the last call."""
         ...
 
@@ -216,9 +216,9 @@ class RouteGuidance:
         self._hold: FloatArray | None = None
         self.unreachable = False
 
-    def take_news(self) -> list[tuple[Severity, str]]:
+    def take_notices(self) -> list[tuple[Severity, str]]:
         """See :class:`Guidance`."""
-        return self._mishaps.take_news()
+        return self._mishaps.take_notices()
 
     def reference(self, situation: GuidanceInputs) -> Reference:
         """See :class:`Guidance`."""

@@ -3,9 +3,9 @@
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 
-from autopilot.control.notice_queue import NoticeQueue
 from autopilot.core import operator_messages as notices
 from autopilot.core.background import BackgroundWorker
+from autopilot.core.notice_queue import NoticeQueue
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -51,10 +51,10 @@ class TaskFailures(NoticeQueue):
         """Take note of one; the operator is told when the vehicle does something else because of it (``felt``)."""
         if not self._logged:
             self._logged = True
-            self._news.append(notices.WORK_FAILED(work=self._work, kind=type(error).__name__, error=error))
+            self._notices.append(notices.WORK_FAILED(work=self._work, kind=type(error).__name__, error=error))
         if felt and not self._told:
             self._told = True
-            self._news.append(self._told_row())
+            self._notices.append(self._told_row())
 
     def succeeded(self) -> None:
         """The next one is news again."""

@@ -5,7 +5,6 @@ import math
 
 import numpy as np
 
-from autopilot.control.notice_queue import NoticeQueue
 from autopilot.control.robust.robust_tuning import FALLBACK
 from autopilot.core import model4
 from autopilot.core import operator_messages as notices
@@ -13,6 +12,7 @@ from autopilot.core.control_allocator import ControlAllocator
 from autopilot.core.frames import FloatArray, wrap_pi
 from autopilot.core.messages import Fallback
 from autopilot.core.model4 import YAW, R, U, X, Y, Z
+from autopilot.core.notice_queue import NoticeQueue
 
 TOLD = {
     Fallback.SHIFTED_PLAN: notices.FALLBACK_SHIFTED_PLAN,
@@ -40,12 +40,12 @@ class FallbackWatch(NoticeQueue):
             self._solved = 0
             if fallback not in self._told:
                 self._told.add(fallback)
-                self._news.append(row())
+                self._notices.append(row())
         elif fallback is Fallback.NONE and self._told:
             self._solved += 1
             if self._solved >= FALLBACK.over_steps:
                 self.reset()
-                self._news.append(notices.FALLBACK_OVER())
+                self._notices.append(notices.FALLBACK_OVER())
 
 
 class FiniteWatch(NoticeQueue):
@@ -63,11 +63,11 @@ class FiniteWatch(NoticeQueue):
             self._sound = 0
             self.count += 1
             if self.count == 1:
-                self._news.append(notices.CONTROL_NOT_FINITE())
+                self._notices.append(notices.CONTROL_NOT_FINITE())
         elif self.count:
             self._sound += 1
             if self._sound >= FALLBACK.over_steps:
-                self._news.append(notices.CONTROL_FINITE(count=self.count))
+                self._notices.append(notices.CONTROL_FINITE(count=self.count))
                 self.count = 0
 
 

@@ -8,7 +8,6 @@ from enum import IntEnum
 import numpy as np
 
 from autopilot.control.nmpc.grid import TimeGrid
-from autopilot.control.notice_queue import NoticeQueue
 from autopilot.control.path.reference import water_speed_share
 from autopilot.control.robust.ancillary import Ancillary
 from autopilot.control.robust.lipschitz import LipschitzMargins
@@ -20,6 +19,7 @@ from autopilot.core import operator_messages as notices
 from autopilot.core.frames import FloatArray
 from autopilot.core.messages import NavState
 from autopilot.core.model4 import NX, Model4
+from autopilot.core.notice_queue import NoticeQueue
 from autopilot.core.params import ParamSet
 
 
@@ -57,7 +57,7 @@ class Margins(NoticeQueue):
         if mode is Tighten.LIPSCHITZ:
             if not self._told:
                 self._told = True
-                self._news.append(notices.LIPSCHITZ(text=self.lipschitz.report(nav, params).text))
+                self._notices.append(notices.LIPSCHITZ(text=self.lipschitz.report(nav, params).text))
             return self.lipschitz.back_offs(nav, x, thrust_n, params)
         self._told = False
         return self._fixed.back_offs(nav, x, thrust_n, params)

@@ -5,8 +5,8 @@ Maciejowski 2000). A multiplier at the slope means that a limit is being given u
 of the workspace, an obstacle on the nose) or the weight is too small. Either is worth a word.
 """
 
-from autopilot.control.notice_queue import NoticeQueue
 from autopilot.core import operator_messages as notices
+from autopilot.core.notice_queue import NoticeQueue
 
 EXHAUSTED = 0.99
 """Share of the slope that counts as all of it (the solver's residual)."""
@@ -25,7 +25,7 @@ class PenaltyWatch(NoticeQueue):
     def reset(self) -> None:
         """Forget."""
         self._steps = 0
-        self._news = []
+        self._notices = []
 
     def watch(self, use: float) -> None:
         """One step's largest multiplier over slope."""
@@ -34,4 +34,4 @@ class PenaltyWatch(NoticeQueue):
             return
         self._steps += 1
         if self._steps == PATIENCE_STEPS:
-            self._news.append(notices.LIMITS_GIVEN_UP())
+            self._notices.append(notices.LIMITS_GIVEN_UP())

@@ -11,7 +11,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from autopilot.control.notice_queue import NoticeQueue
 from autopilot.control.robust.robust_tuning import REGIONS, TERMINAL
 from autopilot.control.robust.terminal import Certificate, Terminal, TerminalLimits, certify, terminal_law, unit_samples
 from autopilot.core import operator_messages as notices
@@ -20,6 +19,7 @@ from autopilot.core.control_allocator import ControlAllocator
 from autopilot.core.frames import FloatArray
 from autopilot.core.messages import Goal
 from autopilot.core.model4 import YAW, Model4, U
+from autopilot.core.notice_queue import NoticeQueue
 
 AT_PLACE = ("clearance", "acceptance radius", "acceptance heading", "depth", "decrease")
 """Limits of the goal's place, whatever the water does; all others are of what the vehicle can do in it."""
@@ -62,7 +62,7 @@ class TerminalRegions(NoticeQueue):
         self._current: list[float] = [0.0, 0.0, 0.0]
         self._buoyancy_n = 0.0
         self._cost: FloatArray | None = None
-        self._news = []
+        self._notices = []
         self._nu: list[float] = []
         self.law: Terminal | None = None
         self.certificate: Certificate | None = None
@@ -111,7 +111,7 @@ class TerminalRegions(NoticeQueue):
         if answer.value is not None:
             self._tell(goal, answer.value)
         else:
-            self._news.append(notices.NO_CERTIFICATE(name=_name(goal), error=answer.error))
+            self._notices.append(notices.NO_CERTIFICATE(name=_name(goal), error=answer.error))
 
     def _withdraw(self) -> None:
         if self._task is not None:
@@ -135,7 +135,7 @@ class TerminalRegions(NoticeQueue):
         if story == self._told:
             return
         self._told = story
-        self._news.append(notices.CERTIFICATE(name=name, text=certificate.text))
+        self._notices.append(notices.CERTIFICATE(name=name, text=certificate.text))
 
     def _warn(self, goal: Goal, certificate: Certificate, away_m: float) -> None:
         """What an operator can do about a goal that has no region, once. Water that is too fast to stay in matters
@@ -155,7 +155,7 @@ class TerminalRegions(NoticeQueue):
             text = notices.GOAL_LACKS_YAW_RATE(name=name)
         else:
             text = notices.GOAL_IN_CURRENT(name=name, current_m_s=float(np.linalg.norm(self._current)))
-        self._news.append(text)
+        self._notices.append(text)
 
 
 def _name(goal: Goal) -> str:
