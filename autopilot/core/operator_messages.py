@@ -341,7 +341,10 @@ ODOMETRY_FRAME = _warning("ODOMETRY in frame {frame} is not used: send MAV_FRAME
 # Controller
 
 SOLVER = _debug("Solver: {name}")
-SLOWER_SOLVER = _warning("Slower solver ({name}): see log, reinstall", "The compiled library is missing.")
+SLOWER_SOLVER = _warning(
+    "Slower solver ({name}): see log, reinstall",
+    "The compiled solver is switched off, fails its self-test or does not support this number of thrusters.",
+)
 FALLBACK_SHIFTED_PLAN = _warning(FALLBACK_TEXT + ", last plan goes on")
 FALLBACK_HOLDING = _warning(FALLBACK_TEXT + ", holding position", "Station keeping by a simpler controller.")
 FALLBACK_OVER = _info("Controller has solutions again")
