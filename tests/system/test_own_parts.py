@@ -1,6 +1,5 @@
 """Controllers, estimators and plants that are not ours, through the whole service (docs/extend.md)."""
 
-import importlib.util
 import json
 from pathlib import Path
 
@@ -32,16 +31,10 @@ def plan(folder: Path) -> str:
     return str(path)
 
 
-def test_the_page_shows_the_examples_that_are_flown() -> None:
-    spec = importlib.util.spec_from_file_location("extend_page", ROOT / "docs" / "extend.py")
-    assert spec is not None and spec.loader is not None
-    page = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(page)
-    text = page.PAGE.read_text(encoding="utf-8")
-    assert text == page.page_with_examples(), "python docs/extend.py --write"
+def test_the_page_links_every_example_that_is_flown() -> None:
+    text = (ROOT / "docs" / "extend.md").read_text(encoding="utf-8")
     examples = {path.name for path in EXAMPLES.glob("my_*.py")}
     assert len(examples) == 3 and all(f"(examples/{name})" in text for name in examples)
-    assert text.count('```python\n"""My own') == 1
 
 
 def test_a_controller_of_ones_own_flies_the_paper_tank_and_gets_the_same_report(
