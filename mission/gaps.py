@@ -71,8 +71,6 @@ def narrow_gaps(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _PillarPairs:
-    """Circle exclusions two by two."""
-
     touching: NDArray[np.intp]
     """(n, 2)"""
     near: NDArray[np.intp]
@@ -102,7 +100,7 @@ def _pillar_pairs(shapes: Sequence[FenceShape], pairs: NDArray[np.intp], width_m
 
 
 class _Union:
-    """Which shapes are one obstacle."""
+    """Union-find of shapes that overlap."""
 
     def __init__(self, count: int) -> None:
         self._parent = list(range(count))

@@ -116,7 +116,7 @@ class ReturnHome:
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class LoiterTurns:
-    """Round a place (NAV_LOITER_TURNS)."""
+    """Circle around a position (NAV_LOITER_TURNS)."""
 
     seq: int
     centre_ned_m: FloatArray | None

@@ -52,7 +52,7 @@ _NO_CHANGE = -1.0
 
 
 class OriginTable(Table, frozen=True, kw_only=True):
-    """Where local zero lies."""
+    """Geodetic position of the local origin."""
 
     lat_deg: float
     lon_deg: float
@@ -77,20 +77,20 @@ class RepeatTable(Table, frozen=True, kw_only=True):
 
 
 class EndTable(Table, frozen=True, kw_only=True):
-    """What follows the last waypoint."""
+    """Action after the last waypoint."""
 
     action: Literal["hold", "return", "surface"] = "hold"
 
 
 class PolygonTable(Table, frozen=True, kw_only=True):
-    """A prism."""
+    """A vertical prism."""
 
     points_m: list[tuple[float, float]]
     inclusion: bool = False
 
 
 class CircleTable(Table, frozen=True, kw_only=True):
-    """A cylinder."""
+    """A vertical cylinder."""
 
     x_m: float
     y_m: float
@@ -99,15 +99,11 @@ class CircleTable(Table, frozen=True, kw_only=True):
 
 
 class FenceTable(Table, frozen=True, kw_only=True):
-    """All shapes."""
-
     polygon: list[PolygonTable] = msgspec.field(default_factory=list)
     circle: list[CircleTable] = msgspec.field(default_factory=list)
 
 
 class SurfacePoint(Table, frozen=True, kw_only=True):
-    """A point at the surface."""
-
     x_m: float
     y_m: float
 

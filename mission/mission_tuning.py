@@ -5,8 +5,6 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True, slots=True)
 class CirclingTuning:
-    """Of :mod:`autopilot.mission.circling`."""
-
     pull_1_s: float = 0.6
     """How fast a distance from the circle is made good."""
     pull_share: float = 0.7
@@ -29,8 +27,6 @@ CIRCLING = CirclingTuning()
 
 @dataclass(frozen=True, slots=True)
 class GoalsTuning:
-    """Of :mod:`autopilot.mission.goals`."""
-
     stop_deceleration_m_s2: float = 0.25
     """How hard a vehicle that is told to hold brakes: from cruise speed its drag alone gives it 0.25 to 0.35 m/s^2, so
     that it comes to rest without reverse thrust and without having to come back."""
@@ -45,8 +41,6 @@ GOALS = GoalsTuning()
 
 @dataclass(frozen=True, slots=True)
 class NavItemsTuning:
-    """Of :mod:`autopilot.mission.nav_items`."""
-
     dived_m: float = 0.1
     """NAV_TAKEOFF is done within this distance of its depth."""
     max_turns: int = 10_000
@@ -62,8 +56,6 @@ NAV_ITEMS = NavItemsTuning()
 
 @dataclass(frozen=True, slots=True)
 class QgcPlanTuning:
-    """Of :mod:`autopilot.mission.qgc_plan`."""
-
     version: int = 1
     part_version: int = 2
     """Version of the mission, geoFence and rallyPoints objects."""
@@ -76,8 +68,6 @@ QGC_PLAN = QgcPlanTuning()
 
 @dataclass(frozen=True, slots=True)
 class StepGoalsTuning:
-    """Of :mod:`autopilot.mission.step_goals`."""
-
     goals_ahead: int = 2
     """A leg is planned with the next one's beginning in view, and the next leg while this one is flown."""
     sure_sigmas: float = 3.0
@@ -92,8 +82,6 @@ STEP_GOALS = StepGoalsTuning()
 
 @dataclass(frozen=True, slots=True)
 class UpstreamTuning:
-    """Of :mod:`autopilot.mission.upstream`."""
-
     reported_m_s: float = 0.1
     """Legs on which less than this is left over ground are told: a third of the usual cruise speed."""
     samples: int = 40
@@ -111,8 +99,6 @@ UPSTREAM = UpstreamTuning()
 
 @dataclass(frozen=True, slots=True)
 class ValidationTuning:
-    """Of :mod:`autopilot.mission.validation`."""
-
     depth_tolerance_m: float = 1e-3
     """Altitudes arrive as 32-bit floats."""
     place_tolerance_m: float = 0.012

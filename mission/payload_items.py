@@ -112,7 +112,7 @@ def digicam_control(item: PlanItem, origin: Origin) -> Step:
 
 
 def camera_mode(item: PlanItem, origin: Origin) -> Step:
-    """SET_CAMERA_MODE: stills only."""
+    """SET_CAMERA_MODE: only stills are supported."""
     mode = whole(item, 2, "camera mode")
     if mode not in STILLS_MODES:
         raise wrong(item, 2, "camera mode", "the camera takes stills only, use 0")

@@ -75,7 +75,6 @@ class PlanCheckInputs:
 
     @property
     def context(self) -> PlanContext:
-        """As the checks want it."""
         params = dict(zip(PLAN_PARAMETERS, self.limits, strict=True))
         return PlanContext(origin=self.origin, params=params, radius_m=self.radius_m)
 

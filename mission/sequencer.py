@@ -50,8 +50,6 @@ class Action(StrEnum):
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class SequencerOutput:
-    """Result of one tick."""
-
     goal: Goal | None
     """None while no mission runs and while the estimate is not finite."""
     progress: MissionProgress
@@ -101,7 +99,6 @@ class Sequencer:
 
     @property
     def state(self) -> ProgressState:
-        """Where the mission stands."""
         return self._run.state
 
     def load(self, steps: Sequence[Step]) -> None:

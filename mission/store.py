@@ -195,7 +195,7 @@ class Plans(PlanStore):
         return self.verdict.steps
 
     def shapes(self) -> tuple[FenceShape, ...]:
-        """The fence in local metres."""
+        """Local frame [m]."""
         return self.verdict.shapes
 
     def fence(self) -> Fence:

@@ -41,7 +41,6 @@ class SlowLeg:
         return replace(self, left_m_s=speed_m_s, time_s=left_m / speed_m_s)
 
     def text(self, least_m_s: float) -> str:
-        """One line for the operator."""
         if self.out_of_reach(least_m_s):
             return f"Item {self.seq} is out of reach: current {self.current_m_s:.2f} m/s"
         minutes = self.time_s / 60.0
@@ -108,7 +107,7 @@ class MadeGood:
 
     @property
     def left_m(self) -> float:
-        """Way that is left."""
+        """Path length left."""
         return self._left_m
 
     def forget(self) -> None:

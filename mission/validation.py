@@ -42,7 +42,7 @@ RALLY_LABEL = "rally point"
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PlanContext:
-    """What plans are judged by."""
+    """Origin, parameters and size of the vehicle that plans are checked against."""
 
     origin: Origin
     params: Mapping[str, float]

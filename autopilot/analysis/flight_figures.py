@@ -70,6 +70,5 @@ def _named(found: Mapping[str, float], name: str, unit: str) -> str:
 
 
 def moved(before: Mapping[str, float], after: Mapping[str, float]) -> Sequence[Moved]:
-    """Every figure of either."""
     names = dict.fromkeys((*before, *after))
     return [Moved(figure=name, before=before.get(name), after=after.get(name)) for name in names]

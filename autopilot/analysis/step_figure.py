@@ -42,7 +42,6 @@ def write_step_figure(view: ControlStepView, path: Path) -> Path:
 
 
 def _draw_plan(ax: Axes, view: ControlStepView) -> None:
-    """From above, north up."""
     for shape in view.fence.exclusions:
         _draw_shape(ax, shape, facecolor="#bbbbbb", edgecolor="#444444")
         if isinstance(shape, Circle):

@@ -21,8 +21,6 @@ MAX_BYTES = 4096
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LiveService:
-    """Where it is reached."""
-
     child: Child
     udp: int
     tcp: int
@@ -90,7 +88,6 @@ class Station:
             self.socket.send(message.pack(codec))
 
     def beat(self) -> None:
-        """A ground station's HEARTBEAT."""
         self.send(mav.MAVLink_heartbeat_message(mav.MAV_TYPE_GCS, mav.MAV_AUTOPILOT_INVALID, 0, 0, 4, 3))
 
     def receive(self, seconds: float = 0.05) -> list[Message]:
@@ -123,7 +120,7 @@ class Station:
         raise AutopilotError(f"no {' or '.join(names)} from the service")
 
     def meet(self, service: LiveService) -> None:
-        """Until the service has answered."""
+        """Wait until the service has answered."""
         hello = mav.MAVLink_ping_message(0, 0, 0, 0)
         self.wait(service, "PING", ask=hello)
         self.beat()

@@ -34,8 +34,6 @@ class AttitudeCheck:
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class LeverArm:
-    """Camera against AHRS."""
-
     arm_frd_m: FloatArray
     """(3,) camera minus AHRS, body frame."""
     sigma_m: FloatArray
@@ -52,7 +50,7 @@ class LeverArm:
 
 
 def mounting_rpy_rad(r_frd_from_cam: FloatArray) -> FloatArray:
-    """(3,) ``camera.mounting_rpy_rad`` of a mounting."""
+    """(3,) roll, pitch, yaw of FRD from the camera axes, as ``camera.mounting_rpy_rad``."""
     return rpy_from_r(r_frd_from_cam @ R_FRD_FROM_CAM.T)
 
 

@@ -22,8 +22,6 @@ NAMES = ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3")
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Intrinsics:
-    """A calibrated camera."""
-
     width_px: int
     height_px: int
     values: FloatArray
@@ -42,7 +40,7 @@ class Intrinsics:
 
     @property
     def view_rms_px(self) -> FloatArray:
-        """(v,)"""
+        """(v,) per view."""
         return np.array([math.sqrt(float((r**2).sum(axis=1).mean())) for r in self.residual_px])
 
     @property

@@ -25,8 +25,6 @@ from autopilot.core.frames import FloatArray
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class MotionFit:
-    """Result of :func:`fit_motion`."""
-
     r_frd_from_cam: FloatArray
     """(3, 3)"""
     late_s: float

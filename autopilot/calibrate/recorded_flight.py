@@ -20,8 +20,6 @@ from autopilot.record.estimator_setup import read_markers, read_vehicle
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class RecordedAhrs:
-    """The AHRS's samples in order."""
-
     t_s: FloatArray
     """(m,) rising."""
     rpy_rad: FloatArray

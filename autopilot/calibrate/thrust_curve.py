@@ -25,8 +25,6 @@ COLUMNS = ("pulse_us", "thrust_n", "supply_v")
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Readings:
-    """Rows of a table."""
-
     pulse_us: FloatArray
     thrust_n: FloatArray
     supply_v: FloatArray

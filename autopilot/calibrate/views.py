@@ -18,8 +18,6 @@ SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".pgm", ".webp")
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class BoardView:
-    """One image of the board."""
-
     name: str
     points_m: FloatArray
     """(n, 3) on the board."""
@@ -29,8 +27,6 @@ class BoardView:
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Views:
-    """All images of one calibration."""
-
     width_px: int
     height_px: int
     views: tuple[BoardView, ...]

@@ -48,7 +48,6 @@ class Campaign:
     tables: Tables
 
     def task(self, run: int) -> Task:
-        """Run number ``run``, from 0."""
         mine, spread = self.identity, self.scenario.spread
         return Task(
             run=run,

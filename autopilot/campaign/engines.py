@@ -74,7 +74,7 @@ def make_engine(name: str, jobs: int | None) -> CampaignEngine:
 
 
 class InProcess:
-    """One after the other, here."""
+    """Runs tasks one after the other in this process."""
 
     def run(self, tasks: Sequence[Flyable[Result]], stop: Stop) -> Iterator[Result]:
         for task in tasks:

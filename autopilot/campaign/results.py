@@ -109,7 +109,7 @@ class RunResult(msgspec.Struct, frozen=True, kw_only=True):
 
     @property
     def broken(self) -> list[str]:
-        """Bounds broken at all."""
+        """Names of the bounds broken."""
         return [name for name, margin in self.margins.items() if not margin.margin >= 0.0]
 
     @property

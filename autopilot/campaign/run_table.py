@@ -212,7 +212,6 @@ def cells(row: TableRow) -> tuple[str, ...]:
 
 
 def markdown(rows: Sequence[TableRow], pairs: Sequence[Pairing]) -> str:
-    """As docs/campaign.md has it."""
     lines = [_line(HEADS), _line(["---"] * len(HEADS)), *(_line(cells(row)) for row in rows)]
     for pair in pairs:
         lines += ["", pair_text(pair)]

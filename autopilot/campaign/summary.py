@@ -60,7 +60,6 @@ class Summary:
 
     @property
     def passed(self) -> bool:
-        """No bar is broken."""
         return all(bar.held is not False for bar in self.bars)
 
 

@@ -100,7 +100,7 @@ class TickWatch:
         return self._rows[: self._count]
 
     def column(self, name: str) -> FloatArray:
-        """(n,) one column."""
+        """(n,)"""
         return self.rows[:, COLUMNS.index(name)]
 
     @property

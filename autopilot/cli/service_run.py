@@ -30,7 +30,7 @@ class StopSignals:
             signal.signal(number, self._stop)
 
     def __bool__(self) -> bool:
-        """Whether one has come."""
+        """Whether a signal has arrived."""
         return bool(self._came)
 
     @property

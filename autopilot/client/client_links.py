@@ -26,9 +26,7 @@ class ClientLink(Protocol):
         """What has come, b"" when nothing did within the time."""
         ...
 
-    def close(self) -> None:
-        """Free the socket."""
-        ...
+    def close(self) -> None: ...
 
 
 def parse_connection(text: str) -> tuple[str, str, int]:

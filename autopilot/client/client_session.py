@@ -408,7 +408,18 @@ class VehicleConnection:
             self.poll()
 
     def disarm(self, force: bool = False) -> None:
-        """Disarm; ``force`` = emergency stop."""
+        """Disarm.
+
+        Parameters
+        ----------
+        force
+            Emergency stop: stop the thrusters even while moving.
+
+        Raises
+        ------
+        CommandRefusedError
+            The vehicle refused, with its reason.
+        """
         self.command(mav.MAV_CMD_COMPONENT_ARM_DISARM, 0.0, _FORCE_DISARM if force else 0.0)
 
     def start_mission(self, first_seq: int = 0) -> None:

@@ -26,7 +26,7 @@ class CommandSend(BaseExchange):
 
     @property
     def progress(self) -> tuple[int, int]:
-        """Per cent done, of 100."""
+        """Per cent done, and 100."""
         return self._percent, 100
 
     def begin(self, t_s: float) -> list[Message]:

@@ -31,8 +31,6 @@ class Timers:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class VehicleAddress:
-    """Address of the vehicle."""
-
     system: int = 1
     component: int = 1
 
@@ -46,7 +44,6 @@ class ExchangeResult:
 
     @property
     def accepted(self) -> bool:
-        """Whether the vehicle said yes."""
         return self.result == 0
 
 
@@ -60,16 +57,14 @@ class Exchange(Protocol):
         """Items done and items in all."""
         ...
 
-    def begin(self, t_s: float) -> list[Message]:
-        """First messages."""
-        ...
+    def begin(self, t_s: float) -> list[Message]: ...
 
     def handle(self, message: Message, t_s: float) -> list[Message]:
         """Answers to a message of the vehicle."""
         ...
 
     def tick(self, t_s: float) -> list[Message]:
-        """Repetitions that are due."""
+        """Messages to repeat now."""
         ...
 
     def grant(self, held_up_s: float) -> None:

@@ -1,4 +1,4 @@
-"""Collisions, found in the accelerometer."""
+"""Collision detection from the accelerometer."""
 
 import math
 

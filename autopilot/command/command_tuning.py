@@ -5,8 +5,6 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True, slots=True)
 class CameraWatchTuning:
-    """Of :mod:`autopilot.command.camera_watch`."""
-
     for_us: int = 500_000
     """Pictures that are all bad for so long are told of; as long a time of good ones ends it."""
     least: int = 3
@@ -27,8 +25,6 @@ CAMERA_WATCH = CameraWatchTuning()
 
 @dataclass(frozen=True, slots=True)
 class CollisionTuning:
-    """Of :mod:`autopilot.command.collision`."""
-
     base_time_s: float = 0.5
     """Over so long what a jolt is measured from is averaged: tilt, current and thrust change more slowly."""
     jolt_us: int = 300_000
@@ -40,8 +36,6 @@ COLLISION = CollisionTuning()
 
 @dataclass(frozen=True, slots=True)
 class VehicleStatusTuning:
-    """Of :mod:`autopilot.command.vehicle_status`."""
-
     latched_us: int = 2_000_000
     """A probe that has been wet counts as wet for so long: water that splashes about makes and breaks the contact."""
     frozen_readings: int = 20
@@ -61,8 +55,6 @@ VEHICLE_STATUS = VehicleStatusTuning()
 
 @dataclass(frozen=True, slots=True)
 class FaultResponseTuning:
-    """Of :mod:`autopilot.command.fault_response`."""
-
     say_every_us: int = 5_000_000
     """The same fault is said again after so long; it is counted every time."""
     shown_us: int = 5_000_000
@@ -76,8 +68,6 @@ FAULT_RESPONSE = FaultResponseTuning()
 
 @dataclass(frozen=True, slots=True)
 class MapCheckTuning:
-    """Of :mod:`autopilot.command.map_check`."""
-
     circle_places: int = 36
     lattice: int = 120
     """Places per axis at which a workspace is looked at, beside the cells that hold gaps."""
@@ -92,8 +82,6 @@ MAP_CHECK = MapCheckTuning()
 
 @dataclass(frozen=True, slots=True)
 class MissionRunTuning:
-    """Of :mod:`autopilot.command.mission_run`."""
-
     upstream_us: int = 5_000_000
     """What the current leaves of the present leg is looked at so often: a vehicle that lies still does not know it
     yet."""
@@ -108,8 +96,6 @@ MISSION_RUN = MissionRunTuning()
 
 @dataclass(frozen=True, slots=True)
 class MotorTestsTuning:
-    """Of :mod:`autopilot.command.motor_tests`."""
-
     most_share: float = 0.3
     """Of the pulse's span."""
     most_s: float = 5.0
@@ -127,8 +113,6 @@ MOTOR_TESTS = MotorTestsTuning()
 
 @dataclass(frozen=True, slots=True)
 class PhotographerTuning:
-    """Of :mod:`autopilot.command.photographer`."""
-
     min_interval_s: float = 0.2
     """Stills of full size are not taken faster."""
     min_distance_m: float = 0.01
@@ -148,8 +132,6 @@ PHOTOGRAPHER = PhotographerTuning()
 
 @dataclass(frozen=True, slots=True)
 class ServiceTuning:
-    """Of :mod:`autopilot.command.service`."""
-
     control_every_ticks: int = 5
     """The NMPC runs at 20 Hz: counted in ticks, not timed."""
     warm_at_tick: int = 100
@@ -163,8 +145,6 @@ SERVICE = ServiceTuning()
 
 @dataclass(frozen=True, slots=True)
 class FailsafeInputsTuning:
-    """Of :mod:`autopilot.command.failsafe_inputs`."""
-
     update_ticks: int = 10
     """What needs geometry is looked at so often, energy at each tenth time."""
     slow_m_s: float = 0.05
@@ -187,8 +167,6 @@ FAILSAFE_INPUTS = FailsafeInputsTuning()
 
 @dataclass(frozen=True, slots=True)
 class EnvironmentTuning:
-    """Of :mod:`autopilot.command.environment`."""
-
     known_m: float = 0.3
     """What beams end at so near to a shape of the fence is that."""
     range_us: int = 200_000
@@ -202,8 +180,6 @@ ENVIRONMENT = EnvironmentTuning()
 
 @dataclass(frozen=True, slots=True)
 class WatchTuning:
-    """Of :mod:`autopilot.command.change_watch`."""
-
     share_news: float = 0.15
     """A change of a thruster's effectiveness that is worth a message."""
     flight_us: int = 20_000_000

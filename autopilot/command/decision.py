@@ -1,4 +1,4 @@
-"""What one tick has decided."""
+"""Decision of one tick: mode, arming and goal."""
 
 from dataclasses import dataclass
 from typing import TypeAlias

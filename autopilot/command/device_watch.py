@@ -38,7 +38,6 @@ class DeviceWatch:
         return "thruster output fails" if DeviceRole.THRUSTERS in self._last_us else ""
 
     def step(self, t_us: int, troubles: Sequence[DeviceTrouble]) -> list[Event]:
-        """Lines for the operator."""
         events = []
         self.watchdog_problem = ""
         for trouble in troubles:

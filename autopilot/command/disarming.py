@@ -41,7 +41,6 @@ class Disarming:
             self._ticks, self.answer = 0, WAITING
 
     def give_up(self) -> None:
-        """It is to be armed."""
         if self.answer is WAITING:
             self.answer = CommandReply(result=CommandResult.FAILED, reason=ARMED_ANEW)
         self._ticks = None

@@ -37,8 +37,6 @@ INERTIAL = (AhrsSample, ImuSample)
 
 
 class Environment:
-    """The newest of everything."""
-
     def __init__(self, vehicle: Vehicle, params: ParamSet) -> None:
         self._params = params
         self._collisions = CollisionDetector(vehicle.to_model())
@@ -105,7 +103,6 @@ class Environment:
         self.sensed.power_w = power_w if before_w is None else before_w + share * (power_w - before_w)
 
     def _feel(self, t_us: int, sample: AhrsSample | ImuSample) -> None:
-        """What comes with every tick."""
         status, sensed = self.status, self.sensed
         sensed.inertial = sample
         sensed.vibration.note(sample.accel_frd_m_s2)

@@ -57,7 +57,6 @@ class FaultResponse:
 
     @property
     def drives(self) -> bool:
-        """Whether thrusters may turn."""
         return self._commander.armed and not self.stopped
 
     def problem(self, t_us: int) -> str:

@@ -74,7 +74,6 @@ class Photographer:
 
     @property
     def state(self) -> CameraState:
-        """What it does now."""
         sequence, survey = self._sequence, self._survey
         return CameraState(
             exposing=bool(self._under_way or self._wanted),

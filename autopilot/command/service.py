@@ -257,7 +257,6 @@ class Autopilot:
         tick.acting_n = self._actuation.send(tick.inputs.t_us)
 
     def _take_poses(self, tick: TickState) -> None:
-        """Poses that clients have measured."""
         tick.poses = self._parts.server.take_samples()
 
     def _take_tracks(self, tick: TickState) -> None:
@@ -314,7 +313,6 @@ class Autopilot:
         )
 
     def _serve_clients(self, tick: TickState) -> None:
-        """Requests of clients and telemetry."""
         inputs, view = tick.inputs, self._view
         if view is None:
             return
@@ -325,7 +323,6 @@ class Autopilot:
     # Stages: what to do
 
     def _watch_thrusters(self, tick: TickState) -> None:
-        """Late commands and lost thrust."""
         environment = self._environment
         tick.thrusters = self._actuation.learn(
             tick.inputs.t_us,
@@ -447,7 +444,6 @@ class Autopilot:
         )
 
     def _allocate(self, tick: TickState) -> None:
-        """Pulses for this tick."""
         assert tick.decision is not None
         thrust_n = self._motion.thrust_n
         tick.command = self._actuation.command(tick.inputs.t_us, thrust_n, armed=tick.decision.armed)
@@ -483,7 +479,7 @@ class Autopilot:
 
     @property
     def _goal(self) -> Goal | None:
-        """Of the last tick."""
+        """The goal of the last tick."""
         return None if self._decision is None else self._decision.goal
 
     def _take_events(self) -> list[Event]:

@@ -125,7 +125,6 @@ class VehicleStatus:
         return None if self.nav is None or self.nav.health is NavHealth.INVALID else self.nav
 
     def note(self, inputs: Inputs) -> None:
-        """What comes beside samples."""
         t_us = inputs.t_us
         self.log_lost = inputs.log_lost
         if inputs.clock_jump_s and abs(inputs.clock_jump_s) >= VEHICLE_STATUS.jump_s:

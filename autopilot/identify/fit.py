@@ -68,7 +68,6 @@ class IdentificationFit:
     rounds: int
 
     def model(self, like: Model4) -> Model4:
-        """The coefficients as a model."""
         return model_of(self.values, like)
 
 

@@ -24,8 +24,6 @@ WIDEST = 0.25
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CoefficientRow:
-    """One coefficient."""
-
     name: str
     unit: str
     before: float
@@ -113,7 +111,7 @@ def _unit(unit: str, axis: int) -> str:
 
 
 def _one(index: int) -> FloatArray:
-    """(13,) picks a coefficient."""
+    """(13,) unit vector."""
     result = np.zeros(N_COMMON - 1)
     result[index] = 1.0
     return result

@@ -83,7 +83,7 @@ class Span:
     end_s: float
 
     def holds(self, t_s: FloatArray) -> BoolArray:
-        """(n,) which times lie within."""
+        """(n,)"""
         result: BoolArray = (t_s >= self.start_s) & (t_s <= self.end_s)
         return result
 

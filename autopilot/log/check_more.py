@@ -76,7 +76,6 @@ def more_rows(flight: FlightRecord) -> list[BoundRow]:
 
 
 def way_m(track: VehicleTrack) -> float:
-    """Length of a track."""
     return float(np.linalg.norm(np.diff(track.pos_ned_m, axis=0), axis=1).sum())
 
 
@@ -145,7 +144,6 @@ def _delay_s(flight: FlightRecord, commands: MessageTable, acting: MessageTable)
 
 
 def _settling(flight: FlightRecord) -> list[BoundRow]:
-    """At goals that were held."""
     found = stays(flight)
     if not found:
         return []

@@ -79,7 +79,7 @@ def columns_of(log: Log, topic: str) -> Columns:
 
 
 def _plain(value: object) -> object:
-    """What JSON cannot say."""
+    """``default`` of ``json.dump``: bytes as their length, arrays as lists."""
     if isinstance(value, bytes | bytearray | memoryview):
         return f"{len(value)} bytes"
     if isinstance(value, np.ndarray | np.generic):

@@ -198,7 +198,6 @@ def heave_and_yaw_rate(scene: FigureScene) -> Figure | None:
 
 
 def thrusters(scene: FigureScene) -> Figure | None:
-    """What the thrusters were told."""
     table = scene.flight.table("/out/thrusters")
     if table is None:
         return None

@@ -51,7 +51,6 @@ class FigureScene:
 
     @property
     def basis(self) -> str:
-        """Name of what is drawn."""
         return "truth" if self.flight.truth is not None else "estimate"
 
     def bound(self, name: str) -> float | None:
@@ -70,7 +69,6 @@ def make_scene(log: Log) -> FigureScene:
 
 
 def lap_colors(count: int) -> list[str]:
-    """One colour per lap."""
     if count <= LISTED_LAPS:
         return list(LAP_COLORS[:count])
     shades = mpl.colormaps["viridis"](np.linspace(0.0, 0.92, count))

@@ -126,7 +126,6 @@ class Log:
 
     @property
     def attachments(self) -> Mapping[str, bytes]:
-        """Attached files by name."""
         return self._contents.attachments
 
     @cached_property
@@ -142,7 +141,7 @@ class Log:
 
     @cached_property
     def topics(self) -> Mapping[str, TopicInfo]:
-        """Every topic, sorted by name."""
+        """Sorted by name."""
         found: dict[str, TopicInfo] = {}
         for number, channel in self._contents.channels.items():
             schema = self._contents.schemas.get(channel.schema_id)

@@ -34,7 +34,6 @@ class BoundRow:
 
 
 def info(name: str, unit: str, value: float | None, note: str = "") -> BoundRow:
-    """A figure without a bound."""
     return BoundRow(name=name, unit=unit, limit=None, worst=value, margin=None, verdict=BoundVerdict.INFO, note=note)
 
 

@@ -22,8 +22,6 @@ APPROACH_M = 0.02
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Stay:
-    """One goal that was held."""
-
     seq: int
     """Mission item, -1 = none."""
     entered_s: float
@@ -36,7 +34,6 @@ class Stay:
 
 
 def stays(flight: FlightRecord) -> list[Stay]:
-    """All of them, in order."""
     goals = flight.table("/ctl/goal")
     if goals is None or not len(goals):
         return []

@@ -25,8 +25,6 @@ APART_US = 3 * 86_400_000_000
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PacketOrigin:
-    """What a packet's header says."""
-
     system: int
     component: int
     sequence: int

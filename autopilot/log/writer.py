@@ -130,7 +130,6 @@ class LogWriter:
         return writer
 
     def _prepare(self, path: Path, epoch_ns: int, lossless: bool, queue_messages: int, queue_bytes: int) -> None:
-        """Everything but the file."""
         if not FIRST_EPOCH_NS <= epoch_ns < LAST_EPOCH_NS:
             raise LogError(f"log {path}: epoch_ns = {epoch_ns} is not a Unix time in nanoseconds that ROS can hold")
         self.path = path

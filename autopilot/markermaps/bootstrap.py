@@ -22,8 +22,6 @@ from autopilot.markermaps.sightings import SheetView
 
 @dataclass(slots=True, eq=False, kw_only=True)
 class Placed:
-    """A marker with a place."""
-
     id: int
     center_ned_m: FloatArray
     r_ned_from_marker: FloatArray
@@ -35,8 +33,6 @@ class Placed:
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class TiedView:
-    """A view with a pose."""
-
     view: SheetView
     eye_ned_m: FloatArray
     r_ned_from_cam: FloatArray
@@ -46,7 +42,7 @@ class TiedView:
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Bootstrap:
-    """What could be tied together."""
+    """Views and markers with poses, and the number of views that could not be connected."""
 
     views: list[TiedView]
     markers: list[Placed]

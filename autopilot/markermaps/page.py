@@ -29,8 +29,6 @@ class PrintedText:
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class PrintedPage:
-    """One sheet of paper."""
-
     width_mm: float
     height_mm: float
     shapes: list[list[FloatArray]] = field(default_factory=list)

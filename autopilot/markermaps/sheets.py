@@ -32,8 +32,6 @@ PAPERS_MM = {
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Paper:
-    """What to print on."""
-
     width_mm: float
     height_mm: float
     margin_mm: float = 8.0

@@ -27,8 +27,6 @@ FILMS = (".mp4", ".avi", ".mkv", ".mov", ".webm", ".mjpg", ".m4v")
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class SheetView:
-    """One image."""
-
     name: str
     """Time or file."""
     ids: IntArray

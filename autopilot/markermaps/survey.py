@@ -21,8 +21,6 @@ from autopilot.markermaps.sightings import SheetView
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SurveyedMarker:
-    """One row of the report."""
-
     id: int
     dictionary: str
     fixed: bool
@@ -38,8 +36,6 @@ class SurveyedMarker:
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Survey:
-    """What came out."""
-
     markers: MarkerMap
     rows: list[SurveyedMarker]
     """One for each marker of the map."""

@@ -160,14 +160,14 @@ restart, which takes about as long."""
 
 @dataclass(frozen=True, slots=True)
 class SigningState:
-    """What outlives a run."""
+    """Signing state that is kept from run to run."""
 
     key: bytes | None
     stamp: int
     """Signing time: nothing later has been used or heard."""
 
     def __repr__(self) -> str:
-        """Without the key."""
+        """Leaves out the key."""
         return f"SigningState(key={'set' if self.key else 'none'}, stamp={self.stamp})"
 
 

@@ -78,7 +78,7 @@ class BootFiles:
     links = frozenset((0,))
 
     def __init__(self, identity: BootIdentity, send: Callable[[int, Message], None]) -> None:
-        """``send``: client and message."""
+        """``send`` takes a link and a message."""
         self._identity, self._send = identity, send
         self.t_us = 0
 
@@ -103,5 +103,5 @@ class BootFiles:
         self._send(to.client, message)
 
     def has_room(self, link: int, share: float) -> bool:
-        """Nothing else is sent yet."""
+        """Always true: nothing else is sent during the start."""
         return True

@@ -47,8 +47,6 @@ NO_LENS = "Camera has no zoom and no focus to set"
 
 
 class CameraComponent:
-    """Stills for clients."""
-
     def __init__(self, ctx: Context, orders: CameraOrders, utc_offset_us: Callable[[], int | None]) -> None:
         """``utc_offset_us``: Unix time minus service time, None as long as nobody has told it."""
         self._ctx, self._orders, self._utc_offset_us = ctx, orders, utc_offset_us

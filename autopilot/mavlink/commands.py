@@ -110,12 +110,11 @@ class _Waiting:
 
 
 def denied(reason: str) -> Reply:
-    """DENIED for a reason."""
     return Reply(CommandReply(result=CommandResult.DENIED, reason=reason))
 
 
 def action(handler: Handler) -> CommandRow:
-    """A command that changes something."""
+    """Row of a command that changes state (in contrast to a query)."""
     return CommandRow(handler=handler, action=True)
 
 
@@ -168,7 +167,6 @@ class CommandProtocol:
 
     @property
     def table(self) -> Mapping[int, CommandRow]:
-        """The commands that are understood."""
         return self._table
 
     def on_command(self, peer: MavlinkPeer, msg: Message) -> None:
@@ -202,7 +200,7 @@ class CommandProtocol:
         self._reply(peer, call.command, reply)
 
     def tick(self) -> None:
-        """Answer those who wait."""
+        """Answer commands whose result was pending."""
         for (peer, command), waiting in list(self._waiting.items()):
             answer = waiting.later()
             if answer.result is not CommandResult.IN_PROGRESS:

@@ -14,8 +14,6 @@ ACTUATORS = 6
 
 
 class EquipmentCommands:
-    """Translates commands into orders."""
-
     def __init__(self, orders: EquipmentOrders) -> None:
         self._orders = orders
 

@@ -29,8 +29,6 @@ _PLACES = (0, 1, 2, 5)
 
 
 class ExternalPoses:
-    """Takes poses of clients."""
-
     def __init__(self, ctx: Context, utc_offset_us: Callable[[], int | None]) -> None:
         """``utc_offset_us``: Unix time minus service time, None while it is not known."""
         self._ctx = ctx

@@ -14,8 +14,6 @@ BLOCK_BYTES = 1 << 16
 
 
 class FolderEntry(NamedTuple):
-    """One line of a folder."""
-
     name: str
     size: int | None
     """Bytes, None for a folder."""
@@ -62,7 +60,6 @@ class OpenFile:
             self._task = None
 
     def _take(self, tick: int) -> None:
-        """What the disk has given."""
         answer = None if self._task is None else self._task.poll(tick)
         if answer is None:
             return

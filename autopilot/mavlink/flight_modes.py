@@ -48,8 +48,6 @@ _AUTO = 4
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ModeRow:
-    """One mode on the wire."""
-
     label: str
     px4: int
     """custom_mode of px4_custom_mode.h."""

@@ -73,7 +73,7 @@ class Op(IntEnum):
 
 
 class Error(IntEnum):
-    """Reasons of a NAK."""
+    """NAK error codes of MAVLink FTP (https://mavlink.io/en/services/ftp.html)."""
 
     FAIL = 1
     INVALID_SIZE = 3
@@ -102,7 +102,6 @@ class FtpPacket:
 
     @property
     def path(self) -> str:
-        """The data as a path."""
         return self.data.split(b"\0", 1)[0].decode("utf-8", errors="replace")
 
 
@@ -140,7 +139,6 @@ class _FtpClient:
         self.waiting = self.listing = self.crc = self.burst = None
 
     def close(self) -> None:
-        """The file too."""
         self.stop()
         if self.file is not None:
             self.file.close()
@@ -192,7 +190,6 @@ class FileTransfer:
         return self._ctx.t_us // TICK_US
 
     def _begin(self, peer: MavlinkPeer, client: _FtpClient, request: FtpPacket) -> None:
-        """A request that is new."""
         match request.opcode:
             case Op.NONE:
                 self._ack(peer, client, request)
@@ -247,7 +244,7 @@ class FileTransfer:
             client.burst_asked, client.answered = request.seq, None
 
     def _go_on(self, peer: MavlinkPeer, client: _FtpClient, request: FtpPacket) -> None:
-        """What waits for the disk."""
+        """Serve a request that waits for the disk."""
         if request.opcode == Op.READ:
             self._go_on_read(peer, client, request)
         elif client.crc is not None:

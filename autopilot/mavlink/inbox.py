@@ -39,7 +39,7 @@ Handle = Callable[[Address, Message], None]
 
 @dataclass(slots=True)
 class Inbox:
-    """One client's."""
+    """Queue of one client."""
 
     address: Address
     parser: LinkParser
@@ -115,7 +115,6 @@ class MessageInbox:
         return inbox
 
     def __contains__(self, address: Address) -> bool:
-        """Whether a client is remembered."""
         return address in self._inboxes
 
     def reach(self, address: Address) -> Reach:

@@ -43,7 +43,6 @@ class _LogClient:
     file: OpenFile | None = None
 
     def stop(self) -> None:
-        """Nothing is sent any more."""
         self.entries, self.wanted = range(0), None
         if self.listing is not None:
             self.listing.cancel()
@@ -81,7 +80,6 @@ class LogDownload:
             client.listing = self._shelf.list(self._tick)  # numbers from before a restart, or of another link
 
     def on_request_end(self, peer: MavlinkPeer) -> None:
-        """LOG_REQUEST_END: nothing more."""
         self._clients.touch(peer, _LogClient).stop()
 
     def on_erase(self, peer: MavlinkPeer) -> None:

@@ -28,8 +28,6 @@ ELSEWHERE: Mapping[int, str] = {
 
 
 class Maintenance:
-    """Translates them."""
-
     def __init__(self, ctx: Context, parameters: Parameters) -> None:
         self._ctx, self._parameters = ctx, parameters
 

@@ -77,8 +77,6 @@ class Checking:
 
 @dataclass(slots=True)
 class Finished:
-    """The last upload's outcome."""
-
     peer: MavlinkPeer
     kind: PlanKind
     count: int

@@ -70,7 +70,7 @@ _LEAST_S, _MOST_S = 3.0, 60.0
 
 
 class Operators:
-    """Who is in control."""
+    """Arbitrates which ground station is in control."""
 
     def __init__(self, ctx: Context, value: Callable[[str], Message | None]) -> None:
         """``value``: PARAM_VALUE of a parameter, None if there is none of that name."""
@@ -84,7 +84,7 @@ class Operators:
 
     @property
     def in_control(self) -> int:
-        """System id, 0 = nobody."""
+        """MAVLink system id, 0 = none."""
         return 0 if self._owner is None else self._owner.sysid
 
     @property
@@ -154,7 +154,6 @@ class Operators:
 
     @property
     def reason(self) -> str:
-        """Of a refusal."""
         return f"Refused: system {self.in_control} is in control"
 
     def request(self, call: Call) -> Reply:

@@ -50,7 +50,6 @@ def encode(value: float, kind: ParamType, encoding: ParamEncoding) -> float:
 
 
 def decode(param_value: float, kind: ParamType, encoding: ParamEncoding) -> float:
-    """A value out of param_value."""
     if kind is ParamType.INT32 and encoding is ParamEncoding.BYTEWISE:
         (as_int,) = struct.unpack("<i", struct.pack("<f", param_value))
         return float(as_int)
@@ -87,7 +86,6 @@ class Parameters:
         return self._stubs[name] if name in self._stubs else self._ctx.params.spec(name)
 
     def _now(self, name: str) -> float:
-        """The value in force."""
         return self._stubs[name].default if name in self._stubs else self._ctx.params[name]
 
     def hash(self) -> int:
@@ -223,7 +221,6 @@ class Parameters:
         return bool(wire_type == (_INT32 if spec.type is ParamType.INT32 else _REAL32))
 
     def _change(self, peer: MavlinkPeer, name: str, value: float) -> bool:
-        """False = refused."""
         ctx = self._ctx
         before = ctx.params[name]
         try:

@@ -46,8 +46,6 @@ LIGHT_STEP = 0.125
 
 @dataclass(slots=True)
 class _PilotRecord:
-    """Of the pilot who steers."""
-
     peer: MavlinkPeer
     last_us: int
     sticks: Sticks
@@ -63,8 +61,6 @@ class _PilotRecord:
 
 
 class PilotInputs:
-    """The sticks of the moment."""
-
     def __init__(
         self, ctx: Context, equipment: EquipmentOrders | None = None, camera: CameraOrders | None = None
     ) -> None:

@@ -28,8 +28,6 @@ class ParamEncoding(Enum):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Profile:
-    """One identity."""
-
     name: str
     autopilot: int
     """MAV_AUTOPILOT in the heartbeat."""

@@ -62,7 +62,6 @@ class SensorMessages:
         }
 
     def tick(self) -> None:
-        """Count breaches of the fence."""
         breached = self._is_breached()
         if breached and not self._breached:
             self._breaches = min(self._breaches + 1, 0xFFFF)
@@ -207,7 +206,6 @@ class SensorMessages:
         )
 
     def vibration(self) -> Message | None:
-        """VIBRATION of the specific force."""
         if self._inertial() is None:
             return None
         shakes = map(f32, self._ctx.view.sensed.vibration.rms_m_s2)

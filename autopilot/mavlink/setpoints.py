@@ -185,7 +185,7 @@ class SetPoints:
         return nav
 
     def _displaced(self, x: float, y: float, *, body: bool) -> tuple[float, float]:
-        """From where the vehicle is."""
+        """An offset (x, y) [m] from the vehicle's position as a local position; ``body``: offset in body axes."""
         nav = self._nav()
         yaw = float(nav.rpy_rad[2]) if body else 0.0
         c, s = math.cos(yaw), math.sin(yaw)

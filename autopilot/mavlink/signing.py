@@ -95,7 +95,6 @@ class Signing:
 
     @property
     def stamp(self) -> int:
-        """Signing time now."""
         return max(self._stamp, self._base + int(self._t_us / 10 / self._patience))
 
     def tick(self, t_us: int) -> str | None:

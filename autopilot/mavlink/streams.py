@@ -82,8 +82,6 @@ SLOW_US = _S
 
 
 class LinkStreams:
-    """Schedule of one link."""
-
     def __init__(self, t_us: int) -> None:
         self.interval_us = dict(DEFAULT_INTERVAL_US)
         self.due_us: dict[int, int] = {}
@@ -122,13 +120,11 @@ class LinkStreams:
         self.due_us[msg_id] = at_us if at_us > t_us else t_us + interval_us
 
     def settle(self, t_us: int) -> None:
-        """When to look again."""
+        """Set the time of the next check."""
         self.next_us = min(self.due_us.values(), default=t_us + _S)
 
 
 class Streams:
-    """Telemetry on all links."""
-
     def __init__(self, ctx: Context, builders: Mapping[int, Builder]) -> None:
         self._ctx = ctx
         self._builders = builders

@@ -74,7 +74,6 @@ class TrafficReports:
         return tracks, gone
 
     def on_global_position_int(self, peer: MavlinkPeer, msg: Message) -> None:
-        """Another vehicle's own position."""
         if peer.compid != COMPID or (msg.lat == 0 and msg.lon == 0):
             return
         place = (deg_from_e7(msg.lat), deg_from_e7(msg.lon), msg.alt * 1e-3)
@@ -108,7 +107,7 @@ class TrafficReports:
 
     @property
     def _altitude_m(self) -> float:
-        """Our own."""
+        """Altitude of this vehicle."""
         nav, origin = self._ctx.view.nav, self._ctx.view.origin
         return origin.alt_m if nav is None else origin.alt_m - float(nav.pos_ned_m[2])
 

@@ -6,7 +6,7 @@ from autopilot.mavlink.wire import Message
 
 
 class Utility:
-    """Answers that need no state."""
+    """Handlers of messages that need no state."""
 
     def __init__(self, ctx: Context) -> None:
         self._ctx = ctx

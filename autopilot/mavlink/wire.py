@@ -95,7 +95,7 @@ class LinkParser:
 
     @property
     def backlog(self) -> int:
-        """Bytes that wait."""
+        """Bytes not parsed yet."""
         return self._queued + len(self._data) - self._pos
 
     def push(self, data: bytes) -> bool:
@@ -182,7 +182,6 @@ class LinkParser:
 
 
 def message_id(frame: bytes) -> int:
-    """Of a whole frame."""
     return frame[5] if frame[0] == V1 else int.from_bytes(frame[7:10], "little")
 
 

@@ -151,11 +151,11 @@ class _Saving:
     """Nothing is written; what became of it then, the witness knows."""
 
     def save(self, tick: int, name: str) -> int | None:
-        """Never asked: the witness answers."""
+        """Never called: the recorder replays the answer."""
         raise AssertionError("a replay asks its log")
 
     def saved(self, tick: int) -> Saved | None:
-        """Never asked: the witness answers."""
+        """Never called: the recorder replays the answer."""
         raise AssertionError("a replay asks its log")
 
 
@@ -163,9 +163,8 @@ class _Store:
     def __init__(self, key: bytes | None, stamp: int) -> None:
         self.state = SigningState(key, stamp)
 
-    def keep(self, tick: int, state: SigningState) -> None:
-        """Nothing is written."""
+    def keep(self, tick: int, state: SigningState) -> None: ...
 
     def poll(self, tick: int) -> Saved | None:
-        """Never asked: the witness answers."""
+        """Never called: the recorder replays the answer."""
         raise AssertionError("a replay asks its log")

@@ -64,7 +64,6 @@ class Child:
         return float(times.user + times.system)
 
     def works(self) -> bool:
-        """Whether it lives and computes."""
         cpu_s, now_s = self.cpu_s(), time.monotonic()
         if cpu_s is None:
             return False

@@ -39,7 +39,6 @@ class LockstepClock:
         return self._t_us
 
     def wait_until(self, t_us: int) -> int:
-        """Jump."""
         self._t_us = t_us
         return t_us
 

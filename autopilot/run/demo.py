@@ -50,7 +50,6 @@ class FlightResult:
 
     @property
     def passed(self) -> bool:
-        """No bound is broken."""
         return all(row.verdict is not BoundVerdict.FAIL for row in self.rows)
 
 

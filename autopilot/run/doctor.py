@@ -70,8 +70,7 @@ class _SettledOutputs:
                 self.samples[type(sample)].append(sample)
             self.samples[CameraFrame] += [frame.t_us for frame in frames]  # the pictures themselves fill the memory
 
-    def loop_stats(self, stats: LoopStats) -> None:
-        """Nothing."""
+    def loop_stats(self, stats: LoopStats) -> None: ...
 
     def settled(self, t_us: int, end_us: int) -> bool:
         """Whether what the service says of arming is its last word."""

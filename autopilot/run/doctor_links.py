@@ -80,7 +80,6 @@ class ListeningLink:
             self._link.send(self._beat)
 
     def recv(self, t_us: int) -> list[Received]:
-        """What others measure."""
         return [
             got._replace(data=frame)
             for got in self._link.recv(t_us)

@@ -1,4 +1,4 @@
-"""What the doctor finds."""
+"""Findings of ``doctor``: severity, text and remedy."""
 
 from dataclasses import dataclass
 from enum import Enum

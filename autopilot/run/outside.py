@@ -23,9 +23,7 @@ class VehicleIo(Protocol):
         """Images that have arrived by ``t_us``."""
         ...
 
-    def write(self, t_us: int, command: ThrusterCommand) -> None:
-        """Drive the thrusters."""
-        ...
+    def write(self, t_us: int, command: ThrusterCommand) -> None: ...
 
     # What cannot be had raises DriverError or OSError, is told to the service, and tried again on the next tick.
 
@@ -84,20 +82,14 @@ class HasWatchdog(Protocol):
 
 
 class Recorder(Protocol):
-    """Where every tick is recorded."""
-
-    def record(self, inputs: Inputs, outputs: Outputs, frames: Sequence[CameraFrame]) -> None:
-        """Log one tick."""
-        ...
+    def record(self, inputs: Inputs, outputs: Outputs, frames: Sequence[CameraFrame]) -> None: ...
 
     def loop_stats(self, stats: LoopStats) -> None:
         """Log the health of the loop."""
         ...
 
     @property
-    def dropped(self) -> int:
-        """Messages lost so far."""
-        ...
+    def dropped(self) -> int: ...
 
     @property
     def queued(self) -> tuple[int, int]:
@@ -113,13 +105,9 @@ class Recorder(Protocol):
 class Onlooker(Protocol):
     """Whoever looks on without having a say (the live view)."""
 
-    def tick(self, inputs: Inputs, outputs: Outputs, frames: Sequence[CameraFrame]) -> None:
-        """A tick is over."""
-        ...
+    def tick(self, inputs: Inputs, outputs: Outputs, frames: Sequence[CameraFrame]) -> None: ...
 
-    def loop_stats(self, stats: LoopStats) -> None:
-        """Health of the loop."""
-        ...
+    def loop_stats(self, stats: LoopStats) -> None: ...
 
 
 class Onlookers:

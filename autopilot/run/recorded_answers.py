@@ -16,7 +16,7 @@ SHELF_ASKED = "logs asked for"
 
 @dataclass(frozen=True, slots=True)
 class WitnessedSaving:
-    """Where parameters are kept (:class:`autopilot.core.params.ParamSaving`)."""
+    """A :class:`autopilot.core.params.ParamSaving` whose answers are recorded."""
 
     saving: ParamSaving
     nondeterminism: NondeterminismSource
@@ -46,7 +46,6 @@ class WitnessedStore:
 
     @property
     def state(self) -> SigningState:
-        """As found at the start."""
         return self.store.state
 
     def keep(self, tick: int, state: SigningState) -> None:

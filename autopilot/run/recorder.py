@@ -29,9 +29,7 @@ class TruthSource(Protocol):
     """What a simulated vehicle can say that a real one cannot."""
 
     @property
-    def truth(self) -> LoggedTruth:
-        """Where the vehicle really is."""
-        ...
+    def truth(self) -> LoggedTruth: ...
 
     @property
     def payload_shares(self) -> tuple[float, ...]:
@@ -40,8 +38,6 @@ class TruthSource(Protocol):
 
 
 class NullRecorder:
-    """Logs nothing."""
-
     dropped = 0
     queued = (0, 0)
     lost = False
@@ -54,14 +50,11 @@ class NullRecorder:
     def take_notices(self) -> tuple[tuple[Severity, str], ...]:
         return ()
 
-    def record(self, inputs: Inputs, outputs: Outputs, frames: Sequence[CameraFrame]) -> None:
-        """Ignore a tick."""
+    def record(self, inputs: Inputs, outputs: Outputs, frames: Sequence[CameraFrame]) -> None: ...
 
-    def loop_stats(self, stats: LoopStats) -> None:
-        """Ignore loop statistics."""
+    def loop_stats(self, stats: LoopStats) -> None: ...
 
-    def close(self) -> None:
-        """Nothing to close."""
+    def close(self) -> None: ...
 
 
 class RunRecorder(NoticeQueue):

@@ -66,7 +66,7 @@ class ServiceManager:
         self._send("STOPPING=1")
 
     def close(self) -> None:
-        """Nothing more is sent. Idempotent."""
+        """Idempotent."""
         if self._socket is not None:
             self._socket.close()
             self._socket = None

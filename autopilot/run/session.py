@@ -53,7 +53,7 @@ THREAD_SWITCH_S = 0.0005
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class PersistentState:
-    """What outlives a run."""
+    """State that is kept from run to run."""
 
     folder: Path
     """Where."""

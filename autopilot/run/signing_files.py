@@ -75,7 +75,7 @@ class SigningFiles:
 
     @property
     def state(self) -> SigningState:
-        """As found."""
+        """The state read at the start."""
         return self._state
 
     def keep(self, tick: int, state: SigningState) -> None:

@@ -219,7 +219,7 @@ class Steering(NoticeQueue):
         return " ".join((f"Fault {fault.__struct_config__.tag}", *which))
 
     def _faults(self) -> tuple[FaultOffer, ...]:
-        """Faults that make sense here."""
+        """Faults that this vehicle and simulation can have."""
         offers = [
             ("Camera or tracking silent for 10 s", {"kind": "camera_blackout", "duration_s": 10.0}),
             ("Shove to the north, 20 N for 2 s", _shove(20.0, 0.0)),

@@ -155,7 +155,7 @@ class SimulatedWorld(World):
         self.device = self.truth_source = SimulatedDevice(self._vehicle, len(self.told.vehicle.thrusters))
 
     def epoch_ns(self) -> int:
-        """The same for all runs."""
+        """Constant, for reproducible logs."""
         return SITL_EPOCH_NS
 
     def finish_plan(self, plan: PlanFile) -> tuple[PlanFile, tuple[str, ...]]:

@@ -30,7 +30,7 @@ PNG_LEVEL = 1
 
 
 class StillLog(Protocol):
-    """Where stills are kept (:class:`autopilot.run.recorder.RunRecorder`)."""
+    """Record of the stills taken (:class:`autopilot.run.recorder.RunRecorder`)."""
 
     @property
     def path(self) -> Path | None:
@@ -127,7 +127,7 @@ class StillStore:
         self._writing.append((still, self._worker.submit(tick + DUE_TICKS, _store, picture)))
 
     def _path_for_clients(self, file: Path) -> str:
-        """As :class:`autopilot.log.directory_reader.LogShelf` names it."""
+        """Path relative to the log directory, as :class:`autopilot.log.directory_reader.LogShelf` lists it."""
         try:
             return file.resolve().relative_to(self._folder.resolve()).as_posix()
         except ValueError:

@@ -144,7 +144,6 @@ class World(ABC):
         return plan, ()
 
     def watched(self, parts: ServiceParts) -> WatchedService:
-        """What viewers see of it."""
         return WatchedService(parts, lambda: self.describe(parts))
 
     @abstractmethod
@@ -160,13 +159,13 @@ class World(ABC):
         return ()
 
     def refusals(self, t_us: int) -> tuple[str, ...]:
-        """What it has against arming."""
+        """Reasons of the world not to arm, empty = none."""
         return ()
 
     def hold(self, t_us: int) -> bool:
-        """Whether time stands still."""
+        """Whether the simulation is paused."""
         return False
 
     def mishaps(self, inputs: Inputs) -> Inputs:
-        """What befalls the machine."""
+        """The inputs with the injected sensor faults."""
         return inputs

@@ -24,7 +24,7 @@ FLOW_S = 1.0
 
 
 def limit_s(period_s: float) -> float:
-    """Of what comes that often."""
+    """Age above which a value of this period is stale."""
     return max(LEAST_S, MISSED * period_s)
 
 

@@ -20,12 +20,10 @@ _Flow = Annotated[float, msgspec.Meta(ge=-MAX_FLOW_M_S, le=MAX_FLOW_M_S)]
 _Place = Annotated[float, msgspec.Meta(ge=-1e5, le=1e5)]
 
 
-class Pause(Table, frozen=True, kw_only=True, tag_field="do", tag="pause"):
-    """Time stands still."""
+class Pause(Table, frozen=True, kw_only=True, tag_field="do", tag="pause"): ...
 
 
-class Go(Table, frozen=True, kw_only=True, tag_field="do", tag="go"):
-    """Time goes on."""
+class Go(Table, frozen=True, kw_only=True, tag_field="do", tag="go"): ...
 
 
 class Speed(Table, frozen=True, kw_only=True, tag_field="do", tag="speed"):
@@ -34,8 +32,7 @@ class Speed(Table, frozen=True, kw_only=True, tag_field="do", tag="speed"):
     value: Annotated[float, msgspec.Meta(ge=MIN_SPEED, le=MAX_SPEED)]
 
 
-class Reset(Table, frozen=True, kw_only=True, tag_field="do", tag="reset"):
-    """The run begins anew."""
+class Reset(Table, frozen=True, kw_only=True, tag_field="do", tag="reset"): ...
 
 
 class DragCurrent(Table, frozen=True, kw_only=True, tag_field="do", tag="current"):
@@ -54,8 +51,6 @@ class DragObstacle(Table, frozen=True, kw_only=True, tag_field="do", tag="obstac
 
 
 class CallFault(Table, frozen=True, kw_only=True, tag_field="do", tag="fault"):
-    """A fault begins."""
-
     fault: dict[str, object]
     """A scenario's ``[[fault]]`` table without ``at_s``."""
 
@@ -84,9 +79,7 @@ class Controls(Protocol):
         ...
 
     @property
-    def steered(self) -> Steered:
-        """How things stand."""
-        ...
+    def steered(self) -> Steered: ...
 
     def flow(self, t_s: float, depth_m: float) -> FlowView | None:
         """The simulated current, None on a real vehicle; from the view's thread."""

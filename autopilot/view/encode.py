@@ -165,7 +165,7 @@ def _number(value: float) -> float:
 
 
 def _age_s(t_us: int, since_us: int) -> float:
-    """In the vehicle's time."""
+    """Age in vehicle time."""
     return _number(1e-6 * max(t_us - since_us, 0))
 
 

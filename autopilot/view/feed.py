@@ -78,9 +78,7 @@ class Watched(Protocol):
         """The run as things stand now."""
         ...
 
-    def fence(self) -> Fence:
-        """The fence in force."""
-        ...
+    def fence(self) -> Fence: ...
 
     def truth(self) -> TruthSeen | None:
         """Where a simulated vehicle really is."""

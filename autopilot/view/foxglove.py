@@ -158,16 +158,14 @@ class _Messages:
         self._server.put(topic, self.epoch_ns + 1000 * t_us, payload)
 
     def write_packet(self, t_us: int, packet: bytes) -> None:
-        """A ``.tlog`` has no viewers."""
+        """Ignored: a ``.tlog`` packet has no live channel."""
 
     def attach(self, name: str, t_us: int, data: Payload) -> None:
-        """Attachments belong to files."""
+        """Ignored: only files have attachments."""
 
-    def end(self) -> None:
-        """Nothing is left to do."""
+    def end(self) -> None: ...
 
-    def close(self, timeout_s: float | None = None) -> None:
-        """Nothing is left to do."""
+    def close(self, timeout_s: float | None = None) -> None: ...
 
 
 class LiveLog:

@@ -138,8 +138,7 @@ class _Handler(BaseHTTPRequestHandler):
     server_version = "autopilot"
     sys_version = ""
 
-    def log_message(self, format: str, *args: object) -> None:
-        """Say nothing."""
+    def log_message(self, format: str, *args: object) -> None: ...
 
     def do_GET(self) -> None:
         """The page, its files, its stream."""

@@ -96,8 +96,6 @@ class SceneView(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Estimate(msgspec.Struct, frozen=True, kw_only=True):
-    """What the vehicle believes."""
-
     age_s: float
     health: str
     pos_ned_m: Point3
@@ -113,7 +111,7 @@ class Estimate(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class TrueState(msgspec.Struct, frozen=True, kw_only=True):
-    """What only a simulation knows."""
+    """Ground truth, in simulations only."""
 
     pos_ned_m: Point3
     rpy_rad: Point3
@@ -179,8 +177,6 @@ class Control(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class SensorView(msgspec.Struct, frozen=True, kw_only=True):
-    """An aiding sensor's last measurement."""
-
     name: str
     state: str
     test_ratio: float

@@ -46,11 +46,11 @@ class MissionMode(FlightModeBehaviour):
         return denied(f"Mission denied: {reason}") if reason else None
 
     def enter(self, nav: NavState | None) -> None:
-        """Go on where it stands."""
+        """Continue at the current item."""
         self._mission.start(self._operator.t_us, nav)
 
     def leave(self) -> None:
-        """It stays where it stands."""
+        """The current item is kept."""
         self._mission.sequencer.pause()
 
     def step(self, status: VehicleStatus, nav: NavState) -> ModeStep:
@@ -78,7 +78,7 @@ class ReturnMode(FlightModeBehaviour):
     changes_depth = False
 
     def refusal(self, status: VehicleStatus | None, *, armed: bool) -> CommandReply | None:
-        """Home beyond the fence."""
+        """Refused while home is outside the fence."""
         refusal = self._goals.refuse_home()
         return denied(f"Return denied: {refusal}") if refusal else None
 

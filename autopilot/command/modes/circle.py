@@ -29,7 +29,6 @@ class CircleMode(FlightModeBehaviour):
         return f"Circle denied: {reason}" if reason else ""
 
     def step(self, status: VehicleStatus, nav: NavState) -> ModeStep:
-        """Until its turns are made."""
         if self._circle is None:
             return GO_ON
         goal = self._circle.goal(nav)
@@ -39,7 +38,6 @@ class CircleMode(FlightModeBehaviour):
         return ModeStep(goal=goal, enter=FlightMode.HOLD)
 
     def go_to_depth(self, depth_m: float) -> str | None:
-        """The circle at another depth."""
         if self._circle is None:
             return "there is no circle"
         reason = self._goals.refuse_depth(depth_m)

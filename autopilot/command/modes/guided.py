@@ -51,7 +51,6 @@ class GuidedMode(FlightModeBehaviour):
         self._forget()
 
     def step(self, status: VehicleStatus, nav: NavState) -> ModeStep:
-        """As long as they come."""
         if self._alive(status.t_us):
             return ModeStep(goal=self._followed(nav))
         self._operator.say(notices.SETPOINTS_STOPPED())

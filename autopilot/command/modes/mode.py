@@ -25,7 +25,7 @@ def denied(reason: str) -> CommandReply:
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class ModeContext:
-    """What modes are made of."""
+    """Dependencies that all modes share."""
 
     vehicle: Vehicle
     params: ParamSet
@@ -87,8 +87,7 @@ class FlightModeBehaviour:
         """Before it is chosen without more words: why that is not possible, "" if it is."""
         return ""
 
-    def enter(self, nav: NavState | None) -> None:
-        """It begins here."""
+    def enter(self, nav: NavState | None) -> None: ...
 
     def leave(self) -> None:
         """Another one begins, or a failsafe acts."""

@@ -49,7 +49,7 @@ class _Held:
 
 
 class PilotedMode(FlightModeBehaviour):
-    """Sticks to goals and forces."""
+    """Maps the sticks to goals and forces."""
 
     steered = True
     holds_heading: ClassVar[bool] = True
@@ -167,7 +167,6 @@ class PilotedMode(FlightModeBehaviour):
         return float(rest.pos_ned_m[2]) if self._held.depth_m is None else self._held.depth_m
 
     def _let_go_of_depth(self) -> None:
-        """The stick is out."""
         self._held.depth_m = None
 
     def _yaw_rate(self) -> float:
@@ -182,14 +181,14 @@ class PilotedMode(FlightModeBehaviour):
 
 
 class ManualMode(PilotedMode):
-    """Sticks are thrust."""
+    """Sticks are forces and moments, without feedback."""
 
     name = FlightMode.MANUAL
     needs_position = holds_heading = holds_depth = False
 
 
 class StabilizeMode(PilotedMode):
-    """As manual, heading held."""
+    """Manual with heading hold."""
 
     name = FlightMode.STABILIZE
     needs_position = holds_depth = False
@@ -202,7 +201,7 @@ class DepthHoldMode(PilotedMode):
     needs_position = False
 
     def refusal(self, status: VehicleStatus | None, *, armed: bool) -> CommandReply | None:
-        """Neither position nor depth."""
+        """Refused while there is neither an estimate nor a depth."""
         if not armed or status is None or status.estimate is not None:
             return None
         felt = status.felt(status.t_us)

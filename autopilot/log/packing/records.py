@@ -77,7 +77,7 @@ def reader_of(
 
 
 def absent(value: float) -> float | None:
-    """None for NaN."""
+    """NaN as None."""
     return None if math.isnan(value) else value
 
 
@@ -96,7 +96,7 @@ def _packed(field: CdrField, hint: Any) -> str:
 
 
 def _returned(of: type | None, name: str) -> Any:
-    """The type of a property."""
+    """Return annotation of a property."""
     return get_type_hints(getattr(of, name).fget)["return"] if of is not None else None
 
 

@@ -71,8 +71,6 @@ class FlightControllerNote(msgspec.Struct, frozen=True, omit_defaults=True):
 
 
 class StepNotes(msgspec.Struct, frozen=True, omit_defaults=True, kw_only=True):
-    """One tick's."""
-
     rx: tuple[Datagram, ...] = ()
     keys: tuple[KeyPacket, ...] = ()
     between: tuple[tuple[int | None, int], ...] = ()
