@@ -1,4 +1,4 @@
-"""Who flies the runs: this process, a pool of processes on this machine, or a Dask cluster."""
+"""Engines that fly the runs of a campaign: this process, a process pool, or a Dask cluster."""
 
 import asyncio
 import concurrent.futures as cf
@@ -44,14 +44,30 @@ Result_co = TypeVar("Result_co", covariant=True)
 
 
 class Flyable(Protocol[Result_co]):
-    """One run, complete in itself and fit to be sent to another process."""
+    """One picklable run."""
 
     def fly(self, stop: Stop) -> Result_co | None:
-        """The result, None if ``stop`` said so before the end. AutopilotError if it cannot be flown."""
+        """Fly the run.
+
+        Parameters
+        ----------
+        stop
+            Polled during the run; True ends it.
+
+        Returns
+        -------
+        Result or None
+            None if ``stop`` ended the run.
+
+        Raises
+        ------
+        AutopilotError
+            The run cannot be flown.
+        """
         ...
 
     def failed(self, error: str) -> Result_co:
-        """The result of a run that could not be flown."""
+        """Result of a run that could not be flown; ``error`` is the reason in one line."""
         ...
 
 
@@ -59,12 +75,42 @@ class CampaignEngine(Protocol):
     """Flies tasks in any order."""
 
     def run(self, tasks: Sequence[Flyable[Result]], stop: Stop) -> Iterator[Result]:
-        """Results as they come; ends early, without results of unfinished runs, when ``stop`` says so."""
+        """Fly all tasks.
+
+        Parameters
+        ----------
+        tasks
+            Independent of each other; flown in any order.
+        stop
+            Polled; True ends the iteration early, without results of unfinished runs.
+
+        Yields
+        ------
+        Result
+            In the order of completion.
+        """
         ...
 
 
 def make_engine(name: str, jobs: int | None) -> CampaignEngine:
-    """``local``, ``dask`` or ``dask+tcp://HOST:PORT``; ``jobs`` None = one per core. ConfigError if unknown."""
+    """Engine by name.
+
+    Parameters
+    ----------
+    name
+        ``local``, ``dask`` or ``dask+tcp://HOST:PORT``.
+    jobs
+        Number of processes, None = one per core.
+
+    Returns
+    -------
+    CampaignEngine
+
+    Raises
+    ------
+    ConfigError
+        The name is unknown, or dask.distributed is not installed.
+    """
     count = jobs or os.cpu_count() or 1
     if name == "local":
         return InProcess() if count == 1 else LocalPool(count)
@@ -184,7 +230,7 @@ _halt: Any = None
 
 
 def _begin_worker(halt: Any) -> None:
-    """Once per process: interrupts are the parent's business; what is imported needs no garbage collection."""
+    """Initialiser of a worker process: ignores SIGINT (the parent handles it) and freezes the imports (gc)."""
     global _halt
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
@@ -193,7 +239,7 @@ def _begin_worker(halt: Any) -> None:
 
 
 def _settle() -> None:
-    """Import what a run needs, which then needs no garbage collection."""
+    """Import the modules of a run and exclude them from garbage collection."""
     importlib.import_module(WORKER)
     gc.collect()
     gc.freeze()
@@ -205,7 +251,7 @@ def _fly_in_worker(task: Flyable[Result]) -> Result | None:
 
 @contextmanager
 def _single_threaded() -> Iterator[None]:
-    """Processes that begin meanwhile use one thread for linear algebra: several runs would only wait for each other."""
+    """Child processes started meanwhile use one BLAS thread: parallel runs would compete for cores."""
     before = {name: os.environ.get(name) for name in THREAD_VARIABLES}
     os.environ.update(dict.fromkeys(THREAD_VARIABLES, "1"))
     try:
@@ -310,7 +356,7 @@ class DaskCluster:
         )
 
     def _see_workers(self, client: Any) -> None:
-        """ConfigError if nobody works there, or with another version of this package."""
+        """ConfigError if there is no worker, or one with another version of this package."""
         try:
             client.wait_for_workers(1, timeout=FIRST_WORKER_S)
         except TimeoutError as error:
@@ -333,7 +379,7 @@ class DaskCluster:
 
     @contextmanager
     def _quiet(self) -> Iterator[None]:
-        """What the cluster says of lost workers is said by the engine."""
+        """Silence Dask's log messages about lost workers; the engine reports them."""
         names = [name for name in logging.root.manager.loggerDict if name.split(".")[0] in CHATTY]
         before = {name: logging.getLogger(name).level for name in names}
         for name in before:
@@ -370,5 +416,5 @@ class DaskCluster:
 
 
 def _version() -> str:
-    """Of this package, where it runs."""
+    """Version of this package in the process that calls it."""
     return __version__

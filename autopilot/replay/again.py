@@ -1,4 +1,4 @@
-"""The service that is made once more from the record in its log."""
+"""Rebuilds the service from the record in its log."""
 
 from collections.abc import Iterable
 from pathlib import Path

@@ -33,7 +33,7 @@ LATE_FROM = 240
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class AttitudeGap:
-    """Two attitudes that are too far apart."""
+    """Two consecutive attitudes that are too far apart."""
 
     at_s: float
     """Since the first attitude, by arrival."""
@@ -50,7 +50,7 @@ class AttitudeGap:
     """Of these, packets that a later one of the same sender had overtaken, or that came twice."""
 
     def reason(self, median_s: float) -> str:
-        """What the file shows of its cause, "" if nothing."""
+        """Cause of the gap as shown by the file, "" if there is none. ``median_s``: median interval [s]."""
         if self.sender_s == 0.0:
             return "the same attitude twice" if self.late else "two attitudes with the same stamp"
         if self.sender_s < 0.0 and self.late:
@@ -71,7 +71,7 @@ class AttitudeGap:
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class TlogReplay:
-    """What a file holds, by its first autopilot."""
+    """Regularity of the attitude of a .tlog file's first autopilot."""
 
     attitudes: int
     duration_s: float
@@ -85,7 +85,7 @@ class TlogReplay:
 
     @property
     def unexplained(self) -> list[AttitudeGap]:
-        """Gaps of which the file does not show the cause."""
+        """Gaps without a cause in the file."""
         return [gap for gap in self.gaps if not gap.reason(self.median_s)]
 
 
@@ -100,7 +100,23 @@ class _Reading:
 
 
 def replay_tlog(path: Path) -> TlogReplay:
-    """Read and replay. LogError if the file cannot be read or holds fewer than two attitudes."""
+    """Analyse the attitude messages of a .tlog file.
+
+    Parameters
+    ----------
+    path
+        The file.
+
+    Returns
+    -------
+    TlogReplay
+        Of the first autopilot in the file.
+
+    Raises
+    ------
+    LogError
+        The file cannot be read or holds fewer than two attitudes.
+    """
     reading = _read(path)
     if reading.messages == 0:
         raise LogError(f"{path}: holds no MAVLink message; give the .tlog of a ground station")
@@ -180,7 +196,7 @@ def _read(path: Path) -> _Reading:
 
 
 class _Link:
-    """Counts what became of a sender's packets, by their sequence numbers (one byte)."""
+    """Counts lost, received and late packets of one sender by sequence number (one byte)."""
 
     def __init__(self) -> None:
         self._newest: int | None = None
