@@ -1,4 +1,4 @@
-"""Lines for the operator, in the order in which they were said."""
+"""Queue of messages to the operator, in order."""
 
 from autopilot.core.messages import Event
 from autopilot.core.operator_messages import OperatorText

@@ -1,4 +1,4 @@
-"""Why the vehicle must not be armed."""
+"""Reasons against arming."""
 
 import math
 from collections.abc import Callable

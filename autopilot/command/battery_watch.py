@@ -1,4 +1,4 @@
-"""The battery monitor's readings: which are believed, and what is said of the others."""
+"""Plausibility checks of the battery monitor's readings, and messages about rejected ones."""
 
 from autopilot.core import operator_messages as notices
 from autopilot.core.messages import Event

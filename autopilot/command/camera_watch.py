@@ -1,7 +1,7 @@
-"""What is wrong with the camera, for the operator: black, over-exposed, frozen, torn, foggy or silent.
+"""Camera faults reported to the operator: black, over-exposed, frozen, torn, foggy or no pictures.
 
-Pictures that cannot be used are refused before the vision front end sees them and come here by name. Others may be too
-dark, too bright or too foggy for markers: that counts only while none is found in them.
+Unusable pictures are rejected before the vision front end and arrive here as fault names. Dark, bright or foggy
+pictures count only while no marker is detected in them.
 """
 
 from collections.abc import Sequence

@@ -1,4 +1,4 @@
-"""What the operator is told without having asked: position lost or found, no way to the goal, a new fence."""
+"""Notices of changes that the operator did not request: position lost or found, no path to the goal, a new fence."""
 
 from autopilot.command.command_tuning import WATCH
 from autopilot.command.vehicle_status import VehicleStatus

@@ -1,7 +1,7 @@
-"""What the vehicle is doing and why: arming, modes, goals and failsafes.
+"""Arming, modes, goals and failsafes.
 
 The commander answers MAVLink requests at once (:class:`autopilot.mavlink.api.VehicleCommands`) and, once per tick,
-turns mode, mission and estimate into a goal for the controller. It never touches thrusters itself.
+turns mode, mission and estimate into a goal for the controller. It does not command thrusters.
 """
 
 from collections.abc import Callable, Sequence

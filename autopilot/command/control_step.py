@@ -1,4 +1,4 @@
-"""From goal to thrust: the controller on its ticks, its inner loop in between, and what is flown without either."""
+"""From goal to thrust: the optimiser on its ticks, the inner loop in between, and the fallback control laws."""
 
 import math
 from collections.abc import Callable

@@ -1,4 +1,4 @@
-"""Devices that fail and work again: told once, counted always."""
+"""Device faults and recoveries: each is reported once and counted always."""
 
 from collections.abc import Sequence
 

@@ -1,6 +1,6 @@
-"""Disarming the flight controller below: asked for until its heartbeat shows it, and not said to be done before.
+"""Disarming of the flight controller, repeated until its heartbeat reports it.
 
-A vehicle without one below is disarmed when its thrusters are neutral: there is nothing to wait for.
+A vehicle without a flight controller is disarmed when its thrusters are neutral.
 """
 
 from autopilot.command.announcements import Announcements

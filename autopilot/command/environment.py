@@ -1,4 +1,4 @@
-"""What comes in with a tick beside the estimator's samples: power, obstacles, pictures, devices that fail."""
+"""Inputs of a tick beside the estimator's samples: power, obstacles, pictures, device faults."""
 
 from collections.abc import Mapping, Sequence
 

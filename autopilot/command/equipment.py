@@ -1,8 +1,8 @@
-"""What the vehicle carries and clients may move: ``[[payload]]`` of the vehicle file.
+"""Payload outputs that clients may move: ``[[payload]]`` of the vehicle file.
 
-State is the pulse of each output; whoever drives them gets all of them on every tick, so that nothing is lost when a
-device goes and comes back. Repetitions count ticks. A relay is its highest pulse when it is on and its lowest when off,
-a gripper its highest when open and its lowest when closed.
+The state is the pulse of each output. Drivers get all of them on every tick, so that a device that reconnects is up
+to date. Repetitions count ticks. A relay is at its highest pulse when it is on and its lowest when off, a gripper
+at its highest when open and its lowest when closed.
 """
 
 import math

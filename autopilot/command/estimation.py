@@ -1,4 +1,4 @@
-"""The estimator inside the service: what stands in for one that fails, and what is told of it."""
+"""The estimator in the service: fallback on a fault of the estimator, and notices about its state."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace

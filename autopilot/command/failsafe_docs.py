@@ -1,4 +1,4 @@
-"""The table of failsafes for people: docs/failsafes.md and ``autopilot failsafes``."""
+"""The failsafe table as text: docs/failsafes.md and ``autopilot failsafes``."""
 
 import re
 from dataclasses import dataclass

@@ -1,6 +1,6 @@
-"""What failsafes derive from the vehicle's status over time: plain numbers, most made ten times a second.
+"""Failsafe inputs derived from the vehicle's status over time, most at 10 Hz.
 
-NaN is what is not known, or does not apply now.
+NaN = unknown or not applicable.
 """
 
 import math

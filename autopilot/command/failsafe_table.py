@@ -1,10 +1,10 @@
-"""The failsafes, one row each: condition, when it begins and ends, what is done, what is said.
+"""The failsafes, one row each: condition, thresholds, action and message.
 
 Data only. :mod:`autopilot.command.failsafes` evaluates it once per tick, docs/failsafes.md is generated from it
-(``autopilot failsafes --write``), and every row has a fault scenario (:mod:`autopilot.campaign.fault_cases`).
-
-A row looks at one quantity. It begins when that has been at its bound or beyond for ``enter_s`` and ends when it has
-been back by ``gap`` for ``leave_s``. NaN is neither: what nobody measures raises nothing.
+(``autopilot failsafes --write``), and every row has a fault scenario (:mod:`autopilot.campaign.fault_cases`). A row
+checks one quantity. It is raised when the quantity has been at or beyond its bound for ``enter_s`` and cleared when
+it has been inside by the hysteresis ``gap`` for ``leave_s``. NaN does neither: an unmeasured quantity raises
+nothing.
 """
 
 import math

@@ -1,7 +1,8 @@
-"""Failsafe rules: evaluates :data:`autopilot.command.failsafe_table.ROWS` once per tick.
+"""Evaluates the failsafe table (:data:`autopilot.command.failsafe_table.ROWS`) once per tick.
 
-The most severe effect wins and never weakens until the vehicle is disarmed or the operator takes over: by another mode
-when the condition has gone, at once for the rows that FS_OVERRIDE names. Text is made when something begins or ends.
+The most severe action wins and never weakens until the vehicle is disarmed or the operator takes over: by a mode
+change after the condition has cleared, at once for the rows that FS_OVERRIDE names. Messages are made when a
+failsafe is raised or cleared.
 """
 
 import math

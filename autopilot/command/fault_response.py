@@ -1,10 +1,10 @@
-"""What becomes of the vehicle when something inside the service fails.
+"""Response to faults inside the service.
 
-A fault in a part that the thrusters' command comes from takes the controller out: the vehicle keeps its station on
-the simple law of :mod:`autopilot.control.robust.fallback` while the estimate holds, for FS_FAULT_TIME, and then the
-thrusters are neutral. The controller is tried again when the operator (or a failsafe) gives another order, and a
-second fault of the same kind within one arming disarms. A fault in what only serves clients (a message, telemetry)
-costs that message.
+A fault in a part of the thruster command path disables the controller: the vehicle keeps station on the fallback
+law of :mod:`autopilot.control.robust.fallback` while the estimate is valid, for FS_FAULT_TIME, then the thrusters
+are neutral. The controller is enabled again when the operator (or a failsafe) gives another order; a second fault
+of the same kind within one arming disarms. A fault in a part that only serves clients (a message, telemetry) loses
+that message.
 """
 
 import math

@@ -1,4 +1,4 @@
-"""How high the vehicle is over what lies below it, by the sensors that look down."""
+"""Altitude above the floor from the downward range sensors."""
 
 import math
 from collections import deque

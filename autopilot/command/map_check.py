@@ -1,4 +1,4 @@
-"""Does a current map fit where the vehicle is to go? And opening one with the local origin."""
+"""Checks that a current map covers the area of the plan, and opens a map at the local origin."""
 
 import itertools
 from collections.abc import Sequence

@@ -1,4 +1,4 @@
-"""What the controller forbids before arming (a tightened set that is empty), and water that is too fast."""
+"""Reasons of the controller against arming: an empty tightened set, or a current that is too strong."""
 
 import numpy as np
 

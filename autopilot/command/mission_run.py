@@ -1,4 +1,4 @@
-"""The mission in force: where it stands, what the current leaves of its legs, and whether the vehicle gets on."""
+"""Execution of the mission in force: progress, speed made good on its legs, and detection of a stuck vehicle."""
 
 import math
 from collections.abc import Callable

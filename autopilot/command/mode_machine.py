@@ -1,4 +1,4 @@
-"""The state machine: armed or not, which mode is in force, and where it goes."""
+"""State machine of arming and flight modes."""
 
 from collections.abc import Callable
 from typing import TypeVar

@@ -1,7 +1,7 @@
-"""DO_MOTOR_TEST: one thruster of an armed vehicle turns a little, as long as somebody says so.
+"""DO_MOTOR_TEST: runs one thruster of an armed vehicle at low thrust while the command is repeated.
 
-A test needs mode MANUAL with the sticks let go, and ends by silence, disarming, another mode, a stick, and near the
-fence. What it may do at most is what :mod:`autopilot.run.motor_test` may on board.
+A test needs mode MANUAL with the sticks centred. It ends on timeout, disarming, another mode, stick input, and near
+the fence. Its limits are those of :mod:`autopilot.run.motor_test`.
 """
 
 from autopilot.command.announcements import Announcements

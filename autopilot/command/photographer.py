@@ -1,8 +1,8 @@
-"""Still pictures: single ones, sequences by time and by way, and where the vehicle was when each was taken.
+"""Still pictures: single, and sequences by time and by distance, with the vehicle's pose at each exposure.
 
-The pixels never come here. The service asks for a still by its number (``Outputs.shots``), whoever has the camera takes
-the first picture exposed from then on, stores it and says so (``Inputs.stills``), and the estimate of the exposure's
-time is put to it.
+Pixels are not handled here. The service requests a still by its number (``Outputs.shots``). The camera's driver
+takes the first picture exposed from then on, stores it and reports it (``Inputs.stills``); the estimate at the time
+of exposure is attached to it.
 """
 
 import math

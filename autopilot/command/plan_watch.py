@@ -1,4 +1,4 @@
-"""What becomes of plans that change: what their check means is told, and a fence is not changed under the vehicle."""
+"""Reports the result of plan checks, and keeps the fence from being changed under an armed vehicle."""
 
 from collections.abc import Sequence
 

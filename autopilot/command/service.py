@@ -1,8 +1,9 @@
 """The autopilot as one function: ``Outputs = Autopilot.step(Inputs)``, once per tick of 10 ms.
 
-The table in :meth:`Autopilot._stages_of_tick` lists what a tick does, in its order. No clock, socket, file or random
-number lives here; real vehicle, simulation and replay differ only in who makes the inputs. Every stage runs under a
-guard (:mod:`autopilot.core.guard`); :mod:`autopilot.command.fault_response` decides what a fault means for the others.
+The table in :meth:`Autopilot._stages_of_tick` lists the stages of a tick in order. There is no clock, socket, file
+or random number here; real vehicle, simulation and replay differ only in the source of the inputs. Every stage runs
+under a guard (:mod:`autopilot.core.guard`); :mod:`autopilot.command.fault_response` decides how a fault affects the
+others.
 """
 
 from collections.abc import Callable, Sequence

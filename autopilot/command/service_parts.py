@@ -1,4 +1,4 @@
-"""What the service is made of."""
+"""Components from which the service is built."""
 
 from dataclasses import dataclass
 from typing import TYPE_CHECKING

@@ -1,6 +1,6 @@
-"""What is known of the vehicle: estimate, battery, thrusters, sensors, links.
+"""State of the vehicle: estimate, battery, thrusters, sensors, links.
 
-One object, changed in place. What has never been received is NaN, which no bound exceeds.
+One object, changed in place. Values that have never been received are NaN, which exceeds no bound.
 """
 
 import math

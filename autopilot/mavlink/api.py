@@ -1,7 +1,4 @@
-"""What the MAVLink server needs of the vehicle, and the results it passes on.
-
-Implemented by :mod:`autopilot.command.commander`.
-"""
+"""Interface between the MAVLink server and the vehicle, implemented by :mod:`autopilot.command.commander`."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field

@@ -1,4 +1,4 @@
-"""What a service says before it can do anything: that it is there, and starting."""
+"""Messages sent while the service is starting: HEARTBEAT in MAV_STATE_BOOT."""
 
 from collections.abc import Hashable
 from dataclasses import dataclass

@@ -1,7 +1,7 @@
-"""What a vehicle is, answered while it starts: version and capabilities, protocol, modes, the files of its parameters.
+"""Identity requests answered during the start: version, capabilities, protocol, modes and parameter files.
 
-A ground station asks once when it connects, and takes a vehicle that does not answer for one that knows nothing
-(QGroundControl: no fence, no rally points). None of it has to be loaded first, and it is what the service says later.
+Ground stations request these once when they connect and take silence for missing capabilities (QGroundControl: no
+fence, no rally points). None of the answers needs loaded modules, and all equal those of the running service.
 """
 
 from collections.abc import Callable, Sequence

@@ -1,4 +1,4 @@
-"""A table that others fill: it never holds more than so many entries."""
+"""Dictionary with a maximum number of entries, for keys that clients choose."""
 
 from collections import OrderedDict
 from collections.abc import Callable, Hashable

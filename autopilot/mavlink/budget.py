@@ -1,8 +1,8 @@
-"""What a slow link carries: telemetry and lists take what commands and their answers leave.
+"""Bandwidth budget of a slow link: telemetry and lists use what commands and their answers leave.
 
-A serial line of 57,600 baud carries 5,760 bytes a second. What is sent beyond that waits in the line's buffer, and
-every answer behind it. So what goes out is counted; telemetry waits until there is room, the longest due first, so that
-all streams become slower together and none stops.
+A serial line of 57,600 baud carries 5,760 bytes a second. Anything beyond that waits in the line's buffer and
+delays every answer behind it. Sent bytes are therefore counted; telemetry is held back until the budget allows it,
+the most overdue first, so that all streams slow down together and none stops.
 """
 
 from dataclasses import dataclass

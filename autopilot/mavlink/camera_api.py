@@ -1,4 +1,4 @@
-"""What the camera component needs of the vehicle. Implemented by :mod:`autopilot.command.photographer`."""
+"""Interface of the camera component to the vehicle, implemented by :mod:`autopilot.command.photographer`."""
 
 from dataclasses import dataclass
 from typing import Protocol

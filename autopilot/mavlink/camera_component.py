@@ -1,7 +1,7 @@
 """The camera component (MAV_COMP_ID_CAMERA): https://mavlink.io/en/services/camera.html
 
-It takes stills and nothing else: no video, no zoom, no focus, one storage, the folder of logs. It has its own
-HEARTBEAT and answers as itself; its commands are also taken by the autopilot, as clients for aircraft send them there.
+Stills only: no video, zoom or focus; one storage, the log folder. It has its own HEARTBEAT and component id. The
+autopilot component accepts its commands too, because clients for aircraft send them there.
 """
 
 import math

@@ -1,8 +1,8 @@
-"""Command protocol: COMMAND_LONG and COMMAND_INT to the vehicle, an answer to each. https://mavlink.io/en/services/command.html
+"""Command protocol: COMMAND_LONG and COMMAND_INT, each with a COMMAND_ACK.
 
-Every command is answered at once, but for one whose effect is waited for: that is answered when it has come, and
-IN_PROGRESS is sent meanwhile. A retransmission of an action gets the first answer again and is not executed twice;
-requests are simply answered again. Unused parameters may be 0 or NaN.
+https://mavlink.io/en/services/command.html. Commands are answered at once, except those that complete later: these
+get IN_PROGRESS until the final result. A retransmitted action gets the first answer again and is not executed
+twice; requests are answered again. Unused parameters may be 0 or NaN.
 """
 
 from collections.abc import Callable, Mapping

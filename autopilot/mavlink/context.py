@@ -1,4 +1,4 @@
-"""What the microservices share: the outgoing queue, who talks to us, and the state of this tick."""
+"""State that the microservices share: outgoing queue, known peers, and the inputs of this tick."""
 
 import math
 from collections.abc import Iterable, Iterator

@@ -1,4 +1,4 @@
-"""What the MAVLink server needs to move what a vehicle carries. Implemented by :mod:`autopilot.command.equipment`."""
+"""Interface of the MAVLink server to payload outputs, implemented by :mod:`autopilot.command.equipment`."""
 
 from collections.abc import Mapping
 from typing import Protocol

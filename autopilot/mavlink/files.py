@@ -1,4 +1,4 @@
-"""What clients may read: a few files in memory (metadata) and, under ``@MAV_LOG``, the logs."""
+"""Files that clients may read: metadata in memory and, under ``@MAV_LOG``, the logs."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass

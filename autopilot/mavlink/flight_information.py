@@ -1,4 +1,4 @@
-"""FLIGHT_INFORMATION: when this flight began."""
+"""FLIGHT_INFORMATION: start time of the flight."""
 
 from collections.abc import Mapping
 

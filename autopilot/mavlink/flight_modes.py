@@ -1,7 +1,4 @@
-"""Flight modes as ground stations know them: numbers, names and buttons, one row per mode.
-
-What a mode does is in :mod:`autopilot.command.modes`.
-"""
+"""MAVLink view of the flight modes: numbers and names, one row per mode. Behaviour: :mod:`autopilot.command.modes`."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass

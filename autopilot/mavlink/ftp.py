@@ -1,8 +1,8 @@
 """MAVFTP: clients read metadata and logs. https://mavlink.io/en/services/ftp.html
 
-Nothing can be written. One file per client; a request that comes again (same number) gets the answer that it got. A
-burst sends no more than its link takes: so many packets per tick, none while the link's budget is used up, and after
-:data:`BURST_PACKETS` it waits for the client to ask on, so that one that has gone does not get a whole log.
+Read-only. One open file per client; a retransmitted request (same sequence number) gets the same answer. A burst is
+limited to a number of packets per tick, pauses while the link's budget is used up, and ends after
+:data:`BURST_PACKETS` until the client requests more, so that a client that has left is not sent a whole log.
 """
 
 import struct

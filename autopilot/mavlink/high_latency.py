@@ -1,9 +1,9 @@
-"""Links that are slow or dear: https://mavlink.io/en/services/high_latency.html
+"""High latency links: https://mavlink.io/en/services/high_latency.html
 
-MAV_CMD_CONTROL_HIGH_LATENCY makes the link on which it comes such a one, and a common one again. While it is, the
-vehicle says no HEARTBEAT, no telemetry and no texts there but those of failsafes: HIGH_LATENCY2 stands for all of them,
-every few seconds. What a client asks for is answered as ever. A link that others use as well is not made silent, and
-somebody else who is heard on one ends it: he waits for a HEARTBEAT.
+MAV_CMD_CONTROL_HIGH_LATENCY switches the link on which it arrives. In high latency mode HEARTBEAT, telemetry and
+texts except those of failsafes are suppressed there and replaced by HIGH_LATENCY2 every few seconds; requests are
+answered as usual. A link with other peers is not switched, and a new peer on the link ends the mode, because it
+waits for a HEARTBEAT.
 """
 
 import math

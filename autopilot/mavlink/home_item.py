@@ -1,9 +1,8 @@
 """ArduPilot's convention that item 0 of a mission on the wire is the home position.
 
-It stays in the plan as an item that is not flown, so that all numbers are those of the file that the operator sees.
-Under the profile that has the convention item 0 always is home, and a mission that came by another way without it is
-numbered from 1 on the wire; under others it is home when it looks like that
-(:func:`autopilot.core.plan.begins_with_home`).
+The home item stays in the plan as an item that is not flown, so that all numbers equal those of the operator's
+file. With the ArduPilot profile item 0 always is home, and a mission stored without it is numbered from 1 on the
+wire. With other profiles item 0 is home when :func:`autopilot.core.plan.begins_with_home` holds.
 """
 
 from collections.abc import Sequence

@@ -1,9 +1,9 @@
-"""What clients have sent and what of it is handled when: fair between clients, bounded per tick, in each one's order.
+"""Receive queues: fair between clients, bounded per tick, in order per client.
 
-Every client (an address or connection of a link) has an inbox with a parser of its own, so that nobody's junk gets into
-another's messages. A tick has an allowance of work (:mod:`autopilot.mavlink.wire`), shared out in turns; what is left
-waits for the next tick in a bounded backlog, and who overfills it loses the rest and is named. Between ticks messages
-that are urgent and change nothing of the vehicle are handled at once, until one comes that is not.
+Every client (an address or connection of a link) has a queue and a parser of its own, so that corrupt bytes of one
+do not affect another. A tick has a work budget (:mod:`autopilot.mavlink.wire`), shared round-robin; the rest stays
+in a bounded backlog. Overflow is dropped and reported with the client's name. Between ticks urgent read-only
+messages are handled at once, up to the first message that is not.
 """
 
 from collections import deque

@@ -1,7 +1,7 @@
 """Log download: LOG_REQUEST_LIST, LOG_REQUEST_DATA, LOG_ERASE, LOG_REQUEST_END of common.xml.
 
-Logs have numbers only: those of the list that the client was given last (from 1 under the ArduPilot profile, from 0
-else, as ground stations expect). Times and sizes are those of the files. One piece at a time is sent to a client.
+Logs are numbered as in the last list sent to the client (from 1 under the ArduPilot profile, else from 0, as ground
+stations expect). Times and sizes are those of the files. One request per client is served at a time.
 """
 
 from dataclasses import dataclass

@@ -1,4 +1,4 @@
-"""Commands for a vehicle that does not fly: storage, restart, calibration; and what is done in another way here."""
+"""Maintenance commands (storage, reboot, calibration), and hints for those that are not supported."""
 
 import math
 from collections.abc import Mapping

@@ -1,11 +1,10 @@
 """Mission protocol for the three plan types: upload, download, clear. https://mavlink.io/en/services/mission.html
 
-An upload is atomic: items are collected aside and the plan in force changes only when the last one has come and the
-whole plan has been accepted. The store checks it beside the loop; the final answer goes out when it has and the
-plan is on disk (where plans are kept), and nothing else is begun until then. A client gives up 1.5 s after its last
-item: while a check takes longer that item is asked for again, which tells it that somebody is at work. One upload at
-a time; a second client is DENIED and the first goes on. Downloads read a snapshot, so that a plan that changes
-meanwhile cannot mix.
+An upload is atomic: items are buffered, and the plan in force changes only when the last one has arrived and the
+whole plan has been accepted. The store checks it in the background; MISSION_ACK is sent when the check is done and
+the plan is on disk (if plans are stored), and no other transfer starts until then. Clients time out 1.5 s after
+their last item, so that during a longer check the last item is requested again as a keep-alive. One upload at a
+time; a second client is DENIED. Downloads read a snapshot, so that a plan that changes meanwhile cannot mix.
 """
 
 from dataclasses import dataclass, field

@@ -1,8 +1,8 @@
-"""Operator control: one ground station that has asked for it commands, others look on.
+"""Operator control: one ground station owns control after requesting it; others are read-only.
 
-MAV_CMD_REQUEST_OPERATOR_CONTROL and CONTROL_STATUS of development.xml, single-owner mode. Nobody is in control until
-one asks; then whoever else wants to change something is refused (NOT_IN_CONTROL, DENIED, or a text). Reading goes on.
-A ground station is known by its system id: only signing makes that more than a name.
+MAV_CMD_REQUEST_OPERATOR_CONTROL and CONTROL_STATUS of development.xml, single-owner mode. Without an owner every
+station may command; with one, changes by others are refused (NOT_IN_CONTROL, DENIED, or a text). A ground station
+is identified by its system id, which only signing authenticates.
 """
 
 from collections.abc import Callable, Iterable, Mapping

@@ -1,4 +1,4 @@
-"""What a pilot's display shows: his gain, lights, turns of the tether, and the pulse of every output."""
+"""Messages for a pilot's display: gain, lights, tether turns, and the pulse of every output."""
 
 import math
 from collections.abc import Callable, Mapping

@@ -1,4 +1,4 @@
-"""Parameter protocol: list, read, set. Integers travel as the profile says (bytewise union or C cast)."""
+"""Parameter protocol: list, read, set. Integers are encoded as the profile requires (bytewise union or C cast)."""
 
 import struct
 from dataclasses import dataclass

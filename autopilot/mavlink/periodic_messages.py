@@ -1,4 +1,4 @@
-"""What the vehicle says unasked: who it is, that it is there, where home is, and who is not being heard."""
+"""Periodic messages: identity, HEARTBEAT, home, and notices about ignored clients."""
 
 from collections import deque
 from dataclasses import replace

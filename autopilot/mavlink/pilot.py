@@ -1,7 +1,7 @@
-"""A pilot's sticks: MANUAL_CONTROL and RC_CHANNELS_OVERRIDE. https://mavlink.io/en/services/manual_control.html
+"""Pilot inputs: MANUAL_CONTROL and RC_CHANNELS_OVERRIDE. https://mavlink.io/en/services/manual_control.html
 
-One pilot at a time: who steers keeps the sticks until nothing has come of him for a moment. What is heard is kept for
-that moment only; then the sticks are released, and what that means says the mode.
+One pilot at a time: the first sender owns the sticks until its messages time out. Then the sticks are released, and
+the mode decides how to respond.
 """
 
 from dataclasses import dataclass

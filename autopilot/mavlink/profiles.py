@@ -1,8 +1,8 @@
-"""Identity profiles: what kind of autopilot the vehicle says it is. Everything else is the same under all three.
+"""Identity profiles: MAV_AUTOPILOT, mode numbers and parameter encoding. Everything else is the same under all.
 
-Ground stations choose buttons, mode numbers and parameter encoding by HEARTBEAT.autopilot. ``generic`` tells the plain
-truth, ``px4`` and ``ardusub`` speak the dialect that QGroundControl, MAVSDK and Cockpit are complete with. The true
-name stands in AUTOPILOT_VERSION and in a STATUSTEXT at first contact.
+Ground stations choose buttons, mode numbers and parameter encoding by HEARTBEAT.autopilot. ``generic`` is the
+accurate identity; ``px4`` and ``ardusub`` give full function in QGroundControl, MAVSDK and Cockpit. The real name
+is in AUTOPILOT_VERSION and in a STATUSTEXT at first contact.
 """
 
 from collections.abc import Mapping

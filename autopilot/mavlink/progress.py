@@ -1,4 +1,4 @@
-"""How far the mission is: MISSION_CURRENT, MISSION_ITEM_REACHED, and the choice of the current item."""
+"""Mission progress: MISSION_CURRENT, MISSION_ITEM_REACHED, and the choice of the current item."""
 
 from collections.abc import Sequence
 

@@ -1,4 +1,4 @@
-"""What has been said or has come lately."""
+"""Rate limits and duplicate detection: keys with the time of their last use."""
 
 from collections import OrderedDict
 from collections.abc import Hashable

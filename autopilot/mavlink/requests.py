@@ -1,4 +1,4 @@
-"""Commands that ask for messages: REQUEST_MESSAGE, message intervals, capabilities, home."""
+"""Request commands: REQUEST_MESSAGE, message intervals, capabilities, home."""
 
 from collections.abc import Mapping
 

@@ -1,8 +1,8 @@
-"""Passing messages on between clients (https://mavlink.io/en/guide/routing.html), where MAV_FORWARD says so.
+"""Message routing between clients (https://mavlink.io/en/guide/routing.html), on the links of MAV_FORWARD.
 
-Who is where is learned from what comes in. A message to everyone goes to all other clients, one to a system or
-component to where that has been heard and nowhere else. Packets are not changed. A packet never goes back to where it
-came from, and one that comes again, by a loop in the network, is not passed on twice. SETUP_SIGNING is never passed on.
+Routes are learned from received packets. Broadcasts go to all other clients, addressed messages only to links on
+which the target has been seen. Packets are not changed, never sent back to their source, and not forwarded twice if
+they return through a network loop. SETUP_SIGNING is never forwarded.
 """
 
 import struct

@@ -1,8 +1,8 @@
-"""What single sensors say, and messages that clients wait for in which other quantities stand in.
+"""Sensor messages, and messages that clients require although the vehicle lacks the sensor.
 
-GPS_RAW_INT is such a stand-in: there is no satellite under water. It tells the estimate, so that clients which wait
-for a "3D fix" go on when the vehicle knows where it is: fix type 3 with a good estimate, 2 with one by dead reckoning,
-1 without; satellites_visible 255 means "not known".
+GPS_RAW_INT is such a substitute: there is no satellite navigation under water. It carries the estimate, so that
+clients that wait for a "3D fix" proceed: fix type 3 with a good estimate, 2 with dead reckoning, 1 without;
+satellites_visible 255 = unknown.
 """
 
 import math

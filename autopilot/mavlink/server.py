@@ -1,6 +1,7 @@
-"""The MAVLink server: bytes in, bytes out, no clock, no socket. One call of :meth:`MavlinkServer.step` per tick.
+"""The MAVLink server: bytes in, bytes out, no clock, no socket.
 
-It puts the microservices together and hands every message to the one that it belongs to.
+One call of :meth:`MavlinkServer.step` per tick. It composes the microservices and dispatches every message to its
+handler.
 """
 
 from collections.abc import Callable, Mapping, Sequence

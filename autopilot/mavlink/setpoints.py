@@ -1,6 +1,6 @@
-"""Set points of an offboard client: SET_POSITION_TARGET_LOCAL_NED, .._GLOBAL_INT, SET_ATTITUDE_TARGET.
+"""Offboard setpoints: SET_POSITION_TARGET_LOCAL_NED, .._GLOBAL_INT, SET_ATTITUDE_TARGET.
 
-They have no acknowledgement: one that is not followed is refused by a text, once in a while, and ends mode GUIDED.
+They have no acknowledgement: a rejected one is reported by a rate-limited STATUSTEXT and ends mode GUIDED.
 """
 
 import math

@@ -1,15 +1,14 @@
-"""Message signing (https://mavlink.io/en/guide/message_signing.html): who has the key, and whether a frame is new.
+"""Message signing (https://mavlink.io/en/guide/message_signing.html): keys and timestamps.
 
-Without a key nothing is signed, and a frame that is signed comes from somebody whose key is not known: it is not
-obeyed. With a key everything that goes out as MAVLink 2 is signed, and only what is signed with the key is heard, but
-for the status of radios, which cannot sign, the service's own parts, and, where ``SIGN_LOCAL`` says so, programs of
-this machine.
+Without a key nothing is signed, and signed frames are rejected because their key is unknown. With a key all
+outgoing MAVLink 2 is signed, and only frames signed with the key are accepted, except RADIO_STATUS (radios cannot
+sign), the service's own components and, with ``SIGN_LOCAL``, programs of this machine.
 
-Time counts in 10 us since 2015. It never goes back, and nothing is heard twice, across restarts too: no frame is sent
-or heard with a time beyond the one that :class:`autopilot.mavlink.api.SigningStore` has on disk, and after a restart
-none that is not beyond it. A client that does as the guide says (next time at least the latest received: pymavlink,
-MAVSDK, QGroundControl) is beyond it as soon as it has heard one of our frames; one that goes by a clock of its own,
-once that has passed the start of the service.
+Timestamps count 10 us since 2015. They never decrease, and no frame is accepted twice, across restarts too: no
+frame is sent or accepted with a timestamp beyond the one that :class:`autopilot.mavlink.api.SigningStore` has on
+disk, and after a restart none at or below it. A client that follows the guide (next timestamp at least the latest
+received: pymavlink, MAVSDK, QGroundControl) passes it after receiving one of our frames; a client with an
+independent clock, once that has passed the start of the service.
 """
 
 import hashlib

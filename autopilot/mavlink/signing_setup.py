@@ -1,4 +1,4 @@
-"""The signing key: how a client sets it, and what the disk says of it."""
+"""SETUP_SIGNING by a client, and storage errors of the signing key."""
 
 from collections.abc import Callable
 

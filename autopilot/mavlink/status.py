@@ -1,4 +1,4 @@
-"""Who the vehicle is and how it is doing: HEARTBEAT, SYS_STATUS, battery, version, modes."""
+"""Identity and health: HEARTBEAT, SYS_STATUS, battery, version, modes."""
 
 from collections.abc import Mapping
 

@@ -1,4 +1,4 @@
-"""Which message goes out how often on which link: default rates, SET_MESSAGE_INTERVAL, REQUEST_DATA_STREAM."""
+"""Message rates per link: defaults, SET_MESSAGE_INTERVAL, REQUEST_DATA_STREAM."""
 
 from collections.abc import Mapping
 from functools import partial

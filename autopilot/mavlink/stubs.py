@@ -1,7 +1,8 @@
-"""Parameters that QGroundControl's plug-ins cannot do without: there, with a fixed value, and used by nothing.
+"""Stub parameters that QGroundControl's plug-ins require: fixed values without effect.
 
-Without them it opens popups at every connect and paints its setup page red ("Parameters are missing from firmware").
-Those of a plug-in exist under its profile alone, cannot be set, and say what they are in their help.
+Without them QGroundControl opens popups at every connect and marks its setup page red ("Parameters are missing from
+firmware"). Those of a plug-in exist under its profile only, are read-only, and their help text says that they are
+stubs.
 """
 
 from collections.abc import Mapping

@@ -1,4 +1,4 @@
-"""Where the vehicle is and where it goes: builders of the navigation messages."""
+"""Navigation messages: position, attitude, velocity and goal."""
 
 import math
 from collections.abc import Callable, Mapping

@@ -1,8 +1,8 @@
-"""Obstacles that others tell of: vehicles that broadcast where they are, and distances of a sensor.
+"""Obstacles reported over MAVLink: other vehicles, and distance sensors.
 
-GLOBAL_POSITION_INT of other vehicles, ADSB_VEHICLE and AIS_VESSEL become tracks of upright cylinders with the radius
-AVD_RADIUS (AIS: the ship's dimensions); OBSTACLE_DISTANCE becomes cylinders that stand where its beams end. What the
-fence has already is left out by :mod:`autopilot.command.environment`.
+GLOBAL_POSITION_INT of other vehicles, ADSB_VEHICLE and AIS_VESSEL become tracks of vertical cylinders with the
+radius AVD_RADIUS (AIS: the ship's dimensions); OBSTACLE_DISTANCE becomes cylinders at the ends of its beams.
+:mod:`autopilot.command.environment` drops obstacles that the fence already contains.
 """
 
 import math

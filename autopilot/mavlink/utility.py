@@ -1,4 +1,4 @@
-"""Small services: PING, TIMESYNC, SYSTEM_TIME, and that there are no events."""
+"""PING, TIMESYNC, SYSTEM_TIME, and an empty event interface."""
 
 from autopilot.mavlink.context import Context, MavlinkPeer
 from autopilot.mavlink.dialect import extra, mav

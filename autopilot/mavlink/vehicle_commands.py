@@ -1,4 +1,4 @@
-"""Commands that make the vehicle do something: arm, modes, mission, go-to, speed, home, origin."""
+"""Vehicle commands: arm, modes, mission, go-to, speed, home, origin."""
 
 import math
 from collections.abc import Mapping

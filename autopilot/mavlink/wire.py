@@ -1,11 +1,10 @@
-"""Bytes to messages and back: MAVLink 1 and 2 in, MAVLink 2 out. One parser per client; input never raises.
+"""MAVLink codec: versions 1 and 2 in, version 2 out. One parser per client; input never raises.
 
 Framing is done here and not by pymavlink's stream parser, because that one skips a whole bogus frame length after a
-checksum error and so loses the good message behind it. Decoding a complete frame is pymavlink's.
-
-What comes in is worked off against an allowance of work (:class:`Work`): what does not fit waits, what finds no place
-to wait is dropped and counted. Work is counted and not timed, so that a run does not depend on the machine. Junk is
-cheap to reject: a frame is believed by its header first, then by its checksum, and decoded last.
+checksum error and loses the valid message behind it. Complete frames are decoded by pymavlink. Parsing is limited
+by a work budget (:class:`Work`): excess input is queued, and dropped and counted when the queue is full. Work is
+counted, not timed, so that a run does not depend on the machine. Corrupt bytes are rejected cheaply: header first,
+then checksum, decoding last.
 """
 
 from collections import deque

@@ -1,4 +1,4 @@
-"""Modes that fly by themselves: hold, mission, return, surface, dive."""
+"""Automatic modes: hold, mission, return, surface, dive."""
 
 from dataclasses import replace
 

@@ -1,4 +1,4 @@
-"""Mode CIRCLE: round a place, as DO_ORBIT says, or by itself round one ahead."""
+"""Mode CIRCLE: around the centre of DO_ORBIT, or around a centre ahead of the vehicle."""
 
 import math
 

@@ -1,4 +1,4 @@
-"""Mode GUIDED: the set points of a client, for as long as they come."""
+"""Mode GUIDED: follows a client's setpoints until they time out."""
 
 import math
 from dataclasses import replace

@@ -1,4 +1,4 @@
-"""What every flight mode can be asked, and what it is given to work with."""
+"""Interface of a flight mode, and the dependencies that modes share."""
 
 from dataclasses import dataclass
 from typing import ClassVar

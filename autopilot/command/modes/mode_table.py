@@ -1,4 +1,4 @@
-"""Every flight mode: a new one is a class, its line here, and its row in :mod:`autopilot.mavlink.flight_modes`."""
+"""Table of flight modes. A new mode is a class, a line here, and a row in :mod:`autopilot.mavlink.flight_modes`."""
 
 from autopilot.command.modes.automatic import HoldMode, MissionMode, ReturnMode, SurfaceMode, TakeoffMode
 from autopilot.command.modes.circle import CircleMode

@@ -1,8 +1,8 @@
-"""What a pilot's sticks mean: goals where there is a position, body forces where there is none.
+"""Piloted modes: sticks to goals where there is a position, to body forces where there is none.
 
-With a position the sticks of every mode become a motion that the controller follows within fence and limits: thrust
-sticks the velocity through the water that their thrust would hold, so that the vehicle drifts with the current as it
-would, but is slowed down where a boundary comes.
+With a position the sticks of every mode become a motion that the controller follows within fence and limits. Thrust
+sticks command the velocity through the water that their thrust would hold, so that the vehicle drifts with the
+current as it would without control, but is slowed down at a boundary.
 """
 
 import math

@@ -1,4 +1,4 @@
-"""Mode SURFTRAK: as depth hold, but what is held is the height over the floor (ArduSub's mode 21)."""
+"""Mode SURFTRAK: depth hold relative to the floor (ArduSub's mode 21)."""
 
 import math
 from dataclasses import replace
