@@ -5,7 +5,7 @@ from autopilot.core.operator_messages import OperatorText
 
 
 class Announcements:
-    """Whoever decides says here what it does; the service passes it on once per tick."""
+    """Collects messages to the operator; the service sends them once per tick."""
 
     def __init__(self) -> None:
         self.t_us = 0

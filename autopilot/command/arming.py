@@ -24,7 +24,7 @@ ControllerCheck = Callable[[NavState], tuple[str, ...]]
 
 
 class ArmingChecks:
-    """All that is looked at before thrusters may turn."""
+    """All checks before arming."""
 
     def __init__(
         self, params: ParamSet, plans: Plans, goals: Goals, failsafes: FailsafeRules, controller_check: ControllerCheck
@@ -36,8 +36,9 @@ class ArmingChecks:
         self._controller_check = controller_check
 
     def reasons(self, status: VehicleStatus | None, *, blind: bool = False) -> tuple[str, ...]:
-        """Empty when ready; one line each. ``blind``: for a mode that needs no position; of a place that is not known
-        nothing is asked then."""
+        """Reasons against arming, one line each, empty when ready. ``blind``: for a mode that needs no position;
+        checks of an unknown position are skipped then.
+        """
         if status is None:
             return STARTING
         nav = status.nav
@@ -59,7 +60,7 @@ class ArmingChecks:
 
     @property
     def of_plans(self) -> tuple[str, ...]:
-        """What mission, fence and rally points have against it."""
+        """Reasons in mission, fence and rally points."""
         return (PLAN_REASON + self._plans.problem,) if self._plans.problem else ()
 
     @property

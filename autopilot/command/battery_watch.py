@@ -29,12 +29,12 @@ class BatteryWatch:
 
     @property
     def shown(self) -> PowerSample | None:
-        """What clients are shown as that of now."""
+        """Reading reported to clients."""
         refused_us = self._refused_us
         return None if refused_us is not None and refused_us - self._good_us >= STALE_US else self.power
 
     def note(self, t_us: int, sample: PowerSample) -> bool:
-        """Take a reading; whether it is believed."""
+        """Check a reading; whether it is plausible."""
         limits = self._limits
         if not plausible(sample):
             self._refuse(t_us, notices.BATTERY_IMPLAUSIBLE())

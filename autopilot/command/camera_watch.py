@@ -27,7 +27,7 @@ MESSAGES = {
 
 
 class CameraWatch:
-    """Remembers how pictures have been and says what has changed."""
+    """Reports changes of the camera's state."""
 
     def __init__(self) -> None:
         self.foggy = 0

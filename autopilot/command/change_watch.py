@@ -30,7 +30,7 @@ _DOUBT_TEXTS = {
 
 
 class ChangeWatch:
-    """Remembers how things were on the last tick and says what has changed."""
+    """Reports changes since the last tick."""
 
     def __init__(self, vehicle: Vehicle, plans: Plans, goals: Goals) -> None:
         self._radius_m = vehicle.radius_m
@@ -49,7 +49,7 @@ class ChangeWatch:
         self._delay_s = 0.0
 
     def look(self, status: VehicleStatus, *, armed: bool) -> list[OperatorText]:
-        """What is new on this tick."""
+        """Messages of this tick."""
         nav = status.nav
         texts: list[OperatorText] = []
         health = NavHealth.INVALID if nav is None else nav.health
@@ -98,7 +98,7 @@ class ChangeWatch:
         return texts
 
     def _of_thrusters(self, shares: tuple[float, ...]) -> list[OperatorText]:
-        """A thruster that gives less than it should, or again what it should."""
+        """Loss of effectiveness of a thruster, or its recovery."""
         texts: list[OperatorText] = []
         if shares == self._shares:
             return texts

@@ -48,7 +48,7 @@ END_AFTER_TICKS = 20
 
 
 class Commander:
-    """Says which orders may be given to the state machine (:class:`~autopilot.command.mode_machine.ModeMachine`)."""
+    """Checks orders before they go to the state machine (:class:`~autopilot.command.mode_machine.ModeMachine`)."""
 
     def __init__(
         self,
@@ -59,8 +59,9 @@ class Commander:
         controller_check: ControllerCheck = lambda _: (),
         speed_m_s: Callable[[NavState], float] | None = None,
     ) -> None:
-        """``controller_check`` says what the controller has against arming with an estimate, ``speed_m_s`` what its
-        margins leave of the planar speed (None = SPD_PLANAR_MAX)."""
+        """``controller_check``: the controller's reasons against arming with an estimate; ``speed_m_s``: planar speed
+        left by its margins (None = SPD_PLANAR_MAX).
+        """
         self._params = params
         self._plans = plans
         self._operator = Announcements()
@@ -103,7 +104,7 @@ class Commander:
 
     @property
     def disarms_flight_controller(self) -> bool:
-        """Whether the flight controller below is to be disarmed."""
+        """Whether the flight controller is to be disarmed."""
         return self._disarming.waits and not self._modes.armed
 
     @property
@@ -123,12 +124,12 @@ class Commander:
 
     @property
     def under_way(self) -> bool:
-        """Whether a mode other than holding, or a go-to, has been entered since arming: what "flying" means here."""
+        """Whether a mode other than hold, or a go-to, has been entered since arming (reported as "flying")."""
         return self._modes.under_way
 
     @property
     def orders(self) -> int:
-        """Grows whenever the vehicle is told to do something else."""
+        """Incremented by every new order."""
         return self._modes.orders
 
     @property
@@ -156,7 +157,7 @@ class Commander:
     # Requests: arming and modes
 
     def arm(self, force: bool) -> CommandReply:
-        """Arm unless a check fails; ``force`` skips the checks and says so in the log. It does not start anything."""
+        """Arm unless a check fails; ``force`` skips the checks and is logged. It starts no mission."""
         if self._modes.armed:
             return ACCEPTED
         reasons = self.prearm_reasons()
@@ -188,7 +189,7 @@ class Commander:
         return self._disarming.answer
 
     def disarmed(self) -> CommandReply:
-        """What has become of the last disarming."""
+        """Result of the last disarming."""
         return self._disarming.answer
 
     def set_mode(self, mode: FlightMode) -> CommandReply:
@@ -205,7 +206,7 @@ class Commander:
         return self.set_mode(FlightMode.HOLD)
 
     def fall_back(self) -> None:
-        """Something inside has failed: hold here until somebody decides anew. A failsafe's action goes on."""
+        """After an internal fault: hold until the next order. A failsafe action continues."""
         self._modes.fall_back()
 
     # Requests: the mission
@@ -239,7 +240,7 @@ class Commander:
         self._mission.sequencer.stand_at(position)
 
     def change_speed(self, speed_m_s: float | None) -> CommandReply:
-        """Speed for what runs now, None = no longer one that was asked for."""
+        """Speed of the current mode or mission, None = the default again."""
         limit = self._params["SPD_PLANAR_MAX"]
         if speed_m_s is not None and not 0.0 < speed_m_s <= limit:
             return denied(f"Speed {speed_m_s:g} m/s denied: use above 0 up to {limit:g}")
@@ -429,7 +430,7 @@ class Commander:
         )
 
     def _disarm_flight_controller(self, status: VehicleStatus) -> None:
-        """What has been disarmed is disarmed below."""
+        """Disarm the flight controller together with the service."""
         if self._modes.disarms_flight_controller:
             self._modes.disarms_flight_controller = False
             self._disarming.begin()
@@ -448,7 +449,7 @@ class Commander:
         self._modes.interrupt()
 
     def _watch_check(self, t_us: int) -> None:
-        """Tell what a new answer to the plans' check means, and end a mission that it forbids."""
+        """Report a new result of the plan check, and end a mission that it forbids."""
         if not self._check_news.changed():
             return
         self._readiness = self.prearm_reasons()

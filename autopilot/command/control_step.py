@@ -28,7 +28,7 @@ BLIND_ASCENT_SHARE = 0.35
 
 
 class ControlStep:
-    """Asks the controller, and keeps what it said for the ticks until it is asked again."""
+    """Runs the controller on its ticks and holds its result in between."""
 
     def __init__(
         self, vehicle: Vehicle, controller: Controller, actuation: Actuation, params: ParamSet, tracks: Tracks
@@ -119,7 +119,7 @@ class ControlStep:
         return control
 
     def _tested(self, t_us: int, test: tuple[int, int], before_n: FloatArray) -> FloatArray:
-        """One thruster's pulse as thrust, within its limit; all thrust comes and goes as fast as a pilot's."""
+        """Thrust of one thruster from the pulse of a motor test, within its limit and a pilot's slew rate."""
         place, pulse_us = test
         actuation = self._actuation
         wanted_n = actuation.nothing()
@@ -128,13 +128,13 @@ class ControlStep:
         return slewed(wanted_n, before_n, actuation.command_limit_n, (t_us - last_us) * 1e-6)
 
     def _note_mode(self, t_us: int, mode: FlightMode) -> None:
-        """A switch between modes, one of which somebody steers in, is no jolt."""
+        """A switch between modes, at least one of them piloted, is bumpless."""
         last, self._last = self._last, (t_us, mode)
         if last is not None and last[1] is not mode and (mode in STEERED or last[1] in STEERED):
             self._soft, self._switched = (last[0], self.thrust_n), True
 
     def _softened(self, t_us: int, wanted_n: FloatArray) -> FloatArray:
-        """What is wanted, coming from a pilot's thrust as fast as thrust may change."""
+        """The commanded thrust, slew-rate limited after piloted control."""
         if self._soft is None:
             return wanted_n
         last_us, last_n = self._soft

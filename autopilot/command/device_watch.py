@@ -22,7 +22,7 @@ _SAID_ONCE = frozenset({DeviceRole.WATCHDOG})
 
 
 class DeviceWatch:
-    """Says when a device fails and when it works again."""
+    """Reports device faults and recoveries."""
 
     def __init__(self) -> None:
         self._reported_us: dict[DeviceRole, int] = {}

@@ -30,7 +30,7 @@ class Disarming:
 
     @property
     def waits(self) -> bool:
-        """Whether the flight controller is to be asked on this tick."""
+        """Whether to send the disarm request on this tick."""
         return self._ticks is not None
 
     def begin(self) -> None:
@@ -46,7 +46,7 @@ class Disarming:
         self._ticks = None
 
     def step(self, below: FlightControllerState | None) -> None:
-        """Once per tick. What is known on the tick of the request is of before it."""
+        """Once per tick. The state known on the tick of the request is older than the request."""
         if below is not None or self._alone is None:
             self._alone = below is None
         ticks, self._ticks = self._ticks, None

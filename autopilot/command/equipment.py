@@ -82,7 +82,7 @@ class Equipment:
         return tuple(self._thrusters)
 
     def pulses_us(self) -> dict[int, int]:
-        """Channel -> pulse of what is carried and driven, as of the last tick."""
+        """Channel -> pulse [us] of the payload outputs, as of the last tick."""
         return {
             output.channel: pulse_us
             for output, pulse_us in zip(self.outputs, self._pulses_us, strict=True)
@@ -174,7 +174,7 @@ class Equipment:
     # One tick
 
     def step(self, t_us: int) -> PayloadState | None:
-        """What all outputs get now; None on a vehicle without any."""
+        """Pulses of all outputs; None on a vehicle without any."""
         self._t_us = t_us
         for index, repeat in tuple(self._repeats.items()):
             if t_us < repeat.next_us:

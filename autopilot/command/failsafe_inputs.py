@@ -64,7 +64,7 @@ class FailsafeInputs:
     def update(
         self, status: VehicleStatus, *, armed: bool, surfacing: bool, on_mission: bool, blind: bool = False
     ) -> None:
-        """Once per tick. ``blind``: somebody steers who needs no position."""
+        """Once per tick. ``blind``: a mode that needs no position is being piloted."""
         t_us, nav = status.t_us, status.nav
         valid = nav is not None and nav.health is not NavHealth.INVALID
         self._known = self._known or valid

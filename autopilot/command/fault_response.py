@@ -60,13 +60,13 @@ class FaultResponse:
         return self._commander.armed and not self.stopped
 
     def problem(self, t_us: int) -> str:
-        """What has failed of late of what thrust comes from, "" when nothing has."""
+        """Recent fault in the thruster command path, "" if none."""
         if self._last is None or (self._since_us is None and t_us - self._last.t_us > FAULT_RESPONSE.shown_us):
             return ""
         return f"internal fault in {self._last.part}"
 
     def judge(self) -> None:
-        """Act upon what has failed since the last call: hold, or disarm."""
+        """Respond to faults since the last call: hold, or disarm."""
         faults = self._guard.take()
         if not faults:
             return

@@ -36,7 +36,7 @@ class FloorRanges:
     def mount(
         self, name: str, position_frd_m: tuple[float, float, float], direction_frd: tuple[float, float, float]
     ) -> None:
-        """Where a sensor sits and which way it looks; the direction is of any length."""
+        """Position and direction (any length) of a sensor in the body frame."""
         x, y, z = direction_frd
         length = math.hypot(x, y, z)
         self._ranges[name] = _Ranges(position_frd_m, (x / length, y / length, z / length))

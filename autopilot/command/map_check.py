@@ -26,7 +26,9 @@ from autopilot.mission.upstream import SlowLeg, slowest_leg
 
 
 def open_map(path: Path, origin: Origin | None = None, start_utc: str | None = None) -> CurrentMap:
-    """Read a map; latitudes by the origin (None = the parameters' defaults). ConfigError says what is wrong."""
+    """Read a map. ``origin``: reference of its coordinates (None = the parameters' defaults). ConfigError names the
+    problem.
+    """
     place = origin or params_origin(ParamSet())
 
     def to_local(lat_deg: float, lon_deg: float) -> tuple[float, float]:
@@ -46,7 +48,7 @@ def parse_utc(text: str) -> datetime:
 
 
 class MapCheck:
-    """Judges a map against workspaces, as :class:`autopilot.mission.store.Plans` asks."""
+    """Checks a map against workspaces, for :class:`autopilot.mission.store.Plans`."""
 
     def __init__(self, water: CurrentMap, origin: Origin) -> None:
         """``origin``: the local origin that the map was read with."""
@@ -69,7 +71,7 @@ class MapCheck:
         return ""
 
     def warning(self, fence: Fence, steps: Sequence[Step], limit_m_s: float) -> str:
-        """What the operator should know of a vehicle that swims so fast at most, "" if nothing."""
+        """Warning for a vehicle with this maximum speed, "" if none."""
         places = workspace_places(fence, steps)
         if not len(places):
             return ""
@@ -115,7 +117,7 @@ class MapCheck:
 
 
 def workspace_places(fence: Fence, steps: Sequence[Step]) -> FloatArray:
-    """(n, 2) places that stand for the workspace: a lattice within the fence; in open water the legs of the mission."""
+    """(n, 2) sample points of the workspace: a grid within the fence, or the legs of the mission in open water."""
     goals = [s.pos_ned_m[:2] for s in steps if isinstance(s, GoTo) and s.pos_ned_m is not None]
     legs = [np.linspace(a, b, MAP_CHECK.lattice) for a, b in itertools.pairwise(goals)]
     places = np.vstack([np.zeros((0, 2)), *(g[None] for g in goals), *legs])
@@ -129,7 +131,7 @@ def workspace_places(fence: Fence, steps: Sequence[Step]) -> FloatArray:
 
 
 def describe_map(water: CurrentMap) -> list[tuple[str, object]]:
-    """What a map holds, as rows of a table."""
+    """Rows of a table that describes a map."""
     nodes = water.nodes
     current = nodes.current_ned_m_s
     known = np.isfinite(current).all(axis=-1)

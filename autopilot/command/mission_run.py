@@ -36,7 +36,7 @@ class MissionRun:
     def __init__(
         self, params: ParamSet, plans: Plans, operator: Announcements, speed_m_s: Callable[[NavState], float]
     ) -> None:
-        """``speed_m_s``: what the controller's margins leave of the planar speed."""
+        """``speed_m_s``: planar speed left by the controller's margins."""
         self._params = params
         self._plans = plans
         self._operator = operator
@@ -77,7 +77,7 @@ class MissionRun:
         return refusal
 
     def move_home(self, pos_ned_m: FloatArray) -> None:
-        """Home where nobody has asked for it."""
+        """Set home to here unless it was set explicitly."""
         refusal = self.set_home(pos_ned_m)
         if refusal:
             self._operator.say(notices.HOME_KEPT(reason=refusal))
@@ -90,12 +90,12 @@ class MissionRun:
         return out
 
     def tell(self, t_us: int) -> None:
-        """What has been reached, as often as that is told; also when the mission is flown no more."""
+        """Report the items reached, rate-limited; also after the mission has ended."""
         if self._unreported and t_us - self._reached_reported_us >= MISSION_RUN.reached_us:
             self._report_reached(t_us)
 
     def _report_reached(self, t_us: int) -> None:
-        """What has been reached since the last text."""
+        """Report the items reached since the last message."""
         count = len(self._unreported)
         if not count:
             return
@@ -135,9 +135,8 @@ class MissionRun:
         self._given_up = False
 
     def watch_way(self, status: VehicleStatus, goal: Goal, nav: NavState, *, flies: bool) -> bool:
-        """A goal that the vehicle gets no nearer to is not crept at for ever: WP_STUCK_ACT says what is done.
-
-        ``flies``: an item of the mission, else home. True when the vehicle is to hold.
+        """Detect a goal that the vehicle does not approach; WP_STUCK_ACT gives the action. ``flies``: a mission item,
+        else home. True when the vehicle is to hold.
         """
         t_us, patience_s = status.t_us, self._params["WP_STUCK_TIME"]
         step_m = patience_s * self._params["SPD_GROUND_MIN"]
@@ -175,7 +174,7 @@ class MissionRun:
     # What the current leaves
 
     def _slowest_leg(self, nav: NavState | None, *, only_this: bool = False) -> SlowLeg | None:
-        """Of what is to come of the mission in force (or of this item), in the current as it is estimated now."""
+        """Slowest of the remaining legs (or of this item) in the current as estimated now."""
         if nav is None:
             return None
         position, current = self.sequencer.position, nav.current_ned_m_s[:2]
@@ -189,8 +188,7 @@ class MissionRun:
         )
 
     def _report_upstream(self, nav: NavState | None, *, only_this: bool = False) -> None:
-        """What the current leaves of the speed over ground on the slowest leg that is to come (or on this one), if that
-        is little; once per item and answer."""
+        """Warn of a low speed over ground on the slowest remaining leg (or this one); once per item and result."""
         leg, least_m_s = self._slowest_leg(nav, only_this=only_this), self._params["SPD_GROUND_MIN"]
         if leg is not None and only_this:
             leg = leg.made(self._made_good.made_m_s, self._made_good.left_m)

@@ -19,7 +19,7 @@ M = TypeVar("M", bound=FlightModeBehaviour)
 
 
 class ModeMachine:
-    """Does what it is told: whether it may is asked before (:mod:`autopilot.command.commander`)."""
+    """Executes orders that :mod:`autopilot.command.commander` has checked."""
 
     def __init__(self, tools: ModeContext, failsafes: FailsafeRules) -> None:
         self._goals = tools.goals
@@ -67,7 +67,7 @@ class ModeMachine:
 
     @property
     def under_way(self) -> bool:
-        """Whether a mode other than holding, or a go-to, has been entered since arming: what "flying" means here."""
+        """Whether a mode other than hold, or a go-to, has been entered since arming (reported as "flying")."""
         return self.armed and self._under_way
 
     @property
@@ -105,7 +105,7 @@ class ModeMachine:
     # Orders
 
     def arm(self) -> None:
-        """Thrusters may turn; home is here. The mode is to be entered then."""
+        """Arm and set home here. The caller enters the mode."""
         self.armed, self.disarms_flight_controller = True, False
         self.drop_weight = self.handed_back = False
         self._failsafes.clear()
@@ -155,7 +155,7 @@ class ModeMachine:
         self.chosen = FlightMode.HOLD
 
     def fall_back(self) -> None:
-        """Hold here until somebody decides anew. A failsafe's action goes on."""
+        """Hold until the next order. A failsafe action continues."""
         if self.armed and self._override is None:
             self.enter(FlightMode.HOLD)
 
@@ -214,7 +214,7 @@ class ModeMachine:
             self.ascent = (x, y, z, float(self.nav.rpy_rad[2]))
 
     def _mode_of(self, action: Effect) -> FlightMode:
-        """What a failsafe's effect flies. It goes on with what it has begun: home that is lost on the way holds."""
+        """Mode of a failsafe action. An action under way continues: return becomes hold if home is lost."""
         if action == "hold":
             return FlightMode.HOLD
         if action != "return":
@@ -253,13 +253,13 @@ class ModeMachine:
             self.disarm(force=False)
 
     def by_hand(self, status: VehicleStatus) -> ByHand | None:
-        """What a pilot asks for where there is no position, None where the mode needs one or there is one."""
+        """Pilot command without a position, None where the mode needs one or there is one."""
         if not self.armed or self.yielded or self.nav is not None:
             return None
         return self.active.by_hand(status)
 
     def _watch_position(self) -> None:
-        """A pilot is told when fence and limits no longer hold, and when they do again."""
+        """Report to the pilot when fence and limits stop being enforced, and when they are enforced again."""
         seen, piloted = self.nav is not None, self.armed and not self.active.needs_position
         if piloted and self._seen and not seen:
             self._operator.say(notices.POSITION_LOST_PILOTED())

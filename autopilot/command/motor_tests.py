@@ -70,7 +70,7 @@ class MotorTests:
         return self._now
 
     def _end(self, status: VehicleStatus) -> str:
-        """What speaks against a test now."""
+        """Reason to end the test now."""
         modes, sticks, nav = self._modes, status.sticks, self._modes.nav
         if not modes.armed:
             return "disarmed"

@@ -49,7 +49,7 @@ class PayloadOrders:
         return ""
 
     def carry_out(self, t_us: int, orders: Sequence[Order]) -> list[Event]:
-        """Do it; what the operator should know."""
+        """Execute an order; messages to the operator."""
         events = []
         for order in orders:
             answer = self._done(order)

@@ -43,7 +43,7 @@ class _Survey:
 
 
 class Photographer:
-    """The camera's orders and what has become of them. :meth:`note` before, :meth:`step` after the other parts."""
+    """Camera orders and their results. Call :meth:`note` before and :meth:`step` after the other parts."""
 
     def __init__(self, vehicle: Vehicle) -> None:
         """ConfigError if the vehicle has no camera."""
@@ -101,7 +101,7 @@ class Photographer:
         return ACCEPTED
 
     def shoot_every(self, distance_m: float, *, now: bool, seq: int = -1) -> CommandReply:
-        """A still each time that the vehicle has come so far; 0 ends that."""
+        """A still after every distance [m]; 0 ends the sequence."""
         if distance_m == 0.0:
             self._survey = None
             return ACCEPTED
@@ -130,7 +130,7 @@ class Photographer:
         return self._records.get(index)
 
     def take_records(self) -> tuple[StillRecord, ...]:
-        """Stills that have come since the last call."""
+        """Stills stored since the last call."""
         news, self._news = tuple(self._news), []
         return news
 
@@ -149,8 +149,9 @@ class Photographer:
             self._conclude(StoredStill(index=index, exposure_us=inputs.t_us, problem="nothing heard of it"))
 
     def step(self, t_us: int, nav: NavState | None, *, armed: bool) -> tuple[tuple[int, ...], tuple[StillRecord, ...]]:
-        """Numbers of the stills to be taken from now on, and what has become of earlier ones. Disarming ends what a
-        mission has begun, and what goes by the way."""
+        """Numbers of the stills to take from now on, and results of earlier requests. Disarming ends sequences of a
+        mission and sequences by distance.
+        """
         if self._armed and not armed:
             self._survey = None
             if self._sequence is not None and self._sequence.seq >= 0:
@@ -199,7 +200,7 @@ class Photographer:
                 self._ask(survey.seq)
 
     def _may_ask(self) -> bool:
-        """Whether the camera follows; the operator hears once that it does not."""
+        """Whether the camera responds; reports once that it does not."""
         if len(self._under_way) + len(self._wanted) < PHOTOGRAPHER.max_under_way:
             self._skipped = False
             return True

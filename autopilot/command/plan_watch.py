@@ -20,7 +20,7 @@ REPEAT_US = 5_000_000
 
 
 class PlanCheckNews:
-    """Tells what a new answer to the check of the plans means."""
+    """Reports new results of the plan check."""
 
     def __init__(self, plans: Plans, operator: Announcements) -> None:
         self._plans = plans
@@ -85,7 +85,7 @@ class FenceGuard:
         return PlanRejection(seq=None, result=MissionResult.DENIED, reason=f"{reason}; FENCE_ARMED_CHG 1 allows it")
 
     def _lack(self, room: Clearance, nav: NavState | None, goal: Goal | None) -> str:
-        """What another workspace has against where the vehicle is and where it goes, "" if nothing."""
+        """Conflict of another workspace with the vehicle's position or goal, "" if none."""
         places: list[tuple[str, FloatArray]] = [] if nav is None else [("vehicle", nav.pos_ned_m)]
         places += [] if goal is None else [("vehicle's goal", goal.pos_ned_m)]
         for name, pos_ned_m in places:

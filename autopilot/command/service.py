@@ -48,7 +48,7 @@ from autopilot.mavlink.api import VehicleView
 
 @dataclass(slots=True, eq=False)
 class TickState:
-    """What the stages of one tick hand on. A stage that fails leaves what stands here: nothing, or neutral."""
+    """Data passed between the stages of one tick. If a stage fails, the values here stay: none, or neutral."""
 
     inputs: Inputs
     acting_n: FloatArray
@@ -117,7 +117,7 @@ class Autopilot:
         self._stages = self._stages_of_tick()
 
     def _stages_of_tick(self) -> tuple[Stage, ...]:
-        """What a tick does, in this order. The NMPC itself runs on every fifth tick of the stage ``controller``."""
+        """Stages of a tick, in order. The NMPC runs on every fifth tick of the stage ``controller``."""
         return (
             Stage("inputs", self._take_inputs),
             Stage("camera", self._note_exposures),
@@ -148,11 +148,11 @@ class Autopilot:
 
     @property
     def nav(self) -> NavState | None:
-        """The estimate of the last tick (what the vision front end predicts from)."""
+        """Estimate of the last tick (for the prediction of the vision front end)."""
         return self._estimation.nav
 
     def serve(self, t_us: int, rx: Sequence[MavlinkFrame]) -> tuple[MavlinkFrame, ...]:
-        """What is received between two ticks: plan transfers are answered at once, the rest waits for the next tick."""
+        """Handle messages received between ticks: plan transfers at once, the rest on the next tick."""
         return self._parts.guard.run("mavlink", lambda: self._parts.server.serve(t_us, rx), (), lambda: rx)
 
     def beat(self) -> tuple[MavlinkFrame, ...]:
@@ -160,7 +160,7 @@ class Autopilot:
         return self._parts.guard.run("heartbeat", self._parts.server.beat, (), lambda: self._given)
 
     def standing(self, link: int, client: int) -> ClientRecord:
-        """What a client of a link has shown of itself so far: who keeps its place where there are too few."""
+        """Priority of a client on a link, for keeping its slot when there are too few."""
         return self._parts.server.standing(link, client)
 
     def step(self, inputs: Inputs) -> Outputs:
@@ -240,7 +240,6 @@ class Autopilot:
     # Stages: inputs and estimate
 
     def _take_inputs(self, tick: TickState) -> None:
-        """What comes in beside the estimator's samples."""
         inputs = tick.inputs
         if any(trouble.device is DeviceRole.THRUSTERS for trouble in inputs.troubles):
             self._actuation.not_taken()
@@ -281,7 +280,7 @@ class Autopilot:
     # Stages: MAVLink
 
     def _refresh_view(self, tick: TickState) -> None:
-        """What telemetry shows: the estimate of this tick, decision and command of the last one."""
+        """Data for telemetry: estimate of this tick, decision and command of the last one."""
         parts, motion, environment, decision = self._parts, self._motion, self._environment, self._decision
         inputs, commander, power = tick.inputs, parts.commander, self._environment.power_watch.shown
         goal = None if decision is None else decision.goal
@@ -336,7 +335,7 @@ class Autopilot:
         )
 
     def _update_status(self, tick: TickState) -> None:
-        """All that modes, failsafes and arming look at."""
+        """Update the status read by modes, failsafes and arming checks."""
         self._faults.judge()
         status, t_us, estimated = self._status, tick.inputs.t_us, tick.estimated
         actuation, motion, environment, server = self._actuation, self._motion, self._environment, self._parts.server
@@ -405,13 +404,13 @@ class Autopilot:
         )
 
     def _carry_out_orders(self, tick: TickState) -> None:
-        """Of mission items passed on this tick, for what the vehicle carries."""
+        """Execute payload items of the mission passed on this tick."""
         assert tick.decision is not None
         if tick.decision.orders:
             self._order_events += self._orders.carry_out(tick.inputs.t_us, tick.decision.orders)
 
     def _photograph(self, tick: TickState) -> None:
-        """Stills to be taken, and what became of earlier ones."""
+        """Request stills and collect results."""
         photographer, decision = self._parts.photographer, tick.decision
         assert decision is not None
         if photographer is not None:

@@ -32,7 +32,7 @@ QUIET, IMPLAUSIBLE = "silent or frozen", "implausible"
 
 @dataclass(slots=True, eq=False)
 class _SensorRecord:
-    """Of one sensor that has spoken."""
+    """Status of one sensor that has delivered data."""
 
     last_us: int
     """When it last said something new."""
@@ -44,10 +44,10 @@ class _SensorRecord:
 
 @dataclass(slots=True, eq=False, kw_only=True)
 class VehicleStatus:
-    """Read by modes, failsafes and arming. Times are the service's [us].
+    """Read by modes, failsafes and arming; times in service time [us].
 
-    The first fields are set once per tick, just before the commander's step, so that a request that comes between two
-    ticks sees those of the last one. The others are set by the samples as they come.
+    The first fields are set once per tick, just before the commander's step, so that a request between two ticks
+    sees those of the last one. The others are set by the samples as they arrive.
     """
 
     t_us: int = 0
@@ -140,13 +140,13 @@ class VehicleStatus:
             self.yaw_rad, self.yaw_rate_rad_s, self.ahrs_us = yaw, rate, t_us
 
     def felt(self, t_us: int) -> PositionlessState:
-        """What is known of the vehicle without a position, and not too old."""
+        """Attitude and depth that are known without a position, if not too old."""
         yaw = self.yaw_rad if t_us - self.ahrs_us <= VEHICLE_STATUS.felt_us else None
         depth = self.depth_m if t_us - self.depth_us <= VEHICLE_STATUS.felt_us else None
         return PositionlessState(yaw_rad=yaw, yaw_rate_rad_s=self.yaw_rate_rad_s, depth_m=depth)
 
     def note_sample(self, t_us: int, sample: Sample) -> None:
-        """One sample that is none of the AHRS: those come at every tick."""
+        """One sample other than AHRS, which arrives at every tick."""
         if isinstance(sample, LeakSample):
             self._spoke(t_us, "leak probe")
             if sample.wet:
@@ -169,18 +169,18 @@ class VehicleStatus:
             self._spoke(t_us, "power monitor")
 
     def silent(self, t_us: int) -> tuple[float, str]:
-        """The longest silence [s] of a sensor that has spoken, and whose; NaN when none has."""
+        """Longest time without data [s] over the sensors that have delivered any, and which; NaN without any."""
         if not self.sensors:
             return NEVER, ""
         name = min(self.sensors, key=self._last_us)
         return 1e-6 * (t_us - self.sensors[name].last_us), name
 
     def note_implausible(self, t_us: int, name: str) -> None:
-        """A sensor says what cannot be: it has spoken, and might as well be silent."""
+        """An implausible value: the sensor is alive, but counts as silent."""
         self.sensors.setdefault(name, _SensorRecord(t_us)).how = IMPLAUSIBLE
 
     def how_silent(self, name: str) -> str:
-        """What is wrong with a sensor that :meth:`silent` has named."""
+        """Fault of the sensor that :meth:`silent` returned."""
         return self.sensors[name].how if name else ""
 
     def _last_us(self, name: str) -> int:

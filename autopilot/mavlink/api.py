@@ -44,7 +44,7 @@ class Sticks:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SetPoint:
-    """What a client wants the vehicle to do until its next word. Over ground; what is None is held as it is."""
+    """A client's setpoint, over ground; None = that axis is held."""
 
     until_us: int
     """Then it is too old to be followed."""
@@ -61,7 +61,7 @@ class SetPoint:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Circling:
-    """A circle to be flown; what is None is as CIRCLE_RADIUS, CIRCLE_SPEED and the vehicle's place say."""
+    """A circle to be flown; None = CIRCLE_RADIUS, CIRCLE_SPEED and the vehicle's position."""
 
     centre: GeodeticPosition | None = None
     """None = where the vehicle is."""
@@ -77,7 +77,7 @@ class Circling:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MotorTest:
-    """One thruster alone, for a moment; exactly one of share and pulse is given."""
+    """Test of one thruster for a moment; exactly one of throttle share and pulse is given."""
 
     number: int
     """Of the thruster, from 1 in the order of the vehicle file."""
@@ -101,7 +101,7 @@ ACCEPTED = CommandReply(result=CommandResult.ACCEPTED)
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class VehicleView:
-    """What telemetry shows, refreshed once per tick."""
+    """Data for telemetry, updated once per tick."""
 
     t_us: int
     armed: bool
@@ -181,7 +181,7 @@ class SigningStore(Protocol):
         ...
 
     def poll(self, tick: int) -> Saved | None:
-        """What became of one of them, once; None = nothing new."""
+        """Result of a write, returned once; None = nothing new."""
         ...
 
 
@@ -197,7 +197,7 @@ class VehicleCommands(Protocol):
         ...
 
     def disarmed(self) -> CommandReply:
-        """What has become of the last disarming; IN_PROGRESS while it is waited for."""
+        """Result of the last disarming; IN_PROGRESS until it is confirmed."""
         ...
 
     def set_mode(self, mode: FlightMode) -> CommandReply: ...
@@ -229,7 +229,7 @@ class VehicleCommands(Protocol):
     def orbit(self, circle: Circling) -> CommandReply: ...
 
     def test_motor(self, test: MotorTest) -> CommandReply:
-        """Turn one thruster; to be said again and again while it is to turn."""
+        """Run one thruster; has to be repeated to keep it running."""
         ...
 
     def change_depth(self, depth_m: float) -> CommandReply:
@@ -241,7 +241,7 @@ class VehicleCommands(Protocol):
         ...
 
     def change_speed(self, speed_m_s: float | None) -> CommandReply:
-        """Speed for what runs now, None = the default again."""
+        """Speed of the current mode or mission, None = the default again."""
         ...
 
     def set_home(self, point: GeodeticPosition | None) -> CommandReply:
@@ -253,5 +253,5 @@ class VehicleCommands(Protocol):
         ...
 
     def end_run(self, end: RunEnd) -> CommandReply:
-        """The service ends, or begins anew, a moment after the answer. Refused while armed."""
+        """Shut down or restart the service, shortly after the answer. Refused while armed."""
         ...

@@ -1,4 +1,4 @@
-"""Messages sent while the service is starting: HEARTBEAT in MAV_STATE_BOOT."""
+"""MAVLink while the service is loading: HEARTBEAT in MAV_STATE_BOOT, and answers that need no vehicle."""
 
 from collections.abc import Hashable
 from dataclasses import dataclass
@@ -107,7 +107,7 @@ class BootLink:
         self._files = BootFiles(identity, self._send)
 
     def tick(self, t_us: int) -> list[tuple[int, bytes]]:
-        """What goes on without being asked again (files in bursts): client and message. Time has any beginning."""
+        """Messages due without a request (FTP bursts), each with its client. The time may start anywhere."""
         self._files.t_us = t_us
         self._files.tick()
         return self._take_answers()
@@ -128,9 +128,8 @@ class BootLink:
     def answer(
         self, data: bytes, client: int = EVERYONE, reach: Reach = Reach.NETWORK
     ) -> tuple[list[bytes], dict[Hashable, bytes]]:
-        """Answers to what a client sent, and what of it is left for the service: what it asks -> the message.
-
-        Actions are temporarily rejected, with a text that says why; they are not left.
+        """Answers to a client's bytes, and the requests left for the service: key -> message. Actions are
+        TEMPORARILY_REJECTED with a text and not left.
         """
         left: dict[Hashable, bytes] = {}
         for msg in self._parser_of(client).feed(data):
@@ -139,7 +138,7 @@ class BootLink:
         return [answer for _, answer in self._take_answers()], left
 
     def _is_known(self, client: int, msg: Message, reach: Reach) -> bool:
-        """Whether a message asks for what can be told already; it is, then."""
+        """Whether a message requests data known already, which is sent then."""
         if not self._is_for_us(msg):
             return False
         if self._signing is not None and not self._signing.answers(bytes(msg.get_msgbuf()), reach):
@@ -152,7 +151,7 @@ class BootLink:
         return bool(answers)
 
     def _put_off(self, client: int, msg: Message) -> bool:
-        """Whether a message wants the vehicle to do something that it cannot do yet; it is told so, then."""
+        """Whether a message is an action, which is rejected for now with a text."""
         if not self._is_action(msg):
             return False
         self._send(client, mav.MAVLink_statustext_message(mav.MAV_SEVERITY_WARNING, STARTING.encode()))
@@ -179,7 +178,7 @@ class BootLink:
         )
 
     def _is_action(self, msg: Message) -> bool:
-        """Whether a message wants the vehicle to do something."""
+        """Whether a message requests an action of the vehicle."""
         kind = msg.get_type()
         if kind == "SET_MODE":
             return msg.target_system in (0, self._sysid)
@@ -187,9 +186,6 @@ class BootLink:
 
 
 def _asked(msg: Message) -> Hashable:
-    """Who asks for what: the same again takes the place of what has been asked before.
-
-    A field may be an array in some message or other, so that all of them are compared as text.
-    """
+    """Key of a request: a repeated one replaces the first. Fields may be arrays, so that all are compared as text."""
     what = tuple(repr(getattr(msg, field, None)) for field in ("mission_type", "command", "param1", "param_id", "seq"))
     return msg.get_srcSystem(), msg.get_srcComponent(), msg.get_msgId(), what

@@ -25,7 +25,7 @@ _FIXED = {
 
 
 class BootIdentity:
-    """One per service. Everything is made when it is asked for first: the first heartbeat waits for nothing."""
+    """One per service. Values are computed on first use, so that the first heartbeat is not delayed."""
 
     def __init__(self, profile: Profile, identity: Callable[[], VehicleIdentity]) -> None:
         self._profile, self._find = profile, identity
@@ -43,7 +43,7 @@ class BootIdentity:
         return make_metadata(specs, name=self._identity.name, version=self._identity.version)
 
     def answer(self, msg: Message) -> Sequence[Message]:
-        """The answers to a request for what is known already; empty for anything else."""
+        """Answers to a request for data known already; empty for anything else."""
         if msg.get_msgId() not in COMMANDS:
             return ()
         wanted = _FIXED.get(msg.command)
@@ -87,7 +87,7 @@ class BootFiles:
         return FileTransfer(self, self._identity.metadata.files, None)
 
     def take(self, client: int, msg: Message) -> bool:
-        """FILE_TRANSFER_PROTOCOL; False for what only the service can answer (logs, folders)."""
+        """Handle FILE_TRANSFER_PROTOCOL; False for what only the service can answer (logs, folders)."""
         request = request_of(bytes(msg.payload))
         by_path = request.opcode in (Op.LIST, Op.OPEN_READ, Op.CRC32)
         if by_path and request.path.strip("/") not in self._identity.metadata.files:

@@ -9,8 +9,9 @@ V = TypeVar("V")
 
 
 class LatestUsed(OrderedDict[K, V]):
-    """The entry least lately set or touched first; it goes when there are more than ``most``, and ``let_go`` is told.
-    Looking an entry up does not count as use."""
+    """Least recently used table: beyond ``most`` entries the one set or touched longest ago is evicted, and
+    ``let_go`` is called with it. Lookup does not count as use.
+    """
 
     def __init__(self, most: int, let_go: Callable[[V], None] = lambda value: None) -> None:
         super().__init__()

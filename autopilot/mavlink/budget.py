@@ -36,5 +36,5 @@ class Budget:
         self._level = max(self._level - count, -self.bytes_per_s * DEBT_S)
 
     def has_room(self, share: float) -> bool:
-        """Whether what needs this share of the room may go out."""
+        """Whether the budget allows a message of this priority share."""
         return self._level >= share * self.bytes_per_s * DEPTH_S

@@ -34,7 +34,7 @@ class CameraState:
 
 
 class CameraOrders(Protocol):
-    """Requests to the camera. Every one answers at once; the pictures come later (:meth:`take_records`)."""
+    """Requests to the camera, answered at once; the pictures follow (:meth:`take_records`)."""
 
     identity: CameraIdentity
 
@@ -50,8 +50,7 @@ class CameraOrders(Protocol):
         ...
 
     def shoot_every(self, distance_m: float, *, now: bool) -> CommandReply:
-        """A still each time that the vehicle has come so far from the last one's place; 0 ends that. ``now``: the first
-        at once."""
+        """A still after every distance [m] from the last one; 0 ends the sequence. ``now``: the first at once."""
         ...
 
     def record(self, index: int) -> StillRecord | None:
@@ -59,5 +58,5 @@ class CameraOrders(Protocol):
         ...
 
     def take_records(self) -> tuple[StillRecord, ...]:
-        """Stills that have come since the last call."""
+        """Stills stored since the last call."""
         ...

@@ -102,7 +102,7 @@ class _Remembered:
 
 @dataclass(slots=True)
 class _Waiting:
-    """A client that waits for what its command does."""
+    """A client whose command is in progress."""
 
     later: Callable[[], CommandReply]
     reported_us: int
@@ -119,7 +119,7 @@ def action(handler: Handler) -> CommandRow:
 
 
 def request(handler: Handler) -> CommandRow:
-    """A command that only asks; asked again it is answered again."""
+    """Row of a command without side effects; a retransmission is answered again."""
     return CommandRow(handler=handler, action=False)
 
 
@@ -212,7 +212,7 @@ class CommandProtocol:
                 self._ack(peer, command, answer)
 
     def _remember(self, peer: MavlinkPeer, command: int, answer: CommandReply) -> None:
-        """The final answer is what a repetition gets."""
+        """Keep the final answer for retransmissions."""
         before = self._last.get(peer)
         if before is not None and before.key[0] == command:
             self._last[peer] = replace(before, answer=answer)

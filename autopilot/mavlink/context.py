@@ -40,7 +40,7 @@ SAME_TEXT_US = 5_000_000
 
 
 class MavlinkPeer(NamedTuple):
-    """A client: the link it speaks on, its MAVLink address there, and which of those who speak on that link it is."""
+    """A client: link, MAVLink address on it, and index among the senders on that link."""
 
     link: int
     sysid: int
@@ -72,7 +72,7 @@ class VehicleIdentity:
 
 @dataclass(slots=True)
 class Context:
-    """The state of this tick and the queue of what goes out. One per server."""
+    """State of this tick and the outgoing queue. One per server."""
 
     sysid: int
     profile: Profile
@@ -151,7 +151,7 @@ class Context:
             self._sign_on(index, encoder)
 
     def send(self, to: Receiver, message: Message, source: int = COMPID) -> None:
-        """Queue a message to one client, or to everyone on one link. ``source``: which of our components says it."""
+        """Queue a message to one client, or to all on one link. ``source``: our sending component."""
         link, client = (to, EVERYONE) if isinstance(to, int) else (to.link, to.client)
         if link in self.links:
             frames = list(self.frames(link, client, message, source=source))
@@ -161,14 +161,14 @@ class Context:
             self.tx += frames
 
     def has_room(self, link: int, share: float) -> bool:
-        """Whether a link can carry what is less urgent than an answer (:mod:`autopilot.mavlink.budget`)."""
+        """Whether a link can carry a message that is less urgent than an answer (:mod:`autopilot.mavlink.budget`)."""
         budget = self.budgets.get(link)
         return budget is None or budget.has_room(share)
 
     def frames(
         self, link: int, client: int, message: Message, *, counted: bool = True, source: int = COMPID
     ) -> Iterator[MavlinkFrame]:
-        """A message as the clients of an open link get it: who speaks MAVLink 1 gets that."""
+        """Encode a message for the clients of an open link, in MAVLink 1 where they use that."""
         encoder, old = self._encoder(link, source), self.old.get(link)
         if not old:
             yield MavlinkFrame(link=link, client=client, data=encoder.pack(message, counted=counted))
@@ -183,14 +183,14 @@ class Context:
                 yield MavlinkFrame(link=link, client=other, data=packed)
 
     def broadcast(self, message: Message, source: int = COMPID) -> None:
-        """Queue a message on every link; on quiet ones only what may be somebody's answer."""
+        """Queue a message on every link; on high latency links only if it may answer a request."""
         spoken = message.get_msgId() in ANSWERS
         for index in self.links:
             if spoken or index not in self.quiet:
                 self.send(index, message, source)
 
     def say(self, text: OperatorText, to: Receiver | None = None) -> None:
-        """Tell the operator something of our own (STATUSTEXT to a client, a link or all, and a line for the log)."""
+        """Send a text to the operator (STATUSTEXT to a client, a link or all, and an entry in the log)."""
         self.log(text)
         self.text(text, to)
 
@@ -214,7 +214,7 @@ class Context:
                 self.send(receiver, message)
 
     def _is_news(self, to: Receiver, text: str) -> bool:
-        """Whether a receiver has not been told this lately, alone or with its whole link; it is told now."""
+        """Whether a receiver has not received this text lately, alone or with its whole link; marks it as sent."""
         link, client = (to, EVERYONE) if isinstance(to, int) else (to.link, to.client)
         if any(self._said.knows((link, who, text), self.t_us) for who in (client, EVERYONE)):
             return False
@@ -222,7 +222,7 @@ class Context:
         return True
 
     def begin_anew(self) -> None:
-        """Another plan, or a question: what is said now is news, even in the words that were used before."""
+        """Reset the duplicate filter after a new plan or request: repeated texts are sent again."""
         self._said.clear()
 
     def _chunks(self, severity: int, text: str) -> Iterable[Message]:
@@ -238,7 +238,7 @@ class Context:
 
 
 def limited(value: float, low: int, high: int) -> int:
-    """``value`` rounded and kept within an integer field's range; what is not a number becomes the value nearest 0."""
+    """``value`` rounded and clipped to an integer field's range; NaN becomes the value nearest 0."""
     if value != value:
         value = 0.0
     return round(min(max(value, low), high))

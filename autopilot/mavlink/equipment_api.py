@@ -15,7 +15,7 @@ class EquipmentOrders(Protocol):
         ...
 
     def pulses_us(self) -> Mapping[int, int]:
-        """Channel -> pulse of what is carried and driven, as of the last tick."""
+        """Channel -> pulse [us] of the payload outputs, as of the last tick."""
         ...
 
     def light_shares(self) -> tuple[float, ...]:

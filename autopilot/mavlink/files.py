@@ -35,7 +35,7 @@ class OpenFile:
     _wanted: int = 0
 
     def data(self, tick: int, offset: int, size: int) -> bytes | None:
-        """``size`` bytes from ``offset``, fewer at the end only; None while the disk is being asked."""
+        """``size`` bytes from ``offset``, fewer at the end only; None while the read is pending."""
         if self.content is not None:
             return self.content[offset : offset + size]
         size = min(size, self.size - offset)
@@ -54,7 +54,7 @@ class OpenFile:
         return None
 
     def close(self) -> None:
-        """Nobody waits for the disk any more."""
+        """Discard pending reads."""
         if self._task is not None:
             self._task.cancel()
             self._task = None
@@ -78,7 +78,7 @@ def parts_of(path: str) -> tuple[str, ...] | None:
 def folder_entries(
     files: Mapping[str, bytes], logs: tuple[LogDirectoryEntry, ...], path: str
 ) -> list[FolderEntry] | None:
-    """What a folder holds, in a fixed order; None if there is none of that name."""
+    """Entries of a folder in a fixed order; None if it does not exist."""
     parts = parts_of(path)
     if parts is None:
         return None

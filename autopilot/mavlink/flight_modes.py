@@ -7,7 +7,7 @@ from types import MappingProxyType
 
 
 class FlightMode(IntEnum):
-    """What the vehicle can be told to do. Numbers are internal; a profile maps them to its custom_mode."""
+    """Flight modes. Numbers are internal; a profile maps them to its custom_mode."""
 
     HOLD = 0
     """Station keeping."""

@@ -47,7 +47,7 @@ class Outlet(Protocol):
     def send(self, to: MavlinkPeer, message: Message) -> None: ...
 
     def has_room(self, link: int, share: float) -> bool:
-        """Whether a link can carry what is not urgent."""
+        """Whether a link can carry low-priority messages."""
         ...
 
 
@@ -114,7 +114,7 @@ def request_of(payload: bytes) -> FtpPacket:
 
 @dataclass(slots=True)
 class _FtpClient:
-    """What is kept of one client."""
+    """Session of one client."""
 
     file: OpenFile | None = None
     session: int = 0
@@ -146,8 +146,11 @@ class _FtpClient:
 
 
 class FileTransfer:
-    """The file transfer microservice. ``files``: those in memory, by name; ``shelf``: the logs, None without; ``made``:
-    those that are made when they are opened, by path, None = there is none of that name."""
+    """The file transfer microservice.
+
+    ``files``: files in memory, by name; ``shelf``: the log directory, None without; ``made``: files generated on
+    opening, by path, None = no such file.
+    """
 
     def __init__(
         self,
@@ -175,7 +178,7 @@ class FileTransfer:
         self._begin(peer, client, request)
 
     def tick(self) -> None:
-        """Answer what has waited for the disk, go on with bursts."""
+        """Answer requests whose disk access is done, continue bursts."""
         for peer, client in tuple(self._clients.items()):
             if peer.link not in self._ctx.links:
                 client.close()
@@ -308,7 +311,7 @@ class FileTransfer:
     def _answer_list(
         self, peer: MavlinkPeer, client: _FtpClient, request: FtpPacket, logs: tuple[LogDirectoryEntry, ...]
     ) -> None:
-        """The entries from the number that is asked for, as many as fit."""
+        """Entries from the requested index on, as many as fit."""
         entries = folder_entries(self._files, logs, request.path)
         if entries is None:
             self._nak(peer, client, request, Error.NOT_FOUND)
@@ -347,5 +350,5 @@ class FileTransfer:
 
 
 def _wanted(request: FtpPacket) -> int:
-    """How much a read wants at once; a client that says nothing takes what fits."""
+    """Bytes per read requested; by default as many as fit."""
     return min(request.size, MAX_DATA) or MAX_DATA

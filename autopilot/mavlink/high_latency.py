@@ -52,7 +52,7 @@ _DOUBTS: Mapping[NavDoubt, int] = {
 
 
 class HighLatency:
-    """Which links are such ones, and what is said there."""
+    """Set of links in high latency mode, and their HIGH_LATENCY2."""
 
     def __init__(
         self,
@@ -118,7 +118,7 @@ class HighLatency:
         self._ctx.log(notices.HIGH_LATENCY_OVER(link=link))
 
     def tick(self) -> None:
-        """What is largest until it is told."""
+        """Update the maxima that are reported since the last message."""
         nav, motion = self._ctx.view.nav, self._telemetry.motion()
         if nav is None or motion is None:
             return
@@ -179,7 +179,7 @@ class HighLatency:
         )
 
     def _target_heading(self, heading: int) -> int:
-        """Of the end of what the controller predicts; as it is while nothing is controlled."""
+        """Heading at the end of the controller's prediction; the present one without control."""
         ahead = self._ctx.view.ahead
         yaw = math.nan if ahead is None else float(ahead[-1, YAW])
         return _half_deg(yaw) if math.isfinite(yaw) else heading

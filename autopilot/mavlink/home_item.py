@@ -30,7 +30,7 @@ def may_be(ctx: Context, kind: PlanKind, item: PlanItem) -> bool:
 
 
 def received(ctx: Context, kind: PlanKind, items: Sequence[PlanItem]) -> tuple[PlanItem, ...]:
-    """An upload as it is stored; home alone is no mission."""
+    """An upload as it is stored; an upload of home alone is an empty mission."""
     if not items or not may_be(ctx, kind, items[0]):
         return tuple(items)
     if not ctx.profile.home_is_item_0 and not begins_with_home(items):

@@ -149,7 +149,7 @@ class MessageInbox:
         self._turns.extend(later)
 
     def serve(self, inbox: Inbox, urgent: Callable[[Address, Message], bool]) -> None:
-        """Between ticks: what is urgent, until something comes that is not."""
+        """Between ticks: handle urgent messages, up to the first that is not."""
         work = Work(min(SERVE_WORK - inbox.served, TICK_WORK - self._served))
         given = work.left
         while work.left > 0 and (message := inbox.next(work)) is not None and urgent(inbox.address, message):

@@ -31,7 +31,7 @@ _LOG = ".mcap"
 
 @dataclass(slots=True)
 class _LogClient:
-    """What is kept of one client."""
+    """Session of one client."""
 
     logs: tuple[LogDirectoryEntry, ...] | None = None
     """The list by which it knows numbers, None before it has asked."""
@@ -83,7 +83,7 @@ class LogDownload:
         self._clients.touch(peer, _LogClient).stop()
 
     def on_erase(self, peer: MavlinkPeer) -> None:
-        """LOG_ERASE: all flights that are finished, of a vehicle that is disarmed. The outcome comes as text."""
+        """LOG_ERASE: deletes all finished logs of a disarmed vehicle. The result is sent as text."""
         ctx = self._ctx
         if ctx.view.armed:
             ctx.say(notices.LOGS_ARMED(), peer)

@@ -64,8 +64,9 @@ class Maintenance:
         return Reply(self._ctx.vehicle.test_motor(test))
 
     def storage(self, call: Call) -> Reply:
-        """PREFLIGHT_STORAGE: parameters are written when they are set, so reading and writing are done; 2 and 4 set all
-        to their defaults. What it says of plans and logs is not offered."""
+        """PREFLIGHT_STORAGE: parameters are saved when they are set, so that read and write have no effect; 2 and 4
+        reset all to their defaults. Plans and logs are not supported.
+        """
         what = call.whole(1)
         if what == _RESET_SENSORS:
             return denied("storage: calibration is in the vehicle file, see `autopilot calibrate`")
@@ -81,7 +82,7 @@ class Maintenance:
         return Reply(ACCEPTED)
 
     def reboot(self, call: Call) -> Reply:
-        """PREFLIGHT_REBOOT_SHUTDOWN: 1 begins the service anew, 2 ends it."""
+        """PREFLIGHT_REBOOT_SHUTDOWN: 1 restarts the service, 2 shuts it down."""
         what = call.whole(1)
         if what == _NOTHING:
             return Reply(ACCEPTED)
@@ -95,8 +96,9 @@ class Maintenance:
         return Reply(answer)
 
     def calibrate(self, call: Call) -> Reply:
-        """PREFLIGHT_CALIBRATION: sensors come calibrated or are calibrated from logs; nothing runs that all zeros could
-        end."""
+        """PREFLIGHT_CALIBRATION: not supported, sensors are calibrated from logs; all zeros (cancel) has nothing to
+        cancel.
+        """
         wanted = [*call.params, call.x, call.y, call.z]
         if not any(value and value == value for value in wanted):
             return Reply(ACCEPTED)

@@ -62,7 +62,7 @@ class Upload:
 
 @dataclass(slots=True)
 class Checking:
-    """What waits for the plan store's answer."""
+    """A plan check that is pending."""
 
     peer: MavlinkPeer
     change: PlanChange
@@ -206,7 +206,7 @@ class Missions:
             self._ask(upload)
 
     def _unasked_item(self, peer: MavlinkPeer, msg: Message) -> None:
-        """An item outside an upload: late (repeat the answer, if there is one yet), or nobody asked for it."""
+        """An item outside an upload: a late one (repeat the answer, if there is one yet), or unrequested."""
         if self._checking is not None and self._checking.peer == peer:
             return
         done, now_us = self._finished, self._ctx.t_us
@@ -238,14 +238,15 @@ class Missions:
     def _check(
         self, peer: MavlinkPeer, plans: dict[PlanKind, tuple[PlanItem, ...]], mission_type: int, upload: Upload | None
     ) -> None:
-        """Ask the store to take plans, and pass its answer on when it comes."""
+        """Submit plans to the store and forward its result."""
         change = self._ctx.plans.propose(plans)
         self._checking = Checking(peer, change, tuple(plans), mission_type, upload)
         self.answer()
 
     def _give_up_check(self) -> None:
-        """The client begins something else. What is in force by now (and not on disk yet) is told by text: an
-        acknowledgement would be taken for that of what begins."""
+        """The client starts another transfer. The plan in force by now (not on disk yet) is reported by text: a
+        MISSION_ACK would be taken for that of the new transfer.
+        """
         checking, self._checking = self._checking, None
         if checking is None:
             return
@@ -261,8 +262,9 @@ class Missions:
         self._ctx.say(notices.PLAN_ACCEPTED(kind=kind.name.capitalize(), count=len(items), home=home))
 
     def answer(self) -> None:
-        """Pass the store's answer on, if it is there: before anything else is heard, for what is in force is not given
-        up any more."""
+        """Forward the store's result, if there is one, before other messages are handled: a plan in force is not
+        revoked.
+        """
         checking = self._checking
         if checking is None or not checking.change.done:
             return
@@ -289,9 +291,8 @@ class Missions:
                 ctx.say(notices.PLAN_NOT_CLEARED(names=names, reason=refusal.reason), checking.peer)
 
     def _on_disk(self, checking: Checking) -> bool:
-        """Whether accepting can be said: nothing that was accepted is to be lost with the power.
-
-        A disk that does not answer is spoken of, for the plans are in force.
+        """Whether acceptance can be acknowledged: an accepted plan must survive a power cut. A disk that does not
+        answer is reported, for the plans are in force.
         """
         ctx = self._ctx
         if ctx.plans.kept:
@@ -318,7 +319,7 @@ class Missions:
             self._ctx.say(text, upload.peer)
 
     def _denied(self, peer: MavlinkPeer, kind: PlanKind) -> bool:
-        """Whether another client's open upload keeps this one out; it is told so."""
+        """Whether another client's open upload blocks this one; answers it with DENIED."""
         open_ = self._upload or self._checking
         if open_ is None or open_.peer == peer:
             return False
@@ -328,7 +329,7 @@ class Missions:
         return True
 
     def _ack(self, peer: MavlinkPeer, result: MissionResult, mission_type: int, plan_id: int = 0) -> None:
-        """``plan_id``: opaque id of what is in force now, of an upload that was taken."""
+        """``plan_id``: opaque id of the plan in force, after an accepted upload."""
         ack = extra.MAVLink_mission_ack_message(peer.sysid, peer.compid, int(result), int(mission_type), plan_id)
         self._ctx.send(peer, ack)
 
@@ -355,7 +356,7 @@ class Missions:
     # Download
 
     def on_request_list(self, peer: MavlinkPeer, msg: Message) -> None:
-        """MISSION_REQUEST_LIST: how many items, and a snapshot for what follows."""
+        """MISSION_REQUEST_LIST: send the count and take a snapshot for the download."""
         kind = _KINDS.get(msg.mission_type)
         if kind is None:
             self._ack(peer, MissionResult.UNSUPPORTED, msg.mission_type)
@@ -412,7 +413,7 @@ class Missions:
         return self._ctx.t_us + round(FENCE_AFTER_US * self._ctx.patience)
 
     def _miss_fence(self) -> None:
-        """A mission without a fence is told, once its fence would have come."""
+        """Warn of a mission without a fence, after the time in which its fence would have followed."""
         due_us, ctx = self._fence_due_us, self._ctx
         if due_us is None:
             return

@@ -89,7 +89,7 @@ class Operators:
 
     @property
     def owner(self) -> MavlinkPeer | None:
-        """Where the one in control was heard last, None = nobody is in control."""
+        """Last address of the owner, None = no owner."""
         return self._owner
 
     def status(self) -> Message:
@@ -103,7 +103,7 @@ class Operators:
             self._owner, self._heard_us = peer, self._ctx.t_us
 
     def tick(self) -> None:
-        """Who is away is not in control; a change is told at once."""
+        """Release control of an owner that has timed out; changes are reported at once."""
         ctx = self._ctx
         if self._owner is not None:
             age_s = (ctx.t_us - self._heard_us) * 1e-6
@@ -119,7 +119,7 @@ class Operators:
         return self._owner is not None and peer.sysid != self._owner.sysid
 
     def refusal(self, peer: MavlinkPeer, *, grave: bool) -> str:
-        """Why somebody may not change anything, or nothing ``grave``, now; "" = he may."""
+        """Reason why this peer may not make changes, or only ``grave`` ones, now; "" = allowed."""
         if self.keeps_out(peer):
             return self.reason
         if grave and self._owner is None and self._ctx.params[GUARD] > 0.0:
@@ -127,7 +127,7 @@ class Operators:
         return ""
 
     def refused(self, peer: MavlinkPeer, msg: Message) -> bool:
-        """Whether a message that is not a command is for the one in control only; its sender is told."""
+        """Whether a message other than a command is reserved to the owner; its sender is notified."""
         kind = msg.get_msgId()
         if kind in OPEN:
             return False
@@ -157,7 +157,7 @@ class Operators:
         return f"Refused: system {self.in_control} is in control"
 
     def request(self, call: Call) -> Reply:
-        """REQUEST_OPERATOR_CONTROL: param1 1 = take, 0 = give back; param2 1 = others may take it; param4 who asks."""
+        """REQUEST_OPERATOR_CONTROL: param1 1 = request, 0 = release; param2 1 = allow takeover; param4 requester."""
         action, named = call.whole(1), call.whole(4) or 0
         if action not in (0, 1) or named not in (0, call.peer.sysid):
             return denied("operator control: param1 1 = take, 0 = release; for your own system id")

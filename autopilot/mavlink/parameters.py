@@ -89,7 +89,7 @@ class Parameters:
         return self._stubs[name].default if name in self._stubs else self._ctx.params[name]
 
     def hash(self) -> int:
-        """What _HASH_CHECK compares: names and values of all, as PX4 and QGroundControl sum them up."""
+        """_HASH_CHECK: hash over names and values, as PX4 and QGroundControl compute it."""
         crc = 0
         for name in self._names:
             whole = self._spec(name).type is ParamType.INT32
@@ -98,8 +98,9 @@ class Parameters:
         return crc
 
     def packed_file(self, path: str) -> bytes | None:
-        """``@PARAM/param.pck`` for who asks for it, where integers are numbers (ardusub): clients that have read it
-        set all parameters as floats. MAVProxy and QGroundControl ask for ``?withdefaults=1``."""
+        """``@PARAM/param.pck`` for profiles whose integers are C casts (ardusub): clients that have read it set all
+        parameters as floats. MAVProxy and QGroundControl request ``?withdefaults=1``.
+        """
         folder, _, file = path.partition("/")
         name, _, wishes = file.partition("?")
         if folder != "@PARAM" or name != PACKED_FILE or self._ctx.profile.param_encoding is ParamEncoding.BYTEWISE:
@@ -186,8 +187,9 @@ class Parameters:
             self._saving[name] = _ParameterWrite(number=number, since_us=ctx.t_us)
 
     def reset(self) -> int:
-        """Every parameter to its default, saved; how many have changed. Those that are judged together go round until
-        none is refused for what the others still are."""
+        """Set every parameter to its default and save; returns the number changed. Parameters with joint checks are
+        repeated until none is refused because of another's old value.
+        """
         ctx = self._ctx
         changed = [name for name in ctx.params if ctx.params[name] != ctx.params.spec(name).default]
         left = changed
@@ -242,7 +244,7 @@ class Parameters:
         )
 
     def _report_saved(self) -> None:
-        """The values that are on disk now go to everyone, also those of which the operator hears that they are not."""
+        """Broadcast the values saved, and those whose saving failed."""
         ctx = self._ctx
         saved = None if ctx.saving is None else ctx.saving.saved(ctx.t_us // TICK_US)
         if saved is not None:
@@ -262,7 +264,7 @@ class Parameters:
                 ctx.say(notices.PARAMETER_NOT_ON_DISK(name=name))
 
     def tick(self) -> None:
-        """Tell what has been kept, go on with lists that were asked for."""
+        """Report saved values, continue requested lists."""
         self._report_saved()
         if not self._lists:
             return

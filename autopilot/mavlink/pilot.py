@@ -72,7 +72,7 @@ class PilotInputs:
 
     @property
     def sticks(self) -> Sticks | None:
-        """With the gain; None = nobody steers."""
+        """Stick positions times gain; None = no pilot."""
         heard = self._heard
         if heard is None or self._ctx.t_us > heard.last_us + self._stale_us:
             return None
@@ -184,7 +184,7 @@ class PilotInputs:
             self._ctx.say(notices.REFUSED(reason=answer.reason), peer)
 
     def _carried(self, function: int) -> CommandReply | None:
-        """What a button does to lights, relay and camera; None when it is not about them."""
+        """Button function on lights, relay and camera; None for other functions."""
         camera, equipment = self._camera, self._equipment
         if function == PHOTO and camera is not None:
             return camera.shoot(1, 0.0)
@@ -206,7 +206,7 @@ def _axis(value: int) -> float:
 
 
 def _channel(us: int) -> float:
-    """A pulse as -1 to 1; what is no pulse is released."""
+    """PWM pulse as -1 to 1; an invalid pulse is 0."""
     return _axis(round(1000 * (us - NEUTRAL_US) / SPAN_US)) if LEAST_US <= us <= MOST_US else 0.0
 
 

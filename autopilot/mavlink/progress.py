@@ -73,7 +73,7 @@ class ProgressMessages:
         return self._ctx.vehicle.set_current_item(int(seq))
 
     def on_set_current(self, peer: MavlinkPeer, msg: Message) -> None:
-        """MISSION_SET_CURRENT: the answer is MISSION_CURRENT, a refusal comes as text."""
+        """MISSION_SET_CURRENT: answered by MISSION_CURRENT, a refusal by text."""
         answer = self.choose(float(msg.seq))
         if answer.result is CommandResult.ACCEPTED:
             self._chosen_us = self._ctx.t_us
@@ -81,7 +81,7 @@ class ProgressMessages:
             self._ctx.say(notices.REFUSED(reason=answer.reason or f"mission item {msg.seq} refused"), peer)
 
     def tick(self, reached: Sequence[int]) -> None:
-        """Tell every link what has been reached, and what has changed."""
+        """Report items reached and changes on every link."""
         ctx = self._ctx
         self._report_reached(reached)
         progress = ctx.view.progress

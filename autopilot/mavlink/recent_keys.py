@@ -11,7 +11,7 @@ MAX_RECENT = 256
 
 
 class RecentKeys(Generic[K]):
-    """Remembers keys for ``keep_us``. Asking costs the same however much comes."""
+    """Set of keys that expire after ``keep_us``; O(1) per lookup."""
 
     def __init__(self, keep_us: float) -> None:
         self._keep_us = keep_us

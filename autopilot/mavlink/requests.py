@@ -15,7 +15,7 @@ LATER = Reply(CommandReply(result=CommandResult.TEMPORARILY_REJECTED))
 
 
 class Requests:
-    """Answers to requests; asked again, they are answered again."""
+    """Answers to requests; retransmissions are answered again."""
 
     def __init__(self, ctx: Context, streams: Streams) -> None:
         self._ctx = ctx

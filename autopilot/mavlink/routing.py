@@ -32,7 +32,7 @@ _SIZES = {"char": 1, "float": 4, "double": 8, **{f"{sign}int{8 * n}_t": n for n 
 
 
 class Router:
-    """Queues what is passed on with everything else that goes out."""
+    """Queues forwarded packets with all other outgoing data."""
 
     def __init__(self, ctx: Context, *, ours: Callable[[int], bool]) -> None:
         """``ours``: whether a component of our system is the service itself."""
@@ -43,7 +43,7 @@ class Router:
         """Packets passed on so far."""
 
     def heard(self, address: Address, frame: bytes) -> None:
-        """A whole packet with a good checksum, of somebody who is listened to."""
+        """A complete packet with a valid checksum from an accepted sender."""
         ctx = self._ctx
         if ctx.params["MAV_FORWARD"] <= 0.0:
             return

@@ -85,7 +85,7 @@ class SensorMessages:
         return [*(i16(1e3 * x / G_M_S2) for x in accel), *(i16(1e3 * x) for x in rate), 0, 0, 0]
 
     def raw_imu(self) -> Message | None:
-        """RAW_IMU, in the units of SCALED_IMU: what the AHRS gives is scaled."""
+        """RAW_IMU in the units of SCALED_IMU: the AHRS delivers scaled values."""
         milli = self._milli()
         return None if milli is None else mav.MAVLink_raw_imu_message(self._ctx.t_us, *milli)
 
@@ -215,7 +215,7 @@ class SensorMessages:
         return bool(self._ctx.view.failsafes & _CAGE)
 
     def fence_status(self) -> Message | None:
-        """FENCE_STATUS: what the failsafes on fence and depth band say."""
+        """FENCE_STATUS from the failsafes on fence and depth band."""
         ctx, m = self._ctx, self._telemetry.motion()
         kind = mav.FENCE_BREACH_NONE
         if self._is_breached():
@@ -229,7 +229,7 @@ class SensorMessages:
         )
 
     def trajectory(self) -> Message | None:
-        """TRAJECTORY_REPRESENTATION_WAYPOINTS: five points of what the controller predicts, evenly in time."""
+        """TRAJECTORY_REPRESENTATION_WAYPOINTS: five points of the controller's prediction, evenly spaced in time."""
         ahead = self._ctx.view.ahead
         if ahead is None or not np.isfinite(ahead).all():
             return None

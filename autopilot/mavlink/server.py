@@ -326,7 +326,7 @@ class MavlinkServer:
         self._announcements.forget(link)
 
     def finish(self) -> None:
-        """The end of a run, before what it keeps is written."""
+        """Call at the end of a run, before its state is written."""
         self._ctx.signing.finish()
 
     def custom_mode(self, mode: FlightMode) -> int:
@@ -345,7 +345,7 @@ class MavlinkServer:
 
     @property
     def sticks(self) -> Sticks | None:
-        """A pilot's sticks, None = nobody steers (any more)."""
+        """A pilot's stick positions, None = no pilot."""
         return self.pilot.sticks
 
     @property
@@ -359,7 +359,9 @@ class MavlinkServer:
         return self.utility.utc_offset_us
 
     def take_notices(self) -> tuple[Event, ...]:
-        """What the server itself has sent to operators since the last call (plans taken or refused), for the log."""
+        """Texts that the server itself has sent to operators since the last call (plans accepted or refused), for the
+        log.
+        """
         notices, self._ctx.notices = tuple(self._ctx.notices), []
         return notices
 
@@ -382,7 +384,9 @@ class MavlinkServer:
         events: Sequence[Event] = (),
         reached: Sequence[int] = (),
     ) -> tuple[MavlinkFrame, ...]:
-        """Handle what was received, then heartbeats, news, retries and telemetry. Never raises on received bytes."""
+        """Handle received bytes, then send heartbeats, notices, retransmissions and telemetry. Never raises on
+        received bytes.
+        """
         ctx = self._ctx
         ctx.t_us, ctx.view, ctx.tx = t_us, view, []
         if ctx.announce_place:
@@ -440,7 +444,7 @@ class MavlinkServer:
         )
 
     def standing(self, link: int, client: int) -> ClientRecord:
-        """What a client has shown of itself so far."""
+        """Priority of a client."""
         owner = self._operators.owner
         in_control = owner is not None and (owner.link, owner.client) == (link, client)
         return ClientRecord(self._valid_us.get((link, client)), in_control)
@@ -457,7 +461,7 @@ class MavlinkServer:
         return msg.get_msgId() in _URGENT and not self.missions.concludes(peer, msg)
 
     def _handle(self, address: Address, msg: Message) -> None:
-        """One message. What fails at it costs this message only; a command is answered FAILED."""
+        """Dispatch one message. A fault loses this message only; a command is answered FAILED."""
         sysid = msg.get_srcSystem()
         speaker = msg.get_srcComponent()  # one of our components: an echo, or a second of us
         ours = sysid == self._ctx.sysid and speaker in (COMPID, CAMERA_COMPID) and speaker in self._ours
@@ -481,8 +485,9 @@ class MavlinkServer:
                 self._ctx.send(peer, failed)
 
     def _note_version(self, address: Address, msg: Message) -> None:
-        """A client that has only spoken MAVLink 1 is answered in it. It is shown once that there is MAVLink 2: a client
-        that knows both (pymavlink) begins with 1 and goes over then."""
+        """Answer a client in MAVLink 1 while it has sent nothing else. It gets one MAVLink 2 frame: clients that
+        support both (pymavlink) start with 1 and switch then.
+        """
         ctx, (link, client) = self._ctx, address
         known = ctx.old.get(link, frozenset())
         if msg.get_msgbuf()[0] != mav.PROTOCOL_MARKER_V1:
@@ -495,7 +500,7 @@ class MavlinkServer:
             ctx.old[link] = frozenset((*clients, client))
 
     def _heard(self, address: Address, frame: bytes) -> None:
-        """A good frame, for us or not: perhaps somebody else wants it."""
+        """A valid frame, to us or to be forwarded."""
         self._valid_us[address] = self._ctx.t_us
 
         def note() -> None:
@@ -508,13 +513,13 @@ class MavlinkServer:
         return self._operators.refusal(call.peer, grave=call.command in GRAVE_COMMANDS)
 
     def rights(self) -> Rights:
-        """Who may send what, as this server handles it."""
+        """Who may send what, enforced by this server."""
         tables = [self._commands.table, *([] if self._to_camera is None else [self._to_camera.table])]
         entries = {number: entry for table in tables for number, entry in table.items()}
         return rights(self._handlers, entries)
 
     def _for_us(self, msg: Message) -> bool:
-        """Addressed to us, to all, or to nobody. The camera takes commands only."""
+        """Addressed to us or broadcast. The camera takes commands only."""
         component = getattr(msg, "target_component", 0)
         if getattr(msg, "target_system", 0) not in (0, self._ctx.sysid) or component not in self._ours:
             return False
@@ -528,7 +533,7 @@ class MavlinkServer:
             self.last_gcs_t_us = self._ctx.t_us
 
     def _on_command(self, peer: MavlinkPeer, msg: Message) -> None:
-        """To the autopilot; to the camera if it is addressed, or if it is asked of everybody what the camera knows."""
+        """To the autopilot; to the camera if it is addressed, or for a broadcast request that concerns it."""
         camera, component = self._to_camera, msg.target_component
         if camera is None or self._camera is None or component in (COMPID, MISSION_COMPID):
             self._commands.on_command(peer, msg)
@@ -541,8 +546,7 @@ class MavlinkServer:
         self._explain(peer, self._vehicle.set_mode_message(msg.base_mode, msg.custom_mode))
 
     def _on_cancel(self, peer: MavlinkPeer, msg: Message) -> None:
-        """COMMAND_CANCEL: the command that is being carried out ends and its client gets CANCELLED; any other is over,
-        and nothing is said (common.xml)."""
+        """COMMAND_CANCEL: ends the command in progress, whose client gets CANCELLED; ignored for others (common.xml)."""
         if self._vehicle.cancel(msg.command):
             ack = mav.MAVLink_command_ack_message(msg.command, CommandResult.CANCELLED, 0, 0, peer.sysid, peer.compid)
             self._ctx.send(peer, ack)
@@ -562,7 +566,7 @@ class MavlinkServer:
 
 
 def blank_view() -> VehicleView:
-    """What there is to show before the first tick."""
+    """Telemetry data before the first tick."""
     return VehicleView(
         t_us=0,
         armed=False,

@@ -193,7 +193,7 @@ class SetPoints:
 
 
 def _pair(mask: int, one: int, other: int, what: str) -> bool:
-    """Whether both of two axes are given; one alone is a mistake."""
+    """Whether both of two axes are given; one alone is an error."""
     if bool(mask & one) is not bool(mask & other):
         raise _NotFollowedError(f"{what} needs x and y, or neither")
     return not mask & one

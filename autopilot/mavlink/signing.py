@@ -47,7 +47,7 @@ UNSIGNABLE = frozenset((mav.MAVLINK_MSG_ID_RADIO_STATUS, 166))
 
 @dataclass(slots=True)
 class Refusals:
-    """Frames that were not believed, by reason."""
+    """Rejected frames, by reason."""
 
     unsigned: int = 0
     unknown_key: int = 0
@@ -97,7 +97,7 @@ class Signing:
         return max(self._stamp, self._base + int(self._t_us / 10 / self._patience))
 
     def tick(self, t_us: int) -> str | None:
-        """Time goes on; what there is to tell of the disk, "" = key and time are on it."""
+        """Advance signing time. Returns an error of the disk to report, "" = key and time are on it."""
         self._t_us = t_us
         if self._store is None:
             return None
@@ -114,13 +114,14 @@ class Signing:
         return saved.failure
 
     def finish(self) -> None:
-        """The end of a run: nothing is sent or heard any more, and the next run goes on from here."""
+        """End of a run: nothing is sent or accepted any more; the next run continues from this time."""
         if self.key is not None:
             self._keep(max(self.stamp, self._beat_stamp) + 1)
 
     def set_key(self, key: bytes | None, stamp: int = 0) -> None:
-        """Another key from now on, None = none. The time goes on from the later one, and that of every sender with it:
-        a key that comes back does not make old frames new."""
+        """Replace the key, None = no signing. The later of the timestamps is kept, also per sender: returning to an
+        old key does not make old frames valid.
+        """
         self._stamp = min(max(self.stamp, stamp), LATEST_STAMP)
         self.key = key
         self._keep(self.stamp + AHEAD_UNITS)
@@ -139,7 +140,7 @@ class Signing:
         self._floor = max(self._floor, stamp)
 
     def sign(self, frame: bytes, crc_extra: int, link: int, *, counted: bool = True) -> bytes:
-        """An unsigned MAVLink 2 frame, signed. What is not ``counted`` leaves the time of others as it is."""
+        """Sign a MAVLink 2 frame. Not ``counted``: timestamps of other streams stay unchanged."""
         assert self.key is not None
         if counted:
             self._stamp = stamp = max(self._stamp + 1, self.stamp)
@@ -149,7 +150,7 @@ class Signing:
         return signed(frame, crc_extra, self.key, number, stamp)
 
     def admits(self, frame: bytes, reach: Reach) -> bool:
-        """Whether a whole frame with a good checksum is to be heard. Its time is used up by being asked for."""
+        """Whether to accept a complete frame with a valid checksum. Calling it consumes the frame's timestamp."""
         if not is_signed(frame):
             if self.key is None or reach is Reach.PROCESS or (reach is Reach.MACHINE and self.local_may_be_silent):
                 return True
@@ -179,8 +180,9 @@ class Signing:
         return True
 
     def _is_kept(self, stamp: int) -> bool:
-        """Whether a frame of that time is old after a restart at any moment. If not, the disk gets a later time on the
-        next tick, and the client's next frame is heard."""
+        """Whether a frame of that timestamp is rejected after a restart at any moment. If not, the disk gets a later
+        time on the next tick, and the client's next frame is accepted.
+        """
         if self._store is None or stamp <= self._safe or self._disk_fails:
             return True
         return self._asked_us is not None and self._t_us - self._asked_us > SLOW_DISK_US
@@ -195,7 +197,7 @@ def signed(frame: bytes, crc_extra: int, key: bytes, number: int, stamp: int) ->
 
 
 def is_signed_with(key: bytes, frame: bytes) -> bool:
-    """Whether a whole frame is signed with a key; of its time nothing is said."""
+    """Whether a complete frame is signed with a key; its timestamp is not checked."""
     return is_signed(frame) and hmac.compare_digest(_tag(key, frame[:-_TAG]), frame[-_TAG:])
 
 

@@ -252,7 +252,7 @@ class StatusMessages:
         return limited(left_j / power_w, 1, 0x7FFF_FFFF)
 
     def current_mode(self) -> Message | None:
-        """CURRENT_MODE: what it does and what the operator asked for."""
+        """CURRENT_MODE: mode in force and mode requested by the operator."""
         view, modes = self._ctx.view, self._ctx.profile.custom_modes
         return mav.MAVLink_current_mode_message(
             MODE_ROWS[view.mode].standard, modes[view.mode], modes[view.intended_mode]

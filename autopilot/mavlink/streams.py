@@ -146,7 +146,7 @@ class Streams:
         streams.set(msg_id, interval_us, self._ctx.t_us)
 
     def all_again(self, link: int) -> None:
-        """As it was before :meth:`only`; everything comes once in the next tenth of a second."""
+        """Undo :meth:`only`; every message is sent once within the next 0.1 s."""
         before = self._before.pop(link, None)
         if before is not None:
             before.spread(self._ctx.t_us)
@@ -200,7 +200,7 @@ class Streams:
             self.set_interval(link, msg_id, interval)
 
     def tick(self) -> None:
-        """Send what is due; a message due on several links is built once."""
+        """Send messages that are due; one due on several links is built once."""
         t_us = self._ctx.t_us
         built: dict[int, tuple[Message, ...]] = {}
         for link in self._ctx.links:
@@ -214,7 +214,7 @@ class Streams:
                 self._ctx.guard.run("telemetry", partial(self._send, link, msg_id, built), None, lambda: self._ctx.view)
 
     def _tick_slow(self, link: int, streams: LinkStreams, built: dict[int, tuple[Message, ...]]) -> None:
-        """What the link can carry of what is due, the longest due first; the rest stays due."""
+        """Send as many due messages as the link can carry, the most overdue first; the rest stays due."""
         ctx, t_us = self._ctx, self._ctx.t_us
         for msg_id in sorted(streams.due(t_us), key=lambda due: streams.due_us[due]):
             if not ctx.has_room(link, TELEMETRY):

@@ -199,7 +199,7 @@ class NavigationMessages:
         )
 
     def estimator_status(self) -> Message | None:
-        """ESTIMATOR_STATUS: what may be used, one sigma of position, test ratios (0 where nothing is measured)."""
+        """ESTIMATOR_STATUS: valid outputs, one sigma of position, test ratios (0 without a measurement)."""
         nav = self._ctx.view.nav
         if nav is None:
             return None
@@ -297,7 +297,7 @@ class NavigationMessages:
         )
 
     def debug_vect(self) -> Message | None:
-        """DEBUG_VECT "margin": room beyond what is kept [m], what is kept [m], use of the penalties (1 = all)."""
+        """DEBUG_VECT "margin": clearance beyond the margin [m], margin [m], use of the penalties (1 = all)."""
         control = self._ctx.view.control
         if control is None:
             return None

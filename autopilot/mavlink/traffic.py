@@ -50,7 +50,7 @@ SAME_M = 0.4
 
 @dataclass(slots=True)
 class _Scan:
-    """What one sensor showed last: number -> place (2,)."""
+    """Last scan of one sensor: number -> position (2,)."""
 
     places: dict[int, FloatArray] = field(default_factory=dict)
     next: int = 0
@@ -66,7 +66,7 @@ class TrafficReports:
         self._scans: dict[tuple[int, int, int], _Scan] = {}
 
     def take(self) -> tuple[tuple[ObstacleTrack, ...], tuple[int, ...]]:
-        """Reports since the last call, and numbers of what is not there any more."""
+        """Reports since the last call, and numbers of obstacles that have gone."""
         if not self._tracks and not self._gone:
             return (), ()
         tracks, gone = tuple(self._tracks), tuple(self._gone)
@@ -81,7 +81,7 @@ class TrafficReports:
         self._add(_VEHICLE | peer.sysid, place, velocity, self._ctx.params["AVD_RADIUS"], self._height)
 
     def on_adsb_vehicle(self, peer: MavlinkPeer, msg: Message) -> None:
-        """ADSB_VEHICLE, whatever it is that its sender knows."""
+        """ADSB_VEHICLE, with any subset of valid fields."""
         if not msg.flags & _COORDS:
             return
         altitude_m = msg.altitude * 1e-3 if msg.flags & _ALTITUDE else self._altitude_m
@@ -180,7 +180,7 @@ class TrafficReports:
         reach_m: list[float],
         step: float,
     ) -> None:
-        """Give what is seen the numbers that it had; what a beam has gone through is not there any more."""
+        """Associate returns with the numbers of the last scan; an obstacle that a beam has passed through is removed."""
         left = dict(scan.places)
         for center, radius_m in blobs:
             at = np.array([center.real, center.imag])

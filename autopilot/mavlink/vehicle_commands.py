@@ -131,8 +131,9 @@ class VehicleService:
         return self._ctx.vehicle.set_mode(mode)
 
     def do_set_standard_mode(self, call: Call) -> Reply:
-        """DO_SET_STANDARD_MODE; FAILED for a mode that does not exist here, as the specification says, and for a number
-        that older and newer clients do not mean the same mode by."""
+        """DO_SET_STANDARD_MODE; FAILED for a mode that does not exist here (as specified) and for numbers whose
+        meaning differs between older and newer clients.
+        """
         mode = STANDARD_MODES.get(call.whole(1) or 0)
         if mode is None:
             known = ", ".join(str(n) for n in sorted(STANDARD_MODES))
@@ -147,7 +148,7 @@ class VehicleService:
         return Reply(self._ctx.vehicle.set_mode(mode))
 
     def run_prearm_checks(self, call: Call) -> Reply:
-        """RUN_PREARM_CHECKS: the result comes as text; of an armed vehicle only what is wrong with its plans."""
+        """RUN_PREARM_CHECKS: results as text; of an armed vehicle only problems of its plans."""
         view = self._ctx.view
         self._ctx.begin_anew()  # who asks is answered, however lately it has been said
         if view.prearm_reasons:
@@ -164,7 +165,7 @@ class VehicleService:
         return Reply(ACCEPTED)
 
     def cancel(self, command: int) -> bool:
-        """End what a command began, if it is what the vehicle does now: it holds. Whether it was."""
+        """Hold if the command being executed is this one. Returns whether it was."""
         ctx = self._ctx
         running = ctx.view.armed and command in _LASTING and ctx.view.mode is _LASTING[command]
         return running and ctx.vehicle.pause().result is CommandResult.ACCEPTED
@@ -176,9 +177,9 @@ class VehicleService:
         return Reply(self._ctx.vehicle.set_mode(FlightMode.GUIDED if call.param(1) > 0.5 else FlightMode.HOLD))
 
     def take_off(self, call: Call) -> Reply:
-        """NAV_TAKEOFF: dive here. An altitude in the water is the depth; one that is missing or above it, as ground
-        stations for aircraft send it, means TKOFF_DEPTH. COMMAND_LONG says no frame: what lies below the depth band is
-        no depth either."""
+        """NAV_TAKEOFF: dive here. A negative altitude is the depth; a missing or positive one (ground stations for
+        aircraft) means TKOFF_DEPTH. COMMAND_LONG has no frame: a depth below the depth band is refused too.
+        """
         depth_m = self._depth_m(call.z, call.frame)
         if call.frame == mav.MAV_FRAME_LOCAL_NED and math.isfinite(call.z):
             depth_m = call.z
@@ -330,7 +331,7 @@ class VehicleService:
         return answer
 
     def _point(self, call: Call, what: str) -> GeodeticPosition | Reply:
-        """The position of a command, or the refusal when it has none that can be used. What is not given = here."""
+        """Position of a command, or the refusal of an invalid one. Missing coordinates = here."""
         ctx = self._ctx
         given = math.isfinite(call.x) and math.isfinite(call.y)
         if given and not call.exact:

@@ -66,10 +66,11 @@ class RawMessage:
 
 
 class LinkParser:
-    """Cuts one client's bytes into messages. Damaged bytes are counted in ``dropped`` and skipped.
+    """Splits one client's bytes into messages.
 
-    ``wanted`` are the ids of messages worth decoding (None = all): others are checked and passed over. ``admits`` is
-    asked about every good frame of a known message; what it refuses is counted in ``refused`` and not heard.
+    Damaged bytes are counted in ``dropped`` and skipped. ``wanted``: ids of messages to decode (None = all); others
+    are only checked. ``admits`` is called for every valid frame of a known message; rejected frames are counted in
+    ``refused``.
     """
 
     def __init__(self, wanted: Container[int] | None = None, admits: Callable[[bytes], bool] | None = None) -> None:
@@ -98,7 +99,7 @@ class LinkParser:
         return self._queued + len(self._data) - self._pos
 
     def push(self, data: bytes) -> bool:
-        """Take a datagram or any piece of a stream to be worked off; False when there is no room for it."""
+        """Queue a datagram or a piece of a stream; False when the queue is full."""
         if self.backlog + len(data) > MAX_BACKLOG_BYTES:
             self.overflow += len(data)
             return False
@@ -158,7 +159,7 @@ class LinkParser:
         return self._admits(frame)
 
     def _next_piece(self) -> None:
-        """Put the next piece behind what is incomplete."""
+        """Append the next piece to the incomplete frame."""
         piece = self._queue.popleft()
         self._queued -= len(piece)
         if self._pos < len(self._data):
@@ -170,7 +171,7 @@ class LinkParser:
         self._data, self._pos = piece, 0
 
     def _decoded(self, frame: bytes, work: Work) -> Message | None:
-        """The message of a good frame; None if nobody wants it."""
+        """Message of a valid frame; None if it is not wanted."""
         if self._wanted is not None and message_id(frame) not in self._wanted:
             return None
         work.left -= DECODE_WORK
@@ -190,7 +191,7 @@ def is_signed(frame: bytes) -> bool:
 
 
 def _frame_at(data: bytes, pos: int, work: Work) -> int:
-    """Length of the good frame at ``pos``; 0 when more bytes are needed to tell, -1 when there is none."""
+    """Length of the valid frame at ``pos``; 0 when more bytes are needed, -1 when there is none."""
     left = len(data) - pos
     if left == 0:
         return 0

@@ -33,7 +33,7 @@ class MissionMode(FlightModeBehaviour):
     changes_depth = False
 
     def refusal(self, status: VehicleStatus | None, *, armed: bool) -> CommandReply | None:
-        """However it is to be begun."""
+        """Applies to every way of starting it."""
         if not self._plans.items(PlanKind.MISSION):
             return denied("No mission: upload one first")
         if self._plans.checking:
@@ -54,7 +54,7 @@ class MissionMode(FlightModeBehaviour):
         self._mission.sequencer.pause()
 
     def step(self, status: VehicleStatus, nav: NavState) -> ModeStep:
-        """The goal of this tick, or what the mission ends with."""
+        """Goal of this tick, or the end of the mission."""
         t_us = status.t_us
         out = self._mission.step(t_us, nav)
         if out.home_ned_m is not None:
@@ -121,7 +121,7 @@ class TakeoffMode(FlightModeBehaviour):
         self._depth_m = 0.0
 
     def prepare(self, nav: NavState | None, *, armed: bool) -> str:
-        """To the depth that was asked for before arming, or TKOFF_DEPTH."""
+        """To the depth requested before arming, else TKOFF_DEPTH."""
         return self.choose_depth(None if armed else self._asked_m)
 
     def choose_depth(self, depth_m: float | None) -> str:

@@ -47,7 +47,7 @@ class GuidedMode(FlightModeBehaviour):
         return refusal
 
     def enter(self, nav: NavState | None) -> None:
-        """What set points leave open is held from here."""
+        """Hold the present state in the axes that setpoints leave open."""
         self._forget()
 
     def step(self, status: VehicleStatus, nav: NavState) -> ModeStep:

@@ -37,7 +37,7 @@ class ModeContext:
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class ModeStep:
-    """What a mode wants on a tick."""
+    """Result of a mode on one tick."""
 
     goal: Goal | None = None
     """None = the one that there is."""
@@ -59,7 +59,7 @@ GO_ON = ModeStep()
 
 
 class FlightModeBehaviour:
-    """One flight mode; one instance per vehicle. This one holds its place: the others say what they do differently."""
+    """One flight mode; one instance per vehicle. The base class holds position; subclasses override."""
 
     name: ClassVar[FlightMode]
     needs_position: ClassVar[bool] = True
@@ -93,7 +93,7 @@ class FlightModeBehaviour:
         """Another one begins, or a failsafe acts."""
 
     def place(self, nav: NavState) -> Goal:
-        """Where it goes from here, until a step says otherwise."""
+        """Initial goal, until a step changes it."""
         return self._goals.hold(nav)
 
     def step(self, status: VehicleStatus, nav: NavState) -> ModeStep:
@@ -105,7 +105,7 @@ class FlightModeBehaviour:
         return GO_ON
 
     def by_hand(self, status: VehicleStatus) -> ByHand | None:
-        """What a pilot asks for where there is no position, None = nothing can be done without one."""
+        """Pilot command without a position, None = the mode needs one."""
         return None
 
     def position_came_or_went(self) -> None:

@@ -54,7 +54,7 @@ class SurftrakMode(DepthHoldMode):
         super().__init__(tools)
 
     def refusal(self, status: VehicleStatus | None, *, armed: bool) -> CommandReply | None:
-        """Nothing looks down, or the floor is too far."""
+        """Refused without a downward range sensor, or out of its range."""
         refusal = super().refusal(status, armed=armed)
         if refusal is None and armed and status is not None and self._height_of(status) is None:
             refusal = denied("SURFTRAK denied: no range to the floor, use ALT_HOLD")
@@ -114,7 +114,7 @@ class SurftrakMode(DepthHoldMode):
         return self._goals.in_band(self._floor_m - self._height_m)
 
     def _others(self, sticks: Sticks, nav: NavState, rest: Goal) -> tuple[float | None, float | None]:
-        """What is off by more than a little is climbed or sunk to, as fast as a stick may."""
+        """An altitude error beyond the deadband is corrected at no more than full-stick rate."""
         down_m_s, turn_rad_s = super()._others(sticks, nav, rest)
         depth_m, most_m_s = self._held.depth_m, self._params["PILOT_SPD_Z"]
         if down_m_s is not None or depth_m is None:
@@ -131,7 +131,7 @@ class SurftrakMode(DepthHoldMode):
         self._height_m = None
 
     def _planar(self, sticks: Sticks, nav: NavState, rest: Goal) -> VelocityGoal:
-        """Slower where the floor comes near."""
+        """Slows down when the floor comes near."""
         if self._height_m is not None and self._now_m is not None:
             share = (self._now_m / self._height_m - STOPPED) / (SLOWED - STOPPED)
             share = max(0.0, min(1.0, share))
