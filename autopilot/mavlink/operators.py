@@ -119,7 +119,9 @@ class Operators:
         return self._owner is not None and peer.sysid != self._owner.sysid
 
     def refusal(self, peer: MavlinkPeer, *, grave: bool) -> str:
-        """Reason why this peer may not make changes, or only ``grave`` ones, now; "" = allowed."""
+        """Why this peer may not make changes now, "" = allowed. ``grave``: a change that needs an owner if the
+        parameter GUARD is set.
+        """
         if self.keeps_out(peer):
             return self.reason
         if grave and self._owner is None and self._ctx.params[GUARD] > 0.0:

@@ -546,7 +546,7 @@ class MavlinkServer:
         self._explain(peer, self._vehicle.set_mode_message(msg.base_mode, msg.custom_mode))
 
     def _on_cancel(self, peer: MavlinkPeer, msg: Message) -> None:
-        """COMMAND_CANCEL: ends the command in progress, whose client gets CANCELLED; ignored for others (common.xml)."""
+        """COMMAND_CANCEL: ends the command in progress, whose client gets CANCELLED; else ignored (common.xml)."""
         if self._vehicle.cancel(msg.command):
             ack = mav.MAVLink_command_ack_message(msg.command, CommandResult.CANCELLED, 0, 0, peer.sysid, peer.compid)
             self._ctx.send(peer, ack)

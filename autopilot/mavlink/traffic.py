@@ -180,7 +180,7 @@ class TrafficReports:
         reach_m: list[float],
         step: float,
     ) -> None:
-        """Associate returns with the numbers of the last scan; an obstacle that a beam has passed through is removed."""
+        """Associate returns with the numbers of the last scan; obstacles that a beam has passed through are removed."""
         left = dict(scan.places)
         for center, radius_m in blobs:
             at = np.array([center.real, center.imag])

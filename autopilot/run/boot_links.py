@@ -1,7 +1,7 @@
-"""The service's links while everything behind them is still being loaded.
+"""Links of the service while the other modules are being loaded.
 
-Loading takes a second or two of CPU time, ten times that on a busy machine; a ground station sees the vehicle at once,
-in MAV_STATE_BOOT. The vehicle's own time begins when all is there.
+Loading takes a second or two of CPU time, ten times that on a busy machine; ground stations see the vehicle at
+once, in MAV_STATE_BOOT. Vehicle time starts when loading is complete.
 """
 
 import math
@@ -82,7 +82,7 @@ class BootLinks:
                 link.close()
 
     def take_unanswered(self) -> tuple[MavlinkFrame, ...]:
-        """What the service has to answer: requests of the last seconds. Actions that were refused are not in them."""
+        """Requests of the last seconds that the service has to answer, without rejected actions."""
         now_s = self._now_s()
         frames = tuple(frame for kept_s, frame in self._kept.values() if now_s - kept_s < KEPT_S)
         self._kept.clear()
@@ -152,8 +152,9 @@ def _identity(uid: int) -> VehicleIdentity:
 def open_boot_links(
     connections: Sequence[str], params: ParamSet, instance: int, profile: str, folder: Path
 ) -> BootLinks:
-    """Open links. ConfigError and DriverError name what is wrong; nothing is open then. ``folder``: the vehicle's
-    state."""
+    """Open links; none is left open after an error. ``folder``: state folder of the vehicle. ConfigError,
+    DriverError.
+    """
     found = SigningFiles(folder).state
     signing = None
     if found.key is not None:

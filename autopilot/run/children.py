@@ -1,8 +1,8 @@
-"""Processes of our own that we start, and whether they get on.
+"""Child processes and their liveness.
 
-A child runs the same code as its parent, whatever lies in the folder in which it is started
-(:mod:`autopilot.core.own_python`). How long something takes says nothing on a busy machine, so a child is judged by
-what it does: it lives, and its CPU time moves.
+A child runs the same code as its parent, whatever its working directory contains
+(:mod:`autopilot.core.own_python`). Elapsed time is no criterion on a busy machine: a child is alive if it runs and
+its CPU time increases.
 """
 
 import os
@@ -32,7 +32,7 @@ LOCAL = "127.0.0.1"
 
 
 def free_port(kind: int = socket.SOCK_DGRAM) -> int:
-    """A port of this machine that nobody uses now, for a child to listen on: UDP, or SOCK_STREAM for TCP."""
+    """A free port of this machine for a child to listen on: UDP, or SOCK_STREAM for TCP."""
     with socket.socket(socket.AF_INET, kind) as probe:
         probe.bind((LOCAL, 0))
         return int(probe.getsockname()[1])

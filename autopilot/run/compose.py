@@ -1,4 +1,4 @@
-"""The composition root: puts the service and, for SITL, its simulated world together."""
+"""Composition root: builds the service and, for SITL, its simulated world."""
 
 from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
@@ -37,7 +37,7 @@ from autopilot.run.recorded_answers import RecordedLogDirectory, WitnessedSaving
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class ServiceSetup:
-    """What distinguishes one service from another."""
+    """Components and settings of one service."""
 
     vehicle: Vehicle
     params: ParamSet
@@ -82,7 +82,7 @@ class ServiceSetup:
 
 
 def forecast_of(kind: str, basin: Basin | str, known: Callable[[], CurrentForecast]) -> CurrentForecast:
-    """What a controller is told of the water. ``known`` makes it for a ``kind`` of "map"."""
+    """The controller's current forecast. ``known`` builds it for a ``kind`` of "map"."""
     match kind:
         case "map":
             return known()
@@ -95,7 +95,7 @@ def forecast_of(kind: str, basin: Basin | str, known: Callable[[], CurrentForeca
 
 
 def end_slow_work(parts: ServiceParts, *desks: BackgroundWorker) -> None:
-    """Nobody wants routes, plans and checks any more: what has not begun does not begin. ``desks``: more to close."""
+    """Cancel pending background work on routes, plans and checks. ``desks``: more workers to close."""
     try:
         parts.plans.close()
         parts.controller.reset()

@@ -1,7 +1,7 @@
-"""The main job, no questions asked: the paper's mission, flown in the simulated tank with the jet and without.
+"""The demo: the paper's mission in the simulated tank, with the jet and without.
 
-The service runs as a process of its own and this one is its client: it uploads the plan over MAVLink, arms, starts,
-watches the laps and then judges the log by the plant's truth.
+The service runs in a child process and this one is its client: it uploads the plan over MAVLink, arms, starts,
+monitors the laps and then evaluates the log against the ground truth.
 """
 
 import contextlib
@@ -87,7 +87,7 @@ def fly(scenario: str, folder: Path, *, laps: int, speed: float, seed: int | Non
 
 
 def _operate(session: VehicleConnection, plan: PlanFile, *, laps: int, show: Show) -> None:
-    """What an operator does: upload, arm, start, watch, disarm."""
+    """The operator's sequence: upload, arm, start, monitor, disarm."""
     total = 1 + 2 * laps
     for kind in (PlanKind.FENCE, PlanKind.MISSION):
         show(f"uploading {kind.name.lower()}", 0, total)
@@ -107,7 +107,7 @@ def _operate(session: VehicleConnection, plan: PlanFile, *, laps: int, show: Sho
 
 
 def _arm(session: VehicleConnection) -> None:
-    """Arm as soon as the vehicle knows where it is."""
+    """Arm as soon as the vehicle has a position."""
     end_s = session.vehicle_s + READY_S
     while True:
         try:

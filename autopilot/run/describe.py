@@ -1,4 +1,4 @@
-"""What a log says of its run: geometry, plan, bounds and parameters (``run.json``); any vehicle's part of it."""
+"""Description of a run in its log (``run.json``): geometry, plan, bounds and parameters; common to all vehicles."""
 
 from collections.abc import Mapping
 
@@ -14,7 +14,7 @@ from autopilot.mission.store import Plans
 
 
 def describe_service(parts: ServiceParts, place: str) -> RunDescription:
-    """What the service knows of its run as things stand now; ``place`` names the site or the scenario."""
+    """The service's part of the run description at this time; ``place``: site or scenario."""
     params = parts.params
     waypoints, laps = _tour(parts)
     return RunDescription(
@@ -58,7 +58,7 @@ def _camera(model: CameraModel) -> CameraView:
 
 
 def plan_items(plans: Plans) -> dict[PlanKind, tuple[PlanItem, ...]]:
-    """The plans in force; what is given does not change any more."""
+    """The plans in force, immutable."""
     return {kind: plans.items(kind) for kind in PlanKind}
 
 
@@ -68,7 +68,7 @@ def plans_json(items: Mapping[PlanKind, tuple[PlanItem, ...]]) -> bytes:
 
 
 def _tour(parts: ServiceParts) -> tuple[tuple[Waypoint, ...], int | None]:
-    """The places of one lap, and the laps that the mission asks for (None = it is not a tour of laps)."""
+    """Positions of one lap, and number of laps (None = no tour of laps)."""
     steps = parts.plans.steps()
     params = parts.params
     places = [(step, step.pos_ned_m) for step in steps if isinstance(step, GoTo) and step.pos_ned_m is not None]

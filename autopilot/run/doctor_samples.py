@@ -1,4 +1,4 @@
-"""What is measured of a vehicle in some seconds: whether it comes often enough, and whether it can be true."""
+"""Rates and plausibility of a vehicle's measurements over some seconds."""
 
 from collections.abc import Callable, Sequence
 from typing import Any

@@ -38,12 +38,12 @@ _SLOW = {
 
 
 def silent_remedy(setup: DeviceSetup) -> str:
-    """Of a device that is open and says nothing."""
+    """Remedy for an open device that sends nothing."""
     return _filled(setup, _SILENT) or "check power and settings"
 
 
 def slow_remedy(setup: DeviceSetup | None) -> str:
-    """Of a device that says too little."""
+    """Remedy for a device whose rate is too low."""
     return "" if setup is None else _filled(setup, _SLOW)
 
 

@@ -1,4 +1,4 @@
-"""What the ticks of a loop cost: statistics once per second, and what the run comes to."""
+"""Timing statistics of the loop, once per second and for the whole run."""
 
 import gc
 import threading
@@ -42,9 +42,8 @@ class LoopAccount:
     def tick(
         self, t_us: int, watch: TickTimer, *, dropped_log: int, dropped_frames: int, queued: tuple[int, int] = (0, 0)
     ) -> LoopStats | None:
-        """A tick that ``watch`` has timed is over; once per second what the ticks since the last answer were like.
-
-        ``queued``: messages and bytes that wait for the writer of the log.
+        """Account for a tick timed by ``watch``; returns statistics once per second. ``queued``: messages and
+        bytes waiting for the log writer.
         """
         tick_s = watch.end()
         counters = self.counters
@@ -74,7 +73,7 @@ class LoopAccount:
 
 
 class Pauses:
-    """The longest pause of the garbage collector since it was last asked."""
+    """Longest garbage collection pause since the last call."""
 
     def __init__(self) -> None:
         """Listen from now on: the collector's callbacks are of the whole process, so there is one of these."""

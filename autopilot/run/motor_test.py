@@ -1,4 +1,4 @@
-"""Turn one thruster at a time, a little and for a moment, to see that it is the right one and pushes the right way."""
+"""Runs one thruster at a time at low thrust, to check wiring and direction."""
 
 import time
 from collections.abc import Callable, Iterator

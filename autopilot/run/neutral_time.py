@@ -1,4 +1,4 @@
-"""How long thrust goes on after the service has fallen silent, measured on the vehicle with its propellers off."""
+"""Measures the delay from the last command of the service to neutral thrusters (propellers removed)."""
 
 from collections.abc import Callable
 

@@ -1,4 +1,4 @@
-"""What the loop needs of whatever it is put into: hardware or simulation, a log, clients in the same process."""
+"""Interfaces of the loop: vehicle (hardware or simulation), log, and observers in the same process."""
 
 from collections.abc import Sequence
 from typing import Protocol, runtime_checkable
@@ -46,13 +46,13 @@ class HandsBack(Protocol):
     """A vehicle with a flight controller below us that can have the thrusters back."""
 
     def hand_back(self, t_us: int) -> None:
-        """Let go of the thrusters; called on every tick on which a failsafe wants it, after a neutral ``write``."""
+        """Release the thrusters; called on every tick on which a failsafe requests it, after a neutral ``write``."""
         ...
 
 
 @runtime_checkable
 class DisarmsFlightController(Protocol):
-    """A vehicle with a flight controller below us that can be disarmed whoever armed it."""
+    """A vehicle with a flight controller that can be disarmed, whoever armed it."""
 
     def disarm_flight_controller(self, t_us: int) -> None:
         """Called on every tick until its heartbeat shows that it is disarmed."""
@@ -68,7 +68,7 @@ class Actuates(Protocol):
     """A vehicle that carries something that moves."""
 
     def actuate(self, t_us: int, state: PayloadState) -> None:
-        """What all of it is to have; called on every tick. Raises as :class:`VehicleIo` does."""
+        """Drive all payload outputs; called on every tick. Raises as :class:`VehicleIo` does."""
         ...
 
 
@@ -77,7 +77,7 @@ class HasWatchdog(Protocol):
     """A vehicle whose thrusters a process beside the service stops when the service cannot."""
 
     def watchdog(self, t_us: int) -> str:
-        """What is wrong with that process, "" while it answers or none is needed; asked for once per tick."""
+        """Fault of the watchdog process, "" while it answers or none is needed; called once per tick."""
         ...
 
 
@@ -98,12 +98,12 @@ class Recorder(Protocol):
 
     @property
     def lost(self) -> bool:
-        """Whether what happens is not being recorded though it should be."""
+        """Whether recording has failed although it should be active."""
         ...
 
 
 class Onlooker(Protocol):
-    """Whoever looks on without having a say (the live view)."""
+    """Passive observer of the loop (the live view)."""
 
     def tick(self, inputs: Inputs, outputs: Outputs, frames: Sequence[CameraFrame]) -> None: ...
 

@@ -1,4 +1,4 @@
-"""The file of kept plans: a line of JSON that names format, version and checksum, and a line with the content."""
+"""File format of stored plans: a line of JSON with format, version and checksum, and a line with the content."""
 
 import math
 import zlib
@@ -92,7 +92,7 @@ def place_of(origin: Origin) -> _OriginEntry:
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class PlansSnapshot:
-    """What is to be written; nothing in it changes any more."""
+    """Immutable content to be written."""
 
     configured_origin: Origin
     origin: Origin
@@ -120,7 +120,7 @@ def encode(now: PlansSnapshot) -> bytes:
 
 
 def decode(data: bytes) -> Content:
-    """ValueError, with the reason, for what is not such a file."""
+    """Content of a file. ValueError with the reason for an invalid one."""
     first, _, body = data.removesuffix(b"\n").partition(b"\n")
     try:
         head = msgspec.json.decode(first, type=_PlansHead)

@@ -1,4 +1,4 @@
-"""When this process was started, by the machine's clock as it is now."""
+"""Start time of this process."""
 
 import os
 import time

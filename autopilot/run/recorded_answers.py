@@ -1,5 +1,4 @@
-"""What the service asks of disks, with a witness beside it: a flight notes the answers, a replay has them from its
-log."""
+"""Disk access of the service through a nondeterminism recorder: recorded in flight, replayed from the log."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -57,7 +56,7 @@ class WitnessedStore:
 
 @dataclass(frozen=True, slots=True)
 class RecordedLogDirectory:
-    """The logs for clients; that one has looked at them is noted, what it saw is not."""
+    """Log directory for clients; an access is recorded, its content is not."""
 
     shelf: LogDirectory
     nondeterminism: NondeterminismSource

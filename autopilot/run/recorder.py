@@ -1,10 +1,8 @@
-"""Feeds the log from the runtime: every tick's inputs, outputs and, in simulation, truth.
+"""Feeds the log from the runtime: inputs, outputs and, in simulation, the truth of every tick.
 
-A log describes its run (``run.json``, :mod:`autopilot.log.description`) at its start, at every arming and whenever a
-plan comes while armed; readers take the last one.
-
-A log that cannot be written is not the end of a run: the vehicle goes on without it, the operator is told at once and
-at every arming it is tried anew.
+A log describes its run (``run.json``, :mod:`autopilot.log.description`) at its start, at every arming and whenever
+a plan is changed while armed; readers use the last description. A log that cannot be written does not end a run:
+the operator is notified at once, and a new log is tried at every arming.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -26,7 +24,7 @@ CLOSE_S = 30.0
 
 
 class TruthSource(Protocol):
-    """What a simulated vehicle can say that a real one cannot."""
+    """Ground truth of a simulated vehicle."""
 
     @property
     def truth(self) -> LoggedTruth: ...
@@ -140,14 +138,14 @@ class RunRecorder(NoticeQueue):
             self._log.loop(stats)
 
     def close(self) -> None:
-        """Finish all files, waiting for the disk as long as it makes sense. ``failure`` says what is missing."""
+        """Finish all files, with a bounded wait for the disk. ``failure`` names what is missing."""
         logs = self._ending + ([] if self._log is None else [(self._log, False)])
         self._log, self._ending = None, []
         for log, told in logs:
             self._close(log, CLOSE_S, told=told)
 
     def _describe_news(self, t_us: int, armed: bool) -> None:
-        """A description at every arming, and of every plan that comes while armed."""
+        """Write a description at every arming, and for every plan changed while armed."""
         begins = armed and not self._armed
         self._armed = armed
         revision = self._plan_revision()

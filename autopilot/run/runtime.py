@@ -1,8 +1,8 @@
-"""The loop round ``Autopilot.step``: devices, links, log and pace. The same code at any speed.
+"""The loop around ``Autopilot.step``: devices, links, log and pace. The same code at any speed.
 
-The device may be a simulated vehicle: it is advanced to the time of the tick before it is asked for samples, which is
-all that lockstep needs. With a speed the loop waits for its clock and counts the ticks that began late; without one it
-runs as fast as the machine allows and time is what the tick says.
+A simulated vehicle is advanced to the time of the tick before it is asked for samples, which gives lockstep. With a
+speed the loop waits for its clock and counts late ticks; without one it runs as fast as the machine allows, and
+time is that of the ticks.
 """
 
 import contextlib
@@ -152,7 +152,7 @@ class Runtime:
         self.counters = self._spent.counters
 
     def take_over(self, frames: Sequence[MavlinkFrame]) -> None:
-        """What came over the links before the first tick; it is received with that."""
+        """Bytes received before the first tick; handed over with that tick."""
         self._peer_rx += frames
 
     def wrap_step(self, step: Callable[[Inputs], Outputs]) -> None:
@@ -160,7 +160,7 @@ class Runtime:
         self._step = step
 
     def run(self, *, duration_s: float | None, stop: Callable[[], bool]) -> None:
-        """Tick until ``duration_s`` of vehicle time have passed or ``stop`` says so; then close everything."""
+        """Tick until ``duration_s`` of vehicle time have passed or ``stop`` returns True; then close everything."""
         end_tick = None if duration_s is None else round(duration_s * 1e6 / TICK_US)
         tick = 0
         try:
@@ -190,7 +190,7 @@ class Runtime:
         _show(NOT_STOPPED)
 
     def late_ticks(self, tick: int) -> int:
-        """Ticks to leave out: made up for in a hurry, they would hear now what devices have measured since."""
+        """Number of ticks to skip: run in a burst, they would get measurements taken since."""
         late = (self._clock.now_us() - tick * TICK_US) // TICK_US if self._skips else 0
         if late <= SKIP_TICKS:
             return 0
@@ -280,7 +280,7 @@ class Runtime:
         return found
 
     def _stills_of(self, t_us: int, frames: Sequence[CameraFrame]) -> dict[str, Any]:
-        """What the camera's stills have to say, as fields of ``Inputs``."""
+        """Results of the still camera as fields of ``Inputs``."""
         stills = self._stills
         if stills is None:
             return {}
@@ -288,7 +288,7 @@ class Runtime:
         return {"camera": self._guard.run("camera", stills.report, None), "stills": stored}
 
     def _try(self, t_us: int, device: DeviceRole, work: Callable[[], T], otherwise: T) -> T:
-        """Use a device; one that fails is told to the service with the next tick, which goes on without it."""
+        """Call a device; a failure is reported to the service on the next tick, which continues without it."""
         try:
             return work()
         except (DriverError, OSError) as error:
@@ -320,7 +320,7 @@ class Runtime:
             self._try(t_us, DeviceRole.THRUSTERS, partial(self._below_us.hand_back, t_us), None)
 
     def _with_faults(self, outputs: Outputs) -> Outputs:
-        """Faults of drivers join the service's; the first of each kind is shown where the service was started."""
+        """Add driver faults to the service's; the first of each kind is printed on the console."""
         self._outside = self._guard.take() + (() if self._vision is None else self._vision.guard.take())
         faults = outputs.faults + self._outside
         for fault in faults:
@@ -332,7 +332,7 @@ class Runtime:
     # Links
 
     def attend(self) -> None:
-        """What cannot wait while the loop does: a HEARTBEAT, when none has gone out for too long in real time."""
+        """Keep-alive while the loop waits: a HEARTBEAT, when none has been sent for too long in real time."""
         if self._transport.beat_due:
             beat = self._service.beat()
             self._transport.beat(beat)
@@ -341,7 +341,7 @@ class Runtime:
                 self._between.append(Between(t_us=None))
 
     def _wait(self, t_us: int) -> int:
-        """Until the tick begins. What comes meanwhile over the links is served when time is real."""
+        """Wait for the tick. In real time, messages received meanwhile are served."""
         self.attend()
         if self._paced:
             while (left_s := self._clock.left_s(t_us) - SERVE_MARGIN_S) > 0.0:
@@ -350,7 +350,7 @@ class Runtime:
         return self._clock.wait_until(t_us)
 
     def _serve(self, t_us: int, left_s: float) -> None:
-        """Wait for the links and let the service answer what is urgent; it is logged with the tick that follows."""
+        """Wait for the links and let the service answer urgent messages; logged with the following tick."""
         received = self._transport.wait(t_us, left_s)
         if not received:
             return
@@ -378,7 +378,7 @@ class Runtime:
             ]
 
     def _with_between(self, inputs: Inputs, outputs: Outputs) -> tuple[Inputs, Outputs]:
-        """A tick for the log: with what was received and sent since the tick before."""
+        """A tick for the log, with messages received and sent since the previous tick."""
         rx, tx, self._between_rx, self._between_tx = self._between_rx, self._between_tx, [], []
         calls, self._between, answers = tuple(self._between), [], self._answers()
         if calls or answers or self._outside:
@@ -405,7 +405,7 @@ class Runtime:
 
 
 def _show(text: str) -> None:
-    """On the console, from a thread: a held terminal or a pipe that nobody reads must not stop the loop."""
+    """Print from a thread: a paused terminal or an unread pipe must not stop the loop."""
 
     def write() -> None:
         with contextlib.suppress(OSError, ValueError):

@@ -1,4 +1,4 @@
-"""A run of the service on a vehicle, simulated or real: the loop with all that it is connected to, until its end."""
+"""A run of the service on a simulated or real vehicle: the loop and all its connections, from start to end."""
 
 import contextlib
 import sys
@@ -103,7 +103,7 @@ class Session:
             end.callback(self.runtime.close)
 
     def _at_the_end(self, end: contextlib.ExitStack) -> None:
-        """What has to be done, the last first; whatever one of them raises, the others are done."""
+        """Cleanup in reverse order; an exception in one does not skip the others."""
         end.callback(end_slow_work, self.parts, self.kept.disk)
         if self.kept.plans is not None:
             end.callback(self.kept.plans.finish)
@@ -122,7 +122,7 @@ SomeSession = TypeVar("SomeSession", bound=Session)
 
 
 class SessionOptions(TypedDict, total=False):
-    """What a session may be given beside its world."""
+    """Optional settings of a session."""
 
     log: bool
     links: Sequence[Link] | None
@@ -151,9 +151,17 @@ def open_session(
     now_s: float | None = None,
     beside: Onlooker | None = None,
 ) -> SomeSession:
-    """Everything of a run; the options are :class:`SessionOptions`.
+    """Open all parts of a run.
 
-    ConfigError, PlanError, DriverError, LogError name what is wrong; nothing runs then.
+    Parameters
+    ----------
+    options
+        :class:`SessionOptions`.
+
+    Raises
+    ------
+    ConfigError, PlanError, DriverError, LogError
+        The problem; nothing is left running.
     """
     settings, told, disk = world.settings, world.told, world.disk
     signing = SigningFiles(world.folder, disk, now_s=now_s)
@@ -221,7 +229,7 @@ def open_session(
 
 
 def _service_setup(world: World, instance: int, signing: SigningFiles) -> ServiceSetup:
-    """What the service for that vehicle and place is made of."""
+    """Setup of the service for that vehicle and site."""
     settings, told, speed = world.settings, world.told, world.speed
     controller, controller_by = chosen_part(settings, "controller", told.controller)
     estimator, estimator_by = chosen_part(settings, "estimator", told.estimator)
@@ -270,7 +278,7 @@ def _onlooker(
 
 
 def _state_check(parts: ServiceParts, kept: PersistentState) -> StateCheck:
-    """What is missing of what was kept, or cannot be kept."""
+    """Check for missing or unwritable state files."""
     keepers = tuple(watchdog for watchdog in (kept.params, kept.plans, kept.signing) if watchdog is not None)
     losses = [loss for watchdog in keepers for loss in watchdog.losses]
     unsaved = [partial(getattr, watchdog, "unsaved") for watchdog in keepers]
@@ -288,9 +296,8 @@ def link_rates(connections: Sequence[str]) -> dict[int, float]:
 
 
 def _take_plans(parts: ServiceParts, world: World, kept: KeptPlans | None) -> tuple[str, ...]:
-    """The plan to have on board: of a file, else what was kept. The result is what an operator should know.
-
-    PlanError if the file is no plan, or cannot be flown though it is to be flown at once.
+    """Load the initial plan: from a file, else the stored one. Returns a message to the operator. PlanError if the
+    file is invalid, or cannot be flown though it is to be flown at once.
     """
     plan = world.plan
     if plan is None:
@@ -333,7 +340,7 @@ def _marker_vision(told: KnownEnvironment, *, paced: bool) -> VisionWorker | Non
 
 
 def log_shelf(settings: EffectiveSettings, *, blocking: bool) -> LogDirectoryReader:
-    """The logs of a run's folder. ``patient``: in lockstep the loop waits for the disk."""
+    """Log directory of a run. ``patient``: in lockstep the loop waits for the disk."""
     single = None if settings["log"] is None else Path(settings["log"])
     return LogDirectoryReader(
         Path(settings["log_dir"]), BackgroundWorker(DaemonExecutor("files"), blocking=blocking), single

@@ -1,7 +1,8 @@
-"""The signing key and the signing time on disk (:class:`autopilot.mavlink.api.SigningStore`).
+"""Signing key and signing time on disk (:class:`autopilot.mavlink.api.SigningStore`).
 
-``signing.key`` is the key in hex digits, readable by its owner only. ``signing.time`` is a time beyond which no frame
-has been signed or heard: it is written ahead, so that after a power cut no time is used and no frame is heard twice.
+``signing.key`` is the key in hex digits, readable by its owner only. ``signing.time`` is an upper bound of all
+timestamps signed or accepted: it is written ahead, so that after a power cut no timestamp is used or accepted
+twice.
 """
 
 import os
@@ -27,7 +28,7 @@ class SigningFiles:
     """One vehicle's. ConfigError for a key that cannot be used: no vehicle is open because a file is damaged."""
 
     def __init__(self, folder: Path, worker: BackgroundWorker | None = None, *, now_s: float | None = None) -> None:
-        """``desk``: the lane of the disk, None = nothing is written, only looked at; ``now_s``: Unix time."""
+        """``desk``: worker for disk access, None = read-only; ``now_s``: Unix time."""
         self._key = StateFile(folder / KEY_FILE, copies=False, private=True)
         self._time = StateFile(folder / "signing.time")
         key, warnings = self._read_key()

@@ -1,6 +1,6 @@
-"""What the console shows of a SITL run: what the operator is told, and what only the simulation can know.
+"""Console output of a SITL run: messages to the operator, and events of the simulation.
 
-Contacts and obstacles that the fence does not have come from the simulated world; the service never hears of them here.
+Contacts and obstacles outside the fence are reported by the simulated world; the service does not know them.
 """
 
 from collections.abc import Sequence
@@ -81,7 +81,7 @@ class RunWatch:
 
 
 def unknown_obstacles(scenario: Scenario, fence: Fence) -> tuple[str, ...]:
-    """What stands or moves in the scenario where the fence lets the vehicle go; one line for each."""
+    """Obstacles of the scenario inside the permitted area of the fence, one line each."""
     texts = []
     for number, obstacle in enumerate(scenario.obstacle, start=1):
         where = _outline(obstacle)

@@ -1,4 +1,4 @@
-"""What the log of a simulated run says beside what any vehicle's says: the world, and what the run is judged by."""
+"""Additions to the run description of a simulated run: world and acceptance bounds."""
 
 from collections.abc import Mapping
 from dataclasses import fields, replace

@@ -1,4 +1,4 @@
-"""The plant of a scenario under ArduPilot's own simulation: a UDP server for its JSON interface."""
+"""Physics backend for ArduPilot SITL: serves a scenario's plant over the JSON interface (UDP)."""
 
 import json
 import select
@@ -28,7 +28,7 @@ MAX_PACKET = 2048
 
 
 class PhysicsFlight(msgspec.Struct, kw_only=True):
-    """What has become of the vehicle, and of the talk."""
+    """Result: vehicle state and statistics of the interface."""
 
     seconds: float = 0.0
     """Simulated, since ArduPilot started."""

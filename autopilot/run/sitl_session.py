@@ -31,7 +31,7 @@ class SitlSession(Session):
 
     @property
     def steering(self) -> Steering | None:
-        """Who does to the simulation what the live view asks for; None without one."""
+        """Executes the live view's requests on the simulation; None without a view."""
         return self.world.steering
 
 

@@ -1,7 +1,7 @@
-"""A simulated run under the live view: what only a simulation knows, and what can be done to it by hand.
+"""The live view of a simulated run: ground truth, and interventions from the page.
 
-What the page asks for is done by the loop, between two ticks; every such thing is told to the operator and stands in
-the log, since the run is then no longer the scenario's alone.
+Requests of the page are executed by the loop between two ticks. Every one is reported to the operator and logged,
+because the run is then no longer the scenario's alone.
 """
 
 import queue
@@ -79,7 +79,7 @@ class WatchedSitl(WatchedService):
 
 
 class Steering(NoticeQueue):
-    """Does what the page asks for. ``do`` is called by the page's threads, everything else by the loop."""
+    """Executes requests of the page. ``do`` is called by the page's threads, everything else by the loop."""
 
     def __init__(self, scenario: Scenario, vehicle: SimulatedVehicle, clock: PacedClock | LockstepClock) -> None:
         super().__init__()
@@ -96,7 +96,7 @@ class Steering(NoticeQueue):
 
     @property
     def steerable(self) -> Steerable:
-        """What this simulation can have done to it."""
+        """Interventions that this simulation supports."""
         own_plant, paced = self._vehicle.steerable is None, isinstance(self._clock, PacedClock)
         missing = ["Waves and a tether cannot be changed in this simulation."]
         if own_plant:
@@ -154,7 +154,7 @@ class Steering(NoticeQueue):
     # The loop's side
 
     def hold(self, t_us: int) -> bool:
-        """Do what was asked for since the last tick, at ``t_us``; whether time stands still."""
+        """Execute requests since the last tick, at ``t_us``; whether the simulation is paused."""
         while not self._asked.empty():
             ask, answer = self._asked.get()
             if not answer.set_running_or_notify_cancel():
@@ -166,7 +166,7 @@ class Steering(NoticeQueue):
         return self._paused
 
     def end(self) -> None:
-        """The run is over: nobody waits for an answer any more."""
+        """The run is over: release threads that wait for an answer."""
         self._over = True
         while not self._asked.empty():
             _, answer = self._asked.get()

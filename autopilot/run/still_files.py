@@ -1,7 +1,7 @@
-"""Stills for the service: the first picture that is exposed after it was asked for, stored in the log and beside it.
+"""Stills: the first picture exposed after the request, stored in the log and beside it.
 
-Making the PNG and writing its file are done at a desk; the log takes the bytes when they are there, in lockstep a
-counted number of ticks later.
+PNG encoding and file writing are done by a background worker; the log takes the bytes when they are ready, in
+lockstep after a fixed number of ticks.
 """
 
 import shutil
@@ -66,7 +66,7 @@ class StillStore:
         self._space_tick = 0
 
     def take(self, t_us: int, frames: Sequence[CameraFrame]) -> tuple[StoredStill, ...]:
-        """Give pictures to what has been asked for; what has become of earlier stills."""
+        """Assign pictures to requests; returns the results of earlier stills."""
         tick = t_us // TICK_US
         self._look_at_disk(tick)
         for frame in frames:

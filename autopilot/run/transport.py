@@ -1,7 +1,7 @@
-"""The links of a service: receiving, sending, waiting for them, and what operators have to know of them.
+"""Links of the service: receive, send, wait, and notices about their state.
 
-Nothing here blocks longer than it was told to, and nothing raises: a link that breaks is counted, named once, and
-looked after by its driver. An exception that no driver may raise is a fault for the guard as well.
+Nothing here blocks longer than its timeout, and nothing raises: a broken link is counted, reported once, and
+reopened by its driver. An exception that no driver may raise is a fault for the guard as well.
 """
 
 import select
@@ -40,9 +40,8 @@ T = TypeVar("T")
 
 
 def _beat_of(frame: MavlinkFrame) -> int | None:
-    """The component whose HEARTBEAT a frame brings to all clients of a link; None for any other frame.
-
-    One that goes to a single client, or is passed on for somebody else, keeps nobody else from missing us.
+    """Component of a broadcast HEARTBEAT; None for any other frame. One that is sent to a single client, or
+    forwarded for another component, does not keep other clients from timing out.
     """
     data = frame.data
     if isinstance(data, Verbatim) or frame.client != EVERYONE:
@@ -92,13 +91,13 @@ class Transport:
         return bool(self._beats_s) and self._now_s() - min(self._beats_s.values()) >= BEAT_S
 
     def receive(self, t_us: int) -> list[MavlinkFrame]:
-        """What all links have for a tick. What they may bring until the next one counts anew."""
+        """Data of all links for a tick. The receive limit until the next tick starts anew."""
         self._between_bytes = [0] * len(self._links)
         self._between_calls = [0] * len(self._links)
         return [frame for index in range(len(self._links)) for frame in self._receive(index, t_us)]
 
     def wait(self, t_us: int, seconds: float) -> list[MavlinkFrame]:
-        """Wait for the links, ``seconds`` at most; what has come, or nothing when the time is over."""
+        """Wait for the links, ``seconds`` at most; data received, or nothing on timeout."""
         open_links = [index for index in range(len(self._links)) if self._may_bring(index)]
         doors: dict[int, int] = {}
         polled = []
@@ -130,7 +129,7 @@ class Transport:
         self.send(frames)
 
     def send(self, frames: Sequence[MavlinkFrame]) -> None:
-        """Send what goes to these links."""
+        """Send frames on their links."""
         for frame in frames:
             component = _beat_of(frame)
             if component is not None:
@@ -141,7 +140,7 @@ class Transport:
                     self._send(index, frame)
 
     def take_notices(self, t_us: int) -> tuple[Event, ...]:
-        """What operators have to know of the links since the last call: one that broke, one that is back."""
+        """Notices to operators about links since the last call: broken, or restored."""
         events: list[Event] = []
         for index in range(len(self._links)):
             problem, name = self._problem(index), self._names[index]
@@ -186,7 +185,7 @@ class Transport:
             self._try(index, "send", lambda: link.send(frame.data, frame.client), None)
 
     def _problem(self, index: int) -> str | None:
-        """What is wrong with a link now: what its driver failed at, else what the driver says itself."""
+        """Present fault of a link: its driver's exception, else its driver's own report."""
         said = self._try(index, "tell", lambda: self._links[index].problem, None)
         return next(iter(self._failed[index].values()), said)
 

@@ -1,6 +1,7 @@
-"""What a service is put into: a real vehicle, emulated devices or a simulation, with the place round it.
+"""World of a service: a real vehicle, emulated devices or a simulation, with its environment.
 
-A session (:mod:`autopilot.run.session`) is opened, run, recorded and closed alike in all of them; what differs is here.
+A session (:mod:`autopilot.run.session`) is opened, run, recorded and closed alike in all of them; the differences
+are here.
 """
 
 from abc import ABC, abstractmethod
@@ -33,9 +34,11 @@ from autopilot.view.page_state import Solid
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class KnownEnvironment:
-    """What a service is told of its vehicle and of the place, and nothing of the truth. The fields are those of
-    :class:`autopilot.run.compose.ServiceSetup`; ``controller`` and ``estimator`` are those that fly unless the
-    settings name others."""
+    """The service's knowledge of vehicle and site, without the ground truth.
+
+    The fields are those of :class:`autopilot.run.compose.ServiceSetup`; ``controller`` and ``estimator`` are
+    defaults that the settings override.
+    """
 
     vehicle: Vehicle
     origin: Origin
@@ -50,7 +53,7 @@ class KnownEnvironment:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CurrentSource:
-    """From what :attr:`KnownEnvironment.currents` was made, for the log."""
+    """Source of :attr:`KnownEnvironment.currents`, for the log."""
 
     kind: str
     basin: str
@@ -66,7 +69,7 @@ class WatchedService:
         self._describe = describe
 
     def revision(self) -> Hashable:
-        """Changes with plans and parameters. The fence comes into force a little after its plan."""
+        """Changes with plans and parameters. The fence comes into force slightly after its plan."""
         parts = self._parts
         return parts.plans.revision, id(parts.commander.fence), tuple(parts.params.values())
 
@@ -117,7 +120,7 @@ class World(ABC):
 
     @abstractmethod
     def epoch_ns(self) -> int:
-        """Log time of the vehicle's time zero, asked when the devices are open."""
+        """Log time of the vehicle's time zero, called when the devices are open."""
 
     @abstractmethod
     def open_device(self, parts: ServiceParts) -> None:
@@ -129,7 +132,7 @@ class World(ABC):
 
     @abstractmethod
     def metadata(self) -> Mapping[str, str]:
-        """What its logs say of it in a word."""
+        """Short metadata for the logs."""
 
     @abstractmethod
     def attachments(self) -> Mapping[str, bytes]:
@@ -140,7 +143,7 @@ class World(ABC):
         """Who has the vehicle at a time, where there is a flight controller below."""
 
     def finish_plan(self, plan: PlanFile) -> tuple[PlanFile, tuple[str, ...]]:
-        """What becomes of a plan from a file before it is taken, and a word about that."""
+        """Complete a plan from a file before it is loaded; with a message about that."""
         return plan, ()
 
     def watched(self, parts: ServiceParts) -> WatchedService:
@@ -148,14 +151,14 @@ class World(ABC):
 
     @abstractmethod
     def controls(self, clock: PacedClock | LockstepClock) -> Controls:
-        """What the page of a live view may do to it."""
+        """Interventions that the live view may make."""
 
     def truth(self) -> TruthLike | None:
         """Where the vehicle really is, where that is known."""
         return None
 
     def notices(self) -> Sequence[tuple[Severity, str]]:
-        """What operators should know of it."""
+        """Notices to the operator."""
         return ()
 
     def refusals(self, t_us: int) -> tuple[str, ...]:
