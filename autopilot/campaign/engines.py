@@ -137,8 +137,8 @@ class InProcess:
 class LocalPool:
     """A process per core, each of which flies many runs.
 
-    On Linux they are forked from a process that has nothing in it but what a run imports, and no thread; it does so
-    from the moment that the engine is made, while the campaign is being prepared. Elsewhere each imports for itself.
+    On Linux they are forked from a server process without threads that has only imported the modules of a run; it
+    starts when the engine is created. On other systems each process imports for itself.
     """
 
     def __init__(self, jobs: int) -> None:
@@ -147,7 +147,7 @@ class LocalPool:
         self._prepare()
 
     def _prepare(self) -> None:
-        """Start the process that the others come from, if they do and it is not there. Does not wait for it."""
+        """Start the fork server if it is used and not running. Does not wait for it."""
         if self._context.get_start_method() != "forkserver":
             return
         from multiprocessing import forkserver
@@ -157,8 +157,9 @@ class LocalPool:
             forkserver.ensure_running()
 
     def run(self, tasks: Sequence[Flyable[Result]], stop: Stop) -> Iterator[Result]:
-        """See :class:`CampaignEngine`. A process that dies takes no run with it, except one that kills its process
-        again when it is flown alone; that one has failed."""
+        """See :class:`CampaignEngine`. If a process dies its runs are repeated; a run that kills its process again
+        when it is flown alone has failed.
+        """
         left = dict(enumerate(tasks))
         deaths: Counter[int] = Counter()
         while left and not stop():
@@ -266,9 +267,9 @@ def _single_threaded() -> Iterator[None]:
 
 @contextmanager
 def interrupt_later() -> Iterator[None]:
-    """Processes that begin meanwhile do not hear Ctrl-C before they can ignore it themselves; this one hears it after.
+    """Block SIGINT while processes start, until they can ignore it themselves; delivered to this one afterwards.
 
-    Blocked, not ignored: what comes while it is ignored is lost, and the campaign goes on.
+    Blocked, not ignored: a signal that arrives while it is ignored would be lost, and the campaign would continue.
     """
     resource_tracker.ensure_running()  # Its start would end the blocking.
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
@@ -295,11 +296,10 @@ class DaskCluster:
         self._jobs = jobs
 
     def run(self, tasks: Sequence[Flyable[Result]], stop: Stop) -> Iterator[Result]:
-        """See :class:`CampaignEngine`. A worker that dies is replaced by the others: Dask sends its runs again, up to
-        its setting ``distributed.scheduler.allowed-failures`` (3) times, then the run has failed.
-
-        ConfigError if the scheduler does not answer, nobody works for it or a worker has another version;
-        AutopilotError if the scheduler goes meanwhile.
+        """See :class:`CampaignEngine`. Runs of a dead worker are resubmitted by Dask up to
+        ``distributed.scheduler.allowed-failures`` (3) times, then the run has failed. ConfigError if the
+        scheduler does not answer, has no workers or one with another version; AutopilotError if the scheduler
+        is lost.
         """
         if not tasks:
             return
@@ -392,8 +392,7 @@ class DaskCluster:
 
     @contextmanager
     def _unsampled(self) -> Iterator[None]:
-        """A cluster of its own begins meanwhile: its workers do not look at the stacks of all threads 100 times a
-        second, which takes the interpreter from the runs."""
+        """Disable Dask's profiler in a local cluster: sampling all stacks 100 times a second blocks the interpreter."""
         with self._settings.set({"distributed.worker.profile.enabled": False}):
             yield
 

@@ -1,4 +1,4 @@
-"""One fault scenario for every row of the table of failsafes: what is done to the vehicle, and what it has to do.
+"""One fault scenario for every row of the failsafe table: fault injected, and response required.
 
 Data only; :mod:`autopilot.campaign.fault_flights` flies it.
 """

@@ -1,4 +1,4 @@
-"""What a campaign hands to an engine and what it keeps of every run."""
+"""Tasks handed to an engine, and the stored result of a run."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -28,7 +28,7 @@ class Task:
     params: dict[str, float] = field(default_factory=dict)
 
     def fly(self, stop: Callable[[], bool] = lambda: False) -> "RunResult | None":
-        """The result, None if ``stop`` said so before the end. AutopilotError if it cannot be flown."""
+        """The result, None if ``stop`` ended the run. AutopilotError if it cannot be flown."""
         from autopilot.campaign.flight import fly  # the whole service
 
         return fly(self, stop)
@@ -104,7 +104,7 @@ class RunResult(msgspec.Struct, frozen=True, kw_only=True):
 
     @property
     def laps_missing(self) -> bool:
-        """Fewer laps than the mission asks for, or no end of a mission without laps."""
+        """Fewer laps than the mission requires, or an incomplete mission without laps."""
         return not self.completed if self.laps_asked is None else self.laps < self.laps_asked
 
     @property
@@ -119,7 +119,7 @@ class RunResult(msgspec.Struct, frozen=True, kw_only=True):
 
     @property
     def failed(self) -> bool:
-        """It breaks what the scenario holds against a run."""
+        """Whether the run breaks an acceptance bound of the scenario."""
         if self.error is not None or self.contacts > 0:
             return True
         return self.judged == "bounds" and (bool(self.beyond) or self.laps_missing)

@@ -1,7 +1,7 @@
-"""Campaigns side by side: one row per folder, shares and medians with their confidence, and modes compared run by run.
+"""Comparison of campaigns: one row per folder, proportions and medians with confidence intervals, paired by run.
 
-Runs are the unit: laps of one run share a vehicle and its water. Shares have the interval of Clopper and Pearson
-(1934), medians the one between order statistics (whatever the distribution), both two-sided.
+The unit is the run: laps of one run share vehicle and water. Proportions have the interval of Clopper and Pearson
+(1934), medians the distribution-free interval between order statistics, both two-sided.
 """
 
 from collections.abc import Callable, Iterable, Sequence
@@ -117,7 +117,7 @@ def median_interval(values: Sequence[float]) -> MedianInterval:
 
 
 def row_of(identity: CampaignIdentity, results: Iterable[RunResult]) -> TableRow:
-    """What one campaign shows so far."""
+    """Statistics of one campaign so far."""
     runs = list(results)
     flown = [each for each in runs if each.error is None]
     kept = [margin.margin for each in flown for name, margin in each.margins.items() if name not in SPEEDS]

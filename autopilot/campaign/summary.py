@@ -1,4 +1,4 @@
-"""What the runs of a campaign say together: shares with their confidence, percentiles of margins, bars."""
+"""Summary of a campaign: proportions with confidence intervals, percentiles of margins, acceptance bars."""
 
 import math
 from collections.abc import Sequence

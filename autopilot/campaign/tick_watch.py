@@ -1,4 +1,4 @@
-"""Keeps what a run is judged by, tick by tick (100 Hz): the plant's truth, the command, the estimate's error."""
+"""Records the data that a run is judged by at 100 Hz: ground truth, command, estimation error."""
 
 import math
 from collections.abc import Callable
@@ -75,7 +75,7 @@ class TickWatch:
 
     @property
     def over(self) -> bool:
-        """Whether nothing more is to be seen."""
+        """Whether the flight can end."""
         ends = [end for end in (self._complete_s, self._disarmed_s) if end is not None]
         return bool(ends) and self._now_s >= min(ends) + HOLD_S
 

@@ -1,6 +1,6 @@
-"""Figures out of a log: tracks, visits of waypoints, laps, clearances, energy, estimation errors.
+"""Analysis of a log: tracks, waypoint visits, laps, clearances, energy, estimation errors.
 
-Judging them is :mod:`autopilot.log.check`'s business. Times are seconds of the service's clock, everything else SI.
+Verdicts are in :mod:`autopilot.log.check`. Times are seconds of the service's clock, everything else SI.
 """
 
 from collections.abc import Sequence
@@ -171,7 +171,7 @@ class Prediction:
 
 
 def predictions(log: Log) -> list[Prediction]:
-    """What the controller predicted, in order; empty if the log does not have it."""
+    """Predictions of the controller, in order; empty if the log has none."""
     if "/ctl/horizon" not in log:
         return []
     found = []
@@ -183,7 +183,7 @@ def predictions(log: Log) -> list[Prediction]:
 
 
 def foreseen(made: Sequence[Prediction], ahead_s: float) -> tuple[FloatArray, FloatArray]:
-    """(n,) times and (n, 3) places where the vehicle was to be then by what was predicted ``ahead_s`` before."""
+    """(n,) times and (n, 3) positions predicted for them ``ahead_s`` earlier."""
     known = [one for one in made if len(one.at_s) > 1 and one.at_s[-1] >= one.t_s + ahead_s > one.at_s[0]]
     times = np.array([one.t_s + ahead_s for one in known])
     places = [
@@ -250,7 +250,7 @@ def known_table(log: Log, topic: str) -> MessageTable | None:
 
 
 def last_counts(log: Log) -> dict[str, int]:
-    """What was counted by the end of the log, by name; empty if it has no counters or those of another version."""
+    """Final values of the counters, by name; empty if the log has none, or those of another version."""
     table = log.get("/nav/counters")
     fields = (layout("autopilot_msgs/NavCounters").dtype.names or ())[1:]
     has = () if table is None else table.dtype.names or ()
@@ -351,7 +351,7 @@ def distance_to_obstacle(track: VehicleTrack, obstacle: Obstacle) -> FloatArray:
 
 
 def obstacle_limit_m(obstacle: Obstacle, run: RunDescription) -> float | None:
-    """What the vehicle's centre has to keep from an obstacle's axis; None = not judged."""
+    """Least distance of the vehicle's centre from an obstacle's axis; None = not judged."""
     asked = run.accept.cylinder_clearance_m
     if asked is None:
         return None
@@ -368,7 +368,7 @@ def waypoint_errors(track: VehicleTrack, waypoint: Waypoint) -> tuple[FloatArray
 
 
 def visits(track: VehicleTrack, run: RunDescription) -> list[Visit]:
-    """The tour that the run had to make, with what became of each visit: every waypoint in order, lap by lap."""
+    """The tour required of the run with the result of each visit: every waypoint in order, lap by lap."""
     points, laps = run.waypoints, run.accept.laps or 1
     if not points:
         return []

@@ -1,7 +1,4 @@
-"""What a log says of its parts beside the bounds of a run: figures, and warnings where one should look.
-
-None of these is a bound of the vehicle: nothing here fails a run.
-"""
+"""Further figures and warnings from a log. None is a bound: nothing here fails a run."""
 
 import math
 from collections.abc import Sequence
@@ -104,7 +101,7 @@ def _detour(flight: FlightRecord) -> list[BoundRow]:
 
 
 def _tracking(flight: FlightRecord) -> list[BoundRow]:
-    """How well the controller knew what would come, and how late thrust follows its commands."""
+    """Prediction error of the controller, and delay from command to thrust."""
     made = [one for one in predictions(flight.log) if flight.mission.start_s <= one.t_s <= flight.mission.end_s]
     then_s, then_m = foreseen(made, AHEAD_S)
     track = flight.judged
@@ -297,7 +294,7 @@ def _thrusters(flight: FlightRecord) -> list[BoundRow]:
 
 
 def _balance(names: Sequence[str], mean_n: FloatArray) -> list[BoundRow]:
-    """What port thrusters give more than starboard ones, of both; none on vehicles without such names."""
+    """Port minus starboard thrust over their sum; none on vehicles without such names."""
     sides = []
     for side in ("port", "starboard"):
         found = [at for at, name in enumerate(names) if side in name.lower()]
@@ -387,7 +384,7 @@ def _energy_of_waypoints(flight: FlightRecord) -> list[BoundRow]:
 
 
 def _energy_of_thrusters(flight: FlightRecord, used_j: float | None) -> list[BoundRow]:
-    """What each took by the vehicle file's figures, and what is left of the energy."""
+    """Energy per thruster by the vehicle file's model, and the remaining energy."""
     found = thruster_power(flight)
     if found is None:
         return []

@@ -1,4 +1,4 @@
-"""What a log says of the links to clients and of the process: figures, and warnings where one should look."""
+"""Figures and warnings about links to clients and about the process."""
 
 import struct
 
@@ -26,7 +26,7 @@ MAVLINK2 = 0xFD
 
 
 def link_rows(flight: FlightRecord) -> list[BoundRow]:
-    """What the links lost, how long an answer took, and what was refused."""
+    """Losses, response times and rejected data of the links."""
     rows = []
     received = flight.table("/in/mavlink")
     if received is not None and len(received):
@@ -98,7 +98,7 @@ def process_rows(flight: FlightRecord) -> list[BoundRow]:
 
 
 def _memory(t_s: FloatArray, rss: FloatArray) -> BoundRow:
-    """What it came to, and by how much it grew over the second half of the log."""
+    """Peak memory, and growth over the second half of the log."""
     end, middle = float(rss[-1]), float(rss[len(rss) // 2])
     grown, lasted_s = end - middle, float(t_s[-1] - t_s[len(t_s) // 2])
     note = f"{1e-6 * grown:+.1f} MB in the last {lasted_s:.0f} s"

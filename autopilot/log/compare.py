@@ -1,4 +1,4 @@
-"""Comparing two logs message by message: the test of determinism, and the core of a replay's verdict.
+"""Comparison of two logs message by message, for tests of determinism and replays.
 
 Times are compared on the service's clock, so that runs that started at different wall-clock times compare equal.
 """
@@ -30,7 +30,7 @@ _SHOWN = 80
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Difference:
-    """The first place where a topic differs, or what is missing."""
+    """First difference of a topic, or missing messages."""
 
     topic: str
     field: str
@@ -52,10 +52,11 @@ def compare_logs(
     *,
     prefix: bool = False,
 ) -> list[Difference]:
-    """Where two logs differ, at most one entry per field; empty = the same messages.
+    """Compare two logs.
 
-    ``ignore_fields`` holds ``topic.field`` or a field's name for all topics. Metadata and attachments are not compared.
-    ``prefix``: one of them ends early, only what both have counts.
+    At most one difference per field; empty = identical messages. ``ignore_fields``: ``topic.field``, or a field's
+    name for all topics. Metadata and attachments are not compared. ``prefix``: one may end early, only the common
+    part is compared.
     """
     found: list[Difference] = []
     for topic in sorted({*a.topics, *b.topics} - set(ignore_topics)):

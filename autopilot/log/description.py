@@ -1,8 +1,8 @@
-"""``run.json``: what a log's reader has to know of the run to draw and to judge it.
+"""``run.json``: description of the run for plots and verdicts.
 
 The composition root fills a :class:`RunDescription` and :mod:`autopilot.log.log_session` attaches it to the log.
-Everything in local metres (NED, origin at the water surface), radians and SI. A log without this attachment can still
-be read and plotted; only what needs bounds or geometry is left out.
+Local metres (NED, origin at the water surface), radians and SI. A log without this attachment can still be read and
+plotted, without bounds and geometry.
 """
 
 from collections.abc import Mapping
@@ -24,8 +24,9 @@ Point3: TypeAlias = tuple[float, float, float]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class AcceptBounds:
-    """What the run is judged by. None = not judged. Names as in a scenario's ``[accept]``; defaults: paper, IV, which
-    :meth:`of_limits` follows where a run has other limits."""
+    """Acceptance bounds of the run, None = not judged. Names as in a scenario's ``[accept]``; defaults: paper, IV;
+    :meth:`of_limits` scales them to other limits.
+    """
 
     laps: int | None = None
     """Times that the waypoints have to be visited in order (back to the first one if the tour is closed)."""
@@ -47,7 +48,7 @@ class AcceptBounds:
 
     @classmethod
     def of_limits(cls, params: Mapping[str, float], laps: int | None) -> "AcceptBounds":
-        """By the limits that the controller is given, with what the paper allows beyond its own."""
+        """Bounds from the controller's limits, with the paper's tolerance beyond its own."""
         return cls(
             laps=laps,
             depth_max_m=params["DEPTH_MAX"],
@@ -98,7 +99,7 @@ class Waypoint:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CameraView:
-    """The camera as the service was told of it."""
+    """The camera as configured in the service."""
 
     width_px: int
     height_px: int
@@ -115,7 +116,7 @@ class CameraView:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PartOrigin:
-    """Where a controller, an estimator or a plant comes from: enough to find the very same again."""
+    """Origin of a controller, an estimator or a plant: identifies the exact code."""
 
     name: str
     """As it was asked for: a shipped name, a package's, or package:Class."""
@@ -193,7 +194,7 @@ def to_json(description: RunDescription) -> bytes:
 
 
 def from_json(data: bytes, origin: str) -> RunDescription:
-    """The description of a log. LogError names what is wrong."""
+    """The description of a log. LogError names the problem."""
     try:
         return msgspec.json.decode(data, type=RunDescription)
     except (msgspec.MsgspecError, UnicodeDecodeError) as error:

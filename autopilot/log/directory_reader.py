@@ -1,4 +1,4 @@
-"""The log folder for clients that download: reads what lies in it, and nothing else, beside the loop."""
+"""Log directory for clients that download, read in the background."""
 
 import fnmatch
 import glob
@@ -30,7 +30,7 @@ class LogDirectoryReader:
         self._folder, self.worker, self._single = folder, worker, single
 
     def list(self, tick: int) -> BackgroundTask[tuple[LogDirectoryEntry, ...]]:
-        """All files, oldest first; what goes meanwhile is left out."""
+        """All files, oldest first; files deleted meanwhile are left out."""
         return self.worker.submit(tick + DUE_TICKS, lambda _, cancel: self._listed(cancel), None)
 
     def read(self, tick: int, path: str, offset: int, size: int) -> BackgroundTask[bytes]:
@@ -93,6 +93,6 @@ class LogDirectoryReader:
 
     @staticmethod
     def _is_of_single(name: str, single: Path) -> bool:
-        """Whether a file's name is that of the one log, or of what stands beside it."""
+        """Whether a file is the single log (``--log``) or one of its companions."""
         stills = f"{glob.escape(single.stem)}{STILLS}"
         return name in (single.name, single.with_suffix(".tlog").name) or fnmatch.fnmatchcase(name, stills)

@@ -1,8 +1,8 @@
-"""A log's topics as files that anything reads: CSV, and Parquet where pyarrow is installed.
+"""Export of topics: CSV, and Parquet if pyarrow is installed.
 
-One file per topic, one row per message: ``t_us`` and ``t_s`` on the service's clock, then the fields; arrays element by
-element (``pos_ned_m[0]``), nested fields by their path (``orientation.x``). Topics of variable size (paths, markers,
-pictures) go out with one column of JSON, their bytes as lengths. Numbers keep every digit that they have.
+One file per topic, one row per message: ``t_us`` and ``t_s`` on the service's clock, then the fields; arrays
+element by element (``pos_ned_m[0]``), nested fields by their path (``orientation.x``). Topics of variable size
+(paths, markers, pictures) are one column of JSON, bytes as their length. Numbers keep full precision.
 """
 
 import csv
@@ -22,10 +22,9 @@ Kind: TypeAlias = Literal["csv", "parquet"]
 
 
 def export_log(log: Log, folder: Path, *, topics: Sequence[str] = (), kind: Kind = "csv") -> Iterator[Path]:
-    """Write topics (all without any) into ``folder``; the files, as they are written.
-
-    LogError if there is no such topic, or nothing to write that kind with. One of all that cannot be decoded is left
-    out and named in ``log.problems``; one that was asked for is an error.
+    """Write topics (None = all) into ``folder`` and yield the files. LogError for an unknown topic or a missing
+    library. A topic that cannot be decoded is an error if it was requested, else it is left out and named in
+    ``log.problems``.
     """
     unknown = [topic for topic in topics if topic not in log.topics]
     if unknown:

@@ -1,4 +1,4 @@
-"""What readers of the paper's figures ask for next: errors of the estimate, solve time, energy, current."""
+"""Figures beyond the paper's: estimation errors, solve time, energy, current."""
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -127,7 +127,7 @@ def energy(scene: FigureScene) -> Figure | None:
 
 
 def current(scene: FigureScene) -> Figure | None:
-    """Current at the vehicle: what the estimator believes and what there was."""
+    """Current at the vehicle: estimate and truth."""
     nav = scene.flight.nav
     if nav is None:
         return None

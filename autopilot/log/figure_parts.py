@@ -1,4 +1,4 @@
-"""What all figures share: the scene of a run, style, axes, bounds, legends."""
+"""Common parts of all figures: data of a run, style, axes, bounds, legends."""
 
 import math
 from dataclasses import dataclass
@@ -41,7 +41,7 @@ STYLE: Any = {
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class FigureScene:
-    """What all figures need of a run."""
+    """Data of a run for all figures."""
 
     flight: FlightRecord
     track: VehicleTrack

@@ -1,4 +1,4 @@
-"""Figures of a run as PNG and PDF files: the five of the paper (section IV), and what its readers ask for next."""
+"""Figures of a run as PNG and PDF files: the five of the paper (section IV), and further ones."""
 
 from collections.abc import Callable
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""What plans of a flight draw beside standing shapes: the current that was met, and where moving obstacles were."""
+"""Content of plan views that varies in time: current along the path, and positions of moving obstacles."""
 
 from dataclasses import dataclass
 
@@ -53,7 +53,7 @@ class MovedObstacle:
 
 
 def plan_box(track: VehicleTrack, run: RunDescription | None) -> tuple[FloatArray, FloatArray]:
-    """Least and greatest north and east (2,) of what a plan shows: way, tank, fence and waypoints."""
+    """Least and greatest north and east (2,) of a plan view: path, tank, fence and waypoints."""
     points = [track.pos_ned_m[:, :2]]
     if run is not None:
         outlines = [run.tank_polygon_m, *(outline(shape) for shape in run.fence)]

@@ -1,4 +1,4 @@
-"""Reading a log: ``open_log(path)["/nav/state"]`` is a numpy structured array.
+"""Log reader: ``open_log(path)["/nav/state"]`` is a numpy structured array.
 
 Fixed-size topics are gathered chunk by chunk and viewed with the dtype that the schema in the file gives; topics of
 variable size are decoded message by message. Damage is skipped and named in ``Log.problems``.
@@ -459,7 +459,7 @@ def _columns(layout: CdrLayout) -> np.dtype[np.void]:
 
 
 def _frame_id_bytes(types: Types, name: str, first: bytes) -> int:
-    """Length of frame_id in the first message: the header, if any, comes first in every type of ours."""
+    """Length of frame_id in the first message: the header, if any, is the first field of all our types."""
     fields = types[short_name(name)]
     has_header = bool(fields) and fields[0].type == "std_msgs/Header"
     return int.from_bytes(first[12:16], "little") if has_header else 4

@@ -1,7 +1,7 @@
-"""Repair of logs that were never closed: everything readable goes to a new file, which takes the old one's place.
+"""Repair of unfinished logs: everything readable is copied to a new file that replaces the old one.
 
-The service calls :func:`recover_unfinished` on its log folder at start. A log that another service is writing is locked
-and left alone; the repaired file is opened and counted again before it replaces the original.
+The service calls :func:`recover_unfinished` on its log folder at start. A log that another service is writing is
+locked and left alone; the repaired file is opened and counted again before it replaces the original.
 """
 
 import os
@@ -72,8 +72,9 @@ def recover_log(path: Path) -> Recovery | None:
 
 
 def damage_within(path: Path) -> Recovery | None:
-    """What is wrong with a log that was finished, None if nothing is: such a one is left as it is, since whatever can
-    be read of it is read where it lies."""
+    """Damage of a finished log, None without any. Finished logs are not repaired: their readable part is read in
+    place.
+    """
     log = open_log(path)
     log.verify()
     if not log.problems or not read_contents(path).finished:  # the latter is being written

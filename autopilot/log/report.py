@@ -1,7 +1,6 @@
-"""The HTML report: one file that opens anywhere without a network.
+"""The HTML report: one self-contained file, no network needed.
 
-Header, verdicts, linked interactive plots, events, parameters and topics. The scripts that draw the plots are inlined,
-so that the file loads nothing.
+Header, verdicts, linked interactive plots, events, parameters and topics. The plotting scripts are inlined.
 """
 
 import base64
@@ -163,7 +162,7 @@ def _pictures(log: Log) -> str:
 
 
 def _downloads(flight: FlightRecord, rows: Sequence[BoundRow]) -> str:
-    """The tables of this page and what is attached to the log, as files within the page."""
+    """Tables of this page and attachments of the log, as embedded files."""
     columns = ("subject", "name", "unit", "limit", "worst", "margin", "verdict", "at_s", "note")
     verdicts = [{**asdict(row), "verdict": row.verdict.value} for row in rows]
     text = io.StringIO()
@@ -199,7 +198,7 @@ def _problems(log: Log) -> str:
 
 
 def _header(flight: FlightRecord, rows: Sequence[BoundRow]) -> str:
-    """What the run was, in pairs."""
+    """Description of the run, in pairs."""
     run, log, armed = flight.run, flight.log, flight.armed
     track = flight.judged.between(armed)
     steps = track.pos_ned_m[1:] - track.pos_ned_m[:-1]
@@ -259,7 +258,7 @@ def _modes(flight: FlightRecord) -> str:
 
 
 def _counters(flight: FlightRecord) -> str:
-    """What was counted by the end of the log, where it is not 0."""
+    """Final values of the counters that are not 0."""
     rows = [(name, str(count)) for name, count in last_counts(flight.log).items() if count]
     return _table(("", "times"), rows) if rows else "<p>none</p>"
 

@@ -1,4 +1,4 @@
-"""How the report draws: plots over a common time axis with bounds in view, mode bands, marks, spectra, histograms."""
+"""Plots of the report over a common time axis: bounds, mode bands, event marks, spectra, histograms."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -184,7 +184,7 @@ class TimeSheet:
         return plot
 
     def _height(self, curves: Sequence[Curve], bounds: Sequence[float], *, log_scale: bool) -> Range1d:
-        """What is to be seen of all curves within the time of the sheet, and every bound."""
+        """Range of all curves within the time axis, and of every bound."""
         values = [np.array(bounds, dtype=float)]
         for curve in curves:
             inside = curve.values[(curve.t_s >= self.start_s) & (curve.t_s <= self.end_s)]

@@ -1,4 +1,4 @@
-"""Which plots the HTML report has: by subject, of everything that a log holds."""
+"""List of the plots of the HTML report, by subject."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -114,7 +114,7 @@ class Plots:
         return {name: plots for name, plots in shown.items() if plots}
 
     def _tracking(self) -> Subject:
-        """Positions and heading beside what was aimed at."""
+        """Positions and heading beside their references."""
         goal = self._flight.table("/ctl/goal")
         then_s, then_m = foreseen(self._predictions, AHEAD_S)
         planned = f"planned {AHEAD_S:g} s before"
@@ -513,7 +513,7 @@ def _draw_current(plot: Any, met: MetCurrent) -> list[Any]:
 
 
 def clearances(flight: FlightRecord) -> list[Curve]:
-    """What is kept beyond the limits of a run: each obstacle, walls, fence, both ends of the depth band."""
+    """Clearance beyond the limits: each obstacle, walls, fence, both ends of the depth band."""
     run, track = flight.run, flight.judged
     if run is None:
         return []
@@ -617,7 +617,7 @@ def mode_bands(flight: FlightRecord) -> list[Band]:
 
 
 def event_marks(flight: FlightRecord) -> list[Mark]:
-    """What operators were told, and parameters that were changed, in order; the gravest if there are too many."""
+    """Messages to operators and parameter changes, in order; the most severe if there are too many."""
     log, marks = flight.log, []
     if "/rosout" in log:
         for message in log.messages("/rosout"):

@@ -1,4 +1,4 @@
-"""A row of a verdict, and how it is made."""
+"""Row of a verdict."""
 
 import math
 from dataclasses import dataclass, replace
@@ -53,7 +53,7 @@ def under(subject: str, made: BoundRow) -> BoundRow:
 
 
 def at_most(subject: str, name: str, unit: str, limit: float, value: float, note: str = "") -> BoundRow:
-    """A figure that asks to be looked at above a limit."""
+    """A figure with a warning above a limit."""
     verdict = BoundVerdict.PASS if value <= limit else BoundVerdict.WARN
     margin = limit - value
     return BoundRow(

@@ -1,4 +1,4 @@
-"""Every kind of sample that a log holds, one row each: its topic, its message and its class.
+"""Table of the sample types in a log: topic, message and class.
 
 Schemas, topics, the packer and the replay are made of this table. A new sensor needs a dataclass in
 :mod:`autopilot.core.samples` and a row here.

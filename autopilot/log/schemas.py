@@ -166,7 +166,7 @@ def type_names() -> list[str]:
 
 
 def own_comments(name: str) -> dict[str, str]:
-    """What is said of the fields of ``package/Name``, by name; a field without a comment is left out."""
+    """Comments of the fields of ``package/Name``, by name; a field without a comment is left out."""
     found = {}
     for line in _DEFINITIONS[short_name(name)].strip().splitlines():
         head, hash_sign, text = line.partition("#")
@@ -210,6 +210,6 @@ def layout(name: str) -> CdrLayout:
 
 
 def ros_name(name: str) -> str:
-    """The full ROS 2 name ``package/msg/Name`` of ``package/Name``: what a schema record carries."""
+    """The full ROS 2 name ``package/msg/Name`` of ``package/Name``, as in a schema record."""
     package, _, kind = short_name(name).partition("/")
     return f"{package}/msg/{kind}"

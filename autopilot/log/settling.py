@@ -1,7 +1,7 @@
-"""How the vehicle came to rest at places where it was to stay: how far it went beyond them, how long it took to settle.
+"""Overshoot and settling time at goals where the vehicle holds.
 
-Looked at are goals that stayed in force for at least HELD_S after the vehicle had entered their region (place and
-heading); on the others it flew on at once. It has settled from when on it stays within SETTLED of the region's size.
+Evaluated are goals that stayed in force for at least HELD_S after the vehicle had entered their region (position
+and heading). Settled: it stays within SETTLED of the region's size from then on.
 """
 
 from dataclasses import dataclass
@@ -57,7 +57,7 @@ def _driven(flight: FlightRecord) -> FloatArray:
 
 
 def _stay(track: VehicleTrack, goal: np.void, begin_s: float, end_s: float) -> Stay | None:
-    """What became of one goal; None if its region was not entered in time to stay there."""
+    """Evaluation of one goal; None if its region was not entered in time to stay there."""
     rows = slice(int(np.searchsorted(track.t_s, begin_s)), int(np.searchsorted(track.t_s, end_s)))
     t_s, off = track.t_s[rows], track.pos_ned_m[rows] - goal["pos_ned_m"]
     away = np.linalg.norm(off, axis=1)

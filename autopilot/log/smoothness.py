@@ -81,14 +81,14 @@ class Smoothness:
 
     @property
     def ratio(self) -> float:
-        """Variation over what is left of it below LOW_PASS_HZ, or over what counts as slow at least."""
+        """Variation over the variation below LOW_PASS_HZ, the latter no less than LEAST_SLOW_1_S."""
         slow_n_s = max(self.low_passed_n_s, self.least_n_s)
         return self.variation_n_s / slow_n_s if slow_n_s > 0.0 else 1.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Bars:
-    """What smooth commands keep; names as the figures."""
+    """Limits for smooth commands; names as the figures."""
 
     alternating: float = 0.005
     ratio: float = 2.0
@@ -129,9 +129,8 @@ def measure(commands: ThrustCommands) -> Smoothness | None:
 
 
 def low_passed(t_s: FloatArray, values: FloatArray) -> FloatArray:
-    """(n, m) values without what is faster than LOW_PASS_HZ and without delay.
-
-    The response of the filter at every frequency; ends are continued by their reflections about the end's value.
+    """(n, m) values after a zero-phase low-pass of LOW_PASS_HZ. The filter is applied in the frequency domain;
+    ends are continued by point reflection.
     """
     n = len(values)
     around = np.concatenate([2.0 * values[0] - values[:0:-1], values, 2.0 * values[-1] - values[-2::-1]])
@@ -174,5 +173,5 @@ def _silent(commands: ThrustCommands) -> int:
 
 
 def is_reported(texts: Sequence[str]) -> NDArray[np.bool_]:
-    """Which texts tell an operator of a fallback."""
+    """Whether a text reports a fallback."""
     return np.array([text.startswith(FALLBACK_TEXT) for text in texts], dtype=bool)

@@ -1,8 +1,9 @@
-"""Ground stations' .tlog files, record by record: what is a message, and what is not.
+"""Reader of ground stations' .tlog files, tolerant of damage.
 
 A record is the time of arrival (us since 1970, eight bytes, big endian) and a packet of MAVLink 1 or 2
-(https://mavlink.io/en/guide/serialization.html). The framing is done here and not by pymavlink, which loses its place
-after a damaged length and does not tell whose a damaged packet was; packets are decoded by pymavlink.
+(https://mavlink.io/en/guide/serialization.html). The framing is done here and not by pymavlink, which loses
+synchronisation after a damaged length and does not name the sender of a damaged packet; packets are decoded by
+pymavlink.
 """
 
 import re
@@ -122,7 +123,7 @@ class _TlogReader:
         return Packet(at_us=at_us, origin=origin, message=message if known else None), end
 
     def _frame(self, begin: int) -> tuple[PacketOrigin, int] | None:
-        """What the header at this place says and where its packet ends, None without one, or if the file ends first."""
+        """Header at this offset and end of its packet, None without one, or if the file ends first."""
         data, at = self._data, begin + STAMP_BYTES
         origin = self._origin(begin)
         if origin is None:

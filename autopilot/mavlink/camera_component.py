@@ -152,7 +152,7 @@ class CameraComponent:
         return Reply(self._orders.shoot(None, interval_ms * 1e-3))
 
     def trigger_control(self, call: Call) -> Reply:
-        """DO_TRIGGER_CONTROL: param1 0 = stop, 1 = resume, -1 = unchanged; resuming needs a new capture request here."""
+        """DO_TRIGGER_CONTROL: param1 0 = stop, 1 = resume, -1 = unchanged; resuming needs a new request here."""
         if call.param(1) == 1.0:
             return denied("Photos refused: say how often (IMAGE_START_CAPTURE)")
         return Reply(self._orders.stop() if call.param(1) == 0.0 else ACCEPTED)

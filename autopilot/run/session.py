@@ -155,13 +155,19 @@ def open_session(
 
     Parameters
     ----------
-    options
-        :class:`SessionOptions`.
+    kind
+        Class of the session.
+    world
+        Vehicle or simulation with its environment.
+    instance
+        Number of the vehicle on this machine, from 0.
+    log, links, on_tick, view, foxglove, now_s, beside
+        See :class:`SessionOptions`.
 
     Raises
     ------
     ConfigError, PlanError, DriverError, LogError
-        The problem; nothing is left running.
+        The message names the problem; nothing is left running.
     """
     settings, told, disk = world.settings, world.told, world.disk
     signing = SigningFiles(world.folder, disk, now_s=now_s)

@@ -1,7 +1,7 @@
-"""The free ground of a room on a fine picture, and the quickest ways over it in its current.
+"""Free space of a random world on a fine grid, and time-optimal paths in its current.
 
-Nothing here is shared with the checks and planners of the service: shapes are painted into a picture, clearance is its
-distance transform, ways come from Dijkstra's algorithm on cells. Who doubts one of the two has the other.
+Independent of the checks and planners of the service: shapes are rasterised, clearance is the distance transform,
+paths come from Dijkstra's algorithm on cells.
 """
 
 import itertools
@@ -50,7 +50,9 @@ class DistanceMap:
     """Clearance everywhere, to within a pixel."""
 
     def __init__(self, layout: WorldLayout, places: list[Point]) -> None:
-        """``places``: what the picture has to show beside the layout (it is as large as the outline otherwise)."""
+        """``places``: points that the grid has to contain beside the layout (by default it is as large as the
+        outline).
+        """
         low, high = _extent(layout, places)
         area = float(np.prod(high - low))
         self.pixel_m = max(FINEST_M, math.sqrt(area / MOST_PIXELS))
@@ -105,7 +107,7 @@ class DistanceMap:
         return np.asarray(cv2.connectedComponents(mask, connectivity=8)[1], dtype=np.int32)
 
     def regions_near(self, regions: NDArray[np.int32], place: Point, reach_m: float) -> set[int]:
-        """Regions that come within ``reach_m`` of a place."""
+        """Regions within ``reach_m`` of a point."""
         north, east = self._index(place)
         r = max(1, math.ceil(reach_m / self.pixel_m))
         window = regions[max(0, north - r) : north + r + 1, max(0, east - r) : east + r + 1]

@@ -1,8 +1,8 @@
-"""What can be reached in a room and how soon, worked out apart from the service.
+"""Reachable goals of a random world and lower bounds of their times, computed independently of the service.
 
-Every goal is *sure* (it has to be reached: a way with a little more room than the vehicle keeps, and water that leaves
-a quarter of its speed), *impossible* (no way at all, or water faster than the vehicle), or in between, where reaching
-it and saying why not are both right.
+Every goal is *sure* (must be reached: a path with slightly more clearance than the vehicle keeps, and a current
+that leaves a quarter of its speed), *impossible* (no path at all, or a current faster than the vehicle), or in
+between, where reaching it and reporting why not are both right.
 """
 
 import math
@@ -59,7 +59,7 @@ class Leg:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Prospect:
-    """What may be asked of a vehicle in a room."""
+    """Requirements on a vehicle in a world."""
 
     legs: tuple[Leg, ...]
     swims_m_s: float
@@ -94,7 +94,7 @@ def swims_m_s(room: RandomWorld) -> float:
 
 
 def prospect(room: RandomWorld) -> Prospect:
-    """All goals of a room in the order of the mission, the way home included if it ends there."""
+    """Prospects of all goals in mission order, including the return path if the mission ends with it."""
     keep, swims = room.vehicle.radius_m + MARGIN_M, swims_m_s(room)
     flow = flow_of(current_table(room.scenario["current"]))
     places = [(float(w["x_m"]), float(w["y_m"])) for w in room.waypoints]
@@ -133,7 +133,7 @@ class _Judge:
     def leg(
         self, seq: int, here: Point, there: Point, accept_m: float, speed: float, extra_s: float, *, yaw: float | None
     ) -> Leg:
-        """What may be asked on the way from a place to the next."""
+        """Prospect of the leg from one position to the next."""
         near = max(0.9 * accept_m, 0.1)
         strict, loose = (
             bool(self._chart.regions_near(regions, here, 0.35) & self._chart.regions_near(regions, there, reach))
@@ -162,7 +162,9 @@ class _Judge:
         )
 
     def _perhaps(self, here: Point, there: Point, reach: float) -> bool:
-        """Whether the water at its best lets the vehicle come there; a way beyond what is looked at counts too."""
+        """Whether the vehicle could get there in the most favourable current; a path beyond the search area counts
+        too.
+        """
 
         def found(swims: float, flow: Flow) -> bool:
             way = self._loose.quickest(here, there, reach, flow, water_m_s=swims, ground_m_s=swims, worst=False)

@@ -1,4 +1,4 @@
-"""Fly a room: the whole service on the simulated vehicle, its plan through the service's own checks."""
+"""Flies a random world: the whole service on the simulated vehicle, with the plan through the service's checks."""
 
 import math
 import tempfile
@@ -28,7 +28,7 @@ HOPELESS_S = 30.0
 
 
 class WorldWatch(TickWatch):
-    """What a flight in a room is judged by, beside what every run of a campaign is judged by."""
+    """Data to judge a flight in a random world, beside those of any run of a campaign."""
 
     def __init__(self, truth: Callable[[], Truth]) -> None:
         super().__init__(truth)
@@ -58,7 +58,7 @@ class WorldWatch(TickWatch):
 
     @property
     def given_up(self) -> bool:
-        """The operator was told that it does not go on, and it did not."""
+        """Whether the service has reported that it does not continue, and did not."""
         return self._now_s > self.hopeless_s + HOPELESS_S
 
     @property
@@ -74,7 +74,7 @@ class WorldTask:
     seed: int
 
     def fly(self, stop: Callable[[], bool] = lambda: False) -> WorldResult | None:
-        """The result, None if ``stop`` said so before the end."""
+        """The result, None if ``stop`` ended the run."""
         flown = fly_world(make_room(self.seed), self.mode, stop)
         return None if flown is None else msgspec.structs.replace(flown.result, room=self.room)
 
@@ -85,7 +85,7 @@ class WorldTask:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Flown:
-    """A flight with what it was judged by."""
+    """A flight with the data to judge it."""
 
     result: WorldResult
     watch: WorldWatch | None
@@ -98,7 +98,7 @@ class Flown:
 def fly_world(
     room: RandomWorld, mode: int, stop: Callable[[], bool] = lambda: False, *, log: str | None = None
 ) -> Flown | None:
-    """Fly a room in a mode (MPC_COST); None if ``stop`` said so. AutopilotError if it cannot be flown at all."""
+    """Fly a world in a mode (MPC_COST); None if ``stop`` ended the run. AutopilotError if it cannot be flown at all."""
     begun_s = time.process_time()
     chances = prospect(room)
     duration_s = chances.bound_s(mode)

@@ -1,4 +1,4 @@
-"""Is what became of a room right? Refusals are looked into, goals and bounds are judged on the plant's truth."""
+"""Judges a flight in a random world: refusals against reachability, goals and bounds on the ground truth."""
 
 from __future__ import annotations
 
@@ -45,12 +45,12 @@ _HOPELESS = re.compile(r"out of reach|no free (way|path)", re.IGNORECASE)
 
 
 def is_hopeless(text: str) -> bool:
-    """Whether the operator is told that the water or the ground lets the vehicle not go on."""
+    """Whether the text reports that current or geometry make the goal unreachable."""
     return bool(_HOPELESS.search(text))
 
 
 def judge_refusal(room: RandomWorld, chances: Prospect, reason: str) -> WorldResult:
-    """A room that was refused before the vehicle moved: is the reason that it was given so?"""
+    """Whether the reason of a refusal before the flight is right."""
     right, why = _refusal(room, chances, reason)
     outcome = WorldOutcome.REFUSED if right else WorldOutcome.MISREFUSED
     return WorldResult(
@@ -150,7 +150,7 @@ def _gap_m(a: Solid, b: Solid) -> float:
 
 
 def judge_flight(room: RandomWorld, chances: Prospect, mode: int, watch: WorldWatch, end: Truth) -> WorldResult:
-    """A room in which the vehicle moved."""
+    """Verdict on a flight."""
     visited = _visits(room, watch)
     goals = len(room.waypoints)
     done = visited == goals and watch.completed
@@ -235,7 +235,7 @@ def _outcome(
 
 
 def _names(text: str, seq: int) -> bool:
-    """Whether a text speaks of an item, or of none by number."""
+    """Whether a text names the item, or no item by number."""
     found = re.search(r"\bitem (\d+)", text, re.IGNORECASE)
     return found is None or int(found[1]) == seq
 

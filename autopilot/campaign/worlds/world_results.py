@@ -1,4 +1,4 @@
-"""What is kept of every flight in a room."""
+"""Stored result of a flight in a random world."""
 
 from enum import StrEnum
 

@@ -1,4 +1,4 @@
-"""Outlines and solids of a room: drawn at random, with clearances of single places."""
+"""Random outlines and solids of a world, with clearances of single points."""
 
 import math
 from dataclasses import dataclass, field
@@ -62,7 +62,7 @@ def solid_clearance_m(solid: Solid, place: Point) -> float:
 
 
 def rounded(corners: FloatArray) -> Corners:
-    """Corners in centimetres, as somebody would draw them."""
+    """Corners rounded to centimetres."""
     return tuple((round(float(north), 2), round(float(east), 2)) for north, east in corners)
 
 
@@ -92,8 +92,8 @@ def wall_pieces(
     outline: Corners | None, foot: Point, direction_rad: float, length_m: float, doors: list[tuple[float, float]]
 ) -> list[tuple[Point, Point]]:
     """Pieces (ends) of an inner wall through ``foot``, from rim to rim of the outline or ``length_m`` long.
-
-    ``doors``: place (share of the wall, 0 to 1) and width [m] of each."""
+    ``doors``: position (share of the wall, 0 to 1) and width [m] of each opening.
+    """
     unit = np.array((math.cos(direction_rad), math.sin(direction_rad)))
     low, high = -0.5 * length_m, 0.5 * length_m
     if outline is not None:

@@ -1,4 +1,4 @@
-"""What the packers of all topics have in common: frames of the header, and values cut to what a field holds."""
+"""Common parts of the packers: header frames, and clipping to the range of a field."""
 
 from collections.abc import Sequence
 

@@ -1,8 +1,8 @@
-"""What a step took in beside samples and bytes, as JSON in a std_msgs/String, on ticks on which there is any.
+"""Inputs of a step beside samples and bytes, as JSON in a std_msgs/String, on ticks on which there are any.
 
-Together with ``/in/tick``, the samples and ``/in/mavlink`` it is all of :class:`autopilot.core.messages.Inputs`, and
-the calls between ticks. What stays as it is (counts of pictures, the flight controller below, what devices have against
-arming) is written when it changes.
+Together with ``/in/tick``, the samples and ``/in/mavlink`` they are all of :class:`autopilot.core.messages.Inputs`,
+and the calls between ticks. Slowly changing values (picture counts, flight controller state, devices' reasons
+against arming) are written on change.
 """
 
 import base64
@@ -97,7 +97,7 @@ EMPTY = StepNotes()
 
 @dataclass(slots=True)
 class LatchedNotes:
-    """What holds until it is written anew: of a log that is being written, and of one that is read."""
+    """Latest values of the notes that are written on change, while writing and while reading a log."""
 
     frame_counts: Mapping[str, int] | None = None
     below: FlightControllerNote | None = None
@@ -105,9 +105,8 @@ class LatchedNotes:
 
 
 def notes_of(inputs: Inputs, removed: list[Removed], standing: LatchedNotes) -> StepNotes | None:
-    """The notes of a tick, None when there is nothing to note; ``standing`` goes with them.
-
-    ``removed``: what was taken out of each of ``inputs.mavlink_rx``.
+    """Notes of a tick, None if there are none; ``standing`` is updated. ``removed``: bytes removed from each of
+    ``inputs.mavlink_rx``.
     """
     below = None if inputs.below is None else _flight_controller_note(inputs.t_us, inputs.below)
     camera = inputs.camera
@@ -161,7 +160,7 @@ def pack(notes: StepNotes) -> bytes:
 
 
 def unpack(text: str, place: str) -> StepNotes:
-    """LogError, naming ``place``, for what is no such text."""
+    """Inverse of :func:`pack`. LogError, naming ``place``, for an invalid text."""
     try:
         return msgspec.json.decode(text, type=StepNotes)
     except msgspec.MsgspecError as error:
