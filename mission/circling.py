@@ -1,4 +1,4 @@
-"""Round a place, at a depth, at a speed: mode CIRCLE and NAV_LOITER_TURNS."""
+"""Circles at constant depth and speed: mode CIRCLE and NAV_LOITER_TURNS."""
 
 import math
 from collections.abc import Mapping
@@ -53,7 +53,7 @@ class LoiterCircle:
         self._speed_m_s = min(speed_m_s, self._params["SPD_PLANAR_MAX"], turning_m_s)
 
     def refusal(self, room: Clearance, keep_m: float) -> str:
-        """Why it cannot be flown, "" if it can. ``keep_m``: what the controller keeps from every boundary."""
+        """Reason why it cannot be flown, "" if it can. ``keep_m``: the controller's margin to every boundary."""
         low, high = self._params["DEPTH_MIN"], self._params["DEPTH_MAX"]
         if not low <= self.depth_m <= high:
             return f"depth {self.depth_m:.2f} m is outside {low:g} to {high:g} m"
@@ -151,10 +151,8 @@ def _near(a: FloatArray, b: FloatArray) -> bool:
 
 
 def worst_on_ring(room: Clearance, centre_m: tuple[float, float], radius_m: float, need_m: float) -> FloatArray | None:
-    """A place (2,) on a circle with less room than ``need_m``, None when there is none.
-
-    Clearance changes no faster than place: an arc whose middle has half its length more than is needed is free, the
-    others are divided.
+    """A point (2,) on a circle with less clearance than ``need_m``, None if there is none. Clearance is Lipschitz
+    with constant 1: an arc whose middle exceeds the need by half its length is free, others are bisected.
     """
     step = 2.0 * math.pi / CIRCLING.ring_arcs
     angles = np.arange(CIRCLING.ring_arcs) * step

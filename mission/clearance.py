@@ -1,8 +1,8 @@
-"""Clearance of many places from a fence of many shapes, without a loop over edges.
+"""Vectorised clearance of many points from a fence of many shapes.
 
-:class:`Clearance` is exact and meant for some hundred places (waypoints, the vehicle). For the thousands of places of a
-grid, :meth:`Clearance.near` only looks at shapes where they are nearer than a distance that matters. Places are (n, 2)
-north, east [m]; clearance is positive where the vehicle may be and negative in what the fence forbids.
+:class:`Clearance` is exact and meant for some hundred points (waypoints, the vehicle). For the thousands of points
+of a grid, :meth:`Clearance.near` evaluates shapes only within a given distance. Points are (n, 2) north, east [m];
+clearance is positive in the permitted area and negative in the forbidden one.
 """
 
 from collections.abc import Sequence
@@ -47,7 +47,7 @@ class Clearance:
 
     @classmethod
     def of(cls, fence: Fence) -> "Clearance":
-        """The room of a workspace; its inclusions come first."""
+        """Clearance of a workspace; its inclusions come first."""
         return cls([*((s, True) for s in fence.inclusions), *((s, False) for s in fence.exclusions)])
 
     def of_shapes_m(self, places: FloatArray) -> FloatArray:

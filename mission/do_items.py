@@ -1,4 +1,4 @@
-"""Mission items that change something in passing, and conditions: DO_ and CONDITION_ (MAV_CMD, common.xml)."""
+"""Mission items without a position: actions and conditions, DO_ and CONDITION_ (MAV_CMD, common.xml)."""
 
 import math
 

@@ -1,4 +1,4 @@
-"""Goals that are not mission items: hold, go-to, return, surface; and the workspace that they have to lie in."""
+"""Goals other than mission items (hold, go-to, return, surface), and their workspace checks."""
 
 import math
 
@@ -66,7 +66,7 @@ class Goals:
         )
 
     def hold(self, nav: NavState) -> Goal:
-        """Where the vehicle comes to rest, with its heading."""
+        """Where the vehicle comes to rest, with the present heading."""
         place = self._stopping_place(nav)
         place[2] = self.in_band(place[2])
         return self.at(place, float(nav.rpy_rad[2]))
@@ -112,8 +112,9 @@ class Goals:
         return ""
 
     def may_drift(self, nav: NavState, more_m: float) -> bool:
-        """Whether a vehicle keeps ``more_m`` more than the controller does from every boundary, also where it comes to
-        rest by itself."""
+        """Whether the vehicle is ``more_m`` further than the controller's margin from every boundary, also where
+        it comes to rest without control.
+        """
         way_m = self._way_m(nav)
         places = nav.pos_ned_m + np.linspace(0.0, 1.0, GOALS.stop_samples + 1)[:, None] * way_m
         return bool((self.room.clearance_m(places[:, :2]) >= self._keep_m() + more_m).all())
@@ -128,7 +129,7 @@ class Goals:
         return (self._plans.revision, self._params["DEPTH_MIN"], self._params["DEPTH_MAX"])
 
     def _keep_m(self) -> float:
-        """What the controller keeps from every boundary."""
+        """The controller's margin to every boundary."""
         return self._vehicle.radius_m + self._params["MPC_MARGIN"]
 
     def _stopping_place(self, nav: NavState) -> FloatArray:

@@ -1,4 +1,4 @@
-"""Mission items as typed steps: what a MISSION_ITEM_INT asks for, in local metres and radians.
+"""Mission items as typed steps, in local metres (NED) and radians.
 
 :func:`autopilot.mission.item_types.parse_step` makes them from items.
 """
@@ -197,7 +197,7 @@ class SetHome:
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class RegionOfInterest:
-    """What the vehicle looks at from here on (DO_SET_ROI...)."""
+    """Point that the vehicle faces from here on (DO_SET_ROI...)."""
 
     seq: int
     place_ned_m: FloatArray | None
@@ -206,15 +206,14 @@ class RegionOfInterest:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class NoOp:
-    """Asks for what is so anyway (DO_FENCE_ENABLE 1), or for nothing (home before a mission)."""
+    """Requests the present state (DO_FENCE_ENABLE 1), or nothing (home before a mission)."""
 
     seq: int
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Order:
-    """Something for the vehicle's equipment, passed on in passing (SequencerOutput.orders); classes that say what
-    derive from it."""
+    """Command to the payload, executed without stopping (SequencerOutput.orders); base class."""
 
     seq: int
 

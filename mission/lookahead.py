@@ -1,4 +1,4 @@
-"""Where a mission goes on to after a waypoint that it passes without a stop: for controllers that plan ahead."""
+"""Path of a mission beyond a waypoint that is passed without a stop, for controllers that plan ahead."""
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import get_args
@@ -31,8 +31,9 @@ def passes_on(step: Step) -> bool:
 
 
 def walk(steps: Sequence[Step], cursor: int, jumps_done: Mapping[int, int]) -> Iterator[int]:
-    """The steps in the order in which they come after step ``cursor``, jumps taken as often as is left of them. It
-    ends after the longest walk: a mission may go round for ever."""
+    """Steps in the order of execution after step ``cursor``, with the remaining jumps. Bounded, because a mission
+    may loop for ever.
+    """
     done = dict(jumps_done)
     cursor += 1
     for _ in range(LONGEST_WALK):

@@ -1,4 +1,4 @@
-"""Mission items that go somewhere or wait: NAV_ commands (MAV_CMD, common.xml)."""
+"""Mission items with a position or a wait: NAV_ commands (MAV_CMD, common.xml)."""
 
 import math
 

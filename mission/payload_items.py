@@ -1,4 +1,4 @@
-"""Mission items for what the vehicle carries: camera, servos, relays, gripper (MAV_CMD, common.xml)."""
+"""Mission items for the payload: camera, servos, relays, gripper (MAV_CMD, common.xml)."""
 
 import math
 from collections.abc import Callable
@@ -75,7 +75,7 @@ class MoveActuators(Order):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class NothingToDo(Order):
-    """Asks the camera for what it does anyway (SET_CAMERA_MODE 0)."""
+    """Requests the camera's only mode (SET_CAMERA_MODE 0)."""
 
 
 def start_capture(item: PlanItem, origin: Origin) -> Step:

@@ -1,4 +1,4 @@
-"""Are the plans fit to be flown? One question of pure data, one answer: done beside the loop, for it takes a while."""
+"""Plan check as a pure function, run in the background because it takes a while."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -43,14 +43,14 @@ EMPTY: Plans3 = MappingProxyType(dict.fromkeys(PlanKind, ()))
 
 
 class WaterCheck(Protocol):
-    """What is known of the water, as a judge of workspaces (a current map has to cover them). Never changes."""
+    """Immutable check of workspaces against the known current (a current map has to cover them)."""
 
     def problem(self, fence: Fence, steps: Sequence[Step], origin: Origin) -> str:
         """Why nothing may be flown there, "" if it may."""
         ...
 
     def warning(self, fence: Fence, steps: Sequence[Step], limit_m_s: float) -> str:
-        """What the operator should know of a vehicle that swims so fast at most, "" if nothing."""
+        """Warning for a vehicle with this maximum speed, "" if none."""
         ...
 
 
@@ -81,7 +81,7 @@ class PlanCheckInputs:
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class PlanVerdict:
-    """The answer: what is wrong, and the plans in local metres."""
+    """Result: problems, and the plans in local metres."""
 
     question: PlanCheckInputs
     own: tuple[PlanProblem, ...] = ()
@@ -109,7 +109,7 @@ class PlanVerdict:
 
 
 def judge(question: PlanCheckInputs, cancel: Cancel) -> PlanVerdict:
-    """Look at all plans. Raises :class:`autopilot.core.background.WithdrawnError` soon after ``cancel``."""
+    """Check all plans. Raises :class:`autopilot.core.background.WithdrawnError` soon after ``cancel``."""
     check_cancel = cancel.check
     ctx, plans = question.context, question.plans
     steps, broken_steps = read_mission(plans[PlanKind.MISSION], ctx.origin)

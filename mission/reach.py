@@ -1,4 +1,4 @@
-"""Is there a way from one waypoint to the next? As the planners see it: :mod:`autopilot.core.free_space`."""
+"""Connectivity of consecutive waypoints in the planners' free space (:mod:`autopilot.core.free_space`)."""
 
 import math
 
@@ -16,9 +16,8 @@ WIDEST_GRID = 24
 
 
 def free_regions(fence: Fence, points_ned_m: FloatArray, radius_m: float) -> tuple[int, ...] | None:
-    """The connected region of free space that each point (n, 2) stands in or is nearest to; None when nothing is free.
-
-    ``radius_m``: what the vehicle's centre keeps from every boundary.
+    """Connected region of free space that contains each point (n, 2) or is nearest to it; None when nothing is
+    free. ``radius_m``: distance that the vehicle's centre keeps from every boundary.
     """
     space = _free_space(fence, points_ned_m, radius_m)
     if space is None or not len(space.places_ned_m):

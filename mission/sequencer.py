@@ -1,7 +1,8 @@
-"""The mission in execution: which goal holds now, what has been reached, what comes next.
+"""Execution of the mission: current goal, items reached, and progress.
 
-A pure state machine, stepped once per tick with the estimate. A waypoint is reached when the vehicle has stayed inside
-the acceptance ball (3-D) and, if a heading is asked for, inside the heading band, for the hold time without a break.
+A pure state machine, stepped once per tick with the estimate. A waypoint is reached when the vehicle has stayed
+inside the acceptance ball (3-D) and, if a heading is given, inside the heading band, for the hold time without
+interruption.
 """
 
 import math
@@ -40,7 +41,7 @@ MAX_INSTANT_STEPS = 64
 
 
 class Action(StrEnum):
-    """What the mission asks of the vehicle's mode logic, on the one tick on which it does."""
+    """Request of the mission to the mode logic, for one tick."""
 
     SURFACE = "surface"
     """NAV_LAND has come up to the top of the depth band: surface and disarm."""
@@ -110,9 +111,8 @@ class Sequencer:
         self._clear(0)
 
     def start(self, first_seq: int | None = None) -> None:
-        """Run. ``first_seq`` = anew from that item; None = go on, or anew when the mission was complete.
-
-        PlanError when there is no mission or no such item; nothing has changed then.
+        """Run. ``first_seq``: restart from that item; None: resume, or restart when the mission was complete.
+        PlanError when there is no mission or no such item, without any change.
         """
         if not self._steps:
             raise PlanError("no mission to start; upload one first")
@@ -177,8 +177,9 @@ class Sequencer:
         return None if self._run.circle is None else self._run.circle.left_m
 
     def skip(self, nav: NavState) -> None:
-        """Give the present item up: go on with the next as if it were over. It does not count as reached. NAV_LAND
-        comes up where the vehicle is, a mission that ends with the item is complete on the next tick."""
+        """Abandon the present item and continue with the next. It does not count as reached. NAV_LAND surfaces
+        where the vehicle is; a mission that ends with the item is complete on the next tick.
+        """
         run = self._run
         if not self.travelling:
             return
@@ -200,7 +201,7 @@ class Sequencer:
             self._pass_over()
 
     def _pass_over(self) -> None:
-        """Go on behind the present item, which is given up; at the end with what a mission ends with."""
+        """Continue after the present item, which is abandoned; at the end with the mission's end action."""
         run = self._run
         run.flown += 1
         if run.cursor == self._lap_marker:

@@ -1,6 +1,6 @@
-"""Distances of many places to many small shapes, where they are near, without a loop over the shapes.
+"""Vectorised distances of many points to many small shapes within a given range.
 
-Places are sorted into strips of the plane and by their north within each, so that those in the box round a shape are
+Points are sorted into strips of the plane and by north within each, so that those in the box around a shape are
 found by bisection, for all shapes at once.
 """
 
@@ -118,6 +118,6 @@ class SmallShapes:
 
 
 def _runs(count: IntArray) -> tuple[IntArray, IntArray]:
-    """Numbers 0, 1, ... each as often as ``count`` says, and the place within each run."""
+    """Numbers 0, 1, ... each repeated ``count`` times, and the index within each run."""
     number = np.repeat(np.arange(len(count)), count)
     return number, np.arange(len(number)) - np.repeat(np.cumsum(count) - count, count)

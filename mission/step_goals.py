@@ -1,4 +1,4 @@
-"""The goals of a mission's steps: places in the depth band with headings, speeds and what follows without a stop."""
+"""Goals of a mission's steps: positions within the depth band, headings, speeds, and the path beyond."""
 
 import math
 from collections.abc import Mapping
@@ -28,7 +28,7 @@ from autopilot.mission.mission_tuning import STEP_GOALS
 
 @dataclass(slots=True, eq=False, kw_only=True)
 class RunMemory:
-    """What is remembered of one run of the mission."""
+    """State of one run of the mission."""
 
     cursor: int
     """Step that runs now."""
@@ -164,7 +164,7 @@ class StepGoals:
         return np.array([step.pos_ned_m[0], step.pos_ned_m[1], last[2]])
 
     def is_passed(self, step: Near | Gate, nav: NavState) -> bool:
-        """Whether a condition of the way to the present goal has come true; at the goal itself it has."""
+        """Whether a condition on the path to the present goal is met; always at the goal itself."""
         goal, here = self.run.goal, nav.pos_ned_m
         if goal is None or nav.health is NavHealth.INVALID:
             return False
@@ -201,7 +201,7 @@ class StepGoals:
 
     @property
     def _speed_m_s(self) -> float:
-        """That was asked for, else the cruise speed."""
+        """Speed set by the mission, else the cruise speed."""
         asked = self.run.speed_m_s
         return self._params["SPD_CRUISE"] if asked is None else asked
 
@@ -252,6 +252,6 @@ def is_inside(goal: Goal, nav: NavState) -> bool:
 
 
 def _shrunk(limit: float, variance: float) -> float:
-    """An acceptance limit less what the estimate may be wrong by."""
+    """Acceptance limit minus the uncertainty of the estimate."""
     doubt = STEP_GOALS.sure_sigmas * math.sqrt(variance) if variance >= 0.0 else math.inf
     return limit - min(doubt, STEP_GOALS.doubt_share * limit)

@@ -1,8 +1,9 @@
 """The three plans in force: mission, fence, rally. Replaced as a whole or not at all.
 
-A plan that is wrong by itself is refused. What is wrong only between the plans is kept, and :attr:`Plans.problem` says
-that nothing may be flown, until it is mended. The check takes a while, so it is asked for at a desk: the plans in force
-stay until its answer is there, and a change of the parameters asks anew. Without a desk everything is judged at once.
+A plan that is invalid by itself is refused. Plans that conflict with each other are stored, and
+:attr:`Plans.problem` forbids flying until it is fixed. The check runs in a background worker: the plans in force
+stay until it is done, and a change of the parameters repeats it. Without a worker everything is checked
+synchronously.
 """
 
 import struct
@@ -86,9 +87,8 @@ _limits: Callable[[Mapping[str, float]], tuple[float, ...]] = itemgetter(*PLAN_P
 
 
 class Plans(PlanStore):
-    """Implements :class:`PlanStore`; also gives the plans in local metres.
-
-    ``params`` is read live. :meth:`tick` has to be called once per tick when there is a ``desk``.
+    """Implements :class:`PlanStore`; also gives the plans in local metres. ``params`` is read live. :meth:`tick`
+    has to be called once per tick when there is a background worker (``desk``).
     """
 
     def __init__(
@@ -182,7 +182,7 @@ class Plans(PlanStore):
 
     @property
     def checking(self) -> bool:
-        """Whether parameters or origin have changed and it is not known yet what that means for the plans."""
+        """Whether parameters or origin have changed and the plans are being checked against them."""
         return self._worker is not None and not self._is_current()
 
     @property
@@ -203,7 +203,7 @@ class Plans(PlanStore):
         return build_fence(self.shapes(), self._params)
 
     def warnings(self) -> tuple[str, ...]:
-        """What is wrong with the fence but tolerated by FENCE_GAP_CHK = 0, and what the water is like there."""
+        """Fence problems tolerated by FENCE_GAP_CHK = 0, and warnings about the current there."""
         return self.verdict.warnings
 
     def check_item(self, kind: PlanKind, item: PlanItem) -> PlanRejection | None:
@@ -230,7 +230,7 @@ class Plans(PlanStore):
         return change
 
     def replace(self, kind: PlanKind, items: tuple[PlanItem, ...]) -> PlanRejection | None:
-        """Take a plan at once, or refuse what is wrong with it by itself: before the loop runs, and for studies."""
+        """Replace a plan at once, or refuse an invalid one: before the loop runs, and for studies."""
         self._drop()
         verdict = judge(self._question(Change({kind: items})), Cancel())
         refusal = verdict.refusal((kind,))
@@ -282,7 +282,7 @@ class Plans(PlanStore):
             self._ask()
 
     def _ask(self) -> None:
-        """Ask about the plans as they are to be, instead of what was asked before."""
+        """Start a check of the intended plans, in place of a pending one."""
         assert self._worker is not None
         if self._task is not None:
             self._task.cancel()
@@ -302,7 +302,7 @@ class Plans(PlanStore):
             self._decide(change, verdict)
 
     def _decide(self, change: Change, verdict: PlanVerdict) -> None:
-        """Take a change, or refuse it for what is wrong with it by itself or must not be now."""
+        """Accept a change, or refuse one that is invalid by itself or not permitted now."""
         self._change = None
         try:
             rejection = verdict.refusal(tuple(change.plans)) or self.guard(tuple(change.plans), verdict)
@@ -343,7 +343,7 @@ class Plans(PlanStore):
         return self._verdict.question.same(self._question())
 
     def _question(self, change: Change | None = None) -> PlanCheckInputs:
-        """What is to be known now; without a change the same object as long as it is the same question."""
+        """Inputs of the check; without a change the same object as before."""
         limits = _limits(self._live)
         known = self._wanted
         asked_before = known is not None and known.plans is self._plans and known.origin is self._origin
@@ -362,7 +362,7 @@ class Plans(PlanStore):
 
 
 def _failed(question: PlanCheckInputs, error: Exception) -> PlanVerdict:
-    """The check itself has failed: nothing may be flown, and the plans asked about are not taken."""
+    """Verdict after a fault of the check: flying is forbidden, and the plans checked are not accepted."""
     text = f"the plan check failed ({type(error).__name__}): send the plan again, and report this with the log"
     own = tuple(PlanProblem(kind=kind, seq=0, result=MissionResult.ERROR, reason=text) for kind in PlanKind)
     return PlanVerdict(question=question, own=own)

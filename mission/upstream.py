@@ -1,4 +1,4 @@
-"""What a current leaves of the way: speed over ground on the legs of a mission, and whether a vehicle makes any way."""
+"""Speed made good against a current on the legs of a mission, and detection of a vehicle that makes none."""
 
 import itertools
 import math
@@ -34,8 +34,7 @@ class SlowLeg:
         return self.left_m_s < least_m_s
 
     def made(self, speed_m_s: float, left_m: float) -> "SlowLeg":
-        """The same of a vehicle that is seen to make so much on it, with so much way left: what margins and estimate
-        leave is a prediction."""
+        """The same from the speed observed with so much path left: margins and estimate only give a prediction."""
         if speed_m_s <= max(self.left_m_s, 0.0):
             return self
         return replace(self, left_m_s=speed_m_s, time_s=left_m / speed_m_s)
@@ -115,8 +114,9 @@ class MadeGood:
         self._goal = None
 
     def idle_s(self, t_us: int, goal: Goal, nav: NavState, way_m: float | None, step_m: float) -> float:
-        """Time since the way left was last shorter by ``step_m`` than ever before. ``way_m``: as the guidance knows it
-        (horizontal), None = straight. Time without a good position does not count."""
+        """Time since the path left last decreased by ``step_m`` below its minimum. ``way_m``: from the guidance
+        (horizontal), None = straight line. Time without a good position does not count.
+        """
         north, east, down = goal.pos_ned_m.tolist()
         here_n, here_e, here_d = nav.pos_ned_m.tolist()
         left_m = math.hypot(north - here_n, east - here_e) if way_m is None else way_m

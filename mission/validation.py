@@ -1,9 +1,9 @@
-"""Is a plan fit to be flown? Items alone, a plan as a whole, and the plans against each other.
+"""Plan validation: single items, a plan as a whole, and the plans against each other.
 
-What is wrong with a plan by itself (:func:`sequence_problems`, :func:`mission_problems`, :func:`fence_problems`)
-refuses it. What is wrong only between plans (:func:`joint_problems`) does not, for operators send them one after the
-other: it forbids to fly. Every finding is a :class:`PlanRejection`: where, the MAV_MISSION_RESULT, and a line whose
-first 75 characters say what is wrong and what to do (ground stations cut at 100).
+Problems of a plan by itself (:func:`sequence_problems`, :func:`mission_problems`, :func:`fence_problems`) refuse
+it. Conflicts between plans (:func:`joint_problems`) do not, because operators send plans one after the other: they
+forbid flying. Every finding is a :class:`PlanRejection`: item, MAV_MISSION_RESULT, and a line whose first 75
+characters give problem and remedy (ground stations cut at 100).
 """
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -51,7 +51,7 @@ class PlanContext:
 
     @property
     def keep_m(self) -> float:
-        """What the controller keeps from every boundary."""
+        """The controller's margin to every boundary."""
         return self.radius_m + self.params["MPC_MARGIN"]
 
 
@@ -100,7 +100,7 @@ def sequence_problems(kind: PlanKind, items: Sequence[PlanItem]) -> Iterator[Pla
 def mission_problems(
     steps: Sequence[Step], broken: Sequence[PlanRejection], params: Mapping[str, float]
 ) -> Iterator[PlanRejection]:
-    """What is wrong with a mission by itself, as it was read."""
+    """Problems of a mission by itself, as parsed."""
     yield from broken
     for step in steps:
         yield from _limit_problems(step, params)
@@ -149,7 +149,7 @@ def _depth_of(step: Step, params: Mapping[str, float]) -> float | None:
 
 
 def _order_problems(steps: Sequence[Step]) -> Iterator[PlanRejection]:
-    """Conditions of the way to a place when no place comes any more."""
+    """Conditions on the path to a waypoint that no waypoint follows."""
     goes_on = False
     for step in reversed(steps):
         if isinstance(step, Near) and not goes_on:
@@ -181,7 +181,7 @@ def _takes_time(step: Step) -> bool:
 
 
 def _spins(steps: Sequence[Step], start: Jump) -> bool:
-    """Whether the walk from an endless jump comes back to it with nothing on the way that takes time."""
+    """Whether the mission loops endlessly without an item that takes time."""
     cursor = start.target_seq
     for _ in range(len(steps)):
         if cursor == start.seq:
@@ -196,7 +196,7 @@ def _spins(steps: Sequence[Step], start: Jump) -> bool:
 def fence_problems(
     shapes: Sequence[FenceShape], broken: Sequence[PlanRejection], ctx: PlanContext, check_cancel: Callable[[], None]
 ) -> Iterator[PlanRejection]:
-    """What is wrong with a fence by itself, as it was read. ``look`` is called between the steps, and may raise."""
+    """Problems of a fence by itself, as parsed. ``look`` is called between the steps, and may raise."""
     yield from broken
     if ctx.params["FENCE_GAP_CHK"]:
         gaps = narrow_gaps(shapes, 2.0 * ctx.radius_m, check_cancel)
@@ -261,7 +261,7 @@ def joint_problems(
     ctx: PlanContext,
     check_cancel: Callable[[], None] = lambda: None,
 ) -> Iterator[PlanProblem]:
-    """What the fence forbids of mission and rally points: places; if there is none, legs without a free path."""
+    """Conflicts of mission and rally points with the fence: positions; if there are none, legs without a free path."""
     if not shapes:
         return
     places: list[_PointToClear] = []
@@ -305,7 +305,7 @@ def joint_problems(
 
 
 def _circles(steps: Sequence[Step]) -> Iterator[tuple[LoiterTurns, FloatArray]]:
-    """All circles whose centre (3,) is known: their own, or the place that comes before them in the plan."""
+    """All circles with a known centre (3,): their own, or the preceding position in the plan."""
     last: FloatArray | None = None
     for step in steps:
         if isinstance(step, LoiterTurns):

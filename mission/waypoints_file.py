@@ -1,8 +1,8 @@
 """The text format ``QGC WPL 110`` (``.waypoints``): one mission item per line.
 
 Format: MAVLink developer guide, "File formats": ``seq current frame command p1 p2 p3 p4 x y z autocontinue``, tabs.
-Ground stations of the ArduPilot family put home into the first line, a NAV_WAYPOINT in frame 0; others do not. It is
-home if no other place is in frame 0, and keeps its number: items are numbered as in the file.
+Ground stations of the ArduPilot family put home into the first line, a NAV_WAYPOINT in frame 0; others do not. It
+is home if no other position is in frame 0, and keeps its number: items are numbered as in the file.
 """
 
 import math

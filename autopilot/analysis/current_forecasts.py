@@ -1,4 +1,4 @@
-"""How well forecasts of the current do along the way that a logged flight then took, against the simulator's truth."""
+"""Errors of current forecasts along the path of a logged flight, against the simulator's truth."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -43,7 +43,7 @@ class ForecastRow:
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class _Flight:
-    """What is needed of a log. Times in seconds."""
+    """Data from a log. Times in seconds."""
 
     nav: NDArray[np.void]
     variance: FloatArray
@@ -57,7 +57,7 @@ class _Flight:
 
 
 def compare_forecasts(path: Path) -> list[ForecastRow]:
-    """Fly the forecasts along a simulated flight's log. LogError if the log does not hold what is needed."""
+    """Evaluate the forecasts along a simulated flight's log. LogError if the log lacks data."""
     flight = _flight(open_log(path))
     flow = EstimatedFlow()
     flow.within(TANK)

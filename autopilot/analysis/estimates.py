@@ -1,4 +1,4 @@
-"""What a benchmark on the 4-DoF model tells the controller: the state of the model as an estimate."""
+"""Estimate for the controller in benchmarks on the 4-DoF model: the state of the model."""
 
 import numpy as np
 

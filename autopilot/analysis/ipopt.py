@@ -129,7 +129,7 @@ class IpoptNmpc:
         return np.vstack([problem.x0, z[self._at_x]]), z[self._at_u], bool(self._solver.stats()["success"])
 
     def cost_of(self, problem: NmpcProblem, x: FloatArray, thrust_n: FloatArray) -> float:
-        """What a plan costs that somebody else has made; soft limits that it breaks are paid for."""
+        """Cost of a given plan, penalties of violated soft limits included."""
         z = np.zeros(len(self._guess))
         z[self._at_x], z[self._at_u] = x[1:], thrust_n
         parameters = self._parameters(problem)

@@ -1,4 +1,4 @@
-"""The closed loop that the controller's benchmarks fly: the paper's tank, the model as the plant, a uniform current."""
+"""Closed loop of the controller's benchmarks: the paper's tank, the model as the plant, a uniform current."""
 
 import math
 from collections.abc import Callable
@@ -70,7 +70,7 @@ def fly(
     first: int = 0,
     watch: Callable[[int, ControlOutput], None] = lambda step, output: None,
 ) -> LoopFlight:
-    """From ``start`` (8,) to the waypoints in turn, beginning with number ``first``."""
+    """Fly from ``start`` (8,) through the waypoints, beginning with number ``first``."""
     move = discrete_dynamics(vehicle.to_model(), STEP_US * 1e-6, 1)
     params, goals, index = ParamSet({"MPC_COST": 0}), [waypoint(*w) for w in WAYPOINTS], first
     q = params["MPC_Q_POS"]

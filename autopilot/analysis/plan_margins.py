@@ -1,4 +1,4 @@
-"""What the margins of a plan are made of: tube over the horizon, Lipschitz growth, certificates, CPU cost."""
+"""Components of a plan's margins: tube over the horizon, Lipschitz growth, certificates, CPU cost."""
 
 import math
 import time
@@ -229,7 +229,7 @@ def certificate_table(
 def cost_table(
     vehicle: Vehicle, goal: Goal, fence: Fence, steps: int, clock: Callable[[], float] = time.thread_time
 ) -> list[CostRow]:
-    """CPU time of the step in every mode, and what the margins and regions have in it (same run, interleaved parts)."""
+    """CPU time of the step in every mode, and of margins and regions in it (same run, interleaved parts)."""
     rows = []
     for mode, name in ((0, "fixed"), (1, "tube"), (2, "lipschitz")):
         controller = MotionController(vehicle, cpu_clock=clock)

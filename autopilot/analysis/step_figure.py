@@ -1,4 +1,4 @@
-"""One control step as a picture: the way and the plan from above, and what limits it over the prediction."""
+"""Figure of one control step: route and plan from above, and the active limits over the prediction."""
 
 from pathlib import Path
 

@@ -1,8 +1,8 @@
-"""One control step of a logged run, looked at: what the controller was asked, what it answered, and why.
+"""Analysis of one control step of a logged run: inputs, solution, and active limits.
 
-The run is replayed up to that step (its state is then what it was in flight), the step's program is solved by the
-real-time iteration, as it was flown, and once more to convergence by IPOPT, with half-planes that follow the plan. What
-limits the plan shows in the multipliers; for every obstacle beside the way the way on its other side is looked for.
+The run is replayed up to that step, which restores the controller's state. The step's program is solved by the
+real-time iteration, as in flight, and to convergence by IPOPT, with half-planes that follow the plan. Active limits
+are those with multipliers; for every obstacle near the route the route around its other side is searched.
 """
 
 from dataclasses import dataclass, replace
@@ -256,8 +256,9 @@ def _place(shape: Shape) -> str:
 def other_sides(
     fence: Fence, radius_m: float, start: FloatArray, goal: FloatArray, route: FloatArray, plan: FloatArray
 ) -> tuple[OtherSide, ...]:
-    """For every obstacle beside route (m, 2) or prediction (n, 2) the way from ``start`` to ``goal`` (2,) that has it
-    on the other hand. ``radius_m``: what ways keep."""
+    """For every obstacle near route (m, 2) or prediction (n, 2) the route from ``start`` to ``goal`` (2,) around
+    its other side. ``radius_m``: clearance of routes.
+    """
     way = np.vstack([start, goal]) if len(route) < 2 else route[:, :2]
     line = np.vstack([_sampled(way), plan])
     found = []
@@ -289,7 +290,7 @@ def other_sides(
 
 
 def _crossing(center: FloatArray, points: FloatArray, near_m: FloatArray, radius_m: float) -> int | None:
-    """Where a wall from an obstacle may cross the way: near the obstacle, and leaving room at both ends."""
+    """Where a barrier from an obstacle may cross the route: near the obstacle, and clear of both ends."""
     for at in np.argsort(near_m, kind="stable").tolist():
         towards = points[at] - center
         along = towards / max(float(np.hypot(*towards)), 1e-9)

@@ -1,4 +1,4 @@
-"""How good the estimate is on this vehicle's tour, short: errors against the truth of the simulation.
+"""Estimation errors on this vehicle's tour, against the truth of the simulation.
 
 The study with gaps, outliers, haze and wrong calibrations is ``autopilot bench estimator`` of a source checkout.
 """

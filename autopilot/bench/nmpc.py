@@ -1,9 +1,8 @@
-"""What one control step costs: the whole Python step (route, half-planes, QP, checks) beside IPOPT and fatrop.
+"""Cost of one control step: the whole Python step (route, half-planes, QP, checks) beside IPOPT and fatrop.
 
 All run in one closed loop on the model, on the paper's tank with a uniform current: the controller flies, and every
-few steps the others get the problem that it has just solved, warm-started from the same plan. CPU time of the thread,
-because wall-clock time on a shared machine measures the neighbours. Steps that plan a new route have a row of their
-own.
+few steps the others solve the same problem, warm-started from the same plan. CPU time of the thread, because wall
+time on a shared machine depends on other loads. Steps that plan a new route have a row of their own.
 """
 
 import json
@@ -108,7 +107,7 @@ def _bench_grid(
     slowness: float,
     costs: dict[tuple[str, int], float],
 ) -> list[NmpcBenchRow]:
-    """The controller with its first solver and with the ones of the wheel, and what converged solvers need."""
+    """The controller with its default solver and with those of PyPI wheels, and converged solvers."""
     controller = MotionController(vehicle, grid=grid, cpu_clock=cpu_clock)
     others = [_Other(plugin, controller, vehicle, grid, tol, cpu_clock) for plugin, _, tol in OTHERS]
 

@@ -1,4 +1,4 @@
-"""How fast the whole thing runs: speed against real time, CPU time of one tick, memory."""
+"""Speed of the whole simulation: real-time factor, CPU time of one tick, memory."""
 
 import os
 import tempfile

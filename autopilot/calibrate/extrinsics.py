@@ -1,5 +1,6 @@
-"""Where the camera sits on the vehicle: rotation against the AHRS (:mod:`autopilot.calibrate.motion_fit`), heading
-offset of the AHRS, and the lever arm between the two from how both were accelerated."""
+"""Camera extrinsics: rotation against the AHRS (:mod:`autopilot.calibrate.motion_fit`), heading offset of the
+AHRS, and the lever arm between the two from their accelerations.
+"""
 
 import math
 from dataclasses import dataclass

@@ -1,4 +1,4 @@
-"""What a log tells for calibration: camera poses from the recorded corners alone, the AHRS's samples, the laser dot."""
+"""Calibration data from a log: camera poses from the recorded corners alone, AHRS samples, laser dots."""
 
 import math
 from dataclasses import dataclass

@@ -1,4 +1,4 @@
-"""Views of a calibration board: from a folder of images, or from a camera or film while somebody moves the board."""
+"""Views of a calibration board: from a folder of images, or from a camera or video of a moving board."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass

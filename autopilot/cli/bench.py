@@ -1,7 +1,7 @@
-"""``autopilot bench``: is this machine good enough for this vehicle? Each figure is beside what it is measured against.
+"""``autopilot bench``: performance of this machine for this vehicle, each figure beside its baseline.
 
-The project's own studies are no part of an installation: a source checkout has them in tests/bench, and there they are
-commands here as well.
+The project's own studies are not installed: a source checkout has them in tests/bench, and there they are commands
+here as well.
 """
 
 import importlib
@@ -37,7 +37,7 @@ LONG: list[str] = []
 
 
 class _Benchmarks(click.Group):
-    """Options may stand before the benchmark's name, and one of another benchmark is told to whom it belongs."""
+    """Options may precede the benchmark's name; an option of another benchmark gives an error that names it."""
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
         return super().parse_args(ctx, self._name_first(args))

@@ -1,4 +1,4 @@
-"""Benchmarks that are a table of figures, with how slow the machine was during them."""
+"""Benchmarks that print a table, with the slowness of the machine during the run."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import asdict
@@ -16,7 +16,7 @@ Work = Callable[[bool], Rows]
 def measured(
     title: str, work: Work, *, short: bool, as_json: bool, heads: Mapping[str, str] | None = None
 ) -> dict[str, object]:
-    """Run one and print its table, unless JSON is asked for; its rows and how slow the machine was."""
+    """Run a benchmark and print its table, unless JSON is requested; returns rows and slowness of the machine."""
     slow = _slowness()
     rows = work(short)
     slow = 0.5 * (slow + _slowness())
@@ -36,7 +36,7 @@ def run_one(
 
 
 def rows_command(name: str, title: str, work: Work, heads: Mapping[str, str] | None = None) -> click.Command:
-    """The command of a benchmark without options of its own; its help is what ``work`` says of itself."""
+    """Command of a benchmark without options of its own; its help is the docstring of ``work``."""
 
     @click.command(name, help=work.__doc__)
     @SHORT

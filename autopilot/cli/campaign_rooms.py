@@ -1,4 +1,4 @@
-"""``autopilot campaign rooms``: workspaces, waters, missions and vehicles at random."""
+"""``autopilot campaign rooms``: random workspaces, currents, missions and vehicles."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ def rooms(
 def _all(
     out: Path, seed: int, runs: int, modes: list[int], engine: str, jobs: int | None, *, quiet: bool
 ) -> list[WorldResult]:
-    """Fly what is missing; all finished flights that were asked for."""
+    """Fly the missing flights; all finished flights that were requested."""
     from autopilot.campaign.engines import make_engine
     from autopilot.campaign.worlds.world_flight import WorldTask
     from autopilot.campaign.worlds.world_store import WorldStore, read_flights

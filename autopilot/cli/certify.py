@@ -1,4 +1,4 @@
-"""``autopilot certify``: what the controller keeps from every limit, and what was verified of a plan's goals."""
+"""``autopilot certify``: margins of the controller to every limit, and verified goals of a plan."""
 
 from collections.abc import Sequence
 from dataclasses import asdict

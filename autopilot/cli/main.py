@@ -83,7 +83,7 @@ def cli() -> None:
 
 
 def run(command: Callable[[], object]) -> int:
-    """Run a click command and turn what it raises into one line on stderr and an exit code."""
+    """Run a click command; exceptions become one line on stderr and an exit code."""
     try:
         result = command()
         return result if isinstance(result, int) else 0
@@ -114,7 +114,7 @@ def run(command: Callable[[], object]) -> int:
 
 
 def _one_line(error: click.ClickException) -> str:
-    """What is wrong with the command line, and where help is."""
+    """Usage error in one line, with the help command."""
     text = " ".join(error.format_message().split()).rstrip(".")
     context = error.ctx if isinstance(error, click.UsageError) else None
     return text if context is None else f"{text}; see '{context.command_path} --help'"

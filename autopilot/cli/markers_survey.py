@@ -1,4 +1,4 @@
-"""``autopilot markers survey``: where markers really lie, from pictures or a log."""
+"""``autopilot markers survey``: actual marker positions from pictures or a log."""
 
 import math
 from pathlib import Path
@@ -220,7 +220,7 @@ def _some(names: list[str]) -> str:
 
 
 def _survey_warnings(result: "Survey", *, known: bool) -> list[str]:
-    """What an operator should know of a survey. ``known``: there was a rough map, of markers that should be there."""
+    """Warnings about a survey. ``known``: there was a rough map, of markers that should be there."""
     found = []
     if not result.converged:
         found.append("the adjustment has not converged; take more views from more places")

@@ -113,7 +113,7 @@ def fit(windows: Windows, like: Model4) -> IdentificationFit:
 
 
 def _more(error: FloatArray, theta: FloatArray) -> float:
-    """Residuals are smaller than errors by what the fit has taken: n / (n - parameters)."""
+    """Degrees-of-freedom correction n / (n - parameters): residuals are smaller than errors."""
     n, fitted = int(error.size), error.shape[0] * NX + len(theta)
     return n / float(max(1, n - fitted))
 

@@ -1,4 +1,4 @@
-"""What a fit says, per coefficient, and what of it goes into a vehicle file."""
+"""Report of a fit per coefficient, and its changes to a vehicle file."""
 
 import math
 from collections.abc import Sequence
@@ -56,7 +56,7 @@ def rows_of(fit: IdentificationFit, vehicle: Vehicle) -> list[CoefficientRow]:
 
 
 def kept_axes(fit: IdentificationFit) -> tuple[bool, ...]:
-    """Per axis, whether the flight tells too little of it."""
+    """Per axis, whether the flight excites it too little to be identified."""
     result = []
     for i in range(len(AXES)):
         mass, drag = _figure(fit, _one(i)), _figure(fit, _drag(i))
@@ -88,7 +88,7 @@ def changes(fit: IdentificationFit, vehicle: Vehicle) -> dict[str, Sequence[floa
 def _body_changes(
     body: Body, mass: list[float], linear: list[float], square: list[float], buoyancy_n: float
 ) -> dict[str, Sequence[float] | float]:
-    """The simulated body moves as the model does: what is not hull is added mass."""
+    """Added mass of the simulated body so that it moves as the model: identified mass minus the hull's."""
     added = [max(0.0, total - body.mass_kg) for total in mass[:3]]
     turning = [*body.added_inertia_kg_m2[:2], max(0.0, mass[3] - body.inertia_kg_m2[2])]
     return {

@@ -1,4 +1,4 @@
-"""What a log tells of a vehicle's motion: windows of the estimated motion and of the thrust behind it."""
+"""Identification data from logs: windows of estimated motion and thrust."""
 
 import math
 from dataclasses import dataclass
@@ -48,9 +48,9 @@ class Windows:
 
 
 def read_windows(paths: list[Path], vehicle: Vehicle | None = None) -> tuple[Windows, Vehicle]:
-    """Windows of all logs, and the vehicle file that they were flown with unless ``vehicle`` is given.
-
-    LogError if a log lacks what is needed or all of them together are too short."""
+    """Windows of all logs, and their vehicle file unless ``vehicle`` is given. LogError if a log lacks data or all
+    together are too short.
+    """
     parts: list[Windows] = []
     for index, path in enumerate(paths):
         log = open_log(path)

@@ -1,9 +1,9 @@
-"""First poses of views and markers from nothing but corners, printed sizes and one marker's place.
+"""Initial poses of views and markers from corners, printed sizes and the position of one marker.
 
-From the seed marker on: a view that shows markers with known places gets its pose from those that agree with each
-other; the other markers that it shows get places from it; again with the next view, until no more views can be tied in.
-Ids may repeat over the floor: a marker counts as a known one only where the view's pose says so, else it is another
-one. Positions drift by some millimetres a metre; the bundle adjustment takes that out.
+Starting at the seed marker: a view of placed markers gets its pose from those that agree with each other; its other
+markers are placed from that pose; repeated until no more views can be connected. Ids may repeat over the floor: a
+marker is identified with a placed one only where the view's pose agrees, else it is another one. Positions drift by
+some millimetres per metre, which the bundle adjustment corrects.
 """
 
 from collections.abc import Mapping, Sequence, Set
@@ -64,9 +64,10 @@ def tie_together(
     unique: Set[int],
     first: int | None = None,
 ) -> Bootstrap:
-    """Poses of all views and markers that hang together with the seeds. With ``level`` all markers lie face up at the
-    depth of the first seed; markers whose size is not in ``sizes_m`` are left alone. One marker alone ties a view in
-    if its id is in ``unique``, or if it is the view number ``first``."""
+    """Poses of all views and markers connected with the seeds. With ``level`` all markers lie face up at the depth
+    of the first seed; markers whose size is not in ``sizes_m`` are ignored. One marker alone connects a view if
+    its id is in ``unique``, or if it is the view number ``first``.
+    """
     world = _World(camera, list(seeds), sizes_m, level)
     tied: dict[int, TiedView] = {}
     if first is not None:
@@ -127,7 +128,7 @@ class _World:
         return tied
 
     def join(self, tied: TiedView) -> TiedView:
-        """The view with all its markers looked up again, now that all have places."""
+        """Connect the view, with its markers matched again now that all are placed."""
         known: dict[int, int] = {}
         for k, marker_id in enumerate(tied.view.ids.tolist()):
             options = self._by_id.get(marker_id, [])
@@ -154,8 +155,9 @@ class _World:
     def agreeing(
         self, view: SheetView, candidates: list[tuple[int, int]], unique: Set[int], slack: float = 1.0
     ) -> tuple[tuple[FloatArray, FloatArray] | None, dict[int, int]]:
-        """The pose that most known markers agree on, and which those are (marker of the view -> index). ``slack``
-        widens what agrees."""
+        """The pose on which most placed markers agree, and these markers (marker of the view -> index). ``slack``
+        widens the tolerance.
+        """
         best: dict[int, int] = {}
         if not candidates:
             return None, best
@@ -243,7 +245,7 @@ class _World:
         return any(float(np.linalg.norm(p - seen.center_ned_m)) < BOOTSTRAP.same_share * AMBIGUITY_M for p in places)
 
     def _seen(self, tied: TiedView, k: int, marker_id: int) -> Placed | None:
-        """A marker of a view as that view alone places it."""
+        """Position of a marker from one view alone."""
         size_m = self._sizes_m[marker_id]
         if self._level:
             origins, directions = self._camera.rays(tied.view.corners_px[k])

@@ -1,4 +1,4 @@
-"""What a survey starts from: marker corners seen from many places, out of a log, of pictures or of films."""
+"""Input of a survey: marker corners from many viewpoints, from a log, pictures or videos."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass

@@ -1,4 +1,4 @@
-"""A survey: views and a rough map in, the map as it is out, with how sure each marker's place is."""
+"""Survey of a marker map: from views and a rough map to positions with standard deviations."""
 
 import math
 from collections import Counter
@@ -135,7 +135,7 @@ def _adjusted(
     rough_sigma: tuple[float, float],
     level: bool,
 ) -> tuple[Network, Adjusted, IntArray, set[int]]:
-    """Bundle adjustment of what hangs together; marker of the rough map that each one is, and those that were given."""
+    """Bundle adjustment of the connected part; marker of the rough map for each one, and the given ones."""
     placed = bootstrap.markers
     centers = np.array([m.center_ned_m for m in placed])
     nominal = _match(rough, placed, centers, fixed, seeds)

@@ -1,6 +1,6 @@
-"""What a log must hold of an estimator's making so that another one like it can be made: attachments and back.
+"""Record of an estimator's construction: attachments of a log, and reading them.
 
-Floats survive JSON and npz bit for bit, which the marker map file (rounded to micrometres) does not promise.
+Floats survive JSON and npz bit for bit, which the marker map file (rounded to micrometres) does not.
 """
 
 import io

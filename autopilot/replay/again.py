@@ -45,10 +45,9 @@ def service_again(
     folder: Path,
     changes: Iterable[tuple[str, float]] = (),
 ) -> tuple[Autopilot, ServiceParts]:
-    """The service of a log as it was before its first tick, with some parameters changed.
-
-    ``witness`` gives the answers of then, ``folder`` is for files of this call. LogError if the log does not say
-    enough; ConfigError for a parameter that there is not.
+    """Service of a log in its state before the first tick, with changed parameters. ``witness`` replays recorded
+    results, ``folder`` is for temporary files. LogError if the log lacks data; ConfigError for an unknown
+    parameter.
     """
     record = read_record(log)
     params = ParamSet()
@@ -110,7 +109,7 @@ def _water(log: Log, record: ServiceRecord, origin: Origin, folder: Path) -> Cur
 
 
 def _formula(log: Log) -> CurrentForecast:
-    """The current that a scenario's controller was told without a file: the scenario's own."""
+    """Analytic current of the scenario, for a controller that used no file."""
     data = log.attachments.get("scenario.json")
     if data is None:
         raise LogError(f"{log.path}: has no attachment scenario.json, whose current the controller was told")
@@ -148,7 +147,7 @@ def _take_plans(log: Log, parts: ServiceParts, nondeterminism: NondeterminismRep
 
 
 class _Saving:
-    """Nothing is written; what became of it then, the witness knows."""
+    """Writes nothing; results are replayed by the recorder."""
 
     def save(self, tick: int, name: str) -> int | None:
         """Never called: the recorder replays the answer."""

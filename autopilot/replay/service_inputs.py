@@ -96,7 +96,7 @@ class ServiceInputs:
         return True
 
     def _datagrams(self, notes: StepNotes) -> tuple[bytes, ...]:
-        """What was received, with another key in the place of each that was left out."""
+        """Received bytes, with a random key in place of each key that was removed."""
         found = []
         for number, datagram in enumerate(notes.rx):
             data = self._streams[datagram.link, datagram.client].take(datagram.length)
@@ -107,7 +107,7 @@ class ServiceInputs:
 
 
 class _ClientBytes:
-    """All bytes of a client, in turn."""
+    """Byte stream of one client."""
 
     def __init__(self) -> None:
         self.data = bytearray()
@@ -115,7 +115,7 @@ class _ClientBytes:
         self._owed = 0
 
     def take(self, length: int) -> bytes:
-        """The next bytes; a datagram may have lost bytes to one that was taken already."""
+        """The next bytes; fewer if a datagram overlaps one that was taken already."""
         length += self._owed
         self._owed = min(length, 0)
         piece = bytes(self.data[self._at : self._at + max(length, 0)])

@@ -1,9 +1,9 @@
-"""A ground station's .tlog of any vehicle through the attitude path: how regular its attitude is, and why it is not.
+"""Attitude regularity in a ground station's .tlog file, and the causes of gaps.
 
-ATTITUDE messages (https://mavlink.io/en/messages/common.html#ATTITUDE) become AHRS
-samples, stamped by the sender's own clock, with the acceleration of the last RAW_IMU, and pass the same intake as a
-driver's. Every gap between two of them is explained by what the file itself shows: the sender's clock, sequence
-numbers, other traffic, bytes that are no message.
+ATTITUDE messages (https://mavlink.io/en/messages/common.html#ATTITUDE) become AHRS samples, stamped by the sender's
+own clock, with the acceleration of the last RAW_IMU, and pass the same validation as a driver's. Every gap between
+two of them is explained by evidence in the file: the sender's clock, sequence numbers, other traffic, damaged
+bytes.
 """
 
 from collections import Counter

@@ -1,7 +1,7 @@
-"""From which age on something that is shown is no longer of now, and grey.
+"""Age limits beyond which a displayed value is stale (grey).
 
-A limit is :data:`MISSED` of the nominal periods of what is shown, and no less than :data:`LEAST_S`: frames of the page
-come ten times per second. Rates stand in the vehicle file; what has none there is given :data:`UNKNOWN_S`.
+A limit is :data:`MISSED` nominal periods of the value, and no less than :data:`LEAST_S`: the page gets ten frames
+per second. Rates are in the vehicle file; a value without one gets :data:`UNKNOWN_S`.
 """
 
 from autopilot.core.sensors import SENSOR_ROWS

@@ -1,7 +1,7 @@
-"""What can be asked for from the page, and who does it. Nobody, on a real vehicle.
+"""Requests of the page to the simulation. A real vehicle accepts none.
 
-What the browser sends is one of the ``Ask`` tables. It is carried out by the loop between two ticks
-(:mod:`autopilot.run.sitl_view`); the browser hears what became of it.
+The browser sends one of the ``Ask`` tables. The loop executes it between two ticks
+(:mod:`autopilot.run.sitl_view`); the browser gets the result.
 """
 
 from typing import Annotated, Protocol, TypeAlias
@@ -59,7 +59,7 @@ Ask: TypeAlias = Pause | Go | Speed | Reset | DragCurrent | DragObstacle | CallF
 
 
 class ViewError(AutopilotError):
-    """What was asked for from the page cannot be done."""
+    """A request of the page cannot be executed."""
 
 
 class Steered(msgspec.Struct, frozen=True, kw_only=True):
@@ -71,11 +71,11 @@ class Steered(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Controls(Protocol):
-    """Who does what is asked for."""
+    """Executes requests of the page."""
 
     @property
     def steerable(self) -> Steerable:
-        """What there is to be done."""
+        """Supported interventions."""
         ...
 
     @property
@@ -86,7 +86,9 @@ class Controls(Protocol):
         ...
 
     def do(self, ask: Ask) -> str:
-        """Have it done; what was done. ViewError says why not. From the threads of the page."""
+        """Execute a request on the loop and return the result. ViewError with the reason. Called by the page's
+        threads.
+        """
         ...
 
 

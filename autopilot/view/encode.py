@@ -1,4 +1,4 @@
-"""From what the loop has left to what the page is told. Pure functions, on the view's thread."""
+"""Encodes snapshots of the loop as JSON for the page. Pure functions, on the view's thread."""
 
 import base64
 from collections.abc import Iterable
@@ -136,7 +136,7 @@ def frame_of(snapshot: TickSnapshot, vehicle: Vehicle, steered: Steered, *, now_
 
 
 def picture_of(taken: TakenPicture) -> PictureView:
-    """A camera picture as JPEG with what was found in it. AutopilotError if it cannot be compressed."""
+    """A camera picture as JPEG with its detections. AutopilotError if it cannot be compressed."""
     import cv2  # heavy: nobody pays for it who does not look at pictures
 
     done, jpeg = cv2.imencode(".jpg", taken.pixels, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])
@@ -160,7 +160,7 @@ def picture_of(taken: TakenPicture) -> PictureView:
 
 
 def _number(value: float) -> float:
-    """A number that JSON can say and a person wants to read; what is infinite or no number is -1."""
+    """A number valid in JSON, rounded; NaN and infinities are -1."""
     return round(float(value), DIGITS) if np.isfinite(value) else -1.0
 
 
@@ -245,7 +245,7 @@ def _tracks(snapshot: TickSnapshot) -> tuple[ObstacleView, ...]:
 
 
 def _clearance_m(fence: Fence, nav: NavState) -> float | None:
-    """Smallest distance of the vehicle's centre to what the fence forbids."""
+    """Smallest distance of the vehicle's centre to the forbidden area."""
     place = nav.pos_ned_m[None, :2]
     gaps = [float(clearance_m(shape, place)[0]) for shape in fence.exclusions]
     gaps += [-float(clearance_m(shape, place)[0]) for shape in fence.inclusions]

@@ -1,9 +1,9 @@
-"""The page over HTTP on loopback: four files, a stream of server-sent events, and what is asked for.
+"""HTTP server of the page on loopback: four files, a stream of server-sent events, and requests.
 
-Nobody from outside gets in. The socket is bound to 127.0.0.1; the Host of a request has to be a name of loopback, so
-that a foreign name that is made to point here (DNS rebinding) is refused; what another page's script begins says so in
-Origin or Sec-Fetch-Site and is refused; and what changes anything has to come from the page itself, which alone knows
-the process's token. There is no CORS header, so no other page can read an answer either.
+Local access only. The socket is bound to 127.0.0.1; the Host of a request has to be a name of loopback, which
+rejects DNS rebinding; cross-site requests are rejected by Origin or Sec-Fetch-Site; and requests that change
+anything need the process's token, which only the page has. There is no CORS header, so no other page can read an
+answer either.
 """
 
 import hashlib
@@ -88,7 +88,7 @@ class _Server(ThreadingHTTPServer):
             self._room.release()
 
     def handle_error(self, request: object, client_address: object) -> None:
-        """A connection that breaks is nobody's business."""
+        """Broken connections are ignored."""
 
 
 def _file(name: str) -> bytes:
@@ -97,7 +97,7 @@ def _file(name: str) -> bytes:
 
 
 def _version() -> str:
-    """Of the page's code: another one is loaded anew when its process is."""
+    """Version of the page's code: browsers reload the page when it changes."""
     return hashlib.sha256(b"".join(_file(name) for name, _ in PAGES.values())).hexdigest()[:16]
 
 
@@ -182,7 +182,7 @@ class _Handler(BaseHTTPRequestHandler):
                 self._answer(200, msgspec.json.encode({"done": done}), "application/json")
 
     def _from_here(self) -> bool:
-        """Whether a browser on this machine asks for our own page; strangers are answered."""
+        """Whether a browser on this machine requests our own page; others get an error."""
         host = self.headers.get("Host", "")
         name = host[: host.find("]") + 1] if host.startswith("[") else host.partition(":")[0]
         origin, site = self.headers.get("Origin"), self.headers.get("Sec-Fetch-Site")
@@ -195,7 +195,7 @@ class _Handler(BaseHTTPRequestHandler):
         return False
 
     def _from_the_page(self) -> bool:
-        """Whether what is to be changed is asked for by the page itself."""
+        """Whether a change is requested by the page itself."""
         token = self.headers.get(TOKEN_HEADER, "")
         if self.headers.get("Origin") is None:
             self._say(403, "a browser names the page that asks; nobody else may")

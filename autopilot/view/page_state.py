@@ -1,7 +1,7 @@
-"""What the page is told, as JSON: a scene now and then, a frame ten times per second, pictures, the flow.
+"""JSON of the page: scene (on change), frame (10 Hz), pictures, current field.
 
-Local metres (NED, origin at the surface), radians, SI; units stand in the names. None where nothing is known. The page
-(``autopilot/data/view``) reads these names, and tests/view hold both together.
+Local metres (NED, origin at the surface), radians, SI; units in the names. None = unknown. The page
+(``autopilot/data/view``) reads these names; tests/view checks that both agree.
 """
 
 from typing import TypeAlias
@@ -30,7 +30,7 @@ class WaypointView(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Limits(msgspec.Struct, frozen=True, kw_only=True):
-    """What the controller was given as bounds."""
+    """Bounds of the controller."""
 
     planar_speed_m_s: float
     heave_m_s: float
@@ -41,7 +41,7 @@ class Limits(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class AgeLimits(msgspec.Struct, frozen=True, kw_only=True):
-    """From which age on what is shown is grey [s]: each by the rate at which it nominally comes."""
+    """Ages beyond which displayed values are stale [s], by their nominal rates."""
 
     link_s: float
     """Real time without a frame of the loop. All others are in the vehicle's time."""
@@ -61,7 +61,7 @@ class FaultOffer(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Steerable(msgspec.Struct, frozen=True, kw_only=True):
-    """What can be done from the page: all empty on a real vehicle."""
+    """Interventions available on the page: empty on a real vehicle."""
 
     pause: bool = False
     speed: bool = False
@@ -187,7 +187,7 @@ class SensorView(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class DeviceView(msgspec.Struct, frozen=True, kw_only=True):
-    """What a device has delivered last, used or not."""
+    """Last data of a device, used or not."""
 
     name: str
     age_s: float
@@ -203,7 +203,7 @@ class ProgressView(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class BatteryView(msgspec.Struct, frozen=True, kw_only=True):
-    """What the battery's monitor said last."""
+    """Last reading of the battery monitor."""
 
     age_s: float
     voltage_v: float
@@ -233,7 +233,7 @@ class MessageView(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class ViewFrame(msgspec.Struct, frozen=True, kw_only=True):
-    """What changes all the time; each stands for itself, a viewer may miss any."""
+    """Dynamic state; frames are independent, viewers may miss any."""
 
     scene: int
     """Which scene it belongs to."""
@@ -273,7 +273,7 @@ class ViewFrame(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class PictureView(msgspec.Struct, frozen=True, kw_only=True):
-    """A camera picture and what was found in it."""
+    """A camera picture with its detections."""
 
     t_s: float
     width_px: int
