@@ -14,13 +14,13 @@ from autopilot.mission.goals import Goals
 from autopilot.mission.store import Plans
 
 CHECKING = "plan check is running, try again"
-"""What is said when parameters or origin have changed and the answer about the plans is not there yet."""
+"""Reason while the plans are being checked again after a change of parameters or origin."""
 
 STARTING = ("service is starting",)
 """The reason before the first tick."""
 
 ControllerCheck = Callable[[NavState], tuple[str, ...]]
-"""What the controller has against arming with an estimate."""
+"""The controller's reasons against arming with an estimate."""
 
 
 class ArmingChecks:

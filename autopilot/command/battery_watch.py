@@ -7,10 +7,10 @@ from autopilot.core.samples import PowerSample, plausible
 from autopilot.core.vehicle import BatteryLimits
 
 SAY_EVERY_US = 60_000_000
-"""A monitor that goes on saying what no battery says is told again after so long."""
+"""Interval at which a continuing implausible reading is reported again."""
 
 STALE_US = 3_000_000
-"""A reading that has been followed by others, none of them believed, is not shown as that of now after so long."""
+"""Age beyond which a plausible reading followed by rejected ones only is no longer shown."""
 
 
 class BatteryWatch:
@@ -20,7 +20,7 @@ class BatteryWatch:
         self._limits = limits
         self._good_us = 0
         self._refused_us: int | None = None
-        """When the newest reading came, if it was refused."""
+        """Time of the newest reading, if it was rejected."""
         self._reported_us: int | None = None
         self._events: list[Event] = []
         self.power: PowerSample | None = None

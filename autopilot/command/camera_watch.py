@@ -23,7 +23,7 @@ MESSAGES = {
     FOGGY: notices.CAMERA_FOGGY,
     SILENT: notices.CAMERA_SILENT,
 }
-"""What the operator hears of each trouble."""
+"""Message to the operator for each fault."""
 
 
 class CameraWatch:
@@ -33,13 +33,13 @@ class CameraWatch:
         self.foggy = 0
         """Pictures that were too foggy for markers."""
         self._trouble: str | None = None
-        """What the operator was told, None while all is well."""
+        """Fault reported to the operator, None without one."""
         self._now: str | None = None
-        """What the pictures have all been since ``_since_us``; None = good."""
+        """State of all pictures since ``_since_us``; None = good."""
         self._since_us = 0
         self._count = 0
         self._last_us: int | None = None
-        """When the last picture came,"""
+        """Time of the last picture,"""
         self._markers_us: int | None = None
         """and the last one with markers."""
 

@@ -26,7 +26,7 @@ _DOUBT_TEXTS = {
     NavDoubt.RESETS: notices.REPEATED_RESETS,
     NavDoubt.CAMERA: notices.CAMERA_WRONG,
 }
-"""What to do about a sensor that the evidence denies."""
+"""Remedy for a sensor that contradicts the other evidence."""
 
 
 class ChangeWatch:
@@ -39,7 +39,7 @@ class ChangeWatch:
         self._fence = goals.fence
         self._health = NavHealth.INVALID
         self._doubts: frozenset[NavDoubt] = frozenset()
-        """Those that have been told since arming."""
+        """Reported since arming."""
         self._unreachable = False
         self._thrusters = tuple(thruster.name for thruster in vehicle.thrusters)
         self._share: dict[str, float] = {}
@@ -56,7 +56,7 @@ class ChangeWatch:
         new = status.nav_doubts - self._doubts if armed else frozenset()
         texts += [_DOUBT_TEXTS[doubt]() for doubt in NavDoubt if doubt in new] if new else []
         self._doubts = self._doubts | new if armed else frozenset()
-        # The text of a doubt says already why the fixes do not count.
+        # The text of that warning already says why the fixes are rejected.
         reported = health is NavHealth.DEAD_RECKONING and (bool(new) or NavDoubt.FIXES in status.nav_doubts)
         if armed and health is not self._health and not reported:
             texts.append(_HEALTH_TEXTS[health]())

@@ -41,10 +41,10 @@ from autopilot.mission.sequencer import Position
 from autopilot.mission.store import Plans
 
 READINESS_EVERY_TICKS = 50
-"""Arming checks are looked at twice per second for telemetry, and anew when arming is asked for."""
+"""Arming checks run twice per second for telemetry, and again at an arming request."""
 
 END_AFTER_TICKS = 20
-"""A run that an operator ends goes on so long: its answer has to be on its way."""
+"""Delay of a requested shutdown, for its answer to be sent."""
 
 
 class Commander:

@@ -40,18 +40,18 @@ class ControlStep:
         self._allocator = ControlAllocator.of(vehicle)
         self._hand = HandLaw(self._allocator)
         self._soft: tuple[int, FloatArray] | None = None
-        """Time and thrust of the last tick, from the one on which a pilot without a position let go, or on which a mode
-        began or ended in which somebody steers."""
+        """Time and thrust of the last tick before a pilot without a position released the sticks, or before a
+        piloted mode was entered or left."""
         self._last: tuple[int, FlightMode] | None = None
         """Time and mode of the last tick that had a goal."""
         self._switched = False
         """The controller has not answered since such a mode began or ended."""
         self.felt: Callable[[int], PositionlessState] = lambda _: PositionlessState()
-        """What is known without a position, asked only then."""
+        """State known without a position, called only then."""
         self.thrust_n: FloatArray = actuation.nothing()
         """(n,) wanted now."""
         self._wanted_n: FloatArray = actuation.nothing()
-        """(n,) that the controller wants."""
+        """(n,) thrust requested by the controller [N]."""
         self._limit_n: FloatArray = actuation.nothing()
         """(n,) of the last control step."""
         self.status: NmpcStatus | None = None
@@ -61,7 +61,7 @@ class ControlStep:
         self.solver_failures = 0
         """Control steps in a row without a solution."""
         self.way_left_m: float | None = None
-        """Length of the way to the goal as the controller flies it, None = it has none."""
+        """Length of the controller's path to the goal, None without one."""
 
     def reset(self) -> None:
         self.solver_failures, self.status, self.way_left_m, self.ahead = 0, None, None, None

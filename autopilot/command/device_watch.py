@@ -6,7 +6,7 @@ from autopilot.core import operator_messages as notices
 from autopilot.core.messages import DeviceRole, DeviceTrouble, Event
 
 SAY_EVERY_US = 5_000_000
-"""The same trouble is said again after so long."""
+"""Interval at which the same fault is reported again."""
 
 DEVICE_OVER_US = 1_000_000
 """A device that has worked for so long works again."""
@@ -18,7 +18,7 @@ _DEVICE_NAMES = {
     DeviceRole.WATCHDOG: "Thruster watchdog",
 }
 _SAID_ONCE = frozenset({DeviceRole.WATCHDOG})
-"""What is not said again while it lasts: it has a failsafe of its own."""
+"""Not reported again while it lasts: it has a failsafe of its own."""
 
 
 class DeviceWatch:
@@ -30,7 +30,7 @@ class DeviceWatch:
         self.counts = dict.fromkeys(DeviceRole, 0)
         """Ticks on which a device could not be used."""
         self.watchdog_problem = ""
-        """What is wrong on this tick with the process that stops the thrusters when the service cannot."""
+        """Fault of the watchdog process on this tick."""
 
     @property
     def thruster_problem(self) -> str:

@@ -9,7 +9,7 @@ from autopilot.core.messages import FlightControllerState
 from autopilot.mavlink.api import ACCEPTED, CommandReply, CommandResult
 
 CONFIRM_TICKS = 300
-"""3 s, twelve requests: then it is said that it has not worked. It is asked for until it has."""
+"""3 s, twelve requests: then the failure is reported. Requests continue until it is disarmed."""
 
 ARMED_ANEW = "Disarming cancelled: armed again"
 
@@ -24,7 +24,7 @@ class Disarming:
         self._ticks: int | None = None
         """Since it was asked for, None = nothing is waited for."""
         self._alone: bool | None = None
-        """Whether there is no flight controller below; None = no tick has told yet."""
+        """Whether there is no flight controller; None before the first tick."""
         self.answer = ACCEPTED
         """To who asked for it last."""
 

@@ -49,7 +49,7 @@ class Environment:
         self.below: FlightControllerState | None = None
         """The flight controller below us."""
         self.refusals: tuple[str, ...] = ()
-        """What devices have against arming."""
+        """Devices' reasons against arming."""
         self.status = VehicleStatus()
         self._t_us = 0
         self._reported_over = False

@@ -23,9 +23,9 @@ class _Repeat:
     """An output that goes to and fro."""
 
     pulses_us: tuple[int, int]
-    """What comes next, and what after that."""
+    """The next change, and the one after it."""
     left: int
-    """Changes that are still to come."""
+    """Changes left."""
     half_us: int
     next_us: int
 

@@ -20,7 +20,7 @@ from autopilot.core.sensors import AID_SENSORS
 from autopilot.estimator.protocol import Estimator
 
 LAST_ESTIMATE_US = 200_000
-"""So long the last estimate stands in for an estimator that fails; then there is none."""
+"""Time for which the last estimate is used after a fault of the estimator; then there is none."""
 
 GOOD_FRAMES = ("frames.ok", "frames.late", "frames.foggy")
 """Counts of pictures that are not of refused ones."""
@@ -61,7 +61,7 @@ class Estimation:
         self.nav: NavState | None = None
         """The estimate of the last tick."""
         self.doubts: frozenset[NavDoubt] = frozenset()
-        """What speaks against it or its sensors."""
+        """Evidence against it or its sensors."""
         self.aid_ratio: dict[str, float] = {}
         """Test ratio of the newest measurement of each aiding sensor."""
         self.errors = (0, 0, 0, 0)

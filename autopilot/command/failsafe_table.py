@@ -59,7 +59,7 @@ class FailsafeRow:
     condition: str
     """For people; parameters by name."""
     level: Level
-    """What is looked at, once per tick: no text is made here."""
+    """Input, once per tick; makes no text."""
     enter: Bound
     gap: float = 0.0
     """Hysteresis: it is over when the quantity is back by so much."""
@@ -73,9 +73,9 @@ class FailsafeRow:
     """Parameter that chooses among ``effects``, "" = the only one."""
     effects: tuple[Effect, ...] = ACTIONS
     severity: Severity = Severity.CRITICAL
-    """Of what is said when it begins."""
+    """Severity of the message when it is raised."""
     text: str
-    """What has happened and what to do. Names in braces are parameters and facts, put in when it is said."""
+    """Event and remedy. Names in braces are parameters and inputs, filled in when it is raised."""
     arming: str = ""
     """Why the vehicle must not be armed meanwhile, "" = it may."""
     flying: bool = False

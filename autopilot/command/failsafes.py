@@ -38,7 +38,7 @@ class _RowState:
         self.since_us = -1
         """Since when it is about to change, -1 = it is not."""
         self.text = ""
-        """What was said when it began."""
+        """Message of when it was raised."""
 
     def configure(self, params: Mapping[str, float]) -> None:
         row = self.row

@@ -27,7 +27,7 @@ class StuckAction(IntEnum):
     HOLD = 1
     SKIP = 2
     REFUSE = 3
-    """No start where the current says so beforehand; in flight as HOLD."""
+    """Refuses the start if the current requires it; in flight as HOLD."""
 
 
 class MissionRun:
@@ -44,12 +44,12 @@ class MissionRun:
         self._steps: tuple[Step, ...] = ()
         self._made_good = MadeGood()
         self._given_up = False
-        """The present goal has been told to be out of reach."""
+        """The present goal has been reported as unreachable."""
         self._reported_upstream: set[tuple[int, bool]] = set()
-        """What has been told of the current on legs since the mission was started."""
+        """Reports about the current on legs since the start of the mission."""
         self._upstream_us = 0
         self._unreported: tuple[int, ...] = ()
-        """Items that were reached since that was last told."""
+        """Items reached since the last report."""
         self._reached_reported_us = -MISSION_RUN.reached_us
         self.sequencer = Sequencer(params)
 
@@ -171,7 +171,7 @@ class MissionRun:
         self._operator.say(notices.ITEM_HELD(seq=goal.seq, reason=why))
         return True
 
-    # What the current leaves
+    # Speed made good
 
     def _slowest_leg(self, nav: NavState | None, *, only_this: bool = False) -> SlowLeg | None:
         """Slowest of the remaining legs (or of this item) in the current as estimated now."""

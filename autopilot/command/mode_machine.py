@@ -41,7 +41,7 @@ class ModeMachine:
         self.chosen = FlightMode.HOLD
         """The operator's mode."""
         self.goal: Goal | None = None
-        """Where the mode in force goes, None as long as it has not been asked."""
+        """Goal of the mode in force, None before its first step."""
         self.drop_weight = False
         """A failsafe has let the drop weight go, since the last arming."""
         self.disarms_flight_controller = False
@@ -49,11 +49,11 @@ class ModeMachine:
         self.handed_back = False
         """A failsafe has given the thrusters to the flight controller below, since the last arming."""
         self.ascent: Pose | None = None
-        """Where a vehicle whose controller finds no solution any more is to come up, None = the controller flies."""
+        """Position at which to surface when the controller finds no solution, None = the controller flies."""
         self.equipment_orders: list[Order] = []
         """Of mission items passed, for what the vehicle carries; taken once per tick."""
         self.orders = 0
-        """Grows whenever the vehicle is told to do something else."""
+        """Incremented by every new order."""
 
     @property
     def mode(self) -> FlightMode:

@@ -22,7 +22,8 @@ from autopilot.mavlink.api import ACCEPTED, CommandReply, CommandResult
 from autopilot.mavlink.camera_api import CameraIdentity, CameraState
 
 _R_CAM_FROM_VIEW: FloatArray = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [1.0, 0.0, 0.0]])
-"""(3, 3) OpenCV's axes from those of a body that looks ahead: x along the optical axis, y right, z down."""
+"""(3, 3) rotation from the FRD axes of a body that faces along the optical axis to OpenCV's (x right, y down, z
+ahead)."""
 
 
 @dataclass(slots=True)

@@ -16,7 +16,7 @@ from autopilot.mission.plan_check import PlanVerdict
 from autopilot.mission.store import Plans, plan_checksum
 
 REPEAT_US = 5_000_000
-"""The same problem of another upload is told again after this time at the earliest."""
+"""Minimum interval at which the same problem of another upload is reported again."""
 
 
 class PlanCheckNews:

@@ -83,7 +83,7 @@ class Stage:
     every: int = 1
     """Only on ticks that this divides."""
     given: Callable[[TickState], object] = attrgetter("inputs")
-    """What a failing stage worked on, for the description of its fault."""
+    """Input of a failing stage, for the description of its fault."""
 
 
 class Autopilot:
@@ -93,7 +93,7 @@ class Autopilot:
         self._parts = parts
         parts.params.take_changes()  # what was set before the first tick is in the log's description
         self.marks: Marks = NoMarks()
-        """Takes the time of the parts of a tick, for the loop's statistics; nothing in here looks at it."""
+        """Times the stages of a tick, for the loop's statistics only."""
         self._tick = 0
         self._actuation = parts.actuation
         self._environment = Environment(parts.vehicle, parts.params)
@@ -107,7 +107,7 @@ class Autopilot:
         self._orders = PayloadOrders(parts.equipment, parts.photographer)
         parts.plans.order_check = self._orders.refusal
         self._order_events: list[Event] = []
-        """What became of orders to the equipment, for the operator."""
+        """Results of payload orders, for the operator."""
         self._given: Inputs | None = None
         self._view: VehicleView | None = None
         # Of the last tick:
@@ -456,7 +456,7 @@ class Autopilot:
             tick.command = self._actuation.neutral(tick.inputs.t_us)
         self._decision, self._command = tick.decision, tick.command
 
-    # Stages: what operators hear
+    # Stages: notices to operators
 
     def _take_commander_events(self, tick: TickState) -> None:
         tick.events = self._parts.commander.drain_events()

@@ -37,6 +37,6 @@ class ServiceParts:
     photographer: Photographer | None = None
     """None without a camera."""
     nondeterminism: NondeterminismSource
-    """Notes what the service is told in answer to its own questions, for the log."""
+    """Recorder of nondeterministic results, for the log."""
     desks: tuple[BackgroundWorker, ...] = ()
     """Where slow work is asked for: while the loop waits there it attends to its links."""

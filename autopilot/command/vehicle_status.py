@@ -27,7 +27,7 @@ NEVER = math.nan
 
 
 QUIET, IMPLAUSIBLE = "silent or frozen", "implausible"
-"""Of a sensor that says nothing that counts."""
+"""Quality of a sensor without valid data."""
 
 
 @dataclass(slots=True, eq=False)
@@ -35,11 +35,11 @@ class _SensorRecord:
     """Status of one sensor that has delivered data."""
 
     last_us: int
-    """When it last said something new."""
+    """Time of its last new data."""
     reading: object = None
     equal: int = 0
     how: str = QUIET
-    """What is wrong with it when it has said nothing new."""
+    """Its fault while it has no new data."""
 
 
 @dataclass(slots=True, eq=False, kw_only=True)
@@ -64,7 +64,7 @@ class VehicleStatus:
     way_left_m: float | None = None
     """Length of the path to the goal as the controller flies it, None without one."""
     nav_doubts: frozenset[NavDoubt] = frozenset()
-    """What speaks against the estimate or its sensors."""
+    """Evidence against the estimate or its sensors."""
     nav_disagrees: bool = False
     """The shadow estimator has been somewhere else for a while."""
     thruster_share: tuple[float, ...] = ()
@@ -72,21 +72,21 @@ class VehicleStatus:
     thrusters_doubtful: tuple[tuple[str, ...], ...] = ()
     """Groups of redundant thrusters, one of which is weak: their loss is shared out equally."""
     thruster_problem: str = ""
-    """What the remaining thrusters cannot do."""
+    """Axes that the remaining thrusters cannot drive."""
     watchdog_problem: str = ""
-    """What is wrong with the process that stops the thrusters when the service cannot."""
+    """Fault of the watchdog process."""
     thrusters_unseen: tuple[str, ...] = ()
     """Thrusters used too little for a loss of half their thrust to be noticed."""
     command_delay_s: float = 0.0
     """Command latency; 0 until it is certain."""
     fault: str = ""
-    """What has failed inside the service within the last seconds."""
+    """Internal faults of the last seconds."""
     below: FlightControllerState | None = None
     """The flight controller, None without one."""
     refusals: tuple[str, ...] = ()
     """Reasons of devices against arming."""
     sticks: Sticks | None = None
-    """Of the pilot, None = nobody steers (any more)."""
+    """Of the pilot, None = no pilot."""
 
     gcs_us: float = NEVER
     """Last heartbeat of a ground station or companion."""
@@ -106,12 +106,12 @@ class VehicleStatus:
     """Of the AHRS, which has an unknown offset."""
     yaw_rate_rad_s: float = 0.0
     ahrs_us: float = NEVER
-    """When it last said so."""
+    """Time of its last report."""
     depth_m: float = NEVER
     """Of the pressure sensor."""
     depth_us: float = NEVER
     floor: FloorRanges = field(default_factory=FloorRanges)
-    """What looks down."""
+    """Downward range sensors."""
     thrust_n: FloatArray | None = None
     """(n,) commanded now."""
     sensors: dict[str, _SensorRecord] = field(default_factory=dict)

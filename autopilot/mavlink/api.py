@@ -72,7 +72,7 @@ class Circling:
     speed_m_s: float | None = None
     yaw: OrbitYaw = OrbitYaw.TO_CENTRE
     turns: float = 0.0
-    """0 = for ever."""
+    """0 = endless."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -119,12 +119,12 @@ class VehicleView:
     prearm_reasons: tuple[str, ...]
     """Why arming would be refused now; empty = ready."""
     refusals: tuple[str, ...] = ()
-    """Those of them that devices and the disk have, as whoever connects is told."""
+    """Those from devices and disk, as reported to new clients."""
     failsafes: int
     cpu_load: float
     """0..1 of one tick."""
     under_way: bool
-    """Armed and sent somewhere since (mission, go-to, return, surface), also when it has been stopped on the way."""
+    """Armed and sent somewhere since (mission, go-to, return, surface), also when stopped on the way."""
     dropped_rx: int
     """Malformed frames so far."""
     fenced: bool = True
@@ -134,25 +134,25 @@ class VehicleView:
     nav_errors: tuple[int, int, int, int] = (0, 0, 0, 0)
     """AHRS samples refused, fixes not used, other aiding measurements not used, resets of the estimator."""
     nav_doubts: frozenset[NavDoubt] = frozenset()
-    """What speaks against the estimate or its sensors."""
+    """Evidence against the estimate or its sensors."""
     control: NmpcStatus | None = None
     """Of the last control step, None while nothing is controlled."""
     sensed: Sensed = field(default_factory=Sensed)
     """The newest of each sensor."""
     energy_left_j: float | None = None
-    """In the battery, None while it says nothing."""
+    """Remaining, None while unknown."""
     ahead: FloatArray | None = None
     """(n, 8) where the controller sees the vehicle go, a state per row (:mod:`autopilot.core.model4`)."""
 
 
 BEAM_TRACKS = 4 << 28
-"""Tracks with numbers from here on come from the beams of a sensor, which see what the fence has as well."""
+"""Track numbers from here on are beam returns of a sensor, which also sees the fence's own obstacles."""
 
 UNITS_PER_S = 100_000
 """Signing time counts in 10 us since 2015."""
 AHEAD_UNITS = 2 * UNITS_PER_S
-"""The signing time on disk is so far ahead of what has been used and heard, at most. Nothing up to it is heard after a
-restart, which takes about as long."""
+"""Maximum lead of the signing time on disk over the latest one used or received. Nothing up to it is accepted
+after a restart, which takes about as long."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -161,7 +161,7 @@ class SigningState:
 
     key: bytes | None
     stamp: int
-    """Signing time: nothing later has been used or heard."""
+    """Signing time: nothing later has been used or accepted."""
 
     def __repr__(self) -> str:
         """Leaves out the key."""

@@ -28,7 +28,7 @@ _REQUESTS = frozenset(
         mav.MAV_CMD_GET_HOME_POSITION,
     )
 )
-"""What every client asks for at its connect. What is not known yet goes unanswered until the service answers it."""
+"""Requests of clients at their connect. Data not known yet are answered later by the service."""
 
 _KEPT = frozenset(
     (
@@ -53,13 +53,12 @@ _KEPT = frozenset(
         mav.MAVLINK_MSG_ID_SETUP_SIGNING,
     )
 )
-"""What may be left for the service: requests. Anything else (sticks, positions of others) is of the moment in which it
-was sent, and a service that begins seconds later has no use for it."""
+"""Requests that may be left for the service. Others (sticks, positions of others) are outdated when it starts."""
 
 
 _SIGNED_AS = 0x40
-"""Added to a link's number: what is signed while the service starts is a sequence of its own, whose times do not get in
-the way of the service's."""
+"""Added to a link's number: frames signed during the start are a stream of their own, so that their timestamps do
+not interfere with the service's."""
 
 
 @dataclass(slots=True)
@@ -68,7 +67,7 @@ class BootSigning:
 
     key: bytes
     stamp: int
-    """Signing time of the last frame; it goes on by one for each, and not with the clock."""
+    """Signing time of the last frame; incremented by one per frame, independent of the clock."""
     local_may_be_silent: bool
     """Programs of this machine need not sign (SIGN_LOCAL)."""
 
@@ -155,7 +154,7 @@ class BootLink:
         if not self._is_action(msg):
             return False
         self._send(client, mav.MAVLink_statustext_message(mav.MAV_SEVERITY_WARNING, STARTING.encode()))
-        if msg.get_type() != "SET_MODE":  # that one knows no acknowledgement
+        if msg.get_type() != "SET_MODE":  # has no acknowledgement
             asker = msg.get_srcSystem(), msg.get_srcComponent()
             later = mav.MAV_RESULT_TEMPORARILY_REJECTED
             self._send(client, mav.MAVLink_command_ack_message(msg.command, later, 0, 0, *asker))

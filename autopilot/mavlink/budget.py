@@ -12,7 +12,7 @@ DEPTH_S = 0.1
 DEBT_S = 0.5
 """Answers may run up so much; beyond it is forgotten, the buffer will have lost it."""
 LISTS = 0.25
-"""Lists (parameters) go on above this share of the room ..."""
+"""Lists (parameters) continue above this share of the budget ..."""
 TELEMETRY = 0.5
 """... telemetry above this one ..."""
 FILES = 0.75

@@ -22,7 +22,7 @@ class CameraIdentity:
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class CameraState:
     exposing: bool
-    """A still is under way."""
+    """A capture is in progress."""
     interval_s: float | None
     """Time between stills of a running sequence, None without one."""
     distance_m: float | None

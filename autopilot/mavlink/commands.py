@@ -22,9 +22,9 @@ DUPLICATE_US = 250_000
 """The same datagram again within this time is a duplicate made by the network."""
 FIRST_PROGRESS_US = 300_000
 PROGRESS_US = 1_000_000
-"""A client that waits is told that there is progress so long after its command, and so often."""
+"""Delay after the command, and interval, of IN_PROGRESS to a waiting client."""
 MAX_REMEMBERED = 64
-"""Clients whose last command is remembered; the oldest goes."""
+"""Clients whose last command is remembered; beyond that the oldest is dropped."""
 
 UNSUPPORTED = CommandReply(result=CommandResult.UNSUPPORTED)
 
@@ -77,7 +77,7 @@ class Reply:
     answer: CommandReply
     messages: tuple[Message, ...] = ()
     later: Callable[[], CommandReply] | None = None
-    """Asked on every tick for the final answer while ``answer`` and what this says are IN_PROGRESS."""
+    """Called on every tick for the final result while ``answer`` and its result are IN_PROGRESS."""
 
 
 Handler = Callable[[Call], Reply]
@@ -106,7 +106,7 @@ class _Waiting:
 
     later: Callable[[], CommandReply]
     reported_us: int
-    """When it is to be told next that there is progress."""
+    """Time of the next IN_PROGRESS."""
 
 
 def denied(reason: str) -> Reply:

@@ -54,7 +54,7 @@ class MavlinkPeer(NamedTuple):
 
 
 Receiver: TypeAlias = int | MavlinkPeer
-"""Who gets something: everyone on a link, or one client."""
+"""Destination: everyone on a link, or one client."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -67,7 +67,7 @@ class VehicleIdentity:
     git: str
     """Revision as hex digits, empty when unknown."""
     uid: int
-    """64 bits that tell this vehicle from others."""
+    """64-bit unique id of this vehicle."""
 
 
 @dataclass(slots=True)
@@ -95,9 +95,9 @@ class Context:
     budgets: dict[int, Budget] = field(default_factory=dict)
     """Of slow links."""
     old: dict[int, frozenset[int]] = field(default_factory=dict)
-    """Clients that speak MAVLink 1, by link."""
+    """Clients that use MAVLink 1, by link."""
     quiet: set[int] = field(default_factory=set)
-    """Links on which nothing is said but what is asked for (:mod:`autopilot.mavlink.high_latency`)."""
+    """Links on which only requests are answered (:mod:`autopilot.mavlink.high_latency`)."""
     tx: list[MavlinkFrame] = field(default_factory=list)
     notices: list[Event] = field(default_factory=list)
     samples: list[ExternalPoseSample] = field(default_factory=list)
@@ -230,7 +230,7 @@ class Context:
         if len(data) <= _CHUNK_CHARS:
             return [mav.MAVLink_statustext_message(severity, data)]
         self._text_id = self._text_id % 0xFFFF + 1
-        # The receiver knows the end by a chunk that is not full, so a text of whole chunks gets an empty one behind it.
+        # The end is marked by a chunk that is not full, so a text of whole chunks is followed by an empty one.
         return [
             mav.MAVLink_statustext_message(severity, data[start : start + _CHUNK_CHARS], self._text_id, number)
             for number, start in enumerate(range(0, len(data) + 1, _CHUNK_CHARS))

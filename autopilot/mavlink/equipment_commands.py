@@ -10,7 +10,7 @@ from autopilot.mavlink.equipment_api import EquipmentOrders
 
 NO_GIMBAL = "There is no gimbal: the camera is fixed"
 ACTUATORS = 6
-"""Values of one DO_SET_ACTUATOR; param7 says which half dozen."""
+"""Values of one DO_SET_ACTUATOR; param7 is the index of the set."""
 
 
 class EquipmentCommands:

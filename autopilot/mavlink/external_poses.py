@@ -21,7 +21,7 @@ OLDEST_US = 1_000_000
 FAILED_QUALITY = -1
 """ODOMETRY.quality of an estimate that has failed."""
 SAMPLES_MAX = 256
-"""Poses that may come in one tick; what is beyond them is dropped."""
+"""Poses accepted per tick; others are dropped."""
 
 _FRAMES = {mav.MAV_FRAME_LOCAL_NED: ExternalFrame.NED, mav.MAV_FRAME_LOCAL_FRD: ExternalFrame.FRD}
 _PLACES = (0, 1, 2, 5)
@@ -35,7 +35,7 @@ class ExternalPoses:
         self._utc_offset_us = utc_offset_us
         self._reported: set[MavlinkPeer] = set()
         self._by_arrival: dict[MavlinkPeer, ExternalPoseSample] = {}
-        """The last pose of each whose stamp says nothing to us."""
+        """Last pose of each sender whose time stamps are unusable."""
 
     def on_vision_position_estimate(self, peer: MavlinkPeer, msg: Message) -> None:
         """VISION_POSITION_ESTIMATE: local NED, radians."""
@@ -80,7 +80,7 @@ class ExternalPoses:
             reset_counter=reset_counter,
         )
         if stamped_us is None:
-            # Of several that come at once, after a pause of the loop or of the network, only the last is of now.
+            # Of several that arrive at once, after a pause of the loop or of the network, only the last is current.
             before = self._by_arrival.get(peer)
             waiting[:] = [other for other in waiting if other is not before]
             if peer not in self._by_arrival and len(self._by_arrival) >= SAMPLES_MAX:

@@ -85,7 +85,7 @@ MODE_ROWS: Mapping[FlightMode, ModeRow] = MappingProxyType(
         FlightMode.SURFTRAK: ModeRow(label="Surftrak", px4=px4_mode(_AUTO, 11), ardusub=21, button=13, piloted=True),
     }
 )
-"""In the order in which operators are told of them."""
+"""In the order in which they are listed to operators."""
 
 PILOTED = frozenset(mode for mode, row in MODE_ROWS.items() if row.piloted)
 """Modes in which a pilot steers."""

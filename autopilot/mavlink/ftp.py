@@ -25,9 +25,9 @@ from autopilot.mavlink.wire import Message
 PACKETS_PER_TICK = 16
 """Of a burst, per client: 380 kB/s."""
 BURST_PACKETS = 256
-"""A burst ends after so many packets (60 kB), and the client asks on."""
+"""Packets per burst (60 kB); the client requests the next one."""
 MAX_CLIENTS = 16
-"""Clients whose files are kept open; the oldest goes."""
+"""Clients whose files are kept open; beyond that the oldest is closed."""
 MAX_DATA = 239
 
 _HEADER = struct.Struct("<HBBBBBxI")
@@ -122,11 +122,11 @@ class _FtpClient:
     answered: tuple[int, int, Message] | None = None
     """Number and opcode of the last request, and its answer."""
     waiting: FtpPacket | None = None
-    """What the disk is being asked for."""
+    """Pending disk access."""
     listing: BackgroundTask[tuple[LogDirectoryEntry, ...]] | None = None
     crc: BackgroundTask[int] | None = None
     burst: FtpPacket | None = None
-    """The burst that goes on, at the offset and with the number of its next packet."""
+    """Active burst: offset and sequence number of its next packet."""
     burst_left: int = 0
     burst_asked: int = 0
     """The number of its request."""

@@ -26,7 +26,7 @@ from autopilot.mavlink.telemetry import SANE, Builder, NavigationMessages
 from autopilot.mavlink.wire import Message
 
 INTERVAL_US = 5_000_000
-"""HIGH_LATENCY2 goes out so often; SET_MESSAGE_INTERVAL changes it."""
+"""Interval of HIGH_LATENCY2; SET_MESSAGE_INTERVAL changes it."""
 OTHERS_US = 5_000_000
 """Whoever has been silent for so long does not use a link."""
 MAX_ADDRESSES = 64
@@ -65,11 +65,11 @@ class HighLatency:
         self._ctx, self._streams, self._status = ctx, streams, status
         self._telemetry, self._progress = telemetry, progress
         self._heard_us: LatestUsed[Address, int] = LatestUsed(MAX_ADDRESSES)
-        """When clients were last heard."""
+        """Time of the last message of each client."""
         self._owners: dict[int, int] = {}
         """Client that made a link such a one."""
         self._climb_m_s = self._across_m = self._deep_m = 0.0
-        """Largest since the last message: HIGH_LATENCY2 asks for that."""
+        """Maxima since the last message, as HIGH_LATENCY2 specifies."""
 
     def builders(self) -> Mapping[int, Builder]:
         return {mav.MAVLINK_MSG_ID_HIGH_LATENCY2: self.high_latency2}

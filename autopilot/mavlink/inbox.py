@@ -28,9 +28,9 @@ TICK_WORK = 1500
 SERVE_WORK = 500
 """Most that one client gets between two ticks: another 12 messages. All together get TICK_WORK."""
 FLOOD_AGAIN_US = 5_000_000
-"""A client that goes on flooding is named again after this time."""
+"""Interval at which a flooding client is reported again."""
 MAX_INBOXES = 64
-"""Clients that are remembered; the one silent for longest goes."""
+"""Clients that are remembered; beyond that the one silent for longest is dropped."""
 
 Address = tuple[int, int]
 """Link and client."""
@@ -44,7 +44,7 @@ class Inbox:
     address: Address
     parser: LinkParser
     sender: str = ""
-    """What operators call the client."""
+    """Name of the client in messages to operators."""
     reach: Reach = Reach.NETWORK
     head: Message | None = None
     """A message that has been cut out and not been handled."""
@@ -55,7 +55,7 @@ class Inbox:
     waiting: bool = False
     """Whether it has asked for a turn."""
     reported: int = 0
-    """Lost bytes that operators have been told of."""
+    """Lost bytes reported to operators."""
     reported_us: int | None = None
     """When."""
 
@@ -85,7 +85,7 @@ class MessageInbox:
     heavy: Container[int]
     handle: Handle
     admits: Callable[[bytes, Reach], bool] = lambda frame, reach: True
-    """Whether a good frame from so far away is heard."""
+    """Whether valid frames are accepted from that distance."""
     heard: Callable[[Address, bytes], None] = lambda address, frame: None
     """Every good frame that is."""
     _inboxes: LatestUsed[Address, Inbox] = field(init=False)

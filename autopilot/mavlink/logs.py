@@ -23,10 +23,10 @@ PACKETS_PER_TICK = 32
 """Of a log, per client: 280 kB/s."""
 ENTRIES_PER_TICK = 4
 MAX_CLIENTS = 16
-"""Clients whose lists are kept; the oldest goes."""
+"""Clients whose lists are kept; beyond that the oldest is dropped."""
 
 _LOG = ".mcap"
-"""Files that have a number; what stands beside them goes by MAVFTP."""
+"""Numbered files; their companions are available by MAVFTP."""
 
 
 @dataclass(slots=True)
@@ -34,7 +34,7 @@ class _LogClient:
     """Session of one client."""
 
     logs: tuple[LogDirectoryEntry, ...] | None = None
-    """The list by which it knows numbers, None before it has asked."""
+    """The list that defines the client's numbers, None before its first request."""
     listing: BackgroundTask[tuple[LogDirectoryEntry, ...]] | None = None
     entries: range = range(0)
     """Numbers of the entries that are still to be sent."""
@@ -119,7 +119,7 @@ class LogDownload:
         last = self._first + len(client.logs) - 1
         wanted = client.entries
         if not client.logs and wanted:
-            client.entries = range(-1, 0)  # the one entry that says that there are none
+            client.entries = range(-1, 0)  # the single entry that means an empty list
         else:
             client.entries = range(max(wanted.start, self._first), min(wanted.stop, last + 1))
 

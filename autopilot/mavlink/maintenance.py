@@ -24,7 +24,7 @@ ELSEWHERE: Mapping[int, str] = {
     mav.MAV_CMD_DO_SET_ROI_NONE: _AS_ITEM,
     mav.MAV_CMD_DO_SET_ROI: _AS_ITEM,
 }
-"""Commands that clients offer and that are not supported: the way that there is."""
+"""Unsupported commands that clients offer -> the supported alternative."""
 
 
 class Maintenance:

@@ -20,7 +20,7 @@ from autopilot.mavlink.recent_keys import RecentKeys
 from autopilot.mavlink.wire import Message
 
 RETRY_US = 300_000
-"""An item that does not come is asked for again (clients wait 250 ms to 1.5 s)."""
+"""Timeout after which an item is requested again (clients wait 250 ms to 1.5 s)."""
 WORKING_US = 500_000
 """While a plan is checked its last item is asked for so often."""
 GIVE_UP_US = 8_000_000
@@ -38,9 +38,10 @@ REPEAT_PAUSE_US = 200_000
 SLOW_DISK_US = 1_000_000
 """A plan in force waits so long for the disk before it is called accepted (a client's last retry comes after 1.5 s)."""
 FENCE_AFTER_US = 2_000_000
-"""Ground stations send the fence behind its mission: one that has not begun so long after the last transfer is none."""
+"""Ground stations send the fence after its mission: one that has not begun this long after the last transfer is
+missing."""
 MAX_DOWNLOADS = 16
-"""Snapshots kept at once; the oldest goes."""
+"""Snapshots kept at once; beyond that the oldest is dropped."""
 
 _KINDS = {int(kind): kind for kind in PlanKind}
 CLEAR_ORDER = (PlanKind.MISSION, PlanKind.FENCE, PlanKind.RALLY)
@@ -71,7 +72,7 @@ class Checking:
     upload: Upload | None
     """None = these plans are cleared."""
     taken_us: int | None = None
-    """Since when the plans are in force and on their way to the disk."""
+    """Time since which the plans are in force and being written to the disk."""
 
 
 @dataclass(slots=True)
@@ -102,11 +103,11 @@ class Missions:
         self._downloads: LatestUsed[tuple[MavlinkPeer, PlanKind], Download] = LatestUsed(MAX_DOWNLOADS)
         self._counts: RecentKeys[tuple[MavlinkPeer, int, int]] = RecentKeys(DUPLICATE_US * ctx.patience)
         self.current_wire_seq = 0
-        """What downloads mark as current."""
+        """Item that downloads mark as current."""
         self.revision = 0
         """Grows with every plan that is taken."""
         self._fence_due_us: int | None = None
-        """When it is looked whether a mission has come without its fence; None = it has been."""
+        """Time of the check for a mission without a fence; None = done."""
 
     @property
     def uploading(self) -> bool:
@@ -348,7 +349,7 @@ class Missions:
             return
         checking = self._checking
         if checking is not None and checking.upload is None and checking.mission_type == msg.mission_type:
-            return  # sent again while it is looked at
+            return  # retransmitted while the check is pending
         self._give_up_check()
         self._upload = None
         self._check(peer, dict.fromkeys(kinds, ()), msg.mission_type, None)

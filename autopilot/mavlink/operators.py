@@ -46,14 +46,14 @@ OPEN = frozenset(
         mav.MAVLINK_MSG_ID_OBSTACLE_DISTANCE,
     )
 )
-"""Messages that are heard of everybody: reading, rates, time, what others measure. Commands are judged one by one. All
-others, also those that nobody has thought of here, are for the one in control."""
+"""Messages accepted from everybody: reading, rates, time, measurements of others. Commands are checked one by one.
+All others, unknown ones included, are reserved to the owner."""
 GRAVE = frozenset((mav.MAVLINK_MSG_ID_LOG_ERASE, mav.MAVLINK_MSG_ID_SETUP_SIGNING))
-"""Messages that do what nobody can take back. All clients are told who it was."""
+"""Irreversible messages. All clients are informed of the sender."""
 GRAVE_COMMANDS = frozenset((mav.MAV_CMD_PREFLIGHT_REBOOT_SHUTDOWN, mav.MAV_CMD_PREFLIGHT_STORAGE))
 """The same of commands."""
 GUARD = "MAV_CTRL_NEEDED"
-"""Parameter: whether what is grave needs control, also while nobody has it. It guards itself."""
+"""Parameter: whether irreversible changes need an owner, also while there is none. It guards itself."""
 _PLAN = frozenset(
     (
         mav.MAVLINK_MSG_ID_MISSION_COUNT,
@@ -77,7 +77,7 @@ class Operators:
         self._ctx = ctx
         self._value = value
         self._owner: MavlinkPeer | None = None
-        """Where the one in control was heard last."""
+        """Last address of the owner."""
         self._takeover = False
         self._heard_us = 0
         self._shown: tuple[int, bool] | None = None
@@ -199,9 +199,9 @@ class Rights:
     anyone: tuple[tuple[str, ...], tuple[str, ...]]
     """Always: messages, commands."""
     control: tuple[tuple[str, ...], tuple[str, ...]]
-    """Anyone while nobody is in control, else he alone."""
+    """Anyone while there is no owner, else the owner only."""
     grave: tuple[tuple[str, ...], tuple[str, ...]]
-    """The same; with MAV_CTRL_NEEDED nobody while nobody is in control."""
+    """The same; with MAV_CTRL_NEEDED the owner only."""
 
 
 def rights(messages: Iterable[int], commands: Mapping[int, CommandRow]) -> Rights:

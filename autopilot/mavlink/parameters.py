@@ -23,7 +23,7 @@ MAX_LISTS = 8
 """Clients that read the list at the same time; one more has to ask again."""
 
 SLOW_DISK_US = 3_000_000
-"""A parameter that is so long on its way to the disk is spoken of."""
+"""Delay after which a parameter still not on disk is reported."""
 
 HASH_CHECK = "_HASH_CHECK"
 """PX4's cache check, asked by QGroundControl: it need not download what it has. A client that has it sets this back."""
@@ -73,9 +73,9 @@ class Parameters:
         self._index = {name: i for i, name in enumerate(self._names)}
         self._lists: dict[MavlinkPeer, int] = {}
         self._saving: dict[str, _ParameterWrite] = {}
-        """Parameters that are being kept; they are told when they are."""
+        """Parameters being saved; reported when they are."""
         self._unsaved = False
-        """Whether the operator believes that something is lost at restart."""
+        """Whether a loss at the next restart has been reported to the operator."""
 
     @property
     def specs(self) -> tuple[ParamSpec, ...]:

@@ -14,15 +14,15 @@ from autopilot.mavlink.status import StatusMessages
 from autopilot.mavlink.telemetry import NavigationMessages
 
 FLOOD_SAY_US = 1_000_000
-"""Operators hear of floods no more often than this, however many clients take part."""
+"""Minimum interval between reports of floods, over all clients."""
 REFUSALS_SAY_US = 10_000_000
-"""Frames that were not believed are told of this often."""
+"""Interval of reports of rejected frames."""
 HEARTBEAT_US = 1_000_000
 """HEARTBEAT at 1 Hz (https://mavlink.io/en/services/heartbeat.html)."""
 GREET_AFTER_US = 2_000_000
 """A ground station does not listen yet at the moment in which it has found a vehicle (QGroundControl)."""
 MAX_PEERS = 64
-"""Clients that are remembered as greeted; the oldest goes."""
+"""Clients remembered as greeted; beyond that the oldest is dropped."""
 
 
 class PeriodicMessages:

@@ -21,7 +21,7 @@ INVALID = 0x7FFF
 """An axis that is not there."""
 
 DEADZONE = 0.03
-"""Sticks do not come to rest at exactly nothing."""
+"""Deadband: sticks do not centre exactly."""
 
 CENTRED = 0.08
 CENTRED_US = 200_000
@@ -53,7 +53,7 @@ class _PilotRecord:
     reported: bool = False
     """That his vertical stick is not used."""
     spoken: bool = False
-    """He has sent something below zero on a vertical stick that is said to go from 0 to 1000."""
+    """The pilot has sent a negative value on a vertical stick specified as 0 to 1000."""
     centred_us: int | None = None
     """Since when the vertical stick has been at its neutral."""
     lifts: bool = False
@@ -68,7 +68,7 @@ class PilotInputs:
         self._heard: _PilotRecord | None = None
         self._gain: float | None = None
         self.last_us: int | None = None
-        """When a pilot was last heard, None before the first."""
+        """Time of the pilot's last message, None before the first."""
 
     @property
     def sticks(self) -> Sticks | None:

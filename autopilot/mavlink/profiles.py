@@ -39,12 +39,12 @@ class Profile:
     home_is_item_0: bool
     """Missions on the wire begin with the home position (ArduPilot)."""
     least_version: tuple[int, int, int]
-    """flight_sw_version is never below this: QGroundControl warns of PX4 older than 1.4.1, and to an ArduSub older than
-    3.5 it shows the pages and asks for the parameters of that time."""
+    """Minimum of flight_sw_version: QGroundControl warns of PX4 older than 1.4.1, and for ArduSub older than 3.5
+    it shows old pages and requests old parameters."""
     guided_in_hold: bool = False
     """Hold and set points are one mode, which set points by themselves begin and end (ArduPilot's GUIDED)."""
     note: str
-    """What the operator is told at first contact."""
+    """Text sent to the operator at first contact."""
 
     @property
     def listed(self) -> tuple[FlightMode, ...]:

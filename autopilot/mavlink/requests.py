@@ -11,7 +11,7 @@ from autopilot.mavlink.status import MSG_ID_PROTOCOL_VERSION, available_mode
 from autopilot.mavlink.streams import Streams
 
 LATER = Reply(CommandReply(result=CommandResult.TEMPORARILY_REJECTED))
-"""A message that is known but has nothing to say yet."""
+"""A known message without data yet."""
 
 
 class Requests:

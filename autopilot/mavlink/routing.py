@@ -19,11 +19,11 @@ from autopilot.mavlink.recent_keys import RecentKeys
 from autopilot.mavlink.wire import SIGNATURE_BYTES, V1, is_signed, message_id
 
 AGAIN_US = 500_000
-"""The same packet within this time is the one before, by another way."""
+"""The same packet within this time is a duplicate that arrived by another route."""
 MAX_KNOWN = 256
-"""Components whose place is remembered; the one silent for longest goes."""
+"""Components whose routes are remembered; beyond that the one silent for longest is dropped."""
 MAX_PLACES = 4
-"""Places where one component may be heard."""
+"""Routes per component."""
 
 Component = tuple[int, int]
 """System and component id."""

@@ -23,7 +23,7 @@ G_M_S2 = 9.80665
 SURFACE_PA, WATER_N_M3 = 101_325.0, 1000.0 * G_M_S2
 """Pressure at the surface, and its growth with depth in fresh water (sea water: 2.5 % more)."""
 STALE_US = 3_000_000
-"""A sensor's reading is shown so long."""
+"""Validity of a sensor's reading."""
 WAYPOINTS = 5
 """Points of TRAJECTORY_REPRESENTATION_WAYPOINTS."""
 
@@ -37,7 +37,7 @@ _RANGES: tuple[tuple[type[LaserSample | AltimeterSample], int, int, int], ...] =
     (LaserSample, 5, 1000, mav.MAV_DISTANCE_SENSOR_LASER),
     (AltimeterSample, 30, 10_000, mav.MAV_DISTANCE_SENSOR_ULTRASOUND),
 )
-"""What tells how far the floor is: least and largest range [cm] and MAV_DISTANCE_SENSOR; its place is its id."""
+"""Range sensors to the floor: least and largest range [cm] and MAV_DISTANCE_SENSOR; the index is the id."""
 
 
 class SensorMessages:

@@ -86,7 +86,7 @@ _URGENT = frozenset(
         mav.MAVLINK_MSG_ID_FILE_TRANSFER_PROTOCOL,
     )
 )
-"""Answered between ticks: a transfer goes as fast as its client. The message that ends an upload is not among them."""
+"""Answered between ticks: transfers at the client's rate. The message that ends an upload is not among them."""
 _HEAVY = frozenset(
     (
         mav.MAVLINK_MSG_ID_COMMAND_LONG,
@@ -200,7 +200,7 @@ class MavlinkServer:
         )
         self._vehicle = VehicleService(ctx, self._telemetry, self._progress)
         requests = Requests(ctx, self._streams)
-        # A request for control is judged by itself, also while somebody else has it.
+        # A request for control has its own check, also while another station is the owner.
         control = {
             REQUEST: request(self._operators.request),
             mav.MAV_CMD_CONTROL_HIGH_LATENCY: action(self._high_latency.control),
@@ -226,7 +226,7 @@ class MavlinkServer:
         self._valid_us: LatestUsed[Address, int] = LatestUsed(MAX_INBOXES)
         """When each client was last understood."""
         self._new: RecentKeys[Address] = RecentKeys(float("inf"))
-        """Clients that have spoken MAVLink 2."""
+        """Clients that have used MAVLink 2."""
         self._announcements = PeriodicMessages(ctx, self._status, self._telemetry, self._intake)
         self.last_gcs_t_us: int | None = None
         """When a ground station or companion computer last sent a HEARTBEAT; None before the first."""
@@ -410,7 +410,7 @@ class MavlinkServer:
             run("telemetry", partial(ctx.relay, event.severity, event.text), None, partial(repr, event))
         run_all(self._after_news, given)
         run("progress", partial(self._progress.tick, reached), None, given)
-        # In turns: on a narrow link whoever comes first takes what there is.
+        # Round-robin: on a narrow link the first would take the whole budget.
         run_all(self._at_last[t_us // TICK_US % 2], given)
         return tuple(ctx.tx)
 

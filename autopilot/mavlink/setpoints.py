@@ -20,7 +20,7 @@ from autopilot.mavlink.wire import Message
 X, Y, Z, VX, VY, VZ = (1 << bit for bit in range(6))
 ACCELERATION = 0b111 << 6
 YAW, YAW_RATE = 1 << 10, 1 << 11
-"""Bits of POSITION_TARGET_TYPEMASK: set = not to be looked at."""
+"""Bits of POSITION_TARGET_TYPEMASK: set = ignore."""
 
 ATTITUDE_YAW_RATE, ATTITUDE_THRUST, ATTITUDE = 1 << 2, 1 << 6, 1 << 7
 """Bits of ATTITUDE_TARGET_TYPEMASK."""

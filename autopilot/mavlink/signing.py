@@ -26,16 +26,16 @@ from autopilot.mavlink.wire import SIGNATURE_BYTES, is_signed, message_id
 
 KEY_BYTES = 32
 OLD_UNITS = 60 * UNITS_PER_S
-"""A sender not heard before may be so far behind our time."""
+"""Maximum lag of a new sender's timestamp behind ours."""
 RENEW_UNITS = UNITS_PER_S
 """The time on disk is renewed when less than this is left."""
 SLOW_DISK_US = 1_000_000
-"""A disk that takes longer, or fails, does not make the vehicle deaf: what is beyond the time on disk is heard then."""
+"""A disk that is slow or fails must not block reception: timestamps beyond the one on disk are accepted then."""
 MAX_STREAMS = 256
 """Senders whose time is remembered; when one is forgotten, its last time is the least for all that are not known."""
 MAX_STAMP = (1 << 48) - 1
 LATEST_STAMP = MAX_STAMP - 100 * OLD_UNITS
-"""Later times (the year 2104) are not heard: they would leave none for anybody else."""
+"""Later timestamps (the year 2104) are rejected: they would leave none for other senders."""
 
 _TAG = 6
 """Bytes of the hash that are sent."""
@@ -53,7 +53,7 @@ class Refusals:
     unknown_key: int = 0
     old: int = 0
     ahead: int = 0
-    """Later than the time on disk: heard as soon as that has been moved on."""
+    """Later than the time on disk: accepted as soon as that has been advanced."""
 
 
 class Signing:
@@ -74,7 +74,7 @@ class Signing:
         found = SigningState(None, 0) if store is None else store.state
         self.key = found.key
         self._stamp = self._base = self._floor = found.stamp
-        """``_floor``: who has not been heard in this run has to be beyond it."""
+        """``_floor``: lower bound for senders that are new in this run."""
         self._kept = found.stamp + AHEAD_UNITS
         """The time that the disk has been asked to keep,"""
         self._safe = self._kept if found.key is not None else found.stamp

@@ -47,7 +47,7 @@ _INERTIAL = (
     | mav.MAV_SYS_STATUS_SENSOR_3D_ACCEL
     | mav.MAV_SYS_STATUS_SENSOR_3D_MAG
 )
-"""The AHRS and what is in it: MAVSDK asks for the three one by one."""
+"""The AHRS and its sensors: MAVSDK requests the three one by one."""
 
 _CAPABILITIES = (
     mav.MAV_PROTOCOL_CAPABILITY_PARAM_FLOAT

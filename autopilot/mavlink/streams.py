@@ -54,7 +54,7 @@ DEFAULT_INTERVAL_US: Mapping[int, int] = MappingProxyType(
         mav.MAVLINK_MSG_ID_TIMESYNC: 10 * _S,
     }
 )
-"""Default interval by message id. What is not here is sent on request only."""
+"""Default interval by message id. Others are sent on request only."""
 
 STREAM_GROUPS: Mapping[int, tuple[int, ...]] = MappingProxyType(
     {
@@ -78,7 +78,7 @@ STREAM_GROUPS: Mapping[int, tuple[int, ...]] = MappingProxyType(
 """Messages of each REQUEST_DATA_STREAM group (the grouping ground stations know from ArduPilot)."""
 
 SLOW_US = _S
-"""Messages that come this rarely by default keep their rate when a client asks for ALL streams at a common rate."""
+"""Messages with this default interval or more keep it when a client requests ALL streams at a common rate."""
 
 
 class LinkStreams:

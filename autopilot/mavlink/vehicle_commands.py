@@ -43,7 +43,7 @@ _LASTING = {
     mav.MAV_CMD_NAV_LAND: FlightMode.SURFACE,
     mav.MAV_CMD_MISSION_START: FlightMode.MISSION,
 }
-"""Commands whose work goes on behind their answer, in a mode of their own."""
+"""Commands whose work continues after their answer, in a mode of their own."""
 
 INT_ONLY = CommandReply(result=CommandResult.COMMAND_INT_ONLY, reason="send COMMAND_INT: COMMAND_LONG rounds to 0.5 m")
 
@@ -150,7 +150,7 @@ class VehicleService:
     def run_prearm_checks(self, call: Call) -> Reply:
         """RUN_PREARM_CHECKS: results as text; of an armed vehicle only problems of its plans."""
         view = self._ctx.view
-        self._ctx.begin_anew()  # who asks is answered, however lately it has been said
+        self._ctx.begin_anew()  # a request is answered, however lately the text was sent
         if view.prearm_reasons:
             for reason in view.prearm_reasons:
                 self._ctx.say(notices.ARMING_REASON(reason=reason), call.peer)

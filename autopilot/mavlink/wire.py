@@ -20,16 +20,16 @@ Message: TypeAlias = Any
 """A generated pymavlink message (the dialect is untyped)."""
 
 MAX_CHUNK_BYTES = 65_536
-"""Longest piece of input that is fed at once: one UDP datagram or one socket read. What is beyond is dropped."""
+"""Longest piece of input: one UDP datagram or one socket read. The rest is dropped."""
 MAX_BACKLOG_BYTES = 16_384
-"""What one client may have waiting: half a second of a fast serial line, 300 messages."""
+"""Queue of one client: half a second of a fast serial line, 300 messages."""
 
 JUNK_WORK = 1
-"""Work of a byte that belongs to no frame; about a microsecond when it looks like the start of one."""
+"""Work per byte outside of frames; about a microsecond if it looks like a start of frame."""
 CHECKSUM_WORK = 2
 """Work of a frame's checksum."""
 DECODE_WORK = 8
-"""Work of decoding a message that somebody wants."""
+"""Work of decoding a wanted message."""
 
 V1, _V2 = mav.PROTOCOL_MARKER_V1, mav.PROTOCOL_MARKER_V2
 SIGNATURE_BYTES: int = mav.MAVLINK_SIGNATURE_BLOCK_LEN
@@ -37,7 +37,7 @@ _CRC_BYTES = 2
 _V1_OVERHEAD = mav.HEADER_LEN_V1 + _CRC_BYTES
 _V2_OVERHEAD = mav.HEADER_LEN_V2 + _CRC_BYTES
 _KNOWN = {msg_id: (kind.crc_extra, kind.unpacker.size) for msg_id, kind in mav.mavlink_map.items()}
-"""Message id -> CRC_EXTRA, longest payload. MAVLink 1 knows no longer one; in MAVLink 2 newer fields may follow."""
+"""Message id -> CRC_EXTRA, longest payload. MAVLink 1 has no longer one; in MAVLink 2 newer fields may follow."""
 
 
 @dataclass(slots=True)
@@ -80,11 +80,11 @@ class LinkParser:
         self.refused = 0
         """Good frames that were not admitted so far."""
         self._queue: deque[bytes] = deque()
-        """What has not been looked at."""
+        """Not parsed yet."""
         self._queued = 0
         """Its bytes."""
         self._data, self._pos = b"", 0
-        """What is being looked at, and how far."""
+        """Being parsed, and the offset."""
         self.dropped = 0
         """Stretches of damaged input so far."""
         self.overflow = 0
@@ -216,7 +216,7 @@ def _frame_at(data: bytes, pos: int, work: Work) -> int:
         return 0
     end = pos + size
     if known is None:
-        # An id without known checksum seed: believe it only if the next frame follows right behind.
+        # An id without known CRC_EXTRA: accept it only if the next frame follows immediately.
         return size if left == size or data[end] in (V1, _V2) else -1
     work.left -= CHECKSUM_WORK
     crc_at = end - signature - _CRC_BYTES

@@ -12,8 +12,8 @@ LARGE_BYTES = 1 << 20
 """Blocks from here on are mappings of their own; a mapping costs some microseconds."""
 
 KEPT_BYTES = 16 << 20
-"""Free memory at the end of a heap is kept up to here. IPOPT takes and gives back some megabytes hundreds of times in a
-plan; each time the system would have to clear their pages anew, a sixth of the plan's time."""
+"""Trim threshold of a heap. IPOPT allocates and frees some megabytes hundreds of times in a plan; each time the
+system would have to clear their pages again, a sixth of the plan's time."""
 
 _M_TRIM_THRESHOLD, _M_MMAP_THRESHOLD = -1, -3
 """mallopt's, of glibc's malloc.h."""

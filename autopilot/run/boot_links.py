@@ -59,7 +59,7 @@ class BootLinks:
         """When each link got its last heartbeat."""
         self._spoken_to: set[int] = set()
         self._shown: set[int] = set()
-        """Links of which a fault has been shown."""
+        """Links whose fault has been reported."""
         self._kept: dict[Hashable, tuple[float, MavlinkFrame]] = {}
         """By link, client and what is asked, the oldest first."""
         self._end = threading.Event()
@@ -96,7 +96,7 @@ class BootLinks:
         for index in range(len(self.links)):
             try:
                 self._attend(index, self._now_s())
-            except (DriverError, OSError):  # the service tells it, which asks the same link in a moment
+            except (DriverError, OSError):  # reported by the service, which opens the same link in a moment
                 continue
             except Exception:  # noqa: BLE001 - a driver's own fault: the other links go on
                 self._show(index)
@@ -104,7 +104,7 @@ class BootLinks:
     def _attend(self, index: int, now_s: float) -> None:
         """A link's turn. Nothing that is received keeps the heartbeat back."""
         link, boot = self.links[index], self._boot[index]
-        received = link.recv(0)  # the vehicle's time has not begun
+        received = link.recv(0)  # vehicle time has not started
         for one in received:
             try:
                 self._answer(index, one, now_s)
@@ -114,7 +114,7 @@ class BootLinks:
                 self._show(index)
         for client, message in boot.tick(round(now_s * 1e6)):
             link.send(message, client)
-        # Who listens for the vehicle on a port of ours hears it when he has spoken, and not a second later.
+        # A peer that listens on a port of ours gets the heartbeat as soon as it has sent something, and not a second later.
         first_word = bool(received) and index not in self._spoken_to
         if first_word:
             self._spoken_to.add(index)

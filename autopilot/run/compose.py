@@ -56,7 +56,7 @@ class ServiceSetup:
     profile: str
     instance: int
     currents: CurrentForecast
-    """What the controller is told of the water."""
+    """The controller's knowledge of the current."""
     water: WaterCheck | None = None
     """Judges workspaces by a current map, None without one."""
     links: int
@@ -74,9 +74,9 @@ class ServiceSetup:
     pictures: bool = False
     """Whether there is a camera that delivers pictures."""
     waits_for_plans: bool
-    """Whether the loop waits for a trajectory that is due (a simulation without pace) or goes on (what is paced)."""
+    """Whether the loop waits for a trajectory that is due (lockstep) or continues (paced)."""
     git: str = field(default_factory=revision)
-    """Revision of the code, as clients are told."""
+    """Revision of the code, as reported to clients."""
     nondeterminism: NondeterminismSource = field(default_factory=NondeterminismRecorder)
     """Notes the answers that do not follow from the inputs, for the log; a replay's gives them."""
 

@@ -160,7 +160,7 @@ _ALLOWED: dict[str, tuple[Callable[[Any], bool], str]] = {
     "until": (lambda value: value in UNTIL, " or ".join(UNTIL)),
     "profile": (lambda value: value in PROFILES, ", ".join(PROFILES)),
 }
-"""Which values a setting may have, and how to say so."""
+"""Valid values of a setting, and their description."""
 
 
 def _from_environment(name: str, variable: str, text: str) -> Any:

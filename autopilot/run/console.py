@@ -7,7 +7,7 @@ from collections.abc import Callable
 from autopilot.core.messages import Outputs, RunEnd, Severity
 
 REPEAT_US = 5_000_000
-"""The same line is not shown twice within this time."""
+"""The same line is not printed twice within this time."""
 MAX_WAITING = 1000
 """Lines that wait for a console that does not take them."""
 
@@ -40,7 +40,7 @@ class Console:
         while (line := self._lines.get()) is not None:
             try:
                 print(line, flush=True)
-            except (OSError, ValueError):  # nobody reads any more
+            except (OSError, ValueError):  # the reader has gone
                 return
 
 

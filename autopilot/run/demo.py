@@ -30,7 +30,7 @@ READY_S = 60.0
 """Vehicle time in which it has to find its position."""
 
 LAP_S = 200.0
-"""Vehicle time that a lap may take, and the way to the first waypoint: five times what it does take."""
+"""Vehicle time allowed per lap, and to the first waypoint: five times the usual."""
 
 SILENCE_S = 10.0
 """Silence of a service that is not at work."""
@@ -97,7 +97,7 @@ def _operate(session: VehicleConnection, plan: PlanFile, *, laps: int, show: Sho
     session.start_mission()
 
     def on_status(status: MissionStatus) -> None:
-        if status.state is not ProgressState.UNKNOWN:  # it has not said yet
+        if status.state is not ProgressState.UNKNOWN:  # no position yet
             show(f"mission {status.state.name.lower().replace('_', ' ')}", min(len(status.reached), total), total)
 
     status = session.watch_mission(on_status, timeout_s=LAP_S * (1 + laps), silence_s=SILENCE_S)

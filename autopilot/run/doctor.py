@@ -39,7 +39,7 @@ SETTLE_S = 3.0
 UNCHANGED_S = 2.0
 """Reasons against arming that have been the same for so long are final."""
 PATIENCE_S = 30.0
-"""So much longer it looks at most while they change (parameters that are read, plans that are checked)."""
+"""Additional time while the reasons still change (parameters being read, plans being checked)."""
 LEAST_FREE_MB = 500.0
 LOW_FREE_MB = 2000.0
 """Free space of the log folder: an hour of log with pictures takes about 2 GB."""

@@ -21,7 +21,7 @@ NAMES = {
 """As operators know them."""
 
 REPLACES = {row.device: row.kinds for row in SENSOR_ROWS if row.replaces}
-"""What a device of its own takes the place of that a flight controller says too."""
+"""Data of a flight controller that a separate device replaces."""
 
 
 EARLY_US = 500_000
@@ -54,7 +54,7 @@ class HardwareVehicle:
         self._passed_over = {each for kind in self._sensors for each in REPLACES.get(kind, ())}
         self._t_us = 0
         self._early: list[Sample] = []
-        """Measured later than the present tick, as it says itself."""
+        """Samples with a time stamp later than the present tick."""
 
     @property
     def devices(self) -> tuple[RetryingDevice[Any], ...]:

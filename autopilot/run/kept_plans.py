@@ -30,7 +30,7 @@ from autopilot.mission.store import Plans, load_plan
 from autopilot.run.plans_format import Content, PlansSnapshot, decode, encode, place_of, plan_item
 
 PLANS_KEPT = "plans kept"
-"""What the witness is asked for the service: whether the plans in force are on disk."""
+"""Key of the recorded result: whether the plans in force are on disk."""
 
 _NOT_LOADED = "stored mission, fence and rally points not loaded"
 
@@ -85,7 +85,7 @@ class KeptPlans(NoticeQueue):
         self.unsaved = ""
         """The same for the operator, "" while all is well."""
         self.losses: tuple[Loss, ...] = ()
-        """What :meth:`load` has not found again."""
+        """Stored data that :meth:`load` could not restore."""
         plans.watchdog = lambda: seen.ask(PLANS_KEPT, True, self._settled)
 
     def load(self) -> tuple[str, ...]:

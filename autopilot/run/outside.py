@@ -25,7 +25,7 @@ class VehicleIo(Protocol):
 
     def write(self, t_us: int, command: ThrusterCommand) -> None: ...
 
-    # What cannot be had raises DriverError or OSError, is told to the service, and tried again on the next tick.
+    # Failures raise DriverError or OSError, are reported to the service, and tried again on the next tick.
 
     def close(self) -> None:
         """Thrusters to neutral, devices closed."""

@@ -8,7 +8,7 @@ from pathlib import Path
 from autopilot.run.children import ROOT
 
 _OURS = ("autopilot", "drivers", "estimator", "mission", "sitl", "pyproject.toml")
-"""What the running code comes from; other files of the tree do not change it."""
+"""Sources of the running code; other files of the tree do not change it."""
 _HASH_DIGITS = 8
 
 

@@ -10,7 +10,7 @@ from autopilot.core.params import ParamSaving, Saved
 from autopilot.mavlink.api import SigningState, SigningStore
 
 SHELF_ASKED = "logs asked for"
-"""Kind of the note that a client has looked at logs: what it was shown is not in any log."""
+"""Kind of the note that a client has accessed logs, whose content is in no log."""
 
 
 @dataclass(frozen=True, slots=True)

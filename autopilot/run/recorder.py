@@ -81,13 +81,13 @@ class RunRecorder(NoticeQueue):
         self._armed = False
         self._log: RunLog | None = None if per_arming else open_log()
         self._ending: list[tuple[RunLog, bool]] = []
-        """Logs that are being finished, and whether the operator knows what was wrong with them."""
+        """Logs being finished, and whether their problem has been reported to the operator."""
         self._dropped_before = 0
         self._told_slow = False
         self._plan_revision = plan_revision
         self._described = plan_revision()
         self.lost = False
-        """What happens is not being recorded though it should be."""
+        """Recording has failed although it should be active."""
         self.failure: str | None = None
         """Why a log of this run is not whole, the last reason; None while all is well."""
 
@@ -131,7 +131,7 @@ class RunRecorder(NoticeQueue):
             self._end()
         error = log.take_error()
         if error is not None:
-            raise error  # to the guard, as if it had come up here
+            raise error  # to the guard, as if it had occurred here
 
     def loop_stats(self, stats: LoopStats) -> None:
         if self._log is not None:

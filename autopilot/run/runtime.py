@@ -57,10 +57,10 @@ SERVE_MARGIN_S = 0.0005
 """Serving ends so long before a tick."""
 
 HOLD_S = 0.02
-"""While time stands still, links are served in turns of this."""
+"""Interval at which links are served while the simulation is paused."""
 
 SKIP_TICKS = 5
-"""A loop that is later than this on a real vehicle goes on with the present."""
+"""A loop on a real vehicle that is later than this skips to the present."""
 
 STAND_DOWN_TICKS = 300
 """A flight controller below gets so long to confirm at the end that it is disarmed: twelve requests in 3 s."""
@@ -71,7 +71,7 @@ NO_PICTURES: Sequence[CameraFrame] = ()
 NO_STILLS: tuple[StoredStill, ...] = ()
 
 MAX_SHOWN_FAULTS = 20
-"""Kinds of internal faults that are shown on the console; all are in the log."""
+"""Kinds of internal faults that are printed on the console; all are in the log."""
 
 T = TypeVar("T")
 
@@ -120,7 +120,7 @@ class Runtime:
         self._service = service
         self._step: Callable[[Inputs], Outputs] = service.step
         self._device = device
-        # What the device can do besides (a protocol is slow to ask).
+        # Optional capabilities of the device (isinstance with a protocol is slow).
         self._release = device if isinstance(device, WeightRelease) else None
         self._carries = device if isinstance(device, Actuates) else None
         self._below_us = device if isinstance(device, HandsBack) else None
@@ -146,7 +146,7 @@ class Runtime:
         self._rest: ThrusterCommand | None = None
         self._peer_rx: list[MavlinkFrame] = []
         self.watch = TickTimer()
-        """What the parts of the present tick have cost so far."""
+        """Time of the stages of the present tick so far."""
         service.marks = self.watch
         self._spent = LoopAccount(paced=paced)
         self.counters = self._spent.counters

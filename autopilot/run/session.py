@@ -77,7 +77,7 @@ class Session:
     recorder: RunRecorder | NullRecorder
     kept: PersistentState
     warnings: tuple[str, ...]
-    """What the operator should know of what was kept by earlier runs."""
+    """Message to the operator about files of earlier runs."""
     duration_s: float | None
 
     def run(self, stop: Callable[[], bool] = lambda: False) -> float:
@@ -129,13 +129,13 @@ class SessionOptions(TypedDict, total=False):
     """The connections of the settings if they are already open (:mod:`autopilot.run.boot_links`)."""
     on_tick: Callable[[Outputs], None]
     view: Hub | None
-    """Who looks at the run and may steer it."""
+    """Live view, which may intervene in a simulation."""
     foxglove: FoxgloveServer | None
-    """Who is sent what is logged."""
+    """Server that publishes the logged messages."""
     now_s: float | None
     """Unix time at which signatures begin, None = the machine's."""
     beside: Onlooker | None
-    """Who looks on instead of ``view`` and ``foxglove``."""
+    """Observer in place of ``view`` and ``foxglove``."""
 
 
 def open_session(

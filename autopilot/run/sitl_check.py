@@ -25,12 +25,12 @@ from autopilot.sitl.scenario_tables import Scenario
 from autopilot.sitl.waves import breaking_height_m
 
 GRID = 21
-"""Places north and east at which the current is looked at."""
+"""Sample points north and east for the current."""
 TIMES = 13
 """Times, over :data:`LOOK_S`."""
 LOOK_S = 600.0
 AROUND_M = 10.0
-"""How far round start and goals the current is looked at in open water."""
+"""Radius around start and goals in which the current is sampled in open water."""
 TIGHT = 0.8
 """Share of the vehicle's speed from which a current is worth a word."""
 

@@ -19,11 +19,11 @@ from autopilot.sitl.scenario import load_scenario, with_vehicle
 from autopilot.sitl.scenario_tables import Scenario
 
 LOOK_S = 0.2
-"""How often a server that hears nothing looks whether it is to stop."""
+"""Interval at which an idle server checks whether to stop."""
 SILENT_S = 5.0
-"""ArduPilot that says nothing for so long is worth a word."""
+"""Silence of ArduPilot after which a hint is printed."""
 TRACK_US = 100_000
-"""Lines of the truth file come so often."""
+"""Interval of lines in the truth file."""
 MAX_PACKET = 2048
 
 
@@ -103,7 +103,7 @@ def serve_physics(
                 try:
                     data, peer = server.recvfrom(MAX_PACKET)
                 except ConnectionError:
-                    continue  # the answer of before reached nobody
+                    continue  # the previous answer was lost
                 heard_s = time.monotonic()
                 before = physics.restarts
                 answer = physics.answer(data)

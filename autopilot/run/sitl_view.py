@@ -42,7 +42,7 @@ ANSWER_S = 5.0
 ARROWS = 13
 """Arrows of the current along the longer side."""
 OPEN_WATER_M = 10.0
-"""Of open water so much is shown round the start."""
+"""Radius around the start that is displayed in open water."""
 
 
 class WatchedSitl(WatchedService):
@@ -90,7 +90,7 @@ class Steering(NoticeQueue):
         self._flow_m_s = (0.0, 0.0)
         self._over = False
         self.reset = False
-        """The run is to begin anew."""
+        """A restart of the run is requested."""
 
     # The page's side
 

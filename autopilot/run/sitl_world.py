@@ -138,14 +138,16 @@ class SimulatedWorld(World):
             map_start=settings["currents_start"],
         )
         layout = scenario.markers
-        # Without a file the scenario says all.
+        # Without a file the scenario is the only source.
         self.markers_from_file = (settings["markers"], layout.file, layout.laid) != (None, None, None)
         self.operator = (
             ScriptedOperator(system_id(self.params, instance), scenario.fault) if settings["start"] else None
         )
         self.peers = tuple(peers) if self.operator is None else (*peers, self.operator)
         self.plan, self.flown_at_once = _plan(settings, scenario), self.operator is not None
-        self.keeps_plans = bool(settings["keep_plans"])  # a simulation begins anew unless it is told not to
+        self.keeps_plans = bool(
+            settings["keep_plans"]
+        )  # a simulation starts without stored state unless configured otherwise
         given_s = settings["duration"]
         self.duration_s = scenario.scenario.duration_s if given_s is None else given_s
         self._machine = MachineFaults(scenario.fault)

@@ -49,7 +49,7 @@ class _Open:
 
     number: int
     loss: Loss | None
-    """What was lost, None for a disk that takes no writes."""
+    """Lost file, None for a disk that rejects writes."""
     accepted: bool = False
 
 

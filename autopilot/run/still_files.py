@@ -22,7 +22,7 @@ DUE_TICKS = 5
 WAIT_US = 2_000_000
 """A camera that delivers nothing for so long does not deliver."""
 SPACE_TICKS = 200
-"""The disk is asked for its room so often."""
+"""Interval of free space checks."""
 KEEP_FREE_BYTES = 64 * 1024 * 1024
 """Stills leave so much of the disk to the log."""
 PNG_LEVEL = 1

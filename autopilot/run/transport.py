@@ -18,15 +18,15 @@ from autopilot.core.messages import Event, MavlinkFrame
 from autopilot.drivers.protocols import Link, SharedLink
 
 POLL_S = 0.002
-"""Links without a file descriptor are looked at this often."""
+"""Polling interval of links without a file descriptor."""
 BEAT_S = 1.1
-"""Real time after which a HEARTBEAT is due, whatever the vehicle's time says (a second of it, as a rule)."""
+"""Real time after which a HEARTBEAT is due, whatever the vehicle's time (usually a second of it)."""
 NOTICE_US = 5_000_000
-"""A link that comes and goes is named this often."""
+"""Interval of reports of an intermittent link."""
 LOOK_S = 0.05
 """A wait ends at least this often, for heartbeats."""
 MAX_BETWEEN_BYTES = 16_384
-"""What one link may bring between two ticks; then it has to wait for the tick."""
+"""Bytes accepted from one link between two ticks; more waits for the tick."""
 MAX_BETWEEN_CALLS = 64
 """How often one link is read between two ticks."""
 
@@ -70,7 +70,7 @@ class Transport:
         self._problems: list[str | None] = [None] * len(self._links)
         self._silent_until_us = [0] * len(self._links)
         self._failed: list[dict[str, str]] = [{} for _ in self._links]
-        """What a driver raised although it must not, by what it was asked to do; until it does that again."""
+        """Unexpected exceptions of drivers, by operation; until the operation succeeds."""
         self.errors = 0
         """How often that happened."""
         self._shared = [(index, link) for index, link in enumerate(self._links) if isinstance(link, SharedLink)]
@@ -111,7 +111,7 @@ class Transport:
         patience_s = min(seconds, POLL_S if polled else LOOK_S)
         try:
             ready, _, _ = select.select(list(doors), [], [], patience_s)
-        except (OSError, ValueError):  # a descriptor that has just gone, or one beyond what select can take
+        except (OSError, ValueError):  # a descriptor just closed, or one beyond the limit of select
             time.sleep(patience_s)
             ready = []
         called = dict.fromkeys([doors[number] for number in ready] + polled)

@@ -95,13 +95,13 @@ class World(ABC):
     speed: float
     """1 on hardware, 0 = as fast as possible."""
     folder: Path
-    """What an instance keeps between runs."""
+    """Files that an instance keeps between runs."""
     disk: BackgroundWorker
     """The lane on which that is written."""
     params: ParamSet
     persistent: PersistentParams
     warnings: tuple[str, ...]
-    """What is wrong with parameters that were kept."""
+    """Problems of saved parameters."""
     device: VehicleIo
     """From :meth:`open_device` on."""
     plan: Path | None = None

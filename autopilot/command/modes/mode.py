@@ -46,9 +46,9 @@ class ModeStep:
     settle: bool = False
     """or HOLD with the goal that there is,"""
     choose: FlightMode | None = None
-    """or one that is told as if the operator had chosen it,"""
+    """or one that is reported as if the operator had chosen it,"""
     disarm: bool = False
-    """or nothing more: it has come to its end."""
+    """or nothing more: it is complete."""
     reached: tuple[int, ...] = ()
     """Mission items."""
     orders: tuple[Order, ...] = ()

@@ -23,5 +23,4 @@ MODES: tuple[type[FlightModeBehaviour], ...] = (
 )
 
 STEERED = frozenset(mode.name for mode in MODES if mode.steered)
-"""Modes that somebody steers in: coming and going they give the vehicle another goal at once, and thrust follows it no
-faster than a pilot's own."""
+"""Piloted modes: entering or leaving one changes the goal at once, and thrust follows no faster than a pilot's own."""

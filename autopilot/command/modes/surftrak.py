@@ -40,13 +40,13 @@ class SurftrakMode(DepthHoldMode):
 
     def __init__(self, tools: ModeContext) -> None:
         self._height_m: float | None = None
-        """What is held, None = its stick is out, or nothing has been seen of the floor."""
+        """Altitude held, None = stick deflected, or floor not seen yet."""
         self._floor_m: float | None = None
         """Depth of the floor below, None = not known."""
         self._now_m: float | None = None
         """Height of now, None = not known."""
         self._reported: bool | None = None
-        """Whether the floor was known when that was last told."""
+        """Whether the floor was known at the last report."""
         self._floor_m_s = 0.0
         """How fast it falls below us, as we move over it."""
         self._chases = False
