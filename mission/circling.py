@@ -37,7 +37,7 @@ class LoiterCircle:
         self.go(abs(speed_m_s))
         self.depth_m = depth_m
         self.facing_m: tuple[float, float] | None = None
-        """North and east of what the vehicle looks at instead."""
+        """North and east of the point that the vehicle faces instead."""
         self._seq = seq
         self._yaw, self._turns = yaw, turns
         self._initial_rad: float | None = None

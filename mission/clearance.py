@@ -15,9 +15,9 @@ from autopilot.core.shapes import PAIRS, BoolArray, EdgeArrays, bounding_box, si
 from autopilot.mission.small_shapes import SmallShapes
 
 FEW = 8
-"""So many shapes are looked at one by one, more of them together."""
+"""Up to so many shapes are evaluated one by one, more of them together."""
 SMALL = 32
-"""A shape with more corners is looked at by itself."""
+"""A shape with more corners is evaluated by itself."""
 
 
 class Clearance:

@@ -22,7 +22,7 @@ class ItemType:
     parse: Callable[[PlanItem, Origin], Step]
     """ItemRefusedError when the item cannot be flown."""
     uses: str
-    """What of it is used, for the documentation (Markdown)."""
+    """Fields used, for the documentation (Markdown)."""
     placed: bool = False
     """Its frame is judged with its position."""
 

@@ -87,7 +87,7 @@ class GoTo:
     yaw_rad: float | None
     """None = free heading."""
     hold_s: float | None
-    """Time inside the acceptance region, None = for ever."""
+    """Time inside the acceptance region, None = unlimited."""
     accept_radius_m: float | None
     """None = the parameter's default."""
     autocontinue: bool
@@ -221,7 +221,7 @@ class Order:
 Travel: TypeAlias = GoTo | Surface | ReturnHome
 """Steps that go to a place."""
 Passage: TypeAlias = Near | Gate
-"""Steps that end on the way to the place of a later one."""
+"""Steps that end on the path to a later position."""
 Timed: TypeAlias = Travel | LoiterTurns | Passage | Wait
 """Steps that take time; all others are done in passing."""
 Instant: TypeAlias = Jump | ChangeSpeed | SetHeading | SetHome | RegionOfInterest | NoOp | Order

@@ -18,11 +18,11 @@ from autopilot.mission.items import (
 )
 
 LONGEST_WALK = 64
-"""Steps looked at: a plan of empty jumps ends the look ahead."""
+"""Maximum number of steps examined: bounds plans of empty jumps."""
 
 
 PASSED = (ChangeSpeed, SetHome, Order, NoOp, *get_args(Passage))
-"""Steps that change nothing of the way to the next waypoint."""
+"""Steps without effect on the path to the next waypoint."""
 
 
 def passes_on(step: Step) -> bool:

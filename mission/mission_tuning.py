@@ -16,7 +16,7 @@ class CirclingTuning:
     yaw_share: float = 0.5
     """Share of SPD_YAW_MAX that a circle on which the heading turns may use."""
     ring_step_m: float = 0.01
-    """Arcs of a circle are looked at down to this length."""
+    """Minimum length to which arcs of a circle are bisected."""
     ring_arcs: int = 72
     ring_parts: int = 4
     """Arcs that a circle begins with, and parts that an arc is divided into."""
@@ -28,10 +28,10 @@ CIRCLING = CirclingTuning()
 @dataclass(frozen=True, slots=True)
 class GoalsTuning:
     stop_deceleration_m_s2: float = 0.25
-    """How hard a vehicle that is told to hold brakes: from cruise speed its drag alone gives it 0.25 to 0.35 m/s^2, so
-    that it comes to rest without reverse thrust and without having to come back."""
+    """Deceleration on hold: from cruise speed drag alone gives 0.25 to 0.35 m/s^2, so that the vehicle stops
+    without reverse thrust and without overshoot."""
     stop_samples: int = 8
-    """Places between here and the end of the braking distance that are looked at."""
+    """Sample points between here and the end of the braking distance."""
     accept_yaw_rad: float = 0.15
     """Acceptance band of the heading."""
 
@@ -48,7 +48,7 @@ class NavItemsTuning:
     max_ring_m: float = 1000.0
     """Radii of circles, as CIRCLE_RADIUS has them."""
     min_accept_radius_m: float = 0.02
-    """A smaller acceptance ball is below what any estimate can tell."""
+    """A smaller acceptance ball is below the accuracy of any estimate."""
 
 
 NAV_ITEMS = NavItemsTuning()
@@ -83,15 +83,15 @@ STEP_GOALS = StepGoalsTuning()
 @dataclass(frozen=True, slots=True)
 class UpstreamTuning:
     reported_m_s: float = 0.1
-    """Legs on which less than this is left over ground are told: a third of the usual cruise speed."""
+    """Least speed over ground on a leg without a warning: a third of the usual cruise speed."""
     samples: int = 40
     """Places per leg at which a map is asked."""
     jump_m: float = 1.0
-    """A way that becomes longer by this from one look to the next is another way, not one that was drifted back ..."""
+    """A path that becomes longer by this from one update to the next is another path, not drift ..."""
     made_s: float = 10.0
-    """Time over which the speed is looked at with which a vehicle gets nearer."""
+    """Averaging time of the speed towards the goal."""
     fresh_starts: int = 2
-    """... which begins the count anew, but not for ever: whoever plans another way every minute gets nowhere."""
+    """... which restarts the count, but not for ever: replanning every minute makes no progress."""
 
 
 UPSTREAM = UpstreamTuning()
@@ -109,8 +109,8 @@ class ValidationTuning:
     approach_m: float = 0.15
     """... and no more than this, beyond which the route planner does not look for free ground round a goal."""
     passage_m: float = 2.5e-3
-    """A passage has to have this much more than the controller keeps on both sides, for the route planner to find it.
-    What is narrower is refused here: the controller would not enter it."""
+    """Additional width of a passage beyond the controller's margin on both sides, for the route planner to find
+    it. A narrower one is refused here: the controller would not enter it."""
     max_gaps: int = 20
     """Narrow gaps of a fence are named up to this number."""
 

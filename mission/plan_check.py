@@ -35,7 +35,7 @@ PLAN_PARAMETERS = (
     *("CIRCLE_RADIUS", "DEPTH_MAX", "DEPTH_MIN", "FENCE_GAP_CHK", "MPC_MARGIN", "SPD_PLANAR_MAX", "TKOFF_DEPTH"),
     "WP_ACCEPT_RADIUS",
 )
-"""What of the parameters plans are judged by."""
+"""Parameters that the plan check depends on."""
 
 Plans3 = Mapping[PlanKind, tuple[PlanItem, ...]]
 """All three plans."""
@@ -85,15 +85,15 @@ class PlanVerdict:
 
     question: PlanCheckInputs
     own: tuple[PlanProblem, ...] = ()
-    """What is wrong with a plan by itself: it is refused, or (a parameter has changed since) not flown."""
+    """Problems of a plan by itself: it is refused, or (a parameter has changed since) not flown."""
     joint: tuple[PlanProblem, ...] = ()
-    """What is wrong only between the plans: they are kept, and not flown."""
+    """Conflicts between the plans: they are stored, and not flown."""
     warnings: tuple[str, ...] = ()
-    """What is tolerated but told."""
+    """Warnings: tolerated and reported."""
     steps: tuple[Step, ...] = ()
     shapes: tuple[FenceShape, ...] = ()
     goal_room: tuple[tuple[str, float], ...] = ()
-    """Name and clearance [m] of every place that the mission goes to, less the vehicle's radius."""
+    """Name and clearance [m] of every position of the mission, less the vehicle's radius."""
     widest_m: float = field(default=math.inf)
     """Clearance of the widest place of the workspace, less the vehicle's radius."""
 

@@ -12,7 +12,7 @@ from autopilot.mission.clearance import Clearance
 from autopilot.mission.fence import fence_clearance_m
 
 WIDEST_GRID = 24
-"""Places per axis at which the widest part of a workspace is looked for."""
+"""Sample points per axis in the search for the widest part of a workspace."""
 
 
 def free_regions(fence: Fence, points_ned_m: FloatArray, radius_m: float) -> tuple[int, ...] | None:
@@ -30,7 +30,7 @@ def free_regions(fence: Fence, points_ned_m: FloatArray, radius_m: float) -> tup
 def has_room(fence: Fence, radius_m: float) -> bool:
     """Whether there is any place in the workspace of a fence that keeps ``radius_m`` from every boundary."""
     if widest_m(fence) >= radius_m:
-        return True  # seen at once; what is narrow has to be looked for
+        return True  # visible in the samples; a narrow part has to be searched
     space = _free_space(fence, np.zeros((0, 2)), radius_m)
     return space is not None and len(space.places_ned_m) > 0
 

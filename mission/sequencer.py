@@ -44,7 +44,7 @@ class Action(StrEnum):
     """Request of the mission to the mode logic, for one tick."""
 
     SURFACE = "surface"
-    """NAV_LAND has come up to the top of the depth band: surface and disarm."""
+    """NAV_LAND has reached the top of the depth band: surface and disarm."""
     HOLD = "hold"
     """The mission is complete; the goal stays where it is."""
 
@@ -60,7 +60,7 @@ class SequencerOutput:
     home_ned_m: FloatArray | None = None
     """(3,) new home, on the tick on which a DO_SET_HOME ran."""
     orders: tuple[Order, ...] = ()
-    """For the equipment, in the order in which the mission came by them on this tick."""
+    """Payload orders, in the order in which the mission passed them on this tick."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -335,7 +335,7 @@ class Sequencer:
             self._run.lap += 1
         done = self._run.jumps_done.get(self._run.cursor, 0)
         if self._run.flown_at_jump.get(self._run.cursor) == self._run.flown:
-            # Nothing was flown since: its other turns would be as empty, be they ever so many.
+            # Nothing was flown since: further repetitions of the jump would be as empty.
             done = 0 if step.count is None else step.count
             self._run.jumps_done[self._run.cursor] = done
             self._advance(self._run.cursor + 1)

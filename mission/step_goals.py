@@ -42,20 +42,20 @@ class RunMemory:
     speed_m_s: float | None = None
     """None = SPD_CRUISE."""
     facing_ned_m: FloatArray | None = None
-    """(2,) what the vehicle looks at, None = nothing."""
+    """(2,) point that the vehicle faces, None = none."""
     circle: LoiterCircle | None = None
     """Of NAV_LOITER_TURNS, while it runs."""
     leg_from_ned_m: FloatArray | None = None
-    """(3,) where the way to the present goal begins."""
+    """(3,) start of the path to the present goal."""
     given_up_seq: int = -1
-    """An item to pass over: it was given up on the way, before its turn."""
+    """An item to skip: it was abandoned on the way, before its turn."""
     inside_since_us: int | None = None
     waited_us: int = 0
     """How long the present wait has run, pauses left out."""
     clock_us: int | None = None
     """The last tick of that wait, None = it (or its pause) has just begun or ended."""
     rising: bool = False
-    """NAV_LAND: above its place and on the way up."""
+    """NAV_LAND: above its position and ascending."""
     jumps_done: dict[int, int] = field(default_factory=dict)
     flown: int = 0
     """Steps that took time so far."""

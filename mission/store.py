@@ -40,7 +40,7 @@ Guard = Callable[[Sequence[PlanKind], PlanVerdict], PlanRejection | None]
 """Why plans of these kinds must not be taken now, None if they may."""
 
 _ITEM = struct.Struct("<HBH4f2ifB")
-"""What identifies an item, as wide as on the wire (MISSION_ITEM_INT)."""
+"""Fields that identify an item, in the precision of the wire (MISSION_ITEM_INT)."""
 
 
 def plan_checksum(items: tuple[PlanItem, ...]) -> int:
@@ -117,13 +117,13 @@ class Plans(PlanStore):
         self._wanted: PlanCheckInputs | None = None
         self._verdict = PlanVerdict(question=self._question())
         self.guard: Guard = lambda kinds, verdict: None
-        """Asked before plans are taken that came by :meth:`propose`."""
+        """Called before plans proposed by :meth:`propose` are accepted."""
         self.order_check: Callable[[Order], str] = lambda order: ""
         """Why the vehicle has nothing that could carry out an order, "" when it has."""
         self.revision = 0
         """Grows by one whenever a plan or the origin changes."""
         self.watchdog: Callable[[], bool] | None = None
-        """Whether what is in force now is kept (or cannot be), asked of whoever keeps it."""
+        """Callback: whether the plans in force are stored (or cannot be)."""
 
     @property
     def kept(self) -> bool:
@@ -309,7 +309,7 @@ class Plans(PlanStore):
             if rejection is None:
                 self._take(verdict)
         except Exception as error:
-            # Whoever waits for the answer must not wait for ever.
+            # Callers that wait for the result must not wait for ever.
             text = f"the decision failed ({type(error).__name__}): send the plan again, and report this with the log"
             change.end(PlanRejection(seq=None, result=MissionResult.ERROR, reason=text))
             raise

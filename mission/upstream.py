@@ -25,7 +25,7 @@ class SlowLeg:
     left_m_s: float
     """Least speed over ground on it; 0 or less = the current is faster, or sweeps the vehicle off it."""
     time_s: float
-    """For the whole leg, inf when there is no way."""
+    """For the whole leg, inf if it cannot be made."""
     current_m_s: float
     """Fastest on it."""
 

@@ -19,7 +19,7 @@ from autopilot.core.messages import NavHealth, NavState
 from autopilot.log.reader import Log, open_log
 
 LOOK_S = 0.05
-"""The controller looks so often."""
+"""Update interval of the controller."""
 JUDGE_EVERY = 16
 """Looks from one judged forecast to the next."""
 AHEAD_S = 8.0

@@ -19,7 +19,7 @@ SOFT_ROWS = (
     *("planar speed", "sinking", "rising", "turning to starboard", "turning to port"),
     *("least depth", "greatest depth"),
 )
-"""Soft limits of a node, in the order of its rows; then come the half-planes."""
+"""Soft limits of a node, in the order of its rows, followed by the half-planes."""
 PLANE = "boundary "
 COST_SCALE = 1e-2
 """Brings the cost to the size that the tolerance is meant for."""

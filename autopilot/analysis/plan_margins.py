@@ -57,7 +57,7 @@ class TubeRow:
     thrust_n: float
     speed_cap_m_s: float
     worst_case_m: float
-    """Interval bound of the place for disturbances that stay at their bounds in the worst direction for ever."""
+    """Interval bound of the position for disturbances that stay at their worst-case bounds."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

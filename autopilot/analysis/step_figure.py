@@ -18,7 +18,7 @@ from autopilot.log.figures import DPI
 
 PLAN, BEST, WAY, OTHER = "#1f77b4", "#d62728", "#2ca02c", "#9467bd"
 AROUND_M = 0.8
-"""What is drawn beyond way and prediction."""
+"""Margin drawn beyond route and prediction."""
 
 
 def write_step_figure(view: ControlStepView, path: Path) -> Path:

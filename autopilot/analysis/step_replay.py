@@ -29,11 +29,11 @@ STANDS_M = 1e-4
 ACTIVE = 0.02
 """Smaller multipliers are none: an interior point leaves some at every limit."""
 BESIDE_M = 1.5
-"""An obstacle is beside the way if it comes nearer than this to route or prediction."""
+"""An obstacle closer than this to route or prediction is analysed."""
 WALL_M = 0.02
 """Half the thickness of the wall that closes one side of an obstacle."""
 WALL_ROOM_M = 0.08
-"""Between the wall, with what ways keep from it, and the ends of the way."""
+"""Distance of the barrier, with the clearance of routes, from the ends of the route."""
 OPEN_WALL_M = 20.0
 """Its length where there is no workspace."""
 
@@ -49,7 +49,7 @@ class Limit:
     value: str
     """What it is."""
     multiplier: float
-    """Largest: what the cost would fall by per unit of more room (m, m/s, rad/s, N)."""
+    """Largest: decrease of the cost per unit of relaxation (m, m/s, rad/s, N)."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -59,13 +59,13 @@ class OtherSide:
     obstacle: str
     center_ned_m: FloatArray
     side: str
-    """On which side of the vehicle's way the obstacle lies: port, starboard."""
+    """Side of the path on which the obstacle lies: port, starboard."""
     way_m: float
-    """Length of the way that is flown, from the vehicle to the goal."""
+    """Length of the route flown, from the vehicle to the goal."""
     other_m: float | None
-    """The same with the obstacle on the other hand; None = there is no such way."""
+    """The same around the other side of the obstacle; None = there is no such route."""
     route_ned_m: FloatArray
-    """(m, 2) that way."""
+    """(m, 2) that route."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -269,7 +269,7 @@ def other_sides(
         center, points = _middle(shape), _sampled(way)
         at = _crossing(center, points, clearance_m(shape, points), radius_m)
         if at is None:
-            continue  # one end of the way lies beside it: it is passed already, or not at all
+            continue  # one end of the route lies beside it: it is passed already, or not at all
         ahead = points[min(at + 1, len(points) - 1)] - points[max(at - 1, 0)]
         off = center - points[at]
         side = "starboard" if ahead[0] * off[1] - ahead[1] * off[0] > 0.0 else "port"

@@ -18,10 +18,10 @@ from autopilot.run.config import flight_settings
 from autopilot.run.sitl_session import SitlSession, open_sitl
 
 REACH = {"camera": 4.0, "pose": 20.0}
-"""Speed against real time that the project asks for, machine quiet."""
+"""Required real-time factor on an idle machine."""
 
 SHOWN_MS = 0.01
-"""Parts that take less of a tick are not shown."""
+"""Parts below this share of a tick are not listed."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -44,7 +44,7 @@ class SitlBenchRow:
     tick_per_predict: float
     """and how many of them a mean tick takes."""
     parts: str
-    """Where the mean tick goes [ms], the largest first (:class:`LoopPart`)."""
+    """Stages of the mean tick [ms], the largest first (:class:`LoopPart`)."""
     tick_median_ms: float
     tick_p99_ms: float
     step_median_ms: float

@@ -70,7 +70,7 @@ def calibrate(found: Views, *, fix_k3: bool = False) -> Intrinsics:
         if most == 0 or rms[worst] <= max(INTRINSICS.reject_floor_px, INTRINSICS.reject_factor * float(np.median(rms))):
             _refuse_any_focal(found, result, fix_k3)
             return result
-        # One at a time: a view that is wrong spoils others, which fit when it is gone.
+        # One at a time: an outlier view degrades others, which fit without it.
         left_out.append((views[worst].name, f"does not fit: {rms[worst]:.2f} px rms"))
         del views[worst]
         most -= 1

@@ -96,7 +96,7 @@ def fit_motion(flight: CameraFlight) -> MotionFit:
     residual = turned - seen_cam @ mounting.T
     lags = 2 * round(MOTION_FIT.baseline_s / float(np.median(np.diff(flight.t_s))))
     sigma = MOTION_FIT.sigma_factor * np.sqrt(np.diag(covariance(jacobian, residual, weights, inverse, lags)))
-    # What the prior holds was not shown: its share of the information is not the flight's.
+    # The prior's share of the information does not come from the flight.
     held = prior * np.diag(inverse)
     sigma = np.where(held > 0.5, 1.0 / np.sqrt(np.maximum(prior, 1e-12)), sigma)
     return MotionFit(

@@ -35,7 +35,7 @@ class CameraFlight:
     """A log's camera poses and AHRS samples."""
 
     vehicle: Vehicle
-    """What the service flew with, or the vehicle file given instead."""
+    """Vehicle file of the service, or the one given instead."""
     camera: CameraModel
     t_s: FloatArray
     """(n,) rising; the stamps of the sightings with the vehicle file's ``camera.time_offset_s`` added."""

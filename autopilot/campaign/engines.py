@@ -21,7 +21,7 @@ from autopilot.core.errors import AutopilotError, ConfigError
 from autopilot.core.own_python import safe_path
 
 LOOK_S = 0.2
-"""How often a waiting engine looks whether it is to stop."""
+"""Interval at which a waiting engine polls ``stop``."""
 SUSPECT = 2
 """Deaths of processes during a run after which it is flown alone."""
 AHEAD = 2
@@ -165,7 +165,7 @@ class LocalPool:
         while left and not stop():
             suspects = [key for key in left if deaths[key] >= SUSPECT]
             trusted = [key for key in left if deaths[key] < SUSPECT]
-            # Whoever was under way when a process died more than once is flown alone, after all others.
+            # Runs under way during more than one death of a process are flown alone, after all others.
             batch = trusted or suspects[:1]
             broken: list[int] = []
             for key, result in self._batch({key: left[key] for key in batch}, stop, broken):
@@ -182,7 +182,7 @@ class LocalPool:
         """Results until all are there, or a process dies: ``broken`` are the runs that were under way then."""
         context = self._context
         self._prepare()
-        # One byte and no lock, as an Event has: who is killed while it looks would keep that for ever.
+        # One byte without a lock, unlike an Event: a process killed while it holds the lock would never release it.
         halt = context.RawValue("b", 0)
         with (
             safe_path(),
@@ -211,7 +211,7 @@ class LocalPool:
                         under_way.discard(key)
                         yield key, future.result() if error is None else tasks[key].failed(_what(error))
                     if any(future in pending for future in done):
-                        # All that is left has the same error; the dead one was among those under way.
+                        # All pending runs have the same error; the dead one was among those under way.
                         broken += [key for key in pending.values() if key in under_way] or list(pending.values())[:1]
                         return
             except cf.process.BrokenProcessPool:
@@ -305,7 +305,7 @@ class DaskCluster:
             return
         with safe_path(), self._quiet(), self._unsampled(), self._client() as client:
             self._see_workers(client)
-            client.register_worker_callbacks(_settle)  # of those that come later, too
+            client.register_worker_callbacks(_settle)  # of those submitted later, too
             waiting = deque(tasks)
             pending: dict[Any, Flyable[Result]] = {}
             missed_s: float | None = None

@@ -16,7 +16,7 @@ from autopilot.core.errors import ConfigError
 
 FILE = "faults.jsonl"
 BETWEEN_S = {"paper-tank": (9.0, 40.0), "harbour": (9.0, 90.0)}
-"""When faults begin: armed and under way, and some way of the plan left."""
+"""Range of the start of faults: armed and under way, with part of the plan left."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -85,7 +85,7 @@ class FaultRow:
     flights: int
     effect: str
     reaction_s: float | None
-    """Slowest from fault to failsafe; None = one never came."""
+    """Slowest from fault to failsafe; None = one was never raised."""
     ends: str
     """End states and how often."""
     closest_m: float

@@ -44,7 +44,7 @@ class FaultResult:
     armed: bool
     """Whether it was flying when the fault began."""
     raised_s: float | None
-    """From the fault to the failsafe, None = it never came."""
+    """From the fault to the failsafe, None = never raised."""
     acted_s: float | None
     """To another mode or disarming."""
     end: str

@@ -16,15 +16,15 @@ class Task:
     """Number in the campaign, from 0."""
     seed: int
     drawn: dict[str, float | str]
-    """What ``[spread]`` gave for this run."""
+    """Values of ``[spread]`` for this run."""
     scenario_toml: str
     plan_name: str
     plan: bytes
     estimator: str
     sensors: str | None
-    """None = as the scenario says."""
+    """None = the scenario's."""
     duration_s: float | None
-    """None = as the scenario says."""
+    """None = the scenario's."""
     params: dict[str, float] = field(default_factory=dict)
 
     def fly(self, stop: Callable[[], bool] = lambda: False) -> "RunResult | None":
@@ -69,7 +69,7 @@ class RunResult(msgspec.Struct, frozen=True, kw_only=True):
     laps_asked: int | None = None
     """None = the mission has no laps."""
     completed: bool = False
-    """The mission came to its end."""
+    """Whether the mission was completed."""
     margins: dict[str, Margin] = {}
     contacts: int = 0
     penetration_m: float = 0.0

@@ -19,7 +19,7 @@ from autopilot.core.params import ParamSet
 MODE = "MPC_COST"
 MODES = {0.0: "quadratic", 1.0: "least energy"}
 ALARM = "Thruster "
-"""How a warning begins that says that a thruster is weak; all of them are sound in R1 to R4."""
+"""Start of the warning of a weak thruster; a false alarm in R1 to R4, where all are sound."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -20,7 +20,7 @@ FIRST_ROWS = 8192
 MOST_EVENTS = 12
 """Events that are kept."""
 HOLD_S = 3.0
-"""A run goes on so long after its mission or its arming has ended: what it does then counts."""
+"""Time that is judged after the end of the mission or the disarming."""
 
 
 class TickWatch:
@@ -32,7 +32,7 @@ class TickWatch:
         self._disarmed_s: float | None = None
         self._complete_s: float | None = None
         self.failsafes = 0
-        """All bits that were ever set while armed."""
+        """All bits set at any time while armed."""
         self.steps = 0
         self.fallbacks = 0
         self.slack_max = 0.0

@@ -6,8 +6,8 @@ import math
 from autopilot.core.messages import ControlOutput
 
 AHEAD_S = (0.5, 1.0, 2.0, math.inf)
-"""Nodes are counted apart by how far ahead they were announced: feedback answers for the near ones, while the
-optimiser has changed its mind before the far ones come due."""
+"""Bins of the prediction time: near nodes test the feedback, while the optimiser replans before the far ones are
+due."""
 
 
 class TubeCheck:

@@ -23,7 +23,7 @@ KNOWN_STUDIES = (
     *("alarms", "detection", "energy", "energy-latency", "faults", "fuzz", "kills", "modes", "picture-faults"),
     *("pockets", "reference", "replay", "sensor-faults", "soak", "thruster-health", "vehicles"),
 )
-"""What a source checkout has besides."""
+"""Studies of a source checkout."""
 
 ALL: dict[str, tuple[str, Work]] = {
     "nmpc": (TITLES["nmpc"], bench_rows.nmpc_rows),
@@ -31,7 +31,7 @@ ALL: dict[str, tuple[str, Work]] = {
     "estimator": (TITLES["estimator"], bench_rows.estimator_rows),
     "loop": (TITLES["loop"], bench_rows.loop_rows),
 }
-"""What runs when none is named, and the title of its table; in a source checkout some studies, too."""
+"""Default benchmark, and the title of its table; in a source checkout some studies, too."""
 LONG: list[str] = []
 """Short when all are run."""
 

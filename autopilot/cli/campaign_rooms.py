@@ -109,7 +109,7 @@ def _alone(out: Path, seed: int, room: int, mode: int, *, quiet: bool) -> WorldR
     log = folder / "run.mcap"
     log.unlink(missing_ok=True)
     flown = fly_world(made, mode, log=str(log))
-    assert flown is not None  # nobody stops it
+    assert flown is not None  # not interruptible
     write_files(made, folder, mode=mode, duration_s=flown.prospect.bound_s(mode))
     draw(made, flown, folder / "flight.png")
     result = msgspec.structs.replace(flown.result, room=room)

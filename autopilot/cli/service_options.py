@@ -56,7 +56,7 @@ view_option: Callable[[Any], Any] = click.option(
 
 
 FOXGLOVE_PORT = 8765
-"""Where Foxglove looks first."""
+"""Foxglove's default port."""
 
 foxglove_option: Callable[[Any], Any] = click.option(
     "--foxglove",

@@ -118,7 +118,7 @@ class UdpLink:
         try:
             data, peer = self._socket.recvfrom(_CHUNK_BYTES)
         except (BlockingIOError, ConnectionError):
-            # An ICMP "port unreachable" of an earlier datagram: nobody listens there yet.
+            # ICMP "port unreachable" for an earlier datagram: no listener there yet.
             return b""
         if self._listen:
             self._peer = peer

@@ -37,7 +37,7 @@ _START_S = 300.0
 _STANDSTILL_S = 300.0
 """Longest standstill of the vehicle's clock that its heartbeats excuse."""
 _LATE_MS = 10_000
-"""A time stamp that is older than the last one by less is a late datagram, by more a vehicle that started anew."""
+"""A time stamp older than the last one by less than this is a late datagram, by more a restarted vehicle."""
 _FORCE_DISARM = 21196.0
 _FORCE_ARM = 2989.0
 """Magic numbers of MAV_CMD_COMPONENT_ARM_DISARM param2 (common.xml)."""
@@ -111,10 +111,10 @@ class VehicleConnection:
         self._at_work = at_work
         self._heard_s = clock_s()
         self._stamp: tuple[int, float] | None = None
-        """The vehicle's last time_boot_ms and when it came."""
+        """The vehicle's last time_boot_ms and its time of arrival."""
         self._held_up_s = self._stood_s = 0.0
         self.vehicle_s = 0.0
-        """Vehicle time that has passed while it was listened to [s]; stays 0 for a vehicle that does not tell it."""
+        """Vehicle time observed so far [s]; stays 0 for a vehicle that does not send it."""
         self._codec = mav.MAVLink(None, srcSystem=SYSTEM_ID, srcComponent=COMPONENT_ID)
         self._codec.robust_parsing = True
         self._beat_s = -math.inf
@@ -529,7 +529,7 @@ class VehicleConnection:
             if status != shown and on_status is not None:
                 on_status(status)
             shown = status
-            # What stands there from before the start counts only when it stays.
+            # A state from before the start counts only if it persists.
             begun |= state in (ProgressState.ACTIVE, ProgressState.PAUSED) or passed_s > _SHOWN_S
             if begun and (state is ProgressState.COMPLETE or not armed):
                 return status

@@ -15,9 +15,9 @@ from autopilot.core.plan import MissionResult, PlanItem, PlanKind
 from autopilot.core.plan_wire import item_message, item_of
 
 MAX_RESTARTS = 3
-"""An upload that broke off for no fault of the plan is begun anew so often."""
+"""Restarts of an upload that ended for no fault of the plan."""
 _BROKEN_OFF = frozenset({MissionResult.ERROR, MissionResult.INVALID_SEQUENCE, MissionResult.OPERATION_CANCELLED})
-"""What a vehicle answers when a late copy of an earlier datagram has confused or ended the transfer."""
+"""Results after a late copy of an earlier datagram has disturbed the transfer."""
 
 
 class PlanUpload(BaseExchange):

@@ -5,7 +5,7 @@ from typing import Any
 
 CHUNK_CHARS = 50
 FLUSH_S = 0.4
-"""A text whose missing chunks do not come within this time is passed on with a gap."""
+"""A text with missing chunks is passed on with a gap after this time."""
 WARNING = 4
 """MAV_SEVERITY_WARNING: numbers up to this are complaints."""
 

@@ -31,7 +31,7 @@ FIRST_SIGMA = np.array([0.005, 0.005, 0.005, 0.005, 0.01])
 LEAST_SIGMA = np.array([0.0005, 0.0005, 0.0005, 0.0005, 0.001])
 
 EVERY = 2
-"""Only every so many steps are compared: neighbours say the same."""
+"""Only every n-th step is compared: neighbours are correlated."""
 
 PRIOR = 3.0
 """Standard deviation of every coefficient before the flight, in its own scale: keeps finite what was not excited."""

@@ -33,7 +33,7 @@ class CoefficientRow:
     """95 % interval."""
     high: float
     kept: bool
-    """The flight does not tell it: the vehicle file's value stays."""
+    """Not identifiable from the flight: the vehicle file's value stays."""
 
 
 def rows_of(fit: IdentificationFit, vehicle: Vehicle) -> list[CoefficientRow]:

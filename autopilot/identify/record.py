@@ -18,15 +18,16 @@ STEP_S = 0.05
 """Interval of the prediction: thrust is averaged over it."""
 
 WINDOW_STEPS = 80
-"""Steps of a window (4 s): long enough for a force to show in the way, short enough for small pushes not to."""
+"""Steps of a window (4 s): long enough for a force to show in the motion, short enough for small disturbances not
+to."""
 
 LAG_STEP_S = 0.01
 
 MIN_WINDOWS = 10
-"""Fewer say nothing about their own scatter."""
+"""Fewer give no estimate of their own scatter."""
 
 IDLE_N = 0.3
-"""Windows in which no thruster gives more tell nothing of the vehicle."""
+"""Windows in which no thruster exceeds this do not excite the vehicle."""
 
 GOOD = 2
 """Health in /nav/status (:class:`autopilot.core.messages.NavHealth`)."""

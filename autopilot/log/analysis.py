@@ -97,7 +97,7 @@ class FlightRecord:
     truth: VehicleTrack | None
     nav: VehicleTrack | None
     armed: Span
-    """From arming to disarming or the end of the log; the whole log if it does not say."""
+    """From arming to disarming or the end of the log; the whole log if it has no arming state."""
     mission: Span
     """From arming to the completion of the mission, or as ``armed``."""
 
@@ -165,7 +165,7 @@ class Prediction:
     t_s: float
     """When it was made."""
     at_s: FloatArray
-    """(n,) times of its points, all ``t_s`` in logs that do not say."""
+    """(n,) times of its points, all ``t_s`` in logs without them."""
     pos_ned_m: FloatArray
     """(n, 3)"""
 

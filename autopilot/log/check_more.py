@@ -38,13 +38,13 @@ AHEAD_S = 1.0
 CHI2_95 = (3.841, 5.991, 7.815)
 """95 % of chi square, by degrees of freedom from 1."""
 LEAST_INSIDE = 0.80
-"""Of innovations within their own 95 %: fewer, and the estimator believes its sensor too much."""
+"""Least share of innovations within their own 95 % interval: below, the estimator is overconfident in its sensor."""
 MOST_BIAS = 1.0
 """Mean of an innovation over its sigma."""
 MOST_NEES = 9.35
-"""Mean squared error of the position over its variance: above, the estimate is worse than it says (3 expected)."""
+"""Greatest NEES of the position (3 expected): above, the covariance is too small."""
 FEWEST = 50
-"""Messages that say something of a share."""
+"""Least number of messages for a share."""
 LONGEST_SILENCE_S = 0.25
 """Of the motion sensor, while armed."""
 MOST_REPROJECTION_PX = 1.0

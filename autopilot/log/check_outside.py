@@ -10,7 +10,7 @@ from autopilot.log.reader import MessageTable
 from autopilot.log.rows import BoundRow, at_most, row
 
 FEWEST = 50
-"""Messages that say something of a share."""
+"""Least number of messages for a share."""
 MOST_LOST = 0.05
 """Share of received MAVLink messages that are missing by their numbers."""
 MOST_ROUND_TRIP_S = 1.0
@@ -119,7 +119,7 @@ def lost_share(frames: MessageTable) -> float | None:
     for sender in np.unique(senders, axis=0):
         numbers = heads[(senders == sender).all(axis=1), 4].astype(int)
         steps = (np.diff(numbers) - 1) % 256
-        missing += int(steps[steps < 128].sum())  # more is a sender that began anew, or packets out of order
+        missing += int(steps[steps < 128].sum())  # more is a sender that has restarted, or packets out of order
         came += len(numbers)
     return missing / max(missing + came, 1)
 

@@ -68,10 +68,10 @@ class Obstacle:
     radius_m: float
     name: str = ""
     path_m: tuple[Point2, ...] = ()
-    """Corners of the polyline along which it moves; empty = it stands."""
+    """Corners of the polyline along which it moves; empty = static."""
     speed_m_s: float = 0.0
     ends: str = "bounce"
-    """What it does at the last corner: "bounce" back, "loop" to the first one or "stop"."""
+    """Behaviour at the last corner: "bounce" back, "loop" to the first one or "stop"."""
     start_s: float = 0.0
     """On the service's clock."""
 
@@ -125,7 +125,7 @@ class PartOrigin:
     version: str
     """Distribution and version, "" for a file that is of none."""
     sha256: str = ""
-    """Of that module's file; "" for a shipped one, which version and revision of the run tell."""
+    """Of that module's file; "" for a shipped one, which version and revision of the run identify."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -136,9 +136,9 @@ class RunDescription:
     """Name of the scenario; on hardware the name of the site or an empty string."""
     vehicle: str
     parts: dict[str, PartOrigin] = field(default_factory=dict)
-    """By role: controller, estimator, plant; empty in logs that do not say."""
+    """By role: controller, estimator, plant; empty in logs without it."""
     solver: str = ""
-    """What made the controller's plans, and why nothing quicker; empty in logs that do not say."""
+    """Solver of the controller's plans, and why no faster one; empty in logs without it."""
     seed: int | None = None
     speed: float | None = None
     """Requested speed relative to real time, 0 = as fast as possible; None on hardware."""
@@ -167,7 +167,7 @@ class RunDescription:
     paper_bounds: dict[str, float] = field(
         default_factory=lambda: {"planar_speed_m_s": 0.5, "heave_m_s": 0.25, "yaw_rate_rad_s": 1.0, "thrust_n": 12.0}
     )
-    """What the figures draw as dashed lines: the bounds that the controller was given."""
+    """Dashed lines of the figures: the bounds of the controller."""
     mode_names: dict[str, str] = field(default_factory=dict)
     """custom_mode (as decimal text) -> name, for the report."""
     parameters: dict[str, float] = field(default_factory=dict)

@@ -13,11 +13,11 @@ from autopilot.log.quota import flights, remove_flight
 DUE_TICKS = 1
 """In lockstep an answer is there on the next tick."""
 MAX_FILES = 4096
-"""So many files are shown, the newest ones."""
+"""Maximum number of files listed, the newest ones."""
 PIECE_BYTES = 1 << 20
-"""A checksum is made in pieces of this size, and ends between them when nobody wants it any more."""
+"""Block size of checksums, which can be cancelled between blocks."""
 SUFFIXES = (".mcap", ".tlog", ".png")
-"""What logs and the stills beside them are called; other files are nobody's business."""
+"""Names of logs and their stills; other files are not listed."""
 
 STILLS = ".still-*.png"
 """How the stills of a log end, behind its name."""

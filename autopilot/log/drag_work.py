@@ -15,7 +15,7 @@ from autopilot.log.analysis import FlightRecord
 from autopilot.log.thruster_energy import ATTACHMENT
 
 LEAST_WORK_J = 1.0
-"""Less says nothing of a share."""
+"""Least work for a share."""
 
 
 @dataclass(frozen=True, slots=True)

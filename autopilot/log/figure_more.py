@@ -20,9 +20,9 @@ from autopilot.log.figure_parts import (
 
 SIGMAS = 3.0
 CONTROL_PERIOD_MS = 50.0
-"""What a control step has (docs/architecture.md)."""
+"""Time budget of a control step (docs/architecture.md)."""
 SLIGHT_CURRENT_M_S = 0.05
-"""Axes of currents show at least this much, so that still water looks still."""
+"""Minimum range of current axes, so that still water looks still."""
 
 
 def estimate_errors(scene: FigureScene) -> Figure | None:

@@ -37,7 +37,7 @@ KEY_ABOVE_IN = 0.13
 LEAST_OUTSIDE = 0.01
 """Of a flight's time: less outside of its laps is not worth a word."""
 HEADS, HEAD_M = 6, 0.08
-"""Arrow heads on the way of a lap, and how long they are."""
+"""Arrow heads on the path of a lap, and their length."""
 
 
 def trajectory(scene: FigureScene) -> Figure | None:

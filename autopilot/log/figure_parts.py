@@ -18,7 +18,7 @@ LISTED_LAPS = len(LAP_COLORS)
 """More laps go over from one colour to another, and only some are named."""
 NAMED_LAPS = 4
 MOST_TURNS_RAD = 6.0 * math.pi
-"""Who turns further gets an axis from -pi to pi: on one of all turns nothing could be read."""
+"""Beyond so many turns the axis is wrapped to -pi to pi."""
 BOUND: dict[str, Any] = {"color": "red", "linestyle": "--", "linewidth": 1.0}
 TRUTH: dict[str, Any] = {"color": "#1f77b4", "linewidth": 1.2}
 ESTIMATE: dict[str, Any] = {"color": "#444444", "linewidth": 0.8, "linestyle": ":"}

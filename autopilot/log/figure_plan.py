@@ -10,10 +10,11 @@ from autopilot.log.plan_summary import MovedObstacle
 from autopilot.log.scene import outline
 
 MOVED = "#555555"
-"""What moves, where it was at other times."""
+"""Colour of a moving obstacle at other times."""
 
 _ALREADY_DRAWN_M = 0.02
-"""A fence shape that lies on a wall or obstacle to this (it came as latitude and longitude) is not drawn twice."""
+"""Tolerance for fence shapes that coincide with a wall or obstacle (rounded by latitude and longitude); these are
+not drawn twice."""
 
 
 def draw_plan(ax: Axes, run: RunDescription, moved: Sequence[MovedObstacle]) -> None:

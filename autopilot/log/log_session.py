@@ -19,7 +19,7 @@ from autopilot.log.writer import LogHead, LogWriter, Payload
 
 CAMERA_US = 500_000
 TICK_MESSAGES, TICK_BYTES = 4, 4096
-"""What a tick comes to in messages and holds in memory while it waits, without those below;"""
+"""Messages per tick and their memory while queued, without those below;"""
 SAMPLE_MESSAGES, SAMPLE_BYTES = 2, 512
 """one sample,"""
 FRAME_MESSAGES, FRAME_BYTES = 2, 512
@@ -148,7 +148,7 @@ class RunLog:
         self._camera_us: int | None = None
         """Time of the last logged image."""
         self._lost = False
-        """What was handed over last had no room."""
+        """The last data did not fit into the queue."""
 
     @property
     def path(self) -> Path:

@@ -15,7 +15,7 @@ SETUP_SIGNING = 256
 MAX_BYTES = 280
 _SIGNED = 0x01
 _ID_AT, _ID_END = 7, 10
-"""Where the message id stands in a MAVLink 2 header."""
+"""Offset of the message id in a MAVLink 2 header."""
 _CRC_EXTRA = bytes((71,))
 """Of SETUP_SIGNING (common.xml)."""
 _KEY_AT = 20
@@ -56,9 +56,9 @@ class StreamCutter:
         self._rest = b""
         """A packet that is not complete yet."""
         self._history = b""
-        """The last bytes that came, so that a key's header is seen however the stream is cut."""
+        """The last bytes, so that the header of a key is recognised across pieces."""
         self._skip = 0
-        """Bytes of a key that are still to come."""
+        """Bytes of a key still to come."""
 
     def cut(self, data: bytes) -> list[Piece]:
         """Pieces that ``data`` completes, in order. Packets of SETUP_SIGNING are left out, in sync or not."""

@@ -37,9 +37,9 @@ TRAIL_US = 500_000
 TRAIL_POINTS = 600
 """Points of /viz/path: five minutes of trail."""
 MAX_STREAMS = 256
-"""MAVLink streams that are being cut; the oldest goes."""
+"""MAVLink streams in progress; beyond that the oldest is dropped."""
 PICTURES = 64
-"""Times of pictures that are kept until their markers come."""
+"""Times of pictures that are kept until their markers arrive."""
 JPEG_QUALITY = 80
 MAX_PROGRAMS = 32
 """Programs of the optimiser that were not solved that a log keeps, the first ones."""
@@ -71,11 +71,11 @@ class Packer:
         self._last_body: dict[str, bytes] = {}
         self._cutters: dict[tuple[str, int, int], StreamCutter] = {}
         self._lost_bytes = False
-        """Something was left out on the way here: a stream that begins now may begin anywhere."""
+        """Data have been dropped: a new stream may begin anywhere."""
         self._standing = step_notes.LatchedNotes()
         self._trail: list[tuple[float, float, float]] = []
         self._pictures: deque[int] = deque(maxlen=PICTURES)
-        """Times of the pictures that were logged last: what was found in them is yet to come."""
+        """Times of the pictures logged last, whose detections are pending."""
         self._truth: tuple[FloatArray, FloatArray] | None = None
         """Place and current of the simulated vehicle."""
         self._faults = self._programs = 0

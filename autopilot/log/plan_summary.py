@@ -10,7 +10,7 @@ from autopilot.log.description import Obstacle, RunDescription
 from autopilot.log.scene import outline
 
 ARROWS = 90
-"""At most so many arrows of the current along a way, evenly by its length,"""
+"""Maximum number of current arrows along a path, evenly spaced,"""
 APART = 0.05
 """no nearer to each other than this share of the plan's size,"""
 LONGEST_ARROW = 0.1
@@ -36,7 +36,7 @@ class MetCurrent:
     told_m_s: float
     """A round figure, of the size of the fastest: for the key,"""
     key_m: tuple[float, float]
-    """and where in the plan there is room for that, north and east."""
+    """and a free area of the plan for it, north and east."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -47,7 +47,7 @@ class MovedObstacle:
     way_m: FloatArray
     """(n, 2) north, east, from its place at the start to that at the end."""
     nearest_m: tuple[float, float]
-    """Where it was when the vehicle came closest to it,"""
+    """Its position at the vehicle's closest approach,"""
     nearest_s: float
     """and when that was."""
 

@@ -95,7 +95,7 @@ def open_log(path: str | Path) -> "Log":
 
 
 CLOCKED = ("/in/tick", "/nav/state", "/sim/truth")
-"""Topics that tell whether time went back: a message per tick, as the ticks were."""
+"""Topics with one message per tick, in the order of the ticks, for the check of the clock."""
 
 
 class Log:
@@ -376,7 +376,7 @@ class Log:
             try:
                 t_us = self[topic]["t_us"].astype(np.int64) if topic in self else np.zeros(0, dtype=np.int64)
             except LogError:
-                continue  # foreign or damaged: whoever wants it will say so
+                continue  # foreign or damaged: reported when the topic is read
             back = np.flatnonzero(np.diff(t_us) < 0)
             if len(back):
                 at, by = 1e-6 * float(t_us[back[0]]), 1e-6 * float(t_us[back[0]] - t_us[back[0] + 1])

@@ -27,7 +27,7 @@ class Recovery:
     messages: int
     """Messages that were saved."""
     problem: str
-    """What was wrong, and if ``repaired`` is False why it stays as it is."""
+    """Damage, and if ``repaired`` is False why it is not repaired."""
     repaired: bool
 
 

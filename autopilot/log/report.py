@@ -101,7 +101,7 @@ def _page(flight: FlightRecord, rows: Sequence[BoundRow]) -> str:
     subjects = Plots(flight).all()
     plots = {f"{subject}: {title}": plot for subject, found in subjects.items() for title, plot in found.items()}
     document = Document()
-    with document.models.freeze():  # else every plot is looked through again for each of the others
+    with document.models.freeze():  # else every plot is scanned again for each of the others
         for plot in plots.values():
             document.add_root(plot)
     script, parts = components(plots)

@@ -22,7 +22,7 @@ BOUND_COLOR, EVENT_COLOR, PARAMETER_COLOR = "#c62828", "#d08700", "#7b3fa0"
 NAME_SHARE = 0.08
 """Of the sheet's width: what the name of a mode needs."""
 EDGE = 0.06
-"""Share of the height of a plot that stays free above and below what is shown."""
+"""Share of a plot's height that stays free above and below the curves."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -131,7 +131,7 @@ class TimeSheet:
                 fill_color=color,
                 line_color="#888888",
             )
-            for late in (False, True):  # near the right edge a name stands before its band
+            for late in (False, True):  # near the right edge the name is left of its band
                 those = [band.start_s for band in mine if (band.start_s > self._late_s) is late]
                 plot.text(
                     those,
@@ -198,7 +198,7 @@ class TimeSheet:
             return Range1d(low / 1.5, high * 1.5)
         if high > low:
             margin = EDGE * (high - low)
-        else:  # flat: a count, a flag or a share is not shown as if thousandths of it mattered
+        else:  # flat: the range of a count, a flag or a share is not narrowed to thousandths
             margin = max(0.1 * abs(high), 1.0) if high == round(high) else 0.5 * abs(high)
         return Range1d(low - margin, high + margin)
 

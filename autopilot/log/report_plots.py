@@ -61,25 +61,25 @@ TOPICS = (
 """Beside those that are judged."""
 MODE_COLORS = ("#dbe9f6", "#e5f5e0", "#fee8c8", "#efedf5", "#fde0ef", "#e0f3f3")
 CONTROL_PERIOD_MS = 50.0
-"""What a control step has (docs/architecture.md)."""
+"""Time budget of a control step (docs/architecture.md)."""
 TICK_MS = 10.0
 AHEAD_S = 1.0
-"""Predictions are compared with what came after so long."""
+"""Prediction time of the comparison with the actual motion."""
 HORIZONS = 12
 """Predictions that the plan shows."""
 MARKED_LEVEL = 20
-"""Events from this level of rcl_interfaces/Log on are marked: what operators are told."""
+"""Least level of rcl_interfaces/Log of the events that are marked: messages to operators."""
 MOST_MARKS = 300
 MOST_TURNS_DEG = 1080.0
-"""Who turns further gets an axis from -180 to 180 degrees: on one of all turns nothing could be read."""
+"""Beyond so many turns the axis is wrapped to -180 to 180 degrees."""
 MOST_LAPS = 8
 """So many laps have a colour of their own; more go over from one colour to another."""
 LAPS_NAMED = 4
 """Of these the plan names so many."""
 HEADS = 8
-"""Arrow heads of the last lap: which way it went;"""
+"""Arrow heads of the last lap, which show its direction;"""
 HEAD_SHARE, HEAD_M = 0.018, 0.05
-"""half their length as a share of the plan's, and over which way their direction is taken."""
+"""half their length as a share of the plan's, and the distance over which their direction is taken."""
 
 
 class Plots:

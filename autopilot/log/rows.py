@@ -30,7 +30,7 @@ class BoundRow:
     """When the worst value was reached, on the service's clock."""
     note: str = ""
     subject: str = ""
-    """What it is of: rows of one subject stand together."""
+    """Rows of one subject are grouped."""
 
 
 def info(name: str, unit: str, value: float | None, note: str = "") -> BoundRow:

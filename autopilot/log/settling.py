@@ -17,7 +17,7 @@ SETTLED = 0.25
 REST_S = 1.0
 """It has settled only if it stayed so for so long."""
 APPROACH_M = 0.02
-"""Nearer to the place there is no telling from where it came."""
+"""Within this distance of the position the direction of approach is undefined."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

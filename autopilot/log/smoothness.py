@@ -38,10 +38,10 @@ AT_LIMIT = 0.999
 """Share of the thrust limit from which on a command counts as saturated."""
 
 LONGEST_STEP_S = 0.2
-"""What is farther apart has no step in between: the controller was not asked."""
+"""Longer intervals between commands are gaps in control."""
 
 FEWEST_STEPS = 20
-"""A second: less says nothing of rates."""
+"""A second: less is too short for rates."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -57,7 +57,7 @@ class ThrustCommands:
     starts_s: FloatArray
     """Times of arming, and of goals that are another place."""
     reported_s: FloatArray
-    """Times at which an operator heard of a fallback."""
+    """Times of the reports of a fallback."""
     limit_n: float
 
 
@@ -77,7 +77,7 @@ class Smoothness:
     silent: int
     """Steps."""
     least_n_s: float = 0.0
-    """What counts as slow at least."""
+    """Lower bound of the slow part."""
 
     @property
     def ratio(self) -> float:

@@ -54,7 +54,7 @@ class DamagedPiece:
     """Of the record before, None for the first."""
     size: int
     origin: PacketOrigin | None
-    """What a header at their beginning says, None without one."""
+    """Header at the beginning, None without one."""
     whole: bool
     """Whether just the packet of that header: its checksum is wrong, as it also is when sender and reader do not mean
     the same by that message."""
@@ -84,7 +84,7 @@ class _TlogReader:
         self._decoder = ardupilotmega.MAVLink(None)
         self._last_us: int | None = None
         self._near_us: int | None = None
-        """What the next stamp is compared with: the last one, unless nothing that follows is near it."""
+        """Reference for the next stamp: the last one, unless no following stamp is near it."""
 
     def records(self) -> Iterator[Packet | DamagedPiece]:
         begin = 0

@@ -27,7 +27,7 @@ from autopilot.log.topics import type_of
 
 CHUNK_BYTES = 256 * 1024
 FLUSH_NS = 500_000_000
-"""Half of what may be lost when the process is killed: a busy machine lets the thread come late."""
+"""Half of the maximum loss when the process is killed: on a busy machine the thread runs late."""
 FSYNC_NS = 5_000_000_000
 FIRST_EPOCH_NS = 1_000_000_000
 """Samples may be a little older than the clock's zero, and MCAP has no negative times."""
@@ -59,9 +59,9 @@ _Item: TypeAlias = tuple[str, int, Payload, Work | None, int, int, Mapping[str, 
 """Topic, time [us], payload or, if there is any, work instead; how many messages and bytes in memory that is; messages
 by topic that were dropped before it."""
 MAX_ERRORS = 16
-"""What went wrong in packing, kept until it is asked for; the oldest goes."""
+"""Errors in packing, kept until requested; beyond that the oldest is dropped."""
 _TLOG = ""
-"""Stands for the topic of a packet that goes to the ``.tlog``."""
+"""Topic of a packet for the ``.tlog``."""
 _ATTACHMENT = "attachment:"
 """Stands, with a name behind it, for the topic of an attachment that comes while the log is running."""
 

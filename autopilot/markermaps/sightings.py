@@ -30,7 +30,7 @@ class SheetView:
     name: str
     """Time or file."""
     ids: IntArray
-    """(n,) as in the map that was looked for (:data:`autopilot.core.markers.ID_SPAN`)."""
+    """(n,) as in the map searched for (:data:`autopilot.core.markers.ID_SPAN`)."""
     corners_px: FloatArray
     """(n, 4, 2)"""
     repeated: tuple[int, ...] = ()

@@ -115,7 +115,7 @@ def _seeds(views: Sequence[SheetView], rough: MarkerMap, fixed: IntArray, unique
     ids, times = np.unique(np.concatenate([view.ids for view in views]), return_counts=True)
     seen = dict(zip(ids.tolist(), times.tolist(), strict=True))
     chosen = [int(n) for n in fixed if int(rough.ids[n]) in seen]
-    if chosen:  # ids that are there several times say nothing of where a view is
+    if chosen:  # ids that occur several times do not determine the position of a view
         return [n for n in chosen if int(rough.ids[n]) in unique]
     if len(fixed):
         names = ", ".join(str(int(rough.ids[n]) % ID_SPAN) for n in fixed)

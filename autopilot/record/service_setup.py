@@ -60,7 +60,7 @@ class ServiceRecord(msgspec.Struct, frozen=True, kw_only=True):
     parameters: dict[str, float]
     """At the start."""
     git: str
-    """Revision, as clients were told."""
+    """Revision, as reported to clients."""
 
 
 def read_record(log: Log) -> ServiceRecord:

@@ -250,7 +250,7 @@ def _differs(row: Any, now: _Bits) -> str:
     return ""
 
 
-# What another setting would have given.
+# The result with other settings.
 
 
 def spreads(log: Log, states: Sequence[NavState]) -> list[RmsError]:

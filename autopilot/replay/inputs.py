@@ -92,7 +92,7 @@ OTHERS = tuple(row.topic for row in SAMPLE_ROWS if not row.estimator)
 READERS = {topic: read for topic, read in SAMPLES.items() if topic not in OTHERS} | {
     "/nav/external": SAMPLES["/in/external"]
 }
-"""What estimators have a use for."""
+"""Sample types that estimators use."""
 
 
 def estimator_ticks(log: Log) -> Iterator[EstimatorTick]:

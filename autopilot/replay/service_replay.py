@@ -48,7 +48,7 @@ class ReplayResult:
     stopped: str
     """Why it ended before the log, "" if it did not."""
     remarks: tuple[str, ...]
-    """What could not be compared."""
+    """Limits of the comparison."""
 
     @property
     def same(self) -> bool:
@@ -68,7 +68,7 @@ class Rerun:
     parts: ServiceParts = field(init=False)
     inputs: ServiceInputs = field(init=False)
     looked_at_logs_us: int | None = None
-    """When a client first looked at the logs on board, which are not in this one."""
+    """Time of a client's first access to logs on board, which are not in this one."""
 
     def __enter__(self) -> "Rerun":
         with ExitStack() as undo:

@@ -43,11 +43,11 @@ class AttitudeGap:
     lost: int
     """Packets of that sender that the sequence numbers miss meanwhile."""
     others: int
-    """Packets of that sender that did come."""
+    """Packets received from that sender."""
     damaged: int
-    """Pieces of the file that were the sender's messages, or nobody knows whose."""
+    """Damaged pieces of the file from that sender, or of unknown origin."""
     late: int = 0
-    """Of these, packets that a later one of the same sender had overtaken, or that came twice."""
+    """Of these, packets of the sender that were overtaken or duplicated."""
 
     def reason(self, median_s: float) -> str:
         """Cause of the gap as shown by the file, "" if there is none. ``median_s``: median interval [s]."""
@@ -79,9 +79,9 @@ class TlogReplay:
     """Interval by the sender's clock."""
     gaps: list[AttitudeGap]
     damaged: dict[str, int]
-    """What in the whole file is no message -> how often."""
+    """Kind of damage in the whole file -> count."""
     counters: dict[str, int]
-    """What the AHRS intake made of the samples: ``ahrs.*``."""
+    """Counters of the AHRS validation: ``ahrs.*``."""
 
     @property
     def unexplained(self) -> list[AttitudeGap]:
@@ -94,7 +94,7 @@ class _Reading:
     samples: list[AhrsSample] = field(default_factory=list)
     arrivals_s: list[float] = field(default_factory=list)
     seen: list[tuple[int, int, int, int]] = field(default_factory=list)
-    """At each attitude, so far: packets lost, packets that came, damaged pieces, packets that came late or twice."""
+    """Up to each attitude: packets lost, received, damaged pieces, packets late or duplicated."""
     damaged: Counter[str] = field(default_factory=Counter)
     messages: int = 0
 

@@ -114,7 +114,7 @@ class BootLinks:
                 self._show(index)
         for client, message in boot.tick(round(now_s * 1e6)):
             link.send(message, client)
-        # A peer that listens on a port of ours gets the heartbeat as soon as it has sent something, and not a second later.
+        # A peer that listens on a port of ours gets the heartbeat at once when it has sent something.
         first_word = bool(received) and index not in self._spoken_to
         if first_word:
             self._spoken_to.add(index)

@@ -10,7 +10,7 @@ from autopilot.view.feed import CAMERA, FRAME_S, PICTURE_S
 from autopilot.view.page_state import AgeLimits
 
 MISSED = 5
-"""So many in a row that did not come are no accident."""
+"""Missed periods in a row before a value is stale."""
 LEAST_S = 5 * FRAME_S
 UNKNOWN_S = 2.0
 SLOW_S = 1.0

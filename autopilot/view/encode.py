@@ -41,7 +41,7 @@ from autopilot.view.page_state import (
 )
 
 DIGITS = 4
-"""Of numbers on the way to the page: a tenth of a millimetre."""
+"""Decimals of numbers for the page: a tenth of a millimetre."""
 JPEG_QUALITY = 70
 
 
@@ -137,7 +137,7 @@ def frame_of(snapshot: TickSnapshot, vehicle: Vehicle, steered: Steered, *, now_
 
 def picture_of(taken: TakenPicture) -> PictureView:
     """A camera picture as JPEG with its detections. AutopilotError if it cannot be compressed."""
-    import cv2  # heavy: nobody pays for it who does not look at pictures
+    import cv2  # expensive: imported only while pictures are viewed
 
     done, jpeg = cv2.imencode(".jpg", taken.pixels, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])
     if not done:

@@ -36,16 +36,16 @@ FRAME_S = 0.1
 PICTURE_S = 0.2
 """Real time between two pictures."""
 PICTURE_STEP = 2
-"""Every so many pixels of a picture go to the page, each way."""
+"""Subsampling of pictures for the page, in both axes."""
 MESSAGES = 60
 TRAIL_US = 250_000
 TRAIL_POINTS = 1200
 """Five minutes."""
 TRACK_US = 5_000_000
-"""A report of an obstacle is shown so long."""
+"""Display time of an obstacle report."""
 CAMERA = "camera"
 DEVICES = {kind: row for row in SENSOR_ROWS if row.device != CAMERA for kind in row.kinds}
-"""Devices by what they deliver; pictures come by a way of their own."""
+"""Devices by sample type; pictures are handled separately."""
 
 
 class TruthSeen(Protocol):
@@ -119,7 +119,7 @@ class TickSnapshot:
     """Of the last control step."""
     plan: EnergyPlan | None
     plan_us: int
-    """When it came into force."""
+    """Time at which it came into force."""
     thrusters: ThrusterHealthState | None
     heard_us: Mapping[str, int]
     """When each device delivered last, by :data:`DEVICES` and :data:`CAMERA`."""
@@ -174,9 +174,9 @@ class Feed:
         """Waits for what detection finds in it."""
         self._picture: CapturedPicture | None = None
         self.watched = False
-        """Somebody looks; set by the view's thread."""
+        """There are viewers; set by the view's thread."""
         self.pictured = False
-        """Somebody looks at pictures."""
+        """There are viewers of pictures."""
         self.snapshot: TickSnapshot | None = None
         """The newest; None before the first."""
 

@@ -28,9 +28,9 @@ PATIENCE_S = 2.0
 REQUEST_S = 5.0
 """A request has to be there in that time."""
 RETRY_MS = 1000
-"""A page that has lost its stream asks for another so often."""
+"""Interval at which a page that has lost its stream reconnects."""
 SEND_BUFFER = 1 << 16
-"""What the kernel keeps for a viewer; what is older has no value."""
+"""Kernel send buffer of a viewer; older data have no value."""
 MAX_CONNECTIONS = 48
 MAX_ASK_BYTES = 4096
 LOOPBACK = ("127.0.0.1", "localhost", "[::1]")
@@ -222,7 +222,7 @@ class _Handler(BaseHTTPRequestHandler):
             while (data := viewer.take()) is not None:
                 self.wfile.write(data)
         except OSError:
-            pass  # gone, or does not read
+            pass  # disconnected, or not receiving
         finally:
             self.server.hub.leave(viewer)
 

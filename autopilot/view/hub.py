@@ -19,9 +19,9 @@ from autopilot.view.feed import Feed, TickSnapshot, Watched
 
 POLL_S = 0.05
 IDLE_S = 0.5
-"""Without news of the loop the page hears so often that there is none."""
+"""Interval at which the page is informed that the loop is silent."""
 BREATH_S = 5.0
-"""A viewer hears something so often, so that one that has gone is found."""
+"""Keep-alive interval, by which disconnected viewers are detected."""
 MAX_VIEWERS = 16
 
 KINDS = ("scene", "frame", "flow", "picture", "trouble")

@@ -70,7 +70,7 @@ class Steerable(msgspec.Struct, frozen=True, kw_only=True):
     obstacles: bool = False
     faults: tuple[FaultOffer, ...] = ()
     missing: tuple[str, ...] = ()
-    """What is not there, and why; a line each."""
+    """Missing devices with the reason, a line each."""
 
 
 class SceneView(msgspec.Struct, frozen=True, kw_only=True):
@@ -263,7 +263,7 @@ class ViewFrame(msgspec.Struct, frozen=True, kw_only=True):
     thrust_n: tuple[float, ...]
     pwm_us: tuple[int, ...]
     effectiveness: tuple[float, ...]
-    """Share of its thrust that each thruster gives; empty while nobody knows."""
+    """Effectiveness of each thruster; empty while unknown."""
     sensors: tuple[SensorView, ...]
     devices: tuple[DeviceView, ...]
     battery: BatteryView | None

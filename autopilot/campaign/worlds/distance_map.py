@@ -31,7 +31,7 @@ OPEN_MARGIN_M = 8.0
 WAY_CELL_M = 0.16
 """Cells of ways: less than the walls are thick once the vehicle's radius is added on both sides."""
 WAY_MARGIN_M = 12.0
-"""Ways are looked for within so much of the places that they connect."""
+"""Paths are searched within this distance of the points that they connect."""
 WAY_CELLS = 160_000
 KEPT_GRAPHS = 3
 
@@ -152,7 +152,7 @@ class QuickestPaths:
         cells = path[0]
         graph = self._graph_of(flow, water_m_s, ground_m_s, worst=True)
         times = [float(graph[a, b]) for a, b in itertools.pairwise(cells)]
-        # What is not in the graph is no way, and reads 0.
+        # Edges not in the graph are no paths, and read 0.
         return QuickestPath(sum(times) if all(times) else math.inf, self._length(cells))
 
     def _path(
@@ -237,7 +237,7 @@ def still(places: FloatArray) -> FloatArray:
 
 
 SLOWEST_M_S = 0.02
-"""Slower than this over ground is no way."""
+"""Slower than this over ground counts as impassable."""
 
 
 def _any_of(free: BoolArray, block: int) -> BoolArray:

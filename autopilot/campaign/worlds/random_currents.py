@@ -13,7 +13,7 @@ from autopilot.sitl.scenario_tables import Current
 STEEPEST_1_S = 0.6
 """Water changes by so much over a metre at most; the jet of the paper's tank by 0.52."""
 PHASES = 8
-"""Times within a tide at which the water is looked at."""
+"""Sample times within a tidal period."""
 
 
 def draw_current(
@@ -60,7 +60,7 @@ def _drawn(
         case "uniform":
             return {"kind": "uniform", "velocity_m_s": flow}
         case "tide":
-            # Turns by up to half a right angle either way, or swells and ebbs.
+            # Turns by up to 45 degrees either way, or varies in strength.
             swing = rng.uniform(-0.5, 0.5)
             side = angle + float(rng.choice([0.0, 0.5 * math.pi]))
             tide = [round(swing * speed * math.cos(side), 3), round(swing * speed * math.sin(side), 3), 0.0]

@@ -41,7 +41,7 @@ MARGIN_M = 0.03
 START_CLEARANCE_M = 0.03
 """A vehicle begins with so much more than it keeps."""
 FLIGHT_S = (15.0, 50.0)
-"""Straight legs at cruise speed; ways round things, turns and delays come on top."""
+"""Straight legs at cruise speed; detours, turns and delays are added."""
 TRIES = 300
 START_SHARE = 0.75
 """Of what the vehicle swims: the water where it begins is slower."""
@@ -54,7 +54,7 @@ class RandomWorld:
     layout: WorldLayout
     vehicle_number: int
     scenario: dict[str, Any]
-    """Tables of the scenario file; mode, vehicle file and duration are put in by whoever flies it."""
+    """Tables of the scenario file; mode, vehicle file and duration are set for each flight."""
     plan: dict[str, Any]
     """Tables of the plan in local metres."""
 

@@ -21,7 +21,7 @@ SURE_SHARE = 0.75
 ROUNDING_M = 0.015
 """Fence and waypoints are rounded to 1e-7 degrees on the wire."""
 BOUND_FACTOR = 1.6
-"""Time that a leg may take, over that of the quickest way at the speed asked for."""
+"""Time allowed for a leg, relative to the time-optimal path at the requested speed."""
 BOUND_ENERGY = 1.8
 """So much more when the speed is the vehicle's own choice."""
 BOUND_PER_GOAL_S = 14.0
@@ -29,7 +29,7 @@ START_S = 15.0
 LONGEST_LEG_S = 240.0
 """A leg that may take longer than this may be declined, and is not waited for."""
 TELLING_S = 90.0
-"""A vehicle that cannot reach a goal has so long to say so."""
+"""Time allowed for reporting an unreachable goal."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -40,12 +40,12 @@ class Leg:
     """Mission item."""
     sure: bool
     straight: bool
-    """Sure along the shortest way too, which is what the quadratic mode flies."""
+    """Sure along the shortest path too, which is the one of the quadratic mode."""
     possible: bool
     ground: bool
-    """A way over ground exists for sure, whatever the water does."""
+    """A path over ground surely exists, whatever the current."""
     no_ground: bool
-    """There is surely no way over ground."""
+    """There is surely no path over ground."""
     water_m_s: float
     """Fastest water at the goal."""
     length_m: float
@@ -63,7 +63,7 @@ class Prospect:
 
     legs: tuple[Leg, ...]
     swims_m_s: float
-    """What the vehicle can do through the water: its limit, or what its thrusters give."""
+    """Maximum speed through the water: its limit, or that of its thrusters."""
     keep_m: float
 
     def bound_s(self, mode: int) -> float:

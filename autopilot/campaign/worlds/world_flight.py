@@ -24,7 +24,7 @@ ARMING_S = 12.0
 """A service that has not armed by then does not want to."""
 MOST_EVENTS = 40
 HOPELESS_S = 30.0
-"""A flight is over when the operator was told so long ago that it does not go on, if that may be so."""
+"""Time from the report that a goal is given up to the end of the flight, where giving up is acceptable."""
 
 
 class WorldWatch(TickWatch):
@@ -33,10 +33,10 @@ class WorldWatch(TickWatch):
     def __init__(self, truth: Callable[[], Truth]) -> None:
         super().__init__(truth)
         self.told: list[tuple[float, int, str]] = []
-        """Time, severity and text of everything that the operator is told."""
+        """Time, severity and text of every message to the operator."""
         self.reached_seq = -1
         self.hopeless_s = math.inf
-        """When the operator was told that it does not go on, inf if it does."""
+        """Time of the report that it does not continue, inf without one."""
         self.first_fallback_s: float | None = None
         self.first_failsafe_s: float | None = None
 

@@ -40,7 +40,7 @@ class WorldLayout:
     walls: bool = True
     """The outline is solid; else it is only the fence."""
     doors_m: tuple[float, ...] = field(default=())
-    """Widths of the doors in inner walls, for the record."""
+    """Widths of the openings in inner walls, for the record."""
 
 
 def polygon_clearance_m(corners: Corners, place: Point) -> float:

@@ -74,7 +74,7 @@ _ARMED = (False, True, None)
 _TEXT_BYTES, _PROBLEM_BYTES, _REFUSALS_BYTES = 64, 128, 512
 """Widths of the texts in Below."""
 ALL_LINKS = 255
-"""``MavlinkFrame.link`` for a frame that goes to all links."""
+"""``MavlinkFrame.link`` of a broadcast."""
 
 
 def counter_values(value: NavCounters) -> Iterable[int]:

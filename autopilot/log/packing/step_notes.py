@@ -84,7 +84,7 @@ class StepNotes(msgspec.Struct, frozen=True, omit_defaults=True, kw_only=True):
     camera: tuple[int | None, int, int, str] | None = None
     """Newest exposure, bytes in all and free, why no still can be stored."""
     stills: tuple[tuple[int, int, str, int, int, int, str], ...] = ()
-    """What became of stills: number, exposure, file, width, height, bytes, problem."""
+    """Results of stills: number, exposure, file, width, height, bytes, problem."""
     log_lost: bool = False
     clock_jump_s: float = 0.0
     frame_counts: dict[str, int] | msgspec.UnsetType | None = UNSET
