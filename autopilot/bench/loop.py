@@ -36,7 +36,7 @@ from autopilot.run.sitl_session import SitlSession, open_sitl
 ITEMS = 500
 OCTAGONS = 50
 P99_CPU_MS, MAX_CPU_MS, GAP_S, P99_LOG_MS = 10.0, 50.0, 1.2, 0.3
-"""Requirement."""
+"""Requirements."""
 QUIET_S = 3.0
 """Before, between and after the uploads."""
 PATIENCE_S = 120.0

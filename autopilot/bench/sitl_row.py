@@ -21,7 +21,7 @@ REACH = {"camera": 4.0, "pose": 20.0}
 """Required real-time factor on an idle machine."""
 
 SHOWN_MS = 0.01
-"""Parts below this share of a tick are not listed."""
+"""Parts of a tick below this time are not listed."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -99,7 +99,7 @@ class LaserDotsTuning:
     own_share: float = 0.7
     """A lower detection rate means that the detector looks in the wrong place."""
     moved_m: float = 0.01
-    """Print under the dot shifts it: a vehicle at rest would repeat the same error."""
+    """Least motion between samples: print under the dot shifts it, and a vehicle at rest would repeat the error."""
 
 
 LASER_DOTS = LaserDotsTuning()

@@ -31,7 +31,7 @@ ALL: dict[str, tuple[str, Work]] = {
     "estimator": (TITLES["estimator"], bench_rows.estimator_rows),
     "loop": (TITLES["loop"], bench_rows.loop_rows),
 }
-"""Default benchmark, and the title of its table; in a source checkout some studies, too."""
+"""Benchmarks that run by default, and titles of their tables; in a source checkout some studies, too."""
 LONG: list[str] = []
 """Short when all are run."""
 

@@ -27,7 +27,7 @@ NEVER = math.nan
 
 
 QUIET, IMPLAUSIBLE = "silent or frozen", "implausible"
-"""Quality of a sensor without valid data."""
+"""Faults of a sensor without valid data."""
 
 
 @dataclass(slots=True, eq=False)

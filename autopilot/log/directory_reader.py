@@ -17,7 +17,7 @@ MAX_FILES = 4096
 PIECE_BYTES = 1 << 20
 """Block size of checksums, which can be cancelled between blocks."""
 SUFFIXES = (".mcap", ".tlog", ".png")
-"""Names of logs and their stills; other files are not listed."""
+"""Suffixes of logs and their companion files; others are not listed."""
 
 STILLS = ".still-*.png"
 """How the stills of a log end, behind its name."""

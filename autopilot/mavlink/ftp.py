@@ -122,7 +122,7 @@ class _FtpClient:
     answered: tuple[int, int, Message] | None = None
     """Number and opcode of the last request, and its answer."""
     waiting: FtpPacket | None = None
-    """Pending disk access."""
+    """Request that waits for the disk."""
     listing: BackgroundTask[tuple[LogDirectoryEntry, ...]] | None = None
     crc: BackgroundTask[int] | None = None
     burst: FtpPacket | None = None

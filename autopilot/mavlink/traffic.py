@@ -30,7 +30,7 @@ MAX_PER_TICK = 64
 """Reports of one tick; what is beyond them is dropped."""
 
 _VEHICLE, _ADSB, _AIS, _BEAM = 1 << 28, 2 << 28, 3 << 28, BEAM_TRACKS
-"""Offset of track numbers, above those of our own sensors."""
+"""Offsets of track numbers by source, above those of our own sensors."""
 _NUMBER = (1 << 28) - 1
 
 _COORDS, _ALTITUDE, _HEADING, _VELOCITY = 1, 2, 4, 8

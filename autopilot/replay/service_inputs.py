@@ -96,7 +96,7 @@ class ServiceInputs:
         return True
 
     def _datagrams(self, notes: StepNotes) -> tuple[bytes, ...]:
-        """Received bytes, with a random key in place of each key that was removed."""
+        """Received bytes, with a substitute for each key that was removed."""
         found = []
         for number, datagram in enumerate(notes.rx):
             data = self._streams[datagram.link, datagram.client].take(datagram.length)
@@ -115,7 +115,7 @@ class _ClientBytes:
         self._owed = 0
 
     def take(self, length: int) -> bytes:
-        """The next bytes; fewer if a datagram overlaps one that was taken already."""
+        """The next ``length`` bytes, less those that earlier calls have taken too many."""
         length += self._owed
         self._owed = min(length, 0)
         piece = bytes(self.data[self._at : self._at + max(length, 0)])

@@ -97,7 +97,7 @@ def _operate(session: VehicleConnection, plan: PlanFile, *, laps: int, show: Sho
     session.start_mission()
 
     def on_status(status: MissionStatus) -> None:
-        if status.state is not ProgressState.UNKNOWN:  # no position yet
+        if status.state is not ProgressState.UNKNOWN:  # mission state not received yet
             show(f"mission {status.state.name.lower().replace('_', ' ')}", min(len(status.reached), total), total)
 
     status = session.watch_mission(on_status, timeout_s=LAP_S * (1 + laps), silence_s=SILENCE_S)

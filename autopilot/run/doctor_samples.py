@@ -25,11 +25,11 @@ ENOUGH_EQUAL = 5
 REPEATS = "it repeats itself: restart it, check its cable"
 
 LEAST_HZ = 0.5
-"""Share of new readings from a flight controller. The slowest (battery) has two a second."""
+"""Least rate of new readings from a flight controller; the slowest (battery) sends two a second."""
 AHRS = "ahrs"
 
 Problem = tuple[FindingSeverity, str]
-"""How bad it is, and what to do."""
+"""Severity and remedy."""
 Look = Callable[[Sequence[Any]], tuple[str, Problem | None]]
 """Finding about samples, and its problem."""
 

@@ -47,7 +47,7 @@ class _OriginEntry(msgspec.Struct, frozen=True, array_like=True):
 
 class Content(msgspec.Struct, frozen=True, kw_only=True):
     configured_origin: _OriginEntry
-    """Initial state of the service."""
+    """Origin configured at the start of the service."""
     origin: _OriginEntry
     """In force when it was written."""
     home_ned_m: tuple[float, float, float]

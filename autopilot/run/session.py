@@ -77,7 +77,7 @@ class Session:
     recorder: RunRecorder | NullRecorder
     kept: PersistentState
     warnings: tuple[str, ...]
-    """Message to the operator about files of earlier runs."""
+    """Messages to the operator about files of earlier runs."""
     duration_s: float | None
 
     def run(self, stop: Callable[[], bool] = lambda: False) -> float:

@@ -36,7 +36,7 @@ class SigningFiles:
         if problems and kept is not None:
             kept += AHEAD_UNITS  # the copy before the last: the last was at most so much later
         self.warnings = (*warnings, *problems)
-        """Message to operators."""
+        """Messages to operators."""
         self.losses: tuple[Loss, ...] = ()
         """The same, to be accepted before arming."""
         clock = max(0, round(((time.time() if now_s is None else now_s) - EPOCH_S) * UNITS_PER_S))

@@ -95,7 +95,7 @@ class World(ABC):
     speed: float
     """1 on hardware, 0 = as fast as possible."""
     folder: Path
-    """Files that an instance keeps between runs."""
+    """Folder of the files that an instance keeps between runs."""
     disk: BackgroundWorker
     """The lane on which that is written."""
     params: ParamSet

@@ -41,7 +41,7 @@ MARGIN_M = 0.03
 START_CLEARANCE_M = 0.03
 """A vehicle begins with so much more than it keeps."""
 FLIGHT_S = (15.0, 50.0)
-"""Straight legs at cruise speed; detours, turns and delays are added."""
+"""Range of mission times: straight legs at cruise speed; detours, turns and delays are added."""
 TRIES = 300
 START_SHARE = 0.75
 """Of what the vehicle swims: the water where it begins is slower."""

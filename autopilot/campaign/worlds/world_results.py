@@ -38,7 +38,7 @@ class WorldResult(msgspec.Struct, frozen=True, kw_only=True):
     """One line: the reason that was given, or what went wrong."""
     goals: int = 0
     visited: int = 0
-    """Goals that the plant reached, in order."""
+    """Number of goals that the plant reached, in order."""
     bound_s: float = 0.0
     """Longest that was waited."""
     simulated_s: float = 0.0
