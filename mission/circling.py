@@ -69,19 +69,19 @@ class LoiterCircle:
 
     @property
     def left_m(self) -> float:
-        """Way that is left, inf without an end."""
+        """Path length left, inf for an endless circle."""
         if self._turns == 0.0:
             return math.inf
         arc = max(2.0 * math.pi * self._turns - abs(self._turned), 0.0) * self.radius_m
         return arc + (abs(self._off_m) if abs(self._off_m) > CIRCLING.join_m else 0.0)
 
     def rest(self, nav: NavState) -> Goal:
-        """Where the vehicle stays behind its last turn: the nearest place of the circle."""
+        """Position after the last turn: the nearest point of the circle."""
         goal = self.goal(nav)
         return replace(goal, drive=None)
 
     def goal(self, nav: NavState) -> Goal:
-        """Of this tick; the same object until it is due again."""
+        """Goal of this tick; the same object until it changes."""
         away = complex(nav.pos_ned_m[0], nav.pos_ned_m[1]) - self._centre
         bearing = math.atan2(away.imag, away.real)
         off_m = self._off_m = self.radius_m - abs(away)
@@ -146,7 +146,7 @@ class LoiterCircle:
 
 
 def _near(a: FloatArray, b: FloatArray) -> bool:
-    """Whether a place to join the circle at may stay where it is."""
+    """Whether the point of joining the circle may stay."""
     return math.dist(a.tolist(), b.tolist()) < 0.15
 
 

@@ -51,13 +51,13 @@ class Clearance:
         return cls([*((s, True) for s in fence.inclusions), *((s, False) for s in fence.exclusions)])
 
     def of_shapes_m(self, places: FloatArray) -> FloatArray:
-        """(n, shapes) clearance of each place from each shape, in the order given."""
+        """(n, shapes) clearance of each point from each shape, in the order given."""
         chunk = max(1, PAIRS // max(1, len(self._edges.start_n) + len(self._radii)))
         parts = [self._some(places[at : at + chunk]) for at in range(0, len(places), chunk)]
         return np.concatenate(parts) if parts else np.zeros((0, len(self._shapes)))
 
     def clearance_m(self, places: FloatArray) -> FloatArray:
-        """(n,) clearance of each place: inf in open water."""
+        """(n,) clearance of each point: inf in open water."""
         if not self._shapes:
             return np.full(len(places), np.inf)
         clearance: FloatArray = self.of_shapes_m(places).min(axis=1)
@@ -77,7 +77,7 @@ class Clearance:
         return signed
 
     def near(self, places: FloatArray, reach_m: float) -> tuple[FloatArray, FloatArray]:
-        """(n,) clearance cut off at +-``reach_m``, and (n, 2) its slope (zero where it is cut off)."""
+        """(n,) clearance clipped to +-``reach_m``, and (n, 2) its gradient (zero where it is clipped)."""
         best, slope = np.full(len(places), reach_m), np.zeros((len(places), 2))
         beside = self._beside(places, reach_m)
         if not beside[self._sign < 0.0].all():
@@ -107,7 +107,7 @@ class Clearance:
         return np.clip(best, -reach_m, reach_m), slope
 
     def _beside(self, places: FloatArray, reach_m: float) -> BoolArray:
-        """(shapes,) whether any of the places can be that near to a shape, by the box round them all."""
+        """(shapes,) whether any of the points can be that near to a shape, by their bounding box."""
         if not len(places):
             return np.zeros(len(self._shapes), dtype=bool)
         near_low, near_high = self._low - reach_m <= places.max(axis=0), self._high + reach_m >= places.min(axis=0)

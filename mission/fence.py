@@ -29,7 +29,7 @@ INCLUSIONS = frozenset({Command.FENCE_POLYGON_VERTEX_INCLUSION, Command.FENCE_CI
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class FenceShape:
-    """One shape of the fence and where it stands in the plan."""
+    """One shape of the fence with its first item in the plan."""
 
     seq: int
     """Its first item."""
@@ -145,5 +145,5 @@ def build_fence(shapes: Sequence[FenceShape], params: Mapping[str, float]) -> Fe
 
 
 def fence_clearance_m(fence: Fence, points_ned_m: FloatArray) -> FloatArray:
-    """(n,) distance of points (n, 2) to the nearest forbidden place: negative = in it, inf = open water."""
+    """(n,) signed distance of points (n, 2) to the forbidden area: negative = inside it, inf = open water."""
     return Clearance.of(fence).clearance_m(points_ned_m)

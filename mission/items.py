@@ -130,7 +130,7 @@ class LoiterTurns:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Near:
-    """On the way to the next place until it is so near (CONDITION_DISTANCE)."""
+    """Condition met within a distance of the next position (CONDITION_DISTANCE)."""
 
     seq: int
     distance_m: float
@@ -138,7 +138,7 @@ class Near:
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Gate:
-    """On the way to the next place until a plane across that way is passed (CONDITION_GATE)."""
+    """Condition met when a plane across the path to the next position is passed (CONDITION_GATE)."""
 
     seq: int
     pos_ned_m: FloatArray
@@ -159,7 +159,7 @@ class Wait:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Jump:
-    """Go on at another item, a number of times (DO_JUMP)."""
+    """Continue at another item, a number of times (DO_JUMP)."""
 
     seq: int
     target_seq: int

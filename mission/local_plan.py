@@ -150,7 +150,7 @@ def _placed(
     pos_ned_m: tuple[float, float, float],
     frame: MavFrame = MavFrame.GLOBAL_RELATIVE_ALT,
 ) -> PlanItem:
-    """An item at a local place; in the relative frame its altitude is minus the depth."""
+    """An item at a local position; in the relative frame its altitude is minus the depth."""
     lat, lon, _ = geodetic_from_ned(origin, np.array(pos_ned_m))
     return make_item(where, seq, frame, command, (*params, lat, lon, 0.0 - pos_ned_m[2]))
 

@@ -26,7 +26,7 @@ PASSED = (ChangeSpeed, SetHome, Order, NoOp, *get_args(Passage))
 
 
 def passes_on(step: Step) -> bool:
-    """Whether the mission goes on from a step as soon as its region is entered."""
+    """Whether the mission continues from a step as soon as its region is entered."""
     return isinstance(step, GoTo) and step.hold_s == 0.0 and step.autocontinue
 
 
@@ -77,7 +77,7 @@ def next_waypoint(
 
 
 def next_place(steps: Sequence[Step], cursor: int, jumps_done: Mapping[int, int]) -> int | None:
-    """The next step after ``cursor`` that has a place, None when there is none (or not within the longest walk)."""
+    """The next step after ``cursor`` with a position, None without one (or not within the longest walk)."""
     for index in walk(steps, cursor, jumps_done):
         step = steps[index]
         if isinstance(step, GoTo | Surface) and step.pos_ned_m is not None:

@@ -99,7 +99,7 @@ class PlanVerdict:
 
     @property
     def problem(self) -> str:
-        """The first reason not to fly, "" if there is none."""
+        """The first reason not to fly, "" without any."""
         first = next(iter((*self.own, *self.joint)), None)
         return "" if first is None else first.reason
 

@@ -25,7 +25,24 @@ _REQUIRED = object()
 
 
 def read_qgc_plan(text: str, name: str) -> PlanFile:
-    """The plan in a ``.plan`` text. PlanError names file, place and remedy in one line."""
+    """Parse a ``.plan`` text.
+
+    Parameters
+    ----------
+    text
+        Content of the file.
+    where
+        Name of the file, for error messages.
+
+    Returns
+    -------
+    PlanFile
+
+    Raises
+    ------
+    PlanError
+        File, place and remedy in one line.
+    """
     try:
         root = json.loads(text)
     except json.JSONDecodeError as error:
@@ -64,7 +81,7 @@ def _typed(value: Any, kind: type, where: str, what: str) -> Any:
 
 
 def _get(table: Mapping[str, Any], key: str, kind: type, where: str, default: Any = _REQUIRED) -> Any:
-    """``table[key]`` checked; PlanError when it is missing or of another kind."""
+    """``table[key]`` checked; PlanError when it is missing or of another type."""
     if key not in table:
         if default is _REQUIRED:
             raise PlanError(f"{where}: key {key!r} is missing; export the plan again")

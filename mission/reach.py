@@ -28,7 +28,7 @@ def free_regions(fence: Fence, points_ned_m: FloatArray, radius_m: float) -> tup
 
 
 def has_room(fence: Fence, radius_m: float) -> bool:
-    """Whether there is any place in the workspace of a fence that keeps ``radius_m`` from every boundary."""
+    """Whether any point in the workspace of a fence is ``radius_m`` from every boundary."""
     if widest_m(fence) >= radius_m:
         return True  # visible in the samples; a narrow part has to be searched
     space = _free_space(fence, np.zeros((0, 2)), radius_m)
@@ -47,7 +47,9 @@ def widest_m(fence: Fence) -> float:
 
 
 def _free_space(fence: Fence, points_ned_m: FloatArray, radius_m: float) -> FreeSpace | None:
-    """The free space of a workspace, or in open water round everything and a way round it; None if there is none."""
+    """Free space of a workspace, or in open water of a box around everything with a path around it; None without
+    any.
+    """
     area = workspace_of(fence)
     if area is None:
         boxes = [bounding_box(s) for s in fence.exclusions]

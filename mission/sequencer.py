@@ -65,7 +65,7 @@ class SequencerOutput:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Position:
-    """Where a mission stands: all that it takes to go on with it after a restart."""
+    """Mission progress: state needed to resume after a restart."""
 
     cursor: int
     """Step that runs next."""
@@ -125,13 +125,13 @@ class Sequencer:
         self._run.inside_since_us = self._run.clock_us = None
 
     def pause(self) -> None:
-        """Hold where the vehicle is on the next tick; the mission stays where it is."""
+        """Hold from the next tick on; the progress is kept."""
         if self._run.state is ProgressState.ACTIVE:
             self._run.state = ProgressState.PAUSED
             self._run.pause_goal = None
 
     def set_current(self, seq: int) -> None:
-        """Choose the item that runs next (at once when active). PlanError when there is no such item."""
+        """Choose the item that runs next (at once when active). PlanError for an unknown item."""
         self._check_seq(seq)
         if self._run.state is ProgressState.COMPLETE:
             self._clear(seq)
@@ -140,7 +140,7 @@ class Sequencer:
 
     @property
     def position(self) -> Position | None:
-        """Where the mission stands, None when there is nothing to go on with."""
+        """Mission progress, None when there is nothing to resume."""
         run = self._run
         if run.state not in (ProgressState.ACTIVE, ProgressState.PAUSED, ProgressState.NOT_STARTED):
             return None
@@ -165,7 +165,7 @@ class Sequencer:
 
     @property
     def travelling(self) -> bool:
-        """Whether the vehicle is on its way to the goal of an item, and not there (or waiting)."""
+        """Whether the vehicle is on its way to the goal of an item, not there (or waiting)."""
         run = self._run
         if run.state is not ProgressState.ACTIVE or not run.entered or run.inside_since_us is not None:
             return False
@@ -173,7 +173,7 @@ class Sequencer:
 
     @property
     def circle_left_m(self) -> float | None:
-        """Way that is left of the circle that is flown, None when none is."""
+        """Path length left of the present circle, None without one."""
         return None if self._run.circle is None else self._run.circle.left_m
 
     def skip(self, nav: NavState) -> None:
@@ -216,7 +216,7 @@ class Sequencer:
         return self._run.skipped
 
     def set_home(self, pos_ned_m: FloatArray) -> None:
-        """Where NAV_RETURN_TO_LAUNCH goes (3,), at the depth of the goal before it."""
+        """Position (3,) of NAV_RETURN_TO_LAUNCH, at the depth of the goal before it."""
         self._goals.home_ned_m = np.array(pos_ned_m, dtype=np.float64)
 
     def set_speed(self, speed_m_s: float | None) -> None:
@@ -323,7 +323,7 @@ class Sequencer:
             self._run.goal = replace(self._run.goal, yaw_rad=heading)
 
     def _look_at(self, place_ned_m: FloatArray | None) -> None:
-        """Now, and wherever the mission goes from here on."""
+        """Face a point, now and in the following items."""
         run = self._run
         run.facing_ned_m = place_ned_m
         if run.goal is not None:
@@ -411,7 +411,7 @@ class Sequencer:
         return True
 
     def _leave(self, step: Timed) -> None:
-        """Report the end of a step and go on."""
+        """Report the end of a step and continue."""
         self._run.flown += 1
         if step.reported if isinstance(step, Wait) else not isinstance(step, Passage):
             self._reached_now.append(step.seq)

@@ -91,7 +91,7 @@ class StepGoals:
         return self._leading_on(self.of(step, target), run.cursor)
 
     def _begin_circle(self, step: LoiterTurns, nav: NavState) -> Goal | None:
-        """Round its centre, or round where the mission stands."""
+        """Around its centre, or around the mission's present position."""
         run = self.run
         here = nav.pos_ned_m if bool(np.all(np.isfinite(nav.pos_ned_m))) else None
         last = here if run.goal is None else run.goal.pos_ned_m
@@ -118,8 +118,9 @@ class StepGoals:
         return circle.goal(nav)
 
     def _goal_beyond(self, step: Near | Gate, nav: NavState) -> Goal | None:
-        """The goal of the next step that has a place: the vehicle goes on to it meanwhile. Without one, a gate itself;
-        else the vehicle stays."""
+        """Goal of the next step with a position, to which the vehicle continues meanwhile. Without one, a gate
+        itself; else the vehicle holds.
+        """
         run = self.run
         if not bool(np.all(np.isfinite(nav.pos_ned_m))):
             return None
@@ -147,7 +148,7 @@ class StepGoals:
         return run.goal or self.here(nav)
 
     def _target_ned_m(self, step: Travel | Wait, nav: NavState) -> FloatArray | None:
-        """(3,) where a step goes first, None while that is unknown."""
+        """(3,) first position of a step, None while unknown."""
         here = nav.pos_ned_m if bool(np.all(np.isfinite(nav.pos_ned_m))) else None
         last = here if self.run.goal is None else self.run.goal.pos_ned_m
         if isinstance(step, ReturnHome):
@@ -178,7 +179,7 @@ class StepGoals:
         return reached or is_inside(goal, nav)
 
     def of(self, step: Travel | Wait, pos_ned_m: FloatArray) -> Goal:
-        """The goal of a step at a place (3,), which is brought into the depth band."""
+        """Goal of a step at a position (3,), clipped to the depth band."""
         yaw = step.yaw_rad if isinstance(step, GoTo | Surface) else None
         radius = step.accept_radius_m if isinstance(step, GoTo) else None
         return self._goal_at(pos_ned_m, self.run.default_yaw_rad if yaw is None else yaw, radius, step.seq)

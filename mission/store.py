@@ -44,7 +44,7 @@ _ITEM = struct.Struct("<HBH4f2ifB")
 
 
 def plan_checksum(items: tuple[PlanItem, ...]) -> int:
-    """CRC-32 of a plan's content, 0 when it is empty: changes whenever the plan does, and survives a restart."""
+    """CRC-32 of a plan's content, 0 when it is empty; the same after a restart."""
     crc = 0
     for i in items:
         packed = _ITEM.pack(
@@ -78,7 +78,7 @@ class Change(PlanChange):
             self._done, self._rejection = True, rejection
 
     def cancel(self) -> None:
-        """It is not wanted any more: the plans in force stay, unless it was done before."""
+        """Cancel the change: the plans in force stay, unless it was done before."""
         text = "another change came before this one was checked; send it again"
         self.end(PlanRejection(seq=None, result=MissionResult.OPERATION_CANCELLED, reason=text))
 
@@ -137,7 +137,7 @@ class Plans(PlanStore):
 
     @property
     def home_ned_m(self) -> FloatArray:
-        """(3,) where RETURN goes, the origin until it is set."""
+        """(3,) home, the origin until it is set."""
         return self._home_ned_m
 
     @property
@@ -149,7 +149,7 @@ class Plans(PlanStore):
         return self._home
 
     def set_home(self, pos_ned_m: FloatArray) -> str:
-        """New home (3,), or why it is not taken."""
+        """Set home (3,). Returns the reason of a refusal."""
         away_m = float(np.hypot(pos_ned_m[0], pos_ned_m[1]))
         if not (away_m <= MAX_RANGE_M and np.isfinite(pos_ned_m).all()):
             return far_text(away_m)
@@ -170,7 +170,7 @@ class Plans(PlanStore):
 
     @property
     def verdict(self) -> PlanVerdict:
-        """The newest answer about the plans in force: the same object until there is another one."""
+        """Latest verdict on the plans in force: the same object until there is a new one."""
         if self._worker is None and not self._is_current():
             self._take(judge(self._question(), Cancel()))
         return self._verdict
@@ -199,7 +199,7 @@ class Plans(PlanStore):
         return self.verdict.shapes
 
     def fence(self) -> Fence:
-        """The workspace in local metres with the depth band of the parameters; open water when there is no fence."""
+        """Workspace in local metres with the depth band of the parameters; open water without a fence."""
         return build_fence(self.shapes(), self._params)
 
     def warnings(self) -> tuple[str, ...]:
@@ -256,7 +256,7 @@ class Plans(PlanStore):
     # Beside the loop
 
     def tick(self) -> None:
-        """Once per tick: take an answer that is due, ask when something has changed."""
+        """Once per tick: take a verdict that is ready, start a check after a change."""
         self._now += 1
         if self._worker is None:
             return

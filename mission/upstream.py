@@ -30,7 +30,7 @@ class SlowLeg:
     """Fastest on it."""
 
     def out_of_reach(self, least_m_s: float) -> bool:
-        """Whether not even so much is left."""
+        """Whether no speed at all is left."""
         return self.left_m_s < least_m_s
 
     def made(self, speed_m_s: float, left_m: float) -> "SlowLeg":
@@ -48,8 +48,9 @@ class SlowLeg:
 
 
 def ground_speed_m_s(way: FloatArray, current: FloatArray, speed_m_s: float) -> FloatArray:
-    """(n,) along a unit vector (2,) in currents (n, 2) for a vehicle that makes ``speed_m_s`` through the water; -inf
-    where it cannot stay on the way."""
+    """(n,) along a unit vector (2,) in currents (n, 2) for a vehicle with ``speed_m_s`` through the water; -inf
+    where it cannot stay on the path.
+    """
     along = current @ way
     room = speed_m_s**2 - (np.square(current).sum(axis=1) - along**2)
     result: FloatArray = np.where(room >= 0.0, along + np.sqrt(np.maximum(room, 0.0)), -np.inf)
@@ -90,7 +91,7 @@ def _leg(seq: int, a: FloatArray, b: FloatArray, speed_m_s: float, current_at: C
 
 
 class MadeGood:
-    """Whether a vehicle that travels to a goal gets any nearer, by the length of the way that is left."""
+    """Progress of a vehicle towards a goal, by the path length left."""
 
     def __init__(self) -> None:
         self._goal: tuple[float, ...] | None = None
@@ -110,7 +111,7 @@ class MadeGood:
         return self._left_m
 
     def forget(self) -> None:
-        """There is no goal to travel to, or it has been reached."""
+        """Reset: there is no goal to travel to, or it has been reached."""
         self._goal = None
 
     def idle_s(self, t_us: int, goal: Goal, nav: NavState, way_m: float | None, step_m: float) -> float:
@@ -139,7 +140,7 @@ class MadeGood:
         return (t_us - self._us) * 1e-6
 
     def _look(self, t_us: int, left_m: float, *, same: bool) -> None:
-        """Take note of the speed; a way that jumps is another one."""
+        """Update the speed; a path whose length jumps is another one."""
         elapsed_s, nearer_m = (t_us - self._last_us) * 1e-6, self._left_m - left_m
         if not same or abs(nearer_m) > UPSTREAM.jump_m:
             self._seen_s = self._made_m_s = 0.0

@@ -141,7 +141,7 @@ def _limit_problems(step: Step, params: Mapping[str, float]) -> Iterator[PlanRej
 
 
 def _depth_of(step: Step, params: Mapping[str, float]) -> float | None:
-    """Depth [m] that a step goes to, None when that is not known yet, or does not count."""
+    """Depth [m] of a step, None when it is unknown, or does not count."""
     if isinstance(step, GoTo) and step.dives:
         return params["TKOFF_DEPTH"] if step.dive_m is None else step.dive_m
     place = step.pos_ned_m if isinstance(step, GoTo) else step.centre_ned_m if isinstance(step, LoiterTurns) else None
@@ -324,7 +324,7 @@ def _ring_places(
     ctx: PlanContext,
     check_cancel: Callable[[], None],
 ) -> Iterator[_PointToClear]:
-    """The worst place of each circle, or any when the whole circle is free."""
+    """The point of least clearance of each circle, or any when the whole circle is free."""
     if not circles:
         return
     need_m = ctx.keep_m - VALIDATION.place_tolerance_m
@@ -348,7 +348,7 @@ def _ring_places(
 
 
 def _room_needed_m(step: GoTo | Surface | SetHome, ctx: PlanContext) -> float:
-    """How far from every boundary a place has to be: no contact, and near enough to where the controller gets."""
+    """Clearance required of a position: no contact, and within reach of the controller."""
     accept_m = step.accept_radius_m if isinstance(step, GoTo) else None
     if accept_m is None:
         accept_m = ctx.params["WP_ACCEPT_RADIUS"]
@@ -356,7 +356,9 @@ def _room_needed_m(step: GoTo | Surface | SetHome, ctx: PlanContext) -> float:
 
 
 def _place_conflicts(places: Sequence[_PointToClear], shapes: Sequence[FenceShape]) -> list[PlanProblem]:
-    """Places in an inflated obstacle or outside the shrunk workspace, in the order of the plan, each with its worst."""
+    """Positions in an inflated obstacle or outside the shrunk workspace, in the order of the plan, each with its
+    worst.
+    """
     if not places:
         return []
     points = np.array([(p.north_m, p.east_m) for p in places])
@@ -369,7 +371,7 @@ def _place_conflicts(places: Sequence[_PointToClear], shapes: Sequence[FenceShap
 
 
 def _place_conflict(place: _PointToClear, shape: FenceShape, room_m: float) -> PlanProblem:
-    """One line about a place that has ``room_m`` between itself and a boundary, less than it needs."""
+    """One line about a position with clearance ``room_m``, less than it needs."""
     if shape.inclusion:
         state = f"{-room_m:.2f} m outside" if room_m < 0.0 else f"only {room_m:.2f} m inside"
     else:

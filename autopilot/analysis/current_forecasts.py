@@ -124,7 +124,7 @@ def _judge(name: str, forecast: CurrentForecast, flight: _Flight) -> list[Foreca
 
 
 def _error_m_s(forecast: CurrentForecast, nav: NavState, flight: _Flight, now_s: float, end_s: float) -> float:
-    """Mean horizontal error along the way from now to then."""
+    """Mean horizontal error along the path from now to then."""
     at = np.minimum(np.searchsorted(flight.t_s, np.arange(now_s, end_s, SAMPLE_S)), len(flight.t_s) - 1)
     out = np.empty((len(at), 3))
     forecast.fill(nav, flight.pos_ned_m[at], flight.t_s[at] - nav.t_us * 1e-6, out)

@@ -32,7 +32,9 @@ WAYPOINTS = ((1.75, 0.0, 0.30, math.pi), (-1.60, -0.35, 0.45, 0.0))
 
 
 def basin(obstacles: int, seed: int = 3) -> Fence:
-    """The paper's two pillars and more of them, scattered over a basin of 12 x 9 m beside the way between the goals."""
+    """The paper's two pillars and further ones, scattered over a basin of 12 x 9 m beside the path between the
+    goals.
+    """
     rng = np.random.default_rng(seed)
     centers = [np.array(center) for center in PILLARS]
     while len(centers) < obstacles:

@@ -54,7 +54,7 @@ class Limit:
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class OtherSide:
-    """The way on the other side of an obstacle."""
+    """The route around the other side of an obstacle."""
 
     obstacle: str
     center_ned_m: FloatArray
@@ -96,7 +96,7 @@ class ControlStepView:
 
 
 def inspect_step(log: Log, t_s: float) -> ControlStepView:
-    """The first control step at or after ``t_s``. LogError if there is none, or another controller flew."""
+    """Analyse the first control step at or after ``t_s``. LogError if there is none, or another controller flew."""
     controller, output, at_s, thrusters = _flown_to(log, t_s)
     now, problem = controller.situation, controller.nmpc.last_problem
     assert now is not None and problem is not None
@@ -169,7 +169,7 @@ def _converge(
     x: FloatArray,
     thrust_n: FloatArray,
 ) -> tuple[FloatArray, FloatArray, NmpcProblem, bool, int]:
-    """The plan that half-planes round it leave as it is, and the program of that."""
+    """The plan that is a fixed point of its own half-planes, and its program."""
     plane_n, plane_d = problem.plane_n.copy(), problem.plane_d_m.copy()
     nodes = len(plane_d) + 1
     for rounds in range(1, MOST_ROUNDS + 1):
@@ -303,7 +303,7 @@ def _crossing(center: FloatArray, points: FloatArray, near_m: FloatArray, radius
 
 
 def _wall(fence: Fence, center: FloatArray, towards: FloatArray) -> Polygon:
-    """A thin wall from an obstacle's middle across the way and on to the end of the workspace."""
+    """A thin barrier from an obstacle's middle across the route to the end of the workspace."""
     length = float(np.hypot(*towards))
     along = towards / length if length > 1e-9 else np.array([1.0, 0.0])
     far_m = OPEN_WALL_M
@@ -328,7 +328,7 @@ def _length_m(way: FloatArray) -> float:
 
 
 def worst(view: ControlStepView) -> dict[str, float]:
-    """How far the flown plan is from the converged one: place [m], first thrust [N], cost."""
+    """Largest difference of the flown plan from the converged one: position [m], first thrust [N], cost."""
     return {
         "place_m": float(np.hypot(*(view.plan_x[:, :2] - view.best_x[:, :2]).T).max()),
         "first_thrust_n": float(np.abs(view.plan_n[0] - view.best_n[0]).max()),

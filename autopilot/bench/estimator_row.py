@@ -28,7 +28,7 @@ class EstimateRow:
 
 
 def bench_estimator(seeds: Sequence[int] = SEEDS, sensors: str = "pose") -> list[EstimateRow]:
-    """What ``log check`` says of the estimate, per seed."""
+    """Estimation errors of ``log check``, per seed."""
     return [row for seed in seeds for row in _flown(seed, sensors)]
 
 

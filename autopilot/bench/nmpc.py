@@ -143,7 +143,7 @@ def _part_rows(
     cpu_clock: Callable[[], float],
     slowness: float,
 ) -> list[NmpcBenchRow]:
-    """Where the step's time goes, and the whole step over its QP, in a flight of its own."""
+    """CPU time of the step by parts, and of the whole step over its QP, in a flight of their own."""
     controller = MotionController(vehicle, grid=grid, cpu_clock=cpu_clock)
     flight, parts = parts_of(controller, vehicle, START, steps, cpu_clock)
     whole = float(np.median(flight.solve_s))
@@ -239,7 +239,7 @@ def _row(
 
 
 def _random_starts(vehicle: Vehicle, starts: int, seed: int = 42) -> NmpcBenchRow:
-    """Closed loops from random places, headings and speeds of the tank: failures and the worst violation."""
+    """Closed loops from random positions, headings and speeds in the tank: failures and the worst violation."""
     rng = np.random.default_rng(seed)
     features, params = Features(TANK), ParamSet({"MPC_COST": 0})
     controller = MotionController(vehicle)

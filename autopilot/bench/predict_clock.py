@@ -27,7 +27,7 @@ class PredictClock:
         self._ticks = 0
 
     def tick(self, part_s: Sequence[float]) -> None:
-        """A tick is over whose parts have taken so long."""
+        """Add the stage times of a tick."""
         self._parts_s += part_s
         if self._ticks % EVERY_TICKS == 0:
             begin_s = time.thread_time()

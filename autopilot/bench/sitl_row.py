@@ -26,7 +26,7 @@ SHOWN_MS = 0.01
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SitlBenchRow:
-    """One way of running the paper's mission."""
+    """Result of the paper's mission in one configuration."""
 
     sensors: str
     simulated_s: float

@@ -130,7 +130,7 @@ def board_dots(board: CalibrationBoard, camera: CameraModel, folder: Path) -> Do
 
 
 def _moved(places_m: FloatArray) -> np.ndarray:
-    """Indices of places (n, 3) that are MOVED_M from the one chosen before."""
+    """Indices of points (n, 3) at least MOVED_M from the one chosen before."""
     chosen = []
     before = np.full(3, np.inf)
     for n, place in enumerate(places_m):

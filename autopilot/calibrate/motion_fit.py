@@ -142,7 +142,9 @@ def _scan(path: GyroPath, begin_s: FloatArray, end_s: FloatArray, yaw_rate: Floa
 
 
 def _peak(scan: FloatArray) -> float:
-    """Where the correlation is largest, by a parabola through the three largest. LogError if it is nowhere high."""
+    """Location of the correlation's maximum, by a parabola through the three largest. LogError without a clear
+    maximum.
+    """
     n = int(np.argmax(scan[:, 1]))
     if not scan[n, 1] > 0.5:
         raise LogError(

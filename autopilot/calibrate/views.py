@@ -35,7 +35,7 @@ class Views:
 
 
 def image_files(folder: Path) -> list[Path]:
-    """The images of a folder by name. ConfigError if there is none."""
+    """Images of a folder by name. ConfigError without any."""
     if not folder.is_dir():
         raise ConfigError(f"{folder}: is not a folder; give the folder that holds the images")
     files = sorted(path for path in folder.iterdir() if path.suffix.lower() in SUFFIXES)

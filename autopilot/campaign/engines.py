@@ -179,7 +179,7 @@ class LocalPool:
     def _batch(
         self, tasks: dict[int, Flyable[Result]], stop: Stop, broken: list[int]
     ) -> Iterator[tuple[int, Result | None]]:
-        """Results until all are there, or a process dies: ``broken`` are the runs that were under way then."""
+        """Results until all are there or a process dies; ``broken``: the runs that were under way then."""
         context = self._context
         self._prepare()
         # One byte without a lock, unlike an Event: a process killed while it holds the lock would never release it.
@@ -280,7 +280,7 @@ def interrupt_later() -> Iterator[None]:
 
 
 class DaskCluster:
-    """A Dask cluster: one of its own on this machine, or the scheduler at ``address``."""
+    """A Dask cluster: a local one, or the scheduler at ``address``."""
 
     def __init__(self, address: str | None, jobs: int) -> None:
         """ConfigError if dask.distributed is not installed."""

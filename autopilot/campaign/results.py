@@ -39,7 +39,7 @@ class Task:
 
 
 class Margin(msgspec.Struct, frozen=True, kw_only=True):
-    """How near a run came to one bound."""
+    """Smallest margin of a run to one bound."""
 
     margin: float
     """Distance from the bound itself, without tolerance; negative = broken. SI."""

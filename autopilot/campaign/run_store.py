@@ -37,7 +37,7 @@ class Shard:
 
     @classmethod
     def parse(cls, text: str) -> "Shard":
-        """From ``I/N``. ConfigError if it is not one."""
+        """From ``I/N``. ConfigError if it is malformed."""
         first, _, second = text.partition("/")
         if not (first.isdecimal() and second.isdecimal() and 1 <= int(first) <= int(second)):
             raise ConfigError(f"--shard {text!r}: write I/N with I from 1 to N, such as 2/4")

@@ -24,7 +24,7 @@ ALARM = "Thruster "
 
 @dataclass(frozen=True, slots=True)
 class Proportion:
-    """So many of so many, and the interval of shares that this does not rule out."""
+    """Count of a total, with its confidence interval."""
 
     hits: int
     count: int
@@ -150,7 +150,7 @@ SPEEDS = frozenset(("planar speed", "heave", "yaw rate", "thrust"))
 
 
 def pairing(scenario: str, quadratic: dict[int, RunResult], least: dict[int, RunResult]) -> Pairing | None:
-    """Runs that arrived in both modes and flew the same draw; None if there is none."""
+    """Runs that arrived in both modes and flew the same draw; None without any."""
     ratios = [
         float(np.mean(least[run].energy_j) / np.mean(quadratic[run].energy_j))
         for run in sorted({*quadratic} & {*least})

@@ -81,7 +81,7 @@ class TickWatch:
 
     @property
     def completed(self) -> bool:
-        """Whether the mission came to its end."""
+        """Whether the mission was completed."""
         return self._complete_s is not None
 
     @property

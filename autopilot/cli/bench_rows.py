@@ -29,7 +29,7 @@ def measured(
 def run_one(
     name: str, title: str, work: Work, *, short: bool, as_json: bool, heads: Mapping[str, str] | None = None
 ) -> None:
-    """As a command of its own."""
+    """Run it as a command by itself."""
     found = measured(title, work, short=short, as_json=as_json, heads=heads)
     if as_json:
         emit_json({name: found})

@@ -21,7 +21,7 @@ else:
 
 
 class Numbers(_NumbersType):
-    """Numbers with commas (or "x") between them, so many at least and at most."""
+    """Numbers separated by commas (or "x"), with a minimum and a maximum count."""
 
     name = "numbers"
 

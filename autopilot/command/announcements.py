@@ -16,7 +16,7 @@ class Announcements:
         self._events.append(text.event(self.t_us))
 
     def pass_on(self, event: Event) -> None:
-        """A line with a time of its own."""
+        """Queue a message with an explicit time."""
         self._events.append(event)
 
     def drain(self) -> tuple[Event, ...]:

@@ -44,7 +44,7 @@ class CameraWatch:
         """and the last one with markers."""
 
     def step(self, t_us: int, pictures: Sequence[PictureReport], samples: Sequence[Sample]) -> list[Event]:
-        """Lines for the operator: each trouble once, and when it is over."""
+        """Messages to the operator: each fault once, and its end."""
         if any(isinstance(sample, MarkerSighting) and sample.ids for sample in samples):
             self._markers_us = t_us
         for picture in pictures:

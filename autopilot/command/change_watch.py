@@ -117,7 +117,7 @@ class ChangeWatch:
         return texts
 
     def _of_flight(self, status: VehicleStatus, armed: bool) -> list[OperatorText]:
-        """After a flight: silence about a thruster that was hardly used does not say that it is sound."""
+        """After a flight: a thruster that was hardly used has not been verified."""
         since_us = self._armed_us
         self._armed_us = (status.t_us if since_us is None else since_us) if armed else None
         if armed or since_us is None or status.t_us - since_us < WATCH.flight_us or not status.thrusters_unseen:

@@ -134,7 +134,7 @@ class Commander:
 
     @property
     def mission_position(self) -> Position | None:
-        """Where the mission stands, None when there is nothing to go on with."""
+        """Mission progress, None when there is nothing to resume."""
         return self._mission.sequencer.position
 
     def drain_events(self) -> tuple[Event, ...]:
@@ -212,7 +212,7 @@ class Commander:
     # Requests: the mission
 
     def start_mission(self, first_seq: int | None) -> CommandReply:
-        """Enter MISSION at an item, None = where it is."""
+        """Enter MISSION at an item, None = the current one."""
         armed = self._modes.armed
         refusal = self._modes.refusal(FlightMode.MISSION) if armed else denied("Mission start denied: arm first")
         if refusal is not None:
@@ -235,7 +235,7 @@ class Commander:
         return ACCEPTED
 
     def stand_at(self, position: Position) -> None:
-        """After a restart: the mission of the plan in force stands where it stood. PlanError if it has no such item."""
+        """After a restart: restore the mission progress. PlanError if the plan in force has no such item."""
         self._mission.load()
         self._mission.sequencer.stand_at(position)
 
@@ -350,7 +350,7 @@ class Commander:
         return denied(f"Home denied: {refusal}") if refusal else ACCEPTED
 
     def restore_home(self, pos_ned_m: FloatArray) -> str:
-        """After a restart: home (3,) is where it was, for the mission too. Why it is not taken, "" when it is."""
+        """After a restart: restore home (3,), for the mission too. Returns the reason if it is rejected, else ""."""
         return self._mission.set_home(pos_ned_m)
 
     def set_origin(self, point: GeodeticPosition) -> CommandReply:
@@ -379,7 +379,7 @@ class Commander:
 
     @property
     def run_end(self) -> RunEnd | None:
-        """How the run ends now, None = it goes on. Who has been armed meanwhile is not stopped."""
+        """Requested end of the run, None = continue. Cancelled if the vehicle has been armed meanwhile."""
         if self._ending is None or self._ticks < self._ending[0] or self._modes.armed:
             return None
         return self._ending[1]
@@ -437,7 +437,7 @@ class Commander:
         self._disarming.step(status.below)
 
     def _may_resume(self) -> bool:
-        """Whether a mission that a pilot has interrupted goes on."""
+        """Whether to resume a mission that a pilot has interrupted."""
         return self._params["PILOT_BACK"] > 0.0 and self._modes.refusal(FlightMode.MISSION) is None
 
     def _watch_plan(self) -> None:

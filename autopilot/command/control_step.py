@@ -182,6 +182,6 @@ def model_state(nav: NavState) -> FloatArray:
 
 
 def _length_m(way: FloatArray) -> float | None:
-    """Of a polyline (m, 2), None when there is none."""
+    """Length of a polyline (m, 2), None without one."""
     step = way[1:] - way[:-1]
     return float(np.hypot(step[:, 0], step[:, 1]).sum()) if len(step) else None

@@ -34,7 +34,7 @@ class Disarming:
         return self._ticks is not None
 
     def begin(self) -> None:
-        """Ask for it, and give it all its time."""
+        """Start the requests and the timeout."""
         if self._alone:
             self.answer = ACCEPTED
         else:

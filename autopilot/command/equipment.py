@@ -20,7 +20,7 @@ MAX_REPEATS = 10_000
 
 @dataclass(slots=True)
 class _Repeat:
-    """An output that goes to and fro."""
+    """An output that alternates."""
 
     pulses_us: tuple[int, int]
     """The next change, and the one after it."""
@@ -105,7 +105,7 @@ class Equipment:
         return _denied(refusal) if refusal else self._put(index, round(pulse_us))
 
     def repeat_servo(self, channel: int, pulse_us: float, count: int, cycle_s: float) -> CommandReply:
-        """To a pulse and back to where it is, so many times."""
+        """Move to a pulse and back, repeatedly."""
         refusal = self.refuse_servo(channel)
         index = self._of_channel(channel)
         if refusal or index is None:
@@ -127,7 +127,7 @@ class Equipment:
         return self.set_relay(number, on=index is None or not self._is_on(index))
 
     def repeat_relay(self, number: int, count: int, cycle_s: float) -> CommandReply:
-        """To the other side and back, so many times."""
+        """Toggle a relay and back, repeatedly."""
         refusal = self.refuse_relay(number) or _cycle_refusal(count, cycle_s)
         index = self._of_relay(number)
         if refusal or index is None:

@@ -51,7 +51,7 @@ def with_table(page: str) -> str:
 
 
 def _ending(over: str) -> str:
-    """When it is over, unless that is as soon as the condition is."""
+    """Condition for clearing, if it differs from that for raising."""
     parts = [part for part in over.split(", ") if part != "at once"]
     return f"; over: {', '.join(parts)}" if parts else ""
 

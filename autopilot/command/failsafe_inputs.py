@@ -166,7 +166,7 @@ class FailsafeInputs:
         self.energy_lack = left_m * j_m / self._capacity_j + self._params["FS_ENRG_RES"] - power.remaining
 
     def _rest_m(self) -> float:
-        """Way of the mission behind the goal of now, straight from place to place, jumps counted."""
+        """Path length of the mission beyond the present goal, straight between waypoints, with jumps."""
         position, steps = self._sequencer.position, self._plans.steps()
         if self._rest is None or self._rest[:2] != (position, id(steps)):
             self._rest = (position, id(steps), 0.0 if position is None else rest_of_way_m(steps, position))

@@ -39,7 +39,7 @@ def open_map(path: Path, origin: Origin | None = None, start_utc: str | None = N
 
 
 def parse_utc(text: str) -> datetime:
-    """A time like 2026-05-01T12:00; without a zone it is UTC. ConfigError if it is none."""
+    """Time from text such as 2026-05-01T12:00, UTC by default. ConfigError for invalid text."""
     try:
         time = datetime.fromisoformat(text)
     except ValueError as error:
@@ -100,7 +100,7 @@ class MapCheck:
         return slowest_leg(steps, None, 0, limit_m_s, current_at)
 
     def _in_gaps(self, fence: Fence, places: FloatArray) -> FloatArray:
-        """(n, 2) places of the workspace in cells that are not known at all corners."""
+        """(n, 2) points of the workspace in cells with unknown corners."""
         unknown = self._water.unknown(fence.depth_min_m, fence.depth_max_m)
         if not unknown.any():
             return np.zeros((0, 2))
@@ -154,7 +154,7 @@ def describe_map(water: CurrentMap) -> list[tuple[str, object]]:
 
 
 def _corners(shape: Shape) -> FloatArray:
-    """(n, 2) places on the boundary of a shape."""
+    """(n, 2) points on the boundary of a shape."""
     if isinstance(shape, Polygon):
         return np.asarray(shape.vertices_ned_m, dtype=float)
     angle = np.linspace(0.0, 2.0 * np.pi, MAP_CHECK.circle_places, endpoint=False)
@@ -182,7 +182,7 @@ def _at(place: FloatArray) -> str:
 
 
 def _fastest_m_s(water: CurrentMap, places: FloatArray, fence: Fence) -> float:
-    """Largest horizontal speed of any frame and level at places (n, 2)."""
+    """Largest horizontal speed over all frames and levels at points (n, 2)."""
     nodes, fastest = water.nodes, 0.0
     thinned = places[:: max(1, len(places) // 1000)]
     levels = [d for d in nodes.depth_m if fence.depth_min_m <= d <= fence.depth_max_m] or nodes.depth_m[:1]

@@ -69,7 +69,9 @@ class MissionRun:
         self._report_upstream(nav)
 
     def set_home(self, pos_ned_m: FloatArray) -> str:
-        """Home is a place on the surface: relative altitudes count from there. Why not, "" when it is taken."""
+        """Set home, a point on the surface, the reference of relative altitudes. Returns the reason of a refusal,
+        else "".
+        """
         home_ned_m = np.array([pos_ned_m[0], pos_ned_m[1], 0.0])
         refusal = self._plans.set_home(home_ned_m)
         if not refusal:
@@ -130,7 +132,7 @@ class MissionRun:
         return leg.text(least_m_s) if leg is not None and leg.out_of_reach(least_m_s) else ""
 
     def forget_progress(self) -> None:
-        """There is no goal that the vehicle travels to."""
+        """Reset the detection of a stuck vehicle: there is no goal to travel to."""
         self._made_good.forget()
         self._given_up = False
 

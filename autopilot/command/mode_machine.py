@@ -72,7 +72,7 @@ class ModeMachine:
 
     @property
     def nav(self) -> NavState | None:
-        """The estimate of the last tick, None when there is none or it is lost."""
+        """Estimate of the last tick, None if it is missing or lost."""
         return None if self.status is None else self.status.estimate
 
     @property
@@ -99,7 +99,7 @@ class ModeMachine:
         return self._modes[mode].refusal(self.status, armed=self.armed)
 
     def prepare(self, mode: FlightMode) -> str:
-        """Before a mode is chosen without more words: why that is not possible, "" if it is."""
+        """Prepare a mode selected without arguments. Returns the reason of a refusal, else ""."""
         return self._modes[mode].prepare(self.nav, armed=self.armed)
 
     # Orders
@@ -149,7 +149,7 @@ class ModeMachine:
         self._under_way = True
 
     def interrupt(self) -> None:
-        """The mission must not go on: hold. A failsafe's action goes on."""
+        """Stop the mission and hold. A failsafe action continues."""
         if self._override is None:
             self.enter(FlightMode.HOLD)
         self.chosen = FlightMode.HOLD

@@ -26,7 +26,7 @@ class MotorTests:
         self._rest_us = 0
 
     def begin(self, test: MotorTest) -> str:
-        """Why there is no test, "" when it runs."""
+        """Start a test. Returns the reason of a refusal, else ""."""
         status, count = self._modes.status, len(self._thrusters)
         if not self._modes.armed or status is None:
             return "arm first"

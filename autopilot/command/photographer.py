@@ -85,7 +85,7 @@ class Photographer:
         )
 
     def shoot(self, count: int | None, interval_s: float, seq: int = -1) -> CommandReply:
-        """So many stills (None = until it is stopped), so far apart."""
+        """A number of stills (None = until stopped) at an interval."""
         refusal = self.refusal
         if refusal:
             return CommandReply(result=CommandResult.TEMPORARILY_REJECTED, reason=f"Photo refused: {refusal}")
@@ -117,7 +117,7 @@ class Photographer:
         return ACCEPTED
 
     def stop(self) -> CommandReply:
-        """End the sequence, by time or by way."""
+        """End the sequence, by time or by distance."""
         self._sequence = self._survey = None
         return ACCEPTED
 

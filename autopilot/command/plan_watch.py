@@ -31,7 +31,7 @@ class PlanCheckNews:
         self._reported_revision = 0
 
     def changed(self) -> bool:
-        """Whether there is another answer than on the last call, or one is waited for."""
+        """Whether the result differs from the last call, or is pending."""
         checked = (self._plans.verdict, self._plans.checking)
         if checked == self._checked:
             return False
@@ -39,7 +39,7 @@ class PlanCheckNews:
         return True
 
     def tell(self, t_us: int, *, in_mission: bool) -> bool:
-        """Say it once the answer is there; True when a mission that runs must not go on."""
+        """Report the result once it is there; True when it forbids the running mission."""
         if self._plans.checking:
             return False
         problem, revision = self._plans.problem, self._plans.revision
@@ -69,7 +69,7 @@ class FenceGuard:
     def refusal(
         self, kinds: Sequence[PlanKind], verdict: PlanVerdict, nav: NavState | None, goal: Goal | None
     ) -> PlanRejection | None:
-        """Of plans that an armed vehicle at ``nav`` on its way to ``goal`` is sent; None when they are taken."""
+        """Refusal of plans for an armed vehicle at ``nav`` on its way to ``goal``; None when they are accepted."""
         fence = verdict.question.plans[PlanKind.FENCE]
         same = plan_checksum(fence) == self._plans.checksum(PlanKind.FENCE)
         if self._params["FENCE_ARMED_CHG"] or PlanKind.FENCE not in kinds or same:

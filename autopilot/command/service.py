@@ -387,7 +387,7 @@ class Autopilot:
         tick.decision = decision
 
     def _undecided(self, t_us: int) -> Decision:
-        """Stands in for a commander that fails: hold, as far as the fallback does."""
+        """Decision after a fault of the commander: hold, by the fallback law."""
         commander, last = self._parts.commander, self._decision
         blank = MissionProgress(t_us=t_us, current_seq=-1, reached_seq=-1, lap=0, state=ProgressState.UNKNOWN)
         return Decision(
@@ -423,7 +423,7 @@ class Autopilot:
             self._parts.controller.warm(self._parts.params)
 
     def _control(self, tick: TickState) -> None:
-        """Run the controller on its ticks; neutral when there is nothing to follow."""
+        """Run the controller on its ticks; neutral without a goal."""
         decision = tick.decision
         if self._faults.holding or decision is None:
             return

@@ -121,7 +121,7 @@ class VehicleStatus:
 
     @property
     def estimate(self) -> NavState | None:
-        """The estimate, None when there is none or it is lost."""
+        """The estimate, None if it is missing or lost."""
         return None if self.nav is None or self.nav.health is NavHealth.INVALID else self.nav
 
     def note(self, inputs: Inputs) -> None:

@@ -103,7 +103,7 @@ class FlightRecord:
 
     @property
     def judged(self) -> VehicleTrack:
-        """The truth, or the estimate for a log without truth. LogError if there is neither."""
+        """The truth, or the estimate for a log without truth. LogError without either."""
         track = self.truth if self.truth is not None else self.nav
         if track is None:
             raise LogError(f"{self.log.path}: has neither /sim/truth nor /nav/state; there is nothing to judge")
@@ -116,7 +116,7 @@ class FlightRecord:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Visit:
-    """How close the vehicle came to one waypoint of the tour."""
+    """Closest approach to one waypoint of the tour."""
 
     waypoint: Waypoint
     lap: int
@@ -193,7 +193,7 @@ def foreseen(made: Sequence[Prediction], ahead_s: float) -> tuple[FloatArray, Fl
 
 
 def along_track(track: VehicleTrack) -> FloatArray:
-    """(n,) component of the current in the direction of travel over ground, 0 where the vehicle stands."""
+    """(n,) component of the current in the direction of travel over ground, 0 at rest."""
     if len(track.t_s) < 2:
         return np.zeros(len(track.t_s))
     moved = np.gradient(track.pos_ned_m[:, :2], track.t_s, axis=0)
@@ -236,7 +236,9 @@ def wrap(angles_rad: FloatArray) -> FloatArray:
 
 
 def known_table(log: Log, topic: str) -> MessageTable | None:
-    """A topic of ours, None if the log does not have it. LogError if it is not defined as in this version."""
+    """Table of one of our topics, None if the log does not have it. LogError if its definition differs from this
+    version's.
+    """
     table = log.get(topic)
     if table is None:
         return None
@@ -405,8 +407,9 @@ def _visit(
 
 
 def lap_spans(tour: Sequence[Visit], run: RunDescription, begun_s: float) -> list[Span]:
-    """Start and end of every completed lap, from its first waypoint to its last. A tour of one waypoint has no way
-    between waypoints: its lap is the way to it, from ``begun_s`` or from the visit before."""
+    """Start and end of every completed lap, from its first waypoint to its last. A lap of a single waypoint is the
+    path to it, from ``begun_s`` or from the visit before.
+    """
     size = len(run.waypoints)
     closed = run.closed_tour and size > 1
     spans: list[Span] = []

@@ -78,7 +78,7 @@ def overall(rows: Iterable[BoundRow]) -> BoundVerdict:
 
 
 def format_figure(value: float | None) -> str:
-    """A figure of a row as text: empty if there is none, whole and large numbers without decimals."""
+    """A figure of a row as text: empty without a value, whole and large numbers without decimals."""
     if value is None:
         return ""
     whole = math.isfinite(value) and (value == int(value) or abs(value) >= 1000.0)
@@ -88,7 +88,7 @@ def format_figure(value: float | None) -> str:
 def _at_most(
     name: str, unit: str, limit: float | None, t_s: FloatArray, values: FloatArray, note: str = ""
 ) -> list[BoundRow]:
-    """The largest of the values against an upper limit; nothing if there is no limit."""
+    """Row of the largest value against an upper limit; none without a limit."""
     if limit is None:
         return []
     if not len(values):
@@ -337,7 +337,7 @@ def _smoothness_rows(flight: FlightRecord) -> list[BoundRow]:
 
 
 def _smooth(name: str, unit: str, limit: float, value: float, at_s: float, note: str = "") -> BoundRow:
-    """A bar of smoothness: no bound of the vehicle is broken when it is not kept."""
+    """Limit of smoothness: a warning, not a bound of the vehicle."""
     verdict = BoundVerdict.PASS if value <= limit else BoundVerdict.WARN
     margin = limit - value
     return BoundRow(

@@ -89,7 +89,7 @@ def _mission(flight: FlightRecord) -> list[BoundRow]:
 
 
 def _detour(flight: FlightRecord) -> list[BoundRow]:
-    """The way over the straight lines from waypoint to waypoint."""
+    """Path length over straight-line length between waypoints."""
     if flight.run is None:
         return []
     came = [(visit.waypoint, visit.t_s) for visit in visits(flight.judged, flight.run) if visit.t_s is not None]

@@ -108,7 +108,7 @@ def _memory(t_s: FloatArray, rss: FloatArray) -> BoundRow:
 
 
 def lost_share(frames: MessageTable) -> float | None:
-    """Share of messages that are missing by the sequence numbers of their senders; None where too few came."""
+    """Share of messages missing by the sequence numbers of their senders; None with too few messages."""
     data = frames["data"]
     mine = (data[:, 0] == MAVLINK2) & (frames["length"] > 10)
     if int(mine.sum()) < FEWEST:

@@ -127,7 +127,7 @@ def _compare_messages(topic: str, a: Log, b: Log, ignore_fields: Collection[str]
 
 
 def _opened(topic: str, message: DecodedMessage) -> dict[str, Any]:
-    """A message's fields, with JSON in place of its text."""
+    """A message's fields, with JSON texts parsed."""
     return (
         message.value if topic != "/in/step" else {**message.value, "data": msgspec.json.decode(message.value["data"])}
     )

@@ -100,7 +100,7 @@ class Contents:
 
 
 def read_contents(path: Path) -> Contents:
-    """Walk through a file. LogError if it cannot be opened or is no MCAP file; damage goes to ``problems``."""
+    """Scan a file. LogError if it cannot be opened or is no MCAP file; damage goes to ``problems``."""
     try:
         with path.open("rb") as file:
             return _read_contents(file, path)
@@ -193,7 +193,7 @@ def _add_loose(contents: Contents, offset: int, end: int) -> None:
 
 
 def _resume_from_index(file: IO[bytes], size: int, contents: Contents, seen: set[int]) -> bool:
-    """Take chunks that a broken walk has not reached from the index at the file's end; False if there is none."""
+    """Take chunks that a failed scan has not reached from the index at the file's end; False without an index."""
     file.seek(max(size - _FOOTER_BYTES, 0))
     footer = file.read(_FOOTER_BYTES)
     if len(footer) < _FOOTER_BYTES or footer[-len(MAGIC) :] != MAGIC or footer[0] != _FOOTER:

@@ -88,7 +88,7 @@ class FenceItemDescription:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Waypoint:
-    """A place that the mission has to reach."""
+    """A waypoint of the mission."""
 
     name: str
     pos_ned_m: Point3

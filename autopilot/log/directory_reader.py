@@ -24,7 +24,7 @@ STILLS = ".still-*.png"
 
 
 class LogDirectoryReader:
-    """The logs below ``folder``, and the one at ``single`` (``--log``) if there is one."""
+    """The logs below ``folder``, and the one at ``single`` (``--log``), if any."""
 
     def __init__(self, folder: Path, worker: BackgroundWorker, single: Path | None = None) -> None:
         self._folder, self.worker, self._single = folder, worker, single
@@ -54,7 +54,7 @@ class LogDirectoryReader:
         return self.worker.submit(tick + DUE_TICKS, work, None)
 
     def erase(self, tick: int) -> BackgroundTask[int]:
-        """Remove all flights of the folder but those that are being written; a log with a name of its own stays."""
+        """Delete all flights of the folder except those being written; a log with a custom name is kept."""
         return self.worker.submit(
             tick + DUE_TICKS, lambda _, cancel: sum(remove_flight(flight) for flight in flights(self._folder)), None
         )

@@ -32,7 +32,7 @@ FIGURES: dict[str, Drawing] = {
 
 
 def write_figures(log: Log, folder: Path) -> list[Path]:
-    """Write every figure that the log has data for; their paths. LogError if there is nothing to draw."""
+    """Write every figure that the log has data for; returns their paths. LogError without any data."""
     scene = make_scene(log)
     written = []
     try:

@@ -188,7 +188,7 @@ class RunLog:
         self._writer.end()
 
     def close(self, timeout_s: float | None = None) -> None:
-        """Finish the file and wait for it. LogError if the disk failed on the way or does not answer in time."""
+        """Finish the file and wait for it. LogError if the disk has failed or times out."""
         self._writer.close(timeout_s)
 
     def describe(self, t_us: int, description: RunDescription, attachments: Mapping[str, Payload]) -> None:
@@ -202,7 +202,7 @@ class RunLog:
         frames: Sequence[CameraFrame] = (),
         world: SimulationRecord | None = None,
     ) -> None:
-        """A whole tick: all that went into ``step`` and came out of it, pictures, and the simulated world."""
+        """A whole tick: inputs and outputs of ``step``, pictures, and the simulated world."""
         t_us, packer = inputs.t_us, self._packer
         pictures = [frame for frame in frames if self._due(frame)] if frames else ()
 
@@ -279,7 +279,7 @@ class RunLog:
 
 
 def _room(samples: int, datagrams: int) -> tuple[int, int]:
-    """Messages beside those of the tick itself, and bytes with them, that a tick with so much takes in the queue."""
+    """Messages and bytes that a tick with these inputs takes in the queue, beside those of the tick itself."""
     messages = SAMPLE_MESSAGES * samples + FRAME_MESSAGES * datagrams
     return messages, TICK_BYTES + SAMPLE_BYTES * samples + FRAME_BYTES * datagrams
 

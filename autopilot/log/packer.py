@@ -197,8 +197,7 @@ class Packer:
             self._fault(fault)
 
     def _fault(self, fault: Fault) -> None:
-        """An exception inside the service: a line, and an attachment with all that it had; one that goes on, now and
-        then."""
+        """An exception inside the service: a line, and an attachment with its context; rate-limited if it persists."""
         if not fault.traceback:
             return
         text = f"{fault.line}: {fault.text} ({fault.place})"

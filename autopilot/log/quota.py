@@ -30,7 +30,7 @@ class FlightFiles:
 
 
 def flights(folder: Path) -> list[FlightFiles]:
-    """Flights below a log folder, oldest first. A file that goes meanwhile is left out."""
+    """Flights below a log folder, oldest first. Files deleted meanwhile are left out."""
     found = []
     for log in folder.glob("*/*.mcap"):
         if not (DAY.fullmatch(log.parent.name) and TIME.fullmatch(log.stem)):
@@ -72,7 +72,7 @@ def _free_bytes(folder: Path) -> int:
 
 
 def remove_flight(flight: FlightFiles) -> bool:
-    """Whether a flight is gone now."""
+    """Delete a flight; whether it is deleted."""
     try:
         with flight.log.open("r+b") as file:
             if not lock_exclusive(file):

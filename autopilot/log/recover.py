@@ -45,7 +45,7 @@ def recover_unfinished(folder: Path) -> list[Recovery]:
 
 
 def recover_log(path: Path) -> Recovery | None:
-    """Repair one log; None if it needs no repair or is being written. LogError if it is no log or not to be had."""
+    """Repair one log; None if it needs no repair or is being written. LogError if it is no log or not accessible."""
     try:
         opened = path.open("r+b")
     except OSError as error:

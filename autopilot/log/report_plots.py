@@ -413,7 +413,7 @@ class Plots:
         return self._sheet.plot(label, curves, bounds)
 
     def _plan(self) -> Any:
-        """The tank from above: x to the right, y down. Way by lap, predictions, current."""
+        """The tank from above: x to the right, y down. Path by lap, predictions, current."""
         plot = plain_figure("x, north [m]", "y, east [m]", height_px=520, match_aspect=True)
         plot.y_range.flipped = True
         run = self._flight.run
@@ -468,7 +468,7 @@ def _draw_predictions(plot: Any, made: Sequence[Prediction]) -> Any:
 
 
 def _draw_heads(plot: Any, track: VehicleTrack) -> Any | None:
-    """Arrow heads along a way, evenly by its length; None where it leads nowhere."""
+    """Arrow heads along a path, evenly spaced; none on a path of zero length."""
     plane = track.pos_ned_m[:, :2]
     along = np.concatenate(([0.0], np.cumsum(np.hypot(*np.diff(plane, axis=0).T))))
     if len(plane) < 2 or along[-1] <= 0.0:
@@ -577,7 +577,7 @@ def _draw_world(plot: Any, run: RunDescription) -> None:
 
 
 def _draw_moved(plot: Any, moved: MovedObstacle, run: RunDescription) -> None:
-    """An obstacle on its way: solid where the vehicle came closest to it, outlines where it began and ended."""
+    """A moving obstacle: solid at the vehicle's closest approach, outlines at its first and last position."""
     radius, way = moved.obstacle.radius_m, moved.way_m
     plot.line(way[:, 0], way[:, 1], line_color=MOVED_COLOR, line_dash="dotted")
     for place, dash, word in ((way[0], "dashed", "start"), (way[-1], "solid", "end")):

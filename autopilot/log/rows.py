@@ -16,7 +16,7 @@ class BoundVerdict(Enum):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BoundRow:
-    """One bound and how the run stands against it."""
+    """Result of the run for one bound."""
 
     name: str
     unit: str

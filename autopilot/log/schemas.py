@@ -177,7 +177,7 @@ def own_comments(name: str) -> dict[str, str]:
 
 @cache
 def definition(name: str) -> str:
-    """The self-contained schema text of ``package/Name`` or ``package/msg/Name``. LogError if there is none."""
+    """The self-contained schema text of ``package/Name`` or ``package/msg/Name``. LogError if it is unknown."""
     root = short_name(name)
     if root not in _DEFINITIONS:
         raise LogError(f"message type {name!r} is not known; add its definition to autopilot/log/schemas.py")

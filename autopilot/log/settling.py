@@ -51,7 +51,7 @@ def stays(flight: FlightRecord) -> list[Stay]:
 
 
 def _driven(flight: FlightRecord) -> FloatArray:
-    """(n,) times at which a motion took the place of the goal's."""
+    """(n,) times at which a velocity goal was in force."""
     drive = flight.table("/ctl/drive")
     return np.zeros(0) if drive is None else seconds(drive)[drive["active"] != 0]
 

@@ -105,7 +105,7 @@ BARS = Bars()
 
 
 def measure(commands: ThrustCommands) -> Smoothness | None:
-    """All figures, None where there is too little to say anything."""
+    """All figures, None with too few data."""
     t_s, thrust = commands.t_s, commands.thrust_n
     if len(t_s) < FEWEST_STEPS:
         return None

@@ -107,7 +107,7 @@ class _TlogReader:
             begin = end
 
     def _packet(self, begin: int) -> tuple[Packet | None, int | None]:
-        """The packet of the record at this place, None if it is damaged; where it ends, None if it cannot be one."""
+        """Packet of the record at this offset, None if it is damaged; its end, None if it cannot be one."""
         frame = self._frame(begin)
         if frame is None:
             return None, None
@@ -149,7 +149,7 @@ class _TlogReader:
         return int.from_bytes(self._data[begin : begin + STAMP_BYTES], "big")
 
     def _begins_record(self, begin: int) -> bool:
-        """Whether a stamp that can be and a packet's first byte are at this place, or the file ends here."""
+        """Whether a plausible stamp and a packet's first byte are at this offset, or the file ends here."""
         at = begin + STAMP_BYTES
         if at >= len(self._data):
             return begin == len(self._data)

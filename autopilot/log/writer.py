@@ -223,7 +223,7 @@ class LogWriter:
         return self._queue_up(topic, t_us, b"", work, messages, size)
 
     def take_error(self) -> Exception | None:
-        """The oldest error in deferred work that has not been taken, None = there is none."""
+        """The oldest error in deferred work that has not been taken, None without one."""
         return self._errors.popleft() if self._errors else None
 
     def _queue_up(self, topic: str, t_us: int, payload: Payload, work: Work | None, messages: int, size: int) -> bool:
@@ -244,7 +244,7 @@ class LogWriter:
         self.write(_TLOG, t_us, packet)
 
     def attach(self, name: str, t_us: int, data: Payload) -> None:
-        """Queue an attachment; one of the same name later takes the place of an earlier one for readers."""
+        """Queue an attachment; for readers it replaces an earlier one of the same name."""
         self.write(_ATTACHMENT + name, t_us, data)
 
     def end(self) -> None:

@@ -233,7 +233,7 @@ def _solve(normal: Any, gradient: FloatArray, damping: float) -> FloatArray:
 
 
 def _marker_sigmas(network: Network, normal: Any) -> tuple[FloatArray, FloatArray]:
-    """Standard deviations of the markers' places (m, 3) and headings (m,), from the inverse of the normal matrix."""
+    """Standard deviations of the markers' positions (m, 3) and headings (m,), from the inverse of the normal matrix."""
     factor = _factor(normal, 0.0)
     markers = len(network.sizes_m)
     per = 3 if network.level else 6

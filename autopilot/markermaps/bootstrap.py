@@ -104,7 +104,7 @@ def recognise(
 
 
 class _World:
-    """The markers that have places so far."""
+    """Markers placed so far."""
 
     def __init__(self, camera: CameraModel, seeds: list[Placed], sizes_m: Mapping[int, float], level: bool) -> None:
         self.markers = seeds
@@ -118,7 +118,7 @@ class _World:
             self._by_id.setdefault(seed.id, []).append(index)
 
     def tie(self, view: SheetView, unique: Set[int]) -> TiedView | None:
-        """Pose of a view that shows known markers; its other markers get places. None if it shows too few."""
+        """Pose of a view of placed markers; places its other markers. None if it shows too few."""
         candidates = self.candidates(view)
         pose, known = self.agreeing(view, candidates, unique)
         if pose is None:
@@ -144,7 +144,7 @@ class _World:
         return result
 
     def _pixels(self, index: int, eye: FloatArray, r: FloatArray) -> FloatArray:
-        """(4, 2), far away where there is no image."""
+        """(4, 2), far outside where there is no projection."""
         pixels = self._camera.project((self._corners_m(index) - eye) @ r)
         return np.nan_to_num(pixels, nan=1e6)
 
@@ -207,7 +207,7 @@ class _World:
         return {k: index for k, (_, index) in result.items()}
 
     def _pose(self, view: SheetView, known: Mapping[int, int]) -> tuple[FloatArray, FloatArray] | None:
-        """Eye and attitude of the camera from known markers, None if there is no such pose."""
+        """Position and attitude of the camera from placed markers, None if there is no such pose."""
         points = np.concatenate([self._corners_m(index) for index in known.values()])
         pixels = view.corners_px[list(known)].reshape(-1, 2)
         ideal = self._camera.normalized(pixels)
@@ -224,7 +224,7 @@ class _World:
         return pose
 
     def _place_others(self, tied: TiedView) -> None:
-        """Places for the markers of a view that have none; those placed before move to the mean of their sights."""
+        """Place the other markers of a view; those placed before move to the mean of their sightings."""
         for k, marker_id in enumerate(tied.view.ids.tolist()):
             index = tied.known.get(k)
             if marker_id not in self._sizes_m or (index is not None and index < self._fixed):

@@ -59,7 +59,7 @@ def _whole(path: Path, text: str, key: str) -> int:
 
 
 def _values(path: Path, text: str, what: str) -> list[float]:
-    """Numbers of a matrix in OpenCV's or ROS's way of writing it."""
+    """Numbers of a matrix in OpenCV's or ROS's format."""
     names = MATRICES[what]
     for name in names:
         found = re.search(rf"^\s*{name}\s*:(?:[^\[]*?data\s*:)?\s*\[([^\]]*)\]", text, re.MULTILINE | re.DOTALL)

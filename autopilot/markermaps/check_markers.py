@@ -33,8 +33,9 @@ def describe_markers(markers: MarkerMap) -> list[tuple[str, object]]:
 
 
 def view_shares(markers: MarkerMap, camera: CameraModel) -> list[tuple[float, float, float]]:
-    """For heights of the camera over a level floor: height [m], share of places over the floor that show one whole
-    marker, share that show two. Level vehicle, any heading."""
+    """Visibility by height of the camera over a level floor: height [m], share of positions over the floor with
+    one whole marker in view, share with two. Level vehicle, any heading.
+    """
     rng = np.random.default_rng(1)
     low, high = markers.centers_ned_m[:, :2].min(axis=0), markers.centers_ned_m[:, :2].max(axis=0)
     rows = []

@@ -45,7 +45,7 @@ class Paper:
 
 
 def paper_of(name: str, landscape: bool, margin_mm: float) -> Paper:
-    """A paper by name, or by ``WIDTHxHEIGHT`` in millimetres. ConfigError if it is neither."""
+    """Paper by name, or by ``WIDTHxHEIGHT`` in millimetres. ConfigError if it is neither."""
     size = PAPERS_MM.get(name.upper())
     if size is None:
         try:
@@ -85,7 +85,7 @@ class Plane:
         return np.asarray(self.corners_m.max(axis=1))
 
     def ned_m(self, place_m: FloatArray) -> FloatArray:
-        """North and east of a place (2,) on the plane."""
+        """North and east of a point (2,) on the plane."""
         c, s = math.cos(self.heading_rad), math.sin(self.heading_rad)
         return np.array([-c * place_m[1] - s * place_m[0], -s * place_m[1] + c * place_m[0]])
 

@@ -294,7 +294,7 @@ def _name(rough: MarkerMap, marker_id: int) -> str:
 
 
 def _repeated(rough: MarkerMap, views: Sequence[SheetView], in_map: list[int], unique: set[int]) -> list[str]:
-    """Ids that should be there once and are seen twice in a view, or at two places."""
+    """Ids that should be unique and are seen twice in a view, or at two positions."""
     twice = {marker_id for view in views for marker_id in view.repeated if marker_id in unique}
     twice |= {marker_id for marker_id in in_map if marker_id in unique and in_map.count(marker_id) > 1}
     return [_name(rough, marker_id) for marker_id in sorted(twice)]
@@ -311,7 +311,7 @@ def _misread(rough: MarkerMap, views: Sequence[SheetView]) -> list[str]:
 
 
 def _without_conflicts(network: Network, placed: Sequence[Placed], sights: IntArray) -> list[int]:
-    """Markers seen often enough; of two in one place the one that more views show."""
+    """Markers seen often enough; of two at one position the one in more views."""
     chosen: list[int] = []
     for k in np.argsort(-sights, kind="stable").tolist():
         if sights[k] < SURVEY.min_sights:

@@ -90,7 +90,7 @@ class MotorTest:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CommandReply:
-    """Result of a command and, when it is a refusal, the reason for the operator in one line."""
+    """Result of a command and, for a refusal, the reason in one line."""
 
     result: CommandResult
     reason: str = ""
@@ -173,7 +173,7 @@ class SigningStore(Protocol):
 
     @property
     def state(self) -> SigningState:
-        """As found at the start; where there is a key, AHEAD_UNITS beyond the time are on disk already."""
+        """State at the start; with a key, the time on disk is AHEAD_UNITS ahead already."""
         ...
 
     def keep(self, tick: int, state: SigningState) -> None:
@@ -203,11 +203,11 @@ class VehicleCommands(Protocol):
     def set_mode(self, mode: FlightMode) -> CommandReply: ...
 
     def start_mission(self, first_seq: int | None) -> CommandReply:
-        """Enter MISSION from an item (None = go on where it is). Needs an armed vehicle and a plan."""
+        """Enter MISSION at an item (None = the current one). Needs an armed vehicle and a plan."""
         ...
 
     def pause(self) -> CommandReply:
-        """Hold here; the mission stays where it is."""
+        """Hold here; the mission progress is kept."""
         ...
 
     def resume(self) -> CommandReply: ...
@@ -219,7 +219,7 @@ class VehicleCommands(Protocol):
         ...
 
     def set_point(self, point: SetPoint) -> CommandReply:
-        """Follow it in GUIDED; elsewhere it is kept for a moment, so that GUIDED can be entered."""
+        """Follow it in GUIDED; in other modes it is kept for a moment, so that GUIDED can be entered."""
         ...
 
     def refuse_set_point(self, reason: str) -> CommandReply:

@@ -76,14 +76,13 @@ class BootSigning:
         return signed(frame, crc_extra, self.key, _SIGNED_AS | link & 0x3F, self.stamp)
 
     def answers(self, frame: bytes, reach: Reach) -> bool:
-        """Whether who sent a frame is answered. Nothing is obeyed here, so an old frame does no harm."""
+        """Whether to answer the sender of a frame. No command is executed here, so a replayed frame does no harm."""
         return is_signed_with(self.key, frame) or (self.local_may_be_silent and reach is Reach.MACHINE)
 
 
 class BootLink:
-    """One link of a service that is starting: heartbeats in MAV_STATE_BOOT, who the vehicle is; actions are put off.
-
-    ConfigError for an unknown profile. Never raises on received bytes.
+    """One link of a service that is starting: heartbeats in MAV_STATE_BOOT and identity; actions are rejected for
+    now. ConfigError for an unknown profile. Never raises on received bytes.
     """
 
     def __init__(

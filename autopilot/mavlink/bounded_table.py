@@ -24,7 +24,7 @@ class LatestUsed(OrderedDict[K, V]):
             self._let_go(self.popitem(last=False)[1])
 
     def touch(self, key: K, make: Callable[[], V]) -> V:
-        """The entry of a key, made if there is none."""
+        """The entry of a key, created if it is missing."""
         value = self[key] if key in self else make()
         self[key] = value
         return value

@@ -28,7 +28,7 @@ class Budget:
     _t_us: int = 0
 
     def tick(self, t_us: int) -> None:
-        """Time has gone on: the line has carried something away."""
+        """Refill the budget by the time passed."""
         carried = self.bytes_per_s * max(0, t_us - self._t_us) * 1e-6
         self._level, self._t_us = min(self._level + carried, self.bytes_per_s * DEPTH_S), t_us
 

@@ -42,11 +42,11 @@ class CameraOrders(Protocol):
     def state(self) -> CameraState: ...
 
     def shoot(self, count: int | None, interval_s: float) -> CommandReply:
-        """So many stills (None = until it is stopped), so far apart. Takes the place of a running sequence."""
+        """A number of stills (None = until stopped) at an interval. Replaces a running sequence."""
         ...
 
     def stop(self) -> CommandReply:
-        """End the sequence, by time or by way."""
+        """End the sequence, by time or by distance."""
         ...
 
     def shoot_every(self, distance_m: float, *, now: bool) -> CommandReply:

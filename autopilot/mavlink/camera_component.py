@@ -136,7 +136,7 @@ class CameraComponent:
         return Reply(self._orders.shoot(1, 0.0)) if call.x > 0.0 else Reply(ACCEPTED)
 
     def trigger_by_distance(self, call: Call) -> Reply:
-        """DO_SET_CAM_TRIGG_DIST: param1 way between stills (0 = stop), param3 = 1: one at once."""
+        """DO_SET_CAM_TRIGG_DIST: param1 distance between stills [m] (0 = stop), param3 = 1: one at once."""
         distance_m = call.param(1)
         if not 0.0 <= distance_m < math.inf:
             return denied(f"Photos refused: every {distance_m:g} m")
@@ -275,7 +275,7 @@ class CameraComponent:
         )
 
     def image_captured(self, record: StillRecord) -> Message:
-        """CAMERA_IMAGE_CAPTURED: the vehicle's place and the camera's attitude at the exposure; 0 when not known."""
+        """CAMERA_IMAGE_CAPTURED: position of the vehicle and attitude of the camera at the exposure; 0 when unknown."""
         ctx, still = self._ctx, record.still
         offset_us = self._utc_offset_us()
         origin = ctx.view.origin

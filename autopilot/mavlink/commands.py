@@ -43,7 +43,7 @@ _INT_UNKNOWN = frozenset((0x7FFF_FFFF, -0x8000_0000))
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Call:
-    """A command as it came, carrier and scaling removed."""
+    """A received command, independent of its message type and scaling."""
 
     peer: MavlinkPeer
     command: int
@@ -63,7 +63,7 @@ class Call:
         return value if value == value else 0.0
 
     def whole(self, number: int) -> int | None:
-        """param1..param4 as a whole number of 32 bits, None if it is not one."""
+        """param1..param4 as a 32-bit integer, None if it is none."""
         value = self.param(number)
         if not -(2.0**31) <= value < 2.0**32 or value != int(value):
             return None

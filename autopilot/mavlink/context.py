@@ -59,7 +59,7 @@ Receiver: TypeAlias = int | MavlinkPeer
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class VehicleIdentity:
-    """Who we are, for AUTOPILOT_VERSION and the greeting."""
+    """Identity for AUTOPILOT_VERSION and the greeting."""
 
     name: str
     version: str
@@ -144,7 +144,7 @@ class Context:
         return encoder
 
     def key_changed(self) -> None:
-        """There is a signing key now, or none any more."""
+        """A signing key has been set or removed."""
         for index, encoder in self.links.items():
             self._sign_on(index, encoder)
         for (index, _), encoder in self.others.items():
@@ -198,7 +198,7 @@ class Context:
         self.notices.append(text.event(self.t_us))
 
     def text(self, message: OperatorText, to: Receiver | None = None) -> None:
-        """STATUSTEXT, in chunks if it is long. Not for DEBUG, which is for the log, and not again within 5 s."""
+        """STATUSTEXT, chunked if it is long. DEBUG goes to the log only; a repetition within 5 s is dropped."""
         self.relay(message.severity, message.text, to)
 
     def relay(self, severity: int, text: str, to: Receiver | None = None) -> None:

@@ -30,7 +30,7 @@ _PLACES = (0, 1, 2, 5)
 
 class ExternalPoses:
     def __init__(self, ctx: Context, utc_offset_us: Callable[[], int | None]) -> None:
-        """``utc_offset_us``: Unix time minus service time, None while it is not known."""
+        """``utc_offset_us``: Unix time minus service time, None while unknown."""
         self._ctx = ctx
         self._utc_offset_us = utc_offset_us
         self._reported: set[MavlinkPeer] = set()
@@ -89,7 +89,7 @@ class ExternalPoses:
         waiting.append(sample)
 
     def _stamped_us(self, stamp_us: int) -> int | None:
-        """When the pose was valid: the stamp if it is of our clock or of a known Unix time, else None."""
+        """Validity time of the pose: its stamp if that is of our clock or of a known Unix time, else None."""
         now_us, offset_us = self._ctx.t_us, self._utc_offset_us()
         for time_us in (stamp_us, stamp_us - offset_us if offset_us is not None else -1):
             if 0 <= now_us - time_us <= OLDEST_US:
@@ -108,7 +108,7 @@ def _covariance(triangle: Sequence[float]) -> FloatArray | None:
 
 
 def _yaw(quat: Sequence[float]) -> float:
-    """Yaw of a quaternion [w, x, y, z] of any length; NaN if it is none."""
+    """Yaw of a quaternion [w, x, y, z] of any length; NaN if it is invalid."""
     length = math.sqrt(sum(a * a for a in quat))
     if not (math.isfinite(length) and length > 1e-3):
         return math.nan

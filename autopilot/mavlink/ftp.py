@@ -36,7 +36,7 @@ _PAYLOAD_BYTES = 251
 
 
 class Outlet(Protocol):
-    """The way to the clients: :class:`autopilot.mavlink.context.Context`, or a service that is starting."""
+    """Interface to the clients: :class:`autopilot.mavlink.context.Context`, or a service that is starting."""
 
     @property
     def t_us(self) -> int: ...
@@ -91,7 +91,7 @@ _WRITING = frozenset(
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FtpPacket:
-    """A request as it came, or an answer on its way out."""
+    """A received request, or an answer to be sent."""
 
     seq: int
     session: int

@@ -75,7 +75,7 @@ class HighLatency:
         return {mav.MAVLINK_MSG_ID_HIGH_LATENCY2: self.high_latency2}
 
     def control(self, call: Call) -> Reply:
-        """CONTROL_HIGH_LATENCY: param1 1 = this link is one, 0 = it is not."""
+        """CONTROL_HIGH_LATENCY: param1 1 = enable, 0 = disable on this link."""
         link, wanted = call.peer.link, call.params[0]
         if wanted not in (0.0, 1.0):
             return denied(f"high latency: param1 = {wanted:g}, use 1 or 0")

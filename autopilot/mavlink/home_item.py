@@ -39,7 +39,7 @@ def received(ctx: Context, kind: PlanKind, items: Sequence[PlanItem]) -> tuple[P
 
 
 def _in_water(ctx: Context, item: PlanItem) -> bool:
-    """Whether the vehicle may go to the item's altitude: then it is a waypoint."""
+    """Whether the item's altitude is within the vehicle's range, which makes it a waypoint."""
     depth_m = ctx.view.origin.alt_m - item.z
     return bool(ctx.params["DEPTH_MIN"] <= depth_m <= ctx.params["DEPTH_MAX"])
 

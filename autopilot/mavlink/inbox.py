@@ -60,7 +60,7 @@ class Inbox:
     """When."""
 
     def next(self, work: Work) -> Message | None:
-        """The next message in order, None when there is none, or no work left to find it."""
+        """The next message in order, None when the queue or the work budget is exhausted."""
         if self.head is None:
             self.head = self.parser.take(work)
         return self.head

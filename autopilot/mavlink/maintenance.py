@@ -46,8 +46,9 @@ class Maintenance:
         }
 
     def test_motor(self, call: Call) -> Reply:
-        """DO_MOTOR_TEST: param1 motor from 1, param2 0 = param3 is percent (50 stands, as ArduSub has it), 1 = a pulse
-        [us], param4 seconds. One motor at a time, in whatever order (param5, param6)."""
+        """DO_MOTOR_TEST: param1 motor from 1, param2 0 = param3 is percent (50 = stop, as in ArduSub), 1 = a pulse
+        [us], param4 seconds. One motor at a time, in any order (param5, param6).
+        """
         number, kind, value, seconds = call.whole(1), call.whole(2), call.params[2], call.param(4)
         if number is None or number < 1 or not math.isfinite(value) or not 0.0 <= seconds < math.inf:
             return denied(f"Motor test denied: motor {call.param(1):g}, value {value:g}, {seconds:g} s")

@@ -193,7 +193,7 @@ class Missions:
             self._ctx.say(notices.REFUSED(reason=reason), peer)
 
     def _item_out_of_turn(self, upload: Upload, msg: Message) -> None:
-        """A repeated item is passed over; one from the future makes us ask again for the one that is due."""
+        """A repeated item is ignored; after a skipped one the missing item is requested again."""
         if msg.mission_type == upload.kind and msg.seq < len(upload.items):
             return
         upload.wrong += 1

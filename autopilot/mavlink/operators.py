@@ -73,7 +73,7 @@ class Operators:
     """Arbitrates which ground station is in control."""
 
     def __init__(self, ctx: Context, value: Callable[[str], Message | None]) -> None:
-        """``value``: PARAM_VALUE of a parameter, None if there is none of that name."""
+        """``value``: PARAM_VALUE of a parameter, None if it does not exist."""
         self._ctx = ctx
         self._value = value
         self._owner: MavlinkPeer | None = None
@@ -182,7 +182,7 @@ class Operators:
         return Reply(ACCEPTED)
 
     def _ask_owner(self, call: Call) -> None:
-        """The request goes to the one in control, as the same command."""
+        """Forward the request to the owner, as the same command."""
         owner = self._owner
         assert owner is not None
         timeout_s = min(max(call.param(3), _LEAST_S), _MOST_S)
@@ -194,7 +194,7 @@ class Operators:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Rights:
-    """Names of messages and commands by who may send them."""
+    """Names of messages and commands by permitted senders."""
 
     anyone: tuple[tuple[str, ...], tuple[str, ...]]
     """Always: messages, commands."""

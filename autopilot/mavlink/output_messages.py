@@ -65,7 +65,7 @@ class OutputMessages:
         )
 
     def actuator_output_status(self) -> Message | None:
-        """ACTUATOR_OUTPUT_STATUS: the same pulses; a bit for each output that there is."""
+        """ACTUATOR_OUTPUT_STATUS: the same pulses, with a bit for each existing output."""
         pulses = self._pulses_us()
         if not pulses:
             return None

@@ -42,7 +42,7 @@ _TYPE_MISMATCH = 7
 
 
 def encode(value: float, kind: ParamType, encoding: ParamEncoding) -> float:
-    """A value as it stands in param_value."""
+    """A value as param_value."""
     if kind is ParamType.INT32 and encoding is ParamEncoding.BYTEWISE:
         (as_float,) = struct.unpack("<f", struct.pack("<i", int(value)))
         return float(as_float)
@@ -58,7 +58,7 @@ def decode(param_value: float, kind: ParamType, encoding: ParamEncoding) -> floa
 
 @dataclass(slots=True, kw_only=True)
 class _ParameterWrite:
-    """A parameter on its way to the disk."""
+    """A parameter being written to the disk."""
 
     number: int
     since_us: int
@@ -136,7 +136,7 @@ class Parameters:
         )
 
     def on_request_list(self, peer: MavlinkPeer) -> None:
-        """PARAM_REQUEST_LIST: the list goes out over the next ticks."""
+        """PARAM_REQUEST_LIST: the list is sent over the next ticks."""
         if peer in self._lists or len(self._lists) < MAX_LISTS:
             self._lists[peer] = 0
 
@@ -161,7 +161,7 @@ class Parameters:
         self._ctx.send(peer, self.value(name))
 
     def on_set(self, peer: MavlinkPeer, msg: Message) -> None:
-        """PARAM_SET: the value in force goes to everyone once it is on disk, a refusal at once and with its reason."""
+        """PARAM_SET: the value is broadcast once it is on disk, a refusal at once with its reason."""
         ctx, name = self._ctx, msg.param_id
         if name == HASH_CHECK:
             self._lists.pop(peer, None)  # the client has found its own list to be this one

@@ -110,7 +110,7 @@ class PeriodicMessages:
         ctx.log(notices.FRAMES_REFUSED(counts=now))
 
     def flood(self) -> None:
-        """Name who sends more than is taken, now and then."""
+        """Report clients that send too much, rate-limited."""
         ctx = self._ctx
         if self._flood_us is not None and ctx.t_us < self._flood_us + FLOOD_SAY_US:
             return

@@ -113,7 +113,7 @@ class PilotInputs:
         heard.sticks = Sticks(ahead=ahead, starboard=starboard, up=up, turn=turn)
 
     def _of(self, peer: MavlinkPeer) -> _PilotRecord | None:
-        """Who steers, if it is that client."""
+        """The pilot's record, if this client is the pilot."""
         now_us, heard = self._ctx.t_us, self._heard
         if heard is None or (heard.peer != peer and now_us > heard.last_us + self._stale_us):
             heard = self._heard = _PilotRecord(peer=peer, last_us=now_us, sticks=Sticks())
@@ -155,7 +155,7 @@ class PilotInputs:
     # Buttons
 
     def _press(self, heard: _PilotRecord, buttons: int) -> None:
-        """Those that have just gone down."""
+        """Buttons pressed since the last message."""
         pressed, heard.buttons = buttons & ~heard.buttons, buttons
         for n in range(16):
             if pressed >> n & 1:

@@ -52,7 +52,7 @@ class Profile:
         return tuple(mode for mode in MODE_ROWS if self.mode_of(self.custom_modes[mode]) is mode)
 
     def mode_of(self, custom_mode: int) -> FlightMode | None:
-        """The mode of a custom_mode number, None if there is none."""
+        """Mode of a custom_mode number, None if it is unknown."""
         return next((mode for mode, number in self.custom_modes.items() if number == custom_mode), None)
 
     def short_mode(self, custom_mode: int) -> int:
@@ -60,7 +60,7 @@ class Profile:
         return custom_mode >> 16 if self.split_modes else custom_mode & 0xFFFF
 
     def mode_of_command(self, main: float, sub: float) -> FlightMode | None:
-        """The mode that DO_SET_MODE's param2 and param3 mean, None if there is none."""
+        """Mode of DO_SET_MODE's param2 and param3, None if it is unknown."""
         if not (0.0 <= main < 2.0**32 and main == int(main)):
             return None
         if not self.split_modes or main > 255.0:
@@ -114,7 +114,7 @@ PROFILES: Mapping[str, Profile] = MappingProxyType(
 
 
 def profile_by_name(name: str) -> Profile:
-    """The profile of that name; ConfigError if there is none."""
+    """Profile by name; ConfigError if it is unknown."""
     if name not in PROFILES:
         raise ConfigError(f"profile {name!r} does not exist; use one of {', '.join(PROFILES)}")
     return PROFILES[name]

@@ -251,13 +251,13 @@ class MavlinkServer:
         )
 
     def _works_after_news(self) -> tuple[Work, ...]:
-        """The same once events are told."""
+        """Work of a tick after the events have been reported."""
         shown = (self._announcements.place, self._sensors.tick, self._outputs.tick, self._flight.tick)
         camera = () if self._camera is None else (self._camera.tick,)
         return tuple(("telemetry", work) for work in (*shown, self._high_latency.tick, *camera))
 
     def _works_at_last(self, *turns: Callable[[], None]) -> tuple[Work, ...]:
-        """The same at the end of a tick; ``turns`` are whose turn it is to use what the links can carry."""
+        """Work at the end of a tick; ``turns``: round-robin order in using the link budgets."""
         return (
             ("parameters", self.parameters.tick),
             ("plans", self.missions.tick),
@@ -371,7 +371,7 @@ class MavlinkServer:
         return samples
 
     def take_tracks(self) -> tuple[tuple[ObstacleTrack, ...], tuple[int, ...]]:
-        """Obstacles and vehicles that clients have reported since the last call, and numbers of those gone."""
+        """Obstacles and vehicles reported by clients since the last call, and numbers of those gone."""
         return self._others.take()
 
     # One tick

@@ -65,8 +65,9 @@ class Signing:
         patience: float = 1.0,
         nondeterminism: NondeterminismSource | None = None,
     ) -> None:
-        """``patience``: how much faster than its clients' time the service's may run. ``witness`` stands by when
-        signatures are verified: a replay has no key."""
+        """``patience``: speed of the service's time relative to its clients'. ``witness``: recorder of
+        verification results, because a replay has no key.
+        """
         self._nondeterminism: NondeterminismSource = (
             NondeterminismRecorder() if nondeterminism is None else nondeterminism
         )

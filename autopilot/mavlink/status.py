@@ -225,7 +225,7 @@ class StatusMessages:
         return mav.MAVLink_extended_sys_state_message(mav.MAV_VTOL_STATE_UNDEFINED, state)
 
     def battery_status(self) -> Message | None:
-        """BATTERY_STATUS of the one pack: its voltage in the first cell's place (cells are not measured)."""
+        """BATTERY_STATUS of the single pack: its voltage as that of the first cell (cells are not measured)."""
         power = self._ctx.view.power
         if power is None:
             return None

@@ -114,7 +114,7 @@ class LinkStreams:
         return [msg_id for msg_id, at_us in self.due_us.items() if at_us <= t_us]
 
     def done(self, msg_id: int, t_us: int) -> None:
-        """A message has been sent: when it is due again."""
+        """Schedule the next time of a message that has been sent."""
         interval_us = self.interval_us[msg_id]
         at_us = self.due_us[msg_id] + interval_us
         self.due_us[msg_id] = at_us if at_us > t_us else t_us + interval_us
@@ -157,7 +157,7 @@ class Streams:
         return msg_id in self._builders
 
     def build(self, msg_id: int) -> tuple[Message, ...]:
-        """A message now (or several of that kind), () when there is nothing to say."""
+        """The message now (or several of that kind), () without data."""
         made = self._builders[msg_id]()
         if made is None:
             return ()

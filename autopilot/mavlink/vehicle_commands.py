@@ -102,13 +102,13 @@ class VehicleService:
         return Reply(vehicle.disarm(force), later=vehicle.disarmed)
 
     def terminate(self, call: Call) -> Reply:
-        """DO_FLIGHTTERMINATION: stop the thrusters now. There is nothing that could be taken back."""
+        """DO_FLIGHTTERMINATION: stop the thrusters now; irreversible."""
         if call.params[0] == 1.0:
             return self._disarmed(True)
         return denied("flight termination: send param1 = 1")
 
     def fence_enable(self, call: Call) -> Reply:
-        """DO_FENCE_ENABLE: the fence is a limit of the controller and holds as long as there is one."""
+        """DO_FENCE_ENABLE: the fence is a constraint of the controller and cannot be disabled."""
         if call.params[0] == 1.0:
             return Reply(ACCEPTED)
         return denied("fence cannot be switched off: disarm and clear it")
@@ -234,7 +234,7 @@ class VehicleService:
     # Mission
 
     def mission_start(self, call: Call) -> Reply:
-        """MISSION_START: param1 = first item (0 = where it is), param2 = last item (only "all")."""
+        """MISSION_START: param1 = first item (0 = current), param2 = last item (only "all")."""
         by = home_item.shift(self._ctx, PlanKind.MISSION)
         count = len(self._ctx.plans.items(PlanKind.MISSION))
         first, last = call.whole(1), call.whole(2)
@@ -245,7 +245,7 @@ class VehicleService:
         return Reply(self._ctx.vehicle.start_mission(max(first - by, 0) if first else None))
 
     def pause_continue(self, call: Call) -> Reply:
-        """DO_PAUSE_CONTINUE: 0 = pause, 1 = go on."""
+        """DO_PAUSE_CONTINUE: 0 = pause, 1 = resume."""
         if call.params[0] == 0.0:
             return Reply(self._ctx.vehicle.pause())
         if call.params[0] == 1.0:
@@ -283,7 +283,7 @@ class VehicleService:
         return Reply(answer)
 
     def change_speed(self, call: Call) -> Reply:
-        """DO_CHANGE_SPEED, ground or water speed alike (both set the cruise speed); -1 = as it is, -2 = default."""
+        """DO_CHANGE_SPEED, ground or water speed alike (both set the cruise speed); -1 = unchanged, -2 = default."""
         if call.whole(1) not in (0, 1):
             return denied(f"change speed: type {call.param(1):g} is not supported, use 0 or 1")
         speed_m_s = call.params[1]

@@ -31,7 +31,7 @@ class EstimatorSetup(msgspec.Struct, frozen=True, kw_only=True):
 
 
 def options_of(params: ParamSet) -> EstimatorOptions:
-    """The options that the parameters ask for when the service starts."""
+    """Options set by the parameters at the start of the service."""
     return EstimatorOptions(current_3d=params["EST_CURRENT_3D"] > 0.0)
 
 

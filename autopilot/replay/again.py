@@ -120,7 +120,7 @@ def _formula(log: Log) -> CurrentForecast:
 
 
 def _take_plans(log: Log, parts: ServiceParts, nondeterminism: NondeterminismReplay) -> None:
-    """Plans, origin, home and place in the mission as they were before the first tick."""
+    """Plans, origin, home and mission progress before the first tick."""
     data = log.attachments.get(START_PLANS_FILE)
     if data is None:
         raise LogError(f"{log.path}: has no attachment {START_PLANS_FILE}; the log is damaged")

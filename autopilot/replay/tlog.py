@@ -204,7 +204,7 @@ class _Link:
 
     @property
     def counts(self) -> tuple[int, int, int, int]:
-        """Lost, came, damaged, late or twice."""
+        """Packets lost, received, damaged, late or duplicated."""
         return self._lost, self._came, self._damaged, self._late
 
     def came(self, sequence: int) -> None:

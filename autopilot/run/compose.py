@@ -107,10 +107,9 @@ def end_slow_work(parts: ServiceParts, *desks: BackgroundWorker) -> None:
 def build_service(
     setup: ServiceSetup, *, desks: BackgroundWorkers | None = None, trajectories: TrajectoryPlanner | None = None
 ) -> tuple[Autopilot, ServiceParts]:
-    """The service and its parts (the runtime needs some of them for persistence and the log).
-
-    ``desks``: where the controller has its slow work done, a thread per kind of work without any; ``trajectories``:
-    who plans by energy, the shipped planner without any.
+    """The service and its parts (the runtime needs some of them for persistence and the log). ``desks``: workers
+    for the controller's background work, by default a thread per kind of work; ``trajectories``: energy-optimal
+    planner, by default the shipped one.
     """
     params, vehicle, nondeterminism = setup.params, setup.vehicle, setup.nondeterminism
     desks = desks or BackgroundWorkers.beside(blocking=setup.waits_for_plans)

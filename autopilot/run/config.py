@@ -241,7 +241,7 @@ MAX_SYSTEM_ID = 254
 
 
 def system_id(params: ParamSet, instance: int) -> int:
-    """MAVLink system id of an instance. ConfigError when there is no such id."""
+    """MAVLink system id of an instance. ConfigError beyond the valid range."""
     sysid = int(params["SYSID_THISMAV"]) + instance
     if sysid > MAX_SYSTEM_ID:
         raise ConfigError(

@@ -63,7 +63,7 @@ def plan_items(plans: Plans) -> dict[PlanKind, tuple[PlanItem, ...]]:
 
 
 def plans_json(items: Mapping[PlanKind, tuple[PlanItem, ...]]) -> bytes:
-    """Mission, fence and rally points as they came over the wire, NaN as null (attachment ``plans.json``)."""
+    """Mission, fence and rally points in wire units, NaN as null (attachment ``plans.json``)."""
     return msgspec.json.encode({kind.name.lower(): items[kind] for kind in PlanKind})
 
 

@@ -129,7 +129,7 @@ def _run(
     speed: float,
     on_tick: Callable[[Outputs], None],
 ) -> tuple[Session, _SettledOutputs, list[Finding]]:
-    """The service for some seconds; it is closed afterwards, thrusters neutral as they were all the time."""
+    """Run the service for some seconds with neutral thrusters, then close it."""
     made: list[Session] = []
     look = _SettledOutputs(lambda: made[0])
     session = open_vehicle(

@@ -75,7 +75,7 @@ class ListeningLink:
         self._link.close()
 
     def send(self, data: bytes, client: int = EVERYONE, beside: frozenset[int] = frozenset()) -> None:
-        """A heartbeat of ours goes out as that of an onboard computer, nothing else does."""
+        """Sends our heartbeat, as that of an onboard computer, and drops everything else."""
         if self._calls and data[:1] == b"\xfd" and data[7:10] == b"\0\0\0":
             self._link.send(self._beat)
 
@@ -91,7 +91,7 @@ class ListeningLink:
         return self._cutters.setdefault(client, FrameCutter())
 
     def _note(self, frame: bytes, sender: str) -> int:
-        """Message id of a frame; who sent it is noted."""
+        """Message id of a frame; records its sender."""
         if frame[0] == 0xFD:
             system, component, number, payload = frame[5], frame[6], int.from_bytes(frame[7:10], "little"), frame[10:]
         else:

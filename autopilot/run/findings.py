@@ -61,7 +61,7 @@ def _filled(setup: DeviceSetup, texts: dict[str, str]) -> str:
 
 
 def _connection(options: Any) -> Connection | None:
-    """Where the options say that a device is, None when it is on no link."""
+    """Configured connection of a device, None if it is on no link."""
     connect, host = getattr(options, "connect", None), getattr(options, "host", None)
     port, baud = getattr(options, "port", None), getattr(options, "baud", None)
     try:

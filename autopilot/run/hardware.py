@@ -123,7 +123,7 @@ class HardwareVehicle:
         return controller.use(t_us, lambda: controller.device.stand_down(t_us), False)
 
     def below(self, t_us: int) -> FlightControllerState | None:
-        """Who has the vehicle, None without a flight controller."""
+        """State of the flight controller, None without one."""
         if self._below is None:
             return None
         below = self._below.device.below(t_us)

@@ -116,7 +116,7 @@ class HardwareWorld(World):
         return ReadOnly()
 
     def below(self, t_us: int) -> FlightControllerState | None:
-        """The flight controller's word, where there is one."""
+        """State of the flight controller, None without one."""
         return self.device.below(t_us)
 
     def notices(self) -> Sequence[tuple[Severity, str]]:

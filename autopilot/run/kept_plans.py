@@ -40,15 +40,15 @@ class Restored(Protocol):
 
     @property
     def mission_position(self) -> Position | None:
-        """Where the mission stands, None when there is nothing to go on with."""
+        """Mission progress, None when there is nothing to resume."""
         ...
 
     def restore_home(self, pos_ned_m: FloatArray) -> str:
-        """Home (3,) is where it was. Why it is not taken, "" when it is."""
+        """Restore home (3,). Returns the reason if it is rejected, else ""."""
         ...
 
     def stand_at(self, position: Position) -> None:
-        """The mission stands where it stood. PlanError if it has no such item."""
+        """Restore the mission progress. PlanError if there is no such item."""
         ...
 
 

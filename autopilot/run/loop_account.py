@@ -27,7 +27,7 @@ class LoopCounters:
 
 class LoopAccount:
     def __init__(self, *, paced: bool) -> None:
-        """Without a pace there is no load."""
+        """Load is not defined without a pace."""
         self._paced = paced
         pauses().take()
         self._cpu_mark_s = time.process_time()
@@ -76,7 +76,7 @@ class Pauses:
     """Longest garbage collection pause since the last call."""
 
     def __init__(self) -> None:
-        """Listen from now on: the collector's callbacks are of the whole process, so there is one of these."""
+        """Register with the garbage collector; its callbacks are global, so there is one instance per process."""
         self._begun_s: float | None = None
         self._longest_s = 0.0
         gc.callbacks.append(self._heard)
@@ -105,7 +105,7 @@ def _process() -> psutil.Process:
 
 
 def process_stats(queued: tuple[int, int]) -> ProcessStats:
-    """As it is now; ``queued``: messages and bytes that wait for the writer of the log."""
+    """Present statistics; ``queued``: messages and bytes waiting for the log writer."""
     try:
         rss = int(_process().memory_info().rss)
     except (psutil.Error, OSError):

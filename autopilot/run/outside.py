@@ -12,7 +12,7 @@ class VehicleIo(Protocol):
     """All of a vehicle's devices as one, real or simulated."""
 
     def advance(self, t_us: int) -> None:
-        """Let the outside world go on to ``t_us``."""
+        """Advance a simulation to ``t_us``."""
         ...
 
     def poll(self, t_us: int) -> Sequence[Sample]:
@@ -37,7 +37,7 @@ class WeightRelease(Protocol):
     """A vehicle that can let a drop weight go."""
 
     def release_weight(self, t_us: int) -> None:
-        """Let it go; called on every tick on which it is wanted off. Raises as :class:`VehicleIo` does."""
+        """Release the weight; called on every tick on which that is requested. Raises as :class:`VehicleIo` does."""
         ...
 
 
@@ -55,11 +55,11 @@ class DisarmsFlightController(Protocol):
     """A vehicle with a flight controller that can be disarmed, whoever armed it."""
 
     def disarm_flight_controller(self, t_us: int) -> None:
-        """Called on every tick until its heartbeat shows that it is disarmed."""
+        """Called on every tick until its heartbeat reports disarmed."""
         ...
 
     def stand_down(self, t_us: int) -> bool:
-        """The run ends: disarm it where that is ours to do; True when there is nothing left to wait for."""
+        """End of the run: disarm it where that is ours to do; True when done."""
         ...
 
 

@@ -42,8 +42,7 @@ class NullRecorder:
     failure: str | None = None
     path: Path | None = None
 
-    def still(self, exposure_us: int, png: bytes) -> None:
-        """There is no log for it."""
+    def still(self, exposure_us: int, png: bytes) -> None: ...
 
     def take_notices(self) -> tuple[tuple[Severity, str], ...]:
         return ()
@@ -93,7 +92,7 @@ class RunRecorder(NoticeQueue):
 
     @property
     def path(self) -> Path | None:
-        """The file of the present log, None while there is none (or it is just being made beside the loop)."""
+        """Path of the present log, None without one (or while it is being created in the background)."""
         log = self._log
         return None if log is None or log.failure is not None or log.path == Path() else log.path
 
@@ -187,7 +186,7 @@ class RunRecorder(NoticeQueue):
             self._close(log, None, told=told)
 
     def _failed(self, log: RunLog) -> None:
-        """Go on without a log that has stopped; the next arming tries again."""
+        """Continue without a log that has failed; the next arming tries again."""
         self._tell(notices.LOG_STOPPED(cause=log.cause), f"log {log.path}: {log.failure}")
         self._log = None
         self.lost = True

@@ -101,13 +101,13 @@ class Runtime:
         answers: Callable[[], tuple[Note, ...]] = tuple,
         mishaps: Callable[[Inputs], Inputs] = lambda inputs: inputs,
     ) -> None:
-        """``notices``: what operators should know of the outside world (severity, text), asked for once per tick.
-        ``below``: who has the vehicle, where there is a flight controller below; ``refusals``: what its devices have
-        against arming. ``skips``: the world does not wait, ticks that are far too late are left out. ``hold``: asked
-        before every tick, with the time of the last, whether time stands still (a simulation that is paused).
-        ``stills``: where stills are stored, None without a camera.
-        ``answers``: what the service was told in answer to its own questions, asked for once per tick after its step.
-        ``mishaps``: what befalls a simulated machine, put into the inputs."""
+        """``notices``: messages to operators about devices and links (severity, text), called once per tick.
+        ``below``: state of the flight controller, if there is one; ``refusals``: the devices' reasons against
+        arming. ``skips``: ticks that are far too late are skipped (real world). ``hold``: called before every
+        tick with the time of the last: whether the simulation is paused. ``stills``: storage of stills, None
+        without a camera. ``answers``: recorded nondeterministic results, called once per tick after its step.
+        ``mishaps``: adds injected faults to the inputs (simulation).
+        """
         self._stills = stills
         self._answers = answers
         self._mishaps = mishaps
@@ -178,7 +178,7 @@ class Runtime:
                 self.close()
 
     def _stand_down(self, tick: int) -> None:
-        """Ends with the flight controller below disarmed, as far as it is there and ours."""
+        """Disarm the flight controller at the end, if there is one that is ours to disarm."""
         device = self._stopped_by
         if device is None or tick == 0:
             return

@@ -86,10 +86,9 @@ class LogContents:
 
 
 def open_recorder(world: World, setup: ServiceSetup, parts: ServiceParts) -> RunRecorder:
-    """The recorder of a session. LogError if there is no place for its logs.
-
-    In lockstep a log is made and finished in the tick, which is the same on every machine; at a speed beside the loop,
-    but for a file that is there from the start.
+    """Recorder of a session. LogError if its folder cannot be used. In lockstep a log is created and finished
+    within the tick, for reproducibility; in paced runs in the background, except a file that exists from the
+    start.
     """
     settings, epoch_ns, lockstep = world.settings, world.epoch_ns(), world.speed == 0.0
     contents = LogContents(world, setup, parts)
@@ -149,7 +148,7 @@ def _make_folder(folder: Path) -> None:
 
 
 def service_attachments(setup: ServiceSetup, parts: ServiceParts, water: CurrentSource) -> dict[str, bytes]:
-    """All that is needed to make that service again, as it is before its first tick."""
+    """Record of the service in its state before the first tick."""
     signing = None if setup.signing is None else setup.signing.state
     record = ServiceRecord(
         profile=setup.profile,

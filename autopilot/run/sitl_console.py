@@ -120,7 +120,7 @@ def _outline(obstacle: Obstacle) -> FloatArray:
 
 
 def _reachable(points: FloatArray, fence: Fence) -> FloatArray:
-    """(n,) which of these places the fence does not forbid, by more than it is drawn inexactly."""
+    """(n,) which of these points lie outside the forbidden area by more than the fence's tolerance."""
     open_ = np.ones(len(points), dtype=bool)
     for shape in fence.exclusions:
         open_ &= clearance_m(shape, points) > KNOWN_M

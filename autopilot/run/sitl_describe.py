@@ -65,7 +65,7 @@ def _obstacle(obstacle: SolidTable, number: int) -> Obstacle:
 
 
 def part_origins(settings: EffectiveSettings, scenario: Scenario) -> dict[str, PartOrigin]:
-    """By role. ConfigError if there is no such part."""
+    """By role. ConfigError for an unknown part."""
     told = scenario.plugins
     return {
         "controller": _origin(find_controller(*chosen_part(settings, "controller", told.controller))),

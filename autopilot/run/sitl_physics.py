@@ -67,9 +67,9 @@ def serve_physics(
     stop: Callable[[], bool],
     tell: Callable[[str], None],
 ) -> PhysicsFlight:
-    """Answer ArduPilot until ``stop`` or so many simulated seconds. ``pose``: where a tracking system reports.
-
-    ConfigError if nothing can listen there."""
+    """Answer ArduPilot until ``stop`` or for a simulated duration. ``pose``: link of the tracking system's
+    reports. ConfigError if the port cannot be opened.
+    """
     scenario = with_vehicle(load_scenario(scenario_name), vehicle_name, "--vehicle")
     hull = load_vehicle(vehicle_name)
     vehicles: list[ArduSubVehicle] = []

@@ -26,7 +26,7 @@ class SitlSession(Session):
 
     @property
     def operator(self) -> ScriptedOperator | None:
-        """Who starts the plan, None without ``--start``."""
+        """Automatic operator that starts the plan, None without ``--start``."""
         return self.world.operator
 
     @property

@@ -262,7 +262,7 @@ def knowledge(settings: EffectiveSettings, scenario: Scenario) -> str:
 
 
 def _map(settings: EffectiveSettings, scenario: Scenario, origin: Origin) -> CurrentMap | None:
-    """The map file of the settings, else the scenario's; None when there is none. ConfigError if it is no good."""
+    """Map file of the settings, else the scenario's, None without one. ConfigError if it is invalid."""
     if knowledge(settings, scenario) != "map":
         if settings["currents_map"] is not None:
             raise ConfigError(f"--currents-map needs --currents map, not {settings['currents']}")
@@ -272,7 +272,7 @@ def _map(settings: EffectiveSettings, scenario: Scenario, origin: Origin) -> Cur
 
 
 def map_path(settings: EffectiveSettings, scenario: Scenario) -> Path | None:
-    """The file of the map of the current, None when there is none."""
+    """Path of the current map, None without one."""
     path = settings["currents_map"] or scenario.controller.map
     if path is None and isinstance(scenario.current, GridCurrent):
         path = scenario.current.file

@@ -34,7 +34,7 @@ class StillLog(Protocol):
 
     @property
     def path(self) -> Path | None:
-        """The file of the present log, None while there is none."""
+        """Path of the present log, None without one."""
         ...
 
     def still(self, exposure_us: int, png: bytes) -> None:
@@ -44,7 +44,7 @@ class StillLog(Protocol):
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class _Picture:
-    """A still on its way to the disk."""
+    """A still being written to the disk."""
 
     pixels: Any
     file: Path

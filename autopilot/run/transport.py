@@ -81,13 +81,13 @@ class Transport:
         return len(self._links)
 
     def judge_by(self, standing: Callable[[int, int], ClientRecord]) -> None:
-        """Who has a place where there are too few goes by ``standing`` of a link's client."""
+        """Set the priority function of clients, for links with limited slots."""
         for index, link in self._shared:
             link.standing = partial(standing, index)
 
     @property
     def beat_due(self) -> bool:
-        """Whether a link has not seen a component's HEARTBEAT for so long that one has to go out now."""
+        """Whether a component's HEARTBEAT is overdue on a link."""
         return bool(self._beats_s) and self._now_s() - min(self._beats_s.values()) >= BEAT_S
 
     def receive(self, t_us: int) -> list[MavlinkFrame]:

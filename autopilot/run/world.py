@@ -140,7 +140,7 @@ class World(ABC):
 
     @abstractmethod
     def below(self, t_us: int) -> FlightControllerState | None:
-        """Who has the vehicle at a time, where there is a flight controller below."""
+        """State of the flight controller at a time, None without one."""
 
     def finish_plan(self, plan: PlanFile) -> tuple[PlanFile, tuple[str, ...]]:
         """Complete a plan from a file before it is loaded; with a message about that."""

@@ -27,7 +27,7 @@ class Go(Table, frozen=True, kw_only=True, tag_field="do", tag="go"): ...
 
 
 class Speed(Table, frozen=True, kw_only=True, tag_field="do", tag="speed"):
-    """Time goes so much faster than real time."""
+    """Change the real-time factor."""
 
     value: Annotated[float, msgspec.Meta(ge=MIN_SPEED, le=MAX_SPEED)]
 
@@ -43,7 +43,7 @@ class DragCurrent(Table, frozen=True, kw_only=True, tag_field="do", tag="current
 
 
 class DragObstacle(Table, frozen=True, kw_only=True, tag_field="do", tag="obstacle"):
-    """An obstacle stands elsewhere from now on."""
+    """Move an obstacle."""
 
     number: Annotated[int, msgspec.Meta(ge=1)]
     north_m: _Place

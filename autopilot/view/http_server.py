@@ -75,7 +75,7 @@ class _Server(ThreadingHTTPServer):
         super().__init__(("127.0.0.1", port), _Handler)
 
     def process_request(self, request: object, client_address: object) -> None:
-        """On a thread of its own, as long as there are not too many."""
+        """In a thread of its own, up to a maximum number."""
         if not self._room.acquire(blocking=False):
             self.shutdown_request(request)  # type: ignore[arg-type]
             return
@@ -92,7 +92,7 @@ class _Server(ThreadingHTTPServer):
 
 
 def _file(name: str) -> bytes:
-    """A file of the page as it is in the package."""
+    """A packaged file of the page."""
     return (files("autopilot") / "data" / "view" / name).read_bytes()
 
 
@@ -208,7 +208,7 @@ class _Handler(BaseHTTPRequestHandler):
         return False
 
     def _stream(self, *, pictures: bool) -> None:
-        """Server-sent events until the viewer goes, or does not follow."""
+        """Server-sent events until the viewer disconnects or times out."""
         viewer = self.server.hub.join(pictures=pictures)
         if viewer is None:
             self._say(503, f"{MAX_VIEWERS} pages are looking already: close one")

@@ -93,7 +93,7 @@ class Hub:
     def attach(
         self, watched: Watched, vehicle: Vehicle, controls: Controls, *, simulated: bool, pictures: bool
     ) -> Feed:
-        """A run begins; the feed is for its loop. ``pictures``: there is a camera that delivers some."""
+        """A run begins; the feed is for its loop. ``pictures``: whether a camera delivers any."""
         feed = Feed(watched, self._scenes)
         with self._lock:
             self._run = _Run(feed, vehicle, controls, simulated, pictures)

@@ -123,7 +123,7 @@ class TrueState(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Solid(msgspec.Struct, frozen=True, kw_only=True):
-    """An obstacle of the simulated world where it is now."""
+    """An obstacle of the simulated world at its present position."""
 
     number: int
     kind: str

@@ -91,7 +91,7 @@ class DistanceMap:
         cv2.fillPoly(picture, [self._scaled(corners)[:, ::-1].copy()], value, cv2.LINE_8, _SUBPIXEL_BITS)
 
     def clearance_m(self, place: Point) -> float:
-        """At the pixel of a place."""
+        """At the pixel of a point."""
         north, east = self._index(place)
         return float(self.distance_m[north, east])
 
@@ -114,7 +114,7 @@ class DistanceMap:
         return {int(number) for number in np.unique(window)} - {0}
 
     def ways(self, keep_m: float, places: list[Point]) -> "QuickestPaths":
-        """The ground near these places that keeps ``keep_m``, in cells."""
+        """Cells near these points with clearance ``keep_m``."""
         points = np.array(places)
         low = np.maximum(points.min(axis=0) - WAY_MARGIN_M, self.low)
         high = np.minimum(points.max(axis=0) + WAY_MARGIN_M, self.low + self.pixel_m * np.array(self.distance_m.shape))
@@ -137,15 +137,16 @@ class QuickestPaths:
     def quickest(
         self, start: Point, goal: Point, reach_m: float, flow: Flow, *, water_m_s: float, ground_m_s: float, worst: bool
     ) -> QuickestPath:
-        """From a place to within ``reach_m`` of another, at ``water_m_s`` through the water and at most ``ground_m_s``
-        over ground, in the worst (or the best) of the phases of the flow."""
+        """Time-optimal path from a point to within ``reach_m`` of another, at ``water_m_s`` through the water and
+        at most ``ground_m_s`` over ground, in the worst (or the best) of the phases of the flow.
+        """
         path = self._path(start, goal, reach_m, self._graph_of(flow, water_m_s, ground_m_s, worst=worst))
         return NO_WAY if path is None else QuickestPath(path[1], self._length(path[0]))
 
     def shortest(
         self, start: Point, goal: Point, reach_m: float, flow: Flow, *, water_m_s: float, ground_m_s: float
     ) -> QuickestPath:
-        """The same along the shortest way over ground, whatever the water does there, in the worst of its phases."""
+        """The same along the shortest path over ground, in the worst of the phases of the flow."""
         path = self._path(start, goal, reach_m, self._graph_of(still, ground_m_s, ground_m_s, worst=True))
         if path is None:
             return NO_WAY
@@ -158,7 +159,7 @@ class QuickestPaths:
     def _path(
         self, start: Point, goal: Point, reach_m: float, graph: sparse.csr_matrix
     ) -> tuple[list[int], float] | None:
-        """Cells of the way and its time, None without one."""
+        """Cells of the path and its time, None without one."""
         if not len(self._places):
             return None
         away = np.hypot(*(self._places - np.array(start)).T)

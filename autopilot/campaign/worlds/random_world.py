@@ -160,7 +160,7 @@ def _bounds(layout: WorldLayout, start: Point) -> tuple[Point, Point]:
 
 
 def _free_place(rng: np.random.Generator, layout: WorldLayout, need_m: float) -> Point:
-    """Some place with that clearance; the best one met if there is none."""
+    """A point with that clearance, else the best one sampled."""
     low, high = _bounds(layout, (0.0, 0.0))
     best, most = (0.0, 0.0), -math.inf
     for _ in range(TRIES):
@@ -242,7 +242,7 @@ def _wall(
 def _current(
     rng: np.random.Generator, kind: str, size: Point, middle: Point, start: Point, limit_m_s: float
 ) -> dict[str, Any]:
-    """A current in which the vehicle can hold its place where it begins."""
+    """A current in which the vehicle can hold position at the start."""
     for _ in range(20):
         table = draw_current(rng, kind, size, middle, limit_m_s)
         there = current_field(current_table(table)).velocity((*start, 1.0), 0.0)

@@ -34,7 +34,7 @@ TELLING_S = 90.0
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Leg:
-    """One goal of the mission and the way to it."""
+    """One goal of the mission and the path to it."""
 
     seq: int
     """Mission item."""
@@ -197,7 +197,7 @@ class _Judge:
         return float(np.hypot(flow[:, 0], flow[:, 1]).max())
 
     def _holds(self, place: Point, yaw: float) -> bool:
-        """Whether the thrusters hold that place at that heading with some to spare."""
+        """Whether the thrusters can hold that position and heading with a margin."""
         model, params = self._room.vehicle.model4, self._room.scenario["params"]
         for north, east in self._flow(np.array([place]))[:, 0]:
             ahead = north * math.cos(yaw) + east * math.sin(yaw)

@@ -63,7 +63,7 @@ class WorldWatch(TickWatch):
 
     @property
     def never_armed(self) -> bool:
-        """Time enough, and it is not armed."""
+        """Whether it is still disarmed after the time allowed."""
         return self._armed_s is None and self._now_s > ARMING_S
 
 

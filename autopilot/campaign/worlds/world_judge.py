@@ -124,7 +124,7 @@ def _narrow_gap(room: RandomWorld) -> bool:
 
 
 def _rim(solid: Solid) -> list[tuple[float, float]]:
-    """Places round a solid, a few centimetres apart."""
+    """Points around a solid, a few centimetres apart."""
     if isinstance(solid, Disc):
         north, east = solid.center_m
         angles = np.linspace(0.0, 2.0 * math.pi, 120)
@@ -183,7 +183,7 @@ def judge_flight(room: RandomWorld, chances: Prospect, mode: int, watch: WorldWa
 
 
 def _visits(room: RandomWorld, watch: WorldWatch) -> int:
-    """How many waypoints the plant came to in their order."""
+    """Number of waypoints that the plant reached in order."""
     rows, params = watch.rows, room.scenario["params"]
     at, visited = 0, 0
     for waypoint in room.waypoints:

@@ -49,13 +49,13 @@ def polygon_clearance_m(corners: Corners, place: Point) -> float:
 
 
 def clearance_m(layout: WorldLayout, place: Point) -> float:
-    """Distance of a place from everything solid or fenced, negative where it is forbidden; inf in open water."""
+    """Distance of a point from everything solid or fenced, negative where it is forbidden; inf in open water."""
     walls = math.inf if layout.outline_m is None else -polygon_clearance_m(layout.outline_m, place)
     return min([walls, *(solid_clearance_m(solid, place) for solid in layout.solids)])
 
 
 def solid_clearance_m(solid: Solid, place: Point) -> float:
-    """Distance of a place from a solid, negative inside."""
+    """Distance of a point from a solid, negative inside."""
     if isinstance(solid, Disc):
         return math.dist(solid.center_m, place) - solid.radius_m
     return polygon_clearance_m(solid.corners_m, place)
@@ -116,7 +116,7 @@ def _on(foot: Point, unit: FloatArray, along: float) -> Point:
 
 
 def _chord(outline: FloatArray, foot: FloatArray, unit: FloatArray) -> tuple[float, float] | None:
-    """From where to where a line through a place inside runs inside; None if the place is not inside."""
+    """Ends of the chord of a line through an inner point; None if the point is not inside."""
     if not shapes.inside_polygon(outline, foot[None])[0]:
         return None
     rel = outline - foot

@@ -101,7 +101,7 @@ class SurfaceMode(FlightModeBehaviour):
         return self._goals.surface(nav)
 
     def watch(self, status: VehicleStatus, goal: Goal, nav: NavState) -> ModeStep:
-        """At the surface it is over."""
+        """Ends at the surface."""
         super().watch(status, goal, nav)
         if nav.pos_ned_m[2] > self._goals.top_m + SURFACED_M:
             return GO_ON
@@ -125,7 +125,7 @@ class TakeoffMode(FlightModeBehaviour):
         return self.choose_depth(None if armed else self._asked_m)
 
     def choose_depth(self, depth_m: float | None) -> str:
-        """Depth of the next dive, None = TKOFF_DEPTH; why not, "" when it is taken."""
+        """Depth of the next dive, None = TKOFF_DEPTH. Returns the reason of a refusal, else ""."""
         self._asked_m = depth_m
         wanted_m = self._params["TKOFF_DEPTH"] if depth_m is None else depth_m
         reason = self._goals.refuse_depth(wanted_m)
@@ -139,7 +139,7 @@ class TakeoffMode(FlightModeBehaviour):
         return replace(rest, pos_ned_m=np.array([*rest.pos_ned_m[:2], self._depth_m]))
 
     def watch(self, status: VehicleStatus, goal: Goal, nav: NavState) -> ModeStep:
-        """At its depth it is over."""
+        """Ends at its depth."""
         super().watch(status, goal, nav)
         if abs(nav.pos_ned_m[2] - goal.pos_ned_m[2]) >= DIVED_M:
             return GO_ON

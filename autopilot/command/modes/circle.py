@@ -46,7 +46,7 @@ class CircleMode(FlightModeBehaviour):
         return reason
 
     def choose(self, asked: Circling, nav: NavState | None) -> str:
-        """The circle of a command: why it cannot be flown, "" when it is taken."""
+        """Set the circle of a command. Returns the reason of a refusal, else ""."""
         params = self._params
         if nav is None:
             return "no position"

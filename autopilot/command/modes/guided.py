@@ -65,11 +65,11 @@ class GuidedMode(FlightModeBehaviour):
         return self._goals.refuse(np.array([*point.place_ned_m, depth_m]))
 
     def take(self, point: SetPoint | None, lacks: str = NONE_YET) -> None:
-        """The newest one; None = there is none that may be followed, and why."""
+        """The newest setpoint; None = none can be followed, with the reason."""
         self._point, self._lacks = point, lacks
 
     def _alive(self, t_us: int) -> bool:
-        """Whether there is a set point that is not too old."""
+        """Whether there is a setpoint that has not timed out."""
         return self._point is not None and t_us <= self._point.until_us
 
     def _followed(self, nav: NavState) -> Goal:

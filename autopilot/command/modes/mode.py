@@ -84,7 +84,7 @@ class FlightModeBehaviour:
         return None
 
     def prepare(self, nav: NavState | None, *, armed: bool) -> str:
-        """Before it is chosen without more words: why that is not possible, "" if it is."""
+        """Prepare for selection without arguments. Returns the reason of a refusal, else ""."""
         return ""
 
     def enter(self, nav: NavState | None) -> None: ...
@@ -109,10 +109,10 @@ class FlightModeBehaviour:
         return None
 
     def position_came_or_went(self) -> None:
-        """There is a position as of now, or none any more."""
+        """The position has become available or has been lost."""
 
     def go_to_depth(self, depth_m: float) -> str | None:
-        """Another depth within the mode: why not, "" when it is gone to; None = the mode has no way of its own."""
+        """Change depth within the mode. Returns the reason of a refusal, else ""; None = not supported by the mode."""
         return None
 
     def _watch_way(self, status: VehicleStatus, goal: Goal, nav: NavState, *, flies: bool) -> ModeStep:

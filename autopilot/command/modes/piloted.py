@@ -78,7 +78,7 @@ class PilotedMode(FlightModeBehaviour):
         self.enter(None)
 
     def step(self, status: VehicleStatus, nav: NavState) -> ModeStep:
-        """The motion that the sticks ask for."""
+        """Motion commanded by the sticks."""
         return ModeStep(goal=self._goal_of(status.sticks or RELEASED, nav))
 
     def _goal_of(self, sticks: Sticks, nav: NavState) -> Goal:
@@ -209,7 +209,7 @@ class DepthHoldMode(PilotedMode):
 
 
 class PositionMode(PilotedMode):
-    """Sticks are velocities; released, the vehicle holds its place."""
+    """Sticks command velocities; released, the vehicle holds position."""
 
     name = FlightMode.POSHOLD
     holds_place = True

@@ -34,7 +34,7 @@ FLOOR_RATE_S = 0.3
 
 
 class SurftrakMode(DepthHoldMode):
-    """Over a floor that rises and falls. Without a range to it the depth is held, until there is one again."""
+    """Holds the altitude over the floor. Without a range to the floor the depth is held until there is one."""
 
     name = FlightMode.SURFTRAK
 
@@ -67,7 +67,7 @@ class SurftrakMode(DepthHoldMode):
         self._floor_m_s, self._chases = 0.0, False
 
     def step(self, status: VehicleStatus, nav: NavState) -> ModeStep:
-        """The motion that the sticks ask for, over the floor of now."""
+        """Motion commanded by the sticks, relative to the floor."""
         self._update_height(status, float(nav.pos_ned_m[2]))
         return super().step(status, nav)
 

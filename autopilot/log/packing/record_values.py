@@ -137,7 +137,7 @@ def below_values(value: FlightControllerState) -> Iterable[int | bytes]:
 
 
 def _text(text: str, width: int) -> bytes:
-    """UTF-8 of at most so many bytes, no character cut in two."""
+    """UTF-8 truncated to a number of bytes at a character boundary."""
     return text.encode(errors="replace")[:width].decode(errors="ignore").encode()
 
 

@@ -34,7 +34,7 @@ UNSET = msgspec.UNSET
 
 
 class Datagram(msgspec.Struct, frozen=True, array_like=True):
-    """Where received bytes came from; the bytes are in ``/in/mavlink``, packet by packet."""
+    """Origin of received bytes; the bytes are in ``/in/mavlink``, packet by packet."""
 
     link: int
     client: int
@@ -45,7 +45,7 @@ class Datagram(msgspec.Struct, frozen=True, array_like=True):
 
 
 class KeyPacket(msgspec.Struct, frozen=True, array_like=True):
-    """A SETUP_SIGNING that was taken out, with another key in the place of its own."""
+    """A SETUP_SIGNING that was removed, with a substitute for its key."""
 
     datagram: int
     """Of this tick, from 0."""
