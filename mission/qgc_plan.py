@@ -31,7 +31,7 @@ def read_qgc_plan(text: str, name: str) -> PlanFile:
     ----------
     text
         Content of the file.
-    where
+    name
         Name of the file, for error messages.
 
     Returns

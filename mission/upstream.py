@@ -30,7 +30,7 @@ class SlowLeg:
     """Fastest on it."""
 
     def out_of_reach(self, least_m_s: float) -> bool:
-        """Whether no speed at all is left."""
+        """Whether the speed left is below ``least_m_s``."""
         return self.left_m_s < least_m_s
 
     def made(self, speed_m_s: float, left_m: float) -> "SlowLeg":
@@ -107,7 +107,6 @@ class MadeGood:
 
     @property
     def left_m(self) -> float:
-        """Path length left."""
         return self._left_m
 
     def forget(self) -> None:

@@ -47,7 +47,7 @@ class Limit:
     to_s: float
     """First and last node at which it is active, after the step."""
     value: str
-    """What it is."""
+    """Description."""
     multiplier: float
     """Largest: decrease of the cost per unit of relaxation (m, m/s, rad/s, N)."""
 

@@ -54,7 +54,6 @@ class LoopRow:
 
     @property
     def kept(self) -> bool:
-        """Whether the requirement is met."""
         return self.asked is None or self.value <= self.asked
 
 

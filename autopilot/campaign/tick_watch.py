@@ -75,13 +75,11 @@ class TickWatch:
 
     @property
     def over(self) -> bool:
-        """Whether the flight can end."""
         ends = [end for end in (self._complete_s, self._disarmed_s) if end is not None]
         return bool(ends) and self._now_s >= min(ends) + HOLD_S
 
     @property
     def completed(self) -> bool:
-        """Whether the mission was completed."""
         return self._complete_s is not None
 
     @property

@@ -12,8 +12,6 @@ WARNING = 4
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class VehicleText:
-    """One complete STATUSTEXT."""
-
     t_s: float
     severity: int
     """MAV_SEVERITY."""

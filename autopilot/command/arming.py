@@ -24,8 +24,6 @@ ControllerCheck = Callable[[NavState], tuple[str, ...]]
 
 
 class ArmingChecks:
-    """All checks before arming."""
-
     def __init__(
         self, params: ParamSet, plans: Plans, goals: Goals, failsafes: FailsafeRules, controller_check: ControllerCheck
     ) -> None:

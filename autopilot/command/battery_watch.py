@@ -29,7 +29,6 @@ class BatteryWatch:
 
     @property
     def shown(self) -> PowerSample | None:
-        """Reading reported to clients."""
         refused_us = self._refused_us
         return None if refused_us is not None and refused_us - self._good_us >= STALE_US else self.power
 

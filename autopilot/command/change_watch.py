@@ -49,7 +49,6 @@ class ChangeWatch:
         self._delay_s = 0.0
 
     def look(self, status: VehicleStatus, *, armed: bool) -> list[OperatorText]:
-        """Messages of this tick."""
         nav = status.nav
         texts: list[OperatorText] = []
         health = NavHealth.INVALID if nav is None else nav.health

@@ -189,7 +189,6 @@ class Commander:
         return self._disarming.answer
 
     def disarmed(self) -> CommandReply:
-        """Result of the last disarming."""
         return self._disarming.answer
 
     def set_mode(self, mode: FlightMode) -> CommandReply:

@@ -22,8 +22,6 @@ _SAID_ONCE = frozenset({DeviceRole.WATCHDOG})
 
 
 class DeviceWatch:
-    """Reports device faults and recoveries."""
-
     def __init__(self) -> None:
         self._reported_us: dict[DeviceRole, int] = {}
         self._last_us: dict[DeviceRole, int] = {}

@@ -41,7 +41,7 @@ class Equipment:
         self._repeats: dict[int, _Repeat] = {}
         self._t_us = 0
 
-    # What is there
+    # State
 
     def leave_out(self, unwired: Mapping[str, str]) -> None:
         """Outputs that nothing here drives, by name, and why."""

@@ -52,7 +52,7 @@ class FaultResponse:
 
     @property
     def holding(self) -> bool:
-        """Whether the controller is out."""
+        """Whether the controller is disabled."""
         return self._since_us is not None
 
     @property

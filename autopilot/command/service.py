@@ -410,7 +410,6 @@ class Autopilot:
             self._order_events += self._orders.carry_out(tick.inputs.t_us, tick.decision.orders)
 
     def _photograph(self, tick: TickState) -> None:
-        """Request stills and collect results."""
         photographer, decision = self._parts.photographer, tick.decision
         assert decision is not None
         if photographer is not None:

@@ -70,8 +70,6 @@ class ChunkRef:
 
 @dataclass(slots=True)
 class Contents:
-    """Result of scanning a file."""
-
     schemas: dict[int, Schema] = field(default_factory=dict)
     channels: dict[int, Channel] = field(default_factory=dict)
     chunks: list[ChunkRef] = field(default_factory=list)

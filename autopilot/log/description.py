@@ -88,8 +88,6 @@ class FenceItemDescription:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Waypoint:
-    """A waypoint of the mission."""
-
     name: str
     pos_ned_m: Point3
     yaw_rad: float | None = None

@@ -119,7 +119,7 @@ class LoggedTruth(TruthLike, Protocol):
 
     @property
     def contact_depth_m(self) -> float:
-        """Deepest penetration of now."""
+        """Deepest penetration at present."""
         ...
 
 

@@ -56,7 +56,7 @@ def scene_markers(run: RunDescription) -> list[VisualMarker]:
 
 
 def moving_markers(run: RunDescription, t_s: float) -> list[VisualMarker]:
-    """Moving obstacles at a time."""
+    """Moving obstacles at time ``t_s`` [s]."""
     depth = run.tank_depth_m if run.tank_depth_m is not None else _DEFAULT_DEPTH_M
     markers: list[VisualMarker] = []
     for number, obstacle in enumerate(run.obstacles):

@@ -54,7 +54,6 @@ class OpenFile:
         return None
 
     def close(self) -> None:
-        """Discard pending reads."""
         if self._task is not None:
             self._task.cancel()
             self._task = None

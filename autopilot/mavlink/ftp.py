@@ -114,8 +114,6 @@ def request_of(payload: bytes) -> FtpPacket:
 
 @dataclass(slots=True)
 class _FtpClient:
-    """Session of one client."""
-
     file: OpenFile | None = None
     session: int = 0
     """By which the client calls its file: what stood in the request that opened it."""

@@ -31,8 +31,6 @@ _LOG = ".mcap"
 
 @dataclass(slots=True)
 class _LogClient:
-    """Session of one client."""
-
     logs: tuple[LogDirectoryEntry, ...] | None = None
     """The list that defines the client's numbers, None before its first request."""
     listing: BackgroundTask[tuple[LogDirectoryEntry, ...]] | None = None

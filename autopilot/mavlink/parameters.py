@@ -42,7 +42,6 @@ _TYPE_MISMATCH = 7
 
 
 def encode(value: float, kind: ParamType, encoding: ParamEncoding) -> float:
-    """A value as param_value."""
     if kind is ParamType.INT32 and encoding is ParamEncoding.BYTEWISE:
         (as_float,) = struct.unpack("<f", struct.pack("<i", int(value)))
         return float(as_float)

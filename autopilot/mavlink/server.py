@@ -444,7 +444,6 @@ class MavlinkServer:
         )
 
     def standing(self, link: int, client: int) -> ClientRecord:
-        """Priority of a client."""
         owner = self._operators.owner
         in_control = owner is not None and (owner.link, owner.client) == (link, client)
         return ClientRecord(self._valid_us.get((link, client)), in_control)

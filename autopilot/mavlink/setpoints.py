@@ -200,7 +200,7 @@ def _pair(mask: int, one: int, other: int, what: str) -> bool:
 
 
 def _finite(values: tuple[float, ...], what: str, *, most: float | None = None) -> tuple[float, ...]:
-    """Numbers that can be meant."""
+    """The values, or a refusal if one is not finite or larger than ``most``."""
     bound = 1e6 if what in ("position", "depth", "altitude") else FASTEST if most is None else most
     for value in values:
         if not (math.isfinite(value) and abs(value) <= bound):

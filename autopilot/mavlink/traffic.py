@@ -107,7 +107,6 @@ class TrafficReports:
 
     @property
     def _altitude_m(self) -> float:
-        """Altitude of this vehicle."""
         nav, origin = self._ctx.view.nav, self._ctx.view.origin
         return origin.alt_m if nav is None else origin.alt_m - float(nav.pos_ned_m[2])
 

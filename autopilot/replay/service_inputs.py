@@ -107,8 +107,6 @@ class ServiceInputs:
 
 
 class _ClientBytes:
-    """Byte stream of one client."""
-
     def __init__(self) -> None:
         self.data = bytearray()
         self._at = 0

@@ -29,7 +29,7 @@ WIRES = ("serial", "camera", "pwm")
 CURRENTS = ("estimate", "map", "none", "uniform")
 BASINS = ("closed", "open", "unknown")
 SHIPPED_PARTS = {"controller": CONTROLLERS, "estimator": ESTIMATORS, "plant": PLANTS}
-"""What stands in the tables of the rooms (:data:`autopilot.control.protocol.CONTROLLERS` and so on), for --help."""
+"""Entries of the plug-in tables (:data:`autopilot.control.protocol.CONTROLLERS` and so on), for --help."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -45,8 +45,6 @@ class Console:
 
 
 class EventLines:
-    """Formats messages to the operator."""
-
     def __init__(self, show: Print) -> None:
         self._show = show
         self._shown_us: dict[str, int] = {}

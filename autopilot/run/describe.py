@@ -58,7 +58,6 @@ def _camera(model: CameraModel) -> CameraView:
 
 
 def plan_items(plans: Plans) -> dict[PlanKind, tuple[PlanItem, ...]]:
-    """The plans in force, immutable."""
     return {kind: plans.items(kind) for kind in PlanKind}
 
 

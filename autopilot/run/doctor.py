@@ -335,5 +335,4 @@ def _arming(reasons: Sequence[str]) -> list[Finding]:
 
 
 def failed_config(error: AutopilotError) -> list[Finding]:
-    """Finding for an invalid configuration."""
     return [_failed("configuration", str(error))]

@@ -147,7 +147,6 @@ class HardwareVehicle:
         return "" if watched is None or not watched.watchdog_failed else watched.watchdog_problem
 
     def advice(self) -> tuple[tuple[str, str], ...]:
-        """Recommendations for better settings."""
         device = None if self._below is None else self._below.device
         return () if device is None else device.advice()
 

@@ -92,8 +92,6 @@ def place_of(origin: Origin) -> _OriginEntry:
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class PlansSnapshot:
-    """Immutable content to be written."""
-
     configured_origin: Origin
     origin: Origin
     home_ned_m: FloatArray

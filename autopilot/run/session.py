@@ -122,8 +122,6 @@ SomeSession = TypeVar("SomeSession", bound=Session)
 
 
 class SessionOptions(TypedDict, total=False):
-    """Optional settings of a session."""
-
     log: bool
     links: Sequence[Link] | None
     """The connections of the settings if they are already open (:mod:`autopilot.run.boot_links`)."""

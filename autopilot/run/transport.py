@@ -129,7 +129,6 @@ class Transport:
         self.send(frames)
 
     def send(self, frames: Sequence[MavlinkFrame]) -> None:
-        """Send frames on their links."""
         for frame in frames:
             component = _beat_of(frame)
             if component is not None:

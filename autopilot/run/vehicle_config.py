@@ -77,8 +77,6 @@ class ConfigFile(Table, frozen=True, kw_only=True):
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class VehicleConfig:
-    """A validated configuration."""
-
     path: Path
     file: ConfigFile
     vehicle: Vehicle

@@ -131,8 +131,7 @@ class World(ABC):
         """The run as things stand now."""
 
     @abstractmethod
-    def metadata(self) -> Mapping[str, str]:
-        """Short metadata for the logs."""
+    def metadata(self) -> Mapping[str, str]: ...
 
     @abstractmethod
     def attachments(self) -> Mapping[str, bytes]:
@@ -158,7 +157,6 @@ class World(ABC):
         return None
 
     def notices(self) -> Sequence[tuple[Severity, str]]:
-        """Notices to the operator."""
         return ()
 
     def refusals(self, t_us: int) -> tuple[str, ...]:

@@ -43,8 +43,6 @@ class DragCurrent(Table, frozen=True, kw_only=True, tag_field="do", tag="current
 
 
 class DragObstacle(Table, frozen=True, kw_only=True, tag_field="do", tag="obstacle"):
-    """Move an obstacle."""
-
     number: Annotated[int, msgspec.Meta(ge=1)]
     north_m: _Place
     east_m: _Place
@@ -74,9 +72,7 @@ class Controls(Protocol):
     """Executes requests of the page."""
 
     @property
-    def steerable(self) -> Steerable:
-        """Supported interventions."""
-        ...
+    def steerable(self) -> Steerable: ...
 
     @property
     def steered(self) -> Steered: ...

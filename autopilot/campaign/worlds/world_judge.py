@@ -150,7 +150,6 @@ def _gap_m(a: Solid, b: Solid) -> float:
 
 
 def judge_flight(room: RandomWorld, chances: Prospect, mode: int, watch: WorldWatch, end: Truth) -> WorldResult:
-    """Verdict on a flight."""
     visited = _visits(room, watch)
     goals = len(room.waypoints)
     done = visited == goals and watch.completed

@@ -50,7 +50,6 @@ class MissionMode(FlightModeBehaviour):
         self._mission.start(self._operator.t_us, nav)
 
     def leave(self) -> None:
-        """The current item is kept."""
         self._mission.sequencer.pause()
 
     def step(self, status: VehicleStatus, nav: NavState) -> ModeStep:

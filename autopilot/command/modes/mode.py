@@ -25,8 +25,6 @@ def denied(reason: str) -> CommandReply:
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class ModeContext:
-    """Dependencies that all modes share."""
-
     vehicle: Vehicle
     params: ParamSet
     plans: Plans

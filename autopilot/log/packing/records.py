@@ -26,7 +26,6 @@ LARGEST = {"uint8": 0xFF, "uint16": 0xFFFF, "uint32": 0xFFFFFFFF}
 
 
 def packer_of(row: MessageRow) -> Pack:
-    """Packer of a row's type."""
     full = f"autopilot_msgs/{row.type}"
     hints: dict[str, Any] = {} if row.of is None else get_type_hints(row.of)
     scope: dict[str, Any] = {
