@@ -119,7 +119,25 @@ class LocalPlan(Table, frozen=True, kw_only=True):
 
 
 def read_local_plan(text: str, name: str) -> PlanFile:
-    """The plan in a local-metres TOML text. PlanError names file, key and remedy."""
+    """Parse a plan in local metres (TOML).
+
+    Parameters
+    ----------
+    text
+        Content of the file; x north, y east, depth down [m], yaw [rad].
+    name
+        Name of the file, for error messages.
+
+    Returns
+    -------
+    PlanFile
+        In wire units.
+
+    Raises
+    ------
+    PlanError
+        The message names file, key and remedy.
+    """
     try:
         local: LocalPlan = convert(parse_toml(text, name), LocalPlan, name)
     except ConfigError as error:

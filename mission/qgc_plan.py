@@ -210,6 +210,8 @@ def write_qgc_plan(plan: PlanFile, speed_m_s: float = 0.35) -> str:
     ----------
     plan
         Content of the file.
+    speed_m_s
+        Cruise and hover speed written to the file [m/s].
 
     Returns
     -------

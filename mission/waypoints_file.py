@@ -18,7 +18,25 @@ _COLUMNS = 12
 
 
 def read_waypoints(text: str, name: str) -> PlanFile:
-    """The plan in a ``.waypoints`` text. PlanError names file, line and remedy."""
+    """Parse a ``QGC WPL 110`` text.
+
+    Parameters
+    ----------
+    text
+        Content of the file; latitude and longitude in degrees, altitude in metres.
+    name
+        Name of the file, for error messages.
+
+    Returns
+    -------
+    PlanFile
+        In wire units; mission and home only.
+
+    Raises
+    ------
+    PlanError
+        The message names file, line and remedy.
+    """
     lines = text.splitlines()
     if not lines or lines[0].strip() != HEADER:
         shown = lines[0].strip()[:40] if lines else ""

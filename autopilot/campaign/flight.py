@@ -41,8 +41,26 @@ def run_watched(
 
 
 def fly(task: Task, stop: Callable[[], bool] = lambda: False, *, log: Path | None = None) -> RunResult | None:
-    """The result, None if ``stop`` ended the run; ``log``: file to record the run in. AutopilotError if it cannot
-    be flown.
+    """Fly one run of a campaign.
+
+    Parameters
+    ----------
+    task
+        The drawn scenario.
+    stop
+        Polled during the run; True ends it.
+    log
+        File to record the run in, None = no log.
+
+    Returns
+    -------
+    RunResult or None
+        None if ``stop`` ended the run.
+
+    Raises
+    ------
+    AutopilotError
+        The run cannot be flown.
     """
     cpu_s = time.process_time()
     with tempfile.TemporaryDirectory(prefix="campaign-") as folder:

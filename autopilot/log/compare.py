@@ -52,11 +52,23 @@ def compare_logs(
     *,
     prefix: bool = False,
 ) -> list[Difference]:
-    """Compare two logs.
+    """Compare two logs message by message; metadata and attachments are not compared.
 
-    At most one difference per field; empty = identical messages. ``ignore_fields``: ``topic.field``, or a field's
-    name for all topics. Metadata and attachments are not compared. ``prefix``: one may end early, only the common
-    part is compared.
+    Parameters
+    ----------
+    a, b
+        The logs.
+    ignore_topics
+        Topics that are not compared.
+    ignore_fields
+        ``topic.field``, or a field's name for all topics.
+    prefix
+        One may end early: only the common part is compared.
+
+    Returns
+    -------
+    list of Difference
+        At most one per field; empty = identical messages.
     """
     found: list[Difference] = []
     for topic in sorted({*a.topics, *b.topics} - set(ignore_topics)):

@@ -22,9 +22,29 @@ Kind: TypeAlias = Literal["csv", "parquet"]
 
 
 def export_log(log: Log, folder: Path, *, topics: Sequence[str] = (), kind: Kind = "csv") -> Iterator[Path]:
-    """Write topics (None = all) into ``folder`` and yield the files. LogError for an unknown topic or a missing
-    library. A topic that cannot be decoded is an error if it was requested, else it is left out and named in
-    ``log.problems``.
+    """Write topics as tables, one file per topic.
+
+    Parameters
+    ----------
+    log
+        The log.
+    folder
+        Created if it is missing.
+    topics
+        Their names, empty = all with messages.
+    kind
+        File format, ``csv`` or ``parquet``.
+
+    Yields
+    ------
+    Path
+        Each file when it is written.
+
+    Raises
+    ------
+    LogError
+        Unknown topic, missing library, or a requested topic cannot be decoded (without a request it is left out and
+        named in ``log.problems``).
     """
     unknown = [topic for topic in topics if topic not in log.topics]
     if unknown:

@@ -32,7 +32,25 @@ FIGURES: dict[str, Drawing] = {
 
 
 def write_figures(log: Log, folder: Path) -> list[Path]:
-    """Write every figure that the log has data for; returns their paths. LogError without any data."""
+    """Write every figure that the log has data for.
+
+    Parameters
+    ----------
+    log
+        The log.
+    folder
+        Created if it is missing.
+
+    Returns
+    -------
+    list of Path
+        A PNG and a PDF file per figure.
+
+    Raises
+    ------
+    LogError
+        There are no data, or a file cannot be written.
+    """
     scene = make_scene(log)
     written = []
     try:

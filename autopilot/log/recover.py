@@ -45,7 +45,23 @@ def recover_unfinished(folder: Path) -> list[Recovery]:
 
 
 def recover_log(path: Path) -> Recovery | None:
-    """Repair one log; None if it needs no repair or is being written. LogError if it is no log or not accessible."""
+    """Repair an unfinished log in place.
+
+    Parameters
+    ----------
+    path
+        The log.
+
+    Returns
+    -------
+    Recovery or None
+        None if it needs no repair or is being written.
+
+    Raises
+    ------
+    LogError
+        It is no log, or not accessible.
+    """
     try:
         opened = path.open("r+b")
     except OSError as error:

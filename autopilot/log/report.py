@@ -71,7 +71,25 @@ _LEVEL_NAMES = {50: "fatal", 40: "error", 30: "warning", 20: "info", 10: "debug"
 
 
 def write_report(log: Log, path: Path) -> Path:
-    """Write the report of a log. LogError if the log holds no track or the file cannot be written."""
+    """Write the HTML report of a log.
+
+    Parameters
+    ----------
+    log
+        The log.
+    path
+        File to write; its folder is created if it is missing.
+
+    Returns
+    -------
+    Path
+        The file.
+
+    Raises
+    ------
+    LogError
+        The log holds no track, or the file cannot be written.
+    """
     from autopilot.log.report_plots import TOPICS
 
     if path.is_dir():

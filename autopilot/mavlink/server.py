@@ -108,21 +108,26 @@ class MavlinkServer:
 
     Parameters
     ----------
-    profile, version, git, uid
-        Who the vehicle is: name of its profile (ConfigError for an unknown one), the distribution's version, the
-        revision in hex digits, 64 bits that tell this vehicle from others.
+    sysid
+        MAVLink system id of the vehicle.
+    profile
+        Name of the identity profile (ConfigError for an unknown one).
+    params, plans, vehicle
+        Parameters, plan store and vehicle that clients read and command.
+    version, git, uid
+        Version of the distribution, revision in hex digits, 64-bit unique id of this vehicle.
     links
-        Indices of the links that are open from the start. Another one is added when something comes from it, or by
+        Indices of the links that are open from the start. Others are added when data arrive from them, or by
         :meth:`add_link`.
     patience
-        Factor on the time that a client gets in transfers: a simulation that runs k times faster than real time
-        passes k, because clients live in real time.
+        Factor on the timeouts of transfers: a simulation that runs k times faster than real time passes k, because
+        clients live in real time.
     shelf, camera, equipment
-        The logs that clients may download, who takes stills, who moves what the vehicle carries; None = none.
+        Log directory for clients, camera, payload outputs; None = none.
     rates
         Bytes per second of slow links.
-    witness
-        Records what follows from a signing key.
+    nondeterminism
+        Recorder of results that depend on a signing key.
     """
 
     def __init__(
