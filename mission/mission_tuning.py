@@ -72,7 +72,7 @@ class StepGoalsTuning:
     """A leg is planned with the next one's beginning in view, and the next leg while this one is flown."""
     sure_sigmas: float = 3.0
     doubt_share: float = 0.1
-    """Reached means surely reached: acceptance shrinks by so many standard deviations, but by this share at most."""
+    """Acceptance shrinks by this number of standard deviations of the estimate, but by this share at most."""
     yaw_variance: int = 5
     """Index in NavState.variance."""
 
@@ -104,10 +104,11 @@ class ValidationTuning:
     place_tolerance_m: float = 0.012
     """Rounding of a waypoint and of a fence point to 1e-7 degrees (11 mm) together."""
     approach_share: float = 0.6
-    """The controller keeps MPC_MARGIN beyond the body radius, so that a place nearer to a boundary is only approached:
-    what is missing may be this share of the acceptance radius (two walls at once make it 1.41 times as much) ..."""
+    """The controller keeps MPC_MARGIN beyond the body radius, so that a position nearer to a boundary is only
+    approached: the distance missing may be this share of the acceptance radius (two walls at once make it 1.41
+    times as much) ..."""
     approach_m: float = 0.15
-    """... and no more than this, beyond which the route planner does not look for free ground round a goal."""
+    """... and no more than this, beyond which the route planner does not search free space around a goal."""
     passage_m: float = 2.5e-3
     """Additional width of a passage beyond the controller's margin on both sides, for the route planner to find
     it. A narrower one is refused here: the controller would not enter it."""

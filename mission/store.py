@@ -32,9 +32,9 @@ from autopilot.mission.validation import check_item
 __all__ = ["Change", "Plans", "WaterCheck", "load_plan", "plan_checksum"]
 
 CHECK_TICKS = 5
-"""The answer to a check is taken so many ticks after it was asked for: 50 ms, which a plan of fifty polygons needs."""
+"""Ticks after which the result of a check is taken: 50 ms, which a plan of fifty polygons needs."""
 MAX_ASKED = 10
-"""A change whose parameters change under it again and again is refused after so many checks."""
+"""Number of checks after which a change is refused whose parameters keep changing."""
 
 Guard = Callable[[Sequence[PlanKind], PlanVerdict], PlanRejection | None]
 """Why plans of these kinds must not be taken now, None if they may."""
@@ -177,7 +177,8 @@ class Plans(PlanStore):
 
     @property
     def problem(self) -> str:
-        """Why the plans in force must not be flown, "" if they may; as far as :attr:`checking` allows to say."""
+        """Reason why the plans in force must not be flown, "" if they may; while :attr:`checking`, of the last
+        check."""
         return self.verdict.problem
 
     @property

@@ -21,7 +21,7 @@ from autopilot.log.reader import Log, open_log
 LOOK_S = 0.05
 """Update interval of the controller."""
 JUDGE_EVERY = 16
-"""Looks from one judged forecast to the next."""
+"""Number of updates from one evaluated forecast to the next."""
 AHEAD_S = 8.0
 """The controller's horizon."""
 SAMPLE_S = 0.1

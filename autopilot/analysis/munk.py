@@ -46,7 +46,7 @@ class MunkRow:
     side_rms_m: float
     """Off the line."""
     thrust_travel_n_s: float
-    """Sum of changes of all thrusts per second: what it costs in wear."""
+    """Sum of changes of all thrusts per second: a measure of wear."""
 
 
 def bench_munk(seconds: float = 20.0) -> list[MunkRow]:

@@ -27,7 +27,7 @@ from autopilot.run.sitl_session import open_sitl
 from autopilot.sitl.scenario import load_scenario
 
 LONGER = 1.5
-"""A mission that was complete may take so much longer than it did."""
+"""Additional time for a mission that was complete in the log."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

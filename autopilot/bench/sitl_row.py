@@ -48,7 +48,7 @@ class SitlBenchRow:
     tick_median_ms: float
     tick_p99_ms: float
     step_median_ms: float
-    """CPU time of ``Autopilot.step`` alone: what a vehicle's computer would do."""
+    """CPU time of ``Autopilot.step`` alone: the load of a vehicle's computer."""
     step_p99_ms: float
     step_max_ms: float
     rss_mb: float

@@ -135,7 +135,7 @@ class MotionFitTuning:
     converged: float = 1e-6
     rounds: int = 8
     bias_moved_rad_s: float = 2e-5
-    """By so much the bias may change before the gyros are integrated again."""
+    """Change of the bias after which the gyros are integrated again."""
     min_pairs: int = 50
     min_turn_rate_rad_s: float = 0.05
     """Standard deviation of the yaw rate: less is the noise of the poses."""

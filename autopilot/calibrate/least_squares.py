@@ -1,4 +1,4 @@
-"""Robust least squares on time series: what the fits of this package share."""
+"""Robust least squares on time series, for the fits of this package."""
 
 import numpy as np
 

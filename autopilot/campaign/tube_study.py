@@ -19,7 +19,7 @@ class TubeCheck:
         self._due: list[tuple[float, float, float, float, float]] = []
         """Heap of time [s], north, east, distance [m], how far ahead [s]."""
         self._before: tuple[float, float, float] | None = None
-        """Time, north and east of the last look."""
+        """Time, north and east of the last call."""
         self._looked = dict.fromkeys(AHEAD_S, 0)
         self._inside = dict.fromkeys(AHEAD_S, 0)
 

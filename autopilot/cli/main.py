@@ -108,7 +108,7 @@ def run(command: Callable[[], object]) -> int:
         click.echo(f"error: {without(library)}", err=True)
         return EXIT_FAILED
     except BrokenPipeError:
-        # Whoever read our output has had enough (`| head`). Python would complain at exit when it flushes the rest.
+        # The reader of our output has closed it (`| head`). Python would complain at exit when it flushes the rest.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return EXIT_FAILED
 

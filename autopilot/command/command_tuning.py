@@ -10,7 +10,7 @@ class CameraWatchTuning:
     least: int = 3
     """And at least so many of them."""
     silent_us: int = 800_000
-    """A camera that has sent pictures and then sends none for so long is silent."""
+    """Time without pictures after which a camera that has sent some is silent."""
     markers_us: int = 300_000
     """A picture counts as good if markers were detected within this time."""
     fog_contrast: float = 6.0
@@ -26,9 +26,9 @@ CAMERA_WATCH = CameraWatchTuning()
 @dataclass(frozen=True, slots=True)
 class CollisionTuning:
     base_time_s: float = 0.5
-    """Over so long what a jolt is measured from is averaged: tilt, current and thrust change more slowly."""
+    """Averaging time of the baseline of a jolt: tilt, current and thrust change more slowly."""
     jolt_us: int = 300_000
-    """A jolt is over within so long; what stays is a sensor that is wrong, or a tilt."""
+    """Longest jolt; a longer one is a faulty sensor, or a tilt."""
 
 
 COLLISION = CollisionTuning()
@@ -37,11 +37,11 @@ COLLISION = CollisionTuning()
 @dataclass(frozen=True, slots=True)
 class VehicleStatusTuning:
     latched_us: int = 2_000_000
-    """A probe that has been wet counts as wet for so long: water that splashes about makes and breaks the contact."""
+    """Hold time of a wet probe: splashing water makes and breaks the contact."""
     frozen_readings: int = 20
-    """So many equal readings in a row are no measurement: the last digits of every sensor here are noise."""
+    """Equal readings in a row that count as frozen: the last digits of every sensor here are noise."""
     late_every_us: int = 1_000_000
-    """The share of late ticks is taken over so long."""
+    """Averaging time of the share of late ticks."""
     jump_s: float = 0.5
     """A clock of day that is set by less than this is being kept in step, not set."""
     felt_us: int = 1_000_000
@@ -58,7 +58,7 @@ class FaultResponseTuning:
     say_every_us: int = 5_000_000
     """Interval at which the same fault is reported again; it is counted every time."""
     shown_us: int = 5_000_000
-    """So long after the last fault that thrust depends on the failsafe bit stays, and arming is refused."""
+    """Time after the last fault in the thruster command path for which the failsafe bit stays and arming is refused."""
     max_kinds: int = 64
     """Kinds of fault that are remembered; beyond that the oldest is dropped."""
 
@@ -88,7 +88,7 @@ class MissionRunTuning:
     reached_us: int = 1_000_000
     """Interval between reports of items reached: a hundred may be close together."""
     reached_named: int = 5
-    """Up to so many of them by name."""
+    """Maximum number of them named."""
 
 
 MISSION_RUN = MissionRunTuning()
@@ -156,7 +156,7 @@ class FailsafeInputsTuning:
     """Averaging time of the energy per metre,"""
     least_s: float = 15.0
     least_m: float = 1.0
-    """and not known before so much has been flown."""
+    """and the distance flown before it is known."""
     max_steps: int = 2000
     """Steps of a mission, with its jumps, that are examined."""
 

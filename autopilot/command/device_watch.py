@@ -9,7 +9,7 @@ SAY_EVERY_US = 5_000_000
 """Interval at which the same fault is reported again."""
 
 DEVICE_OVER_US = 1_000_000
-"""A device that has worked for so long works again."""
+"""Time without fault after which a device counts as recovered."""
 
 _DEVICE_NAMES = {
     DeviceRole.SENSORS: "Sensors",

@@ -62,7 +62,7 @@ class FailsafeRow:
     """Input, once per tick; makes no text."""
     enter: Bound
     gap: float = 0.0
-    """Hysteresis: it is over when the quantity is back by so much."""
+    """Hysteresis: cleared when the quantity is back by this."""
     below: bool = False
     """Low values are the bad ones."""
     zero_is_off: bool = False
@@ -79,7 +79,7 @@ class FailsafeRow:
     arming: str = ""
     """Why the vehicle must not be armed meanwhile, "" = it may."""
     flying: bool = False
-    """Looked at only while armed."""
+    """Evaluated only while armed."""
 
 
 def _age(t_us: int, since_us: float) -> float:

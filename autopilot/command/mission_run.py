@@ -157,7 +157,7 @@ class MissionRun:
         return self._give_up(status, goal, nav, flies)
 
     def _give_up(self, status: VehicleStatus, goal: Goal, nav: NavState, flies: bool) -> bool:
-        """Say it and do it; True when the vehicle is to hold."""
+        """Report it and act; True when the vehicle is to hold."""
         current = math.hypot(*nav.current_ned_m_s[:2].tolist())
         why = "no free way" if status.unreachable else f"current {current:.2f} m/s"
         action = int(self._params["WP_STUCK_ACT"]) if flies else StuckAction.WARN

@@ -320,7 +320,7 @@ class Autopilot:
         events = self._events + inputs.notices
         tick.tx = self._parts.server.step(inputs.t_us, inputs.mavlink_rx, view, events, reached)
 
-    # Stages: what to do
+    # Stages: decision
 
     def _watch_thrusters(self, tick: TickState) -> None:
         environment = self._environment

@@ -23,7 +23,7 @@ from autopilot.log.visuals import read_path
 BoolArray: TypeAlias = NDArray[np.bool_]
 
 MICROSECOND_S = 1e-6
-"""Resolution of the service's clock: a span ends so long before the message that ends it."""
+"""Resolution of the service's clock: a span ends this long before the message that ends it."""
 
 TOPICS_OF_INTEREST = (
     "/sim/truth",

@@ -18,7 +18,7 @@ from autopilot.log.schemas import PROFILE
 from autopilot.log.writer import CHUNK_BYTES, LIBRARY, QOS_PROFILES
 
 RECOVERED_RECORD = "recovered"
-"""Metadata record of a repaired log: what was wrong with it."""
+"""Metadata record of a repaired log: its damage."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

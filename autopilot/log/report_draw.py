@@ -12,15 +12,15 @@ from bokeh.plotting import figure
 from autopilot.core.frames import FloatArray
 
 BUCKETS = 400
-"""Each curve keeps the smallest and the largest value of so many slices of time."""
+"""Slices of time; each curve keeps the smallest and the largest value of each."""
 HEIGHT_PX = 250
 LEFT_PX, RIGHT_PX = 104, 24
-"""Room beside the frame of every plot: what is at the same time is at the same place."""
+"""Margin beside the frame of every plot, the same for all, so that time axes are aligned."""
 COLORS = ("#1f77b4", "#ff7f0e", "#2ca02c", "#d62728", "#9467bd", "#8c564b", "#e377c2", "#17becf")
 TOOLS = "xpan,xwheel_zoom,box_zoom,crosshair,reset,save"
 BOUND_COLOR, EVENT_COLOR, PARAMETER_COLOR = "#c62828", "#d08700", "#7b3fa0"
 NAME_SHARE = 0.08
-"""Of the sheet's width: what the name of a mode needs."""
+"""Width of a mode's name, as a share of the sheet."""
 EDGE = 0.06
 """Share of a plot's height that stays free above and below the curves."""
 

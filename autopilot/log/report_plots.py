@@ -73,9 +73,9 @@ MOST_MARKS = 300
 MOST_TURNS_DEG = 1080.0
 """Beyond so many turns the axis is wrapped to -180 to 180 degrees."""
 MOST_LAPS = 8
-"""So many laps have a colour of their own; more go over from one colour to another."""
+"""Maximum number of laps with a colour of their own; more use a colour scale."""
 LAPS_NAMED = 4
-"""Of these the plan names so many."""
+"""Maximum number of these that the plan names."""
 HEADS = 8
 """Arrow heads of the last lap, which show its direction;"""
 HEAD_SHARE, HEAD_M = 0.018, 0.05

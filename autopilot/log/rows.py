@@ -8,7 +8,7 @@ from enum import Enum
 class BoundVerdict(Enum):
     PASS = "pass"
     WARN = "warn"
-    """The tolerance was used, or something happened that an operator should look at."""
+    """The tolerance was used, or an event needs the operator's attention."""
     FAIL = "fail"
     INFO = "info"
     """A figure without a bound, or one that cannot be judged from this log."""

@@ -91,7 +91,7 @@ uint32 binning_x
 uint32 binning_y
 sensor_msgs/RegionOfInterest roi
 """,
-    # Of Foxglove's schemas: what its image panel draws over a picture.
+    # Foxglove's schemas of image annotations.
     "foxglove_msgs/Color": "float64 r\nfloat64 g\nfloat64 b\nfloat64 a",
     "foxglove_msgs/Point2": "float64 x\nfloat64 y",
     "foxglove_msgs/CircleAnnotation": """

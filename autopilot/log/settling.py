@@ -15,7 +15,7 @@ HELD_S = 4.0
 SETTLED = 0.25
 """Share of the radius and of the heading that a goal accepts."""
 REST_S = 1.0
-"""It has settled only if it stayed so for so long."""
+"""Time for which it has to stay there to count as settled."""
 APPROACH_M = 0.02
 """Within this distance of the position the direction of approach is undefined."""
 

@@ -19,9 +19,9 @@ V1, V2 = 0xFE, 0xFD
 HEADER_BYTES = {V1: 6, V2: 10}
 CHECKSUM_BYTES, SIGNATURE_BYTES, SIGNED = 2, 13, 0x01
 EARLIEST_US, LATEST_US = 946_684_800_000_000, 4_102_444_800_000_000
-"""2000 and 2100: what a stamp can be."""
+"""Range of plausible stamps: 2000 to 2100."""
 APART_US = 3 * 86_400_000_000
-"""Within so much of the record before."""
+"""Maximum distance from the record before."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -38,9 +38,9 @@ class BootstrapTuning:
     most_hypotheses: int = 12
     """Markers of a view whose own poses are tried."""
     enough_share: float = 0.6
-    """No more are tried when so many of the known markers agree."""
+    """Number of agreeing known markers after which the search ends."""
     certain: int = 4
-    """So many markers that fit together are no coincidence; fewer are enough with an id that is there once."""
+    """Number of agreeing markers that excludes coincidence; fewer are enough with a unique id."""
     max_passes: int = 6
     recognised_views: int = 24
     """Views, evenly among all, with which the position in a rough map is searched."""
@@ -90,7 +90,7 @@ class SightingsTuning:
     most_of_a_film: int = 120
     """Frames of a video that are used."""
     misread_cells: int = 2
-    """A sight with so many wrong cells or more is worth a word: a bad print, something lying on it, or no marker at
+    """Number of wrong cells in a sighting from which it is reported: a bad print, an object on it, or no marker at
     all."""
     min_markers: int = 2
     """A view of fewer markers ties nothing to anything."""

@@ -189,7 +189,7 @@ class VehicleCommands(Protocol):
     """Requests that clients make. Every one answers at once and never waits for a solver."""
 
     def arm(self, force: bool) -> CommandReply:
-        """Arm, or say why not (all reasons in one line)."""
+        """Arm, or refuse with all reasons in one line."""
         ...
 
     def disarm(self, force: bool) -> CommandReply:

@@ -8,9 +8,9 @@ the most overdue first, so that all streams slow down together and none stops.
 from dataclasses import dataclass
 
 DEPTH_S = 0.1
-"""So much of the line's time may wait in its buffer."""
+"""Maximum backlog in the line's buffer, as time."""
 DEBT_S = 0.5
-"""Answers may run up so much; beyond it is forgotten, the buffer will have lost it."""
+"""Maximum debt by answers; more is forgotten, because the buffer will have lost it."""
 LISTS = 0.25
 """Lists (parameters) continue above this share of the budget ..."""
 TELEMETRY = 0.5

@@ -17,7 +17,7 @@ from autopilot.mavlink.context import COMPID, Context, MavlinkPeer
 from autopilot.mavlink.wire import Message
 
 REPEAT_US = 10_000_000
-"""COMMAND_LONG with confirmation > 0 counts as a retransmission so long after the first."""
+"""Time for which a COMMAND_LONG with confirmation > 0 counts as a retransmission of the first."""
 DUPLICATE_US = 250_000
 """The same datagram again within this time is a duplicate made by the network."""
 FIRST_PROGRESS_US = 300_000

@@ -21,7 +21,7 @@ from autopilot.mavlink.signing import Signing
 from autopilot.mavlink.wire import LinkEncoder, Message
 
 ANSWERS = frozenset((mav.MAVLINK_MSG_ID_PARAM_VALUE,))
-"""Told to everyone, and waited for by who has asked."""
+"""Broadcast, and requested by clients that wait for it."""
 
 NAME = "Underwater Autopilot"
 """The true name, whatever the profile."""

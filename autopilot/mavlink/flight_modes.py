@@ -29,7 +29,7 @@ class FlightMode(IntEnum):
     CIRCLE = 9
     """Round a place."""
     TAKEOFF = 10
-    """Down to a depth, then hold: what taking off is under water."""
+    """Dive to a depth, then hold: the take-off of an underwater vehicle."""
     SURFTRAK = 11
     """As ALT_HOLD, but the height over the floor is held."""
 

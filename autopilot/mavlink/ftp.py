@@ -116,7 +116,7 @@ def request_of(payload: bytes) -> FtpPacket:
 class _FtpClient:
     file: OpenFile | None = None
     session: int = 0
-    """By which the client calls its file: what stood in the request that opened it."""
+    """Path in the client's open request."""
     answered: tuple[int, int, Message] | None = None
     """Number and opcode of the last request, and its answer."""
     waiting: FtpPacket | None = None

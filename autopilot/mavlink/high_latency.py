@@ -28,7 +28,7 @@ from autopilot.mavlink.wire import Message
 INTERVAL_US = 5_000_000
 """Interval of HIGH_LATENCY2; SET_MESSAGE_INTERVAL changes it."""
 OTHERS_US = 5_000_000
-"""Whoever has been silent for so long does not use a link."""
+"""Time without messages after which a client no longer uses a link."""
 MAX_ADDRESSES = 64
 
 _FLAGS: Mapping[Failsafe, int] = {

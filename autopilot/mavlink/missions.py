@@ -22,21 +22,21 @@ from autopilot.mavlink.wire import Message
 RETRY_US = 300_000
 """Timeout after which an item is requested again (clients wait 250 ms to 1.5 s)."""
 WORKING_US = 500_000
-"""While a plan is checked its last item is asked for so often."""
+"""Interval at which the last item is requested while a plan is being checked."""
 GIVE_UP_US = 8_000_000
 """An upload without progress ends (ArduPilot's time)."""
 MAX_WRONG_ITEMS = 20
-"""So many items out of turn between two good ones end an upload: the client does not listen."""
+"""Consecutive items out of sequence that end an upload: the client ignores requests."""
 DUPLICATE_US = 250_000
 """The same MISSION_COUNT datagram again within this time is a duplicate made by the network, later it is a restart."""
 DOWNLOAD_US = 10_000_000
-"""A download's snapshot is kept so long after the client's last request."""
+"""Time for which a download's snapshot is kept after the client's last request."""
 REPEAT_US = 5_000_000
-"""The final answer to an upload is repeated so long when the client sends its last item again."""
+"""Time for which MISSION_ACK is repeated when the client sends its last item again."""
 REPEAT_PAUSE_US = 200_000
 """But not more often than this: a duplicated datagram is not a repetition."""
 SLOW_DISK_US = 1_000_000
-"""A plan in force waits so long for the disk before it is called accepted (a client's last retry comes after 1.5 s)."""
+"""Maximum wait of a plan in force for the disk before it is acknowledged (a client's last retry comes after 1.5 s)."""
 FENCE_AFTER_US = 2_000_000
 """Ground stations send the fence after its mission: one that has not begun this long after the last transfer is
 missing."""

@@ -15,7 +15,7 @@ from autopilot.mavlink.flight_modes import MODE_BUTTONS
 from autopilot.mavlink.wire import Message
 
 STALE_US = 500_000
-"""Sticks count as released so long after the last word: ground stations send 5 to 50 of them a second."""
+"""Timeout after which sticks count as released: ground stations send 5 to 50 messages a second."""
 
 INVALID = 0x7FFF
 """An axis that is not there."""
@@ -25,7 +25,7 @@ DEADZONE = 0.03
 
 CENTRED = 0.08
 CENTRED_US = 200_000
-"""The vertical stick is used once it has rested within that of its neutral for so long: a client of the other
+"""Time for which the vertical stick has to rest near its neutral before it is used: a client of the other
 convention rests at an end of the range."""
 
 GAIN_STEP = 0.1

@@ -7,7 +7,7 @@ from typing import Generic, TypeVar
 K = TypeVar("K", bound=Hashable)
 
 MAX_RECENT = 256
-"""So many are remembered; the oldest is forgotten first. Otherwise a client that makes each one different fills it."""
+"""Maximum number of keys; the oldest is dropped first. Bounds the memory that a client can use."""
 
 
 class RecentKeys(Generic[K]):

@@ -564,7 +564,7 @@ class MavlinkServer:
         )
 
     def _explain(self, peer: MavlinkPeer, answer: CommandReply) -> None:
-        """Messages without acknowledgement say a refusal as text."""
+        """Messages without acknowledgement: a refusal is sent as text."""
         if answer.result is not CommandResult.ACCEPTED and answer.reason:
             self._ctx.say(notices.REFUSED(reason=answer.reason), peer)
 

@@ -32,7 +32,7 @@ _LOCAL = _OFFSET | {mav.MAV_FRAME_LOCAL_NED}
 _AMSL = frozenset((mav.MAV_FRAME_GLOBAL, mav.MAV_FRAME_GLOBAL_INT))
 
 FASTEST = 5.0
-"""m/s and rad/s: what is faster is a mistake."""
+"""m/s and rad/s: larger values are errors."""
 
 NEUTRAL_THRUST = 0.5
 THRUST_DEADZONE = 0.05

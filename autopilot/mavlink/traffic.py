@@ -21,7 +21,7 @@ from autopilot.mavlink.wire import Message
 REACH_M = 500.0
 """Others farther away than this are of no concern yet."""
 FASTEST_M_S = 9.9
-"""Speeds are cut off here: what is faster is no vehicle that could be evaded."""
+"""Speed limit of tracks: faster objects could not be evaded."""
 LARGEST_M = 99.0
 """Radii as well: from so near a longer ship's side is straight."""
 DRAUGHT_M = 10.0

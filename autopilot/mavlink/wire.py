@@ -164,7 +164,7 @@ class LinkParser:
         self._queued -= len(piece)
         if self._pos < len(self._data):
             if _frame_at(piece, 0, Work(0)) > 0:
-                # A whole good frame at the start: what was pending is a truncated datagram, never to be completed.
+                # A complete valid frame at the start: the pending data are a truncated datagram, never to be completed.
                 self.dropped += 1
             else:
                 piece = self._data[self._pos :] + piece

@@ -58,7 +58,7 @@ def estimator_attachments(
 
 
 def read_setup(log: Log) -> EstimatorSetup:
-    """How the estimator of a log was made. LogError if the log does not say."""
+    """Setup of a log's estimator. LogError if the log lacks it."""
     setup: EstimatorSetup = _decoded(log, ESTIMATOR_FILE, EstimatorSetup)
     return setup
 

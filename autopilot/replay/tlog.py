@@ -20,11 +20,11 @@ from autopilot.estimator.inertial import GRAVITY_M_S2
 from autopilot.log.tlog_file import DamagedPiece, PacketOrigin, read_tlog
 
 GAP_SHARE = 3.0
-"""More than so many median intervals between two messages are a gap."""
+"""Median intervals between two messages beyond which there is a gap."""
 EVEN_SHARE = 1.5
-"""Up to so many median intervals the sender's own clock went on evenly."""
+"""Median intervals up to which the sender's clock counts as regular."""
 CLOCK_SET_S = 3600.0
-"""No network holds packets for so long."""
+"""Longest plausible network delay."""
 RAW_IMU_M_S2 = 1e-3 * GRAVITY_M_S2
 """One unit of RAW_IMU's accelerations as ArduPilot sends them (mG)."""
 LATE_FROM = 240

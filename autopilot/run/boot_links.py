@@ -31,7 +31,7 @@ from autopilot.run.signing_files import SigningFiles
 HEARTBEAT_S = 1.0
 TURN_S = 0.05
 KEPT_S = 15.0
-"""Requests are kept for the service for so long: a client that has waited longer has given up."""
+"""Time for which requests are kept for the service: a client that has waited longer has given up."""
 MAX_KEPT = 256
 """Requests that are kept; one that is asked again takes the place of the one before."""
 

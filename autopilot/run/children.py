@@ -22,7 +22,7 @@ __all__ = ("LOCAL", "ROOT", "Child", "autopilot_command", "free_port", "python_c
 _MAIN = "from autopilot.cli.main import main; main()"
 
 STUCK_S = 120.0
-"""A child that has hardly computed for so long is stuck."""
+"""Time without CPU use after which a child is stuck."""
 LEAST_SHARE = 0.002
 """Of a core, over :data:`STUCK_S`: less only sleeps. Beside ten busy processes it gets thirty times that."""
 LOOK_S = 0.5

@@ -64,7 +64,7 @@ class ServiceSetup:
     rates: Mapping[int, float] = field(default_factory=dict)
     """Bytes per second of links that are slow, by number."""
     patience: float
-    """How much faster than a client's clock this service's time may run (plan transfers wait so much longer)."""
+    """Maximum speed of service time relative to a client's clock (factor on timeouts of plan transfers)."""
     saving: ParamSaving | None = None
     """Where parameters are kept that operators set, None = nowhere."""
     signing: SigningStore | None = None

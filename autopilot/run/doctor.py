@@ -37,7 +37,7 @@ from autopilot.run.vehicle_config import VehicleConfig
 SETTLE_S = 3.0
 """Devices are opened and configured in this time; it is not counted."""
 UNCHANGED_S = 2.0
-"""Reasons against arming that have been the same for so long are final."""
+"""Time after which unchanged reasons against arming are final."""
 PATIENCE_S = 30.0
 """Additional time while the reasons still change (parameters being read, plans being checked)."""
 LEAST_FREE_MB = 500.0

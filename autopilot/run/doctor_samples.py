@@ -21,7 +21,7 @@ HIGHEST_CHARGE, DEAD_SHARE = 1.1, 0.7
 """Shares of the battery's full and empty voltage beyond which no battery of that kind is."""
 
 ENOUGH_EQUAL = 5
-"""So many equal readings in a row are no measurement: the last digits of every sensor here are noise."""
+"""Equal readings in a row that count as frozen: the last digits of every sensor here are noise."""
 REPEATS = "it repeats itself: restart it, check its cable"
 
 LEAST_HZ = 0.5

@@ -54,7 +54,7 @@ from autopilot.run.still_files import StillStore
 from autopilot.run.transport import Transport
 
 SERVE_MARGIN_S = 0.0005
-"""Serving ends so long before a tick."""
+"""Serving ends this long before a tick."""
 
 HOLD_S = 0.02
 """Interval at which links are served while the simulation is paused."""
@@ -63,7 +63,7 @@ SKIP_TICKS = 5
 """A loop on a real vehicle that is later than this skips to the present."""
 
 STAND_DOWN_TICKS = 300
-"""A flight controller below gets so long to confirm at the end that it is disarmed: twelve requests in 3 s."""
+"""Timeout for the flight controller's confirmation of disarming at the end: twelve requests in 3 s."""
 NOT_STOPPED = "Flight controller has not confirmed that it is disarmed: use its own switch"
 
 NO_SAMPLES: Sequence[Sample] = ()

@@ -34,7 +34,7 @@ class SigningFiles:
         key, warnings = self._read_key()
         kept, problems = self._time.read(_parse_time, set_aside=worker is not None)
         if problems and kept is not None:
-            kept += AHEAD_UNITS  # the copy before the last: the last was at most so much later
+            kept += AHEAD_UNITS  # the copy before the last: the last was at most this much later
         self.warnings = (*warnings, *problems)
         """Messages to operators."""
         self.losses: tuple[Loss, ...] = ()

@@ -19,7 +19,7 @@ from autopilot.run.sitl_session import SitlSession
 from autopilot.sitl.scenario_tables import CylinderObstacle, MovingObstacle, Obstacle, PrismObstacle, Scenario
 
 KNOWN_M = 0.02
-"""A fence comes over the wire on a grid of 11 mm: an obstacle may stand out of its shape by so much."""
+"""Tolerance: a fence comes over the wire on a grid of 11 mm."""
 RIM_POINTS = 24
 
 
@@ -70,7 +70,8 @@ class RunWatch:
             )
 
     def _look_at_the_fence(self, t_us: int, *, arming: bool) -> None:
-        """Say which obstacles of the scenario the fence does not have: with every plan, and at arming at the latest."""
+        """Report obstacles of the scenario that the fence does not contain: with every plan, and at arming at the
+        latest."""
         plans = self._session.parts.plans
         if plans.revision == self._looked_at:
             return

@@ -21,7 +21,7 @@ from autopilot.core.state_file import Loss
 
 ACCEPT = "STATE_ACCEPT"
 PROBE_BYTES = 65_536
-"""A nearly full disk takes the first bytes of anything: so many are tried, as much as a long mission needs."""
+"""Bytes of a test write, as many as a long mission needs: a nearly full disk accepts the first bytes of anything."""
 
 
 def probe(folder: Path) -> str:

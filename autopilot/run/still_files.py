@@ -20,11 +20,11 @@ from autopilot.core.stills import CameraReport, StoredStill
 DUE_TICKS = 5
 """Compressing a picture takes less than 50 ms."""
 WAIT_US = 2_000_000
-"""A camera that delivers nothing for so long does not deliver."""
+"""Timeout of a camera without pictures."""
 SPACE_TICKS = 200
 """Interval of free space checks."""
 KEEP_FREE_BYTES = 64 * 1024 * 1024
-"""Stills leave so much of the disk to the log."""
+"""Free space on the disk that stills leave to the log."""
 PNG_LEVEL = 1
 """Of nine: noise of a picture is not compressed further by more."""
 

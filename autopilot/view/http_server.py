@@ -22,9 +22,9 @@ from autopilot.view.hub import MAX_VIEWERS, Hub
 
 DEFAULT_PORT = 8760
 PORTS = 20
-"""So many ports from the default on are tried where none is asked for."""
+"""Number of ports tried from the default on where none is given."""
 PATIENCE_S = 2.0
-"""A viewer that takes nothing off the wire for so long is dropped."""
+"""Timeout of a viewer that receives nothing."""
 REQUEST_S = 5.0
 """A request has to be there in that time."""
 RETRY_MS = 1000

@@ -11,7 +11,7 @@ from autopilot.sitl.current_fields import CurrentField, Uniform, current_field
 from autopilot.sitl.scenario_tables import Current
 
 STEEPEST_1_S = 0.6
-"""Water changes by so much over a metre at most; the jet of the paper's tank by 0.52."""
+"""Maximum current shear per metre; the jet of the paper's tank has 0.52."""
 PHASES = 8
 """Sample times within a tidal period."""
 

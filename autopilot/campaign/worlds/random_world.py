@@ -39,7 +39,7 @@ _KIND_WEIGHTS = (0.35, 0.3, 0.2, 0.15)
 MARGIN_M = 0.03
 """Default of MPC_MARGIN."""
 START_CLEARANCE_M = 0.03
-"""A vehicle begins with so much more than it keeps."""
+"""Clearance at the start beyond the vehicle's margin."""
 FLIGHT_S = (15.0, 50.0)
 """Range of mission times: straight legs at cruise speed; detours, turns and delays are added."""
 TRIES = 300

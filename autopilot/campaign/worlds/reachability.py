@@ -23,7 +23,7 @@ ROUNDING_M = 0.015
 BOUND_FACTOR = 1.6
 """Time allowed for a leg, relative to the time-optimal path at the requested speed."""
 BOUND_ENERGY = 1.8
-"""So much more when the speed is the vehicle's own choice."""
+"""Additional factor when the vehicle chooses its speed."""
 BOUND_PER_GOAL_S = 14.0
 START_S = 15.0
 LONGEST_LEG_S = 240.0

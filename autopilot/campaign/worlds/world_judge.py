@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from autopilot.campaign.worlds.world_flight import WorldWatch
 
 SEEN_M = 0.05
-"""A goal counts as visited by so much more than its acceptance: the estimate is not the truth."""
+"""Tolerance beyond the acceptance radius: the estimate is not the truth."""
 SEEN_RAD = 0.06
 GAP_M = 0.03
 """Corners of a fence are rounded on the wire."""

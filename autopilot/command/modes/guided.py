@@ -15,7 +15,7 @@ from autopilot.mavlink.api import CommandReply, FlightMode, SetPoint
 NONE_YET = "send set points first"
 
 FRESH_TICKS = 5
-"""Velocities of the body follow the heading so often."""
+"""Interval at which body velocities are rotated by the heading."""
 
 
 class GuidedMode(FlightModeBehaviour):

@@ -16,7 +16,7 @@ from autopilot.mission.items import Order
 from autopilot.mission.store import Plans
 
 RELEASED = Sticks()
-"""Nobody steers."""
+"""No pilot."""
 
 
 def denied(reason: str) -> CommandReply:
@@ -63,7 +63,7 @@ class FlightModeBehaviour:
     needs_position: ClassVar[bool] = True
     """False: a pilot without a position may arm and steer in it."""
     steered: ClassVar[bool] = False
-    """Somebody steers: coming and going it gives the vehicle another goal at once."""
+    """Piloted: entering or leaving it changes the goal at once."""
     changes_depth: ClassVar[bool] = True
     """A command may send the vehicle to another depth out of it."""
 

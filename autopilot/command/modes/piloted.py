@@ -20,7 +20,7 @@ from autopilot.core.messages import Goal, NavState, VelocityGoal
 from autopilot.mavlink.api import CommandReply, FlightMode, Sticks
 
 FRESH_TICKS = 5
-"""While something moves the goal follows heading and current so often: once a control step."""
+"""Interval at which a moving goal is updated for heading and current: once a control step."""
 
 TURN_STOP_RAD_S2 = 0.6
 """How hard a turn brakes when its stick is let go: the heading that is held is where it comes to rest."""

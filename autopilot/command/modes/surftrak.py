@@ -14,7 +14,7 @@ from autopilot.core.messages import Goal, NavState, VelocityGoal
 from autopilot.mavlink.api import CommandReply, FlightMode, Sticks
 
 PLAY_M = 0.01
-"""The floor has to be so much higher or lower than it was for the depth to change: ranges are noisy."""
+"""Deadband of the altitude: ranges are noisy."""
 
 SLOWED, STOPPED = 0.8, 0.5
 """Below the first share of the height that is to be held sticks ahead and sideways count less, below the second not at
