@@ -27,7 +27,7 @@ from autopilot.run.sitl_session import open_sitl
 from autopilot.sitl.scenario import load_scenario
 
 LONGER = 1.5
-"""Additional time for a mission that was complete in the log."""
+"""Factor on the duration of a mission that was complete in the log."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -31,7 +31,7 @@ from mcap.records import (
 MAGIC = b"\x89MCAP0\r\n"
 COMPRESSION = "zstd"
 PACKED_BYTES = 64 * 1024
-"""Index records of chunks that are compressed at a time: a minute of them."""
+"""Size of the index records of chunks that are compressed at a time: a minute of them."""
 _MESSAGE = struct.Struct("<BQHIQQ")
 """Opcode, length, channel, sequence, log time, publish time; the data follow."""
 _MESSAGE_HEAD = 22

@@ -21,7 +21,7 @@ CHECKSUM_BYTES, SIGNATURE_BYTES, SIGNED = 2, 13, 0x01
 EARLIEST_US, LATEST_US = 946_684_800_000_000, 4_102_444_800_000_000
 """Range of plausible stamps: 2000 to 2100."""
 APART_US = 3 * 86_400_000_000
-"""Maximum distance from the record before."""
+"""Maximum difference from the previous stamp."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -38,7 +38,7 @@ class BootstrapTuning:
     most_hypotheses: int = 12
     """Markers of a view whose own poses are tried."""
     enough_share: float = 0.6
-    """Number of agreeing known markers after which the search ends."""
+    """Share of agreeing known markers after which the search ends."""
     certain: int = 4
     """Number of agreeing markers that excludes coincidence; fewer are enough with a unique id."""
     max_passes: int = 6

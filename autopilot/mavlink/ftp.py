@@ -116,7 +116,7 @@ def request_of(payload: bytes) -> FtpPacket:
 class _FtpClient:
     file: OpenFile | None = None
     session: int = 0
-    """Path in the client's open request."""
+    """Session id, taken from the client's open request."""
     answered: tuple[int, int, Message] | None = None
     """Number and opcode of the last request, and its answer."""
     waiting: FtpPacket | None = None

@@ -11,7 +11,7 @@ from autopilot.sitl.current_fields import CurrentField, Uniform, current_field
 from autopilot.sitl.scenario_tables import Current
 
 STEEPEST_1_S = 0.6
-"""Maximum current shear per metre; the jet of the paper's tank has 0.52."""
+"""Maximum velocity gradient [1/s]; the jet of the paper's tank has 0.52."""
 PHASES = 8
 """Sample times within a tidal period."""
 
