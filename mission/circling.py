@@ -1,4 +1,4 @@
-"""Round a place, at a depth, at a speed: mode CIRCLE and NAV_LOITER_TURNS."""
+"""Circles at constant depth and speed: mode CIRCLE and NAV_LOITER_TURNS."""
 
 import math
 from collections.abc import Mapping
@@ -37,7 +37,7 @@ class LoiterCircle:
         self.go(abs(speed_m_s))
         self.depth_m = depth_m
         self.facing_m: tuple[float, float] | None = None
-        """North and east of what the vehicle looks at instead."""
+        """North and east of the point that the vehicle faces instead."""
         self._seq = seq
         self._yaw, self._turns = yaw, turns
         self._initial_rad: float | None = None
@@ -53,7 +53,7 @@ class LoiterCircle:
         self._speed_m_s = min(speed_m_s, self._params["SPD_PLANAR_MAX"], turning_m_s)
 
     def refusal(self, room: Clearance, keep_m: float) -> str:
-        """Why it cannot be flown, "" if it can. ``keep_m``: what the controller keeps from every boundary."""
+        """Reason why it cannot be flown, "" if it can. ``keep_m``: the controller's margin to every boundary."""
         low, high = self._params["DEPTH_MIN"], self._params["DEPTH_MAX"]
         if not low <= self.depth_m <= high:
             return f"depth {self.depth_m:.2f} m is outside {low:g} to {high:g} m"
@@ -69,19 +69,19 @@ class LoiterCircle:
 
     @property
     def left_m(self) -> float:
-        """Way that is left, inf without an end."""
+        """Path length left, inf for an endless circle."""
         if self._turns == 0.0:
             return math.inf
         arc = max(2.0 * math.pi * self._turns - abs(self._turned), 0.0) * self.radius_m
         return arc + (abs(self._off_m) if abs(self._off_m) > CIRCLING.join_m else 0.0)
 
     def rest(self, nav: NavState) -> Goal:
-        """Where the vehicle stays behind its last turn: the nearest place of the circle."""
+        """Position after the last turn: the nearest point of the circle."""
         goal = self.goal(nav)
         return replace(goal, drive=None)
 
     def goal(self, nav: NavState) -> Goal:
-        """Of this tick; the same object until it is due again."""
+        """Goal of this tick; the same object until it changes."""
         away = complex(nav.pos_ned_m[0], nav.pos_ned_m[1]) - self._centre
         bearing = math.atan2(away.imag, away.real)
         off_m = self._off_m = self.radius_m - abs(away)
@@ -146,15 +146,13 @@ class LoiterCircle:
 
 
 def _near(a: FloatArray, b: FloatArray) -> bool:
-    """Whether a place to join the circle at may stay where it is."""
+    """Whether the point of joining the circle may stay."""
     return math.dist(a.tolist(), b.tolist()) < 0.15
 
 
 def worst_on_ring(room: Clearance, centre_m: tuple[float, float], radius_m: float, need_m: float) -> FloatArray | None:
-    """A place (2,) on a circle with less room than ``need_m``, None when there is none.
-
-    Clearance changes no faster than place: an arc whose middle has half its length more than is needed is free, the
-    others are divided.
+    """A point (2,) on a circle with less clearance than ``need_m``, None if there is none. Clearance is Lipschitz
+    with constant 1: an arc whose middle exceeds the need by half its length is free, others are bisected.
     """
     step = 2.0 * math.pi / CIRCLING.ring_arcs
     angles = np.arange(CIRCLING.ring_arcs) * step

@@ -1,8 +1,8 @@
-"""Clearance of many places from a fence of many shapes, without a loop over edges.
+"""Vectorised clearance of many points from a fence of many shapes.
 
-:class:`Clearance` is exact and meant for some hundred places (waypoints, the vehicle). For the thousands of places of a
-grid, :meth:`Clearance.near` only looks at shapes where they are nearer than a distance that matters. Places are (n, 2)
-north, east [m]; clearance is positive where the vehicle may be and negative in what the fence forbids.
+:class:`Clearance` is exact and meant for some hundred points (waypoints, the vehicle). For the thousands of points
+of a grid, :meth:`Clearance.near` evaluates shapes only within a given distance. Points are (n, 2) north, east [m];
+clearance is positive in the permitted area and negative in the forbidden one.
 """
 
 from collections.abc import Sequence
@@ -15,9 +15,9 @@ from autopilot.core.shapes import PAIRS, BoolArray, EdgeArrays, bounding_box, si
 from autopilot.mission.small_shapes import SmallShapes
 
 FEW = 8
-"""So many shapes are looked at one by one, more of them together."""
+"""Up to so many shapes are evaluated one by one, more of them together."""
 SMALL = 32
-"""A shape with more corners is looked at by itself."""
+"""A shape with more corners is evaluated by itself."""
 
 
 class Clearance:
@@ -47,17 +47,17 @@ class Clearance:
 
     @classmethod
     def of(cls, fence: Fence) -> "Clearance":
-        """The room of a workspace; its inclusions come first."""
+        """Clearance of a workspace; its inclusions come first."""
         return cls([*((s, True) for s in fence.inclusions), *((s, False) for s in fence.exclusions)])
 
     def of_shapes_m(self, places: FloatArray) -> FloatArray:
-        """(n, shapes) clearance of each place from each shape, in the order given."""
+        """(n, shapes) clearance of each point from each shape, in the order given."""
         chunk = max(1, PAIRS // max(1, len(self._edges.start_n) + len(self._radii)))
         parts = [self._some(places[at : at + chunk]) for at in range(0, len(places), chunk)]
         return np.concatenate(parts) if parts else np.zeros((0, len(self._shapes)))
 
     def clearance_m(self, places: FloatArray) -> FloatArray:
-        """(n,) clearance of each place: inf in open water."""
+        """(n,) clearance of each point: inf in open water."""
         if not self._shapes:
             return np.full(len(places), np.inf)
         clearance: FloatArray = self.of_shapes_m(places).min(axis=1)
@@ -77,7 +77,7 @@ class Clearance:
         return signed
 
     def near(self, places: FloatArray, reach_m: float) -> tuple[FloatArray, FloatArray]:
-        """(n,) clearance cut off at +-``reach_m``, and (n, 2) its slope (zero where it is cut off)."""
+        """(n,) clearance clipped to +-``reach_m``, and (n, 2) its gradient (zero where it is clipped)."""
         best, slope = np.full(len(places), reach_m), np.zeros((len(places), 2))
         beside = self._beside(places, reach_m)
         if not beside[self._sign < 0.0].all():
@@ -107,7 +107,7 @@ class Clearance:
         return np.clip(best, -reach_m, reach_m), slope
 
     def _beside(self, places: FloatArray, reach_m: float) -> BoolArray:
-        """(shapes,) whether any of the places can be that near to a shape, by the box round them all."""
+        """(shapes,) whether any of the points can be that near to a shape, by their bounding box."""
         if not len(places):
             return np.zeros(len(self._shapes), dtype=bool)
         near_low, near_high = self._low - reach_m <= places.max(axis=0), self._high + reach_m >= places.min(axis=0)

@@ -1,7 +1,7 @@
-"""Reads the fields of an item as they come from the wire: parameters, frames, degrees.
+"""Decodes the fields of an item from the wire: parameters, frames, degrees.
 
-An item that cannot be taken is refused with the MAV_MISSION_RESULT that points at the wrong field and a line for the
-operator (MAVLink mission protocol, common.xml). What commands mean stands in :mod:`autopilot.mission.item_types`.
+An invalid item is refused with the MAV_MISSION_RESULT of the wrong field and a message to the operator (MAVLink
+mission protocol, common.xml). Commands are defined in :mod:`autopilot.mission.item_types`.
 """
 
 import math
@@ -143,7 +143,7 @@ def horizontal_ned_m(item: PlanItem, origin: Origin, label: str = "item") -> tup
 
 
 def depth_m(item: PlanItem, origin: Origin, label: str = "item") -> float:
-    """Depth [m] of an item; refuses what is not finite or above the surface, naming the sign rule."""
+    """Depth [m] of an item, positive down; refuses non-finite values and those above the surface."""
     if not math.isfinite(item.z):
         raise refuse(item, MissionResult.INVALID_PARAM7, f"altitude (param7) is {item.z}; give a number <= 0", label)
     if item.frame == MavFrame.LOCAL_NED:
@@ -159,7 +159,7 @@ def depth_m(item: PlanItem, origin: Origin, label: str = "item") -> float:
 
 
 def pos_ned_m(item: PlanItem, origin: Origin) -> FloatArray:
-    """(3,) position of an item; refuses what :func:`horizontal_ned_m` and :func:`depth_m` refuse."""
+    """(3,) local NED position [m] of an item; refuses as :func:`horizontal_ned_m` and :func:`depth_m`."""
     return np.array([*horizontal_ned_m(item, origin), depth_m(item, origin)])
 
 

@@ -1,4 +1,4 @@
-"""Mission items that change something in passing, and conditions: DO_ and CONDITION_ (MAV_CMD, common.xml)."""
+"""Mission items without a position: actions and conditions, DO_ and CONDITION_ (MAV_CMD, common.xml)."""
 
 import math
 
@@ -77,7 +77,7 @@ def set_home(item: PlanItem, origin: Origin) -> Step:
 
 
 def near(item: PlanItem, origin: Origin) -> Step:
-    """CONDITION_DISTANCE: p1 distance to the next place [m]."""
+    """CONDITION_DISTANCE: p1 distance to the next position [m]."""
     distance = number(item, 1, "distance")
     if distance is None or distance < 0.0:
         raise wrong(item, 1, "distance", "give 0 m or more", " m")
@@ -85,7 +85,7 @@ def near(item: PlanItem, origin: Origin) -> Step:
 
 
 def gate(item: PlanItem, origin: Origin) -> Step:
-    """CONDITION_GATE: p1 0 = across the way, p2 1 = the altitude counts; a place in the gate."""
+    """CONDITION_GATE: p1 0 = perpendicular to the path, p2 1 = the altitude counts; a point in the gate."""
     if number(item, 1, "geometry"):
         raise wrong(item, 1, "geometry", "use 0 (across the way)")
     counts = number(item, 2, "altitude flag") or 0.0
@@ -97,8 +97,9 @@ def gate(item: PlanItem, origin: Origin) -> Step:
 
 
 def look_at(item: PlanItem, origin: Origin) -> Step:
-    """DO_SET_ROI_LOCATION, DO_SET_ROI (a place, or 0, 0 = nothing any more), DO_SET_ROI_NONE. The altitude is not
-    used: the vehicle turns, it does not pitch."""
+    """DO_SET_ROI_LOCATION, DO_SET_ROI (a position, or 0, 0 = none), DO_SET_ROI_NONE. The altitude is not used: the
+    vehicle yaws, it does not pitch.
+    """
     if item.command == Command.DO_SET_ROI_NONE:
         return RegionOfInterest(seq=item.seq, place_ned_m=None)
     if item.command == Command.DO_SET_ROI:
@@ -115,7 +116,7 @@ ROI_NONE, ROI_LOCATION = 0.0, 3.0
 
 
 def fence_on(item: PlanItem, origin: Origin) -> Step:
-    """DO_FENCE_ENABLE: the fence is in force as long as there is one."""
+    """DO_FENCE_ENABLE: the fence cannot be disabled."""
     if number(item, 1, "enable flag") != 1.0:
         text = "the fence cannot be switched off (param1): use 1, or clear the fence before the mission"
         raise refuse(item, MissionResult.INVALID_PARAM1, text)

@@ -1,4 +1,4 @@
-"""Fence items -> shapes in local metres -> the workspace that planner and controller keep.
+"""Fence items -> shapes in local metres -> workspace of planner and controller.
 
 Circle exclusion = vertical cylinder, polygon exclusion = prism, inclusions = workspace, depth band from parameters
 (MAV_CMD_NAV_FENCE_*, common.xml: a polygon is one item per vertex, each with the vertex count in param1).
@@ -29,7 +29,7 @@ INCLUSIONS = frozenset({Command.FENCE_POLYGON_VERTEX_INCLUSION, Command.FENCE_CI
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class FenceShape:
-    """One shape of the fence and where it stands in the plan."""
+    """One shape of the fence with its first item in the plan."""
 
     seq: int
     """Its first item."""
@@ -38,13 +38,13 @@ class FenceShape:
 
     @property
     def name(self) -> str:
-        """For the operator: what it is and which item it begins with."""
+        """For the operator: type and first item."""
         kind = "circle" if isinstance(self.shape, Circle) else "polygon"
         return f"{'inclusion' if self.inclusion else 'exclusion'} {kind} (fence item {self.seq})"
 
 
 def check_fence_item(item: PlanItem, origin: Origin) -> PlanRejection | None:
-    """The cheap check of one fence item, alone."""
+    """Cheap checks of one fence item by itself."""
     try:
         if item.command == Command.FENCE_RETURN_POINT:
             horizontal_ned_m(item, origin, LABEL)
@@ -145,5 +145,5 @@ def build_fence(shapes: Sequence[FenceShape], params: Mapping[str, float]) -> Fe
 
 
 def fence_clearance_m(fence: Fence, points_ned_m: FloatArray) -> FloatArray:
-    """(n,) distance of points (n, 2) to the nearest forbidden place: negative = in it, inf = open water."""
+    """(n,) signed distance of points (n, 2) to the forbidden area: negative = inside it, inf = open water."""
     return Clearance.of(fence).clearance_m(points_ned_m)

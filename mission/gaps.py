@@ -1,7 +1,7 @@
 """Gaps of a fence that are narrower than the vehicle: between two obstacles, or an obstacle and the workspace's edge.
 
-The controller keeps the vehicle's ball out of every shape, so such a gap looks open on the map and never is. Shapes
-that touch or overlap are one obstacle; what lies between parts of one obstacle is a pocket and not a gap.
+The controller keeps the vehicle's ball out of every shape, so such a gap looks open on the map and is impassable.
+Shapes that touch or overlap are one obstacle; space between parts of one obstacle is a pocket and not a gap.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -32,10 +32,8 @@ class NarrowPassage:
 def narrow_gaps(
     shapes: Sequence[FenceShape], width_m: float, check_cancel: Callable[[], None] = lambda: None
 ) -> Iterator[NarrowPassage]:
-    """Gaps narrower than ``width_m`` between shapes that are not joined, in the order of the plan.
-
-    Found one after the other, so who needs the first few does not pay for all. ``look`` is called between the steps (it
-    may raise, to end the work).
+    """Gaps narrower than ``width_m`` between shapes that are not joined, in the order of the plan; a generator, so
+    that the first few are cheap. ``look`` is called between the steps (it may raise, to end the work).
     """
     obstacle = _Union(len(shapes))
     pairs = _near_pairs(shapes, width_m)
@@ -71,8 +69,6 @@ def narrow_gaps(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _PillarPairs:
-    """Circle exclusions two by two."""
-
     touching: NDArray[np.intp]
     """(n, 2)"""
     near: NDArray[np.intp]
@@ -102,13 +98,13 @@ def _pillar_pairs(shapes: Sequence[FenceShape], pairs: NDArray[np.intp], width_m
 
 
 class _Union:
-    """Which shapes are one obstacle."""
+    """Union-find of shapes that overlap."""
 
     def __init__(self, count: int) -> None:
         self._parent = list(range(count))
 
     def of(self, k: int) -> int:
-        """The shape that stands for the obstacle that shape ``k`` is part of."""
+        """Representative shape of the obstacle that shape ``k`` is part of."""
         while self._parent[k] != k:
             self._parent[k] = self._parent[self._parent[k]]
             k = self._parent[k]
@@ -145,7 +141,7 @@ def _near_pairs(shapes: Sequence[FenceShape], width_m: float) -> NDArray[np.intp
 
 
 def _relate(a: FenceShape, b: FenceShape) -> tuple[float, FloatArray] | None:
-    """Width and middle of what is between two shapes (0 = one obstacle), None when there is nothing to pass through."""
+    """Width and middle of the gap between two shapes (0 = one obstacle), None without a gap."""
     gap, middle = boundary_gap_m(a.shape, b.shape)
     if a.inclusion or b.inclusion:
         workspace, obstacle = (a, b) if a.inclusion else (b, a)

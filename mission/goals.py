@@ -1,4 +1,4 @@
-"""Goals that are not mission items: hold, go-to, return, surface; and the workspace that they have to lie in."""
+"""Goals other than mission items (hold, go-to, return, surface), and their workspace checks."""
 
 import math
 
@@ -41,7 +41,7 @@ class Goals:
 
     @property
     def room(self) -> Clearance:
-        """The workspace in force, prepared for asking how far places are from its boundaries."""
+        """The workspace in force, prepared for clearance queries."""
         _ = self.fence
         return self._room
 
@@ -51,11 +51,11 @@ class Goals:
         return max(self._params["DEPTH_MIN"], self._vehicle.hull_half_height_m)
 
     def clearance_m(self, pos_ned_m: FloatArray) -> float:
-        """Distance of a place (3,) to the nearest forbidden one: negative = in it, inf = open water."""
+        """Signed distance of a point (3,) to the forbidden area: negative = inside it, inf = open water."""
         return float(self.room.clearance_m(pos_ned_m[None, :2])[0])
 
     def at(self, pos_ned_m: FloatArray, yaw_rad: float | None) -> Goal:
-        """A place (3,) at cruise speed, with a heading or without."""
+        """Goal at a position (3,) at cruise speed, with a heading or without."""
         return Goal(
             pos_ned_m=pos_ned_m,
             yaw_rad=yaw_rad,
@@ -66,7 +66,7 @@ class Goals:
         )
 
     def hold(self, nav: NavState) -> Goal:
-        """Where the vehicle comes to rest, with its heading."""
+        """Where the vehicle comes to rest, with the present heading."""
         place = self._stopping_place(nav)
         place[2] = self.in_band(place[2])
         return self.at(place, float(nav.rpy_rad[2]))
@@ -84,7 +84,7 @@ class Goals:
         return self.at(place, None)
 
     def refuse_home(self) -> str:
-        """Why home cannot be returned to, "" if it can. Near a boundary it is approached as far as that allows."""
+        """Reason why home cannot be a goal, "" if it can. Near a boundary it is approached as far as that allows."""
         clearance_m = self.clearance_m(self._plans.home_ned_m)
         if clearance_m < 0.0:
             return f"home is {-clearance_m:.2f} m beyond the fence: set another"
@@ -95,12 +95,12 @@ class Goals:
         return min(max(float(depth_m), self._params["DEPTH_MIN"]), self._params["DEPTH_MAX"])
 
     def refuse_depth(self, depth_m: float) -> str:
-        """Why a depth cannot be gone to, "" if it can."""
+        """Reason why a depth cannot be a goal, "" if it can."""
         low, high = self._params["DEPTH_MIN"], self._params["DEPTH_MAX"]
         return "" if low <= depth_m <= high else f"depth {depth_m:.2f} m is outside {low:g} to {high:g} m"
 
     def refuse(self, pos_ned_m: FloatArray) -> str:
-        """Why a place (3,) cannot be a goal, "" if it can."""
+        """Reason why a position (3,) cannot be a goal, "" if it can."""
         reason = self.refuse_depth(float(pos_ned_m[2]))
         if reason:
             return reason
@@ -112,8 +112,9 @@ class Goals:
         return ""
 
     def may_drift(self, nav: NavState, more_m: float) -> bool:
-        """Whether a vehicle keeps ``more_m`` more than the controller does from every boundary, also where it comes to
-        rest by itself."""
+        """Whether the vehicle is ``more_m`` further than the controller's margin from every boundary, also where
+        it comes to rest without control.
+        """
         way_m = self._way_m(nav)
         places = nav.pos_ned_m + np.linspace(0.0, 1.0, GOALS.stop_samples + 1)[:, None] * way_m
         return bool((self.room.clearance_m(places[:, :2]) >= self._keep_m() + more_m).all())
@@ -128,11 +129,11 @@ class Goals:
         return (self._plans.revision, self._params["DEPTH_MIN"], self._params["DEPTH_MAX"])
 
     def _keep_m(self) -> float:
-        """What the controller keeps from every boundary."""
+        """The controller's margin to every boundary."""
         return self._vehicle.radius_m + self._params["MPC_MARGIN"]
 
     def _stopping_place(self, nav: NavState) -> FloatArray:
-        """(3,) end of the braking distance v^2 / 2a over ground, or the last place on the way that the fence allows."""
+        """(3,) end of the braking distance v^2 / 2a over ground, or the last permitted point before it."""
         way_m = self._way_m(nav)
         places = nav.pos_ned_m + np.linspace(0.0, 1.0, GOALS.stop_samples + 1)[:, None] * way_m
         forbidden = np.flatnonzero(self.room.clearance_m(places[1:, :2]) < self._keep_m())

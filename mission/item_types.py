@@ -1,6 +1,6 @@
-"""The mission items that can be flown: one row per command, read by the parser and by the documentation.
+"""Table of the supported mission items: one row per command, for the parser and the documentation.
 
-A row more is a command more: what it asks for is a class of :mod:`autopilot.mission.items`, what it does stands in
+A new command is a new row: its data are a class of :mod:`autopilot.mission.items`, its execution is in
 :mod:`autopilot.mission.sequencer`. ``python docs/mission_items.py --write`` updates the table of docs/mavlink.md.
 """
 
@@ -22,7 +22,7 @@ class ItemType:
     parse: Callable[[PlanItem, Origin], Step]
     """ItemRefusedError when the item cannot be flown."""
     uses: str
-    """What of it is used, for the documentation (Markdown)."""
+    """Fields used, for the documentation (Markdown)."""
     placed: bool = False
     """Its frame is judged with its position."""
 
@@ -147,7 +147,7 @@ ITEM_TYPES: dict[int, ItemType] = {int(row.command): row for row in _ROWS}
 
 
 def parse_step(item: PlanItem, origin: Origin) -> Step:
-    """The step that a mission item asks for; ItemRefusedError if it cannot be flown."""
+    """Typed step of a mission item; ItemRefusedError if it cannot be flown."""
     if item.is_home:
         return NoOp(seq=item.seq)
     found = ITEM_TYPES.get(item.command)

@@ -1,4 +1,4 @@
-"""Mission items as typed steps: what a MISSION_ITEM_INT asks for, in local metres and radians.
+"""Mission items as typed steps, in local metres (NED) and radians.
 
 :func:`autopilot.mission.item_types.parse_step` makes them from items.
 """
@@ -87,7 +87,7 @@ class GoTo:
     yaw_rad: float | None
     """None = free heading."""
     hold_s: float | None
-    """Time inside the acceptance region, None = for ever."""
+    """Time inside the acceptance region, None = unlimited."""
     accept_radius_m: float | None
     """None = the parameter's default."""
     autocontinue: bool
@@ -116,7 +116,7 @@ class ReturnHome:
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class LoiterTurns:
-    """Round a place (NAV_LOITER_TURNS)."""
+    """Circle around a position (NAV_LOITER_TURNS)."""
 
     seq: int
     centre_ned_m: FloatArray | None
@@ -130,7 +130,7 @@ class LoiterTurns:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Near:
-    """On the way to the next place until it is so near (CONDITION_DISTANCE)."""
+    """Condition met within a distance of the next position (CONDITION_DISTANCE)."""
 
     seq: int
     distance_m: float
@@ -138,7 +138,7 @@ class Near:
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Gate:
-    """On the way to the next place until a plane across that way is passed (CONDITION_GATE)."""
+    """Condition met when a plane across the path to the next position is passed (CONDITION_GATE)."""
 
     seq: int
     pos_ned_m: FloatArray
@@ -159,7 +159,7 @@ class Wait:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Jump:
-    """Go on at another item, a number of times (DO_JUMP)."""
+    """Continue at another item, a number of times (DO_JUMP)."""
 
     seq: int
     target_seq: int
@@ -197,7 +197,7 @@ class SetHome:
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class RegionOfInterest:
-    """What the vehicle looks at from here on (DO_SET_ROI...)."""
+    """Point that the vehicle faces from here on (DO_SET_ROI...)."""
 
     seq: int
     place_ned_m: FloatArray | None
@@ -206,15 +206,14 @@ class RegionOfInterest:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class NoOp:
-    """Asks for what is so anyway (DO_FENCE_ENABLE 1), or for nothing (home before a mission)."""
+    """Requests the present state (DO_FENCE_ENABLE 1), or nothing (home before a mission)."""
 
     seq: int
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Order:
-    """Something for the vehicle's equipment, passed on in passing (SequencerOutput.orders); classes that say what
-    derive from it."""
+    """Command to the payload, executed without stopping (SequencerOutput.orders); base class."""
 
     seq: int
 
@@ -222,7 +221,7 @@ class Order:
 Travel: TypeAlias = GoTo | Surface | ReturnHome
 """Steps that go to a place."""
 Passage: TypeAlias = Near | Gate
-"""Steps that end on the way to the place of a later one."""
+"""Steps that end on the path to a later position."""
 Timed: TypeAlias = Travel | LoiterTurns | Passage | Wait
 """Steps that take time; all others are done in passing."""
 Instant: TypeAlias = Jump | ChangeSpeed | SetHeading | SetHome | RegionOfInterest | NoOp | Order

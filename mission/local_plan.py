@@ -52,7 +52,7 @@ _NO_CHANGE = -1.0
 
 
 class OriginTable(Table, frozen=True, kw_only=True):
-    """Where local zero lies."""
+    """Geodetic position of the local origin."""
 
     lat_deg: float
     lon_deg: float
@@ -77,20 +77,20 @@ class RepeatTable(Table, frozen=True, kw_only=True):
 
 
 class EndTable(Table, frozen=True, kw_only=True):
-    """What follows the last waypoint."""
+    """Action after the last waypoint."""
 
     action: Literal["hold", "return", "surface"] = "hold"
 
 
 class PolygonTable(Table, frozen=True, kw_only=True):
-    """A prism."""
+    """A vertical prism."""
 
     points_m: list[tuple[float, float]]
     inclusion: bool = False
 
 
 class CircleTable(Table, frozen=True, kw_only=True):
-    """A cylinder."""
+    """A vertical cylinder."""
 
     x_m: float
     y_m: float
@@ -99,15 +99,11 @@ class CircleTable(Table, frozen=True, kw_only=True):
 
 
 class FenceTable(Table, frozen=True, kw_only=True):
-    """All shapes."""
-
     polygon: list[PolygonTable] = msgspec.field(default_factory=list)
     circle: list[CircleTable] = msgspec.field(default_factory=list)
 
 
 class SurfacePoint(Table, frozen=True, kw_only=True):
-    """A point at the surface."""
-
     x_m: float
     y_m: float
 
@@ -123,7 +119,25 @@ class LocalPlan(Table, frozen=True, kw_only=True):
 
 
 def read_local_plan(text: str, name: str) -> PlanFile:
-    """The plan in a local-metres TOML text. PlanError names file, key and remedy."""
+    """Parse a plan in local metres (TOML).
+
+    Parameters
+    ----------
+    text
+        Content of the file; x north, y east, depth down [m], yaw [rad].
+    name
+        Name of the file, for error messages.
+
+    Returns
+    -------
+    PlanFile
+        In wire units.
+
+    Raises
+    ------
+    PlanError
+        The message names file, key and remedy.
+    """
     try:
         local: LocalPlan = convert(parse_toml(text, name), LocalPlan, name)
     except ConfigError as error:
@@ -154,7 +168,7 @@ def _placed(
     pos_ned_m: tuple[float, float, float],
     frame: MavFrame = MavFrame.GLOBAL_RELATIVE_ALT,
 ) -> PlanItem:
-    """An item at a local place; in the relative frame its altitude is minus the depth."""
+    """An item at a local position; in the relative frame its altitude is minus the depth."""
     lat, lon, _ = geodetic_from_ned(origin, np.array(pos_ned_m))
     return make_item(where, seq, frame, command, (*params, lat, lon, 0.0 - pos_ned_m[2]))
 

@@ -1,4 +1,4 @@
-"""Where a mission goes on to after a waypoint that it passes without a stop: for controllers that plan ahead."""
+"""Path of a mission beyond a waypoint that is passed without a stop, for controllers that plan ahead."""
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import get_args
@@ -18,21 +18,22 @@ from autopilot.mission.items import (
 )
 
 LONGEST_WALK = 64
-"""Steps looked at: a plan of empty jumps ends the look ahead."""
+"""Maximum number of steps examined: bounds plans of empty jumps."""
 
 
 PASSED = (ChangeSpeed, SetHome, Order, NoOp, *get_args(Passage))
-"""Steps that change nothing of the way to the next waypoint."""
+"""Steps without effect on the path to the next waypoint."""
 
 
 def passes_on(step: Step) -> bool:
-    """Whether the mission goes on from a step as soon as its region is entered."""
+    """Whether the mission continues from a step as soon as its region is entered."""
     return isinstance(step, GoTo) and step.hold_s == 0.0 and step.autocontinue
 
 
 def walk(steps: Sequence[Step], cursor: int, jumps_done: Mapping[int, int]) -> Iterator[int]:
-    """The steps in the order in which they come after step ``cursor``, jumps taken as often as is left of them. It
-    ends after the longest walk: a mission may go round for ever."""
+    """Steps in the order of execution after step ``cursor``, with the remaining jumps. Bounded, because a mission
+    may loop for ever.
+    """
     done = dict(jumps_done)
     cursor += 1
     for _ in range(LONGEST_WALK):
@@ -76,7 +77,7 @@ def next_waypoint(
 
 
 def next_place(steps: Sequence[Step], cursor: int, jumps_done: Mapping[int, int]) -> int | None:
-    """The next step after ``cursor`` that has a place, None when there is none (or not within the longest walk)."""
+    """The next step after ``cursor`` with a position, None without one (or not within the longest walk)."""
     for index in walk(steps, cursor, jumps_done):
         step = steps[index]
         if isinstance(step, GoTo | Surface) and step.pos_ned_m is not None:

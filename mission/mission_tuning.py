@@ -5,8 +5,6 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True, slots=True)
 class CirclingTuning:
-    """Of :mod:`autopilot.mission.circling`."""
-
     pull_1_s: float = 0.6
     """How fast a distance from the circle is made good."""
     pull_share: float = 0.7
@@ -18,7 +16,7 @@ class CirclingTuning:
     yaw_share: float = 0.5
     """Share of SPD_YAW_MAX that a circle on which the heading turns may use."""
     ring_step_m: float = 0.01
-    """Arcs of a circle are looked at down to this length."""
+    """Minimum length to which arcs of a circle are bisected."""
     ring_arcs: int = 72
     ring_parts: int = 4
     """Arcs that a circle begins with, and parts that an arc is divided into."""
@@ -29,13 +27,11 @@ CIRCLING = CirclingTuning()
 
 @dataclass(frozen=True, slots=True)
 class GoalsTuning:
-    """Of :mod:`autopilot.mission.goals`."""
-
     stop_deceleration_m_s2: float = 0.25
-    """How hard a vehicle that is told to hold brakes: from cruise speed its drag alone gives it 0.25 to 0.35 m/s^2, so
-    that it comes to rest without reverse thrust and without having to come back."""
+    """Deceleration on hold: from cruise speed drag alone gives 0.25 to 0.35 m/s^2, so that the vehicle stops
+    without reverse thrust and without overshoot."""
     stop_samples: int = 8
-    """Places between here and the end of the braking distance that are looked at."""
+    """Sample points between here and the end of the braking distance."""
     accept_yaw_rad: float = 0.15
     """Acceptance band of the heading."""
 
@@ -45,8 +41,6 @@ GOALS = GoalsTuning()
 
 @dataclass(frozen=True, slots=True)
 class NavItemsTuning:
-    """Of :mod:`autopilot.mission.nav_items`."""
-
     dived_m: float = 0.1
     """NAV_TAKEOFF is done within this distance of its depth."""
     max_turns: int = 10_000
@@ -54,7 +48,7 @@ class NavItemsTuning:
     max_ring_m: float = 1000.0
     """Radii of circles, as CIRCLE_RADIUS has them."""
     min_accept_radius_m: float = 0.02
-    """A smaller acceptance ball is below what any estimate can tell."""
+    """A smaller acceptance ball is below the accuracy of any estimate."""
 
 
 NAV_ITEMS = NavItemsTuning()
@@ -62,8 +56,6 @@ NAV_ITEMS = NavItemsTuning()
 
 @dataclass(frozen=True, slots=True)
 class QgcPlanTuning:
-    """Of :mod:`autopilot.mission.qgc_plan`."""
-
     version: int = 1
     part_version: int = 2
     """Version of the mission, geoFence and rallyPoints objects."""
@@ -76,13 +68,11 @@ QGC_PLAN = QgcPlanTuning()
 
 @dataclass(frozen=True, slots=True)
 class StepGoalsTuning:
-    """Of :mod:`autopilot.mission.step_goals`."""
-
     goals_ahead: int = 2
     """A leg is planned with the next one's beginning in view, and the next leg while this one is flown."""
     sure_sigmas: float = 3.0
     doubt_share: float = 0.1
-    """Reached means surely reached: acceptance shrinks by so many standard deviations, but by this share at most."""
+    """Acceptance shrinks by this number of standard deviations of the estimate, but by this share at most."""
     yaw_variance: int = 5
     """Index in NavState.variance."""
 
@@ -92,18 +82,16 @@ STEP_GOALS = StepGoalsTuning()
 
 @dataclass(frozen=True, slots=True)
 class UpstreamTuning:
-    """Of :mod:`autopilot.mission.upstream`."""
-
     reported_m_s: float = 0.1
-    """Legs on which less than this is left over ground are told: a third of the usual cruise speed."""
+    """Least speed over ground on a leg without a warning: a third of the usual cruise speed."""
     samples: int = 40
     """Places per leg at which a map is asked."""
     jump_m: float = 1.0
-    """A way that becomes longer by this from one look to the next is another way, not one that was drifted back ..."""
+    """A path that becomes longer by this from one update to the next is another path, not drift ..."""
     made_s: float = 10.0
-    """Time over which the speed is looked at with which a vehicle gets nearer."""
+    """Averaging time of the speed towards the goal."""
     fresh_starts: int = 2
-    """... which begins the count anew, but not for ever: whoever plans another way every minute gets nowhere."""
+    """... which restarts the count, but not for ever: replanning every minute makes no progress."""
 
 
 UPSTREAM = UpstreamTuning()
@@ -111,20 +99,19 @@ UPSTREAM = UpstreamTuning()
 
 @dataclass(frozen=True, slots=True)
 class ValidationTuning:
-    """Of :mod:`autopilot.mission.validation`."""
-
     depth_tolerance_m: float = 1e-3
     """Altitudes arrive as 32-bit floats."""
     place_tolerance_m: float = 0.012
     """Rounding of a waypoint and of a fence point to 1e-7 degrees (11 mm) together."""
     approach_share: float = 0.6
-    """The controller keeps MPC_MARGIN beyond the body radius, so that a place nearer to a boundary is only approached:
-    what is missing may be this share of the acceptance radius (two walls at once make it 1.41 times as much) ..."""
+    """The controller keeps MPC_MARGIN beyond the body radius, so that a position nearer to a boundary is only
+    approached: the distance missing may be this share of the acceptance radius (two walls at once make it 1.41
+    times as much) ..."""
     approach_m: float = 0.15
-    """... and no more than this, beyond which the route planner does not look for free ground round a goal."""
+    """... and no more than this, beyond which the route planner does not search free space around a goal."""
     passage_m: float = 2.5e-3
-    """A passage has to have this much more than the controller keeps on both sides, for the route planner to find it.
-    What is narrower is refused here: the controller would not enter it."""
+    """Additional width of a passage beyond the controller's margin on both sides, for the route planner to find
+    it. A narrower one is refused here: the controller would not enter it."""
     max_gaps: int = 20
     """Narrow gaps of a fence are named up to this number."""
 

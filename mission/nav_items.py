@@ -1,4 +1,4 @@
-"""Mission items that go somewhere or wait: NAV_ commands (MAV_CMD, common.xml)."""
+"""Mission items with a position or a wait: NAV_ commands (MAV_CMD, common.xml)."""
 
 import math
 
@@ -77,8 +77,9 @@ def circuit(item: PlanItem, origin: Origin) -> Step:
 
 
 def take_off(item: PlanItem, origin: Origin) -> Step:
-    """NAV_TAKEOFF means "dive here": p4 yaw; the place is not used. An altitude in the water is the depth;
-    one above it, as ground stations put it into every plan, or none, means TKOFF_DEPTH."""
+    """NAV_TAKEOFF means "dive here": p4 yaw; the position is not used. A negative altitude is the depth; a missing
+    or positive one, as ground stations put it into every plan, means TKOFF_DEPTH.
+    """
     if item.frame == MavFrame.LOCAL_NED:
         depth = item.z
     elif item.frame in AMSL_FRAMES:

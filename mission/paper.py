@@ -1,7 +1,7 @@
 """The mission of Heshmati-alamdari et al. (ICRA 2018), section IV: tank, obstacles, and the tour A-B-A.
 
-``sitl/scenarios/paper.plan`` is :func:`paper_plan` written to a file, and ``paper.mission.toml`` beside
-it says the same in local metres; a test holds the three together.
+``sitl/scenarios/paper.plan`` is :func:`paper_plan` written to a file, and ``paper.mission.toml`` beside it is the
+same in local metres; a test checks that the three agree.
 """
 
 import math

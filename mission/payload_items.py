@@ -1,4 +1,4 @@
-"""Mission items for what the vehicle carries: camera, servos, relays, gripper (MAV_CMD, common.xml)."""
+"""Mission items for the payload: camera, servos, relays, gripper (MAV_CMD, common.xml)."""
 
 import math
 from collections.abc import Callable
@@ -26,7 +26,7 @@ class Shoot(Order):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ShootEvery(Order):
-    """Stills by way (DO_SET_CAM_TRIGG_DIST); 0 = no more."""
+    """Stills by distance (DO_SET_CAM_TRIGG_DIST); 0 = stop."""
 
     distance_m: float
     now: bool
@@ -75,7 +75,7 @@ class MoveActuators(Order):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class NothingToDo(Order):
-    """Asks the camera for what it does anyway (SET_CAMERA_MODE 0)."""
+    """Requests the camera's only mode (SET_CAMERA_MODE 0)."""
 
 
 def start_capture(item: PlanItem, origin: Origin) -> Step:
@@ -93,7 +93,7 @@ def stop_capture(item: PlanItem, origin: Origin) -> Step:
 
 
 def trigger_by_way(item: PlanItem, origin: Origin) -> Step:
-    """DO_SET_CAM_TRIGG_DIST: p1 way between stills [m], 0 = stop; p3 1 = one at once."""
+    """DO_SET_CAM_TRIGG_DIST: p1 distance between stills [m], 0 = stop; p3 1 = one at once."""
     return ShootEvery(seq=item.seq, distance_m=_least(item, 1, "distance", 0.0), now=number(item, 3, "trigger") == 1.0)
 
 
@@ -112,7 +112,7 @@ def digicam_control(item: PlanItem, origin: Origin) -> Step:
 
 
 def camera_mode(item: PlanItem, origin: Origin) -> Step:
-    """SET_CAMERA_MODE: stills only."""
+    """SET_CAMERA_MODE: only stills are supported."""
     mode = whole(item, 2, "camera mode")
     if mode not in STILLS_MODES:
         raise wrong(item, 2, "camera mode", "the camera takes stills only, use 0")
@@ -163,7 +163,7 @@ def gripper(item: PlanItem, origin: Origin) -> Step:
 
 
 def set_actuator(item: PlanItem, origin: Origin) -> Step:
-    """DO_SET_ACTUATOR: p1 to p4 -1 to 1, NaN = as it is. The fifth and sixth are whole numbers: not used."""
+    """DO_SET_ACTUATOR: p1 to p4 -1 to 1, NaN = unchanged. The fifth and sixth are integers on the wire: not used."""
     group = 0.0 if math.isnan(item.z) else item.z
     if not 0.0 <= group < 100.0 or group != int(group):
         raise refuse(item, MissionResult.INVALID_PARAM7, f"index (param7) is {item.z:g}; use 0")
@@ -178,7 +178,7 @@ def set_actuator(item: PlanItem, origin: Origin) -> Step:
 
 
 def refused(why: str) -> Callable[[PlanItem, Origin], Step]:
-    """An item of which there is nothing that could do it."""
+    """An item that no equipment can execute."""
 
     def parse(item: PlanItem, origin: Origin) -> Step:
         raise refuse(item, MissionResult.UNSUPPORTED, f"command {item.command}: {why}; leave it out")
@@ -187,7 +187,7 @@ def refused(why: str) -> Callable[[PlanItem, Origin], Step]:
 
 
 def _least(item: PlanItem, index: int, name: str, least: float) -> float:
-    """A parameter that is at least so much; one that is not given counts as 0."""
+    """A parameter with a minimum; a missing one counts as 0."""
     value = number(item, index, name) or 0.0
     if value < least:
         raise wrong(item, index, name, f"use {least:g} or more")

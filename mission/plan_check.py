@@ -1,4 +1,4 @@
-"""Are the plans fit to be flown? One question of pure data, one answer: done beside the loop, for it takes a while."""
+"""Plan check as a pure function, run in the background because it takes a while."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -35,7 +35,7 @@ PLAN_PARAMETERS = (
     *("CIRCLE_RADIUS", "DEPTH_MAX", "DEPTH_MIN", "FENCE_GAP_CHK", "MPC_MARGIN", "SPD_PLANAR_MAX", "TKOFF_DEPTH"),
     "WP_ACCEPT_RADIUS",
 )
-"""What of the parameters plans are judged by."""
+"""Parameters that the plan check depends on."""
 
 Plans3 = Mapping[PlanKind, tuple[PlanItem, ...]]
 """All three plans."""
@@ -43,14 +43,14 @@ EMPTY: Plans3 = MappingProxyType(dict.fromkeys(PlanKind, ()))
 
 
 class WaterCheck(Protocol):
-    """What is known of the water, as a judge of workspaces (a current map has to cover them). Never changes."""
+    """Immutable check of workspaces against the known current (a current map has to cover them)."""
 
     def problem(self, fence: Fence, steps: Sequence[Step], origin: Origin) -> str:
         """Why nothing may be flown there, "" if it may."""
         ...
 
     def warning(self, fence: Fence, steps: Sequence[Step], limit_m_s: float) -> str:
-        """What the operator should know of a vehicle that swims so fast at most, "" if nothing."""
+        """Warning for a vehicle with this maximum speed, "" if none."""
         ...
 
 
@@ -75,32 +75,31 @@ class PlanCheckInputs:
 
     @property
     def context(self) -> PlanContext:
-        """As the checks want it."""
         params = dict(zip(PLAN_PARAMETERS, self.limits, strict=True))
         return PlanContext(origin=self.origin, params=params, radius_m=self.radius_m)
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class PlanVerdict:
-    """The answer: what is wrong, and the plans in local metres."""
+    """Result: problems, and the plans in local metres."""
 
     question: PlanCheckInputs
     own: tuple[PlanProblem, ...] = ()
-    """What is wrong with a plan by itself: it is refused, or (a parameter has changed since) not flown."""
+    """Problems of a plan by itself: it is refused, or (a parameter has changed since) not flown."""
     joint: tuple[PlanProblem, ...] = ()
-    """What is wrong only between the plans: they are kept, and not flown."""
+    """Conflicts between the plans: they are stored, and not flown."""
     warnings: tuple[str, ...] = ()
-    """What is tolerated but told."""
+    """Warnings: tolerated and reported."""
     steps: tuple[Step, ...] = ()
     shapes: tuple[FenceShape, ...] = ()
     goal_room: tuple[tuple[str, float], ...] = ()
-    """Name and clearance [m] of every place that the mission goes to, less the vehicle's radius."""
+    """Name and clearance [m] of every position of the mission, less the vehicle's radius."""
     widest_m: float = field(default=math.inf)
     """Clearance of the widest place of the workspace, less the vehicle's radius."""
 
     @property
     def problem(self) -> str:
-        """The first reason not to fly, "" if there is none."""
+        """The first reason not to fly, "" without any."""
         first = next(iter((*self.own, *self.joint)), None)
         return "" if first is None else first.reason
 
@@ -110,7 +109,7 @@ class PlanVerdict:
 
 
 def judge(question: PlanCheckInputs, cancel: Cancel) -> PlanVerdict:
-    """Look at all plans. Raises :class:`autopilot.core.background.WithdrawnError` soon after ``cancel``."""
+    """Check all plans. Raises :class:`autopilot.core.background.WithdrawnError` soon after ``cancel``."""
     check_cancel = cancel.check
     ctx, plans = question.context, question.plans
     steps, broken_steps = read_mission(plans[PlanKind.MISSION], ctx.origin)

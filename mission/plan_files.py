@@ -1,4 +1,4 @@
-"""Plan files of all formats, chosen by the name's ending: ``.plan``, ``.waypoints``, ``.toml``."""
+"""Plan files of all formats, chosen by suffix: ``.plan``, ``.waypoints``, ``.toml``."""
 
 from pathlib import Path
 
@@ -22,7 +22,23 @@ __all__ = ["PlanFile", "read_plan", "write_plan"]
 
 
 def read_plan(path: Path) -> PlanFile:
-    """The plan in a file. PlanError, one line with file, place and remedy, when it cannot be read."""
+    """Read a plan file.
+
+    Parameters
+    ----------
+    path
+        ``.plan`` or ``.json`` (QGroundControl), ``.waypoints`` or ``.txt`` (QGC WPL 110), ``.toml`` (local metres).
+
+    Returns
+    -------
+    PlanFile
+        Items in wire units (degrees times 1e7 or local metres times 1e4).
+
+    Raises
+    ------
+    PlanError
+        It cannot be read; one line with file, place and remedy.
+    """
     reader = _READERS.get(path.suffix.lower())
     if reader is None:
         raise PlanError(f"{path}: unknown kind of plan file; use .plan (QGroundControl), .waypoints or .toml")
@@ -38,7 +54,20 @@ def read_plan(path: Path) -> PlanFile:
 
 
 def write_plan(path: Path, plan: PlanFile) -> None:
-    """Write a ``.plan`` file that QGroundControl opens. PlanError when it cannot be written."""
+    """Write a ``.plan`` file for QGroundControl.
+
+    Parameters
+    ----------
+    path
+        Its name, ending in ``.plan``; an existing file is replaced.
+    plan
+        Its content.
+
+    Raises
+    ------
+    PlanError
+        It cannot be written, or the name ends otherwise.
+    """
     if path.suffix.lower() != ".plan":
         raise PlanError(f"{path}: plans are written as .plan only; give a name that ends so")
     text = write_qgc_plan(plan)

@@ -1,4 +1,4 @@
-"""A plan as a file holds it, whatever the format: mission, fence, rally points and home."""
+"""Plan independent of the file format: mission, fence, rally points and home."""
 
 import math
 from collections.abc import Sequence
@@ -16,7 +16,7 @@ INT32_MAX = 2**31 - 1
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PlanFile:
-    """All that a plan file says about where to go and where not."""
+    """Content of a plan file; items in wire units (degrees times 1e7 or local metres times 1e4)."""
 
     mission: tuple[PlanItem, ...] = ()
     fence: tuple[PlanItem, ...] = ()
@@ -28,7 +28,13 @@ class PlanFile:
         return {PlanKind.MISSION: self.mission, PlanKind.FENCE: self.fence, PlanKind.RALLY: self.rally}[kind]
 
     def drawing_origin(self) -> Origin:
-        """Local origin for judging the plan without a vehicle: home, else its first place on the map."""
+        """Local origin for checks without a vehicle.
+
+        Returns
+        -------
+        Origin
+            Home, else the first geodetic position in the plan, else latitude and longitude 0.
+        """
         if self.home is not None:
             return self.home
         for item in (*self.fence, *self.mission, *self.rally):
@@ -59,9 +65,32 @@ def make_item(
     params: Sequence[float],
     autocontinue: bool = True,
 ) -> PlanItem:
-    """An item from seven parameters in file units (degrees or metres). PlanError when they do not fit the wire.
+    """An item from seven parameters in file units.
 
-    ``where`` names file and item for the message. Latitude and longitude have to be numbers.
+    Parameters
+    ----------
+    where
+        File and item, for error messages.
+    seq
+        Number of the item, from 0.
+    frame
+        MAV_FRAME.
+    command
+        MAV_CMD.
+    params
+        (7,) in file units: latitude and longitude in degrees, or local metres.
+    autocontinue
+        Whether the mission continues after the item.
+
+    Returns
+    -------
+    PlanItem
+        In wire units.
+
+    Raises
+    ------
+    PlanError
+        A parameter does not fit a 32-bit float, or a coordinate is not finite or out of range.
     """
     for index, value in enumerate(params[:7]):
         if math.isfinite(value) and abs(value) > FLOAT32_MAX:

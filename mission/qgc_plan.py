@@ -25,7 +25,24 @@ _REQUIRED = object()
 
 
 def read_qgc_plan(text: str, name: str) -> PlanFile:
-    """The plan in a ``.plan`` text. PlanError names file, place and remedy in one line."""
+    """Parse a ``.plan`` text.
+
+    Parameters
+    ----------
+    text
+        Content of the file.
+    name
+        Name of the file, for error messages.
+
+    Returns
+    -------
+    PlanFile
+
+    Raises
+    ------
+    PlanError
+        File, place and remedy in one line.
+    """
     try:
         root = json.loads(text)
     except json.JSONDecodeError as error:
@@ -54,7 +71,7 @@ def read_qgc_plan(text: str, name: str) -> PlanFile:
 
 
 def _typed(value: Any, kind: type, where: str, what: str) -> Any:
-    """``value`` if it is of that kind (int also where a float is asked for); PlanError otherwise."""
+    """``value`` if it is of that type (int also where a float is expected); PlanError otherwise."""
     fits = isinstance(value, int | float) if kind is float else isinstance(value, kind)
     if not fits or (isinstance(value, bool) and kind is not bool):
         names = {dict: "an object", list: "a list", str: "a text", float: "a number", int: "a whole number"}
@@ -64,7 +81,7 @@ def _typed(value: Any, kind: type, where: str, what: str) -> Any:
 
 
 def _get(table: Mapping[str, Any], key: str, kind: type, where: str, default: Any = _REQUIRED) -> Any:
-    """``table[key]`` checked; PlanError when it is missing or of another kind."""
+    """``table[key]`` checked; PlanError when it is missing or of another type."""
     if key not in table:
         if default is _REQUIRED:
             raise PlanError(f"{where}: key {key!r} is missing; export the plan again")
@@ -106,7 +123,7 @@ def _home(mission: Mapping[str, Any], where: str) -> Origin | None:
 
 
 def _simple_items(entries: Sequence[Any], where: str) -> Iterator[tuple[str, dict[str, Any]]]:
-    """Simple items in order, complex ones replaced by what they were turned into."""
+    """Simple items in order; complex items are replaced by their generated ones."""
     for index, entry in enumerate(entries):
         here = f"{where} item {index}"
         item = _typed(entry, dict, here, "the item")
@@ -187,7 +204,25 @@ def _rally(rally: Mapping[str, Any], where: str) -> tuple[PlanItem, ...]:
 
 
 def write_qgc_plan(plan: PlanFile, speed_m_s: float = 0.35) -> str:
-    """The ``.plan`` text of a plan. PlanError for what the format cannot hold (fence or rally in a local frame)."""
+    """Text of a ``.plan`` file.
+
+    Parameters
+    ----------
+    plan
+        Content of the file.
+    speed_m_s
+        Cruise and hover speed written to the file [m/s].
+
+    Returns
+    -------
+    str
+        JSON.
+
+    Raises
+    ------
+    PlanError
+        The format cannot hold it (fence or rally points in a local frame).
+    """
     home = plan.drawing_origin()
     document = {
         "fileType": FILE_TYPE,

@@ -1,4 +1,4 @@
-"""Is there a way from one waypoint to the next? As the planners see it: :mod:`autopilot.core.free_space`."""
+"""Connectivity of consecutive waypoints in the planners' free space (:mod:`autopilot.core.free_space`)."""
 
 import math
 
@@ -12,13 +12,12 @@ from autopilot.mission.clearance import Clearance
 from autopilot.mission.fence import fence_clearance_m
 
 WIDEST_GRID = 24
-"""Places per axis at which the widest part of a workspace is looked for."""
+"""Sample points per axis in the search for the widest part of a workspace."""
 
 
 def free_regions(fence: Fence, points_ned_m: FloatArray, radius_m: float) -> tuple[int, ...] | None:
-    """The connected region of free space that each point (n, 2) stands in or is nearest to; None when nothing is free.
-
-    ``radius_m``: what the vehicle's centre keeps from every boundary.
+    """Connected region of free space that contains each point (n, 2) or is nearest to it; None when nothing is
+    free. ``radius_m``: distance that the vehicle's centre keeps from every boundary.
     """
     space = _free_space(fence, points_ned_m, radius_m)
     if space is None or not len(space.places_ned_m):
@@ -29,9 +28,9 @@ def free_regions(fence: Fence, points_ned_m: FloatArray, radius_m: float) -> tup
 
 
 def has_room(fence: Fence, radius_m: float) -> bool:
-    """Whether there is any place in the workspace of a fence that keeps ``radius_m`` from every boundary."""
+    """Whether any point in the workspace of a fence is ``radius_m`` from every boundary."""
     if widest_m(fence) >= radius_m:
-        return True  # seen at once; what is narrow has to be looked for
+        return True  # visible in the samples; a narrow part has to be searched
     space = _free_space(fence, np.zeros((0, 2)), radius_m)
     return space is not None and len(space.places_ned_m) > 0
 
@@ -48,7 +47,9 @@ def widest_m(fence: Fence) -> float:
 
 
 def _free_space(fence: Fence, points_ned_m: FloatArray, radius_m: float) -> FreeSpace | None:
-    """The free space of a workspace, or in open water round everything and a way round it; None if there is none."""
+    """Free space of a workspace, or in open water of a box around everything with a path around it; None without
+    any.
+    """
     area = workspace_of(fence)
     if area is None:
         boxes = [bounding_box(s) for s in fence.exclusions]

@@ -1,7 +1,8 @@
-"""The mission in execution: which goal holds now, what has been reached, what comes next.
+"""Execution of the mission: current goal, items reached, and progress.
 
-A pure state machine, stepped once per tick with the estimate. A waypoint is reached when the vehicle has stayed inside
-the acceptance ball (3-D) and, if a heading is asked for, inside the heading band, for the hold time without a break.
+A pure state machine, stepped once per tick with the estimate. A waypoint is reached when the vehicle has stayed
+inside the acceptance ball (3-D) and, if a heading is given, inside the heading band, for the hold time without
+interruption.
 """
 
 import math
@@ -40,18 +41,16 @@ MAX_INSTANT_STEPS = 64
 
 
 class Action(StrEnum):
-    """What the mission asks of the vehicle's mode logic, on the one tick on which it does."""
+    """Request of the mission to the mode logic, for one tick."""
 
     SURFACE = "surface"
-    """NAV_LAND has come up to the top of the depth band: surface and disarm."""
+    """NAV_LAND has reached the top of the depth band: surface and disarm."""
     HOLD = "hold"
     """The mission is complete; the goal stays where it is."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class SequencerOutput:
-    """Result of one tick."""
-
     goal: Goal | None
     """None while no mission runs and while the estimate is not finite."""
     progress: MissionProgress
@@ -61,12 +60,12 @@ class SequencerOutput:
     home_ned_m: FloatArray | None = None
     """(3,) new home, on the tick on which a DO_SET_HOME ran."""
     orders: tuple[Order, ...] = ()
-    """For the equipment, in the order in which the mission came by them on this tick."""
+    """Payload orders, in the order in which the mission passed them on this tick."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Position:
-    """Where a mission stands: all that it takes to go on with it after a restart."""
+    """Mission progress: state needed to resume after a restart."""
 
     cursor: int
     """Step that runs next."""
@@ -101,7 +100,6 @@ class Sequencer:
 
     @property
     def state(self) -> ProgressState:
-        """Where the mission stands."""
         return self._run.state
 
     def load(self, steps: Sequence[Step]) -> None:
@@ -113,9 +111,8 @@ class Sequencer:
         self._clear(0)
 
     def start(self, first_seq: int | None = None) -> None:
-        """Run. ``first_seq`` = anew from that item; None = go on, or anew when the mission was complete.
-
-        PlanError when there is no mission or no such item; nothing has changed then.
+        """Run. ``first_seq``: restart from that item; None: resume, or restart when the mission was complete.
+        PlanError when there is no mission or no such item, without any change.
         """
         if not self._steps:
             raise PlanError("no mission to start; upload one first")
@@ -128,13 +125,13 @@ class Sequencer:
         self._run.inside_since_us = self._run.clock_us = None
 
     def pause(self) -> None:
-        """Hold where the vehicle is on the next tick; the mission stays where it is."""
+        """Hold from the next tick on; the progress is kept."""
         if self._run.state is ProgressState.ACTIVE:
             self._run.state = ProgressState.PAUSED
             self._run.pause_goal = None
 
     def set_current(self, seq: int) -> None:
-        """Choose the item that runs next (at once when active). PlanError when there is no such item."""
+        """Choose the item that runs next (at once when active). PlanError for an unknown item."""
         self._check_seq(seq)
         if self._run.state is ProgressState.COMPLETE:
             self._clear(seq)
@@ -143,7 +140,7 @@ class Sequencer:
 
     @property
     def position(self) -> Position | None:
-        """Where the mission stands, None when there is nothing to go on with."""
+        """Mission progress, None when there is nothing to resume."""
         run = self._run
         if run.state not in (ProgressState.ACTIVE, ProgressState.PAUSED, ProgressState.NOT_STARTED):
             return None
@@ -168,7 +165,7 @@ class Sequencer:
 
     @property
     def travelling(self) -> bool:
-        """Whether the vehicle is on its way to the goal of an item, and not there (or waiting)."""
+        """Whether the vehicle is on its way to the goal of an item, not there (or waiting)."""
         run = self._run
         if run.state is not ProgressState.ACTIVE or not run.entered or run.inside_since_us is not None:
             return False
@@ -176,12 +173,13 @@ class Sequencer:
 
     @property
     def circle_left_m(self) -> float | None:
-        """Way that is left of the circle that is flown, None when none is."""
+        """Path length left of the present circle, None without one."""
         return None if self._run.circle is None else self._run.circle.left_m
 
     def skip(self, nav: NavState) -> None:
-        """Give the present item up: go on with the next as if it were over. It does not count as reached. NAV_LAND
-        comes up where the vehicle is, a mission that ends with the item is complete on the next tick."""
+        """Abandon the present item and continue with the next. It does not count as reached. NAV_LAND surfaces
+        where the vehicle is; a mission that ends with the item is complete on the next tick.
+        """
         run = self._run
         if not self.travelling:
             return
@@ -203,7 +201,7 @@ class Sequencer:
             self._pass_over()
 
     def _pass_over(self) -> None:
-        """Go on behind the present item, which is given up; at the end with what a mission ends with."""
+        """Continue after the present item, which is abandoned; at the end with the mission's end action."""
         run = self._run
         run.flown += 1
         if run.cursor == self._lap_marker:
@@ -218,7 +216,7 @@ class Sequencer:
         return self._run.skipped
 
     def set_home(self, pos_ned_m: FloatArray) -> None:
-        """Where NAV_RETURN_TO_LAUNCH goes (3,), at the depth of the goal before it."""
+        """Position (3,) of NAV_RETURN_TO_LAUNCH, at the depth of the goal before it."""
         self._goals.home_ned_m = np.array(pos_ned_m, dtype=np.float64)
 
     def set_speed(self, speed_m_s: float | None) -> None:
@@ -325,7 +323,7 @@ class Sequencer:
             self._run.goal = replace(self._run.goal, yaw_rad=heading)
 
     def _look_at(self, place_ned_m: FloatArray | None) -> None:
-        """Now, and wherever the mission goes from here on."""
+        """Face a point, now and in the following items."""
         run = self._run
         run.facing_ned_m = place_ned_m
         if run.goal is not None:
@@ -337,7 +335,7 @@ class Sequencer:
             self._run.lap += 1
         done = self._run.jumps_done.get(self._run.cursor, 0)
         if self._run.flown_at_jump.get(self._run.cursor) == self._run.flown:
-            # Nothing was flown since: its other turns would be as empty, be they ever so many.
+            # Nothing was flown since: further repetitions of the jump would be as empty.
             done = 0 if step.count is None else step.count
             self._run.jumps_done[self._run.cursor] = done
             self._advance(self._run.cursor + 1)
@@ -413,7 +411,7 @@ class Sequencer:
         return True
 
     def _leave(self, step: Timed) -> None:
-        """Report the end of a step and go on."""
+        """Report the end of a step and continue."""
         self._run.flown += 1
         if step.reported if isinstance(step, Wait) else not isinstance(step, Passage):
             self._reached_now.append(step.seq)

@@ -1,6 +1,6 @@
-"""Distances of many places to many small shapes, where they are near, without a loop over the shapes.
+"""Vectorised distances of many points to many small shapes within a given range.
 
-Places are sorted into strips of the plane and by their north within each, so that those in the box round a shape are
+Points are sorted into strips of the plane and by north within each, so that those in the box around a shape are
 found by bisection, for all shapes at once.
 """
 
@@ -41,8 +41,9 @@ class SmallShapes:
         self._first = np.concatenate([[0], np.cumsum(self._corners)])[:-1]
 
     def near(self, places: FloatArray, reach_m: float) -> tuple[IntArray, FloatArray, FloatArray]:
-        """Which of the places (n, 2) are nearer than ``reach_m`` to a shape or in one, their signed distances to the
-        nearest, and its slope (k, 2)."""
+        """Which of the points (n, 2) are nearer than ``reach_m`` to a shape or in one, their signed distances to
+        the nearest, and its gradient (k, 2).
+        """
         found = [
             part
             for place, shape in self._pairs(places, reach_m)
@@ -57,7 +58,7 @@ class SmallShapes:
         return place[nearest], signed[nearest], slope[nearest]
 
     def _pairs(self, places: FloatArray, reach_m: float) -> Iterator[tuple[IntArray, IntArray]]:
-        """Places and shapes (m,) whose boxes, widened by the reach, hold them, in portions."""
+        """Pairs (m,) of points and shapes whose boxes, widened by the reach, contain them; in portions."""
         if not len(places):
             return
         low, high = self._low - reach_m, self._high + reach_m
@@ -87,7 +88,7 @@ class SmallShapes:
             yield place[inside], which[inside]
 
     def _circles(self, places: FloatArray, place: IntArray, shape: IntArray) -> Found:
-        """Of pairs with circles: place, shape, signed distance, slope."""
+        """Of pairs with circles: point, shape, signed distance, gradient."""
         mine = self._round[shape]
         place, shape = place[mine], shape[mine]
         off = places[place] - self._center[shape]
@@ -118,6 +119,6 @@ class SmallShapes:
 
 
 def _runs(count: IntArray) -> tuple[IntArray, IntArray]:
-    """Numbers 0, 1, ... each as often as ``count`` says, and the place within each run."""
+    """Numbers 0, 1, ... each repeated ``count`` times, and the index within each run."""
     number = np.repeat(np.arange(len(count)), count)
     return number, np.arange(len(number)) - np.repeat(np.cumsum(count) - count, count)

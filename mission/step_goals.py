@@ -1,4 +1,4 @@
-"""The goals of a mission's steps: places in the depth band with headings, speeds and what follows without a stop."""
+"""Goals of a mission's steps: positions within the depth band, headings, speeds, and the path beyond."""
 
 import math
 from collections.abc import Mapping
@@ -28,7 +28,7 @@ from autopilot.mission.mission_tuning import STEP_GOALS
 
 @dataclass(slots=True, eq=False, kw_only=True)
 class RunMemory:
-    """What is remembered of one run of the mission."""
+    """State of one run of the mission."""
 
     cursor: int
     """Step that runs now."""
@@ -42,20 +42,20 @@ class RunMemory:
     speed_m_s: float | None = None
     """None = SPD_CRUISE."""
     facing_ned_m: FloatArray | None = None
-    """(2,) what the vehicle looks at, None = nothing."""
+    """(2,) point that the vehicle faces, None = none."""
     circle: LoiterCircle | None = None
     """Of NAV_LOITER_TURNS, while it runs."""
     leg_from_ned_m: FloatArray | None = None
-    """(3,) where the way to the present goal begins."""
+    """(3,) start of the path to the present goal."""
     given_up_seq: int = -1
-    """An item to pass over: it was given up on the way, before its turn."""
+    """An item to skip: it was abandoned on the way, before its turn."""
     inside_since_us: int | None = None
     waited_us: int = 0
     """How long the present wait has run, pauses left out."""
     clock_us: int | None = None
     """The last tick of that wait, None = it (or its pause) has just begun or ended."""
     rising: bool = False
-    """NAV_LAND: above its place and on the way up."""
+    """NAV_LAND: above its position and ascending."""
     jumps_done: dict[int, int] = field(default_factory=dict)
     flown: int = 0
     """Steps that took time so far."""
@@ -91,7 +91,7 @@ class StepGoals:
         return self._leading_on(self.of(step, target), run.cursor)
 
     def _begin_circle(self, step: LoiterTurns, nav: NavState) -> Goal | None:
-        """Round its centre, or round where the mission stands."""
+        """Around its centre, or around the mission's present position."""
         run = self.run
         here = nav.pos_ned_m if bool(np.all(np.isfinite(nav.pos_ned_m))) else None
         last = here if run.goal is None else run.goal.pos_ned_m
@@ -118,8 +118,9 @@ class StepGoals:
         return circle.goal(nav)
 
     def _goal_beyond(self, step: Near | Gate, nav: NavState) -> Goal | None:
-        """The goal of the next step that has a place: the vehicle goes on to it meanwhile. Without one, a gate itself;
-        else the vehicle stays."""
+        """Goal of the next step with a position, to which the vehicle continues meanwhile. Without one, a gate
+        itself; else the vehicle holds.
+        """
         run = self.run
         if not bool(np.all(np.isfinite(nav.pos_ned_m))):
             return None
@@ -147,7 +148,7 @@ class StepGoals:
         return run.goal or self.here(nav)
 
     def _target_ned_m(self, step: Travel | Wait, nav: NavState) -> FloatArray | None:
-        """(3,) where a step goes first, None while that is unknown."""
+        """(3,) first position of a step, None while unknown."""
         here = nav.pos_ned_m if bool(np.all(np.isfinite(nav.pos_ned_m))) else None
         last = here if self.run.goal is None else self.run.goal.pos_ned_m
         if isinstance(step, ReturnHome):
@@ -164,7 +165,7 @@ class StepGoals:
         return np.array([step.pos_ned_m[0], step.pos_ned_m[1], last[2]])
 
     def is_passed(self, step: Near | Gate, nav: NavState) -> bool:
-        """Whether a condition of the way to the present goal has come true; at the goal itself it has."""
+        """Whether a condition on the path to the present goal is met; always at the goal itself."""
         goal, here = self.run.goal, nav.pos_ned_m
         if goal is None or nav.health is NavHealth.INVALID:
             return False
@@ -178,7 +179,7 @@ class StepGoals:
         return reached or is_inside(goal, nav)
 
     def of(self, step: Travel | Wait, pos_ned_m: FloatArray) -> Goal:
-        """The goal of a step at a place (3,), which is brought into the depth band."""
+        """Goal of a step at a position (3,), clipped to the depth band."""
         yaw = step.yaw_rad if isinstance(step, GoTo | Surface) else None
         radius = step.accept_radius_m if isinstance(step, GoTo) else None
         return self._goal_at(pos_ned_m, self.run.default_yaw_rad if yaw is None else yaw, radius, step.seq)
@@ -201,7 +202,7 @@ class StepGoals:
 
     @property
     def _speed_m_s(self) -> float:
-        """That was asked for, else the cruise speed."""
+        """Speed set by the mission, else the cruise speed."""
         asked = self.run.speed_m_s
         return self._params["SPD_CRUISE"] if asked is None else asked
 
@@ -252,6 +253,6 @@ def is_inside(goal: Goal, nav: NavState) -> bool:
 
 
 def _shrunk(limit: float, variance: float) -> float:
-    """An acceptance limit less what the estimate may be wrong by."""
+    """Acceptance limit minus the uncertainty of the estimate."""
     doubt = STEP_GOALS.sure_sigmas * math.sqrt(variance) if variance >= 0.0 else math.inf
     return limit - min(doubt, STEP_GOALS.doubt_share * limit)

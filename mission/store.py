@@ -1,8 +1,9 @@
 """The three plans in force: mission, fence, rally. Replaced as a whole or not at all.
 
-A plan that is wrong by itself is refused. What is wrong only between the plans is kept, and :attr:`Plans.problem` says
-that nothing may be flown, until it is mended. The check takes a while, so it is asked for at a desk: the plans in force
-stay until its answer is there, and a change of the parameters asks anew. Without a desk everything is judged at once.
+A plan that is invalid by itself is refused. Plans that conflict with each other are stored, and
+:attr:`Plans.problem` forbids flying until it is fixed. The check runs in a background worker: the plans in force
+stay until it is done, and a change of the parameters repeats it. Without a worker everything is checked
+synchronously.
 """
 
 import struct
@@ -31,19 +32,19 @@ from autopilot.mission.validation import check_item
 __all__ = ["Change", "Plans", "WaterCheck", "load_plan", "plan_checksum"]
 
 CHECK_TICKS = 5
-"""The answer to a check is taken so many ticks after it was asked for: 50 ms, which a plan of fifty polygons needs."""
+"""Ticks after which the result of a check is taken: 50 ms, which a plan of fifty polygons needs."""
 MAX_ASKED = 10
-"""A change whose parameters change under it again and again is refused after so many checks."""
+"""Number of checks after which a change is refused whose parameters keep changing."""
 
 Guard = Callable[[Sequence[PlanKind], PlanVerdict], PlanRejection | None]
 """Why plans of these kinds must not be taken now, None if they may."""
 
 _ITEM = struct.Struct("<HBH4f2ifB")
-"""What identifies an item, as wide as on the wire (MISSION_ITEM_INT)."""
+"""Fields that identify an item, in the precision of the wire (MISSION_ITEM_INT)."""
 
 
 def plan_checksum(items: tuple[PlanItem, ...]) -> int:
-    """CRC-32 of a plan's content, 0 when it is empty: changes whenever the plan does, and survives a restart."""
+    """CRC-32 of a plan's content, 0 when it is empty; the same after a restart."""
     crc = 0
     for i in items:
         packed = _ITEM.pack(
@@ -77,7 +78,7 @@ class Change(PlanChange):
             self._done, self._rejection = True, rejection
 
     def cancel(self) -> None:
-        """It is not wanted any more: the plans in force stay, unless it was done before."""
+        """Cancel the change: the plans in force stay, unless it was done before."""
         text = "another change came before this one was checked; send it again"
         self.end(PlanRejection(seq=None, result=MissionResult.OPERATION_CANCELLED, reason=text))
 
@@ -86,9 +87,8 @@ _limits: Callable[[Mapping[str, float]], tuple[float, ...]] = itemgetter(*PLAN_P
 
 
 class Plans(PlanStore):
-    """Implements :class:`PlanStore`; also gives the plans in local metres.
-
-    ``params`` is read live. :meth:`tick` has to be called once per tick when there is a ``desk``.
+    """Implements :class:`PlanStore`; also gives the plans in local metres. ``params`` is read live. :meth:`tick`
+    has to be called once per tick when there is a background worker (``desk``).
     """
 
     def __init__(
@@ -117,13 +117,13 @@ class Plans(PlanStore):
         self._wanted: PlanCheckInputs | None = None
         self._verdict = PlanVerdict(question=self._question())
         self.guard: Guard = lambda kinds, verdict: None
-        """Asked before plans are taken that came by :meth:`propose`."""
+        """Called before plans proposed by :meth:`propose` are accepted."""
         self.order_check: Callable[[Order], str] = lambda order: ""
         """Why the vehicle has nothing that could carry out an order, "" when it has."""
         self.revision = 0
         """Grows by one whenever a plan or the origin changes."""
         self.watchdog: Callable[[], bool] | None = None
-        """Whether what is in force now is kept (or cannot be), asked of whoever keeps it."""
+        """Callback: whether the plans in force are stored (or cannot be)."""
 
     @property
     def kept(self) -> bool:
@@ -137,7 +137,7 @@ class Plans(PlanStore):
 
     @property
     def home_ned_m(self) -> FloatArray:
-        """(3,) where RETURN goes, the origin until it is set."""
+        """(3,) home, the origin until it is set."""
         return self._home_ned_m
 
     @property
@@ -149,7 +149,7 @@ class Plans(PlanStore):
         return self._home
 
     def set_home(self, pos_ned_m: FloatArray) -> str:
-        """New home (3,), or why it is not taken."""
+        """Set home (3,). Returns the reason of a refusal."""
         away_m = float(np.hypot(pos_ned_m[0], pos_ned_m[1]))
         if not (away_m <= MAX_RANGE_M and np.isfinite(pos_ned_m).all()):
             return far_text(away_m)
@@ -170,19 +170,20 @@ class Plans(PlanStore):
 
     @property
     def verdict(self) -> PlanVerdict:
-        """The newest answer about the plans in force: the same object until there is another one."""
+        """Latest verdict on the plans in force: the same object until there is a new one."""
         if self._worker is None and not self._is_current():
             self._take(judge(self._question(), Cancel()))
         return self._verdict
 
     @property
     def problem(self) -> str:
-        """Why the plans in force must not be flown, "" if they may; as far as :attr:`checking` allows to say."""
+        """Reason why the plans in force must not be flown, "" if they may; while :attr:`checking`, of the last
+        check."""
         return self.verdict.problem
 
     @property
     def checking(self) -> bool:
-        """Whether parameters or origin have changed and it is not known yet what that means for the plans."""
+        """Whether parameters or origin have changed and the plans are being checked against them."""
         return self._worker is not None and not self._is_current()
 
     @property
@@ -195,15 +196,15 @@ class Plans(PlanStore):
         return self.verdict.steps
 
     def shapes(self) -> tuple[FenceShape, ...]:
-        """The fence in local metres."""
+        """Local frame [m]."""
         return self.verdict.shapes
 
     def fence(self) -> Fence:
-        """The workspace in local metres with the depth band of the parameters; open water when there is no fence."""
+        """Workspace in local metres with the depth band of the parameters; open water without a fence."""
         return build_fence(self.shapes(), self._params)
 
     def warnings(self) -> tuple[str, ...]:
-        """What is wrong with the fence but tolerated by FENCE_GAP_CHK = 0, and what the water is like there."""
+        """Fence problems tolerated by FENCE_GAP_CHK = 0, and warnings about the current there."""
         return self.verdict.warnings
 
     def check_item(self, kind: PlanKind, item: PlanItem) -> PlanRejection | None:
@@ -230,7 +231,7 @@ class Plans(PlanStore):
         return change
 
     def replace(self, kind: PlanKind, items: tuple[PlanItem, ...]) -> PlanRejection | None:
-        """Take a plan at once, or refuse what is wrong with it by itself: before the loop runs, and for studies."""
+        """Replace a plan at once, or refuse an invalid one: before the loop runs, and for studies."""
         self._drop()
         verdict = judge(self._question(Change({kind: items})), Cancel())
         refusal = verdict.refusal((kind,))
@@ -256,7 +257,7 @@ class Plans(PlanStore):
     # Beside the loop
 
     def tick(self) -> None:
-        """Once per tick: take an answer that is due, ask when something has changed."""
+        """Once per tick: take a verdict that is ready, start a check after a change."""
         self._now += 1
         if self._worker is None:
             return
@@ -282,7 +283,7 @@ class Plans(PlanStore):
             self._ask()
 
     def _ask(self) -> None:
-        """Ask about the plans as they are to be, instead of what was asked before."""
+        """Start a check of the intended plans, in place of a pending one."""
         assert self._worker is not None
         if self._task is not None:
             self._task.cancel()
@@ -302,14 +303,14 @@ class Plans(PlanStore):
             self._decide(change, verdict)
 
     def _decide(self, change: Change, verdict: PlanVerdict) -> None:
-        """Take a change, or refuse it for what is wrong with it by itself or must not be now."""
+        """Accept a change, or refuse one that is invalid by itself or not permitted now."""
         self._change = None
         try:
             rejection = verdict.refusal(tuple(change.plans)) or self.guard(tuple(change.plans), verdict)
             if rejection is None:
                 self._take(verdict)
         except Exception as error:
-            # Whoever waits for the answer must not wait for ever.
+            # Callers that wait for the result must not wait for ever.
             text = f"the decision failed ({type(error).__name__}): send the plan again, and report this with the log"
             change.end(PlanRejection(seq=None, result=MissionResult.ERROR, reason=text))
             raise
@@ -343,7 +344,7 @@ class Plans(PlanStore):
         return self._verdict.question.same(self._question())
 
     def _question(self, change: Change | None = None) -> PlanCheckInputs:
-        """What is to be known now; without a change the same object as long as it is the same question."""
+        """Inputs of the check; without a change the same object as before."""
         limits = _limits(self._live)
         known = self._wanted
         asked_before = known is not None and known.plans is self._plans and known.origin is self._origin
@@ -362,7 +363,7 @@ class Plans(PlanStore):
 
 
 def _failed(question: PlanCheckInputs, error: Exception) -> PlanVerdict:
-    """The check itself has failed: nothing may be flown, and the plans asked about are not taken."""
+    """Verdict after a fault of the check: flying is forbidden, and the plans checked are not accepted."""
     text = f"the plan check failed ({type(error).__name__}): send the plan again, and report this with the log"
     own = tuple(PlanProblem(kind=kind, seq=0, result=MissionResult.ERROR, reason=text) for kind in PlanKind)
     return PlanVerdict(question=question, own=own)

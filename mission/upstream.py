@@ -1,4 +1,4 @@
-"""What a current leaves of the way: speed over ground on the legs of a mission, and whether a vehicle makes any way."""
+"""Speed made good against a current on the legs of a mission, and detection of a vehicle that makes none."""
 
 import itertools
 import math
@@ -25,23 +25,21 @@ class SlowLeg:
     left_m_s: float
     """Least speed over ground on it; 0 or less = the current is faster, or sweeps the vehicle off it."""
     time_s: float
-    """For the whole leg, inf when there is no way."""
+    """For the whole leg, inf if it cannot be made."""
     current_m_s: float
     """Fastest on it."""
 
     def out_of_reach(self, least_m_s: float) -> bool:
-        """Whether not even so much is left."""
+        """Whether the speed left is below ``least_m_s``."""
         return self.left_m_s < least_m_s
 
     def made(self, speed_m_s: float, left_m: float) -> "SlowLeg":
-        """The same of a vehicle that is seen to make so much on it, with so much way left: what margins and estimate
-        leave is a prediction."""
+        """The same from the speed observed with so much path left: margins and estimate only give a prediction."""
         if speed_m_s <= max(self.left_m_s, 0.0):
             return self
         return replace(self, left_m_s=speed_m_s, time_s=left_m / speed_m_s)
 
     def text(self, least_m_s: float) -> str:
-        """One line for the operator."""
         if self.out_of_reach(least_m_s):
             return f"Item {self.seq} is out of reach: current {self.current_m_s:.2f} m/s"
         minutes = self.time_s / 60.0
@@ -50,8 +48,9 @@ class SlowLeg:
 
 
 def ground_speed_m_s(way: FloatArray, current: FloatArray, speed_m_s: float) -> FloatArray:
-    """(n,) along a unit vector (2,) in currents (n, 2) for a vehicle that makes ``speed_m_s`` through the water; -inf
-    where it cannot stay on the way."""
+    """(n,) along a unit vector (2,) in currents (n, 2) for a vehicle with ``speed_m_s`` through the water; -inf
+    where it cannot stay on the path.
+    """
     along = current @ way
     room = speed_m_s**2 - (np.square(current).sum(axis=1) - along**2)
     result: FloatArray = np.where(room >= 0.0, along + np.sqrt(np.maximum(room, 0.0)), -np.inf)
@@ -92,7 +91,7 @@ def _leg(seq: int, a: FloatArray, b: FloatArray, speed_m_s: float, current_at: C
 
 
 class MadeGood:
-    """Whether a vehicle that travels to a goal gets any nearer, by the length of the way that is left."""
+    """Progress of a vehicle towards a goal, by the path length left."""
 
     def __init__(self) -> None:
         self._goal: tuple[float, ...] | None = None
@@ -108,16 +107,16 @@ class MadeGood:
 
     @property
     def left_m(self) -> float:
-        """Way that is left."""
         return self._left_m
 
     def forget(self) -> None:
-        """There is no goal to travel to, or it has been reached."""
+        """Reset: there is no goal to travel to, or it has been reached."""
         self._goal = None
 
     def idle_s(self, t_us: int, goal: Goal, nav: NavState, way_m: float | None, step_m: float) -> float:
-        """Time since the way left was last shorter by ``step_m`` than ever before. ``way_m``: as the guidance knows it
-        (horizontal), None = straight. Time without a good position does not count."""
+        """Time since the path left last decreased by ``step_m`` below its minimum. ``way_m``: from the guidance
+        (horizontal), None = straight line. Time without a good position does not count.
+        """
         north, east, down = goal.pos_ned_m.tolist()
         here_n, here_e, here_d = nav.pos_ned_m.tolist()
         left_m = math.hypot(north - here_n, east - here_e) if way_m is None else way_m
@@ -140,7 +139,7 @@ class MadeGood:
         return (t_us - self._us) * 1e-6
 
     def _look(self, t_us: int, left_m: float, *, same: bool) -> None:
-        """Take note of the speed; a way that jumps is another one."""
+        """Update the speed; a path whose length jumps is another one."""
         elapsed_s, nearer_m = (t_us - self._last_us) * 1e-6, self._left_m - left_m
         if not same or abs(nearer_m) > UPSTREAM.jump_m:
             self._seen_s = self._made_m_s = 0.0

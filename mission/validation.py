@@ -1,9 +1,9 @@
-"""Is a plan fit to be flown? Items alone, a plan as a whole, and the plans against each other.
+"""Plan validation: single items, a plan as a whole, and the plans against each other.
 
-What is wrong with a plan by itself (:func:`sequence_problems`, :func:`mission_problems`, :func:`fence_problems`)
-refuses it. What is wrong only between plans (:func:`joint_problems`) does not, for operators send them one after the
-other: it forbids to fly. Every finding is a :class:`PlanRejection`: where, the MAV_MISSION_RESULT, and a line whose
-first 75 characters say what is wrong and what to do (ground stations cut at 100).
+Problems of a plan by itself (:func:`sequence_problems`, :func:`mission_problems`, :func:`fence_problems`) refuse
+it. Conflicts between plans (:func:`joint_problems`) do not, because operators send plans one after the other: they
+forbid flying. Every finding is a :class:`PlanRejection`: item, MAV_MISSION_RESULT, and a line whose first 75
+characters give problem and remedy (ground stations cut at 100).
 """
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -42,7 +42,7 @@ RALLY_LABEL = "rally point"
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PlanContext:
-    """What plans are judged by."""
+    """Origin, parameters and size of the vehicle that plans are checked against."""
 
     origin: Origin
     params: Mapping[str, float]
@@ -51,7 +51,7 @@ class PlanContext:
 
     @property
     def keep_m(self) -> float:
-        """What the controller keeps from every boundary."""
+        """The controller's margin to every boundary."""
         return self.radius_m + self.params["MPC_MARGIN"]
 
 
@@ -100,7 +100,7 @@ def sequence_problems(kind: PlanKind, items: Sequence[PlanItem]) -> Iterator[Pla
 def mission_problems(
     steps: Sequence[Step], broken: Sequence[PlanRejection], params: Mapping[str, float]
 ) -> Iterator[PlanRejection]:
-    """What is wrong with a mission by itself, as it was read."""
+    """Problems of a mission by itself, as parsed."""
     yield from broken
     for step in steps:
         yield from _limit_problems(step, params)
@@ -141,7 +141,7 @@ def _limit_problems(step: Step, params: Mapping[str, float]) -> Iterator[PlanRej
 
 
 def _depth_of(step: Step, params: Mapping[str, float]) -> float | None:
-    """Depth [m] that a step goes to, None when that is not known yet, or does not count."""
+    """Depth [m] of a step, None when it is unknown, or does not count."""
     if isinstance(step, GoTo) and step.dives:
         return params["TKOFF_DEPTH"] if step.dive_m is None else step.dive_m
     place = step.pos_ned_m if isinstance(step, GoTo) else step.centre_ned_m if isinstance(step, LoiterTurns) else None
@@ -149,7 +149,7 @@ def _depth_of(step: Step, params: Mapping[str, float]) -> float | None:
 
 
 def _order_problems(steps: Sequence[Step]) -> Iterator[PlanRejection]:
-    """Conditions of the way to a place when no place comes any more."""
+    """Conditions on the path to a waypoint that no waypoint follows."""
     goes_on = False
     for step in reversed(steps):
         if isinstance(step, Near) and not goes_on:
@@ -181,7 +181,7 @@ def _takes_time(step: Step) -> bool:
 
 
 def _spins(steps: Sequence[Step], start: Jump) -> bool:
-    """Whether the walk from an endless jump comes back to it with nothing on the way that takes time."""
+    """Whether the mission loops endlessly without an item that takes time."""
     cursor = start.target_seq
     for _ in range(len(steps)):
         if cursor == start.seq:
@@ -196,7 +196,7 @@ def _spins(steps: Sequence[Step], start: Jump) -> bool:
 def fence_problems(
     shapes: Sequence[FenceShape], broken: Sequence[PlanRejection], ctx: PlanContext, check_cancel: Callable[[], None]
 ) -> Iterator[PlanRejection]:
-    """What is wrong with a fence by itself, as it was read. ``look`` is called between the steps, and may raise."""
+    """Problems of a fence by itself, as parsed. ``look`` is called between the steps, and may raise."""
     yield from broken
     if ctx.params["FENCE_GAP_CHK"]:
         gaps = narrow_gaps(shapes, 2.0 * ctx.radius_m, check_cancel)
@@ -261,7 +261,7 @@ def joint_problems(
     ctx: PlanContext,
     check_cancel: Callable[[], None] = lambda: None,
 ) -> Iterator[PlanProblem]:
-    """What the fence forbids of mission and rally points: places; if there is none, legs without a free path."""
+    """Conflicts of mission and rally points with the fence: positions; if there are none, legs without a free path."""
     if not shapes:
         return
     places: list[_PointToClear] = []
@@ -305,7 +305,7 @@ def joint_problems(
 
 
 def _circles(steps: Sequence[Step]) -> Iterator[tuple[LoiterTurns, FloatArray]]:
-    """All circles whose centre (3,) is known: their own, or the place that comes before them in the plan."""
+    """All circles with a known centre (3,): their own, or the preceding position in the plan."""
     last: FloatArray | None = None
     for step in steps:
         if isinstance(step, LoiterTurns):
@@ -324,7 +324,7 @@ def _ring_places(
     ctx: PlanContext,
     check_cancel: Callable[[], None],
 ) -> Iterator[_PointToClear]:
-    """The worst place of each circle, or any when the whole circle is free."""
+    """The point of least clearance of each circle, or any when the whole circle is free."""
     if not circles:
         return
     need_m = ctx.keep_m - VALIDATION.place_tolerance_m
@@ -348,7 +348,7 @@ def _ring_places(
 
 
 def _room_needed_m(step: GoTo | Surface | SetHome, ctx: PlanContext) -> float:
-    """How far from every boundary a place has to be: no contact, and near enough to where the controller gets."""
+    """Clearance required of a position: no contact, and within reach of the controller."""
     accept_m = step.accept_radius_m if isinstance(step, GoTo) else None
     if accept_m is None:
         accept_m = ctx.params["WP_ACCEPT_RADIUS"]
@@ -356,7 +356,9 @@ def _room_needed_m(step: GoTo | Surface | SetHome, ctx: PlanContext) -> float:
 
 
 def _place_conflicts(places: Sequence[_PointToClear], shapes: Sequence[FenceShape]) -> list[PlanProblem]:
-    """Places in an inflated obstacle or outside the shrunk workspace, in the order of the plan, each with its worst."""
+    """Positions in an inflated obstacle or outside the shrunk workspace, in the order of the plan, each with its
+    worst.
+    """
     if not places:
         return []
     points = np.array([(p.north_m, p.east_m) for p in places])
@@ -369,7 +371,7 @@ def _place_conflicts(places: Sequence[_PointToClear], shapes: Sequence[FenceShap
 
 
 def _place_conflict(place: _PointToClear, shape: FenceShape, room_m: float) -> PlanProblem:
-    """One line about a place that has ``room_m`` between itself and a boundary, less than it needs."""
+    """One line about a position with clearance ``room_m``, less than it needs."""
     if shape.inclusion:
         state = f"{-room_m:.2f} m outside" if room_m < 0.0 else f"only {room_m:.2f} m inside"
     else:

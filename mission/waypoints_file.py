@@ -1,8 +1,8 @@
 """The text format ``QGC WPL 110`` (``.waypoints``): one mission item per line.
 
 Format: MAVLink developer guide, "File formats": ``seq current frame command p1 p2 p3 p4 x y z autocontinue``, tabs.
-Ground stations of the ArduPilot family put home into the first line, a NAV_WAYPOINT in frame 0; others do not. It is
-home if no other place is in frame 0, and keeps its number: items are numbered as in the file.
+Ground stations of the ArduPilot family put home into the first line, a NAV_WAYPOINT in frame 0; others do not. It
+is home if no other position is in frame 0, and keeps its number: items are numbered as in the file.
 """
 
 import math
@@ -18,7 +18,25 @@ _COLUMNS = 12
 
 
 def read_waypoints(text: str, name: str) -> PlanFile:
-    """The plan in a ``.waypoints`` text. PlanError names file, line and remedy."""
+    """Parse a ``QGC WPL 110`` text.
+
+    Parameters
+    ----------
+    text
+        Content of the file; latitude and longitude in degrees, altitude in metres.
+    name
+        Name of the file, for error messages.
+
+    Returns
+    -------
+    PlanFile
+        In wire units; mission and home only.
+
+    Raises
+    ------
+    PlanError
+        The message names file, line and remedy.
+    """
     lines = text.splitlines()
     if not lines or lines[0].strip() != HEADER:
         shown = lines[0].strip()[:40] if lines else ""

@@ -1,1 +1,1 @@
-"""What is asked of a flight or a vehicle afterwards: one control step, another outcome, certificates, forecasts."""
+"""Offline analysis of flights and vehicles: single control steps, what-if runs, certificates, forecasts."""

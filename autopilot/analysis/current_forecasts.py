@@ -1,4 +1,4 @@
-"""How well forecasts of the current do along the way that a logged flight then took, against the simulator's truth."""
+"""Errors of current forecasts along the path of a logged flight, against the simulator's truth."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,9 +19,9 @@ from autopilot.core.messages import NavHealth, NavState
 from autopilot.log.reader import Log, open_log
 
 LOOK_S = 0.05
-"""The controller looks so often."""
+"""Update interval of the controller."""
 JUDGE_EVERY = 16
-"""Looks from one judged forecast to the next."""
+"""Number of updates from one evaluated forecast to the next."""
 AHEAD_S = 8.0
 """The controller's horizon."""
 SAMPLE_S = 0.1
@@ -43,7 +43,7 @@ class ForecastRow:
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class _Flight:
-    """What is needed of a log. Times in seconds."""
+    """Data from a log. Times in seconds."""
 
     nav: NDArray[np.void]
     variance: FloatArray
@@ -57,7 +57,7 @@ class _Flight:
 
 
 def compare_forecasts(path: Path) -> list[ForecastRow]:
-    """Fly the forecasts along a simulated flight's log. LogError if the log does not hold what is needed."""
+    """Evaluate the forecasts along a simulated flight's log. LogError if the log lacks data."""
     flight = _flight(open_log(path))
     flow = EstimatedFlow()
     flow.within(TANK)
@@ -124,7 +124,7 @@ def _judge(name: str, forecast: CurrentForecast, flight: _Flight) -> list[Foreca
 
 
 def _error_m_s(forecast: CurrentForecast, nav: NavState, flight: _Flight, now_s: float, end_s: float) -> float:
-    """Mean horizontal error along the way from now to then."""
+    """Mean horizontal error along the path from now to then."""
     at = np.minimum(np.searchsorted(flight.t_s, np.arange(now_s, end_s, SAMPLE_S)), len(flight.t_s) - 1)
     out = np.empty((len(at), 3))
     forecast.fill(nav, flight.pos_ned_m[at], flight.t_s[at] - nav.t_us * 1e-6, out)

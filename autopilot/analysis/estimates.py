@@ -1,4 +1,4 @@
-"""What a benchmark on the 4-DoF model tells the controller: the state of the model as an estimate."""
+"""Estimate for the controller in benchmarks on the 4-DoF model: the state of the model."""
 
 import numpy as np
 
@@ -10,7 +10,7 @@ from autopilot.core.model4 import YAW
 def estimate_of(
     t_us: int, x: FloatArray, *, current_ned_m_s: FloatArray | None = None, sigma: FloatArray | None = None
 ) -> NavState:
-    """The state ``x`` (8,) as it is; ``sigma`` (12,) are the standard deviations that it claims (default: none)."""
+    """Estimate equal to the state ``x`` (8,); ``sigma`` (12,): its standard deviations (default: none)."""
     return NavState(
         t_us=t_us,
         health=NavHealth.GOOD,

@@ -1,4 +1,4 @@
-"""The figures of a flight that tell one behaviour from another, and how those of two flights differ."""
+"""Key figures of a flight, and their differences between two flights."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -38,7 +38,7 @@ class Moved:
 
     @property
     def share(self) -> float | None:
-        """Change as a share of what was."""
+        """Relative change."""
         if self.before is None or self.after is None or not self.before:
             return None
         return self.after / self.before - 1.0
@@ -70,6 +70,5 @@ def _named(found: Mapping[str, float], name: str, unit: str) -> str:
 
 
 def moved(before: Mapping[str, float], after: Mapping[str, float]) -> Sequence[Moved]:
-    """Every figure of either."""
     names = dict.fromkeys((*before, *after))
     return [Moved(figure=name, before=before.get(name), after=after.get(name)) for name in names]

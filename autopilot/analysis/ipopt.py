@@ -19,7 +19,7 @@ SOFT_ROWS = (
     *("planar speed", "sinking", "rising", "turning to starboard", "turning to port"),
     *("least depth", "greatest depth"),
 )
-"""Soft limits of a node, in the order of its rows; then come the half-planes."""
+"""Soft limits of a node, in the order of its rows, followed by the half-planes."""
 PLANE = "boundary "
 COST_SCALE = 1e-2
 """Brings the cost to the size that the tolerance is meant for."""
@@ -129,7 +129,7 @@ class IpoptNmpc:
         return np.vstack([problem.x0, z[self._at_x]]), z[self._at_u], bool(self._solver.stats()["success"])
 
     def cost_of(self, problem: NmpcProblem, x: FloatArray, thrust_n: FloatArray) -> float:
-        """What a plan costs that somebody else has made; soft limits that it breaks are paid for."""
+        """Cost of a given plan, penalties of violated soft limits included."""
         z = np.zeros(len(self._guess))
         z[self._at_x], z[self._at_u] = x[1:], thrust_n
         parameters = self._parameters(problem)

@@ -1,7 +1,7 @@
-"""The yaw-sway (Munk) instability: what the loop between optimiser steps is for.
+"""The yaw-sway (Munk) instability, which the feedback between optimiser steps stabilises.
 
-The model vehicle runs straight ahead near its speed limit while a small random moment disturbs its yaw. The optimiser
-steps at 20, 5 or 2 Hz, with the ancillary feedback at 100 Hz between its steps or with thrust held.
+The model vehicle runs straight ahead near its speed limit while a small random moment disturbs its yaw. The
+optimiser steps at 20, 5 or 2 Hz, with the ancillary feedback at 100 Hz between its steps or with thrust held.
 """
 
 import math
@@ -46,7 +46,7 @@ class MunkRow:
     side_rms_m: float
     """Off the line."""
     thrust_travel_n_s: float
-    """Sum of changes of all thrusts per second: what it costs in wear."""
+    """Sum of changes of all thrusts per second: a measure of wear."""
 
 
 def bench_munk(seconds: float = 20.0) -> list[MunkRow]:

@@ -1,4 +1,4 @@
-"""The closed loop that the controller's benchmarks fly: the paper's tank, the model as the plant, a uniform current."""
+"""Closed loop of the controller's benchmarks: the paper's tank, the model as the plant, a uniform current."""
 
 import math
 from collections.abc import Callable
@@ -32,7 +32,9 @@ WAYPOINTS = ((1.75, 0.0, 0.30, math.pi), (-1.60, -0.35, 0.45, 0.0))
 
 
 def basin(obstacles: int, seed: int = 3) -> Fence:
-    """The paper's two pillars and more of them, scattered over a basin of 12 x 9 m beside the way between the goals."""
+    """The paper's two pillars and further ones, scattered over a basin of 12 x 9 m beside the path between the
+    goals.
+    """
     rng = np.random.default_rng(seed)
     centers = [np.array(center) for center in PILLARS]
     while len(centers) < obstacles:
@@ -70,7 +72,7 @@ def fly(
     first: int = 0,
     watch: Callable[[int, ControlOutput], None] = lambda step, output: None,
 ) -> LoopFlight:
-    """From ``start`` (8,) to the waypoints in turn, beginning with number ``first``."""
+    """Fly from ``start`` (8,) through the waypoints, beginning with number ``first``."""
     move = discrete_dynamics(vehicle.to_model(), STEP_US * 1e-6, 1)
     params, goals, index = ParamSet({"MPC_COST": 0}), [waypoint(*w) for w in WAYPOINTS], first
     q = params["MPC_Q_POS"]

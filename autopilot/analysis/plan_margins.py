@@ -1,4 +1,4 @@
-"""What the margins of a plan are made of: tube over the horizon, Lipschitz growth, certificates, CPU cost."""
+"""Components of a plan's margins: tube over the horizon, Lipschitz growth, certificates, CPU cost."""
 
 import math
 import time
@@ -57,7 +57,7 @@ class TubeRow:
     thrust_n: float
     speed_cap_m_s: float
     worst_case_m: float
-    """Interval bound of the place for disturbances that stay at their bounds in the worst direction for ever."""
+    """Interval bound of the position for disturbances that stay at their worst-case bounds."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -229,7 +229,7 @@ def certificate_table(
 def cost_table(
     vehicle: Vehicle, goal: Goal, fence: Fence, steps: int, clock: Callable[[], float] = time.thread_time
 ) -> list[CostRow]:
-    """CPU time of the step in every mode, and what the margins and regions have in it (same run, interleaved parts)."""
+    """CPU time of the step in every mode, and of margins and regions in it (same run, interleaved parts)."""
     rows = []
     for mode, name in ((0, "fixed"), (1, "tube"), (2, "lipschitz")):
         controller = MotionController(vehicle, cpu_clock=clock)

@@ -1,4 +1,4 @@
-"""One control step as a picture: the way and the plan from above, and what limits it over the prediction."""
+"""Figure of one control step: route and plan from above, and the active limits over the prediction."""
 
 from pathlib import Path
 
@@ -18,7 +18,7 @@ from autopilot.log.figures import DPI
 
 PLAN, BEST, WAY, OTHER = "#1f77b4", "#d62728", "#2ca02c", "#9467bd"
 AROUND_M = 0.8
-"""What is drawn beyond way and prediction."""
+"""Margin drawn beyond route and prediction."""
 
 
 def write_step_figure(view: ControlStepView, path: Path) -> Path:
@@ -42,7 +42,6 @@ def write_step_figure(view: ControlStepView, path: Path) -> Path:
 
 
 def _draw_plan(ax: Axes, view: ControlStepView) -> None:
-    """From above, north up."""
     for shape in view.fence.exclusions:
         _draw_shape(ax, shape, facecolor="#bbbbbb", edgecolor="#444444")
         if isinstance(shape, Circle):

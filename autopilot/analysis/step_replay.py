@@ -1,8 +1,8 @@
-"""One control step of a logged run, looked at: what the controller was asked, what it answered, and why.
+"""Analysis of one control step of a logged run: inputs, solution, and active limits.
 
-The run is replayed up to that step (its state is then what it was in flight), the step's program is solved by the
-real-time iteration, as it was flown, and once more to convergence by IPOPT, with half-planes that follow the plan. What
-limits the plan shows in the multipliers; for every obstacle beside the way the way on its other side is looked for.
+The run is replayed up to that step, which restores the controller's state. The step's program is solved by the
+real-time iteration, as in flight, and to convergence by IPOPT, with half-planes that follow the plan. Active limits
+are those with multipliers; for every obstacle near the route the route around its other side is searched.
 """
 
 from dataclasses import dataclass, replace
@@ -29,11 +29,11 @@ STANDS_M = 1e-4
 ACTIVE = 0.02
 """Smaller multipliers are none: an interior point leaves some at every limit."""
 BESIDE_M = 1.5
-"""An obstacle is beside the way if it comes nearer than this to route or prediction."""
+"""An obstacle closer than this to route or prediction is analysed."""
 WALL_M = 0.02
 """Half the thickness of the wall that closes one side of an obstacle."""
 WALL_ROOM_M = 0.08
-"""Between the wall, with what ways keep from it, and the ends of the way."""
+"""Distance of the barrier, with the clearance of routes, from the ends of the route."""
 OPEN_WALL_M = 20.0
 """Its length where there is no workspace."""
 
@@ -47,25 +47,25 @@ class Limit:
     to_s: float
     """First and last node at which it is active, after the step."""
     value: str
-    """What it is."""
+    """Description."""
     multiplier: float
-    """Largest: what the cost would fall by per unit of more room (m, m/s, rad/s, N)."""
+    """Largest: decrease of the cost per unit of relaxation (m, m/s, rad/s, N)."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class OtherSide:
-    """The way on the other side of an obstacle."""
+    """The route around the other side of an obstacle."""
 
     obstacle: str
     center_ned_m: FloatArray
     side: str
-    """On which side of the vehicle's way the obstacle lies: port, starboard."""
+    """Side of the path on which the obstacle lies: port, starboard."""
     way_m: float
-    """Length of the way that is flown, from the vehicle to the goal."""
+    """Length of the route flown, from the vehicle to the goal."""
     other_m: float | None
-    """The same with the obstacle on the other hand; None = there is no such way."""
+    """The same around the other side of the obstacle; None = there is no such route."""
     route_ned_m: FloatArray
-    """(m, 2) that way."""
+    """(m, 2) that route."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -96,7 +96,7 @@ class ControlStepView:
 
 
 def inspect_step(log: Log, t_s: float) -> ControlStepView:
-    """The first control step at or after ``t_s``. LogError if there is none, or another controller flew."""
+    """Analyse the first control step at or after ``t_s``. LogError if there is none, or another controller flew."""
     controller, output, at_s, thrusters = _flown_to(log, t_s)
     now, problem = controller.situation, controller.nmpc.last_problem
     assert now is not None and problem is not None
@@ -169,7 +169,7 @@ def _converge(
     x: FloatArray,
     thrust_n: FloatArray,
 ) -> tuple[FloatArray, FloatArray, NmpcProblem, bool, int]:
-    """The plan that half-planes round it leave as it is, and the program of that."""
+    """The plan that is a fixed point of its own half-planes, and its program."""
     plane_n, plane_d = problem.plane_n.copy(), problem.plane_d_m.copy()
     nodes = len(plane_d) + 1
     for rounds in range(1, MOST_ROUNDS + 1):
@@ -256,8 +256,9 @@ def _place(shape: Shape) -> str:
 def other_sides(
     fence: Fence, radius_m: float, start: FloatArray, goal: FloatArray, route: FloatArray, plan: FloatArray
 ) -> tuple[OtherSide, ...]:
-    """For every obstacle beside route (m, 2) or prediction (n, 2) the way from ``start`` to ``goal`` (2,) that has it
-    on the other hand. ``radius_m``: what ways keep."""
+    """For every obstacle near route (m, 2) or prediction (n, 2) the route from ``start`` to ``goal`` (2,) around
+    its other side. ``radius_m``: clearance of routes.
+    """
     way = np.vstack([start, goal]) if len(route) < 2 else route[:, :2]
     line = np.vstack([_sampled(way), plan])
     found = []
@@ -268,7 +269,7 @@ def other_sides(
         center, points = _middle(shape), _sampled(way)
         at = _crossing(center, points, clearance_m(shape, points), radius_m)
         if at is None:
-            continue  # one end of the way lies beside it: it is passed already, or not at all
+            continue  # one end of the route lies beside it: it is passed already, or not at all
         ahead = points[min(at + 1, len(points) - 1)] - points[max(at - 1, 0)]
         off = center - points[at]
         side = "starboard" if ahead[0] * off[1] - ahead[1] * off[0] > 0.0 else "port"
@@ -289,7 +290,7 @@ def other_sides(
 
 
 def _crossing(center: FloatArray, points: FloatArray, near_m: FloatArray, radius_m: float) -> int | None:
-    """Where a wall from an obstacle may cross the way: near the obstacle, and leaving room at both ends."""
+    """Where a barrier from an obstacle may cross the route: near the obstacle, and clear of both ends."""
     for at in np.argsort(near_m, kind="stable").tolist():
         towards = points[at] - center
         along = towards / max(float(np.hypot(*towards)), 1e-9)
@@ -302,7 +303,7 @@ def _crossing(center: FloatArray, points: FloatArray, near_m: FloatArray, radius
 
 
 def _wall(fence: Fence, center: FloatArray, towards: FloatArray) -> Polygon:
-    """A thin wall from an obstacle's middle across the way and on to the end of the workspace."""
+    """A thin barrier from an obstacle's middle across the route to the end of the workspace."""
     length = float(np.hypot(*towards))
     along = towards / length if length > 1e-9 else np.array([1.0, 0.0])
     far_m = OPEN_WALL_M
@@ -327,7 +328,7 @@ def _length_m(way: FloatArray) -> float:
 
 
 def worst(view: ControlStepView) -> dict[str, float]:
-    """How far the flown plan is from the converged one: place [m], first thrust [N], cost."""
+    """Largest difference of the flown plan from the converged one: position [m], first thrust [N], cost."""
     return {
         "place_m": float(np.hypot(*(view.plan_x[:, :2] - view.best_x[:, :2]).T).max()),
         "first_thrust_n": float(np.abs(view.plan_n[0] - view.best_n[0]).max()),

@@ -1,8 +1,8 @@
-"""What a run would have been with other parameters.
+"""A logged run repeated with other parameters.
 
-*Closed loop*: the simulation of the log's scenario once more, from the log's own settings, parameters and plan; clients
-say what they said then, at the same times. *Open loop*: the recorded inputs into a service with other parameters: what
-it would have commanded where the vehicle was then, which says something of a step and nothing of a flight.
+*Closed loop*: the simulation of the log's scenario, with the log's own settings, parameters and plan; clients send
+what they sent then, at the same times. *Open loop*: the recorded inputs into a service with other parameters: its
+commands for the states of that flight, which is informative for a step and not for a flight.
 """
 
 import tempfile
@@ -27,7 +27,7 @@ from autopilot.run.sitl_session import open_sitl
 from autopilot.sitl.scenario import load_scenario
 
 LONGER = 1.5
-"""A mission that was complete may take so much longer than it did."""
+"""Factor on the duration of a mission that was complete in the log."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -119,13 +119,13 @@ def _named(record: ServiceRecord, changes: Sequence[tuple[str, float]]) -> tuple
 
 
 class _Said:
-    """A client that says what one said in a log, at the same times, whatever it hears."""
+    """A client that repeats the logged messages of a client at the same times, regardless of answers."""
 
     def __init__(self, said: dict[int, list[bytes]]) -> None:
         self._said = said
 
     def step(self, t_us: int, received: Sequence[bytes]) -> list[bytes]:
-        """What a peer sends in a tick is received with the next."""
+        """Data sent in a tick are received on the next."""
         del received
         return self._said.get(t_us + 10_000, [])
 

@@ -1,4 +1,4 @@
-"""What the controller needs in a process of its own."""
+"""Setup of a controller in a process of its own."""
 
 import json
 import time

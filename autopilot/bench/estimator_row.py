@@ -1,4 +1,4 @@
-"""How good the estimate is on this vehicle's tour, short: errors against the truth of the simulation.
+"""Estimation errors on this vehicle's tour, against the truth of the simulation.
 
 The study with gaps, outliers, haze and wrong calibrations is ``autopilot bench estimator`` of a source checkout.
 """
@@ -28,7 +28,7 @@ class EstimateRow:
 
 
 def bench_estimator(seeds: Sequence[int] = SEEDS, sensors: str = "pose") -> list[EstimateRow]:
-    """What ``log check`` says of the estimate, per seed."""
+    """Estimation errors of ``log check``, per seed."""
     return [row for seed in seeds for row in _flown(seed, sensors)]
 
 

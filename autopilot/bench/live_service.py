@@ -1,4 +1,4 @@
-"""A service in a process of its own in real time, and what a client needs to do things to it over a socket."""
+"""A service in a child process in real time, and a client that sends it requests over a socket."""
 
 import contextlib
 import itertools
@@ -21,8 +21,6 @@ MAX_BYTES = 4096
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LiveService:
-    """Where it is reached."""
-
     child: Child
     udp: int
     tcp: int
@@ -62,7 +60,7 @@ def live_service(
 
 @dataclass(slots=True)
 class Station:
-    """A ground station on a socket of its own. It keeps when heartbeats came, and what operators were told."""
+    """A ground station on a socket of its own. It records heartbeat times and texts."""
 
     socket: socket.socket
     sysid: int = 255
@@ -90,11 +88,10 @@ class Station:
             self.socket.send(message.pack(codec))
 
     def beat(self) -> None:
-        """A ground station's HEARTBEAT."""
         self.send(mav.MAVLink_heartbeat_message(mav.MAV_TYPE_GCS, mav.MAV_AUTOPILOT_INVALID, 0, 0, 4, 3))
 
     def receive(self, seconds: float = 0.05) -> list[Message]:
-        """What comes first within the time."""
+        """The first data within the timeout."""
         self.socket.settimeout(max(seconds, 1e-4))
         try:
             data = self.socket.recv(MAX_BYTES)
@@ -109,7 +106,7 @@ class Station:
         return found
 
     def wait(self, service: LiveService, *names: str, ask: Message | None = None) -> Message:
-        """The next message of these names, as long as the service works; ``ask`` is repeated until it comes."""
+        """The next message of these names, as long as the service works; ``ask`` is repeated until it arrives."""
         asked_s, working = 0.0, True
         while working:
             if ask is not None and time.monotonic() - asked_s > 1.0:
@@ -123,7 +120,7 @@ class Station:
         raise AutopilotError(f"no {' or '.join(names)} from the service")
 
     def meet(self, service: LiveService) -> None:
-        """Until the service has answered."""
+        """Wait until the service has answered."""
         hello = mav.MAVLink_ping_message(0, 0, 0, 0)
         self.wait(service, "PING", ask=hello)
         self.beat()

@@ -1,7 +1,7 @@
-"""What the loop's ticks cost in real time with a camera, while a client uploads 500 items and 50 octagons in flight.
+"""Cost of the loop's ticks in real time with a camera, while a client uploads 500 items and 50 octagons in flight.
 
-The service runs in this process, so that its ticks can be measured; the client is a process of its own. CPU times are
-of the loop's thread alone: what is done beside it costs the machine, and only wall time here.
+The service runs in this process, so that its ticks can be measured; the client is a child process. CPU times are of
+the loop's thread alone: background work shows in wall time only.
 """
 
 import itertools
@@ -36,7 +36,7 @@ from autopilot.run.sitl_session import SitlSession, open_sitl
 ITEMS = 500
 OCTAGONS = 50
 P99_CPU_MS, MAX_CPU_MS, GAP_S, P99_LOG_MS = 10.0, 50.0, 1.2, 0.3
-"""What is asked for."""
+"""Requirements."""
 QUIET_S = 3.0
 """Before, between and after the uploads."""
 PATIENCE_S = 120.0
@@ -54,7 +54,6 @@ class LoopRow:
 
     @property
     def kept(self) -> bool:
-        """Whether it is what is asked for."""
         return self.asked is None or self.value <= self.asked
 
 
@@ -107,7 +106,7 @@ def bench_loop() -> list[LoopRow]:
 
 
 def _measure(session: SitlSession, clock: PredictClock) -> tuple[list[float], list[tuple[float, tuple[float, ...]]]]:
-    """CPU time of every tick [s], and with it what its parts cost."""
+    """CPU time of every tick [s], and of its stages."""
     cpu_s: list[float] = []
     parts: list[tuple[float, tuple[float, ...]]] = []
     runtime = session.runtime
@@ -155,7 +154,7 @@ def _rows(
 
 
 def _mean_rows(cpu_s: np.ndarray, clock: PredictClock) -> list[LoopRow]:
-    """The mean tick, in ms and in the unit of :class:`PredictClock`, and what it goes into."""
+    """The mean tick, in ms and in the unit of :class:`PredictClock`, and its stages."""
     mean_ms, unit_us = 1e3 * float(cpu_s.mean()), clock.predict_us
     return [
         LoopRow(what="tick CPU mean", value=mean_ms, unit="ms", asked=None),
@@ -172,7 +171,7 @@ def _mean_rows(cpu_s: np.ndarray, clock: PredictClock) -> list[LoopRow]:
 
 
 def client(port: int) -> None:
-    """Arm, upload, listen; prints what it saw as JSON."""
+    """Arm, upload, listen; prints its observations as JSON."""
     mission, fence = plans()
     end = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
     end.connect((LOCAL, port))
@@ -195,7 +194,7 @@ def client(port: int) -> None:
 
 
 def station_watch(station: Station, seconds: float) -> None:
-    """Listen for a while; heartbeats are noted as they come."""
+    """Listen for a while and record heartbeat times."""
     begin_s = time.monotonic()
     while time.monotonic() - begin_s < seconds:
         station.receive(0.02)

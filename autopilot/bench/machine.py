@@ -1,7 +1,7 @@
-"""How fast the machine is just now, so that figures of different days can be compared.
+"""Speed of the machine at the moment, so that figures of different days can be compared.
 
-The yardstick is one prediction of filterpy's extended Kalman filter with 16 states: pure Python and small arrays, as
-most of this service is. It took 4.5 us on the machine and day on which the project's figures for speed were set.
+The reference is one prediction of filterpy's extended Kalman filter with 16 states: pure Python and small arrays,
+as most of this service. It took 4.5 us on the machine and day on which the project's figures for speed were set.
 """
 
 import time
@@ -16,7 +16,7 @@ CALLS, ROUNDS = 2000, 7
 
 
 def slowness() -> float:
-    """CPU time of the yardstick over what it was then: 2 = half as fast. The best of a few rounds."""
+    """CPU time of the reference task over its nominal time: 2 = half as fast. The best of a few rounds."""
     from filterpy.kalman import ExtendedKalmanFilter
 
     kalman = _yardstick(ExtendedKalmanFilter)
@@ -30,7 +30,7 @@ def slowness() -> float:
 
 
 class Pace:
-    """The yardstick laid beside the work, a little at a time: what others do on a shared core slows both alike."""
+    """Interleaves the reference task with the work: load on a shared core slows both alike."""
 
     def __init__(self) -> None:
         from filterpy.kalman import ExtendedKalmanFilter
@@ -47,7 +47,7 @@ class Pace:
 
     @property
     def slowness(self) -> float:
-        """Of all looks so far; at least one."""
+        """Over all measurements so far; at least one."""
         return 1e6 * self._spent_s / self._calls / REFERENCE_US
 
 

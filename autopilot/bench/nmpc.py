@@ -1,9 +1,8 @@
-"""What one control step costs: the whole Python step (route, half-planes, QP, checks) beside IPOPT and fatrop.
+"""Cost of one control step: the whole Python step (route, half-planes, QP, checks) beside IPOPT and fatrop.
 
 All run in one closed loop on the model, on the paper's tank with a uniform current: the controller flies, and every
-few steps the others get the problem that it has just solved, warm-started from the same plan. CPU time of the thread,
-because wall-clock time on a shared machine measures the neighbours. Steps that plan a new route have a row of their
-own.
+few steps the others solve the same problem, warm-started from the same plan. CPU time of the thread, because wall
+time on a shared machine depends on other loads. Steps that plan a new route have a row of their own.
 """
 
 import json
@@ -108,7 +107,7 @@ def _bench_grid(
     slowness: float,
     costs: dict[tuple[str, int], float],
 ) -> list[NmpcBenchRow]:
-    """The controller with its first solver and with the ones of the wheel, and what converged solvers need."""
+    """The controller with its default solver and with those of PyPI wheels, and converged solvers."""
     controller = MotionController(vehicle, grid=grid, cpu_clock=cpu_clock)
     others = [_Other(plugin, controller, vehicle, grid, tol, cpu_clock) for plugin, _, tol in OTHERS]
 
@@ -144,7 +143,7 @@ def _part_rows(
     cpu_clock: Callable[[], float],
     slowness: float,
 ) -> list[NmpcBenchRow]:
-    """Where the step's time goes, and the whole step over its QP, in a flight of its own."""
+    """CPU time of the step by parts, and of the whole step over its QP, in a flight of their own."""
     controller = MotionController(vehicle, grid=grid, cpu_clock=cpu_clock)
     flight, parts = parts_of(controller, vehicle, START, steps, cpu_clock)
     whole = float(np.median(flight.solve_s))
@@ -240,7 +239,7 @@ def _row(
 
 
 def _random_starts(vehicle: Vehicle, starts: int, seed: int = 42) -> NmpcBenchRow:
-    """Closed loops from random places, headings and speeds of the tank: failures and the worst violation."""
+    """Closed loops from random positions, headings and speeds in the tank: failures and the worst violation."""
     rng = np.random.default_rng(seed)
     features, params = Features(TANK), ParamSet({"MPC_COST": 0})
     controller = MotionController(vehicle)

@@ -1,4 +1,4 @@
-"""Where the time of a control step goes: its parts, timed from outside while the controller flies."""
+"""CPU time of a control step by parts, timed from outside while the controller flies."""
 
 import time
 from collections.abc import Callable, Iterator

@@ -1,7 +1,7 @@
-"""The unit in which a tick's CPU time is told: filterpy's ``predict()`` of 16 states, in the same run.
+"""Unit of a tick's CPU time: filterpy's ``predict()`` with 16 states, in the same run.
 
-Machines differ, and one machine from minute to minute; a ratio to a small fixed piece of the same kind of work (numpy
-on small matrices, called from Python) can be held against that of another day.
+Machines differ, and one machine from minute to minute; a ratio to a small fixed piece of similar work (numpy on
+small matrices, called from Python) is comparable between days.
 """
 
 import time
@@ -17,7 +17,7 @@ EVERY_TICKS, CALLS = 25, 10
 
 
 class PredictClock:
-    """Asked once per tick, measures now and then; and takes the mean of the parts of the ticks."""
+    """Called once per tick, measures periodically; averages the stages of the ticks."""
 
     def __init__(self) -> None:
         self._filter = ExtendedKalmanFilter(STATES, 4)
@@ -27,7 +27,7 @@ class PredictClock:
         self._ticks = 0
 
     def tick(self, part_s: Sequence[float]) -> None:
-        """A tick is over whose parts have taken so long."""
+        """Add the stage times of a tick."""
         self._parts_s += part_s
         if self._ticks % EVERY_TICKS == 0:
             begin_s = time.thread_time()

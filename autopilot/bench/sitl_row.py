@@ -1,4 +1,4 @@
-"""How fast the whole thing runs: speed against real time, CPU time of one tick, memory."""
+"""Speed of the whole simulation: real-time factor, CPU time of one tick, memory."""
 
 import os
 import tempfile
@@ -18,15 +18,15 @@ from autopilot.run.config import flight_settings
 from autopilot.run.sitl_session import SitlSession, open_sitl
 
 REACH = {"camera": 4.0, "pose": 20.0}
-"""Speed against real time that the project asks for, machine quiet."""
+"""Required real-time factor on an idle machine."""
 
 SHOWN_MS = 0.01
-"""Parts that take less of a tick are not shown."""
+"""Parts of a tick below this time are not listed."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SitlBenchRow:
-    """One way of running the paper's mission."""
+    """Result of the paper's mission in one configuration."""
 
     sensors: str
     simulated_s: float
@@ -44,11 +44,11 @@ class SitlBenchRow:
     tick_per_predict: float
     """and how many of them a mean tick takes."""
     parts: str
-    """Where the mean tick goes [ms], the largest first (:class:`LoopPart`)."""
+    """Stages of the mean tick [ms], the largest first (:class:`LoopPart`)."""
     tick_median_ms: float
     tick_p99_ms: float
     step_median_ms: float
-    """CPU time of ``Autopilot.step`` alone: what a vehicle's computer would do."""
+    """CPU time of ``Autopilot.step`` alone: the load of a vehicle's computer."""
     step_p99_ms: float
     step_max_ms: float
     rss_mb: float

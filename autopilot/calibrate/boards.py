@@ -1,4 +1,4 @@
-"""Calibration boards (ChArUco, plain markers, plain chessboards): how OpenCV finds them, and sheets at true scale.
+"""Calibration boards (ChArUco, plain markers, plain chessboards): detection by OpenCV, and sheets at true scale.
 
 Works with OpenCV 4.10 to 5.x, whose arrays differ in shape (ids and matched points are flattened here).
 """

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 @dataclass(frozen=True, slots=True)
 class BoardsTuning:
     min_corners: int = 8
-    """A view with fewer says little: a homography has eight unknowns already with four."""
+    """Least corners per view: a homography has eight unknowns, already four corners determine it."""
     refine_cells: float = 0.7
     """Half width of the refinement window in cells of a marker: OpenCV's 0.3 leaves 0.7 px of noise on small markers,
     more than 1 would take in the next cell's corner."""
@@ -22,7 +22,7 @@ BOARDS = BoardsTuning()
 @dataclass(frozen=True, slots=True)
 class ExtrinsicsTuning:
     ahrs_error_time_s: float = 20.0
-    """Slow errors of an attitude reference change in about this time: so often they are drawn anew."""
+    """Correlation time of the slow errors of an attitude reference: they are drawn again at this interval."""
     hop_s: float = 0.4
     """Two hops in a row make one measurement of the lever arm."""
     step_s: float = 0.01
@@ -75,8 +75,7 @@ class IntrinsicsTuning:
     other_focal: float = 0.05
     """The views are also fitted with focal lengths that are this share longer and shorter,"""
     focal_sigma: float = 0.01
-    """and must say so: by how much worse they fit tells the focal length's standard deviation, at most this share of
-    it."""
+    """and must determine it: the loss of fit gives the focal length's standard deviation, at most this share of it."""
     least_sigma_px: float = 0.1
     """Of a corner, for that: errors of a board and of its detection are not as independent as noise."""
     least_focal_sigma: float = 5e-4
@@ -98,9 +97,9 @@ class LaserDotsTuning:
     edge_px: int = 6
     stamp_slack_s: float = 0.002
     own_share: float = 0.7
-    """A detector that finds the dot less often looks in the wrong place."""
+    """A lower detection rate means that the detector looks in the wrong place."""
     moved_m: float = 0.01
-    """What is printed under the dot draws it aside: a vehicle that stands still would say the same again and again."""
+    """Least motion between samples: print under the dot shifts it, and a vehicle at rest would repeat the error."""
 
 
 LASER_DOTS = LaserDotsTuning()
@@ -111,10 +110,10 @@ class LaserFitTuning:
     inlier_px: float = 4.0
     tries: int = 3000
     max_slope: float = 0.35
-    """Beams that lean more than 20 degrees from the optical axis are not looked for."""
+    """Beams inclined more than 20 degrees to the optical axis are not searched."""
     max_base_m: float = 0.5
     min_spread: float = 0.15
-    """Least range of 1/Z over its mean: else place and direction of the beam cannot be told apart."""
+    """Least range of 1/Z over its mean: else position and direction of the beam are not separable."""
     min_dots: int = 15
     max_sigma_slope: float = 0.004
     rounds: int = 8
@@ -130,13 +129,13 @@ class MotionFitTuning:
     """Long enough for the turn to stand out of the noise of two poses, short enough for the gyro noise."""
     baseline_slack_s: float = 0.12
     search_s: float = 0.4
-    """Lateness is looked for within this."""
+    """Search range of the latency."""
     search_step_s: float = 0.01
     derivative_s: float = 0.002
     converged: float = 1e-6
     rounds: int = 8
     bias_moved_rad_s: float = 2e-5
-    """By so much the bias may change before the gyros are integrated again."""
+    """Change of the bias after which the gyros are integrated again."""
     min_pairs: int = 50
     min_turn_rate_rad_s: float = 0.05
     """Standard deviation of the yaw rate: less is the noise of the poses."""

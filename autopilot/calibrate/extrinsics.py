@@ -1,5 +1,6 @@
-"""Where the camera sits on the vehicle: rotation against the AHRS (:mod:`autopilot.calibrate.motion_fit`), heading
-offset of the AHRS, and the lever arm between the two from how both were accelerated."""
+"""Camera extrinsics: rotation against the AHRS (:mod:`autopilot.calibrate.motion_fit`), heading offset of the
+AHRS, and the lever arm between the two from their accelerations.
+"""
 
 import math
 from dataclasses import dataclass
@@ -34,8 +35,6 @@ class AttitudeCheck:
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class LeverArm:
-    """Camera against AHRS."""
-
     arm_frd_m: FloatArray
     """(3,) camera minus AHRS, body frame."""
     sigma_m: FloatArray
@@ -52,7 +51,7 @@ class LeverArm:
 
 
 def mounting_rpy_rad(r_frd_from_cam: FloatArray) -> FloatArray:
-    """(3,) ``camera.mounting_rpy_rad`` of a mounting."""
+    """(3,) roll, pitch, yaw of FRD from the camera axes, as ``camera.mounting_rpy_rad``."""
     return rpy_from_r(r_frd_from_cam @ R_FRD_FROM_CAM.T)
 
 

@@ -11,7 +11,7 @@ MAX_GAP_S = 0.1
 
 
 class GyroPath:
-    """Attitude against the first sample."""
+    """Attitude relative to the first sample, by integration of the gyro."""
 
     def __init__(self, ahrs: RecordedAhrs, bias_rad_s: FloatArray) -> None:
         """``bias_rad_s`` (3,) is taken off the gyros; later is too late, for it turns with the vehicle."""

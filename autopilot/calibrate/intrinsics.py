@@ -22,8 +22,6 @@ NAMES = ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3")
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Intrinsics:
-    """A calibrated camera."""
-
     width_px: int
     height_px: int
     values: FloatArray
@@ -42,7 +40,7 @@ class Intrinsics:
 
     @property
     def view_rms_px(self) -> FloatArray:
-        """(v,)"""
+        """(v,) per view."""
         return np.array([math.sqrt(float((r**2).sum(axis=1).mean())) for r in self.residual_px])
 
     @property
@@ -54,8 +52,9 @@ class Intrinsics:
 
 
 def calibrate(found: Views, *, fix_k3: bool = False) -> Intrinsics:
-    """Pinhole with k1 k2 p1 p2 k3. ConfigError if there are too few views, if they do not determine the camera, or if
-    they fit another focal length as well: what is then printed for its sigma is of no use."""
+    """Pinhole model with k1 k2 p1 p2 k3. ConfigError if there are too few views, if they do not determine the
+    camera, or if another focal length fits as well (its sigma would then be meaningless).
+    """
     views, left_out = list(found.views), list(found.left_out)
     most = round(INTRINSICS.reject_share * len(views))
     while True:
@@ -71,14 +70,14 @@ def calibrate(found: Views, *, fix_k3: bool = False) -> Intrinsics:
         if most == 0 or rms[worst] <= max(INTRINSICS.reject_floor_px, INTRINSICS.reject_factor * float(np.median(rms))):
             _refuse_any_focal(found, result, fix_k3)
             return result
-        # One at a time: a view that is wrong spoils others, which fit when it is gone.
+        # One at a time: an outlier view degrades others, which fit without it.
         left_out.append((views[worst].name, f"does not fit: {rms[worst]:.2f} px rms"))
         del views[worst]
         most -= 1
 
 
 def _refuse_any_focal(found: Views, result: Intrinsics, fix_k3: bool) -> None:
-    """ConfigError if the views do not tell focal length from distance."""
+    """ConfigError if the views do not separate focal length from distance."""
     count = sum(2 * len(view.pixels) for view in result.views)
     square = sum(float((residual**2).sum()) for residual in result.residual_px)
     variance = max(square / max(count - 9 - 6 * len(result.views), 1), INTRINSICS.least_sigma_px**2)
@@ -152,7 +151,7 @@ def _fit(found: Views, views: list[BoardView], left_out: tuple[tuple[str, str], 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Coverage:
-    """What the views showed of the camera."""
+    """Coverage of the image by the views."""
 
     cells: FloatArray
     """(rows, columns) corners found in each cell of the image."""
@@ -188,7 +187,7 @@ def coverage(result: Intrinsics) -> Coverage:
 
 
 def remarks(result: Intrinsics, spread: Coverage, expected: Camera | None, medium: str) -> list[str]:
-    """What an operator should know before the result is used; ``medium``: "water" or "air", where it was taken."""
+    """Notes on the quality of the result; ``medium``: "water" or "air", where the pictures were taken."""
     out = []
     if spread.share < INTRINSICS.good_coverage:
         out.append(
@@ -209,7 +208,7 @@ def remarks(result: Intrinsics, spread: Coverage, expected: Camera | None, mediu
 
 
 def _medium_remarks(result: Intrinsics, expected: Camera | None, medium: str) -> list[str]:
-    """Water or air: what the focal length says about it."""
+    """Consistency of the focal length with water or air."""
     out = []
     behind_port = expected is not None and expected.model == "flat_port"
     if medium == "air" and not behind_port:
@@ -246,14 +245,15 @@ def _medium_remarks(result: Intrinsics, expected: Camera | None, medium: str) ->
 
 
 def focal_sigma(result: Intrinsics, *, into_water: bool = False) -> float:
-    """Standard deviation of the focal length as a share of it, twice what the fit says: errors of views are alike."""
+    """Relative standard deviation of the focal length: twice the fit's, because errors of views are correlated."""
     share = 2.0 * float((result.sigma[:2] / result.values[:2]).max())
     return math.hypot(max(share, INTRINSICS.least_focal_sigma), INTRINSICS.air_focal_sigma if into_water else 0.0)
 
 
 def camera_values(result: Intrinsics, *, into_water: bool = False) -> dict[str, Any]:
-    """The keys of ``[camera]``; ``into_water`` turns a calibration in air into what it would be under water, for rays
-    near the axis: they leave the port n times flatter, so that x becomes n x in the air's formulas."""
+    """The keys of ``[camera]``; ``into_water`` converts a calibration in air to water for rays near the axis:
+    behind a flat port they are n times flatter, so that x becomes n x in the air's formulas.
+    """
     fx, fy, cx, cy, k1, k2, p1, p2, k3 = result.values.tolist()
     n = INTRINSICS.water_index if into_water else 1.0
     distortion = [k1 * n**2, k2 * n**4, p1 * n, p2 * n, k3 * n**6]

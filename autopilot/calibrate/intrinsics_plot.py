@@ -10,7 +10,7 @@ from autopilot.calibrate.calibrate_tuning import INTRINSICS
 from autopilot.calibrate.intrinsics import Coverage, Intrinsics
 
 ARROW_PX = 12.0
-"""A residual of the size of the rms is drawn about so long."""
+"""Drawn length of a residual of the size of the rms."""
 
 
 def write_plot(result: Intrinsics, spread: Coverage, target: Path) -> Path:

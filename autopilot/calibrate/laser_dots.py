@@ -24,8 +24,9 @@ from autopilot.log.reader import Log, open_log
 def green_dots(image_bgr: Any) -> FloatArray:
     """Pixels (k, 2) of the most conspicuous green dots, at most PER_PICTURE.
 
-    Under one light print differs in brightness alone: green follows blue along a straight line, which tint and haze
-    only shift. What lies above that line, small and round, may be the laser's."""
+    Under one illuminant, print differs in brightness alone: green follows blue along a straight line, which tint
+    and haze only shift. Small round spots above that line may be the laser's.
+    """
     picture = image_bgr.astype(np.float32)
     blue, green = picture[:, :, 0], picture[:, :, 1]
     blue_off, green_off = blue - blue.mean(), green - green.mean()
@@ -129,7 +130,7 @@ def board_dots(board: CalibrationBoard, camera: CameraModel, folder: Path) -> Do
 
 
 def _moved(places_m: FloatArray) -> np.ndarray:
-    """Indices of places (n, 3) that are MOVED_M from the one chosen before."""
+    """Indices of points (n, 3) at least MOVED_M from the one chosen before."""
     chosen = []
     before = np.full(3, np.inf)
     for n, place in enumerate(places_m):

@@ -1,4 +1,4 @@
-"""Robust least squares on time series: what the fits of this package share."""
+"""Robust least squares on time series, for the fits of this package."""
 
 import numpy as np
 
@@ -17,7 +17,7 @@ def robust_sigma(residual: FloatArray) -> FloatArray:
 
 
 def huber_weights(residual: FloatArray, sigma: FloatArray) -> FloatArray:
-    """Weights 1/sigma^2 of (n, c), less for what lies far out."""
+    """Weights 1/sigma^2 of (n, c) residuals, reduced for outliers (Huber)."""
     scaled = np.abs(residual) / sigma
     weights: FloatArray = np.minimum(1.0, HUBER / np.maximum(scaled, LEAST_SIGMA)) / sigma**2
     return weights
@@ -40,9 +40,9 @@ def solve_weighted(
 def covariance(
     jacobian: FloatArray, residual: FloatArray, weights: FloatArray, inverse: FloatArray, lags: int
 ) -> FloatArray:
-    """Covariance (p, p) when residuals up to ``lags`` rows apart are correlated (Newey and West 1987).
-
-    Overlapping increments share their ends, and what is under the laser dot now was there a frame ago."""
+    """Covariance (p, p) when residuals up to ``lags`` rows apart are correlated (Newey and West 1987): overlapping
+    increments share their ends, and consecutive frames see the same surface under the laser dot.
+    """
     scores = np.einsum("ncp,nc->np", jacobian, weights * residual)
     middle = scores.T @ scores
     for lag in range(1, min(lags, len(scores) - 1) + 1):

@@ -25,8 +25,6 @@ from autopilot.core.frames import FloatArray
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class MotionFit:
-    """Result of :func:`fit_motion`."""
-
     r_frd_from_cam: FloatArray
     """(3, 3)"""
     late_s: float
@@ -98,7 +96,7 @@ def fit_motion(flight: CameraFlight) -> MotionFit:
     residual = turned - seen_cam @ mounting.T
     lags = 2 * round(MOTION_FIT.baseline_s / float(np.median(np.diff(flight.t_s))))
     sigma = MOTION_FIT.sigma_factor * np.sqrt(np.diag(covariance(jacobian, residual, weights, inverse, lags)))
-    # What the prior holds was not shown: its share of the information is not the flight's.
+    # The prior's share of the information does not come from the flight.
     held = prior * np.diag(inverse)
     sigma = np.where(held > 0.5, 1.0 / np.sqrt(np.maximum(prior, 1e-12)), sigma)
     return MotionFit(
@@ -144,7 +142,9 @@ def _scan(path: GyroPath, begin_s: FloatArray, end_s: FloatArray, yaw_rate: Floa
 
 
 def _peak(scan: FloatArray) -> float:
-    """Where the correlation is largest, by a parabola through the three largest. LogError if it is nowhere high."""
+    """Location of the correlation's maximum, by a parabola through the three largest. LogError without a clear
+    maximum.
+    """
     n = int(np.argmax(scan[:, 1]))
     if not scan[n, 1] > 0.5:
         raise LogError(

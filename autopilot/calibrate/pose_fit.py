@@ -18,8 +18,6 @@ from autopilot.core.robust import PLANAR_MEDIAN
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class CameraPose:
-    """Where the camera was."""
-
     eye_ned_m: FloatArray
     """(3,)"""
     r_ned_from_cam: FloatArray

@@ -1,4 +1,4 @@
-"""What a log tells for calibration: camera poses from the recorded corners alone, the AHRS's samples, the laser dot."""
+"""Calibration data from a log: camera poses from the recorded corners alone, AHRS samples, laser dots."""
 
 import math
 from dataclasses import dataclass
@@ -20,8 +20,6 @@ from autopilot.record.estimator_setup import read_markers, read_vehicle
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class RecordedAhrs:
-    """The AHRS's samples in order."""
-
     t_s: FloatArray
     """(m,) rising."""
     rpy_rad: FloatArray
@@ -37,7 +35,7 @@ class CameraFlight:
     """A log's camera poses and AHRS samples."""
 
     vehicle: Vehicle
-    """What the service flew with, or the vehicle file given instead."""
+    """Vehicle file of the service, or the one given instead."""
     camera: CameraModel
     t_s: FloatArray
     """(n,) rising; the stamps of the sightings with the vehicle file's ``camera.time_offset_s`` added."""
@@ -98,7 +96,7 @@ def read_flight(path: Path, vehicle: str | None = None, markers: Path | None = N
 
 
 def marker_map(log: Log, file: Path | None) -> MarkerMap:
-    """The markers that were flown over: a map file, else the service's own. LogError if there is neither."""
+    """Markers of the flight: a map file, else the service's own. LogError without either."""
     markers = load_marker_map(file) if file is not None else read_markers(log.attachments)
     if markers is None:
         raise LogError(f"{log.path}: does not tell where the markers lie; give the marker map with --map")
@@ -142,7 +140,7 @@ class _Finder:
             self._by_id.setdefault(code, []).append(place)
 
     def pose(self, row: np.void) -> CameraPose | None:
-        """The camera's pose of one logged sighting, None if there is no good one."""
+        """The camera's pose of one logged sighting, None without a good one."""
         count = int(row["count"])
         guess = self._guess(int(row["t_us"]))
         if count < FLIGHT.min_markers or guess is None:
@@ -169,7 +167,7 @@ class _Finder:
         return fit_pose(self._camera, points, corners[seen].reshape(-1, 2), eye, r)
 
     def _guess(self, t_us: int) -> tuple[FloatArray, FloatArray] | None:
-        """Rough camera place and attitude from the logged estimate."""
+        """Rough camera pose from the logged estimate."""
         if self._states is None:
             return None
         n = int(np.clip(np.searchsorted(self._states["t_us"], t_us), 0, len(self._states) - 1))

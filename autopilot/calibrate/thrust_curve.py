@@ -25,8 +25,6 @@ COLUMNS = ("pulse_us", "thrust_n", "supply_v")
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Readings:
-    """Rows of a table."""
-
     pulse_us: FloatArray
     thrust_n: FloatArray
     supply_v: FloatArray
@@ -96,7 +94,7 @@ def _number(path: Path, line: int, name: str, text: str | None) -> float:
 
 
 def fit_brushed(readings: Readings, drive: ThrusterDrive, origin: str) -> BrushedFit:
-    """The three numbers of a brushed drive. ConfigError if the readings do not tell them."""
+    """The three parameters of a brushed drive. ConfigError if the readings do not determine them."""
     duty = np.clip((readings.pulse_us - drive.neutral_us) / drive.span_us, -1.0, 1.0)
     moving = np.abs(readings.thrust_n) > THRUST_CURVE.still_share * float(np.abs(readings.thrust_n).max())
     _right_way(readings, moving, drive, origin)
@@ -122,7 +120,7 @@ def fit_brushed(readings: Readings, drive: ThrusterDrive, origin: str) -> Brushe
 
 
 def fit_curves(readings: Readings, drive: ThrusterDrive, origin: str) -> CurveFit:
-    """One monotonic curve per supply voltage. ConfigError if the readings do not cover what the drive may ask for."""
+    """One monotonic curve per supply voltage. ConfigError if the readings do not cover the drive's range."""
     curves, left = [], []
     order = np.argsort(readings.supply_v, kind="stable")
     breaks = (
@@ -172,7 +170,7 @@ def curves_text(curves: Sequence[ThrustCurve]) -> str:
 
 
 def _right_way(readings: Readings, moving: NDArray[np.bool_], drive: ThrusterDrive, origin: str) -> None:
-    """ConfigError if most of what pushes pushes the wrong way: the cell or the thruster is the other way round."""
+    """ConfigError if most thrusts have the wrong sign: load cell or thruster is mounted in reverse."""
     sides = np.sign(readings.pulse_us - drive.neutral_us) * np.sign(readings.thrust_n) * moving
     if (sides < 0).sum() > (sides > 0).sum():
         raise ConfigError(

@@ -1,4 +1,4 @@
-"""New values in a copy of a vehicle file: comments and everything else stay as they are."""
+"""Writes new values into a copy of a vehicle file; comments and everything else are kept."""
 
 import tomllib
 from collections.abc import Mapping, Sequence

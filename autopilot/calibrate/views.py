@@ -1,4 +1,4 @@
-"""Views of a calibration board: from a folder of images, or from a camera or film while somebody moves the board."""
+"""Views of a calibration board: from a folder of images, or from a camera or video of a moving board."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -18,8 +18,6 @@ SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".pgm", ".webp")
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class BoardView:
-    """One image of the board."""
-
     name: str
     points_m: FloatArray
     """(n, 3) on the board."""
@@ -29,8 +27,6 @@ class BoardView:
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Views:
-    """All images of one calibration."""
-
     width_px: int
     height_px: int
     views: tuple[BoardView, ...]
@@ -39,7 +35,7 @@ class Views:
 
 
 def image_files(folder: Path) -> list[Path]:
-    """The images of a folder by name. ConfigError if there is none."""
+    """Images of a folder by name. ConfigError without any."""
     if not folder.is_dir():
         raise ConfigError(f"{folder}: is not a folder; give the folder that holds the images")
     files = sorted(path for path in folder.iterdir() if path.suffix.lower() in SUFFIXES)

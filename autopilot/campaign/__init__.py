@@ -1,1 +1,1 @@
-"""Monte Carlo over seeds and spreads of a scenario: draw, fly, judge, keep, sum up."""
+"""Monte Carlo campaigns over seeds and spreads of a scenario: draw, fly, judge, store, summarise."""

@@ -1,6 +1,6 @@
-"""The shipped controller and estimator that break at a time: faults that no scenario file can make.
+"""Shipped controller and estimator that fail at a given time: faults that no scenario file can make.
 
-A flight names them as anybody's (``package:Class``), and sets :attr:`Breaking.from_s` before.
+A flight names them as plug-ins (``package:Class``), and sets :attr:`Breaking.from_s` before.
 """
 
 import math

@@ -1,4 +1,4 @@
-"""Figures of a campaign: histograms of margins and of energy, and where in what was drawn the failures lie."""
+"""Figures of a campaign: histograms of margins and energy, and failures over the drawn values."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -26,7 +26,7 @@ SHOWN = (
 
 
 def write_figures(results: Sequence[RunResult], title: str, folder: Path) -> list[Path]:
-    """``margins.png``, ``energy.png`` and ``failures.png`` in ``folder``; nothing is written of what no run has."""
+    """``margins.png``, ``energy.png`` and ``failures.png`` in ``folder``; a figure without data is not written."""
     flown = [result for result in results if result.error is None]
     written = []
     with mpl.rc_context(STYLE):
@@ -76,9 +76,9 @@ def _energy(flown: Sequence[RunResult], title: str) -> Figure | None:
 
 
 def _failure_map(results: Sequence[RunResult], title: str) -> Figure | None:
-    """Least clearance of every run over each number that was drawn, failed runs in red; what matters most first.
-
-    A run that was not flown to its end has no clearance: it stands on the lower edge."""
+    """Least clearance of every run over each drawn value, failed runs in red; the most influential value first. A
+    run that was not flown to its end has no clearance: it is drawn on the lower edge.
+    """
     keys = [
         key
         for key in dict.fromkeys(key for result in results for key in result.drawn)

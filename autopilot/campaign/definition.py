@@ -1,4 +1,4 @@
-"""What a campaign is: a scenario with its spread, a seed, and everything else that its results depend on."""
+"""Definition of a campaign: a scenario with its spread, a seed, and all other inputs of its results."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -48,7 +48,6 @@ class Campaign:
     tables: Tables
 
     def task(self, run: int) -> Task:
-        """Run number ``run``, from 0."""
         mine, spread = self.identity, self.scenario.spread
         return Task(
             run=run,
@@ -74,9 +73,33 @@ def define(
     params: dict[str, float] | None = None,
     vehicle: str | None = None,
 ) -> Campaign:
-    """The campaign over a scenario; ``seed``, ``estimator``, ``vehicle`` (a shipped name or a file) None = its own.
+    """Campaign over a scenario.
 
-    ConfigError, PlanError: it cannot be flown.
+    Parameters
+    ----------
+    name_or_path
+        Shipped scenario, or a scenario file.
+    seed
+        Base seed of all runs, None = the scenario's.
+    estimator
+        Name of the estimator, None = the scenario's.
+    sensors
+        Sensor set, None = the scenario's.
+    duration_s
+        Length of a run [s], None = the scenario's.
+    params
+        Parameter name -> value, in the units of docs/parameters.md.
+    vehicle
+        Shipped name or vehicle file, None = the scenario's.
+
+    Returns
+    -------
+    Campaign
+
+    Raises
+    ------
+    ConfigError, PlanError
+        The scenario or its plan cannot be flown.
     """
     scenario, tables = load_scenario(name_or_path), load_tables(name_or_path)
     if vehicle is not None:

@@ -1,4 +1,4 @@
-"""Who flies the runs: this process, a pool of processes on this machine, or a Dask cluster."""
+"""Engines that fly the runs of a campaign: this process, a process pool, or a Dask cluster."""
 
 import asyncio
 import concurrent.futures as cf
@@ -21,7 +21,7 @@ from autopilot.core.errors import AutopilotError, ConfigError
 from autopilot.core.own_python import safe_path
 
 LOOK_S = 0.2
-"""How often a waiting engine looks whether it is to stop."""
+"""Interval at which a waiting engine polls ``stop``."""
 SUSPECT = 2
 """Deaths of processes during a run after which it is flown alone."""
 AHEAD = 2
@@ -44,14 +44,30 @@ Result_co = TypeVar("Result_co", covariant=True)
 
 
 class Flyable(Protocol[Result_co]):
-    """One run, complete in itself and fit to be sent to another process."""
+    """One picklable run."""
 
     def fly(self, stop: Stop) -> Result_co | None:
-        """The result, None if ``stop`` said so before the end. AutopilotError if it cannot be flown."""
+        """Fly the run.
+
+        Parameters
+        ----------
+        stop
+            Polled during the run; True ends it.
+
+        Returns
+        -------
+        Result or None
+            None if ``stop`` ended the run.
+
+        Raises
+        ------
+        AutopilotError
+            The run cannot be flown.
+        """
         ...
 
     def failed(self, error: str) -> Result_co:
-        """The result of a run that could not be flown."""
+        """Result of a run that could not be flown; ``error`` is the reason in one line."""
         ...
 
 
@@ -59,12 +75,42 @@ class CampaignEngine(Protocol):
     """Flies tasks in any order."""
 
     def run(self, tasks: Sequence[Flyable[Result]], stop: Stop) -> Iterator[Result]:
-        """Results as they come; ends early, without results of unfinished runs, when ``stop`` says so."""
+        """Fly all tasks.
+
+        Parameters
+        ----------
+        tasks
+            Independent of each other; flown in any order.
+        stop
+            Polled; True ends the iteration early, without results of unfinished runs.
+
+        Yields
+        ------
+        Result
+            In the order of completion.
+        """
         ...
 
 
 def make_engine(name: str, jobs: int | None) -> CampaignEngine:
-    """``local``, ``dask`` or ``dask+tcp://HOST:PORT``; ``jobs`` None = one per core. ConfigError if unknown."""
+    """Engine by name.
+
+    Parameters
+    ----------
+    name
+        ``local``, ``dask`` or ``dask+tcp://HOST:PORT``.
+    jobs
+        Number of processes, None = one per core.
+
+    Returns
+    -------
+    CampaignEngine
+
+    Raises
+    ------
+    ConfigError
+        The name is unknown, or dask.distributed is not installed.
+    """
     count = jobs or os.cpu_count() or 1
     if name == "local":
         return InProcess() if count == 1 else LocalPool(count)
@@ -74,7 +120,7 @@ def make_engine(name: str, jobs: int | None) -> CampaignEngine:
 
 
 class InProcess:
-    """One after the other, here."""
+    """Runs tasks one after the other in this process."""
 
     def run(self, tasks: Sequence[Flyable[Result]], stop: Stop) -> Iterator[Result]:
         for task in tasks:
@@ -91,8 +137,8 @@ class InProcess:
 class LocalPool:
     """A process per core, each of which flies many runs.
 
-    On Linux they are forked from a process that has nothing in it but what a run imports, and no thread; it does so
-    from the moment that the engine is made, while the campaign is being prepared. Elsewhere each imports for itself.
+    On Linux they are forked from a server process without threads that has only imported the modules of a run; it
+    starts when the engine is created. On other systems each process imports for itself.
     """
 
     def __init__(self, jobs: int) -> None:
@@ -101,7 +147,7 @@ class LocalPool:
         self._prepare()
 
     def _prepare(self) -> None:
-        """Start the process that the others come from, if they do and it is not there. Does not wait for it."""
+        """Start the fork server if it is used and not running. Does not wait for it."""
         if self._context.get_start_method() != "forkserver":
             return
         from multiprocessing import forkserver
@@ -111,14 +157,15 @@ class LocalPool:
             forkserver.ensure_running()
 
     def run(self, tasks: Sequence[Flyable[Result]], stop: Stop) -> Iterator[Result]:
-        """See :class:`CampaignEngine`. A process that dies takes no run with it, except one that kills its process
-        again when it is flown alone; that one has failed."""
+        """See :class:`CampaignEngine`. If a process dies its runs are repeated; a run that kills its process again
+        when it is flown alone has failed.
+        """
         left = dict(enumerate(tasks))
         deaths: Counter[int] = Counter()
         while left and not stop():
             suspects = [key for key in left if deaths[key] >= SUSPECT]
             trusted = [key for key in left if deaths[key] < SUSPECT]
-            # Whoever was under way when a process died more than once is flown alone, after all others.
+            # Runs under way during more than one death of a process are flown alone, after all others.
             batch = trusted or suspects[:1]
             broken: list[int] = []
             for key, result in self._batch({key: left[key] for key in batch}, stop, broken):
@@ -132,10 +179,10 @@ class LocalPool:
     def _batch(
         self, tasks: dict[int, Flyable[Result]], stop: Stop, broken: list[int]
     ) -> Iterator[tuple[int, Result | None]]:
-        """Results until all are there, or a process dies: ``broken`` are the runs that were under way then."""
+        """Results until all are there or a process dies; ``broken``: the runs that were under way then."""
         context = self._context
         self._prepare()
-        # One byte and no lock, as an Event has: who is killed while it looks would keep that for ever.
+        # One byte without a lock, unlike an Event: a process killed while it holds the lock would never release it.
         halt = context.RawValue("b", 0)
         with (
             safe_path(),
@@ -164,7 +211,7 @@ class LocalPool:
                         under_way.discard(key)
                         yield key, future.result() if error is None else tasks[key].failed(_what(error))
                     if any(future in pending for future in done):
-                        # All that is left has the same error; the dead one was among those under way.
+                        # All pending runs have the same error; the dead one was among those under way.
                         broken += [key for key in pending.values() if key in under_way] or list(pending.values())[:1]
                         return
             except cf.process.BrokenProcessPool:
@@ -184,7 +231,7 @@ _halt: Any = None
 
 
 def _begin_worker(halt: Any) -> None:
-    """Once per process: interrupts are the parent's business; what is imported needs no garbage collection."""
+    """Initialiser of a worker process: ignores SIGINT (the parent handles it) and freezes the imports (gc)."""
     global _halt
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
@@ -193,7 +240,7 @@ def _begin_worker(halt: Any) -> None:
 
 
 def _settle() -> None:
-    """Import what a run needs, which then needs no garbage collection."""
+    """Import the modules of a run and exclude them from garbage collection."""
     importlib.import_module(WORKER)
     gc.collect()
     gc.freeze()
@@ -205,7 +252,7 @@ def _fly_in_worker(task: Flyable[Result]) -> Result | None:
 
 @contextmanager
 def _single_threaded() -> Iterator[None]:
-    """Processes that begin meanwhile use one thread for linear algebra: several runs would only wait for each other."""
+    """Child processes started meanwhile use one BLAS thread: parallel runs would compete for cores."""
     before = {name: os.environ.get(name) for name in THREAD_VARIABLES}
     os.environ.update(dict.fromkeys(THREAD_VARIABLES, "1"))
     try:
@@ -220,9 +267,9 @@ def _single_threaded() -> Iterator[None]:
 
 @contextmanager
 def interrupt_later() -> Iterator[None]:
-    """Processes that begin meanwhile do not hear Ctrl-C before they can ignore it themselves; this one hears it after.
+    """Block SIGINT while processes start, until they can ignore it themselves; delivered to this one afterwards.
 
-    Blocked, not ignored: what comes while it is ignored is lost, and the campaign goes on.
+    Blocked, not ignored: a signal that arrives while it is ignored would be lost, and the campaign would continue.
     """
     resource_tracker.ensure_running()  # Its start would end the blocking.
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
@@ -233,7 +280,7 @@ def interrupt_later() -> Iterator[None]:
 
 
 class DaskCluster:
-    """A Dask cluster: one of its own on this machine, or the scheduler at ``address``."""
+    """A Dask cluster: a local one, or the scheduler at ``address``."""
 
     def __init__(self, address: str | None, jobs: int) -> None:
         """ConfigError if dask.distributed is not installed."""
@@ -249,17 +296,16 @@ class DaskCluster:
         self._jobs = jobs
 
     def run(self, tasks: Sequence[Flyable[Result]], stop: Stop) -> Iterator[Result]:
-        """See :class:`CampaignEngine`. A worker that dies is replaced by the others: Dask sends its runs again, up to
-        its setting ``distributed.scheduler.allowed-failures`` (3) times, then the run has failed.
-
-        ConfigError if the scheduler does not answer, nobody works for it or a worker has another version;
-        AutopilotError if the scheduler goes meanwhile.
+        """See :class:`CampaignEngine`. Runs of a dead worker are resubmitted by Dask up to
+        ``distributed.scheduler.allowed-failures`` (3) times, then the run has failed. ConfigError if the
+        scheduler does not answer, has no workers or one with another version; AutopilotError if the scheduler
+        is lost.
         """
         if not tasks:
             return
         with safe_path(), self._quiet(), self._unsampled(), self._client() as client:
             self._see_workers(client)
-            client.register_worker_callbacks(_settle)  # of those that come later, too
+            client.register_worker_callbacks(_settle)  # of those submitted later, too
             waiting = deque(tasks)
             pending: dict[Any, Flyable[Result]] = {}
             missed_s: float | None = None
@@ -310,7 +356,7 @@ class DaskCluster:
         )
 
     def _see_workers(self, client: Any) -> None:
-        """ConfigError if nobody works there, or with another version of this package."""
+        """ConfigError if there is no worker, or one with another version of this package."""
         try:
             client.wait_for_workers(1, timeout=FIRST_WORKER_S)
         except TimeoutError as error:
@@ -333,7 +379,7 @@ class DaskCluster:
 
     @contextmanager
     def _quiet(self) -> Iterator[None]:
-        """What the cluster says of lost workers is said by the engine."""
+        """Silence Dask's log messages about lost workers; the engine reports them."""
         names = [name for name in logging.root.manager.loggerDict if name.split(".")[0] in CHATTY]
         before = {name: logging.getLogger(name).level for name in names}
         for name in before:
@@ -346,8 +392,7 @@ class DaskCluster:
 
     @contextmanager
     def _unsampled(self) -> Iterator[None]:
-        """A cluster of its own begins meanwhile: its workers do not look at the stacks of all threads 100 times a
-        second, which takes the interpreter from the runs."""
+        """Disable Dask's profiler in a local cluster: sampling all stacks 100 times a second blocks the interpreter."""
         with self._settings.set({"distributed.worker.profile.enabled": False}):
             yield
 
@@ -370,5 +415,5 @@ class DaskCluster:
 
 
 def _version() -> str:
-    """Of this package, where it runs."""
+    """Version of this package in the process that calls it."""
     return __version__

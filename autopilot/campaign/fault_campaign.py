@@ -1,7 +1,7 @@
-"""The fault campaign: every row of the table of failsafes at drawn times, in the paper's tank and the harbour.
+"""The fault campaign: every row of the failsafe table at drawn times, in the paper's tank and the harbour.
 
-A folder holds one line of JSON per finished flight (``faults.jsonl``); the same call goes on where it was stopped. What
-flight k of a row draws depends on row, scenario and k alone.
+A folder holds one line of JSON per finished flight (``faults.jsonl``); the same call resumes an interrupted
+campaign. The draws of flight k of a row depend on row, scenario and k alone.
 """
 
 import random
@@ -16,7 +16,7 @@ from autopilot.core.errors import ConfigError
 
 FILE = "faults.jsonl"
 BETWEEN_S = {"paper-tank": (9.0, 40.0), "harbour": (9.0, 90.0)}
-"""When faults begin: armed and under way, and some way of the plan left."""
+"""Range of the start of faults: armed and under way, with part of the plan left."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -29,7 +29,7 @@ class FaultTask:
 
     @property
     def key(self) -> tuple[str, str, int]:
-        """What it is known by in the file."""
+        """Its key in the file."""
         return self.case.rule.name, self.scenario, self.seed
 
 
@@ -54,7 +54,9 @@ def _task(case: FaultCase, scenario: str, run: int) -> FaultTask:
 
 
 def fly_campaign(folder: Path, wanted: Sequence[FaultTask]) -> Iterator[FaultResult]:
-    """Fly what is not in the folder yet. Results are in the file before they are given. ConfigError: it is in use."""
+    """Fly the flights missing in the folder; results are stored before they are yielded. ConfigError: the folder
+    is in use.
+    """
     store: ResultStore[FaultResult] = ResultStore(
         folder / FILE, lambda flight: f"{flight.rule} of {flight.scenario}", option="--out"
     )
@@ -83,7 +85,7 @@ class FaultRow:
     flights: int
     effect: str
     reaction_s: float | None
-    """Slowest from fault to failsafe; None = one never came."""
+    """Slowest from fault to failsafe; None = one was never raised."""
     ends: str
     """End states and how often."""
     closest_m: float

@@ -1,4 +1,4 @@
-"""One fault scenario for every row of the table of failsafes: what is done to the vehicle, and what it has to do.
+"""One fault scenario for every row of the failsafe table: fault injected, and response required.
 
 Data only; :mod:`autopilot.campaign.fault_flights` flies it.
 """
@@ -26,7 +26,7 @@ class FaultCase:
     params: Mapping[str, float] = field(default_factory=dict)
     """Flown with them."""
     set_then: Mapping[str, float] = field(default_factory=dict)
-    """What the operator sets at the drawn time."""
+    """Parameters that the operator sets at the drawn time."""
     controller: str | None = None
     estimator: str | None = None
     """Flown instead of the shipped ones; they break at the drawn time."""
@@ -34,7 +34,7 @@ class FaultCase:
     within_s: float
     """From the drawn time to the bit."""
     settle_s: float = 15.0
-    """From there to the end state that is looked at."""
+    """From there to the end state that is evaluated."""
 
 
 def _fault(kind: str, lasts_s: float | None = LASTING_S, at_s: float = 0.0, **keys: Any) -> Mapping[str, Any]:
@@ -151,7 +151,7 @@ CASES: tuple[FaultCase, ...] = (
     FaultCase(
         rule=Failsafe.CAGE_SOFT,
         faults=(_fault("shove", 2.2, force_ned_n=[0.0, 0.0, 20.0]),),
-        set_then={"DEPTH_MAX": 0.5, "FS_CAGE_HARD": 50.0, "LAT_DETECT": 0},  # a shove looks like late commands
+        set_then={"DEPTH_MAX": 0.5, "FS_CAGE_HARD": 50.0, "LAT_DETECT": 0},  # a shove resembles late commands
         effect="warn",
         within_s=6.0,
     ),

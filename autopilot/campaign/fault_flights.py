@@ -1,7 +1,7 @@
-"""Flies one fault scenario through the whole service: when the failsafe came, what became of the vehicle.
+"""Flies one fault scenario through the whole service: reaction time and outcome.
 
-Reaction is counted from the moment at which the fault begins. The closest approach is the truth's, from the vehicle's
-centre to the nearest boundary of the fence, from then on.
+Reaction time counts from the beginning of the fault. The closest approach is taken from the ground truth, from the
+vehicle's centre to the nearest boundary of the fence, from then on.
 """
 
 import math
@@ -44,7 +44,7 @@ class FaultResult:
     armed: bool
     """Whether it was flying when the fault began."""
     raised_s: float | None
-    """From the fault to the failsafe, None = it never came."""
+    """From the fault to the failsafe, None = never raised."""
     acted_s: float | None
     """To another mode or disarming."""
     end: str
@@ -57,7 +57,7 @@ class FaultResult:
 
 
 class _FlightWatch:
-    """Looks at every tick of a flight."""
+    """Evaluates every tick of a flight."""
 
     def __init__(self, session: SitlSession, case: FaultCase, at_s: float) -> None:
         self._session = session

@@ -1,4 +1,4 @@
-"""Fly one run: the whole service on the drawn scenario, without sockets and mostly without log, judged on the truth."""
+"""Flies one run: the whole service on the drawn scenario, without sockets, judged on the ground truth."""
 
 import tempfile
 import time
@@ -24,9 +24,9 @@ def run_watched(
     stop: Callable[[], bool],
     over: Callable[[Watch], bool],
 ) -> tuple[SitlSession, Watch] | None:
-    """Fly in lockstep under a watch of that kind until it is ``over`` or the duration ends; None if ``stop`` said so.
-
-    AutopilotError if it cannot be flown."""
+    """Fly in lockstep with a watch of that kind until it is ``over`` or the duration ends; None if ``stop`` ended
+    the run. AutopilotError if it cannot be flown.
+    """
     watch = kind(lambda: session.device.truth)
     session = open_sitl(settings, params, log=settings["log"] is not None, on_tick=watch.tick)
     stopped = False
@@ -41,9 +41,27 @@ def run_watched(
 
 
 def fly(task: Task, stop: Callable[[], bool] = lambda: False, *, log: Path | None = None) -> RunResult | None:
-    """The result, None if ``stop`` said so before the end; ``log``: file that the run is recorded in.
+    """Fly one run of a campaign.
 
-    AutopilotError if it cannot be flown."""
+    Parameters
+    ----------
+    task
+        The drawn scenario.
+    stop
+        Polled during the run; True ends it.
+    log
+        File to record the run in, None = no log.
+
+    Returns
+    -------
+    RunResult or None
+        None if ``stop`` ended the run.
+
+    Raises
+    ------
+    AutopilotError
+        The run cannot be flown.
+    """
     cpu_s = time.process_time()
     with tempfile.TemporaryDirectory(prefix="campaign-") as folder:
         settings = _settings(task, Path(folder), log)

@@ -1,4 +1,4 @@
-"""A run against its bounds, on the plant's truth at 100 Hz. Clearances and spans as in ``autopilot log check``."""
+"""Judges a run against its bounds, on the ground truth at 100 Hz; definitions as in ``autopilot log check``."""
 
 from dataclasses import asdict
 

@@ -1,4 +1,4 @@
-"""What a campaign hands to an engine and what it keeps of every run."""
+"""Tasks handed to an engine, and the stored result of a run."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -16,19 +16,19 @@ class Task:
     """Number in the campaign, from 0."""
     seed: int
     drawn: dict[str, float | str]
-    """What ``[spread]`` gave for this run."""
+    """Values of ``[spread]`` for this run."""
     scenario_toml: str
     plan_name: str
     plan: bytes
     estimator: str
     sensors: str | None
-    """None = as the scenario says."""
+    """None = the scenario's."""
     duration_s: float | None
-    """None = as the scenario says."""
+    """None = the scenario's."""
     params: dict[str, float] = field(default_factory=dict)
 
     def fly(self, stop: Callable[[], bool] = lambda: False) -> "RunResult | None":
-        """The result, None if ``stop`` said so before the end. AutopilotError if it cannot be flown."""
+        """The result, None if ``stop`` ended the run. AutopilotError if it cannot be flown."""
         from autopilot.campaign.flight import fly  # the whole service
 
         return fly(self, stop)
@@ -39,7 +39,7 @@ class Task:
 
 
 class Margin(msgspec.Struct, frozen=True, kw_only=True):
-    """How near a run came to one bound."""
+    """Smallest margin of a run to one bound."""
 
     margin: float
     """Distance from the bound itself, without tolerance; negative = broken. SI."""
@@ -69,7 +69,7 @@ class RunResult(msgspec.Struct, frozen=True, kw_only=True):
     laps_asked: int | None = None
     """None = the mission has no laps."""
     completed: bool = False
-    """The mission came to its end."""
+    """Whether the mission was completed."""
     margins: dict[str, Margin] = {}
     contacts: int = 0
     penetration_m: float = 0.0
@@ -104,12 +104,12 @@ class RunResult(msgspec.Struct, frozen=True, kw_only=True):
 
     @property
     def laps_missing(self) -> bool:
-        """Fewer laps than the mission asks for, or no end of a mission without laps."""
+        """Fewer laps than the mission requires, or an incomplete mission without laps."""
         return not self.completed if self.laps_asked is None else self.laps < self.laps_asked
 
     @property
     def broken(self) -> list[str]:
-        """Bounds broken at all."""
+        """Names of the bounds broken."""
         return [name for name, margin in self.margins.items() if not margin.margin >= 0.0]
 
     @property
@@ -119,7 +119,7 @@ class RunResult(msgspec.Struct, frozen=True, kw_only=True):
 
     @property
     def failed(self) -> bool:
-        """It breaks what the scenario holds against a run."""
+        """Whether the run breaks an acceptance bound of the scenario."""
         if self.error is not None or self.contacts > 0:
             return True
         return self.judged == "bounds" and (bool(self.beyond) or self.laps_missing)

@@ -1,9 +1,9 @@
-"""The folder of a campaign: what it is, the drawn scenarios, one line per finished run.
+"""Folder of a campaign: identity, drawn scenarios, one line per finished run.
 
-``campaign.json`` holds the identity, ``scenarios/run-0007.toml`` what run 7 flew (with the plan beside it), and
-``runs.jsonl`` (``runs-2of4.jsonl`` for a shard) one :class:`RunResult` per line, each written at once and synced. A
-line that a crash cut off is dropped. Folders of shards are put together by copying their ``runs-*.jsonl`` into one.
-Rooms and the fault campaign keep their flights in the same way (:class:`ResultStore`).
+``campaign.json`` holds the identity, ``scenarios/run-0007.toml`` the scenario of run 7 (with its plan), and
+``runs.jsonl`` (``runs-2of4.jsonl`` for a shard) one :class:`RunResult` per line, each written and synced at once. A
+truncated last line is dropped. Shards are merged by copying their ``runs-*.jsonl`` into one folder. World campaigns
+and the fault campaign store their flights in the same way (:class:`ResultStore`).
 """
 
 import errno
@@ -37,7 +37,7 @@ class Shard:
 
     @classmethod
     def parse(cls, text: str) -> "Shard":
-        """From ``I/N``. ConfigError if it is not one."""
+        """From ``I/N``. ConfigError if it is malformed."""
         first, _, second = text.partition("/")
         if not (first.isdecimal() and second.isdecimal() and 1 <= int(first) <= int(second)):
             raise ConfigError(f"--shard {text!r}: write I/N with I from 1 to N, such as 2/4")
@@ -53,7 +53,7 @@ class Shard:
 
 
 class ResultStore(Generic[Result]):
-    """A file of results, one line of JSON each, that is open for one process; nobody else writes it meanwhile."""
+    """File of results, one line of JSON each, locked by one process."""
 
     def __init__(
         self,
@@ -63,10 +63,10 @@ class ResultStore(Generic[Result]):
         option: str,
         prepare: Callable[[Path], None] = lambda _: None,
     ) -> None:
-        """``what`` is a result's name. ``prepare`` writes what else the folder holds. ``option``: what to change where
-        another process writes.
-
-        ConfigError: another campaign lives there, or another process flies it. LogError: damaged."""
+        """``what``: noun for a result. ``prepare`` writes the other files of the folder. ``option``: what to
+        change when the folder is locked. ConfigError: the folder holds another campaign, or is locked.
+        LogError: damaged.
+        """
         self._what = what
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
@@ -107,7 +107,7 @@ class Store(ResultStore[RunResult]):
         return read_results(self._folder)
 
     def begin(self, task: Task) -> None:
-        """Write down what a run flies, before it does. LogError if the disk does not take it."""
+        """Store the scenario of a run before the flight. LogError if it cannot be written."""
         path = scenario_file(self._folder, task.run)
         try:
             path.write_text(task.scenario_toml, encoding="utf-8")
@@ -116,7 +116,7 @@ class Store(ResultStore[RunResult]):
 
 
 def _append_line(file: IO[bytes], line: bytes, what: str) -> None:
-    """The whole line at the end of the file and on disk, or nothing of it. LogError names ``what`` is not kept."""
+    """Append a whole line and sync it, or leave the file unchanged. LogError names ``what`` is not stored."""
     number = file.fileno()
     end = os.fstat(number).st_size
     try:
@@ -135,7 +135,7 @@ def scenario_file(folder: Path, run: int) -> Path:
 
 
 def read_identity(folder: Path) -> CampaignIdentity:
-    """What a folder holds. ConfigError: no campaign; LogError: damaged."""
+    """Identity of the campaign in a folder. ConfigError: no campaign; LogError: damaged."""
     path = folder / IDENTITY
     try:
         return msgspec.json.decode(path.read_bytes(), type=CampaignIdentity)

@@ -1,7 +1,7 @@
-"""Campaigns side by side: one row per folder, shares and medians with their confidence, and modes compared run by run.
+"""Comparison of campaigns: one row per folder, proportions and medians with confidence intervals, paired by run.
 
-Runs are the unit: laps of one run share a vehicle and its water. Shares have the interval of Clopper and Pearson
-(1934), medians the one between order statistics (whatever the distribution), both two-sided.
+The unit is the run: laps of one run share vehicle and water. Proportions have the interval of Clopper and Pearson
+(1934), medians the distribution-free interval between order statistics, both two-sided.
 """
 
 from collections.abc import Callable, Iterable, Sequence
@@ -19,12 +19,12 @@ from autopilot.core.params import ParamSet
 MODE = "MPC_COST"
 MODES = {0.0: "quadratic", 1.0: "least energy"}
 ALARM = "Thruster "
-"""How a warning begins that says that a thruster is weak; all of them are sound in R1 to R4."""
+"""Start of the warning of a weak thruster; a false alarm in R1 to R4, where all are sound."""
 
 
 @dataclass(frozen=True, slots=True)
 class Proportion:
-    """So many of so many, and the interval of shares that this does not rule out."""
+    """Count of a total, with its confidence interval."""
 
     hits: int
     count: int
@@ -117,7 +117,7 @@ def median_interval(values: Sequence[float]) -> MedianInterval:
 
 
 def row_of(identity: CampaignIdentity, results: Iterable[RunResult]) -> TableRow:
-    """What one campaign shows so far."""
+    """Statistics of one campaign so far."""
     runs = list(results)
     flown = [each for each in runs if each.error is None]
     kept = [margin.margin for each in flown for name, margin in each.margins.items() if name not in SPEEDS]
@@ -150,7 +150,7 @@ SPEEDS = frozenset(("planar speed", "heave", "yaw rate", "thrust"))
 
 
 def pairing(scenario: str, quadratic: dict[int, RunResult], least: dict[int, RunResult]) -> Pairing | None:
-    """Runs that arrived in both modes and flew the same draw; None if there is none."""
+    """Runs that arrived in both modes and flew the same draw; None without any."""
     ratios = [
         float(np.mean(least[run].energy_j) / np.mean(quadratic[run].energy_j))
         for run in sorted({*quadratic} & {*least})
@@ -212,7 +212,6 @@ def cells(row: TableRow) -> tuple[str, ...]:
 
 
 def markdown(rows: Sequence[TableRow], pairs: Sequence[Pairing]) -> str:
-    """As docs/campaign.md has it."""
     lines = [_line(HEADS), _line(["---"] * len(HEADS)), *(_line(cells(row)) for row in rows)]
     for pair in pairs:
         lines += ["", pair_text(pair)]

@@ -1,4 +1,4 @@
-"""Several campaigns flown as one: their runs in turn, run 0 of every set first, so that all of them grow alike."""
+"""Several campaigns flown as one, interleaved: run 0 of every set first."""
 
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
@@ -36,9 +36,9 @@ def fly_sets(
     stop: Callable[[], bool],
     shard: Shard = WHOLE,
 ) -> Iterator[tuple[str, RunResult]]:
-    """Fly what is missing, each set into its folder; results as they come, kept before they are given.
-
-    ConfigError, LogError: a folder holds another campaign, is flown by somebody else or cannot be written."""
+    """Fly the missing runs, each set into its folder; results are stored before they are yielded. ConfigError,
+    LogError: a folder holds another campaign, is locked or cannot be written.
+    """
     stores: dict[str, Store] = {}
     try:
         for name, (campaign, folder) in sets.items():

@@ -1,4 +1,4 @@
-"""What the runs of a campaign say together: shares with their confidence, percentiles of margins, bars."""
+"""Summary of a campaign: proportions with confidence intervals, percentiles of margins, acceptance bars."""
 
 import math
 from collections.abc import Sequence
@@ -60,7 +60,6 @@ class Summary:
 
     @property
     def passed(self) -> bool:
-        """No bar is broken."""
         return all(bar.held is not False for bar in self.bars)
 
 

@@ -1,4 +1,4 @@
-"""All runs of a campaign as one table that anything reads: ``runs.csv``, and ``runs.parquet`` where pyarrow is."""
+"""All runs of a campaign as one table: ``runs.csv``, and ``runs.parquet`` if pyarrow is installed."""
 
 import csv
 import math
@@ -11,7 +11,7 @@ Cell = float | int | bool | str | None
 
 
 def rows_of(results: Sequence[RunResult]) -> list[dict[str, Cell]]:
-    """One flat row per run: what was drawn, what came of it, and each bound's margin, SI."""
+    """One flat row per run: drawn values, results, and the margin to each bound, SI."""
     rows: list[dict[str, Cell]] = []
     for result in results:
         laps = len(result.energy_j)

@@ -1,4 +1,4 @@
-"""Keeps what a run is judged by, tick by tick (100 Hz): the plant's truth, the command, the estimate's error."""
+"""Records the data that a run is judged by at 100 Hz: ground truth, command, estimation error."""
 
 import math
 from collections.abc import Callable
@@ -20,7 +20,7 @@ FIRST_ROWS = 8192
 MOST_EVENTS = 12
 """Events that are kept."""
 HOLD_S = 3.0
-"""A run goes on so long after its mission or its arming has ended: what it does then counts."""
+"""Time that is judged after the end of the mission or the disarming."""
 
 
 class TickWatch:
@@ -32,7 +32,7 @@ class TickWatch:
         self._disarmed_s: float | None = None
         self._complete_s: float | None = None
         self.failsafes = 0
-        """All bits that were ever set while armed."""
+        """All bits set at any time while armed."""
         self.steps = 0
         self.fallbacks = 0
         self.slack_max = 0.0
@@ -75,13 +75,11 @@ class TickWatch:
 
     @property
     def over(self) -> bool:
-        """Whether nothing more is to be seen."""
         ends = [end for end in (self._complete_s, self._disarmed_s) if end is not None]
         return bool(ends) and self._now_s >= min(ends) + HOLD_S
 
     @property
     def completed(self) -> bool:
-        """Whether the mission came to its end."""
         return self._complete_s is not None
 
     @property
@@ -100,7 +98,7 @@ class TickWatch:
         return self._rows[: self._count]
 
     def column(self, name: str) -> FloatArray:
-        """(n,) one column."""
+        """(n,)"""
         return self.rows[:, COLUMNS.index(name)]
 
     @property

@@ -1,4 +1,4 @@
-"""Whether the vehicle stays within the tube that its controller announced round its plan."""
+"""Whether the vehicle stays within the tube that the controller predicts around its plan."""
 
 import heapq
 import math
@@ -6,30 +6,31 @@ import math
 from autopilot.core.messages import ControlOutput
 
 AHEAD_S = (0.5, 1.0, 2.0, math.inf)
-"""Nodes are counted apart by how far ahead they were announced: feedback answers for the near ones, while the
-optimiser has changed its mind before the far ones come due."""
+"""Bins of the prediction time: near nodes test the feedback, while the optimiser replans before the far ones are
+due."""
 
 
 class TubeCheck:
-    """Every plan says, node by node, where the vehicle will be and how far from there at most; this looks when the time
-    has come. A plan that began anew takes back what earlier ones said."""
+    """Compares the tube of every plan, node by node, with the position at the node's time. A new plan after a
+    restart of the optimiser invalidates earlier ones.
+    """
 
     def __init__(self) -> None:
         self._due: list[tuple[float, float, float, float, float]] = []
         """Heap of time [s], north, east, distance [m], how far ahead [s]."""
         self._before: tuple[float, float, float] | None = None
-        """Time, north and east of the last look."""
+        """Time, north and east of the last call."""
         self._looked = dict.fromkeys(AHEAD_S, 0)
         self._inside = dict.fromkeys(AHEAD_S, 0)
 
     def share(self, ahead_s: float) -> float | None:
-        """Share of the nodes at most ``ahead_s`` (of :data:`AHEAD_S`) ahead at which the vehicle was inside.
-
-        None if none has come due."""
+        """Share of the nodes at most ``ahead_s`` (of :data:`AHEAD_S`) ahead with the vehicle inside. None if no
+        node has come due.
+        """
         return self._inside[ahead_s] / self._looked[ahead_s] if self._looked[ahead_s] else None
 
     def announce(self, control: ControlOutput) -> None:
-        """What a control step says of the time ahead."""
+        """Add the prediction of a control step."""
         if control.restarted:
             self._due.clear()
         begin_s = control.status.t_us * 1e-6
@@ -38,7 +39,7 @@ class TubeCheck:
             heapq.heappush(self._due, (begin_s + after_s, place[0], place[1], distance_m, after_s))
 
     def look(self, t_s: float, north_m: float, east_m: float) -> None:
-        """Where the vehicle is now; nodes since the last look are compared with the straight line between the two."""
+        """Add the present position; nodes since the last call are compared with the linear interpolation."""
         before_s, from_n, from_e = self._before or (t_s, north_m, east_m)
         self._before = (t_s, north_m, east_m)
         while self._due and self._due[0][0] <= t_s:

@@ -1,7 +1,7 @@
-"""What a process that flies runs has in it: imported once, by whoever such processes are forked from.
+"""Imports of a run, loaded once before worker processes are forked.
 
-A run imports much of this only when it comes to it (estimators, controllers and MAVLink's services are found by name);
-here it is at hand before the first run, so that a process of a pool begins with flying.
+A run imports many of these lazily (estimators, controllers and MAVLink services are found by name); loading them
+here lets a worker start flying at once.
 """
 # ruff: noqa: F401
 

@@ -1,4 +1,4 @@
-"""The runs that came nearest to failing, flown once more with a log: the same run, to look into."""
+"""Repeats the runs with the smallest margins with a log."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -30,9 +30,9 @@ def log_file(folder: Path, run: int) -> Path:
 
 
 def fly_logged(task: Task, known: RunResult, folder: Path, stop: Callable[[], bool]) -> str:
-    """Fly a run again and keep its log. The result is what is odd about that, "" if nothing.
-
-    AutopilotError if it cannot be flown."""
+    """Repeat a run with a log. Returns a deviation from the first result, "" if none. AutopilotError if it cannot
+    be flown.
+    """
     path = log_file(folder, task.run)
     path.parent.mkdir(parents=True, exist_ok=True)
     unfinished = path.with_suffix(".part.mcap")

@@ -1,7 +1,7 @@
-"""``autopilot bench``: is this machine good enough for this vehicle? Each figure is beside what it is measured against.
+"""``autopilot bench``: performance of this machine for this vehicle, each figure beside its baseline.
 
-The project's own studies are no part of an installation: a source checkout has them in tests/bench, and there they are
-commands here as well.
+The project's own studies are not installed: a source checkout has them in tests/bench, and there they are commands
+here as well.
 """
 
 import importlib
@@ -23,7 +23,7 @@ KNOWN_STUDIES = (
     *("alarms", "detection", "energy", "energy-latency", "faults", "fuzz", "kills", "modes", "picture-faults"),
     *("pockets", "reference", "replay", "sensor-faults", "soak", "thruster-health", "vehicles"),
 )
-"""What a source checkout has besides."""
+"""Studies of a source checkout."""
 
 ALL: dict[str, tuple[str, Work]] = {
     "nmpc": (TITLES["nmpc"], bench_rows.nmpc_rows),
@@ -31,13 +31,13 @@ ALL: dict[str, tuple[str, Work]] = {
     "estimator": (TITLES["estimator"], bench_rows.estimator_rows),
     "loop": (TITLES["loop"], bench_rows.loop_rows),
 }
-"""What runs when none is named, and the title of its table; in a source checkout some studies, too."""
+"""Benchmarks that run by default, and titles of their tables; in a source checkout some studies, too."""
 LONG: list[str] = []
 """Short when all are run."""
 
 
 class _Benchmarks(click.Group):
-    """Options may stand before the benchmark's name, and one of another benchmark is told to whom it belongs."""
+    """Options may precede the benchmark's name; an option of another benchmark gives an error that names it."""
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
         return super().parse_args(ctx, self._name_first(args))

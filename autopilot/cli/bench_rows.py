@@ -1,4 +1,4 @@
-"""Benchmarks that are a table of figures, with how slow the machine was during them."""
+"""Benchmarks that print a table, with the slowness of the machine during the run."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import asdict
@@ -16,7 +16,7 @@ Work = Callable[[bool], Rows]
 def measured(
     title: str, work: Work, *, short: bool, as_json: bool, heads: Mapping[str, str] | None = None
 ) -> dict[str, object]:
-    """Run one and print its table, unless JSON is asked for; its rows and how slow the machine was."""
+    """Run a benchmark and print its table, unless JSON is requested; returns rows and slowness of the machine."""
     slow = _slowness()
     rows = work(short)
     slow = 0.5 * (slow + _slowness())
@@ -29,14 +29,14 @@ def measured(
 def run_one(
     name: str, title: str, work: Work, *, short: bool, as_json: bool, heads: Mapping[str, str] | None = None
 ) -> None:
-    """As a command of its own."""
+    """Run it as a command by itself."""
     found = measured(title, work, short=short, as_json=as_json, heads=heads)
     if as_json:
         emit_json({name: found})
 
 
 def rows_command(name: str, title: str, work: Work, heads: Mapping[str, str] | None = None) -> click.Command:
-    """The command of a benchmark without options of its own; its help is what ``work`` says of itself."""
+    """Command of a benchmark without options of its own; its help is the docstring of ``work``."""
 
     @click.command(name, help=work.__doc__)
     @SHORT

@@ -1,4 +1,4 @@
-"""How benchmarks print: titles, short heads, figures."""
+"""Output of benchmarks: titles, column heads, figures."""
 
 from collections.abc import Mapping, Sequence
 
@@ -34,7 +34,7 @@ SITL_HEADS = {
 
 
 def print_rows(title: str, rows: Rows, long: Mapping[str, str] | None = None) -> None:
-    """The table of a benchmark, ``long`` has heads for columns of long names; ``parts`` of a row come below it."""
+    """Print a benchmark's table; ``long``: heads for columns with long names; ``parts`` of a row follow it."""
     columns = [column for column in rows[0] if column != "parts"]
     heads = [(long or {}).get(column, column) for column in columns]
     print_table(title, heads, [[_figure(row[column]) for column in columns] for row in rows])

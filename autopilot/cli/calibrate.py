@@ -1,4 +1,4 @@
-"""``autopilot calibrate``: camera, laser, extrinsics, latency, thrusters. Each prints its find or writes it."""
+"""``autopilot calibrate``: camera, laser, extrinsics, latency, thrusters. Results are printed or written."""
 
 import math
 from collections.abc import Mapping
@@ -26,7 +26,7 @@ _MAP = click.option("--map", "map_file", type=click.Path(path_type=Path), help="
 
 
 def _board_options(command: Any) -> Any:
-    """The options that say what board it is."""
+    """Options that describe the board."""
     for option in reversed(
         [
             click.option(

@@ -32,7 +32,7 @@ class _Show(Protocol):
 
 
 class _Campaign(click.Group):
-    """``table``, ``rooms``, ``sets`` and ``faults`` are commands; whatever else follows ``campaign`` is flown."""
+    """``table``, ``rooms``, ``sets`` and ``faults`` are sub-commands; any other argument is a scenario."""
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
         return super().parse_args(ctx, args if args and args[0] in self.list_commands(ctx) else [FLY, *args])
@@ -170,7 +170,7 @@ def fly(
 def _fly(
     defined: Campaign, engine: CampaignEngine, out: Path, runs: int, shard: Shard, *, quiet: bool
 ) -> tuple[dict[int, RunResult], bool]:
-    """Fly what is missing; all finished runs of the folder, and whether somebody stopped it."""
+    """Fly the missing runs; all finished runs of the folder, and whether the campaign was interrupted."""
     from autopilot.campaign.run_store import read_results
     from autopilot.campaign.sets import fly_sets
 
@@ -187,7 +187,7 @@ def _fly(
 
 @contextmanager
 def stoppable() -> Iterator[list[int]]:
-    """A list that fills when Ctrl-C or SIGTERM come; a second one does not wait."""
+    """A list that fills on SIGINT or SIGTERM; the second one exits at once."""
     stopped: list[int] = []
 
     def note(number: int, _frame: FrameType | None) -> None:
@@ -211,9 +211,9 @@ def keep(
     figures: bool,
     logs: int,
 ) -> tuple[list[Path], dict[int, Path]]:
-    """Tables in the folder, and of a campaign that has come to its end (else None) figures and logs of its worst runs.
-
-    LogError if the disk does not take them."""
+    """Write the tables and, for a complete campaign (else None), figures and logs of its worst runs. LogError if
+    they cannot be written.
+    """
     from autopilot.campaign.run_store import GO_ON
     from autopilot.campaign.tabular import write_tables
     from autopilot.campaign.worst import logs_of
@@ -292,7 +292,7 @@ def _print(summary: Summary, name: str, out: Path, logs: Mapping[int, Path]) -> 
 
 
 def what_broke(result: RunResult) -> str:
-    """What a run broke, in words."""
+    """Broken bounds of a run as text."""
     if result.error is not None:
         return result.error
     parts = [f"{result.contacts} contacts, {1000.0 * result.penetration_m:.0f} mm"] if result.contacts else []
@@ -308,7 +308,7 @@ def what_broke(result: RunResult) -> str:
 
 
 def verdict(result: RunResult) -> str:
-    """A run and what came of it, in one line."""
+    """Result of a run in one line."""
     broke = what_broke(result)
     return f"run {result.run}, seed {result.seed}: {f'FAILED: {broke}' if result.failed else broke or 'good'}"
 

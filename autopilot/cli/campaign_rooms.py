@@ -1,4 +1,4 @@
-"""``autopilot campaign rooms``: workspaces, waters, missions and vehicles at random."""
+"""``autopilot campaign rooms``: random workspaces, currents, missions and vehicles."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ def rooms(
 def _all(
     out: Path, seed: int, runs: int, modes: list[int], engine: str, jobs: int | None, *, quiet: bool
 ) -> list[WorldResult]:
-    """Fly what is missing; all finished flights that were asked for."""
+    """Fly the missing flights; all finished flights that were requested."""
     from autopilot.campaign.engines import make_engine
     from autopilot.campaign.worlds.world_flight import WorldTask
     from autopilot.campaign.worlds.world_store import WorldStore, read_flights
@@ -109,7 +109,7 @@ def _alone(out: Path, seed: int, room: int, mode: int, *, quiet: bool) -> WorldR
     log = folder / "run.mcap"
     log.unlink(missing_ok=True)
     flown = fly_world(made, mode, log=str(log))
-    assert flown is not None  # nobody stops it
+    assert flown is not None  # not interruptible
     write_files(made, folder, mode=mode, duration_s=flown.prospect.bound_s(mode))
     draw(made, flown, folder / "flight.png")
     result = msgspec.structs.replace(flown.result, room=room)

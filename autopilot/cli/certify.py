@@ -1,4 +1,4 @@
-"""``autopilot certify``: what the controller keeps from every limit, and what was verified of a plan's goals."""
+"""``autopilot certify``: margins of the controller to every limit, and verified goals of a plan."""
 
 from collections.abc import Sequence
 from dataclasses import asdict
@@ -84,7 +84,7 @@ TITLES = {
 
 
 def _goals(path: Path | None, params: "ParamSet", vehicle: "Vehicle") -> "tuple[list[Goal], Fence]":
-    """Waypoints of a plan (no place twice) and its fence. PlanError if there is none or it does not pass the checks."""
+    """Waypoints of a plan (without duplicates) and its fence. PlanError if there is none or it fails the checks."""
     from autopilot.core.errors import PlanError
     from autopilot.core.messages import Goal
     from autopilot.mission.items import GoTo

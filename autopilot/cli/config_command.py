@@ -1,4 +1,4 @@
-"""``autopilot config``: what a run would use and where each value comes from; a configuration to edit."""
+"""``autopilot config``: settings of a run with their sources; a configuration to edit."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING

@@ -36,7 +36,7 @@ FILE_WIDTH = 140
 
 
 def make_console() -> "Console":
-    """A console that is as wide as the terminal, and wide enough when there is none."""
+    """A console as wide as the terminal, with a default width without one."""
     from rich.console import Console
 
     console = Console()

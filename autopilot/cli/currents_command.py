@@ -1,4 +1,4 @@
-"""``autopilot currents``: look into current maps and make the benchmark's."""
+"""``autopilot currents``: describe current maps and generate the benchmark's."""
 
 from pathlib import Path
 

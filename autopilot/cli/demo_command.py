@@ -36,7 +36,7 @@ def demo(out: Path, laps: int, speed: float, seed: int | None, as_json: bool) ->
     need_analysis()
     from autopilot.run.demo import FLIGHTS, fly
 
-    # Whoever ends the demo ends its service too.
+    # Terminating the demo terminates its service too.
     signal.signal(signal.SIGTERM, lambda number, _: sys.exit(128 + number))
     results = []
     for scenario, sub in FLIGHTS:

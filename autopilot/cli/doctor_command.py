@@ -1,4 +1,4 @@
-"""``autopilot doctor``: look a vehicle over before it goes into the water."""
+"""``autopilot doctor``: check a vehicle before it goes into the water."""
 
 from typing import TYPE_CHECKING
 
@@ -79,7 +79,7 @@ def _examined(
     seconds: float,
     measure_neutral: bool,
 ) -> "list[Finding]":
-    """What is found on the vehicle, or wrong with its configuration."""
+    """Findings on the vehicle, or about its configuration."""
     from autopilot.core.errors import AutopilotError
     from autopilot.run.config import gather, parse_overrides, vehicle_defaults
     from autopilot.run.doctor import examine, failed_config

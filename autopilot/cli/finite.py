@@ -1,4 +1,4 @@
-"""Numbers given on the command line: ``nan`` and ``inf`` are floats as well, and pass comparisons or an open end."""
+"""Finite numbers on the command line: click's floats accept ``nan`` and ``inf``, also in open ranges."""
 
 import math
 from typing import Any

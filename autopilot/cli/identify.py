@@ -83,7 +83,7 @@ def _print(rows: "list[CoefficientRow]", truth: dict[str, float] | None) -> None
 
 
 def _truth(log: Path, vehicle: "Vehicle") -> dict[str, float]:
-    """What the simulated body amounts to on each axis, by the names of the rows."""
+    """Coefficients of the simulated body on each axis, by row name."""
     import msgspec
 
     from autopilot.core.errors import LogError

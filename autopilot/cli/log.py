@@ -1,4 +1,4 @@
-"""``autopilot log``: look into a log. Exit codes: 0 ok, 1 failed or unreadable, 3 warnings or loss."""
+"""``autopilot log``: inspect a log. Exit codes: 0 ok, 1 failed or unreadable, 3 warnings or loss."""
 
 from dataclasses import asdict
 from pathlib import Path
@@ -152,7 +152,7 @@ def _as_json(trial: "Trial") -> dict[str, Any]:
 
 
 def _tell_loss(opened: "Log", done: str = "drawn") -> None:
-    """What was drawn is not all that was flown: say so, and in the exit code."""
+    """Warn that the log is incomplete, also by the exit code."""
     if opened.problems:
         click.echo(f"warning: {opened.path}: {'; '.join(opened.problems)}; only what is readable was {done}", err=True)
         raise click.exceptions.Exit(EXIT_LOSS)
@@ -191,7 +191,7 @@ def print_rows(rows: "list[BoundRow]", title: str) -> None:
 
 
 def _facts(opened: "Log") -> dict[str, Any]:
-    """Everything that ``info`` tells, ready for JSON."""
+    """Output of ``info`` for JSON."""
     span_s = opened.duration_s
     return {
         "path": str(opened.path),

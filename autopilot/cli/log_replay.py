@@ -1,4 +1,4 @@
-"""``autopilot log replay``: a logged run once more, the same or with something changed."""
+"""``autopilot log replay``: replay a logged run, unchanged or with changes."""
 
 from dataclasses import asdict
 from pathlib import Path
@@ -77,7 +77,7 @@ def replay(
 
 
 def _take_apart(opened: "Log", step_s: float, figure: Path | None, *, as_json: bool) -> None:
-    """One control step: what limits it, how far it is from the converged plan, what lies on the other sides."""
+    """One control step: active limits, distance from the converged plan, and the alternatives around each obstacle."""
     from autopilot.analysis.step_figure import write_step_figure
     from autopilot.analysis.step_replay import inspect_step, worst
 
@@ -193,7 +193,7 @@ def _tell_changes(opened: "Log", how: str, changes: "Sequence[tuple[str, float, 
 
 
 def _tell_versions(opened: "Log") -> None:
-    """What is the same can only be expected of the same version."""
+    """Warn of another version: only the same one is expected to give identical results."""
     from autopilot.run.provenance import revision
 
     then, now = opened.run.get("revision", ""), revision()

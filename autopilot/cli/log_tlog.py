@@ -1,4 +1,4 @@
-"""``autopilot log tlog``: how regular the attitude in a ground station's file is."""
+"""``autopilot log tlog``: attitude regularity in a ground station's file."""
 
 from collections import Counter
 from dataclasses import asdict

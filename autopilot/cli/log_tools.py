@@ -1,4 +1,4 @@
-"""``autopilot log export|diff|recover|find``: what is done with whole logs."""
+"""``autopilot log export|diff|recover|find``: operations on whole logs."""
 
 from dataclasses import asdict
 from pathlib import Path

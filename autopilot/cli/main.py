@@ -54,7 +54,7 @@ EXIT_INTERRUPTED = 130
 
 
 class LazyGroup(click.Group):
-    """Lists commands from the table and imports one only when it is used."""
+    """Imports a command only when it is used."""
 
     def list_commands(self, ctx: click.Context) -> list[str]:
         return sorted(_COMMANDS)
@@ -83,7 +83,7 @@ def cli() -> None:
 
 
 def run(command: Callable[[], object]) -> int:
-    """Run a click command and turn what it raises into one line on stderr and an exit code."""
+    """Run a click command; exceptions become one line on stderr and an exit code."""
     try:
         result = command()
         return result if isinstance(result, int) else 0
@@ -108,13 +108,13 @@ def run(command: Callable[[], object]) -> int:
         click.echo(f"error: {without(library)}", err=True)
         return EXIT_FAILED
     except BrokenPipeError:
-        # Whoever read our output has had enough (`| head`). Python would complain at exit when it flushes the rest.
+        # The reader of our output has closed it (`| head`). Python would complain at exit when it flushes the rest.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return EXIT_FAILED
 
 
 def _one_line(error: click.ClickException) -> str:
-    """What is wrong with the command line, and where help is."""
+    """Usage error in one line, with the help command."""
     text = " ".join(error.format_message().split()).rstrip(".")
     context = error.ctx if isinstance(error, click.UsageError) else None
     return text if context is None else f"{text}; see '{context.command_path} --help'"

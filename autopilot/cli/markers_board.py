@@ -73,7 +73,7 @@ def board(file: str | None, **options: Any) -> None:
 
 
 def _grid(*, heading_rad: float, **options: Any) -> "MarkerMap":
-    """The board or floor that the options ask for."""
+    """The board or floor of the options."""
     import numpy as np
 
     from autopilot.core.dictionaries import dictionary_size, resolve_dictionary

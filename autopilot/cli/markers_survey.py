@@ -1,4 +1,4 @@
-"""``autopilot markers survey``: where markers really lie, from pictures or a log."""
+"""``autopilot markers survey``: actual marker positions from pictures or a log."""
 
 import math
 from pathlib import Path
@@ -95,7 +95,7 @@ def survey(sources: tuple[str, ...], as_json: bool, **options: Any) -> None:
 
 
 def _rough_map(**options: Any) -> "MarkerMap":
-    """The rough map of the options; without a file one of all ids of a dictionary, places unknown."""
+    """The rough map of the options; without a file one of all ids of a dictionary, positions unknown."""
     import numpy as np
 
     from autopilot.core.dictionaries import dictionary_size, resolve_dictionary
@@ -159,7 +159,7 @@ def _views(sources: tuple[str, ...], wanted: "MarkerMap", **options: Any) -> "tu
 
 
 def _index_of(rough: "MarkerMap", text: str, option: str) -> int:
-    """Index of a marker by ``ID`` or ``DICTIONARY:ID``. ConfigError if there is none, or more than one."""
+    """Index of a marker by ``ID`` or ``DICTIONARY:ID``. ConfigError if it is missing or ambiguous."""
     from autopilot.core.errors import ConfigError
     from autopilot.core.marker_files import placed_markers
 
@@ -220,7 +220,7 @@ def _some(names: list[str]) -> str:
 
 
 def _survey_warnings(result: "Survey", *, known: bool) -> list[str]:
-    """What an operator should know of a survey. ``known``: there was a rough map, of markers that should be there."""
+    """Warnings about a survey. ``known``: there was a rough map, of markers that should be there."""
     found = []
     if not result.converged:
         found.append("the adjustment has not converged; take more views from more places")

@@ -189,7 +189,7 @@ mission.add_command(new)
 
 @contextmanager
 def _session(connection: str, patience_s: float, quiet: bool) -> Iterator[VehicleConnection]:
-    """A session with a vehicle that has been heard; warnings of the vehicle go to stderr."""
+    """Connection to a vehicle whose heartbeat has arrived; warnings of the vehicle go to stderr."""
     from autopilot.client.client_session import VehicleConnection
     from autopilot.client.texts import WARNING
     from autopilot.core.phrases import NO_START
@@ -207,7 +207,7 @@ def _session(connection: str, patience_s: float, quiet: bool) -> Iterator[Vehicl
 
 @contextmanager
 def _said_once(session: VehicleConnection) -> Iterator[None]:
-    """The vehicle's reason for a refusal comes as a text and is in the error too: it is shown as the error only."""
+    """Filters the text of a refusal, which is in the error message too."""
     show = session.on_text
     held: list[VehicleText] = []
     if show is None:
@@ -250,7 +250,7 @@ def _vehicle(session: VehicleConnection) -> dict[str, int] | None:
 
 @contextmanager
 def _bar(name: str, quiet: bool) -> Iterator[Callable[[int, int], None] | None]:
-    """What shows how far an exchange is, if anything does."""
+    """Progress bar of an exchange, if any."""
     with progress_bar("{task.description:8}", transient=True, quiet=quiet) as bar:
         if bar is None:
             yield None

@@ -1,4 +1,4 @@
-"""``autopilot mission new``: a plan at the scale of a tank, which a ground station's map cannot draw."""
+"""``autopilot mission new``: a plan in local metres, for tanks too small for a ground station's map."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ else:
 
 
 class Numbers(_NumbersType):
-    """Numbers with commas (or "x") between them, so many at least and at most."""
+    """Numbers separated by commas (or "x"), with a minimum and a maximum count."""
 
     name = "numbers"
 
@@ -32,7 +32,7 @@ class Numbers(_NumbersType):
         return self.what
 
     def convert(self, value: object, param: click.Parameter | None, ctx: click.Context | None) -> tuple[float, ...]:
-        """The numbers; a usage error names what is expected."""
+        """The numbers; a usage error names the expected form."""
         if isinstance(value, tuple):
             return value
         try:

@@ -1,4 +1,4 @@
-"""``autopilot scenario``: what is shipped, a commented copy to edit, what a file gives, its plan with its fence."""
+"""``autopilot scenario``: list, copy and check scenarios, and export their plan with its fence."""
 
 from __future__ import annotations
 

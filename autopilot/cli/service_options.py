@@ -1,4 +1,4 @@
-"""Options of ``autopilot sitl`` and ``autopilot run``, and the viewers that they ask for."""
+"""Options of ``autopilot sitl`` and ``autopilot run``, and their viewers."""
 
 import contextlib
 from collections.abc import Callable, Iterator
@@ -35,7 +35,7 @@ LOG_CAMERA_HZ = click.option(
 
 
 def _port(_: click.Context, __: click.Parameter, value: str | None) -> int | None:
-    """A port; whoever wrote something else behind ``--view`` meant it for the next argument."""
+    """A port; anything else after ``--view`` is probably the next argument."""
     if value is None:
         return None
     if not value.lstrip("-").isdecimal():
@@ -56,7 +56,7 @@ view_option: Callable[[Any], Any] = click.option(
 
 
 FOXGLOVE_PORT = 8765
-"""Where Foxglove looks first."""
+"""Foxglove's default port."""
 
 foxglove_option: Callable[[Any], Any] = click.option(
     "--foxglove",

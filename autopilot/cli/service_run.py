@@ -1,4 +1,4 @@
-"""What ``autopilot sitl`` and ``autopilot run`` share: signals that end a run, and what is said at its end."""
+"""Common parts of ``autopilot sitl`` and ``autopilot run``: stop signals and final messages."""
 
 import contextlib
 import gc
@@ -30,7 +30,7 @@ class StopSignals:
             signal.signal(number, self._stop)
 
     def __bool__(self) -> bool:
-        """Whether one has come."""
+        """Whether a signal has arrived."""
         return bool(self._came)
 
     @property
@@ -57,8 +57,9 @@ class Flights:
     def ready(
         self, links: "Callable[[], BootLinks]", make: "Callable[[SessionOptions], S]"
     ) -> "Iterator[tuple[S, Callable[[str], None]]]":
-        """A session, ready to run, and what prints lines of it. ``links`` opens what is heard before all is loaded;
-        ``make`` opens the session with those options."""
+        """A session, ready to run, and its console. ``links`` opens links before other modules are loaded;
+        ``make`` opens the session with those options.
+        """
         with links() as boot:
             from autopilot.run.console import Console
 
@@ -84,13 +85,13 @@ class Flights:
 
 
 def settle_memory() -> None:
-    """A full garbage collection over all that was imported would take five ticks: it leaves out what there is now."""
+    """Exclude all imported objects from garbage collection: a full collection would take five ticks."""
     gc.collect()
     gc.freeze()
 
 
 def tell_losses(session: "Session") -> bool:
-    """Warnings on stderr about what could not be kept; whether the log is not whole."""
+    """Warn on stderr of data that could not be stored; whether the log is incomplete."""
     if session.kept.params.failure:
         click.echo(f"warning: {session.kept.params.failure}", err=True)
     if session.kept.plans is not None and session.kept.plans.failure:

@@ -1,4 +1,4 @@
-"""Options that several commands have, each defined once."""
+"""Options shared by several commands."""
 
 from pathlib import Path
 

@@ -88,7 +88,7 @@ def sitl(scenario: str | None, param: tuple[str, ...], instance: int, quiet: boo
 
 
 def _begin_anew(settings: "EffectiveSettings") -> None:
-    """A run after one that was reset: what that one has recorded stays."""
+    """Run again after a reset; the log of the previous run is kept."""
     from pathlib import Path
 
     from autopilot.log.log_session import free_path

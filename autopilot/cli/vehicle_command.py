@@ -1,4 +1,4 @@
-"""``autopilot vehicle``: what a vehicle file gives, a template of one, what is shipped."""
+"""``autopilot vehicle``: describe a vehicle file, write a template, list the shipped ones."""
 
 from dataclasses import asdict, dataclass
 from importlib import resources

@@ -1,1 +1,1 @@
-"""A small MAVLink client: plan transfer, commands and watching, as state machines without I/O and a session with it."""
+"""MAVLink client: plan transfer, commands and mission monitoring, as state machines without I/O and a session."""

@@ -1,4 +1,4 @@
-"""Sockets of the client. Connection strings are pymavlink's; MAVSDK's spellings with ``//`` are accepted too.
+"""Sockets of the client, opened from pymavlink's connection strings (MAVSDK's with ``//`` are accepted too).
 
 ``udpout:HOST:PORT`` sends there, ``udpin:HOST:PORT`` waits there for the vehicle, ``tcp:HOST:PORT`` connects.
 """
@@ -16,23 +16,39 @@ HINT = "use udpout:HOST:PORT, udpin:HOST:PORT or tcp:HOST:PORT"
 
 
 class ClientLink(Protocol):
-    """Carries bytes to the vehicle and back."""
+    """Byte transport between client and vehicle."""
 
     def send(self, data: bytes) -> None:
-        """Send, or drop when there is nobody to send to yet."""
+        """Send, or drop while no peer is known."""
         ...
 
     def receive(self, timeout_s: float) -> bytes:
-        """What has come, b"" when nothing did within the time."""
+        """Bytes received, b"" after ``timeout_s`` [s] without any."""
         ...
 
-    def close(self) -> None:
-        """Free the socket."""
-        ...
+    def close(self) -> None: ...
 
 
 def parse_connection(text: str) -> tuple[str, str, int]:
-    """Kind (udpin, udpout, tcp), host and port of a connection string. DriverError when it is none."""
+    """Split a connection string.
+
+    Parameters
+    ----------
+    text
+        ``udpin:HOST:PORT``, ``udpout:HOST:PORT`` or ``tcp:HOST:PORT``.
+
+    Returns
+    -------
+    kind : str
+        ``udpin``, ``udpout`` or ``tcp``.
+    host : str
+    port : int
+
+    Raises
+    ------
+    DriverError
+        The text is no connection string.
+    """
     kind, _, rest = text.partition(":")
     host, _, port = rest.removeprefix("//").rpartition(":")
     if kind not in _KINDS or not port.isdigit() or not 0 < int(port) < 65536:
@@ -41,7 +57,23 @@ def parse_connection(text: str) -> tuple[str, str, int]:
 
 
 def open_link(text: str) -> ClientLink:
-    """Open a connection. DriverError names it and what to do when that fails."""
+    """Open a connection.
+
+    Parameters
+    ----------
+    text
+        Connection string, see :func:`parse_connection`.
+
+    Returns
+    -------
+    ClientLink
+        The open socket.
+
+    Raises
+    ------
+    DriverError
+        It cannot be opened; the message names the connection and the remedy.
+    """
     kind, host, port = parse_connection(text)
     try:
         if kind == "tcp":
@@ -53,7 +85,7 @@ def open_link(text: str) -> ClientLink:
 
 
 class UdpLink:
-    """Datagrams, to a fixed address or to whoever spoke last."""
+    """UDP to a fixed address, or to the sender of the last datagram received."""
 
     def __init__(self, host: str, port: int, listen: bool) -> None:
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
@@ -70,7 +102,7 @@ class UdpLink:
         self._socket.setblocking(False)
 
     def send(self, data: bytes) -> None:
-        """One datagram; dropped while no vehicle has been heard or nobody listens. DriverError without a network."""
+        """One datagram; dropped while no peer is known or none listens. DriverError without a network."""
         if self._peer is not None:
             try:
                 self._socket.sendto(data, self._peer)
@@ -86,7 +118,7 @@ class UdpLink:
         try:
             data, peer = self._socket.recvfrom(_CHUNK_BYTES)
         except (BlockingIOError, ConnectionError):
-            # An ICMP "port unreachable" of an earlier datagram: nobody listens there yet.
+            # ICMP "port unreachable" for an earlier datagram: no listener there yet.
             return b""
         if self._listen:
             self._peer = peer
@@ -97,21 +129,21 @@ class UdpLink:
 
 
 class TcpLink:
-    """A stream to a listening vehicle."""
+    """TCP client of a vehicle that listens."""
 
     def __init__(self, host: str, port: int) -> None:
         self._socket = socket.create_connection((host, port), timeout=_CONNECT_TIMEOUT_S)
         self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
 
     def send(self, data: bytes) -> None:
-        """All of it. DriverError when the vehicle has closed the connection."""
+        """Blocks until all is sent. DriverError when the vehicle has closed the connection."""
         try:
             self._socket.sendall(data)
         except OSError as error:
             raise DriverError(f"connection lost: {error.strerror or error}; start the vehicle and try again") from error
 
     def receive(self, timeout_s: float) -> bytes:
-        """What has come. DriverError when the vehicle has closed the connection."""
+        """Bytes received. DriverError when the vehicle has closed the connection."""
         ready, _, _ = select.select([self._socket], [], [], max(0.0, timeout_s))
         if not ready:
             return b""

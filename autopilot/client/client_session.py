@@ -1,4 +1,7 @@
-"""Runs exchanges over a connection, by the wall clock. The client's side of the whole-system tests and of the demo."""
+"""Vehicle connection of a MAVLink client: runs exchanges over a link, by the wall clock.
+
+Used by the system tests, the demo and ``autopilot mission``.
+"""
 
 import math
 import time
@@ -34,7 +37,7 @@ _START_S = 300.0
 _STANDSTILL_S = 300.0
 """Longest standstill of the vehicle's clock that its heartbeats excuse."""
 _LATE_MS = 10_000
-"""A time stamp that is older than the last one by less is a late datagram, by more a vehicle that started anew."""
+"""A time stamp older than the last one by less than this is a late datagram, by more a restarted vehicle."""
 _FORCE_DISARM = 21196.0
 _FORCE_ARM = 2989.0
 """Magic numbers of MAV_CMD_COMPONENT_ARM_DISARM param2 (common.xml)."""
@@ -47,7 +50,7 @@ Progress = Callable[[int, int], None]
 
 
 class CommandRefusedError(AutopilotError):
-    """The vehicle refused a command, or did not answer. One line with its reason."""
+    """The vehicle refused a command or did not answer; one line with its reason."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -61,7 +64,7 @@ class VehicleInfo:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MissionStatus:
-    """Where the mission of the vehicle stands."""
+    """Progress of the vehicle's mission."""
 
     seq: int
     total: int
@@ -72,11 +75,26 @@ class MissionStatus:
 
 
 class VehicleConnection:
-    """One connection to one vehicle. Use as a context manager; DriverError when the vehicle is not there.
+    """One connection to one vehicle; use as a context manager.
 
-    How long it waits follows the vehicle and not the wall: while the vehicle's own clock (``time_boot_ms`` of its
-    telemetry) goes slower than ours, because its machine is busy, only the vehicle's time counts. ``at_work`` says of a
-    vehicle in a process of ours whether that process gets on: its silence does not count either then.
+    Timeouts follow the vehicle's clock (``time_boot_ms`` of its telemetry): while it runs slower than the wall
+    clock, because its machine is busy, only vehicle time counts.
+
+    Parameters
+    ----------
+    connection
+        Connection string (:mod:`autopilot.client.client_links`) or an open link.
+    timers
+        Timeouts and retransmission intervals.
+    clock_s
+        Monotonic clock [s].
+    at_work
+        For a vehicle in a child process: whether that process uses CPU time; while it does, silence does not count.
+
+    Raises
+    ------
+    DriverError
+        The link cannot be opened.
     """
 
     def __init__(
@@ -93,10 +111,10 @@ class VehicleConnection:
         self._at_work = at_work
         self._heard_s = clock_s()
         self._stamp: tuple[int, float] | None = None
-        """The vehicle's last time_boot_ms and when it came."""
+        """The vehicle's last time_boot_ms and its time of arrival."""
         self._held_up_s = self._stood_s = 0.0
         self.vehicle_s = 0.0
-        """Vehicle time that has passed while it was listened to [s]; stays 0 for a vehicle that does not tell it."""
+        """Vehicle time observed so far [s]; stays 0 for a vehicle that does not send it."""
         self._codec = mav.MAVLink(None, srcSystem=SYSTEM_ID, srcComponent=COMPONENT_ID)
         self._codec.robust_parsing = True
         self._beat_s = -math.inf
@@ -157,7 +175,18 @@ class VehicleConnection:
         raise DriverError(f"no vehicle heard on {self._name} within {timeout_s:g} s; is it running and reachable?")
 
     def poll(self, wait_s: float = _POLL_S) -> list[Message]:
-        """Messages that came within ``wait_s``, of our vehicle only once it is known; keeps our heartbeat going."""
+        """Receive messages and send our heartbeat when it is due.
+
+        Parameters
+        ----------
+        wait_s
+            Longest wait for the first message [s].
+
+        Returns
+        -------
+        list of Message
+            Messages for us; of our vehicle only, once :meth:`connect` has found it.
+        """
         now_s = self._clock_s()
         if now_s - self._beat_s >= HEARTBEAT_S:
             self._beat_s = now_s
@@ -176,7 +205,7 @@ class VehicleConnection:
         return messages
 
     def _note_life(self, messages: Sequence[Message]) -> None:
-        """Keep when the vehicle was heard, its clock, and how long it was held up."""
+        """Update the time of the last message, the vehicle's clock and the time it was held up."""
         now_s = self._clock_s()
         if messages:
             self._heard_s = now_s
@@ -201,7 +230,7 @@ class VehicleConnection:
         self._note_standstill(bool(messages), now_s)
 
     def _note_standstill(self, heard: bool, now_s: float) -> None:
-        """A vehicle that speaks while its clock stands still is held up, but not for ever."""
+        """A clock that stands still while messages arrive counts as held up, for at most ``_STANDSTILL_S``."""
         last = self._stamp
         if heard and last is not None and now_s - last[1] > _ASK_S and self._stood_s < _STANDSTILL_S:
             self._stood_s += now_s - last[1]
@@ -209,26 +238,26 @@ class VehicleConnection:
             self._stamp = (last[0], now_s)
 
     def _take_held_up(self) -> float:
-        """Time since the last call in which the vehicle could not get on [s]."""
+        """Time since the last call in which the vehicle made no progress [s]."""
         held_up_s, self._held_up_s = self._held_up_s, 0.0
         return held_up_s
 
     def _since(self, vehicle_s: float, clock_s: float) -> float:
-        """Time since then: the vehicle's, ours if it does not tell its own."""
+        """Time since a start time [s]: in vehicle time if it is known, else in wall time."""
         return self._clock_s() - clock_s if self._stamp is None else self.vehicle_s - vehicle_s
 
     @property
     def vehicle_clock_s(self) -> float | None:
-        """The vehicle's time since its start as it was last heard [s], None before it has told it."""
+        """The vehicle's time since boot in its last message [s], None before the first."""
         return None if self._stamp is None else 1e-3 * self._stamp[0]
 
     @property
     def _silent_s(self) -> float:
-        """How long nothing has been heard."""
+        """Time since the last message [s]."""
         return self._clock_s() - self._heard_s
 
     def _note(self, message: Message, now_s: float) -> None:
-        """Keep what may come at any time: liveness, progress, texts."""
+        """Handle messages that may arrive at any time: heartbeats, progress, texts."""
         kind = message.get_type()
         if kind == "HEARTBEAT" and self._target is not None:
             self._note_heartbeat(message)
@@ -271,13 +300,26 @@ class VehicleConnection:
         return vehicle
 
     def _address(self) -> VehicleAddress:
-        """Where the vehicle is; waits for its heartbeat if it has not been heard yet."""
+        """Address of the vehicle; waits for its heartbeat if none has arrived yet."""
         if self._target is not None:
             return self._target
         return VehicleAddress(system=self.connect().system)
 
     def run(self, exchange: Exchange, on_progress: Progress | None = None) -> ExchangeResult:
-        """Carry an exchange to its end."""
+        """Run an exchange until it ends.
+
+        Parameters
+        ----------
+        exchange
+            State machine of the protocol (:class:`autopilot.client.exchange.Exchange`).
+        on_progress
+            Called with items done and items in all whenever they change.
+
+        Returns
+        -------
+        ExchangeResult
+            Accepted, or the reason for the failure.
+        """
         self._take_held_up()
         pending = exchange.begin(self._clock_s())
         shown: tuple[int, int] | None = None
@@ -304,9 +346,9 @@ class VehicleConnection:
         Parameters
         ----------
         kind
-            Which of them.
+            Type of the plan.
         items
-            As they go over the wire (:class:`autopilot.core.plan.PlanItem`).
+            Items in wire units (:class:`autopilot.core.plan.PlanItem`).
         on_progress
             Called with items done and items in all.
 
@@ -330,9 +372,15 @@ class VehicleConnection:
             raise PlanError(outcome.reason)
 
     def plan_problem(self) -> str:
-        """Why the vehicle does not fly the plans that it has stored, "" if it says nothing against them.
+        """Reason why the vehicle does not fly its stored plans.
 
-        It is asked. An armed vehicle refuses the arming checks, and says what is wrong with its plans all the same.
+        Sends MAV_CMD_RUN_PREARM_CHECKS. An armed vehicle refuses that command, and reports problems of its plans
+        all the same.
+
+        Returns
+        -------
+        str
+            The vehicle's message, "" if it reports no problem.
         """
         show, self.on_text = self.on_text, None
         try:
@@ -408,11 +456,33 @@ class VehicleConnection:
             self.poll()
 
     def disarm(self, force: bool = False) -> None:
-        """Disarm; ``force`` = emergency stop."""
+        """Disarm.
+
+        Parameters
+        ----------
+        force
+            Emergency stop: also under way (magic number 21196 in param2).
+
+        Raises
+        ------
+        CommandRefusedError
+            The vehicle refused, with its reason.
+        """
         self.command(mav.MAV_CMD_COMPONENT_ARM_DISARM, 0.0, _FORCE_DISARM if force else 0.0)
 
     def start_mission(self, first_seq: int = 0) -> None:
-        """Start the mission (0 = from where it stands). Items reached are counted from here on."""
+        """Start the mission and reset the list of items reached.
+
+        Parameters
+        ----------
+        first_seq
+            Item to start at, 0 = the current one.
+
+        Raises
+        ------
+        CommandRefusedError
+            The vehicle refused, with its reason.
+        """
         self._reached, self._current = [], None
         self.command(mav.MAV_CMD_MISSION_START, float(first_seq), 0.0)
 
@@ -459,7 +529,7 @@ class VehicleConnection:
             if status != shown and on_status is not None:
                 on_status(status)
             shown = status
-            # What stands there from before the start counts only when it stays.
+            # A state from before the start counts only if it persists.
             begun |= state in (ProgressState.ACTIVE, ProgressState.PAUSED) or passed_s > _SHOWN_S
             if begun and (state is ProgressState.COMPLETE or not armed):
                 return status

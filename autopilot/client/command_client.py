@@ -1,4 +1,4 @@
-"""Commands from the client's side. Protocol: https://mavlink.io/en/services/command.html."""
+"""Command protocol, client side (https://mavlink.io/en/services/command.html)."""
 
 from collections.abc import Sequence
 
@@ -8,7 +8,7 @@ from autopilot.client.exchange import BaseExchange, ExchangeResult, Message, Tim
 
 
 class CommandSend(BaseExchange):
-    """One COMMAND_LONG until its final answer; IN_PROGRESS keeps it waiting."""
+    """One COMMAND_LONG, retransmitted until its final COMMAND_ACK; IN_PROGRESS stops the retransmission."""
 
     def __init__(
         self,
@@ -26,7 +26,7 @@ class CommandSend(BaseExchange):
 
     @property
     def progress(self) -> tuple[int, int]:
-        """Per cent done, of 100."""
+        """Per cent done, and 100."""
         return self._percent, 100
 
     def begin(self, t_s: float) -> list[Message]:
@@ -48,7 +48,7 @@ class CommandSend(BaseExchange):
         return []
 
     def tick(self, t_s: float) -> list[Message]:
-        """The command again with a higher confirmation number, unless the vehicle is at work on it."""
+        """Retransmit with an incremented confirmation number, unless the vehicle has answered IN_PROGRESS."""
         if self._waits(t_s) or self._running or t_s - self._sent_s < self._timers.general_s:
             return []
         self._sent_s = t_s

@@ -1,8 +1,8 @@
-"""What all exchanges with a vehicle share, as state machines without clock and socket.
+"""Exchanges with a vehicle: state machines without clock and socket.
 
-Each gives the messages to send from ``begin``, ``handle`` (one received message) and ``tick`` (time has passed), until
-``outcome`` is set. Lost, repeated and swapped datagrams are part of the job: everything is repeated until it is
-answered or the vehicle has been silent for :attr:`Timers.give_up_s`.
+Each returns the messages to send from ``begin``, ``handle`` (a message was received) and ``tick`` (time has
+passed), until ``outcome`` is set. Datagrams may be lost, duplicated or reordered: every message is retransmitted
+until it is answered or the vehicle has been silent for :attr:`Timers.give_up_s`.
 """
 
 from collections.abc import Sequence
@@ -17,7 +17,7 @@ Message: TypeAlias = Any
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Timers:
-    """Waiting times [s]."""
+    """Timeouts and retransmission intervals [s]."""
 
     general_s: float = 0.5
     """Before COUNT, REQUEST_LIST, a command or the last item is sent again."""
@@ -31,8 +31,6 @@ class Timers:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class VehicleAddress:
-    """Address of the vehicle."""
-
     system: int = 1
     component: int = 1
 
@@ -46,12 +44,14 @@ class ExchangeResult:
 
     @property
     def accepted(self) -> bool:
-        """Whether the vehicle said yes."""
         return self.result == 0
 
 
 class Exchange(Protocol):
-    """What :class:`autopilot.client.client_session.VehicleConnection` runs."""
+    """State machine of one exchange, run by :class:`autopilot.client.client_session.VehicleConnection`.
+
+    Times ``t_s`` are seconds of the caller's monotonic clock.
+    """
 
     outcome: ExchangeResult | None
 
@@ -60,25 +60,23 @@ class Exchange(Protocol):
         """Items done and items in all."""
         ...
 
-    def begin(self, t_s: float) -> list[Message]:
-        """First messages."""
-        ...
+    def begin(self, t_s: float) -> list[Message]: ...
 
     def handle(self, message: Message, t_s: float) -> list[Message]:
-        """Answers to a message of the vehicle."""
+        """Messages to send in answer to a message of the vehicle."""
         ...
 
     def tick(self, t_s: float) -> list[Message]:
-        """Repetitions that are due."""
+        """Messages to retransmit now."""
         ...
 
     def grant(self, held_up_s: float) -> None:
-        """The vehicle could not get on for so long: that is no silence of its own."""
+        """Extend the timeout by the time in which the vehicle made no progress [s]."""
         ...
 
 
 class BaseExchange:
-    """Silence, refusals and their reasons: common to all exchanges."""
+    """Timeout, refusals and their reasons: common to all exchanges."""
 
     def __init__(self, target: VehicleAddress, timers: Timers, what: str) -> None:
         self.outcome: ExchangeResult | None = None
@@ -93,23 +91,23 @@ class BaseExchange:
 
     @property
     def complaints(self) -> tuple[str, ...]:
-        """Warnings and worse that the vehicle has said meanwhile."""
+        """Texts of severity WARNING and worse received during the exchange."""
         return tuple(text.text for text in self._complaints)
 
     @property
     def hears_half_a_text(self) -> bool:
-        """Whether chunks of a text are still to come."""
+        """Whether chunks of a text are still missing."""
         return self._texts.waiting
 
     def _start(self, t_s: float) -> None:
         self._heard_s = self._sent_s = t_s
 
     def grant(self, held_up_s: float) -> None:
-        """The vehicle could not get on for so long: that is no silence of its own."""
+        """Extend the timeout by the time in which the vehicle made no progress [s]."""
         self._heard_s += held_up_s
 
     def _listens(self, message: Message, t_s: float) -> bool:
-        """Keep what the vehicle says in words; True while its answers still matter."""
+        """Collect STATUSTEXT; True while an answer of the vehicle is still expected."""
         if message.get_type() == "STATUSTEXT":
             self._take_texts(self._texts.feed(message, t_s), t_s)
         return self.outcome is None and self._refused is None
@@ -120,19 +118,19 @@ class BaseExchange:
             self._finish_refusal(self._refused[0])
 
     def _refuse(self, result: int, t_s: float) -> None:
-        """The vehicle said no: its reason may already be there or still come."""
+        """The vehicle refused: its reason may have arrived already or arrive later."""
         if self._refused is None:
             self._refused = (result, t_s)
             if self._best_reason():
                 self._finish_refusal(result)
 
     def _best_reason(self) -> str:
-        """The complaint that speaks of a refusal, "" if there is none yet."""
+        """The latest text that mentions a refusal, "" if none has arrived."""
         spoken = [c.text for c in self._complaints if "refus" in c.text.lower() or "denied" in c.text.lower()]
         return spoken[-1] if spoken else ""
 
     def _finish_refusal(self, result: int) -> None:
-        """A vehicle does not say the same again at once, so there may be no reason."""
+        """End with the reason; vehicles do not repeat a text at once, so there may be none."""
         unknown = f"{self._what} refused by the vehicle with result {result}; ask again in 5 s for its reason"
         others = self._complaints[-1].text if self._complaints else ""
         self.outcome = ExchangeResult(result=result, reason=self._best_reason() or others or unknown)

@@ -1,7 +1,7 @@
-"""Plan transfer from the client's side: upload and download of one plan.
+"""Mission protocol, client side: upload and download of one plan.
 
-Protocol: https://mavlink.io/en/services/mission.html. That page's five tries lose one transfer of 160 items at 20 % of
-lost datagrams in both directions, so the limit here is silence and not a number of tries.
+Protocol: https://mavlink.io/en/services/mission.html. With the five retries of that page one transfer of 160 items
+is lost at 20 % datagram loss in both directions, so the limit here is a timeout and not a number of retries.
 """
 
 import math
@@ -15,13 +15,25 @@ from autopilot.core.plan import MissionResult, PlanItem, PlanKind
 from autopilot.core.plan_wire import item_message, item_of
 
 MAX_RESTARTS = 3
-"""An upload that broke off for no fault of the plan is begun anew so often."""
+"""Restarts of an upload that ended for no fault of the plan."""
 _BROKEN_OFF = frozenset({MissionResult.ERROR, MissionResult.INVALID_SEQUENCE, MissionResult.OPERATION_CANCELLED})
-"""What a vehicle answers when a late copy of an earlier datagram has confused or ended the transfer."""
+"""Results after a late copy of an earlier datagram has disturbed the transfer."""
 
 
 class PlanUpload(BaseExchange):
-    """Replace one plan of the vehicle. The vehicle drives: it asks for items in its order, and ends with an ACK."""
+    """Replace one plan of the vehicle. The vehicle requests the items and ends with MISSION_ACK.
+
+    Parameters
+    ----------
+    kind
+        Type of the plan.
+    items
+        Items in wire units, numbered from 0.
+    target
+        Address of the vehicle, None = system 1, component 1.
+    timers
+        Timeouts, None = the defaults.
+    """
 
     def __init__(
         self,
@@ -39,12 +51,12 @@ class PlanUpload(BaseExchange):
 
     @property
     def progress(self) -> tuple[int, int]:
-        """Items asked for and items in all."""
+        """Items requested and items in all."""
         return self._highest + 1, len(self._items)
 
     @property
     def all_sent(self) -> bool:
-        """Whether the vehicle has asked for everything: what is missing is its final word."""
+        """Whether the vehicle has requested every item; only its MISSION_ACK is missing."""
         return self._highest == len(self._items) - 1
 
     def begin(self, t_s: float) -> list[Message]:
@@ -66,7 +78,7 @@ class PlanUpload(BaseExchange):
         return []
 
     def _on_ack(self, result: int, t_s: float) -> list[Message]:
-        """The end, or another beginning. An early ACCEPTED is a late copy of the answer to an earlier upload."""
+        """End or restart. An ACCEPTED before all items were requested is a late copy for an earlier upload."""
         if result == MissionResult.ACCEPTED:
             if self.all_sent:
                 self.outcome = ExchangeResult(result=0, reason="")
@@ -79,7 +91,7 @@ class PlanUpload(BaseExchange):
         return []
 
     def tick(self, t_s: float) -> list[Message]:
-        """COUNT until the vehicle asks, then the last item until it asks for another or ends."""
+        """MISSION_COUNT until the vehicle requests an item, then the last item sent until the next request."""
         if self._waits(t_s) or t_s - self._sent_s < self._timers.general_s:
             return []
         self._sent_s = t_s
@@ -96,7 +108,17 @@ class PlanUpload(BaseExchange):
 
 
 class PlanDownload(BaseExchange):
-    """Read one plan of the vehicle. The client drives: it asks for one item after the other and ends with an ACK."""
+    """Read one plan of the vehicle: requests one item after the other and ends with MISSION_ACK.
+
+    Parameters
+    ----------
+    kind
+        Type of the plan.
+    target
+        Address of the vehicle, None = system 1, component 1.
+    timers
+        Timeouts, None = the defaults.
+    """
 
     def __init__(self, kind: PlanKind, target: VehicleAddress | None = None, timers: Timers | None = None) -> None:
         super().__init__(target or VehicleAddress(), timers or Timers(), f"{kind.name.lower()} download")

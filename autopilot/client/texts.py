@@ -1,19 +1,17 @@
-"""STATUSTEXT: joins the chunks of long texts (MAVLink common.xml: id, chunk_seq, 50 characters each)."""
+"""Reassembly of long STATUSTEXT messages (MAVLink common.xml: id, chunk_seq, 50 characters each)."""
 
 from dataclasses import dataclass, field
 from typing import Any
 
 CHUNK_CHARS = 50
 FLUSH_S = 0.4
-"""A text whose missing chunks do not come within this time is passed on with a gap."""
+"""A text with missing chunks is passed on with a gap after this time."""
 WARNING = 4
 """MAV_SEVERITY_WARNING: numbers up to this are complaints."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class VehicleText:
-    """One complete text of the vehicle."""
-
     t_s: float
     severity: int
     """MAV_SEVERITY."""
@@ -28,7 +26,7 @@ class _Partial:
 
 
 class TextCollector:
-    """Feed it STATUSTEXT messages; complete texts come out, also when chunks were lost, repeated or swapped."""
+    """Reassembles STATUSTEXT chunks that may be lost, duplicated or reordered."""
 
     def __init__(self) -> None:
         self._partial: dict[int, _Partial] = {}
@@ -36,7 +34,7 @@ class TextCollector:
 
     @property
     def waiting(self) -> bool:
-        """Whether a text has begun whose other chunks are missing."""
+        """Whether a text is incomplete."""
         return bool(self._partial)
 
     def feed(self, message: Any, t_s: float) -> list[VehicleText]:
@@ -55,7 +53,7 @@ class TextCollector:
         return [self._close(message.id, t_s)]
 
     def flush(self, t_s: float) -> list[VehicleText]:
-        """Texts that have waited long enough for their missing chunks."""
+        """Texts whose missing chunks did not arrive within ``FLUSH_S``, with a gap."""
         overdue = [key for key, partial in self._partial.items() if t_s - partial.begun_s >= FLUSH_S]
         return [self._close(key, t_s) for key in overdue]
 

@@ -1,1 +1,1 @@
-"""Deciding: modes, goals, failsafes, and the one step that holds everything together."""
+"""Decisions: modes, goals, failsafes, and the step function of the service."""

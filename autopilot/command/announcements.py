@@ -1,11 +1,11 @@
-"""Lines for the operator, in the order in which they were said."""
+"""Queue of messages to the operator, in order."""
 
 from autopilot.core.messages import Event
 from autopilot.core.operator_messages import OperatorText
 
 
 class Announcements:
-    """Whoever decides says here what it does; the service passes it on once per tick."""
+    """Collects messages to the operator; the service sends them once per tick."""
 
     def __init__(self) -> None:
         self.t_us = 0
@@ -16,7 +16,7 @@ class Announcements:
         self._events.append(text.event(self.t_us))
 
     def pass_on(self, event: Event) -> None:
-        """A line with a time of its own."""
+        """Queue a message with an explicit time."""
         self._events.append(event)
 
     def drain(self) -> tuple[Event, ...]:

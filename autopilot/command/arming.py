@@ -1,4 +1,4 @@
-"""Why the vehicle must not be armed."""
+"""Reasons against arming."""
 
 import math
 from collections.abc import Callable
@@ -14,18 +14,16 @@ from autopilot.mission.goals import Goals
 from autopilot.mission.store import Plans
 
 CHECKING = "plan check is running, try again"
-"""What is said when parameters or origin have changed and the answer about the plans is not there yet."""
+"""Reason while the plans are being checked again after a change of parameters or origin."""
 
 STARTING = ("service is starting",)
 """The reason before the first tick."""
 
 ControllerCheck = Callable[[NavState], tuple[str, ...]]
-"""What the controller has against arming with an estimate."""
+"""The controller's reasons against arming with an estimate."""
 
 
 class ArmingChecks:
-    """All that is looked at before thrusters may turn."""
-
     def __init__(
         self, params: ParamSet, plans: Plans, goals: Goals, failsafes: FailsafeRules, controller_check: ControllerCheck
     ) -> None:
@@ -36,8 +34,9 @@ class ArmingChecks:
         self._controller_check = controller_check
 
     def reasons(self, status: VehicleStatus | None, *, blind: bool = False) -> tuple[str, ...]:
-        """Empty when ready; one line each. ``blind``: for a mode that needs no position; of a place that is not known
-        nothing is asked then."""
+        """Reasons against arming, one line each, empty when ready. ``blind``: for a mode that needs no position;
+        checks of an unknown position are skipped then.
+        """
         if status is None:
             return STARTING
         nav = status.nav
@@ -59,7 +58,7 @@ class ArmingChecks:
 
     @property
     def of_plans(self) -> tuple[str, ...]:
-        """What mission, fence and rally points have against it."""
+        """Reasons in mission, fence and rally points."""
         return (PLAN_REASON + self._plans.problem,) if self._plans.problem else ()
 
     @property

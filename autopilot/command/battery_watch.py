@@ -1,4 +1,4 @@
-"""The battery monitor's readings: which are believed, and what is said of the others."""
+"""Plausibility checks of the battery monitor's readings, and messages about rejected ones."""
 
 from autopilot.core import operator_messages as notices
 from autopilot.core.messages import Event
@@ -7,10 +7,10 @@ from autopilot.core.samples import PowerSample, plausible
 from autopilot.core.vehicle import BatteryLimits
 
 SAY_EVERY_US = 60_000_000
-"""A monitor that goes on saying what no battery says is told again after so long."""
+"""Interval at which a continuing implausible reading is reported again."""
 
 STALE_US = 3_000_000
-"""A reading that has been followed by others, none of them believed, is not shown as that of now after so long."""
+"""Age beyond which a plausible reading followed by rejected ones only is no longer shown."""
 
 
 class BatteryWatch:
@@ -20,7 +20,7 @@ class BatteryWatch:
         self._limits = limits
         self._good_us = 0
         self._refused_us: int | None = None
-        """When the newest reading came, if it was refused."""
+        """Time of the newest reading, if it was rejected."""
         self._reported_us: int | None = None
         self._events: list[Event] = []
         self.power: PowerSample | None = None
@@ -29,12 +29,11 @@ class BatteryWatch:
 
     @property
     def shown(self) -> PowerSample | None:
-        """What clients are shown as that of now."""
         refused_us = self._refused_us
         return None if refused_us is not None and refused_us - self._good_us >= STALE_US else self.power
 
     def note(self, t_us: int, sample: PowerSample) -> bool:
-        """Take a reading; whether it is believed."""
+        """Check a reading; whether it is plausible."""
         limits = self._limits
         if not plausible(sample):
             self._refuse(t_us, notices.BATTERY_IMPLAUSIBLE())

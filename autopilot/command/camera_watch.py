@@ -1,7 +1,7 @@
-"""What is wrong with the camera, for the operator: black, over-exposed, frozen, torn, foggy or silent.
+"""Camera faults reported to the operator: black, over-exposed, frozen, torn, foggy or no pictures.
 
-Pictures that cannot be used are refused before the vision front end sees them and come here by name. Others may be too
-dark, too bright or too foggy for markers: that counts only while none is found in them.
+Unusable pictures are rejected before the vision front end and arrive here as fault names. Dark, bright or foggy
+pictures count only while no marker is detected in them.
 """
 
 from collections.abc import Sequence
@@ -23,28 +23,28 @@ MESSAGES = {
     FOGGY: notices.CAMERA_FOGGY,
     SILENT: notices.CAMERA_SILENT,
 }
-"""What the operator hears of each trouble."""
+"""Message to the operator for each fault."""
 
 
 class CameraWatch:
-    """Remembers how pictures have been and says what has changed."""
+    """Reports changes of the camera's state."""
 
     def __init__(self) -> None:
         self.foggy = 0
         """Pictures that were too foggy for markers."""
         self._trouble: str | None = None
-        """What the operator was told, None while all is well."""
+        """Fault reported to the operator, None without one."""
         self._now: str | None = None
-        """What the pictures have all been since ``_since_us``; None = good."""
+        """State of all pictures since ``_since_us``; None = good."""
         self._since_us = 0
         self._count = 0
         self._last_us: int | None = None
-        """When the last picture came,"""
+        """Time of the last picture,"""
         self._markers_us: int | None = None
         """and the last one with markers."""
 
     def step(self, t_us: int, pictures: Sequence[PictureReport], samples: Sequence[Sample]) -> list[Event]:
-        """Lines for the operator: each trouble once, and when it is over."""
+        """Messages to the operator: each fault once, and its end."""
         if any(isinstance(sample, MarkerSighting) and sample.ids for sample in samples):
             self._markers_us = t_us
         for picture in pictures:

@@ -1,4 +1,4 @@
-"""What the operator is told without having asked: position lost or found, no way to the goal, a new fence."""
+"""Notices of changes that the operator did not request: position lost or found, no path to the goal, a new fence."""
 
 from autopilot.command.command_tuning import WATCH
 from autopilot.command.vehicle_status import VehicleStatus
@@ -26,11 +26,11 @@ _DOUBT_TEXTS = {
     NavDoubt.RESETS: notices.REPEATED_RESETS,
     NavDoubt.CAMERA: notices.CAMERA_WRONG,
 }
-"""What to do about a sensor that the evidence denies."""
+"""Remedy for a sensor that contradicts the other evidence."""
 
 
 class ChangeWatch:
-    """Remembers how things were on the last tick and says what has changed."""
+    """Reports changes since the last tick."""
 
     def __init__(self, vehicle: Vehicle, plans: Plans, goals: Goals) -> None:
         self._radius_m = vehicle.radius_m
@@ -39,7 +39,7 @@ class ChangeWatch:
         self._fence = goals.fence
         self._health = NavHealth.INVALID
         self._doubts: frozenset[NavDoubt] = frozenset()
-        """Those that have been told since arming."""
+        """Reported since arming."""
         self._unreachable = False
         self._thrusters = tuple(thruster.name for thruster in vehicle.thrusters)
         self._share: dict[str, float] = {}
@@ -49,14 +49,13 @@ class ChangeWatch:
         self._delay_s = 0.0
 
     def look(self, status: VehicleStatus, *, armed: bool) -> list[OperatorText]:
-        """What is new on this tick."""
         nav = status.nav
         texts: list[OperatorText] = []
         health = NavHealth.INVALID if nav is None else nav.health
         new = status.nav_doubts - self._doubts if armed else frozenset()
         texts += [_DOUBT_TEXTS[doubt]() for doubt in NavDoubt if doubt in new] if new else []
         self._doubts = self._doubts | new if armed else frozenset()
-        # The text of a doubt says already why the fixes do not count.
+        # The text of that warning already says why the fixes are rejected.
         reported = health is NavHealth.DEAD_RECKONING and (bool(new) or NavDoubt.FIXES in status.nav_doubts)
         if armed and health is not self._health and not reported:
             texts.append(_HEALTH_TEXTS[health]())
@@ -98,7 +97,7 @@ class ChangeWatch:
         return texts
 
     def _of_thrusters(self, shares: tuple[float, ...]) -> list[OperatorText]:
-        """A thruster that gives less than it should, or again what it should."""
+        """Loss of effectiveness of a thruster, or its recovery."""
         texts: list[OperatorText] = []
         if shares == self._shares:
             return texts
@@ -117,7 +116,7 @@ class ChangeWatch:
         return texts
 
     def _of_flight(self, status: VehicleStatus, armed: bool) -> list[OperatorText]:
-        """After a flight: silence about a thruster that was hardly used does not say that it is sound."""
+        """After a flight: a thruster that was hardly used has not been verified."""
         since_us = self._armed_us
         self._armed_us = (status.t_us if since_us is None else since_us) if armed else None
         if armed or since_us is None or status.t_us - since_us < WATCH.flight_us or not status.thrusters_unseen:

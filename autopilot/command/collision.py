@@ -1,4 +1,4 @@
-"""Collisions, found in the accelerometer."""
+"""Collision detection from the accelerometer."""
 
 import math
 
@@ -11,7 +11,7 @@ from autopilot.core.samples import AhrsSample, ImuSample
 
 
 class CollisionDetector:
-    """Looks for a push that comes and goes, larger than thrust can make."""
+    """Detects accelerations larger than thrust can cause."""
 
     def __init__(self, model: Model4) -> None:
         self._per_n = np.array(model.allocation)[:2] / np.array(model.mass_kg)[:2, None]
@@ -47,7 +47,7 @@ class CollisionDetector:
         return ended and self._peak >= least_m_s2
 
     def _commanded(self, thrust_n: FloatArray | None) -> float:
-        """Twice what thrust accelerates by: it may have been the opposite a moment ago."""
+        """Twice the acceleration by thrust: it may have reversed within the filter's delay."""
         if thrust_n is None:
             return 0.0
         ax, ay = (self._per_n @ thrust_n).tolist()

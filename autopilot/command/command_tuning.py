@@ -5,16 +5,14 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True, slots=True)
 class CameraWatchTuning:
-    """Of :mod:`autopilot.command.camera_watch`."""
-
     for_us: int = 500_000
-    """Pictures that are all bad for so long are told of; as long a time of good ones ends it."""
+    """Time with bad pictures only before a report; the same time with good ones ends it."""
     least: int = 3
     """And at least so many of them."""
     silent_us: int = 800_000
-    """A camera that has sent pictures and then sends none for so long is silent."""
+    """Time without pictures after which a camera that has sent some is silent."""
     markers_us: int = 300_000
-    """A picture is good enough, whatever it looks like, if markers were found within so long."""
+    """A picture counts as good if markers were detected within this time."""
     fog_contrast: float = 6.0
     """Grey levels between neighbouring pixels of the coarse picture: a floor of markers has 20 and more in clear water,
     noise alone 3."""
@@ -27,12 +25,10 @@ CAMERA_WATCH = CameraWatchTuning()
 
 @dataclass(frozen=True, slots=True)
 class CollisionTuning:
-    """Of :mod:`autopilot.command.collision`."""
-
     base_time_s: float = 0.5
-    """Over so long what a jolt is measured from is averaged: tilt, current and thrust change more slowly."""
+    """Averaging time of the baseline of a jolt: tilt, current and thrust change more slowly."""
     jolt_us: int = 300_000
-    """A jolt is over within so long; what stays is a sensor that is wrong, or a tilt."""
+    """Longest jolt; a longer one is a faulty sensor, or a tilt."""
 
 
 COLLISION = CollisionTuning()
@@ -40,20 +36,18 @@ COLLISION = CollisionTuning()
 
 @dataclass(frozen=True, slots=True)
 class VehicleStatusTuning:
-    """Of :mod:`autopilot.command.vehicle_status`."""
-
     latched_us: int = 2_000_000
-    """A probe that has been wet counts as wet for so long: water that splashes about makes and breaks the contact."""
+    """Hold time of a wet probe: splashing water makes and breaks the contact."""
     frozen_readings: int = 20
-    """So many equal readings in a row are no measurement: the last digits of every sensor here are noise."""
+    """Equal readings in a row that count as frozen: the last digits of every sensor here are noise."""
     late_every_us: int = 1_000_000
-    """The share of late ticks is taken over so long."""
+    """Averaging time of the share of late ticks."""
     jump_s: float = 0.5
     """A clock of day that is set by less than this is being kept in step, not set."""
     felt_us: int = 1_000_000
-    """A heading or a depth that is older says nothing."""
+    """Age beyond which a heading or a depth is invalid."""
     shown_us: int = 10_000_000
-    """A jump of the clock and a collision are things of a moment: shown for so long."""
+    """Time for which a clock jump or a collision is reported."""
 
 
 VEHICLE_STATUS = VehicleStatusTuning()
@@ -61,14 +55,12 @@ VEHICLE_STATUS = VehicleStatusTuning()
 
 @dataclass(frozen=True, slots=True)
 class FaultResponseTuning:
-    """Of :mod:`autopilot.command.fault_response`."""
-
     say_every_us: int = 5_000_000
-    """The same fault is said again after so long; it is counted every time."""
+    """Interval at which the same fault is reported again; it is counted every time."""
     shown_us: int = 5_000_000
-    """So long after the last fault that thrust depends on the failsafe bit stays, and arming is refused."""
+    """Time after the last fault in the thruster command path for which the failsafe bit stays and arming is refused."""
     max_kinds: int = 64
-    """Kinds of fault that are remembered; with more of them the oldest goes."""
+    """Kinds of fault that are remembered; beyond that the oldest is dropped."""
 
 
 FAULT_RESPONSE = FaultResponseTuning()
@@ -76,13 +68,11 @@ FAULT_RESPONSE = FaultResponseTuning()
 
 @dataclass(frozen=True, slots=True)
 class MapCheckTuning:
-    """Of :mod:`autopilot.command.map_check`."""
-
     circle_places: int = 36
     lattice: int = 120
-    """Places per axis at which a workspace is looked at, beside the cells that hold gaps."""
+    """Sample points per axis of a workspace, beside the cells that hold gaps."""
     edge_m: float = 1e-3
-    """As near to a boundary it has to be looked at closely whether a place is inside."""
+    """Distance from a boundary within which points are tested exactly."""
     same_origin_deg: float = 1e-6
     """A map of latitudes lies where it belongs while the origin stays within this (0.1 m)."""
 
@@ -92,15 +82,13 @@ MAP_CHECK = MapCheckTuning()
 
 @dataclass(frozen=True, slots=True)
 class MissionRunTuning:
-    """Of :mod:`autopilot.command.mission_run`."""
-
     upstream_us: int = 5_000_000
-    """What the current leaves of the present leg is looked at so often: a vehicle that lies still does not know it
-    yet."""
+    """Interval at which the speed made good on the present leg is checked: a vehicle at rest does not know the
+    current yet."""
     reached_us: int = 1_000_000
-    """Items that are reached are told so often at most: a hundred may be, where they lie close together."""
+    """Interval between reports of items reached: a hundred may be close together."""
     reached_named: int = 5
-    """Up to so many of them by name."""
+    """Maximum number of them named."""
 
 
 MISSION_RUN = MissionRunTuning()
@@ -108,8 +96,6 @@ MISSION_RUN = MissionRunTuning()
 
 @dataclass(frozen=True, slots=True)
 class MotorTestsTuning:
-    """Of :mod:`autopilot.command.motor_tests`."""
-
     most_share: float = 0.3
     """Of the pulse's span."""
     most_s: float = 5.0
@@ -117,7 +103,7 @@ class MotorTestsTuning:
     rest_s: float = 1.0
     """After so long."""
     silence_s: float = 0.5
-    """A word that says no time holds for so long: ArduSub wants two a second."""
+    """Validity of a motor test command without a timeout: ArduSub requires two a second."""
     away_m: float = 0.2
     """From every boundary, beyond what the controller keeps: nothing brakes a vehicle while a thruster is tested."""
 
@@ -127,18 +113,15 @@ MOTOR_TESTS = MotorTestsTuning()
 
 @dataclass(frozen=True, slots=True)
 class PhotographerTuning:
-    """Of :mod:`autopilot.command.photographer`."""
-
     min_interval_s: float = 0.2
     """Stills of full size are not taken faster."""
     min_distance_m: float = 0.01
     max_under_way: int = 4
     """Stills that may be asked for and not there yet: a camera that does not follow gets no longer queue."""
     lost_us: int = 10_000_000
-    """A still of which nothing is heard for so long is given up; whoever has the camera gives up sooner and says
-    why."""
+    """A still without a result is given up after this time; the camera's driver gives up sooner, with a reason."""
     max_records: int = 10_000
-    """Stills that can be asked for again; the oldest goes."""
+    """Stills that can be requested again; beyond that the oldest is dropped."""
     nav_kept: int = 400
     """Ticks of the estimate that are kept: an exposure is known 4 s later at most."""
 
@@ -148,8 +131,6 @@ PHOTOGRAPHER = PhotographerTuning()
 
 @dataclass(frozen=True, slots=True)
 class ServiceTuning:
-    """Of :mod:`autopilot.command.service`."""
-
     control_every_ticks: int = 5
     """The NMPC runs at 20 Hz: counted in ticks, not timed."""
     warm_at_tick: int = 100
@@ -163,23 +144,21 @@ SERVICE = ServiceTuning()
 
 @dataclass(frozen=True, slots=True)
 class FailsafeInputsTuning:
-    """Of :mod:`autopilot.command.failsafe_inputs`."""
-
     update_ticks: int = 10
-    """What needs geometry is looked at so often, energy at each tenth time."""
+    """Interval of inputs that need geometry; energy at every tenth."""
     slow_m_s: float = 0.05
     """Slower is not moving,"""
     pushed: float = 1.0 / 3.0
     """when a thruster is at this share of its limit"""
     away_m: float = 0.3
-    """and there is so much way left."""
+    """and the path left is at least this long."""
     window_s: float = 60.0
-    """What a metre costs is taken over so long,"""
+    """Averaging time of the energy per metre,"""
     least_s: float = 15.0
     least_m: float = 1.0
-    """and not known before so much has been flown."""
+    """and the distance flown before it is known."""
     max_steps: int = 2000
-    """Steps of a mission, with its jumps, that are looked at."""
+    """Steps of a mission, with its jumps, that are examined."""
 
 
 FAILSAFE_INPUTS = FailsafeInputsTuning()
@@ -187,10 +166,8 @@ FAILSAFE_INPUTS = FailsafeInputsTuning()
 
 @dataclass(frozen=True, slots=True)
 class EnvironmentTuning:
-    """Of :mod:`autopilot.command.environment`."""
-
     known_m: float = 0.3
-    """What beams end at so near to a shape of the fence is that."""
+    """Distance from a shape of the fence within which beam returns are attributed to it."""
     range_us: int = 200_000
     """The laser's range is worked out of pictures this often."""
     power_s: float = 30.0
@@ -202,12 +179,10 @@ ENVIRONMENT = EnvironmentTuning()
 
 @dataclass(frozen=True, slots=True)
 class WatchTuning:
-    """Of :mod:`autopilot.command.change_watch`."""
-
     share_news: float = 0.15
     """A change of a thruster's effectiveness that is worth a message."""
     flight_us: int = 20_000_000
-    """What is armed for a shorter time is no flight to sum up."""
+    """A shorter time armed is no flight to summarise."""
     delay_news_s: float = 0.25
     """A change of the commands' delay that is worth a message."""
 

@@ -1,7 +1,7 @@
-"""What the vehicle is doing and why: arming, modes, goals and failsafes.
+"""Arming, modes, goals and failsafes.
 
 The commander answers MAVLink requests at once (:class:`autopilot.mavlink.api.VehicleCommands`) and, once per tick,
-turns mode, mission and estimate into a goal for the controller. It never touches thrusters itself.
+turns mode, mission and estimate into a goal for the controller. It does not command thrusters.
 """
 
 from collections.abc import Callable, Sequence
@@ -41,14 +41,14 @@ from autopilot.mission.sequencer import Position
 from autopilot.mission.store import Plans
 
 READINESS_EVERY_TICKS = 50
-"""Arming checks are looked at twice per second for telemetry, and anew when arming is asked for."""
+"""Arming checks run twice per second for telemetry, and again at an arming request."""
 
 END_AFTER_TICKS = 20
-"""A run that an operator ends goes on so long: its answer has to be on its way."""
+"""Delay of a requested shutdown, for its answer to be sent."""
 
 
 class Commander:
-    """Says which orders may be given to the state machine (:class:`~autopilot.command.mode_machine.ModeMachine`)."""
+    """Checks orders before they go to the state machine (:class:`~autopilot.command.mode_machine.ModeMachine`)."""
 
     def __init__(
         self,
@@ -59,8 +59,9 @@ class Commander:
         controller_check: ControllerCheck = lambda _: (),
         speed_m_s: Callable[[NavState], float] | None = None,
     ) -> None:
-        """``controller_check`` says what the controller has against arming with an estimate, ``speed_m_s`` what its
-        margins leave of the planar speed (None = SPD_PLANAR_MAX)."""
+        """``controller_check``: the controller's reasons against arming with an estimate; ``speed_m_s``: planar speed
+        left by its margins (None = SPD_PLANAR_MAX).
+        """
         self._params = params
         self._plans = plans
         self._operator = Announcements()
@@ -103,7 +104,7 @@ class Commander:
 
     @property
     def disarms_flight_controller(self) -> bool:
-        """Whether the flight controller below is to be disarmed."""
+        """Whether the flight controller is to be disarmed."""
         return self._disarming.waits and not self._modes.armed
 
     @property
@@ -123,17 +124,17 @@ class Commander:
 
     @property
     def under_way(self) -> bool:
-        """Whether a mode other than holding, or a go-to, has been entered since arming: what "flying" means here."""
+        """Whether a mode other than hold, or a go-to, has been entered since arming (reported as "flying")."""
         return self._modes.under_way
 
     @property
     def orders(self) -> int:
-        """Grows whenever the vehicle is told to do something else."""
+        """Incremented by every new order."""
         return self._modes.orders
 
     @property
     def mission_position(self) -> Position | None:
-        """Where the mission stands, None when there is nothing to go on with."""
+        """Mission progress, None when there is nothing to resume."""
         return self._mission.sequencer.position
 
     def drain_events(self) -> tuple[Event, ...]:
@@ -156,7 +157,7 @@ class Commander:
     # Requests: arming and modes
 
     def arm(self, force: bool) -> CommandReply:
-        """Arm unless a check fails; ``force`` skips the checks and says so in the log. It does not start anything."""
+        """Arm unless a check fails; ``force`` skips the checks and is logged. It starts no mission."""
         if self._modes.armed:
             return ACCEPTED
         reasons = self.prearm_reasons()
@@ -188,7 +189,6 @@ class Commander:
         return self._disarming.answer
 
     def disarmed(self) -> CommandReply:
-        """What has become of the last disarming."""
         return self._disarming.answer
 
     def set_mode(self, mode: FlightMode) -> CommandReply:
@@ -205,13 +205,13 @@ class Commander:
         return self.set_mode(FlightMode.HOLD)
 
     def fall_back(self) -> None:
-        """Something inside has failed: hold here until somebody decides anew. A failsafe's action goes on."""
+        """After an internal fault: hold until the next order. A failsafe action continues."""
         self._modes.fall_back()
 
     # Requests: the mission
 
     def start_mission(self, first_seq: int | None) -> CommandReply:
-        """Enter MISSION at an item, None = where it is."""
+        """Enter MISSION at an item, None = the current one."""
         armed = self._modes.armed
         refusal = self._modes.refusal(FlightMode.MISSION) if armed else denied("Mission start denied: arm first")
         if refusal is not None:
@@ -234,12 +234,12 @@ class Commander:
         return ACCEPTED
 
     def stand_at(self, position: Position) -> None:
-        """After a restart: the mission of the plan in force stands where it stood. PlanError if it has no such item."""
+        """After a restart: restore the mission progress. PlanError if the plan in force has no such item."""
         self._mission.load()
         self._mission.sequencer.stand_at(position)
 
     def change_speed(self, speed_m_s: float | None) -> CommandReply:
-        """Speed for what runs now, None = no longer one that was asked for."""
+        """Speed of the current mode or mission, None = the default again."""
         limit = self._params["SPD_PLANAR_MAX"]
         if speed_m_s is not None and not 0.0 < speed_m_s <= limit:
             return denied(f"Speed {speed_m_s:g} m/s denied: use above 0 up to {limit:g}")
@@ -349,7 +349,7 @@ class Commander:
         return denied(f"Home denied: {refusal}") if refusal else ACCEPTED
 
     def restore_home(self, pos_ned_m: FloatArray) -> str:
-        """After a restart: home (3,) is where it was, for the mission too. Why it is not taken, "" when it is."""
+        """After a restart: restore home (3,), for the mission too. Returns the reason if it is rejected, else ""."""
         return self._mission.set_home(pos_ned_m)
 
     def set_origin(self, point: GeodeticPosition) -> CommandReply:
@@ -378,7 +378,7 @@ class Commander:
 
     @property
     def run_end(self) -> RunEnd | None:
-        """How the run ends now, None = it goes on. Who has been armed meanwhile is not stopped."""
+        """Requested end of the run, None = continue. Cancelled if the vehicle has been armed meanwhile."""
         if self._ending is None or self._ticks < self._ending[0] or self._modes.armed:
             return None
         return self._ending[1]
@@ -429,14 +429,14 @@ class Commander:
         )
 
     def _disarm_flight_controller(self, status: VehicleStatus) -> None:
-        """What has been disarmed is disarmed below."""
+        """Disarm the flight controller together with the service."""
         if self._modes.disarms_flight_controller:
             self._modes.disarms_flight_controller = False
             self._disarming.begin()
         self._disarming.step(status.below)
 
     def _may_resume(self) -> bool:
-        """Whether a mission that a pilot has interrupted goes on."""
+        """Whether to resume a mission that a pilot has interrupted."""
         return self._params["PILOT_BACK"] > 0.0 and self._modes.refusal(FlightMode.MISSION) is None
 
     def _watch_plan(self) -> None:
@@ -448,7 +448,7 @@ class Commander:
         self._modes.interrupt()
 
     def _watch_check(self, t_us: int) -> None:
-        """Tell what a new answer to the plans' check means, and end a mission that it forbids."""
+        """Report a new result of the plan check, and end a mission that it forbids."""
         if not self._check_news.changed():
             return
         self._readiness = self.prearm_reasons()

@@ -1,4 +1,4 @@
-"""From goal to thrust: the controller on its ticks, its inner loop in between, and what is flown without either."""
+"""From goal to thrust: the optimiser on its ticks, the inner loop in between, and the fallback control laws."""
 
 import math
 from collections.abc import Callable
@@ -28,7 +28,7 @@ BLIND_ASCENT_SHARE = 0.35
 
 
 class ControlStep:
-    """Asks the controller, and keeps what it said for the ticks until it is asked again."""
+    """Runs the controller on its ticks and holds its result in between."""
 
     def __init__(
         self, vehicle: Vehicle, controller: Controller, actuation: Actuation, params: ParamSet, tracks: Tracks
@@ -40,18 +40,18 @@ class ControlStep:
         self._allocator = ControlAllocator.of(vehicle)
         self._hand = HandLaw(self._allocator)
         self._soft: tuple[int, FloatArray] | None = None
-        """Time and thrust of the last tick, from the one on which a pilot without a position let go, or on which a mode
-        began or ended in which somebody steers."""
+        """Time and thrust of the last tick before a pilot without a position released the sticks, or before a
+        piloted mode was entered or left."""
         self._last: tuple[int, FlightMode] | None = None
         """Time and mode of the last tick that had a goal."""
         self._switched = False
         """The controller has not answered since such a mode began or ended."""
         self.felt: Callable[[int], PositionlessState] = lambda _: PositionlessState()
-        """What is known without a position, asked only then."""
+        """State known without a position, called only then."""
         self.thrust_n: FloatArray = actuation.nothing()
         """(n,) wanted now."""
         self._wanted_n: FloatArray = actuation.nothing()
-        """(n,) that the controller wants."""
+        """(n,) thrust requested by the controller [N]."""
         self._limit_n: FloatArray = actuation.nothing()
         """(n,) of the last control step."""
         self.status: NmpcStatus | None = None
@@ -61,7 +61,7 @@ class ControlStep:
         self.solver_failures = 0
         """Control steps in a row without a solution."""
         self.way_left_m: float | None = None
-        """Length of the way to the goal as the controller flies it, None = it has none."""
+        """Length of the controller's path to the goal, None without one."""
 
     def reset(self) -> None:
         self.solver_failures, self.status, self.way_left_m, self.ahead = 0, None, None, None
@@ -119,7 +119,7 @@ class ControlStep:
         return control
 
     def _tested(self, t_us: int, test: tuple[int, int], before_n: FloatArray) -> FloatArray:
-        """One thruster's pulse as thrust, within its limit; all thrust comes and goes as fast as a pilot's."""
+        """Thrust of one thruster from the pulse of a motor test, within its limit and a pilot's slew rate."""
         place, pulse_us = test
         actuation = self._actuation
         wanted_n = actuation.nothing()
@@ -128,13 +128,13 @@ class ControlStep:
         return slewed(wanted_n, before_n, actuation.command_limit_n, (t_us - last_us) * 1e-6)
 
     def _note_mode(self, t_us: int, mode: FlightMode) -> None:
-        """A switch between modes, one of which somebody steers in, is no jolt."""
+        """A switch between modes, at least one of them piloted, is bumpless."""
         last, self._last = self._last, (t_us, mode)
         if last is not None and last[1] is not mode and (mode in STEERED or last[1] in STEERED):
             self._soft, self._switched = (last[0], self.thrust_n), True
 
     def _softened(self, t_us: int, wanted_n: FloatArray) -> FloatArray:
-        """What is wanted, coming from a pilot's thrust as fast as thrust may change."""
+        """The commanded thrust, slew-rate limited after piloted control."""
         if self._soft is None:
             return wanted_n
         last_us, last_n = self._soft
@@ -182,6 +182,6 @@ def model_state(nav: NavState) -> FloatArray:
 
 
 def _length_m(way: FloatArray) -> float | None:
-    """Of a polyline (m, 2), None when there is none."""
+    """Length of a polyline (m, 2), None without one."""
     step = way[1:] - way[:-1]
     return float(np.hypot(step[:, 0], step[:, 1]).sum()) if len(step) else None

@@ -1,4 +1,4 @@
-"""What one tick has decided."""
+"""Decision of one tick: mode, arming and goal."""
 
 from dataclasses import dataclass
 from typing import TypeAlias
@@ -25,11 +25,11 @@ class Decision:
     failsafes: int
     """Bits of :class:`autopilot.core.messages.Failsafe`."""
     drop_weight: bool = False
-    """A failsafe wants the drop weight off."""
+    """A failsafe requests the release of the drop weight."""
     ascent: Pose | None = None
     """Surface without the controller: up to here (north, east, depth, heading) by the simple station-keeping law."""
     by_hand: ByHand | None = None
-    """Without a position: what the pilot asks for, flown without the controller."""
+    """Without a position: pilot command, without the controller."""
     motor_test: tuple[int, int] | None = None
     """Thruster by its place in the vehicle file and its pulse [us]: it alone turns, there is no goal."""
     orders: tuple[Order, ...] = ()

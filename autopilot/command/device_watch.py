@@ -1,4 +1,4 @@
-"""Devices that fail and work again: told once, counted always."""
+"""Device faults and recoveries: each is reported once and counted always."""
 
 from collections.abc import Sequence
 
@@ -6,10 +6,10 @@ from autopilot.core import operator_messages as notices
 from autopilot.core.messages import DeviceRole, DeviceTrouble, Event
 
 SAY_EVERY_US = 5_000_000
-"""The same trouble is said again after so long."""
+"""Interval at which the same fault is reported again."""
 
 DEVICE_OVER_US = 1_000_000
-"""A device that has worked for so long works again."""
+"""Time without fault after which a device counts as recovered."""
 
 _DEVICE_NAMES = {
     DeviceRole.SENSORS: "Sensors",
@@ -18,19 +18,17 @@ _DEVICE_NAMES = {
     DeviceRole.WATCHDOG: "Thruster watchdog",
 }
 _SAID_ONCE = frozenset({DeviceRole.WATCHDOG})
-"""What is not said again while it lasts: it has a failsafe of its own."""
+"""Not reported again while it lasts: it has a failsafe of its own."""
 
 
 class DeviceWatch:
-    """Says when a device fails and when it works again."""
-
     def __init__(self) -> None:
         self._reported_us: dict[DeviceRole, int] = {}
         self._last_us: dict[DeviceRole, int] = {}
         self.counts = dict.fromkeys(DeviceRole, 0)
         """Ticks on which a device could not be used."""
         self.watchdog_problem = ""
-        """What is wrong on this tick with the process that stops the thrusters when the service cannot."""
+        """Fault of the watchdog process on this tick."""
 
     @property
     def thruster_problem(self) -> str:
@@ -38,7 +36,6 @@ class DeviceWatch:
         return "thruster output fails" if DeviceRole.THRUSTERS in self._last_us else ""
 
     def step(self, t_us: int, troubles: Sequence[DeviceTrouble]) -> list[Event]:
-        """Lines for the operator."""
         events = []
         self.watchdog_problem = ""
         for trouble in troubles:

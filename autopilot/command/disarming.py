@@ -1,6 +1,6 @@
-"""Disarming the flight controller below: asked for until its heartbeat shows it, and not said to be done before.
+"""Disarming of the flight controller, repeated until its heartbeat reports it.
 
-A vehicle without one below is disarmed when its thrusters are neutral: there is nothing to wait for.
+A vehicle without a flight controller is disarmed when its thrusters are neutral.
 """
 
 from autopilot.command.announcements import Announcements
@@ -9,7 +9,7 @@ from autopilot.core.messages import FlightControllerState
 from autopilot.mavlink.api import ACCEPTED, CommandReply, CommandResult
 
 CONFIRM_TICKS = 300
-"""3 s, twelve requests: then it is said that it has not worked. It is asked for until it has."""
+"""3 s, twelve requests: then the failure is reported. Requests continue until it is disarmed."""
 
 ARMED_ANEW = "Disarming cancelled: armed again"
 
@@ -24,30 +24,29 @@ class Disarming:
         self._ticks: int | None = None
         """Since it was asked for, None = nothing is waited for."""
         self._alone: bool | None = None
-        """Whether there is no flight controller below; None = no tick has told yet."""
+        """Whether there is no flight controller; None before the first tick."""
         self.answer = ACCEPTED
         """To who asked for it last."""
 
     @property
     def waits(self) -> bool:
-        """Whether the flight controller is to be asked on this tick."""
+        """Whether to send the disarm request on this tick."""
         return self._ticks is not None
 
     def begin(self) -> None:
-        """Ask for it, and give it all its time."""
+        """Start the requests and the timeout."""
         if self._alone:
             self.answer = ACCEPTED
         else:
             self._ticks, self.answer = 0, WAITING
 
     def give_up(self) -> None:
-        """It is to be armed."""
         if self.answer is WAITING:
             self.answer = CommandReply(result=CommandResult.FAILED, reason=ARMED_ANEW)
         self._ticks = None
 
     def step(self, below: FlightControllerState | None) -> None:
-        """Once per tick. What is known on the tick of the request is of before it."""
+        """Once per tick. The state known on the tick of the request is older than the request."""
         if below is not None or self._alone is None:
             self._alone = below is None
         ticks, self._ticks = self._ticks, None

@@ -1,4 +1,4 @@
-"""What comes in with a tick beside the estimator's samples: power, obstacles, pictures, devices that fail."""
+"""Inputs of a tick beside the estimator's samples: power, obstacles, pictures, device faults."""
 
 from collections.abc import Mapping, Sequence
 
@@ -37,8 +37,6 @@ INERTIAL = (AhrsSample, ImuSample)
 
 
 class Environment:
-    """The newest of everything."""
-
     def __init__(self, vehicle: Vehicle, params: ParamSet) -> None:
         self._params = params
         self._collisions = CollisionDetector(vehicle.to_model())
@@ -51,7 +49,7 @@ class Environment:
         self.below: FlightControllerState | None = None
         """The flight controller below us."""
         self.refusals: tuple[str, ...] = ()
-        """What devices have against arming."""
+        """Devices' reasons against arming."""
         self.status = VehicleStatus()
         self._t_us = 0
         self._reported_over = False
@@ -66,12 +64,12 @@ class Environment:
 
     @property
     def power(self) -> PowerSample | None:
-        """The newest reading of the battery that is believed."""
+        """Latest plausible battery reading."""
         return self.power_watch.power
 
     @property
     def supply_v(self) -> float | None:
-        """Measured voltage, None while none has come."""
+        """Measured voltage, None before the first reading."""
         return None if self.power is None else self.power.voltage_v
 
     def note(self, inputs: Inputs) -> None:
@@ -95,7 +93,7 @@ class Environment:
                 status.note_sample(inputs.t_us, sample)
 
     def _note_power(self, t_us: int, sample: PowerSample) -> None:
-        """One reading of the battery; what is not believed is as good as silence."""
+        """One battery reading; an implausible one counts as missing."""
         share = self._power_share(sample.t_us)
         if not self.power_watch.note(t_us, sample):
             self.status.note_implausible(t_us, "power monitor")
@@ -105,7 +103,6 @@ class Environment:
         self.sensed.power_w = power_w if before_w is None else before_w + share * (power_w - before_w)
 
     def _feel(self, t_us: int, sample: AhrsSample | ImuSample) -> None:
-        """What comes with every tick."""
         status, sensed = self.status, self.sensed
         sensed.inertial = sample
         sensed.vibration.note(sample.accel_frd_m_s2)
@@ -115,7 +112,7 @@ class Environment:
             status.collided_us = t_us
 
     def note_others(self, t_us: int, tracks: Sequence[ObstacleTrack], gone: Sequence[int], fence: Fence) -> None:
-        """Take what others have told of; what beams see of the fence itself is known."""
+        """Take reported obstacles, without beam returns from the fence itself."""
         for number in gone:
             self.tracks.forget(number)
         beams = [track for track in tracks if track.track_id >= BEAM_TRACKS]
@@ -126,7 +123,7 @@ class Environment:
                 self.tracks.note(t_us, track)
 
     def _show(self, t_us: int, sample: Sample) -> None:
-        """Keep the newest of what operators are shown; AHRS and IMU come in :meth:`_feel`."""
+        """Keep the latest values for display; AHRS and IMU are handled in :meth:`_feel`."""
         sensed = self.sensed
         if isinstance(sample, LaserSample):
             self._show_laser(t_us, sample)
@@ -159,13 +156,13 @@ class Environment:
 
     @property
     def acts(self) -> bool:
-        """Whether thrusters do what they are commanded, as far as their device says."""
+        """Whether thrusters follow their commands, according to their device."""
         below = self.below
         return not self.thruster_problem and self.alone and (below is None or below.acts)
 
     @property
     def alone(self) -> bool:
-        """Whether nobody else commands the thrusters."""
+        """Whether no other controller commands the thrusters."""
         return self.below is None or not self.below.rival
 
     def take_events(self) -> list[Event]:

@@ -1,8 +1,8 @@
-"""What the vehicle carries and clients may move: ``[[payload]]`` of the vehicle file.
+"""Payload outputs that clients may move: ``[[payload]]`` of the vehicle file.
 
-State is the pulse of each output; whoever drives them gets all of them on every tick, so that nothing is lost when a
-device goes and comes back. Repetitions count ticks. A relay is its highest pulse when it is on and its lowest when off,
-a gripper its highest when open and its lowest when closed.
+The state is the pulse of each output. Drivers get all of them on every tick, so that a device that reconnects is up
+to date. Repetitions count ticks. A relay is at its highest pulse when it is on and its lowest when off, a gripper
+at its highest when open and its lowest when closed.
 """
 
 import math
@@ -20,12 +20,12 @@ MAX_REPEATS = 10_000
 
 @dataclass(slots=True)
 class _Repeat:
-    """An output that goes to and fro."""
+    """An output that alternates."""
 
     pulses_us: tuple[int, int]
-    """What comes next, and what after that."""
+    """The next change, and the one after it."""
     left: int
-    """Changes that are still to come."""
+    """Changes left."""
     half_us: int
     next_us: int
 
@@ -41,7 +41,7 @@ class Equipment:
         self._repeats: dict[int, _Repeat] = {}
         self._t_us = 0
 
-    # What is there
+    # State
 
     def leave_out(self, unwired: Mapping[str, str]) -> None:
         """Outputs that nothing here drives, by name, and why."""
@@ -82,7 +82,7 @@ class Equipment:
         return tuple(self._thrusters)
 
     def pulses_us(self) -> dict[int, int]:
-        """Channel -> pulse of what is carried and driven, as of the last tick."""
+        """Channel -> pulse [us] of the payload outputs, as of the last tick."""
         return {
             output.channel: pulse_us
             for output, pulse_us in zip(self.outputs, self._pulses_us, strict=True)
@@ -105,7 +105,7 @@ class Equipment:
         return _denied(refusal) if refusal else self._put(index, round(pulse_us))
 
     def repeat_servo(self, channel: int, pulse_us: float, count: int, cycle_s: float) -> CommandReply:
-        """To a pulse and back to where it is, so many times."""
+        """Move to a pulse and back, repeatedly."""
         refusal = self.refuse_servo(channel)
         index = self._of_channel(channel)
         if refusal or index is None:
@@ -127,7 +127,7 @@ class Equipment:
         return self.set_relay(number, on=index is None or not self._is_on(index))
 
     def repeat_relay(self, number: int, count: int, cycle_s: float) -> CommandReply:
-        """To the other side and back, so many times."""
+        """Toggle a relay and back, repeatedly."""
         refusal = self.refuse_relay(number) or _cycle_refusal(count, cycle_s)
         index = self._of_relay(number)
         if refusal or index is None:
@@ -174,7 +174,7 @@ class Equipment:
     # One tick
 
     def step(self, t_us: int) -> PayloadState | None:
-        """What all outputs get now; None on a vehicle without any."""
+        """Pulses of all outputs; None on a vehicle without any."""
         self._t_us = t_us
         for index, repeat in tuple(self._repeats.items()):
             if t_us < repeat.next_us:

@@ -1,4 +1,4 @@
-"""The estimator inside the service: what stands in for one that fails, and what is told of it."""
+"""The estimator in the service: fallback on a fault of the estimator, and notices about its state."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -20,7 +20,7 @@ from autopilot.core.sensors import AID_SENSORS
 from autopilot.estimator.protocol import Estimator
 
 LAST_ESTIMATE_US = 200_000
-"""So long the last estimate stands in for an estimator that fails; then there is none."""
+"""Time for which the last estimate is used after a fault of the estimator; then there is none."""
 
 GOOD_FRAMES = ("frames.ok", "frames.late", "frames.foggy")
 """Counts of pictures that are not of refused ones."""
@@ -30,7 +30,7 @@ UNUSED_COUNTS = ("rejected", "late", "duplicate", "future", "malformed")
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Estimated:
-    """What the estimator said on a tick."""
+    """Result of the estimator on one tick."""
 
     nav: NavState | None
     ahrs_us: int | None
@@ -46,8 +46,8 @@ FINITE_AGAIN_US = 1_000_000
 class Estimation:
     """Runs the estimator under the guard.
 
-    An estimate that is not finite, or of no vehicle, is none: the last one stands in for it as for one that failed. It
-    is counted as ``nav.not_finite`` and told.
+    An estimate that is not finite or out of range is replaced by the last one, as after a fault of the estimator.
+    It is counted as ``nav.not_finite`` and reported.
     """
 
     def __init__(self, estimator: Estimator, guard: Guard) -> None:
@@ -61,7 +61,7 @@ class Estimation:
         self.nav: NavState | None = None
         """The estimate of the last tick."""
         self.doubts: frozenset[NavDoubt] = frozenset()
-        """What speaks against it or its sensors."""
+        """Evidence against it or its sensors."""
         self.aid_ratio: dict[str, float] = {}
         """Test ratio of the newest measurement of each aiding sensor."""
         self.errors = (0, 0, 0, 0)
@@ -94,7 +94,7 @@ class Estimation:
         )
 
     def _finite(self, t_us: int, nav: NavState | None) -> bool:
-        """Whether an estimate may be used; tells of one that may not."""
+        """Whether an estimate is usable; reports one that is not."""
         if nav is None or nav.health is NavHealth.INVALID:
             return True
         numbers = (nav.pos_ned_m, nav.rpy_rad, nav.vel_frd_m_s, nav.vel_water_frd_m_s, nav.rate_frd_rad_s)
@@ -110,7 +110,7 @@ class Estimation:
         return sound
 
     def _stand_in(self, t_us: int) -> Estimated:
-        """The estimator has failed: what it said last, for a moment."""
+        """After a fault of the estimator: the last estimate, for a limited time."""
         last = self.nav
         if last is not None:
             stale = t_us - self._estimated_us > LAST_ESTIMATE_US
@@ -118,7 +118,7 @@ class Estimation:
         return Estimated(nav=last, ahrs_us=self._ahrs_us, doubts=self.doubts)
 
     def take_remarks(self) -> list[Event]:
-        """What the estimator has to say to the operator, since the last call."""
+        """The estimator's messages to the operator since the last call."""
         remarks, self._remarks = self._remarks, []
         return remarks
 

@@ -1,4 +1,4 @@
-"""The table of failsafes for people: docs/failsafes.md and ``autopilot failsafes``."""
+"""The failsafe table as text: docs/failsafes.md and ``autopilot failsafes``."""
 
 import re
 from dataclasses import dataclass
@@ -32,7 +32,7 @@ def failsafe_texts() -> list[FailsafeText]:
 
 
 def failsafe_markdown() -> str:
-    """What docs/failsafes.md holds between its marks."""
+    """Generated part of docs/failsafes.md."""
     lines = ["| bit | failsafe | begins when; over | action | text |", "| --- | --- | --- | --- | --- |"]
     lines += [
         f"| {text.bit} | {text.name} | {text.condition}{_ending(text.over)} | {_short(text.action)} | {text.said} |"
@@ -45,13 +45,13 @@ def failsafe_markdown() -> str:
 
 
 def with_table(page: str) -> str:
-    """A page with the table between its marks made anew."""
+    """A page with the table between its marks regenerated."""
     begin, end = page.index(BEGIN) + len(BEGIN), page.index(END)
     return f"{page[:begin]}\n{failsafe_markdown()}{page[end:]}"
 
 
 def _ending(over: str) -> str:
-    """When it is over, unless that is as soon as the condition is."""
+    """Condition for clearing, if it differs from that for raising."""
     parts = [part for part in over.split(", ") if part != "at once"]
     return f"; over: {', '.join(parts)}" if parts else ""
 

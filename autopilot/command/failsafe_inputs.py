@@ -1,6 +1,6 @@
-"""What failsafes derive from the vehicle's status over time: plain numbers, most made ten times a second.
+"""Failsafe inputs derived from the vehicle's status over time, most at 10 Hz.
 
-NaN is what is not known, or does not apply now.
+NaN = unknown or not applicable.
 """
 
 import math
@@ -64,7 +64,7 @@ class FailsafeInputs:
     def update(
         self, status: VehicleStatus, *, armed: bool, surfacing: bool, on_mission: bool, blind: bool = False
     ) -> None:
-        """Once per tick. ``blind``: somebody steers who needs no position."""
+        """Once per tick. ``blind``: a mode that needs no position is being piloted."""
         t_us, nav = status.t_us, status.nav
         valid = nav is not None and nav.health is not NavHealth.INVALID
         self._known = self._known or valid
@@ -166,7 +166,7 @@ class FailsafeInputs:
         self.energy_lack = left_m * j_m / self._capacity_j + self._params["FS_ENRG_RES"] - power.remaining
 
     def _rest_m(self) -> float:
-        """Way of the mission behind the goal of now, straight from place to place, jumps counted."""
+        """Path length of the mission beyond the present goal, straight between waypoints, with jumps."""
         position, steps = self._sequencer.position, self._plans.steps()
         if self._rest is None or self._rest[:2] != (position, id(steps)):
             self._rest = (position, id(steps), 0.0 if position is None else rest_of_way_m(steps, position))

@@ -1,10 +1,10 @@
-"""The failsafes, one row each: condition, when it begins and ends, what is done, what is said.
+"""The failsafes, one row each: condition, thresholds, action and message.
 
 Data only. :mod:`autopilot.command.failsafes` evaluates it once per tick, docs/failsafes.md is generated from it
-(``autopilot failsafes --write``), and every row has a fault scenario (:mod:`autopilot.campaign.fault_cases`).
-
-A row looks at one quantity. It begins when that has been at its bound or beyond for ``enter_s`` and ends when it has
-been back by ``gap`` for ``leave_s``. NaN is neither: what nobody measures raises nothing.
+(``autopilot failsafes --write``), and every row has a fault scenario (:mod:`autopilot.campaign.fault_cases`). A row
+checks one quantity. It is raised when the quantity has been at or beyond its bound for ``enter_s`` and cleared when
+it has been inside by the hysteresis ``gap`` for ``leave_s``. NaN does neither: an unmeasured quantity raises
+nothing.
 """
 
 import math
@@ -59,10 +59,10 @@ class FailsafeRow:
     condition: str
     """For people; parameters by name."""
     level: Level
-    """What is looked at, once per tick: no text is made here."""
+    """Input, once per tick; makes no text."""
     enter: Bound
     gap: float = 0.0
-    """Hysteresis: it is over when the quantity is back by so much."""
+    """Hysteresis: cleared when the quantity is back by this."""
     below: bool = False
     """Low values are the bad ones."""
     zero_is_off: bool = False
@@ -73,13 +73,13 @@ class FailsafeRow:
     """Parameter that chooses among ``effects``, "" = the only one."""
     effects: tuple[Effect, ...] = ACTIONS
     severity: Severity = Severity.CRITICAL
-    """Of what is said when it begins."""
+    """Severity of the message when it is raised."""
     text: str
-    """What has happened and what to do. Names in braces are parameters and facts, put in when it is said."""
+    """Event and remedy. Names in braces are parameters and inputs, filled in when it is raised."""
     arming: str = ""
     """Why the vehicle must not be armed meanwhile, "" = it may."""
     flying: bool = False
-    """Looked at only while armed."""
+    """Evaluated only while armed."""
 
 
 def _age(t_us: int, since_us: float) -> float:

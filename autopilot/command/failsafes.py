@@ -1,7 +1,8 @@
-"""Failsafe rules: evaluates :data:`autopilot.command.failsafe_table.ROWS` once per tick.
+"""Evaluates the failsafe table (:data:`autopilot.command.failsafe_table.ROWS`) once per tick.
 
-The most severe effect wins and never weakens until the vehicle is disarmed or the operator takes over: by another mode
-when the condition has gone, at once for the rows that FS_OVERRIDE names. Text is made when something begins or ends.
+The most severe action wins and never weakens until the vehicle is disarmed or the operator takes over: by a mode
+change after the condition has cleared, at once for the rows that FS_OVERRIDE names. Messages are made when a
+failsafe is raised or cleared.
 """
 
 import math
@@ -37,7 +38,7 @@ class _RowState:
         self.since_us = -1
         """Since when it is about to change, -1 = it is not."""
         self.text = ""
-        """What was said when it began."""
+        """Message of when it was raised."""
 
     def configure(self, params: Mapping[str, float]) -> None:
         row = self.row
@@ -73,11 +74,11 @@ class FailsafeRules:
 
     @property
     def acting(self) -> bool:
-        """Whether a condition that asks for an action (not only a warning) holds."""
+        """Whether a failsafe with an action (not only a warning) is active."""
         return any(watch.active and RANK[watch.effect] > 0 for watch in self._watches)
 
     def acts_beside(self, rule: Failsafe) -> bool:
-        """Whether another condition than that one asks for an action."""
+        """Whether another failsafe with an action is active."""
         return any(watch.active and RANK[watch.effect] > 0 and watch.row.rule is not rule for watch in self._watches)
 
     def clear(self) -> None:
@@ -108,7 +109,7 @@ class FailsafeRules:
         return tuple(reasons)
 
     def update(self, status: VehicleStatus, *, armed: bool) -> Sequence[Event]:
-        """Evaluate all rows; events report what began and what ended."""
+        """Evaluate all rows; events report failsafes raised and cleared."""
         if self._params.revision != self._revision:
             self._configure()
         events: list[Event] = []
@@ -163,7 +164,7 @@ class FailsafeRules:
             events.append(row.event(status.t_us, condition=watch.text))
 
     def _land(self) -> None:
-        """Disarmed: what is looked at only in flight is over."""
+        """Disarmed: clear the failsafes that apply in flight only."""
         for watch in self._watches:
             if watch.row.flying:
                 watch.since_us = -1
@@ -172,7 +173,7 @@ class FailsafeRules:
                     self.bits &= ~(1 << watch.row.rule)
 
     def _configure(self) -> None:
-        """Take over parameters. What the operator overrides acts no more: that alone weakens an action."""
+        """Take over parameters. Overridden failsafes stop acting; only that weakens an action."""
         params = self._params
         if params.revision == self._revision:
             return
@@ -187,7 +188,7 @@ class FailsafeRules:
 
 
 class _Words(Mapping[str, object]):
-    """What the braces of a text stand for: parameters, and facts of the tick."""
+    """Values of the placeholders in messages: parameters and inputs of the tick."""
 
     def __init__(self, params: ParamSet, status: VehicleStatus, inputs: FailsafeInputs) -> None:
         power = status.power
@@ -216,7 +217,7 @@ class _Words(Mapping[str, object]):
 
 
 def _battery(power: PowerSample | None, inputs: FailsafeInputs, share: str) -> str:
-    """What is low of the battery: its voltage, or its share."""
+    """Which battery quantity is low: voltage or state of charge."""
     if power is None:
         return "unknown"
     if inputs.low_voltage < 0.0:

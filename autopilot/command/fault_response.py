@@ -1,10 +1,10 @@
-"""What becomes of the vehicle when something inside the service fails.
+"""Response to faults inside the service.
 
-A fault in a part that the thrusters' command comes from takes the controller out: the vehicle keeps its station on
-the simple law of :mod:`autopilot.control.robust.fallback` while the estimate holds, for FS_FAULT_TIME, and then the
-thrusters are neutral. The controller is tried again when the operator (or a failsafe) gives another order, and a
-second fault of the same kind within one arming disarms. A fault in what only serves clients (a message, telemetry)
-costs that message.
+A fault in a part of the thruster command path disables the controller: the vehicle keeps station on the fallback
+law of :mod:`autopilot.control.robust.fallback` while the estimate is valid, for FS_FAULT_TIME, then the thrusters
+are neutral. The controller is enabled again when the operator (or a failsafe) gives another order; a second fault
+of the same kind within one arming disarms. A fault in a part that only serves clients (a message, telemetry) loses
+that message.
 """
 
 import math
@@ -52,22 +52,21 @@ class FaultResponse:
 
     @property
     def holding(self) -> bool:
-        """Whether the controller is out."""
+        """Whether the controller is disabled."""
         return self._since_us is not None
 
     @property
     def drives(self) -> bool:
-        """Whether thrusters may turn."""
         return self._commander.armed and not self.stopped
 
     def problem(self, t_us: int) -> str:
-        """What has failed of late of what thrust comes from, "" when nothing has."""
+        """Recent fault in the thruster command path, "" if none."""
         if self._last is None or (self._since_us is None and t_us - self._last.t_us > FAULT_RESPONSE.shown_us):
             return ""
         return f"internal fault in {self._last.part}"
 
     def judge(self) -> None:
-        """Act upon what has failed since the last call: hold, or disarm."""
+        """Respond to faults since the last call: hold, or disarm."""
         faults = self._guard.take()
         if not faults:
             return

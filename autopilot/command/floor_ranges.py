@@ -1,4 +1,4 @@
-"""How high the vehicle is over what lies below it, by the sensors that look down."""
+"""Altitude above the floor from the downward range sensors."""
 
 import math
 from collections import deque
@@ -8,13 +8,13 @@ from statistics import median
 from autopilot.core.frames import FloatArray
 
 FRESH_US = 1_000_000
-"""A range that is older says nothing: the vehicle is somewhere else."""
+"""Age beyond which a range is invalid: the vehicle has moved."""
 
 READINGS = 5
-"""The median of so many is used: a fish, or an echo that has come back twice, is not the floor."""
+"""Length of the median filter: rejects fish and multipath echoes."""
 
 SENSORS = ("altimeter", "laser")
-"""The first of them that has spoken of late is asked: a sonar's wide beam sees the floor also through silt."""
+"""Order of preference among sensors with recent data: a sonar's wide beam sees the floor also through silt."""
 
 _NOWHERE = (math.nan, math.nan, math.nan)
 
@@ -36,7 +36,7 @@ class FloorRanges:
     def mount(
         self, name: str, position_frd_m: tuple[float, float, float], direction_frd: tuple[float, float, float]
     ) -> None:
-        """Where a sensor sits and which way it looks; the direction is of any length."""
+        """Position and direction (any length) of a sensor in the body frame."""
         x, y, z = direction_frd
         length = math.hypot(x, y, z)
         self._ranges[name] = _Ranges(position_frd_m, (x / length, y / length, z / length))

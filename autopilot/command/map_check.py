@@ -1,4 +1,4 @@
-"""Does a current map fit where the vehicle is to go? And opening one with the local origin."""
+"""Checks that a current map covers the area of the plan, and opens a map at the local origin."""
 
 import itertools
 from collections.abc import Sequence
@@ -26,7 +26,9 @@ from autopilot.mission.upstream import SlowLeg, slowest_leg
 
 
 def open_map(path: Path, origin: Origin | None = None, start_utc: str | None = None) -> CurrentMap:
-    """Read a map; latitudes by the origin (None = the parameters' defaults). ConfigError says what is wrong."""
+    """Read a map. ``origin``: reference of its coordinates (None = the parameters' defaults). ConfigError names the
+    problem.
+    """
     place = origin or params_origin(ParamSet())
 
     def to_local(lat_deg: float, lon_deg: float) -> tuple[float, float]:
@@ -37,7 +39,7 @@ def open_map(path: Path, origin: Origin | None = None, start_utc: str | None = N
 
 
 def parse_utc(text: str) -> datetime:
-    """A time like 2026-05-01T12:00; without a zone it is UTC. ConfigError if it is none."""
+    """Time from text such as 2026-05-01T12:00, UTC by default. ConfigError for invalid text."""
     try:
         time = datetime.fromisoformat(text)
     except ValueError as error:
@@ -46,7 +48,7 @@ def parse_utc(text: str) -> datetime:
 
 
 class MapCheck:
-    """Judges a map against workspaces, as :class:`autopilot.mission.store.Plans` asks."""
+    """Checks a map against workspaces, for :class:`autopilot.mission.store.Plans`."""
 
     def __init__(self, water: CurrentMap, origin: Origin) -> None:
         """``origin``: the local origin that the map was read with."""
@@ -69,7 +71,7 @@ class MapCheck:
         return ""
 
     def warning(self, fence: Fence, steps: Sequence[Step], limit_m_s: float) -> str:
-        """What the operator should know of a vehicle that swims so fast at most, "" if nothing."""
+        """Warning for a vehicle with this maximum speed, "" if none."""
         places = workspace_places(fence, steps)
         if not len(places):
             return ""
@@ -98,7 +100,7 @@ class MapCheck:
         return slowest_leg(steps, None, 0, limit_m_s, current_at)
 
     def _in_gaps(self, fence: Fence, places: FloatArray) -> FloatArray:
-        """(n, 2) places of the workspace in cells that are not known at all corners."""
+        """(n, 2) points of the workspace in cells with unknown corners."""
         unknown = self._water.unknown(fence.depth_min_m, fence.depth_max_m)
         if not unknown.any():
             return np.zeros((0, 2))
@@ -115,7 +117,7 @@ class MapCheck:
 
 
 def workspace_places(fence: Fence, steps: Sequence[Step]) -> FloatArray:
-    """(n, 2) places that stand for the workspace: a lattice within the fence; in open water the legs of the mission."""
+    """(n, 2) sample points of the workspace: a grid within the fence, or the legs of the mission in open water."""
     goals = [s.pos_ned_m[:2] for s in steps if isinstance(s, GoTo) and s.pos_ned_m is not None]
     legs = [np.linspace(a, b, MAP_CHECK.lattice) for a, b in itertools.pairwise(goals)]
     places = np.vstack([np.zeros((0, 2)), *(g[None] for g in goals), *legs])
@@ -129,7 +131,7 @@ def workspace_places(fence: Fence, steps: Sequence[Step]) -> FloatArray:
 
 
 def describe_map(water: CurrentMap) -> list[tuple[str, object]]:
-    """What a map holds, as rows of a table."""
+    """Rows of a table that describes a map."""
     nodes = water.nodes
     current = nodes.current_ned_m_s
     known = np.isfinite(current).all(axis=-1)
@@ -152,7 +154,7 @@ def describe_map(water: CurrentMap) -> list[tuple[str, object]]:
 
 
 def _corners(shape: Shape) -> FloatArray:
-    """(n, 2) places on the boundary of a shape."""
+    """(n, 2) points on the boundary of a shape."""
     if isinstance(shape, Polygon):
         return np.asarray(shape.vertices_ned_m, dtype=float)
     angle = np.linspace(0.0, 2.0 * np.pi, MAP_CHECK.circle_places, endpoint=False)
@@ -180,7 +182,7 @@ def _at(place: FloatArray) -> str:
 
 
 def _fastest_m_s(water: CurrentMap, places: FloatArray, fence: Fence) -> float:
-    """Largest horizontal speed of any frame and level at places (n, 2)."""
+    """Largest horizontal speed over all frames and levels at points (n, 2)."""
     nodes, fastest = water.nodes, 0.0
     thinned = places[:: max(1, len(places) // 1000)]
     levels = [d for d in nodes.depth_m if fence.depth_min_m <= d <= fence.depth_max_m] or nodes.depth_m[:1]

@@ -1,4 +1,4 @@
-"""What the controller forbids before arming (a tightened set that is empty), and water that is too fast."""
+"""Reasons of the controller against arming: an empty tightened set, or a current that is too strong."""
 
 import numpy as np
 
@@ -9,13 +9,13 @@ from autopilot.mission.store import Plans
 
 
 class MarginCheck:
-    """Reasons against arming; the geometry of the plans comes from their check."""
+    """Reasons against arming; the geometry comes from the plan check."""
 
     def __init__(self, controller: Controller, params: ParamSet, plans: Plans) -> None:
         self._controller, self._params, self._plans = controller, params, plans
 
     def planar_speed_m_s(self, nav: NavState) -> float:
-        """What the controller leaves of the planar speed with this estimate."""
+        """Planar speed that the controller's margins leave with this estimate."""
         return self._controller.planar_speed_m_s(nav, self._params)
 
     def __call__(self, nav: NavState) -> tuple[str, ...]:

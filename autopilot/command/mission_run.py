@@ -1,4 +1,4 @@
-"""The mission in force: where it stands, what the current leaves of its legs, and whether the vehicle gets on."""
+"""Execution of the mission in force: progress, speed made good on its legs, and detection of a stuck vehicle."""
 
 import math
 from collections.abc import Callable
@@ -27,7 +27,7 @@ class StuckAction(IntEnum):
     HOLD = 1
     SKIP = 2
     REFUSE = 3
-    """No start where the current says so beforehand; in flight as HOLD."""
+    """Refuses the start if the current requires it; in flight as HOLD."""
 
 
 class MissionRun:
@@ -36,7 +36,7 @@ class MissionRun:
     def __init__(
         self, params: ParamSet, plans: Plans, operator: Announcements, speed_m_s: Callable[[NavState], float]
     ) -> None:
-        """``speed_m_s``: what the controller's margins leave of the planar speed."""
+        """``speed_m_s``: planar speed left by the controller's margins."""
         self._params = params
         self._plans = plans
         self._operator = operator
@@ -44,12 +44,12 @@ class MissionRun:
         self._steps: tuple[Step, ...] = ()
         self._made_good = MadeGood()
         self._given_up = False
-        """The present goal has been told to be out of reach."""
+        """The present goal has been reported as unreachable."""
         self._reported_upstream: set[tuple[int, bool]] = set()
-        """What has been told of the current on legs since the mission was started."""
+        """Reports about the current on legs since the start of the mission."""
         self._upstream_us = 0
         self._unreported: tuple[int, ...] = ()
-        """Items that were reached since that was last told."""
+        """Items reached since the last report."""
         self._reached_reported_us = -MISSION_RUN.reached_us
         self.sequencer = Sequencer(params)
 
@@ -69,7 +69,9 @@ class MissionRun:
         self._report_upstream(nav)
 
     def set_home(self, pos_ned_m: FloatArray) -> str:
-        """Home is a place on the surface: relative altitudes count from there. Why not, "" when it is taken."""
+        """Set home, a point on the surface, the reference of relative altitudes. Returns the reason of a refusal,
+        else "".
+        """
         home_ned_m = np.array([pos_ned_m[0], pos_ned_m[1], 0.0])
         refusal = self._plans.set_home(home_ned_m)
         if not refusal:
@@ -77,7 +79,7 @@ class MissionRun:
         return refusal
 
     def move_home(self, pos_ned_m: FloatArray) -> None:
-        """Home where nobody has asked for it."""
+        """Set home to here unless it was set explicitly."""
         refusal = self.set_home(pos_ned_m)
         if refusal:
             self._operator.say(notices.HOME_KEPT(reason=refusal))
@@ -90,12 +92,12 @@ class MissionRun:
         return out
 
     def tell(self, t_us: int) -> None:
-        """What has been reached, as often as that is told; also when the mission is flown no more."""
+        """Report the items reached, rate-limited; also after the mission has ended."""
         if self._unreported and t_us - self._reached_reported_us >= MISSION_RUN.reached_us:
             self._report_reached(t_us)
 
     def _report_reached(self, t_us: int) -> None:
-        """What has been reached since the last text."""
+        """Report the items reached since the last message."""
         count = len(self._unreported)
         if not count:
             return
@@ -130,14 +132,13 @@ class MissionRun:
         return leg.text(least_m_s) if leg is not None and leg.out_of_reach(least_m_s) else ""
 
     def forget_progress(self) -> None:
-        """There is no goal that the vehicle travels to."""
+        """Reset the detection of a stuck vehicle: there is no goal to travel to."""
         self._made_good.forget()
         self._given_up = False
 
     def watch_way(self, status: VehicleStatus, goal: Goal, nav: NavState, *, flies: bool) -> bool:
-        """A goal that the vehicle gets no nearer to is not crept at for ever: WP_STUCK_ACT says what is done.
-
-        ``flies``: an item of the mission, else home. True when the vehicle is to hold.
+        """Detect a goal that the vehicle does not approach; WP_STUCK_ACT gives the action. ``flies``: a mission item,
+        else home. True when the vehicle is to hold.
         """
         t_us, patience_s = status.t_us, self._params["WP_STUCK_TIME"]
         step_m = patience_s * self._params["SPD_GROUND_MIN"]
@@ -156,7 +157,7 @@ class MissionRun:
         return self._give_up(status, goal, nav, flies)
 
     def _give_up(self, status: VehicleStatus, goal: Goal, nav: NavState, flies: bool) -> bool:
-        """Say it and do it; True when the vehicle is to hold."""
+        """Report it and act; True when the vehicle is to hold."""
         current = math.hypot(*nav.current_ned_m_s[:2].tolist())
         why = "no free way" if status.unreachable else f"current {current:.2f} m/s"
         action = int(self._params["WP_STUCK_ACT"]) if flies else StuckAction.WARN
@@ -172,10 +173,10 @@ class MissionRun:
         self._operator.say(notices.ITEM_HELD(seq=goal.seq, reason=why))
         return True
 
-    # What the current leaves
+    # Speed made good
 
     def _slowest_leg(self, nav: NavState | None, *, only_this: bool = False) -> SlowLeg | None:
-        """Of what is to come of the mission in force (or of this item), in the current as it is estimated now."""
+        """Slowest of the remaining legs (or of this item) in the current as estimated now."""
         if nav is None:
             return None
         position, current = self.sequencer.position, nav.current_ned_m_s[:2]
@@ -189,8 +190,7 @@ class MissionRun:
         )
 
     def _report_upstream(self, nav: NavState | None, *, only_this: bool = False) -> None:
-        """What the current leaves of the speed over ground on the slowest leg that is to come (or on this one), if that
-        is little; once per item and answer."""
+        """Warn of a low speed over ground on the slowest remaining leg (or this one); once per item and result."""
         leg, least_m_s = self._slowest_leg(nav, only_this=only_this), self._params["SPD_GROUND_MIN"]
         if leg is not None and only_this:
             leg = leg.made(self._made_good.made_m_s, self._made_good.left_m)

@@ -1,4 +1,4 @@
-"""The state machine: armed or not, which mode is in force, and where it goes."""
+"""State machine of arming and flight modes."""
 
 from collections.abc import Callable
 from typing import TypeVar
@@ -19,7 +19,7 @@ M = TypeVar("M", bound=FlightModeBehaviour)
 
 
 class ModeMachine:
-    """Does what it is told: whether it may is asked before (:mod:`autopilot.command.commander`)."""
+    """Executes orders that :mod:`autopilot.command.commander` has checked."""
 
     def __init__(self, tools: ModeContext, failsafes: FailsafeRules) -> None:
         self._goals = tools.goals
@@ -41,7 +41,7 @@ class ModeMachine:
         self.chosen = FlightMode.HOLD
         """The operator's mode."""
         self.goal: Goal | None = None
-        """Where the mode in force goes, None as long as it has not been asked."""
+        """Goal of the mode in force, None before its first step."""
         self.drop_weight = False
         """A failsafe has let the drop weight go, since the last arming."""
         self.disarms_flight_controller = False
@@ -49,11 +49,11 @@ class ModeMachine:
         self.handed_back = False
         """A failsafe has given the thrusters to the flight controller below, since the last arming."""
         self.ascent: Pose | None = None
-        """Where a vehicle whose controller finds no solution any more is to come up, None = the controller flies."""
+        """Position at which to surface when the controller finds no solution, None = the controller flies."""
         self.equipment_orders: list[Order] = []
         """Of mission items passed, for what the vehicle carries; taken once per tick."""
         self.orders = 0
-        """Grows whenever the vehicle is told to do something else."""
+        """Incremented by every new order."""
 
     @property
     def mode(self) -> FlightMode:
@@ -67,12 +67,12 @@ class ModeMachine:
 
     @property
     def under_way(self) -> bool:
-        """Whether a mode other than holding, or a go-to, has been entered since arming: what "flying" means here."""
+        """Whether a mode other than hold, or a go-to, has been entered since arming (reported as "flying")."""
         return self.armed and self._under_way
 
     @property
     def nav(self) -> NavState | None:
-        """The estimate of the last tick, None when there is none or it is lost."""
+        """Estimate of the last tick, None if it is missing or lost."""
         return None if self.status is None else self.status.estimate
 
     @property
@@ -99,13 +99,13 @@ class ModeMachine:
         return self._modes[mode].refusal(self.status, armed=self.armed)
 
     def prepare(self, mode: FlightMode) -> str:
-        """Before a mode is chosen without more words: why that is not possible, "" if it is."""
+        """Prepare a mode selected without arguments. Returns the reason of a refusal, else ""."""
         return self._modes[mode].prepare(self.nav, armed=self.armed)
 
     # Orders
 
     def arm(self) -> None:
-        """Thrusters may turn; home is here. The mode is to be entered then."""
+        """Arm and set home here. The caller enters the mode."""
         self.armed, self.disarms_flight_controller = True, False
         self.drop_weight = self.handed_back = False
         self._failsafes.clear()
@@ -149,13 +149,13 @@ class ModeMachine:
         self._under_way = True
 
     def interrupt(self) -> None:
-        """The mission must not go on: hold. A failsafe's action goes on."""
+        """Stop the mission and hold. A failsafe action continues."""
         if self._override is None:
             self.enter(FlightMode.HOLD)
         self.chosen = FlightMode.HOLD
 
     def fall_back(self) -> None:
-        """Hold here until somebody decides anew. A failsafe's action goes on."""
+        """Hold until the next order. A failsafe action continues."""
         if self.armed and self._override is None:
             self.enter(FlightMode.HOLD)
 
@@ -214,7 +214,7 @@ class ModeMachine:
             self.ascent = (x, y, z, float(self.nav.rpy_rad[2]))
 
     def _mode_of(self, action: Effect) -> FlightMode:
-        """What a failsafe's effect flies. It goes on with what it has begun: home that is lost on the way holds."""
+        """Mode of a failsafe action. An action under way continues: return becomes hold if home is lost."""
         if action == "hold":
             return FlightMode.HOLD
         if action != "return":
@@ -253,13 +253,13 @@ class ModeMachine:
             self.disarm(force=False)
 
     def by_hand(self, status: VehicleStatus) -> ByHand | None:
-        """What a pilot asks for where there is no position, None where the mode needs one or there is one."""
+        """Pilot command without a position, None where the mode needs one or there is one."""
         if not self.armed or self.yielded or self.nav is not None:
             return None
         return self.active.by_hand(status)
 
     def _watch_position(self) -> None:
-        """A pilot is told when fence and limits no longer hold, and when they do again."""
+        """Report to the pilot when fence and limits stop being enforced, and when they are enforced again."""
         seen, piloted = self.nav is not None, self.armed and not self.active.needs_position
         if piloted and self._seen and not seen:
             self._operator.say(notices.POSITION_LOST_PILOTED())

@@ -1,7 +1,7 @@
-"""DO_MOTOR_TEST: one thruster of an armed vehicle turns a little, as long as somebody says so.
+"""DO_MOTOR_TEST: runs one thruster of an armed vehicle at low thrust while the command is repeated.
 
-A test needs mode MANUAL with the sticks let go, and ends by silence, disarming, another mode, a stick, and near the
-fence. What it may do at most is what :mod:`autopilot.run.motor_test` may on board.
+A test needs mode MANUAL with the sticks centred. It ends on timeout, disarming, another mode, stick input, and near
+the fence. Its limits are those of :mod:`autopilot.run.motor_test`.
 """
 
 from autopilot.command.announcements import Announcements
@@ -26,7 +26,7 @@ class MotorTests:
         self._rest_us = 0
 
     def begin(self, test: MotorTest) -> str:
-        """Why there is no test, "" when it runs."""
+        """Start a test. Returns the reason of a refusal, else ""."""
         status, count = self._modes.status, len(self._thrusters)
         if not self._modes.armed or status is None:
             return "arm first"
@@ -70,7 +70,7 @@ class MotorTests:
         return self._now
 
     def _end(self, status: VehicleStatus) -> str:
-        """What speaks against a test now."""
+        """Reason to end the test now."""
         modes, sticks, nav = self._modes, status.sticks, self._modes.nav
         if not modes.armed:
             return "disarmed"

@@ -1,7 +1,7 @@
-"""Orders of a mission to what the vehicle carries: whether they can be carried out, and doing it.
+"""Payload items of a mission: whether they can be carried out, and their execution.
 
-A camera that is not there (or delivers nothing) is told and flown past: a survey is worth flying for its track. An
-output that is not there refuses the plan.
+A missing or silent camera is reported and its items are skipped: a survey is worth flying for its track. A missing
+output refuses the plan.
 """
 
 from collections.abc import Sequence
@@ -49,7 +49,7 @@ class PayloadOrders:
         return ""
 
     def carry_out(self, t_us: int, orders: Sequence[Order]) -> list[Event]:
-        """Do it; what the operator should know."""
+        """Execute an order; messages to the operator."""
         events = []
         for order in orders:
             answer = self._done(order)

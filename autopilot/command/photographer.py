@@ -1,8 +1,8 @@
-"""Still pictures: single ones, sequences by time and by way, and where the vehicle was when each was taken.
+"""Still pictures: single, and sequences by time and by distance, with the vehicle's pose at each exposure.
 
-The pixels never come here. The service asks for a still by its number (``Outputs.shots``), whoever has the camera takes
-the first picture exposed from then on, stores it and says so (``Inputs.stills``), and the estimate of the exposure's
-time is put to it.
+Pixels are not handled here. The service requests a still by its number (``Outputs.shots``). The camera's driver
+takes the first picture exposed from then on, stores it and reports it (``Inputs.stills``); the estimate at the time
+of exposure is attached to it.
 """
 
 import math
@@ -22,7 +22,8 @@ from autopilot.mavlink.api import ACCEPTED, CommandReply, CommandResult
 from autopilot.mavlink.camera_api import CameraIdentity, CameraState
 
 _R_CAM_FROM_VIEW: FloatArray = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [1.0, 0.0, 0.0]])
-"""(3, 3) OpenCV's axes from those of a body that looks ahead: x along the optical axis, y right, z down."""
+"""(3, 3) rotation from the FRD axes of a body that faces along the optical axis to OpenCV's (x right, y down, z
+ahead)."""
 
 
 @dataclass(slots=True)
@@ -43,7 +44,7 @@ class _Survey:
 
 
 class Photographer:
-    """The camera's orders and what has become of them. :meth:`note` before, :meth:`step` after the other parts."""
+    """Camera orders and their results. Call :meth:`note` before and :meth:`step` after the other parts."""
 
     def __init__(self, vehicle: Vehicle) -> None:
         """ConfigError if the vehicle has no camera."""
@@ -74,7 +75,6 @@ class Photographer:
 
     @property
     def state(self) -> CameraState:
-        """What it does now."""
         sequence, survey = self._sequence, self._survey
         return CameraState(
             exposing=bool(self._under_way or self._wanted),
@@ -85,7 +85,7 @@ class Photographer:
         )
 
     def shoot(self, count: int | None, interval_s: float, seq: int = -1) -> CommandReply:
-        """So many stills (None = until it is stopped), so far apart."""
+        """A number of stills (None = until stopped) at an interval."""
         refusal = self.refusal
         if refusal:
             return CommandReply(result=CommandResult.TEMPORARILY_REJECTED, reason=f"Photo refused: {refusal}")
@@ -102,7 +102,7 @@ class Photographer:
         return ACCEPTED
 
     def shoot_every(self, distance_m: float, *, now: bool, seq: int = -1) -> CommandReply:
-        """A still each time that the vehicle has come so far; 0 ends that."""
+        """A still after every distance [m]; 0 ends the sequence."""
         if distance_m == 0.0:
             self._survey = None
             return ACCEPTED
@@ -117,7 +117,7 @@ class Photographer:
         return ACCEPTED
 
     def stop(self) -> CommandReply:
-        """End the sequence, by time or by way."""
+        """End the sequence, by time or by distance."""
         self._sequence = self._survey = None
         return ACCEPTED
 
@@ -131,7 +131,7 @@ class Photographer:
         return self._records.get(index)
 
     def take_records(self) -> tuple[StillRecord, ...]:
-        """Stills that have come since the last call."""
+        """Stills stored since the last call."""
         news, self._news = tuple(self._news), []
         return news
 
@@ -150,8 +150,9 @@ class Photographer:
             self._conclude(StoredStill(index=index, exposure_us=inputs.t_us, problem="nothing heard of it"))
 
     def step(self, t_us: int, nav: NavState | None, *, armed: bool) -> tuple[tuple[int, ...], tuple[StillRecord, ...]]:
-        """Numbers of the stills to be taken from now on, and what has become of earlier ones. Disarming ends what a
-        mission has begun, and what goes by the way."""
+        """Numbers of the stills to take from now on, and results of earlier requests. Disarming ends sequences of a
+        mission and sequences by distance.
+        """
         if self._armed and not armed:
             self._survey = None
             if self._sequence is not None and self._sequence.seq >= 0:
@@ -200,7 +201,7 @@ class Photographer:
                 self._ask(survey.seq)
 
     def _may_ask(self) -> bool:
-        """Whether the camera follows; the operator hears once that it does not."""
+        """Whether the camera responds; reports once that it does not."""
         if len(self._under_way) + len(self._wanted) < PHOTOGRAPHER.max_under_way:
             self._skipped = False
             return True

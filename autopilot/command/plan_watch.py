@@ -1,4 +1,4 @@
-"""What becomes of plans that change: what their check means is told, and a fence is not changed under the vehicle."""
+"""Reports the result of plan checks, and keeps the fence from being changed under an armed vehicle."""
 
 from collections.abc import Sequence
 
@@ -16,11 +16,11 @@ from autopilot.mission.plan_check import PlanVerdict
 from autopilot.mission.store import Plans, plan_checksum
 
 REPEAT_US = 5_000_000
-"""The same problem of another upload is told again after this time at the earliest."""
+"""Minimum interval at which the same problem of another upload is reported again."""
 
 
 class PlanCheckNews:
-    """Tells what a new answer to the check of the plans means."""
+    """Reports new results of the plan check."""
 
     def __init__(self, plans: Plans, operator: Announcements) -> None:
         self._plans = plans
@@ -31,7 +31,7 @@ class PlanCheckNews:
         self._reported_revision = 0
 
     def changed(self) -> bool:
-        """Whether there is another answer than on the last call, or one is waited for."""
+        """Whether the result differs from the last call, or is pending."""
         checked = (self._plans.verdict, self._plans.checking)
         if checked == self._checked:
             return False
@@ -39,7 +39,7 @@ class PlanCheckNews:
         return True
 
     def tell(self, t_us: int, *, in_mission: bool) -> bool:
-        """Say it once the answer is there; True when a mission that runs must not go on."""
+        """Report the result once it is there; True when it forbids the running mission."""
         if self._plans.checking:
             return False
         problem, revision = self._plans.problem, self._plans.revision
@@ -69,7 +69,7 @@ class FenceGuard:
     def refusal(
         self, kinds: Sequence[PlanKind], verdict: PlanVerdict, nav: NavState | None, goal: Goal | None
     ) -> PlanRejection | None:
-        """Of plans that an armed vehicle at ``nav`` on its way to ``goal`` is sent; None when they are taken."""
+        """Refusal of plans for an armed vehicle at ``nav`` on its way to ``goal``; None when they are accepted."""
         fence = verdict.question.plans[PlanKind.FENCE]
         same = plan_checksum(fence) == self._plans.checksum(PlanKind.FENCE)
         if self._params["FENCE_ARMED_CHG"] or PlanKind.FENCE not in kinds or same:
@@ -85,7 +85,7 @@ class FenceGuard:
         return PlanRejection(seq=None, result=MissionResult.DENIED, reason=f"{reason}; FENCE_ARMED_CHG 1 allows it")
 
     def _lack(self, room: Clearance, nav: NavState | None, goal: Goal | None) -> str:
-        """What another workspace has against where the vehicle is and where it goes, "" if nothing."""
+        """Conflict of another workspace with the vehicle's position or goal, "" if none."""
         places: list[tuple[str, FloatArray]] = [] if nav is None else [("vehicle", nav.pos_ned_m)]
         places += [] if goal is None else [("vehicle's goal", goal.pos_ned_m)]
         for name, pos_ned_m in places:

@@ -1,8 +1,9 @@
 """The autopilot as one function: ``Outputs = Autopilot.step(Inputs)``, once per tick of 10 ms.
 
-The table in :meth:`Autopilot._stages_of_tick` lists what a tick does, in its order. No clock, socket, file or random
-number lives here; real vehicle, simulation and replay differ only in who makes the inputs. Every stage runs under a
-guard (:mod:`autopilot.core.guard`); :mod:`autopilot.command.fault_response` decides what a fault means for the others.
+The table in :meth:`Autopilot._stages_of_tick` lists the stages of a tick in order. There is no clock, socket, file
+or random number here; real vehicle, simulation and replay differ only in the source of the inputs. Every stage runs
+under a guard (:mod:`autopilot.core.guard`); :mod:`autopilot.command.fault_response` decides how a fault affects the
+others.
 """
 
 from collections.abc import Callable, Sequence
@@ -47,7 +48,7 @@ from autopilot.mavlink.api import VehicleView
 
 @dataclass(slots=True, eq=False)
 class TickState:
-    """What the stages of one tick hand on. A stage that fails leaves what stands here: nothing, or neutral."""
+    """Data passed between the stages of one tick. If a stage fails, the values here stay: none, or neutral."""
 
     inputs: Inputs
     acting_n: FloatArray
@@ -82,7 +83,7 @@ class Stage:
     every: int = 1
     """Only on ticks that this divides."""
     given: Callable[[TickState], object] = attrgetter("inputs")
-    """What a failing stage worked on, for the description of its fault."""
+    """Input of a failing stage, for the description of its fault."""
 
 
 class Autopilot:
@@ -92,7 +93,7 @@ class Autopilot:
         self._parts = parts
         parts.params.take_changes()  # what was set before the first tick is in the log's description
         self.marks: Marks = NoMarks()
-        """Takes the time of the parts of a tick, for the loop's statistics; nothing in here looks at it."""
+        """Times the stages of a tick, for the loop's statistics only."""
         self._tick = 0
         self._actuation = parts.actuation
         self._environment = Environment(parts.vehicle, parts.params)
@@ -106,7 +107,7 @@ class Autopilot:
         self._orders = PayloadOrders(parts.equipment, parts.photographer)
         parts.plans.order_check = self._orders.refusal
         self._order_events: list[Event] = []
-        """What became of orders to the equipment, for the operator."""
+        """Results of payload orders, for the operator."""
         self._given: Inputs | None = None
         self._view: VehicleView | None = None
         # Of the last tick:
@@ -116,7 +117,7 @@ class Autopilot:
         self._stages = self._stages_of_tick()
 
     def _stages_of_tick(self) -> tuple[Stage, ...]:
-        """What a tick does, in this order. The NMPC itself runs on every fifth tick of the stage ``controller``."""
+        """Stages of a tick, in order. The NMPC runs on every fifth tick of the stage ``controller``."""
         return (
             Stage("inputs", self._take_inputs),
             Stage("camera", self._note_exposures),
@@ -147,11 +148,11 @@ class Autopilot:
 
     @property
     def nav(self) -> NavState | None:
-        """The estimate of the last tick (what the vision front end predicts from)."""
+        """Estimate of the last tick (for the prediction of the vision front end)."""
         return self._estimation.nav
 
     def serve(self, t_us: int, rx: Sequence[MavlinkFrame]) -> tuple[MavlinkFrame, ...]:
-        """What is received between two ticks: plan transfers are answered at once, the rest waits for the next tick."""
+        """Handle messages received between ticks: plan transfers at once, the rest on the next tick."""
         return self._parts.guard.run("mavlink", lambda: self._parts.server.serve(t_us, rx), (), lambda: rx)
 
     def beat(self) -> tuple[MavlinkFrame, ...]:
@@ -159,7 +160,7 @@ class Autopilot:
         return self._parts.guard.run("heartbeat", self._parts.server.beat, (), lambda: self._given)
 
     def standing(self, link: int, client: int) -> ClientRecord:
-        """What a client of a link has shown of itself so far: who keeps its place where there are too few."""
+        """Priority of a client on a link, for keeping its slot when there are too few."""
         return self._parts.server.standing(link, client)
 
     def step(self, inputs: Inputs) -> Outputs:
@@ -239,7 +240,6 @@ class Autopilot:
     # Stages: inputs and estimate
 
     def _take_inputs(self, tick: TickState) -> None:
-        """What comes in beside the estimator's samples."""
         inputs = tick.inputs
         if any(trouble.device is DeviceRole.THRUSTERS for trouble in inputs.troubles):
             self._actuation.not_taken()
@@ -257,7 +257,6 @@ class Autopilot:
         tick.acting_n = self._actuation.send(tick.inputs.t_us)
 
     def _take_poses(self, tick: TickState) -> None:
-        """Poses that clients have measured."""
         tick.poses = self._parts.server.take_samples()
 
     def _take_tracks(self, tick: TickState) -> None:
@@ -281,7 +280,7 @@ class Autopilot:
     # Stages: MAVLink
 
     def _refresh_view(self, tick: TickState) -> None:
-        """What telemetry shows: the estimate of this tick, decision and command of the last one."""
+        """Data for telemetry: estimate of this tick, decision and command of the last one."""
         parts, motion, environment, decision = self._parts, self._motion, self._environment, self._decision
         inputs, commander, power = tick.inputs, parts.commander, self._environment.power_watch.shown
         goal = None if decision is None else decision.goal
@@ -314,7 +313,6 @@ class Autopilot:
         )
 
     def _serve_clients(self, tick: TickState) -> None:
-        """Requests of clients and telemetry."""
         inputs, view = tick.inputs, self._view
         if view is None:
             return
@@ -322,10 +320,9 @@ class Autopilot:
         events = self._events + inputs.notices
         tick.tx = self._parts.server.step(inputs.t_us, inputs.mavlink_rx, view, events, reached)
 
-    # Stages: what to do
+    # Stages: decision
 
     def _watch_thrusters(self, tick: TickState) -> None:
-        """Late commands and lost thrust."""
         environment = self._environment
         tick.thrusters = self._actuation.learn(
             tick.inputs.t_us,
@@ -338,7 +335,7 @@ class Autopilot:
         )
 
     def _update_status(self, tick: TickState) -> None:
-        """All that modes, failsafes and arming look at."""
+        """Update the status read by modes, failsafes and arming checks."""
         self._faults.judge()
         status, t_us, estimated = self._status, tick.inputs.t_us, tick.estimated
         actuation, motion, environment, server = self._actuation, self._motion, self._environment, self._parts.server
@@ -390,7 +387,7 @@ class Autopilot:
         tick.decision = decision
 
     def _undecided(self, t_us: int) -> Decision:
-        """Stands in for a commander that fails: hold, as far as the fallback does."""
+        """Decision after a fault of the commander: hold, by the fallback law."""
         commander, last = self._parts.commander, self._decision
         blank = MissionProgress(t_us=t_us, current_seq=-1, reached_seq=-1, lap=0, state=ProgressState.UNKNOWN)
         return Decision(
@@ -407,13 +404,12 @@ class Autopilot:
         )
 
     def _carry_out_orders(self, tick: TickState) -> None:
-        """Of mission items passed on this tick, for what the vehicle carries."""
+        """Execute payload items of the mission passed on this tick."""
         assert tick.decision is not None
         if tick.decision.orders:
             self._order_events += self._orders.carry_out(tick.inputs.t_us, tick.decision.orders)
 
     def _photograph(self, tick: TickState) -> None:
-        """Stills to be taken, and what became of earlier ones."""
         photographer, decision = self._parts.photographer, tick.decision
         assert decision is not None
         if photographer is not None:
@@ -426,7 +422,7 @@ class Autopilot:
             self._parts.controller.warm(self._parts.params)
 
     def _control(self, tick: TickState) -> None:
-        """Run the controller on its ticks; neutral when there is nothing to follow."""
+        """Run the controller on its ticks; neutral without a goal."""
         decision = tick.decision
         if self._faults.holding or decision is None:
             return
@@ -447,7 +443,6 @@ class Autopilot:
         )
 
     def _allocate(self, tick: TickState) -> None:
-        """Pulses for this tick."""
         assert tick.decision is not None
         thrust_n = self._motion.thrust_n
         tick.command = self._actuation.command(tick.inputs.t_us, thrust_n, armed=tick.decision.armed)
@@ -460,7 +455,7 @@ class Autopilot:
             tick.command = self._actuation.neutral(tick.inputs.t_us)
         self._decision, self._command = tick.decision, tick.command
 
-    # Stages: what operators hear
+    # Stages: notices to operators
 
     def _take_commander_events(self, tick: TickState) -> None:
         tick.events = self._parts.commander.drain_events()
@@ -483,7 +478,7 @@ class Autopilot:
 
     @property
     def _goal(self) -> Goal | None:
-        """Of the last tick."""
+        """The goal of the last tick."""
         return None if self._decision is None else self._decision.goal
 
     def _take_events(self) -> list[Event]:

@@ -1,4 +1,4 @@
-"""What the service is made of."""
+"""Components from which the service is built."""
 
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
@@ -37,6 +37,6 @@ class ServiceParts:
     photographer: Photographer | None = None
     """None without a camera."""
     nondeterminism: NondeterminismSource
-    """Notes what the service is told in answer to its own questions, for the log."""
+    """Recorder of nondeterministic results, for the log."""
     desks: tuple[BackgroundWorker, ...] = ()
     """Where slow work is asked for: while the loop waits there it attends to its links."""

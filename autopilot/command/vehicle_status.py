@@ -1,6 +1,6 @@
-"""What is known of the vehicle: estimate, battery, thrusters, sensors, links.
+"""State of the vehicle: estimate, battery, thrusters, sensors, links.
 
-One object, changed in place. What has never been received is NaN, which no bound exceeds.
+One object, changed in place. Values that have never been received are NaN, which exceeds no bound.
 """
 
 import math
@@ -27,27 +27,27 @@ NEVER = math.nan
 
 
 QUIET, IMPLAUSIBLE = "silent or frozen", "implausible"
-"""Of a sensor that says nothing that counts."""
+"""Faults of a sensor without valid data."""
 
 
 @dataclass(slots=True, eq=False)
 class _SensorRecord:
-    """Of one sensor that has spoken."""
+    """Status of one sensor that has delivered data."""
 
     last_us: int
-    """When it last said something new."""
+    """Time of its last new data."""
     reading: object = None
     equal: int = 0
     how: str = QUIET
-    """What is wrong with it when it has said nothing new."""
+    """Its fault while it has no new data."""
 
 
 @dataclass(slots=True, eq=False, kw_only=True)
 class VehicleStatus:
-    """Read by modes, failsafes and arming. Times are the service's [us].
+    """Read by modes, failsafes and arming; times in service time [us].
 
-    The first fields are set once per tick, just before the commander's step, so that a request that comes between two
-    ticks sees those of the last one. The others are set by the samples as they come.
+    The first fields are set once per tick, just before the commander's step, so that a request between two ticks
+    sees those of the last one. The others are set by the samples as they arrive.
     """
 
     t_us: int = 0
@@ -64,7 +64,7 @@ class VehicleStatus:
     way_left_m: float | None = None
     """Length of the path to the goal as the controller flies it, None without one."""
     nav_doubts: frozenset[NavDoubt] = frozenset()
-    """What speaks against the estimate or its sensors."""
+    """Evidence against the estimate or its sensors."""
     nav_disagrees: bool = False
     """The shadow estimator has been somewhere else for a while."""
     thruster_share: tuple[float, ...] = ()
@@ -72,21 +72,21 @@ class VehicleStatus:
     thrusters_doubtful: tuple[tuple[str, ...], ...] = ()
     """Groups of redundant thrusters, one of which is weak: their loss is shared out equally."""
     thruster_problem: str = ""
-    """What the remaining thrusters cannot do."""
+    """Axes that the remaining thrusters cannot drive."""
     watchdog_problem: str = ""
-    """What is wrong with the process that stops the thrusters when the service cannot."""
+    """Fault of the watchdog process."""
     thrusters_unseen: tuple[str, ...] = ()
     """Thrusters used too little for a loss of half their thrust to be noticed."""
     command_delay_s: float = 0.0
     """Command latency; 0 until it is certain."""
     fault: str = ""
-    """What has failed inside the service within the last seconds."""
+    """Internal faults of the last seconds."""
     below: FlightControllerState | None = None
     """The flight controller, None without one."""
     refusals: tuple[str, ...] = ()
     """Reasons of devices against arming."""
     sticks: Sticks | None = None
-    """Of the pilot, None = nobody steers (any more)."""
+    """Of the pilot, None = no pilot."""
 
     gcs_us: float = NEVER
     """Last heartbeat of a ground station or companion."""
@@ -106,12 +106,12 @@ class VehicleStatus:
     """Of the AHRS, which has an unknown offset."""
     yaw_rate_rad_s: float = 0.0
     ahrs_us: float = NEVER
-    """When it last said so."""
+    """Time of its last report."""
     depth_m: float = NEVER
     """Of the pressure sensor."""
     depth_us: float = NEVER
     floor: FloorRanges = field(default_factory=FloorRanges)
-    """What looks down."""
+    """Downward range sensors."""
     thrust_n: FloatArray | None = None
     """(n,) commanded now."""
     sensors: dict[str, _SensorRecord] = field(default_factory=dict)
@@ -121,11 +121,10 @@ class VehicleStatus:
 
     @property
     def estimate(self) -> NavState | None:
-        """The estimate, None when there is none or it is lost."""
+        """The estimate, None if it is missing or lost."""
         return None if self.nav is None or self.nav.health is NavHealth.INVALID else self.nav
 
     def note(self, inputs: Inputs) -> None:
-        """What comes beside samples."""
         t_us = inputs.t_us
         self.log_lost = inputs.log_lost
         if inputs.clock_jump_s and abs(inputs.clock_jump_s) >= VEHICLE_STATUS.jump_s:
@@ -141,13 +140,13 @@ class VehicleStatus:
             self.yaw_rad, self.yaw_rate_rad_s, self.ahrs_us = yaw, rate, t_us
 
     def felt(self, t_us: int) -> PositionlessState:
-        """What is known of the vehicle without a position, and not too old."""
+        """Attitude and depth that are known without a position, if not too old."""
         yaw = self.yaw_rad if t_us - self.ahrs_us <= VEHICLE_STATUS.felt_us else None
         depth = self.depth_m if t_us - self.depth_us <= VEHICLE_STATUS.felt_us else None
         return PositionlessState(yaw_rad=yaw, yaw_rate_rad_s=self.yaw_rate_rad_s, depth_m=depth)
 
     def note_sample(self, t_us: int, sample: Sample) -> None:
-        """One sample that is none of the AHRS: those come at every tick."""
+        """One sample other than AHRS, which arrives at every tick."""
         if isinstance(sample, LeakSample):
             self._spoke(t_us, "leak probe")
             if sample.wet:
@@ -170,18 +169,18 @@ class VehicleStatus:
             self._spoke(t_us, "power monitor")
 
     def silent(self, t_us: int) -> tuple[float, str]:
-        """The longest silence [s] of a sensor that has spoken, and whose; NaN when none has."""
+        """Longest time without data [s] over the sensors that have delivered any, and which; NaN without any."""
         if not self.sensors:
             return NEVER, ""
         name = min(self.sensors, key=self._last_us)
         return 1e-6 * (t_us - self.sensors[name].last_us), name
 
     def note_implausible(self, t_us: int, name: str) -> None:
-        """A sensor says what cannot be: it has spoken, and might as well be silent."""
+        """An implausible value: the sensor is alive, but counts as silent."""
         self.sensors.setdefault(name, _SensorRecord(t_us)).how = IMPLAUSIBLE
 
     def how_silent(self, name: str) -> str:
-        """What is wrong with a sensor that :meth:`silent` has named."""
+        """Fault of the sensor that :meth:`silent` returned."""
         return self.sensors[name].how if name else ""
 
     def _last_us(self, name: str) -> int:

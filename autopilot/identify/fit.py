@@ -31,7 +31,7 @@ FIRST_SIGMA = np.array([0.005, 0.005, 0.005, 0.005, 0.01])
 LEAST_SIGMA = np.array([0.0005, 0.0005, 0.0005, 0.0005, 0.001])
 
 EVERY = 2
-"""Only every so many steps are compared: neighbours say the same."""
+"""Only every n-th step is compared: neighbours are correlated."""
 
 PRIOR = 3.0
 """Standard deviation of every coefficient before the flight, in its own scale: keeps finite what was not excited."""
@@ -68,7 +68,6 @@ class IdentificationFit:
     rounds: int
 
     def model(self, like: Model4) -> Model4:
-        """The coefficients as a model."""
         return model_of(self.values, like)
 
 
@@ -114,7 +113,7 @@ def fit(windows: Windows, like: Model4) -> IdentificationFit:
 
 
 def _more(error: FloatArray, theta: FloatArray) -> float:
-    """Residuals are smaller than errors by what the fit has taken: n / (n - parameters)."""
+    """Degrees-of-freedom correction n / (n - parameters): residuals are smaller than errors."""
     n, fitted = int(error.size), error.shape[0] * NX + len(theta)
     return n / float(max(1, n - fitted))
 

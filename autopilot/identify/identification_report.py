@@ -1,4 +1,4 @@
-"""What a fit says, per coefficient, and what of it goes into a vehicle file."""
+"""Report of a fit per coefficient, and its changes to a vehicle file."""
 
 import math
 from collections.abc import Sequence
@@ -24,8 +24,6 @@ WIDEST = 0.25
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CoefficientRow:
-    """One coefficient."""
-
     name: str
     unit: str
     before: float
@@ -35,7 +33,7 @@ class CoefficientRow:
     """95 % interval."""
     high: float
     kept: bool
-    """The flight does not tell it: the vehicle file's value stays."""
+    """Not identifiable from the flight: the vehicle file's value stays."""
 
 
 def rows_of(fit: IdentificationFit, vehicle: Vehicle) -> list[CoefficientRow]:
@@ -58,7 +56,7 @@ def rows_of(fit: IdentificationFit, vehicle: Vehicle) -> list[CoefficientRow]:
 
 
 def kept_axes(fit: IdentificationFit) -> tuple[bool, ...]:
-    """Per axis, whether the flight tells too little of it."""
+    """Per axis, whether the flight excites it too little to be identified."""
     result = []
     for i in range(len(AXES)):
         mass, drag = _figure(fit, _one(i)), _figure(fit, _drag(i))
@@ -90,7 +88,7 @@ def changes(fit: IdentificationFit, vehicle: Vehicle) -> dict[str, Sequence[floa
 def _body_changes(
     body: Body, mass: list[float], linear: list[float], square: list[float], buoyancy_n: float
 ) -> dict[str, Sequence[float] | float]:
-    """The simulated body moves as the model does: what is not hull is added mass."""
+    """Added mass of the simulated body so that it moves as the model: identified mass minus the hull's."""
     added = [max(0.0, total - body.mass_kg) for total in mass[:3]]
     turning = [*body.added_inertia_kg_m2[:2], max(0.0, mass[3] - body.inertia_kg_m2[2])]
     return {
@@ -113,7 +111,7 @@ def _unit(unit: str, axis: int) -> str:
 
 
 def _one(index: int) -> FloatArray:
-    """(13,) picks a coefficient."""
+    """(13,) unit vector."""
     result = np.zeros(N_COMMON - 1)
     result[index] = 1.0
     return result

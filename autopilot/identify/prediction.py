@@ -11,7 +11,7 @@ from autopilot.core.model4 import YAW, Model4, R, U, V, W, X, Y, Z, body_acceler
 
 AXES = ("surge", "sway", "heave", "yaw")
 OUTPUTS = (X, Y, Z, YAW, R)
-"""What is compared with the estimate."""
+"""Outputs that are compared with the estimate."""
 
 N_COMMON = 3 * len(AXES) + 2
 """Coefficients: masses, linear drags, quadratic drags, buoyancy excess, arm of thrust to the side beyond T_A's."""

@@ -1,4 +1,4 @@
-"""What a log tells of a vehicle's motion: windows of the estimated motion and of the thrust behind it."""
+"""Identification data from logs: windows of estimated motion and thrust."""
 
 import math
 from dataclasses import dataclass
@@ -18,15 +18,16 @@ STEP_S = 0.05
 """Interval of the prediction: thrust is averaged over it."""
 
 WINDOW_STEPS = 80
-"""Steps of a window (4 s): long enough for a force to show in the way, short enough for small pushes not to."""
+"""Steps of a window (4 s): long enough for a force to show in the motion, short enough for small disturbances not
+to."""
 
 LAG_STEP_S = 0.01
 
 MIN_WINDOWS = 10
-"""Fewer say nothing about their own scatter."""
+"""Fewer give no estimate of their own scatter."""
 
 IDLE_N = 0.3
-"""Windows in which no thruster gives more tell nothing of the vehicle."""
+"""Windows in which no thruster exceeds this do not excite the vehicle."""
 
 GOOD = 2
 """Health in /nav/status (:class:`autopilot.core.messages.NavHealth`)."""
@@ -48,9 +49,9 @@ class Windows:
 
 
 def read_windows(paths: list[Path], vehicle: Vehicle | None = None) -> tuple[Windows, Vehicle]:
-    """Windows of all logs, and the vehicle file that they were flown with unless ``vehicle`` is given.
-
-    LogError if a log lacks what is needed or all of them together are too short."""
+    """Windows of all logs, and their vehicle file unless ``vehicle`` is given. LogError if a log lacks data or all
+    together are too short.
+    """
     parts: list[Windows] = []
     for index, path in enumerate(paths):
         log = open_log(path)

@@ -1,6 +1,6 @@
-"""Figures out of a log: tracks, visits of waypoints, laps, clearances, energy, estimation errors.
+"""Analysis of a log: tracks, waypoint visits, laps, clearances, energy, estimation errors.
 
-Judging them is :mod:`autopilot.log.check`'s business. Times are seconds of the service's clock, everything else SI.
+Verdicts are in :mod:`autopilot.log.check`. Times are seconds of the service's clock, everything else SI.
 """
 
 from collections.abc import Sequence
@@ -23,7 +23,7 @@ from autopilot.log.visuals import read_path
 BoolArray: TypeAlias = NDArray[np.bool_]
 
 MICROSECOND_S = 1e-6
-"""Resolution of the service's clock: a span ends so long before the message that ends it."""
+"""Resolution of the service's clock: a span ends this long before the message that ends it."""
 
 TOPICS_OF_INTEREST = (
     "/sim/truth",
@@ -83,7 +83,7 @@ class Span:
     end_s: float
 
     def holds(self, t_s: FloatArray) -> BoolArray:
-        """(n,) which times lie within."""
+        """(n,)"""
         result: BoolArray = (t_s >= self.start_s) & (t_s <= self.end_s)
         return result
 
@@ -97,13 +97,13 @@ class FlightRecord:
     truth: VehicleTrack | None
     nav: VehicleTrack | None
     armed: Span
-    """From arming to disarming or the end of the log; the whole log if it does not say."""
+    """From arming to disarming or the end of the log; the whole log if it has no arming state."""
     mission: Span
     """From arming to the completion of the mission, or as ``armed``."""
 
     @property
     def judged(self) -> VehicleTrack:
-        """The truth, or the estimate for a log without truth. LogError if there is neither."""
+        """The truth, or the estimate for a log without truth. LogError without either."""
         track = self.truth if self.truth is not None else self.nav
         if track is None:
             raise LogError(f"{self.log.path}: has neither /sim/truth nor /nav/state; there is nothing to judge")
@@ -116,7 +116,7 @@ class FlightRecord:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Visit:
-    """How close the vehicle came to one waypoint of the tour."""
+    """Closest approach to one waypoint of the tour."""
 
     waypoint: Waypoint
     lap: int
@@ -165,13 +165,13 @@ class Prediction:
     t_s: float
     """When it was made."""
     at_s: FloatArray
-    """(n,) times of its points, all ``t_s`` in logs that do not say."""
+    """(n,) times of its points, all ``t_s`` in logs without them."""
     pos_ned_m: FloatArray
     """(n, 3)"""
 
 
 def predictions(log: Log) -> list[Prediction]:
-    """What the controller predicted, in order; empty if the log does not have it."""
+    """Predictions of the controller, in order; empty if the log has none."""
     if "/ctl/horizon" not in log:
         return []
     found = []
@@ -183,7 +183,7 @@ def predictions(log: Log) -> list[Prediction]:
 
 
 def foreseen(made: Sequence[Prediction], ahead_s: float) -> tuple[FloatArray, FloatArray]:
-    """(n,) times and (n, 3) places where the vehicle was to be then by what was predicted ``ahead_s`` before."""
+    """(n,) times and (n, 3) positions predicted for them ``ahead_s`` earlier."""
     known = [one for one in made if len(one.at_s) > 1 and one.at_s[-1] >= one.t_s + ahead_s > one.at_s[0]]
     times = np.array([one.t_s + ahead_s for one in known])
     places = [
@@ -193,7 +193,7 @@ def foreseen(made: Sequence[Prediction], ahead_s: float) -> tuple[FloatArray, Fl
 
 
 def along_track(track: VehicleTrack) -> FloatArray:
-    """(n,) component of the current in the direction of travel over ground, 0 where the vehicle stands."""
+    """(n,) component of the current in the direction of travel over ground, 0 at rest."""
     if len(track.t_s) < 2:
         return np.zeros(len(track.t_s))
     moved = np.gradient(track.pos_ned_m[:, :2], track.t_s, axis=0)
@@ -236,7 +236,9 @@ def wrap(angles_rad: FloatArray) -> FloatArray:
 
 
 def known_table(log: Log, topic: str) -> MessageTable | None:
-    """A topic of ours, None if the log does not have it. LogError if it is not defined as in this version."""
+    """Table of one of our topics, None if the log does not have it. LogError if its definition differs from this
+    version's.
+    """
     table = log.get(topic)
     if table is None:
         return None
@@ -250,7 +252,7 @@ def known_table(log: Log, topic: str) -> MessageTable | None:
 
 
 def last_counts(log: Log) -> dict[str, int]:
-    """What was counted by the end of the log, by name; empty if it has no counters or those of another version."""
+    """Final values of the counters, by name; empty if the log has none, or those of another version."""
     table = log.get("/nav/counters")
     fields = (layout("autopilot_msgs/NavCounters").dtype.names or ())[1:]
     has = () if table is None else table.dtype.names or ()
@@ -351,7 +353,7 @@ def distance_to_obstacle(track: VehicleTrack, obstacle: Obstacle) -> FloatArray:
 
 
 def obstacle_limit_m(obstacle: Obstacle, run: RunDescription) -> float | None:
-    """What the vehicle's centre has to keep from an obstacle's axis; None = not judged."""
+    """Least distance of the vehicle's centre from an obstacle's axis; None = not judged."""
     asked = run.accept.cylinder_clearance_m
     if asked is None:
         return None
@@ -368,7 +370,7 @@ def waypoint_errors(track: VehicleTrack, waypoint: Waypoint) -> tuple[FloatArray
 
 
 def visits(track: VehicleTrack, run: RunDescription) -> list[Visit]:
-    """The tour that the run had to make, with what became of each visit: every waypoint in order, lap by lap."""
+    """The tour required of the run with the result of each visit: every waypoint in order, lap by lap."""
     points, laps = run.waypoints, run.accept.laps or 1
     if not points:
         return []
@@ -405,8 +407,9 @@ def _visit(
 
 
 def lap_spans(tour: Sequence[Visit], run: RunDescription, begun_s: float) -> list[Span]:
-    """Start and end of every completed lap, from its first waypoint to its last. A tour of one waypoint has no way
-    between waypoints: its lap is the way to it, from ``begun_s`` or from the visit before."""
+    """Start and end of every completed lap, from its first waypoint to its last. A lap of a single waypoint is the
+    path to it, from ``begun_s`` or from the visit before.
+    """
     size = len(run.waypoints)
     closed = run.closed_tour and size > 1
     spans: list[Span] = []

@@ -1,8 +1,8 @@
-"""Verdicts: what the bounds of a run say about its log.
+"""Verdicts on a run: its log against its bounds.
 
-Judged is the simulator's truth where the log has it, else the estimate (the rows say so). Clearances, contacts and
-thrust are judged while armed; depth, speeds and estimation errors until the mission is complete, because a mission may
-end by surfacing.
+Judged is the ground truth where the log has it, else the estimate (the rows say which). Clearances, contacts and
+thrust are judged while armed; depth, speeds and estimation errors until the mission is complete, because a mission
+may end by surfacing.
 """
 
 import math
@@ -78,7 +78,7 @@ def overall(rows: Iterable[BoundRow]) -> BoundVerdict:
 
 
 def format_figure(value: float | None) -> str:
-    """A figure of a row as text: empty if there is none, whole and large numbers without decimals."""
+    """A figure of a row as text: empty without a value, whole and large numbers without decimals."""
     if value is None:
         return ""
     whole = math.isfinite(value) and (value == int(value) or abs(value) >= 1000.0)
@@ -88,7 +88,7 @@ def format_figure(value: float | None) -> str:
 def _at_most(
     name: str, unit: str, limit: float | None, t_s: FloatArray, values: FloatArray, note: str = ""
 ) -> list[BoundRow]:
-    """The largest of the values against an upper limit; nothing if there is no limit."""
+    """Row of the largest value against an upper limit; none without a limit."""
     if limit is None:
         return []
     if not len(values):
@@ -149,7 +149,7 @@ FIRST_STATS_S = 1.5
 
 
 def _was_started(flight: FlightRecord) -> bool:
-    """Whether the log shows a mission running; a log that does not tell counts as one."""
+    """Whether the log shows a running mission; a log without mission state counts as one."""
     progress = flight.table("/mission/progress")
     return progress is None or bool((progress["state"] == ProgressState.ACTIVE).any())
 
@@ -172,7 +172,7 @@ def _mission_rows(flight: FlightRecord, run: RunDescription) -> list[BoundRow]:
 
 
 def _lap_rows(flight: FlightRecord, run: RunDescription, spans: Sequence[Span]) -> list[BoundRow]:
-    """Time and energy of every lap, or of many laps what they have in common and how far they are apart."""
+    """Time and energy of every lap, or mean and spread of many."""
     times = [span.end_s - span.start_s for span in spans]
     used = [energy_j(flight, span) for span in spans]
     note = f"{run.hotel_power_w:g} W hotel load" if run.hotel_power_w else ""
@@ -337,7 +337,7 @@ def _smoothness_rows(flight: FlightRecord) -> list[BoundRow]:
 
 
 def _smooth(name: str, unit: str, limit: float, value: float, at_s: float, note: str = "") -> BoundRow:
-    """A bar of smoothness: no bound of the vehicle is broken when it is not kept."""
+    """Limit of smoothness: a warning, not a bound of the vehicle."""
     verdict = BoundVerdict.PASS if value <= limit else BoundVerdict.WARN
     margin = limit - value
     return BoundRow(
@@ -346,7 +346,7 @@ def _smooth(name: str, unit: str, limit: float, value: float, at_s: float, note:
 
 
 def _health_rows(flight: FlightRecord) -> list[BoundRow]:
-    """Solver, loop, log and failsafes: figures, and warnings where an operator should look."""
+    """Solver, loop, log and failsafes: figures and warnings."""
     rows: list[BoundRow] = []
     nmpc = flight.table("/ctl/nmpc")
     if nmpc is not None:
@@ -381,7 +381,7 @@ def _health_rows(flight: FlightRecord) -> list[BoundRow]:
 
 
 def slowest_part(loop: MessageTable) -> str:
-    """What the slowest tick of a log went into, "" where it does not say."""
+    """Stage that took most of the slowest tick of a log, "" if unknown."""
     if "part_s" not in (loop.dtype.names or ()):
         return ""
     by_part_s = loop["part_s"][int(np.argmax(loop["part_s"].sum(axis=1)))]

@@ -1,7 +1,4 @@
-"""What a log says of its parts beside the bounds of a run: figures, and warnings where one should look.
-
-None of these is a bound of the vehicle: nothing here fails a run.
-"""
+"""Further figures and warnings from a log. None is a bound: nothing here fails a run."""
 
 import math
 from collections.abc import Sequence
@@ -41,13 +38,13 @@ AHEAD_S = 1.0
 CHI2_95 = (3.841, 5.991, 7.815)
 """95 % of chi square, by degrees of freedom from 1."""
 LEAST_INSIDE = 0.80
-"""Of innovations within their own 95 %: fewer, and the estimator believes its sensor too much."""
+"""Least share of innovations within their own 95 % interval: below, the estimator is overconfident in its sensor."""
 MOST_BIAS = 1.0
 """Mean of an innovation over its sigma."""
 MOST_NEES = 9.35
-"""Mean squared error of the position over its variance: above, the estimate is worse than it says (3 expected)."""
+"""Greatest NEES of the position (3 expected): above, the covariance is too small."""
 FEWEST = 50
-"""Messages that say something of a share."""
+"""Least number of messages for a share."""
 LONGEST_SILENCE_S = 0.25
 """Of the motion sensor, while armed."""
 MOST_REPROJECTION_PX = 1.0
@@ -76,7 +73,6 @@ def more_rows(flight: FlightRecord) -> list[BoundRow]:
 
 
 def way_m(track: VehicleTrack) -> float:
-    """Length of a track."""
     return float(np.linalg.norm(np.diff(track.pos_ned_m, axis=0), axis=1).sum())
 
 
@@ -93,7 +89,7 @@ def _mission(flight: FlightRecord) -> list[BoundRow]:
 
 
 def _detour(flight: FlightRecord) -> list[BoundRow]:
-    """The way over the straight lines from waypoint to waypoint."""
+    """Path length over straight-line length between waypoints."""
     if flight.run is None:
         return []
     came = [(visit.waypoint, visit.t_s) for visit in visits(flight.judged, flight.run) if visit.t_s is not None]
@@ -105,7 +101,7 @@ def _detour(flight: FlightRecord) -> list[BoundRow]:
 
 
 def _tracking(flight: FlightRecord) -> list[BoundRow]:
-    """How well the controller knew what would come, and how late thrust follows its commands."""
+    """Prediction error of the controller, and delay from command to thrust."""
     made = [one for one in predictions(flight.log) if flight.mission.start_s <= one.t_s <= flight.mission.end_s]
     then_s, then_m = foreseen(made, AHEAD_S)
     track = flight.judged
@@ -145,7 +141,6 @@ def _delay_s(flight: FlightRecord, commands: MessageTable, acting: MessageTable)
 
 
 def _settling(flight: FlightRecord) -> list[BoundRow]:
-    """At goals that were held."""
     found = stays(flight)
     if not found:
         return []
@@ -299,7 +294,7 @@ def _thrusters(flight: FlightRecord) -> list[BoundRow]:
 
 
 def _balance(names: Sequence[str], mean_n: FloatArray) -> list[BoundRow]:
-    """What port thrusters give more than starboard ones, of both; none on vehicles without such names."""
+    """Port minus starboard thrust over their sum; none on vehicles without such names."""
     sides = []
     for side in ("port", "starboard"):
         found = [at for at, name in enumerate(names) if side in name.lower()]
@@ -389,7 +384,7 @@ def _energy_of_waypoints(flight: FlightRecord) -> list[BoundRow]:
 
 
 def _energy_of_thrusters(flight: FlightRecord, used_j: float | None) -> list[BoundRow]:
-    """What each took by the vehicle file's figures, and what is left of the energy."""
+    """Energy per thruster by the vehicle file's model, and the remaining energy."""
     found = thruster_power(flight)
     if found is None:
         return []

@@ -1,4 +1,4 @@
-"""What a log says of the links to clients and of the process: figures, and warnings where one should look."""
+"""Figures and warnings about links to clients and about the process."""
 
 import struct
 
@@ -10,7 +10,7 @@ from autopilot.log.reader import MessageTable
 from autopilot.log.rows import BoundRow, at_most, row
 
 FEWEST = 50
-"""Messages that say something of a share."""
+"""Least number of messages for a share."""
 MOST_LOST = 0.05
 """Share of received MAVLink messages that are missing by their numbers."""
 MOST_ROUND_TRIP_S = 1.0
@@ -26,7 +26,7 @@ MAVLINK2 = 0xFD
 
 
 def link_rows(flight: FlightRecord) -> list[BoundRow]:
-    """What the links lost, how long an answer took, and what was refused."""
+    """Losses, response times and rejected data of the links."""
     rows = []
     received = flight.table("/in/mavlink")
     if received is not None and len(received):
@@ -98,7 +98,7 @@ def process_rows(flight: FlightRecord) -> list[BoundRow]:
 
 
 def _memory(t_s: FloatArray, rss: FloatArray) -> BoundRow:
-    """What it came to, and by how much it grew over the second half of the log."""
+    """Peak memory, and growth over the second half of the log."""
     end, middle = float(rss[-1]), float(rss[len(rss) // 2])
     grown, lasted_s = end - middle, float(t_s[-1] - t_s[len(t_s) // 2])
     note = f"{1e-6 * grown:+.1f} MB in the last {lasted_s:.0f} s"
@@ -108,7 +108,7 @@ def _memory(t_s: FloatArray, rss: FloatArray) -> BoundRow:
 
 
 def lost_share(frames: MessageTable) -> float | None:
-    """Share of messages that are missing by the sequence numbers of their senders; None where too few came."""
+    """Share of messages missing by the sequence numbers of their senders; None with too few messages."""
     data = frames["data"]
     mine = (data[:, 0] == MAVLINK2) & (frames["length"] > 10)
     if int(mine.sum()) < FEWEST:
@@ -119,7 +119,7 @@ def lost_share(frames: MessageTable) -> float | None:
     for sender in np.unique(senders, axis=0):
         numbers = heads[(senders == sender).all(axis=1), 4].astype(int)
         steps = (np.diff(numbers) - 1) % 256
-        missing += int(steps[steps < 128].sum())  # more is a sender that began anew, or packets out of order
+        missing += int(steps[steps < 128].sum())  # more is a sender that has restarted, or packets out of order
         came += len(numbers)
     return missing / max(missing + came, 1)
 

@@ -1,7 +1,7 @@
-"""Samples of a motion sensor that lie at the end of its range: what went beyond is lost, and the estimate drifts.
+"""Clipping of motion sensors: samples at the end of the range, which make the estimate drift.
 
-The range is not known to a log. What a clipped axis shows is the same largest value several times in a row while other
-axes go on; a sensor that has stopped repeats all of them, and is not meant here.
+The range is unknown to a log. A clipped axis shows the same extreme value several times in a row while other axes
+vary; a frozen sensor repeats all axes and is not counted here.
 """
 
 import numpy as np

@@ -1,4 +1,4 @@
-"""Comparing two logs message by message: the test of determinism, and the core of a replay's verdict.
+"""Comparison of two logs message by message, for tests of determinism and replays.
 
 Times are compared on the service's clock, so that runs that started at different wall-clock times compare equal.
 """
@@ -30,7 +30,7 @@ _SHOWN = 80
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Difference:
-    """The first place where a topic differs, or what is missing."""
+    """First difference of a topic, or missing messages."""
 
     topic: str
     field: str
@@ -52,10 +52,23 @@ def compare_logs(
     *,
     prefix: bool = False,
 ) -> list[Difference]:
-    """Where two logs differ, at most one entry per field; empty = the same messages.
+    """Compare two logs message by message; metadata and attachments are not compared.
 
-    ``ignore_fields`` holds ``topic.field`` or a field's name for all topics. Metadata and attachments are not compared.
-    ``prefix``: one of them ends early, only what both have counts.
+    Parameters
+    ----------
+    a, b
+        The logs.
+    ignore_topics
+        Topics that are not compared.
+    ignore_fields
+        ``topic.field``, or a field's name for all topics.
+    prefix
+        One may end early: only the common part is compared.
+
+    Returns
+    -------
+    list of Difference
+        At most one per field; empty = identical messages.
     """
     found: list[Difference] = []
     for topic in sorted({*a.topics, *b.topics} - set(ignore_topics)):
@@ -126,7 +139,7 @@ def _compare_messages(topic: str, a: Log, b: Log, ignore_fields: Collection[str]
 
 
 def _opened(topic: str, message: DecodedMessage) -> dict[str, Any]:
-    """A message's fields, with JSON in place of its text."""
+    """A message's fields, with JSON texts parsed."""
     return (
         message.value if topic != "/in/step" else {**message.value, "data": msgspec.json.decode(message.value["data"])}
     )

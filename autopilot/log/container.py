@@ -1,7 +1,7 @@
-"""The records of an MCAP file (mcap.dev, format specification), read so that damage anywhere costs only what it hit.
+"""Records of an MCAP file (mcap.dev, format specification), tolerant of damage.
 
-The file is walked record by record; bodies of chunks are only read when asked for. A walk that loses its way (cut off,
-or a damaged length) goes on with the chunk index at the end of the file, if that is still there.
+The file is scanned record by record; bodies of chunks are only read on request. When the scan fails (truncated, or
+a damaged length) the chunk index at the end of the file is used, if it is still there.
 """
 
 import struct
@@ -39,7 +39,7 @@ LARGEST_CHUNK = 1 << 30
 
 
 class Damage(Exception):
-    """A part of the file cannot be used; the text says which and why."""
+    """A part of the file is unusable; the text names it and the reason."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,8 +70,6 @@ class ChunkRef:
 
 @dataclass(slots=True)
 class Contents:
-    """What a walk through a file has found."""
-
     schemas: dict[int, Schema] = field(default_factory=dict)
     channels: dict[int, Channel] = field(default_factory=dict)
     chunks: list[ChunkRef] = field(default_factory=list)
@@ -100,7 +98,7 @@ class Contents:
 
 
 def read_contents(path: Path) -> Contents:
-    """Walk through a file. LogError if it cannot be opened or is no MCAP file; damage goes to ``problems``."""
+    """Scan a file. LogError if it cannot be opened or is no MCAP file; damage goes to ``problems``."""
     try:
         with path.open("rb") as file:
             return _read_contents(file, path)
@@ -193,7 +191,7 @@ def _add_loose(contents: Contents, offset: int, end: int) -> None:
 
 
 def _resume_from_index(file: IO[bytes], size: int, contents: Contents, seen: set[int]) -> bool:
-    """Take chunks that a broken walk has not reached from the index at the file's end; False if there is none."""
+    """Take chunks that a failed scan has not reached from the index at the file's end; False without an index."""
     file.seek(max(size - _FOOTER_BYTES, 0))
     footer = file.read(_FOOTER_BYTES)
     if len(footer) < _FOOTER_BYTES or footer[-len(MAGIC) :] != MAGIC or footer[0] != _FOOTER:
@@ -296,9 +294,10 @@ class ChunkIndex:
 
 
 def find_messages(data: bytes) -> ChunkIndex:
-    """Look through the records of a chunk once: a log has thousands of messages a second, so few steps for each.
+    """Index the messages of a chunk.
 
-    Messages without a whole head are left out. Damage if the last record is cut off.
+    A log has thousands of messages a second, so there are few operations for each. Messages without a complete
+    header are left out. Damage if the last record is truncated.
     """
     starts: list[int] = []
     lengths: list[int] = []

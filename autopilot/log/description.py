@@ -1,8 +1,8 @@
-"""``run.json``: what a log's reader has to know of the run to draw and to judge it.
+"""``run.json``: description of the run for plots and verdicts.
 
 The composition root fills a :class:`RunDescription` and :mod:`autopilot.log.log_session` attaches it to the log.
-Everything in local metres (NED, origin at the water surface), radians and SI. A log without this attachment can still
-be read and plotted; only what needs bounds or geometry is left out.
+Local metres (NED, origin at the water surface), radians and SI. A log without this attachment can still be read and
+plotted, without bounds and geometry.
 """
 
 from collections.abc import Mapping
@@ -24,8 +24,9 @@ Point3: TypeAlias = tuple[float, float, float]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class AcceptBounds:
-    """What the run is judged by. None = not judged. Names as in a scenario's ``[accept]``; defaults: paper, IV, which
-    :meth:`of_limits` follows where a run has other limits."""
+    """Acceptance bounds of the run, None = not judged. Names as in a scenario's ``[accept]``; defaults: paper, IV;
+    :meth:`of_limits` scales them to other limits.
+    """
 
     laps: int | None = None
     """Times that the waypoints have to be visited in order (back to the first one if the tour is closed)."""
@@ -47,7 +48,7 @@ class AcceptBounds:
 
     @classmethod
     def of_limits(cls, params: Mapping[str, float], laps: int | None) -> "AcceptBounds":
-        """By the limits that the controller is given, with what the paper allows beyond its own."""
+        """Bounds from the controller's limits, with the paper's tolerance beyond its own."""
         return cls(
             laps=laps,
             depth_max_m=params["DEPTH_MAX"],
@@ -67,10 +68,10 @@ class Obstacle:
     radius_m: float
     name: str = ""
     path_m: tuple[Point2, ...] = ()
-    """Corners of the polyline along which it moves; empty = it stands."""
+    """Corners of the polyline along which it moves; empty = static."""
     speed_m_s: float = 0.0
     ends: str = "bounce"
-    """What it does at the last corner: "bounce" back, "loop" to the first one or "stop"."""
+    """Behaviour at the last corner: "bounce" back, "loop" to the first one or "stop"."""
     start_s: float = 0.0
     """On the service's clock."""
 
@@ -87,8 +88,6 @@ class FenceItemDescription:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Waypoint:
-    """A place that the mission has to reach."""
-
     name: str
     pos_ned_m: Point3
     yaw_rad: float | None = None
@@ -98,7 +97,7 @@ class Waypoint:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CameraView:
-    """The camera as the service was told of it."""
+    """The camera as configured in the service."""
 
     width_px: int
     height_px: int
@@ -115,7 +114,7 @@ class CameraView:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PartOrigin:
-    """Where a controller, an estimator or a plant comes from: enough to find the very same again."""
+    """Origin of a controller, an estimator or a plant: identifies the exact code."""
 
     name: str
     """As it was asked for: a shipped name, a package's, or package:Class."""
@@ -124,7 +123,7 @@ class PartOrigin:
     version: str
     """Distribution and version, "" for a file that is of none."""
     sha256: str = ""
-    """Of that module's file; "" for a shipped one, which version and revision of the run tell."""
+    """Of that module's file; "" for a shipped one, which version and revision of the run identify."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -135,9 +134,9 @@ class RunDescription:
     """Name of the scenario; on hardware the name of the site or an empty string."""
     vehicle: str
     parts: dict[str, PartOrigin] = field(default_factory=dict)
-    """By role: controller, estimator, plant; empty in logs that do not say."""
+    """By role: controller, estimator, plant; empty in logs without it."""
     solver: str = ""
-    """What made the controller's plans, and why nothing quicker; empty in logs that do not say."""
+    """Solver of the controller's plans, and why no faster one; empty in logs without it."""
     seed: int | None = None
     speed: float | None = None
     """Requested speed relative to real time, 0 = as fast as possible; None on hardware."""
@@ -166,7 +165,7 @@ class RunDescription:
     paper_bounds: dict[str, float] = field(
         default_factory=lambda: {"planar_speed_m_s": 0.5, "heave_m_s": 0.25, "yaw_rate_rad_s": 1.0, "thrust_n": 12.0}
     )
-    """What the figures draw as dashed lines: the bounds that the controller was given."""
+    """Dashed lines of the figures: the bounds of the controller."""
     mode_names: dict[str, str] = field(default_factory=dict)
     """custom_mode (as decimal text) -> name, for the report."""
     parameters: dict[str, float] = field(default_factory=dict)
@@ -193,7 +192,7 @@ def to_json(description: RunDescription) -> bytes:
 
 
 def from_json(data: bytes, origin: str) -> RunDescription:
-    """The description of a log. LogError names what is wrong."""
+    """The description of a log. LogError names the problem."""
     try:
         return msgspec.json.decode(data, type=RunDescription)
     except (msgspec.MsgspecError, UnicodeDecodeError) as error:

@@ -1,4 +1,4 @@
-"""The log folder for clients that download: reads what lies in it, and nothing else, beside the loop."""
+"""Log directory for clients that download, read in the background."""
 
 import fnmatch
 import glob
@@ -13,24 +13,24 @@ from autopilot.log.quota import flights, remove_flight
 DUE_TICKS = 1
 """In lockstep an answer is there on the next tick."""
 MAX_FILES = 4096
-"""So many files are shown, the newest ones."""
+"""Maximum number of files listed, the newest ones."""
 PIECE_BYTES = 1 << 20
-"""A checksum is made in pieces of this size, and ends between them when nobody wants it any more."""
+"""Block size of checksums, which can be cancelled between blocks."""
 SUFFIXES = (".mcap", ".tlog", ".png")
-"""What logs and the stills beside them are called; other files are nobody's business."""
+"""Suffixes of logs and their companion files; others are not listed."""
 
 STILLS = ".still-*.png"
 """How the stills of a log end, behind its name."""
 
 
 class LogDirectoryReader:
-    """The logs below ``folder``, and the one at ``single`` (``--log``) if there is one."""
+    """The logs below ``folder``, and the one at ``single`` (``--log``), if any."""
 
     def __init__(self, folder: Path, worker: BackgroundWorker, single: Path | None = None) -> None:
         self._folder, self.worker, self._single = folder, worker, single
 
     def list(self, tick: int) -> BackgroundTask[tuple[LogDirectoryEntry, ...]]:
-        """All files, oldest first; what goes meanwhile is left out."""
+        """All files, oldest first; files deleted meanwhile are left out."""
         return self.worker.submit(tick + DUE_TICKS, lambda _, cancel: self._listed(cancel), None)
 
     def read(self, tick: int, path: str, offset: int, size: int) -> BackgroundTask[bytes]:
@@ -54,7 +54,7 @@ class LogDirectoryReader:
         return self.worker.submit(tick + DUE_TICKS, work, None)
 
     def erase(self, tick: int) -> BackgroundTask[int]:
-        """Remove all flights of the folder but those that are being written; a log with a name of its own stays."""
+        """Delete all flights of the folder except those being written; a log with a custom name is kept."""
         return self.worker.submit(
             tick + DUE_TICKS, lambda _, cancel: sum(remove_flight(flight) for flight in flights(self._folder)), None
         )
@@ -93,6 +93,6 @@ class LogDirectoryReader:
 
     @staticmethod
     def _is_of_single(name: str, single: Path) -> bool:
-        """Whether a file's name is that of the one log, or of what stands beside it."""
+        """Whether a file is the single log (``--log``) or one of its companions."""
         stills = f"{glob.escape(single.stem)}{STILLS}"
         return name in (single.name, single.with_suffix(".tlog").name) or fnmatch.fnmatchcase(name, stills)

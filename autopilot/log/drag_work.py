@@ -1,5 +1,7 @@
-"""What the current spared, or cost: the work of the drag on the way that was flown, in the water as it moved and as if
-it had stood still. Same way, same speed over ground, drag by the vehicle file; not a flight without the current."""
+"""Work of the drag over the path flown, in the moving water and as if it had been still.
+
+Same path, same speed over ground, drag by the vehicle file; not a flight without the current.
+"""
 
 from dataclasses import dataclass
 
@@ -13,7 +15,7 @@ from autopilot.log.analysis import FlightRecord
 from autopilot.log.thruster_energy import ATTACHMENT
 
 LEAST_WORK_J = 1.0
-"""Less says nothing of a share."""
+"""Least work for a share."""
 
 
 @dataclass(frozen=True, slots=True)

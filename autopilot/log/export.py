@@ -1,8 +1,8 @@
-"""A log's topics as files that anything reads: CSV, and Parquet where pyarrow is installed.
+"""Export of topics: CSV, and Parquet if pyarrow is installed.
 
-One file per topic, one row per message: ``t_us`` and ``t_s`` on the service's clock, then the fields; arrays element by
-element (``pos_ned_m[0]``), nested fields by their path (``orientation.x``). Topics of variable size (paths, markers,
-pictures) go out with one column of JSON, their bytes as lengths. Numbers keep every digit that they have.
+One file per topic, one row per message: ``t_us`` and ``t_s`` on the service's clock, then the fields; arrays
+element by element (``pos_ned_m[0]``), nested fields by their path (``orientation.x``). Topics of variable size
+(paths, markers, pictures) are one column of JSON, bytes as their length. Numbers keep full precision.
 """
 
 import csv
@@ -22,10 +22,29 @@ Kind: TypeAlias = Literal["csv", "parquet"]
 
 
 def export_log(log: Log, folder: Path, *, topics: Sequence[str] = (), kind: Kind = "csv") -> Iterator[Path]:
-    """Write topics (all without any) into ``folder``; the files, as they are written.
+    """Write topics as tables, one file per topic.
 
-    LogError if there is no such topic, or nothing to write that kind with. One of all that cannot be decoded is left
-    out and named in ``log.problems``; one that was asked for is an error.
+    Parameters
+    ----------
+    log
+        The log.
+    folder
+        Created if it is missing.
+    topics
+        Their names, empty = all with messages.
+    kind
+        File format, ``csv`` or ``parquet``.
+
+    Yields
+    ------
+    Path
+        Each file when it is written.
+
+    Raises
+    ------
+    LogError
+        Unknown topic, missing library, or a requested topic cannot be decoded (without a request it is left out and
+        named in ``log.problems``).
     """
     unknown = [topic for topic in topics if topic not in log.topics]
     if unknown:
@@ -79,7 +98,7 @@ def columns_of(log: Log, topic: str) -> Columns:
 
 
 def _plain(value: object) -> object:
-    """What JSON cannot say."""
+    """``default`` of ``json.dump``: bytes as their length, arrays as lists."""
     if isinstance(value, bytes | bytearray | memoryview):
         return f"{len(value)} bytes"
     if isinstance(value, np.ndarray | np.generic):

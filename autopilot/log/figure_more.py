@@ -1,4 +1,4 @@
-"""What readers of the paper's figures ask for next: errors of the estimate, solve time, energy, current."""
+"""Figures beyond the paper's: estimation errors, solve time, energy, current."""
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -20,9 +20,9 @@ from autopilot.log.figure_parts import (
 
 SIGMAS = 3.0
 CONTROL_PERIOD_MS = 50.0
-"""What a control step has (docs/architecture.md)."""
+"""Time budget of a control step (docs/architecture.md)."""
 SLIGHT_CURRENT_M_S = 0.05
-"""Axes of currents show at least this much, so that still water looks still."""
+"""Minimum range of current axes, so that still water looks still."""
 
 
 def estimate_errors(scene: FigureScene) -> Figure | None:
@@ -127,7 +127,7 @@ def energy(scene: FigureScene) -> Figure | None:
 
 
 def current(scene: FigureScene) -> Figure | None:
-    """Current at the vehicle: what the estimator believes and what there was."""
+    """Current at the vehicle: estimate and truth."""
     nav = scene.flight.nav
     if nav is None:
         return None

@@ -37,11 +37,11 @@ KEY_ABOVE_IN = 0.13
 LEAST_OUTSIDE = 0.01
 """Of a flight's time: less outside of its laps is not worth a word."""
 HEADS, HEAD_M = 6, 0.08
-"""Arrow heads on the way of a lap, and how long they are."""
+"""Arrow heads on the path of a lap, and their length."""
 
 
 def trajectory(scene: FigureScene) -> Figure | None:
-    """The way in the horizontal plane, one colour per lap."""
+    """The path in the horizontal plane, one colour per lap."""
     low, high = plan_box(scene.track, scene.flight.run)
     north_m, east_m = high - low
     height_in = float(np.clip(PLAN_IN * east_m / max(north_m, 1e-9) + AROUND_PLAN_IN, *PLAN_HEIGHTS_IN))
@@ -74,7 +74,7 @@ def trajectory(scene: FigureScene) -> Figure | None:
 
 
 def _direction(ax: Axes, plane_m: FloatArray, color: str) -> None:
-    """Arrow heads along a way (n, 2), evenly by its length."""
+    """Arrow heads along a path (n, 2), evenly spaced."""
     steps = np.hypot(*np.diff(plane_m, axis=0).T)
     along = np.concatenate(([0.0], np.cumsum(steps)))
     if along[-1] <= 0.0:
@@ -145,7 +145,7 @@ def _heading_band(visit: Visit, turn_rad: float) -> tuple[float, float] | None:
 
 
 def _yaw_band(visit: Visit, track: VehicleTrack, unwrapped_rad: FloatArray) -> tuple[float, float] | None:
-    """Centre and half width of a heading band, on the turn on which the vehicle came to it."""
+    """Centre and half width of a heading band, on the turn on which the vehicle reached it."""
     if visit.waypoint.yaw_rad is None:
         return None
     at = len(unwrapped_rad) - 1 if visit.t_s is None else int(np.searchsorted(track.t_s, visit.t_s))
@@ -153,7 +153,7 @@ def _yaw_band(visit: Visit, track: VehicleTrack, unwrapped_rad: FloatArray) -> t
 
 
 def _bands(scene: FigureScene, ax: Axes, band: Callable[[Visit], tuple[float, float] | None]) -> None:
-    """Shade the acceptance band of each waypoint for as long as it is approached."""
+    """Shade the acceptance band of each waypoint while it is approached."""
     start, label = float(scene.track.t_s[0]), "acceptance band"
     for visit in scene.tour:
         end = visit.t_s if visit.t_s is not None else float(scene.track.t_s[-1])
@@ -198,7 +198,6 @@ def heave_and_yaw_rate(scene: FigureScene) -> Figure | None:
 
 
 def thrusters(scene: FigureScene) -> Figure | None:
-    """What the thrusters were told."""
     table = scene.flight.table("/out/thrusters")
     if table is None:
         return None

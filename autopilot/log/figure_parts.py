@@ -1,4 +1,4 @@
-"""What all figures share: the scene of a run, style, axes, bounds, legends."""
+"""Common parts of all figures: data of a run, style, axes, bounds, legends."""
 
 import math
 from dataclasses import dataclass
@@ -18,7 +18,7 @@ LISTED_LAPS = len(LAP_COLORS)
 """More laps go over from one colour to another, and only some are named."""
 NAMED_LAPS = 4
 MOST_TURNS_RAD = 6.0 * math.pi
-"""Who turns further gets an axis from -pi to pi: on one of all turns nothing could be read."""
+"""Beyond so many turns the axis is wrapped to -pi to pi."""
 BOUND: dict[str, Any] = {"color": "red", "linestyle": "--", "linewidth": 1.0}
 TRUTH: dict[str, Any] = {"color": "#1f77b4", "linewidth": 1.2}
 ESTIMATE: dict[str, Any] = {"color": "#444444", "linewidth": 0.8, "linestyle": ":"}
@@ -41,7 +41,7 @@ STYLE: Any = {
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class FigureScene:
-    """What all figures need of a run."""
+    """Data of a run for all figures."""
 
     flight: FlightRecord
     track: VehicleTrack
@@ -51,7 +51,6 @@ class FigureScene:
 
     @property
     def basis(self) -> str:
-        """Name of what is drawn."""
         return "truth" if self.flight.truth is not None else "estimate"
 
     def bound(self, name: str) -> float | None:
@@ -70,7 +69,6 @@ def make_scene(log: Log) -> FigureScene:
 
 
 def lap_colors(count: int) -> list[str]:
-    """One colour per lap."""
     if count <= LISTED_LAPS:
         return list(LAP_COLORS[:count])
     shades = mpl.colormaps["viridis"](np.linspace(0.0, 0.92, count))

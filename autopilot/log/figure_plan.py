@@ -10,14 +10,15 @@ from autopilot.log.plan_summary import MovedObstacle
 from autopilot.log.scene import outline
 
 MOVED = "#555555"
-"""What moves, where it was at other times."""
+"""Colour of a moving obstacle at other times."""
 
 _ALREADY_DRAWN_M = 0.02
-"""A fence shape that lies on a wall or obstacle to this (it came as latitude and longitude) is not drawn twice."""
+"""Tolerance for fence shapes that coincide with a wall or obstacle (rounded by latitude and longitude); these are
+not drawn twice."""
 
 
 def draw_plan(ax: Axes, run: RunDescription, moved: Sequence[MovedObstacle]) -> None:
-    """Draw everything of the run's description that has a place in the horizontal plane."""
+    """Draw the run's description in the horizontal plane."""
     if run.tank_polygon_m:
         ax.add_patch(Polygon(run.tank_polygon_m, closed=True, fill=False, edgecolor="black", linewidth=2.0))
     standing = [obstacle for obstacle in run.obstacles if not obstacle.path_m]
@@ -50,7 +51,7 @@ def draw_plan(ax: Axes, run: RunDescription, moved: Sequence[MovedObstacle]) -> 
 
 
 def _draw_moved(ax: Axes, moved: MovedObstacle, run: RunDescription, label: str | None) -> None:
-    """An obstacle on its way: solid where the vehicle came closest to it, outlines where it began and ended."""
+    """A moving obstacle: solid at the vehicle's closest approach, outlines at its first and last position."""
     radius = moved.obstacle.radius_m
     ax.plot(*moved.way_m.T, color=MOVED, linestyle=":", linewidth=1.0)
     for place, style, side, word in ((moved.way_m[0], "--", -1, "start "), (moved.way_m[-1], "-", 1, " end")):

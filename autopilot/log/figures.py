@@ -1,4 +1,4 @@
-"""Figures of a run as PNG and PDF files: the five of the paper (section IV), and what its readers ask for next."""
+"""Figures of a run as PNG and PDF files: the five of the paper (section IV), and further ones."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -32,7 +32,25 @@ FIGURES: dict[str, Drawing] = {
 
 
 def write_figures(log: Log, folder: Path) -> list[Path]:
-    """Write every figure that the log has data for; their paths. LogError if there is nothing to draw."""
+    """Write every figure that the log has data for.
+
+    Parameters
+    ----------
+    log
+        The log.
+    folder
+        Created if it is missing.
+
+    Returns
+    -------
+    list of Path
+        A PNG and a PDF file per figure.
+
+    Raises
+    ------
+    LogError
+        There are no data, or a file cannot be written.
+    """
     scene = make_scene(log)
     written = []
     try:

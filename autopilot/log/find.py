@@ -1,4 +1,4 @@
-"""Logs below a folder, and what each is of: read from heads and indexes, not from the messages."""
+"""Search a folder for logs by the metadata of their runs; reads headers and indexes only."""
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
@@ -21,8 +21,25 @@ class Found:
 
 
 def find_logs(folder: Path, wanted: Mapping[str, str] | None = None) -> Iterator[Found]:
-    """Every ``*.mcap`` below a folder, by name, of which all ``wanted`` facts hold (compared without case, by their
-    beginning). LogError if there is no such folder."""
+    """Logs below a folder, sorted by path.
+
+    Parameters
+    ----------
+    folder
+        Searched recursively for ``*.mcap``.
+    wanted
+        Metadata key -> prefix that its value must begin with (case-insensitive); None = all logs.
+
+    Yields
+    ------
+    Found
+        One per log, damaged ones included.
+
+    Raises
+    ------
+    LogError
+        There is no such folder.
+    """
     if not folder.is_dir():
         raise LogError(f"{folder}: is no folder; give one that holds logs")
     for path in sorted(folder.rglob("*.mcap")):

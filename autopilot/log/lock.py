@@ -5,7 +5,7 @@ from typing import IO
 
 
 def lock_exclusive(file: IO[bytes]) -> bool:
-    """Lock an open file until it is closed; False if another process holds it. No lock exists where flock does not."""
+    """Lock an open file until it is closed; False if another process holds it. No locking on systems without flock."""
     if sys.platform == "win32":
         return True
     import fcntl

@@ -1,7 +1,7 @@
-"""What the runtime calls: hands whole ticks over to the writer's thread, which makes their messages.
+"""Interface of the runtime to the log: hands whole ticks to the writer's thread, which packs the messages.
 
-Nothing is packed on the loop's thread (:mod:`autopilot.log.packer` does that). Inputs, outputs, truth and pictures are
-handed over as they are: whoever made them does not change them any more.
+Nothing is packed on the loop's thread (:mod:`autopilot.log.packer` does that). Inputs, outputs, truth and pictures
+are passed by reference and must not be modified afterwards.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -19,7 +19,7 @@ from autopilot.log.writer import LogHead, LogWriter, Payload
 
 CAMERA_US = 500_000
 TICK_MESSAGES, TICK_BYTES = 4, 4096
-"""What a tick comes to in messages and holds in memory while it waits, without those below;"""
+"""Messages per tick and their memory while queued, without those below;"""
 SAMPLE_MESSAGES, SAMPLE_BYTES = 2, 512
 """one sample,"""
 FRAME_MESSAGES, FRAME_BYTES = 2, 512
@@ -119,13 +119,13 @@ class LoggedTruth(TruthLike, Protocol):
 
     @property
     def contact_depth_m(self) -> float:
-        """Deepest penetration of now."""
+        """Deepest penetration at present."""
         ...
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SimulationRecord:
-    """What a simulated vehicle can say that a real one cannot."""
+    """Ground truth of a simulated vehicle."""
 
     truth: LoggedTruth
     payload_shares: tuple[float, ...]
@@ -148,7 +148,7 @@ class RunLog:
         self._camera_us: int | None = None
         """Time of the last logged image."""
         self._lost = False
-        """What was handed over last had no room."""
+        """The last data did not fit into the queue."""
 
     @property
     def path(self) -> Path:
@@ -180,19 +180,19 @@ class RunLog:
         return self._writer.finished
 
     def take_error(self) -> Exception | None:
-        """What went wrong in making messages of something that was handed over, each once; the log goes on."""
+        """Error in packing messages, each once; the log continues."""
         return self._writer.take_error()
 
     def end(self) -> None:
-        """Nothing more comes: the file is finished beside the loop."""
+        """No more messages: the file is finished in the background."""
         self._writer.end()
 
     def close(self, timeout_s: float | None = None) -> None:
-        """Finish the file and wait for it. LogError if the disk failed on the way or does not answer in time."""
+        """Finish the file and wait for it. LogError if the disk has failed or times out."""
         self._writer.close(timeout_s)
 
     def describe(self, t_us: int, description: RunDescription, attachments: Mapping[str, Payload]) -> None:
-        """A newer description and what belongs to it (plans have come since the log began); readers take the last."""
+        """A new description with its attachments (plans changed since the log began); readers use the last."""
         self._hand_over("", t_us, lambda: self._packer.describe(t_us, description, attachments))
 
     def tick(
@@ -202,7 +202,7 @@ class RunLog:
         frames: Sequence[CameraFrame] = (),
         world: SimulationRecord | None = None,
     ) -> None:
-        """A whole tick: all that went into ``step`` and came out of it, pictures, and the simulated world."""
+        """A whole tick: inputs and outputs of ``step``, pictures, and the simulated world."""
         t_us, packer = inputs.t_us, self._packer
         pictures = [frame for frame in frames if self._due(frame)] if frames else ()
 
@@ -235,7 +235,7 @@ class RunLog:
             self._hand_over("/in/camera", frame.t_us, lambda: self._packer.camera(frame), 2, frame.image_bgr.nbytes)
 
     def still(self, exposure_us: int, png: bytes) -> None:
-        """A still in full size, as a PNG; what is known of it comes with ``Outputs.stills``."""
+        """A still in full size, as a PNG; its metadata come with ``Outputs.stills``."""
         self._hand_over("/payload/image", exposure_us, lambda: self._packer.still(exposure_us, png), size=len(png))
 
     def truth(self, t_us: int, truth: TruthLike) -> None:
@@ -253,7 +253,7 @@ class RunLog:
         self._hand_over("/sys/loop", stats.t_us, lambda: self._packer.loop(stats))
 
     def event(self, event: Event) -> None:
-        """A line that does not come from ``step`` (``Outputs.events`` are written by ``outputs``)."""
+        """An event from outside ``step`` (``Outputs.events`` are written by ``outputs``)."""
         self._hand_over("/rosout", event.t_us, lambda: self._packer.event(event))
 
     def outputs(self, outputs: Outputs) -> None:
@@ -272,14 +272,14 @@ class RunLog:
         return True
 
     def _hand_over(self, topic: str, t_us: int, work: Callable[[], None], messages: int = 1, size: int = 0) -> None:
-        """To the thread. ``topic`` gets a gap in its numbers when there is no room; "" = none does."""
+        """Queue for the thread. ``topic`` gets a gap in its sequence numbers when the queue is full; "" = none does."""
         if self._lost:
             work = _both(self._packer.after_loss, work)
         self._lost = not self._writer.defer(topic, t_us, work, messages, size)
 
 
 def _room(samples: int, datagrams: int) -> tuple[int, int]:
-    """Messages beside those of the tick itself, and bytes with them, that a tick with so much takes in the queue."""
+    """Messages and bytes that a tick with these inputs takes in the queue, beside those of the tick itself."""
     messages = SAMPLE_MESSAGES * samples + FRAME_MESSAGES * datagrams
     return messages, TICK_BYTES + SAMPLE_BYTES * samples + FRAME_BYTES * datagrams
 

@@ -1,7 +1,7 @@
-"""Cutting a byte stream into what the log keeps of it: MAVLink packets, without key material.
+"""Splits a byte stream into MAVLink packets for the log, without key material.
 
-No dialect is needed: length and message id stand in the packet header (mavlink.io, Packet Serialization). Bytes between
-packets are kept too, so that a replay sees the same stream.
+No dialect is needed: length and message id are in the packet header (mavlink.io, Packet Serialization). Bytes
+between packets are kept too, so that a replay sees the same stream.
 """
 
 from dataclasses import dataclass
@@ -15,7 +15,7 @@ SETUP_SIGNING = 256
 MAX_BYTES = 280
 _SIGNED = 0x01
 _ID_AT, _ID_END = 7, 10
-"""Where the message id stands in a MAVLink 2 header."""
+"""Offset of the message id in a MAVLink 2 header."""
 _CRC_EXTRA = bytes((71,))
 """Of SETUP_SIGNING (common.xml)."""
 _KEY_AT = 20
@@ -36,7 +36,7 @@ class Piece:
 
 @dataclass(frozen=True, slots=True)
 class Removed:
-    """What one call has taken out of the stream."""
+    """Bytes removed from the stream by one call."""
 
     count: int = 0
     """Bytes of this call's data, and of what had waited from earlier ones."""
@@ -48,7 +48,7 @@ NOTHING_REMOVED = Removed()
 
 
 class StreamCutter:
-    """Cuts one direction of one link. What is incomplete waits for the next call."""
+    """Splits one direction of one link. Incomplete packets are kept until the next call."""
 
     def __init__(self) -> None:
         self.removed = NOTHING_REMOVED
@@ -56,9 +56,9 @@ class StreamCutter:
         self._rest = b""
         """A packet that is not complete yet."""
         self._history = b""
-        """The last bytes that came, so that a key's header is seen however the stream is cut."""
+        """The last bytes, so that the header of a key is recognised across pieces."""
         self._skip = 0
-        """Bytes of a key that are still to come."""
+        """Bytes of a key still to come."""
 
     def cut(self, data: bytes) -> list[Piece]:
         """Pieces that ``data`` completes, in order. Packets of SETUP_SIGNING are left out, in sync or not."""
@@ -81,9 +81,8 @@ class StreamCutter:
         return pieces
 
     def _without_keys(self, data: bytes) -> bytes:
-        """``data`` without the bytes of any packet whose header says SETUP_SIGNING, wherever it begins.
-
-        The header has passed before its message id is known; it is taken back out of ``_rest``. The key comes after it.
+        """``data`` without the bytes of any packet whose header says SETUP_SIGNING, at any offset. The header has
+        passed before its message id is known; it is removed from ``_rest``. The key follows it.
         """
         window, old = self._history + data, len(self._history)
         self._history = window[1 - _ID_END :]
@@ -117,13 +116,14 @@ class StreamCutter:
         return bytes(out)
 
     def lose_track(self) -> None:
-        """Bytes have been left out before what comes next, perhaps the beginning of a key: the rest of it would not be
-        known as one. So as many bytes as that may be are taken out."""
+        """Bytes before the next ones are missing, perhaps the beginning of a key, whose rest could not be
+        recognised. So as many bytes as that may be are removed.
+        """
         self._rest = self._history = b""
         self._skip = _KEY_PACKET_BYTES - 1
 
     def rest(self) -> list[Piece]:
-        """What has waited for more, when nothing more comes."""
+        """The incomplete rest at the end of the stream."""
         pieces: list[Piece] = []
         _add_noise(pieces, self._rest)
         self._rest = b""

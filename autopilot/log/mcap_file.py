@@ -1,4 +1,4 @@
-"""An MCAP file being written: what ``mcap.writer.Writer`` does, with a message costing a tenth.
+"""MCAP file writer: as ``mcap.writer.Writer``, at a tenth of the cost per message.
 
 A log takes a thousand small messages per second. They are packed straight into the chunk; everything else (schemas,
 indexes, statistics) is rare and is written by the library's records (mcap.dev, format specification).
@@ -31,7 +31,7 @@ from mcap.records import (
 MAGIC = b"\x89MCAP0\r\n"
 COMPRESSION = "zstd"
 PACKED_BYTES = 64 * 1024
-"""So many index records of chunks are compressed at a time: a minute of them."""
+"""Size of the index records of chunks that are compressed at a time: a minute of them."""
 _MESSAGE = struct.Struct("<BQHIQQ")
 """Opcode, length, channel, sequence, log time, publish time; the data follow."""
 _MESSAGE_HEAD = 22
@@ -44,7 +44,7 @@ _INDEX = struct.Struct("<BQHI")
 
 
 class McapFile:
-    """Messages and all that belongs to them, in the order of the calls. Whatever the stream raises comes through."""
+    """Writes records in the order of the calls. Exceptions of the stream are passed on."""
 
     def __init__(self, stream: IO[bytes], chunk_bytes: int) -> None:
         self._stream = stream

@@ -1,4 +1,4 @@
-"""What a topic of fixed-size messages is read as: a numpy array with one row per message."""
+"""Table of a fixed-size topic: a numpy array with one row per message."""
 
 import importlib
 from collections.abc import Iterator
@@ -13,9 +13,9 @@ Columns: TypeAlias = dict[str, Any]
 
 
 class MessageTable(np.ndarray[Any, np.dtype[np.void]]):
-    """One row per message: ``t_us`` (int64, the service's clock), ``sequence``, then the fields without the header.
+    """(n,) structured array: ``t_us`` (int64, service clock [us]), ``sequence``, then the fields without the header.
 
-    A numpy structured array; what is picked out of it by the name of a field is a plain array.
+    Indexing by a field name gives a plain array, (n,) or (n, ...) for a field of fixed length.
     """
 
     def __getitem__(self, key: Any) -> Any:
@@ -46,7 +46,19 @@ class MessageTable(np.ndarray[Any, np.dtype[np.void]]):
 
 
 def flat_columns(table: MessageTable) -> Columns:
-    """The fields of a fixed-size topic: arrays element by element, what is nested by its path (``orientation.x``)."""
+    """Columns of a fixed-size topic.
+
+    Parameters
+    ----------
+    table
+        (n,) one row per message.
+
+    Returns
+    -------
+    dict
+        Name -> (n,) values: ``t_us`` [us], ``t_s`` [s], then the fields; arrays element by element
+        (``pos_ned_m[0]``), nested fields by their path (``orientation.x``).
+    """
     columns: Columns = {"t_us": table["t_us"], "t_s": table["t_us"] * 1e-6}
     for name in (table.dtype.names or ())[1:]:
         columns.update(_flat(name, table[name]))

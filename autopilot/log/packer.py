@@ -37,9 +37,9 @@ TRAIL_US = 500_000
 TRAIL_POINTS = 600
 """Points of /viz/path: five minutes of trail."""
 MAX_STREAMS = 256
-"""MAVLink streams that are being cut; the oldest goes."""
+"""MAVLink streams in progress; beyond that the oldest is dropped."""
 PICTURES = 64
-"""Times of pictures that are kept until their markers come."""
+"""Times of pictures that are kept until their markers arrive."""
 JPEG_QUALITY = 80
 MAX_PROGRAMS = 32
 """Programs of the optimiser that were not solved that a log keeps, the first ones."""
@@ -60,7 +60,7 @@ class Sink(Protocol):
 
 
 class Packer:
-    """Everything that depends on the messages before. All calls come from one thread, in the order of the run."""
+    """Stateful part of packing. All calls come from one thread, in the order of the run."""
 
     def __init__(self, sink: Sink, epoch_ns: int, description: RunDescription) -> None:
         self._sink = sink
@@ -71,23 +71,23 @@ class Packer:
         self._last_body: dict[str, bytes] = {}
         self._cutters: dict[tuple[str, int, int], StreamCutter] = {}
         self._lost_bytes = False
-        """Something was left out on the way here: a stream that begins now may begin anywhere."""
+        """Data have been dropped: a new stream may begin anywhere."""
         self._standing = step_notes.LatchedNotes()
         self._trail: list[tuple[float, float, float]] = []
         self._pictures: deque[int] = deque(maxlen=PICTURES)
-        """Times of the pictures that were logged last: what was found in them is yet to come."""
+        """Times of the pictures logged last, whose detections are pending."""
         self._truth: tuple[FloatArray, FloatArray] | None = None
         """Place and current of the simulated vehicle."""
         self._faults = self._programs = 0
 
     def after_loss(self) -> None:
-        """Something between this and the last call has been dropped: what waits of streams goes on elsewhere."""
+        """Data since the last call has been dropped: streams resynchronise."""
         self._lost_bytes = True
         for cutter in self._cutters.values():
             cutter.lose_track()
 
     def describe(self, t_us: int, description: RunDescription, attachments: Mapping[str, Payload]) -> None:
-        """A newer description and what belongs to it (plans have come since the log began); readers take the last."""
+        """A new description with its attachments (plans changed since the log began); readers use the last."""
         self._description, self._scene = description, scene_markers(description)
         self._sink.attach(ATTACHMENT, t_us, lambda: to_json(description))
         for name, data in attachments.items():
@@ -114,7 +114,7 @@ class Packer:
             self._sink.write("/in/camera_info", frame.t_us, partial(visuals.camera_info, stamp_ns, camera))
 
     def still(self, exposure_us: int, png: bytes) -> None:
-        """A still in full size, as a PNG; what is known of it comes with ``Outputs.stills``."""
+        """A still in full size, as a PNG; its metadata come with ``Outputs.stills``."""
         data = visuals.compressed_image(self._ns(exposure_us), png, "png")
         self._write("/payload/image", exposure_us, data)
 
@@ -144,7 +144,7 @@ class Packer:
             self._record("/sys/process", stats.t_us, stats.process)
 
     def event(self, event: Event) -> None:
-        """A line that does not come from ``step`` (``Outputs.events`` are written by ``outputs``)."""
+        """An event from outside ``step`` (``Outputs.events`` are written by ``outputs``)."""
         self._write("/rosout", event.t_us, visuals.event(self._ns(event.t_us), event))
 
     def outputs(self, outputs: Outputs) -> None:
@@ -197,8 +197,7 @@ class Packer:
             self._fault(fault)
 
     def _fault(self, fault: Fault) -> None:
-        """An exception inside the service: a line, and an attachment with all that it had; one that goes on, now and
-        then."""
+        """An exception inside the service: a line, and an attachment with its context; rate-limited if it persists."""
         if not fault.traceback:
             return
         text = f"{fault.line}: {fault.text} ({fault.place})"
@@ -215,7 +214,7 @@ class Packer:
         self._sink.write(topic, t_us, payload)
 
     def _record(self, topic: str, t_us: int, value: Any) -> None:
-        """A message of ours, made of ``value`` as the row of its type says."""
+        """Pack ``value`` with the row of its type."""
         self._write(topic, t_us, pack_record(topic, self._ns(t_us), value))
 
     def _due(self, topic: str, t_us: int, period_us: int) -> bool:
@@ -226,7 +225,7 @@ class Packer:
         return True
 
     def _changed(self, topic: str, t_us: int, key: Hashable) -> bool:
-        """Whether a message is worth packing: what it is made of is new, or SLOW_US have passed."""
+        """Whether to pack a message: its source is another object, or SLOW_US have passed."""
         if self._last_key.get(topic) == key and t_us - self._last_us[topic] < SLOW_US:
             return False
         self._last_key[topic] = key
@@ -255,7 +254,7 @@ class Packer:
             self._sink.write("/viz/detections", t_us, partial(visuals.image_annotations, stamp_ns, sample))
 
     def _mavlink(self, topic: str, t_us: int, frame: MavlinkFrame) -> Removed:
-        """The packets that a datagram completes; what was left out of it."""
+        """Packets completed by a datagram, and the bytes removed."""
         stream = (topic, frame.link, frame.client)
         if stream not in self._cutters and len(self._cutters) >= MAX_STREAMS:
             self._forget_stream(next(iter(self._cutters)), t_us)
@@ -271,7 +270,7 @@ class Packer:
         return cutter.removed
 
     def _forget_stream(self, stream: tuple[str, int, int], t_us: int) -> None:
-        """Write what has waited for the end of a packet."""
+        """Write the incomplete rest of a stream."""
         topic, link, client = stream
         for piece in self._cutters.pop(stream).rest():
             self._record(topic, t_us, (piece.data, link, client))
@@ -293,7 +292,7 @@ class Packer:
             self._draw(t_us, stamp_ns)
 
     def _draw(self, t_us: int, stamp_ns: int) -> None:
-        """What viewers draw beside poses. Packed on the writer's thread."""
+        """Messages for viewers other than poses. Packed on the writer's thread."""
         run, truth, write = self._description, self._truth, self._sink.write
         write("/viz/markers", t_us, partial(_all_markers, stamp_ns, self._scene, run, t_us * 1e-6))
         write("/viz/path", t_us, partial(visuals.path, stamp_ns, self._trail))
@@ -301,7 +300,7 @@ class Packer:
         write("/viz/body", t_us, partial(visuals.marker_array, stamp_ns, body))
 
     def _current(self, t_us: int, stamp_ns: int, nav: NavState) -> None:
-        """The current at the vehicle as an arrow: what the estimator believes and, in simulation, what there is."""
+        """Current at the vehicle as an arrow: estimate and, in simulation, truth."""
         arrows = [current_marker("current", nav.pos_ned_m, nav.current_ned_m_s)]
         if self._truth is not None:
             arrows.append(current_marker(TRUE_CURRENT, *self._truth))

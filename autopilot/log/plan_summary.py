@@ -1,4 +1,4 @@
-"""What plans of a flight draw beside standing shapes: the current that was met, and where moving obstacles were."""
+"""Content of plan views that varies in time: current along the path, and positions of moving obstacles."""
 
 from dataclasses import dataclass
 
@@ -10,7 +10,7 @@ from autopilot.log.description import Obstacle, RunDescription
 from autopilot.log.scene import outline
 
 ARROWS = 90
-"""At most so many arrows of the current along a way, evenly by its length,"""
+"""Maximum number of current arrows along a path, evenly spaced,"""
 APART = 0.05
 """no nearer to each other than this share of the plan's size,"""
 LONGEST_ARROW = 0.1
@@ -36,7 +36,7 @@ class MetCurrent:
     told_m_s: float
     """A round figure, of the size of the fastest: for the key,"""
     key_m: tuple[float, float]
-    """and where in the plan there is room for that, north and east."""
+    """and a free area of the plan for it, north and east."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -47,13 +47,13 @@ class MovedObstacle:
     way_m: FloatArray
     """(n, 2) north, east, from its place at the start to that at the end."""
     nearest_m: tuple[float, float]
-    """Where it was when the vehicle came closest to it,"""
+    """Its position at the vehicle's closest approach,"""
     nearest_s: float
     """and when that was."""
 
 
 def plan_box(track: VehicleTrack, run: RunDescription | None) -> tuple[FloatArray, FloatArray]:
-    """Least and greatest north and east (2,) of what a plan shows: way, tank, fence and waypoints."""
+    """Least and greatest north and east (2,) of a plan view: path, tank, fence and waypoints."""
     points = [track.pos_ned_m[:, :2]]
     if run is not None:
         outlines = [run.tank_polygon_m, *(outline(shape) for shape in run.fence)]

@@ -1,7 +1,7 @@
-"""A log folder that does not outgrow its disk: the oldest flights go when a new one needs their room.
+"""Disk quota of a log folder: the oldest flights are deleted for new ones.
 
-A flight is a ``.mcap`` below a folder of a day (:func:`autopilot.log.log_session.log_path`) and what stands beside it
-under the same name. A log that is being written is locked and stays; so does everything that this service did not name.
+A flight is a ``.mcap`` below a folder of a day (:func:`autopilot.log.log_session.log_path`) and its companion files
+of the same name. Locked logs (being written) and files that this service did not name are kept.
 """
 
 import contextlib
@@ -30,7 +30,7 @@ class FlightFiles:
 
 
 def flights(folder: Path) -> list[FlightFiles]:
-    """Flights below a log folder, oldest first. A file that goes meanwhile is left out."""
+    """Flights below a log folder, oldest first. Files deleted meanwhile are left out."""
     found = []
     for log in folder.glob("*/*.mcap"):
         if not (DAY.fullmatch(log.parent.name) and TIME.fullmatch(log.stem)):
@@ -46,9 +46,9 @@ def flights(folder: Path) -> list[FlightFiles]:
 
 
 def make_room(folder: Path, quota_bytes: int, *, keep_free_bytes: int = KEEP_FREE_BYTES) -> list[Path]:
-    """Remove the oldest flights until all take ``quota_bytes`` at most and the disk has room. The logs that went.
-
-    What cannot be removed (locked, no permission) is left; nothing raises: a log is to be begun, with room or without.
+    """Delete the oldest flights until all take ``quota_bytes`` at most and the disk has free space. Returns the
+    deleted logs. Files that cannot be deleted (locked, no permission) are left; nothing raises, because a new
+    log is started in any case.
     """
     if not folder.is_dir():
         return []
@@ -72,7 +72,7 @@ def _free_bytes(folder: Path) -> int:
 
 
 def remove_flight(flight: FlightFiles) -> bool:
-    """Whether a flight is gone now."""
+    """Delete a flight; whether it is deleted."""
     try:
         with flight.log.open("r+b") as file:
             if not lock_exclusive(file):

@@ -1,4 +1,4 @@
-"""Reading a log: ``open_log(path)["/nav/state"]`` is a numpy structured array.
+"""Log reader: ``open_log(path)["/nav/state"]`` is a numpy structured array.
 
 Fixed-size topics are gathered chunk by chunk and viewed with the dtype that the schema in the file gives; topics of
 variable size are decoded message by message. Damage is skipped and named in ``Log.problems``.
@@ -95,7 +95,7 @@ def open_log(path: str | Path) -> "Log":
 
 
 CLOCKED = ("/in/tick", "/nav/state", "/sim/truth")
-"""Topics that tell whether time went back: a message per tick, as the ticks were."""
+"""Topics with one message per tick, in the order of the ticks, for the check of the clock."""
 
 
 class Log:
@@ -107,7 +107,6 @@ class Log:
     """
 
     def __init__(self, path: Path) -> None:
-        """See :func:`open_log`."""
         self.path = path
         self._contents: Contents = read_contents(path)
         self._raw: dict[str, _Raw] = {}
@@ -126,23 +125,22 @@ class Log:
 
     @property
     def attachments(self) -> Mapping[str, bytes]:
-        """Attached files by name."""
         return self._contents.attachments
 
     @cached_property
     def description(self) -> RunDescription | None:
-        """What the run was (``run.json``), None for a log without it."""
+        """``run.json``, None for a log without it."""
         data = self._contents.attachments.get(ATTACHMENT)
         return None if data is None else from_json(data, str(self.path))
 
     @property
     def problems(self) -> tuple[str, ...]:
-        """What is damaged or missing, empty for a sound log. Chunks are checked as they are read (:meth:`verify`)."""
+        """Damage and missing parts, empty for a sound log. Chunks are checked when they are read (:meth:`verify`)."""
         return tuple(self._contents.problems)
 
     @cached_property
     def topics(self) -> Mapping[str, TopicInfo]:
-        """Every topic, sorted by name."""
+        """Sorted by name."""
         found: dict[str, TopicInfo] = {}
         for number, channel in self._contents.channels.items():
             schema = self._contents.schemas.get(channel.schema_id)
@@ -193,25 +191,41 @@ class Log:
         return self._tables[topic]
 
     def get(self, topic: str) -> MessageTable | None:
-        """A fixed-size topic, None if it has no messages."""
+        """A fixed-size topic, None if it has no messages.
+
+        Parameters
+        ----------
+        topic
+            Its name.
+
+        Returns
+        -------
+        MessageTable or None
+            (n,) one row per message.
+
+        Raises
+        ------
+        LogError
+            The topic is damaged or of variable size.
+        """
         if topic not in self:
             return None
         return self[topic]
 
     def align(self, topics: Sequence[str], rate_hz: float) -> dict[str, MessageTable]:
-        """Topics of fixed-size messages on one clock, from when all have begun to when the first ends.
+        """Fixed-size topics sampled on a common clock, from the last start to the first end (zero-order hold).
 
         Parameters
         ----------
         topics
             Their names.
         rate_hz
-            Of the common clock.
+            Rate of the common clock [Hz].
 
         Returns
         -------
         dict
-            Topic -> (n,) its last message at each time of the clock; ``t_us`` is the common time.
+            Topic -> (n,) its last message at each time of the clock; ``t_us`` is the common time [us].
 
         Raises
         ------
@@ -241,6 +255,16 @@ class Log:
     def messages(self, topic: str) -> list[DecodedMessage]:
         """Every message of a topic of any type, decoded, in the order of the file.
 
+        Parameters
+        ----------
+        topic
+            Its name.
+
+        Returns
+        -------
+        list of DecodedMessage
+            Empty for a topic without messages.
+
         Raises
         ------
         LogError
@@ -262,15 +286,36 @@ class Log:
         return out
 
     def raw_messages(self, topic: str) -> list[tuple[int, bytes]]:
-        """Log time [ns] and CDR bytes of every message of a topic."""
+        """Messages of a topic without decoding.
+
+        Parameters
+        ----------
+        topic
+            Its name.
+
+        Returns
+        -------
+        list of (int, bytes)
+            Log time [ns, Unix] and CDR bytes.
+        """
         self.load([topic])
         raw = self._raw[topic]
         rows = [block[i].tobytes() for block in raw.blocks for i in range(len(block))] + raw.singles
         return [(int.from_bytes(row[6:14], "little"), row[_MESSAGE_HEAD.itemsize :]) for row in rows]
 
     def order(self, topics: Sequence[str]) -> list[int]:
-        """Messages of these topics as places in ``topics``, in the order of the file: the n-th 2 is the n-th message
-        of ``topics[2]``. (Stamps do not tell the order in which samples came.)"""
+        """File order of the messages of several topics (stamps do not give the order of arrival).
+
+        Parameters
+        ----------
+        topics
+            Their names.
+
+        Returns
+        -------
+        list of int
+            Indices into ``topics``: the n-th 2 is the n-th message of ``topics[2]``.
+        """
         place = {n: topics.index(c.topic) for n, c in self._contents.channels.items() if c.topic in topics}
         found: list[int] = []
         with self.path.open("rb") as file:
@@ -287,7 +332,13 @@ class Log:
         return found
 
     def load(self, topics: Iterable[str]) -> None:
-        """Read several topics in one pass over the file; unknown ones are left out."""
+        """Read several topics in one pass over the file; unknown topics are ignored.
+
+        Parameters
+        ----------
+        topics
+            Their names.
+        """
         missing = {topic for topic in topics if topic not in self._raw}
         wanted = {n: c.topic for n, c in self._contents.channels.items() if c.topic in missing}
         for topic in missing:
@@ -296,11 +347,17 @@ class Log:
             self._read_chunks(wanted)
 
     def leave_out(self, topic: str, error: LogError) -> None:
-        """Name a topic that whoever reads the log has to do without."""
+        """Report a topic that cannot be read as a problem of the log."""
         self._contents.problems.append(f"{topic} is left out ({str(error).removeprefix(f'{self.path}: ')})")
 
     def verify(self) -> tuple[str, ...]:
-        """Read every chunk once and return all problems; ``topics`` then counts what is really readable."""
+        """Read and check every chunk; :attr:`topics` then counts the readable messages.
+
+        Returns
+        -------
+        tuple of str
+            All problems, empty for a sound log.
+        """
         self._read_chunks({})
         if self._contents.problems:
             with self.path.open("rb") as file:
@@ -310,7 +367,7 @@ class Log:
         return self.problems
 
     def check_clock(self) -> None:
-        """Name it as a problem if time goes back in a topic that has its messages in the order of time."""
+        """Report time that goes back in a topic that is written in the order of time."""
         if self._clock_checked:
             return
         self._clock_checked = True
@@ -319,7 +376,7 @@ class Log:
             try:
                 t_us = self[topic]["t_us"].astype(np.int64) if topic in self else np.zeros(0, dtype=np.int64)
             except LogError:
-                continue  # foreign or damaged: whoever wants it will say so
+                continue  # foreign or damaged: reported when the topic is read
             back = np.flatnonzero(np.diff(t_us) < 0)
             if len(back):
                 at, by = 1e-6 * float(t_us[back[0]]), 1e-6 * float(t_us[back[0]] - t_us[back[0] + 1])
@@ -402,7 +459,7 @@ def _columns(layout: CdrLayout) -> np.dtype[np.void]:
 
 
 def _frame_id_bytes(types: Types, name: str, first: bytes) -> int:
-    """Length of frame_id in the first message: the header, if any, comes first in every type of ours."""
+    """Length of frame_id in the first message: the header, if any, is the first field of all our types."""
     fields = types[short_name(name)]
     has_header = bool(fields) and fields[0].type == "std_msgs/Header"
     return int.from_bytes(first[12:16], "little") if has_header else 4

@@ -1,4 +1,4 @@
-"""Every kind of message of ours that is no sample, one row each: its topics, its message and what it is made of.
+"""Table of our message types other than samples: topics, message and source.
 
 Schemas, topics and the packer are made of this table and of :data:`autopilot.log.sample_table.SAMPLE_ROWS`.
 """
@@ -39,7 +39,7 @@ from autopilot.log.sample_table import MessageRow
 
 
 class TruthLike(Protocol):
-    """What the log needs of the simulated vehicle: shapes and frames as in ``autopilot_msgs/VehicleState``."""
+    """Ground truth of the simulated vehicle: shapes and frames as in ``autopilot_msgs/VehicleState``."""
 
     @property
     def pos_ned_m(self) -> FloatArray: ...

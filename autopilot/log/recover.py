@@ -1,7 +1,7 @@
-"""Repair of logs that were never closed: everything readable goes to a new file, which takes the old one's place.
+"""Repair of unfinished logs: everything readable is copied to a new file that replaces the old one.
 
-The service calls :func:`recover_unfinished` on its log folder at start. A log that another service is writing is locked
-and left alone; the repaired file is opened and counted again before it replaces the original.
+The service calls :func:`recover_unfinished` on its log folder at start. A log that another service is writing is
+locked and left alone; the repaired file is opened and counted again before it replaces the original.
 """
 
 import os
@@ -18,7 +18,7 @@ from autopilot.log.schemas import PROFILE
 from autopilot.log.writer import CHUNK_BYTES, LIBRARY, QOS_PROFILES
 
 RECOVERED_RECORD = "recovered"
-"""Metadata record of a repaired log: what was wrong with it."""
+"""Metadata record of a repaired log: its damage."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -27,7 +27,7 @@ class Recovery:
     messages: int
     """Messages that were saved."""
     problem: str
-    """What was wrong, and if ``repaired`` is False why it stays as it is."""
+    """Damage, and if ``repaired`` is False why it is not repaired."""
     repaired: bool
 
 
@@ -45,7 +45,23 @@ def recover_unfinished(folder: Path) -> list[Recovery]:
 
 
 def recover_log(path: Path) -> Recovery | None:
-    """Repair one log; None if it needs no repair or is being written. LogError if it is no log or not to be had."""
+    """Repair an unfinished log in place.
+
+    Parameters
+    ----------
+    path
+        The log.
+
+    Returns
+    -------
+    Recovery or None
+        None if it needs no repair or is being written.
+
+    Raises
+    ------
+    LogError
+        It is no log, or not accessible.
+    """
     try:
         opened = path.open("r+b")
     except OSError as error:
@@ -72,8 +88,9 @@ def recover_log(path: Path) -> Recovery | None:
 
 
 def damage_within(path: Path) -> Recovery | None:
-    """What is wrong with a log that was finished, None if nothing is: such a one is left as it is, since whatever can
-    be read of it is read where it lies."""
+    """Damage of a finished log, None without any. Finished logs are not repaired: their readable part is read in
+    place.
+    """
     log = open_log(path)
     log.verify()
     if not log.problems or not read_contents(path).finished:  # the latter is being written

@@ -1,7 +1,6 @@
-"""The HTML report: one file that opens anywhere without a network.
+"""The HTML report: one self-contained file, no network needed.
 
-Header, verdicts, linked interactive plots, events, parameters and topics. The scripts that draw the plots are inlined,
-so that the file loads nothing.
+Header, verdicts, linked interactive plots, events, parameters and topics. The plotting scripts are inlined.
 """
 
 import base64
@@ -72,7 +71,25 @@ _LEVEL_NAMES = {50: "fatal", 40: "error", 30: "warning", 20: "info", 10: "debug"
 
 
 def write_report(log: Log, path: Path) -> Path:
-    """Write the report of a log. LogError if the log holds no track or the file cannot be written."""
+    """Write the HTML report of a log.
+
+    Parameters
+    ----------
+    log
+        The log.
+    path
+        File to write; its folder is created if it is missing.
+
+    Returns
+    -------
+    Path
+        The file.
+
+    Raises
+    ------
+    LogError
+        The log holds no track, or the file cannot be written.
+    """
     from autopilot.log.report_plots import TOPICS
 
     if path.is_dir():
@@ -102,7 +119,7 @@ def _page(flight: FlightRecord, rows: Sequence[BoundRow]) -> str:
     subjects = Plots(flight).all()
     plots = {f"{subject}: {title}": plot for subject, found in subjects.items() for title, plot in found.items()}
     document = Document()
-    with document.models.freeze():  # else every plot is looked through again for each of the others
+    with document.models.freeze():  # else every plot is scanned again for each of the others
         for plot in plots.values():
             document.add_root(plot)
     script, parts = components(plots)
@@ -163,7 +180,7 @@ def _pictures(log: Log) -> str:
 
 
 def _downloads(flight: FlightRecord, rows: Sequence[BoundRow]) -> str:
-    """The tables of this page and what is attached to the log, as files within the page."""
+    """Tables of this page and attachments of the log, as embedded files."""
     columns = ("subject", "name", "unit", "limit", "worst", "margin", "verdict", "at_s", "note")
     verdicts = [{**asdict(row), "verdict": row.verdict.value} for row in rows]
     text = io.StringIO()
@@ -199,7 +216,7 @@ def _problems(log: Log) -> str:
 
 
 def _header(flight: FlightRecord, rows: Sequence[BoundRow]) -> str:
-    """What the run was, in pairs."""
+    """Description of the run, in pairs."""
     run, log, armed = flight.run, flight.log, flight.armed
     track = flight.judged.between(armed)
     steps = track.pos_ned_m[1:] - track.pos_ned_m[:-1]
@@ -259,7 +276,7 @@ def _modes(flight: FlightRecord) -> str:
 
 
 def _counters(flight: FlightRecord) -> str:
-    """What was counted by the end of the log, where it is not 0."""
+    """Final values of the counters that are not 0."""
     rows = [(name, str(count)) for name, count in last_counts(flight.log).items() if count]
     return _table(("", "times"), rows) if rows else "<p>none</p>"
 

@@ -1,4 +1,4 @@
-"""How the report draws: plots over a common time axis with bounds in view, mode bands, marks, spectra, histograms."""
+"""Plots of the report over a common time axis: bounds, mode bands, event marks, spectra, histograms."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -12,17 +12,17 @@ from bokeh.plotting import figure
 from autopilot.core.frames import FloatArray
 
 BUCKETS = 400
-"""Each curve keeps the smallest and the largest value of so many slices of time."""
+"""Slices of time; each curve keeps the smallest and the largest value of each."""
 HEIGHT_PX = 250
 LEFT_PX, RIGHT_PX = 104, 24
-"""Room beside the frame of every plot: what is at the same time is at the same place."""
+"""Margin beside the frame of every plot, the same for all, so that time axes are aligned."""
 COLORS = ("#1f77b4", "#ff7f0e", "#2ca02c", "#d62728", "#9467bd", "#8c564b", "#e377c2", "#17becf")
 TOOLS = "xpan,xwheel_zoom,box_zoom,crosshair,reset,save"
 BOUND_COLOR, EVENT_COLOR, PARAMETER_COLOR = "#c62828", "#d08700", "#7b3fa0"
 NAME_SHARE = 0.08
-"""Of the sheet's width: what the name of a mode needs."""
+"""Width of a mode's name, as a share of the sheet."""
 EDGE = 0.06
-"""Share of the height of a plot that stays free above and below what is shown."""
+"""Share of a plot's height that stays free above and below the curves."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -131,7 +131,7 @@ class TimeSheet:
                 fill_color=color,
                 line_color="#888888",
             )
-            for late in (False, True):  # near the right edge a name stands before its band
+            for late in (False, True):  # near the right edge the name is left of its band
                 those = [band.start_s for band in mine if (band.start_s > self._late_s) is late]
                 plot.text(
                     those,
@@ -184,7 +184,7 @@ class TimeSheet:
         return plot
 
     def _height(self, curves: Sequence[Curve], bounds: Sequence[float], *, log_scale: bool) -> Range1d:
-        """What is to be seen of all curves within the time of the sheet, and every bound."""
+        """Range of all curves within the time axis, and of every bound."""
         values = [np.array(bounds, dtype=float)]
         for curve in curves:
             inside = curve.values[(curve.t_s >= self.start_s) & (curve.t_s <= self.end_s)]
@@ -198,7 +198,7 @@ class TimeSheet:
             return Range1d(low / 1.5, high * 1.5)
         if high > low:
             margin = EDGE * (high - low)
-        else:  # flat: a count, a flag or a share is not shown as if thousandths of it mattered
+        else:  # flat: the range of a count, a flag or a share is not narrowed to thousandths
             margin = max(0.1 * abs(high), 1.0) if high == round(high) else 0.5 * abs(high)
         return Range1d(low - margin, high + margin)
 

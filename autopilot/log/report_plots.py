@@ -1,4 +1,4 @@
-"""Which plots the HTML report has: by subject, of everything that a log holds."""
+"""List of the plots of the HTML report, by subject."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -61,25 +61,25 @@ TOPICS = (
 """Beside those that are judged."""
 MODE_COLORS = ("#dbe9f6", "#e5f5e0", "#fee8c8", "#efedf5", "#fde0ef", "#e0f3f3")
 CONTROL_PERIOD_MS = 50.0
-"""What a control step has (docs/architecture.md)."""
+"""Time budget of a control step (docs/architecture.md)."""
 TICK_MS = 10.0
 AHEAD_S = 1.0
-"""Predictions are compared with what came after so long."""
+"""Prediction time of the comparison with the actual motion."""
 HORIZONS = 12
 """Predictions that the plan shows."""
 MARKED_LEVEL = 20
-"""Events from this level of rcl_interfaces/Log on are marked: what operators are told."""
+"""Least level of rcl_interfaces/Log of the events that are marked: messages to operators."""
 MOST_MARKS = 300
 MOST_TURNS_DEG = 1080.0
-"""Who turns further gets an axis from -180 to 180 degrees: on one of all turns nothing could be read."""
+"""Beyond so many turns the axis is wrapped to -180 to 180 degrees."""
 MOST_LAPS = 8
-"""So many laps have a colour of their own; more go over from one colour to another."""
+"""Maximum number of laps with a colour of their own; more use a colour scale."""
 LAPS_NAMED = 4
-"""Of these the plan names so many."""
+"""Maximum number of these that the plan names."""
 HEADS = 8
-"""Arrow heads of the last lap: which way it went;"""
+"""Arrow heads of the last lap, which show its direction;"""
 HEAD_SHARE, HEAD_M = 0.018, 0.05
-"""half their length as a share of the plan's, and over which way their direction is taken."""
+"""half their length as a share of the plan's, and the distance over which their direction is taken."""
 
 
 class Plots:
@@ -114,7 +114,7 @@ class Plots:
         return {name: plots for name, plots in shown.items() if plots}
 
     def _tracking(self) -> Subject:
-        """Positions and heading beside what was aimed at."""
+        """Positions and heading beside their references."""
         goal = self._flight.table("/ctl/goal")
         then_s, then_m = foreseen(self._predictions, AHEAD_S)
         planned = f"planned {AHEAD_S:g} s before"
@@ -413,7 +413,7 @@ class Plots:
         return self._sheet.plot(label, curves, bounds)
 
     def _plan(self) -> Any:
-        """The tank from above: x to the right, y down. Way by lap, predictions, current."""
+        """The tank from above: x to the right, y down. Path by lap, predictions, current."""
         plot = plain_figure("x, north [m]", "y, east [m]", height_px=520, match_aspect=True)
         plot.y_range.flipped = True
         run = self._flight.run
@@ -468,7 +468,7 @@ def _draw_predictions(plot: Any, made: Sequence[Prediction]) -> Any:
 
 
 def _draw_heads(plot: Any, track: VehicleTrack) -> Any | None:
-    """Arrow heads along a way, evenly by its length; None where it leads nowhere."""
+    """Arrow heads along a path, evenly spaced; none on a path of zero length."""
     plane = track.pos_ned_m[:, :2]
     along = np.concatenate(([0.0], np.cumsum(np.hypot(*np.diff(plane, axis=0).T))))
     if len(plane) < 2 or along[-1] <= 0.0:
@@ -513,7 +513,7 @@ def _draw_current(plot: Any, met: MetCurrent) -> list[Any]:
 
 
 def clearances(flight: FlightRecord) -> list[Curve]:
-    """What is kept beyond the limits of a run: each obstacle, walls, fence, both ends of the depth band."""
+    """Clearance beyond the limits: each obstacle, walls, fence, both ends of the depth band."""
     run, track = flight.run, flight.judged
     if run is None:
         return []
@@ -577,7 +577,7 @@ def _draw_world(plot: Any, run: RunDescription) -> None:
 
 
 def _draw_moved(plot: Any, moved: MovedObstacle, run: RunDescription) -> None:
-    """An obstacle on its way: solid where the vehicle came closest to it, outlines where it began and ended."""
+    """A moving obstacle: solid at the vehicle's closest approach, outlines at its first and last position."""
     radius, way = moved.obstacle.radius_m, moved.way_m
     plot.line(way[:, 0], way[:, 1], line_color=MOVED_COLOR, line_dash="dotted")
     for place, dash, word in ((way[0], "dashed", "start"), (way[-1], "solid", "end")):
@@ -617,7 +617,7 @@ def mode_bands(flight: FlightRecord) -> list[Band]:
 
 
 def event_marks(flight: FlightRecord) -> list[Mark]:
-    """What operators were told, and parameters that were changed, in order; the gravest if there are too many."""
+    """Messages to operators and parameter changes, in order; the most severe if there are too many."""
     log, marks = flight.log, []
     if "/rosout" in log:
         for message in log.messages("/rosout"):

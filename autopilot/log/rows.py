@@ -1,4 +1,4 @@
-"""A row of a verdict, and how it is made."""
+"""Row of a verdict."""
 
 import math
 from dataclasses import dataclass, replace
@@ -8,7 +8,7 @@ from enum import Enum
 class BoundVerdict(Enum):
     PASS = "pass"
     WARN = "warn"
-    """The tolerance was used, or something happened that an operator should look at."""
+    """The tolerance was used, or an event needs the operator's attention."""
     FAIL = "fail"
     INFO = "info"
     """A figure without a bound, or one that cannot be judged from this log."""
@@ -16,7 +16,7 @@ class BoundVerdict(Enum):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BoundRow:
-    """One bound and how the run stands against it."""
+    """Result of the run for one bound."""
 
     name: str
     unit: str
@@ -30,11 +30,10 @@ class BoundRow:
     """When the worst value was reached, on the service's clock."""
     note: str = ""
     subject: str = ""
-    """What it is of: rows of one subject stand together."""
+    """Rows of one subject are grouped."""
 
 
 def info(name: str, unit: str, value: float | None, note: str = "") -> BoundRow:
-    """A figure without a bound."""
     return BoundRow(name=name, unit=unit, limit=None, worst=value, margin=None, verdict=BoundVerdict.INFO, note=note)
 
 
@@ -54,7 +53,7 @@ def under(subject: str, made: BoundRow) -> BoundRow:
 
 
 def at_most(subject: str, name: str, unit: str, limit: float, value: float, note: str = "") -> BoundRow:
-    """A figure that asks to be looked at above a limit."""
+    """A figure with a warning above a limit."""
     verdict = BoundVerdict.PASS if value <= limit else BoundVerdict.WARN
     margin = limit - value
     return BoundRow(

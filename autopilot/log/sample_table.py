@@ -1,4 +1,4 @@
-"""Every kind of sample that a log holds, one row each: its topic, its message and its class.
+"""Table of the sample types in a log: topic, message and class.
 
 Schemas, topics, the packer and the replay are made of this table. A new sensor needs a dataclass in
 :mod:`autopilot.core.samples` and a row here.
@@ -31,14 +31,14 @@ class MessageRow:
     """One kind of message of ours, made of an object."""
 
     of: type | None = None
-    """Class of the object, by whose annotations it is packed; None where ``put`` or ``values`` say all."""
+    """Class of the object, by whose annotations it is packed; None where ``put`` or ``values`` give all."""
     type: str
     """Its name in ``autopilot_msgs``."""
     frame: str
     fields: str
     """Behind its header, as ``ros2msg``: what has an attribute's name holds it."""
     known: Mapping[str, str] = field(default_factory=dict)
-    """Field that says whether an attribute is known -> the attribute."""
+    """Field for whether an attribute is known -> the attribute."""
     put: Mapping[str, Callable[[Any], Any]] = field(default_factory=dict)
     """Field -> its value, where no attribute has its name."""
 

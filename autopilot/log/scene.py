@@ -28,7 +28,7 @@ TRUE_CURRENT = "true current"
 
 
 def scene_markers(run: RunDescription) -> list[VisualMarker]:
-    """Everything of the description that keeps its place; the list is the same for the whole run."""
+    """Static parts of the description; the list is the same for the whole run."""
     depth = run.tank_depth_m if run.tank_depth_m is not None else _DEFAULT_DEPTH_M
     markers: list[VisualMarker] = []
     if run.tank_polygon_m:
@@ -56,7 +56,7 @@ def scene_markers(run: RunDescription) -> list[VisualMarker]:
 
 
 def moving_markers(run: RunDescription, t_s: float) -> list[VisualMarker]:
-    """What moves, where it is at a time."""
+    """Moving obstacles at time ``t_s`` [s]."""
     depth = run.tank_depth_m if run.tank_depth_m is not None else _DEFAULT_DEPTH_M
     markers: list[VisualMarker] = []
     for number, obstacle in enumerate(run.obstacles):

@@ -91,7 +91,7 @@ uint32 binning_x
 uint32 binning_y
 sensor_msgs/RegionOfInterest roi
 """,
-    # Of Foxglove's schemas: what its image panel draws over a picture.
+    # Foxglove's schemas of image annotations.
     "foxglove_msgs/Color": "float64 r\nfloat64 g\nfloat64 b\nfloat64 a",
     "foxglove_msgs/Point2": "float64 x\nfloat64 y",
     "foxglove_msgs/CircleAnnotation": """
@@ -166,7 +166,7 @@ def type_names() -> list[str]:
 
 
 def own_comments(name: str) -> dict[str, str]:
-    """What is said of the fields of ``package/Name``, by name; a field without a comment is left out."""
+    """Comments of the fields of ``package/Name``, by name; a field without a comment is left out."""
     found = {}
     for line in _DEFINITIONS[short_name(name)].strip().splitlines():
         head, hash_sign, text = line.partition("#")
@@ -177,7 +177,7 @@ def own_comments(name: str) -> dict[str, str]:
 
 @cache
 def definition(name: str) -> str:
-    """The self-contained schema text of ``package/Name`` or ``package/msg/Name``. LogError if there is none."""
+    """The self-contained schema text of ``package/Name`` or ``package/msg/Name``. LogError if it is unknown."""
     root = short_name(name)
     if root not in _DEFINITIONS:
         raise LogError(f"message type {name!r} is not known; add its definition to autopilot/log/schemas.py")
@@ -210,6 +210,6 @@ def layout(name: str) -> CdrLayout:
 
 
 def ros_name(name: str) -> str:
-    """The full ROS 2 name ``package/msg/Name`` of ``package/Name``: what a schema record carries."""
+    """The full ROS 2 name ``package/msg/Name`` of ``package/Name``, as in a schema record."""
     package, _, kind = short_name(name).partition("/")
     return f"{package}/msg/{kind}"

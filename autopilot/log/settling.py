@@ -1,7 +1,7 @@
-"""How the vehicle came to rest at places where it was to stay: how far it went beyond them, how long it took to settle.
+"""Overshoot and settling time at goals where the vehicle holds.
 
-Looked at are goals that stayed in force for at least HELD_S after the vehicle had entered their region (place and
-heading); on the others it flew on at once. It has settled from when on it stays within SETTLED of the region's size.
+Evaluated are goals that stayed in force for at least HELD_S after the vehicle had entered their region (position
+and heading). Settled: it stays within SETTLED of the region's size from then on.
 """
 
 from dataclasses import dataclass
@@ -15,15 +15,13 @@ HELD_S = 4.0
 SETTLED = 0.25
 """Share of the radius and of the heading that a goal accepts."""
 REST_S = 1.0
-"""It has settled only if it stayed so for so long."""
+"""Time for which it has to stay there to count as settled."""
 APPROACH_M = 0.02
-"""Nearer to the place there is no telling from where it came."""
+"""Within this distance of the position the direction of approach is undefined."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Stay:
-    """One goal that was held."""
-
     seq: int
     """Mission item, -1 = none."""
     entered_s: float
@@ -36,7 +34,6 @@ class Stay:
 
 
 def stays(flight: FlightRecord) -> list[Stay]:
-    """All of them, in order."""
     goals = flight.table("/ctl/goal")
     if goals is None or not len(goals):
         return []
@@ -54,13 +51,13 @@ def stays(flight: FlightRecord) -> list[Stay]:
 
 
 def _driven(flight: FlightRecord) -> FloatArray:
-    """(n,) times at which a motion took the place of the goal's."""
+    """(n,) times at which a velocity goal was in force."""
     drive = flight.table("/ctl/drive")
     return np.zeros(0) if drive is None else seconds(drive)[drive["active"] != 0]
 
 
 def _stay(track: VehicleTrack, goal: np.void, begin_s: float, end_s: float) -> Stay | None:
-    """What became of one goal; None if its region was not entered in time to stay there."""
+    """Evaluation of one goal; None if its region was not entered in time to stay there."""
     rows = slice(int(np.searchsorted(track.t_s, begin_s)), int(np.searchsorted(track.t_s, end_s)))
     t_s, off = track.t_s[rows], track.pos_ned_m[rows] - goal["pos_ned_m"]
     away = np.linalg.norm(off, axis=1)

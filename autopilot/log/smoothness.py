@@ -38,10 +38,10 @@ AT_LIMIT = 0.999
 """Share of the thrust limit from which on a command counts as saturated."""
 
 LONGEST_STEP_S = 0.2
-"""What is farther apart has no step in between: the controller was not asked."""
+"""Longer intervals between commands are gaps in control."""
 
 FEWEST_STEPS = 20
-"""A second: less says nothing of rates."""
+"""A second: less is too short for rates."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -57,7 +57,7 @@ class ThrustCommands:
     starts_s: FloatArray
     """Times of arming, and of goals that are another place."""
     reported_s: FloatArray
-    """Times at which an operator heard of a fallback."""
+    """Times of the reports of a fallback."""
     limit_n: float
 
 
@@ -77,18 +77,18 @@ class Smoothness:
     silent: int
     """Steps."""
     least_n_s: float = 0.0
-    """What counts as slow at least."""
+    """Lower bound of the slow part."""
 
     @property
     def ratio(self) -> float:
-        """Variation over what is left of it below LOW_PASS_HZ, or over what counts as slow at least."""
+        """Variation over the variation below LOW_PASS_HZ, the latter no less than LEAST_SLOW_1_S."""
         slow_n_s = max(self.low_passed_n_s, self.least_n_s)
         return self.variation_n_s / slow_n_s if slow_n_s > 0.0 else 1.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Bars:
-    """What smooth commands keep; names as the figures."""
+    """Limits for smooth commands; names as the figures."""
 
     alternating: float = 0.005
     ratio: float = 2.0
@@ -105,7 +105,7 @@ BARS = Bars()
 
 
 def measure(commands: ThrustCommands) -> Smoothness | None:
-    """All figures, None where there is too little to say anything."""
+    """All figures, None with too few data."""
     t_s, thrust = commands.t_s, commands.thrust_n
     if len(t_s) < FEWEST_STEPS:
         return None
@@ -129,9 +129,8 @@ def measure(commands: ThrustCommands) -> Smoothness | None:
 
 
 def low_passed(t_s: FloatArray, values: FloatArray) -> FloatArray:
-    """(n, m) values without what is faster than LOW_PASS_HZ and without delay.
-
-    The response of the filter at every frequency; ends are continued by their reflections about the end's value.
+    """(n, m) values after a zero-phase low-pass of LOW_PASS_HZ. The filter is applied in the frequency domain;
+    ends are continued by point reflection.
     """
     n = len(values)
     around = np.concatenate([2.0 * values[0] - values[:0:-1], values, 2.0 * values[-1] - values[-2::-1]])
@@ -174,5 +173,5 @@ def _silent(commands: ThrustCommands) -> int:
 
 
 def is_reported(texts: Sequence[str]) -> NDArray[np.bool_]:
-    """Which texts tell an operator of a fallback."""
+    """Whether a text reports a fallback."""
     return np.array([text.startswith(FALLBACK_TEXT) for text in texts], dtype=bool)

@@ -1,6 +1,6 @@
-"""What each thruster takes, by the figures of the vehicle file: c |F|^1.5 of the thrust that acts.
+"""Energy of each thruster by the vehicle file's model: c |F|^1.5 of the acting thrust.
 
-On a vehicle whose acting thrust is not known it is that of the commands. A thruster with losses takes more than this.
+Where the acting thrust is not known that of the commands is used. A thruster with losses takes more than this.
 """
 
 from dataclasses import dataclass

@@ -1,8 +1,9 @@
-"""Ground stations' .tlog files, record by record: what is a message, and what is not.
+"""Reader of ground stations' .tlog files, tolerant of damage.
 
 A record is the time of arrival (us since 1970, eight bytes, big endian) and a packet of MAVLink 1 or 2
-(https://mavlink.io/en/guide/serialization.html). The framing is done here and not by pymavlink, which loses its place
-after a damaged length and does not tell whose a damaged packet was; packets are decoded by pymavlink.
+(https://mavlink.io/en/guide/serialization.html). The framing is done here and not by pymavlink, which loses
+synchronisation after a damaged length and does not name the sender of a damaged packet; packets are decoded by
+pymavlink.
 """
 
 import re
@@ -18,15 +19,13 @@ V1, V2 = 0xFE, 0xFD
 HEADER_BYTES = {V1: 6, V2: 10}
 CHECKSUM_BYTES, SIGNATURE_BYTES, SIGNED = 2, 13, 0x01
 EARLIEST_US, LATEST_US = 946_684_800_000_000, 4_102_444_800_000_000
-"""2000 and 2100: what a stamp can be."""
+"""Range of plausible stamps: 2000 to 2100."""
 APART_US = 3 * 86_400_000_000
-"""Within so much of the record before."""
+"""Maximum difference from the previous stamp."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PacketOrigin:
-    """What a packet's header says."""
-
     system: int
     component: int
     sequence: int
@@ -55,7 +54,7 @@ class DamagedPiece:
     """Of the record before, None for the first."""
     size: int
     origin: PacketOrigin | None
-    """What a header at their beginning says, None without one."""
+    """Header at the beginning, None without one."""
     whole: bool
     """Whether just the packet of that header: its checksum is wrong, as it also is when sender and reader do not mean
     the same by that message."""
@@ -85,7 +84,7 @@ class _TlogReader:
         self._decoder = ardupilotmega.MAVLink(None)
         self._last_us: int | None = None
         self._near_us: int | None = None
-        """What the next stamp is compared with: the last one, unless nothing that follows is near it."""
+        """Reference for the next stamp: the last one, unless no following stamp is near it."""
 
     def records(self) -> Iterator[Packet | DamagedPiece]:
         begin = 0
@@ -108,7 +107,7 @@ class _TlogReader:
             begin = end
 
     def _packet(self, begin: int) -> tuple[Packet | None, int | None]:
-        """The packet of the record at this place, None if it is damaged; where it ends, None if it cannot be one."""
+        """Packet of the record at this offset, None if it is damaged; its end, None if it cannot be one."""
         frame = self._frame(begin)
         if frame is None:
             return None, None
@@ -124,7 +123,7 @@ class _TlogReader:
         return Packet(at_us=at_us, origin=origin, message=message if known else None), end
 
     def _frame(self, begin: int) -> tuple[PacketOrigin, int] | None:
-        """What the header at this place says and where its packet ends, None without one, or if the file ends first."""
+        """Header at this offset and end of its packet, None without one, or if the file ends first."""
         data, at = self._data, begin + STAMP_BYTES
         origin = self._origin(begin)
         if origin is None:
@@ -150,7 +149,7 @@ class _TlogReader:
         return int.from_bytes(self._data[begin : begin + STAMP_BYTES], "big")
 
     def _begins_record(self, begin: int) -> bool:
-        """Whether a stamp that can be and a packet's first byte are at this place, or the file ends here."""
+        """Whether a plausible stamp and a packet's first byte are at this offset, or the file ends here."""
         at = begin + STAMP_BYTES
         if at >= len(self._data):
             return begin == len(self._data)

@@ -1,4 +1,4 @@
-"""What a log holds: every topic with its type."""
+"""Topics of a log with their types."""
 
 from autopilot.core.errors import LogError
 from autopilot.log.record_table import RECORD_ROWS

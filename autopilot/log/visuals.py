@@ -1,4 +1,4 @@
-"""Messages of variable size: what viewers draw (paths, markers, transforms, images) and text."""
+"""Messages of variable size: paths, markers, transforms and images for viewers, and text."""
 
 import math
 import struct
@@ -160,7 +160,7 @@ def compressed_image(stamp_ns: int, data: bytes, kind: str = "jpeg") -> bytes:
 
 
 def camera_info(stamp_ns: int, camera: CameraView) -> bytes:
-    """sensor_msgs/CameraInfo of what the service was told. A flat pane's refraction is not in it."""
+    """sensor_msgs/CameraInfo of the configured camera, without the refraction of a flat port."""
     (fx, fy), (cx, cy) = camera.focal_px, camera.center_px
     out = CdrBuffer()
     out.header(stamp_ns, "cam")
@@ -206,7 +206,7 @@ def image_annotations(stamp_ns: int, sighting: MarkerSighting) -> bytes:
 
 
 def battery_state(stamp_ns: int, sample: PowerSample) -> bytes:
-    """sensor_msgs/BatteryState: what the sample does not know is NaN, as that message defines it."""
+    """sensor_msgs/BatteryState: unknown fields are NaN, as that message defines it."""
     out = CdrBuffer()
     out.header(stamp_ns, "frd")
     unknown = math.nan

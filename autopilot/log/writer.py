@@ -1,9 +1,9 @@
-"""The MCAP writer: a bounded queue in front of one thread, so that the control loop never sees a disk.
+"""The MCAP writer: a bounded queue in front of one thread, so that the control loop never waits for a disk.
 
 ``write`` only appends to the queue. The thread packs chunks, compresses, flushes every second and calls fsync every
-five; it is the one place here that looks at the wall clock. Where time does not wait a full queue drops messages and
-counts them, and even the file is made by the thread (``beside``); in lockstep simulation (``lossless``) the caller
-waits instead and the chunks end at seconds of log time, so that the same run gives the same file, byte for byte.
+five; only it reads the wall clock. In real time a full queue drops messages and counts them, and even the file is
+created by the thread (``beside``); in lockstep simulation (``lossless``) the caller waits instead and chunks end at
+seconds of log time, so that the same run gives the same file, byte for byte.
 """
 
 import errno
@@ -27,7 +27,7 @@ from autopilot.log.topics import type_of
 
 CHUNK_BYTES = 256 * 1024
 FLUSH_NS = 500_000_000
-"""Half of what may be lost when the process is killed: a busy machine lets the thread come late."""
+"""Half of the maximum loss when the process is killed: on a busy machine the thread runs late."""
 FSYNC_NS = 5_000_000_000
 FIRST_EPOCH_NS = 1_000_000_000
 """Samples may be a little older than the clock's zero, and MCAP has no negative times."""
@@ -59,9 +59,9 @@ _Item: TypeAlias = tuple[str, int, Payload, Work | None, int, int, Mapping[str, 
 """Topic, time [us], payload or, if there is any, work instead; how many messages and bytes in memory that is; messages
 by topic that were dropped before it."""
 MAX_ERRORS = 16
-"""What went wrong in packing, kept until it is asked for; the oldest goes."""
+"""Errors in packing, kept until requested; beyond that the oldest is dropped."""
 _TLOG = ""
-"""Stands for the topic of a packet that goes to the ``.tlog``."""
+"""Topic of a packet for the ``.tlog``."""
 _ATTACHMENT = "attachment:"
 """Stands, with a name behind it, for the topic of an attachment that comes while the log is running."""
 
@@ -78,7 +78,7 @@ def _open_locked(path: Path) -> IO[bytes]:
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class LogHead:
-    """Where a log goes and what it begins with."""
+    """Path and initial records of a log."""
 
     path: Path
     metadata: Mapping[str, str]
@@ -119,9 +119,8 @@ class LogWriter:
         queue_messages: int = QUEUE_MESSAGES,
         queue_bytes: int = QUEUE_BYTES,
     ) -> "LogWriter":
-        """A log whose file is made by the thread, ``head()`` included: what is written meanwhile is queued.
-
-        A file that cannot be made shows as ``failure``.
+        """A log whose file is created by the thread, ``head()`` included; messages written meanwhile are queued.
+        An error in creating the file is in ``failure``.
         """
         writer = cls.__new__(cls)
         writer._prepare(Path(), epoch_ns, False, queue_messages, queue_bytes)
@@ -130,7 +129,6 @@ class LogWriter:
         return writer
 
     def _prepare(self, path: Path, epoch_ns: int, lossless: bool, queue_messages: int, queue_bytes: int) -> None:
-        """Everything but the file."""
         if not FIRST_EPOCH_NS <= epoch_ns < LAST_EPOCH_NS:
             raise LogError(f"log {path}: epoch_ns = {epoch_ns} is not a Unix time in nanoseconds that ROS can hold")
         self.path = path
@@ -161,7 +159,7 @@ class LogWriter:
         self._thread = threading.Thread(target=self._run, name="log-writer", daemon=True)
 
     def _open(self, head: LogHead) -> None:
-        """Make the file and write what it begins with."""
+        """Create the file and write its initial records."""
         self.path = head.path
         head.path.parent.mkdir(parents=True, exist_ok=True)
         self._file = _open_locked(head.path)
@@ -204,10 +202,10 @@ class LogWriter:
         return WriterSink(self._put)
 
     def write(self, topic: str, t_us: int, payload: Payload, size: int | None = None) -> None:
-        """Queue one CDR message. Never touches the disk.
+        """Queue one CDR message; never accesses the disk.
 
-        ``payload`` may be a function that makes the bytes on the writer's thread (an image to compress); ``size`` is
-        then what it holds in memory meanwhile. LogError for a topic that is not declared.
+        ``payload`` may be a function that makes the bytes on the writer's thread (an image to compress); ``size``
+        is then its memory until then. LogError for an undeclared topic.
         """
         if topic != _TLOG and not topic.startswith(_ATTACHMENT):
             type_of(topic)
@@ -216,15 +214,16 @@ class LogWriter:
         self._queue_up(topic, t_us, payload, None, 1, size)
 
     def defer(self, topic: str, t_us: int, work: Work, messages: int = 1, size: int = 0) -> bool:
-        """Queue work of the writer's thread that makes about so many messages and holds so many bytes meanwhile.
+        """Queue work for the writer's thread that makes about so many messages and holds so many bytes meanwhile.
 
-        False = there is no room: it is not done, and counts as lost. ``topic`` is the one whose numbers then show it,
-        "" = none. What it works on does not change any more. An error in it goes to :meth:`take_error`.
+        False = the queue is full: the work is dropped and counted as lost. ``topic`` is the one whose sequence
+        numbers then show it, "" = none. Its data must not be modified afterwards. Exceptions go to
+        :meth:`take_error`.
         """
         return self._queue_up(topic, t_us, b"", work, messages, size)
 
     def take_error(self) -> Exception | None:
-        """The oldest error in deferred work that has not been taken, None = there is none."""
+        """The oldest error in deferred work that has not been taken, None without one."""
         return self._errors.popleft() if self._errors else None
 
     def _queue_up(self, topic: str, t_us: int, payload: Payload, work: Work | None, messages: int, size: int) -> bool:
@@ -245,11 +244,11 @@ class LogWriter:
         self.write(_TLOG, t_us, packet)
 
     def attach(self, name: str, t_us: int, data: Payload) -> None:
-        """Queue an attachment; one of the same name later takes the place of an earlier one for readers."""
+        """Queue an attachment; for readers it replaces an earlier one of the same name."""
         self.write(_ATTACHMENT + name, t_us, data)
 
     def end(self) -> None:
-        """Nothing more comes: let the thread write what is queued, the index and the footer. Does not wait."""
+        """No more messages: the thread writes the queue, the index and the footer. Does not wait."""
         self._closing = True
         self._wake.set()
 
@@ -339,7 +338,7 @@ class LogWriter:
                 self._room.set()
 
     def _do(self, work: Work) -> None:
-        """Deferred work. Only the disk ends a log: what else goes wrong costs the rest of that work."""
+        """Run deferred work. Only disk errors end a log: others lose the rest of that work."""
         try:
             work()
         except OSError:

@@ -1,11 +1,13 @@
-"""Bundle adjustment: poses of markers and of the camera that explain all corners best, and how sure they are.
+"""Bundle adjustment: poses of markers and camera that minimise the reprojection errors, with covariances.
 
-Unknown are the camera's pose in every view, the pose of every marker (on a level floor: north, east and heading) and
-how far blur draws corners towards their markers' centres, on the whole and in every view (motion and window differ; see
-:mod:`.estimator.pnp`). Minimised is the sum of Cauchy's loss of the reprojection errors and of the squared distances
-from what is known of markers beforehand. That knowledge also holds the whole in place: a free network has no origin, no
-heading, and its scale is only the markers' printed size. Levenberg and Marquardt's method, normal equations sparse and
-factorised, all derivatives analytic; steps at first order in small rotations, applied as rotations.
+Unknown are the camera's pose in every view, the pose of every marker (on a level floor: north, east and heading)
+and the shift of corners by blur towards their markers' centres, common and per view (motion and window differ; see
+:mod:`.estimator.pnp`). Minimised is the sum of Cauchy's loss of the reprojection errors and of the squared
+deviations from the prior of the markers. The prior also fixes the gauge: a free network has no origin, no heading,
+and its scale is only the markers' printed size.
+
+Levenberg and Marquardt's method, normal equations sparse and factorised, all derivatives analytic; steps at first
+order in small rotations, applied as rotations.
 """
 
 from dataclasses import dataclass, field
@@ -22,7 +24,7 @@ from autopilot.markermaps.markermaps_tuning import ADJUSTMENT
 
 @dataclass(slots=True, eq=False, kw_only=True)
 class Network:
-    """Views, markers and what was seen; poses are the present estimate and change."""
+    """Views, markers and observations; poses are the present estimate and change."""
 
     camera: CameraModel
     level: bool
@@ -64,7 +66,7 @@ class Network:
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Adjusted:
-    """What came out beside the poses in the network."""
+    """Results beside the poses in the network."""
 
     residual_px: FloatArray
     """(k, 4, 2)"""
@@ -155,7 +157,7 @@ def _cost(network: Network, sigma_px: float) -> tuple[float, FloatArray]:
 
 
 def _prior_errors(network: Network) -> tuple[FloatArray, FloatArray]:
-    """(m, 6) place and small rotation by which markers are off what is known of them, and its information (m, 6)."""
+    """(m, 6) deviation of markers from their prior (position, small rotation), and its information (m, 6)."""
     turn = network.r_ned_from_marker @ np.swapaxes(network.prior_r_ned_from_marker, 1, 2)
     skew = 0.5 * (turn - np.swapaxes(turn, 1, 2))
     off = np.column_stack(
@@ -231,7 +233,7 @@ def _solve(normal: Any, gradient: FloatArray, damping: float) -> FloatArray:
 
 
 def _marker_sigmas(network: Network, normal: Any) -> tuple[FloatArray, FloatArray]:
-    """Standard deviations of the markers' places (m, 3) and headings (m,), from the inverse of the normal matrix."""
+    """Standard deviations of the markers' positions (m, 3) and headings (m,), from the inverse of the normal matrix."""
     factor = _factor(normal, 0.0)
     markers = len(network.sizes_m)
     per = 3 if network.level else 6

@@ -1,9 +1,9 @@
-"""First poses of views and markers from nothing but corners, printed sizes and one marker's place.
+"""Initial poses of views and markers from corners, printed sizes and the position of one marker.
 
-From the seed marker on: a view that shows markers with known places gets its pose from those that agree with each
-other; the other markers that it shows get places from it; again with the next view, until no more views can be tied in.
-Ids may repeat over the floor: a marker counts as a known one only where the view's pose says so, else it is another
-one. Positions drift by some millimetres a metre; the bundle adjustment takes that out.
+Starting at the seed marker: a view of placed markers gets its pose from those that agree with each other; its other
+markers are placed from that pose; repeated until no more views can be connected. Ids may repeat over the floor: a
+marker is identified with a placed one only where the view's pose agrees, else it is another one. Positions drift by
+some millimetres per metre, which the bundle adjustment corrects.
 """
 
 from collections.abc import Mapping, Sequence, Set
@@ -22,8 +22,6 @@ from autopilot.markermaps.sightings import SheetView
 
 @dataclass(slots=True, eq=False, kw_only=True)
 class Placed:
-    """A marker with a place."""
-
     id: int
     center_ned_m: FloatArray
     r_ned_from_marker: FloatArray
@@ -35,8 +33,6 @@ class Placed:
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class TiedView:
-    """A view with a pose."""
-
     view: SheetView
     eye_ned_m: FloatArray
     r_ned_from_cam: FloatArray
@@ -46,7 +42,7 @@ class TiedView:
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Bootstrap:
-    """What could be tied together."""
+    """Views and markers with poses, and the number of views that could not be connected."""
 
     views: list[TiedView]
     markers: list[Placed]
@@ -68,9 +64,10 @@ def tie_together(
     unique: Set[int],
     first: int | None = None,
 ) -> Bootstrap:
-    """Poses of all views and markers that hang together with the seeds. With ``level`` all markers lie face up at the
-    depth of the first seed; markers whose size is not in ``sizes_m`` are left alone. One marker alone ties a view in
-    if its id is in ``unique``, or if it is the view number ``first``."""
+    """Poses of all views and markers connected with the seeds. With ``level`` all markers lie face up at the depth
+    of the first seed; markers whose size is not in ``sizes_m`` are ignored. One marker alone connects a view if
+    its id is in ``unique``, or if it is the view number ``first``.
+    """
     world = _World(camera, list(seeds), sizes_m, level)
     tied: dict[int, TiedView] = {}
     if first is not None:
@@ -107,7 +104,7 @@ def recognise(
 
 
 class _World:
-    """The markers that have places so far."""
+    """Markers placed so far."""
 
     def __init__(self, camera: CameraModel, seeds: list[Placed], sizes_m: Mapping[int, float], level: bool) -> None:
         self.markers = seeds
@@ -121,7 +118,7 @@ class _World:
             self._by_id.setdefault(seed.id, []).append(index)
 
     def tie(self, view: SheetView, unique: Set[int]) -> TiedView | None:
-        """Pose of a view that shows known markers; its other markers get places. None if it shows too few."""
+        """Pose of a view of placed markers; places its other markers. None if it shows too few."""
         candidates = self.candidates(view)
         pose, known = self.agreeing(view, candidates, unique)
         if pose is None:
@@ -131,7 +128,7 @@ class _World:
         return tied
 
     def join(self, tied: TiedView) -> TiedView:
-        """The view with all its markers looked up again, now that all have places."""
+        """Connect the view, with its markers matched again now that all are placed."""
         known: dict[int, int] = {}
         for k, marker_id in enumerate(tied.view.ids.tolist()):
             options = self._by_id.get(marker_id, [])
@@ -147,7 +144,7 @@ class _World:
         return result
 
     def _pixels(self, index: int, eye: FloatArray, r: FloatArray) -> FloatArray:
-        """(4, 2), far away where there is no image."""
+        """(4, 2), far outside where there is no projection."""
         pixels = self._camera.project((self._corners_m(index) - eye) @ r)
         return np.nan_to_num(pixels, nan=1e6)
 
@@ -158,8 +155,9 @@ class _World:
     def agreeing(
         self, view: SheetView, candidates: list[tuple[int, int]], unique: Set[int], slack: float = 1.0
     ) -> tuple[tuple[FloatArray, FloatArray] | None, dict[int, int]]:
-        """The pose that most known markers agree on, and which those are (marker of the view -> index). ``slack``
-        widens what agrees."""
+        """The pose on which most placed markers agree, and these markers (marker of the view -> index). ``slack``
+        widens the tolerance.
+        """
         best: dict[int, int] = {}
         if not candidates:
             return None, best
@@ -209,7 +207,7 @@ class _World:
         return {k: index for k, (_, index) in result.items()}
 
     def _pose(self, view: SheetView, known: Mapping[int, int]) -> tuple[FloatArray, FloatArray] | None:
-        """Eye and attitude of the camera from known markers, None if there is no such pose."""
+        """Position and attitude of the camera from placed markers, None if there is no such pose."""
         points = np.concatenate([self._corners_m(index) for index in known.values()])
         pixels = view.corners_px[list(known)].reshape(-1, 2)
         ideal = self._camera.normalized(pixels)
@@ -226,7 +224,7 @@ class _World:
         return pose
 
     def _place_others(self, tied: TiedView) -> None:
-        """Places for the markers of a view that have none; those placed before move to the mean of their sights."""
+        """Place the other markers of a view; those placed before move to the mean of their sightings."""
         for k, marker_id in enumerate(tied.view.ids.tolist()):
             index = tied.known.get(k)
             if marker_id not in self._sizes_m or (index is not None and index < self._fixed):
@@ -247,7 +245,7 @@ class _World:
         return any(float(np.linalg.norm(p - seen.center_ned_m)) < BOOTSTRAP.same_share * AMBIGUITY_M for p in places)
 
     def _seen(self, tied: TiedView, k: int, marker_id: int) -> Placed | None:
-        """A marker of a view as that view alone places it."""
+        """Position of a marker from one view alone."""
         size_m = self._sizes_m[marker_id]
         if self._level:
             origins, directions = self._camera.rays(tied.view.corners_px[k])

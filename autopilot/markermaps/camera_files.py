@@ -1,4 +1,4 @@
-"""Camera files of others: OpenCV's and ROS's YAML with a camera matrix and distortion, for pictures of any camera."""
+"""Camera calibration files of OpenCV and ROS (YAML), for pictures of any camera."""
 
 import re
 from pathlib import Path
@@ -15,9 +15,9 @@ _NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
 
 
 def load_camera(path: Path, fisheye: bool = False) -> CameraModel:
-    """The camera of a file, at the origin of its own frame. ``fisheye``: what a file that does not say is about.
-
-    ConfigError names what is missing or cannot be used."""
+    """Camera of a file, at the origin of its own frame. ``fisheye``: default for files that do not name a model.
+    ConfigError names a missing or unusable key.
+    """
     try:
         text = path.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:
@@ -59,7 +59,7 @@ def _whole(path: Path, text: str, key: str) -> int:
 
 
 def _values(path: Path, text: str, what: str) -> list[float]:
-    """Numbers of a matrix in OpenCV's or ROS's way of writing it."""
+    """Numbers of a matrix in OpenCV's or ROS's format."""
     names = MATRICES[what]
     for name in names:
         found = re.search(rf"^\s*{name}\s*:(?:[^\[]*?data\s*:)?\s*\[([^\]]*)\]", text, re.MULTILINE | re.DOTALL)

@@ -1,4 +1,4 @@
-"""What a marker map holds, and what an operator should look at before trusting it."""
+"""Description of a marker map, and warnings before it is used."""
 
 import math
 
@@ -12,7 +12,7 @@ from autopilot.markermaps.markermaps_tuning import CHECK
 
 
 def describe_markers(markers: MarkerMap) -> list[tuple[str, object]]:
-    """Rows of what the map holds."""
+    """Rows of a description of the map."""
     kinds = markers.ids // ID_SPAN
     rows: list[tuple[str, object]] = [("markers", len(markers.ids))]
     for kind in np.unique(kinds):
@@ -33,8 +33,9 @@ def describe_markers(markers: MarkerMap) -> list[tuple[str, object]]:
 
 
 def view_shares(markers: MarkerMap, camera: CameraModel) -> list[tuple[float, float, float]]:
-    """For heights of the camera over a level floor: height [m], share of places over the floor that show one whole
-    marker, share that show two. Level vehicle, any heading."""
+    """Visibility by height of the camera over a level floor: height [m], share of positions over the floor with
+    one whole marker in view, share with two. Level vehicle, any heading.
+    """
     rng = np.random.default_rng(1)
     low, high = markers.centers_ned_m[:, :2].min(axis=0), markers.centers_ned_m[:, :2].max(axis=0)
     rows = []
@@ -52,7 +53,7 @@ def view_shares(markers: MarkerMap, camera: CameraModel) -> list[tuple[float, fl
 
 
 def map_warnings(markers: MarkerMap) -> list[str]:
-    """What is allowed and may still disappoint, one line each."""
+    """Warnings about permitted but unfavourable properties, one line each."""
     placed = placed_markers(markers)
     result = []
     tight: list[tuple[float, str]] = []

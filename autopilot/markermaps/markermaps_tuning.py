@@ -14,7 +14,7 @@ class AdjustmentTuning:
     """Share of the cost that a step must win for another one to be tried."""
     shrink_px: float = 0.25
     shrink_sigma_px: float = 0.15
-    """What is known of the corners' draw towards the centre, on the whole,"""
+    """Prior of the corners' shift towards the centre, common,"""
     view_shrink_sigma_px: float = 0.1
     """and of what a view adds to it."""
     of_view: int = 7
@@ -38,12 +38,12 @@ class BootstrapTuning:
     most_hypotheses: int = 12
     """Markers of a view whose own poses are tried."""
     enough_share: float = 0.6
-    """No more are tried when so many of the known markers agree."""
+    """Share of agreeing known markers after which the search ends."""
     certain: int = 4
-    """So many markers that fit together are no coincidence; fewer are enough with an id that is there once."""
+    """Number of agreeing markers that excludes coincidence; fewer are enough with a unique id."""
     max_passes: int = 6
     recognised_views: int = 24
-    """Views, evenly among all, in which a rough map is looked for."""
+    """Views, evenly among all, with which the position in a rough map is searched."""
     rough_slack: float = 3.0
     """By how much a rough map's markers may be farther off: 36 pixels, some centimetres."""
     bend_steps: int = 3
@@ -58,7 +58,7 @@ class CheckTuning:
     quiet_cells: float = 1.0
     """A black square needs this many of its cells of white around it, or detectors take two markers for one."""
     heights_m: tuple[float, float, float, float] = (0.3, 0.45, 0.8, 1.2)
-    """Camera heights over the floor that are looked into."""
+    """Camera heights over the floor that are searched."""
     poses: int = 400
     """Random places and headings for each height."""
 
@@ -88,9 +88,9 @@ SHEETS = SheetsTuning()
 @dataclass(frozen=True, slots=True)
 class SightingsTuning:
     most_of_a_film: int = 120
-    """Frames of a film that are looked at."""
+    """Frames of a video that are used."""
     misread_cells: int = 2
-    """A sight with so many wrong cells or more is worth a word: a bad print, something lying on it, or no marker at
+    """Number of wrong cells in a sighting from which it is reported: a bad print, an object on it, or no marker at
     all."""
     min_markers: int = 2
     """A view of fewer markers ties nothing to anything."""

@@ -29,8 +29,6 @@ class PrintedText:
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class PrintedPage:
-    """One sheet of paper."""
-
     width_mm: float
     height_mm: float
     shapes: list[list[FloatArray]] = field(default_factory=list)
@@ -88,7 +86,7 @@ def _content(page: PrintedPage) -> bytes:
 
 
 def pdf_bytes(pages: Sequence[PrintedPage]) -> bytes:
-    """All pages as one PDF 1.4 document; printers are asked not to scale it."""
+    """All pages as one PDF 1.4 document that asks printers for 100 % scale."""
     kids = " ".join(f"{4 + 2 * k} 0 R" for k in range(len(pages)))
     objects = [
         b"<< /Type /Catalog /Pages 2 0 R /ViewerPreferences << /PrintScaling /None >> >>",

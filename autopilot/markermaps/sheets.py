@@ -32,8 +32,6 @@ PAPERS_MM = {
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Paper:
-    """What to print on."""
-
     width_mm: float
     height_mm: float
     margin_mm: float = 8.0
@@ -47,7 +45,7 @@ class Paper:
 
 
 def paper_of(name: str, landscape: bool, margin_mm: float) -> Paper:
-    """A paper by name, or by ``WIDTHxHEIGHT`` in millimetres. ConfigError if it is neither."""
+    """Paper by name, or by ``WIDTHxHEIGHT`` in millimetres. ConfigError if it is neither."""
     size = PAPERS_MM.get(name.upper())
     if size is None:
         try:
@@ -87,7 +85,7 @@ class Plane:
         return np.asarray(self.corners_m.max(axis=1))
 
     def ned_m(self, place_m: FloatArray) -> FloatArray:
-        """North and east of a place (2,) on the plane."""
+        """North and east of a point (2,) on the plane."""
         c, s = math.cos(self.heading_rad), math.sin(self.heading_rad)
         return np.array([-c * place_m[1] - s * place_m[0], -s * place_m[1] + c * place_m[0]])
 
@@ -115,9 +113,9 @@ def make_sheets(plane: Plane, paper: Paper, title: str) -> list[PrintedPage]:
 
 
 def on_sheets(plane: Plane, paper: Paper) -> MarkerMap:
-    """The map with each marker on the sheet that :func:`make_sheets` prints it on, named by its number.
-
-    What is said of how well single sheets were laid no longer holds. ConfigError as there."""
+    """The map with the marker's sheet number of :func:`make_sheets` as its sheet. Uncertainties of previous sheets
+    are dropped. ConfigError as there.
+    """
     page = _cut(plane, paper).page
     markers = plane.markers
     heading = np.full(len(page), plane.heading_rad)
@@ -167,7 +165,7 @@ def _cut(plane: Plane, paper: Paper) -> _Cut:
 def _page(
     plane: Plane, paper: Paper, inside: IntArray, origin_m: FloatArray, size_m: FloatArray, name: str
 ) -> PrintedPage:
-    """One sheet with the markers ``inside``; ``origin_m`` (2,) is the upper left corner of what is cut out."""
+    """One sheet with the markers ``inside``; ``origin_m`` (2,): upper left corner of the trimmed area."""
     page = PrintedPage(width_mm=paper.width_mm, height_mm=paper.height_mm)
     frame = np.full(2, paper.margin_mm + SHEETS.mark_mm)
     markers = plane.markers
@@ -209,7 +207,7 @@ def _marker_shape(dictionary: str, marker_id: int, corners_mm: FloatArray) -> li
 
 
 def _add_crop_marks(page: PrintedPage, low_mm: FloatArray, high_mm: FloatArray) -> None:
-    """Two short lines outside of each corner of what is to be cut out."""
+    """Two short lines outside of each corner of the trimmed area."""
     gap = 0.5
     for x, away in ((float(low_mm[0]), -1.0), (float(high_mm[0]), 1.0)):
         for y in (float(low_mm[1]), float(high_mm[1])):
@@ -220,7 +218,7 @@ def _add_crop_marks(page: PrintedPage, low_mm: FloatArray, high_mm: FloatArray) 
 
 
 def _add_footer(page: PrintedPage, paper: Paper, plane: Plane, origin_m: FloatArray, name: str) -> None:
-    """Scale bar, what the sheet is, and where it belongs."""
+    """Scale bar, name of the sheet, and its position."""
     x, y = paper.margin_mm, paper.height_mm - paper.margin_mm - 0.5 * SHEETS.footer_mm
     length = min(SHEETS.bar_mm, 10.0 * math.floor((paper.width_mm - 2.0 * paper.margin_mm) / 10.0))
     page.lines.append((x, y, x + length, y))

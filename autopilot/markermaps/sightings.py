@@ -1,4 +1,4 @@
-"""What a survey starts from: marker corners seen from many places, out of a log, of pictures or of films."""
+"""Input of a survey: marker corners from many viewpoints, from a log, pictures or videos."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -27,12 +27,10 @@ FILMS = (".mp4", ".avi", ".mkv", ".mov", ".webm", ".mjpg", ".m4v")
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class SheetView:
-    """One image."""
-
     name: str
     """Time or file."""
     ids: IntArray
-    """(n,) as in the map that was looked for (:data:`autopilot.core.markers.ID_SPAN`)."""
+    """(n,) as in the map searched for (:data:`autopilot.core.markers.ID_SPAN`)."""
     corners_px: FloatArray
     """(n, 4, 2)"""
     repeated: tuple[int, ...] = ()

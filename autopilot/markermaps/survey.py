@@ -1,4 +1,4 @@
-"""A survey: views and a rough map in, the map as it is out, with how sure each marker's place is."""
+"""Survey of a marker map: from views and a rough map to positions with standard deviations."""
 
 import math
 from collections import Counter
@@ -21,8 +21,6 @@ from autopilot.markermaps.sightings import SheetView
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SurveyedMarker:
-    """One row of the report."""
-
     id: int
     dictionary: str
     fixed: bool
@@ -38,8 +36,6 @@ class SurveyedMarker:
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Survey:
-    """What came out."""
-
     markers: MarkerMap
     rows: list[SurveyedMarker]
     """One for each marker of the map."""
@@ -119,7 +115,7 @@ def _seeds(views: Sequence[SheetView], rough: MarkerMap, fixed: IntArray, unique
     ids, times = np.unique(np.concatenate([view.ids for view in views]), return_counts=True)
     seen = dict(zip(ids.tolist(), times.tolist(), strict=True))
     chosen = [int(n) for n in fixed if int(rough.ids[n]) in seen]
-    if chosen:  # ids that are there several times say nothing of where a view is
+    if chosen:  # ids that occur several times do not determine the position of a view
         return [n for n in chosen if int(rough.ids[n]) in unique]
     if len(fixed):
         names = ", ".join(str(int(rough.ids[n]) % ID_SPAN) for n in fixed)
@@ -139,7 +135,7 @@ def _adjusted(
     rough_sigma: tuple[float, float],
     level: bool,
 ) -> tuple[Network, Adjusted, IntArray, set[int]]:
-    """Bundle adjustment of what hangs together; marker of the rough map that each one is, and those that were given."""
+    """Bundle adjustment of the connected part; marker of the rough map for each one, and the given ones."""
     placed = bootstrap.markers
     centers = np.array([m.center_ned_m for m in placed])
     nominal = _match(rough, placed, centers, fixed, seeds)
@@ -298,7 +294,7 @@ def _name(rough: MarkerMap, marker_id: int) -> str:
 
 
 def _repeated(rough: MarkerMap, views: Sequence[SheetView], in_map: list[int], unique: set[int]) -> list[str]:
-    """Ids that should be there once and are seen twice in a view, or at two places."""
+    """Ids that should be unique and are seen twice in a view, or at two positions."""
     twice = {marker_id for view in views for marker_id in view.repeated if marker_id in unique}
     twice |= {marker_id for marker_id in in_map if marker_id in unique and in_map.count(marker_id) > 1}
     return [_name(rough, marker_id) for marker_id in sorted(twice)]
@@ -315,7 +311,7 @@ def _misread(rough: MarkerMap, views: Sequence[SheetView]) -> list[str]:
 
 
 def _without_conflicts(network: Network, placed: Sequence[Placed], sights: IntArray) -> list[int]:
-    """Markers seen often enough; of two in one place the one that more views show."""
+    """Markers seen often enough; of two at one position the one in more views."""
     chosen: list[int] = []
     for k in np.argsort(-sights, kind="stable").tolist():
         if sights[k] < SURVEY.min_sights:

@@ -1,7 +1,4 @@
-"""What the MAVLink server needs of the vehicle, and the results it passes on.
-
-Implemented by :mod:`autopilot.command.commander`.
-"""
+"""Interface between the MAVLink server and the vehicle, implemented by :mod:`autopilot.command.commander`."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -47,7 +44,7 @@ class Sticks:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SetPoint:
-    """What a client wants the vehicle to do until its next word. Over ground; what is None is held as it is."""
+    """A client's setpoint, over ground; None = that axis is held."""
 
     until_us: int
     """Then it is too old to be followed."""
@@ -64,7 +61,7 @@ class SetPoint:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Circling:
-    """A circle to be flown; what is None is as CIRCLE_RADIUS, CIRCLE_SPEED and the vehicle's place say."""
+    """A circle to be flown; None = CIRCLE_RADIUS, CIRCLE_SPEED and the vehicle's position."""
 
     centre: GeodeticPosition | None = None
     """None = where the vehicle is."""
@@ -75,12 +72,12 @@ class Circling:
     speed_m_s: float | None = None
     yaw: OrbitYaw = OrbitYaw.TO_CENTRE
     turns: float = 0.0
-    """0 = for ever."""
+    """0 = endless."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MotorTest:
-    """One thruster alone, for a moment; exactly one of share and pulse is given."""
+    """Test of one thruster for a moment; exactly one of throttle share and pulse is given."""
 
     number: int
     """Of the thruster, from 1 in the order of the vehicle file."""
@@ -93,7 +90,7 @@ class MotorTest:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CommandReply:
-    """Result of a command and, when it is a refusal, the reason for the operator in one line."""
+    """Result of a command and, for a refusal, the reason in one line."""
 
     result: CommandResult
     reason: str = ""
@@ -104,7 +101,7 @@ ACCEPTED = CommandReply(result=CommandResult.ACCEPTED)
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class VehicleView:
-    """What telemetry shows, refreshed once per tick."""
+    """Data for telemetry, updated once per tick."""
 
     t_us: int
     armed: bool
@@ -122,12 +119,12 @@ class VehicleView:
     prearm_reasons: tuple[str, ...]
     """Why arming would be refused now; empty = ready."""
     refusals: tuple[str, ...] = ()
-    """Those of them that devices and the disk have, as whoever connects is told."""
+    """Those from devices and disk, as reported to new clients."""
     failsafes: int
     cpu_load: float
     """0..1 of one tick."""
     under_way: bool
-    """Armed and sent somewhere since (mission, go-to, return, surface), also when it has been stopped on the way."""
+    """Armed and sent somewhere since (mission, go-to, return, surface), also when stopped on the way."""
     dropped_rx: int
     """Malformed frames so far."""
     fenced: bool = True
@@ -137,37 +134,37 @@ class VehicleView:
     nav_errors: tuple[int, int, int, int] = (0, 0, 0, 0)
     """AHRS samples refused, fixes not used, other aiding measurements not used, resets of the estimator."""
     nav_doubts: frozenset[NavDoubt] = frozenset()
-    """What speaks against the estimate or its sensors."""
+    """Evidence against the estimate or its sensors."""
     control: NmpcStatus | None = None
     """Of the last control step, None while nothing is controlled."""
     sensed: Sensed = field(default_factory=Sensed)
     """The newest of each sensor."""
     energy_left_j: float | None = None
-    """In the battery, None while it says nothing."""
+    """Remaining, None while unknown."""
     ahead: FloatArray | None = None
     """(n, 8) where the controller sees the vehicle go, a state per row (:mod:`autopilot.core.model4`)."""
 
 
 BEAM_TRACKS = 4 << 28
-"""Tracks with numbers from here on come from the beams of a sensor, which see what the fence has as well."""
+"""Track numbers from here on are beam returns of a sensor, which also sees the fence's own obstacles."""
 
 UNITS_PER_S = 100_000
 """Signing time counts in 10 us since 2015."""
 AHEAD_UNITS = 2 * UNITS_PER_S
-"""The signing time on disk is so far ahead of what has been used and heard, at most. Nothing up to it is heard after a
-restart, which takes about as long."""
+"""Maximum lead of the signing time on disk over the latest one used or received. Nothing up to it is accepted
+after a restart, which takes about as long."""
 
 
 @dataclass(frozen=True, slots=True)
 class SigningState:
-    """What outlives a run."""
+    """Signing state that is kept from run to run."""
 
     key: bytes | None
     stamp: int
-    """Signing time: nothing later has been used or heard."""
+    """Signing time: nothing later has been used or accepted."""
 
     def __repr__(self) -> str:
-        """Without the key."""
+        """Leaves out the key."""
         return f"SigningState(key={'set' if self.key else 'none'}, stamp={self.stamp})"
 
 
@@ -176,7 +173,7 @@ class SigningStore(Protocol):
 
     @property
     def state(self) -> SigningState:
-        """As found at the start; where there is a key, AHEAD_UNITS beyond the time are on disk already."""
+        """State at the start; with a key, the time on disk is AHEAD_UNITS ahead already."""
         ...
 
     def keep(self, tick: int, state: SigningState) -> None:
@@ -184,7 +181,7 @@ class SigningStore(Protocol):
         ...
 
     def poll(self, tick: int) -> Saved | None:
-        """What became of one of them, once; None = nothing new."""
+        """Result of a write, returned once; None = nothing new."""
         ...
 
 
@@ -192,7 +189,7 @@ class VehicleCommands(Protocol):
     """Requests that clients make. Every one answers at once and never waits for a solver."""
 
     def arm(self, force: bool) -> CommandReply:
-        """Arm, or say why not (all reasons in one line)."""
+        """Arm, or refuse with all reasons in one line."""
         ...
 
     def disarm(self, force: bool) -> CommandReply:
@@ -200,17 +197,17 @@ class VehicleCommands(Protocol):
         ...
 
     def disarmed(self) -> CommandReply:
-        """What has become of the last disarming; IN_PROGRESS while it is waited for."""
+        """Result of the last disarming; IN_PROGRESS until it is confirmed."""
         ...
 
     def set_mode(self, mode: FlightMode) -> CommandReply: ...
 
     def start_mission(self, first_seq: int | None) -> CommandReply:
-        """Enter MISSION from an item (None = go on where it is). Needs an armed vehicle and a plan."""
+        """Enter MISSION at an item (None = the current one). Needs an armed vehicle and a plan."""
         ...
 
     def pause(self) -> CommandReply:
-        """Hold here; the mission stays where it is."""
+        """Hold here; the mission progress is kept."""
         ...
 
     def resume(self) -> CommandReply: ...
@@ -222,7 +219,7 @@ class VehicleCommands(Protocol):
         ...
 
     def set_point(self, point: SetPoint) -> CommandReply:
-        """Follow it in GUIDED; elsewhere it is kept for a moment, so that GUIDED can be entered."""
+        """Follow it in GUIDED; in other modes it is kept for a moment, so that GUIDED can be entered."""
         ...
 
     def refuse_set_point(self, reason: str) -> CommandReply:
@@ -232,7 +229,7 @@ class VehicleCommands(Protocol):
     def orbit(self, circle: Circling) -> CommandReply: ...
 
     def test_motor(self, test: MotorTest) -> CommandReply:
-        """Turn one thruster; to be said again and again while it is to turn."""
+        """Run one thruster; has to be repeated to keep it running."""
         ...
 
     def change_depth(self, depth_m: float) -> CommandReply:
@@ -244,7 +241,7 @@ class VehicleCommands(Protocol):
         ...
 
     def change_speed(self, speed_m_s: float | None) -> CommandReply:
-        """Speed for what runs now, None = the default again."""
+        """Speed of the current mode or mission, None = the default again."""
         ...
 
     def set_home(self, point: GeodeticPosition | None) -> CommandReply:
@@ -256,5 +253,5 @@ class VehicleCommands(Protocol):
         ...
 
     def end_run(self, end: RunEnd) -> CommandReply:
-        """The service ends, or begins anew, a moment after the answer. Refused while armed."""
+        """Shut down or restart the service, shortly after the answer. Refused while armed."""
         ...

@@ -1,4 +1,4 @@
-"""What a service says before it can do anything: that it is there, and starting."""
+"""MAVLink while the service is loading: HEARTBEAT in MAV_STATE_BOOT, and answers that need no vehicle."""
 
 from collections.abc import Hashable
 from dataclasses import dataclass
@@ -28,7 +28,7 @@ _REQUESTS = frozenset(
         mav.MAV_CMD_GET_HOME_POSITION,
     )
 )
-"""What every client asks for at its connect. What is not known yet goes unanswered until the service answers it."""
+"""Requests of clients at their connect. Data not known yet are answered later by the service."""
 
 _KEPT = frozenset(
     (
@@ -53,13 +53,12 @@ _KEPT = frozenset(
         mav.MAVLINK_MSG_ID_SETUP_SIGNING,
     )
 )
-"""What may be left for the service: requests. Anything else (sticks, positions of others) is of the moment in which it
-was sent, and a service that begins seconds later has no use for it."""
+"""Requests that may be left for the service. Others (sticks, positions of others) are outdated when it starts."""
 
 
 _SIGNED_AS = 0x40
-"""Added to a link's number: what is signed while the service starts is a sequence of its own, whose times do not get in
-the way of the service's."""
+"""Added to a link's number: frames signed during the start are a stream of their own, so that their timestamps do
+not interfere with the service's."""
 
 
 @dataclass(slots=True)
@@ -68,7 +67,7 @@ class BootSigning:
 
     key: bytes
     stamp: int
-    """Signing time of the last frame; it goes on by one for each, and not with the clock."""
+    """Signing time of the last frame; incremented by one per frame, independent of the clock."""
     local_may_be_silent: bool
     """Programs of this machine need not sign (SIGN_LOCAL)."""
 
@@ -77,14 +76,13 @@ class BootSigning:
         return signed(frame, crc_extra, self.key, _SIGNED_AS | link & 0x3F, self.stamp)
 
     def answers(self, frame: bytes, reach: Reach) -> bool:
-        """Whether who sent a frame is answered. Nothing is obeyed here, so an old frame does no harm."""
+        """Whether to answer the sender of a frame. No command is executed here, so a replayed frame does no harm."""
         return is_signed_with(self.key, frame) or (self.local_may_be_silent and reach is Reach.MACHINE)
 
 
 class BootLink:
-    """One link of a service that is starting: heartbeats in MAV_STATE_BOOT, who the vehicle is; actions are put off.
-
-    ConfigError for an unknown profile. Never raises on received bytes.
+    """One link of a service that is starting: heartbeats in MAV_STATE_BOOT and identity; actions are rejected for
+    now. ConfigError for an unknown profile. Never raises on received bytes.
     """
 
     def __init__(
@@ -107,7 +105,7 @@ class BootLink:
         self._files = BootFiles(identity, self._send)
 
     def tick(self, t_us: int) -> list[tuple[int, bytes]]:
-        """What goes on without being asked again (files in bursts): client and message. Time has any beginning."""
+        """Messages due without a request (FTP bursts), each with its client. The time may start anywhere."""
         self._files.t_us = t_us
         self._files.tick()
         return self._take_answers()
@@ -128,9 +126,8 @@ class BootLink:
     def answer(
         self, data: bytes, client: int = EVERYONE, reach: Reach = Reach.NETWORK
     ) -> tuple[list[bytes], dict[Hashable, bytes]]:
-        """Answers to what a client sent, and what of it is left for the service: what it asks -> the message.
-
-        Actions are temporarily rejected, with a text that says why; they are not left.
+        """Answers to a client's bytes, and the requests left for the service: key -> message. Actions are
+        TEMPORARILY_REJECTED with a text and not left.
         """
         left: dict[Hashable, bytes] = {}
         for msg in self._parser_of(client).feed(data):
@@ -139,7 +136,7 @@ class BootLink:
         return [answer for _, answer in self._take_answers()], left
 
     def _is_known(self, client: int, msg: Message, reach: Reach) -> bool:
-        """Whether a message asks for what can be told already; it is, then."""
+        """Whether a message requests data known already, which is sent then."""
         if not self._is_for_us(msg):
             return False
         if self._signing is not None and not self._signing.answers(bytes(msg.get_msgbuf()), reach):
@@ -152,11 +149,11 @@ class BootLink:
         return bool(answers)
 
     def _put_off(self, client: int, msg: Message) -> bool:
-        """Whether a message wants the vehicle to do something that it cannot do yet; it is told so, then."""
+        """Whether a message is an action, which is rejected for now with a text."""
         if not self._is_action(msg):
             return False
         self._send(client, mav.MAVLink_statustext_message(mav.MAV_SEVERITY_WARNING, STARTING.encode()))
-        if msg.get_type() != "SET_MODE":  # that one knows no acknowledgement
+        if msg.get_type() != "SET_MODE":  # has no acknowledgement
             asker = msg.get_srcSystem(), msg.get_srcComponent()
             later = mav.MAV_RESULT_TEMPORARILY_REJECTED
             self._send(client, mav.MAVLink_command_ack_message(msg.command, later, 0, 0, *asker))
@@ -179,7 +176,7 @@ class BootLink:
         )
 
     def _is_action(self, msg: Message) -> bool:
-        """Whether a message wants the vehicle to do something."""
+        """Whether a message requests an action of the vehicle."""
         kind = msg.get_type()
         if kind == "SET_MODE":
             return msg.target_system in (0, self._sysid)
@@ -187,9 +184,6 @@ class BootLink:
 
 
 def _asked(msg: Message) -> Hashable:
-    """Who asks for what: the same again takes the place of what has been asked before.
-
-    A field may be an array in some message or other, so that all of them are compared as text.
-    """
+    """Key of a request: a repeated one replaces the first. Fields may be arrays, so that all are compared as text."""
     what = tuple(repr(getattr(msg, field, None)) for field in ("mission_type", "command", "param1", "param_id", "seq"))
     return msg.get_srcSystem(), msg.get_srcComponent(), msg.get_msgId(), what

@@ -1,7 +1,7 @@
-"""What a vehicle is, answered while it starts: version and capabilities, protocol, modes, the files of its parameters.
+"""Identity requests answered during the start: version, capabilities, protocol, modes and parameter files.
 
-A ground station asks once when it connects, and takes a vehicle that does not answer for one that knows nothing
-(QGroundControl: no fence, no rally points). None of it has to be loaded first, and it is what the service says later.
+Ground stations request these once when they connect and take silence for missing capabilities (QGroundControl: no
+fence, no rally points). None of the answers needs loaded modules, and all equal those of the running service.
 """
 
 from collections.abc import Callable, Sequence
@@ -25,7 +25,7 @@ _FIXED = {
 
 
 class BootIdentity:
-    """One per service. Everything is made when it is asked for first: the first heartbeat waits for nothing."""
+    """One per service. Values are computed on first use, so that the first heartbeat is not delayed."""
 
     def __init__(self, profile: Profile, identity: Callable[[], VehicleIdentity]) -> None:
         self._profile, self._find = profile, identity
@@ -43,7 +43,7 @@ class BootIdentity:
         return make_metadata(specs, name=self._identity.name, version=self._identity.version)
 
     def answer(self, msg: Message) -> Sequence[Message]:
-        """The answers to a request for what is known already; empty for anything else."""
+        """Answers to a request for data known already; empty for anything else."""
         if msg.get_msgId() not in COMMANDS:
             return ()
         wanted = _FIXED.get(msg.command)
@@ -78,7 +78,7 @@ class BootFiles:
     links = frozenset((0,))
 
     def __init__(self, identity: BootIdentity, send: Callable[[int, Message], None]) -> None:
-        """``send``: client and message."""
+        """``send`` takes a link and a message."""
         self._identity, self._send = identity, send
         self.t_us = 0
 
@@ -87,7 +87,7 @@ class BootFiles:
         return FileTransfer(self, self._identity.metadata.files, None)
 
     def take(self, client: int, msg: Message) -> bool:
-        """FILE_TRANSFER_PROTOCOL; False for what only the service can answer (logs, folders)."""
+        """Handle FILE_TRANSFER_PROTOCOL; False for what only the service can answer (logs, folders)."""
         request = request_of(bytes(msg.payload))
         by_path = request.opcode in (Op.LIST, Op.OPEN_READ, Op.CRC32)
         if by_path and request.path.strip("/") not in self._identity.metadata.files:
@@ -103,5 +103,5 @@ class BootFiles:
         self._send(to.client, message)
 
     def has_room(self, link: int, share: float) -> bool:
-        """Nothing else is sent yet."""
+        """Always true: nothing else is sent during the start."""
         return True

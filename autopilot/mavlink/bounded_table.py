@@ -1,4 +1,4 @@
-"""A table that others fill: it never holds more than so many entries."""
+"""Dictionary with a maximum number of entries, for keys that clients choose."""
 
 from collections import OrderedDict
 from collections.abc import Callable, Hashable
@@ -9,8 +9,9 @@ V = TypeVar("V")
 
 
 class LatestUsed(OrderedDict[K, V]):
-    """The entry least lately set or touched first; it goes when there are more than ``most``, and ``let_go`` is told.
-    Looking an entry up does not count as use."""
+    """Least recently used table: beyond ``most`` entries the one set or touched longest ago is evicted, and
+    ``let_go`` is called with it. Lookup does not count as use.
+    """
 
     def __init__(self, most: int, let_go: Callable[[V], None] = lambda value: None) -> None:
         super().__init__()
@@ -23,7 +24,7 @@ class LatestUsed(OrderedDict[K, V]):
             self._let_go(self.popitem(last=False)[1])
 
     def touch(self, key: K, make: Callable[[], V]) -> V:
-        """The entry of a key, made if there is none."""
+        """The entry of a key, created if it is missing."""
         value = self[key] if key in self else make()
         self[key] = value
         return value

@@ -1,18 +1,18 @@
-"""What a slow link carries: telemetry and lists take what commands and their answers leave.
+"""Bandwidth budget of a slow link: telemetry and lists use what commands and their answers leave.
 
-A serial line of 57,600 baud carries 5,760 bytes a second. What is sent beyond that waits in the line's buffer, and
-every answer behind it. So what goes out is counted; telemetry waits until there is room, the longest due first, so that
-all streams become slower together and none stops.
+A serial line of 57,600 baud carries 5,760 bytes a second. Anything beyond that waits in the line's buffer and
+delays every answer behind it. Sent bytes are therefore counted; telemetry is held back until the budget allows it,
+the most overdue first, so that all streams slow down together and none stops.
 """
 
 from dataclasses import dataclass
 
 DEPTH_S = 0.1
-"""So much of the line's time may wait in its buffer."""
+"""Maximum backlog in the line's buffer, as time."""
 DEBT_S = 0.5
-"""Answers may run up so much; beyond it is forgotten, the buffer will have lost it."""
+"""Maximum debt by answers; more is forgotten, because the buffer will have lost it."""
 LISTS = 0.25
-"""Lists (parameters) go on above this share of the room ..."""
+"""Lists (parameters) continue above this share of the budget ..."""
 TELEMETRY = 0.5
 """... telemetry above this one ..."""
 FILES = 0.75
@@ -28,7 +28,7 @@ class Budget:
     _t_us: int = 0
 
     def tick(self, t_us: int) -> None:
-        """Time has gone on: the line has carried something away."""
+        """Refill the budget by the time passed."""
         carried = self.bytes_per_s * max(0, t_us - self._t_us) * 1e-6
         self._level, self._t_us = min(self._level + carried, self.bytes_per_s * DEPTH_S), t_us
 
@@ -36,5 +36,5 @@ class Budget:
         self._level = max(self._level - count, -self.bytes_per_s * DEBT_S)
 
     def has_room(self, share: float) -> bool:
-        """Whether what needs this share of the room may go out."""
+        """Whether the budget allows a message of this priority share."""
         return self._level >= share * self.bytes_per_s * DEPTH_S

@@ -1,4 +1,4 @@
-"""What the camera component needs of the vehicle. Implemented by :mod:`autopilot.command.photographer`."""
+"""Interface of the camera component to the vehicle, implemented by :mod:`autopilot.command.photographer`."""
 
 from dataclasses import dataclass
 from typing import Protocol
@@ -22,7 +22,7 @@ class CameraIdentity:
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class CameraState:
     exposing: bool
-    """A still is under way."""
+    """A capture is in progress."""
     interval_s: float | None
     """Time between stills of a running sequence, None without one."""
     distance_m: float | None
@@ -34,7 +34,7 @@ class CameraState:
 
 
 class CameraOrders(Protocol):
-    """Requests to the camera. Every one answers at once; the pictures come later (:meth:`take_records`)."""
+    """Requests to the camera, answered at once; the pictures follow (:meth:`take_records`)."""
 
     identity: CameraIdentity
 
@@ -42,16 +42,15 @@ class CameraOrders(Protocol):
     def state(self) -> CameraState: ...
 
     def shoot(self, count: int | None, interval_s: float) -> CommandReply:
-        """So many stills (None = until it is stopped), so far apart. Takes the place of a running sequence."""
+        """A number of stills (None = until stopped) at an interval. Replaces a running sequence."""
         ...
 
     def stop(self) -> CommandReply:
-        """End the sequence, by time or by way."""
+        """End the sequence, by time or by distance."""
         ...
 
     def shoot_every(self, distance_m: float, *, now: bool) -> CommandReply:
-        """A still each time that the vehicle has come so far from the last one's place; 0 ends that. ``now``: the first
-        at once."""
+        """A still after every distance [m] from the last one; 0 ends the sequence. ``now``: the first at once."""
         ...
 
     def record(self, index: int) -> StillRecord | None:
@@ -59,5 +58,5 @@ class CameraOrders(Protocol):
         ...
 
     def take_records(self) -> tuple[StillRecord, ...]:
-        """Stills that have come since the last call."""
+        """Stills stored since the last call."""
         ...

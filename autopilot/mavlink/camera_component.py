@@ -1,7 +1,7 @@
 """The camera component (MAV_COMP_ID_CAMERA): https://mavlink.io/en/services/camera.html
 
-It takes stills and nothing else: no video, no zoom, no focus, one storage, the folder of logs. It has its own
-HEARTBEAT and answers as itself; its commands are also taken by the autopilot, as clients for aircraft send them there.
+Stills only: no video, zoom or focus; one storage, the log folder. It has its own HEARTBEAT and component id. The
+autopilot component accepts its commands too, because clients for aircraft send them there.
 """
 
 import math
@@ -47,17 +47,15 @@ NO_LENS = "Camera has no zoom and no focus to set"
 
 
 class CameraComponent:
-    """Stills for clients."""
-
     def __init__(self, ctx: Context, orders: CameraOrders, utc_offset_us: Callable[[], int | None]) -> None:
-        """``utc_offset_us``: Unix time minus service time, None as long as nobody has told it."""
+        """``utc_offset_us``: Unix time minus service time, None while unknown."""
         self._ctx, self._orders, self._utc_offset_us = ctx, orders, utc_offset_us
         self._heartbeat_us = 0
         self._last_sequence: int | None = None
         """IMAGE_START_CAPTURE's number of the last single still: the same again is the same still."""
 
     def tick(self) -> None:
-        """HEARTBEAT, and what has been taken."""
+        """HEARTBEAT, and reports of stills taken."""
         ctx = self._ctx
         if ctx.t_us >= self._heartbeat_us:
             self._heartbeat_us = ctx.t_us + HEARTBEAT_US
@@ -113,7 +111,7 @@ class CameraComponent:
         }
 
     def answers(self, call: Call) -> bool:
-        """Whether what is asked of everybody is for the camera."""
+        """Whether a broadcast request concerns the camera."""
         if call.command != mav.MAV_CMD_REQUEST_MESSAGE:
             return call.command in REQUESTS
         msg_id = call.whole(1)
@@ -138,7 +136,7 @@ class CameraComponent:
         return Reply(self._orders.shoot(1, 0.0)) if call.x > 0.0 else Reply(ACCEPTED)
 
     def trigger_by_distance(self, call: Call) -> Reply:
-        """DO_SET_CAM_TRIGG_DIST: param1 way between stills (0 = stop), param3 = 1: one at once."""
+        """DO_SET_CAM_TRIGG_DIST: param1 distance between stills [m] (0 = stop), param3 = 1: one at once."""
         distance_m = call.param(1)
         if not 0.0 <= distance_m < math.inf:
             return denied(f"Photos refused: every {distance_m:g} m")
@@ -154,7 +152,7 @@ class CameraComponent:
         return Reply(self._orders.shoot(None, interval_ms * 1e-3))
 
     def trigger_control(self, call: Call) -> Reply:
-        """DO_TRIGGER_CONTROL: param1 0 = stop, 1 = go on, -1 as it is; what goes on has to be asked for anew here."""
+        """DO_TRIGGER_CONTROL: param1 0 = stop, 1 = resume, -1 = unchanged; resuming needs a new request here."""
         if call.param(1) == 1.0:
             return denied("Photos refused: say how often (IMAGE_START_CAPTURE)")
         return Reply(self._orders.stop() if call.param(1) == 0.0 else ACCEPTED)
@@ -192,13 +190,14 @@ class CameraComponent:
         }
 
     def _introduction(self, call: Call) -> Reply:
-        """CAMERA_INFORMATION, and before it what goes with it: a client for which the camera is there from that message
-        on (MAVSDK) asks for its state seconds later, and till then has none to show."""
+        """CAMERA_INFORMATION, preceded by the camera's state: MAVSDK treats the camera as present from that message
+        on and requests its state only seconds later.
+        """
         status = self.settings(), self.capture_status(), self.storage_information()
         return Reply(ACCEPTED, (*status, self.information()))
 
     def _if_asked(self, call: Call, msg_id: int, *, which: int | None = None, asked: int = 1) -> Reply:
-        """The older requests: a parameter that is 1 asks for it."""
+        """The older request commands: a parameter of 1 requests the message."""
         if call.param(asked) != 1.0:
             return Reply(ACCEPTED)
         if which is not None:
@@ -276,7 +275,7 @@ class CameraComponent:
         )
 
     def image_captured(self, record: StillRecord) -> Message:
-        """CAMERA_IMAGE_CAPTURED: the vehicle's place and the camera's attitude at the exposure; 0 when not known."""
+        """CAMERA_IMAGE_CAPTURED: position of the vehicle and attitude of the camera at the exposure; 0 when unknown."""
         ctx, still = self._ctx, record.still
         offset_us = self._utc_offset_us()
         origin = ctx.view.origin

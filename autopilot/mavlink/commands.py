@@ -1,8 +1,8 @@
-"""Command protocol: COMMAND_LONG and COMMAND_INT to the vehicle, an answer to each. https://mavlink.io/en/services/command.html
+"""Command protocol: COMMAND_LONG and COMMAND_INT, each with a COMMAND_ACK.
 
-Every command is answered at once, but for one whose effect is waited for: that is answered when it has come, and
-IN_PROGRESS is sent meanwhile. A retransmission of an action gets the first answer again and is not executed twice;
-requests are simply answered again. Unused parameters may be 0 or NaN.
+https://mavlink.io/en/services/command.html. Commands are answered at once, except those that complete later: these
+get IN_PROGRESS until the final result. A retransmitted action gets the first answer again and is not executed
+twice; requests are answered again. Unused parameters may be 0 or NaN.
 """
 
 from collections.abc import Callable, Mapping
@@ -17,14 +17,14 @@ from autopilot.mavlink.context import COMPID, Context, MavlinkPeer
 from autopilot.mavlink.wire import Message
 
 REPEAT_US = 10_000_000
-"""COMMAND_LONG with confirmation > 0 counts as a retransmission so long after the first."""
+"""Time for which a COMMAND_LONG with confirmation > 0 counts as a retransmission of the first."""
 DUPLICATE_US = 250_000
 """The same datagram again within this time is a duplicate made by the network."""
 FIRST_PROGRESS_US = 300_000
 PROGRESS_US = 1_000_000
-"""A client that waits is told that there is progress so long after its command, and so often."""
+"""Delay after the command, and interval, of IN_PROGRESS to a waiting client."""
 MAX_REMEMBERED = 64
-"""Clients whose last command is remembered; the oldest goes."""
+"""Clients whose last command is remembered; beyond that the oldest is dropped."""
 
 UNSUPPORTED = CommandReply(result=CommandResult.UNSUPPORTED)
 
@@ -43,7 +43,7 @@ _INT_UNKNOWN = frozenset((0x7FFF_FFFF, -0x8000_0000))
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Call:
-    """A command as it came, carrier and scaling removed."""
+    """A received command, independent of its message type and scaling."""
 
     peer: MavlinkPeer
     command: int
@@ -63,7 +63,7 @@ class Call:
         return value if value == value else 0.0
 
     def whole(self, number: int) -> int | None:
-        """param1..param4 as a whole number of 32 bits, None if it is not one."""
+        """param1..param4 as a 32-bit integer, None if it is none."""
         value = self.param(number)
         if not -(2.0**31) <= value < 2.0**32 or value != int(value):
             return None
@@ -77,7 +77,7 @@ class Reply:
     answer: CommandReply
     messages: tuple[Message, ...] = ()
     later: Callable[[], CommandReply] | None = None
-    """Asked on every tick for the final answer while ``answer`` and what this says are IN_PROGRESS."""
+    """Called on every tick for the final result while ``answer`` and its result are IN_PROGRESS."""
 
 
 Handler = Callable[[Call], Reply]
@@ -102,25 +102,24 @@ class _Remembered:
 
 @dataclass(slots=True)
 class _Waiting:
-    """A client that waits for what its command does."""
+    """A client whose command is in progress."""
 
     later: Callable[[], CommandReply]
     reported_us: int
-    """When it is to be told next that there is progress."""
+    """Time of the next IN_PROGRESS."""
 
 
 def denied(reason: str) -> Reply:
-    """DENIED for a reason."""
     return Reply(CommandReply(result=CommandResult.DENIED, reason=reason))
 
 
 def action(handler: Handler) -> CommandRow:
-    """A command that changes something."""
+    """Row of a command that changes state (in contrast to a query)."""
     return CommandRow(handler=handler, action=True)
 
 
 def request(handler: Handler) -> CommandRow:
-    """A command that only asks; asked again it is answered again."""
+    """Row of a command without side effects; a retransmission is answered again."""
     return CommandRow(handler=handler, action=False)
 
 
@@ -168,7 +167,6 @@ class CommandProtocol:
 
     @property
     def table(self) -> Mapping[int, CommandRow]:
-        """The commands that are understood."""
         return self._table
 
     def on_command(self, peer: MavlinkPeer, msg: Message) -> None:
@@ -202,7 +200,7 @@ class CommandProtocol:
         self._reply(peer, call.command, reply)
 
     def tick(self) -> None:
-        """Answer those who wait."""
+        """Answer commands whose result was pending."""
         for (peer, command), waiting in list(self._waiting.items()):
             answer = waiting.later()
             if answer.result is not CommandResult.IN_PROGRESS:
@@ -214,7 +212,7 @@ class CommandProtocol:
                 self._ack(peer, command, answer)
 
     def _remember(self, peer: MavlinkPeer, command: int, answer: CommandReply) -> None:
-        """The final answer is what a repetition gets."""
+        """Keep the final answer for retransmissions."""
         before = self._last.get(peer)
         if before is not None and before.key[0] == command:
             self._last[peer] = replace(before, answer=answer)

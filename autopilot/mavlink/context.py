@@ -1,4 +1,4 @@
-"""What the microservices share: the outgoing queue, who talks to us, and the state of this tick."""
+"""State that the microservices share: outgoing queue, known peers, and the inputs of this tick."""
 
 import math
 from collections.abc import Iterable, Iterator
@@ -21,7 +21,7 @@ from autopilot.mavlink.signing import Signing
 from autopilot.mavlink.wire import LinkEncoder, Message
 
 ANSWERS = frozenset((mav.MAVLINK_MSG_ID_PARAM_VALUE,))
-"""Told to everyone, and waited for by who has asked."""
+"""Broadcast, and requested by clients that wait for it."""
 
 NAME = "Underwater Autopilot"
 """The true name, whatever the profile."""
@@ -40,7 +40,7 @@ SAME_TEXT_US = 5_000_000
 
 
 class MavlinkPeer(NamedTuple):
-    """A client: the link it speaks on, its MAVLink address there, and which of those who speak on that link it is."""
+    """A client: link, MAVLink address on it, and index among the senders on that link."""
 
     link: int
     sysid: int
@@ -54,12 +54,12 @@ class MavlinkPeer(NamedTuple):
 
 
 Receiver: TypeAlias = int | MavlinkPeer
-"""Who gets something: everyone on a link, or one client."""
+"""Destination: everyone on a link, or one client."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class VehicleIdentity:
-    """Who we are, for AUTOPILOT_VERSION and the greeting."""
+    """Identity for AUTOPILOT_VERSION and the greeting."""
 
     name: str
     version: str
@@ -67,12 +67,12 @@ class VehicleIdentity:
     git: str
     """Revision as hex digits, empty when unknown."""
     uid: int
-    """64 bits that tell this vehicle from others."""
+    """64-bit unique id of this vehicle."""
 
 
 @dataclass(slots=True)
 class Context:
-    """The state of this tick and the queue of what goes out. One per server."""
+    """State of this tick and the outgoing queue. One per server."""
 
     sysid: int
     profile: Profile
@@ -95,9 +95,9 @@ class Context:
     budgets: dict[int, Budget] = field(default_factory=dict)
     """Of slow links."""
     old: dict[int, frozenset[int]] = field(default_factory=dict)
-    """Clients that speak MAVLink 1, by link."""
+    """Clients that use MAVLink 1, by link."""
     quiet: set[int] = field(default_factory=set)
-    """Links on which nothing is said but what is asked for (:mod:`autopilot.mavlink.high_latency`)."""
+    """Links on which only requests are answered (:mod:`autopilot.mavlink.high_latency`)."""
     tx: list[MavlinkFrame] = field(default_factory=list)
     notices: list[Event] = field(default_factory=list)
     samples: list[ExternalPoseSample] = field(default_factory=list)
@@ -144,14 +144,14 @@ class Context:
         return encoder
 
     def key_changed(self) -> None:
-        """There is a signing key now, or none any more."""
+        """A signing key has been set or removed."""
         for index, encoder in self.links.items():
             self._sign_on(index, encoder)
         for (index, _), encoder in self.others.items():
             self._sign_on(index, encoder)
 
     def send(self, to: Receiver, message: Message, source: int = COMPID) -> None:
-        """Queue a message to one client, or to everyone on one link. ``source``: which of our components says it."""
+        """Queue a message to one client, or to all on one link. ``source``: our sending component."""
         link, client = (to, EVERYONE) if isinstance(to, int) else (to.link, to.client)
         if link in self.links:
             frames = list(self.frames(link, client, message, source=source))
@@ -161,14 +161,14 @@ class Context:
             self.tx += frames
 
     def has_room(self, link: int, share: float) -> bool:
-        """Whether a link can carry what is less urgent than an answer (:mod:`autopilot.mavlink.budget`)."""
+        """Whether a link can carry a message that is less urgent than an answer (:mod:`autopilot.mavlink.budget`)."""
         budget = self.budgets.get(link)
         return budget is None or budget.has_room(share)
 
     def frames(
         self, link: int, client: int, message: Message, *, counted: bool = True, source: int = COMPID
     ) -> Iterator[MavlinkFrame]:
-        """A message as the clients of an open link get it: who speaks MAVLink 1 gets that."""
+        """Encode a message for the clients of an open link, in MAVLink 1 where they use that."""
         encoder, old = self._encoder(link, source), self.old.get(link)
         if not old:
             yield MavlinkFrame(link=link, client=client, data=encoder.pack(message, counted=counted))
@@ -183,14 +183,14 @@ class Context:
                 yield MavlinkFrame(link=link, client=other, data=packed)
 
     def broadcast(self, message: Message, source: int = COMPID) -> None:
-        """Queue a message on every link; on quiet ones only what may be somebody's answer."""
+        """Queue a message on every link; on high latency links only if it may answer a request."""
         spoken = message.get_msgId() in ANSWERS
         for index in self.links:
             if spoken or index not in self.quiet:
                 self.send(index, message, source)
 
     def say(self, text: OperatorText, to: Receiver | None = None) -> None:
-        """Tell the operator something of our own (STATUSTEXT to a client, a link or all, and a line for the log)."""
+        """Send a text to the operator (STATUSTEXT to a client, a link or all, and an entry in the log)."""
         self.log(text)
         self.text(text, to)
 
@@ -198,7 +198,7 @@ class Context:
         self.notices.append(text.event(self.t_us))
 
     def text(self, message: OperatorText, to: Receiver | None = None) -> None:
-        """STATUSTEXT, in chunks if it is long. Not for DEBUG, which is for the log, and not again within 5 s."""
+        """STATUSTEXT, chunked if it is long. DEBUG goes to the log only; a repetition within 5 s is dropped."""
         self.relay(message.severity, message.text, to)
 
     def relay(self, severity: int, text: str, to: Receiver | None = None) -> None:
@@ -214,7 +214,7 @@ class Context:
                 self.send(receiver, message)
 
     def _is_news(self, to: Receiver, text: str) -> bool:
-        """Whether a receiver has not been told this lately, alone or with its whole link; it is told now."""
+        """Whether a receiver has not received this text lately, alone or with its whole link; marks it as sent."""
         link, client = (to, EVERYONE) if isinstance(to, int) else (to.link, to.client)
         if any(self._said.knows((link, who, text), self.t_us) for who in (client, EVERYONE)):
             return False
@@ -222,7 +222,7 @@ class Context:
         return True
 
     def begin_anew(self) -> None:
-        """Another plan, or a question: what is said now is news, even in the words that were used before."""
+        """Reset the duplicate filter after a new plan or request: repeated texts are sent again."""
         self._said.clear()
 
     def _chunks(self, severity: int, text: str) -> Iterable[Message]:
@@ -230,7 +230,7 @@ class Context:
         if len(data) <= _CHUNK_CHARS:
             return [mav.MAVLink_statustext_message(severity, data)]
         self._text_id = self._text_id % 0xFFFF + 1
-        # The receiver knows the end by a chunk that is not full, so a text of whole chunks gets an empty one behind it.
+        # The end is marked by a chunk that is not full, so a text of whole chunks is followed by an empty one.
         return [
             mav.MAVLink_statustext_message(severity, data[start : start + _CHUNK_CHARS], self._text_id, number)
             for number, start in enumerate(range(0, len(data) + 1, _CHUNK_CHARS))
@@ -238,7 +238,7 @@ class Context:
 
 
 def limited(value: float, low: int, high: int) -> int:
-    """``value`` rounded and kept within an integer field's range; what is not a number becomes the value nearest 0."""
+    """``value`` rounded and clipped to an integer field's range; NaN becomes the value nearest 0."""
     if value != value:
         value = 0.0
     return round(min(max(value, low), high))

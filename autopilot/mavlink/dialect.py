@@ -1,7 +1,7 @@
-"""The dialect: pymavlink's ``development``, and what it lacks (:mod:`autopilot.mavlink.extra_messages`).
+"""The dialect: pymavlink's ``development`` with the additions of :mod:`autopilot.mavlink.extra_messages`.
 
-``mav`` has the packaged messages and constants, ``extra`` those of ``underwater.xml``. Importing this module makes the
-packaged decoder know both; a message that stands in both is decoded with its newer fields.
+``mav`` has the packaged messages and constants, ``extra`` those of ``underwater.xml``. Importing this module
+registers both with the packaged decoder; a message defined in both is decoded with its newer fields.
 """
 
 from pymavlink.dialects.v20 import development as mav

@@ -1,4 +1,4 @@
-"""What the MAVLink server needs to move what a vehicle carries. Implemented by :mod:`autopilot.command.equipment`."""
+"""Interface of the MAVLink server to payload outputs, implemented by :mod:`autopilot.command.equipment`."""
 
 from collections.abc import Mapping
 from typing import Protocol
@@ -15,7 +15,7 @@ class EquipmentOrders(Protocol):
         ...
 
     def pulses_us(self) -> Mapping[int, int]:
-        """Channel -> pulse of what is carried and driven, as of the last tick."""
+        """Channel -> pulse [us] of the payload outputs, as of the last tick."""
         ...
 
     def light_shares(self) -> tuple[float, ...]:
@@ -25,7 +25,7 @@ class EquipmentOrders(Protocol):
     def set_servo(self, channel: int, pulse_us: float) -> CommandReply: ...
 
     def repeat_servo(self, channel: int, pulse_us: float, count: int, cycle_s: float) -> CommandReply:
-        """To a pulse and back, so many times."""
+        """Move to a pulse and back, repeatedly."""
         ...
 
     def set_relay(self, number: int, *, on: bool) -> CommandReply: ...
@@ -33,7 +33,7 @@ class EquipmentOrders(Protocol):
     def toggle_relay(self, number: int) -> CommandReply: ...
 
     def repeat_relay(self, number: int, count: int, cycle_s: float) -> CommandReply:
-        """To the other side and back, so many times."""
+        """Toggle a relay and back, repeatedly."""
         ...
 
     def grip(self, number: int, *, close: bool) -> CommandReply: ...
@@ -47,5 +47,5 @@ class EquipmentOrders(Protocol):
         ...
 
     def lights(self, change: float | None) -> CommandReply:
-        """All lights brighter or darker by a share; None = the other way round."""
+        """Change the brightness of all lights by a share; None = toggle."""
         ...

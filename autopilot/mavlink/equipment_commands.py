@@ -10,12 +10,10 @@ from autopilot.mavlink.equipment_api import EquipmentOrders
 
 NO_GIMBAL = "There is no gimbal: the camera is fixed"
 ACTUATORS = 6
-"""Values of one DO_SET_ACTUATOR; param7 says which half dozen."""
+"""Values of one DO_SET_ACTUATOR; param7 is the index of the set."""
 
 
 class EquipmentCommands:
-    """Translates commands into orders."""
-
     def __init__(self, orders: EquipmentOrders) -> None:
         self._orders = orders
 
@@ -71,7 +69,7 @@ class EquipmentCommands:
         return Reply(self._orders.grip(number, close=what == mav.GRIPPER_ACTION_GRAB))
 
     def set_actuator(self, call: Call) -> Reply:
-        """DO_SET_ACTUATOR: param1 to param6 -1 to 1 (NaN = as it is), param7 which half dozen, from 0."""
+        """DO_SET_ACTUATOR: param1 to param6 -1 to 1 (NaN = unchanged), param7 index of the set of six, from 0."""
         values: tuple[float, ...] = (*call.params, call.x, call.y)
         group = call.z if call.z == call.z else 0.0
         if not 0.0 <= group < 100.0 or group != int(group):

@@ -21,7 +21,7 @@ OLDEST_US = 1_000_000
 FAILED_QUALITY = -1
 """ODOMETRY.quality of an estimate that has failed."""
 SAMPLES_MAX = 256
-"""Poses that may come in one tick; what is beyond them is dropped."""
+"""Poses accepted per tick; others are dropped."""
 
 _FRAMES = {mav.MAV_FRAME_LOCAL_NED: ExternalFrame.NED, mav.MAV_FRAME_LOCAL_FRD: ExternalFrame.FRD}
 _PLACES = (0, 1, 2, 5)
@@ -29,15 +29,13 @@ _PLACES = (0, 1, 2, 5)
 
 
 class ExternalPoses:
-    """Takes poses of clients."""
-
     def __init__(self, ctx: Context, utc_offset_us: Callable[[], int | None]) -> None:
-        """``utc_offset_us``: Unix time minus service time, None while it is not known."""
+        """``utc_offset_us``: Unix time minus service time, None while unknown."""
         self._ctx = ctx
         self._utc_offset_us = utc_offset_us
         self._reported: set[MavlinkPeer] = set()
         self._by_arrival: dict[MavlinkPeer, ExternalPoseSample] = {}
-        """The last pose of each whose stamp says nothing to us."""
+        """Last pose of each sender whose time stamps are unusable."""
 
     def on_vision_position_estimate(self, peer: MavlinkPeer, msg: Message) -> None:
         """VISION_POSITION_ESTIMATE: local NED, radians."""
@@ -82,7 +80,7 @@ class ExternalPoses:
             reset_counter=reset_counter,
         )
         if stamped_us is None:
-            # Of several that come at once, after a pause of the loop or of the network, only the last is of now.
+            # Of several that arrive at once, after a pause of the loop or of the network, only the last is current.
             before = self._by_arrival.get(peer)
             waiting[:] = [other for other in waiting if other is not before]
             if peer not in self._by_arrival and len(self._by_arrival) >= SAMPLES_MAX:
@@ -91,7 +89,7 @@ class ExternalPoses:
         waiting.append(sample)
 
     def _stamped_us(self, stamp_us: int) -> int | None:
-        """When the pose was valid: the stamp if it is of our clock or of a known Unix time, else None."""
+        """Validity time of the pose: its stamp if that is of our clock or of a known Unix time, else None."""
         now_us, offset_us = self._ctx.t_us, self._utc_offset_us()
         for time_us in (stamp_us, stamp_us - offset_us if offset_us is not None else -1):
             if 0 <= now_us - time_us <= OLDEST_US:
@@ -110,7 +108,7 @@ def _covariance(triangle: Sequence[float]) -> FloatArray | None:
 
 
 def _yaw(quat: Sequence[float]) -> float:
-    """Yaw of a quaternion [w, x, y, z] of any length; NaN if it is none."""
+    """Yaw of a quaternion [w, x, y, z] of any length; NaN if it is invalid."""
     length = math.sqrt(sum(a * a for a in quat))
     if not (math.isfinite(length) and length > 1e-3):
         return math.nan

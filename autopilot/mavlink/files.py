@@ -1,4 +1,4 @@
-"""What clients may read: a few files in memory (metadata) and, under ``@MAV_LOG``, the logs."""
+"""Files that clients may read: metadata in memory and, under ``@MAV_LOG``, the logs."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -14,8 +14,6 @@ BLOCK_BYTES = 1 << 16
 
 
 class FolderEntry(NamedTuple):
-    """One line of a folder."""
-
     name: str
     size: int | None
     """Bytes, None for a folder."""
@@ -37,7 +35,7 @@ class OpenFile:
     _wanted: int = 0
 
     def data(self, tick: int, offset: int, size: int) -> bytes | None:
-        """``size`` bytes from ``offset``, fewer at the end only; None while the disk is being asked."""
+        """``size`` bytes from ``offset``, fewer at the end only; None while the read is pending."""
         if self.content is not None:
             return self.content[offset : offset + size]
         size = min(size, self.size - offset)
@@ -56,13 +54,11 @@ class OpenFile:
         return None
 
     def close(self) -> None:
-        """Nobody waits for the disk any more."""
         if self._task is not None:
             self._task.cancel()
             self._task = None
 
     def _take(self, tick: int) -> None:
-        """What the disk has given."""
         answer = None if self._task is None else self._task.poll(tick)
         if answer is None:
             return
@@ -81,7 +77,7 @@ def parts_of(path: str) -> tuple[str, ...] | None:
 def folder_entries(
     files: Mapping[str, bytes], logs: tuple[LogDirectoryEntry, ...], path: str
 ) -> list[FolderEntry] | None:
-    """What a folder holds, in a fixed order; None if there is none of that name."""
+    """Entries of a folder in a fixed order; None if it does not exist."""
     parts = parts_of(path)
     if parts is None:
         return None

@@ -1,4 +1,4 @@
-"""FLIGHT_INFORMATION: when this flight began."""
+"""FLIGHT_INFORMATION: start time of the flight."""
 
 from collections.abc import Mapping
 
@@ -34,8 +34,9 @@ class FlightInformation:
         self._armed = view.armed
 
     def flight_information(self) -> Message | None:
-        """FLIGHT_INFORMATION. All times count from the start of the service (the fields' UTC is a misnomer of
-        common.xml, which says so); 0 = not yet."""
+        """FLIGHT_INFORMATION. All times are since the start of the service (common.xml: the UTC in the fields' names
+        is a misnomer); 0 = not yet.
+        """
         return mav.MAVLink_flight_information_message(
             self._ctx.boot_ms,
             self._armed_us,

@@ -1,7 +1,4 @@
-"""Flight modes as ground stations know them: numbers, names and buttons, one row per mode.
-
-What a mode does is in :mod:`autopilot.command.modes`.
-"""
+"""MAVLink view of the flight modes: numbers and names, one row per mode. Behaviour: :mod:`autopilot.command.modes`."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -10,7 +7,7 @@ from types import MappingProxyType
 
 
 class FlightMode(IntEnum):
-    """What the vehicle can be told to do. Numbers are internal; a profile maps them to its custom_mode."""
+    """Flight modes. Numbers are internal; a profile maps them to its custom_mode."""
 
     HOLD = 0
     """Station keeping."""
@@ -32,7 +29,7 @@ class FlightMode(IntEnum):
     CIRCLE = 9
     """Round a place."""
     TAKEOFF = 10
-    """Down to a depth, then hold: what taking off is under water."""
+    """Dive to a depth, then hold: the take-off of an underwater vehicle."""
     SURFTRAK = 11
     """As ALT_HOLD, but the height over the floor is held."""
 
@@ -48,8 +45,6 @@ _AUTO = 4
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ModeRow:
-    """One mode on the wire."""
-
     label: str
     px4: int
     """custom_mode of px4_custom_mode.h."""
@@ -90,7 +85,7 @@ MODE_ROWS: Mapping[FlightMode, ModeRow] = MappingProxyType(
         FlightMode.SURFTRAK: ModeRow(label="Surftrak", px4=px4_mode(_AUTO, 11), ardusub=21, button=13, piloted=True),
     }
 )
-"""In the order in which operators are told of them."""
+"""In the order in which they are listed to operators."""
 
 PILOTED = frozenset(mode for mode, row in MODE_ROWS.items() if row.piloted)
 """Modes in which a pilot steers."""

@@ -1,8 +1,8 @@
 """MAVFTP: clients read metadata and logs. https://mavlink.io/en/services/ftp.html
 
-Nothing can be written. One file per client; a request that comes again (same number) gets the answer that it got. A
-burst sends no more than its link takes: so many packets per tick, none while the link's budget is used up, and after
-:data:`BURST_PACKETS` it waits for the client to ask on, so that one that has gone does not get a whole log.
+Read-only. One open file per client; a retransmitted request (same sequence number) gets the same answer. A burst is
+limited to a number of packets per tick, pauses while the link's budget is used up, and ends after
+:data:`BURST_PACKETS` until the client requests more, so that a client that has left is not sent a whole log.
 """
 
 import struct
@@ -25,9 +25,9 @@ from autopilot.mavlink.wire import Message
 PACKETS_PER_TICK = 16
 """Of a burst, per client: 380 kB/s."""
 BURST_PACKETS = 256
-"""A burst ends after so many packets (60 kB), and the client asks on."""
+"""Packets per burst (60 kB); the client requests the next one."""
 MAX_CLIENTS = 16
-"""Clients whose files are kept open; the oldest goes."""
+"""Clients whose files are kept open; beyond that the oldest is closed."""
 MAX_DATA = 239
 
 _HEADER = struct.Struct("<HBBBBBxI")
@@ -36,7 +36,7 @@ _PAYLOAD_BYTES = 251
 
 
 class Outlet(Protocol):
-    """The way to the clients: :class:`autopilot.mavlink.context.Context`, or a service that is starting."""
+    """Interface to the clients: :class:`autopilot.mavlink.context.Context`, or a service that is starting."""
 
     @property
     def t_us(self) -> int: ...
@@ -47,7 +47,7 @@ class Outlet(Protocol):
     def send(self, to: MavlinkPeer, message: Message) -> None: ...
 
     def has_room(self, link: int, share: float) -> bool:
-        """Whether a link can carry what is not urgent."""
+        """Whether a link can carry low-priority messages."""
         ...
 
 
@@ -73,7 +73,7 @@ class Op(IntEnum):
 
 
 class Error(IntEnum):
-    """Reasons of a NAK."""
+    """NAK error codes of MAVLink FTP (https://mavlink.io/en/services/ftp.html)."""
 
     FAIL = 1
     INVALID_SIZE = 3
@@ -91,7 +91,7 @@ _WRITING = frozenset(
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FtpPacket:
-    """A request as it came, or an answer on its way out."""
+    """A received request, or an answer to be sent."""
 
     seq: int
     session: int
@@ -102,7 +102,6 @@ class FtpPacket:
 
     @property
     def path(self) -> str:
-        """The data as a path."""
         return self.data.split(b"\0", 1)[0].decode("utf-8", errors="replace")
 
 
@@ -115,19 +114,17 @@ def request_of(payload: bytes) -> FtpPacket:
 
 @dataclass(slots=True)
 class _FtpClient:
-    """What is kept of one client."""
-
     file: OpenFile | None = None
     session: int = 0
-    """By which the client calls its file: what stood in the request that opened it."""
+    """Session id, taken from the client's open request."""
     answered: tuple[int, int, Message] | None = None
     """Number and opcode of the last request, and its answer."""
     waiting: FtpPacket | None = None
-    """What the disk is being asked for."""
+    """Request that waits for the disk."""
     listing: BackgroundTask[tuple[LogDirectoryEntry, ...]] | None = None
     crc: BackgroundTask[int] | None = None
     burst: FtpPacket | None = None
-    """The burst that goes on, at the offset and with the number of its next packet."""
+    """Active burst: offset and sequence number of its next packet."""
     burst_left: int = 0
     burst_asked: int = 0
     """The number of its request."""
@@ -140,7 +137,6 @@ class _FtpClient:
         self.waiting = self.listing = self.crc = self.burst = None
 
     def close(self) -> None:
-        """The file too."""
         self.stop()
         if self.file is not None:
             self.file.close()
@@ -148,8 +144,11 @@ class _FtpClient:
 
 
 class FileTransfer:
-    """The file transfer microservice. ``files``: those in memory, by name; ``shelf``: the logs, None without; ``made``:
-    those that are made when they are opened, by path, None = there is none of that name."""
+    """The file transfer microservice.
+
+    ``files``: files in memory, by name; ``shelf``: the log directory, None without; ``made``: files generated on
+    opening, by path, None = no such file.
+    """
 
     def __init__(
         self,
@@ -177,7 +176,7 @@ class FileTransfer:
         self._begin(peer, client, request)
 
     def tick(self) -> None:
-        """Answer what has waited for the disk, go on with bursts."""
+        """Answer requests whose disk access is done, continue bursts."""
         for peer, client in tuple(self._clients.items()):
             if peer.link not in self._ctx.links:
                 client.close()
@@ -192,7 +191,6 @@ class FileTransfer:
         return self._ctx.t_us // TICK_US
 
     def _begin(self, peer: MavlinkPeer, client: _FtpClient, request: FtpPacket) -> None:
-        """A request that is new."""
         match request.opcode:
             case Op.NONE:
                 self._ack(peer, client, request)
@@ -247,7 +245,7 @@ class FileTransfer:
             client.burst_asked, client.answered = request.seq, None
 
     def _go_on(self, peer: MavlinkPeer, client: _FtpClient, request: FtpPacket) -> None:
-        """What waits for the disk."""
+        """Serve a request that waits for the disk."""
         if request.opcode == Op.READ:
             self._go_on_read(peer, client, request)
         elif client.crc is not None:
@@ -311,7 +309,7 @@ class FileTransfer:
     def _answer_list(
         self, peer: MavlinkPeer, client: _FtpClient, request: FtpPacket, logs: tuple[LogDirectoryEntry, ...]
     ) -> None:
-        """The entries from the number that is asked for, as many as fit."""
+        """Entries from the requested index on, as many as fit."""
         entries = folder_entries(self._files, logs, request.path)
         if entries is None:
             self._nak(peer, client, request, Error.NOT_FOUND)
@@ -350,5 +348,5 @@ class FileTransfer:
 
 
 def _wanted(request: FtpPacket) -> int:
-    """How much a read wants at once; a client that says nothing takes what fits."""
+    """Bytes per read requested; by default as many as fit."""
     return min(request.size, MAX_DATA) or MAX_DATA

@@ -1,9 +1,9 @@
-"""Links that are slow or dear: https://mavlink.io/en/services/high_latency.html
+"""High latency links: https://mavlink.io/en/services/high_latency.html
 
-MAV_CMD_CONTROL_HIGH_LATENCY makes the link on which it comes such a one, and a common one again. While it is, the
-vehicle says no HEARTBEAT, no telemetry and no texts there but those of failsafes: HIGH_LATENCY2 stands for all of them,
-every few seconds. What a client asks for is answered as ever. A link that others use as well is not made silent, and
-somebody else who is heard on one ends it: he waits for a HEARTBEAT.
+MAV_CMD_CONTROL_HIGH_LATENCY switches the link on which it arrives. In high latency mode HEARTBEAT, telemetry and
+texts except those of failsafes are suppressed there and replaced by HIGH_LATENCY2 every few seconds; requests are
+answered as usual. A link with other peers is not switched, and a new peer on the link ends the mode, because it
+waits for a HEARTBEAT.
 """
 
 import math
@@ -26,9 +26,9 @@ from autopilot.mavlink.telemetry import SANE, Builder, NavigationMessages
 from autopilot.mavlink.wire import Message
 
 INTERVAL_US = 5_000_000
-"""HIGH_LATENCY2 goes out so often; SET_MESSAGE_INTERVAL changes it."""
+"""Interval of HIGH_LATENCY2; SET_MESSAGE_INTERVAL changes it."""
 OTHERS_US = 5_000_000
-"""Whoever has been silent for so long does not use a link."""
+"""Time without messages after which a client no longer uses a link."""
 MAX_ADDRESSES = 64
 
 _FLAGS: Mapping[Failsafe, int] = {
@@ -52,7 +52,7 @@ _DOUBTS: Mapping[NavDoubt, int] = {
 
 
 class HighLatency:
-    """Which links are such ones, and what is said there."""
+    """Set of links in high latency mode, and their HIGH_LATENCY2."""
 
     def __init__(
         self,
@@ -65,17 +65,17 @@ class HighLatency:
         self._ctx, self._streams, self._status = ctx, streams, status
         self._telemetry, self._progress = telemetry, progress
         self._heard_us: LatestUsed[Address, int] = LatestUsed(MAX_ADDRESSES)
-        """When clients were last heard."""
+        """Time of the last message of each client."""
         self._owners: dict[int, int] = {}
         """Client that made a link such a one."""
         self._climb_m_s = self._across_m = self._deep_m = 0.0
-        """Largest since the last message: HIGH_LATENCY2 asks for that."""
+        """Maxima since the last message, as HIGH_LATENCY2 specifies."""
 
     def builders(self) -> Mapping[int, Builder]:
         return {mav.MAVLINK_MSG_ID_HIGH_LATENCY2: self.high_latency2}
 
     def control(self, call: Call) -> Reply:
-        """CONTROL_HIGH_LATENCY: param1 1 = this link is one, 0 = it is not."""
+        """CONTROL_HIGH_LATENCY: param1 1 = enable, 0 = disable on this link."""
         link, wanted = call.peer.link, call.params[0]
         if wanted not in (0.0, 1.0):
             return denied(f"high latency: param1 = {wanted:g}, use 1 or 0")
@@ -118,7 +118,7 @@ class HighLatency:
         self._ctx.log(notices.HIGH_LATENCY_OVER(link=link))
 
     def tick(self) -> None:
-        """What is largest until it is told."""
+        """Update the maxima that are reported since the last message."""
         nav, motion = self._ctx.view.nav, self._telemetry.motion()
         if nav is None or motion is None:
             return
@@ -179,7 +179,7 @@ class HighLatency:
         )
 
     def _target_heading(self, heading: int) -> int:
-        """Of the end of what the controller predicts; as it is while nothing is controlled."""
+        """Heading at the end of the controller's prediction; the present one without control."""
         ahead = self._ctx.view.ahead
         yaw = math.nan if ahead is None else float(ahead[-1, YAW])
         return _half_deg(yaw) if math.isfinite(yaw) else heading

@@ -1,9 +1,8 @@
 """ArduPilot's convention that item 0 of a mission on the wire is the home position.
 
-It stays in the plan as an item that is not flown, so that all numbers are those of the file that the operator sees.
-Under the profile that has the convention item 0 always is home, and a mission that came by another way without it is
-numbered from 1 on the wire; under others it is home when it looks like that
-(:func:`autopilot.core.plan.begins_with_home`).
+The home item stays in the plan as an item that is not flown, so that all numbers equal those of the operator's
+file. With the ArduPilot profile item 0 always is home, and a mission stored without it is numbered from 1 on the
+wire. With other profiles item 0 is home when :func:`autopilot.core.plan.begins_with_home` holds.
 """
 
 from collections.abc import Sequence
@@ -31,7 +30,7 @@ def may_be(ctx: Context, kind: PlanKind, item: PlanItem) -> bool:
 
 
 def received(ctx: Context, kind: PlanKind, items: Sequence[PlanItem]) -> tuple[PlanItem, ...]:
-    """An upload as it is stored; home alone is no mission."""
+    """An upload as it is stored; an upload of home alone is an empty mission."""
     if not items or not may_be(ctx, kind, items[0]):
         return tuple(items)
     if not ctx.profile.home_is_item_0 and not begins_with_home(items):
@@ -40,7 +39,7 @@ def received(ctx: Context, kind: PlanKind, items: Sequence[PlanItem]) -> tuple[P
 
 
 def _in_water(ctx: Context, item: PlanItem) -> bool:
-    """Whether the vehicle may go to the item's altitude: then it is a waypoint."""
+    """Whether the item's altitude is within the vehicle's range, which makes it a waypoint."""
     depth_m = ctx.view.origin.alt_m - item.z
     return bool(ctx.params["DEPTH_MIN"] <= depth_m <= ctx.params["DEPTH_MAX"])
 

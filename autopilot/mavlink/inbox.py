@@ -1,9 +1,9 @@
-"""What clients have sent and what of it is handled when: fair between clients, bounded per tick, in each one's order.
+"""Receive queues: fair between clients, bounded per tick, in order per client.
 
-Every client (an address or connection of a link) has an inbox with a parser of its own, so that nobody's junk gets into
-another's messages. A tick has an allowance of work (:mod:`autopilot.mavlink.wire`), shared out in turns; what is left
-waits for the next tick in a bounded backlog, and who overfills it loses the rest and is named. Between ticks messages
-that are urgent and change nothing of the vehicle are handled at once, until one comes that is not.
+Every client (an address or connection of a link) has a queue and a parser of its own, so that corrupt bytes of one
+do not affect another. A tick has a work budget (:mod:`autopilot.mavlink.wire`), shared round-robin; the rest stays
+in a bounded backlog. Overflow is dropped and reported with the client's name. Between ticks urgent read-only
+messages are handled at once, up to the first message that is not.
 """
 
 from collections import deque
@@ -28,9 +28,9 @@ TICK_WORK = 1500
 SERVE_WORK = 500
 """Most that one client gets between two ticks: another 12 messages. All together get TICK_WORK."""
 FLOOD_AGAIN_US = 5_000_000
-"""A client that goes on flooding is named again after this time."""
+"""Interval at which a flooding client is reported again."""
 MAX_INBOXES = 64
-"""Clients that are remembered; the one silent for longest goes."""
+"""Clients that are remembered; beyond that the one silent for longest is dropped."""
 
 Address = tuple[int, int]
 """Link and client."""
@@ -39,12 +39,12 @@ Handle = Callable[[Address, Message], None]
 
 @dataclass(slots=True)
 class Inbox:
-    """One client's."""
+    """Queue of one client."""
 
     address: Address
     parser: LinkParser
     sender: str = ""
-    """What operators call the client."""
+    """Name of the client in messages to operators."""
     reach: Reach = Reach.NETWORK
     head: Message | None = None
     """A message that has been cut out and not been handled."""
@@ -55,12 +55,12 @@ class Inbox:
     waiting: bool = False
     """Whether it has asked for a turn."""
     reported: int = 0
-    """Lost bytes that operators have been told of."""
+    """Lost bytes reported to operators."""
     reported_us: int | None = None
     """When."""
 
     def next(self, work: Work) -> Message | None:
-        """The next message in order, None when there is none, or no work left to find it."""
+        """The next message in order, None when the queue or the work budget is exhausted."""
         if self.head is None:
             self.head = self.parser.take(work)
         return self.head
@@ -85,7 +85,7 @@ class MessageInbox:
     heavy: Container[int]
     handle: Handle
     admits: Callable[[bytes, Reach], bool] = lambda frame, reach: True
-    """Whether a good frame from so far away is heard."""
+    """Whether valid frames are accepted from that distance."""
     heard: Callable[[Address, bytes], None] = lambda address, frame: None
     """Every good frame that is."""
     _inboxes: LatestUsed[Address, Inbox] = field(init=False)
@@ -115,7 +115,6 @@ class MessageInbox:
         return inbox
 
     def __contains__(self, address: Address) -> bool:
-        """Whether a client is remembered."""
         return address in self._inboxes
 
     def reach(self, address: Address) -> Reach:
@@ -150,7 +149,7 @@ class MessageInbox:
         self._turns.extend(later)
 
     def serve(self, inbox: Inbox, urgent: Callable[[Address, Message], bool]) -> None:
-        """Between ticks: what is urgent, until something comes that is not."""
+        """Between ticks: handle urgent messages, up to the first that is not."""
         work = Work(min(SERVE_WORK - inbox.served, TICK_WORK - self._served))
         given = work.left
         while work.left > 0 and (message := inbox.next(work)) is not None and urgent(inbox.address, message):

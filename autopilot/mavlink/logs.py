@@ -1,7 +1,7 @@
 """Log download: LOG_REQUEST_LIST, LOG_REQUEST_DATA, LOG_ERASE, LOG_REQUEST_END of common.xml.
 
-Logs have numbers only: those of the list that the client was given last (from 1 under the ArduPilot profile, from 0
-else, as ground stations expect). Times and sizes are those of the files. One piece at a time is sent to a client.
+Logs are numbered as in the last list sent to the client (from 1 under the ArduPilot profile, else from 0, as ground
+stations expect). Times and sizes are those of the files. One request per client is served at a time.
 """
 
 from dataclasses import dataclass
@@ -23,18 +23,16 @@ PACKETS_PER_TICK = 32
 """Of a log, per client: 280 kB/s."""
 ENTRIES_PER_TICK = 4
 MAX_CLIENTS = 16
-"""Clients whose lists are kept; the oldest goes."""
+"""Clients whose lists are kept; beyond that the oldest is dropped."""
 
 _LOG = ".mcap"
-"""Files that have a number; what stands beside them goes by MAVFTP."""
+"""Numbered files; their companions are available by MAVFTP."""
 
 
 @dataclass(slots=True)
 class _LogClient:
-    """What is kept of one client."""
-
     logs: tuple[LogDirectoryEntry, ...] | None = None
-    """The list by which it knows numbers, None before it has asked."""
+    """The list that defines the client's numbers, None before its first request."""
     listing: BackgroundTask[tuple[LogDirectoryEntry, ...]] | None = None
     entries: range = range(0)
     """Numbers of the entries that are still to be sent."""
@@ -43,7 +41,6 @@ class _LogClient:
     file: OpenFile | None = None
 
     def stop(self) -> None:
-        """Nothing is sent any more."""
         self.entries, self.wanted = range(0), None
         if self.listing is not None:
             self.listing.cancel()
@@ -81,11 +78,10 @@ class LogDownload:
             client.listing = self._shelf.list(self._tick)  # numbers from before a restart, or of another link
 
     def on_request_end(self, peer: MavlinkPeer) -> None:
-        """LOG_REQUEST_END: nothing more."""
         self._clients.touch(peer, _LogClient).stop()
 
     def on_erase(self, peer: MavlinkPeer) -> None:
-        """LOG_ERASE: all flights that are finished, of a vehicle that is disarmed. The outcome comes as text."""
+        """LOG_ERASE: deletes all finished logs of a disarmed vehicle. The result is sent as text."""
         ctx = self._ctx
         if ctx.view.armed:
             ctx.say(notices.LOGS_ARMED(), peer)
@@ -121,7 +117,7 @@ class LogDownload:
         last = self._first + len(client.logs) - 1
         wanted = client.entries
         if not client.logs and wanted:
-            client.entries = range(-1, 0)  # the one entry that says that there are none
+            client.entries = range(-1, 0)  # the single entry that means an empty list
         else:
             client.entries = range(max(wanted.start, self._first), min(wanted.stop, last + 1))
 

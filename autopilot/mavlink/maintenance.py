@@ -1,4 +1,4 @@
-"""Commands for a vehicle that does not fly: storage, restart, calibration; and what is done in another way here."""
+"""Maintenance commands (storage, reboot, calibration), and hints for those that are not supported."""
 
 import math
 from collections.abc import Mapping
@@ -24,12 +24,10 @@ ELSEWHERE: Mapping[int, str] = {
     mav.MAV_CMD_DO_SET_ROI_NONE: _AS_ITEM,
     mav.MAV_CMD_DO_SET_ROI: _AS_ITEM,
 }
-"""Commands that clients offer and that are not supported: the way that there is."""
+"""Unsupported commands that clients offer -> the supported alternative."""
 
 
 class Maintenance:
-    """Translates them."""
-
     def __init__(self, ctx: Context, parameters: Parameters) -> None:
         self._ctx, self._parameters = ctx, parameters
 
@@ -48,8 +46,9 @@ class Maintenance:
         }
 
     def test_motor(self, call: Call) -> Reply:
-        """DO_MOTOR_TEST: param1 motor from 1, param2 0 = param3 is percent (50 stands, as ArduSub has it), 1 = a pulse
-        [us], param4 seconds. One motor at a time, in whatever order (param5, param6)."""
+        """DO_MOTOR_TEST: param1 motor from 1, param2 0 = param3 is percent (50 = stop, as in ArduSub), 1 = a pulse
+        [us], param4 seconds. One motor at a time, in any order (param5, param6).
+        """
         number, kind, value, seconds = call.whole(1), call.whole(2), call.params[2], call.param(4)
         if number is None or number < 1 or not math.isfinite(value) or not 0.0 <= seconds < math.inf:
             return denied(f"Motor test denied: motor {call.param(1):g}, value {value:g}, {seconds:g} s")
@@ -66,8 +65,9 @@ class Maintenance:
         return Reply(self._ctx.vehicle.test_motor(test))
 
     def storage(self, call: Call) -> Reply:
-        """PREFLIGHT_STORAGE: parameters are written when they are set, so reading and writing are done; 2 and 4 set all
-        to their defaults. What it says of plans and logs is not offered."""
+        """PREFLIGHT_STORAGE: parameters are saved when they are set, so that read and write have no effect; 2 and 4
+        reset all to their defaults. Plans and logs are not supported.
+        """
         what = call.whole(1)
         if what == _RESET_SENSORS:
             return denied("storage: calibration is in the vehicle file, see `autopilot calibrate`")
@@ -83,7 +83,7 @@ class Maintenance:
         return Reply(ACCEPTED)
 
     def reboot(self, call: Call) -> Reply:
-        """PREFLIGHT_REBOOT_SHUTDOWN: 1 begins the service anew, 2 ends it."""
+        """PREFLIGHT_REBOOT_SHUTDOWN: 1 restarts the service, 2 shuts it down."""
         what = call.whole(1)
         if what == _NOTHING:
             return Reply(ACCEPTED)
@@ -97,8 +97,9 @@ class Maintenance:
         return Reply(answer)
 
     def calibrate(self, call: Call) -> Reply:
-        """PREFLIGHT_CALIBRATION: sensors come calibrated or are calibrated from logs; nothing runs that all zeros could
-        end."""
+        """PREFLIGHT_CALIBRATION: not supported, sensors are calibrated from logs; all zeros (cancel) has nothing to
+        cancel.
+        """
         wanted = [*call.params, call.x, call.y, call.z]
         if not any(value and value == value for value in wanted):
             return Reply(ACCEPTED)

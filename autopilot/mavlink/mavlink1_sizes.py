@@ -1,4 +1,4 @@
-"""Payload sizes of MAVLink 1 by message id: MAVLink 2 without extension fields; a test holds them to pymavlink."""
+"""MAVLink 1 payload sizes by message id (without extension fields); checked against pymavlink by a test."""
 
 MAVLINK1_SIZES = {
     0: 9, 1: 31, 2: 12, 4: 14, 5: 28, 6: 3, 7: 32, 11: 6, 20: 20, 21: 2, 22: 25, 23: 23, 24: 30, 25: 101,

@@ -1,7 +1,7 @@
-"""Files that tell a ground station what this vehicle's parameters are: general.json, parameters.json, packed by xz.
+"""Component metadata: general.json and parameters.json, xz-compressed.
 
-https://mavlink.io/en/services/component_metadata.html; the checksum is that of the file as it is downloaded. They are
-made once, so that they do not change while a ground station keeps them by their checksum.
+https://mavlink.io/en/services/component_metadata.html; the CRC is that of the file as it is downloaded. The files
+are made once, so that they stay equal to a ground station's cached copy.
 """
 
 import json

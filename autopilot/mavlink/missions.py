@@ -1,11 +1,10 @@
 """Mission protocol for the three plan types: upload, download, clear. https://mavlink.io/en/services/mission.html
 
-An upload is atomic: items are collected aside and the plan in force changes only when the last one has come and the
-whole plan has been accepted. The store checks it beside the loop; the final answer goes out when it has and the
-plan is on disk (where plans are kept), and nothing else is begun until then. A client gives up 1.5 s after its last
-item: while a check takes longer that item is asked for again, which tells it that somebody is at work. One upload at
-a time; a second client is DENIED and the first goes on. Downloads read a snapshot, so that a plan that changes
-meanwhile cannot mix.
+An upload is atomic: items are buffered, and the plan in force changes only when the last one has arrived and the
+whole plan has been accepted. The store checks it in the background; MISSION_ACK is sent when the check is done and
+the plan is on disk (if plans are stored), and no other transfer starts until then. Clients time out 1.5 s after
+their last item, so that during a longer check the last item is requested again as a keep-alive. One upload at a
+time; a second client is DENIED. Downloads read a snapshot, so that a plan that changes meanwhile cannot mix.
 """
 
 from dataclasses import dataclass, field
@@ -21,27 +20,28 @@ from autopilot.mavlink.recent_keys import RecentKeys
 from autopilot.mavlink.wire import Message
 
 RETRY_US = 300_000
-"""An item that does not come is asked for again (clients wait 250 ms to 1.5 s)."""
+"""Timeout after which an item is requested again (clients wait 250 ms to 1.5 s)."""
 WORKING_US = 500_000
-"""While a plan is checked its last item is asked for so often."""
+"""Interval at which the last item is requested while a plan is being checked."""
 GIVE_UP_US = 8_000_000
 """An upload without progress ends (ArduPilot's time)."""
 MAX_WRONG_ITEMS = 20
-"""So many items out of turn between two good ones end an upload: the client does not listen."""
+"""Consecutive items out of sequence that end an upload: the client ignores requests."""
 DUPLICATE_US = 250_000
 """The same MISSION_COUNT datagram again within this time is a duplicate made by the network, later it is a restart."""
 DOWNLOAD_US = 10_000_000
-"""A download's snapshot is kept so long after the client's last request."""
+"""Time for which a download's snapshot is kept after the client's last request."""
 REPEAT_US = 5_000_000
-"""The final answer to an upload is repeated so long when the client sends its last item again."""
+"""Time for which MISSION_ACK is repeated when the client sends its last item again."""
 REPEAT_PAUSE_US = 200_000
 """But not more often than this: a duplicated datagram is not a repetition."""
 SLOW_DISK_US = 1_000_000
-"""A plan in force waits so long for the disk before it is called accepted (a client's last retry comes after 1.5 s)."""
+"""Maximum wait of a plan in force for the disk before it is acknowledged (a client's last retry comes after 1.5 s)."""
 FENCE_AFTER_US = 2_000_000
-"""Ground stations send the fence behind its mission: one that has not begun so long after the last transfer is none."""
+"""Ground stations send the fence after its mission: one that has not begun this long after the last transfer is
+missing."""
 MAX_DOWNLOADS = 16
-"""Snapshots kept at once; the oldest goes."""
+"""Snapshots kept at once; beyond that the oldest is dropped."""
 
 _KINDS = {int(kind): kind for kind in PlanKind}
 CLEAR_ORDER = (PlanKind.MISSION, PlanKind.FENCE, PlanKind.RALLY)
@@ -63,7 +63,7 @@ class Upload:
 
 @dataclass(slots=True)
 class Checking:
-    """What waits for the plan store's answer."""
+    """A plan check that is pending."""
 
     peer: MavlinkPeer
     change: PlanChange
@@ -72,13 +72,11 @@ class Checking:
     upload: Upload | None
     """None = these plans are cleared."""
     taken_us: int | None = None
-    """Since when the plans are in force and on their way to the disk."""
+    """Time since which the plans are in force and being written to the disk."""
 
 
 @dataclass(slots=True)
 class Finished:
-    """The last upload's outcome."""
-
     peer: MavlinkPeer
     kind: PlanKind
     count: int
@@ -105,11 +103,11 @@ class Missions:
         self._downloads: LatestUsed[tuple[MavlinkPeer, PlanKind], Download] = LatestUsed(MAX_DOWNLOADS)
         self._counts: RecentKeys[tuple[MavlinkPeer, int, int]] = RecentKeys(DUPLICATE_US * ctx.patience)
         self.current_wire_seq = 0
-        """What downloads mark as current."""
+        """Item that downloads mark as current."""
         self.revision = 0
         """Grows with every plan that is taken."""
         self._fence_due_us: int | None = None
-        """When it is looked whether a mission has come without its fence; None = it has been."""
+        """Time of the check for a mission without a fence; None = done."""
 
     @property
     def uploading(self) -> bool:
@@ -195,7 +193,7 @@ class Missions:
             self._ctx.say(notices.REFUSED(reason=reason), peer)
 
     def _item_out_of_turn(self, upload: Upload, msg: Message) -> None:
-        """A repeated item is passed over; one from the future makes us ask again for the one that is due."""
+        """A repeated item is ignored; after a skipped one the missing item is requested again."""
         if msg.mission_type == upload.kind and msg.seq < len(upload.items):
             return
         upload.wrong += 1
@@ -209,7 +207,7 @@ class Missions:
             self._ask(upload)
 
     def _unasked_item(self, peer: MavlinkPeer, msg: Message) -> None:
-        """An item outside an upload: late (repeat the answer, if there is one yet), or nobody asked for it."""
+        """An item outside an upload: a late one (repeat the answer, if there is one yet), or unrequested."""
         if self._checking is not None and self._checking.peer == peer:
             return
         done, now_us = self._finished, self._ctx.t_us
@@ -241,14 +239,15 @@ class Missions:
     def _check(
         self, peer: MavlinkPeer, plans: dict[PlanKind, tuple[PlanItem, ...]], mission_type: int, upload: Upload | None
     ) -> None:
-        """Ask the store to take plans, and pass its answer on when it comes."""
+        """Submit plans to the store and forward its result."""
         change = self._ctx.plans.propose(plans)
         self._checking = Checking(peer, change, tuple(plans), mission_type, upload)
         self.answer()
 
     def _give_up_check(self) -> None:
-        """The client begins something else. What is in force by now (and not on disk yet) is told by text: an
-        acknowledgement would be taken for that of what begins."""
+        """The client starts another transfer. The plan in force by now (not on disk yet) is reported by text: a
+        MISSION_ACK would be taken for that of the new transfer.
+        """
         checking, self._checking = self._checking, None
         if checking is None:
             return
@@ -264,8 +263,9 @@ class Missions:
         self._ctx.say(notices.PLAN_ACCEPTED(kind=kind.name.capitalize(), count=len(items), home=home))
 
     def answer(self) -> None:
-        """Pass the store's answer on, if it is there: before anything else is heard, for what is in force is not given
-        up any more."""
+        """Forward the store's result, if there is one, before other messages are handled: a plan in force is not
+        revoked.
+        """
         checking = self._checking
         if checking is None or not checking.change.done:
             return
@@ -292,9 +292,8 @@ class Missions:
                 ctx.say(notices.PLAN_NOT_CLEARED(names=names, reason=refusal.reason), checking.peer)
 
     def _on_disk(self, checking: Checking) -> bool:
-        """Whether accepting can be said: nothing that was accepted is to be lost with the power.
-
-        A disk that does not answer is spoken of, for the plans are in force.
+        """Whether acceptance can be acknowledged: an accepted plan must survive a power cut. A disk that does not
+        answer is reported, for the plans are in force.
         """
         ctx = self._ctx
         if ctx.plans.kept:
@@ -321,7 +320,7 @@ class Missions:
             self._ctx.say(text, upload.peer)
 
     def _denied(self, peer: MavlinkPeer, kind: PlanKind) -> bool:
-        """Whether another client's open upload keeps this one out; it is told so."""
+        """Whether another client's open upload blocks this one; answers it with DENIED."""
         open_ = self._upload or self._checking
         if open_ is None or open_.peer == peer:
             return False
@@ -331,7 +330,7 @@ class Missions:
         return True
 
     def _ack(self, peer: MavlinkPeer, result: MissionResult, mission_type: int, plan_id: int = 0) -> None:
-        """``plan_id``: opaque id of what is in force now, of an upload that was taken."""
+        """``plan_id``: opaque id of the plan in force, after an accepted upload."""
         ack = extra.MAVLink_mission_ack_message(peer.sysid, peer.compid, int(result), int(mission_type), plan_id)
         self._ctx.send(peer, ack)
 
@@ -350,7 +349,7 @@ class Missions:
             return
         checking = self._checking
         if checking is not None and checking.upload is None and checking.mission_type == msg.mission_type:
-            return  # sent again while it is looked at
+            return  # retransmitted while the check is pending
         self._give_up_check()
         self._upload = None
         self._check(peer, dict.fromkeys(kinds, ()), msg.mission_type, None)
@@ -358,7 +357,7 @@ class Missions:
     # Download
 
     def on_request_list(self, peer: MavlinkPeer, msg: Message) -> None:
-        """MISSION_REQUEST_LIST: how many items, and a snapshot for what follows."""
+        """MISSION_REQUEST_LIST: send the count and take a snapshot for the download."""
         kind = _KINDS.get(msg.mission_type)
         if kind is None:
             self._ack(peer, MissionResult.UNSUPPORTED, msg.mission_type)
@@ -415,7 +414,7 @@ class Missions:
         return self._ctx.t_us + round(FENCE_AFTER_US * self._ctx.patience)
 
     def _miss_fence(self) -> None:
-        """A mission without a fence is told, once its fence would have come."""
+        """Warn of a mission without a fence, after the time in which its fence would have followed."""
         due_us, ctx = self._fence_due_us, self._ctx
         if due_us is None:
             return

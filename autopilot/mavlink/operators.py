@@ -1,8 +1,8 @@
-"""Operator control: one ground station that has asked for it commands, others look on.
+"""Operator control: one ground station owns control after requesting it; others are read-only.
 
-MAV_CMD_REQUEST_OPERATOR_CONTROL and CONTROL_STATUS of development.xml, single-owner mode. Nobody is in control until
-one asks; then whoever else wants to change something is refused (NOT_IN_CONTROL, DENIED, or a text). Reading goes on.
-A ground station is known by its system id: only signing makes that more than a name.
+MAV_CMD_REQUEST_OPERATOR_CONTROL and CONTROL_STATUS of development.xml, single-owner mode. Without an owner every
+station may command; with one, changes by others are refused (NOT_IN_CONTROL, DENIED, or a text). A ground station
+is identified by its system id, which only signing authenticates.
 """
 
 from collections.abc import Callable, Iterable, Mapping
@@ -46,14 +46,14 @@ OPEN = frozenset(
         mav.MAVLINK_MSG_ID_OBSTACLE_DISTANCE,
     )
 )
-"""Messages that are heard of everybody: reading, rates, time, what others measure. Commands are judged one by one. All
-others, also those that nobody has thought of here, are for the one in control."""
+"""Messages accepted from everybody: reading, rates, time, measurements of others. Commands are checked one by one.
+All others, unknown ones included, are reserved to the owner."""
 GRAVE = frozenset((mav.MAVLINK_MSG_ID_LOG_ERASE, mav.MAVLINK_MSG_ID_SETUP_SIGNING))
-"""Messages that do what nobody can take back. All clients are told who it was."""
+"""Irreversible messages. All clients are informed of the sender."""
 GRAVE_COMMANDS = frozenset((mav.MAV_CMD_PREFLIGHT_REBOOT_SHUTDOWN, mav.MAV_CMD_PREFLIGHT_STORAGE))
 """The same of commands."""
 GUARD = "MAV_CTRL_NEEDED"
-"""Parameter: whether what is grave needs control, also while nobody has it. It guards itself."""
+"""Parameter: whether irreversible changes need an owner, also while there is none. It guards itself."""
 _PLAN = frozenset(
     (
         mav.MAVLINK_MSG_ID_MISSION_COUNT,
@@ -70,26 +70,26 @@ _LEAST_S, _MOST_S = 3.0, 60.0
 
 
 class Operators:
-    """Who is in control."""
+    """Arbitrates which ground station is in control."""
 
     def __init__(self, ctx: Context, value: Callable[[str], Message | None]) -> None:
-        """``value``: PARAM_VALUE of a parameter, None if there is none of that name."""
+        """``value``: PARAM_VALUE of a parameter, None if it does not exist."""
         self._ctx = ctx
         self._value = value
         self._owner: MavlinkPeer | None = None
-        """Where the one in control was heard last."""
+        """Last address of the owner."""
         self._takeover = False
         self._heard_us = 0
         self._shown: tuple[int, bool] | None = None
 
     @property
     def in_control(self) -> int:
-        """System id, 0 = nobody."""
+        """MAVLink system id, 0 = none."""
         return 0 if self._owner is None else self._owner.sysid
 
     @property
     def owner(self) -> MavlinkPeer | None:
-        """Where the one in control was heard last, None = nobody is in control."""
+        """Last address of the owner, None = no owner."""
         return self._owner
 
     def status(self) -> Message:
@@ -103,7 +103,7 @@ class Operators:
             self._owner, self._heard_us = peer, self._ctx.t_us
 
     def tick(self) -> None:
-        """Who is away is not in control; a change is told at once."""
+        """Release control of an owner that has timed out; changes are reported at once."""
         ctx = self._ctx
         if self._owner is not None:
             age_s = (ctx.t_us - self._heard_us) * 1e-6
@@ -119,7 +119,9 @@ class Operators:
         return self._owner is not None and peer.sysid != self._owner.sysid
 
     def refusal(self, peer: MavlinkPeer, *, grave: bool) -> str:
-        """Why somebody may not change anything, or nothing ``grave``, now; "" = he may."""
+        """Why this peer may not make changes now, "" = allowed. ``grave``: a change that needs an owner if the
+        parameter GUARD is set.
+        """
         if self.keeps_out(peer):
             return self.reason
         if grave and self._owner is None and self._ctx.params[GUARD] > 0.0:
@@ -127,7 +129,7 @@ class Operators:
         return ""
 
     def refused(self, peer: MavlinkPeer, msg: Message) -> bool:
-        """Whether a message that is not a command is for the one in control only; its sender is told."""
+        """Whether a message other than a command is reserved to the owner; its sender is notified."""
         kind = msg.get_msgId()
         if kind in OPEN:
             return False
@@ -154,11 +156,10 @@ class Operators:
 
     @property
     def reason(self) -> str:
-        """Of a refusal."""
         return f"Refused: system {self.in_control} is in control"
 
     def request(self, call: Call) -> Reply:
-        """REQUEST_OPERATOR_CONTROL: param1 1 = take, 0 = give back; param2 1 = others may take it; param4 who asks."""
+        """REQUEST_OPERATOR_CONTROL: param1 1 = request, 0 = release; param2 1 = allow takeover; param4 requester."""
         action, named = call.whole(1), call.whole(4) or 0
         if action not in (0, 1) or named not in (0, call.peer.sysid):
             return denied("operator control: param1 1 = take, 0 = release; for your own system id")
@@ -181,7 +182,7 @@ class Operators:
         return Reply(ACCEPTED)
 
     def _ask_owner(self, call: Call) -> None:
-        """The request goes to the one in control, as the same command."""
+        """Forward the request to the owner, as the same command."""
         owner = self._owner
         assert owner is not None
         timeout_s = min(max(call.param(3), _LEAST_S), _MOST_S)
@@ -193,14 +194,14 @@ class Operators:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Rights:
-    """Names of messages and commands by who may send them."""
+    """Names of messages and commands by permitted senders."""
 
     anyone: tuple[tuple[str, ...], tuple[str, ...]]
     """Always: messages, commands."""
     control: tuple[tuple[str, ...], tuple[str, ...]]
-    """Anyone while nobody is in control, else he alone."""
+    """Anyone while there is no owner, else the owner only."""
     grave: tuple[tuple[str, ...], tuple[str, ...]]
-    """The same; with MAV_CTRL_NEEDED nobody while nobody is in control."""
+    """The same; with MAV_CTRL_NEEDED the owner only."""
 
 
 def rights(messages: Iterable[int], commands: Mapping[int, CommandRow]) -> Rights:

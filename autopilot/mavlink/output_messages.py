@@ -1,4 +1,4 @@
-"""What a pilot's display shows: his gain, lights, turns of the tether, and the pulse of every output."""
+"""Messages for a pilot's display: gain, lights, tether turns, and the pulse of every output."""
 
 import math
 from collections.abc import Callable, Mapping
@@ -54,7 +54,7 @@ class OutputMessages:
         return pulses if equipment is None else {**pulses, **equipment.pulses_us()}
 
     def servo_output_raw(self) -> tuple[Message, ...]:
-        """SERVO_OUTPUT_RAW: the pulses of thrusters and of what the vehicle carries; 0 = no such output."""
+        """SERVO_OUTPUT_RAW: pulses of thrusters and payload outputs [us]; 0 = no such output."""
         pulses = self._pulses_us()
         t_us = self._ctx.t_us & 0xFFFF_FFFF
         return tuple(
@@ -65,7 +65,7 @@ class OutputMessages:
         )
 
     def actuator_output_status(self) -> Message | None:
-        """ACTUATOR_OUTPUT_STATUS: the same pulses; a bit for each output that there is."""
+        """ACTUATOR_OUTPUT_STATUS: the same pulses, with a bit for each existing output."""
         pulses = self._pulses_us()
         if not pulses:
             return None
@@ -74,8 +74,9 @@ class OutputMessages:
         return mav.MAVLink_actuator_output_status_message(self._ctx.t_us, active, widths)
 
     def named_values(self) -> tuple[Message, ...]:
-        """NAMED_VALUE_FLOAT as ArduSub names them and QGroundControl's panel for submarines shows them; of what there
-        is not, a camera that tilts, say, nothing is sent."""
+        """NAMED_VALUE_FLOAT with ArduSub's names, as QGroundControl's submarine panel shows them; missing equipment
+        (a camera tilt, for example) is left out.
+        """
         values = {"PilotGain": self._gain()}
         if self._equipment is not None:
             shares = self._equipment.light_shares()[:LIGHTS]

@@ -1,4 +1,4 @@
-"""Parameter protocol: list, read, set. Integers travel as the profile says (bytewise union or C cast)."""
+"""Parameter protocol: list, read, set. Integers are encoded as the profile requires (bytewise union or C cast)."""
 
 import struct
 from dataclasses import dataclass
@@ -23,7 +23,7 @@ MAX_LISTS = 8
 """Clients that read the list at the same time; one more has to ask again."""
 
 SLOW_DISK_US = 3_000_000
-"""A parameter that is so long on its way to the disk is spoken of."""
+"""Delay after which a parameter still not on disk is reported."""
 
 HASH_CHECK = "_HASH_CHECK"
 """PX4's cache check, asked by QGroundControl: it need not download what it has. A client that has it sets this back."""
@@ -42,7 +42,6 @@ _TYPE_MISMATCH = 7
 
 
 def encode(value: float, kind: ParamType, encoding: ParamEncoding) -> float:
-    """A value as it stands in param_value."""
     if kind is ParamType.INT32 and encoding is ParamEncoding.BYTEWISE:
         (as_float,) = struct.unpack("<f", struct.pack("<i", int(value)))
         return float(as_float)
@@ -50,7 +49,6 @@ def encode(value: float, kind: ParamType, encoding: ParamEncoding) -> float:
 
 
 def decode(param_value: float, kind: ParamType, encoding: ParamEncoding) -> float:
-    """A value out of param_value."""
     if kind is ParamType.INT32 and encoding is ParamEncoding.BYTEWISE:
         (as_int,) = struct.unpack("<i", struct.pack("<f", param_value))
         return float(as_int)
@@ -59,7 +57,7 @@ def decode(param_value: float, kind: ParamType, encoding: ParamEncoding) -> floa
 
 @dataclass(slots=True, kw_only=True)
 class _ParameterWrite:
-    """A parameter on its way to the disk."""
+    """A parameter being written to the disk."""
 
     number: int
     since_us: int
@@ -74,9 +72,9 @@ class Parameters:
         self._index = {name: i for i, name in enumerate(self._names)}
         self._lists: dict[MavlinkPeer, int] = {}
         self._saving: dict[str, _ParameterWrite] = {}
-        """Parameters that are being kept; they are told when they are."""
+        """Parameters being saved; reported when they are."""
         self._unsaved = False
-        """Whether the operator believes that something is lost at restart."""
+        """Whether a loss at the next restart has been reported to the operator."""
 
     @property
     def specs(self) -> tuple[ParamSpec, ...]:
@@ -87,11 +85,10 @@ class Parameters:
         return self._stubs[name] if name in self._stubs else self._ctx.params.spec(name)
 
     def _now(self, name: str) -> float:
-        """The value in force."""
         return self._stubs[name].default if name in self._stubs else self._ctx.params[name]
 
     def hash(self) -> int:
-        """What _HASH_CHECK compares: names and values of all, as PX4 and QGroundControl sum them up."""
+        """_HASH_CHECK: hash over names and values, as PX4 and QGroundControl compute it."""
         crc = 0
         for name in self._names:
             whole = self._spec(name).type is ParamType.INT32
@@ -100,8 +97,9 @@ class Parameters:
         return crc
 
     def packed_file(self, path: str) -> bytes | None:
-        """``@PARAM/param.pck`` for who asks for it, where integers are numbers (ardusub): clients that have read it
-        set all parameters as floats. MAVProxy and QGroundControl ask for ``?withdefaults=1``."""
+        """``@PARAM/param.pck`` for profiles whose integers are C casts (ardusub): clients that have read it set all
+        parameters as floats. MAVProxy and QGroundControl request ``?withdefaults=1``.
+        """
         folder, _, file = path.partition("/")
         name, _, wishes = file.partition("?")
         if folder != "@PARAM" or name != PACKED_FILE or self._ctx.profile.param_encoding is ParamEncoding.BYTEWISE:
@@ -137,7 +135,7 @@ class Parameters:
         )
 
     def on_request_list(self, peer: MavlinkPeer) -> None:
-        """PARAM_REQUEST_LIST: the list goes out over the next ticks."""
+        """PARAM_REQUEST_LIST: the list is sent over the next ticks."""
         if peer in self._lists or len(self._lists) < MAX_LISTS:
             self._lists[peer] = 0
 
@@ -162,7 +160,7 @@ class Parameters:
         self._ctx.send(peer, self.value(name))
 
     def on_set(self, peer: MavlinkPeer, msg: Message) -> None:
-        """PARAM_SET: the value in force goes to everyone once it is on disk, a refusal at once and with its reason."""
+        """PARAM_SET: the value is broadcast once it is on disk, a refusal at once with its reason."""
         ctx, name = self._ctx, msg.param_id
         if name == HASH_CHECK:
             self._lists.pop(peer, None)  # the client has found its own list to be this one
@@ -188,8 +186,9 @@ class Parameters:
             self._saving[name] = _ParameterWrite(number=number, since_us=ctx.t_us)
 
     def reset(self) -> int:
-        """Every parameter to its default, saved; how many have changed. Those that are judged together go round until
-        none is refused for what the others still are."""
+        """Set every parameter to its default and save; returns the number changed. Parameters with joint checks are
+        repeated until none is refused because of another's old value.
+        """
         ctx = self._ctx
         changed = [name for name in ctx.params if ctx.params[name] != ctx.params.spec(name).default]
         left = changed
@@ -223,7 +222,6 @@ class Parameters:
         return bool(wire_type == (_INT32 if spec.type is ParamType.INT32 else _REAL32))
 
     def _change(self, peer: MavlinkPeer, name: str, value: float) -> bool:
-        """False = refused."""
         ctx = self._ctx
         before = ctx.params[name]
         try:
@@ -245,7 +243,7 @@ class Parameters:
         )
 
     def _report_saved(self) -> None:
-        """The values that are on disk now go to everyone, also those of which the operator hears that they are not."""
+        """Broadcast the values saved, and those whose saving failed."""
         ctx = self._ctx
         saved = None if ctx.saving is None else ctx.saving.saved(ctx.t_us // TICK_US)
         if saved is not None:
@@ -265,7 +263,7 @@ class Parameters:
                 ctx.say(notices.PARAMETER_NOT_ON_DISK(name=name))
 
     def tick(self) -> None:
-        """Tell what has been kept, go on with lists that were asked for."""
+        """Report saved values, continue requested lists."""
         self._report_saved()
         if not self._lists:
             return

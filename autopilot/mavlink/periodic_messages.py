@@ -1,4 +1,4 @@
-"""What the vehicle says unasked: who it is, that it is there, where home is, and who is not being heard."""
+"""Periodic messages: identity, HEARTBEAT, home, and notices about ignored clients."""
 
 from collections import deque
 from dataclasses import replace
@@ -14,19 +14,19 @@ from autopilot.mavlink.status import StatusMessages
 from autopilot.mavlink.telemetry import NavigationMessages
 
 FLOOD_SAY_US = 1_000_000
-"""Operators hear of floods no more often than this, however many clients take part."""
+"""Minimum interval between reports of floods, over all clients."""
 REFUSALS_SAY_US = 10_000_000
-"""Frames that were not believed are told of this often."""
+"""Interval of reports of rejected frames."""
 HEARTBEAT_US = 1_000_000
 """HEARTBEAT at 1 Hz (https://mavlink.io/en/services/heartbeat.html)."""
 GREET_AFTER_US = 2_000_000
 """A ground station does not listen yet at the moment in which it has found a vehicle (QGroundControl)."""
 MAX_PEERS = 64
-"""Clients that are remembered as greeted; the oldest goes."""
+"""Clients remembered as greeted; beyond that the oldest is dropped."""
 
 
 class PeriodicMessages:
-    """Each method says its part if it is time."""
+    """Messages sent periodically, one method per kind."""
 
     def __init__(
         self, ctx: Context, status: StatusMessages, telemetry: NavigationMessages, intake: MessageInbox
@@ -43,7 +43,7 @@ class PeriodicMessages:
         self._place_shown: tuple[GeodeticPosition, GeodeticPosition] | None = None
 
     def forget(self, link: int) -> None:
-        """A link has gone; whoever comes there is greeted."""
+        """A link has been closed; the next client on it is greeted again."""
         for peer in [peer for peer in self._greeted if peer.link == link]:
             del self._greeted[peer]
 
@@ -56,7 +56,7 @@ class PeriodicMessages:
             self._to_greet.append((self._ctx.t_us + round(GREET_AFTER_US * self._ctx.patience), peer))
 
     def greetings(self) -> None:
-        """Greet whose time has come, and say what keeps the vehicle from arming that nobody sees from outside."""
+        """Greet new clients, and report arming reasons that no other message shows."""
         identity = self._ctx.identity
         while self._to_greet and self._ctx.t_us >= self._to_greet[0][0]:
             _, peer = self._to_greet.popleft()
@@ -80,7 +80,7 @@ class PeriodicMessages:
         self._heartbeat_us = ctx.t_us + HEARTBEAT_US
 
     def place_again(self) -> None:
-        """Somebody wants origin and home though they are as they were."""
+        """Send origin and home again on request."""
         self._place_shown = None
 
     def place(self) -> None:
@@ -94,7 +94,7 @@ class PeriodicMessages:
         self._ctx.broadcast(self._telemetry.home_position())
 
     def refusals(self) -> None:
-        """Frames that were not believed are told now and then, with the remedy."""
+        """Report rejected frames with the remedy, rate-limited."""
         ctx, now, reported = self._ctx, self._ctx.signing.refused, self._reported_refusals
         reported.ahead = now.ahead
         if now == reported or (self._refusals_us is not None and ctx.t_us < self._refusals_us + REFUSALS_SAY_US):
@@ -110,7 +110,7 @@ class PeriodicMessages:
         ctx.log(notices.FRAMES_REFUSED(counts=now))
 
     def flood(self) -> None:
-        """Name who sends more than is taken, now and then."""
+        """Report clients that send too much, rate-limited."""
         ctx = self._ctx
         if self._flood_us is not None and ctx.t_us < self._flood_us + FLOOD_SAY_US:
             return

@@ -1,7 +1,7 @@
-"""A pilot's sticks: MANUAL_CONTROL and RC_CHANNELS_OVERRIDE. https://mavlink.io/en/services/manual_control.html
+"""Pilot inputs: MANUAL_CONTROL and RC_CHANNELS_OVERRIDE. https://mavlink.io/en/services/manual_control.html
 
-One pilot at a time: who steers keeps the sticks until nothing has come of him for a moment. What is heard is kept for
-that moment only; then the sticks are released, and what that means says the mode.
+One pilot at a time: the first sender owns the sticks until its messages time out. Then the sticks are released, and
+the mode decides how to respond.
 """
 
 from dataclasses import dataclass
@@ -15,17 +15,17 @@ from autopilot.mavlink.flight_modes import MODE_BUTTONS
 from autopilot.mavlink.wire import Message
 
 STALE_US = 500_000
-"""Sticks count as released so long after the last word: ground stations send 5 to 50 of them a second."""
+"""Timeout after which sticks count as released: ground stations send 5 to 50 messages a second."""
 
 INVALID = 0x7FFF
 """An axis that is not there."""
 
 DEADZONE = 0.03
-"""Sticks do not come to rest at exactly nothing."""
+"""Deadband: sticks do not centre exactly."""
 
 CENTRED = 0.08
 CENTRED_US = 200_000
-"""The vertical stick is used once it has rested within that of its neutral for so long: a client of the other
+"""Time for which the vertical stick has to rest near its neutral before it is used: a client of the other
 convention rests at an end of the range."""
 
 GAIN_STEP = 0.1
@@ -46,8 +46,6 @@ LIGHT_STEP = 0.125
 
 @dataclass(slots=True)
 class _PilotRecord:
-    """Of the pilot who steers."""
-
     peer: MavlinkPeer
     last_us: int
     sticks: Sticks
@@ -55,7 +53,7 @@ class _PilotRecord:
     reported: bool = False
     """That his vertical stick is not used."""
     spoken: bool = False
-    """He has sent something below zero on a vertical stick that is said to go from 0 to 1000."""
+    """The pilot has sent a negative value on a vertical stick specified as 0 to 1000."""
     centred_us: int | None = None
     """Since when the vertical stick has been at its neutral."""
     lifts: bool = False
@@ -63,8 +61,6 @@ class _PilotRecord:
 
 
 class PilotInputs:
-    """The sticks of the moment."""
-
     def __init__(
         self, ctx: Context, equipment: EquipmentOrders | None = None, camera: CameraOrders | None = None
     ) -> None:
@@ -72,11 +68,11 @@ class PilotInputs:
         self._heard: _PilotRecord | None = None
         self._gain: float | None = None
         self.last_us: int | None = None
-        """When a pilot was last heard, None before the first."""
+        """Time of the pilot's last message, None before the first."""
 
     @property
     def sticks(self) -> Sticks | None:
-        """With the gain; None = nobody steers."""
+        """Stick positions times gain; None = no pilot."""
         heard = self._heard
         if heard is None or self._ctx.t_us > heard.last_us + self._stale_us:
             return None
@@ -117,7 +113,7 @@ class PilotInputs:
         heard.sticks = Sticks(ahead=ahead, starboard=starboard, up=up, turn=turn)
 
     def _of(self, peer: MavlinkPeer) -> _PilotRecord | None:
-        """Who steers, if it is that client."""
+        """The pilot's record, if this client is the pilot."""
         now_us, heard = self._ctx.t_us, self._heard
         if heard is None or (heard.peer != peer and now_us > heard.last_us + self._stale_us):
             heard = self._heard = _PilotRecord(peer=peer, last_us=now_us, sticks=Sticks())
@@ -159,7 +155,7 @@ class PilotInputs:
     # Buttons
 
     def _press(self, heard: _PilotRecord, buttons: int) -> None:
-        """Those that have just gone down."""
+        """Buttons pressed since the last message."""
         pressed, heard.buttons = buttons & ~heard.buttons, buttons
         for n in range(16):
             if pressed >> n & 1:
@@ -188,7 +184,7 @@ class PilotInputs:
             self._ctx.say(notices.REFUSED(reason=answer.reason), peer)
 
     def _carried(self, function: int) -> CommandReply | None:
-        """What a button does to lights, relay and camera; None when it is not about them."""
+        """Button function on lights, relay and camera; None for other functions."""
         camera, equipment = self._camera, self._equipment
         if function == PHOTO and camera is not None:
             return camera.shoot(1, 0.0)
@@ -210,7 +206,7 @@ def _axis(value: int) -> float:
 
 
 def _channel(us: int) -> float:
-    """A pulse as -1 to 1; what is no pulse is released."""
+    """PWM pulse as -1 to 1; an invalid pulse is 0."""
     return _axis(round(1000 * (us - NEUTRAL_US) / SPAN_US)) if LEAST_US <= us <= MOST_US else 0.0
 
 

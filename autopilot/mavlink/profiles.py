@@ -1,8 +1,8 @@
-"""Identity profiles: what kind of autopilot the vehicle says it is. Everything else is the same under all three.
+"""Identity profiles: MAV_AUTOPILOT, mode numbers and parameter encoding. Everything else is the same under all.
 
-Ground stations choose buttons, mode numbers and parameter encoding by HEARTBEAT.autopilot. ``generic`` tells the plain
-truth, ``px4`` and ``ardusub`` speak the dialect that QGroundControl, MAVSDK and Cockpit are complete with. The true
-name stands in AUTOPILOT_VERSION and in a STATUSTEXT at first contact.
+Ground stations choose buttons, mode numbers and parameter encoding by HEARTBEAT.autopilot. ``generic`` is the
+accurate identity; ``px4`` and ``ardusub`` give full function in QGroundControl, MAVSDK and Cockpit. The real name
+is in AUTOPILOT_VERSION and in a STATUSTEXT at first contact.
 """
 
 from collections.abc import Mapping
@@ -28,8 +28,6 @@ class ParamEncoding(Enum):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Profile:
-    """One identity."""
-
     name: str
     autopilot: int
     """MAV_AUTOPILOT in the heartbeat."""
@@ -41,12 +39,12 @@ class Profile:
     home_is_item_0: bool
     """Missions on the wire begin with the home position (ArduPilot)."""
     least_version: tuple[int, int, int]
-    """flight_sw_version is never below this: QGroundControl warns of PX4 older than 1.4.1, and to an ArduSub older than
-    3.5 it shows the pages and asks for the parameters of that time."""
+    """Minimum of flight_sw_version: QGroundControl warns of PX4 older than 1.4.1, and for ArduSub older than 3.5
+    it shows old pages and requests old parameters."""
     guided_in_hold: bool = False
     """Hold and set points are one mode, which set points by themselves begin and end (ArduPilot's GUIDED)."""
     note: str
-    """What the operator is told at first contact."""
+    """Text sent to the operator at first contact."""
 
     @property
     def listed(self) -> tuple[FlightMode, ...]:
@@ -54,7 +52,7 @@ class Profile:
         return tuple(mode for mode in MODE_ROWS if self.mode_of(self.custom_modes[mode]) is mode)
 
     def mode_of(self, custom_mode: int) -> FlightMode | None:
-        """The mode of a custom_mode number, None if there is none."""
+        """Mode of a custom_mode number, None if it is unknown."""
         return next((mode for mode, number in self.custom_modes.items() if number == custom_mode), None)
 
     def short_mode(self, custom_mode: int) -> int:
@@ -62,7 +60,7 @@ class Profile:
         return custom_mode >> 16 if self.split_modes else custom_mode & 0xFFFF
 
     def mode_of_command(self, main: float, sub: float) -> FlightMode | None:
-        """The mode that DO_SET_MODE's param2 and param3 mean, None if there is none."""
+        """Mode of DO_SET_MODE's param2 and param3, None if it is unknown."""
         if not (0.0 <= main < 2.0**32 and main == int(main)):
             return None
         if not self.split_modes or main > 255.0:
@@ -116,7 +114,7 @@ PROFILES: Mapping[str, Profile] = MappingProxyType(
 
 
 def profile_by_name(name: str) -> Profile:
-    """The profile of that name; ConfigError if there is none."""
+    """Profile by name; ConfigError if it is unknown."""
     if name not in PROFILES:
         raise ConfigError(f"profile {name!r} does not exist; use one of {', '.join(PROFILES)}")
     return PROFILES[name]

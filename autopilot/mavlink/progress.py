@@ -1,4 +1,4 @@
-"""How far the mission is: MISSION_CURRENT, MISSION_ITEM_REACHED, and the choice of the current item."""
+"""Mission progress: MISSION_CURRENT, MISSION_ITEM_REACHED, and the choice of the current item."""
 
 from collections.abc import Sequence
 
@@ -16,12 +16,12 @@ NO_MISSION_TOTAL = 0xFFFF
 """MISSION_CURRENT.total without a mission."""
 
 MOVES_US = 100_000
-"""A change of the current item alone is told so often at most."""
+"""Minimum interval between reports that only change the current item."""
 
 REACHED_AT_ONCE = 20
 REACHED_EVERY_US = 100_000
-"""So many items in a row are told one by one however fast they are reached, and one more for each such time. Of what is
-beyond that the newest is told as soon as it may be: who has reached it has reached those before it."""
+"""Token bucket of item reports: so many in a row at any rate, and one more per interval. Beyond that the newest is
+reported as soon as possible, which implies those before it."""
 
 _MODE_ACTIVE, _MODE_SUSPENDED = 1, 2
 """MISSION_CURRENT.mission_mode."""
@@ -35,9 +35,9 @@ class ProgressMessages:
         self._chosen_us: int | None = None
         self._reported_us = 0
         self._reached: int | None = None
-        """Number on the wire of an item that has been reached and not been told of."""
+        """Wire number of an item reached but not yet reported."""
         self._spent_us = 0
-        """Time by which all that was told of reached items has had its share."""
+        """Time up to which the token bucket is used."""
 
     def mission_current(self) -> Message:
         ctx, progress = self._ctx, self._ctx.view.progress
@@ -73,7 +73,7 @@ class ProgressMessages:
         return self._ctx.vehicle.set_current_item(int(seq))
 
     def on_set_current(self, peer: MavlinkPeer, msg: Message) -> None:
-        """MISSION_SET_CURRENT: the answer is MISSION_CURRENT, a refusal comes as text."""
+        """MISSION_SET_CURRENT: answered by MISSION_CURRENT, a refusal by text."""
         answer = self.choose(float(msg.seq))
         if answer.result is CommandResult.ACCEPTED:
             self._chosen_us = self._ctx.t_us
@@ -81,7 +81,7 @@ class ProgressMessages:
             self._ctx.say(notices.REFUSED(reason=answer.reason or f"mission item {msg.seq} refused"), peer)
 
     def tick(self, reached: Sequence[int]) -> None:
-        """Tell every link what has been reached, and what has changed."""
+        """Report items reached and changes on every link."""
         ctx = self._ctx
         self._report_reached(reached)
         progress = ctx.view.progress

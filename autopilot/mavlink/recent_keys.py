@@ -1,4 +1,4 @@
-"""What has been said or has come lately."""
+"""Rate limits and duplicate detection: keys with the time of their last use."""
 
 from collections import OrderedDict
 from collections.abc import Hashable
@@ -7,11 +7,11 @@ from typing import Generic, TypeVar
 K = TypeVar("K", bound=Hashable)
 
 MAX_RECENT = 256
-"""So many are remembered; the oldest is forgotten first. Otherwise a client that makes each one different fills it."""
+"""Maximum number of keys; the oldest is dropped first. Bounds the memory that a client can use."""
 
 
 class RecentKeys(Generic[K]):
-    """Remembers keys for ``keep_us``. Asking costs the same however much comes."""
+    """Set of keys that expire after ``keep_us``; O(1) per lookup."""
 
     def __init__(self, keep_us: float) -> None:
         self._keep_us = keep_us

@@ -1,4 +1,4 @@
-"""Commands that ask for messages: REQUEST_MESSAGE, message intervals, capabilities, home."""
+"""Request commands: REQUEST_MESSAGE, message intervals, capabilities, home."""
 
 from collections.abc import Mapping
 
@@ -11,11 +11,11 @@ from autopilot.mavlink.status import MSG_ID_PROTOCOL_VERSION, available_mode
 from autopilot.mavlink.streams import Streams
 
 LATER = Reply(CommandReply(result=CommandResult.TEMPORARILY_REJECTED))
-"""A message that is known but has nothing to say yet."""
+"""A known message without data yet."""
 
 
 class Requests:
-    """Answers to requests; asked again, they are answered again."""
+    """Answers to requests; retransmissions are answered again."""
 
     def __init__(self, ctx: Context, streams: Streams) -> None:
         self._ctx = ctx

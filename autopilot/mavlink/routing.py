@@ -1,8 +1,8 @@
-"""Passing messages on between clients (https://mavlink.io/en/guide/routing.html), where MAV_FORWARD says so.
+"""Message routing between clients (https://mavlink.io/en/guide/routing.html), on the links of MAV_FORWARD.
 
-Who is where is learned from what comes in. A message to everyone goes to all other clients, one to a system or
-component to where that has been heard and nowhere else. Packets are not changed. A packet never goes back to where it
-came from, and one that comes again, by a loop in the network, is not passed on twice. SETUP_SIGNING is never passed on.
+Routes are learned from received packets. Broadcasts go to all other clients, addressed messages only to links on
+which the target has been seen. Packets are not changed, never sent back to their source, and not forwarded twice if
+they return through a network loop. SETUP_SIGNING is never forwarded.
 """
 
 import struct
@@ -19,11 +19,11 @@ from autopilot.mavlink.recent_keys import RecentKeys
 from autopilot.mavlink.wire import SIGNATURE_BYTES, V1, is_signed, message_id
 
 AGAIN_US = 500_000
-"""The same packet within this time is the one before, by another way."""
+"""The same packet within this time is a duplicate that arrived by another route."""
 MAX_KNOWN = 256
-"""Components whose place is remembered; the one silent for longest goes."""
+"""Components whose routes are remembered; beyond that the one silent for longest is dropped."""
 MAX_PLACES = 4
-"""Places where one component may be heard."""
+"""Routes per component."""
 
 Component = tuple[int, int]
 """System and component id."""
@@ -32,7 +32,7 @@ _SIZES = {"char": 1, "float": 4, "double": 8, **{f"{sign}int{8 * n}_t": n for n 
 
 
 class Router:
-    """Queues what is passed on with everything else that goes out."""
+    """Queues forwarded packets with all other outgoing data."""
 
     def __init__(self, ctx: Context, *, ours: Callable[[int], bool]) -> None:
         """``ours``: whether a component of our system is the service itself."""
@@ -43,7 +43,7 @@ class Router:
         """Packets passed on so far."""
 
     def heard(self, address: Address, frame: bytes) -> None:
-        """A whole packet with a good checksum, of somebody who is listened to."""
+        """A complete packet with a valid checksum from an accepted sender."""
         ctx = self._ctx
         if ctx.params["MAV_FORWARD"] <= 0.0:
             return

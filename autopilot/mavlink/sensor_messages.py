@@ -1,8 +1,8 @@
-"""What single sensors say, and messages that clients wait for in which other quantities stand in.
+"""Sensor messages, and messages that clients require although the vehicle lacks the sensor.
 
-GPS_RAW_INT is such a stand-in: there is no satellite under water. It tells the estimate, so that clients which wait
-for a "3D fix" go on when the vehicle knows where it is: fix type 3 with a good estimate, 2 with one by dead reckoning,
-1 without; satellites_visible 255 means "not known".
+GPS_RAW_INT is such a substitute: there is no satellite navigation under water. It carries the estimate, so that
+clients that wait for a "3D fix" proceed: fix type 3 with a good estimate, 2 with dead reckoning, 1 without;
+satellites_visible 255 = unknown.
 """
 
 import math
@@ -23,7 +23,7 @@ G_M_S2 = 9.80665
 SURFACE_PA, WATER_N_M3 = 101_325.0, 1000.0 * G_M_S2
 """Pressure at the surface, and its growth with depth in fresh water (sea water: 2.5 % more)."""
 STALE_US = 3_000_000
-"""A sensor's reading is shown so long."""
+"""Validity of a sensor's reading."""
 WAYPOINTS = 5
 """Points of TRAJECTORY_REPRESENTATION_WAYPOINTS."""
 
@@ -37,7 +37,7 @@ _RANGES: tuple[tuple[type[LaserSample | AltimeterSample], int, int, int], ...] =
     (LaserSample, 5, 1000, mav.MAV_DISTANCE_SENSOR_LASER),
     (AltimeterSample, 30, 10_000, mav.MAV_DISTANCE_SENSOR_ULTRASOUND),
 )
-"""What tells how far the floor is: least and largest range [cm] and MAV_DISTANCE_SENSOR; its place is its id."""
+"""Range sensors to the floor: least and largest range [cm] and MAV_DISTANCE_SENSOR; the index is the id."""
 
 
 class SensorMessages:
@@ -62,7 +62,6 @@ class SensorMessages:
         }
 
     def tick(self) -> None:
-        """Count breaches of the fence."""
         breached = self._is_breached()
         if breached and not self._breached:
             self._breaches = min(self._breaches + 1, 0xFFFF)
@@ -86,7 +85,7 @@ class SensorMessages:
         return [*(i16(1e3 * x / G_M_S2) for x in accel), *(i16(1e3 * x) for x in rate), 0, 0, 0]
 
     def raw_imu(self) -> Message | None:
-        """RAW_IMU, in the units of SCALED_IMU: what the AHRS gives is scaled."""
+        """RAW_IMU in the units of SCALED_IMU: the AHRS delivers scaled values."""
         milli = self._milli()
         return None if milli is None else mav.MAVLink_raw_imu_message(self._ctx.t_us, *milli)
 
@@ -207,7 +206,6 @@ class SensorMessages:
         )
 
     def vibration(self) -> Message | None:
-        """VIBRATION of the specific force."""
         if self._inertial() is None:
             return None
         shakes = map(f32, self._ctx.view.sensed.vibration.rms_m_s2)
@@ -217,7 +215,7 @@ class SensorMessages:
         return bool(self._ctx.view.failsafes & _CAGE)
 
     def fence_status(self) -> Message | None:
-        """FENCE_STATUS: what the failsafes on fence and depth band say."""
+        """FENCE_STATUS from the failsafes on fence and depth band."""
         ctx, m = self._ctx, self._telemetry.motion()
         kind = mav.FENCE_BREACH_NONE
         if self._is_breached():
@@ -231,7 +229,7 @@ class SensorMessages:
         )
 
     def trajectory(self) -> Message | None:
-        """TRAJECTORY_REPRESENTATION_WAYPOINTS: five points of what the controller predicts, evenly in time."""
+        """TRAJECTORY_REPRESENTATION_WAYPOINTS: five points of the controller's prediction, evenly spaced in time."""
         ahead = self._ctx.view.ahead
         if ahead is None or not np.isfinite(ahead).all():
             return None

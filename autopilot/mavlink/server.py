@@ -1,6 +1,7 @@
-"""The MAVLink server: bytes in, bytes out, no clock, no socket. One call of :meth:`MavlinkServer.step` per tick.
+"""The MAVLink server: bytes in, bytes out, no clock, no socket.
 
-It puts the microservices together and hands every message to the one that it belongs to.
+One call of :meth:`MavlinkServer.step` per tick. It composes the microservices and dispatches every message to its
+handler.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -85,7 +86,7 @@ _URGENT = frozenset(
         mav.MAVLINK_MSG_ID_FILE_TRANSFER_PROTOCOL,
     )
 )
-"""Answered between ticks: a transfer goes as fast as its client. The message that ends an upload is not among them."""
+"""Answered between ticks: transfers at the client's rate. The message that ends an upload is not among them."""
 _HEAVY = frozenset(
     (
         mav.MAVLINK_MSG_ID_COMMAND_LONG,
@@ -107,21 +108,26 @@ class MavlinkServer:
 
     Parameters
     ----------
-    profile, version, git, uid
-        Who the vehicle is: name of its profile (ConfigError for an unknown one), the distribution's version, the
-        revision in hex digits, 64 bits that tell this vehicle from others.
+    sysid
+        MAVLink system id of the vehicle.
+    profile
+        Name of the identity profile (ConfigError for an unknown one).
+    params, plans, vehicle
+        Parameters, plan store and vehicle that clients read and command.
+    version, git, uid
+        Version of the distribution, revision in hex digits, 64-bit unique id of this vehicle.
     links
-        Indices of the links that are open from the start. Another one is added when something comes from it, or by
+        Indices of the links that are open from the start. Others are added when data arrive from them, or by
         :meth:`add_link`.
     patience
-        Factor on the time that a client gets in transfers: a simulation that runs k times faster than real time
-        passes k, because clients live in real time.
+        Factor on the timeouts of transfers: a simulation that runs k times faster than real time passes k, because
+        clients live in real time.
     shelf, camera, equipment
-        The logs that clients may download, who takes stills, who moves what the vehicle carries; None = none.
+        Log directory for clients, camera, payload outputs; None = none.
     rates
         Bytes per second of slow links.
-    witness
-        Records what follows from a signing key.
+    nondeterminism
+        Recorder of results that depend on a signing key.
     """
 
     def __init__(
@@ -199,7 +205,7 @@ class MavlinkServer:
         )
         self._vehicle = VehicleService(ctx, self._telemetry, self._progress)
         requests = Requests(ctx, self._streams)
-        # A request for control is judged by itself, also while somebody else has it.
+        # A request for control has its own check, also while another station is the owner.
         control = {
             REQUEST: request(self._operators.request),
             mav.MAV_CMD_CONTROL_HIGH_LATENCY: action(self._high_latency.control),
@@ -225,7 +231,7 @@ class MavlinkServer:
         self._valid_us: LatestUsed[Address, int] = LatestUsed(MAX_INBOXES)
         """When each client was last understood."""
         self._new: RecentKeys[Address] = RecentKeys(float("inf"))
-        """Clients that have spoken MAVLink 2."""
+        """Clients that have used MAVLink 2."""
         self._announcements = PeriodicMessages(ctx, self._status, self._telemetry, self._intake)
         self.last_gcs_t_us: int | None = None
         """When a ground station or companion computer last sent a HEARTBEAT; None before the first."""
@@ -250,13 +256,13 @@ class MavlinkServer:
         )
 
     def _works_after_news(self) -> tuple[Work, ...]:
-        """The same once events are told."""
+        """Work of a tick after the events have been reported."""
         shown = (self._announcements.place, self._sensors.tick, self._outputs.tick, self._flight.tick)
         camera = () if self._camera is None else (self._camera.tick,)
         return tuple(("telemetry", work) for work in (*shown, self._high_latency.tick, *camera))
 
     def _works_at_last(self, *turns: Callable[[], None]) -> tuple[Work, ...]:
-        """The same at the end of a tick; ``turns`` are whose turn it is to use what the links can carry."""
+        """Work at the end of a tick; ``turns``: round-robin order in using the link budgets."""
         return (
             ("parameters", self.parameters.tick),
             ("plans", self.missions.tick),
@@ -325,7 +331,7 @@ class MavlinkServer:
         self._announcements.forget(link)
 
     def finish(self) -> None:
-        """The end of a run, before what it keeps is written."""
+        """Call at the end of a run, before its state is written."""
         self._ctx.signing.finish()
 
     def custom_mode(self, mode: FlightMode) -> int:
@@ -344,7 +350,7 @@ class MavlinkServer:
 
     @property
     def sticks(self) -> Sticks | None:
-        """A pilot's sticks, None = nobody steers (any more)."""
+        """A pilot's stick positions, None = no pilot."""
         return self.pilot.sticks
 
     @property
@@ -358,7 +364,9 @@ class MavlinkServer:
         return self.utility.utc_offset_us
 
     def take_notices(self) -> tuple[Event, ...]:
-        """What the server itself has sent to operators since the last call (plans taken or refused), for the log."""
+        """Texts that the server itself has sent to operators since the last call (plans accepted or refused), for the
+        log.
+        """
         notices, self._ctx.notices = tuple(self._ctx.notices), []
         return notices
 
@@ -368,7 +376,7 @@ class MavlinkServer:
         return samples
 
     def take_tracks(self) -> tuple[tuple[ObstacleTrack, ...], tuple[int, ...]]:
-        """Obstacles and vehicles that clients have reported since the last call, and numbers of those gone."""
+        """Obstacles and vehicles reported by clients since the last call, and numbers of those gone."""
         return self._others.take()
 
     # One tick
@@ -381,7 +389,9 @@ class MavlinkServer:
         events: Sequence[Event] = (),
         reached: Sequence[int] = (),
     ) -> tuple[MavlinkFrame, ...]:
-        """Handle what was received, then heartbeats, news, retries and telemetry. Never raises on received bytes."""
+        """Handle received bytes, then send heartbeats, notices, retransmissions and telemetry. Never raises on
+        received bytes.
+        """
         ctx = self._ctx
         ctx.t_us, ctx.view, ctx.tx = t_us, view, []
         if ctx.announce_place:
@@ -405,7 +415,7 @@ class MavlinkServer:
             run("telemetry", partial(ctx.relay, event.severity, event.text), None, partial(repr, event))
         run_all(self._after_news, given)
         run("progress", partial(self._progress.tick, reached), None, given)
-        # In turns: on a narrow link whoever comes first takes what there is.
+        # Round-robin: on a narrow link the first would take the whole budget.
         run_all(self._at_last[t_us // TICK_US % 2], given)
         return tuple(ctx.tx)
 
@@ -439,7 +449,6 @@ class MavlinkServer:
         )
 
     def standing(self, link: int, client: int) -> ClientRecord:
-        """What a client has shown of itself so far."""
         owner = self._operators.owner
         in_control = owner is not None and (owner.link, owner.client) == (link, client)
         return ClientRecord(self._valid_us.get((link, client)), in_control)
@@ -456,7 +465,7 @@ class MavlinkServer:
         return msg.get_msgId() in _URGENT and not self.missions.concludes(peer, msg)
 
     def _handle(self, address: Address, msg: Message) -> None:
-        """One message. What fails at it costs this message only; a command is answered FAILED."""
+        """Dispatch one message. A fault loses this message only; a command is answered FAILED."""
         sysid = msg.get_srcSystem()
         speaker = msg.get_srcComponent()  # one of our components: an echo, or a second of us
         ours = sysid == self._ctx.sysid and speaker in (COMPID, CAMERA_COMPID) and speaker in self._ours
@@ -480,8 +489,9 @@ class MavlinkServer:
                 self._ctx.send(peer, failed)
 
     def _note_version(self, address: Address, msg: Message) -> None:
-        """A client that has only spoken MAVLink 1 is answered in it. It is shown once that there is MAVLink 2: a client
-        that knows both (pymavlink) begins with 1 and goes over then."""
+        """Answer a client in MAVLink 1 while it has sent nothing else. It gets one MAVLink 2 frame: clients that
+        support both (pymavlink) start with 1 and switch then.
+        """
         ctx, (link, client) = self._ctx, address
         known = ctx.old.get(link, frozenset())
         if msg.get_msgbuf()[0] != mav.PROTOCOL_MARKER_V1:
@@ -494,7 +504,7 @@ class MavlinkServer:
             ctx.old[link] = frozenset((*clients, client))
 
     def _heard(self, address: Address, frame: bytes) -> None:
-        """A good frame, for us or not: perhaps somebody else wants it."""
+        """A valid frame, to us or to be forwarded."""
         self._valid_us[address] = self._ctx.t_us
 
         def note() -> None:
@@ -507,13 +517,13 @@ class MavlinkServer:
         return self._operators.refusal(call.peer, grave=call.command in GRAVE_COMMANDS)
 
     def rights(self) -> Rights:
-        """Who may send what, as this server handles it."""
+        """Who may send what, enforced by this server."""
         tables = [self._commands.table, *([] if self._to_camera is None else [self._to_camera.table])]
         entries = {number: entry for table in tables for number, entry in table.items()}
         return rights(self._handlers, entries)
 
     def _for_us(self, msg: Message) -> bool:
-        """Addressed to us, to all, or to nobody. The camera takes commands only."""
+        """Addressed to us or broadcast. The camera takes commands only."""
         component = getattr(msg, "target_component", 0)
         if getattr(msg, "target_system", 0) not in (0, self._ctx.sysid) or component not in self._ours:
             return False
@@ -527,7 +537,7 @@ class MavlinkServer:
             self.last_gcs_t_us = self._ctx.t_us
 
     def _on_command(self, peer: MavlinkPeer, msg: Message) -> None:
-        """To the autopilot; to the camera if it is addressed, or if it is asked of everybody what the camera knows."""
+        """To the autopilot; to the camera if it is addressed, or for a broadcast request that concerns it."""
         camera, component = self._to_camera, msg.target_component
         if camera is None or self._camera is None or component in (COMPID, MISSION_COMPID):
             self._commands.on_command(peer, msg)
@@ -540,8 +550,7 @@ class MavlinkServer:
         self._explain(peer, self._vehicle.set_mode_message(msg.base_mode, msg.custom_mode))
 
     def _on_cancel(self, peer: MavlinkPeer, msg: Message) -> None:
-        """COMMAND_CANCEL: the command that is being carried out ends and its client gets CANCELLED; any other is over,
-        and nothing is said (common.xml)."""
+        """COMMAND_CANCEL: ends the command in progress, whose client gets CANCELLED; else ignored (common.xml)."""
         if self._vehicle.cancel(msg.command):
             ack = mav.MAVLink_command_ack_message(msg.command, CommandResult.CANCELLED, 0, 0, peer.sysid, peer.compid)
             self._ctx.send(peer, ack)
@@ -555,13 +564,13 @@ class MavlinkServer:
         )
 
     def _explain(self, peer: MavlinkPeer, answer: CommandReply) -> None:
-        """Messages without acknowledgement say a refusal as text."""
+        """Messages without acknowledgement: a refusal is sent as text."""
         if answer.result is not CommandResult.ACCEPTED and answer.reason:
             self._ctx.say(notices.REFUSED(reason=answer.reason), peer)
 
 
 def blank_view() -> VehicleView:
-    """What there is to show before the first tick."""
+    """Telemetry data before the first tick."""
     return VehicleView(
         t_us=0,
         armed=False,

@@ -1,6 +1,6 @@
-"""Set points of an offboard client: SET_POSITION_TARGET_LOCAL_NED, .._GLOBAL_INT, SET_ATTITUDE_TARGET.
+"""Offboard setpoints: SET_POSITION_TARGET_LOCAL_NED, .._GLOBAL_INT, SET_ATTITUDE_TARGET.
 
-They have no acknowledgement: one that is not followed is refused by a text, once in a while, and ends mode GUIDED.
+They have no acknowledgement: a rejected one is reported by a rate-limited STATUSTEXT and ends mode GUIDED.
 """
 
 import math
@@ -20,7 +20,7 @@ from autopilot.mavlink.wire import Message
 X, Y, Z, VX, VY, VZ = (1 << bit for bit in range(6))
 ACCELERATION = 0b111 << 6
 YAW, YAW_RATE = 1 << 10, 1 << 11
-"""Bits of POSITION_TARGET_TYPEMASK: set = not to be looked at."""
+"""Bits of POSITION_TARGET_TYPEMASK: set = ignore."""
 
 ATTITUDE_YAW_RATE, ATTITUDE_THRUST, ATTITUDE = 1 << 2, 1 << 6, 1 << 7
 """Bits of ATTITUDE_TARGET_TYPEMASK."""
@@ -32,7 +32,7 @@ _LOCAL = _OFFSET | {mav.MAV_FRAME_LOCAL_NED}
 _AMSL = frozenset((mav.MAV_FRAME_GLOBAL, mav.MAV_FRAME_GLOBAL_INT))
 
 FASTEST = 5.0
-"""m/s and rad/s: what is faster is a mistake."""
+"""m/s and rad/s: larger values are errors."""
 
 NEUTRAL_THRUST = 0.5
 THRUST_DEADZONE = 0.05
@@ -185,7 +185,7 @@ class SetPoints:
         return nav
 
     def _displaced(self, x: float, y: float, *, body: bool) -> tuple[float, float]:
-        """From where the vehicle is."""
+        """An offset (x, y) [m] from the vehicle's position as a local position; ``body``: offset in body axes."""
         nav = self._nav()
         yaw = float(nav.rpy_rad[2]) if body else 0.0
         c, s = math.cos(yaw), math.sin(yaw)
@@ -193,14 +193,14 @@ class SetPoints:
 
 
 def _pair(mask: int, one: int, other: int, what: str) -> bool:
-    """Whether both of two axes are given; one alone is a mistake."""
+    """Whether both of two axes are given; one alone is an error."""
     if bool(mask & one) is not bool(mask & other):
         raise _NotFollowedError(f"{what} needs x and y, or neither")
     return not mask & one
 
 
 def _finite(values: tuple[float, ...], what: str, *, most: float | None = None) -> tuple[float, ...]:
-    """Numbers that can be meant."""
+    """The values, or a refusal if one is not finite or larger than ``most``."""
     bound = 1e6 if what in ("position", "depth", "altitude") else FASTEST if most is None else most
     for value in values:
         if not (math.isfinite(value) and abs(value) <= bound):

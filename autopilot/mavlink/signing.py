@@ -1,15 +1,14 @@
-"""Message signing (https://mavlink.io/en/guide/message_signing.html): who has the key, and whether a frame is new.
+"""Message signing (https://mavlink.io/en/guide/message_signing.html): keys and timestamps.
 
-Without a key nothing is signed, and a frame that is signed comes from somebody whose key is not known: it is not
-obeyed. With a key everything that goes out as MAVLink 2 is signed, and only what is signed with the key is heard, but
-for the status of radios, which cannot sign, the service's own parts, and, where ``SIGN_LOCAL`` says so, programs of
-this machine.
+Without a key nothing is signed, and signed frames are rejected because their key is unknown. With a key all
+outgoing MAVLink 2 is signed, and only frames signed with the key are accepted, except RADIO_STATUS (radios cannot
+sign), the service's own components and, with ``SIGN_LOCAL``, programs of this machine.
 
-Time counts in 10 us since 2015. It never goes back, and nothing is heard twice, across restarts too: no frame is sent
-or heard with a time beyond the one that :class:`autopilot.mavlink.api.SigningStore` has on disk, and after a restart
-none that is not beyond it. A client that does as the guide says (next time at least the latest received: pymavlink,
-MAVSDK, QGroundControl) is beyond it as soon as it has heard one of our frames; one that goes by a clock of its own,
-once that has passed the start of the service.
+Timestamps count 10 us since 2015. They never decrease, and no frame is accepted twice, across restarts too: no
+frame is sent or accepted with a timestamp beyond the one that :class:`autopilot.mavlink.api.SigningStore` has on
+disk, and after a restart none at or below it. A client that follows the guide (next timestamp at least the latest
+received: pymavlink, MAVSDK, QGroundControl) passes it after receiving one of our frames; a client with an
+independent clock, once that has passed the start of the service.
 """
 
 import hashlib
@@ -27,16 +26,16 @@ from autopilot.mavlink.wire import SIGNATURE_BYTES, is_signed, message_id
 
 KEY_BYTES = 32
 OLD_UNITS = 60 * UNITS_PER_S
-"""A sender not heard before may be so far behind our time."""
+"""Maximum lag of a new sender's timestamp behind ours."""
 RENEW_UNITS = UNITS_PER_S
 """The time on disk is renewed when less than this is left."""
 SLOW_DISK_US = 1_000_000
-"""A disk that takes longer, or fails, does not make the vehicle deaf: what is beyond the time on disk is heard then."""
+"""A disk that is slow or fails must not block reception: timestamps beyond the one on disk are accepted then."""
 MAX_STREAMS = 256
 """Senders whose time is remembered; when one is forgotten, its last time is the least for all that are not known."""
 MAX_STAMP = (1 << 48) - 1
 LATEST_STAMP = MAX_STAMP - 100 * OLD_UNITS
-"""Later times (the year 2104) are not heard: they would leave none for anybody else."""
+"""Later timestamps (the year 2104) are rejected: they would leave none for other senders."""
 
 _TAG = 6
 """Bytes of the hash that are sent."""
@@ -48,13 +47,13 @@ UNSIGNABLE = frozenset((mav.MAVLINK_MSG_ID_RADIO_STATUS, 166))
 
 @dataclass(slots=True)
 class Refusals:
-    """Frames that were not believed, by reason."""
+    """Rejected frames, by reason."""
 
     unsigned: int = 0
     unknown_key: int = 0
     old: int = 0
     ahead: int = 0
-    """Later than the time on disk: heard as soon as that has been moved on."""
+    """Later than the time on disk: accepted as soon as that has been advanced."""
 
 
 class Signing:
@@ -66,8 +65,9 @@ class Signing:
         patience: float = 1.0,
         nondeterminism: NondeterminismSource | None = None,
     ) -> None:
-        """``patience``: how much faster than its clients' time the service's may run. ``witness`` stands by when
-        signatures are verified: a replay has no key."""
+        """``patience``: speed of the service's time relative to its clients'. ``witness``: recorder of
+        verification results, because a replay has no key.
+        """
         self._nondeterminism: NondeterminismSource = (
             NondeterminismRecorder() if nondeterminism is None else nondeterminism
         )
@@ -75,7 +75,7 @@ class Signing:
         found = SigningState(None, 0) if store is None else store.state
         self.key = found.key
         self._stamp = self._base = self._floor = found.stamp
-        """``_floor``: who has not been heard in this run has to be beyond it."""
+        """``_floor``: lower bound for senders that are new in this run."""
         self._kept = found.stamp + AHEAD_UNITS
         """The time that the disk has been asked to keep,"""
         self._safe = self._kept if found.key is not None else found.stamp
@@ -95,11 +95,10 @@ class Signing:
 
     @property
     def stamp(self) -> int:
-        """Signing time now."""
         return max(self._stamp, self._base + int(self._t_us / 10 / self._patience))
 
     def tick(self, t_us: int) -> str | None:
-        """Time goes on; what there is to tell of the disk, "" = key and time are on it."""
+        """Advance signing time. Returns an error of the disk to report, "" = key and time are on it."""
         self._t_us = t_us
         if self._store is None:
             return None
@@ -116,13 +115,14 @@ class Signing:
         return saved.failure
 
     def finish(self) -> None:
-        """The end of a run: nothing is sent or heard any more, and the next run goes on from here."""
+        """End of a run: nothing is sent or accepted any more; the next run continues from this time."""
         if self.key is not None:
             self._keep(max(self.stamp, self._beat_stamp) + 1)
 
     def set_key(self, key: bytes | None, stamp: int = 0) -> None:
-        """Another key from now on, None = none. The time goes on from the later one, and that of every sender with it:
-        a key that comes back does not make old frames new."""
+        """Replace the key, None = no signing. The later of the timestamps is kept, also per sender: returning to an
+        old key does not make old frames valid.
+        """
         self._stamp = min(max(self.stamp, stamp), LATEST_STAMP)
         self.key = key
         self._keep(self.stamp + AHEAD_UNITS)
@@ -141,7 +141,7 @@ class Signing:
         self._floor = max(self._floor, stamp)
 
     def sign(self, frame: bytes, crc_extra: int, link: int, *, counted: bool = True) -> bytes:
-        """An unsigned MAVLink 2 frame, signed. What is not ``counted`` leaves the time of others as it is."""
+        """Sign a MAVLink 2 frame. Not ``counted``: timestamps of other streams stay unchanged."""
         assert self.key is not None
         if counted:
             self._stamp = stamp = max(self._stamp + 1, self.stamp)
@@ -151,7 +151,7 @@ class Signing:
         return signed(frame, crc_extra, self.key, number, stamp)
 
     def admits(self, frame: bytes, reach: Reach) -> bool:
-        """Whether a whole frame with a good checksum is to be heard. Its time is used up by being asked for."""
+        """Whether to accept a complete frame with a valid checksum. Calling it consumes the frame's timestamp."""
         if not is_signed(frame):
             if self.key is None or reach is Reach.PROCESS or (reach is Reach.MACHINE and self.local_may_be_silent):
                 return True
@@ -181,8 +181,9 @@ class Signing:
         return True
 
     def _is_kept(self, stamp: int) -> bool:
-        """Whether a frame of that time is old after a restart at any moment. If not, the disk gets a later time on the
-        next tick, and the client's next frame is heard."""
+        """Whether a frame of that timestamp is rejected after a restart at any moment. If not, the disk gets a later
+        time on the next tick, and the client's next frame is accepted.
+        """
         if self._store is None or stamp <= self._safe or self._disk_fails:
             return True
         return self._asked_us is not None and self._t_us - self._asked_us > SLOW_DISK_US
@@ -197,7 +198,7 @@ def signed(frame: bytes, crc_extra: int, key: bytes, number: int, stamp: int) ->
 
 
 def is_signed_with(key: bytes, frame: bytes) -> bool:
-    """Whether a whole frame is signed with a key; of its time nothing is said."""
+    """Whether a complete frame is signed with a key; its timestamp is not checked."""
     return is_signed(frame) and hmac.compare_digest(_tag(key, frame[:-_TAG]), frame[-_TAG:])
 
 

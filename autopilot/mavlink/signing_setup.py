@@ -1,4 +1,4 @@
-"""The signing key: how a client sets it, and what the disk says of it."""
+"""SETUP_SIGNING by a client, and storage errors of the signing key."""
 
 from collections.abc import Callable
 
@@ -19,7 +19,7 @@ class SigningSetup:
         self._ctx, self._reach = ctx, reach
 
     def tick(self) -> None:
-        """Signing time goes on; a key that the disk has not got is told."""
+        """Advance signing time; report a key that could not be saved."""
         ctx = self._ctx
         ctx.signing.local_may_be_silent = ctx.params["SIGN_LOCAL"] > 0.0
         problem = ctx.signing.tick(ctx.t_us)
@@ -27,8 +27,9 @@ class SigningSetup:
             ctx.say(notices.SIGNING_NOT_SAVED(problem=problem))
 
     def on_setup(self, peer: MavlinkPeer, msg: Message) -> None:
-        """SETUP_SIGNING: only from this machine, where nobody listens on the way, and while disarmed; a key that is in
-        force has to have signed it. All zero takes the key away."""
+        """SETUP_SIGNING: accepted only from this machine (no eavesdropping) and while disarmed; if a key is in force
+        the message has to be signed with it. All zero removes the key.
+        """
         ctx = self._ctx
         if self._reach((peer.link, peer.client)) is Reach.NETWORK:
             ctx.say(notices.KEY_FROM_NETWORK(), peer)

@@ -1,4 +1,4 @@
-"""Who the vehicle is and how it is doing: HEARTBEAT, SYS_STATUS, battery, version, modes."""
+"""Identity and health: HEARTBEAT, SYS_STATUS, battery, version, modes."""
 
 from collections.abc import Mapping
 
@@ -47,7 +47,7 @@ _INERTIAL = (
     | mav.MAV_SYS_STATUS_SENSOR_3D_ACCEL
     | mav.MAV_SYS_STATUS_SENSOR_3D_MAG
 )
-"""The AHRS and what is in it: MAVSDK asks for the three one by one."""
+"""The AHRS and its sensors: MAVSDK requests the three one by one."""
 
 _CAPABILITIES = (
     mav.MAV_PROTOCOL_CAPABILITY_PARAM_FLOAT
@@ -225,7 +225,7 @@ class StatusMessages:
         return mav.MAVLink_extended_sys_state_message(mav.MAV_VTOL_STATE_UNDEFINED, state)
 
     def battery_status(self) -> Message | None:
-        """BATTERY_STATUS of the one pack: its voltage in the first cell's place (cells are not measured)."""
+        """BATTERY_STATUS of the single pack: its voltage as that of the first cell (cells are not measured)."""
         power = self._ctx.view.power
         if power is None:
             return None
@@ -252,7 +252,7 @@ class StatusMessages:
         return limited(left_j / power_w, 1, 0x7FFF_FFFF)
 
     def current_mode(self) -> Message | None:
-        """CURRENT_MODE: what it does and what the operator asked for."""
+        """CURRENT_MODE: mode in force and mode requested by the operator."""
         view, modes = self._ctx.view, self._ctx.profile.custom_modes
         return mav.MAVLink_current_mode_message(
             MODE_ROWS[view.mode].standard, modes[view.mode], modes[view.intended_mode]

@@ -1,4 +1,4 @@
-"""Which message goes out how often on which link: default rates, SET_MESSAGE_INTERVAL, REQUEST_DATA_STREAM."""
+"""Message rates per link: defaults, SET_MESSAGE_INTERVAL, REQUEST_DATA_STREAM."""
 
 from collections.abc import Mapping
 from functools import partial
@@ -54,7 +54,7 @@ DEFAULT_INTERVAL_US: Mapping[int, int] = MappingProxyType(
         mav.MAVLINK_MSG_ID_TIMESYNC: 10 * _S,
     }
 )
-"""Default interval by message id. What is not here is sent on request only."""
+"""Default interval by message id. Others are sent on request only."""
 
 STREAM_GROUPS: Mapping[int, tuple[int, ...]] = MappingProxyType(
     {
@@ -78,12 +78,10 @@ STREAM_GROUPS: Mapping[int, tuple[int, ...]] = MappingProxyType(
 """Messages of each REQUEST_DATA_STREAM group (the grouping ground stations know from ArduPilot)."""
 
 SLOW_US = _S
-"""Messages that come this rarely by default keep their rate when a client asks for ALL streams at a common rate."""
+"""Messages with this default interval or more keep it when a client requests ALL streams at a common rate."""
 
 
 class LinkStreams:
-    """Schedule of one link."""
-
     def __init__(self, t_us: int) -> None:
         self.interval_us = dict(DEFAULT_INTERVAL_US)
         self.due_us: dict[int, int] = {}
@@ -116,19 +114,17 @@ class LinkStreams:
         return [msg_id for msg_id, at_us in self.due_us.items() if at_us <= t_us]
 
     def done(self, msg_id: int, t_us: int) -> None:
-        """A message has been sent: when it is due again."""
+        """Schedule the next time of a message that has been sent."""
         interval_us = self.interval_us[msg_id]
         at_us = self.due_us[msg_id] + interval_us
         self.due_us[msg_id] = at_us if at_us > t_us else t_us + interval_us
 
     def settle(self, t_us: int) -> None:
-        """When to look again."""
+        """Set the time of the next check."""
         self.next_us = min(self.due_us.values(), default=t_us + _S)
 
 
 class Streams:
-    """Telemetry on all links."""
-
     def __init__(self, ctx: Context, builders: Mapping[int, Builder]) -> None:
         self._ctx = ctx
         self._builders = builders
@@ -150,7 +146,7 @@ class Streams:
         streams.set(msg_id, interval_us, self._ctx.t_us)
 
     def all_again(self, link: int) -> None:
-        """As it was before :meth:`only`; everything comes once in the next tenth of a second."""
+        """Undo :meth:`only`; every message is sent once within the next 0.1 s."""
         before = self._before.pop(link, None)
         if before is not None:
             before.spread(self._ctx.t_us)
@@ -161,7 +157,7 @@ class Streams:
         return msg_id in self._builders
 
     def build(self, msg_id: int) -> tuple[Message, ...]:
-        """A message now (or several of that kind), () when there is nothing to say."""
+        """The message now (or several of that kind), () without data."""
         made = self._builders[msg_id]()
         if made is None:
             return ()
@@ -204,7 +200,7 @@ class Streams:
             self.set_interval(link, msg_id, interval)
 
     def tick(self) -> None:
-        """Send what is due; a message due on several links is built once."""
+        """Send messages that are due; one due on several links is built once."""
         t_us = self._ctx.t_us
         built: dict[int, tuple[Message, ...]] = {}
         for link in self._ctx.links:
@@ -218,7 +214,7 @@ class Streams:
                 self._ctx.guard.run("telemetry", partial(self._send, link, msg_id, built), None, lambda: self._ctx.view)
 
     def _tick_slow(self, link: int, streams: LinkStreams, built: dict[int, tuple[Message, ...]]) -> None:
-        """What the link can carry of what is due, the longest due first; the rest stays due."""
+        """Send as many due messages as the link can carry, the most overdue first; the rest stays due."""
         ctx, t_us = self._ctx, self._ctx.t_us
         for msg_id in sorted(streams.due(t_us), key=lambda due: streams.due_us[due]):
             if not ctx.has_room(link, TELEMETRY):

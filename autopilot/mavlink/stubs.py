@@ -1,7 +1,8 @@
-"""Parameters that QGroundControl's plug-ins cannot do without: there, with a fixed value, and used by nothing.
+"""Stub parameters that QGroundControl's plug-ins require: fixed values without effect.
 
-Without them it opens popups at every connect and paints its setup page red ("Parameters are missing from firmware").
-Those of a plug-in exist under its profile alone, cannot be set, and say what they are in their help.
+Without them QGroundControl opens popups at every connect and marks its setup page red ("Parameters are missing from
+firmware"). Those of a plug-in exist under its profile only, are read-only, and their help text says that they are
+stubs.
 """
 
 from collections.abc import Mapping
@@ -16,7 +17,7 @@ GROUP_OF_STUBS = "Not used (QGroundControl)"
 _PX4_INT32: Mapping[str, int] = {
     "SYS_AUTOSTART": 60_000,  # PX4's number of a generic underwater vehicle; 0 makes the airframe page complain
     "SYS_AUTOCONFIG": 0,
-    "SYS_HAS_MAG": 0,  # else the sensors page wants a compass calibrated that PX4 does not have here
+    "SYS_HAS_MAG": 0,  # else the sensors page requires the calibration of a compass
     "MAV_SYS_ID": 1,
     "CAL_GYRO0_ID": 1,  # "calibrated"
     "CAL_ACC0_ID": 1,
@@ -53,7 +54,7 @@ _PX4_REAL32: Mapping[str, float] = {
 
 
 _ARDUSUB_INT32: Mapping[str, int] = {
-    "COMPASS_DEV_ID": 0,  # none is installed, else the sensors page wants it calibrated
+    "COMPASS_DEV_ID": 0,  # none is installed, else the sensors page requires its calibration
     "COMPASS_DEV_ID2": 0,
     "COMPASS_DEV_ID3": 0,
     "COMPASS_USE": 0,

@@ -1,4 +1,4 @@
-"""Where the vehicle is and where it goes: builders of the navigation messages."""
+"""Navigation messages: position, attitude, velocity and goal."""
 
 import math
 from collections.abc import Callable, Mapping
@@ -12,12 +12,12 @@ from autopilot.mavlink.context import Context, f32, i16, i32, limited, u16
 from autopilot.mavlink.wire import Message
 
 Builder = Callable[[], Message | tuple[Message, ...] | None]
-"""Makes one message of the present state or several of a kind, None or () when there is nothing to say yet."""
+"""Builds one message of the present state or several of a kind, None or () without data."""
 
 NAN = math.nan
 
 SANE = 1e9
-"""An estimate with a number beyond this (or NaN) has diverged: shown as no estimate."""
+"""An estimate with a number beyond this (or NaN) has diverged: reported as no estimate."""
 
 POSITION_ONLY_MASK = 0b110111111000
 """POSITION_TARGET_TYPEMASK: velocity, acceleration, yaw and yaw rate are not given."""
@@ -35,7 +35,7 @@ _FLAGS_GOOD = (
 _FLAGS_DEAD_RECKONING = mav.ESTIMATOR_ATTITUDE | mav.ESTIMATOR_PRED_POS_HORIZ_REL | mav.ESTIMATOR_PRED_POS_HORIZ_ABS
 
 _POSITION_DOUBTS = {NavDoubt.FIXES, NavDoubt.MAP, NavDoubt.CALIBRATION, NavDoubt.RESETS, NavDoubt.CAMERA}
-"""Where positions come from is in doubt: GPS_GLITCH is the flag that there is for it."""
+"""Position fixes are suspect: GPS_GLITCH is the closest flag."""
 
 
 class MotionNumbers(NamedTuple):
@@ -68,7 +68,7 @@ def motion_of(nav: NavState) -> MotionNumbers | None:
         *nav.vel_frd_m_s.tolist(),
         *nav.vel_water_frd_m_s.tolist(),
     ]
-    # The extremes say nothing of what is no number, the sum does.
+    # Minimum and maximum ignore NaN, the sum does not.
     if not (max(numbers) < SANE and min(numbers) > -SANE and math.isfinite(sum(numbers))):
         return None
     north, east, down, roll, pitch, yaw, p, q, r, u, v, w, ur, vr, wr = numbers
@@ -199,7 +199,7 @@ class NavigationMessages:
         )
 
     def estimator_status(self) -> Message | None:
-        """ESTIMATOR_STATUS: what may be used, one sigma of position, test ratios (0 where nothing is measured)."""
+        """ESTIMATOR_STATUS: valid outputs, one sigma of position, test ratios (0 without a measurement)."""
         nav = self._ctx.view.nav
         if nav is None:
             return None
@@ -297,7 +297,7 @@ class NavigationMessages:
         )
 
     def debug_vect(self) -> Message | None:
-        """DEBUG_VECT "margin": room beyond what is kept [m], what is kept [m], use of the penalties (1 = all)."""
+        """DEBUG_VECT "margin": clearance beyond the margin [m], margin [m], use of the penalties (1 = all)."""
         control = self._ctx.view.control
         if control is None:
             return None

@@ -1,8 +1,8 @@
-"""Obstacles that others tell of: vehicles that broadcast where they are, and distances of a sensor.
+"""Obstacles reported over MAVLink: other vehicles, and distance sensors.
 
-GLOBAL_POSITION_INT of other vehicles, ADSB_VEHICLE and AIS_VESSEL become tracks of upright cylinders with the radius
-AVD_RADIUS (AIS: the ship's dimensions); OBSTACLE_DISTANCE becomes cylinders that stand where its beams end. What the
-fence has already is left out by :mod:`autopilot.command.environment`.
+GLOBAL_POSITION_INT of other vehicles, ADSB_VEHICLE and AIS_VESSEL become tracks of vertical cylinders with the
+radius AVD_RADIUS (AIS: the ship's dimensions); OBSTACLE_DISTANCE becomes cylinders at the ends of its beams.
+:mod:`autopilot.command.environment` drops obstacles that the fence already contains.
 """
 
 import math
@@ -21,7 +21,7 @@ from autopilot.mavlink.wire import Message
 REACH_M = 500.0
 """Others farther away than this are of no concern yet."""
 FASTEST_M_S = 9.9
-"""Speeds are cut off here: what is faster is no vehicle that could be evaded."""
+"""Speed limit of tracks: faster objects could not be evaded."""
 LARGEST_M = 99.0
 """Radii as well: from so near a longer ship's side is straight."""
 DRAUGHT_M = 10.0
@@ -30,7 +30,7 @@ MAX_PER_TICK = 64
 """Reports of one tick; what is beyond them is dropped."""
 
 _VEHICLE, _ADSB, _AIS, _BEAM = 1 << 28, 2 << 28, 3 << 28, BEAM_TRACKS
-"""What tells the numbers of tracks apart, also from those of sensors of our own, which are small."""
+"""Offsets of track numbers by source, above those of our own sensors."""
 _NUMBER = (1 << 28) - 1
 
 _COORDS, _ALTITUDE, _HEADING, _VELOCITY = 1, 2, 4, 8
@@ -50,7 +50,7 @@ SAME_M = 0.4
 
 @dataclass(slots=True)
 class _Scan:
-    """What one sensor showed last: number -> place (2,)."""
+    """Last scan of one sensor: number -> position (2,)."""
 
     places: dict[int, FloatArray] = field(default_factory=dict)
     next: int = 0
@@ -66,7 +66,7 @@ class TrafficReports:
         self._scans: dict[tuple[int, int, int], _Scan] = {}
 
     def take(self) -> tuple[tuple[ObstacleTrack, ...], tuple[int, ...]]:
-        """Reports since the last call, and numbers of what is not there any more."""
+        """Reports since the last call, and numbers of obstacles that have gone."""
         if not self._tracks and not self._gone:
             return (), ()
         tracks, gone = tuple(self._tracks), tuple(self._gone)
@@ -74,7 +74,6 @@ class TrafficReports:
         return tracks, gone
 
     def on_global_position_int(self, peer: MavlinkPeer, msg: Message) -> None:
-        """Another vehicle's own position."""
         if peer.compid != COMPID or (msg.lat == 0 and msg.lon == 0):
             return
         place = (deg_from_e7(msg.lat), deg_from_e7(msg.lon), msg.alt * 1e-3)
@@ -82,7 +81,7 @@ class TrafficReports:
         self._add(_VEHICLE | peer.sysid, place, velocity, self._ctx.params["AVD_RADIUS"], self._height)
 
     def on_adsb_vehicle(self, peer: MavlinkPeer, msg: Message) -> None:
-        """ADSB_VEHICLE, whatever it is that its sender knows."""
+        """ADSB_VEHICLE, with any subset of valid fields."""
         if not msg.flags & _COORDS:
             return
         altitude_m = msg.altitude * 1e-3 if msg.flags & _ALTITUDE else self._altitude_m
@@ -108,7 +107,6 @@ class TrafficReports:
 
     @property
     def _altitude_m(self) -> float:
-        """Our own."""
         nav, origin = self._ctx.view.nav, self._ctx.view.origin
         return origin.alt_m if nav is None else origin.alt_m - float(nav.pos_ned_m[2])
 
@@ -181,7 +179,7 @@ class TrafficReports:
         reach_m: list[float],
         step: float,
     ) -> None:
-        """Give what is seen the numbers that it had; what a beam has gone through is not there any more."""
+        """Associate returns with the numbers of the last scan; obstacles that a beam has passed through are removed."""
         left = dict(scan.places)
         for center, radius_m in blobs:
             at = np.array([center.real, center.imag])

@@ -1,4 +1,4 @@
-"""Small services: PING, TIMESYNC, SYSTEM_TIME, and that there are no events."""
+"""PING, TIMESYNC, SYSTEM_TIME, and an empty event interface."""
 
 from autopilot.mavlink.context import Context, MavlinkPeer
 from autopilot.mavlink.dialect import extra, mav
@@ -6,7 +6,7 @@ from autopilot.mavlink.wire import Message
 
 
 class Utility:
-    """Answers that need no state."""
+    """Handlers of messages that need no state."""
 
     def __init__(self, ctx: Context) -> None:
         self._ctx = ctx
@@ -32,7 +32,7 @@ class Utility:
         return min(self._ctx.t_us * 1000, (1 << 63) - 1)
 
     def on_request_event(self, peer: MavlinkPeer, msg: Message) -> None:
-        """REQUEST_EVENT: operators are told by STATUSTEXT, there has never been an EVENT that could be sent again."""
+        """REQUEST_EVENT: notices go by STATUSTEXT, there are no events to resend."""
         unavailable = extra.MAV_EVENT_ERROR_REASON_UNAVAILABLE
         self._ctx.send(
             peer,
@@ -40,7 +40,7 @@ class Utility:
         )
 
     def event_sequence(self) -> Message | None:
-        """CURRENT_EVENT_SEQUENCE, for who asks: none so far."""
+        """CURRENT_EVENT_SEQUENCE on request: none so far."""
         return extra.MAVLink_current_event_sequence_message(0, 0)
 
     def on_system_time(self, msg: Message) -> None:
@@ -49,6 +49,6 @@ class Utility:
             self.utc_offset_us = msg.time_unix_usec - self._ctx.t_us
 
     def system_time(self) -> Message | None:
-        """SYSTEM_TIME: Unix time 0 while nobody has told it."""
+        """SYSTEM_TIME: Unix time is 0 while unknown."""
         unix_us = 0 if self.utc_offset_us is None else max(self.utc_offset_us + self._ctx.t_us, 0)
         return mav.MAVLink_system_time_message(min(unix_us, 2**64 - 1), self._ctx.boot_ms)

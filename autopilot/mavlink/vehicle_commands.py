@@ -1,4 +1,4 @@
-"""Commands that make the vehicle do something: arm, modes, mission, go-to, speed, home, origin."""
+"""Vehicle commands: arm, modes, mission, go-to, speed, home, origin."""
 
 import math
 from collections.abc import Mapping
@@ -43,7 +43,7 @@ _LASTING = {
     mav.MAV_CMD_NAV_LAND: FlightMode.SURFACE,
     mav.MAV_CMD_MISSION_START: FlightMode.MISSION,
 }
-"""Commands whose work goes on behind their answer, in a mode of their own."""
+"""Commands whose work continues after their answer, in a mode of their own."""
 
 INT_ONLY = CommandReply(result=CommandResult.COMMAND_INT_ONLY, reason="send COMMAND_INT: COMMAND_LONG rounds to 0.5 m")
 
@@ -102,13 +102,13 @@ class VehicleService:
         return Reply(vehicle.disarm(force), later=vehicle.disarmed)
 
     def terminate(self, call: Call) -> Reply:
-        """DO_FLIGHTTERMINATION: stop the thrusters now. There is nothing that could be taken back."""
+        """DO_FLIGHTTERMINATION: stop the thrusters now; irreversible."""
         if call.params[0] == 1.0:
             return self._disarmed(True)
         return denied("flight termination: send param1 = 1")
 
     def fence_enable(self, call: Call) -> Reply:
-        """DO_FENCE_ENABLE: the fence is a limit of the controller and holds as long as there is one."""
+        """DO_FENCE_ENABLE: the fence is a constraint of the controller and cannot be disabled."""
         if call.params[0] == 1.0:
             return Reply(ACCEPTED)
         return denied("fence cannot be switched off: disarm and clear it")
@@ -131,8 +131,9 @@ class VehicleService:
         return self._ctx.vehicle.set_mode(mode)
 
     def do_set_standard_mode(self, call: Call) -> Reply:
-        """DO_SET_STANDARD_MODE; FAILED for a mode that does not exist here, as the specification says, and for a number
-        that older and newer clients do not mean the same mode by."""
+        """DO_SET_STANDARD_MODE; FAILED for a mode that does not exist here (as specified) and for numbers whose
+        meaning differs between older and newer clients.
+        """
         mode = STANDARD_MODES.get(call.whole(1) or 0)
         if mode is None:
             known = ", ".join(str(n) for n in sorted(STANDARD_MODES))
@@ -147,9 +148,9 @@ class VehicleService:
         return Reply(self._ctx.vehicle.set_mode(mode))
 
     def run_prearm_checks(self, call: Call) -> Reply:
-        """RUN_PREARM_CHECKS: the result comes as text; of an armed vehicle only what is wrong with its plans."""
+        """RUN_PREARM_CHECKS: results as text; of an armed vehicle only problems of its plans."""
         view = self._ctx.view
-        self._ctx.begin_anew()  # who asks is answered, however lately it has been said
+        self._ctx.begin_anew()  # a request is answered, however lately the text was sent
         if view.prearm_reasons:
             for reason in view.prearm_reasons:
                 self._ctx.say(notices.ARMING_REASON(reason=reason), call.peer)
@@ -164,7 +165,7 @@ class VehicleService:
         return Reply(ACCEPTED)
 
     def cancel(self, command: int) -> bool:
-        """End what a command began, if it is what the vehicle does now: it holds. Whether it was."""
+        """Hold if the command being executed is this one. Returns whether it was."""
         ctx = self._ctx
         running = ctx.view.armed and command in _LASTING and ctx.view.mode is _LASTING[command]
         return running and ctx.vehicle.pause().result is CommandResult.ACCEPTED
@@ -176,9 +177,9 @@ class VehicleService:
         return Reply(self._ctx.vehicle.set_mode(FlightMode.GUIDED if call.param(1) > 0.5 else FlightMode.HOLD))
 
     def take_off(self, call: Call) -> Reply:
-        """NAV_TAKEOFF: dive here. An altitude in the water is the depth; one that is missing or above it, as ground
-        stations for aircraft send it, means TKOFF_DEPTH. COMMAND_LONG says no frame: what lies below the depth band is
-        no depth either."""
+        """NAV_TAKEOFF: dive here. A negative altitude is the depth; a missing or positive one (ground stations for
+        aircraft) means TKOFF_DEPTH. COMMAND_LONG has no frame: a depth below the depth band is refused too.
+        """
         depth_m = self._depth_m(call.z, call.frame)
         if call.frame == mav.MAV_FRAME_LOCAL_NED and math.isfinite(call.z):
             depth_m = call.z
@@ -233,7 +234,7 @@ class VehicleService:
     # Mission
 
     def mission_start(self, call: Call) -> Reply:
-        """MISSION_START: param1 = first item (0 = where it is), param2 = last item (only "all")."""
+        """MISSION_START: param1 = first item (0 = current), param2 = last item (only "all")."""
         by = home_item.shift(self._ctx, PlanKind.MISSION)
         count = len(self._ctx.plans.items(PlanKind.MISSION))
         first, last = call.whole(1), call.whole(2)
@@ -244,7 +245,7 @@ class VehicleService:
         return Reply(self._ctx.vehicle.start_mission(max(first - by, 0) if first else None))
 
     def pause_continue(self, call: Call) -> Reply:
-        """DO_PAUSE_CONTINUE: 0 = pause, 1 = go on."""
+        """DO_PAUSE_CONTINUE: 0 = pause, 1 = resume."""
         if call.params[0] == 0.0:
             return Reply(self._ctx.vehicle.pause())
         if call.params[0] == 1.0:
@@ -282,7 +283,7 @@ class VehicleService:
         return Reply(answer)
 
     def change_speed(self, call: Call) -> Reply:
-        """DO_CHANGE_SPEED, ground or water speed alike (both set the cruise speed); -1 = as it is, -2 = default."""
+        """DO_CHANGE_SPEED, ground or water speed alike (both set the cruise speed); -1 = unchanged, -2 = default."""
         if call.whole(1) not in (0, 1):
             return denied(f"change speed: type {call.param(1):g} is not supported, use 0 or 1")
         speed_m_s = call.params[1]
@@ -330,7 +331,7 @@ class VehicleService:
         return answer
 
     def _point(self, call: Call, what: str) -> GeodeticPosition | Reply:
-        """The position of a command, or the refusal when it has none that can be used. What is not given = here."""
+        """Position of a command, or the refusal of an invalid one. Missing coordinates = here."""
         ctx = self._ctx
         given = math.isfinite(call.x) and math.isfinite(call.y)
         if given and not call.exact:

@@ -1,11 +1,10 @@
-"""Bytes to messages and back: MAVLink 1 and 2 in, MAVLink 2 out. One parser per client; input never raises.
+"""MAVLink codec: versions 1 and 2 in, version 2 out. One parser per client; input never raises.
 
 Framing is done here and not by pymavlink's stream parser, because that one skips a whole bogus frame length after a
-checksum error and so loses the good message behind it. Decoding a complete frame is pymavlink's.
-
-What comes in is worked off against an allowance of work (:class:`Work`): what does not fit waits, what finds no place
-to wait is dropped and counted. Work is counted and not timed, so that a run does not depend on the machine. Junk is
-cheap to reject: a frame is believed by its header first, then by its checksum, and decoded last.
+checksum error and loses the valid message behind it. Complete frames are decoded by pymavlink. Parsing is limited
+by a work budget (:class:`Work`): excess input is queued, and dropped and counted when the queue is full. Work is
+counted, not timed, so that a run does not depend on the machine. Corrupt bytes are rejected cheaply: header first,
+then checksum, decoding last.
 """
 
 from collections import deque
@@ -21,16 +20,16 @@ Message: TypeAlias = Any
 """A generated pymavlink message (the dialect is untyped)."""
 
 MAX_CHUNK_BYTES = 65_536
-"""Longest piece of input that is fed at once: one UDP datagram or one socket read. What is beyond is dropped."""
+"""Longest piece of input: one UDP datagram or one socket read. The rest is dropped."""
 MAX_BACKLOG_BYTES = 16_384
-"""What one client may have waiting: half a second of a fast serial line, 300 messages."""
+"""Queue of one client: half a second of a fast serial line, 300 messages."""
 
 JUNK_WORK = 1
-"""Work of a byte that belongs to no frame; about a microsecond when it looks like the start of one."""
+"""Work per byte outside of frames; about a microsecond if it looks like a start of frame."""
 CHECKSUM_WORK = 2
 """Work of a frame's checksum."""
 DECODE_WORK = 8
-"""Work of decoding a message that somebody wants."""
+"""Work of decoding a wanted message."""
 
 V1, _V2 = mav.PROTOCOL_MARKER_V1, mav.PROTOCOL_MARKER_V2
 SIGNATURE_BYTES: int = mav.MAVLINK_SIGNATURE_BLOCK_LEN
@@ -38,7 +37,7 @@ _CRC_BYTES = 2
 _V1_OVERHEAD = mav.HEADER_LEN_V1 + _CRC_BYTES
 _V2_OVERHEAD = mav.HEADER_LEN_V2 + _CRC_BYTES
 _KNOWN = {msg_id: (kind.crc_extra, kind.unpacker.size) for msg_id, kind in mav.mavlink_map.items()}
-"""Message id -> CRC_EXTRA, longest payload. MAVLink 1 knows no longer one; in MAVLink 2 newer fields may follow."""
+"""Message id -> CRC_EXTRA, longest payload. MAVLink 1 has no longer one; in MAVLink 2 newer fields may follow."""
 
 
 @dataclass(slots=True)
@@ -67,10 +66,11 @@ class RawMessage:
 
 
 class LinkParser:
-    """Cuts one client's bytes into messages. Damaged bytes are counted in ``dropped`` and skipped.
+    """Splits one client's bytes into messages.
 
-    ``wanted`` are the ids of messages worth decoding (None = all): others are checked and passed over. ``admits`` is
-    asked about every good frame of a known message; what it refuses is counted in ``refused`` and not heard.
+    Damaged bytes are counted in ``dropped`` and skipped. ``wanted``: ids of messages to decode (None = all); others
+    are only checked. ``admits`` is called for every valid frame of a known message; rejected frames are counted in
+    ``refused``.
     """
 
     def __init__(self, wanted: Container[int] | None = None, admits: Callable[[bytes], bool] | None = None) -> None:
@@ -80,11 +80,11 @@ class LinkParser:
         self.refused = 0
         """Good frames that were not admitted so far."""
         self._queue: deque[bytes] = deque()
-        """What has not been looked at."""
+        """Not parsed yet."""
         self._queued = 0
         """Its bytes."""
         self._data, self._pos = b"", 0
-        """What is being looked at, and how far."""
+        """Being parsed, and the offset."""
         self.dropped = 0
         """Stretches of damaged input so far."""
         self.overflow = 0
@@ -95,11 +95,11 @@ class LinkParser:
 
     @property
     def backlog(self) -> int:
-        """Bytes that wait."""
+        """Bytes not parsed yet."""
         return self._queued + len(self._data) - self._pos
 
     def push(self, data: bytes) -> bool:
-        """Take a datagram or any piece of a stream to be worked off; False when there is no room for it."""
+        """Queue a datagram or a piece of a stream; False when the queue is full."""
         if self.backlog + len(data) > MAX_BACKLOG_BYTES:
             self.overflow += len(data)
             return False
@@ -159,19 +159,19 @@ class LinkParser:
         return self._admits(frame)
 
     def _next_piece(self) -> None:
-        """Put the next piece behind what is incomplete."""
+        """Append the next piece to the incomplete frame."""
         piece = self._queue.popleft()
         self._queued -= len(piece)
         if self._pos < len(self._data):
             if _frame_at(piece, 0, Work(0)) > 0:
-                # A whole good frame at the start: what was pending is a truncated datagram, never to be completed.
+                # A complete valid frame at the start: the pending data are a truncated datagram, never to be completed.
                 self.dropped += 1
             else:
                 piece = self._data[self._pos :] + piece
         self._data, self._pos = piece, 0
 
     def _decoded(self, frame: bytes, work: Work) -> Message | None:
-        """The message of a good frame; None if nobody wants it."""
+        """Message of a valid frame; None if it is not wanted."""
         if self._wanted is not None and message_id(frame) not in self._wanted:
             return None
         work.left -= DECODE_WORK
@@ -182,7 +182,6 @@ class LinkParser:
 
 
 def message_id(frame: bytes) -> int:
-    """Of a whole frame."""
     return frame[5] if frame[0] == V1 else int.from_bytes(frame[7:10], "little")
 
 
@@ -192,7 +191,7 @@ def is_signed(frame: bytes) -> bool:
 
 
 def _frame_at(data: bytes, pos: int, work: Work) -> int:
-    """Length of the good frame at ``pos``; 0 when more bytes are needed to tell, -1 when there is none."""
+    """Length of the valid frame at ``pos``; 0 when more bytes are needed, -1 when there is none."""
     left = len(data) - pos
     if left == 0:
         return 0
@@ -217,7 +216,7 @@ def _frame_at(data: bytes, pos: int, work: Work) -> int:
         return 0
     end = pos + size
     if known is None:
-        # An id without known checksum seed: believe it only if the next frame follows right behind.
+        # An id without known CRC_EXTRA: accept it only if the next frame follows immediately.
         return size if left == size or data[end] in (V1, _V2) else -1
     work.left -= CHECKSUM_WORK
     crc_at = end - signature - _CRC_BYTES

@@ -1,1 +1,1 @@
-"""What a log holds of how its service was made, so that another one like it can be made."""
+"""Record of the service's construction in a log, from which a replay builds the same service."""

@@ -1,6 +1,6 @@
-"""What a log must hold of an estimator's making so that another one like it can be made: attachments and back.
+"""Record of an estimator's construction: attachments of a log, and reading them.
 
-Floats survive JSON and npz bit for bit, which the marker map file (rounded to micrometres) does not promise.
+Floats survive JSON and npz bit for bit, which the marker map file (rounded to micrometres) does not.
 """
 
 import io
@@ -31,7 +31,7 @@ class EstimatorSetup(msgspec.Struct, frozen=True, kw_only=True):
 
 
 def options_of(params: ParamSet) -> EstimatorOptions:
-    """The options that the parameters ask for when the service starts."""
+    """Options set by the parameters at the start of the service."""
     return EstimatorOptions(current_3d=params["EST_CURRENT_3D"] > 0.0)
 
 
@@ -58,7 +58,7 @@ def estimator_attachments(
 
 
 def read_setup(log: Log) -> EstimatorSetup:
-    """How the estimator of a log was made. LogError if the log does not say."""
+    """Setup of a log's estimator. LogError if the log lacks it."""
     setup: EstimatorSetup = _decoded(log, ESTIMATOR_FILE, EstimatorSetup)
     return setup
 

@@ -1,8 +1,8 @@
-"""What a log must hold of a service's making so that another one like it can be made (attachment ``service.json``).
+"""Record of a service's construction (attachment ``service.json``).
 
-Vehicle, marker map and estimator have attachments of their own (:mod:`autopilot.record.estimator_setup`), and so have
-the plans and the place in the mission that the service began with (``start_plans.json``) and a map of the current
-(``currents_map``). Of a signing key it says only that there was one.
+Vehicle, marker map and estimator have attachments of their own (:mod:`autopilot.record.estimator_setup`), and so
+have the initial plans and mission progress (``start_plans.json``) and a map of the current (``currents_map``). Of a
+signing key only its existence is recorded.
 """
 
 import msgspec
@@ -25,7 +25,7 @@ class SigningRecord(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class CurrentsRecord(msgspec.Struct, frozen=True, kw_only=True):
-    """What the controller was told of the water."""
+    """The controller's knowledge of the current."""
 
     kind: str
     """none, uniform, learned (``estimate``), map."""
@@ -60,11 +60,11 @@ class ServiceRecord(msgspec.Struct, frozen=True, kw_only=True):
     parameters: dict[str, float]
     """At the start."""
     git: str
-    """Revision, as clients were told."""
+    """Revision, as reported to clients."""
 
 
 def read_record(log: Log) -> ServiceRecord:
-    """How the service of a log was made. LogError if the log does not say, or says it in a way of the future."""
+    """Record of a log's service. LogError if it is missing, or of a newer version."""
     data = log.attachments.get(SERVICE_FILE)
     if data is None:
         raise LogError(

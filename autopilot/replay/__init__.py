@@ -1,1 +1,1 @@
-"""A recorded run once more, on the desk."""
+"""Offline replay of recorded runs."""

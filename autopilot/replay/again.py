@@ -1,4 +1,4 @@
-"""The service that is made once more from the record in its log."""
+"""Rebuilds the service from the record in its log."""
 
 from collections.abc import Iterable
 from pathlib import Path
@@ -45,10 +45,9 @@ def service_again(
     folder: Path,
     changes: Iterable[tuple[str, float]] = (),
 ) -> tuple[Autopilot, ServiceParts]:
-    """The service of a log as it was before its first tick, with some parameters changed.
-
-    ``witness`` gives the answers of then, ``folder`` is for files of this call. LogError if the log does not say
-    enough; ConfigError for a parameter that there is not.
+    """Service of a log in its state before the first tick, with changed parameters. ``witness`` replays recorded
+    results, ``folder`` is for temporary files. LogError if the log lacks data; ConfigError for an unknown
+    parameter.
     """
     record = read_record(log)
     params = ParamSet()
@@ -110,7 +109,7 @@ def _water(log: Log, record: ServiceRecord, origin: Origin, folder: Path) -> Cur
 
 
 def _formula(log: Log) -> CurrentForecast:
-    """The current that a scenario's controller was told without a file: the scenario's own."""
+    """Analytic current of the scenario, for a controller that used no file."""
     data = log.attachments.get("scenario.json")
     if data is None:
         raise LogError(f"{log.path}: has no attachment scenario.json, whose current the controller was told")
@@ -121,7 +120,7 @@ def _formula(log: Log) -> CurrentForecast:
 
 
 def _take_plans(log: Log, parts: ServiceParts, nondeterminism: NondeterminismReplay) -> None:
-    """Plans, origin, home and place in the mission as they were before the first tick."""
+    """Plans, origin, home and mission progress before the first tick."""
     data = log.attachments.get(START_PLANS_FILE)
     if data is None:
         raise LogError(f"{log.path}: has no attachment {START_PLANS_FILE}; the log is damaged")
@@ -148,14 +147,14 @@ def _take_plans(log: Log, parts: ServiceParts, nondeterminism: NondeterminismRep
 
 
 class _Saving:
-    """Nothing is written; what became of it then, the witness knows."""
+    """Writes nothing; results are replayed by the recorder."""
 
     def save(self, tick: int, name: str) -> int | None:
-        """Never asked: the witness answers."""
+        """Never called: the recorder replays the answer."""
         raise AssertionError("a replay asks its log")
 
     def saved(self, tick: int) -> Saved | None:
-        """Never asked: the witness answers."""
+        """Never called: the recorder replays the answer."""
         raise AssertionError("a replay asks its log")
 
 
@@ -163,9 +162,8 @@ class _Store:
     def __init__(self, key: bytes | None, stamp: int) -> None:
         self.state = SigningState(key, stamp)
 
-    def keep(self, tick: int, state: SigningState) -> None:
-        """Nothing is written."""
+    def keep(self, tick: int, state: SigningState) -> None: ...
 
     def poll(self, tick: int) -> Saved | None:
-        """Never asked: the witness answers."""
+        """Never called: the recorder replays the answer."""
         raise AssertionError("a replay asks its log")

@@ -1,8 +1,8 @@
-"""A logged run through the estimator once more: is it the same bit for bit, or what would another setting have given?
+"""Replays a logged run through the estimator: bit-identical, or with another estimator or other options.
 
-The estimator gets exactly what it got then (:mod:`autopilot.replay.inputs`): the same samples at the same ticks in
-the same order, the thrust that it was told, and vehicle file, marker map and options from the log's attachments. With
-nothing changed the result must be the same in every bit of every field.
+The estimator gets the logged inputs (:mod:`autopilot.replay.inputs`): the same samples at the same ticks in the
+same order, the same thrust, and vehicle file, marker map and options from the log's attachments. Unchanged, the
+result has to be identical in every bit of every field.
 """
 
 from collections.abc import Callable, Sequence
@@ -40,7 +40,7 @@ MATCH_US = 5_000
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TopicMatch:
-    """How one topic of the log compares with the replay."""
+    """Comparison of one topic of the log with the replay."""
 
     topic: str
     logged: int
@@ -68,9 +68,25 @@ class RmsError:
 
 
 def replay_setup(log: Log, estimator: str | None, changes: Sequence[str]) -> EstimatorSetup:
-    """The estimator of the log with another name and options changed by ``NAME=VALUE``.
+    """Setup of the logged estimator with changes.
 
-    ConfigError names a wrong one.
+    Parameters
+    ----------
+    log
+        Log with the estimator's setup.
+    estimator
+        Name of another estimator, None = the logged one.
+    changes
+        ``NAME=VALUE`` of :class:`EstimatorOptions`.
+
+    Returns
+    -------
+    EstimatorSetup
+
+    Raises
+    ------
+    ConfigError
+        A change names no option, or its value is not of the option's type.
     """
     setup = read_setup(log)
     values = asdict(setup.options)
@@ -89,9 +105,24 @@ def replay_setup(log: Log, estimator: str | None, changes: Sequence[str]) -> Est
 
 
 def replay(log: Log, setup: EstimatorSetup) -> list[NavState]:
-    """The states that an estimator so made gives for the inputs of a log, one per tick from its start on.
+    """Run an estimator on the logged inputs.
 
-    LogError if the log lacks inputs, or begins after the estimator did (logs that begin when the vehicle is armed).
+    Parameters
+    ----------
+    log
+        Log with the inputs of every tick, from the start of the estimator.
+    setup
+        The estimator and its options (:func:`replay_setup`).
+
+    Returns
+    -------
+    list of NavState
+        One per tick (world NED, body FRD), from the initialisation on.
+
+    Raises
+    ------
+    LogError
+        Inputs are missing, or the log begins after the estimator (logs that begin at arming).
     """
     estimator = create_estimator(
         setup.name,
@@ -117,9 +148,26 @@ def replay(log: Log, setup: EstimatorSetup) -> list[NavState]:
 
 
 def refined_by(log: Log, setup: EstimatorSetup, markers: MarkerMap | None = None) -> MarkerMap:
-    """The marker map of a log as an estimator has it at its end; ``markers`` = that one instead of the log's.
+    """Marker map as refined by the estimator at the end of a log. The log may begin anywhere.
 
-    The log may begin anywhere. LogError if the run had no map, or no picture of it."""
+    Parameters
+    ----------
+    log
+        Log with the inputs of every tick.
+    setup
+        Options of the estimator (always the EKF).
+    markers
+        Prior map, None = the log's.
+
+    Returns
+    -------
+    MarkerMap
+
+    Raises
+    ------
+    LogError
+        The run had no marker map, the map has no uncertainty to refine, or no marker was seen.
+    """
     told = read_markers(log.attachments) if markers is None else markers
     if told is None:
         raise LogError(f"{log.path}: this run had no marker map; there is nothing to refine")
@@ -144,7 +192,20 @@ def refined_by(log: Log, setup: EstimatorSetup, markers: MarkerMap | None = None
 
 
 def matches(log: Log, states: Sequence[NavState]) -> list[TopicMatch]:
-    """Every logged message of /nav/state, /nav/covariance and /nav/status against the replay, bit by bit."""
+    """Compare a replay with the log bit by bit.
+
+    Parameters
+    ----------
+    log
+        The log replayed.
+    states
+        Result of :func:`replay`.
+
+    Returns
+    -------
+    list of TopicMatch
+        For /nav/state, /nav/covariance and /nav/status.
+    """
     by_time = {state.t_us: state for state in states}
     result = [_match(log, "/nav/state", by_time, _state_bits)]
     if len(states) != result[0].logged:
@@ -189,11 +250,24 @@ def _differs(row: Any, now: _Bits) -> str:
     return ""
 
 
-# What another setting would have given.
+# The result with other settings.
 
 
 def spreads(log: Log, states: Sequence[NavState]) -> list[RmsError]:
-    """How far the replay is from the log, and both from the truth where the log has it, over all common ticks."""
+    """RMS of replay against log, and of both against the truth.
+
+    Parameters
+    ----------
+    log
+        The log replayed.
+    states
+        Result of :func:`replay`.
+
+    Returns
+    -------
+    list of RmsError
+        Over all common ticks; errors against the truth are None where the log has no truth.
+    """
     logged = log["/nav/state"]
     now = _stacked(states)
     _, i, j = np.intersect1d(logged["t_us"], now["t_us"], return_indices=True)
@@ -228,7 +302,7 @@ def _rms(name: str, a: FloatArray, b: FloatArray) -> float:
 
 
 def _truth(log: Log, t_us: FloatArray) -> MessageTable | None:
-    """Truth at these times (the nearest message), None without it."""
+    """(n,) truth at the times ``t_us`` [us] (nearest message), None without it."""
     truth = log.get("/sim/truth")
     if truth is None:
         return None
@@ -246,7 +320,27 @@ def _stacked(states: Sequence[NavState]) -> dict[str, FloatArray]:
 
 
 def write_replay(path: Path, log: Log, states: Sequence[NavState]) -> Path:
-    """The replayed states as ``.mcap`` (/nav/state, /nav/covariance, /nav/status) or ``.csv``. LogError if neither."""
+    """Write replayed states.
+
+    Parameters
+    ----------
+    path
+        ``.mcap`` (/nav/state, /nav/covariance, /nav/status) or ``.csv``.
+    log
+        The log replayed.
+    states
+        Result of :func:`replay`.
+
+    Returns
+    -------
+    Path
+        The file written.
+
+    Raises
+    ------
+    LogError
+        The suffix is another one.
+    """
     if path.suffix == ".csv":
         return _write_csv(path, states)
     if path.suffix != ".mcap":

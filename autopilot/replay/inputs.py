@@ -1,4 +1,4 @@
-"""What the estimator of a logged run was given, tick by tick, exactly."""
+"""Logged inputs of the estimator, tick by tick, bit-identical."""
 
 import math
 from collections.abc import Callable, Iterator
@@ -46,7 +46,9 @@ def marker_sighting(row: Any) -> MarkerSighting:
 
 
 def below(row: Any) -> FlightControllerState:
-    """From a row of ``/in/below``. It is written when it changes: ``t_us`` is when it did."""
+    """Flight controller state from a row of ``/in/below``, which is written on change: ``t_us`` is the time of the
+    change.
+    """
     return FlightControllerState(
         t_us=int(row["t_us"]),
         authority=tuple(Authority)[int(row["authority"])],
@@ -65,7 +67,7 @@ def _text(field: Any) -> str:
 
 
 def drive(row: Any) -> VelocityGoal | None:
-    """From a row of ``/ctl/drive``, None = the goal is a place."""
+    """Velocity goal from a row of ``/ctl/drive``, None = the goal is a position."""
     if not row["active"]:
         return None
     down_m_s, yaw_rate_rad_s = float(row["down_m_s"]), float(row["yaw_rate_rad_s"])
@@ -90,11 +92,27 @@ OTHERS = tuple(row.topic for row in SAMPLE_ROWS if not row.estimator)
 READERS = {topic: read for topic, read in SAMPLES.items() if topic not in OTHERS} | {
     "/nav/external": SAMPLES["/in/external"]
 }
-"""What estimators have a use for."""
+"""Sample types that estimators use."""
 
 
 def estimator_ticks(log: Log) -> Iterator[EstimatorTick]:
-    """Every tick of the log in turn. LogError if inputs are missing: what follows could not be the same."""
+    """Logged inputs of the estimator.
+
+    Parameters
+    ----------
+    log
+        Log with the inputs of every tick.
+
+    Yields
+    ------
+    EstimatorTick
+        Every tick in turn.
+
+    Raises
+    ------
+    LogError
+        Inputs are missing, so that a replay could not be identical.
+    """
     for topic in (TICK, THRUST):
         if topic not in log:
             raise LogError(f"{log.path}: has no {topic}, which replay needs; record the run with this version")

@@ -1,4 +1,4 @@
-"""What the whole service of a logged run was given, tick by tick, exactly (:class:`autopilot.core.messages.Inputs`)."""
+"""Logged inputs of the whole service, tick by tick, bit-identical (:class:`autopilot.core.messages.Inputs`)."""
 
 import base64
 from collections import defaultdict
@@ -20,7 +20,13 @@ FIRST_TICK_US = 10_000
 
 
 class ServiceInputs:
-    """The inputs of a log's service. LogError if the log cannot hold them."""
+    """Iterator over the logged :class:`autopilot.core.messages.Inputs`.
+
+    Raises
+    ------
+    LogError
+        The log does not hold the service's inputs.
+    """
 
     def __init__(self, log: Log) -> None:
         self._log = log
@@ -38,7 +44,7 @@ class ServiceInputs:
         """Why there are no inputs after the last tick, "" at the end of a log that is whole."""
 
     def __iter__(self) -> Iterator[Inputs]:
-        """Every tick in turn, until the end or the first that is not whole (``stopped`` says which then)."""
+        """Every tick in turn, until the end or the first incomplete tick (reason in ``stopped``)."""
         tick: Any = None
         samples: list[Sample] = []
         notes = EMPTY
@@ -74,7 +80,7 @@ class ServiceInputs:
     def _whole(
         self, tick: Any, samples: Sequence[Sample], notes: StepNotes, *, last: bool
     ) -> Generator[Inputs, None, bool]:
-        """The inputs of a tick that has all that was written of it; whether it has."""
+        """The inputs of a tick, and whether all messages of the tick are there."""
         t_us = int(tick["t_us"])
         missing = int(tick["samples"]) - len(samples)
         frames = int(tick["frames"]) - len(notes.rx)
@@ -90,7 +96,7 @@ class ServiceInputs:
         return True
 
     def _datagrams(self, notes: StepNotes) -> tuple[bytes, ...]:
-        """What was received, with another key in the place of each that was left out."""
+        """Received bytes, with a substitute for each key that was removed."""
         found = []
         for number, datagram in enumerate(notes.rx):
             data = self._streams[datagram.link, datagram.client].take(datagram.length)
@@ -101,15 +107,13 @@ class ServiceInputs:
 
 
 class _ClientBytes:
-    """All bytes of a client, in turn."""
-
     def __init__(self) -> None:
         self.data = bytearray()
         self._at = 0
         self._owed = 0
 
     def take(self, length: int) -> bytes:
-        """The next bytes; a datagram may have lost bytes to one that was taken already."""
+        """The next ``length`` bytes, less those that earlier calls have taken too many."""
         length += self._owed
         self._owed = min(length, 0)
         piece = bytes(self.data[self._at : self._at + max(length, 0)])

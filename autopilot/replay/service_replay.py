@@ -1,8 +1,8 @@
-"""A logged run through the whole service once more: the same inputs into ``step``, and is everything the same?
+"""Replays a logged run through the whole service and compares the outputs with the log, message by message.
 
-What goes in is the log's (:mod:`autopilot.replay.service_inputs`): samples, pictures as detected, bytes of the links,
-and the answers of disks and of work beside the loop. What comes out is written like a flight's, to a log of its own,
-and compared message by message.
+Inputs come from the log (:mod:`autopilot.replay.service_inputs`): samples, detections, received bytes, and recorded
+results of disk access and background work. Outputs are written to a log of their own by the code that logs a
+flight.
 """
 
 import tempfile
@@ -48,7 +48,7 @@ class ReplayResult:
     stopped: str
     """Why it ended before the log, "" if it did not."""
     remarks: tuple[str, ...]
-    """What could not be compared."""
+    """Limits of the comparison."""
 
     @property
     def same(self) -> bool:
@@ -57,7 +57,7 @@ class ReplayResult:
 
 @dataclass(slots=True)
 class Rerun:
-    """A service that is given a log's inputs, tick by tick. Use in ``with``."""
+    """Service that is stepped with the inputs of a log, tick by tick; use as a context manager."""
 
     log: Log
     changes: tuple[tuple[str, float], ...] = ()
@@ -68,7 +68,7 @@ class Rerun:
     parts: ServiceParts = field(init=False)
     inputs: ServiceInputs = field(init=False)
     looked_at_logs_us: int | None = None
-    """When a client first looked at the logs on board, which are not in this one."""
+    """Time of a client's first access to logs on board, which are not in this one."""
 
     def __enter__(self) -> "Rerun":
         with ExitStack() as undo:
@@ -85,7 +85,7 @@ class Rerun:
         self._end.close()
 
     def step(self, inputs: Inputs) -> Outputs:
-        """What was done between the tick before and this one, and this tick; as it is logged."""
+        """Replay the calls between the previous tick and this one, then this tick."""
         self._nondeterminism.tell(inputs.answers)
         if self.looked_at_logs_us is None and any(note.kind == SHELF_ASKED for note in inputs.answers):
             self.looked_at_logs_us = inputs.t_us
@@ -110,9 +110,28 @@ def replay_service(
     out: Path | None = None,
     on_tick: Callable[[Outputs], None] = lambda _: None,
 ) -> ReplayResult:
-    """Give a log's inputs to its service once more and compare all that comes out with the log.
+    """Replay the inputs of a log into its service and compare all outputs with the log.
 
-    ``out`` keeps the replay's log. LogError if the log does not hold what it takes.
+    Parameters
+    ----------
+    log
+        Log of the service from its start.
+    changes
+        Parameter name and value of each parameter that differs from the log's.
+    out
+        Where to keep the log of the replay, None = it is deleted.
+    on_tick
+        Called with the outputs of every tick.
+
+    Returns
+    -------
+    ReplayResult
+        Differences, and what could not be compared.
+
+    Raises
+    ------
+    LogError
+        The log lacks inputs or the record of the service.
     """
     with tempfile.TemporaryDirectory(prefix="replay-") as folder, Rerun(log, tuple(changes)) as rerun:
         path = out or Path(folder) / "replay.mcap"
@@ -133,7 +152,7 @@ def replay_service(
 
 
 def _record(log: Log, path: Path) -> RunLog:
-    """The log of a replay: the service's topics, nothing of the world."""
+    """Log of a replay: topics of the service, without those of the world."""
     run = {**log.run, "replay_of": log.path.name}
     keep = {name: log.attachments[name] for name in ("vehicle.json", "run.json") if name in log.attachments}
     writer = LogWriter(path, epoch_ns=log.epoch_ns, metadata=run, attachments=keep, lossless=True)
@@ -167,7 +186,7 @@ def _compared(log: Log, again: Log, ticks: int, rerun: Rerun) -> ReplayResult:
 
 
 def _without_tags(table: Any) -> None:
-    """Signatures are made with a key that is in no log: their hashes are not compared."""
+    """Remove signature hashes, which are not comparable: the key is in no log."""
     data = table["data"]
     signed = np.flatnonzero((data[:, 0] == _V2) & (data[:, 2] & _SIGNED > 0))
     for row in signed:

@@ -1,9 +1,9 @@
-"""A ground station's .tlog of any vehicle through the attitude path: how regular its attitude is, and why it is not.
+"""Attitude regularity in a ground station's .tlog file, and the causes of gaps.
 
-ATTITUDE messages (https://mavlink.io/en/messages/common.html#ATTITUDE) become AHRS
-samples, stamped by the sender's own clock, with the acceleration of the last RAW_IMU, and pass the same intake as a
-driver's. Every gap between two of them is explained by what the file itself shows: the sender's clock, sequence
-numbers, other traffic, bytes that are no message.
+ATTITUDE messages (https://mavlink.io/en/messages/common.html#ATTITUDE) become AHRS samples, stamped by the sender's
+own clock, with the acceleration of the last RAW_IMU, and pass the same validation as a driver's. Every gap between
+two of them is explained by evidence in the file: the sender's clock, sequence numbers, other traffic, damaged
+bytes.
 """
 
 from collections import Counter
@@ -20,11 +20,11 @@ from autopilot.estimator.inertial import GRAVITY_M_S2
 from autopilot.log.tlog_file import DamagedPiece, PacketOrigin, read_tlog
 
 GAP_SHARE = 3.0
-"""More than so many median intervals between two messages are a gap."""
+"""Median intervals between two messages beyond which there is a gap."""
 EVEN_SHARE = 1.5
-"""Up to so many median intervals the sender's own clock went on evenly."""
+"""Median intervals up to which the sender's clock counts as regular."""
 CLOCK_SET_S = 3600.0
-"""No network holds packets for so long."""
+"""Longest plausible network delay."""
 RAW_IMU_M_S2 = 1e-3 * GRAVITY_M_S2
 """One unit of RAW_IMU's accelerations as ArduPilot sends them (mG)."""
 LATE_FROM = 240
@@ -33,7 +33,7 @@ LATE_FROM = 240
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class AttitudeGap:
-    """Two attitudes that are too far apart."""
+    """Two consecutive attitudes that are too far apart."""
 
     at_s: float
     """Since the first attitude, by arrival."""
@@ -43,14 +43,14 @@ class AttitudeGap:
     lost: int
     """Packets of that sender that the sequence numbers miss meanwhile."""
     others: int
-    """Packets of that sender that did come."""
+    """Packets received from that sender."""
     damaged: int
-    """Pieces of the file that were the sender's messages, or nobody knows whose."""
+    """Damaged pieces of the file from that sender, or of unknown origin."""
     late: int = 0
-    """Of these, packets that a later one of the same sender had overtaken, or that came twice."""
+    """Of these, packets of the sender that were overtaken or duplicated."""
 
     def reason(self, median_s: float) -> str:
-        """What the file shows of its cause, "" if nothing."""
+        """Cause of the gap as shown by the file, "" if there is none. ``median_s``: median interval [s]."""
         if self.sender_s == 0.0:
             return "the same attitude twice" if self.late else "two attitudes with the same stamp"
         if self.sender_s < 0.0 and self.late:
@@ -71,7 +71,7 @@ class AttitudeGap:
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class TlogReplay:
-    """What a file holds, by its first autopilot."""
+    """Regularity of the attitude of a .tlog file's first autopilot."""
 
     attitudes: int
     duration_s: float
@@ -79,13 +79,13 @@ class TlogReplay:
     """Interval by the sender's clock."""
     gaps: list[AttitudeGap]
     damaged: dict[str, int]
-    """What in the whole file is no message -> how often."""
+    """Kind of damage in the whole file -> count."""
     counters: dict[str, int]
-    """What the AHRS intake made of the samples: ``ahrs.*``."""
+    """Counters of the AHRS validation: ``ahrs.*``."""
 
     @property
     def unexplained(self) -> list[AttitudeGap]:
-        """Gaps of which the file does not show the cause."""
+        """Gaps without a cause in the file."""
         return [gap for gap in self.gaps if not gap.reason(self.median_s)]
 
 
@@ -94,13 +94,29 @@ class _Reading:
     samples: list[AhrsSample] = field(default_factory=list)
     arrivals_s: list[float] = field(default_factory=list)
     seen: list[tuple[int, int, int, int]] = field(default_factory=list)
-    """At each attitude, so far: packets lost, packets that came, damaged pieces, packets that came late or twice."""
+    """Up to each attitude: packets lost, received, damaged pieces, packets late or duplicated."""
     damaged: Counter[str] = field(default_factory=Counter)
     messages: int = 0
 
 
 def replay_tlog(path: Path) -> TlogReplay:
-    """Read and replay. LogError if the file cannot be read or holds fewer than two attitudes."""
+    """Analyse the attitude messages of a .tlog file.
+
+    Parameters
+    ----------
+    path
+        The file.
+
+    Returns
+    -------
+    TlogReplay
+        Of the first autopilot in the file.
+
+    Raises
+    ------
+    LogError
+        The file cannot be read or holds fewer than two attitudes.
+    """
     reading = _read(path)
     if reading.messages == 0:
         raise LogError(f"{path}: holds no MAVLink message; give the .tlog of a ground station")
@@ -180,7 +196,7 @@ def _read(path: Path) -> _Reading:
 
 
 class _Link:
-    """Counts what became of a sender's packets, by their sequence numbers (one byte)."""
+    """Counts lost, received and late packets of one sender by sequence number (one byte)."""
 
     def __init__(self) -> None:
         self._newest: int | None = None
@@ -188,7 +204,7 @@ class _Link:
 
     @property
     def counts(self) -> tuple[int, int, int, int]:
-        """Lost, came, damaged, late or twice."""
+        """Packets lost, received, damaged, late or duplicated."""
         return self._lost, self._came, self._damaged, self._late
 
     def came(self, sequence: int) -> None:

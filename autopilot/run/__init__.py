@@ -1,1 +1,1 @@
-"""Running: what puts service, devices, links and log together, and what SITL adds."""
+"""Assembly and execution: service, devices, links and log, and SITL."""

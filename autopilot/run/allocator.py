@@ -1,9 +1,9 @@
-"""How the C library's allocator keeps what is freed.
+"""Settings of the C library's allocator that return freed memory to the system.
 
-glibc learns from what is freed: a block of some megabytes that has been given back once is from then on taken out of a
-heap, of which every thread has one. There small blocks that live on lie behind large ones that are gone, and the heaps
-are never handed back: a process that holds 40 MB comes to take 600. With a fixed limit a large block is a mapping of
-its own, and goes back to the system when it is freed; so does the end of a heap, beyond what is soon wanted again.
+glibc raises its mmap threshold dynamically: after a block of some megabytes has been freed once, such blocks are
+taken from a heap, one per thread. There long-lived small blocks lie behind freed large ones, and the heaps are
+never returned: a process that holds 40 MB grows to 600 MB. With a fixed threshold a large block is a mapping of its
+own, and is returned when it is freed; so is the top of a heap beyond the trim threshold.
 """
 
 import ctypes
@@ -12,8 +12,8 @@ LARGE_BYTES = 1 << 20
 """Blocks from here on are mappings of their own; a mapping costs some microseconds."""
 
 KEPT_BYTES = 16 << 20
-"""Free memory at the end of a heap is kept up to here. IPOPT takes and gives back some megabytes hundreds of times in a
-plan; each time the system would have to clear their pages anew, a sixth of the plan's time."""
+"""Trim threshold of a heap. IPOPT allocates and frees some megabytes hundreds of times in a plan; each time the
+system would have to clear their pages again, a sixth of the plan's time."""
 
 _M_TRIM_THRESHOLD, _M_MMAP_THRESHOLD = -1, -3
 """mallopt's, of glibc's malloc.h."""

@@ -1,7 +1,7 @@
-"""The service's links while everything behind them is still being loaded.
+"""Links of the service while the other modules are being loaded.
 
-Loading takes a second or two of CPU time, ten times that on a busy machine; a ground station sees the vehicle at once,
-in MAV_STATE_BOOT. The vehicle's own time begins when all is there.
+Loading takes a second or two of CPU time, ten times that on a busy machine; ground stations see the vehicle at
+once, in MAV_STATE_BOOT. Vehicle time starts when loading is complete.
 """
 
 import math
@@ -31,7 +31,7 @@ from autopilot.run.signing_files import SigningFiles
 HEARTBEAT_S = 1.0
 TURN_S = 0.05
 KEPT_S = 15.0
-"""Requests are kept for the service for so long: a client that has waited longer has given up."""
+"""Time for which requests are kept for the service: a client that has waited longer has given up."""
 MAX_KEPT = 256
 """Requests that are kept; one that is asked again takes the place of the one before."""
 
@@ -59,7 +59,7 @@ class BootLinks:
         """When each link got its last heartbeat."""
         self._spoken_to: set[int] = set()
         self._shown: set[int] = set()
-        """Links of which a fault has been shown."""
+        """Links whose fault has been reported."""
         self._kept: dict[Hashable, tuple[float, MavlinkFrame]] = {}
         """By link, client and what is asked, the oldest first."""
         self._end = threading.Event()
@@ -82,7 +82,7 @@ class BootLinks:
                 link.close()
 
     def take_unanswered(self) -> tuple[MavlinkFrame, ...]:
-        """What the service has to answer: requests of the last seconds. Actions that were refused are not in them."""
+        """Requests of the last seconds that the service has to answer, without rejected actions."""
         now_s = self._now_s()
         frames = tuple(frame for kept_s, frame in self._kept.values() if now_s - kept_s < KEPT_S)
         self._kept.clear()
@@ -96,7 +96,7 @@ class BootLinks:
         for index in range(len(self.links)):
             try:
                 self._attend(index, self._now_s())
-            except (DriverError, OSError):  # the service tells it, which asks the same link in a moment
+            except (DriverError, OSError):  # reported by the service, which opens the same link in a moment
                 continue
             except Exception:  # noqa: BLE001 - a driver's own fault: the other links go on
                 self._show(index)
@@ -104,7 +104,7 @@ class BootLinks:
     def _attend(self, index: int, now_s: float) -> None:
         """A link's turn. Nothing that is received keeps the heartbeat back."""
         link, boot = self.links[index], self._boot[index]
-        received = link.recv(0)  # the vehicle's time has not begun
+        received = link.recv(0)  # vehicle time has not started
         for one in received:
             try:
                 self._answer(index, one, now_s)
@@ -114,7 +114,7 @@ class BootLinks:
                 self._show(index)
         for client, message in boot.tick(round(now_s * 1e6)):
             link.send(message, client)
-        # Who listens for the vehicle on a port of ours hears it when he has spoken, and not a second later.
+        # A peer that listens on a port of ours gets the heartbeat at once when it has sent something.
         first_word = bool(received) and index not in self._spoken_to
         if first_word:
             self._spoken_to.add(index)
@@ -152,8 +152,9 @@ def _identity(uid: int) -> VehicleIdentity:
 def open_boot_links(
     connections: Sequence[str], params: ParamSet, instance: int, profile: str, folder: Path
 ) -> BootLinks:
-    """Open links. ConfigError and DriverError name what is wrong; nothing is open then. ``folder``: the vehicle's
-    state."""
+    """Open links; none is left open after an error. ``folder``: state folder of the vehicle. ConfigError,
+    DriverError.
+    """
     found = SigningFiles(folder).state
     signing = None
     if found.key is not None:

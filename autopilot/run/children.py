@@ -1,8 +1,8 @@
-"""Processes of our own that we start, and whether they get on.
+"""Child processes and their liveness.
 
-A child runs the same code as its parent, whatever lies in the folder in which it is started
-(:mod:`autopilot.core.own_python`). How long something takes says nothing on a busy machine, so a child is judged by
-what it does: it lives, and its CPU time moves.
+A child runs the same code as its parent, whatever its working directory contains
+(:mod:`autopilot.core.own_python`). Elapsed time is no criterion on a busy machine: a child is alive if it runs and
+its CPU time increases.
 """
 
 import os
@@ -22,7 +22,7 @@ __all__ = ("LOCAL", "ROOT", "Child", "autopilot_command", "free_port", "python_c
 _MAIN = "from autopilot.cli.main import main; main()"
 
 STUCK_S = 120.0
-"""A child that has hardly computed for so long is stuck."""
+"""Time without CPU use after which a child is stuck."""
 LEAST_SHARE = 0.002
 """Of a core, over :data:`STUCK_S`: less only sleeps. Beside ten busy processes it gets thirty times that."""
 LOOK_S = 0.5
@@ -32,7 +32,7 @@ LOCAL = "127.0.0.1"
 
 
 def free_port(kind: int = socket.SOCK_DGRAM) -> int:
-    """A port of this machine that nobody uses now, for a child to listen on: UDP, or SOCK_STREAM for TCP."""
+    """A free port of this machine for a child to listen on: UDP, or SOCK_STREAM for TCP."""
     with socket.socket(socket.AF_INET, kind) as probe:
         probe.bind((LOCAL, 0))
         return int(probe.getsockname()[1])
@@ -64,7 +64,6 @@ class Child:
         return float(times.user + times.system)
 
     def works(self) -> bool:
-        """Whether it lives and computes."""
         cpu_s, now_s = self.cpu_s(), time.monotonic()
         if cpu_s is None:
             return False

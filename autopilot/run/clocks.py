@@ -1,4 +1,4 @@
-"""The loop's pace: wall time at any speed, or none."""
+"""Pace of the loop: wall time at any speed, or lockstep."""
 
 import time
 
@@ -17,7 +17,7 @@ class PacedClock:
         return self._start_us + int((time.monotonic() - self._start_s) * 1e6 * self.speed)
 
     def go_on(self, t_us: int, speed: float) -> None:
-        """It is ``t_us`` now (simulation only: what lies before is over), and time goes at that speed."""
+        """Set the time to ``t_us`` and the speed (simulation only)."""
         self._start_us, self._start_s, self.speed = t_us, time.monotonic(), speed
 
     def wait_until(self, t_us: int) -> int:
@@ -30,7 +30,7 @@ class PacedClock:
 
 
 class LockstepClock:
-    """Time is what the loop says: no waiting, never late."""
+    """Time is set by the loop: no waiting, never late."""
 
     def __init__(self) -> None:
         self._t_us = 0
@@ -39,7 +39,6 @@ class LockstepClock:
         return self._t_us
 
     def wait_until(self, t_us: int) -> int:
-        """Jump."""
         self._t_us = t_us
         return t_us
 
@@ -59,7 +58,7 @@ class DayClock:
         self._ahead_s = self._now_s()
 
     def jump_s(self) -> float:
-        """By how much it has been set since the last call: what network time corrects step by step is next to 0."""
+        """Step of the system clock since the last call [s]; corrections by NTP slewing are close to 0."""
         before_s, self._ahead_s = self._ahead_s, self._now_s()
         return self._ahead_s - before_s
 

@@ -1,4 +1,4 @@
-"""The composition root: puts the service and, for SITL, its simulated world together."""
+"""Composition root: builds the service and, for SITL, its simulated world."""
 
 from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
@@ -37,7 +37,7 @@ from autopilot.run.recorded_answers import RecordedLogDirectory, WitnessedSaving
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class ServiceSetup:
-    """What distinguishes one service from another."""
+    """Components and settings of one service."""
 
     vehicle: Vehicle
     params: ParamSet
@@ -56,7 +56,7 @@ class ServiceSetup:
     profile: str
     instance: int
     currents: CurrentForecast
-    """What the controller is told of the water."""
+    """The controller's knowledge of the current."""
     water: WaterCheck | None = None
     """Judges workspaces by a current map, None without one."""
     links: int
@@ -64,7 +64,7 @@ class ServiceSetup:
     rates: Mapping[int, float] = field(default_factory=dict)
     """Bytes per second of links that are slow, by number."""
     patience: float
-    """How much faster than a client's clock this service's time may run (plan transfers wait so much longer)."""
+    """Maximum speed of service time relative to a client's clock (factor on timeouts of plan transfers)."""
     saving: ParamSaving | None = None
     """Where parameters are kept that operators set, None = nowhere."""
     signing: SigningStore | None = None
@@ -74,15 +74,15 @@ class ServiceSetup:
     pictures: bool = False
     """Whether there is a camera that delivers pictures."""
     waits_for_plans: bool
-    """Whether the loop waits for a trajectory that is due (a simulation without pace) or goes on (what is paced)."""
+    """Whether the loop waits for a trajectory that is due (lockstep) or continues (paced)."""
     git: str = field(default_factory=revision)
-    """Revision of the code, as clients are told."""
+    """Revision of the code, as reported to clients."""
     nondeterminism: NondeterminismSource = field(default_factory=NondeterminismRecorder)
     """Notes the answers that do not follow from the inputs, for the log; a replay's gives them."""
 
 
 def forecast_of(kind: str, basin: Basin | str, known: Callable[[], CurrentForecast]) -> CurrentForecast:
-    """What a controller is told of the water. ``known`` makes it for a ``kind`` of "map"."""
+    """The controller's current forecast. ``known`` builds it for a ``kind`` of "map"."""
     match kind:
         case "map":
             return known()
@@ -95,7 +95,7 @@ def forecast_of(kind: str, basin: Basin | str, known: Callable[[], CurrentForeca
 
 
 def end_slow_work(parts: ServiceParts, *desks: BackgroundWorker) -> None:
-    """Nobody wants routes, plans and checks any more: what has not begun does not begin. ``desks``: more to close."""
+    """Cancel pending background work on routes, plans and checks. ``desks``: more workers to close."""
     try:
         parts.plans.close()
         parts.controller.reset()
@@ -107,10 +107,9 @@ def end_slow_work(parts: ServiceParts, *desks: BackgroundWorker) -> None:
 def build_service(
     setup: ServiceSetup, *, desks: BackgroundWorkers | None = None, trajectories: TrajectoryPlanner | None = None
 ) -> tuple[Autopilot, ServiceParts]:
-    """The service and its parts (the runtime needs some of them for persistence and the log).
-
-    ``desks``: where the controller has its slow work done, a thread per kind of work without any; ``trajectories``:
-    who plans by energy, the shipped planner without any.
+    """The service and its parts (the runtime needs some of them for persistence and the log). ``desks``: workers
+    for the controller's background work, by default a thread per kind of work; ``trajectories``: energy-optimal
+    planner, by default the shipped one.
     """
     params, vehicle, nondeterminism = setup.params, setup.vehicle, setup.nondeterminism
     desks = desks or BackgroundWorkers.beside(blocking=setup.waits_for_plans)

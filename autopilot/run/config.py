@@ -1,6 +1,6 @@
-"""Configuration of a run: defaults < environment < command line, and where each value came from.
+"""Configuration of a run: defaults < environment < command line, with the source of each value.
 
-What belongs to a world or a vehicle is in files of their own (scenario, vehicle, parameters).
+Worlds and vehicles have files of their own (scenario, vehicle, parameters).
 """
 
 import math
@@ -29,7 +29,7 @@ WIRES = ("serial", "camera", "pwm")
 CURRENTS = ("estimate", "map", "none", "uniform")
 BASINS = ("closed", "open", "unknown")
 SHIPPED_PARTS = {"controller": CONTROLLERS, "estimator": ESTIMATORS, "plant": PLANTS}
-"""What stands in the tables of the rooms (:data:`autopilot.control.protocol.CONTROLLERS` and so on), for --help."""
+"""Entries of the plug-in tables (:data:`autopilot.control.protocol.CONTROLLERS` and so on), for --help."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -138,7 +138,7 @@ def is_part(kind: str, name: str) -> bool:
 
 
 def part_names(kind: str) -> str:
-    """What a controller, estimator or plant may be called."""
+    """Valid names of controllers, estimators or plants."""
     return f"{' or '.join(SHIPPED_PARTS[kind])}, or package:Class for your own"
 
 
@@ -160,7 +160,7 @@ _ALLOWED: dict[str, tuple[Callable[[Any], bool], str]] = {
     "until": (lambda value: value in UNTIL, " or ".join(UNTIL)),
     "profile": (lambda value: value in PROFILES, ", ".join(PROFILES)),
 }
-"""Which values a setting may have, and how to say so."""
+"""Valid values of a setting, and their description."""
 
 
 def _from_environment(name: str, variable: str, text: str) -> Any:
@@ -205,15 +205,16 @@ def gather(
 
 
 def flight_settings(folder: Path | str, given: dict[str, Any]) -> EffectiveSettings:
-    """Settings of a simulated flight by itself, as fast as the machine allows unless ``given`` says otherwise: nothing
-    from the environment, no connections, and what it keeps is kept in ``folder``."""
+    """Settings of a self-contained simulated flight, in lockstep unless ``given`` overrides it: no environment
+    variables, no connections, state files in ``folder``.
+    """
     settings = gather(sitl_defaults(0), {"speed": 0.0, "state_dir": str(folder), **given}, {})
     settings.put("connect", (), "flight by itself")
     return settings
 
 
 def chosen_part(settings: EffectiveSettings, kind: str, in_scenario: str) -> tuple[str, str]:
-    """Name of the controller, estimator or plant, and the option, variable or key that says so, for errors."""
+    """Name of the controller, estimator or plant, and the option, variable or key that set it (for errors)."""
     setting = settings.table[kind]
     if setting.value is None:
         if "scenario" not in settings.table:
@@ -240,7 +241,7 @@ MAX_SYSTEM_ID = 254
 
 
 def system_id(params: ParamSet, instance: int) -> int:
-    """MAVLink system id of an instance. ConfigError when there is no such id."""
+    """MAVLink system id of an instance. ConfigError beyond the valid range."""
     sysid = int(params["SYSID_THISMAV"]) + instance
     if sysid > MAX_SYSTEM_ID:
         raise ConfigError(
@@ -250,5 +251,5 @@ def system_id(params: ParamSet, instance: int) -> int:
 
 
 def vehicle_uid(instance: int) -> int:
-    """What tells an instance from others in AUTOPILOT_VERSION."""
+    """Unique id of an instance in AUTOPILOT_VERSION."""
     return instance + 1

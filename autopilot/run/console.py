@@ -1,4 +1,4 @@
-"""What the console shows of a run: what the operator is told."""
+"""Console output of a run: messages to the operator."""
 
 import queue
 import threading
@@ -7,7 +7,7 @@ from collections.abc import Callable
 from autopilot.core.messages import Outputs, RunEnd, Severity
 
 REPEAT_US = 5_000_000
-"""The same line is not shown twice within this time."""
+"""The same line is not printed twice within this time."""
 MAX_WAITING = 1000
 """Lines that wait for a console that does not take them."""
 
@@ -15,7 +15,7 @@ Print = Callable[[str], None]
 
 
 class Console:
-    """Prints beside the loop: a terminal that is held or a pipe that nobody reads stops no vehicle."""
+    """Prints from a thread: a paused terminal or an unread pipe must not stop the loop."""
 
     def __init__(self) -> None:
         self._lines: queue.Queue[str | None] = queue.Queue(MAX_WAITING)
@@ -23,7 +23,7 @@ class Console:
         self._thread.start()
 
     def print(self, line: str) -> None:
-        """Print when the console takes it; lines beyond what can wait are dropped."""
+        """Queue lines; dropped when the queue is full."""
         try:
             self._lines.put_nowait(line)
         except queue.Full:
@@ -40,13 +40,11 @@ class Console:
         while (line := self._lines.get()) is not None:
             try:
                 print(line, flush=True)
-            except (OSError, ValueError):  # nobody reads any more
+            except (OSError, ValueError):  # the reader has gone
                 return
 
 
 class EventLines:
-    """Lines for what the service tells its operators."""
-
     def __init__(self, show: Print) -> None:
         self._show = show
         self._shown_us: dict[str, int] = {}
@@ -61,7 +59,7 @@ class EventLines:
                 self.line(outputs.t_us, f"{mark}{event.text}")
 
     def line(self, t_us: int, text: str) -> None:
-        """Show a line with its time, unless it was shown just now."""
+        """Print a message with its time, unless it repeats the last one."""
         if t_us - self._shown_us.get(text, -REPEAT_US) >= REPEAT_US:
             self._shown_us = {line: when for line, when in self._shown_us.items() if t_us - when < REPEAT_US}
             self._shown_us[text] = t_us

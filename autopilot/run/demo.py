@@ -1,7 +1,7 @@
-"""The main job, no questions asked: the paper's mission, flown in the simulated tank with the jet and without.
+"""The demo: the paper's mission in the simulated tank, with the jet and without.
 
-The service runs as a process of its own and this one is its client: it uploads the plan over MAVLink, arms, starts,
-watches the laps and then judges the log by the plant's truth.
+The service runs in a child process and this one is its client: it uploads the plan over MAVLink, arms, starts,
+monitors the laps and then evaluates the log against the ground truth.
 """
 
 import contextlib
@@ -30,7 +30,7 @@ READY_S = 60.0
 """Vehicle time in which it has to find its position."""
 
 LAP_S = 200.0
-"""Vehicle time that a lap may take, and the way to the first waypoint: five times what it does take."""
+"""Vehicle time allowed per lap, and to the first waypoint: five times the usual."""
 
 SILENCE_S = 10.0
 """Silence of a service that is not at work."""
@@ -50,7 +50,6 @@ class FlightResult:
 
     @property
     def passed(self) -> bool:
-        """No bound is broken."""
         return all(row.verdict is not BoundVerdict.FAIL for row in self.rows)
 
 
@@ -88,7 +87,7 @@ def fly(scenario: str, folder: Path, *, laps: int, speed: float, seed: int | Non
 
 
 def _operate(session: VehicleConnection, plan: PlanFile, *, laps: int, show: Show) -> None:
-    """What an operator does: upload, arm, start, watch, disarm."""
+    """The operator's sequence: upload, arm, start, monitor, disarm."""
     total = 1 + 2 * laps
     for kind in (PlanKind.FENCE, PlanKind.MISSION):
         show(f"uploading {kind.name.lower()}", 0, total)
@@ -98,7 +97,7 @@ def _operate(session: VehicleConnection, plan: PlanFile, *, laps: int, show: Sho
     session.start_mission()
 
     def on_status(status: MissionStatus) -> None:
-        if status.state is not ProgressState.UNKNOWN:  # it has not said yet
+        if status.state is not ProgressState.UNKNOWN:  # mission state not received yet
             show(f"mission {status.state.name.lower().replace('_', ' ')}", min(len(status.reached), total), total)
 
     status = session.watch_mission(on_status, timeout_s=LAP_S * (1 + laps), silence_s=SILENCE_S)
@@ -108,7 +107,7 @@ def _operate(session: VehicleConnection, plan: PlanFile, *, laps: int, show: Sho
 
 
 def _arm(session: VehicleConnection) -> None:
-    """Arm as soon as the vehicle knows where it is."""
+    """Arm as soon as the vehicle has a position."""
     end_s = session.vehicle_s + READY_S
     while True:
         try:

@@ -1,4 +1,4 @@
-"""What a log says of its run: geometry, plan, bounds and parameters (``run.json``); any vehicle's part of it."""
+"""Description of a run in its log (``run.json``): geometry, plan, bounds and parameters; common to all vehicles."""
 
 from collections.abc import Mapping
 
@@ -14,7 +14,7 @@ from autopilot.mission.store import Plans
 
 
 def describe_service(parts: ServiceParts, place: str) -> RunDescription:
-    """What the service knows of its run as things stand now; ``place`` names the site or the scenario."""
+    """The service's part of the run description at this time; ``place``: site or scenario."""
     params = parts.params
     waypoints, laps = _tour(parts)
     return RunDescription(
@@ -58,17 +58,16 @@ def _camera(model: CameraModel) -> CameraView:
 
 
 def plan_items(plans: Plans) -> dict[PlanKind, tuple[PlanItem, ...]]:
-    """The plans in force; what is given does not change any more."""
     return {kind: plans.items(kind) for kind in PlanKind}
 
 
 def plans_json(items: Mapping[PlanKind, tuple[PlanItem, ...]]) -> bytes:
-    """Mission, fence and rally points as they came over the wire, NaN as null (attachment ``plans.json``)."""
+    """Mission, fence and rally points in wire units, NaN as null (attachment ``plans.json``)."""
     return msgspec.json.encode({kind.name.lower(): items[kind] for kind in PlanKind})
 
 
 def _tour(parts: ServiceParts) -> tuple[tuple[Waypoint, ...], int | None]:
-    """The places of one lap, and the laps that the mission asks for (None = it is not a tour of laps)."""
+    """Positions of one lap, and number of laps (None = no tour of laps)."""
     steps = parts.plans.steps()
     params = parts.params
     places = [(step, step.pos_ned_m) for step in steps if isinstance(step, GoTo) and step.pos_ned_m is not None]

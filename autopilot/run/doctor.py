@@ -1,9 +1,9 @@
-"""``autopilot doctor``: would it arm, and if not, why, and what to do.
+"""``autopilot doctor``: whether the vehicle would arm, and if not, why and what to do.
 
-The service itself answers: what ``autopilot run`` composes is run for some seconds on the same devices, parameters and
-plans, and asked what it has against arming. Its links only listen (:mod:`autopilot.run.doctor_links`), so that nobody
-can arm it meanwhile, and what it keeps on disk is a copy. To that come things only a look over some seconds shows:
-rates, noise, and whether what is measured can be true. Nothing moves.
+The service of ``autopilot run`` is run for some seconds on the same devices, parameters and plans and queried for
+its reasons against arming. Its links only listen (:mod:`autopilot.run.doctor_links`), so that nobody can arm it
+meanwhile, and files are copies. In addition rates, noise and plausibility of the measurements are checked. Nothing
+moves.
 """
 
 import contextlib
@@ -37,9 +37,9 @@ from autopilot.run.vehicle_config import VehicleConfig
 SETTLE_S = 3.0
 """Devices are opened and configured in this time; it is not counted."""
 UNCHANGED_S = 2.0
-"""Reasons against arming that have been the same for so long are final."""
+"""Time after which unchanged reasons against arming are final."""
 PATIENCE_S = 30.0
-"""So much longer it looks at most while they change (parameters that are read, plans that are checked)."""
+"""Additional time while the reasons still change (parameters being read, plans being checked)."""
 LEAST_FREE_MB = 500.0
 LOW_FREE_MB = 2000.0
 """Free space of the log folder: an hour of log with pictures takes about 2 GB."""
@@ -48,7 +48,7 @@ REST = "fix that first"
 
 
 class _SettledOutputs:
-    """An :class:`autopilot.run.outside.Onlooker`: keeps what comes after the settling time, and the last outputs."""
+    """An :class:`autopilot.run.outside.Onlooker` that keeps samples after the settling time, and the last outputs."""
 
     def __init__(self, session_of: Callable[[], Session]) -> None:
         self.samples = defaultdict[type, list[Any]](list)
@@ -70,11 +70,10 @@ class _SettledOutputs:
                 self.samples[type(sample)].append(sample)
             self.samples[CameraFrame] += [frame.t_us for frame in frames]  # the pictures themselves fill the memory
 
-    def loop_stats(self, stats: LoopStats) -> None:
-        """Nothing."""
+    def loop_stats(self, stats: LoopStats) -> None: ...
 
     def settled(self, t_us: int, end_us: int) -> bool:
-        """Whether what the service says of arming is its last word."""
+        """Whether the reasons against arming have stopped changing."""
         if t_us < end_us or t_us > end_us + PATIENCE_S * 1e6:
             return t_us >= end_us
         waits = any(CHECKING in reason for reason in self.reasons)
@@ -91,9 +90,8 @@ def examine(
     speed: float = 1.0,
     on_tick: Callable[[Outputs], None] = lambda _: None,
 ) -> list[Finding]:
-    """All findings. The devices are looked at for ``seconds`` and as long as reasons against arming still change.
-
-    ``speed``: of the devices' time; 0 where they, being emulated, follow the ticks and ``on_tick``.
+    """All findings. Runs for ``seconds`` and as long as reasons against arming still change. ``speed``: of the
+    devices' time; 0 for emulated devices, which follow the ticks and ``on_tick``.
     """
     given = overrides or {}
     findings = [*_machine(), *_folders(settings)]
@@ -131,7 +129,7 @@ def _run(
     speed: float,
     on_tick: Callable[[Outputs], None],
 ) -> tuple[Session, _SettledOutputs, list[Finding]]:
-    """The service for some seconds; it is closed afterwards, thrusters neutral as they were all the time."""
+    """Run the service for some seconds with neutral thrusters, then close it."""
     made: list[Session] = []
     look = _SettledOutputs(lambda: made[0])
     session = open_vehicle(
@@ -204,7 +202,7 @@ def _folders(settings: EffectiveSettings) -> list[Finding]:
 def _copied(
     settings: EffectiveSettings, config: VehicleConfig, instance: int, findings: list[Finding]
 ) -> Iterator[EffectiveSettings]:
-    """Settings with a copy of what is kept on disk: what is damaged there stays for the service to find."""
+    """Settings with a copy of the state files, damaged ones included."""
     kept = state_folder(settings, config, instance)
     with tempfile.TemporaryDirectory(prefix="doctor-") as folder:
         copied = EffectiveSettings(dict(settings.table))
@@ -266,7 +264,7 @@ def _company(speakers: Sequence[Speaker], system: int) -> list[Finding]:
 def _flight(
     session: Session, look: _SettledOutputs, config: VehicleConfig, settings: EffectiveSettings
 ) -> list[Finding]:
-    """Where it is, and what it is to fly within."""
+    """Position, fence and limits."""
     plans, params = session.parts.plans, session.parts.params
     missions, shapes = len(plans.items(PlanKind.MISSION)), len(plans.items(PlanKind.FENCE))
     names = ("ORIGIN_LAT", "ORIGIN_LON")
@@ -331,11 +329,10 @@ def _failed(what: str, text: str) -> Finding:
 
 
 def _arming(reasons: Sequence[str]) -> list[Finding]:
-    """What the service has against arming: its own words."""
+    """The service's reasons against arming, verbatim."""
     findings = [_failed("arming", reason) for reason in reasons]
     return findings or [Finding(verdict=FindingSeverity.OK, what="arming", found="would be accepted")]
 
 
 def failed_config(error: AutopilotError) -> list[Finding]:
-    """What is said when the configuration itself is no good."""
     return [_failed("configuration", str(error))]

@@ -1,8 +1,8 @@
-"""The service's links while the doctor looks: measurements come in, orders do not, and nothing is answered.
+"""Links of the service during ``doctor``: receive measurements only, answer nothing.
 
-A ground station that heard a whole vehicle would read its parameters and might arm it. So all that goes out is the
-heartbeat of an onboard computer, where somebody has to hear of us before he speaks, and of what comes in the service
-gets what others measure. Who speaks is noted.
+A ground station that saw a complete vehicle would read its parameters and might arm it. So only the heartbeat of an
+onboard computer is sent, where a peer needs one before it transmits, and only measurements are passed to the
+service. Senders are recorded.
 """
 
 from collections.abc import Sequence
@@ -75,12 +75,11 @@ class ListeningLink:
         self._link.close()
 
     def send(self, data: bytes, client: int = EVERYONE, beside: frozenset[int] = frozenset()) -> None:
-        """A heartbeat of ours goes out as that of an onboard computer, nothing else does."""
+        """Sends our heartbeat, as that of an onboard computer, and drops everything else."""
         if self._calls and data[:1] == b"\xfd" and data[7:10] == b"\0\0\0":
             self._link.send(self._beat)
 
     def recv(self, t_us: int) -> list[Received]:
-        """What others measure."""
         return [
             got._replace(data=frame)
             for got in self._link.recv(t_us)
@@ -92,7 +91,7 @@ class ListeningLink:
         return self._cutters.setdefault(client, FrameCutter())
 
     def _note(self, frame: bytes, sender: str) -> int:
-        """Message id of a frame; who sent it is noted."""
+        """Message id of a frame; records its sender."""
         if frame[0] == 0xFD:
             system, component, number, payload = frame[5], frame[6], int.from_bytes(frame[7:10], "little"), frame[10:]
         else:
@@ -122,7 +121,7 @@ def _heartbeat(system: int) -> bytes:
 
 
 def company(speakers: Sequence[Speaker], ours: int) -> list[tuple[bool | None, str, str]]:
-    """Who speaks: whether that forbids flying (True), is a warning (None) or is well (False), who, and what to do."""
+    """Other senders on the links: True = forbids flying, None = warning, False = fine; who, and the remedy."""
     found: list[tuple[bool | None, str, str]] = []
     for speaker in speakers:
         if speaker.autopilot and speaker.system == ours:

@@ -1,4 +1,4 @@
-"""What is measured of a vehicle in some seconds: whether it comes often enough, and whether it can be true."""
+"""Rates and plausibility of a vehicle's measurements over some seconds."""
 
 from collections.abc import Callable, Sequence
 from typing import Any
@@ -15,23 +15,23 @@ ENOUGH, TOO_MUCH = 0.7, 1.5
 GRAVITY_M_S2, STILL_ACCEL_M_S2, STILL_RATE_RAD_S = 9.81, 1.5, 0.2
 """A vehicle that lies or floats shakes less."""
 SHALLOWEST_M, BELOW_FLOOR_M, DEEPEST_M = -0.5, 0.5, 300.0
-"""Depths that can be true: weather changes the zero by 0.3 m; a floor, where one is known, has an error; no vehicle
-here goes deeper."""
+"""Plausible depths: weather changes the zero by 0.3 m; a floor, where one is known, has an error; no vehicle here
+goes deeper."""
 HIGHEST_CHARGE, DEAD_SHARE = 1.1, 0.7
 """Shares of the battery's full and empty voltage beyond which no battery of that kind is."""
 
 ENOUGH_EQUAL = 5
-"""So many equal readings in a row are no measurement: the last digits of every sensor here are noise."""
+"""Equal readings in a row that count as frozen: the last digits of every sensor here are noise."""
 REPEATS = "it repeats itself: restart it, check its cable"
 
 LEAST_HZ = 0.5
-"""Of what a flight controller measures, readings that are new. The slowest (battery) speaks twice a second."""
+"""Least rate of new readings from a flight controller; the slowest (battery) sends two a second."""
 AHRS = "ahrs"
 
 Problem = tuple[FindingSeverity, str]
-"""How bad it is, and what to do."""
+"""Severity and remedy."""
 Look = Callable[[Sequence[Any]], tuple[str, Problem | None]]
-"""What is found in samples, and what is wrong with it."""
+"""Finding about samples, and its problem."""
 
 
 def judge_samples(config: VehicleConfig, samples: dict[type, list[Any]], seconds: float) -> list[Finding]:

@@ -1,4 +1,4 @@
-"""What the doctor finds."""
+"""Findings of ``doctor``: severity, text and remedy."""
 
 from dataclasses import dataclass
 from enum import Enum
@@ -38,12 +38,12 @@ _SLOW = {
 
 
 def silent_remedy(setup: DeviceSetup) -> str:
-    """Of a device that is open and says nothing."""
+    """Remedy for an open device that sends nothing."""
     return _filled(setup, _SILENT) or "check power and settings"
 
 
 def slow_remedy(setup: DeviceSetup | None) -> str:
-    """Of a device that says too little."""
+    """Remedy for a device whose rate is too low."""
     return "" if setup is None else _filled(setup, _SLOW)
 
 
@@ -61,7 +61,7 @@ def _filled(setup: DeviceSetup, texts: dict[str, str]) -> str:
 
 
 def _connection(options: Any) -> Connection | None:
-    """Where the options say that a device is, None when it is on no link."""
+    """Configured connection of a device, None if it is on no link."""
     connect, host = getattr(options, "connect", None), getattr(options, "host", None)
     port, baud = getattr(options, "port", None), getattr(options, "baud", None)
     try:

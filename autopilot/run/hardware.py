@@ -1,4 +1,4 @@
-"""All devices of a real vehicle as one, whatever is plugged in of them."""
+"""All devices of a real vehicle as one, whichever are connected."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -21,7 +21,7 @@ NAMES = {
 """As operators know them."""
 
 REPLACES = {row.device: row.kinds for row in SENSOR_ROWS if row.replaces}
-"""What a device of its own takes the place of that a flight controller says too."""
+"""Data of a flight controller that a separate device replaces."""
 
 
 EARLY_US = 500_000
@@ -54,7 +54,7 @@ class HardwareVehicle:
         self._passed_over = {each for kind in self._sensors for each in REPLACES.get(kind, ())}
         self._t_us = 0
         self._early: list[Sample] = []
-        """Measured later than the present tick, as it says itself."""
+        """Samples with a time stamp later than the present tick."""
 
     @property
     def devices(self) -> tuple[RetryingDevice[Any], ...]:
@@ -78,7 +78,7 @@ class HardwareVehicle:
         return self._in_time(t_us, samples)
 
     def _in_time(self, t_us: int, samples: list[Sample]) -> list[Sample]:
-        """A tick that begins late finds what was measured after its time: that is for the ticks which catch up."""
+        """Measurements up to the time of the tick; a late tick leaves newer ones to the ticks that catch up."""
         samples = self._early + samples
         self._early = [sample for sample in samples if t_us < sample.t_us <= t_us + EARLY_US]
         return [sample for sample in samples if sample not in self._early] if self._early else samples
@@ -95,12 +95,12 @@ class HardwareVehicle:
 
     @property
     def unwired(self) -> dict[str, str]:
-        """What the vehicle carries and nothing here moves, by name, and why."""
+        """Payload without an output here, by name, with the reason."""
         device = None if self._output is None else self._output.device
         return device.unwired() if isinstance(device, PayloadOutput) else {}
 
     def actuate(self, t_us: int, state: PayloadState) -> None:
-        """Move what it carries; while the output is away it waits."""
+        """Drive the payload outputs; waits while the output is disconnected."""
         output = self._output
         if output is not None and isinstance(output.device, PayloadOutput) and output.attend(t_us):
             output.device.set_payload(t_us, state.pulses_us)
@@ -111,7 +111,7 @@ class HardwareVehicle:
             self._below.device.hand_back(t_us)
 
     def disarm_flight_controller(self, t_us: int) -> None:
-        """The flight controller below is disarmed, whoever armed it."""
+        """Disarm the flight controller, whoever armed it."""
         if self._below is not None and self._below.attend(t_us):
             self._below.device.stop(t_us)
 
@@ -123,7 +123,7 @@ class HardwareVehicle:
         return controller.use(t_us, lambda: controller.device.stand_down(t_us), False)
 
     def below(self, t_us: int) -> FlightControllerState | None:
-        """Who has the vehicle, None without a flight controller."""
+        """State of the flight controller, None without one."""
         if self._below is None:
             return None
         below = self._below.device.below(t_us)
@@ -133,7 +133,7 @@ class HardwareVehicle:
         return replace(below, acts=False, refusals=(text,), pulses_us=(), armed=None, rival=False)
 
     def refusals(self, t_us: int) -> tuple[str, ...]:
-        """Why the vehicle must not be armed: what the configuration names and is not there, a line each."""
+        """Reasons against arming: configured devices that are missing, one line each."""
         found = [f"{d.name} {d.state.value}: {d.problem or 'check power and settings'}" for d in self._missing()]
         watched = self._watched
         if watched is not None and watched.watchdog_problem and not watched.watchdog_failed:
@@ -142,17 +142,16 @@ class HardwareVehicle:
         return tuple(found) if below is None or not self._heard_below() else (*found, *below.refusals)
 
     def watchdog(self, t_us: int) -> str:
-        """What is wrong with the process that stops the thrusters when the service cannot."""
+        """Fault of the watchdog process that stops the thrusters when the service fails."""
         watched = self._watched
         return "" if watched is None or not watched.watchdog_failed else watched.watchdog_problem
 
     def advice(self) -> tuple[tuple[str, str], ...]:
-        """What could be set better, and how."""
         device = None if self._below is None else self._below.device
         return () if device is None else device.advice()
 
     def _missing(self) -> list[RetryingDevice[Any]]:
-        """Without a flight controller that is only silent: it says itself why (:class:`FlightControllerState`)."""
+        """Missing devices, without a silent flight controller, which :class:`FlightControllerState` explains."""
         away = [device for device in self.devices if device.state is not DeviceState.UP]
         return [device for device in away if device is not self._below or device.state is DeviceState.DOWN]
 

@@ -1,4 +1,4 @@
-"""A real vehicle as a world: configuration -> devices, what the service is told."""
+"""World of a real vehicle, from its configuration: devices and environment."""
 
 import time
 from collections.abc import Sequence
@@ -32,7 +32,7 @@ from autopilot.view.controls import ReadOnly
 def open_vehicle_links(
     settings: EffectiveSettings, config: VehicleConfig, overrides: dict[str, float], *, instance: int
 ) -> BootLinks:
-    """Open a vehicle's links. ConfigError and DriverError name what is wrong; nothing is open then."""
+    """Open a vehicle's links; none is left open after an error. ConfigError, DriverError."""
     params, *_ = vehicle_params(settings, config, overrides, instance)
     folder = state_folder(settings, config, instance)
     return open_boot_links(settings["connect"], params, instance, settings["profile"], folder)
@@ -53,7 +53,7 @@ def vehicle_params(
 
 
 def state_folder(settings: EffectiveSettings, config: VehicleConfig, instance: int) -> Path:
-    """What an instance keeps between runs."""
+    """Folder of the files that an instance keeps between runs."""
     return Path(settings["state_dir"]) / f"{config.vehicle.name}-{instance}"
 
 
@@ -116,14 +116,14 @@ class HardwareWorld(World):
         return ReadOnly()
 
     def below(self, t_us: int) -> FlightControllerState | None:
-        """The flight controller's word, where there is one."""
+        """State of the flight controller, None without one."""
         return self.device.below(t_us)
 
     def notices(self) -> Sequence[tuple[Severity, str]]:
         return self.device.take_notices()
 
     def refusals(self, t_us: int) -> tuple[str, ...]:
-        """What is not there of what the configuration names."""
+        """Configured devices that are missing."""
         return self.device.refusals(t_us)
 
 

@@ -1,8 +1,8 @@
-"""Plans, origin, home and where the mission stands, on disk: a vehicle that comes up again has what it had.
+"""Stored plans, origin, home and mission progress, restored at the next start.
 
-What is read is checked like an upload; what fails (damage, another version, a fence that the parameters of today
-forbid) leaves the vehicle without any plan, because a mission is not to be flown without its fence. It always comes up
-disarmed and holds. The file itself: :mod:`autopilot.run.plans_format`.
+Stored plans are checked like an upload; a failed check (damage, another version, a fence that the parameters
+forbid) leaves the vehicle without any plan, because a mission must not be flown without its fence. The vehicle
+always starts disarmed and in hold. File format: :mod:`autopilot.run.plans_format`.
 """
 
 import math
@@ -30,30 +30,30 @@ from autopilot.mission.store import Plans, load_plan
 from autopilot.run.plans_format import Content, PlansSnapshot, decode, encode, place_of, plan_item
 
 PLANS_KEPT = "plans kept"
-"""What the witness is asked for the service: whether the plans in force are on disk."""
+"""Key of the recorded result: whether the plans in force are on disk."""
 
 _NOT_LOADED = "stored mission, fence and rally points not loaded"
 
 
 class Restored(Protocol):
-    """What is told of the plans that were kept, and asked where it stands in them: the commander."""
+    """Notified of restored plans, and source of the mission progress: the commander."""
 
     @property
     def mission_position(self) -> Position | None:
-        """Where the mission stands, None when there is nothing to go on with."""
+        """Mission progress, None when there is nothing to resume."""
         ...
 
     def restore_home(self, pos_ned_m: FloatArray) -> str:
-        """Home (3,) is where it was. Why it is not taken, "" when it is."""
+        """Restore home (3,). Returns the reason if it is rejected, else ""."""
         ...
 
     def stand_at(self, position: Position) -> None:
-        """The mission stands where it stood. PlanError if it has no such item."""
+        """Restore the mission progress. PlanError if there is no such item."""
         ...
 
 
 class KeptPlans(NoticeQueue):
-    """Keeps the plans of one service. The writing goes over a desk."""
+    """Stores the plans of one service through a background worker."""
 
     def __init__(
         self,
@@ -63,7 +63,9 @@ class KeptPlans(NoticeQueue):
         worker: BackgroundWorker | None = None,
         nondeterminism: NondeterminismSource | None = None,
     ) -> None:
-        """``desk``: the lane of the disk, by default the caller's own time; ``witness`` notes when it has not yet."""
+        """``desk``: worker for disk access, by default synchronous; ``witness``: recorder of results that are
+        still pending.
+        """
         super().__init__()
         seen: NondeterminismSource = NondeterminismRecorder() if nondeterminism is None else nondeterminism
         self._file = StateFile(path)
@@ -83,11 +85,11 @@ class KeptPlans(NoticeQueue):
         self.unsaved = ""
         """The same for the operator, "" while all is well."""
         self.losses: tuple[Loss, ...] = ()
-        """What :meth:`load` has not found again."""
+        """Stored data that :meth:`load` could not restore."""
         plans.watchdog = lambda: seen.ask(PLANS_KEPT, True, self._settled)
 
     def load(self) -> tuple[str, ...]:
-        """Take what was kept, before the loop runs. The result is what an operator should know."""
+        """Restore the stored plans before the loop runs. Returns a message to the operator."""
         self._file.clean()
         content, problems = self._file.read(decode)
         lost = ""
@@ -112,12 +114,12 @@ class KeptPlans(NoticeQueue):
         return tuple(problems)
 
     def skip(self) -> None:
-        """Other plans have been loaded: they are what is kept from now on."""
+        """Other plans have been loaded: store these from now on."""
         self._file.clean()
         self._revision = -1
 
     def tick(self, t_us: int) -> None:
-        """Have written what changed since the last tick; cheap when nothing did."""
+        """Store changes since the last tick; cheap without any."""
         tick, plans = t_us // TICK_US, self._plans
         position = self._vehicle.mission_position
         same_places = plans.home_ned_m is self._home and plans.origin is self._origin
@@ -140,11 +142,11 @@ class KeptPlans(NoticeQueue):
         self.unsaved = "" if error is None else f"plans not saved ({cause_of(error)})"
 
     def _settled(self) -> bool:
-        """Whether what is in force is on disk, or the disk has refused it."""
+        """Whether the plans in force are on disk, or the disk has rejected them."""
         return self._plans.revision == self._revision and not self._watchdog.busy
 
     def _take_none(self, home_ned_m: FloatArray) -> None:
-        """Back to what a service without stored plans has; that is what is kept from the first tick on."""
+        """Reset to no plans, which is stored from the first tick on."""
         plans = self._plans
         for kind in CLEAR_ORDER:
             plans.replace(kind, ())

@@ -1,4 +1,4 @@
-"""What the ticks of a loop cost: statistics once per second, and what the run comes to."""
+"""Timing statistics of the loop, once per second and for the whole run."""
 
 import gc
 import threading
@@ -27,7 +27,7 @@ class LoopCounters:
 
 class LoopAccount:
     def __init__(self, *, paced: bool) -> None:
-        """Without a pace there is no load."""
+        """Load is not defined without a pace."""
         self._paced = paced
         pauses().take()
         self._cpu_mark_s = time.process_time()
@@ -42,9 +42,8 @@ class LoopAccount:
     def tick(
         self, t_us: int, watch: TickTimer, *, dropped_log: int, dropped_frames: int, queued: tuple[int, int] = (0, 0)
     ) -> LoopStats | None:
-        """A tick that ``watch`` has timed is over; once per second what the ticks since the last answer were like.
-
-        ``queued``: messages and bytes that wait for the writer of the log.
+        """Account for a tick timed by ``watch``; returns statistics once per second. ``queued``: messages and
+        bytes waiting for the log writer.
         """
         tick_s = watch.end()
         counters = self.counters
@@ -74,10 +73,10 @@ class LoopAccount:
 
 
 class Pauses:
-    """The longest pause of the garbage collector since it was last asked."""
+    """Longest garbage collection pause since the last call."""
 
     def __init__(self) -> None:
-        """Listen from now on: the collector's callbacks are of the whole process, so there is one of these."""
+        """Register with the garbage collector; its callbacks are global, so there is one instance per process."""
         self._begun_s: float | None = None
         self._longest_s = 0.0
         gc.callbacks.append(self._heard)
@@ -106,7 +105,7 @@ def _process() -> psutil.Process:
 
 
 def process_stats(queued: tuple[int, int]) -> ProcessStats:
-    """As it is now; ``queued``: messages and bytes that wait for the writer of the log."""
+    """Present statistics; ``queued``: messages and bytes waiting for the log writer."""
     try:
         rss = int(_process().memory_info().rss)
     except (psutil.Error, OSError):

@@ -1,4 +1,4 @@
-"""Turn one thruster at a time, a little and for a moment, to see that it is the right one and pushes the right way."""
+"""Runs one thruster at a time at low thrust, to check wiring and direction."""
 
 import time
 from collections.abc import Callable, Iterator
@@ -14,7 +14,7 @@ RAMP_S = 0.3
 
 
 def chosen(vehicle: Vehicle, names: tuple[str, ...]) -> list[int]:
-    """Places of the named thrusters in the vehicle file, all if none is named. ConfigError names the known ones."""
+    """Indices of the named thrusters in the vehicle file, all if none is named. ConfigError names the known ones."""
     known = [thruster.name for thruster in vehicle.thrusters]
     for name in names:
         if name not in known:
@@ -48,7 +48,7 @@ def turn(
     clock_s: Callable[[], float] = time.monotonic,
     sleep: Callable[[float], None] = time.sleep,
 ) -> bool:
-    """Send the commands of one thruster, then neutral; whether it came to its end. DriverError when the wire fails."""
+    """Run one thruster, then neutral; whether it was completed. DriverError when the connection fails."""
     start_s = clock_s()
     try:
         for count, command in enumerate(commands):

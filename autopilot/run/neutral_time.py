@@ -1,4 +1,4 @@
-"""How long thrust goes on after the service has fallen silent, measured on the vehicle with its propellers off."""
+"""Measures the delay from the last command of the service to neutral thrusters (propellers removed)."""
 
 from collections.abc import Callable
 
@@ -14,7 +14,7 @@ from autopilot.run.vehicle_config import VehicleConfig
 
 STEP_US = 5_000
 LONGEST_S = 0.6
-"""FS_PILOT_TIMEOUT as docs/hardware.md has it set, at most 0.55 s, and the way of the report."""
+"""FS_PILOT_TIMEOUT as docs/hardware.md has it set, at most 0.55 s, and the delay of the report."""
 WHAT = "silence to neutral"
 
 

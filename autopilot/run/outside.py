@@ -1,4 +1,4 @@
-"""What the loop needs of whatever it is put into: hardware or simulation, a log, clients in the same process."""
+"""Interfaces of the loop: vehicle (hardware or simulation), log, and observers in the same process."""
 
 from collections.abc import Sequence
 from typing import Protocol, runtime_checkable
@@ -12,7 +12,7 @@ class VehicleIo(Protocol):
     """All of a vehicle's devices as one, real or simulated."""
 
     def advance(self, t_us: int) -> None:
-        """Let the outside world go on to ``t_us``."""
+        """Advance a simulation to ``t_us``."""
         ...
 
     def poll(self, t_us: int) -> Sequence[Sample]:
@@ -23,11 +23,9 @@ class VehicleIo(Protocol):
         """Images that have arrived by ``t_us``."""
         ...
 
-    def write(self, t_us: int, command: ThrusterCommand) -> None:
-        """Drive the thrusters."""
-        ...
+    def write(self, t_us: int, command: ThrusterCommand) -> None: ...
 
-    # What cannot be had raises DriverError or OSError, is told to the service, and tried again on the next tick.
+    # Failures raise DriverError or OSError, are reported to the service, and tried again on the next tick.
 
     def close(self) -> None:
         """Thrusters to neutral, devices closed."""
@@ -39,7 +37,7 @@ class WeightRelease(Protocol):
     """A vehicle that can let a drop weight go."""
 
     def release_weight(self, t_us: int) -> None:
-        """Let it go; called on every tick on which it is wanted off. Raises as :class:`VehicleIo` does."""
+        """Release the weight; called on every tick on which that is requested. Raises as :class:`VehicleIo` does."""
         ...
 
 
@@ -48,20 +46,20 @@ class HandsBack(Protocol):
     """A vehicle with a flight controller below us that can have the thrusters back."""
 
     def hand_back(self, t_us: int) -> None:
-        """Let go of the thrusters; called on every tick on which a failsafe wants it, after a neutral ``write``."""
+        """Release the thrusters; called on every tick on which a failsafe requests it, after a neutral ``write``."""
         ...
 
 
 @runtime_checkable
 class DisarmsFlightController(Protocol):
-    """A vehicle with a flight controller below us that can be disarmed whoever armed it."""
+    """A vehicle with a flight controller that can be disarmed, whoever armed it."""
 
     def disarm_flight_controller(self, t_us: int) -> None:
-        """Called on every tick until its heartbeat shows that it is disarmed."""
+        """Called on every tick until its heartbeat reports disarmed."""
         ...
 
     def stand_down(self, t_us: int) -> bool:
-        """The run ends: disarm it where that is ours to do; True when there is nothing left to wait for."""
+        """End of the run: disarm it where that is ours to do; True when done."""
         ...
 
 
@@ -70,7 +68,7 @@ class Actuates(Protocol):
     """A vehicle that carries something that moves."""
 
     def actuate(self, t_us: int, state: PayloadState) -> None:
-        """What all of it is to have; called on every tick. Raises as :class:`VehicleIo` does."""
+        """Drive all payload outputs; called on every tick. Raises as :class:`VehicleIo` does."""
         ...
 
 
@@ -79,25 +77,19 @@ class HasWatchdog(Protocol):
     """A vehicle whose thrusters a process beside the service stops when the service cannot."""
 
     def watchdog(self, t_us: int) -> str:
-        """What is wrong with that process, "" while it answers or none is needed; asked for once per tick."""
+        """Fault of the watchdog process, "" while it answers or none is needed; called once per tick."""
         ...
 
 
 class Recorder(Protocol):
-    """Where every tick is recorded."""
-
-    def record(self, inputs: Inputs, outputs: Outputs, frames: Sequence[CameraFrame]) -> None:
-        """Log one tick."""
-        ...
+    def record(self, inputs: Inputs, outputs: Outputs, frames: Sequence[CameraFrame]) -> None: ...
 
     def loop_stats(self, stats: LoopStats) -> None:
         """Log the health of the loop."""
         ...
 
     @property
-    def dropped(self) -> int:
-        """Messages lost so far."""
-        ...
+    def dropped(self) -> int: ...
 
     @property
     def queued(self) -> tuple[int, int]:
@@ -106,20 +98,16 @@ class Recorder(Protocol):
 
     @property
     def lost(self) -> bool:
-        """Whether what happens is not being recorded though it should be."""
+        """Whether recording has failed although it should be active."""
         ...
 
 
 class Onlooker(Protocol):
-    """Whoever looks on without having a say (the live view)."""
+    """Passive observer of the loop (the live view)."""
 
-    def tick(self, inputs: Inputs, outputs: Outputs, frames: Sequence[CameraFrame]) -> None:
-        """A tick is over."""
-        ...
+    def tick(self, inputs: Inputs, outputs: Outputs, frames: Sequence[CameraFrame]) -> None: ...
 
-    def loop_stats(self, stats: LoopStats) -> None:
-        """Health of the loop."""
-        ...
+    def loop_stats(self, stats: LoopStats) -> None: ...
 
 
 class Onlookers:

@@ -1,4 +1,4 @@
-"""The file of kept plans: a line of JSON that names format, version and checksum, and a line with the content."""
+"""File format of stored plans: a line of JSON with format, version and checksum, and a line with the content."""
 
 import math
 import zlib
@@ -47,7 +47,7 @@ class _OriginEntry(msgspec.Struct, frozen=True, array_like=True):
 
 class Content(msgspec.Struct, frozen=True, kw_only=True):
     configured_origin: _OriginEntry
-    """What the service came up with."""
+    """Origin configured at the start of the service."""
     origin: _OriginEntry
     """In force when it was written."""
     home_ned_m: tuple[float, float, float]
@@ -92,8 +92,6 @@ def place_of(origin: Origin) -> _OriginEntry:
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class PlansSnapshot:
-    """What is to be written; nothing in it changes any more."""
-
     configured_origin: Origin
     origin: Origin
     home_ned_m: FloatArray
@@ -120,7 +118,7 @@ def encode(now: PlansSnapshot) -> bytes:
 
 
 def decode(data: bytes) -> Content:
-    """ValueError, with the reason, for what is not such a file."""
+    """Content of a file. ValueError with the reason for an invalid one."""
     first, _, body = data.removesuffix(b"\n").partition(b"\n")
     try:
         head = msgspec.json.decode(first, type=_PlansHead)

@@ -1,4 +1,4 @@
-"""When this process was started, by the machine's clock as it is now."""
+"""Start time of this process."""
 
 import os
 import time
@@ -9,7 +9,7 @@ and may have blanks in it."""
 
 
 def process_start_s() -> float:
-    """Unix time; now where the system does not say."""
+    """Unix time; the present time if the system does not provide it."""
     now_s = time.time()
     try:
         with open("/proc/self/stat", encoding="ascii", errors="replace") as stream:

@@ -1,4 +1,4 @@
-"""Which revision of our own code runs."""
+"""Git revision of the running code."""
 
 import os
 import subprocess
@@ -8,7 +8,7 @@ from pathlib import Path
 from autopilot.run.children import ROOT
 
 _OURS = ("autopilot", "drivers", "estimator", "mission", "sitl", "pyproject.toml")
-"""What the running code comes from; other files of the tree do not change it."""
+"""Sources of the running code; other files of the tree do not change it."""
 _HASH_DIGITS = 8
 
 
@@ -19,10 +19,10 @@ def revision() -> str:
 
 
 def revision_of(root: Path) -> str:
-    """Revision of the checkout ``root``, with ``-dirty`` when files of ours differ from it; "" when it is no checkout.
+    """Revision of the checkout ``root``, with ``-dirty`` when tracked code differs from it; "" without a checkout.
 
-    An installed package often lies inside somebody's repository, whose commit says nothing about us: the repository
-    has to begin in the very folder that holds our packages and our pyproject.toml.
+    An installed package often lies inside an unrelated repository: the repository's root has to be the folder that
+    holds our packages and our pyproject.toml.
     """
     if not (root / "autopilot").is_dir() or not (root / "pyproject.toml").is_file():
         return ""
@@ -37,7 +37,7 @@ def revision_of(root: Path) -> str:
 
 
 def _git(root: Path, *arguments: str) -> str | None:
-    """What git says of that folder, None when it fails. A repository that the environment names is not asked."""
+    """Output of git in that folder, None when it fails. GIT_DIR and the like are ignored."""
     environment = {name: value for name, value in os.environ.items() if not name.startswith("GIT_")}
     try:
         done = subprocess.run(

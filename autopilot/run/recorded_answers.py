@@ -1,5 +1,4 @@
-"""What the service asks of disks, with a witness beside it: a flight notes the answers, a replay has them from its
-log."""
+"""Disk access of the service through a nondeterminism recorder: recorded in flight, replayed from the log."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -11,12 +10,12 @@ from autopilot.core.params import ParamSaving, Saved
 from autopilot.mavlink.api import SigningState, SigningStore
 
 SHELF_ASKED = "logs asked for"
-"""Kind of the note that a client has looked at logs: what it was shown is not in any log."""
+"""Kind of the note that a client has accessed logs, whose content is in no log."""
 
 
 @dataclass(frozen=True, slots=True)
 class WitnessedSaving:
-    """Where parameters are kept (:class:`autopilot.core.params.ParamSaving`)."""
+    """A :class:`autopilot.core.params.ParamSaving` whose answers are recorded."""
 
     saving: ParamSaving
     nondeterminism: NondeterminismSource
@@ -46,7 +45,6 @@ class WitnessedStore:
 
     @property
     def state(self) -> SigningState:
-        """As found at the start."""
         return self.store.state
 
     def keep(self, tick: int, state: SigningState) -> None:
@@ -58,7 +56,7 @@ class WitnessedStore:
 
 @dataclass(frozen=True, slots=True)
 class RecordedLogDirectory:
-    """The logs for clients; that one has looked at them is noted, what it saw is not."""
+    """Log directory for clients; an access is recorded, its content is not."""
 
     shelf: LogDirectory
     nondeterminism: NondeterminismSource

@@ -1,10 +1,8 @@
-"""Feeds the log from the runtime: every tick's inputs, outputs and, in simulation, truth.
+"""Feeds the log from the runtime: inputs, outputs and, in simulation, the truth of every tick.
 
-A log describes its run (``run.json``, :mod:`autopilot.log.description`) at its start, at every arming and whenever a
-plan comes while armed; readers take the last one.
-
-A log that cannot be written is not the end of a run: the vehicle goes on without it, the operator is told at once and
-at every arming it is tried anew.
+A log describes its run (``run.json``, :mod:`autopilot.log.description`) at its start, at every arming and whenever
+a plan is changed while armed; readers use the last description. A log that cannot be written does not end a run:
+the operator is notified at once, and a new log is tried at every arming.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -26,12 +24,10 @@ CLOSE_S = 30.0
 
 
 class TruthSource(Protocol):
-    """What a simulated vehicle can say that a real one cannot."""
+    """Ground truth of a simulated vehicle."""
 
     @property
-    def truth(self) -> LoggedTruth:
-        """Where the vehicle really is."""
-        ...
+    def truth(self) -> LoggedTruth: ...
 
     @property
     def payload_shares(self) -> tuple[float, ...]:
@@ -40,28 +36,22 @@ class TruthSource(Protocol):
 
 
 class NullRecorder:
-    """Logs nothing."""
-
     dropped = 0
     queued = (0, 0)
     lost = False
     failure: str | None = None
     path: Path | None = None
 
-    def still(self, exposure_us: int, png: bytes) -> None:
-        """There is no log for it."""
+    def still(self, exposure_us: int, png: bytes) -> None: ...
 
     def take_notices(self) -> tuple[tuple[Severity, str], ...]:
         return ()
 
-    def record(self, inputs: Inputs, outputs: Outputs, frames: Sequence[CameraFrame]) -> None:
-        """Ignore a tick."""
+    def record(self, inputs: Inputs, outputs: Outputs, frames: Sequence[CameraFrame]) -> None: ...
 
-    def loop_stats(self, stats: LoopStats) -> None:
-        """Ignore loop statistics."""
+    def loop_stats(self, stats: LoopStats) -> None: ...
 
-    def close(self) -> None:
-        """Nothing to close."""
+    def close(self) -> None: ...
 
 
 class RunRecorder(NoticeQueue):
@@ -90,19 +80,19 @@ class RunRecorder(NoticeQueue):
         self._armed = False
         self._log: RunLog | None = None if per_arming else open_log()
         self._ending: list[tuple[RunLog, bool]] = []
-        """Logs that are being finished, and whether the operator knows what was wrong with them."""
+        """Logs being finished, and whether their problem has been reported to the operator."""
         self._dropped_before = 0
         self._told_slow = False
         self._plan_revision = plan_revision
         self._described = plan_revision()
         self.lost = False
-        """What happens is not being recorded though it should be."""
+        """Recording has failed although it should be active."""
         self.failure: str | None = None
         """Why a log of this run is not whole, the last reason; None while all is well."""
 
     @property
     def path(self) -> Path | None:
-        """The file of the present log, None while there is none (or it is just being made beside the loop)."""
+        """Path of the present log, None without one (or while it is being created in the background)."""
         log = self._log
         return None if log is None or log.failure is not None or log.path == Path() else log.path
 
@@ -140,21 +130,21 @@ class RunRecorder(NoticeQueue):
             self._end()
         error = log.take_error()
         if error is not None:
-            raise error  # to the guard, as if it had come up here
+            raise error  # to the guard, as if it had occurred here
 
     def loop_stats(self, stats: LoopStats) -> None:
         if self._log is not None:
             self._log.loop(stats)
 
     def close(self) -> None:
-        """Finish all files, waiting for the disk as long as it makes sense. ``failure`` says what is missing."""
+        """Finish all files, with a bounded wait for the disk. ``failure`` names what is missing."""
         logs = self._ending + ([] if self._log is None else [(self._log, False)])
         self._log, self._ending = None, []
         for log, told in logs:
             self._close(log, CLOSE_S, told=told)
 
     def _describe_news(self, t_us: int, armed: bool) -> None:
-        """A description at every arming, and of every plan that comes while armed."""
+        """Write a description at every arming, and for every plan changed while armed."""
         begins = armed and not self._armed
         self._armed = armed
         revision = self._plan_revision()
@@ -196,7 +186,7 @@ class RunRecorder(NoticeQueue):
             self._close(log, None, told=told)
 
     def _failed(self, log: RunLog) -> None:
-        """Go on without a log that has stopped; the next arming tries again."""
+        """Continue without a log that has failed; the next arming tries again."""
         self._tell(notices.LOG_STOPPED(cause=log.cause), f"log {log.path}: {log.failure}")
         self._log = None
         self.lost = True

@@ -1,8 +1,8 @@
-"""The loop round ``Autopilot.step``: devices, links, log and pace. The same code at any speed.
+"""The loop around ``Autopilot.step``: devices, links, log and pace. The same code at any speed.
 
-The device may be a simulated vehicle: it is advanced to the time of the tick before it is asked for samples, which is
-all that lockstep needs. With a speed the loop waits for its clock and counts the ticks that began late; without one it
-runs as fast as the machine allows and time is what the tick says.
+A simulated vehicle is advanced to the time of the tick before it is asked for samples, which gives lockstep. With a
+speed the loop waits for its clock and counts late ticks; without one it runs as fast as the machine allows, and
+time is that of the ticks.
 """
 
 import contextlib
@@ -54,16 +54,16 @@ from autopilot.run.still_files import StillStore
 from autopilot.run.transport import Transport
 
 SERVE_MARGIN_S = 0.0005
-"""Serving ends so long before a tick."""
+"""Serving ends this long before a tick."""
 
 HOLD_S = 0.02
-"""While time stands still, links are served in turns of this."""
+"""Interval at which links are served while the simulation is paused."""
 
 SKIP_TICKS = 5
-"""A loop that is later than this on a real vehicle goes on with the present."""
+"""A loop on a real vehicle that is later than this skips to the present."""
 
 STAND_DOWN_TICKS = 300
-"""A flight controller below gets so long to confirm at the end that it is disarmed: twelve requests in 3 s."""
+"""Timeout for the flight controller's confirmation of disarming at the end: twelve requests in 3 s."""
 NOT_STOPPED = "Flight controller has not confirmed that it is disarmed: use its own switch"
 
 NO_SAMPLES: Sequence[Sample] = ()
@@ -71,7 +71,7 @@ NO_PICTURES: Sequence[CameraFrame] = ()
 NO_STILLS: tuple[StoredStill, ...] = ()
 
 MAX_SHOWN_FAULTS = 20
-"""Kinds of internal faults that are shown on the console; all are in the log."""
+"""Kinds of internal faults that are printed on the console; all are in the log."""
 
 T = TypeVar("T")
 
@@ -101,13 +101,13 @@ class Runtime:
         answers: Callable[[], tuple[Note, ...]] = tuple,
         mishaps: Callable[[Inputs], Inputs] = lambda inputs: inputs,
     ) -> None:
-        """``notices``: what operators should know of the outside world (severity, text), asked for once per tick.
-        ``below``: who has the vehicle, where there is a flight controller below; ``refusals``: what its devices have
-        against arming. ``skips``: the world does not wait, ticks that are far too late are left out. ``hold``: asked
-        before every tick, with the time of the last, whether time stands still (a simulation that is paused).
-        ``stills``: where stills are stored, None without a camera.
-        ``answers``: what the service was told in answer to its own questions, asked for once per tick after its step.
-        ``mishaps``: what befalls a simulated machine, put into the inputs."""
+        """``notices``: messages to operators about devices and links (severity, text), called once per tick.
+        ``below``: state of the flight controller, if there is one; ``refusals``: the devices' reasons against
+        arming. ``skips``: ticks that are far too late are skipped (real world). ``hold``: called before every
+        tick with the time of the last: whether the simulation is paused. ``stills``: storage of stills, None
+        without a camera. ``answers``: recorded nondeterministic results, called once per tick after its step.
+        ``mishaps``: adds injected faults to the inputs (simulation).
+        """
         self._stills = stills
         self._answers = answers
         self._mishaps = mishaps
@@ -120,7 +120,7 @@ class Runtime:
         self._service = service
         self._step: Callable[[Inputs], Outputs] = service.step
         self._device = device
-        # What the device can do besides (a protocol is slow to ask).
+        # Optional capabilities of the device (isinstance with a protocol is slow).
         self._release = device if isinstance(device, WeightRelease) else None
         self._carries = device if isinstance(device, Actuates) else None
         self._below_us = device if isinstance(device, HandsBack) else None
@@ -146,13 +146,13 @@ class Runtime:
         self._rest: ThrusterCommand | None = None
         self._peer_rx: list[MavlinkFrame] = []
         self.watch = TickTimer()
-        """What the parts of the present tick have cost so far."""
+        """Time of the stages of the present tick so far."""
         service.marks = self.watch
         self._spent = LoopAccount(paced=paced)
         self.counters = self._spent.counters
 
     def take_over(self, frames: Sequence[MavlinkFrame]) -> None:
-        """What came over the links before the first tick; it is received with that."""
+        """Bytes received before the first tick; handed over with that tick."""
         self._peer_rx += frames
 
     def wrap_step(self, step: Callable[[Inputs], Outputs]) -> None:
@@ -160,7 +160,7 @@ class Runtime:
         self._step = step
 
     def run(self, *, duration_s: float | None, stop: Callable[[], bool]) -> None:
-        """Tick until ``duration_s`` of vehicle time have passed or ``stop`` says so; then close everything."""
+        """Tick until ``duration_s`` of vehicle time have passed or ``stop`` returns True; then close everything."""
         end_tick = None if duration_s is None else round(duration_s * 1e6 / TICK_US)
         tick = 0
         try:
@@ -178,7 +178,7 @@ class Runtime:
                 self.close()
 
     def _stand_down(self, tick: int) -> None:
-        """Ends with the flight controller below disarmed, as far as it is there and ours."""
+        """Disarm the flight controller at the end, if there is one that is ours to disarm."""
         device = self._stopped_by
         if device is None or tick == 0:
             return
@@ -190,7 +190,7 @@ class Runtime:
         _show(NOT_STOPPED)
 
     def late_ticks(self, tick: int) -> int:
-        """Ticks to leave out: made up for in a hurry, they would hear now what devices have measured since."""
+        """Number of ticks to skip: run in a burst, they would get measurements taken since."""
         late = (self._clock.now_us() - tick * TICK_US) // TICK_US if self._skips else 0
         if late <= SKIP_TICKS:
             return 0
@@ -280,7 +280,7 @@ class Runtime:
         return found
 
     def _stills_of(self, t_us: int, frames: Sequence[CameraFrame]) -> dict[str, Any]:
-        """What the camera's stills have to say, as fields of ``Inputs``."""
+        """Results of the still camera as fields of ``Inputs``."""
         stills = self._stills
         if stills is None:
             return {}
@@ -288,7 +288,7 @@ class Runtime:
         return {"camera": self._guard.run("camera", stills.report, None), "stills": stored}
 
     def _try(self, t_us: int, device: DeviceRole, work: Callable[[], T], otherwise: T) -> T:
-        """Use a device; one that fails is told to the service with the next tick, which goes on without it."""
+        """Call a device; a failure is reported to the service on the next tick, which continues without it."""
         try:
             return work()
         except (DriverError, OSError) as error:
@@ -320,7 +320,7 @@ class Runtime:
             self._try(t_us, DeviceRole.THRUSTERS, partial(self._below_us.hand_back, t_us), None)
 
     def _with_faults(self, outputs: Outputs) -> Outputs:
-        """Faults of drivers join the service's; the first of each kind is shown where the service was started."""
+        """Add driver faults to the service's; the first of each kind is printed on the console."""
         self._outside = self._guard.take() + (() if self._vision is None else self._vision.guard.take())
         faults = outputs.faults + self._outside
         for fault in faults:
@@ -332,7 +332,7 @@ class Runtime:
     # Links
 
     def attend(self) -> None:
-        """What cannot wait while the loop does: a HEARTBEAT, when none has gone out for too long in real time."""
+        """Keep-alive while the loop waits: a HEARTBEAT, when none has been sent for too long in real time."""
         if self._transport.beat_due:
             beat = self._service.beat()
             self._transport.beat(beat)
@@ -341,7 +341,7 @@ class Runtime:
                 self._between.append(Between(t_us=None))
 
     def _wait(self, t_us: int) -> int:
-        """Until the tick begins. What comes meanwhile over the links is served when time is real."""
+        """Wait for the tick. In real time, messages received meanwhile are served."""
         self.attend()
         if self._paced:
             while (left_s := self._clock.left_s(t_us) - SERVE_MARGIN_S) > 0.0:
@@ -350,7 +350,7 @@ class Runtime:
         return self._clock.wait_until(t_us)
 
     def _serve(self, t_us: int, left_s: float) -> None:
-        """Wait for the links and let the service answer what is urgent; it is logged with the tick that follows."""
+        """Wait for the links and let the service answer urgent messages; logged with the following tick."""
         received = self._transport.wait(t_us, left_s)
         if not received:
             return
@@ -378,7 +378,7 @@ class Runtime:
             ]
 
     def _with_between(self, inputs: Inputs, outputs: Outputs) -> tuple[Inputs, Outputs]:
-        """A tick for the log: with what was received and sent since the tick before."""
+        """A tick for the log, with messages received and sent since the previous tick."""
         rx, tx, self._between_rx, self._between_tx = self._between_rx, self._between_tx, [], []
         calls, self._between, answers = tuple(self._between), [], self._answers()
         if calls or answers or self._outside:
@@ -405,7 +405,7 @@ class Runtime:
 
 
 def _show(text: str) -> None:
-    """On the console, from a thread: a held terminal or a pipe that nobody reads must not stop the loop."""
+    """Print from a thread: a paused terminal or an unread pipe must not stop the loop."""
 
     def write() -> None:
         with contextlib.suppress(OSError, ValueError):

@@ -1,8 +1,8 @@
-"""What systemd wants to hear of a service that it has started (sd_notify(3)): ready, alive, stopping.
+"""Notifications to systemd (sd_notify(3)): ready, alive, stopping.
 
-Without ``NOTIFY_SOCKET`` in the environment nothing is sent. A manager that does not take messages costs nothing and
-stops nothing: it restarts a service that it does not hear of, which is its task. ``WATCHDOG=1`` is sent by the loop
-itself and by nobody else, so that a service whose loop hangs is restarted although its threads live.
+Without ``NOTIFY_SOCKET`` in the environment nothing is sent. Failed notifications are ignored: the manager then
+restarts the service. ``WATCHDOG=1`` is sent by the loop's thread only, so that a service whose loop hangs is
+restarted although its other threads live.
 """
 
 import os
@@ -19,7 +19,7 @@ PER_TIMEOUT = 3
 
 
 class ServiceManager:
-    """The way to the service manager, or to nobody."""
+    """Notification socket of the service manager, if there is one."""
 
     def __init__(
         self, environment: Mapping[str, str] | None = None, now_s: Callable[[], float] = time.monotonic
@@ -43,13 +43,12 @@ class ServiceManager:
 
     @property
     def heard(self) -> bool:
-        """Whether there is somebody to tell."""
+        """Whether there is a service manager."""
         return self._socket is not None
 
     def tick(self, status: Callable[[], str] = str) -> None:
-        """Once per tick of the loop: ready at the first, alive as often as the watchdog asks for.
-
-        ``status`` gives what ``systemctl status`` shows; it is asked when something is sent.
+        """Once per tick of the loop: READY at the first, then WATCHDOG at the requested period. ``status`` gives
+        the text for ``systemctl status``; it is called when something is sent.
         """
         if self._socket is None:
             return
@@ -62,11 +61,11 @@ class ServiceManager:
         self._send("\n".join((*lines, "WATCHDOG=1", f"STATUS={status()}")))
 
     def stopping(self) -> None:
-        """The service ends because it is told to."""
+        """The service stops on request."""
         self._send("STOPPING=1")
 
     def close(self) -> None:
-        """Nothing more is sent. Idempotent."""
+        """Idempotent."""
         if self._socket is not None:
             self._socket.close()
             self._socket = None

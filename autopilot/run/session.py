@@ -1,4 +1,4 @@
-"""A run of the service on a vehicle, simulated or real: the loop with all that it is connected to, until its end."""
+"""A run of the service on a simulated or real vehicle: the loop and all its connections, from start to end."""
 
 import contextlib
 import sys
@@ -53,7 +53,7 @@ THREAD_SWITCH_S = 0.0005
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class PersistentState:
-    """What outlives a run."""
+    """State that is kept from run to run."""
 
     folder: Path
     """Where."""
@@ -77,7 +77,7 @@ class Session:
     recorder: RunRecorder | NullRecorder
     kept: PersistentState
     warnings: tuple[str, ...]
-    """What the operator should know of what was kept by earlier runs."""
+    """Messages to the operator about files of earlier runs."""
     duration_s: float | None
 
     def run(self, stop: Callable[[], bool] = lambda: False) -> float:
@@ -103,7 +103,7 @@ class Session:
             end.callback(self.runtime.close)
 
     def _at_the_end(self, end: contextlib.ExitStack) -> None:
-        """What has to be done, the last first; whatever one of them raises, the others are done."""
+        """Cleanup in reverse order; an exception in one does not skip the others."""
         end.callback(end_slow_work, self.parts, self.kept.disk)
         if self.kept.plans is not None:
             end.callback(self.kept.plans.finish)
@@ -122,20 +122,18 @@ SomeSession = TypeVar("SomeSession", bound=Session)
 
 
 class SessionOptions(TypedDict, total=False):
-    """What a session may be given beside its world."""
-
     log: bool
     links: Sequence[Link] | None
     """The connections of the settings if they are already open (:mod:`autopilot.run.boot_links`)."""
     on_tick: Callable[[Outputs], None]
     view: Hub | None
-    """Who looks at the run and may steer it."""
+    """Live view, which may intervene in a simulation."""
     foxglove: FoxgloveServer | None
-    """Who is sent what is logged."""
+    """Server that publishes the logged messages."""
     now_s: float | None
     """Unix time at which signatures begin, None = the machine's."""
     beside: Onlooker | None
-    """Who looks on instead of ``view`` and ``foxglove``."""
+    """Observer in place of ``view`` and ``foxglove``."""
 
 
 def open_session(
@@ -151,9 +149,23 @@ def open_session(
     now_s: float | None = None,
     beside: Onlooker | None = None,
 ) -> SomeSession:
-    """Everything of a run; the options are :class:`SessionOptions`.
+    """Open all parts of a run.
 
-    ConfigError, PlanError, DriverError, LogError name what is wrong; nothing runs then.
+    Parameters
+    ----------
+    kind
+        Class of the session.
+    world
+        Vehicle or simulation with its environment.
+    instance
+        Number of the vehicle on this machine, from 0.
+    log, links, on_tick, view, foxglove, now_s, beside
+        See :class:`SessionOptions`.
+
+    Raises
+    ------
+    ConfigError, PlanError, DriverError, LogError
+        The message names the problem; nothing is left running.
     """
     settings, told, disk = world.settings, world.told, world.disk
     signing = SigningFiles(world.folder, disk, now_s=now_s)
@@ -221,7 +233,7 @@ def open_session(
 
 
 def _service_setup(world: World, instance: int, signing: SigningFiles) -> ServiceSetup:
-    """What the service for that vehicle and place is made of."""
+    """Setup of the service for that vehicle and site."""
     settings, told, speed = world.settings, world.told, world.speed
     controller, controller_by = chosen_part(settings, "controller", told.controller)
     estimator, estimator_by = chosen_part(settings, "estimator", told.estimator)
@@ -270,7 +282,7 @@ def _onlooker(
 
 
 def _state_check(parts: ServiceParts, kept: PersistentState) -> StateCheck:
-    """What is missing of what was kept, or cannot be kept."""
+    """Check for missing or unwritable state files."""
     keepers = tuple(watchdog for watchdog in (kept.params, kept.plans, kept.signing) if watchdog is not None)
     losses = [loss for watchdog in keepers for loss in watchdog.losses]
     unsaved = [partial(getattr, watchdog, "unsaved") for watchdog in keepers]
@@ -288,9 +300,8 @@ def link_rates(connections: Sequence[str]) -> dict[int, float]:
 
 
 def _take_plans(parts: ServiceParts, world: World, kept: KeptPlans | None) -> tuple[str, ...]:
-    """The plan to have on board: of a file, else what was kept. The result is what an operator should know.
-
-    PlanError if the file is no plan, or cannot be flown though it is to be flown at once.
+    """Load the initial plan: from a file, else the stored one. Returns a message to the operator. PlanError if the
+    file is invalid, or cannot be flown though it is to be flown at once.
     """
     plan = world.plan
     if plan is None:
@@ -333,7 +344,7 @@ def _marker_vision(told: KnownEnvironment, *, paced: bool) -> VisionWorker | Non
 
 
 def log_shelf(settings: EffectiveSettings, *, blocking: bool) -> LogDirectoryReader:
-    """The logs of a run's folder. ``patient``: in lockstep the loop waits for the disk."""
+    """Log directory of a run. ``patient``: in lockstep the loop waits for the disk."""
     single = None if settings["log"] is None else Path(settings["log"])
     return LogDirectoryReader(
         Path(settings["log_dir"]), BackgroundWorker(DaemonExecutor("files"), blocking=blocking), single

@@ -1,4 +1,4 @@
-"""The log of a session: one file where ``--log`` says, else one per arming in the log folder."""
+"""Log of a session: one file with ``--log``, else one per arming in the log folder."""
 
 import time
 from collections.abc import Callable, Sequence
@@ -35,7 +35,7 @@ from autopilot.run.world import CurrentSource, World
 
 
 class LogContents:
-    """What the logs of a session begin with. What does not change is made once, at the start and not in a tick."""
+    """Initial content of a session's logs. Constant parts are made once at the start, not during a tick."""
 
     def __init__(self, world: World, setup: ServiceSetup, parts: ServiceParts) -> None:
         self._world, self._parts = world, parts
@@ -60,14 +60,13 @@ class LogContents:
         return self._world.describe(self._parts)
 
     def plans(self) -> dict[str, Payload]:
-        """The plans in force now, to be encoded by whoever writes them."""
+        """The plans in force now, encoded by the caller."""
         items = plan_items(self._parts.plans)
         return {"plans.json": lambda: plans_json(items)}
 
     def head(self, path: Callable[[], Path], make_room: Callable[[], Sequence[Path]] = tuple) -> Callable[[], LogHead]:
-        """What a log that begins now starts with, to be made by whoever writes it.
-
-        ``make_room`` is done first; the logs that it gives have been removed, and the new one says so.
+        """Head of a new log, built on the writer's thread. ``make_room`` runs first; the logs that it has removed
+        are named in the new one.
         """
         items = plan_items(self._parts.plans)
 
@@ -87,10 +86,9 @@ class LogContents:
 
 
 def open_recorder(world: World, setup: ServiceSetup, parts: ServiceParts) -> RunRecorder:
-    """The recorder of a session. LogError if there is no place for its logs.
-
-    In lockstep a log is made and finished in the tick, which is the same on every machine; at a speed beside the loop,
-    but for a file that is there from the start.
+    """Recorder of a session. LogError if its folder cannot be used. In lockstep a log is created and finished
+    within the tick, for reproducibility; in paced runs in the background, except a file that exists from the
+    start.
     """
     settings, epoch_ns, lockstep = world.settings, world.epoch_ns(), world.speed == 0.0
     contents = LogContents(world, setup, parts)
@@ -150,7 +148,7 @@ def _make_folder(folder: Path) -> None:
 
 
 def service_attachments(setup: ServiceSetup, parts: ServiceParts, water: CurrentSource) -> dict[str, bytes]:
-    """All that is needed to make that service again, as it is before its first tick."""
+    """Record of the service in its state before the first tick."""
     signing = None if setup.signing is None else setup.signing.state
     record = ServiceRecord(
         profile=setup.profile,

@@ -1,7 +1,8 @@
-"""The signing key and the signing time on disk (:class:`autopilot.mavlink.api.SigningStore`).
+"""Signing key and signing time on disk (:class:`autopilot.mavlink.api.SigningStore`).
 
-``signing.key`` is the key in hex digits, readable by its owner only. ``signing.time`` is a time beyond which no frame
-has been signed or heard: it is written ahead, so that after a power cut no time is used and no frame is heard twice.
+``signing.key`` is the key in hex digits, readable by its owner only. ``signing.time`` is an upper bound of all
+timestamps signed or accepted: it is written ahead, so that after a power cut no timestamp is used or accepted
+twice.
 """
 
 import os
@@ -27,15 +28,15 @@ class SigningFiles:
     """One vehicle's. ConfigError for a key that cannot be used: no vehicle is open because a file is damaged."""
 
     def __init__(self, folder: Path, worker: BackgroundWorker | None = None, *, now_s: float | None = None) -> None:
-        """``desk``: the lane of the disk, None = nothing is written, only looked at; ``now_s``: Unix time."""
+        """``desk``: worker for disk access, None = read-only; ``now_s``: Unix time."""
         self._key = StateFile(folder / KEY_FILE, copies=False, private=True)
         self._time = StateFile(folder / "signing.time")
         key, warnings = self._read_key()
         kept, problems = self._time.read(_parse_time, set_aside=worker is not None)
         if problems and kept is not None:
-            kept += AHEAD_UNITS  # the copy before the last: the last was at most so much later
+            kept += AHEAD_UNITS  # the copy before the last: the last was at most this much later
         self.warnings = (*warnings, *problems)
-        """What operators should know."""
+        """Messages to operators."""
         self.losses: tuple[Loss, ...] = ()
         """The same, to be accepted before arming."""
         clock = max(0, round(((time.time() if now_s is None else now_s) - EPOCH_S) * UNITS_PER_S))
@@ -75,7 +76,7 @@ class SigningFiles:
 
     @property
     def state(self) -> SigningState:
-        """As found."""
+        """The state read at the start."""
         return self._state
 
     def keep(self, tick: int, state: SigningState) -> None:

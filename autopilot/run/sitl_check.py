@@ -1,4 +1,4 @@
-"""What a scenario gives, what keeps it from being flown, and what is odd about it (``autopilot scenario check``)."""
+"""``autopilot scenario check``: contents of a scenario, errors that keep it from being flown, and warnings."""
 
 import math
 from dataclasses import dataclass
@@ -25,12 +25,12 @@ from autopilot.sitl.scenario_tables import Scenario
 from autopilot.sitl.waves import breaking_height_m
 
 GRID = 21
-"""Places north and east at which the current is looked at."""
+"""Sample points north and east for the current."""
 TIMES = 13
 """Times, over :data:`LOOK_S`."""
 LOOK_S = 600.0
 AROUND_M = 10.0
-"""How far round start and goals the current is looked at in open water."""
+"""Radius around start and goals in which the current is sampled in open water."""
 TIGHT = 0.8
 """Share of the vehicle's speed from which a current is worth a word."""
 
@@ -44,7 +44,7 @@ class ScenarioFindings:
 
 
 def check_scenario(name_or_path: str, scenario: Scenario) -> ScenarioFindings:
-    """Look at everything that can be looked at without flying. ``scenario`` is what was loaded from there."""
+    """All checks that need no flight. ``scenario``: the scenario loaded from there."""
     vehicle = load_vehicle(scenario.vehicle.model)
     facts = {"vehicle": f"{vehicle.name}, ball of {vehicle.radius_m:g} m", **_world_facts(scenario)}
     problems: list[str] = []
@@ -136,7 +136,7 @@ def _room_at_start(scenario: Scenario, vehicle: Vehicle) -> list[str]:
 
 
 def _look_at_water(scenario: Scenario, vehicle: Vehicle, steps: tuple[Step, ...], facts: dict[str, str]) -> list[str]:
-    """The strongest current where the vehicle may come, against what it swims."""
+    """Compare the strongest current in the workspace with the vehicle's speed."""
     field = build_world(scenario).current
     start = np.array(scenario.vehicle.start_m)
     if scenario.tank is not None:

@@ -1,6 +1,6 @@
-"""What the console shows of a SITL run: what the operator is told, and what only the simulation can know.
+"""Console output of a SITL run: messages to the operator, and events of the simulation.
 
-Contacts and obstacles that the fence does not have come from the simulated world; the service never hears of them here.
+Contacts and obstacles outside the fence are reported by the simulated world; the service does not know them.
 """
 
 from collections.abc import Sequence
@@ -19,7 +19,7 @@ from autopilot.run.sitl_session import SitlSession
 from autopilot.sitl.scenario_tables import CylinderObstacle, MovingObstacle, Obstacle, PrismObstacle, Scenario
 
 KNOWN_M = 0.02
-"""A fence comes over the wire on a grid of 11 mm: an obstacle may stand out of its shape by so much."""
+"""Tolerance: a fence comes over the wire on a grid of 11 mm."""
 RIM_POINTS = 24
 
 
@@ -70,7 +70,8 @@ class RunWatch:
             )
 
     def _look_at_the_fence(self, t_us: int, *, arming: bool) -> None:
-        """Say which obstacles of the scenario the fence does not have: with every plan, and at arming at the latest."""
+        """Report obstacles of the scenario that the fence does not contain: with every plan, and at arming at the
+        latest."""
         plans = self._session.parts.plans
         if plans.revision == self._looked_at:
             return
@@ -81,7 +82,7 @@ class RunWatch:
 
 
 def unknown_obstacles(scenario: Scenario, fence: Fence) -> tuple[str, ...]:
-    """What stands or moves in the scenario where the fence lets the vehicle go; one line for each."""
+    """Obstacles of the scenario inside the permitted area of the fence, one line each."""
     texts = []
     for number, obstacle in enumerate(scenario.obstacle, start=1):
         where = _outline(obstacle)
@@ -120,7 +121,7 @@ def _outline(obstacle: Obstacle) -> FloatArray:
 
 
 def _reachable(points: FloatArray, fence: Fence) -> FloatArray:
-    """(n,) which of these places the fence does not forbid, by more than it is drawn inexactly."""
+    """(n,) which of these points lie outside the forbidden area by more than the fence's tolerance."""
     open_ = np.ones(len(points), dtype=bool)
     for shape in fence.exclusions:
         open_ &= clearance_m(shape, points) > KNOWN_M

@@ -12,9 +12,9 @@ DRAWN = 'fence = "from tank and obstacles" # the plan\'s fence follows what stan
 
 
 def copy_scenario(name: str, source: str, folder: Path) -> list[Path]:
-    """Write ``NAME.toml`` and what it needs into the folder; the files that were written.
-
-    ConfigError: the name is none, the source is not known or not good, a file is there already."""
+    """Write ``NAME.toml`` and the files that it needs into the folder; returns the files. ConfigError: invalid
+    name, unknown or invalid source, or a file exists already.
+    """
     if _NAME.fullmatch(name) is None or name.endswith(".toml"):
         raise ConfigError(f"{name!r} is no name for a scenario; use letters, digits and dashes")
     scenario = load_scenario(source)

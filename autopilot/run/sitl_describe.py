@@ -1,4 +1,4 @@
-"""What the log of a simulated run says beside what any vehicle's says: the world, and what the run is judged by."""
+"""Additions to the run description of a simulated run: world and acceptance bounds."""
 
 from collections.abc import Mapping
 from dataclasses import fields, replace
@@ -65,7 +65,7 @@ def _obstacle(obstacle: SolidTable, number: int) -> Obstacle:
 
 
 def part_origins(settings: EffectiveSettings, scenario: Scenario) -> dict[str, PartOrigin]:
-    """By role. ConfigError if there is no such part."""
+    """By role. ConfigError for an unknown part."""
     told = scenario.plugins
     return {
         "controller": _origin(find_controller(*chosen_part(settings, "controller", told.controller))),

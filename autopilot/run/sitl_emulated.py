@@ -1,4 +1,4 @@
-"""A flight controller with a simulated vehicle, in real time and on real links: what ``autopilot run`` is tried on."""
+"""Emulated flight controller with a simulated vehicle, in real time and on real links, for ``autopilot run``."""
 
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -16,7 +16,7 @@ STEP_US = 5_000
 
 
 class EmulatedFlight(msgspec.Struct, kw_only=True):
-    """What has become of the vehicle, as only a simulation knows it."""
+    """Ground truth of the vehicle at the end."""
 
     seconds: float = 0.0
     late_steps: int = 0
@@ -39,7 +39,7 @@ def emulate(
     truth_file: Path | None,
     stop: Callable[[], bool],
 ) -> EmulatedFlight:
-    """Run until ``stop``. ``links``: where the flight controller speaks; ``pose``: where a tracking system reports."""
+    """Run until ``stop``. ``links``: of the flight controller; ``pose``: link of the tracking system's reports."""
     scenario = with_vehicle(load_scenario(scenario_name), vehicle_name, "--vehicle")
     vehicle = ArduSubVehicle(scenario, load_vehicle(vehicle_name), frame, seed=seed)
     ends = [open_link(text) for text in links]

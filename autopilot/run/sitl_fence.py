@@ -1,4 +1,4 @@
-"""``fence = "from tank and obstacles"``: the fence of a plan as the scenario's geometry gives it, typed once."""
+"""``fence = "from tank and obstacles"``: generates the fence of a plan from the scenario's geometry."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -19,9 +19,9 @@ SAME_M = 0.03
 
 
 def scenario_plan(plan: PlanFile, scenario: Scenario) -> tuple[PlanFile, tuple[str, ...]]:
-    """The plan with the fence that the scenario draws, if it draws one, and what an operator should know of that.
-
-    ConfigError if there is nothing to draw it from."""
+    """The plan, with the scenario's generated fence if it asks for one, and a message to the operator. ConfigError
+    if there is no geometry for it.
+    """
     if scenario.scenario.fence is None:
         return plan, ()
     drawn = drawn_fence(scenario)
@@ -35,8 +35,9 @@ def scenario_plan(plan: PlanFile, scenario: Scenario) -> tuple[PlanFile, tuple[s
 
 
 def drawn_fence(scenario: Scenario) -> tuple[PlanItem, ...]:
-    """Tank = workspace; cylinders, spheres (through the whole depth) and prisms = exclusions. What the obstacle sensor
-    tells of, surprises and what moves, is not in it. ConfigError if nothing is left."""
+    """Tank = inclusion; cylinders, spheres (through the whole depth) and prisms = exclusions. Obstacles seen by
+    the obstacle sensor, unknown and moving ones are left out. ConfigError if nothing is left.
+    """
     name = scenario.scenario.name
     polygons = [] if scenario.tank is None else [PolygonTable(points_m=list(scenario.tank.polygon_m), inclusion=True)]
     circles = []

@@ -1,4 +1,4 @@
-"""Parameters of a simulated run, and its links, which are open before anything else of it is loaded."""
+"""Parameters of a simulated run, and its links, which are opened before other modules are loaded."""
 
 from pathlib import Path
 
@@ -13,7 +13,7 @@ from autopilot.sitl.scenario_tables import Scenario
 
 
 def open_sitl_links(settings: EffectiveSettings, overrides: dict[str, float], *, instance: int) -> BootLinks:
-    """Open a SITL run's links. ConfigError and DriverError name what is wrong; nothing is open then."""
+    """Open a SITL run's links; none is left open after an error. ConfigError, DriverError."""
     params, *_ = sitl_params(settings, load_scenario(settings["scenario"]), overrides, instance)
     folder = state_folder(settings, instance)
     return open_boot_links(settings["connect"], params, instance, settings["profile"], folder)
@@ -26,10 +26,9 @@ def sitl_params(
     instance: int,
     disk: BackgroundWorker | None = None,
 ) -> tuple[ParamSet, PersistentParams, tuple[str, ...]]:
-    """Defaults < scenario's origin, tank, disturbance bounds and parameters < saved by earlier runs < command line.
-
-    The last of the result is what is wrong with the saved ones. Without the lane of the ``disk`` they are only looked
-    at: nothing is cleaned up, nothing set aside.
+    """Defaults < scenario's origin, tank, disturbance bounds and parameters < saved by earlier runs < command
+    line. The last element returned lists problems of the saved ones. Without the worker of the ``disk`` they
+    are read only: nothing is cleaned up or moved aside.
     """
     params = ParamSet()
     set_origin_deg(params, "ORIGIN_LAT", scenario.origin.lat_deg)
@@ -48,5 +47,5 @@ def sitl_params(
 
 
 def state_folder(settings: EffectiveSettings, instance: int) -> Path:
-    """What an instance keeps between runs."""
+    """Folder of the files that an instance keeps between runs."""
     return Path(settings["state_dir"]) / f"sitl-{instance}"

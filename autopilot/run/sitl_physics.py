@@ -1,4 +1,4 @@
-"""The plant of a scenario under ArduPilot's own simulation: a UDP server for its JSON interface."""
+"""Physics backend for ArduPilot SITL: serves a scenario's plant over the JSON interface (UDP)."""
 
 import json
 import select
@@ -19,16 +19,16 @@ from autopilot.sitl.scenario import load_scenario, with_vehicle
 from autopilot.sitl.scenario_tables import Scenario
 
 LOOK_S = 0.2
-"""How often a server that hears nothing looks whether it is to stop."""
+"""Interval at which an idle server checks whether to stop."""
 SILENT_S = 5.0
-"""ArduPilot that says nothing for so long is worth a word."""
+"""Silence of ArduPilot after which a hint is printed."""
 TRACK_US = 100_000
-"""Lines of the truth file come so often."""
+"""Interval of lines in the truth file."""
 MAX_PACKET = 2048
 
 
 class PhysicsFlight(msgspec.Struct, kw_only=True):
-    """What has become of the vehicle, and of the talk."""
+    """Result: vehicle state and statistics of the interface."""
 
     seconds: float = 0.0
     """Simulated, since ArduPilot started."""
@@ -67,9 +67,9 @@ def serve_physics(
     stop: Callable[[], bool],
     tell: Callable[[str], None],
 ) -> PhysicsFlight:
-    """Answer ArduPilot until ``stop`` or so many simulated seconds. ``pose``: where a tracking system reports.
-
-    ConfigError if nothing can listen there."""
+    """Answer ArduPilot until ``stop`` or for a simulated duration. ``pose``: link of the tracking system's
+    reports. ConfigError if the port cannot be opened.
+    """
     scenario = with_vehicle(load_scenario(scenario_name), vehicle_name, "--vehicle")
     hull = load_vehicle(vehicle_name)
     vehicles: list[ArduSubVehicle] = []
@@ -103,7 +103,7 @@ def serve_physics(
                 try:
                     data, peer = server.recvfrom(MAX_PACKET)
                 except ConnectionError:
-                    continue  # the answer of before reached nobody
+                    continue  # the previous answer was lost
                 heard_s = time.monotonic()
                 before = physics.restarts
                 answer = physics.answer(data)

@@ -26,12 +26,12 @@ class SitlSession(Session):
 
     @property
     def operator(self) -> ScriptedOperator | None:
-        """Who starts the plan, None without ``--start``."""
+        """Automatic operator that starts the plan, None without ``--start``."""
         return self.world.operator
 
     @property
     def steering(self) -> Steering | None:
-        """Who does to the simulation what the live view asks for; None without one."""
+        """Executes the live view's requests on the simulation; None without a view."""
         return self.world.steering
 
 

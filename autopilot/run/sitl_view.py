@@ -1,7 +1,7 @@
-"""A simulated run under the live view: what only a simulation knows, and what can be done to it by hand.
+"""The live view of a simulated run: ground truth, and interventions from the page.
 
-What the page asks for is done by the loop, between two ticks; every such thing is told to the operator and stands in
-the log, since the run is then no longer the scenario's alone.
+Requests of the page are executed by the loop between two ticks. Every one is reported to the operator and logged,
+because the run is then no longer the scenario's alone.
 """
 
 import queue
@@ -42,7 +42,7 @@ ANSWER_S = 5.0
 ARROWS = 13
 """Arrows of the current along the longer side."""
 OPEN_WATER_M = 10.0
-"""Of open water so much is shown round the start."""
+"""Radius around the start that is displayed in open water."""
 
 
 class WatchedSitl(WatchedService):
@@ -79,7 +79,7 @@ class WatchedSitl(WatchedService):
 
 
 class Steering(NoticeQueue):
-    """Does what the page asks for. ``do`` is called by the page's threads, everything else by the loop."""
+    """Executes requests of the page. ``do`` is called by the page's threads, everything else by the loop."""
 
     def __init__(self, scenario: Scenario, vehicle: SimulatedVehicle, clock: PacedClock | LockstepClock) -> None:
         super().__init__()
@@ -90,13 +90,13 @@ class Steering(NoticeQueue):
         self._flow_m_s = (0.0, 0.0)
         self._over = False
         self.reset = False
-        """The run is to begin anew."""
+        """A restart of the run is requested."""
 
     # The page's side
 
     @property
     def steerable(self) -> Steerable:
-        """What this simulation can have done to it."""
+        """Interventions that this simulation supports."""
         own_plant, paced = self._vehicle.steerable is None, isinstance(self._clock, PacedClock)
         missing = ["Waves and a tether cannot be changed in this simulation."]
         if own_plant:
@@ -154,7 +154,7 @@ class Steering(NoticeQueue):
     # The loop's side
 
     def hold(self, t_us: int) -> bool:
-        """Do what was asked for since the last tick, at ``t_us``; whether time stands still."""
+        """Execute requests since the last tick, at ``t_us``; whether the simulation is paused."""
         while not self._asked.empty():
             ask, answer = self._asked.get()
             if not answer.set_running_or_notify_cancel():
@@ -166,7 +166,7 @@ class Steering(NoticeQueue):
         return self._paused
 
     def end(self) -> None:
-        """The run is over: nobody waits for an answer any more."""
+        """The run is over: release threads that wait for an answer."""
         self._over = True
         while not self._asked.empty():
             _, answer = self._asked.get()
@@ -219,7 +219,7 @@ class Steering(NoticeQueue):
         return " ".join((f"Fault {fault.__struct_config__.tag}", *which))
 
     def _faults(self) -> tuple[FaultOffer, ...]:
-        """Faults that make sense here."""
+        """Faults that this vehicle and simulation can have."""
         offers = [
             ("Camera or tracking silent for 10 s", {"kind": "camera_blackout", "duration_s": 10.0}),
             ("Shove to the north, 20 N for 2 s", _shove(20.0, 0.0)),

@@ -1,4 +1,4 @@
-"""What a scenario and the settings make of the world, and what the vehicle is told of it."""
+"""World of a SITL run, from scenario and settings, and the part of it that the vehicle knows."""
 
 from collections.abc import Sequence
 from datetime import UTC, datetime
@@ -64,7 +64,7 @@ class SimulatedDevice:
 
     @property
     def payload_shares(self) -> tuple[float, ...]:
-        """Where what it carries is, for the log only."""
+        """Positions of the payload (0 to 1), for the log only."""
         return self._vehicle.payload.shares
 
     def actuate(self, t_us: int, state: PayloadState) -> None:
@@ -84,7 +84,7 @@ class SimulatedDevice:
         self._vehicle.write(command.pwm_us[: self._thrusters])
 
     def below(self, t_us: int) -> FlightControllerState | None:
-        """What the flight controller below says, in a scenario that has one."""
+        """State of the flight controller, in a scenario that has one."""
         return self._vehicle.below(t_us, armed=self._armed)
 
     def close(self) -> None:
@@ -138,14 +138,16 @@ class SimulatedWorld(World):
             map_start=settings["currents_start"],
         )
         layout = scenario.markers
-        # Without a file the scenario says all.
+        # Without a file the scenario is the only source.
         self.markers_from_file = (settings["markers"], layout.file, layout.laid) != (None, None, None)
         self.operator = (
             ScriptedOperator(system_id(self.params, instance), scenario.fault) if settings["start"] else None
         )
         self.peers = tuple(peers) if self.operator is None else (*peers, self.operator)
         self.plan, self.flown_at_once = _plan(settings, scenario), self.operator is not None
-        self.keeps_plans = bool(settings["keep_plans"])  # a simulation begins anew unless it is told not to
+        self.keeps_plans = bool(
+            settings["keep_plans"]
+        )  # a simulation starts without stored state unless configured otherwise
         given_s = settings["duration"]
         self.duration_s = scenario.scenario.duration_s if given_s is None else given_s
         self._machine = MachineFaults(scenario.fault)
@@ -155,7 +157,7 @@ class SimulatedWorld(World):
         self.device = self.truth_source = SimulatedDevice(self._vehicle, len(self.told.vehicle.thrusters))
 
     def epoch_ns(self) -> int:
-        """The same for all runs."""
+        """Constant, for reproducible logs."""
         return SITL_EPOCH_NS
 
     def finish_plan(self, plan: PlanFile) -> tuple[PlanFile, tuple[str, ...]]:
@@ -234,7 +236,7 @@ def _plan(settings: EffectiveSettings, scenario: Scenario) -> Path | None:
 
 
 def _wires(settings: EffectiveSettings) -> frozenset[Wire]:
-    """What is wired as on a real vehicle. ConfigError when time is not real."""
+    """Devices on real links. ConfigError when time is not real."""
     speed = float(settings["speed"])
     if settings["hil"] and speed != 1.0:
         raise ConfigError(f"--hil takes the time that bytes take, --speed {speed:g} does not; use --speed 1")
@@ -242,7 +244,9 @@ def _wires(settings: EffectiveSettings) -> frozenset[Wire]:
 
 
 def _told_markers(settings: EffectiveSettings, scenario: Scenario, true: MarkerMap | None) -> MarkerMap | None:
-    """The map of ``--markers``, else what the scenario gives to the vehicle. ConfigError if there is no use for it."""
+    """Marker map of ``--markers``, else the one that the scenario gives to the vehicle. ConfigError if it cannot
+    be used.
+    """
     if settings["markers"] is None:
         return None if true is None else given_markers(scenario)
     if true is None:
@@ -251,14 +255,14 @@ def _told_markers(settings: EffectiveSettings, scenario: Scenario, true: MarkerM
 
 
 def knowledge(settings: EffectiveSettings, scenario: Scenario) -> str:
-    """What the controller is told of the water: the setting, a given map, or what the scenario says."""
+    """The controller's knowledge of the current: the setting, a given map, or the scenario's."""
     if settings["currents"] is not None:
         return str(settings["currents"])
     return "map" if settings["currents_map"] is not None else scenario.controller.currents
 
 
 def _map(settings: EffectiveSettings, scenario: Scenario, origin: Origin) -> CurrentMap | None:
-    """The map file of the settings, else the scenario's; None when there is none. ConfigError if it is no good."""
+    """Map file of the settings, else the scenario's, None without one. ConfigError if it is invalid."""
     if knowledge(settings, scenario) != "map":
         if settings["currents_map"] is not None:
             raise ConfigError(f"--currents-map needs --currents map, not {settings['currents']}")
@@ -268,7 +272,7 @@ def _map(settings: EffectiveSettings, scenario: Scenario, origin: Origin) -> Cur
 
 
 def map_path(settings: EffectiveSettings, scenario: Scenario) -> Path | None:
-    """The file of the map of the current, None when there is none."""
+    """Path of the current map, None without one."""
     path = settings["currents_map"] or scenario.controller.map
     if path is None and isinstance(scenario.current, GridCurrent):
         path = scenario.current.file

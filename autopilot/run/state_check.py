@@ -1,7 +1,7 @@
-"""What of the state folder is missing or cannot be kept, as reasons against arming, until an operator accepts it.
+"""Missing or unwritable state files, as reasons against arming until an operator accepts them.
 
-Files that earlier runs have kept and that are not in force (:class:`autopilot.core.state_file.Loss`), and a disk that
-takes no writes. Each gets a number; the parameter ``STATE_ACCEPT`` at such a number accepts all up to it.
+Reported are files of earlier runs that are not in force (:class:`autopilot.core.state_file.Loss`), and a disk that
+rejects writes. Each gets a number; the parameter ``STATE_ACCEPT`` at a number accepts all up to it.
 """
 
 import contextlib
@@ -21,7 +21,7 @@ from autopilot.core.state_file import Loss
 
 ACCEPT = "STATE_ACCEPT"
 PROBE_BYTES = 65_536
-"""A nearly full disk takes the first bytes of anything: so many are tried, as much as a long mission needs."""
+"""Bytes of a test write, as many as a long mission needs: a nearly full disk accepts the first bytes of anything."""
 
 
 def probe(folder: Path) -> str:
@@ -49,12 +49,12 @@ class _Open:
 
     number: int
     loss: Loss | None
-    """What was lost, None for a disk that takes no writes."""
+    """Lost file, None for a disk that rejects writes."""
     accepted: bool = False
 
 
 class StateCheck(NoticeQueue):
-    """One vehicle's. Asked once per tick."""
+    """State check of one vehicle; called once per tick."""
 
     def __init__(
         self,
@@ -64,8 +64,9 @@ class StateCheck(NoticeQueue):
         losses: Sequence[Loss],
         unsaved: Sequence[Callable[[], str]] = (),
     ) -> None:
-        """``desk``: the lane of the disk; ``losses``: found at the start; ``unsaved``: asked what is not being kept at
-        the moment, "" = all is."""
+        """``desk``: worker for disk access; ``losses``: found at the start; ``unsaved``: returns what cannot be
+        saved at the moment, "" = nothing.
+        """
         super().__init__()
         self._params, self._folder, self._worker = params, folder, worker
         self._unsaved = unsaved
@@ -82,7 +83,7 @@ class StateCheck(NoticeQueue):
         self._look(0)
 
     def refusals(self, t_us: int) -> tuple[str, ...]:
-        """Reasons against arming, each with what accepts it."""
+        """Reasons against arming, each with the parameter value that accepts it."""
         tick = t_us // TICK_US
         if self._disk:
             self._probe_again(tick)
@@ -121,7 +122,7 @@ class StateCheck(NoticeQueue):
                     it.loss.accept(tick)
 
     def _probe_again(self, tick: int) -> None:
-        """Whether the disk takes writes by now, asked now and then."""
+        """Whether the disk accepts writes by now, probed periodically."""
         if self._probing is None:
             if tick < self._probe_at:
                 return

@@ -1,7 +1,7 @@
-"""Stills for the service: the first picture that is exposed after it was asked for, stored in the log and beside it.
+"""Stills: the first picture exposed after the request, stored in the log and beside it.
 
-Making the PNG and writing its file are done at a desk; the log takes the bytes when they are there, in lockstep a
-counted number of ticks later.
+PNG encoding and file writing are done by a background worker; the log takes the bytes when they are ready, in
+lockstep after a fixed number of ticks.
 """
 
 import shutil
@@ -20,21 +20,21 @@ from autopilot.core.stills import CameraReport, StoredStill
 DUE_TICKS = 5
 """Compressing a picture takes less than 50 ms."""
 WAIT_US = 2_000_000
-"""A camera that delivers nothing for so long does not deliver."""
+"""Timeout of a camera without pictures."""
 SPACE_TICKS = 200
-"""The disk is asked for its room so often."""
+"""Interval of free space checks."""
 KEEP_FREE_BYTES = 64 * 1024 * 1024
-"""Stills leave so much of the disk to the log."""
+"""Free space on the disk that stills leave to the log."""
 PNG_LEVEL = 1
 """Of nine: noise of a picture is not compressed further by more."""
 
 
 class StillLog(Protocol):
-    """Where stills are kept (:class:`autopilot.run.recorder.RunRecorder`)."""
+    """Record of the stills taken (:class:`autopilot.run.recorder.RunRecorder`)."""
 
     @property
     def path(self) -> Path | None:
-        """The file of the present log, None while there is none."""
+        """Path of the present log, None without one."""
         ...
 
     def still(self, exposure_us: int, png: bytes) -> None:
@@ -44,7 +44,7 @@ class StillLog(Protocol):
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class _Picture:
-    """A still on its way to the disk."""
+    """A still being written to the disk."""
 
     pixels: Any
     file: Path
@@ -66,7 +66,7 @@ class StillStore:
         self._space_tick = 0
 
     def take(self, t_us: int, frames: Sequence[CameraFrame]) -> tuple[StoredStill, ...]:
-        """Give pictures to what has been asked for; what has become of earlier stills."""
+        """Assign pictures to requests; returns the results of earlier stills."""
         tick = t_us // TICK_US
         self._look_at_disk(tick)
         for frame in frames:
@@ -127,7 +127,7 @@ class StillStore:
         self._writing.append((still, self._worker.submit(tick + DUE_TICKS, _store, picture)))
 
     def _path_for_clients(self, file: Path) -> str:
-        """As :class:`autopilot.log.directory_reader.LogShelf` names it."""
+        """Path relative to the log directory, as :class:`autopilot.log.directory_reader.LogShelf` lists it."""
         try:
             return file.resolve().relative_to(self._folder.resolve()).as_posix()
         except ValueError:

@@ -1,7 +1,7 @@
-"""The links of a service: receiving, sending, waiting for them, and what operators have to know of them.
+"""Links of the service: receive, send, wait, and notices about their state.
 
-Nothing here blocks longer than it was told to, and nothing raises: a link that breaks is counted, named once, and
-looked after by its driver. An exception that no driver may raise is a fault for the guard as well.
+Nothing here blocks longer than its timeout, and nothing raises: a broken link is counted, reported once, and
+reopened by its driver. An exception that no driver may raise is a fault for the guard as well.
 """
 
 import select
@@ -18,15 +18,15 @@ from autopilot.core.messages import Event, MavlinkFrame
 from autopilot.drivers.protocols import Link, SharedLink
 
 POLL_S = 0.002
-"""Links without a file descriptor are looked at this often."""
+"""Polling interval of links without a file descriptor."""
 BEAT_S = 1.1
-"""Real time after which a HEARTBEAT is due, whatever the vehicle's time says (a second of it, as a rule)."""
+"""Real time after which a HEARTBEAT is due, whatever the vehicle's time (usually a second of it)."""
 NOTICE_US = 5_000_000
-"""A link that comes and goes is named this often."""
+"""Interval of reports of an intermittent link."""
 LOOK_S = 0.05
 """A wait ends at least this often, for heartbeats."""
 MAX_BETWEEN_BYTES = 16_384
-"""What one link may bring between two ticks; then it has to wait for the tick."""
+"""Bytes accepted from one link between two ticks; more waits for the tick."""
 MAX_BETWEEN_CALLS = 64
 """How often one link is read between two ticks."""
 
@@ -40,9 +40,8 @@ T = TypeVar("T")
 
 
 def _beat_of(frame: MavlinkFrame) -> int | None:
-    """The component whose HEARTBEAT a frame brings to all clients of a link; None for any other frame.
-
-    One that goes to a single client, or is passed on for somebody else, keeps nobody else from missing us.
+    """Component of a broadcast HEARTBEAT; None for any other frame. One that is sent to a single client, or
+    forwarded for another component, does not keep other clients from timing out.
     """
     data = frame.data
     if isinstance(data, Verbatim) or frame.client != EVERYONE:
@@ -71,7 +70,7 @@ class Transport:
         self._problems: list[str | None] = [None] * len(self._links)
         self._silent_until_us = [0] * len(self._links)
         self._failed: list[dict[str, str]] = [{} for _ in self._links]
-        """What a driver raised although it must not, by what it was asked to do; until it does that again."""
+        """Unexpected exceptions of drivers, by operation; until the operation succeeds."""
         self.errors = 0
         """How often that happened."""
         self._shared = [(index, link) for index, link in enumerate(self._links) if isinstance(link, SharedLink)]
@@ -82,23 +81,23 @@ class Transport:
         return len(self._links)
 
     def judge_by(self, standing: Callable[[int, int], ClientRecord]) -> None:
-        """Who has a place where there are too few goes by ``standing`` of a link's client."""
+        """Set the priority function of clients, for links with limited slots."""
         for index, link in self._shared:
             link.standing = partial(standing, index)
 
     @property
     def beat_due(self) -> bool:
-        """Whether a link has not seen a component's HEARTBEAT for so long that one has to go out now."""
+        """Whether a component's HEARTBEAT is overdue on a link."""
         return bool(self._beats_s) and self._now_s() - min(self._beats_s.values()) >= BEAT_S
 
     def receive(self, t_us: int) -> list[MavlinkFrame]:
-        """What all links have for a tick. What they may bring until the next one counts anew."""
+        """Data of all links for a tick. The receive limit until the next tick starts anew."""
         self._between_bytes = [0] * len(self._links)
         self._between_calls = [0] * len(self._links)
         return [frame for index in range(len(self._links)) for frame in self._receive(index, t_us)]
 
     def wait(self, t_us: int, seconds: float) -> list[MavlinkFrame]:
-        """Wait for the links, ``seconds`` at most; what has come, or nothing when the time is over."""
+        """Wait for the links, ``seconds`` at most; data received, or nothing on timeout."""
         open_links = [index for index in range(len(self._links)) if self._may_bring(index)]
         doors: dict[int, int] = {}
         polled = []
@@ -112,7 +111,7 @@ class Transport:
         patience_s = min(seconds, POLL_S if polled else LOOK_S)
         try:
             ready, _, _ = select.select(list(doors), [], [], patience_s)
-        except (OSError, ValueError):  # a descriptor that has just gone, or one beyond what select can take
+        except (OSError, ValueError):  # a descriptor just closed, or one beyond the limit of select
             time.sleep(patience_s)
             ready = []
         called = dict.fromkeys([doors[number] for number in ready] + polled)
@@ -130,7 +129,6 @@ class Transport:
         self.send(frames)
 
     def send(self, frames: Sequence[MavlinkFrame]) -> None:
-        """Send what goes to these links."""
         for frame in frames:
             component = _beat_of(frame)
             if component is not None:
@@ -141,7 +139,7 @@ class Transport:
                     self._send(index, frame)
 
     def take_notices(self, t_us: int) -> tuple[Event, ...]:
-        """What operators have to know of the links since the last call: one that broke, one that is back."""
+        """Notices to operators about links since the last call: broken, or restored."""
         events: list[Event] = []
         for index in range(len(self._links)):
             problem, name = self._problem(index), self._names[index]
@@ -186,7 +184,7 @@ class Transport:
             self._try(index, "send", lambda: link.send(frame.data, frame.client), None)
 
     def _problem(self, index: int) -> str | None:
-        """What is wrong with a link now: what its driver failed at, else what the driver says itself."""
+        """Present fault of a link: its driver's exception, else its driver's own report."""
         said = self._try(index, "tell", lambda: self._links[index].problem, None)
         return next(iter(self._failed[index].values()), said)
 

@@ -1,7 +1,7 @@
-"""The configuration of a real vehicle (``autopilot run --config``): which vehicle, where, and what is plugged in.
+"""Configuration of a real vehicle (``autopilot run --config``): vehicle file, site, and devices. TOML.
 
-A TOML file. Wiring and place stand here, tuning and limits are parameters; ``[parameters]`` gives them other defaults.
-Paths in it are relative to the file. Unknown keys are errors that name the key.
+Wiring and site are set here, tuning and limits are parameters; ``[parameters]`` overrides their defaults. Paths are
+relative to the file. Unknown keys are errors that name the key.
 """
 
 from collections.abc import Mapping
@@ -24,7 +24,7 @@ Longitude = Annotated[float, msgspec.Meta(ge=-180.0, le=180.0)]
 
 
 class SiteTable(Table, frozen=True, kw_only=True):
-    """``[place]``: where it swims and what is known of the place."""
+    """``[place]``: site of operation and its known properties."""
 
     name: str = "unnamed place"
     """For logs."""
@@ -58,7 +58,7 @@ class ServiceTable(Table, frozen=True, kw_only=True):
     state_dir: str | None = None
 
     def given(self, folder: Path) -> dict[str, Any]:
-        """What stands in the file, by name; folders relative to ``folder``."""
+        """Keys set in the file, by name; folders relative to ``folder``."""
         told = {name: value for name, value in msgspec.structs.asdict(self).items() if value is not None}
         for name in ("log_dir", "state_dir"):
             if name in told:
@@ -77,8 +77,6 @@ class ConfigFile(Table, frozen=True, kw_only=True):
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class VehicleConfig:
-    """A configuration that has been looked through."""
-
     path: Path
     file: ConfigFile
     vehicle: Vehicle
@@ -123,7 +121,7 @@ def _vehicle_of(name: str, path: Path) -> str:
 
 
 def _check(config: VehicleConfig) -> None:
-    """What does not go together. ConfigError."""
+    """Checks between tables. ConfigError."""
     origin = str(config.path)
     apply_parameters(config, ParamSet())
     if config.has_camera and config.vehicle.camera is None:

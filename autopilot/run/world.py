@@ -1,6 +1,7 @@
-"""What a service is put into: a real vehicle, emulated devices or a simulation, with the place round it.
+"""World of a service: a real vehicle, emulated devices or a simulation, with its environment.
 
-A session (:mod:`autopilot.run.session`) is opened, run, recorded and closed alike in all of them; what differs is here.
+A session (:mod:`autopilot.run.session`) is opened, run, recorded and closed alike in all of them; the differences
+are here.
 """
 
 from abc import ABC, abstractmethod
@@ -33,9 +34,11 @@ from autopilot.view.page_state import Solid
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class KnownEnvironment:
-    """What a service is told of its vehicle and of the place, and nothing of the truth. The fields are those of
-    :class:`autopilot.run.compose.ServiceSetup`; ``controller`` and ``estimator`` are those that fly unless the
-    settings name others."""
+    """The service's knowledge of vehicle and site, without the ground truth.
+
+    The fields are those of :class:`autopilot.run.compose.ServiceSetup`; ``controller`` and ``estimator`` are
+    defaults that the settings override.
+    """
 
     vehicle: Vehicle
     origin: Origin
@@ -50,7 +53,7 @@ class KnownEnvironment:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CurrentSource:
-    """From what :attr:`KnownEnvironment.currents` was made, for the log."""
+    """Source of :attr:`KnownEnvironment.currents`, for the log."""
 
     kind: str
     basin: str
@@ -66,7 +69,7 @@ class WatchedService:
         self._describe = describe
 
     def revision(self) -> Hashable:
-        """Changes with plans and parameters. The fence comes into force a little after its plan."""
+        """Changes with plans and parameters. The fence comes into force slightly after its plan."""
         parts = self._parts
         return parts.plans.revision, id(parts.commander.fence), tuple(parts.params.values())
 
@@ -92,13 +95,13 @@ class World(ABC):
     speed: float
     """1 on hardware, 0 = as fast as possible."""
     folder: Path
-    """What an instance keeps between runs."""
+    """Folder of the files that an instance keeps between runs."""
     disk: BackgroundWorker
     """The lane on which that is written."""
     params: ParamSet
     persistent: PersistentParams
     warnings: tuple[str, ...]
-    """What is wrong with parameters that were kept."""
+    """Problems of saved parameters."""
     device: VehicleIo
     """From :meth:`open_device` on."""
     plan: Path | None = None
@@ -117,7 +120,7 @@ class World(ABC):
 
     @abstractmethod
     def epoch_ns(self) -> int:
-        """Log time of the vehicle's time zero, asked when the devices are open."""
+        """Log time of the vehicle's time zero, called when the devices are open."""
 
     @abstractmethod
     def open_device(self, parts: ServiceParts) -> None:
@@ -128,8 +131,7 @@ class World(ABC):
         """The run as things stand now."""
 
     @abstractmethod
-    def metadata(self) -> Mapping[str, str]:
-        """What its logs say of it in a word."""
+    def metadata(self) -> Mapping[str, str]: ...
 
     @abstractmethod
     def attachments(self) -> Mapping[str, bytes]:
@@ -137,36 +139,34 @@ class World(ABC):
 
     @abstractmethod
     def below(self, t_us: int) -> FlightControllerState | None:
-        """Who has the vehicle at a time, where there is a flight controller below."""
+        """State of the flight controller at a time, None without one."""
 
     def finish_plan(self, plan: PlanFile) -> tuple[PlanFile, tuple[str, ...]]:
-        """What becomes of a plan from a file before it is taken, and a word about that."""
+        """Complete a plan from a file before it is loaded; with a message about that."""
         return plan, ()
 
     def watched(self, parts: ServiceParts) -> WatchedService:
-        """What viewers see of it."""
         return WatchedService(parts, lambda: self.describe(parts))
 
     @abstractmethod
     def controls(self, clock: PacedClock | LockstepClock) -> Controls:
-        """What the page of a live view may do to it."""
+        """Interventions that the live view may make."""
 
     def truth(self) -> TruthLike | None:
         """Where the vehicle really is, where that is known."""
         return None
 
     def notices(self) -> Sequence[tuple[Severity, str]]:
-        """What operators should know of it."""
         return ()
 
     def refusals(self, t_us: int) -> tuple[str, ...]:
-        """What it has against arming."""
+        """Reasons of the world not to arm, empty = none."""
         return ()
 
     def hold(self, t_us: int) -> bool:
-        """Whether time stands still."""
+        """Whether the simulation is paused."""
         return False
 
     def mishaps(self, inputs: Inputs) -> Inputs:
-        """What befalls the machine."""
+        """The inputs with the injected sensor faults."""
         return inputs

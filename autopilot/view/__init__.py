@@ -1,1 +1,1 @@
-"""Live view: a page on loopback that shows what the vehicle sees and intends (docs/view.md)."""
+"""Live view: a page on loopback with the vehicle's state, sensors and plan (docs/view.md)."""

@@ -1,7 +1,7 @@
-"""From which age on something that is shown is no longer of now, and grey.
+"""Age limits beyond which a displayed value is stale (grey).
 
-A limit is :data:`MISSED` of the nominal periods of what is shown, and no less than :data:`LEAST_S`: frames of the page
-come ten times per second. Rates stand in the vehicle file; what has none there is given :data:`UNKNOWN_S`.
+A limit is :data:`MISSED` nominal periods of the value, and no less than :data:`LEAST_S`: the page gets ten frames
+per second. Rates are in the vehicle file; a value without one gets :data:`UNKNOWN_S`.
 """
 
 from autopilot.core.sensors import SENSOR_ROWS
@@ -10,7 +10,7 @@ from autopilot.view.feed import CAMERA, FRAME_S, PICTURE_S
 from autopilot.view.page_state import AgeLimits
 
 MISSED = 5
-"""So many in a row that did not come are no accident."""
+"""Missed periods in a row before a value is stale."""
 LEAST_S = 5 * FRAME_S
 UNKNOWN_S = 2.0
 SLOW_S = 1.0
@@ -24,7 +24,7 @@ FLOW_S = 1.0
 
 
 def limit_s(period_s: float) -> float:
-    """Of what comes that often."""
+    """Age above which a value of this period is stale."""
     return max(LEAST_S, MISSED * period_s)
 
 

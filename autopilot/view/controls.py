@@ -1,7 +1,7 @@
-"""What can be asked for from the page, and who does it. Nobody, on a real vehicle.
+"""Requests of the page to the simulation. A real vehicle accepts none.
 
-What the browser sends is one of the ``Ask`` tables. It is carried out by the loop between two ticks
-(:mod:`autopilot.run.sitl_view`); the browser hears what became of it.
+The browser sends one of the ``Ask`` tables. The loop executes it between two ticks
+(:mod:`autopilot.run.sitl_view`); the browser gets the result.
 """
 
 from typing import Annotated, Protocol, TypeAlias
@@ -20,22 +20,19 @@ _Flow = Annotated[float, msgspec.Meta(ge=-MAX_FLOW_M_S, le=MAX_FLOW_M_S)]
 _Place = Annotated[float, msgspec.Meta(ge=-1e5, le=1e5)]
 
 
-class Pause(Table, frozen=True, kw_only=True, tag_field="do", tag="pause"):
-    """Time stands still."""
+class Pause(Table, frozen=True, kw_only=True, tag_field="do", tag="pause"): ...
 
 
-class Go(Table, frozen=True, kw_only=True, tag_field="do", tag="go"):
-    """Time goes on."""
+class Go(Table, frozen=True, kw_only=True, tag_field="do", tag="go"): ...
 
 
 class Speed(Table, frozen=True, kw_only=True, tag_field="do", tag="speed"):
-    """Time goes so much faster than real time."""
+    """Change the real-time factor."""
 
     value: Annotated[float, msgspec.Meta(ge=MIN_SPEED, le=MAX_SPEED)]
 
 
-class Reset(Table, frozen=True, kw_only=True, tag_field="do", tag="reset"):
-    """The run begins anew."""
+class Reset(Table, frozen=True, kw_only=True, tag_field="do", tag="reset"): ...
 
 
 class DragCurrent(Table, frozen=True, kw_only=True, tag_field="do", tag="current"):
@@ -46,16 +43,12 @@ class DragCurrent(Table, frozen=True, kw_only=True, tag_field="do", tag="current
 
 
 class DragObstacle(Table, frozen=True, kw_only=True, tag_field="do", tag="obstacle"):
-    """An obstacle stands elsewhere from now on."""
-
     number: Annotated[int, msgspec.Meta(ge=1)]
     north_m: _Place
     east_m: _Place
 
 
 class CallFault(Table, frozen=True, kw_only=True, tag_field="do", tag="fault"):
-    """A fault begins."""
-
     fault: dict[str, object]
     """A scenario's ``[[fault]]`` table without ``at_s``."""
 
@@ -64,7 +57,7 @@ Ask: TypeAlias = Pause | Go | Speed | Reset | DragCurrent | DragObstacle | CallF
 
 
 class ViewError(AutopilotError):
-    """What was asked for from the page cannot be done."""
+    """A request of the page cannot be executed."""
 
 
 class Steered(msgspec.Struct, frozen=True, kw_only=True):
@@ -76,24 +69,22 @@ class Steered(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Controls(Protocol):
-    """Who does what is asked for."""
+    """Executes requests of the page."""
 
     @property
-    def steerable(self) -> Steerable:
-        """What there is to be done."""
-        ...
+    def steerable(self) -> Steerable: ...
 
     @property
-    def steered(self) -> Steered:
-        """How things stand."""
-        ...
+    def steered(self) -> Steered: ...
 
     def flow(self, t_s: float, depth_m: float) -> FlowView | None:
         """The simulated current, None on a real vehicle; from the view's thread."""
         ...
 
     def do(self, ask: Ask) -> str:
-        """Have it done; what was done. ViewError says why not. From the threads of the page."""
+        """Execute a request on the loop and return the result. ViewError with the reason. Called by the page's
+        threads.
+        """
         ...
 
 

@@ -1,4 +1,4 @@
-"""From what the loop has left to what the page is told. Pure functions, on the view's thread."""
+"""Encodes snapshots of the loop as JSON for the page. Pure functions, on the view's thread."""
 
 import base64
 from collections.abc import Iterable
@@ -41,7 +41,7 @@ from autopilot.view.page_state import (
 )
 
 DIGITS = 4
-"""Of numbers on the way to the page: a tenth of a millimetre."""
+"""Decimals of numbers for the page: a tenth of a millimetre."""
 JPEG_QUALITY = 70
 
 
@@ -136,8 +136,8 @@ def frame_of(snapshot: TickSnapshot, vehicle: Vehicle, steered: Steered, *, now_
 
 
 def picture_of(taken: TakenPicture) -> PictureView:
-    """A camera picture as JPEG with what was found in it. AutopilotError if it cannot be compressed."""
-    import cv2  # heavy: nobody pays for it who does not look at pictures
+    """A camera picture as JPEG with its detections. AutopilotError if it cannot be compressed."""
+    import cv2  # expensive: imported only while pictures are viewed
 
     done, jpeg = cv2.imencode(".jpg", taken.pixels, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])
     if not done:
@@ -160,12 +160,12 @@ def picture_of(taken: TakenPicture) -> PictureView:
 
 
 def _number(value: float) -> float:
-    """A number that JSON can say and a person wants to read; what is infinite or no number is -1."""
+    """A number valid in JSON, rounded; NaN and infinities are -1."""
     return round(float(value), DIGITS) if np.isfinite(value) else -1.0
 
 
 def _age_s(t_us: int, since_us: int) -> float:
-    """In the vehicle's time."""
+    """Age in vehicle time."""
     return _number(1e-6 * max(t_us - since_us, 0))
 
 
@@ -245,7 +245,7 @@ def _tracks(snapshot: TickSnapshot) -> tuple[ObstacleView, ...]:
 
 
 def _clearance_m(fence: Fence, nav: NavState) -> float | None:
-    """Smallest distance of the vehicle's centre to what the fence forbids."""
+    """Smallest distance of the vehicle's centre to the forbidden area."""
     place = nav.pos_ned_m[None, :2]
     gaps = [float(clearance_m(shape, place)[0]) for shape in fence.exclusions]
     gaps += [-float(clearance_m(shape, place)[0]) for shape in fence.inclusions]

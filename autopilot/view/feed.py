@@ -1,9 +1,9 @@
-"""What the loop leaves for the page: references to what it has decided, nothing else.
+"""Snapshots that the loop leaves for the page: references to its results, nothing else.
 
-The loop's part is a few comparisons per tick. While nobody looks only messages and a coarse trail are kept; while
-somebody does, ten times per second of real time a :class:`TickSnapshot` takes the place of the one before. Nobody holds
-a lock here: what is left is complete, does not change any more, and is put down in one assignment. All work on it is
-done on the view's own thread (:mod:`autopilot.view.hub`).
+The loop's part is a few comparisons per tick. Without viewers only messages and a coarse track are kept; with
+viewers a :class:`TickSnapshot` replaces the previous one ten times per second of real time. Lock-free: a snapshot
+is complete, immutable, and published by one assignment. All further work is done on the view's own thread
+(:mod:`autopilot.view.hub`).
 """
 
 import time
@@ -36,20 +36,20 @@ FRAME_S = 0.1
 PICTURE_S = 0.2
 """Real time between two pictures."""
 PICTURE_STEP = 2
-"""Every so many pixels of a picture go to the page, each way."""
+"""Subsampling of pictures for the page, in both axes."""
 MESSAGES = 60
 TRAIL_US = 250_000
 TRAIL_POINTS = 1200
 """Five minutes."""
 TRACK_US = 5_000_000
-"""A report of an obstacle is shown so long."""
+"""Display time of an obstacle report."""
 CAMERA = "camera"
 DEVICES = {kind: row for row in SENSOR_ROWS if row.device != CAMERA for kind in row.kinds}
-"""Devices by what they deliver; pictures come by a way of their own."""
+"""Devices by sample type; pictures are handled separately."""
 
 
 class TruthSeen(Protocol):
-    """The part of a simulated vehicle's truth that is shown."""
+    """Displayed part of a simulated vehicle's ground truth."""
 
     @property
     def pos_ned_m(self) -> FloatArray: ...
@@ -68,7 +68,7 @@ class TruthSeen(Protocol):
 
 
 class Watched(Protocol):
-    """What is looked at beside the loop's inputs and outputs. Called by the loop only, while somebody looks."""
+    """Data beside the loop's inputs and outputs. Called by the loop only, while there are viewers."""
 
     def revision(self) -> Hashable:
         """Changes when the description may be another."""
@@ -78,9 +78,7 @@ class Watched(Protocol):
         """The run as things stand now."""
         ...
 
-    def fence(self) -> Fence:
-        """The fence in force."""
-        ...
+    def fence(self) -> Fence: ...
 
     def truth(self) -> TruthSeen | None:
         """Where a simulated vehicle really is."""
@@ -93,7 +91,7 @@ class Watched(Protocol):
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class CapturedPicture:
-    """A camera picture, every so many pixels of it, and what was found in it."""
+    """A subsampled camera picture with its detections."""
 
     number: int
     t_us: int
@@ -121,7 +119,7 @@ class TickSnapshot:
     """Of the last control step."""
     plan: EnergyPlan | None
     plan_us: int
-    """When it came into force."""
+    """Time at which it came into force."""
     thrusters: ThrusterHealthState | None
     heard_us: Mapping[str, int]
     """When each device delivered last, by :data:`DEVICES` and :data:`CAMERA`."""
@@ -136,7 +134,7 @@ class TickSnapshot:
 
 @dataclass(slots=True)
 class _Kept:
-    """The newest of what does not come with every tick."""
+    """Latest values that do not arrive on every tick."""
 
     control: ControlOutput | None = None
     plan: EnergyPlan | None = None
@@ -150,7 +148,7 @@ class _Kept:
     readings: dict[str, bytes] = field(default_factory=dict)
 
     def news(self, row: SensorRow, sample: Sample) -> bool:
-        """Whether a device says something else than before."""
+        """Whether a device reports a change."""
         if not row.reading:
             return True
         reading: bytes = np.asarray(getattr(sample, row.reading)).tobytes()
@@ -176,9 +174,9 @@ class Feed:
         """Waits for what detection finds in it."""
         self._picture: CapturedPicture | None = None
         self.watched = False
-        """Somebody looks; set by the view's thread."""
+        """There are viewers; set by the view's thread."""
         self.pictured = False
-        """Somebody looks at pictures."""
+        """There are viewers of pictures."""
         self.snapshot: TickSnapshot | None = None
         """The newest; None before the first."""
 
@@ -227,7 +225,7 @@ class Feed:
                 kept.tracks[sample.track_id] = sample
 
     def _look(self, now_s: float, inputs: Inputs, frames: Sequence[CameraFrame]) -> None:
-        """A picture waits until detection has answered, or the next one comes."""
+        """A picture waits until its detections are done, or the next one arrives."""
         waiting = self._unseen
         if waiting is not None:
             for sample in inputs.samples:

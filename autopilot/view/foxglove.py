@@ -1,7 +1,7 @@
-"""The log's topics live to Foxglove, Lichtblick and whatever else speaks the Foxglove WebSocket protocol.
+"""Live topics for Foxglove, Lichtblick and other clients of the Foxglove WebSocket protocol.
 
-The messages are those of the log: the same topics, schemas and bytes, made by the same code (:class:`RunLog`), which
-writes to a queue here. A thread publishes them. While nobody has subscribed the loop asks one question per tick.
+The messages are those of the log: the same topics, schemas and bytes, made by the same code (:class:`RunLog`),
+which writes to a queue here. A thread publishes them. Without subscribers the loop's cost is one check per tick.
 The library is an extra: ``pip install 'underwater-autopilot[foxglove]'``.
 """
 
@@ -80,7 +80,7 @@ class FoxgloveServer:
         return LiveLog(self, describe, revision, truth)
 
     def put(self, topic: str, time_ns: int, payload: Payload) -> None:
-        """Queue a message, if somebody wants it."""
+        """Queue a message, if it is subscribed."""
         if topic in self._subscribed:
             self._queue.append((topic, time_ns, payload))
 
@@ -115,7 +115,7 @@ class FoxgloveServer:
 
 
 class _Listener:
-    """Keeps book of what is subscribed to; called on the library's threads."""
+    """Tracks subscriptions; called on the library's threads."""
 
     def __init__(self, topics: set[str]) -> None:
         self._topics = topics
@@ -158,20 +158,18 @@ class _Messages:
         self._server.put(topic, self.epoch_ns + 1000 * t_us, payload)
 
     def write_packet(self, t_us: int, packet: bytes) -> None:
-        """A ``.tlog`` has no viewers."""
+        """Ignored: a ``.tlog`` packet has no live channel."""
 
     def attach(self, name: str, t_us: int, data: Payload) -> None:
-        """Attachments belong to files."""
+        """Ignored: only files have attachments."""
 
-    def end(self) -> None:
-        """Nothing is left to do."""
+    def end(self) -> None: ...
 
-    def close(self, timeout_s: float | None = None) -> None:
-        """Nothing is left to do."""
+    def close(self, timeout_s: float | None = None) -> None: ...
 
 
 class LiveLog:
-    """The loop's end: a log that is not kept. Made of a run's inputs and outputs while somebody looks."""
+    """The loop's interface: a log that is not stored, packed while there are subscribers."""
 
     def __init__(
         self,

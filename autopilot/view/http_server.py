@@ -1,9 +1,9 @@
-"""The page over HTTP on loopback: four files, a stream of server-sent events, and what is asked for.
+"""HTTP server of the page on loopback: four files, a stream of server-sent events, and requests.
 
-Nobody from outside gets in. The socket is bound to 127.0.0.1; the Host of a request has to be a name of loopback, so
-that a foreign name that is made to point here (DNS rebinding) is refused; what another page's script begins says so in
-Origin or Sec-Fetch-Site and is refused; and what changes anything has to come from the page itself, which alone knows
-the process's token. There is no CORS header, so no other page can read an answer either.
+Local access only. The socket is bound to 127.0.0.1; the Host of a request has to be a name of loopback, which
+rejects DNS rebinding; cross-site requests are rejected by Origin or Sec-Fetch-Site; and requests that change
+anything need the process's token, which only the page has. There is no CORS header, so no other page can read an
+answer either.
 """
 
 import hashlib
@@ -22,15 +22,15 @@ from autopilot.view.hub import MAX_VIEWERS, Hub
 
 DEFAULT_PORT = 8760
 PORTS = 20
-"""So many ports from the default on are tried where none is asked for."""
+"""Number of ports tried from the default on where none is given."""
 PATIENCE_S = 2.0
-"""A viewer that takes nothing off the wire for so long is dropped."""
+"""Timeout of a viewer that receives nothing."""
 REQUEST_S = 5.0
 """A request has to be there in that time."""
 RETRY_MS = 1000
-"""A page that has lost its stream asks for another so often."""
+"""Interval at which a page that has lost its stream reconnects."""
 SEND_BUFFER = 1 << 16
-"""What the kernel keeps for a viewer; what is older has no value."""
+"""Kernel send buffer of a viewer; older data have no value."""
 MAX_CONNECTIONS = 48
 MAX_ASK_BYTES = 4096
 LOOPBACK = ("127.0.0.1", "localhost", "[::1]")
@@ -75,7 +75,7 @@ class _Server(ThreadingHTTPServer):
         super().__init__(("127.0.0.1", port), _Handler)
 
     def process_request(self, request: object, client_address: object) -> None:
-        """On a thread of its own, as long as there are not too many."""
+        """In a thread of its own, up to a maximum number."""
         if not self._room.acquire(blocking=False):
             self.shutdown_request(request)  # type: ignore[arg-type]
             return
@@ -88,16 +88,16 @@ class _Server(ThreadingHTTPServer):
             self._room.release()
 
     def handle_error(self, request: object, client_address: object) -> None:
-        """A connection that breaks is nobody's business."""
+        """Broken connections are ignored."""
 
 
 def _file(name: str) -> bytes:
-    """A file of the page as it is in the package."""
+    """A packaged file of the page."""
     return (files("autopilot") / "data" / "view" / name).read_bytes()
 
 
 def _version() -> str:
-    """Of the page's code: another one is loaded anew when its process is."""
+    """Version of the page's code: browsers reload the page when it changes."""
     return hashlib.sha256(b"".join(_file(name) for name, _ in PAGES.values())).hexdigest()[:16]
 
 
@@ -138,8 +138,7 @@ class _Handler(BaseHTTPRequestHandler):
     server_version = "autopilot"
     sys_version = ""
 
-    def log_message(self, format: str, *args: object) -> None:
-        """Say nothing."""
+    def log_message(self, format: str, *args: object) -> None: ...
 
     def do_GET(self) -> None:
         """The page, its files, its stream."""
@@ -183,7 +182,7 @@ class _Handler(BaseHTTPRequestHandler):
                 self._answer(200, msgspec.json.encode({"done": done}), "application/json")
 
     def _from_here(self) -> bool:
-        """Whether a browser on this machine asks for our own page; strangers are answered."""
+        """Whether a browser on this machine requests our own page; others get an error."""
         host = self.headers.get("Host", "")
         name = host[: host.find("]") + 1] if host.startswith("[") else host.partition(":")[0]
         origin, site = self.headers.get("Origin"), self.headers.get("Sec-Fetch-Site")
@@ -196,7 +195,7 @@ class _Handler(BaseHTTPRequestHandler):
         return False
 
     def _from_the_page(self) -> bool:
-        """Whether what is to be changed is asked for by the page itself."""
+        """Whether a change is requested by the page itself."""
         token = self.headers.get(TOKEN_HEADER, "")
         if self.headers.get("Origin") is None:
             self._say(403, "a browser names the page that asks; nobody else may")
@@ -209,7 +208,7 @@ class _Handler(BaseHTTPRequestHandler):
         return False
 
     def _stream(self, *, pictures: bool) -> None:
-        """Server-sent events until the viewer goes, or does not follow."""
+        """Server-sent events until the viewer disconnects or times out."""
         viewer = self.server.hub.join(pictures=pictures)
         if viewer is None:
             self._say(503, f"{MAX_VIEWERS} pages are looking already: close one")
@@ -223,7 +222,7 @@ class _Handler(BaseHTTPRequestHandler):
             while (data := viewer.take()) is not None:
                 self.wfile.write(data)
         except OSError:
-            pass  # gone, or does not read
+            pass  # disconnected, or not receiving
         finally:
             self.server.hub.leave(viewer)
 

@@ -1,8 +1,8 @@
-"""One thread that makes frames of what the loop leaves, and gives each to whoever looks.
+"""One thread that encodes frames from the loop's snapshots and distributes them to the viewers.
 
-A viewer that does not read keeps nobody waiting: it has one place per kind of message, in which the newest lies.
-Whoever does not take a message off the wire in time (:data:`autopilot.view.http_server.PATIENCE_S`) is gone. Without a
-viewer the thread sleeps and the loop does next to nothing.
+A slow viewer blocks nobody: it has one slot per kind of message, with the newest. A viewer that does not receive
+within :data:`autopilot.view.http_server.PATIENCE_S` is disconnected. Without viewers the thread sleeps and the loop
+does next to nothing.
 """
 
 import threading
@@ -19,9 +19,9 @@ from autopilot.view.feed import Feed, TickSnapshot, Watched
 
 POLL_S = 0.05
 IDLE_S = 0.5
-"""Without news of the loop the page hears so often that there is none."""
+"""Interval at which the page is informed that the loop is silent."""
 BREATH_S = 5.0
-"""A viewer hears something so often, so that one that has gone is found."""
+"""Keep-alive interval, by which disconnected viewers are detected."""
 MAX_VIEWERS = 16
 
 KINDS = ("scene", "frame", "flow", "picture", "trouble")
@@ -93,7 +93,7 @@ class Hub:
     def attach(
         self, watched: Watched, vehicle: Vehicle, controls: Controls, *, simulated: bool, pictures: bool
     ) -> Feed:
-        """A run begins; the feed is for its loop. ``pictures``: there is a camera that delivers some."""
+        """A run begins; the feed is for its loop. ``pictures``: whether a camera delivers any."""
         feed = Feed(watched, self._scenes)
         with self._lock:
             self._run = _Run(feed, vehicle, controls, simulated, pictures)
@@ -129,7 +129,7 @@ class Hub:
         return len(self._viewers)
 
     def join(self, *, pictures: bool) -> Viewer | None:
-        """One more looks; None when there is no room."""
+        """Add a viewer; None when the limit is reached."""
         with self._lock:
             if len(self._viewers) >= MAX_VIEWERS or self._closed:
                 return None
@@ -192,7 +192,7 @@ class Hub:
                     viewer.put("picture", data)
 
     def _give_scene(self, run: _Run, snapshot: TickSnapshot) -> None:
-        """The scene to whoever does not have it; made anew for each, because of the trail."""
+        """Send the scene to viewers without it; encoded for each, because of the track."""
         without = [viewer for viewer in self._viewers if viewer.scene != snapshot.scene]
         if not without:
             return

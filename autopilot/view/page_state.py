@@ -1,7 +1,7 @@
-"""What the page is told, as JSON: a scene now and then, a frame ten times per second, pictures, the flow.
+"""JSON of the page: scene (on change), frame (10 Hz), pictures, current field.
 
-Local metres (NED, origin at the surface), radians, SI; units stand in the names. None where nothing is known. The page
-(``autopilot/data/view``) reads these names, and tests/view hold both together.
+Local metres (NED, origin at the surface), radians, SI; units in the names. None = unknown. The page
+(``autopilot/data/view``) reads these names; tests/view checks that both agree.
 """
 
 from typing import TypeAlias
@@ -30,7 +30,7 @@ class WaypointView(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Limits(msgspec.Struct, frozen=True, kw_only=True):
-    """What the controller was given as bounds."""
+    """Bounds of the controller."""
 
     planar_speed_m_s: float
     heave_m_s: float
@@ -41,7 +41,7 @@ class Limits(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class AgeLimits(msgspec.Struct, frozen=True, kw_only=True):
-    """From which age on what is shown is grey [s]: each by the rate at which it nominally comes."""
+    """Ages beyond which displayed values are stale [s], by their nominal rates."""
 
     link_s: float
     """Real time without a frame of the loop. All others are in the vehicle's time."""
@@ -61,7 +61,7 @@ class FaultOffer(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Steerable(msgspec.Struct, frozen=True, kw_only=True):
-    """What can be done from the page: all empty on a real vehicle."""
+    """Interventions available on the page: empty on a real vehicle."""
 
     pause: bool = False
     speed: bool = False
@@ -70,7 +70,7 @@ class Steerable(msgspec.Struct, frozen=True, kw_only=True):
     obstacles: bool = False
     faults: tuple[FaultOffer, ...] = ()
     missing: tuple[str, ...] = ()
-    """What is not there, and why; a line each."""
+    """Missing devices with the reason, a line each."""
 
 
 class SceneView(msgspec.Struct, frozen=True, kw_only=True):
@@ -96,8 +96,6 @@ class SceneView(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Estimate(msgspec.Struct, frozen=True, kw_only=True):
-    """What the vehicle believes."""
-
     age_s: float
     health: str
     pos_ned_m: Point3
@@ -113,7 +111,7 @@ class Estimate(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class TrueState(msgspec.Struct, frozen=True, kw_only=True):
-    """What only a simulation knows."""
+    """Ground truth, in simulations only."""
 
     pos_ned_m: Point3
     rpy_rad: Point3
@@ -125,7 +123,7 @@ class TrueState(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Solid(msgspec.Struct, frozen=True, kw_only=True):
-    """An obstacle of the simulated world where it is now."""
+    """An obstacle of the simulated world at its present position."""
 
     number: int
     kind: str
@@ -179,8 +177,6 @@ class Control(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class SensorView(msgspec.Struct, frozen=True, kw_only=True):
-    """An aiding sensor's last measurement."""
-
     name: str
     state: str
     test_ratio: float
@@ -191,7 +187,7 @@ class SensorView(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class DeviceView(msgspec.Struct, frozen=True, kw_only=True):
-    """What a device has delivered last, used or not."""
+    """Last data of a device, used or not."""
 
     name: str
     age_s: float
@@ -207,7 +203,7 @@ class ProgressView(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class BatteryView(msgspec.Struct, frozen=True, kw_only=True):
-    """What the battery's monitor said last."""
+    """Last reading of the battery monitor."""
 
     age_s: float
     voltage_v: float
@@ -237,7 +233,7 @@ class MessageView(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class ViewFrame(msgspec.Struct, frozen=True, kw_only=True):
-    """What changes all the time; each stands for itself, a viewer may miss any."""
+    """Dynamic state; frames are independent, viewers may miss any."""
 
     scene: int
     """Which scene it belongs to."""
@@ -267,7 +263,7 @@ class ViewFrame(msgspec.Struct, frozen=True, kw_only=True):
     thrust_n: tuple[float, ...]
     pwm_us: tuple[int, ...]
     effectiveness: tuple[float, ...]
-    """Share of its thrust that each thruster gives; empty while nobody knows."""
+    """Effectiveness of each thruster; empty while unknown."""
     sensors: tuple[SensorView, ...]
     devices: tuple[DeviceView, ...]
     battery: BatteryView | None
@@ -277,7 +273,7 @@ class ViewFrame(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class PictureView(msgspec.Struct, frozen=True, kw_only=True):
-    """A camera picture and what was found in it."""
+    """A camera picture with its detections."""
 
     t_s: float
     width_px: int

@@ -1,6 +1,7 @@
-"""Rooms: workspaces, waters, missions and vehicles made at random, flown by the whole service and judged apart from it.
+"""Random worlds: workspaces, currents, missions and vehicles, flown by the whole service and judged independently.
 
 :mod:`~autopilot.campaign.worlds.random_world` draws a world from a seed,
-:mod:`~autopilot.campaign.worlds.reachability` computes independently what can be reached there and how soon,
-:mod:`~autopilot.campaign.worlds.world_flight` flies it and :mod:`~autopilot.campaign.worlds.world_judge` compares both.
+:mod:`~autopilot.campaign.worlds.reachability` computes independently which goals are reachable and how soon,
+:mod:`~autopilot.campaign.worlds.world_flight` flies it and :mod:`~autopilot.campaign.worlds.world_judge` compares
+both.
 """

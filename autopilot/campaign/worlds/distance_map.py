@@ -1,7 +1,7 @@
-"""The free ground of a room on a fine picture, and the quickest ways over it in its current.
+"""Free space of a random world on a fine grid, and time-optimal paths in its current.
 
-Nothing here is shared with the checks and planners of the service: shapes are painted into a picture, clearance is its
-distance transform, ways come from Dijkstra's algorithm on cells. Who doubts one of the two has the other.
+Independent of the checks and planners of the service: shapes are rasterised, clearance is the distance transform,
+paths come from Dijkstra's algorithm on cells.
 """
 
 import itertools
@@ -31,7 +31,7 @@ OPEN_MARGIN_M = 8.0
 WAY_CELL_M = 0.16
 """Cells of ways: less than the walls are thick once the vehicle's radius is added on both sides."""
 WAY_MARGIN_M = 12.0
-"""Ways are looked for within so much of the places that they connect."""
+"""Paths are searched within this distance of the points that they connect."""
 WAY_CELLS = 160_000
 KEPT_GRAPHS = 3
 
@@ -50,7 +50,9 @@ class DistanceMap:
     """Clearance everywhere, to within a pixel."""
 
     def __init__(self, layout: WorldLayout, places: list[Point]) -> None:
-        """``places``: what the picture has to show beside the layout (it is as large as the outline otherwise)."""
+        """``places``: points that the grid has to contain beside the layout (by default it is as large as the
+        outline).
+        """
         low, high = _extent(layout, places)
         area = float(np.prod(high - low))
         self.pixel_m = max(FINEST_M, math.sqrt(area / MOST_PIXELS))
@@ -89,7 +91,7 @@ class DistanceMap:
         cv2.fillPoly(picture, [self._scaled(corners)[:, ::-1].copy()], value, cv2.LINE_8, _SUBPIXEL_BITS)
 
     def clearance_m(self, place: Point) -> float:
-        """At the pixel of a place."""
+        """At the pixel of a point."""
         north, east = self._index(place)
         return float(self.distance_m[north, east])
 
@@ -105,14 +107,14 @@ class DistanceMap:
         return np.asarray(cv2.connectedComponents(mask, connectivity=8)[1], dtype=np.int32)
 
     def regions_near(self, regions: NDArray[np.int32], place: Point, reach_m: float) -> set[int]:
-        """Regions that come within ``reach_m`` of a place."""
+        """Regions within ``reach_m`` of a point."""
         north, east = self._index(place)
         r = max(1, math.ceil(reach_m / self.pixel_m))
         window = regions[max(0, north - r) : north + r + 1, max(0, east - r) : east + r + 1]
         return {int(number) for number in np.unique(window)} - {0}
 
     def ways(self, keep_m: float, places: list[Point]) -> "QuickestPaths":
-        """The ground near these places that keeps ``keep_m``, in cells."""
+        """Cells near these points with clearance ``keep_m``."""
         points = np.array(places)
         low = np.maximum(points.min(axis=0) - WAY_MARGIN_M, self.low)
         high = np.minimum(points.max(axis=0) + WAY_MARGIN_M, self.low + self.pixel_m * np.array(self.distance_m.shape))
@@ -135,28 +137,29 @@ class QuickestPaths:
     def quickest(
         self, start: Point, goal: Point, reach_m: float, flow: Flow, *, water_m_s: float, ground_m_s: float, worst: bool
     ) -> QuickestPath:
-        """From a place to within ``reach_m`` of another, at ``water_m_s`` through the water and at most ``ground_m_s``
-        over ground, in the worst (or the best) of the phases of the flow."""
+        """Time-optimal path from a point to within ``reach_m`` of another, at ``water_m_s`` through the water and
+        at most ``ground_m_s`` over ground, in the worst (or the best) of the phases of the flow.
+        """
         path = self._path(start, goal, reach_m, self._graph_of(flow, water_m_s, ground_m_s, worst=worst))
         return NO_WAY if path is None else QuickestPath(path[1], self._length(path[0]))
 
     def shortest(
         self, start: Point, goal: Point, reach_m: float, flow: Flow, *, water_m_s: float, ground_m_s: float
     ) -> QuickestPath:
-        """The same along the shortest way over ground, whatever the water does there, in the worst of its phases."""
+        """The same along the shortest path over ground, in the worst of the phases of the flow."""
         path = self._path(start, goal, reach_m, self._graph_of(still, ground_m_s, ground_m_s, worst=True))
         if path is None:
             return NO_WAY
         cells = path[0]
         graph = self._graph_of(flow, water_m_s, ground_m_s, worst=True)
         times = [float(graph[a, b]) for a, b in itertools.pairwise(cells)]
-        # What is not in the graph is no way, and reads 0.
+        # Edges not in the graph are no paths, and read 0.
         return QuickestPath(sum(times) if all(times) else math.inf, self._length(cells))
 
     def _path(
         self, start: Point, goal: Point, reach_m: float, graph: sparse.csr_matrix
     ) -> tuple[list[int], float] | None:
-        """Cells of the way and its time, None without one."""
+        """Cells of the path and its time, None without one."""
         if not len(self._places):
             return None
         away = np.hypot(*(self._places - np.array(start)).T)
@@ -235,7 +238,7 @@ def still(places: FloatArray) -> FloatArray:
 
 
 SLOWEST_M_S = 0.02
-"""Slower than this over ground is no way."""
+"""Slower than this over ground counts as impassable."""
 
 
 def _any_of(free: BoolArray, block: int) -> BoolArray:

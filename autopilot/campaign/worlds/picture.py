@@ -1,4 +1,4 @@
-"""A flight in a room as a picture: what stands there, the water, the goals, the way, and speed over time."""
+"""Figure of a flight in a random world: obstacles, current, goals, path, and speed over time."""
 
 from pathlib import Path
 from typing import Any, cast
@@ -54,7 +54,7 @@ def draw(room: RandomWorld, flown: Flown, path: Path) -> None:
 
 
 def _frame(plan: Any, points: FloatArray) -> None:
-    """What is near the flight; a harbour is larger than anybody wants to see."""
+    """Area near the flight; a harbour is larger than the figure should show."""
     low, high = points.min(axis=0) - 3.0, points.max(axis=0) + 3.0
     plan.set_xlim(low[1], high[1])
     plan.set_ylim(low[0], high[0])

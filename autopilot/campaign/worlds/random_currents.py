@@ -1,4 +1,4 @@
-"""Currents of the rooms, as scenario tables, and what they are at many places at once."""
+"""Random currents as scenario tables, and their evaluation at many points."""
 
 import math
 from typing import Any
@@ -11,15 +11,15 @@ from autopilot.sitl.current_fields import CurrentField, Uniform, current_field
 from autopilot.sitl.scenario_tables import Current
 
 STEEPEST_1_S = 0.6
-"""Water changes by so much over a metre at most; the jet of the paper's tank by 0.52."""
+"""Maximum velocity gradient [1/s]; the jet of the paper's tank has 0.52."""
 PHASES = 8
-"""Times within a tide at which the water is looked at."""
+"""Sample times within a tidal period."""
 
 
 def draw_current(
     rng: np.random.Generator, kind: str, size_m: tuple[float, float], middle: tuple[float, float], limit_m_s: float
 ) -> dict[str, Any]:
-    """``[current]`` of a room of a size about a middle, for a vehicle that swims ``limit_m_s``."""
+    """``[current]`` of a world of this size and centre, for a vehicle with the maximum speed ``limit_m_s``."""
     table = _drawn(rng, kind, size_m, middle, limit_m_s)
     less = min(1.0, STEEPEST_1_S / max(_steepness_1_s(table), 1e-9))
     for key in ("speed_m_s", "shear_1_s", "circulation_m2_s"):
@@ -60,7 +60,7 @@ def _drawn(
         case "uniform":
             return {"kind": "uniform", "velocity_m_s": flow}
         case "tide":
-            # Turns by up to half a right angle either way, or swells and ebbs.
+            # Turns by up to 45 degrees either way, or varies in strength.
             swing = rng.uniform(-0.5, 0.5)
             side = angle + float(rng.choice([0.0, 0.5 * math.pi]))
             tide = [round(swing * speed * math.cos(side), 3), round(swing * speed * math.sin(side), 3), 0.0]
@@ -98,7 +98,7 @@ _WEIGHTS = (0.22, 0.2, 0.1, 0.18, 0.14, 0.06, 0.05, 0.05)
 
 
 def _share(rng: np.random.Generator, *, closed: bool) -> float:
-    """Speed of the water over what the vehicle swims: mostly well below, sometimes near it, rarely beyond."""
+    """Current speed over the vehicle's speed: mostly well below 1, sometimes near, rarely beyond."""
     sort = rng.random()
     if sort < 0.55:
         return float(rng.uniform(0.1, 0.6))

@@ -1,6 +1,6 @@
-"""A room out of a seed: workspace, obstacles, water, vehicle, start and mission, as files that the service takes.
+"""Random world from a seed: workspace, obstacles, current, vehicle, start and mission, as files for the service.
 
-Nothing is chosen so that it can be flown: doors may be too narrow, goals may lie in obstacles, currents may be too
+Worlds are not filtered for feasibility: openings may be too narrow, goals may lie in obstacles, currents may be too
 strong. The service decides what to do; :mod:`autopilot.campaign.worlds.world_judge` decides whether that was right.
 """
 
@@ -39,9 +39,9 @@ _KIND_WEIGHTS = (0.35, 0.3, 0.2, 0.15)
 MARGIN_M = 0.03
 """Default of MPC_MARGIN."""
 START_CLEARANCE_M = 0.03
-"""A vehicle begins with so much more than it keeps."""
+"""Clearance at the start beyond the vehicle's margin."""
 FLIGHT_S = (15.0, 50.0)
-"""Straight legs at cruise speed; ways round things, turns and delays come on top."""
+"""Range of mission times: straight legs at cruise speed; detours, turns and delays are added."""
 TRIES = 300
 START_SHARE = 0.75
 """Of what the vehicle swims: the water where it begins is slower."""
@@ -54,7 +54,7 @@ class RandomWorld:
     layout: WorldLayout
     vehicle_number: int
     scenario: dict[str, Any]
-    """Tables of the scenario file; mode, vehicle file and duration are put in by whoever flies it."""
+    """Tables of the scenario file; mode, vehicle file and duration are set for each flight."""
     plan: dict[str, Any]
     """Tables of the plan in local metres."""
 
@@ -75,7 +75,7 @@ class RandomWorld:
 
     @property
     def title(self) -> str:
-        """What it is, in one line."""
+        """One-line description."""
         rooms = f"{self.kind}, {len(self.layout.solids)} solids"
         doors = "".join(f", door {width:.2f} m" for width in self.layout.doors_m)
         water = self.scenario["current"]["kind"]
@@ -160,7 +160,7 @@ def _bounds(layout: WorldLayout, start: Point) -> tuple[Point, Point]:
 
 
 def _free_place(rng: np.random.Generator, layout: WorldLayout, need_m: float) -> Point:
-    """Some place with that clearance; the best one met if there is none."""
+    """A point with that clearance, else the best one sampled."""
     low, high = _bounds(layout, (0.0, 0.0))
     best, most = (0.0, 0.0), -math.inf
     for _ in range(TRIES):
@@ -219,7 +219,7 @@ def _obstacle(rng: np.random.Generator, place: Point, size: float) -> Solid:
 def _wall(
     rng: np.random.Generator, layout: WorldLayout, start: Point, keep: float, reach: float
 ) -> tuple[list[Solid], list[float]]:
-    """An inner wall some way from the start, with no door, one or two, from impassable to wide."""
+    """An inner wall at some distance from the start, with no opening, one or two, from impassable to wide."""
     away = rng.uniform(-math.pi, math.pi)
     distance = rng.uniform(keep + 0.2, max(keep + 0.4, 0.7 * reach))
     foot = (start[0] + distance * math.cos(away), start[1] + distance * math.sin(away))
@@ -242,7 +242,7 @@ def _wall(
 def _current(
     rng: np.random.Generator, kind: str, size: Point, middle: Point, start: Point, limit_m_s: float
 ) -> dict[str, Any]:
-    """A current in which the vehicle can hold its place where it begins."""
+    """A current in which the vehicle can hold position at the start."""
     for _ in range(20):
         table = draw_current(rng, kind, size, middle, limit_m_s)
         there = current_field(current_table(table)).velocity((*start, 1.0), 0.0)
@@ -274,7 +274,7 @@ def _waypoints(
     reach_m: float,
     params: dict[str, float],
 ) -> list[dict[str, Any]]:
-    """Two to six places; most missions stay where the vehicle can come, some do not ask."""
+    """Two to six positions; most missions stay in reachable space, some are drawn without that check."""
     count = int(rng.choice([2, 3, 4, 5, 6], p=[0.3, 0.3, 0.2, 0.1, 0.1]))
     chart = DistanceMap(layout, [start])
     regions = chart.regions(keep + chart.pixel_m)
@@ -403,7 +403,7 @@ def _solid_table(solid: Solid) -> dict[str, Any]:
 
 
 def _mismatch(rng: np.random.Generator) -> dict[str, float]:
-    """How far the vehicle in the water is from its file; a third of them are as the file says."""
+    """Deviation of the simulated vehicle from its file; a third have none."""
     if rng.random() < 0.33:
         return {}
     wide = {"surge_mass": 0.15, "sway_mass": 0.15, "drag": 0.2, "thrust": 0.08, "buoyancy": 0.005, "lag": 0.3}
@@ -462,6 +462,6 @@ SCENARIO_FILE, PLAN_FILE, VEHICLE_FILE = "scenario.toml", "plan.toml", "vehicle.
 
 
 def write_files(room: RandomWorld, folder: Path, *, mode: int, duration_s: float) -> None:
-    """Scenario, plan and vehicle of a room into a folder that there is, to be flown by ``autopilot sitl``."""
+    """Write scenario, plan and vehicle of a world into an existing folder, for ``autopilot sitl``."""
     for name, data in files_of(room, mode=mode, duration_s=duration_s).items():
         (folder / name).write_bytes(data)

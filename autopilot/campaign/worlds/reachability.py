@@ -1,8 +1,8 @@
-"""What can be reached in a room and how soon, worked out apart from the service.
+"""Reachable goals of a random world and lower bounds of their times, computed independently of the service.
 
-Every goal is *sure* (it has to be reached: a way with a little more room than the vehicle keeps, and water that leaves
-a quarter of its speed), *impossible* (no way at all, or water faster than the vehicle), or in between, where reaching
-it and saying why not are both right.
+Every goal is *sure* (must be reached: a path with slightly more clearance than the vehicle keeps, and a current
+that leaves a quarter of its speed), *impossible* (no path at all, or a current faster than the vehicle), or in
+between, where reaching it and reporting why not are both right.
 """
 
 import math
@@ -21,31 +21,31 @@ SURE_SHARE = 0.75
 ROUNDING_M = 0.015
 """Fence and waypoints are rounded to 1e-7 degrees on the wire."""
 BOUND_FACTOR = 1.6
-"""Time that a leg may take, over that of the quickest way at the speed asked for."""
+"""Time allowed for a leg, relative to the time-optimal path at the requested speed."""
 BOUND_ENERGY = 1.8
-"""So much more when the speed is the vehicle's own choice."""
+"""Additional factor when the vehicle chooses its speed."""
 BOUND_PER_GOAL_S = 14.0
 START_S = 15.0
 LONGEST_LEG_S = 240.0
 """A leg that may take longer than this may be declined, and is not waited for."""
 TELLING_S = 90.0
-"""A vehicle that cannot reach a goal has so long to say so."""
+"""Time allowed for reporting an unreachable goal."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Leg:
-    """One goal of the mission and the way to it."""
+    """One goal of the mission and the path to it."""
 
     seq: int
     """Mission item."""
     sure: bool
     straight: bool
-    """Sure along the shortest way too, which is what the quadratic mode flies."""
+    """Sure along the shortest path too, which is the one of the quadratic mode."""
     possible: bool
     ground: bool
-    """A way over ground exists for sure, whatever the water does."""
+    """A path over ground surely exists, whatever the current."""
     no_ground: bool
-    """There is surely no way over ground."""
+    """There is surely no path over ground."""
     water_m_s: float
     """Fastest water at the goal."""
     length_m: float
@@ -59,11 +59,11 @@ class Leg:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Prospect:
-    """What may be asked of a vehicle in a room."""
+    """Requirements on a vehicle in a world."""
 
     legs: tuple[Leg, ...]
     swims_m_s: float
-    """What the vehicle can do through the water: its limit, or what its thrusters give."""
+    """Maximum speed through the water: its limit, or that of its thrusters."""
     keep_m: float
 
     def bound_s(self, mode: int) -> float:
@@ -94,7 +94,7 @@ def swims_m_s(room: RandomWorld) -> float:
 
 
 def prospect(room: RandomWorld) -> Prospect:
-    """All goals of a room in the order of the mission, the way home included if it ends there."""
+    """Prospects of all goals in mission order, including the return path if the mission ends with it."""
     keep, swims = room.vehicle.radius_m + MARGIN_M, swims_m_s(room)
     flow = flow_of(current_table(room.scenario["current"]))
     places = [(float(w["x_m"]), float(w["y_m"])) for w in room.waypoints]
@@ -133,7 +133,7 @@ class _Judge:
     def leg(
         self, seq: int, here: Point, there: Point, accept_m: float, speed: float, extra_s: float, *, yaw: float | None
     ) -> Leg:
-        """What may be asked on the way from a place to the next."""
+        """Prospect of the leg from one position to the next."""
         near = max(0.9 * accept_m, 0.1)
         strict, loose = (
             bool(self._chart.regions_near(regions, here, 0.35) & self._chart.regions_near(regions, there, reach))
@@ -162,7 +162,9 @@ class _Judge:
         )
 
     def _perhaps(self, here: Point, there: Point, reach: float) -> bool:
-        """Whether the water at its best lets the vehicle come there; a way beyond what is looked at counts too."""
+        """Whether the vehicle could get there in the most favourable current; a path beyond the search area counts
+        too.
+        """
 
         def found(swims: float, flow: Flow) -> bool:
             way = self._loose.quickest(here, there, reach, flow, water_m_s=swims, ground_m_s=swims, worst=False)
@@ -195,7 +197,7 @@ class _Judge:
         return float(np.hypot(flow[:, 0], flow[:, 1]).max())
 
     def _holds(self, place: Point, yaw: float) -> bool:
-        """Whether the thrusters hold that place at that heading with some to spare."""
+        """Whether the thrusters can hold that position and heading with a margin."""
         model, params = self._room.vehicle.model4, self._room.scenario["params"]
         for north, east in self._flow(np.array([place]))[:, 0]:
             ahead = north * math.cos(yaw) + east * math.sin(yaw)

@@ -1,6 +1,6 @@
-"""Vehicles of the rooms: the shipped one and some that differ from it in size, mass, drag, thrust and lag.
+"""Vehicles of the random worlds: the shipped one and variants in size, mass, drag, thrust and lag.
 
-There are only so many, for the control step is compiled once per model; rooms draw one and add a mismatch of their own.
+Their number is limited, because the control step is compiled once per model; worlds draw one and add a mismatch.
 """
 
 import copy
@@ -77,7 +77,7 @@ def _scale(table: dict[str, Any], factor: float, *keys: str) -> None:
 
 
 def _model4(tables: dict[str, Any]) -> dict[str, Any]:
-    """What the controller believes: as the body, four axes."""
+    """The controller's model: the body on four axes."""
     body = tables["body"]
     mass = [body["mass_kg"] + added for added in body["added_mass_kg"]]
     yaw = body["inertia_kg_m2"][2] + body["added_inertia_kg_m2"][2]

@@ -1,4 +1,4 @@
-"""Fly a room: the whole service on the simulated vehicle, its plan through the service's own checks."""
+"""Flies a random world: the whole service on the simulated vehicle, with the plan through the service's checks."""
 
 import math
 import tempfile
@@ -24,19 +24,19 @@ ARMING_S = 12.0
 """A service that has not armed by then does not want to."""
 MOST_EVENTS = 40
 HOPELESS_S = 30.0
-"""A flight is over when the operator was told so long ago that it does not go on, if that may be so."""
+"""Time from the report that a goal is given up to the end of the flight, where giving up is acceptable."""
 
 
 class WorldWatch(TickWatch):
-    """What a flight in a room is judged by, beside what every run of a campaign is judged by."""
+    """Data to judge a flight in a random world, beside those of any run of a campaign."""
 
     def __init__(self, truth: Callable[[], Truth]) -> None:
         super().__init__(truth)
         self.told: list[tuple[float, int, str]] = []
-        """Time, severity and text of everything that the operator is told."""
+        """Time, severity and text of every message to the operator."""
         self.reached_seq = -1
         self.hopeless_s = math.inf
-        """When the operator was told that it does not go on, inf if it does."""
+        """Time of the report that it does not continue, inf without one."""
         self.first_fallback_s: float | None = None
         self.first_failsafe_s: float | None = None
 
@@ -58,12 +58,12 @@ class WorldWatch(TickWatch):
 
     @property
     def given_up(self) -> bool:
-        """The operator was told that it does not go on, and it did not."""
+        """Whether the service has reported that it does not continue, and did not."""
         return self._now_s > self.hopeless_s + HOPELESS_S
 
     @property
     def never_armed(self) -> bool:
-        """Time enough, and it is not armed."""
+        """Whether it is still disarmed after the time allowed."""
         return self._armed_s is None and self._now_s > ARMING_S
 
 
@@ -74,7 +74,7 @@ class WorldTask:
     seed: int
 
     def fly(self, stop: Callable[[], bool] = lambda: False) -> WorldResult | None:
-        """The result, None if ``stop`` said so before the end."""
+        """The result, None if ``stop`` ended the run."""
         flown = fly_world(make_room(self.seed), self.mode, stop)
         return None if flown is None else msgspec.structs.replace(flown.result, room=self.room)
 
@@ -85,7 +85,7 @@ class WorldTask:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Flown:
-    """A flight with what it was judged by."""
+    """A flight with the data to judge it."""
 
     result: WorldResult
     watch: WorldWatch | None
@@ -98,7 +98,7 @@ class Flown:
 def fly_world(
     room: RandomWorld, mode: int, stop: Callable[[], bool] = lambda: False, *, log: str | None = None
 ) -> Flown | None:
-    """Fly a room in a mode (MPC_COST); None if ``stop`` said so. AutopilotError if it cannot be flown at all."""
+    """Fly a world in a mode (MPC_COST); None if ``stop`` ended the run. AutopilotError if it cannot be flown at all."""
     begun_s = time.process_time()
     chances = prospect(room)
     duration_s = chances.bound_s(mode)

@@ -1,4 +1,4 @@
-"""Is what became of a room right? Refusals are looked into, goals and bounds are judged on the plant's truth."""
+"""Judges a flight in a random world: refusals against reachability, goals and bounds on the ground truth."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from autopilot.campaign.worlds.world_flight import WorldWatch
 
 SEEN_M = 0.05
-"""A goal counts as visited by so much more than its acceptance: the estimate is not the truth."""
+"""Tolerance beyond the acceptance radius: the estimate is not the truth."""
 SEEN_RAD = 0.06
 GAP_M = 0.03
 """Corners of a fence are rounded on the wire."""
@@ -45,12 +45,12 @@ _HOPELESS = re.compile(r"out of reach|no free (way|path)", re.IGNORECASE)
 
 
 def is_hopeless(text: str) -> bool:
-    """Whether the operator is told that the water or the ground lets the vehicle not go on."""
+    """Whether the text reports that current or geometry make the goal unreachable."""
     return bool(_HOPELESS.search(text))
 
 
 def judge_refusal(room: RandomWorld, chances: Prospect, reason: str) -> WorldResult:
-    """A room that was refused before the vehicle moved: is the reason that it was given so?"""
+    """Whether the reason of a refusal before the flight is right."""
     right, why = _refusal(room, chances, reason)
     outcome = WorldOutcome.REFUSED if right else WorldOutcome.MISREFUSED
     return WorldResult(
@@ -124,7 +124,7 @@ def _narrow_gap(room: RandomWorld) -> bool:
 
 
 def _rim(solid: Solid) -> list[tuple[float, float]]:
-    """Places round a solid, a few centimetres apart."""
+    """Points around a solid, a few centimetres apart."""
     if isinstance(solid, Disc):
         north, east = solid.center_m
         angles = np.linspace(0.0, 2.0 * math.pi, 120)
@@ -150,7 +150,6 @@ def _gap_m(a: Solid, b: Solid) -> float:
 
 
 def judge_flight(room: RandomWorld, chances: Prospect, mode: int, watch: WorldWatch, end: Truth) -> WorldResult:
-    """A room in which the vehicle moved."""
     visited = _visits(room, watch)
     goals = len(room.waypoints)
     done = visited == goals and watch.completed
@@ -183,7 +182,7 @@ def judge_flight(room: RandomWorld, chances: Prospect, mode: int, watch: WorldWa
 
 
 def _visits(room: RandomWorld, watch: WorldWatch) -> int:
-    """How many waypoints the plant came to in their order."""
+    """Number of waypoints that the plant reached in order."""
     rows, params = watch.rows, room.scenario["params"]
     at, visited = 0, 0
     for waypoint in room.waypoints:
@@ -235,7 +234,7 @@ def _outcome(
 
 
 def _names(text: str, seq: int) -> bool:
-    """Whether a text speaks of an item, or of none by number."""
+    """Whether a text names the item, or no item by number."""
     found = re.search(r"\bitem (\d+)", text, re.IGNORECASE)
     return found is None or int(found[1]) == seq
 

@@ -1,4 +1,4 @@
-"""What is kept of every flight in a room."""
+"""Stored result of a flight in a random world."""
 
 from enum import StrEnum
 
@@ -15,7 +15,7 @@ class WorldOutcome(StrEnum):
     REFUSED = "refused rightly"
     """Before it began, for a reason that holds."""
     TOLD = "told rightly"
-    """On the way: a goal that cannot be reached was named as such, and that is so."""
+    """In flight: an unreachable goal was correctly reported as such."""
     MISREFUSED = "refused wrongly"
     NOT_REACHED = "not reached"
     ERROR = "error"
@@ -38,7 +38,7 @@ class WorldResult(msgspec.Struct, frozen=True, kw_only=True):
     """One line: the reason that was given, or what went wrong."""
     goals: int = 0
     visited: int = 0
-    """Goals that the plant came to, in order."""
+    """Number of goals that the plant reached, in order."""
     bound_s: float = 0.0
     """Longest that was waited."""
     simulated_s: float = 0.0

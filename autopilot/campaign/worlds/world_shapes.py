@@ -1,4 +1,4 @@
-"""Outlines and solids of a room: drawn at random, with clearances of single places."""
+"""Random outlines and solids of a world, with clearances of single points."""
 
 import math
 from dataclasses import dataclass, field
@@ -40,7 +40,7 @@ class WorldLayout:
     walls: bool = True
     """The outline is solid; else it is only the fence."""
     doors_m: tuple[float, ...] = field(default=())
-    """Widths of the doors in inner walls, for the record."""
+    """Widths of the openings in inner walls, for the record."""
 
 
 def polygon_clearance_m(corners: Corners, place: Point) -> float:
@@ -49,20 +49,20 @@ def polygon_clearance_m(corners: Corners, place: Point) -> float:
 
 
 def clearance_m(layout: WorldLayout, place: Point) -> float:
-    """Distance of a place from everything solid or fenced, negative where it is forbidden; inf in open water."""
+    """Distance of a point from everything solid or fenced, negative where it is forbidden; inf in open water."""
     walls = math.inf if layout.outline_m is None else -polygon_clearance_m(layout.outline_m, place)
     return min([walls, *(solid_clearance_m(solid, place) for solid in layout.solids)])
 
 
 def solid_clearance_m(solid: Solid, place: Point) -> float:
-    """Distance of a place from a solid, negative inside."""
+    """Distance of a point from a solid, negative inside."""
     if isinstance(solid, Disc):
         return math.dist(solid.center_m, place) - solid.radius_m
     return polygon_clearance_m(solid.corners_m, place)
 
 
 def rounded(corners: FloatArray) -> Corners:
-    """Corners in centimetres, as somebody would draw them."""
+    """Corners rounded to centimetres."""
     return tuple((round(float(north), 2), round(float(east), 2)) for north, east in corners)
 
 
@@ -92,8 +92,8 @@ def wall_pieces(
     outline: Corners | None, foot: Point, direction_rad: float, length_m: float, doors: list[tuple[float, float]]
 ) -> list[tuple[Point, Point]]:
     """Pieces (ends) of an inner wall through ``foot``, from rim to rim of the outline or ``length_m`` long.
-
-    ``doors``: place (share of the wall, 0 to 1) and width [m] of each."""
+    ``doors``: position (share of the wall, 0 to 1) and width [m] of each opening.
+    """
     unit = np.array((math.cos(direction_rad), math.sin(direction_rad)))
     low, high = -0.5 * length_m, 0.5 * length_m
     if outline is not None:
@@ -116,7 +116,7 @@ def _on(foot: Point, unit: FloatArray, along: float) -> Point:
 
 
 def _chord(outline: FloatArray, foot: FloatArray, unit: FloatArray) -> tuple[float, float] | None:
-    """From where to where a line through a place inside runs inside; None if the place is not inside."""
+    """Ends of the chord of a line through an inner point; None if the point is not inside."""
     if not shapes.inside_polygon(outline, foot[None])[0]:
         return None
     rel = outline - foot

@@ -1,7 +1,7 @@
-"""The folder of a rooms campaign: what it is, and one line per finished flight.
+"""Folder of a campaign of random worlds: identity, and one line per finished flight.
 
-``rooms.json`` holds the identity, ``flights.jsonl`` one :class:`WorldResult` per line. ``room-0017-energy/`` holds what
-a room that was flown alone leaves: scenario, plan, vehicle, log and picture.
+``rooms.json`` holds the identity, ``flights.jsonl`` one :class:`WorldResult` per line. ``room-0017-energy/`` holds
+the files of a world that was flown alone: scenario, plan, vehicle, log and figure.
 """
 
 from pathlib import Path
@@ -18,7 +18,7 @@ IDENTITY, LINES = "rooms.json", "flights.jsonl"
 
 
 class WorldsIdentity(msgspec.Struct, frozen=True, kw_only=True):
-    """``rooms.json``: flights of one folder agree in all of it."""
+    """``rooms.json``: identical for all flights of one folder."""
 
     format: int
     version: str
@@ -40,6 +40,6 @@ class WorldStore(ResultStore[WorldResult]):
 
 
 def read_flights(folder: Path) -> dict[tuple[int, int], WorldResult]:
-    """Finished flights of a folder by room and mode, in order. LogError names a line that is damaged."""
+    """Finished flights of a folder by world and mode, in order. LogError names a damaged line."""
     found = read_lines([folder / LINES], WorldResult, lambda result: (result.room, result.mode))
     return dict(sorted(found.items()))

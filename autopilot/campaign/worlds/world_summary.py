@@ -1,4 +1,4 @@
-"""What the flights of all rooms say together, per mode."""
+"""Summary of the flights of all worlds, per mode."""
 
 from collections import Counter
 from collections.abc import Sequence

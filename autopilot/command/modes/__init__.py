@@ -1,1 +1,1 @@
-"""The behaviour of each flight mode: a class per mode, in the table of :mod:`autopilot.command.modes.mode_table`."""
+"""Behaviour of the flight modes, one class each, listed in :mod:`autopilot.command.modes.mode_table`."""

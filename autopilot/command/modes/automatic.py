@@ -1,4 +1,4 @@
-"""Modes that fly by themselves: hold, mission, return, surface, dive."""
+"""Automatic modes: hold, mission, return, surface, dive."""
 
 from dataclasses import replace
 
@@ -33,7 +33,7 @@ class MissionMode(FlightModeBehaviour):
     changes_depth = False
 
     def refusal(self, status: VehicleStatus | None, *, armed: bool) -> CommandReply | None:
-        """However it is to be begun."""
+        """Applies to every way of starting it."""
         if not self._plans.items(PlanKind.MISSION):
             return denied("No mission: upload one first")
         if self._plans.checking:
@@ -46,15 +46,14 @@ class MissionMode(FlightModeBehaviour):
         return denied(f"Mission denied: {reason}") if reason else None
 
     def enter(self, nav: NavState | None) -> None:
-        """Go on where it stands."""
+        """Continue at the current item."""
         self._mission.start(self._operator.t_us, nav)
 
     def leave(self) -> None:
-        """It stays where it stands."""
         self._mission.sequencer.pause()
 
     def step(self, status: VehicleStatus, nav: NavState) -> ModeStep:
-        """The goal of this tick, or what the mission ends with."""
+        """Goal of this tick, or the end of the mission."""
         t_us = status.t_us
         out = self._mission.step(t_us, nav)
         if out.home_ned_m is not None:
@@ -78,7 +77,7 @@ class ReturnMode(FlightModeBehaviour):
     changes_depth = False
 
     def refusal(self, status: VehicleStatus | None, *, armed: bool) -> CommandReply | None:
-        """Home beyond the fence."""
+        """Refused while home is outside the fence."""
         refusal = self._goals.refuse_home()
         return denied(f"Return denied: {refusal}") if refusal else None
 
@@ -101,7 +100,7 @@ class SurfaceMode(FlightModeBehaviour):
         return self._goals.surface(nav)
 
     def watch(self, status: VehicleStatus, goal: Goal, nav: NavState) -> ModeStep:
-        """At the surface it is over."""
+        """Ends at the surface."""
         super().watch(status, goal, nav)
         if nav.pos_ned_m[2] > self._goals.top_m + SURFACED_M:
             return GO_ON
@@ -121,11 +120,11 @@ class TakeoffMode(FlightModeBehaviour):
         self._depth_m = 0.0
 
     def prepare(self, nav: NavState | None, *, armed: bool) -> str:
-        """To the depth that was asked for before arming, or TKOFF_DEPTH."""
+        """To the depth requested before arming, else TKOFF_DEPTH."""
         return self.choose_depth(None if armed else self._asked_m)
 
     def choose_depth(self, depth_m: float | None) -> str:
-        """Depth of the next dive, None = TKOFF_DEPTH; why not, "" when it is taken."""
+        """Depth of the next dive, None = TKOFF_DEPTH. Returns the reason of a refusal, else ""."""
         self._asked_m = depth_m
         wanted_m = self._params["TKOFF_DEPTH"] if depth_m is None else depth_m
         reason = self._goals.refuse_depth(wanted_m)
@@ -139,7 +138,7 @@ class TakeoffMode(FlightModeBehaviour):
         return replace(rest, pos_ned_m=np.array([*rest.pos_ned_m[:2], self._depth_m]))
 
     def watch(self, status: VehicleStatus, goal: Goal, nav: NavState) -> ModeStep:
-        """At its depth it is over."""
+        """Ends at its depth."""
         super().watch(status, goal, nav)
         if abs(nav.pos_ned_m[2] - goal.pos_ned_m[2]) >= DIVED_M:
             return GO_ON

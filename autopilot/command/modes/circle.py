@@ -1,4 +1,4 @@
-"""Mode CIRCLE: round a place, as DO_ORBIT says, or by itself round one ahead."""
+"""Mode CIRCLE: around the centre of DO_ORBIT, or around a centre ahead of the vehicle."""
 
 import math
 
@@ -29,7 +29,6 @@ class CircleMode(FlightModeBehaviour):
         return f"Circle denied: {reason}" if reason else ""
 
     def step(self, status: VehicleStatus, nav: NavState) -> ModeStep:
-        """Until its turns are made."""
         if self._circle is None:
             return GO_ON
         goal = self._circle.goal(nav)
@@ -39,7 +38,6 @@ class CircleMode(FlightModeBehaviour):
         return ModeStep(goal=goal, enter=FlightMode.HOLD)
 
     def go_to_depth(self, depth_m: float) -> str | None:
-        """The circle at another depth."""
         if self._circle is None:
             return "there is no circle"
         reason = self._goals.refuse_depth(depth_m)
@@ -48,7 +46,7 @@ class CircleMode(FlightModeBehaviour):
         return reason
 
     def choose(self, asked: Circling, nav: NavState | None) -> str:
-        """The circle of a command: why it cannot be flown, "" when it is taken."""
+        """Set the circle of a command. Returns the reason of a refusal, else ""."""
         params = self._params
         if nav is None:
             return "no position"

@@ -1,4 +1,4 @@
-"""Mode GUIDED: the set points of a client, for as long as they come."""
+"""Mode GUIDED: follows a client's setpoints until they time out."""
 
 import math
 from dataclasses import replace
@@ -15,7 +15,7 @@ from autopilot.mavlink.api import CommandReply, FlightMode, SetPoint
 NONE_YET = "send set points first"
 
 FRESH_TICKS = 5
-"""Velocities of the body follow the heading so often."""
+"""Interval at which body velocities are rotated by the heading."""
 
 
 class GuidedMode(FlightModeBehaviour):
@@ -47,11 +47,10 @@ class GuidedMode(FlightModeBehaviour):
         return refusal
 
     def enter(self, nav: NavState | None) -> None:
-        """What set points leave open is held from here."""
+        """Hold the present state in the axes that setpoints leave open."""
         self._forget()
 
     def step(self, status: VehicleStatus, nav: NavState) -> ModeStep:
-        """As long as they come."""
         if self._alive(status.t_us):
             return ModeStep(goal=self._followed(nav))
         self._operator.say(notices.SETPOINTS_STOPPED())
@@ -66,11 +65,11 @@ class GuidedMode(FlightModeBehaviour):
         return self._goals.refuse(np.array([*point.place_ned_m, depth_m]))
 
     def take(self, point: SetPoint | None, lacks: str = NONE_YET) -> None:
-        """The newest one; None = there is none that may be followed, and why."""
+        """The newest setpoint; None = none can be followed, with the reason."""
         self._point, self._lacks = point, lacks
 
     def _alive(self, t_us: int) -> bool:
-        """Whether there is a set point that is not too old."""
+        """Whether there is a setpoint that has not timed out."""
         return self._point is not None and t_us <= self._point.until_us
 
     def _followed(self, nav: NavState) -> Goal:

@@ -1,4 +1,4 @@
-"""What every flight mode can be asked, and what it is given to work with."""
+"""Interface of a flight mode, and the dependencies that modes share."""
 
 from dataclasses import dataclass
 from typing import ClassVar
@@ -16,7 +16,7 @@ from autopilot.mission.items import Order
 from autopilot.mission.store import Plans
 
 RELEASED = Sticks()
-"""Nobody steers."""
+"""No pilot."""
 
 
 def denied(reason: str) -> CommandReply:
@@ -25,8 +25,6 @@ def denied(reason: str) -> CommandReply:
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class ModeContext:
-    """What modes are made of."""
-
     vehicle: Vehicle
     params: ParamSet
     plans: Plans
@@ -37,7 +35,7 @@ class ModeContext:
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class ModeStep:
-    """What a mode wants on a tick."""
+    """Result of a mode on one tick."""
 
     goal: Goal | None = None
     """None = the one that there is."""
@@ -46,9 +44,9 @@ class ModeStep:
     settle: bool = False
     """or HOLD with the goal that there is,"""
     choose: FlightMode | None = None
-    """or one that is told as if the operator had chosen it,"""
+    """or one that is reported as if the operator had chosen it,"""
     disarm: bool = False
-    """or nothing more: it has come to its end."""
+    """or nothing more: it is complete."""
     reached: tuple[int, ...] = ()
     """Mission items."""
     orders: tuple[Order, ...] = ()
@@ -59,13 +57,13 @@ GO_ON = ModeStep()
 
 
 class FlightModeBehaviour:
-    """One flight mode; one instance per vehicle. This one holds its place: the others say what they do differently."""
+    """One flight mode; one instance per vehicle. The base class holds position; subclasses override."""
 
     name: ClassVar[FlightMode]
     needs_position: ClassVar[bool] = True
     """False: a pilot without a position may arm and steer in it."""
     steered: ClassVar[bool] = False
-    """Somebody steers: coming and going it gives the vehicle another goal at once."""
+    """Piloted: entering or leaving it changes the goal at once."""
     changes_depth: ClassVar[bool] = True
     """A command may send the vehicle to another depth out of it."""
 
@@ -84,17 +82,16 @@ class FlightModeBehaviour:
         return None
 
     def prepare(self, nav: NavState | None, *, armed: bool) -> str:
-        """Before it is chosen without more words: why that is not possible, "" if it is."""
+        """Prepare for selection without arguments. Returns the reason of a refusal, else ""."""
         return ""
 
-    def enter(self, nav: NavState | None) -> None:
-        """It begins here."""
+    def enter(self, nav: NavState | None) -> None: ...
 
     def leave(self) -> None:
         """Another one begins, or a failsafe acts."""
 
     def place(self, nav: NavState) -> Goal:
-        """Where it goes from here, until a step says otherwise."""
+        """Initial goal, until a step changes it."""
         return self._goals.hold(nav)
 
     def step(self, status: VehicleStatus, nav: NavState) -> ModeStep:
@@ -106,14 +103,14 @@ class FlightModeBehaviour:
         return GO_ON
 
     def by_hand(self, status: VehicleStatus) -> ByHand | None:
-        """What a pilot asks for where there is no position, None = nothing can be done without one."""
+        """Pilot command without a position, None = the mode needs one."""
         return None
 
     def position_came_or_went(self) -> None:
-        """There is a position as of now, or none any more."""
+        """The position has become available or has been lost."""
 
     def go_to_depth(self, depth_m: float) -> str | None:
-        """Another depth within the mode: why not, "" when it is gone to; None = the mode has no way of its own."""
+        """Change depth within the mode. Returns the reason of a refusal, else ""; None = not supported by the mode."""
         return None
 
     def _watch_way(self, status: VehicleStatus, goal: Goal, nav: NavState, *, flies: bool) -> ModeStep:

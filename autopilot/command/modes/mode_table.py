@@ -1,4 +1,4 @@
-"""Every flight mode: a new one is a class, its line here, and its row in :mod:`autopilot.mavlink.flight_modes`."""
+"""Table of flight modes. A new mode is a class, a line here, and a row in :mod:`autopilot.mavlink.flight_modes`."""
 
 from autopilot.command.modes.automatic import HoldMode, MissionMode, ReturnMode, SurfaceMode, TakeoffMode
 from autopilot.command.modes.circle import CircleMode
@@ -23,5 +23,4 @@ MODES: tuple[type[FlightModeBehaviour], ...] = (
 )
 
 STEERED = frozenset(mode.name for mode in MODES if mode.steered)
-"""Modes that somebody steers in: coming and going they give the vehicle another goal at once, and thrust follows it no
-faster than a pilot's own."""
+"""Piloted modes: entering or leaving one changes the goal at once, and thrust follows no faster than a pilot's own."""

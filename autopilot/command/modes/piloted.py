@@ -1,8 +1,8 @@
-"""What a pilot's sticks mean: goals where there is a position, body forces where there is none.
+"""Piloted modes: sticks to goals where there is a position, to body forces where there is none.
 
-With a position the sticks of every mode become a motion that the controller follows within fence and limits: thrust
-sticks the velocity through the water that their thrust would hold, so that the vehicle drifts with the current as it
-would, but is slowed down where a boundary comes.
+With a position the sticks of every mode become a motion that the controller follows within fence and limits. Thrust
+sticks command the velocity through the water that their thrust would hold, so that the vehicle drifts with the
+current as it would without control, but is slowed down at a boundary.
 """
 
 import math
@@ -20,7 +20,7 @@ from autopilot.core.messages import Goal, NavState, VelocityGoal
 from autopilot.mavlink.api import CommandReply, FlightMode, Sticks
 
 FRESH_TICKS = 5
-"""While something moves the goal follows heading and current so often: once a control step."""
+"""Interval at which a moving goal is updated for heading and current: once a control step."""
 
 TURN_STOP_RAD_S2 = 0.6
 """How hard a turn brakes when its stick is let go: the heading that is held is where it comes to rest."""
@@ -41,7 +41,7 @@ def steady_speed(force: float, linear: float, quadratic: float) -> float:
 
 @dataclass(slots=True)
 class _Held:
-    """What is held since its stick has been let go, None = its stick is out."""
+    """Value held since the stick was released, None = stick deflected."""
 
     place: FloatArray | None = None
     depth_m: float | None = None
@@ -49,7 +49,7 @@ class _Held:
 
 
 class PilotedMode(FlightModeBehaviour):
-    """Sticks to goals and forces."""
+    """Maps the sticks to goals and forces."""
 
     steered = True
     holds_heading: ClassVar[bool] = True
@@ -67,18 +67,18 @@ class PilotedMode(FlightModeBehaviour):
         self.enter(None)
 
     def enter(self, nav: NavState | None) -> None:
-        """What is held is held from here."""
+        """Hold the present values."""
         self._held = _Held()
         self._goal: Goal | None = None
         self._asked: Sticks | None = None
         self._age = 0
 
     def position_came_or_went(self) -> None:
-        """What is held is another thing with a position than without."""
+        """Reset the held values: they differ with and without a position."""
         self.enter(None)
 
     def step(self, status: VehicleStatus, nav: NavState) -> ModeStep:
-        """The motion that the sticks ask for."""
+        """Motion commanded by the sticks."""
         return ModeStep(goal=self._goal_of(status.sticks or RELEASED, nav))
 
     def _goal_of(self, sticks: Sticks, nav: NavState) -> Goal:
@@ -95,7 +95,7 @@ class PilotedMode(FlightModeBehaviour):
         return self._goal
 
     def by_hand(self, status: VehicleStatus) -> ByHand | None:
-        """Forces, and what of depth and heading can be held."""
+        """Forces, and the depth and heading that can be held."""
         sticks = status.sticks or RELEASED
         reach = self._reach_n()
         wish = np.array([sticks.ahead, sticks.starboard, -sticks.up, sticks.turn])
@@ -141,7 +141,7 @@ class PilotedMode(FlightModeBehaviour):
         return VelocityGoal(north_m_s=north + c * u - s * v, east_m_s=east + s * u + c * v)
 
     def _others(self, sticks: Sticks, nav: NavState, rest: Goal) -> tuple[float | None, float | None]:
-        """Rates of depth and heading, or what of them is held."""
+        """Rates of depth and heading, or their held values."""
         held, model = self._held, self._model
         down: float | None
         turn: float | None = sticks.turn * self._yaw_rate()
@@ -163,18 +163,17 @@ class PilotedMode(FlightModeBehaviour):
         return down, turn
 
     def _held_depth_m(self, rest: Goal) -> float:
-        """With the stick released, ``rest``: where the vehicle comes to rest."""
+        """``rest``: with the stick released, the depth at which the vehicle comes to rest."""
         return float(rest.pos_ned_m[2]) if self._held.depth_m is None else self._held.depth_m
 
     def _let_go_of_depth(self) -> None:
-        """The stick is out."""
         self._held.depth_m = None
 
     def _yaw_rate(self) -> float:
         return min(self._params["PILOT_RATE_YAW"], YAW_SHARE * self._params["SPD_YAW_MAX"])
 
     def _reach_n(self) -> FloatArray:
-        """(4,) force of full sticks, each alone."""
+        """(4,) force of full deflection of each stick alone."""
         limit = self._params["THR_LIMIT"]
         if self._reach is None or self._reach[0] != limit:
             self._reach = (limit, self._allocator.reach(np.minimum(self._limits_n, limit)))
@@ -182,14 +181,14 @@ class PilotedMode(FlightModeBehaviour):
 
 
 class ManualMode(PilotedMode):
-    """Sticks are thrust."""
+    """Sticks are forces and moments, without feedback."""
 
     name = FlightMode.MANUAL
     needs_position = holds_heading = holds_depth = False
 
 
 class StabilizeMode(PilotedMode):
-    """As manual, heading held."""
+    """Manual with heading hold."""
 
     name = FlightMode.STABILIZE
     needs_position = holds_depth = False
@@ -202,7 +201,7 @@ class DepthHoldMode(PilotedMode):
     needs_position = False
 
     def refusal(self, status: VehicleStatus | None, *, armed: bool) -> CommandReply | None:
-        """Neither position nor depth."""
+        """Refused while there is neither an estimate nor a depth."""
         if not armed or status is None or status.estimate is not None:
             return None
         felt = status.felt(status.t_us)
@@ -210,14 +209,14 @@ class DepthHoldMode(PilotedMode):
 
 
 class PositionMode(PilotedMode):
-    """Sticks are velocities; released, the vehicle holds its place."""
+    """Sticks command velocities; released, the vehicle holds position."""
 
     name = FlightMode.POSHOLD
     holds_place = True
 
 
 def _moved(made: Goal, old: Goal) -> bool:
-    """Whether a goal's place or depth is another one. Of one that drives the place says only where it is shown."""
+    """Whether position or depth of the goal changed. For a velocity goal the position is for display only."""
     gap = np.abs(made.pos_ned_m - old.pos_ned_m)
     drive = made.drive
     held = drive is None or not (drive.north_m_s or drive.east_m_s)

@@ -1,4 +1,4 @@
-"""Mode SURFTRAK: as depth hold, but what is held is the height over the floor (ArduSub's mode 21)."""
+"""Mode SURFTRAK: depth hold relative to the floor (ArduSub's mode 21)."""
 
 import math
 from dataclasses import replace
@@ -14,7 +14,7 @@ from autopilot.core.messages import Goal, NavState, VelocityGoal
 from autopilot.mavlink.api import CommandReply, FlightMode, Sticks
 
 PLAY_M = 0.01
-"""The floor has to be so much higher or lower than it was for the depth to change: ranges are noisy."""
+"""Deadband of the altitude: ranges are noisy."""
 
 SLOWED, STOPPED = 0.8, 0.5
 """Below the first share of the height that is to be held sticks ahead and sideways count less, below the second not at
@@ -34,19 +34,19 @@ FLOOR_RATE_S = 0.3
 
 
 class SurftrakMode(DepthHoldMode):
-    """Over a floor that rises and falls. Without a range to it the depth is held, until there is one again."""
+    """Holds the altitude over the floor. Without a range to the floor the depth is held until there is one."""
 
     name = FlightMode.SURFTRAK
 
     def __init__(self, tools: ModeContext) -> None:
         self._height_m: float | None = None
-        """What is held, None = its stick is out, or nothing has been seen of the floor."""
+        """Altitude held, None = stick deflected, or floor not seen yet."""
         self._floor_m: float | None = None
         """Depth of the floor below, None = not known."""
         self._now_m: float | None = None
         """Height of now, None = not known."""
         self._reported: bool | None = None
-        """Whether the floor was known when that was last told."""
+        """Whether the floor was known at the last report."""
         self._floor_m_s = 0.0
         """How fast it falls below us, as we move over it."""
         self._chases = False
@@ -54,7 +54,7 @@ class SurftrakMode(DepthHoldMode):
         super().__init__(tools)
 
     def refusal(self, status: VehicleStatus | None, *, armed: bool) -> CommandReply | None:
-        """Nothing looks down, or the floor is too far."""
+        """Refused without a downward range sensor, or out of its range."""
         refusal = super().refusal(status, armed=armed)
         if refusal is None and armed and status is not None and self._height_of(status) is None:
             refusal = denied("SURFTRAK denied: no range to the floor, use ALT_HOLD")
@@ -67,7 +67,7 @@ class SurftrakMode(DepthHoldMode):
         self._floor_m_s, self._chases = 0.0, False
 
     def step(self, status: VehicleStatus, nav: NavState) -> ModeStep:
-        """The motion that the sticks ask for, over the floor of now."""
+        """Motion commanded by the sticks, relative to the floor."""
         self._update_height(status, float(nav.pos_ned_m[2]))
         return super().step(status, nav)
 
@@ -114,7 +114,7 @@ class SurftrakMode(DepthHoldMode):
         return self._goals.in_band(self._floor_m - self._height_m)
 
     def _others(self, sticks: Sticks, nav: NavState, rest: Goal) -> tuple[float | None, float | None]:
-        """What is off by more than a little is climbed or sunk to, as fast as a stick may."""
+        """An altitude error beyond the deadband is corrected at no more than full-stick rate."""
         down_m_s, turn_rad_s = super()._others(sticks, nav, rest)
         depth_m, most_m_s = self._held.depth_m, self._params["PILOT_SPD_Z"]
         if down_m_s is not None or depth_m is None:
@@ -131,7 +131,7 @@ class SurftrakMode(DepthHoldMode):
         self._height_m = None
 
     def _planar(self, sticks: Sticks, nav: NavState, rest: Goal) -> VelocityGoal:
-        """Slower where the floor comes near."""
+        """Slows down when the floor comes near."""
         if self._height_m is not None and self._now_m is not None:
             share = (self._now_m / self._height_m - STOPPED) / (SLOWED - STOPPED)
             share = max(0.0, min(1.0, share))

@@ -1,4 +1,4 @@
-"""What the packers of all topics have in common: frames of the header, and values cut to what a field holds."""
+"""Common parts of the packers: header frames, and clipping to the range of a field."""
 
 from collections.abc import Sequence
 
@@ -20,6 +20,6 @@ def clip(value: int, largest: int) -> int:
 
 
 def padded(values: FloatArray | Sequence[float], count: int) -> Sequence[float]:
-    """So many values: zeros behind them, or the first ones."""
+    """Values padded with zeros, or truncated, to a fixed length."""
     flat: Sequence[float] = values.tolist() if isinstance(values, np.ndarray) else values
     return flat if len(flat) == count else [*flat, *[0] * count][:count]

@@ -1,4 +1,4 @@
-"""Programs that were not solved: attachments of a log, and back. Every bit of their numbers is kept."""
+"""Unsolved QPs as attachments of a log: packing and unpacking, bit-exact."""
 
 import io
 import zipfile

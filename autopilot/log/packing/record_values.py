@@ -1,4 +1,4 @@
-"""Values of records whose fields are not attributes of one object: all of them, in the order of the fields."""
+"""Field values of records that are not attributes of one object, in field order."""
 
 import math
 from collections.abc import Iterable
@@ -74,11 +74,11 @@ _ARMED = (False, True, None)
 _TEXT_BYTES, _PROBLEM_BYTES, _REFUSALS_BYTES = 64, 128, 512
 """Widths of the texts in Below."""
 ALL_LINKS = 255
-"""``MavlinkFrame.link`` for a frame that goes to all links."""
+"""``MavlinkFrame.link`` of a broadcast."""
 
 
 def counter_values(value: NavCounters) -> Iterable[int]:
-    """Of NavCounters; what was not counted is 0."""
+    """Of NavCounters; missing counters are 0."""
     counts = [value.counts.get(name, 0) for name in COUNTER_NAMES]
     counts.append(sum(count for name, count in value.counts.items() if name.startswith("faults.")))
     placed = sum(count for name, count in value.counts.items() if name in _PLACED)
@@ -88,7 +88,7 @@ def counter_values(value: NavCounters) -> Iterable[int]:
 
 
 def drive_values(value: VelocityGoal | None) -> Iterable[float]:
-    """Of Drive; what it leaves to the goal is NaN, None is a goal without one."""
+    """Of Drive; axes left to the position goal are NaN, None is a goal without velocities."""
     given = value or VelocityGoal()
     return (
         int(value is not None),
@@ -102,7 +102,7 @@ def drive_values(value: VelocityGoal | None) -> Iterable[float]:
 
 
 def still_values(record: StillRecord) -> Iterable[float]:
-    """Of Still: where the vehicle was when it was exposed, and what became of it."""
+    """Of Still: pose at the exposure, and result."""
     pos, rpy, variance, taken = record.pos_ned_m, record.rpy_rad, record.variance, record.still
     return (
         clip(taken.index, UINT32),
@@ -120,7 +120,7 @@ def still_values(record: StillRecord) -> Iterable[float]:
 
 
 def below_values(value: FlightControllerState) -> Iterable[int | bytes]:
-    """Of Below: the flight controller below us, texts cut to what the fields hold."""
+    """Of Below: state of the flight controller, texts cut to the length of the fields."""
     known = value.pulses_us[:MAX_THRUSTERS]
     return (
         _AUTHORITIES.index(value.authority),
@@ -137,7 +137,7 @@ def below_values(value: FlightControllerState) -> Iterable[int | bytes]:
 
 
 def _text(text: str, width: int) -> bytes:
-    """UTF-8 of at most so many bytes, no character cut in two."""
+    """UTF-8 truncated to a number of bytes at a character boundary."""
     return text.encode(errors="replace")[:width].decode(errors="ignore").encode()
 
 

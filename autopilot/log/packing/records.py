@@ -26,7 +26,6 @@ LARGEST = {"uint8": 0xFF, "uint16": 0xFFFF, "uint32": 0xFFFFFFFF}
 
 
 def packer_of(row: MessageRow) -> Pack:
-    """Packs what a row is of as its message."""
     full = f"autopilot_msgs/{row.type}"
     hints: dict[str, Any] = {} if row.of is None else get_type_hints(row.of)
     scope: dict[str, Any] = {
@@ -77,7 +76,7 @@ def reader_of(
 
 
 def absent(value: float) -> float | None:
-    """None for NaN."""
+    """NaN as None."""
     return None if math.isnan(value) else value
 
 
@@ -96,7 +95,7 @@ def _packed(field: CdrField, hint: Any) -> str:
 
 
 def _returned(of: type | None, name: str) -> Any:
-    """The type of a property."""
+    """Return annotation of a property."""
     return get_type_hints(getattr(of, name).fget)["return"] if of is not None else None
 
 

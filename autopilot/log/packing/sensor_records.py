@@ -1,4 +1,4 @@
-"""What devices measured, exactly as the estimator got it, and the standard messages of it for viewers."""
+"""Samples exactly as the estimator gets them, and as standard messages for viewers."""
 
 import math
 import struct

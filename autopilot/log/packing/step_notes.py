@@ -1,8 +1,8 @@
-"""What a step took in beside samples and bytes, as JSON in a std_msgs/String, on ticks on which there is any.
+"""Inputs of a step beside samples and bytes, as JSON in a std_msgs/String, on ticks on which there are any.
 
-Together with ``/in/tick``, the samples and ``/in/mavlink`` it is all of :class:`autopilot.core.messages.Inputs`, and
-the calls between ticks. What stays as it is (counts of pictures, the flight controller below, what devices have against
-arming) is written when it changes.
+Together with ``/in/tick``, the samples and ``/in/mavlink`` they are all of :class:`autopilot.core.messages.Inputs`,
+and the calls between ticks. Slowly changing values (picture counts, flight controller state, devices' reasons
+against arming) are written on change.
 """
 
 import base64
@@ -34,7 +34,7 @@ UNSET = msgspec.UNSET
 
 
 class Datagram(msgspec.Struct, frozen=True, array_like=True):
-    """Where received bytes came from; the bytes are in ``/in/mavlink``, packet by packet."""
+    """Origin of received bytes; the bytes are in ``/in/mavlink``, packet by packet."""
 
     link: int
     client: int
@@ -45,7 +45,7 @@ class Datagram(msgspec.Struct, frozen=True, array_like=True):
 
 
 class KeyPacket(msgspec.Struct, frozen=True, array_like=True):
-    """A SETUP_SIGNING that was taken out, with another key in the place of its own."""
+    """A SETUP_SIGNING that was removed, with a substitute for its key."""
 
     datagram: int
     """Of this tick, from 0."""
@@ -71,8 +71,6 @@ class FlightControllerNote(msgspec.Struct, frozen=True, omit_defaults=True):
 
 
 class StepNotes(msgspec.Struct, frozen=True, omit_defaults=True, kw_only=True):
-    """One tick's."""
-
     rx: tuple[Datagram, ...] = ()
     keys: tuple[KeyPacket, ...] = ()
     between: tuple[tuple[int | None, int], ...] = ()
@@ -86,7 +84,7 @@ class StepNotes(msgspec.Struct, frozen=True, omit_defaults=True, kw_only=True):
     camera: tuple[int | None, int, int, str] | None = None
     """Newest exposure, bytes in all and free, why no still can be stored."""
     stills: tuple[tuple[int, int, str, int, int, int, str], ...] = ()
-    """What became of stills: number, exposure, file, width, height, bytes, problem."""
+    """Results of stills: number, exposure, file, width, height, bytes, problem."""
     log_lost: bool = False
     clock_jump_s: float = 0.0
     frame_counts: dict[str, int] | msgspec.UnsetType | None = UNSET
@@ -99,7 +97,7 @@ EMPTY = StepNotes()
 
 @dataclass(slots=True)
 class LatchedNotes:
-    """What holds until it is written anew: of a log that is being written, and of one that is read."""
+    """Latest values of the notes that are written on change, while writing and while reading a log."""
 
     frame_counts: Mapping[str, int] | None = None
     below: FlightControllerNote | None = None
@@ -107,9 +105,8 @@ class LatchedNotes:
 
 
 def notes_of(inputs: Inputs, removed: list[Removed], standing: LatchedNotes) -> StepNotes | None:
-    """The notes of a tick, None when there is nothing to note; ``standing`` goes with them.
-
-    ``removed``: what was taken out of each of ``inputs.mavlink_rx``.
+    """Notes of a tick, None if there are none; ``standing`` is updated. ``removed``: bytes removed from each of
+    ``inputs.mavlink_rx``.
     """
     below = None if inputs.below is None else _flight_controller_note(inputs.t_us, inputs.below)
     camera = inputs.camera
@@ -163,7 +160,7 @@ def pack(notes: StepNotes) -> bytes:
 
 
 def unpack(text: str, place: str) -> StepNotes:
-    """LogError, naming ``place``, for what is no such text."""
+    """Inverse of :func:`pack`. LogError, naming ``place``, for an invalid text."""
     try:
         return msgspec.json.decode(text, type=StepNotes)
     except msgspec.MsgspecError as error:
