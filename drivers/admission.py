@@ -31,8 +31,6 @@ class Why(Enum):
 
 @dataclass(frozen=True, slots=True)
 class DisplacedClient(Generic[K]):
-    """Somebody who has to go."""
-
     key: K
     why: Why
     silent_us: int

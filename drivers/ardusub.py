@@ -150,7 +150,7 @@ class ArduSub(Closing):
 
     @property
     def bad_samples(self) -> int:
-        """Messages whose numbers are none."""
+        """Messages with values that are not finite."""
         return self._telemetry.bad_samples
 
     def open(self) -> None:
@@ -353,7 +353,6 @@ class ArduSub(Closing):
         return None if self._silent(t_us) else self._watch.is_armed(t_us)
 
     def below(self, t_us: int) -> FlightControllerState:
-        """Who has the vehicle now."""
         watch = self._watch
         return FlightControllerState(
             t_us=t_us,

@@ -48,8 +48,6 @@ STALE_BEAT_US = 3_500_000
 
 
 class AuthorityWatch:
-    """Follows heartbeats, answers and texts."""
-
     def __init__(self) -> None:
         self.mode: int | None = None
         """None before the first heartbeat."""
@@ -84,7 +82,6 @@ class AuthorityWatch:
 
     @property
     def authority(self) -> Authority:
-        """Who has it now."""
         if self.mode is not None and self.mode != MANUAL:
             return Authority.PILOT
         return Authority.STOPPED if self._stopped else Authority.OURS
@@ -111,7 +108,6 @@ class AuthorityWatch:
         self.known = False
 
     def want(self, t_us: int, *, armed: bool) -> None:
-        """Told every tick."""
         if armed != self.wanted:
             self.wanted = armed
             self._wanted_us, self._asked_us = t_us, t_us - ASK_EVERY_US
@@ -221,5 +217,4 @@ class AuthorityWatch:
 
 
 def mode_name(number: int) -> str:
-    """As pilots know it."""
     return MODE_NAMES.get(number, f"mode {number}")

@@ -15,8 +15,6 @@ AGAIN_US = 500_000
 
 
 class Passing:
-    """Passes the wanted state on."""
-
     def __init__(self, vehicle: Vehicle) -> None:
         self._outputs = vehicle.payload
         self._done = [output.start_us for output in self._outputs]

@@ -17,8 +17,6 @@ STANDS_US = 40_000_000
 
 
 class PrearmWatch:
-    """Follows SYS_STATUS and texts."""
-
     def __init__(self) -> None:
         self._passes: bool | None = None
         """None: it does not say."""

@@ -61,7 +61,6 @@ class OutputWatch:
         self._meant.append((t_us, servos_us))
 
     def forget(self) -> None:
-        """Nothing is meant any more."""
         self._meant.clear()
         self.skip()
 

@@ -25,8 +25,6 @@ END_US = 3_000_000
 
 
 class SilenceStep(Enum):
-    """What is being done."""
-
     CONTACT = "contact"
     ARM = "arm"
     PUSH = "push"

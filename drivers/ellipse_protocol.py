@@ -59,8 +59,6 @@ class Attitude:
 
 
 class EllipseParser(SbgParser[EllipseFrame]):
-    """Frames of an Ellipse."""
-
     sync, end, head_bytes, max_data, order = b"\xff\x5a", 0x33, 6, 4086, "<"
 
     def _make(self, ids: bytes, data: bytes) -> EllipseFrame:

@@ -70,8 +70,6 @@ class LoopTime:
 
 
 class FrameClock:
-    """Of one stream of pictures."""
-
     def __init__(self) -> None:
         self._times_us: deque[int] = deque(maxlen=WINDOW)
         self._line: _Line | None = None
@@ -123,7 +121,6 @@ class _Line:
         self._early = min(max(EARLY_SIGMAS * sigma_us / beat_us, EARLY[0]), EARLY[1])
 
     def of(self, time_us: float) -> float:
-        """The beat of this arrival."""
         return self.at_us + math.floor((time_us - self.at_us) / self.beat_us + self._early) * self.beat_us
 
     def through(self, times_us: FloatArray) -> "_Line | None":

@@ -91,8 +91,6 @@ class Ig500Frame:
 
 
 class Ig500Parser(SbgParser[Ig500Frame]):
-    """Frames of an IG-500."""
-
     sync, end, head_bytes, max_data, order = b"\xff\x02", 0x03, 5, 504, ">"
 
     def _make(self, ids: bytes, data: bytes) -> Ig500Frame:

@@ -39,8 +39,6 @@ _REMEDY = (
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Connection:
-    """A connection string taken apart."""
-
     text: str
     """As it was given."""
     kind: str

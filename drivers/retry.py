@@ -31,8 +31,6 @@ T = TypeVar("T")
 
 
 class DeviceState(Enum):
-    """How a device is."""
-
     DOWN = "down"
     SILENT = "silent"
     UP = "up"
@@ -190,8 +188,6 @@ class SteadyOutput(RetryingDevice[Out]):
 
 
 class SteadyController(SteadyOutput[FlightController]):
-    """A flight controller below us."""
-
     def poll(self, t_us: int) -> list[Any]:
         nothing: list[Any] = []
         samples = self.use(t_us, lambda: self.device.poll(t_us), nothing)

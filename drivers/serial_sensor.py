@@ -32,7 +32,7 @@ class SerialSensor(Closing, Generic[S]):
         """The sample of a frame, None if it makes none."""
 
     def _begin(self) -> None:
-        """The line has been opened."""
+        """Hook: the line has been opened."""
 
     def _too_silent(self, t_us: int, *, heard: bool) -> bool:
         """Whether the device is to be configured again."""

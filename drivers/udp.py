@@ -59,8 +59,6 @@ def bind_error(name: str, port: int, error: OSError) -> DriverError:
 
 @dataclass(slots=True)
 class _Peer:
-    """One address that has spoken."""
-
     client: int
     sender: str
     heard_us: int
@@ -69,8 +67,6 @@ class _Peer:
 
 
 class _Udp:
-    """What both directions share."""
-
     problem: str | None = None
     """A datagram socket has none: what is sent may always get lost."""
 

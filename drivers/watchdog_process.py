@@ -70,7 +70,6 @@ class WatchdogState:
 
     @property
     def pid(self) -> int | None:
-        """Of the present one."""
         return None if self._process is None else self._process.pid
 
     def start(self) -> None:
@@ -85,7 +84,6 @@ class WatchdogState:
             self._coming.set_exception(OSError(str(error)))
 
     def beat(self, t_us: int) -> None:
-        """A command has been sent."""
         if self._line is None:
             return
         if self._asked_us is None or self._number == HELLO:
@@ -156,7 +154,6 @@ class WatchdogState:
             self._pause_us = 0
 
     def _wait_for_it(self, t_us: int) -> None:
-        """It has not answered yet."""
         late_us = 0 if self._asked_us is None else t_us - self._asked_us
         if late_us <= (HANG_US if self._answered else START_US):
             return

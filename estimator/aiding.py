@@ -40,8 +40,6 @@ M = TypeVar("M")
 
 
 class Aid:
-    """Bookkeeping of one sensor."""
-
     sensor: ClassVar[str]
     """One of ``AID_SENSORS``."""
     samples: ClassVar[tuple[type, ...]] = ()

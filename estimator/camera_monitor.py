@@ -69,8 +69,6 @@ def _of_mounting(camera: Camera) -> tuple[float, float, float, float] | None:
 
 
 class CameraMonitor(Monitor):
-    """Of one estimator."""
-
     def __init__(
         self, camera: Camera, stamps_every_s: float = STAMP_MONITOR.look_s, floor_m: float | None = None
     ) -> None:

@@ -153,7 +153,7 @@ class ObserverCore:
         return FilterState(x, p)
 
     def loosen(self, state: FilterState, sheet: int, sigma: Sequence[float], variance: Sequence[float]) -> FilterState:
-        """It holds nothing of sheets."""
+        """No-op: the observer has no sheet states."""
         return state
 
     def variance(self, state: FilterState, cos_yaw: float, sin_yaw: float) -> list[float]:

@@ -61,8 +61,6 @@ PICTURES = (PoseSample, MarkerSighting)
 
 
 class AidedEstimator(Estimator):
-    """On a filter core."""
-
     def __init__(
         self,
         core: FilterCore,

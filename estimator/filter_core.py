@@ -40,9 +40,7 @@ class FilterCore(Protocol):
         """First state around ``x`` (21,)."""
         ...
 
-    def predict(self, state: FilterState, step: InertialStep) -> FilterState:
-        """State after the step."""
-        ...
+    def predict(self, state: FilterState, step: InertialStep) -> FilterState: ...
 
     def transition(self) -> FloatArray | None:
         """Jacobian (21, 21) of the last prediction, a new array; None: what this filter corrects cannot be carried."""

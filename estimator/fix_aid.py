@@ -16,8 +16,6 @@ from autopilot.estimator.relocation import Relocation
 
 
 class FixAid(Aid, ABC, Generic[S_contra]):
-    """A sensor that tells poses."""
-
     def __init__(self, time_offset_s: float = 0.0) -> None:
         super().__init__(time_offset_s)
         self.relocation, self.trust = Relocation(), FixTrust()

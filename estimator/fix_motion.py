@@ -24,7 +24,7 @@ SYSTEMATIC = np.array([0.02, 0.02, 0.02, 0.005])
 
 
 class FixResidual(NamedTuple):
-    """A fix against dead reckoning."""
+    """Residual of a fix against dead reckoning."""
 
     t_us: int
     z: FloatArray
@@ -70,8 +70,6 @@ class FixMotion:
 
 
 class FixRun:
-    """Some fixes in a row."""
-
     def __init__(self, run: Sequence[FixResidual]) -> None:
         self.count = len(run)
         self.inside = all(seen.inside for seen in run)

@@ -26,8 +26,6 @@ move nearly as the vehicle does."""
 
 
 class FixTrust(MonitorFinding):
-    """Of one source of fixes."""
-
     def __init__(self) -> None:
         super().__init__()
         self._run = FixMotion()

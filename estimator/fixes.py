@@ -33,8 +33,6 @@ ASTRAY = (ACCEL_BIAS, CURRENT, CURRENT_RATE)
 
 
 class Fixes:
-    """Of one estimator."""
-
     def __init__(self, fusion: Fusion, sources: Sources, monitors: Monitors, trim: TiltTrim) -> None:
         self._fusion, self._sources, self._trim = fusion, sources, trim
         self._evidence, self._imu, self._camera, self._map, _ = monitors

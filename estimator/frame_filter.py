@@ -24,7 +24,6 @@ class FrameFilter:
         self._reports: list[PictureReport] = []
 
     def judge(self, frame: CameraFrame) -> FrameVerdict:
-        """Verdict of one picture, counted."""
         verdict = self._verdict(frame)
         self.counts[verdict] += 1
         report = PictureReport(t_us=frame.t_us, verdict=verdict)

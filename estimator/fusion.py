@@ -16,8 +16,6 @@ from autopilot.estimator.states import INITIAL_SIGMA
 
 
 class Fusion:
-    """Of one estimator."""
-
     def __init__(self, core: FilterCore) -> None:
         self.core = core
         self.past: History | None = None
@@ -29,12 +27,10 @@ class Fusion:
 
     @property
     def history(self) -> History:
-        """:attr:`past`, when there is one."""
         assert self.past is not None
         return self.past
 
     def begin_at(self, node: Node) -> None:
-        """Start there; forget the past."""
         self.past = History(self.core, node)
 
     def take_statuses(self) -> tuple[AidStatus, ...]:

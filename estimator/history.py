@@ -28,7 +28,6 @@ class Reopening(NamedTuple):
     """What they are from then on, None = as they were."""
 
     def applied(self, core: FilterCore, state: FilterState) -> FilterState:
-        """The state after it."""
         return core.reopen(state, self.part, self.variance, self.value)
 
 
@@ -44,7 +43,6 @@ class Loosening(NamedTuple):
     """(4,) and what comes on top."""
 
     def applied(self, core: FilterCore, state: FilterState) -> FilterState:
-        """The state after it."""
         return core.loosen(state, self.sheet, self.sigma, self.variance)
 
 
@@ -208,7 +206,6 @@ class History:
             self._correction = None
 
     def _before(self, node: Node) -> Node | None:
-        """The node before, settled."""
         before = None
         for other in self._nodes:
             if other is node:

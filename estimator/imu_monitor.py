@@ -24,8 +24,6 @@ TURN_MAX_RAD_S = 2.0
 
 
 class Verdicts(NamedTuple):
-    """What one sample has changed."""
-
     doubted: bool = False
     """A sensor has become suspect: compute the last moments again."""
     apart_rad: float = 0.0

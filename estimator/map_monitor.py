@@ -47,8 +47,6 @@ class _MisplacedMarker:
 
 
 class MapMonitor(Monitor):
-    """Of one estimator."""
-
     def __init__(self, markers: MarkerMap) -> None:
         super().__init__()
         self._markers = markers

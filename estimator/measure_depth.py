@@ -56,8 +56,6 @@ def depth_from_sample(sample: DepthSample, mount_frd_m: tuple[float, float, floa
 
 
 class DepthAid(ScalarAid[DepthSample]):
-    """A pressure sensor."""
-
     sensor = "depth"
     samples = (DepthSample,)
     own = one(DEPTH_OFFSET)

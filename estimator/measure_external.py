@@ -113,8 +113,6 @@ def _covariance(given: FloatArray) -> FloatArray | None:
 
 
 class ExternalAid(FixAid[ExternalPoseSample]):
-    """Whoever sends poses from outside."""
-
     sensor = "external"
     samples = (ExternalPoseSample,)
 

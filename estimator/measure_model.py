@@ -79,7 +79,7 @@ _THRUSTERS = 8
 
 
 class _ModelStruct(Mirror):
-    """The struct of estimator.c."""
+    """ctypes layout of the struct in estimator.c."""
 
     _fields_ = (
         ("x", ctypes.c_double * NX),
@@ -213,7 +213,6 @@ def expected_acceleration(
 
 
 def idle(moment: Moment, x: FloatArray) -> bool:
-    """No thrust and no motion."""
     if max(map(abs, moment.thrust_n)) > IDLE_THRUST_N:
         return False
     return math.hypot(x.item(VEL_NORTH), x.item(VEL_EAST)) < IDLE_SPEED_M_S

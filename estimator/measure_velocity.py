@@ -109,8 +109,6 @@ def velocity_from_sample(sample: VelocitySample, mount_frd_m: tuple[float, float
 
 
 class VelocityAid(ScalarAid[VelocitySample]):
-    """A Doppler log."""
-
     sensor = "velocity"
     samples = (VelocitySample,)
     own = VEL

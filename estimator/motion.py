@@ -48,7 +48,7 @@ _PLACES = np.array([NX * row + column for row, column in _ENTRIES])
 
 
 class _Motion(Mirror):
-    """The struct of estimator.c."""
+    """ctypes layout of the struct in estimator.c."""
 
     _fields_ = (
         ("x", ctypes.c_double * NX),

@@ -29,8 +29,6 @@ other one of IPPE's two), or the AHRS is wrong: no fix."""
 
 
 class Pose(NamedTuple):
-    """A solved pose."""
-
     pos_ned_m: FloatArray
     """(3,)"""
     rpy_rad: FloatArray

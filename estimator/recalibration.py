@@ -19,8 +19,6 @@ CARRIED_SIGMA = np.array([0.005, 0.005, 0.005, 0.01])
 
 
 class Recalibration:
-    """Of one estimator."""
-
     def __init__(self, fusion: Fusion, sources: Sources, intake: SampleBuffer, monitors: Monitors) -> None:
         self._fusion, self._sources, self._intake = fusion, sources, intake
         self._evidence, self._imu, self._camera, *_ = monitors

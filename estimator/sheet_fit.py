@@ -36,8 +36,6 @@ NUISANCE = [3, 4, 6]
 
 
 class SheetPose(NamedTuple):
-    """A solved pose over sheets."""
-
     pos_ned_m: FloatArray
     """(3,)"""
     rpy_rad: FloatArray

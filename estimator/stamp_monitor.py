@@ -35,8 +35,6 @@ GRID_S = np.arange(-0.25, 0.2501, 0.005)
 
 
 class StampMonitor:
-    """Of one estimator."""
-
     def __init__(self, every_s: float = STAMP_MONITOR.look_s) -> None:
         self._every_us = round(1e6 * every_s)
         self.late_s = 0.0
@@ -164,7 +162,6 @@ class StampMonitor:
         return bool(self._old.max() - self._old.min() > STAMP_MONITOR.sure)
 
     def _forget(self) -> None:
-        """Evidence of other stamps."""
         self._old, self._last = np.zeros(len(GRID_S)), np.zeros(len(GRID_S))
 
     def _judge(self, cost: FloatArray) -> bool:
@@ -283,7 +280,6 @@ class _Usual:
 
     @property
     def count(self) -> int:
-        """How many windows count."""
         return len(self._shares)
 
     def fits(self, found: _Goodness, told: float) -> bool:

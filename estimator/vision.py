@@ -163,8 +163,6 @@ class MarkerDetector:
 
 
 class _Found(NamedTuple):
-    """Markers in an image."""
-
     ids: IntArray
     """(n,)"""
     quads: Any
@@ -181,8 +179,6 @@ class _Found(NamedTuple):
 
 
 class _Seen(NamedTuple):
-    """What is accepted of them."""
-
     ids: IntArray
     """(n,)"""
     corners_px: FloatArray

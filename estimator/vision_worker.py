@@ -56,8 +56,6 @@ class _Pending:
 
 
 class VisionWorker:
-    """One thread of detection."""
-
     def __init__(self, detector: Detector, *, delay_s: float, frame_filter: FrameFilter, paced: bool = False) -> None:
         """``paced``: time does not wait for the detector, so the newest frame wins."""
         self._detector = detector

@@ -18,8 +18,6 @@ GRAZING_RAD = math.radians(15.0)
 
 
 class SimAltimeter(OptionalSensor[AltimeterSample, float]):
-    """In open water nothing echoes."""
-
     name, seed, nothing = "altimeter", 60, 0.0
 
     def __init__(

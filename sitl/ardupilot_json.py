@@ -25,8 +25,6 @@ _HEAD = struct.Struct("<HHI")
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ServoPacket:
-    """What ArduPilot says."""
-
     rate_hz: int
     frame: int
     pwm_us: tuple[int, ...]

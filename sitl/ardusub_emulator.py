@@ -265,7 +265,6 @@ class ArduSubEmulator:
         return tuple(pulses)
 
     def _watch(self, t_us: int) -> None:
-        """Its own failsafes."""
         values = self.parameters
         self._hear_receiver(t_us)
         if self.armed and self._input_us is not None:

@@ -21,7 +21,7 @@ class ArduSubVehicle:
     """Time is handed in; the same calls give the same bytes."""
 
     def __init__(self, scenario: Scenario, vehicle: Vehicle, frame: str, *, seed: int, **more: Any) -> None:
-        """``more``: of the emulator."""
+        """``more``: keyword arguments of the emulator."""
         self._vehicle = vehicle
         self._plant = create_plant(scenario.plugins.plant, PlantContext(scenario=scenario, vehicle=vehicle, seed=seed))
         self.controller = ArduSubEmulator(vehicle, frame, seed=seed, **more)
@@ -32,7 +32,6 @@ class ArduSubVehicle:
 
     @property
     def truth(self) -> Truth:
-        """The present truth."""
         return self._plant.truth
 
     def advance(self, t_us: int) -> list[bytes]:
@@ -48,7 +47,6 @@ class ArduSubVehicle:
 
     @property
     def motors(self) -> int:
-        """Of the frame."""
         return len(self.controller.servos_us)
 
     def pose(self, t_us: int) -> bytes | None:

@@ -41,12 +41,10 @@ class TruthSampler(Protocol):
 
     @property
     def next_us(self) -> int:
-        """When it samples next."""
+        """Time of the next sample."""
         ...
 
-    def observe(self, truth: Truth) -> None:
-        """Look."""
-        ...
+    def observe(self, truth: Truth) -> None: ...
 
 
 class FaultySensor(Protocol):
@@ -66,13 +64,13 @@ class SimThrusterOutput(SafeThrusterOutput):
         """What the amplifiers see now."""
 
     def _acquire(self) -> None:
-        """Nothing to open."""
+        """No-op."""
 
     def _put(self, pwm_us: tuple[int, ...]) -> None:
         self.pwm_us = pwm_us
 
     def _release(self) -> None:
-        """Nothing to close."""
+        """No-op."""
 
 
 class CommandLine:
@@ -111,7 +109,6 @@ class PowerMonitor(AlwaysOpen):
         self._samples: list[PowerSample] = []
 
     def observe(self, truth: Truth) -> None:
-        """Take a sample."""
         self.next_us += POWER_PERIOD_US
         self._samples.append(
             PowerSample(
@@ -124,7 +121,6 @@ class PowerMonitor(AlwaysOpen):
         )
 
     def poll(self, t_us: int) -> list[PowerSample]:
-        """Samples since the last call."""
         samples, self._samples = self._samples, []
         return samples
 
@@ -220,14 +216,12 @@ class SimulatedVehicle(Closing):
 
     @property
     def truth(self) -> Truth:
-        """The present truth."""
         if self._truth is None:
             self._truth = self._plant.truth
         return self._truth
 
     @property
     def ahrs(self) -> Ig500:
-        """The driver, for its counters."""
         return self._ahrs.driver if isinstance(self._ahrs, SerialAhrs) else self._ahrs
 
     # Steered by hand
@@ -305,7 +299,6 @@ class SimulatedVehicle(Closing):
         return [] if self._camera is None else self._camera.poll(t_us)
 
     def write(self, pwm_us: Sequence[int]) -> None:
-        """Command the thrusters now."""
         self.output.write(self._t_us, pwm_us)
         self._shared.sent(self._t_us, self.output.pwm_us)
 

@@ -49,7 +49,6 @@ class CameraFeed(LossySensor[CameraFrame]):
         self._worker: ThreadPoolExecutor | None = None
 
     def open(self) -> None:
-        """Start the rendering thread."""
         if self._worker is None:
             self._worker = ThreadPoolExecutor(max_workers=1, thread_name_prefix="render")
 

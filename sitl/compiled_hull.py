@@ -27,7 +27,7 @@ WATER = 13
 
 
 class HullStruct(Mirror):
-    """The struct of plant.c."""
+    """ctypes layout of the struct in plant.c."""
 
     _fields_ = (
         ("mass", ctypes.c_double),
@@ -45,7 +45,7 @@ class HullStruct(Mirror):
 
 
 class Hull(Mirror):
-    """The struct of plant.c."""
+    """ctypes layout of the struct in plant.c."""
 
     _fields_ = (
         *((name, _State) for name in ("state", "change")),
@@ -120,7 +120,7 @@ class CompiledHull:
 
     @property
     def power_w(self) -> float:
-        """What the thrusters take."""
+        """Electrical power of the thrusters [W]."""
         power: float = self._hull.power
         return power
 

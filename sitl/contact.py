@@ -28,8 +28,6 @@ class Cylinder:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Sphere:
-    """A sphere."""
-
     name: str
     center_ned_m: Vec3
     radius_m: float
@@ -58,8 +56,6 @@ Solid: TypeAlias = Cylinder | Sphere | Prism | MovingCylinder
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Touch:
-    """The hull is inside something."""
-
     what: str
     """wall, floor or the obstacle's name."""
     depth_m: float
@@ -129,7 +125,6 @@ class SolidGeometry:
         return max((s.path.speed_m_s for s in self._solids if isinstance(s, MovingCylinder)), default=0.0)
 
     def _now(self, solid: Solid) -> Cylinder | Sphere | Prism:
-        """Where a solid is now."""
         if not isinstance(solid, MovingCylinder):
             return solid
         return Cylinder(name=solid.name, center_ned_m=solid.path.at(self._t_s).center_ned_m, radius_m=solid.radius_m)

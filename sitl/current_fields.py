@@ -22,8 +22,6 @@ Gradient: TypeAlias = tuple[float, float, float, float]
 
 
 class CurrentField(Protocol):
-    """Velocity of the water."""
-
     @property
     def steady_uniform(self) -> bool:
         """True if gradient and rate are zero everywhere, so that nobody has to ask."""

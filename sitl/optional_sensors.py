@@ -23,8 +23,6 @@ V = TypeVar("V")
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class SensedWorld:
-    """What they can measure."""
-
     floor_depth_m: float | None = None
     """None = open water."""
     waves: WaveTrain | None = None
@@ -63,7 +61,6 @@ class OptionalSensor(LossySensor[S], Generic[S, V]):
 def optional_sensors(
     sensors: Sensors, vehicle: Vehicle, world: SensedWorld, faults: Iterable[Fault], seed: int
 ) -> list[OptionalSensor[Any, Any]]:
-    """Those that the scenario has."""
     found = []
     for row in SENSOR_ROWS:
         table = getattr(sensors, row.device) if row.simulated else None

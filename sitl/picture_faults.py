@@ -36,8 +36,6 @@ FLIPS = {"columns": 1, "rows": 0, "both": -1}
 
 
 class Exposure(NamedTuple):
-    """What a picture is of."""
-
     truth: Truth
     number: int
     """Number of the picture: chooses its noise."""
@@ -106,7 +104,6 @@ class PictureFaults:
         return result if result is truth else replace(result, t_us=t_us)
 
     def reflection(self, t_us: int) -> Reflection | None:
-        """The one that holds then."""
         return next((fault for _, fault in self._active(t_us) if isinstance(fault, Reflection)), None)
 
     def sent(self, image: Image, t_us: int, index: int) -> Image:

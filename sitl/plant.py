@@ -89,8 +89,6 @@ class _Instant(NamedTuple):
 
 
 class Plant:
-    """One vehicle in one world."""
-
     def __init__(
         self,
         vehicle: Vehicle,

@@ -43,7 +43,6 @@ class PtyLine(Closing):
         self._far = self._near = None
 
     def close(self) -> None:
-        """Unplug for good."""
         self.unplug()
         self._folder.cleanup()
 

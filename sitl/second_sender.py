@@ -35,7 +35,6 @@ class SharedThrusters:
         return self._found
 
     def sent(self, t_us: int, pulses_us: tuple[int, ...]) -> None:
-        """What the service has commanded."""
         if self._faults:
             self._watch.sent(t_us, pulses_us)
 

@@ -74,7 +74,6 @@ def check_spread(
 
 
 def _world(tables: Tables) -> Tables:
-    """A copy without ``[spread]``."""
     return copy.deepcopy({key: value for key, value in tables.items() if key != "spread"})
 
 

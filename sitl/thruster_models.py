@@ -58,7 +58,6 @@ def duty_from_pwm(drive: ThrusterDrive, pwm_us: float) -> float:
 
 
 def held(drive: ThrusterDrive, pwm_us: float) -> Held:
-    """What a pulse [us] gives."""
     if drive.curve:
         return Held(
             tuple(curve.supply_v for curve in drive.curve), tuple(_on(curve, drive, pwm_us) for curve in drive.curve)

@@ -45,8 +45,6 @@ def wave_number(omega_rad_s: float, depth_m: float) -> float:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Component:
-    """One regular wave."""
-
     amplitude_m: float
     omega_rad_s: float
     phase_rad: float
@@ -100,8 +98,6 @@ class Component:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class WaveTrain:
-    """All waves of a scenario."""
-
     components: tuple[Component, ...]
 
     def pressed_m(self, pos_ned_m: Sequence[float], t_s: float) -> float:

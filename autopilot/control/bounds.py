@@ -23,7 +23,7 @@ _MADE = ("limits", "left", "keep_m", "tube_m", "held", "held_weight")
 
 
 class _Program(compiled.Mirror):
-    """The struct of program.c."""
+    """ctypes layout of the struct in program.c."""
 
     _fields_ = (
         ("n", ctypes.c_long),

@@ -96,8 +96,6 @@ class BackgroundTask(Generic[A]):
 
 
 class BackgroundWorker:
-    """One lane of slow work."""
-
     def __init__(self, executor: Executor | None = None, *, blocking: bool = True) -> None:
         self.executor, self.blocking = executor, blocking
         self.late = 0

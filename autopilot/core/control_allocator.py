@@ -71,9 +71,7 @@ class ThrusterBearing(Protocol):
     """What is needed of a vehicle file."""
 
     @property
-    def thrusters(self) -> tuple[Thruster, ...]:
-        """All thrusters."""
-        ...
+    def thrusters(self) -> tuple[Thruster, ...]: ...
 
     def to_model(self) -> Model4:
         """What is believed of the vehicle."""
@@ -98,7 +96,6 @@ class ControlAllocator:
 
     @classmethod
     def of(cls, vehicle: "ThrusterBearing") -> "ControlAllocator":
-        """From the vehicle file."""
         drives = [thruster.drive for thruster in vehicle.thrusters]
         both = [0.5 * (drive.power_w_n15 + (drive.reverse_power_w_n15 or drive.power_w_n15)) for drive in drives]
         return cls(vehicle.to_model(), both)

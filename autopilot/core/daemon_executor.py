@@ -40,7 +40,6 @@ class DaemonExecutor(Executor):
         return future
 
     def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
-        """Take nothing any more."""
         with self._lock:
             if not self._closed:
                 self._closed = True

@@ -45,8 +45,6 @@ ANY_SPAN_US = 1 << 63
 
 
 class DeviceClock:
-    """Of one device."""
-
     GAIN = 0.01
     """Share of a new difference once the start is over (1 s at 100 Hz)."""
     CLIP_US = 5_000.0
@@ -239,7 +237,6 @@ class _Episode:
         self._last: deque[tuple[int, float]] = deque()
 
     def take(self, arrival_us: int, difference: float, *, broken: bool) -> None:
-        """One more."""
         self.broken |= broken
         self.count += 1
         self._last.append((arrival_us, difference))
@@ -257,8 +254,6 @@ class _Episode:
 
 
 class _Trial:
-    """What follows an uneven step."""
-
     def __init__(self, since_us: int, usual_us: float) -> None:
         self.since_us = since_us
         self._usual_us = usual_us
@@ -268,6 +263,5 @@ class _Trial:
         """Of the differences [us]."""
 
     def take(self, step_us: int, error: float) -> None:
-        """One more sample."""
         self.jump_us += step_us - self._usual_us
         self.errors.append(error)

@@ -84,7 +84,6 @@ def dictionary_size(name: str) -> int | None:
 
 
 def dictionary_label(name: str) -> str:
-    """The name for people."""
     if not name.startswith(CUSTOM):
         return name
     words = _words(name)

@@ -21,8 +21,6 @@ STEPS = 10
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FlatPort:
-    """The pane before the lens."""
-
     distance_m: float
     """From the lens's centre of projection to the pane's inner side."""
     thickness_m: float

@@ -70,8 +70,6 @@ class FenceDistances(Protocol):
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Area:
-    """A rectangle of the plane."""
-
     low_m: FloatArray
     """(2,) north, east"""
     high_m: FloatArray
@@ -421,6 +419,5 @@ def _quarters(level: IntArray, row: IntArray, column: IntArray) -> tuple[IntArra
 
 
 def _code(level: IntArray, row: IntArray, column: IntArray) -> NDArray[np.int64]:
-    """One number per cell."""
     code: NDArray[np.int64] = (level.astype(np.int64) << 56) | (row.astype(np.int64) << 28) | column.astype(np.int64)
     return code

@@ -37,8 +37,6 @@ LOCAL_PER_METRE = 1e4
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class GeodeticPosition:
-    """A geodetic position."""
-
     lat_deg: float
     lon_deg: float
     alt_m: float = 0.0

@@ -38,8 +38,6 @@ Work: TypeAlias = tuple[str, Callable[[], object]]
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Fault:
-    """An exception inside the service."""
-
     t_us: int
     part: str
     """Which part of the tick: estimator, commander, controller, allocation, message, ..."""
@@ -61,13 +59,10 @@ class Fault:
 
     @property
     def line(self) -> str:
-        """For the operator."""
         return f"Internal fault: {self.part}: {self.kind}"[:50]
 
 
 class Guard:
-    """One per service."""
-
     def __init__(self, *, raises: bool | None = None) -> None:
         """``raises``: let exceptions through; None = as the environment says."""
         self.raises = os.environ.get(VARIABLE) == "raise" if raises is None else raises
@@ -121,7 +116,6 @@ class Guard:
         )
 
     def take(self) -> tuple[Fault, ...]:
-        """Faults since the last call."""
         if not self._pending:
             return ()
         faults, self._pending = tuple(self._pending), []

@@ -23,8 +23,6 @@ Q = TypeVar("Q")
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class WriteResult:
-    """What became of a write."""
-
     number: int
     """Every state up to this one is settled."""
     error: Exception | None

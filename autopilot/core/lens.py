@@ -17,8 +17,6 @@ FISHEYE_STEPS = 8
 
 
 class LensDistortion(Protocol):
-    """What bends ideal image points."""
-
     def bend(self, ideal: FloatArray) -> FloatArray:
         """Bent image points (..., 2) of ideal ones (..., 2)."""
         ...
@@ -27,9 +25,7 @@ class LensDistortion(Protocol):
         """(..., 2, 2) derivatives of :meth:`bend`."""
         ...
 
-    def unbend(self, bent: FloatArray) -> FloatArray:
-        """The inverse of :meth:`bend`."""
-        ...
+    def unbend(self, bent: FloatArray) -> FloatArray: ...
 
 
 class BrownLens:

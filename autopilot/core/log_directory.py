@@ -8,8 +8,6 @@ from autopilot.core.background import BackgroundTask
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LogDirectoryEntry:
-    """One file."""
-
     path: str
     """Below the folder, with "/" between its parts."""
     size: int

@@ -129,7 +129,7 @@ def error_arrays(errors: MapErrors) -> dict[str, Any]:
 
 
 def errors_of_arrays(arrays: Mapping[str, Any]) -> MapErrors:
-    """Back from :func:`error_arrays`."""
+    """Inverse of :func:`error_arrays`."""
     across, down, turn = np.asarray(arrays["frame_sigma"]).tolist()
     return MapErrors(
         sheet=arrays["sheet"],

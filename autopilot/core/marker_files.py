@@ -126,8 +126,6 @@ class BoardEntry(MapEntry, frozen=True, kw_only=True):
 
 
 class MarkerFile(Table, frozen=True, kw_only=True):
-    """One marker map file."""
-
     name: str = ""
     defaults: Defaults = Defaults()
     frame: MapFrame = MapFrame()
@@ -152,7 +150,6 @@ class PlacedMarker:
 
     @property
     def label(self) -> str:
-        """Name for messages."""
         return f"{self.place} (id {self.id} of {dictionary_label(self.dictionary)})" if self.place else f"id {self.id}"
 
     @property

@@ -40,10 +40,10 @@ class Marks(Protocol):
 
 
 class NoMarks:
-    """Nobody measures."""
+    """Measures nothing."""
 
     def mark(self, part: LoopPart) -> None:
-        """Nothing."""
+        """No-op."""
 
 
 SHORT_S = 0.5e-3

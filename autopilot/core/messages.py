@@ -119,8 +119,6 @@ class Authority(Enum):
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class FlightControllerState:
-    """The flight controller below us."""
-
     t_us: int
     authority: Authority
     acts: bool
@@ -194,8 +192,6 @@ class NavDoubt(Enum):
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class NavState:
-    """The estimate at ``t_us``."""
-
     t_us: int
     health: NavHealth
     pos_ned_m: FloatArray
@@ -344,8 +340,6 @@ class ProgressState(IntEnum):
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class MissionProgress:
-    """How far the mission is."""
-
     t_us: int
     current_seq: int
     reached_seq: int
@@ -359,8 +353,6 @@ class MissionProgress:
 
 
 class SolveStatus(IntEnum):
-    """Outcome of one NMPC step."""
-
     OK = 0
     IDLE = 1
     """Not asked to solve (disarmed)."""
@@ -371,8 +363,6 @@ class SolveStatus(IntEnum):
 
 
 class Fallback(IntEnum):
-    """Who commands the thrusters."""
-
     NONE = 0
     SHIFTED_PLAN = 1
     STATION_KEEPING = 2
@@ -434,8 +424,6 @@ class EnergyPlan:
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class ControlOutput:
-    """One NMPC step's result."""
-
     thrust_n: FloatArray
     """(n,) in the order of the vehicle file."""
     status: NmpcStatus
@@ -462,8 +450,6 @@ class ControlOutput:
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class ThrusterCommand:
-    """What goes to the thrusters."""
-
     t_us: int
     thrust_n: FloatArray
     """(8,) unused = 0."""
@@ -488,8 +474,6 @@ class ThrusterHealthState:
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class ModeState:
-    """What the vehicle is doing."""
-
     t_us: int
     armed: bool
     custom_mode: int

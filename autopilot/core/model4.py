@@ -46,7 +46,7 @@ class Model4:
 
     @property
     def thrusters(self) -> int:
-        """n, how many there are."""
+        """Number of thrusters n."""
         return len(self.allocation[0])
 
 

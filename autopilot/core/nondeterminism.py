@@ -28,8 +28,6 @@ class Note:
 
 
 class NondeterminismSource(Protocol):
-    """Stands beside the questions."""
-
     def ask(self, kind: str, usual: F, find: Callable[[], F]) -> F:
         """The answer to a question; ``find`` gets it in flight, ``usual`` is the one that need not be noted."""
         ...
@@ -40,8 +38,6 @@ class NondeterminismSource(Protocol):
 
 
 class NondeterminismRecorder:
-    """A flight's: asks, and notes."""
-
     def __init__(self) -> None:
         self._asked: dict[str, int] = {}
         self._notes: list[Note] = []
@@ -79,12 +75,10 @@ class NondeterminismReplay:
         self._facts = {(note.kind, note.number): note.fact for note in self._notes}
 
     def ask(self, kind: str, usual: F, find: Callable[[], F]) -> F:
-        """What was answered then."""
         del find
         self._asked[kind] += 1
         # Notes of a kind are of the kind of its usual answer.
         return cast(F, self._facts.get((kind, self._asked[kind]), usual))
 
     def take(self) -> tuple[Note, ...]:
-        """What has been told."""
         return self._notes

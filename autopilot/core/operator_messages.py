@@ -26,8 +26,6 @@ class OperatorText(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Row:
-    """One message."""
-
     severity: Severity
     template: str
     meaning: str = ""
@@ -37,11 +35,9 @@ class Row:
 
     @property
     def fields(self) -> tuple[str, ...]:
-        """Names in the template."""
         return tuple(name for _, name, _, _ in string.Formatter().parse(self.template) if name is not None)
 
     def __call__(self, **fields: object) -> OperatorText:
-        """The message now."""
         return OperatorText(self.severity, self.template.format(**fields))
 
     def event(self, t_us: int, /, **fields: object) -> Event:

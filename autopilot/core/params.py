@@ -24,8 +24,6 @@ class ParamType(Enum):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ParamSpec:
-    """Declaration of one parameter."""
-
     name: str
     default: float
     minimum: float
@@ -53,7 +51,6 @@ class ParamSpec:
 
     @property
     def group(self) -> str:
-        """What operators find it under."""
         named = (group for start, group in _GROUPS.items() if self.name.startswith(start))
         return self.family or next(named, self.name.split("_")[0].capitalize())
 
@@ -390,6 +387,4 @@ class ParamSaving(Protocol):
         """Have the value in force kept; the number of the request, None when nothing has to be waited for."""
         ...
 
-    def saved(self, tick: int) -> Saved | None:
-        """What became of requests, once."""
-        ...
+    def saved(self, tick: int) -> Saved | None: ...

@@ -126,9 +126,7 @@ class PlanChange(Protocol):
 class PlanStore(Protocol):
     """What the MAVLink mission protocol needs of the place where plans live (implemented in mission/store.py)."""
 
-    def items(self, kind: PlanKind) -> tuple[PlanItem, ...]:
-        """The plan in force."""
-        ...
+    def items(self, kind: PlanKind) -> tuple[PlanItem, ...]: ...
 
     def checksum(self, kind: PlanKind) -> int:
         """Opaque id of the plan in force (MAVLink mission protocol): another one whenever it changes, 0 = empty."""

@@ -20,7 +20,6 @@ def item_message(
 
 
 def item_of(message: Any) -> PlanItem:
-    """The item of a MISSION_ITEM_INT."""
     return PlanItem(
         seq=message.seq,
         frame=message.frame,

@@ -20,7 +20,6 @@ class Response:
 
     @classmethod
     def of(cls, thrusters: Iterable[Thruster]) -> "Response":
-        """From the vehicle file."""
         return cls(thruster.drive.time_constant_s for thruster in thrusters)
 
     def share(self, dt_s: float) -> float | FloatArray:

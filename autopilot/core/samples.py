@@ -187,8 +187,6 @@ class ExternalPoseSample:
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class PowerSample:
-    """Battery terminals."""
-
     t_us: int
     voltage_v: float
     current_a: float

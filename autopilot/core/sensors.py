@@ -12,8 +12,6 @@ from importlib import import_module
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SensorRow:
-    """One kind of sensor."""
-
     device: str
     """Its table in ``[devices]`` and in a scenario's ``[sensors]``, its name in faults and in the view."""
     label: str
@@ -42,7 +40,6 @@ class SensorRow:
 
     @property
     def kinds(self) -> tuple[type, ...]:
-        """The classes of its samples."""
         module = import_module("autopilot.core.samples")
         return tuple(getattr(module, name) for name in self.samples)
 

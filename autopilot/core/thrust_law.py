@@ -30,7 +30,6 @@ class ThrustLaw(ABC):
         self.drive = drive
 
     def supply(self, supply_v: float | None) -> float:
-        """The voltage to reckon with."""
         if supply_v is None or not 0.0 < supply_v <= CREDIBLE_SUPPLY * self.drive.nominal_supply_v:
             return self.drive.nominal_supply_v
         return max(supply_v, self.drive.nominal_supply_v / CREDIBLE_SUPPLY)
@@ -59,7 +58,6 @@ class BrushedLaw(ThrustLaw):
         """Smallest offset that turns: strictly beyond the band."""
 
     def offset_us(self, thrust_n: float, limit_n: float, supply_v: float | None) -> int:
-        """By the square root."""
         supply, span = self.supply(supply_v), self.drive.span_us
         sign = 1 if thrust_n > 0.0 else -1
         wanted = min(abs(thrust_n), limit_n)
@@ -85,7 +83,7 @@ class BrushedLaw(ThrustLaw):
         return (self._forward if offset > 0 else self._reverse) * volts * abs(volts)
 
     def capability_n(self, supply_v: float | None) -> float:
-        """At full duty."""
+        """Thrust at full duty [N]."""
         supply = self.supply(supply_v)
         return min(self._forward, self._reverse) * supply * supply
 
@@ -137,7 +135,6 @@ class CurveLaw(ThrustLaw):
         return offset if thrust_n > 0.0 else -offset
 
     def thrust_n(self, offset_us: int, supply_v: float | None) -> float:
-        """By the tables."""
         span = self.drive.span_us
         return self._at(supply_v)[max(-span, min(span, offset_us)) + span]
 

@@ -26,8 +26,6 @@ NAMED = 8
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class AxisSummary:
-    """One controlled axis."""
-
     axis: str
     authority: float
     """Force [N], of yaw moment [N m], that the thrusters make alone and both ways, buoyancy not counted."""
@@ -37,8 +35,6 @@ class AxisSummary:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class VehicleSummary:
-    """All of it."""
-
     axes: tuple[AxisSummary, ...]
     hover_w: float
     """Electrical power at rest in still water, everything that is not a thruster included."""

@@ -103,7 +103,7 @@ class Path:
         )
 
     def margin_m(self) -> float:
-        """Smallest clearance beyond the radius."""
+        """Smallest clearance beyond the body radius [m]."""
         seen, met, radius = self._seen.distance, self._met.distance, self._radius_m
         margin = float(min(seen[0].min(initial=FEATURES.far_m), self._now.min(initial=FEATURES.far_m))) - float(
             radius[0]

@@ -20,7 +20,7 @@ _POINTERS = ("a", "ab", "along", "normal", "polygon", "center", "radius", "side"
 
 
 class _Boundaries(compiled.Mirror):
-    """The struct of surroundings.c."""
+    """ctypes layout of the struct in surroundings.c."""
 
     _fields_ = (
         ("edges", ctypes.c_long),

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True, slots=True)
 class FeaturesTuning:
-    """Of :mod:`autopilot.control.constraints.features`."""
+    """Constants of :mod:`autopilot.control.constraints.features`."""
 
     tiny_m: float = 1e-9
     far_m: float = 1e6
@@ -21,7 +21,7 @@ FEATURES = FeaturesTuning()
 
 @dataclass(frozen=True, slots=True)
 class TracksTuning:
-    """Of :mod:`autopilot.control.constraints.tracks`."""
+    """Constants of :mod:`autopilot.control.constraints.tracks`."""
 
     standing_m_s: float = 0.03
     """What is slower stands."""

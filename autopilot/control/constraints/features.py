@@ -159,7 +159,6 @@ class Boundaries:
 
 
 def _features_of(fence: Fence) -> tuple[PolygonEdges, Rounds]:
-    """The boundaries of a fence."""
     polygons: list[tuple[FloatArray, bool]] = []
     circles: list[tuple[Circle, float]] = []
     for shapes, inside in ((fence.inclusions, True), (fence.exclusions, False)):

@@ -106,7 +106,6 @@ class Features(Boundaries):
         return result
 
     def near(self, places: FloatArray, reach_m: float) -> tuple[FloatArray, FloatArray]:
-        """See :class:`autopilot.core.free_space.FenceDistances`."""
         points = as_complex(places)
         clearance, slope = np.full(len(points), reach_m), np.zeros(len(points), dtype=complex)
         for part in self._tiles(points):

@@ -86,7 +86,7 @@ class FlowFit:
 
 
 class _Forecast(compiled.Mirror):
-    """The struct of water.c."""
+    """ctypes layout of the struct in water.c."""
 
     _fields_ = (
         *((name, ctypes.c_long) for name in ("m", "stride", "cells")),
@@ -97,8 +97,6 @@ class _Forecast(compiled.Mirror):
 
 
 class EstimatedFlow:
-    """See :class:`autopilot.control.current.currents.CurrentForecast`."""
-
     def __init__(self, basin: Basin = Basin.UNKNOWN) -> None:
         self._basin = basin
         self._length_m = CURRENT_LEARNING.open_length_m
@@ -152,7 +150,6 @@ class EstimatedFlow:
             self._forget()
 
     def view(self, nav: NavState) -> NavState:
-        """Unchanged; learns from it."""
         elapsed_s = 0.0 if self._last_us is None else (nav.t_us - self._last_us) * 1e-6
         self._last_us = nav.t_us
         if nav.health is not NavHealth.GOOD or not math.isfinite(sum(nav.current_ned_m_s.tolist())):

@@ -65,7 +65,6 @@ class CurrentMap:
 
     @property
     def name(self) -> str:
-        """For messages and the log."""
         return self.nodes.name
 
     @property

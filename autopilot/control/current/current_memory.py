@@ -85,7 +85,6 @@ class CurrentMemory:
         return patch
 
     def _put_back(self) -> None:
-        """What was learned aside."""
         patch = self._patch
         if patch is not None:
             self._sums[patch.slot], self._place[patch.slot] = patch.sums, patch.place

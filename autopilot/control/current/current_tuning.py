@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True, slots=True)
 class CurrentLearningTuning:
-    """Of :mod:`autopilot.control.current.current_learning`."""
+    """Constants of :mod:`autopilot.control.current.current_learning`."""
 
     flow_m_s: tuple[float, float, float] = (0.2, 0.1, 0.03)
     """Standard deviations of the varying part of the flow that are weighed against each other ..."""
@@ -41,7 +41,7 @@ CURRENT_LEARNING = CurrentLearningTuning()
 
 @dataclass(frozen=True, slots=True)
 class CurrentMapTuning:
-    """Of :mod:`autopilot.control.current.current_map`."""
+    """Constants of :mod:`autopilot.control.current.current_map`."""
 
     depth: int = 1
     north: int = 2
@@ -53,7 +53,7 @@ CURRENT_MAP = CurrentMapTuning()
 
 @dataclass(frozen=True, slots=True)
 class CurrentMemoryTuning:
-    """Of :mod:`autopilot.control.current.current_memory`."""
+    """Constants of :mod:`autopilot.control.current.current_memory`."""
 
     cells_per_scale: int = 4
     """Nodes per length over which the current changes."""
@@ -77,7 +77,7 @@ CURRENT_MEMORY = CurrentMemoryTuning()
 
 @dataclass(frozen=True, slots=True)
 class CurrentTrustTuning:
-    """Of :mod:`autopilot.control.current.current_trust`."""
+    """Constants of :mod:`autopilot.control.current.current_trust`."""
 
     step_share: float = 0.2
     """Looks are so far apart, in lengths of the flow ..."""
@@ -108,7 +108,7 @@ CURRENT_TRUST = CurrentTrustTuning()
 
 @dataclass(frozen=True, slots=True)
 class CurrentsTuning:
-    """Of :mod:`autopilot.control.current.currents`."""
+    """Constants of :mod:`autopilot.control.current.currents`."""
 
     material_m_s: float = 0.03
     """A forecast that has changed by more than this is another one: a tenth of the usual cruise speed."""
@@ -130,7 +130,7 @@ CURRENTS = CurrentsTuning()
 
 @dataclass(frozen=True, slots=True)
 class BuoyancyEstimatorTuning:
-    """Of :mod:`autopilot.control.current.buoyancy`."""
+    """Constants of :mod:`autopilot.control.current.buoyancy`."""
 
     first_s: float = 0.5
     """What is found first is believed within about this time, what is found later as the mean of all that was seen,
@@ -157,7 +157,7 @@ BUOYANCY_ESTIMATOR = BuoyancyEstimatorTuning()
 
 @dataclass(frozen=True, slots=True)
 class MapReadingTuning:
-    """Of :mod:`autopilot.control.current.map_reading`."""
+    """Constants of :mod:`autopilot.control.current.map_reading`."""
 
     plausible_m_s: float = 5.0
     """Faster than almost every tidal stream (Saltstraumen: up to 10 m/s in its narrows): wrong units or an undeclared

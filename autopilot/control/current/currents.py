@@ -63,7 +63,6 @@ class PointwiseField:
         self.scale_m = scale_m
 
     def velocity(self, pos_ned_m: FloatArray, t_s: FloatArray) -> FloatArray:
-        """See :class:`KnownCurrent`."""
         field = self._field
         places, times = pos_ned_m.tolist(), t_s.tolist()
         return np.array([field((x, y, z), t) for (x, y, z), t in zip(places, times, strict=True)]).reshape(-1, 3)
@@ -103,7 +102,7 @@ class _Anywhere:
     """A forecast that does not depend on the fence."""
 
     def within(self, fence: Fence) -> None:
-        """Nothing to learn."""
+        """No-op: nothing to learn."""
 
 
 class EstimatedCurrent(_Anywhere):
@@ -113,15 +112,12 @@ class EstimatedCurrent(_Anywhere):
         self._revision = Revision()
 
     def view(self, nav: NavState) -> NavState:
-        """Unchanged."""
         return nav
 
     def fill(self, nav: NavState, pos_ned_m: FloatArray, t_s: FloatArray, out: FloatArray) -> None:
-        """The same everywhere."""
         out[:] = nav.current_ned_m_s
 
     def revision(self, nav: NavState) -> int:
-        """Another estimate."""
         return self._revision.look(nav.current_ned_m_s, nav.t_us * 1e-6)
 
 
@@ -135,7 +131,6 @@ class MappedCurrent(_Anywhere):
         self._revision = Revision(field.drift_m_s)
 
     def view(self, nav: NavState) -> NavState:
-        """Unchanged; learns from it."""
         numbers = (*nav.current_ned_m_s.tolist(), *nav.pos_ned_m.tolist())
         if nav.health is NavHealth.GOOD and all(map(math.isfinite, numbers)):
             here = self._field.velocity(nav.pos_ned_m[None], np.array([nav.t_us * 1e-6]))[0]
@@ -181,13 +176,10 @@ class NoCurrent(_Anywhere):
     """Unaware of currents: speed over ground is taken for speed in the water."""
 
     def view(self, nav: NavState) -> NavState:
-        """The estimate without a current."""
         return replace(nav, current_ned_m_s=np.zeros(3), vel_water_frd_m_s=nav.vel_frd_m_s)
 
     def fill(self, nav: NavState, pos_ned_m: FloatArray, t_s: FloatArray, out: FloatArray) -> None:
-        """Still water."""
         out[:] = 0.0
 
     def revision(self, nav: NavState) -> int:
-        """Still water stays still."""
         return 0

@@ -33,8 +33,6 @@ MAX_VALUES = 50_000_000
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Variable:
-    """One array of a file."""
-
     values: FloatArray
     """Unpacked (scale_factor, add_offset); _FillValue and missing_value are NaN."""
     dimensions: tuple[str, ...]

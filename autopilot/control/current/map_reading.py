@@ -64,7 +64,6 @@ class _MapReader:
         """Names of the dimensions of time, depth, north, east; "" = not there or not named."""
 
     def nodes(self, digest: str) -> MapNodes:
-        """Axes and currents."""
         geodetic = "north_m" not in self._variables and self._find(LAT_NAMES) is not None
         time_s, depth_m = self._times(), self._depths()
         north_m, east_m = self._geodetic_axes() if geodetic else (self._metres("north_m"), self._metres("east_m"))

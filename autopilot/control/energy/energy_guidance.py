@@ -34,8 +34,6 @@ from autopilot.core.model4 import YAW, R, U, Z
 
 
 class EnergyGuidance:
-    """See :class:`autopilot.control.path.guidance.Guidance`."""
-
     def __init__(
         self,
         allocator: ControlAllocator,
@@ -61,11 +59,9 @@ class EnergyGuidance:
 
     @property
     def unreachable(self) -> bool:
-        """See :class:`autopilot.control.path.guidance.Guidance`."""
         return self._track is None and self._route.unreachable
 
     def reset(self) -> None:
-        """See :class:`Guidance`."""
         self._step = 0
         self._last_us: int | None = None
         self._goal_key: tuple[float, ...] | None = None
@@ -88,11 +84,9 @@ class EnergyGuidance:
         self._notices: EnergyPlan | None = None
 
     def take_notices(self) -> list[tuple[Severity, str]]:
-        """See :class:`autopilot.control.path.guidance.Guidance`."""
         return self._mishaps.take_notices() + self._route.take_notices()
 
     def reference(self, situation: GuidanceInputs) -> Reference:
-        """See :class:`Guidance`."""
         now = situation
         elapsed_s = 0.0 if self._last_us is None else max(0.0, (now.t_us - self._last_us) * 1e-6)
         self._last_us = now.t_us
@@ -107,7 +101,6 @@ class EnergyGuidance:
         return self._along(self._track, now, fresh)
 
     def ahead(self, here: FloatArray) -> FloatArray:
-        """See :class:`Guidance`."""
         return self._route.ahead(here) if self._track is None else np.vstack([here, self._track.ahead()])
 
     def _setting_out(self, route: Reference) -> Reference:
@@ -250,7 +243,6 @@ class EnergyGuidance:
         return True
 
     def _take(self, request: TrajectoryRequest, plan: Plan, now: GuidanceInputs) -> bool:
-        """Put an answer into force."""
         if plan.trajectory is None:
             if request.kind is Kind.QUICK:
                 # Another way or turn, or a shorter trajectory, may be solved.
@@ -366,7 +358,6 @@ class EnergyGuidance:
         return float(np.sqrt(((forecast - assumed)[:, :2] ** 2).sum(axis=1).mean())) > GUIDANCE.changed_m_s
 
     def _ask(self, now: GuidanceInputs, kind: Kind, goal: Goal, x0: FloatArray, warm: TrackedTrajectory | None) -> None:
-        """Hand a request in."""
         params, fence = now.params, now.fence
         places = [x0[:2], np.asarray(goal.pos_ned_m[:2], dtype=float)]
         if goal.following is not None:

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True, slots=True)
 class FieldTuning:
-    """Of :mod:`autopilot.control.energy.field`."""
+    """Constants of :mod:`autopilot.control.energy.field`."""
 
     jog_nodes: int = 2
     snap_m: float = 0.4
@@ -22,7 +22,7 @@ FIELD = FieldTuning()
 
 @dataclass(frozen=True, slots=True)
 class FlowTuning:
-    """Of :mod:`autopilot.control.energy.flow`."""
+    """Constants of :mod:`autopilot.control.energy.flow`."""
 
     max_samples: int = 1500
     finest_sample_m: float = 0.1
@@ -40,7 +40,7 @@ FLOW = FlowTuning()
 
 @dataclass(frozen=True, slots=True)
 class EnergyGuidanceTuning:
-    """Of :mod:`autopilot.control.energy.energy_guidance`."""
+    """Constants of :mod:`autopilot.control.energy.energy_guidance`."""
 
     off_track_m: float = 0.15
     """A vehicle this far from its trajectory gets a new one."""
@@ -107,7 +107,7 @@ GUIDANCE = EnergyGuidanceTuning()
 
 @dataclass(frozen=True, slots=True)
 class LegTaskTuning:
-    """Of :mod:`autopilot.control.energy.leg_task`."""
+    """Constants of :mod:`autopilot.control.energy.leg_task`."""
 
     intervals: int = 48
     """Of a trajectory: 0.2 s each in the paper's tank."""
@@ -162,7 +162,7 @@ LEG_TASK = LegTaskTuning()
 
 @dataclass(frozen=True, slots=True)
 class PatienceTuning:
-    """Of :mod:`autopilot.control.energy.patience`."""
+    """Constants of :mod:`autopilot.control.energy.patience`."""
 
     step_s: float = 0.05
     """Between control steps."""
@@ -181,7 +181,7 @@ PATIENCE = PatienceTuning()
 
 @dataclass(frozen=True, slots=True)
 class PowerTuning:
-    """Of :mod:`autopilot.control.energy.power`."""
+    """Constants of :mod:`autopilot.control.energy.power`."""
 
     thrust_smoothing_n2: float = 1e-4
     """|F|^1.5 is taken as (F^2 + this)^0.75, twice differentiable at rest (10 mN)."""
@@ -198,7 +198,7 @@ POWER = PowerTuning()
 
 @dataclass(frozen=True, slots=True)
 class SearchTuning:
-    """Of :mod:`autopilot.control.energy.search`."""
+    """Constants of :mod:`autopilot.control.energy.search`."""
 
     shorter_s: tuple[float] = (18.0,)
     """So far if none of that length is solved: shorter intervals find their way through doors."""
@@ -225,7 +225,7 @@ SEARCH = SearchTuning()
 
 @dataclass(frozen=True, slots=True)
 class ShootingTuning:
-    """Of :mod:`autopilot.control.energy.shooting`."""
+    """Constants of :mod:`autopilot.control.energy.shooting`."""
 
     planes: int = 6
     """Half-planes per node."""
@@ -241,7 +241,7 @@ SHOOTING = ShootingTuning()
 
 @dataclass(frozen=True, slots=True)
 class TrackTuning:
-    """Of :mod:`autopilot.control.energy.track`."""
+    """Constants of :mod:`autopilot.control.energy.track`."""
 
     yaw_lever_m: float = 0.3
     """A radian of heading counts as so many metres when the nearest point of the trajectory is looked for."""
@@ -263,7 +263,7 @@ TRACK = TrackTuning()
 
 @dataclass(frozen=True, slots=True)
 class TrajectoryTuning:
-    """Of :mod:`autopilot.control.energy.trajectory`."""
+    """Constants of :mod:`autopilot.control.energy.trajectory`."""
 
     substep_s: float = 0.5
     """Longest RK4 step: with longer ones the program makes a profit of integration errors in the unstable sway-yaw

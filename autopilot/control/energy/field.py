@@ -35,8 +35,6 @@ LONGEST_MOVE = math.hypot(3, 2)
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class FieldPath:
-    """A way to the goal."""
-
     points_ned_m: FloatArray
     """(m, 2) from the start to the goal"""
     energy_j: float

@@ -80,7 +80,6 @@ def steps(count: int) -> Interval:
 
 
 def interval_code() -> str:
-    """The C source."""
     generator = ca.CodeGenerator("interval.c", {"with_header": False})
     for function in _expressions():
         generator.add(function)

@@ -11,8 +11,6 @@ from autopilot.control.path.planner import Planner
 
 
 class Kind(enum.Enum):
-    """Requests by what they take."""
-
     QUICK = "first plan of a leg"
     """From nothing: the cheapest way with either turn, to set out with."""
     COLD = "full search"
@@ -35,8 +33,6 @@ class NoPlanError(Exception):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Asked:
-    """What a request depended on."""
-
     planner: Planner
     bounds: tuple[float, ...]
     """Speed cap and thrust limits."""
@@ -63,11 +59,9 @@ class Patience:
         self._asked: _Asked | None = None
 
     def ask(self, now: GuidanceInputs) -> None:
-        """A request is handed in."""
         self._asked = _Asked.of(now)
 
     def failed(self) -> None:
-        """It came to nothing."""
         self._failures += 1
 
     def succeeded(self) -> None:

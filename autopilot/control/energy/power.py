@@ -18,8 +18,6 @@ from autopilot.core.vehicle import Vehicle
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PowerModel:
-    """Electrical power of the vehicle."""
-
     hotel_w: float
     thrust_w_n15: tuple[float, ...]
     """c in P = c |F|^1.5 of each of the n thrusters, ahead."""
@@ -28,7 +26,6 @@ class PowerModel:
 
     @classmethod
     def of(cls, vehicle: Vehicle) -> "PowerModel":
-        """From the vehicle file."""
         drives = [thruster.drive for thruster in vehicle.thrusters]
         ahead = tuple(drive.power_w_n15 for drive in drives)
         astern = tuple(drive.reverse_power_w_n15 or drive.power_w_n15 for drive in drives)

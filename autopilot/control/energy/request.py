@@ -48,8 +48,6 @@ class TrajectoryRequest:
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Plan:
-    """An answer."""
-
     goal: Goal
     trajectory: Trajectory | None
     """None if there is no way."""

@@ -33,7 +33,6 @@ class EnergyPlanner:
         self._spaces: dict[int, tuple[Features, tuple[float, ...], FreeSpace]] = {}
 
     def warm(self) -> None:
-        """See :class:`TrajectoryPlanner`."""
         self._program(0.0)
         still = np.zeros((FLOW.least_samples, FLOW.least_samples, 3))
         still[0] = 1.0

@@ -133,7 +133,7 @@ class Shooting:
         return parts, following, thrusts, motion, end
 
     def _values(self, z: Any, p: Any) -> tuple[Any, Any]:
-        """Cost and rows."""
+        """Objective and constraint values."""
         n = self._n
         parts, x, thrusts, motion, end = self._split(z, p)
         heave, turn, shallow, deep = ca.vertsplit(parts["limits"][:, 1:])
@@ -152,7 +152,6 @@ class Shooting:
         return cost, ca.vertcat(ca.vec(rows), end_rows)
 
     def _gradient(self, z: Any, p: Any) -> Any:
-        """Of the cost."""
         n = self._n
         _, _, thrusts, _, end = self._split(z, p)
         watts, slopes = self._watt_slopes(thrusts)
@@ -162,7 +161,6 @@ class Shooting:
         return ca.vertcat(ca.vec(table), SHOOTING.cost_scale * (self._power.hotel_w + ca.sum2(watts) / n))
 
     def _jacobian(self, z: Any, p: Any) -> Any:
-        """Of the rows."""
         n = self._n
         parts, x, _, motion, end = self._split(z, p)
         matrix = _Sparse(ROWS * n + SHOOTING.end_rows, self._block * n + 1)

@@ -39,7 +39,6 @@ class TrackedTrajectory:
 
     @property
     def length_s(self) -> float:
-        """From beginning to end."""
         return float(self.trajectory.t_s[-1])
 
     @property

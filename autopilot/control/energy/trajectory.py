@@ -59,8 +59,6 @@ class Ask:
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Trajectory:
-    """A solution."""
-
     t_s: FloatArray
     """(n + 1,) from its beginning."""
     x: FloatArray
@@ -144,7 +142,6 @@ class Program:
         )
 
     def _bounds(self, ask: Ask) -> tuple[FloatArray, FloatArray]:
-        """Of the variables."""
         n, thrusters = self.n, self._thrusters
         upper = np.full((n, thrusters + NX), np.inf)
         upper[:, :thrusters] = ask.thrust_limit_n
@@ -176,27 +173,22 @@ class _Stop(ca.Callback):
         """Whether a rough solution was good enough."""
 
     def get_n_in(self) -> int:
-        """What a solver gives out."""
         return int(ca.nlpsol_n_out())
 
     def get_n_out(self) -> int:
-        """One flag."""
         return 1
 
     def get_name_in(self, i: int) -> str:
-        """As the solver names them."""
         return str(ca.nlpsol_out(i))
 
     def get_name_out(self, i: int) -> str:
-        """As the solver wants it."""
         return "ret"
 
     def get_sparsity_in(self, i: int) -> Any:
-        """Columns."""
         return ca.Sparsity.dense(self._sizes[self.get_name_in(i)])
 
     def eval(self, arg: Any) -> list[int]:
-        """1 = stop."""
+        """Return 1 to stop the solver."""
         rows = arg[2].full().ravel()
         off = float(max((self._lower - rows).max(), (rows - self._upper).max()))
         if self._rough:

@@ -20,8 +20,6 @@ MAX_RK4_STEP_S = 0.5
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class TimeGrid:
-    """Nodes of the prediction."""
-
     dt_s: FloatArray
     """(N,) lengths of the intervals."""
     t_s: FloatArray
@@ -43,7 +41,6 @@ def grid_of(dt_s: FloatArray) -> TimeGrid:
 
 
 def uniform_grid(n: int, dt_s: float = REFERENCE_DT_S) -> TimeGrid:
-    """``n`` equal intervals."""
     return grid_of(np.full(n, dt_s))
 
 

@@ -38,7 +38,7 @@ LEARN_S = 3.0
 
 
 class _Ahead(compiled.Mirror):
-    """The struct of follow.c."""
+    """ctypes layout of the struct in follow.c."""
 
     _fields_ = (
         ("thrusters", ctypes.c_long),

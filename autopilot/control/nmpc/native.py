@@ -29,7 +29,7 @@ ARRAYS = (
 
 
 class _Task(compiled.Mirror):
-    """The struct of task.h."""
+    """ctypes layout of the struct in task.h."""
 
     _fields_ = (
         ("n", ctypes.c_long),

@@ -75,8 +75,6 @@ class NmpcProblem:
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class NmpcResult:
-    """The new plan."""
-
     status: SolveStatus
     x: FloatArray
     """(N+1, 8) predicted states."""
@@ -92,7 +90,7 @@ class NmpcResult:
 
 
 class QpStep(ocp.StepArrays):
-    """One step built by CasADi."""
+    """QP step as a CasADi function."""
 
     def __init__(self, model: Model4, grid: TimeGrid, planes: int, backend: ocp.QpBackend) -> None:
         super().__init__(model, grid.n, planes)

@@ -31,7 +31,6 @@ class DriveGuidance:
         self.reset()
 
     def reset(self) -> None:
-        """See :class:`autopilot.control.path.guidance.Guidance`."""
         self._fresh = True
         self._yaw_target: float | None = None
         self._way = np.zeros((1, 2))
@@ -41,11 +40,9 @@ class DriveGuidance:
         return []
 
     def ahead(self, here: FloatArray) -> FloatArray:
-        """See :class:`autopilot.control.path.guidance.Guidance`."""
         return np.concatenate([here[None], self._way[1:]])
 
     def reference(self, situation: GuidanceInputs) -> Reference:
-        """See :class:`autopilot.control.path.guidance.Guidance`."""
         now, fresh, self._fresh = situation, self._fresh, False
         drive = now.goal.drive or VelocityGoal()
         target = self._target(now, drive)
@@ -178,5 +175,4 @@ class DriveGuidance:
 
 
 def _point(place: complex) -> FloatArray:
-    """As an array (1, 2)."""
     return np.array([[place.real, place.imag]])

@@ -87,9 +87,7 @@ class Guidance(Protocol):
         """Forget everything (after disarming, a jump of the estimate)."""
         ...
 
-    def reference(self, situation: GuidanceInputs) -> Reference:
-        """The reference for this step."""
-        ...
+    def reference(self, situation: GuidanceInputs) -> Reference: ...
 
     def ahead(self, here: FloatArray) -> FloatArray:
         """(m, 2) the way from ``here`` (2,) to the goal, first row here, for display."""
@@ -159,13 +157,12 @@ class ReferenceLookahead:
         self.reset()
 
     def reset(self) -> None:
-        """Another way: nothing is behind."""
         self._behind_m = self._asked_m_s = 0.0
         self._last: tuple[Route, int, float] | None = None
 
     @property
     def m(self) -> float:
-        """Along the route."""
+        """Arc length along the route [m]."""
         return max(0.0, self._behind_m - BEHIND_M)
 
     def look(self, t_us: int, route: Route, s_m: float) -> None:
@@ -200,7 +197,6 @@ class RouteGuidance:
         self.reset()
 
     def reset(self) -> None:
-        """See :class:`Guidance`."""
         self._withdraw()
         self._step = 0
         self._asked: RouteRequest | None = None
@@ -217,11 +213,9 @@ class RouteGuidance:
         self.unreachable = False
 
     def take_notices(self) -> list[tuple[Severity, str]]:
-        """See :class:`Guidance`."""
         return self._mishaps.take_notices()
 
     def reference(self, situation: GuidanceInputs) -> Reference:
-        """See :class:`Guidance`."""
         fresh, route = self._update(situation)
         self._lead.look(situation.t_us, route, self._s)
         x, thrust = self._rollout(situation, route)
@@ -237,7 +231,6 @@ class RouteGuidance:
         return self._task is not None
 
     def ahead(self, here: FloatArray) -> FloatArray:
-        """See :class:`Guidance`."""
         route = self._route
         return here[None] if route is None or self.unreachable else route.ahead(here, self._s)
 

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True, slots=True)
 class DriveTuning:
-    """Of :mod:`autopilot.control.path.drive`."""
+    """Constants of :mod:`autopilot.control.path.drive`."""
 
     step_m: float = 0.12
     """The way ahead is looked at this often."""
@@ -35,7 +35,7 @@ DRIVE = DriveTuning()
 
 @dataclass(frozen=True, slots=True)
 class GuidanceTuning:
-    """Of :mod:`autopilot.control.path.guidance`."""
+    """Constants of :mod:`autopilot.control.path.guidance`."""
 
     velocity_weights: tuple[float, float, float, float] = (8.0, 8.0, 8.0, 0.5)
     """Weights on u, v, w [1/(m/s)^2] and r [1/(rad/s)^2]: enough to hold the cruise speed."""
@@ -60,7 +60,7 @@ GUIDANCE = GuidanceTuning()
 
 @dataclass(frozen=True, slots=True)
 class PlannerTuning:
-    """Of :mod:`autopilot.control.path.planner`."""
+    """Constants of :mod:`autopilot.control.path.planner`."""
 
     planning_extra_m: float = 0.04
     """Kept beyond the controller's own radius, so that the path lies where the controller can follow it with a margin,
@@ -95,7 +95,7 @@ PLANNER = PlannerTuning()
 
 @dataclass(frozen=True, slots=True)
 class ReferenceTuning:
-    """Of :mod:`autopilot.control.path.reference`."""
+    """Constants of :mod:`autopilot.control.path.reference`."""
 
     deceleration_m_s2: float = 0.12
     heave_deceleration_m_s2: float = 0.1

@@ -37,7 +37,7 @@ class _Graph:
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class _DistanceField:
-    """Distance to one goal."""
+    """Geodesic distance to one goal [m]."""
 
     goal_m: FloatArray
     distance_m: FloatArray

@@ -115,7 +115,7 @@ _DECELERATIONS = (
 
 
 class ReferenceStruct(compiled.Mirror):
-    """The struct of reference.c."""
+    """ctypes layout of the struct in reference.c."""
 
     _fields_ = (
         ("thrusters", ctypes.c_long),
@@ -127,7 +127,7 @@ class ReferenceStruct(compiled.Mirror):
 
 
 class RolloutArguments(compiled.Mirror):
-    """The struct of reference.c."""
+    """ctypes layout of the struct in reference.c."""
 
     _fields_ = (
         ("nodes", ctypes.c_long),

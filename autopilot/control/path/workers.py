@@ -28,12 +28,10 @@ class BackgroundWorkers:
 
     @property
     def executors(self) -> tuple[BackgroundWorker, ...]:
-        """All of them."""
         return self.routes, self.trajectories, self.certificates
 
     @property
     def names(self) -> tuple[str, ...]:
-        """In the same order."""
         return "routes", "trajectories", "certificates"
 
 

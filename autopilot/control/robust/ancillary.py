@@ -28,7 +28,7 @@ def lqr_gains(model: Model4, surges_m_s: FloatArray = SURGES_M_S) -> FloatArray:
 
 
 class Ancillary:
-    """The scheduled gain."""
+    """Feedback gain scheduled on planned surge."""
 
     def __init__(self, model: Model4) -> None:
         self.gains = lqr_gains(model)

@@ -24,7 +24,7 @@ class DisturbanceBound:
 
     @classmethod
     def of(cls, params: ParamSet) -> "DisturbanceBound":
-        """MPC_W_FORCE, MPC_W_MOMENT, MPC_W_CURRENT."""
+        """From the parameters MPC_W_FORCE, MPC_W_MOMENT, MPC_W_CURRENT."""
         return cls(
             force_n=params["MPC_W_FORCE"], moment_n_m=params["MPC_W_MOMENT"], current_m_s=params["MPC_W_CURRENT"]
         )

@@ -44,7 +44,7 @@ def error_jacobian(model: Model4, nu: FloatArray) -> FloatArray:
 
 
 def input_matrix(model: Model4) -> FloatArray:
-    """(8, n) effect of thrust."""
+    """Input matrix (8, n) of thrust [N]."""
     b = np.zeros((NX, model.thrusters))
     b[U:] = np.array(model.allocation) / np.array(model.mass_kg)[:, None]
     return b

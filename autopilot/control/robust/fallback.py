@@ -34,7 +34,6 @@ class FallbackWatch(NoticeQueue):
         self._solved = 0
 
     def watch(self, fallback: Fallback) -> None:
-        """Who has commanded one step."""
         row = TOLD.get(fallback)
         if row is not None:
             self._solved = 0
@@ -58,7 +57,6 @@ class FiniteWatch(NoticeQueue):
         self._sound = 0
 
     def watch(self, sound: bool) -> None:
-        """One step or tick."""
         if not sound:
             self._sound = 0
             self.count += 1

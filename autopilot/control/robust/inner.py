@@ -18,7 +18,7 @@ from autopilot.core.model4 import NX, YAW, U, V, W
 
 
 class _Inner(compiled.Mirror):
-    """The struct of follow.c."""
+    """ctypes layout of the struct in follow.c."""
 
     _fields_ = (
         ("n", ctypes.c_long),

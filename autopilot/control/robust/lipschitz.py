@@ -49,7 +49,6 @@ class LipschitzReport:
 
     @property
     def text(self) -> str:
-        """One line for the operator."""
         if self.empty_node is None:
             return f"Lipschitz sets hold to the horizon's end at {self.t_s[-1]:.1f} s"
         when = f"node {self.empty_node} ({self.t_s[self.empty_node]:.2f} s)"
@@ -146,7 +145,6 @@ class LipschitzMargins:
         return lipschitz_report(self._model, self._grid, params, bound, start_m=start_m, constants=self._constants)
 
     def back_offs(self, nav: NavState, x: FloatArray, thrust_n: FloatArray, params: ParamSet) -> BackOffs:
-        """See :class:`autopilot.control.robust.tightening.Tightening`."""
         report = self.report(nav, params)
         last = self._grid.n - 1 if report.empty_node is None else max(report.empty_node - 1, 0)
         rows = report.back_off[np.minimum(np.arange(1, self._grid.n), last)]

@@ -48,7 +48,6 @@ class Margins(NoticeQueue):
         self._idle = np.zeros((grid.n, model.thrusters))
 
     def back_offs(self, nav: NavState, x: FloatArray, thrust_n: FloatArray, params: ParamSet) -> BackOffs:
-        """See :class:`autopilot.control.robust.tightening.Tightening`."""
         mode = Tighten(int(params["MPC_TIGHTEN"]))
         if mode is Tighten.TUBE:
             self._told = False

@@ -20,7 +20,6 @@ class SpeedEvidence:
         self.reset()
 
     def reset(self) -> None:
-        """Nothing has been seen."""
         self._t_us: int | None = None
         self._reset_count = -1
         self._needed = 1.0

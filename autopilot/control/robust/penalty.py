@@ -16,14 +16,11 @@ PATIENCE_STEPS = 20
 
 
 class PenaltyWatch(NoticeQueue):
-    """One per controller."""
-
     def __init__(self) -> None:
         super().__init__()
         self.reset()
 
     def reset(self) -> None:
-        """Forget."""
         self._steps = 0
         self._notices = []
 

@@ -27,8 +27,6 @@ AT_PLACE = ("clearance", "acceptance radius", "acceptance heading", "depth", "de
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class _RegionRequest:
-    """What is to be certified."""
-
     model: Model4
     law: Terminal
     goal: Goal
@@ -52,7 +50,6 @@ class TerminalRegions(NoticeQueue):
         self.reset()
 
     def reset(self) -> None:
-        """There is no goal."""
         self._withdraw()
         self._step = 0
         self._key: tuple[object, ...] = ()

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True, slots=True)
 class AncillaryTuning:
-    """Of :mod:`autopilot.control.robust.ancillary`."""
+    """Constants of :mod:`autopilot.control.robust.ancillary`."""
 
     state_weights: tuple[float, float, float, float, float, float, float, float] = (
         60.0,
@@ -29,7 +29,7 @@ ANCILLARY = AncillaryTuning()
 
 @dataclass(frozen=True, slots=True)
 class DisturbanceTuning:
-    """Of :mod:`autopilot.control.robust.disturbance`."""
+    """Constants of :mod:`autopilot.control.robust.disturbance`."""
 
     bound_sigmas: float = 3.0
     """A bound is read as three standard deviations."""
@@ -43,7 +43,7 @@ DISTURBANCE = DisturbanceTuning()
 
 @dataclass(frozen=True, slots=True)
 class MismatchTuning:
-    """Of :mod:`autopilot.control.robust.mismatch_evidence`."""
+    """Constants of :mod:`autopilot.control.robust.mismatch_evidence`."""
 
     near_share: float = 0.8
     """Speeds above this share of the cap say something about keeping it."""
@@ -74,7 +74,7 @@ EVIDENCE = MismatchTuning()
 
 @dataclass(frozen=True, slots=True)
 class FallbackTuning:
-    """Of :mod:`autopilot.control.robust.fallback`."""
+    """Constants of :mod:`autopilot.control.robust.fallback`."""
 
     position_gain_1_s: float = 0.4
     yaw_gain_1_s: float = 0.8
@@ -92,7 +92,7 @@ FALLBACK = FallbackTuning()
 
 @dataclass(frozen=True, slots=True)
 class RegionsTuning:
-    """Of :mod:`autopilot.control.robust.regions`."""
+    """Constants of :mod:`autopilot.control.robust.regions`."""
 
     answer_steps: int = 20
     """A certificate is taken so many control steps after it was asked for (1 s at 20 Hz): nothing waits for it."""
@@ -112,7 +112,7 @@ REGIONS = RegionsTuning()
 
 @dataclass(frozen=True, slots=True)
 class StationTuning:
-    """Of :mod:`autopilot.control.robust.station`."""
+    """Constants of :mod:`autopilot.control.robust.station`."""
 
     hold_radius_m: float = 0.25
     hold_yaw_rad: float = 0.35
@@ -131,7 +131,7 @@ STATION = StationTuning()
 
 @dataclass(frozen=True, slots=True)
 class TerminalTuning:
-    """Of :mod:`autopilot.control.robust.terminal`."""
+    """Constants of :mod:`autopilot.control.robust.terminal`."""
 
     kappa: float = 1.3
     """With 1 the sampled decrease of the nonlinear model fails by 2 %; between 1.2 and 1.5 it holds."""
@@ -149,7 +149,7 @@ TERMINAL = TerminalTuning()
 
 @dataclass(frozen=True, slots=True)
 class TubeTuning:
-    """Of :mod:`autopilot.control.robust.tube`."""
+    """Constants of :mod:`autopilot.control.robust.tube`."""
 
     force_correlation_s: float = 1.0
     current_correlation_s: float = 2.0

@@ -45,7 +45,6 @@ class StationKeeper:
         return self._target
 
     def release(self) -> None:
-        """Somebody else has the thrusters."""
         self._target, self._law, self.inside = None, None, False
 
     def thrust(self, x: FloatArray, current_ned_m_s: FloatArray, limit_n: FloatArray) -> FloatArray:

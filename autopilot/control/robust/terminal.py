@@ -75,7 +75,7 @@ class Terminal:
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Certificate:
-    """What was verified."""
+    """Result of the sampling check."""
 
     alpha: float
     """Level of the region, 0 = it is empty."""
@@ -104,7 +104,6 @@ class Certificate:
 
     @property
     def text(self) -> str:
-        """One line."""
         if self.alpha <= 0.0:
             return f"no terminal region: the goal is beyond its {self.binding} limit"
         size = f"{self.radius_m:.3f} m, {math.degrees(self.yaw_rad):.1f} deg"

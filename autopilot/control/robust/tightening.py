@@ -64,7 +64,6 @@ class FixedMargins:
         self._back_offs: BackOffs | None = None
 
     def values(self, params: ParamSet) -> FixedValues:
-        """As the parameters are now."""
         return FixedValues(
             clearance_m=params["MPC_MARGIN"],
             planar_speed_m_s=params["MPC_SPEED_MARGIN"],
@@ -73,7 +72,6 @@ class FixedMargins:
         )
 
     def back_offs(self, nav: NavState, x: FloatArray, thrust_n: FloatArray, params: ParamSet) -> BackOffs:
-        """See :class:`Tightening`."""
         values = self.values(params)
         if self._back_offs is None or values != self._values:
             self._values = values
@@ -89,5 +87,4 @@ class FixedMargins:
         return self._back_offs
 
     def clearance_m(self, params: ParamSet) -> float:
-        """See :class:`Tightening`."""
         return params["MPC_MARGIN"]

@@ -44,7 +44,7 @@ class Actuation:
         """Measured voltage, None = nominal."""
 
     def nothing(self) -> FloatArray:
-        """No thrust (n,)."""
+        """Zero thrust (n,)."""
         return np.zeros(self._count)
 
     # What is known
@@ -56,7 +56,6 @@ class Actuation:
 
     @property
     def shares(self) -> tuple[float, ...]:
-        """The same."""
         return self._losses.shares
 
     @property

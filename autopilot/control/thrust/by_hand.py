@@ -17,8 +17,6 @@ from autopilot.core.frames import FloatArray, wrap_pi
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class ByHand:
-    """What is asked for."""
-
     force: FloatArray
     """(4,) X, Y, Z [N] and N [N m]."""
     yaw_rate_rad_s: float | None = None
@@ -45,7 +43,6 @@ class HandLaw:
         self.release()
 
     def release(self) -> None:
-        """Somebody else has the thrusters."""
         self._last_us: int | None = None
         self._yaw_rad: float | None = None
         self._depth_m: float | None = None

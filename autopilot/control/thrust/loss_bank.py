@@ -139,8 +139,6 @@ class Beliefs:
 
 
 class Memory(NamedTuple):
-    """What a bank knows."""
-
     x: FloatArray
     p: FloatArray
     evidence: FloatArray

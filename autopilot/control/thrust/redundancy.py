@@ -79,12 +79,10 @@ class TiltEvidence:
         """So many there were."""
 
     def forget(self, looks: int = REDUNDANCY.kept_looks) -> None:
-        """The last looks say nothing."""
         for _ in range(min(looks, len(self._looks))):
             self._looks.pop()
 
     def look(self, look: FilteredMotion) -> None:
-        """Remember it."""
         self.clock_s += look.dt_s
         self.looks += 1
         self._looks.append((self.clock_s, look))

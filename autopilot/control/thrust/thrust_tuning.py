@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True, slots=True)
 class ByHandTuning:
-    """Of :mod:`autopilot.control.thrust.by_hand`."""
+    """Constants of :mod:`autopilot.control.thrust.by_hand`."""
 
     yaw_gain_1_s: float = 1.2
     yaw_rate_gain_1_s: float = 3.0
@@ -31,7 +31,7 @@ BY_HAND = ByHandTuning()
 
 @dataclass(frozen=True, slots=True)
 class AttitudeStabilisationTuning:
-    """Of :mod:`autopilot.control.thrust.attitude_stabilisation`."""
+    """Constants of :mod:`autopilot.control.thrust.attitude_stabilisation`."""
 
     most: float = 0.5
     """At most this share of a thruster's limit is kept for levelling."""
@@ -47,7 +47,7 @@ ATTITUDE_STABILISATION = AttitudeStabilisationTuning()
 
 @dataclass(frozen=True, slots=True)
 class LossBankTuning:
-    """Of :mod:`autopilot.control.thrust.loss_bank`."""
+    """Constants of :mod:`autopilot.control.thrust.loss_bank`."""
 
     free: int = 1
     """The filter to which all thrusters are unknown."""
@@ -62,7 +62,7 @@ LOSS_BANK = LossBankTuning()
 
 @dataclass(frozen=True, slots=True)
 class LossesTuning:
-    """Of :mod:`autopilot.control.thrust.losses`."""
+    """Constants of :mod:`autopilot.control.thrust.losses`."""
 
     report_every_ticks: int = 50
     """Twice per second: for the log, and to look anew at what the thrusters allow."""
@@ -77,7 +77,7 @@ LOSSES = LossesTuning()
 
 @dataclass(frozen=True, slots=True)
 class ThrusterHealthTuning:
-    """Of :mod:`autopilot.control.thrust.thruster_health`."""
+    """Constants of :mod:`autopilot.control.thrust.thruster_health`."""
 
     headings: int = 72
     """Headings tried for a hover; a multiple of four, so that abeam is exactly among them."""
@@ -96,7 +96,7 @@ THRUSTER_HEALTH = ThrusterHealthTuning()
 
 @dataclass(frozen=True, slots=True)
 class RedundancyTuning:
-    """Of :mod:`autopilot.control.thrust.redundancy`."""
+    """Constants of :mod:`autopilot.control.thrust.redundancy`."""
 
     alike: float = 0.2
     """Columns that differ by less than this share of them are hard to tell apart: 11 degrees."""
