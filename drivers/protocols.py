@@ -44,7 +44,7 @@ class Device(Protocol):
 
 
 class Sensor(Device, Protocol[T]):
-    """A source of samples (:mod:`autopilot.core.messages`)."""
+    """A source of samples (:mod:`autopilot.core.samples`)."""
 
     def poll(self, t_us: int) -> list[T]:
         """Samples that have arrived up to ``t_us``, without blocking.

@@ -38,7 +38,7 @@ Push: TypeAlias = tuple[float, float, float, float, float, float]
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Truth:
-    """Where the vehicle really is and what it really does."""
+    """True state of the simulated vehicle."""
 
     t_us: int
     pos_ned_m: FloatArray
@@ -89,6 +89,8 @@ class _Instant(NamedTuple):
 
 
 class Plant:
+    """Rigid body with thrusters, battery, tether and contact in the environment of a scenario."""
+
     def __init__(
         self,
         vehicle: Vehicle,
@@ -406,7 +408,13 @@ class Plant:
 
 
 def build_plant(scenario: Scenario, vehicle: Vehicle) -> Plant:
-    """The plant of a scenario, thruster faults included. ConfigError if the start is outside the tank or touches."""
+    """The plant of a scenario, thruster faults included.
+
+    Raises
+    ------
+    ConfigError
+        The start is outside the tank or in contact with something.
+    """
     start = scenario.vehicle
     return Plant(
         vehicle,

@@ -1,7 +1,8 @@
-"""Everything that crosses a boundary: samples in, estimates, goals, commands out.
+"""Records that cross the boundaries of the program: samples in, estimates, goals, commands out.
 
-Frozen dataclasses, time first (``t_us``: microseconds since the service's clock started), SI, radians, shapes in the
-field comments. A field that may be absent is None. Samples of sensors: :mod:`autopilot.core.samples`.
+Frozen dataclasses, time first (``t_us``: microseconds since the service's clock started), SI units, radians. A field's
+name ends with its unit and contains its frame (``ned``, ``frd``); its comment gives the shape. A field that may be
+absent is None. Sensor samples: :mod:`autopilot.core.samples`.
 """
 
 from collections.abc import Mapping
@@ -25,7 +26,7 @@ MAX_THRUSTERS = 8
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class MavlinkFrame:
-    """Raw bytes of one datagram or packet on one link."""
+    """Raw bytes of one MAVLink frame or datagram on one link."""
 
     link: int
     """Index of the link it came from or goes to; -1 = all links."""
@@ -57,7 +58,7 @@ def _has_key(data: bytes) -> bool:
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Inputs:
-    """All that the outside world said since the last tick."""
+    """Everything that was received since the last tick."""
 
     t_us: int
     samples: tuple[Sample, ...] = ()
@@ -107,7 +108,7 @@ class Between:
 
 
 class Authority(Enum):
-    """Who has a vehicle that has a flight controller of its own."""
+    """Who commands a vehicle with a lower flight controller."""
 
     OURS = "ours"
     """It does what we ask for, or will when armed."""
@@ -119,6 +120,8 @@ class Authority(Enum):
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class FlightControllerState:
+    """Authority, arming and faults of the lower flight controller."""
+
     t_us: int
     authority: Authority
     acts: bool
@@ -150,7 +153,7 @@ class DeviceRole(IntEnum):
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class DeviceTrouble:
-    """A device that could not be used on this tick; it is tried again on the next."""
+    """A device that failed on this tick; it is tried again on the next."""
 
     t_us: int
     device: DeviceRole
@@ -162,7 +165,7 @@ class DeviceTrouble:
 
 
 class NavHealth(IntEnum):
-    """How far the estimate can be trusted."""
+    """Validity of the estimate."""
 
     INVALID = 0
     DEAD_RECKONING = 1
@@ -170,7 +173,7 @@ class NavHealth(IntEnum):
 
 
 class NavDoubt(Enum):
-    """What the evidence speaks against while the estimate is being made. In the log a bit each, in this order."""
+    """Findings of the monitors against the estimate or its sensors. One bit each in the log, in this order."""
 
     ACCELEROMETER = "accelerometer"
     """Not believed: thrust and fixes say another acceleration (or the AHRS's tilt is wrong)."""
@@ -192,6 +195,8 @@ class NavDoubt(Enum):
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class NavState:
+    """The navigation state at ``t_us``, of the centre of gravity."""
+
     t_us: int
     health: NavHealth
     pos_ned_m: FloatArray
@@ -225,7 +230,7 @@ class AidState(IntEnum):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MarkerFit:
-    """How well the corners of a picture's markers lie where map, camera and the pose found from them have them."""
+    """Reprojection residuals of a marker pose."""
 
     known: int
     """Markers of the picture that were matched with the map."""
@@ -239,7 +244,7 @@ class MarkerFit:
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class AidStatus:
-    """What became of one measurement. Unused components are 0."""
+    """Result of one measurement update. Unused components are 0."""
 
     t_us: int
     sensor: str
@@ -260,7 +265,7 @@ class AidStatus:
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class NavCounters:
-    """What the estimator has counted so far, once per second."""
+    """Counters of the estimator, once per second."""
 
     t_us: int
     counts: Mapping[str, int]
@@ -269,7 +274,7 @@ class NavCounters:
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class ShadowStatus:
-    """Estimate of the flown estimator minus that of the one in its shadow."""
+    """Difference between the primary estimator and the redundant one."""
 
     t_us: int
     pos_difference_ned_m: FloatArray
@@ -288,7 +293,7 @@ class ShadowStatus:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class VelocityGoal:
-    """A motion instead of a place: what a pilot, a circle or set points ask for now. Over ground."""
+    """A velocity over ground to be tracked instead of a position (pilot, circle, velocity set points)."""
 
     north_m_s: float = 0.0
     east_m_s: float = 0.0
@@ -305,7 +310,7 @@ class VelocityGoal:
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Goal:
-    """Where the vehicle should be: a terminal region, and how fast it may go there."""
+    """Terminal region of the vehicle and the speed towards it."""
 
     pos_ned_m: FloatArray
     """(3,)"""
@@ -340,6 +345,8 @@ class ProgressState(IntEnum):
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class MissionProgress:
+    """Progress of the mission."""
+
     t_us: int
     current_seq: int
     reached_seq: int
@@ -353,6 +360,8 @@ class MissionProgress:
 
 
 class SolveStatus(IntEnum):
+    """Result of one NMPC step."""
+
     OK = 0
     IDLE = 1
     """Not asked to solve (disarmed)."""
@@ -363,6 +372,8 @@ class SolveStatus(IntEnum):
 
 
 class Fallback(IntEnum):
+    """Source of the thrust command."""
+
     NONE = 0
     SHIFTED_PLAN = 1
     STATION_KEEPING = 2
@@ -375,7 +386,7 @@ FALLBACK_TEXT = "Controller: no solution"
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class NmpcStatus:
-    """Health of the controller, one per NMPC step."""
+    """Diagnostics of the controller, one per NMPC step."""
 
     t_us: int
     status: SolveStatus
@@ -397,7 +408,7 @@ class NmpcStatus:
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class UnsolvedProgram:
-    """A program of the optimiser that its solver has failed to solve, with all that it takes to solve it again."""
+    """A QP that the solver failed to solve, with all data needed to solve it again."""
 
     t_us: int
     solver: str
@@ -408,7 +419,7 @@ class UnsolvedProgram:
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class EnergyPlan:
-    """A trajectory of least energy that has just come into force."""
+    """A minimum-energy trajectory that has just become active."""
 
     seq: int
     """Mission item that it leads to, -1 when the goal is not of a mission."""
@@ -424,6 +435,8 @@ class EnergyPlan:
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class ControlOutput:
+    """Result of one controller step: thrust, prediction and diagnostics."""
+
     thrust_n: FloatArray
     """(n,) in the order of the vehicle file."""
     status: NmpcStatus
@@ -450,6 +463,8 @@ class ControlOutput:
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class ThrusterCommand:
+    """Command to the thrusters."""
+
     t_us: int
     thrust_n: FloatArray
     """(8,) unused = 0."""
@@ -461,7 +476,7 @@ class ThrusterCommand:
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class ThrusterHealthState:
-    """How much of its thrust each thruster gives, 1 = as the vehicle file says."""
+    """Effectiveness of each thruster, 1 = nominal thrust of the vehicle file."""
 
     t_us: int
     effectiveness: FloatArray
@@ -474,6 +489,8 @@ class ThrusterHealthState:
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class ModeState:
+    """Arming, flight mode and active failsafes."""
+
     t_us: int
     armed: bool
     custom_mode: int
@@ -564,7 +581,7 @@ class ProcessStats:
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class LoopStats:
-    """Health of the loop, once per second."""
+    """Timing of the control loop, once per second."""
 
     t_us: int
     tick_s: float
@@ -583,13 +600,13 @@ class LoopStats:
 
     @property
     def late_part(self) -> LoopPart:
-        """What most of the slowest tick went into."""
+        """The part with the largest share of the slowest tick."""
         return LoopPart(max(range(len(self.part_s)), key=self.part_s.__getitem__))
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class EstimatorInputs:
-    """What the estimator was given in one tick beside ``Inputs.samples``: with them, all that it went by."""
+    """Inputs of the estimator in one tick beside ``Inputs.samples``, for replay."""
 
     thrust_n: FloatArray
     """(n,) in the order of the vehicle file: what acted since the last tick, as far as the service knew."""
@@ -599,7 +616,7 @@ class EstimatorInputs:
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Outputs:
-    """All that should happen, and all that was decided, in one tick."""
+    """All results of one tick: commands and records for the log."""
 
     t_us: int
     command: ThrusterCommand

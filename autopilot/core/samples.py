@@ -1,6 +1,6 @@
-"""What the outside world says: samples of sensors, as drivers and the simulator deliver them.
+"""Sensor samples, as drivers and the simulator deliver them.
 
-Conventions as in :mod:`autopilot.core.messages`. ``t_us`` is the time of validity.
+Conventions as in :mod:`autopilot.core.messages`. ``t_us`` is the time of validity [us].
 """
 
 from dataclasses import dataclass
@@ -12,7 +12,7 @@ from autopilot.core.frames import FloatArray
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class AhrsSample:
-    """One AHRS frame. ``t_us`` is the time of validity as the driver knows it (arrival minus declared latency)."""
+    """One AHRS frame. ``t_us``: arrival minus the declared latency."""
 
     t_us: int
     rpy_rad: FloatArray
@@ -25,7 +25,7 @@ class AhrsSample:
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class ImuSample:
-    """One frame of a device that gives no attitude. ``t_us`` is the time of validity."""
+    """One frame of an IMU without attitude output."""
 
     t_us: int
     rate_frd_rad_s: FloatArray
@@ -40,14 +40,15 @@ class ImuSample:
 class CameraFrame:
     """One image. ``t_us`` is the time of exposure; pixels are BGR uint8 (rows, columns, 3).
 
-    Detection and log look at it on threads of their own: whoever made it does not write into it any more."""
+    Detection and log read it on threads of their own: the producer must not write to it any more.
+    """
 
     t_us: int
     image_bgr: Any
 
 
 class FrameVerdict(Enum):
-    """Why a picture is refused; ``OK`` = it is not."""
+    """Reason why an image is rejected; ``OK`` = accepted."""
 
     OK = "ok"
     WRONG_SIZE = "wrong_size"
@@ -66,7 +67,7 @@ class FrameVerdict(Enum):
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class PictureReport:
-    """What a picture looks like, before anybody has looked for markers."""
+    """Statistics of an image, computed before marker detection."""
 
     t_us: int
     verdict: FrameVerdict
@@ -83,7 +84,7 @@ MAX_SIGHTED = 64
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class MarkerSighting:
-    """What the vision front end found in one image. ``t_us`` is the time of exposure."""
+    """Markers and laser dot detected in one image. ``t_us`` is the time of exposure."""
 
     t_us: int
     ids: tuple[int, ...]
@@ -100,7 +101,7 @@ class MarkerSighting:
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class PoseSample:
-    """A measured pose of the vehicle (marker-pose sensor, external vision). ``t_us`` is the time of validity."""
+    """A measured pose of the vehicle (marker-pose sensor, external vision)."""
 
     t_us: int
     pos_ned_m: FloatArray
@@ -113,7 +114,7 @@ class PoseSample:
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class LaserSample:
-    """Range along the laser beam to the floor (for sensors that deliver a range and not a picture)."""
+    """Range along the laser beam to the floor, of sensors that deliver a range instead of an image."""
 
     t_us: int
     range_m: float
@@ -122,7 +123,7 @@ class LaserSample:
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class AltimeterSample:
-    """Range of a sonar altimeter's first echo. ``t_us`` is the time of validity."""
+    """Range of a sonar altimeter's first echo."""
 
     t_us: int
     range_m: float
@@ -134,7 +135,7 @@ class AltimeterSample:
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class DepthSample:
-    """Depth by pressure. ``t_us`` is the time of validity."""
+    """Depth from a pressure sensor."""
 
     t_us: int
     depth_m: float
@@ -143,7 +144,7 @@ class DepthSample:
 
 
 class VelocityLock(IntEnum):
-    """What a velocity is measured against."""
+    """Reference of a velocity measurement."""
 
     WATER = 0
     BOTTOM = 1
@@ -151,7 +152,7 @@ class VelocityLock(IntEnum):
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class VelocitySample:
-    """Velocity of the sensor in the body frame (DVL). ``t_us`` is the time of validity."""
+    """Velocity of a DVL at its mounting position, in the body frame."""
 
     t_us: int
     vel_frd_m_s: FloatArray
@@ -172,7 +173,7 @@ class ExternalFrame(IntEnum):
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class ExternalPoseSample:
-    """A pose from outside of the vehicle's own sensors. ``t_us`` is the time of validity."""
+    """A pose from a source outside of the vehicle (motion capture, acoustic positioning)."""
 
     t_us: int
     pos_m: FloatArray
@@ -187,6 +188,8 @@ class ExternalPoseSample:
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class PowerSample:
+    """Voltage and current at the battery terminals, and energy used."""
+
     t_us: int
     voltage_v: float
     current_a: float
@@ -197,7 +200,7 @@ class PowerSample:
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class LeakSample:
-    """A water sensor inside the hull. ``t_us`` is the time of validity."""
+    """State of a leak probe inside the hull."""
 
     t_us: int
     wet: bool
@@ -208,7 +211,7 @@ MAX_VOLTAGE_V, MAX_CURRENT_A, MAX_ENERGY_J = 1e3, 1e4, 1e12
 
 
 def plausible(power: PowerSample) -> bool:
-    """Whether a battery can say that."""
+    """Whether the values are physically possible for a battery."""
     return (
         0.0 <= power.voltage_v <= MAX_VOLTAGE_V
         and abs(power.current_a) <= MAX_CURRENT_A
@@ -219,7 +222,7 @@ def plausible(power: PowerSample) -> bool:
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class HullSample:
-    """The air inside the hull. ``t_us`` is the time of validity."""
+    """Pressure and temperature of the air inside the hull."""
 
     t_us: int
     pressure_pa: float | None
@@ -230,14 +233,14 @@ class HullSample:
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class PilotSample:
-    """A device has heard the pilot's sticks (a flight controller below us, a receiver). ``t_us``: when."""
+    """Input from the pilot's sticks was received by the flight controller or a receiver."""
 
     t_us: int
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class ObstacleTrack:
-    """An obstacle that something on board or outside has seen, as an upright cylinder. ``t_us``: time of validity."""
+    """A detected obstacle as a vertical cylinder."""
 
     t_us: int
     track_id: int

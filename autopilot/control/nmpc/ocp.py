@@ -118,7 +118,7 @@ def discrete_dynamics(model: model4.Model4, dt_s: float, substeps: int) -> ca.Fu
 
 
 def trimmed_dynamics(model: model4.Model4, dt_s: float, substeps: int) -> ca.Function:
-    """The same of a vehicle with another excess buoyancy [N], the fourth argument."""
+    """As :func:`discrete_dynamics`, with the excess buoyancy [N] as fourth argument."""
     x, u, c = ca.SX.sym("x", NX), ca.SX.sym("u", model.thrusters), ca.SX.sym("c", 3)
     lift: Any = ca.SX.sym("lift")
     h = dt_s / substeps
@@ -137,9 +137,9 @@ def trimmed_dynamics(model: model4.Model4, dt_s: float, substeps: int) -> ca.Fun
 
 
 def _fastest_rate_1_s(model: model4.Model4, scale: float) -> float:
-    """Largest rate at which small changes of the motion grow, fade or swing at ``scale`` times the ENVELOPE.
+    """Largest modulus of the eigenvalues of d nu'/d nu [1/s] at ``scale`` times the ENVELOPE.
 
-    Surge and sway together turn the vehicle (Munk moment): the yaw rate that comes of it belongs to the envelope.
+    Surge and sway together turn the vehicle (Munk moment): the yaw rate that results belongs to the envelope.
     """
     planar_m_s, heave_m_s, turn_rad_s = scale * np.array(ENVELOPE)
     munk_nm = 0.5 * abs(model.mass_kg[0] - model.mass_kg[1]) * planar_m_s**2
@@ -157,8 +157,9 @@ def _fastest_rate_1_s(model: model4.Model4, scale: float) -> float:
 
 
 def longest_step_s(model: model4.Model4) -> float:
-    """Longest RK4 step of the prediction: light vehicles with much drag are stiff (a turn of the LBV150 fades with
-    12 1/s). Past it a prediction does not get worse but explodes."""
+    """Longest stable RK4 step of the prediction [s]. Light vehicles with large drag are stiff (yaw of the LBV150
+    decays with 12 1/s); beyond this step the integration diverges.
+    """
     return min(MAX_RK4_STEP_S, RK4_REACH / _fastest_rate_1_s(model, 1.0))
 
 
@@ -216,17 +217,33 @@ class StepArrays:
         self.x, self.u, self.slack = np.zeros((n + 1, NX)), np.zeros((n, model.thrusters)), np.zeros((n - 1, N_SLACKS))
 
     def complete(self) -> bool:
-        """Whether all are numbers, bounds infinite at most: to solvers a wish for NaN is one for full thrust."""
+        """Whether all arguments are finite and no bound is NaN (bounds may be infinite): solvers treat NaN as full
+        thrust.
+        """
         return bool(np.isfinite(self._numbers).all() and not np.isnan(self._bounds).any())
 
 
 def build_qp_step(model: model4.Model4, grid: TimeGrid, planes: int, backend: QpBackend) -> ca.Function:
-    """The control step as a function.
+    """Build the control step (linearisation, QP, unpacking) as one CasADi function.
 
-    Arguments: see :func:`argument_shapes`; the first column of x_guess is the present state. Results: x (8, N+1),
-    u (thrusters, N), slack (2, N-1), figures (6: cost, largest violation of a QP row, largest gap of the guess, largest
-    overshoot of a thrust bound before it was clipped, sum of the step: not finite when any of it is not, largest
-    multiplier of a soft row as a share of the penalty), multipliers.
+    Parameters
+    ----------
+    model
+        The 4-DoF model.
+    grid
+        Prediction grid of N intervals.
+    planes
+        Half-planes per stage.
+    backend
+        The QP solver.
+
+    Returns
+    -------
+    casadi.Function
+        Arguments: :func:`argument_shapes`; the first column of ``x_guess`` is the present state. Results: ``x``
+        (8, N+1), ``u`` (thrusters, N) [N], ``slack`` (2, N-1), ``figures`` (6: cost; largest violation of a QP row;
+        largest gap of the guess; largest overshoot of a thrust bound before clipping [N]; sum of the step, not finite
+        if any entry is not; largest multiplier of a soft row relative to the penalty's slope), ``multipliers``.
     """
     n = grid.n
     nu = model.thrusters

@@ -45,7 +45,7 @@ SELF_TEST_TOLERANCE = 0.05
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class NmpcProblem:
-    """What changes from step to step."""
+    """Data of one QP that change from step to step. N intervals; state order of :mod:`autopilot.core.model4`."""
 
     x0: FloatArray
     """(8,) present state, yaw on the same turn as the references."""
@@ -75,6 +75,8 @@ class NmpcProblem:
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class NmpcResult:
+    """Solution of one QP. With a status other than OK, ``x`` and ``thrust_n`` are the previous plan."""
+
     status: SolveStatus
     x: FloatArray
     """(N+1, 8) predicted states."""
@@ -181,7 +183,20 @@ def _condensed(model: Model4, grid: TimeGrid) -> tuple[FloatArray, FloatArray, F
 def choose_step(
     model: Model4, grid: TimeGrid, planes: int, backends: tuple[ocp.QpBackend, ...]
 ) -> tuple[QpStep | NativeStep, tuple[str, ...]]:
-    """The first backend that works, and why those before it do not; ConfigError if none passes its self-test."""
+    """The first QP backend that passes the self-test.
+
+    Returns
+    -------
+    step
+        The compiled step with its argument arrays.
+    reasons
+        One line for each backend before it, with the reason for its rejection.
+
+    Raises
+    ------
+    ConfigError
+        No backend passes.
+    """
     reasons = []
     for backend in backends:
         try:
@@ -197,7 +212,19 @@ def choose_step(
 
 
 class Nmpc:
-    """The controller's optimiser with its plan."""
+    """Real-time iteration NMPC: holds the plan, states ``x`` (N+1, 8) and thrust ``u`` (N, thrusters) [N].
+
+    Parameters
+    ----------
+    model
+        The 4-DoF model.
+    grid
+        Prediction grid of N intervals.
+    planes
+        Half-planes per stage.
+    backends
+        QP solvers in order of preference.
+    """
 
     def __init__(
         self,
@@ -228,15 +255,15 @@ class Nmpc:
 
     @property
     def guess(self) -> tuple[FloatArray, FloatArray]:
-        """States (N+1, 8) and thrust (N, thrusters) that the last QP was made around."""
+        """Linearisation point of the last QP: states (N+1, 8) and thrust (N, thrusters) [N]."""
         return self._step.x_guess.copy(), self._step.u_guess.copy()
 
     def set_plan(self, x: FloatArray, thrust_n: FloatArray) -> None:
-        """Start from this guess: states (N+1, 8) and thrust (N, thrusters)."""
+        """Replace the plan: states (N+1, 8) and thrust (N, thrusters) [N]."""
         self.x[:], self.u[:] = x, thrust_n
 
     def shift(self, delta_s: float) -> None:
-        """Move the plan ``delta_s`` into the future."""
+        """Shift the plan by ``delta_s`` [s] (warm start), interpolated on the grid."""
         key = round(delta_s, 6)
         if key not in self._shifts:
             if len(self._shifts) > 64:
@@ -256,7 +283,20 @@ class Nmpc:
         np.clip(moves[:, 2:], (-heave_m_s, -yaw_rate_rad_s), (heave_m_s, yaw_rate_rad_s), out=moves[:, 2:])
 
     def solve(self, problem: NmpcProblem) -> NmpcResult:
-        """One QP around the plan. The plan is replaced only when the result passes every check."""
+        """Solve one Gauss-Newton QP around the present plan.
+
+        Parameters
+        ----------
+        problem
+            Initial state, references, weights, bounds and half-planes.
+
+        Returns
+        -------
+        NmpcResult
+            ``status`` OK only if the solution is finite and satisfies every row of the QP to VIOLATION_LIMIT; only
+            then it replaces the plan. The arrays are views of the plan. No exceptions: a failure of the solver is a
+            status.
+        """
         step, self.last_problem = self._step, problem
         step.x_guess[:] = self.x
         step.x_guess[0] = problem.x0

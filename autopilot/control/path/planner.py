@@ -1,11 +1,12 @@
-"""Shortest free path round the inflated fence, so that the NMPC does not end in a pocket.
+"""Shortest free path in the workspace, so that the NMPC does not stop in a local minimum.
 
-The free space of the workspace (:mod:`autopilot.core.free_space`), its geodesic distance from the goal (Dijkstra, 16
-directions), descent from the vehicle, and line-of-sight short cuts. The free space belongs to a fence, the distance
-field to a goal; both are made only when that changes, and not at all while the straight line is free. What is kept
-saves time and changes no answer: a path is a function of fence, radius, start and goal.
+Graph of the free space (:mod:`autopilot.core.free_space`), geodesic distance from the goal (Dijkstra, 16 directions),
+descent from the vehicle, line-of-sight shortcuts. The graph belongs to a fence, the distance field to a goal; both are
+computed only when that changes, and not at all while the straight line is free. The caches save time and do not
+change results: a path is a function of fence, radius, start and goal.
 
-:meth:`Planner.path` takes up to half a second and is for a desk; everything else fits into a control step.
+:meth:`Planner.path` takes up to half a second and runs on a background worker; everything else fits into a control
+step.
 """
 
 import math
@@ -68,17 +69,17 @@ class Planner:
         return None
 
     def sees(self, start_ned_m: FloatArray, goal_ned_m: FloatArray) -> bool:
-        """Whether the straight line is such a path (and a comfortable one)."""
+        """Whether the straight line is such a path, with the preferred clearance."""
         start, goal = np.asarray(start_ned_m[:2], dtype=float), np.asarray(goal_ned_m[:2], dtype=float)
         return self._finders[0].sees(start, goal)
 
     def free(self, path_ned_m: FloatArray) -> bool:
-        """Whether a path (m, 2) that was made for another fence can be gone on with for the next metres."""
+        """Whether the next metres of a path (m, 2) [m, NED] that was planned for another fence are still free."""
         return self._finders[1].free(path_ned_m)
 
 
 class _PathFinder:
-    """Paths that keep ``extra_m`` beyond a radius."""
+    """Paths with a clearance of radius plus ``extra_m`` [m]."""
 
     def __init__(self, fence: Fence, features: Features, radius_m: float, extra_m: float) -> None:
         self.fence = fence
@@ -117,7 +118,9 @@ class _PathFinder:
         return band if self._keeps_clear(band) else path
 
     def sees(self, a: FloatArray, b: FloatArray) -> bool:
-        """True if the straight line from a to b (2,) keeps the planning radius, apart from what its ends force."""
+        """True if the straight line from a to b (2,) [m] keeps the planning radius; near its ends, the clearance of
+        the ends.
+        """
         if self.features.count == 0:
             return True
         length = math.hypot(*(b - a))
@@ -182,7 +185,7 @@ class _PathFinder:
         return bool((self.features.clearance_up_to_m(between, self.radius_m) >= needed).all())
 
     def _graph_for(self, start: FloatArray, goal: FloatArray) -> _Graph | None:
-        """The graph of the area that a way may lead through, None if there is no area."""
+        """The graph of the area of possible paths, None if the area is empty."""
         area, graph = self._area(start, goal), self._graph
         if bool((area.high_m <= area.low_m).any()):
             return None

@@ -75,7 +75,7 @@ class Terminal:
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Certificate:
-    """Result of the sampling check."""
+    """Terminal region of one goal and the result of its verification by sampling."""
 
     alpha: float
     """Level of the region, 0 = it is empty."""
@@ -216,7 +216,7 @@ def unit_samples(count: int = TERMINAL.samples, seed: int = TERMINAL.seed) -> Fl
 
 
 class CertificateJob:
-    """The sampling of one goal, a slice at a time."""
+    """The verification of one goal in slices."""
 
     def __init__(self, model: Model4, law: Terminal, goal: Goal, limits: TerminalLimits, samples: FloatArray) -> None:
         self._model, self._law, self._goal, self._limits, self._samples = model, law, goal, limits, samples
@@ -231,7 +231,7 @@ class CertificateJob:
             self.certificate = self._certify()
 
     def advance(self, count: int) -> Certificate | None:
-        """Look at the next ``count`` samples; the certificate when that was the last of them."""
+        """Check the next ``count`` samples. The certificate once all are checked, else None."""
         if self.certificate is None:
             part = self._samples[self._done : self._done + count]
             error = math.sqrt(self._alpha) * (part @ self._to_error.T)
@@ -279,7 +279,23 @@ def certify(
     samples: FloatArray | None = None,
     look: Callable[[], None] = lambda: None,
 ) -> Certificate:
-    """The whole certificate at once. ``look`` is called between slices and may end the work by raising."""
+    """Verify a terminal region by sampling the nonlinear model.
+
+    Parameters
+    ----------
+    model
+        The 4-DoF model.
+    law
+        Steady input, gain and cost at the goal.
+    goal
+        Position, heading and acceptance radius.
+    limits
+        Limits that the region has to meet.
+    samples
+        (m, 8) points of the unit ball; None = :func:`unit_samples`.
+    look
+        Called between slices; an exception from it ends the work.
+    """
     job = CertificateJob(model, law, goal, limits, unit_samples() if samples is None else samples)
     while job.certificate is None:
         look()
@@ -288,7 +304,7 @@ def certify(
 
 
 def region_error(law: Terminal, x: FloatArray, pos_ned_m: FloatArray) -> FloatArray:
-    """Error (8,) of a state ``x`` (8,) against standing still at ``pos_ned_m`` (3,), in the goal's frame."""
+    """Error (8,) of a state ``x`` (8,) relative to rest over ground at ``pos_ned_m`` (3,), in the frame of the goal."""
     c, s = math.cos(law.yaw_rad), math.sin(law.yaw_rad)
     e = np.empty(NX)
     north, east = float(x[X] - pos_ned_m[0]), float(x[1] - pos_ned_m[1])
