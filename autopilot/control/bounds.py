@@ -1,4 +1,4 @@
-"""Limits and bounds of one program, from what margins leave of the vehicle's; and thrust that holds the plan."""
+"""Bounds of one NMPC problem after tightening, and the thrust that holds the plan."""
 
 import ctypes
 

@@ -126,7 +126,7 @@ class Controller(Protocol):
         return False
 
     def planar_speed_m_s(self, nav: NavState, params: ParamSet) -> float:
-        """Largest speed through the water that the controller commands [m/s]; used to judge legs against the current."""
+        """Largest commanded speed through the water [m/s]; used to judge legs against the current."""
         return params["SPD_PLANAR_MAX"]
 
     def refusals(

@@ -1,9 +1,9 @@
-"""The program of one control step: limits, half-planes, currents and terminal cost around the plan, and its QPs.
+"""One control step: bounds, half-planes, currents and terminal cost around the plan, and its QPs.
 
-In steady flight one QP around the shifted plan is enough. A start, and a step that changes what the thrusters do, goes
-on until the thrust to be commanded stands still: one QP is up to 10 N off there. Full Gauss-Newton steps need not
-converge (the speed limit enters as a tangent, half-planes change with the guess) but swing between two or four plans;
-steps that do not get smaller are halved, which ends that.
+In steady flight one QP around the shifted plan is enough. After a start or a change of the plan, QPs are repeated
+until the thrust to be commanded has converged: one QP is up to 10 N off there. Full Gauss-Newton steps need not
+converge (the speed limit is linearised, half-planes change with the guess) but may cycle between two or four plans;
+steps that do not decrease are halved, which ends the cycle.
 """
 
 import math

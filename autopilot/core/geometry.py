@@ -17,7 +17,7 @@ class Circle:
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Polygon:
-    """A vertical prism, given in plan view: simple (no self-intersection), not closed, any winding, may be non-convex."""
+    """A vertical prism, given in plan view: simple (no self-intersection), not closed, any winding, convex or not."""
 
     vertices_ned_m: FloatArray
     """(n, 2) north, east; n >= 3."""

@@ -1,9 +1,10 @@
-"""A predicted path among features and moving obstacles: what it is bound by, and how clear of everything it stays.
+"""Half-planes and clearance of a predicted path among boundaries and moving obstacles.
 
-Between two nodes the prediction is a chord. What stands out into free ground (circles, corners, moving obstacles) is
-met with the *chord*, and the half-plane at its nearest point binds both of its ends: a half-plane that holds at both
-ends holds in between. The nearest place of a straight edge is always met at a node or at one of its corners. What the
-chord crosses altogether (walls of no thickness) ends the path: later nodes are held where the path was last in order.
+Between two nodes the prediction is a chord. For boundaries that are convex towards the free space (circles, corners,
+moving obstacles) the distance is taken to the *chord*, and the half-plane at the nearest point constrains both of its
+ends: a half-plane that holds at both ends holds in between. The nearest point of a straight edge is always at a node
+or at a corner. Where a chord crosses a boundary (a wall of no thickness), later nodes are constrained to the last
+feasible position.
 """
 
 from dataclasses import dataclass

@@ -1,4 +1,4 @@
-"""Tuned numbers of fence and obstacles, by module."""
+"""Constants of fence and obstacle constraints, by module."""
 
 from dataclasses import dataclass
 

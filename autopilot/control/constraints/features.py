@@ -1,7 +1,7 @@
-"""The boundaries of a fence as arrays: edges of polygons, circles, and corners that stand out into free ground; and
-how they look from points.
+"""Boundaries of a fence as arrays (edges of polygons, circles, corners that are convex towards the free space), and
+their distances from points.
 
-Horizontal positions are complex numbers north + i east.
+Horizontal positions are complex numbers north + i east [m].
 """
 
 from dataclasses import dataclass

@@ -1,8 +1,8 @@
-"""The fence as the controller needs it: clearances, nearest features, half-planes per stage.
+"""The fence in the form that the controller uses: clearances, nearest boundaries, half-planes per stage.
 
-A feature constrains the vehicle's centre by the half-plane that touches it at the point nearest to the predicted path.
-From the free side the half-plane keeps the centre a radius away; from the wrong side (inside an obstacle, outside the
-workspace) its sign turns, so that it pushes back the shortest way. How the path is met between its nodes:
+A boundary constrains the vehicle's centre by the half-plane that touches it at the point nearest to the predicted
+path. On the free side the half-plane keeps the centre a radius away; on the wrong side (inside an obstacle, outside
+the workspace) its sign changes, and it leads out on the shortest path. Motion between the nodes:
 :mod:`autopilot.control.constraints.chords`.
 """
 

@@ -1,9 +1,9 @@
-"""Obstacles that are not in the fence: what has been seen of them, and what the controller makes of it.
+"""Obstacle tracks: extrapolation, ageing, and their use by planner and optimiser.
 
-A track says where an upright cylinder was and how it moved. It is taken on along a straight line; with its age grows
-the circle in which it is looked for, and after a time it is forgotten. Tracks that stand enter the route planner like
-exclusions of the fence. Those that move bind the prediction where they will be, and enter the planner only when the
-vehicle has waited for them for long.
+A track is the position and velocity of a vertical cylinder. It is extrapolated at constant velocity; its radius grows
+with its age, and after a timeout it is deleted. Static tracks enter the route planner like exclusions of the fence.
+Moving tracks constrain the prediction at their predicted positions, and enter the planner only after the vehicle has
+waited for them for long.
 """
 
 import math

@@ -1,14 +1,13 @@
-"""The vertical force that the model does not know and that lasts: a wrong buoyancy, a payload, a tether that hangs.
+"""Estimator of the constant vertical disturbance: wrong buoyancy, payload, hanging tether.
 
-Nothing else absorbs it: a horizontal force is estimated as current, the vertical current is taken as zero, and the
-optimiser, which begins every plan at the estimate, has no integral. So what pushes the vehicle up or down beyond
-thrust, drag and the vehicle file's buoyancy is followed here and added to the buoyancy that the controller counts on:
-goals and speeds are held without offset (Pannocchia and Rawlings 2003: a disturbance that stays at steady state).
+No other part compensates it: a horizontal force is estimated as current, the vertical current is taken as zero, and
+the optimiser, which starts every plan at the estimate, has no integral action. The vertical force beyond thrust, drag
+and the vehicle file's buoyancy is estimated here and added to the model's buoyancy, for offset-free tracking
+(Pannocchia and Rawlings 2003: constant disturbance model).
 
-It is the residual of the momentum, by the model that plans are made with: of the change of the vertical speed times
-the mass what thrust and drag leave. It is followed at once where nothing is known yet and slowly later on, so that
-waves are not answered as if they lasted. The vertical speed is the estimate's, which comes of depth sensor, fixes and
-accelerations and of no buoyancy.
+The estimate is a low-pass of the residual of the heave equation, m33 w' - (thrust - drag). Its gain is large at first
+and small later, so that waves are not compensated. The vertical velocity comes from the navigation filter (depth
+sensor, fixes, accelerometers), which does not use the buoyancy.
 """
 
 import math

@@ -1,13 +1,12 @@
-"""A forecast without a map: a planar incompressible flow through what the vehicle has estimated where.
+"""Current forecast without a map: a planar incompressible flow fitted to the currents estimated along the path.
 
-Water that goes one way comes back another: the flow is taken as a uniform stream and the curl of a random
-streamfunction (a Gaussian process with a squared exponential kernel), so that whatever is predicted between and beyond
-the places visited is free of divergence. How much of it varies, and whether there is a stream at all (there is none in
-a closed basin, however well a fence closes it on the map), is judged by the evidence: every combination counts by the
-marginal likelihood of what was estimated so far and by what was believed beforehand.
+The flow is a uniform stream plus the curl of a random streamfunction (a Gaussian process with a squared exponential
+kernel): predictions between and beyond the visited positions are free of divergence. Amplitude and the presence of a
+stream (there is none in a closed basin, whose walls the fence need not show) are weighed by the evidence: each
+hypothesis has the weight of its marginal likelihood times its prior.
 
-What the flow foretells is compared all the time with what is then estimated. While it does worse than "the same
-everywhere" it is not used (:mod:`autopilot.control.current.current_trust`).
+Predictions of the flow are compared with later estimates all the time. While they are worse than those of a uniform
+current the flow is not used (:mod:`autopilot.control.current.current_trust`).
 """
 
 import ctypes

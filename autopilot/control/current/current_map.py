@@ -1,8 +1,8 @@
-"""A current on a grid: linear in space and time between the nodes, the same beyond the border as on it.
+"""A current on a grid: multilinear in space and time between the nodes, constant beyond the border.
 
-The nodes stand on axes time, depth, north and east of any spacing; time and depth may be missing. Where a file knows
-nothing (land, fill values) the grid holds still water and remembers it (:meth:`CurrentMap.unknown_cells`), so that a
-loop never meets a NaN and a workspace over such a place can be refused before.
+The nodes lie on axes time, depth, north and east of any spacing; time and depth are optional. Where a file has no data
+(land, fill values) the grid holds still water and a flag (:meth:`CurrentMap.unknown_cells`), so that the control loop
+never gets a NaN and a workspace over such cells can be refused in advance.
 """
 
 import itertools

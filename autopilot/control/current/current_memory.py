@@ -1,4 +1,4 @@
-"""What was seen of the water where: a coarse grid of weighted means that wraps round."""
+"""Estimated currents by position: a coarse periodic grid of weighted means."""
 
 from dataclasses import dataclass
 

@@ -1,4 +1,4 @@
-"""Tuned numbers of what is known of the water, by module."""
+"""Constants of the current models, by module."""
 
 from dataclasses import dataclass
 

@@ -1,5 +1,4 @@
-"""What the controller believes of the water along its prediction: the estimate, a map corrected by it, what was
-estimated where, or nothing."""
+"""Current along the prediction: estimated, from a map with a correction, learned, or none."""
 
 import math
 from collections.abc import Callable

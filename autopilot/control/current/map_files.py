@@ -1,7 +1,7 @@
-"""Files that hold current maps: numpy ``.npz``, NetCDF-3, and NetCDF-4 / HDF5 (extra ``currents``).
+"""Readers of current maps: numpy ``.npz``, NetCDF-3, and NetCDF-4 / HDF5 (extra ``currents``).
 
-Only what is in the file: variables with their dimensions and attributes, packed values unpacked, fill values NaN. What
-they mean is :mod:`autopilot.control.current.current_map`'s.
+Returns the file's variables with dimensions and attributes, packed values unpacked, fill values NaN. Their
+interpretation: :mod:`autopilot.control.current.map_reading`.
 """
 
 import zipfile

@@ -1,9 +1,9 @@
-"""A file's variables as a current map: which names count, in what units, and what is refused.
+"""Interpretation of a file's variables as a current map: names, units, checks.
 
-Two ways of naming. Ours: ``current_north_m_s``, ``current_east_m_s`` and optionally ``current_down_m_s`` on the axes
-``north_m``, ``east_m``, ``depth_m``, ``time_s``. Ocean models': u is always EAST and v is always NORTH
-(``water_u``/``water_v`` HYCOM, ``uo``/``vo`` CMEMS, ``u_eastward``/``v_northward`` ROMS, ``u``/``v``) on ``lat``,
-``lon`` (also ``latitude``, ``lat_rho``, ...), ``depth``, ``time``. They may be mixed.
+Two naming schemes. Local: ``current_north_m_s``, ``current_east_m_s`` and optionally ``current_down_m_s`` on the axes
+``north_m``, ``east_m``, ``depth_m``, ``time_s``. Ocean models: u is EAST and v is NORTH (``water_u``/``water_v``
+HYCOM, ``uo``/``vo`` CMEMS, ``u_eastward``/``v_northward`` ROMS, ``u``/``v``) on ``lat``, ``lon`` (also ``latitude``,
+``lat_rho``, ...), ``depth``, ``time``. They may be mixed.
 """
 
 import hashlib

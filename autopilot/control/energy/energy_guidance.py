@@ -1,12 +1,12 @@
-"""Guidance of least energy: asks for trajectories, follows them, and has them brought up to date when things change.
+"""Minimum-energy guidance: requests trajectories, follows them, and replans.
 
-A leg is planned when its goal appears: a quick plan to set out with, and then a full search from where the vehicle will
-be on it. The leg after it is planned while this one is flown, so that there is no wait at a waypoint. A plan is brought
-up to date when the water differs from what it was made for, when the vehicle has been pushed off it, and when it ends
-before the goal. Plans begin where the vehicle will be when they are answered.
+A leg is planned when its goal appears: first a quick plan, then a full search from the predicted state on it. The next
+leg is planned while this one is flown, which avoids a stop at the waypoint. Replanning is triggered by a current that
+differs from that of the plan, by a deviation from the plan, and by a plan that ends before the goal. A plan starts at
+the state predicted for the time of its answer.
 
-While there is no plan (not yet, no way, planning failed, or the vehicle has lost its trajectory) the leg is flown by
-the route guidance, and plans are asked for again.
+Without a plan (not yet available, no path, planning failed, deviation too large) the leg is flown by the route
+guidance, and planning is requested again.
 """
 
 from dataclasses import replace

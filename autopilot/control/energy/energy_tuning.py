@@ -1,4 +1,4 @@
-"""Tuned numbers of the plan of least energy, by module."""
+"""Constants of minimum-energy planning, by module."""
 
 from dataclasses import dataclass
 

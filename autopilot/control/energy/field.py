@@ -1,11 +1,11 @@
-"""Energy-to-go: how many joules it takes from anywhere to a goal, over all ways round the obstacles.
+"""Energy-to-go: energy [J] from every position to a goal, over all homotopy classes of paths round the obstacles.
 
-The places of the free space (:mod:`autopilot.core.free_space`, the same as of uploads and routes) are joined to their
-neighbours, on the grid that it begins with to 32 of them (directions about 11 degrees apart), by directed edges that
-cost their length times the least energy per metre that the current there allows (the vehicle points along its way
-through the water). Dijkstra from the goal over the reversed edges then is the static Hamilton-Jacobi-Bellman equation
-of a vehicle without inertia, to within the angles of the edges (0.5 %). Heading, acceleration and depth are left to the
-trajectory (:mod:`autopilot.control.energy.trajectory`).
+The cells of the free space (:mod:`autopilot.core.free_space`, shared with upload checks and routes) are linked to
+their neighbours, on the base grid to 32 of them (directions about 11 degrees apart), by directed edges. The cost of an
+edge is its length times the minimum energy per metre in the current there, with the heading along the velocity through
+the water. Dijkstra from the goal over the reversed edges solves the static Hamilton-Jacobi-Bellman equation of a
+vehicle without inertia, up to the discretisation of directions (0.5 %). Heading, acceleration and depth are left to
+the trajectory (:mod:`autopilot.control.energy.trajectory`).
 """
 
 import math

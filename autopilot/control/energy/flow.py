@@ -1,7 +1,6 @@
-"""A snapshot of the water that a planner may use while the vehicle goes on: samples on a grid, cubic in between.
+"""Snapshot of the current for a planner: samples on a grid, cubic interpolation.
 
-Taking samples makes a request for a plan pure data: what the forecast learns while the planner works does not change
-the answer.
+With a snapshot a request is pure data: later changes of the forecast do not change the answer.
 """
 
 import math

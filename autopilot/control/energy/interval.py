@@ -1,10 +1,10 @@
 """One Runge-Kutta step of a trajectory with its derivatives: as CasADi expressions, and the same in C.
 
-CasADi writes the C source when the package is built. Where there is no compiled library it evaluates the expressions
+CasADi generates the C source when the package is built. Without the compiled library it evaluates the expressions
 itself: the same results within rounding, ten times slower.
 
-A step's variables q (13): state (8), force per axis (4), length of the step. Vehicles differ in coefficients, which are
-arguments, and in the matrix from thrusts to forces, which stands in front.
+Variables q (13) of a step: state (8), force per axis (4), length of the step. Vehicles differ in coefficients, which
+are arguments, and in the allocation matrix, which is applied outside.
 """
 
 from dataclasses import dataclass

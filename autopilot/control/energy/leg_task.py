@@ -1,4 +1,4 @@
-"""One leg: first guesses along its ways, their programs, and the plan that a trajectory makes."""
+"""Planning of one leg: initial guesses along its candidate paths, their nonlinear programs, and the resulting plan."""
 
 import math
 from collections.abc import Callable, Sequence

@@ -1,4 +1,4 @@
-"""When planning is asked for, how long an answer takes, and when one that failed is asked for again."""
+"""Timing of plan requests: expected duration, and retries after a failure."""
 
 import enum
 from dataclasses import dataclass

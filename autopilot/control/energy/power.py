@@ -1,4 +1,4 @@
-"""What motion costs: J = integral of (hotel power + sum of c |F|^1.5) dt."""
+"""Energy of motion: J = integral of (hotel power + sum of c |F|^1.5) dt."""
 
 import math
 from collections.abc import Sequence

@@ -1,4 +1,4 @@
-"""What a plan of least energy depends on, and what it is."""
+"""Request and result of minimum-energy planning."""
 
 import math
 from dataclasses import dataclass

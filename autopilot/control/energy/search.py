@@ -1,4 +1,4 @@
-"""From a request to a plan: ways over the energy field, both ways of turning, the best of them as a trajectory."""
+"""From a request to a plan: paths over the energy field, both directions of turning, the best as a trajectory."""
 
 from collections.abc import Sequence
 from dataclasses import replace

@@ -1,11 +1,12 @@
-"""The nonlinear program of a trajectory, put together from one interval.
+"""The nonlinear program of a trajectory, assembled from one interval.
 
-All intervals are alike, so one interval's motion, its Jacobian and its Hessian are built as expressions and mapped over
-the trajectory; what they give is put into the sparse matrices of the whole by constant selections. Expressions of the
-whole program would be 48 times as large: 40 MB for one RK4 step per interval, 70 MB for two, and a second to build.
+All intervals have the same structure: motion, Jacobian and Hessian of one interval are built as expressions and mapped
+over the trajectory, and constant selections place the results in the sparse matrices of the program. Expressions of
+the whole program would be 48 times as large: 40 MB for one RK4 step per interval, 70 MB for two, and a second to
+build.
 
-Variables: thrust (one per thruster) and next state (8) of every interval, then the end time. Rows: the :data:`ROWS` of
-every interval, then :data:`SHOOTING.end_rows`. All rows but those of the motion are at most 0.
+Variables: thrust (one per thruster) and next state (8) of every interval, then the end time. Constraints: the
+:data:`ROWS` of every interval, then :data:`SHOOTING.end_rows`. All but the dynamics are inequalities, at most 0.
 """
 
 from collections.abc import Sequence

@@ -1,4 +1,4 @@
-"""A planned trajectory as a reference: where on it the vehicle is, what comes next, what comes after its end."""
+"""A planned trajectory as reference: projection of the vehicle on it, the part ahead, and the motion after its end."""
 
 from dataclasses import replace
 

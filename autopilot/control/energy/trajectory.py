@@ -1,10 +1,10 @@
-"""A trajectory of least energy from a state into a goal region: one nonlinear program with free end time.
+"""Minimum-energy trajectory from a state into a goal region: one nonlinear program with free end time.
 
-Direct multiple shooting on the 4-DoF model: states at ``n + 1`` nodes, thrust constant in between, end time T. Cost:
-hotel power times T plus the power of the thrusters, plus a linear cost at the end for what follows. Currents enter as
-c + G (p - p0) about the guess of every node, obstacles as half-planes that touch them where the guess is nearest; both
-are made anew around the solution, a counted number of times (successive approximation: half-planes of convex obstacles
-lie in free space, so every round starts feasible).
+Direct multiple shooting on the 4-DoF model: states at ``n + 1`` nodes, piecewise constant thrust, end time T. Cost:
+hotel power times T plus the energy of the thrusters, plus a linear terminal cost for the remaining path. Currents
+enter as c + G (p - p0) about the guess of every node, obstacles as half-planes that touch them where the guess is
+nearest; both are renewed around the solution a fixed number of times (successive convexification: half-planes of
+convex obstacles lie in the free space, so every iteration starts feasible).
 """
 
 import math

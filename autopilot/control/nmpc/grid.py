@@ -1,7 +1,7 @@
 """Time grids of the prediction: uniform for comparisons, geometric for control.
 
-A geometric grid spends its nodes where the decision is about to be executed: 20 nodes reach 8 s with a first interval
-of 0.1 s, and cost a quarter of 80 uniform nodes for the same closed loop.
+A geometric grid is fine where the input is about to be applied: 20 nodes reach 8 s with a first interval of 0.1 s, and
+need a quarter of the time of 80 uniform nodes for the same closed-loop behaviour.
 """
 
 from dataclasses import dataclass

@@ -1,9 +1,8 @@
-"""Thruster lag: which thrust acts now, and where it takes the vehicle before a new command counts.
+"""Thruster lag and latency: present thrust, and prediction of the state to the time at which a new command acts.
 
-A thruster with first-order lag T that acts with F and is commanded G delivers the same momentum as one that keeps F
-for T and then jumps to G. So the plan starts T ahead, from where the acting thrust takes the vehicle, and needs no
-thrust states. Commands that are known to act late take the vehicle further before: the plan then starts where all that
-is still under way has acted.
+A thruster with first-order lag T and thrust F that is commanded G delivers the same momentum as one that keeps F for T
+and then steps to G. The plan therefore starts T ahead, at the state predicted with the present thrust, and needs no
+thrust states. With a known command latency the prediction also covers the commands that have not acted yet.
 """
 
 import ctypes

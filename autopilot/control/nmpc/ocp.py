@@ -1,20 +1,22 @@
-"""The paper's optimal control problem (section III, eq. 12) as one CasADi function: linearise, solve one QP, unpack.
+"""The optimal control problem of the paper (section III, eq. 12) as one CasADi function: linearisation, one QP,
+unpacking.
 
-Decision variables per stage: state (8), thrust (one per thruster) and, from stage 1 on, two slacks: one that the limits
-on speeds share and one for depth band and half-planes, so that a vehicle outside its workspace does not speed on its
-way back. The first state is known and is not a variable. Everything that changes at run time is an argument, so nothing
-is rebuilt for a new fence, current, weight or limit. The function works in steps around the guess (Gauss-Newton: the
+Decision variables per stage: state (8), thrust (one per thruster) and, from stage 1 on, two slacks: one shared by the
+speed limits, one by depth band and half-planes, so that a vehicle outside its workspace does not exceed its speed
+limits on the way back. The first state is given and is not a variable. Everything that changes at run time is an
+argument: fence, current, weights and limits need no rebuild. The QP is in increments from the guess (Gauss-Newton: the
 residuals are linear in state and input, so the Hessian is exact up to the curvature of the dynamics).
 
-* dynamics: RK4 on :mod:`autopilot.core.model4`, intervals split where RK4 would lose its stability
-  (:func:`longest_step_s`); beyond the speeds that this is made for (:func:`fastest_guess`) nothing is linearised
-* hard: thrust, per thruster
-* soft with an exact penalty (L1 + L2 on the slack): planar speed, heave, yaw rate, depth band, half-planes
-* planar speed: the Euclidean norm (u, v), as the tangent of the circle in the direction of the guess
-* terminal cost: any symmetric matrix; :data:`TERMINAL_STAGES` of the state weights where nothing better is known, a
-  tail of 2 s at the rate of the running cost. That is what an LQR tail gives for a loop that settles with a time
-  constant of 4 s; it is independent of heading, which the DARE solution at hover is not (position is in the world
-  frame, velocity in the body frame), and it needs no equilibrium where the horizon ends within a leg.
+* dynamics: RK4 on :mod:`autopilot.core.model4`, intervals subdivided for stability (:func:`longest_step_s`); a guess
+  beyond the speeds of :func:`fastest_guess` is not linearised
+* hard constraints: thrust, per thruster
+* soft constraints with an exact penalty (L1 + L2 on the slack): planar speed, heave, yaw rate, depth band, half-planes
+* planar speed: the Euclidean norm of (u, v), linearised in the direction of the guess
+* terminal cost: any symmetric matrix; by default :data:`TERMINAL_STAGES` of the state weights, a tail of 2 s at the
+rate
+  of the running cost. An LQR tail of a loop with a settling time constant of 4 s has this size; unlike the DARE
+  solution at hover it is independent of heading (position is in the world frame, velocity in the body frame), and it
+  needs no equilibrium where the horizon ends within a leg.
 
 Weights, limits and bounds are given per node, so that margins may grow along the prediction.
 """

@@ -1,4 +1,4 @@
-"""A thruster is not turned round for next to nothing: where its thrust goes through zero it rests for a while."""
+"""Dead time at thrust reversal: a thruster whose small thrust changes sign rests at zero first, to avoid chattering."""
 
 import math
 

@@ -1,7 +1,8 @@
-"""Real-time iteration: one Gauss-Newton QP per control step, warm-started by the shifted last plan.
+"""Real-time iteration: one Gauss-Newton QP per control step, warm-started by the shifted last plan (Diehl et al.
+2005).
 
-Holds the compiled step of :mod:`autopilot.control.nmpc.ocp` and the arrays it reads and writes; nothing is allocated or
-built after construction. The first solver that passes a self-test is used.
+Holds the compiled step of :mod:`autopilot.control.nmpc.ocp` and its argument arrays; nothing is allocated or built
+after construction. The first solver that passes a self-test is used.
 """
 
 import dataclasses

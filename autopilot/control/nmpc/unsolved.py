@@ -1,8 +1,7 @@
-"""Programs that were not solved, as arrays that a log keeps, and back: what they depend on and nothing else.
+"""Serialisation of QPs that were not solved, for the log and for later analysis.
 
-``problem.*`` are the fields of :class:`autopilot.control.nmpc.solver.NmpcProblem`, ``guess.*`` states and thrust that
-it was linearised around, ``grid.dt_s`` the intervals, ``model.*`` the coefficients of
-:class:`autopilot.core.model4.Model4`.
+``problem.*`` are the fields of :class:`autopilot.control.nmpc.solver.NmpcProblem`, ``guess.*`` states and thrust of
+the linearisation, ``grid.dt_s`` the intervals, ``model.*`` the coefficients of :class:`autopilot.core.model4.Model4`.
 """
 
 import dataclasses

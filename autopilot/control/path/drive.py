@@ -1,8 +1,7 @@
-"""Guidance of a motion instead of a place: a pilot's sticks, a circle, set points of velocity.
+"""Guidance for a commanded velocity: pilot, circle, velocity set points.
 
-The velocity that is asked for is followed as far as the workspace is free: the way ahead ends a braking distance before
-a boundary that it meets head on, and slides along one that it meets at an angle. Behind it stand the optimiser's
-constraints, as in every other mode.
+The velocity is tracked as far as the workspace is free: the reference path ends a braking distance before a boundary
+ahead, and slides along one that it meets at an angle. The optimiser's constraints apply as in every other mode.
 """
 
 import math

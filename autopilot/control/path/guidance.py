@@ -1,7 +1,7 @@
-"""Guidance: from a goal to what the optimiser is to follow.
+"""Guidance: from a goal to the reference of the optimiser.
 
-Two kinds share one interface: the route guidance marches along a free path at cruise speed (the paper's quadratic
-cost), the energy guidance follows a trajectory of least energy (:mod:`autopilot.control.energy`).
+Two implementations: the route guidance moves the reference along a free path at cruise speed (the paper's quadratic
+cost), the energy guidance follows a minimum-energy trajectory (:mod:`autopilot.control.energy`).
 """
 
 import cmath

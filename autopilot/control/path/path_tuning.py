@@ -1,4 +1,4 @@
-"""Tuned numbers of the way and how it is followed, by module."""
+"""Constants of path planning and guidance, by module."""
 
 from dataclasses import dataclass
 

@@ -1,5 +1,6 @@
-"""What the prediction is compared with: the goal as it is approached along the route, node by node, and the thrust that
-holds it (``data/native/reference.c``)."""
+"""Reference of the prediction: state per node along the route to the goal, and the thrust that holds it
+(``data/native/reference.c``).
+"""
 
 import ctypes
 import math

@@ -1,4 +1,4 @@
-"""Where the controller has its slow work done, and what it says when that ends with an exception."""
+"""Background workers of the controller, and the reports of their exceptions."""
 
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field

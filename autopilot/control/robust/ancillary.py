@@ -1,8 +1,9 @@
-"""Ancillary feedback: u = v + K (x - z), with K scheduled on the planned surge.
+"""Ancillary feedback u = v + K (x - z), with K scheduled on the planned surge.
 
-Ahead of about 0.2 m/s the sway-yaw pair is unstable (Munk moment, m22 > m11), so that one gain for all speeds is either
-weak or rash: K is the LQR gain of the error dynamics at nine surge speeds, linear in between. Gains at other sway and
-turn rates stay stable on the whole envelope of speeds (tests/control/test_robust_tube.py).
+Above about 0.2 m/s ahead the sway-yaw pair is open-loop unstable (Munk moment, m22 > m11), and one gain for all speeds
+is either weak or too aggressive. K is the LQR gain of the error dynamics at nine surge speeds, interpolated linearly.
+The closed loop is stable at other sway and yaw rates on the whole envelope of speeds
+(tests/control/test_robust_tube.py).
 """
 
 import numpy as np

@@ -1,4 +1,4 @@
-"""What may push the vehicle off its plan: bounds from parameters, and what the estimator says of itself."""
+"""Disturbance bounds from parameters, and the covariance of the estimate."""
 
 import math
 from dataclasses import dataclass

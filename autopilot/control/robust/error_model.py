@@ -1,9 +1,9 @@
-"""How far the vehicle is from its plan, and how that error moves (linearised along the plan).
+"""Deviation of the vehicle from its plan and its linearised dynamics.
 
-The error is taken in the body frame of the planned state z: e = (R(yaw_z)^T (p - p_z), depth, yaw, velocity). Then its
-dynamics depend on the planned velocity only, not on heading, place or current. The velocity error is that over ground:
-what the feedback sees. An error of the believed current does not move a vehicle whose velocity over ground is known; it
-acts as the drag that it causes.
+The error is expressed in the body frame of the planned state z: e = (R(yaw_z)^T (p - p_z), depth, yaw, velocity). Its
+dynamics then depend on the planned velocity only, not on heading, position or current. The velocity error is that over
+ground, which the feedback measures. An error of the estimated current does not move a vehicle whose velocity over
+ground is known; it acts through the drag.
 """
 
 import math

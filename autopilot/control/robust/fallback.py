@@ -1,5 +1,6 @@
-"""What commands the thrusters when the optimiser does not: station keeping by a cascade of P loops on the model; and
-what the operator hears of it."""
+"""Control without a solution of the optimiser: station keeping by cascaded P loops on the model, and its notices to
+the operator.
+"""
 
 import math
 

@@ -1,7 +1,7 @@
-"""The loop between optimiser steps: follows the last plan with the ancillary feedback, once per tick.
+"""Inner loop between optimiser steps: tracks the last plan with the ancillary feedback, once per tick.
 
-The plan begins one thruster lag ahead of now (:mod:`autopilot.control.nmpc.lag`); so does the state it is compared
-with.
+The plan starts one thruster lag ahead of now (:mod:`autopilot.control.nmpc.lag`); the state is predicted to the same
+time for the comparison.
 """
 
 import ctypes

@@ -1,4 +1,6 @@
-"""The margins in force: fixed, tube or Lipschitz (parameter MPC_TIGHTEN), and what is refused because of them."""
+"""Active constraint tightening: fixed, tube or Lipschitz (parameter MPC_TIGHTEN), and the refusals that follow from
+it.
+"""
 
 import math
 from collections.abc import Sequence

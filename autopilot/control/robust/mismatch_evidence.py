@@ -1,10 +1,10 @@
-"""How much of the planar speed margin is needed, by what has been seen at the limit.
+"""Adaptation of the planar speed margin to the observed overshoot of the speed limit.
 
-The margin is what bounds and the estimator's own spread add up to; mostly the vehicle keeps its speed far better than
-that, and in a current that is nearly too fast the difference decides whether it makes any way. So the margin shrinks
-slowly while the vehicle flies at its cap and its speed through the water stays there, and comes back quickly when it
-does not. For what cannot be seen (a vehicle that is faster than it believes, because the current is believed wrongly)
-half of the tube and MPC_SPEED_MARGIN are kept in any case.
+The margin is the sum of disturbance bounds and the covariance of the estimate. Mostly the vehicle keeps its speed far
+better, and in a current close to the speed limit the difference decides whether it advances at all. The margin is
+therefore reduced slowly while the vehicle moves at its limit without exceeding it, and restored quickly when it
+exceeds it. Half of the tube and MPC_SPEED_MARGIN are always kept, for errors that are not observable (a wrong current
+estimate).
 """
 
 import math

@@ -1,8 +1,8 @@
-"""The terminal region of the goal in force: made when the goal or its water changes, certified beside the loop.
+"""Terminal region of the current goal: computed when goal or current change, verified in the background.
 
-The law (steady input, gain, cost) is there at once and costs half a millisecond; the 20,000 samples of its certificate
-are looked at elsewhere, and only where the law is a cost of the program: plans of least energy end otherwise. What was
-verified goes to the log; an operator hears of it only when there is no region at all.
+The terminal law (steady input, gain, cost) takes half a millisecond and is available at once. Its 20,000-sample
+verification runs on a worker, and only where the law is the terminal cost: minimum-energy plans end otherwise. The
+result is logged; the operator is notified only if there is no region at all.
 """
 
 import math

@@ -1,5 +1,6 @@
-"""Riccati and Lyapunov equations in numpy, for stacks of systems. SciPy has both, but costs the controller memory and
-start-up time that it does not have."""
+"""Riccati and Lyapunov equations in numpy, for stacks of systems. SciPy has both, but its import costs the controller
+memory and start-up time.
+"""
 
 import numpy as np
 

@@ -1,4 +1,4 @@
-"""Tuned numbers of what keeps bounds in spite of errors, by module."""
+"""Constants of robust control, by module."""
 
 from dataclasses import dataclass
 

@@ -1,10 +1,10 @@
-"""Terminal ingredients of one goal: steady input against the current, LQR gain, cost and region, with a certificate.
+"""Terminal ingredients of one goal: steady input against the current, LQR gain, cost and region, with verification.
 
-In the frame of the goal (error ahead, to starboard, ... of the goal's heading) the vehicle is linearised where it
-stands still over ground: velocity through the water -R^T c, thrust that holds it. With the discrete Riccati gain K,
-P solves (A+BK)^T P (A+BK) - P = -kappa (Q + K^T R K), kappa > 1, so that E(e) = e^T P e falls by more than the stage
-cost with something to spare for what the linearisation leaves out. The level alpha is the largest at which the
-ellipsoid E <= alpha meets every limit; sampling of the nonlinear model then shrinks it until no sample violates the
+In the frame of the goal (error ahead, to starboard, ... of the goal's heading) the vehicle is linearised at rest over
+ground: velocity through the water -R^T c, with the thrust that holds it. With the discrete Riccati gain K, P solves
+(A + B K)^T P (A + B K) - P = -kappa (Q + K^T R K), kappa > 1, so that E(e) = e^T P e decreases by more than the stage
+cost, with a margin for the linearisation error (Chen and Allgower 1998). The level alpha is the largest for which the
+ellipsoid E <= alpha satisfies every limit; it is then reduced until no sample of the nonlinear model violates the
 decrease.
 """
 

@@ -1,8 +1,8 @@
-"""Thrust goes in, pulses and what they will give come out.
+"""From commanded thrust to pulses and the expected thrust.
 
-The thrusters as the service has them: the curve from thrust to pulses, what is lost of their thrust, and how late they
-do what they are told. The order within a tick: :meth:`Actuation.send` at its beginning, :meth:`Actuation.learn` when
-the estimate is there, :meth:`Actuation.command` (or :meth:`Actuation.neutral`) at its end.
+Combines the thruster curve, the effectiveness of each thruster and the command latency. Order within a tick:
+:meth:`Actuation.send` at its beginning, :meth:`Actuation.learn` once the estimate is available,
+:meth:`Actuation.command` (or :meth:`Actuation.neutral`) at its end.
 """
 
 import math

@@ -1,18 +1,18 @@
-"""How late commands act: a bank of Kalman filters, one per candidate delay, on the motion and the thrust it follows.
+"""Estimation of the command latency: a bank of Kalman filters, one per candidate delay.
 
-Candidate k believes that the thrusters act on what was commanded k intervals ago. Per axis the 4-DoF model reads then
-(Fossen 2011, eq. 6.113 with the thrust split by thruster)
+Candidate k assumes that the thrust commanded k intervals ago acts now. Per axis the 4-DoF model reads (Fossen 2011,
+eq. 6.113 with the thrust split by thruster)
 
     nu'(t) = M^-1 T_A diag(F(t - delay_k)) e + f(nu) + d ,
 
-F the thrust of the pulses, lag included, f drag, Coriolis and buoyancy, d whatever else pushes. Both sides pass the
-same first-order filter, so that nothing is differentiated: the filtered nu' is (nu - filtered nu) / T. Being linear,
-the filtered thrust of a candidate is the filtered thrust of k intervals ago: one history serves all.
+F the thrust of the pulses, lag included, f drag, Coriolis and buoyancy, d the disturbance. Both sides pass the same
+first-order filter, which avoids differentiation: the filtered nu' is (nu - filtered nu) / T. By linearity the filtered
+thrust of a candidate is the filtered thrust of k intervals ago: one history serves all.
 
-Every filter estimates e (errors of mass, thrust constant, lost thrusters) and d (current, tether) for its own delay,
-and the probability of what surprised it, forgetting what is long past, tells the delays apart (a multiple model
-estimator: Bar-Shalom, Li and Kirubarajan 2001, section 11.6). Thrust that nothing has followed yet looks the same to
-all delays that are longer than the wait: first it is known that commands are late, a little later how late.
+Every filter estimates e (errors of mass and thrust constant, thruster faults) and d (current, tether) for its own
+delay. The innovations' likelihood with exponential forgetting gives the probability of each delay (multiple model
+estimator: Bar-Shalom, Li and Kirubarajan 2001, section 11.6). Without a response so far, all delays longer than the
+elapsed time are equally likely: latency is detected first, its value a little later.
 """
 
 import math

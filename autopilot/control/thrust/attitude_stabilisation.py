@@ -1,12 +1,12 @@
-"""Roll and pitch of a vehicle whose thrusters can push them: held level by an inner loop from the AHRS.
+"""Stabilisation of roll and pitch for vehicles whose thrusters can produce these moments: an inner loop on the AHRS.
 
-The controller steers surge, sway, heave and yaw and knows nothing of tilt. Where thrusters push below or above the
-centre of gravity its thrust tilts the vehicle; a heavy frame's righting moment is small against that. This loop adds
-thrust that makes a moment about roll and pitch and no force or moment in the four controlled axes: what the
-controller's own thrust would tilt by is cancelled at once, what is left is damped and turned back.
+The controller commands surge, sway, heave and yaw only. Thrusters above or below the centre of gravity couple into
+roll and pitch, and the restoring moment of a heavy frame is small. This loop adds thrust in the null space of the four
+controlled axes that produces roll and pitch moments: feedforward cancels the coupling of the controller's thrust, PD
+feedback levels the vehicle.
 
-The moments belong to inertia I and natural frequency w: M = -I (w^2 angle + 2 w rate) - tilt by thrust. The share of
-each thruster that this may take (:meth:`AttitudeStabilizer.reserve_n`) is not the controller's.
+M = -I (w^2 angle + 2 w rate) - coupling, with inertia I and natural frequency w (critically damped). The thrust
+reserved for it (:meth:`AttitudeStabilizer.reserve_n`) is not available to the controller.
 """
 
 import math

@@ -1,7 +1,8 @@
-"""Thrust without a position: a pilot's forces, the heading by the AHRS, the depth by the pressure sensor.
+"""Manual control without a position: forces from the pilot, heading hold by the AHRS, depth hold by the pressure
+sensor.
 
-What it does not know it does not hold: no fence, no limit of speed. Trim for the vehicle's buoyancy is part of neutral
-sticks, so that letting go does not make it rise.
+Unmeasured quantities are not controlled: no fence, no speed limit. Neutral sticks include the trim for the vehicle's
+buoyancy, so that it does not rise when they are released.
 """
 
 import math

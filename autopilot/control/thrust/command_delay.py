@@ -1,4 +1,4 @@
-"""What the service knows of late commands: the delay that is found, and what acts of what was commanded."""
+"""Command latency in use: the estimated delay, and the part of past commands that acts now."""
 
 import math
 from collections import deque

@@ -1,10 +1,9 @@
-"""Looks at the motion: ten times per second, what thrust and pushes have to explain, and how each could.
+"""Filtered equations of motion, ten times per second: the regressors for thruster faults and model errors.
 
-Everything that the 4-DoF model says of a motion, and everything that may be wrong with it, passes the same
-first-order filter of time constant T, so that nothing is differentiated: the filtered acceleration is
-(nu - filtered nu) / T. A look holds the filtered acceleration that the model without thrust does not explain, the
-filtered thrust, and the filtered derivatives of the model with respect to what it may not know: drag, Coriolis and
-Munk terms, the water's velocity.
+Each term of the 4-DoF model and each of its possible errors passes the same first-order filter of time constant T,
+which avoids differentiation: the filtered acceleration is (nu - filtered nu) / T. An update holds the filtered
+acceleration that the model without thrust does not explain, the filtered thrust, and the filtered derivatives of the
+model with respect to its uncertain parameters: drag, Coriolis and Munk terms, the current.
 """
 
 import math

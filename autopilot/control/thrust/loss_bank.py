@@ -1,25 +1,24 @@
-"""Which thruster explains the motion better by being lossy: a bank of Kalman filters and the evidence between them.
+"""Thruster fault detection and isolation by a bank of Kalman filters and their likelihood ratios.
 
-Filter 0 believes that the thrusters are as they have been declared. Filter 1 takes all of them for unknown: its
-standard deviations say what can be seen of a thruster at all. Every other filter is a story: one thruster changed
-when the story began, a sound one lost half of its thrust or nearly all, a lossy one is sound again.
+Filter 0 assumes that the effectiveness of each thruster is as declared. Filter 1 takes all of them as unknown; its
+standard deviations show how well each thruster is observable. Every other filter is a hypothesis: one thruster changed
+at the hypothesis' start, a healthy one to half or almost no thrust, a faulty one back to healthy.
 
-All of them estimate beside the effectiveness e of the thrusters what else may explain the motion, each with the
-spread that vehicles and waters have: thrust over mass and drag over mass of each axis, Coriolis and Munk terms, the
-lag, the arm of thrust to the side, a steady force from a fixed direction (a tether), a moment, the water's velocity,
-and pushes that last a second or two. A mistake of the model, a tug and a gust are therefore no loss: it is declared
-only where it is by far the likelier story.
+Beside the effectiveness e all of them estimate the other causes of the motion, each with a prior of realistic spread:
+thrust over mass and drag over mass of each axis, Coriolis and Munk terms, the lag, the lateral arm of the thrust, a
+steady force from a fixed direction (tether), a moment, the current, and disturbances of a second or two. Model errors,
+tugs and gusts are therefore not declared as faults: a fault has to be by far the more likely hypothesis.
 
-The water's velocity stands there twice, for drag and for the Munk moment. They feel the same water, but what the moment
-makes of an error of it is the product of two unknowns: a vehicle whose masses are 15 % from its file has a Munk moment
-of twice the file's. With one water for both, a current that is wrong by 0.1 m/s turns such a hull by what only a lost
-thruster can explain; with two that know nothing of each other, the Munk moment hides half a thruster. So they are two
-that go together as far as the masses do (``Beliefs.munk``). Filters that multiply the two come to
-rest in different wrong places.
+The current appears twice, in the drag and in the Munk moment. Both depend on the same water, but the effect of its
+error on the moment is a product of two unknowns: a vehicle whose masses are 15 % from its file has a Munk moment of
+twice the file's. With one current for both, an error of 0.1 m/s turns such a hull by an amount that only a thruster
+fault can explain; with two independent ones, the Munk moment hides half a thruster. They are therefore two states,
+correlated as far as the masses are known (``Beliefs.munk``). Filters that multiply the two converge to wrong
+equilibria.
 
-The evidence for a story over filter 0 is the sum of their log-likelihood ratios since it began (a generalised
-likelihood ratio test with the size of the change estimated: Willsky and Jones 1976). Each thruster has a few stories
-that began at different times; every other second the one that is believed least begins anew.
+The evidence for a hypothesis over filter 0 is the sum of their log-likelihood ratios since its start (generalised
+likelihood ratio test with estimated size of the change: Willsky and Jones 1976). Each thruster has a few hypotheses
+with different starts; every other second the least likely one is restarted.
 """
 
 import math

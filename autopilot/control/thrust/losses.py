@@ -1,4 +1,4 @@
-"""What the service knows of its thrusters: told and found losses, the thrust that is left, and what it still allows."""
+"""Thruster faults in use: declared and detected losses, the remaining thrust, and the modes that it still permits."""
 
 import numpy as np
 

@@ -1,15 +1,15 @@
-"""Thrusters that do the same in surge, sway, heave and yaw, and which of them it is that lost its thrust.
+"""Fault isolation among redundant thrusters: those with equal columns in the 4-DoF allocation matrix.
 
-The two verticals of a BlueROV2 have the same column in the 4-DoF model: the motion along its axes tells that one of
-them gives nothing, and never which. Such thrusters are twins. What tells them apart is the tilt: one pushes to
-starboard of the centre of gravity, the other to port. The righting moment, the trim and the damping about roll and
-pitch are not in a vehicle file, so they are fitted together with the loss, over some ten seconds before and after it:
+The two verticals of a BlueROV2 have the same column: the motion in the four axes shows that one of them has failed,
+but not which. The tilt isolates it: one pushes to starboard of the centre of gravity, the other to port. Restoring
+moment, trim and damping in roll and pitch are not in a vehicle file; they are fitted together with the loss, over some
+ten seconds before and after it:
 
-    rate of roll = g (sum of arm x thrust) - l (arm x thrust of the one that is suspected, since the loss)
-                   + k sin(roll) + d (roll rate) + b
+    roll rate = g (sum of arm x thrust) - l (arm x thrust of the suspect, since the loss)
+                + k sin(roll) + d (roll rate) + b
 
-The evidence for a suspect is the likelihood of what was seen under it, all that is fitted integrated out. It only
-chooses among twins; that there is a loss at all is not its to say.
+The evidence for a suspect is the marginal likelihood of the data, all fitted parameters integrated out. It only
+selects among redundant thrusters; detection is left to :mod:`autopilot.control.thrust.loss_bank`.
 """
 
 from collections import deque

@@ -1,4 +1,4 @@
-"""Tuned numbers of thrust, its losses and delays, by module."""
+"""Constants of thrust, thruster faults and latency, by module."""
 
 from dataclasses import dataclass
 

@@ -1,12 +1,12 @@
-"""How much of its thrust each thruster still gives, from the pulses and the motion.
+"""Effectiveness of each thruster, from pulses and motion.
 
-:mod:`autopilot.control.thrust.filtered_motion` says ten times per second what the model does not explain of the motion,
-and :mod:`autopilot.control.thrust.loss_bank` weighs whether a thruster that lost its thrust explains it, or an error
-of the model, a tether, the water, a tug. Here it is decided: a loss is declared when the evidence for it is beyond
-doubt and ahead of that for every other thruster, and revoked when there is as much evidence that the thruster is
-sound. Redundant thrusters (:mod:`autopilot.control.thrust.redundancy`) have the same evidence: where their tilt does
-not say which of them it is, they are declared together, each with its part of what they give. The parameters
-THR1_HEALTH to THR8_HEALTH hold at once; of parameter and finding the smaller counts.
+:mod:`autopilot.control.thrust.filtered_motion` gives the residual of the model ten times per second, and
+:mod:`autopilot.control.thrust.loss_bank` the likelihood of a thruster fault against model error, tether, current and
+disturbances. Decisions are made here: a fault is declared when its evidence exceeds a threshold and that of every
+other thruster by a margin, and revoked on equal evidence for a healthy thruster. Redundant thrusters
+(:mod:`autopilot.control.thrust.redundancy`) have equal evidence: where the tilt does not isolate the faulty one, they
+are declared together, each with its part of the remaining thrust. The parameters THR1_HEALTH to THR8_HEALTH act at
+once; the smaller of parameter and estimate is used.
 """
 
 import math
