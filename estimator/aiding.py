@@ -1,11 +1,11 @@
-"""Life cycle and counts of one aiding sensor: it starts, goes on, stops when silent, is reset when it must be.
+"""State machine and counters of one aiding sensor: start, use, rejection, timeout, reset.
 
-Every source goes through the same: gate, counts, report. What a reset means is the only difference. A source with an
-offset that is a state of the filter (heading, laser, depth) or that measures one kind of state alone (velocity) has
-these states reopened, when it has been rejected for a while and its residuals agree among themselves. A source of
-positions moves the whole filter (:mod:`autopilot.estimator.fix_aid`).
+Every source has the same gate, counters and reports; only the reset differs. For a source with an offset that is a
+filter state (heading, laser, depth), or that measures one kind of state only (velocity), the variance of these states
+is reset after a series of rejected but mutually consistent residuals. A source of positions resets the whole filter
+(:mod:`autopilot.estimator.fix_aid`).
 
-Each source is a class beside its measurement in ``measure_*.py``; :mod:`autopilot.estimator.sources` lists them.
+Each source is a class beside its measurement model in ``measure_*.py``; :mod:`autopilot.estimator.sources` lists them.
 """
 
 from abc import ABC, abstractmethod

@@ -1,12 +1,11 @@
-"""Attitude from raw gyros, accelerometers and magnetometer: a complementary filter in a frame that does not turn.
+"""Attitude from raw gyros, accelerometers and magnetometer: a complementary filter in an almost-inertial frame.
 
-After Laidig and Seel 2023 (VQF, Information Fusion 91): the gyros alone carry a frame along that hardly turns. In it
-the specific force is low-pass filtered, twice: pushes of the vehicle average out whatever way it turns meanwhile, and
-those of swell or of a hand far more than behind the one integrator of a filter that turns its estimate towards what it
-feels. What is left is the vertical: a second rotation levels the frame by it.
-The magnetometer turns the estimate about the vertical only, so that magnetic disturbance never tilts it, and not at all
-while the field is not the known one (:mod:`.estimator.magnetic`). What both have to correct shows the gyros' bias
-(:mod:`autopilot.estimator.gyro_bias`).
+After Laidig and Seel 2023 (VQF, Information Fusion 91). Gyro integration alone defines an almost-inertial frame, in
+which the specific force is low-pass filtered twice: accelerations of the vehicle average out whatever its rotation,
+and those of swell or handling far more than with the single integrator of a Mahony-type filter. The filtered force
+gives the vertical, and a second rotation levels the frame. The magnetometer corrects the rotation about the vertical
+only, so that magnetic disturbance never tilts the estimate, and not while the field is disturbed
+(:mod:`.estimator.magnetic`). Both corrections together observe the gyro bias (:mod:`autopilot.estimator.gyro_bias`).
 """
 
 import math

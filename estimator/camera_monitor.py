@@ -1,9 +1,8 @@
-"""What a camera's calibration is off, found in flight: stamps that are late, a focal length that does not fit.
+"""In-flight check of the camera calibration: latency of the stamps and focal length.
 
-How late stamps are is found by :mod:`.estimator.stamp_watch`. The focal length: in a level picture a wrong one passes
-for another height, which nothing denies; only where the lens bends the picture it shows, because the bend grows
-with the focal length and the height does not: every picture tells the share that fits its residuals best, and hundreds
-together are sure.
+Latency: :mod:`.estimator.stamp_monitor`. Focal length: in a level image an error is equivalent to another height and
+unobservable; the lens distortion separates the two, because it scales with the focal length and not with the height.
+Every image gives the scale factor that fits its residuals best, and the average of hundreds is significant.
 """
 
 import math

@@ -1,15 +1,15 @@
-"""A late measurement's effect on the nodes after its own, without predicting and updating all of them again.
+"""Update of the nodes after a late measurement, without repeating their predictions and updates.
 
-What one update changes is small in rank: x by W e and P by -W C W', with W the gain, C the residual's covariance and e
-the residual. A step carries W on by its Jacobian. An update on the way keeps that form: with the gain K, the Jacobian
-H, the residual y and its covariance S that it had, and V = (H W)',
+One update changes x and P at low rank: x by W e and P by -W C W', with W the gain, C the covariance of the residual
+and e the residual. A prediction propagates W by its Jacobian. A later update keeps that form: with its gain K,
+Jacobian H, residual y and innovation covariance S, and V = (H W)',
 
     S' = S - V' C V     W' = W - K V'     C' = C + C V S'^-1 V' C     e' = e + C V S'^-1 (V' e - y)
     y' = y - V' e       K' = K - W' C V S'^-1
 
-is what the update would have been (insert P - W C W' and x + W e into the filter's equations). So the result is that of
-computing everything again but for one thing: Jacobians stay those of the states before, an error of second order in
-the correction. Larger corrections are not carried (:data:`LINEAR`).
+are those of the repeated update (insert P - W C W' and x + W e into the filter's equations). The result equals full
+recomputation except that Jacobians are those of the previous states, a second-order error in the correction. Larger
+corrections are recomputed (:data:`LINEAR`).
 """
 
 import operator

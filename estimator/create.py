@@ -1,4 +1,4 @@
-"""Estimators by name, and one in the shadow of another."""
+"""Construction of estimators by name, alone or with a redundant one."""
 
 from dataclasses import replace
 

@@ -1,4 +1,4 @@
-"""Tuned numbers of the estimator, by module; those of the filter itself are in :mod:`.tuning`."""
+"""Constants of the estimator, by module; those of the filter itself are in :mod:`.tuning`."""
 
 from dataclasses import dataclass
 

@@ -1,4 +1,4 @@
-"""What fixes say against the estimate: how far they miss, whether they have jumped, how often all began anew."""
+"""Consistency of the estimate with fixes: size of the residuals, jumps, number of resets."""
 
 import math
 from collections import deque

@@ -1,4 +1,4 @@
-"""What differs between the estimators: how the state is predicted and corrected. Everything else is the engine's."""
+"""Interface of the filter cores: prediction and update of the state. Everything else is in the engine."""
 
 from collections.abc import Sequence
 from typing import NamedTuple, Protocol

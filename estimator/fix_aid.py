@@ -1,7 +1,7 @@
-"""A source of positions. When it is reset it moves the whole filter, so it has more to go through than others.
+"""Aiding source of positions. Its reset moves the whole filter and therefore needs more evidence than that of others.
 
-Its rejected fixes are watched (:mod:`.estimator.relocation`): those that agree may move the filter. Whether it is
-believed at all is told by how its fixes move (:mod:`.estimator.fix_trust`).
+Rejected fixes are monitored (:mod:`.estimator.relocation`): mutually consistent ones may move the filter. Whether the
+source is used at all depends on the motion of its fixes (:mod:`.estimator.fix_trust`).
 """
 
 from abc import ABC, abstractmethod

@@ -1,8 +1,8 @@
-"""Whether fixes move as dead reckoning does.
+"""Comparison of the motion of fixes with dead reckoning.
 
 While no fix is used the filter runs on inertial sensors and the vehicle model alone. The residuals of fixes then drift
-by what the motion of the fixes and dead reckoning differ in, whatever both are off: relative motion is known well even
-when the position is not.
+by the difference of the two motions, whatever the offset between them: relative motion is accurate even when the
+position is not.
 """
 
 import math

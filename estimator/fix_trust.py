@@ -1,7 +1,7 @@
-"""Whether the camera is trusted: its fixes must move as dead reckoning does, and must not move the filter twice.
+"""Trust in the camera: its fixes must move as dead reckoning does, and must not reset the filter twice.
 
-A camera that is not believed is still watched. It is believed again when its fixes have moved with the vehicle for a
-while, and not as a picture that stands still.
+A rejected camera is still monitored. It is used again when its fixes have moved with the vehicle for a while, which a
+frozen image does not.
 """
 
 from autopilot.core.messages import NavDoubt

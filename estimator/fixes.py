@@ -1,7 +1,7 @@
-"""Poses: how they are used, and what follows from them for map, camera, tilt, monitors and resets.
+"""Processing of pose fixes: update, map and camera refinement, tilt trim, monitors, resets.
 
-A fix that passes its gate corrects the filter. Fixes that do not pass but agree among themselves move it, unless they
-are less to be believed than dead reckoning is; then their source is only watched until it is right again.
+A fix inside its gate corrects the filter. Fixes outside that are mutually consistent reset it, unless dead reckoning
+is the more reliable; then their source is only monitored until it is consistent again.
 """
 
 from collections.abc import Sequence

@@ -1,6 +1,6 @@
-"""The filter for pictures: what cannot be a picture of the floor is refused by name before anybody looks for markers.
+"""Plausibility check of images: one that cannot show the floor is rejected, with the reason, before marker detection.
 
-A refused picture costs nothing else: the filter gets no fix, and says that it is blind when that lasts.
+A rejected image has no other effect: the filter gets no fix, and reports loss of vision if that lasts.
 """
 
 import math

@@ -1,4 +1,4 @@
-"""A filter core with its past: gates what is measured, uses it, reports it; and is reset when it has diverged."""
+"""A filter core with its history: gating, update and report of measurements, and reset after divergence."""
 
 from collections.abc import Iterable
 from typing import Any

@@ -1,8 +1,8 @@
-"""What all sheets of a map may be off together, which no picture shows, and how well the sheets were really laid.
+"""Common error of all sheets of a map, unobservable from images, and the accuracy of the laying of sheets.
 
-A picture says how sheets lie to each other, never how their mean lies in the tank. How uncertain that is depends on how
-well sheets were laid, and of this the map has somebody's word, or a default. The offsets that were found tell it: their
-scatter about what they have in common is what the mean was made of.
+Images determine the positions of sheets relative to each other, not their mean in the tank (gauge freedom). The
+uncertainty of the mean follows from the laying accuracy, for which the map has a stated or default value. The scatter
+of the estimated offsets about their common part gives a measured value.
 """
 
 import numpy as np

@@ -1,9 +1,9 @@
-"""What a picture says of the sheets on the floor, and what the filter believes of them.
+"""Joint estimation of vehicle pose and sheet offsets from marker images.
 
-A pose from markers is as wrong as the sheets that it was taken from: z = truth + C (offsets - assumed ones) + noise.
-The filter holds the offsets as states, so an error that all pictures of a sheet share is never taken for noise. What
-one picture with several sheets says of their places among each other is independent of the pose, and a measurement of
-its own (:class:`SheetTies`).
+A pose from markers has the error of the sheets it was computed from: z = truth + C (offsets - assumed ones) + noise.
+The offsets are filter states, so that an error common to all images of a sheet is not treated as white noise. The
+relative positions of several sheets in one image are independent of the pose, and are a separate measurement
+(:class:`SheetTies`).
 """
 
 from dataclasses import dataclass

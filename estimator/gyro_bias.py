@@ -1,13 +1,13 @@
-"""The gyros' bias, from how the attitude has to be corrected: a Kalman filter of three states (filterpy).
+"""Gyro bias from the corrections of the attitude: a Kalman filter with three states (filterpy).
 
-A bias b of which b_known is taken off makes the attitude drift by R (b - b_known), and corrections take that back
-behind a low-pass filter L. So they turn by c = -L(R (b - b_known)), or
+With a bias b of which b_known is subtracted the attitude drifts by R (b - b_known), and the corrections compensate
+that behind a low-pass filter L. They turn by c = -L(R (b - b_known)), hence
 
     L(R) b = L(R b_known) - c
 
-with c about north and east from the specific force and about down from the magnetometer. The form is that of Laidig and
-Seel 2023 (VQF), whose vertical bias is found at rest only; a vehicle in the water is never at rest, and a slow turn of
-one that hovers must not be taken for it.
+with c about north and east from the specific force and about down from the magnetometer. The form is that of Laidig
+and Seel 2023 (VQF), whose vertical bias is estimated at rest only; a vehicle in the water is never at rest, and a slow
+turn while hovering must not be taken for bias.
 """
 
 import math

@@ -1,4 +1,4 @@
-"""The last second of the filter, kept so that a late measurement can be put where it belongs."""
+"""The last second of the filter, for updates with late measurements at their time of validity."""
 
 from collections import deque
 from collections.abc import Callable

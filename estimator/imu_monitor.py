@@ -1,7 +1,7 @@
-"""Watches accelerometer and gyro, and replaces the one that is suspect.
+"""Monitors accelerometer and gyro, and substitutes the suspect one.
 
-The vehicle model, driven by the commanded thrust, gives the acceleration; the AHRS's heading gives the turning. When a
-sensor ceases to be believed, the last moments are computed again without it: it was wrong for a while before it showed.
+The substitute of the acceleration is the vehicle model with the commanded thrust; that of the yaw rate is the AHRS's
+heading. When a sensor is rejected, the recent history is recomputed without it: the fault precedes its detection.
 """
 
 import math

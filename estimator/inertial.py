@@ -1,4 +1,4 @@
-"""The AHRS side: samples checked, brought to the level frame, and made into steps between two moments."""
+"""AHRS processing: validation, rotation to the level frame, and integration to steps between two times."""
 
 import math
 from collections.abc import Sequence

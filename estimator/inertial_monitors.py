@@ -1,13 +1,13 @@
-"""Which inertial sensor is suspect: what it says against what thrust, compass and fixes say.
+"""Fault detection of accelerometer and gyro against thrust model, compass and fixes.
 
-The vehicle model and the accelerometer say the same of the acceleration within 0.1 m/s^2, thruster losses, tether and
-jets included; gyro and AHRS heading the same of the turn within two degrees per second. A sensor that breaks, is hit or
-runs into its range is off by far more. Which of the two is wrong is told by the fixes while there are any: when they
-pass, the sensor is right, whatever the model says (a hull that is held, a lost thruster). Without fixes the one that
-cannot be bounded goes: an accelerometer's error grows with the square of time, a model's does not.
+Vehicle model and accelerometer agree within 0.1 m/s^2, thruster losses, tether and jets included; gyro and AHRS
+heading within two degrees per second. A broken, hit or saturated sensor differs by far more. Fixes decide which of the
+two is wrong: while they pass the gate, the sensor is right, whatever the model gives (a held hull, a lost thruster).
+Without fixes the unbounded one is rejected: the position error of an accelerometer fault grows with the square of
+time, that of the model does not.
 
-A sensor that is not believed is still watched. It is believed again, with the offset that it then has, when it has been
-steady against its witness for a while and fixes were there to tell.
+A rejected sensor is still monitored. It is used again, with its new offset, after a period of constant difference to
+its reference with fixes available.
 """
 
 import math

@@ -1,4 +1,4 @@
-"""The intake of samples that are measured at one moment and arrive later: each is checked and counted here."""
+"""Buffer of samples that arrive after their time of measurement: validation and counting."""
 
 from collections import deque
 from collections.abc import Iterable

@@ -1,4 +1,4 @@
-"""The extended Kalman filter: filterpy's, with our motion, our gate and pure functions around it."""
+"""The extended Kalman filter: filterpy's, with our motion model, gating, and pure functions around it."""
 
 import math
 from collections.abc import Sequence

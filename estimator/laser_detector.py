@@ -1,4 +1,4 @@
-"""The green laser dot: it can only lie on one line of the image, at a place that tells the range."""
+"""Detection of the green laser dot: it lies on one line of the image, and its position on it gives the range."""
 
 import math
 from typing import Any

@@ -1,7 +1,7 @@
-"""Whether the magnetic field is the one whose direction is known, or something magnetic is near.
+"""Detection of magnetic disturbance.
 
-The check of Laidig and Seel 2023 (VQF) with the limits that they give: the field's size and its dip below the level are
-compared with what they were. Another field becomes the known one when it has stayed alike for some time of turning.
+The check of Laidig and Seel 2023 (VQF) with their limits: norm and dip angle of the field are compared with the
+reference. Another field becomes the reference after it has been constant for some time with rotation.
 """
 
 import math

@@ -1,4 +1,4 @@
-"""What does not lie where the map has it, found in flight and named: moved markers, swapped ids, wrong sheets."""
+"""In-flight check of the marker map: moved markers, swapped ids, displaced sheets."""
 
 import math
 from collections import deque

@@ -1,9 +1,9 @@
-"""From a marker sighting to a pose: which marker of the map is which, and where the vehicle must be.
+"""Pose from a marker sighting: association of detections with the map, and pose estimation.
 
-Ids repeat over the floor. While the pose is roughly known, a marker is the nearest one of its id to where it seems to
-lie (:meth:`MarkerSolver.track`); without a pose, every marker votes for all places where it could be seen like this
+Ids repeat over the floor. With a pose prior, a detection is associated with the nearest marker of its id
+(:meth:`MarkerSolver.track`); without, every detection votes for all poses that would explain it
 (:meth:`MarkerSolver.locate`). Both end in the same least squares over all corners (:mod:`.estimator.pnp`). Markers may
-lie anywhere in any attitude: each is looked for at its own depth, and votes by the square that it is.
+have any position and attitude: association is at each marker's own depth, and votes use its square.
 """
 
 import math

@@ -1,10 +1,11 @@
 """Height over a level floor by a sonar altimeter.
 
-Its beam is wide: the first echo comes from the floor straight below as long as that lies within the beam. Its errors
-(speed of sound, what lies on the floor) are the same from echo to echo, so that averaging does not take them away.
+Its beam is wide: the first echo comes from vertically below as long as that is within the beam. Its errors (speed of
+sound, objects on the floor) are correlated from echo to echo and do not average out.
 
-An echo that has come back twice shows twice the range. While the depth is well known it does not pass the gate; when it
-is needed most it would, and the right ones after it would not. So an echo is held against those just before it.
+A multiple echo has twice the range. With an accurate depth it fails the gate; with a poor depth, when the altimeter is
+needed most, it could pass and exclude the correct ones after it. An echo is therefore compared with the preceding
+ones.
 """
 
 import math

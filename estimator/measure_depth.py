@@ -1,4 +1,4 @@
-"""Depth by pressure: depth of the sensor plus an offset that is a state of its own."""
+"""Depth by pressure: depth of the sensor plus an offset, which is a filter state."""
 
 import math
 from dataclasses import dataclass

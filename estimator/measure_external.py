@@ -1,8 +1,8 @@
-"""Pose from outside (motion capture, acoustic positioning, a companion computer's vision).
+"""Pose from an external source (motion capture, acoustic positioning, a companion computer's vision).
 
-It becomes the same measurement as a pose from markers, once it is in the local frame and of the centre of gravity. A
-source whose frame is not ours (FRD: level, but with an origin and a direction of its own) is laid onto the estimate
-when it begins and whenever it says that it has jumped; from then on it holds the vehicle where it was.
+Transformed to the local frame and the centre of gravity it is the same measurement as a pose from markers. A source
+with a frame of its own (FRD: level, with its own origin and heading) is aligned with the estimate when it starts and
+at every change of its reset counter; from then on it bounds the drift.
 """
 
 import math

@@ -1,4 +1,4 @@
-"""Markers on the floor as a source of positions: pictures of them, or a sensor that gives the poses ready-made."""
+"""Markers on the floor as a source of poses: from images, or from a sensor that delivers poses."""
 
 import numpy as np
 

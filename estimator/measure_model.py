@@ -1,13 +1,13 @@
-"""The vehicle model as a sensor: thrust and drag say what the acceleration must be, the accelerometer says what it is.
+"""The vehicle model as a measurement: acceleration by thrust and drag against the accelerometer.
 
-This is what makes the current observable: drag depends on the velocity relative to the water, and the velocity over
-ground is known from vision. With M = m + M_A (rigid body and added mass) and a current that changes at the rate c'
-along the way of the vehicle, the surge and sway equations read (Fossen 2011, eq. 6.113 and 8.1, neutral body)
+This makes the current observable: drag depends on the velocity relative to the water, and the velocity over ground is
+known from vision. With M = m + M_A (rigid body and added mass) and a current that changes at the rate c' along the
+vehicle's path, the surge and sway equations are (Fossen 2011, eq. 6.113 and 8.1, neutral body)
 
     M dnu_r/dt = f(nu_r, thrust) - m R' c'   so that   R' a_ground = a_model(nu_r, thrust) + (M_A / M) R' c' .
 
-Roll and pitch are left out: the level frame stands for the body's planar axes. When the vertical current is a state
-(``EstimatorOptions.current_3d``) the heave equation comes on top; its buoyancy is taken as known.
+Roll and pitch are neglected: the level frame stands for the body's planar axes. If the vertical current is a state
+(``EstimatorOptions.current_3d``) the heave equation is added; its buoyancy is taken as known.
 """
 
 import ctypes

@@ -1,4 +1,4 @@
-"""What every measurement model has in common. One file per kind of measurement: ``measure_*.py``."""
+"""Common interface of the measurement models, one file per kind: ``measure_*.py``."""
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass

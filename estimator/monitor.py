@@ -1,7 +1,7 @@
-"""What watches over an estimator have in common: what they say against it, what that is worth, what they have found.
+"""Common interface of the monitors: findings, their effect on the estimate's health, and detected values.
 
-Some hold a sensor against the others (:mod:`.imu_watch`, :mod:`.fix_trust`), some what sensors share: the map
-(:mod:`.map_watch`), the camera's calibration (:mod:`.camera_doubt`), the estimate itself (:mod:`.evidence`).
+Some compare one sensor with the others (:mod:`.imu_monitor`, :mod:`.fix_trust`), some check common causes: the map
+(:mod:`.map_monitor`), the camera's calibration (:mod:`.camera_monitor`), the estimate itself (:mod:`.evidence`).
 """
 
 from collections.abc import Iterable, Mapping

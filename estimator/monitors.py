@@ -1,4 +1,4 @@
-"""The monitors of one estimator, and what they say together."""
+"""The monitors of one estimator and their combined findings."""
 
 from typing import NamedTuple
 

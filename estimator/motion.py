@@ -1,4 +1,4 @@
-"""How the state moves in one step, shared by both estimators, with its Jacobian."""
+"""State propagation over one step, shared by both estimators, with its Jacobian."""
 
 import ctypes
 import math

@@ -1,4 +1,4 @@
-"""The camera's clock, and what is made of pictures: poses by its markers, ranges by the laser's dot."""
+"""Camera clock and image processing: poses from markers, ranges from the laser dot."""
 
 from collections import deque
 from dataclasses import replace

@@ -1,14 +1,14 @@
 """Pose of the vehicle from marker corners and their pixels: Gauss-Newton over position and rotation, with covariance.
 
-All six degrees of freedom are solved for. The AHRS's roll and pitch come in as two weak extra residuals, which decide
-when one or two markers leave the tilt open and do not matter when many are seen.
+All six degrees of freedom are estimated. The AHRS's roll and pitch are two weak prior residuals, which decide when one
+or two markers leave the tilt undetermined and are negligible with many markers.
 
-A seventh unknown is how far blur draws all corners towards their markers' centres. Refinement finds the corner of a
-blurred black square inside of the true one, by 0.2 to 0.5 px depending on optics, motion and window: taken for scale,
-that is a bias of the height which no residual shows and which every frame repeats. Many markers tell it apart from
-height (the distances between markers do not shrink), one marker leans on the prior. What is left are errors of single
-corners, nearly independent of each other and from frame to frame, so that their size tells the covariance. The image
-itself says what to expect of each marker's corners; the residuals say how right that is, the more the more there are.
+A seventh unknown is the displacement of all corners towards their markers' centres by blur. Corner refinement finds
+the corner of a blurred black square inside the true one, by 0.2 to 0.5 px depending on optics, motion and window:
+taken for scale, that is a bias of the height that no residual shows and every frame repeats. Many markers separate it
+from height (the distances between markers do not shrink); with one marker the prior decides. The remaining errors of
+single corners are nearly independent, also from frame to frame, so that their size gives the covariance: expected per
+marker from the image, and scaled by the residuals, with more weight the more there are.
 """
 
 import math

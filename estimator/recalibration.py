@@ -1,5 +1,4 @@
-"""What has been found of the camera's calibration in flight is taken off, and the estimate that it has led astray is
-carried to where it belongs."""
+"""Application of the calibration errors found in flight, and correction of the estimate that they have biased."""
 
 import math
 

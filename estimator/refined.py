@@ -1,4 +1,4 @@
-"""The marker map as the filter has it by now: sheets moved to where they were found, and how well that is known."""
+"""The marker map with the estimated sheet offsets and their uncertainty."""
 
 from dataclasses import replace
 

@@ -1,4 +1,4 @@
-"""When to give in: fixes that are rejected one after the other but agree among themselves mean that we are wrong."""
+"""Detection of a wrong position: consecutive rejected fixes that are mutually consistent."""
 
 from collections import deque
 

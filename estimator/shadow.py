@@ -1,8 +1,8 @@
-"""A second estimator in the shadow of the flown one: the same sensors, another filter, and the difference compared.
+"""A redundant estimator beside the primary one: the same sensors, another filter, and a monitored difference.
 
-Poses are made of pictures once, by the flown estimator; its shadow gets them as a pose sensor's. What the two have in
-common (association of markers, the marker map, the AHRS) is therefore not checked; what each makes of it is: gates,
-biases, the vehicle model, covariances, history.
+Images are processed once, by the primary estimator; the redundant one gets the poses as from a pose sensor. Common
+parts (association of markers, the marker map, the AHRS) are therefore not checked; gates, biases, vehicle model,
+covariances and history are.
 """
 
 import math

@@ -1,9 +1,9 @@
-"""Pose from the corners of markers whose sheets may lie off: pose, tilt, blur and the sheets' offsets in one fit.
+"""Pose from the corners of markers on displaced sheets: pose, tilt, blur and sheet offsets in one fit.
 
-A free fit of six degrees of freedom would tilt where two sheets do not fit together: a millimetre between them passes
-for half a degree, and that for 7 mm of the pose. Here sheets may move as far as they are believed to be off, and the
-tilt as far as the AHRS's is. Of the result the filter gets two independent pieces: the pose with how it depends on the
-offsets, and what the picture says of the offsets among each other.
+A free fit of six degrees of freedom would tilt where two sheets do not match: a millimetre between them has the effect
+of half a degree, and that of 7 mm in position. Here sheets may move within their uncertainty, and the tilt within that
+of the AHRS. The filter gets two independent results: the pose with its dependence on the offsets, and the relative
+offsets.
 """
 
 import math

@@ -1,4 +1,4 @@
-"""The aiding sources of a vehicle, each a class in its ``measure_*.py``: here they are listed, and found by sample."""
+"""The aiding sources of a vehicle, each a class in its ``measure_*.py``, by sample type."""
 
 from collections.abc import Callable, Iterator
 from dataclasses import replace

@@ -1,20 +1,19 @@
-"""By how much the stamps of pictures are late, from fixes and inertial sensors alone.
+"""Latency of the image stamps from fixes and inertial sensors alone.
 
-What gyro and accelerometer say of the motion does not know of stamps, and nothing of the filter is in it: no gate, no
-reset and no bias that has already given way to wrong stamps. Over a window of two seconds the gyro's heading and the
-accelerometer's way must fit the fixes, but for what these sensors cannot know (where and how fast it began, their
-biases), and they fit best when the fixes are put where they belong. For each of a grid of delays what remains is
-squared and summed; a window in which nothing changes (rest, steady motion) says the same of all of them, which is
-nothing but noise. How much it says is told by the fixes: noise of inertial sensors explains none of what they show, a
-motion that was felt explains nearly all of it. Windows count by the share that is explained, and are added by their
-likelihoods. What the last two say by themselves is enough to forget those before: stamps may jump. While stamps are
-good as far as is known nothing is touched.
+Gyro and accelerometer do not depend on the stamps, and the filter is not involved: no gate, no reset, no bias that has
+adapted to wrong stamps. Over a window of two seconds the integrated gyro and accelerometer must fit the fixes up to
+the unknowns of these sensors (initial position and velocity, biases), and they fit best when the fixes are shifted to
+their true times. For a grid of delays the residuals are squared and summed; a window without dynamics (rest, steady
+motion) gives the same sum for all of them, which is noise. Its information is measured by the fixes: noise of inertial
+sensors explains none of their motion, real motion nearly all of it. Windows are weighted by the explained fraction,
+and their log-likelihoods are added. The last two windows alone are enough to discard the earlier ones, as stamps may
+jump. While stamps are correct within the uncertainty nothing is changed.
 
-Stamps that are late fit as well as others once they are put right. A sensor whose offset begins within the window fits
-no delay: where the remaining misses are larger than usual, held against what the fixes say of their noise, the window
-says nothing of stamps. Nor where an offset or a scale of the gyro that begins within it explains the heading by far
-better than any delay. Place alone says nothing if only the accelerometer is wrong; the gyro is in both. The first few
-fixes after such an offset may fit some delay by chance, but not the same one as those after them: a delay must last.
+Delayed stamps fit as well as others after the correction. A sensor whose offset starts within the window fits no
+delay: a window with residuals larger than expected from the fixes' noise is not used, nor one whose heading is
+explained far better by an offset or scale error of the gyro that starts within it than by any delay. Position alone is
+not used when only the accelerometer is wrong; the gyro enters both. The first few fixes after such an offset may fit
+some delay by chance, but not the same as those after them: a delay has to persist.
 """
 
 import math

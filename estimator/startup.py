@@ -1,4 +1,4 @@
-"""Start-up: accept a pose once three fixes agree, wherever the vehicle stands."""
+"""Initialisation: a pose is accepted once three fixes agree, at any position."""
 
 import math
 from collections import deque

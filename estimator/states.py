@@ -1,4 +1,4 @@
-"""Layout of the state vector that both estimators use, and how sure they are of it at the start."""
+"""Layout of the state vector of both estimators, and its initial covariance."""
 
 from typing import NamedTuple
 

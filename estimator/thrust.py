@@ -1,4 +1,4 @@
-"""Thrust that acts, from thrust that was commanded: a first-order lag, remembered for a short while."""
+"""Actual thrust from commanded thrust: a first-order lag, with a short history."""
 
 import math
 from collections import deque

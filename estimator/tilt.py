@@ -1,8 +1,8 @@
-"""Trim of the AHRS's roll and pitch by the tilt that vision sees.
+"""Trim of the AHRS's roll and pitch by the tilt from vision.
 
-An AHRS of this class is half a degree off, slowly wandering, which leaks 0.09 m/s^2 of gravity into the horizontal
-acceleration: more than drag and thrust errors together. A pose from many markers knows the tilt to a twentieth of a
-degree. The difference is followed slowly and taken off the samples that come later; without vision it fades away.
+An AHRS of this class has a slowly varying error of half a degree, which leaks 0.09 m/s^2 of gravity into the
+horizontal acceleration: more than drag and thrust errors together. A pose from many markers gives the tilt to a
+twentieth of a degree. The low-pass filtered difference is subtracted from later samples; without vision it decays.
 """
 
 import math

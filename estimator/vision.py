@@ -1,15 +1,15 @@
-"""The vision front end: markers and laser dot in one image. OpenCV lives here and nowhere else in the estimator.
+"""The vision front end: markers and laser dot in one image. The only module of the estimator that uses OpenCV.
 
-While the pose is roughly known (a hint), the detector knows which ids can be in view, where and how large: a
-dictionary of these few ids and one threshold window make it several times faster (the cost of identification grows with
-the dictionary in OpenCV 5.0) and rule out most false ids. Where a marker should be and was not found it looks a second
-time, in that part of the image, with OpenCV's own windows. Without a hint the whole dictionary is searched; that is
-slow and meant for start-up, at a rate that the caller limits.
+With a pose prior (a hint), the detector knows ids, positions and sizes of the visible markers: a dictionary of these
+ids and one threshold window make it several times as fast (the cost of identification grows with the dictionary in
+OpenCV 5.0) and exclude most false ids. Where an expected marker is missing, that part of the image is searched again
+with OpenCV's own windows. Without a hint the whole dictionary is searched; that is slow and meant for initialisation,
+at a rate limited by the caller.
 
 Misread cells are corrected as far as the dictionary's distances allow (``VISION.correction``).
 
-Where haze has left little contrast, the mean of blue and green, smoothed, takes the place of green, and the threshold
-is lower: the same markers with half of the noise. Equalising the histogram (CLAHE) instead costs more and finds less.
+At low contrast (haze) the smoothed mean of blue and green replaces green, with a lower threshold: the same markers at
+half the noise. Histogram equalisation (CLAHE) costs more and detects less.
 
 Works with OpenCV 4.10 to 5.x, whose arrays differ in shape.
 """

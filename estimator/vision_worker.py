@@ -1,9 +1,8 @@
-"""Runs the marker detector beside the loop: frames go in, sightings come out as samples of a later tick.
+"""Marker detection in the background: frames in, sightings out as samples of a later tick.
 
-In lockstep a sighting is due a fixed time after its frame came in and the loop waits for it then, so that a run does
-not depend on how fast the machine is. In a paced run nobody waits: one frame is in work, the newest one waits behind it
-and takes the place of an older one, and a sighting that comes late is handed on with the time of its frame (the
-estimator fuses it where it belongs).
+In lockstep a sighting is due a fixed time after its frame and the loop waits for it, so that a run does not depend on
+the speed of the machine. In real time the loop does not wait: one frame is in work, the newest one waits and replaces
+an older one, and a late sighting has the time of its frame (the estimator fuses it there).
 """
 
 import time

@@ -1,10 +1,10 @@
-"""Slow work beside the loop: a request is pure data, its answer comes a counted time after it.
+"""Background work of the loop: a request is pure data, its result is delivered a fixed number of ticks after it.
 
-Everything that does not fit into a tick (validation of plans, route search, energy plans, certificates, disk) goes over
-a desk. A desk is one lane: its requests are worked off one after the other, a cancelled one that has not begun is never
-begun. What a run does must not depend on how fast the machine is, so in lockstep the loop waits at a *patient* desk for
-an answer that is due; in real time the loop goes on and takes the answer when it is ready, late ones are counted.
-Without an executor the work is done at the moment it is due (tests, studies).
+Everything that does not fit into a tick (validation of plans, route search, energy plans, certificates, disk) runs on
+a worker. A worker is a queue: requests are processed in order, and one that is cancelled before its start is skipped.
+The result of a run must not depend on the speed of the machine: in lockstep the loop waits at a *blocking* worker for
+a result that is due; in real time the loop continues and takes the result when it is ready, and late ones are counted.
+Without an executor the work is done when its result is due (tests, studies).
 """
 
 from collections.abc import Callable

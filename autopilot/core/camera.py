@@ -1,11 +1,10 @@
-"""The down-looking camera and where it sits. Three models (``[camera] model`` of the vehicle file):
+"""The down-looking camera and its mounting. Three models (``[camera] model`` of the vehicle file):
 
 ``pinhole``    Brown's distortion (k1 k2 p1 p2 k3), calibrated in water: the default
 ``fisheye``    OpenCV's fisheye polynomial (k1 k2 k3 k4), calibrated in water
-``flat_port``  pinhole with Brown's distortion calibrated in air, behind a flat pane (:mod:`autopilot.core.flat_port`)
+``flat_port``  pinhole with Brown's distortion calibrated in air, behind a flat port (:mod:`autopilot.core.flat_port`)
 
-All is numpy, so that projecting a few hundred points costs tens of microseconds and needs no heavy import. Pixel
-centres lie at whole numbers, as everywhere in OpenCV.
+Numpy only: projecting a few hundred points takes tens of microseconds. Pixel centres are at integers, as in OpenCV.
 """
 
 from dataclasses import dataclass, field, replace

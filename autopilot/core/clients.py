@@ -1,4 +1,4 @@
-"""Clients of a link, as links and service both number them."""
+"""Client numbers of a link, shared by links and service."""
 
 from dataclasses import dataclass
 from enum import IntEnum

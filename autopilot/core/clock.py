@@ -1,4 +1,4 @@
-"""Time comes from outside: the runtime hands every tick its time, nothing below reads a clock."""
+"""Time is an input: the runtime passes the time of each tick, and no other module reads a clock."""
 
 from typing import Protocol
 

@@ -1,8 +1,8 @@
-"""The library in C: compiled once, when the package is installed or its wheel is built (``setup.py``).
+"""The C library: compiled once, when the package is installed or its wheel is built (``setup.py``).
 
-Running, nothing is compiled or cached. Only the file inside the package is loaded, and that only if it is whole and
-made of the C sources beside it (:mod:`autopilot.core.seal`). The controller needs it; estimator, simulation and the
-QP solver have a slower way. The environment variable ``AUTOPILOT_COMPILED=no`` chooses those, for comparison.
+Nothing is compiled or cached at run time. Only the file inside the package is loaded, and only if it is complete and
+built from the C sources beside it (:mod:`autopilot.core.seal`). The controller needs it; estimator, simulation and the
+QP solver have a slower alternative. The environment variable ``AUTOPILOT_COMPILED=no`` selects those, for comparison.
 """
 
 import ctypes

@@ -1,10 +1,10 @@
-"""Forces to thrust: which thrusters make a wanted force and moment, and what a vehicle's thrusters can make at all.
+"""Control allocation: thrust for a wanted generalised force, and the attainable set of a vehicle's thrusters.
 
-The allocation T_A (4, n) says what thrust makes; this is its inverse, the only one. As many thrusters as axes have but
-one answer. More of them share by least squares, min sum c_i F_i^2 with c_i the power that thruster i takes, which is
-what NMPC's weights on thrust do as well. Bounds are hard: what the wish exceeds them by is left out where least thrust
-is missing, min (T_A F - f)^T S (T_A F - f) with S = (T_A C^-1 T_A^T)^-1, the thrust that would make up for it.
-For a square T_A that is the plain answer, each thruster cut at its bound.
+T_A (4, n) maps thrust to force; this is its inverse. With as many thrusters as axes the solution is unique. Redundant
+thrusters are allocated by weighted least squares, min sum c_i F_i^2 with c_i the power coefficient of thruster i, as
+the NMPC's weights on thrust do (Fossen 2011, section 12.3). Bounds are hard: an unattainable force is approximated by
+min (T_A F - f)^T S (T_A F - f) with S = (T_A C^-1 T_A^T)^-1, the weighted norm of the thrust that would be missing.
+For a square T_A that is the unconstrained solution, each thruster clipped at its bound.
 """
 
 import math

@@ -1,4 +1,4 @@
-"""The checksums of MAVLink: of its packets, and what its file transfer and component metadata go by."""
+"""MAVLink's checksums: of packets, and of file transfer and component metadata."""
 
 import binascii
 import zlib

@@ -1,4 +1,4 @@
-"""A thread for the disk that does not keep the process from ending, however long the disk takes."""
+"""A thread for disk access that does not delay the end of the process."""
 
 import queue
 import threading

@@ -1,12 +1,12 @@
-"""A device's own clock on the service's time: followed while it is steady, found anew within half a second of a jump.
+"""Conversion of a device's clock to the service's time: tracks drift, and recovers from a jump within half a second.
 
-Arrival times jitter by the scheduling of both ends; the device's own clock does not. The mean difference of both holds
-the mean latency, which the caller subtracts.
+Arrival times have scheduling jitter; the device's own stamps do not. The mean difference of both contains the mean
+latency, which the caller subtracts.
 
-A jump and a late arrival both change the difference. They differ in the step from one stamp of the device to the next:
-a sound clock makes even steps, however late they arrive; a jump is an uneven step that arrivals do not confirm. So only
-a difference that has changed behind an uneven step is called a jump. A clock that jumps again and again is not used:
-samples are then stamped with their arrival.
+A jump and a late arrival both change the difference. They differ in the step from one device stamp to the next: a
+healthy clock makes even steps, however late the samples arrive; a jump is an uneven step that the arrivals do not
+show. Only a change of the difference after an uneven step is taken as a jump. A clock that jumps repeatedly is not
+used: samples then have their time of arrival.
 """
 
 from collections import deque

@@ -1,7 +1,7 @@
-"""Marker dictionaries: which patterns there are. OpenCV's predefined ones by name, others out of files.
+"""Marker dictionaries: OpenCV's predefined ones by name, and custom ones from files.
 
-A dictionary goes everywhere by its name. That of one out of a file holds its patterns, so that maps, logs and replays
-need no second file: ``CUSTOM:<cells>:<patterns in hexadecimal>``. People see :func:`dictionary_label` of it.
+A dictionary is identified by its name. The name of a custom one contains its patterns, so that maps, logs and replays
+need no second file: ``CUSTOM:<cells>:<patterns in hexadecimal>``. For display: :func:`dictionary_label`.
 """
 
 import re

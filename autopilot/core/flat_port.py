@@ -1,12 +1,12 @@
-"""A camera behind a flat pane: light is bent at water to glass and at glass to air (Snell), the axis across the pane.
+"""A camera behind a flat port: refraction at water-glass and glass-air (Snell), optical axis normal to the pane.
 
-All is radial. With u the tangent of the ray's angle to the axis in the air, a ray that leaves the lens meets the depth
-z at the radius (Treibitz et al., "Flat refractive geometry", PAMI 2012; n relative to air)
+With u the tangent of the ray's angle to the axis in air, a ray from the lens meets the depth z at the radius (Treibitz
+et al., "Flat refractive geometry", PAMI 2012; n relative to air)
 
     r(u, z) = d u + t u / sqrt(g^2 + (g^2 - 1) u^2) + (z - d - t) u / sqrt(n^2 + (n^2 - 1) u^2)
 
-since sin(air) = g sin(glass) = n sin(water). There is no single centre of projection: rays of larger angles seem to
-come from farther behind the pane. r grows with u and is concave, so Newton's method from below finds u without fail.
+since sin(air) = g sin(glass) = n sin(water). There is no single centre of projection: rays of larger angles appear to
+start farther behind the pane. r is increasing and concave in u, so Newton's method from below always converges.
 """
 
 from dataclasses import dataclass

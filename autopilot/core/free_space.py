@@ -1,10 +1,10 @@
-"""Where the vehicle can be and how it gets from there to there: one answer for uploads, routes and energy plans.
+"""Free space of the vehicle and its connectivity, shared by upload checks, routes and energy plans.
 
-Cells of a grid over the area, halved again and again where that decides about a way: a cell counts as free when the
-vehicle may stand *somewhere* in it (a place is looked for, uphill in the clearance), and neighbours are linked when the
-straight line between their places keeps the radius. A cell is halved where it may be free but no place is found, and
-where a line to a neighbour is barred that is not got round at once. So a door of two radii and some millimetres is
-found in a basin of any size, while open water and plain walls stay as coarse as they are.
+Quadtree over the area: a cell is free if the vehicle can be at *some* position in it (found by ascent of the
+clearance), and neighbours are linked if the straight line between their positions keeps the radius. A cell is
+subdivided if it may be free but no position is found, and if a link to a neighbour is blocked without a detour close
+by. Passages of two radii plus a few millimetres are found in a basin of any size, while open water and straight walls
+stay coarse.
 """
 
 import math

@@ -1,8 +1,8 @@
-"""The tangent plane of WGS 84: the one conversion between degrees and local metres, for missions and for telemetry.
+"""Local tangent plane of WGS 84: the only conversion between degrees and local metres, for missions and telemetry.
 
 North and east are the topocentric coordinates of the point on the level surface of the origin (tangent plane at the
-origin). Depth is depth below that surface, so that the curvature of the earth does not show up as depth (0.7 m at
-3 km). Round trips close to better than a millimetre within :data:`MAX_RANGE_M` of every allowed origin.
+origin). Depth is measured from that surface, so that the curvature of the earth does not appear in it (0.7 m at 3 km).
+The error of a round trip is below a millimetre within :data:`MAX_RANGE_M` of every allowed origin.
 
 Source: NIMA TR8350.2 (WGS-84 ellipsoid); geodetic to ECEF to local tangent plane, Fossen 2011, section 2.3.
 """

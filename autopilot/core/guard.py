@@ -1,8 +1,8 @@
-"""Runs the parts of a tick so that one that fails does not take the others with it.
+"""Isolation of the parts of a tick: a part that raises does not stop the others.
 
-An exception inside a part is a :class:`Fault`: kept with its traceback and with what the part was given, counted, and
-handed to whoever decides what it means (:mod:`autopilot.command.fault_response`). Nothing is hidden: where the guard is
-set to raise (tests, continuous integration), the exception goes on.
+An exception inside a part becomes a :class:`Fault`: stored with traceback and inputs, counted, and handled by
+:mod:`autopilot.command.fault_response`. Where the guard is set to raise (tests, continuous integration), the exception
+propagates.
 """
 
 import os

@@ -1,4 +1,4 @@
-"""Range from where the camera sees the laser's dot."""
+"""Range from the laser dot's position in the image."""
 
 import math
 

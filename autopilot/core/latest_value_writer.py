@@ -1,7 +1,7 @@
-"""Has the newest of a state written, beside the loop: one write at a time, and one that waits for it.
+"""Background writing of the latest state: one write in progress, and at most one waiting.
 
-A state that came while another was being written takes the place of one that still waits: only the newest is of use
-after a restart, and a slow disk must not gather a queue.
+A state that arrives during a write replaces the waiting one: only the latest is needed after a restart, and a slow
+disk must not fill a queue.
 """
 
 from collections.abc import Callable

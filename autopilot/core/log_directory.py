@@ -1,4 +1,4 @@
-"""The folder of logs as clients see it: what there is, and pieces of it. Everything is asked for beside the loop."""
+"""The log directory for clients: list of files, and blocks of them. All reads are in the background."""
 
 from dataclasses import dataclass
 from typing import Protocol

@@ -1,8 +1,8 @@
-"""How wrong a marker map may be: which markers were laid together, as a sheet, and how well.
+"""Error model of a marker map: which markers were laid together, as a sheet, and with which accuracy.
 
-Markers on one sheet lie where they were printed; the sheet lies where a person put it. So the errors of its markers are
-one error: a shift and a turn. Sheets that a map does not name show by their lattice: markers of one heading whose
-places are whole steps of a grid from their neighbours' were printed together, as hand-laid sheets never fit so well.
+Markers on one sheet are placed by the printer; the sheet is placed by hand. The errors of its markers are therefore
+common: a translation and a rotation. Sheets that the map does not name are found by their lattice: markers of one
+heading whose distances are multiples of a grid step belong to one sheet, as hand-laid sheets never align so well.
 """
 
 import math

@@ -1,8 +1,8 @@
-"""The marker map file: which marker of which dictionary lies where, in TOML (docs/markers.md).
+"""The marker map file in TOML: dictionary, id, size and pose of every marker (docs/markers.md).
 
-``[[marker]]`` gives one marker, ``[[board]]`` a grid of them; both can be mixed, and so can dictionaries and sizes. A
-pose is that of the marker's frame: x to its top, y to its right, z into the surface it is printed on. With all angles
-zero it lies face up with its top to the north.
+``[[marker]]`` defines one marker, ``[[board]]`` a grid of them; both may be mixed, and so may dictionaries and sizes.
+A pose is that of the marker's frame: x to its top, y to its right, z into the surface it is printed on. With all
+angles zero it lies face up with its top to the north.
 """
 
 import json

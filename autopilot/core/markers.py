@@ -1,8 +1,8 @@
-"""The marker map: which ArUco marker lies where on the floor, how such a floor is laid out, and what is in view.
+"""The marker map: poses of ArUco markers on the floor, generation of layouts, and visibility.
 
-A floor needs more markers than the largest dictionary has ids, so ids repeat. The layout keeps that harmless: markers
-of one id lie at least :data:`SAME_ID_DISTANCE_M` apart, more than one image shows, and no two places of the floor share
-a pair of neighbours, so that any two adjacent markers tell where on the floor they are.
+A floor needs more markers than the largest dictionary has ids, so ids repeat. The layout keeps this unambiguous:
+markers of one id are at least :data:`SAME_ID_DISTANCE_M` apart, more than one image covers, and no two positions of
+the floor have the same pair of neighbours, so that any two adjacent markers determine the position.
 """
 
 import math

@@ -1,4 +1,4 @@
-"""The parts of a tick, and how long each takes. Reported, never acted upon: whoever measures is put in from outside."""
+"""The parts of a tick and their durations. Measurements are for reports only; the recorder is injected."""
 
 import time
 from collections.abc import Callable

@@ -1,9 +1,9 @@
-"""What the service is told in answer to its own questions, so that a replay can be told the same.
+"""Record and replay of the answers that do not follow from the inputs.
 
-Beside its inputs a step asks a few things whose answers do not follow from them: whether slow work is ready (in real
-time), whether a disk has kept something, whether a signature is one of our key. Every such answer that is not the usual
-one is noted with its kind and with how often that had been asked since the last note was taken; a replay
-(:class:`NondeterminismReplay`) gives it at the same question again.
+A step depends on a few external results: whether background work is ready (in real time), whether a disk write has
+completed, whether a signature matches our key. Every answer other than the default is recorded with its kind and the
+number of queries since the last record was taken; in a replay :class:`NondeterminismReplay` returns it at the same
+query.
 """
 
 from collections import Counter

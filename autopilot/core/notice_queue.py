@@ -1,4 +1,4 @@
-"""Notices to operator and log, kept until they are taken."""
+"""Queue of notices to operator and log."""
 
 from autopilot.core.messages import Severity
 

@@ -1,7 +1,7 @@
-"""Every text of ours to operators (STATUSTEXT and the log's events), one row each.
+"""All texts to operators (STATUSTEXT and the log's events), one row each.
 
 A row has a severity, a template with named fields, a meaning and a remedy. The sender calls the row with its fields:
-``ARMED()``, ``MODE(name="HOLD")``. docs/messages.md is written from this table (docs/messages_page.py). The
+``ARMED()``, ``MODE(name="HOLD")``. docs/messages.md is generated from this table (docs/messages_page.py). The
 conditions of failsafes have a table of their own, :mod:`autopilot.command.failsafe_table`.
 """
 

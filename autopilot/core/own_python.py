@@ -1,7 +1,7 @@
-"""Python processes that this package starts: they import what their parent does, and nothing from the current folder.
+"""Python child processes: they import what their parent does, and nothing from the current folder.
 
-Without ``-P`` Python looks in the current folder first: a ``logging.py`` or a package ``autopilot`` of the user's
-would be imported in place of the right one. ``tests/test_child_processes.py`` lists every place that starts one.
+Without ``-P`` Python searches the current folder first: a ``logging.py`` or a package ``autopilot`` of the user's
+would be imported instead of the right one. ``tests/test_child_processes.py`` lists every place that starts one.
 """
 
 import contextlib

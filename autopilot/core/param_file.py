@@ -1,9 +1,9 @@
-"""Parameters on disk. Written whole and renamed, so that a power cut leaves the old file or the new one.
+"""Parameter files. Written completely and renamed, so that a power cut leaves the old file or the new one.
 
 Reads QGroundControl's five tab-separated columns (vehicle, component, name, value, type) and ``NAME value`` or
-``NAME,value`` (ArduPilot, MAVProxy); writes QGroundControl's form. A file that somebody gives is read strictly: what is
-wrong in it is an error. The file that a vehicle keeps must not keep it from starting: lines that cannot be used are
-warnings, the parameter has its default then, and names that this version does not know stay in the file.
+``NAME,value`` (ArduPilot, MAVProxy); writes QGroundControl's format. A file given by the user is read strictly: every
+problem is an error. The vehicle's own file must not prevent its start: invalid lines are warnings and the parameter
+has its default; names that this version does not know are kept in the file.
 """
 
 import re

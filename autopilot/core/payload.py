@@ -1,4 +1,4 @@
-"""What a vehicle carries that is moved by pulses: the state that all of it is to have."""
+"""State of the payload that is driven by pulses."""
 
 from dataclasses import dataclass
 

@@ -1,4 +1,4 @@
-"""Plans as they travel on the wire: items, kinds, and the answer to an upload."""
+"""Plans as in the MAVLink mission protocol: items, kinds, and the result of an upload."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass

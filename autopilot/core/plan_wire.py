@@ -1,4 +1,4 @@
-"""Plan items to MISSION_ITEM_INT and back."""
+"""Conversion of plan items to MISSION_ITEM_INT and back."""
 
 from typing import Any
 

@@ -1,9 +1,9 @@
-"""Parts that are chosen by name: a shipped one, one of an installed package, or any ``package:Class``.
+"""Plugins by name: a shipped one, one of an installed package, or any ``package:Class``.
 
-A controller, an estimator or a plant of one's own needs no change of this repository (docs/extend.md). It is looked for
-among the shipped names, then as ``package:Class``, then among the entry points of installed packages (group
-``underwater_autopilot.controllers`` and so on). The class, or any other callable, is called with one record of what
-there is and gives the part, which is held against its protocol before anything moves.
+A user's controller, estimator or plant needs no change of this repository (docs/extend.md). Names are resolved among
+the shipped ones, then as ``package:Class``, then among the entry points of installed packages (group
+``underwater_autopilot.controllers`` and so on). The class, or any other callable, is called with one context record
+and returns the instance, which is checked against its protocol before use.
 """
 
 import hashlib

@@ -1,4 +1,4 @@
-"""How thrusters follow their commands: first order, each with its own time constant."""
+"""First-order response of the thrusters, each with its own time constant."""
 
 import math
 from collections.abc import Iterable, Sequence

@@ -1,4 +1,4 @@
-"""Standard deviations of normally distributed errors from medians, which a few gross errors do not move."""
+"""Robust standard deviation of normally distributed errors from the median absolute deviation."""
 
 MAD_TO_SIGMA = 1.4826
 """Standard deviation over the median of the absolute values: 1 / 0.6745."""

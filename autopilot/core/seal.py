@@ -1,9 +1,9 @@
-"""The seal of the compiled library: what it was made of, and that it is whole.
+"""Seal of the compiled library: hash of its sources and of its content.
 
-Written into a constant of the library when it is built, read before it is loaded: the system's loader kills a process
-that touches what is missing of a truncated file, and does not know an old one. Only what the loader maps counts, so
-that ``strip`` may take symbols away. Uses the standard library alone, for the build runs without the package's
-requirements.
+Written into a constant of the library when it is built, checked before it is loaded: the dynamic loader kills a
+process that accesses the missing part of a truncated file, and cannot detect an outdated one. Only the loaded segments
+count, so that ``strip`` may remove symbols. Uses the standard library only, because the build runs without the
+package's requirements.
 """
 
 import hashlib

@@ -1,4 +1,4 @@
-"""The newest of each sensor, for what shows sensors and not the estimate."""
+"""Latest sample of each sensor, for displays of raw measurements."""
 
 import math
 from dataclasses import dataclass, field

@@ -1,8 +1,7 @@
-"""Every kind of sensor, one row each: what it says, who reads it, who simulates it, what the estimator makes of it.
+"""The table of sensors, one row per kind: sample classes, drivers, simulation, use by the estimator.
 
-Drivers, simulation, estimator, doctor and view go by this table. Classes stand as ``module:Class`` and are imported by
-whoever needs them, so that this module depends on none. How samples are logged is the table of
-:mod:`autopilot.log.sample_table`.
+Drivers, simulation, estimator, doctor and view use this table. Classes are given as ``module:Class`` and imported on
+use, so that this module depends on none. The logging of samples is defined in :mod:`autopilot.log.sample_table`.
 """
 
 from collections.abc import Mapping

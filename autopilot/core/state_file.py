@@ -1,7 +1,7 @@
-"""Files that must survive whatever ends a service: written whole, with the copy before kept.
+"""Crash-safe state files: written atomically, with the previous version kept.
 
-At every moment there is one whole file: the new content is on disk under another name before it takes the old one's
-place, and the old one has got its second name by then. What is found damaged is set aside and not overwritten.
+There is a complete file at every moment: the new content is on disk under a temporary name before it replaces the old
+file, which has been linked to its backup name by then. A damaged file is set aside and not overwritten.
 """
 
 import contextlib

@@ -1,4 +1,4 @@
-"""Still pictures: what the service asks the camera for, what becomes of it, what the log keeps beside the pixels."""
+"""Still pictures: requests to the camera, their results, and the metadata in the log."""
 
 from dataclasses import dataclass
 

@@ -1,9 +1,8 @@
-"""Thrust of a pulse, and the pulse for a thrust: the calibrated curve of a :class:`ThrusterDrive`.
+"""Thrust from pulse and its inverse: the calibrated curve of a :class:`ThrusterDrive`.
 
-A brushed thruster behind its amplifier: pulse -> duty -> voltage = duty * supply -> F = c V |V|, with different c
-forward and reverse and a band of duty in which the motor does not turn. A brushless one behind its ESC: the maker's
-tables. Either inverse jumps the band in which nothing turns: a request of at least half the smallest thrust gets the
-smallest thrust, a smaller one gets none.
+Brushed thruster with amplifier: pulse -> duty -> voltage = duty * supply -> F = c V |V|, with different c ahead and
+astern and a dead band of the duty. Brushless thruster with ESC: the manufacturer's tables. The inverse skips the dead
+band: a request of at least half the smallest thrust gets the smallest thrust, a smaller one gets zero.
 """
 
 import bisect

@@ -1,4 +1,4 @@
-"""What may stand where in a TOML file: the names that an unknown key, kind or value has to be one of."""
+"""Checks of names in TOML files: unknown keys, kinds and values, with the allowed ones in the message."""
 
 import copy
 import difflib

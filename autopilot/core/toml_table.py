@@ -1,4 +1,4 @@
-"""TOML files: how they are read, and what their tables are made of."""
+"""Reading of TOML files into typed tables."""
 
 import math
 import tomllib

@@ -1,4 +1,4 @@
-"""What a vehicle can do by its file: authority and speed per axis, power, and what the file does not say."""
+"""Capabilities of a vehicle by its file: authority and speed per axis, power, and missing data."""
 
 import math
 from dataclasses import dataclass

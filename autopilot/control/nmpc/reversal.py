@@ -1,4 +1,4 @@
-"""Dead time at thrust reversal: a thruster whose small thrust changes sign rests at zero first, to avoid chattering."""
+"""Dead band at thrust reversal: small thrust against a thruster's last direction of rotation is set to zero."""
 
 import math
 
@@ -16,7 +16,7 @@ one in a few hundred would turn a thruster round that has nothing to do. The nex
 
 
 class Reversals:
-    """Which way every thruster turned last."""
+    """Last direction of rotation of every thruster."""
 
     def __init__(self, limit_n: FloatArray) -> None:
         self._least_n: list[float] = (LEAST_SHARE * limit_n).tolist()
@@ -27,7 +27,7 @@ class Reversals:
         self._way = [0.0] * len(self._way)
 
     def worth(self, thrust_n: FloatArray, *, between: bool = False) -> FloatArray:
-        """Thrust (n,) without what is not worth a reversal; ``between`` control steps more is asked for."""
+        """Thrust (n,) [N] after the dead band, which is wider ``between`` control steps (factor BETWEEN)."""
         worth: list[float] = thrust_n.tolist()
         share = BETWEEN if between else 1.0
         for i, (thrust, least) in enumerate(zip(worth, self._least_n, strict=True)):
