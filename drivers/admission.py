@@ -1,7 +1,7 @@
-"""Who has a place on a port that several clients share, when there are fewer places than clients.
+"""Admission of clients to a shared port with a limited number of places.
 
-The policy only: no socket, no clock (``t_us`` is handed in), and what a client has said is asked of whoever reads it.
-The rule stands in docs/threats.md ("Who is served").
+Policy only: no socket, no clock (``t_us`` is an argument); the reader of the link supplies what a client has sent. The
+rule is in docs/threats.md ("Who is served").
 """
 
 from collections.abc import Callable, Hashable, Iterable

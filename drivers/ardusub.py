@@ -1,11 +1,11 @@
-"""ArduSub as the flight controller below us: it measures, and its motors do what our thrust asks for.
+"""ArduSub as lower flight controller: a source of measurements, and an actuator for our thrust commands.
 
-Its MAVLink is attitude, rates and acceleration, pressure, battery and leak probe. Our pulses go down as
-RC_CHANNELS_OVERRIDE in its MANUAL mode, at 50 Hz (:mod:`.drivers.ardusub_mixing`), and what comes out at its
-servo rail is compared with what was meant. Stopping means 1500 on every channel: to say nothing would leave the last
-thrust standing until its own failsafe. It keeps its arming, its failsafes and its pilot: we are a ground station to it,
-whose heartbeat it misses when this process dies, and a change of its mode takes the vehicle from us at once
-(:mod:`.drivers.ardusub_authority`). Its parameters are read and checked (:mod:`.drivers.ardusub_settings`), and never
+Its MAVLink delivers attitude, rates and acceleration, pressure, battery and leak probe. Our pulses are sent as
+RC_CHANNELS_OVERRIDE in its MANUAL mode, at 50 Hz (:mod:`.drivers.ardusub_mixing`), and its reported servo outputs are
+compared with the command. Stopping means 1500 on every channel: without messages the last thrust would remain until
+its own failsafe. It keeps its arming, its failsafes and its pilot: we are a ground station to it, whose missing
+heartbeat it detects when this process dies, and a change of its mode removes our authority at once
+(:mod:`.drivers.ardusub_authority`). Its parameters are read and checked (:mod:`.drivers.ardusub_settings`), never
 written.
 """
 

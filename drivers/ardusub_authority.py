@@ -1,8 +1,8 @@
-"""Who has a vehicle with ArduSub on board: we, its pilot, or nobody.
+"""Authority over a vehicle with ArduSub: ours, its pilot's, or nobody's.
 
-We fly in its MANUAL mode and in no other: any other mode is the pilot's, and so is the choice. Nothing here sets a
-mode. It is armed together with us, by its own checks, and disarmed by force: asked again and again until a heartbeat
-that came behind its answer shows it.
+We command in its MANUAL mode only: any other mode is the pilot's choice, and nothing here sets a mode. It is armed
+together with us, after its own checks, and disarmed by force: the command is repeated until a heartbeat later than its
+acknowledgement shows it.
 """
 
 from typing import Any

@@ -1,6 +1,6 @@
-"""What the vehicle carries, moved by ArduSub: DO_SET_SERVO and DO_SET_RELAY, one at a time until each is acknowledged.
+"""Payload driven by ArduSub: DO_SET_SERVO and DO_SET_RELAY, one at a time until each is acknowledged.
 
-Only what has been changed is sent: outputs that nobody has touched stay as the flight controller has them.
+Only changes are sent: outputs that were never commanded stay as the flight controller has them.
 """
 
 from collections.abc import Sequence

@@ -1,8 +1,8 @@
-"""What comes out at ArduSub's servo rail, compared with what was meant: is somebody else commanding the thrusters?
+"""Detection of a second sender: ArduSub's servo outputs compared with our commands.
 
-ArduSub takes the last of two senders. One beside us shows as outputs that are ours and not ours by turns (it speaks 20
-to 50 times a second, we 50 times), or as outputs that are never ours while it is the faster one. Reports are counted,
-not timed: they come 50 times a second, so that the window is 0.3 s of the vehicle's time whatever the link does.
+ArduSub applies the last of several senders. A second one shows as outputs that alternate between our command and
+another (it sends at 20 to 50 Hz, we at 50 Hz), or that never match while it is the faster one. Reports are counted,
+not timed: they arrive at 50 Hz, so that the window is 0.3 s of the vehicle's time whatever the link's latency.
 """
 
 from collections import deque

@@ -1,7 +1,7 @@
-"""ArduSub's parameters that our thrust depends on: read, checked, never written.
+"""ArduSub's parameters that affect our thrust: read, checked, never written.
 
-What is wrong with those that the mixing or a failsafe rests on refuses arming; the texts say which value it takes and
-why. The pilot sets it in the ground station.
+Values that break the mixing or a failsafe prevent arming; the texts give the required value and the reason. The pilot
+sets them in the ground station.
 """
 
 from collections.abc import Callable, Mapping

@@ -1,7 +1,8 @@
-"""How long a flight controller with ArduSub goes on with the last thrust when nobody speaks any more: measured.
+"""Measurement of how long ArduSub keeps the last thrust after all messages stop.
 
-With the propellers off: armed by its own checks in MANUAL, a small thrust ahead, then complete silence (no channels, no
-heartbeat), as if the companion had lost its power. What its servo rail shows is the answer. Time is handed in.
+With the propellers off: armed after its own checks in MANUAL, a small thrust ahead, then no messages at all (no
+channels, no heartbeat), as after a power failure of the companion. The servo outputs give the result. Time is an
+argument.
 """
 
 from enum import Enum

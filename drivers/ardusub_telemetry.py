@@ -1,4 +1,4 @@
-"""What ArduSub measures, as our samples."""
+"""Conversion of ArduSub's telemetry to our samples."""
 
 import math
 from typing import Any

@@ -1,4 +1,4 @@
-"""The ``with`` protocol that all drivers share."""
+"""The ``with`` protocol of all drivers."""
 
 from abc import ABC, abstractmethod
 from types import TracebackType
@@ -13,7 +13,7 @@ class Closing(ABC):
 
     @abstractmethod
     def open(self) -> None:
-        """Take hold of the device."""
+        """Open the device. DriverError if it cannot be opened."""
 
     @abstractmethod
     def close(self) -> None:

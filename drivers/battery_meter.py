@@ -1,4 +1,4 @@
-"""What every battery monitor makes of voltage and current: energy used and the share that is left."""
+"""Energy used and remaining charge from voltage and current, common to all battery monitors."""
 
 from autopilot.core.samples import PowerSample, plausible
 from autopilot.core.vehicle import BatteryLimits, Vehicle

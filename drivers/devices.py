@@ -1,8 +1,8 @@
-"""``[devices]`` of a vehicle configuration: which back end stands for what, with its options.
+"""``[devices]`` of a vehicle configuration: driver and options of every device.
 
 One table per kind (:data:`.drivers.registry.DEVICE_KINDS`). ``driver`` names the back end, every other key is one of
-its options: fields of the class's ``Options``. A flight controller brings what it measures and drives the thrusters, so
-that beside it there are no ``thrusters``; a sensor of its own kind beside it takes the place of what it would send.
+its options: fields of the class's ``Options``. A flight controller supplies measurements and drives the thrusters, and
+excludes ``thrusters``; a separate sensor of the same kind replaces the flight controller's.
 """
 
 from collections.abc import Mapping

@@ -1,7 +1,7 @@
 """Wire format of SBG Systems' Ellipse references (sbgECom), both directions.
 
-Frame: ``FF 5A | message u8 | class u8 | size u16 | data | crc u16 | 33``, numbers little-endian, the CRC that of the
-IG-500 over everything between sync and itself. Logs say themselves what they are; later firmware appends fields.
+Frame: ``FF 5A | message u8 | class u8 | size u16 | data | crc u16 | 33``, little-endian, the CRC that of the IG-500
+over everything between sync and itself. Logs are self-describing; later firmware appends fields.
 """
 
 import math

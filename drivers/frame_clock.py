@@ -1,10 +1,9 @@
-"""When pictures were taken that come without stamps: the camera's beat is followed, delays that vary are not.
+"""Exposure times of images without stamps: a filter for the camera's period that rejects transport jitter.
 
-A camera exposes with its own even beat; encoders, networks and a busy machine delay each picture as they like. So the
-arrivals lie about a line (time over the picture's number in the beat), and what the line says is nearer to the exposure
-than the arrival. Its mean delay stays in; that is the ``latency_s`` of cameras. A camera without a beat (exposure that
-is longer in the dark, pictures by trigger) is found by arrivals that lie anywhere between two beats; then they stand
-for themselves.
+A camera exposes periodically; encoders, networks and load delay each image at random. The arrivals scatter about a
+line (time over frame number), and the line is closer to the exposure than the arrival. Its mean delay remains; that is
+``latency_s`` of a camera. A camera without a period (longer exposure in the dark, external trigger) is detected by
+arrivals that are uniformly distributed between two frames; arrival times are then used as they are.
 """
 
 import math

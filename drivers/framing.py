@@ -1,7 +1,7 @@
-"""Cuts a byte stream (TCP, serial) into whole frames: MAVLink's without knowing any message, and those of devices.
+"""Splits a byte stream (TCP, serial) into frames: MAVLink's without knowing any message, and those of devices.
 
-A MAVLink frame is known by its start byte and length alone (https://mavlink.io/en/guide/serialization.html); checksums
-are the reader's business. A start byte that was none is noticed when no other follows its frame.
+A MAVLink frame is identified by its start byte and length (https://mavlink.io/en/guide/serialization.html); checksums
+are left to the reader. A false start byte is detected when no other one follows its frame.
 """
 
 from abc import ABC, abstractmethod

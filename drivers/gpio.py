@@ -1,4 +1,4 @@
-"""Single lines of a Linux GPIO chip: probes that are read, outputs that are switched."""
+"""Lines of a Linux GPIO chip: inputs and outputs."""
 
 from typing import Any, Protocol
 

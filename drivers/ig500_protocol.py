@@ -1,9 +1,9 @@
-"""Wire format of the SBG Systems IG-500 attitude references, both directions, after the maker's sbgCom library.
+"""Wire format of the SBG Systems IG-500 attitude references, both directions, after the manufacturer's sbgCom library.
 
-Frame: ``FF 02 | command u8 | size u16 | data (size bytes) | crc u16 | 03``, numbers big-endian. The CRC (reflected
-polynomial 0x8408, start 0, known as CRC-16/KERMIT) covers command, size and data. Measurements come in frames of
-command 0x90 whose data holds the fields chosen by the output mask, in the order of the mask's bits, and no copy of the
-mask: it has to be set before anything can be understood.
+Frame: ``FF 02 | command u8 | size u16 | data (size bytes) | crc u16 | 03``, big-endian. The CRC (reflected polynomial
+0x8408, start 0, known as CRC-16/KERMIT) covers command, size and data. Measurements are frames of command 0x90 whose
+data contain the fields of the output mask, in the order of the mask's bits, without the mask itself: it has to be set
+before data can be decoded.
 """
 
 import math

@@ -1,7 +1,7 @@
-"""Sequence numbers of what one client gets.
+"""MAVLink sequence numbers per client.
 
-The service numbers its frames per link. Of a link that several clients share each gets what goes to all and what goes
-to it alone, and would count the rest as lost. So every frame is renumbered on its way to a client.
+The service numbers its frames per link. On a link with several clients each receives the broadcasts and its own
+frames, and would count the others as lost. Every frame is therefore renumbered per client.
 """
 
 import binascii

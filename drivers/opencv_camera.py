@@ -1,9 +1,8 @@
 """Camera through OpenCV's VideoCapture: V4L2, RTSP and other network streams, or a GStreamer pipeline.
 
-A thread of its own grabs and stamps, so that neither a slow nor a hanging camera holds up the loop; of several pictures
-since the last poll the newest wins. Stamps follow the beat in which pictures are grabbed (:mod:`.drivers.frame_clock`);
-what passes between exposure and grab in the mean is ``latency_s``, and ``autopilot calibrate latency`` finds what is
-left of it.
+A thread grabs and stamps, so that a slow or hanging camera does not block the loop; of several images since the last
+poll the newest is used. Stamps follow the period of the grabs (:mod:`.drivers.frame_clock`); the mean time from
+exposure to grab is ``latency_s``, and ``autopilot calibrate latency`` measures the remainder.
 """
 
 import os

@@ -1,9 +1,9 @@
 """NXP PCA9685 on I2C: servo pulses for up to 16 amplifiers, as on the Blue Robotics Navigator.
 
-The chip counts its clock: a pulse is only as right as the clock's frequency is known. Navigator feeds 24.576 MHz from
-outside; the internal clock of other boards is off by several percent, which ``clock_hz`` takes (measure a pulse of a
-known command). It has no watchdog: what it was told last goes on when the program is killed, so a keeper process
-stands by (:mod:`autopilot.drivers.watchdog`).
+Pulses are counted in clock cycles and have the error of the assumed clock frequency. Navigator has an external clock
+of 24.576 MHz; the internal clock of other boards is off by several percent, which ``clock_hz`` corrects (measure a
+pulse of a known command). The chip has no watchdog: it repeats its last pulse when the program is killed, so a
+watchdog process runs beside it (:mod:`autopilot.drivers.watchdog`).
 """
 
 import contextlib

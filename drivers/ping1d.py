@@ -1,4 +1,4 @@
-"""Blue Robotics Ping Sonar altimeter and echosounder on a serial line: range to what lies along its beam."""
+"""Blue Robotics Ping Sonar altimeter and echosounder on a serial line: range to the target in its beam."""
 
 import math
 import struct

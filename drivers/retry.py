@@ -1,8 +1,8 @@
-"""A device that may be unplugged: opened beside the loop, opened again when it comes back, never an exception.
+"""Reconnection of devices: opened in the background, reopened after a failure, no exceptions to the caller.
 
-Back ends say what is wrong by DriverError or OSError and try nothing twice; here it is told once, the device is closed
-and opened again with a growing pause. Opening and closing may take long and are done on a thread of the device's own.
-A device that is there and says nothing is told, too; what an old reading means is for the failsafes.
+Back ends report failures by DriverError or OSError and do not retry; here a failure is reported once, and the device
+is closed and reopened with a growing pause. Opening and closing may take long and run on a thread of the device's own.
+A connected device without data is also reported; the reaction to an old reading is left to the failsafes.
 """
 
 from collections.abc import Callable, Sequence

@@ -1,4 +1,4 @@
-"""What the frames of SBG Systems' references have in common: sync, ids, size, data, checksum, end."""
+"""Common frame format of SBG Systems' references: sync, ids, size, data, checksum, end."""
 
 import binascii
 import struct

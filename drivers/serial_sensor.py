@@ -1,4 +1,4 @@
-"""What sensors on a serial line share: set up when the line is opened, and again when nothing has come for a while."""
+"""Common part of sensors on a serial line: configured when the line is opened, and again after a timeout without data."""
 
 from abc import abstractmethod
 from typing import Any, Generic, TypeVar

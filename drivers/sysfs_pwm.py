@@ -1,6 +1,6 @@
-"""Hardware PWM of the computer itself, by Linux's ``/sys/class/pwm``: one file per output.
+"""Hardware PWM of the computer, by Linux's ``/sys/class/pwm``: one file per output.
 
-Like the PCA9685 it goes on with its last pulse when the program is killed; a keeper process stands by
+Like the PCA9685 it repeats its last pulse when the program is killed; a watchdog process runs beside it
 (:mod:`autopilot.drivers.watchdog`).
 """
 

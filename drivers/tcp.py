@@ -1,4 +1,4 @@
-"""MAVLink over TCP: a server for several clients, and a client that reconnects. Both hand out whole frames."""
+"""MAVLink over TCP: a server for several clients, and a client that reconnects. Both return whole frames."""
 
 import select
 import socket

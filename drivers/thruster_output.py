@@ -1,7 +1,7 @@
-"""The safety rule of every thruster output, in one place.
+"""The common safety rule of all thruster outputs.
 
-Thrusters stand still before the first command, after the last, after an error, and when no command has come for the
-vehicle file's ``drive.command_timeout_s``. A back end only says how to put pulses on the wire.
+Thrusters are neutral before the first command, after the last, after an error, and when no command has arrived for the
+vehicle file's ``drive.command_timeout_s``. A back end only implements the output of pulses.
 """
 
 from abc import abstractmethod

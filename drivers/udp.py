@@ -1,6 +1,6 @@
 """MAVLink over UDP: one datagram, one entry. Sockets are non-blocking; an idle receive is one system call.
 
-Every address is a client of its own. A flood is read and thrown away, so that others on the same socket are heard.
+Every address is a separate client. A flood is read and dropped, so that other clients on the same socket are served.
 """
 
 import errno

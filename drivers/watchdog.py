@@ -1,9 +1,10 @@
-"""A process that stands by an output without a watchdog of its own, and stops the thrusters when nobody else does.
+"""Watchdog process for an output without a hardware watchdog: stops the thrusters when the service fails.
 
-The PCA9685 and the PWM of a computer repeat their last pulse for ever. The keeper hears every command's beat over a
-socket and answers it (:mod:`autopilot.drivers.watchdog_process`): when the line ends without a farewell (the program
-was killed) or the beats stop for the command timeout (it hangs), the keeper opens the same output by itself, which sets
-it to neutral. It ignores the signals that end the program, which says farewell when it ends in order.
+The PCA9685 and the PWM of a computer repeat their last pulse for ever. The watchdog receives a heartbeat with every
+command over a socket and acknowledges it (:mod:`autopilot.drivers.watchdog_process`): when the connection ends without
+a shutdown message (the program was killed) or the heartbeats stop for the command timeout (it hangs), it opens the
+output itself, which sets it to neutral. It ignores the signals that end the program, which sends the shutdown message
+on a regular exit.
 """
 
 import contextlib

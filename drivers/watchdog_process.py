@@ -1,9 +1,8 @@
-"""The keeper process as the service sees it: started, asked on every command, replaced when it ends or hangs.
+"""The service's side of the watchdog process: started, supervised, replaced when it ends or hangs.
 
-Every command's beat carries a number, which the keeper sends back. A number that does not come back shows that the
-keeper hangs (stopped, starved of processor or memory), an end of the line that it has ended. Either way another one is
-started, beside the loop and with a growing pause. Until a keeper has answered, and while none does, there is a
-``problem``.
+Every command's heartbeat carries a number, which the watchdog returns. A missing reply shows that it hangs (stopped,
+out of processor time or memory), a closed connection that it has ended. In either case another one is started, in the
+background and with a growing pause. Until a watchdog has replied, and while none does, there is a ``problem``.
 """
 
 import contextlib

@@ -1,4 +1,4 @@
-"""A simulated sonar altimeter: range to the floor, with noise, echoes that come back twice, and none at all."""
+"""A simulated sonar altimeter: range to the floor, with noise, multiple echoes, and dropouts."""
 
 import math
 from collections.abc import Iterable

@@ -1,11 +1,11 @@
 """ArduPilot's JSON interface to an external physics backend, as bytes: servo packets in, lines of JSON out.
 
 ArduPilot's simulation (``--model JSON``) sends its servo outputs by UDP to port 9002, little endian: magic (18458 with
-16 channels, 29569 with 32), loop rate it asks for [Hz], number of the frame, pulses [us]. It waits for one line of JSON
-in return, to the address it sent from: ``timestamp`` [s], ``imu`` with ``gyro`` [rad/s] and ``accel_body`` (specific
-force, [m/s^2]) in body axes, ``position`` NED from home [m], ``attitude`` [rad] and ``quaternion``, ``velocity`` NED
-[m/s]. A frame whose answer was lost is sent again with the same number; numbers that begin anew are a restarted
-ArduPilot. (ArduPilot's documentation, libraries/SITL/examples/JSON/readme.md; nothing of its code is used here.)
+16 channels, 29569 with 32), requested loop rate [Hz], frame number, pulses [us]. It waits for one line of JSON in
+reply, to the address it sent from: ``timestamp`` [s], ``imu`` with ``gyro`` [rad/s] and ``accel_body`` (specific force
+[m/s^2]) in body axes, ``position`` NED from home [m], ``attitude`` [rad] and ``quaternion``, ``velocity`` NED [m/s]. A
+frame whose reply was lost is sent again with the same number; a restart of the numbers is a restarted ArduPilot.
+(ArduPilot's documentation, libraries/SITL/examples/JSON/readme.md; none of its code is used here.)
 """
 
 import json

@@ -1,11 +1,11 @@
-"""A flight controller with ArduSub, as it is seen on the wire: what the driver is flown against.
+"""Emulated ArduSub flight controller on MAVLink, for tests of the driver.
 
-Behaves as ArduSub 4.7 was measured to: axes are RC channels, motors sums of them, linear in the pulse; channels are
-read fifty times a second and keep their value when nobody speaks any more, until the pilot's failsafe. With a receiver
-enabled (RC_PROTOCOLS) every frame of that counts as the pilot's while an override is younger than RC_OVERRIDE_TIME. It
-obeys one ground station; arming is followed by half a second of neutral and half a second in which heave grows; a mode
-change shows in a heartbeat at once, a disarming first in a text. Other modes than MANUAL are flown by the channels,
-too: what they would stabilise is left to the hull. It shares no code with the driver.
+Behaves as measured with ArduSub 4.7: axes are RC channels, motors sums of them, linear in the pulse; channels are read
+at 50 Hz and keep their value without new messages until the pilot failsafe. With a receiver enabled (RC_PROTOCOLS)
+each of its frames counts as pilot input while an override is younger than RC_OVERRIDE_TIME. It accepts one ground
+station; arming is followed by half a second of neutral and half a second of ramp in heave; a mode change shows in a
+heartbeat at once, a disarming first in a text. Modes other than MANUAL also follow the channels: their stabilisation
+is left to the hull. No code is shared with the driver.
 """
 
 import math

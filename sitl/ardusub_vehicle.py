@@ -1,7 +1,7 @@
-"""A vehicle with ArduSub on board, in the water of a scenario: plant, flight controller, and a tracking system.
+"""A vehicle with ArduSub in the environment of a scenario: plant, flight controller, and a tracking system.
 
-What :class:`.sitl.backend.SimulatedVehicle` is for a vehicle of our own drivers, for one that is reached by its flight
-controller's MAVLink alone.
+The counterpart of :class:`.sitl.backend.SimulatedVehicle` for a vehicle that is connected by the MAVLink of its flight
+controller only.
 """
 
 from collections.abc import Sequence

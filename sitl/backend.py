@@ -1,4 +1,4 @@
-"""The simulated vehicle behind the drivers' protocols: what stands in for serial lines and amplifiers."""
+"""The simulated vehicle behind the drivers' protocols, in place of serial lines and amplifiers."""
 
 from collections import deque
 from collections.abc import Iterator, Sequence

@@ -1,4 +1,4 @@
-"""When pictures come: exposure, rendering beside the simulation, transport, losses."""
+"""Timing of images: exposure, rendering in the background, transport latency, losses."""
 
 from collections import deque
 from collections.abc import Iterable

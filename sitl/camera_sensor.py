@@ -1,10 +1,10 @@
-"""Pictures of the tank floor as the vehicle's camera would take them.
+"""Images of the tank floor as the vehicle's camera would take them.
 
-The geometry is exact: every pixel looks along its own ray (the inverse of the lens distortion, computed once), rays
-are cut with the floor on a grid of every eighth pixel and interpolated in between (error below 0.02 px), and the
-picture of the floor is sampled once. Then come, in the order of the light's way: caustics and vignetting, blur of
-optics and motion, turbidity (contrast exp(-c d), red fades fastest; Jaffe-McGlamery without forward scattering), noise
-and the laser dot. Obstacles are not drawn. A picture is a function of truth, frame number and seed alone.
+The geometry is exact: one ray per pixel (inverse lens distortion, computed once), intersected with the floor on a grid
+of every eighth pixel and interpolated between (error below 0.02 px); the floor texture is sampled once. Then, in the
+order of light propagation: caustics and vignetting, blur of optics and motion, turbidity (contrast exp(-c d), red
+attenuated fastest; Jaffe-McGlamery without forward scattering), noise and the laser dot. Obstacles are not drawn. An
+image is a function of truth, frame number and seed alone.
 """
 
 import math

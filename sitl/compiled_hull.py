@@ -1,7 +1,7 @@
-"""A step of the hull by the compiled library (``data/native/plant.c``): the numbers of :mod:`.sitl.rigid_body` and
-:mod:`autopilot.sitl.thruster_models` bit for bit, which say what they mean, in a tenth of the time.
+"""One step of the hull by the compiled library (``data/native/plant.c``): bit-identical to :mod:`.sitl.rigid_body` and
+:mod:`autopilot.sitl.thruster_models`, which document the quantities, in a tenth of the time.
 
-What the library leaves alone is a hull that may touch something.
+Hulls that may be in contact are left to the Python code.
 """
 
 import ctypes

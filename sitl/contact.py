@@ -1,9 +1,9 @@
-"""Contact of the hull with walls, floor and obstacles: a penalty force, and a record of how deep it went.
+"""Contact of the hull with walls, floor and obstacles: a penalty force, and the largest penetration.
 
-The hull is an upright cylinder round the centre of gravity (radius and half height in the vehicle file), which covers
-the real box at every heading: what touches here may still have had a few centimetres, what does not touch here did not
-touch. Forces are normal and pass through the centre of gravity: no friction, no moment. The surface is no solid: the
-hull loses buoyancy as it comes out (:mod:`.sitl.rigid_body`), and how far it stood out is recorded beside the contacts.
+The hull is a vertical cylinder about the centre of gravity (radius and half height in the vehicle file), which
+encloses the real box at every heading: a reported contact may have been a miss by centimetres, a miss is certain.
+Forces are normal and act at the centre of gravity: no friction, no moment. The surface is not solid: the hull loses
+buoyancy as it emerges (:mod:`.sitl.rigid_body`), and the emerged height is recorded with the contacts.
 """
 
 import math

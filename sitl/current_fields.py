@@ -1,8 +1,8 @@
-"""Water currents over the local NED frame: analytic fields, all free of divergence, and gridded ones.
+"""Current fields in the local NED frame: analytic ones, all divergence-free, and gridded ones.
 
-Every field gives its velocity, its gradient and its rate of change at a fixed place, because a hull that moves through
-a field that varies in space feels the acceleration of the water (:mod:`.sitl.rigid_body`). Analytic fields are the same
-at every depth; vertical velocity is zero except in the uniform field and on a grid that has one.
+Every field gives its velocity, its gradient and its local time derivative, because a hull that moves through a
+non-uniform field experiences the acceleration of the water (:mod:`.sitl.rigid_body`). Analytic fields do not depend on
+depth; vertical velocity is zero except in the uniform field and in a grid that has one.
 """
 
 import math

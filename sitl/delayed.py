@@ -1,4 +1,4 @@
-"""What simulated sensors have in common: a rate, a latency, samples that are lost and gaps."""
+"""Common part of simulated sensors: rate, latency, lost samples and gaps."""
 
 from collections import deque
 from collections.abc import Iterable

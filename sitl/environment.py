@@ -1,4 +1,4 @@
-"""The world round the vehicle: walls, floor, obstacles, current and tether entry, built from a scenario."""
+"""The environment of the vehicle: walls, floor, obstacles, current and tether entry, built from a scenario."""
 
 from dataclasses import dataclass
 

@@ -1,4 +1,4 @@
-"""The tank floor as a picture: white boards with ArUco markers under a veil of sand, at several resolutions.
+"""The tank floor as a texture: white boards with ArUco markers under a layer of sand, at several resolutions.
 
 Grey, seen from above: columns run to the east, rows to the south, so that it is not mirrored.
 """

@@ -1,7 +1,7 @@
-"""The wires of a real vehicle round the simulated one: hardware drivers with emulated devices at their far ends.
+"""Hardware drivers with emulated devices in the loop: a serial line, a network camera, an I2C board.
 
-What is set between plant and service here is what a vehicle has: a serial line, a network camera, an I2C board. Bytes
-take the operating system's own time, so that a clock has to run.
+The interfaces between plant and service are those of a real vehicle. Transfers take the operating system's time, so
+that this runs in real time only.
 """
 
 import threading

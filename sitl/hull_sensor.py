@@ -1,4 +1,4 @@
-"""What sits inside the simulated hull: a leak probe, a barometer, a thermometer."""
+"""Simulated sensors inside the hull: leak probe, barometer, thermometer."""
 
 from collections.abc import Iterable
 

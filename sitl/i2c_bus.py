@@ -1,4 +1,4 @@
-"""An emulated I2C bus and the chips on it, byte by byte: what stands behind :class:`autopilot.drivers.i2c.I2cBus`."""
+"""An emulated I2C bus and the chips on it, byte by byte, behind :class:`autopilot.drivers.i2c.I2cBus`."""
 
 import errno
 from typing import Protocol

@@ -1,5 +1,4 @@
-"""What the machine does to the service: ticks that begin late, a disk that is full, a clock that is set, a process that
-is killed."""
+"""Faults of the machine: late ticks, a full disk, a changed clock, a killed process."""
 
 from collections.abc import Iterable
 from dataclasses import replace

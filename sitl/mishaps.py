@@ -1,4 +1,4 @@
-"""What happens to the simulated hull and its battery: pushes, snags, a charge that is gone."""
+"""Faults of the simulated hull and its battery: pushes, snags, loss of charge."""
 
 from collections.abc import Iterable, Sequence
 from typing import TypeAlias

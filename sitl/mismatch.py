@@ -1,6 +1,6 @@
 """Mismatch between the simulated vehicle and its vehicle file: factors on groups of coefficients.
 
-The controller always works from the vehicle file as it is; the plant is built from the result of :func:`mismatched`.
+The controller always uses the vehicle file unchanged; the plant is built from the result of :func:`mismatched`.
 """
 
 import math

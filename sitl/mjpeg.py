@@ -1,4 +1,4 @@
-"""Rendered pictures on the network as a camera sends them: MJPEG over HTTP, for whoever connects."""
+"""Rendered images as a network camera: MJPEG over HTTP."""
 
 import socket
 import threading

@@ -1,4 +1,4 @@
-"""Where a moving obstacle is: constant speed along a polyline, known for all times. Nothing is random here."""
+"""Motion of an obstacle: constant speed along a polyline, known for all times, deterministic."""
 
 import math
 from collections.abc import Sequence

@@ -1,7 +1,7 @@
-"""An obstacle sensor (an imaging sonar with its tracker, say): tracks of what moves and of what nobody knew of.
+"""A simulated obstacle sensor (e.g. an imaging sonar with tracker): tracks of moving and of unmapped obstacles.
 
-What the fence has is left out: the vehicle knows it. Every report is a track of its own time, with noise on position
-and velocity, and arrives after the latency.
+Obstacles in the fence are not reported. Every report is a track with its own time, with noise on position and
+velocity, and arrives after the latency.
 """
 
 import math

@@ -1,7 +1,7 @@
-"""An operator in the vehicle's own time: arms and starts the plan that is already on board, over MAVLink.
+"""A simulated operator in simulated time: arms and starts the plan on board, over MAVLink.
 
-Lives in the same process and the same simulated time as the service (:class:`autopilot.run.outside.InProcessClient`),
-so that a whole mission is reproducible bit for bit.
+Runs in the process and time of the service (:class:`autopilot.run.outside.InProcessClient`), so that a whole mission
+is reproducible bit for bit.
 """
 
 from collections.abc import Iterable, Sequence

@@ -1,4 +1,4 @@
-"""Simulated sensors that a scenario may have or not: what they share, and how they are made."""
+"""Optional simulated sensors of a scenario: their common inputs and construction."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass

@@ -1,4 +1,4 @@
-"""What a simulated vehicle carries: each thing moves to its pulse at a speed of its own."""
+"""Simulated payload: each device moves to its pulse at a finite rate."""
 
 from collections.abc import Sequence
 

@@ -1,8 +1,8 @@
-"""Pictures that look right and are not of here and now: what the picture faults of a scenario make of each.
+"""Image faults of a scenario: images that are plausible but of another time or position.
 
-Near-frozen, repeated and delayed pictures and those of another place are of another moment or place than their stamps
-say: that is chosen before they are rendered, so that the pose sensor has the same faults. Mirrored and half-frozen
-pictures and reflections are made of rendered ones.
+Near-frozen, repeated and delayed images and those of another position differ from their stamps: that is selected
+before rendering, so that the pose sensor has the same faults. Mirrored and half-frozen images and reflections are
+computed from rendered ones.
 """
 
 import math

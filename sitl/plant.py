@@ -1,8 +1,7 @@
 """The simulated vehicle: pulses in, truth out. Its equations (:mod:`.sitl.rigid_body`) are not the controller's.
 
-The plant advances in fixed steps, shorter ones near anything solid. Within a step the pulses, the supply voltage and
-the gradient of the current are held, the thrust follows its lag exactly, and the hull is integrated by Runge-Kutta 4.
-Nothing is random here.
+Fixed steps, shorter ones near solids. Within a step the pulses, the supply voltage and the gradient of the current are
+constant, the thrust lag is integrated exactly, and the hull by Runge-Kutta 4. Nothing is random.
 """
 
 import math

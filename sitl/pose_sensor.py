@@ -1,7 +1,7 @@
-"""A marker-pose sensor and a laser range without pictures, for fast studies.
+"""A simulated marker-pose sensor and laser range without images, for fast studies.
 
-It measures what the camera and its marker processing would: the vehicle's position and heading with errors that grow
-with the height above the floor, wrong fixes, gaps and the camera's latency; and the range along the laser beam.
+It has the characteristics of camera and marker processing: position and heading with errors that grow with the height
+above the floor, wrong fixes, gaps and the camera's latency; and the range along the laser beam.
 """
 
 from collections.abc import Iterable

@@ -1,4 +1,4 @@
-"""A serial line that is none: a pseudo-terminal with an emulated device at its far end (POSIX)."""
+"""An emulated serial line: a pseudo-terminal with a device model at its other end (POSIX)."""
 
 import contextlib
 import os

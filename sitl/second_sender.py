@@ -1,4 +1,4 @@
-"""Somebody else commands the simulated thrusters beside the service, and a flight controller reports its outputs."""
+"""A second source of thruster commands beside the service, and a flight controller that reports its outputs."""
 
 from collections.abc import Sequence
 

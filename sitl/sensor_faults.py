@@ -1,4 +1,4 @@
-"""What the faults of :mod:`autopilot.sitl.fault_tables` make of readings, poses and pictures."""
+"""Effects of the faults of :mod:`autopilot.sitl.fault_tables` on readings, poses and images."""
 
 import math
 from collections.abc import Iterable

@@ -1,8 +1,8 @@
-"""``[spread]``: a scenario as a campaign draws it, one world per run.
+"""``[spread]``: random variation of a scenario in a campaign, one draw per run.
 
-Every key has random numbers of its own, seeded by (seed of the campaign, number of the run, key): campaigns with the
-same seed draw the same values for the keys that they share, whatever else is spread. Two campaigns that differ in one
-factor can thus be compared run by run.
+Every key has its own random stream, seeded by (seed of the campaign, number of the run, key): campaigns with the same
+seed draw the same values for the keys that they share, whatever else is varied. Two campaigns that differ in one
+factor can thus be compared run by run (common random numbers).
 """
 
 import copy

@@ -1,9 +1,9 @@
-"""Thrusters and their amplifiers: pulse -> thrust, with lag, and the electrical power they take.
+"""Thrusters and their amplifiers: pulse -> thrust, with lag, and electrical power.
 
-Each step is what the hardware does: the amplifier sees whole microseconds on its channel and does nothing inside its
-deadband. A brushed one passes on the supply voltage in proportion to the duty and gives F = c V |V| with a weaker
-constant in reverse; an ESC gives what its maker's tables say. Thrust follows with a first-order lag. The allocation of
-the autopilot inverts this by its own code from its own, possibly wrong, numbers.
+The amplifier reads whole microseconds and ignores changes inside its dead band. A brushed one applies the supply
+voltage in proportion to the duty, F = c V |V| with a smaller constant astern; an ESC follows its manufacturer's
+tables. Thrust has a first-order lag. The autopilot's allocation inverts this with its own code and its own, possibly
+wrong, numbers.
 """
 
 import math

@@ -1,1 +1,1 @@
-"""Shared definitions: messages, frames, parameters, geometry, the vehicle model and errors. Imports no other package."""
+"""Shared definitions: messages, frames, parameters, geometry, vehicle model, errors. Imports no other package."""
