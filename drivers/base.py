@@ -17,7 +17,7 @@ class Closing(ABC):
 
     @abstractmethod
     def close(self) -> None:
-        """Let go of the device. Idempotent."""
+        """Release the device. Idempotent."""
 
     def __enter__(self) -> Self:
         self.open()
@@ -30,7 +30,7 @@ class Closing(ABC):
 
 
 class AlwaysOpen(Closing):
-    """For devices that hold nothing: opening and closing do nothing."""
+    """A device without resources: opening and closing are no-ops."""
 
     def open(self) -> None:
         """Nothing to open."""

@@ -1,4 +1,4 @@
-"""Common part of sensors on a serial line: configured when the line is opened, and again after a timeout without data."""
+"""Common part of sensors on a serial line: configured when the line opens, and again after a timeout without data."""
 
 from abc import abstractmethod
 from typing import Any, Generic, TypeVar

@@ -24,7 +24,7 @@ NEAR_M = 1.0
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Movers:
-    """Round obstacles with straight predicted motion; K of them, as complex numbers north + i east."""
+    """K circular obstacles with constant predicted velocity, as complex numbers north + i east."""
 
     center: ComplexArray
     """(K,) now"""
@@ -179,7 +179,7 @@ class Path:
         np.copyto(offsets[:, :used], offset, where=says)
 
     def _silence_corners(self, bad: BoolArray, distance_r: FloatArray) -> None:
-        """Corners of a polygon that a point is inside say nothing there."""
+        """Disable the corners of polygons that contain the point."""
         polygon = self._features.edges.polygon[self._keep[0]]
         rows, columns = np.nonzero(bad)
         for row, number in {(int(r), int(polygon[c])) for r, c in zip(rows, columns, strict=True)}:

@@ -81,7 +81,7 @@ class VisibleEdges:
 
 
 class Boundaries:
-    """The features of a fence, and how they look from points."""
+    """The boundaries of a fence, and their distances from points."""
 
     def __init__(self, fence: Fence) -> None:
         self.edges, self.rounds = _features_of(fence)
@@ -92,9 +92,10 @@ class Boundaries:
         self._groups = _groups(self.edges.polygon)
 
     def within(self, points: ComplexArray, reach_m: float) -> tuple[IntArray, IntArray]:
-        """Edges and rounds that matter within ``reach_m`` of the points.
+        """Edges and corners within ``reach_m`` of the points.
 
-        Of a polygon in reach those edges stay that may be the nearest to one of the points: they tell its sides apart.
+        Of a polygon within reach all edges are kept that may be the nearest to one of the points: they decide the
+        side.
         """
         low, high = complex(points.real.min(), points.imag.min()), complex(points.real.max(), points.imag.max())
         middle, spread = 0.5 * (low + high), 0.5 * abs(high - low)
@@ -139,9 +140,9 @@ class Boundaries:
         return VisibleEdges(share=share, rho=rho, distance=distance, normal=normal, offset=offset, line=line, bad=bad)
 
     def _behind(self, keep: IntArray, share: FloatArray, rho: FloatArray, line: FloatArray) -> BoolArray | None:
-        """Which nearest edges (m, E) of a polygon have the point on the wrong side; None if none has.
+        """(m, E) nearest edges of a polygon that have the point on the wrong side; None if none has.
 
-        A polygon is on the wrong side of a point if its nearest edge says so, or the corner that is nearest.
+        A point is on the wrong side of a polygon by its nearest edge or its nearest corner.
         """
         if line.min(initial=0.0) >= 0.0:
             return None

@@ -45,7 +45,7 @@ class Tracks:
         self._tracks.pop(track_id, None)
 
     def round(self, t_us: int, pos_ned_m: FloatArray) -> tuple[ObstacleTrack, ...]:
-        """What a vehicle at a place (3,) can evade: :meth:`at` without those that it would be deep inside of."""
+        """:meth:`at` without obstacles that contain the position (3,) deeply, which cannot be avoided any more."""
         kept: list[ObstacleTrack] = []
         over: list[ObstacleTrack] = []
         for track in self.at(t_us):
@@ -56,7 +56,7 @@ class Tracks:
         return tuple(kept)
 
     def at(self, t_us: int) -> tuple[ObstacleTrack, ...]:
-        """What is remembered at ``t_us``, in the order of the numbers."""
+        """Active tracks at ``t_us``, by track number."""
         for number, track in list(self._tracks.items()):
             if t_us - track.t_us > (TRACKS.forget_standing_us if stands(track) else TRACKS.forget_moving_us):
                 del self._tracks[number]
@@ -87,7 +87,7 @@ def movers_of(tracks: Iterable[ObstacleTrack], t_us: int) -> Movers | None:
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class IntendedMotion:
-    """How fast the vehicle is, and where it wants to go."""
+    """Velocity and intended path of the vehicle."""
 
     speed_m_s: float
     """over ground"""
@@ -99,7 +99,9 @@ class IntendedMotion:
 
 
 class Obstructions:
-    """Sorts tracks into what routes go round and what the prediction evades. One per vehicle; deterministic."""
+    """Classifies tracks into static ones, for the route planner, and moving ones, for the prediction. One per vehicle;
+    deterministic.
+    """
 
     def __init__(self) -> None:
         self._standing: dict[int, Circle] = {}
@@ -140,7 +142,7 @@ class Obstructions:
         return self._with_them, movers
 
     def _note_standing(self, tracks: Sequence[ObstacleTrack]) -> bool:
-        """Whether what stands has changed so much that routes have to be planned anew."""
+        """Whether the static obstacles have changed enough for a new route."""
         changed = False
         for number in self._standing.keys() - {track.track_id for track in tracks}:
             del self._standing[number]
@@ -156,7 +158,7 @@ class Obstructions:
         return changed
 
     def _wait(self, t_us: int, movers: Movers | None, way: IntendedMotion) -> bool:
-        """Count the time that moving obstacles block the way. Whether what routes go round has changed."""
+        """Accumulate the time for which moving obstacles block the path. True if the planner's obstacles have changed."""
         if self._in_the_way:
             if t_us < self._detour_until_us and movers is not None:
                 return False
@@ -184,7 +186,7 @@ class Obstructions:
 
 
 def _blocking(movers: Movers | None, way: IntendedMotion) -> BoolArray:
-    """(K,) which movers stand on the way now."""
+    """(K,) whether each moving obstacle is on the path now."""
     if movers is None:
         return np.zeros(0, dtype=bool)
     z = np.ascontiguousarray(way.route_ned_m, dtype=float).view(np.complex128)[:, 0]

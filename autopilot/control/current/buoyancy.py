@@ -23,7 +23,7 @@ from autopilot.core.notice_queue import NoticeQueue
 
 
 class BuoyancyEstimator(NoticeQueue):
-    """What buoyancy proves to be beyond the vehicle file. One instance per vehicle; asked once per control step."""
+    """Excess buoyancy beyond the vehicle file. One instance per vehicle; called once per control step."""
 
     def __init__(self, model: Model4, half_height_m: float) -> None:
         super().__init__()
@@ -35,7 +35,7 @@ class BuoyancyEstimator(NoticeQueue):
         self.reset()
 
     def reset(self) -> None:
-        """Nothing is known: somebody may have trimmed the vehicle."""
+        """Discard the estimate: the vehicle may have been trimmed."""
         self.lift_n = 0.0
         """[N] beyond the vehicle file, positive pushes up."""
         self._learned_s = self._beyond_s = self._push_n = 0.0
@@ -43,7 +43,7 @@ class BuoyancyEstimator(NoticeQueue):
         self.forget()
 
     def forget(self) -> None:
-        """What comes next does not continue what was seen last."""
+        """Discard the last sample: the next one does not continue it."""
         self._last: tuple[float, float, int] | None = None
         self._impulse_ns = self._elapsed_s = 0.0
 
@@ -59,8 +59,9 @@ class BuoyancyEstimator(NoticeQueue):
         self._elapsed_s += elapsed_s
 
     def look(self, nav: NavState, low_m: float, high_m: float, limit_n: FloatArray) -> None:
-        """Learn from what has become of the thrust since the last look. ``low_m`` and ``high_m``: the depth band;
-        ``limit_n`` (n,): what the thrusters give."""
+        """Update from the response to the thrust since the last call. ``low_m``, ``high_m``: depth band [m];
+        ``limit_n`` (n,): thrust limits [N].
+        """
         seen = _down(nav.vel_frd_m_s, nav.rpy_rad), _down(nav.vel_water_frd_m_s, nav.rpy_rad), nav.reset_count
         last, impulse_ns, elapsed_s = self._last, self._impulse_ns, self._elapsed_s
         self._last, self._impulse_ns, self._elapsed_s = seen, 0.0, 0.0
@@ -107,7 +108,7 @@ class BuoyancyEstimator(NoticeQueue):
 
 
 def _down(velocity_frd_m_s: FloatArray, rpy_rad: FloatArray) -> float:
-    """Of a velocity (3,) FRD at these angles (3,) the part straight down."""
+    """NED down component of a velocity (3,) FRD at these Euler angles (3,)."""
     u, v, w = velocity_frd_m_s.tolist()
     roll, pitch, _ = rpy_rad.tolist()
     down: float = math.cos(pitch) * (math.sin(roll) * v + math.cos(roll) * w) - math.sin(pitch) * u

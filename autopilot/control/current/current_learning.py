@@ -26,7 +26,7 @@ from autopilot.core.messages import NavHealth, NavState
 
 
 class Basin(StrEnum):
-    """What is believed of the water before it has been felt (setting ``basin``)."""
+    """Prior probability of a closed basin (setting ``basin``)."""
 
     CLOSED = "closed"
     """A tank or pool: what flows comes back within it."""
@@ -44,7 +44,7 @@ _MEANS_M_S = (CURRENT_LEARNING.closed_mean_m_s, CURRENT_LEARNING.open_mean_m_s)
 
 @dataclass(slots=True)
 class _Cell:
-    """Weighted sums of what was estimated in one square."""
+    """Weighted sums of the current estimates in one cell."""
 
     weight_s: float
     moment: tuple[float, float, float, float]
@@ -115,7 +115,7 @@ class EstimatedFlow:
 
     @property
     def closed(self) -> float:
-        """How likely the basin is closed, by all that is known."""
+        """Posterior probability of a closed basin."""
         return float(self._belief[:, 0].sum())
 
     @property
@@ -162,7 +162,7 @@ class EstimatedFlow:
         return nav
 
     def fill(self, nav: NavState, pos_ned_m: FloatArray, t_s: FloatArray, out: FloatArray) -> None:
-        """Learned flow as far as it is trusted, corrected by what the estimate says it lacks here and now."""
+        """Learned flow, weighted by its trust, corrected by its present residual against the estimate."""
         struct, fit, m = self._struct, self._fit, len(pos_ned_m)
         places, times, made = np.array(pos_ned_m, dtype=float, order="C"), np.array(t_s, dtype=float), np.empty((m, 3))
         self._here[:], self._estimate[:] = nav.pos_ned_m, nav.current_ned_m_s
@@ -175,7 +175,7 @@ class EstimatedFlow:
         out[:] = made
 
     def revision(self, nav: NavState) -> int:
-        """The estimate surprises by what has not been learned here."""
+        """Changes when the estimate differs from the learned flow here."""
         here = self._fit.flow(np.asarray(nav.pos_ned_m, dtype=float)[None, :2])[0]
         lack = np.array([nav.current_ned_m_s[0] - here[0], nav.current_ned_m_s[1] - here[1], 0.0])
         return self._revision.look(lack, nav.t_us * 1e-6)

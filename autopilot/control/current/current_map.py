@@ -19,7 +19,7 @@ AXES = ("time_s", "depth_m", "north_m", "east_m")
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class MapNodes:
-    """What a map consists of. Axes ascend strictly; a missing one has the length 1."""
+    """Nodes and values of a map. Axes are strictly increasing; a missing one has length 1."""
 
     name: str
     """For messages and the log: the file's name."""
@@ -69,7 +69,7 @@ class CurrentMap:
 
     @property
     def scale_m(self) -> float:
-        """Length over which the field, and what it misses, may change: two cells, a metre at least."""
+        """Length scale of the field and of its error: two cells, at least a metre."""
         nodes = self.nodes
         return max(1.0, float(np.diff(nodes.north_m).max() + np.diff(nodes.east_m).max()))
 
@@ -116,7 +116,7 @@ class CurrentMap:
         return out
 
     def unknown(self, depth_min_m: float, depth_max_m: float) -> NDArray[np.bool_]:
-        """(a - 1, b - 1) cells with a corner that is not known at some time at the levels about a depth band."""
+        """(a - 1, b - 1) cells with a corner without data at some time, at the levels about a depth band."""
         levels = self.nodes.depth_m
         first = max(int(np.searchsorted(levels, depth_min_m, side="right")) - 1, 0)
         last = min(int(np.searchsorted(levels, depth_max_m, side="left")), len(levels) - 1)

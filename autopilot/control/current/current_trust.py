@@ -31,14 +31,14 @@ class Flowing(Protocol):
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class _Prediction:
-    """What was believed at a place on the way."""
+    """Predictions stored at a position of the path."""
 
     nav: NavState
     flow: Flowing
 
 
 class Trust:
-    """Balance of the two forecasts along the way that is flown."""
+    """Accumulated log-likelihood ratio of the two predictors along the path."""
 
     def __init__(self, length_m: float, *, sure: bool, tails: bool) -> None:
         self._length_m = length_m

@@ -38,11 +38,11 @@ class CurrentForecast(Protocol):
 
 
 class KnownCurrent(Protocol):
-    """A current that is known beforehand: :class:`autopilot.control.current.current_map.CurrentMap`, or a formula."""
+    """A current given in advance: :class:`autopilot.control.current.current_map.CurrentMap`, or a formula."""
 
     @property
     def scale_m(self) -> float:
-        """Length over which it, and what it misses, changes."""
+        """Length scale of the current and of its error [m]."""
         ...
 
     def velocity(self, pos_ned_m: FloatArray, t_s: FloatArray) -> FloatArray:
@@ -73,7 +73,7 @@ class PointwiseField:
 
 
 def _no_drift(before_s: float, after_s: float) -> float:
-    """Of what does not change with time."""
+    """Time derivative of a steady current: zero."""
     return 0.0
 
 
@@ -87,7 +87,7 @@ class Revision:
         self.count = 0
 
     def look(self, value_m_s: FloatArray, now_s: float) -> int:
-        """The count after having looked at a vector (3,)."""
+        """The revision after comparison with a vector (3,)."""
         if self._seen_m_s is None:
             self._seen_m_s, self._seen_s = value_m_s.copy(), now_s
         moved_m_s = float(np.abs(value_m_s - self._seen_m_s).max())
@@ -121,8 +121,9 @@ class EstimatedCurrent(_Anywhere):
 
 
 class MappedCurrent(_Anywhere):
-    """A map of the current, and near visited places what it lacked there; both corrected by what they lack here and
-    now."""
+    """A current map, corrected by its residual against the estimate: near visited positions the stored one, elsewhere
+    the present one.
+    """
 
     def __init__(self, field: KnownCurrent) -> None:
         self._field = field

@@ -51,7 +51,7 @@ def load_current_map(path: Path, to_local: ToLocal | None = None, start_utc: dat
 
 
 class _MapReader:
-    """One file on its way to a map."""
+    """Conversion of one file to a map."""
 
     def __init__(
         self, path: Path, variables: Mapping[str, Variable], to_local: ToLocal | None, start_utc: datetime | None

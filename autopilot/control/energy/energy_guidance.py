@@ -42,7 +42,7 @@ class EnergyGuidance:
         planner: TrajectoryPlanner,
         route: RouteGuidance,
     ) -> None:
-        """``route`` flies what ``planner`` has no plan for."""
+        """``route``: guidance while ``planner`` has no plan."""
         self._t_s = grid.t_s
         self._last_s, self._stages = float(grid.t_s[-2]), np.diff(grid.t_s)[1:] / REFERENCE_DT_S
         self._reach_s = float(2.0 * grid.t_s[-1] - grid.t_s[-2])
@@ -104,7 +104,7 @@ class EnergyGuidance:
         return self._route.ahead(here) if self._track is None else np.vstack([here, self._track.ahead()])
 
     def _setting_out(self, route: Reference) -> Reference:
-        """The route's reference: gently while the leg's first plan is awaited, which may well begin another way."""
+        """The route's reference, slow while the leg's first plan is computed, which may start in another direction."""
         awaited = self._request is not None and self._request.kind is Kind.QUICK
         if not awaited or self._step - self._goal_step > GUIDANCE.set_out_steps:
             return route
@@ -157,7 +157,7 @@ class EnergyGuidance:
         return nodes, terminal
 
     def _shares(self, at_s: float) -> FloatArray:
-        """(N+1,) shares of the nodes in what is to count at a time: of the two beside it, none far behind the last."""
+        """(N+1,) interpolation weights of the nodes at a time, zero far behind the last node."""
         t_s, share = self._t_s, np.zeros(len(self._t_s))
         last, length_s = len(t_s) - 1, float(t_s[-1] - t_s[-2])
         if at_s >= t_s[-1]:
@@ -333,7 +333,7 @@ class EnergyGuidance:
             self._ask(now, Kind.NEXT, following, end, None)
 
     def _coming(self, now: GuidanceInputs, kind: Kind, elapsed_s: float) -> FloatArray:
-        """(8,) the state at which an answer will find the vehicle, as far as its last plan tells."""
+        """(8,) state predicted for the time of the answer, by the last plan."""
         if now.last_plan is None:
             return now.x0
         meant, then = (
@@ -406,7 +406,7 @@ class EnergyGuidance:
 
 
 def planned(planner: TrajectoryPlanner, request: TrajectoryRequest, cancel: Cancel) -> Plan:
-    """What the planner says, if that makes sense."""
+    """The planner's result, if it is valid."""
     plan = planner.plan(request, cancel)
     found = plan.trajectory
     if found is not None and not bool(np.isfinite(found.x).all() and np.isfinite(found.thrust_n).all()):
@@ -420,6 +420,6 @@ def _away_m(now: GuidanceInputs) -> float:
 
 
 def _key(goal: Goal) -> tuple[float, ...]:
-    """Place and heading, to tell goals apart."""
+    """Position and heading, as a key of goals."""
     yaw = goal.yaw_rad
     return (*(float(p) for p in goal.pos_ned_m), 0.0 if yaw is None else yaw, float(yaw is None))

@@ -53,7 +53,7 @@ def one_step() -> Interval:
 
 
 def steps(count: int) -> Interval:
-    """So many RK4 steps of the same length one after the other."""
+    """That many consecutive RK4 steps of equal length."""
     one = one_step()
     if count == 1:
         return one

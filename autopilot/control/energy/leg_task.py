@@ -23,7 +23,7 @@ BOTH_TURNS_RAD = 0.4 * math.pi
 
 
 class LegTask:
-    """One request with what has been made of it."""
+    """One request and its intermediate results."""
 
     def __init__(
         self,
@@ -59,7 +59,9 @@ class LegTask:
         return LegTask(request, self._features, self._flow, self._table, beyond, *rest)
 
     def first(self, way: FieldPath) -> Plan:
-        """The quick answer: the better turn along the way. (Which one that is cannot be seen from the guesses.)"""
+        """The quick plan: the better of both directions of turning along the path. (The guesses do not show which that
+        is.)
+        """
         found = [
             one for one in (self.refine(guess, LEG_TASK.screen_rounds) for guess in self.guesses(way)) if one.solved
         ]
@@ -68,11 +70,13 @@ class LegTask:
         return self.plan(min(found, key=lambda one: one.cost_j))
 
     def ends_in_goal(self, way: FieldPath) -> bool:
-        """Whether a trajectory along a way reaches the goal's region."""
+        """Whether a trajectory along a path reaches the goal region."""
         return float(self._timed(way)[1][-1]) <= self.reach_s
 
     def guesses(self, way: FieldPath) -> list[Trajectory]:
-        """First trajectories along a way, one per way of turning: at the cheapest steady speed and its thrust."""
+        """Initial trajectories along a path, one per direction of turning, at the minimum-energy steady speed and its
+        thrust.
+        """
         request = self._request
         points, times = self._timed(way)
         whole_s = float(times[-1])
@@ -93,7 +97,7 @@ class LegTask:
         return [self._guess(points, times, yaw) for yaw in self._turns()]
 
     def _least_s(self, yaw_rad: float | None) -> float:
-        """What the change of depth to the goal's region and the turn to a heading take at least, however near it is."""
+        """Lower bound of the duration [s] from the change of depth to the goal region and the turn to its heading."""
         if self._gate is not None:
             return LEG_TASK.shortest_guess_s
         start, goal = self._request.x0, self._request.goal
@@ -103,8 +107,9 @@ class LegTask:
         return max(LEG_TASK.shortest_guess_s, rise / heave, turn / turn_rate)
 
     def _turned_first(self, points: FloatArray, times: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """A timed way that begins when the vehicle has turned to it: it would else be guessed to go backwards at full
-        speed, where sway and yaw are so unstable that the integration runs away."""
+        """A timed path that starts after the turn towards it: otherwise the guess would move astern at full speed,
+        where sway and yaw are so unstable that the integration diverges.
+        """
         ahead = min(int(np.searchsorted(times, times[0] + 2.0)), len(points) - 1)
         ground = (points[ahead] - points[0]) / max(float(times[ahead] - times[0]), 1e-9)
         water = ground - self._flow.current(points[:1])[0, :2]
@@ -116,7 +121,7 @@ class LegTask:
         return np.vstack([points[:1], points]), np.concatenate([[0.0], times + wait_s])
 
     def _guess(self, points: FloatArray, times: FloatArray, yaw_rad: float | None) -> Trajectory:
-        """The first trajectory along a timed way that ends with a heading (None: as the way leads)."""
+        """The initial trajectory along a timed path that ends with a heading (None: along the path)."""
         request = self._request
         whole_s = float(times[-1])
         end_s = max(whole_s, self._least_s(yaw_rad))

@@ -37,7 +37,7 @@ BESIDES = 5
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DelayTuning:
-    """What the filters believe; axes surge, sway, heave [m/s^2] and yaw [rad/s^2]."""
+    """Noise and prior of the filters; axes surge, sway, heave [m/s^2] and yaw [rad/s^2]."""
 
     interval_s: float = 0.1
     """Between two looks and between two candidates."""
@@ -99,7 +99,7 @@ class ActuationDelay:
         self.reset()
 
     def reset(self) -> None:
-        """Nothing is known, commands are taken to act at once."""
+        """Discard all evidence; the delay is 0."""
         tuning = self._tuning
         n, nu = tuning.candidates, self._model.thrusters
         self._x = np.tile(np.concatenate([np.ones(nu), np.zeros(BESIDES)]), (n, 1))
@@ -123,12 +123,12 @@ class ActuationDelay:
 
     @property
     def current_ned_m_s(self) -> FloatArray:
-        """(3,) the current as it is believed slowly: thrust that has not acted yet is not in it."""
+        """(3,) slowly filtered current, without the effect of thrust that has not acted yet."""
         return np.zeros(3) if self._current is None else np.array(self._current)
 
     @property
     def shortest_s(self) -> float:
-        """The shortest delay that fits what has been seen: grows while a response is waited for."""
+        """The shortest delay that is consistent with the data; grows while there is no response."""
         return float(self.delays_s[int(np.argmax(self._evidence > -self._tuning.fits))])
 
     @property
@@ -139,9 +139,8 @@ class ActuationDelay:
         return weight
 
     def step(self, t_us: int, nav: NavState | None, thrust_n: FloatArray) -> bool:
-        """``thrust_n`` (n,) is what the thrusters would settle at with the pulses since the last call [N].
-
-        True when the declared delay has changed.
+        """``thrust_n`` (n,): steady thrust of the pulses since the last call [N]. True when the declared delay has
+        changed.
         """
         dt_s = 0.0 if self._t_us is None else (t_us - self._t_us) * 1e-6
         self._t_us = t_us
@@ -180,7 +179,7 @@ class ActuationDelay:
         return self._declare(look_s)
 
     def _unlearn(self) -> None:
-        """Back to what was known before the last looks: an estimate is bad for a moment before it is called bad."""
+        """Restore the state before the last updates: an estimate degrades before it is flagged."""
         if self._known:
             self._x, self._p, self._evidence = self._known[0]
             self._known.clear()
@@ -240,5 +239,5 @@ class ActuationDelay:
 
 
 def _toward(values: Sequence[float], goals: Sequence[float], share: float) -> list[float]:
-    """Numbers that go that share of the way to others."""
+    """Linear interpolation by that fraction."""
     return [value + share * (goal - value) for value, goal in zip(values, goals, strict=True)]

@@ -28,7 +28,7 @@ class ByHand:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PositionlessState:
-    """What is known without a position; None = not (any more)."""
+    """Measurements available without a position; None = not available."""
 
     yaw_rad: float | None = None
     yaw_rate_rad_s: float = 0.0
@@ -54,7 +54,7 @@ class HandLaw:
     def thrust_n(
         self, t_us: int, wish: ByHand, felt: PositionlessState, limit_n: FloatArray, now_n: FloatArray
     ) -> FloatArray:
-        """(n,) within ``limit_n``; ``now_n`` (n,) is what is commanded at the moment this begins."""
+        """(n,) thrust within ``limit_n`` [N]; ``now_n`` (n,) is the command at the start of this mode."""
         if self._last_us is None:
             self._last_us, self._thrust_n = t_us, np.array(now_n, dtype=float)
         elapsed_s = min(max((t_us - self._last_us) * 1e-6, 0.0), 0.1)
@@ -71,7 +71,7 @@ class HandLaw:
         return self._thrust_n.copy()
 
     def _moment(self, wish_rad_s: float, yaw_rad: float, rate_rad_s: float) -> float:
-        """Of the heading that is held, or of the turn that is asked for."""
+        """Yaw moment [N m] of heading hold or commanded yaw rate."""
         model = self._allocator.model
         if wish_rad_s or self._yaw_rad is None:
             self._yaw_rad = yaw_rad
@@ -82,7 +82,7 @@ class HandLaw:
         return drag + model.mass_kg[3] * BY_HAND.yaw_rate_gain_1_s * (turn - rate_rad_s)
 
     def _heave_n(self, wish_m_s: float, depth_m: float, elapsed_s: float, limit_n: FloatArray) -> float:
-        """Of the depth that is held, or of the rate that is asked for."""
+        """Heave force [N] of depth hold or commanded rate."""
         model = self._allocator.model
         if wish_m_s or self._depth_m is None:
             self._depth_m = depth_m

@@ -46,7 +46,7 @@ class FilteredMotion:
 
 
 class MotionFilter:
-    """Makes looks of estimates and thrust. :meth:`step` at every tick."""
+    """Updates from estimates and thrust. :meth:`step` at every tick."""
 
     def __init__(
         self, model: Model4, response: Response, *, filter_s: float, interval_s: float, current_s: float
@@ -64,7 +64,7 @@ class MotionFilter:
         self._known = False
 
     def forget(self) -> None:
-        """The motion so far says nothing about the next; the current is kept."""
+        """Reset the filters of the motion; the current is kept."""
         self._t_us: int | None = None
         self._acting = [0.0] * self._model.thrusters
         self._filtered: FloatArray = np.zeros(0)
@@ -72,7 +72,7 @@ class MotionFilter:
         self._moved = (0.0, 0.0)
 
     def step(self, t_us: int, nav: NavState, thrust_n: FloatArray) -> FilteredMotion | None:
-        """``thrust_n`` (n,) is what sound thrusters would settle at with the pulses since the last call [N]."""
+        """``thrust_n`` (n,): steady thrust of healthy thrusters for the pulses since the last call [N]."""
         if not self._known:
             self._current = (float(nav.current_ned_m_s[0]), float(nav.current_ned_m_s[1]))
             self._known = True

@@ -163,14 +163,14 @@ class LossBank:
         self.reset()
 
     def reset(self) -> None:
-        """All thrusters are sound, nothing is known."""
+        """All thrusters healthy, initial covariance."""
         self.lossy = (False,) * self._n
         """What filter 0 believes."""
         self._x, self._p = self._prior()
         self._begin_all()
 
     def doubt(self) -> None:
-        """What was known of the vehicle does not hold any more; what was declared stays."""
+        """Reset the estimates of the vehicle; declared faults are kept."""
         x, p = self._prior()
         lossy = np.flatnonzero(self.lossy)
         x[0, lossy], p[0, lossy, lossy] = self._x[0, lossy], self._p[0, lossy, lossy]
@@ -178,7 +178,7 @@ class LossBank:
         self._begin_all()
 
     def _prior(self) -> tuple[FloatArray, FloatArray]:
-        """States and covariances when nothing is known."""
+        """Initial states and covariances."""
         b, at = self._beliefs, self._at
         x = np.zeros(at.size)
         x[at.e] = 1.0
@@ -193,12 +193,12 @@ class LossBank:
 
     @property
     def evidence(self) -> FloatArray:
-        """(n,) for a change of each thruster: of its best story [nats]."""
+        """(n,) log-likelihood ratio [nats] of the best hypothesis of each thruster over filter 0."""
         result: FloatArray = self._evidence.reshape(self._n, LOSS_BANK.each).max(axis=1)
         return result
 
     def _best(self) -> FloatArray:
-        """(n,) filters of the best stories."""
+        """(n,) filters of the best hypotheses."""
         best: FloatArray = (
             2 + LOSS_BANK.each * np.arange(self._n) + self._evidence.reshape(self._n, LOSS_BANK.each).argmax(axis=1)
         )
@@ -212,18 +212,18 @@ class LossBank:
 
     @property
     def declared(self) -> tuple[FloatArray, FloatArray]:
-        """(n,) effectiveness as filter 0 has it, and its standard deviation: what a lossy thruster gives."""
+        """(n,) effectiveness and its standard deviation in filter 0: that of faulty thrusters as declared."""
         at = self._at
         return self._x[0, at.e].copy(), np.sqrt(np.diag(self._p[0])[at.e])
 
     @property
     def free(self) -> tuple[FloatArray, FloatArray]:
-        """(n,) effectiveness of all thrusters without any belief, and its standard deviation: what can be seen."""
+        """(n,) effectiveness and its standard deviation in filter 1 (no prior): observability of each thruster."""
         at = self._at
         return self._x[LOSS_BANK.free, at.e].copy(), np.sqrt(np.diag(self._p[LOSS_BANK.free])[at.e])
 
     def sum_sigma(self, redundant: np.ndarray) -> FloatArray:
-        """(n,) standard deviation of what each thruster and its ``twins`` (n, n) give together, without any belief."""
+        """(n,) standard deviation of the total of each thruster and its ``twins`` (n, n), in filter 1."""
         of_e = self._p[LOSS_BANK.free][self._at.e, self._at.e]
         together = redundant.astype(float)
         result: FloatArray = np.sqrt(np.einsum("ij,jk,ik->i", together, of_e, together))
@@ -231,28 +231,28 @@ class LossBank:
 
     @property
     def memory(self) -> Memory:
-        """All that is known; nothing of it changes any more."""
+        """A snapshot of the bank, immutable."""
         return Memory(self._x, self._p, self._evidence, self._age_s, self._since_s, self.lossy)
 
     def recall(self, memory: Memory) -> None:
-        """Know only what was known then."""
+        """Restore a snapshot."""
         self._x, self._p, self._evidence, self._age_s, self._since_s, self.lossy = memory
 
     def accept(self, thruster: int) -> None:
-        """Filter 0 believes from now on what the best story of this thruster tells."""
+        """Replace filter 0 by the best hypothesis of this thruster."""
         best = int(self._best()[thruster])
         self._x, self._p = self._x.copy(), self._p.copy()
         self._x[0], self._p[0] = self._x[best], self._p[best]
         self._turn(thruster)
 
     def clear(self, thruster: int) -> None:
-        """Filter 0 believes from now on that the lossy thruster is sound."""
+        """Set the faulty thruster to healthy in filter 0."""
         self._x, self._p = self._x.copy(), self._p.copy()
         self._set(0, thruster, 1.0, self._beliefs.sound)
         self._turn(thruster)
 
     def swap(self, thruster: int, other: int) -> None:
-        """Filter 0 believes from now on that it is the other one of two that do the same which is lossy."""
+        """Exchange the faulty thruster with its redundant one in filter 0."""
         order = np.arange(self._at.size)
         order[[thruster, other]] = other, thruster
         self._x, self._p = self._x.copy(), self._p.copy()
@@ -267,7 +267,7 @@ class LossBank:
         self._begin_all()
 
     def forget_motion(self, *, hit: bool = False) -> None:
-        """What changes within seconds is not known any more; what ``hit`` the hull is in the estimated current."""
+        """Reset the fast states; after a collision (``hit``) also the current, whose estimate contains it."""
         at = self._at
         self._x, self._p = self._x.copy(), self._p.copy()
         self._x[:, at.motion] = 0.0
@@ -279,9 +279,11 @@ class LossBank:
             self._begin_all()
 
     def look(self, look: FilteredMotion, *, heave: bool, learn: bool) -> bool:
-        """Learn from a look, unless ``learn`` is false; False if no filter explains it: then nothing is learned.
+        """Measurement update, without learning if ``learn`` is false. False if no filter explains it: nothing is
+        changed then.
 
-        ``heave``: whether its third axis says anything (not at the surface)."""
+        ``heave``: whether the third axis is valid (not at the surface).
+        """
         b, at = self._beliefs, self._at
         self._predict(look)
         pull = self._pull(look)
@@ -309,14 +311,14 @@ class LossBank:
         return explained
 
     def _shrink(self, gain: FloatArray, cross: FloatArray) -> None:
-        """The covariances after a look, in place: they are a predicted look's, which nobody else has."""
+        """Covariances after an update, in place: they belong to the predicted ones, which nothing else uses."""
         p, work = self._p, self._work
         p -= np.matmul(gain, cross, out=work)
         np.add(p, p.transpose(0, 2, 1), out=work)
         np.multiply(work, 0.5, out=p)
 
     def _weigh(self, told: FloatArray, dt_s: float) -> None:
-        """Evidence of a look from the log-likelihoods (n,); stories begin in their time."""
+        """Add the log-likelihoods (n,) of an update to the evidence; restart hypotheses on schedule."""
         b, at = self._beliefs, self._at
         gained = np.clip(told[at.stories] - told[0], -b.most[0], b.most[1])
         self._evidence = np.minimum(self._evidence + gained, b.most_evidence)
@@ -327,14 +329,14 @@ class LossBank:
             self._begin_worst()
 
     def _begin_all(self) -> None:
-        """All stories anew; of those that begin at the same time the first is the best."""
+        """Restart all hypotheses; of those with equal start the first counts as the best."""
         self._evidence, self._age_s = np.zeros(len(self._at.stories)), np.zeros(len(self._at.stories))
         self._since_s = 0.0
         for story in range(len(self._at.stories)):
             self._begin(story)
 
     def _begin_worst(self) -> None:
-        """Of the stories of each thruster and each loss the one that is believed least begins anew, if it is grown."""
+        """Restart the least likely hypothesis of each thruster and each size of loss, if it is old enough."""
         grown = self._age_s >= self._beliefs.grown_s
         believed = np.where(grown, self._evidence, np.inf).reshape(self._n, LOSS_BANK.each // 2, 2)
         worst = LOSS_BANK.each * np.arange(self._n)[:, None] + 2 * believed.argmin(axis=1) + np.arange(2)
@@ -344,7 +346,7 @@ class LossBank:
                 self._begin(int(story))
 
     def _begin(self, story: int) -> None:
-        """A story anew: filter 0, with a change of its thruster now."""
+        """Restart a hypothesis: filter 0 with a change of its thruster now."""
         b, at = self._beliefs, self._at
         thruster = int(at.told_of[story])
         mean, sigma = (1.0, b.sound) if self.lossy[thruster] else (b.half, b.dead)[story % 2]
@@ -354,7 +356,7 @@ class LossBank:
         self._evidence[story] = self._age_s[story] = 0.0
 
     def _set(self, which: int, thruster: int, mean: float, sigma: float) -> None:
-        """Filter ``which`` knows so much of the thruster and no more."""
+        """Set the thruster's mean and variance in filter ``which``, without correlations."""
         self._x[which, thruster] = mean
         self._p[which, thruster, :] = self._p[which, :, thruster] = 0.0
         self._p[which, thruster, thruster] = sigma**2
@@ -368,7 +370,7 @@ class LossBank:
         return covariance
 
     def _waters(self, sigma_m_s: float) -> FloatArray:
-        """(n, n) covariance of an error of the water's velocity, of what drag and the Munk moment feel of it."""
+        """(n, n) covariance of the current's error in drag and in the Munk moment."""
         at, (mean, sigma) = self._at, self._beliefs.munk
         waters = np.zeros((at.size, at.size))
         waters[at.flow, at.flow] = np.eye(2) * sigma_m_s**2
@@ -413,7 +415,7 @@ class LossBank:
         return result
 
     def _derivatives(self, look: FilteredMotion, pull: FloatArray) -> FloatArray:
-        """(n, 4, states) of what is expected."""
+        """(n, 4, states) Jacobian of the predicted measurement."""
         x, at = self._x, self._at
         h = np.zeros((len(x), 4, at.size))
         axes = np.arange(4)
@@ -435,7 +437,7 @@ class LossBank:
         return h
 
     def _gain(self) -> FloatArray:
-        """(n, 4) thrust over mass of each axis, 1 = as the vehicle file says."""
+        """(n, 4) thrust over mass of each axis relative to the vehicle file."""
         at = self._at
         gain: FloatArray = 1.0 + self._x[:, at.gain] + self._x[:, at.common, None]
         return gain

@@ -14,7 +14,7 @@ from autopilot.core.vehicle import Vehicle
 
 
 class ThrusterLosses:
-    """Combines what operators tell (THRn_HEALTH) with what is found (THR_DETECT), the smaller counts."""
+    """Combines declared losses (THRn_HEALTH) with detected ones (THR_DETECT); the smaller effectiveness is used."""
 
     def __init__(self, vehicle: Vehicle, params: ParamSet) -> None:
         self._names = tuple(thruster.name for thruster in vehicle.thrusters)
@@ -52,10 +52,10 @@ class ThrusterLosses:
         *,
         armed: bool,
     ) -> ThrusterHealthState | None:
-        """``pulse_n`` (n,) is what sound thrusters would give with the pulses since the last call.
+        """``pulse_n`` (n,): thrust of healthy thrusters for the pulses since the last call [N].
 
-        ``capability_n`` (4,) is what sound ones can give, ``goal`` where the vehicle is to be. The result is
-        for the log: at times, and when something changes.
+        ``capability_n`` (4,): attainable force of healthy ones, ``goal``: position of the vehicle's goal. Returns a
+        record for the log, periodically and on changes.
         """
         self._find(t_us, nav, pulse_n, armed)
         changed = self._look()
