@@ -61,7 +61,7 @@ PLAUSIBLE = 4.0
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Solution:
-    """What has come of a step's program."""
+    """Result of a step's QPs."""
 
     result: NmpcResult
     """Of the last QP."""
@@ -110,17 +110,17 @@ class StepProgram:
 
     @property
     def keep_m(self) -> FloatArray:
-        """(N,) what the nodes of the last plan kept from every boundary, body included."""
+        """(N,) distance of the last plan's nodes from every boundary, body radius included [m]."""
         return self._bounds.keep_m
 
     def reset(self) -> None:
-        """Forget what the last steps left behind."""
+        """Discard the state of previous steps."""
         self._speed_back_off_m_s = 0.0
         self.margins.evidence.reset()
         self.regions.reset()
 
     def speed_cap_m_s(self, params: ParamSet) -> float:
-        """Planar speed that guidance may ask for: what the margins of the last step leave, in steps of 1 cm/s."""
+        """Largest planar speed for guidance: the limit minus the last step's back-off, in steps of 1 cm/s."""
         back_off = max(params["MPC_SPEED_MARGIN"], math.ceil(100.0 * self._speed_back_off_m_s - 1e-6) / 100.0)
         return max(SLOWEST_CAP_M_S, params["SPD_PLANAR_MAX"] - back_off)
 
@@ -230,14 +230,14 @@ class StepProgram:
         return Solution(result=result, margin_m=margin, qps=before + qps, anew=start)
 
     def _change_weight(self, start: bool, now: GuidanceInputs) -> float:
-        """Weight on what is changed of the last plan's thrust."""
+        """Weight on the change of thrust relative to the last plan."""
         if start:
             return 0.0
         elapsed_s, self._last_us = (now.t_us - self._last_us) * 1e-6, now.t_us
         return now.params["MPC_R_CHANGE"] * min(1.0, CHANGE_STEP_S / max(elapsed_s, 1e-3))
 
     def _terminal(self, now: GuidanceInputs, reference: Reference) -> FloatArray:
-        """Terminal Hessian (8, 8): the goal's own where the reference ends there, else what guidance gives."""
+        """Terminal Hessian (8, 8): the goal's own if the reference ends there, else guidance's."""
         goal, params, regions = now.goal, now.params, self.regions
         if goal.drive is not None:
             return reference.terminal

@@ -27,11 +27,11 @@ A = TypeVar("A")
 
 
 class WithdrawnError(Exception):
-    """Ends work whose answer nobody wants any more; nobody hears of it either."""
+    """Ends a cancelled task; it is not reported."""
 
 
 class Cancel:
-    """Whether an answer is still wanted; long work looks at it between its steps and may return anything then."""
+    """Cancellation flag of a task; long work checks it between its steps and may then return anything."""
 
     __slots__ = ("requested",)
 
@@ -46,7 +46,7 @@ class Cancel:
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class TaskResult(Generic[A]):
-    """What became of a request: a value, or the exception that ended the work."""
+    """Result of a task: a value, or the exception that ended it."""
 
     value: A | None
     error: Exception | None = None
@@ -71,7 +71,7 @@ class BackgroundTask(Generic[A]):
         """Until it is answered or cancelled."""
 
     def poll(self, now: int) -> TaskResult[A] | None:
-        """The answer, once, when it is due (and, at a desk that is not patient, ready)."""
+        """The result, once, when it is due (and ready, unless the worker is blocking)."""
         if not self.open or now < self.due:
             return None
         future = self._future
@@ -106,7 +106,7 @@ class BackgroundWorker:
         """Whether an answer is there, asked at a desk that is not patient. A replay has its own opinion, and waits."""
 
     def witnessed(self, name: str, nondeterminism: NondeterminismSource) -> "BackgroundWorker":
-        """Have it noted when answers are ready; this desk."""
+        """Record the times at which results are ready; returns this worker."""
         self.ready = lambda future: nondeterminism.ask(f"{name} ready", False, lambda: _there(future))
         return self
 
@@ -119,14 +119,14 @@ class BackgroundWorker:
         return BackgroundTask(self, due, lambda: work(request, cancel), cancel)
 
     def run(self, work: Callable[[], None]) -> None:
-        """Have ``work``, which does not raise, done in its turn; nobody waits for it."""
+        """Queue ``work``, which must not raise and has no result."""
         if self.executor is None:
             work()
         else:
             self.executor.submit(work)
 
     def wait(self, future: "Future[A]") -> A:
-        """The result of ``future``, whatever time that takes."""
+        """The result of ``future``, without a timeout."""
         while not future.done():
             try:
                 return future.result(IDLE_S)
@@ -135,11 +135,11 @@ class BackgroundWorker:
         return future.result()
 
     def close(self) -> None:
-        """Begin nothing any more; what is being worked on is left to end."""
+        """Start no further tasks; the running one is left to end."""
         if self.executor is not None:
             self.executor.shutdown(wait=False, cancel_futures=True)
 
 
 def _there(future: Future[Any]) -> bool:
-    """Whether it has ended; if not, whoever works on it gets room to go on."""
+    """Whether the task has ended; if not, yield to its thread."""
     return future.done() or bool(wait((future,), ROOM_S).done)

@@ -129,7 +129,7 @@ class CameraModel:
 
     @property
     def focal_water_px(self) -> float:
-        """Pixels per radian near the axis of what is in the water, mean of x and y."""
+        """Pixels per radian in the water near the axis, mean of x and y."""
         return 0.5 * (self.focal_px[0] + self.focal_px[1]) * (1.0 if self.port is None else self.port.water_index)
 
     def cam_from_ned(self, points_ned_m: FloatArray, pos_ned_m: FloatArray, r_ned_from_frd: FloatArray) -> FloatArray:

@@ -40,7 +40,7 @@ HALVINGS = 12
 def least_in_box(h: FloatArray, g: FloatArray, bound: FloatArray) -> FloatArray:
     """x (n,) that minimises x^T h x / 2 + g^T x within +-``bound`` (n,); ``h`` (n, n) positive definite.
 
-    Projected Newton (Bertsekas 1982): ends after a few changes of what is at its bound.
+    Projected Newton (Bertsekas 1982): ends after a few changes of the active set.
     """
 
     def value(x: FloatArray) -> float:
@@ -68,7 +68,7 @@ def least_in_box(h: FloatArray, g: FloatArray, bound: FloatArray) -> FloatArray:
 
 
 class ThrusterBearing(Protocol):
-    """What is needed of a vehicle file."""
+    """The required part of a vehicle file."""
 
     @property
     def thrusters(self) -> tuple[Thruster, ...]: ...
@@ -79,7 +79,7 @@ class ThrusterBearing(Protocol):
 
 
 class ControlAllocator:
-    """Thrust of the thrusters of one vehicle. ``watts`` (n,): what each takes, relative to the others."""
+    """Control allocation of one vehicle. ``watts`` (n,): power coefficient of each thruster, relative to the others."""
 
     def __init__(self, model: Model4, watts: Sequence[float] | None = None) -> None:
         self._model = model
@@ -102,7 +102,7 @@ class ControlAllocator:
 
     @property
     def model(self) -> Model4:
-        """What is believed of the vehicle, with that buoyancy."""
+        """The 4-DoF model with that buoyancy."""
         if self._model.buoyancy_excess_n != self.buoyancy_excess_n:
             self._model = replace(self._model, buoyancy_excess_n=self.buoyancy_excess_n)
         return self._model
@@ -121,7 +121,7 @@ class ControlAllocator:
 
     @property
     def square(self) -> bool:
-        """As many thrusters as axes: what exceeds a limit is cut, there is nobody to share it."""
+        """As many thrusters as axes: excess is clipped, as there is no redundancy."""
         return self._square
 
     def linear(self, limit_n: FloatArray) -> FloatArray:
@@ -131,8 +131,9 @@ class ControlAllocator:
         return self._impossible if inverse is None else inverse
 
     def hold_n(self, nu: FloatArray, limit_n: FloatArray) -> FloatArray:
-        """(m, n) thrust for velocities (m, 4) u, v, w, r: drag, buoyancy and Munk moment against T_A tau. Within
-        ``limit_n`` (n,): what it cannot hold it comes nearest to."""
+        """(m, n) thrust for velocities (m, 4) u, v, w, r: drag, buoyancy and Munk moment against T_A F. Within
+        ``limit_n`` (n,); unattainable forces are approximated.
+        """
         force = np.empty_like(nu)
         force.T[:] = steady_force(self.model, (nu[:, 0], nu[:, 1], nu[:, 2], nu[:, 3]), np)
         return self.thrust_n(force, limit_n)

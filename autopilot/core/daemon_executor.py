@@ -14,10 +14,10 @@ Job = tuple[Future[Any], Callable[[], Any]]
 
 
 class DaemonExecutor(Executor):
-    """One daemon thread that does one thing after the other.
+    """One daemon thread with a queue.
 
-    The interpreter joins the threads of a ThreadPoolExecutor at its exit; this one it leaves behind. The thread ends
-    after :meth:`shutdown`, or when nobody has the lane any more.
+    The interpreter joins the threads of a ThreadPoolExecutor at its exit, but not this one. The thread ends after
+    :meth:`shutdown`, or when the executor is no longer referenced.
     """
 
     def __init__(self, name: str) -> None:
@@ -60,7 +60,7 @@ class DaemonExecutor(Executor):
 
 
 def _work(jobs: "queue.SimpleQueue[Job | None]") -> None:
-    """The thread: it knows the lane's jobs, and not the lane, which may go while it waits."""
+    """The thread: it references the queue, not the executor, which can be collected while it waits."""
     while (job := jobs.get()) is not None:
         _do(*job)
         del job  # with what it was done for: the next one may be long in coming

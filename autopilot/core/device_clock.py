@@ -90,12 +90,12 @@ class DeviceClock:
         return stamped
 
     def take_notices(self) -> list[tuple[Severity, str]]:
-        """What operators should know since the last call."""
+        """Notices to operators since the last call."""
         notices, self._notices = self._notices, []
         return notices
 
     def _step(self, device_us: int) -> int:
-        """From the last stamp to this one, the shortest way round the counter's span."""
+        """Step from the last stamp to this one [us], modulo the counter's range."""
         last_us, self._raw_us = self._raw_us, device_us
         if last_us is None:
             return device_us
@@ -156,7 +156,7 @@ class DeviceClock:
         return abs(step_us - usual_us) <= min(max(EVEN_US, EVEN_SHARE * usual_us), EVEN_MOST_US)
 
     def _when_off(self, arrival_us: int, difference: float, *, broken: bool) -> int | None:
-        """The difference is far from what it is usually: late samples, or a jump."""
+        """The difference is far from its mean: late samples, or a jump."""
         trial, self._trial = self._trial, None
         episode = self._episode
         if episode is None:
@@ -182,7 +182,7 @@ class DeviceClock:
         return round(self._device_us + self._offset_us)
 
     def _small_jump(self, arrival_us: int, step_us: int, usual_us: float, error: float) -> float:
-        """What is to be added to the stamp [us], while a step that was uneven may be a jump of less than LOST_US."""
+        """Correction of the stamp [us] while an uneven step may be a jump of less than LOST_US."""
         if self._trial is None:
             if self._even(step_us, usual_us):
                 return 0.0

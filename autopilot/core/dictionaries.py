@@ -79,7 +79,7 @@ def read_dictionary(path: Path) -> str:
 
 
 def dictionary_size(name: str) -> int | None:
-    """How many ids a dictionary has, None if it is not known."""
+    """Number of ids of a dictionary, None if unknown."""
     return len(_words(name)) if name.startswith(CUSTOM) else DICTIONARY_SIZES.get(name)
 
 
@@ -125,8 +125,9 @@ def least_distance(name: str) -> int:
 
 
 def opencv_dictionary(name: str) -> Any:
-    """OpenCV's dictionary of that name, with as many correctable cells as its distances allow. ConfigError if OpenCV
-    does not know it."""
+    """OpenCV's dictionary of that name, with the number of correctable cells that its distances allow. ConfigError if
+    OpenCV does not have it.
+    """
     import cv2  # heavy, and only who prints or finds markers needs it
 
     if name.startswith(CUSTOM):

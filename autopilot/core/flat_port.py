@@ -80,10 +80,10 @@ def _refracted_growth(slope: FloatArray, index: float) -> tuple[FloatArray, Floa
 def lens_in_air(
     distortion: tuple[float, float, float, float, float], water_index: float
 ) -> tuple[float, float, float, float, float]:
-    """Brown's coefficients of the bare lens from those of a calibration in water through a flat pane (k3 is not used).
+    """Brown's coefficients of the bare lens from those of a calibration in water through a flat port (k3 is not used).
 
-    A distant point at the tangent w in the water is seen at u = n w (1 + a w^2 + b w^4 + ...) in the air with
-    a = (n^2 - 1) / 2 and b = 3/2 a^2; what the calibration shows beyond that is the lens's. To fourth order.
+    A distant point at the tangent w in water appears at u = n w (1 + a w^2 + b w^4 + ...) in air with a = (n^2 - 1) /
+    2 and b = 3/2 a^2; the remaining distortion of the calibration is the lens's. To fourth order.
     """
     k1, k2, p1, p2, _ = distortion
     n = water_index

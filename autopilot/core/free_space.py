@@ -77,7 +77,7 @@ class Area:
 
 
 def workspace_of(fence: Fence) -> Area | None:
-    """What all inclusions have in common, None without any (open water); empty ones have low above high."""
+    """Bounding box of the intersection of all inclusions, None without any (open water); empty if low is above high."""
     if not fence.inclusions:
         return None
     boxes = [bounding_box(shape) for shape in fence.inclusions]
@@ -105,7 +105,7 @@ class FreeSpace:
     # What there is.
 
     def _number(self) -> None:
-        """Keep what is free, in the order in which it was found."""
+        """Store the free cells in the order of discovery."""
         kept = np.flatnonzero(self._cells.alive)
         number = np.full(len(self._cells.alive), -1)
         number[kept] = np.arange(len(kept))
@@ -154,9 +154,9 @@ class FreeSpace:
         return labels
 
     def place_near(self, point_ned_m: FloatArray) -> tuple[int, float] | None:
-        """The nearest place that a point (2,) sees, without one simply the nearest, and its distance [m].
+        """The nearest position with a free line to a point (2,), else the nearest one, and its distance [m].
 
-        A point nearer to a boundary than the radius may look along it. None if nothing is free.
+        For a point nearer to a boundary than the radius the line may run along the boundary. None if no cell is free.
         """
         if not len(self.places_ned_m):
             return None
@@ -284,7 +284,7 @@ class FreeSpace:
         ), doubtful
 
     def _join(self, touched: IntArray) -> None:
-        """Find the neighbours of cells (indices) and see which of them see each other."""
+        """Link the neighbours of cells (indices) that have free lines to each other."""
         pairs = self._neighbours(touched)
         cells = self._cells
         a, b = pairs[:, 0], pairs[:, 1]
@@ -293,7 +293,9 @@ class FreeSpace:
         self._pairs, self._clear = np.concatenate([self._pairs, pairs]), np.concatenate([self._clear, clear])
 
     def _neighbours(self, touched: IntArray) -> IntArray:
-        """(m, 2) cells that have a side or a corner in common, one of them at least ``touched`` and new; each once."""
+        """(m, 2) pairs of cells with a common side or corner, one of them at least ``touched`` and new; each pair
+        once.
+        """
         cells, fresh = self._cells, self._fresh
         alive = np.flatnonzero(cells.alive)
         codes = _code(cells.level[alive], cells.row[alive], cells.column[alive])
@@ -320,9 +322,10 @@ class FreeSpace:
     def _sees(
         self, a: FloatArray, b: FloatArray, at_a: FloatArray, at_b: FloatArray, keep_m: float | FloatArray
     ) -> BoolArray:
-        """(m,) whether straight lines from ``a`` to ``b`` (m, 2), whose clearances are known, keep a distance (or m).
+        """(m,) whether straight lines from ``a`` to ``b`` (m, 2), whose clearances are given, keep a distance (scalar
+        or m).
 
-        No boundary is nearer to a line than sqrt(d^2 - l^2 / 4) if both of its ends, l apart, are at least d from it.
+        The distance of a line of length l to a boundary is at least sqrt(d^2 - l^2 / 4) if both ends have clearance d.
         """
         free = np.ones(len(a), dtype=bool)
         edge = np.arange(len(a))

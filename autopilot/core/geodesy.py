@@ -48,7 +48,7 @@ class Origin(GeodeticPosition):
     """Where local axes can be put; its altitude is the water surface. ConfigError if out of range."""
 
     def __post_init__(self) -> None:
-        """Refuse what cannot be an origin."""
+        """Refuse an invalid origin."""
         if not abs(self.lat_deg) <= MAX_ORIGIN_LAT_DEG:
             raise ConfigError(
                 f"origin latitude {self.lat_deg:g} deg is out of range; use -{MAX_ORIGIN_LAT_DEG:g} to "
@@ -155,7 +155,7 @@ def refuse_place(origin: GeodeticPosition, lat_deg: float, lon_deg: float) -> st
 
 
 def far_text(away_m: float) -> str:
-    """What is said of a place that is too far away."""
+    """Message for a position that is too far away."""
     return f"{away_m / 1e3:.1f} km from the origin, limit {MAX_RANGE_M / 1e3:g}: set the origin there first"
 
 

@@ -64,7 +64,7 @@ class Fault:
 
 class Guard:
     def __init__(self, *, raises: bool | None = None) -> None:
-        """``raises``: let exceptions through; None = as the environment says."""
+        """``raises``: re-raise exceptions; None = by the environment variable."""
         self.raises = os.environ.get(VARIABLE) == "raise" if raises is None else raises
         self.t_us = 0
         """Time of the tick, set by the service."""
@@ -73,7 +73,7 @@ class Guard:
         self._described_us: dict[tuple[str, str], int] = {}
 
     def run(self, part: str, work: Callable[[], T], otherwise: T, given: Callable[[], object] = lambda: "") -> T:
-        """``work()``, or ``otherwise`` when it raises. ``given`` describes what it worked on, asked for only then."""
+        """``work()``, or ``otherwise`` if it raises. ``given`` describes its inputs, called only then."""
         try:
             return work()
         except Exception as error:  # noqa: BLE001 - the loop's one blanket; the fault is kept and acted upon
@@ -140,7 +140,7 @@ def _described(given: Callable[[], object]) -> str:
 
 
 def _bounded(make: Callable[[], str]) -> str:
-    """A text that is not allowed to fail: it describes what has failed already."""
+    """A description that must not raise, as it describes a failure."""
     try:
         return make()[:MAX_TEXT]
     except Exception as error:  # noqa: BLE001 - see above

@@ -30,7 +30,7 @@ class WriteResult:
 
 
 class LatestValueWriter(Generic[Q]):
-    """``write`` gets states that do not change any more and may raise; what failed is tried again."""
+    """``write`` gets immutable states and may raise; a failed write is repeated."""
 
     def __init__(self, worker: BackgroundWorker, write: Callable[[Q], None], ticks: int = KEEP_TICKS) -> None:
         self._worker, self._write, self._ticks = worker, write, ticks
@@ -54,7 +54,7 @@ class LatestValueWriter(Generic[Q]):
         return self._number
 
     def poll(self, tick: int) -> WriteResult | None:
-        """What became of the write that has ended, once."""
+        """Result of the last completed write, once."""
         if self._again_at is not None and tick >= self._again_at:
             self._ask(tick)
         answer = None if self._task is None else self._task.poll(tick)
@@ -68,9 +68,9 @@ class LatestValueWriter(Generic[Q]):
         return WriteResult(number=number, error=answer.error)
 
     def finish(self, timeout_s: float = FINISH_S) -> Exception | None:
-        """The end of a run: have written what is not on disk, in its turn. Why it is not there, or None.
+        """End of a run: write what is not on disk yet. The reason if that failed, or None.
 
-        It is waited for ``timeout_s`` at most: a disk that hangs must not keep a service from ending.
+        Waits ``timeout_s`` at most: a hanging disk must not prevent the service's end.
         """
         state, number = self._newest, self._number
         if state is None or self._done == number:

@@ -17,9 +17,9 @@ class LogDirectoryEntry:
 
 
 class LogDirectory(Protocol):
-    """A folder that is read and, by :meth:`erase` alone, emptied. Tickets are polled with the count of ticks.
+    """A folder that is read and, by :meth:`erase` alone, emptied. Results are polled with the tick count.
 
-    Nothing outside of the folder can be named: an answer's error is then a LogError, as for what does not exist.
+    Paths outside of the folder are refused with a LogError, as are files that do not exist.
     """
 
     def list(self, tick: int) -> BackgroundTask[tuple[LogDirectoryEntry, ...]]:

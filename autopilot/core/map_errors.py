@@ -53,7 +53,7 @@ class MapErrors:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Laid:
-    """What a map says of how one marker was laid; None = nothing."""
+    """Laying accuracy of one marker as stated by the map; None = not stated."""
 
     sheet: str | None = None
     sigma_m: float | None = None
@@ -69,10 +69,11 @@ def map_errors(
     print_sigma_m: float = PRINT_SIGMA_M,
     loose_sigma_m: float = SHEET_SIGMA_M,
 ) -> MapErrors | None:
-    """Sheets of markers by name, else by lattice; None if there is but one and nothing is said of its errors.
+    """Sheets of markers by name, else by lattice; None for a single sheet without stated errors.
 
-    ``loose_sigma_m`` is taken of markers on no sheet of which nothing is said.
-    One sheet is its own frame: where it lies in the tank no camera can tell, and nobody asks."""
+    ``loose_sigma_m``: standard deviation of markers on no sheet without a stated one. A single sheet defines its own
+    frame: its position in the tank is unobservable.
+    """
     said = any(entry.sigma_m is not None or entry.sigma_rad is not None for entry in laid)
     groups = _groups(centers_ned_m, yaw_rad, laid)
     if (len(groups) < 2 and not said) or all(entry.sigma_m == 0.0 for entry in laid):

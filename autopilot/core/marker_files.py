@@ -41,7 +41,7 @@ Size = Annotated[float, msgspec.Meta(gt=0.0, le=MAX_SIZE_M)]
 
 
 class Defaults(Table, frozen=True, kw_only=True):
-    """``[defaults]``: for markers and boards that do not say."""
+    """``[defaults]``: values for markers and boards without their own."""
 
     dictionary: str | None = None
     size_m: Size | None = None
@@ -63,7 +63,7 @@ class MapFrame(Table, frozen=True, kw_only=True):
 
 
 class MapEntry(Table, frozen=True, kw_only=True):
-    """What ``[[marker]]`` and ``[[board]]`` share."""
+    """Common keys of ``[[marker]]`` and ``[[board]]``."""
 
     center_m: Vec3
     """North, east, down of its middle."""
@@ -177,9 +177,10 @@ def make_map(
     print_sigma_m: float = PRINT_SIGMA_M,
     loose_sigma_m: float = 0.0,
 ) -> MarkerMap:
-    """The map of these markers, checked, with the errors that it may have. ConfigError begins with ``origin``.
+    """The validated map of these markers with its error model. ConfigError begins with ``origin``.
 
-    ``loose_sigma_m``: of markers on no sheet of which nothing is said."""
+    ``loose_sigma_m``: standard deviation of markers on no sheet without a stated one.
+    """
     if not 1 <= len(placed) <= MAX_MARKERS:
         raise ConfigError(f"{origin}: holds {len(placed)} markers; give 1 to {MAX_MARKERS} [[marker]] or [[board]]")
     whole = _whole_dictionaries({marker.dictionary for marker in placed})
@@ -211,7 +212,7 @@ def make_map(
 
 
 def _placed(file: MarkerFile, folder: Path, origin: str) -> list[PlacedMarker]:
-    """All markers of a file one by one. ConfigError for what a single marker cannot be."""
+    """All markers of a file one by one. ConfigError for an invalid marker."""
     result: list[PlacedMarker] = []
     for index, entry in enumerate(file.marker):
         place = f"$.marker[{index}]"
@@ -388,7 +389,7 @@ def placed_markers(markers: MarkerMap) -> list[PlacedMarker]:
 
 
 def _laid_of(markers: MarkerMap) -> list[Laid]:
-    """What a map says of each marker."""
+    """Stated laying accuracy of each marker."""
     errors = markers.errors
     if errors is None:
         return [NOTHING_SAID] * len(markers.ids)

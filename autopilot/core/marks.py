@@ -7,7 +7,7 @@ from typing import Protocol
 
 
 class LoopPart(IntEnum):
-    """What a tick goes into, in the order in which it is done."""
+    """The parts of a tick, in order of execution."""
 
     WAIT = 0
     """It began late although the one before had ended in time: the machine, or links that were served in between."""

@@ -142,7 +142,7 @@ class FlightControllerState:
 
 
 class DeviceRole(IntEnum):
-    """What a device does for the vehicle."""
+    """Function of a device."""
 
     SENSORS = 0
     CAMERA = 1
@@ -499,7 +499,7 @@ class ModeState:
 
 
 class Failsafe(IntEnum):
-    """Bit positions of ModeState.failsafes. What each is about: :mod:`autopilot.command.failsafe_table`."""
+    """Bit positions of ModeState.failsafes; their conditions: :mod:`autopilot.command.failsafe_table`."""
 
     NAV_LOST = 0
     SOLVER = 1
@@ -566,7 +566,7 @@ class Event:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ProcessStats:
-    """What the process holds, once per second."""
+    """Resources of the process, once per second."""
 
     rss_bytes: int
     """Memory that is resident; 0 = the system does not say."""

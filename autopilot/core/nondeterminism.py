@@ -61,7 +61,7 @@ class NondeterminismRecorder:
 
 
 class NondeterminismReplay:
-    """A replay's: says what was noted."""
+    """Returns the recorded answers in a replay."""
 
     def __init__(self) -> None:
         self._asked: Counter[str] = Counter()

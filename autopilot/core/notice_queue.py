@@ -10,6 +10,6 @@ class NoticeQueue:
         self._notices: list[tuple[Severity, str]] = []
 
     def take_notices(self) -> list[tuple[Severity, str]]:
-        """Severity and text of what has come since the last call."""
+        """Severity and text of the notices since the last call."""
         taken, self._notices = self._notices, []
         return taken

@@ -26,8 +26,9 @@ def python_command(code: str) -> list[str]:
 
 @contextlib.contextmanager
 def safe_path() -> Iterator[None]:
-    """Processes that libraries start meanwhile (multiprocessing's servers and workers, a Dask cluster's) do not import
-    from the current folder either. What the parent itself imports from (``sys.path``) they are given by the library."""
+    """Make processes that libraries start (multiprocessing's servers and workers, a Dask cluster's) not import from
+    the current folder either. The libraries pass on the parent's ``sys.path``.
+    """
     before = os.environ.get(SAFE_PATH)
     os.environ[SAFE_PATH] = "1"
     try:

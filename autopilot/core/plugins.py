@@ -47,7 +47,7 @@ class Plugin:
     """Of the file that it stands in, "" for a shipped one."""
 
     def make(self, given: object, protocol: type) -> Any:
-        """The part, made of ``given``. ConfigError if it cannot be made or is not what ``protocol`` asks for."""
+        """The instance, constructed from ``given``. ConfigError if that fails or it does not implement ``protocol``."""
         try:
             inspect.signature(self.call).bind(given)
         except TypeError as error:
@@ -66,7 +66,7 @@ class Plugin:
         return made
 
     def _hold_against(self, made: object, name: str, wanted: object, protocol: type) -> None:
-        """ConfigError unless ``made`` has that member and it takes what it will be given."""
+        """ConfigError unless ``made`` has that member with compatible arguments."""
         try:
             found = inspect.getattr_static(made, name)
         except AttributeError as error:
@@ -102,9 +102,9 @@ def plugin_names(kind: str, shipped: Mapping[str, str] | tuple[str, ...]) -> lis
 
 
 def find_plugin(kind: str, name: str, shipped: Mapping[str, str], asked_by: str | None = None) -> Plugin:
-    """The part of that name. ``shipped``: name -> ``module:attribute``. ConfigError if there is none.
+    """The plugin of that name. ``shipped``: name -> ``module:attribute``. ConfigError if there is none.
 
-    A shipped name means the shipped part whatever is installed.
+    Shipped names take precedence over installed packages.
     """
     asked_by = asked_by or f"--{kind}"
     entry = None if name in shipped else _installed(kind).get(name)
@@ -132,7 +132,7 @@ def _installed(kind: str) -> dict[str, EntryPoint]:
 
 
 def _imported(target: str, who: str) -> Callable[..., Any]:
-    """What a target names. ConfigError if it cannot be imported or called."""
+    """The object of a target. ConfigError if it cannot be imported or called."""
     module_name, _, path = target.partition(":")
     try:
         module = import_module(module_name)

@@ -158,7 +158,7 @@ class Obstructions:
         return changed
 
     def _wait(self, t_us: int, movers: Movers | None, way: IntendedMotion) -> bool:
-        """Accumulate the time for which moving obstacles block the path. True if the planner's obstacles have changed."""
+        """Accumulate the time for which moving obstacles block the path. True if the planner's obstacles changed."""
         if self._in_the_way:
             if t_us < self._detour_until_us and movers is not None:
                 return False

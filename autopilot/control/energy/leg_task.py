@@ -169,7 +169,7 @@ class LegTask:
         return faded
 
     def energy_along(self, trajectory: Trajectory) -> float:
-        """What the way of a trajectory costs by the measure of the energy field: steady speeds, heading along it."""
+        """Energy of a trajectory's path by the model of the energy field [J]: steady speeds, heading along the path."""
         places = trajectory.x[:, :2]
         step = np.diff(places, axis=0)
         ds = np.maximum(np.hypot(*step.T), 1e-9)
@@ -181,7 +181,7 @@ class LegTask:
         return math.inf if rest is None else energy + rest.energy_j
 
     def _timed(self, way: FieldPath) -> tuple[FloatArray, FloatArray]:
-        """Points (m, 2) close together along a way and when they are passed at the cheapest speeds."""
+        """Dense points (m, 2) along a path and their times at the minimum-energy speeds."""
         length = np.hypot(*np.diff(way.points_ned_m, axis=0).T)
         s = np.concatenate(([0.0], np.cumsum(length)))
         at = np.linspace(0.0, s[-1], max(200, int(s[-1] / 0.5)))
@@ -211,7 +211,7 @@ class LegTask:
         return (nearest, nearest + math.copysign(2.0 * math.pi, start - nearest))
 
     def screened(self, guess: Trajectory) -> Trajectory:
-        """A candidate: as good as it takes to tell which is best."""
+        """A candidate, solved as accurately as needed for the comparison."""
         return self.refine(guess, LEG_TASK.screen_rounds, rough=True)
 
     def refine(self, guess: Trajectory, rounds: int, *, rough: bool = False) -> Trajectory:
@@ -300,8 +300,9 @@ class LegTask:
         return limits
 
     def _keep_m(self, t_s: FloatArray, places: FloatArray) -> FloatArray:
-        """(n + 1,) what a trajectory along places (n + 1, 2) keeps from boundaries: EXTRA_M beyond the radius, where
-        the doors that it goes through, the goal and the place where it begins let it."""
+        """(n + 1,) clearance of a trajectory along positions (n + 1, 2): EXTRA_M beyond the radius, less in narrow
+        passages, at the goal and at the start.
+        """
         radius_m, features = self._request.radius_m, self._features
         if features.count == 0:
             return np.full(len(places), radius_m)
@@ -336,7 +337,7 @@ class LegTask:
 
 
 def shifted(trajectory: Trajectory, by_s: float, x0: FloatArray) -> Trajectory:
-    """What is left of a trajectory after ``by_s``, on INTERVALS intervals, from the state ``x0``."""
+    """The part of a trajectory after ``by_s``, resampled to INTERVALS intervals, from the state ``x0``."""
     n = LEG_TASK.intervals
     t = np.linspace(min(by_s, 0.98 * float(trajectory.t_s[-1])), float(trajectory.t_s[-1]), n + 1)
     x = np.stack([np.interp(t, trajectory.t_s, column) for column in trajectory.x.T], axis=1)

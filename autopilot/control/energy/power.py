@@ -85,17 +85,17 @@ def speed_table(
 
 
 def planar_limit_m_s(table: SpeedTable, along_m_s: FloatArray, across_m_s: FloatArray) -> FloatArray:
-    """Speed through the water (m,) that the cruise speed allows in currents along and across the way (m,).
+    """Limit on the speed through the water (m,) by the cruise speed, in currents along and across the path (m,).
 
-    Against a current it bounds the speed over ground, with one what the vehicle adds to the current: water that carries
-    it is not braked against.
+    Against a current it limits the speed over ground, with a current the speed relative to the water: a following
+    current is not braked against.
     """
     limit: FloatArray = np.hypot(table.cruise_m_s + np.maximum(-along_m_s, 0.0), across_m_s)
     return limit
 
 
 def energy_per_metre(table: SpeedTable, along_m_s: FloatArray, across_m_s: FloatArray) -> FloatArray:
-    """Least energy per metre over ground (m,) [J/m] in currents along and across the way (m,).
+    """Minimum energy per metre over ground (m,) [J/m] in currents along and across the path (m,).
 
     Min over u of P(u) / (sqrt(u^2 - across^2) + along); inf where no speed of the table makes headway.
     """

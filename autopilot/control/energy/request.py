@@ -72,7 +72,7 @@ class TrajectoryPlanner(Protocol):
         ...
 
     def warm(self) -> None:
-        """Import and build what the first plan needs."""
+        """Import and build everything that the first plan needs."""
         ...
 
 

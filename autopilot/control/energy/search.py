@@ -90,7 +90,7 @@ class EnergyPlanner:
     def _field(
         self, request: TrajectoryRequest, features: Features, flow: FlowField, table: SpeedTable
     ) -> tuple[EnergyField, EnergyToGo, FieldPath] | None:
-        """The field of a request with the cheapest way, through tight doors only if there is no other."""
+        """Field and minimum-energy path of a request; narrow passages only if there is no other path."""
         goal_at, start = np.asarray(request.goal.pos_ned_m[:2], dtype=float), request.x0[:2]
         places = [start, goal_at]
         if request.goal.following is not None:
@@ -107,7 +107,7 @@ class EnergyPlanner:
     def _candidates(
         self, task: LegTask, field: EnergyField, to_go: EnergyToGo, best: FieldPath, features: Features
     ) -> list[Trajectory]:
-        """A trajectory along every way that is worth a look, for every way of turning."""
+        """One trajectory per candidate path and direction of turning."""
         guesses = task.guesses(best)
         # Ways to other gates cannot be compared.
         others = other_ways(field, to_go, best, features, SEARCH.max_other_ways) if task.complete else []
@@ -119,9 +119,9 @@ class EnergyPlanner:
     def _onward(
         self, task: LegTask, ends: Sequence[Trajectory], field: EnergyField, beyond: EnergyToGo, features: Features
     ) -> FloatArray:
-        """(len(ends),) energy of each trajectory and of the best leg after it, inf where none was found.
+        """(len(ends),) energy of each trajectory plus the best next leg, inf where none was found.
 
-        Trajectories that arrive by different ways or turns differ more in what the next leg takes than in themselves.
+        Trajectories with different paths or turns differ more in the next leg than in themselves.
         """
         totals = np.full(len(ends), np.inf)
         for i, end in enumerate(ends):
@@ -141,7 +141,7 @@ class EnergyPlanner:
         return self._features[1]
 
     def _space_of(self, look: int, radius_m: float, features: Features, area: Area) -> FreeSpace:
-        """The free space of a look; that of the last request if nothing but the water is another one."""
+        """The free space of a request; cached while only the current changes."""
         key = (radius_m, *area.low_m.tolist(), *area.high_m.tolist())
         kept = self._spaces.get(look)
         if kept is None or kept[0] is not features or kept[1] != key:

@@ -101,7 +101,7 @@ class Shooting:
         self._watt_curved = ca.Function("watt_curved", [u], [slope, ca.diag(ca.jacobian(slope, u)) + gap]).map(n)
 
     def _end(self) -> None:
-        """What holds at the last node: rows and cost, slopes, Hessian, over its state."""
+        """Terminal constraints and cost, their gradients and Hessian, over the last state."""
         x, goal, band = ca.SX.sym("x", NX), ca.SX.sym("goal", 3), ca.SX.sym("band", 3)
         beyond, current = ca.SX.sym("beyond", 2), ca.SX.sym("current", 2)
         of_rows, of_cost = ca.SX.sym("of_rows", SHOOTING.end_rows), ca.SX.sym("of_cost")
@@ -118,7 +118,9 @@ class Shooting:
         self._end_curved = ca.Function("end_curved", [*known, of_rows, of_cost], [ca.densify(curved)])
 
     def _split(self, z: Any, p: Any) -> tuple[dict[str, Any], Any, Any, list[Any], list[Any]]:
-        """Parameters by name, next states (8, n), thrusts (thrusters, n), what the motion needs, what the end needs."""
+        """Parameters by name, next states (8, n), thrusts (thrusters, n), arguments of the dynamics, of the terminal
+        conditions.
+        """
         n, parts, at = self._n, {}, 0
         for name, (rows, columns) in shapes_of(n).items():
             parts[name] = ca.reshape(p[at : at + rows * columns], rows, columns)
@@ -228,7 +230,7 @@ class Shooting:
         return [*state, *force, [(self._block * self._n, 1.0 / (self._n * self._substeps))]]
 
     def _state(self, node: int, i: int) -> int:
-        """Column of a state of a node; the first node's are known (-1)."""
+        """Column of a node's state; -1 for the first node, whose state is given."""
         return self._block * (node - 1) + self._nu + i if node else -1
 
 
@@ -242,7 +244,7 @@ class _Sparse:
         self._count = 0
 
     def add(self, values: Any, places: Sequence[Sequence[tuple[int, int, float]]]) -> None:
-        """``values`` column by column, with the places of each; what meets is summed."""
+        """Add ``values`` column by column at their positions; duplicates are summed."""
         self._values.append(ca.vec(values))
         assert self._values[-1].shape[0] == len(places)
         for source, found in enumerate(places, self._count):

@@ -24,7 +24,7 @@ from autopilot.core.model4 import NX, Model4
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Ask:
-    """One program: where from, where to, within what. Arrays are per node (n + 1) unless said otherwise."""
+    """Data of one program: initial state, goal region, bounds. Arrays are per node (n + 1) unless noted otherwise."""
 
     x0: FloatArray
     """(8,)"""
@@ -152,7 +152,9 @@ class Program:
 
 
 class _Stop(ca.Callback):
-    """IPOPT asks it after every iteration whether to go on: they take up to 12 ms, a solution up to 150 of them."""
+    """Iteration callback of IPOPT that decides on early termination: an iteration takes up to 12 ms, a solution up to
+    150.
+    """
 
     def __init__(self, shooting: Shooting) -> None:
         ca.Callback.__init__(self)
@@ -198,7 +200,7 @@ class _Stop(ca.Callback):
         return [int(self._cancel.requested or self.settled or self._stalled(off))]
 
     def _stalled(self, off: float) -> bool:
-        """Whether what rows are off by at most is no less than it was STALLED_ITERATIONS ago."""
+        """Whether the largest constraint violation has not decreased for STALLED_ITERATIONS."""
         if off < TRAJECTORY.nearer * self._least_off:
             self._least_off, self._since = off, 0
         self._since += 1

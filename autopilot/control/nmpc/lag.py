@@ -63,7 +63,7 @@ class ThrusterLag:
         self.reset()
 
     def reset(self) -> None:
-        """The thrusters stand still, nothing is under way, commands act at once."""
+        """Zero thrust, no pending commands, no latency."""
         self.acting_n[:] = 0.0
         self._sent.clear()
         self._now_s = self.delay_s = 0.0
@@ -71,7 +71,7 @@ class ThrusterLag:
         self.jumped()
 
     def jumped(self) -> None:
-        """The state has jumped, or predictions are made in another way: they are not compared with what comes."""
+        """The state or the prediction model has jumped: discard predictions that would be compared with it."""
         self._predicted: deque[tuple[float, FloatArray]] = deque()
         self._off = np.zeros(NX)
         self._compared_s = self._now_s
@@ -111,11 +111,10 @@ class ThrusterLag:
         return self._out.copy()
 
     def _ahead_of_all(self, x: FloatArray) -> FloatArray:
-        """The same through what is under way, with what predictions have been off.
+        """Prediction over all pending commands, plus the mean prediction error.
 
-        A second is long enough for a wrong buoyancy, drag or thrust to show, and a plan that starts where the vehicle
-        will not be never pushes harder. So what came is compared with what was predicted (a model predictive
-        controller's output disturbance).
+        Over a second an error of buoyancy, drag or thrust is significant, and a plan that starts at the wrong state
+        never corrects it. Predictions are therefore compared with later states (output disturbance model of MPC).
         """
         acting, begin_s = self.acting_n.copy(), self._now_s - self.delay_s
         under_way = [sent for sent in self._sent if sent[1] > begin_s]
@@ -143,7 +142,7 @@ class ThrusterLag:
         self._compared_s = self._now_s
 
     def _pass(self, acting: FloatArray, sent: Iterable[Sent], begin_s: float, end_s: float) -> None:
-        """Let ``acting`` (n,) respond to what was sent between two times."""
+        """Advance ``acting`` (n,) by the commands sent between two times."""
         for sent_s, until_s, command in sent:
             if sent_s >= end_s:
                 break

@@ -23,13 +23,14 @@ static inline double square(double x) { return x * x; }
 
 
 def coefficients(model: Model4) -> list[float]:
-    """(13,) what the C code is told of a vehicle's hull."""
+    """(13,) coefficients of a vehicle's hull, as the C code takes them."""
     return [*model.mass_kg, *model.linear_drag, *model.quadratic_drag, model.buoyancy_excess_n]
 
 
 def model_of(values: Any) -> Model4:
-    """The model of symbolic coefficients (13,) with one "thruster" per axis: what real ones do is a matrix in front,
-    whatever their number."""
+    """The model of symbolic coefficients (13,) with one "thruster" per axis: real thrusters are a matrix in front,
+    whatever their number.
+    """
     parts: Any = ca.vertsplit(values)
     return Model4(
         mass_kg=tuple(parts[:AXES]),
@@ -51,7 +52,7 @@ def model_function() -> ca.Function:
 
 
 def model_code() -> str:
-    """The C source: of what CasADi writes, the one function that computes."""
+    """The C source: the one function of CasADi's output that computes."""
     generator = ca.CodeGenerator("model.c", {"with_header": False})
     generator.add(model_function())
     written = str(generator.dump())

@@ -1,4 +1,4 @@
-"""The optimal control problem of the paper (section III, eq. 12) as one CasADi function: linearisation, one QP,
+"""The optimal control problem of the paper (section III, eq. 12) as a CasADi function: linearisation, one QP,
 unpacking.
 
 Decision variables per stage: state (8), thrust (one per thruster) and, from stage 1 on, two slacks: one shared by the
@@ -13,8 +13,7 @@ residuals are linear in state and input, so the Hessian is exact up to the curva
 * soft constraints with an exact penalty (L1 + L2 on the slack): planar speed, heave, yaw rate, depth band, half-planes
 * planar speed: the Euclidean norm of (u, v), linearised in the direction of the guess
 * terminal cost: any symmetric matrix; by default :data:`TERMINAL_STAGES` of the state weights, a tail of 2 s at the
-rate
-  of the running cost. An LQR tail of a loop with a settling time constant of 4 s has this size; unlike the DARE
+  rate of the running cost. An LQR tail of a loop with a settling time constant of 4 s has this size; unlike the DARE
   solution at hover it is independent of heading (position is in the world frame, velocity in the body frame), and it
   needs no equilibrium where the horizon ends within a leg.
 

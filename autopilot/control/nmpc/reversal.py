@@ -23,7 +23,7 @@ class Reversals:
         self._way = [0.0] * len(limit_n)
 
     def reset(self) -> None:
-        """They stand still: either way is as good."""
+        """Thrusters at rest: either direction of rotation is allowed."""
         self._way = [0.0] * len(self._way)
 
     def worth(self, thrust_n: FloatArray, *, between: bool = False) -> FloatArray:

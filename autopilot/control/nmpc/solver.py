@@ -120,10 +120,11 @@ def _build(model_values: tuple[Any, ...], dt_s: tuple[float, ...], planes: int, 
 
 
 def passes_self_test(step: QpStep | NativeStep, model: Model4, grid: TimeGrid) -> bool:
-    """Solve one problem whose answer is known: from rest to a place near by, with half of the thrust that it takes.
+    """Solve one problem with a known solution: from rest to a position close by, with thrust bounds of half the
+    optimum.
 
-    Without the states it is a program with bounds alone (:func:`_condensed`), small enough to be solved by other
-    means. Thrust of the first interval and the state at the end must be the same, all figures small.
+    Condensed, it is a QP with bounds only (:func:`_condensed`), small enough for an independent solver. Thrust of the
+    first interval and the final state have to agree, and all residuals have to be small.
     """
     step.x_guess[:] = 0.0
     step.u_guess[:] = 0.0
@@ -151,8 +152,9 @@ def passes_self_test(step: QpStep | NativeStep, model: Model4, grid: TimeGrid) -
 
 
 def _condensed(model: Model4, grid: TimeGrid) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Hessian and gradient of the self-test over all thrusts (N n,); last state without thrust, and what thrust makes
-    of it (8, N n). Derivatives by complex steps."""
+    """Condensed self-test: Hessian and gradient over all thrusts (N n,), final state without thrust, and its
+    sensitivity (8, N n). Derivatives by complex steps.
+    """
     count, n = model.thrusters, grid.n
     hessian, gradient = np.zeros((n * count, n * count)), np.zeros(n * count)
     state, effect = np.zeros(NX), np.zeros((NX, n * count))

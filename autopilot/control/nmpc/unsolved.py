@@ -22,7 +22,7 @@ from autopilot.core.model4 import Model4
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Trial:
-    """What one solver makes of a program."""
+    """Result of one solver."""
 
     solver: str
     status: SolveStatus | None
@@ -52,7 +52,7 @@ def _part(arrays: Mapping[str, FloatArray], name: str) -> dict[str, FloatArray]:
 
 
 def solve_again(program: UnsolvedProgram, backends: tuple[ocp.QpBackend, ...] = ocp.BACKENDS) -> list[Trial]:
-    """What every solver makes of it. LogError if the program is not complete."""
+    """Results of every solver. LogError if the record is incomplete."""
     try:
         model = Model4(**{name: _plain(value) for name, value in _part(program.arrays, "model.").items()})
         # Programs of before the buoyancy was learned have the vehicle file's.

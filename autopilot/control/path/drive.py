@@ -19,7 +19,7 @@ from autopilot.core.model4 import YAW, Z
 
 
 class DriveGuidance:
-    """See :class:`autopilot.control.path.guidance.Guidance`. Never at a loss: what is not free is not flown."""
+    """See :class:`autopilot.control.path.guidance.Guidance`. Always has a reference: blocked motion is not commanded."""
 
     unreachable = False
 
@@ -35,7 +35,7 @@ class DriveGuidance:
         self._way = np.zeros((1, 2))
 
     def take_notices(self) -> list[tuple[Severity, str]]:
-        """Nothing: whoever asked for the motion is told where it was asked for."""
+        """None: the source of the velocity command has been notified."""
         return []
 
     def ahead(self, here: FloatArray) -> FloatArray:
@@ -93,7 +93,7 @@ class DriveGuidance:
     def _trend(
         self, here: float, wanted: float, trend_rad_s: float, horizon_s: float, most: float
     ) -> tuple[float, float]:
-        """Of a heading that turns: what is missing of it is made good on the way, or first where that is much."""
+        """Reference of a turning heading: a small error is corrected during the motion, a large one first."""
         self._yaw_target = None
         lack = wrap_pi(wanted - here)
         rate = trend_rad_s + lack / DRIVE.catch_up_s
@@ -103,7 +103,7 @@ class DriveGuidance:
         return here + rate * horizon_s, abs(rate) / REFERENCE.yaw_rate_share
 
     def _route(self, now: GuidanceInputs, drive: VelocityGoal, horizon_s: float) -> tuple[Route, float]:
-        """The free way ahead and the speed along it."""
+        """The free path ahead and the speed along it."""
         start, velocity = now.x0[:2].copy(), complex(drive.north_m_s, drive.east_m_s)
         speed = min(abs(velocity), now.speed_cap_m_s, now.goal.speed_m_s)
         if abs(velocity) < DRIVE.slowest_m_s:
@@ -155,7 +155,7 @@ class DriveGuidance:
     def _slide(
         now: GuidanceInputs, here: complex, heading: complex, step_m: float, keep_m: float
     ) -> tuple[complex, float]:
-        """The end of a step, pushed out of what it runs into, and the share of it that goes ahead."""
+        """End of a step after projection out of obstacles, and the fraction of it that goes ahead."""
         features = now.planner.features
         wish = step_m * heading
         place, along = here + wish, wish

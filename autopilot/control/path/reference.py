@@ -55,7 +55,7 @@ class Route:
 
 
 def water_speed_share(against_m_s: float, water_limit_m_s: float) -> float:
-    """Share of the limit on planar speed that is asked for with so much current against the way."""
+    """Fraction of the planar speed limit that is commanded in that opposing current."""
     span = REFERENCE.fast_current_share - REFERENCE.slow_current_share
     fast = (against_m_s / max(water_limit_m_s, 1e-6) - REFERENCE.slow_current_share) / span
     return REFERENCE.water_speed_share + min(max(fast, 0.0), 1.0) * (
@@ -177,9 +177,10 @@ class ReferenceRollout:
         """References (N+1, 8) from the state ``x0`` (8,), and thrust (N, n) within ``limit_n`` (n,) that holds their
         velocities.
 
-        Position moves along the route at cruise speed over ground and stops at its end, depth arrives with it or as
-        fast as heave allows, heading turns by the way given. Velocities are those through the water that this motion
-        needs in the current, so that a goal in a current is a steady state of the reference and is held without offset.
+        Position moves along the route at cruise speed over ground and stops at its end, depth arrives with it or at
+        the heave limit, heading turns in the given direction. Velocities are relative to the water, as this motion
+        needs in the current, so that a goal in a current is a steady state of the reference and is held without
+        offset.
         """
         rollout = self._rollout
         if target.route is not self._route:

@@ -15,8 +15,9 @@ from autopilot.core.frames import FloatArray
 def lengths_from(
     node: int, begin: NDArray[np.intp], end: NDArray[np.intp], length: FloatArray, count: int
 ) -> tuple[FloatArray, NDArray[np.int32]]:
-    """Length (count,) of the shortest way from ``node`` to every node, inf where there is none, and the node before it
-    on that way (count,), negative where there is none. Edges (m,) lead from ``begin`` to ``end``; no two are alike."""
+    """Length (count,) of the shortest path from ``node`` to every node, inf where there is none, and the predecessor
+    on that path (count,), negative where there is none. Edges (m,) lead from ``begin`` to ``end``, without duplicates.
+    """
     from scipy.sparse import csr_matrix
     from scipy.sparse.csgraph import dijkstra
 

@@ -10,8 +10,9 @@ from autopilot.core.notice_queue import NoticeQueue
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class BackgroundWorkers:
-    """One lane per kind of work, so that a route never waits for a trajectory. Without executors (the default) work is
-    done when it is due, by the caller."""
+    """One worker per kind of task, so that a route never waits for a trajectory. Without executors (the default) the
+    caller does the work when its result is due.
+    """
 
     routes: BackgroundWorker = field(default_factory=BackgroundWorker)
     trajectories: BackgroundWorker = field(default_factory=BackgroundWorker)
@@ -36,17 +37,17 @@ class BackgroundWorkers:
 
 
 class TaskFailures(NoticeQueue):
-    """Work that ended with an exception: told the operator once until some succeeds, in full in the log."""
+    """Reports of tasks that raised: one notice to the operator until one succeeds, full traceback in the log."""
 
     def __init__(self, work: str, told: notices.Row) -> None:
-        """``work``: what it is, for the log; ``told``: what the operator is told."""
+        """``work``: name of the task for the log; ``told``: text for the operator."""
         super().__init__()
         self._work, self._told_row = work, told
         self._told = False
         self._logged = False
 
     def failed(self, error: Exception, *, felt: bool = True) -> None:
-        """Take note of one; the operator is told when the vehicle does something else because of it (``felt``)."""
+        """Record a failure; the operator is notified if it affects the vehicle's behaviour (``felt``)."""
         if not self._logged:
             self._logged = True
             self._notices.append(notices.WORK_FAILED(work=self._work, kind=type(error).__name__, error=error))

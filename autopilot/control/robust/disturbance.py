@@ -14,7 +14,7 @@ from autopilot.core.params import ParamSet
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DisturbanceBound:
-    """Bounds of what the model does not know, after the estimator has absorbed what lasts."""
+    """Bounds of the unmodelled forces that remain after the estimator has absorbed their constant part."""
 
     force_n: float
     """Per axis."""

@@ -22,7 +22,7 @@ TOLD = {
 
 
 class FallbackWatch(NoticeQueue):
-    """Tells when somebody else than the optimiser commands the thrusters, and when that is over."""
+    """Reports when the thrusters are not commanded by the optimiser, and when they are again."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -49,7 +49,7 @@ class FallbackWatch(NoticeQueue):
 
 
 class FiniteWatch(NoticeQueue):
-    """Counts steps and ticks without thrust because the estimate, or what the model makes of it, is no number."""
+    """Counts steps and ticks without thrust because the estimate or its prediction is not finite."""
 
     def __init__(self) -> None:
         super().__init__()

@@ -67,7 +67,7 @@ class InnerLoop:
         self._reference, self._call = ctypes.byref(self._struct), compiled.load(_Inner).inner_thrust
 
     def start(self, t_us: int, x: FloatArray, thrust_n: FloatArray, current_ned_m_s: FloatArray) -> None:
-        """Follow the plan x (N+1, 8), thrust (N, n) that begins now and believes in this current (3,)."""
+        """Track the plan x (N+1, 8), thrust (N, n) that starts now and was made for this current (3,)."""
         self._plan[:], self._plan_n[:], self._plan_current[:] = x, thrust_n, current_ned_m_s
         self._begin_us, self.active = t_us, True
 
@@ -83,8 +83,9 @@ class InnerLoop:
 
 
 def plan_error(x: FloatArray, z: FloatArray, current_ned_m_s: FloatArray, planned_ned_m_s: FloatArray) -> FloatArray:
-    """Error (8,) of ``x`` against the planned ``z``, velocities over ground: a change of the believed current between
-    the two is no motion."""
+    """Error (8,) of ``x`` relative to the planned ``z``, velocities over ground: a change of the estimated current
+    between the two is not a motion.
+    """
     e = error_of(x, z)
     north, east, down = (current_ned_m_s - planned_ned_m_s).tolist()
     c, s = math.cos(x[YAW]), math.sin(x[YAW])

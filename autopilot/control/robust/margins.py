@@ -64,7 +64,7 @@ class Margins(NoticeQueue):
         return self._fixed.back_offs(nav, x, thrust_n, params)
 
     def look(self, nav: NavState, params: ParamSet) -> None:
-        """Once per control step, before :meth:`back_offs`: what the estimate says about keeping the planar speed."""
+        """Once per control step, before :meth:`back_offs`: update the evidence for the planar speed margin."""
         if Tighten(int(params["MPC_TIGHTEN"])) is Tighten.TUBE:
             tube_m_s = self.tube.rest_speed_m_s(nav, params)
             self.evidence.look(nav, params["SPD_PLANAR_MAX"], tube_m_s, params["MPC_SPEED_MARGIN"])
@@ -72,18 +72,21 @@ class Margins(NoticeQueue):
             self.evidence.reset()
 
     def settled(self, nav: NavState, params: ParamSet) -> BackOffs:
-        """What the parameters alone take, of a vehicle at rest with the best of estimates: what is said of a place must
-        not depend on how well the vehicle knows just now where it is."""
+        """Back-offs by the parameters alone, for a vehicle at rest with the best estimate: checks of positions must
+        not depend on the present accuracy of the estimate.
+        """
         return self.back_offs(replace(nav, variance=np.zeros_like(nav.variance)), self._rest, self._idle, params)
 
     def clearance_m(self, params: ParamSet) -> float:
-        """Routes keep the fixed margin and what the planner adds to it: a route that changed with every change of the
-        estimate would be no route."""
+        """The fixed margin plus the planner's: it must not change with the estimate, or routes would change all the
+        time.
+        """
         return params["MPC_MARGIN"]
 
     def planar_speed_m_s(self, nav: NavState, params: ParamSet) -> float:
-        """Speed through the water that guidance asks for at most: its share of what the margins leave at the end of the
-        prediction."""
+        """Largest speed through the water for guidance: a fraction of the limit minus the back-off at the end of the
+        prediction.
+        """
         back_off = self.back_offs(nav, self._rest, self._idle, params).planar_speed_m_s
         cap_m_s = max(0.0, params["SPD_PLANAR_MAX"] - float(back_off[-1]))
         return cap_m_s * water_speed_share(math.hypot(*nav.current_ned_m_s[:2].tolist()), cap_m_s)

@@ -14,7 +14,7 @@ from autopilot.core.messages import NavHealth, NavState
 
 
 class SpeedEvidence:
-    """One per vehicle; looked at once per control step."""
+    """One per vehicle; updated once per control step."""
 
     def __init__(self) -> None:
         self.reset()
@@ -28,7 +28,7 @@ class SpeedEvidence:
         """Of the margin that is kept."""
 
     def look(self, nav: NavState, limit_m_s: float, tube_m_s: float, least_m_s: float) -> None:
-        """``tube_m_s``: margin at the end of the prediction without any credit; ``least_m_s``: what is kept of it."""
+        """``tube_m_s``: full margin at the end of the prediction; ``least_m_s``: the part that is always kept."""
         speed = math.hypot(float(nav.vel_water_frd_m_s[0]), float(nav.vel_water_frd_m_s[1]))
         good = nav.health is NavHealth.GOOD and math.isfinite(speed) and nav.reset_count == self._reset_count
         if not good or self._t_us is None or tube_m_s <= 0.0 or limit_m_s <= tube_m_s:
@@ -47,7 +47,7 @@ class SpeedEvidence:
         self._move(math.hypot(*nav.current_ned_m_s[:2].tolist()) / limit_m_s, elapsed_s / tube_m_s)
 
     def _move(self, current_share: float, per_m_s2: float) -> None:
-        """Towards what is needed, as far as the current asks for it."""
+        """Move the margin towards the required one, as far as the current demands it."""
         needed = min(1.0, max(EVIDENCE.least_share, math.sqrt(self._needed)))
         asked = min(
             max((current_share - EVIDENCE.strong_share) / (EVIDENCE.strongest_share - EVIDENCE.strong_share), 0.0), 1.0

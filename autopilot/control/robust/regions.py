@@ -35,7 +35,7 @@ class _RegionRequest:
 
 
 def _certified(request: _RegionRequest, cancel: Cancel) -> Certificate:
-    """The whole certificate, or what the limits alone say of the region."""
+    """The full certificate, or the level by the limits alone."""
     samples = unit_samples(TERMINAL.samples if request.sampled else 0)
     return certify(request.model, request.law, request.goal, request.limits, samples, look=cancel.check)
 
@@ -78,9 +78,10 @@ class TerminalRegions(NoticeQueue):
         *,
         sampled: bool = True,
     ) -> None:
-        """One control step with this goal, ``away_m`` from it in the plane; ``yaw_rad`` is the heading in which the
-        vehicle will stay there. ``clearance_m``: that of ``limits``, which are asked for when there is something to
-        certify. ``sampled``: that the cost falls in the region is looked at, too."""
+        """One control step with this goal at the planar distance ``away_m``; ``yaw_rad``: heading at the goal.
+        ``clearance_m``: that of ``limits``, which are evaluated only for a certificate. ``sampled``: whether the
+        decrease is also verified.
+        """
         self._step += 1
         if self.certificate is not None and self.certificate.alpha <= 0.0:
             self._warn(goal, self.certificate, away_m)
@@ -125,7 +126,7 @@ class TerminalRegions(NoticeQueue):
         return self._cost if abs(turn) < REGIONS.at_goal_rad and still < REGIONS.current_step_m_s else None
 
     def _tell(self, goal: Goal, certificate: Certificate) -> None:
-        """For the log; what an operator can do about it, for the operator."""
+        """Report to the log, and to the operator if there is a remedy."""
         name = _name(goal)
         # A current that changes a little makes another certificate; what it says is only news when it is another story.
         story = f"{name} {certificate.binding} {certificate.fits} {goal.pos_ned_m.tolist()}"
@@ -135,8 +136,9 @@ class TerminalRegions(NoticeQueue):
         self._notices.append(notices.CERTIFICATE(name=name, text=certificate.text))
 
     def _warn(self, goal: Goal, certificate: Certificate, away_m: float) -> None:
-        """What an operator can do about a goal that has no region, once. Water that is too fast to stay in matters
-        where the vehicle is to stay: a current may well carry it through a goal."""
+        """One notice with a remedy for a goal without a region. A current too fast to hold matters only where the
+        vehicle is to stay: it may well be carried through a goal.
+        """
         name, limit = _name(goal), certificate.binding
         if limit not in AT_PLACE and (goal.following is not None or away_m > REGIONS.here_m):
             return

@@ -28,7 +28,7 @@ from autopilot.core.model4 import NX, YAW, Model4, R, U, V, W, X, Z
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class TerminalLimits:
-    """What the region has to stay inside, back-offs already taken off."""
+    """Limits of the region, after back-offs."""
 
     thrust_n: FloatArray
     """(n,)"""
@@ -45,7 +45,7 @@ class TerminalLimits:
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Terminal:
-    """Local law and cost of a goal, before the region is known."""
+    """Terminal law and cost of a goal; the region is computed separately."""
 
     yaw_rad: float
     nu: FloatArray

@@ -27,7 +27,7 @@ NO_LIFT = 1e-6
 
 
 class Actuation:
-    """All thrusters of a vehicle (n of them), in the order of its file."""
+    """All n thrusters of a vehicle, in the order of its file."""
 
     def __init__(self, vehicle: Vehicle, params: ParamSet) -> None:
         self._allocator = ControlAllocator.of(vehicle)
@@ -51,7 +51,7 @@ class Actuation:
 
     @property
     def share(self) -> FloatArray:
-        """(n,) what each gives of its thrust; a dead one 0."""
+        """(n,) effectiveness of each thruster; 0 for a failed one."""
         return self._losses.share
 
     @property
@@ -60,12 +60,12 @@ class Actuation:
 
     @property
     def problem(self) -> str:
-        """What the thrust that is left does not allow, "" while the vehicle can stay where it is."""
+        """Capability lost with the remaining thrust, "" while the vehicle can keep its position."""
         return self._losses.problem
 
     @property
     def doubtful_thrusters(self) -> tuple[tuple[str, ...], ...]:
-        """Thrusters that do the same of which one is lossy, nobody knows which."""
+        """Redundant thrusters with a fault that is not isolated."""
         return self._losses.doubtful
 
     @property
@@ -80,13 +80,14 @@ class Actuation:
 
     @property
     def doubtful(self) -> bool:
-        """Thrust has shown no effect yet, and it is not known how late it will: no more of it."""
+        """Thrust has had no effect so far and the latency is unknown: no further thrust."""
         return self._delay.doubtful
 
     @property
     def limit_n(self) -> FloatArray:
-        """(n,) what the controller may ask for at the present supply: a sagging battery, losses and what levelling
-        keeps for itself lower the bounds."""
+        """(n,) thrust limits of the controller [N] at the present supply voltage, after faults and the part reserved
+        for attitude stabilisation.
+        """
         can_n = self._can_n
         return can_n - self._levelling.reserve_n(can_n)
 
@@ -97,7 +98,7 @@ class Actuation:
 
     @property
     def _can_n(self) -> FloatArray:
-        """(n,) what the thrusters can give."""
+        """(n,) attainable thrust [N]."""
         return self.allocation.capability_n(self.supply_v) * self._losses.share
 
     def nav_for_control(self, t_us: int, nav: NavState) -> NavState:
@@ -111,12 +112,12 @@ class Actuation:
         self._pulse_n = self.nothing()
 
     def taken(self, pulses_us: tuple[int, ...]) -> None:
-        """Somebody else drives the thrusters, with these pulses; () = nobody knows how, taken as neutral."""
+        """Another source commands the thrusters with these pulses; () = unknown, treated as neutral."""
         known = len(pulses_us) == self._count
         self._pulse_n = self.allocation.thrusts_n(pulses_us, self.supply_v) if known else self.nothing()
 
     def send(self, t_us: int) -> FloatArray:
-        """The last command is on its way. The result (n,) is what sound thrusters give of what acts now."""
+        """Register the last command as sent. Returns (n,) the thrust of healthy thrusters that acts now [N]."""
         return self._delay.send(t_us, self._pulse_n)
 
     def learn(
@@ -130,10 +131,10 @@ class Actuation:
         reached: bool,
         alone: bool = True,
     ) -> ThrusterHealthState | None:
-        """Late commands and lost thrust, from the estimate of now and what :meth:`send` said.
+        """Update latency and effectiveness from the present estimate and the result of :meth:`send`.
 
-        ``reached``: the device takes the commands. ``alone``: nobody else commands the thrusters, so that motion says
-        when commands act. The result is for the log, at times.
+        ``reached``: the device accepts commands. ``alone``: no other source commands the thrusters, so that motion
+        shows the latency. Returns a record for the log, periodically.
         """
         self._nav = nav
         capability_n = self.allocation.capability_n(self.supply_v)

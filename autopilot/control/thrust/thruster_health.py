@@ -312,7 +312,7 @@ class ThrusterHealth:
         return np.where(plain, tuning.certain_plain, tuning.certain)
 
     def _follow(self, e: FloatArray) -> bool:
-        """Update the declared effectiveness where the estimate differs by more than the hysteresis; True on a change."""
+        """Update the declared effectiveness where the estimate differs by more than the hysteresis; True on change."""
         far = (np.abs(e - self.found) > self._tuning.follow) | ((e == 1.0) & (self.found < 1.0))
         if not far.any():
             return False
@@ -321,7 +321,7 @@ class ThrusterHealth:
 
 
 def told(params: ParamSet, thrusters: int) -> list[float]:
-    """(n,) what the parameters say of the thrusters."""
+    """(n,) effectiveness by the parameters."""
     return [params[name] for name in HEALTH_PARAMS[:thrusters]]
 
 
@@ -333,9 +333,9 @@ def usable(effectiveness: FloatArray) -> FloatArray:
 def hover_problem(
     allocator: ControlAllocator, limit_n: FloatArray, current_ned_m_s: FloatArray, yaw_rad: float | None = None
 ) -> str:
-    """What a vehicle whose thrusters give up to ``limit_n`` (n,) cannot do any more in that current, "" if it can stay.
+    """Lost capability of a vehicle with thrust up to ``limit_n`` (n,) in that current, "" if it can keep its position.
 
-    Depth needs heave against the excess buoyancy, heading needs any thruster with an arm, and a place needs a heading
+    Depth needs heave against the excess buoyancy, heading needs any thruster with an arm, and position needs a heading
     (``yaw_rad``, None = any) at which the thrusters balance drag and Munk moment.
     """
     model = allocator.model
