@@ -100,11 +100,11 @@ class AuthorityWatch:
 
     @property
     def takes_commands(self) -> bool:
-        """Whether we are to send any: not before it is known whose it is."""
+        """Whether commands are to be sent: not before the authority is known."""
         return self.wanted and self.known and self.authority is Authority.OURS
 
     def lose_sight(self) -> None:
-        """Whose it is is not known until the next heartbeat."""
+        """The authority is unknown until the next heartbeat."""
         self.known = False
 
     def want(self, t_us: int, *, armed: bool) -> None:
@@ -123,21 +123,21 @@ class AuthorityWatch:
         self.handed_back = self.armed
 
     def stop(self, t_us: int) -> None:
-        """Disarm it, whoever armed it and whatever its mode; sent on every tick until :meth:`is_armed` says False."""
+        """Disarm it, whoever armed it and whatever its mode; sent on every tick until :meth:`is_armed` is False."""
         if self._stop_us is None:
             self._stop_us, self._answered = t_us, False
             self._asked_us = t_us - DISARM_EVERY_US
             self._beat_asked_us = t_us - BEAT_EVERY_US
 
     def is_armed(self, t_us: int) -> bool | None:
-        """By its heartbeat; None = not known, or a disarming is waited for that it has not confirmed."""
+        """By its heartbeat; None = unknown, or a disarming that is not confirmed yet."""
         if not self.known or t_us - self._beat_us > STALE_BEAT_US:
             return None
         return True if self.armed else None if self._stop_us is not None else False
 
     @property
     def ours_to_stop(self) -> bool:
-        """Whether an orderly end of ours ends its arming: not what its pilot has armed or flies."""
+        """Whether our shutdown disarms it: not if its pilot has armed it or has the authority."""
         pilots = self.mode is not None and self.mode != MANUAL
         return not pilots and not self.handed_back and (self.wanted or self._had or self.found_armed)
 
@@ -198,7 +198,7 @@ class AuthorityWatch:
                 return
 
     def _confirm(self, t_us: int) -> None:
-        """A heartbeat behind the answer to the disarming, or long behind the request, says that it is done."""
+        """Confirmation by a heartbeat after the acknowledgement of the disarming, or long after the request."""
         if self._stop_us is None or self.armed:
             return
         if self._answered or t_us - self._stop_us >= NO_ANSWER_US:

@@ -144,7 +144,7 @@ class Group:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Mixed:
-    """What is sent, and what should come out at the servo rail."""
+    """Channels to send and the expected servo outputs [us]."""
 
     channels_us: tuple[int, ...]
     """Pulses of the channels 1 to 6."""
@@ -198,7 +198,7 @@ class Mixer:
         return len(self._order)
 
     def take(self, parameters: Mapping[str, float]) -> None:
-        """What the flight controller's parameters say of the mixing."""
+        """Use the flight controller's mixing parameters."""
         names = [f"MOT_{motor}_DIRECTION" for motor in range(1, self.motors + 1)]
         self.directions = np.array([-1.0 if parameters.get(name, 1.0) < 0.0 else 1.0 for name in names])
         self.yaw_gain = parameters.get("ACRO_YAW_P", DEFAULT_YAW_P) / DEFAULT_YAW_P

@@ -24,7 +24,7 @@ class Passing:
         """Which one is under way, its pulse, and when it was sent."""
 
     def want(self, pulses_us: Sequence[int]) -> None:
-        """What all of them are to get."""
+        """Set the wanted state of all outputs."""
         self._wanted[:] = pulses_us[: len(self._wanted)]
 
     def forget(self) -> None:
@@ -47,7 +47,7 @@ class Passing:
         return SET_RELAY, float(output.relay or 0), float(on)
 
     def acknowledge(self, message: Any) -> str:
-        """A COMMAND_ACK; what operators should know of it, "" nothing."""
+        """Process a COMMAND_ACK; returns a notice to operators, "" = none."""
         if self._asked is None:
             return ""
         index, pulse_us, _ = self._asked

@@ -55,7 +55,7 @@ class OutputWatch:
         """Reports that show something else than what was meant."""
 
     def sent(self, t_us: int, servos_us: tuple[int, ...]) -> None:
-        """What the outputs are meant to become."""
+        """Set the expected outputs."""
         if not self._meant or t_us - self._meant[-1][0] > PAUSE_US:
             self._meant.append((t_us, (NEUTRAL_US,) * len(servos_us)))
         self._meant.append((t_us, servos_us))
@@ -65,12 +65,12 @@ class OutputWatch:
         self.skip()
 
     def begin(self) -> None:
-        """Nothing is known of who commands."""
+        """Discard all evidence."""
         self.skip()
         self.rival = False
 
     def skip(self) -> None:
-        """Reports that say nothing now, as behind a silence: another sender that was there is assumed to be."""
+        """Ignore reports for now, as after a silence; a detected second sender is kept."""
         self._wrong.clear()
         self._since_us, self.problem = None, ""
 

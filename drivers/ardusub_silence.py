@@ -35,7 +35,7 @@ class SilenceStep(Enum):
 
 
 class SilenceTest:
-    """One measurement over an open wire. :attr:`neutral_s` and :attr:`problem` tell its end."""
+    """One measurement over an open link; complete when :attr:`neutral_s` or :attr:`problem` is set."""
 
     def __init__(self, wire: Wire, motors: int) -> None:
         self._wire = wire

@@ -18,8 +18,9 @@ class EnergyMeter:
         self._last: tuple[int, float] | None = None
 
     def sample(self, t_us: int, voltage_v: float, current_a: float) -> PowerSample | None:
-        """The sample of a reading; None if no battery can say that. What this battery cannot say counts for nothing:
-        the service refuses it."""
+        """The sample of a reading; None if it is implausible for any battery. A reading outside of this battery's
+        range is not integrated: the service rejects it.
+        """
         power_w = voltage_v * current_a
         before_us, before_w = (t_us, power_w) if self._last is None else self._last
         gap_s = 1e-6 * min(max(0, t_us - before_us), LONGEST_GAP_US)

@@ -22,7 +22,7 @@ DeviceTable = dict[str, Any]
 
 
 class DeviceSetup(msgspec.Struct, frozen=True, kw_only=True):
-    """One device that has been looked through: what makes it, and from what."""
+    """Validated configuration of one device: class and arguments."""
 
     kind: str
     driver: str
@@ -35,7 +35,7 @@ class DeviceSetup(msgspec.Struct, frozen=True, kw_only=True):
 
 
 def read_devices(tables: Mapping[str, DeviceTable], origin: str) -> dict[str, DeviceSetup]:
-    """What is asked for, by kind. ConfigError begins with ``origin`` and names key, value and remedy."""
+    """Configured devices by kind. ConfigError begins with ``origin`` and names key, value and remedy."""
     devices = {kind: _device(kind, table, origin) for kind, table in tables.items()}
     if THRUSTERS in devices and FLIGHT_CONTROLLER in devices:
         raise ConfigError(

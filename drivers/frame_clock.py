@@ -46,25 +46,25 @@ def machine_us() -> int:
 
 
 class LoopTime:
-    """Turns the machine's monotonic clock into the loop's time.
+    """Converts the machine's monotonic clock to the loop's time.
 
-    The loop says its time when it polls, which is the time at which the tick was due: a late tick says less than it
-    is. The largest difference of some seconds is that of a tick in time.
+    Polls give the loop's time, which is the due time of the tick: a late tick gives a value that is too small. The
+    largest difference over some seconds is that of a punctual tick.
     """
 
     def __init__(self, polls: int = 200) -> None:
         self._ahead_us: deque[int] = deque(maxlen=polls)
 
     def hear(self, t_us: int, clock_us: int) -> None:
-        """The loop says ``t_us``, the machine's clock ``clock_us``."""
+        """Add a pair: loop time ``t_us``, machine clock ``clock_us``."""
         self._ahead_us.append(t_us - clock_us)
 
     def at(self, clock_us: int) -> int:
-        """The loop's time when the machine's clock said that; something must have been heard."""
+        """Loop time [us] for a machine time; needs at least one pair."""
         return clock_us + max(self._ahead_us)
 
     def clock_at(self, t_us: int) -> int:
-        """What the machine's clock says at that time of the loop; something must have been heard."""
+        """Machine time [us] for a loop time; needs at least one pair."""
         return t_us - max(self._ahead_us)
 
 

@@ -60,8 +60,9 @@ def _frame_size(buffer: bytearray, at: int) -> int | None:
 
 
 class FrameParser(ABC, Generic[F]):
-    """Frames of a device that begin with sync bytes and hold their length. However the bytes are cut, it never raises;
-    the counters say what was thrown away."""
+    """Parser of frames with sync bytes and a length field. Never raises, however the stream is cut; dropped data is
+    counted.
+    """
 
     sync: ClassVar[bytes]
     head_bytes: ClassVar[int]

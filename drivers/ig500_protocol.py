@@ -22,7 +22,7 @@ CONTINUOUS_OUTPUT = 0x90
 
 
 class OutputField(IntFlag):
-    """Bits of the output mask that this driver knows."""
+    """Supported bits of the output mask."""
 
     QUATERNION = 1 << 0
     EULER = 1 << 1
@@ -37,7 +37,7 @@ class OutputField(IntFlag):
 
 
 class Ig500Status(IntFlag):
-    """Bits of the device's status that this driver looks at: 1 = in order, 0 = a warning."""
+    """Bits of the device's status that are checked: 1 = good, 0 = a warning."""
 
     CALIBRATION = 1 << 0
     SETTINGS = 1 << 1
@@ -107,7 +107,7 @@ def encode_output_mask(mask: OutputField) -> bytes:
 
 
 def decode_output_mask(data: bytes) -> int | None:
-    """The mask that the device says it has; None if that is no answer."""
+    """The output mask in a reply of the device; None if it is no such reply."""
     return int.from_bytes(data, "big") if len(data) == 4 else None
 
 
@@ -117,7 +117,7 @@ def encode_continuous_mode(divider: int) -> bytes:
 
 
 class OutputCodec:
-    """Packs and unpacks the data of 0x90 frames for one output mask. ConfigError for a bit that is not known."""
+    """Encodes and decodes the data of 0x90 frames for one output mask. ConfigError for an unsupported bit."""
 
     def __init__(self, mask: OutputField) -> None:
         known = OutputField(sum(_LAYOUT))

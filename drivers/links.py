@@ -50,7 +50,7 @@ class Connection:
 
 
 def parse_connection(text: str) -> Connection:
-    """Take a connection string apart; ConfigError says what is wrong with it."""
+    """Parse a connection string. ConfigError with the reason."""
     scheme, colon, rest = text.partition(":")
     if colon and scheme in _KINDS:
         rest = rest.removeprefix("//")

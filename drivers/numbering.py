@@ -24,7 +24,9 @@ class Numbering:
         self._next: int | None = None
 
     def __call__(self, frame: bytes) -> bytes:
-        """The frame as the client gets it; what is passed on, or is no unsigned MAVLink 2 frame, stays as it is."""
+        """The frame with the client's sequence number; forwarded packets, and all but unsigned MAVLink 2 frames, are
+        unchanged.
+        """
         if isinstance(frame, Verbatim):
             return frame
         if len(frame) < _OVERHEAD or frame[0] != _STX or frame[_FLAGS_AT] or len(frame) != frame[1] + _OVERHEAD:
@@ -37,8 +39,8 @@ class Numbering:
 def renumbered(frame: bytes, number: int) -> bytes:
     """An unsigned MAVLink 2 frame with another sequence number.
 
-    A CRC is linear: the change of the checksum is the checksum (from zero) of the change of the bytes, so that
-    CRC_EXTRA need not be known.
+    A CRC is linear: the change of the checksum is the checksum (initial value 0) of the change of the bytes, so that
+    CRC_EXTRA is not needed.
     """
     change = frame[_NUMBER_AT] ^ number
     if not change:

@@ -67,7 +67,7 @@ class OpenCvCameraOptions(Table, frozen=True, kw_only=True):
 
 @contextmanager
 def _ffmpeg_options() -> Iterator[None]:
-    """OpenCV hears FFmpeg's options by the environment only: set while a stream is opened, unless they are."""
+    """OpenCV takes FFmpeg's options from the environment only: set while a stream is opened, unless set by the user."""
     with _OPENING:
         ours = {name: value for name, value in FFMPEG_OPTIONS.items() if name not in os.environ}
         os.environ.update(ours)
@@ -197,7 +197,7 @@ class OpenCvCamera(Closing):
         return [CameraFrame(t_us=taken_us, image_bgr=image)]
 
     def _set_up(self, capture: Any, cv2: Any) -> list[str]:
-        """Size, rate, exposure, and a buffer of one picture; what is not accepted."""
+        """Set size, rate, exposure, and a buffer of one image; returns the refused settings."""
         options, width_height = self._options, self._size
         wanted: list[tuple[str, int, float]] = []
         if options.format is not None:

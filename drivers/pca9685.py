@@ -60,7 +60,7 @@ class Pca9685(KeptOutput):
         enable: GpioLine | None = None,
         kept: bool | None = None,
     ) -> None:
-        """``kept``: whether a keeper stands by; None = on a real bus."""
+        """``kept``: whether a watchdog process is used; None = on a real bus."""
         # The line of the output enable stays with whoever has it: the keeper has the bus only.
         told = msgspec.structs.replace(options, enable_line=None)
         spare = {
@@ -131,7 +131,7 @@ class Pca9685(KeptOutput):
 
 
 def _runs(channels: list[int]) -> list[tuple[int, int]]:
-    """Channels in a row: (first, count); channels between them belong to somebody else."""
+    """Consecutive channels as (first, count); channels between them are not ours."""
     groups = itertools.groupby(enumerate(channels), key=lambda pair: pair[1] - pair[0])
     runs = [[channel for _, channel in group] for _, group in groups]
     return [(run[0], len(run)) for run in runs]

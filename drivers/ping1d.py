@@ -41,7 +41,7 @@ class Ping1dOptions(Table, frozen=True, kw_only=True):
 
 
 class Ping1d(SerialSensor[AltimeterSample]):
-    """Echosounder that looks along its beam."""
+    """Driver of the echosounder."""
 
     Options = Ping1dOptions
 

@@ -37,7 +37,7 @@ class DeviceState(Enum):
 
 
 class RetryingDevice(Generic[D]):
-    """A device with what it takes to live with its absence. ``name`` is what operators call it."""
+    """A device that is reopened after failures. ``name``: its name for operators."""
 
     def __init__(self, device: D, name: str) -> None:
         self.device = device
@@ -66,7 +66,7 @@ class RetryingDevice(Generic[D]):
         return notices
 
     def attend(self, t_us: int) -> bool:
-        """Whether the device can be used now; what it takes to get it back is begun."""
+        """Whether the device can be used now; starts a reconnection if needed."""
         if self._up:
             return True
         if self._opening is not None and self._opening.done():
@@ -84,7 +84,7 @@ class RetryingDevice(Generic[D]):
         return False
 
     def use(self, t_us: int, work: Callable[[], T], otherwise: T) -> T:
-        """Use the device if it is there; what it raises costs the device."""
+        """Call the device if it is available; an exception closes it."""
         if not self.attend(t_us):
             return otherwise
         try:
@@ -97,7 +97,7 @@ class RetryingDevice(Generic[D]):
             raise
 
     def heard(self, t_us: int, something: object) -> None:
-        """Note whether it has said anything at ``t_us``."""
+        """Record whether it has delivered data at ``t_us``."""
         if something:
             self._heard_us = t_us
             if self._silent:
@@ -160,7 +160,7 @@ Out = TypeVar("Out", bound=ThrusterOutput)
 
 
 class SteadyOutput(RetryingDevice[Out]):
-    """Thrusters that may be away. That a command does not reach them is said by DriverError, on every tick."""
+    """Thruster output with reconnection. DriverError on every tick while commands do not reach it."""
 
     def __init__(self, device: Out, name: str) -> None:
         super().__init__(device, name)

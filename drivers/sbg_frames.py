@@ -28,7 +28,7 @@ class SbgParser(FrameParser[F]):
     """Of the bytes of size and checksum, as :mod:`struct` writes it."""
 
     def _make(self, ids: bytes, data: bytes) -> F:
-        """A frame of what stands between sync and size, and of its data."""
+        """A frame from its header (between sync and size) and its data."""
         raise NotImplementedError
 
     @classmethod

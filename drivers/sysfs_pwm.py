@@ -35,7 +35,7 @@ class SysfsPwm(KeptOutput):
     driver = "sysfs_pwm"
 
     def __init__(self, vehicle: Vehicle, options: SysfsPwmOptions, *, kept: bool = True) -> None:
-        """``kept``: whether a keeper stands by."""
+        """``kept``: whether a watchdog process is used."""
         spare = {
             output.channel: index
             for index, output in enumerate(vehicle.payload)

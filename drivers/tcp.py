@@ -72,7 +72,7 @@ class _TcpConnection:
         return [Received(frame, self.client, self.sender, self._reach) for frame in self._cutter.feed(data)]
 
     def send(self, data: bytes) -> bool:
-        """Queue and send what the other side takes; False if it is gone or too far behind."""
+        """Queue and send as much as the peer accepts; False if it is gone or too far behind."""
         self._pending += self._numbering(data)
         self._flush()
         if len(self._pending) > MAX_PENDING:
@@ -194,7 +194,7 @@ class TcpServer:
             self._enter(stream, t_us)
 
     def _enter(self, stream: _TcpConnection, t_us: int) -> None:
-        """A place for a connection, which takes somebody else's where all are taken."""
+        """Admit a connection, displacing another one if all places are taken."""
         entry = self._admission.enter(stream.client, t_us)
         if entry.displaced is not None:
             gone = self._clients.pop(entry.displaced.key)
@@ -204,7 +204,7 @@ class TcpServer:
 
 
 class TcpClient:
-    """Connects to a server; tries again while the server is away, and what is sent meanwhile is lost."""
+    """Connects to a server; reconnects while it is away, and data sent meanwhile are lost."""
 
     def __init__(self, name: str, host: str, port: int) -> None:
         self.name = name

@@ -49,7 +49,7 @@ def reach_of(host: str) -> Reach:
 
 
 def bind_error(name: str, port: int, error: OSError) -> DriverError:
-    """What to tell the operator when a port cannot be listened on."""
+    """Message to the operator for a port that cannot be opened."""
     if error.errno == errno.EADDRINUSE:
         return DriverError(
             f"link {name}: port {port} is already in use; stop the program that uses it or give another port"
@@ -89,7 +89,7 @@ class _Udp:
 
     @property
     def peers(self) -> tuple[Address, ...]:
-        """Who is known, the one silent for longest first."""
+        """Known peers, the longest silent first."""
         return tuple(self._known)
 
     def filenos(self) -> list[int]:
@@ -118,7 +118,7 @@ class _Udp:
         return True
 
     def _expects(self, address: Address) -> bool:
-        """Whether an address has its place whoever else is there."""
+        """Whether an address has a reserved place."""
         return False
 
     def take_news(self) -> tuple[bool, str] | None:
@@ -138,7 +138,7 @@ class _Udp:
         return peer
 
     def _admit(self, t_us: int, address: Address) -> _Peer | None:
-        """A client that has not been heard lately."""
+        """Admit a client that is new or was silent."""
         sender = f"{address[0]}:{address[1]}"
         entry = self._admission.enter(address, t_us, always=self._expects(address))
         if entry.displaced is not None:
@@ -192,7 +192,7 @@ class _Udp:
 
 
 class _Directed(_Udp):
-    """A socket that sends to an address before anybody has been heard."""
+    """A socket with a destination before any peer has sent."""
 
     def __init__(self, name: str, host: str, port: int) -> None:
         self._target = resolve(name, host, port)
@@ -205,7 +205,7 @@ class _Directed(_Udp):
 
 
 class UdpOut(_Directed):
-    """Sends to one address, and takes what its host sends to the socket (from whatever port); others are not heard."""
+    """Sends to one address and receives from that host (any port); others are ignored."""
 
     def send(self, data: bytes, client: int = EVERYONE, beside: frozenset[int] = frozenset()) -> None:
         if client == EVERYONE and beside and any(self._addresses.get(other) == self._target for other in beside):
@@ -223,8 +223,9 @@ class UdpOut(_Directed):
 
 
 class UdpBroadcast(_Directed):
-    """Calls to everyone at a broadcast address, once per second, until somebody answers; from then on it speaks to who
-    has answered. When all have been silent for KEEP_US it calls again."""
+    """Sends to a broadcast address, once per second, until a peer replies, and then to the peers. After KEEP_US
+    without any data it broadcasts again.
+    """
 
     def __init__(self, name: str, host: str, port: int) -> None:
         super().__init__(name, host, port)
@@ -248,7 +249,7 @@ class UdpBroadcast(_Directed):
 
 
 def _is_heartbeat(data: bytes) -> bool:
-    """Whether a datagram is a HEARTBEAT of MAVLink 2: what ground stations find a vehicle by."""
+    """Whether a datagram is a MAVLink 2 HEARTBEAT, by which ground stations discover a vehicle."""
     return data[:1] == b"\xfd" and data[7:10] == b"\0\0\0"
 
 

@@ -26,14 +26,15 @@ TRIES, PAUSE_S = 20, 0.05
 
 
 class KeptOutput(SafeThrusterOutput):
-    """Template of an output that needs a keeper: as :class:`SafeThrusterOutput`."""
+    """Base class of an output that needs a watchdog process; see :class:`SafeThrusterOutput`."""
 
     driver: str
     """Its name in the registry."""
 
     def __init__(self, vehicle: Vehicle, options: Table, *, kept: bool, spare: Mapping[int, int] | None = None) -> None:
-        """``options`` are those that the keeper opens it with; ``kept`` False: it has none (the keeper's own output,
-        an emulated board). The keeper sets what is carried to where it was at the start."""
+        """``options``: those with which the watchdog opens the output; ``kept`` False: none is used (the watchdog's
+        own output, an emulated board). The watchdog sets the payload to its initial state.
+        """
         super().__init__(vehicle, spare)
         self._kept = kept
         self._request = msgspec.json.encode([self.driver, vehicle, options]) + b"\n"
@@ -41,16 +42,16 @@ class KeptOutput(SafeThrusterOutput):
 
     @property
     def watchdog_problem(self) -> str:
-        """What is wrong with the keeper, "" while one answers or none is needed."""
+        """Problem of the watchdog process, "" while it replies or none is needed."""
         return "" if self.watchdog is None else self.watchdog.problem
 
     @property
     def watchdog_failed(self) -> bool:
-        """Whether that is more than that the first keeper is starting."""
+        """Whether the problem is more than the first process still starting."""
         return self.watchdog is not None and self.watchdog.failed
 
     def open(self) -> None:
-        """Set the device to neutral, and have somebody stand by."""
+        """Set the device to neutral and start the watchdog."""
         super().open()
         if self._kept and self.watchdog is None:
             self.watchdog = WatchdogState(self._request)

@@ -101,7 +101,7 @@ class WatchdogState:
             self._lose(t_us, "has ended")
 
     def look(self, t_us: int) -> None:
-        """Once per tick: what it has answered, whether it lives, whether another one is due."""
+        """Once per tick: read replies, check the process, start another one when due."""
         if self._coming is not None and self._coming.done():
             self._take(t_us, self._coming)
         if self._line is None:
@@ -121,7 +121,7 @@ class WatchdogState:
             self._note_answer(t_us)
 
     def end(self, *, neutral: bool) -> None:
-        """Nobody stands by any more. ``neutral``: the thrusters are stopped; otherwise the keeper tries once more."""
+        """Shut the watchdog down. ``neutral``: the thrusters are stopped; otherwise it sets neutral once more."""
         if self._coming is not None:
             with contextlib.suppress(OSError):
                 self._process, self._line = self._coming.result()
@@ -175,7 +175,7 @@ class WatchdogState:
             line.close()
 
     def _reap(self, patience_s: float) -> None:
-        """Wait for its end, on the keeper's own thread unless it is due at once."""
+        """Wait for its end, on a thread unless it is due at once."""
         process, self._process = self._process, None
         if process is None:
             return
@@ -210,7 +210,7 @@ def _start(request: bytes) -> _Running:
 
 
 def listen() -> tuple[socket.socket, bytes]:
-    """In the keeper: the line to the service, and the request; b"" when the service has gone before."""
+    """In the watchdog: the socket to the service, and the request; b"" if the service has gone."""
     for number in _ENDINGS:
         signal.signal(number, signal.SIG_IGN)
     line = socket.socket(fileno=os.dup(0))
@@ -224,7 +224,7 @@ def listen() -> tuple[socket.socket, bytes]:
 
 
 def hear(line: socket.socket, size: int = 4096) -> bytes:
-    """In the keeper: what the service has sent, b"" when it has ended, with or without having read all answers."""
+    """In the watchdog: data from the service, b"" when it has ended, with or without having read all replies."""
     try:
         return line.recv(size)
     except OSError:

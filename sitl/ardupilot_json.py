@@ -50,7 +50,7 @@ def parse_servos(data: bytes) -> ServoPacket | None:
 
 
 def state_line(truth: Truth, t_s: float, floor_m: float | None) -> bytes:
-    """The answer. ``floor_m``: depth of the floor, for a range finder that looks down; None = none."""
+    """The reply. ``floor_m``: depth of the floor for a down-looking range finder; None = no range finder."""
     velocity = r_ned_from_frd(truth.rpy_rad) @ truth.vel_frd_m_s
     state: dict[str, object] = {
         "timestamp": t_s,
@@ -90,7 +90,7 @@ class JsonPhysics:
         return round(1e6 * self._t_s)
 
     def answer(self, data: bytes) -> bytes | None:
-        """What to send back for a packet; None for bytes that are none."""
+        """Reply to a packet; None for invalid bytes."""
         packet = parse_servos(data)
         if packet is None:
             self.refused += 1

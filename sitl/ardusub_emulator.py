@@ -188,7 +188,7 @@ class ArduSubEmulator:
         return tuple(pulses)
 
     def _wired(self, vehicle: Vehicle, directions: Sequence[int]) -> list[int]:
-        """1 where a longer servo pulse is a longer pulse of the plant: its pilot flies it the right way round."""
+        """1 where a longer servo pulse is a longer pulse of the plant: directions are as its pilot has set them."""
         wrench = np.array(wrench_of(vehicle))
         by_motor = {thruster.channel: index for index, thruster in enumerate(vehicle.thrusters)}
         wired = []
@@ -202,7 +202,7 @@ class ArduSubEmulator:
     # The wire's side
 
     def hear(self, t_us: int, data: bytes, link: int = 0) -> None:
-        """Bytes of somebody on a link."""
+        """Bytes received on a link."""
         if self.mute:
             return
         reader = self._readers.get(link)
@@ -213,7 +213,7 @@ class ArduSubEmulator:
             self._take(t_us, message)
 
     def step(self, t_us: int, truth: Truth) -> list[bytes]:
-        """Go on to ``t_us``: the servo rail, and what is said to everybody."""
+        """Advance to ``t_us``: servo outputs, and messages to all links."""
         self._watch(t_us)
         if t_us - self._read_us >= READ_US:
             self._read_us = t_us
@@ -228,7 +228,7 @@ class ArduSubEmulator:
         return [] if self.mute else out
 
     def _filter_heave(self, t_us: int) -> None:
-        """As it is, but for what depth hold leaves behind until it is disarmed or another mode sets the filter."""
+        """Unfiltered, except for the filter that depth hold leaves active until a disarming or another mode."""
         if not self.armed or self.mode in (STABILIZE, ACRO):
             self._slow_heave = False
         elif self.mode in (DEPTH_HOLD, SURFACE, POSITION_HOLD):

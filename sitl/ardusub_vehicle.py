@@ -35,7 +35,7 @@ class ArduSubVehicle:
         return self._plant.truth
 
     def advance(self, t_us: int) -> list[bytes]:
-        """Go on to ``t_us`` with the pulses of before; the result is what the flight controller says."""
+        """Advance to ``t_us`` with the previous pulses; returns the flight controller's messages."""
         self._plant.advance(t_us, self.controller.plant_pulses_us(self._vehicle))
         return self.controller.step(t_us, self._plant.truth)
 
@@ -50,7 +50,7 @@ class ArduSubVehicle:
         return len(self.controller.servos_us)
 
     def pose(self, t_us: int) -> bytes | None:
-        """What a tracking system sends of where it is, when that is due (VISION_POSITION_ESTIMATE)."""
+        """Message of the tracking system (VISION_POSITION_ESTIMATE), when it is due."""
         if t_us - self._pose_us < ARDUSUB_VEHICLE.pose_period_us:
             return None
         self._pose_us += ARDUSUB_VEHICLE.pose_period_us

@@ -74,7 +74,7 @@ class SimThrusterOutput(SafeThrusterOutput):
 
 
 class CommandLine:
-    """The way from the service to the amplifiers: pulses arrive after a latency, in the order of their sending."""
+    """Command path from service to amplifiers: a delay queue in the order of sending."""
 
     def __init__(self, latency_s: float, neutral_us: tuple[int, ...], faults: Sequence[Fault] = ()) -> None:
         self._latency_us = round(latency_s * 1e6)
@@ -91,7 +91,7 @@ class CommandLine:
             self._under_way.append((max(last_us, t_us + self._latency_us + round(late_s * 1e6)), pwm_us))
 
     def until(self, begin_us: int, end_us: int) -> Iterator[tuple[int, tuple[int, ...]]]:
-        """What the amplifiers see between two times: ends of intervals and the pulses held until there."""
+        """Pulses at the amplifiers between two times: ends of intervals and the pulses held until then."""
         while self._under_way and self._under_way[0][0] <= end_us:
             arrival_us, pulses = self._under_way.popleft()
             if arrival_us > begin_us:
@@ -271,7 +271,7 @@ class SimulatedVehicle(Closing):
             self._observers.append(self._obstacles)
 
     def advance(self, t_us: int) -> None:
-        """Move the plant on to ``t_us`` with the last pulses; every sensor samples at its own times on the way."""
+        """Advance the plant to ``t_us`` with the last pulses; every sensor samples at its own times."""
         self.output.check(t_us)
         self.payload.advance(t_us)
         while self._due_us <= t_us:
@@ -285,7 +285,7 @@ class SimulatedVehicle(Closing):
         self._move(t_us)
 
     def poll(self, t_us: int) -> tuple[Sample, ...]:
-        """Samples that have arrived up to ``t_us``; the AHRS's have been bytes on the way."""
+        """Samples that have arrived up to ``t_us``; the AHRS's are transmitted as bytes."""
         samples: list[Sample] = [*self._ahrs.poll(t_us), *self._power.poll(t_us)]
         if self._pose is not None:
             samples.extend(self._pose.poll(t_us))
@@ -303,7 +303,7 @@ class SimulatedVehicle(Closing):
         self._shared.sent(self._t_us, self.output.pwm_us)
 
     def below(self, t_us: int, *, armed: bool) -> FlightControllerState | None:
-        """What a flight controller says of its outputs, where the scenario has one."""
+        """State of a flight controller with output reports, if the scenario has one."""
         return self._shared.below(t_us, armed=armed)
 
     def _move(self, t_us: int) -> None:
@@ -326,9 +326,9 @@ def simulated_vehicle(
     plant: str | None = None,
     plant_asked_by: str | None = None,
 ) -> SimulatedVehicle:
-    """The vehicle of a scenario with its plant; ``seed``, ``position`` and ``plant`` None = as the scenario says.
+    """The vehicle of a scenario with its plant; ``seed``, ``position`` and ``plant`` None = by the scenario.
 
-    ``paced``: whoever asks does not wait for pictures, they come when they are ready. ``plant_asked_by``: option or
+    ``paced``: the caller does not wait for images, they are delivered when ready. ``plant_asked_by``: option or
     variable that named the plant, for errors.
     """
     seed = scenario.scenario.seed if seed is None else seed

@@ -110,7 +110,7 @@ class CameraFeed(LossySensor[CameraFrame]):
         return frames
 
     def _sent(self, image: Image, t_s: float) -> Image:
-        """What the camera makes of a picture."""
+        """The image after the camera's faults."""
         looks = next((f.looks for f in self._spoilt if f.at_s <= t_s < f.at_s + f.duration_s), None)
         if looks is None:
             return image

@@ -140,7 +140,7 @@ class CompiledHull:
         self._turn(*self._both, dt_s)
 
     def step(self, dt_s: float) -> list[float]:
-        """The state after a while, from where it was looked at, with the thrust of the last :meth:`turn`."""
+        """The state after a step from the last evaluated state, with the thrust of the last :meth:`turn`."""
         self._step(*self._both, dt_s)
         state: list[float] = self._state[:]
         return state

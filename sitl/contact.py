@@ -134,7 +134,7 @@ class SolidGeometry:
         self._t_s = t_s
 
     def touches(self, pos_ned_m: Sequence[float], margin_m: float = 0.0) -> list[Touch]:
-        """What a hull at a position (3,) touches, or is closer to than ``margin_m`` (depth < 0 then)."""
+        """Contacts of a hull at a position (3,), and solids closer than ``margin_m`` (depth < 0 then)."""
         x, y, z = pos_ned_m
         found = []
         if self._polygon is not None:
@@ -183,7 +183,7 @@ class SolidGeometry:
         return distance - solid.radius_m, normal
 
     def _prism_gap(self, solid: Prism, x: float, y: float) -> tuple[float, Vec3]:
-        """The same of a prism; out of its inside the shortest way leads."""
+        """Gap to a prism; from its inside the shortest way out."""
         fx, fy = min(_feet(solid.polygon_ned_m, x, y), key=lambda foot: math.hypot(x - foot[0], y - foot[1]))
         dx, dy = x - fx, y - fy
         distance = math.hypot(dx, dy)

@@ -24,7 +24,7 @@ Gradient: TypeAlias = tuple[float, float, float, float]
 class CurrentField(Protocol):
     @property
     def steady_uniform(self) -> bool:
-        """True if gradient and rate are zero everywhere, so that nobody has to ask."""
+        """True if gradient and time derivative are zero everywhere, which saves their evaluation."""
         ...
 
     def velocity(self, pos_ned_m: Sequence[float], t_s: float) -> Vec3:

@@ -14,7 +14,7 @@ from autopilot.sitl.waves import WithWaves, breaking_height_m, wave_train
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class SimulatedWaters:
-    """What the plant moves in. The default is endless still water."""
+    """The environment of the plant. The default is unbounded still water."""
 
     polygon_ned_m: tuple[Vec2, ...] | None = None
     """Corners of the walls (north, east), None = no walls."""

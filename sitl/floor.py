@@ -159,7 +159,7 @@ def _grid(
 
 
 def _of_file(file: str, polygon_m: FloatArray, depth_m: float) -> MarkerMap:
-    """The map of a file, of which the simulated floor can show what lies on it. ConfigError for other markers."""
+    """The part of a map file that the simulated floor can show. ConfigError for other markers."""
     markers = load_marker_map(Path(file))
     low, high = polygon_m.min(axis=0), polygon_m.max(axis=0)
     off_m = np.abs(markers.corners_ned_m[..., 2] - depth_m).max(axis=1)

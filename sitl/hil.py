@@ -94,7 +94,7 @@ class NetworkCamera(Closing):
         return [] if self._steady is None else self._steady.poll(t_us)
 
     def _send(self) -> None:
-        """Show each picture when its way is over, however late the loop was that has made it."""
+        """Serve each image at the end of its latency, however late the loop that rendered it."""
         while (due := self._due.get()) is not None:
             due_us, frame = due
             sleep(max(0.0, 1e-6 * (due_us - machine_us())))
@@ -102,7 +102,7 @@ class NetworkCamera(Closing):
 
 
 class BoardOutput(Pca9685):
-    """Thruster output through the real driver and an emulated board: what the amplifiers see is read off its pins."""
+    """Thruster output through the real driver and an emulated board: the pulses are read at its pins."""
 
     def __init__(self, vehicle: Vehicle) -> None:
         self.bus = EmulatedI2c()
@@ -118,5 +118,5 @@ class BoardOutput(Pca9685):
 
 
 def wires(names: Sequence[str]) -> frozenset[Wire]:
-    """The wires of these names; others are left out (the command line knows no others)."""
+    """The emulated interfaces of these names."""
     return frozenset(wire for wire in WIRES if wire in names)

@@ -10,7 +10,7 @@ from autopilot.sitl.scenario_tables import Fault
 
 
 class MachineFaults:
-    """Says of the machine what the scenario says."""
+    """State of the machine by the scenario's faults."""
 
     def __init__(self, faults: Iterable[Fault]) -> None:
         faults = list(faults)

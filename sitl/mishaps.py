@@ -41,7 +41,7 @@ class ScheduledFaults:
         return None
 
     def forces(self, t_us: int, state: Sequence[float]) -> Forces | None:
-        """What acts from now on, None = nothing, as before. ``state``: position NED, quaternion, velocity FRD."""
+        """Force and moment from now on, None = unchanged zero. ``state``: position NED, quaternion, velocity FRD."""
         acting = [(n, fault) for n, fault in enumerate(self._forces) if fault.holds(t_us)]
         if not acting:
             was, self._acts = self._acts, False

@@ -71,9 +71,10 @@ def _each(factors: Vec3, values: Vec3) -> Vec3:
 
 
 def _added(where: str, key: str, factor: float, hull: float, added: float) -> float:
-    """Added mass or inertia with which its sum with the hull's is ``factor`` times what it was.
+    """Added mass or inertia for which the sum with the hull's is ``factor`` times the original.
 
-    ConfigError, beginning with ``where``, if that would be negative."""
+    ConfigError, beginning with ``where``, if it would be negative.
+    """
     if factor == 1.0:
         return added
     result = factor * (hull + added) - hull

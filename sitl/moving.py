@@ -21,8 +21,9 @@ class MovingPath:
     """Constant speed along a polyline."""
 
     def __init__(self, path_m: Sequence[Vec2], speed_m_s: float, ends: Ends, start_s: float = 0.0) -> None:
-        """``path_m``: two points or more, neighbours different. At its end it bounces back, goes on to the first point
-        (``loop``) or stops. Until ``start_s`` it stands at the first point."""
+        """``path_m``: two points or more, consecutive ones different. At its end the motion reverses, continues to the
+        first point (``loop``) or stops. Until ``start_s`` it is at rest at the first point.
+        """
         points = [*path_m, path_m[0]] if ends == "loop" else list(path_m)
         self._legs: list[tuple[float, Vec2, Vec2]] = []
         length = 0.0

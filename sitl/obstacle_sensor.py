@@ -38,7 +38,7 @@ class SimObstacleSensor(DelayedSensor[ObstacleTrack]):
         return not self._seen
 
     def put(self, number: int, north_m: float, east_m: float, radius_m: float) -> None:
-        """An obstacle stands elsewhere than where it was known to be: from now on it is reported."""
+        """Move an obstacle away from its mapped position: from now on it is reported."""
         self._seen = [seen for seen in self._seen if seen[0] != number]
         self._seen.append((number, MotionSample((north_m, east_m), (0.0, 0.0)), radius_m))
 

@@ -34,7 +34,7 @@ class ScriptedOperator:
         return not self._todo
 
     def step(self, t_us: int, received: Sequence[bytes]) -> list[bytes]:
-        """One tick: read answers, send what is due."""
+        """One tick: read replies, send due messages."""
         if any(fault.holds(t_us) for fault in self._lost):
             return []
         if self._todo:

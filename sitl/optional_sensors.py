@@ -29,7 +29,7 @@ class SensedWorld:
 
 
 class OptionalSensor(LossySensor[S], Generic[S, V]):
-    """Takes samples of the truth where it sits, and delivers them after their latency; ``V`` is what it reads."""
+    """Samples the truth at its mounting position and delivers after the latency; ``V`` is the type of a reading."""
 
     name: ClassVar[str]
     """What faults call it."""

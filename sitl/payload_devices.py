@@ -24,7 +24,7 @@ class SimPayload:
         return tuple(self._shares)
 
     def set(self, pulses_us: Sequence[int]) -> None:
-        """The pulses that they hear from now on; a relay hears one side or the other."""
+        """The commanded pulses from now on [us]; a relay switches by threshold."""
         heard_us = tuple(pulses_us)
         if heard_us == self._heard_us:
             return

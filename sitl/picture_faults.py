@@ -42,7 +42,7 @@ class Exposure(NamedTuple):
 
 
 class PictureFaults:
-    """Of one camera, or of the pose sensor in its place. Asked with times that never go back."""
+    """Faults of one camera, or of the pose sensor in its place. Times must not decrease."""
 
     def __init__(self, faults: Iterable[Fault]) -> None:
         self._faults: list[PictureFault] = []
@@ -64,7 +64,7 @@ class PictureFaults:
         return [(k, fault) for k, fault in enumerate(self._faults) if fault.holds(t_us)]
 
     def shown(self, truth: Truth, index: int) -> Exposure:
-        """What the picture number ``index``, taken at ``truth.t_us``, is of."""
+        """True exposure of image number ``index`` that is stamped ``truth.t_us``."""
         now = Exposure(truth, index)
         if not self._faults:
             return now
@@ -107,7 +107,7 @@ class PictureFaults:
         return next((fault for _, fault in self._active(t_us) if isinstance(fault, Reflection)), None)
 
     def sent(self, image: Image, t_us: int, index: int) -> Image:
-        """What becomes of a rendered picture taken at ``t_us``."""
+        """The rendered image of ``t_us`` after its faults."""
         for k, fault in self._active(t_us) if self._faults else ():
             if isinstance(fault, Mirrored):
                 image = np.ascontiguousarray(cv2.flip(image, FLIPS[fault.across]))
@@ -130,7 +130,7 @@ def reflected(render: Callable[[Truth, int], Image], exposure: Exposure, strengt
 
 
 def _elsewhere(first: Truth, truth: Truth, fault: Elsewhere) -> Truth:
-    """Where the picture is taken: what follows goes the vehicle's way, turned as a whole."""
+    """Position and heading of the exposure: the vehicle's later path, rotated as a whole."""
     seen = truth if fault.follows else first
     c, s = math.cos(fault.yaw_rad), math.sin(fault.yaw_rad)
     north, east, down = (seen.pos_ned_m - first.pos_ned_m).tolist()

@@ -76,7 +76,7 @@ class Truth:
 
 
 class _Instant(NamedTuple):
-    """What holds at one moment, for the truth and for the step that begins there."""
+    """Quantities at one time, for the truth and for the step that starts there."""
 
     near: bool
     """The hull may be closer than NEAR_M to something."""
@@ -217,7 +217,7 @@ class Plant:
         self._instant = None
 
     def begin_fault(self, fault: ThrusterLoss | Mishap) -> None:
-        """A fault of hull, thrusters or battery that nobody knew of at the start. ConfigError if it cannot happen."""
+        """Begin a fault of hull, thrusters or battery that is not in the scenario. ConfigError if it is impossible."""
         if isinstance(fault, ThrusterLoss):
             self._thruster_index(fault.thruster)
             self._losses = sorted([*self._losses, fault], key=lambda loss: loss.at_s)
@@ -261,7 +261,7 @@ class Plant:
     # Inside.
 
     def _numbers(self, water: Water, change: State) -> list[float]:
-        """What a truth is made of: state, roll, pitch, yaw, current, velocity in the water, specific force, thrust."""
+        """Components of a truth: state, roll, pitch, yaw, current, velocity in the water, specific force, thrust."""
         _, _, _, ew, ex, ey, ez, u, v, w, p, q, r = self._state
         r11, r12, r13 = 1.0 - 2.0 * (ey * ey + ez * ez), 2.0 * (ex * ey - ez * ew), 2.0 * (ex * ez + ey * ew)
         r21, r22, r23 = 2.0 * (ex * ey + ez * ew), 1.0 - 2.0 * (ex * ex + ez * ez), 2.0 * (ey * ez - ex * ew)
@@ -349,7 +349,7 @@ class Plant:
             self._contacts.update(self._t_us, self._surroundings.touches(self._state[:3]))
 
     def _apply_faults(self) -> None:
-        """What happens to hull and battery now."""
+        """Apply the active faults of hull and battery."""
         remaining = self._mishaps.sagged(self._t_us)
         if remaining is not None:
             self._battery.lose(remaining)
@@ -358,7 +358,7 @@ class Plant:
             self.set_external_wrench(force_ned_n=forces[0], moment_frd_n_m=forces[1])
 
     def _here(self) -> _Instant:
-        """What holds now; worked out once for every moment at which somebody asks."""
+        """The present instant, evaluated once per time."""
         if self._instant is None:
             x, y, z = place = (self._state[0], self._state[1], self._state[2])
             self._surroundings.move_to(self._t_us * 1e-6)

@@ -19,7 +19,7 @@ PLANTS = {"rigid-body": "autopilot.sitl.protocol:rigid_body"}
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class PlantContext:
-    """Everything that a plant is constructed from. ConfigError if the scenario asks for what the plant cannot do."""
+    """Everything that a plant is constructed from. ConfigError if the plant does not support the scenario."""
 
     scenario: Scenario
     """The plant models start, tank, obstacles, current, tether, mismatch and thruster faults."""
@@ -83,9 +83,21 @@ class SteerablePlant(Protocol):
 
 
 def create_plant(name: str, context: PlantContext, asked_by: str | None = None) -> PlantLike:
-    """The plant of that name (shipped, of an installed package, or package:Class).
+    """Construct the plant of that name.
 
-    ConfigError names ``asked_by`` (default ``--plant``), the value and what to do.
+    Parameters
+    ----------
+    name
+        A shipped plant, one of an installed package, or ``package:Class``.
+    context
+        Argument of its constructor.
+    asked_by
+        Origin of the name in error messages; default ``--plant``.
+
+    Raises
+    ------
+    ConfigError
+        There is none of that name, or it does not implement :class:`PlantLike`; names origin, value and remedy.
     """
     made: PlantLike = find_plant(name, asked_by).make(context, PlantLike)
     return made

@@ -42,7 +42,7 @@ class Water(NamedTuple):
 
 
 def displaced_mass_kg(body: Body) -> float:
-    """Of the water that the hull displaces."""
+    """Mass of the displaced water [kg]."""
     return body.mass_kg * (body.weight_n + body.buoyancy_excess_n) / body.weight_n
 
 

@@ -44,7 +44,7 @@ class SabertoothEmulator(AlwaysOpen):
             self._obey(address, packet[1], packet[2])
 
     def read(self, t_us: int) -> list[tuple[int, bytes]]:
-        """It says nothing; motors of which nothing was heard for too long stop."""
+        """No data; stops motors after the timeout."""
         self._t_us = t_us
         for address, timeout_s in self.timeout_s.items():
             if timeout_s > 0.0 and t_us - self._heard_us[address] > 1e6 * timeout_s:

@@ -27,7 +27,7 @@ class SharedThrusters:
         return bool(self._faults)
 
     def pulses_us(self, t_us: int, ours: tuple[int, ...]) -> tuple[int, ...]:
-        """What is at the outputs now."""
+        """Pulses at the outputs now [us]."""
         self._found = ours
         for fault in self._faults:
             if fault.holds(t_us) and round(t_us - 1e6 * fault.at_s) % round(1e6 / fault.rate_hz) < STANDS_US:

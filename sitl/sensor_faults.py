@@ -35,7 +35,7 @@ class ImuFaults:
         self._stuck: dict[int, float] = {}
 
     def felt(self, t_us: int, six: list[float]) -> list[float]:
-        """What is read instead of these gyro and accelerometer values."""
+        """Faulty gyro and accelerometer readings from the true ones."""
         for index, fault in enumerate(self._inertial):
             if not fault.holds(t_us):
                 self._stuck.pop(index, None)
@@ -72,7 +72,7 @@ class OpticalFaults:
         return tuple(f for f in self._faults if isinstance(f, LensFault | Mounting) and f.holds(t_us))
 
     def seen(self, truth: Truth) -> Truth:
-        """Where the vehicle would be if the markers, as they lie now, were where the map says."""
+        """Apparent pose of the vehicle if the displaced markers were at their mapped positions."""
         for fault in self._faults:
             if isinstance(fault, MarkersMoved) and fault.holds(truth.t_us):
                 c, s = math.cos(fault.yaw_rad), math.sin(fault.yaw_rad)

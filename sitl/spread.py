@@ -78,7 +78,7 @@ def _world(tables: Tables) -> Tables:
 
 
 def _put(tables: Tables, path: str, value: Any) -> None:
-    """Set one key; tables on the way that are left to their defaults are made. LookupError names what is not there."""
+    """Set one key; missing tables with defaults are created. LookupError names what does not exist."""
     steps: list[int | str] = [int(step[1]) if step[1] else step[2] for step in _STEP.finditer(path)]
     here: Any = tables
     for depth, step in enumerate(steps):

@@ -88,11 +88,11 @@ class Component:
         return (self.north * u, self.east * u, scale * down * math.cos(theta))
 
     def pressed_m(self, pos_ned_m: Sequence[float], t_s: float) -> float:
-        """By how much deeper a pressure sensor there believes to be [m]."""
+        """Error of a pressure sensor's depth there, positive deeper [m]."""
         return self.amplitude_m * self._shares(pos_ned_m[2])[2] * math.cos(self._theta(pos_ned_m, t_s))
 
     def elevation_m(self, pos_ned_m: Sequence[float], t_s: float) -> float:
-        """Of the surface, up [m]."""
+        """Elevation of the surface, positive up [m]."""
         return self.amplitude_m * math.cos(self._theta(pos_ned_m, t_s))
 
 
@@ -101,11 +101,11 @@ class WaveTrain:
     components: tuple[Component, ...]
 
     def pressed_m(self, pos_ned_m: Sequence[float], t_s: float) -> float:
-        """By how much deeper a pressure sensor there believes to be [m]."""
+        """Error of a pressure sensor's depth there, positive deeper [m]."""
         return sum(each.pressed_m(pos_ned_m, t_s) for each in self.components)
 
     def elevation_m(self, pos_ned_m: Sequence[float], t_s: float) -> float:
-        """Of the surface, up [m]."""
+        """Elevation of the surface, positive up [m]."""
         return sum(each.elevation_m(pos_ned_m, t_s) for each in self.components)
 
 

@@ -23,7 +23,7 @@ class Response:
         return cls(thruster.drive.time_constant_s for thruster in thrusters)
 
     def share(self, dt_s: float) -> float | FloatArray:
-        """1 - exp(-t / T): fraction of the step to the command reached in that time; scalar or (n,)."""
+        """1 - exp(-dt / T), the fraction of a step that is reached after ``dt_s``; scalar or (n,)."""
         if self._alike:
             return 1.0 - math.exp(-dt_s / self.mean_s)
         return np.array([1.0 - math.exp(-dt_s / each) for each in self.time_constants_s])

@@ -20,7 +20,7 @@ class CameraReport:
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class StoredStill:
-    """What became of a still that the service asked for."""
+    """Result of a requested still."""
 
     index: int
     """The service's number of it."""

@@ -22,8 +22,9 @@ of it counts as that part: pulses are at their limits long before."""
 
 
 class ThrustLaw(ABC):
-    """What pulses of one drive give. ``supply_v`` is the measured voltage; None = nominal. Offsets count from neutral
-    in the direction that pushes ahead."""
+    """Thrust curve of one drive. ``supply_v``: measured voltage; None = nominal. Offsets are relative to neutral,
+    positive ahead.
+    """
 
     def __init__(self, drive: ThrusterDrive) -> None:
         self.drive = drive
@@ -35,7 +36,7 @@ class ThrustLaw(ABC):
 
     @abstractmethod
     def offset_us(self, thrust_n: float, limit_n: float, supply_v: float | None) -> int:
-        """Offset for one thrust [N], a number other than 0, within what ``limit_n`` allows."""
+        """Offset for one thrust [N], not 0, within ``limit_n``."""
 
     @abstractmethod
     def thrust_n(self, offset_us: int, supply_v: float | None) -> float:

@@ -47,10 +47,10 @@ class ThrustCurve(Table, frozen=True, kw_only=True):
 
 
 class ThrusterDrive(Table, frozen=True, kw_only=True):
-    """Thruster and amplifier: what a pulse gives.
+    """Thruster and amplifier: thrust by pulse.
 
-    ``brushed``: pulse -> duty -> voltage -> thrust F = c V |V|. ``curve``: tables of the maker, for ESC and brushless
-    thruster together; between their voltages linear, beyond them with the square of the voltage.
+    ``brushed``: pulse -> duty -> voltage -> thrust F = c V |V|. ``curve``: the manufacturer's tables for ESC and
+    brushless thruster together; linear between their voltages, quadratic in the voltage beyond them.
     """
 
     kind: Literal["brushed", "curve"] = "brushed"

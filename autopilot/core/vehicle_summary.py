@@ -76,7 +76,7 @@ def terminal_speed(force: float, linear: float, quadratic: float) -> float:
 
 
 def tilts_of(vehicle: Vehicle) -> tuple[str, ...]:
-    """Of roll and pitch those that thrust can push while surge, sway, heave and yaw stay as they are."""
+    """Those of roll and pitch that thrust can produce without force or moment in surge, sway, heave and yaw."""
     thrusters = vehicle.thrusters
     wrench = np.array(wrench_matrix([t.position_frd_m for t in thrusters], [t.direction_frd for t in thrusters]))
     controlled, found = wrench[list(CONTROLLED)], []
@@ -116,7 +116,7 @@ def _missing(vehicle: Vehicle) -> list[str]:
 
 
 def _given(vehicle: Vehicle) -> list[str]:
-    """``key`` or ``table.key`` of everything that a source can be given for; what is as by default needs none."""
+    """``key`` or ``table.key`` of every value that needs a source; defaults need none."""
     result = []
     for field in msgspec.structs.fields(vehicle):
         value = getattr(vehicle, field.name)

@@ -19,7 +19,7 @@ from autopilot.core.model4 import YAW, Z
 
 
 class DriveGuidance:
-    """See :class:`autopilot.control.path.guidance.Guidance`. Always has a reference: blocked motion is not commanded."""
+    """See :class:`autopilot.control.path.guidance.Guidance`. It always has a reference: blocked motion is omitted."""
 
     unreachable = False
 
