@@ -62,11 +62,11 @@ class Aid:
 
     @property
     def offset_us(self) -> int:
-        """What is to be added to the stamps of its samples."""
+        """Correction of the stamps of its samples [us]."""
         return self._offset_us
 
     def counted(self, measurement: M | None) -> M | None:
-        """What was made of a sample; None = it is malformed."""
+        """Measurement of a sample; None = malformed."""
         if measurement is None:
             self.counts["malformed"] += 1
         return measurement
@@ -139,7 +139,7 @@ class Aid:
 
 
 class ScalarAid(Aid, ABC, Generic[S_contra]):
-    """A sensor that does not tell a pose."""
+    """An aiding sensor other than a pose source."""
 
     @abstractmethod
     def measured(self, sample: S_contra) -> Measurement | None:

@@ -33,7 +33,7 @@ from autopilot.estimator.rotation import (
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class AttitudeTuning:
-    """What `autopilot bench estimator --attitude` chooses by recordings."""
+    """Constants chosen by `autopilot bench estimator --attitude` on recordings."""
 
     tilt_s: float = 3.0
     """Of the low-pass filter for the specific force (two stages of half of it)."""
@@ -123,7 +123,7 @@ class AttitudeFilter:
         return self.rpy_rad
 
     def _start(self, force: Three) -> None:
-        """Level by this sample alone; the heading stays what it was (0 at first) until the magnetometer says more."""
+        """Level by this sample alone; the heading is kept (0 at first) until the magnetometer corrects it."""
         self._yaw_rad = float(self.rpy_rad[2])
         fx, fy, fz = force
         self._carried = self._level = of_tilt(math.atan2(-fy, -fz), math.atan2(fx, math.hypot(fy, fz)))
@@ -196,8 +196,9 @@ class AttitudeSource:
         self.disagrees = False
 
     def attitude(self, sample: ImuSample) -> AhrsSample:
-        """The sample with an attitude. A bad one goes through with NaN; one that repeats repeats the attitude, too, so
-        that whoever judges AHRS samples sees what is wrong with it."""
+        """The sample with an attitude. A bad one has NaN, a repeated one a repeated attitude, so that the validation
+        of AHRS samples detects the cause.
+        """
         if not usable(sample.rate_frd_rad_s, sample.accel_frd_m_s2):
             rpy_rad = np.full(3, np.nan)
         elif self._last is not None and (sample.t_us <= self._last.t_us or _same(sample, self._last)):
@@ -218,7 +219,7 @@ class AttitudeSource:
         )
 
     def watch(self, sample: AhrsSample) -> None:
-        """Compare a good sample's tilt with what its gyros and accelerometers say."""
+        """Compare the tilt of a valid AHRS sample with that from its gyros and accelerometers."""
         if sample.t_us < self._watched_us + WATCH_EVERY_US:
             return
         self._watched_us = sample.t_us
@@ -238,7 +239,7 @@ class AttitudeSource:
 
 
 def usable(rate_frd_rad_s: FloatArray, accel_frd_m_s2: FloatArray) -> bool:
-    """Whether gyros and accelerometers read what they can read (comparisons with NaN are false)."""
+    """Whether gyro and accelerometer readings are within their ranges (comparisons with NaN are false)."""
     return (
         rate_frd_rad_s.shape == accel_frd_m_s2.shape == (3,)
         and within(rate_frd_rad_s.tolist(), MAX_RATE_RAD_S)

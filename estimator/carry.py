@@ -54,7 +54,7 @@ class Correction(NamedTuple):
 
     @property
     def small(self) -> bool:
-        """Whether Jacobians hold over it."""
+        """Whether the correction is small enough for the Jacobians to hold."""
         if len(self.e) > MOST_COLUMNS:
             return False
         change = np.abs(self.w.dot(self.e)).tolist()
@@ -68,7 +68,7 @@ class Correction(NamedTuple):
         return Correction(np.concatenate((self.w, other.w), axis=1), c, np.concatenate((self.e, other.e)))
 
     def through(self, update: PastUpdate) -> tuple["Correction", PastUpdate]:
-        """Behind an update that had been made without it, and what that update is with it."""
+        """The correction after a later update, and that update with the correction included."""
         w, c, e = self
         v = update.jacobian.dot(w).T
         cv = c.dot(v)
@@ -98,7 +98,7 @@ def _inverse(matrix: FloatArray) -> FloatArray:
 
 
 def symmetric(p: FloatArray) -> FloatArray:
-    """The mean of a matrix and its transpose: what rounding leaves of the difference would grow from fix to fix."""
+    """The mean of a matrix and its transpose: rounding asymmetry would grow from fix to fix."""
     result: FloatArray = p + p.T
     result *= 0.5
     return result

@@ -127,7 +127,7 @@ class ObserverCore:
         return Innovation(y, variance, ratio, gain, spread)
 
     def correct(self, state: FilterState, innovation: Innovation) -> FilterState:
-        """x + K y; variances shrink by what was learned."""
+        """x + K y; variances are reduced by the update."""
         assert innovation.spread is not None
         p = np.maximum(state.p - np.add.reduce(innovation.gain * innovation.spread, axis=1), 1e-10)
         if len(innovation.y) == 4:

@@ -32,12 +32,12 @@ def create_estimator(
     shadow: bool = False,
     asked_by: str | None = None,
 ) -> Estimator:
-    """The estimator of that name (shipped, of an installed package, or package:Class) for that vehicle.
+    """Construct the estimator of that name (shipped, of an installed package, or package:Class) for that vehicle.
 
-    ``markers`` is the surveyed floor (None: marker sightings cannot be used, poses can). ``floor_depth_m`` is what the
-    laser points at; None = the depth of the markers, and without markers no laser. ``shadow``: another estimator runs
-    beside it and is compared with it. ConfigError names ``asked_by`` (default ``--estimator``), the value and what to
-    do.
+    ``markers``: the surveyed floor (None: marker sightings cannot be used, poses can). ``floor_depth_m``: depth of the
+    floor at the laser's dot [m]; None = the depth of the markers, and without markers no laser. ``shadow``: name of a
+    redundant estimator that runs beside it and is compared with it. ConfigError names ``asked_by`` (default
+    ``--estimator``), the value and the remedy.
     """
     if floor_depth_m is None and markers is not None:
         floor_depth_m = float(markers.corners_ned_m[..., 2].mean())

@@ -73,7 +73,7 @@ class Evidence(Monitor):
         self._resets_us.append(t_us)
 
     def forgive(self) -> None:
-        """What fixes have said so far was due to something that has been put right."""
+        """Discard the evidence so far: its cause has been corrected."""
         self.denied, self._fix_ratio, self._heading_ratio, self._fix_miss = 0, 0.0, 0.0, np.zeros(4)
 
     def doubts(self, t_us: int, newest: Node) -> set[NavDoubt]:
@@ -93,7 +93,7 @@ class Evidence(Monitor):
         return {"doubt.jumps": self.jumps}
 
     def systematic_variance(self, t_us: int, newest: Node) -> FloatArray:
-        """See :class:`Monitor`: what sensors deny each other and no state explains."""
+        """See :class:`Monitor`: variance for contradictions between sensors that no state explains."""
         laser_bias_m = newest.state.x.item(LASER_BIAS)
         far = abs(laser_bias_m) > EVIDENCE.range_miss_m
         if self._jump_us is None and self._fix_ratio <= EVIDENCE.ratio_shows and not far:

@@ -11,7 +11,7 @@ from autopilot.estimator.states import FilterState
 
 
 class Innovation(NamedTuple):
-    """What a measurement says before it is used."""
+    """Innovation of a measurement, before the update."""
 
     y: FloatArray
     """(m,) residual."""
@@ -43,7 +43,9 @@ class FilterCore(Protocol):
     def predict(self, state: FilterState, step: InertialStep) -> FilterState: ...
 
     def transition(self) -> FloatArray | None:
-        """Jacobian (21, 21) of the last prediction, a new array; None: what this filter corrects cannot be carried."""
+        """Jacobian (21, 21) of the last prediction, a new array; None: corrections of this filter cannot be carried
+        forward.
+        """
         ...
 
     def innovation(
@@ -63,9 +65,10 @@ class FilterCore(Protocol):
     def reopen(
         self, state: FilterState, part: slice, variance: float, value: Sequence[float] | None = None
     ) -> FilterState:
-        """State whose components ``part`` have that variance, uncorrelated: what was known of them is forgotten.
+        """State with the variance of the components ``part`` reset, and their correlations set to zero.
 
-        ``value``: what they are from now on, None = as they were."""
+        ``value``: their new mean, None = unchanged.
+        """
         ...
 
     def loosen(self, state: FilterState, sheet: int, sigma: Sequence[float], variance: Sequence[float]) -> FilterState:

@@ -24,7 +24,7 @@ class FixAid(Aid, ABC, Generic[S_contra]):
 
     @abstractmethod
     def first_fix(self, sample: S_contra, inertial: Inertial) -> PoseFix | None:
-        """A pose from a sample while nothing is known; None if this sample gives none."""
+        """A pose from a sample before initialisation; None if this sample gives none."""
         ...
 
     @abstractmethod

@@ -93,7 +93,7 @@ class FixRun:
 
     @property
     def denies_gyro(self) -> bool:
-        """Whether its fixes go with the vehicle and only turn otherwise than the gyro says."""
+        """Whether the fixes agree with the vehicle's translation, and contradict the gyro only."""
         way = slice(0, 3)
         squares = self._slope[way] ** 2 / (self._slope_variance[way] + self._drift[way])
         return self.apart > 1.0 and float(squares.sum()) <= CHI2_999[3] and self.moves > FIX_MOTION.sure and self.fits
@@ -126,9 +126,10 @@ class FixRun:
 
 
 def drift_variance(variance: FloatArray, gap_s: float, *, accel: bool, gyro: bool) -> FloatArray:
-    """(4,) of velocity and yaw rate that are predicted, ``gap_s`` after the last fix.
+    """(4,) variance of the predicted velocity and yaw rate, ``gap_s`` after the last fix.
 
-    ``variance`` (21,) of the filter's states; ``accel``, ``gyro``: whether that sensor is believed."""
+    ``variance`` (21,) of the filter's states; ``accel``, ``gyro``: whether that sensor is used.
+    """
     more_m_s = FIX_MOTION.systematic_per_s * gap_s + (0.0 if accel else FIX_MOTION.unaided)
     result: FloatArray = np.append(variance[VEL] + more_m_s * more_m_s, variance[GYRO_BIAS]) + SYSTEMATIC**2
     if not gyro:

@@ -44,7 +44,7 @@ class FixTrust(MonitorFinding):
         return not self.believed or (self._back_us is not None and t_us - self._back_us <= PROBATION_US)
 
     def witnessed(self, t_us: int) -> bool:
-        """Whether its fixes could tell then which of the other sensors was wrong."""
+        """Whether its fixes could isolate the faulty sensor at that time."""
         return self.since_us is None or t_us < self.since_us
 
     def restart(self) -> None:

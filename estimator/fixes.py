@@ -40,7 +40,7 @@ class Fixes:
         self.counts = dict.fromkeys(("sheets.fused", "sheets.rejected", "sheets.loosened"), 0)
 
     def use(self, node: Node, fix: PoseFix, aid: FixAid[Any], health: NavHealth | None) -> None:
-        """One fix that belongs to ``node``; ``health``: what the estimate was called last."""
+        """Process one fix at ``node``; ``health``: that of the last estimate."""
         if not aid.trust.believed:
             self._watch(node, fix, aid, lost=health is NavHealth.INVALID)
             return
@@ -96,7 +96,7 @@ class Fixes:
             self._relocate(fix, aid, float(missed.y[3]), velocity, lost=lost)
 
     def _watch(self, node: Node, fix: PoseFix, aid: FixAid[Any], *, lost: bool) -> None:
-        """A fix of a suspect camera: not used, until a run of them is right again."""
+        """A fix of a suspect camera: not used until a series of them is consistent."""
         trust, now_us = aid.trust, self._fusion.now_us
         judged = self._fusion.judge(node, fix)
         self._fusion.report(fix, aid, judged, used=False)
@@ -126,7 +126,7 @@ class Fixes:
         return FixResidual(fix.t_us, fix.z, judged.y, fix.noise.diagonal(), drift, judged.passes)
 
     def _watch_map(self, node: Node, fix: PoseFix, *, rejected: bool) -> None:
-        """Look for what does not lie where the map has it."""
+        """Check for displaced markers."""
         if self._map is None:
             return
         if not rejected:
@@ -137,8 +137,9 @@ class Fixes:
             self.counts["sheets.loosened"] += 1
 
     def _learn_sheets(self, node: Node, fix: PoseFix, known: Sequence[int]) -> None:
-        """Every so often a picture is asked how its sheets lie to each other, and whenever it shows a new one: the pose
-        takes the blame for what is wrong with a sheet until somebody asks."""
+        """Measurement of the relative sheet offsets, periodically and whenever an image shows a new sheet: until then
+        the pose absorbs the error of a sheet.
+        """
         if fix.ties is None or fix.ground is None:
             return
         asked_of_late = abs(fix.t_us - self._learned_us) < LEARN_EVERY_US
@@ -161,8 +162,7 @@ class Fixes:
     def _relocate(
         self, fix: PoseFix, aid: FixAid[Any], turn_rad: float, vel_ned_m_s: FloatArray, *, lost: bool
     ) -> None:
-        """Trust the fixes and not the estimate. One who was ``lost`` has been carried astray by what was taken for
-        granted on the way."""
+        """Reset the position to the fixes. If ``lost``, the states that have caused the drift are reset too."""
         fusion = self._fusion
         newest, now_us = fusion.history.newest, fusion.now_us
         pos = fix.z[:3] + 1e-6 * (newest.t_us - fix.t_us) * vel_ned_m_s

@@ -69,7 +69,7 @@ class FrameFilter:
 
 
 def quantile(levels: NDArray[np.int64], share: float) -> float:
-    """What this share of the pixels counted in ``levels`` (256,) does not exceed, linear between two of them."""
+    """Quantile of pixel values from their histogram ``levels`` (256,), linear between two levels."""
     up_to = levels.cumsum()
     place = share * (int(up_to[-1]) - 1)
     first = math.floor(place)

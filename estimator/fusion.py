@@ -34,17 +34,17 @@ class Fusion:
         self.past = History(self.core, node)
 
     def take_statuses(self) -> tuple[AidStatus, ...]:
-        """What became of every measurement since the last call."""
+        """Results of all measurements since the last call."""
         result = tuple(self._statuses)
         self._statuses.clear()
         return result
 
     def judge(self, node: Node, measurement: Measurement) -> Innovation:
-        """What a measurement says that belongs to ``node``."""
+        """Innovation and gate of a measurement at ``node``."""
         return self.core.innovation(node.state, measurement, node.moment, 1e-6 * (measurement.t_us - node.t_us))
 
     def report(self, measurement: Measurement, aid: Aid, judged: Innovation, *, used: bool) -> None:
-        """Count a measurement, and tell what became of it."""
+        """Count a measurement and record its result."""
         fit = measurement.fit if isinstance(measurement, PoseFix) else None
         self._statuses.append(aid.judged(measurement.t_us, self.now_us, judged, used, fit))
 

@@ -30,7 +30,7 @@ UNTOLD = 1e6
 
 
 class GyroBias:
-    """What the gyros show at rest, body axes."""
+    """Gyro bias, body axes [rad/s]."""
 
     def __init__(self, tilt_s: float, tilt_noise: float, heading_noise: float, window_s: float = WINDOW_S) -> None:
         """``tilt_s``: of the low-pass filter for the specific force (two stages). Noises: rad/s, of means over 1 s."""
@@ -44,7 +44,7 @@ class GyroBias:
         self.restart()
 
     def restart(self) -> None:
-        """After a gap: what is known stays, the low-pass filters begin anew."""
+        """After a gap: keep the estimate, restart the low-pass filters."""
         self._age_s = 0.0
         self._slow: list[FloatArray] = []
         self._slow_heading: FloatArray | None = None
@@ -68,7 +68,9 @@ class GyroBias:
         self._heading_keep *= 1.0 - share
 
     def look(self, level_from_body: Four, heading_settled_s: float) -> None:
-        """Learn from what was gathered if that is long enough. The heading counts from ``heading_settled_s`` on."""
+        """Update from the accumulated corrections if they cover enough time. The heading is used from
+        ``heading_settled_s`` on.
+        """
         if self._time_s < self._window_s:
             return
         self._age_s += self._time_s

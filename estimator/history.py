@@ -18,7 +18,7 @@ SPAN_US = 1_000_000
 
 
 class Reopening(NamedTuple):
-    """A sensor begins anew: what the filter knew of these states is forgotten, just before its next measurement."""
+    """Reset of a sensor: the variance of these states is increased just before its next measurement."""
 
     sensor: str
     t_us: int
@@ -118,9 +118,10 @@ class History:
             node.updates.append(None)
 
     def _settle(self, until: Node) -> None:
-        """Tell the nodes after the one that has changed of it, up to and with ``until``: carry the change on, or
-        compute them again with the measurements that they have. Those behind wait until somebody asks for them, for
-        what comes in one tick may change them once more."""
+        """Propagate a changed node to those after it, up to and including ``until``: carry the correction forward, or
+        recompute them with their measurements. Later nodes are left until they are needed, as the same tick may change
+        them again.
+        """
         changed = self._changed
         if changed is not None and until.t_us > changed.t_us:
             later = []
@@ -170,9 +171,10 @@ class History:
             before = node
 
     def _place(self, node: Node, new: Change, update: PastUpdate | None = None) -> bool:
-        """Put it among what the node has used. True if it comes last, else the node has been computed again.
+        """Insert a measurement into those of the node. True if it is the last; otherwise the node has been recomputed.
 
-        The order does not depend on when things arrived, so neither does the result."""
+        The order does not depend on the arrival times, and neither does the result.
+        """
         self._settle(node)
         place = len(node.used)
         if place and node.prior is not None:
@@ -229,7 +231,7 @@ class History:
 
 
 def _carried(correction: Correction, nodes: list[Node]) -> Correction:
-    """The correction at the last of these nodes, when it has gone through all of them."""
+    """The correction at the last of these nodes."""
     for node in nodes:
         assert node.transition is not None
         correction = Correction(node.transition.dot(correction.w), correction.c, correction.e)

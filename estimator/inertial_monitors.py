@@ -25,7 +25,7 @@ QUICK_TURN_LIMIT_RAD = math.radians(0.5)
 
 
 class _InertialMonitor(MonitorFinding):
-    """A sensor that is trusted again when what it says beyond its witness has been steady for a while."""
+    """A sensor that is used again when its difference to the reference has been constant for a while."""
 
     def __init__(self, size: int, limit: float) -> None:
         """``limit``: of the scatter of its ``size`` values that counts as steady."""
@@ -43,7 +43,7 @@ class _InertialMonitor(MonitorFinding):
         self._steady_s = 0.0
 
     def steady_offset(self, dt_s: float, unexplained: Sequence[float], *, anchored: bool) -> list[float] | None:
-        """The offset to trust it with again, once that is known. ``unexplained``: reading minus the witness's."""
+        """The offset with which it can be used again, once known. ``unexplained``: reading minus reference."""
         share = min(1.0, dt_s / INERTIAL_MONITOR.steady_time_s)
         for i, value in enumerate(unexplained):
             self._mean[i] += share * (value - self._mean[i])
@@ -128,9 +128,10 @@ class GyroMonitor(_InertialMonitor):
         heading_denied: bool,
         compass_rejected: int,
     ) -> bool:
-        """True when it becomes suspect now. Rates without the gyro's known bias.
+        """True when it becomes suspect now. Rates without the gyro's estimated bias.
 
-        ``heading_denied``: fixes are being rejected for their heading."""
+        ``heading_denied``: fixes are being rejected for their heading.
+        """
         apart = wrap_pi(turn_rad - rate_rad_s * dt_s)
         self._quick += apart - min(1.0, dt_s / INERTIAL_MONITOR.quick_turn_time_s) * self._quick
         self._apart += apart - min(1.0, dt_s / INERTIAL_MONITOR.turn_time_s) * self._apart

@@ -60,8 +60,9 @@ class MapMonitor(Monitor):
         self._found_us: int | None = None
 
     def systematic_variance(self, t_us: int, newest: Node) -> FloatArray:
-        """See :class:`Monitor`: what the whole map may be off at the state's place, beyond what the filter holds of its
-        sheets; negative where these were laid better than the map says."""
+        """See :class:`Monitor`: variance of the whole map at the state's position in addition to the filter's;
+        negative where sheets were laid better than stated.
+        """
         x = newest.state.x
         more = np.zeros(4) if self._gauge is None else self._gauge.more_variance(x)
         if self._frame is None:
@@ -108,7 +109,7 @@ class MapMonitor(Monitor):
         return tuple(errors.sigma[sheet].tolist())
 
     def check_sheets(self, t_us: int, states: SheetStates | None, sheets: tuple[int, ...]) -> None:
-        """Sheets of a picture: whether they lie farther off than they were said to."""
+        """Check the sheets of an image for offsets beyond their stated accuracy."""
         errors = self._markers.errors
         if errors is None or states is None:
             return

@@ -30,7 +30,9 @@ class MarkerImages(NamedTuple):
 
 
 def marker_images(grey: Any, quads: FloatArray, patterns: FloatArray) -> MarkerImages:
-    """Of markers with corners ``quads`` (n, 4, 2) [px] and cells ``patterns`` (n, s, s), 1 white, border included."""
+    """Quality of markers with corners ``quads`` (n, 4, 2) [px] and cells ``patterns`` (n, s, s), 1 white, border
+    included.
+    """
     n, cells = patterns.shape[:2]
     to_px = _homographies(quads)
     steps = quads - np.roll(quads, -1, axis=1)

@@ -49,7 +49,7 @@ class _Match(NamedTuple):
 
 
 class _Solved(NamedTuple):
-    """A pose, and what it leaves."""
+    """A pose and its residuals."""
 
     fix: PoseFix
     worst_px: float
@@ -88,7 +88,7 @@ class MarkerSolver:
             self._candidate_centers[row, : len(of_id)] = [self._centers[j] for j in of_id]
 
     def set_focal(self, share: float) -> None:
-        """From now on take the focal length for too long by that share of what it should be."""
+        """Set the relative excess of the focal length to be corrected."""
         given = self._given_camera
         fx, fy = (f / (1.0 + share) for f in given.focal_px)
         self._camera = replace(given, focal_px=(fx, fy))
@@ -114,8 +114,7 @@ class MarkerSolver:
         rpy_rad: FloatArray,
         sheets: SheetStates | None = None,
     ) -> PoseFix | None:
-        """Fix near a predicted pose, None if the markers do not fit to it. ``sheets``: where they are by now believed
-        to lie."""
+        """Fix near a predicted pose, None if the markers do not fit. ``sheets``: their estimated offsets."""
         match = self._match(sighting, pos_ned_m, rpy_rad)
         if match is None:
             return None
@@ -251,7 +250,7 @@ class MarkerSolver:
         return a, b, square
 
     def _leaning_vote(self, q: np.ndarray, j: int) -> tuple[complex, complex] | None:
-        """The same for one marker that leans: with the tilt known its corners are linear in heading and place."""
+        """The vote of one inclined marker: with known tilt its corners are linear in heading and position."""
         offsets = self._corners_ned_m[j] - self._corners_ned_m[j].mean(axis=0)
         north, east, down = offsets.T
         rows = np.zeros((8, 5))
@@ -337,7 +336,9 @@ class MarkerSolver:
         return _Solved(fix, float(off_px.max()) if good.all() else math.inf)
 
     def _good(self, rms_px: float, found_rpy_rad: FloatArray, rpy_rad: FloatArray) -> bool:
-        """Whether a fit may be a fix; what is odd about it is counted. ``rpy_rad``: the attitude it began with."""
+        """Whether a fit is acceptable as a fix; the reason for a rejection is counted. ``rpy_rad``: the initial
+        attitude.
+        """
         if rms_px > MARKERS_POSE.final_rms_px:
             self.counts["misfit"] += 1
             return False
@@ -426,7 +427,7 @@ class MarkerSolver:
 
 
 def _ties(best: SheetPose, t_us: int, which: tuple[int, ...], sigma: FloatArray) -> SheetTies | None:
-    """What a fit says of its sheets among each other."""
+    """Measurement of the relative sheet offsets from a fit."""
     rows, z, noise = best.ties()
     if not len(rows):
         return None
@@ -435,8 +436,7 @@ def _ties(best: SheetPose, t_us: int, which: tuple[int, ...], sigma: FloatArray)
 
 
 def _fit(known: int, rms_px: float, worst_px: FloatArray) -> MarkerFit:
-    """Of ``known`` markers those used, from the root mean square of their corners' residuals along either axis and
-    each one's worst corner (n,)."""
+    """Fit record of ``known`` markers from the RMS residual per axis and each used marker's worst corner (n,)."""
     worst = float(worst_px.max())
     return MarkerFit(known=known, used=len(worst_px), rms_px=math.sqrt(2.0) * rms_px, worst_px=worst)
 

@@ -101,9 +101,9 @@ _JACOBIAN_AT = _ModelStruct.jacobian.offset // 8
 
 
 class VehicleAcceleration:
-    """:func:`expected_acceleration` of one vehicle and its Jacobian, compiled where there is the library.
+    """:func:`expected_acceleration` of one vehicle and its Jacobian, compiled where the library is available.
 
-    What was asked last is remembered by the identity of its arguments: states and moments are never changed in place.
+    The last result is cached by the identity of its arguments: states and moments are never changed in place.
     """
 
     def __init__(self, model: Model4, follow: tuple[float, float]) -> None:
@@ -136,7 +136,7 @@ class VehicleAcceleration:
         return self._jacobian
 
     def slope(self, x: FloatArray, moment: Moment) -> FloatArray:
-        """The same without what the offset of the accelerometer does; a new array."""
+        """The Jacobian without the accelerometer's offset; a new array."""
         slope = self.jacobian(x, moment).copy()
         slope[:, ACCEL_BIAS] = 0.0
         return slope
@@ -160,7 +160,7 @@ class VehicleAcceleration:
 
 
 def acceleration_jacobian(model: Model4, follow: tuple[float, float], x: FloatArray, moment: Moment) -> FloatArray:
-    """d of what the AHRS measures, :func:`expected_acceleration` plus its offset, / dx (3, 21)."""
+    """(3, 21) Jacobian of the AHRS's measurement, :func:`expected_acceleration` plus its offset."""
     u, v, r, c, s = _relative(x, moment)
     m11, m22 = model.mass_kg[:2]
     lin, quad = model.linear_drag, model.quadratic_drag

@@ -15,9 +15,10 @@ LEAST_SIGMA_M, LEAST_SIGMA_RAD = 1e-4, 1e-4
 
 
 def refined_map(markers: MarkerMap, states: SheetStates | None) -> MarkerMap:
-    """The map with the sheets where ``states`` have them; those never seen stay as they were laid.
+    """The map with the sheet offsets of ``states``; sheets never seen are unchanged.
 
-    What all sheets may be off together is the frame's error and no longer any sheet's. Depths stay on a level floor."""
+    The common error of all sheets is that of the frame and no longer of any sheet. Depths stay on a level floor.
+    """
     errors = markers.errors
     if errors is None or states is None or not states.which:
         return markers
@@ -45,8 +46,7 @@ def refined_map(markers: MarkerMap, states: SheetStates | None) -> MarkerMap:
 
 
 def _frame_and_own(pivots: FloatArray, laid: FloatArray, states: SheetStates) -> tuple[FloatArray, FloatArray]:
-    """Standard deviations of what all sheets have in common (horizontal, down, heading), and of each against that
-    (k, 4)."""
+    """Standard deviations of the sheets' common error (horizontal, down, heading), and of each relative to it (k, 4)."""
     count = len(pivots)
     common = common_columns(pivots)
     weight = 1.0 / np.maximum(laid.reshape(-1), 1e-6) ** 2

@@ -9,7 +9,7 @@ from autopilot.estimator.startup import AGREE_COUNT, WINDOW_US, agree
 
 
 class Relocation:
-    """Watches rejected fixes. What the filter itself thinks plays no part: it may be lost altogether."""
+    """Monitors rejected fixes, independent of the filter, which may have diverged."""
 
     def __init__(self) -> None:
         self._fixes: deque[PoseFix] = deque(maxlen=REJECT_COUNT)

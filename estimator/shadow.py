@@ -30,7 +30,7 @@ AFTER_US = 1_000_000
 
 
 class Shadowed:
-    """:class:`.estimator.protocol.Estimator`: says what the flown one says, and how far the other is from it."""
+    """:class:`.estimator.protocol.Estimator`: the output of the primary one, and its difference to the redundant one."""
 
     def __init__(self, flown: Estimator, other: Estimator) -> None:
         self._flown = flown
@@ -66,7 +66,7 @@ class Shadowed:
         return self._flown.take_remarks()
 
     def counters(self) -> Mapping[str, int]:
-        """Of the flown estimator, and how often the two disagreed."""
+        """Counters of the primary estimator, and of disagreements."""
         return {**self._flown.counters(), "shadow.disagreements": self._disagreements}
 
     @property

@@ -58,7 +58,7 @@ class StampMonitor:
 
     @property
     def suspects(self) -> bool:
-        """Whether late stamps would explain by far better what fixes say, or what pictures' ages at arrival say."""
+        """Whether a latency explains the fixes, or the ages of images at arrival, far better."""
         moved = self._moved_s != 0.0 and self._arrived_us - self._moved_us < STAMP_MONITOR.suspect_us
         return self._explains or moved or self._ages.off_s != 0.0
 
@@ -69,8 +69,9 @@ class StampMonitor:
         return abs(self._moved_s) if self._missed_us >= self._moved_us - STAMP_MONITOR.missed_us else 0.0
 
     def arrives(self, now_us: int, ahead_us: int, latency_s: float) -> bool:
-        """A picture's result is there whose stamp, put right, is so far ahead of the clock. True if :attr:`late_s` has
-        changed: what always comes from the future is late, most likely by what it needs to get here on top."""
+        """An image's result has arrived with a corrected stamp that far ahead of the clock. True if :attr:`late_s` has
+        changed: stamps that are always in the future are over-corrected, by the transport time on top.
+        """
         self._arrived_us = now_us
         moved_us = self._ages.note(-ahead_us)
         if moved_us:
@@ -153,7 +154,7 @@ class StampMonitor:
         return changed
 
     def _against(self, cost: FloatArray) -> float:
-        """What speaks against the delay that is taken off."""
+        """Evidence against the delay in use."""
         return float(np.interp(self.late_s, GRID_S, cost) - cost.min())
 
     def _known(self) -> bool:
@@ -203,7 +204,7 @@ class StampMonitor:
         )
 
     def _window(self) -> FloatArray | None:
-        """(g,) what speaks against each delay, from the fixes at hand; None if they are too few."""
+        """(g,) cost of each delay, from the fixes of the window; None if they are too few."""
         imu = np.array(self._imu)
         begin_us = imu[0, 0]
         fixes = np.array([fix for fix in self._fixes if fix[0] - STAMP_MONITOR.margin_us >= begin_us])
@@ -271,7 +272,7 @@ class _Goodness(NamedTuple):
 
 
 class _Usual:
-    """How well windows fit as a rule, as a share of the variance that fixes tell of themselves."""
+    """Typical residual of windows relative to the fixes' stated variance."""
 
     def __init__(self) -> None:
         self._shares: deque[float] = deque(maxlen=STAMP_MONITOR.usual_count)
@@ -292,7 +293,7 @@ class _Usual:
         )
 
     def learn(self) -> None:
-        """The last one asked for is one of those that tell what is usual."""
+        """Add the last queried window."""
         self._shares.append(self._share)
 
 
@@ -335,7 +336,7 @@ class Ages:
         return before_us - self._usual_us
 
     def put_right(self, more_s: float) -> None:
-        """So much more is taken off the stamps."""
+        """The correction of the stamps has increased by that much."""
         if self._usual_us is not None:
             self._usual_us += 1e6 * more_s
         self._last_us.clear()
@@ -343,7 +344,7 @@ class Ages:
 
 
 class _Fit:
-    """Least squares of (n, g) columns by the same (n, p), and of one more: what is shown without any delay."""
+    """Least squares of (n, g) columns on common regressors (n, p), and of one more column: the data without delay."""
 
     def __init__(self, by: FloatArray, what: FloatArray) -> None:
         self._by, self._what = by, what
@@ -352,12 +353,12 @@ class _Fit:
         self._squares = np.square(self._rest).sum(axis=0)
 
     def _without(self, columns: FloatArray) -> FloatArray:
-        """What the fit leaves of (n, k)."""
+        """Residual of (n, k) after the fit."""
         result: FloatArray = columns - self._q @ (self._q.T @ columns)
         return result
 
     def beaten(self, known: int, others: FloatArray, floor: float) -> bool:
-        """Whether one of (n, k) other causes explains what column ``known`` leaves by far better than any delay."""
+        """Whether one of (n, k) other causes explains the residual of column ``known`` far better than any delay."""
         n, p = self._by.shape
         least = float(self._squares[:-1].min()) + n * floor * floor
         if self._squares[known] + n * floor * floor <= 1.1 * least:
@@ -390,9 +391,10 @@ class _Fit:
         return _Goodness(float(squares[:-1].min()) / (n - p), float(shown) / (n - p), (n - p) / STAMP_MONITOR.alike)
 
     def cost(self, floor: float) -> FloatArray:
-        """(g,) negative logarithm of the likelihood, its least taken off; how large the errors are is not known.
+        """(g,) negative log-likelihood minus its minimum, with unknown noise variance.
 
-        It counts by the share of what fixes show that the inertial sensors explain: their noise explains nothing."""
+        It is weighted by the fraction of the fixes' motion that the inertial sensors explain: noise explains none.
+        """
         n, p = self._by.shape
         *_, shown = squares = self._squares + n * floor * floor
         squares = squares[:-1]
@@ -409,7 +411,7 @@ def _chance(freedom: float) -> float:
 
 
 def _wrong_gyro(at_s: FloatArray, t_s: FloatArray, turned: FloatArray) -> FloatArray:
-    """(n, 2 n) what an offset and a wrong scale of the gyro from one of the fixes on do to the heading."""
+    """(n, 2 n) effect on the heading of an offset and a scale error of the gyro that start at each of the fixes."""
     since_s = np.maximum(at_s[:, None] - at_s, 0.0)
     heading = np.interp(at_s, t_s, turned)
     return np.hstack((since_s, np.where(since_s > 0.0, heading[:, None] - heading, 0.0)))

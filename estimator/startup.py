@@ -17,7 +17,7 @@ TURN_RAD_S = 1.2
 
 
 class StartUp:
-    """Collects fixes until enough of them agree."""
+    """Collects fixes until enough are consistent."""
 
     def __init__(self) -> None:
         self._fixes: deque[PoseFix] = deque(maxlen=12)

@@ -54,9 +54,10 @@ def one(index: int) -> slice:
 
 
 class SheetStates(NamedTuple):
-    """What a Kalman filter holds of the sheets of its map that have been seen, beside the 21 states.
+    """Offsets of the observed sheets as Kalman filter states, beside the 21 states.
 
-    Four of each: where it lies minus where the map has it, north, east, down [m], heading [rad]."""
+    Four per sheet: true minus mapped pose, north, east, down [m], heading [rad].
+    """
 
     which: tuple[int, ...]
     """Numbers of the sheets."""

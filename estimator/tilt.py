@@ -23,7 +23,7 @@ HELD_US = 500_000
 
 
 class TiltTrim:
-    """What is taken off roll and pitch of the AHRS."""
+    """Correction of roll and pitch of the AHRS [rad]."""
 
     def __init__(self) -> None:
         self._roll = 0.0

@@ -62,7 +62,7 @@ class MarkerDetector:
         self._known: IntArray = np.unique(markers.ids)
 
     def detect(self, frame: CameraFrame, hint: Hint | None) -> MarkerSighting:
-        """What is in the image; a function of its arguments alone. ``decode_us`` is left to the caller's clock."""
+        """Detections in the image; a function of its arguments alone. ``decode_us`` is set by the caller."""
         image = frame.image_bgr
         grey, hazy = grey_of(image)
         # Most maps are of one dictionary; each further kind in view costs a search of its own.
@@ -142,7 +142,7 @@ class MarkerDetector:
         return self._accepted(smooth if hazy else grey, dictionary, _Found(words[found.ids], found.quads))
 
     def _accepted(self, grey: Any, dictionary: Any, found: "_Found") -> "_Seen":
-        """With corners to fractions of a pixel, without what does not look like the marker that it reads as."""
+        """Detections with subpixel corners, without those whose appearance does not match their id."""
         if not len(found.ids):
             return _Seen(found.ids, np.empty((0, 4, 2)), np.empty(0))
         halves = _window_px(found.quads, dictionary.markerSize + 2)
@@ -204,9 +204,10 @@ def _perimeters_px(quads: Any) -> FloatArray:
 def _missing_areas(
     ids: IntArray, predicted: FloatArray, found: _Found, shape: tuple[int, ...]
 ) -> list[tuple[int, int, int, int]]:
-    """Left, top, right, bottom of the parts of the image with the markers that should have been found and were not.
+    """Left, top, right, bottom of the image regions with expected markers that were not found.
 
-    Where markers were found tells by how much the prediction is off; without any, it is the whole image."""
+    The markers that were found give the error of the prediction; without any, the region is the whole image.
+    """
     height, width = shape
     if not len(found.ids):
         return [(0, 0, width, height)]
@@ -269,9 +270,10 @@ def _refined(grey: Any, quads: Any, halves: IntArray) -> FloatArray:
 
 
 def grey_of(image_bgr: Any) -> tuple[Any, bool]:
-    """The image (rows, columns) in which markers are looked for, and whether it is hazy.
+    """The image (rows, columns) for detection, and whether it is hazy.
 
-    Water takes red first. Green alone is the cheapest that keeps contrast; where noise matters, blue has as much."""
+    Water absorbs red first. Green alone is the cheapest with contrast; where noise matters, blue has as much.
+    """
     green = cv2.extractChannel(image_bgr, 1)
     _, spread = cv2.meanStdDev(np.ascontiguousarray(green[::4, ::4]))
     if float(spread[0, 0]) >= VISION.hazy_std_dev:

@@ -31,14 +31,14 @@ MAX_PENDING = 4
 
 
 class Detector(Protocol):
-    """Pure function from a frame (and where the vehicle probably was) to what is in it."""
+    """Pure function from a frame (and a predicted pose) to its detections."""
 
     def detect(self, frame: CameraFrame, hint: Hint | None) -> MarkerSighting: ...
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class _FrameRequest:
-    """A frame that somebody should look at."""
+    """A frame to be processed."""
 
     due_us: int
     frame: CameraFrame
@@ -47,7 +47,7 @@ class _FrameRequest:
 
 @dataclass(slots=True, eq=False, kw_only=True)
 class _Pending:
-    """A frame that is being looked at, or has been."""
+    """A frame in processing or done."""
 
     due_us: int
     sighting: "Future[MarkerSighting]"
@@ -139,11 +139,11 @@ class VisionWorker:
         return found
 
     def take_reports(self) -> tuple[PictureReport, ...]:
-        """What the pictures since the last call looked like."""
+        """Statistics of the images since the last call."""
         return self._frame_filter.take_reports()
 
     def counters(self) -> Mapping[str, int]:
-        """Frames so far by what became of them: ``frames.ok``, ``frames.dark``, ..., ``frames.failed``."""
+        """Frames so far by result: ``frames.ok``, ``frames.dark``, ..., ``frames.failed``."""
         result = {f"frames.{verdict.value}": count for verdict, count in self._frame_filter.counts.items()}
         result["frames.dropped"] = self.dropped
         result["frames.failed"] = self.failed

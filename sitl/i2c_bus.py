@@ -61,7 +61,7 @@ class Pca9685Chip:
     RESTART, EXTERNAL, INCREMENT, SLEEP = 0x80, 0x40, 0x20, 0x10
 
     def __init__(self, clock_hz: float, external_hz: float | None = None) -> None:
-        """``clock_hz``: true frequency of the internal oscillator; ``external_hz``: that of an external clock, if any."""
+        """``clock_hz``: true frequency of the internal oscillator; ``external_hz``: that of an external clock."""
         self._internal_hz, self._external_hz = clock_hz, external_hz
         self.enabled = True
         """Level of the output enable pin."""
