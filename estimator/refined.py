@@ -46,7 +46,7 @@ def refined_map(markers: MarkerMap, states: SheetStates | None) -> MarkerMap:
 
 
 def _frame_and_own(pivots: FloatArray, laid: FloatArray, states: SheetStates) -> tuple[FloatArray, FloatArray]:
-    """Standard deviations of the sheets' common error (horizontal, down, heading), and of each relative to it (k, 4)."""
+    """Standard deviations of the sheets' common error (horizontal, down, heading), and of each from it (k, 4)."""
     count = len(pivots)
     common = common_columns(pivots)
     weight = 1.0 / np.maximum(laid.reshape(-1), 1e-6) ** 2

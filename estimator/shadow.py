@@ -30,7 +30,7 @@ AFTER_US = 1_000_000
 
 
 class Shadowed:
-    """:class:`.estimator.protocol.Estimator`: the output of the primary one, and its difference to the redundant one."""
+    """:class:`.estimator.protocol.Estimator`: output of the primary one, and its difference to the redundant one."""
 
     def __init__(self, flown: Estimator, other: Estimator) -> None:
         self._flown = flown

@@ -40,7 +40,7 @@ class ProgramBounds:
         n, each = grid.n, (grid.n, thrusters)
         self.limits: FloatArray = np.zeros((n - 1, ocp.N_LIMITS))
         self.thrust_n: FloatArray = np.zeros(each)
-        """(N, n) what margins leave of the thrust limits."""
+        """(N, n) thrust limits after back-offs [N]."""
         self.keep_m: FloatArray = np.zeros(n - 1)
         """(N-1,) distance of the centre from boundaries."""
         self.tube_m: FloatArray = np.zeros(n + 1)

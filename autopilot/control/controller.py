@@ -393,7 +393,7 @@ class MotionController:
     def _warm_start(self, now: GuidanceInputs, reference: Reference, elapsed_s: float) -> bool:
         """The plan to begin with: the last one moved on, or (True) the reference."""
         meant, self._reference = self._reference, reference.x
-        # Around a plan that goes another way round an obstacle than the reference no step finds the way back.
+        # A Gauss-Newton step cannot move a plan to the other side of an obstacle: restart from the reference.
         jumped = meant is not None and largest_gap(reference.x, meant, X, 2) > JUMP_M
         if reference.fresh or jumped or self._plan_age_s is None or not 0.0 <= elapsed_s <= LONGEST_SHIFT_S:
             self._plan_age_s = self._planned = None

@@ -25,7 +25,7 @@ from autopilot.core.samples import ObstacleTrack
 from autopilot.core.vehicle import Vehicle
 
 CONTROLLERS = {"nmpc": "autopilot.control.controller:of_context"}
-"""Shipped controllers: name -> what makes one."""
+"""Shipped controllers: name -> factory."""
 
 STEP_S = 0.05
 """Time from one step to the next; a new goal asks for one at once."""
@@ -38,13 +38,13 @@ class ControllerContext:
     vehicle: Vehicle
     """The vehicle file."""
     model: Model4
-    """Its 4-DoF model: masses, drags, and the allocation (4 x N): surge, sway, heave [N], yaw [N m] per N of thrust."""
+    """4-DoF model: masses, drag, and allocation (4, N): surge, sway, heave [N], yaw [N m] per N of thrust."""
     currents: CurrentForecast
-    """What is known of the water beside the estimate's current."""
+    """Current forecast in addition to the estimated current."""
     desks: BackgroundWorkers
-    """Lanes for work that does not fit into a step. Whoever composes the service closes them."""
+    """Workers for tasks that do not fit into a step; closed by the service."""
     trajectories: TrajectoryPlanner | None = None
-    """Who plans by energy; None = the shipped planner."""
+    """Minimum-energy planner; None = the shipped one."""
 
 
 class Controller(Protocol):

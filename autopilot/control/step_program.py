@@ -66,13 +66,13 @@ class Solution:
     result: NmpcResult
     """Of the last QP."""
     margin_m: float
-    """Smallest clearance of the plan beyond what it keeps."""
+    """Smallest clearance of the plan beyond the required one."""
     qps: int
     """That were solved."""
     anew: bool
     """The plan does not continue the last one."""
     unsolved: tuple[UnsolvedProgram, ...] = ()
-    """Programs on the way that were not solved."""
+    """Unsolved QPs of this step."""
 
 
 class StepProgram:
@@ -161,7 +161,7 @@ class StepProgram:
         states, thrusts = nmpc.x.copy(), nmpc.u.copy()
         self._unsolved.clear()
         free = reference.thrust_n, reference.weight_u
-        # In flight the program pays for what it changes of the last plan's thrust as well.
+        # In flight, changes of the last plan's thrust are penalised as well.
         begun = problem(*free) if start else problem(bounds.held_ref_n, bounds.held_weight)
         found = self._iterate(start, begun, now.planner, movers)
         # Around a guess that has run away no step is any good: once more from the reference, then from standing still.
@@ -208,7 +208,7 @@ class StepProgram:
             change_n = max(map(abs, change.tolist()))
             calm = change_n < CONVERGED_N or (qps == 1 and not start and change_n < RESTLESS_N)
             if result.status is not SolveStatus.OK and good is not None and not start:
-                # What the QP before has found is a plan; that it has not converged is no reason to give it up.
+                # The previous QP's solution is a valid plan, although it has not converged.
                 nmpc.set_plan(*good[:2])
                 result, margin = good[2:]
                 break
@@ -223,7 +223,7 @@ class StepProgram:
                 nmpc.set_plan(guess + share * (nmpc.x - guess), thrust + share * (nmpc.u - thrust))
             last, last_n = change, change_n
         if result.status is SolveStatus.OK:
-            # The half-planes certify the new plan, chords included; only where they do not it is looked at again.
+            # The half-planes certify the new plan, chords included; otherwise its clearance is recomputed.
             margin = min(margin, self._room.least_m())
             if margin < 0.0:
                 margin = planner.features.margin_m(path, t_s, keep_m, movers)

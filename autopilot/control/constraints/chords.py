@@ -16,10 +16,10 @@ from autopilot.control.constraints.features import BoolArray, Boundaries, Comple
 from autopilot.core.frames import FloatArray
 
 RECOVERY_M_S = 0.2
-"""How fast the vehicle is asked to come back from where it must not be."""
+"""Speed at which a violated boundary is recovered."""
 
 NEAR_M = 1.0
-"""Of many features those are left out that the prediction does not come this near."""
+"""With many features, those farther from the prediction than this are left out."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -92,7 +92,7 @@ class Path:
         step = rays[1:] - rays[:-1] if len(self._center) > 1 else (points[1:] - points[:-1])[:, None]
         length2 = np.maximum(step.real**2 + step.imag**2, FEATURES.tiny_m**2)
         at = np.minimum(np.maximum((step.conj() * rays[:-1]).real / -length2, 0.0), 1.0)
-        at[:, self._side < 0.0] = 1.0  # what is to be stayed in is convex: its nodes will do
+        at[:, self._side < 0.0] = 1.0  # a convex inclusion: nodes inside are enough
         leaves = np.abs(rays[:-1]) < rim[: len(rays) - 1]
         if leaves.any():
             at[leaves] = 1.0  # out of an obstacle there is no chord that keeps clear of it
@@ -133,7 +133,7 @@ class Path:
         end = begin + (step.conj() * ab).imag
         through = np.flatnonzero((maybe & ((begin > 0.0) != (end > 0.0))).any(axis=1))
         if seen.bad is not None:
-            # From forbidden ground the way out goes through an edge.
+            # From a forbidden area the shortest way out is through an edge.
             through = through[~seen.bad[through].any(axis=1)]
         return int(through[0]) if len(through) else None
 
@@ -147,7 +147,7 @@ class Path:
     def fill(self, slots: int, normals: ComplexArray, offsets: FloatArray) -> None:
         """Half-planes of the nearest features: ``normals`` (m, slots), ``offsets`` (m, slots)."""
         seen, met = self._seen, self._met
-        # Corners are met by chords, and an edge beyond whose end a node lies has nothing else to say.
+        # Corners are handled by chords; an edge whose end a node is beyond adds nothing.
         distance_e = np.where(seen.share[1:] <= 0.0, FEATURES.far_m, seen.distance[1:])
         distance_r = met.distance
         if seen.bad is not None:

@@ -58,7 +58,7 @@ class Rounds:
     polygon: IntArray
     """(C,) number of the polygon whose corner it is, -1 = a circle."""
     circles: int
-    """How many circles there are."""
+    """Number of circles."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -69,7 +69,7 @@ class VisibleEdges:
     rho: FloatArray
     """Distance from the edge, never negative."""
     distance: FloatArray
-    """Signed; ``far_m`` where the edge has nothing to say."""
+    """Signed; ``far_m`` where the edge is not active."""
     normal: ComplexArray
     """Unit vectors that point where the vehicle has to be."""
     offset: FloatArray
@@ -130,7 +130,7 @@ class Boundaries:
         distance = np.where(share >= 1.0, FEATURES.far_m, rho)
         bad = self._behind(keep, share, rho, line)
         if bad is not None:
-            # Of a polygon that a point is inside (outside) only the nearest edge counts, and it pushes the other way
+            # Of a polygon with the point inside (outside) only the nearest edge is active, with the opposite sign
             # (but not from the line itself).
             first, group = self._groups if whole else _groups(edges.polygon[keep])
             distance[np.logical_or.reduceat(bad, first, axis=1)[:, group]] = FEATURES.far_m

@@ -22,7 +22,7 @@ from autopilot.core.geometry import Circle, Fence
 __all__ = ["Features", "Movers", "clearance_m", "fence_key"]
 
 POINTS_TOGETHER = 64
-"""Points that are looked at together when far features are left out: a tile of 8 x 8 cells, a few metres of a line."""
+"""Points per block when far features are left out: a tile of 8 x 8 cells, a few metres of a line."""
 
 POINTS_AT_ONCE = 4096
 """Bound on the arrays of points by features."""

@@ -26,7 +26,7 @@ class Tracks:
     def __init__(self) -> None:
         self._tracks: dict[int, ObstacleTrack] = {}
         self.dropped = 0
-        """Reports that were no good: not finite, out of range, from the future or older than what is known."""
+        """Rejected reports: not finite, out of range, from the future or older than the track."""
         self.over_m: float | None = None
         """Radius of the largest that the vehicle is deep inside of, None = of none. As of the last :meth:`round`."""
 
@@ -92,7 +92,7 @@ class IntendedMotion:
     speed_m_s: float
     """over ground"""
     route_ned_m: FloatArray
-    """(m, 2) what is left of the last route, first row the vehicle."""
+    """(m, 2) remaining part of the last route, first row the vehicle."""
     goal_distance_m: float
     keep_m: float
     """That ways keep from every boundary."""

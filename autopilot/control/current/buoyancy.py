@@ -72,7 +72,7 @@ class BuoyancyEstimator(NoticeQueue):
         rate = 0.5 * (seen[1] + last[1])
         linear, square = self._drag
         drag_n = (linear + square * math.sqrt(rate * rate + ABS_SMOOTHING_M2_S2)) * rate
-        # What is left of the momentum, upwards, beyond what is known.
+        # Residual of the heave equation, positive upwards.
         left_ns = impulse_ns - elapsed_s * (drag_n + self.excess_n) - self._mass_kg * (seen[0] - last[0])
         share_1_s = max(1.0 / (self._learned_s + BUOYANCY_ESTIMATOR.first_s), 1.0 / BUOYANCY_ESTIMATOR.follow_s)
         change_n = share_1_s * left_ns

@@ -29,14 +29,14 @@ class Basin(StrEnum):
     """Prior probability of a closed basin (setting ``basin``)."""
 
     CLOSED = "closed"
-    """A tank or pool: what flows comes back within it."""
+    """A tank or pool: the flow is closed."""
     OPEN = "open"
     """Part of a larger water."""
     UNKNOWN = "unknown"
 
 
 CLOSED_SHARE = {Basin.CLOSED: 0.95, Basin.OPEN: 0.02, Basin.UNKNOWN: 0.25}
-"""How likely a basin is closed beforehand. A fence says nothing about it: it is no wall."""
+"""Prior probability of a closed basin. A fence is no evidence: it is no wall."""
 
 
 _MEANS_M_S = (CURRENT_LEARNING.closed_mean_m_s, CURRENT_LEARNING.open_mean_m_s)
@@ -48,7 +48,7 @@ class _Cell:
 
     weight_s: float
     moment: tuple[float, float, float, float]
-    """Of north, east [m] and current north, east [m/s]."""
+    """Weighted sums of north, east [m] and current north, east [m/s]."""
     seen_us: int
 
 

@@ -32,7 +32,7 @@ class _Patch:
     sums: FloatArray
     """(25, 4) of them."""
     learned_us: int
-    """When all of them have been taught last."""
+    """Time of the last update of all of them."""
 
 
 class CurrentMemory:

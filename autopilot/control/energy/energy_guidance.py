@@ -145,7 +145,7 @@ class EnergyGuidance:
         goal's region, shared by the nodes before and after it, so that nothing jumps as it comes nearer."""
         share, end = self._shares(track.rest_s), GUIDANCE.end_stages * weight_x[:U]
         if track.goal.yaw_rad is not None:
-            # Headings count by how much of the room that is left to them they use up, as places do.
+            # Headings are normalised by their remaining tolerance, as positions are.
             room = (
                 (1.0 - LEG_TASK.radius_share) * track.goal.accept_radius_m,
                 (1.0 - LEG_TASK.yaw_share) * track.goal.accept_yaw_rad,
@@ -175,7 +175,7 @@ class EnergyGuidance:
         if key != self._goal_key or now.planner is not self._planner:
             fresh = self._new_goal(now, key)
         if now.goal.speed_asked or now.goal.facing_ned_m is not None:
-            # Least energy would choose another speed or heading: the route guidance keeps what was asked for.
+            # A minimum-energy plan would choose another speed or heading: the route guidance keeps the commanded ones.
             self._withdraw()
             self._track = self._next = None
             return fresh
@@ -250,7 +250,7 @@ class EnergyGuidance:
             else:
                 self._fail(request, NoPlanError(plan.why))
             return False
-        # Without what holds the vehicle down or up: what is known of that changes under way.
+        # Without buoyancy compensation: its estimate changes under way.
         lift_n = self._lift_n(request.buoyancy_excess_n, request.thrust_limit_n)
         moving = replace(plan.trajectory, thrust_n=plan.trajectory.thrust_n - lift_n)
         track = TrackedTrajectory(moving, plan.goal, plan.complete)

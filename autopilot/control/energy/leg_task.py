@@ -41,7 +41,7 @@ class LegTask:
         self._request, self._features, self._flow, self._table = request, features, flow, table
         self._to_go, self._end_slope, self._program = to_go, end_slope, program
         self.reach_s = LEG_TASK.longest_s
-        """So far trajectories are planned."""
+        """Planning distance."""
         self._gate: FloatArray | None = None
         """(3,) where the trajectory ends when the goal is too far away."""
 

@@ -28,7 +28,7 @@ class TrajectoryRequest:
     radius_m: float
     """Kept from every boundary."""
     extra_m: float = EXTRA_M
-    """Kept beyond that where there is room."""
+    """Additional clearance where there is space."""
     flow: FlowSamples
     limits: FloatArray
     """(5,) planar speed, heave, yaw rate, depth minimum, depth maximum."""
@@ -41,7 +41,7 @@ class TrajectoryRequest:
     cruise_m_s: float = math.inf
     """See :func:`autopilot.control.energy.power.planar_limit_m_s`."""
     warm: Trajectory | None = None
-    """What is left of the plan in force, if the vehicle may stay on it."""
+    """Remaining part of the active plan, if it may be continued."""
     kind: Kind = Kind.COLD
     """What is looked at."""
 
@@ -52,7 +52,7 @@ class Plan:
     trajectory: Trajectory | None
     """None if there is no way."""
     energy_j: float
-    """To the goal region, what lies beyond the end of the trajectory included."""
+    """To the goal region, including the part beyond the end of the trajectory."""
     eta_s: float
     complete: bool
     """The trajectory ends in the goal's region."""

@@ -52,7 +52,7 @@ class Ask:
     thrust_limit_n: FloatArray
     """(thrusters,)"""
     end_slope_j_m: FloatArray
-    """(2,) slope of the cost of what follows, over north and east of the place where the vehicle coasts to."""
+    """(2,) gradient of the remaining cost with respect to north and east of the coasting position."""
     longest_s: float
     buoyancy_excess_n: float
 
@@ -66,7 +66,7 @@ class Trajectory:
     thrust_n: FloatArray
     """(n, thrusters)"""
     energy_j: float
-    """Along it, hotel power included, without the cost of what follows."""
+    """Along it, hotel power included, without the remaining cost."""
     cost_j: float
     """With it."""
     solved: bool

@@ -24,7 +24,7 @@ Sent: TypeAlias = tuple[float, float, FloatArray]
 """From when until when [s] a command (n,) was sent."""
 
 KEPT_S = 3.0
-"""Commands of so long ago are remembered: the longest delay, and what the lag makes of it."""
+"""Length of the command history: the longest delay plus the lag."""
 
 UNDER_WAY_S = 0.05
 """Interval of the prediction through commands that are under way."""
@@ -52,7 +52,7 @@ class ThrusterLag:
 
     def __init__(self, model: Model4, response: Response) -> None:
         self._response = response
-        # Thrusters that differ: together they give what all would with the mean.
+        # Different time constants: together about the response with their mean.
         self._lag_s = lag_s = response.mean_s
         self._x, self._u, self._c, self._out = np.zeros(NX), np.zeros(model.thrusters), np.zeros(3), np.zeros(NX)
         self._coefficients, self._allocation = np.array(coefficients(model)), np.array(model.allocation)
@@ -67,7 +67,7 @@ class ThrusterLag:
         self.acting_n[:] = 0.0
         self._sent.clear()
         self._now_s = self.delay_s = 0.0
-        """So late commands reach the thrusters; changed by :meth:`act_late`."""
+        """Command latency [s]; set by :meth:`act_late`."""
         self.jumped()
 
     def jumped(self) -> None:

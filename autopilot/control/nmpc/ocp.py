@@ -46,7 +46,7 @@ and these 4 fill three of its 4-row panels)."""
 
 SLACK_L1 = 1e3
 SLACK_L2 = 1e3
-"""Exact penalty per stage of 0.1 s; above the multipliers that occur, below what makes the QP ill-conditioned."""
+"""Exact penalty per stage of 0.1 s; above the multipliers that occur, small enough for the QP's conditioning."""
 
 TERMINAL_STAGES = 20.0
 SPEED_EPSILON_M_S = 0.02

@@ -35,13 +35,13 @@ GUESS_LIMIT = 100.0
 """m/s, rad/s: around a guess that moves faster (or is no number) nothing can be linearised; solvers would print it."""
 
 SELF_TEST_WAY = np.array([0.2, 0.1, 0.1, 0.2, 0.0, 0.0, 0.0, 0.0])
-"""State to which the self-test goes from rest."""
+"""Reference state of the self-test, from rest."""
 
 SELF_TEST_WEIGHTS = np.array([20.0, 20.0, 40.0, 3.0, 1.0, 1.0, 1.0, 0.5])
 SELF_TEST_THRUST_WEIGHT = 0.02
 
 SELF_TEST_TOLERANCE = 0.05
-"""How far thrust and end of the self-test may be from the answer, as a share of the bound and of the way."""
+"""Tolerance of the self-test, relative to the thrust bound and to the distance."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -87,7 +87,7 @@ class NmpcResult:
     """Decrease of the cost that the last QP predicted, plus penalties."""
     slack_max: float
     gap_max: float
-    """How far the guess was from satisfying the dynamics."""
+    """Largest defect of the guess in the dynamics."""
     penalty_use: float
     """Largest multiplier of a soft constraint over the penalty's slope: above 0 a limit is touched, at 1 given up."""
 
@@ -247,7 +247,7 @@ class Nmpc:
         self.x = np.zeros((grid.n + 1, NX))
         self.u = np.zeros((grid.n, model.thrusters))
         self.last_problem: NmpcProblem | None = None
-        """What was solved last (its arrays may be those of the caller), for comparisons."""
+        """The last problem (its arrays may be the caller's), for comparisons."""
         self.violation = 0.0
         """Largest of a row of the last QP."""
 

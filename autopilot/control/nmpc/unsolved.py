@@ -30,7 +30,7 @@ class Trial:
     violation: float
     """Largest of a row: 0.001 counts as solved."""
     gap: float
-    """How far the guess is from satisfying the dynamics."""
+    """Largest defect of the guess in the dynamics."""
     thrust_n: tuple[float, ...]
     """The first of the plan; of the guess when it was not solved."""
 

@@ -28,7 +28,7 @@ from autopilot.core.model4 import NX, YAW
 from autopilot.core.params import ParamSet
 
 BEHIND_M, LOOKAHEAD_M = 0.15, 0.3
-"""So far the vehicle may fall behind that before the reference runs ahead of it, and so far it runs ahead at most."""
+"""Deficit of progress above which the reference leads, and its largest lead."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -52,7 +52,7 @@ class GuidanceInputs:
     thrust_limit_n: FloatArray
     """(n,)"""
     last_plan: FloatArray | None = None
-    """(N+1, 8) what the optimiser predicted on the last step, from then on; None if it had no plan."""
+    """(N+1, 8) prediction of the last step; None without a plan."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)

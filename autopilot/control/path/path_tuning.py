@@ -8,12 +8,12 @@ class DriveTuning:
     """Constants of :mod:`autopilot.control.path.drive`."""
 
     step_m: float = 0.12
-    """The way ahead is looked at this often."""
+    """Sampling distance of the path ahead."""
     most_steps: int = 150
     slowest_m_s: float = 0.01
     """Slower than this is standing: the place is held."""
     keep_extra_m: float = 0.02
-    """The way ahead keeps this beyond what the controller keeps, so that its reference can be followed."""
+    """Clearance of the path beyond the controller's, so that its reference can be followed."""
     pushes: int = 3
     """A step that ends too near to boundaries is pushed out of one after the other."""
     too_near_m: float = 5e-3
@@ -52,7 +52,7 @@ class GuidanceTuning:
     """Progress that is expected of the vehicle: this share of the speed over ground that is asked for, at most so
     much."""
     facing_m: float = 0.1
-    """Nearer than this, a place that is looked at has no direction."""
+    """A point of interest nearer than this gives no heading."""
 
 
 GUIDANCE = GuidanceTuning()
@@ -66,13 +66,13 @@ class PlannerTuning:
     """Kept beyond the controller's own radius, so that the path lies where the controller can follow it with a margin,
     and a passage that is open by centimetres only is not chosen."""
     look_step_m: float = 0.05
-    """Straight lines are looked at this often."""
+    """Sampling distance of straight lines."""
     open_water_border_m: float = 3.0
     """Without a workspace the grid covers start, goal and obstacles and this much beyond ..."""
     open_water_step_m: float = 2.0
     """... up to the next multiple of this: a start that has moved a little has the same grid."""
     look_back_m: float = 10.0
-    """So much of a path that was made for another fence is looked at before it is gone on with."""
+    """Length of a path of an earlier fence that is checked before it is continued."""
     goal_snap_m: float = 0.3
     """A goal this near to free ground is approached as far as the constraints allow."""
     endpoint_relief_m: float = 0.25
@@ -100,14 +100,14 @@ class ReferenceTuning:
     deceleration_m_s2: float = 0.12
     heave_deceleration_m_s2: float = 0.1
     yaw_deceleration_rad_s2: float = 0.4
-    """Of the approach to the goal: v = sqrt(2 a d)."""
+    """Deceleration of the approach to the goal: v = sqrt(2 a d)."""
     yaw_rate_share: float = 0.55
     """Share of the yaw rate limit that a planned turn uses."""
     heave_share: float = 0.6
     """Share of the heave limit that a planned change of depth uses."""
     min_depth_time_s: float = 1.0
     turn_ahead_m: float = 0.6
-    """Free heading looks along the route this far ahead."""
+    """Lookahead distance of a free heading along the route."""
     corner_ahead_m: float = 0.2
     """The speed is chosen for the direction of the route this far ahead."""
     water_speed_share: float = 0.95

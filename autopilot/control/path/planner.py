@@ -87,7 +87,7 @@ class _PathFinder:
         self.radius_m = radius_m + extra_m
         self._slack_m = 0.5 * extra_m
         self._allowed_m = self.radius_m - CHORD_LOSS_M
-        """What a straight line has to keep."""
+        """Required clearance of a straight line."""
         self._graph: _Graph | None = None
         self._field: _DistanceField | None = None
 

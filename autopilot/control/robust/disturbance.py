@@ -20,7 +20,7 @@ class DisturbanceBound:
     """Per axis."""
     moment_n_m: float
     current_m_s: float
-    """Error of the believed current beyond what the estimator admits, per axis."""
+    """Error of the estimated current beyond its standard deviation, per axis."""
 
     @classmethod
     def of(cls, params: ParamSet) -> "DisturbanceBound":

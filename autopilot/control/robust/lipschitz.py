@@ -26,7 +26,7 @@ TUNED_SCALES = (1.0, 1.0, 1.0, 4.5, 0.25, 0.25, 1.0, 1.25)
 """State = scale * scaled state: the norm in which the error grows least (coordinate search, LBV150 at 0.5 m/s)."""
 
 SPEED_SAMPLES = 5
-"""Values of surge, sway and yaw rate at which the norm of the transition is looked at."""
+"""Samples of surge, sway and yaw rate for the norm of the transition matrix."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)

@@ -53,7 +53,7 @@ class Margins(NoticeQueue):
         mode = Tighten(int(params["MPC_TIGHTEN"]))
         if mode is Tighten.TUBE:
             self._told = False
-            # The fixed margin stays: a vehicle that is faster through the water than it believes shows nothing of it.
+            # The fixed margin stays: an error of the estimated speed through the water is not observable here.
             return self.tube.back_offs(nav, x, thrust_n, params, self.evidence.share)
         if mode is Tighten.LIPSCHITZ:
             if not self._told:
@@ -122,7 +122,7 @@ class Margins(NoticeQueue):
         near = float(margins.clearance_m[0])
         if fence_half_m < near and math.isfinite(fence_half_m):
             reasons.append(f"the fence leaves nothing of the {mode} margin {near:.2f} m: widen it")
-        # A goal is where the vehicle stays: what is kept there is the margin that has grown to its end.
+        # The vehicle stays at a goal: the margin there is that of the end of the prediction.
         far = float(margins.clearance_m[-1]) if mode != "lipschitz" else near
         reasons += [
             f"{name} is {clearance:.2f} m from the fence beyond the body, needs {far:.2f} m ({mode} margin)"

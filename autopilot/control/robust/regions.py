@@ -22,7 +22,7 @@ from autopilot.core.model4 import YAW, Model4, U
 from autopilot.core.notice_queue import NoticeQueue
 
 AT_PLACE = ("clearance", "acceptance radius", "acceptance heading", "depth", "decrease")
-"""Limits of the goal's place, whatever the water does; all others are of what the vehicle can do in it."""
+"""Limits by the goal's position, independent of the current; all others depend on it."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -128,7 +128,7 @@ class TerminalRegions(NoticeQueue):
     def _tell(self, goal: Goal, certificate: Certificate) -> None:
         """Report to the log, and to the operator if there is a remedy."""
         name = _name(goal)
-        # A current that changes a little makes another certificate; what it says is only news when it is another story.
+        # A small change of the current gives a new certificate; it is reported only if its result differs.
         story = f"{name} {certificate.binding} {certificate.fits} {goal.pos_ned_m.tolist()}"
         if story == self._told:
             return

@@ -46,9 +46,9 @@ class MismatchTuning:
     """Constants of :mod:`autopilot.control.robust.mismatch_evidence`."""
 
     near_share: float = 0.8
-    """Speeds above this share of the cap say something about keeping it."""
+    """Speeds above this fraction of the cap are used as evidence."""
     follow_s: float = 3.0
-    """What the speed does faster than this is no change of plan but a disturbance."""
+    """Faster changes of the speed are disturbances, not changes of the plan."""
     quick_s: float = 2.0
     slow_s: float = 6.0
     forget_s: float = 60.0
@@ -65,7 +65,7 @@ class MismatchTuning:
     largest_need: float = 4.0
     """Square of how often the margin one look may ask for: what has passed is forgotten within seconds."""
     sigmas: float = 3.29
-    """A margin holds what exceeds it once in a thousand times."""
+    """Probability of exceeding a margin: one in a thousand."""
     longest_s: float = 0.2
 
 
@@ -153,7 +153,7 @@ class TubeTuning:
 
     force_correlation_s: float = 1.0
     current_correlation_s: float = 2.0
-    """How long a disturbance lasts: the estimator's current follows within about these times."""
+    """Correlation times of disturbances: the estimated current follows within about these times."""
     disc_sigmas: float = 3.72
     """A disc of so many standard deviations holds 99.9 % of a normal distribution in the plane: sqrt(-2 ln 0.001)."""
     band_sigmas: float = 3.29
@@ -164,13 +164,13 @@ class TubeTuning:
     largest_share: float = 0.5
     """Back-offs never take more of a limit than this, however bad the estimate is: then failsafes act."""
     largest_thrust_share: float = 0.3
-    """Of what a thruster can give; the controller applies it."""
+    """Fraction of the thrust limit; applied by the controller."""
     largest_clearance_m: float = 0.3
     growth_step_s: float = 0.05
     groups: int = 3
     """Force, moment, current error: their variances come at run time."""
     given: int = 28
-    """Numbers that the compiled library is told: see its enum."""
+    """Constants of the compiled library: see its enum."""
     states_out: int = 10
     """xx, xy, yy, zz, yaw, uu, uv, vv, ww, rr; the thrusts follow."""
 

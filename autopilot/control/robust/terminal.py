@@ -95,12 +95,12 @@ class Certificate:
     fit_room_m: float
     """Largest ball round the goal that does."""
     fit_limit: str
-    """Clearance or depth: what limits that ball."""
+    """Limiting constraint of that ball: clearance or depth."""
     samples: int
     violations: int
     """Samples at which the decrease failed at this alpha: 0 in a finished certificate."""
     shrunk: int
-    """How often sampling made alpha smaller."""
+    """Number of reductions of alpha by sampling."""
 
     @property
     def text(self) -> str:
@@ -132,7 +132,7 @@ def terminal_law(
     cn, ce, cd = (float(v) for v in current_ned_m_s)
     nu = np.array([-(c * cn + s * ce), -(c * ce - s * cn), -cd, 0.0])
     force = model4.steady_force(model, nu.tolist(), math)
-    # Where the thrusters cannot hold it, the limits say so by the thrust that it would take.
+    # If the thrusters cannot hold it, the required thrust violates the limits below.
     enough = allocator.makes(np.array(force), limit_n)
     thrust = allocator.thrust_n(np.array(force), limit_n if enough else np.full(model.thrusters, np.inf))
     a, b = _goal_jacobian(model, nu), input_matrix(model)
@@ -225,7 +225,7 @@ class CertificateJob:
         self._done = 0
         self._shrunk = 0
         self.certificate: Certificate | None = None
-        """Set when all samples have been looked at."""
+        """Set once all samples are checked."""
         if self._alpha < TERMINAL.least_alpha:
             self._alpha = 0.0
             self.certificate = self._certify()

@@ -20,7 +20,7 @@ from autopilot.core.params import ParamSet
 from autopilot.core.vehicle import Vehicle
 
 MUCH_N = 1e3
-"""More than any thruster is asked for: what counts is how they share."""
+"""Above every thruster's limit: only the distribution counts."""
 
 NO_LIFT = 1e-6
 """Less than this of a newton per newton of heave is rounding."""
@@ -38,7 +38,7 @@ class Actuation:
         self._nav: NavState | None = None
         self._count = self._allocator.model.thrusters
         self._pulse_n = self.nothing()
-        """What sound thrusters will give with the pulses of the last command."""
+        """Thrust of healthy thrusters for the pulses of the last command."""
         self.allocation = Allocation(vehicle.thrusters)
         self.supply_v: float | None = None
         """Measured voltage, None = nominal."""
@@ -139,7 +139,7 @@ class Actuation:
         self._nav = nav
         capability_n = self.allocation.capability_n(self.supply_v)
         self._delay.step(t_us, nav, armed=armed and alone)
-        # What never reached the thrusters says nothing about them.
+        # Commands that never reached the thrusters are no evidence.
         prompt = armed and self._delay.prompt and reached
         return self._losses.step(t_us, nav, acting_n, capability_n, goal, armed=prompt)
 
@@ -165,7 +165,7 @@ class Actuation:
         if not all(map(math.isfinite, thrust_n.tolist())):
             raise ValueError(f"thrust is not finite: {thrust_n.tolist()}")
         pulses_us = self.allocation.pulses_us(thrust_n, self.supply_v, self._losses.share)
-        # What the pulses will give, deadband and saturation included: the estimator's model lives on it.
+        # Thrust of the pulses, dead band and saturation included: input of the estimator's model.
         self._pulse_n = self.allocation.thrusts_n(pulses_us, self.supply_v)
         return self._told(t_us, thrust_n, pulses_us, armed=True)
 

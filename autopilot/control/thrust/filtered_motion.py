@@ -22,27 +22,27 @@ class FilteredMotion:
     """Filtered accelerations, axes surge, sway, heave [m/s^2] and yaw [rad/s^2]."""
 
     dt_s: float
-    """Since the last look."""
+    """Time since the last update."""
     residual: FloatArray
-    """(4,) what the model without thrust leaves to be explained."""
+    """(4,) residual of the model without thrust."""
     thrust_n: FloatArray
     """(n,) of sound thrusters, lag included."""
     thrust_rate_n_s: FloatArray
     """(n,) its rate of change."""
     drag: FloatArray
-    """(4,) what drag makes."""
+    """(4,) acceleration by drag."""
     coriolis: FloatArray
-    """(3,) what added mass makes of turning (surge, sway) and of drifting (the Munk moment)."""
+    """(3,) Coriolis terms of added mass (surge, sway) and Munk moment (yaw)."""
     flow: FloatArray
     """(4, 2) derivative with respect to the water's velocity north and east [1/s, 1/(m s)]."""
     north: FloatArray
     """(2,) cosine and sine of the heading."""
     moved_ned_m_s: FloatArray
-    """(2,) by so much the current that the model goes by has changed since the last look."""
+    """(2,) change of the model's current since the last update."""
     tilt: FloatArray
     """(2, 3) roll and pitch: their acceleration [rad/s^2], the sine of the angle and its rate [rad/s]."""
     swing: FloatArray
-    """(4,) what rolling and pitching make of the velocity, which the 4-DoF model does not know."""
+    """(4,) change of the velocity by roll and pitch, absent in the 4-DoF model."""
 
 
 class MotionFilter:

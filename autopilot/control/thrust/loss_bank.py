@@ -66,7 +66,7 @@ class StateLayout:
         self.stories = np.arange(2, self.filters)
         """Their filters."""
         self.told_of = np.repeat(np.arange(n), LOSS_BANK.each)
-        """(n EACH,) thruster that a story tells of."""
+        """(n EACH,) thruster of each hypothesis."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -74,9 +74,9 @@ class Beliefs:
     """Standard deviations, axes surge, sway, heave [m/s^2] and yaw [rad/s^2]."""
 
     noise: tuple[float, float, float, float] = (0.008, 0.008, 0.008, 0.04)
-    """Of one look: estimate and model, looks ``independent_s`` apart being independent."""
+    """Of one update: estimate and model; updates ``independent_s`` apart are independent."""
     noise_share: float = 0.04
-    """Of the thrust's acceleration: lag, deadband and supply are not known better."""
+    """Relative error of the thrust's acceleration by lag, dead band and supply voltage."""
     independent_s: float = 0.3
     """Looks so far apart share no noise."""
     sound: float = 0.05
@@ -94,7 +94,7 @@ class Beliefs:
     common: float = 0.15
     """Errors of the thrust constant, of all thrusters alike."""
     least_gain: float = -0.45
-    """Smallest error of an axis in all: 0.3 less thrust and 0.2 more mass. What is less is a loss."""
+    """Smallest total error of an axis: 0.3 less thrust and 0.2 more mass. Below that it is a fault."""
     gain_wander: float = 0.003
     """Per square root of a second."""
     drag: float = 0.3
@@ -102,7 +102,7 @@ class Beliefs:
     turn: tuple[float, float, float] = (0.25, 0.25, 0.5)
     """Share of the Coriolis terms and of the Munk moment, a difference of masses."""
     arm: float = 0.1
-    """What thrust to the side turns [rad/s^2 per N]: an arm of some cm is not in T_A."""
+    """Yaw by lateral thrust [rad/s^2 per N]: an arm of some cm is not in T_A."""
     lag_s: float = 0.06
     """Of the thrusters and of what is measured."""
     pull_n: float = 1.0
@@ -110,29 +110,29 @@ class Beliefs:
     pull_s: float = 20.0
     """It turns within this time."""
     moment: float = 0.2
-    """What turns the hull besides, [rad/s^2]."""
+    """Yaw disturbance [rad/s^2]."""
     moment_s: float = 3.0
     """It is another within this time."""
     flow_m_s: float = 0.12
-    """The water's velocity against the estimated current, as drag feels it: explains what a lost thruster does not."""
+    """Error of the estimated current in the drag: separates it from a thruster fault."""
     flow_hit_m_s: float = 0.3
-    """The same after a collision: the estimator has taken what held the hull for water."""
+    """The same after a collision: the estimated current contains the contact force."""
     flow_s: float = 6.0
     """It is another within this time."""
     munk: tuple[float, float] = (1.5, 0.8)
     """Munk moment as a multiple of the file's, mean and standard deviation: so much more of the water it feels."""
     push: tuple[float, float, float, float] = (0.02, 0.02, 0.02, 0.07)
-    """What nobody knows."""
+    """Variance of an unknown quantity."""
     push_s: float = 1.5
     """It is another within this time."""
     gate: float = 20.0
-    """Squared distance (4 axes) from all filters beyond which a look tells of a collision, not of thrusters."""
+    """Squared Mahalanobis distance (4 axes) from all filters above which an update is a collision."""
     begin_s: float = 2.0
-    """A new story of each thruster so often."""
+    """Interval of new hypotheses of each thruster."""
     grown_s: float = 3.0
-    """So long a story is listened to."""
+    """Longest age of a hypothesis."""
     most: tuple[float, float] = (1.0, 0.4)
-    """Evidence of one look at most, against and for a story [nats]: what one tug tells is not enough."""
+    """Largest evidence of one update, against and for a hypothesis [nats]: one tug is not enough."""
     most_evidence: float = 40.0
     """Evidence in all at most."""
 
@@ -165,7 +165,7 @@ class LossBank:
     def reset(self) -> None:
         """All thrusters healthy, initial covariance."""
         self.lossy = (False,) * self._n
-        """What filter 0 believes."""
+        """Effectiveness assumed by filter 0."""
         self._x, self._p = self._prior()
         self._begin_all()
 

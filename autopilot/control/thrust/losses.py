@@ -28,7 +28,7 @@ class ThrusterLosses:
         )
         self._ticks = 0
         self._known: tuple[list[float], FloatArray] | None = None
-        """What is told and what is found, of the last look."""
+        """Declared and detected effectiveness at the last update."""
         self._revision = -1
         """Of the parameters at the last look."""
         self.share = np.ones(len(self._names))
@@ -36,9 +36,9 @@ class ThrusterLosses:
         self.shares = (1.0,) * len(self._names)
         """The same."""
         self.problem = ""
-        """What the thrusters that are left do not allow, "" while the vehicle can stay where it is."""
+        """Lost capability, "" while the vehicle can keep its position."""
         self.doubtful: tuple[tuple[str, ...], ...] = ()
-        """Thrusters that do the same of which one is lossy, nobody knows which."""
+        """Redundant thrusters with a fault that is not isolated."""
         self.unseen: tuple[str, ...] = ()
         """Thrusters that have been asked for too little so far: the loss of half of one would not show."""
 
@@ -86,7 +86,7 @@ class ThrusterLosses:
         before = self.share
         found, doubts = found.copy(), [list(redundant) for redundant in self._health.doubtful]
         for redundant in doubts:
-            # What is told of one of them is what was found of all.
+            # A declared loss of one of them explains the detected loss of all.
             if (
                 min(said[redundant_one] for redundant_one in redundant)
                 < lossy_share(found[redundant].tolist()) + LOSSES.same_loss

@@ -25,7 +25,7 @@ from autopilot.core.thrusters import wrench_matrix
 from autopilot.core.vehicle import Vehicle
 
 BEGUN_S = np.arange(0.5, 25.0, 1.0)
-"""So long before it is declared a loss may have begun; the likeliest of these counts."""
+"""Possible starts of a loss before its declaration; the most likely one counts."""
 
 MEANS = np.array([0.75, 1.0, -5.0, -1.0, 0.0])
 SPREADS = np.array([0.4, 0.5, 10.0, 5.0, 3.0])
@@ -77,9 +77,9 @@ class TiltEvidence:
         self._tilt = tilt
         self._looks: deque[tuple[float, FilteredMotion]] = deque(maxlen=REDUNDANCY.kept_looks)
         self.clock_s = 0.0
-        """Sum of the time of all looks."""
+        """Total time of all updates."""
         self.looks = 0
-        """So many there were."""
+        """Number of updates."""
 
     def forget(self, looks: int = REDUNDANCY.kept_looks) -> None:
         for _ in range(min(looks, len(self._looks))):
@@ -137,7 +137,7 @@ def _likelihoods(
     gram[..., 0, 0] = squares
     gram[..., 1:, 1:] = sound.T @ sound
     gram[..., 0, 1:] = gram[..., 1:, 0] = since(lacking[:, :, None] * sound[:, None, :])
-    # What is seen beyond what is believed of everything.
+    # Innovation.
     moved = np.empty((suspects, times, 5))
     moved[..., 0] = since(lacking * rest[:, None]) - MEANS[0] * squares
     moved[..., 1:] = sound.T @ rest - MEANS[0] * gram[..., 0, 1:]

@@ -15,7 +15,7 @@ class ByHandTuning:
     """Cascades: error to rate, rate to acceleration; the trim takes up buoyancy that the vehicle file does not know."""
     yaw_rate_limit_rad_s: float = 0.4
     heave_limit_m_s: float = 0.15
-    """Of the way back to what is held."""
+    """Of the return to the held value."""
     trim_share: float = 0.5
     """Share of the vertical thrust that the trim may use."""
     depth_rate_s: float = 0.3
@@ -54,7 +54,7 @@ class LossBankTuning:
     each: int = 6
     """Stories per thruster, one half of half a thruster, the other of a dead one."""
     unseen: float = 1e6
-    """Variance of an axis that says nothing."""
+    """Variance of an invalid axis."""
 
 
 LOSS_BANK = LossBankTuning()
@@ -65,9 +65,9 @@ class LossesTuning:
     """Constants of :mod:`autopilot.control.thrust.losses`."""
 
     report_every_ticks: int = 50
-    """Twice per second: for the log, and to look anew at what the thrusters allow."""
+    """Twice per second: for the log, and to re-evaluate the capability."""
     submerged: float = 1.5
-    """Above so many half heights of the hull below the surface heave tells nothing of what pushes down."""
+    """Depth in half heights of the hull above which heave is not used."""
     same_loss: float = 0.2
     """What is told of a thruster that gives by so much more than what was found is still the same loss."""
 
@@ -82,13 +82,13 @@ class ThrusterHealthTuning:
     headings: int = 72
     """Headings tried for a hover; a multiple of four, so that abeam is exactly among them."""
     short_n: float = 0.3
-    """So much may lack: short pushes of the others make up for it."""
+    """Tolerated deficit: compensated by short pushes of the others."""
     dead: float = 0.2
     """Below this a thruster is not used at all: five times the pulse for what little it gives, and that uncertain."""
     settled_every: int = 10
-    """After so many looks (1 s) it is asked anew which of several twins is lossy."""
+    """Updates (1 s) between attempts to isolate a fault among redundant thrusters."""
     unlearned_looks: int = 10
-    """So many looks (1 s) are taken back when the estimate ceases to be good."""
+    """Updates (1 s) that are reverted when the estimate degrades."""
 
 
 THRUSTER_HEALTH = ThrusterHealthTuning()
@@ -99,13 +99,13 @@ class RedundancyTuning:
     """Constants of :mod:`autopilot.control.thrust.redundancy`."""
 
     alike: float = 0.2
-    """Columns that differ by less than this share of them are hard to tell apart: 11 degrees."""
+    """Columns with a smaller relative difference are redundant: 11 degrees."""
     kept_looks: int = 400
     """40 s."""
     independent_s: float = 1.5
     """Looks so far apart share no noise: roll and pitch swing."""
     same_arm: float = 1e-3
-    """Arms that differ by less [rad/s^2 per N] tell nothing."""
+    """Smallest usable difference of arms [rad/s^2 per N]."""
     first_noise: float = 0.1
     least_noise: float = 0.03
     """Of the tilt's acceleration [rad/s^2]: guessed before the fit, and at the least after it."""

@@ -27,7 +27,7 @@ from autopilot.core.params import ParamSet
 from autopilot.core.response import Response
 
 HEALTH_PARAMS = tuple(f"THR{i + 1}_HEALTH" for i in range(MAX_THRUSTERS))
-"""What an operator or a speed controller's telemetry tells, in the order of the vehicle file."""
+"""Declared by an operator or an ESC's telemetry, in the order of the vehicle file."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -37,7 +37,7 @@ class Tuning:
     filter_s: float = 0.5
     """Time constant that both sides of the model pass: it quietens gyro and velocity, quick against a manoeuvre."""
     interval_s: float = 0.1
-    """Between two looks."""
+    """Interval of updates."""
     current_s: float = 1.0
     """The estimated current is followed within this time."""
     certain: float = 7.7
@@ -291,7 +291,7 @@ class ThrusterHealth:
             return False
         if lossy != doubt.lossy:
             if bank.lossy == doubt.memory.lossy:
-                # What was learned since then was learned with the wrong one.
+                # Updates since then used the wrong one.
                 bank.recall(doubt.memory)
                 bank.forget_motion()
             bank.swap(doubt.lossy, lossy)
