@@ -46,7 +46,7 @@ PARAMETERS_PER_ASK = 16
 READ_AGAIN_US = 30_000_000
 """Parameters act live and may be changed by the pilot: while disarmed they are read anew."""
 STALE_US = 500_000
-"""Nothing heard for so long: it is silent."""
+"""Timeout without messages."""
 MESSAGE_IDS = {
     "ATTITUDE": 30,
     "RAW_IMU": 27,
@@ -122,7 +122,7 @@ class ArduSub(Closing):
         self._sent_us = 0
         self._standing_down = False
         self._rest = 0
-        """So often 1500 has still to be sent."""
+        """Remaining repetitions of 1500."""
         self._senders = OutputWatch()
         self._seen: tuple[int, tuple[int, ...]] | None = None
         """What is at the servo rail, and when that was reported."""
@@ -180,7 +180,7 @@ class ArduSub(Closing):
         self._command_us, self._rest = None, 0
         wire.close()
 
-    # What it measures
+    # Measurements
 
     def poll(self, t_us: int) -> list[Sample]:
         """Received samples; also sends requests and periodic messages."""

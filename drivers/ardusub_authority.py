@@ -34,7 +34,7 @@ SPOOL_US = 1_050_000
 """From arming to full thrust: half a second of neutral, then half a second (MOT_SPOOL_TIME) in which heave grows."""
 ASK_EVERY_US = 1_000_000
 GIVE_UP_US = 5_000_000
-"""So long it may take to arm."""
+"""Timeout of arming."""
 DISARM_EVERY_US = 250_000
 """A disarming that is waited for is asked for so often,"""
 BEAT_EVERY_US = 100_000
@@ -58,7 +58,7 @@ class AuthorityWatch:
         self.wanted = False
         """By us."""
         self.found_armed = False
-        """It was armed when it was first heard, and has been since."""
+        """It has been armed since its first heartbeat."""
         self.handed_back = False
         """It was left armed on purpose, since we last wanted it."""
         self._first = True
@@ -160,7 +160,7 @@ class AuthorityWatch:
             return False
         if not self.known or self.mode != MANUAL or self._stopped or self.armed == self.wanted:
             return None
-        if not self.wanted and not self._had:  # somebody else armed it: not ours to end
+        if not self.wanted and not self._had:  # armed by another source: not disarmed by us
             return None
         if self.wanted and t_us - self._wanted_us > GIVE_UP_US:
             self._stopped = f"does not arm: {self._refusal or 'no answer'}"

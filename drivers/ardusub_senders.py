@@ -20,7 +20,7 @@ SLOW_TOLERANCE_US = 20
 """Of upright motors behind ArduSub's low-pass of heave, which is not followed to the microsecond: 12 us measured."""
 
 WINDOW = 15
-"""Reports that are looked at together: 0.3 s."""
+"""Window of reports: 0.3 s."""
 WINDOW_US = 1_500_000
 """Of the vehicle's time: reports that come more slowly than 10 Hz are not looked at together."""
 TURNS = 2
@@ -52,7 +52,7 @@ class OutputWatch:
         self.problem = ""
         """What stands at an output instead of what is meant, "" while all is well."""
         self.mismatch_count = 0
-        """Reports that show something else than what was meant."""
+        """Reports that differ from the command."""
 
     def sent(self, t_us: int, servos_us: tuple[int, ...]) -> None:
         """Set the expected outputs."""

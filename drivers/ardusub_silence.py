@@ -18,11 +18,11 @@ SHOWN_US, STILL_US = 20, 4
 """Off neutral by so much a motor turns; by less it stands."""
 ASK_EVERY_US = 1_000_000
 CONTACT_US, ARM_US, PUSH_FOR_US = 10_000_000, 8_000_000, 1_000_000
-"""So long each step may take at most; thrust is held for the last."""
+"""Timeout of each step; thrust is held for the last."""
 SILENT_US = 10_000_000
 """Silence that is long enough."""
 END_US = 3_000_000
-"""So long it may take to disarm."""
+"""Timeout of disarming."""
 
 
 class SilenceStep(Enum):

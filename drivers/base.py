@@ -5,7 +5,7 @@ from types import TracebackType
 from typing import Self
 
 G_M_S2 = 9.80665
-"""Standard gravity: what a pressure is worth in depth, and a g in acceleration."""
+"""Standard gravity, for depth from pressure and acceleration from g."""
 
 
 class Closing(ABC):

@@ -141,7 +141,7 @@ class OpenCvCamera(Closing):
         self._heard_us: int | None = None
         self._last_us = -(1 << 62)
         self.remarks: list[str] = []
-        """What the camera did not accept."""
+        """Settings refused by the camera."""
 
     @property
     def missed(self) -> int:

@@ -16,7 +16,7 @@ if TYPE_CHECKING:  # links are opened before anything heavy is loaded
 T = TypeVar("T")
 
 LOOPBACK = "127.0.0.1"
-"""This machine, for itself only: what an empty host means."""
+"""The loopback interface: default for an empty host."""
 
 
 class Device(Protocol):

@@ -30,7 +30,7 @@ BACKENDS: dict[str, dict[str, str]] = {
 """Kind -> name -> ``module:class``."""
 
 DEVICE_KINDS = tuple(kind for kind in BACKENDS if kind != "link")
-"""What ``[devices]`` may name, one of each."""
+"""Kinds of devices in ``[devices]``, one of each."""
 
 
 def backend_names(kind: str) -> list[str]:

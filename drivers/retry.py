@@ -21,7 +21,7 @@ LONGEST_PAUSE_US = 10_000_000
 """The pause before the next try doubles from the first to the longest."""
 
 SILENT_US = 3_000_000
-"""An open device that has said nothing for so long is silent. The slowest (battery, leak) speak every second."""
+"""Timeout without data. The slowest devices (battery, leak) send every second."""
 
 GIVE_UP_WRITES = 50
 """Writes that fail in a row before an output is opened anew (0.5 s): a single one may be noise on the wire."""

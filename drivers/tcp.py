@@ -21,7 +21,7 @@ MAX_CLIENTS = 8
 MAX_WAITING = 64
 """Length of that queue."""
 GRACE_US = 1_500_000
-"""A connection gets so long to say something (heartbeats of ground stations come every second)."""
+"""Timeout for the first data of a connection (heartbeats of ground stations come every second)."""
 MAX_PENDING = 262_144
 """Bytes that may wait for a slow client before it is cut off (2 s of dense telemetry would be 100 kB)."""
 CONNECT_TIMEOUT_S = 3.0

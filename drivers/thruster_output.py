@@ -50,11 +50,11 @@ class SafeThrusterOutput(Closing):
         self._writes = 0
         self._suspect = False
         self.stale_count = 0
-        """How often the outputs went to neutral because commands stopped coming."""
+        """Number of timeouts of commands."""
         self.clamped_count = 0
         """Pulses that were outside neutral +- span and were cut to it."""
         self.failed_neutral_count = 0
-        """How often not even neutral could be sent; the amplifiers' own timeout is then what stops the thrusters."""
+        """Number of times neutral could not be sent; the amplifiers' own timeout then stops the thrusters."""
 
     @abstractmethod
     def _acquire(self) -> None:

@@ -19,7 +19,7 @@ MAX_DATAGRAM = 2048
 MAX_PER_CALL = 128
 """Datagrams taken from the socket per call, so that a flood cannot hold up the caller (below a millisecond)."""
 MAX_CLIENT_BYTES = 4096
-"""Bytes per call that one client may hand in; what is beyond is dropped."""
+"""Largest number of bytes per call and client; the rest is dropped."""
 MAX_PEERS = 16
 """Clients that a port knows; there is one place more (:mod:`autopilot.drivers.admission`)."""
 FORGET_US = 100_000_000

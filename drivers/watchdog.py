@@ -22,7 +22,7 @@ from autopilot.drivers.thruster_output import SafeThrusterOutput
 from autopilot.drivers.watchdog_process import FAREWELL, HELLO, WatchdogState, hear, listen
 
 TRIES, PAUSE_S = 20, 0.05
-"""How often neutral is tried when it does not get through."""
+"""Attempts to set neutral."""
 
 
 class KeptOutput(SafeThrusterOutput):

@@ -17,16 +17,16 @@ from autopilot.core.own_python import python_command
 
 FAREWELL = 255
 HELLO = 0
-"""Asked of a new keeper before anything is commanded: it answers, and waits for no further beat."""
+"""First request to a new watchdog, before any command: it replies, and expects no further heartbeat."""
 LAST_NUMBER = 250
 """Beats are numbered 1 to this, one byte each, and around again."""
 
 CODE = "from autopilot.drivers.watchdog import main; main()"
 
 HANG_US = 1_000_000
-"""A beat that has been unanswered for so long: the keeper hangs. It answers within a millisecond on an idle machine."""
+"""Timeout of the reply to a heartbeat: the watchdog hangs. It replies within a millisecond on an idle machine."""
 START_US = 30_000_000
-"""The same of the first beat of a new keeper: Python has to load, which takes a second of processor time."""
+"""Timeout of the first reply of a new watchdog: loading Python takes a second of processor time."""
 REPLACE_US = 2_500_000
 """One that has hung for so long is replaced: the new one can answer before the failsafe begins."""
 FIRST_PAUSE_US = 500_000
@@ -62,7 +62,7 @@ class WatchdogState:
         self._well_us: int | None = None
         """Since when it has answered without trouble."""
         self.problem = "is starting"
-        """What is wrong, "" while a keeper answers."""
+        """Problem of the watchdog, "" while it replies."""
         self.failed = False
         """The problem is more than that the first one is starting."""
         self.starts = 0

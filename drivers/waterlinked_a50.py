@@ -25,7 +25,7 @@ from autopilot.drivers.base import Closing
 CONNECT_S = 2.0
 CHUNK = 65536
 MAX_LINE = 65536
-"""Longer than any report: what has no end of line is no JSON."""
+"""Longer than any report: without an end of line it is not JSON."""
 DEAD_US = 3_000_000
 """The device reports several times a second, locked or not: without a byte for so long the connection is dead."""
 MOST_M_S = 10.0

@@ -190,7 +190,7 @@ class AttitudeSource:
         self._watched_us = -WATCH_EVERY_US
         self._apart_since_us: int | None = None
         self.disagreements = 0
-        """How often the AHRS's tilt left its own gyros' and accelerometers'."""
+        """Number of times the AHRS's tilt differed from that of its gyros and accelerometers."""
         self.field_disturbances = 0
         """How often the magnetometer of a device without an attitude of its own was rejected."""
         self.disagrees = False

@@ -13,7 +13,7 @@ ESTIMATORS = {
     "ekf": "autopilot.estimator.ekf:of_context",
     "complementary": "autopilot.estimator.complementary:of_context",
 }
-"""Shipped estimators: name -> what makes one."""
+"""Shipped estimators: name -> factory."""
 
 SHADOW_OF = {"ekf": "complementary"}
 """Who flies in whose shadow; in that of all others the EKF."""

@@ -20,7 +20,7 @@ class Innovation(NamedTuple):
     test_ratio: float
     """Squared distance over its gate, > 1 = to be rejected."""
     gain: FloatArray
-    """(21, m) what a unit of residual moves."""
+    """(21, m) Kalman gain."""
     spread: FloatArray | None
     """(21, m) covariance between state and residual; None where :attr:`after` is known."""
     after: FilterState | None = None

@@ -30,7 +30,7 @@ class FixResidual(NamedTuple):
     z: FloatArray
     """(4,) north, east, down [m], heading [rad]."""
     y: FloatArray
-    """(4,) what it is off the prediction."""
+    """(4,) residual against the prediction."""
     variance: FloatArray
     """(4,) of the fix."""
     drift: FloatArray

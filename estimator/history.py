@@ -14,7 +14,7 @@ from autopilot.estimator.measurement import Measurement, Moment
 from autopilot.estimator.states import FilterState
 
 SPAN_US = 1_000_000
-"""How far back a measurement may lie; older ones are dropped and counted."""
+"""Largest age of a measurement; older ones are dropped and counted."""
 
 
 class Reopening(NamedTuple):

@@ -51,7 +51,7 @@ MODEL_EVERY = 2
 """AHRS samples per update by the vehicle model: 50 Hz."""
 IDLE_THRUST_N = 0.3
 IDLE_SPEED_M_S = 0.03
-"""Below both the vehicle may be moored, held or aground: the model has nothing to say."""
+"""Below both the vehicle may be moored, held or aground: the model is not used."""
 
 SIGMA_M_S2 = 0.06
 """Error of the modelled acceleration: tether, drag and thrust coefficients. For 50 updates per second that share it."""

@@ -12,7 +12,7 @@ CHI2_999 = {1: 10.83, 2: 13.82, 3: 16.27, 4: 18.47}
 
 
 MAX_SIGMA_M = 10.0
-"""A sample that claims a larger standard deviation says nothing worth having."""
+"""Samples with a larger standard deviation are not used."""
 
 
 def chi2_999(freedom: int) -> float:

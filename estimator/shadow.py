@@ -17,16 +17,16 @@ from autopilot.core.samples import AhrsSample, LaserSample, MarkerSighting, Pose
 from autopilot.estimator.protocol import Estimator
 
 SIGMAS = 3.0
-"""Of the difference of two estimates, taken as independent."""
+"""Of the difference of two estimates, treated as independent."""
 POS_FLOOR_M = 0.1
 YAW_FLOOR_RAD = math.radians(5.0)
-"""What is allowed beyond the sigmas: the observer's variances know no correlations."""
+"""Allowance beyond the standard deviations: the observer's variances have no correlations."""
 AHRS_EVERY_US = 25_000
 """The shadow gets AHRS samples that are at least so far apart, every third one at 100 Hz: a third of the cost."""
 EVERY_TICKS = 10
 """The shadow is stepped this often (with the thrust of the last tick): compared ten times a second."""
 AFTER_US = 1_000_000
-"""So long the difference must be too large, or within its bounds again."""
+"""Time for which the difference has to be outside, or inside, its bounds."""
 
 
 class Shadowed:

@@ -30,7 +30,7 @@ CURRENT = slice(11, 13)
 """Velocity of the water, north and east [m/s]."""
 CURRENT_NORTH, CURRENT_EAST = range(CURRENT.start, CURRENT.stop)
 CURRENT_RATE = slice(13, 15)
-"""How fast the current changes at the moving vehicle, north and east [m/s^2]."""
+"""Rate of change of the current at the moving vehicle, north and east [m/s^2]."""
 CURRENT_RATE_NORTH, CURRENT_RATE_EAST = range(CURRENT_RATE.start, CURRENT_RATE.stop)
 HEADING_OFFSET = 15
 """Heading that the AHRS shows minus true heading [rad]."""

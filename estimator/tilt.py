@@ -17,7 +17,7 @@ MAX_SIGMA_RAD = math.radians(0.4)
 MAX_DIFFERENCE_RAD = math.radians(5.0)
 """Larger differences are wrong fixes."""
 FADE_TIME_S = 20.0
-"""Correlation time of the AHRS's error: what is known of it fades with that."""
+"""Correlation time of the AHRS's error: without vision the estimate decays with it."""
 HELD_US = 500_000
 """After so long without a fix the trim does not count as fresh."""
 

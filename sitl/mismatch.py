@@ -42,7 +42,7 @@ MISMATCH_KEYS: dict[str, str] = {
     "tether": "drag and pull of the tether (0 = none)",
     "tether_pull": "its pull alone (0 = none)",
 }
-"""Every factor that a mismatch may hold, and what it multiplies."""
+"""Every factor of a mismatch, with the coefficients it multiplies."""
 
 _MASS_KEYS = ("surge_mass", "sway_mass", "heave_mass")
 _DRAG_KEYS = ("surge_drag", "sway_drag", "heave_drag")

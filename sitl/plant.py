@@ -53,7 +53,7 @@ class Truth:
     rate_frd_rad_s: FloatArray
     """(3,)"""
     accel_frd_m_s2: FloatArray
-    """(3,) specific force: what an accelerometer at the centre of gravity feels, (0, 0, -9.81) at rest."""
+    """(3,) specific force at the centre of gravity, (0, 0, -9.81) at rest."""
     current_ned_m_s: FloatArray
     """(3,) at the centre of gravity."""
     thrust_n: FloatArray
@@ -72,7 +72,7 @@ class Truth:
     max_penetration_m: float
     """Deepest penetration since the start."""
     emerged_m: float
-    """How far the top of the hull stands out of the water, 0 = submerged."""
+    """Height of the hull's top above the surface, 0 = submerged."""
 
 
 class _Instant(NamedTuple):
@@ -82,7 +82,7 @@ class _Instant(NamedTuple):
     """The hull may be closer than NEAR_M to something."""
     water: Water
     force: ForceNed | None
-    """What acts on the hull from outside, None in open water without a tether."""
+    """External force on the hull, None in open water without a tether."""
     change: State | CompiledHull
     """Derivative of the state without thrust, or who keeps it."""
 
@@ -160,7 +160,7 @@ class Plant:
         self._battery.load(self._power_w)
         self._mishaps = ScheduledFaults(mishaps)
 
-    # What happens.
+    # Disturbances and faults.
 
     @property
     def contacts(self) -> tuple[ContactRecord, ...]:
@@ -203,7 +203,7 @@ class Plant:
         while self._t_us < t_us:
             self._step(t_us - self._t_us, pwm_us)
 
-    # What is done to the vehicle.
+    # Faults.
 
     def set_thruster_loss(self, name: str, loss: float) -> None:
         """From now on the thruster of that name gives ``1 - loss`` of its thrust. ConfigError if there is none."""

@@ -14,7 +14,7 @@ from autopilot.sitl.plant import Plant, Truth, build_plant
 from autopilot.sitl.scenario_tables import Scenario, ThrusterLoss
 
 PLANTS = {"rigid-body": "autopilot.sitl.protocol:rigid_body"}
-"""Shipped plants: name -> what makes one."""
+"""Shipped plants: name -> factory."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)

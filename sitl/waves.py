@@ -53,7 +53,7 @@ class Component:
     """Direction in which it runs."""
     east: float
     depth_m: float
-    """Of the floor; infinite = deep water."""
+    """Depth of the floor; infinite = deep water."""
 
     def _shares(self, z: float) -> tuple[float, float, float]:
         """cosh(k (h - z)) / sinh(k h), sinh(k (h - z)) / sinh(k h), cosh(k (h - z)) / cosh(k h)."""

@@ -20,13 +20,13 @@ from autopilot.core.model4 import AXES, AXIS_NAMES, Model4, steady_force
 from autopilot.core.thrusters import Thruster
 
 EXACT = 1e6
-"""How much more a missing force counts than the thrust that would make it."""
+"""Weight of a missing force relative to the thrust that would produce it."""
 
 MADE = 1e-3
 """A force is made when so small a share of it is missing."""
 
 SINGULAR = 1e-6
-"""Axes that differ by less than this share of what thrusters do otherwise are one."""
+"""Relative difference below which axes are treated as one."""
 
 SLOWEST = (0.05, 0.05, 0.02, 0.1)
 """Ahead, sideways, down [m/s] and turning [rad/s]: thrust that cannot keep up so little is none."""
@@ -84,7 +84,7 @@ class ControlAllocator:
     def __init__(self, model: Model4, watts: Sequence[float] | None = None) -> None:
         self._model = model
         self.buoyancy_excess_n = model.buoyancy_excess_n
-        """Buoyancy minus weight [N] that holds the vehicle; set to what it proves to be."""
+        """Buoyancy minus weight [N] in use; set to the estimated one."""
         self._allocation = np.array(model.allocation)
         self._watts = np.ones(model.thrusters) if watts is None else np.array(watts, dtype=float)
         self._all = np.ones(model.thrusters, dtype=bool)

@@ -29,12 +29,12 @@ TIGHT_M = 0.02
 """Cells are halved down to this."""
 
 MAX_CELLS = 40_000
-"""Bound on all cells: what is left then stays coarse."""
+"""Largest number of cells; the rest stays coarse."""
 
 MAX_ROUNDS = 24
 
 SETTLED_M = 5e-4
-"""A place that keeps the radius but for this much is free: doors that are open by a millimetre are found."""
+"""Tolerance of the radius: passages that are open by a millimetre are found."""
 
 BEYOND_M = 2.5e-4
 """Aimed at beyond the radius, for the slope is only that of the nearest boundary."""
@@ -43,7 +43,7 @@ CHORD_LOSS_M = 1e-3
 """By how much the line between two places may cut a corner."""
 
 SETTLE_STEPS = 3
-"""Steps by which a place finds the middle of a door: each brings it away from the nearer side."""
+"""Steps towards the middle of a passage: each moves away from the nearer side."""
 
 COMFORT_STEPS = 2
 """Steps after these by which it goes to where its neighbours see it, if there is room."""
@@ -55,7 +55,7 @@ ONE_BOUNDARY = 0.8
 
 FIRST_ATTACH = 4
 ATTACH = 48
-"""So many of the nearest places are tried for one in sight."""
+"""Number of nearest positions tried for one with a free line."""
 
 KING = ((0, 1), (1, 0), (1, 1), (1, -1), (0, -1), (-1, 0), (-1, -1), (-1, 1))
 
@@ -387,7 +387,7 @@ class _Cells:
     """Cells that have a place; (n,) each."""
 
     level: IntArray
-    """How often the grid's cell was halved."""
+    """Level of subdivision."""
     row: IntArray
     column: IntArray
     """In a grid of that level."""

@@ -16,7 +16,7 @@ KEEP_TICKS = 5
 RETRY_TICKS = 500
 """A write that failed is tried again so many ticks later (5 s), unless a newer state comes before."""
 FINISH_S = 10.0
-"""How long the end of a run waits for a disk that does not answer."""
+"""Timeout for a disk at the end of a run."""
 
 Q = TypeVar("Q")
 

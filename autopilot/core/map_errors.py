@@ -18,9 +18,9 @@ from autopilot.core.frames import FloatArray
 SHEET_SIGMA_M, SHEET_SIGMA_RAD = 0.005, 0.01
 """What ruler and tape reach when sheets are laid: 5 mm, and 3 mm over the half length of an A2 sheet."""
 SHEET_SIGMA_DOWN_M = 0.001
-"""Of a sheet's depth: waves of a floor."""
+"""Standard deviation of a sheet's depth: uneven floor."""
 PRINT_SIGMA_M = 0.0001
-"""Of a marker on its sheet."""
+"""Standard deviation of a marker on its sheet."""
 SAME_M, SAME_RAD = 5e-5, 1e-4
 """Neighbours that fit one grid so well were printed together."""
 REACH = 1.6

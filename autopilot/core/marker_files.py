@@ -50,7 +50,7 @@ class Defaults(Table, frozen=True, kw_only=True):
     sigma_rad: NonNegative | None = None
     """and of their heading."""
     print_sigma_m: NonNegative = PRINT_SIGMA_M
-    """Of a marker's place on its sheet."""
+    """Standard deviation of a marker's position on its sheet."""
 
 
 class MapFrame(Table, frozen=True, kw_only=True):

@@ -54,7 +54,7 @@ class MarkerMap:
     more_dictionaries: tuple[str, ...] = ()
     """Dictionaries number 1 and on."""
     errors: MapErrors | None = None
-    """How wrong it may be; None = it is exact, or defines the frame."""
+    """Its error model; None = exact, or it defines the frame."""
     centers_ned_m: FloatArray = field(init=False)
     """(n, 3)"""
     sizes_m: FloatArray = field(init=False)

@@ -32,13 +32,13 @@ class MavlinkFrame:
     """Index of the link it came from or goes to; -1 = all links."""
     data: bytes
     client: int = EVERYONE
-    """Who of the link: one number per address or connection; EVERYONE also on a link that has one other end."""
+    """Client number on the link, one per address or connection; EVERYONE also on a link with one other end."""
     sender: str = ""
-    """What operators call the client it came from, "" when it goes out or nobody knows."""
+    """Name of the sending client for operators, "" for outgoing or unknown."""
     reach: Reach = Reach.NETWORK
-    """How far away the client is that it came from."""
+    """Whether the sending client is on this machine or in the network."""
     beside: frozenset[int] = frozenset()
-    """Clients of the link that do not get it though it goes to everyone."""
+    """Clients of the link excluded from a broadcast."""
 
     def __repr__(self) -> str:
         """For descriptions of faults, which are logged: without the key of a SETUP_SIGNING."""
@@ -66,31 +66,31 @@ class Inputs:
     overruns: int = 0
     """Ticks that began late so far (real time only), counted by the runtime."""
     cpu_load: float = 0.0
-    """Share of the last second that the loop was busy, 0..1; 0 when nobody measures (lockstep)."""
+    """Load of the loop in the last second, 0..1; 0 if not measured (lockstep)."""
     notices: tuple["Event", ...] = ()
-    """What the runtime has to tell operators (a broken link, a log that cannot be written), as the service's own."""
+    """Messages of the runtime to operators (a broken link, a log that cannot be written)."""
     troubles: tuple["DeviceTrouble", ...] = ()
     """Devices that failed since the last tick."""
     pictures: tuple[PictureReport, ...] = ()
-    """How the camera's pictures of this tick look."""
+    """Statistics of the images of this tick."""
     log_lost: bool = False
-    """What happens is not being recorded though it should be: disk full, gone or too slow."""
+    """The log is incomplete: disk full, gone or too slow."""
     clock_jump_s: float = 0.0
-    """By how much the machine's clock of day has jumped against the one that only counts, since the last tick."""
+    """Jump of the system clock relative to the monotonic clock since the last tick."""
     frame_counts: Mapping[str, int] | None = None
-    """What became of pictures so far, by name (``frames.ok`` ...); None without a camera."""
+    """Counts of images by result (``frames.ok`` ...); None without a camera."""
     below: "FlightControllerState | None" = None
-    """Whether the flight controller below takes our thrust; None without one."""
+    """State of the lower flight controller; None without one."""
     refusals: tuple[str, ...] = ()
-    """What devices have against arming, a line each."""
+    """Reasons of devices against arming, one line each."""
     camera: CameraReport | None = None
-    """How the camera is doing, None = nothing new (or none)."""
+    """State of the camera, None = unchanged (or no camera)."""
     stills: tuple[StoredStill, ...] = ()
-    """What has become of stills that were asked for."""
+    """Results of requested stills."""
 
-    # What the service was asked between ticks and what it asked itself; for the log, a step does not look at it.
+    # Calls between ticks and recorded answers; for the log, not used by a step.
     between: tuple["Between", ...] = ()
-    """What was done with it since the last tick; the frames of it come first in the log's ``mavlink_rx``."""
+    """Calls since the last tick; their frames come first in the log's ``mavlink_rx``."""
     answers: tuple[Note, ...] = ()
     """Answers from outside during the tick and since the one before."""
     faults: tuple[Fault, ...] = ()
@@ -104,18 +104,18 @@ class Between:
     t_us: int | None
     """Time of frames that were served; None = a HEARTBEAT was made for all links."""
     frames: int = 0
-    """How many were received then."""
+    """Number of frames received then."""
 
 
 class Authority(Enum):
     """Who commands a vehicle with a lower flight controller."""
 
     OURS = "ours"
-    """It does what we ask for, or will when armed."""
+    """It follows our commands, or will when armed."""
     PILOT = "pilot"
-    """It is in a mode in which somebody else flies: nothing is asked for until it is given back."""
+    """It is in a pilot's mode: no commands until it is handed back."""
     STOPPED = "stopped"
-    """It is disarmed though it was armed for us, or does not arm."""
+    """It is disarmed although it was armed for us, or does not arm."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -125,20 +125,20 @@ class FlightControllerState:
     t_us: int
     authority: Authority
     acts: bool
-    """Whether thrusters do now what they are commanded."""
+    """Whether the thrusters follow the command now."""
     text: str = ""
-    """Its mode, or why it has stopped."""
+    """Its mode, or the reason for its disarming."""
     problem: str = ""
-    """How its thrusters do something else than what they are commanded, "" while they do not."""
+    """Deviation of its thrusters from the command, "" if there is none."""
     refusals: tuple[str, ...] = ()
-    """Why it would not fly for us, for the arming checks; a line each."""
+    """Reasons against arming, one line each."""
     pulses_us: tuple[int, ...] = ()
     """What the thrusters get while they do not act for us alone (a pilot's, a second sender's, neutral), in the order
     of the vehicle file; empty = not known."""
     armed: bool | None = None
-    """By its heartbeat; None = not known, or asked to disarm and not yet confirmed."""
+    """By its heartbeat; None = unknown, or a disarming that is not confirmed yet."""
     rival: bool = False
-    """Somebody else commands the thrusters beside us."""
+    """A second source commands the thrusters."""
 
 
 class DeviceRole(IntEnum):
@@ -158,7 +158,7 @@ class DeviceTrouble:
     t_us: int
     device: DeviceRole
     text: str
-    """What it says, and what to do."""
+    """Problem and remedy."""
 
 
 # Estimate.
@@ -176,21 +176,21 @@ class NavDoubt(Enum):
     """Findings of the monitors against the estimate or its sensors. One bit each in the log, in this order."""
 
     ACCELEROMETER = "accelerometer"
-    """Not believed: thrust and fixes say another acceleration (or the AHRS's tilt is wrong)."""
+    """Rejected: inconsistent with thrust and fixes (or the AHRS's tilt is wrong)."""
     GYRO = "gyro"
-    """Not believed: compass and fixes say another turning."""
+    """Rejected: inconsistent with compass and fixes."""
     FIXES = "fixes"
-    """They deny the estimate, or have jumped as no vehicle can."""
+    """Inconsistent with the estimate, or an implausible jump."""
     RANGE = "range"
-    """Laser and markers say another height."""
+    """Heights by laser and markers disagree."""
     MAP = "map"
-    """Markers or sheets do not lie where the map has them."""
+    """Markers or sheets are displaced relative to the map."""
     CALIBRATION = "calibration"
     """Residuals show a wrong focal length or late stamps."""
     RESETS = "resets"
-    """The estimate has begun anew again and again."""
+    """Repeated resets of the estimate."""
     CAMERA = "camera"
-    """Not believed: its fixes do not move as gyro and vehicle model say, or have moved the estimate twice."""
+    """Rejected: its fixes are inconsistent with gyro and vehicle model, or have reset the estimate twice."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -216,7 +216,7 @@ class NavState:
     reset_count: int = 0
     """Grows by one when position or yaw jump."""
     doubts: frozenset[NavDoubt] = frozenset()
-    """What speaks against the estimate or its sensors."""
+    """Findings against the estimate or its sensors."""
 
 
 class AidState(IntEnum):
@@ -235,11 +235,11 @@ class MarkerFit:
     known: int
     """Markers of the picture that were matched with the map."""
     used: int
-    """Of these the pose stands on; the others did not fit."""
+    """Markers used for the pose; the others were rejected."""
     rms_px: float
-    """Of the distances of all corners used from their projections."""
+    """RMS reprojection error of the used corners."""
     worst_px: float
-    """The largest of them."""
+    """Largest reprojection error."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -260,7 +260,7 @@ class AidStatus:
     age_s: float
     """Now minus time of validity."""
     fit: MarkerFit | None = None
-    """Of a pose from markers."""
+    """Reprojection residuals of a pose from markers."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -283,9 +283,9 @@ class ShadowStatus:
     vel_difference_frd_m_s: FloatArray
     """(3,) over ground."""
     ratio: float
-    """Largest difference over its bound; above 1 is too much."""
+    """Largest difference over its bound; above 1 is a disagreement."""
     disagrees: bool
-    """It has been too much for a while."""
+    """The ratio has exceeded 1 for a while."""
 
 
 # Decide.
@@ -297,15 +297,15 @@ class VelocityGoal:
 
     north_m_s: float = 0.0
     east_m_s: float = 0.0
-    """Both 0: the goal's place is held."""
+    """Both 0: the goal's position is held."""
     turn_rad_s: float = 0.0
-    """The direction of that velocity turns so fast, to starboard positive."""
+    """Rate of turn of the velocity's direction, positive to starboard."""
     down_m_s: float | None = None
     """None = the goal's depth."""
     yaw_rate_rad_s: float | None = None
     """None = the goal's heading."""
     yaw_trend_rad_s: float = 0.0
-    """So fast the goal's heading itself turns."""
+    """Rate of the goal's heading."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -323,13 +323,13 @@ class Goal:
     seq: int
     """Mission item, -1 when the goal is not of a mission."""
     speed_asked: bool = False
-    """True = the mission or a command asks for that speed and gets it; False = it is a bound."""
+    """True = commanded by mission or command; False = an upper bound."""
     following: "Goal | None" = None
-    """Where it goes on to from here without a stop, None = it stays."""
+    """Next goal without a stop here, None = it stays."""
     drive: VelocityGoal | None = None
-    """How it is to move, None = to the place."""
+    """Velocity to be tracked, None = go to the position."""
     facing_ned_m: FloatArray | None = None
-    """(2,) place that the vehicle looks at wherever it is, None = as ``yaw_rad`` says."""
+    """(2,) point that the heading is directed at, None = ``yaw_rad``."""
 
 
 class ProgressState(IntEnum):
@@ -352,7 +352,7 @@ class MissionProgress:
     reached_seq: int
     """-1 none."""
     lap: int
-    """How often the first DO_JUMP (or the first positional item) has been passed, from 0."""
+    """Number of passes of the first DO_JUMP (or the first positional item), from 0."""
     state: ProgressState
 
 
@@ -381,7 +381,7 @@ class Fallback(IntEnum):
 
 
 FALLBACK_TEXT = "Controller: no solution"
-"""What an operator hears of a fallback begins so."""
+"""Prefix of operator messages about a fallback."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -403,7 +403,7 @@ class NmpcStatus:
     penalty_use: float = 0.0
     """Largest multiplier of a soft limit over the slope of its penalty: at 1 the penalty is no longer exact."""
     lift_n: float = 0.0
-    """Vertical force beyond the vehicle file's buoyancy, as learned; positive pushes up."""
+    """Estimated vertical force beyond the vehicle file's buoyancy, positive up."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -428,9 +428,9 @@ class EnergyPlan:
     energy_j: float
     """To the goal's region, hotel power included."""
     trajectory_s: float
-    """How far it is planned: less than ``eta_s`` when the goal is far away."""
+    """Duration of the planned part: less than ``eta_s`` if the goal is far away."""
     late: int
-    """Plans so far that were not there when they were due."""
+    """Plans so far that were late."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -445,15 +445,15 @@ class ControlOutput:
     route_ned_m: FloatArray
     """(m, 2) the free path that the reference follows, first row = now, last = goal."""
     nominal: FloatArray = field(default_factory=lambda: np.zeros((0, 8)))
-    """(n, 8) predicted states (:mod:`autopilot.core.model4`); where an undisturbed vehicle would be."""
+    """(n, 8) predicted states (:mod:`autopilot.core.model4`) of the undisturbed vehicle."""
     nominal_t_s: FloatArray = field(default_factory=lambda: np.zeros(0))
     """(n,) times of ``nominal`` after ``status.t_us``: the plan begins one thruster lag ahead."""
     tube_m: FloatArray = field(default_factory=lambda: np.zeros(0))
-    """(n,) horizontal distance from ``nominal`` within which the vehicle stays; what limits are tightened by."""
+    """(n,) horizontal radius of the tube about ``nominal``, by which the constraints are tightened."""
     plan: EnergyPlan | None = None
     """On the step on which one came into force."""
     restarted: bool = False
-    """The plan began anew (another route, a jump of the estimate): earlier ones promise nothing any more."""
+    """The plan was restarted (another route, a jump of the estimate): earlier predictions are void."""
     unsolved: tuple[UnsolvedProgram, ...] = ()
     """The first programs of this step that were not solved."""
 
@@ -480,9 +480,9 @@ class ThrusterHealthState:
 
     t_us: int
     effectiveness: FloatArray
-    """(n,) what bounds and allocation go by: what was told and what was found, the smaller."""
+    """(n,) used by bounds and allocation: the smaller of declared and detected."""
     estimate: FloatArray
-    """(n,) the running estimate; errors of mass and drag are in it."""
+    """(n,) the running estimate, including errors of mass and drag."""
     sigma: FloatArray
     """(n,) standard deviation of the estimate."""
 
@@ -569,7 +569,7 @@ class ProcessStats:
     """Resources of the process, once per second."""
 
     rss_bytes: int
-    """Memory that is resident; 0 = the system does not say."""
+    """Resident memory; 0 = unknown."""
     log_queue: int
     """Messages that wait for the writer of the log,"""
     log_queue_bytes: int
@@ -609,7 +609,7 @@ class EstimatorInputs:
     """Inputs of the estimator in one tick beside ``Inputs.samples``, for replay."""
 
     thrust_n: FloatArray
-    """(n,) in the order of the vehicle file: what acted since the last tick, as far as the service knew."""
+    """(n,) thrust assumed to act since the last tick, in the order of the vehicle file."""
     samples: tuple[ExternalPoseSample, ...] = ()
     """Poses that came over MAVLink."""
 
@@ -621,7 +621,7 @@ class Outputs:
     t_us: int
     command: ThrusterCommand
     nav: NavState | None
-    """None until the estimator has initialised itself."""
+    """None until the estimator is initialised."""
     mode: ModeState
     mavlink_tx: tuple[MavlinkFrame, ...] = ()
     aids: tuple[AidStatus, ...] = ()
@@ -631,19 +631,19 @@ class Outputs:
     """Set on the ticks on which the controller ran."""
     progress: MissionProgress | None = None
     counters: NavCounters | None = None
-    """Of the estimator, once per second."""
+    """Counters of the estimator, once per second."""
     shadow: ShadowStatus | None = None
-    """None without an estimator in the shadow of the flown one."""
+    """None without a redundant estimator."""
     thrusters: ThrusterHealthState | None = None
     """Twice per second and when a thruster's health changes."""
     drop_weight: bool = False
     """A failsafe wants the drop weight off."""
     hand_back: bool = False
-    """A failsafe has given the thrusters to whatever is below us; ``command`` is neutral."""
+    """A failsafe has handed the thrusters back to the lower flight controller; ``command`` is neutral."""
     disarm_flight_controller: bool = False
     """The flight controller below is to be disarmed, until its heartbeat shows it."""
     payload: PayloadState | None = None
-    """What gripper, lights, relays and the like get; None on a vehicle without any."""
+    """Commanded state of gripper, lights, relays; None without payload."""
     shots: tuple[int, ...] = ()
     """Numbers of the stills that are to be taken from now on."""
     stills: tuple[StillRecord, ...] = ()

@@ -20,13 +20,13 @@ AXIS_NAMES = ("surge", "sway", "heave", "yaw")
 AXES = len(AXIS_NAMES)
 
 NO_STATE = 1e6
-"""m, m/s, rad: a hundred times what the local frame holds; what is beyond comes of an integration that overflows."""
+"""m, m/s, rad: a hundred times the range of the local frame; larger values are a diverged integration."""
 
 X, Y, Z, YAW, U, V, W, R = range(NX)
 """Indices of the state."""
 
 NO_FORCES = (0.0,) * AXES
-"""Of thrusters that stand still."""
+"""Zero generalised force."""
 
 ABS_SMOOTHING_M2_S2 = 1e-6
 """|a| is taken as sqrt(a^2 + this) so that quadratic drag is differentiable at rest (1 mm/s)."""

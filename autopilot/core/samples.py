@@ -79,7 +79,7 @@ class PictureReport:
 
 
 MAX_SIGHTED = 64
-"""Markers that one sighting holds, as a logged one does: a replay has what the flight had."""
+"""Largest number of markers of one sighting, as in the log: a replay has the flight's data."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -94,7 +94,7 @@ class MarkerSighting:
     laser_px: FloatArray | None
     """(2,) the laser dot, None if not found."""
     sigma_px: FloatArray | None = None
-    """(n,) standard deviation of each marker's corners along an axis, judged by the image; None = not known."""
+    """(n,) standard deviation of each marker's corners per axis, from the image; None = unknown."""
     decode_us: int = 0
     """Time that detection took, for the log."""
 
@@ -127,10 +127,10 @@ class AltimeterSample:
 
     t_us: int
     range_m: float
-    """To the nearest thing within its beam."""
+    """Distance of the nearest echo within the beam."""
     sigma_m: float
     confidence: float = 1.0
-    """0..1, how sure the device is that it is an echo."""
+    """0..1, the device's confidence in the echo."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -139,7 +139,7 @@ class DepthSample:
 
     t_us: int
     depth_m: float
-    """Of the sensor below the surface, positive down."""
+    """Depth of the sensor below the surface, positive down."""
     sigma_m: float
 
 
@@ -166,9 +166,9 @@ class ExternalFrame(IntEnum):
     """Local frame of an external pose."""
 
     NED = 0
-    """Ours: north, east, down from the local origin at the surface."""
+    """North, east, down from the local origin at the surface."""
     FRD = 1
-    """Level, down is down, but origin and direction of its x axis are the source's own."""
+    """Level (z down), with origin and direction of the x axis defined by the source."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -180,7 +180,7 @@ class ExternalPoseSample:
     """(3,) of the tracked point, in ``frame``."""
     yaw_rad: float
     covariance: FloatArray | None
-    """(4, 4) of position and yaw, None = the source does not know."""
+    """(4, 4) of position and yaw, None = unknown."""
     frame: ExternalFrame = ExternalFrame.NED
     reset_counter: int = 0
     """Changes when the source's pose has jumped."""
@@ -207,7 +207,7 @@ class LeakSample:
 
 
 MAX_VOLTAGE_V, MAX_CURRENT_A, MAX_ENERGY_J = 1e3, 1e4, 1e12
-"""Beyond these no battery is read, a wire is broken."""
+"""Readings beyond these are a wiring fault."""
 
 
 def plausible(power: PowerSample) -> bool:
@@ -226,9 +226,9 @@ class HullSample:
 
     t_us: int
     pressure_pa: float | None
-    """Absolute, None = this device does not measure it."""
+    """Absolute, None = not measured."""
     temperature_c: float | None
-    """The same."""
+    """None = not measured."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -244,7 +244,7 @@ class ObstacleTrack:
 
     t_us: int
     track_id: int
-    """Same obstacle, same number."""
+    """Identifies the obstacle."""
     pos_ned_m: FloatArray
     """(2,) north, east of its axis."""
     vel_ned_m_s: FloatArray

@@ -18,7 +18,7 @@ class SensorRow:
     measures: str = ""
     """What it measures, for the doctor; "" = nothing that he looks at."""
     samples: tuple[str, ...]
-    """What it says: classes of :mod:`autopilot.core.samples`."""
+    """Its samples: classes of :mod:`autopilot.core.samples`."""
     reading: str = ""
     """Attribute of a sample whose last digits are noise: one that repeats itself has said nothing new."""
     drivers: Mapping[str, str] = field(default_factory=dict)

@@ -108,29 +108,29 @@ class Beliefs:
     pull_n: float = 1.0
     """Force from a fixed direction: a tether."""
     pull_s: float = 20.0
-    """It turns within this time."""
+    """Correlation time of its direction."""
     moment: float = 0.2
     """Yaw disturbance [rad/s^2]."""
     moment_s: float = 3.0
-    """It is another within this time."""
+    """Correlation time."""
     flow_m_s: float = 0.12
     """Error of the estimated current in the drag: separates it from a thruster fault."""
     flow_hit_m_s: float = 0.3
     """The same after a collision: the estimated current contains the contact force."""
     flow_s: float = 6.0
-    """It is another within this time."""
+    """Correlation time."""
     munk: tuple[float, float] = (1.5, 0.8)
     """Munk moment as a multiple of the file's, mean and standard deviation: so much more of the water it feels."""
     push: tuple[float, float, float, float] = (0.02, 0.02, 0.02, 0.07)
-    """Variance of an unknown quantity."""
+    """Unmodelled disturbance of each axis [m/s^2, rad/s^2]."""
     push_s: float = 1.5
-    """It is another within this time."""
+    """Correlation time."""
     gate: float = 20.0
     """Squared Mahalanobis distance (4 axes) from all filters above which an update is a collision."""
     begin_s: float = 2.0
     """Interval of new hypotheses of each thruster."""
     grown_s: float = 3.0
-    """Longest age of a hypothesis."""
+    """Age from which a hypothesis may be restarted."""
     most: tuple[float, float] = (1.0, 0.4)
     """Largest evidence of one update, against and for a hypothesis [nats]: one tug is not enough."""
     most_evidence: float = 40.0

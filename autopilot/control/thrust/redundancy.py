@@ -137,7 +137,7 @@ def _likelihoods(
     gram[..., 0, 0] = squares
     gram[..., 1:, 1:] = sound.T @ sound
     gram[..., 0, 1:] = gram[..., 1:, 0] = since(lacking[:, :, None] * sound[:, None, :])
-    # Innovation.
+    # Right-hand side of the normal equations, relative to the prior means.
     moved = np.empty((suspects, times, 5))
     moved[..., 0] = since(lacking * rest[:, None]) - MEANS[0] * squares
     moved[..., 1:] = sound.T @ rest - MEANS[0] * gram[..., 0, 1:]
