@@ -121,7 +121,7 @@ class SilenceTest:
             self._reports = 0
             self._wire.interval(SERVO_ID, SERVO_HZ)
         if self._mode is not None and self._armed:
-            self.problem = "it is armed already: disarm it"  # by somebody else, who keeps it
+            self.problem = "it is armed already: disarm it"  # by another source, which keeps it armed
             self._step = SilenceStep.DONE
         elif self._mode is not None and self._mode != MANUAL:
             self._give_up(t_us, "it is not in MANUAL: switch it")

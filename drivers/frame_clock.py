@@ -153,7 +153,7 @@ def _find(times_us: FloatArray) -> _Line | None:
         return None
     beat_us, order = float(beats_us[good[-1]]), float(orders[good[-1]])
     phase = float(np.angle(phasors[good[-1]])) / (2.0 * math.pi)
-    # Of a normal distribution round a circle: order = exp(-(2 pi sigma)^2 / 2).
+    # Wrapped normal distribution: order = exp(-(2 pi sigma)^2 / 2).
     sigma_us = max(math.sqrt(max(-2.0 * math.log(order), 0.0)) / (2.0 * math.pi), 0.01) * beat_us
     line: _Line | None = _Line(begin_us + phase * beat_us, beat_us, sigma_us)
     for _ in range(3):

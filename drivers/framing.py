@@ -109,7 +109,7 @@ class FrameParser(ABC, Generic[F]):
             if size is None or frame is None:
                 self.bad_frames += 1
                 self.skipped += len(sync)
-                at += len(sync)  # not the whole frame: the size itself may be what is damaged
+                at += len(sync)  # not the whole frame: the size itself may be damaged
                 continue
             frames.append(frame)
             at += size

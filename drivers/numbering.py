@@ -45,7 +45,7 @@ def renumbered(frame: bytes, number: int) -> bytes:
     change = frame[_NUMBER_AT] ^ number
     if not change:
         return frame
-    unchanged = len(frame) - _CRC_BYTES - _NUMBER_AT  # what follows the number, and CRC_EXTRA
+    unchanged = len(frame) - _CRC_BYTES - _NUMBER_AT  # the bytes after the number, and CRC_EXTRA
     # The standard library has MAVLink's polynomial with the bits in the other order.
     mirrored = binascii.crc_hqx(MIRRORED[change : change + 1] + bytes(unchanged), 0)
     low, high = MIRRORED[mirrored >> 8], MIRRORED[mirrored & 0xFF]

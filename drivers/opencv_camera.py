@@ -118,7 +118,7 @@ class _Grabber:
                 with self._lock:
                     self.missed += self._newest is not None
                     self._newest = grabbed_us, beat_us, image
-        except Exception as error:  # noqa: BLE001 - OpenCV raises errors of its own; the loop is told by poll
+        except Exception as error:  # noqa: BLE001 - OpenCV raises errors of its own; poll reports them to the loop
             self.failed = str(error) or type(error).__name__
         finally:
             self._capture.release()
@@ -155,7 +155,7 @@ class OpenCvCamera(Closing):
         import cv2
 
         options, backend = self._options, self._options.chosen
-        # What OpenCV would print at every attempt stands in our own error.
+        # Our own error contains what OpenCV would print at every attempt.
         cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
         times = [cv2.CAP_PROP_OPEN_TIMEOUT_MSEC, TIMEOUT_MS, cv2.CAP_PROP_READ_TIMEOUT_MSEC, TIMEOUT_MS]
         params = times if backend == "ffmpeg" else []

@@ -61,7 +61,7 @@ class Pca9685(KeptOutput):
         kept: bool | None = None,
     ) -> None:
         """``kept``: whether a watchdog process is used; None = on a real bus."""
-        # The line of the output enable stays with whoever has it: the keeper has the bus only.
+        # The output enable line stays with its owner: the watchdog has the bus only.
         told = msgspec.structs.replace(options, enable_line=None)
         spare = {
             output.channel: index

@@ -41,7 +41,7 @@ class _TcpConnection:
         connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         connection.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
         for name, value in _KEEPALIVE.items():
-            if hasattr(socket, name):  # not every system has all of them
+            if hasattr(socket, name):  # not available on every system
                 connection.setsockopt(socket.IPPROTO_TCP, getattr(socket, name), value)
         self._socket = connection
         self._cutter = FrameCutter()
@@ -183,7 +183,7 @@ class TcpServer:
                 return
             try:
                 connection, address = self._listener.accept()
-            except (OSError, ValueError):  # nobody there, or closed
+            except (OSError, ValueError):  # no server, or closed
                 return
             self._numbers += 1
             try:

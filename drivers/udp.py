@@ -171,7 +171,7 @@ class _Udp:
                 received.append(self._socket.recvfrom(MAX_DATAGRAM))
             except BlockingIOError:
                 break
-            except ConnectionError:  # an earlier datagram found nobody: says nothing about this direction
+            except ConnectionError:  # ICMP error of an earlier datagram: unrelated to this direction
                 continue
             except OSError:  # closed, or the network is down
                 break

@@ -93,7 +93,7 @@ def main() -> None:
             return
         if heard:
             moving = moving or any(number != HELLO for number in heard)
-            with contextlib.suppress(OSError):  # it does not listen now, or has ended, which is heard next
+            with contextlib.suppress(OSError):  # it is not reading now, or has ended, which the next read shows
                 line.send(heard[-1:])
             continue
         _stop(output)

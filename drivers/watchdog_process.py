@@ -78,7 +78,7 @@ class WatchdogState:
         self.starts += 1
         try:
             self._coming = self._executor.submit(_start, self._request)
-        except RuntimeError as error:  # no thread to be had; the lane keeps the job
+        except RuntimeError as error:  # no thread available; the queue keeps the job
             self._executor, self._coming = DaemonExecutor("keeper"), Future()
             self._coming.set_exception(OSError(str(error)))
 
@@ -203,7 +203,7 @@ def _start(request: bytes) -> _Running:
     finally:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
         its.close()
-    with contextlib.suppress(OSError):  # it has ended: found out by whoever looks
+    with contextlib.suppress(OSError):  # it has ended: detected by the next look()
         ours.sendall(request)
     ours.setblocking(False)
     return process, ours

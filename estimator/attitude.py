@@ -148,7 +148,7 @@ class AttitudeFilter:
         north, east, down = turned(self._levelling, second)
         size = math.sqrt(north * north + east * east + down * down)
         if size > MIN_FORCE_M_S2:
-            # The turn that lays what is felt as up, -down, onto the axis.
+            # The rotation that aligns the measured vertical (-down) with the axis.
             half = math.sqrt(max(0.0, 0.5 - 0.5 * down / size))
             if half > 1e-6:
                 x, y = -0.5 * east / (size * half), 0.5 * north / (size * half)

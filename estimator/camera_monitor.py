@@ -41,7 +41,7 @@ def focal_estimate(
     ``pixels`` (m, 2) of the detected corners, ``residual_px`` (2m,) measured minus fitted, and its ``jacobian`` (2m,
     k) with respect to all fitted parameters. None for a lens without distortion, which makes it unobservable.
     """
-    # Of the corners as fitted: those seen hold the noise of the residuals, all the pattern that a straight lens has.
+    # At the fitted corners: measured ones contain the noise of the residuals, the only pattern without distortion.
     fitted = (pixels - np.array(camera.center_px)).reshape(-1) - residual_px
     both = np.column_stack((fitted, residual_px))
     across, *_ = np.linalg.lstsq(jacobian, both, rcond=None)

@@ -83,7 +83,7 @@ class AidedEstimator(Estimator):
         self._ahrs_offset_us = round(1e6 * vehicle.ahrs.time_offset_s)
         self._trim = TiltTrim()
         self._thrust = ThrustLag(vehicle.thrusters)
-        # What watches over them.
+        # Monitors.
         trust = self._sources.markers.trust
         camera = vehicle.camera or NO_CAMERA
         self._latency_s = camera.latency_s

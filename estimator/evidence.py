@@ -63,7 +63,7 @@ class Evidence(Monitor):
     def note_jump(self, t_us: int, miss: FloatArray) -> None:
         """Fixes that were used without a break have moved by ``miss`` (4,) [m, rad], and no sensor has felt it."""
         if float(np.linalg.norm(miss[:3])) > EVIDENCE.jump_m or float(miss[3]) > EVIDENCE.jump_rad:
-            # A wrong heading turns the way that is still to come.
+            # A heading error grows into a position error along the further path.
             across = math.hypot(miss.item(0), miss.item(1), EVIDENCE.jump_way_m * min(miss.item(3), 1.0))
             self._jump_us, self._jump_m_rad = t_us, np.array([across, across, miss.item(2), miss.item(3)])
             self.jumps += 1

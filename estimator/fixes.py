@@ -87,7 +87,7 @@ class Fixes:
             may_move = trust.may_reset(now_us, agreeing) and (not gap or near)
             wrong = self._imu.since_us is None and not may_move
         if from_camera and wrong:
-            # It shows another place or time: what its fixes have denied so far they have denied wrongly.
+            # It shows another position or time: the evidence of its fixes so far is void.
             trust.suspect(now_us)
             self._evidence.forgive()
         elif not denied:

@@ -75,7 +75,7 @@ class GyroBias:
             return
         self._age_s += self._time_s
         turn = np.array(rows(level_from_body))
-        # Beside each row of the rotation what it makes of the bias that was taken off.
+        # Beside each row of the rotation its product with the subtracted bias.
         now = np.column_stack([turn, turn @ self.rad_s])
         share = max(1.0 - math.exp(-self._time_s / self._stage_s), self._time_s / self._age_s)
         first, second = self._slow or (now[:2], now[:2])

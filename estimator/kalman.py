@@ -121,7 +121,7 @@ class KalmanCore:
             residual=measurement.residual,
         )
         ratio = kf.mahalanobis**2 / CHI2_999[len(kf.y)]
-        if sheets is not None:  # considered, not corrected: this says next to nothing of them
+        if sheets is not None:  # consider states, not updated: almost no information about them
             sheets = sheets._replace(cross=sheets.cross - kf.K.dot(h.dot(sheets.cross)))
         after = FilterState(kf.x, symmetric(kf.P), sheets)
         update = None if sheets is not None else PastUpdate(kf.K, h, kf.S, kf.y)

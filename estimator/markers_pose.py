@@ -185,7 +185,7 @@ class MarkerSolver:
                 mine = (taken >= 0) & (self._errors.sheet[taken] == sheet)
                 arm = self._centers_m[taken[mine]] - self._errors.pivot_ned_m[sheet, :2]
                 moved[mine] = offset[k, :2] + offset[k, 3] * np.column_stack((-arm[:, 1], arm[:, 0]))
-            # Of sheets that are not in the pose nothing is known.
+            # No information about sheets that are not in the pose.
             unknown = (taken >= 0) & ~np.isin(self._errors.sheet[taken], (-1, *fix.ground.sheets))
         else:
             unknown = np.zeros(len(taken), dtype=bool)

@@ -132,7 +132,7 @@ class CornerFit(ABC):
             if settled:
                 fits = corners_that_fit(self._left / self._expected)
                 if not ((fits == self._keep).all() or step == PNP.steps - 1):
-                    self._keep = fits  # so near, the derivatives are what they were
+                    self._keep = fits  # converged: the derivatives have not changed
                     continue
             self._move(delta)
             if settled:

@@ -26,7 +26,7 @@ def refined_map(markers: MarkerMap, states: SheetStates | None) -> MarkerMap:
     frame, own = _frame_and_own(pivots[list(states.which)], sigma[list(states.which)], states)
     scales = laid_scales(*known_sheets(errors, states))
     frame = frame * scales[[0, 2, 3]]
-    if markers.level:  # depths stay as they were laid, and so does what is said of them
+    if markers.level:  # depths and their accuracies stay unchanged
         frame[1], own[:, 2] = 0.0, sigma[list(states.which), 2]
     for k, sheet in enumerate(states.which):
         north, east, down, turn_rad = states.offset[STATES * k : STATES * (k + 1)].tolist()

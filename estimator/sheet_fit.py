@@ -247,7 +247,7 @@ def _pieces(
     """The two independent pieces: pose given the offsets, and the offsets alone."""
     size = len(offset)
     rest = np.array([*KEPT, *range(7, 7 + size)])
-    # Tilt and blur are nobody's: taken out with their priors.
+    # Tilt and blur are nuisance parameters: marginalised with their priors.
     mixed = information[np.array(NUISANCE)[:, None], rest]
     held = np.linalg.solve(information[_NUISANCE], mixed)
     less = information[rest[:, None], rest] - mixed.T @ held

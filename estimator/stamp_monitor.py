@@ -137,7 +137,7 @@ class StampMonitor:
         before_s = self.late_s
         sudden = self._usual_heading.count >= STAMP_MONITOR.settled_count and self._against(window) > STAMP_MONITOR.sure
         changed = self._judge(cost)
-        if fresh == 1.0 and (changed or not sudden):  # what may be of the newest fixes alone is not kept
+        if fresh == 1.0 and (changed or not sudden):  # evidence that may be of the newest fixes alone is not kept
             keep = math.exp(-1e-6 * (now_us - self._last_us) / STAMP_MONITOR.forget_s) if self._last_us else 0.0
             self._old = keep * (self._old + self._last)
             self._last, self._last_us = window, now_us
@@ -222,7 +222,7 @@ class StampMonitor:
         yaw = np.unwrap(fixes[:, 3])
         known_s = at_s - self.late_s
         one, since = np.ones(len(at_s)), at_s - at_s.mean()
-        # The last column is that of no delay at all: what the fixes show by themselves.
+        # The last column is without any delay: the motion in the fixes themselves.
         by_delay = yaw[:, None] - np.interp(true_s, t_s, turned)
         heading = _Fit(np.column_stack((one, since)), np.column_stack((by_delay, yaw)))
         psi = turned + float(np.median(yaw - np.interp(known_s, t_s, turned)))
@@ -364,7 +364,7 @@ class _Fit:
         if self._squares[known] + n * floor * floor <= 1.1 * least:
             return False
         first = self._without(others)
-        both, second = first[:, :-1], first[:, 1:]  # what begins between two fixes is a mixture of two that begin there
+        both, second = first[:, :-1], first[:, 1:]  # an onset between two fixes is a mixture of onsets at both
         rest = self._rest[:, known]
         a, b, c = (np.einsum("ij,ij->j", x, y) for x, y in ((both, both), (both, second), (second, second)))
         by_first, by_second = both.T @ rest, second.T @ rest

@@ -135,7 +135,7 @@ class MarkerDetector:
         dictionary = self._words(words)
         smooth = _smoothed(grey, VISION.hazy_smooth_px[0][0]) if hazy else cv2.GaussianBlur(grey, (3, 3), 0.0)
         found = _quads(smooth, dictionary, _acquiring(max(grey.shape), hazy))
-        # What is small or pale is lost by smoothing. What has been found need not be identified again.
+        # Smoothing removes small or pale markers. Those found need not be identified again.
         rest = cv2.fillPoly(grey.copy(), np.round(found.quads).astype(np.int32), 255.0) if len(found.ids) else grey
         again = _quads(rest, dictionary, _acquiring_small(max(grey.shape), hazy))
         found = found.with_new(again)
@@ -211,7 +211,7 @@ def _missing_areas(
     height, width = shape
     if not len(found.ids):
         return [(0, 0, width, height)]
-    # Of each found marker the nearest of its id among those predicted.
+    # Associate each found marker with the nearest predicted one of its id.
     apart = found.quads.mean(axis=1)[:, None, :] - predicted.mean(axis=1)[None, :, :]
     far = np.where(found.ids[:, None] == ids[None, :], (apart * apart).sum(axis=2), np.inf)
     nearest = far.argmin(axis=1)
@@ -239,7 +239,7 @@ def _moved(predicted: FloatArray, which: IntArray, quads: Any) -> tuple[FloatArr
     have = (predicted[..., 0] + 1j * predicted[..., 1])[which]
     want = (quads[..., 0] + 1j * quads[..., 1]).astype(np.complex128)
     good = np.ones(len(have), dtype=bool)
-    for _ in range(2):  # the second time without what does not move with the others
+    for _ in range(2):  # the second time without outliers
         origin, target = have[good].mean(), want[good].mean()
         power = np.square(np.abs(have[good] - origin)).sum()
         turn = (np.conj(have[good] - origin) * (want[good] - target)).sum() / power

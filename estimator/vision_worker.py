@@ -130,7 +130,7 @@ class VisionWorker:
                 sighting = self._pending.popleft().sighting.result()
                 self._found = len(sighting.ids) > 0
                 found.append(sighting)
-            except Exception as error:  # noqa: BLE001 - what is not OpenCV's word on a picture goes to the guard
+            except Exception as error:  # noqa: BLE001 - errors other than OpenCV's go to the guard
                 self.failed += 1
                 if not isinstance(error, cv2.error):
                     self.guard.t_us = t_us

@@ -64,7 +64,7 @@ def state_line(truth: Truth, t_s: float, floor_m: float | None) -> bytes:
     if floor_m is not None:
         upright = math.cos(float(truth.rpy_rad[0])) * math.cos(float(truth.rpy_rad[1]))
         state["rng_1"] = max(0.0, floor_m - float(truth.pos_ned_m[2])) / max(0.1, upright)
-    # ArduPilot looks for names without a space behind their colon, and for lines.
+    # ArduPilot's parser needs no space after a colon, and one line per message.
     return b"\n" + json.dumps(state, separators=(",", ":")).encode() + b"\n"
 
 

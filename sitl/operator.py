@@ -43,7 +43,7 @@ class ScriptedOperator:
                     self._hear(message)
         out: list[bytes] = []
         if self._sent_us is None:
-            self._sent_us = t_us  # who looks first sees that a vehicle needs a second to hear of its sensors
+            self._sent_us = t_us  # the vehicle needs a second until its sensors have reported
         if t_us - self._heartbeat_us >= OPERATOR.heartbeat_us:
             self._heartbeat_us = t_us
             out.append(self._pack(self._mav.heartbeat_encode(6, 8, 0, 0, 4)))

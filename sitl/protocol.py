@@ -104,7 +104,7 @@ def create_plant(name: str, context: PlantContext, asked_by: str | None = None) 
 
 
 def find_plant(name: str, asked_by: str | None = None) -> Plugin:
-    """Where the plant of that name comes from. ConfigError if there is none."""
+    """Locate the plant of that name without constructing it. ConfigError if there is none."""
     return find_plugin("plant", name, PLANTS, asked_by)
 
 

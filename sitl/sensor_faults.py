@@ -97,7 +97,7 @@ class OpticalFaults:
                     height_m = floor_depth_m - float(position[2] + r[2] @ camera_frd_m)
                     position = position + np.array([0.0, 0.0, height_m * (1.0 - 1.0 / fault.focal_factor)])
                 continue
-            # The camera's own pose is seen right; the vehicle hangs on it by the mounting that is believed.
+            # The camera's pose is measured correctly; the vehicle's follows by the assumed mounting.
             lens = camera_frd_m + np.array(fault.position_m)
             believed = r @ r_ned_from_frd(np.array(fault.rpy_rad))
             position = position + r @ lens - believed @ camera_frd_m

@@ -82,9 +82,9 @@ class BackgroundTask(Generic[A]):
         self.open = False
         try:
             return TaskResult(value=self._work() if future is None else self._worker.wait(future))
-        except CancelledError:  # the desk was closed
+        except CancelledError:  # the worker was closed
             return None
-        except Exception as error:  # noqa: BLE001 - the work's own; whoever asked decides what it means
+        except Exception as error:  # noqa: BLE001 - the task's own; handled by the caller
             return TaskResult(value=None, error=error)
 
     def cancel(self) -> None:

@@ -63,7 +63,7 @@ def _work(jobs: "queue.SimpleQueue[Job | None]") -> None:
     """The thread: it references the queue, not the executor, which can be collected while it waits."""
     while (job := jobs.get()) is not None:
         _do(*job)
-        del job  # with what it was done for: the next one may be long in coming
+        del job  # releases its references: the next job may come much later
 
 
 def _do(future: Future[Any], call: Callable[[], Any]) -> None:
@@ -71,7 +71,7 @@ def _do(future: Future[Any], call: Callable[[], Any]) -> None:
         return
     try:
         result = call()
-    except BaseException as error:  # noqa: BLE001 - it belongs to whoever asked
+    except BaseException as error:  # noqa: BLE001 - handled by the caller
         future.set_exception(error)
     else:
         future.set_result(result)

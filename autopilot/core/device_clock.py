@@ -115,7 +115,7 @@ class DeviceClock:
         if abs(error) > self._lost_us():
             arrived_us = arrival_us - self._arrival_us
             even = (known and self._even(step_us, usual_us)) or abs(arrived_us - step_us) < 0.5 * LOST_US
-            if self._seen < SETTLED and (error < 0.0 or not even):  # what lay in a buffer at the start came late, too
+            if self._seen < SETTLED and (error < 0.0 or not even):  # samples buffered at the start are late as well
                 self._anchor(difference)
                 return arrival_us
             # Samples that are lost within a late burst make uneven steps as well, but not such as it is off by.

@@ -89,7 +89,7 @@ class LatestValueWriter(Generic[Q]):
             if not wait((future,), timeout_s).done:
                 return TimeoutError("disk does not answer")
             future.result()
-        except Exception as error:  # noqa: BLE001 - whatever keeps it from the disk, the end of the run goes on
+        except Exception as error:  # noqa: BLE001 - no failure of the disk may stop the shutdown
             return error
         return None
 

@@ -123,7 +123,7 @@ class MarkerMap:
         if far_rad > FLATTEST_RAD:
             return float(eye_ned_m[0]), float(eye_ned_m[1]), math.inf
         aside_m = camera.view_offset_m * (1.0 + math.tan(far_rad))
-        if not self.level:  # what lies higher is seen nearer to below the camera
+        if not self.level:  # higher markers appear closer to the nadir
             return float(eye_ned_m[0]), float(eye_ned_m[1]), height_m * math.tan(far_rad) + aside_m
         reach_m = height_m / float(axis_ned[2])
         radius_m = height_m * (math.tan(far_rad) - math.tan(tilt_rad)) + aside_m

@@ -341,7 +341,7 @@ class ParamSet(Mapping[str, float]):
         return MappingProxyType(self._values)
 
     def spec(self, name: str) -> ParamSpec:
-        """Declaration of a parameter; ConfigError if there is none of that name."""
+        """Declaration of a parameter. ConfigError if there is none of that name."""
         if name not in self._specs:
             raise ConfigError(f"parameter {name!r} does not exist; `autopilot params list` shows all names")
         return self._specs[name]

@@ -54,7 +54,7 @@ class Plugin:
             kind = type(given).__name__
             raise self._error(f"is called with one {kind}, which it does not take ({error}); see {PAGE}") from error
         except ValueError:
-            pass  # a callable that does not say what it takes
+            pass  # a callable without a signature
         try:
             made = self.call(given)
         except AutopilotError:
@@ -102,9 +102,17 @@ def plugin_names(kind: str, shipped: Mapping[str, str] | tuple[str, ...]) -> lis
 
 
 def find_plugin(kind: str, name: str, shipped: Mapping[str, str], asked_by: str | None = None) -> Plugin:
-    """The plugin of that name. ``shipped``: name -> ``module:attribute``. ConfigError if there is none.
+    """Locate the plugin of that name.
 
-    Shipped names take precedence over installed packages.
+    Parameters
+    ----------
+    shipped
+        Name -> ``module:attribute``; these names take precedence over installed packages.
+
+    Raises
+    ------
+    ConfigError
+        There is none of that name.
     """
     asked_by = asked_by or f"--{kind}"
     entry = None if name in shipped else _installed(kind).get(name)

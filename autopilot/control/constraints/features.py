@@ -191,7 +191,7 @@ def _edges(polygons: list[tuple[FloatArray, bool]]) -> PolygonEdges:
     following = v[ring.after]
     ab, before = following - v, v - v[ring.before]
     free_left = np.where(inside, 1.0, -1.0)[ring.number]
-    # A corner hides what is behind it where the boundary turns towards the free side.
+    # A corner that is convex towards the free side hides the boundary behind it.
     begin_hides = (np.conj(before) * ab).imag * free_left > 0.0
     length = np.abs(ab)
     center: ComplexArray = np.zeros(0, dtype=complex)

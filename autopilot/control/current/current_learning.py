@@ -73,7 +73,7 @@ class FlowFit:
             compiled.fitting("pull", self.pull, 2, cells),
             compiled.fitting("mean_m_s", self.mean_m_s, 2),
         )
-        # Frozen: what is derived is set past the guard.
+        # Frozen dataclass: derived fields are set by object.__setattr__.
         object.__setattr__(self, "addresses", addresses)
 
     def flow(self, places: FloatArray) -> FloatArray:

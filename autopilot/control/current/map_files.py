@@ -59,7 +59,7 @@ def read_variables(path: Path) -> dict[str, Variable]:
 
 def _read_npz(path: Path) -> dict[str, Variable]:
     try:
-        # Of a damaged archive numpy closes nothing.
+        # numpy does not close a damaged archive.
         with path.open("rb") as raw, np.load(raw, allow_pickle=False) as archive:
             arrays = {name: archive[name] for name in archive.files}
     except (OSError, ValueError, EOFError, zipfile.BadZipFile) as error:

@@ -236,5 +236,5 @@ class _MapReader:
                 " reorder or complete it"
             )
         full = [lengths[i] if i in wanted else 1 for i in range(4)]
-        # What does not change along an axis is the same all along it.
+        # A variable without an axis is constant along it.
         return np.broadcast_to(values.reshape(full), [max(length, 1) for length in lengths])

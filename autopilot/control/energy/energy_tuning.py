@@ -56,7 +56,7 @@ class EnergyGuidanceTuning:
     replan_steps: int = 40
     """Plans are brought up to date at most this often (2 s)."""
     next_leg_s: float = 6.0
-    """The next leg is planned when this one has so much left: three times what an answer takes."""
+    """Remaining time of a leg at which the next one is planned: three times the planning time."""
     long_leg_m: float = 20.0
     long_next_leg_s: float = 12.0
     """One that is longer than this is planned earlier: its plan may take three times as long."""
@@ -145,7 +145,7 @@ class LegTaskTuning:
     slowing_rad_s2: float = 0.3
     """The same of one that turns too fast."""
     between_m: float = 0.004
-    """Kept beyond the optimiser's own margin, for what lies between the nodes."""
+    """Clearance beyond the optimiser's own margin, for the motion between the nodes."""
     leg_depth_m: float = 0.3
     """A leg stays so near the depths of its start and goal. Sinking slowly and rising on the buoyancy at the end is
     cheaper by some 0.3 %, and over 360 m it went 5 m deeper than anyone had drawn."""
@@ -188,7 +188,7 @@ class PowerTuning:
     idle_n: float = 1e-9
     """A thruster that gives less stands still."""
     together: int = 4096
-    """Ways that are looked at together: a field has 200,000 of them, each with every speed of the table."""
+    """Edges per block: a field has 200,000 of them, each with every speed of the table."""
     slowest_ground_m_s: float = 0.01
     """Headway below this is none."""
 
@@ -210,7 +210,7 @@ class SearchTuning:
     cheaper_share: float = 0.95
     """A full search replaces a quick plan that is under way if it costs less than so much of what is left of that."""
     keep_within: float = 1.15
-    """Ways whose energy is beyond so many times the best one's are not looked at."""
+    """Candidates with more than this multiple of the best path's energy are dropped."""
     max_other_ways: int = 2
     tie_within: float = 1.15
     max_ties: int = 3
@@ -244,7 +244,7 @@ class TrackTuning:
     """Constants of :mod:`autopilot.control.energy.track`."""
 
     yaw_lever_m: float = 0.3
-    """A radian of heading counts as so many metres when the nearest point of the trajectory is looked for."""
+    """Weight of heading [m/rad] in the search for the nearest point of the trajectory."""
     slowest_rate: float = 0.3
     fastest_rate: float = 2.0
     """The trajectory's clock runs between these rates: it waits for a vehicle that is late and does not stand still."""

@@ -63,7 +63,7 @@ def steps(count: int) -> Interval:
     nodes, kept = [q], ca.horzcat(ca.DM.zeros(VARIABLES - NX, NX), ca.DM.eye(VARIABLES - NX))
     for _ in range(count):
         nodes.append(ca.vertcat(one.moved(nodes[-1], *known), q[NX:]))
-    # Derivatives of the nodes by q, and of what comes by the nodes.
+    # Derivatives of the nodes by q, and of the results by the nodes.
     each = [one.slopes(node, *known) for node in nodes[:-1]]
     by_q = [ca.DM.eye(VARIABLES)]
     for slopes in each:

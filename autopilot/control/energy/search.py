@@ -56,7 +56,7 @@ class EnergyPlanner:
         end_slope = _slope_beyond(beyond, request.goal)
         task = LegTask(request, features, flow, table, to_go, end_slope, self._program, self._allocator, cancel)
         task.guesses(best)
-        # What ends at a gate has a new one.
+        # Trajectories that end at a gate get a new one.
         warm = None if request.warm is None or not task.complete else task.refine(request.warm, SEARCH.update_rounds)
         stays = warm is not None and warm.solved and task.energy_along(warm) < SEARCH.stay_within * best.energy_j
         if warm is not None and stays and request.kind is Kind.WARM:
@@ -81,7 +81,7 @@ class EnergyPlanner:
         if warm is not None and warm.solved and winner.cost_j > SEARCH.cheaper_share * warm.cost_j:
             return replace(task.plan(warm), stay=True)
         for one in [winner, *(one for one in solved if one is not winner)]:
-            # Candidates are rough, and what they would do is not flown before it is solved to the end.
+            # Candidates are approximate; the selected one is solved to convergence before it is flown.
             polished = task.refine(replace(one, solved=False), LEG_TASK.polish_rounds)
             if polished.solved:
                 return task.plan(polished)

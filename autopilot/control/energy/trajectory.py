@@ -170,7 +170,7 @@ class _Stop(ca.Callback):
         self._cancel, self._rough = cancel, rough
         self._cost = self._least_off = math.inf
         self._since = 0
-        """Iterations since rows were that near to what they may be."""
+        """Iterations since the constraint violation was that small."""
         self.settled = False
         """Whether a rough solution was good enough."""
 

@@ -45,7 +45,10 @@ def uniform_grid(n: int, dt_s: float = REFERENCE_DT_S) -> TimeGrid:
 
 
 def geometric_grid(n: int = 20, horizon_s: float = 8.0, first_dt_s: float = REFERENCE_DT_S) -> TimeGrid:
-    """``n`` intervals that start with ``first_dt_s``, grow by a constant factor and sum to ``horizon_s``."""
+    """A grid of ``n`` intervals that start with ``first_dt_s``, grow by a constant factor and sum to ``horizon_s``.
+
+    A uniform one if ``n * first_dt_s`` is not less than ``horizon_s``.
+    """
     if n * first_dt_s >= horizon_s:
         return uniform_grid(n, horizon_s / n)
     low, high = 1.0, horizon_s / first_dt_s

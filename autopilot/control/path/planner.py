@@ -47,7 +47,15 @@ class _DistanceField:
 
 
 class Planner:
-    """Paths in one fence with one radius: comfortable ones if there are any, else tight ones."""
+    """Shortest paths in one fence for one radius: with the preferred clearance if possible, else with the radius only.
+
+    Parameters
+    ----------
+    fence
+        The workspace, not inflated.
+    radius_m
+        Required clearance of the path [m]: body radius plus margins.
+    """
 
     def __init__(self, fence: Fence, radius_m: float) -> None:
         self.features = Features(fence)
@@ -57,9 +65,24 @@ class Planner:
         )
 
     def path(self, start_ned_m: FloatArray, goal_ned_m: FloatArray, cancel: Cancel | None = None) -> FloatArray | None:
-        """Corner points (m, 2) of a free path, first row the start, last the goal; None if there is no way.
+        """A free path from start to goal.
 
-        Ends with WithdrawnError once ``cancel`` is requested.
+        Parameters
+        ----------
+        start_ned_m, goal_ned_m
+            (2,) or (3,) positions [m]; only north and east are used.
+        cancel
+            Cancellation flag, checked between the steps of the search.
+
+        Returns
+        -------
+        (m, 2) array or None
+            Corner points, first row the start, last the goal; None if there is no path.
+
+        Raises
+        ------
+        WithdrawnError
+            ``cancel`` was requested.
         """
         start, goal = np.asarray(start_ned_m[:2], dtype=float), np.asarray(goal_ned_m[:2], dtype=float)
         for look in self._finders:

@@ -19,7 +19,7 @@ SURGES_M_S = np.linspace(-0.8, 0.8, 9)
 
 
 def lqr_gains(model: Model4, surges_m_s: FloatArray = SURGES_M_S) -> FloatArray:
-    """(m, n, 8) gains at surge speeds (m,) with no other velocity."""
+    """(m, n, 8) LQR gains at surge speeds (m,) [m/s], other velocities zero."""
     a = np.array([error_jacobian(model, np.array([u, 0.0, 0.0, 0.0])) for u in surges_m_s])
     b = np.broadcast_to(input_matrix(model), (len(surges_m_s), NX, model.thrusters))
     a_d, b_d = discretise(a, b, ANCILLARY.design_step_s)

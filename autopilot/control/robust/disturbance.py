@@ -38,7 +38,7 @@ class DisturbanceBound:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class EstimateSpread:
-    """Variances of the estimate, the worse of two horizontal axes each."""
+    """Variances of the estimate, of horizontal axes the larger one."""
 
     position_m2: float
     depth_m2: float
@@ -49,7 +49,7 @@ class EstimateSpread:
 
     @classmethod
     def of(cls, nav: NavState) -> "EstimateSpread":
-        """From ``NavState.variance``. A variance that is no number is as bad as the limit."""
+        """From ``NavState.variance``. A variance that is not finite counts as the limit."""
         v = [x if math.isfinite(x) and x > 0.0 else 0.0 if x == 0.0 else math.inf for x in nav.variance.tolist()]
         return cls(
             position_m2=min(max(v[0], v[1]), DISTURBANCE.position_variance_limit_m2),

@@ -18,7 +18,7 @@ CHANNELS = 7
 
 
 def velocity_jacobian(model: Model4, nu: FloatArray) -> FloatArray:
-    """(4, 4) derivative of :func:`autopilot.core.model4.body_acceleration` by u, v, w, r at ``nu`` (4,)."""
+    """(4, 4) Jacobian of :func:`autopilot.core.model4.body_acceleration` with respect to u, v, w, r at ``nu`` (4,)."""
     u, v, _, r = (float(x) for x in nu)
     m11, m22, _, m44 = model.mass_kg
     jacobian = np.zeros((4, 4))
@@ -33,7 +33,7 @@ def velocity_jacobian(model: Model4, nu: FloatArray) -> FloatArray:
 
 
 def error_jacobian(model: Model4, nu: FloatArray) -> FloatArray:
-    """(8, 8) continuous dynamics of the error along a plan with velocity ``nu`` (4,) u, v, w, r."""
+    """(8, 8) A of the continuous error dynamics along a plan with velocity ``nu`` (4,) u, v, w, r."""
     u, v, _, r = (float(x) for x in nu)
     a = np.zeros((NX, NX))
     a[X, Y], a[Y, X] = r, -r
@@ -51,7 +51,7 @@ def input_matrix(model: Model4) -> FloatArray:
 
 
 def disturbance_matrix(model: Model4, nu: FloatArray) -> FloatArray:
-    """(8, 7) effect of :data:`CHANNELS`: forces as they are, an error of the current through the slope of drag."""
+    """(8, 7) input matrix of :data:`CHANNELS`: forces directly, an error of the current through the slope of the drag."""
     g = np.zeros((NX, CHANNELS))
     g[U:, :4] = np.diag(1.0 / np.array(model.mass_kg))
     g[U:, 4:] = -velocity_jacobian(model, nu)[:, :3]
@@ -59,7 +59,7 @@ def disturbance_matrix(model: Model4, nu: FloatArray) -> FloatArray:
 
 
 def error_of(x: FloatArray, z: FloatArray) -> FloatArray:
-    """Error (8,) of state ``x`` (8,) against the planned state ``z`` (8,)."""
+    """Error (8,) of state ``x`` (8,) relative to the planned state ``z`` (8,), in the body frame of ``z``."""
     e = x - z
     c, s = math.cos(z[YAW]), math.sin(z[YAW])
     north, east = float(e[X]), float(e[Y])

@@ -54,7 +54,7 @@ class FiniteWatch(NoticeQueue):
     def __init__(self) -> None:
         super().__init__()
         self.count = 0
-        """Since the last one that was told to be over."""
+        """Since the last one that was reported as over."""
         self._sound = 0
 
     def watch(self, sound: bool) -> None:

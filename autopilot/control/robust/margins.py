@@ -43,7 +43,7 @@ class Margins(NoticeQueue):
         self.tube = TubeMargins(model, grid, self.ancillary, fixed)
         self.lipschitz = LipschitzMargins(model, grid, fixed)
         self.evidence = SpeedEvidence()
-        """Forgotten by whoever begins anew."""
+        """Reset by the controller at a restart."""
         self._fixed = fixed
         self._told = False
         self._rest = np.zeros((grid.n + 1, NX))

@@ -65,7 +65,7 @@ class MismatchTuning:
     largest_need: float = 4.0
     """Square of how often the margin one look may ask for: what has passed is forgotten within seconds."""
     sigmas: float = 3.29
-    """Probability of exceeding a margin: one in a thousand."""
+    """Margin in standard deviations: exceeded once in a thousand times."""
     longest_s: float = 0.2
 
 
@@ -84,7 +84,7 @@ class FallbackTuning:
     yaw_rate_limit_rad_s: float = 0.4
     water_speed_limit_m_s: float = 0.4
     over_steps: int = 20
-    """A fallback counts as over after so many solved steps (1 s): one that flickers is told once."""
+    """Solved steps (1 s) after which a fallback is over: an intermittent one is reported once."""
 
 
 FALLBACK = FallbackTuning()

@@ -125,9 +125,26 @@ def terminal_law(
     r: FloatArray,
     limit_n: FloatArray,
 ) -> Terminal:
-    """Steady input, gain and cost of a goal with heading ``yaw_rad`` in a current; q (8,), r (n,) of the stage cost.
+    """Steady input, LQR gain and terminal cost of a goal in a current.
 
-    Redundant thrusters share within ``limit_n`` (n,)."""
+    Parameters
+    ----------
+    allocator
+        Control allocation and model of the vehicle.
+    yaw_rad
+        Heading at the goal [rad].
+    current_ned_m_s
+        (3,) current, NED [m/s].
+    q, r
+        (8,), (n,) diagonal weights of the stage cost on error and thrust.
+    limit_n
+        (n,) thrust limits for the allocation of redundant thrusters [N].
+
+    Returns
+    -------
+    Terminal
+        ``thrust_n`` exceeds ``limit_n`` if the thrusters cannot hold the vehicle in the current.
+    """
     model, c, s = allocator.model, math.cos(yaw_rad), math.sin(yaw_rad)
     cn, ce, cd = (float(v) for v in current_ned_m_s)
     nu = np.array([-(c * cn + s * ce), -(c * ce - s * cn), -cd, 0.0])
@@ -153,7 +170,19 @@ def _goal_jacobian(model: Model4, nu: FloatArray) -> FloatArray:
 
 
 def analytic_alpha(law: Terminal, goal: Goal, limits: TerminalLimits) -> tuple[float, str, dict[str, float]]:
-    """Largest level that meets every limit, the limit that decides it, and the level of each limit alone."""
+    """Largest level of E = e^T P e that satisfies every limit.
+
+    On the ellipsoid E <= alpha a linear function h^T e has the maximum sqrt(alpha h^T P^-1 h).
+
+    Returns
+    -------
+    alpha
+        The level, 0 if the goal itself violates a limit.
+    binding
+        Name of the limit that decides it.
+    levels
+        Level by each limit alone; negative if the goal violates it.
+    """
     spread = np.linalg.inv(law.p)
     feedback = np.einsum("ij,jk,ik->i", law.k, spread, law.k)
     planar = float(np.linalg.eigvalsh(spread[:2, :2])[-1])
@@ -198,7 +227,7 @@ def closed_loop(model: Model4, law: Terminal, error: FloatArray) -> tuple[FloatA
 
 
 def violations(model: Model4, law: Terminal, error: FloatArray) -> int:
-    """How many errors (m, 8) do not lose at least their stage cost in one step."""
+    """Number of errors (m, 8) whose E decreases by less than the stage cost in one step."""
     after, cost = closed_loop(model, law, error)
     change = ((after @ law.p) * after).sum(axis=1) - ((error @ law.p) * error).sum(axis=1)
     return int((change > -cost).sum())

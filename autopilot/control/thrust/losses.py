@@ -30,7 +30,7 @@ class ThrusterLosses:
         self._known: tuple[list[float], FloatArray] | None = None
         """Declared and detected effectiveness at the last update."""
         self._revision = -1
-        """Of the parameters at the last look."""
+        """Of the parameters at the last update."""
         self.share = np.ones(len(self._names))
         """(n,) effectiveness that bounds and allocation go by; dead thrusters have 0. Another array when it changes."""
         self.shares = (1.0,) * len(self._names)

@@ -69,7 +69,7 @@ class LossesTuning:
     submerged: float = 1.5
     """Depth in half heights of the hull above which heave is not used."""
     same_loss: float = 0.2
-    """What is told of a thruster that gives by so much more than what was found is still the same loss."""
+    """Tolerance within which a declared loss counts as the detected one."""
 
 
 LOSSES = LossesTuning()
@@ -84,7 +84,7 @@ class ThrusterHealthTuning:
     short_n: float = 0.3
     """Tolerated deficit: compensated by short pushes of the others."""
     dead: float = 0.2
-    """Below this a thruster is not used at all: five times the pulse for what little it gives, and that uncertain."""
+    """Effectiveness below which a thruster is not used: little and uncertain thrust for five times the pulse."""
     settled_every: int = 10
     """Updates (1 s) between attempts to isolate a fault among redundant thrusters."""
     unlearned_looks: int = 10

@@ -49,7 +49,7 @@ class Tuning:
     ahead: float = 2.0
     """So much less there is for any other."""
     settle_s: float = 15.0
-    """So long the tilt is waited for."""
+    """Timeout of the isolation by tilt."""
     which: float = 6.0
     """So much less there is for any twin when it is said which of them it is [nats]."""
     confirm_s: float = 0.5
@@ -61,9 +61,9 @@ class Tuning:
     follow: float = 0.05
     """A declared value changes when the estimate is further away than this: bounds do not flutter."""
     hit_s: float = 4.0
-    """So long after a collision nothing is concluded."""
+    """Time after a collision without decisions."""
     stuck_s: float = 15.0
-    """When nothing has explained the motion for so long, what was known of the vehicle does not hold any more."""
+    """Time without an explanation of the motion after which the estimates are reset."""
     seen: float = 0.18
     """Half of a thruster is seen where the effectiveness is known that well (standard deviation)."""
 
@@ -78,7 +78,7 @@ class _Doubt:
     by_s: float
     """When it was declared, on the clock of the tilt's evidence."""
     memory: Memory
-    """What the bank knew then."""
+    """Snapshot of the bank."""
 
 
 class ThrusterHealth:
@@ -122,7 +122,7 @@ class ThrusterHealth:
         self._certain_s = np.zeros(self._n)
         self._doubts: tuple[_Doubt, ...] = ()
         self.found = np.ones(self._n)
-        """(n,) effectiveness as declared: 1 while a thruster is not beyond doubt lossy."""
+        """(n,) declared effectiveness: 1 until a fault is certain."""
         self.pause()
 
     @property
