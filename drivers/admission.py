@@ -12,11 +12,11 @@ from typing import Generic, TypeVar
 from autopilot.core.clients import ClientRecord
 
 KEEP_US = 5_000_000
-"""A client that has said something valid within this time is not displaced by another."""
+"""A client with a valid frame within this time is not displaced."""
 TURN_US = 2_000_000
-"""So long a client has the kept place at least, and so often who waits for it asks (heartbeats come every second)."""
+"""Shortest stay in the reserve place, and retry interval of waiting clients (heartbeats come every second)."""
 MAX_WAITING = 64
-"""Of those who wait for the kept place so many are remembered, the latest."""
+"""Number of waiting clients that are remembered, the latest."""
 
 K = TypeVar("K", bound=Hashable)
 

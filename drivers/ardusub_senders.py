@@ -12,7 +12,7 @@ from itertools import pairwise
 from autopilot.drivers.ardusub_mixing import NEUTRAL_US, PLANE_MOTORS
 
 SERVO_WITHIN_US = 450_000
-"""What comes out belongs to one of the commands of so long before the last: 20 ms to act, the way back, a late loop."""
+"""Outputs correspond to a command of this time before the last: 20 ms to act, the way back, a late loop."""
 PAUSE_US = 300_000
 """After so long without a command of ours its failsafe may have made the outputs neutral."""
 SERVO_TOLERANCE_US = 4
@@ -22,13 +22,13 @@ SLOW_TOLERANCE_US = 20
 WINDOW = 15
 """Window of reports: 0.3 s."""
 WINDOW_US = 1_500_000
-"""Of the vehicle's time: reports that come more slowly than 10 Hz are not looked at together."""
+"""Longest interval of reports (vehicle time): slower than 10 Hz they are not evaluated."""
 TURNS = 2
-"""So often within the window outputs of others follow upon ours."""
+"""Transitions from our outputs to others within the window."""
 STANDING = 12
-"""So many reports in a row of others' outputs that are not neutral: its own failsafe makes them neutral."""
+"""Consecutive reports of foreign outputs other than neutral: its own failsafe makes them neutral."""
 OVER_AFTER_US = 1_000_000
-"""So long after the last output of others it is over."""
+"""Time after the last foreign output at which it is over."""
 WRONG_US = 300_000
 """Neutral outputs instead of ours for so long: our commands do not arrive, or are refused."""
 CLOCK_US = 1 << 32

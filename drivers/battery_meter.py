@@ -5,7 +5,7 @@ from autopilot.core.vehicle import BatteryLimits, Vehicle
 from autopilot.drivers.i2c import I2cBus, I2cSensor
 
 LONGEST_GAP_US = 2_000_000
-"""A longer gap is bridged with no more than this much of the present power: nobody knows what was drawn meanwhile."""
+"""Largest gap over which the present power is integrated: the power in a longer one is unknown."""
 
 
 class EnergyMeter:

@@ -15,16 +15,17 @@ import numpy as np
 from autopilot.core.frames import FloatArray
 
 FIRST = 60
-"""Arrivals before the beat is looked for; until it is known they stand for themselves."""
+"""Arrivals before the period is estimated; until then arrival times are used."""
 AGAIN = 15
-"""Arrivals after which it is looked for again: that takes milliseconds."""
+"""Arrivals between estimates of the period, which take milliseconds."""
 WINDOW = 240
 """Arrivals that the line goes through: 8 s at 30 Hz, in which clocks of cameras drift by less than a millisecond."""
 TRIED = np.geomspace(0.28, 1.4, 800)
 """Beats that are tried, in median steps: of a stream that loses most pictures a step is two or three beats, and a
 step's delay may be a third of a beat more than the one's before."""
 LEAST_ORDER = 0.45
-"""Of arrivals in a beat (1 = all at the same phase): those without a beat come to about 0.35 in their best of all."""
+"""Phase coherence of periodic arrivals (1 = all at the same phase): arrivals without a period reach about 0.35 at
+best."""
 LEAST_SHARE = 0.65
 """The longest beat that comes so near to the best is it: half of a beat and a third are beats, too."""
 CLIP = 2.5
@@ -32,12 +33,12 @@ CLIP = 2.5
 STRAY = 0.25
 """Standard deviation about the line, in beats, at which there is none: arrivals at any time have 0.29."""
 EARLY_SIGMAS, EARLY = 3.3, (0.05, 0.45)
-"""A picture may come early by so many standard deviations, at least and at most so many beats; what is later than the
-rest of a beat is taken for the next picture. Delays have long tails on one side only."""
+"""Earliest arrival in standard deviations, and its bounds in periods; an arrival later than the rest of a period is
+taken for the next image. Delays have long tails on one side only."""
 PAUSE_BEATS = 60.0
-"""After a silence of so many pictures the beat is looked for again."""
+"""Missing images after which the period is estimated again."""
 LOST_COUNT = 20
-"""So many in a row off the line on one side: something in between has changed, and the line begins anew with them."""
+"""Consecutive arrivals off the line on one side after which the transport has changed, and the line is restarted."""
 
 
 def machine_us() -> int:
@@ -74,7 +75,7 @@ class FrameClock:
         self._line: _Line | None = None
         self._off = 0
         self._unplaced = 0
-        """Arrivals without a beat since one was looked for last."""
+        """Arrivals without a period since the last estimate."""
 
     @property
     def rate_hz(self) -> float:

@@ -35,7 +35,7 @@ LONGEST_PAUSE_US = 10_000_000
 SETTLED_US = 10_000_000
 """After so long without trouble the pauses begin anew."""
 END_S = 5.0
-"""A keeper that has been sent away and is still there after so long (of real time) is killed: only a stopped one is."""
+"""Timeout (real time) after which a dismissed watchdog is killed: only a stopped process takes that long."""
 
 _ENDINGS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 

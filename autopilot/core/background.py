@@ -16,11 +16,11 @@ from typing import Any, Generic, TypeVar, cast
 from autopilot.core.nondeterminism import NondeterminismSource
 
 ROOM_S = 0.0005
-"""So long a loop rests at each look at an answer that is late. A loop that never rests (a machine that does not keep
-up) gives its lock away and takes it back before the thread that works has woken up: the answer would never come."""
+"""Sleep of the loop per poll of a late result. A loop without sleep (an overloaded machine) releases its lock and takes
+it back before the worker's thread has woken up: the result would never arrive."""
 
 IDLE_S = 0.05
-"""A loop that waits for an answer attends to what cannot wait (heartbeats) this often."""
+"""Interval in which a waiting loop serves urgent tasks (heartbeats)."""
 
 Q = TypeVar("Q")
 A = TypeVar("A")
@@ -103,7 +103,7 @@ class BackgroundWorker:
         self.idle: Callable[[], None] = lambda: None
         """Called now and then while the loop waits for an answer."""
         self.ready: Callable[[Future[Any]], bool] = _there
-        """Whether an answer is there, asked at a desk that is not patient. A replay has its own opinion, and waits."""
+        """Whether a result is ready, at a worker that is not blocking. A replay uses the recorded answer, and waits."""
 
     def witnessed(self, name: str, nondeterminism: NondeterminismSource) -> "BackgroundWorker":
         """Record the times at which results are ready; returns this worker."""

@@ -18,7 +18,7 @@ from autopilot.core.messages import Severity
 LOST_US = 50_000.0
 """A difference that is off by more belongs to a late arrival or to another setting of the clock."""
 TOGETHER = 1.5
-"""The limit is higher or lower by this for what follows a jump on the one side of it or the other."""
+"""Hysteresis of the limit on either side of a jump."""
 STEADY_US, STEADY_COUNT = 150_000, 5
 """Samples whose clock may have jumped are withheld until it has been steady for so long and so many of them,"""
 STEADY_SPREAD_US = 25_000.0
@@ -32,13 +32,13 @@ EVEN_SHARE, EVEN_US, EVEN_MOST_US = 0.3, 3_000.0, 6_000.0
 SMALL_US, MATCH_US, MATCH_SHARE = 6_000.0, 3_000.0, 0.2
 """A jump of less than LOST_US is one from the first on, if the uneven step explains it within the others."""
 EXPLAINED_SHARE = 0.5
-"""A step belongs to a jump if what is left of the difference without it is less than this share."""
+"""A step is part of a jump if the difference without it is below this fraction."""
 STEPS = 15
-"""Of which the median is the usual one."""
+"""Number of differences for the median."""
 SETTLED = 100
-"""Stamps after which a clock is known; until then it may be set, and nothing is said of it."""
+"""Stamps after which a clock is known; until then it may be set without a notice."""
 OFTEN, OFTEN_US = 3, 5_000_000
-"""So many jumps within that time: arrivals are the stamps until there has been none for as long."""
+"""Number of jumps within a time after which arrivals are used as stamps, until there has been none for as long."""
 TELL_EVERY_US = 5_000_000
 ANY_SPAN_US = 1 << 63
 """Of a clock that does not wrap."""
@@ -56,7 +56,7 @@ class DeviceClock:
         """``span_us``: the device's counter begins anew after this."""
         self._span_us = span_us
         self.jumps = 0
-        """How often the device's clock has jumped."""
+        """Number of jumps of the device's clock."""
         self._notices: list[tuple[Severity, str]] = []
         self._untold: list[int] = []
         self._told_us: int | None = None

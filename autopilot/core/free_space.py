@@ -46,12 +46,13 @@ SETTLE_STEPS = 3
 """Steps towards the middle of a passage: each moves away from the nearer side."""
 
 COMFORT_STEPS = 2
-"""Steps after these by which it goes to where its neighbours see it, if there is room."""
+"""Further steps towards positions with free lines to the neighbours, where there is space."""
 
 BISECTIONS = 9
 
 ONE_BOUNDARY = 0.8
-"""Slopes within a cell whose unit vectors agree by so much (cosine) are of one boundary: what it bars is barred."""
+"""Gradients within a cell whose unit vectors agree to this cosine belong to one boundary: a blocked link stays
+blocked."""
 
 FIRST_ATTACH = 4
 ATTACH = 48

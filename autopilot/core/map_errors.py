@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from autopilot.core.frames import FloatArray
 
 SHEET_SIGMA_M, SHEET_SIGMA_RAD = 0.005, 0.01
-"""What ruler and tape reach when sheets are laid: 5 mm, and 3 mm over the half length of an A2 sheet."""
+"""Laying accuracy with ruler and tape: 5 mm, and 3 mm over the half length of an A2 sheet."""
 SHEET_SIGMA_DOWN_M = 0.001
 """Standard deviation of a sheet's depth: uneven floor."""
 PRINT_SIGMA_M = 0.0001

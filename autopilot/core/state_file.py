@@ -26,7 +26,7 @@ class Loss:
     text: str
     """For the operator, without a path."""
     accept: Callable[[int], None]
-    """An operator knows it and goes on without (at this tick): the next start does not ask again."""
+    """The operator has consented to continue without it (at this tick): not asked again at the next start."""
 
 
 class StateFile:

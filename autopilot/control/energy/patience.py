@@ -14,7 +14,7 @@ class Kind(enum.Enum):
     QUICK = "first plan of a leg"
     """From nothing: the cheapest way with either turn, to set out with."""
     COLD = "full search"
-    """All ways, all turns, the leg after; beside them what is left of the plan in force, if there is one."""
+    """All paths, all turns, the next leg; and the rest of the active plan, if there is one."""
     WARM = "plan brought up to date"
     """From the plan in force."""
     NEXT = "plan of the leg after"
@@ -22,9 +22,9 @@ class Kind(enum.Enum):
 
 
 ANSWER_STEPS = {Kind.QUICK: 8, Kind.COLD: 40, Kind.WARM: 16, Kind.NEXT: 40}
-"""An answer is taken so many control steps (of 50 ms) after it was asked for, on a vehicle later if it is not there:
-about what nine of ten take (``autopilot bench energy-latency``, seconds of CPU on two shared cores: full searches 1.8,
-updates 0.1 in the tank and up to 1.8 elsewhere; quick plans with two turns 0.3 to 0.4 in the tank)."""
+"""Control steps (of 50 ms) from request to use of an answer, on a vehicle more if it is late: about the 90 % quantile
+of (``autopilot bench energy-latency``, seconds of CPU on two shared cores: full searches 1.8, updates 0.1 in the tank
+and up to 1.8 elsewhere; quick plans with two turns 0.3 to 0.4 in the tank)."""
 
 
 class NoPlanError(Exception):

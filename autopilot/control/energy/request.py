@@ -13,8 +13,8 @@ from autopilot.core.geometry import Fence
 from autopilot.core.messages import Goal
 
 EXTRA_M, EXTRA_S = 0.02, 0.5
-"""Kept beyond the radius at most where there is room, and how long a current of one standard deviation takes for it: an
-estimate wavers, and every millimetre that a vehicle is within the margin is answered sharply."""
+"""Largest clearance beyond the radius, and time for which a current of one standard deviation is covered by it: an
+estimate fluctuates, and every millimetre inside the margin causes a strong reaction."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)

@@ -208,8 +208,8 @@ class _Stop(ca.Callback):
 
 
 STOPPED_SHORT, FEASIBLE = ("Maximum_Iterations_Exceeded", "Search_Direction_Becomes_Too_Small"), 1e-5
-"""A program that ends like this may have been at its optimum for long, without proof. What obeys dynamics and bounds
-within so much (SI units) can be flown."""
+"""Such a program may have been at its optimum for long, without proof. A result that satisfies dynamics and bounds to
+this tolerance (SI units) can be flown."""
 
 OPTIONS: dict[str, Any] = {
     "print_time": False,

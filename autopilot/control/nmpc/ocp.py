@@ -54,8 +54,8 @@ SPEED_EPSILON_M_S = 0.02
 
 
 ENVELOPE = (1.0, 0.6, 1.25)
-"""Planar speed, heave [m/s] and yaw rate [rad/s] through the water up to which predictions have to be right: beyond
-what plans use (SPD_*_MAX) and what pushes and wrong currents bring."""
+"""Planar speed, heave [m/s] and yaw rate [rad/s] through the water up to which predictions have to be accurate: the
+limits of plans (SPD_*_MAX) plus disturbances and errors of the current."""
 
 FASTEST_TURN_RAD_S = 5.0
 """No vehicle that this controller is for turns faster."""
@@ -165,8 +165,8 @@ def longest_step_s(model: model4.Model4) -> float:
 
 
 def fastest_guess(model: model4.Model4) -> tuple[float, float, float]:
-    """Planar speed, heave [m/s] and yaw rate [rad/s] up to which the prediction's integration is stable: the
-    :data:`ENVELOPE`, for vehicles with little drag more (:data:`FARTHER`)."""
+    """Planar speed, heave [m/s] and yaw rate [rad/s] through the water up to which predictions have to be accurate: the
+    limits of plans (SPD_*_MAX) plus disturbances and errors of the current."""
     reach = RK4_REACH / longest_step_s(model)
     scale = next((s for s in FARTHER if _fastest_rate_1_s(model, s) <= reach), 1.0)
     return scale * ENVELOPE[0], scale * ENVELOPE[1], scale * ENVELOPE[2]

@@ -7,12 +7,12 @@ import numpy as np
 from autopilot.core.frames import FloatArray
 
 LEAST_SHARE = 0.035
-"""Thrust against the way a thruster turned last, as a share of its limit, for which it is turned round: 0.4 N of 12 N,
-less than half of the force that margins take for unmodelled anyway. What an estimate's noise asks for is less."""
+"""Dead band of reversal relative to the thrust limit: 0.4 N of 12 N, less than half of the unmodelled force that the
+margins assume, and more than the noise of the estimate causes."""
 
 BETWEEN = 2.0
-"""Between control steps so many times that: the feedback of the inner loop carries the noise of single ticks, of which
-one in a few hundred would turn a thruster round that has nothing to do. The next control step is 50 ms away."""
+"""Factor of the dead band between control steps: the inner loop's feedback has the noise of single ticks, of which one
+in a few hundred would reverse an idle thruster. The next control step is 50 ms away."""
 
 
 class Reversals:

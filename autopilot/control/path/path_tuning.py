@@ -17,11 +17,11 @@ class DriveTuning:
     pushes: int = 3
     """A step that ends too near to boundaries is pushed out of one after the other."""
     too_near_m: float = 5e-3
-    """Where that has not helped by less than this, the way ends."""
+    """Smallest gain by that; below it the path ends."""
     least_progress: float = 0.15
-    """A step that a boundary leaves less of (about a glance at right angles) ends the way."""
+    """Smallest remaining fraction of a step at a boundary (about a perpendicular approach); below it the path ends."""
     share_over_m: float = 0.25
-    """The speed along a boundary is the share of the velocity that points along it, over so much of the way ahead."""
+    """Distance ahead over which the speed along a boundary is the component of the velocity along it."""
     turn_share: float = 0.9
     """Share of the yaw rate limit that is asked for at most."""
     catch_up_s: float = 1.5
@@ -116,7 +116,7 @@ class ReferenceTuning:
     nearly as fast: there every centimetre per second of it is way that is made."""
     slow_current_share: float = 0.78
     fast_current_share: float = 0.88
-    """Between these shares of the limit that a current has against the way, one goes over into the other."""
+    """Range of opposing current relative to the limit over which one is blended into the other."""
     slowest_m_s: float = 0.02
     turn_hysteresis_rad: float = 0.5
     """A half turn keeps its direction until the other way is shorter by this much."""

@@ -51,7 +51,7 @@ def input_matrix(model: Model4) -> FloatArray:
 
 
 def disturbance_matrix(model: Model4, nu: FloatArray) -> FloatArray:
-    """(8, 7) input matrix of :data:`CHANNELS`: forces directly, an error of the current through the slope of the drag."""
+    """(8, 7) input matrix of :data:`CHANNELS`: forces directly, a current error through the slope of the drag."""
     g = np.zeros((NX, CHANNELS))
     g[U:, :4] = np.diag(1.0 / np.array(model.mass_kg))
     g[U:, 4:] = -velocity_jacobian(model, nu)[:, :3]

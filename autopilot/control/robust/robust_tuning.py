@@ -52,7 +52,7 @@ class MismatchTuning:
     quick_s: float = 2.0
     slow_s: float = 6.0
     forget_s: float = 60.0
-    """Time constants of losing credit, of gaining it, and of forgetting what was seen while nothing is seen."""
+    """Time constants of decrease, increase, and of forgetting without evidence."""
     least_share: float = 0.5
     """Of the margin, whatever has been seen."""
     strong_share: float = 0.55
@@ -63,7 +63,7 @@ class MismatchTuning:
     grow_m_s2: float = 0.05
     """The margin moves by no more than this: 0.25 and 2.5 mm/s from one step to the next."""
     largest_need: float = 4.0
-    """Square of how often the margin one look may ask for: what has passed is forgotten within seconds."""
+    """Bound on the squared ratio of error to margin of one update: outliers are forgotten within seconds."""
     sigmas: float = 3.29
     """Margin in standard deviations: exceeded once in a thousand times."""
     longest_s: float = 0.2
@@ -159,8 +159,8 @@ class TubeTuning:
     band_sigmas: float = 3.29
     """The same for one dimension."""
     estimate_speed_sigmas: float = 2.0
-    """Of the estimate in limits on speed: bounds of performance and not of safety, and the estimator is modest (its
-    errors are about half of what it says)."""
+    """Fraction of the estimate's spread in speed limits: they concern performance, not safety, and the estimator is
+    conservative (errors are about half of its standard deviation)."""
     largest_share: float = 0.5
     """Back-offs never take more of a limit than this, however bad the estimate is: then failsafes act."""
     largest_thrust_share: float = 0.3

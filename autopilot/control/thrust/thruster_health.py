@@ -43,15 +43,15 @@ class Tuning:
     certain: float = 7.7
     """Evidence that a thruster has changed [nats]: two thousand to one."""
     plain: float = 4.5
-    """So far below 1 [sigma] the loss of a thruster with a pair shows without any belief in the others."""
+    """Distance below 1 [sigma] at which a loss of a redundant thruster is significant without a prior on the others."""
     certain_plain: float = 4.5
     """Evidence that is enough then [nats]."""
     ahead: float = 2.0
-    """So much less there is for any other."""
+    """Margin of the evidence over that of any other thruster."""
     settle_s: float = 15.0
     """Timeout of the isolation by tilt."""
     which: float = 6.0
-    """So much less there is for any twin when it is said which of them it is [nats]."""
+    """Margin of the evidence over that of the redundant thrusters for isolation [nats]."""
     confirm_s: float = 0.5
     """For so long."""
     lost_below: float = 0.75
