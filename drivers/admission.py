@@ -151,7 +151,7 @@ class Admission(Generic[K]):
     def _latest(
         self, known: Iterable[tuple[K, _Seat, ClientRecord]], t_us: int
     ) -> Iterable[tuple[int, DisplacedClient[K]]]:
-        """Who came last, once he has had his time."""
+        """The last arrival whose grace time is over."""
         for key, place, standing in list(known)[-1:]:
             if standing.valid_us is not None and t_us - place.entered_us >= TURN_US:
                 yield 0, DisplacedClient(key, Why.KEPT, t_us - standing.valid_us)

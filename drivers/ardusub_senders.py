@@ -132,7 +132,7 @@ def _is_meant(found: tuple[int, ...], commands: Sequence[tuple[int, ...]]) -> bo
 
 
 def _is_slowly_meant(found: tuple[int, ...], commands: Sequence[tuple[int, ...]]) -> bool:
-    """The same with slow heave: upright motors lie between those of longer."""
+    """As for other motors, with filtered heave: outputs of upright motors lie between those of a longer window."""
     between = all(
         min(meant) - SLOW_TOLERANCE_US <= pulse <= max(meant) + SLOW_TOLERANCE_US
         for pulse, meant in zip(found[PLANE_MOTORS:], list(zip(*commands, strict=True))[PLANE_MOTORS:], strict=True)

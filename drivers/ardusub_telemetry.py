@@ -103,7 +103,7 @@ class ArduSubTelemetry:
         ]
 
     def _depth(self, t_us: int, message: Any) -> list[Sample]:
-        """By the sensor outside of the hull."""
+        """Depth by the sensor outside of the hull."""
         given_pa = self._given_ground_pa
         ground_pa = self.parameters.get("BARO2_GND_PRESS") if given_pa is None else given_pa
         if ground_pa is None or ground_pa <= 0.0 or not math.isfinite(message.press_abs):

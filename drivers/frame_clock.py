@@ -79,11 +79,11 @@ class FrameClock:
 
     @property
     def rate_hz(self) -> float:
-        """Pictures per second by the camera's beat; 0 = none has been found."""
+        """Estimated frame rate [Hz]; 0 = no period found."""
         return 0.0 if self._line is None else 1e6 / self._line.beat_us
 
     def stamp(self, arrival_us: int) -> int:
-        """When this picture would have come with the mean delay [us]. Arrivals in their order."""
+        """Arrival time of this image at the mean delay [us]. Arrivals must be in order."""
         times, line = self._times_us, self._line
         if times and (arrival_us <= times[-1] or (line and arrival_us - times[-1] > PAUSE_BEATS * line.beat_us)):
             times.clear()

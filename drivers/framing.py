@@ -44,7 +44,7 @@ class FrameCutter:
 
 
 def _next_start(buffer: bytearray, at: int) -> int:
-    """Where a frame may begin next, or the end."""
+    """Index of the next possible start of a frame, or the end."""
     found = [i for i in (buffer.find(_V1, at), buffer.find(_V2, at)) if i >= 0]
     return min(found, default=len(buffer))
 

@@ -157,7 +157,7 @@ class TcpServer:
         self._forget_closed()
 
     def take_news(self) -> tuple[bool, str] | None:
-        """Who lost his place or found none since the last call."""
+        """Displaced and refused clients since the last call."""
         return self._notices.take()
 
     def close(self) -> None:

@@ -44,7 +44,7 @@ def resolve(name: str, host: str, port: int) -> Address:
 
 
 def reach_of(host: str) -> Reach:
-    """How far away an address is."""
+    """Whether an address is on this machine or in the network."""
     return Reach.MACHINE if host.startswith(LOOPBACK_NET) else Reach.NETWORK
 
 
@@ -122,7 +122,7 @@ class _Udp:
         return False
 
     def take_news(self) -> tuple[bool, str] | None:
-        """Who lost his place or found none since the last call."""
+        """Displaced and refused clients since the last call."""
         return self._notices.take()
 
     def _peer(self, t_us: int, address: Address) -> _Peer | None:

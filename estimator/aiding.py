@@ -72,7 +72,7 @@ class Aid:
         return measurement
 
     def state(self, now_us: int) -> AidState:
-        """Where the sensor is in its life cycle."""
+        """State of the sensor in its life cycle."""
         if self._last_us is None or now_us - self._last_us > TIMEOUT_US:
             self._state = AidState.STOPPED
             self._fused_in_row = 0

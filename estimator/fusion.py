@@ -56,8 +56,9 @@ class Fusion:
         return judged
 
     def fuse_scalar(self, node: Node, measurement: Measurement, aid: ScalarAid[Any], *, fixed: bool) -> None:
-        """The same with one that is not of a pose. A sensor that keeps missing by the same amount is reset: its own
-        states are forgotten. ``fixed``: a fix has been used of late."""
+        """Process a measurement other than a pose. A sensor with persistent, consistent residuals is reset: its own
+        states are reopened. ``fixed``: a fix has been used recently.
+        """
         judged = self.fuse(node, measurement, aid)
         if judged.passes:
             aid.used(measurement)

@@ -19,7 +19,9 @@ from autopilot.estimator.states import NX, SheetStates
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class SheetTies(Measurement):
-    """How the sheets of one picture lie to each other: rows of unit variance and more, functions of offsets alone."""
+    """Measurement of the relative sheet offsets in one image: rows of at least unit variance, functions of offsets
+    alone.
+    """
 
     ground: SheetDependence
 
@@ -35,12 +37,12 @@ _GROUNDED = (PoseFix, SheetTies)
 
 
 def ground_of(measurement: Measurement) -> SheetDependence | None:
-    """How a measurement depends on sheets, None = not at all."""
+    """Dependence of a measurement on sheets, None = independent."""
     return measurement.ground if isinstance(measurement, _GROUNDED) else None
 
 
 def columns_of(which: tuple[int, ...], sheets: tuple[int, ...]) -> list[int]:
-    """Where the states of ``sheets`` stand among those of ``which``."""
+    """Indices of the states of ``sheets`` among those of ``which``."""
     places = {number: k for k, number in enumerate(which)}
     return [STATES * places[number] + i for number in sheets for i in range(STATES)]
 

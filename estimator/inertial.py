@@ -113,7 +113,7 @@ def level(sample: AhrsSample, trim_rad: tuple[float, float] = (0.0, 0.0)) -> Ine
 
 
 def down_of(inertial: Inertial, point_frd_m: tuple[float, float, float]) -> float:
-    """How far a point of the body lies below the centre of gravity [m]."""
+    """Depth of a body point below the centre of gravity [m]."""
     sr, cr = math.sin(inertial.roll_rad), math.cos(inertial.roll_rad)
     sp, cp = math.sin(inertial.pitch_rad), math.cos(inertial.pitch_rad)
     x, y, z = point_frd_m

@@ -101,16 +101,16 @@ class GyroMonitor(_InertialMonitor):
 
     @property
     def apart_rad(self) -> float:
-        """How far gyro and compass have come apart lately."""
+        """Recent difference of gyro and compass [rad]."""
         return max(abs(self._apart), abs(self._slow))
 
     @property
     def quick_rad(self) -> float:
-        """The same within a third of a second, the compass beyond the gyro."""
+        """Difference within a third of a second, compass minus gyro [rad]."""
         return self._quick
 
     def jumped_rad(self, dt_s: float, turn_rad: float, rate_rad_s: float) -> float:
-        """How far the compass has jumped in one sample: ``turn_rad`` by the compass, ``rate_rad_s`` by the gyro."""
+        """Jump of the compass in one sample [rad]: ``turn_rad`` by the compass, ``rate_rad_s`` by the gyro."""
         jump = wrap_pi(turn_rad - rate_rad_s * dt_s)
         if abs(jump) > INERTIAL_MONITOR.jump_rad:
             self.jumps += 1

@@ -21,7 +21,7 @@ from autopilot.estimator.states import EAST, NORTH, SheetStates
 
 @dataclass
 class _MisplacedMarker:
-    """Where a marker is seen that is not where the map has it."""
+    """Observed position of a displaced marker."""
 
     count: int = 0
     north_m: float = 0.0
@@ -103,7 +103,7 @@ class MapMonitor(Monitor):
         return result
 
     def laid(self, sheet: int) -> tuple[float, ...]:
-        """How well a sheet was laid (4,)."""
+        """Laying accuracy of a sheet (4,)."""
         errors = self._markers.errors
         assert errors is not None
         return tuple(errors.sigma[sheet].tolist())

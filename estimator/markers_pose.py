@@ -197,7 +197,7 @@ class MarkerSolver:
         )
 
     def _miss(self, j: int, eye_ned_m: FloatArray, ray_ned: FloatArray) -> tuple[float, int, complex]:
-        """By how much a ray from the camera misses the middle of marker j: distance, j, north + i east."""
+        """Distance of a camera ray from the centre of marker j: distance, j, north + i east."""
         to_marker = np.array([self._centers[j].real, self._centers[j].imag, self._depth_m[j]]) - eye_ned_m
         if to_marker @ ray_ned <= 0.0:
             return math.inf, j, 0j
@@ -231,8 +231,9 @@ class MarkerSolver:
         return None if solved is None else solved.fix
 
     def _votes(self, q: np.ndarray, seen: IntArray, placed: IntArray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Where the camera would be if quadrilateral ``seen`` were marker ``placed`` (both (n,)): height over the
-        marker and heading as one number (n,), place (n,), and whether the quadrilateral fits the marker's square."""
+        """Camera pose for which quadrilateral ``seen`` is marker ``placed`` (both (n,)): height over the marker and
+        heading as one number (n,), position (n,), and whether the quadrilateral fits the marker's square.
+        """
         # Best similarity w = a q + b between level image plane and floor: |a| height, arg a the heading, b place.
         qc = q - q.mean(axis=1, keepdims=True)
         w = self._plane_m[placed]
@@ -363,7 +364,7 @@ class MarkerSolver:
         errors: MapErrors,
         sheets: SheetStates | None,
     ) -> _Solved | None:
-        """The same where the sheets that the markers lie on may be off."""
+        """Refinement with displaced sheets."""
         strained: list[int] = []
         good = np.ones(len(seen), dtype=bool)
         best = None

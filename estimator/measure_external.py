@@ -28,7 +28,7 @@ MAX_SIGMA_RAD = math.pi
 
 
 class Alignment(NamedTuple):
-    """How a source's frame lies in ours."""
+    """Transformation from a source's frame to the local one."""
 
     turn_rad: float
     """Heading of its x axis."""

@@ -33,7 +33,7 @@ _AT_ONCE.flags.writeable = False
 
 
 class SheetDependence(NamedTuple):
-    """How a measurement depends on sheets."""
+    """Dependence of a measurement on sheets."""
 
     sheets: tuple[int, ...]
     """Numbers of the sheets."""

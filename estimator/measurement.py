@@ -16,7 +16,9 @@ MAX_SIGMA_M = 10.0
 
 
 def chi2_999(freedom: int) -> float:
-    """The same for any number of degrees of freedom (Wilson and Hilferty's approximation from five on)."""
+    """99.9 % quantile of the chi-square distribution (Wilson and Hilferty's approximation from five degrees of freedom
+    on).
+    """
     known = CHI2_999.get(freedom)
     if known is not None:
         return known

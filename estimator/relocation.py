@@ -18,7 +18,7 @@ class Relocation:
         self._fixes.clear()
 
     def agreeing_with(self, fix: PoseFix) -> int:
-        """How many of the last rejected fixes agree with this one, in a row: outliers do not."""
+        """Number of the last rejected fixes that are consistent with this one, in a row; outliers interrupt it."""
         count = 0
         for other in reversed(self._fixes):
             if not agree(fix, other):

@@ -60,7 +60,7 @@ class Sources:
         return max(markers_us, external_us)
 
     def fix_age_us(self, t_us: int) -> int:
-        """How long ago, at ``t_us``, the newest fix was that has been used. There is one since the start."""
+        """Age of the newest used fix at ``t_us`` [us]; needs at least one since the start."""
         newest_us = self.newest_fix_us
         return 0 if newest_us is None else t_us - newest_us
 

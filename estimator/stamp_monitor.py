@@ -64,8 +64,9 @@ class StampMonitor:
 
     @property
     def unsure_s(self) -> float:
-        """By how much stamps may have moved that nothing has shown yet: the age of pictures has changed so much, and
-        fixes have missed since. Pictures that only come later miss nothing."""
+        """Possible undetected change of the stamps [s]: the age of images has changed by this, with residuals of fixes
+        since. Images that only arrive later have no such residuals.
+        """
         return abs(self._moved_s) if self._missed_us >= self._moved_us - STAMP_MONITOR.missed_us else 0.0
 
     def arrives(self, now_us: int, ahead_us: int, latency_s: float) -> bool:
@@ -261,7 +262,7 @@ class StampMonitor:
 
 
 class _Goodness(NamedTuple):
-    """How well a window fits at the best delay."""
+    """Fit of a window at the best delay."""
 
     variance: float
     """Remaining, per degree of freedom."""
@@ -298,7 +299,7 @@ class _Usual:
 
 
 class Ages:
-    """How old pictures are when they arrive."""
+    """Ages of images at arrival."""
 
     def __init__(self) -> None:
         self._last_us: deque[int] = deque(maxlen=STAMP_MONITOR.age_count)
@@ -308,7 +309,7 @@ class Ages:
 
     @property
     def off_s(self) -> float:
-        """By how much later than usual the last ones are stamped, 0 = they are not."""
+        """Excess of the last ages over the usual one [s], 0 = not significant."""
         if abs(self._off) < STAMP_MONITOR.age_soon or self._usual_us is None:
             return 0.0
         return 1e-6 * (self._usual_us - self._last_us[-1])

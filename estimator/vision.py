@@ -36,7 +36,7 @@ thirty of all there are, and whatever is square would be a marker."""
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Hint:
-    """Where the vehicle is thought to be when the image was taken."""
+    """Predicted pose of the vehicle at the exposure."""
 
     pos_ned_m: FloatArray
     """(3,)"""

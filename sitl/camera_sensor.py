@@ -63,7 +63,7 @@ class SimCamera:
         return self._camera
 
     def with_faults(self, faults: Sequence[LensFault | Mounting]) -> "SimCamera":
-        """The same camera with these faults beside those that it has."""
+        """A copy with these additional faults."""
         return SimCamera(faulty(self._camera, faults), self._floor, self._look, self._seed, self._laser)
 
     def render(self, truth: Truth, index: int) -> Image:

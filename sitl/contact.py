@@ -205,7 +205,7 @@ class SolidGeometry:
 
 
 def moved_to(solid: Cylinder | Sphere | Prism, north_m: float, east_m: float) -> Cylinder | Sphere | Prism:
-    """The same thing with its centre (a prism's: of its corners) elsewhere."""
+    """A copy with its centre (of a prism: that of its corners) at another position."""
     if isinstance(solid, Cylinder):
         return replace(solid, center_ned_m=(north_m, east_m))
     if isinstance(solid, Sphere):

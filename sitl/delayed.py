@@ -47,7 +47,7 @@ class DelayedSensor(AlwaysOpen, Generic[T]):
         return [sample for _, sample in self._arrived(t_us)]
 
     def _arrived(self, t_us: int) -> list[tuple[int, T]]:
-        """The same with the times of arrival; it is taken out of the queue."""
+        """Remove the arrived samples from the queue; with times of arrival."""
         due = []
         while self._queue and self._queue[0][0] <= t_us:
             due.append(self._queue.popleft())

@@ -27,7 +27,7 @@ class SimulatedWaters:
 
 
 def moving_path(obstacle: MovingObstacle) -> MovingPath:
-    """How a moving obstacle of a scenario moves."""
+    """Path of a moving obstacle of a scenario."""
     return MovingPath(obstacle.path_m, obstacle.speed_m_s, obstacle.ends, obstacle.start_s)
 
 

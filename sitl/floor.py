@@ -48,7 +48,7 @@ class Floor:
         return level
 
     def pixel_map(self, north_m: FloatArray, east_m: FloatArray, level: int) -> NDArray[np.float32]:
-        """Where floor points (rows, columns) lie in the picture of a level: (rows, columns, 2) column, row."""
+        """Pixel coordinates of floor points (rows, columns) in the texture of a level: (rows, columns, 2) column, row."""
         scale = self.px_per_m / 2**level
         result = np.empty((*north_m.shape, 2), dtype=np.float32)
         result[..., 0] = (east_m - self.east_m) * scale - 0.5
@@ -57,7 +57,7 @@ class Floor:
 
 
 def build_markers(scenario: Scenario) -> MarkerMap | None:
-    """Where the markers of a scenario's floor lie; None in open water."""
+    """Marker map of a scenario's floor; None in open water."""
     planned, laid = _planned(scenario), scenario.markers.laid
     if planned is None or laid is None:
         return planned

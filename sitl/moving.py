@@ -36,7 +36,7 @@ class MovingPath:
         self.speed_m_s = speed_m_s
 
     def at(self, t_s: float) -> MotionSample:
-        """Where it is and how it moves at a time."""
+        """Position and velocity at a time."""
         travelled, speed = self.speed_m_s * (t_s - self._start_s), self.speed_m_s
         if travelled < 0.0:
             return MotionSample(self._legs[0][1], (0.0, 0.0))

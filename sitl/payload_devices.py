@@ -20,7 +20,7 @@ class SimPayload:
 
     @property
     def shares(self) -> tuple[float, ...]:
-        """Where each is: 0 dark, off, closed; 1 bright, on, open."""
+        """Positions of all devices: 0 dark, off, closed; 1 bright, on, open."""
         return tuple(self._shares)
 
     def set(self, pulses_us: Sequence[int]) -> None:

@@ -93,8 +93,9 @@ class PictureFaults:
         return self._past[0] if self._past else now
 
     def pose_shown(self, truth: Truth, index: int) -> Truth | None:
-        """The same for a pose sensor: None = such a picture gives no pose. Of a picture that is half of another
-        moment either may come out: they take turns. Reflections are left out."""
+        """As :meth:`shown` for a pose sensor: None = such an image gives no pose. An image that is half of another
+        time gives either, alternating. Reflections are ignored.
+        """
         t_us, result = truth.t_us, self.shown(truth, index).truth
         for k, fault in self._active(t_us):
             if isinstance(fault, Mirrored):

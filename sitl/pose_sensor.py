@@ -81,7 +81,7 @@ class SimPoseSensor(LossySensor[PoseSample | LaserSample]):
         )
 
     def _scale(self, truth: Truth, r: FloatArray) -> float:
-        """How much larger the errors are than at the reference height."""
+        """Ratio of the errors to those at the reference height."""
         if self._floor_depth_m is None:
             return 1.0
         camera_m = float(truth.pos_ned_m[2] + r[2] @ self._camera_frd_m)

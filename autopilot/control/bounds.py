@@ -87,7 +87,7 @@ def left_n(limit_n: FloatArray, back_off_n: FloatArray) -> FloatArray:
 
 
 class PlanClearance:
-    """By how much a plan meets its half-planes; of one set of arrays."""
+    """Distances of a plan from its half-planes."""
 
     def __init__(self, path: FloatArray, plane_n: FloatArray, plane_d_m: FloatArray) -> None:
         """Points (m, 2), rows of a table; normals (m, slots, 2), offsets (m, slots), contiguous. ValueError if they are

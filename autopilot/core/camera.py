@@ -101,10 +101,10 @@ class CameraModel:
         )
 
     def behind(self, port: FlatPort) -> "CameraModel":
-        """The same lens behind that pane, light bent exactly.
+        """The same lens behind that flat port, with exact refraction.
 
-        From a pinhole calibrated in water the bare lens is taken to fourth order (:func:`lens_in_air`), at the place
-        that the calibration gives for its projection centre.
+        For a pinhole calibrated in water the bare lens is computed to fourth order (:func:`lens_in_air`), with the
+        projection centre of the calibration.
         """
         if self.port is not None or self.fisheye:
             return replace(self, port=port)
@@ -215,8 +215,9 @@ class CameraModel:
         return result
 
     def rays(self, pixels: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Where the rays of pixels (..., 2) enter the water (..., 3) and where they go (..., 3), with z = 1; camera
-        frame. Without a port all start at the projection centre."""
+        """Origins of the rays of pixels (..., 2) at the water (..., 3) [m] and their directions (..., 3), with z = 1;
+        camera frame. Without a port all start at the projection centre.
+        """
         directions = np.ones((*pixels.shape[:-1], 3))
         origins = np.zeros_like(directions)
         directions[..., :2] = self.normalized(pixels)

@@ -7,7 +7,7 @@ TICK_US = 10_000
 
 
 class Clock(Protocol):
-    """Where a runtime gets its time from."""
+    """Source of the runtime's time."""
 
     def now_us(self) -> int:
         """Microseconds since the clock started, never going back."""

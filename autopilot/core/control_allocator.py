@@ -74,7 +74,7 @@ class ThrusterBearing(Protocol):
     def thrusters(self) -> tuple[Thruster, ...]: ...
 
     def to_model(self) -> Model4:
-        """What is believed of the vehicle."""
+        """The 4-DoF model."""
         ...
 
 

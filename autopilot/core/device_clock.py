@@ -34,7 +34,7 @@ SMALL_US, MATCH_US, MATCH_SHARE = 6_000.0, 3_000.0, 0.2
 EXPLAINED_SHARE = 0.5
 """A step is part of a jump if the difference without it is below this fraction."""
 STEPS = 15
-"""Number of differences for the median."""
+"""Number of steps whose median is the usual step."""
 SETTLED = 100
 """Stamps after which a clock is known; until then it may be set without a notice."""
 OFTEN, OFTEN_US = 3, 5_000_000

@@ -31,7 +31,7 @@ class FlatPort:
 
     @property
     def outside_m(self) -> float:
-        """Where the water begins, from the centre of projection."""
+        """Distance of the pane's water side from the projection centre [m]."""
         return self.distance_m + self.thickness_m
 
     def exit_radius(self, slope_air: FloatArray) -> FloatArray:

@@ -45,7 +45,7 @@ class GeodeticPosition:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Origin(GeodeticPosition):
-    """Where local axes can be put; its altitude is the water surface. ConfigError if out of range."""
+    """Valid origin of the local frame; its altitude is the water surface. ConfigError if out of range."""
 
     def __post_init__(self) -> None:
         """Refuse an invalid origin."""

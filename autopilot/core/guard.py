@@ -81,7 +81,7 @@ class Guard:
             return otherwise
 
     def run_all(self, works: Iterable[Work], given: Callable[[], object] = lambda: "") -> None:
-        """The same of several that give nothing, one after the other: one that raises does not keep the others."""
+        """As :meth:`run` for several functions without results: one that raises does not stop the others."""
         for part, work in works:
             try:
                 work()

@@ -68,7 +68,7 @@ class LatestValueWriter(Generic[Q]):
         return WriteResult(number=number, error=answer.error)
 
     def finish(self, timeout_s: float = FINISH_S) -> Exception | None:
-        """End of a run: write what is not on disk yet. The reason if that failed, or None.
+        """End of a run: write the pending state. Returns the reason of a failure, or None.
 
         Waits ``timeout_s`` at most: a hanging disk must not prevent the service's end.
         """

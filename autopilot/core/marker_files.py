@@ -91,7 +91,7 @@ class MapEntry(Table, frozen=True, kw_only=True):
         return r_ned_from_frd(np.array(self.rpy_rad or (0.0, 0.0, self.yaw_rad or 0.0)))
 
     def laid(self, sheet: str | None, defaults: Defaults) -> Laid:
-        """How well it was laid, on that sheet."""
+        """Its laying accuracy, on that sheet."""
         return Laid(
             sheet=sheet,
             sigma_m=self.sigma_m if self.sigma_m is not None else defaults.sigma_m,

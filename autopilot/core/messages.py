@@ -535,7 +535,7 @@ class Failsafe(IntEnum):
 
 
 class RunEnd(Enum):
-    """How a run of the service ends by command."""
+    """End of a run of the service by command."""
 
     STOP = "stop"
     AGAIN = "again"

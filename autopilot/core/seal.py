@@ -58,7 +58,7 @@ def flaw(library: Path, sources: Path) -> str | None:
 
 
 def _digests(content: bytearray) -> tuple[int, int]:
-    """Where the two digests begin and end. ValueError without seal."""
+    """Begin and end of the two digests. ValueError without seal."""
     begin = content.index(MAGIC) + len(MAGIC)
     return begin, begin + 2 * DIGEST
 

@@ -7,7 +7,7 @@ from autopilot.core.frames import FloatArray
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class CameraReport:
-    """How the camera and the place where its pictures are kept are doing."""
+    """State of the camera and of the storage of its stills."""
 
     frame_us: int | None
     """Exposure of the newest picture, None before the first."""

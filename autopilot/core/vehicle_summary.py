@@ -67,7 +67,7 @@ def facts_of(vehicle: Vehicle) -> VehicleSummary:
 
 
 def terminal_speed(force: float, linear: float, quadratic: float) -> float:
-    """Where linear and quadratic drag take that force."""
+    """Speed at which linear and quadratic drag equal that force."""
     if force <= 0.0:
         return 0.0
     if quadratic == 0.0:

@@ -229,7 +229,7 @@ class _Rings:
 
     @classmethod
     def of(cls, counts: IntArray) -> "_Rings":
-        """Of so many corners each (none without any)."""
+        """Rings with that number of corners each (possibly none)."""
         first = np.cumsum(counts) - counts
         number = np.repeat(np.arange(len(counts)), counts)
         before, after = np.arange(len(number)) - 1, np.arange(len(number)) + 1
@@ -274,7 +274,7 @@ def unit_rays(ray: ComplexArray, rho: FloatArray) -> ComplexArray:
 
 
 def _groups(polygon: IntArray) -> tuple[IntArray, IntArray]:
-    """Where each polygon's edges begin, and (E,) the number of its group."""
+    """Start index of each polygon's edges, and (E,) the number of its group."""
     begins = np.ones(len(polygon), dtype=bool)
     begins[1:] = polygon[1:] != polygon[:-1]
     return np.flatnonzero(begins), np.cumsum(begins) - 1

@@ -101,7 +101,7 @@ class CurrentMap:
         return out
 
     def drift_m_s(self, before_s: float, after_s: float) -> float:
-        """By how much any node may change between two times: an upper bound."""
+        """Upper bound of the change of any node between two times [m/s]."""
         if self.steady:
             return 0.0
         low, high = np.interp([before_s, after_s], self.nodes.time_s, self._drift_m_s)

@@ -50,7 +50,7 @@ class KnownCurrent(Protocol):
         ...
 
     def drift_m_s(self, before_s: float, after_s: float) -> float:
-        """By how much it changes at most between two times."""
+        """Upper bound of its change between two times [m/s]."""
         ...
 
 

@@ -36,7 +36,7 @@ class PowerModel:
         return self._each(thrust_n) * (thrust_n * thrust_n + POWER.thrust_smoothing_n2) ** 0.75
 
     def secant_over_tangent(self, thrust_n: Any) -> Any:
-        """By how much the slope of that power over the thrust exceeds its second derivative [W/N2]."""
+        """Excess of P'(F) / F over P''(F) [W/N2]."""
         squared = thrust_n * thrust_n
         return 0.75 * self._each(thrust_n) * squared * (squared + POWER.thrust_smoothing_n2) ** -1.25
 

@@ -201,7 +201,7 @@ class Shooting:
         return matrix.filled()
 
     def _hessian(self, z: Any, p: Any, of_cost: Any, of_rows: Any) -> Any:
-        """Of the Lagrangian, upper triangle."""
+        """Hessian of the Lagrangian, upper triangle."""
         n, nu = self._n, self._nu
         _, _, thrusts, motion, end = self._split(z, p)
         table = ca.reshape(of_rows[: ROWS * n], ROWS, n)
@@ -224,7 +224,7 @@ class Shooting:
         return matrix.filled()
 
     def _columns(self, k: int) -> list[list[tuple[int, float]]]:
-        """Where the variables of an interval's motion come from: columns and shares; none for the first state."""
+        """Sources of the variables of an interval's motion: columns and factors; none for the first state."""
         state = [[(column, 1.0)] if (column := self._state(k, i)) >= 0 else [] for i in range(NX)]
         force = [[(self._block * k + j, float(share)) for j, share in enumerate(row) if share] for row in self._matrix]
         return [*state, *force, [(self._block * self._n, 1.0 / (self._n * self._substeps))]]

@@ -52,7 +52,7 @@ class DriveGuidance:
         )
 
     def _target(self, now: GuidanceInputs, drive: VelocityGoal) -> ReferenceTarget:
-        """Where the reference goes: far enough ahead that it does not brake before the horizon's end."""
+        """Target of the reference: far enough ahead that it does not brake before the horizon's end."""
         params, horizon_s = now.params, float(self._t_s[-1])
         route, cruise_m_s = self._route(now, drive, horizon_s)
         depth_m, heave_m_s = float(now.goal.pos_ned_m[2]), params["SPD_HEAVE_MAX"]

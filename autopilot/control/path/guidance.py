@@ -174,7 +174,7 @@ class ReferenceLookahead:
         self._last = route, t_us, s_m
 
     def ask(self, begin_m: FloatArray, end_m: FloatArray, after_s: float) -> None:
-        """Where the reference is now and ``after_s`` later (each at least x and y)."""
+        """Set the positions of the reference now and ``after_s`` later (each at least x and y)."""
         self._asked_m_s = math.dist(begin_m[:2].tolist(), end_m[:2].tolist()) / after_s
 
 

@@ -17,7 +17,7 @@ class DriveTuning:
     pushes: int = 3
     """A step that ends too near to boundaries is pushed out of one after the other."""
     too_near_m: float = 5e-3
-    """Smallest gain by that; below it the path ends."""
+    """Remaining distance to boundaries that is missing after that, above which the path ends."""
     least_progress: float = 0.15
     """Smallest remaining fraction of a step at a boundary (about a perpendicular approach); below it the path ends."""
     share_over_m: float = 0.25

@@ -80,7 +80,7 @@ def turn_target(yaw_rad: float, goal_yaw_rad: float, previous_rad: float | None)
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class ReferenceTarget:
-    """Where the reference goes and how fast."""
+    """Target and speed of the reference."""
 
     route: Route
     s0_m: float

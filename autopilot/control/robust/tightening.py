@@ -68,7 +68,7 @@ class FixedValues:
 
 
 class FixedMargins:
-    """The same margins at every node: MPC_MARGIN, MPC_SPEED_MARGIN and shares of the other speeds."""
+    """Equal margins at every node: MPC_MARGIN, MPC_SPEED_MARGIN and fractions of the other speed limits."""
 
     def __init__(self, grid: TimeGrid, thrusters: int) -> None:
         self._n, self._thrusters = grid.n, thrusters

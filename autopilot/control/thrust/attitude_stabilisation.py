@@ -105,7 +105,7 @@ class AttitudeStabilizer:
         return self._ways[key]
 
     def _found(self, alive: np.ndarray) -> FloatArray:
-        """By least squares: a tilt that comes only with another axis is left alone."""
+        """Least-squares solution; a tilt that needs force in another axis is not controlled."""
         ways = np.zeros((len(alive), 2))
         pushed = np.vstack([self._controlled, self._tilt]) * alive
         inverse = np.linalg.pinv(pushed, rcond=ATTITUDE_STABILISATION.small)

@@ -34,7 +34,7 @@ from autopilot.core.model4 import Model4
 
 
 class StateLayout:
-    """Where the states of a vehicle with ``n`` thrusters stand."""
+    """Indices of the states for ``n`` thrusters."""
 
     def __init__(self, n: int) -> None:
         self.e = slice(0, n)
