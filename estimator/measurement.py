@@ -16,9 +16,7 @@ MAX_SIGMA_M = 10.0
 
 
 def chi2_999(freedom: int) -> float:
-    """99.9 % quantile of the chi-square distribution (Wilson and Hilferty's approximation from five degrees of freedom
-    on).
-    """
+    """99.9 % quantile of chi-square (Wilson and Hilferty's approximation from five degrees of freedom on)."""
     known = CHI2_999.get(freedom)
     if known is not None:
         return known

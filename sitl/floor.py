@@ -48,7 +48,7 @@ class Floor:
         return level
 
     def pixel_map(self, north_m: FloatArray, east_m: FloatArray, level: int) -> NDArray[np.float32]:
-        """Pixel coordinates of floor points (rows, columns) in the texture of a level: (rows, columns, 2) column, row."""
+        """Pixels of floor points (rows, columns) in the texture of a level: (rows, columns, 2) column, row."""
         scale = self.px_per_m / 2**level
         result = np.empty((*north_m.shape, 2), dtype=np.float32)
         result[..., 0] = (east_m - self.east_m) * scale - 0.5
