@@ -55,7 +55,6 @@ class OutputWatch:
         """Reports that differ from the command."""
 
     def sent(self, t_us: int, servos_us: tuple[int, ...]) -> None:
-        """Set the expected outputs."""
         if not self._meant or t_us - self._meant[-1][0] > PAUSE_US:
             self._meant.append((t_us, (NEUTRAL_US,) * len(servos_us)))
         self._meant.append((t_us, servos_us))
@@ -65,7 +64,6 @@ class OutputWatch:
         self.skip()
 
     def begin(self) -> None:
-        """Discard all evidence."""
         self.skip()
         self.rival = False
 

@@ -13,8 +13,6 @@ NAMES_GONE_AFTER = 4
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Rule:
-    """Required value of one parameter."""
-
     name: str
     fits: Callable[[float], bool]
     wanted: str

@@ -33,7 +33,7 @@ class AlwaysOpen(Closing):
     """A device without resources: opening and closing are no-ops."""
 
     def open(self) -> None:
-        """Nothing to open."""
+        """No-op."""
 
     def close(self) -> None:
-        """Nothing to close."""
+        """No-op."""

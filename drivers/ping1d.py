@@ -41,7 +41,7 @@ class Ping1dOptions(Table, frozen=True, kw_only=True):
 
 
 class Ping1d(SerialSensor[AltimeterSample]):
-    """Driver of the echosounder."""
+    """A :class:`autopilot.drivers.protocols.Sensor`."""
 
     Options = Ping1dOptions
 

@@ -75,7 +75,7 @@ class KeptOutput(SafeThrusterOutput):
 
 
 def main() -> None:
-    """Stand by until the farewell."""
+    """Supervise the output until the shutdown message."""
     line, request = listen()
     if not request:
         return  # nothing was commanded yet

@@ -126,7 +126,6 @@ class Fixes:
         return FixResidual(fix.t_us, fix.z, judged.y, fix.noise.diagonal(), drift, judged.passes)
 
     def _watch_map(self, node: Node, fix: PoseFix, *, rejected: bool) -> None:
-        """Check for displaced markers."""
         if self._map is None:
             return
         if not rejected:

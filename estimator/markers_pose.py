@@ -49,8 +49,6 @@ class _Match(NamedTuple):
 
 
 class _Solved(NamedTuple):
-    """A pose and its residuals."""
-
     fix: PoseFix
     worst_px: float
     """How far the worst of all the corners lies from its projection; infinite when a marker was left out."""
@@ -364,7 +362,6 @@ class MarkerSolver:
         errors: MapErrors,
         sheets: SheetStates | None,
     ) -> _Solved | None:
-        """Refinement with displaced sheets."""
         strained: list[int] = []
         good = np.ones(len(seen), dtype=bool)
         best = None

@@ -299,8 +299,6 @@ class _Usual:
 
 
 class Ages:
-    """Ages of images at arrival."""
-
     def __init__(self) -> None:
         self._last_us: deque[int] = deque(maxlen=STAMP_MONITOR.age_count)
         self._usual_us: float | None = None

@@ -38,8 +38,6 @@ class Detector(Protocol):
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class _FrameRequest:
-    """A frame to be processed."""
-
     due_us: int
     frame: CameraFrame
     hint: Hint | None

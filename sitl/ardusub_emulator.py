@@ -202,7 +202,6 @@ class ArduSubEmulator:
     # The wire's side
 
     def hear(self, t_us: int, data: bytes, link: int = 0) -> None:
-        """Bytes received on a link."""
         if self.mute:
             return
         reader = self._readers.get(link)

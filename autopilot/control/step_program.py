@@ -61,8 +61,6 @@ PLAUSIBLE = 4.0
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Solution:
-    """Result of a step's QPs."""
-
     result: NmpcResult
     """Of the last QP."""
     margin_m: float

@@ -7,8 +7,6 @@ TICK_US = 10_000
 
 
 class Clock(Protocol):
-    """Source of the runtime's time."""
-
     def now_us(self) -> int:
         """Microseconds since the clock started, never going back."""
         ...

@@ -71,7 +71,7 @@ def _refracted(slope: FloatArray, index: float) -> FloatArray:
 
 
 def _refracted_growth(slope: FloatArray, index: float) -> tuple[FloatArray, FloatArray]:
-    """The same and its derivative."""
+    """:func:`_refracted` and its derivative with respect to ``slope``."""
     root2 = index * index + (index * index - 1.0) * slope * slope
     root = np.sqrt(root2)
     return slope / root, index * index / (root2 * root)

@@ -48,7 +48,6 @@ class Origin(GeodeticPosition):
     """Valid origin of the local frame; its altitude is the water surface. ConfigError if out of range."""
 
     def __post_init__(self) -> None:
-        """Refuse an invalid origin."""
         if not abs(self.lat_deg) <= MAX_ORIGIN_LAT_DEG:
             raise ConfigError(
                 f"origin latitude {self.lat_deg:g} deg is out of range; use -{MAX_ORIGIN_LAT_DEG:g} to "

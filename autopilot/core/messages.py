@@ -99,7 +99,7 @@ class Inputs:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Between:
-    """A call between two ticks."""
+    """A call of the service between two ticks, recorded for replay."""
 
     t_us: int | None
     """Time of frames that were served; None = a HEARTBEAT was made for all links."""
@@ -142,8 +142,6 @@ class FlightControllerState:
 
 
 class DeviceRole(IntEnum):
-    """Function of a device."""
-
     SENSORS = 0
     CAMERA = 1
     THRUSTERS = 2
@@ -165,7 +163,7 @@ class DeviceTrouble:
 
 
 class NavHealth(IntEnum):
-    """Validity of the estimate."""
+    """Validity of the estimate, in ascending order."""
 
     INVALID = 0
     DEAD_RECKONING = 1
@@ -345,8 +343,6 @@ class ProgressState(IntEnum):
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class MissionProgress:
-    """Progress of the mission."""
-
     t_us: int
     current_seq: int
     reached_seq: int
@@ -360,8 +356,6 @@ class MissionProgress:
 
 
 class SolveStatus(IntEnum):
-    """Result of one NMPC step."""
-
     OK = 0
     IDLE = 1
     """Not asked to solve (disarmed)."""
@@ -372,7 +366,7 @@ class SolveStatus(IntEnum):
 
 
 class Fallback(IntEnum):
-    """Source of the thrust command."""
+    """Source of the thrust command; NONE = the optimiser."""
 
     NONE = 0
     SHIFTED_PLAN = 1
@@ -463,7 +457,7 @@ class ControlOutput:
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class ThrusterCommand:
-    """Command to the thrusters."""
+    """Thrust and pulses, in the order of the vehicle file."""
 
     t_us: int
     thrust_n: FloatArray

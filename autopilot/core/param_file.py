@@ -187,7 +187,6 @@ class PersistentParams:
         return Saved(number=kept.number, failure="" if kept.error is None else cause_of(kept.error))
 
     def finish(self) -> None:
-        """Write pending values."""
         self._note(self._watchdog.finish())
 
     def _note(self, error: Exception | None) -> None:

@@ -135,8 +135,6 @@ class AltimeterSample:
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class DepthSample:
-    """Depth from a pressure sensor."""
-
     t_us: int
     depth_m: float
     """Depth of the sensor below the surface, positive down."""

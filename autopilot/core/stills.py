@@ -20,8 +20,6 @@ class CameraReport:
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class StoredStill:
-    """Result of a requested still."""
-
     index: int
     """The service's number of it."""
     exposure_us: int

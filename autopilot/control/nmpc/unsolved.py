@@ -22,8 +22,6 @@ from autopilot.core.model4 import Model4
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Trial:
-    """Result of one solver."""
-
     solver: str
     status: SolveStatus | None
     """None = it does not work on this machine."""

@@ -76,7 +76,7 @@ class Reference:
 
 
 class Guidance(Protocol):
-    """One instance per vehicle; deterministic."""
+    """The interface of guidance. One instance per vehicle; deterministic: the same calls give the same references."""
 
     @property
     def unreachable(self) -> bool:
@@ -128,8 +128,6 @@ class Weights:
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class RouteRequest:
-    """Request for a route."""
-
     planner: Planner
     start_ned_m: FloatArray
     """(2,)"""

@@ -43,7 +43,6 @@ class Route:
         return found_s, self._distance.value
 
     def point(self, s: float) -> complex:
-        """Position at one arc length."""
         return complex(np.interp(s, self._s, self._corner))
 
     def ahead(self, here: FloatArray, s: float) -> FloatArray:

@@ -34,7 +34,7 @@ class BackOffs:
 
 
 class Tightening(Protocol):
-    """One instance per vehicle; deterministic."""
+    """The interface of constraint tightening. One instance per vehicle; deterministic."""
 
     def back_offs(self, nav: NavState, x: FloatArray, thrust_n: FloatArray, params: ParamSet) -> BackOffs:
         """Back-offs along the plan, constant for one QP.

@@ -178,7 +178,6 @@ class LossBank:
         self._begin_all()
 
     def _prior(self) -> tuple[FloatArray, FloatArray]:
-        """Initial states and covariances."""
         b, at = self._beliefs, self._at
         x = np.zeros(at.size)
         x[at.e] = 1.0
@@ -235,7 +234,6 @@ class LossBank:
         return Memory(self._x, self._p, self._evidence, self._age_s, self._since_s, self.lossy)
 
     def recall(self, memory: Memory) -> None:
-        """Restore a snapshot."""
         self._x, self._p, self._evidence, self._age_s, self._since_s, self.lossy = memory
 
     def accept(self, thruster: int) -> None:
