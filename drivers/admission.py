@@ -1,7 +1,7 @@
-"""Who has a place on a port that several clients share, when there are fewer places than clients.
+"""Admission of clients to a shared port with a limited number of places.
 
-The policy only: no socket, no clock (``t_us`` is handed in), and what a client has said is asked of whoever reads it.
-The rule stands in docs/threats.md ("Who is served").
+Policy only: no socket, no clock (``t_us`` is an argument); the reader of the link supplies what a client has sent. The
+rule is in docs/threats.md ("Who is served").
 """
 
 from collections.abc import Callable, Hashable, Iterable
@@ -12,17 +12,17 @@ from typing import Generic, TypeVar
 from autopilot.core.clients import ClientRecord
 
 KEEP_US = 5_000_000
-"""A client that has said something valid within this time is not displaced by another."""
+"""A client with a valid frame within this time is not displaced."""
 TURN_US = 2_000_000
-"""So long a client has the kept place at least, and so often who waits for it asks (heartbeats come every second)."""
+"""Shortest stay in the reserve place, and retry interval of waiting clients (heartbeats come every second)."""
 MAX_WAITING = 64
-"""Of those who wait for the kept place so many are remembered, the latest."""
+"""Number of waiting clients that are remembered, the latest."""
 
 K = TypeVar("K", bound=Hashable)
 
 
 class Why(Enum):
-    """What a client lost its place for."""
+    """Reason for the loss of a place."""
 
     UNPROVEN = "sent nothing valid"
     SILENT = "silent"
@@ -31,8 +31,6 @@ class Why(Enum):
 
 @dataclass(frozen=True, slots=True)
 class DisplacedClient(Generic[K]):
-    """Somebody who has to go."""
-
     key: K
     why: Why
     silent_us: int
@@ -40,7 +38,7 @@ class DisplacedClient(Generic[K]):
 
 @dataclass(frozen=True, slots=True)
 class AdmissionReply(Generic[K]):
-    """The answer to somebody who asks for a place."""
+    """Result of a request for a place."""
 
     admitted: bool
     displaced: DisplacedClient[K] | None = None
@@ -55,9 +53,10 @@ class _Seat:
 
 
 class Admission(Generic[K]):
-    """``places`` of a port and one more, which is kept: it is given away when all others belong to clients that are
-    heard, and goes round among those who wait for it, so that the operator in control always comes in. ``standing``
-    says what a client has said so far. Who is there for less than ``grace_us`` is given the time to say something."""
+    """``places`` of a port and one reserve: it is used when all others belong to active clients, and rotates among the
+    waiting ones, so that the operator in control is always admitted. ``standing``: received data of a client. Clients
+    get ``grace_us`` before they are judged.
+    """
 
     def __init__(self, places: int, standing: Callable[[K], ClientRecord], grace_us: int = 0) -> None:
         self._most = places + 1
@@ -90,7 +89,7 @@ class Admission(Generic[K]):
         return len(self._places) < self._most - 1 or self._decide(t_us).admitted
 
     def enter(self, key: K, t_us: int, *, always: bool = False) -> AdmissionReply[K]:
-        """Somebody new asks for a place; ``always``: he is expected, and is let in whoever else is there."""
+        """Request of a new client; ``always``: expected, admitted in any case."""
         entry: AdmissionReply[K] = (
             AdmissionReply(True) if always or len(self._places) < self._most - 1 else self._decide(t_us)
         )
@@ -108,7 +107,7 @@ class Admission(Generic[K]):
         return entry
 
     def idle(self, t_us: int, unproven_us: int, proven_us: int) -> list[K]:
-        """Who has been silent for longer than these times, by whether he has ever said something valid."""
+        """Clients silent for longer than these times, which depend on whether they have ever sent a valid frame."""
         gone = []
         for key, place in self._places.items():
             silent_us = t_us - place.heard_us
@@ -117,7 +116,7 @@ class Admission(Generic[K]):
         return gone
 
     def _is_next(self, key: K, t_us: int) -> bool:
-        """Whether nobody who still asks has waited longer."""
+        """Whether no other waiting client has waited longer."""
         mine_us = self._waiting.get(key, (t_us, t_us))[0]
         return all(first_us >= mine_us for first_us, last_us in self._waiting.values() if t_us - last_us <= TURN_US)
 
@@ -135,7 +134,7 @@ class Admission(Generic[K]):
     def _unproven(
         self, known: Iterable[tuple[K, _Seat, ClientRecord]], t_us: int
     ) -> Iterable[tuple[int, DisplacedClient[K]]]:
-        """Who has said nothing valid, the one that came first before the others."""
+        """Clients without a valid frame, in order of arrival."""
         for key, place, standing in known:
             age_us = t_us - place.entered_us
             if standing.valid_us is None and place.turn < self._turn and age_us >= self._grace_us:
@@ -144,7 +143,7 @@ class Admission(Generic[K]):
     def _silent(
         self, known: Iterable[tuple[K, _Seat, ClientRecord]], t_us: int
     ) -> Iterable[tuple[int, DisplacedClient[K]]]:
-        """Who has said nothing valid lately, the longest silent before the others."""
+        """Clients without a recent valid frame, the longest silent first."""
         for key, _, standing in known:
             if standing.valid_us is not None and t_us - standing.valid_us >= KEEP_US:
                 yield standing.valid_us, DisplacedClient(key, Why.SILENT, t_us - standing.valid_us)
@@ -152,7 +151,7 @@ class Admission(Generic[K]):
     def _latest(
         self, known: Iterable[tuple[K, _Seat, ClientRecord]], t_us: int
     ) -> Iterable[tuple[int, DisplacedClient[K]]]:
-        """Who came last, once he has had his time."""
+        """The last arrival whose grace time is over."""
         for key, place, standing in list(known)[-1:]:
             if standing.valid_us is not None and t_us - place.entered_us >= TURN_US:
                 yield 0, DisplacedClient(key, Why.KEPT, t_us - standing.valid_us)
@@ -165,8 +164,7 @@ def _first(candidates: Iterable[tuple[int, DisplacedClient[K]]]) -> DisplacedCli
 
 
 class AdmissionNotices:
-    """What operators should know of a port: who lost his place, and who found none. One line each time that it is asked
-    for; how often that is, is the caller's business."""
+    """Notices to operators about displaced and refused clients of a port: one line per call, at the caller's rate."""
 
     def __init__(self) -> None:
         self._line = ""

@@ -1,11 +1,11 @@
-"""ArduSub as the flight controller below us: it measures, and its motors do what our thrust asks for.
+"""ArduSub as lower flight controller: a source of measurements, and an actuator for our thrust commands.
 
-Its MAVLink is attitude, rates and acceleration, pressure, battery and leak probe. Our pulses go down as
-RC_CHANNELS_OVERRIDE in its MANUAL mode, at 50 Hz (:mod:`.drivers.ardusub_mixing`), and what comes out at its
-servo rail is compared with what was meant. Stopping means 1500 on every channel: to say nothing would leave the last
-thrust standing until its own failsafe. It keeps its arming, its failsafes and its pilot: we are a ground station to it,
-whose heartbeat it misses when this process dies, and a change of its mode takes the vehicle from us at once
-(:mod:`.drivers.ardusub_authority`). Its parameters are read and checked (:mod:`.drivers.ardusub_settings`), and never
+Its MAVLink delivers attitude, rates and acceleration, pressure, battery and leak probe. Our pulses are sent as
+RC_CHANNELS_OVERRIDE in its MANUAL mode, at 50 Hz (:mod:`.drivers.ardusub_mixing`), and its reported servo outputs are
+compared with the command. Stopping means 1500 on every channel: without messages the last thrust would remain until
+its own failsafe. It keeps its arming, its failsafes and its pilot: we are a ground station to it, whose missing
+heartbeat it detects when this process dies, and a change of its mode removes our authority at once
+(:mod:`.drivers.ardusub_authority`). Its parameters are read and checked (:mod:`.drivers.ardusub_settings`), never
 written.
 """
 
@@ -46,7 +46,7 @@ PARAMETERS_PER_ASK = 16
 READ_AGAIN_US = 30_000_000
 """Parameters act live and may be changed by the pilot: while disarmed they are read anew."""
 STALE_US = 500_000
-"""Nothing heard for so long: it is silent."""
+"""Timeout without messages."""
 MESSAGE_IDS = {
     "ATTITUDE": 30,
     "RAW_IMU": 27,
@@ -122,7 +122,7 @@ class ArduSub(Closing):
         self._sent_us = 0
         self._standing_down = False
         self._rest = 0
-        """So often 1500 has still to be sent."""
+        """Remaining repetitions of 1500."""
         self._senders = OutputWatch()
         self._seen: tuple[int, tuple[int, ...]] | None = None
         """What is at the servo rail, and when that was reported."""
@@ -140,7 +140,7 @@ class ArduSub(Closing):
 
     @property
     def mismatch_count(self) -> int:
-        """Reports of the servo rail that show something else than what was meant."""
+        """Servo output reports that differ from the command."""
         return self._senders.mismatch_count
 
     @property
@@ -150,7 +150,7 @@ class ArduSub(Closing):
 
     @property
     def bad_samples(self) -> int:
-        """Messages whose numbers are none."""
+        """Messages with values that are not finite."""
         return self._telemetry.bad_samples
 
     def open(self) -> None:
@@ -165,9 +165,10 @@ class ArduSub(Closing):
             self._wire = wire
 
     def close(self) -> None:
-        """1500 on every channel, disarmed if it is ours; then let go of the link.
+        """1500 on every channel, disarm if armed by us; then close the link.
 
-        One that is silent is not told to disarm: what lies in a buffer on the way would stop it when it is back."""
+        A silent flight controller is not sent a disarm command: buffered on the link, it would act after its return.
+        """
         wire, self._wire = self._wire, None
         if wire is None:
             return
@@ -179,10 +180,10 @@ class ArduSub(Closing):
         self._command_us, self._rest = None, 0
         wire.close()
 
-    # What it measures
+    # Measurements
 
     def poll(self, t_us: int) -> list[Sample]:
-        """What has arrived; and what has to be asked for or sent regularly."""
+        """Received samples; also sends requests and periodic messages."""
         wire = self._open_wire()
         self._now_us = t_us
         samples: list[Sample] = []
@@ -220,17 +221,17 @@ class ArduSub(Closing):
         return (*self.settings.advice(), *found)
 
     def take_notices(self) -> Sequence[tuple[Severity, str]]:
-        """What it says that our operators should know."""
+        """Its messages to our operators."""
         clock = [(severity, f"FC: {text}") for severity, text in self._telemetry.clock.take_notices()]
         notices, self._notices = self._notices + clock, []
         return notices
 
     def unwired(self) -> dict[str, str]:
-        """It has an output for everything; what it does not allow it says when it is asked."""
+        """None: it has an output for everything, and reports errors on command."""
         return {}
 
     def set_payload(self, t_us: int, pulses_us: Sequence[int]) -> None:
-        """What the vehicle carries, whoever has the thrusters."""
+        """Command the payload, whatever the authority over the thrusters."""
         self._payload.want(pulses_us)
         command = self._payload.due(t_us) if self._wire is not None and not self._silent(t_us) else None
         if command is not None:
@@ -280,7 +281,7 @@ class ArduSub(Closing):
         return self._telemetry.take(t_us, message)
 
     def _ask_who_has_it(self) -> None:
-        """After a silence: what it has told of its mode may be over, and heartbeats come once a second."""
+        """After a silence: request its mode, which may have changed; heartbeats come only once a second."""
         self._watch.lose_sight()
         if self._wire is not None:
             self._wire.ask_for(HEARTBEAT)
@@ -323,20 +324,19 @@ class ArduSub(Closing):
         watch.want(t_us, armed=armed)
 
     def hand_back(self, t_us: int) -> None:
-        """Neutral, then silence: it stays armed, and its pilot's failsafe says what becomes of it. A new arming of ours
-        takes it anew."""
+        """Neutral, then silence: it stays armed, subject to its pilot failsafe, until our next arming."""
         if self._watch.takes_commands:
             self._let_go()
         self._watch.hand_back()
 
     def stop(self, t_us: int) -> None:
-        """Neutral, and disarmed by force until its heartbeat has shown it, whoever armed it."""
+        """Neutral, and disarmed by force until its heartbeat confirms it, whoever armed it."""
         if self._watch.takes_commands:
             self._let_go()
         self._watch.stop(t_us)
 
     def stand_down(self, t_us: int) -> bool:
-        """The service ends: disarm what is ours to disarm; True when there is nothing left to wait for."""
+        """Shutdown: disarm if armed by us; True when complete."""
         watch = self._watch
         if self._wire is None or not (watch.ours_to_stop or self._standing_down):
             return True
@@ -349,11 +349,10 @@ class ArduSub(Closing):
         return self.armed(t_us) is False
 
     def armed(self, t_us: int) -> bool | None:
-        """By its heartbeat, None = not known."""
+        """By its heartbeat, None = unknown."""
         return None if self._silent(t_us) else self._watch.is_armed(t_us)
 
     def below(self, t_us: int) -> FlightControllerState:
-        """Who has the vehicle now."""
         watch = self._watch
         return FlightControllerState(
             t_us=t_us,
@@ -368,7 +367,7 @@ class ArduSub(Closing):
         )
 
     def _pulses_us(self, t_us: int) -> tuple[int, ...]:
-        """What the thrusters get, whoever it is from; () when it has not been reported of late."""
+        """Reported thruster pulses from any source [us]; () without a recent report."""
         if self._seen is None or t_us - self._seen[0] > STALE_US:
             return ()
         return self._mixer.pulses_us(self._seen[1])
@@ -391,7 +390,7 @@ class ArduSub(Closing):
 
     @property
     def _unheard(self) -> str:
-        """Why nothing is heard of it."""
+        """Reason for missing data."""
         others = self.other_systems
         if self._heard_us is not None or not others:
             return "flight controller is silent: check cable and link"
@@ -412,9 +411,10 @@ class ArduSub(Closing):
     # Thrust
 
     def write(self, t_us: int, pwm_us: Sequence[int]) -> None:
-        """Pulses per thruster. DriverError while nothing is heard from it; nothing goes down while it is not ours.
+        """Pulses per thruster. DriverError without data from it; nothing is sent without authority.
 
-        Nor while it is silent, but 1500 at first: its pilot may have taken it without our hearing of it."""
+        After a silence 1500 is sent first: its pilot may have taken over unnoticed.
+        """
         wire = self._open_wire()
         if self._watch.wanted and self._watch.authority is not Authority.PILOT and self._silent(t_us):
             if self._command_us is not None:
@@ -457,7 +457,7 @@ class ArduSub(Closing):
             self._rest = 0 if self._watch.authority is Authority.PILOT else self._rest - 1
 
     def _compare(self, t_us: int, message: Any) -> None:
-        """What comes out, with what was meant."""
+        """Compare the reported outputs with the command."""
         found = tuple(getattr(message, f"servo{motor}_raw") for motor in range(1, self._mixer.motors + 1))
         self._seen = (t_us, found)
         if self._watch.acts(t_us):

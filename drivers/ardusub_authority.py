@@ -1,8 +1,8 @@
-"""Who has a vehicle with ArduSub on board: we, its pilot, or nobody.
+"""Authority over a vehicle with ArduSub: ours, its pilot's, or nobody's.
 
-We fly in its MANUAL mode and in no other: any other mode is the pilot's, and so is the choice. Nothing here sets a
-mode. It is armed together with us, by its own checks, and disarmed by force: asked again and again until a heartbeat
-that came behind its answer shows it.
+We command in its MANUAL mode only: any other mode is the pilot's choice, and nothing here sets a mode. It is armed
+together with us, after its own checks, and disarmed by force: the command is repeated until a heartbeat later than its
+acknowledgement shows it.
 """
 
 from typing import Any
@@ -34,7 +34,7 @@ SPOOL_US = 1_050_000
 """From arming to full thrust: half a second of neutral, then half a second (MOT_SPOOL_TIME) in which heave grows."""
 ASK_EVERY_US = 1_000_000
 GIVE_UP_US = 5_000_000
-"""So long it may take to arm."""
+"""Timeout of arming."""
 DISARM_EVERY_US = 250_000
 """A disarming that is waited for is asked for so often,"""
 BEAT_EVERY_US = 100_000
@@ -48,8 +48,6 @@ STALE_BEAT_US = 3_500_000
 
 
 class AuthorityWatch:
-    """Follows heartbeats, answers and texts."""
-
     def __init__(self) -> None:
         self.mode: int | None = None
         """None before the first heartbeat."""
@@ -60,7 +58,7 @@ class AuthorityWatch:
         self.wanted = False
         """By us."""
         self.found_armed = False
-        """It was armed when it was first heard, and has been since."""
+        """It has been armed since its first heartbeat."""
         self.handed_back = False
         """It was left armed on purpose, since we last wanted it."""
         self._first = True
@@ -84,7 +82,6 @@ class AuthorityWatch:
 
     @property
     def authority(self) -> Authority:
-        """Who has it now."""
         if self.mode is not None and self.mode != MANUAL:
             return Authority.PILOT
         return Authority.STOPPED if self._stopped else Authority.OURS
@@ -103,15 +100,14 @@ class AuthorityWatch:
 
     @property
     def takes_commands(self) -> bool:
-        """Whether we are to send any: not before it is known whose it is."""
+        """Whether commands are to be sent: not before the authority is known."""
         return self.wanted and self.known and self.authority is Authority.OURS
 
     def lose_sight(self) -> None:
-        """Whose it is is not known until the next heartbeat."""
+        """The authority is unknown until the next heartbeat."""
         self.known = False
 
     def want(self, t_us: int, *, armed: bool) -> None:
-        """Told every tick."""
         if armed != self.wanted:
             self.wanted = armed
             self._wanted_us, self._asked_us = t_us, t_us - ASK_EVERY_US
@@ -127,21 +123,21 @@ class AuthorityWatch:
         self.handed_back = self.armed
 
     def stop(self, t_us: int) -> None:
-        """Disarm it, whoever armed it and whatever its mode; sent on every tick until :meth:`is_armed` says False."""
+        """Disarm it, whoever armed it and whatever its mode; sent on every tick until :meth:`is_armed` is False."""
         if self._stop_us is None:
             self._stop_us, self._answered = t_us, False
             self._asked_us = t_us - DISARM_EVERY_US
             self._beat_asked_us = t_us - BEAT_EVERY_US
 
     def is_armed(self, t_us: int) -> bool | None:
-        """By its heartbeat; None = not known, or a disarming is waited for that it has not confirmed."""
+        """By its heartbeat; None = unknown, or a disarming that is not confirmed yet."""
         if not self.known or t_us - self._beat_us > STALE_BEAT_US:
             return None
         return True if self.armed else None if self._stop_us is not None else False
 
     @property
     def ours_to_stop(self) -> bool:
-        """Whether an orderly end of ours ends its arming: not what its pilot has armed or flies."""
+        """Whether our shutdown disarms it: not if its pilot has armed it or has the authority."""
         pilots = self.mode is not None and self.mode != MANUAL
         return not pilots and not self.handed_back and (self.wanted or self._had or self.found_armed)
 
@@ -164,7 +160,7 @@ class AuthorityWatch:
             return False
         if not self.known or self.mode != MANUAL or self._stopped or self.armed == self.wanted:
             return None
-        if not self.wanted and not self._had:  # somebody else armed it: not ours to end
+        if not self.wanted and not self._had:  # armed by another source: not disarmed by us
             return None
         if self.wanted and t_us - self._wanted_us > GIVE_UP_US:
             self._stopped = f"does not arm: {self._refusal or 'no answer'}"
@@ -202,7 +198,7 @@ class AuthorityWatch:
                 return
 
     def _confirm(self, t_us: int) -> None:
-        """A heartbeat behind the answer to the disarming, or long behind the request, says that it is done."""
+        """Confirmation by a heartbeat after the acknowledgement of the disarming, or long after the request."""
         if self._stop_us is None or self.armed:
             return
         if self._answered or t_us - self._stop_us >= NO_ANSWER_US:
@@ -221,5 +217,4 @@ class AuthorityWatch:
 
 
 def mode_name(number: int) -> str:
-    """As pilots know it."""
     return MODE_NAMES.get(number, f"mode {number}")

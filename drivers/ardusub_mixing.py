@@ -1,14 +1,14 @@
-"""ArduSub's mixer, backwards: which RC channels make its motors push as our thrusters are meant to.
+"""Inverse of ArduSub's mixer: RC channels for the wanted motor outputs.
 
 In MANUAL every axis is a channel, every motor the sum of its axes: pulse = 1500 + MOT_n_DIRECTION * sum, linear, in
-whole microseconds. A frame of six or eight motors has fewer axes than motors, so that not every set of pulses can be
-had; our allocation, which knows the thrusters' curves, asks for such as well (a thruster pushes less astern than
-ahead). What is wanted is then force and moment: the channels are found that make them, as near as can be to the pulses
-asked for.
+whole microseconds. A frame of six or eight motors has fewer axes than motors: not every combination of pulses is
+attainable, and our allocation, which uses the thruster curves, requests such combinations (a thruster is weaker
+astern). Force and moment then have priority: the channels reproduce them, as close as possible to the requested
+pulses.
 
-A positive sum pushes as the frame's table says, whatever way round motor and propeller are built in: a vehicle that its
-pilot can fly has its MOT_n_DIRECTION set so. The vehicle file says where a longer pulse pushes; thruster n of the file
-(``channel``) is motor n.
+A positive sum pushes as in the frame's table, however motor and propeller are mounted: on a vehicle that its pilot can
+fly, MOT_n_DIRECTION is set accordingly. The vehicle file gives the direction of thrust for a longer pulse; thruster n
+of the file (``channel``) is motor n.
 """
 
 from collections.abc import Mapping, Sequence
@@ -144,7 +144,7 @@ class Group:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Mixed:
-    """What is sent, and what should come out at the servo rail."""
+    """Channels to send and the expected servo outputs [us]."""
 
     channels_us: tuple[int, ...]
     """Pulses of the channels 1 to 6."""
@@ -198,7 +198,7 @@ class Mixer:
         return len(self._order)
 
     def take(self, parameters: Mapping[str, float]) -> None:
-        """What the flight controller's parameters say of the mixing."""
+        """Use the flight controller's mixing parameters."""
         names = [f"MOT_{motor}_DIRECTION" for motor in range(1, self.motors + 1)]
         self.directions = np.array([-1.0 if parameters.get(name, 1.0) < 0.0 else 1.0 for name in names])
         self.yaw_gain = parameters.get("ACRO_YAW_P", DEFAULT_YAW_P) / DEFAULT_YAW_P

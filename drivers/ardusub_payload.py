@@ -1,6 +1,6 @@
-"""What the vehicle carries, moved by ArduSub: DO_SET_SERVO and DO_SET_RELAY, one at a time until each is acknowledged.
+"""Payload driven by ArduSub: DO_SET_SERVO and DO_SET_RELAY, one at a time until each is acknowledged.
 
-Only what has been changed is sent: outputs that nobody has touched stay as the flight controller has them.
+Only changes are sent: outputs that were never commanded stay as the flight controller has them.
 """
 
 from collections.abc import Sequence
@@ -15,8 +15,6 @@ AGAIN_US = 500_000
 
 
 class Passing:
-    """Passes the wanted state on."""
-
     def __init__(self, vehicle: Vehicle) -> None:
         self._outputs = vehicle.payload
         self._done = [output.start_us for output in self._outputs]
@@ -26,7 +24,7 @@ class Passing:
         """Which one is under way, its pulse, and when it was sent."""
 
     def want(self, pulses_us: Sequence[int]) -> None:
-        """What all of them are to get."""
+        """Set the wanted state of all outputs."""
         self._wanted[:] = pulses_us[: len(self._wanted)]
 
     def forget(self) -> None:
@@ -49,7 +47,7 @@ class Passing:
         return SET_RELAY, float(output.relay or 0), float(on)
 
     def acknowledge(self, message: Any) -> str:
-        """A COMMAND_ACK; what operators should know of it, "" nothing."""
+        """Process a COMMAND_ACK; returns a notice to operators, "" = none."""
         if self._asked is None:
             return ""
         index, pulse_us, _ = self._asked

@@ -1,7 +1,7 @@
-"""What ArduSub itself has against arming: its own pre-arm checks, in its words.
+"""ArduSub's own pre-arm checks and their texts.
 
-It tells whether they pass in SYS_STATUS (MAV_SYS_STATUS_PREARM_CHECK), and why not in texts, which it is asked for: by
-itself it repeats them every half minute. A version that has no such bit is believed by its texts alone.
+SYS_STATUS (MAV_SYS_STATUS_PREARM_CHECK) gives the result, STATUSTEXT the reasons, on request: by itself it repeats
+them every half minute. For versions without this bit only the texts are used.
 """
 
 from typing import Any
@@ -17,8 +17,6 @@ STANDS_US = 40_000_000
 
 
 class PrearmWatch:
-    """Follows SYS_STATUS and texts."""
-
     def __init__(self) -> None:
         self._passes: bool | None = None
         """None: it does not say."""

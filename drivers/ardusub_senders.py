@@ -1,8 +1,8 @@
-"""What comes out at ArduSub's servo rail, compared with what was meant: is somebody else commanding the thrusters?
+"""Detection of a second sender: ArduSub's servo outputs compared with our commands.
 
-ArduSub takes the last of two senders. One beside us shows as outputs that are ours and not ours by turns (it speaks 20
-to 50 times a second, we 50 times), or as outputs that are never ours while it is the faster one. Reports are counted,
-not timed: they come 50 times a second, so that the window is 0.3 s of the vehicle's time whatever the link does.
+ArduSub applies the last of several senders. A second one shows as outputs that alternate between our command and
+another (it sends at 20 to 50 Hz, we at 50 Hz), or that never match while it is the faster one. Reports are counted,
+not timed: they arrive at 50 Hz, so that the window is 0.3 s of the vehicle's time whatever the link's latency.
 """
 
 from collections import deque
@@ -12,7 +12,7 @@ from itertools import pairwise
 from autopilot.drivers.ardusub_mixing import NEUTRAL_US, PLANE_MOTORS
 
 SERVO_WITHIN_US = 450_000
-"""What comes out belongs to one of the commands of so long before the last: 20 ms to act, the way back, a late loop."""
+"""Outputs correspond to a command of this time before the last: 20 ms to act, the way back, a late loop."""
 PAUSE_US = 300_000
 """After so long without a command of ours its failsafe may have made the outputs neutral."""
 SERVO_TOLERANCE_US = 4
@@ -20,15 +20,15 @@ SLOW_TOLERANCE_US = 20
 """Of upright motors behind ArduSub's low-pass of heave, which is not followed to the microsecond: 12 us measured."""
 
 WINDOW = 15
-"""Reports that are looked at together: 0.3 s."""
+"""Window of reports: 0.3 s."""
 WINDOW_US = 1_500_000
-"""Of the vehicle's time: reports that come more slowly than 10 Hz are not looked at together."""
+"""Longest interval of reports (vehicle time): slower than 10 Hz they are not evaluated."""
 TURNS = 2
-"""So often within the window outputs of others follow upon ours."""
+"""Transitions from our outputs to others within the window."""
 STANDING = 12
-"""So many reports in a row of others' outputs that are not neutral: its own failsafe makes them neutral."""
+"""Consecutive reports of foreign outputs other than neutral: its own failsafe makes them neutral."""
 OVER_AFTER_US = 1_000_000
-"""So long after the last output of others it is over."""
+"""Time after the last foreign output at which it is over."""
 WRONG_US = 300_000
 """Neutral outputs instead of ours for so long: our commands do not arrive, or are refused."""
 CLOCK_US = 1 << 32
@@ -52,26 +52,23 @@ class OutputWatch:
         self.problem = ""
         """What stands at an output instead of what is meant, "" while all is well."""
         self.mismatch_count = 0
-        """Reports that show something else than what was meant."""
+        """Reports that differ from the command."""
 
     def sent(self, t_us: int, servos_us: tuple[int, ...]) -> None:
-        """What the outputs are meant to become."""
         if not self._meant or t_us - self._meant[-1][0] > PAUSE_US:
             self._meant.append((t_us, (NEUTRAL_US,) * len(servos_us)))
         self._meant.append((t_us, servos_us))
 
     def forget(self) -> None:
-        """Nothing is meant any more."""
         self._meant.clear()
         self.skip()
 
     def begin(self) -> None:
-        """Nothing is known of who commands."""
         self.skip()
         self.rival = False
 
     def skip(self) -> None:
-        """Reports that say nothing now, as behind a silence: another sender that was there is assumed to be."""
+        """Ignore reports for now, as after a silence; a detected second sender is kept."""
         self._wrong.clear()
         self._since_us, self.problem = None, ""
 
@@ -133,7 +130,7 @@ def _is_meant(found: tuple[int, ...], commands: Sequence[tuple[int, ...]]) -> bo
 
 
 def _is_slowly_meant(found: tuple[int, ...], commands: Sequence[tuple[int, ...]]) -> bool:
-    """The same with slow heave: upright motors lie between those of longer."""
+    """As for other motors, with filtered heave: outputs of upright motors lie between those of a longer window."""
     between = all(
         min(meant) - SLOW_TOLERANCE_US <= pulse <= max(meant) + SLOW_TOLERANCE_US
         for pulse, meant in zip(found[PLANE_MOTORS:], list(zip(*commands, strict=True))[PLANE_MOTORS:], strict=True)

@@ -1,7 +1,7 @@
-"""ArduSub's parameters that our thrust depends on: read, checked, never written.
+"""ArduSub's parameters that affect our thrust: read, checked, never written.
 
-What is wrong with those that the mixing or a failsafe rests on refuses arming; the texts say which value it takes and
-why. The pilot sets it in the ground station.
+Values that break the mixing or a failsafe prevent arming; the texts give the required value and the reason. The pilot
+sets them in the ground station.
 """
 
 from collections.abc import Callable, Mapping
@@ -13,8 +13,6 @@ NAMES_GONE_AFTER = 4
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Rule:
-    """One parameter and what it has to be."""
-
     name: str
     fits: Callable[[float], bool]
     wanted: str
@@ -97,7 +95,7 @@ LAST_GCS_ID = "MAV_GCS_SYSID_HI"
 
 
 def motor_rules(motors: int) -> tuple[Rule, ...]:
-    """What its first outputs have to be: motor n at output n."""
+    """Required functions of the first outputs: motor n at output n."""
     return tuple(
         Rule(
             name=f"SERVO{n}_FUNCTION",
@@ -111,7 +109,7 @@ def motor_rules(motors: int) -> tuple[Rule, ...]:
 
 
 class ArduSubSettings:
-    """What has been read so far."""
+    """Parameters read so far."""
 
     def __init__(self, frame_number: int, motors: int, ours: int) -> None:
         self._frame_number = frame_number
@@ -134,7 +132,7 @@ class ArduSubSettings:
         self._asked[name] += 1
 
     def advice(self) -> tuple[tuple[str, str], ...]:
-        """What would be better, and how to set it."""
+        """Recommended changes and how to make them."""
         if self.values.get("FS_PILOT_INPUT", 1.0) < 1.5:
             return ()
         found = "FS_PILOT_INPUT = 2: a pilot who takes over without a joystick is disarmed after FS_PILOT_TIMEOUT"
@@ -159,7 +157,7 @@ class ArduSubSettings:
         return not self.missing()
 
     def problems(self) -> tuple[str, ...]:
-        """What has to be set differently before our thrust may act."""
+        """Settings that prevent the use of our thrust."""
         if not self.complete:
             return (f"flight controller: {len(self.missing())} parameters not read yet, wait",)
         values = self.values

@@ -1,7 +1,8 @@
-"""How long a flight controller with ArduSub goes on with the last thrust when nobody speaks any more: measured.
+"""Measurement of how long ArduSub keeps the last thrust after all messages stop.
 
-With the propellers off: armed by its own checks in MANUAL, a small thrust ahead, then complete silence (no channels, no
-heartbeat), as if the companion had lost its power. What its servo rail shows is the answer. Time is handed in.
+With the propellers off: armed after its own checks in MANUAL, a small thrust ahead, then no messages at all (no
+channels, no heartbeat), as after a power failure of the companion. The servo outputs give the result. Time is an
+argument.
 """
 
 from enum import Enum
@@ -17,16 +18,14 @@ SHOWN_US, STILL_US = 20, 4
 """Off neutral by so much a motor turns; by less it stands."""
 ASK_EVERY_US = 1_000_000
 CONTACT_US, ARM_US, PUSH_FOR_US = 10_000_000, 8_000_000, 1_000_000
-"""So long each step may take at most; thrust is held for the last."""
+"""Timeout of each step; thrust is held for the last."""
 SILENT_US = 10_000_000
 """Silence that is long enough."""
 END_US = 3_000_000
-"""So long it may take to disarm."""
+"""Timeout of disarming."""
 
 
 class SilenceStep(Enum):
-    """What is being done."""
-
     CONTACT = "contact"
     ARM = "arm"
     PUSH = "push"
@@ -36,7 +35,7 @@ class SilenceStep(Enum):
 
 
 class SilenceTest:
-    """One measurement over an open wire. :attr:`neutral_s` and :attr:`problem` tell its end."""
+    """One measurement over an open link; complete when :attr:`neutral_s` or :attr:`problem` is set."""
 
     def __init__(self, wire: Wire, motors: int) -> None:
         self._wire = wire
@@ -122,7 +121,7 @@ class SilenceTest:
             self._reports = 0
             self._wire.interval(SERVO_ID, SERVO_HZ)
         if self._mode is not None and self._armed:
-            self.problem = "it is armed already: disarm it"  # by somebody else, who keeps it
+            self.problem = "it is armed already: disarm it"  # by another source, which keeps it armed
             self._step = SilenceStep.DONE
         elif self._mode is not None and self._mode != MANUAL:
             self._give_up(t_us, "it is not in MANUAL: switch it")

@@ -1,4 +1,4 @@
-"""What ArduSub measures, as our samples."""
+"""Conversion of ArduSub's telemetry to our samples."""
 
 import math
 from typing import Any
@@ -75,7 +75,7 @@ class ArduSubTelemetry:
         return []
 
     def leak(self, t_us: int) -> list[Sample]:
-        """What the leak probe says, once per second: it warns at times, and says nothing while it is dry."""
+        """State of the leak probe, once per second: ArduSub warns at intervals, and sends nothing while it is dry."""
         wet = self._leak_us is not None and t_us - self._leak_us < LEAK_HOLD_US
         if t_us - self._leak_reported_us < LEAK_EVERY_US and self._leak_us != t_us:
             return []
@@ -103,7 +103,7 @@ class ArduSubTelemetry:
         ]
 
     def _depth(self, t_us: int, message: Any) -> list[Sample]:
-        """By the sensor outside of the hull."""
+        """Depth by the sensor outside of the hull."""
         given_pa = self._given_ground_pa
         ground_pa = self.parameters.get("BARO2_GND_PRESS") if given_pa is None else given_pa
         if ground_pa is None or ground_pa <= 0.0 or not math.isfinite(message.press_abs):
@@ -116,7 +116,7 @@ class ArduSubTelemetry:
         return [DepthSample(t_us=stamp_us, depth_m=depth_m, sigma_m=self._depth_sigma_m)]
 
     def _altimeter(self, t_us: int, message: Any) -> list[Sample]:
-        """Of its range finder; a range at or beyond its limits is none, a quality of 0 is not known."""
+        """Sample of its range finder; none at or beyond its limits; a quality of 0 means unknown."""
         range_cm, quality = message.current_distance, getattr(message, "signal_quality", 0)
         if not message.min_distance < range_cm < message.max_distance or not 0 <= quality <= 100:
             return []

@@ -1,4 +1,4 @@
-"""The MAVLink side of the ArduSub driver: frames in, messages out, and what it sends."""
+"""MAVLink layer of the ArduSub driver: parser and encoder."""
 
 import importlib
 from collections.abc import Iterator

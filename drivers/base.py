@@ -1,11 +1,11 @@
-"""The ``with`` protocol that all drivers share."""
+"""The ``with`` protocol of all drivers."""
 
 from abc import ABC, abstractmethod
 from types import TracebackType
 from typing import Self
 
 G_M_S2 = 9.80665
-"""Standard gravity: what a pressure is worth in depth, and a g in acceleration."""
+"""Standard gravity, for depth from pressure and acceleration from g."""
 
 
 class Closing(ABC):
@@ -13,11 +13,11 @@ class Closing(ABC):
 
     @abstractmethod
     def open(self) -> None:
-        """Take hold of the device."""
+        """Open the device. DriverError if it cannot be opened."""
 
     @abstractmethod
     def close(self) -> None:
-        """Let go of the device. Idempotent."""
+        """Release the device. Idempotent."""
 
     def __enter__(self) -> Self:
         self.open()
@@ -30,10 +30,10 @@ class Closing(ABC):
 
 
 class AlwaysOpen(Closing):
-    """For devices that hold nothing: opening and closing do nothing."""
+    """A device without resources: opening and closing are no-ops."""
 
     def open(self) -> None:
-        """Nothing to open."""
+        """No-op."""
 
     def close(self) -> None:
-        """Nothing to close."""
+        """No-op."""

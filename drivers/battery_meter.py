@@ -1,11 +1,11 @@
-"""What every battery monitor makes of voltage and current: energy used and the share that is left."""
+"""Energy used and remaining charge from voltage and current, common to all battery monitors."""
 
 from autopilot.core.samples import PowerSample, plausible
 from autopilot.core.vehicle import BatteryLimits, Vehicle
 from autopilot.drivers.i2c import I2cBus, I2cSensor
 
 LONGEST_GAP_US = 2_000_000
-"""A longer gap is bridged with no more than this much of the present power: nobody knows what was drawn meanwhile."""
+"""Largest gap over which the present power is integrated: the power in a longer one is unknown."""
 
 
 class EnergyMeter:
@@ -18,8 +18,9 @@ class EnergyMeter:
         self._last: tuple[int, float] | None = None
 
     def sample(self, t_us: int, voltage_v: float, current_a: float) -> PowerSample | None:
-        """The sample of a reading; None if no battery can say that. What this battery cannot say counts for nothing:
-        the service refuses it."""
+        """The sample of a reading; None if it is implausible for any battery. A reading outside of this battery's
+        range is not integrated: the service rejects it.
+        """
         power_w = voltage_v * current_a
         before_us, before_w = (t_us, power_w) if self._last is None else self._last
         gap_s = 1e-6 * min(max(0, t_us - before_us), LONGEST_GAP_US)

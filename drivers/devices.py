@@ -1,8 +1,8 @@
-"""``[devices]`` of a vehicle configuration: which back end stands for what, with its options.
+"""``[devices]`` of a vehicle configuration: driver and options of every device.
 
 One table per kind (:data:`.drivers.registry.DEVICE_KINDS`). ``driver`` names the back end, every other key is one of
-its options: fields of the class's ``Options``. A flight controller brings what it measures and drives the thrusters, so
-that beside it there are no ``thrusters``; a sensor of its own kind beside it takes the place of what it would send.
+its options: fields of the class's ``Options``. A flight controller supplies measurements and drives the thrusters, and
+excludes ``thrusters``; a separate sensor of the same kind replaces the flight controller's.
 """
 
 from collections.abc import Mapping
@@ -22,7 +22,7 @@ DeviceTable = dict[str, Any]
 
 
 class DeviceSetup(msgspec.Struct, frozen=True, kw_only=True):
-    """One device that has been looked through: what makes it, and from what."""
+    """Validated configuration of one device: class and arguments."""
 
     kind: str
     driver: str
@@ -35,7 +35,7 @@ class DeviceSetup(msgspec.Struct, frozen=True, kw_only=True):
 
 
 def read_devices(tables: Mapping[str, DeviceTable], origin: str) -> dict[str, DeviceSetup]:
-    """What is asked for, by kind. ConfigError begins with ``origin`` and names key, value and remedy."""
+    """Configured devices by kind. ConfigError begins with ``origin`` and names key, value and remedy."""
     devices = {kind: _device(kind, table, origin) for kind, table in tables.items()}
     if THRUSTERS in devices and FLIGHT_CONTROLLER in devices:
         raise ConfigError(

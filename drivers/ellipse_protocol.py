@@ -1,7 +1,7 @@
 """Wire format of SBG Systems' Ellipse references (sbgECom), both directions.
 
-Frame: ``FF 5A | message u8 | class u8 | size u16 | data | crc u16 | 33``, numbers little-endian, the CRC that of the
-IG-500 over everything between sync and itself. Logs say themselves what they are; later firmware appends fields.
+Frame: ``FF 5A | message u8 | class u8 | size u16 | data | crc u16 | 33``, little-endian, the CRC that of the IG-500
+over everything between sync and itself. Logs are self-describing; later firmware appends fields.
 """
 
 import math
@@ -59,8 +59,6 @@ class Attitude:
 
 
 class EllipseParser(SbgParser[EllipseFrame]):
-    """Frames of an Ellipse."""
-
     sync, end, head_bytes, max_data, order = b"\xff\x5a", 0x33, 6, 4086, "<"
 
     def _make(self, ids: bytes, data: bytes) -> EllipseFrame:

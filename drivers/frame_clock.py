@@ -1,10 +1,9 @@
-"""When pictures were taken that come without stamps: the camera's beat is followed, delays that vary are not.
+"""Exposure times of images without stamps: a filter for the camera's period that rejects transport jitter.
 
-A camera exposes with its own even beat; encoders, networks and a busy machine delay each picture as they like. So the
-arrivals lie about a line (time over the picture's number in the beat), and what the line says is nearer to the exposure
-than the arrival. Its mean delay stays in; that is the ``latency_s`` of cameras. A camera without a beat (exposure that
-is longer in the dark, pictures by trigger) is found by arrivals that lie anywhere between two beats; then they stand
-for themselves.
+A camera exposes periodically; encoders, networks and load delay each image at random. The arrivals scatter about a
+line (time over frame number), and the line is closer to the exposure than the arrival. Its mean delay remains; that is
+``latency_s`` of a camera. A camera without a period (longer exposure in the dark, external trigger) is detected by
+arrivals that are uniformly distributed between two frames; arrival times are then used as they are.
 """
 
 import math
@@ -16,16 +15,17 @@ import numpy as np
 from autopilot.core.frames import FloatArray
 
 FIRST = 60
-"""Arrivals before the beat is looked for; until it is known they stand for themselves."""
+"""Arrivals before the period is estimated; until then arrival times are used."""
 AGAIN = 15
-"""Arrivals after which it is looked for again: that takes milliseconds."""
+"""Arrivals between estimates of the period, which take milliseconds."""
 WINDOW = 240
 """Arrivals that the line goes through: 8 s at 30 Hz, in which clocks of cameras drift by less than a millisecond."""
 TRIED = np.geomspace(0.28, 1.4, 800)
 """Beats that are tried, in median steps: of a stream that loses most pictures a step is two or three beats, and a
 step's delay may be a third of a beat more than the one's before."""
 LEAST_ORDER = 0.45
-"""Of arrivals in a beat (1 = all at the same phase): those without a beat come to about 0.35 in their best of all."""
+"""Phase coherence of periodic arrivals (1 = all at the same phase): arrivals without a period reach about 0.35 at
+best."""
 LEAST_SHARE = 0.65
 """The longest beat that comes so near to the best is it: half of a beat and a third are beats, too."""
 CLIP = 2.5
@@ -33,12 +33,12 @@ CLIP = 2.5
 STRAY = 0.25
 """Standard deviation about the line, in beats, at which there is none: arrivals at any time have 0.29."""
 EARLY_SIGMAS, EARLY = 3.3, (0.05, 0.45)
-"""A picture may come early by so many standard deviations, at least and at most so many beats; what is later than the
-rest of a beat is taken for the next picture. Delays have long tails on one side only."""
+"""Earliest arrival in standard deviations, and its bounds in periods; an arrival later than the rest of a period is
+taken for the next image. Delays have long tails on one side only."""
 PAUSE_BEATS = 60.0
-"""After a silence of so many pictures the beat is looked for again."""
+"""Missing images after which the period is estimated again."""
 LOST_COUNT = 20
-"""So many in a row off the line on one side: something in between has changed, and the line begins anew with them."""
+"""Consecutive arrivals off the line on one side after which the transport has changed, and the line is restarted."""
 
 
 def machine_us() -> int:
@@ -47,45 +47,43 @@ def machine_us() -> int:
 
 
 class LoopTime:
-    """Turns the machine's monotonic clock into the loop's time.
+    """Converts the machine's monotonic clock to the loop's time.
 
-    The loop says its time when it polls, which is the time at which the tick was due: a late tick says less than it
-    is. The largest difference of some seconds is that of a tick in time.
+    Polls give the loop's time, which is the due time of the tick: a late tick gives a value that is too small. The
+    largest difference over some seconds is that of a punctual tick.
     """
 
     def __init__(self, polls: int = 200) -> None:
         self._ahead_us: deque[int] = deque(maxlen=polls)
 
     def hear(self, t_us: int, clock_us: int) -> None:
-        """The loop says ``t_us``, the machine's clock ``clock_us``."""
+        """Add a pair: loop time ``t_us``, machine clock ``clock_us``."""
         self._ahead_us.append(t_us - clock_us)
 
     def at(self, clock_us: int) -> int:
-        """The loop's time when the machine's clock said that; something must have been heard."""
+        """Loop time [us] for a machine time; needs at least one pair."""
         return clock_us + max(self._ahead_us)
 
     def clock_at(self, t_us: int) -> int:
-        """What the machine's clock says at that time of the loop; something must have been heard."""
+        """Machine time [us] for a loop time; needs at least one pair."""
         return t_us - max(self._ahead_us)
 
 
 class FrameClock:
-    """Of one stream of pictures."""
-
     def __init__(self) -> None:
         self._times_us: deque[int] = deque(maxlen=WINDOW)
         self._line: _Line | None = None
         self._off = 0
         self._unplaced = 0
-        """Arrivals without a beat since one was looked for last."""
+        """Arrivals without a period since the last estimate."""
 
     @property
     def rate_hz(self) -> float:
-        """Pictures per second by the camera's beat; 0 = none has been found."""
+        """Estimated frame rate [Hz]; 0 = no period found."""
         return 0.0 if self._line is None else 1e6 / self._line.beat_us
 
     def stamp(self, arrival_us: int) -> int:
-        """When this picture would have come with the mean delay [us]. Arrivals in their order."""
+        """Arrival time of this image at the mean delay [us]. Arrivals must be in order."""
         times, line = self._times_us, self._line
         if times and (arrival_us <= times[-1] or (line and arrival_us - times[-1] > PAUSE_BEATS * line.beat_us)):
             times.clear()
@@ -123,7 +121,6 @@ class _Line:
         self._early = min(max(EARLY_SIGMAS * sigma_us / beat_us, EARLY[0]), EARLY[1])
 
     def of(self, time_us: float) -> float:
-        """The beat of this arrival."""
         return self.at_us + math.floor((time_us - self.at_us) / self.beat_us + self._early) * self.beat_us
 
     def through(self, times_us: FloatArray) -> "_Line | None":
@@ -157,7 +154,7 @@ def _find(times_us: FloatArray) -> _Line | None:
         return None
     beat_us, order = float(beats_us[good[-1]]), float(orders[good[-1]])
     phase = float(np.angle(phasors[good[-1]])) / (2.0 * math.pi)
-    # Of a normal distribution round a circle: order = exp(-(2 pi sigma)^2 / 2).
+    # Wrapped normal distribution: order = exp(-(2 pi sigma)^2 / 2).
     sigma_us = max(math.sqrt(max(-2.0 * math.log(order), 0.0)) / (2.0 * math.pi), 0.01) * beat_us
     line: _Line | None = _Line(begin_us + phase * beat_us, beat_us, sigma_us)
     for _ in range(3):

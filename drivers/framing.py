@@ -1,7 +1,7 @@
-"""Cuts a byte stream (TCP, serial) into whole frames: MAVLink's without knowing any message, and those of devices.
+"""Splits a byte stream (TCP, serial) into frames: MAVLink's without knowing any message, and those of devices.
 
-A MAVLink frame is known by its start byte and length alone (https://mavlink.io/en/guide/serialization.html); checksums
-are the reader's business. A start byte that was none is noticed when no other follows its frame.
+A MAVLink frame is identified by its start byte and length (https://mavlink.io/en/guide/serialization.html); checksums
+are left to the reader. A false start byte is detected when no other one follows its frame.
 """
 
 from abc import ABC, abstractmethod
@@ -44,7 +44,7 @@ class FrameCutter:
 
 
 def _next_start(buffer: bytearray, at: int) -> int:
-    """Where a frame may begin next, or the end."""
+    """Index of the next possible start of a frame, or the end."""
     found = [i for i in (buffer.find(_V1, at), buffer.find(_V2, at)) if i >= 0]
     return min(found, default=len(buffer))
 
@@ -60,8 +60,9 @@ def _frame_size(buffer: bytearray, at: int) -> int | None:
 
 
 class FrameParser(ABC, Generic[F]):
-    """Frames of a device that begin with sync bytes and hold their length. However the bytes are cut, it never raises;
-    the counters say what was thrown away."""
+    """Parser of frames with sync bytes and a length field. Never raises, however the stream is cut; dropped data is
+    counted.
+    """
 
     sync: ClassVar[bytes]
     head_bytes: ClassVar[int]
@@ -108,7 +109,7 @@ class FrameParser(ABC, Generic[F]):
             if size is None or frame is None:
                 self.bad_frames += 1
                 self.skipped += len(sync)
-                at += len(sync)  # not the whole frame: the size itself may be what is damaged
+                at += len(sync)  # not the whole frame: the size itself may be damaged
                 continue
             frames.append(frame)
             at += size

@@ -1,4 +1,4 @@
-"""Single lines of a Linux GPIO chip: probes that are read, outputs that are switched."""
+"""Lines of a Linux GPIO chip: inputs and outputs."""
 
 from typing import Any, Protocol
 
@@ -26,7 +26,7 @@ class LinuxGpio(Closing):
         self._value: Any = None
 
     def open(self) -> None:
-        """Ask for the line; DriverError says why it cannot be had."""
+        """Request the line. DriverError with the reason."""
         if self._request is not None:
             return
         try:

@@ -14,7 +14,7 @@ BUS_TIMEOUT_10MS = 1
 
 
 class I2cBus(Device, Protocol):
-    """Transactions. OSError when nobody acknowledges or the bus hangs."""
+    """Transactions on a bus. OSError without acknowledgement or on a hanging bus."""
 
     def write(self, address: int, data: bytes) -> None: ...
 

@@ -35,10 +35,10 @@ CLOCK_SPAN_US = (1 << 32) * 1000
 
 
 class Ig500(SerialSensor[AhrsSample | ImuSample]):
-    """The driver. Frames of the body: the device is mounted with its axes forward, right, down.
+    """The driver. Body frame: the device is mounted with its axes forward, right, down.
 
-    A measurement does not say which fields it holds, so none is believed before the device has said that its mask is
-    the one that was asked for; after a reset of the device it is asked anew.
+    A measurement does not identify its fields: none is used before the device has confirmed the requested output mask;
+    after a reset of the device it is requested again.
     """
 
     def __init__(self, port: BytePort, latency_s: float, divider: int = 1, *, attitude: bool = True) -> None:

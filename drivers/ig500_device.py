@@ -1,4 +1,4 @@
-"""The IG-500A as a device of ``[devices]``: the driver on the serial line that the configuration names."""
+"""The IG-500A as a device of ``[devices]``: the driver on the configured serial line."""
 
 from typing import Annotated
 

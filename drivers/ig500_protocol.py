@@ -1,9 +1,9 @@
-"""Wire format of the SBG Systems IG-500 attitude references, both directions, after the maker's sbgCom library.
+"""Wire format of the SBG Systems IG-500 attitude references, both directions, after the manufacturer's sbgCom library.
 
-Frame: ``FF 02 | command u8 | size u16 | data (size bytes) | crc u16 | 03``, numbers big-endian. The CRC (reflected
-polynomial 0x8408, start 0, known as CRC-16/KERMIT) covers command, size and data. Measurements come in frames of
-command 0x90 whose data holds the fields chosen by the output mask, in the order of the mask's bits, and no copy of the
-mask: it has to be set before anything can be understood.
+Frame: ``FF 02 | command u8 | size u16 | data (size bytes) | crc u16 | 03``, big-endian. The CRC (reflected polynomial
+0x8408, start 0, known as CRC-16/KERMIT) covers command, size and data. Measurements are frames of command 0x90 whose
+data contain the fields of the output mask, in the order of the mask's bits, without the mask itself: it has to be set
+before data can be decoded.
 """
 
 import math
@@ -22,7 +22,7 @@ CONTINUOUS_OUTPUT = 0x90
 
 
 class OutputField(IntFlag):
-    """Bits of the output mask that this driver knows."""
+    """Supported bits of the output mask."""
 
     QUATERNION = 1 << 0
     EULER = 1 << 1
@@ -37,7 +37,7 @@ class OutputField(IntFlag):
 
 
 class Ig500Status(IntFlag):
-    """Bits of the device's status that this driver looks at: 1 = in order, 0 = a warning."""
+    """Bits of the device's status that are checked: 1 = good, 0 = a warning."""
 
     CALIBRATION = 1 << 0
     SETTINGS = 1 << 1
@@ -91,8 +91,6 @@ class Ig500Frame:
 
 
 class Ig500Parser(SbgParser[Ig500Frame]):
-    """Frames of an IG-500."""
-
     sync, end, head_bytes, max_data, order = b"\xff\x02", 0x03, 5, 504, ">"
 
     def _make(self, ids: bytes, data: bytes) -> Ig500Frame:
@@ -109,7 +107,7 @@ def encode_output_mask(mask: OutputField) -> bytes:
 
 
 def decode_output_mask(data: bytes) -> int | None:
-    """The mask that the device says it has; None if that is no answer."""
+    """The output mask in a reply of the device; None if it is no such reply."""
     return int.from_bytes(data, "big") if len(data) == 4 else None
 
 
@@ -119,7 +117,7 @@ def encode_continuous_mode(divider: int) -> bytes:
 
 
 class OutputCodec:
-    """Packs and unpacks the data of 0x90 frames for one output mask. ConfigError for a bit that is not known."""
+    """Encodes and decodes the data of 0x90 frames for one output mask. ConfigError for an unsupported bit."""
 
     def __init__(self, mask: OutputField) -> None:
         known = OutputField(sum(_LAYOUT))

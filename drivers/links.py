@@ -2,15 +2,15 @@
 
 | spelling | is |
 | --- | --- |
-| ``udpin:HOST:PORT``, ``udp:HOST:PORT``, ``udpin://HOST:PORT``, ``udp://HOST:PORT`` | listen, answer who has spoken |
-| ``udpout:HOST:PORT``, ``udpout://HOST:PORT`` | send there, take what comes back |
-| ``udpbcast:HOST:PORT``, ``udpbcast://HOST:PORT`` | call to a whole network until somebody answers |
-| ``tcpin:HOST:PORT``, ``tcpin://HOST:PORT`` | serve several clients |
-| ``tcp:HOST:PORT``, ``tcp://HOST:PORT``, ``tcpout://HOST:PORT`` | connect to a server, again when it went away |
+| ``udpin:HOST:PORT``, ``udp:HOST:PORT``, ``udpin://HOST:PORT``, ``udp://HOST:PORT`` | listen, reply to the senders |
+| ``udpout:HOST:PORT``, ``udpout://HOST:PORT`` | send to that address, receive its replies |
+| ``udpbcast:HOST:PORT``, ``udpbcast://HOST:PORT`` | broadcast until somebody replies |
+| ``tcpin:HOST:PORT``, ``tcpin://HOST:PORT`` | server for several clients |
+| ``tcp:HOST:PORT``, ``tcp://HOST:PORT``, ``tcpout://HOST:PORT`` | client, reconnects |
 | ``/dev/ttyX``, ``/dev/ttyX:57600``, ``/dev/ttyX,57600``, ``serial:///dev/ttyX:57600`` | serial line |
 
-The first column's first spellings are pymavlink's, those with ``://`` MAVSDK's. MAVLink knows no passwords: an empty
-host listens on the loopback interface only, 0.0.0.0 has to be written to let the network in.
+The first column's first spellings are pymavlink's, those with ``://`` MAVSDK's. MAVLink has no passwords: an empty
+host listens on the loopback interface only; 0.0.0.0 has to be given explicitly for access from the network.
 """
 
 from dataclasses import dataclass
@@ -39,8 +39,6 @@ _REMEDY = (
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Connection:
-    """A connection string taken apart."""
-
     text: str
     """As it was given."""
     kind: str
@@ -52,7 +50,7 @@ class Connection:
 
 
 def parse_connection(text: str) -> Connection:
-    """Take a connection string apart; ConfigError says what is wrong with it."""
+    """Parse a connection string. ConfigError with the reason."""
     scheme, colon, rest = text.partition(":")
     if colon and scheme in _KINDS:
         rest = rest.removeprefix("//")

@@ -1,8 +1,7 @@
 """TE MS5837 pressure sensor on I2C (Blue Robotics Bar30 and Bar02): depth below the surface.
 
-A measurement is two conversions, pressure (D1) and temperature (D2), each asked for, waited for and read; the driver
-does one small transaction per poll and never waits. Formulas of both kinds after the maker's data sheets, second order
-included.
+A measurement consists of two conversions, pressure (D1) and temperature (D2); the driver does one short transaction
+per poll and never waits. Formulas of both variants after the manufacturer's data sheets, second order included.
 """
 
 import time

@@ -1,7 +1,7 @@
-"""Sequence numbers of what one client gets.
+"""MAVLink sequence numbers per client.
 
-The service numbers its frames per link. Of a link that several clients share each gets what goes to all and what goes
-to it alone, and would count the rest as lost. So every frame is renumbered on its way to a client.
+The service numbers its frames per link. On a link with several clients each receives the broadcasts and its own
+frames, and would count the others as lost. Every frame is therefore renumbered per client.
 """
 
 import binascii
@@ -24,7 +24,9 @@ class Numbering:
         self._next: int | None = None
 
     def __call__(self, frame: bytes) -> bytes:
-        """The frame as the client gets it; what is passed on, or is no unsigned MAVLink 2 frame, stays as it is."""
+        """The frame with the client's sequence number; forwarded packets, and all but unsigned MAVLink 2 frames, are
+        unchanged.
+        """
         if isinstance(frame, Verbatim):
             return frame
         if len(frame) < _OVERHEAD or frame[0] != _STX or frame[_FLAGS_AT] or len(frame) != frame[1] + _OVERHEAD:
@@ -37,13 +39,13 @@ class Numbering:
 def renumbered(frame: bytes, number: int) -> bytes:
     """An unsigned MAVLink 2 frame with another sequence number.
 
-    A CRC is linear: the change of the checksum is the checksum (from zero) of the change of the bytes, so that
-    CRC_EXTRA need not be known.
+    A CRC is linear: the change of the checksum is the checksum (initial value 0) of the change of the bytes, so that
+    CRC_EXTRA is not needed.
     """
     change = frame[_NUMBER_AT] ^ number
     if not change:
         return frame
-    unchanged = len(frame) - _CRC_BYTES - _NUMBER_AT  # what follows the number, and CRC_EXTRA
+    unchanged = len(frame) - _CRC_BYTES - _NUMBER_AT  # the bytes after the number, and CRC_EXTRA
     # The standard library has MAVLink's polynomial with the bits in the other order.
     mirrored = binascii.crc_hqx(MIRRORED[change : change + 1] + bytes(unchanged), 0)
     low, high = MIRRORED[mirrored >> 8], MIRRORED[mirrored & 0xFF]

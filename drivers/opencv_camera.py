@@ -1,9 +1,8 @@
 """Camera through OpenCV's VideoCapture: V4L2, RTSP and other network streams, or a GStreamer pipeline.
 
-A thread of its own grabs and stamps, so that neither a slow nor a hanging camera holds up the loop; of several pictures
-since the last poll the newest wins. Stamps follow the beat in which pictures are grabbed (:mod:`.drivers.frame_clock`);
-what passes between exposure and grab in the mean is ``latency_s``, and ``autopilot calibrate latency`` finds what is
-left of it.
+A thread grabs and stamps, so that a slow or hanging camera does not block the loop; of several images since the last
+poll the newest is used. Stamps follow the period of the grabs (:mod:`.drivers.frame_clock`); the mean time from
+exposure to grab is ``latency_s``, and ``autopilot calibrate latency`` measures the remainder.
 """
 
 import os
@@ -68,7 +67,7 @@ class OpenCvCameraOptions(Table, frozen=True, kw_only=True):
 
 @contextmanager
 def _ffmpeg_options() -> Iterator[None]:
-    """OpenCV hears FFmpeg's options by the environment only: set while a stream is opened, unless they are."""
+    """OpenCV takes FFmpeg's options from the environment only: set while a stream is opened, unless set by the user."""
     with _OPENING:
         ours = {name: value for name, value in FFMPEG_OPTIONS.items() if name not in os.environ}
         os.environ.update(ours)
@@ -119,7 +118,7 @@ class _Grabber:
                 with self._lock:
                     self.missed += self._newest is not None
                     self._newest = grabbed_us, beat_us, image
-        except Exception as error:  # noqa: BLE001 - OpenCV raises errors of its own; the loop is told by poll
+        except Exception as error:  # noqa: BLE001 - OpenCV raises errors of its own; poll reports them to the loop
             self.failed = str(error) or type(error).__name__
         finally:
             self._capture.release()
@@ -142,7 +141,7 @@ class OpenCvCamera(Closing):
         self._heard_us: int | None = None
         self._last_us = -(1 << 62)
         self.remarks: list[str] = []
-        """What the camera did not accept."""
+        """Settings refused by the camera."""
 
     @property
     def missed(self) -> int:
@@ -156,7 +155,7 @@ class OpenCvCamera(Closing):
         import cv2
 
         options, backend = self._options, self._options.chosen
-        # What OpenCV would print at every attempt stands in our own error.
+        # Our own error contains what OpenCV would print at every attempt.
         cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
         times = [cv2.CAP_PROP_OPEN_TIMEOUT_MSEC, TIMEOUT_MS, cv2.CAP_PROP_READ_TIMEOUT_MSEC, TIMEOUT_MS]
         params = times if backend == "ffmpeg" else []
@@ -198,7 +197,7 @@ class OpenCvCamera(Closing):
         return [CameraFrame(t_us=taken_us, image_bgr=image)]
 
     def _set_up(self, capture: Any, cv2: Any) -> list[str]:
-        """Size, rate, exposure, and a buffer of one picture; what is not accepted."""
+        """Set size, rate, exposure, and a buffer of one image; returns the refused settings."""
         options, width_height = self._options, self._size
         wanted: list[tuple[str, int, float]] = []
         if options.format is not None:

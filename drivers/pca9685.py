@@ -1,9 +1,9 @@
 """NXP PCA9685 on I2C: servo pulses for up to 16 amplifiers, as on the Blue Robotics Navigator.
 
-The chip counts its clock: a pulse is only as right as the clock's frequency is known. Navigator feeds 24.576 MHz from
-outside; the internal clock of other boards is off by several percent, which ``clock_hz`` takes (measure a pulse of a
-known command). It has no watchdog: what it was told last goes on when the program is killed, so a keeper process
-stands by (:mod:`autopilot.drivers.watchdog`).
+Pulses are counted in clock cycles and have the error of the assumed clock frequency. Navigator has an external clock
+of 24.576 MHz; the internal clock of other boards is off by several percent, which ``clock_hz`` corrects (measure a
+pulse of a known command). The chip has no watchdog: it repeats its last pulse when the program is killed, so a
+watchdog process runs beside it (:mod:`autopilot.drivers.watchdog`).
 """
 
 import contextlib
@@ -60,8 +60,8 @@ class Pca9685(KeptOutput):
         enable: GpioLine | None = None,
         kept: bool | None = None,
     ) -> None:
-        """``kept``: whether a keeper stands by; None = on a real bus."""
-        # The line of the output enable stays with whoever has it: the keeper has the bus only.
+        """``kept``: whether a watchdog process is used; None = on a real bus."""
+        # The output enable line stays with its owner: the watchdog has the bus only.
         told = msgspec.structs.replace(options, enable_line=None)
         spare = {
             output.channel: index
@@ -131,7 +131,7 @@ class Pca9685(KeptOutput):
 
 
 def _runs(channels: list[int]) -> list[tuple[int, int]]:
-    """Channels in a row: (first, count); channels between them belong to somebody else."""
+    """Consecutive channels as (first, count); channels between them are not ours."""
     groups = itertools.groupby(enumerate(channels), key=lambda pair: pair[1] - pair[0])
     runs = [[channel for _, channel in group] for _, group in groups]
     return [(run[0], len(run)) for run in runs]

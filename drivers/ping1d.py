@@ -1,4 +1,4 @@
-"""Blue Robotics Ping Sonar altimeter and echosounder on a serial line: range to what lies along its beam."""
+"""Blue Robotics Ping Sonar altimeter and echosounder on a serial line: range to the target in its beam."""
 
 import math
 import struct
@@ -41,7 +41,7 @@ class Ping1dOptions(Table, frozen=True, kw_only=True):
 
 
 class Ping1d(SerialSensor[AltimeterSample]):
-    """Echosounder that looks along its beam."""
+    """A :class:`autopilot.drivers.protocols.Sensor`."""
 
     Options = Ping1dOptions
 

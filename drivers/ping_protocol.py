@@ -28,8 +28,6 @@ frames of seconds, which would be stamped too late."""
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PingFrame:
-    """One message."""
-
     message: int
     payload: bytes
 
@@ -49,7 +47,6 @@ def encode(message: int, payload: bytes = b"", *, sender: int = 0, receiver: int
 
 
 def encode_distance(distance: Distance) -> bytes:
-    """As the device sends it."""
     return encode(
         DISTANCE_SIMPLE, _SIMPLE.pack(round(1e3 * distance.range_m), round(100.0 * distance.confidence)), sender=1
     )
@@ -64,8 +61,6 @@ def decode_distance(payload: bytes) -> Distance | None:
 
 
 class PingParser(FrameParser[PingFrame]):
-    """Frames of an echosounder."""
-
     sync, head_bytes = START, HEADER.size
 
     def _size(self, head: bytes) -> int | None:

@@ -1,7 +1,7 @@
-"""Recorded pictures as a camera: a folder of images, a video file, or the pictures of a log (MCAP).
+"""Recorded images as a camera: a folder of images, a video file, or the images of a log (MCAP).
 
-They come at the times at which they were taken, counted from the first poll; the next one is decoded on a thread
-meanwhile, and what the machine does not follow is skipped.
+They are delivered at their recorded times, counted from the first poll; the next one is decoded on a thread meanwhile,
+and images that the machine cannot process in time are skipped.
 """
 
 import struct

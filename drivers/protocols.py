@@ -16,7 +16,7 @@ if TYPE_CHECKING:  # links are opened before anything heavy is loaded
 T = TypeVar("T")
 
 LOOPBACK = "127.0.0.1"
-"""This machine, for itself only: what an empty host means."""
+"""The loopback interface: default for an empty host."""
 
 
 class Device(Protocol):
@@ -44,7 +44,7 @@ class Device(Protocol):
 
 
 class Sensor(Device, Protocol[T]):
-    """A source of samples (:mod:`autopilot.core.messages`)."""
+    """A source of samples (:mod:`autopilot.core.samples`)."""
 
     def poll(self, t_us: int) -> list[T]:
         """Samples that have arrived up to ``t_us``, without blocking.

@@ -1,8 +1,7 @@
-"""Back ends by name. A back end is imported when it is asked for, so that a missing library breaks only its own.
+"""Back ends by name. A back end is imported on use, so that a missing library affects only its own.
 
-To add one: write it in a file of its own against :mod:`.drivers.protocols`, and add a line here, or for a sensor in
-:data:`autopilot.core.sensors.SENSOR_ROWS`. What stands in ``[devices]`` of a vehicle configuration is made by
-:mod:`autopilot.drivers.devices`.
+To add one: implement :mod:`.drivers.protocols` in a file of its own, and add a line here, or for a sensor in
+:data:`autopilot.core.sensors.SENSOR_ROWS`. :mod:`autopilot.drivers.devices` constructs the devices of ``[devices]``.
 """
 
 from importlib import import_module
@@ -31,7 +30,7 @@ BACKENDS: dict[str, dict[str, str]] = {
 """Kind -> name -> ``module:class``."""
 
 DEVICE_KINDS = tuple(kind for kind in BACKENDS if kind != "link")
-"""What ``[devices]`` may name, one of each."""
+"""Kinds of devices in ``[devices]``, one of each."""
 
 
 def backend_names(kind: str) -> list[str]:

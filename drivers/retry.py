@@ -1,8 +1,8 @@
-"""A device that may be unplugged: opened beside the loop, opened again when it comes back, never an exception.
+"""Reconnection of devices: opened in the background, reopened after a failure, no exceptions to the caller.
 
-Back ends say what is wrong by DriverError or OSError and try nothing twice; here it is told once, the device is closed
-and opened again with a growing pause. Opening and closing may take long and are done on a thread of the device's own.
-A device that is there and says nothing is told, too; what an old reading means is for the failsafes.
+Back ends report failures by DriverError or OSError and do not retry; here a failure is reported once, and the device
+is closed and reopened with a growing pause. Opening and closing may take long and run on a thread of the device's own.
+A connected device without data is also reported; the reaction to an old reading is left to the failsafes.
 """
 
 from collections.abc import Callable, Sequence
@@ -21,7 +21,7 @@ LONGEST_PAUSE_US = 10_000_000
 """The pause before the next try doubles from the first to the longest."""
 
 SILENT_US = 3_000_000
-"""An open device that has said nothing for so long is silent. The slowest (battery, leak) speak every second."""
+"""Timeout without data. The slowest devices (battery, leak) send every second."""
 
 GIVE_UP_WRITES = 50
 """Writes that fail in a row before an output is opened anew (0.5 s): a single one may be noise on the wire."""
@@ -31,15 +31,13 @@ T = TypeVar("T")
 
 
 class DeviceState(Enum):
-    """How a device is."""
-
     DOWN = "down"
     SILENT = "silent"
     UP = "up"
 
 
 class RetryingDevice(Generic[D]):
-    """A device with what it takes to live with its absence. ``name`` is what operators call it."""
+    """A device that is reopened after failures. ``name``: its name for operators."""
 
     def __init__(self, device: D, name: str) -> None:
         self.device = device
@@ -68,7 +66,7 @@ class RetryingDevice(Generic[D]):
         return notices
 
     def attend(self, t_us: int) -> bool:
-        """Whether the device can be used now; what it takes to get it back is begun."""
+        """Whether the device can be used now; starts a reconnection if needed."""
         if self._up:
             return True
         if self._opening is not None and self._opening.done():
@@ -86,7 +84,7 @@ class RetryingDevice(Generic[D]):
         return False
 
     def use(self, t_us: int, work: Callable[[], T], otherwise: T) -> T:
-        """Use the device if it is there; what it raises costs the device."""
+        """Call the device if it is available; an exception closes it."""
         if not self.attend(t_us):
             return otherwise
         try:
@@ -99,7 +97,7 @@ class RetryingDevice(Generic[D]):
             raise
 
     def heard(self, t_us: int, something: object) -> None:
-        """Note whether it has said anything at ``t_us``."""
+        """Record whether it has delivered data at ``t_us``."""
         if something:
             self._heard_us = t_us
             if self._silent:
@@ -162,7 +160,7 @@ Out = TypeVar("Out", bound=ThrusterOutput)
 
 
 class SteadyOutput(RetryingDevice[Out]):
-    """Thrusters that may be away. That a command does not reach them is said by DriverError, on every tick."""
+    """Thruster output with reconnection. DriverError on every tick while commands do not reach it."""
 
     def __init__(self, device: Out, name: str) -> None:
         super().__init__(device, name)
@@ -190,8 +188,6 @@ class SteadyOutput(RetryingDevice[Out]):
 
 
 class SteadyController(SteadyOutput[FlightController]):
-    """A flight controller below us."""
-
     def poll(self, t_us: int) -> list[Any]:
         nothing: list[Any] = []
         samples = self.use(t_us, lambda: self.device.poll(t_us), nothing)

@@ -1,8 +1,8 @@
 """Dimension Engineering Sabertooth amplifiers for brushed thrusters, in packetized serial mode: two motors each.
 
 Packet: ``address | command | data | (address + command + data) & 0x7F``, address 128 to 135. The amplifier's own
-timeout (command 14, in 0.1 s) stops the motors when packets stop coming, whatever has become of this program; it is
-told again from time to time, because the amplifier forgets it when its power fails.
+timeout (command 14, in 0.1 s) stops the motors when packets stop, whatever the state of this program; it is set again
+periodically, because the amplifier loses it with its power.
 """
 
 from collections.abc import Mapping

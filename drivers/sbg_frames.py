@@ -1,4 +1,4 @@
-"""What the frames of SBG Systems' references have in common: sync, ids, size, data, checksum, end."""
+"""Common frame format of SBG Systems' references: sync, ids, size, data, checksum, end."""
 
 import binascii
 import struct
@@ -28,7 +28,7 @@ class SbgParser(FrameParser[F]):
     """Of the bytes of size and checksum, as :mod:`struct` writes it."""
 
     def _make(self, ids: bytes, data: bytes) -> F:
-        """A frame of what stands between sync and size, and of its data."""
+        """A frame from its header (between sync and size) and its data."""
         raise NotImplementedError
 
     @classmethod

@@ -28,7 +28,7 @@ def _termios() -> ModuleType:
 
 
 def _others() -> str:
-    """Which lines there are, for an error; nothing without pyserial, which knows them by their makers' names."""
+    """Available lines, for an error message; empty without pyserial, which lists them by manufacturer."""
     try:
         from serial.tools.list_ports import comports
     except ModuleNotFoundError:
@@ -53,7 +53,7 @@ class SerialPort(Closing):
         return self._fd
 
     def open(self) -> None:
-        """Open and configure the line; DriverError says why that fails."""
+        """Open and configure the line. DriverError with the reason."""
         if self._fd is not None:
             return
         termios = _termios()
@@ -80,7 +80,7 @@ class SerialPort(Closing):
         self._fd, self.lost = fd, False
 
     def read(self, t_us: int) -> list[tuple[int, bytes]]:
-        """What is in the system's buffer, stamped with ``t_us``."""
+        """Content of the system's receive buffer, stamped with ``t_us``."""
         if self._fd is None:
             return []
         try:
@@ -95,7 +95,7 @@ class SerialPort(Closing):
         return [(t_us, data)]
 
     def write(self, data: bytes) -> None:
-        """Send; what the system's buffer does not take is lost (commands are repeated by their senders)."""
+        """Send; data that do not fit into the system's buffer are lost (senders repeat their commands)."""
         if self._fd is None:
             raise DriverError(f"serial line {self._device} is closed; open it before writing")
         try:

@@ -1,4 +1,4 @@
-"""What sensors on a serial line share: set up when the line is opened, and again when nothing has come for a while."""
+"""Common part of sensors on a serial line: configured when the line opens, and again after a timeout without data."""
 
 from abc import abstractmethod
 from typing import Any, Generic, TypeVar
@@ -15,7 +15,7 @@ ASK_AGAIN_POLLS = 100
 
 
 class SerialSensor(Closing, Generic[S]):
-    """A :class:`autopilot.drivers.protocols.Sensor` on a line. Closed, the device goes on sending to nobody."""
+    """A :class:`autopilot.drivers.protocols.Sensor` on a serial line. The device is not stopped on closing."""
 
     def __init__(self, port: BytePort, parser: FrameParser[Any]) -> None:
         self._port, self._parser = port, parser
@@ -25,14 +25,14 @@ class SerialSensor(Closing, Generic[S]):
 
     @abstractmethod
     def _configure(self) -> None:
-        """Ask the device for what is wanted of it."""
+        """Send the configuration to the device."""
 
     @abstractmethod
     def _take(self, arrival_us: int, frame: Any) -> S | None:
         """The sample of a frame, None if it makes none."""
 
     def _begin(self) -> None:
-        """The line has been opened."""
+        """Hook: the line has been opened."""
 
     def _too_silent(self, t_us: int, *, heard: bool) -> bool:
         """Whether the device is to be configured again."""
@@ -57,7 +57,7 @@ class SerialSensor(Closing, Generic[S]):
         self._port.close()
 
     def poll(self, t_us: int) -> list[S]:
-        """What has arrived, stamped with its time of validity. DriverError when the line is gone."""
+        """Samples that have arrived, stamped with their time of validity. DriverError when the line is gone."""
         samples = []
         for arrival_us, data in self._port.read(t_us):
             for frame in self._parser.feed(data):

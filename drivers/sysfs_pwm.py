@@ -1,6 +1,6 @@
-"""Hardware PWM of the computer itself, by Linux's ``/sys/class/pwm``: one file per output.
+"""Hardware PWM of the computer, by Linux's ``/sys/class/pwm``: one file per output.
 
-Like the PCA9685 it goes on with its last pulse when the program is killed; a keeper process stands by
+Like the PCA9685 it repeats its last pulse when the program is killed; a watchdog process runs beside it
 (:mod:`autopilot.drivers.watchdog`).
 """
 
@@ -35,7 +35,7 @@ class SysfsPwm(KeptOutput):
     driver = "sysfs_pwm"
 
     def __init__(self, vehicle: Vehicle, options: SysfsPwmOptions, *, kept: bool = True) -> None:
-        """``kept``: whether a keeper stands by."""
+        """``kept``: whether a watchdog process is used."""
         spare = {
             output.channel: index
             for index, output in enumerate(vehicle.payload)

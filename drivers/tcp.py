@@ -1,4 +1,4 @@
-"""MAVLink over TCP: a server for several clients, and a client that reconnects. Both hand out whole frames."""
+"""MAVLink over TCP: a server for several clients, and a client that reconnects. Both return whole frames."""
 
 import select
 import socket
@@ -21,7 +21,7 @@ MAX_CLIENTS = 8
 MAX_WAITING = 64
 """Length of that queue."""
 GRACE_US = 1_500_000
-"""A connection gets so long to say something (heartbeats of ground stations come every second)."""
+"""Timeout for the first data of a connection (heartbeats of ground stations come every second)."""
 MAX_PENDING = 262_144
 """Bytes that may wait for a slow client before it is cut off (2 s of dense telemetry would be 100 kB)."""
 CONNECT_TIMEOUT_S = 3.0
@@ -41,7 +41,7 @@ class _TcpConnection:
         connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         connection.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
         for name, value in _KEEPALIVE.items():
-            if hasattr(socket, name):  # not every system has all of them
+            if hasattr(socket, name):  # not available on every system
                 connection.setsockopt(socket.IPPROTO_TCP, getattr(socket, name), value)
         self._socket = connection
         self._cutter = FrameCutter()
@@ -72,7 +72,7 @@ class _TcpConnection:
         return [Received(frame, self.client, self.sender, self._reach) for frame in self._cutter.feed(data)]
 
     def send(self, data: bytes) -> bool:
-        """Queue and send what the other side takes; False if it is gone or too far behind."""
+        """Queue and send as much as the peer accepts; False if it is gone or too far behind."""
         self._pending += self._numbering(data)
         self._flush()
         if len(self._pending) > MAX_PENDING:
@@ -157,7 +157,7 @@ class TcpServer:
         self._forget_closed()
 
     def take_news(self) -> tuple[bool, str] | None:
-        """Who lost his place or found none since the last call."""
+        """Displaced and refused clients since the last call."""
         return self._notices.take()
 
     def close(self) -> None:
@@ -183,7 +183,7 @@ class TcpServer:
                 return
             try:
                 connection, address = self._listener.accept()
-            except (OSError, ValueError):  # nobody there, or closed
+            except (OSError, ValueError):  # no server, or closed
                 return
             self._numbers += 1
             try:
@@ -194,7 +194,7 @@ class TcpServer:
             self._enter(stream, t_us)
 
     def _enter(self, stream: _TcpConnection, t_us: int) -> None:
-        """A place for a connection, which takes somebody else's where all are taken."""
+        """Admit a connection, displacing another one if all places are taken."""
         entry = self._admission.enter(stream.client, t_us)
         if entry.displaced is not None:
             gone = self._clients.pop(entry.displaced.key)
@@ -204,7 +204,7 @@ class TcpServer:
 
 
 class TcpClient:
-    """Connects to a server; tries again while the server is away, and what is sent meanwhile is lost."""
+    """Connects to a server; reconnects while it is away, and data sent meanwhile are lost."""
 
     def __init__(self, name: str, host: str, port: int) -> None:
         self.name = name

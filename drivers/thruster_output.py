@@ -1,7 +1,7 @@
-"""The safety rule of every thruster output, in one place.
+"""The common safety rule of all thruster outputs.
 
-Thrusters stand still before the first command, after the last, after an error, and when no command has come for the
-vehicle file's ``drive.command_timeout_s``. A back end only says how to put pulses on the wire.
+Thrusters are neutral before the first command, after the last, after an error, and when no command has arrived for the
+vehicle file's ``drive.command_timeout_s``. A back end only implements the output of pulses.
 """
 
 from abc import abstractmethod
@@ -16,7 +16,7 @@ INSPECT_EVERY = 25
 
 
 def check_names(option: str, given: Iterable[str], known: Iterable[str]) -> None:
-    """ConfigError if an option names something that is none of the ``known``."""
+    """ConfigError if an option names something outside of ``known``."""
     known = tuple(known)
     unknown = sorted(set(given) - set(known))
     if unknown:
@@ -50,11 +50,11 @@ class SafeThrusterOutput(Closing):
         self._writes = 0
         self._suspect = False
         self.stale_count = 0
-        """How often the outputs went to neutral because commands stopped coming."""
+        """Number of timeouts of commands."""
         self.clamped_count = 0
         """Pulses that were outside neutral +- span and were cut to it."""
         self.failed_neutral_count = 0
-        """How often not even neutral could be sent; the amplifiers' own timeout is then what stops the thrusters."""
+        """Number of times neutral could not be sent; the amplifiers' own timeout then stops the thrusters."""
 
     @abstractmethod
     def _acquire(self) -> None:
@@ -79,11 +79,11 @@ class SafeThrusterOutput(Closing):
 
     @property
     def _neutral_us(self) -> tuple[int, ...]:
-        """Thrusters stand, what is carried stays as it is; by channel."""
+        """Pulses by channel with thrusters neutral and payload unchanged [us]."""
         return self._by_channel(self._rest_us)
 
     def unwired(self) -> dict[str, str]:
-        """What the vehicle carries that this output cannot move."""
+        """Payload that this output cannot drive."""
         wired = set(self._spare.values())
         return {
             output.name: "the thruster output has no channel for it"
@@ -92,7 +92,7 @@ class SafeThrusterOutput(Closing):
         }
 
     def set_payload(self, t_us: int, pulses_us: Sequence[int]) -> None:
-        """Pulses for what is carried, from the next command on."""
+        """Pulses of the payload [us], effective with the next command."""
         for channel, index in self._spare.items():
             output = self.vehicle.payload[index]
             self._spare_us[channel] = min(max(int(pulses_us[index]), output.min_us), output.max_us)
@@ -166,7 +166,7 @@ class SafeThrusterOutput(Closing):
             self._release()
 
     def _by_channel(self, pulses_us: Sequence[int]) -> tuple[int, ...]:
-        """Pulses per thruster by channel, with those of what is carried; a channel without anything gets none (0)."""
+        """Pulses of thrusters and payload by channel [us]; 0 on unused channels."""
         pulses = [0 if place is None else pulses_us[place] for place in self._places]
         for channel, pulse_us in self._spare_us.items():
             pulses[channel - 1] = pulse_us

@@ -1,6 +1,6 @@
 """MAVLink over UDP: one datagram, one entry. Sockets are non-blocking; an idle receive is one system call.
 
-Every address is a client of its own. A flood is read and thrown away, so that others on the same socket are heard.
+Every address is a separate client. A flood is read and dropped, so that other clients on the same socket are served.
 """
 
 import errno
@@ -19,7 +19,7 @@ MAX_DATAGRAM = 2048
 MAX_PER_CALL = 128
 """Datagrams taken from the socket per call, so that a flood cannot hold up the caller (below a millisecond)."""
 MAX_CLIENT_BYTES = 4096
-"""Bytes per call that one client may hand in; what is beyond is dropped."""
+"""Largest number of bytes per call and client; the rest is dropped."""
 MAX_PEERS = 16
 """Clients that a port knows; there is one place more (:mod:`autopilot.drivers.admission`)."""
 FORGET_US = 100_000_000
@@ -44,12 +44,12 @@ def resolve(name: str, host: str, port: int) -> Address:
 
 
 def reach_of(host: str) -> Reach:
-    """How far away an address is."""
+    """Whether an address is on this machine or in the network."""
     return Reach.MACHINE if host.startswith(LOOPBACK_NET) else Reach.NETWORK
 
 
 def bind_error(name: str, port: int, error: OSError) -> DriverError:
-    """What to tell the operator when a port cannot be listened on."""
+    """Message to the operator for a port that cannot be opened."""
     if error.errno == errno.EADDRINUSE:
         return DriverError(
             f"link {name}: port {port} is already in use; stop the program that uses it or give another port"
@@ -59,8 +59,6 @@ def bind_error(name: str, port: int, error: OSError) -> DriverError:
 
 @dataclass(slots=True)
 class _Peer:
-    """One address that has spoken."""
-
     client: int
     sender: str
     heard_us: int
@@ -69,8 +67,6 @@ class _Peer:
 
 
 class _Udp:
-    """What both directions share."""
-
     problem: str | None = None
     """A datagram socket has none: what is sent may always get lost."""
 
@@ -93,7 +89,7 @@ class _Udp:
 
     @property
     def peers(self) -> tuple[Address, ...]:
-        """Who is known, the one silent for longest first."""
+        """Known peers, the longest silent first."""
         return tuple(self._known)
 
     def filenos(self) -> list[int]:
@@ -122,11 +118,11 @@ class _Udp:
         return True
 
     def _expects(self, address: Address) -> bool:
-        """Whether an address has its place whoever else is there."""
+        """Whether an address has a reserved place."""
         return False
 
     def take_news(self) -> tuple[bool, str] | None:
-        """Who lost his place or found none since the last call."""
+        """Displaced and refused clients since the last call."""
         return self._notices.take()
 
     def _peer(self, t_us: int, address: Address) -> _Peer | None:
@@ -142,7 +138,7 @@ class _Udp:
         return peer
 
     def _admit(self, t_us: int, address: Address) -> _Peer | None:
-        """A client that has not been heard lately."""
+        """Admit a client that is new or was silent."""
         sender = f"{address[0]}:{address[1]}"
         entry = self._admission.enter(address, t_us, always=self._expects(address))
         if entry.displaced is not None:
@@ -175,7 +171,7 @@ class _Udp:
                 received.append(self._socket.recvfrom(MAX_DATAGRAM))
             except BlockingIOError:
                 break
-            except ConnectionError:  # an earlier datagram found nobody: says nothing about this direction
+            except ConnectionError:  # ICMP error of an earlier datagram: unrelated to this direction
                 continue
             except OSError:  # closed, or the network is down
                 break
@@ -196,7 +192,7 @@ class _Udp:
 
 
 class _Directed(_Udp):
-    """A socket that sends to an address before anybody has been heard."""
+    """A socket with a destination before any peer has sent."""
 
     def __init__(self, name: str, host: str, port: int) -> None:
         self._target = resolve(name, host, port)
@@ -209,7 +205,7 @@ class _Directed(_Udp):
 
 
 class UdpOut(_Directed):
-    """Sends to one address, and takes what its host sends to the socket (from whatever port); others are not heard."""
+    """Sends to one address and receives from that host (any port); others are ignored."""
 
     def send(self, data: bytes, client: int = EVERYONE, beside: frozenset[int] = frozenset()) -> None:
         if client == EVERYONE and beside and any(self._addresses.get(other) == self._target for other in beside):
@@ -227,8 +223,9 @@ class UdpOut(_Directed):
 
 
 class UdpBroadcast(_Directed):
-    """Calls to everyone at a broadcast address, once per second, until somebody answers; from then on it speaks to who
-    has answered. When all have been silent for KEEP_US it calls again."""
+    """Sends to a broadcast address, once per second, until a peer replies, and then to the peers. After KEEP_US
+    without any data it broadcasts again.
+    """
 
     def __init__(self, name: str, host: str, port: int) -> None:
         super().__init__(name, host, port)
@@ -252,7 +249,7 @@ class UdpBroadcast(_Directed):
 
 
 def _is_heartbeat(data: bytes) -> bool:
-    """Whether a datagram is a HEARTBEAT of MAVLink 2: what ground stations find a vehicle by."""
+    """Whether a datagram is a MAVLink 2 HEARTBEAT, by which ground stations discover a vehicle."""
     return data[:1] == b"\xfd" and data[7:10] == b"\0\0\0"
 
 

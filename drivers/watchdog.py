@@ -1,9 +1,10 @@
-"""A process that stands by an output without a watchdog of its own, and stops the thrusters when nobody else does.
+"""Watchdog process for an output without a hardware watchdog: stops the thrusters when the service fails.
 
-The PCA9685 and the PWM of a computer repeat their last pulse for ever. The keeper hears every command's beat over a
-socket and answers it (:mod:`autopilot.drivers.watchdog_process`): when the line ends without a farewell (the program
-was killed) or the beats stop for the command timeout (it hangs), the keeper opens the same output by itself, which sets
-it to neutral. It ignores the signals that end the program, which says farewell when it ends in order.
+The PCA9685 and the PWM of a computer repeat their last pulse for ever. The watchdog receives a heartbeat with every
+command over a socket and acknowledges it (:mod:`autopilot.drivers.watchdog_process`): when the connection ends without
+a shutdown message (the program was killed) or the heartbeats stop for the command timeout (it hangs), it opens the
+output itself, which sets it to neutral. It ignores the signals that end the program, which sends the shutdown message
+on a regular exit.
 """
 
 import contextlib
@@ -21,18 +22,19 @@ from autopilot.drivers.thruster_output import SafeThrusterOutput
 from autopilot.drivers.watchdog_process import FAREWELL, HELLO, WatchdogState, hear, listen
 
 TRIES, PAUSE_S = 20, 0.05
-"""How often neutral is tried when it does not get through."""
+"""Attempts to set neutral."""
 
 
 class KeptOutput(SafeThrusterOutput):
-    """Template of an output that needs a keeper: as :class:`SafeThrusterOutput`."""
+    """Base class of an output that needs a watchdog process; see :class:`SafeThrusterOutput`."""
 
     driver: str
     """Its name in the registry."""
 
     def __init__(self, vehicle: Vehicle, options: Table, *, kept: bool, spare: Mapping[int, int] | None = None) -> None:
-        """``options`` are those that the keeper opens it with; ``kept`` False: it has none (the keeper's own output,
-        an emulated board). The keeper sets what is carried to where it was at the start."""
+        """``options``: those with which the watchdog opens the output; ``kept`` False: none is used (the watchdog's
+        own output, an emulated board). The watchdog sets the payload to its initial state.
+        """
         super().__init__(vehicle, spare)
         self._kept = kept
         self._request = msgspec.json.encode([self.driver, vehicle, options]) + b"\n"
@@ -40,16 +42,16 @@ class KeptOutput(SafeThrusterOutput):
 
     @property
     def watchdog_problem(self) -> str:
-        """What is wrong with the keeper, "" while one answers or none is needed."""
+        """Problem of the watchdog process, "" while it replies or none is needed."""
         return "" if self.watchdog is None else self.watchdog.problem
 
     @property
     def watchdog_failed(self) -> bool:
-        """Whether that is more than that the first keeper is starting."""
+        """Whether the problem is more than the first process still starting."""
         return self.watchdog is not None and self.watchdog.failed
 
     def open(self) -> None:
-        """Set the device to neutral, and have somebody stand by."""
+        """Set the device to neutral and start the watchdog."""
         super().open()
         if self._kept and self.watchdog is None:
             self.watchdog = WatchdogState(self._request)
@@ -73,7 +75,7 @@ class KeptOutput(SafeThrusterOutput):
 
 
 def main() -> None:
-    """Stand by until the farewell."""
+    """Supervise the output until the shutdown message."""
     line, request = listen()
     if not request:
         return  # nothing was commanded yet
@@ -91,7 +93,7 @@ def main() -> None:
             return
         if heard:
             moving = moving or any(number != HELLO for number in heard)
-            with contextlib.suppress(OSError):  # it does not listen now, or has ended, which is heard next
+            with contextlib.suppress(OSError):  # it is not reading now, or has ended, which the next read shows
                 line.send(heard[-1:])
             continue
         _stop(output)

@@ -1,9 +1,8 @@
-"""The keeper process as the service sees it: started, asked on every command, replaced when it ends or hangs.
+"""The service's side of the watchdog process: started, supervised, replaced when it ends or hangs.
 
-Every command's beat carries a number, which the keeper sends back. A number that does not come back shows that the
-keeper hangs (stopped, starved of processor or memory), an end of the line that it has ended. Either way another one is
-started, beside the loop and with a growing pause. Until a keeper has answered, and while none does, there is a
-``problem``.
+Every command's heartbeat carries a number, which the watchdog returns. A missing reply shows that it hangs (stopped,
+out of processor time or memory), a closed connection that it has ended. In either case another one is started, in the
+background and with a growing pause. Until a watchdog has replied, and while none does, there is a ``problem``.
 """
 
 import contextlib
@@ -18,16 +17,16 @@ from autopilot.core.own_python import python_command
 
 FAREWELL = 255
 HELLO = 0
-"""Asked of a new keeper before anything is commanded: it answers, and waits for no further beat."""
+"""First request to a new watchdog, before any command: it replies, and expects no further heartbeat."""
 LAST_NUMBER = 250
 """Beats are numbered 1 to this, one byte each, and around again."""
 
 CODE = "from autopilot.drivers.watchdog import main; main()"
 
 HANG_US = 1_000_000
-"""A beat that has been unanswered for so long: the keeper hangs. It answers within a millisecond on an idle machine."""
+"""Timeout of the reply to a heartbeat: the watchdog hangs. It replies within a millisecond on an idle machine."""
 START_US = 30_000_000
-"""The same of the first beat of a new keeper: Python has to load, which takes a second of processor time."""
+"""Timeout of the first reply of a new watchdog: loading Python takes a second of processor time."""
 REPLACE_US = 2_500_000
 """One that has hung for so long is replaced: the new one can answer before the failsafe begins."""
 FIRST_PAUSE_US = 500_000
@@ -36,7 +35,7 @@ LONGEST_PAUSE_US = 10_000_000
 SETTLED_US = 10_000_000
 """After so long without trouble the pauses begin anew."""
 END_S = 5.0
-"""A keeper that has been sent away and is still there after so long (of real time) is killed: only a stopped one is."""
+"""Timeout (real time) after which a dismissed watchdog is killed: only a stopped process takes that long."""
 
 _ENDINGS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
@@ -63,14 +62,13 @@ class WatchdogState:
         self._well_us: int | None = None
         """Since when it has answered without trouble."""
         self.problem = "is starting"
-        """What is wrong, "" while a keeper answers."""
+        """Problem of the watchdog, "" while it replies."""
         self.failed = False
         """The problem is more than that the first one is starting."""
         self.starts = 0
 
     @property
     def pid(self) -> int | None:
-        """Of the present one."""
         return None if self._process is None else self._process.pid
 
     def start(self) -> None:
@@ -80,12 +78,11 @@ class WatchdogState:
         self.starts += 1
         try:
             self._coming = self._executor.submit(_start, self._request)
-        except RuntimeError as error:  # no thread to be had; the lane keeps the job
+        except RuntimeError as error:  # no thread available; the queue keeps the job
             self._executor, self._coming = DaemonExecutor("keeper"), Future()
             self._coming.set_exception(OSError(str(error)))
 
     def beat(self, t_us: int) -> None:
-        """A command has been sent."""
         if self._line is None:
             return
         if self._asked_us is None or self._number == HELLO:
@@ -104,7 +101,7 @@ class WatchdogState:
             self._lose(t_us, "has ended")
 
     def look(self, t_us: int) -> None:
-        """Once per tick: what it has answered, whether it lives, whether another one is due."""
+        """Once per tick: read replies, check the process, start another one when due."""
         if self._coming is not None and self._coming.done():
             self._take(t_us, self._coming)
         if self._line is None:
@@ -124,7 +121,7 @@ class WatchdogState:
             self._note_answer(t_us)
 
     def end(self, *, neutral: bool) -> None:
-        """Nobody stands by any more. ``neutral``: the thrusters are stopped; otherwise the keeper tries once more."""
+        """Shut the watchdog down. ``neutral``: the thrusters are stopped; otherwise it sets neutral once more."""
         if self._coming is not None:
             with contextlib.suppress(OSError):
                 self._process, self._line = self._coming.result()
@@ -156,7 +153,6 @@ class WatchdogState:
             self._pause_us = 0
 
     def _wait_for_it(self, t_us: int) -> None:
-        """It has not answered yet."""
         late_us = 0 if self._asked_us is None else t_us - self._asked_us
         if late_us <= (HANG_US if self._answered else START_US):
             return
@@ -179,7 +175,7 @@ class WatchdogState:
             line.close()
 
     def _reap(self, patience_s: float) -> None:
-        """Wait for its end, on the keeper's own thread unless it is due at once."""
+        """Wait for its end, on a thread unless it is due at once."""
         process, self._process = self._process, None
         if process is None:
             return
@@ -207,14 +203,14 @@ def _start(request: bytes) -> _Running:
     finally:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
         its.close()
-    with contextlib.suppress(OSError):  # it has ended: found out by whoever looks
+    with contextlib.suppress(OSError):  # it has ended: detected by the next look()
         ours.sendall(request)
     ours.setblocking(False)
     return process, ours
 
 
 def listen() -> tuple[socket.socket, bytes]:
-    """In the keeper: the line to the service, and the request; b"" when the service has gone before."""
+    """In the watchdog: the socket to the service, and the request; b"" if the service has gone."""
     for number in _ENDINGS:
         signal.signal(number, signal.SIG_IGN)
     line = socket.socket(fileno=os.dup(0))
@@ -228,7 +224,7 @@ def listen() -> tuple[socket.socket, bytes]:
 
 
 def hear(line: socket.socket, size: int = 4096) -> bytes:
-    """In the keeper: what the service has sent, b"" when it has ended, with or without having read all answers."""
+    """In the watchdog: data from the service, b"" when it has ended, with or without having read all replies."""
     try:
         return line.recv(size)
     except OSError:

@@ -1,7 +1,7 @@
 """Water Linked DVL A50 on TCP: one JSON report per line.
 
-Frame: forward, right, down of the device; the vehicle file says where it sits, ``turned_rad`` how it is turned. A
-report says how old it was when it was sent, by the device's own clock.
+Velocity in the device's frame (forward, right, down); position and orientation (``turned_rad``) are in the vehicle
+file. A report contains its age at transmission, by the device's clock.
 """
 
 import math
@@ -25,7 +25,7 @@ from autopilot.drivers.base import Closing
 CONNECT_S = 2.0
 CHUNK = 65536
 MAX_LINE = 65536
-"""Longer than any report: what has no end of line is no JSON."""
+"""Longer than any report: without an end of line it is not JSON."""
 DEAD_US = 3_000_000
 """The device reports several times a second, locked or not: without a byte for so long the connection is dead."""
 MOST_M_S = 10.0
@@ -37,7 +37,7 @@ DELAY_BAND_US = 50_000
 
 
 class Report(msgspec.Struct):
-    """What is read of a report; fields that are not known are left alone."""
+    """The used fields of a report; others are ignored."""
 
     type: str
     vx: float = 0.0

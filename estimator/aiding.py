@@ -1,11 +1,11 @@
-"""Life cycle and counts of one aiding sensor: it starts, goes on, stops when silent, is reset when it must be.
+"""State machine and counters of one aiding sensor: start, use, rejection, timeout, reset.
 
-Every source goes through the same: gate, counts, report. What a reset means is the only difference. A source with an
-offset that is a state of the filter (heading, laser, depth) or that measures one kind of state alone (velocity) has
-these states reopened, when it has been rejected for a while and its residuals agree among themselves. A source of
-positions moves the whole filter (:mod:`autopilot.estimator.fix_aid`).
+Every source has the same gate, counters and reports; only the reset differs. For a source with an offset that is a
+filter state (heading, laser, depth), or that measures one kind of state only (velocity), the variance of these states
+is reset after a series of rejected but mutually consistent residuals. A source of positions resets the whole filter
+(:mod:`autopilot.estimator.fix_aid`).
 
-Each source is a class beside its measurement in ``measure_*.py``; :mod:`autopilot.estimator.sources` lists them.
+Each source is a class beside its measurement model in ``measure_*.py``; :mod:`autopilot.estimator.sources` lists them.
 """
 
 from abc import ABC, abstractmethod
@@ -40,8 +40,6 @@ M = TypeVar("M")
 
 
 class Aid:
-    """Bookkeeping of one sensor."""
-
     sensor: ClassVar[str]
     """One of ``AID_SENSORS``."""
     samples: ClassVar[tuple[type, ...]] = ()
@@ -64,17 +62,17 @@ class Aid:
 
     @property
     def offset_us(self) -> int:
-        """What is to be added to the stamps of its samples."""
+        """Correction of the stamps of its samples [us]."""
         return self._offset_us
 
     def counted(self, measurement: M | None) -> M | None:
-        """What was made of a sample; None = it is malformed."""
+        """Measurement of a sample; None = malformed."""
         if measurement is None:
             self.counts["malformed"] += 1
         return measurement
 
     def state(self, now_us: int) -> AidState:
-        """Where the sensor is in its life cycle."""
+        """State of the sensor in its life cycle."""
         if self._last_us is None or now_us - self._last_us > TIMEOUT_US:
             self._state = AidState.STOPPED
             self._fused_in_row = 0
@@ -141,7 +139,7 @@ class Aid:
 
 
 class ScalarAid(Aid, ABC, Generic[S_contra]):
-    """A sensor that does not tell a pose."""
+    """An aiding sensor other than a pose source."""
 
     @abstractmethod
     def measured(self, sample: S_contra) -> Measurement | None:

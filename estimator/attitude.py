@@ -1,12 +1,11 @@
-"""Attitude from raw gyros, accelerometers and magnetometer: a complementary filter in a frame that does not turn.
+"""Attitude from raw gyros, accelerometers and magnetometer: a complementary filter in an almost-inertial frame.
 
-After Laidig and Seel 2023 (VQF, Information Fusion 91): the gyros alone carry a frame along that hardly turns. In it
-the specific force is low-pass filtered, twice: pushes of the vehicle average out whatever way it turns meanwhile, and
-those of swell or of a hand far more than behind the one integrator of a filter that turns its estimate towards what it
-feels. What is left is the vertical: a second rotation levels the frame by it.
-The magnetometer turns the estimate about the vertical only, so that magnetic disturbance never tilts it, and not at all
-while the field is not the known one (:mod:`.estimator.magnetic`). What both have to correct shows the gyros' bias
-(:mod:`autopilot.estimator.gyro_bias`).
+After Laidig and Seel 2023 (VQF, Information Fusion 91). Gyro integration alone defines an almost-inertial frame, in
+which the specific force is low-pass filtered twice: accelerations of the vehicle average out whatever its rotation,
+and those of swell or handling far more than with the single integrator of a Mahony-type filter. The filtered force
+gives the vertical, and a second rotation levels the frame. The magnetometer corrects the rotation about the vertical
+only, so that magnetic disturbance never tilts the estimate, and not while the field is disturbed
+(:mod:`.estimator.magnetic`). Both corrections together observe the gyro bias (:mod:`autopilot.estimator.gyro_bias`).
 """
 
 import math
@@ -34,7 +33,7 @@ from autopilot.estimator.rotation import (
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class AttitudeTuning:
-    """What `autopilot bench estimator --attitude` chooses by recordings."""
+    """Constants chosen by `autopilot bench estimator --attitude` on recordings."""
 
     tilt_s: float = 3.0
     """Of the low-pass filter for the specific force (two stages of half of it)."""
@@ -124,7 +123,7 @@ class AttitudeFilter:
         return self.rpy_rad
 
     def _start(self, force: Three) -> None:
-        """Level by this sample alone; the heading stays what it was (0 at first) until the magnetometer says more."""
+        """Level by this sample alone; the heading is kept (0 at first) until the magnetometer corrects it."""
         self._yaw_rad = float(self.rpy_rad[2])
         fx, fy, fz = force
         self._carried = self._level = of_tilt(math.atan2(-fy, -fz), math.atan2(fx, math.hypot(fy, fz)))
@@ -149,7 +148,7 @@ class AttitudeFilter:
         north, east, down = turned(self._levelling, second)
         size = math.sqrt(north * north + east * east + down * down)
         if size > MIN_FORCE_M_S2:
-            # The turn that lays what is felt as up, -down, onto the axis.
+            # The rotation that aligns the measured vertical (-down) with the axis.
             half = math.sqrt(max(0.0, 0.5 - 0.5 * down / size))
             if half > 1e-6:
                 x, y = -0.5 * east / (size * half), 0.5 * north / (size * half)
@@ -191,14 +190,15 @@ class AttitudeSource:
         self._watched_us = -WATCH_EVERY_US
         self._apart_since_us: int | None = None
         self.disagreements = 0
-        """How often the AHRS's tilt left its own gyros' and accelerometers'."""
+        """Number of times the AHRS's tilt differed from that of its gyros and accelerometers."""
         self.field_disturbances = 0
         """How often the magnetometer of a device without an attitude of its own was rejected."""
         self.disagrees = False
 
     def attitude(self, sample: ImuSample) -> AhrsSample:
-        """The sample with an attitude. A bad one goes through with NaN; one that repeats repeats the attitude, too, so
-        that whoever judges AHRS samples sees what is wrong with it."""
+        """The sample with an attitude. A bad one has NaN, a repeated one a repeated attitude, so that the validation
+        of AHRS samples detects the cause.
+        """
         if not usable(sample.rate_frd_rad_s, sample.accel_frd_m_s2):
             rpy_rad = np.full(3, np.nan)
         elif self._last is not None and (sample.t_us <= self._last.t_us or _same(sample, self._last)):
@@ -219,7 +219,7 @@ class AttitudeSource:
         )
 
     def watch(self, sample: AhrsSample) -> None:
-        """Compare a good sample's tilt with what its gyros and accelerometers say."""
+        """Compare the tilt of a valid AHRS sample with that from its gyros and accelerometers."""
         if sample.t_us < self._watched_us + WATCH_EVERY_US:
             return
         self._watched_us = sample.t_us
@@ -239,7 +239,7 @@ class AttitudeSource:
 
 
 def usable(rate_frd_rad_s: FloatArray, accel_frd_m_s2: FloatArray) -> bool:
-    """Whether gyros and accelerometers read what they can read (comparisons with NaN are false)."""
+    """Whether gyro and accelerometer readings are within their ranges (comparisons with NaN are false)."""
     return (
         rate_frd_rad_s.shape == accel_frd_m_s2.shape == (3,)
         and within(rate_frd_rad_s.tolist(), MAX_RATE_RAD_S)

@@ -1,9 +1,8 @@
-"""What a camera's calibration is off, found in flight: stamps that are late, a focal length that does not fit.
+"""In-flight check of the camera calibration: latency of the stamps and focal length.
 
-How late stamps are is found by :mod:`.estimator.stamp_watch`. The focal length: in a level picture a wrong one passes
-for another height, which nothing denies; only where the lens bends the picture it shows, because the bend grows
-with the focal length and the height does not: every picture tells the share that fits its residuals best, and hundreds
-together are sure.
+Latency: :mod:`.estimator.stamp_monitor`. Focal length: in a level image an error is equivalent to another height and
+unobservable; the lens distortion separates the two, because it scales with the focal length and not with the height.
+Every image gives the scale factor that fits its residuals best, and the average of hundreds is significant.
 """
 
 import math
@@ -37,11 +36,12 @@ NO_CAMERA = Camera(
 def focal_estimate(
     camera: CameraModel, pixels: FloatArray, residual_px: FloatArray, jacobian: FloatArray
 ) -> tuple[float, float] | None:
-    """Share by which the focal length is too long, and its standard deviation, from one picture.
+    """Relative excess of the focal length, and its standard deviation, from one image.
 
-    ``pixels`` (m, 2) of the corners as seen, ``residual_px`` (2m,) of the fit, seen minus fitted, and its ``jacobian``
-    (2m, k) by all that was fitted. None where a lens that does not bend tells nothing."""
-    # Of the corners as fitted: those seen hold the noise of the residuals, all the pattern that a straight lens has.
+    ``pixels`` (m, 2) of the detected corners, ``residual_px`` (2m,) measured minus fitted, and its ``jacobian`` (2m,
+    k) with respect to all fitted parameters. None for a lens without distortion, which makes it unobservable.
+    """
+    # At the fitted corners: measured ones contain the noise of the residuals, the only pattern without distortion.
     fitted = (pixels - np.array(camera.center_px)).reshape(-1) - residual_px
     both = np.column_stack((fitted, residual_px))
     across, *_ = np.linalg.lstsq(jacobian, both, rcond=None)
@@ -69,8 +69,6 @@ def _of_mounting(camera: Camera) -> tuple[float, float, float, float] | None:
 
 
 class CameraMonitor(Monitor):
-    """Of one estimator."""
-
     def __init__(
         self, camera: Camera, stamps_every_s: float = STAMP_MONITOR.look_s, floor_m: float | None = None
     ) -> None:
@@ -93,11 +91,11 @@ class CameraMonitor(Monitor):
         """What else it seems to be off, not yet surely or not worth correcting."""
 
     def height_m(self, x: FloatArray) -> float:
-        """Of the camera over the floor with the markers, 0 = there is none."""
+        """Height of the camera over the floor with the markers [m], 0 = no such floor."""
         return 0.0 if self._floor_m is None else max(self._floor_m - x.item(DOWN) - self._camera_down_m, 0.0)
 
     def systematic_variance(self, t_us: int, newest: Node) -> FloatArray:
-        """See :class:`Monitor`: what the calibration's uncertainty is worth, so high above the markers."""
+        """See :class:`Monitor`: position variance by the calibration's uncertainty at this height above the markers."""
         x, yaw_rate_rad_s = newest.state.x, newest.moment.inertial.yaw_rate_rad_s
         share = math.hypot(self._found_focal_sigma or self._focal_sigma, self._focal_pending)
         across = share * CAMERA_MONITOR.aside_m
@@ -125,7 +123,7 @@ class CameraMonitor(Monitor):
         return (NavDoubt.CALIBRATION,) if self._focal_reported or still_late else ()
 
     def check_stamps(self) -> bool:
-        """Whether stamps have been found to be late, or late by another time than was known."""
+        """Whether a latency of the stamps has been detected, or has changed."""
         changed = self.stamps.look()
         late_s = self.stamps.late_s
         jumped_s, reported_s = self.stamps.jumped_s, self._late_reported_s
@@ -142,7 +140,7 @@ class CameraMonitor(Monitor):
 
     @property
     def _name(self) -> str:
-        """What the stamps are of: without pictures no camera is blamed."""
+        """Source of the stamps for messages: the camera only if there are images."""
         return "Picture" if self._pictures else "Pose"
 
     def note_picture(self) -> None:

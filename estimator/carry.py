@@ -1,15 +1,15 @@
-"""A late measurement's effect on the nodes after its own, without predicting and updating all of them again.
+"""Update of the nodes after a late measurement, without repeating their predictions and updates.
 
-What one update changes is small in rank: x by W e and P by -W C W', with W the gain, C the residual's covariance and e
-the residual. A step carries W on by its Jacobian. An update on the way keeps that form: with the gain K, the Jacobian
-H, the residual y and its covariance S that it had, and V = (H W)',
+One update changes x and P at low rank: x by W e and P by -W C W', with W the gain, C the covariance of the residual
+and e the residual. A prediction propagates W by its Jacobian. A later update keeps that form: with its gain K,
+Jacobian H, residual y and innovation covariance S, and V = (H W)',
 
     S' = S - V' C V     W' = W - K V'     C' = C + C V S'^-1 V' C     e' = e + C V S'^-1 (V' e - y)
     y' = y - V' e       K' = K - W' C V S'^-1
 
-is what the update would have been (insert P - W C W' and x + W e into the filter's equations). So the result is that of
-computing everything again but for one thing: Jacobians stay those of the states before, an error of second order in
-the correction. Larger corrections are not carried (:data:`LINEAR`).
+are those of the repeated update (insert P - W C W' and x + W e into the filter's equations). The result equals full
+recomputation except that Jacobians are those of the previous states, a second-order error in the correction. Larger
+corrections are recomputed (:data:`LINEAR`).
 """
 
 import operator
@@ -54,7 +54,7 @@ class Correction(NamedTuple):
 
     @property
     def small(self) -> bool:
-        """Whether Jacobians hold over it."""
+        """Whether the correction is small enough for the Jacobians to hold."""
         if len(self.e) > MOST_COLUMNS:
             return False
         change = np.abs(self.w.dot(self.e)).tolist()
@@ -68,7 +68,7 @@ class Correction(NamedTuple):
         return Correction(np.concatenate((self.w, other.w), axis=1), c, np.concatenate((self.e, other.e)))
 
     def through(self, update: PastUpdate) -> tuple["Correction", PastUpdate]:
-        """Behind an update that had been made without it, and what that update is with it."""
+        """The correction after a later update, and that update with the correction included."""
         w, c, e = self
         v = update.jacobian.dot(w).T
         cv = c.dot(v)
@@ -98,7 +98,7 @@ def _inverse(matrix: FloatArray) -> FloatArray:
 
 
 def symmetric(p: FloatArray) -> FloatArray:
-    """The mean of a matrix and its transpose: what rounding leaves of the difference would grow from fix to fix."""
+    """The mean of a matrix and its transpose: rounding asymmetry would grow from fix to fix."""
     result: FloatArray = p + p.T
     result *= 0.5
     return result

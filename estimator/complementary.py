@@ -1,11 +1,11 @@
-"""An observer of the complementary type behind the same interface as the Kalman filter.
+"""A nonlinear complementary observer behind the interface of the Kalman filter.
 
-The form of Marantos et al. (2016): accelerometer and gyro carry the state on, the aiding sensors pull it back with
+The form of Marantos et al. (2016): accelerometer and gyro propagate the state, the aiding sensors correct it with
 
     p' = v + k1 e      v' = R a - b + k2 e      b' = -k3 R' e      e = p_measured - p
 
-and the same for heading and gyro bias. k2 and k3 are fixed. k1 adapts: every state has a variance of its own (no
-correlations), so that a fix counts for more after a gap, and a sensor's noise counts. The current follows the
+and likewise heading and gyro bias. k2 and k3 are constant. k1 is adaptive: every state has a variance (no
+correlations), so that a fix has more weight after a gap and with a smaller measurement noise. The current follows the
 difference between measured and modelled acceleration.
 """
 
@@ -127,7 +127,7 @@ class ObserverCore:
         return Innovation(y, variance, ratio, gain, spread)
 
     def correct(self, state: FilterState, innovation: Innovation) -> FilterState:
-        """x + K y; variances shrink by what was learned."""
+        """x + K y; variances are reduced by the update."""
         assert innovation.spread is not None
         p = np.maximum(state.p - np.add.reduce(innovation.gain * innovation.spread, axis=1), 1e-10)
         if len(innovation.y) == 4:
@@ -153,7 +153,7 @@ class ObserverCore:
         return FilterState(x, p)
 
     def loosen(self, state: FilterState, sheet: int, sigma: Sequence[float], variance: Sequence[float]) -> FilterState:
-        """It holds nothing of sheets."""
+        """No-op: the observer has no sheet states."""
         return state
 
     def variance(self, state: FilterState, cos_yaw: float, sin_yaw: float) -> list[float]:

@@ -1,4 +1,4 @@
-"""Estimators by name, and one in the shadow of another."""
+"""Construction of estimators by name, alone or with a redundant one."""
 
 from dataclasses import replace
 
@@ -13,7 +13,7 @@ ESTIMATORS = {
     "ekf": "autopilot.estimator.ekf:of_context",
     "complementary": "autopilot.estimator.complementary:of_context",
 }
-"""Shipped estimators: name -> what makes one."""
+"""Shipped estimators: name -> factory."""
 
 SHADOW_OF = {"ekf": "complementary"}
 """Who flies in whose shadow; in that of all others the EKF."""
@@ -32,12 +32,29 @@ def create_estimator(
     shadow: bool = False,
     asked_by: str | None = None,
 ) -> Estimator:
-    """The estimator of that name (shipped, of an installed package, or package:Class) for that vehicle.
+    """Construct the estimator of that name for a vehicle.
 
-    ``markers`` is the surveyed floor (None: marker sightings cannot be used, poses can). ``floor_depth_m`` is what the
-    laser points at; None = the depth of the markers, and without markers no laser. ``shadow``: another estimator runs
-    beside it and is compared with it. ConfigError names ``asked_by`` (default ``--estimator``), the value and what to
-    do.
+    Parameters
+    ----------
+    name
+        A shipped estimator, one of an installed package, or ``package:Class``.
+    vehicle
+        The vehicle file.
+    markers
+        Surveyed marker map; None: marker sightings cannot be used, poses can.
+    floor_depth_m
+        Depth of the floor under the laser [m]; None = the depth of the markers, and without markers no laser.
+    options
+        Options set by parameters.
+    shadow
+        Whether a redundant estimator runs beside it and is compared with it.
+    asked_by
+        Origin of the name in error messages; default ``--estimator``.
+
+    Raises
+    ------
+    ConfigError
+        There is none of that name, or it does not implement :class:`Estimator`; names origin, value and remedy.
     """
     if floor_depth_m is None and markers is not None:
         floor_depth_m = float(markers.corners_ned_m[..., 2].mean())
@@ -57,5 +74,5 @@ def create_estimator(
 
 
 def find_estimator(name: str, asked_by: str | None = None) -> Plugin:
-    """Where the estimator of that name comes from. ConfigError if there is none."""
+    """Locate the estimator of that name without constructing it. ConfigError if there is none."""
     return find_plugin("estimator", name, ESTIMATORS, asked_by)

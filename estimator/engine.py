@@ -1,11 +1,11 @@
-"""The estimator around a filter core: takes samples in, keeps history, gates, watches over the sensors, reports.
+"""The estimator around a filter core: validation, history, gating, monitors, output.
 
-The filter lives on the time axis of the AHRS: every good AHRS sample makes a node. Measurements go to the node at or
-before their time of validity, and the nodes after it change with it (:mod:`.estimator.history`). What is told to the
-vehicle is the newest node carried on to now.
+The filter runs on the time axis of the AHRS: every valid AHRS sample is a node. A measurement is applied at the last
+node before its time of validity, and the later nodes are corrected (:mod:`.estimator.history`). The output is the
+newest node, predicted to now.
 
-What is measured comes from :mod:`.sources` through :mod:`.intake`; it is used by :mod:`.fusion`, and poses by
-:mod:`.fixes`; what speaks against it all is told by the monitors (:mod:`.monitor`).
+Measurements come from :mod:`.sources` through :mod:`.intake`; they are applied by :mod:`.fusion`, poses by
+:mod:`.fixes`; inconsistencies are found by the monitors (:mod:`.monitor`).
 """
 
 from collections import deque
@@ -61,8 +61,6 @@ PICTURES = (PoseSample, MarkerSighting)
 
 
 class AidedEstimator(Estimator):
-    """On a filter core."""
-
     def __init__(
         self,
         core: FilterCore,
@@ -85,7 +83,7 @@ class AidedEstimator(Estimator):
         self._ahrs_offset_us = round(1e6 * vehicle.ahrs.time_offset_s)
         self._trim = TiltTrim()
         self._thrust = ThrustLag(vehicle.thrusters)
-        # What watches over them.
+        # Monitors.
         trust = self._sources.markers.trust
         camera = vehicle.camera or NO_CAMERA
         self._latency_s = camera.latency_s

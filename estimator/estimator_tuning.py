@@ -1,4 +1,4 @@
-"""Tuned numbers of the estimator, by module; those of the filter itself are in :mod:`.tuning`."""
+"""Constants of the estimator, by module; those of the filter itself are in :mod:`.tuning`."""
 
 from dataclasses import dataclass
 
@@ -21,7 +21,7 @@ class CameraMonitorTuning:
     focal_seems: float = 3.0
     """What is known less surely than that does not even count as error."""
     focal_step: float = 0.001
-    """Smaller changes of what is known are not worth it."""
+    """Smaller changes of the estimate are not applied."""
     focal_prior: float = 0.04
     bend_sigma: float = 0.004
     """The bend shows how far focal length and distortion together are off. What is seen is divided between them by how
@@ -105,7 +105,7 @@ INERTIAL_MONITOR = InertialMonitorTuning()
 @dataclass(frozen=True, slots=True)
 class EngineTuning:
     ahrs_wait_us: int = 60_000
-    """After so long without AHRS data the filter goes on without."""
+    """Timeout of AHRS data, after which the filter continues without."""
     blind_step_us: int = 20_000
     blind_steps_max: int = 500
     """At most so many steps without AHRS data per tick; they get longer when the gap is longer."""
@@ -114,7 +114,7 @@ class EngineTuning:
     coast_after_us: int = 300_000
     """Time without a fix or a velocity over ground after which the current is held."""
     tracked_us: int = 1_000_000
-    """So recent a velocity over ground keeps dead reckoning going."""
+    """Largest age of a velocity over ground for dead reckoning."""
     redriven_us: int = 800_000
     """A sensor that becomes suspect has been wrong for up to so long."""
     suspect_us: int = 1_000_000
@@ -141,9 +141,9 @@ class EvidenceTuning:
     """Fixes rejected in a row (0.2 s) after which the estimate is not called good."""
     jump_m: float = 0.05
     jump_rad: float = 0.05
-    """Smaller steps are what a filter does that has been a little wrong."""
+    """Smaller steps are normal corrections of the filter."""
     jump_us: int = 5_000_000
-    """So long an estimate is not called good after fixes have jumped."""
+    """Time for which the estimate is not GOOD after a jump of fixes."""
     jump_fade_s: float = 10.0
     """A jump that nothing on board felt fades from the variance with this: what the fixes say now may be as wrong."""
     jump_way_m: float = 0.5
@@ -152,7 +152,7 @@ class EvidenceTuning:
     """A laser that needs a larger offset denies the height: twice what a mounted laser is off by."""
     resets: int = 3
     resets_us: int = 30_000_000
-    """So many resets within so long are no accident: map, camera or stamps are wrong."""
+    """Number of resets within a time that is a finding: map, camera or stamps are wrong."""
 
 
 EVIDENCE = EvidenceTuning()
@@ -183,7 +183,7 @@ FIX_MOTION = FixMotionTuning()
 @dataclass(frozen=True, slots=True)
 class FrameFilterTuning:
     step_px: int = 8
-    """Every eighth pixel of every eighth row is looked at: 4800 of an image of 640 x 480."""
+    """Sampling step: every eighth pixel of every eighth row, 4800 of an image of 640 x 480."""
     dark_level: float = 6.0
     bright_level: float = 249.0
     """Grey levels: if nine tenths of the pixels lie below (above), the lens is covered or the exposure is lost."""
@@ -203,12 +203,12 @@ FRAME_FILTER = FrameFilterTuning()
 @dataclass(frozen=True, slots=True)
 class LaserDotTuning:
     range_band: tuple[float, float] = (0.75, 1.35)
-    """The dot is looked for within these factors of the predicted range."""
+    """Search range of the dot, as factors of the predicted range."""
     range_slack_m: float = 0.03
     any_range_m: tuple[float, float] = (0.2, 3.0)
-    """Where to look without a prediction."""
+    """Search range without a prediction."""
     pad_px: int = 10
-    """Half height of the strip that is looked at."""
+    """Half height of the search strip."""
     off_line_px: int = 5
     """Half height of the part of it where the dot may be: distortion, calibration."""
     smooth_sigma_px: float = 1.5
@@ -261,7 +261,7 @@ class MapMonitorTuning:
     off_distance2: float = 40.0
     """Squared distance of a sheet's offset from what it was said to be, of 4, from which on it is named."""
     held_us: int = 10_000_000
-    """So long after the last finding the map is called doubtful."""
+    """Time after the last finding for which the map counts as suspect."""
 
 
 MAP_MONITOR = MapMonitorTuning()
@@ -373,7 +373,7 @@ class StampMonitorTuning:
     window_us: int = 2_000_000
     least_us: int = 600_000
     least_fixes: int = 12
-    """A window of less says nothing."""
+    """Shorter windows are not used."""
     margin_us: int = 260_000
     """So long before its first fix a window needs inertial samples."""
     gap_us: int = 150_000
@@ -477,13 +477,13 @@ class VisionTuning:
     whole_px: float = 1.5
     """A marker should be found when its corners are predicted this far inside of the image."""
     least_fit: float = 0.4
-    """What correlates less with the marker that it was read as is none."""
+    """Smallest correlation with the pattern of the decoded marker."""
     around: float = 0.75
     """The second pass takes in this share of the marker's size on each side,"""
     around_px: float = 8.0
     """and at least so many pixels: the white around it, and the error of the prediction."""
     most_areas: int = 12
-    """More missing markers than these are looked for in one piece."""
+    """More missing markers than these are searched in one region."""
     same: float = 0.5
     """Two markers of one id whose centres are nearer than this share of their side are one."""
     refine_cells: float = 0.72

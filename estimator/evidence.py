@@ -1,4 +1,4 @@
-"""What fixes say against the estimate: how far they miss, whether they have jumped, how often all began anew."""
+"""Consistency of the estimate with fixes: size of the residuals, jumps, number of resets."""
 
 import math
 from collections import deque
@@ -63,7 +63,7 @@ class Evidence(Monitor):
     def note_jump(self, t_us: int, miss: FloatArray) -> None:
         """Fixes that were used without a break have moved by ``miss`` (4,) [m, rad], and no sensor has felt it."""
         if float(np.linalg.norm(miss[:3])) > EVIDENCE.jump_m or float(miss[3]) > EVIDENCE.jump_rad:
-            # A wrong heading turns the way that is still to come.
+            # A heading error grows into a position error along the further path.
             across = math.hypot(miss.item(0), miss.item(1), EVIDENCE.jump_way_m * min(miss.item(3), 1.0))
             self._jump_us, self._jump_m_rad = t_us, np.array([across, across, miss.item(2), miss.item(3)])
             self.jumps += 1
@@ -73,7 +73,7 @@ class Evidence(Monitor):
         self._resets_us.append(t_us)
 
     def forgive(self) -> None:
-        """What fixes have said so far was due to something that has been put right."""
+        """Discard the evidence so far: its cause has been corrected."""
         self.denied, self._fix_ratio, self._heading_ratio, self._fix_miss = 0, 0.0, 0.0, np.zeros(4)
 
     def doubts(self, t_us: int, newest: Node) -> set[NavDoubt]:
@@ -93,7 +93,7 @@ class Evidence(Monitor):
         return {"doubt.jumps": self.jumps}
 
     def systematic_variance(self, t_us: int, newest: Node) -> FloatArray:
-        """See :class:`Monitor`: what sensors deny each other and no state explains."""
+        """See :class:`Monitor`: variance for contradictions between sensors that no state explains."""
         laser_bias_m = newest.state.x.item(LASER_BIAS)
         far = abs(laser_bias_m) > EVIDENCE.range_miss_m
         if self._jump_us is None and self._fix_ratio <= EVIDENCE.ratio_shows and not far:

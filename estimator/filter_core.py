@@ -1,4 +1,4 @@
-"""What differs between the estimators: how the state is predicted and corrected. Everything else is the engine's."""
+"""Interface of the filter cores: prediction and update of the state. Everything else is in the engine."""
 
 from collections.abc import Sequence
 from typing import NamedTuple, Protocol
@@ -11,7 +11,7 @@ from autopilot.estimator.states import FilterState
 
 
 class Innovation(NamedTuple):
-    """What a measurement says before it is used."""
+    """Innovation of a measurement, before the update."""
 
     y: FloatArray
     """(m,) residual."""
@@ -20,7 +20,7 @@ class Innovation(NamedTuple):
     test_ratio: float
     """Squared distance over its gate, > 1 = to be rejected."""
     gain: FloatArray
-    """(21, m) what a unit of residual moves."""
+    """(21, m) Kalman gain."""
     spread: FloatArray | None
     """(21, m) covariance between state and residual; None where :attr:`after` is known."""
     after: FilterState | None = None
@@ -40,12 +40,12 @@ class FilterCore(Protocol):
         """First state around ``x`` (21,)."""
         ...
 
-    def predict(self, state: FilterState, step: InertialStep) -> FilterState:
-        """State after the step."""
-        ...
+    def predict(self, state: FilterState, step: InertialStep) -> FilterState: ...
 
     def transition(self) -> FloatArray | None:
-        """Jacobian (21, 21) of the last prediction, a new array; None: what this filter corrects cannot be carried."""
+        """Jacobian (21, 21) of the last prediction, a new array; None: corrections of this filter cannot be carried
+        forward.
+        """
         ...
 
     def innovation(
@@ -65,9 +65,10 @@ class FilterCore(Protocol):
     def reopen(
         self, state: FilterState, part: slice, variance: float, value: Sequence[float] | None = None
     ) -> FilterState:
-        """State whose components ``part`` have that variance, uncorrelated: what was known of them is forgotten.
+        """State with the variance of the components ``part`` reset, and their correlations set to zero.
 
-        ``value``: what they are from now on, None = as they were."""
+        ``value``: their new mean, None = unchanged.
+        """
         ...
 
     def loosen(self, state: FilterState, sheet: int, sigma: Sequence[float], variance: Sequence[float]) -> FilterState:

@@ -1,7 +1,7 @@
-"""A source of positions. When it is reset it moves the whole filter, so it has more to go through than others.
+"""Aiding source of positions. Its reset moves the whole filter and therefore needs more evidence than that of others.
 
-Its rejected fixes are watched (:mod:`.estimator.relocation`): those that agree may move the filter. Whether it is
-believed at all is told by how its fixes move (:mod:`.estimator.fix_trust`).
+Rejected fixes are monitored (:mod:`.estimator.relocation`): mutually consistent ones may move the filter. Whether the
+source is used at all depends on the motion of its fixes (:mod:`.estimator.fix_trust`).
 """
 
 from abc import ABC, abstractmethod
@@ -16,8 +16,6 @@ from autopilot.estimator.relocation import Relocation
 
 
 class FixAid(Aid, ABC, Generic[S_contra]):
-    """A sensor that tells poses."""
-
     def __init__(self, time_offset_s: float = 0.0) -> None:
         super().__init__(time_offset_s)
         self.relocation, self.trust = Relocation(), FixTrust()
@@ -26,7 +24,7 @@ class FixAid(Aid, ABC, Generic[S_contra]):
 
     @abstractmethod
     def first_fix(self, sample: S_contra, inertial: Inertial) -> PoseFix | None:
-        """A pose from a sample while nothing is known; None if this sample gives none."""
+        """A pose from a sample before initialisation; None if this sample gives none."""
         ...
 
     @abstractmethod

@@ -1,8 +1,8 @@
-"""Whether fixes move as dead reckoning does.
+"""Comparison of the motion of fixes with dead reckoning.
 
 While no fix is used the filter runs on inertial sensors and the vehicle model alone. The residuals of fixes then drift
-by what the motion of the fixes and dead reckoning differ in, whatever both are off: relative motion is known well even
-when the position is not.
+by the difference of the two motions, whatever the offset between them: relative motion is accurate even when the
+position is not.
 """
 
 import math
@@ -24,13 +24,13 @@ SYSTEMATIC = np.array([0.02, 0.02, 0.02, 0.005])
 
 
 class FixResidual(NamedTuple):
-    """A fix against dead reckoning."""
+    """Residual of a fix against dead reckoning."""
 
     t_us: int
     z: FloatArray
     """(4,) north, east, down [m], heading [rad]."""
     y: FloatArray
-    """(4,) what it is off the prediction."""
+    """(4,) residual against the prediction."""
     variance: FloatArray
     """(4,) of the fix."""
     drift: FloatArray
@@ -70,8 +70,6 @@ class FixMotion:
 
 
 class FixRun:
-    """Some fixes in a row."""
-
     def __init__(self, run: Sequence[FixResidual]) -> None:
         self.count = len(run)
         self.inside = all(seen.inside for seen in run)
@@ -95,7 +93,7 @@ class FixRun:
 
     @property
     def denies_gyro(self) -> bool:
-        """Whether its fixes go with the vehicle and only turn otherwise than the gyro says."""
+        """Whether the fixes agree with the vehicle's translation, and contradict the gyro only."""
         way = slice(0, 3)
         squares = self._slope[way] ** 2 / (self._slope_variance[way] + self._drift[way])
         return self.apart > 1.0 and float(squares.sum()) <= CHI2_999[3] and self.moves > FIX_MOTION.sure and self.fits
@@ -128,9 +126,10 @@ class FixRun:
 
 
 def drift_variance(variance: FloatArray, gap_s: float, *, accel: bool, gyro: bool) -> FloatArray:
-    """(4,) of velocity and yaw rate that are predicted, ``gap_s`` after the last fix.
+    """(4,) variance of the predicted velocity and yaw rate, ``gap_s`` after the last fix.
 
-    ``variance`` (21,) of the filter's states; ``accel``, ``gyro``: whether that sensor is believed."""
+    ``variance`` (21,) of the filter's states; ``accel``, ``gyro``: whether that sensor is used.
+    """
     more_m_s = FIX_MOTION.systematic_per_s * gap_s + (0.0 if accel else FIX_MOTION.unaided)
     result: FloatArray = np.append(variance[VEL] + more_m_s * more_m_s, variance[GYRO_BIAS]) + SYSTEMATIC**2
     if not gyro:

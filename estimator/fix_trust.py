@@ -1,7 +1,7 @@
-"""Whether the camera is trusted: its fixes must move as dead reckoning does, and must not move the filter twice.
+"""Trust in the camera: its fixes must move as dead reckoning does, and must not reset the filter twice.
 
-A camera that is not believed is still watched. It is believed again when its fixes have moved with the vehicle for a
-while, and not as a picture that stands still.
+A rejected camera is still monitored. It is used again when its fixes have moved with the vehicle for a while, which a
+frozen image does not.
 """
 
 from autopilot.core.messages import NavDoubt
@@ -26,8 +26,6 @@ move nearly as the vehicle does."""
 
 
 class FixTrust(MonitorFinding):
-    """Of one source of fixes."""
-
     def __init__(self) -> None:
         super().__init__()
         self._run = FixMotion()
@@ -46,7 +44,7 @@ class FixTrust(MonitorFinding):
         return not self.believed or (self._back_us is not None and t_us - self._back_us <= PROBATION_US)
 
     def witnessed(self, t_us: int) -> bool:
-        """Whether its fixes could tell then which of the other sensors was wrong."""
+        """Whether its fixes could isolate the faulty sensor at that time."""
         return self.since_us is None or t_us < self.since_us
 
     def restart(self) -> None:

@@ -1,7 +1,7 @@
-"""Poses: how they are used, and what follows from them for map, camera, tilt, monitors and resets.
+"""Processing of pose fixes: update, map and camera refinement, tilt trim, monitors, resets.
 
-A fix that passes its gate corrects the filter. Fixes that do not pass but agree among themselves move it, unless they
-are less to be believed than dead reckoning is; then their source is only watched until it is right again.
+A fix inside its gate corrects the filter. Fixes outside that are mutually consistent reset it, unless dead reckoning
+is the more reliable; then their source is only monitored until it is consistent again.
 """
 
 from collections.abc import Sequence
@@ -33,8 +33,6 @@ ASTRAY = (ACCEL_BIAS, CURRENT, CURRENT_RATE)
 
 
 class Fixes:
-    """Of one estimator."""
-
     def __init__(self, fusion: Fusion, sources: Sources, monitors: Monitors, trim: TiltTrim) -> None:
         self._fusion, self._sources, self._trim = fusion, sources, trim
         self._evidence, self._imu, self._camera, self._map, _ = monitors
@@ -42,7 +40,7 @@ class Fixes:
         self.counts = dict.fromkeys(("sheets.fused", "sheets.rejected", "sheets.loosened"), 0)
 
     def use(self, node: Node, fix: PoseFix, aid: FixAid[Any], health: NavHealth | None) -> None:
-        """One fix that belongs to ``node``; ``health``: what the estimate was called last."""
+        """Process one fix at ``node``; ``health``: that of the last estimate."""
         if not aid.trust.believed:
             self._watch(node, fix, aid, lost=health is NavHealth.INVALID)
             return
@@ -89,7 +87,7 @@ class Fixes:
             may_move = trust.may_reset(now_us, agreeing) and (not gap or near)
             wrong = self._imu.since_us is None and not may_move
         if from_camera and wrong:
-            # It shows another place or time: what its fixes have denied so far they have denied wrongly.
+            # It shows another position or time: the evidence of its fixes so far is void.
             trust.suspect(now_us)
             self._evidence.forgive()
         elif not denied:
@@ -98,7 +96,7 @@ class Fixes:
             self._relocate(fix, aid, float(missed.y[3]), velocity, lost=lost)
 
     def _watch(self, node: Node, fix: PoseFix, aid: FixAid[Any], *, lost: bool) -> None:
-        """A fix of a suspect camera: not used, until a run of them is right again."""
+        """A fix of a suspect camera: not used until a series of them is consistent."""
         trust, now_us = aid.trust, self._fusion.now_us
         judged = self._fusion.judge(node, fix)
         self._fusion.report(fix, aid, judged, used=False)
@@ -128,7 +126,6 @@ class Fixes:
         return FixResidual(fix.t_us, fix.z, judged.y, fix.noise.diagonal(), drift, judged.passes)
 
     def _watch_map(self, node: Node, fix: PoseFix, *, rejected: bool) -> None:
-        """Look for what does not lie where the map has it."""
         if self._map is None:
             return
         if not rejected:
@@ -139,8 +136,9 @@ class Fixes:
             self.counts["sheets.loosened"] += 1
 
     def _learn_sheets(self, node: Node, fix: PoseFix, known: Sequence[int]) -> None:
-        """Every so often a picture is asked how its sheets lie to each other, and whenever it shows a new one: the pose
-        takes the blame for what is wrong with a sheet until somebody asks."""
+        """Measurement of the relative sheet offsets, periodically and whenever an image shows a new sheet: until then
+        the pose absorbs the error of a sheet.
+        """
         if fix.ties is None or fix.ground is None:
             return
         asked_of_late = abs(fix.t_us - self._learned_us) < LEARN_EVERY_US
@@ -163,8 +161,7 @@ class Fixes:
     def _relocate(
         self, fix: PoseFix, aid: FixAid[Any], turn_rad: float, vel_ned_m_s: FloatArray, *, lost: bool
     ) -> None:
-        """Trust the fixes and not the estimate. One who was ``lost`` has been carried astray by what was taken for
-        granted on the way."""
+        """Reset the position to the fixes. If ``lost``, the states that have caused the drift are reset too."""
         fusion = self._fusion
         newest, now_us = fusion.history.newest, fusion.now_us
         pos = fix.z[:3] + 1e-6 * (newest.t_us - fix.t_us) * vel_ned_m_s

@@ -1,6 +1,6 @@
-"""The filter for pictures: what cannot be a picture of the floor is refused by name before anybody looks for markers.
+"""Plausibility check of images: one that cannot show the floor is rejected, with the reason, before marker detection.
 
-A refused picture costs nothing else: the filter gets no fix, and says that it is blind when that lasts.
+A rejected image has no other effect: the filter gets no fix, and reports loss of vision if that lasts.
 """
 
 import math
@@ -24,7 +24,6 @@ class FrameFilter:
         self._reports: list[PictureReport] = []
 
     def judge(self, frame: CameraFrame) -> FrameVerdict:
-        """Verdict of one picture, counted."""
         verdict = self._verdict(frame)
         self.counts[verdict] += 1
         report = PictureReport(t_us=frame.t_us, verdict=verdict)
@@ -70,7 +69,7 @@ class FrameFilter:
 
 
 def quantile(levels: NDArray[np.int64], share: float) -> float:
-    """What this share of the pixels counted in ``levels`` (256,) does not exceed, linear between two of them."""
+    """Quantile of pixel values from their histogram ``levels`` (256,), linear between two levels."""
     up_to = levels.cumsum()
     place = share * (int(up_to[-1]) - 1)
     first = math.floor(place)

@@ -1,4 +1,4 @@
-"""A filter core with its past: gates what is measured, uses it, reports it; and is reset when it has diverged."""
+"""A filter core with its history: gating, update and report of measurements, and reset after divergence."""
 
 from collections.abc import Iterable
 from typing import Any
@@ -16,8 +16,6 @@ from autopilot.estimator.states import INITIAL_SIGMA
 
 
 class Fusion:
-    """Of one estimator."""
-
     def __init__(self, core: FilterCore) -> None:
         self.core = core
         self.past: History | None = None
@@ -29,26 +27,24 @@ class Fusion:
 
     @property
     def history(self) -> History:
-        """:attr:`past`, when there is one."""
         assert self.past is not None
         return self.past
 
     def begin_at(self, node: Node) -> None:
-        """Start there; forget the past."""
         self.past = History(self.core, node)
 
     def take_statuses(self) -> tuple[AidStatus, ...]:
-        """What became of every measurement since the last call."""
+        """Results of all measurements since the last call."""
         result = tuple(self._statuses)
         self._statuses.clear()
         return result
 
     def judge(self, node: Node, measurement: Measurement) -> Innovation:
-        """What a measurement says that belongs to ``node``."""
+        """Innovation and gate of a measurement at ``node``."""
         return self.core.innovation(node.state, measurement, node.moment, 1e-6 * (measurement.t_us - node.t_us))
 
     def report(self, measurement: Measurement, aid: Aid, judged: Innovation, *, used: bool) -> None:
-        """Count a measurement, and tell what became of it."""
+        """Count a measurement and record its result."""
         fit = measurement.fit if isinstance(measurement, PoseFix) else None
         self._statuses.append(aid.judged(measurement.t_us, self.now_us, judged, used, fit))
 
@@ -60,8 +56,9 @@ class Fusion:
         return judged
 
     def fuse_scalar(self, node: Node, measurement: Measurement, aid: ScalarAid[Any], *, fixed: bool) -> None:
-        """The same with one that is not of a pose. A sensor that keeps missing by the same amount is reset: its own
-        states are forgotten. ``fixed``: a fix has been used of late."""
+        """Process a measurement other than a pose. A sensor with persistent, consistent residuals is reset: its own
+        states are reopened. ``fixed``: a fix has been used recently.
+        """
         judged = self.fuse(node, measurement, aid)
         if judged.passes:
             aid.used(measurement)

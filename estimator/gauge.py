@@ -1,8 +1,8 @@
-"""What all sheets of a map may be off together, which no picture shows, and how well the sheets were really laid.
+"""Common error of all sheets of a map, unobservable from images, and the accuracy of the laying of sheets.
 
-A picture says how sheets lie to each other, never how their mean lies in the tank. How uncertain that is depends on how
-well sheets were laid, and of this the map has somebody's word, or a default. The offsets that were found tell it: their
-scatter about what they have in common is what the mean was made of.
+Images determine the positions of sheets relative to each other, not their mean in the tank (gauge freedom). The
+uncertainty of the mean follows from the laying accuracy, for which the map has a stated or default value. The scatter
+of the estimated offsets about their common part gives a measured value.
 """
 
 import numpy as np
@@ -22,8 +22,7 @@ LEAST_SIGMA = 1e-6
 
 
 def known_sheets(errors: MapErrors, states: SheetStates) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Of sheets whose offsets have been found: where they are (k, 3), offsets (k, 4), and how well they were said to be
-    laid (k, 4)."""
+    """Of sheets with estimated offsets: position (k, 3), offsets (k, 4), and stated laying accuracy (k, 4)."""
     which = list(states.which)
     sigma = np.maximum(errors.sigma[which], LEAST_SIGMA)
     variance = states.cov.diagonal().reshape(-1, STATES)
@@ -32,7 +31,7 @@ def known_sheets(errors: MapErrors, states: SheetStates) -> tuple[FloatArray, Fl
 
 
 def common_columns(pivots: FloatArray) -> FloatArray:
-    """(4k, 4) offsets of sheets when all of them together are moved north, east, down or turned about their middle."""
+    """(4k, 4) offsets of the sheets for a common translation north, east, down or rotation about their mean."""
     arm = pivots - pivots.mean(axis=0)
     common = np.zeros((STATES * len(pivots), STATES))
     common[0::STATES, 0] = common[1::STATES, 1] = common[2::STATES, 2] = common[3::STATES, 3] = 1.0
@@ -41,7 +40,7 @@ def common_columns(pivots: FloatArray) -> FloatArray:
 
 
 def laid_scales(pivots: FloatArray, offsets: FloatArray, sigma: FloatArray) -> FloatArray:
-    """(4,) how well sheets were laid over how well they were said to be: north, east, down, heading; 1 without any."""
+    """(4,) measured over stated laying accuracy: north, east, down, heading; 1 without data."""
     scales = np.ones(STATES)
     if len(pivots) < 2:
         return scales
@@ -58,14 +57,14 @@ def laid_scales(pivots: FloatArray, offsets: FloatArray, sigma: FloatArray) -> F
 
 
 def common_covariance(pivots: FloatArray, sigma: FloatArray) -> FloatArray:
-    """(4, 4) of what the sheets are off together, about their middle, each laid so well (k, 4)."""
+    """(4, 4) covariance of the sheets' common error about their mean, each laid with the accuracy (k, 4)."""
     common = common_columns(pivots)
     result: FloatArray = np.asarray(np.linalg.inv((common.T / sigma.reshape(-1) ** 2) @ common), dtype=np.float64)
     return result
 
 
 class Gauge:
-    """What the offsets found so far say of the mean of all sheets, against what the filter takes from the map."""
+    """Variance of the mean of all sheets by the offsets estimated so far, compared with the filter's from the map."""
 
     def __init__(self, errors: MapErrors) -> None:
         self._errors = errors
@@ -73,7 +72,7 @@ class Gauge:
         self._more = np.zeros((STATES, STATES))
 
     def look(self, states: SheetStates) -> None:
-        """The offsets are known better, or there are more."""
+        """Update after new or more accurate offsets."""
         pivots, offsets, sigma = known_sheets(self._errors, states)
         if len(pivots) < 2:
             return
@@ -82,8 +81,9 @@ class Gauge:
         self._more = common_covariance(pivots, sigma * scales) - common_covariance(pivots, sigma)
 
     def more_variance(self, x: FloatArray) -> FloatArray:
-        """(4,) variance of north, east, down, yaw at the state's place beyond the filter's; less than nothing where
-        sheets were laid better than the map says."""
+        """(4,) variance of north, east, down, yaw at the state's position in addition to the filter's; negative where
+        sheets were laid better than stated.
+        """
         north, east = float(x[NORTH] - self._middle[0]), float(x[EAST] - self._middle[1])
         turn = np.eye(STATES)
         turn[0, 3], turn[1, 3] = -east, north

@@ -1,9 +1,9 @@
-"""What a picture says of the sheets on the floor, and what the filter believes of them.
+"""Joint estimation of vehicle pose and sheet offsets from marker images.
 
-A pose from markers is as wrong as the sheets that it was taken from: z = truth + C (offsets - assumed ones) + noise.
-The filter holds the offsets as states, so an error that all pictures of a sheet share is never taken for noise. What
-one picture with several sheets says of their places among each other is independent of the pose, and a measurement of
-its own (:class:`SheetTies`).
+A pose from markers has the error of the sheets it was computed from: z = truth + C (offsets - assumed ones) + noise.
+The offsets are filter states, so that an error common to all images of a sheet is not treated as white noise. The
+relative positions of several sheets in one image are independent of the pose, and are a separate measurement
+(:class:`SheetTies`).
 """
 
 from dataclasses import dataclass
@@ -19,7 +19,9 @@ from autopilot.estimator.states import NX, SheetStates
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class SheetTies(Measurement):
-    """How the sheets of one picture lie to each other: rows of unit variance and more, functions of offsets alone."""
+    """Measurement of the relative sheet offsets in one image: rows of at least unit variance, functions of offsets
+    alone.
+    """
 
     ground: SheetDependence
 
@@ -35,12 +37,12 @@ _GROUNDED = (PoseFix, SheetTies)
 
 
 def ground_of(measurement: Measurement) -> SheetDependence | None:
-    """How a measurement depends on sheets, None = not at all."""
+    """Dependence of a measurement on sheets, None = independent."""
     return measurement.ground if isinstance(measurement, _GROUNDED) else None
 
 
 def columns_of(which: tuple[int, ...], sheets: tuple[int, ...]) -> list[int]:
-    """Where the states of ``sheets`` stand among those of ``which``."""
+    """Indices of the states of ``sheets`` among those of ``which``."""
     places = {number: k for k, number in enumerate(which)}
     return [STATES * places[number] + i for number in sheets for i in range(STATES)]
 

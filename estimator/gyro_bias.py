@@ -1,13 +1,13 @@
-"""The gyros' bias, from how the attitude has to be corrected: a Kalman filter of three states (filterpy).
+"""Gyro bias from the corrections of the attitude: a Kalman filter with three states (filterpy).
 
-A bias b of which b_known is taken off makes the attitude drift by R (b - b_known), and corrections take that back
-behind a low-pass filter L. So they turn by c = -L(R (b - b_known)), or
+With a bias b of which b_known is subtracted the attitude drifts by R (b - b_known), and the corrections compensate
+that behind a low-pass filter L. They turn by c = -L(R (b - b_known)), hence
 
     L(R) b = L(R b_known) - c
 
-with c about north and east from the specific force and about down from the magnetometer. The form is that of Laidig and
-Seel 2023 (VQF), whose vertical bias is found at rest only; a vehicle in the water is never at rest, and a slow turn of
-one that hovers must not be taken for it.
+with c about north and east from the specific force and about down from the magnetometer. The form is that of Laidig
+and Seel 2023 (VQF), whose vertical bias is estimated at rest only; a vehicle in the water is never at rest, and a slow
+turn while hovering must not be taken for bias.
 """
 
 import math
@@ -30,7 +30,7 @@ UNTOLD = 1e6
 
 
 class GyroBias:
-    """What the gyros show at rest, body axes."""
+    """Gyro bias, body axes [rad/s]."""
 
     def __init__(self, tilt_s: float, tilt_noise: float, heading_noise: float, window_s: float = WINDOW_S) -> None:
         """``tilt_s``: of the low-pass filter for the specific force (two stages). Noises: rad/s, of means over 1 s."""
@@ -44,7 +44,7 @@ class GyroBias:
         self.restart()
 
     def restart(self) -> None:
-        """After a gap: what is known stays, the low-pass filters begin anew."""
+        """After a gap: keep the estimate, restart the low-pass filters."""
         self._age_s = 0.0
         self._slow: list[FloatArray] = []
         self._slow_heading: FloatArray | None = None
@@ -68,12 +68,14 @@ class GyroBias:
         self._heading_keep *= 1.0 - share
 
     def look(self, level_from_body: Four, heading_settled_s: float) -> None:
-        """Learn from what was gathered if that is long enough. The heading counts from ``heading_settled_s`` on."""
+        """Update from the accumulated corrections if they cover enough time. The heading is used from
+        ``heading_settled_s`` on.
+        """
         if self._time_s < self._window_s:
             return
         self._age_s += self._time_s
         turn = np.array(rows(level_from_body))
-        # Beside each row of the rotation what it makes of the bias that was taken off.
+        # Beside each row of the rotation its product with the subtracted bias.
         now = np.column_stack([turn, turn @ self.rad_s])
         share = max(1.0 - math.exp(-self._time_s / self._stage_s), self._time_s / self._age_s)
         first, second = self._slow or (now[:2], now[:2])

@@ -1,4 +1,4 @@
-"""The last second of the filter, kept so that a late measurement can be put where it belongs."""
+"""The last second of the filter, for updates with late measurements at their time of validity."""
 
 from collections import deque
 from collections.abc import Callable
@@ -14,11 +14,11 @@ from autopilot.estimator.measurement import Measurement, Moment
 from autopilot.estimator.states import FilterState
 
 SPAN_US = 1_000_000
-"""How far back a measurement may lie; older ones are dropped and counted."""
+"""Largest age of a measurement; older ones are dropped and counted."""
 
 
 class Reopening(NamedTuple):
-    """A sensor begins anew: what the filter knew of these states is forgotten, just before its next measurement."""
+    """Reset of a sensor: the variance of these states is increased just before its next measurement."""
 
     sensor: str
     t_us: int
@@ -28,7 +28,6 @@ class Reopening(NamedTuple):
     """What they are from then on, None = as they were."""
 
     def applied(self, core: FilterCore, state: FilterState) -> FilterState:
-        """The state after it."""
         return core.reopen(state, self.part, self.variance, self.value)
 
 
@@ -44,7 +43,6 @@ class Loosening(NamedTuple):
     """(4,) and what comes on top."""
 
     def applied(self, core: FilterCore, state: FilterState) -> FilterState:
-        """The state after it."""
         return core.loosen(state, self.sheet, self.sigma, self.variance)
 
 
@@ -120,9 +118,10 @@ class History:
             node.updates.append(None)
 
     def _settle(self, until: Node) -> None:
-        """Tell the nodes after the one that has changed of it, up to and with ``until``: carry the change on, or
-        compute them again with the measurements that they have. Those behind wait until somebody asks for them, for
-        what comes in one tick may change them once more."""
+        """Propagate a changed node to those after it, up to and including ``until``: carry the correction forward, or
+        recompute them with their measurements. Later nodes are left until they are needed, as the same tick may change
+        them again.
+        """
         changed = self._changed
         if changed is not None and until.t_us > changed.t_us:
             later = []
@@ -172,9 +171,10 @@ class History:
             before = node
 
     def _place(self, node: Node, new: Change, update: PastUpdate | None = None) -> bool:
-        """Put it among what the node has used. True if it comes last, else the node has been computed again.
+        """Insert a measurement into those of the node. True if it is the last; otherwise the node has been recomputed.
 
-        The order does not depend on when things arrived, so neither does the result."""
+        The order does not depend on the arrival times, and neither does the result.
+        """
         self._settle(node)
         place = len(node.used)
         if place and node.prior is not None:
@@ -208,7 +208,6 @@ class History:
             self._correction = None
 
     def _before(self, node: Node) -> Node | None:
-        """The node before, settled."""
         before = None
         for other in self._nodes:
             if other is node:
@@ -232,7 +231,7 @@ class History:
 
 
 def _carried(correction: Correction, nodes: list[Node]) -> Correction:
-    """The correction at the last of these nodes, when it has gone through all of them."""
+    """The correction at the last of these nodes."""
     for node in nodes:
         assert node.transition is not None
         correction = Correction(node.transition.dot(correction.w), correction.c, correction.e)

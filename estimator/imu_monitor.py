@@ -1,7 +1,7 @@
-"""Watches accelerometer and gyro, and replaces the one that is suspect.
+"""Monitors accelerometer and gyro, and substitutes the suspect one.
 
-The vehicle model, driven by the commanded thrust, gives the acceleration; the AHRS's heading gives the turning. When a
-sensor ceases to be believed, the last moments are computed again without it: it was wrong for a while before it showed.
+The substitute of the acceleration is the vehicle model with the commanded thrust; that of the yaw rate is the AHRS's
+heading. When a sensor is rejected, the recent history is recomputed without it: the fault precedes its detection.
 """
 
 import math
@@ -24,8 +24,6 @@ TURN_MAX_RAD_S = 2.0
 
 
 class Verdicts(NamedTuple):
-    """What one sample has changed."""
-
     doubted: bool = False
     """A sensor has become suspect: compute the last moments again."""
     apart_rad: float = 0.0
@@ -44,7 +42,7 @@ class ImuMonitor(Monitor):
     """Both inertial monitors of one estimator."""
 
     def __init__(self, vehicle: VehicleAcceleration, nondeterminism: FixTrust) -> None:
-        """``witness``: of the fixes that tell which sensor is wrong."""
+        """``witness``: the fixes that isolate the faulty sensor."""
         super().__init__()
         self._vehicle, self._nondeterminism = vehicle, nondeterminism
         self.accel = AccelMonitor()
@@ -59,7 +57,7 @@ class ImuMonitor(Monitor):
         return max(accel_us, gyro_us)
 
     def doubts(self, t_us: int, newest: Node) -> Iterator[NavDoubt]:
-        """See :class:`Monitor`: while nobody could tell who was wrong, no sensor is named."""
+        """See :class:`Monitor`: without isolation no sensor is named."""
         for sensor, name in ((self.accel, NavDoubt.ACCELEROMETER), (self.gyro, NavDoubt.GYRO)):
             if sensor.since_us is not None and self._nondeterminism.witnessed(sensor.since_us):
                 yield name
@@ -76,13 +74,13 @@ class ImuMonitor(Monitor):
         self.gyro.believe()
 
     def forgive_unwitnessed(self) -> None:
-        """Fixes will show what is wrong: trust again what could not be judged."""
+        """Fixes are available again: use sensors whose fault was not isolated."""
         for sensor in (self.accel, self.gyro):
             if sensor.since_us is not None and not self._nondeterminism.witnessed(sensor.since_us):
                 sensor.believe()
 
     def reopenings(self, found: Verdicts, t_us: int) -> Iterator[Reopening]:
-        """What is not known any more by these verdicts; sensors that have recovered are trusted again."""
+        """States to be reset after these verdicts; recovered sensors are used again."""
         forgotten: list[tuple[slice, float, tuple[float, ...] | None]] = []
         if found.apart_rad:
             forgotten += [(part, found.apart_rad**2, None) for part in (one(YAW), one(HEADING_OFFSET))]
@@ -139,9 +137,10 @@ class ImuMonitor(Monitor):
         model_rejected: int,
         compass_rejected: int,
     ) -> Verdicts:
-        """Judge the sample ``raw`` that led from ``before`` to ``node``; see :class:`AccelMonitor` and GyroMonitor.
+        """Check the sample ``raw`` between ``before`` and ``node``; see :class:`AccelMonitor` and GyroMonitor.
 
-        ``model_dt_s``: time since the last look at the model, 0 = this sample is not held against it."""
+        ``model_dt_s``: time since the last comparison with the model, 0 = no comparison with this sample.
+        """
         last, x, dt_s = before.moment.inertial, node.state.x, 1e-6 * (node.t_us - before.t_us)
         if not last.real:
             return NOTHING_NEW

@@ -1,4 +1,4 @@
-"""The AHRS side: samples checked, brought to the level frame, and made into steps between two moments."""
+"""AHRS processing: validation, rotation to the level frame, and integration to steps between two times."""
 
 import math
 from collections.abc import Sequence
@@ -69,7 +69,7 @@ class Inertial(NamedTuple):
 
 
 class InertialStep(NamedTuple):
-    """What moves the state from one moment to the next: means over the step."""
+    """Input of one prediction step: means over the step."""
 
     dt_s: float
     yaw_rate_rad_s: float
@@ -80,7 +80,7 @@ class InertialStep(NamedTuple):
 
 
 class SampleVerdict(StrEnum):
-    """What became of a sample at the intake."""
+    """Result of the validation of a sample."""
 
     GOOD = "good"
     MALFORMED = "malformed"
@@ -113,7 +113,7 @@ def level(sample: AhrsSample, trim_rad: tuple[float, float] = (0.0, 0.0)) -> Ine
 
 
 def down_of(inertial: Inertial, point_frd_m: tuple[float, float, float]) -> float:
-    """How far a point of the body lies below the centre of gravity [m]."""
+    """Depth of a body point below the centre of gravity [m]."""
     sr, cr = math.sin(inertial.roll_rad), math.cos(inertial.roll_rad)
     sp, cp = math.sin(inertial.pitch_rad), math.cos(inertial.pitch_rad)
     x, y, z = point_frd_m
@@ -151,7 +151,7 @@ def step_between(a: Inertial, b: Inertial, mode: ProcessNoiseMode, slope: FloatA
 
 
 def hold(last: Inertial, t_us: int, mode: ProcessNoiseMode) -> InertialStep:
-    """The step from ``last`` to a later moment of which nothing is known yet."""
+    """The step from ``last`` to a later time without samples: inputs held."""
     return InertialStep(
         dt_s=1e-6 * (t_us - last.t_us),
         yaw_rate_rad_s=last.yaw_rate_rad_s,
@@ -161,10 +161,11 @@ def hold(last: Inertial, t_us: int, mode: ProcessNoiseMode) -> InertialStep:
 
 
 class AhrsMount:
-    """Takes off what the accelerometer feels only because it does not sit at the centre of gravity.
+    """Lever-arm correction of the accelerometer to the centre of gravity.
 
-    a_center = a_sensor - rate' x r - rate x (rate x r), with the angular acceleration from one sample to the next: its
-    noise cancels when it is integrated."""
+    a_center = a_sensor - rate' x r - rate x (rate x r), with the angular acceleration by differences of samples: its
+    noise cancels in the integral.
+    """
 
     def __init__(self, position_frd_m: tuple[float, float, float]) -> None:
         self._lever = position_frd_m

@@ -1,13 +1,13 @@
-"""Which inertial sensor is suspect: what it says against what thrust, compass and fixes say.
+"""Fault detection of accelerometer and gyro against thrust model, compass and fixes.
 
-The vehicle model and the accelerometer say the same of the acceleration within 0.1 m/s^2, thruster losses, tether and
-jets included; gyro and AHRS heading the same of the turn within two degrees per second. A sensor that breaks, is hit or
-runs into its range is off by far more. Which of the two is wrong is told by the fixes while there are any: when they
-pass, the sensor is right, whatever the model says (a hull that is held, a lost thruster). Without fixes the one that
-cannot be bounded goes: an accelerometer's error grows with the square of time, a model's does not.
+Vehicle model and accelerometer agree within 0.1 m/s^2, thruster losses, tether and jets included; gyro and AHRS
+heading within two degrees per second. A broken, hit or saturated sensor differs by far more. Fixes decide which of the
+two is wrong: while they pass the gate, the sensor is right, whatever the model gives (a held hull, a lost thruster).
+Without fixes the unbounded one is rejected: the position error of an accelerometer fault grows with the square of
+time, that of the model does not.
 
-A sensor that is not believed is still watched. It is believed again, with the offset that it then has, when it has been
-steady against its witness for a while and fixes were there to tell.
+A rejected sensor is still monitored. It is used again, with its new offset, after a period of constant difference to
+its reference with fixes available.
 """
 
 import math
@@ -25,7 +25,7 @@ QUICK_TURN_LIMIT_RAD = math.radians(0.5)
 
 
 class _InertialMonitor(MonitorFinding):
-    """A sensor that is trusted again when what it says beyond its witness has been steady for a while."""
+    """A sensor that is used again when its difference to the reference has been constant for a while."""
 
     def __init__(self, size: int, limit: float) -> None:
         """``limit``: of the scatter of its ``size`` values that counts as steady."""
@@ -43,7 +43,7 @@ class _InertialMonitor(MonitorFinding):
         self._steady_s = 0.0
 
     def steady_offset(self, dt_s: float, unexplained: Sequence[float], *, anchored: bool) -> list[float] | None:
-        """The offset to trust it with again, once that is known. ``unexplained``: reading minus the witness's."""
+        """The offset with which it can be used again, once known. ``unexplained``: reading minus reference."""
         share = min(1.0, dt_s / INERTIAL_MONITOR.steady_time_s)
         for i, value in enumerate(unexplained):
             self._mean[i] += share * (value - self._mean[i])
@@ -101,16 +101,16 @@ class GyroMonitor(_InertialMonitor):
 
     @property
     def apart_rad(self) -> float:
-        """How far gyro and compass have come apart lately."""
+        """Recent difference of gyro and compass [rad]."""
         return max(abs(self._apart), abs(self._slow))
 
     @property
     def quick_rad(self) -> float:
-        """The same within a third of a second, the compass beyond the gyro."""
+        """Difference within a third of a second, compass minus gyro [rad]."""
         return self._quick
 
     def jumped_rad(self, dt_s: float, turn_rad: float, rate_rad_s: float) -> float:
-        """How far the compass has jumped in one sample: ``turn_rad`` by the compass, ``rate_rad_s`` by the gyro."""
+        """Jump of the compass in one sample [rad]: ``turn_rad`` by the compass, ``rate_rad_s`` by the gyro."""
         jump = wrap_pi(turn_rad - rate_rad_s * dt_s)
         if abs(jump) > INERTIAL_MONITOR.jump_rad:
             self.jumps += 1
@@ -128,9 +128,10 @@ class GyroMonitor(_InertialMonitor):
         heading_denied: bool,
         compass_rejected: int,
     ) -> bool:
-        """True when it becomes suspect now. Rates without the gyro's known bias.
+        """True when it becomes suspect now. Rates without the gyro's estimated bias.
 
-        ``heading_denied``: fixes are being rejected for their heading."""
+        ``heading_denied``: fixes are being rejected for their heading.
+        """
         apart = wrap_pi(turn_rad - rate_rad_s * dt_s)
         self._quick += apart - min(1.0, dt_s / INERTIAL_MONITOR.quick_turn_time_s) * self._quick
         self._apart += apart - min(1.0, dt_s / INERTIAL_MONITOR.turn_time_s) * self._apart

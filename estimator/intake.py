@@ -1,4 +1,4 @@
-"""The intake of samples that are measured at one moment and arrive later: each is checked and counted here."""
+"""Buffer of samples that arrive after their time of measurement: validation and counting."""
 
 from collections import deque
 from collections.abc import Iterable
@@ -40,12 +40,12 @@ class SampleBuffer:
             self._waiting.append(sample)
 
     def retime_pictures(self, later_us: int) -> None:
-        """What waits of pictures was valid at another time than was thought."""
+        """Shift the times of buffered image measurements."""
         of_pictures = {kind for kind, aid in self._aids.items() if aid.of_pictures}
         self._waiting = [replace(s, t_us=s.t_us + later_us) if type(s) in of_pictures else s for s in self._waiting]
 
     def due(self, until_us: int) -> Iterable[Sample]:
-        """What was valid at or before ``until_us``, oldest first; the rest waits."""
+        """Samples valid at or before ``until_us``, oldest first; the others stay."""
         if not self._waiting:
             return ()
         ready = [s for s in self._waiting if s.t_us <= until_us]

@@ -1,4 +1,4 @@
-"""The extended Kalman filter: filterpy's, with our motion, our gate and pure functions around it."""
+"""The extended Kalman filter: filterpy's, with our motion model, gating, and pure functions around it."""
 
 import math
 from collections.abc import Sequence
@@ -101,10 +101,11 @@ class KalmanCore:
         return self._kf.F.copy()
 
     def innovation(self, state: FilterState, measurement: Measurement, moment: Moment, after_s: float) -> Innovation:
-        """filterpy's update (Joseph form), and a joint chi-square test at 99.9 % of whether it may be kept.
+        """filterpy's update (Joseph form), and a joint chi-square gate at 99.9 %.
 
-        filterpy knows no gate: the residual's distance is known only once it has updated. Nothing is lost by that:
-        states are never changed in place, so a rejected one is simply not taken."""
+        filterpy has no gate: the Mahalanobis distance is known only after the update. States are never changed in
+        place, so a rejected one is simply discarded.
+        """
         kf, sheets = self._kf, state.sheets
         ground = ground_of(measurement)
         if ground is not None:
@@ -120,7 +121,7 @@ class KalmanCore:
             residual=measurement.residual,
         )
         ratio = kf.mahalanobis**2 / CHI2_999[len(kf.y)]
-        if sheets is not None:  # considered, not corrected: this says next to nothing of them
+        if sheets is not None:  # consider states, not updated: almost no information about them
             sheets = sheets._replace(cross=sheets.cross - kf.K.dot(h.dot(sheets.cross)))
         after = FilterState(kf.x, symmetric(kf.P), sheets)
         update = None if sheets is not None else PastUpdate(kf.K, h, kf.S, kf.y)
@@ -129,11 +130,11 @@ class KalmanCore:
     def _on_sheets(
         self, state: FilterState, measurement: Measurement, ground: SheetDependence, moment: Moment, after_s: float
     ) -> Innovation:
-        """The update with what the sheets do to the measurement as further states, one per row of it.
+        """Update with the sheets' effect on the measurement as additional states, one per row.
 
-        That is exact: the measurement sees the offsets through these sums only. The offsets themselves follow by their
-        covariance with the residual; with filterpy's update on all of them (two hundred) it would take 50 times as
-        long."""
+        This is exact: the measurement depends on the offsets through these sums only. The offsets follow by their
+        covariance with the residual; filterpy's update on all of them (two hundred) would take 50 times as long.
+        """
         sheets = entered(state.sheets, ground.sheets, ground.sigma, MAX_SHEETS)
         columns = columns_of(sheets.which, ground.sheets)
         g = ground.jacobian

@@ -1,4 +1,4 @@
-"""The green laser dot: it can only lie on one line of the image, at a place that tells the range."""
+"""Detection of the green laser dot: it lies on one line of the image, and its position on it gives the range."""
 
 import math
 from typing import Any
@@ -34,7 +34,7 @@ def find_dot(image_bgr: Any, camera: CameraModel, range_m: float | None) -> Floa
         return None
     patch = image_bgr[top:bottom, left:right, :2].astype(np.float32)
     # Under one light, black and white print differ in brightness alone: green follows blue along a straight line, which
-    # tint and haze only shift. What lies above that line is the laser's.
+    # tint and haze only shift. The laser is above that line.
     blue, green = patch[:, :, 0], patch[:, :, 1]
     blue_off, green_off = blue - blue.mean(), green - green.mean()
     slope = float((blue_off * green_off).sum()) / max(float((blue_off * blue_off).sum()), 1.0)

@@ -1,7 +1,7 @@
-"""Whether the magnetic field is the one whose direction is known, or something magnetic is near.
+"""Detection of magnetic disturbance.
 
-The check of Laidig and Seel 2023 (VQF) with the limits that they give: the field's size and its dip below the level are
-compared with what they were. Another field becomes the known one when it has stayed alike for some time of turning.
+The check of Laidig and Seel 2023 (VQF) with their limits: norm and dip angle of the field are compared with the
+reference. Another field becomes the reference after it has been constant for some time with rotation.
 """
 
 import math
@@ -32,11 +32,11 @@ class FieldWatch:
 
     @property
     def disturbed(self) -> bool:
-        """Whether the last reading was not of the known field."""
+        """Whether the last reading differs from the reference field."""
         return self._same_s < MAGNETIC.same_after_s
 
     def trust(self, dt_s: float, size: float, dip_rad: float, rate_rad_s: float) -> float:
-        """1 for the known field, 0 for another one; ``rate_rad_s`` is how fast the device turns."""
+        """1 for the reference field, 0 for another one; ``rate_rad_s``: angular rate of the device."""
         if self._now is None:
             self._now = self._known = (size, dip_rad)
         reading = (min(size, MAGNETIC.most_share * self._known[0]), dip_rad)

@@ -1,4 +1,4 @@
-"""What does not lie where the map has it, found in flight and named: moved markers, swapped ids, wrong sheets."""
+"""In-flight check of the marker map: moved markers, swapped ids, displaced sheets."""
 
 import math
 from collections import deque
@@ -21,7 +21,7 @@ from autopilot.estimator.states import EAST, NORTH, SheetStates
 
 @dataclass
 class _MisplacedMarker:
-    """Where a marker is seen that is not where the map has it."""
+    """Observed position of a displaced marker."""
 
     count: int = 0
     north_m: float = 0.0
@@ -47,8 +47,6 @@ class _MisplacedMarker:
 
 
 class MapMonitor(Monitor):
-    """Of one estimator."""
-
     def __init__(self, markers: MarkerMap) -> None:
         super().__init__()
         self._markers = markers
@@ -62,8 +60,9 @@ class MapMonitor(Monitor):
         self._found_us: int | None = None
 
     def systematic_variance(self, t_us: int, newest: Node) -> FloatArray:
-        """See :class:`Monitor`: what the whole map may be off at the state's place, beyond what the filter holds of its
-        sheets; negative where these were laid better than the map says."""
+        """See :class:`Monitor`: variance of the whole map at the state's position in addition to the filter's;
+        negative where sheets were laid better than stated.
+        """
         x = newest.state.x
         more = np.zeros(4) if self._gauge is None else self._gauge.more_variance(x)
         if self._frame is None:
@@ -104,13 +103,13 @@ class MapMonitor(Monitor):
         return result
 
     def laid(self, sheet: int) -> tuple[float, ...]:
-        """How well a sheet was laid (4,)."""
+        """Laying accuracy of a sheet (4,)."""
         errors = self._markers.errors
         assert errors is not None
         return tuple(errors.sigma[sheet].tolist())
 
     def check_sheets(self, t_us: int, states: SheetStates | None, sheets: tuple[int, ...]) -> None:
-        """Sheets of a picture: whether they lie farther off than they were said to."""
+        """Check the sheets of an image for offsets beyond their stated accuracy."""
         errors = self._markers.errors
         if errors is None or states is None:
             return

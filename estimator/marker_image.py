@@ -1,7 +1,7 @@
-"""How markers look in an image: their contrast, the noise on them and how sharp their edges are.
+"""Image quality of markers: contrast, noise and edge sharpness.
 
-Read off a few hundred interpolated pixels of each marker, all markers at once. The contrast against the noise tells
-markers from noise that happened to read as one; all three tell how well corners can be placed.
+Measured at a few hundred interpolated pixels of each marker, all markers at once. The contrast-to-noise ratio
+separates markers from false detections; all three give the accuracy of the corners.
 """
 
 from functools import lru_cache
@@ -30,7 +30,9 @@ class MarkerImages(NamedTuple):
 
 
 def marker_images(grey: Any, quads: FloatArray, patterns: FloatArray) -> MarkerImages:
-    """Of markers with corners ``quads`` (n, 4, 2) [px] and cells ``patterns`` (n, s, s), 1 white, border included."""
+    """Quality of markers with corners ``quads`` (n, 4, 2) [px] and cells ``patterns`` (n, s, s), 1 white, border
+    included.
+    """
     n, cells = patterns.shape[:2]
     to_px = _homographies(quads)
     steps = quads - np.roll(quads, -1, axis=1)

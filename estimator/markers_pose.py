@@ -1,9 +1,9 @@
-"""From a marker sighting to a pose: which marker of the map is which, and where the vehicle must be.
+"""Pose from a marker sighting: association of detections with the map, and pose estimation.
 
-Ids repeat over the floor. While the pose is roughly known, a marker is the nearest one of its id to where it seems to
-lie (:meth:`MarkerSolver.track`); without a pose, every marker votes for all places where it could be seen like this
+Ids repeat over the floor. With a pose prior, a detection is associated with the nearest marker of its id
+(:meth:`MarkerSolver.track`); without, every detection votes for all poses that would explain it
 (:meth:`MarkerSolver.locate`). Both end in the same least squares over all corners (:mod:`.estimator.pnp`). Markers may
-lie anywhere in any attitude: each is looked for at its own depth, and votes by the square that it is.
+have any position and attitude: association is at each marker's own depth, and votes use its square.
 """
 
 import math
@@ -49,8 +49,6 @@ class _Match(NamedTuple):
 
 
 class _Solved(NamedTuple):
-    """A pose, and what it leaves."""
-
     fix: PoseFix
     worst_px: float
     """How far the worst of all the corners lies from its projection; infinite when a marker was left out."""
@@ -88,7 +86,7 @@ class MarkerSolver:
             self._candidate_centers[row, : len(of_id)] = [self._centers[j] for j in of_id]
 
     def set_focal(self, share: float) -> None:
-        """From now on take the focal length for too long by that share of what it should be."""
+        """Set the relative excess of the focal length to be corrected."""
         given = self._given_camera
         fx, fy = (f / (1.0 + share) for f in given.focal_px)
         self._camera = replace(given, focal_px=(fx, fy))
@@ -114,8 +112,7 @@ class MarkerSolver:
         rpy_rad: FloatArray,
         sheets: SheetStates | None = None,
     ) -> PoseFix | None:
-        """Fix near a predicted pose, None if the markers do not fit to it. ``sheets``: where they are by now believed
-        to lie."""
+        """Fix near a predicted pose, None if the markers do not fit. ``sheets``: their estimated offsets."""
         match = self._match(sighting, pos_ned_m, rpy_rad)
         if match is None:
             return None
@@ -186,7 +183,7 @@ class MarkerSolver:
                 mine = (taken >= 0) & (self._errors.sheet[taken] == sheet)
                 arm = self._centers_m[taken[mine]] - self._errors.pivot_ned_m[sheet, :2]
                 moved[mine] = offset[k, :2] + offset[k, 3] * np.column_stack((-arm[:, 1], arm[:, 0]))
-            # Of sheets that are not in the pose nothing is known.
+            # No information about sheets that are not in the pose.
             unknown = (taken >= 0) & ~np.isin(self._errors.sheet[taken], (-1, *fix.ground.sheets))
         else:
             unknown = np.zeros(len(taken), dtype=bool)
@@ -198,7 +195,7 @@ class MarkerSolver:
         )
 
     def _miss(self, j: int, eye_ned_m: FloatArray, ray_ned: FloatArray) -> tuple[float, int, complex]:
-        """By how much a ray from the camera misses the middle of marker j: distance, j, north + i east."""
+        """Distance of a camera ray from the centre of marker j: distance, j, north + i east."""
         to_marker = np.array([self._centers[j].real, self._centers[j].imag, self._depth_m[j]]) - eye_ned_m
         if to_marker @ ray_ned <= 0.0:
             return math.inf, j, 0j
@@ -232,8 +229,9 @@ class MarkerSolver:
         return None if solved is None else solved.fix
 
     def _votes(self, q: np.ndarray, seen: IntArray, placed: IntArray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Where the camera would be if quadrilateral ``seen`` were marker ``placed`` (both (n,)): height over the
-        marker and heading as one number (n,), place (n,), and whether the quadrilateral fits the marker's square."""
+        """Camera pose for which quadrilateral ``seen`` is marker ``placed`` (both (n,)): height over the marker and
+        heading as one number (n,), position (n,), and whether the quadrilateral fits the marker's square.
+        """
         # Best similarity w = a q + b between level image plane and floor: |a| height, arg a the heading, b place.
         qc = q - q.mean(axis=1, keepdims=True)
         w = self._plane_m[placed]
@@ -251,7 +249,7 @@ class MarkerSolver:
         return a, b, square
 
     def _leaning_vote(self, q: np.ndarray, j: int) -> tuple[complex, complex] | None:
-        """The same for one marker that leans: with the tilt known its corners are linear in heading and place."""
+        """The vote of one inclined marker: with known tilt its corners are linear in heading and position."""
         offsets = self._corners_ned_m[j] - self._corners_ned_m[j].mean(axis=0)
         north, east, down = offsets.T
         rows = np.zeros((8, 5))
@@ -337,7 +335,9 @@ class MarkerSolver:
         return _Solved(fix, float(off_px.max()) if good.all() else math.inf)
 
     def _good(self, rms_px: float, found_rpy_rad: FloatArray, rpy_rad: FloatArray) -> bool:
-        """Whether a fit may be a fix; what is odd about it is counted. ``rpy_rad``: the attitude it began with."""
+        """Whether a fit is acceptable as a fix; the reason for a rejection is counted. ``rpy_rad``: the initial
+        attitude.
+        """
         if rms_px > MARKERS_POSE.final_rms_px:
             self.counts["misfit"] += 1
             return False
@@ -362,7 +362,6 @@ class MarkerSolver:
         errors: MapErrors,
         sheets: SheetStates | None,
     ) -> _Solved | None:
-        """The same where the sheets that the markers lie on may be off."""
         strained: list[int] = []
         good = np.ones(len(seen), dtype=bool)
         best = None
@@ -426,7 +425,7 @@ class MarkerSolver:
 
 
 def _ties(best: SheetPose, t_us: int, which: tuple[int, ...], sigma: FloatArray) -> SheetTies | None:
-    """What a fit says of its sheets among each other."""
+    """Measurement of the relative sheet offsets from a fit."""
     rows, z, noise = best.ties()
     if not len(rows):
         return None
@@ -435,8 +434,7 @@ def _ties(best: SheetPose, t_us: int, which: tuple[int, ...], sigma: FloatArray)
 
 
 def _fit(known: int, rms_px: float, worst_px: FloatArray) -> MarkerFit:
-    """Of ``known`` markers those used, from the root mean square of their corners' residuals along either axis and
-    each one's worst corner (n,)."""
+    """Fit record of ``known`` markers from the RMS residual per axis and each used marker's worst corner (n,)."""
     worst = float(worst_px.max())
     return MarkerFit(known=known, used=len(worst_px), rms_px=math.sqrt(2.0) * rms_px, worst_px=worst)
 

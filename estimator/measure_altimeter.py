@@ -1,10 +1,11 @@
 """Height over a level floor by a sonar altimeter.
 
-Its beam is wide: the first echo comes from the floor straight below as long as that lies within the beam. Its errors
-(speed of sound, what lies on the floor) are the same from echo to echo, so that averaging does not take them away.
+Its beam is wide: the first echo comes from vertically below as long as that is within the beam. Its errors (speed of
+sound, objects on the floor) are correlated from echo to echo and do not average out.
 
-An echo that has come back twice shows twice the range. While the depth is well known it does not pass the gate; when it
-is needed most it would, and the right ones after it would not. So an echo is held against those just before it.
+A multiple echo has twice the range. With an accurate depth it fails the gate; with a poor depth, when the altimeter is
+needed most, it could pass and exclude the correct ones after it. An echo is therefore compared with the preceding
+ones.
 """
 
 import math
@@ -46,13 +47,13 @@ class AltimeterRange(FloorRange):
     half_beam_rad: float
 
     def cosine(self, inertial: Inertial) -> float:
-        """Of what the beam's edge is off the vertical."""
+        """Cosine of the angle between the beam's edge and the vertical."""
         off_rad = math.acos(max(-1.0, min(1.0, down_of(inertial, self.beam_frd)))) - self.half_beam_rad
         return max(math.cos(max(0.0, off_rad)), LEAST_COSINE)
 
 
 class AltimeterAid(ScalarAid[AltimeterSample]):
-    """Sonar altimeter: used where the floor's depth is known and nothing knows the height better."""
+    """Sonar altimeter: used where the floor's depth is known and no better height is available."""
 
     sensor = "altimeter"
     samples = (AltimeterSample,)
@@ -68,7 +69,7 @@ class AltimeterAid(ScalarAid[AltimeterSample]):
         """Time and range of the last echoes."""
 
     def wanted(self, sample: AltimeterSample, node: Node) -> bool:
-        """See :class:`ScalarAid`; what is malformed is, to be counted."""
+        """See :class:`ScalarAid`; malformed samples are accepted here, to be counted."""
         if not _sane(sample):
             return True
         p = node.state.p
@@ -81,7 +82,7 @@ class AltimeterAid(ScalarAid[AltimeterSample]):
         return floor_known and sure_enough and once and looks_down and depth_unsure
 
     def _came_back_once(self, sample: AltimeterSample) -> bool:
-        """Whether it is known to be no multiple of those before it, which it joins."""
+        """Whether it is a first echo by comparison with the preceding ones, to which it is added."""
         lately = [range_m for t_us, range_m in self._heard if 0 <= sample.t_us - t_us <= HEARD_US]
         self._heard.append((sample.t_us, sample.range_m))
         near_m = TWICE_SHARE * sample.range_m
@@ -103,7 +104,7 @@ class AltimeterAid(ScalarAid[AltimeterSample]):
 
 
 def _sane(sample: AltimeterSample) -> bool:
-    """Whether an altimeter can say that; comparisons with NaN are false."""
+    """Whether a sample is plausible for an altimeter; comparisons with NaN are false."""
     return (
         0.0 < sample.range_m < MAX_RANGE_M and 0.0 <= sample.sigma_m <= MAX_SIGMA_M and 0.0 <= sample.confidence <= 1.0
     )

@@ -1,4 +1,4 @@
-"""Depth by pressure: depth of the sensor plus an offset that is a state of its own."""
+"""Depth by pressure: depth of the sensor plus an offset, which is a filter state."""
 
 import math
 from dataclasses import dataclass
@@ -56,8 +56,6 @@ def depth_from_sample(sample: DepthSample, mount_frd_m: tuple[float, float, floa
 
 
 class DepthAid(ScalarAid[DepthSample]):
-    """A pressure sensor."""
-
     sensor = "depth"
     samples = (DepthSample,)
     own = one(DEPTH_OFFSET)

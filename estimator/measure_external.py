@@ -1,8 +1,8 @@
-"""Pose from outside (motion capture, acoustic positioning, a companion computer's vision).
+"""Pose from an external source (motion capture, acoustic positioning, a companion computer's vision).
 
-It becomes the same measurement as a pose from markers, once it is in the local frame and of the centre of gravity. A
-source whose frame is not ours (FRD: level, but with an origin and a direction of its own) is laid onto the estimate
-when it begins and whenever it says that it has jumped; from then on it holds the vehicle where it was.
+Transformed to the local frame and the centre of gravity it is the same measurement as a pose from markers. A source
+with a frame of its own (FRD: level, with its own origin and heading) is aligned with the estimate when it starts and
+at every change of its reset counter; from then on it bounds the drift.
 """
 
 import math
@@ -28,7 +28,7 @@ MAX_SIGMA_RAD = math.pi
 
 
 class Alignment(NamedTuple):
-    """How a source's frame lies in ours."""
+    """Transformation from a source's frame to the local one."""
 
     turn_rad: float
     """Heading of its x axis."""
@@ -55,7 +55,7 @@ def aligned(sample: ExternalPoseSample, pos_ned_m: FloatArray, yaw_rad: float) -
 
 
 def well_formed(sample: ExternalPoseSample) -> bool:
-    """Shape, finite numbers, a covariance that is one, a known frame."""
+    """Check of shape, finite numbers, a valid covariance and a known frame."""
     pos = np.asarray(sample.pos_m, dtype=float)
     # Comparisons with NaN are false, so a NaN anywhere is malformed as well.
     if pos.shape != (3,) or not (abs(pos) <= MAX_DISTANCE_M).all() or not abs(sample.yaw_rad) <= MAX_YAW_RAD:
@@ -101,7 +101,7 @@ def tracked_point(
 
 
 def _covariance(given: FloatArray) -> FloatArray | None:
-    """(4, 4) symmetric with floors on the diagonal; None if it is no covariance or says nothing worth having."""
+    """(4, 4) symmetric with floors on the diagonal; None if it is invalid or without information."""
     p = np.asarray(given, dtype=float)
     if p.shape != (4, 4) or not (abs(p) <= MAX_SIGMA_M**2).all() or p[3, 3] > MAX_SIGMA_RAD**2:
         return None
@@ -113,8 +113,6 @@ def _covariance(given: FloatArray) -> FloatArray | None:
 
 
 class ExternalAid(FixAid[ExternalPoseSample]):
-    """Whoever sends poses from outside."""
-
     sensor = "external"
     samples = (ExternalPoseSample,)
 
@@ -126,7 +124,7 @@ class ExternalAid(FixAid[ExternalPoseSample]):
         self._reset_counter: int | None = None
 
     def first_fix(self, sample: ExternalPoseSample, inertial: Inertial) -> PoseFix | None:
-        """See :class:`FixAid`: in a frame of its own it does not tell where we are."""
+        """See :class:`FixAid`: a source with its own frame does not give the position."""
         self._note_jump(sample)
         in_our_frame = sample.frame is ExternalFrame.NED
         if not in_our_frame and well_formed(sample):
@@ -153,7 +151,7 @@ class ExternalAid(FixAid[ExternalPoseSample]):
         return aligned(sample, tracked_point(x[POS] + after_s * x[VEL], yaw, inertial, self._mount_frd_m), yaw)
 
     def _note_jump(self, sample: ExternalPoseSample) -> None:
-        """A new reset counter: what the source said before does not hold any more."""
+        """A new reset counter: the previous alignment is discarded."""
         if self._reset_counter is not None and sample.reset_counter != self._reset_counter:
             self._frame = None
             self.jumped = True

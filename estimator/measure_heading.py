@@ -1,4 +1,4 @@
-"""Heading of the AHRS: magnetic, so true heading plus a slowly wandering offset that is a state of its own."""
+"""Heading of the AHRS: magnetic, i.e. true heading plus a slowly varying offset, which is a filter state."""
 
 from dataclasses import dataclass
 

@@ -76,7 +76,7 @@ class LaserAid(ScalarAid[LaserSample | MarkerSighting]):
     of_pictures = True
 
     def __init__(self, vehicle: Vehicle, pictures: Pictures, floor_depth_m: float | None) -> None:
-        """``floor_depth_m``: None = it is not known what the beam meets, ranges are not used."""
+        """``floor_depth_m``: depth of the floor [m]; None = unknown, ranges are not used."""
         super().__init__()
         self._pictures, self._floor_depth_m = pictures, floor_depth_m
         laser = vehicle.laser or NO_LASER

@@ -1,4 +1,4 @@
-"""Markers on the floor as a source of positions: pictures of them, or a sensor that gives the poses ready-made."""
+"""Markers on the floor as a source of poses: from images, or from a sensor that delivers poses."""
 
 import numpy as np
 
@@ -44,12 +44,12 @@ class MarkersAid(FixAid[PoseSample | MarkerSighting]):
         return None if solver is None else self._kept(self._solve(node, sample, solver))
 
     def solver_counts(self) -> dict[str, int]:
-        """What was odd about markers, as ``markers.what``."""
+        """Counts of rejections as ``markers.<reason>``."""
         solver = self._pictures.solver
         return {} if solver is None else {f"{self.sensor}.{what}": n for what, n in solver.counts.items()}
 
     def _solver_of(self, sighting: MarkerSighting) -> MarkerSolver | None:
-        """What makes a pose of a sighting; None without a map, and of one that is malformed."""
+        """Pose solver of a sighting; None without a map, and for a malformed one."""
         solver = self._pictures.solver
         if solver is None or solver.well_formed(sighting):
             return solver

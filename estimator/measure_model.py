@@ -1,13 +1,13 @@
-"""The vehicle model as a sensor: thrust and drag say what the acceleration must be, the accelerometer says what it is.
+"""The vehicle model as a measurement: acceleration by thrust and drag against the accelerometer.
 
-This is what makes the current observable: drag depends on the velocity relative to the water, and the velocity over
-ground is known from vision. With M = m + M_A (rigid body and added mass) and a current that changes at the rate c'
-along the way of the vehicle, the surge and sway equations read (Fossen 2011, eq. 6.113 and 8.1, neutral body)
+This makes the current observable: drag depends on the velocity relative to the water, and the velocity over ground is
+known from vision. With M = m + M_A (rigid body and added mass) and a current that changes at the rate c' along the
+vehicle's path, the surge and sway equations are (Fossen 2011, eq. 6.113 and 8.1, neutral body)
 
     M dnu_r/dt = f(nu_r, thrust) - m R' c'   so that   R' a_ground = a_model(nu_r, thrust) + (M_A / M) R' c' .
 
-Roll and pitch are left out: the level frame stands for the body's planar axes. When the vertical current is a state
-(``EstimatorOptions.current_3d``) the heave equation comes on top; its buoyancy is taken as known.
+Roll and pitch are neglected: the level frame stands for the body's planar axes. If the vertical current is a state
+(``EstimatorOptions.current_3d``) the heave equation is added; its buoyancy is taken as known.
 """
 
 import ctypes
@@ -51,7 +51,7 @@ MODEL_EVERY = 2
 """AHRS samples per update by the vehicle model: 50 Hz."""
 IDLE_THRUST_N = 0.3
 IDLE_SPEED_M_S = 0.03
-"""Below both the vehicle may be moored, held or aground: the model has nothing to say."""
+"""Below both the vehicle may be moored, held or aground: the model is not used."""
 
 SIGMA_M_S2 = 0.06
 """Error of the modelled acceleration: tether, drag and thrust coefficients. For 50 updates per second that share it."""
@@ -79,7 +79,7 @@ _THRUSTERS = 8
 
 
 class _ModelStruct(Mirror):
-    """The struct of estimator.c."""
+    """ctypes layout of the struct in estimator.c."""
 
     _fields_ = (
         ("x", ctypes.c_double * NX),
@@ -101,9 +101,9 @@ _JACOBIAN_AT = _ModelStruct.jacobian.offset // 8
 
 
 class VehicleAcceleration:
-    """:func:`expected_acceleration` of one vehicle and its Jacobian, compiled where there is the library.
+    """:func:`expected_acceleration` of one vehicle and its Jacobian, compiled where the library is available.
 
-    What was asked last is remembered by the identity of its arguments: states and moments are never changed in place.
+    The last result is cached by the identity of its arguments: states and moments are never changed in place.
     """
 
     def __init__(self, model: Model4, follow: tuple[float, float]) -> None:
@@ -136,7 +136,7 @@ class VehicleAcceleration:
         return self._jacobian
 
     def slope(self, x: FloatArray, moment: Moment) -> FloatArray:
-        """The same without what the offset of the accelerometer does; a new array."""
+        """The Jacobian without the accelerometer's offset; a new array."""
         slope = self.jacobian(x, moment).copy()
         slope[:, ACCEL_BIAS] = 0.0
         return slope
@@ -160,7 +160,7 @@ class VehicleAcceleration:
 
 
 def acceleration_jacobian(model: Model4, follow: tuple[float, float], x: FloatArray, moment: Moment) -> FloatArray:
-    """d of what the AHRS measures, :func:`expected_acceleration` plus its offset, / dx (3, 21)."""
+    """(3, 21) Jacobian of the AHRS's measurement, :func:`expected_acceleration` plus its offset."""
     u, v, r, c, s = _relative(x, moment)
     m11, m22 = model.mass_kg[:2]
     lin, quad = model.linear_drag, model.quadratic_drag
@@ -213,7 +213,6 @@ def expected_acceleration(
 
 
 def idle(moment: Moment, x: FloatArray) -> bool:
-    """No thrust and no motion."""
     if max(map(abs, moment.thrust_n)) > IDLE_THRUST_N:
         return False
     return math.hypot(x.item(VEL_NORTH), x.item(VEL_EAST)) < IDLE_SPEED_M_S

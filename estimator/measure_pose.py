@@ -24,7 +24,7 @@ MAX_DISTANCE_M = 1e5
 """From the local origin, which lies near the vehicle."""
 MAX_YAW_RAD = 1e3
 MAX_SIGMA_POS_M = 1.0
-"""A fix that is worse than this says nothing worth having."""
+"""Fixes with a larger standard deviation are not used."""
 
 
 _AT_ONCE: FloatArray = np.eye(4, NX)
@@ -33,7 +33,7 @@ _AT_ONCE.flags.writeable = False
 
 
 class SheetDependence(NamedTuple):
-    """How a measurement depends on sheets."""
+    """Dependence of a measurement on sheets."""
 
     sheets: tuple[int, ...]
     """Numbers of the sheets."""
@@ -67,7 +67,7 @@ class PoseFix(Measurement):
     """Roll and pitch that the same image shows."""
     sigma_tilt_rad: float = 0.0
     ground: SheetDependence | None = None
-    """How the pose depends on sheets, None = the map is exact."""
+    """Dependence of the pose on sheet offsets, None = the map is exact."""
     ties: Callable[[], Measurement | None] | None = None
     """What the same image says of its sheets among each other: made when it is asked for, which is not every time."""
     focal: tuple[float, float] | None = None
@@ -77,7 +77,7 @@ class PoseFix(Measurement):
     outliers: tuple[MarkerOutlier, ...] = ()
     """Its markers that do not lie where the map has them."""
     fit: MarkerFit | None = None
-    """How well its markers fit, None = it is not of markers."""
+    """Reprojection residuals, None = not from markers."""
 
     def predicted(self, x: FloatArray, moment: Moment, after_s: float) -> FloatArray:
         """Position moved on with the velocity, yaw with the rate."""

@@ -27,7 +27,7 @@ class FloorRange(Measurement):
 
     @abstractmethod
     def cosine(self, inertial: Inertial) -> float:
-        """Between what is measured along and the vertical."""
+        """Cosine of the angle between the beam and the vertical."""
         ...
 
     def predicted(self, x: FloatArray, moment: Moment, after_s: float) -> FloatArray:

@@ -109,8 +109,6 @@ def velocity_from_sample(sample: VelocitySample, mount_frd_m: tuple[float, float
 
 
 class VelocityAid(ScalarAid[VelocitySample]):
-    """A Doppler log."""
-
     sensor = "velocity"
     samples = (VelocitySample,)
     own = VEL
@@ -125,7 +123,9 @@ class VelocityAid(ScalarAid[VelocitySample]):
         return self.counted(velocity_from_sample(sample, self._mount_frd_m))
 
     def reopened(self, measurement: BodyVelocity, *, fixed: bool) -> slice | None:
-        """See :class:`ScalarAid`: through the water it is the current, over ground fixes know the velocity better."""
+        """See :class:`ScalarAid`: through the water the current is reset; over ground fixes determine the velocity
+        better.
+        """
         through_water = measurement.lock is VelocityLock.WATER
         if through_water:
             return CURRENT

@@ -1,4 +1,4 @@
-"""What every measurement model has in common. One file per kind of measurement: ``measure_*.py``."""
+"""Common interface of the measurement models, one file per kind: ``measure_*.py``."""
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
@@ -12,11 +12,11 @@ CHI2_999 = {1: 10.83, 2: 13.82, 3: 16.27, 4: 18.47}
 
 
 MAX_SIGMA_M = 10.0
-"""A sample that claims a larger standard deviation says nothing worth having."""
+"""Samples with a larger standard deviation are not used."""
 
 
 def chi2_999(freedom: int) -> float:
-    """The same for any number of degrees of freedom (Wilson and Hilferty's approximation from five on)."""
+    """99.9 % quantile of chi-square (Wilson and Hilferty's approximation from five degrees of freedom on)."""
     known = CHI2_999.get(freedom)
     if known is not None:
         return known

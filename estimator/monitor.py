@@ -1,7 +1,7 @@
-"""What watches over an estimator have in common: what they say against it, what that is worth, what they have found.
+"""Common interface of the monitors: findings, their effect on the estimate's health, and detected values.
 
-Some hold a sensor against the others (:mod:`.imu_watch`, :mod:`.fix_trust`), some what sensors share: the map
-(:mod:`.map_watch`), the camera's calibration (:mod:`.camera_doubt`), the estimate itself (:mod:`.evidence`).
+Some compare one sensor with the others (:mod:`.imu_monitor`, :mod:`.fix_trust`), some check common causes: the map
+(:mod:`.map_monitor`), the camera's calibration (:mod:`.camera_monitor`), the estimate itself (:mod:`.evidence`).
 """
 
 from collections.abc import Iterable, Mapping
@@ -23,15 +23,17 @@ class Monitor:
         self._texts: list[str] = []
 
     def doubts(self, t_us: int, newest: Node) -> Iterable[NavDoubt]:
-        """What speaks against the estimate or its sensors."""
+        """Findings against the estimate or its sensors."""
         return ()
 
     def systematic_variance(self, t_us: int, newest: Node) -> FloatArray:
-        """(4,) north, east, down, yaw on top of the filter's; negative where more is known than the filter holds."""
+        """(4,) variance of north, east, down, yaw in addition to the filter's; negative where more is known than the
+        filter holds.
+        """
         return NOTHING
 
     def counts(self) -> Mapping[str, int]:
-        """What has been found so far, by name."""
+        """Counts of findings, by name."""
         return {}
 
     def take_texts(self) -> tuple[str, ...]:
@@ -42,7 +44,7 @@ class Monitor:
 
 
 class MonitorFinding(Monitor):
-    """A watch over one sensor, which it believes or does not."""
+    """State of a monitored sensor: used or rejected."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -53,7 +55,7 @@ class MonitorFinding(Monitor):
 
     @property
     def believed(self) -> bool:
-        """Whether what the sensor says is used."""
+        """Whether the sensor is used."""
         return self.since_us is None
 
     def suspect(self, t_us: int) -> None:

@@ -1,4 +1,4 @@
-"""The monitors of one estimator, and what they say together."""
+"""The monitors of one estimator and their combined findings."""
 
 from typing import NamedTuple
 
@@ -29,11 +29,13 @@ class Monitors(NamedTuple):
         return tuple(each for each in self if each is not None)
 
     def doubts(self, t_us: int, newest: Node) -> frozenset[NavDoubt]:
-        """What speaks against the estimate or its sensors."""
+        """Findings against the estimate or its sensors."""
         return frozenset(doubt for each in self.all for doubt in each.doubts(t_us, newest))
 
     def systematic_variance(self, t_us: int, newest: Node) -> FloatArray:
-        """(4,) north, east, down, yaw on top of the filter's; negative where more is known than the filter holds."""
+        """(4,) variance of north, east, down, yaw in addition to the filter's; negative where more is known than the
+        filter holds.
+        """
         more = NOTHING
         for each in self.all:
             found = each.systematic_variance(t_us, newest)

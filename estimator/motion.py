@@ -1,4 +1,4 @@
-"""How the state moves in one step, shared by both estimators, with its Jacobian."""
+"""State propagation over one step, shared by both estimators, with its Jacobian."""
 
 import ctypes
 import math
@@ -48,7 +48,7 @@ _PLACES = np.array([NX * row + column for row, column in _ENTRIES])
 
 
 class _Motion(Mirror):
-    """The struct of estimator.c."""
+    """ctypes layout of the struct in estimator.c."""
 
     _fields_ = (
         ("x", ctypes.c_double * NX),

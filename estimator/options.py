@@ -1,4 +1,4 @@
-"""What may be set about an estimator beside its name. The defaults are what the vehicle flies with."""
+"""Options of an estimator. The defaults are those of the vehicle."""
 
 from dataclasses import dataclass
 

@@ -1,4 +1,4 @@
-"""From the filter's state to the published estimate."""
+"""From the filter state to the published estimate."""
 
 import math
 

@@ -1,4 +1,4 @@
-"""The camera's clock, and what is made of pictures: poses by its markers, ranges by the laser's dot."""
+"""Camera clock and image processing: poses from markers, ranges from the laser dot."""
 
 from collections import deque
 from dataclasses import replace
@@ -9,10 +9,10 @@ from autopilot.estimator.markers_pose import MarkerSolver
 
 
 class Pictures:
-    """Of one estimator; shared by the sources that live on pictures."""
+    """Image processing of one estimator, shared by the sources that use images."""
 
     def __init__(self, vehicle: Vehicle, solver: MarkerSolver | None) -> None:
-        """``solver``: None = there is no map, pictures tell nothing."""
+        """``solver``: None = no map, images give no poses."""
         self.solver = solver
         self._clock_us = 0 if vehicle.camera is None else round(1e6 * vehicle.camera.time_offset_s)
         self.late_us = 0
@@ -21,15 +21,15 @@ class Pictures:
 
     @property
     def offset_us(self) -> int:
-        """What is to be added to the stamps of pictures."""
+        """Correction of the stamps of images [us]."""
         return self._clock_us - self.late_us
 
     def note_made(self, sample: PoseSample | LaserSample) -> None:
-        """Remember for :meth:`take_made` what a picture has given, stamped by our clock."""
+        """Store a result of an image for :meth:`take_made`, with corrected stamps."""
         self._made.append(replace(sample, t_us=sample.t_us - self.offset_us))
 
     def take_made(self) -> tuple[PoseSample | LaserSample, ...]:
-        """What was made of pictures since the last call, stamped as the pictures were."""
+        """Results of images since the last call, with the images' original stamps."""
         made = tuple(self._made)
         self._made.clear()
         return made

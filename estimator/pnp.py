@@ -1,14 +1,14 @@
 """Pose of the vehicle from marker corners and their pixels: Gauss-Newton over position and rotation, with covariance.
 
-All six degrees of freedom are solved for. The AHRS's roll and pitch come in as two weak extra residuals, which decide
-when one or two markers leave the tilt open and do not matter when many are seen.
+All six degrees of freedom are estimated. The AHRS's roll and pitch are two weak prior residuals, which decide when one
+or two markers leave the tilt undetermined and are negligible with many markers.
 
-A seventh unknown is how far blur draws all corners towards their markers' centres. Refinement finds the corner of a
-blurred black square inside of the true one, by 0.2 to 0.5 px depending on optics, motion and window: taken for scale,
-that is a bias of the height which no residual shows and which every frame repeats. Many markers tell it apart from
-height (the distances between markers do not shrink), one marker leans on the prior. What is left are errors of single
-corners, nearly independent of each other and from frame to frame, so that their size tells the covariance. The image
-itself says what to expect of each marker's corners; the residuals say how right that is, the more the more there are.
+A seventh unknown is the displacement of all corners towards their markers' centres by blur. Corner refinement finds
+the corner of a blurred black square inside the true one, by 0.2 to 0.5 px depending on optics, motion and window:
+taken for scale, that is a bias of the height that no residual shows and every frame repeats. Many markers separate it
+from height (the distances between markers do not shrink); with one marker the prior decides. The remaining errors of
+single corners are nearly independent, also from frame to frame, so that their size gives the covariance: expected per
+marker from the image, and scaled by the residuals, with more weight the more there are.
 """
 
 import math
@@ -29,8 +29,6 @@ other one of IPPE's two), or the AHRS is wrong: no fix."""
 
 
 class Pose(NamedTuple):
-    """A solved pose."""
-
     pos_ned_m: FloatArray
     """(3,)"""
     rpy_rad: FloatArray
@@ -55,13 +53,15 @@ def solve_pose(
     sigma_px: FloatArray | None = None,
     shrink_px: float = PNP.shrink_px,
 ) -> Pose | None:
-    """Pose from the corners (4n, 3) of n markers and their pixels (4n, 2), starting at a rough pose.
+    """Pose from the corners of markers, by Gauss-Newton.
 
-    ``sigma_px`` (4n,): what to expect of each corner along one axis; None: of all what clear water gives.
-    ``shrink_px``: mean of the prior of how far inside of the true ones the corners were found.
+    Corners (4n, 3) of n markers in NED [m] and their pixels (4n, 2), starting at an approximate pose. ``sigma_px``
+    (4n,): expected standard deviation of each corner along one axis; None: that of clear water. ``shrink_px``: mean of
+    the prior of the corners' displacement towards the markers' centres.
 
-    None if it does not converge, if the residuals' root mean square is above ``max_rms_px``, or if few markers want
-    another tilt than the start's, which is the AHRS's."""
+    None if it does not converge, if the RMS residual is above ``max_rms_px``, or if few markers require another tilt
+    than the initial one, which is the AHRS's.
+    """
     fit = _PoseFit(camera, points_ned_m, pixels, sigma_px, pos_ned_m, rpy_rad, shrink_px)
     return fit.pose(max_rms_px) if fit.converges() else None
 
@@ -132,7 +132,7 @@ class CornerFit(ABC):
             if settled:
                 fits = corners_that_fit(self._left / self._expected)
                 if not ((fits == self._keep).all() or step == PNP.steps - 1):
-                    self._keep = fits  # so near, the derivatives are what they were
+                    self._keep = fits  # converged: the derivatives have not changed
                     continue
             self._move(delta)
             if settled:
@@ -142,7 +142,7 @@ class CornerFit(ABC):
 
 
 class _PoseFit(CornerFit):
-    """The pose alone, over corners whose places are known."""
+    """Fit of the pose alone, with known corner positions."""
 
     def __init__(
         self,
@@ -194,7 +194,9 @@ _FLOOR = np.array([MIN_SIGMA_POS_M] * 3 + [MIN_SIGMA_YAW_RAD]) ** 2
 
 
 def floored(noise: FloatArray) -> FloatArray:
-    """The covariance (4, 4) of a pose, changed in place: never better than what stays alike from frame to frame."""
+    """The covariance (4, 4) of a pose with a floor for errors that are correlated from frame to frame; changed in
+    place.
+    """
     noise[_DIAGONAL] += _FLOOR
     return noise
 
@@ -213,8 +215,7 @@ def expected_px(sigma_px: FloatArray | None, corners: int) -> FloatArray:
 
 
 def corners_that_fit(residual: FloatArray) -> np.ndarray:
-    """Which residuals (8n,), over what is expected of them, belong to corners that lie where they should; all, if less
-    than three corners would stay."""
+    """Inliers among the normalised residuals (8n,); all, if less than three corners would remain."""
     x, y = residual[0::2], residual[1::2]
     off = np.sqrt(x * x + y * y)
     half = len(off) // 2
@@ -227,8 +228,9 @@ def corners_that_fit(residual: FloatArray) -> np.ndarray:
 
 
 def corner_scale(residual: FloatArray) -> float:
-    """Standard deviation of corners over what is expected of them, from residuals (k,) over the same, with seven
-    unknowns taken off."""
+    """Ratio of measured to expected standard deviation of corners, from normalised residuals (k,), corrected for seven
+    unknowns.
+    """
     squares = float(residual @ residual) + PNP.prior_count
     return max(PNP.min_scale, math.sqrt(squares / max(len(residual) - 7.0 + PNP.prior_count, 1.0)))
 
@@ -259,10 +261,10 @@ def linearise_corners(
 def add_priors(
     information: FloatArray | None, gradient: FloatArray, lean: FloatArray, tilt: float, shrink_off_px: float
 ) -> None:
-    """Priors of the tilt, of information ``tilt``, and of the blur, on top of what pixels say; changed in place.
+    """Add the priors of tilt, of information ``tilt``, and of blur to the normal equations; changed in place.
 
-    ``lean`` (3,): the tilt prior's vertical seen through the rotation. Where it leans off the vertical, turning by
-    (-lean_e, lean_n) rights it."""
+    ``lean`` (3,): the vertical of the tilt prior in the present rotation. A rotation by (-lean_e, lean_n) aligns it.
+    """
     if information is not None:
         information[3, 3] += tilt
         information[4, 4] += tilt

@@ -1,8 +1,8 @@
-"""What an estimator is to the rest of the vehicle, and what it is made of (docs/extend.md).
+"""The interface between an estimator and the service, and how an estimator is made (docs/extend.md).
 
-Two estimators implement this interface: an extended Kalman filter (the default) and a complementary filter. Both accept
-samples late and out of order, and estimate the state at the present tick. A class that inherits from :class:`Estimator`
-has to define ``step`` and ``ahrs_us`` only.
+Two estimators implement it: an extended Kalman filter (the default) and a complementary filter. Both accept samples
+late and out of order, and estimate the state at the present tick. A class that inherits from :class:`Estimator` has to
+define ``step`` and ``ahrs_us`` only.
 """
 
 from abc import abstractmethod

@@ -1,5 +1,4 @@
-"""What has been found of the camera's calibration in flight is taken off, and the estimate that it has led astray is
-carried to where it belongs."""
+"""Application of the calibration errors found in flight, and correction of the estimate that they have biased."""
 
 import math
 
@@ -19,8 +18,6 @@ CARRIED_SIGMA = np.array([0.005, 0.005, 0.005, 0.01])
 
 
 class Recalibration:
-    """Of one estimator."""
-
     def __init__(self, fusion: Fusion, sources: Sources, intake: SampleBuffer, monitors: Monitors) -> None:
         self._fusion, self._sources, self._intake = fusion, sources, intake
         self._evidence, self._imu, self._camera, *_ = monitors
@@ -28,8 +25,9 @@ class Recalibration:
         self.counts = dict.fromkeys(("stamps.retimed", "focal.rescaled"), 0)
 
     def retime(self) -> None:
-        """If pictures are stamped later than was thought: what comes from now on is put right, and the estimate, which
-        has followed pictures that lay behind, is carried forward."""
+        """If images are found to be stamped late, correct later stamps and carry the estimate, which has followed
+        delayed images, forward.
+        """
         pictures = self._sources.pictures
         late_us = round(1e6 * self._camera.stamps.late_s)
         more_us = late_us - pictures.late_us
@@ -62,8 +60,9 @@ class Recalibration:
         self.counts["focal.rescaled"] += 1
 
     def _carry(self, along: FloatArray, velocity: FloatArray) -> None:
-        """Move the estimate by ``along`` (4,) [m, rad] and its ``velocity`` (3,), and forget what has followed it:
-        inertial biases, doubts, and the past."""
+        """Move the estimate by ``along`` (4,) [m, rad] and set its ``velocity`` (3,), and reset everything derived
+        from it: inertial biases, findings, history.
+        """
         x = self._fusion.history.newest.state.x
         noise = np.diag(CARRIED_SIGMA**2 + along**2)
         pose = np.append(x[POS], x[YAW]) + along

@@ -1,4 +1,4 @@
-"""The marker map as the filter has it by now: sheets moved to where they were found, and how well that is known."""
+"""The marker map with the estimated sheet offsets and their uncertainty."""
 
 from dataclasses import replace
 
@@ -15,9 +15,10 @@ LEAST_SIGMA_M, LEAST_SIGMA_RAD = 1e-4, 1e-4
 
 
 def refined_map(markers: MarkerMap, states: SheetStates | None) -> MarkerMap:
-    """The map with the sheets where ``states`` have them; those never seen stay as they were laid.
+    """The map with the sheet offsets of ``states``; sheets never seen are unchanged.
 
-    What all sheets may be off together is the frame's error and no longer any sheet's. Depths stay on a level floor."""
+    The common error of all sheets is that of the frame and no longer of any sheet. Depths stay on a level floor.
+    """
     errors = markers.errors
     if errors is None or states is None or not states.which:
         return markers
@@ -25,7 +26,7 @@ def refined_map(markers: MarkerMap, states: SheetStates | None) -> MarkerMap:
     frame, own = _frame_and_own(pivots[list(states.which)], sigma[list(states.which)], states)
     scales = laid_scales(*known_sheets(errors, states))
     frame = frame * scales[[0, 2, 3]]
-    if markers.level:  # depths stay as they were laid, and so does what is said of them
+    if markers.level:  # depths and their accuracies stay unchanged
         frame[1], own[:, 2] = 0.0, sigma[list(states.which), 2]
     for k, sheet in enumerate(states.which):
         north, east, down, turn_rad = states.offset[STATES * k : STATES * (k + 1)].tolist()
@@ -45,8 +46,7 @@ def refined_map(markers: MarkerMap, states: SheetStates | None) -> MarkerMap:
 
 
 def _frame_and_own(pivots: FloatArray, laid: FloatArray, states: SheetStates) -> tuple[FloatArray, FloatArray]:
-    """Standard deviations of what all sheets have in common (horizontal, down, heading), and of each against that
-    (k, 4)."""
+    """Standard deviations of the sheets' common error (horizontal, down, heading), and of each from it (k, 4)."""
     count = len(pivots)
     common = common_columns(pivots)
     weight = 1.0 / np.maximum(laid.reshape(-1), 1e-6) ** 2

@@ -1,4 +1,4 @@
-"""When to give in: fixes that are rejected one after the other but agree among themselves mean that we are wrong."""
+"""Detection of a wrong position: consecutive rejected fixes that are mutually consistent."""
 
 from collections import deque
 
@@ -9,7 +9,7 @@ from autopilot.estimator.startup import AGREE_COUNT, WINDOW_US, agree
 
 
 class Relocation:
-    """Watches rejected fixes. What the filter itself thinks plays no part: it may be lost altogether."""
+    """Monitors rejected fixes, independent of the filter, which may have diverged."""
 
     def __init__(self) -> None:
         self._fixes: deque[PoseFix] = deque(maxlen=REJECT_COUNT)
@@ -18,7 +18,7 @@ class Relocation:
         self._fixes.clear()
 
     def agreeing_with(self, fix: PoseFix) -> int:
-        """How many of the last rejected fixes agree with this one, in a row: outliers do not."""
+        """Number of the last rejected fixes that are consistent with this one, in a row; outliers interrupt it."""
         count = 0
         for other in reversed(self._fixes):
             if not agree(fix, other):

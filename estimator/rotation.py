@@ -1,4 +1,4 @@
-"""Quaternions (w, x, y, z) and vectors as plain floats: at 100 Hz numpy's calls would cost more than the arithmetic."""
+"""Quaternions (w, x, y, z) and vectors as plain floats: at 100 Hz the overhead of numpy would exceed the arithmetic."""
 
 import math
 

@@ -1,8 +1,8 @@
-"""A second estimator in the shadow of the flown one: the same sensors, another filter, and the difference compared.
+"""A redundant estimator beside the primary one: the same sensors, another filter, and a monitored difference.
 
-Poses are made of pictures once, by the flown estimator; its shadow gets them as a pose sensor's. What the two have in
-common (association of markers, the marker map, the AHRS) is therefore not checked; what each makes of it is: gates,
-biases, the vehicle model, covariances, history.
+Images are processed once, by the primary estimator; the redundant one gets the poses as from a pose sensor. Common
+parts (association of markers, the marker map, the AHRS) are therefore not checked; gates, biases, vehicle model,
+covariances and history are.
 """
 
 import math
@@ -17,20 +17,20 @@ from autopilot.core.samples import AhrsSample, LaserSample, MarkerSighting, Pose
 from autopilot.estimator.protocol import Estimator
 
 SIGMAS = 3.0
-"""Of the difference of two estimates, taken as independent."""
+"""Of the difference of two estimates, treated as independent."""
 POS_FLOOR_M = 0.1
 YAW_FLOOR_RAD = math.radians(5.0)
-"""What is allowed beyond the sigmas: the observer's variances know no correlations."""
+"""Allowance beyond the standard deviations: the observer's variances have no correlations."""
 AHRS_EVERY_US = 25_000
 """The shadow gets AHRS samples that are at least so far apart, every third one at 100 Hz: a third of the cost."""
 EVERY_TICKS = 10
 """The shadow is stepped this often (with the thrust of the last tick): compared ten times a second."""
 AFTER_US = 1_000_000
-"""So long the difference must be too large, or within its bounds again."""
+"""Time for which the difference has to be outside, or inside, its bounds."""
 
 
 class Shadowed:
-    """:class:`.estimator.protocol.Estimator`: says what the flown one says, and how far the other is from it."""
+    """:class:`.estimator.protocol.Estimator`: output of the primary one, and its difference to the redundant one."""
 
     def __init__(self, flown: Estimator, other: Estimator) -> None:
         self._flown = flown
@@ -66,7 +66,7 @@ class Shadowed:
         return self._flown.take_remarks()
 
     def counters(self) -> Mapping[str, int]:
-        """Of the flown estimator, and how often the two disagreed."""
+        """Counters of the primary estimator, and of disagreements."""
         return {**self._flown.counters(), "shadow.disagreements": self._disagreements}
 
     @property

@@ -1,9 +1,9 @@
-"""Pose from the corners of markers whose sheets may lie off: pose, tilt, blur and the sheets' offsets in one fit.
+"""Pose from the corners of markers on displaced sheets: pose, tilt, blur and sheet offsets in one fit.
 
-A free fit of six degrees of freedom would tilt where two sheets do not fit together: a millimetre between them passes
-for half a degree, and that for 7 mm of the pose. Here sheets may move as far as they are believed to be off, and the
-tilt as far as the AHRS's is. Of the result the filter gets two independent pieces: the pose with how it depends on the
-offsets, and what the picture says of the offsets among each other.
+A free fit of six degrees of freedom would tilt where two sheets do not match: a millimetre between them has the effect
+of half a degree, and that of 7 mm in position. Here sheets may move within their uncertainty, and the tilt within that
+of the AHRS. The filter gets two independent results: the pose with its dependence on the offsets, and the relative
+offsets.
 """
 
 import math
@@ -36,8 +36,6 @@ NUISANCE = [3, 4, 6]
 
 
 class SheetPose(NamedTuple):
-    """A solved pose over sheets."""
-
     pos_ned_m: FloatArray
     """(3,)"""
     rpy_rad: FloatArray
@@ -62,7 +60,7 @@ class SheetPose(NamedTuple):
     rms_px: float
 
     def ties(self) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """What the picture says of the offsets alone: rows (r, 4n), what it says of them (r,), and how well (r, r)."""
+        """Measurement of the offsets alone: rows (r, 4n), values (r,), covariance (r, r)."""
         alone, toward = self.alone
         share, rows = np.linalg.eigh(0.5 * (alone + alone.T))
         known = share > LEAST_SHARE * max(float(share[-1]), 1.0)
@@ -166,7 +164,7 @@ class _SheetFit(CornerFit):
         return result
 
     def pose(self, max_rms_px: float) -> SheetPose | None:
-        """What it has converged to, if it is good enough."""
+        """The converged result, if it is acceptable."""
         left = self._left
         rms = rms_of(left)
         if not rms <= max_rms_px:
@@ -203,8 +201,9 @@ def _places(seen: SheetCorners, width: int) -> IntArray:
 
 
 def _by_offsets(jac: FloatArray, arm: FloatArray) -> FloatArray:
-    """(m, 8, 4) d projection / d offset of the marker's sheet from that by the pose (8m, 6): a point that moves is a
-    vehicle that moves the other way."""
+    """(m, 8, 4) d projection / d offset of the marker's sheet from that by the pose (8m, 6): moving a point is
+    equivalent to the opposite motion of the vehicle.
+    """
     by_pos = jac[:, :3].reshape(-1, 4, 2, 3)
     result = np.empty((len(arm), 4, 2, STATES))
     np.negative(by_pos, out=result[..., :3])
@@ -213,10 +212,12 @@ def _by_offsets(jac: FloatArray, arm: FloatArray) -> FloatArray:
 
 
 def scatter(residual: FloatArray, keep: FloatArray, print_sigma: FloatArray, unknowns: int) -> tuple[float, float]:
-    """Standard deviation of corners over what is expected, and variance of markers on their sheets over what the map
-    says: by how corners scatter within markers (8m,), and how these do. ``print_sigma`` (m,): in the same unit.
+    """Ratio of measured to expected standard deviation of corners, and ratio of the variances of markers on their
+    sheets: from the scatter of corners within markers (8m,) and that of markers. ``print_sigma`` (m,): in the same
+    unit.
 
-    What image and map say counts as a few residuals each."""
+    The expectation from image and map has the weight of a few residuals each.
+    """
     whole = keep.reshape(-1, 8).all(axis=1)
     by_marker = residual.reshape(-1, 4, 2)[whole]
     shared = by_marker.mean(axis=1)
@@ -246,7 +247,7 @@ def _pieces(
     """The two independent pieces: pose given the offsets, and the offsets alone."""
     size = len(offset)
     rest = np.array([*KEPT, *range(7, 7 + size)])
-    # Tilt and blur are nobody's: taken out with their priors.
+    # Tilt and blur are nuisance parameters: marginalised with their priors.
     mixed = information[np.array(NUISANCE)[:, None], rest]
     held = np.linalg.solve(information[_NUISANCE], mixed)
     less = information[rest[:, None], rest] - mixed.T @ held

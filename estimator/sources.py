@@ -1,4 +1,4 @@
-"""The aiding sources of a vehicle, each a class in its ``measure_*.py``: here they are listed, and found by sample."""
+"""The aiding sources of a vehicle, each a class in its ``measure_*.py``, by sample type."""
 
 from collections.abc import Callable, Iterator
 from dataclasses import replace
@@ -60,7 +60,7 @@ class Sources:
         return max(markers_us, external_us)
 
     def fix_age_us(self, t_us: int) -> int:
-        """How long ago, at ``t_us``, the newest fix was that has been used. There is one since the start."""
+        """Age of the newest used fix at ``t_us`` [us]; needs at least one since the start."""
         newest_us = self.newest_fix_us
         return 0 if newest_us is None else t_us - newest_us
 
@@ -69,7 +69,7 @@ class Sources:
         return self.fix_age_us(t_us) > 1e6 * self._options.dead_reckoning_after_s
 
     def anchor_age_us(self, t_us: int) -> int:
-        """How long ago anything has been used that tells the motion over ground: a fix or a velocity."""
+        """Time since the last use of a fix or a velocity over ground [us]."""
         age_us, ground_us = self.fix_age_us(t_us), self.velocity.ground_us
         return age_us if ground_us is None else min(age_us, t_us - ground_us)
 
@@ -79,7 +79,7 @@ class Sources:
         return seen_us is not None and t_us - seen_us <= 1e6 * self._options.dead_reckoning_after_s
 
     def restart(self) -> None:
-        """The filter has been moved: what rejected fixes have said does not hold any more."""
+        """The filter has been reset: discard the evidence of rejected fixes."""
         for aid in self.fixes:
             aid.relocation.accepted()
             aid.trust.restart()

@@ -1,20 +1,19 @@
-"""By how much the stamps of pictures are late, from fixes and inertial sensors alone.
+"""Latency of the image stamps from fixes and inertial sensors alone.
 
-What gyro and accelerometer say of the motion does not know of stamps, and nothing of the filter is in it: no gate, no
-reset and no bias that has already given way to wrong stamps. Over a window of two seconds the gyro's heading and the
-accelerometer's way must fit the fixes, but for what these sensors cannot know (where and how fast it began, their
-biases), and they fit best when the fixes are put where they belong. For each of a grid of delays what remains is
-squared and summed; a window in which nothing changes (rest, steady motion) says the same of all of them, which is
-nothing but noise. How much it says is told by the fixes: noise of inertial sensors explains none of what they show, a
-motion that was felt explains nearly all of it. Windows count by the share that is explained, and are added by their
-likelihoods. What the last two say by themselves is enough to forget those before: stamps may jump. While stamps are
-good as far as is known nothing is touched.
+Gyro and accelerometer do not depend on the stamps, and the filter is not involved: no gate, no reset, no bias that has
+adapted to wrong stamps. Over a window of two seconds the integrated gyro and accelerometer must fit the fixes up to
+the unknowns of these sensors (initial position and velocity, biases), and they fit best when the fixes are shifted to
+their true times. For a grid of delays the residuals are squared and summed; a window without dynamics (rest, steady
+motion) gives the same sum for all of them, which is noise. Its information is measured by the fixes: noise of inertial
+sensors explains none of their motion, real motion nearly all of it. Windows are weighted by the explained fraction,
+and their log-likelihoods are added. The last two windows alone are enough to discard the earlier ones, as stamps may
+jump. While stamps are correct within the uncertainty nothing is changed.
 
-Stamps that are late fit as well as others once they are put right. A sensor whose offset begins within the window fits
-no delay: where the remaining misses are larger than usual, held against what the fixes say of their noise, the window
-says nothing of stamps. Nor where an offset or a scale of the gyro that begins within it explains the heading by far
-better than any delay. Place alone says nothing if only the accelerometer is wrong; the gyro is in both. The first few
-fixes after such an offset may fit some delay by chance, but not the same one as those after them: a delay must last.
+Delayed stamps fit as well as others after the correction. A sensor whose offset starts within the window fits no
+delay: a window with residuals larger than expected from the fixes' noise is not used, nor one whose heading is
+explained far better by an offset or scale error of the gyro that starts within it than by any delay. Position alone is
+not used when only the accelerometer is wrong; the gyro enters both. The first few fixes after such an offset may fit
+some delay by chance, but not the same as those after them: a delay has to persist.
 """
 
 import math
@@ -35,8 +34,6 @@ GRID_S = np.arange(-0.25, 0.2501, 0.005)
 
 
 class StampMonitor:
-    """Of one estimator."""
-
     def __init__(self, every_s: float = STAMP_MONITOR.look_s) -> None:
         self._every_us = round(1e6 * every_s)
         self.late_s = 0.0
@@ -61,19 +58,21 @@ class StampMonitor:
 
     @property
     def suspects(self) -> bool:
-        """Whether late stamps would explain by far better what fixes say, or what pictures' ages at arrival say."""
+        """Whether a latency explains the fixes, or the ages of images at arrival, far better."""
         moved = self._moved_s != 0.0 and self._arrived_us - self._moved_us < STAMP_MONITOR.suspect_us
         return self._explains or moved or self._ages.off_s != 0.0
 
     @property
     def unsure_s(self) -> float:
-        """By how much stamps may have moved that nothing has shown yet: the age of pictures has changed so much, and
-        fixes have missed since. Pictures that only come later miss nothing."""
+        """Possible undetected change of the stamps [s]: the age of images has changed by this, with residuals of fixes
+        since. Images that only arrive later have no such residuals.
+        """
         return abs(self._moved_s) if self._missed_us >= self._moved_us - STAMP_MONITOR.missed_us else 0.0
 
     def arrives(self, now_us: int, ahead_us: int, latency_s: float) -> bool:
-        """A picture's result is there whose stamp, put right, is so far ahead of the clock. True if :attr:`late_s` has
-        changed: what always comes from the future is late, most likely by what it needs to get here on top."""
+        """An image's result has arrived with a corrected stamp that far ahead of the clock. True if :attr:`late_s` has
+        changed: stamps that are always in the future are over-corrected, by the transport time on top.
+        """
         self._arrived_us = now_us
         moved_us = self._ages.note(-ahead_us)
         if moved_us:
@@ -139,7 +138,7 @@ class StampMonitor:
         before_s = self.late_s
         sudden = self._usual_heading.count >= STAMP_MONITOR.settled_count and self._against(window) > STAMP_MONITOR.sure
         changed = self._judge(cost)
-        if fresh == 1.0 and (changed or not sudden):  # what may be of the newest fixes alone is not kept
+        if fresh == 1.0 and (changed or not sudden):  # evidence that may be of the newest fixes alone is not kept
             keep = math.exp(-1e-6 * (now_us - self._last_us) / STAMP_MONITOR.forget_s) if self._last_us else 0.0
             self._old = keep * (self._old + self._last)
             self._last, self._last_us = window, now_us
@@ -156,7 +155,7 @@ class StampMonitor:
         return changed
 
     def _against(self, cost: FloatArray) -> float:
-        """What speaks against the delay that is taken off."""
+        """Evidence against the delay in use."""
         return float(np.interp(self.late_s, GRID_S, cost) - cost.min())
 
     def _known(self) -> bool:
@@ -164,7 +163,6 @@ class StampMonitor:
         return bool(self._old.max() - self._old.min() > STAMP_MONITOR.sure)
 
     def _forget(self) -> None:
-        """Evidence of other stamps."""
         self._old, self._last = np.zeros(len(GRID_S)), np.zeros(len(GRID_S))
 
     def _judge(self, cost: FloatArray) -> bool:
@@ -207,7 +205,7 @@ class StampMonitor:
         )
 
     def _window(self) -> FloatArray | None:
-        """(g,) what speaks against each delay, from the fixes at hand; None if they are too few."""
+        """(g,) cost of each delay, from the fixes of the window; None if they are too few."""
         imu = np.array(self._imu)
         begin_us = imu[0, 0]
         fixes = np.array([fix for fix in self._fixes if fix[0] - STAMP_MONITOR.margin_us >= begin_us])
@@ -225,7 +223,7 @@ class StampMonitor:
         yaw = np.unwrap(fixes[:, 3])
         known_s = at_s - self.late_s
         one, since = np.ones(len(at_s)), at_s - at_s.mean()
-        # The last column is that of no delay at all: what the fixes show by themselves.
+        # The last column is without any delay: the motion in the fixes themselves.
         by_delay = yaw[:, None] - np.interp(true_s, t_s, turned)
         heading = _Fit(np.column_stack((one, since)), np.column_stack((by_delay, yaw)))
         psi = turned + float(np.median(yaw - np.interp(known_s, t_s, turned)))
@@ -264,7 +262,7 @@ class StampMonitor:
 
 
 class _Goodness(NamedTuple):
-    """How well a window fits at the best delay."""
+    """Fit of a window at the best delay."""
 
     variance: float
     """Remaining, per degree of freedom."""
@@ -275,7 +273,7 @@ class _Goodness(NamedTuple):
 
 
 class _Usual:
-    """How well windows fit as a rule, as a share of the variance that fixes tell of themselves."""
+    """Typical residual of windows relative to the fixes' stated variance."""
 
     def __init__(self) -> None:
         self._shares: deque[float] = deque(maxlen=STAMP_MONITOR.usual_count)
@@ -283,7 +281,6 @@ class _Usual:
 
     @property
     def count(self) -> int:
-        """How many windows count."""
         return len(self._shares)
 
     def fits(self, found: _Goodness, told: float) -> bool:
@@ -297,13 +294,11 @@ class _Usual:
         )
 
     def learn(self) -> None:
-        """The last one asked for is one of those that tell what is usual."""
+        """Add the last queried window."""
         self._shares.append(self._share)
 
 
 class Ages:
-    """How old pictures are when they arrive."""
-
     def __init__(self) -> None:
         self._last_us: deque[int] = deque(maxlen=STAMP_MONITOR.age_count)
         self._usual_us: float | None = None
@@ -312,7 +307,7 @@ class Ages:
 
     @property
     def off_s(self) -> float:
-        """By how much later than usual the last ones are stamped, 0 = they are not."""
+        """Excess of the last ages over the usual one [s], 0 = not significant."""
         if abs(self._off) < STAMP_MONITOR.age_soon or self._usual_us is None:
             return 0.0
         return 1e-6 * (self._usual_us - self._last_us[-1])
@@ -340,7 +335,7 @@ class Ages:
         return before_us - self._usual_us
 
     def put_right(self, more_s: float) -> None:
-        """So much more is taken off the stamps."""
+        """The correction of the stamps has increased by that much."""
         if self._usual_us is not None:
             self._usual_us += 1e6 * more_s
         self._last_us.clear()
@@ -348,7 +343,7 @@ class Ages:
 
 
 class _Fit:
-    """Least squares of (n, g) columns by the same (n, p), and of one more: what is shown without any delay."""
+    """Least squares of (n, g) columns on common regressors (n, p), and of one more column: the data without delay."""
 
     def __init__(self, by: FloatArray, what: FloatArray) -> None:
         self._by, self._what = by, what
@@ -357,18 +352,18 @@ class _Fit:
         self._squares = np.square(self._rest).sum(axis=0)
 
     def _without(self, columns: FloatArray) -> FloatArray:
-        """What the fit leaves of (n, k)."""
+        """Residual of (n, k) after the fit."""
         result: FloatArray = columns - self._q @ (self._q.T @ columns)
         return result
 
     def beaten(self, known: int, others: FloatArray, floor: float) -> bool:
-        """Whether one of (n, k) other causes explains what column ``known`` leaves by far better than any delay."""
+        """Whether one of (n, k) other causes explains the residual of column ``known`` far better than any delay."""
         n, p = self._by.shape
         least = float(self._squares[:-1].min()) + n * floor * floor
         if self._squares[known] + n * floor * floor <= 1.1 * least:
             return False
         first = self._without(others)
-        both, second = first[:, :-1], first[:, 1:]  # what begins between two fixes is a mixture of two that begin there
+        both, second = first[:, :-1], first[:, 1:]  # an onset between two fixes is a mixture of onsets at both
         rest = self._rest[:, known]
         a, b, c = (np.einsum("ij,ij->j", x, y) for x, y in ((both, both), (both, second), (second, second)))
         by_first, by_second = both.T @ rest, second.T @ rest
@@ -395,9 +390,10 @@ class _Fit:
         return _Goodness(float(squares[:-1].min()) / (n - p), float(shown) / (n - p), (n - p) / STAMP_MONITOR.alike)
 
     def cost(self, floor: float) -> FloatArray:
-        """(g,) negative logarithm of the likelihood, its least taken off; how large the errors are is not known.
+        """(g,) negative log-likelihood minus its minimum, with unknown noise variance.
 
-        It counts by the share of what fixes show that the inertial sensors explain: their noise explains nothing."""
+        It is weighted by the fraction of the fixes' motion that the inertial sensors explain: noise explains none.
+        """
         n, p = self._by.shape
         *_, shown = squares = self._squares + n * floor * floor
         squares = squares[:-1]
@@ -414,7 +410,7 @@ def _chance(freedom: float) -> float:
 
 
 def _wrong_gyro(at_s: FloatArray, t_s: FloatArray, turned: FloatArray) -> FloatArray:
-    """(n, 2 n) what an offset and a wrong scale of the gyro from one of the fixes on do to the heading."""
+    """(n, 2 n) effect on the heading of an offset and a scale error of the gyro that start at each of the fixes."""
     since_s = np.maximum(at_s[:, None] - at_s, 0.0)
     heading = np.interp(at_s, t_s, turned)
     return np.hstack((since_s, np.where(since_s > 0.0, heading[:, None] - heading, 0.0)))

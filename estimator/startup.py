@@ -1,4 +1,4 @@
-"""Start-up: accept a pose once three fixes agree, wherever the vehicle stands."""
+"""Initialisation: a pose is accepted once three fixes agree, at any position."""
 
 import math
 from collections import deque
@@ -17,7 +17,7 @@ TURN_RAD_S = 1.2
 
 
 class StartUp:
-    """Collects fixes until enough of them agree."""
+    """Collects fixes until enough are consistent."""
 
     def __init__(self) -> None:
         self._fixes: deque[PoseFix] = deque(maxlen=12)

@@ -1,4 +1,4 @@
-"""Layout of the state vector that both estimators use, and how sure they are of it at the start."""
+"""Layout of the state vector of both estimators, and its initial covariance."""
 
 from typing import NamedTuple
 
@@ -30,7 +30,7 @@ CURRENT = slice(11, 13)
 """Velocity of the water, north and east [m/s]."""
 CURRENT_NORTH, CURRENT_EAST = range(CURRENT.start, CURRENT.stop)
 CURRENT_RATE = slice(13, 15)
-"""How fast the current changes at the moving vehicle, north and east [m/s^2]."""
+"""Rate of change of the current at the moving vehicle, north and east [m/s^2]."""
 CURRENT_RATE_NORTH, CURRENT_RATE_EAST = range(CURRENT_RATE.start, CURRENT_RATE.stop)
 HEADING_OFFSET = 15
 """Heading that the AHRS shows minus true heading [rad]."""
@@ -54,9 +54,10 @@ def one(index: int) -> slice:
 
 
 class SheetStates(NamedTuple):
-    """What a Kalman filter holds of the sheets of its map that have been seen, beside the 21 states.
+    """Offsets of the observed sheets as Kalman filter states, beside the 21 states.
 
-    Four of each: where it lies minus where the map has it, north, east, down [m], heading [rad]."""
+    Four per sheet: true minus mapped pose, north, east, down [m], heading [rad].
+    """
 
     which: tuple[int, ...]
     """Numbers of the sheets."""

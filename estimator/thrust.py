@@ -1,4 +1,4 @@
-"""Thrust that acts, from thrust that was commanded: a first-order lag, remembered for a short while."""
+"""Actual thrust from commanded thrust: a first-order lag, with a short history."""
 
 import math
 from collections import deque
@@ -22,8 +22,9 @@ class ThrustLag:
         self.malformed = 0
 
     def advance(self, t_us: int, command_n: FloatArray) -> None:
-        """The command (n,) held since the last call until ``t_us``; what follows the n thrusters is not looked at. A
-        malformed one counts as zero thrust."""
+        """The command (n,) held since the last call until ``t_us``; entries after the n thrusters are ignored. A
+        malformed one counts as zero thrust.
+        """
         last_us, before = self._track[-1]
         values: Sequence[float] = command_n.tolist()[: len(before)]
         if len(values) != len(before) or not all(map(math.isfinite, values)):
@@ -41,7 +42,7 @@ class ThrustLag:
         self._track.append((t_us, acting))
 
     def at(self, t_us: int) -> tuple[float, ...]:
-        """Acting thrust at a time of the last half second (the nearest known outside of it), interpolated."""
+        """Acting thrust at a time of the last half second, interpolated; clamped outside of it."""
         later_us, later = self._track[-1]
         if t_us >= later_us:
             return later

@@ -1,8 +1,8 @@
-"""Trim of the AHRS's roll and pitch by the tilt that vision sees.
+"""Trim of the AHRS's roll and pitch by the tilt from vision.
 
-An AHRS of this class is half a degree off, slowly wandering, which leaks 0.09 m/s^2 of gravity into the horizontal
-acceleration: more than drag and thrust errors together. A pose from many markers knows the tilt to a twentieth of a
-degree. The difference is followed slowly and taken off the samples that come later; without vision it fades away.
+An AHRS of this class has a slowly varying error of half a degree, which leaks 0.09 m/s^2 of gravity into the
+horizontal acceleration: more than drag and thrust errors together. A pose from many markers gives the tilt to a
+twentieth of a degree. The low-pass filtered difference is subtracted from later samples; without vision it decays.
 """
 
 import math
@@ -17,13 +17,13 @@ MAX_SIGMA_RAD = math.radians(0.4)
 MAX_DIFFERENCE_RAD = math.radians(5.0)
 """Larger differences are wrong fixes."""
 FADE_TIME_S = 20.0
-"""Correlation time of the AHRS's error: what is known of it fades with that."""
+"""Correlation time of the AHRS's error: without vision the estimate decays with it."""
 HELD_US = 500_000
 """After so long without a fix the trim does not count as fresh."""
 
 
 class TiltTrim:
-    """What is taken off roll and pitch of the AHRS."""
+    """Correction of roll and pitch of the AHRS [rad]."""
 
     def __init__(self) -> None:
         self._roll = 0.0

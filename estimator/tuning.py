@@ -1,4 +1,4 @@
-"""Process noise of the filter: how fast each state may wander. Tuned on simulated runs through the tank jet."""
+"""Process noise of the filter, per state. Tuned on simulated runs through the tank jet."""
 
 import numpy as np
 

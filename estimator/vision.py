@@ -1,15 +1,15 @@
-"""The vision front end: markers and laser dot in one image. OpenCV lives here and nowhere else in the estimator.
+"""The vision front end: markers and laser dot in one image. The only module of the estimator that uses OpenCV.
 
-While the pose is roughly known (a hint), the detector knows which ids can be in view, where and how large: a
-dictionary of these few ids and one threshold window make it several times faster (the cost of identification grows with
-the dictionary in OpenCV 5.0) and rule out most false ids. Where a marker should be and was not found it looks a second
-time, in that part of the image, with OpenCV's own windows. Without a hint the whole dictionary is searched; that is
-slow and meant for start-up, at a rate that the caller limits.
+With a pose prior (a hint), the detector knows ids, positions and sizes of the visible markers: a dictionary of these
+ids and one threshold window make it several times as fast (the cost of identification grows with the dictionary in
+OpenCV 5.0) and exclude most false ids. Where an expected marker is missing, that part of the image is searched again
+with OpenCV's own windows. Without a hint the whole dictionary is searched; that is slow and meant for initialisation,
+at a rate limited by the caller.
 
 Misread cells are corrected as far as the dictionary's distances allow (``VISION.correction``).
 
-Where haze has left little contrast, the mean of blue and green, smoothed, takes the place of green, and the threshold
-is lower: the same markers with half of the noise. Equalising the histogram (CLAHE) instead costs more and finds less.
+At low contrast (haze) the smoothed mean of blue and green replaces green, with a lower threshold: the same markers at
+half the noise. Histogram equalisation (CLAHE) costs more and detects less.
 
 Works with OpenCV 4.10 to 5.x, whose arrays differ in shape.
 """
@@ -36,7 +36,7 @@ thirty of all there are, and whatever is square would be a marker."""
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Hint:
-    """Where the vehicle is thought to be when the image was taken."""
+    """Predicted pose of the vehicle at the exposure."""
 
     pos_ned_m: FloatArray
     """(3,)"""
@@ -62,7 +62,7 @@ class MarkerDetector:
         self._known: IntArray = np.unique(markers.ids)
 
     def detect(self, frame: CameraFrame, hint: Hint | None) -> MarkerSighting:
-        """What is in the image; a function of its arguments alone. ``decode_us`` is left to the caller's clock."""
+        """Detections in the image; a function of its arguments alone. ``decode_us`` is set by the caller."""
         image = frame.image_bgr
         grey, hazy = grey_of(image)
         # Most maps are of one dictionary; each further kind in view costs a search of its own.
@@ -135,14 +135,14 @@ class MarkerDetector:
         dictionary = self._words(words)
         smooth = _smoothed(grey, VISION.hazy_smooth_px[0][0]) if hazy else cv2.GaussianBlur(grey, (3, 3), 0.0)
         found = _quads(smooth, dictionary, _acquiring(max(grey.shape), hazy))
-        # What is small or pale is lost by smoothing. What has been found need not be identified again.
+        # Smoothing removes small or pale markers. Those found need not be identified again.
         rest = cv2.fillPoly(grey.copy(), np.round(found.quads).astype(np.int32), 255.0) if len(found.ids) else grey
         again = _quads(rest, dictionary, _acquiring_small(max(grey.shape), hazy))
         found = found.with_new(again)
         return self._accepted(smooth if hazy else grey, dictionary, _Found(words[found.ids], found.quads))
 
     def _accepted(self, grey: Any, dictionary: Any, found: "_Found") -> "_Seen":
-        """With corners to fractions of a pixel, without what does not look like the marker that it reads as."""
+        """Detections with subpixel corners, without those whose appearance does not match their id."""
         if not len(found.ids):
             return _Seen(found.ids, np.empty((0, 4, 2)), np.empty(0))
         halves = _window_px(found.quads, dictionary.markerSize + 2)
@@ -163,8 +163,6 @@ class MarkerDetector:
 
 
 class _Found(NamedTuple):
-    """Markers in an image."""
-
     ids: IntArray
     """(n,)"""
     quads: Any
@@ -181,8 +179,6 @@ class _Found(NamedTuple):
 
 
 class _Seen(NamedTuple):
-    """What is accepted of them."""
-
     ids: IntArray
     """(n,)"""
     corners_px: FloatArray
@@ -208,13 +204,14 @@ def _perimeters_px(quads: Any) -> FloatArray:
 def _missing_areas(
     ids: IntArray, predicted: FloatArray, found: _Found, shape: tuple[int, ...]
 ) -> list[tuple[int, int, int, int]]:
-    """Left, top, right, bottom of the parts of the image with the markers that should have been found and were not.
+    """Left, top, right, bottom of the image regions with expected markers that were not found.
 
-    Where markers were found tells by how much the prediction is off; without any, it is the whole image."""
+    The markers that were found give the error of the prediction; without any, the region is the whole image.
+    """
     height, width = shape
     if not len(found.ids):
         return [(0, 0, width, height)]
-    # Of each found marker the nearest of its id among those predicted.
+    # Associate each found marker with the nearest predicted one of its id.
     apart = found.quads.mean(axis=1)[:, None, :] - predicted.mean(axis=1)[None, :, :]
     far = np.where(found.ids[:, None] == ids[None, :], (apart * apart).sum(axis=2), np.inf)
     nearest = far.argmin(axis=1)
@@ -242,7 +239,7 @@ def _moved(predicted: FloatArray, which: IntArray, quads: Any) -> tuple[FloatArr
     have = (predicted[..., 0] + 1j * predicted[..., 1])[which]
     want = (quads[..., 0] + 1j * quads[..., 1]).astype(np.complex128)
     good = np.ones(len(have), dtype=bool)
-    for _ in range(2):  # the second time without what does not move with the others
+    for _ in range(2):  # the second time without outliers
         origin, target = have[good].mean(), want[good].mean()
         power = np.square(np.abs(have[good] - origin)).sum()
         turn = (np.conj(have[good] - origin) * (want[good] - target)).sum() / power
@@ -273,9 +270,10 @@ def _refined(grey: Any, quads: Any, halves: IntArray) -> FloatArray:
 
 
 def grey_of(image_bgr: Any) -> tuple[Any, bool]:
-    """The image (rows, columns) in which markers are looked for, and whether it is hazy.
+    """The image (rows, columns) for detection, and whether it is hazy.
 
-    Water takes red first. Green alone is the cheapest that keeps contrast; where noise matters, blue has as much."""
+    Water absorbs red first. Green alone is the cheapest with contrast; where noise matters, blue has as much.
+    """
     green = cv2.extractChannel(image_bgr, 1)
     _, spread = cv2.meanStdDev(np.ascontiguousarray(green[::4, ::4]))
     if float(spread[0, 0]) >= VISION.hazy_std_dev:

@@ -1,9 +1,8 @@
-"""Runs the marker detector beside the loop: frames go in, sightings come out as samples of a later tick.
+"""Marker detection in the background: frames in, sightings out as samples of a later tick.
 
-In lockstep a sighting is due a fixed time after its frame came in and the loop waits for it then, so that a run does
-not depend on how fast the machine is. In a paced run nobody waits: one frame is in work, the newest one waits behind it
-and takes the place of an older one, and a sighting that comes late is handed on with the time of its frame (the
-estimator fuses it where it belongs).
+In lockstep a sighting is due a fixed time after its frame and the loop waits for it, so that a run does not depend on
+the speed of the machine. In real time the loop does not wait: one frame is in work, the newest one waits and replaces
+an older one, and a late sighting has the time of its frame (the estimator fuses it there).
 """
 
 import time
@@ -32,15 +31,13 @@ MAX_PENDING = 4
 
 
 class Detector(Protocol):
-    """Pure function from a frame (and where the vehicle probably was) to what is in it."""
+    """Pure function from a frame (and a predicted pose) to its detections."""
 
     def detect(self, frame: CameraFrame, hint: Hint | None) -> MarkerSighting: ...
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class _FrameRequest:
-    """A frame that somebody should look at."""
-
     due_us: int
     frame: CameraFrame
     hint: Hint | None
@@ -48,7 +45,7 @@ class _FrameRequest:
 
 @dataclass(slots=True, eq=False, kw_only=True)
 class _Pending:
-    """A frame that is being looked at, or has been."""
+    """A frame in processing or done."""
 
     due_us: int
     sighting: "Future[MarkerSighting]"
@@ -56,8 +53,6 @@ class _Pending:
 
 
 class VisionWorker:
-    """One thread of detection."""
-
     def __init__(self, detector: Detector, *, delay_s: float, frame_filter: FrameFilter, paced: bool = False) -> None:
         """``paced``: time does not wait for the detector, so the newest frame wins."""
         self._detector = detector
@@ -133,7 +128,7 @@ class VisionWorker:
                 sighting = self._pending.popleft().sighting.result()
                 self._found = len(sighting.ids) > 0
                 found.append(sighting)
-            except Exception as error:  # noqa: BLE001 - what is not OpenCV's word on a picture goes to the guard
+            except Exception as error:  # noqa: BLE001 - errors other than OpenCV's go to the guard
                 self.failed += 1
                 if not isinstance(error, cv2.error):
                     self.guard.t_us = t_us
@@ -142,11 +137,11 @@ class VisionWorker:
         return found
 
     def take_reports(self) -> tuple[PictureReport, ...]:
-        """What the pictures since the last call looked like."""
+        """Statistics of the images since the last call."""
         return self._frame_filter.take_reports()
 
     def counters(self) -> Mapping[str, int]:
-        """Frames so far by what became of them: ``frames.ok``, ``frames.dark``, ..., ``frames.failed``."""
+        """Frames so far by result: ``frames.ok``, ``frames.dark``, ..., ``frames.failed``."""
         result = {f"frames.{verdict.value}": count for verdict, count in self._frame_filter.counts.items()}
         result["frames.dropped"] = self.dropped
         result["frames.failed"] = self.failed

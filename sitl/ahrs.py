@@ -1,8 +1,8 @@
 """A simulated SBG IG-500A: true motion in, the bytes of the real device's serial line out.
 
-It understands the commands of the real driver (:mod:`.drivers.ig500`) and stays silent until it is told to send, as the
-device does. Errors: white noise and walking bias of gyros and accelerometers, slow errors of attitude, a magnetic
-heading that is off by a constant and by an amount that depends on the place.
+It implements the commands of the real driver (:mod:`.drivers.ig500`) and, like the device, sends nothing before it is
+configured. Errors: white noise and random-walk bias of gyros and accelerometers, slow attitude errors, a magnetic
+heading with a constant and a position-dependent error.
 """
 
 import math

@@ -1,4 +1,4 @@
-"""A simulated sonar altimeter: range to the floor, with noise, echoes that come back twice, and none at all."""
+"""A simulated sonar altimeter: range to the floor, with noise, multiple echoes, and dropouts."""
 
 import math
 from collections.abc import Iterable
@@ -18,8 +18,6 @@ GRAZING_RAD = math.radians(15.0)
 
 
 class SimAltimeter(OptionalSensor[AltimeterSample, float]):
-    """In open water nothing echoes."""
-
     name, seed, nothing = "altimeter", 60, 0.0
 
     def __init__(

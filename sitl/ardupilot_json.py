@@ -1,11 +1,11 @@
 """ArduPilot's JSON interface to an external physics backend, as bytes: servo packets in, lines of JSON out.
 
 ArduPilot's simulation (``--model JSON``) sends its servo outputs by UDP to port 9002, little endian: magic (18458 with
-16 channels, 29569 with 32), loop rate it asks for [Hz], number of the frame, pulses [us]. It waits for one line of JSON
-in return, to the address it sent from: ``timestamp`` [s], ``imu`` with ``gyro`` [rad/s] and ``accel_body`` (specific
-force, [m/s^2]) in body axes, ``position`` NED from home [m], ``attitude`` [rad] and ``quaternion``, ``velocity`` NED
-[m/s]. A frame whose answer was lost is sent again with the same number; numbers that begin anew are a restarted
-ArduPilot. (ArduPilot's documentation, libraries/SITL/examples/JSON/readme.md; nothing of its code is used here.)
+16 channels, 29569 with 32), requested loop rate [Hz], frame number, pulses [us]. It waits for one line of JSON in
+reply, to the address it sent from: ``timestamp`` [s], ``imu`` with ``gyro`` [rad/s] and ``accel_body`` (specific force
+[m/s^2]) in body axes, ``position`` NED from home [m], ``attitude`` [rad] and ``quaternion``, ``velocity`` NED [m/s]. A
+frame whose reply was lost is sent again with the same number; a restart of the numbers is a restarted ArduPilot.
+(ArduPilot's documentation, libraries/SITL/examples/JSON/readme.md; none of its code is used here.)
 """
 
 import json
@@ -25,8 +25,6 @@ _HEAD = struct.Struct("<HHI")
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ServoPacket:
-    """What ArduPilot says."""
-
     rate_hz: int
     frame: int
     pwm_us: tuple[int, ...]
@@ -52,7 +50,7 @@ def parse_servos(data: bytes) -> ServoPacket | None:
 
 
 def state_line(truth: Truth, t_s: float, floor_m: float | None) -> bytes:
-    """The answer. ``floor_m``: depth of the floor, for a range finder that looks down; None = none."""
+    """The reply. ``floor_m``: depth of the floor for a down-looking range finder; None = no range finder."""
     velocity = r_ned_from_frd(truth.rpy_rad) @ truth.vel_frd_m_s
     state: dict[str, object] = {
         "timestamp": t_s,
@@ -66,7 +64,7 @@ def state_line(truth: Truth, t_s: float, floor_m: float | None) -> bytes:
     if floor_m is not None:
         upright = math.cos(float(truth.rpy_rad[0])) * math.cos(float(truth.rpy_rad[1]))
         state["rng_1"] = max(0.0, floor_m - float(truth.pos_ned_m[2])) / max(0.1, upright)
-    # ArduPilot looks for names without a space behind their colon, and for lines.
+    # ArduPilot's parser needs no space after a colon, and one line per message.
     return b"\n" + json.dumps(state, separators=(",", ":")).encode() + b"\n"
 
 
@@ -92,7 +90,7 @@ class JsonPhysics:
         return round(1e6 * self._t_s)
 
     def answer(self, data: bytes) -> bytes | None:
-        """What to send back for a packet; None for bytes that are none."""
+        """Reply to a packet; None for invalid bytes."""
         packet = parse_servos(data)
         if packet is None:
             self.refused += 1

@@ -1,11 +1,11 @@
-"""A flight controller with ArduSub, as it is seen on the wire: what the driver is flown against.
+"""Emulated ArduSub flight controller on MAVLink, for tests of the driver.
 
-Behaves as ArduSub 4.7 was measured to: axes are RC channels, motors sums of them, linear in the pulse; channels are
-read fifty times a second and keep their value when nobody speaks any more, until the pilot's failsafe. With a receiver
-enabled (RC_PROTOCOLS) every frame of that counts as the pilot's while an override is younger than RC_OVERRIDE_TIME. It
-obeys one ground station; arming is followed by half a second of neutral and half a second in which heave grows; a mode
-change shows in a heartbeat at once, a disarming first in a text. Other modes than MANUAL are flown by the channels,
-too: what they would stabilise is left to the hull. It shares no code with the driver.
+Behaves as measured with ArduSub 4.7: axes are RC channels, motors sums of them, linear in the pulse; channels are read
+at 50 Hz and keep their value without new messages until the pilot failsafe. With a receiver enabled (RC_PROTOCOLS)
+each of its frames counts as pilot input while an override is younger than RC_OVERRIDE_TIME. It accepts one ground
+station; arming is followed by half a second of neutral and half a second of ramp in heave; a mode change shows in a
+heartbeat at once, a disarming first in a text. Modes other than MANUAL also follow the channels: their stabilisation
+is left to the hull. No code is shared with the driver.
 """
 
 import math
@@ -188,7 +188,7 @@ class ArduSubEmulator:
         return tuple(pulses)
 
     def _wired(self, vehicle: Vehicle, directions: Sequence[int]) -> list[int]:
-        """1 where a longer servo pulse is a longer pulse of the plant: its pilot flies it the right way round."""
+        """1 where a longer servo pulse is a longer pulse of the plant: directions are as its pilot has set them."""
         wrench = np.array(wrench_of(vehicle))
         by_motor = {thruster.channel: index for index, thruster in enumerate(vehicle.thrusters)}
         wired = []
@@ -202,7 +202,6 @@ class ArduSubEmulator:
     # The wire's side
 
     def hear(self, t_us: int, data: bytes, link: int = 0) -> None:
-        """Bytes of somebody on a link."""
         if self.mute:
             return
         reader = self._readers.get(link)
@@ -213,7 +212,7 @@ class ArduSubEmulator:
             self._take(t_us, message)
 
     def step(self, t_us: int, truth: Truth) -> list[bytes]:
-        """Go on to ``t_us``: the servo rail, and what is said to everybody."""
+        """Advance to ``t_us``: servo outputs, and messages to all links."""
         self._watch(t_us)
         if t_us - self._read_us >= READ_US:
             self._read_us = t_us
@@ -228,7 +227,7 @@ class ArduSubEmulator:
         return [] if self.mute else out
 
     def _filter_heave(self, t_us: int) -> None:
-        """As it is, but for what depth hold leaves behind until it is disarmed or another mode sets the filter."""
+        """Unfiltered, except for the filter that depth hold leaves active until a disarming or another mode."""
         if not self.armed or self.mode in (STABILIZE, ACRO):
             self._slow_heave = False
         elif self.mode in (DEPTH_HOLD, SURFACE, POSITION_HOLD):
@@ -265,7 +264,6 @@ class ArduSubEmulator:
         return tuple(pulses)
 
     def _watch(self, t_us: int) -> None:
-        """Its own failsafes."""
         values = self.parameters
         self._hear_receiver(t_us)
         if self.armed and self._input_us is not None:

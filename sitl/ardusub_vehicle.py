@@ -1,7 +1,7 @@
-"""A vehicle with ArduSub on board, in the water of a scenario: plant, flight controller, and a tracking system.
+"""A vehicle with ArduSub in the environment of a scenario: plant, flight controller, and a tracking system.
 
-What :class:`.sitl.backend.SimulatedVehicle` is for a vehicle of our own drivers, for one that is reached by its flight
-controller's MAVLink alone.
+The counterpart of :class:`.sitl.backend.SimulatedVehicle` for a vehicle that is connected by the MAVLink of its flight
+controller only.
 """
 
 from collections.abc import Sequence
@@ -21,7 +21,7 @@ class ArduSubVehicle:
     """Time is handed in; the same calls give the same bytes."""
 
     def __init__(self, scenario: Scenario, vehicle: Vehicle, frame: str, *, seed: int, **more: Any) -> None:
-        """``more``: of the emulator."""
+        """``more``: keyword arguments of the emulator."""
         self._vehicle = vehicle
         self._plant = create_plant(scenario.plugins.plant, PlantContext(scenario=scenario, vehicle=vehicle, seed=seed))
         self.controller = ArduSubEmulator(vehicle, frame, seed=seed, **more)
@@ -32,11 +32,10 @@ class ArduSubVehicle:
 
     @property
     def truth(self) -> Truth:
-        """The present truth."""
         return self._plant.truth
 
     def advance(self, t_us: int) -> list[bytes]:
-        """Go on to ``t_us`` with the pulses of before; the result is what the flight controller says."""
+        """Advance to ``t_us`` with the previous pulses; returns the flight controller's messages."""
         self._plant.advance(t_us, self.controller.plant_pulses_us(self._vehicle))
         return self.controller.step(t_us, self._plant.truth)
 
@@ -48,11 +47,10 @@ class ArduSubVehicle:
 
     @property
     def motors(self) -> int:
-        """Of the frame."""
         return len(self.controller.servos_us)
 
     def pose(self, t_us: int) -> bytes | None:
-        """What a tracking system sends of where it is, when that is due (VISION_POSITION_ESTIMATE)."""
+        """Message of the tracking system (VISION_POSITION_ESTIMATE), when it is due."""
         if t_us - self._pose_us < ARDUSUB_VEHICLE.pose_period_us:
             return None
         self._pose_us += ARDUSUB_VEHICLE.pose_period_us

@@ -1,4 +1,4 @@
-"""The simulated vehicle behind the drivers' protocols: what stands in for serial lines and amplifiers."""
+"""The simulated vehicle behind the drivers' protocols, in place of serial lines and amplifiers."""
 
 from collections import deque
 from collections.abc import Iterator, Sequence
@@ -41,12 +41,10 @@ class TruthSampler(Protocol):
 
     @property
     def next_us(self) -> int:
-        """When it samples next."""
+        """Time of the next sample."""
         ...
 
-    def observe(self, truth: Truth) -> None:
-        """Look."""
-        ...
+    def observe(self, truth: Truth) -> None: ...
 
 
 class FaultySensor(Protocol):
@@ -66,17 +64,17 @@ class SimThrusterOutput(SafeThrusterOutput):
         """What the amplifiers see now."""
 
     def _acquire(self) -> None:
-        """Nothing to open."""
+        """No-op."""
 
     def _put(self, pwm_us: tuple[int, ...]) -> None:
         self.pwm_us = pwm_us
 
     def _release(self) -> None:
-        """Nothing to close."""
+        """No-op."""
 
 
 class CommandLine:
-    """The way from the service to the amplifiers: pulses arrive after a latency, in the order of their sending."""
+    """Command path from service to amplifiers: a delay queue in the order of sending."""
 
     def __init__(self, latency_s: float, neutral_us: tuple[int, ...], faults: Sequence[Fault] = ()) -> None:
         self._latency_us = round(latency_s * 1e6)
@@ -93,7 +91,7 @@ class CommandLine:
             self._under_way.append((max(last_us, t_us + self._latency_us + round(late_s * 1e6)), pwm_us))
 
     def until(self, begin_us: int, end_us: int) -> Iterator[tuple[int, tuple[int, ...]]]:
-        """What the amplifiers see between two times: ends of intervals and the pulses held until there."""
+        """Pulses at the amplifiers between two times: ends of intervals and the pulses held until then."""
         while self._under_way and self._under_way[0][0] <= end_us:
             arrival_us, pulses = self._under_way.popleft()
             if arrival_us > begin_us:
@@ -111,7 +109,6 @@ class PowerMonitor(AlwaysOpen):
         self._samples: list[PowerSample] = []
 
     def observe(self, truth: Truth) -> None:
-        """Take a sample."""
         self.next_us += POWER_PERIOD_US
         self._samples.append(
             PowerSample(
@@ -124,7 +121,6 @@ class PowerMonitor(AlwaysOpen):
         )
 
     def poll(self, t_us: int) -> list[PowerSample]:
-        """Samples since the last call."""
         samples, self._samples = self._samples, []
         return samples
 
@@ -220,14 +216,12 @@ class SimulatedVehicle(Closing):
 
     @property
     def truth(self) -> Truth:
-        """The present truth."""
         if self._truth is None:
             self._truth = self._plant.truth
         return self._truth
 
     @property
     def ahrs(self) -> Ig500:
-        """The driver, for its counters."""
         return self._ahrs.driver if isinstance(self._ahrs, SerialAhrs) else self._ahrs
 
     # Steered by hand
@@ -277,7 +271,7 @@ class SimulatedVehicle(Closing):
             self._observers.append(self._obstacles)
 
     def advance(self, t_us: int) -> None:
-        """Move the plant on to ``t_us`` with the last pulses; every sensor samples at its own times on the way."""
+        """Advance the plant to ``t_us`` with the last pulses; every sensor samples at its own times."""
         self.output.check(t_us)
         self.payload.advance(t_us)
         while self._due_us <= t_us:
@@ -291,7 +285,7 @@ class SimulatedVehicle(Closing):
         self._move(t_us)
 
     def poll(self, t_us: int) -> tuple[Sample, ...]:
-        """Samples that have arrived up to ``t_us``; the AHRS's have been bytes on the way."""
+        """Samples that have arrived up to ``t_us``; the AHRS's are transmitted as bytes."""
         samples: list[Sample] = [*self._ahrs.poll(t_us), *self._power.poll(t_us)]
         if self._pose is not None:
             samples.extend(self._pose.poll(t_us))
@@ -305,12 +299,11 @@ class SimulatedVehicle(Closing):
         return [] if self._camera is None else self._camera.poll(t_us)
 
     def write(self, pwm_us: Sequence[int]) -> None:
-        """Command the thrusters now."""
         self.output.write(self._t_us, pwm_us)
         self._shared.sent(self._t_us, self.output.pwm_us)
 
     def below(self, t_us: int, *, armed: bool) -> FlightControllerState | None:
-        """What a flight controller says of its outputs, where the scenario has one."""
+        """State of a flight controller with output reports, if the scenario has one."""
         return self._shared.below(t_us, armed=armed)
 
     def _move(self, t_us: int) -> None:
@@ -333,9 +326,9 @@ def simulated_vehicle(
     plant: str | None = None,
     plant_asked_by: str | None = None,
 ) -> SimulatedVehicle:
-    """The vehicle of a scenario with its plant; ``seed``, ``position`` and ``plant`` None = as the scenario says.
+    """The vehicle of a scenario with its plant; ``seed``, ``position`` and ``plant`` None = by the scenario.
 
-    ``paced``: whoever asks does not wait for pictures, they come when they are ready. ``plant_asked_by``: option or
+    ``paced``: the caller does not wait for images, they are delivered when ready. ``plant_asked_by``: option or
     variable that named the plant, for errors.
     """
     seed = scenario.scenario.seed if seed is None else seed

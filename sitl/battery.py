@@ -1,4 +1,4 @@
-"""Battery: the voltage falls linearly with the energy drawn from the cells and with the current.
+"""Battery: the voltage decreases linearly with the energy drawn and with the current.
 
 EMF = open_circuit - (open_circuit - empty) * drawn / capacity, terminals = EMF - I R, I = P / V.
 """

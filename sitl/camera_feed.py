@@ -1,4 +1,4 @@
-"""When pictures come: exposure, rendering beside the simulation, transport, losses."""
+"""Timing of images: exposure, rendering in the background, transport latency, losses."""
 
 from collections import deque
 from collections.abc import Iterable
@@ -49,7 +49,6 @@ class CameraFeed(LossySensor[CameraFrame]):
         self._worker: ThreadPoolExecutor | None = None
 
     def open(self) -> None:
-        """Start the rendering thread."""
         if self._worker is None:
             self._worker = ThreadPoolExecutor(max_workers=1, thread_name_prefix="render")
 
@@ -111,7 +110,7 @@ class CameraFeed(LossySensor[CameraFrame]):
         return frames
 
     def _sent(self, image: Image, t_s: float) -> Image:
-        """What the camera makes of a picture."""
+        """The image after the camera's faults."""
         looks = next((f.looks for f in self._spoilt if f.at_s <= t_s < f.at_s + f.duration_s), None)
         if looks is None:
             return image

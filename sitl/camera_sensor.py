@@ -1,10 +1,10 @@
-"""Pictures of the tank floor as the vehicle's camera would take them.
+"""Images of the tank floor as the vehicle's camera would take them.
 
-The geometry is exact: every pixel looks along its own ray (the inverse of the lens distortion, computed once), rays
-are cut with the floor on a grid of every eighth pixel and interpolated in between (error below 0.02 px), and the
-picture of the floor is sampled once. Then come, in the order of the light's way: caustics and vignetting, blur of
-optics and motion, turbidity (contrast exp(-c d), red fades fastest; Jaffe-McGlamery without forward scattering), noise
-and the laser dot. Obstacles are not drawn. A picture is a function of truth, frame number and seed alone.
+The geometry is exact: one ray per pixel (inverse lens distortion, computed once), intersected with the floor on a grid
+of every eighth pixel and interpolated between (error below 0.02 px); the floor texture is sampled once. Then, in the
+order of light propagation: caustics and vignetting, blur of optics and motion, turbidity (contrast exp(-c d), red
+attenuated fastest; Jaffe-McGlamery without forward scattering), noise and the laser dot. Obstacles are not drawn. An
+image is a function of truth, frame number and seed alone.
 """
 
 import math
@@ -26,7 +26,7 @@ from autopilot.sitl.sitl_tuning import CAMERA_TUNED
 
 
 class SimCamera:
-    """Renders for one camera, one floor and one look."""
+    """Renderer for one camera, one floor and one appearance."""
 
     def __init__(self, camera: CameraModel, floor: Floor, look: ImageModel, seed: int, laser: bool = True) -> None:
         """``camera`` is the true one; ``seed`` chooses the noise. Sets OpenCV to one thread (others only spin)."""
@@ -63,7 +63,7 @@ class SimCamera:
         return self._camera
 
     def with_faults(self, faults: Sequence[LensFault | Mounting]) -> "SimCamera":
-        """The same camera with these faults beside those that it has."""
+        """A copy with these additional faults."""
         return SimCamera(faulty(self._camera, faults), self._floor, self._look, self._seed, self._laser)
 
     def render(self, truth: Truth, index: int) -> Image:
@@ -95,7 +95,7 @@ class SimCamera:
         return north_m.reshape(self._grid_shape), east_m.reshape(self._grid_shape)
 
     def _sampled(self, north_m: FloatArray, east_m: FloatArray, height_m: float) -> Image:
-        """The floor's picture on every pixel, looked up in a small copy of what is in view (for the cache)."""
+        """The floor texture at every pixel, from a small copy of the visible part (for the processor's cache)."""
         level = self._floor.level_for(self._camera.focal_water_px / height_m)
         picture = self._floor.levels[level]
         where = self._floor.pixel_map(north_m, east_m, level)
@@ -157,8 +157,9 @@ class SimCamera:
         return blurred
 
     def _through_water(self, grey: Image, height_m: float, index: int) -> Image:
-        """Colour: contrast lost to the veil over the distance to the floor. Noise: another cut-out of what is stored
-        for every frame number, in the same pass."""
+        """Colour: contrast lost to backscatter over the distance to the floor. Noise: another section of a stored
+        pattern for every frame number, in the same pass.
+        """
         down, right = np.random.default_rng((self._seed, 1, index)).integers(0, CAMERA_TUNED.noise_pad, 2)
         noise = self._noise[:, down : down + self._camera.height_px, right : right + self._camera.width_px]
         planes = []

@@ -1,7 +1,7 @@
-"""A step of the hull by the compiled library (``data/native/plant.c``): the numbers of :mod:`.sitl.rigid_body` and
-:mod:`autopilot.sitl.thruster_models` bit for bit, which say what they mean, in a tenth of the time.
+"""One step of the hull by the compiled library (``data/native/plant.c``): bit-identical to :mod:`.sitl.rigid_body` and
+:mod:`autopilot.sitl.thruster_models`, which document the quantities, in a tenth of the time.
 
-What the library leaves alone is a hull that may touch something.
+Hulls that may be in contact are left to the Python code.
 """
 
 import ctypes
@@ -27,7 +27,7 @@ WATER = 13
 
 
 class HullStruct(Mirror):
-    """The struct of plant.c."""
+    """ctypes layout of the struct in plant.c."""
 
     _fields_ = (
         ("mass", ctypes.c_double),
@@ -45,7 +45,7 @@ class HullStruct(Mirror):
 
 
 class Hull(Mirror):
-    """The struct of plant.c."""
+    """ctypes layout of the struct in plant.c."""
 
     _fields_ = (
         *((name, _State) for name in ("state", "change")),
@@ -120,7 +120,7 @@ class CompiledHull:
 
     @property
     def power_w(self) -> float:
-        """What the thrusters take."""
+        """Electrical power of the thrusters [W]."""
         power: float = self._hull.power
         return power
 
@@ -140,7 +140,7 @@ class CompiledHull:
         self._turn(*self._both, dt_s)
 
     def step(self, dt_s: float) -> list[float]:
-        """The state after a while, from where it was looked at, with the thrust of the last :meth:`turn`."""
+        """The state after a step from the last evaluated state, with the thrust of the last :meth:`turn`."""
         self._step(*self._both, dt_s)
         state: list[float] = self._state[:]
         return state

@@ -1,9 +1,9 @@
-"""Contact of the hull with walls, floor and obstacles: a penalty force, and a record of how deep it went.
+"""Contact of the hull with walls, floor and obstacles: a penalty force, and the largest penetration.
 
-The hull is an upright cylinder round the centre of gravity (radius and half height in the vehicle file), which covers
-the real box at every heading: what touches here may still have had a few centimetres, what does not touch here did not
-touch. Forces are normal and pass through the centre of gravity: no friction, no moment. The surface is no solid: the
-hull loses buoyancy as it comes out (:mod:`.sitl.rigid_body`), and how far it stood out is recorded beside the contacts.
+The hull is a vertical cylinder about the centre of gravity (radius and half height in the vehicle file), which
+encloses the real box at every heading: a reported contact may have been a miss by centimetres, a miss is certain.
+Forces are normal and act at the centre of gravity: no friction, no moment. The surface is not solid: the hull loses
+buoyancy as it emerges (:mod:`.sitl.rigid_body`), and the emerged height is recorded with the contacts.
 """
 
 import math
@@ -28,8 +28,6 @@ class Cylinder:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Sphere:
-    """A sphere."""
-
     name: str
     center_ned_m: Vec3
     radius_m: float
@@ -58,8 +56,6 @@ Solid: TypeAlias = Cylinder | Sphere | Prism | MovingCylinder
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Touch:
-    """The hull is inside something."""
-
     what: str
     """wall, floor or the obstacle's name."""
     depth_m: float
@@ -129,7 +125,6 @@ class SolidGeometry:
         return max((s.path.speed_m_s for s in self._solids if isinstance(s, MovingCylinder)), default=0.0)
 
     def _now(self, solid: Solid) -> Cylinder | Sphere | Prism:
-        """Where a solid is now."""
         if not isinstance(solid, MovingCylinder):
             return solid
         return Cylinder(name=solid.name, center_ned_m=solid.path.at(self._t_s).center_ned_m, radius_m=solid.radius_m)
@@ -139,7 +134,7 @@ class SolidGeometry:
         self._t_s = t_s
 
     def touches(self, pos_ned_m: Sequence[float], margin_m: float = 0.0) -> list[Touch]:
-        """What a hull at a position (3,) touches, or is closer to than ``margin_m`` (depth < 0 then)."""
+        """Contacts of a hull at a position (3,), and solids closer than ``margin_m`` (depth < 0 then)."""
         x, y, z = pos_ned_m
         found = []
         if self._polygon is not None:
@@ -188,7 +183,7 @@ class SolidGeometry:
         return distance - solid.radius_m, normal
 
     def _prism_gap(self, solid: Prism, x: float, y: float) -> tuple[float, Vec3]:
-        """The same of a prism; out of its inside the shortest way leads."""
+        """Gap to a prism; from its inside the shortest way out."""
         fx, fy = min(_feet(solid.polygon_ned_m, x, y), key=lambda foot: math.hypot(x - foot[0], y - foot[1]))
         dx, dy = x - fx, y - fy
         distance = math.hypot(dx, dy)
@@ -210,7 +205,7 @@ class SolidGeometry:
 
 
 def moved_to(solid: Cylinder | Sphere | Prism, north_m: float, east_m: float) -> Cylinder | Sphere | Prism:
-    """The same thing with its centre (a prism's: of its corners) elsewhere."""
+    """A copy with its centre (of a prism: that of its corners) at another position."""
     if isinstance(solid, Cylinder):
         return replace(solid, center_ned_m=(north_m, east_m))
     if isinstance(solid, Sphere):

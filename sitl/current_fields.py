@@ -1,8 +1,8 @@
-"""Water currents over the local NED frame: analytic fields, all free of divergence, and gridded ones.
+"""Current fields in the local NED frame: analytic ones, all divergence-free, and gridded ones.
 
-Every field gives its velocity, its gradient and its rate of change at a fixed place, because a hull that moves through
-a field that varies in space feels the acceleration of the water (:mod:`.sitl.rigid_body`). Analytic fields are the same
-at every depth; vertical velocity is zero except in the uniform field and on a grid that has one.
+Every field gives its velocity, its gradient and its local time derivative, because a hull that moves through a
+non-uniform field experiences the acceleration of the water (:mod:`.sitl.rigid_body`). Analytic fields do not depend on
+depth; vertical velocity is zero except in the uniform field and in a grid that has one.
 """
 
 import math
@@ -22,11 +22,9 @@ Gradient: TypeAlias = tuple[float, float, float, float]
 
 
 class CurrentField(Protocol):
-    """Velocity of the water."""
-
     @property
     def steady_uniform(self) -> bool:
-        """True if gradient and rate are zero everywhere, so that nobody has to ask."""
+        """True if gradient and time derivative are zero everywhere, which saves their evaluation."""
         ...
 
     def velocity(self, pos_ned_m: Sequence[float], t_s: float) -> Vec3:

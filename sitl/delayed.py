@@ -1,4 +1,4 @@
-"""What simulated sensors have in common: a rate, a latency, samples that are lost and gaps."""
+"""Common part of simulated sensors: rate, latency, lost samples and gaps."""
 
 from collections import deque
 from collections.abc import Iterable
@@ -15,7 +15,7 @@ T = TypeVar("T")
 
 
 class LossyTable(Protocol):
-    """What the table of a sensor of a scenario says of its samples."""
+    """Sampling parameters in a sensor's table of the scenario."""
 
     @property
     def rate_hz(self) -> float | None: ...
@@ -30,7 +30,7 @@ class LossyTable(Protocol):
 
 
 class DelayedSensor(AlwaysOpen, Generic[T]):
-    """When samples are taken, and the queue of those that are under way."""
+    """Sampling schedule, and the queue of samples in transmission."""
 
     def __init__(self, rate_hz: float, latency_s: float, jitter_s: float = 0.0) -> None:
         """``jitter_s``: standard deviation of the latency."""
@@ -47,7 +47,7 @@ class DelayedSensor(AlwaysOpen, Generic[T]):
         return [sample for _, sample in self._arrived(t_us)]
 
     def _arrived(self, t_us: int) -> list[tuple[int, T]]:
-        """The same with the times of arrival; it is taken out of the queue."""
+        """Remove the arrived samples from the queue; with times of arrival."""
         due = []
         while self._queue and self._queue[0][0] <= t_us:
             due.append(self._queue.popleft())
@@ -83,8 +83,9 @@ class LossySensor(DelayedSensor[T]):
         *,
         sensor: str,
     ) -> None:
-        """``usual``: rate [Hz] and latency [s] where the scenario's table has none. ``seed``: of the run and of the
-        sensor; the next one is that of its gaps. ``sensor``: what faults call it."""
+        """``usual``: default rate [Hz] and latency [s]. ``seed``: of run and sensor; the next one is that of its gaps.
+        ``sensor``: its name in faults.
+        """
         rate_hz, latency_s = usual
         latency_s = latency_s if table.latency_s is None else table.latency_s
         super().__init__(table.rate_hz or rate_hz, latency_s, table.latency_jitter_s)

@@ -1,4 +1,4 @@
-"""A simulated pressure sensor: depth where it sits, with an offset that wanders."""
+"""A simulated pressure sensor: depth at its mounting position, with a drifting offset."""
 
 import math
 from collections.abc import Iterable

@@ -1,4 +1,4 @@
-"""A simulated Doppler velocity log: velocity of the place where it sits, over ground or through the water."""
+"""A simulated Doppler velocity log: velocity at its mounting position, over ground or through the water."""
 
 from collections.abc import Iterable
 

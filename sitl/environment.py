@@ -1,4 +1,4 @@
-"""The world round the vehicle: walls, floor, obstacles, current and tether entry, built from a scenario."""
+"""The environment of the vehicle: walls, floor, obstacles, current and tether entry, built from a scenario."""
 
 from dataclasses import dataclass
 
@@ -14,7 +14,7 @@ from autopilot.sitl.waves import WithWaves, breaking_height_m, wave_train
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class SimulatedWaters:
-    """What the plant moves in. The default is endless still water."""
+    """The environment of the plant. The default is unbounded still water."""
 
     polygon_ned_m: tuple[Vec2, ...] | None = None
     """Corners of the walls (north, east), None = no walls."""
@@ -27,7 +27,7 @@ class SimulatedWaters:
 
 
 def moving_path(obstacle: MovingObstacle) -> MovingPath:
-    """How a moving obstacle of a scenario moves."""
+    """Path of a moving obstacle of a scenario."""
     return MovingPath(obstacle.path_m, obstacle.speed_m_s, obstacle.ends, obstacle.start_s)
 
 

@@ -1,4 +1,4 @@
-"""The tank floor as a picture: white boards with ArUco markers under a veil of sand, at several resolutions.
+"""The tank floor as a texture: white boards with ArUco markers under a layer of sand, at several resolutions.
 
 Grey, seen from above: columns run to the east, rows to the south, so that it is not mirrored.
 """
@@ -48,7 +48,7 @@ class Floor:
         return level
 
     def pixel_map(self, north_m: FloatArray, east_m: FloatArray, level: int) -> NDArray[np.float32]:
-        """Where floor points (rows, columns) lie in the picture of a level: (rows, columns, 2) column, row."""
+        """Pixels of floor points (rows, columns) in the texture of a level: (rows, columns, 2) column, row."""
         scale = self.px_per_m / 2**level
         result = np.empty((*north_m.shape, 2), dtype=np.float32)
         result[..., 0] = (east_m - self.east_m) * scale - 0.5
@@ -57,7 +57,7 @@ class Floor:
 
 
 def build_markers(scenario: Scenario) -> MarkerMap | None:
-    """Where the markers of a scenario's floor lie; None in open water."""
+    """Marker map of a scenario's floor; None in open water."""
     planned, laid = _planned(scenario), scenario.markers.laid
     if planned is None or laid is None:
         return planned
@@ -159,7 +159,7 @@ def _grid(
 
 
 def _of_file(file: str, polygon_m: FloatArray, depth_m: float) -> MarkerMap:
-    """The map of a file, of which the simulated floor can show what lies on it. ConfigError for other markers."""
+    """The part of a map file that the simulated floor can show. ConfigError for other markers."""
     markers = load_marker_map(Path(file))
     low, high = polygon_m.min(axis=0), polygon_m.max(axis=0)
     off_m = np.abs(markers.corners_ned_m[..., 2] - depth_m).max(axis=1)

@@ -1,7 +1,8 @@
-"""A current on a grid as the simulator's truth: linear between the nodes in space and time, as on the border beyond it.
+"""A gridded current as the simulator's truth: multilinear in space and time, constant beyond the border.
 
-The plant asks for one place at a time, so the arithmetic is in plain numbers. Velocity, gradient and rate belong to one
-and the same interpolant. The plant feels a change with depth through the velocity, not as acceleration of the water.
+The plant evaluates one position at a time, so the arithmetic is in plain floats. Velocity, gradient and time
+derivative belong to the same interpolant. A change with depth acts through the velocity, not as acceleration of the
+water.
 """
 
 import zipfile

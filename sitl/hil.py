@@ -1,7 +1,7 @@
-"""The wires of a real vehicle round the simulated one: hardware drivers with emulated devices at their far ends.
+"""Hardware drivers with emulated devices in the loop: a serial line, a network camera, an I2C board.
 
-What is set between plant and service here is what a vehicle has: a serial line, a network camera, an I2C board. Bytes
-take the operating system's own time, so that a clock has to run.
+The interfaces between plant and service are those of a real vehicle. Transfers take the operating system's time, so
+that this runs in real time only.
 """
 
 import threading
@@ -94,7 +94,7 @@ class NetworkCamera(Closing):
         return [] if self._steady is None else self._steady.poll(t_us)
 
     def _send(self) -> None:
-        """Show each picture when its way is over, however late the loop was that has made it."""
+        """Serve each image at the end of its latency, however late the loop that rendered it."""
         while (due := self._due.get()) is not None:
             due_us, frame = due
             sleep(max(0.0, 1e-6 * (due_us - machine_us())))
@@ -102,7 +102,7 @@ class NetworkCamera(Closing):
 
 
 class BoardOutput(Pca9685):
-    """Thruster output through the real driver and an emulated board: what the amplifiers see is read off its pins."""
+    """Thruster output through the real driver and an emulated board: the pulses are read at its pins."""
 
     def __init__(self, vehicle: Vehicle) -> None:
         self.bus = EmulatedI2c()
@@ -118,5 +118,5 @@ class BoardOutput(Pca9685):
 
 
 def wires(names: Sequence[str]) -> frozenset[Wire]:
-    """The wires of these names; others are left out (the command line knows no others)."""
+    """The emulated interfaces of these names."""
     return frozenset(wire for wire in WIRES if wire in names)

@@ -1,4 +1,4 @@
-"""What sits inside the simulated hull: a leak probe, a barometer, a thermometer."""
+"""Simulated sensors inside the hull: leak probe, barometer, thermometer."""
 
 from collections.abc import Iterable
 
@@ -16,7 +16,7 @@ PERIOD_US = 500_000
 
 
 class SimHullSensor(AlwaysOpen):
-    """Says how things are inside, whatever the truth outside."""
+    """Constant conditions inside the hull, independent of the truth outside."""
 
     def __init__(self, sensor: HullSensor, faults: Iterable[Fault]) -> None:
         self._sensor = sensor

@@ -1,4 +1,4 @@
-"""An emulated I2C bus and the chips on it, byte by byte: what stands behind :class:`autopilot.drivers.i2c.I2cBus`."""
+"""An emulated I2C bus and the chips on it, byte by byte, behind :class:`autopilot.drivers.i2c.I2cBus`."""
 
 import errno
 from typing import Protocol
@@ -32,7 +32,7 @@ class EmulatedI2c(AlwaysOpen):
         """So far."""
 
     def write(self, address: int, data: bytes) -> None:
-        """A write transaction. OSError (EREMOTEIO, as from Linux) when nobody acknowledges."""
+        """A write transaction. OSError (EREMOTEIO, as from Linux) without acknowledgement."""
         self._chip(address).write(data)
 
     def read(self, address: int, count: int) -> bytes:
@@ -61,7 +61,7 @@ class Pca9685Chip:
     RESTART, EXTERNAL, INCREMENT, SLEEP = 0x80, 0x40, 0x20, 0x10
 
     def __init__(self, clock_hz: float, external_hz: float | None = None) -> None:
-        """``clock_hz``: what its internal oscillator really does; ``external_hz``: what is fed from outside, if so."""
+        """``clock_hz``: true frequency of the internal oscillator; ``external_hz``: that of an external clock."""
         self._internal_hz, self._external_hz = clock_hz, external_hz
         self.enabled = True
         """Level of the output enable pin."""

@@ -1,5 +1,4 @@
-"""What the machine does to the service: ticks that begin late, a disk that is full, a clock that is set, a process that
-is killed."""
+"""Faults of the machine: late ticks, a full disk, a changed clock, a killed process."""
 
 from collections.abc import Iterable
 from dataclasses import replace
@@ -11,7 +10,7 @@ from autopilot.sitl.scenario_tables import Fault
 
 
 class MachineFaults:
-    """Says of the machine what the scenario says."""
+    """State of the machine by the scenario's faults."""
 
     def __init__(self, faults: Iterable[Fault]) -> None:
         faults = list(faults)

@@ -1,4 +1,4 @@
-"""What happens to the simulated hull and its battery: pushes, snags, a charge that is gone."""
+"""Faults of the simulated hull and its battery: pushes, snags, loss of charge."""
 
 from collections.abc import Iterable, Sequence
 from typing import TypeAlias
@@ -41,7 +41,7 @@ class ScheduledFaults:
         return None
 
     def forces(self, t_us: int, state: Sequence[float]) -> Forces | None:
-        """What acts from now on, None = nothing, as before. ``state``: position NED, quaternion, velocity FRD."""
+        """Force and moment from now on, None = unchanged zero. ``state``: position NED, quaternion, velocity FRD."""
         acting = [(n, fault) for n, fault in enumerate(self._forces) if fault.holds(t_us)]
         if not acting:
             was, self._acts = self._acts, False

@@ -1,6 +1,6 @@
 """Mismatch between the simulated vehicle and its vehicle file: factors on groups of coefficients.
 
-The controller always works from the vehicle file as it is; the plant is built from the result of :func:`mismatched`.
+The controller always uses the vehicle file unchanged; the plant is built from the result of :func:`mismatched`.
 """
 
 import math
@@ -42,7 +42,7 @@ MISMATCH_KEYS: dict[str, str] = {
     "tether": "drag and pull of the tether (0 = none)",
     "tether_pull": "its pull alone (0 = none)",
 }
-"""Every factor that a mismatch may hold, and what it multiplies."""
+"""Every factor of a mismatch, with the coefficients it multiplies."""
 
 _MASS_KEYS = ("surge_mass", "sway_mass", "heave_mass")
 _DRAG_KEYS = ("surge_drag", "sway_drag", "heave_drag")
@@ -71,9 +71,10 @@ def _each(factors: Vec3, values: Vec3) -> Vec3:
 
 
 def _added(where: str, key: str, factor: float, hull: float, added: float) -> float:
-    """Added mass or inertia with which its sum with the hull's is ``factor`` times what it was.
+    """Added mass or inertia for which the sum with the hull's is ``factor`` times the original.
 
-    ConfigError, beginning with ``where``, if that would be negative."""
+    ConfigError, beginning with ``where``, if it would be negative.
+    """
     if factor == 1.0:
         return added
     result = factor * (hull + added) - hull

@@ -1,4 +1,4 @@
-"""Rendered pictures on the network as a camera sends them: MJPEG over HTTP, for whoever connects."""
+"""Rendered images as a network camera: MJPEG over HTTP."""
 
 import socket
 import threading
@@ -29,7 +29,7 @@ class MjpegServer(Closing):
 
     @property
     def url(self) -> str:
-        """What a camera driver opens."""
+        """URL for a camera driver."""
         return f"http://127.0.0.1:{self.port}/video.mjpg"
 
     @property

@@ -1,4 +1,4 @@
-"""Where a moving obstacle is: constant speed along a polyline, known for all times. Nothing is random here."""
+"""Motion of an obstacle: constant speed along a polyline, known for all times, deterministic."""
 
 import math
 from collections.abc import Sequence
@@ -21,8 +21,9 @@ class MovingPath:
     """Constant speed along a polyline."""
 
     def __init__(self, path_m: Sequence[Vec2], speed_m_s: float, ends: Ends, start_s: float = 0.0) -> None:
-        """``path_m``: two points or more, neighbours different. At its end it bounces back, goes on to the first point
-        (``loop``) or stops. Until ``start_s`` it stands at the first point."""
+        """``path_m``: two points or more, consecutive ones different. At its end the motion reverses, continues to the
+        first point (``loop``) or stops. Until ``start_s`` it is at rest at the first point.
+        """
         points = [*path_m, path_m[0]] if ends == "loop" else list(path_m)
         self._legs: list[tuple[float, Vec2, Vec2]] = []
         length = 0.0
@@ -35,7 +36,7 @@ class MovingPath:
         self.speed_m_s = speed_m_s
 
     def at(self, t_s: float) -> MotionSample:
-        """Where it is and how it moves at a time."""
+        """Position and velocity at a time."""
         travelled, speed = self.speed_m_s * (t_s - self._start_s), self.speed_m_s
         if travelled < 0.0:
             return MotionSample(self._legs[0][1], (0.0, 0.0))

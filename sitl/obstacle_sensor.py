@@ -1,7 +1,7 @@
-"""An obstacle sensor (an imaging sonar with its tracker, say): tracks of what moves and of what nobody knew of.
+"""A simulated obstacle sensor (e.g. an imaging sonar with tracker): tracks of moving and of unmapped obstacles.
 
-What the fence has is left out: the vehicle knows it. Every report is a track of its own time, with noise on position
-and velocity, and arrives after the latency.
+Obstacles in the fence are not reported. Every report is a track with its own time, with noise on position and
+velocity, and arrives after the latency.
 """
 
 import math
@@ -38,7 +38,7 @@ class SimObstacleSensor(DelayedSensor[ObstacleTrack]):
         return not self._seen
 
     def put(self, number: int, north_m: float, east_m: float, radius_m: float) -> None:
-        """An obstacle stands elsewhere than where it was known to be: from now on it is reported."""
+        """Move an obstacle away from its mapped position: from now on it is reported."""
         self._seen = [seen for seen in self._seen if seen[0] != number]
         self._seen.append((number, MotionSample((north_m, east_m), (0.0, 0.0)), radius_m))
 

@@ -1,7 +1,7 @@
-"""An operator in the vehicle's own time: arms and starts the plan that is already on board, over MAVLink.
+"""A simulated operator in simulated time: arms and starts the plan on board, over MAVLink.
 
-Lives in the same process and the same simulated time as the service (:class:`autopilot.run.outside.InProcessClient`),
-so that a whole mission is reproducible bit for bit.
+Runs in the process and time of the service (:class:`autopilot.run.outside.InProcessClient`), so that a whole mission
+is reproducible bit for bit.
 """
 
 from collections.abc import Iterable, Sequence
@@ -34,7 +34,7 @@ class ScriptedOperator:
         return not self._todo
 
     def step(self, t_us: int, received: Sequence[bytes]) -> list[bytes]:
-        """One tick: read answers, send what is due."""
+        """One tick: read replies, send due messages."""
         if any(fault.holds(t_us) for fault in self._lost):
             return []
         if self._todo:
@@ -43,7 +43,7 @@ class ScriptedOperator:
                     self._hear(message)
         out: list[bytes] = []
         if self._sent_us is None:
-            self._sent_us = t_us  # who looks first sees that a vehicle needs a second to hear of its sensors
+            self._sent_us = t_us  # the vehicle needs a second until its sensors have reported
         if t_us - self._heartbeat_us >= OPERATOR.heartbeat_us:
             self._heartbeat_us = t_us
             out.append(self._pack(self._mav.heartbeat_encode(6, 8, 0, 0, 4)))

@@ -1,4 +1,4 @@
-"""Simulated sensors that a scenario may have or not: what they share, and how they are made."""
+"""Optional simulated sensors of a scenario: their common inputs and construction."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -23,15 +23,13 @@ V = TypeVar("V")
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class SensedWorld:
-    """What they can measure."""
-
     floor_depth_m: float | None = None
     """None = open water."""
     waves: WaveTrain | None = None
 
 
 class OptionalSensor(LossySensor[S], Generic[S, V]):
-    """Takes samples of the truth where it sits, and delivers them after their latency; ``V`` is what it reads."""
+    """Samples the truth at its mounting position and delivers after the latency; ``V`` is the type of a reading."""
 
     name: ClassVar[str]
     """What faults call it."""
@@ -63,7 +61,6 @@ class OptionalSensor(LossySensor[S], Generic[S, V]):
 def optional_sensors(
     sensors: Sensors, vehicle: Vehicle, world: SensedWorld, faults: Iterable[Fault], seed: int
 ) -> list[OptionalSensor[Any, Any]]:
-    """Those that the scenario has."""
     found = []
     for row in SENSOR_ROWS:
         table = getattr(sensors, row.device) if row.simulated else None

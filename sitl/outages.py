@@ -1,4 +1,4 @@
-"""Gaps in a sensor's output: begun at random, or by a fault of the scenario."""
+"""Gaps in a sensor's output: at random, or by a fault of the scenario."""
 
 from collections.abc import Iterable
 

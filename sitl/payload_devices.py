@@ -1,4 +1,4 @@
-"""What a simulated vehicle carries: each thing moves to its pulse at a speed of its own."""
+"""Simulated payload: each device moves to its pulse at a finite rate."""
 
 from collections.abc import Sequence
 
@@ -20,11 +20,11 @@ class SimPayload:
 
     @property
     def shares(self) -> tuple[float, ...]:
-        """Where each is: 0 dark, off, closed; 1 bright, on, open."""
+        """Positions of all devices: 0 dark, off, closed; 1 bright, on, open."""
         return tuple(self._shares)
 
     def set(self, pulses_us: Sequence[int]) -> None:
-        """The pulses that they hear from now on; a relay hears one side or the other."""
+        """The commanded pulses from now on [us]; a relay switches by threshold."""
         heard_us = tuple(pulses_us)
         if heard_us == self._heard_us:
             return

@@ -1,8 +1,8 @@
-"""Pictures that look right and are not of here and now: what the picture faults of a scenario make of each.
+"""Image faults of a scenario: images that are plausible but of another time or position.
 
-Near-frozen, repeated and delayed pictures and those of another place are of another moment or place than their stamps
-say: that is chosen before they are rendered, so that the pose sensor has the same faults. Mirrored and half-frozen
-pictures and reflections are made of rendered ones.
+Near-frozen, repeated and delayed images and those of another position differ from their stamps: that is selected
+before rendering, so that the pose sensor has the same faults. Mirrored and half-frozen images and reflections are
+computed from rendered ones.
 """
 
 import math
@@ -36,15 +36,13 @@ FLIPS = {"columns": 1, "rows": 0, "both": -1}
 
 
 class Exposure(NamedTuple):
-    """What a picture is of."""
-
     truth: Truth
     number: int
     """Number of the picture: chooses its noise."""
 
 
 class PictureFaults:
-    """Of one camera, or of the pose sensor in its place. Asked with times that never go back."""
+    """Faults of one camera, or of the pose sensor in its place. Times must not decrease."""
 
     def __init__(self, faults: Iterable[Fault]) -> None:
         self._faults: list[PictureFault] = []
@@ -66,7 +64,7 @@ class PictureFaults:
         return [(k, fault) for k, fault in enumerate(self._faults) if fault.holds(t_us)]
 
     def shown(self, truth: Truth, index: int) -> Exposure:
-        """What the picture number ``index``, taken at ``truth.t_us``, is of."""
+        """True exposure of image number ``index`` that is stamped ``truth.t_us``."""
         now = Exposure(truth, index)
         if not self._faults:
             return now
@@ -95,8 +93,9 @@ class PictureFaults:
         return self._past[0] if self._past else now
 
     def pose_shown(self, truth: Truth, index: int) -> Truth | None:
-        """The same for a pose sensor: None = such a picture gives no pose. Of a picture that is half of another
-        moment either may come out: they take turns. Reflections are left out."""
+        """As :meth:`shown` for a pose sensor: None = such an image gives no pose. An image that is half of another
+        time gives either, alternating. Reflections are ignored.
+        """
         t_us, result = truth.t_us, self.shown(truth, index).truth
         for k, fault in self._active(t_us):
             if isinstance(fault, Mirrored):
@@ -106,11 +105,10 @@ class PictureFaults:
         return result if result is truth else replace(result, t_us=t_us)
 
     def reflection(self, t_us: int) -> Reflection | None:
-        """The one that holds then."""
         return next((fault for _, fault in self._active(t_us) if isinstance(fault, Reflection)), None)
 
     def sent(self, image: Image, t_us: int, index: int) -> Image:
-        """What becomes of a rendered picture taken at ``t_us``."""
+        """The rendered image of ``t_us`` after its faults."""
         for k, fault in self._active(t_us) if self._faults else ():
             if isinstance(fault, Mirrored):
                 image = np.ascontiguousarray(cv2.flip(image, FLIPS[fault.across]))
@@ -133,7 +131,7 @@ def reflected(render: Callable[[Truth, int], Image], exposure: Exposure, strengt
 
 
 def _elsewhere(first: Truth, truth: Truth, fault: Elsewhere) -> Truth:
-    """Where the picture is taken: what follows goes the vehicle's way, turned as a whole."""
+    """Position and heading of the exposure: the vehicle's later path, rotated as a whole."""
     seen = truth if fault.follows else first
     c, s = math.cos(fault.yaw_rad), math.sin(fault.yaw_rad)
     north, east, down = (seen.pos_ned_m - first.pos_ned_m).tolist()

@@ -1,8 +1,7 @@
 """The simulated vehicle: pulses in, truth out. Its equations (:mod:`.sitl.rigid_body`) are not the controller's.
 
-The plant advances in fixed steps, shorter ones near anything solid. Within a step the pulses, the supply voltage and
-the gradient of the current are held, the thrust follows its lag exactly, and the hull is integrated by Runge-Kutta 4.
-Nothing is random here.
+Fixed steps, shorter ones near solids. Within a step the pulses, the supply voltage and the gradient of the current are
+constant, the thrust lag is integrated exactly, and the hull by Runge-Kutta 4. Nothing is random.
 """
 
 import math
@@ -38,7 +37,7 @@ Push: TypeAlias = tuple[float, float, float, float, float, float]
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Truth:
-    """Where the vehicle really is and what it really does."""
+    """True state of the simulated vehicle."""
 
     t_us: int
     pos_ned_m: FloatArray
@@ -54,7 +53,7 @@ class Truth:
     rate_frd_rad_s: FloatArray
     """(3,)"""
     accel_frd_m_s2: FloatArray
-    """(3,) specific force: what an accelerometer at the centre of gravity feels, (0, 0, -9.81) at rest."""
+    """(3,) specific force at the centre of gravity, (0, 0, -9.81) at rest."""
     current_ned_m_s: FloatArray
     """(3,) at the centre of gravity."""
     thrust_n: FloatArray
@@ -73,23 +72,23 @@ class Truth:
     max_penetration_m: float
     """Deepest penetration since the start."""
     emerged_m: float
-    """How far the top of the hull stands out of the water, 0 = submerged."""
+    """Height of the hull's top above the surface, 0 = submerged."""
 
 
 class _Instant(NamedTuple):
-    """What holds at one moment, for the truth and for the step that begins there."""
+    """Quantities at one time, for the truth and for the step that starts there."""
 
     near: bool
     """The hull may be closer than NEAR_M to something."""
     water: Water
     force: ForceNed | None
-    """What acts on the hull from outside, None in open water without a tether."""
+    """External force on the hull, None in open water without a tether."""
     change: State | CompiledHull
     """Derivative of the state without thrust, or who keeps it."""
 
 
 class Plant:
-    """One vehicle in one world."""
+    """Rigid body with thrusters, battery, tether and contact in the environment of a scenario."""
 
     def __init__(
         self,
@@ -161,7 +160,7 @@ class Plant:
         self._battery.load(self._power_w)
         self._mishaps = ScheduledFaults(mishaps)
 
-    # What happens.
+    # Disturbances and faults.
 
     @property
     def contacts(self) -> tuple[ContactRecord, ...]:
@@ -204,7 +203,7 @@ class Plant:
         while self._t_us < t_us:
             self._step(t_us - self._t_us, pwm_us)
 
-    # What is done to the vehicle.
+    # Faults.
 
     def set_thruster_loss(self, name: str, loss: float) -> None:
         """From now on the thruster of that name gives ``1 - loss`` of its thrust. ConfigError if there is none."""
@@ -218,7 +217,7 @@ class Plant:
         self._instant = None
 
     def begin_fault(self, fault: ThrusterLoss | Mishap) -> None:
-        """A fault of hull, thrusters or battery that nobody knew of at the start. ConfigError if it cannot happen."""
+        """Begin a fault of hull, thrusters or battery that is not in the scenario. ConfigError if it is impossible."""
         if isinstance(fault, ThrusterLoss):
             self._thruster_index(fault.thruster)
             self._losses = sorted([*self._losses, fault], key=lambda loss: loss.at_s)
@@ -262,7 +261,7 @@ class Plant:
     # Inside.
 
     def _numbers(self, water: Water, change: State) -> list[float]:
-        """What a truth is made of: state, roll, pitch, yaw, current, velocity in the water, specific force, thrust."""
+        """Components of a truth: state, roll, pitch, yaw, current, velocity in the water, specific force, thrust."""
         _, _, _, ew, ex, ey, ez, u, v, w, p, q, r = self._state
         r11, r12, r13 = 1.0 - 2.0 * (ey * ey + ez * ez), 2.0 * (ex * ey - ez * ew), 2.0 * (ex * ez + ey * ew)
         r21, r22, r23 = 2.0 * (ex * ey + ez * ew), 1.0 - 2.0 * (ex * ex + ez * ez), 2.0 * (ey * ez - ex * ew)
@@ -350,7 +349,7 @@ class Plant:
             self._contacts.update(self._t_us, self._surroundings.touches(self._state[:3]))
 
     def _apply_faults(self) -> None:
-        """What happens to hull and battery now."""
+        """Apply the active faults of hull and battery."""
         remaining = self._mishaps.sagged(self._t_us)
         if remaining is not None:
             self._battery.lose(remaining)
@@ -359,7 +358,7 @@ class Plant:
             self.set_external_wrench(force_ned_n=forces[0], moment_frd_n_m=forces[1])
 
     def _here(self) -> _Instant:
-        """What holds now; worked out once for every moment at which somebody asks."""
+        """The present instant, evaluated once per time."""
         if self._instant is None:
             x, y, z = place = (self._state[0], self._state[1], self._state[2])
             self._surroundings.move_to(self._t_us * 1e-6)
@@ -408,7 +407,13 @@ class Plant:
 
 
 def build_plant(scenario: Scenario, vehicle: Vehicle) -> Plant:
-    """The plant of a scenario, thruster faults included. ConfigError if the start is outside the tank or touches."""
+    """The plant of a scenario, thruster faults included.
+
+    Raises
+    ------
+    ConfigError
+        The start is outside the tank or in contact with something.
+    """
     start = scenario.vehicle
     return Plant(
         vehicle,

@@ -1,7 +1,7 @@
-"""A marker-pose sensor and a laser range without pictures, for fast studies.
+"""A simulated marker-pose sensor and laser range without images, for fast studies.
 
-It measures what the camera and its marker processing would: the vehicle's position and heading with errors that grow
-with the height above the floor, wrong fixes, gaps and the camera's latency; and the range along the laser beam.
+It has the characteristics of camera and marker processing: position and heading with errors that grow with the height
+above the floor, wrong fixes, gaps and the camera's latency; and the range along the laser beam.
 """
 
 from collections.abc import Iterable
@@ -81,7 +81,7 @@ class SimPoseSensor(LossySensor[PoseSample | LaserSample]):
         )
 
     def _scale(self, truth: Truth, r: FloatArray) -> float:
-        """How much larger the errors are than at the reference height."""
+        """Ratio of the errors to those at the reference height."""
         if self._floor_depth_m is None:
             return 1.0
         camera_m = float(truth.pos_ned_m[2] + r[2] @ self._camera_frd_m)

@@ -14,12 +14,12 @@ from autopilot.sitl.plant import Plant, Truth, build_plant
 from autopilot.sitl.scenario_tables import Scenario, ThrusterLoss
 
 PLANTS = {"rigid-body": "autopilot.sitl.protocol:rigid_body"}
-"""Shipped plants: name -> what makes one."""
+"""Shipped plants: name -> factory."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class PlantContext:
-    """Everything that a plant is constructed from. ConfigError if the scenario asks for what the plant cannot do."""
+    """Everything that a plant is constructed from. ConfigError if the plant does not support the scenario."""
 
     scenario: Scenario
     """The plant models start, tank, obstacles, current, tether, mismatch and thruster faults."""
@@ -83,16 +83,28 @@ class SteerablePlant(Protocol):
 
 
 def create_plant(name: str, context: PlantContext, asked_by: str | None = None) -> PlantLike:
-    """The plant of that name (shipped, of an installed package, or package:Class).
+    """Construct the plant of that name.
 
-    ConfigError names ``asked_by`` (default ``--plant``), the value and what to do.
+    Parameters
+    ----------
+    name
+        A shipped plant, one of an installed package, or ``package:Class``.
+    context
+        Argument of its constructor.
+    asked_by
+        Origin of the name in error messages; default ``--plant``.
+
+    Raises
+    ------
+    ConfigError
+        There is none of that name, or it does not implement :class:`PlantLike`; names origin, value and remedy.
     """
     made: PlantLike = find_plant(name, asked_by).make(context, PlantLike)
     return made
 
 
 def find_plant(name: str, asked_by: str | None = None) -> Plugin:
-    """Where the plant of that name comes from. ConfigError if there is none."""
+    """Locate the plant of that name without constructing it. ConfigError if there is none."""
     return find_plugin("plant", name, PLANTS, asked_by)
 
 

@@ -1,4 +1,4 @@
-"""A serial line that is none: a pseudo-terminal with an emulated device at its far end (POSIX)."""
+"""An emulated serial line: a pseudo-terminal with a device model at its other end (POSIX)."""
 
 import contextlib
 import os
@@ -14,8 +14,9 @@ CHUNK = 4096
 
 
 class PtyLine(Closing):
-    """Carries bytes between an emulator and whoever opens :attr:`path`, as a cable does. Unplugging makes the path
-    vanish, as a USB adapter's does."""
+    """A cable between an emulator and the process that opens :attr:`path`. Unplugging removes the path, as with a USB
+    adapter.
+    """
 
     def __init__(self, device: BytePort, name: str = "ttyEmulated") -> None:
         self._device = device
@@ -43,12 +44,11 @@ class PtyLine(Closing):
         self._far = self._near = None
 
     def close(self) -> None:
-        """Unplug for good."""
         self.unplug()
         self._folder.cleanup()
 
     def pump(self, t_us: int) -> None:
-        """Carry what has been written and what has been sent up to ``t_us``."""
+        """Transfer the bytes of both directions up to ``t_us``."""
         for _, data in self._device.read(t_us):
             self.send(data)
         if self._far is not None:

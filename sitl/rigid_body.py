@@ -5,14 +5,14 @@
 Body frame FRD at the centre of gravity, diagonal added mass. State, 13 floats: position NED, quaternion w x y z (body
 to world), velocity over ground FRD, angular rate FRD.
 
-The current c(x, t) is taken at the centre of gravity and does not turn with the hull: v_r = v - R^T c, and the drag on
-rotation sees the absolute rate. Where the current varies, v_r' holds the change of c along the path of the *hull*,
-dc/dt + (v . grad) c. On top comes the Froude-Krylov force, displaced mass times the acceleration of the *water*,
-dc/dt + (c . grad) c: the pressure gradient that turns the water turns the hull as well. With it a neutral hull at
-v_r = 0 drifts along a streamline exactly; without it (``froude_krylov=False``) it would be thrown out of every vortex.
+The current c(x, t) is evaluated at the centre of gravity and does not rotate with the hull: v_r = v - R^T c, and the
+drag on rotation uses the absolute rate. In a non-uniform current, v_r' contains the change of c along the path of the
+*hull*, dc/dt + (v . grad) c. The Froude-Krylov force is added, displaced mass times the acceleration of the *water*,
+dc/dt + (c . grad) c: the pressure gradient that accelerates the water also acts on the hull. With it a neutral hull at
+v_r = 0 follows a streamline exactly; without it (``froude_krylov=False``) it would leave every vortex.
 
-Within a step the current is its first-order expansion in place and time about where the step begins, so that its
-velocity, gradient and rate are those of one and the same field.
+Within a step the current is its first-order expansion in position and time about the start of the step, so that
+velocity, gradient and time derivative belong to the same field.
 
 In a mismatch the mass is that of hull and trapped water, so the displaced mass is mass * buoyancy / weight.
 """
@@ -42,7 +42,7 @@ class Water(NamedTuple):
 
 
 def displaced_mass_kg(body: Body) -> float:
-    """Of the water that the hull displaces."""
+    """Mass of the displaced water [kg]."""
     return body.mass_kg * (body.weight_n + body.buoyancy_excess_n) / body.weight_n
 
 

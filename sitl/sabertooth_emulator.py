@@ -18,7 +18,7 @@ class SabertoothEmulator(AlwaysOpen):
         self.power_up()
 
     def power_up(self) -> None:
-        """All settings are forgotten."""
+        """Reset all settings, as a power cycle does."""
         self.duty: dict[tuple[int, int], float] = {(a, m): 0.0 for a in self._addresses for m in (1, 2)}
         """(address, motor) -> duty now, -1 to 1."""
         self.timeout_s: dict[int, float] = dict.fromkeys(self._addresses, 0.0)
@@ -27,7 +27,6 @@ class SabertoothEmulator(AlwaysOpen):
         self._buffer = b""
 
     def write(self, data: bytes) -> None:
-        """Bytes from the driver."""
         self._buffer += data
         while self._buffer:
             address = self._buffer[0]
@@ -45,7 +44,7 @@ class SabertoothEmulator(AlwaysOpen):
             self._obey(address, packet[1], packet[2])
 
     def read(self, t_us: int) -> list[tuple[int, bytes]]:
-        """It says nothing; motors of which nothing was heard for too long stop."""
+        """No data; stops motors after the timeout."""
         self._t_us = t_us
         for address, timeout_s in self.timeout_s.items():
             if timeout_s > 0.0 and t_us - self._heard_us[address] > 1e6 * timeout_s:

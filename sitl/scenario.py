@@ -1,4 +1,4 @@
-"""The scenario file: what world, vehicle, sensors and faults a simulated run has, and by what bounds it is judged.
+"""The scenario file: environment, vehicle, sensors and faults of a simulated run, and its acceptance limits.
 
 TOML, checked strictly: unknown keys, wrong types and values out of range are a ConfigError that names the path of the
 key. Lengths in metres, local NED (origin at the water surface, z = depth), angles in radians, times in seconds.

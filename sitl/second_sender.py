@@ -1,4 +1,4 @@
-"""Somebody else commands the simulated thrusters beside the service, and a flight controller reports its outputs."""
+"""A second source of thruster commands beside the service, and a flight controller that reports its outputs."""
 
 from collections.abc import Sequence
 
@@ -27,7 +27,7 @@ class SharedThrusters:
         return bool(self._faults)
 
     def pulses_us(self, t_us: int, ours: tuple[int, ...]) -> tuple[int, ...]:
-        """What is at the outputs now."""
+        """Pulses at the outputs now [us]."""
         self._found = ours
         for fault in self._faults:
             if fault.holds(t_us) and round(t_us - 1e6 * fault.at_s) % round(1e6 / fault.rate_hz) < STANDS_US:
@@ -35,7 +35,6 @@ class SharedThrusters:
         return self._found
 
     def sent(self, t_us: int, pulses_us: tuple[int, ...]) -> None:
-        """What the service has commanded."""
         if self._faults:
             self._watch.sent(t_us, pulses_us)
 

@@ -1,4 +1,4 @@
-"""What the faults of :mod:`autopilot.sitl.fault_tables` make of readings, poses and pictures."""
+"""Effects of the faults of :mod:`autopilot.sitl.fault_tables` on readings, poses and images."""
 
 import math
 from collections.abc import Iterable
@@ -35,7 +35,7 @@ class ImuFaults:
         self._stuck: dict[int, float] = {}
 
     def felt(self, t_us: int, six: list[float]) -> list[float]:
-        """What is read instead of these gyro and accelerometer values."""
+        """Faulty gyro and accelerometer readings from the true ones."""
         for index, fault in enumerate(self._inertial):
             if not fault.holds(t_us):
                 self._stuck.pop(index, None)
@@ -72,7 +72,7 @@ class OpticalFaults:
         return tuple(f for f in self._faults if isinstance(f, LensFault | Mounting) and f.holds(t_us))
 
     def seen(self, truth: Truth) -> Truth:
-        """Where the vehicle would be if the markers, as they lie now, were where the map says."""
+        """Apparent pose of the vehicle if the displaced markers were at their mapped positions."""
         for fault in self._faults:
             if isinstance(fault, MarkersMoved) and fault.holds(truth.t_us):
                 c, s = math.cos(fault.yaw_rad), math.sin(fault.yaw_rad)
@@ -97,7 +97,7 @@ class OpticalFaults:
                     height_m = floor_depth_m - float(position[2] + r[2] @ camera_frd_m)
                     position = position + np.array([0.0, 0.0, height_m * (1.0 - 1.0 / fault.focal_factor)])
                 continue
-            # The camera's own pose is seen right; the vehicle hangs on it by the mounting that is believed.
+            # The camera's pose is measured correctly; the vehicle's follows by the assumed mounting.
             lens = camera_frd_m + np.array(fault.position_m)
             believed = r @ r_ned_from_frd(np.array(fault.rpy_rad))
             position = position + r @ lens - believed @ camera_frd_m

@@ -1,4 +1,4 @@
-"""Tuned numbers of the simulation, by module."""
+"""Constants of the simulation, by module."""
 
 from dataclasses import dataclass
 

@@ -1,8 +1,8 @@
-"""``[spread]``: a scenario as a campaign draws it, one world per run.
+"""``[spread]``: random variation of a scenario in a campaign, one draw per run.
 
-Every key has random numbers of its own, seeded by (seed of the campaign, number of the run, key): campaigns with the
-same seed draw the same values for the keys that they share, whatever else is spread. Two campaigns that differ in one
-factor can thus be compared run by run.
+Every key has its own random stream, seeded by (seed of the campaign, number of the run, key): campaigns with the same
+seed draw the same values for the keys that they share, whatever else is varied. Two campaigns that differ in one
+factor can thus be compared run by run (common random numbers).
 """
 
 import copy
@@ -74,12 +74,11 @@ def check_spread(
 
 
 def _world(tables: Tables) -> Tables:
-    """A copy without ``[spread]``."""
     return copy.deepcopy({key: value for key, value in tables.items() if key != "spread"})
 
 
 def _put(tables: Tables, path: str, value: Any) -> None:
-    """Set one key; tables on the way that are left to their defaults are made. LookupError names what is not there."""
+    """Set one key; missing tables with defaults are created. LookupError names what does not exist."""
     steps: list[int | str] = [int(step[1]) if step[1] else step[2] for step in _STEP.finditer(path)]
     here: Any = tables
     for depth, step in enumerate(steps):

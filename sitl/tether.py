@@ -1,7 +1,7 @@
 """Tether: quasi-static force on the centre of gravity, unknown to the controller.
 
-Drag of the part that moves with the vehicle through the water, 0.5 rho C_d d L |v_r| v_r, and a constant pull towards
-the place where the tether enters the water. The tether is neutrally buoyant (LBV manual) and makes no moment here.
+Drag of the part that moves with the vehicle through the water, 0.5 rho C_d d L |v_r| v_r, and a constant tension
+towards the point where the tether enters the water. The tether is neutrally buoyant (LBV manual) and causes no moment.
 """
 
 import math

@@ -1,9 +1,9 @@
-"""Thrusters and their amplifiers: pulse -> thrust, with lag, and the electrical power they take.
+"""Thrusters and their amplifiers: pulse -> thrust, with lag, and electrical power.
 
-Each step is what the hardware does: the amplifier sees whole microseconds on its channel and does nothing inside its
-deadband. A brushed one passes on the supply voltage in proportion to the duty and gives F = c V |V| with a weaker
-constant in reverse; an ESC gives what its maker's tables say. Thrust follows with a first-order lag. The allocation of
-the autopilot inverts this by its own code from its own, possibly wrong, numbers.
+The amplifier reads whole microseconds and ignores changes inside its dead band. A brushed one applies the supply
+voltage in proportion to the duty, F = c V |V| with a smaller constant astern; an ESC follows its manufacturer's
+tables. Thrust has a first-order lag. The autopilot's allocation inverts this with its own code and its own, possibly
+wrong, numbers.
 """
 
 import math
@@ -27,7 +27,7 @@ MOST_KNOWN = 4096
 
 
 class Held(NamedTuple):
-    """What a pulse gives while it is held: thrust [N] at supply voltages [V]."""
+    """Steady thrust [N] of a held pulse at supply voltages [V]."""
 
     supply_v: tuple[float, ...]
     thrust_n: tuple[float, ...]
@@ -58,7 +58,6 @@ def duty_from_pwm(drive: ThrusterDrive, pwm_us: float) -> float:
 
 
 def held(drive: ThrusterDrive, pwm_us: float) -> Held:
-    """What a pulse [us] gives."""
     if drive.curve:
         return Held(
             tuple(curve.supply_v for curve in drive.curve), tuple(_on(curve, drive, pwm_us) for curve in drive.curve)
@@ -113,7 +112,7 @@ class Thrusters:
 
     @property
     def mean_n(self) -> list[float]:
-        """Acting thrust, averaged over the last step: what the body feels during that step [N]."""
+        """Mean thrust over the last step, which acts on the body during that step [N]."""
         return list(self._mean_n[: len(self._thrusters)])
 
     @property
@@ -163,7 +162,7 @@ class Thrusters:
             mean_n[index] = gain[index] * (goal + mean_weight * error)
 
     def _holds(self, pwm_us: Sequence[int]) -> list[Held]:
-        """What each thruster makes of the pulse on its channel."""
+        """Steady thrust curve of each thruster for the pulse on its channel."""
         result, count = [], len(pwm_us)
         for place, known, thruster in self._known:
             pulse = pwm_us[place] if place < count else OFF_US
@@ -180,7 +179,7 @@ class Thrusters:
 
 @lru_cache(maxsize=16)
 def _lag(tau_s: float, dt_s: float) -> tuple[float, float]:
-    """What is left of an error after ``dt_s``, and its mean over that time, for a first-order lag."""
+    """exp(-dt / T) and its mean over ``dt_s``, for a first-order lag."""
     if tau_s == 0.0:
         return 0.0, 0.0
     decay = math.exp(-dt_s / tau_s)

@@ -1,4 +1,4 @@
-"""A scenario as TOML text: what :mod:`tomllib` reads back as the same tables."""
+"""A scenario as TOML text, which :mod:`tomllib` reads back as the same tables."""
 
 import json
 from collections.abc import Mapping

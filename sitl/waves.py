@@ -1,19 +1,19 @@
-"""Surface waves by linear (Airy) theory: what they do to the water under them, and to a pressure sensor in it.
+"""Surface waves by linear (Airy) theory: velocity of the water, and pressure at a depth sensor.
 
 Dean & Dalrymple 1991, *Water Wave Mechanics for Engineers and Scientists*, chapters 3 and 4 (also Fossen 2011, ch. 8).
-A wave of amplitude a, circular frequency w and wave number k that runs towards the direction d, in water of depth h
-(z down from the mean surface, s = distance along d, theta = w t - k s + phase):
+A wave of amplitude a, circular frequency w and wave number k in direction d, in water of depth h (z down from the mean
+surface, s = distance along d, theta = w t - k s + phase):
 
     w^2 = g k tanh(k h)                                    dispersion
     eta = a cos(theta)                                     elevation of the surface, up
     u   = a w cosh(k (h - z)) / sinh(k h) cos(theta)       velocity along d
     v   = a w sinh(k (h - z)) / sinh(k h) sin(theta)       velocity down
-    K   = cosh(k (h - z)) / cosh(k h)                      share of the elevation that a pressure sensor feels
+    K   = cosh(k (h - z)) / cosh(k h)                      pressure response factor: part of eta in the pressure
 
-The velocity and K decay with depth, exp(-k z) in deep water. Above the mean surface they are as at it. Waves of
-several frequencies add up. There are no reflections: walls and obstacles let waves pass. The hull feels the rate of
-change at its place and the horizontal gradient; a change with depth it feels as velocity, not as acceleration of the
-water, and it emerges from the mean surface.
+The velocity and K decay with depth, exp(-k z) in deep water. Above the mean surface they have their value at it. Waves
+of several frequencies are superposed. There are no reflections: walls and obstacles do not affect waves. The hull
+experiences the time derivative at its position and the horizontal gradient; a change with depth acts through the
+velocity, not as acceleration of the water. The hull emerges from the mean surface.
 """
 
 import math
@@ -45,8 +45,6 @@ def wave_number(omega_rad_s: float, depth_m: float) -> float:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Component:
-    """One regular wave."""
-
     amplitude_m: float
     omega_rad_s: float
     phase_rad: float
@@ -55,7 +53,7 @@ class Component:
     """Direction in which it runs."""
     east: float
     depth_m: float
-    """Of the floor; infinite = deep water."""
+    """Depth of the floor; infinite = deep water."""
 
     def _shares(self, z: float) -> tuple[float, float, float]:
         """cosh(k (h - z)) / sinh(k h), sinh(k (h - z)) / sinh(k h), cosh(k (h - z)) / cosh(k h)."""
@@ -90,26 +88,24 @@ class Component:
         return (self.north * u, self.east * u, scale * down * math.cos(theta))
 
     def pressed_m(self, pos_ned_m: Sequence[float], t_s: float) -> float:
-        """By how much deeper a pressure sensor there believes to be [m]."""
+        """Error of a pressure sensor's depth there, positive deeper [m]."""
         return self.amplitude_m * self._shares(pos_ned_m[2])[2] * math.cos(self._theta(pos_ned_m, t_s))
 
     def elevation_m(self, pos_ned_m: Sequence[float], t_s: float) -> float:
-        """Of the surface, up [m]."""
+        """Elevation of the surface, positive up [m]."""
         return self.amplitude_m * math.cos(self._theta(pos_ned_m, t_s))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class WaveTrain:
-    """All waves of a scenario."""
-
     components: tuple[Component, ...]
 
     def pressed_m(self, pos_ned_m: Sequence[float], t_s: float) -> float:
-        """By how much deeper a pressure sensor there believes to be [m]."""
+        """Error of a pressure sensor's depth there, positive deeper [m]."""
         return sum(each.pressed_m(pos_ned_m, t_s) for each in self.components)
 
     def elevation_m(self, pos_ned_m: Sequence[float], t_s: float) -> float:
-        """Of the surface, up [m]."""
+        """Elevation of the surface, positive up [m]."""
         return sum(each.elevation_m(pos_ned_m, t_s) for each in self.components)
 
 

@@ -1,4 +1,4 @@
-"""Limits and bounds of one program, from what margins leave of the vehicle's; and thrust that holds the plan."""
+"""Bounds of one NMPC problem after tightening, and the thrust that holds the plan."""
 
 import ctypes
 
@@ -23,7 +23,7 @@ _MADE = ("limits", "left", "keep_m", "tube_m", "held", "held_weight")
 
 
 class _Program(compiled.Mirror):
-    """The struct of program.c."""
+    """ctypes layout of the struct in program.c."""
 
     _fields_ = (
         ("n", ctypes.c_long),
@@ -34,13 +34,13 @@ class _Program(compiled.Mirror):
 
 
 class ProgramBounds:
-    """The arrays of one optimiser; :meth:`fill` writes all of them."""
+    """Bounds of one optimiser, as arrays that :meth:`fill` writes."""
 
     def __init__(self, grid: TimeGrid, thrusters: int, radius_m: float) -> None:
         n, each = grid.n, (grid.n, thrusters)
         self.limits: FloatArray = np.zeros((n - 1, ocp.N_LIMITS))
         self.thrust_n: FloatArray = np.zeros(each)
-        """(N, n) what margins leave of the thrust limits."""
+        """(N, n) thrust limits after back-offs [N]."""
         self.keep_m: FloatArray = np.zeros(n - 1)
         """(N-1,) distance of the centre from boundaries."""
         self.tube_m: FloatArray = np.zeros(n + 1)
@@ -65,7 +65,7 @@ class ProgramBounds:
     def fill(
         self, back_off: BackOffs, now: GuidanceInputs, reference: Reference, plan_n: FloatArray, change: float
     ) -> None:
-        """``plan_n`` (N, n): thrust of the last plan; ``change``: weight on what is changed of it."""
+        """``plan_n`` (N, n): thrust of the last plan [N]; ``change``: weight on the deviation from it."""
         params, fence, struct = now.params, now.fence, self._struct
         struct.planar_m_s, struct.heave_m_s = params["SPD_PLANAR_MAX"], params["SPD_HEAVE_MAX"]
         struct.yaw_rate_rad_s, struct.depth_m, struct.change = params["SPD_YAW_MAX"], float(now.x0[Z]), change
@@ -81,13 +81,13 @@ class ProgramBounds:
 
 
 def left_n(limit_n: FloatArray, back_off_n: FloatArray) -> FloatArray:
-    """What the margins leave of thrust limits (n,)."""
+    """Thrust limits (n,) [N] minus the back-offs."""
     left: FloatArray = limit_n - np.minimum(back_off_n, TUBE.largest_thrust_share * limit_n)
     return left
 
 
 class PlanClearance:
-    """By how much a plan meets its half-planes; of one set of arrays."""
+    """Distances of a plan from its half-planes."""
 
     def __init__(self, path: FloatArray, plane_n: FloatArray, plane_d_m: FloatArray) -> None:
         """Points (m, 2), rows of a table; normals (m, slots, 2), offsets (m, slots), contiguous. ValueError if they are
@@ -100,7 +100,7 @@ class PlanClearance:
         self._arguments = (m, slots, path.ctypes.data, path.strides[0] // path.itemsize, *planes)
 
     def least_m(self) -> float:
-        """The smallest distance beyond what a half-plane asks for; inf where there is none."""
+        """Smallest distance to a half-plane [m]; inf without half-planes."""
         least: float = self._call(*self._arguments)
         return least
 

@@ -66,14 +66,15 @@ BLIND_WAY_M = 0.15
 
 
 class MotionController:
-    """Called every 50 ms (any other interval works). One instance per vehicle; :meth:`step` is deterministic.
+    """Guidance and NMPC. Called every 50 ms (any other interval works). One instance per vehicle; :meth:`step` is
+    deterministic.
 
     The parameter MPC_COST chooses between the guidances. The horizon is a geometric grid of ``n`` intervals over
-    ``horizon_s``, or any other ``grid``. ``desks`` are where everything is done that does not fit into a step: routes,
-    trajectories of least energy (by ``trajectories``) and certificates. ``cpu_clock`` measures what a step costs
-    (reported, never acted upon). The current estimate holds over the whole horizon: it carries what the model lacks as
-    well (drag, tether), which does not fade with distance, a faded current would give every goal an offset, and what
-    lies beyond the first seconds is planned again before it is flown.
+    ``horizon_s``, or any other ``grid``. ``desks`` are background workers for routes, minimum-energy trajectories (by
+    ``trajectories``) and certificates. ``cpu_clock`` measures the cost of a step (for reports only). The current
+    estimate is constant over the horizon: it also contains unmodelled forces (drag, tether), which do not fade with
+    distance; a faded current would give every goal an offset, and the part beyond the first seconds is replanned
+    before it is flown.
     """
 
     def __init__(
@@ -144,11 +145,11 @@ class MotionController:
 
     @property
     def unreachable(self) -> bool:
-        """True while the planner finds no way to the goal; the vehicle holds its place."""
+        """True while the planner finds no path to the goal; the vehicle keeps its position."""
         return self._guidance.unreachable
 
     def warm(self, params: ParamSet) -> None:
-        """Have imported and built beside the loop what first answers need: else they would come a second late."""
+        """Import and build in the background what the first steps need; otherwise they would be a second late."""
         routes, trajectories = self.desks.routes, self.desks.trajectories
         if not routes.blocking:
             routes.submit(0, lambda _, __: shortest.warm(), None)
@@ -190,10 +191,9 @@ class MotionController:
         *,
         delay_s: float | None = 0.0,
     ) -> ControlOutput:
-        """Thrust for the next interval. ``thruster_limit_n`` (n,) lowers THR_LIMIT per thruster (derating, failure).
+        """See :meth:`autopilot.control.protocol.Controller.step`. ValueError: a limit below 0 or NaN.
 
-        ``tracks`` are obstacles beside the fence, seen at or before ``t_us``. Commands reach the thrusters ``delay_s``
-        late; None = it is in doubt whether they do at all: no thrust. ValueError: a limit below 0 or NaN.
+        ``delay_s`` None: no thrust.
         """
         began = self._cpu_clock()
         limit_n = np.minimum(self._most_n, params["THR_LIMIT"])
@@ -281,8 +281,9 @@ class MotionController:
         )
 
     def tick(self, t_us: int, nav: NavState) -> FloatArray | None:
-        """Thrust (n,) between two steps: the last plan with the ancillary feedback. None = keep what was commanded
-        (no plan, no estimate, or margins that credit no feedback); none for a state that is no number."""
+        """Thrust (n,) between two steps: the last plan with the ancillary feedback. None = keep the last command (no
+        plan, no estimate, or margins without feedback); zero thrust for a state that is not finite.
+        """
         self._follow_lag(t_us)
         if not self._inner.active or nav.health is NavHealth.INVALID or nav.reset_count != self._reset_count:
             return None
@@ -299,17 +300,17 @@ class MotionController:
         return self._command
 
     def planar_speed_m_s(self, nav: NavState, params: ParamSet) -> float:
-        """What the margins leave of the planar speed with this estimate."""
+        """Planar speed limit minus its back-off, with this estimate [m/s]."""
         return self.margins.planar_speed_m_s(nav, params)
 
     def refusals(
         self, nav: NavState, goals: Sequence[tuple[str, float]], fence_half_m: float, params: ParamSet
     ) -> tuple[str, ...]:
-        """What the margins have against arming (:meth:`autopilot.control.robust.margins.Margins.refusals`)."""
+        """See :meth:`autopilot.control.robust.margins.Margins.refusals`."""
         return self.margins.refusals(nav, goals, fence_half_m, params)
 
     def take_news(self) -> list[tuple[Severity, str]]:
-        """Severity and text of what the operator should know since the last call."""
+        """Severity and text of notices to the operator since the last call."""
         first, self._solver_news = self._solver_news, []
         for part in (
             self._lift,
@@ -325,7 +326,7 @@ class MotionController:
 
     @property
     def keep_m(self) -> FloatArray:
-        """(N,) what the nodes of the last plan kept from every boundary, body included."""
+        """(N,) distance of the last plan's nodes from every boundary, body radius included [m]."""
         return self._program.keep_m.copy()
 
     @property
@@ -341,7 +342,7 @@ class MotionController:
         self._lift.push(self._lag.acting_n, elapsed_s)
 
     def _trim(self, nav: NavState, fence: Fence, params: ParamSet, limit_n: FloatArray) -> None:
-        """Learn the vertical force that the vehicle file does not know; all that plans and holds counts on it."""
+        """Update the estimated vertical disturbance, which all plans and holds use."""
         low_m, high_m = max(fence.depth_min_m, params["DEPTH_MIN"]), min(fence.depth_max_m, params["DEPTH_MAX"])
         self._lift.look(nav, low_m, high_m, limit_n)
         self._allocator.buoyancy_excess_n = self._lift.excess_n
@@ -392,7 +393,7 @@ class MotionController:
     def _warm_start(self, now: GuidanceInputs, reference: Reference, elapsed_s: float) -> bool:
         """The plan to begin with: the last one moved on, or (True) the reference."""
         meant, self._reference = self._reference, reference.x
-        # Around a plan that goes another way round an obstacle than the reference no step finds the way back.
+        # A Gauss-Newton step cannot move a plan to the other side of an obstacle: restart from the reference.
         jumped = meant is not None and largest_gap(reference.x, meant, X, 2) > JUMP_M
         if reference.fresh or jumped or self._plan_age_s is None or not 0.0 <= elapsed_s <= LONGEST_SHIFT_S:
             self._plan_age_s = self._planned = None
@@ -437,7 +438,7 @@ class MotionController:
         return slewed(thrust_n, thrust_n if self._stepped is None else self._stepped, limit_n, elapsed_s)
 
     def _void(self, t_us: int, nav: NavState, began: float) -> ControlOutput:
-        """The state, or what the model predicts from it, is no number: no thrust, and nothing of it is remembered."""
+        """The state or its prediction is not finite: zero thrust, nothing is stored."""
         self._numbers.watch(False)
         self._lag.jumped()
         return self._neutral(t_us, nav, began)

@@ -1,7 +1,7 @@
-"""What a controller is to the rest of the vehicle, and how one is made (docs/extend.md).
+"""The interface between a controller and the service, and how a controller is made (docs/extend.md).
 
-The service gives it an estimate, a goal and the fence twenty times a second and takes thrust. Everything else has a
-default: whoever inherits from :class:`Controller` writes ``step`` and nothing more.
+The service calls the controller every 50 ms with estimate, goal and fence, and takes thrust. A class that inherits
+from :class:`Controller` has to define ``step`` only.
 """
 
 import math
@@ -25,7 +25,7 @@ from autopilot.core.samples import ObstacleTrack
 from autopilot.core.vehicle import Vehicle
 
 CONTROLLERS = {"nmpc": "autopilot.control.controller:of_context"}
-"""Shipped controllers: name -> what makes one."""
+"""Shipped controllers: name -> factory."""
 
 STEP_S = 0.05
 """Time from one step to the next; a new goal asks for one at once."""
@@ -33,28 +33,27 @@ STEP_S = 0.05
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class ControllerContext:
-    """What a controller is made of."""
+    """Everything that a controller is constructed from."""
 
     vehicle: Vehicle
     """The vehicle file."""
     model: Model4
-    """Its 4-DoF model: masses, drags, and the allocation (4 x N): surge, sway, heave [N], yaw [N m] per N of thrust."""
+    """4-DoF model: masses, drag, and allocation (4, N): surge, sway, heave [N], yaw [N m] per N of thrust."""
     currents: CurrentForecast
-    """What is known of the water beside the estimate's current."""
+    """Current forecast in addition to the estimated current."""
     desks: BackgroundWorkers
-    """Lanes for work that does not fit into a step. Whoever composes the service closes them."""
+    """Workers for tasks that do not fit into a step; closed by the service."""
     trajectories: TrajectoryPlanner | None = None
-    """Who plans by energy; None = the shipped planner."""
+    """Minimum-energy planner; None = the shipped one."""
 
 
 class Controller(Protocol):
-    """Estimate, goal and fence in, thrust out.
+    """Estimate, goal and fence in, thrust out. World frame NED, body frame FRD, SI units, radians.
 
-    World NED, body FRD, SI, radians; N thrusters in the order of the vehicle file. Deterministic: the same calls give
-    the same thrust bit for bit (no clock, no random number that is not seeded, no thread but a desk's). All calls come
-    from one thread. What raises is a fault: the service holds the place by a law of its own, says so, calls
-    :meth:`reset`, and asks again after the operator's next order; the same fault a second time within one arming
-    disarms.
+    N thrusters in the order of the vehicle file. Deterministic: the same calls give the same thrust bit for bit (no
+    clock, seeded random numbers only, no threads beside the background workers). All calls come from one thread. An
+    exception is a fault: the service keeps the station by its own law, notifies the operator, calls :meth:`reset`, and
+    calls again after the operator's next order; the same fault a second time within one arming disarms.
     """
 
     @abstractmethod
@@ -70,79 +69,133 @@ class Controller(Protocol):
         *,
         delay_s: float | None,
     ) -> ControlOutput:
-        """Thrust from now on until the next step, ``STEP_S`` later (:func:`simple_output` makes the answer).
+        """Thrust from now until the next step, ``STEP_S`` later. :func:`simple_output` builds the result.
 
-        ``t_us`` grows. ``nav`` may be DEAD_RECKONING or INVALID. ``goal`` is where to be, and how fast to go there;
-        equal content in another object is no new goal. ``fence`` is the workspace of the vehicle's centre, which keeps
-        ``vehicle.radius_m`` from every boundary; the same object until plan or depth band change. ``params`` are the
-        live parameters (SPD_PLANAR_MAX, THR_LIMIT, ...). ``thruster_limit_n`` (N,) is what each thruster can give now,
-        either way: THR_LIMIT, the supply, lost thrusters. ``tracks`` are sensed obstacles that the fence does not
-        have. ``delay_s``: commands reach the thrusters so late; None = it is in doubt whether they do at all.
+        Parameters
+        ----------
+        t_us
+            Time of the step [us], growing.
+        nav
+            The estimate; its health may be DEAD_RECKONING or INVALID.
+        goal
+            Terminal region and speed. Equal content in another object is the same goal.
+        fence
+            The workspace of the vehicle's centre, which keeps ``vehicle.radius_m`` from every boundary; the same
+            object until plan or depth band change.
+        params
+            The live parameters (SPD_PLANAR_MAX, THR_LIMIT, ...).
+        thruster_limit_n
+            (N,) bound on the magnitude of each thruster's thrust [N]: THR_LIMIT, supply voltage, lost thrusters.
+        tracks
+            Detected obstacles that the fence does not contain.
+        delay_s
+            Latency from command to thruster [s]; None if it is uncertain whether commands act at all.
 
-        The answer's ``thrust_n`` must be (N,) and finite, else it is a fault; what is beyond the limits is cut.
-        A ``status`` other than OK, or a fallback, counts as a step without a solution (parameter FS_SOLVER_N).
+        Returns
+        -------
+        ControlOutput
+            ``thrust_n`` (N,) [N] has to be finite, otherwise it is a fault; it is clipped to the bounds. A ``status``
+            other than OK, or a fallback, counts as a step without a solution (parameter FS_SOLVER_N).
         """
         ...
 
     def tick(self, t_us: int, nav: NavState) -> FloatArray | None:
-        """Every 10 ms between two steps: thrust (N,) of an inner loop, None = what was commanded stays."""
+        """Thrust (N,) [N] of an inner loop, every 10 ms between two steps; None keeps the last command."""
         return None
 
     def reset(self) -> None:
-        """Forget the flight so far: disarmed, without a goal, or after a fault of the controller."""
+        """Discard the state of the flight: after disarming, without a goal, after a fault of the controller."""
 
     def warm(self, params: ParamSet) -> None:
-        """Once, a second after the start: have prepared beside the loop what first answers need."""
+        """Called once, a second after the start: prepare in the background what the first steps need."""
 
     def take_news(self) -> list[tuple[Severity, str]]:
-        """Severity and text of what the operator should know since the last call (DEBUG: for the log); every tick."""
+        """Messages to the operator since the last call (severity, text); DEBUG goes to the log only. Called every
+        tick.
+        """
         return []
 
     @property
     def solver(self) -> str:
-        """What makes its plans, in words, for the log and the report; empty = nothing to say."""
+        """Name of the solver for log and report; empty if there is none."""
         return ""
 
     @property
     def unreachable(self) -> bool:
-        """Whether no way to the goal is found; mission and operator are told, WP_STUCK_ACT says what then."""
+        """Whether no path to the goal exists. Reported to mission and operator; WP_STUCK_ACT sets the reaction."""
         return False
 
     def planar_speed_m_s(self, nav: NavState, params: ParamSet) -> float:
-        """Speed through the water that it asks for at most: what legs against the current are judged by."""
+        """Largest commanded speed through the water [m/s]; used to judge legs against the current."""
         return params["SPD_PLANAR_MAX"]
 
     def refusals(
         self, nav: NavState, goals: Sequence[tuple[str, float]], fence_half_m: float, params: ParamSet
     ) -> tuple[str, ...]:
-        """What it has against arming with this estimate, one reason each with what to do; asked twice per second.
+        """Reasons against arming, called twice per second.
 
-        ``goals``: name and clearance [m] beyond the body radius of every place of the mission; ``fence_half_m``:
-        largest clearance anywhere (inf = open water).
+        Parameters
+        ----------
+        nav
+            The estimate.
+        goals
+            Name and clearance beyond the body radius [m] of every position of the mission.
+        fence_half_m
+            Largest clearance anywhere in the fence [m]; inf in open water.
+        params
+            The live parameters.
+
+        Returns
+        -------
+        tuple of str
+            One line per reason with its remedy; empty = the controller is ready.
         """
         return ()
 
 
 def create_controller(name: str, context: ControllerContext, asked_by: str | None = None) -> Controller:
-    """The controller of that name (shipped, of an installed package, or package:Class).
+    """Construct the controller of that name.
 
-    ConfigError names ``asked_by`` (default ``--controller``), the value and what to do.
+    Parameters
+    ----------
+    name
+        A shipped controller, one of an installed package, or ``package:Class``.
+    context
+        Argument of its constructor.
+    asked_by
+        Origin of the name in error messages; default ``--controller``.
+
+    Raises
+    ------
+    ConfigError
+        There is none of that name, or it does not implement :class:`Controller`; names origin, value and remedy.
     """
     made: Controller = find_controller(name, asked_by).make(context, Controller)
     return made
 
 
 def find_controller(name: str, asked_by: str | None = None) -> Plugin:
-    """Where the controller of that name comes from. ConfigError if there is none."""
+    """Locate the controller of that name without constructing it. ConfigError if there is none."""
     return find_plugin("controller", name, CONTROLLERS, asked_by)
 
 
 def simple_output(
     t_us: int, nav: NavState, thrust_n: FloatArray, *, route_ned_m: FloatArray | None = None, solved: bool = True
 ) -> ControlOutput:
-    """The answer of a controller that plans nothing: thrust (N,), and its route (m, 2) for the log if it has one.
+    """The output of a controller without a prediction.
 
-    ``solved`` False: it had no good answer this time.
+    Parameters
+    ----------
+    t_us
+        Time of the step [us].
+    nav
+        The estimate; its position is the only row of the horizon.
+    thrust_n
+        (N,) commanded thrust [N].
+    route_ned_m
+        (m, 2) north, east of the path [m], for the log; None = the present position.
+    solved
+        False counts as a step without a solution.
     """
     here = np.array(nav.pos_ned_m, dtype=float)[None]
     return ControlOutput(
@@ -163,7 +216,15 @@ def simple_output(
 
 
 def sound(control: ControlOutput, limit_n: FloatArray) -> ControlOutput:
-    """A controller's answer within the limits (N,). TypeError, ValueError if it is none."""
+    """The output with its thrust clipped to ``limit_n`` (N,) [N].
+
+    Raises
+    ------
+    TypeError
+        It is not a ControlOutput.
+    ValueError
+        Thrust of another shape or not finite, or a limit that is NaN.
+    """
     if not isinstance(control, ControlOutput):
         raise TypeError(f"step() must return a ControlOutput, not {type(control).__name__} (see simple_output)")
     thrust_n = sound_thrust_n(control.thrust_n, limit_n)
@@ -171,7 +232,7 @@ def sound(control: ControlOutput, limit_n: FloatArray) -> ControlOutput:
 
 
 def sound_thrust_n(thrust_n: FloatArray, limit_n: FloatArray) -> FloatArray:
-    """Thrust (N,) within the limits (N,). ValueError: of another shape, not finite, a limit that is NaN."""
+    """Thrust (N,) clipped to ``limit_n`` (N,) [N]. ValueError: another shape, not finite, or a limit that is NaN."""
     if np.shape(thrust_n) != limit_n.shape:
         raise ValueError(f"thrust_n has shape {np.shape(thrust_n)}, this vehicle needs {limit_n.shape}")
     # Four to eight numbers, at every tick: a list is quicker than three small arrays.

@@ -1,9 +1,9 @@
-"""The program of one control step: limits, half-planes, currents and terminal cost around the plan, and its QPs.
+"""One control step: bounds, half-planes, currents and terminal cost around the plan, and its QPs.
 
-In steady flight one QP around the shifted plan is enough. A start, and a step that changes what the thrusters do, goes
-on until the thrust to be commanded stands still: one QP is up to 10 N off there. Full Gauss-Newton steps need not
-converge (the speed limit enters as a tangent, half-planes change with the guess) but swing between two or four plans;
-steps that do not get smaller are halved, which ends that.
+In steady flight one QP around the shifted plan is enough. After a start or a change of the plan, QPs are repeated
+until the thrust to be commanded has converged: one QP is up to 10 N off there. Full Gauss-Newton steps need not
+converge (the speed limit is linearised, half-planes change with the guess) but may cycle between two or four plans;
+steps that do not decrease are halved, which ends the cycle.
 """
 
 import math
@@ -61,18 +61,16 @@ PLAUSIBLE = 4.0
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Solution:
-    """What has come of a step's program."""
-
     result: NmpcResult
     """Of the last QP."""
     margin_m: float
-    """Smallest clearance of the plan beyond what it keeps."""
+    """Smallest clearance of the plan beyond the required one."""
     qps: int
     """That were solved."""
     anew: bool
     """The plan does not continue the last one."""
     unsolved: tuple[UnsolvedProgram, ...] = ()
-    """Programs on the way that were not solved."""
+    """Unsolved QPs of this step."""
 
 
 class StepProgram:
@@ -110,17 +108,17 @@ class StepProgram:
 
     @property
     def keep_m(self) -> FloatArray:
-        """(N,) what the nodes of the last plan kept from every boundary, body included."""
+        """(N,) distance of the last plan's nodes from every boundary, body radius included [m]."""
         return self._bounds.keep_m
 
     def reset(self) -> None:
-        """Forget what the last steps left behind."""
+        """Discard the state of previous steps."""
         self._speed_back_off_m_s = 0.0
         self.margins.evidence.reset()
         self.regions.reset()
 
     def speed_cap_m_s(self, params: ParamSet) -> float:
-        """Planar speed that guidance may ask for: what the margins of the last step leave, in steps of 1 cm/s."""
+        """Largest planar speed for guidance: the limit minus the last step's back-off, in steps of 1 cm/s."""
         back_off = max(params["MPC_SPEED_MARGIN"], math.ceil(100.0 * self._speed_back_off_m_s - 1e-6) / 100.0)
         return max(SLOWEST_CAP_M_S, params["SPD_PLANAR_MAX"] - back_off)
 
@@ -161,7 +159,7 @@ class StepProgram:
         states, thrusts = nmpc.x.copy(), nmpc.u.copy()
         self._unsolved.clear()
         free = reference.thrust_n, reference.weight_u
-        # In flight the program pays for what it changes of the last plan's thrust as well.
+        # In flight, changes of the last plan's thrust are penalised as well.
         begun = problem(*free) if start else problem(bounds.held_ref_n, bounds.held_weight)
         found = self._iterate(start, begun, now.planner, movers)
         # Around a guess that has run away no step is any good: once more from the reference, then from standing still.
@@ -208,7 +206,7 @@ class StepProgram:
             change_n = max(map(abs, change.tolist()))
             calm = change_n < CONVERGED_N or (qps == 1 and not start and change_n < RESTLESS_N)
             if result.status is not SolveStatus.OK and good is not None and not start:
-                # What the QP before has found is a plan; that it has not converged is no reason to give it up.
+                # The previous QP's solution is a valid plan, although it has not converged.
                 nmpc.set_plan(*good[:2])
                 result, margin = good[2:]
                 break
@@ -223,21 +221,21 @@ class StepProgram:
                 nmpc.set_plan(guess + share * (nmpc.x - guess), thrust + share * (nmpc.u - thrust))
             last, last_n = change, change_n
         if result.status is SolveStatus.OK:
-            # The half-planes certify the new plan, chords included; only where they do not it is looked at again.
+            # The half-planes certify the new plan, chords included; otherwise its clearance is recomputed.
             margin = min(margin, self._room.least_m())
             if margin < 0.0:
                 margin = planner.features.margin_m(path, t_s, keep_m, movers)
         return Solution(result=result, margin_m=margin, qps=before + qps, anew=start)
 
     def _change_weight(self, start: bool, now: GuidanceInputs) -> float:
-        """Weight on what is changed of the last plan's thrust."""
+        """Weight on the change of thrust relative to the last plan."""
         if start:
             return 0.0
         elapsed_s, self._last_us = (now.t_us - self._last_us) * 1e-6, now.t_us
         return now.params["MPC_R_CHANGE"] * min(1.0, CHANGE_STEP_S / max(elapsed_s, 1e-3))
 
     def _terminal(self, now: GuidanceInputs, reference: Reference) -> FloatArray:
-        """Terminal Hessian (8, 8): the goal's own where the reference ends there, else what guidance gives."""
+        """Terminal Hessian (8, 8): the goal's own if the reference ends there, else guidance's."""
         goal, params, regions = now.goal, now.params, self.regions
         if goal.drive is not None:
             return reference.terminal

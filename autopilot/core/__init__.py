@@ -1,1 +1,1 @@
-"""Shared vocabulary: messages, frames, parameters, geometry, the vehicle model and errors. Imports nothing of ours."""
+"""Shared definitions: messages, frames, parameters, geometry, vehicle model, errors. Imports no other package."""

@@ -1,10 +1,10 @@
-"""Slow work beside the loop: a request is pure data, its answer comes a counted time after it.
+"""Background work of the loop: a request is pure data, its result is delivered a fixed number of ticks after it.
 
-Everything that does not fit into a tick (validation of plans, route search, energy plans, certificates, disk) goes over
-a desk. A desk is one lane: its requests are worked off one after the other, a cancelled one that has not begun is never
-begun. What a run does must not depend on how fast the machine is, so in lockstep the loop waits at a *patient* desk for
-an answer that is due; in real time the loop goes on and takes the answer when it is ready, late ones are counted.
-Without an executor the work is done at the moment it is due (tests, studies).
+Everything that does not fit into a tick (validation of plans, route search, energy plans, certificates, disk) runs on
+a worker. A worker is a queue: requests are processed in order, and one that is cancelled before its start is skipped.
+The result of a run must not depend on the speed of the machine: in lockstep the loop waits at a *blocking* worker for
+a result that is due; in real time the loop continues and takes the result when it is ready, and late ones are counted.
+Without an executor the work is done when its result is due (tests, studies).
 """
 
 from collections.abc import Callable
@@ -16,22 +16,22 @@ from typing import Any, Generic, TypeVar, cast
 from autopilot.core.nondeterminism import NondeterminismSource
 
 ROOM_S = 0.0005
-"""So long a loop rests at each look at an answer that is late. A loop that never rests (a machine that does not keep
-up) gives its lock away and takes it back before the thread that works has woken up: the answer would never come."""
+"""Sleep of the loop per poll of a late result. A loop without sleep (an overloaded machine) releases its lock and takes
+it back before the worker's thread has woken up: the result would never arrive."""
 
 IDLE_S = 0.05
-"""A loop that waits for an answer attends to what cannot wait (heartbeats) this often."""
+"""Interval in which a waiting loop serves urgent tasks (heartbeats)."""
 
 Q = TypeVar("Q")
 A = TypeVar("A")
 
 
 class WithdrawnError(Exception):
-    """Ends work whose answer nobody wants any more; nobody hears of it either."""
+    """Ends a cancelled task; it is not reported."""
 
 
 class Cancel:
-    """Whether an answer is still wanted; long work looks at it between its steps and may return anything then."""
+    """Cancellation flag of a task; long work checks it between its steps and may then return anything."""
 
     __slots__ = ("requested",)
 
@@ -46,7 +46,7 @@ class Cancel:
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class TaskResult(Generic[A]):
-    """What became of a request: a value, or the exception that ended the work."""
+    """Result of a task: a value, or the exception that ended it."""
 
     value: A | None
     error: Exception | None = None
@@ -71,7 +71,7 @@ class BackgroundTask(Generic[A]):
         """Until it is answered or cancelled."""
 
     def poll(self, now: int) -> TaskResult[A] | None:
-        """The answer, once, when it is due (and, at a desk that is not patient, ready)."""
+        """The result, once, when it is due (and ready, unless the worker is blocking)."""
         if not self.open or now < self.due:
             return None
         future = self._future
@@ -82,9 +82,9 @@ class BackgroundTask(Generic[A]):
         self.open = False
         try:
             return TaskResult(value=self._work() if future is None else self._worker.wait(future))
-        except CancelledError:  # the desk was closed
+        except CancelledError:  # the worker was closed
             return None
-        except Exception as error:  # noqa: BLE001 - the work's own; whoever asked decides what it means
+        except Exception as error:  # noqa: BLE001 - the task's own; handled by the caller
             return TaskResult(value=None, error=error)
 
     def cancel(self) -> None:
@@ -96,8 +96,6 @@ class BackgroundTask(Generic[A]):
 
 
 class BackgroundWorker:
-    """One lane of slow work."""
-
     def __init__(self, executor: Executor | None = None, *, blocking: bool = True) -> None:
         self.executor, self.blocking = executor, blocking
         self.late = 0
@@ -105,10 +103,10 @@ class BackgroundWorker:
         self.idle: Callable[[], None] = lambda: None
         """Called now and then while the loop waits for an answer."""
         self.ready: Callable[[Future[Any]], bool] = _there
-        """Whether an answer is there, asked at a desk that is not patient. A replay has its own opinion, and waits."""
+        """Whether a result is ready, at a worker that is not blocking. A replay uses the recorded answer, and waits."""
 
     def witnessed(self, name: str, nondeterminism: NondeterminismSource) -> "BackgroundWorker":
-        """Have it noted when answers are ready; this desk."""
+        """Record the times at which results are ready; returns this worker."""
         self.ready = lambda future: nondeterminism.ask(f"{name} ready", False, lambda: _there(future))
         return self
 
@@ -121,14 +119,14 @@ class BackgroundWorker:
         return BackgroundTask(self, due, lambda: work(request, cancel), cancel)
 
     def run(self, work: Callable[[], None]) -> None:
-        """Have ``work``, which does not raise, done in its turn; nobody waits for it."""
+        """Queue ``work``, which must not raise and has no result."""
         if self.executor is None:
             work()
         else:
             self.executor.submit(work)
 
     def wait(self, future: "Future[A]") -> A:
-        """The result of ``future``, whatever time that takes."""
+        """The result of ``future``, without a timeout."""
         while not future.done():
             try:
                 return future.result(IDLE_S)
@@ -137,11 +135,11 @@ class BackgroundWorker:
         return future.result()
 
     def close(self) -> None:
-        """Begin nothing any more; what is being worked on is left to end."""
+        """Start no further tasks; the running one is left to end."""
         if self.executor is not None:
             self.executor.shutdown(wait=False, cancel_futures=True)
 
 
 def _there(future: Future[Any]) -> bool:
-    """Whether it has ended; if not, whoever works on it gets room to go on."""
+    """Whether the task has ended; if not, yield to its thread."""
     return future.done() or bool(wait((future,), ROOM_S).done)

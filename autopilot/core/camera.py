@@ -1,11 +1,10 @@
-"""The down-looking camera and where it sits. Three models (``[camera] model`` of the vehicle file):
+"""The down-looking camera and its mounting. Three models (``[camera] model`` of the vehicle file):
 
 ``pinhole``    Brown's distortion (k1 k2 p1 p2 k3), calibrated in water: the default
 ``fisheye``    OpenCV's fisheye polynomial (k1 k2 k3 k4), calibrated in water
-``flat_port``  pinhole with Brown's distortion calibrated in air, behind a flat pane (:mod:`autopilot.core.flat_port`)
+``flat_port``  pinhole with Brown's distortion calibrated in air, behind a flat port (:mod:`autopilot.core.flat_port`)
 
-All is numpy, so that projecting a few hundred points costs tens of microseconds and needs no heavy import. Pixel
-centres lie at whole numbers, as everywhere in OpenCV.
+Numpy only: projecting a few hundred points takes tens of microseconds. Pixel centres are at integers, as in OpenCV.
 """
 
 from dataclasses import dataclass, field, replace
@@ -102,10 +101,10 @@ class CameraModel:
         )
 
     def behind(self, port: FlatPort) -> "CameraModel":
-        """The same lens behind that pane, light bent exactly.
+        """The same lens behind that flat port, with exact refraction.
 
-        From a pinhole calibrated in water the bare lens is taken to fourth order (:func:`lens_in_air`), at the place
-        that the calibration gives for its projection centre.
+        For a pinhole calibrated in water the bare lens is computed to fourth order (:func:`lens_in_air`), with the
+        projection centre of the calibration.
         """
         if self.port is not None or self.fisheye:
             return replace(self, port=port)
@@ -130,7 +129,7 @@ class CameraModel:
 
     @property
     def focal_water_px(self) -> float:
-        """Pixels per radian near the axis of what is in the water, mean of x and y."""
+        """Pixels per radian in the water near the axis, mean of x and y."""
         return 0.5 * (self.focal_px[0] + self.focal_px[1]) * (1.0 if self.port is None else self.port.water_index)
 
     def cam_from_ned(self, points_ned_m: FloatArray, pos_ned_m: FloatArray, r_ned_from_frd: FloatArray) -> FloatArray:
@@ -216,8 +215,9 @@ class CameraModel:
         return result
 
     def rays(self, pixels: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Where the rays of pixels (..., 2) enter the water (..., 3) and where they go (..., 3), with z = 1; camera
-        frame. Without a port all start at the projection centre."""
+        """Origins of the rays of pixels (..., 2) at the water (..., 3) [m] and their directions (..., 3), with z = 1;
+        camera frame. Without a port all start at the projection centre.
+        """
         directions = np.ones((*pixels.shape[:-1], 3))
         origins = np.zeros_like(directions)
         directions[..., :2] = self.normalized(pixels)

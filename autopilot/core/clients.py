@@ -1,4 +1,4 @@
-"""Clients of a link, as links and service both number them."""
+"""Client numbers of a link, shared by links and service."""
 
 from dataclasses import dataclass
 from enum import IntEnum
@@ -8,13 +8,13 @@ EVERYONE = 0
 
 
 class Verbatim(bytes):
-    """A packet of somebody else that is passed on: it keeps its number and is no word of ours."""
+    """A packet of another system that is forwarded: it keeps its sequence number."""
 
     __slots__ = ()
 
 
 class Reach(IntEnum):
-    """From how far away a client speaks: what may be believed of it."""
+    """Where a client is: this machine or the network; decides its permissions."""
 
     NETWORK = 0
     """Another machine, or whatever is at the end of a radio or serial line."""
@@ -26,7 +26,7 @@ class Reach(IntEnum):
 
 @dataclass(frozen=True, slots=True)
 class ClientRecord:
-    """What a client has shown of itself so far."""
+    """Observed behaviour of a client."""
 
     valid_us: int | None = None
     """When a frame with a good checksum (and signature, where there is a key) last came of it; None = never."""

@@ -1,4 +1,4 @@
-"""Time comes from outside: the runtime hands every tick its time, nothing below reads a clock."""
+"""Time is an input: the runtime passes the time of each tick, and no other module reads a clock."""
 
 from typing import Protocol
 
@@ -7,8 +7,6 @@ TICK_US = 10_000
 
 
 class Clock(Protocol):
-    """Where a runtime gets its time from."""
-
     def now_us(self) -> int:
         """Microseconds since the clock started, never going back."""
         ...

@@ -1,8 +1,8 @@
-"""The library in C: compiled once, when the package is installed or its wheel is built (``setup.py``).
+"""The C library: compiled once, when the package is installed or its wheel is built (``setup.py``).
 
-Running, nothing is compiled or cached. Only the file inside the package is loaded, and that only if it is whole and
-made of the C sources beside it (:mod:`autopilot.core.seal`). The controller needs it; estimator, simulation and the
-QP solver have a slower way. The environment variable ``AUTOPILOT_COMPILED=no`` chooses those, for comparison.
+Nothing is compiled or cached at run time. Only the file inside the package is loaded, and only if it is complete and
+built from the C sources beside it (:mod:`autopilot.core.seal`). The controller needs it; estimator, simulation and the
+QP solver have a slower alternative. The environment variable ``AUTOPILOT_COMPILED=no`` selects those, for comparison.
 """
 
 import ctypes
@@ -69,7 +69,7 @@ class _Layout(ctypes.Structure):
 
 
 def missing() -> str | None:
-    """Why the library is not used where there is a slower way, and what to do about it; None if it is."""
+    """Reason why the library is not in use and the remedy; None if it is."""
     if switched_off():
         return f"switched off by {SWITCH}={OFF}"
     try:
@@ -85,7 +85,7 @@ def switched_off() -> bool:
 
 
 def library(*mirrors: type[Mirror]) -> Any | None:
-    """The library, None where it is switched off or there is none with these structs: for parts with a slower way."""
+    """The library, None if it is disabled or missing: for parts with a slower alternative."""
     try:
         return None if switched_off() else load(*mirrors)
     except ConfigError:
@@ -93,7 +93,7 @@ def library(*mirrors: type[Mirror]) -> Any | None:
 
 
 def address(array: Any) -> int:
-    """Of the memory of a contiguous, writable numpy array: a tenth of the time of ``array.ctypes.data``."""
+    """Memory address of a contiguous, writable numpy array: in a tenth of the time of ``array.ctypes.data``."""
     return ctypes.addressof(ctypes.c_char.from_buffer(array)) if array.size else 0
 
 
@@ -110,7 +110,7 @@ def fitting(name: str, array: FloatArray, *shape: int) -> int:
 
 
 def load(*mirrors: type[Mirror]) -> Any:
-    """The library, its structs those of ``mirrors``. ConfigError says why there is none and what to do."""
+    """The library, its structs those of ``mirrors``. ConfigError with reason and remedy if there is none."""
     library = _load(LIBRARY)
     for mirror in mirrors:
         wrong = _mismatch(library, mirror)
@@ -120,7 +120,7 @@ def load(*mirrors: type[Mirror]) -> Any:
 
 
 def layout_of(library: Any, name: str) -> tuple[int, tuple[tuple[str, int, int], ...]]:
-    """Bytes of a struct of the library, and name, offset and bytes of its fields. ValueError if it tells of none."""
+    """Size [bytes] of a struct of the library, and name, offset and size of its fields. ValueError if it is unknown."""
     layout = _Layout.in_dll(library, f"layout_{name}")
     fields = layout.fields[: layout.count]
     return layout.size, tuple((field.name.decode(), field.offset, field.size) for field in fields)
@@ -128,7 +128,7 @@ def layout_of(library: Any, name: str) -> tuple[int, tuple[tuple[str, int, int],
 
 @lru_cache(maxsize=64)
 def _mismatch(library: Any, mirror: type[Mirror]) -> str:
-    """In what a struct of the library differs from its mirror, "" when in nothing."""
+    """Difference between a struct of the library and its ctypes mirror, "" if there is none."""
     name = mirror.__name__.lstrip("_")
     try:
         size, fields = layout_of(library, name)

@@ -1,10 +1,10 @@
-"""Forces to thrust: which thrusters make a wanted force and moment, and what a vehicle's thrusters can make at all.
+"""Control allocation: thrust for a wanted generalised force, and the attainable set of a vehicle's thrusters.
 
-The allocation T_A (4, n) says what thrust makes; this is its inverse, the only one. As many thrusters as axes have but
-one answer. More of them share by least squares, min sum c_i F_i^2 with c_i the power that thruster i takes, which is
-what NMPC's weights on thrust do as well. Bounds are hard: what the wish exceeds them by is left out where least thrust
-is missing, min (T_A F - f)^T S (T_A F - f) with S = (T_A C^-1 T_A^T)^-1, the thrust that would make up for it.
-For a square T_A that is the plain answer, each thruster cut at its bound.
+T_A (4, n) maps thrust to force; this is its inverse. With as many thrusters as axes the solution is unique. Redundant
+thrusters are allocated by weighted least squares, min sum c_i F_i^2 with c_i the power coefficient of thruster i, as
+the NMPC's weights on thrust do (Fossen 2011, section 12.3). Bounds are hard: an unattainable force is approximated by
+min (T_A F - f)^T S (T_A F - f) with S = (T_A C^-1 T_A^T)^-1, the weighted norm of the thrust that would be missing.
+For a square T_A that is the unconstrained solution, each thruster clipped at its bound.
 """
 
 import math
@@ -20,13 +20,13 @@ from autopilot.core.model4 import AXES, AXIS_NAMES, Model4, steady_force
 from autopilot.core.thrusters import Thruster
 
 EXACT = 1e6
-"""How much more a missing force counts than the thrust that would make it."""
+"""Weight of a missing force relative to the thrust that would produce it."""
 
 MADE = 1e-3
 """A force is made when so small a share of it is missing."""
 
 SINGULAR = 1e-6
-"""Axes that differ by less than this share of what thrusters do otherwise are one."""
+"""Relative difference below which axes are treated as one."""
 
 SLOWEST = (0.05, 0.05, 0.02, 0.1)
 """Ahead, sideways, down [m/s] and turning [rad/s]: thrust that cannot keep up so little is none."""
@@ -40,7 +40,7 @@ HALVINGS = 12
 def least_in_box(h: FloatArray, g: FloatArray, bound: FloatArray) -> FloatArray:
     """x (n,) that minimises x^T h x / 2 + g^T x within +-``bound`` (n,); ``h`` (n, n) positive definite.
 
-    Projected Newton (Bertsekas 1982): ends after a few changes of what is at its bound.
+    Projected Newton (Bertsekas 1982): ends after a few changes of the active set.
     """
 
     def value(x: FloatArray) -> float:
@@ -68,25 +68,23 @@ def least_in_box(h: FloatArray, g: FloatArray, bound: FloatArray) -> FloatArray:
 
 
 class ThrusterBearing(Protocol):
-    """What is needed of a vehicle file."""
+    """The required part of a vehicle file."""
 
     @property
-    def thrusters(self) -> tuple[Thruster, ...]:
-        """All thrusters."""
-        ...
+    def thrusters(self) -> tuple[Thruster, ...]: ...
 
     def to_model(self) -> Model4:
-        """What is believed of the vehicle."""
+        """The 4-DoF model."""
         ...
 
 
 class ControlAllocator:
-    """Thrust of the thrusters of one vehicle. ``watts`` (n,): what each takes, relative to the others."""
+    """Control allocation of one vehicle. ``watts`` (n,): power coefficient of each thruster, relative to the others."""
 
     def __init__(self, model: Model4, watts: Sequence[float] | None = None) -> None:
         self._model = model
         self.buoyancy_excess_n = model.buoyancy_excess_n
-        """Buoyancy minus weight [N] that holds the vehicle; set to what it proves to be."""
+        """Buoyancy minus weight [N] in use; set to the estimated one."""
         self._allocation = np.array(model.allocation)
         self._watts = np.ones(model.thrusters) if watts is None else np.array(watts, dtype=float)
         self._all = np.ones(model.thrusters, dtype=bool)
@@ -98,14 +96,13 @@ class ControlAllocator:
 
     @classmethod
     def of(cls, vehicle: "ThrusterBearing") -> "ControlAllocator":
-        """From the vehicle file."""
         drives = [thruster.drive for thruster in vehicle.thrusters]
         both = [0.5 * (drive.power_w_n15 + (drive.reverse_power_w_n15 or drive.power_w_n15)) for drive in drives]
         return cls(vehicle.to_model(), both)
 
     @property
     def model(self) -> Model4:
-        """What is believed of the vehicle, with that buoyancy."""
+        """The 4-DoF model with that buoyancy."""
         if self._model.buoyancy_excess_n != self.buoyancy_excess_n:
             self._model = replace(self._model, buoyancy_excess_n=self.buoyancy_excess_n)
         return self._model
@@ -124,7 +121,7 @@ class ControlAllocator:
 
     @property
     def square(self) -> bool:
-        """As many thrusters as axes: what exceeds a limit is cut, there is nobody to share it."""
+        """As many thrusters as axes: excess is clipped, as there is no redundancy."""
         return self._square
 
     def linear(self, limit_n: FloatArray) -> FloatArray:
@@ -134,8 +131,9 @@ class ControlAllocator:
         return self._impossible if inverse is None else inverse
 
     def hold_n(self, nu: FloatArray, limit_n: FloatArray) -> FloatArray:
-        """(m, n) thrust for velocities (m, 4) u, v, w, r: drag, buoyancy and Munk moment against T_A tau. Within
-        ``limit_n`` (n,): what it cannot hold it comes nearest to."""
+        """(m, n) thrust for velocities (m, 4) u, v, w, r: drag, buoyancy and Munk moment against T_A F. Within
+        ``limit_n`` (n,); unattainable forces are approximated.
+        """
         force = np.empty_like(nu)
         force.T[:] = steady_force(self.model, (nu[:, 0], nu[:, 1], nu[:, 2], nu[:, 3]), np)
         return self.thrust_n(force, limit_n)

@@ -1,4 +1,4 @@
-"""The checksums of MAVLink: of its packets, and what its file transfer and component metadata go by."""
+"""MAVLink's checksums: of packets, and of file transfer and component metadata."""
 
 import binascii
 import zlib
@@ -9,9 +9,9 @@ MIRRORED = bytes(int(f"{value:08b}"[::-1], 2) for value in range(256))
 
 
 def file_crc32(data: bytes, before: int = 0) -> int:
-    """CRC-32 (polynomial 0xEDB88320, begins at 0, not inverted) of ``data`` behind what gave ``before``.
+    """CRC-32 (polynomial 0xEDB88320, initial value 0, not inverted) of ``data``, continued from ``before``.
 
-    zlib's begins with all ones and is inverted at the end (https://mavlink.io/en/services/ftp.html).
+    zlib's has initial value all ones and is inverted at the end (https://mavlink.io/en/services/ftp.html).
     """
     return zlib.crc32(data, before ^ _ALL) ^ _ALL
 

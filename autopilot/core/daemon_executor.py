@@ -1,4 +1,4 @@
-"""A thread for the disk that does not keep the process from ending, however long the disk takes."""
+"""A thread for disk access that does not delay the end of the process."""
 
 import queue
 import threading
@@ -14,10 +14,10 @@ Job = tuple[Future[Any], Callable[[], Any]]
 
 
 class DaemonExecutor(Executor):
-    """One daemon thread that does one thing after the other.
+    """One daemon thread with a queue.
 
-    The interpreter joins the threads of a ThreadPoolExecutor at its exit; this one it leaves behind. The thread ends
-    after :meth:`shutdown`, or when nobody has the lane any more.
+    The interpreter joins the threads of a ThreadPoolExecutor at its exit, but not this one. The thread ends after
+    :meth:`shutdown`, or when the executor is no longer referenced.
     """
 
     def __init__(self, name: str) -> None:
@@ -40,7 +40,6 @@ class DaemonExecutor(Executor):
         return future
 
     def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
-        """Take nothing any more."""
         with self._lock:
             if not self._closed:
                 self._closed = True
@@ -61,10 +60,10 @@ class DaemonExecutor(Executor):
 
 
 def _work(jobs: "queue.SimpleQueue[Job | None]") -> None:
-    """The thread: it knows the lane's jobs, and not the lane, which may go while it waits."""
+    """The thread: it references the queue, not the executor, which can be collected while it waits."""
     while (job := jobs.get()) is not None:
         _do(*job)
-        del job  # with what it was done for: the next one may be long in coming
+        del job  # releases its references: the next job may come much later
 
 
 def _do(future: Future[Any], call: Callable[[], Any]) -> None:
@@ -72,7 +71,7 @@ def _do(future: Future[Any], call: Callable[[], Any]) -> None:
         return
     try:
         result = call()
-    except BaseException as error:  # noqa: BLE001 - it belongs to whoever asked
+    except BaseException as error:  # noqa: BLE001 - handled by the caller
         future.set_exception(error)
     else:
         future.set_result(result)

@@ -1,12 +1,12 @@
-"""A device's own clock on the service's time: followed while it is steady, found anew within half a second of a jump.
+"""Conversion of a device's clock to the service's time: tracks drift, and recovers from a jump within half a second.
 
-Arrival times jitter by the scheduling of both ends; the device's own clock does not. The mean difference of both holds
-the mean latency, which the caller subtracts.
+Arrival times have scheduling jitter; the device's own stamps do not. The mean difference of both contains the mean
+latency, which the caller subtracts.
 
-A jump and a late arrival both change the difference. They differ in the step from one stamp of the device to the next:
-a sound clock makes even steps, however late they arrive; a jump is an uneven step that arrivals do not confirm. So only
-a difference that has changed behind an uneven step is called a jump. A clock that jumps again and again is not used:
-samples are then stamped with their arrival.
+A jump and a late arrival both change the difference. They differ in the step from one device stamp to the next: a
+healthy clock makes even steps, however late the samples arrive; a jump is an uneven step that the arrivals do not
+show. Only a change of the difference after an uneven step is taken as a jump. A clock that jumps repeatedly is not
+used: samples then have their time of arrival.
 """
 
 from collections import deque
@@ -18,7 +18,7 @@ from autopilot.core.messages import Severity
 LOST_US = 50_000.0
 """A difference that is off by more belongs to a late arrival or to another setting of the clock."""
 TOGETHER = 1.5
-"""The limit is higher or lower by this for what follows a jump on the one side of it or the other."""
+"""Hysteresis of the limit on either side of a jump."""
 STEADY_US, STEADY_COUNT = 150_000, 5
 """Samples whose clock may have jumped are withheld until it has been steady for so long and so many of them,"""
 STEADY_SPREAD_US = 25_000.0
@@ -32,21 +32,19 @@ EVEN_SHARE, EVEN_US, EVEN_MOST_US = 0.3, 3_000.0, 6_000.0
 SMALL_US, MATCH_US, MATCH_SHARE = 6_000.0, 3_000.0, 0.2
 """A jump of less than LOST_US is one from the first on, if the uneven step explains it within the others."""
 EXPLAINED_SHARE = 0.5
-"""A step belongs to a jump if what is left of the difference without it is less than this share."""
+"""A step is part of a jump if the difference without it is below this fraction."""
 STEPS = 15
-"""Of which the median is the usual one."""
+"""Number of steps whose median is the usual step."""
 SETTLED = 100
-"""Stamps after which a clock is known; until then it may be set, and nothing is said of it."""
+"""Stamps after which a clock is known; until then it may be set without a notice."""
 OFTEN, OFTEN_US = 3, 5_000_000
-"""So many jumps within that time: arrivals are the stamps until there has been none for as long."""
+"""Number of jumps within a time after which arrivals are used as stamps, until there has been none for as long."""
 TELL_EVERY_US = 5_000_000
 ANY_SPAN_US = 1 << 63
 """Of a clock that does not wrap."""
 
 
 class DeviceClock:
-    """Of one device."""
-
     GAIN = 0.01
     """Share of a new difference once the start is over (1 s at 100 Hz)."""
     CLIP_US = 5_000.0
@@ -58,7 +56,7 @@ class DeviceClock:
         """``span_us``: the device's counter begins anew after this."""
         self._span_us = span_us
         self.jumps = 0
-        """How often the device's clock has jumped."""
+        """Number of jumps of the device's clock."""
         self._notices: list[tuple[Severity, str]] = []
         self._untold: list[int] = []
         self._told_us: int | None = None
@@ -92,12 +90,12 @@ class DeviceClock:
         return stamped
 
     def take_notices(self) -> list[tuple[Severity, str]]:
-        """What operators should know since the last call."""
+        """Notices to operators since the last call."""
         notices, self._notices = self._notices, []
         return notices
 
     def _step(self, device_us: int) -> int:
-        """From the last stamp to this one, the shortest way round the counter's span."""
+        """Step from the last stamp to this one [us], modulo the counter's range."""
         last_us, self._raw_us = self._raw_us, device_us
         if last_us is None:
             return device_us
@@ -117,7 +115,7 @@ class DeviceClock:
         if abs(error) > self._lost_us():
             arrived_us = arrival_us - self._arrival_us
             even = (known and self._even(step_us, usual_us)) or abs(arrived_us - step_us) < 0.5 * LOST_US
-            if self._seen < SETTLED and (error < 0.0 or not even):  # what lay in a buffer at the start came late, too
+            if self._seen < SETTLED and (error < 0.0 or not even):  # samples buffered at the start are late as well
                 self._anchor(difference)
                 return arrival_us
             # Samples that are lost within a late burst make uneven steps as well, but not such as it is off by.
@@ -158,7 +156,7 @@ class DeviceClock:
         return abs(step_us - usual_us) <= min(max(EVEN_US, EVEN_SHARE * usual_us), EVEN_MOST_US)
 
     def _when_off(self, arrival_us: int, difference: float, *, broken: bool) -> int | None:
-        """The difference is far from what it is usually: late samples, or a jump."""
+        """The difference is far from its mean: late samples, or a jump."""
         trial, self._trial = self._trial, None
         episode = self._episode
         if episode is None:
@@ -184,7 +182,7 @@ class DeviceClock:
         return round(self._device_us + self._offset_us)
 
     def _small_jump(self, arrival_us: int, step_us: int, usual_us: float, error: float) -> float:
-        """What is to be added to the stamp [us], while a step that was uneven may be a jump of less than LOST_US."""
+        """Correction of the stamp [us] while an uneven step may be a jump of less than LOST_US."""
         if self._trial is None:
             if self._even(step_us, usual_us):
                 return 0.0
@@ -239,7 +237,6 @@ class _Episode:
         self._last: deque[tuple[int, float]] = deque()
 
     def take(self, arrival_us: int, difference: float, *, broken: bool) -> None:
-        """One more."""
         self.broken |= broken
         self.count += 1
         self._last.append((arrival_us, difference))
@@ -257,8 +254,6 @@ class _Episode:
 
 
 class _Trial:
-    """What follows an uneven step."""
-
     def __init__(self, since_us: int, usual_us: float) -> None:
         self.since_us = since_us
         self._usual_us = usual_us
@@ -268,6 +263,5 @@ class _Trial:
         """Of the differences [us]."""
 
     def take(self, step_us: int, error: float) -> None:
-        """One more sample."""
         self.jump_us += step_us - self._usual_us
         self.errors.append(error)

@@ -1,7 +1,7 @@
-"""Marker dictionaries: which patterns there are. OpenCV's predefined ones by name, others out of files.
+"""Marker dictionaries: OpenCV's predefined ones by name, and custom ones from files.
 
-A dictionary goes everywhere by its name. That of one out of a file holds its patterns, so that maps, logs and replays
-need no second file: ``CUSTOM:<cells>:<patterns in hexadecimal>``. People see :func:`dictionary_label` of it.
+A dictionary is identified by its name. The name of a custom one contains its patterns, so that maps, logs and replays
+need no second file: ``CUSTOM:<cells>:<patterns in hexadecimal>``. For display: :func:`dictionary_label`.
 """
 
 import re
@@ -79,12 +79,11 @@ def read_dictionary(path: Path) -> str:
 
 
 def dictionary_size(name: str) -> int | None:
-    """How many ids a dictionary has, None if it is not known."""
+    """Number of ids of a dictionary, None if unknown."""
     return len(_words(name)) if name.startswith(CUSTOM) else DICTIONARY_SIZES.get(name)
 
 
 def dictionary_label(name: str) -> str:
-    """The name for people."""
     if not name.startswith(CUSTOM):
         return name
     words = _words(name)
@@ -126,8 +125,9 @@ def least_distance(name: str) -> int:
 
 
 def opencv_dictionary(name: str) -> Any:
-    """OpenCV's dictionary of that name, with as many correctable cells as its distances allow. ConfigError if OpenCV
-    does not know it."""
+    """OpenCV's dictionary of that name, with the number of correctable cells that its distances allow. ConfigError if
+    OpenCV does not have it.
+    """
     import cv2  # heavy, and only who prints or finds markers needs it
 
     if name.startswith(CUSTOM):

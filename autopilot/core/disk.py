@@ -1,4 +1,4 @@
-"""Folders and files for results, and what failures of a disk are called in front of an operator."""
+"""Folders and files for results, and operator messages for disk errors."""
 
 import contextlib
 import errno

@@ -1,25 +1,26 @@
-"""The exception tree.
+"""Exceptions.
 
 ``AutopilotError``
-  ``ConfigError``   a configuration, scenario, vehicle or parameter file is wrong; nothing was changed
-  ``PlanError``     a plan file or plan is wrong; the plan in force stays
+  ``ConfigError``   invalid configuration, scenario, vehicle or parameter file; nothing was changed
+  ``PlanError``     invalid plan or plan file; the active plan stays
   ``DriverError``   a device or link cannot be opened or has failed
   ``LogError``      a log cannot be read or written
 
-Every message names the field, the value and the remedy. Data from the wire never raises: it is counted and dropped.
+Every message names the field, the value and the remedy. Received data never raises: invalid data is counted and
+dropped.
 """
 
 
 class AutopilotError(Exception):
-    """Base of every error that the service raises on purpose."""
+    """Base class of all errors that are raised on purpose."""
 
 
 class ConfigError(AutopilotError):
-    """A configuration file or value is wrong. Nothing has been changed."""
+    """A configuration file or value is invalid. Nothing has been changed."""
 
 
 class PlanError(AutopilotError):
-    """A mission, fence or rally plan is wrong. The plan in force stays."""
+    """A mission, fence or rally plan is invalid. The active plan stays."""
 
 
 class DriverError(AutopilotError):

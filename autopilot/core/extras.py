@@ -1,4 +1,4 @@
-"""The extra ``analysis``: libraries that a vehicle's installation goes without, and what to say without one."""
+"""The extra ``analysis``: optional libraries that a vehicle does not need, and the error message without them."""
 
 from importlib.util import find_spec
 

@@ -1,12 +1,12 @@
-"""A camera behind a flat pane: light is bent at water to glass and at glass to air (Snell), the axis across the pane.
+"""A camera behind a flat port: refraction at water-glass and glass-air (Snell), optical axis normal to the pane.
 
-All is radial. With u the tangent of the ray's angle to the axis in the air, a ray that leaves the lens meets the depth
-z at the radius (Treibitz et al., "Flat refractive geometry", PAMI 2012; n relative to air)
+With u the tangent of the ray's angle to the axis in air, a ray from the lens meets the depth z at the radius (Treibitz
+et al., "Flat refractive geometry", PAMI 2012; n relative to air)
 
     r(u, z) = d u + t u / sqrt(g^2 + (g^2 - 1) u^2) + (z - d - t) u / sqrt(n^2 + (n^2 - 1) u^2)
 
-since sin(air) = g sin(glass) = n sin(water). There is no single centre of projection: rays of larger angles seem to
-come from farther behind the pane. r grows with u and is concave, so Newton's method from below finds u without fail.
+since sin(air) = g sin(glass) = n sin(water). There is no single centre of projection: rays of larger angles appear to
+start farther behind the pane. r is increasing and concave in u, so Newton's method from below always converges.
 """
 
 from dataclasses import dataclass
@@ -21,8 +21,6 @@ STEPS = 10
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FlatPort:
-    """The pane before the lens."""
-
     distance_m: float
     """From the lens's centre of projection to the pane's inner side."""
     thickness_m: float
@@ -33,7 +31,7 @@ class FlatPort:
 
     @property
     def outside_m(self) -> float:
-        """Where the water begins, from the centre of projection."""
+        """Distance of the pane's water side from the projection centre [m]."""
         return self.distance_m + self.thickness_m
 
     def exit_radius(self, slope_air: FloatArray) -> FloatArray:
@@ -73,7 +71,7 @@ def _refracted(slope: FloatArray, index: float) -> FloatArray:
 
 
 def _refracted_growth(slope: FloatArray, index: float) -> tuple[FloatArray, FloatArray]:
-    """The same and its derivative."""
+    """:func:`_refracted` and its derivative with respect to ``slope``."""
     root2 = index * index + (index * index - 1.0) * slope * slope
     root = np.sqrt(root2)
     return slope / root, index * index / (root2 * root)
@@ -82,10 +80,10 @@ def _refracted_growth(slope: FloatArray, index: float) -> tuple[FloatArray, Floa
 def lens_in_air(
     distortion: tuple[float, float, float, float, float], water_index: float
 ) -> tuple[float, float, float, float, float]:
-    """Brown's coefficients of the bare lens from those of a calibration in water through a flat pane (k3 is not used).
+    """Brown's coefficients of the bare lens from those of a calibration in water through a flat port (k3 is not used).
 
-    A distant point at the tangent w in the water is seen at u = n w (1 + a w^2 + b w^4 + ...) in the air with
-    a = (n^2 - 1) / 2 and b = 3/2 a^2; what the calibration shows beyond that is the lens's. To fourth order.
+    A distant point at the tangent w in water appears at u = n w (1 + a w^2 + b w^4 + ...) in air with a = (n^2 - 1) /
+    2 and b = 3/2 a^2; the remaining distortion of the calibration is the lens's. To fourth order.
     """
     k1, k2, p1, p2, _ = distortion
     n = water_index

@@ -21,17 +21,23 @@ FloatArray: TypeAlias = NDArray[np.float64]
 
 
 def wrap_pi(angle_rad: float) -> float:
-    """The same angle in [-pi, pi)."""
+    """The angle [rad] wrapped to [-pi, pi)."""
     return (angle_rad + math.pi) % (2.0 * math.pi) - math.pi
 
 
 def unwrap_near(angle_rad: float, reference_rad: float) -> float:
-    """The turn of ``angle_rad`` (any multiple of 2 pi added) that lies within pi of ``reference_rad``."""
+    """``angle_rad`` plus the multiple of 2 pi that brings it within pi of ``reference_rad``."""
     return reference_rad + wrap_pi(angle_rad - reference_rad)
 
 
 def r_ned_from_frd(rpy_rad: FloatArray) -> FloatArray:
-    """Rotation matrix (3, 3) from body to world for roll, pitch, yaw (3,) (Fossen 2011, eq. 2.18)."""
+    """Rotation matrix (3, 3) from body (FRD) to world (NED).
+
+    Parameters
+    ----------
+    rpy_rad
+        (3,) roll, pitch, yaw [rad] (Fossen 2011, eq. 2.18).
+    """
     roll, pitch, yaw = float(rpy_rad[0]), float(rpy_rad[1]), float(rpy_rad[2])
     cr, sr = math.cos(roll), math.sin(roll)
     cp, sp = math.cos(pitch), math.sin(pitch)
@@ -46,7 +52,7 @@ def r_ned_from_frd(rpy_rad: FloatArray) -> FloatArray:
 
 
 def rpy_from_r(r_ned_from_frd_: FloatArray) -> FloatArray:
-    """Roll, pitch, yaw (3,) of a body-to-world rotation matrix (3, 3)."""
+    """Roll, pitch, yaw (3,) [rad] of a body-to-world rotation matrix (3, 3); pitch in [-pi/2, pi/2]."""
     r = r_ned_from_frd_
     return np.array(
         [
@@ -58,7 +64,7 @@ def rpy_from_r(r_ned_from_frd_: FloatArray) -> FloatArray:
 
 
 def quat_from_rpy(rpy_rad: FloatArray | Sequence[float]) -> FloatArray:
-    """Quaternion [w, x, y, z] (body to world) of roll, pitch, yaw (3,)."""
+    """Quaternion [w, x, y, z] (body to world) of roll, pitch, yaw (3,) [rad]."""
     roll, pitch, yaw = map(float, rpy_rad)
     hr, hp, hy = 0.5 * roll, 0.5 * pitch, 0.5 * yaw
     cr, sr = math.cos(hr), math.sin(hr)
@@ -75,7 +81,7 @@ def quat_from_rpy(rpy_rad: FloatArray | Sequence[float]) -> FloatArray:
 
 
 def rpy_from_quat(quat: FloatArray | Sequence[float]) -> FloatArray:
-    """Roll, pitch, yaw (3,) of a quaternion [w, x, y, z] (body to world)."""
+    """Roll, pitch, yaw (3,) [rad] of a unit quaternion [w, x, y, z] (body to world)."""
     w, x, y, z = map(float, quat)
     return np.array(
         [

@@ -1,10 +1,10 @@
-"""Where the vehicle can be and how it gets from there to there: one answer for uploads, routes and energy plans.
+"""Free space of the vehicle and its connectivity, shared by upload checks, routes and energy plans.
 
-Cells of a grid over the area, halved again and again where that decides about a way: a cell counts as free when the
-vehicle may stand *somewhere* in it (a place is looked for, uphill in the clearance), and neighbours are linked when the
-straight line between their places keeps the radius. A cell is halved where it may be free but no place is found, and
-where a line to a neighbour is barred that is not got round at once. So a door of two radii and some millimetres is
-found in a basin of any size, while open water and plain walls stay as coarse as they are.
+Quadtree over the area: a cell is free if the vehicle can be at *some* position in it (found by ascent of the
+clearance), and neighbours are linked if the straight line between their positions keeps the radius. A cell is
+subdivided if it may be free but no position is found, and if a link to a neighbour is blocked without a detour close
+by. Passages of two radii plus a few millimetres are found in a basin of any size, while open water and straight walls
+stay coarse.
 """
 
 import math
@@ -29,12 +29,12 @@ TIGHT_M = 0.02
 """Cells are halved down to this."""
 
 MAX_CELLS = 40_000
-"""Bound on all cells: what is left then stays coarse."""
+"""Largest number of cells; the rest stays coarse."""
 
 MAX_ROUNDS = 24
 
 SETTLED_M = 5e-4
-"""A place that keeps the radius but for this much is free: doors that are open by a millimetre are found."""
+"""Tolerance of the radius: passages that are open by a millimetre are found."""
 
 BEYOND_M = 2.5e-4
 """Aimed at beyond the radius, for the slope is only that of the nearest boundary."""
@@ -43,19 +43,20 @@ CHORD_LOSS_M = 1e-3
 """By how much the line between two places may cut a corner."""
 
 SETTLE_STEPS = 3
-"""Steps by which a place finds the middle of a door: each brings it away from the nearer side."""
+"""Steps towards the middle of a passage: each moves away from the nearer side."""
 
 COMFORT_STEPS = 2
-"""Steps after these by which it goes to where its neighbours see it, if there is room."""
+"""Further steps towards positions with free lines to the neighbours, where there is space."""
 
 BISECTIONS = 9
 
 ONE_BOUNDARY = 0.8
-"""Slopes within a cell whose unit vectors agree by so much (cosine) are of one boundary: what it bars is barred."""
+"""Gradients within a cell whose unit vectors agree to this cosine belong to one boundary: a blocked link stays
+blocked."""
 
 FIRST_ATTACH = 4
 ATTACH = 48
-"""So many of the nearest places are tried for one in sight."""
+"""Number of nearest positions tried for one with a free line."""
 
 KING = ((0, 1), (1, 0), (1, 1), (1, -1), (0, -1), (-1, 0), (-1, -1), (-1, 1))
 
@@ -70,8 +71,6 @@ class FenceDistances(Protocol):
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Area:
-    """A rectangle of the plane."""
-
     low_m: FloatArray
     """(2,) north, east"""
     high_m: FloatArray
@@ -79,7 +78,7 @@ class Area:
 
 
 def workspace_of(fence: Fence) -> Area | None:
-    """What all inclusions have in common, None without any (open water); empty ones have low above high."""
+    """Bounding box of the intersection of all inclusions, None without any (open water); empty if low is above high."""
     if not fence.inclusions:
         return None
     boxes = [bounding_box(shape) for shape in fence.inclusions]
@@ -107,7 +106,7 @@ class FreeSpace:
     # What there is.
 
     def _number(self) -> None:
-        """Keep what is free, in the order in which it was found."""
+        """Store the free cells in the order of discovery."""
         kept = np.flatnonzero(self._cells.alive)
         number = np.full(len(self._cells.alive), -1)
         number[kept] = np.arange(len(kept))
@@ -156,9 +155,9 @@ class FreeSpace:
         return labels
 
     def place_near(self, point_ned_m: FloatArray) -> tuple[int, float] | None:
-        """The nearest place that a point (2,) sees, without one simply the nearest, and its distance [m].
+        """The nearest position with a free line to a point (2,), else the nearest one, and its distance [m].
 
-        A point nearer to a boundary than the radius may look along it. None if nothing is free.
+        For a point nearer to a boundary than the radius the line may run along the boundary. None if no cell is free.
         """
         if not len(self.places_ned_m):
             return None
@@ -286,7 +285,7 @@ class FreeSpace:
         ), doubtful
 
     def _join(self, touched: IntArray) -> None:
-        """Find the neighbours of cells (indices) and see which of them see each other."""
+        """Link the neighbours of cells (indices) that have free lines to each other."""
         pairs = self._neighbours(touched)
         cells = self._cells
         a, b = pairs[:, 0], pairs[:, 1]
@@ -295,7 +294,9 @@ class FreeSpace:
         self._pairs, self._clear = np.concatenate([self._pairs, pairs]), np.concatenate([self._clear, clear])
 
     def _neighbours(self, touched: IntArray) -> IntArray:
-        """(m, 2) cells that have a side or a corner in common, one of them at least ``touched`` and new; each once."""
+        """(m, 2) pairs of cells with a common side or corner, one of them at least ``touched`` and new; each pair
+        once.
+        """
         cells, fresh = self._cells, self._fresh
         alive = np.flatnonzero(cells.alive)
         codes = _code(cells.level[alive], cells.row[alive], cells.column[alive])
@@ -322,9 +323,10 @@ class FreeSpace:
     def _sees(
         self, a: FloatArray, b: FloatArray, at_a: FloatArray, at_b: FloatArray, keep_m: float | FloatArray
     ) -> BoolArray:
-        """(m,) whether straight lines from ``a`` to ``b`` (m, 2), whose clearances are known, keep a distance (or m).
+        """(m,) whether straight lines from ``a`` to ``b`` (m, 2), whose clearances are given, keep a distance (scalar
+        or m).
 
-        No boundary is nearer to a line than sqrt(d^2 - l^2 / 4) if both of its ends, l apart, are at least d from it.
+        The distance of a line of length l to a boundary is at least sqrt(d^2 - l^2 / 4) if both ends have clearance d.
         """
         free = np.ones(len(a), dtype=bool)
         edge = np.arange(len(a))
@@ -386,7 +388,7 @@ class _Cells:
     """Cells that have a place; (n,) each."""
 
     level: IntArray
-    """How often the grid's cell was halved."""
+    """Level of subdivision."""
     row: IntArray
     column: IntArray
     """In a grid of that level."""
@@ -421,6 +423,5 @@ def _quarters(level: IntArray, row: IntArray, column: IntArray) -> tuple[IntArra
 
 
 def _code(level: IntArray, row: IntArray, column: IntArray) -> NDArray[np.int64]:
-    """One number per cell."""
     code: NDArray[np.int64] = (level.astype(np.int64) << 56) | (row.astype(np.int64) << 28) | column.astype(np.int64)
     return code

@@ -1,8 +1,8 @@
-"""The tangent plane of WGS 84: the one conversion between degrees and local metres, for missions and for telemetry.
+"""Local tangent plane of WGS 84: the only conversion between degrees and local metres, for missions and telemetry.
 
 North and east are the topocentric coordinates of the point on the level surface of the origin (tangent plane at the
-origin). Depth is depth below that surface, so that the curvature of the earth does not show up as depth (0.7 m at
-3 km). Round trips close to better than a millimetre within :data:`MAX_RANGE_M` of every allowed origin.
+origin). Depth is measured from that surface, so that the curvature of the earth does not appear in it (0.7 m at 3 km).
+The error of a round trip is below a millimetre within :data:`MAX_RANGE_M` of every allowed origin.
 
 Source: NIMA TR8350.2 (WGS-84 ellipsoid); geodetic to ECEF to local tangent plane, Fossen 2011, section 2.3.
 """
@@ -37,8 +37,6 @@ LOCAL_PER_METRE = 1e4
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class GeodeticPosition:
-    """A geodetic position."""
-
     lat_deg: float
     lon_deg: float
     alt_m: float = 0.0
@@ -47,10 +45,9 @@ class GeodeticPosition:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Origin(GeodeticPosition):
-    """Where local axes can be put; its altitude is the water surface. ConfigError if out of range."""
+    """Valid origin of the local frame; its altitude is the water surface. ConfigError if out of range."""
 
     def __post_init__(self) -> None:
-        """Refuse what cannot be an origin."""
         if not abs(self.lat_deg) <= MAX_ORIGIN_LAT_DEG:
             raise ConfigError(
                 f"origin latitude {self.lat_deg:g} deg is out of range; use -{MAX_ORIGIN_LAT_DEG:g} to "
@@ -157,7 +154,7 @@ def refuse_place(origin: GeodeticPosition, lat_deg: float, lon_deg: float) -> st
 
 
 def far_text(away_m: float) -> str:
-    """What is said of a place that is too far away."""
+    """Message for a position that is too far away."""
     return f"{away_m / 1e3:.1f} km from the origin, limit {MAX_RANGE_M / 1e3:g}: set the origin there first"
 
 

@@ -1,4 +1,4 @@
-"""Fence shapes in local metres: what the operator drew, as the planner and the controller use it."""
+"""Fence shapes in local metres, for planner and controller."""
 
 from dataclasses import dataclass, field
 from typing import TypeAlias
@@ -8,7 +8,7 @@ from autopilot.core.frames import FloatArray
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Circle:
-    """A vertical cylinder seen from above."""
+    """A vertical cylinder, given in plan view."""
 
     center_ned_m: FloatArray
     """(2,) north, east."""
@@ -17,7 +17,7 @@ class Circle:
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Polygon:
-    """A vertical prism seen from above. Simple (no self-intersection), not closed, any winding, may be non-convex."""
+    """A vertical prism, given in plan view: simple (no self-intersection), not closed, any winding, convex or not."""
 
     vertices_ned_m: FloatArray
     """(n, 2) north, east; n >= 3."""
@@ -28,7 +28,7 @@ Shape: TypeAlias = Circle | Polygon
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Fence:
-    """The workspace. The vehicle's *centre* keeps a body radius from every boundary; shapes here are not inflated."""
+    """The workspace. The vehicle's *centre* keeps a body radius from every boundary; the shapes are not inflated."""
 
     inclusions: tuple[Shape, ...] = field(default=())
     """The vehicle stays inside every one of them (none = open water)."""

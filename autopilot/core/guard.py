@@ -1,8 +1,8 @@
-"""Runs the parts of a tick so that one that fails does not take the others with it.
+"""Isolation of the parts of a tick: a part that raises does not stop the others.
 
-An exception inside a part is a :class:`Fault`: kept with its traceback and with what the part was given, counted, and
-handed to whoever decides what it means (:mod:`autopilot.command.fault_response`). Nothing is hidden: where the guard is
-set to raise (tests, continuous integration), the exception goes on.
+An exception inside a part becomes a :class:`Fault`: stored with traceback and inputs, counted, and handled by
+:mod:`autopilot.command.fault_response`. Where the guard is set to raise (tests, continuous integration), the exception
+propagates.
 """
 
 import os
@@ -38,8 +38,6 @@ Work: TypeAlias = tuple[str, Callable[[], object]]
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Fault:
-    """An exception inside the service."""
-
     t_us: int
     part: str
     """Which part of the tick: estimator, commander, controller, allocation, message, ..."""
@@ -61,15 +59,12 @@ class Fault:
 
     @property
     def line(self) -> str:
-        """For the operator."""
         return f"Internal fault: {self.part}: {self.kind}"[:50]
 
 
 class Guard:
-    """One per service."""
-
     def __init__(self, *, raises: bool | None = None) -> None:
-        """``raises``: let exceptions through; None = as the environment says."""
+        """``raises``: re-raise exceptions; None = by the environment variable."""
         self.raises = os.environ.get(VARIABLE) == "raise" if raises is None else raises
         self.t_us = 0
         """Time of the tick, set by the service."""
@@ -78,7 +73,7 @@ class Guard:
         self._described_us: dict[tuple[str, str], int] = {}
 
     def run(self, part: str, work: Callable[[], T], otherwise: T, given: Callable[[], object] = lambda: "") -> T:
-        """``work()``, or ``otherwise`` when it raises. ``given`` describes what it worked on, asked for only then."""
+        """``work()``, or ``otherwise`` if it raises. ``given`` describes its inputs, called only then."""
         try:
             return work()
         except Exception as error:  # noqa: BLE001 - the loop's one blanket; the fault is kept and acted upon
@@ -86,7 +81,7 @@ class Guard:
             return otherwise
 
     def run_all(self, works: Iterable[Work], given: Callable[[], object] = lambda: "") -> None:
-        """The same of several that give nothing, one after the other: one that raises does not keep the others."""
+        """As :meth:`run` for several functions without results: one that raises does not stop the others."""
         for part, work in works:
             try:
                 work()
@@ -121,7 +116,6 @@ class Guard:
         )
 
     def take(self) -> tuple[Fault, ...]:
-        """Faults since the last call."""
         if not self._pending:
             return ()
         faults, self._pending = tuple(self._pending), []
@@ -146,7 +140,7 @@ def _described(given: Callable[[], object]) -> str:
 
 
 def _bounded(make: Callable[[], str]) -> str:
-    """A text that is not allowed to fail: it describes what has failed already."""
+    """A description that must not raise, as it describes a failure."""
     try:
         return make()[:MAX_TEXT]
     except Exception as error:  # noqa: BLE001 - see above

@@ -1,4 +1,4 @@
-"""Range from where the camera sees the laser's dot."""
+"""Range from the laser dot's position in the image."""
 
 import math
 
@@ -10,7 +10,7 @@ from autopilot.core.frames import FloatArray
 LASER_SIGMA_PX = 0.7
 """Measured on rendered images: 0.2 px in clear water, 0.6 px in haze."""
 LASER_OFF_LINE_PX = 6.0
-"""How far the dot may lie off the line on which it must lie."""
+"""Largest distance of the dot from its line."""
 LASER_MIN_RANGE_M = 0.1
 
 

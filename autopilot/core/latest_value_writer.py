@@ -1,7 +1,7 @@
-"""Has the newest of a state written, beside the loop: one write at a time, and one that waits for it.
+"""Background writing of the latest state: one write in progress, and at most one waiting.
 
-A state that came while another was being written takes the place of one that still waits: only the newest is of use
-after a restart, and a slow disk must not gather a queue.
+A state that arrives during a write replaces the waiting one: only the latest is needed after a restart, and a slow
+disk must not fill a queue.
 """
 
 from collections.abc import Callable
@@ -16,15 +16,13 @@ KEEP_TICKS = 5
 RETRY_TICKS = 500
 """A write that failed is tried again so many ticks later (5 s), unless a newer state comes before."""
 FINISH_S = 10.0
-"""How long the end of a run waits for a disk that does not answer."""
+"""Timeout for a disk at the end of a run."""
 
 Q = TypeVar("Q")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class WriteResult:
-    """What became of a write."""
-
     number: int
     """Every state up to this one is settled."""
     error: Exception | None
@@ -32,7 +30,7 @@ class WriteResult:
 
 
 class LatestValueWriter(Generic[Q]):
-    """``write`` gets states that do not change any more and may raise; what failed is tried again."""
+    """``write`` gets immutable states and may raise; a failed write is repeated."""
 
     def __init__(self, worker: BackgroundWorker, write: Callable[[Q], None], ticks: int = KEEP_TICKS) -> None:
         self._worker, self._write, self._ticks = worker, write, ticks
@@ -56,7 +54,7 @@ class LatestValueWriter(Generic[Q]):
         return self._number
 
     def poll(self, tick: int) -> WriteResult | None:
-        """What became of the write that has ended, once."""
+        """Result of the last completed write, once."""
         if self._again_at is not None and tick >= self._again_at:
             self._ask(tick)
         answer = None if self._task is None else self._task.poll(tick)
@@ -70,9 +68,9 @@ class LatestValueWriter(Generic[Q]):
         return WriteResult(number=number, error=answer.error)
 
     def finish(self, timeout_s: float = FINISH_S) -> Exception | None:
-        """The end of a run: have written what is not on disk, in its turn. Why it is not there, or None.
+        """End of a run: write the pending state. Returns the reason of a failure, or None.
 
-        It is waited for ``timeout_s`` at most: a disk that hangs must not keep a service from ending.
+        Waits ``timeout_s`` at most: a hanging disk must not prevent the service's end.
         """
         state, number = self._newest, self._number
         if state is None or self._done == number:
@@ -91,7 +89,7 @@ class LatestValueWriter(Generic[Q]):
             if not wait((future,), timeout_s).done:
                 return TimeoutError("disk does not answer")
             future.result()
-        except Exception as error:  # noqa: BLE001 - whatever keeps it from the disk, the end of the run goes on
+        except Exception as error:  # noqa: BLE001 - no failure of the disk may stop the shutdown
             return error
         return None
 

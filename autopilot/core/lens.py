@@ -1,7 +1,7 @@
-"""Lens formulas on ideal image points (x/z, y/z): Brown's distortion and the fisheye polynomial, both as in OpenCV.
+"""Lens distortion on ideal image points (x/z, y/z): Brown's model and the fisheye polynomial, both as in OpenCV.
 
-Each lens knows three things: where it puts an ideal point, the derivatives of that, and the way back. Arrays are
-(..., 2); everything is written out in numpy, so that a few hundred points cost tens of microseconds.
+Each model has the distortion, its Jacobian, and the inverse. Arrays are (..., 2); plain numpy, tens of microseconds
+for a few hundred points.
 """
 
 from typing import Protocol
@@ -17,8 +17,6 @@ FISHEYE_STEPS = 8
 
 
 class LensDistortion(Protocol):
-    """What bends ideal image points."""
-
     def bend(self, ideal: FloatArray) -> FloatArray:
         """Bent image points (..., 2) of ideal ones (..., 2)."""
         ...
@@ -27,9 +25,7 @@ class LensDistortion(Protocol):
         """(..., 2, 2) derivatives of :meth:`bend`."""
         ...
 
-    def unbend(self, bent: FloatArray) -> FloatArray:
-        """The inverse of :meth:`bend`."""
-        ...
+    def unbend(self, bent: FloatArray) -> FloatArray: ...
 
 
 class BrownLens:

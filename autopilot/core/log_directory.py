@@ -1,4 +1,4 @@
-"""The folder of logs as clients see it: what there is, and pieces of it. Everything is asked for beside the loop."""
+"""The log directory for clients: list of files, and blocks of them. All reads are in the background."""
 
 from dataclasses import dataclass
 from typing import Protocol
@@ -8,8 +8,6 @@ from autopilot.core.background import BackgroundTask
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LogDirectoryEntry:
-    """One file."""
-
     path: str
     """Below the folder, with "/" between its parts."""
     size: int
@@ -19,9 +17,9 @@ class LogDirectoryEntry:
 
 
 class LogDirectory(Protocol):
-    """A folder that is read and, by :meth:`erase` alone, emptied. Tickets are polled with the count of ticks.
+    """A folder that is read and, by :meth:`erase` alone, emptied. Results are polled with the tick count.
 
-    Nothing outside of the folder can be named: an answer's error is then a LogError, as for what does not exist.
+    Paths outside of the folder are refused with a LogError, as are files that do not exist.
     """
 
     def list(self, tick: int) -> BackgroundTask[tuple[LogDirectoryEntry, ...]]:

@@ -1,8 +1,8 @@
-"""How wrong a marker map may be: which markers were laid together, as a sheet, and how well.
+"""Error model of a marker map: which markers were laid together, as a sheet, and with which accuracy.
 
-Markers on one sheet lie where they were printed; the sheet lies where a person put it. So the errors of its markers are
-one error: a shift and a turn. Sheets that a map does not name show by their lattice: markers of one heading whose
-places are whole steps of a grid from their neighbours' were printed together, as hand-laid sheets never fit so well.
+Markers on one sheet are placed by the printer; the sheet is placed by hand. The errors of its markers are therefore
+common: a translation and a rotation. Sheets that the map does not name are found by their lattice: markers of one
+heading whose distances are multiples of a grid step belong to one sheet, as hand-laid sheets never align so well.
 """
 
 import math
@@ -16,11 +16,11 @@ from numpy.typing import NDArray
 from autopilot.core.frames import FloatArray
 
 SHEET_SIGMA_M, SHEET_SIGMA_RAD = 0.005, 0.01
-"""What ruler and tape reach when sheets are laid: 5 mm, and 3 mm over the half length of an A2 sheet."""
+"""Laying accuracy with ruler and tape: 5 mm, and 3 mm over the half length of an A2 sheet."""
 SHEET_SIGMA_DOWN_M = 0.001
-"""Of a sheet's depth: waves of a floor."""
+"""Standard deviation of a sheet's depth: uneven floor."""
 PRINT_SIGMA_M = 0.0001
-"""Of a marker on its sheet."""
+"""Standard deviation of a marker on its sheet."""
 SAME_M, SAME_RAD = 5e-5, 1e-4
 """Neighbours that fit one grid so well were printed together."""
 REACH = 1.6
@@ -53,7 +53,7 @@ class MapErrors:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Laid:
-    """What a map says of how one marker was laid; None = nothing."""
+    """Laying accuracy of one marker as stated by the map; None = not stated."""
 
     sheet: str | None = None
     sigma_m: float | None = None
@@ -69,10 +69,11 @@ def map_errors(
     print_sigma_m: float = PRINT_SIGMA_M,
     loose_sigma_m: float = SHEET_SIGMA_M,
 ) -> MapErrors | None:
-    """Sheets of markers by name, else by lattice; None if there is but one and nothing is said of its errors.
+    """Sheets of markers by name, else by lattice; None for a single sheet without stated errors.
 
-    ``loose_sigma_m`` is taken of markers on no sheet of which nothing is said.
-    One sheet is its own frame: where it lies in the tank no camera can tell, and nobody asks."""
+    ``loose_sigma_m``: standard deviation of markers on no sheet without a stated one. A single sheet defines its own
+    frame: its position in the tank is unobservable.
+    """
     said = any(entry.sigma_m is not None or entry.sigma_rad is not None for entry in laid)
     groups = _groups(centers_ned_m, yaw_rad, laid)
     if (len(groups) < 2 and not said) or all(entry.sigma_m == 0.0 for entry in laid):
@@ -129,7 +130,7 @@ def error_arrays(errors: MapErrors) -> dict[str, Any]:
 
 
 def errors_of_arrays(arrays: Mapping[str, Any]) -> MapErrors:
-    """Back from :func:`error_arrays`."""
+    """Inverse of :func:`error_arrays`."""
     across, down, turn = np.asarray(arrays["frame_sigma"]).tolist()
     return MapErrors(
         sheet=arrays["sheet"],

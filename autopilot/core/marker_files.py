@@ -1,8 +1,8 @@
-"""The marker map file: which marker of which dictionary lies where, in TOML (docs/markers.md).
+"""The marker map file in TOML: dictionary, id, size and pose of every marker (docs/markers.md).
 
-``[[marker]]`` gives one marker, ``[[board]]`` a grid of them; both can be mixed, and so can dictionaries and sizes. A
-pose is that of the marker's frame: x to its top, y to its right, z into the surface it is printed on. With all angles
-zero it lies face up with its top to the north.
+``[[marker]]`` defines one marker, ``[[board]]`` a grid of them; both may be mixed, and so may dictionaries and sizes.
+A pose is that of the marker's frame: x to its top, y to its right, z into the surface it is printed on. With all
+angles zero it lies face up with its top to the north.
 """
 
 import json
@@ -41,7 +41,7 @@ Size = Annotated[float, msgspec.Meta(gt=0.0, le=MAX_SIZE_M)]
 
 
 class Defaults(Table, frozen=True, kw_only=True):
-    """``[defaults]``: for markers and boards that do not say."""
+    """``[defaults]``: values for markers and boards without their own."""
 
     dictionary: str | None = None
     size_m: Size | None = None
@@ -50,7 +50,7 @@ class Defaults(Table, frozen=True, kw_only=True):
     sigma_rad: NonNegative | None = None
     """and of their heading."""
     print_sigma_m: NonNegative = PRINT_SIGMA_M
-    """Of a marker's place on its sheet."""
+    """Standard deviation of a marker's position on its sheet."""
 
 
 class MapFrame(Table, frozen=True, kw_only=True):
@@ -63,7 +63,7 @@ class MapFrame(Table, frozen=True, kw_only=True):
 
 
 class MapEntry(Table, frozen=True, kw_only=True):
-    """What ``[[marker]]`` and ``[[board]]`` share."""
+    """Common keys of ``[[marker]]`` and ``[[board]]``."""
 
     center_m: Vec3
     """North, east, down of its middle."""
@@ -91,7 +91,7 @@ class MapEntry(Table, frozen=True, kw_only=True):
         return r_ned_from_frd(np.array(self.rpy_rad or (0.0, 0.0, self.yaw_rad or 0.0)))
 
     def laid(self, sheet: str | None, defaults: Defaults) -> Laid:
-        """How well it was laid, on that sheet."""
+        """Its laying accuracy, on that sheet."""
         return Laid(
             sheet=sheet,
             sigma_m=self.sigma_m if self.sigma_m is not None else defaults.sigma_m,
@@ -126,8 +126,6 @@ class BoardEntry(MapEntry, frozen=True, kw_only=True):
 
 
 class MarkerFile(Table, frozen=True, kw_only=True):
-    """One marker map file."""
-
     name: str = ""
     defaults: Defaults = Defaults()
     frame: MapFrame = MapFrame()
@@ -152,7 +150,6 @@ class PlacedMarker:
 
     @property
     def label(self) -> str:
-        """Name for messages."""
         return f"{self.place} (id {self.id} of {dictionary_label(self.dictionary)})" if self.place else f"id {self.id}"
 
     @property
@@ -180,9 +177,10 @@ def make_map(
     print_sigma_m: float = PRINT_SIGMA_M,
     loose_sigma_m: float = 0.0,
 ) -> MarkerMap:
-    """The map of these markers, checked, with the errors that it may have. ConfigError begins with ``origin``.
+    """The validated map of these markers with its error model. ConfigError begins with ``origin``.
 
-    ``loose_sigma_m``: of markers on no sheet of which nothing is said."""
+    ``loose_sigma_m``: standard deviation of markers on no sheet without a stated one.
+    """
     if not 1 <= len(placed) <= MAX_MARKERS:
         raise ConfigError(f"{origin}: holds {len(placed)} markers; give 1 to {MAX_MARKERS} [[marker]] or [[board]]")
     whole = _whole_dictionaries({marker.dictionary for marker in placed})
@@ -214,7 +212,7 @@ def make_map(
 
 
 def _placed(file: MarkerFile, folder: Path, origin: str) -> list[PlacedMarker]:
-    """All markers of a file one by one. ConfigError for what a single marker cannot be."""
+    """All markers of a file one by one. ConfigError for an invalid marker."""
     result: list[PlacedMarker] = []
     for index, entry in enumerate(file.marker):
         place = f"$.marker[{index}]"
@@ -391,7 +389,7 @@ def placed_markers(markers: MarkerMap) -> list[PlacedMarker]:
 
 
 def _laid_of(markers: MarkerMap) -> list[Laid]:
-    """What a map says of each marker."""
+    """Stated laying accuracy of each marker."""
     errors = markers.errors
     if errors is None:
         return [NOTHING_SAID] * len(markers.ids)

@@ -1,8 +1,8 @@
-"""The marker map: which ArUco marker lies where on the floor, how such a floor is laid out, and what is in view.
+"""The marker map: poses of ArUco markers on the floor, generation of layouts, and visibility.
 
-A floor needs more markers than the largest dictionary has ids, so ids repeat. The layout keeps that harmless: markers
-of one id lie at least :data:`SAME_ID_DISTANCE_M` apart, more than one image shows, and no two places of the floor share
-a pair of neighbours, so that any two adjacent markers tell where on the floor they are.
+A floor needs more markers than the largest dictionary has ids, so ids repeat. The layout keeps this unambiguous:
+markers of one id are at least :data:`SAME_ID_DISTANCE_M` apart, more than one image covers, and no two positions of
+the floor have the same pair of neighbours, so that any two adjacent markers determine the position.
 """
 
 import math
@@ -54,7 +54,7 @@ class MarkerMap:
     more_dictionaries: tuple[str, ...] = ()
     """Dictionaries number 1 and on."""
     errors: MapErrors | None = None
-    """How wrong it may be; None = it is exact, or defines the frame."""
+    """Its error model; None = exact, or it defines the frame."""
     centers_ned_m: FloatArray = field(init=False)
     """(n, 3)"""
     sizes_m: FloatArray = field(init=False)
@@ -123,7 +123,7 @@ class MarkerMap:
         if far_rad > FLATTEST_RAD:
             return float(eye_ned_m[0]), float(eye_ned_m[1]), math.inf
         aside_m = camera.view_offset_m * (1.0 + math.tan(far_rad))
-        if not self.level:  # what lies higher is seen nearer to below the camera
+        if not self.level:  # higher markers appear closer to the nadir
             return float(eye_ned_m[0]), float(eye_ned_m[1]), height_m * math.tan(far_rad) + aside_m
         reach_m = height_m / float(axis_ned[2])
         radius_m = height_m * (math.tan(far_rad) - math.tan(tilt_rad)) + aside_m

@@ -1,4 +1,4 @@
-"""The parts of a tick, and how long each takes. Reported, never acted upon: whoever measures is put in from outside."""
+"""The parts of a tick and their durations. Measurements are for reports only; the recorder is injected."""
 
 import time
 from collections.abc import Callable
@@ -7,7 +7,7 @@ from typing import Protocol
 
 
 class LoopPart(IntEnum):
-    """What a tick goes into, in the order in which it is done."""
+    """The parts of a tick, in order of execution."""
 
     WAIT = 0
     """It began late although the one before had ended in time: the machine, or links that were served in between."""
@@ -40,10 +40,10 @@ class Marks(Protocol):
 
 
 class NoMarks:
-    """Nobody measures."""
+    """Measures nothing."""
 
     def mark(self, part: LoopPart) -> None:
-        """Nothing."""
+        """No-op."""
 
 
 SHORT_S = 0.5e-3

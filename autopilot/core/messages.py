@@ -1,7 +1,8 @@
-"""Everything that crosses a boundary: samples in, estimates, goals, commands out.
+"""Records that cross the boundaries of the program: samples in, estimates, goals, commands out.
 
-Frozen dataclasses, time first (``t_us``: microseconds since the service's clock started), SI, radians, shapes in the
-field comments. A field that may be absent is None. Samples of sensors: :mod:`autopilot.core.samples`.
+Frozen dataclasses, time first (``t_us``: microseconds since the service's clock started), SI units, radians. A field's
+name ends with its unit and contains its frame (``ned``, ``frd``); its comment gives the shape. A field that may be
+absent is None. Sensor samples: :mod:`autopilot.core.samples`.
 """
 
 from collections.abc import Mapping
@@ -25,19 +26,19 @@ MAX_THRUSTERS = 8
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class MavlinkFrame:
-    """Raw bytes of one datagram or packet on one link."""
+    """Raw bytes of one MAVLink frame or datagram on one link."""
 
     link: int
     """Index of the link it came from or goes to; -1 = all links."""
     data: bytes
     client: int = EVERYONE
-    """Who of the link: one number per address or connection; EVERYONE also on a link that has one other end."""
+    """Client number on the link, one per address or connection; EVERYONE also on a link with one other end."""
     sender: str = ""
-    """What operators call the client it came from, "" when it goes out or nobody knows."""
+    """Name of the sending client for operators, "" for outgoing or unknown."""
     reach: Reach = Reach.NETWORK
-    """How far away the client is that it came from."""
+    """Whether the sending client is on this machine or in the network."""
     beside: frozenset[int] = frozenset()
-    """Clients of the link that do not get it though it goes to everyone."""
+    """Clients of the link excluded from a broadcast."""
 
     def __repr__(self) -> str:
         """For descriptions of faults, which are logged: without the key of a SETUP_SIGNING."""
@@ -57,7 +58,7 @@ def _has_key(data: bytes) -> bool:
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Inputs:
-    """All that the outside world said since the last tick."""
+    """Everything that was received since the last tick."""
 
     t_us: int
     samples: tuple[Sample, ...] = ()
@@ -65,31 +66,31 @@ class Inputs:
     overruns: int = 0
     """Ticks that began late so far (real time only), counted by the runtime."""
     cpu_load: float = 0.0
-    """Share of the last second that the loop was busy, 0..1; 0 when nobody measures (lockstep)."""
+    """Load of the loop in the last second, 0..1; 0 if not measured (lockstep)."""
     notices: tuple["Event", ...] = ()
-    """What the runtime has to tell operators (a broken link, a log that cannot be written), as the service's own."""
+    """Messages of the runtime to operators (a broken link, a log that cannot be written)."""
     troubles: tuple["DeviceTrouble", ...] = ()
     """Devices that failed since the last tick."""
     pictures: tuple[PictureReport, ...] = ()
-    """How the camera's pictures of this tick look."""
+    """Statistics of the images of this tick."""
     log_lost: bool = False
-    """What happens is not being recorded though it should be: disk full, gone or too slow."""
+    """The log is incomplete: disk full, gone or too slow."""
     clock_jump_s: float = 0.0
-    """By how much the machine's clock of day has jumped against the one that only counts, since the last tick."""
+    """Jump of the system clock relative to the monotonic clock since the last tick."""
     frame_counts: Mapping[str, int] | None = None
-    """What became of pictures so far, by name (``frames.ok`` ...); None without a camera."""
+    """Counts of images by result (``frames.ok`` ...); None without a camera."""
     below: "FlightControllerState | None" = None
-    """Whether the flight controller below takes our thrust; None without one."""
+    """State of the lower flight controller; None without one."""
     refusals: tuple[str, ...] = ()
-    """What devices have against arming, a line each."""
+    """Reasons of devices against arming, one line each."""
     camera: CameraReport | None = None
-    """How the camera is doing, None = nothing new (or none)."""
+    """State of the camera, None = unchanged (or no camera)."""
     stills: tuple[StoredStill, ...] = ()
-    """What has become of stills that were asked for."""
+    """Results of requested stills."""
 
-    # What the service was asked between ticks and what it asked itself; for the log, a step does not look at it.
+    # Calls between ticks and recorded answers; for the log, not used by a step.
     between: tuple["Between", ...] = ()
-    """What was done with it since the last tick; the frames of it come first in the log's ``mavlink_rx``."""
+    """Calls since the last tick; their frames come first in the log's ``mavlink_rx``."""
     answers: tuple[Note, ...] = ()
     """Answers from outside during the tick and since the one before."""
     faults: tuple[Fault, ...] = ()
@@ -98,51 +99,49 @@ class Inputs:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Between:
-    """A call between two ticks."""
+    """A call of the service between two ticks, recorded for replay."""
 
     t_us: int | None
     """Time of frames that were served; None = a HEARTBEAT was made for all links."""
     frames: int = 0
-    """How many were received then."""
+    """Number of frames received then."""
 
 
 class Authority(Enum):
-    """Who has a vehicle that has a flight controller of its own."""
+    """Who commands a vehicle with a lower flight controller."""
 
     OURS = "ours"
-    """It does what we ask for, or will when armed."""
+    """It follows our commands, or will when armed."""
     PILOT = "pilot"
-    """It is in a mode in which somebody else flies: nothing is asked for until it is given back."""
+    """It is in a pilot's mode: no commands until it is handed back."""
     STOPPED = "stopped"
-    """It is disarmed though it was armed for us, or does not arm."""
+    """It is disarmed although it was armed for us, or does not arm."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class FlightControllerState:
-    """The flight controller below us."""
+    """Authority, arming and faults of the lower flight controller."""
 
     t_us: int
     authority: Authority
     acts: bool
-    """Whether thrusters do now what they are commanded."""
+    """Whether the thrusters follow the command now."""
     text: str = ""
-    """Its mode, or why it has stopped."""
+    """Its mode, or the reason for its disarming."""
     problem: str = ""
-    """How its thrusters do something else than what they are commanded, "" while they do not."""
+    """Deviation of its thrusters from the command, "" if there is none."""
     refusals: tuple[str, ...] = ()
-    """Why it would not fly for us, for the arming checks; a line each."""
+    """Reasons against arming, one line each."""
     pulses_us: tuple[int, ...] = ()
     """What the thrusters get while they do not act for us alone (a pilot's, a second sender's, neutral), in the order
     of the vehicle file; empty = not known."""
     armed: bool | None = None
-    """By its heartbeat; None = not known, or asked to disarm and not yet confirmed."""
+    """By its heartbeat; None = unknown, or a disarming that is not confirmed yet."""
     rival: bool = False
-    """Somebody else commands the thrusters beside us."""
+    """A second source commands the thrusters."""
 
 
 class DeviceRole(IntEnum):
-    """What a device does for the vehicle."""
-
     SENSORS = 0
     CAMERA = 1
     THRUSTERS = 2
@@ -152,19 +151,19 @@ class DeviceRole(IntEnum):
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class DeviceTrouble:
-    """A device that could not be used on this tick; it is tried again on the next."""
+    """A device that failed on this tick; it is tried again on the next."""
 
     t_us: int
     device: DeviceRole
     text: str
-    """What it says, and what to do."""
+    """Problem and remedy."""
 
 
 # Estimate.
 
 
 class NavHealth(IntEnum):
-    """How far the estimate can be trusted."""
+    """Validity of the estimate, in ascending order."""
 
     INVALID = 0
     DEAD_RECKONING = 1
@@ -172,29 +171,29 @@ class NavHealth(IntEnum):
 
 
 class NavDoubt(Enum):
-    """What the evidence speaks against while the estimate is being made. In the log a bit each, in this order."""
+    """Findings of the monitors against the estimate or its sensors. One bit each in the log, in this order."""
 
     ACCELEROMETER = "accelerometer"
-    """Not believed: thrust and fixes say another acceleration (or the AHRS's tilt is wrong)."""
+    """Rejected: inconsistent with thrust and fixes (or the AHRS's tilt is wrong)."""
     GYRO = "gyro"
-    """Not believed: compass and fixes say another turning."""
+    """Rejected: inconsistent with compass and fixes."""
     FIXES = "fixes"
-    """They deny the estimate, or have jumped as no vehicle can."""
+    """Inconsistent with the estimate, or an implausible jump."""
     RANGE = "range"
-    """Laser and markers say another height."""
+    """Heights by laser and markers disagree."""
     MAP = "map"
-    """Markers or sheets do not lie where the map has them."""
+    """Markers or sheets are displaced relative to the map."""
     CALIBRATION = "calibration"
     """Residuals show a wrong focal length or late stamps."""
     RESETS = "resets"
-    """The estimate has begun anew again and again."""
+    """Repeated resets of the estimate."""
     CAMERA = "camera"
-    """Not believed: its fixes do not move as gyro and vehicle model say, or have moved the estimate twice."""
+    """Rejected: its fixes are inconsistent with gyro and vehicle model, or have reset the estimate twice."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class NavState:
-    """The estimate at ``t_us``."""
+    """The navigation state at ``t_us``, of the centre of gravity."""
 
     t_us: int
     health: NavHealth
@@ -215,7 +214,7 @@ class NavState:
     reset_count: int = 0
     """Grows by one when position or yaw jump."""
     doubts: frozenset[NavDoubt] = frozenset()
-    """What speaks against the estimate or its sensors."""
+    """Findings against the estimate or its sensors."""
 
 
 class AidState(IntEnum):
@@ -229,21 +228,21 @@ class AidState(IntEnum):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MarkerFit:
-    """How well the corners of a picture's markers lie where map, camera and the pose found from them have them."""
+    """Reprojection residuals of a marker pose."""
 
     known: int
     """Markers of the picture that were matched with the map."""
     used: int
-    """Of these the pose stands on; the others did not fit."""
+    """Markers used for the pose; the others were rejected."""
     rms_px: float
-    """Of the distances of all corners used from their projections."""
+    """RMS reprojection error of the used corners."""
     worst_px: float
-    """The largest of them."""
+    """Largest reprojection error."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class AidStatus:
-    """What became of one measurement. Unused components are 0."""
+    """Result of one measurement update. Unused components are 0."""
 
     t_us: int
     sensor: str
@@ -259,12 +258,12 @@ class AidStatus:
     age_s: float
     """Now minus time of validity."""
     fit: MarkerFit | None = None
-    """Of a pose from markers."""
+    """Reprojection residuals of a pose from markers."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class NavCounters:
-    """What the estimator has counted so far, once per second."""
+    """Counters of the estimator, once per second."""
 
     t_us: int
     counts: Mapping[str, int]
@@ -273,7 +272,7 @@ class NavCounters:
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class ShadowStatus:
-    """Estimate of the flown estimator minus that of the one in its shadow."""
+    """Difference between the primary estimator and the redundant one."""
 
     t_us: int
     pos_difference_ned_m: FloatArray
@@ -282,9 +281,9 @@ class ShadowStatus:
     vel_difference_frd_m_s: FloatArray
     """(3,) over ground."""
     ratio: float
-    """Largest difference over its bound; above 1 is too much."""
+    """Largest difference over its bound; above 1 is a disagreement."""
     disagrees: bool
-    """It has been too much for a while."""
+    """The ratio has exceeded 1 for a while."""
 
 
 # Decide.
@@ -292,24 +291,24 @@ class ShadowStatus:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class VelocityGoal:
-    """A motion instead of a place: what a pilot, a circle or set points ask for now. Over ground."""
+    """A velocity over ground to be tracked instead of a position (pilot, circle, velocity set points)."""
 
     north_m_s: float = 0.0
     east_m_s: float = 0.0
-    """Both 0: the goal's place is held."""
+    """Both 0: the goal's position is held."""
     turn_rad_s: float = 0.0
-    """The direction of that velocity turns so fast, to starboard positive."""
+    """Rate of turn of the velocity's direction, positive to starboard."""
     down_m_s: float | None = None
     """None = the goal's depth."""
     yaw_rate_rad_s: float | None = None
     """None = the goal's heading."""
     yaw_trend_rad_s: float = 0.0
-    """So fast the goal's heading itself turns."""
+    """Rate of the goal's heading."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Goal:
-    """Where the vehicle should be: a terminal region, and how fast it may go there."""
+    """Terminal region of the vehicle and the speed towards it."""
 
     pos_ned_m: FloatArray
     """(3,)"""
@@ -322,13 +321,13 @@ class Goal:
     seq: int
     """Mission item, -1 when the goal is not of a mission."""
     speed_asked: bool = False
-    """True = the mission or a command asks for that speed and gets it; False = it is a bound."""
+    """True = commanded by mission or command; False = an upper bound."""
     following: "Goal | None" = None
-    """Where it goes on to from here without a stop, None = it stays."""
+    """Next goal without a stop here, None = it stays."""
     drive: VelocityGoal | None = None
-    """How it is to move, None = to the place."""
+    """Velocity to be tracked, None = go to the position."""
     facing_ned_m: FloatArray | None = None
-    """(2,) place that the vehicle looks at wherever it is, None = as ``yaw_rad`` says."""
+    """(2,) point that the heading is directed at, None = ``yaw_rad``."""
 
 
 class ProgressState(IntEnum):
@@ -344,14 +343,12 @@ class ProgressState(IntEnum):
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class MissionProgress:
-    """How far the mission is."""
-
     t_us: int
     current_seq: int
     reached_seq: int
     """-1 none."""
     lap: int
-    """How often the first DO_JUMP (or the first positional item) has been passed, from 0."""
+    """Number of passes of the first DO_JUMP (or the first positional item), from 0."""
     state: ProgressState
 
 
@@ -359,8 +356,6 @@ class MissionProgress:
 
 
 class SolveStatus(IntEnum):
-    """Outcome of one NMPC step."""
-
     OK = 0
     IDLE = 1
     """Not asked to solve (disarmed)."""
@@ -371,7 +366,7 @@ class SolveStatus(IntEnum):
 
 
 class Fallback(IntEnum):
-    """Who commands the thrusters."""
+    """Source of the thrust command; NONE = the optimiser."""
 
     NONE = 0
     SHIFTED_PLAN = 1
@@ -380,12 +375,12 @@ class Fallback(IntEnum):
 
 
 FALLBACK_TEXT = "Controller: no solution"
-"""What an operator hears of a fallback begins so."""
+"""Prefix of operator messages about a fallback."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class NmpcStatus:
-    """Health of the controller, one per NMPC step."""
+    """Diagnostics of the controller, one per NMPC step."""
 
     t_us: int
     status: SolveStatus
@@ -402,12 +397,12 @@ class NmpcStatus:
     penalty_use: float = 0.0
     """Largest multiplier of a soft limit over the slope of its penalty: at 1 the penalty is no longer exact."""
     lift_n: float = 0.0
-    """Vertical force beyond the vehicle file's buoyancy, as learned; positive pushes up."""
+    """Estimated vertical force beyond the vehicle file's buoyancy, positive up."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class UnsolvedProgram:
-    """A program of the optimiser that its solver has failed to solve, with all that it takes to solve it again."""
+    """A QP that the solver failed to solve, with all data needed to solve it again."""
 
     t_us: int
     solver: str
@@ -418,7 +413,7 @@ class UnsolvedProgram:
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class EnergyPlan:
-    """A trajectory of least energy that has just come into force."""
+    """A minimum-energy trajectory that has just become active."""
 
     seq: int
     """Mission item that it leads to, -1 when the goal is not of a mission."""
@@ -427,14 +422,14 @@ class EnergyPlan:
     energy_j: float
     """To the goal's region, hotel power included."""
     trajectory_s: float
-    """How far it is planned: less than ``eta_s`` when the goal is far away."""
+    """Duration of the planned part: less than ``eta_s`` if the goal is far away."""
     late: int
-    """Plans so far that were not there when they were due."""
+    """Plans so far that were late."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class ControlOutput:
-    """One NMPC step's result."""
+    """Result of one controller step: thrust, prediction and diagnostics."""
 
     thrust_n: FloatArray
     """(n,) in the order of the vehicle file."""
@@ -444,15 +439,15 @@ class ControlOutput:
     route_ned_m: FloatArray
     """(m, 2) the free path that the reference follows, first row = now, last = goal."""
     nominal: FloatArray = field(default_factory=lambda: np.zeros((0, 8)))
-    """(n, 8) predicted states (:mod:`autopilot.core.model4`); where an undisturbed vehicle would be."""
+    """(n, 8) predicted states (:mod:`autopilot.core.model4`) of the undisturbed vehicle."""
     nominal_t_s: FloatArray = field(default_factory=lambda: np.zeros(0))
     """(n,) times of ``nominal`` after ``status.t_us``: the plan begins one thruster lag ahead."""
     tube_m: FloatArray = field(default_factory=lambda: np.zeros(0))
-    """(n,) horizontal distance from ``nominal`` within which the vehicle stays; what limits are tightened by."""
+    """(n,) horizontal radius of the tube about ``nominal``, by which the constraints are tightened."""
     plan: EnergyPlan | None = None
     """On the step on which one came into force."""
     restarted: bool = False
-    """The plan began anew (another route, a jump of the estimate): earlier ones promise nothing any more."""
+    """The plan was restarted (another route, a jump of the estimate): earlier predictions are void."""
     unsolved: tuple[UnsolvedProgram, ...] = ()
     """The first programs of this step that were not solved."""
 
@@ -462,7 +457,7 @@ class ControlOutput:
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class ThrusterCommand:
-    """What goes to the thrusters."""
+    """Thrust and pulses, in the order of the vehicle file."""
 
     t_us: int
     thrust_n: FloatArray
@@ -475,20 +470,20 @@ class ThrusterCommand:
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class ThrusterHealthState:
-    """How much of its thrust each thruster gives, 1 = as the vehicle file says."""
+    """Effectiveness of each thruster, 1 = nominal thrust of the vehicle file."""
 
     t_us: int
     effectiveness: FloatArray
-    """(n,) what bounds and allocation go by: what was told and what was found, the smaller."""
+    """(n,) used by bounds and allocation: the smaller of declared and detected."""
     estimate: FloatArray
-    """(n,) the running estimate; errors of mass and drag are in it."""
+    """(n,) the running estimate, including errors of mass and drag."""
     sigma: FloatArray
     """(n,) standard deviation of the estimate."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class ModeState:
-    """What the vehicle is doing."""
+    """Arming, flight mode and active failsafes."""
 
     t_us: int
     armed: bool
@@ -498,7 +493,7 @@ class ModeState:
 
 
 class Failsafe(IntEnum):
-    """Bit positions of ModeState.failsafes. What each is about: :mod:`autopilot.command.failsafe_table`."""
+    """Bit positions of ModeState.failsafes; their conditions: :mod:`autopilot.command.failsafe_table`."""
 
     NAV_LOST = 0
     SOLVER = 1
@@ -534,7 +529,7 @@ class Failsafe(IntEnum):
 
 
 class RunEnd(Enum):
-    """How a run of the service ends by command."""
+    """End of a run of the service by command."""
 
     STOP = "stop"
     AGAIN = "again"
@@ -565,10 +560,10 @@ class Event:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ProcessStats:
-    """What the process holds, once per second."""
+    """Resources of the process, once per second."""
 
     rss_bytes: int
-    """Memory that is resident; 0 = the system does not say."""
+    """Resident memory; 0 = unknown."""
     log_queue: int
     """Messages that wait for the writer of the log,"""
     log_queue_bytes: int
@@ -580,7 +575,7 @@ class ProcessStats:
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class LoopStats:
-    """Health of the loop, once per second."""
+    """Timing of the control loop, once per second."""
 
     t_us: int
     tick_s: float
@@ -599,28 +594,28 @@ class LoopStats:
 
     @property
     def late_part(self) -> LoopPart:
-        """What most of the slowest tick went into."""
+        """The part with the largest share of the slowest tick."""
         return LoopPart(max(range(len(self.part_s)), key=self.part_s.__getitem__))
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class EstimatorInputs:
-    """What the estimator was given in one tick beside ``Inputs.samples``: with them, all that it went by."""
+    """Inputs of the estimator in one tick beside ``Inputs.samples``, for replay."""
 
     thrust_n: FloatArray
-    """(n,) in the order of the vehicle file: what acted since the last tick, as far as the service knew."""
+    """(n,) thrust assumed to act since the last tick, in the order of the vehicle file."""
     samples: tuple[ExternalPoseSample, ...] = ()
     """Poses that came over MAVLink."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Outputs:
-    """All that should happen, and all that was decided, in one tick."""
+    """All results of one tick: commands and records for the log."""
 
     t_us: int
     command: ThrusterCommand
     nav: NavState | None
-    """None until the estimator has initialised itself."""
+    """None until the estimator is initialised."""
     mode: ModeState
     mavlink_tx: tuple[MavlinkFrame, ...] = ()
     aids: tuple[AidStatus, ...] = ()
@@ -630,19 +625,19 @@ class Outputs:
     """Set on the ticks on which the controller ran."""
     progress: MissionProgress | None = None
     counters: NavCounters | None = None
-    """Of the estimator, once per second."""
+    """Counters of the estimator, once per second."""
     shadow: ShadowStatus | None = None
-    """None without an estimator in the shadow of the flown one."""
+    """None without a redundant estimator."""
     thrusters: ThrusterHealthState | None = None
     """Twice per second and when a thruster's health changes."""
     drop_weight: bool = False
     """A failsafe wants the drop weight off."""
     hand_back: bool = False
-    """A failsafe has given the thrusters to whatever is below us; ``command`` is neutral."""
+    """A failsafe has handed the thrusters back to the lower flight controller; ``command`` is neutral."""
     disarm_flight_controller: bool = False
     """The flight controller below is to be disarmed, until its heartbeat shows it."""
     payload: PayloadState | None = None
-    """What gripper, lights, relays and the like get; None on a vehicle without any."""
+    """Commanded state of gripper, lights, relays; None without payload."""
     shots: tuple[int, ...] = ()
     """Numbers of the stills that are to be taken from now on."""
     stills: tuple[StillRecord, ...] = ()

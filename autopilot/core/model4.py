@@ -1,7 +1,11 @@
-"""The 4-DoF vehicle model that controller and estimator share (paper, section III-B, with M^-1 in front of T_A tau).
+"""The 4-DoF vehicle model of controller and estimator (paper, section III-B, with M^-1 in front of T_A tau).
 
-State (8): x, y, z [m, NED], yaw [rad], u_r, v_r, w_r [m/s, FRD, relative to the water], r [rad/s].
-Input (n): thrust of the vehicle's n thrusters [N], in the order of its file. Current (3): NED [m/s].
+    eta' = J(yaw) nu_r + (c, 0)        M nu_r' + C(nu_r) nu_r + D(nu_r) nu_r + g = T_A F
+
+State x (8): x, y, z [m, NED], yaw [rad], u_r, v_r, w_r [m/s, FRD, relative to the water], r [rad/s].
+Input F (n): thrust of the n thrusters [N], in the order of the vehicle file. Current c (3): NED [m/s], constant over
+a step. M includes added mass; C is Coriolis and Munk terms, D linear and quadratic drag, g buoyancy minus weight
+(Fossen 2011, ch. 6 and 7).
 
 The equations are written once and run on floats, numpy arrays and CasADi symbols: ``ops`` supplies cos, sin and sqrt
 (:mod:`math`, :mod:`numpy` or :mod:`casadi`). The simulator does not use this module: it has its own 6-DoF equations.
@@ -16,13 +20,13 @@ AXIS_NAMES = ("surge", "sway", "heave", "yaw")
 AXES = len(AXIS_NAMES)
 
 NO_STATE = 1e6
-"""m, m/s, rad: a hundred times what the local frame holds; what is beyond comes of an integration that overflows."""
+"""m, m/s, rad: a hundred times the range of the local frame; larger values are a diverged integration."""
 
 X, Y, Z, YAW, U, V, W, R = range(NX)
 """Indices of the state."""
 
 NO_FORCES = (0.0,) * AXES
-"""Of thrusters that stand still."""
+"""Zero generalised force."""
 
 ABS_SMOOTHING_M2_S2 = 1e-6
 """|a| is taken as sqrt(a^2 + this) so that quadratic drag is differentiable at rest (1 mm/s)."""
@@ -30,7 +34,7 @@ ABS_SMOOTHING_M2_S2 = 1e-6
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Model4:
-    """Coefficients of the 4-DoF model. Drag coefficients are positive here; order surge, sway, heave, yaw."""
+    """Coefficients of the 4-DoF model in the order surge, sway, heave, yaw. Drag coefficients are positive."""
 
     mass_kg: tuple[float, float, float, float]
     """m11, m22, m33 [kg] and m44 [kg m^2], added mass included."""
@@ -46,18 +50,35 @@ class Model4:
 
     @property
     def thrusters(self) -> int:
-        """n, how many there are."""
+        """Number of thrusters n."""
         return len(self.allocation[0])
 
 
 def body_acceleration(model: Model4, nu: Sequence[Any], thrust_n: Sequence[Any], ops: Any) -> list[Any]:
-    """Acceleration relative to the water (4): u', v', w' [m/s^2], r' [rad/s^2] from nu = (u_r, v_r, w_r, r)."""
+    """Acceleration relative to the water, M^-1 (T_A F - C nu - D nu - g).
+
+    Parameters
+    ----------
+    model
+        Coefficients.
+    nu
+        (4,) u_r, v_r, w_r [m/s], r [rad/s].
+    thrust_n
+        (n,) thrust of each thruster [N].
+    ops
+        Module with ``sqrt``: math, numpy or casadi.
+
+    Returns
+    -------
+    list
+        u_r', v_r', w_r' [m/s^2], r' [rad/s^2].
+    """
     forces = [sum([a * thrust_n[j] for j, a in enumerate(row) if a != 0.0]) for row in model.allocation]
     return forced_acceleration(model, nu, forces, ops)
 
 
 def forced_acceleration(model: Model4, nu: Sequence[Any], forces: Sequence[Any], ops: Any) -> list[Any]:
-    """The same (4) with the thrusters' force (4) X, Y, Z [N], N [N m]."""
+    """As :func:`body_acceleration`, for the generalised force (4,) X, Y, Z [N], N [N m] of the thrusters."""
     u, v, w, r = nu[0], nu[1], nu[2], nu[3]
     m11, m22, m33, m44 = model.mass_kg
     drag = [
@@ -75,7 +96,26 @@ def forced_acceleration(model: Model4, nu: Sequence[Any], forces: Sequence[Any],
 def state_derivative(
     model: Model4, x: Sequence[Any], thrust_n: Sequence[Any], current_ned_m_s: Sequence[Any], ops: Any
 ) -> list[Any]:
-    """dx/dt (8) (paper, eq. 6)."""
+    """x' = f(x, F, c) (paper, eq. 6).
+
+    Parameters
+    ----------
+    model
+        Coefficients.
+    x
+        (8,) state.
+    thrust_n
+        (n,) thrust of each thruster [N].
+    current_ned_m_s
+        (3,) current, NED [m/s].
+    ops
+        Module with ``cos``, ``sin``, ``sqrt``: math, numpy or casadi.
+
+    Returns
+    -------
+    list
+        The 8 derivatives, in SI units.
+    """
     c, s = ops.cos(x[YAW]), ops.sin(x[YAW])
     return [
         x[U] * c - x[V] * s + current_ned_m_s[0],
@@ -87,13 +127,15 @@ def state_derivative(
 
 
 def steady_force(model: Model4, nu: Sequence[Any], ops: Any) -> list[Any]:
-    """Force (4) X, Y, Z [N], N [N m] that holds the velocity nu = (u, v, w, r): drag, buoyancy and Munk moment."""
+    """Generalised force (4,) X, Y, Z [N], N [N m] that keeps nu = (u_r, v_r, w_r, r) constant: drag, buoyancy, Munk
+    moment.
+    """
     drift = forced_acceleration(model, nu, NO_FORCES, ops)
     return [-m * a for m, a in zip(model.mass_kg, drift, strict=True)]
 
 
 def rk4(f: Callable[[Any], Any], x: Any, step_s: Any) -> Any:
-    """x after a step of the classic fourth-order Runge-Kutta method, x' = f(x); arrays or CasADi symbols."""
+    """State after one step ``step_s`` [s] of the classical fourth-order Runge-Kutta method for x' = f(x)."""
     k1 = f(x)
     k2 = f(x + step_s / 2 * k1)
     k3 = f(x + step_s / 2 * k2)

@@ -1,9 +1,9 @@
-"""What the service is told in answer to its own questions, so that a replay can be told the same.
+"""Record and replay of the answers that do not follow from the inputs.
 
-Beside its inputs a step asks a few things whose answers do not follow from them: whether slow work is ready (in real
-time), whether a disk has kept something, whether a signature is one of our key. Every such answer that is not the usual
-one is noted with its kind and with how often that had been asked since the last note was taken; a replay
-(:class:`NondeterminismReplay`) gives it at the same question again.
+A step depends on a few external results: whether background work is ready (in real time), whether a disk write has
+completed, whether a signature matches our key. Every answer other than the default is recorded with its kind and the
+number of queries since the last record was taken; in a replay :class:`NondeterminismReplay` returns it at the same
+query.
 """
 
 from collections import Counter
@@ -28,8 +28,6 @@ class Note:
 
 
 class NondeterminismSource(Protocol):
-    """Stands beside the questions."""
-
     def ask(self, kind: str, usual: F, find: Callable[[], F]) -> F:
         """The answer to a question; ``find`` gets it in flight, ``usual`` is the one that need not be noted."""
         ...
@@ -40,8 +38,6 @@ class NondeterminismSource(Protocol):
 
 
 class NondeterminismRecorder:
-    """A flight's: asks, and notes."""
-
     def __init__(self) -> None:
         self._asked: dict[str, int] = {}
         self._notes: list[Note] = []
@@ -65,7 +61,7 @@ class NondeterminismRecorder:
 
 
 class NondeterminismReplay:
-    """A replay's: says what was noted."""
+    """Returns the recorded answers in a replay."""
 
     def __init__(self) -> None:
         self._asked: Counter[str] = Counter()
@@ -79,12 +75,10 @@ class NondeterminismReplay:
         self._facts = {(note.kind, note.number): note.fact for note in self._notes}
 
     def ask(self, kind: str, usual: F, find: Callable[[], F]) -> F:
-        """What was answered then."""
         del find
         self._asked[kind] += 1
         # Notes of a kind are of the kind of its usual answer.
         return cast(F, self._facts.get((kind, self._asked[kind]), usual))
 
     def take(self) -> tuple[Note, ...]:
-        """What has been told."""
         return self._notes

@@ -1,4 +1,4 @@
-"""Notices to operator and log, kept until they are taken."""
+"""Queue of notices to operator and log."""
 
 from autopilot.core.messages import Severity
 
@@ -10,6 +10,6 @@ class NoticeQueue:
         self._notices: list[tuple[Severity, str]] = []
 
     def take_notices(self) -> list[tuple[Severity, str]]:
-        """Severity and text of what has come since the last call."""
+        """Severity and text of the notices since the last call."""
         taken, self._notices = self._notices, []
         return taken

@@ -1,7 +1,7 @@
-"""Every text of ours to operators (STATUSTEXT and the log's events), one row each.
+"""All texts to operators (STATUSTEXT and the log's events), one row each.
 
 A row has a severity, a template with named fields, a meaning and a remedy. The sender calls the row with its fields:
-``ARMED()``, ``MODE(name="HOLD")``. docs/messages.md is written from this table (docs/messages_page.py). The
+``ARMED()``, ``MODE(name="HOLD")``. docs/messages.md is generated from this table (docs/messages_page.py). The
 conditions of failsafes have a table of their own, :mod:`autopilot.command.failsafe_table`.
 """
 
@@ -26,8 +26,6 @@ class OperatorText(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Row:
-    """One message."""
-
     severity: Severity
     template: str
     meaning: str = ""
@@ -37,11 +35,9 @@ class Row:
 
     @property
     def fields(self) -> tuple[str, ...]:
-        """Names in the template."""
         return tuple(name for _, name, _, _ in string.Formatter().parse(self.template) if name is not None)
 
     def __call__(self, **fields: object) -> OperatorText:
-        """The message now."""
         return OperatorText(self.severity, self.template.format(**fields))
 
     def event(self, t_us: int, /, **fields: object) -> Event:

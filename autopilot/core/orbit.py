@@ -1,4 +1,4 @@
-"""Where a vehicle looks on a circle."""
+"""Heading of a vehicle on a circle."""
 
 from enum import IntEnum
 

@@ -1,6 +1,6 @@
-"""The local origin as parameters: degrees that a 32-bit float holds, and the rest in 1e-7 degrees.
+"""The local origin as parameters: degrees as a 32-bit float, and the remainder in 1e-7 degrees.
 
-A float of degrees moves a place by up to 0.4 m when a client saves it and sets it again; with the rest nothing moves.
+A 32-bit float of degrees alone changes a position by up to 0.4 m when a client saves and restores it.
 """
 
 import math

@@ -1,7 +1,7 @@
-"""Python processes that this package starts: they import what their parent does, and nothing from the current folder.
+"""Python child processes: they import what their parent does, and nothing from the current folder.
 
-Without ``-P`` Python looks in the current folder first: a ``logging.py`` or a package ``autopilot`` of the user's
-would be imported in place of the right one. ``tests/test_child_processes.py`` lists every place that starts one.
+Without ``-P`` Python searches the current folder first: a ``logging.py`` or a package ``autopilot`` of the user's
+would be imported instead of the right one. ``tests/test_child_processes.py`` lists every place that starts one.
 """
 
 import contextlib
@@ -26,8 +26,9 @@ def python_command(code: str) -> list[str]:
 
 @contextlib.contextmanager
 def safe_path() -> Iterator[None]:
-    """Processes that libraries start meanwhile (multiprocessing's servers and workers, a Dask cluster's) do not import
-    from the current folder either. What the parent itself imports from (``sys.path``) they are given by the library."""
+    """Make processes that libraries start (multiprocessing's servers and workers, a Dask cluster's) not import from
+    the current folder either. The libraries pass on the parent's ``sys.path``.
+    """
     before = os.environ.get(SAFE_PATH)
     os.environ[SAFE_PATH] = "1"
     try:

@@ -1,9 +1,9 @@
-"""Parameters on disk. Written whole and renamed, so that a power cut leaves the old file or the new one.
+"""Parameter files. Written completely and renamed, so that a power cut leaves the old file or the new one.
 
 Reads QGroundControl's five tab-separated columns (vehicle, component, name, value, type) and ``NAME value`` or
-``NAME,value`` (ArduPilot, MAVProxy); writes QGroundControl's form. A file that somebody gives is read strictly: what is
-wrong in it is an error. The file that a vehicle keeps must not keep it from starting: lines that cannot be used are
-warnings, the parameter has its default then, and names that this version does not know stay in the file.
+``NAME,value`` (ArduPilot, MAVProxy); writes QGroundControl's format. A file given by the user is read strictly: every
+problem is an error. The vehicle's own file must not prevent its start: invalid lines are warnings and the parameter
+has its default; names that this version does not know are kept in the file.
 """
 
 import re
@@ -28,7 +28,7 @@ _QGC_COLUMNS = 5
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ParamText:
-    """What a parameter file holds, line by line."""
+    """Content of a parameter file, line by line."""
 
     values: dict[str, float]
     unknown: dict[str, str]
@@ -81,7 +81,7 @@ def _read_line(line: str) -> tuple[str, float] | None:
 
 
 def scan_param_file(path: Path) -> ParamText:
-    """Read a file that somebody gives. ConfigError when it cannot be read at all."""
+    """Read a user's file. ConfigError if it cannot be read at all."""
     try:
         return scan_params(path.read_text(encoding="utf-8"), str(path))
     except OSError as error:
@@ -112,10 +112,10 @@ def write_param_file(path: Path, values: Mapping[str, float], *, sysid: int = 1)
 def kept_params(
     folder: Path, params: ParamSet, overrides: Mapping[str, float], worker: BackgroundWorker | None
 ) -> tuple["PersistentParams", tuple[str, ...]]:
-    """``params``, which have the defaults of vehicle and place, with what earlier runs have kept in ``folder`` and the
-    ``overrides`` of the command line; the result is where they are kept from now on and what is wrong with the file.
+    """``params``, which have the defaults of vehicle and site, with the values stored in ``folder`` and the
+    ``overrides`` of the command line. Returns their storage and the problems of the file.
 
-    Without the ``desk`` of the disk they are only looked at: nothing is cleaned up, nothing set aside.
+    Without the ``desk`` of the disk the folder is read only: nothing is cleaned up or set aside.
     """
     persistent = PersistentParams(folder / "parameters.params", params, worker)
     warnings = persistent.load(mend=worker is not None)
@@ -125,13 +125,13 @@ def kept_params(
 
 
 class PersistentParams:
-    """Keeps on disk what operators set at run time, and nothing else (not defaults, not command-line values).
+    """Stores values that operators set at run time, and nothing else (no defaults, no command-line values).
 
-    The writing goes over a desk; :meth:`save` and :meth:`saved` are what the parameter protocol asks.
+    Writes run on a background worker; :meth:`save` and :meth:`saved` are the interface of the parameter protocol.
     """
 
     def __init__(self, path: Path, params: ParamSet, worker: BackgroundWorker | None = None) -> None:
-        """``desk``: the lane of the disk, by default the caller's own time."""
+        """``desk``: worker of the disk, by default synchronous."""
         self._file = StateFile(path)
         self._params = params
         self._wanted: dict[str, float] = {}
@@ -149,9 +149,9 @@ class PersistentParams:
         """What :meth:`load` has not found again."""
 
     def load(self, *, mend: bool = True) -> tuple[str, ...]:
-        """Apply the file, if there is one. The result is what an operator should know: lines that were left out.
+        """Apply the file, if there is one. Returns notices to the operator: lines that were skipped.
 
-        ``mend``: remove what a killed service left, set a file aside that cannot be used.
+        ``mend``: remove temporary files of a killed service, set an unusable file aside.
         """
         if mend:
             self._file.clean()
@@ -179,7 +179,7 @@ class PersistentParams:
         return self._put(tick)
 
     def saved(self, tick: int) -> Saved | None:
-        """What became of a write, once."""
+        """Result of a write, once."""
         kept = self._watchdog.poll(tick)
         if kept is None:
             return None
@@ -187,7 +187,6 @@ class PersistentParams:
         return Saved(number=kept.number, failure="" if kept.error is None else cause_of(kept.error))
 
     def finish(self) -> None:
-        """Write what is not yet on disk."""
         self._note(self._watchdog.finish())
 
     def _note(self, error: Exception | None) -> None:
@@ -200,7 +199,7 @@ class PersistentParams:
         return self._number
 
     def _lost(self, found: ParamText | None, problems: list[str]) -> tuple[Loss, ...]:
-        """What operators have to know before they arm."""
+        """Notices to operators before arming."""
         if problems and found is None:
             text = "stored parameters not loaded, defaults in force"
         elif problems:

@@ -1,7 +1,7 @@
-"""Parameters: what an operator may change over MAVLink. One table gives name, default, unit, range and help.
+"""Parameters: values that an operator can change over MAVLink. One table gives name, default, unit, range and help.
 
-Names have at most 16 characters (MAVLink). Values live in a :class:`ParamSet`; who changes one gets a clear refusal
-instead of a clamped value. Keeping them on disk is not this module's business (:mod:`autopilot.core.param_file`).
+Names have at most 16 characters (MAVLink). Values are held by a :class:`ParamSet`; an invalid change is refused with a
+reason, not clamped. Files: :mod:`autopilot.core.param_file`.
 """
 
 import math
@@ -24,8 +24,6 @@ class ParamType(Enum):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ParamSpec:
-    """Declaration of one parameter."""
-
     name: str
     default: float
     minimum: float
@@ -40,7 +38,7 @@ class ParamSpec:
 
     @property
     def values(self) -> Mapping[int, str]:
-        """What the values of a choice mean, as ``help`` says; empty for a parameter that is no choice."""
+        """Labels of the values of an enumeration, parsed from ``help``; empty for other parameters."""
         if self.type is not ParamType.INT32 or self.maximum > MAX_CHOICES:
             return {}
         told = {int(number): text.strip() for number, text in _MEANING.findall(self.help)}
@@ -48,18 +46,17 @@ class ParamSpec:
 
     @property
     def restart(self) -> bool:
-        """Whether a change acts at the next start only."""
+        """Whether a change takes effect at the next start only."""
         return "(restart)" in self.help
 
     @property
     def group(self) -> str:
-        """What operators find it under."""
         named = (group for start, group in _GROUPS.items() if self.name.startswith(start))
         return self.family or next(named, self.name.split("_")[0].capitalize())
 
     @property
     def title(self) -> str:
-        """``help`` in short: its first clause, without what single values mean."""
+        """Short form of ``help``: its first clause, without the labels of single values."""
         clause = _CLAUSE_END.split(self.help.replace(" (restart)", ""), maxsplit=1)[0].rstrip(".")
         return clause if clause and not clause[0].isdigit() else self.help.rstrip(".")
 
@@ -340,17 +337,23 @@ class ParamSet(Mapping[str, float]):
 
     @property
     def live(self) -> Mapping[str, float]:
-        """The same values, always those of now, for who reads many of them at every tick."""
+        """A view of the present values, for code that reads many of them at every tick."""
         return MappingProxyType(self._values)
 
     def spec(self, name: str) -> ParamSpec:
-        """Declaration of a parameter; ConfigError if there is none of that name."""
+        """Declaration of a parameter. ConfigError if there is none of that name."""
         if name not in self._specs:
             raise ConfigError(f"parameter {name!r} does not exist; `autopilot params list` shows all names")
         return self._specs[name]
 
     def set(self, name: str, value: float) -> None:
-        """Change a value. ConfigError (unknown, not finite, out of range, not whole) changes nothing."""
+        """Change a value.
+
+        Raises
+        ------
+        ConfigError
+            Unknown name, or a value that is not finite, out of range, or not an integer; nothing is changed.
+        """
         spec = self.spec(name)
         if not math.isfinite(value):
             raise ConfigError(
@@ -366,7 +369,7 @@ class ParamSet(Mapping[str, float]):
             self.revision += 1
 
     def take_changes(self) -> dict[str, float]:
-        """Values that were changed since the last call (whoever made the set counts as one), for the log."""
+        """Values changed since the last call (construction counts as a change), for the log."""
         if not self._changes:
             return {}
         changes, self._changes = self._changes, {}
@@ -375,7 +378,7 @@ class ParamSet(Mapping[str, float]):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Saved:
-    """What became of parameters that were to be kept."""
+    """Result of a request to store parameters."""
 
     number: int
     """Every request up to this one is settled."""
@@ -384,12 +387,10 @@ class Saved:
 
 
 class ParamSaving(Protocol):
-    """Where parameters are kept. Never waits for a disk."""
+    """Storage of parameters. Never blocks on a disk."""
 
     def save(self, tick: int, name: str) -> int | None:
-        """Have the value in force kept; the number of the request, None when nothing has to be waited for."""
+        """Store the present value; the number of the request, None if there is nothing to wait for."""
         ...
 
-    def saved(self, tick: int) -> Saved | None:
-        """What became of requests, once."""
-        ...
+    def saved(self, tick: int) -> Saved | None: ...

@@ -1,4 +1,4 @@
-"""What a vehicle carries that is moved by pulses: the state that all of it is to have."""
+"""State of the payload that is driven by pulses."""
 
 from dataclasses import dataclass
 
@@ -8,7 +8,7 @@ MAX_PAYLOAD = 16
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PayloadState:
-    """What the outputs of ``[[payload]]`` get, in the order of the vehicle file."""
+    """Commanded outputs of ``[[payload]]``, in the order of the vehicle file."""
 
     t_us: int
     pulses_us: tuple[int, ...]

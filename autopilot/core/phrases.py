@@ -1,4 +1,4 @@
-"""What vehicle texts begin with that our own client, or another part, recognises."""
+"""Prefixes of vehicle texts that our own client or another module recognises."""
 
 NO_START = "No start: "
 """The plans are stored, and must not be flown."""

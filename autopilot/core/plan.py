@@ -1,4 +1,4 @@
-"""Plans as they travel on the wire: items, kinds, and the answer to an upload."""
+"""Plans as in the MAVLink mission protocol: items, kinds, and the result of an upload."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -37,7 +37,7 @@ class MissionResult(IntEnum):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PlanItem:
-    """One MISSION_ITEM_INT, kept exactly as it came so that a download returns what was uploaded."""
+    """One MISSION_ITEM_INT, stored unchanged so that a download returns what was uploaded."""
 
     seq: int
     frame: int
@@ -61,7 +61,7 @@ class PlanItem:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PlanRejection:
-    """Why a plan is refused. ``reason`` names the item, what is wrong and what to do, in one line."""
+    """Reason for refusing a plan. ``reason`` names the item, the problem and the remedy, in one line."""
 
     seq: int | None
     """The item that is to be changed; None when it is no item's fault."""
@@ -87,7 +87,7 @@ _AMSL = (0, 5)
 
 
 def may_be_home(item: PlanItem) -> bool:
-    """Whether an item looks like home before a mission: a bare waypoint with an altitude above the sea."""
+    """Whether an item may be the home position before a mission: a plain waypoint with an altitude above the sea."""
     bare = not (item.param1 or item.param2 or item.param3) and (item.param4 == 0.0 or item.param4 != item.param4)
     return item.seq == 0 and item.command == _NAV_WAYPOINT and item.frame in _AMSL and bare
 
@@ -124,11 +124,9 @@ class PlanChange(Protocol):
 
 
 class PlanStore(Protocol):
-    """What the MAVLink mission protocol needs of the place where plans live (implemented in mission/store.py)."""
+    """Storage of plans for the MAVLink mission protocol (implemented in mission/store.py)."""
 
-    def items(self, kind: PlanKind) -> tuple[PlanItem, ...]:
-        """The plan in force."""
-        ...
+    def items(self, kind: PlanKind) -> tuple[PlanItem, ...]: ...
 
     def checksum(self, kind: PlanKind) -> int:
         """Opaque id of the plan in force (MAVLink mission protocol): another one whenever it changes, 0 = empty."""
@@ -139,10 +137,10 @@ class PlanStore(Protocol):
         ...
 
     def propose(self, plans: Mapping[PlanKind, tuple[PlanItem, ...]]) -> PlanChange:
-        """Have plans checked and take all of them, or refuse and keep those in force. Replaces an open change."""
+        """Validate plans and accept all of them, or refuse and keep the active ones. Replaces a pending change."""
         ...
 
     @property
     def kept(self) -> bool:
-        """Whether the plans in force are where they are kept, or known not to get there; always where none are."""
+        """Whether the active plans are stored on disk, or have failed to be; always true without storage."""
         ...

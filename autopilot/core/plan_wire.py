@@ -1,4 +1,4 @@
-"""Plan items to MISSION_ITEM_INT and back."""
+"""Conversion of plan items to MISSION_ITEM_INT and back."""
 
 from typing import Any
 
@@ -20,7 +20,6 @@ def item_message(
 
 
 def item_of(message: Any) -> PlanItem:
-    """The item of a MISSION_ITEM_INT."""
     return PlanItem(
         seq=message.seq,
         frame=message.frame,

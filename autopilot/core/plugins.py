@@ -1,9 +1,9 @@
-"""Parts that are chosen by name: a shipped one, one of an installed package, or any ``package:Class``.
+"""Plugins by name: a shipped one, one of an installed package, or any ``package:Class``.
 
-A controller, an estimator or a plant of one's own needs no change of this repository (docs/extend.md). It is looked for
-among the shipped names, then as ``package:Class``, then among the entry points of installed packages (group
-``underwater_autopilot.controllers`` and so on). The class, or any other callable, is called with one record of what
-there is and gives the part, which is held against its protocol before anything moves.
+A user's controller, estimator or plant needs no change of this repository (docs/extend.md). Names are resolved among
+the shipped ones, then as ``package:Class``, then among the entry points of installed packages (group
+``underwater_autopilot.controllers`` and so on). The class, or any other callable, is called with one context record
+and returns the instance, which is checked against its protocol before use.
 """
 
 import hashlib
@@ -47,14 +47,14 @@ class Plugin:
     """Of the file that it stands in, "" for a shipped one."""
 
     def make(self, given: object, protocol: type) -> Any:
-        """The part, made of ``given``. ConfigError if it cannot be made or is not what ``protocol`` asks for."""
+        """The instance, constructed from ``given``. ConfigError if that fails or it does not implement ``protocol``."""
         try:
             inspect.signature(self.call).bind(given)
         except TypeError as error:
             kind = type(given).__name__
             raise self._error(f"is called with one {kind}, which it does not take ({error}); see {PAGE}") from error
         except ValueError:
-            pass  # a callable that does not say what it takes
+            pass  # a callable without a signature
         try:
             made = self.call(given)
         except AutopilotError:
@@ -66,7 +66,7 @@ class Plugin:
         return made
 
     def _hold_against(self, made: object, name: str, wanted: object, protocol: type) -> None:
-        """ConfigError unless ``made`` has that member and it takes what it will be given."""
+        """ConfigError unless ``made`` has that member with compatible arguments."""
         try:
             found = inspect.getattr_static(made, name)
         except AttributeError as error:
@@ -102,9 +102,17 @@ def plugin_names(kind: str, shipped: Mapping[str, str] | tuple[str, ...]) -> lis
 
 
 def find_plugin(kind: str, name: str, shipped: Mapping[str, str], asked_by: str | None = None) -> Plugin:
-    """The part of that name. ``shipped``: name -> ``module:attribute``. ConfigError if there is none.
+    """Locate the plugin of that name.
 
-    A shipped name means the shipped part whatever is installed.
+    Parameters
+    ----------
+    shipped
+        Name -> ``module:attribute``; these names take precedence over installed packages.
+
+    Raises
+    ------
+    ConfigError
+        There is none of that name.
     """
     asked_by = asked_by or f"--{kind}"
     entry = None if name in shipped else _installed(kind).get(name)
@@ -132,7 +140,7 @@ def _installed(kind: str) -> dict[str, EntryPoint]:
 
 
 def _imported(target: str, who: str) -> Callable[..., Any]:
-    """What a target names. ConfigError if it cannot be imported or called."""
+    """The object of a target. ConfigError if it cannot be imported or called."""
     module_name, _, path = target.partition(":")
     try:
         module = import_module(module_name)

@@ -1,4 +1,4 @@
-"""How thrusters follow their commands: first order, each with its own time constant."""
+"""First-order response of the thrusters, each with its own time constant."""
 
 import math
 from collections.abc import Iterable, Sequence
@@ -20,17 +20,16 @@ class Response:
 
     @classmethod
     def of(cls, thrusters: Iterable[Thruster]) -> "Response":
-        """From the vehicle file."""
         return cls(thruster.drive.time_constant_s for thruster in thrusters)
 
     def share(self, dt_s: float) -> float | FloatArray:
-        """How much of the way to the command is made in that time; one number or (n,)."""
+        """1 - exp(-dt / T), the fraction of a step that is reached after ``dt_s``; scalar or (n,)."""
         if self._alike:
             return 1.0 - math.exp(-dt_s / self.mean_s)
         return np.array([1.0 - math.exp(-dt_s / each) for each in self.time_constants_s])
 
     def after(self, dt_s: float, acting: Sequence[float], command: Sequence[float]) -> list[float]:
-        """What acts after that time of what acted (n,) and is commanded (n,): for a few numbers quicker than arrays."""
+        """Thrust (n,) after that time from the present (n,) and the command (n,); lists are faster than arrays here."""
         share = self.share(dt_s)
         shares = [share] * len(acting) if isinstance(share, float) else share.tolist()
         return [f + s * (to - f) for f, to, s in zip(acting, command, shares, strict=True)]

@@ -1,4 +1,4 @@
-"""Standard deviations of normally distributed errors from medians, which a few gross errors do not move."""
+"""Factors between medians and standard deviations of normally distributed errors, for robust estimates."""
 
 MAD_TO_SIGMA = 1.4826
 """Standard deviation over the median of the absolute values: 1 / 0.6745."""

@@ -1,6 +1,6 @@
-"""What the outside world says: samples of sensors, as drivers and the simulator deliver them.
+"""Sensor samples, as drivers and the simulator deliver them.
 
-Conventions as in :mod:`autopilot.core.messages`. ``t_us`` is the time of validity.
+Conventions as in :mod:`autopilot.core.messages`. ``t_us`` is the time of validity [us].
 """
 
 from dataclasses import dataclass
@@ -12,7 +12,7 @@ from autopilot.core.frames import FloatArray
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class AhrsSample:
-    """One AHRS frame. ``t_us`` is the time of validity as the driver knows it (arrival minus declared latency)."""
+    """One AHRS frame. ``t_us``: arrival minus the declared latency."""
 
     t_us: int
     rpy_rad: FloatArray
@@ -25,7 +25,7 @@ class AhrsSample:
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class ImuSample:
-    """One frame of a device that gives no attitude. ``t_us`` is the time of validity."""
+    """One frame of an IMU without attitude output."""
 
     t_us: int
     rate_frd_rad_s: FloatArray
@@ -40,14 +40,15 @@ class ImuSample:
 class CameraFrame:
     """One image. ``t_us`` is the time of exposure; pixels are BGR uint8 (rows, columns, 3).
 
-    Detection and log look at it on threads of their own: whoever made it does not write into it any more."""
+    Detection and log read it on threads of their own: the producer must not write to it any more.
+    """
 
     t_us: int
     image_bgr: Any
 
 
 class FrameVerdict(Enum):
-    """Why a picture is refused; ``OK`` = it is not."""
+    """Reason why an image is rejected; ``OK`` = accepted."""
 
     OK = "ok"
     WRONG_SIZE = "wrong_size"
@@ -66,7 +67,7 @@ class FrameVerdict(Enum):
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class PictureReport:
-    """What a picture looks like, before anybody has looked for markers."""
+    """Statistics of an image, computed before marker detection."""
 
     t_us: int
     verdict: FrameVerdict
@@ -78,12 +79,12 @@ class PictureReport:
 
 
 MAX_SIGHTED = 64
-"""Markers that one sighting holds, as a logged one does: a replay has what the flight had."""
+"""Largest number of markers of one sighting, as in the log: a replay has the flight's data."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class MarkerSighting:
-    """What the vision front end found in one image. ``t_us`` is the time of exposure."""
+    """Markers and laser dot detected in one image. ``t_us`` is the time of exposure."""
 
     t_us: int
     ids: tuple[int, ...]
@@ -93,14 +94,14 @@ class MarkerSighting:
     laser_px: FloatArray | None
     """(2,) the laser dot, None if not found."""
     sigma_px: FloatArray | None = None
-    """(n,) standard deviation of each marker's corners along an axis, judged by the image; None = not known."""
+    """(n,) standard deviation of each marker's corners per axis, from the image; None = unknown."""
     decode_us: int = 0
     """Time that detection took, for the log."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class PoseSample:
-    """A measured pose of the vehicle (marker-pose sensor, external vision). ``t_us`` is the time of validity."""
+    """A measured pose of the vehicle (marker-pose sensor, external vision)."""
 
     t_us: int
     pos_ned_m: FloatArray
@@ -113,7 +114,7 @@ class PoseSample:
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class LaserSample:
-    """Range along the laser beam to the floor (for sensors that deliver a range and not a picture)."""
+    """Range along the laser beam to the floor, of sensors that deliver a range instead of an image."""
 
     t_us: int
     range_m: float
@@ -122,28 +123,26 @@ class LaserSample:
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class AltimeterSample:
-    """Range of a sonar altimeter's first echo. ``t_us`` is the time of validity."""
+    """Range of a sonar altimeter's first echo."""
 
     t_us: int
     range_m: float
-    """To the nearest thing within its beam."""
+    """Distance of the nearest echo within the beam."""
     sigma_m: float
     confidence: float = 1.0
-    """0..1, how sure the device is that it is an echo."""
+    """0..1, the device's confidence in the echo."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class DepthSample:
-    """Depth by pressure. ``t_us`` is the time of validity."""
-
     t_us: int
     depth_m: float
-    """Of the sensor below the surface, positive down."""
+    """Depth of the sensor below the surface, positive down."""
     sigma_m: float
 
 
 class VelocityLock(IntEnum):
-    """What a velocity is measured against."""
+    """Reference of a velocity measurement."""
 
     WATER = 0
     BOTTOM = 1
@@ -151,7 +150,7 @@ class VelocityLock(IntEnum):
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class VelocitySample:
-    """Velocity of the sensor in the body frame (DVL). ``t_us`` is the time of validity."""
+    """Velocity of a DVL at its mounting position, in the body frame."""
 
     t_us: int
     vel_frd_m_s: FloatArray
@@ -165,21 +164,21 @@ class ExternalFrame(IntEnum):
     """Local frame of an external pose."""
 
     NED = 0
-    """Ours: north, east, down from the local origin at the surface."""
+    """North, east, down from the local origin at the surface."""
     FRD = 1
-    """Level, down is down, but origin and direction of its x axis are the source's own."""
+    """Level (z down), with origin and direction of the x axis defined by the source."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class ExternalPoseSample:
-    """A pose from outside of the vehicle's own sensors. ``t_us`` is the time of validity."""
+    """A pose from a source outside of the vehicle (motion capture, acoustic positioning)."""
 
     t_us: int
     pos_m: FloatArray
     """(3,) of the tracked point, in ``frame``."""
     yaw_rad: float
     covariance: FloatArray | None
-    """(4, 4) of position and yaw, None = the source does not know."""
+    """(4, 4) of position and yaw, None = unknown."""
     frame: ExternalFrame = ExternalFrame.NED
     reset_counter: int = 0
     """Changes when the source's pose has jumped."""
@@ -187,7 +186,7 @@ class ExternalPoseSample:
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class PowerSample:
-    """Battery terminals."""
+    """Voltage and current at the battery terminals, and energy used."""
 
     t_us: int
     voltage_v: float
@@ -199,18 +198,18 @@ class PowerSample:
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class LeakSample:
-    """A water sensor inside the hull. ``t_us`` is the time of validity."""
+    """State of a leak probe inside the hull."""
 
     t_us: int
     wet: bool
 
 
 MAX_VOLTAGE_V, MAX_CURRENT_A, MAX_ENERGY_J = 1e3, 1e4, 1e12
-"""Beyond these no battery is read, a wire is broken."""
+"""Readings beyond these are a wiring fault."""
 
 
 def plausible(power: PowerSample) -> bool:
-    """Whether a battery can say that."""
+    """Whether the values are physically possible for a battery."""
     return (
         0.0 <= power.voltage_v <= MAX_VOLTAGE_V
         and abs(power.current_a) <= MAX_CURRENT_A
@@ -221,29 +220,29 @@ def plausible(power: PowerSample) -> bool:
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class HullSample:
-    """The air inside the hull. ``t_us`` is the time of validity."""
+    """Pressure and temperature of the air inside the hull."""
 
     t_us: int
     pressure_pa: float | None
-    """Absolute, None = this device does not measure it."""
+    """Absolute, None = not measured."""
     temperature_c: float | None
-    """The same."""
+    """None = not measured."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class PilotSample:
-    """A device has heard the pilot's sticks (a flight controller below us, a receiver). ``t_us``: when."""
+    """Input from the pilot's sticks was received by the flight controller or a receiver."""
 
     t_us: int
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class ObstacleTrack:
-    """An obstacle that something on board or outside has seen, as an upright cylinder. ``t_us``: time of validity."""
+    """A detected obstacle as a vertical cylinder."""
 
     t_us: int
     track_id: int
-    """Same obstacle, same number."""
+    """Identifies the obstacle."""
     pos_ned_m: FloatArray
     """(2,) north, east of its axis."""
     vel_ned_m_s: FloatArray

@@ -1,9 +1,9 @@
-"""The seal of the compiled library: what it was made of, and that it is whole.
+"""Seal of the compiled library: hash of its sources and of its content.
 
-Written into a constant of the library when it is built, read before it is loaded: the system's loader kills a process
-that touches what is missing of a truncated file, and does not know an old one. Only what the loader maps counts, so
-that ``strip`` may take symbols away. Uses the standard library alone, for the build runs without the package's
-requirements.
+Written into a constant of the library when it is built, checked before it is loaded: the dynamic loader kills a
+process that accesses the missing part of a truncated file, and cannot detect an outdated one. Only the loaded segments
+count, so that ``strip`` may remove symbols. Uses the standard library only, because the build runs without the
+package's requirements.
 """
 
 import hashlib
@@ -26,7 +26,7 @@ header, which of its numbers are offset and size within the file."""
 
 
 def sources_digest(folder: Path) -> bytes:
-    """Of all C sources in the package's ``data/native``, and of what writes the others."""
+    """Digest of all C sources in the package's ``data/native``, and of the generators of the others."""
     digest = hashlib.sha256()
     written = sorted([*folder.glob("*.c"), *folder.glob("*.h")], key=lambda path: path.name)
     for path in [*written, *(folder.parents[1] / name for name in GENERATORS)]:
@@ -35,7 +35,7 @@ def sources_digest(folder: Path) -> bytes:
 
 
 def seal(library: Path, sources: Path) -> None:
-    """Write into ``library`` what it is made of and its own digest. ValueError if it is none of ours."""
+    """Write the digests of sources and content into ``library``. ValueError if it is not this package's."""
     content = bytearray(library.read_bytes())
     begin, end = _digests(content)
     content[begin:end] = sources_digest(sources) + bytes(DIGEST)
@@ -44,7 +44,7 @@ def seal(library: Path, sources: Path) -> None:
 
 
 def flaw(library: Path, sources: Path) -> str | None:
-    """What is wrong with a sealed library, None if it is whole and of these sources. OSError if it cannot be read."""
+    """Defect of a sealed library, None if it is complete and of these sources. OSError if it cannot be read."""
     content = bytearray(library.read_bytes())
     try:
         begin, end = _digests(content)
@@ -58,13 +58,15 @@ def flaw(library: Path, sources: Path) -> str | None:
 
 
 def _digests(content: bytearray) -> tuple[int, int]:
-    """Where the two digests begin and end. ValueError without seal."""
+    """Begin and end of the two digests. ValueError without seal."""
     begin = content.index(MAGIC) + len(MAGIC)
     return begin, begin + 2 * DIGEST
 
 
 def _digest(content: bytearray) -> bytes:
-    """Of what the loader maps of an ELF file, its headers aside; of all of another file. ValueError if it is cut."""
+    """Digest of the loaded segments of an ELF file without headers; of any other file completely. ValueError if
+    truncated.
+    """
     if content[:4] != b"\x7fELF":
         return hashlib.sha256(content).digest()
     order, digest = "<" if content[5] == 1 else ">", hashlib.sha256()

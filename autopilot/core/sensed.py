@@ -1,4 +1,4 @@
-"""The newest of each sensor, for what shows sensors and not the estimate."""
+"""Latest sample of each sensor, for displays of raw measurements."""
 
 import math
 from dataclasses import dataclass, field
@@ -18,7 +18,7 @@ MOST_M_S2 = 1e4
 
 @dataclass(slots=True, eq=False)
 class Vibration:
-    """How much the specific force shakes, per axis: the root of the mean square above about 4 Hz [m/s2]."""
+    """RMS of the specific force above about 4 Hz, per axis [m/s2]."""
 
     _mean: list[float] = field(default_factory=lambda: [math.nan] * 3)
     _square: list[float] = field(default_factory=lambda: [0.0] * 3)

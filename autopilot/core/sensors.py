@@ -1,8 +1,7 @@
-"""Every kind of sensor, one row each: what it says, who reads it, who simulates it, what the estimator makes of it.
+"""The table of sensors, one row per kind: sample classes, drivers, simulation, use by the estimator.
 
-Drivers, simulation, estimator, doctor and view go by this table. Classes stand as ``module:Class`` and are imported by
-whoever needs them, so that this module depends on none. How samples are logged is the table of
-:mod:`autopilot.log.sample_table`.
+Drivers, simulation, estimator, doctor and view use this table. Classes are given as ``module:Class`` and imported on
+use, so that this module depends on none. The logging of samples is defined in :mod:`autopilot.log.sample_table`.
 """
 
 from collections.abc import Mapping
@@ -12,8 +11,6 @@ from importlib import import_module
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SensorRow:
-    """One kind of sensor."""
-
     device: str
     """Its table in ``[devices]`` and in a scenario's ``[sensors]``, its name in faults and in the view."""
     label: str
@@ -21,7 +18,7 @@ class SensorRow:
     measures: str = ""
     """What it measures, for the doctor; "" = nothing that he looks at."""
     samples: tuple[str, ...]
-    """What it says: classes of :mod:`autopilot.core.samples`."""
+    """Its samples: classes of :mod:`autopilot.core.samples`."""
     reading: str = ""
     """Attribute of a sample whose last digits are noise: one that repeats itself has said nothing new."""
     drivers: Mapping[str, str] = field(default_factory=dict)
@@ -42,7 +39,6 @@ class SensorRow:
 
     @property
     def kinds(self) -> tuple[type, ...]:
-        """The classes of its samples."""
         module = import_module("autopilot.core.samples")
         return tuple(getattr(module, name) for name in self.samples)
 

@@ -68,7 +68,7 @@ def inside_polygon(vertices: FloatArray, points: FloatArray) -> BoolArray:
 
 
 def is_inside(corners: Sequence[tuple[float, float]], north: float, east: float) -> bool:
-    """The same of one place in plain numbers, a tenth of the work."""
+    """Whether one point is inside, in plain floats: ten times as fast."""
     inside = False
     a_north, a_east = corners[-1]
     for b_north, b_east in corners:

@@ -1,7 +1,7 @@
-"""Files that must survive whatever ends a service: written whole, with the copy before kept.
+"""Crash-safe state files: written atomically, with the previous version kept.
 
-At every moment there is one whole file: the new content is on disk under another name before it takes the old one's
-place, and the old one has got its second name by then. What is found damaged is set aside and not overwritten.
+There is a complete file at every moment: the new content is on disk under a temporary name before it replaces the old
+file, which has been linked to its backup name by then. A damaged file is set aside and not overwritten.
 """
 
 import contextlib
@@ -26,14 +26,14 @@ class Loss:
     text: str
     """For the operator, without a path."""
     accept: Callable[[int], None]
-    """An operator knows it and goes on without (at this tick): the next start does not ask again."""
+    """The operator has consented to continue without it (at this tick): not asked again at the next start."""
 
 
 class StateFile:
     """One file and its copy. Not thread-safe: one writer."""
 
     def __init__(self, path: Path, *, copies: bool = True, private: bool = False) -> None:
-        """``copies``: keep the content before the last; ``private``: nobody but its owner may read it."""
+        """``copies``: keep the previous version; ``private``: readable by its owner only."""
         self.path = path
         self._copies = copies
         self._mode = 0o600 if private else 0o666
@@ -56,15 +56,16 @@ class StateFile:
             return False
 
     def accept(self) -> None:
-        """An operator goes on without what was set aside or cannot be read; where nothing can be renamed he is asked
-        again at the next start."""
+        """Operator's consent to continue without a file that was set aside or is unreadable; if it cannot be renamed
+        he is asked again at the next start.
+        """
         for path in (self.path, self.damaged) if self._unread else (self.damaged,):
             with contextlib.suppress(OSError):
                 os.replace(path, self.accepted)
         self._unread = False
 
     def clean(self) -> None:
-        """Remove what a killed service left half written; on a disk that takes no writes it stays and does no harm."""
+        """Remove partly written files of a killed service; on a read-only disk they remain, without effect."""
         with contextlib.suppress(OSError):
             self._new.unlink(missing_ok=True)
             for found in self.path.parent.glob(f"{self.path.name}????????"):
@@ -72,9 +73,9 @@ class StateFile:
                     found.unlink(missing_ok=True)
 
     def read(self, parse: Callable[[bytes], T], *, set_aside: bool = True) -> tuple[T | None, list[str]]:
-        """The content, else that of the copy before; None when there is neither. Beside it what was wrong.
+        """The content, else that of the previous version; None if there is neither. With it the problems found.
 
-        ``parse`` raises ValueError, with the reason, for what it cannot use.
+        ``parse`` raises ValueError with the reason for unusable content.
         """
         problems: list[str] = []
         for path in (self.path, self.previous):
@@ -93,12 +94,12 @@ class StateFile:
         return None, problems
 
     def set_aside(self) -> Path:
-        """Give what :meth:`read` has given another name, because it is not in force; the result is that name."""
+        """Rename the version that :meth:`read` returned, because it is not in use; returns the new name."""
         os.replace(self.path if self.path.exists() else self.previous, self.damaged)
         return self.damaged
 
     def write(self, data: bytes) -> None:
-        """Replace the content. OSError leaves what was there."""
+        """Replace the content. After an OSError the old content is intact."""
         self.path.parent.mkdir(parents=True, exist_ok=True)
         if self._unread:
             with contextlib.suppress(FileNotFoundError):

@@ -1,4 +1,4 @@
-"""Still pictures: what the service asks the camera for, what becomes of it, what the log keeps beside the pixels."""
+"""Still pictures: requests to the camera, their results, and the metadata in the log."""
 
 from dataclasses import dataclass
 
@@ -7,7 +7,7 @@ from autopilot.core.frames import FloatArray
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class CameraReport:
-    """How the camera and the place where its pictures are kept are doing."""
+    """State of the camera and of the storage of its stills."""
 
     frame_us: int | None
     """Exposure of the newest picture, None before the first."""
@@ -20,8 +20,6 @@ class CameraReport:
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class StoredStill:
-    """What became of a still that the service asked for."""
-
     index: int
     """The service's number of it."""
     exposure_us: int

@@ -1,9 +1,8 @@
-"""Thrust of a pulse, and the pulse for a thrust: the calibrated curve of a :class:`ThrusterDrive`.
+"""Thrust from pulse and its inverse: the calibrated curve of a :class:`ThrusterDrive`.
 
-A brushed thruster behind its amplifier: pulse -> duty -> voltage = duty * supply -> F = c V |V|, with different c
-forward and reverse and a band of duty in which the motor does not turn. A brushless one behind its ESC: the maker's
-tables. Either inverse jumps the band in which nothing turns: a request of at least half the smallest thrust gets the
-smallest thrust, a smaller one gets none.
+Brushed thruster with amplifier: pulse -> duty -> voltage = duty * supply -> F = c V |V|, with different c ahead and
+astern and a dead band of the duty. Brushless thruster with ESC: the manufacturer's tables. The inverse skips the dead
+band: a request of at least half the smallest thrust gets the smallest thrust, a smaller one gets zero.
 """
 
 import bisect
@@ -23,21 +22,21 @@ of it counts as that part: pulses are at their limits long before."""
 
 
 class ThrustLaw(ABC):
-    """What pulses of one drive give. ``supply_v`` is the measured voltage; None = nominal. Offsets count from neutral
-    in the direction that pushes ahead."""
+    """Thrust curve of one drive. ``supply_v``: measured voltage; None = nominal. Offsets are relative to neutral,
+    positive ahead.
+    """
 
     def __init__(self, drive: ThrusterDrive) -> None:
         self.drive = drive
 
     def supply(self, supply_v: float | None) -> float:
-        """The voltage to reckon with."""
         if supply_v is None or not 0.0 < supply_v <= CREDIBLE_SUPPLY * self.drive.nominal_supply_v:
             return self.drive.nominal_supply_v
         return max(supply_v, self.drive.nominal_supply_v / CREDIBLE_SUPPLY)
 
     @abstractmethod
     def offset_us(self, thrust_n: float, limit_n: float, supply_v: float | None) -> int:
-        """Offset for one thrust [N], a number other than 0, within what ``limit_n`` allows."""
+        """Offset for one thrust [N], not 0, within ``limit_n``."""
 
     @abstractmethod
     def thrust_n(self, offset_us: int, supply_v: float | None) -> float:
@@ -59,7 +58,6 @@ class BrushedLaw(ThrustLaw):
         """Smallest offset that turns: strictly beyond the band."""
 
     def offset_us(self, thrust_n: float, limit_n: float, supply_v: float | None) -> int:
-        """By the square root."""
         supply, span = self.supply(supply_v), self.drive.span_us
         sign = 1 if thrust_n > 0.0 else -1
         wanted = min(abs(thrust_n), limit_n)
@@ -85,7 +83,7 @@ class BrushedLaw(ThrustLaw):
         return (self._forward if offset > 0 else self._reverse) * volts * abs(volts)
 
     def capability_n(self, supply_v: float | None) -> float:
-        """At full duty."""
+        """Thrust at full duty [N]."""
         supply = self.supply(supply_v)
         return min(self._forward, self._reverse) * supply * supply
 
@@ -137,7 +135,6 @@ class CurveLaw(ThrustLaw):
         return offset if thrust_n > 0.0 else -offset
 
     def thrust_n(self, offset_us: int, supply_v: float | None) -> float:
-        """By the tables."""
         span = self.drive.span_us
         return self._at(supply_v)[max(-span, min(span, offset_us)) + span]
 

@@ -1,7 +1,7 @@
-"""Thrusters of a vehicle: where they sit, what drives them, and what they push. Any number from 3 to 8, in any order.
+"""Thrusters of a vehicle: position, direction, drive and response. Any number from 3 to 8, in any order.
 
-The one place where geometry becomes a matrix: :func:`wrench_matrix` (6 x N) is the plant's, :func:`allocation` (4 x N)
-the controller's and the estimator's.
+The only place where geometry becomes a matrix: :func:`wrench_matrix` (6 x N) for the plant, :func:`allocation` (4 x N)
+for controller and estimator.
 """
 
 import itertools
@@ -47,10 +47,10 @@ class ThrustCurve(Table, frozen=True, kw_only=True):
 
 
 class ThrusterDrive(Table, frozen=True, kw_only=True):
-    """Thruster and amplifier: what a pulse gives.
+    """Thruster and amplifier: thrust by pulse.
 
-    ``brushed``: pulse -> duty -> voltage -> thrust F = c V |V|. ``curve``: tables of the maker, for ESC and brushless
-    thruster together; between their voltages linear, beyond them with the square of the voltage.
+    ``brushed``: pulse -> duty -> voltage -> thrust F = c V |V|. ``curve``: the manufacturer's tables for ESC and
+    brushless thruster together; linear between their voltages, quadratic in the voltage beyond them.
     """
 
     kind: Literal["brushed", "curve"] = "brushed"

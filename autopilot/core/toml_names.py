@@ -1,4 +1,4 @@
-"""What may stand where in a TOML file: the names that an unknown key, kind or value has to be one of."""
+"""Checks of names in TOML files: unknown keys, kinds and values, with the allowed ones in the message."""
 
 import copy
 import difflib
@@ -25,7 +25,7 @@ CLOSE = 0.6
 
 
 def remedy(error: str, tables: dict[str, Any], kind: type) -> str:
-    """What to write instead of what msgspec refused with ``error`` when it read ``tables`` as ``kind``."""
+    """Allowed values in place of the one that msgspec refused with ``error`` when it read ``tables`` as ``kind``."""
     whole = inspect.type_info(kind)
     found = _NO_KEY.search(error)
     if found is not None:
@@ -84,7 +84,7 @@ def _only(tables: dict[str, Any], place: str, key: str) -> dict[str, Any]:
 
 
 def _refused(tables: dict[str, Any], kind: type) -> str:
-    """What is wrong with tables, "" if nothing is."""
+    """Validation error of the tables, "" if they are valid."""
     try:
         msgspec.convert(tables, kind, strict=True)
     except msgspec.ValidationError as error:
@@ -102,7 +102,7 @@ def choice(name: str, names: Sequence[str]) -> str:
 
 
 def _told(tables: dict[str, Any], place: str) -> str:
-    """What stands at a path, as said before a remedy; "" where the path leaves open which entry it means."""
+    """The value at a path as text before a remedy; "" if the path does not identify the entry."""
     value: Any = tables
     for step in _STEP.finditer(place):
         key = step["key"] if step["index"] is None else int(step["index"]) if step["index"].isdecimal() else None
@@ -115,7 +115,7 @@ def _told(tables: dict[str, Any], place: str) -> str:
 
 
 def _kinds(whole: inspect.Type, tables: dict[str, Any], place: str) -> list[str]:
-    """Kinds of the table at ``place``, whatever kind it says that it is."""
+    """Possible kinds of the table at ``place``, whatever its ``kind`` key."""
     here = list(_types_at(whole, tables, place, any_kind=True))
     return [str(each.tag) for each in here if isinstance(each, inspect.StructType) and each.tag is not None]
 
@@ -123,7 +123,7 @@ def _kinds(whole: inspect.Type, tables: dict[str, Any], place: str) -> list[str]
 def _types_at(
     whole: inspect.Type, tables: dict[str, Any], place: str, *, any_kind: bool = False
 ) -> Iterator[inspect.Type]:
-    """What may stand at a path such as ``$.obstacle[0].center_m``."""
+    """Allowed types at a path such as ``$.obstacle[0].center_m``."""
     steps = [step["key"] or step["index"] for step in _STEP.finditer(place)]
     yield from _below(whole, tables, steps, any_kind)
 
@@ -150,6 +150,6 @@ def _below(here: inspect.Type, value: Any, steps: Sequence[str], any_kind: bool)
 
 
 def _another_kind(one: inspect.Type, value: Any) -> bool:
-    """Whether the table ``value`` says that it is of another kind than ``one``."""
+    """Whether the table ``value`` declares another kind than ``one``."""
     tagged = isinstance(one, inspect.StructType) and one.tag_field is not None and isinstance(value, dict)
     return tagged and isinstance(one, inspect.StructType) and one.tag_field in value and value[one.tag_field] != one.tag

@@ -1,4 +1,4 @@
-"""TOML files: how they are read, and what their tables are made of."""
+"""Reading of TOML files into typed tables."""
 
 import math
 import tomllib
@@ -43,8 +43,13 @@ def parse_toml(text: str, origin: str) -> dict[str, Any]:
 
 
 def convert(tables: dict[str, Any], kind: type, origin: str) -> Any:
-    """``tables`` as ``kind``; ConfigError names the path of the key, what is wrong with it, what may stand there, and
-    the file."""
+    """``tables`` as ``kind``.
+
+    Raises
+    ------
+    ConfigError
+        Names the path of the key, the problem, the allowed values, and the file.
+    """
     for place, value in _leaves(tables, "$"):
         if isinstance(value, float) and not math.isfinite(value):
             raise ConfigError(f"{origin}: `{place}` = {value} is not a finite number; correct or remove that key")

@@ -1,4 +1,4 @@
-"""What a vehicle can do by its file: authority and speed per axis, power, and what the file does not say."""
+"""Capabilities of a vehicle by its file: authority and speed per axis, power, and missing data."""
 
 import math
 from dataclasses import dataclass
@@ -26,8 +26,6 @@ NAMED = 8
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class AxisSummary:
-    """One controlled axis."""
-
     axis: str
     authority: float
     """Force [N], of yaw moment [N m], that the thrusters make alone and both ways, buoyancy not counted."""
@@ -37,8 +35,6 @@ class AxisSummary:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class VehicleSummary:
-    """All of it."""
-
     axes: tuple[AxisSummary, ...]
     hover_w: float
     """Electrical power at rest in still water, everything that is not a thruster included."""
@@ -71,7 +67,7 @@ def facts_of(vehicle: Vehicle) -> VehicleSummary:
 
 
 def terminal_speed(force: float, linear: float, quadratic: float) -> float:
-    """Where linear and quadratic drag take that force."""
+    """Speed at which linear and quadratic drag equal that force."""
     if force <= 0.0:
         return 0.0
     if quadratic == 0.0:
@@ -80,7 +76,7 @@ def terminal_speed(force: float, linear: float, quadratic: float) -> float:
 
 
 def tilts_of(vehicle: Vehicle) -> tuple[str, ...]:
-    """Of roll and pitch those that thrust can push while surge, sway, heave and yaw stay as they are."""
+    """Those of roll and pitch that thrust can produce without force or moment in surge, sway, heave and yaw."""
     thrusters = vehicle.thrusters
     wrench = np.array(wrench_matrix([t.position_frd_m for t in thrusters], [t.direction_frd for t in thrusters]))
     controlled, found = wrench[list(CONTROLLED)], []
@@ -120,7 +116,7 @@ def _missing(vehicle: Vehicle) -> list[str]:
 
 
 def _given(vehicle: Vehicle) -> list[str]:
-    """``key`` or ``table.key`` of everything that a source can be given for; what is as by default needs none."""
+    """``key`` or ``table.key`` of every value that needs a source; defaults need none."""
     result = []
     for field in msgspec.structs.fields(vehicle):
         value = getattr(vehicle, field.name)

@@ -1,9 +1,10 @@
-"""A predicted path among features and moving obstacles: what it is bound by, and how clear of everything it stays.
+"""Half-planes and clearance of a predicted path among boundaries and moving obstacles.
 
-Between two nodes the prediction is a chord. What stands out into free ground (circles, corners, moving obstacles) is
-met with the *chord*, and the half-plane at its nearest point binds both of its ends: a half-plane that holds at both
-ends holds in between. The nearest place of a straight edge is always met at a node or at one of its corners. What the
-chord crosses altogether (walls of no thickness) ends the path: later nodes are held where the path was last in order.
+Between two nodes the prediction is a chord. For boundaries that are convex towards the free space (circles, corners,
+moving obstacles) the distance is taken to the *chord*, and the half-plane at the nearest point constrains both of its
+ends: a half-plane that holds at both ends holds in between. The nearest point of a straight edge is always at a node
+or at a corner. Where a chord crosses a boundary (a wall of no thickness), later nodes are constrained to the last
+feasible position.
 """
 
 from dataclasses import dataclass
@@ -15,15 +16,15 @@ from autopilot.control.constraints.features import BoolArray, Boundaries, Comple
 from autopilot.core.frames import FloatArray
 
 RECOVERY_M_S = 0.2
-"""How fast the vehicle is asked to come back from where it must not be."""
+"""Speed at which a violated boundary is recovered."""
 
 NEAR_M = 1.0
-"""Of many features those are left out that the prediction does not come this near."""
+"""With many features, those farther from the prediction than this are left out."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Movers:
-    """Round obstacles with straight predicted motion; K of them, as complex numbers north + i east."""
+    """K circular obstacles with constant predicted velocity, as complex numbers north + i east."""
 
     center: ComplexArray
     """(K,) now"""
@@ -91,7 +92,7 @@ class Path:
         step = rays[1:] - rays[:-1] if len(self._center) > 1 else (points[1:] - points[:-1])[:, None]
         length2 = np.maximum(step.real**2 + step.imag**2, FEATURES.tiny_m**2)
         at = np.minimum(np.maximum((step.conj() * rays[:-1]).real / -length2, 0.0), 1.0)
-        at[:, self._side < 0.0] = 1.0  # what is to be stayed in is convex: its nodes will do
+        at[:, self._side < 0.0] = 1.0  # a convex inclusion: nodes inside are enough
         leaves = np.abs(rays[:-1]) < rim[: len(rays) - 1]
         if leaves.any():
             at[leaves] = 1.0  # out of an obstacle there is no chord that keeps clear of it
@@ -103,7 +104,7 @@ class Path:
         )
 
     def margin_m(self) -> float:
-        """Smallest clearance beyond the radius."""
+        """Smallest clearance beyond the body radius [m]."""
         seen, met, radius = self._seen.distance, self._met.distance, self._radius_m
         margin = float(min(seen[0].min(initial=FEATURES.far_m), self._now.min(initial=FEATURES.far_m))) - float(
             radius[0]
@@ -132,7 +133,7 @@ class Path:
         end = begin + (step.conj() * ab).imag
         through = np.flatnonzero((maybe & ((begin > 0.0) != (end > 0.0))).any(axis=1))
         if seen.bad is not None:
-            # From forbidden ground the way out goes through an edge.
+            # From a forbidden area the shortest way out is through an edge.
             through = through[~seen.bad[through].any(axis=1)]
         return int(through[0]) if len(through) else None
 
@@ -146,7 +147,7 @@ class Path:
     def fill(self, slots: int, normals: ComplexArray, offsets: FloatArray) -> None:
         """Half-planes of the nearest features: ``normals`` (m, slots), ``offsets`` (m, slots)."""
         seen, met = self._seen, self._met
-        # Corners are met by chords, and an edge beyond whose end a node lies has nothing else to say.
+        # Corners are handled by chords; an edge whose end a node is beyond adds nothing.
         distance_e = np.where(seen.share[1:] <= 0.0, FEATURES.far_m, seen.distance[1:])
         distance_r = met.distance
         if seen.bad is not None:
@@ -178,7 +179,7 @@ class Path:
         np.copyto(offsets[:, :used], offset, where=says)
 
     def _silence_corners(self, bad: BoolArray, distance_r: FloatArray) -> None:
-        """Corners of a polygon that a point is inside say nothing there."""
+        """Disable the corners of polygons that contain the point."""
         polygon = self._features.edges.polygon[self._keep[0]]
         rows, columns = np.nonzero(bad)
         for row, number in {(int(r), int(polygon[c])) for r, c in zip(rows, columns, strict=True)}:

@@ -1,7 +1,7 @@
 """Half-planes and margins of a fence by the compiled library, in the common case (``data/native/surroundings.c``).
 
-A tenth of the time; what the library leaves alone (forbidden ground, walls that are crossed) is for
-:mod:`autopilot.control.constraints.chords`, which also says what the numbers mean.
+Ten times as fast as :mod:`autopilot.control.constraints.chords`, which documents the quantities and handles the
+remaining cases (forbidden areas, crossed walls).
 """
 
 import ctypes
@@ -20,7 +20,7 @@ _POINTERS = ("a", "ab", "along", "normal", "polygon", "center", "radius", "side"
 
 
 class _Boundaries(compiled.Mirror):
-    """The struct of surroundings.c."""
+    """ctypes layout of the struct in surroundings.c."""
 
     _fields_ = (
         ("edges", ctypes.c_long),

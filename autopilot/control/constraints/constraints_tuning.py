@@ -1,17 +1,17 @@
-"""Tuned numbers of fence and obstacles, by module."""
+"""Constants of fence and obstacle constraints, by module."""
 
 from dataclasses import dataclass
 
 
 @dataclass(frozen=True, slots=True)
 class FeaturesTuning:
-    """Of :mod:`autopilot.control.constraints.features`."""
+    """Constants of :mod:`autopilot.control.constraints.features`."""
 
     tiny_m: float = 1e-9
     far_m: float = 1e6
     """Stands for "no boundary anywhere near"."""
     many_features: int = 16
-    """Of more features than that, those are left out that are not near."""
+    """With more features than this, distant ones are left out."""
     on_edge: float = 1e-9
     """A projection beyond an edge by this share still counts as on the edge."""
 
@@ -21,12 +21,12 @@ FEATURES = FeaturesTuning()
 
 @dataclass(frozen=True, slots=True)
 class TracksTuning:
-    """Of :mod:`autopilot.control.constraints.tracks`."""
+    """Constants of :mod:`autopilot.control.constraints.tracks`."""
 
     standing_m_s: float = 0.03
-    """What is slower stands."""
+    """Slower tracks are static."""
     growth_m_s: float = 0.02
-    """How fast the circle of a moving track grows: assumed error of its velocity."""
+    """Growth rate of a moving track's radius: assumed error of its velocity."""
     largest_growth_m: float = 0.3
     """Beyond this much a circle would only make the vehicle boxed in."""
     forget_moving_us: int = 5_000_000
@@ -36,7 +36,7 @@ class TracksTuning:
     """A vehicle that is so far inside of something is not: the report is wrong, or the circle round a ship is mostly
     water. There is no way out of it, and a vehicle that flees from everywhere presses against its fence."""
     max_tracks: int = 32
-    """The one seen longest ago makes room for another."""
+    """The oldest one is dropped for a new one."""
     largest_radius_m: float = 100.0
     fastest_m_s: float = 10.0
     farthest_m: float = 1e5

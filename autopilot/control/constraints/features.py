@@ -1,7 +1,7 @@
-"""The boundaries of a fence as arrays: edges of polygons, circles, and corners that stand out into free ground; and
-how they look from points.
+"""Boundaries of a fence as arrays (edges of polygons, circles, corners that are convex towards the free space), and
+their distances from points.
 
-Horizontal positions are complex numbers north + i east.
+Horizontal positions are complex numbers north + i east [m].
 """
 
 from dataclasses import dataclass
@@ -58,7 +58,7 @@ class Rounds:
     polygon: IntArray
     """(C,) number of the polygon whose corner it is, -1 = a circle."""
     circles: int
-    """How many circles there are."""
+    """Number of circles."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -69,7 +69,7 @@ class VisibleEdges:
     rho: FloatArray
     """Distance from the edge, never negative."""
     distance: FloatArray
-    """Signed; ``far_m`` where the edge has nothing to say."""
+    """Signed; ``far_m`` where the edge is not active."""
     normal: ComplexArray
     """Unit vectors that point where the vehicle has to be."""
     offset: FloatArray
@@ -81,7 +81,7 @@ class VisibleEdges:
 
 
 class Boundaries:
-    """The features of a fence, and how they look from points."""
+    """The boundaries of a fence, and their distances from points."""
 
     def __init__(self, fence: Fence) -> None:
         self.edges, self.rounds = _features_of(fence)
@@ -92,9 +92,10 @@ class Boundaries:
         self._groups = _groups(self.edges.polygon)
 
     def within(self, points: ComplexArray, reach_m: float) -> tuple[IntArray, IntArray]:
-        """Edges and rounds that matter within ``reach_m`` of the points.
+        """Edges and corners within ``reach_m`` of the points.
 
-        Of a polygon in reach those edges stay that may be the nearest to one of the points: they tell its sides apart.
+        Of a polygon within reach all edges are kept that may be the nearest to one of the points: they decide the
+        side.
         """
         low, high = complex(points.real.min(), points.imag.min()), complex(points.real.max(), points.imag.max())
         middle, spread = 0.5 * (low + high), 0.5 * abs(high - low)
@@ -129,7 +130,7 @@ class Boundaries:
         distance = np.where(share >= 1.0, FEATURES.far_m, rho)
         bad = self._behind(keep, share, rho, line)
         if bad is not None:
-            # Of a polygon that a point is inside (outside) only the nearest edge counts, and it pushes the other way
+            # Of a polygon with the point inside (outside) only the nearest edge is active, with the opposite sign
             # (but not from the line itself).
             first, group = self._groups if whole else _groups(edges.polygon[keep])
             distance[np.logical_or.reduceat(bad, first, axis=1)[:, group]] = FEATURES.far_m
@@ -139,9 +140,9 @@ class Boundaries:
         return VisibleEdges(share=share, rho=rho, distance=distance, normal=normal, offset=offset, line=line, bad=bad)
 
     def _behind(self, keep: IntArray, share: FloatArray, rho: FloatArray, line: FloatArray) -> BoolArray | None:
-        """Which nearest edges (m, E) of a polygon have the point on the wrong side; None if none has.
+        """(m, E) nearest edges of a polygon that have the point on the wrong side; None if none has.
 
-        A polygon is on the wrong side of a point if its nearest edge says so, or the corner that is nearest.
+        A point is on the wrong side of a polygon by its nearest edge or its nearest corner.
         """
         if line.min(initial=0.0) >= 0.0:
             return None
@@ -159,7 +160,6 @@ class Boundaries:
 
 
 def _features_of(fence: Fence) -> tuple[PolygonEdges, Rounds]:
-    """The boundaries of a fence."""
     polygons: list[tuple[FloatArray, bool]] = []
     circles: list[tuple[Circle, float]] = []
     for shapes, inside in ((fence.inclusions, True), (fence.exclusions, False)):
@@ -191,7 +191,7 @@ def _edges(polygons: list[tuple[FloatArray, bool]]) -> PolygonEdges:
     following = v[ring.after]
     ab, before = following - v, v - v[ring.before]
     free_left = np.where(inside, 1.0, -1.0)[ring.number]
-    # A corner hides what is behind it where the boundary turns towards the free side.
+    # A corner that is convex towards the free side hides the boundary behind it.
     begin_hides = (np.conj(before) * ab).imag * free_left > 0.0
     length = np.abs(ab)
     center: ComplexArray = np.zeros(0, dtype=complex)
@@ -229,7 +229,7 @@ class _Rings:
 
     @classmethod
     def of(cls, counts: IntArray) -> "_Rings":
-        """Of so many corners each (none without any)."""
+        """Rings with that number of corners each (possibly none)."""
         first = np.cumsum(counts) - counts
         number = np.repeat(np.arange(len(counts)), counts)
         before, after = np.arange(len(number)) - 1, np.arange(len(number)) + 1
@@ -274,7 +274,7 @@ def unit_rays(ray: ComplexArray, rho: FloatArray) -> ComplexArray:
 
 
 def _groups(polygon: IntArray) -> tuple[IntArray, IntArray]:
-    """Where each polygon's edges begin, and (E,) the number of its group."""
+    """Start index of each polygon's edges, and (E,) the number of its group."""
     begins = np.ones(len(polygon), dtype=bool)
     begins[1:] = polygon[1:] != polygon[:-1]
     return np.flatnonzero(begins), np.cumsum(begins) - 1

@@ -1,8 +1,8 @@
-"""The fence as the controller needs it: clearances, nearest features, half-planes per stage.
+"""The fence in the form that the controller uses: clearances, nearest boundaries, half-planes per stage.
 
-A feature constrains the vehicle's centre by the half-plane that touches it at the point nearest to the predicted path.
-From the free side the half-plane keeps the centre a radius away; from the wrong side (inside an obstacle, outside the
-workspace) its sign turns, so that it pushes back the shortest way. How the path is met between its nodes:
+A boundary constrains the vehicle's centre by the half-plane that touches it at the point nearest to the predicted
+path. On the free side the half-plane keeps the centre a radius away; on the wrong side (inside an obstacle, outside
+the workspace) its sign changes, and it leads out on the shortest path. Motion between the nodes:
 :mod:`autopilot.control.constraints.chords`.
 """
 
@@ -22,7 +22,7 @@ from autopilot.core.geometry import Circle, Fence
 __all__ = ["Features", "Movers", "clearance_m", "fence_key"]
 
 POINTS_TOGETHER = 64
-"""Points that are looked at together when far features are left out: a tile of 8 x 8 cells, a few metres of a line."""
+"""Points per block when far features are left out: a tile of 8 x 8 cells, a few metres of a line."""
 
 POINTS_AT_ONCE = 4096
 """Bound on the arrays of points by features."""
@@ -39,10 +39,12 @@ class Features(Boundaries):
     def nearest(
         self, points: ComplexArray, keep: tuple[IntArray, IntArray] | None = None
     ) -> tuple[FloatArray, ComplexArray, FloatArray]:
-        """Per point (m,) and edge or circle: signed distance (m, F), unit normal (m, F), offset of the boundary (m, F).
+        """Per point (m,) and edge or circle: signed distance (m, F), unit normal (m, F), offset of the boundary (m,
+        F).
 
-        ``keep`` selects features. Their constraint is ``normal . p >= offset``; distance is positive where free.
-        Features that say nothing at that point (shared ends, far walls seen from outside) have distance ``far_m``.
+        ``keep`` selects features. Their constraint is ``normal . p >= offset``; distance is positive in the free
+        space. Features without effect at that point (shared ends, far walls seen from outside) have distance
+        ``far_m``.
         """
         edges, rounds = keep or self.everything
         seen = self.look(points, edges)
@@ -73,8 +75,9 @@ class Features(Boundaries):
         return result
 
     def clearance_up_to_m(self, points_ned_m: FloatArray, cap_m: float) -> FloatArray:
-        """:meth:`clearance_m` or ``cap_m``, whichever is less. Quick for many features when neighbours in the array
-        (m, 2) are neighbours in the plane: features are looked at only where they are near."""
+        """min(:meth:`clearance_m`, ``cap_m``). Fast for many features if consecutive points of the array (m, 2) are
+        close to each other: features are evaluated only where they are near.
+        """
         if not self.many:
             return np.minimum(self.clearance_m(points_ned_m), cap_m)
         points = as_complex(points_ned_m)
@@ -106,7 +109,6 @@ class Features(Boundaries):
         return result
 
     def near(self, places: FloatArray, reach_m: float) -> tuple[FloatArray, FloatArray]:
-        """See :class:`autopilot.core.free_space.FenceDistances`."""
         points = as_complex(places)
         clearance, slope = np.full(len(points), reach_m), np.zeros(len(points), dtype=complex)
         for part in self._tiles(points):
@@ -146,13 +148,14 @@ class Features(Boundaries):
         offsets: FloatArray,
         movers: Movers | None = None,
     ) -> float:
-        """Fill ``normals`` (m, slots, 2) and ``offsets`` (m, slots) with what is nearest to a predicted path.
+        """Fill ``normals`` (m, slots, 2) and ``offsets`` (m, slots) with the nearest boundaries of a predicted path.
 
         ``points_ned_m`` (m + 1, 2) begins with the present position, ``t_s`` (m + 1,) are their times. ``radius_m``,
-        a number or (m,), is what predicted positions keep from a boundary (the present one as the first). A boundary
-        that is violated now is asked for at RECOVERY_M_S and not at once, so that other limits are kept on the way
-        back. Unused slots get a zero normal and offset -1, which is always satisfied. Returns the smallest clearance
-        beyond ``radius_m`` of the path, chords included (of many features, those within NEAR_M are looked at).
+        scalar or (m,), is the required distance of predicted positions from a boundary (the present one as the first).
+        A boundary that is violated now is approached at RECOVERY_M_S instead of at once, so that other limits are kept
+        on the way back. Unused slots get a zero normal and offset -1, which is always satisfied. Returns the smallest
+        clearance beyond ``radius_m`` of the path, chords included (of many features, those within NEAR_M are
+        evaluated).
         """
         if self._quick is not None and movers is None:
             margin = self._quick.margin_m(points_ned_m, t_s, radius_m, slots, normals, offsets)
@@ -184,7 +187,7 @@ def clearance_m(fence: Fence, points_ned_m: Sequence[Sequence[float]] | FloatArr
 
 
 def fence_key(fence: Fence) -> tuple[object, ...]:
-    """The horizontal content of a fence, to tell a new one from the same one built again."""
+    """Horizontal content of a fence as a key, equal for equal fences."""
     parts: list[object] = []
     for shapes in (fence.inclusions, fence.exclusions):
         parts.append(len(shapes))

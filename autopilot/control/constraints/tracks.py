@@ -1,9 +1,9 @@
-"""Obstacles that are not in the fence: what has been seen of them, and what the controller makes of it.
+"""Obstacle tracks: extrapolation, ageing, and their use by planner and optimiser.
 
-A track says where an upright cylinder was and how it moved. It is taken on along a straight line; with its age grows
-the circle in which it is looked for, and after a time it is forgotten. Tracks that stand enter the route planner like
-exclusions of the fence. Those that move bind the prediction where they will be, and enter the planner only when the
-vehicle has waited for them for long.
+A track is the position and velocity of a vertical cylinder. It is extrapolated at constant velocity; its radius grows
+with its age, and after a timeout it is deleted. Static tracks enter the route planner like exclusions of the fence.
+Moving tracks constrain the prediction at their predicted positions, and enter the planner only after the vehicle has
+waited for them for long.
 """
 
 import math
@@ -26,7 +26,7 @@ class Tracks:
     def __init__(self) -> None:
         self._tracks: dict[int, ObstacleTrack] = {}
         self.dropped = 0
-        """Reports that were no good: not finite, out of range, from the future or older than what is known."""
+        """Rejected reports: not finite, out of range, from the future or older than the track."""
         self.over_m: float | None = None
         """Radius of the largest that the vehicle is deep inside of, None = of none. As of the last :meth:`round`."""
 
@@ -45,7 +45,7 @@ class Tracks:
         self._tracks.pop(track_id, None)
 
     def round(self, t_us: int, pos_ned_m: FloatArray) -> tuple[ObstacleTrack, ...]:
-        """What a vehicle at a place (3,) can evade: :meth:`at` without those that it would be deep inside of."""
+        """:meth:`at` without obstacles that contain the position (3,) deeply, which cannot be avoided any more."""
         kept: list[ObstacleTrack] = []
         over: list[ObstacleTrack] = []
         for track in self.at(t_us):
@@ -56,7 +56,7 @@ class Tracks:
         return tuple(kept)
 
     def at(self, t_us: int) -> tuple[ObstacleTrack, ...]:
-        """What is remembered at ``t_us``, in the order of the numbers."""
+        """Active tracks at ``t_us``, by track number."""
         for number, track in list(self._tracks.items()):
             if t_us - track.t_us > (TRACKS.forget_standing_us if stands(track) else TRACKS.forget_moving_us):
                 del self._tracks[number]
@@ -87,19 +87,21 @@ def movers_of(tracks: Iterable[ObstacleTrack], t_us: int) -> Movers | None:
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class IntendedMotion:
-    """How fast the vehicle is, and where it wants to go."""
+    """Velocity and intended path of the vehicle."""
 
     speed_m_s: float
     """over ground"""
     route_ned_m: FloatArray
-    """(m, 2) what is left of the last route, first row the vehicle."""
+    """(m, 2) remaining part of the last route, first row the vehicle."""
     goal_distance_m: float
     keep_m: float
     """That ways keep from every boundary."""
 
 
 class Obstructions:
-    """Sorts tracks into what routes go round and what the prediction evades. One per vehicle; deterministic."""
+    """Classifies tracks into static ones, for the route planner, and moving ones, for the prediction. One per vehicle;
+    deterministic.
+    """
 
     def __init__(self) -> None:
         self._standing: dict[int, Circle] = {}
@@ -140,7 +142,7 @@ class Obstructions:
         return self._with_them, movers
 
     def _note_standing(self, tracks: Sequence[ObstacleTrack]) -> bool:
-        """Whether what stands has changed so much that routes have to be planned anew."""
+        """Whether the static obstacles have changed enough for a new route."""
         changed = False
         for number in self._standing.keys() - {track.track_id for track in tracks}:
             del self._standing[number]
@@ -156,7 +158,7 @@ class Obstructions:
         return changed
 
     def _wait(self, t_us: int, movers: Movers | None, way: IntendedMotion) -> bool:
-        """Count the time that moving obstacles block the way. Whether what routes go round has changed."""
+        """Accumulate the time for which moving obstacles block the path. True if the planner's obstacles changed."""
         if self._in_the_way:
             if t_us < self._detour_until_us and movers is not None:
                 return False
@@ -184,7 +186,7 @@ class Obstructions:
 
 
 def _blocking(movers: Movers | None, way: IntendedMotion) -> BoolArray:
-    """(K,) which movers stand on the way now."""
+    """(K,) whether each moving obstacle is on the path now."""
     if movers is None:
         return np.zeros(0, dtype=bool)
     z = np.ascontiguousarray(way.route_ned_m, dtype=float).view(np.complex128)[:, 0]

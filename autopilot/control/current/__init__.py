@@ -1,1 +1,1 @@
-"""The current: known, estimated, learned, as a map."""
+"""Current models: given, estimated, learned, gridded."""

@@ -1,14 +1,13 @@
-"""The vertical force that the model does not know and that lasts: a wrong buoyancy, a payload, a tether that hangs.
+"""Estimator of the constant vertical disturbance: wrong buoyancy, payload, hanging tether.
 
-Nothing else absorbs it: a horizontal force is estimated as current, the vertical current is taken as zero, and the
-optimiser, which begins every plan at the estimate, has no integral. So what pushes the vehicle up or down beyond
-thrust, drag and the vehicle file's buoyancy is followed here and added to the buoyancy that the controller counts on:
-goals and speeds are held without offset (Pannocchia and Rawlings 2003: a disturbance that stays at steady state).
+No other part compensates it: a horizontal force is estimated as current, the vertical current is taken as zero, and
+the optimiser, which starts every plan at the estimate, has no integral action. The vertical force beyond thrust, drag
+and the vehicle file's buoyancy is estimated here and added to the model's buoyancy, for offset-free tracking
+(Pannocchia and Rawlings 2003: constant disturbance model).
 
-It is the residual of the momentum, by the model that plans are made with: of the change of the vertical speed times
-the mass what thrust and drag leave. It is followed at once where nothing is known yet and slowly later on, so that
-waves are not answered as if they lasted. The vertical speed is the estimate's, which comes of depth sensor, fixes and
-accelerations and of no buoyancy.
+The estimate is a low-pass of the residual of the heave equation, m33 w' - (thrust - drag). Its gain is large at first
+and small later, so that waves are not compensated. The vertical velocity comes from the navigation filter (depth
+sensor, fixes, accelerometers), which does not use the buoyancy.
 """
 
 import math
@@ -24,7 +23,7 @@ from autopilot.core.notice_queue import NoticeQueue
 
 
 class BuoyancyEstimator(NoticeQueue):
-    """What buoyancy proves to be beyond the vehicle file. One instance per vehicle; asked once per control step."""
+    """Excess buoyancy beyond the vehicle file. One instance per vehicle; called once per control step."""
 
     def __init__(self, model: Model4, half_height_m: float) -> None:
         super().__init__()
@@ -36,7 +35,7 @@ class BuoyancyEstimator(NoticeQueue):
         self.reset()
 
     def reset(self) -> None:
-        """Nothing is known: somebody may have trimmed the vehicle."""
+        """Discard the estimate: the vehicle may have been trimmed."""
         self.lift_n = 0.0
         """[N] beyond the vehicle file, positive pushes up."""
         self._learned_s = self._beyond_s = self._push_n = 0.0
@@ -44,7 +43,7 @@ class BuoyancyEstimator(NoticeQueue):
         self.forget()
 
     def forget(self) -> None:
-        """What comes next does not continue what was seen last."""
+        """Discard the last sample: the next one does not continue it."""
         self._last: tuple[float, float, int] | None = None
         self._impulse_ns = self._elapsed_s = 0.0
 
@@ -60,8 +59,9 @@ class BuoyancyEstimator(NoticeQueue):
         self._elapsed_s += elapsed_s
 
     def look(self, nav: NavState, low_m: float, high_m: float, limit_n: FloatArray) -> None:
-        """Learn from what has become of the thrust since the last look. ``low_m`` and ``high_m``: the depth band;
-        ``limit_n`` (n,): what the thrusters give."""
+        """Update from the response to the thrust since the last call. ``low_m``, ``high_m``: depth band [m];
+        ``limit_n`` (n,): thrust limits [N].
+        """
         seen = _down(nav.vel_frd_m_s, nav.rpy_rad), _down(nav.vel_water_frd_m_s, nav.rpy_rad), nav.reset_count
         last, impulse_ns, elapsed_s = self._last, self._impulse_ns, self._elapsed_s
         self._last, self._impulse_ns, self._elapsed_s = seen, 0.0, 0.0
@@ -72,7 +72,7 @@ class BuoyancyEstimator(NoticeQueue):
         rate = 0.5 * (seen[1] + last[1])
         linear, square = self._drag
         drag_n = (linear + square * math.sqrt(rate * rate + ABS_SMOOTHING_M2_S2)) * rate
-        # What is left of the momentum, upwards, beyond what is known.
+        # Residual of the heave equation, positive upwards.
         left_ns = impulse_ns - elapsed_s * (drag_n + self.excess_n) - self._mass_kg * (seen[0] - last[0])
         share_1_s = max(1.0 / (self._learned_s + BUOYANCY_ESTIMATOR.first_s), 1.0 / BUOYANCY_ESTIMATOR.follow_s)
         change_n = share_1_s * left_ns
@@ -108,7 +108,7 @@ class BuoyancyEstimator(NoticeQueue):
 
 
 def _down(velocity_frd_m_s: FloatArray, rpy_rad: FloatArray) -> float:
-    """Of a velocity (3,) FRD at these angles (3,) the part straight down."""
+    """NED down component of a velocity (3,) FRD at these Euler angles (3,)."""
     u, v, w = velocity_frd_m_s.tolist()
     roll, pitch, _ = rpy_rad.tolist()
     down: float = math.cos(pitch) * (math.sin(roll) * v + math.cos(roll) * w) - math.sin(pitch) * u

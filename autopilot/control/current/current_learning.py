@@ -1,13 +1,12 @@
-"""A forecast without a map: a planar incompressible flow through what the vehicle has estimated where.
+"""Current forecast without a map: a planar incompressible flow fitted to the currents estimated along the path.
 
-Water that goes one way comes back another: the flow is taken as a uniform stream and the curl of a random
-streamfunction (a Gaussian process with a squared exponential kernel), so that whatever is predicted between and beyond
-the places visited is free of divergence. How much of it varies, and whether there is a stream at all (there is none in
-a closed basin, however well a fence closes it on the map), is judged by the evidence: every combination counts by the
-marginal likelihood of what was estimated so far and by what was believed beforehand.
+The flow is a uniform stream plus the curl of a random streamfunction (a Gaussian process with a squared exponential
+kernel): predictions between and beyond the visited positions are free of divergence. Amplitude and the presence of a
+stream (there is none in a closed basin, whose walls the fence need not show) are weighed by the evidence: each
+hypothesis has the weight of its marginal likelihood times its prior.
 
-What the flow foretells is compared all the time with what is then estimated. While it does worse than "the same
-everywhere" it is not used (:mod:`autopilot.control.current.current_trust`).
+Predictions of the flow are compared with later estimates all the time. While they are worse than those of a uniform
+current the flow is not used (:mod:`autopilot.control.current.current_trust`).
 """
 
 import ctypes
@@ -27,17 +26,17 @@ from autopilot.core.messages import NavHealth, NavState
 
 
 class Basin(StrEnum):
-    """What is believed of the water before it has been felt (setting ``basin``)."""
+    """Prior probability of a closed basin (setting ``basin``)."""
 
     CLOSED = "closed"
-    """A tank or pool: what flows comes back within it."""
+    """A tank or pool: the flow is closed."""
     OPEN = "open"
     """Part of a larger water."""
     UNKNOWN = "unknown"
 
 
 CLOSED_SHARE = {Basin.CLOSED: 0.95, Basin.OPEN: 0.02, Basin.UNKNOWN: 0.25}
-"""How likely a basin is closed beforehand. A fence says nothing about it: it is no wall."""
+"""Prior probability of a closed basin. A fence is no evidence: it is no wall."""
 
 
 _MEANS_M_S = (CURRENT_LEARNING.closed_mean_m_s, CURRENT_LEARNING.open_mean_m_s)
@@ -45,11 +44,11 @@ _MEANS_M_S = (CURRENT_LEARNING.closed_mean_m_s, CURRENT_LEARNING.open_mean_m_s)
 
 @dataclass(slots=True)
 class _Cell:
-    """Weighted sums of what was estimated in one square."""
+    """Weighted sums of the current estimates in one cell."""
 
     weight_s: float
     moment: tuple[float, float, float, float]
-    """Of north, east [m] and current north, east [m/s]."""
+    """Weighted sums of north, east [m] and current north, east [m/s]."""
     seen_us: int
 
 
@@ -74,7 +73,7 @@ class FlowFit:
             compiled.fitting("pull", self.pull, 2, cells),
             compiled.fitting("mean_m_s", self.mean_m_s, 2),
         )
-        # Frozen: what is derived is set past the guard.
+        # Frozen dataclass: derived fields are set by object.__setattr__.
         object.__setattr__(self, "addresses", addresses)
 
     def flow(self, places: FloatArray) -> FloatArray:
@@ -86,7 +85,7 @@ class FlowFit:
 
 
 class _Forecast(compiled.Mirror):
-    """The struct of water.c."""
+    """ctypes layout of the struct in water.c."""
 
     _fields_ = (
         *((name, ctypes.c_long) for name in ("m", "stride", "cells")),
@@ -97,8 +96,6 @@ class _Forecast(compiled.Mirror):
 
 
 class EstimatedFlow:
-    """See :class:`autopilot.control.current.currents.CurrentForecast`."""
-
     def __init__(self, basin: Basin = Basin.UNKNOWN) -> None:
         self._basin = basin
         self._length_m = CURRENT_LEARNING.open_length_m
@@ -118,7 +115,7 @@ class EstimatedFlow:
 
     @property
     def closed(self) -> float:
-        """How likely the basin is closed, by all that is known."""
+        """Posterior probability of a closed basin."""
         return float(self._belief[:, 0].sum())
 
     @property
@@ -152,7 +149,6 @@ class EstimatedFlow:
             self._forget()
 
     def view(self, nav: NavState) -> NavState:
-        """Unchanged; learns from it."""
         elapsed_s = 0.0 if self._last_us is None else (nav.t_us - self._last_us) * 1e-6
         self._last_us = nav.t_us
         if nav.health is not NavHealth.GOOD or not math.isfinite(sum(nav.current_ned_m_s.tolist())):
@@ -166,7 +162,7 @@ class EstimatedFlow:
         return nav
 
     def fill(self, nav: NavState, pos_ned_m: FloatArray, t_s: FloatArray, out: FloatArray) -> None:
-        """Learned flow as far as it is trusted, corrected by what the estimate says it lacks here and now."""
+        """Learned flow, weighted by its trust, corrected by its present residual against the estimate."""
         struct, fit, m = self._struct, self._fit, len(pos_ned_m)
         places, times, made = np.array(pos_ned_m, dtype=float, order="C"), np.array(t_s, dtype=float), np.empty((m, 3))
         self._here[:], self._estimate[:] = nav.pos_ned_m, nav.current_ned_m_s
@@ -179,7 +175,7 @@ class EstimatedFlow:
         out[:] = made
 
     def revision(self, nav: NavState) -> int:
-        """The estimate surprises by what has not been learned here."""
+        """Changes when the estimate differs from the learned flow here."""
         here = self._fit.flow(np.asarray(nav.pos_ned_m, dtype=float)[None, :2])[0]
         lack = np.array([nav.current_ned_m_s[0] - here[0], nav.current_ned_m_s[1] - here[1], 0.0])
         return self._revision.look(lack, nav.t_us * 1e-6)

@@ -1,8 +1,8 @@
-"""A current on a grid: linear in space and time between the nodes, the same beyond the border as on it.
+"""A current on a grid: multilinear in space and time between the nodes, constant beyond the border.
 
-The nodes stand on axes time, depth, north and east of any spacing; time and depth may be missing. Where a file knows
-nothing (land, fill values) the grid holds still water and remembers it (:meth:`CurrentMap.unknown_cells`), so that a
-loop never meets a NaN and a workspace over such a place can be refused before.
+The nodes lie on axes time, depth, north and east of any spacing; time and depth are optional. Where a file has no data
+(land, fill values) the grid holds still water and a flag (:meth:`CurrentMap.unknown_cells`), so that the control loop
+never gets a NaN and a workspace over such cells can be refused in advance.
 """
 
 import itertools
@@ -19,7 +19,7 @@ AXES = ("time_s", "depth_m", "north_m", "east_m")
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class MapNodes:
-    """What a map consists of. Axes ascend strictly; a missing one has the length 1."""
+    """Nodes and values of a map. Axes are strictly increasing; a missing one has length 1."""
 
     name: str
     """For messages and the log: the file's name."""
@@ -65,12 +65,11 @@ class CurrentMap:
 
     @property
     def name(self) -> str:
-        """For messages and the log."""
         return self.nodes.name
 
     @property
     def scale_m(self) -> float:
-        """Length over which the field, and what it misses, may change: two cells, a metre at least."""
+        """Length scale of the field and of its error: two cells, at least a metre."""
         nodes = self.nodes
         return max(1.0, float(np.diff(nodes.north_m).max() + np.diff(nodes.east_m).max()))
 
@@ -102,7 +101,7 @@ class CurrentMap:
         return out
 
     def drift_m_s(self, before_s: float, after_s: float) -> float:
-        """By how much any node may change between two times: an upper bound."""
+        """Upper bound of the change of any node between two times [m/s]."""
         if self.steady:
             return 0.0
         low, high = np.interp([before_s, after_s], self.nodes.time_s, self._drift_m_s)
@@ -117,7 +116,7 @@ class CurrentMap:
         return out
 
     def unknown(self, depth_min_m: float, depth_max_m: float) -> NDArray[np.bool_]:
-        """(a - 1, b - 1) cells with a corner that is not known at some time at the levels about a depth band."""
+        """(a - 1, b - 1) cells with a corner without data at some time, at the levels about a depth band."""
         levels = self.nodes.depth_m
         first = max(int(np.searchsorted(levels, depth_min_m, side="right")) - 1, 0)
         last = min(int(np.searchsorted(levels, depth_max_m, side="left")), len(levels) - 1)

@@ -1,4 +1,4 @@
-"""What was seen of the water where: a coarse grid of weighted means that wraps round."""
+"""Estimated currents by position: a coarse periodic grid of weighted means."""
 
 from dataclasses import dataclass
 
@@ -15,8 +15,9 @@ more the first lap is worse, with less nothing changes (docs/control.md)."""
 
 @dataclass(slots=True, eq=False)
 class _Patch:
-    """The 5 x 5 nodes round the vehicle: found when it comes into another cell, and learned from aside until it leaves
-    or somebody asks."""
+    """The 5 x 5 nodes round the vehicle: looked up when it enters another cell, updated in a buffer until it leaves or
+    a query arrives.
+    """
 
     node: tuple[int, int]
     """The one in the middle."""
@@ -31,15 +32,15 @@ class _Patch:
     sums: FloatArray
     """(25, 4) of them."""
     learned_us: int
-    """When all of them have been taught last."""
+    """Time of the last update of all of them."""
 
 
 class CurrentMemory:
-    """Means (3,) by place. Bounded (0.9 MB), deterministic; planar: what was seen at one depth counts at all.
+    """Means (3,) by position. Bounded (0.9 MB), deterministic; planar: an estimate counts at all depths.
 
-    The nodes carry sums of weights w and of w c, w = duration / (variance + floor) times a Gaussian of the distance. At
-    a place the answer is (sum of w c + w0 c0) / (sum of w + w0), the sums being interpolated between the four nodes
-    round it and c0 what is believed anyway: a kernel average with a prior.
+    The nodes carry sums of weights w and of w c, w = duration / (variance + floor) times a Gaussian of the distance.
+    At a position the result is (sum of w c + w0 c0) / (sum of w + w0), the sums interpolated between the four nodes
+    round it and c0 the prior: a kernel average (Nadaraya-Watson) with a prior.
     """
 
     def __init__(self, scale_m: float) -> None:
@@ -55,7 +56,7 @@ class CurrentMemory:
         self._last_us: int | None = None
 
     def learn(self, t_us: int, pos_ned_m: FloatArray, seen_m_s: FloatArray, variance_m2_s2: float) -> None:
-        """Tell the nodes round a place (3,) what was seen there (3,), for as long as since the last time."""
+        """Add an estimate (3,) at a position (3,), weighted by the time since the last call."""
         elapsed_s = 0.0 if self._last_us is None else (t_us - self._last_us) * 1e-6
         self._last_us = t_us
         if elapsed_s <= 0.0:
@@ -70,7 +71,7 @@ class CurrentMemory:
         patch.sums += weight[:, None] * np.array((1.0, *seen_m_s.tolist()))
 
     def _patch_round(self, node: tuple[int, int], t_us: int) -> _Patch:
-        """The nodes round one, with what is left now of what they were taught."""
+        """The nodes round one, with their weights after ageing."""
         patch = self._patch
         if patch is not None and patch.node == node:
             patch.sums *= _left(patch.learned_us, t_us)
@@ -85,14 +86,13 @@ class CurrentMemory:
         return patch
 
     def _put_back(self) -> None:
-        """What was learned aside."""
         patch = self._patch
         if patch is not None:
             self._sums[patch.slot], self._place[patch.slot] = patch.sums, patch.place
             self._learned_us[patch.slot] = patch.learned_us
 
     def recall(self, t_us: int, pos_ned_m: FloatArray, prior_m_s: FloatArray) -> FloatArray:
-        """(n, 3) at places (n, 3): what was seen there, ``prior_m_s`` (3,) where nothing was."""
+        """(n, 3) means at positions (n, 3); ``prior_m_s`` (3,) without data."""
         self._put_back()
         scaled = pos_ned_m[:, :2].T / self._cell_m
         corner = np.floor(scaled)
@@ -107,13 +107,13 @@ class CurrentMemory:
         return out
 
     def _kept(self, slot: NDArray[np.int64], place: NDArray[np.int64], t_us: int) -> FloatArray:
-        """What is left of a node's weight: nothing if it is kept for another place."""
+        """Remaining weight of a node; zero if its slot holds another position."""
         kept: FloatArray = np.where(self._place[slot] == place, _left(self._learned_us[slot], t_us), 0.0)
         return kept
 
 
 def _left(learned_us: float | FloatArray, t_us: int) -> FloatArray:
-    """Share of a weight that is left of what was learned then."""
+    """Remaining fraction of a weight after ageing."""
     left: FloatArray = np.exp((learned_us - t_us) * (1e-6 / CURRENT_MEMORY.forget_s))
     return left
 
@@ -122,6 +122,6 @@ _BEFORE_AND_BEHIND: NDArray[np.int64] = np.array([[0], [1]])
 
 
 def _slot(north: NDArray[np.int64], east: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Where nodes are kept, and a number that tells each from the others that are kept there."""
+    """Slot of a node, and a number that distinguishes the nodes of one slot."""
     slot = (north % CURRENT_MEMORY.nodes) * CURRENT_MEMORY.nodes + east % CURRENT_MEMORY.nodes
     return slot, (north // CURRENT_MEMORY.nodes + (1 << 20)) * (1 << 22) + (east // CURRENT_MEMORY.nodes + (1 << 20))

@@ -1,12 +1,11 @@
-"""Whether a learned flow foretells the current better than "the same everywhere" does.
+"""Comparison of the learned flow with a uniform current as predictors.
 
-On the way, every fifth of the flow's length, the vehicle keeps what flow and estimate were there. Farther on it
-compares what each of them foretold for the new place with what is estimated now, and keeps the balance of the
-log-likelihoods.
+Every fifth of the flow's correlation length both predictions are stored with their position. Farther along the path
+each is compared with the current that is then estimated, and the log-likelihood ratio is accumulated.
 
-Without a fence errors have heavy tails: the logarithm is that of a Gaussian, -e^2 / 2s^2, as long as they are small,
-and -log(2s^2 + e^2) in general. What counts then is how many times larger one error is than the other: in a vortex both
-forecasts are far off, and the one that is a little farther off is not dropped for it.
+Errors have heavy tails without a fence: the log-likelihood is Gaussian, -e^2 / 2 s^2, for small errors, and
+-log(2 s^2 + e^2) in general. The ratio of the two errors then decides: in a vortex both predictions are far off, and
+the slightly worse one is not rejected for it.
 """
 
 import math
@@ -32,14 +31,14 @@ class Flowing(Protocol):
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class _Prediction:
-    """What was believed at a place on the way."""
+    """Predictions stored at a position of the path."""
 
     nav: NavState
     flow: Flowing
 
 
 class Trust:
-    """Balance of the two forecasts along the way that is flown."""
+    """Accumulated log-likelihood ratio of the two predictors along the path."""
 
     def __init__(self, length_m: float, *, sure: bool, tails: bool) -> None:
         self._length_m = length_m

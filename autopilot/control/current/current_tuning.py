@@ -1,11 +1,11 @@
-"""Tuned numbers of what is known of the water, by module."""
+"""Constants of the current models, by module."""
 
 from dataclasses import dataclass
 
 
 @dataclass(frozen=True, slots=True)
 class CurrentLearningTuning:
-    """Of :mod:`autopilot.control.current.current_learning`."""
+    """Constants of :mod:`autopilot.control.current.current_learning`."""
 
     flow_m_s: tuple[float, float, float] = (0.2, 0.1, 0.03)
     """Standard deviations of the varying part of the flow that are weighed against each other ..."""
@@ -17,7 +17,7 @@ class CurrentLearningTuning:
     open_mean_m_s: float = 0.3
     """Standard deviation of the uniform part: in a closed basin, and in open water."""
     noise_m_s: float = 0.03
-    """Standard deviation of a cell's mean estimate: the estimate lags, and it carries what the model lacks."""
+    """Standard deviation of a cell's mean estimate: the estimate lags, and contains model errors."""
     length_share: float = 0.25
     """Correlation length over the narrowest width of the workspace: a jet and its return flow side by side need it."""
     open_length_m: float = 6.0
@@ -29,7 +29,7 @@ class CurrentLearningTuning:
     cells_per_length: float = 2.5
     max_cells: int = 100
     forget_s: float = 900.0
-    """Time in which what was learned loses its weight by e."""
+    """Time constant of forgetting."""
     refresh_s: float = 1.0
     """The fit is made anew at most so often."""
     full_weight_s: float = 0.5
@@ -41,7 +41,7 @@ CURRENT_LEARNING = CurrentLearningTuning()
 
 @dataclass(frozen=True, slots=True)
 class CurrentMapTuning:
-    """Of :mod:`autopilot.control.current.current_map`."""
+    """Constants of :mod:`autopilot.control.current.current_map`."""
 
     depth: int = 1
     north: int = 2
@@ -53,7 +53,7 @@ CURRENT_MAP = CurrentMapTuning()
 
 @dataclass(frozen=True, slots=True)
 class CurrentMemoryTuning:
-    """Of :mod:`autopilot.control.current.current_memory`."""
+    """Constants of :mod:`autopilot.control.current.current_memory`."""
 
     cells_per_scale: int = 4
     """Nodes per length over which the current changes."""
@@ -67,9 +67,9 @@ class CurrentMemoryTuning:
     """An estimate is not better than this whatever its covariance says: it lags behind a current that varies along the
     way, and it carries what the model lacks, which depends on the manoeuvre."""
     forget_s: float = 900.0
-    """Time in which what was learned loses its weight by e."""
+    """Time constant of forgetting."""
     longest_lesson_s: float = 0.2
-    """One look counts no longer than this, however long nobody has looked."""
+    """Largest duration weight of one update, whatever the time since the last."""
 
 
 CURRENT_MEMORY = CurrentMemoryTuning()
@@ -77,7 +77,7 @@ CURRENT_MEMORY = CurrentMemoryTuning()
 
 @dataclass(frozen=True, slots=True)
 class CurrentTrustTuning:
-    """Of :mod:`autopilot.control.current.current_trust`."""
+    """Constants of :mod:`autopilot.control.current.current_trust`."""
 
     step_share: float = 0.2
     """Looks are so far apart, in lengths of the flow ..."""
@@ -90,9 +90,9 @@ class CurrentTrustTuning:
     error_m_s: float = 0.05
     """Standard deviation of a forecast that is right, and of the estimate that judges it."""
     worst: float = 3.0
-    """The balance moves by no more than this at one look: one bad estimate decides nothing."""
+    """Largest change of the log-likelihood ratio by one update: one bad estimate decides nothing."""
     limit: float = 3.0
-    """Bounds of the balance: what has long been right (or wrong) is dropped (or taken up again) within some looks."""
+    """Bounds of the log-likelihood ratio, so that a decision can be reversed within a few updates."""
     sure: float = 2.0
     unsure: float = -2.0
     """Balance to begin with: in a basin that is known to be closed and in open water, and within a fence of which
@@ -108,7 +108,7 @@ CURRENT_TRUST = CurrentTrustTuning()
 
 @dataclass(frozen=True, slots=True)
 class CurrentsTuning:
-    """Of :mod:`autopilot.control.current.currents`."""
+    """Constants of :mod:`autopilot.control.current.currents`."""
 
     material_m_s: float = 0.03
     """A forecast that has changed by more than this is another one: a tenth of the usual cruise speed."""
@@ -130,7 +130,7 @@ CURRENTS = CurrentsTuning()
 
 @dataclass(frozen=True, slots=True)
 class BuoyancyEstimatorTuning:
-    """Of :mod:`autopilot.control.current.buoyancy`."""
+    """Constants of :mod:`autopilot.control.current.buoyancy`."""
 
     first_s: float = 0.5
     """What is found first is believed within about this time, what is found later as the mean of all that was seen,
@@ -138,14 +138,14 @@ class BuoyancyEstimatorTuning:
     follow_s: float = 3.0
     """... and from then on within this: a wave of 6 s gets through by a third."""
     longest_s: float = 0.5
-    """What happened in a longer pause is not learned from."""
+    """Longer gaps are not learned from."""
     submerged: float = 1.5
     """Above so many half heights of the hull below the surface the hull may lose buoyancy by coming out of the
     water."""
     most_share: float = 0.7
     """Beyond this share of the vertical thrust nothing is left to steer with: margins take 30 % of a thruster."""
     told_share: float = 0.15
-    """From so much of the vertical thrust on the operator hears of it."""
+    """Fraction of the vertical thrust above which the operator is notified."""
     told_after_s: float = 10.0
     """Once it has been learned from for so long ..."""
     stands_s: float = 3.0
@@ -157,7 +157,7 @@ BUOYANCY_ESTIMATOR = BuoyancyEstimatorTuning()
 
 @dataclass(frozen=True, slots=True)
 class MapReadingTuning:
-    """Of :mod:`autopilot.control.current.map_reading`."""
+    """Constants of :mod:`autopilot.control.current.map_reading`."""
 
     plausible_m_s: float = 5.0
     """Faster than almost every tidal stream (Saltstraumen: up to 10 m/s in its narrows): wrong units or an undeclared

@@ -1,5 +1,4 @@
-"""What the controller believes of the water along its prediction: the estimate, a map corrected by it, what was
-estimated where, or nothing."""
+"""Current along the prediction: estimated, from a map with a correction, learned, or none."""
 
 import math
 from collections.abc import Callable
@@ -39,11 +38,11 @@ class CurrentForecast(Protocol):
 
 
 class KnownCurrent(Protocol):
-    """A current that is known beforehand: :class:`autopilot.control.current.current_map.CurrentMap`, or a formula."""
+    """A current given in advance: :class:`autopilot.control.current.current_map.CurrentMap`, or a formula."""
 
     @property
     def scale_m(self) -> float:
-        """Length over which it, and what it misses, changes."""
+        """Length scale of the current and of its error [m]."""
         ...
 
     def velocity(self, pos_ned_m: FloatArray, t_s: FloatArray) -> FloatArray:
@@ -51,7 +50,7 @@ class KnownCurrent(Protocol):
         ...
 
     def drift_m_s(self, before_s: float, after_s: float) -> float:
-        """By how much it changes at most between two times."""
+        """Upper bound of its change between two times [m/s]."""
         ...
 
 
@@ -63,7 +62,6 @@ class PointwiseField:
         self.scale_m = scale_m
 
     def velocity(self, pos_ned_m: FloatArray, t_s: FloatArray) -> FloatArray:
-        """See :class:`KnownCurrent`."""
         field = self._field
         places, times = pos_ned_m.tolist(), t_s.tolist()
         return np.array([field((x, y, z), t) for (x, y, z), t in zip(places, times, strict=True)]).reshape(-1, 3)
@@ -75,7 +73,7 @@ class PointwiseField:
 
 
 def _no_drift(before_s: float, after_s: float) -> float:
-    """Of what does not change with time."""
+    """Time derivative of a steady current: zero."""
     return 0.0
 
 
@@ -89,7 +87,7 @@ class Revision:
         self.count = 0
 
     def look(self, value_m_s: FloatArray, now_s: float) -> int:
-        """The count after having looked at a vector (3,)."""
+        """The revision after comparison with a vector (3,)."""
         if self._seen_m_s is None:
             self._seen_m_s, self._seen_s = value_m_s.copy(), now_s
         moved_m_s = float(np.abs(value_m_s - self._seen_m_s).max())
@@ -103,7 +101,7 @@ class _Anywhere:
     """A forecast that does not depend on the fence."""
 
     def within(self, fence: Fence) -> None:
-        """Nothing to learn."""
+        """No-op: nothing to learn."""
 
 
 class EstimatedCurrent(_Anywhere):
@@ -113,21 +111,19 @@ class EstimatedCurrent(_Anywhere):
         self._revision = Revision()
 
     def view(self, nav: NavState) -> NavState:
-        """Unchanged."""
         return nav
 
     def fill(self, nav: NavState, pos_ned_m: FloatArray, t_s: FloatArray, out: FloatArray) -> None:
-        """The same everywhere."""
         out[:] = nav.current_ned_m_s
 
     def revision(self, nav: NavState) -> int:
-        """Another estimate."""
         return self._revision.look(nav.current_ned_m_s, nav.t_us * 1e-6)
 
 
 class MappedCurrent(_Anywhere):
-    """A map of the current, and near visited places what it lacked there; both corrected by what they lack here and
-    now."""
+    """A current map, corrected by its residual against the estimate: near visited positions the stored one, elsewhere
+    the present one.
+    """
 
     def __init__(self, field: KnownCurrent) -> None:
         self._field = field
@@ -135,7 +131,6 @@ class MappedCurrent(_Anywhere):
         self._revision = Revision(field.drift_m_s)
 
     def view(self, nav: NavState) -> NavState:
-        """Unchanged; learns from it."""
         numbers = (*nav.current_ned_m_s.tolist(), *nav.pos_ned_m.tolist())
         if nav.health is NavHealth.GOOD and all(map(math.isfinite, numbers)):
             here = self._field.velocity(nav.pos_ned_m[None], np.array([nav.t_us * 1e-6]))[0]
@@ -181,13 +176,10 @@ class NoCurrent(_Anywhere):
     """Unaware of currents: speed over ground is taken for speed in the water."""
 
     def view(self, nav: NavState) -> NavState:
-        """The estimate without a current."""
         return replace(nav, current_ned_m_s=np.zeros(3), vel_water_frd_m_s=nav.vel_frd_m_s)
 
     def fill(self, nav: NavState, pos_ned_m: FloatArray, t_s: FloatArray, out: FloatArray) -> None:
-        """Still water."""
         out[:] = 0.0
 
     def revision(self, nav: NavState) -> int:
-        """Still water stays still."""
         return 0

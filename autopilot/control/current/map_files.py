@@ -1,7 +1,7 @@
-"""Files that hold current maps: numpy ``.npz``, NetCDF-3, and NetCDF-4 / HDF5 (extra ``currents``).
+"""Readers of current maps: numpy ``.npz``, NetCDF-3, and NetCDF-4 / HDF5 (extra ``currents``).
 
-Only what is in the file: variables with their dimensions and attributes, packed values unpacked, fill values NaN. What
-they mean is :mod:`autopilot.control.current.current_map`'s.
+Returns the file's variables with dimensions and attributes, packed values unpacked, fill values NaN. Their
+interpretation: :mod:`autopilot.control.current.map_reading`.
 """
 
 import zipfile
@@ -33,8 +33,6 @@ MAX_VALUES = 50_000_000
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Variable:
-    """One array of a file."""
-
     values: FloatArray
     """Unpacked (scale_factor, add_offset); _FillValue and missing_value are NaN."""
     dimensions: tuple[str, ...]
@@ -61,7 +59,7 @@ def read_variables(path: Path) -> dict[str, Variable]:
 
 def _read_npz(path: Path) -> dict[str, Variable]:
     try:
-        # Of a damaged archive numpy closes nothing.
+        # numpy does not close a damaged archive.
         with path.open("rb") as raw, np.load(raw, allow_pickle=False) as archive:
             arrays = {name: archive[name] for name in archive.files}
     except (OSError, ValueError, EOFError, zipfile.BadZipFile) as error:

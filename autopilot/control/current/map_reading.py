@@ -1,9 +1,9 @@
-"""A file's variables as a current map: which names count, in what units, and what is refused.
+"""Interpretation of a file's variables as a current map: names, units, checks.
 
-Two ways of naming. Ours: ``current_north_m_s``, ``current_east_m_s`` and optionally ``current_down_m_s`` on the axes
-``north_m``, ``east_m``, ``depth_m``, ``time_s``. Ocean models': u is always EAST and v is always NORTH
-(``water_u``/``water_v`` HYCOM, ``uo``/``vo`` CMEMS, ``u_eastward``/``v_northward`` ROMS, ``u``/``v``) on ``lat``,
-``lon`` (also ``latitude``, ``lat_rho``, ...), ``depth``, ``time``. They may be mixed.
+Two naming schemes. Local: ``current_north_m_s``, ``current_east_m_s`` and optionally ``current_down_m_s`` on the axes
+``north_m``, ``east_m``, ``depth_m``, ``time_s``. Ocean models: u is EAST and v is NORTH (``water_u``/``water_v``
+HYCOM, ``uo``/``vo`` CMEMS, ``u_eastward``/``v_northward`` ROMS, ``u``/``v``) on ``lat``, ``lon`` (also ``latitude``,
+``lat_rho``, ...), ``depth``, ``time``. They may be mixed.
 """
 
 import hashlib
@@ -51,7 +51,7 @@ def load_current_map(path: Path, to_local: ToLocal | None = None, start_utc: dat
 
 
 class _MapReader:
-    """One file on its way to a map."""
+    """Conversion of one file to a map."""
 
     def __init__(
         self, path: Path, variables: Mapping[str, Variable], to_local: ToLocal | None, start_utc: datetime | None
@@ -64,7 +64,6 @@ class _MapReader:
         """Names of the dimensions of time, depth, north, east; "" = not there or not named."""
 
     def nodes(self, digest: str) -> MapNodes:
-        """Axes and currents."""
         geodetic = "north_m" not in self._variables and self._find(LAT_NAMES) is not None
         time_s, depth_m = self._times(), self._depths()
         north_m, east_m = self._geodetic_axes() if geodetic else (self._metres("north_m"), self._metres("east_m"))
@@ -237,5 +236,5 @@ class _MapReader:
                 " reorder or complete it"
             )
         full = [lengths[i] if i in wanted else 1 for i in range(4)]
-        # What does not change along an axis is the same all along it.
+        # A variable without an axis is constant along it.
         return np.broadcast_to(values.reshape(full), [max(length, 1) for length in lengths])

@@ -1,1 +1,1 @@
-"""Riding the current: energy-to-go, trajectories of least energy, and the guidance that follows them."""
+"""Minimum-energy planning: cost-to-go, trajectory optimisation, and guidance along the trajectory."""

@@ -1,12 +1,12 @@
-"""Guidance of least energy: asks for trajectories, follows them, and has them brought up to date when things change.
+"""Minimum-energy guidance: requests trajectories, follows them, and replans.
 
-A leg is planned when its goal appears: a quick plan to set out with, and then a full search from where the vehicle will
-be on it. The leg after it is planned while this one is flown, so that there is no wait at a waypoint. A plan is brought
-up to date when the water differs from what it was made for, when the vehicle has been pushed off it, and when it ends
-before the goal. Plans begin where the vehicle will be when they are answered.
+A leg is planned when its goal appears: first a quick plan, then a full search from the predicted state on it. The next
+leg is planned while this one is flown, which avoids a stop at the waypoint. Replanning is triggered by a current that
+differs from that of the plan, by a deviation from the plan, and by a plan that ends before the goal. A plan starts at
+the state predicted for the time of its answer.
 
-While there is no plan (not yet, no way, planning failed, or the vehicle has lost its trajectory) the leg is flown by
-the route guidance, and plans are asked for again.
+Without a plan (not yet available, no path, planning failed, deviation too large) the leg is flown by the route
+guidance, and planning is requested again.
 """
 
 from dataclasses import replace
@@ -34,8 +34,6 @@ from autopilot.core.model4 import YAW, R, U, Z
 
 
 class EnergyGuidance:
-    """See :class:`autopilot.control.path.guidance.Guidance`."""
-
     def __init__(
         self,
         allocator: ControlAllocator,
@@ -44,7 +42,7 @@ class EnergyGuidance:
         planner: TrajectoryPlanner,
         route: RouteGuidance,
     ) -> None:
-        """``route`` flies what ``planner`` has no plan for."""
+        """``route``: guidance while ``planner`` has no plan."""
         self._t_s = grid.t_s
         self._last_s, self._stages = float(grid.t_s[-2]), np.diff(grid.t_s)[1:] / REFERENCE_DT_S
         self._reach_s = float(2.0 * grid.t_s[-1] - grid.t_s[-2])
@@ -61,11 +59,9 @@ class EnergyGuidance:
 
     @property
     def unreachable(self) -> bool:
-        """See :class:`autopilot.control.path.guidance.Guidance`."""
         return self._track is None and self._route.unreachable
 
     def reset(self) -> None:
-        """See :class:`Guidance`."""
         self._step = 0
         self._last_us: int | None = None
         self._goal_key: tuple[float, ...] | None = None
@@ -88,11 +84,9 @@ class EnergyGuidance:
         self._notices: EnergyPlan | None = None
 
     def take_notices(self) -> list[tuple[Severity, str]]:
-        """See :class:`autopilot.control.path.guidance.Guidance`."""
         return self._mishaps.take_notices() + self._route.take_notices()
 
     def reference(self, situation: GuidanceInputs) -> Reference:
-        """See :class:`Guidance`."""
         now = situation
         elapsed_s = 0.0 if self._last_us is None else max(0.0, (now.t_us - self._last_us) * 1e-6)
         self._last_us = now.t_us
@@ -107,11 +101,10 @@ class EnergyGuidance:
         return self._along(self._track, now, fresh)
 
     def ahead(self, here: FloatArray) -> FloatArray:
-        """See :class:`Guidance`."""
         return self._route.ahead(here) if self._track is None else np.vstack([here, self._track.ahead()])
 
     def _setting_out(self, route: Reference) -> Reference:
-        """The route's reference: gently while the leg's first plan is awaited, which may well begin another way."""
+        """The route's reference, slow while the leg's first plan is computed, which may start in another direction."""
         awaited = self._request is not None and self._request.kind is Kind.QUICK
         if not awaited or self._step - self._goal_step > GUIDANCE.set_out_steps:
             return route
@@ -152,7 +145,7 @@ class EnergyGuidance:
         goal's region, shared by the nodes before and after it, so that nothing jumps as it comes nearer."""
         share, end = self._shares(track.rest_s), GUIDANCE.end_stages * weight_x[:U]
         if track.goal.yaw_rad is not None:
-            # Headings count by how much of the room that is left to them they use up, as places do.
+            # Headings are normalised by their remaining tolerance, as positions are.
             room = (
                 (1.0 - LEG_TASK.radius_share) * track.goal.accept_radius_m,
                 (1.0 - LEG_TASK.yaw_share) * track.goal.accept_yaw_rad,
@@ -164,7 +157,7 @@ class EnergyGuidance:
         return nodes, terminal
 
     def _shares(self, at_s: float) -> FloatArray:
-        """(N+1,) shares of the nodes in what is to count at a time: of the two beside it, none far behind the last."""
+        """(N+1,) interpolation weights of the nodes at a time, zero far behind the last node."""
         t_s, share = self._t_s, np.zeros(len(self._t_s))
         last, length_s = len(t_s) - 1, float(t_s[-1] - t_s[-2])
         if at_s >= t_s[-1]:
@@ -182,7 +175,7 @@ class EnergyGuidance:
         if key != self._goal_key or now.planner is not self._planner:
             fresh = self._new_goal(now, key)
         if now.goal.speed_asked or now.goal.facing_ned_m is not None:
-            # Least energy would choose another speed or heading: the route guidance keeps what was asked for.
+            # A minimum-energy plan would choose another speed or heading: the route guidance keeps the commanded ones.
             self._withdraw()
             self._track = self._next = None
             return fresh
@@ -250,7 +243,6 @@ class EnergyGuidance:
         return True
 
     def _take(self, request: TrajectoryRequest, plan: Plan, now: GuidanceInputs) -> bool:
-        """Put an answer into force."""
         if plan.trajectory is None:
             if request.kind is Kind.QUICK:
                 # Another way or turn, or a shorter trajectory, may be solved.
@@ -258,7 +250,7 @@ class EnergyGuidance:
             else:
                 self._fail(request, NoPlanError(plan.why))
             return False
-        # Without what holds the vehicle down or up: what is known of that changes under way.
+        # Without buoyancy compensation: its estimate changes under way.
         lift_n = self._lift_n(request.buoyancy_excess_n, request.thrust_limit_n)
         moving = replace(plan.trajectory, thrust_n=plan.trajectory.thrust_n - lift_n)
         track = TrackedTrajectory(moving, plan.goal, plan.complete)
@@ -341,7 +333,7 @@ class EnergyGuidance:
             self._ask(now, Kind.NEXT, following, end, None)
 
     def _coming(self, now: GuidanceInputs, kind: Kind, elapsed_s: float) -> FloatArray:
-        """(8,) the state at which an answer will find the vehicle, as far as its last plan tells."""
+        """(8,) state predicted for the time of the answer, by the last plan."""
         if now.last_plan is None:
             return now.x0
         meant, then = (
@@ -366,7 +358,6 @@ class EnergyGuidance:
         return float(np.sqrt(((forecast - assumed)[:, :2] ** 2).sum(axis=1).mean())) > GUIDANCE.changed_m_s
 
     def _ask(self, now: GuidanceInputs, kind: Kind, goal: Goal, x0: FloatArray, warm: TrackedTrajectory | None) -> None:
-        """Hand a request in."""
         params, fence = now.params, now.fence
         places = [x0[:2], np.asarray(goal.pos_ned_m[:2], dtype=float)]
         if goal.following is not None:
@@ -415,7 +406,7 @@ class EnergyGuidance:
 
 
 def planned(planner: TrajectoryPlanner, request: TrajectoryRequest, cancel: Cancel) -> Plan:
-    """What the planner says, if that makes sense."""
+    """The planner's result, if it is valid."""
     plan = planner.plan(request, cancel)
     found = plan.trajectory
     if found is not None and not bool(np.isfinite(found.x).all() and np.isfinite(found.thrust_n).all()):
@@ -429,6 +420,6 @@ def _away_m(now: GuidanceInputs) -> float:
 
 
 def _key(goal: Goal) -> tuple[float, ...]:
-    """Place and heading, to tell goals apart."""
+    """Position and heading, as a key of goals."""
     yaw = goal.yaw_rad
     return (*(float(p) for p in goal.pos_ned_m), 0.0 if yaw is None else yaw, float(yaw is None))

@@ -1,11 +1,11 @@
-"""Tuned numbers of the plan of least energy, by module."""
+"""Constants of minimum-energy planning, by module."""
 
 from dataclasses import dataclass
 
 
 @dataclass(frozen=True, slots=True)
 class FieldTuning:
-    """Of :mod:`autopilot.control.energy.field`."""
+    """Constants of :mod:`autopilot.control.energy.field`."""
 
     jog_nodes: int = 2
     snap_m: float = 0.4
@@ -22,7 +22,7 @@ FIELD = FieldTuning()
 
 @dataclass(frozen=True, slots=True)
 class FlowTuning:
-    """Of :mod:`autopilot.control.energy.flow`."""
+    """Constants of :mod:`autopilot.control.energy.flow`."""
 
     max_samples: int = 1500
     finest_sample_m: float = 0.1
@@ -32,7 +32,7 @@ class FlowTuning:
     """Samples that differ by less are the same everywhere."""
     open_water_border_m: float = 3.0
     open_water_share: float = 0.45
-    """Without a workspace a way may swing out by so much of the distance: half a circle would need 0.5."""
+    """Without a workspace, lateral extent of the search area relative to the distance: half a circle would need 0.5."""
 
 
 FLOW = FlowTuning()
@@ -40,14 +40,16 @@ FLOW = FlowTuning()
 
 @dataclass(frozen=True, slots=True)
 class EnergyGuidanceTuning:
-    """Of :mod:`autopilot.control.energy.energy_guidance`."""
+    """Constants of :mod:`autopilot.control.energy.energy_guidance`."""
 
     off_track_m: float = 0.15
-    """A vehicle this far from its trajectory gets a new one."""
+    """Distance from the trajectory beyond which it is abandoned: the space between is not known to be free. A vehicle
+    that has drifted that much farther from its goal since the rest of a leg was left to the route guidance gets a new
+    plan."""
     lost_m: float = 1.0
-    """A vehicle this far from its trajectory does not go back to it: what lies between is not known to be free. One
-    that has been swept so much farther from its goal than it was when the rest of a leg was left to the route guidance
-    gets a plan again."""
+    """Distance from the trajectory beyond which it is abandoned: the space between is not known to be free. A vehicle
+    that has drifted that much farther from its goal since the rest of a leg was left to the route guidance gets a new
+    plan."""
     changed_m_s: float = 0.03
     """Currents along the next seconds that differ by so much (rms) from those of the plan make a new one."""
     look_ahead_s: float = 10.0
@@ -56,7 +58,7 @@ class EnergyGuidanceTuning:
     replan_steps: int = 40
     """Plans are brought up to date at most this often (2 s)."""
     next_leg_s: float = 6.0
-    """The next leg is planned when this one has so much left: three times what an answer takes."""
+    """Remaining time of a leg at which the next one is planned: three times the planning time."""
     long_leg_m: float = 20.0
     long_next_leg_s: float = 12.0
     """One that is longer than this is planned earlier: its plan may take three times as long."""
@@ -66,9 +68,9 @@ class EnergyGuidanceTuning:
     """An updated trajectory that ends no farther than this from where the old one did may run on into the next
     leg's."""
     route_steps: int = 10
-    """A leg's first plan begins on the way on which the vehicle sets out: so long is waited for a route."""
+    """Time to wait for a route: a leg's first plan starts on the path on which the vehicle departs."""
     late_steps: int = 100
-    """An answer that is not there after so many steps (5 s) is late, and the operator is told."""
+    """Control steps (5 s) after which a missing plan is late, and the operator is notified."""
     end_hold_s: float = 0.5
     """At the end of a trajectory the vehicle, which lags a little, is held where the next one begins until the goal
     counts as reached: for so long by the trajectory's clock (1.7 s), then the route guidance brings it to the goal's
@@ -81,23 +83,22 @@ class EnergyGuidanceTuning:
     less than to correct it at once. (In the paper's tank 2 % of a lap against 0.02; the limits are kept by other
     means.)"""
     end_stages: float = 80.0
-    """What place and heading at the end of a trajectory count beyond those on the way, in stages of the running cost
-    (REFERENCE_DT_S). A trajectory only just enters its goal's region: centimetres and degrees are put right on the way
-    there, gently and in time, while the way itself is followed softly."""
+    """Additional weight of position and heading at the end of a trajectory, in stages of the running cost
+    (REFERENCE_DT_S). A trajectory only just enters its goal's region: centimetres and degrees are corrected gently on
+    approach, while the path itself is tracked softly."""
     followed_steps: int = 4
     """The full search begins where the optimiser predicts the vehicle once it has followed the quick plan for so
     long."""
     short_s: float = 6.0
     running_m_s: float = 0.08
-    """A leg that takes less is left to the route guidance where the water runs faster than that (four standard
-    deviations of the estimate when a vehicle sets out), unless its plan was made ahead: it is over before the water on
-    the way is known, and its goal would be missed by centimetres."""
+    """Shorter legs are left to the route guidance in currents above that (four standard deviations of the estimate at
+    departure), unless planned in advance: they are over before the current along the path is known, and their goal
+    would be missed by centimetres."""
     set_out_steps: int = 20
-    """So long (1 s) the vehicle sets out gently, with that weight: the lateral thrust's peak in the
-    paper's tank is 7 N instead of 12."""
+    """Steps (1 s) with that reduced weight at departure: the lateral thrust's peak in the paper's tank is 7 N instead
+    of 12."""
     bound_share: float = 0.96
-    """Share of the limits on heave, yaw rate and thrust that plans use: what tracking needs is left to the
-    optimiser."""
+    """Fraction of the limits on heave, yaw rate and thrust used by plans: the rest is for tracking."""
     speed_share: float = 0.98
     """The same for the planar speed, which has a margin of its own (MPC_SPEED_MARGIN)."""
 
@@ -107,13 +108,13 @@ GUIDANCE = EnergyGuidanceTuning()
 
 @dataclass(frozen=True, slots=True)
 class LegTaskTuning:
-    """Of :mod:`autopilot.control.energy.leg_task`."""
+    """Constants of :mod:`autopilot.control.energy.leg_task`."""
 
     intervals: int = 48
-    """Of a trajectory: 0.2 s each in the paper's tank."""
+    """Intervals of a trajectory: 0.2 s each in the paper's tank."""
     longest_s: float = 43.0
-    """A trajectory is planned so far; beyond it the energy field says what is best. (Twice as far takes a program with
-    twice as many RK4 steps, 200 MB more, and intervals that are too long for doors.)"""
+    """Planning distance; beyond it the energy field gives the remaining cost. (Twice as far needs a program with twice
+    as many RK4 steps, 200 MB more, and intervals that are too long for narrow passages.)"""
     longer: float = 1.3
     longer_s: float = 3.0
     """A solution takes at most so many times as long as its guess, and so much more: RK4 steps must not grow
@@ -139,13 +140,13 @@ class LegTaskTuning:
     """Rate at which first guesses turn from where the vehicle points to their way; where that would take more than half
     of the time they turn quicker."""
     linear_turn_s: float = 20.0
-    """On a way that takes less, the first guess turns evenly from start to end; on a longer one it follows the way."""
+    """Duration up to which the initial guess turns evenly from start to end; on longer paths it follows the path."""
     slowing_m_s2: float = 0.1
-    """What a vehicle that is faster than it may be is asked to slow down with at least: what drag does at 0.2 m/s."""
+    """Smallest deceleration required of a vehicle above its speed limit: that by drag at 0.2 m/s."""
     slowing_rad_s2: float = 0.3
     """The same of one that turns too fast."""
     between_m: float = 0.004
-    """Kept beyond the optimiser's own margin, for what lies between the nodes."""
+    """Clearance beyond the optimiser's own margin, for the motion between the nodes."""
     leg_depth_m: float = 0.3
     """A leg stays so near the depths of its start and goal. Sinking slowly and rising on the buoyancy at the end is
     cheaper by some 0.3 %, and over 360 m it went 5 m deeper than anyone had drawn."""
@@ -153,8 +154,7 @@ class LegTaskTuning:
     """A vehicle that is nearer than that goes away from the boundary so fast."""
     looks_between: int = 4
     door_steps: int = 4
-    """A way is looked at between its nodes for doors that are too narrow for that: where both sides push places
-    about."""
+    """Search for passages that are too narrow for that, between the nodes: where both sides push positions."""
 
 
 LEG_TASK = LegTaskTuning()
@@ -162,12 +162,12 @@ LEG_TASK = LegTaskTuning()
 
 @dataclass(frozen=True, slots=True)
 class PatienceTuning:
-    """Of :mod:`autopilot.control.energy.patience`."""
+    """Constants of :mod:`autopilot.control.energy.patience`."""
 
     step_s: float = 0.05
     """Between control steps."""
     retry_steps: int = 20
-    """What failed is asked for again after so many steps (1 s), doubled with every failure in a row ..."""
+    """Steps (1 s) before a failed request is repeated, doubled with every consecutive failure ..."""
     longest_retry_steps: int = 640
     """... up to so many (32 s)."""
     other_current_m_s: float = 0.03
@@ -181,14 +181,14 @@ PATIENCE = PatienceTuning()
 
 @dataclass(frozen=True, slots=True)
 class PowerTuning:
-    """Of :mod:`autopilot.control.energy.power`."""
+    """Constants of :mod:`autopilot.control.energy.power`."""
 
     thrust_smoothing_n2: float = 1e-4
     """|F|^1.5 is taken as (F^2 + this)^0.75, twice differentiable at rest (10 mN)."""
     idle_n: float = 1e-9
     """A thruster that gives less stands still."""
     together: int = 4096
-    """Ways that are looked at together: a field has 200,000 of them, each with every speed of the table."""
+    """Edges per block: a field has 200,000 of them, each with every speed of the table."""
     slowest_ground_m_s: float = 0.01
     """Headway below this is none."""
 
@@ -198,19 +198,19 @@ POWER = PowerTuning()
 
 @dataclass(frozen=True, slots=True)
 class SearchTuning:
-    """Of :mod:`autopilot.control.energy.search`."""
+    """Constants of :mod:`autopilot.control.energy.search`."""
 
     shorter_s: tuple[float] = (18.0,)
-    """So far if none of that length is solved: shorter intervals find their way through doors."""
+    """Shorter planning distance if none of that length is solved: shorter intervals get through narrow passages."""
     substeps: tuple[int, int] = (1, 2)
     update_rounds: int = 1
     """Rounds for a plan that is only brought up to date."""
     stay_within: float = 1.1
     """A plan stays on its way while the energy field knows none that is cheaper by so much: near-ties would flip."""
     cheaper_share: float = 0.95
-    """A full search replaces a quick plan that is under way if it costs less than so much of what is left of that."""
+    """A full search replaces an active quick plan if its energy is below this fraction of the remaining one."""
     keep_within: float = 1.15
-    """Ways whose energy is beyond so many times the best one's are not looked at."""
+    """Candidates with more than this multiple of the best path's energy are dropped."""
     max_other_ways: int = 2
     tie_within: float = 1.15
     max_ties: int = 3
@@ -225,7 +225,7 @@ SEARCH = SearchTuning()
 
 @dataclass(frozen=True, slots=True)
 class ShootingTuning:
-    """Of :mod:`autopilot.control.energy.shooting`."""
+    """Constants of :mod:`autopilot.control.energy.shooting`."""
 
     planes: int = 6
     """Half-planes per node."""
@@ -241,10 +241,10 @@ SHOOTING = ShootingTuning()
 
 @dataclass(frozen=True, slots=True)
 class TrackTuning:
-    """Of :mod:`autopilot.control.energy.track`."""
+    """Constants of :mod:`autopilot.control.energy.track`."""
 
     yaw_lever_m: float = 0.3
-    """A radian of heading counts as so many metres when the nearest point of the trajectory is looked for."""
+    """Weight of heading [m/rad] in the search for the nearest point of the trajectory."""
     slowest_rate: float = 0.3
     fastest_rate: float = 2.0
     """The trajectory's clock runs between these rates: it waits for a vehicle that is late and does not stand still."""
@@ -263,7 +263,7 @@ TRACK = TrackTuning()
 
 @dataclass(frozen=True, slots=True)
 class TrajectoryTuning:
-    """Of :mod:`autopilot.control.energy.trajectory`."""
+    """Constants of :mod:`autopilot.control.energy.trajectory`."""
 
     substep_s: float = 0.5
     """Longest RK4 step: with longer ones the program makes a profit of integration errors in the unstable sway-yaw
@@ -275,9 +275,9 @@ class TrajectoryTuning:
     are obeyed within so much: candidates differ by more, and the one that is flown is solved to the end."""
     stalled_iterations: int = 25
     nearer: float = 0.9
-    """A program is given up when dynamics and bounds have come no nearer than to so much of what they were for so many
-    iterations. Where there is no solution (a stream that is too fast for a leg's time) each takes 20 times as long: a
-    plan was answered after 25 s, and meanwhile there was none."""
+    """A program is abandoned when the constraint violation has not fallen below this fraction for that many iterations.
+    Without a solution (a current too fast for a leg's time) each iteration takes 20 times as long: a plan was answered
+    after 25 s."""
 
 
 TRAJECTORY = TrajectoryTuning()

@@ -1,11 +1,11 @@
-"""Energy-to-go: how many joules it takes from anywhere to a goal, over all ways round the obstacles.
+"""Energy-to-go: energy [J] from every position to a goal, over all homotopy classes of paths round the obstacles.
 
-The places of the free space (:mod:`autopilot.core.free_space`, the same as of uploads and routes) are joined to their
-neighbours, on the grid that it begins with to 32 of them (directions about 11 degrees apart), by directed edges that
-cost their length times the least energy per metre that the current there allows (the vehicle points along its way
-through the water). Dijkstra from the goal over the reversed edges then is the static Hamilton-Jacobi-Bellman equation
-of a vehicle without inertia, to within the angles of the edges (0.5 %). Heading, acceleration and depth are left to the
-trajectory (:mod:`autopilot.control.energy.trajectory`).
+The cells of the free space (:mod:`autopilot.core.free_space`, shared with upload checks and routes) are linked to
+their neighbours, on the base grid to 32 of them (directions about 11 degrees apart), by directed edges. The cost of an
+edge is its length times the minimum energy per metre in the current there, with the heading along the velocity through
+the water. Dijkstra from the goal over the reversed edges solves the static Hamilton-Jacobi-Bellman equation of a
+vehicle without inertia, up to the discretisation of directions (0.5 %). Heading, acceleration and depth are left to
+the trajectory (:mod:`autopilot.control.energy.trajectory`).
 """
 
 import math
@@ -35,8 +35,6 @@ LONGEST_MOVE = math.hypot(3, 2)
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class FieldPath:
-    """A way to the goal."""
-
     points_ned_m: FloatArray
     """(m, 2) from the start to the goal"""
     energy_j: float
@@ -108,7 +106,7 @@ class EnergyToGo:
         self._next = next_node
 
     def way(self, start_ned_m: FloatArray) -> FieldPath | None:
-        """The cheapest way from a place (2,), None if there is none."""
+        """The minimum-energy path from a position (2,), None if there is none."""
         node = self._field.nearest(start_ned_m)
         if node is None or not math.isfinite(self.energy_j[node]):
             return None
@@ -121,7 +119,9 @@ class EnergyToGo:
         return FieldPath(points_ned_m=points, energy_j=float(self.energy_j[node]))
 
     def _without_jogs(self, end_ned_m: FloatArray, nodes: list[int]) -> list[int]:
-        """Nodes without the first few, if the end (2,) of the way sees the next: the nearest place may lie aside."""
+        """Nodes without the first few, if the end (2,) of the path has a free line to the next: the nearest cell may
+        lie aside.
+        """
         some = np.array(nodes[1 : 1 + FIELD.jog_nodes], dtype=np.intp)
         sees = self._field.space.in_sight(end_ned_m, some)
         skipped = len(some) if sees.all() else int(sees.argmin())
@@ -143,10 +143,10 @@ class EnergyToGo:
 def other_ways(
     field: EnergyField, to_go: EnergyToGo, way: FieldPath, features: Features, limit: int
 ) -> list[FieldPath]:
-    """Ways that pass boundaries near ``way`` on their other side: what is left when the gap that it uses is closed.
+    """Alternative paths: those left after closing a gap that ``way`` uses (other homotopy classes).
 
-    A gap is closed by a line from the nearest boundary through the narrowest place of the way and on to the next
-    boundary; up to ``limit`` of the narrowest places, most of a metre apart, are tried.
+    A gap is closed by a line from the nearest boundary through the narrowest point of the path to the next boundary;
+    up to ``limit`` of the narrowest points, usually a metre apart, are tried.
     """
     if features.count == 0:
         return []
@@ -172,7 +172,7 @@ def other_ways(
 
 
 def _wall(features: Features, place: FloatArray, tangent: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """The line across a way at a place, to the boundaries on both sides or WALL_REACH_M far."""
+    """The line across a path at a point, to the boundaries on both sides or to WALL_REACH_M."""
     t = tangent / max(float(np.hypot(*tangent)), 1e-9)
     across = np.array([-t[1], t[0]])
     steps = np.linspace(0.0, FIELD.wall_reach_m, FIELD.wall_points)[:, None]

@@ -1,7 +1,6 @@
-"""A snapshot of the water that a planner may use while the vehicle goes on: samples on a grid, cubic in between.
+"""Snapshot of the current for a planner: samples on a grid, cubic interpolation.
 
-Taking samples makes a request for a plan pure data: what the forecast learns while the planner works does not change
-the answer.
+With a snapshot a request is pure data: later changes of the forecast do not change the answer.
 """
 
 import math
@@ -20,7 +19,9 @@ from autopilot.core.shapes import bounding_box
 
 
 def area_of(fence: Fence, places_ned_m: FloatArray) -> Area:
-    """Where a way between ``places_ned_m`` (m, 2) may lead: the workspace, in open water a border round the places."""
+    """Area of possible paths between ``places_ned_m`` (m, 2): the workspace; in open water their bounding box with a
+    border.
+    """
     workspace = workspace_of(fence)
     if workspace is not None and bool((workspace.high_m > workspace.low_m).all()):
         return workspace
@@ -32,7 +33,7 @@ def area_of(fence: Fence, places_ned_m: FloatArray) -> Area:
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class FlowSamples:
-    """What the forecast says now, over an area."""
+    """Samples of the present forecast over an area."""
 
     north_m: FloatArray
     """(a,)"""

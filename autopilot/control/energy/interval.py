@@ -1,10 +1,10 @@
 """One Runge-Kutta step of a trajectory with its derivatives: as CasADi expressions, and the same in C.
 
-CasADi writes the C source when the package is built. Where there is no compiled library it evaluates the expressions
+CasADi generates the C source when the package is built. Without the compiled library it evaluates the expressions
 itself: the same results within rounding, ten times slower.
 
-A step's variables q (13): state (8), force per axis (4), length of the step. Vehicles differ in coefficients, which are
-arguments, and in the matrix from thrusts to forces, which stands in front.
+Variables q (13) of a step: state (8), force per axis (4), length of the step. Vehicles differ in coefficients, which
+are arguments, and in the allocation matrix, which is applied outside.
 """
 
 from dataclasses import dataclass
@@ -53,7 +53,7 @@ def one_step() -> Interval:
 
 
 def steps(count: int) -> Interval:
-    """So many RK4 steps of the same length one after the other."""
+    """That many consecutive RK4 steps of equal length."""
     one = one_step()
     if count == 1:
         return one
@@ -63,7 +63,7 @@ def steps(count: int) -> Interval:
     nodes, kept = [q], ca.horzcat(ca.DM.zeros(VARIABLES - NX, NX), ca.DM.eye(VARIABLES - NX))
     for _ in range(count):
         nodes.append(ca.vertcat(one.moved(nodes[-1], *known), q[NX:]))
-    # Derivatives of the nodes by q, and of what comes by the nodes.
+    # Derivatives of the nodes by q, and of the results by the nodes.
     each = [one.slopes(node, *known) for node in nodes[:-1]]
     by_q = [ca.DM.eye(VARIABLES)]
     for slopes in each:
@@ -80,7 +80,6 @@ def steps(count: int) -> Interval:
 
 
 def interval_code() -> str:
-    """The C source."""
     generator = ca.CodeGenerator("interval.c", {"with_header": False})
     for function in _expressions():
         generator.add(function)

@@ -1,4 +1,4 @@
-"""One leg: first guesses along its ways, their programs, and the plan that a trajectory makes."""
+"""Planning of one leg: initial guesses along its candidate paths, their nonlinear programs, and the resulting plan."""
 
 import math
 from collections.abc import Callable, Sequence
@@ -23,7 +23,7 @@ BOTH_TURNS_RAD = 0.4 * math.pi
 
 
 class LegTask:
-    """One request with what has been made of it."""
+    """One request and its intermediate results."""
 
     def __init__(
         self,
@@ -41,7 +41,7 @@ class LegTask:
         self._request, self._features, self._flow, self._table = request, features, flow, table
         self._to_go, self._end_slope, self._program = to_go, end_slope, program
         self.reach_s = LEG_TASK.longest_s
-        """So far trajectories are planned."""
+        """Planning distance."""
         self._gate: FloatArray | None = None
         """(3,) where the trajectory ends when the goal is too far away."""
 
@@ -59,7 +59,9 @@ class LegTask:
         return LegTask(request, self._features, self._flow, self._table, beyond, *rest)
 
     def first(self, way: FieldPath) -> Plan:
-        """The quick answer: the better turn along the way. (Which one that is cannot be seen from the guesses.)"""
+        """The quick plan: the better of both directions of turning along the path. (The guesses do not show which that
+        is.)
+        """
         found = [
             one for one in (self.refine(guess, LEG_TASK.screen_rounds) for guess in self.guesses(way)) if one.solved
         ]
@@ -68,11 +70,13 @@ class LegTask:
         return self.plan(min(found, key=lambda one: one.cost_j))
 
     def ends_in_goal(self, way: FieldPath) -> bool:
-        """Whether a trajectory along a way reaches the goal's region."""
+        """Whether a trajectory along a path reaches the goal region."""
         return float(self._timed(way)[1][-1]) <= self.reach_s
 
     def guesses(self, way: FieldPath) -> list[Trajectory]:
-        """First trajectories along a way, one per way of turning: at the cheapest steady speed and its thrust."""
+        """Initial trajectories along a path, one per direction of turning, at the minimum-energy steady speed and its
+        thrust.
+        """
         request = self._request
         points, times = self._timed(way)
         whole_s = float(times[-1])
@@ -93,7 +97,7 @@ class LegTask:
         return [self._guess(points, times, yaw) for yaw in self._turns()]
 
     def _least_s(self, yaw_rad: float | None) -> float:
-        """What the change of depth to the goal's region and the turn to a heading take at least, however near it is."""
+        """Lower bound of the duration [s] from the change of depth to the goal region and the turn to its heading."""
         if self._gate is not None:
             return LEG_TASK.shortest_guess_s
         start, goal = self._request.x0, self._request.goal
@@ -103,8 +107,9 @@ class LegTask:
         return max(LEG_TASK.shortest_guess_s, rise / heave, turn / turn_rate)
 
     def _turned_first(self, points: FloatArray, times: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """A timed way that begins when the vehicle has turned to it: it would else be guessed to go backwards at full
-        speed, where sway and yaw are so unstable that the integration runs away."""
+        """A timed path that starts after the turn towards it: otherwise the guess would move astern at full speed,
+        where sway and yaw are so unstable that the integration diverges.
+        """
         ahead = min(int(np.searchsorted(times, times[0] + 2.0)), len(points) - 1)
         ground = (points[ahead] - points[0]) / max(float(times[ahead] - times[0]), 1e-9)
         water = ground - self._flow.current(points[:1])[0, :2]
@@ -116,7 +121,7 @@ class LegTask:
         return np.vstack([points[:1], points]), np.concatenate([[0.0], times + wait_s])
 
     def _guess(self, points: FloatArray, times: FloatArray, yaw_rad: float | None) -> Trajectory:
-        """The first trajectory along a timed way that ends with a heading (None: as the way leads)."""
+        """The initial trajectory along a timed path that ends with a heading (None: along the path)."""
         request = self._request
         whole_s = float(times[-1])
         end_s = max(whole_s, self._least_s(yaw_rad))
@@ -164,7 +169,7 @@ class LegTask:
         return faded
 
     def energy_along(self, trajectory: Trajectory) -> float:
-        """What the way of a trajectory costs by the measure of the energy field: steady speeds, heading along it."""
+        """Energy of a trajectory's path by the model of the energy field [J]: steady speeds, heading along the path."""
         places = trajectory.x[:, :2]
         step = np.diff(places, axis=0)
         ds = np.maximum(np.hypot(*step.T), 1e-9)
@@ -176,7 +181,7 @@ class LegTask:
         return math.inf if rest is None else energy + rest.energy_j
 
     def _timed(self, way: FieldPath) -> tuple[FloatArray, FloatArray]:
-        """Points (m, 2) close together along a way and when they are passed at the cheapest speeds."""
+        """Dense points (m, 2) along a path and their times at the minimum-energy speeds."""
         length = np.hypot(*np.diff(way.points_ned_m, axis=0).T)
         s = np.concatenate(([0.0], np.cumsum(length)))
         at = np.linspace(0.0, s[-1], max(200, int(s[-1] / 0.5)))
@@ -206,7 +211,7 @@ class LegTask:
         return (nearest, nearest + math.copysign(2.0 * math.pi, start - nearest))
 
     def screened(self, guess: Trajectory) -> Trajectory:
-        """A candidate: as good as it takes to tell which is best."""
+        """A candidate, solved as accurately as needed for the comparison."""
         return self.refine(guess, LEG_TASK.screen_rounds, rough=True)
 
     def refine(self, guess: Trajectory, rounds: int, *, rough: bool = False) -> Trajectory:
@@ -295,8 +300,9 @@ class LegTask:
         return limits
 
     def _keep_m(self, t_s: FloatArray, places: FloatArray) -> FloatArray:
-        """(n + 1,) what a trajectory along places (n + 1, 2) keeps from boundaries: EXTRA_M beyond the radius, where
-        the doors that it goes through, the goal and the place where it begins let it."""
+        """(n + 1,) clearance of a trajectory along positions (n + 1, 2): EXTRA_M beyond the radius, less in narrow
+        passages, at the goal and at the start.
+        """
         radius_m, features = self._request.radius_m, self._features
         if features.count == 0:
             return np.full(len(places), radius_m)
@@ -331,7 +337,7 @@ class LegTask:
 
 
 def shifted(trajectory: Trajectory, by_s: float, x0: FloatArray) -> Trajectory:
-    """What is left of a trajectory after ``by_s``, on INTERVALS intervals, from the state ``x0``."""
+    """The part of a trajectory after ``by_s``, resampled to INTERVALS intervals, from the state ``x0``."""
     n = LEG_TASK.intervals
     t = np.linspace(min(by_s, 0.98 * float(trajectory.t_s[-1])), float(trajectory.t_s[-1]), n + 1)
     x = np.stack([np.interp(t, trajectory.t_s, column) for column in trajectory.x.T], axis=1)

@@ -1,4 +1,4 @@
-"""When planning is asked for, how long an answer takes, and when one that failed is asked for again."""
+"""Timing of plan requests: expected duration, and retries after a failure."""
 
 import enum
 from dataclasses import dataclass
@@ -11,12 +11,10 @@ from autopilot.control.path.planner import Planner
 
 
 class Kind(enum.Enum):
-    """Requests by what they take."""
-
     QUICK = "first plan of a leg"
     """From nothing: the cheapest way with either turn, to set out with."""
     COLD = "full search"
-    """All ways, all turns, the leg after; beside them what is left of the plan in force, if there is one."""
+    """All paths, all turns, the next leg; and the rest of the active plan, if there is one."""
     WARM = "plan brought up to date"
     """From the plan in force."""
     NEXT = "plan of the leg after"
@@ -24,9 +22,9 @@ class Kind(enum.Enum):
 
 
 ANSWER_STEPS = {Kind.QUICK: 8, Kind.COLD: 40, Kind.WARM: 16, Kind.NEXT: 40}
-"""An answer is taken so many control steps (of 50 ms) after it was asked for, on a vehicle later if it is not there:
-about what nine of ten take (``autopilot bench energy-latency``, seconds of CPU on two shared cores: full searches 1.8,
-updates 0.1 in the tank and up to 1.8 elsewhere; quick plans with two turns 0.3 to 0.4 in the tank)."""
+"""Control steps (of 50 ms) from request to use of an answer, on a vehicle more if it is late: about the 90 % quantile
+of (``autopilot bench energy-latency``, seconds of CPU on two shared cores: full searches 1.8, updates 0.1 in the tank
+and up to 1.8 elsewhere; quick plans with two turns 0.3 to 0.4 in the tank)."""
 
 
 class NoPlanError(Exception):
@@ -35,8 +33,6 @@ class NoPlanError(Exception):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Asked:
-    """What a request depended on."""
-
     planner: Planner
     bounds: tuple[float, ...]
     """Speed cap and thrust limits."""
@@ -63,11 +59,9 @@ class Patience:
         self._asked: _Asked | None = None
 
     def ask(self, now: GuidanceInputs) -> None:
-        """A request is handed in."""
         self._asked = _Asked.of(now)
 
     def failed(self) -> None:
-        """It came to nothing."""
         self._failures += 1
 
     def succeeded(self) -> None:

@@ -1,4 +1,4 @@
-"""What motion costs: J = integral of (hotel power + sum of c |F|^1.5) dt."""
+"""Energy of motion: J = integral of (hotel power + sum of c |F|^1.5) dt."""
 
 import math
 from collections.abc import Sequence
@@ -18,8 +18,6 @@ from autopilot.core.vehicle import Vehicle
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PowerModel:
-    """Electrical power of the vehicle."""
-
     hotel_w: float
     thrust_w_n15: tuple[float, ...]
     """c in P = c |F|^1.5 of each of the n thrusters, ahead."""
@@ -28,7 +26,6 @@ class PowerModel:
 
     @classmethod
     def of(cls, vehicle: Vehicle) -> "PowerModel":
-        """From the vehicle file."""
         drives = [thruster.drive for thruster in vehicle.thrusters]
         ahead = tuple(drive.power_w_n15 for drive in drives)
         astern = tuple(drive.reverse_power_w_n15 or drive.power_w_n15 for drive in drives)
@@ -39,7 +36,7 @@ class PowerModel:
         return self._each(thrust_n) * (thrust_n * thrust_n + POWER.thrust_smoothing_n2) ** 0.75
 
     def secant_over_tangent(self, thrust_n: Any) -> Any:
-        """By how much the slope of that power over the thrust exceeds its second derivative [W/N2]."""
+        """Excess of P'(F) / F over P''(F) [W/N2]."""
         squared = thrust_n * thrust_n
         return 0.75 * self._each(thrust_n) * squared * (squared + POWER.thrust_smoothing_n2) ** -1.25
 
@@ -88,17 +85,17 @@ def speed_table(
 
 
 def planar_limit_m_s(table: SpeedTable, along_m_s: FloatArray, across_m_s: FloatArray) -> FloatArray:
-    """Speed through the water (m,) that the cruise speed allows in currents along and across the way (m,).
+    """Limit on the speed through the water (m,) by the cruise speed, in currents along and across the path (m,).
 
-    Against a current it bounds the speed over ground, with one what the vehicle adds to the current: water that carries
-    it is not braked against.
+    Against a current it limits the speed over ground, with a current the speed relative to the water: a following
+    current is not braked against.
     """
     limit: FloatArray = np.hypot(table.cruise_m_s + np.maximum(-along_m_s, 0.0), across_m_s)
     return limit
 
 
 def energy_per_metre(table: SpeedTable, along_m_s: FloatArray, across_m_s: FloatArray) -> FloatArray:
-    """Least energy per metre over ground (m,) [J/m] in currents along and across the way (m,).
+    """Minimum energy per metre over ground (m,) [J/m] in currents along and across the path (m,).
 
     Min over u of P(u) / (sqrt(u^2 - across^2) + along); inf where no speed of the table makes headway.
     """

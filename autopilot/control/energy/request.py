@@ -1,4 +1,4 @@
-"""What a plan of least energy depends on, and what it is."""
+"""Request and result of minimum-energy planning."""
 
 import math
 from dataclasses import dataclass
@@ -13,8 +13,8 @@ from autopilot.core.geometry import Fence
 from autopilot.core.messages import Goal
 
 EXTRA_M, EXTRA_S = 0.02, 0.5
-"""Kept beyond the radius at most where there is room, and how long a current of one standard deviation takes for it: an
-estimate wavers, and every millimetre that a vehicle is within the margin is answered sharply."""
+"""Largest clearance beyond the radius, and time for which a current of one standard deviation is covered by it: an
+estimate fluctuates, and every millimetre inside the margin causes a strong reaction."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -28,7 +28,7 @@ class TrajectoryRequest:
     radius_m: float
     """Kept from every boundary."""
     extra_m: float = EXTRA_M
-    """Kept beyond that where there is room."""
+    """Additional clearance where there is space."""
     flow: FlowSamples
     limits: FloatArray
     """(5,) planar speed, heave, yaw rate, depth minimum, depth maximum."""
@@ -41,20 +41,18 @@ class TrajectoryRequest:
     cruise_m_s: float = math.inf
     """See :func:`autopilot.control.energy.power.planar_limit_m_s`."""
     warm: Trajectory | None = None
-    """What is left of the plan in force, if the vehicle may stay on it."""
+    """Remaining part of the active plan, if it may be continued."""
     kind: Kind = Kind.COLD
     """What is looked at."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Plan:
-    """An answer."""
-
     goal: Goal
     trajectory: Trajectory | None
     """None if there is no way."""
     energy_j: float
-    """To the goal region, what lies beyond the end of the trajectory included."""
+    """To the goal region, including the part beyond the end of the trajectory."""
     eta_s: float
     complete: bool
     """The trajectory ends in the goal's region."""
@@ -74,7 +72,7 @@ class TrajectoryPlanner(Protocol):
         ...
 
     def warm(self) -> None:
-        """Import and build what the first plan needs."""
+        """Import and build everything that the first plan needs."""
         ...
 
 

@@ -1,4 +1,4 @@
-"""From a request to a plan: ways over the energy field, both ways of turning, the best of them as a trajectory."""
+"""From a request to a plan: paths over the energy field, both directions of turning, the best as a trajectory."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -33,7 +33,6 @@ class EnergyPlanner:
         self._spaces: dict[int, tuple[Features, tuple[float, ...], FreeSpace]] = {}
 
     def warm(self) -> None:
-        """See :class:`TrajectoryPlanner`."""
         self._program(0.0)
         still = np.zeros((FLOW.least_samples, FLOW.least_samples, 3))
         still[0] = 1.0
@@ -57,7 +56,7 @@ class EnergyPlanner:
         end_slope = _slope_beyond(beyond, request.goal)
         task = LegTask(request, features, flow, table, to_go, end_slope, self._program, self._allocator, cancel)
         task.guesses(best)
-        # What ends at a gate has a new one.
+        # Trajectories that end at a gate get a new one.
         warm = None if request.warm is None or not task.complete else task.refine(request.warm, SEARCH.update_rounds)
         stays = warm is not None and warm.solved and task.energy_along(warm) < SEARCH.stay_within * best.energy_j
         if warm is not None and stays and request.kind is Kind.WARM:
@@ -82,7 +81,7 @@ class EnergyPlanner:
         if warm is not None and warm.solved and winner.cost_j > SEARCH.cheaper_share * warm.cost_j:
             return replace(task.plan(warm), stay=True)
         for one in [winner, *(one for one in solved if one is not winner)]:
-            # Candidates are rough, and what they would do is not flown before it is solved to the end.
+            # Candidates are approximate; the selected one is solved to convergence before it is flown.
             polished = task.refine(replace(one, solved=False), LEG_TASK.polish_rounds)
             if polished.solved:
                 return task.plan(polished)
@@ -91,7 +90,7 @@ class EnergyPlanner:
     def _field(
         self, request: TrajectoryRequest, features: Features, flow: FlowField, table: SpeedTable
     ) -> tuple[EnergyField, EnergyToGo, FieldPath] | None:
-        """The field of a request with the cheapest way, through tight doors only if there is no other."""
+        """Field and minimum-energy path of a request; narrow passages only if there is no other path."""
         goal_at, start = np.asarray(request.goal.pos_ned_m[:2], dtype=float), request.x0[:2]
         places = [start, goal_at]
         if request.goal.following is not None:
@@ -108,7 +107,7 @@ class EnergyPlanner:
     def _candidates(
         self, task: LegTask, field: EnergyField, to_go: EnergyToGo, best: FieldPath, features: Features
     ) -> list[Trajectory]:
-        """A trajectory along every way that is worth a look, for every way of turning."""
+        """One trajectory per candidate path and direction of turning."""
         guesses = task.guesses(best)
         # Ways to other gates cannot be compared.
         others = other_ways(field, to_go, best, features, SEARCH.max_other_ways) if task.complete else []
@@ -120,9 +119,9 @@ class EnergyPlanner:
     def _onward(
         self, task: LegTask, ends: Sequence[Trajectory], field: EnergyField, beyond: EnergyToGo, features: Features
     ) -> FloatArray:
-        """(len(ends),) energy of each trajectory and of the best leg after it, inf where none was found.
+        """(len(ends),) energy of each trajectory plus the best next leg, inf where none was found.
 
-        Trajectories that arrive by different ways or turns differ more in what the next leg takes than in themselves.
+        Trajectories with different paths or turns differ more in the next leg than in themselves.
         """
         totals = np.full(len(ends), np.inf)
         for i, end in enumerate(ends):
@@ -142,7 +141,7 @@ class EnergyPlanner:
         return self._features[1]
 
     def _space_of(self, look: int, radius_m: float, features: Features, area: Area) -> FreeSpace:
-        """The free space of a look; that of the last request if nothing but the water is another one."""
+        """The free space of a request; cached while only the current changes."""
         key = (radius_m, *area.low_m.tolist(), *area.high_m.tolist())
         kept = self._spaces.get(look)
         if kept is None or kept[0] is not features or kept[1] != key:

@@ -1,11 +1,12 @@
-"""The nonlinear program of a trajectory, put together from one interval.
+"""The nonlinear program of a trajectory, assembled from one interval.
 
-All intervals are alike, so one interval's motion, its Jacobian and its Hessian are built as expressions and mapped over
-the trajectory; what they give is put into the sparse matrices of the whole by constant selections. Expressions of the
-whole program would be 48 times as large: 40 MB for one RK4 step per interval, 70 MB for two, and a second to build.
+All intervals have the same structure: motion, Jacobian and Hessian of one interval are built as expressions and mapped
+over the trajectory, and constant selections place the results in the sparse matrices of the program. Expressions of
+the whole program would be 48 times as large: 40 MB for one RK4 step per interval, 70 MB for two, and a second to
+build.
 
-Variables: thrust (one per thruster) and next state (8) of every interval, then the end time. Rows: the :data:`ROWS` of
-every interval, then :data:`SHOOTING.end_rows`. All rows but those of the motion are at most 0.
+Variables: thrust (one per thruster) and next state (8) of every interval, then the end time. Constraints: the
+:data:`ROWS` of every interval, then :data:`SHOOTING.end_rows`. All but the dynamics are inequalities, at most 0.
 """
 
 from collections.abc import Sequence
@@ -100,7 +101,7 @@ class Shooting:
         self._watt_curved = ca.Function("watt_curved", [u], [slope, ca.diag(ca.jacobian(slope, u)) + gap]).map(n)
 
     def _end(self) -> None:
-        """What holds at the last node: rows and cost, slopes, Hessian, over its state."""
+        """Terminal constraints and cost, their gradients and Hessian, over the last state."""
         x, goal, band = ca.SX.sym("x", NX), ca.SX.sym("goal", 3), ca.SX.sym("band", 3)
         beyond, current = ca.SX.sym("beyond", 2), ca.SX.sym("current", 2)
         of_rows, of_cost = ca.SX.sym("of_rows", SHOOTING.end_rows), ca.SX.sym("of_cost")
@@ -117,7 +118,9 @@ class Shooting:
         self._end_curved = ca.Function("end_curved", [*known, of_rows, of_cost], [ca.densify(curved)])
 
     def _split(self, z: Any, p: Any) -> tuple[dict[str, Any], Any, Any, list[Any], list[Any]]:
-        """Parameters by name, next states (8, n), thrusts (thrusters, n), what the motion needs, what the end needs."""
+        """Parameters by name, next states (8, n), thrusts (thrusters, n), arguments of the dynamics, of the terminal
+        conditions.
+        """
         n, parts, at = self._n, {}, 0
         for name, (rows, columns) in shapes_of(n).items():
             parts[name] = ca.reshape(p[at : at + rows * columns], rows, columns)
@@ -133,7 +136,7 @@ class Shooting:
         return parts, following, thrusts, motion, end
 
     def _values(self, z: Any, p: Any) -> tuple[Any, Any]:
-        """Cost and rows."""
+        """Objective and constraint values."""
         n = self._n
         parts, x, thrusts, motion, end = self._split(z, p)
         heave, turn, shallow, deep = ca.vertsplit(parts["limits"][:, 1:])
@@ -152,7 +155,6 @@ class Shooting:
         return cost, ca.vertcat(ca.vec(rows), end_rows)
 
     def _gradient(self, z: Any, p: Any) -> Any:
-        """Of the cost."""
         n = self._n
         _, _, thrusts, _, end = self._split(z, p)
         watts, slopes = self._watt_slopes(thrusts)
@@ -162,7 +164,6 @@ class Shooting:
         return ca.vertcat(ca.vec(table), SHOOTING.cost_scale * (self._power.hotel_w + ca.sum2(watts) / n))
 
     def _jacobian(self, z: Any, p: Any) -> Any:
-        """Of the rows."""
         n = self._n
         parts, x, _, motion, end = self._split(z, p)
         matrix = _Sparse(ROWS * n + SHOOTING.end_rows, self._block * n + 1)
@@ -200,7 +201,7 @@ class Shooting:
         return matrix.filled()
 
     def _hessian(self, z: Any, p: Any, of_cost: Any, of_rows: Any) -> Any:
-        """Of the Lagrangian, upper triangle."""
+        """Hessian of the Lagrangian, upper triangle."""
         n, nu = self._n, self._nu
         _, _, thrusts, motion, end = self._split(z, p)
         table = ca.reshape(of_rows[: ROWS * n], ROWS, n)
@@ -223,13 +224,13 @@ class Shooting:
         return matrix.filled()
 
     def _columns(self, k: int) -> list[list[tuple[int, float]]]:
-        """Where the variables of an interval's motion come from: columns and shares; none for the first state."""
+        """Sources of the variables of an interval's motion: columns and factors; none for the first state."""
         state = [[(column, 1.0)] if (column := self._state(k, i)) >= 0 else [] for i in range(NX)]
         force = [[(self._block * k + j, float(share)) for j, share in enumerate(row) if share] for row in self._matrix]
         return [*state, *force, [(self._block * self._n, 1.0 / (self._n * self._substeps))]]
 
     def _state(self, node: int, i: int) -> int:
-        """Column of a state of a node; the first node's are known (-1)."""
+        """Column of a node's state; -1 for the first node, whose state is given."""
         return self._block * (node - 1) + self._nu + i if node else -1
 
 
@@ -243,7 +244,7 @@ class _Sparse:
         self._count = 0
 
     def add(self, values: Any, places: Sequence[Sequence[tuple[int, int, float]]]) -> None:
-        """``values`` column by column, with the places of each; what meets is summed."""
+        """Add ``values`` column by column at their positions; duplicates are summed."""
         self._values.append(ca.vec(values))
         assert self._values[-1].shape[0] == len(places)
         for source, found in enumerate(places, self._count):

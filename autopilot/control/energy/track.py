@@ -1,4 +1,4 @@
-"""A planned trajectory as a reference: where on it the vehicle is, what comes next, what comes after its end."""
+"""A planned trajectory as reference: projection of the vehicle on it, the part ahead, and the motion after its end."""
 
 from dataclasses import replace
 
@@ -39,7 +39,6 @@ class TrackedTrajectory:
 
     @property
     def length_s(self) -> float:
-        """From beginning to end."""
         return float(self.trajectory.t_s[-1])
 
     @property
@@ -102,9 +101,9 @@ class TrackedTrajectory:
 
     @property
     def missing(self) -> float:
-        """From 0 to 1: how far a vehicle that has come to the end has to be brought to the goal by the reference.
+        """Fraction (0 to 1) by which the reference is moved from the trajectory's end to the goal.
 
-        Not at once: the end is reached by what is predicted for when commands act, the region by the vehicle.
+        Gradually: the end is reached by the prediction to the time at which commands act, the region by the vehicle.
         """
         return min(max(-self.rest_s - TRACK.arriving_s, 0.0) / TRACK.missing_s, 1.0)
 
@@ -123,13 +122,13 @@ class TrackedTrajectory:
         x[late, W], x[late, R] = velocity[:, 2], rate * (end[YAW] - yaw)
 
     def ahead(self) -> FloatArray:
-        """(m, 2) what is still to come."""
+        """(m, 2) remaining positions."""
         later = int(np.searchsorted(self.trajectory.t_s, self.clock_s, side="right"))
         return np.vstack([self.trajectory.x[later:, :2], np.asarray(self.goal.pos_ned_m[:2], dtype=float)[None]])
 
 
 def joined(first: Trajectory, from_s: float, second: Trajectory) -> Trajectory:
-    """What is left of ``first`` after ``from_s``, and then ``second``, which begins where it ends."""
+    """The part of ``first`` after ``from_s``, followed by ``second``, which starts at its end."""
     end_s = float(first.t_s[-1])
     if from_s >= end_s:
         return second

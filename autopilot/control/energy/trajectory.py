@@ -1,10 +1,10 @@
-"""A trajectory of least energy from a state into a goal region: one nonlinear program with free end time.
+"""Minimum-energy trajectory from a state into a goal region: one nonlinear program with free end time.
 
-Direct multiple shooting on the 4-DoF model: states at ``n + 1`` nodes, thrust constant in between, end time T. Cost:
-hotel power times T plus the power of the thrusters, plus a linear cost at the end for what follows. Currents enter as
-c + G (p - p0) about the guess of every node, obstacles as half-planes that touch them where the guess is nearest; both
-are made anew around the solution, a counted number of times (successive approximation: half-planes of convex obstacles
-lie in free space, so every round starts feasible).
+Direct multiple shooting on the 4-DoF model: states at ``n + 1`` nodes, piecewise constant thrust, end time T. Cost:
+hotel power times T plus the energy of the thrusters, plus a linear terminal cost for the remaining path. Currents
+enter as c + G (p - p0) about the guess of every node, obstacles as half-planes that touch them where the guess is
+nearest; both are renewed around the solution a fixed number of times (successive convexification: half-planes of
+convex obstacles lie in the free space, so every iteration starts feasible).
 """
 
 import math
@@ -24,7 +24,7 @@ from autopilot.core.model4 import NX, Model4
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Ask:
-    """One program: where from, where to, within what. Arrays are per node (n + 1) unless said otherwise."""
+    """Data of one program: initial state, goal region, bounds. Arrays are per node (n + 1) unless noted otherwise."""
 
     x0: FloatArray
     """(8,)"""
@@ -52,15 +52,13 @@ class Ask:
     thrust_limit_n: FloatArray
     """(thrusters,)"""
     end_slope_j_m: FloatArray
-    """(2,) slope of the cost of what follows, over north and east of the place where the vehicle coasts to."""
+    """(2,) gradient of the remaining cost with respect to north and east of the coasting position."""
     longest_s: float
     buoyancy_excess_n: float
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Trajectory:
-    """A solution."""
-
     t_s: FloatArray
     """(n + 1,) from its beginning."""
     x: FloatArray
@@ -68,7 +66,7 @@ class Trajectory:
     thrust_n: FloatArray
     """(n, thrusters)"""
     energy_j: float
-    """Along it, hotel power included, without the cost of what follows."""
+    """Along it, hotel power included, without the remaining cost."""
     cost_j: float
     """With it."""
     solved: bool
@@ -144,7 +142,6 @@ class Program:
         )
 
     def _bounds(self, ask: Ask) -> tuple[FloatArray, FloatArray]:
-        """Of the variables."""
         n, thrusters = self.n, self._thrusters
         upper = np.full((n, thrusters + NX), np.inf)
         upper[:, :thrusters] = ask.thrust_limit_n
@@ -155,7 +152,9 @@ class Program:
 
 
 class _Stop(ca.Callback):
-    """IPOPT asks it after every iteration whether to go on: they take up to 12 ms, a solution up to 150 of them."""
+    """Iteration callback of IPOPT that decides on early termination: an iteration takes up to 12 ms, a solution up to
+    150.
+    """
 
     def __init__(self, shooting: Shooting) -> None:
         ca.Callback.__init__(self)
@@ -171,32 +170,27 @@ class _Stop(ca.Callback):
         self._cancel, self._rough = cancel, rough
         self._cost = self._least_off = math.inf
         self._since = 0
-        """Iterations since rows were that near to what they may be."""
+        """Iterations since the constraint violation was that small."""
         self.settled = False
         """Whether a rough solution was good enough."""
 
     def get_n_in(self) -> int:
-        """What a solver gives out."""
         return int(ca.nlpsol_n_out())
 
     def get_n_out(self) -> int:
-        """One flag."""
         return 1
 
     def get_name_in(self, i: int) -> str:
-        """As the solver names them."""
         return str(ca.nlpsol_out(i))
 
     def get_name_out(self, i: int) -> str:
-        """As the solver wants it."""
         return "ret"
 
     def get_sparsity_in(self, i: int) -> Any:
-        """Columns."""
         return ca.Sparsity.dense(self._sizes[self.get_name_in(i)])
 
     def eval(self, arg: Any) -> list[int]:
-        """1 = stop."""
+        """Return 1 to stop the solver."""
         rows = arg[2].full().ravel()
         off = float(max((self._lower - rows).max(), (rows - self._upper).max()))
         if self._rough:
@@ -206,7 +200,7 @@ class _Stop(ca.Callback):
         return [int(self._cancel.requested or self.settled or self._stalled(off))]
 
     def _stalled(self, off: float) -> bool:
-        """Whether what rows are off by at most is no less than it was STALLED_ITERATIONS ago."""
+        """Whether the largest constraint violation has not decreased for STALLED_ITERATIONS."""
         if off < TRAJECTORY.nearer * self._least_off:
             self._least_off, self._since = off, 0
         self._since += 1
@@ -214,8 +208,8 @@ class _Stop(ca.Callback):
 
 
 STOPPED_SHORT, FEASIBLE = ("Maximum_Iterations_Exceeded", "Search_Direction_Becomes_Too_Small"), 1e-5
-"""A program that ends like this may have been at its optimum for long, without proof. What obeys dynamics and bounds
-within so much (SI units) can be flown."""
+"""Such a program may have been at its optimum for long, without proof. A result that satisfies dynamics and bounds to
+this tolerance (SI units) can be flown."""
 
 OPTIONS: dict[str, Any] = {
     "print_time": False,

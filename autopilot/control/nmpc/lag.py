@@ -1,9 +1,8 @@
-"""Thruster lag: which thrust acts now, and where it takes the vehicle before a new command counts.
+"""Thruster lag and latency: present thrust, and prediction of the state to the time at which a new command acts.
 
-A thruster with first-order lag T that acts with F and is commanded G delivers the same momentum as one that keeps F
-for T and then jumps to G. So the plan starts T ahead, from where the acting thrust takes the vehicle, and needs no
-thrust states. Commands that are known to act late take the vehicle further before: the plan then starts where all that
-is still under way has acted.
+A thruster with first-order lag T and thrust F that is commanded G delivers the same momentum as one that keeps F for T
+and then steps to G. The plan therefore starts T ahead, at the state predicted with the present thrust, and needs no
+thrust states. With a known command latency the prediction also covers the commands that have not acted yet.
 """
 
 import ctypes
@@ -25,7 +24,7 @@ Sent: TypeAlias = tuple[float, float, FloatArray]
 """From when until when [s] a command (n,) was sent."""
 
 KEPT_S = 3.0
-"""Commands of so long ago are remembered: the longest delay, and what the lag makes of it."""
+"""Length of the command history: the longest delay plus the lag."""
 
 UNDER_WAY_S = 0.05
 """Interval of the prediction through commands that are under way."""
@@ -38,7 +37,7 @@ LEARN_S = 3.0
 
 
 class _Ahead(compiled.Mirror):
-    """The struct of follow.c."""
+    """ctypes layout of the struct in follow.c."""
 
     _fields_ = (
         ("thrusters", ctypes.c_long),
@@ -53,7 +52,7 @@ class ThrusterLag:
 
     def __init__(self, model: Model4, response: Response) -> None:
         self._response = response
-        # Thrusters that differ: together they give what all would with the mean.
+        # Different time constants: together about the response with their mean.
         self._lag_s = lag_s = response.mean_s
         self._x, self._u, self._c, self._out = np.zeros(NX), np.zeros(model.thrusters), np.zeros(3), np.zeros(NX)
         self._coefficients, self._allocation = np.array(coefficients(model)), np.array(model.allocation)
@@ -64,15 +63,15 @@ class ThrusterLag:
         self.reset()
 
     def reset(self) -> None:
-        """The thrusters stand still, nothing is under way, commands act at once."""
+        """Zero thrust, no pending commands, no latency."""
         self.acting_n[:] = 0.0
         self._sent.clear()
         self._now_s = self.delay_s = 0.0
-        """So late commands reach the thrusters; changed by :meth:`act_late`."""
+        """Command latency [s]; set by :meth:`act_late`."""
         self.jumped()
 
     def jumped(self) -> None:
-        """The state has jumped, or predictions are made in another way: they are not compared with what comes."""
+        """The state or the prediction model has jumped: discard predictions that would be compared with it."""
         self._predicted: deque[tuple[float, FloatArray]] = deque()
         self._off = np.zeros(NX)
         self._compared_s = self._now_s
@@ -112,11 +111,10 @@ class ThrusterLag:
         return self._out.copy()
 
     def _ahead_of_all(self, x: FloatArray) -> FloatArray:
-        """The same through what is under way, with what predictions have been off.
+        """Prediction over all pending commands, plus the mean prediction error.
 
-        A second is long enough for a wrong buoyancy, drag or thrust to show, and a plan that starts where the vehicle
-        will not be never pushes harder. So what came is compared with what was predicted (a model predictive
-        controller's output disturbance).
+        Over a second an error of buoyancy, drag or thrust is significant, and a plan that starts at the wrong state
+        never corrects it. Predictions are therefore compared with later states (output disturbance model of MPC).
         """
         acting, begin_s = self.acting_n.copy(), self._now_s - self.delay_s
         under_way = [sent for sent in self._sent if sent[1] > begin_s]
@@ -144,7 +142,7 @@ class ThrusterLag:
         self._compared_s = self._now_s
 
     def _pass(self, acting: FloatArray, sent: Iterable[Sent], begin_s: float, end_s: float) -> None:
-        """Let ``acting`` (n,) respond to what was sent between two times."""
+        """Advance ``acting`` (n,) by the commands sent between two times."""
         for sent_s, until_s, command in sent:
             if sent_s >= end_s:
                 break

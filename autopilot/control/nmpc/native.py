@@ -1,7 +1,7 @@
-"""The control step in C: the problem of ``nmpc/ocp.py``, four times faster than with a solver from a library.
+"""The control step in C: the problem of ``nmpc/ocp.py``, four times as fast as with a general QP solver.
 
-Part of the compiled library (:mod:`autopilot.core.compiled`), which serves all vehicles: the hull's coefficients are
-arguments. Where that is missing, not made for a vehicle or fails the self-test, the next solver is used.
+Part of the compiled library (:mod:`autopilot.core.compiled`), which serves all vehicles: the coefficients are
+arguments. If it is missing, does not support the vehicle or fails the self-test, the next solver is used.
 """
 
 import ctypes
@@ -29,7 +29,7 @@ ARRAYS = (
 
 
 class _Task(compiled.Mirror):
-    """The struct of task.h."""
+    """ctypes layout of the struct in task.h."""
 
     _fields_ = (
         ("n", ctypes.c_long),

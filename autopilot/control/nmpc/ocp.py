@@ -1,20 +1,21 @@
-"""The paper's optimal control problem (section III, eq. 12) as one CasADi function: linearise, solve one QP, unpack.
+"""The optimal control problem of the paper (section III, eq. 12) as a CasADi function: linearisation, one QP,
+unpacking.
 
-Decision variables per stage: state (8), thrust (one per thruster) and, from stage 1 on, two slacks: one that the limits
-on speeds share and one for depth band and half-planes, so that a vehicle outside its workspace does not speed on its
-way back. The first state is known and is not a variable. Everything that changes at run time is an argument, so nothing
-is rebuilt for a new fence, current, weight or limit. The function works in steps around the guess (Gauss-Newton: the
+Decision variables per stage: state (8), thrust (one per thruster) and, from stage 1 on, two slacks: one shared by the
+speed limits, one by depth band and half-planes, so that a vehicle outside its workspace does not exceed its speed
+limits on the way back. The first state is given and is not a variable. Everything that changes at run time is an
+argument: fence, current, weights and limits need no rebuild. The QP is in increments from the guess (Gauss-Newton: the
 residuals are linear in state and input, so the Hessian is exact up to the curvature of the dynamics).
 
-* dynamics: RK4 on :mod:`autopilot.core.model4`, intervals split where RK4 would lose its stability
-  (:func:`longest_step_s`); beyond the speeds that this is made for (:func:`fastest_guess`) nothing is linearised
-* hard: thrust, per thruster
-* soft with an exact penalty (L1 + L2 on the slack): planar speed, heave, yaw rate, depth band, half-planes
-* planar speed: the Euclidean norm (u, v), as the tangent of the circle in the direction of the guess
-* terminal cost: any symmetric matrix; :data:`TERMINAL_STAGES` of the state weights where nothing better is known, a
-  tail of 2 s at the rate of the running cost. That is what an LQR tail gives for a loop that settles with a time
-  constant of 4 s; it is independent of heading, which the DARE solution at hover is not (position is in the world
-  frame, velocity in the body frame), and it needs no equilibrium where the horizon ends within a leg.
+* dynamics: RK4 on :mod:`autopilot.core.model4`, intervals subdivided for stability (:func:`longest_step_s`); a guess
+  beyond the speeds of :func:`fastest_guess` is not linearised
+* hard constraints: thrust, per thruster
+* soft constraints with an exact penalty (L1 + L2 on the slack): planar speed, heave, yaw rate, depth band, half-planes
+* planar speed: the Euclidean norm of (u, v), linearised in the direction of the guess
+* terminal cost: any symmetric matrix; by default :data:`TERMINAL_STAGES` of the state weights, a tail of 2 s at the
+  rate of the running cost. An LQR tail of a loop with a settling time constant of 4 s has this size; unlike the DARE
+  solution at hover it is independent of heading (position is in the world frame, velocity in the body frame), and it
+  needs no equilibrium where the horizon ends within a leg.
 
 Weights, limits and bounds are given per node, so that margins may grow along the prediction.
 """
@@ -45,7 +46,7 @@ and these 4 fill three of its 4-row panels)."""
 
 SLACK_L1 = 1e3
 SLACK_L2 = 1e3
-"""Exact penalty per stage of 0.1 s; above the multipliers that occur, below what makes the QP ill-conditioned."""
+"""Exact penalty per stage of 0.1 s; above the multipliers that occur, small enough for the QP's conditioning."""
 
 TERMINAL_STAGES = 20.0
 SPEED_EPSILON_M_S = 0.02
@@ -53,8 +54,8 @@ SPEED_EPSILON_M_S = 0.02
 
 
 ENVELOPE = (1.0, 0.6, 1.25)
-"""Planar speed, heave [m/s] and yaw rate [rad/s] through the water up to which predictions have to be right: beyond
-what plans use (SPD_*_MAX) and what pushes and wrong currents bring."""
+"""Planar speed, heave [m/s] and yaw rate [rad/s] through the water up to which predictions have to be accurate: the
+limits of plans (SPD_*_MAX) plus disturbances and errors of the current."""
 
 FASTEST_TURN_RAD_S = 5.0
 """No vehicle that this controller is for turns faster."""
@@ -118,7 +119,7 @@ def discrete_dynamics(model: model4.Model4, dt_s: float, substeps: int) -> ca.Fu
 
 
 def trimmed_dynamics(model: model4.Model4, dt_s: float, substeps: int) -> ca.Function:
-    """The same of a vehicle with another excess buoyancy [N], the fourth argument."""
+    """As :func:`discrete_dynamics`, with the excess buoyancy [N] as fourth argument."""
     x, u, c = ca.SX.sym("x", NX), ca.SX.sym("u", model.thrusters), ca.SX.sym("c", 3)
     lift: Any = ca.SX.sym("lift")
     h = dt_s / substeps
@@ -137,9 +138,9 @@ def trimmed_dynamics(model: model4.Model4, dt_s: float, substeps: int) -> ca.Fun
 
 
 def _fastest_rate_1_s(model: model4.Model4, scale: float) -> float:
-    """Largest rate at which small changes of the motion grow, fade or swing at ``scale`` times the ENVELOPE.
+    """Largest modulus of the eigenvalues of d nu'/d nu [1/s] at ``scale`` times the ENVELOPE.
 
-    Surge and sway together turn the vehicle (Munk moment): the yaw rate that comes of it belongs to the envelope.
+    Surge and sway together turn the vehicle (Munk moment): the yaw rate that results belongs to the envelope.
     """
     planar_m_s, heave_m_s, turn_rad_s = scale * np.array(ENVELOPE)
     munk_nm = 0.5 * abs(model.mass_kg[0] - model.mass_kg[1]) * planar_m_s**2
@@ -157,14 +158,15 @@ def _fastest_rate_1_s(model: model4.Model4, scale: float) -> float:
 
 
 def longest_step_s(model: model4.Model4) -> float:
-    """Longest RK4 step of the prediction: light vehicles with much drag are stiff (a turn of the LBV150 fades with
-    12 1/s). Past it a prediction does not get worse but explodes."""
+    """Longest stable RK4 step of the prediction [s]. Light vehicles with large drag are stiff (yaw of the LBV150
+    decays with 12 1/s); beyond this step the integration diverges.
+    """
     return min(MAX_RK4_STEP_S, RK4_REACH / _fastest_rate_1_s(model, 1.0))
 
 
 def fastest_guess(model: model4.Model4) -> tuple[float, float, float]:
-    """Planar speed, heave [m/s] and yaw rate [rad/s] up to which the prediction's integration is stable: the
-    :data:`ENVELOPE`, for vehicles with little drag more (:data:`FARTHER`)."""
+    """Planar speed, heave [m/s] and yaw rate [rad/s] through the water up to which predictions have to be accurate: the
+    limits of plans (SPD_*_MAX) plus disturbances and errors of the current."""
     reach = RK4_REACH / longest_step_s(model)
     scale = next((s for s in FARTHER if _fastest_rate_1_s(model, s) <= reach), 1.0)
     return scale * ENVELOPE[0], scale * ENVELOPE[1], scale * ENVELOPE[2]
@@ -216,17 +218,33 @@ class StepArrays:
         self.x, self.u, self.slack = np.zeros((n + 1, NX)), np.zeros((n, model.thrusters)), np.zeros((n - 1, N_SLACKS))
 
     def complete(self) -> bool:
-        """Whether all are numbers, bounds infinite at most: to solvers a wish for NaN is one for full thrust."""
+        """Whether all arguments are finite and no bound is NaN (bounds may be infinite): solvers treat NaN as full
+        thrust.
+        """
         return bool(np.isfinite(self._numbers).all() and not np.isnan(self._bounds).any())
 
 
 def build_qp_step(model: model4.Model4, grid: TimeGrid, planes: int, backend: QpBackend) -> ca.Function:
-    """The control step as a function.
+    """Build the control step (linearisation, QP, unpacking) as one CasADi function.
 
-    Arguments: see :func:`argument_shapes`; the first column of x_guess is the present state. Results: x (8, N+1),
-    u (thrusters, N), slack (2, N-1), figures (6: cost, largest violation of a QP row, largest gap of the guess, largest
-    overshoot of a thrust bound before it was clipped, sum of the step: not finite when any of it is not, largest
-    multiplier of a soft row as a share of the penalty), multipliers.
+    Parameters
+    ----------
+    model
+        The 4-DoF model.
+    grid
+        Prediction grid of N intervals.
+    planes
+        Half-planes per stage.
+    backend
+        The QP solver.
+
+    Returns
+    -------
+    casadi.Function
+        Arguments: :func:`argument_shapes`; the first column of ``x_guess`` is the present state. Results: ``x``
+        (8, N+1), ``u`` (thrusters, N) [N], ``slack`` (2, N-1), ``figures`` (6: cost; largest violation of a QP row;
+        largest gap of the guess; largest overshoot of a thrust bound before clipping [N]; sum of the step, not finite
+        if any entry is not; largest multiplier of a soft row relative to the penalty's slope), ``multipliers``.
     """
     n = grid.n
     nu = model.thrusters

@@ -1,4 +1,4 @@
-"""A thruster is not turned round for next to nothing: where its thrust goes through zero it rests for a while."""
+"""Dead band at thrust reversal: small thrust against a thruster's last direction of rotation is set to zero."""
 
 import math
 
@@ -7,27 +7,27 @@ import numpy as np
 from autopilot.core.frames import FloatArray
 
 LEAST_SHARE = 0.035
-"""Thrust against the way a thruster turned last, as a share of its limit, for which it is turned round: 0.4 N of 12 N,
-less than half of the force that margins take for unmodelled anyway. What an estimate's noise asks for is less."""
+"""Dead band of reversal relative to the thrust limit: 0.4 N of 12 N, less than half of the unmodelled force that the
+margins assume, and more than the noise of the estimate causes."""
 
 BETWEEN = 2.0
-"""Between control steps so many times that: the feedback of the inner loop carries the noise of single ticks, of which
-one in a few hundred would turn a thruster round that has nothing to do. The next control step is 50 ms away."""
+"""Factor of the dead band between control steps: the inner loop's feedback has the noise of single ticks, of which one
+in a few hundred would reverse an idle thruster. The next control step is 50 ms away."""
 
 
 class Reversals:
-    """Which way every thruster turned last."""
+    """Last direction of rotation of every thruster."""
 
     def __init__(self, limit_n: FloatArray) -> None:
         self._least_n: list[float] = (LEAST_SHARE * limit_n).tolist()
         self._way = [0.0] * len(limit_n)
 
     def reset(self) -> None:
-        """They stand still: either way is as good."""
+        """Thrusters at rest: either direction of rotation is allowed."""
         self._way = [0.0] * len(self._way)
 
     def worth(self, thrust_n: FloatArray, *, between: bool = False) -> FloatArray:
-        """Thrust (n,) without what is not worth a reversal; ``between`` control steps more is asked for."""
+        """Thrust (n,) [N] after the dead band, which is wider ``between`` control steps (factor BETWEEN)."""
         worth: list[float] = thrust_n.tolist()
         share = BETWEEN if between else 1.0
         for i, (thrust, least) in enumerate(zip(worth, self._least_n, strict=True)):

@@ -1,7 +1,8 @@
-"""Real-time iteration: one Gauss-Newton QP per control step, warm-started by the shifted last plan.
+"""Real-time iteration: one Gauss-Newton QP per control step, warm-started by the shifted last plan (Diehl et al.
+2005).
 
-Holds the compiled step of :mod:`autopilot.control.nmpc.ocp` and the arrays it reads and writes; nothing is allocated or
-built after construction. The first solver that passes a self-test is used.
+Holds the compiled step of :mod:`autopilot.control.nmpc.ocp` and its argument arrays; nothing is allocated or built
+after construction. The first solver that passes a self-test is used.
 """
 
 import dataclasses
@@ -34,18 +35,18 @@ GUESS_LIMIT = 100.0
 """m/s, rad/s: around a guess that moves faster (or is no number) nothing can be linearised; solvers would print it."""
 
 SELF_TEST_WAY = np.array([0.2, 0.1, 0.1, 0.2, 0.0, 0.0, 0.0, 0.0])
-"""State to which the self-test goes from rest."""
+"""Reference state of the self-test, from rest."""
 
 SELF_TEST_WEIGHTS = np.array([20.0, 20.0, 40.0, 3.0, 1.0, 1.0, 1.0, 0.5])
 SELF_TEST_THRUST_WEIGHT = 0.02
 
 SELF_TEST_TOLERANCE = 0.05
-"""How far thrust and end of the self-test may be from the answer, as a share of the bound and of the way."""
+"""Tolerance of the self-test, relative to the thrust bound and to the distance."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class NmpcProblem:
-    """What changes from step to step."""
+    """Data of one QP that change from step to step. N intervals; state order of :mod:`autopilot.core.model4`."""
 
     x0: FloatArray
     """(8,) present state, yaw on the same turn as the references."""
@@ -75,7 +76,7 @@ class NmpcProblem:
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class NmpcResult:
-    """The new plan."""
+    """Solution of one QP. With a status other than OK, ``x`` and ``thrust_n`` are the previous plan."""
 
     status: SolveStatus
     x: FloatArray
@@ -86,13 +87,13 @@ class NmpcResult:
     """Decrease of the cost that the last QP predicted, plus penalties."""
     slack_max: float
     gap_max: float
-    """How far the guess was from satisfying the dynamics."""
+    """Largest defect of the guess in the dynamics."""
     penalty_use: float
     """Largest multiplier of a soft constraint over the penalty's slope: above 0 a limit is touched, at 1 given up."""
 
 
 class QpStep(ocp.StepArrays):
-    """One step built by CasADi."""
+    """QP step as a CasADi function."""
 
     def __init__(self, model: Model4, grid: TimeGrid, planes: int, backend: ocp.QpBackend) -> None:
         super().__init__(model, grid.n, planes)
@@ -119,10 +120,11 @@ def _build(model_values: tuple[Any, ...], dt_s: tuple[float, ...], planes: int, 
 
 
 def passes_self_test(step: QpStep | NativeStep, model: Model4, grid: TimeGrid) -> bool:
-    """Solve one problem whose answer is known: from rest to a place near by, with half of the thrust that it takes.
+    """Solve one problem with a known solution: from rest to a position close by, with thrust bounds of half the
+    optimum.
 
-    Without the states it is a program with bounds alone (:func:`_condensed`), small enough to be solved by other
-    means. Thrust of the first interval and the state at the end must be the same, all figures small.
+    Condensed, it is a QP with bounds only (:func:`_condensed`), small enough for an independent solver. Thrust of the
+    first interval and the final state have to agree, and all residuals have to be small.
     """
     step.x_guess[:] = 0.0
     step.u_guess[:] = 0.0
@@ -150,8 +152,9 @@ def passes_self_test(step: QpStep | NativeStep, model: Model4, grid: TimeGrid) -
 
 
 def _condensed(model: Model4, grid: TimeGrid) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Hessian and gradient of the self-test over all thrusts (N n,); last state without thrust, and what thrust makes
-    of it (8, N n). Derivatives by complex steps."""
+    """Condensed self-test: Hessian and gradient over all thrusts (N n,), final state without thrust, and its
+    sensitivity (8, N n). Derivatives by complex steps.
+    """
     count, n = model.thrusters, grid.n
     hessian, gradient = np.zeros((n * count, n * count)), np.zeros(n * count)
     state, effect = np.zeros(NX), np.zeros((NX, n * count))
@@ -183,7 +186,20 @@ def _condensed(model: Model4, grid: TimeGrid) -> tuple[FloatArray, FloatArray, F
 def choose_step(
     model: Model4, grid: TimeGrid, planes: int, backends: tuple[ocp.QpBackend, ...]
 ) -> tuple[QpStep | NativeStep, tuple[str, ...]]:
-    """The first backend that works, and why those before it do not; ConfigError if none passes its self-test."""
+    """The first QP backend that passes the self-test.
+
+    Returns
+    -------
+    step
+        The compiled step with its argument arrays.
+    reasons
+        One line for each backend before it, with the reason for its rejection.
+
+    Raises
+    ------
+    ConfigError
+        No backend passes.
+    """
     reasons = []
     for backend in backends:
         try:
@@ -199,7 +215,19 @@ def choose_step(
 
 
 class Nmpc:
-    """The controller's optimiser with its plan."""
+    """Real-time iteration NMPC: holds the plan, states ``x`` (N+1, 8) and thrust ``u`` (N, thrusters) [N].
+
+    Parameters
+    ----------
+    model
+        The 4-DoF model.
+    grid
+        Prediction grid of N intervals.
+    planes
+        Half-planes per stage.
+    backends
+        QP solvers in order of preference.
+    """
 
     def __init__(
         self,
@@ -219,7 +247,7 @@ class Nmpc:
         self.x = np.zeros((grid.n + 1, NX))
         self.u = np.zeros((grid.n, model.thrusters))
         self.last_problem: NmpcProblem | None = None
-        """What was solved last (its arrays may be those of the caller), for comparisons."""
+        """The last problem (its arrays may be the caller's), for comparisons."""
         self.violation = 0.0
         """Largest of a row of the last QP."""
 
@@ -230,15 +258,15 @@ class Nmpc:
 
     @property
     def guess(self) -> tuple[FloatArray, FloatArray]:
-        """States (N+1, 8) and thrust (N, thrusters) that the last QP was made around."""
+        """Linearisation point of the last QP: states (N+1, 8) and thrust (N, thrusters) [N]."""
         return self._step.x_guess.copy(), self._step.u_guess.copy()
 
     def set_plan(self, x: FloatArray, thrust_n: FloatArray) -> None:
-        """Start from this guess: states (N+1, 8) and thrust (N, thrusters)."""
+        """Replace the plan: states (N+1, 8) and thrust (N, thrusters) [N]."""
         self.x[:], self.u[:] = x, thrust_n
 
     def shift(self, delta_s: float) -> None:
-        """Move the plan ``delta_s`` into the future."""
+        """Shift the plan by ``delta_s`` [s] (warm start), interpolated on the grid."""
         key = round(delta_s, 6)
         if key not in self._shifts:
             if len(self._shifts) > 64:
@@ -258,7 +286,20 @@ class Nmpc:
         np.clip(moves[:, 2:], (-heave_m_s, -yaw_rate_rad_s), (heave_m_s, yaw_rate_rad_s), out=moves[:, 2:])
 
     def solve(self, problem: NmpcProblem) -> NmpcResult:
-        """One QP around the plan. The plan is replaced only when the result passes every check."""
+        """Solve one Gauss-Newton QP around the present plan.
+
+        Parameters
+        ----------
+        problem
+            Initial state, references, weights, bounds and half-planes.
+
+        Returns
+        -------
+        NmpcResult
+            ``status`` OK only if the solution is finite and satisfies every row of the QP to VIOLATION_LIMIT; only
+            then it replaces the plan. The arrays are views of the plan. No exceptions: a failure of the solver is a
+            status.
+        """
         step, self.last_problem = self._step, problem
         step.x_guess[:] = self.x
         step.x_guess[0] = problem.x0

@@ -1,8 +1,7 @@
-"""Programs that were not solved, as arrays that a log keeps, and back: what they depend on and nothing else.
+"""Serialisation of QPs that were not solved, for the log and for later analysis.
 
-``problem.*`` are the fields of :class:`autopilot.control.nmpc.solver.NmpcProblem`, ``guess.*`` states and thrust that
-it was linearised around, ``grid.dt_s`` the intervals, ``model.*`` the coefficients of
-:class:`autopilot.core.model4.Model4`.
+``problem.*`` are the fields of :class:`autopilot.control.nmpc.solver.NmpcProblem`, ``guess.*`` states and thrust of
+the linearisation, ``grid.dt_s`` the intervals, ``model.*`` the coefficients of :class:`autopilot.core.model4.Model4`.
 """
 
 import dataclasses
@@ -23,15 +22,13 @@ from autopilot.core.model4 import Model4
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Trial:
-    """What one solver makes of a program."""
-
     solver: str
     status: SolveStatus | None
     """None = it does not work on this machine."""
     violation: float
     """Largest of a row: 0.001 counts as solved."""
     gap: float
-    """How far the guess is from satisfying the dynamics."""
+    """Largest defect of the guess in the dynamics."""
     thrust_n: tuple[float, ...]
     """The first of the plan; of the guess when it was not solved."""
 
@@ -53,7 +50,7 @@ def _part(arrays: Mapping[str, FloatArray], name: str) -> dict[str, FloatArray]:
 
 
 def solve_again(program: UnsolvedProgram, backends: tuple[ocp.QpBackend, ...] = ocp.BACKENDS) -> list[Trial]:
-    """What every solver makes of it. LogError if the program is not complete."""
+    """Results of every solver. LogError if the record is incomplete."""
     try:
         model = Model4(**{name: _plain(value) for name, value in _part(program.arrays, "model.").items()})
         # Programs of before the buoyancy was learned have the vehicle file's.

@@ -1,1 +1,1 @@
-"""The way to a goal: routes round obstacles, and the reference along them."""
+"""Path planning and guidance: routes round obstacles, and the reference along them."""

@@ -1,8 +1,7 @@
-"""Guidance of a motion instead of a place: a pilot's sticks, a circle, set points of velocity.
+"""Guidance for a commanded velocity: pilot, circle, velocity set points.
 
-The velocity that is asked for is followed as far as the workspace is free: the way ahead ends a braking distance before
-a boundary that it meets head on, and slides along one that it meets at an angle. Behind it stand the optimiser's
-constraints, as in every other mode.
+The velocity is tracked as far as the workspace is free: the reference path ends a braking distance before a boundary
+ahead, and slides along one that it meets at an angle. The optimiser's constraints apply as in every other mode.
 """
 
 import math
@@ -20,7 +19,7 @@ from autopilot.core.model4 import YAW, Z
 
 
 class DriveGuidance:
-    """See :class:`autopilot.control.path.guidance.Guidance`. Never at a loss: what is not free is not flown."""
+    """See :class:`autopilot.control.path.guidance.Guidance`. It always has a reference: blocked motion is omitted."""
 
     unreachable = False
 
@@ -31,21 +30,18 @@ class DriveGuidance:
         self.reset()
 
     def reset(self) -> None:
-        """See :class:`autopilot.control.path.guidance.Guidance`."""
         self._fresh = True
         self._yaw_target: float | None = None
         self._way = np.zeros((1, 2))
 
     def take_notices(self) -> list[tuple[Severity, str]]:
-        """Nothing: whoever asked for the motion is told where it was asked for."""
+        """None: the source of the velocity command has been notified."""
         return []
 
     def ahead(self, here: FloatArray) -> FloatArray:
-        """See :class:`autopilot.control.path.guidance.Guidance`."""
         return np.concatenate([here[None], self._way[1:]])
 
     def reference(self, situation: GuidanceInputs) -> Reference:
-        """See :class:`autopilot.control.path.guidance.Guidance`."""
         now, fresh, self._fresh = situation, self._fresh, False
         drive = now.goal.drive or VelocityGoal()
         target = self._target(now, drive)
@@ -56,7 +52,7 @@ class DriveGuidance:
         )
 
     def _target(self, now: GuidanceInputs, drive: VelocityGoal) -> ReferenceTarget:
-        """Where the reference goes: far enough ahead that it does not brake before the horizon's end."""
+        """Target of the reference: far enough ahead that it does not brake before the horizon's end."""
         params, horizon_s = now.params, float(self._t_s[-1])
         route, cruise_m_s = self._route(now, drive, horizon_s)
         depth_m, heave_m_s = float(now.goal.pos_ned_m[2]), params["SPD_HEAVE_MAX"]
@@ -97,7 +93,7 @@ class DriveGuidance:
     def _trend(
         self, here: float, wanted: float, trend_rad_s: float, horizon_s: float, most: float
     ) -> tuple[float, float]:
-        """Of a heading that turns: what is missing of it is made good on the way, or first where that is much."""
+        """Reference of a turning heading: a small error is corrected during the motion, a large one first."""
         self._yaw_target = None
         lack = wrap_pi(wanted - here)
         rate = trend_rad_s + lack / DRIVE.catch_up_s
@@ -107,7 +103,7 @@ class DriveGuidance:
         return here + rate * horizon_s, abs(rate) / REFERENCE.yaw_rate_share
 
     def _route(self, now: GuidanceInputs, drive: VelocityGoal, horizon_s: float) -> tuple[Route, float]:
-        """The free way ahead and the speed along it."""
+        """The free path ahead and the speed along it."""
         start, velocity = now.x0[:2].copy(), complex(drive.north_m_s, drive.east_m_s)
         speed = min(abs(velocity), now.speed_cap_m_s, now.goal.speed_m_s)
         if abs(velocity) < DRIVE.slowest_m_s:
@@ -159,7 +155,7 @@ class DriveGuidance:
     def _slide(
         now: GuidanceInputs, here: complex, heading: complex, step_m: float, keep_m: float
     ) -> tuple[complex, float]:
-        """The end of a step, pushed out of what it runs into, and the share of it that goes ahead."""
+        """End of a step after projection out of obstacles, and the fraction of it that goes ahead."""
         features = now.planner.features
         wish = step_m * heading
         place, along = here + wish, wish
@@ -178,5 +174,4 @@ class DriveGuidance:
 
 
 def _point(place: complex) -> FloatArray:
-    """As an array (1, 2)."""
     return np.array([[place.real, place.imag]])

@@ -1,7 +1,7 @@
-"""Guidance: from a goal to what the optimiser is to follow.
+"""Guidance: from a goal to the reference of the optimiser.
 
-Two kinds share one interface: the route guidance marches along a free path at cruise speed (the paper's quadratic
-cost), the energy guidance follows a trajectory of least energy (:mod:`autopilot.control.energy`).
+Two implementations: the route guidance moves the reference along a free path at cruise speed (the paper's quadratic
+cost), the energy guidance follows a minimum-energy trajectory (:mod:`autopilot.control.energy`).
 """
 
 import cmath
@@ -28,12 +28,12 @@ from autopilot.core.model4 import NX, YAW
 from autopilot.core.params import ParamSet
 
 BEHIND_M, LOOKAHEAD_M = 0.15, 0.3
-"""So far the vehicle may fall behind that before the reference runs ahead of it, and so far it runs ahead at most."""
+"""Deficit of progress above which the reference leads, and its largest lead."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class GuidanceInputs:
-    """What guidance goes by in one step."""
+    """Inputs of guidance in one step."""
 
     t_us: int
     x0: FloatArray
@@ -52,12 +52,12 @@ class GuidanceInputs:
     thrust_limit_n: FloatArray
     """(n,)"""
     last_plan: FloatArray | None = None
-    """(N+1, 8) what the optimiser predicted on the last step, from then on; None if it had no plan."""
+    """(N+1, 8) prediction of the last step; None without a plan."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Reference:
-    """What the optimiser compares its prediction with, and how it weighs the difference."""
+    """Reference of the prediction and its weights."""
 
     x: FloatArray
     """(N+1, 8)"""
@@ -76,27 +76,25 @@ class Reference:
 
 
 class Guidance(Protocol):
-    """One instance per vehicle; deterministic."""
+    """The interface of guidance. One instance per vehicle; deterministic: the same calls give the same references."""
 
     @property
     def unreachable(self) -> bool:
-        """True while there is no way to the goal; the vehicle holds its place."""
+        """True while there is no path to the goal; the vehicle keeps its position."""
         ...
 
     def reset(self) -> None:
         """Forget everything (after disarming, a jump of the estimate)."""
         ...
 
-    def reference(self, situation: GuidanceInputs) -> Reference:
-        """The reference for this step."""
-        ...
+    def reference(self, situation: GuidanceInputs) -> Reference: ...
 
     def ahead(self, here: FloatArray) -> FloatArray:
-        """(m, 2) the way from ``here`` (2,) to the goal, first row here, for display."""
+        """(m, 2) the path from ``here`` (2,) to the goal, first row here, for display."""
         ...
 
     def take_notices(self) -> list[tuple[Severity, str]]:
-        """Severity and text of what the operator or the log should know since the last call."""
+        """Severity and text of notices to operator and log since the last call."""
         ...
 
 
@@ -130,8 +128,6 @@ class Weights:
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class RouteRequest:
-    """A way that is to be looked for."""
-
     planner: Planner
     start_ned_m: FloatArray
     """(2,)"""
@@ -146,26 +142,25 @@ def search_route(request: RouteRequest, cancel: Cancel) -> FloatArray | None:
 
 
 class ReferenceLookahead:
-    """How far the reference runs ahead of a vehicle that falls behind.
+    """Lead of the reference over a vehicle that falls behind: integral action along the path.
 
-    A reference that begins where the vehicle is at every step cannot see that it makes no way: a force that lasts and
-    that the model lacks (more drag, less thrust, a pull) takes a constant speed off it. That matters where a current
-    leaves little more: there the vehicle would hover for ever, on thrust and speed that it has left. So what it falls
-    behind the least progress adds up, and the optimiser, which sees the reference ahead, puts the missing force on.
-    What goes as it should never gets so far, however it starts or turns round.
+    A reference that starts at the vehicle in every step has no memory of missing progress: a constant unmodelled force
+    (more drag, less thrust, a pull) reduces the speed by a constant amount. In a strong current the vehicle could
+    hover for ever with thrust and speed in reserve. The deficit against the minimum progress is therefore integrated,
+    and the optimiser, which sees the reference ahead, applies the missing force. In nominal motion the integral stays
+    zero, also at starts and turns.
     """
 
     def __init__(self) -> None:
         self.reset()
 
     def reset(self) -> None:
-        """Another way: nothing is behind."""
         self._behind_m = self._asked_m_s = 0.0
         self._last: tuple[Route, int, float] | None = None
 
     @property
     def m(self) -> float:
-        """Along the route."""
+        """Arc length along the route [m]."""
         return max(0.0, self._behind_m - BEHIND_M)
 
     def look(self, t_us: int, route: Route, s_m: float) -> None:
@@ -177,15 +172,15 @@ class ReferenceLookahead:
         self._last = route, t_us, s_m
 
     def ask(self, begin_m: FloatArray, end_m: FloatArray, after_s: float) -> None:
-        """Where the reference is now and ``after_s`` later (each at least x and y)."""
+        """Set the positions of the reference now and ``after_s`` later (each at least x and y)."""
         self._asked_m_s = math.dist(begin_m[:2].tolist(), end_m[:2].tolist()) / after_s
 
 
 class RouteGuidance:
-    """Marches along the shortest free path at cruise speed over ground.
+    """Moves the reference along the shortest free path at cruise speed over ground.
 
-    A straight way is taken at once. Another one is looked for beside the loop; until it is there the vehicle goes on
-    with the route that it has, if that is free, or else holds its place.
+    A straight path is used at once. Another one is planned in the background; meanwhile the vehicle follows its
+    present route, if that is free, or keeps its position.
     """
 
     def __init__(self, allocator: ControlAllocator, grid: TimeGrid, worker: BackgroundWorker) -> None:
@@ -200,7 +195,6 @@ class RouteGuidance:
         self.reset()
 
     def reset(self) -> None:
-        """See :class:`Guidance`."""
         self._withdraw()
         self._step = 0
         self._asked: RouteRequest | None = None
@@ -217,11 +211,9 @@ class RouteGuidance:
         self.unreachable = False
 
     def take_notices(self) -> list[tuple[Severity, str]]:
-        """See :class:`Guidance`."""
         return self._mishaps.take_notices()
 
     def reference(self, situation: GuidanceInputs) -> Reference:
-        """See :class:`Guidance`."""
         fresh, route = self._update(situation)
         self._lead.look(situation.t_us, route, self._s)
         x, thrust = self._rollout(situation, route)
@@ -233,11 +225,10 @@ class RouteGuidance:
 
     @property
     def searching(self) -> bool:
-        """While a route is being looked for."""
+        """Whether a route request is pending."""
         return self._task is not None
 
     def ahead(self, here: FloatArray) -> FloatArray:
-        """See :class:`Guidance`."""
         route = self._route
         return here[None] if route is None or self.unreachable else route.ahead(here, self._s)
 
@@ -270,7 +261,7 @@ class RouteGuidance:
         return fresh, self._route
 
     def _look(self, now: GuidanceInputs) -> bool:
-        """Go straight to the goal if that is free (True), else ask for a way."""
+        """Use the straight line to the goal if it is free (True), else request a route."""
         start, goal = now.x0[:2].copy(), np.array(now.goal.pos_ned_m[:2], dtype=float)
         self._routed_us = now.t_us
         if now.planner.sees(start, goal):
@@ -319,7 +310,9 @@ class RouteGuidance:
         return True
 
     def _make_do(self, now: GuidanceInputs) -> bool:
-        """Until there is a way: the route in force if it is free, else the place. Whether the route is another one."""
+        """Fallback while a route is planned: the present route if it is free, else the position. Whether the route
+        changed.
+        """
         route, same = self._route, now.planner is self._route_planner
         if route is None or self._hold is not None:
             return self._stay(now)
@@ -349,7 +342,9 @@ class RouteGuidance:
         return turn_target(float(x0[YAW]), cmath.phase(look), None)
 
     def _rollout(self, now: GuidanceInputs, route: Route) -> tuple[FloatArray, FloatArray]:
-        """References (N+1, 8) along the route and their thrust (N, n); chooses the way round to the heading."""
+        """References (N+1, 8) along the route and their thrust (N, n); chooses the direction of turning to the
+        heading.
+        """
         hold, goal, x0, params = self._hold, now.goal, now.x0, now.params
         if hold is not None:
             self._yaw_target = float(hold[YAW])

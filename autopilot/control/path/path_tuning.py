@@ -1,27 +1,27 @@
-"""Tuned numbers of the way and how it is followed, by module."""
+"""Constants of path planning and guidance, by module."""
 
 from dataclasses import dataclass
 
 
 @dataclass(frozen=True, slots=True)
 class DriveTuning:
-    """Of :mod:`autopilot.control.path.drive`."""
+    """Constants of :mod:`autopilot.control.path.drive`."""
 
     step_m: float = 0.12
-    """The way ahead is looked at this often."""
+    """Sampling distance of the path ahead."""
     most_steps: int = 150
     slowest_m_s: float = 0.01
     """Slower than this is standing: the place is held."""
     keep_extra_m: float = 0.02
-    """The way ahead keeps this beyond what the controller keeps, so that its reference can be followed."""
+    """Clearance of the path beyond the controller's, so that its reference can be followed."""
     pushes: int = 3
     """A step that ends too near to boundaries is pushed out of one after the other."""
     too_near_m: float = 5e-3
-    """Where that has not helped by less than this, the way ends."""
+    """Remaining distance to boundaries that is missing after that, above which the path ends."""
     least_progress: float = 0.15
-    """A step that a boundary leaves less of (about a glance at right angles) ends the way."""
+    """Smallest remaining fraction of a step at a boundary (about a perpendicular approach); below it the path ends."""
     share_over_m: float = 0.25
-    """The speed along a boundary is the share of the velocity that points along it, over so much of the way ahead."""
+    """Distance ahead over which the speed along a boundary is the component of the velocity along it."""
     turn_share: float = 0.9
     """Share of the yaw rate limit that is asked for at most."""
     catch_up_s: float = 1.5
@@ -35,7 +35,7 @@ DRIVE = DriveTuning()
 
 @dataclass(frozen=True, slots=True)
 class GuidanceTuning:
-    """Of :mod:`autopilot.control.path.guidance`."""
+    """Constants of :mod:`autopilot.control.path.guidance`."""
 
     velocity_weights: tuple[float, float, float, float] = (8.0, 8.0, 8.0, 0.5)
     """Weights on u, v, w [1/(m/s)^2] and r [1/(rad/s)^2]: enough to hold the cruise speed."""
@@ -52,7 +52,7 @@ class GuidanceTuning:
     """Progress that is expected of the vehicle: this share of the speed over ground that is asked for, at most so
     much."""
     facing_m: float = 0.1
-    """Nearer than this, a place that is looked at has no direction."""
+    """A point of interest nearer than this gives no heading."""
 
 
 GUIDANCE = GuidanceTuning()
@@ -60,19 +60,19 @@ GUIDANCE = GuidanceTuning()
 
 @dataclass(frozen=True, slots=True)
 class PlannerTuning:
-    """Of :mod:`autopilot.control.path.planner`."""
+    """Constants of :mod:`autopilot.control.path.planner`."""
 
     planning_extra_m: float = 0.04
     """Kept beyond the controller's own radius, so that the path lies where the controller can follow it with a margin,
     and a passage that is open by centimetres only is not chosen."""
     look_step_m: float = 0.05
-    """Straight lines are looked at this often."""
+    """Sampling distance of straight lines."""
     open_water_border_m: float = 3.0
     """Without a workspace the grid covers start, goal and obstacles and this much beyond ..."""
     open_water_step_m: float = 2.0
     """... up to the next multiple of this: a start that has moved a little has the same grid."""
     look_back_m: float = 10.0
-    """So much of a path that was made for another fence is looked at before it is gone on with."""
+    """Length of a path of an earlier fence that is checked before it is continued."""
     goal_snap_m: float = 0.3
     """A goal this near to free ground is approached as far as the constraints allow."""
     endpoint_relief_m: float = 0.25
@@ -95,19 +95,19 @@ PLANNER = PlannerTuning()
 
 @dataclass(frozen=True, slots=True)
 class ReferenceTuning:
-    """Of :mod:`autopilot.control.path.reference`."""
+    """Constants of :mod:`autopilot.control.path.reference`."""
 
     deceleration_m_s2: float = 0.12
     heave_deceleration_m_s2: float = 0.1
     yaw_deceleration_rad_s2: float = 0.4
-    """Of the approach to the goal: v = sqrt(2 a d)."""
+    """Deceleration of the approach to the goal: v = sqrt(2 a d)."""
     yaw_rate_share: float = 0.55
     """Share of the yaw rate limit that a planned turn uses."""
     heave_share: float = 0.6
     """Share of the heave limit that a planned change of depth uses."""
     min_depth_time_s: float = 1.0
     turn_ahead_m: float = 0.6
-    """Free heading looks along the route this far ahead."""
+    """Lookahead distance of a free heading along the route."""
     corner_ahead_m: float = 0.2
     """The speed is chosen for the direction of the route this far ahead."""
     water_speed_share: float = 0.95
@@ -116,7 +116,7 @@ class ReferenceTuning:
     nearly as fast: there every centimetre per second of it is way that is made."""
     slow_current_share: float = 0.78
     fast_current_share: float = 0.88
-    """Between these shares of the limit that a current has against the way, one goes over into the other."""
+    """Range of opposing current relative to the limit over which one is blended into the other."""
     slowest_m_s: float = 0.02
     turn_hysteresis_rad: float = 0.5
     """A half turn keeps its direction until the other way is shorter by this much."""

@@ -1,11 +1,12 @@
-"""Shortest free path round the inflated fence, so that the NMPC does not end in a pocket.
+"""Shortest free path in the workspace, so that the NMPC does not stop in a local minimum.
 
-The free space of the workspace (:mod:`autopilot.core.free_space`), its geodesic distance from the goal (Dijkstra, 16
-directions), descent from the vehicle, and line-of-sight short cuts. The free space belongs to a fence, the distance
-field to a goal; both are made only when that changes, and not at all while the straight line is free. What is kept
-saves time and changes no answer: a path is a function of fence, radius, start and goal.
+Graph of the free space (:mod:`autopilot.core.free_space`), geodesic distance from the goal (Dijkstra, 16 directions),
+descent from the vehicle, line-of-sight shortcuts. The graph belongs to a fence, the distance field to a goal; both are
+computed only when that changes, and not at all while the straight line is free. The caches save time and do not
+change results: a path is a function of fence, radius, start and goal.
 
-:meth:`Planner.path` takes up to half a second and is for a desk; everything else fits into a control step.
+:meth:`Planner.path` takes up to half a second and runs on a background worker; everything else fits into a control
+step.
 """
 
 import math
@@ -37,7 +38,7 @@ class _Graph:
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class _DistanceField:
-    """Distance to one goal."""
+    """Geodesic distance to one goal [m]."""
 
     goal_m: FloatArray
     distance_m: FloatArray
@@ -46,7 +47,15 @@ class _DistanceField:
 
 
 class Planner:
-    """Paths in one fence with one radius: comfortable ones if there are any, else tight ones."""
+    """Shortest paths in one fence for one radius: with the preferred clearance if possible, else with the radius only.
+
+    Parameters
+    ----------
+    fence
+        The workspace, not inflated.
+    radius_m
+        Required clearance of the path [m]: body radius plus margins.
+    """
 
     def __init__(self, fence: Fence, radius_m: float) -> None:
         self.features = Features(fence)
@@ -56,9 +65,24 @@ class Planner:
         )
 
     def path(self, start_ned_m: FloatArray, goal_ned_m: FloatArray, cancel: Cancel | None = None) -> FloatArray | None:
-        """Corner points (m, 2) of a free path, first row the start, last the goal; None if there is no way.
+        """A free path from start to goal.
 
-        Ends with WithdrawnError once ``cancel`` is requested.
+        Parameters
+        ----------
+        start_ned_m, goal_ned_m
+            (2,) or (3,) positions [m]; only north and east are used.
+        cancel
+            Cancellation flag, checked between the steps of the search.
+
+        Returns
+        -------
+        (m, 2) array or None
+            Corner points, first row the start, last the goal; None if there is no path.
+
+        Raises
+        ------
+        WithdrawnError
+            ``cancel`` was requested.
         """
         start, goal = np.asarray(start_ned_m[:2], dtype=float), np.asarray(goal_ned_m[:2], dtype=float)
         for look in self._finders:
@@ -68,17 +92,17 @@ class Planner:
         return None
 
     def sees(self, start_ned_m: FloatArray, goal_ned_m: FloatArray) -> bool:
-        """Whether the straight line is such a path (and a comfortable one)."""
+        """Whether the straight line is such a path, with the preferred clearance."""
         start, goal = np.asarray(start_ned_m[:2], dtype=float), np.asarray(goal_ned_m[:2], dtype=float)
         return self._finders[0].sees(start, goal)
 
     def free(self, path_ned_m: FloatArray) -> bool:
-        """Whether a path (m, 2) that was made for another fence can be gone on with for the next metres."""
+        """Whether the next metres of a path (m, 2) [m, NED] that was planned for another fence are still free."""
         return self._finders[1].free(path_ned_m)
 
 
 class _PathFinder:
-    """Paths that keep ``extra_m`` beyond a radius."""
+    """Paths with a clearance of radius plus ``extra_m`` [m]."""
 
     def __init__(self, fence: Fence, features: Features, radius_m: float, extra_m: float) -> None:
         self.fence = fence
@@ -86,7 +110,7 @@ class _PathFinder:
         self.radius_m = radius_m + extra_m
         self._slack_m = 0.5 * extra_m
         self._allowed_m = self.radius_m - CHORD_LOSS_M
-        """What a straight line has to keep."""
+        """Required clearance of a straight line."""
         self._graph: _Graph | None = None
         self._field: _DistanceField | None = None
 
@@ -117,7 +141,9 @@ class _PathFinder:
         return band if self._keeps_clear(band) else path
 
     def sees(self, a: FloatArray, b: FloatArray) -> bool:
-        """True if the straight line from a to b (2,) keeps the planning radius, apart from what its ends force."""
+        """True if the straight line from a to b (2,) [m] keeps the planning radius; near its ends, the clearance of
+        the ends.
+        """
         if self.features.count == 0:
             return True
         length = math.hypot(*(b - a))
@@ -182,7 +208,7 @@ class _PathFinder:
         return bool((self.features.clearance_up_to_m(between, self.radius_m) >= needed).all())
 
     def _graph_for(self, start: FloatArray, goal: FloatArray) -> _Graph | None:
-        """The graph of the area that a way may lead through, None if there is no area."""
+        """The graph of the area of possible paths, None if the area is empty."""
         area, graph = self._area(start, goal), self._graph
         if bool((area.high_m <= area.low_m).any()):
             return None

@@ -1,5 +1,6 @@
-"""What the prediction is compared with: the goal as it is approached along the route, node by node, and the thrust that
-holds it (``data/native/reference.c``)."""
+"""Reference of the prediction: state per node along the route to the goal, and the thrust that holds it
+(``data/native/reference.c``).
+"""
 
 import ctypes
 import math
@@ -42,7 +43,6 @@ class Route:
         return found_s, self._distance.value
 
     def point(self, s: float) -> complex:
-        """Position at one arc length."""
         return complex(np.interp(s, self._s, self._corner))
 
     def ahead(self, here: FloatArray, s: float) -> FloatArray:
@@ -54,7 +54,7 @@ class Route:
 
 
 def water_speed_share(against_m_s: float, water_limit_m_s: float) -> float:
-    """Share of the limit on planar speed that is asked for with so much current against the way."""
+    """Fraction of the planar speed limit that is commanded in that opposing current."""
     span = REFERENCE.fast_current_share - REFERENCE.slow_current_share
     fast = (against_m_s / max(water_limit_m_s, 1e-6) - REFERENCE.slow_current_share) / span
     return REFERENCE.water_speed_share + min(max(fast, 0.0), 1.0) * (
@@ -79,7 +79,7 @@ def turn_target(yaw_rad: float, goal_yaw_rad: float, previous_rad: float | None)
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class ReferenceTarget:
-    """Where the reference goes and how fast."""
+    """Target and speed of the reference."""
 
     route: Route
     s0_m: float
@@ -115,7 +115,7 @@ _DECELERATIONS = (
 
 
 class ReferenceStruct(compiled.Mirror):
-    """The struct of reference.c."""
+    """ctypes layout of the struct in reference.c."""
 
     _fields_ = (
         ("thrusters", ctypes.c_long),
@@ -127,7 +127,7 @@ class ReferenceStruct(compiled.Mirror):
 
 
 class RolloutArguments(compiled.Mirror):
-    """The struct of reference.c."""
+    """ctypes layout of the struct in reference.c."""
 
     _fields_ = (
         ("nodes", ctypes.c_long),
@@ -176,9 +176,10 @@ class ReferenceRollout:
         """References (N+1, 8) from the state ``x0`` (8,), and thrust (N, n) within ``limit_n`` (n,) that holds their
         velocities.
 
-        Position moves along the route at cruise speed over ground and stops at its end, depth arrives with it or as
-        fast as heave allows, heading turns by the way given. Velocities are those through the water that this motion
-        needs in the current, so that a goal in a current is a steady state of the reference and is held without offset.
+        Position moves along the route at cruise speed over ground and stops at its end, depth arrives with it or at
+        the heave limit, heading turns in the given direction. Velocities are relative to the water, as this motion
+        needs in the current, so that a goal in a current is a steady state of the reference and is held without
+        offset.
         """
         rollout = self._rollout
         if target.route is not self._route:

@@ -1,7 +1,7 @@
-"""Shortest paths on a graph, from one node to all: Dijkstra's algorithm as scipy has it.
+"""Single-source shortest paths on a graph: Dijkstra's algorithm of scipy.
 
-scipy is imported when the first path is asked for: a controller that never has to go round anything starts a third of
-a second sooner and 30 MB smaller.
+scipy is imported on first use: a controller that never needs a detour starts a third of a second sooner and needs 30
+MB less.
 """
 
 import importlib
@@ -15,8 +15,9 @@ from autopilot.core.frames import FloatArray
 def lengths_from(
     node: int, begin: NDArray[np.intp], end: NDArray[np.intp], length: FloatArray, count: int
 ) -> tuple[FloatArray, NDArray[np.int32]]:
-    """Length (count,) of the shortest way from ``node`` to every node, inf where there is none, and the node before it
-    on that way (count,), negative where there is none. Edges (m,) lead from ``begin`` to ``end``; no two are alike."""
+    """Length (count,) of the shortest path from ``node`` to every node, inf where there is none, and the predecessor
+    on that path (count,), negative where there is none. Edges (m,) lead from ``begin`` to ``end``, without duplicates.
+    """
     from scipy.sparse import csr_matrix
     from scipy.sparse.csgraph import dijkstra
 

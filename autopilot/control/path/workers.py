@@ -1,4 +1,4 @@
-"""Where the controller has its slow work done, and what it says when that ends with an exception."""
+"""Background workers of the controller, and the reports of their exceptions."""
 
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
@@ -10,8 +10,9 @@ from autopilot.core.notice_queue import NoticeQueue
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class BackgroundWorkers:
-    """One lane per kind of work, so that a route never waits for a trajectory. Without executors (the default) work is
-    done when it is due, by the caller."""
+    """One worker per kind of task, so that a route never waits for a trajectory. Without executors (the default) the
+    caller does the work when its result is due.
+    """
 
     routes: BackgroundWorker = field(default_factory=BackgroundWorker)
     trajectories: BackgroundWorker = field(default_factory=BackgroundWorker)
@@ -28,27 +29,25 @@ class BackgroundWorkers:
 
     @property
     def executors(self) -> tuple[BackgroundWorker, ...]:
-        """All of them."""
         return self.routes, self.trajectories, self.certificates
 
     @property
     def names(self) -> tuple[str, ...]:
-        """In the same order."""
         return "routes", "trajectories", "certificates"
 
 
 class TaskFailures(NoticeQueue):
-    """Work that ended with an exception: told the operator once until some succeeds, in full in the log."""
+    """Reports of tasks that raised: one notice to the operator until one succeeds, full traceback in the log."""
 
     def __init__(self, work: str, told: notices.Row) -> None:
-        """``work``: what it is, for the log; ``told``: what the operator is told."""
+        """``work``: name of the task for the log; ``told``: text for the operator."""
         super().__init__()
         self._work, self._told_row = work, told
         self._told = False
         self._logged = False
 
     def failed(self, error: Exception, *, felt: bool = True) -> None:
-        """Take note of one; the operator is told when the vehicle does something else because of it (``felt``)."""
+        """Record a failure; the operator is notified if it affects the vehicle's behaviour (``felt``)."""
         if not self._logged:
             self._logged = True
             self._notices.append(notices.WORK_FAILED(work=self._work, kind=type(error).__name__, error=error))

@@ -1,1 +1,1 @@
-"""Robust control: disturbance bound, tube, Lipschitz growth, terminal regions, the loop between optimiser steps."""
+"""Robust control: disturbance bounds, tube, Lipschitz tightening, terminal regions, ancillary feedback."""

@@ -1,8 +1,9 @@
-"""Ancillary feedback: u = v + K (x - z), with K scheduled on the planned surge.
+"""Ancillary feedback u = v + K (x - z), with K scheduled on the planned surge.
 
-Ahead of about 0.2 m/s the sway-yaw pair is unstable (Munk moment, m22 > m11), so that one gain for all speeds is either
-weak or rash: K is the LQR gain of the error dynamics at nine surge speeds, linear in between. Gains at other sway and
-turn rates stay stable on the whole envelope of speeds (tests/control/test_robust_tube.py).
+Above about 0.2 m/s ahead the sway-yaw pair is open-loop unstable (Munk moment, m22 > m11), and one gain for all speeds
+is either weak or too aggressive. K is the LQR gain of the error dynamics at nine surge speeds, interpolated linearly.
+The closed loop is stable at other sway and yaw rates on the whole envelope of speeds
+(tests/control/test_robust_tube.py).
 """
 
 import numpy as np
@@ -18,7 +19,7 @@ SURGES_M_S = np.linspace(-0.8, 0.8, 9)
 
 
 def lqr_gains(model: Model4, surges_m_s: FloatArray = SURGES_M_S) -> FloatArray:
-    """(m, n, 8) gains at surge speeds (m,) with no other velocity."""
+    """(m, n, 8) LQR gains at surge speeds (m,) [m/s], other velocities zero."""
     a = np.array([error_jacobian(model, np.array([u, 0.0, 0.0, 0.0])) for u in surges_m_s])
     b = np.broadcast_to(input_matrix(model), (len(surges_m_s), NX, model.thrusters))
     a_d, b_d = discretise(a, b, ANCILLARY.design_step_s)
@@ -28,7 +29,7 @@ def lqr_gains(model: Model4, surges_m_s: FloatArray = SURGES_M_S) -> FloatArray:
 
 
 class Ancillary:
-    """The scheduled gain."""
+    """Feedback gain scheduled on planned surge."""
 
     def __init__(self, model: Model4) -> None:
         self.gains = lqr_gains(model)

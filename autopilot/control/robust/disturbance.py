@@ -1,4 +1,4 @@
-"""What may push the vehicle off its plan: bounds from parameters, and what the estimator says of itself."""
+"""Disturbance bounds from parameters, and the covariance of the estimate."""
 
 import math
 from dataclasses import dataclass
@@ -14,17 +14,17 @@ from autopilot.core.params import ParamSet
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DisturbanceBound:
-    """Bounds of what the model does not know, after the estimator has absorbed what lasts."""
+    """Bounds of the unmodelled forces that remain after the estimator has absorbed their constant part."""
 
     force_n: float
     """Per axis."""
     moment_n_m: float
     current_m_s: float
-    """Error of the believed current beyond what the estimator admits, per axis."""
+    """Error of the estimated current beyond its standard deviation, per axis."""
 
     @classmethod
     def of(cls, params: ParamSet) -> "DisturbanceBound":
-        """MPC_W_FORCE, MPC_W_MOMENT, MPC_W_CURRENT."""
+        """From the parameters MPC_W_FORCE, MPC_W_MOMENT, MPC_W_CURRENT."""
         return cls(
             force_n=params["MPC_W_FORCE"], moment_n_m=params["MPC_W_MOMENT"], current_m_s=params["MPC_W_CURRENT"]
         )
@@ -38,7 +38,7 @@ class DisturbanceBound:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class EstimateSpread:
-    """Variances of the estimate, the worse of two horizontal axes each."""
+    """Variances of the estimate, of horizontal axes the larger one."""
 
     position_m2: float
     depth_m2: float
@@ -49,7 +49,7 @@ class EstimateSpread:
 
     @classmethod
     def of(cls, nav: NavState) -> "EstimateSpread":
-        """From ``NavState.variance``. A variance that is no number is as bad as the limit."""
+        """From ``NavState.variance``. A variance that is not finite counts as the limit."""
         v = [x if math.isfinite(x) and x > 0.0 else 0.0 if x == 0.0 else math.inf for x in nav.variance.tolist()]
         return cls(
             position_m2=min(max(v[0], v[1]), DISTURBANCE.position_variance_limit_m2),

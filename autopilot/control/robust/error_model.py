@@ -1,9 +1,9 @@
-"""How far the vehicle is from its plan, and how that error moves (linearised along the plan).
+"""Deviation of the vehicle from its plan and its linearised dynamics.
 
-The error is taken in the body frame of the planned state z: e = (R(yaw_z)^T (p - p_z), depth, yaw, velocity). Then its
-dynamics depend on the planned velocity only, not on heading, place or current. The velocity error is that over ground:
-what the feedback sees. An error of the believed current does not move a vehicle whose velocity over ground is known; it
-acts as the drag that it causes.
+The error is expressed in the body frame of the planned state z: e = (R(yaw_z)^T (p - p_z), depth, yaw, velocity). Its
+dynamics then depend on the planned velocity only, not on heading, position or current. The velocity error is that over
+ground, which the feedback measures. An error of the estimated current does not move a vehicle whose velocity over
+ground is known; it acts through the drag.
 """
 
 import math
@@ -18,7 +18,7 @@ CHANNELS = 7
 
 
 def velocity_jacobian(model: Model4, nu: FloatArray) -> FloatArray:
-    """(4, 4) derivative of :func:`autopilot.core.model4.body_acceleration` by u, v, w, r at ``nu`` (4,)."""
+    """(4, 4) Jacobian of :func:`autopilot.core.model4.body_acceleration` with respect to u, v, w, r at ``nu`` (4,)."""
     u, v, _, r = (float(x) for x in nu)
     m11, m22, _, m44 = model.mass_kg
     jacobian = np.zeros((4, 4))
@@ -33,7 +33,7 @@ def velocity_jacobian(model: Model4, nu: FloatArray) -> FloatArray:
 
 
 def error_jacobian(model: Model4, nu: FloatArray) -> FloatArray:
-    """(8, 8) continuous dynamics of the error along a plan with velocity ``nu`` (4,) u, v, w, r."""
+    """(8, 8) A of the continuous error dynamics along a plan with velocity ``nu`` (4,) u, v, w, r."""
     u, v, _, r = (float(x) for x in nu)
     a = np.zeros((NX, NX))
     a[X, Y], a[Y, X] = r, -r
@@ -44,14 +44,14 @@ def error_jacobian(model: Model4, nu: FloatArray) -> FloatArray:
 
 
 def input_matrix(model: Model4) -> FloatArray:
-    """(8, n) effect of thrust."""
+    """Input matrix (8, n) of thrust [N]."""
     b = np.zeros((NX, model.thrusters))
     b[U:] = np.array(model.allocation) / np.array(model.mass_kg)[:, None]
     return b
 
 
 def disturbance_matrix(model: Model4, nu: FloatArray) -> FloatArray:
-    """(8, 7) effect of :data:`CHANNELS`: forces as they are, an error of the current through the slope of drag."""
+    """(8, 7) input matrix of :data:`CHANNELS`: forces directly, a current error through the slope of the drag."""
     g = np.zeros((NX, CHANNELS))
     g[U:, :4] = np.diag(1.0 / np.array(model.mass_kg))
     g[U:, 4:] = -velocity_jacobian(model, nu)[:, :3]
@@ -59,7 +59,7 @@ def disturbance_matrix(model: Model4, nu: FloatArray) -> FloatArray:
 
 
 def error_of(x: FloatArray, z: FloatArray) -> FloatArray:
-    """Error (8,) of state ``x`` (8,) against the planned state ``z`` (8,)."""
+    """Error (8,) of state ``x`` (8,) relative to the planned state ``z`` (8,), in the body frame of ``z``."""
     e = x - z
     c, s = math.cos(z[YAW]), math.sin(z[YAW])
     north, east = float(e[X]), float(e[Y])

@@ -1,5 +1,6 @@
-"""What commands the thrusters when the optimiser does not: station keeping by a cascade of P loops on the model; and
-what the operator hears of it."""
+"""Control without a solution of the optimiser: station keeping by cascaded P loops on the model, and its notices to
+the operator.
+"""
 
 import math
 
@@ -21,7 +22,7 @@ TOLD = {
 
 
 class FallbackWatch(NoticeQueue):
-    """Tells when somebody else than the optimiser commands the thrusters, and when that is over."""
+    """Reports when the thrusters are not commanded by the optimiser, and when they are again."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -34,7 +35,6 @@ class FallbackWatch(NoticeQueue):
         self._solved = 0
 
     def watch(self, fallback: Fallback) -> None:
-        """Who has commanded one step."""
         row = TOLD.get(fallback)
         if row is not None:
             self._solved = 0
@@ -49,16 +49,15 @@ class FallbackWatch(NoticeQueue):
 
 
 class FiniteWatch(NoticeQueue):
-    """Counts steps and ticks without thrust because the estimate, or what the model makes of it, is no number."""
+    """Counts steps and ticks without thrust because the estimate or its prediction is not finite."""
 
     def __init__(self) -> None:
         super().__init__()
         self.count = 0
-        """Since the last one that was told to be over."""
+        """Since the last one that was reported as over."""
         self._sound = 0
 
     def watch(self, sound: bool) -> None:
-        """One step or tick."""
         if not sound:
             self._sound = 0
             self.count += 1

@@ -1,7 +1,7 @@
-"""The loop between optimiser steps: follows the last plan with the ancillary feedback, once per tick.
+"""Inner loop between optimiser steps: tracks the last plan with the ancillary feedback, once per tick.
 
-The plan begins one thruster lag ahead of now (:mod:`autopilot.control.nmpc.lag`); so does the state it is compared
-with.
+The plan starts one thruster lag ahead of now (:mod:`autopilot.control.nmpc.lag`); the state is predicted to the same
+time for the comparison.
 """
 
 import ctypes
@@ -18,7 +18,7 @@ from autopilot.core.model4 import NX, YAW, U, V, W
 
 
 class _Inner(compiled.Mirror):
-    """The struct of follow.c."""
+    """ctypes layout of the struct in follow.c."""
 
     _fields_ = (
         ("n", ctypes.c_long),
@@ -67,7 +67,7 @@ class InnerLoop:
         self._reference, self._call = ctypes.byref(self._struct), compiled.load(_Inner).inner_thrust
 
     def start(self, t_us: int, x: FloatArray, thrust_n: FloatArray, current_ned_m_s: FloatArray) -> None:
-        """Follow the plan x (N+1, 8), thrust (N, n) that begins now and believes in this current (3,)."""
+        """Track the plan x (N+1, 8), thrust (N, n) that starts now and was made for this current (3,)."""
         self._plan[:], self._plan_n[:], self._plan_current[:] = x, thrust_n, current_ned_m_s
         self._begin_us, self.active = t_us, True
 
@@ -83,8 +83,9 @@ class InnerLoop:
 
 
 def plan_error(x: FloatArray, z: FloatArray, current_ned_m_s: FloatArray, planned_ned_m_s: FloatArray) -> FloatArray:
-    """Error (8,) of ``x`` against the planned ``z``, velocities over ground: a change of the believed current between
-    the two is no motion."""
+    """Error (8,) of ``x`` relative to the planned ``z``, velocities over ground: a change of the estimated current
+    between the two is not a motion.
+    """
     e = error_of(x, z)
     north, east, down = (current_ned_m_s - planned_ned_m_s).tolist()
     c, s = math.cos(x[YAW]), math.sin(x[YAW])

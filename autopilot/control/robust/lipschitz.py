@@ -1,9 +1,9 @@
-"""The authors' line: tightened sets from Lipschitz growth of the open-loop prediction (Marruedo, Alamo, Camacho 2002).
+"""Constraint tightening by Lipschitz growth of the open-loop prediction error (Marruedo, Alamo, Camacho 2002).
 
-The prediction error grows as gamma_{j+1} = L_j gamma_j + w_j; with equal steps that is gamma_j = w (L^j - 1)/(L - 1).
-X_j is X without a border of gamma_j. L is the largest norm of the transition matrix on the set of allowed velocities,
-in the Euclidean norm or in a scaled one. No feedback is credited: the sway-yaw pair is unstable ahead, so the bound is
-vacuous at useful horizons. :func:`lipschitz_report` says from which node on the sets are empty.
+gamma_{j+1} = L_j gamma_j + w_j; for equal steps gamma_j = w (L^j - 1)/(L - 1). The tightened set X_j is X eroded by
+gamma_j. L is the largest norm of the transition matrix on the set of allowed velocities, in the Euclidean or a scaled
+norm. Feedback is not credited: the sway-yaw pair is open-loop unstable ahead, and the bound becomes vacuous at useful
+horizons. :func:`lipschitz_report` gives the first node with an empty set.
 """
 
 from dataclasses import dataclass
@@ -26,12 +26,12 @@ TUNED_SCALES = (1.0, 1.0, 1.0, 4.5, 0.25, 0.25, 1.0, 1.25)
 """State = scale * scaled state: the norm in which the error grows least (coordinate search, LBV150 at 0.5 m/s)."""
 
 SPEED_SAMPLES = 5
-"""Values of surge, sway and yaw rate at which the norm of the transition is looked at."""
+"""Samples of surge, sway and yaw rate for the norm of the transition matrix."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class LipschitzReport:
-    """Growth along the horizon and where it ends."""
+    """Growth of the error bound along the horizon and the node at which a tightened set is empty."""
 
     scales: tuple[float, ...]
     lipschitz: FloatArray
@@ -49,7 +49,6 @@ class LipschitzReport:
 
     @property
     def text(self) -> str:
-        """One line for the operator."""
         if self.empty_node is None:
             return f"Lipschitz sets hold to the horizon's end at {self.t_s[-1]:.1f} s"
         when = f"node {self.empty_node} ({self.t_s[self.empty_node]:.2f} s)"
@@ -80,8 +79,27 @@ def lipschitz_report(
     free_m: float | None = None,
     constants: FloatArray | None = None,
 ) -> LipschitzReport:
-    """Growth for a bound. ``start_m``: error of the estimate's position; ``free_m``: half the width of the workspace
-    between the boundaries, body radius taken off (None = open water)."""
+    """Error bound along the horizon for bounded disturbances.
+
+    Parameters
+    ----------
+    model
+        The 4-DoF model.
+    grid
+        Prediction grid of N intervals.
+    params
+        Limits on speeds and depth.
+    bound
+        Disturbance bounds.
+    start_m
+        Error of the estimated position [m].
+    scales
+        (8,) state = scale * scaled state, for the norm.
+    free_m
+        Half the width of the workspace minus the body radius [m]; None in open water.
+    constants
+        (N,) Lipschitz constants, as of :func:`lipschitz_constants`; None computes them.
+    """
     d = np.array(scales)
     growth = lipschitz_constants(model, grid.dt_s, params, scales) if constants is None else constants
     m = np.array(model.mass_kg)
@@ -146,7 +164,6 @@ class LipschitzMargins:
         return lipschitz_report(self._model, self._grid, params, bound, start_m=start_m, constants=self._constants)
 
     def back_offs(self, nav: NavState, x: FloatArray, thrust_n: FloatArray, params: ParamSet) -> BackOffs:
-        """See :class:`autopilot.control.robust.tightening.Tightening`."""
         report = self.report(nav, params)
         last = self._grid.n - 1 if report.empty_node is None else max(report.empty_node - 1, 0)
         rows = report.back_off[np.minimum(np.arange(1, self._grid.n), last)]

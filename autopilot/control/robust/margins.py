@@ -1,4 +1,6 @@
-"""The margins in force: fixed, tube or Lipschitz (parameter MPC_TIGHTEN), and what is refused because of them."""
+"""Active constraint tightening: fixed, tube or Lipschitz (parameter MPC_TIGHTEN), and the refusals that follow from
+it.
+"""
 
 import math
 from collections.abc import Sequence
@@ -41,18 +43,17 @@ class Margins(NoticeQueue):
         self.tube = TubeMargins(model, grid, self.ancillary, fixed)
         self.lipschitz = LipschitzMargins(model, grid, fixed)
         self.evidence = SpeedEvidence()
-        """Forgotten by whoever begins anew."""
+        """Reset by the controller at a restart."""
         self._fixed = fixed
         self._told = False
         self._rest = np.zeros((grid.n + 1, NX))
         self._idle = np.zeros((grid.n, model.thrusters))
 
     def back_offs(self, nav: NavState, x: FloatArray, thrust_n: FloatArray, params: ParamSet) -> BackOffs:
-        """See :class:`autopilot.control.robust.tightening.Tightening`."""
         mode = Tighten(int(params["MPC_TIGHTEN"]))
         if mode is Tighten.TUBE:
             self._told = False
-            # The fixed margin stays: a vehicle that is faster through the water than it believes shows nothing of it.
+            # The fixed margin stays: an error of the estimated speed through the water is not observable here.
             return self.tube.back_offs(nav, x, thrust_n, params, self.evidence.share)
         if mode is Tighten.LIPSCHITZ:
             if not self._told:
@@ -63,7 +64,7 @@ class Margins(NoticeQueue):
         return self._fixed.back_offs(nav, x, thrust_n, params)
 
     def look(self, nav: NavState, params: ParamSet) -> None:
-        """Once per control step, before :meth:`back_offs`: what the estimate says about keeping the planar speed."""
+        """Once per control step, before :meth:`back_offs`: update the evidence for the planar speed margin."""
         if Tighten(int(params["MPC_TIGHTEN"])) is Tighten.TUBE:
             tube_m_s = self.tube.rest_speed_m_s(nav, params)
             self.evidence.look(nav, params["SPD_PLANAR_MAX"], tube_m_s, params["MPC_SPEED_MARGIN"])
@@ -71,18 +72,21 @@ class Margins(NoticeQueue):
             self.evidence.reset()
 
     def settled(self, nav: NavState, params: ParamSet) -> BackOffs:
-        """What the parameters alone take, of a vehicle at rest with the best of estimates: what is said of a place must
-        not depend on how well the vehicle knows just now where it is."""
+        """Back-offs by the parameters alone, for a vehicle at rest with the best estimate: checks of positions must
+        not depend on the present accuracy of the estimate.
+        """
         return self.back_offs(replace(nav, variance=np.zeros_like(nav.variance)), self._rest, self._idle, params)
 
     def clearance_m(self, params: ParamSet) -> float:
-        """Routes keep the fixed margin and what the planner adds to it: a route that changed with every change of the
-        estimate would be no route."""
+        """The fixed margin plus the planner's: it must not change with the estimate, or routes would change all the
+        time.
+        """
         return params["MPC_MARGIN"]
 
     def planar_speed_m_s(self, nav: NavState, params: ParamSet) -> float:
-        """Speed through the water that guidance asks for at most: its share of what the margins leave at the end of the
-        prediction."""
+        """Largest speed through the water for guidance: a fraction of the limit minus the back-off at the end of the
+        prediction.
+        """
         back_off = self.back_offs(nav, self._rest, self._idle, params).planar_speed_m_s
         cap_m_s = max(0.0, params["SPD_PLANAR_MAX"] - float(back_off[-1]))
         return cap_m_s * water_speed_share(math.hypot(*nav.current_ned_m_s[:2].tolist()), cap_m_s)
@@ -118,7 +122,7 @@ class Margins(NoticeQueue):
         near = float(margins.clearance_m[0])
         if fence_half_m < near and math.isfinite(fence_half_m):
             reasons.append(f"the fence leaves nothing of the {mode} margin {near:.2f} m: widen it")
-        # A goal is where the vehicle stays: what is kept there is the margin that has grown to its end.
+        # The vehicle stays at a goal: the margin there is that of the end of the prediction.
         far = float(margins.clearance_m[-1]) if mode != "lipschitz" else near
         reasons += [
             f"{name} is {clearance:.2f} m from the fence beyond the body, needs {far:.2f} m ({mode} margin)"

@@ -1,10 +1,10 @@
-"""How much of the planar speed margin is needed, by what has been seen at the limit.
+"""Adaptation of the planar speed margin to the observed overshoot of the speed limit.
 
-The margin is what bounds and the estimator's own spread add up to; mostly the vehicle keeps its speed far better than
-that, and in a current that is nearly too fast the difference decides whether it makes any way. So the margin shrinks
-slowly while the vehicle flies at its cap and its speed through the water stays there, and comes back quickly when it
-does not. For what cannot be seen (a vehicle that is faster than it believes, because the current is believed wrongly)
-half of the tube and MPC_SPEED_MARGIN are kept in any case.
+The margin is the sum of disturbance bounds and the covariance of the estimate. Mostly the vehicle keeps its speed far
+better, and in a current close to the speed limit the difference decides whether it advances at all. The margin is
+therefore reduced slowly while the vehicle moves at its limit without exceeding it, and restored quickly when it
+exceeds it. Half of the tube and MPC_SPEED_MARGIN are always kept, for errors that are not observable (a wrong current
+estimate).
 """
 
 import math
@@ -14,13 +14,12 @@ from autopilot.core.messages import NavHealth, NavState
 
 
 class SpeedEvidence:
-    """One per vehicle; looked at once per control step."""
+    """One per vehicle; updated once per control step."""
 
     def __init__(self) -> None:
         self.reset()
 
     def reset(self) -> None:
-        """Nothing has been seen."""
         self._t_us: int | None = None
         self._reset_count = -1
         self._needed = 1.0
@@ -29,7 +28,7 @@ class SpeedEvidence:
         """Of the margin that is kept."""
 
     def look(self, nav: NavState, limit_m_s: float, tube_m_s: float, least_m_s: float) -> None:
-        """``tube_m_s``: margin at the end of the prediction without any credit; ``least_m_s``: what is kept of it."""
+        """``tube_m_s``: full margin at the end of the prediction; ``least_m_s``: the part that is always kept."""
         speed = math.hypot(float(nav.vel_water_frd_m_s[0]), float(nav.vel_water_frd_m_s[1]))
         good = nav.health is NavHealth.GOOD and math.isfinite(speed) and nav.reset_count == self._reset_count
         if not good or self._t_us is None or tube_m_s <= 0.0 or limit_m_s <= tube_m_s:
@@ -48,7 +47,7 @@ class SpeedEvidence:
         self._move(math.hypot(*nav.current_ned_m_s[:2].tolist()) / limit_m_s, elapsed_s / tube_m_s)
 
     def _move(self, current_share: float, per_m_s2: float) -> None:
-        """Towards what is needed, as far as the current asks for it."""
+        """Move the margin towards the required one, as far as the current demands it."""
         needed = min(1.0, max(EVIDENCE.least_share, math.sqrt(self._needed)))
         asked = min(
             max((current_share - EVIDENCE.strong_share) / (EVIDENCE.strongest_share - EVIDENCE.strong_share), 0.0), 1.0

@@ -1,8 +1,8 @@
-"""Watches whether the penalties of the soft limits are still exact.
+"""Monitor of the exactness of the soft constraints' penalties.
 
-An L1 penalty gives the solution of the hard problem as long as its slope is larger than the multipliers (Kerrigan and
-Maciejowski 2000). A multiplier at the slope means that a limit is being given up: either nothing keeps it (pushed out
-of the workspace, an obstacle on the nose) or the weight is too small. Either is worth a word.
+An L1 penalty reproduces the solution of the hard problem as long as its slope exceeds the multipliers (Kerrigan and
+Maciejowski 2000). A multiplier at the slope means a violated constraint: either it is infeasible (pushed out of the
+workspace, an obstacle directly ahead) or the weight is too small. Both are reported.
 """
 
 from autopilot.core import operator_messages as notices
@@ -16,14 +16,11 @@ PATIENCE_STEPS = 20
 
 
 class PenaltyWatch(NoticeQueue):
-    """One per controller."""
-
     def __init__(self) -> None:
         super().__init__()
         self.reset()
 
     def reset(self) -> None:
-        """Forget."""
         self._steps = 0
         self._notices = []
 

@@ -1,8 +1,8 @@
-"""The terminal region of the goal in force: made when the goal or its water changes, certified beside the loop.
+"""Terminal region of the current goal: computed when goal or current change, verified in the background.
 
-The law (steady input, gain, cost) is there at once and costs half a millisecond; the 20,000 samples of its certificate
-are looked at elsewhere, and only where the law is a cost of the program: plans of least energy end otherwise. What was
-verified goes to the log; an operator hears of it only when there is no region at all.
+The terminal law (steady input, gain, cost) takes half a millisecond and is available at once. Its 20,000-sample
+verification runs on a worker, and only where the law is the terminal cost: minimum-energy plans end otherwise. The
+result is logged; the operator is notified only if there is no region at all.
 """
 
 import math
@@ -22,13 +22,11 @@ from autopilot.core.model4 import YAW, Model4, U
 from autopilot.core.notice_queue import NoticeQueue
 
 AT_PLACE = ("clearance", "acceptance radius", "acceptance heading", "depth", "decrease")
-"""Limits of the goal's place, whatever the water does; all others are of what the vehicle can do in it."""
+"""Limits by the goal's position, independent of the current; all others depend on it."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class _RegionRequest:
-    """What is to be certified."""
-
     model: Model4
     law: Terminal
     goal: Goal
@@ -37,7 +35,7 @@ class _RegionRequest:
 
 
 def _certified(request: _RegionRequest, cancel: Cancel) -> Certificate:
-    """The whole certificate, or what the limits alone say of the region."""
+    """The full certificate, or the level by the limits alone."""
     samples = unit_samples(TERMINAL.samples if request.sampled else 0)
     return certify(request.model, request.law, request.goal, request.limits, samples, look=cancel.check)
 
@@ -52,7 +50,6 @@ class TerminalRegions(NoticeQueue):
         self.reset()
 
     def reset(self) -> None:
-        """There is no goal."""
         self._withdraw()
         self._step = 0
         self._key: tuple[object, ...] = ()
@@ -81,9 +78,10 @@ class TerminalRegions(NoticeQueue):
         *,
         sampled: bool = True,
     ) -> None:
-        """One control step with this goal, ``away_m`` from it in the plane; ``yaw_rad`` is the heading in which the
-        vehicle will stay there. ``clearance_m``: that of ``limits``, which are asked for when there is something to
-        certify. ``sampled``: that the cost falls in the region is looked at, too."""
+        """One control step with this goal at the planar distance ``away_m``; ``yaw_rad``: heading at the goal.
+        ``clearance_m``: that of ``limits``, which are evaluated only for a certificate. ``sampled``: whether the
+        decrease is also verified.
+        """
         self._step += 1
         if self.certificate is not None and self.certificate.alpha <= 0.0:
             self._warn(goal, self.certificate, away_m)
@@ -128,9 +126,9 @@ class TerminalRegions(NoticeQueue):
         return self._cost if abs(turn) < REGIONS.at_goal_rad and still < REGIONS.current_step_m_s else None
 
     def _tell(self, goal: Goal, certificate: Certificate) -> None:
-        """For the log; what an operator can do about it, for the operator."""
+        """Report to the log, and to the operator if there is a remedy."""
         name = _name(goal)
-        # A current that changes a little makes another certificate; what it says is only news when it is another story.
+        # A small change of the current gives a new certificate; it is reported only if its result differs.
         story = f"{name} {certificate.binding} {certificate.fits} {goal.pos_ned_m.tolist()}"
         if story == self._told:
             return
@@ -138,8 +136,9 @@ class TerminalRegions(NoticeQueue):
         self._notices.append(notices.CERTIFICATE(name=name, text=certificate.text))
 
     def _warn(self, goal: Goal, certificate: Certificate, away_m: float) -> None:
-        """What an operator can do about a goal that has no region, once. Water that is too fast to stay in matters
-        where the vehicle is to stay: a current may well carry it through a goal."""
+        """One notice with a remedy for a goal without a region. A current too fast to hold matters only where the
+        vehicle is to stay: it may well be carried through a goal.
+        """
         name, limit = _name(goal), certificate.binding
         if limit not in AT_PLACE and (goal.following is not None or away_m > REGIONS.here_m):
             return

@@ -1,5 +1,6 @@
-"""Riccati and Lyapunov equations in numpy, for stacks of systems. SciPy has both, but costs the controller memory and
-start-up time that it does not have."""
+"""Riccati and Lyapunov equations in numpy, for stacks of systems. SciPy has both, but its import costs the controller
+memory and start-up time.
+"""
 
 import numpy as np
 
@@ -59,14 +60,14 @@ def dare(a: FloatArray, b: FloatArray, q: FloatArray, r: FloatArray) -> FloatArr
 
 
 def gain(a: FloatArray, b: FloatArray, p: FloatArray, r: FloatArray) -> FloatArray:
-    """K (..., m, n) of u = K x that belongs to the solution ``p`` of :func:`dare`."""
+    """LQR gain K (..., m, n) of u = K x for the solution ``p`` of :func:`dare`: K = -(r + b'P b)^-1 b'P a."""
     bt_p = np.swapaxes(b, -1, -2) @ p
     k: FloatArray = np.asarray(-np.linalg.solve(r + bt_p @ b, bt_p @ a), dtype=float)
     return k
 
 
 def lyapunov(a: FloatArray, q: FloatArray) -> FloatArray:
-    """P = a P a' + q for stable ``a`` (doubling)."""
+    """P = a P a' + q for Schur-stable ``a`` (doubling)."""
     p, power = q.copy(), a
     for _ in range(DOUBLINGS):
         step = power @ p @ np.swapaxes(power, -1, -2)

@@ -1,11 +1,11 @@
-"""Tuned numbers of what keeps bounds in spite of errors, by module."""
+"""Constants of robust control, by module."""
 
 from dataclasses import dataclass
 
 
 @dataclass(frozen=True, slots=True)
 class AncillaryTuning:
-    """Of :mod:`autopilot.control.robust.ancillary`."""
+    """Constants of :mod:`autopilot.control.robust.ancillary`."""
 
     state_weights: tuple[float, float, float, float, float, float, float, float] = (
         60.0,
@@ -29,7 +29,7 @@ ANCILLARY = AncillaryTuning()
 
 @dataclass(frozen=True, slots=True)
 class DisturbanceTuning:
-    """Of :mod:`autopilot.control.robust.disturbance`."""
+    """Constants of :mod:`autopilot.control.robust.disturbance`."""
 
     bound_sigmas: float = 3.0
     """A bound is read as three standard deviations."""
@@ -43,16 +43,16 @@ DISTURBANCE = DisturbanceTuning()
 
 @dataclass(frozen=True, slots=True)
 class MismatchTuning:
-    """Of :mod:`autopilot.control.robust.mismatch_evidence`."""
+    """Constants of :mod:`autopilot.control.robust.mismatch_evidence`."""
 
     near_share: float = 0.8
-    """Speeds above this share of the cap say something about keeping it."""
+    """Speeds above this fraction of the cap are used as evidence."""
     follow_s: float = 3.0
-    """What the speed does faster than this is no change of plan but a disturbance."""
+    """Faster changes of the speed are disturbances, not changes of the plan."""
     quick_s: float = 2.0
     slow_s: float = 6.0
     forget_s: float = 60.0
-    """Time constants of losing credit, of gaining it, and of forgetting what was seen while nothing is seen."""
+    """Time constants of decrease, increase, and of forgetting without evidence."""
     least_share: float = 0.5
     """Of the margin, whatever has been seen."""
     strong_share: float = 0.55
@@ -63,9 +63,9 @@ class MismatchTuning:
     grow_m_s2: float = 0.05
     """The margin moves by no more than this: 0.25 and 2.5 mm/s from one step to the next."""
     largest_need: float = 4.0
-    """Square of how often the margin one look may ask for: what has passed is forgotten within seconds."""
+    """Bound on the squared ratio of error to margin of one update: outliers are forgotten within seconds."""
     sigmas: float = 3.29
-    """A margin holds what exceeds it once in a thousand times."""
+    """Margin in standard deviations: exceeded once in a thousand times."""
     longest_s: float = 0.2
 
 
@@ -74,7 +74,7 @@ EVIDENCE = MismatchTuning()
 
 @dataclass(frozen=True, slots=True)
 class FallbackTuning:
-    """Of :mod:`autopilot.control.robust.fallback`."""
+    """Constants of :mod:`autopilot.control.robust.fallback`."""
 
     position_gain_1_s: float = 0.4
     yaw_gain_1_s: float = 0.8
@@ -84,7 +84,7 @@ class FallbackTuning:
     yaw_rate_limit_rad_s: float = 0.4
     water_speed_limit_m_s: float = 0.4
     over_steps: int = 20
-    """A fallback counts as over after so many solved steps (1 s): one that flickers is told once."""
+    """Solved steps (1 s) after which a fallback is over: an intermittent one is reported once."""
 
 
 FALLBACK = FallbackTuning()
@@ -92,7 +92,7 @@ FALLBACK = FallbackTuning()
 
 @dataclass(frozen=True, slots=True)
 class RegionsTuning:
-    """Of :mod:`autopilot.control.robust.regions`."""
+    """Constants of :mod:`autopilot.control.robust.regions`."""
 
     answer_steps: int = 20
     """A certificate is taken so many control steps after it was asked for (1 s at 20 Hz): nothing waits for it."""
@@ -112,7 +112,7 @@ REGIONS = RegionsTuning()
 
 @dataclass(frozen=True, slots=True)
 class StationTuning:
-    """Of :mod:`autopilot.control.robust.station`."""
+    """Constants of :mod:`autopilot.control.robust.station`."""
 
     hold_radius_m: float = 0.25
     hold_yaw_rad: float = 0.35
@@ -131,7 +131,7 @@ STATION = StationTuning()
 
 @dataclass(frozen=True, slots=True)
 class TerminalTuning:
-    """Of :mod:`autopilot.control.robust.terminal`."""
+    """Constants of :mod:`autopilot.control.robust.terminal`."""
 
     kappa: float = 1.3
     """With 1 the sampled decrease of the nonlinear model fails by 2 %; between 1.2 and 1.5 it holds."""
@@ -149,28 +149,28 @@ TERMINAL = TerminalTuning()
 
 @dataclass(frozen=True, slots=True)
 class TubeTuning:
-    """Of :mod:`autopilot.control.robust.tube`."""
+    """Constants of :mod:`autopilot.control.robust.tube`."""
 
     force_correlation_s: float = 1.0
     current_correlation_s: float = 2.0
-    """How long a disturbance lasts: the estimator's current follows within about these times."""
+    """Correlation times of disturbances: the estimated current follows within about these times."""
     disc_sigmas: float = 3.72
     """A disc of so many standard deviations holds 99.9 % of a normal distribution in the plane: sqrt(-2 ln 0.001)."""
     band_sigmas: float = 3.29
     """The same for one dimension."""
     estimate_speed_sigmas: float = 2.0
-    """Of the estimate in limits on speed: bounds of performance and not of safety, and the estimator is modest (its
-    errors are about half of what it says)."""
+    """Fraction of the estimate's spread in speed limits: they concern performance, not safety, and the estimator is
+    conservative (errors are about half of its standard deviation)."""
     largest_share: float = 0.5
     """Back-offs never take more of a limit than this, however bad the estimate is: then failsafes act."""
     largest_thrust_share: float = 0.3
-    """Of what a thruster can give; the controller applies it."""
+    """Fraction of the thrust limit; applied by the controller."""
     largest_clearance_m: float = 0.3
     growth_step_s: float = 0.05
     groups: int = 3
     """Force, moment, current error: their variances come at run time."""
     given: int = 28
-    """Numbers that the compiled library is told: see its enum."""
+    """Constants of the compiled library: see its enum."""
     states_out: int = 10
     """xx, xy, yy, zz, yaw, uu, uv, vv, ww, rr; the thrusts follow."""
 

@@ -1,8 +1,8 @@
-"""Station keeping: what holds the vehicle when the optimiser has nothing to offer.
+"""Station keeping without a solution of the optimiser.
 
-Far from the place the cascade of :mod:`autopilot.control.robust.fallback` brings it back slowly; inside the terminal
-region of the place the local law of :mod:`autopilot.control.robust.terminal` keeps it there: the region is invariant,
-so that the vehicle does not leave it again by itself.
+Far from the goal the cascade of :mod:`autopilot.control.robust.fallback` brings the vehicle back slowly; inside the
+terminal region of the goal the local law of :mod:`autopilot.control.robust.terminal` takes over: the region is
+positively invariant, so that the vehicle stays in it.
 """
 
 import math
@@ -45,7 +45,6 @@ class StationKeeper:
         return self._target
 
     def release(self) -> None:
-        """Somebody else has the thrusters."""
         self._target, self._law, self.inside = None, None, False
 
     def thrust(self, x: FloatArray, current_ned_m_s: FloatArray, limit_n: FloatArray) -> FloatArray:

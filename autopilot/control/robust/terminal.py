@@ -1,10 +1,10 @@
-"""Terminal ingredients of one goal: steady input against the current, LQR gain, cost and region, with a certificate.
+"""Terminal ingredients of one goal: steady input against the current, LQR gain, cost and region, with verification.
 
-In the frame of the goal (error ahead, to starboard, ... of the goal's heading) the vehicle is linearised where it
-stands still over ground: velocity through the water -R^T c, thrust that holds it. With the discrete Riccati gain K,
-P solves (A+BK)^T P (A+BK) - P = -kappa (Q + K^T R K), kappa > 1, so that E(e) = e^T P e falls by more than the stage
-cost with something to spare for what the linearisation leaves out. The level alpha is the largest at which the
-ellipsoid E <= alpha meets every limit; sampling of the nonlinear model then shrinks it until no sample violates the
+In the frame of the goal (error ahead, to starboard, ... of the goal's heading) the vehicle is linearised at rest over
+ground: velocity through the water -R^T c, with the thrust that holds it. With the discrete Riccati gain K, P solves
+(A + B K)^T P (A + B K) - P = -kappa (Q + K^T R K), kappa > 1, so that E(e) = e^T P e decreases by more than the stage
+cost, with a margin for the linearisation error (Chen and Allgower 1998). The level alpha is the largest for which the
+ellipsoid E <= alpha satisfies every limit; it is then reduced until no sample of the nonlinear model violates the
 decrease.
 """
 
@@ -28,7 +28,7 @@ from autopilot.core.model4 import NX, YAW, Model4, R, U, V, W, X, Z
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class TerminalLimits:
-    """What the region has to stay inside, back-offs already taken off."""
+    """Limits of the region, after back-offs."""
 
     thrust_n: FloatArray
     """(n,)"""
@@ -45,7 +45,7 @@ class TerminalLimits:
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Terminal:
-    """Local law and cost of a goal, before the region is known."""
+    """Terminal law and cost of a goal; the region is computed separately."""
 
     yaw_rad: float
     nu: FloatArray
@@ -75,7 +75,7 @@ class Terminal:
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Certificate:
-    """What was verified."""
+    """Terminal region of one goal and the result of its verification by sampling."""
 
     alpha: float
     """Level of the region, 0 = it is empty."""
@@ -95,16 +95,15 @@ class Certificate:
     fit_room_m: float
     """Largest ball round the goal that does."""
     fit_limit: str
-    """Clearance or depth: what limits that ball."""
+    """Limiting constraint of that ball: clearance or depth."""
     samples: int
     violations: int
     """Samples at which the decrease failed at this alpha: 0 in a finished certificate."""
     shrunk: int
-    """How often sampling made alpha smaller."""
+    """Number of reductions of alpha by sampling."""
 
     @property
     def text(self) -> str:
-        """One line."""
         if self.alpha <= 0.0:
             return f"no terminal region: the goal is beyond its {self.binding} limit"
         size = f"{self.radius_m:.3f} m, {math.degrees(self.yaw_rad):.1f} deg"
@@ -126,14 +125,31 @@ def terminal_law(
     r: FloatArray,
     limit_n: FloatArray,
 ) -> Terminal:
-    """Steady input, gain and cost of a goal with heading ``yaw_rad`` in a current; q (8,), r (n,) of the stage cost.
+    """Steady input, LQR gain and terminal cost of a goal in a current.
 
-    Redundant thrusters share within ``limit_n`` (n,)."""
+    Parameters
+    ----------
+    allocator
+        Control allocation and model of the vehicle.
+    yaw_rad
+        Heading at the goal [rad].
+    current_ned_m_s
+        (3,) current, NED [m/s].
+    q, r
+        (8,), (n,) diagonal weights of the stage cost on error and thrust.
+    limit_n
+        (n,) thrust limits for the allocation of redundant thrusters [N].
+
+    Returns
+    -------
+    Terminal
+        ``thrust_n`` exceeds ``limit_n`` if the thrusters cannot hold the vehicle in the current.
+    """
     model, c, s = allocator.model, math.cos(yaw_rad), math.sin(yaw_rad)
     cn, ce, cd = (float(v) for v in current_ned_m_s)
     nu = np.array([-(c * cn + s * ce), -(c * ce - s * cn), -cd, 0.0])
     force = model4.steady_force(model, nu.tolist(), math)
-    # Where the thrusters cannot hold it, the limits say so by the thrust that it would take.
+    # If the thrusters cannot hold it, the required thrust violates the limits below.
     enough = allocator.makes(np.array(force), limit_n)
     thrust = allocator.thrust_n(np.array(force), limit_n if enough else np.full(model.thrusters, np.inf))
     a, b = _goal_jacobian(model, nu), input_matrix(model)
@@ -154,7 +170,19 @@ def _goal_jacobian(model: Model4, nu: FloatArray) -> FloatArray:
 
 
 def analytic_alpha(law: Terminal, goal: Goal, limits: TerminalLimits) -> tuple[float, str, dict[str, float]]:
-    """Largest level that meets every limit, the limit that decides it, and the level of each limit alone."""
+    """Largest level of E = e^T P e that satisfies every limit.
+
+    On the ellipsoid E <= alpha a linear function h^T e has the maximum sqrt(alpha h^T P^-1 h).
+
+    Returns
+    -------
+    alpha
+        The level, 0 if the goal itself violates a limit.
+    binding
+        Name of the limit that decides it.
+    levels
+        Level by each limit alone; negative if the goal violates it.
+    """
     spread = np.linalg.inv(law.p)
     feedback = np.einsum("ij,jk,ik->i", law.k, spread, law.k)
     planar = float(np.linalg.eigvalsh(spread[:2, :2])[-1])
@@ -199,7 +227,7 @@ def closed_loop(model: Model4, law: Terminal, error: FloatArray) -> tuple[FloatA
 
 
 def violations(model: Model4, law: Terminal, error: FloatArray) -> int:
-    """How many errors (m, 8) do not lose at least their stage cost in one step."""
+    """Number of errors (m, 8) whose E decreases by less than the stage cost in one step."""
     after, cost = closed_loop(model, law, error)
     change = ((after @ law.p) * after).sum(axis=1) - ((error @ law.p) * error).sum(axis=1)
     return int((change > -cost).sum())
@@ -217,7 +245,7 @@ def unit_samples(count: int = TERMINAL.samples, seed: int = TERMINAL.seed) -> Fl
 
 
 class CertificateJob:
-    """The sampling of one goal, a slice at a time."""
+    """The verification of one goal in slices."""
 
     def __init__(self, model: Model4, law: Terminal, goal: Goal, limits: TerminalLimits, samples: FloatArray) -> None:
         self._model, self._law, self._goal, self._limits, self._samples = model, law, goal, limits, samples
@@ -226,13 +254,13 @@ class CertificateJob:
         self._done = 0
         self._shrunk = 0
         self.certificate: Certificate | None = None
-        """Set when all samples have been looked at."""
+        """Set once all samples are checked."""
         if self._alpha < TERMINAL.least_alpha:
             self._alpha = 0.0
             self.certificate = self._certify()
 
     def advance(self, count: int) -> Certificate | None:
-        """Look at the next ``count`` samples; the certificate when that was the last of them."""
+        """Check the next ``count`` samples. The certificate once all are checked, else None."""
         if self.certificate is None:
             part = self._samples[self._done : self._done + count]
             error = math.sqrt(self._alpha) * (part @ self._to_error.T)
@@ -280,7 +308,23 @@ def certify(
     samples: FloatArray | None = None,
     look: Callable[[], None] = lambda: None,
 ) -> Certificate:
-    """The whole certificate at once. ``look`` is called between slices and may end the work by raising."""
+    """Verify a terminal region by sampling the nonlinear model.
+
+    Parameters
+    ----------
+    model
+        The 4-DoF model.
+    law
+        Steady input, gain and cost at the goal.
+    goal
+        Position, heading and acceptance radius.
+    limits
+        Limits that the region has to meet.
+    samples
+        (m, 8) points of the unit ball; None = :func:`unit_samples`.
+    look
+        Called between slices; an exception from it ends the work.
+    """
     job = CertificateJob(model, law, goal, limits, unit_samples() if samples is None else samples)
     while job.certificate is None:
         look()
@@ -289,7 +333,7 @@ def certify(
 
 
 def region_error(law: Terminal, x: FloatArray, pos_ned_m: FloatArray) -> FloatArray:
-    """Error (8,) of a state ``x`` (8,) against standing still at ``pos_ned_m`` (3,), in the goal's frame."""
+    """Error (8,) of a state ``x`` (8,) relative to rest over ground at ``pos_ned_m`` (3,), in the frame of the goal."""
     c, s = math.cos(law.yaw_rad), math.sin(law.yaw_rad)
     e = np.empty(NX)
     north, east = float(x[X] - pos_ned_m[0]), float(x[1] - pos_ned_m[1])

@@ -1,4 +1,4 @@
-"""How far the limits of the prediction stay inside the limits of the vehicle, node by node."""
+"""Tightening of the limits of the prediction, node by node."""
 
 from dataclasses import dataclass
 from typing import Protocol
@@ -17,7 +17,7 @@ HEAVE_SHARE = 0.92
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class BackOffs:
-    """What is taken off every limit at nodes 1 .. N-1 (thrust: at nodes 0 .. N-1). Never negative."""
+    """Back-off of every limit at nodes 1 .. N-1 (thrust: at nodes 0 .. N-1). Never negative."""
 
     clearance_m: FloatArray
     """(N-1,) beyond the body radius."""
@@ -34,20 +34,32 @@ class BackOffs:
 
 
 class Tightening(Protocol):
-    """One instance per vehicle; deterministic."""
+    """The interface of constraint tightening. One instance per vehicle; deterministic."""
 
     def back_offs(self, nav: NavState, x: FloatArray, thrust_n: FloatArray, params: ParamSet) -> BackOffs:
-        """Back-offs along the plan: states ``x`` (N+1, 8), ``thrust_n`` (N, n). Frozen for one QP."""
+        """Back-offs along the plan, constant for one QP.
+
+        Parameters
+        ----------
+        nav
+            The estimate; its variance widens the margins.
+        x
+            (N+1, 8) planned states.
+        thrust_n
+            (N, n) planned thrust [N].
+        params
+            The live parameters.
+        """
         ...
 
     def clearance_m(self, params: ParamSet) -> float:
-        """What routes have to keep beyond the body radius so that the optimiser can follow them."""
+        """Clearance beyond the body radius [m] that routes keep so that the optimiser can follow them."""
         ...
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FixedValues:
-    """What is taken off at every node."""
+    """Back-offs that are equal at every node."""
 
     clearance_m: float
     planar_speed_m_s: float
@@ -56,7 +68,7 @@ class FixedValues:
 
 
 class FixedMargins:
-    """The same margins at every node: MPC_MARGIN, MPC_SPEED_MARGIN and shares of the other speeds."""
+    """Equal margins at every node: MPC_MARGIN, MPC_SPEED_MARGIN and fractions of the other speed limits."""
 
     def __init__(self, grid: TimeGrid, thrusters: int) -> None:
         self._n, self._thrusters = grid.n, thrusters
@@ -64,7 +76,6 @@ class FixedMargins:
         self._back_offs: BackOffs | None = None
 
     def values(self, params: ParamSet) -> FixedValues:
-        """As the parameters are now."""
         return FixedValues(
             clearance_m=params["MPC_MARGIN"],
             planar_speed_m_s=params["MPC_SPEED_MARGIN"],
@@ -73,7 +84,6 @@ class FixedMargins:
         )
 
     def back_offs(self, nav: NavState, x: FloatArray, thrust_n: FloatArray, params: ParamSet) -> BackOffs:
-        """See :class:`Tightening`."""
         values = self.values(params)
         if self._back_offs is None or values != self._values:
             self._values = values
@@ -89,5 +99,4 @@ class FixedMargins:
         return self._back_offs
 
     def clearance_m(self, params: ParamSet) -> float:
-        """See :class:`Tightening`."""
         return params["MPC_MARGIN"]

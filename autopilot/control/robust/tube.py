@@ -1,13 +1,14 @@
-"""The tube: how far the vehicle may be from its plan when disturbances act and the ancillary feedback pulls it back.
+"""The tube: covariance of the deviation from the plan under disturbances and ancillary feedback.
 
-Per planned surge speed the error follows e' = (A + B K) e + G w, with w a first-order Gauss-Markov process per channel:
-what lasts longer than its correlation time is absorbed by the estimator (as current), what is shorter is filtered by
-the mass. The covariance of e grows from zero along the prediction (zoRO: P_{j+1} = (A+BK) P_j (A+BK)^T + G W G^T, here
-with the disturbance's own dynamics) and settles within two seconds, faster than speed changes: so growth is tabulated
-once per speed and node for unit variances, and a control step only mixes and interpolates the table. The spread of the
-estimate comes on top at all nodes: feedback follows the estimate, so that its error never fades.
+Per planned surge speed the error follows e' = (A + B K) e + G w, with w a first-order Gauss-Markov process per
+channel: disturbances longer than its correlation time are absorbed by the estimator (as current), shorter ones are
+filtered by the mass. The covariance of e grows from zero along the prediction (zoRO, Zanelli et al. 2021: P_{j+1} = (A
++ B K) P_j (A + B K)^T + G W G^T, here with the dynamics of w) and settles within two seconds, faster than speed
+changes: growth is tabulated once per speed and node for unit variances, and a control step only mixes and interpolates
+the table. The covariance of the estimate is added at all nodes: the feedback acts on the estimate and does not reduce
+its error.
 
-Back-offs are frozen for one QP, as the real-time iteration is one QP.
+Back-offs are constant for one QP, as the real-time iteration is one QP.
 """
 
 import math
@@ -32,14 +33,16 @@ SPEED_SHARE = TUBE.estimate_speed_sigmas / TUBE.band_sigmas
 
 
 class TubeTable:
-    """Variances (speeds, nodes, STATES_OUT + thrusters, GROUPS) of error and feedback for unit disturbances."""
+    """``variance`` (speeds, nodes, STATES_OUT + thrusters, GROUPS): variances of error and feedback thrust for unit
+    disturbances of each group.
+    """
 
     def __init__(self, model: Model4, grid: TimeGrid, ancillary: Ancillary) -> None:
         self.variance = _growth(model, grid, ancillary)
         self.first_m_s, self.step_m_s = float(SURGES_M_S[0]), float(SURGES_M_S[1] - SURGES_M_S[0])
 
     def at_rest(self) -> FloatArray:
-        """(nodes, STATES_OUT + thrusters, GROUPS) without surge."""
+        """Rows of zero surge (nodes, STATES_OUT + thrusters, GROUPS), interpolated."""
         place = (0.0 - self.first_m_s) / self.step_m_s
         low = int(place)
         below, above = self.variance[low], self.variance[low + 1]
@@ -84,7 +87,7 @@ def _outputs(p: FloatArray, gains: FloatArray) -> FloatArray:
 
 
 class TubeMargins:
-    """Back-offs from the tube, never less than the fixed margins (which also cover what happens between the nodes)."""
+    """Back-offs from the tube, at least the fixed margins (which also cover the motion between the nodes)."""
 
     def __init__(self, model: Model4, grid: TimeGrid, ancillary: Ancillary, fixed: FixedMargins) -> None:
         self.table = TubeTable(model, grid, ancillary)
@@ -112,7 +115,7 @@ class TubeMargins:
         self._rest = self.table.at_rest()[-2, 5:8].tolist()
 
     def rest_speed_m_s(self, nav: NavState, params: ParamSet) -> float:
-        """Back-off of the planar speed at the last node but one of a vehicle that stays at rest."""
+        """Back-off of the planar speed [m/s] at node N-1 for a vehicle at rest."""
         self._look(nav, params)
         a, b, c = self._mix
         xx, xy, yy = (row[0] * a + row[1] * b + row[2] * c for row in self._rest)
@@ -124,8 +127,11 @@ class TubeMargins:
     def back_offs(
         self, nav: NavState, x: FloatArray, thrust_n: FloatArray, params: ParamSet, speed_share: float = 1.0
     ) -> BackOffs:
-        """See :class:`autopilot.control.robust.tightening.Tightening`. ``speed_share``: of the planar speed's, as far
-        as the fixed margin leaves room for it. ValueError if the plan is not one of this grid."""
+        """See :meth:`autopilot.control.robust.tightening.Tightening.back_offs`.
+
+        ``speed_share``: fraction of the planar speed's back-off that is applied, at least the fixed margin. ValueError
+        if the plan has another grid.
+        """
         self._look(nav, params)
         given, spread, share = self._given, self._spread, SPEED_SHARE**2
         added = (spread.position_m2, spread.depth_m2, share * spread.planar_m2_s2, share * spread.heave_m2_s2)
@@ -147,7 +153,7 @@ class TubeMargins:
         )
 
     def _look(self, nav: NavState, params: ParamSet) -> None:
-        """Take note of the spread of this estimate, and of parameters that have changed."""
+        """Update the mixture weights for the covariance of this estimate and for changed parameters."""
         told = params, params.revision
         same = told == self._told
         if nav is self._nav and same:

@@ -1,1 +1,1 @@
-"""From thrust to pulses, and what becomes of them: allocation, losses, delays."""
+"""From thrust to pulses and the response: allocation, thruster faults, latency."""

@@ -1,8 +1,8 @@
-"""Thrust goes in, pulses and what they will give come out.
+"""From commanded thrust to pulses and the expected thrust.
 
-The thrusters as the service has them: the curve from thrust to pulses, what is lost of their thrust, and how late they
-do what they are told. The order within a tick: :meth:`Actuation.send` at its beginning, :meth:`Actuation.learn` when
-the estimate is there, :meth:`Actuation.command` (or :meth:`Actuation.neutral`) at its end.
+Combines the thruster curve, the effectiveness of each thruster and the command latency. Order within a tick:
+:meth:`Actuation.send` at its beginning, :meth:`Actuation.learn` once the estimate is available,
+:meth:`Actuation.command` (or :meth:`Actuation.neutral`) at its end.
 """
 
 import math
@@ -20,14 +20,14 @@ from autopilot.core.params import ParamSet
 from autopilot.core.vehicle import Vehicle
 
 MUCH_N = 1e3
-"""More than any thruster is asked for: what counts is how they share."""
+"""Above every thruster's limit: only the distribution counts."""
 
 NO_LIFT = 1e-6
 """Less than this of a newton per newton of heave is rounding."""
 
 
 class Actuation:
-    """All thrusters of a vehicle (n of them), in the order of its file."""
+    """All n thrusters of a vehicle, in the order of its file."""
 
     def __init__(self, vehicle: Vehicle, params: ParamSet) -> None:
         self._allocator = ControlAllocator.of(vehicle)
@@ -38,35 +38,34 @@ class Actuation:
         self._nav: NavState | None = None
         self._count = self._allocator.model.thrusters
         self._pulse_n = self.nothing()
-        """What sound thrusters will give with the pulses of the last command."""
+        """Thrust of healthy thrusters for the pulses of the last command."""
         self.allocation = Allocation(vehicle.thrusters)
         self.supply_v: float | None = None
         """Measured voltage, None = nominal."""
 
     def nothing(self) -> FloatArray:
-        """No thrust (n,)."""
+        """Zero thrust (n,)."""
         return np.zeros(self._count)
 
     # What is known
 
     @property
     def share(self) -> FloatArray:
-        """(n,) what each gives of its thrust; a dead one 0."""
+        """(n,) effectiveness of each thruster; 0 for a failed one."""
         return self._losses.share
 
     @property
     def shares(self) -> tuple[float, ...]:
-        """The same."""
         return self._losses.shares
 
     @property
     def problem(self) -> str:
-        """What the thrust that is left does not allow, "" while the vehicle can stay where it is."""
+        """Capability lost with the remaining thrust, "" while the vehicle can keep its position."""
         return self._losses.problem
 
     @property
     def doubtful_thrusters(self) -> tuple[tuple[str, ...], ...]:
-        """Thrusters that do the same of which one is lossy, nobody knows which."""
+        """Redundant thrusters with a fault that is not isolated."""
         return self._losses.doubtful
 
     @property
@@ -81,13 +80,14 @@ class Actuation:
 
     @property
     def doubtful(self) -> bool:
-        """Thrust has shown no effect yet, and it is not known how late it will: no more of it."""
+        """Thrust has had no effect so far and the latency is unknown: no further thrust."""
         return self._delay.doubtful
 
     @property
     def limit_n(self) -> FloatArray:
-        """(n,) what the controller may ask for at the present supply: a sagging battery, losses and what levelling
-        keeps for itself lower the bounds."""
+        """(n,) thrust limits of the controller [N] at the present supply voltage, after faults and the part reserved
+        for attitude stabilisation.
+        """
         can_n = self._can_n
         return can_n - self._levelling.reserve_n(can_n)
 
@@ -98,7 +98,7 @@ class Actuation:
 
     @property
     def _can_n(self) -> FloatArray:
-        """(n,) what the thrusters can give."""
+        """(n,) attainable thrust [N]."""
         return self.allocation.capability_n(self.supply_v) * self._losses.share
 
     def nav_for_control(self, t_us: int, nav: NavState) -> NavState:
@@ -112,12 +112,12 @@ class Actuation:
         self._pulse_n = self.nothing()
 
     def taken(self, pulses_us: tuple[int, ...]) -> None:
-        """Somebody else drives the thrusters, with these pulses; () = nobody knows how, taken as neutral."""
+        """Another source commands the thrusters with these pulses; () = unknown, treated as neutral."""
         known = len(pulses_us) == self._count
         self._pulse_n = self.allocation.thrusts_n(pulses_us, self.supply_v) if known else self.nothing()
 
     def send(self, t_us: int) -> FloatArray:
-        """The last command is on its way. The result (n,) is what sound thrusters give of what acts now."""
+        """Register the last command as sent. Returns (n,) the thrust of healthy thrusters that acts now [N]."""
         return self._delay.send(t_us, self._pulse_n)
 
     def learn(
@@ -131,15 +131,15 @@ class Actuation:
         reached: bool,
         alone: bool = True,
     ) -> ThrusterHealthState | None:
-        """Late commands and lost thrust, from the estimate of now and what :meth:`send` said.
+        """Update latency and effectiveness from the present estimate and the result of :meth:`send`.
 
-        ``reached``: the device takes the commands. ``alone``: nobody else commands the thrusters, so that motion says
-        when commands act. The result is for the log, at times.
+        ``reached``: the device accepts commands. ``alone``: no other source commands the thrusters, so that motion
+        shows the latency. Returns a record for the log, periodically.
         """
         self._nav = nav
         capability_n = self.allocation.capability_n(self.supply_v)
         self._delay.step(t_us, nav, armed=armed and alone)
-        # What never reached the thrusters says nothing about them.
+        # Commands that never reached the thrusters are no evidence.
         prompt = armed and self._delay.prompt and reached
         return self._losses.step(t_us, nav, acting_n, capability_n, goal, armed=prompt)
 
@@ -165,7 +165,7 @@ class Actuation:
         if not all(map(math.isfinite, thrust_n.tolist())):
             raise ValueError(f"thrust is not finite: {thrust_n.tolist()}")
         pulses_us = self.allocation.pulses_us(thrust_n, self.supply_v, self._losses.share)
-        # What the pulses will give, deadband and saturation included: the estimator's model lives on it.
+        # Thrust of the pulses, dead band and saturation included: input of the estimator's model.
         self._pulse_n = self.allocation.thrusts_n(pulses_us, self.supply_v)
         return self._told(t_us, thrust_n, pulses_us, armed=True)
 

@@ -1,18 +1,18 @@
-"""How late commands act: a bank of Kalman filters, one per candidate delay, on the motion and the thrust it follows.
+"""Estimation of the command latency: a bank of Kalman filters, one per candidate delay.
 
-Candidate k believes that the thrusters act on what was commanded k intervals ago. Per axis the 4-DoF model reads then
-(Fossen 2011, eq. 6.113 with the thrust split by thruster)
+Candidate k assumes that the thrust commanded k intervals ago acts now. Per axis the 4-DoF model reads (Fossen 2011,
+eq. 6.113 with the thrust split by thruster)
 
     nu'(t) = M^-1 T_A diag(F(t - delay_k)) e + f(nu) + d ,
 
-F the thrust of the pulses, lag included, f drag, Coriolis and buoyancy, d whatever else pushes. Both sides pass the
-same first-order filter, so that nothing is differentiated: the filtered nu' is (nu - filtered nu) / T. Being linear,
-the filtered thrust of a candidate is the filtered thrust of k intervals ago: one history serves all.
+F the thrust of the pulses, lag included, f drag, Coriolis and buoyancy, d the disturbance. Both sides pass the same
+first-order filter, which avoids differentiation: the filtered nu' is (nu - filtered nu) / T. By linearity the filtered
+thrust of a candidate is the filtered thrust of k intervals ago: one history serves all.
 
-Every filter estimates e (errors of mass, thrust constant, lost thrusters) and d (current, tether) for its own delay,
-and the probability of what surprised it, forgetting what is long past, tells the delays apart (a multiple model
-estimator: Bar-Shalom, Li and Kirubarajan 2001, section 11.6). Thrust that nothing has followed yet looks the same to
-all delays that are longer than the wait: first it is known that commands are late, a little later how late.
+Every filter estimates e (errors of mass and thrust constant, thruster faults) and d (current, tether) for its own
+delay. The innovations' likelihood with exponential forgetting gives the probability of each delay (multiple model
+estimator: Bar-Shalom, Li and Kirubarajan 2001, section 11.6). Without a response so far, all delays longer than the
+elapsed time are equally likely: latency is detected first, its value a little later.
 """
 
 import math
@@ -29,50 +29,50 @@ from autopilot.core.model4 import AXES, Model4
 from autopilot.core.response import Response
 
 UNLEARNED_LOOKS = 10
-"""So many looks (1 s) are taken back when the estimate ceases to be good."""
+"""Updates (1 s) that are reverted when the estimate degrades."""
 
 BESIDES = 5
-"""States beside e of every thruster: d of four axes, what thrust to the side turns."""
+"""States beside e of every thruster: d of four axes, yaw moment by lateral thrust."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DelayTuning:
-    """What the filters believe; axes surge, sway, heave [m/s^2] and yaw [rad/s^2]."""
+    """Noise and prior of the filters; axes surge, sway, heave [m/s^2] and yaw [rad/s^2]."""
 
     interval_s: float = 0.1
-    """Between two looks and between two candidates."""
+    """Interval of updates and of candidates."""
     candidates: int = 16
     """Delays of 0 to 1.5 s."""
     filter_s: float = 0.2
-    """T: slow enough to quieten gyro and velocity, quick enough to tell delays apart."""
+    """T: slow enough to reduce the noise of gyro and velocity, fast enough to separate delays."""
     noise: tuple[float, float, float, float] = (0.03, 0.03, 0.03, 0.1)
-    """Standard deviation of one look: estimate and model, looks T apart being independent."""
+    """Standard deviation of one update: estimate and model; updates T apart are independent."""
     noise_share: float = 0.08
-    """Of the thrust's acceleration: lag, deadband and supply are not known better."""
+    """Relative error of the thrust's acceleration by lag, dead band and supply voltage."""
     push: tuple[float, float, float, float] = (0.06, 0.05, 0.06, 0.1)
     """Standard deviation of d at rest: 1 N of tether, a moment of 0.03 N m."""
     flow_m_s: float = 0.1
-    """Standard deviation of the water's velocity: it makes d grow by what drag and Munk moment make of it."""
+    """Standard deviation of the current, which enters d through drag and Munk moment."""
     push_time_s: float = 4.0
     """Time within which d forgets itself."""
     current_s: float = 20.0
-    """The estimated current is believed this slowly: with late commands it explains thrust that is not there."""
+    """Time constant of the current: with late commands its estimate contains thrust that is not there."""
     arm: float = 0.1
-    """Standard deviation of what thrust to the side turns [rad/s^2 per N]: an arm of some cm is not in T_A."""
+    """Standard deviation of yaw by lateral thrust [rad/s^2 per N]: an arm of some cm is not in T_A."""
     prior: float = 0.25
     """Standard deviation of e before anything is known."""
     wander: float = 0.05
-    """Of e per square root of a second: a thruster may fail."""
+    """Random walk of e [1/sqrt(s)]: a thruster may fail."""
     surprise: float = 10.0
-    """Largest evidence of one look (nats): an outlier is no proof."""
+    """Largest evidence of one update [nats], for robustness against outliers."""
     lead: float = 30.0
     """No delay is further behind the likeliest than this (nats): a line may become late in flight."""
     forget_s: float = 20.0
     """Evidence fades within this time."""
     normal_s: float = 0.2
-    """Delays up to here are what lag, sensors and supply explain: not reported."""
+    """Delays up to here are explained by lag, sensors and supply, and are not reported."""
     doubt: float = 5.0
-    """Evidence (nats) against all normal delays that raises doubt."""
+    """Evidence [nats] against all normal delays that is a warning."""
     certain: float = 10.0
     """Evidence against all normal delays, and that of all but one neighbourhood of delays, that declares a delay."""
     fits: float = 1.0
@@ -82,7 +82,7 @@ class DelayTuning:
     follow_s: float = 0.05
     """A declared delay changes when the estimate is further away than this."""
     confirm_s: float = 0.3
-    """So long a delay must be certain before it is declared."""
+    """Time for which a delay must be certain before it is declared."""
 
 
 class ActuationDelay:
@@ -99,7 +99,7 @@ class ActuationDelay:
         self.reset()
 
     def reset(self) -> None:
-        """Nothing is known, commands are taken to act at once."""
+        """Discard all evidence; the delay is 0."""
         tuning = self._tuning
         n, nu = tuning.candidates, self._model.thrusters
         self._x = np.tile(np.concatenate([np.ones(nu), np.zeros(BESIDES)]), (n, 1))
@@ -108,7 +108,7 @@ class ActuationDelay:
         self._evidence = np.zeros(n)
         self._known: deque[tuple[FloatArray, FloatArray, FloatArray]] = deque(maxlen=UNLEARNED_LOOKS)
         self._past = np.zeros((n, nu))
-        # What changes at every tick are plain numbers: for so few of them quicker than arrays.
+        # Plain numbers for quantities of every tick: faster than arrays for so few.
         self._acting, self._thrust = [0.0] * nu, [0.0] * nu
         self._followed: Sequence[float] | None = None
         """(8,) of :func:`thrustless_motion`, filtered."""
@@ -117,18 +117,18 @@ class ActuationDelay:
         self._since_s = self._wait_s = self._certain_s = 0.0
         self._reset_count = -1
         self.delay_s = 0.0
-        """Declared delay [s], 0 while there is none beyond doubt."""
+        """Command latency [s]; 0 until it is certain."""
         self.doubtful = False
         """Whether thrust that should have shown has not, and it is not known yet why."""
 
     @property
     def current_ned_m_s(self) -> FloatArray:
-        """(3,) the current as it is believed slowly: thrust that has not acted yet is not in it."""
+        """(3,) slowly filtered current, without the effect of thrust that has not acted yet."""
         return np.zeros(3) if self._current is None else np.array(self._current)
 
     @property
     def shortest_s(self) -> float:
-        """The shortest delay that fits what has been seen: grows while a response is waited for."""
+        """The shortest delay that is consistent with the data; grows while there is no response."""
         return float(self.delays_s[int(np.argmax(self._evidence > -self._tuning.fits))])
 
     @property
@@ -139,9 +139,8 @@ class ActuationDelay:
         return weight
 
     def step(self, t_us: int, nav: NavState | None, thrust_n: FloatArray) -> bool:
-        """``thrust_n`` (n,) is what the thrusters would settle at with the pulses since the last call [N].
-
-        True when the declared delay has changed.
+        """``thrust_n`` (n,): steady thrust of the pulses since the last call [N]. True when the declared delay has
+        changed.
         """
         dt_s = 0.0 if self._t_us is None else (t_us - self._t_us) * 1e-6
         self._t_us = t_us
@@ -180,7 +179,7 @@ class ActuationDelay:
         return self._declare(look_s)
 
     def _unlearn(self) -> None:
-        """Back to what was known before the last looks: an estimate is bad for a moment before it is called bad."""
+        """Restore the state before the last updates: an estimate degrades before it is flagged."""
         if self._known:
             self._x, self._p, self._evidence = self._known[0]
             self._known.clear()
@@ -240,5 +239,5 @@ class ActuationDelay:
 
 
 def _toward(values: Sequence[float], goals: Sequence[float], share: float) -> list[float]:
-    """Numbers that go that share of the way to others."""
+    """Linear interpolation by that fraction."""
     return [value + share * (goal - value) for value, goal in zip(values, goals, strict=True)]

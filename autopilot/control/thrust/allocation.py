@@ -51,7 +51,7 @@ class Allocation:
         return tuple(self.pulse_us(index, thrust, supply_v) for index, thrust in enumerate(wanted))
 
     def thrusts_n(self, pulses_us: Sequence[int], supply_v: float | None = None) -> FloatArray:
-        """Steady thrust of sound thrusters, what the pulses will really give."""
+        """Steady thrust of the pulses for healthy thrusters [N]."""
         return np.array([self.thrust_n(index, pulse, supply_v) for index, pulse in enumerate(pulses_us)])
 
     def capability_n(self, supply_v: float | None = None) -> FloatArray:

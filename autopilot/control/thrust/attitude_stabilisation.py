@@ -1,12 +1,12 @@
-"""Roll and pitch of a vehicle whose thrusters can push them: held level by an inner loop from the AHRS.
+"""Stabilisation of roll and pitch for vehicles whose thrusters can produce these moments: an inner loop on the AHRS.
 
-The controller steers surge, sway, heave and yaw and knows nothing of tilt. Where thrusters push below or above the
-centre of gravity its thrust tilts the vehicle; a heavy frame's righting moment is small against that. This loop adds
-thrust that makes a moment about roll and pitch and no force or moment in the four controlled axes: what the
-controller's own thrust would tilt by is cancelled at once, what is left is damped and turned back.
+The controller commands surge, sway, heave and yaw only. Thrusters above or below the centre of gravity couple into
+roll and pitch, and the restoring moment of a heavy frame is small. This loop adds thrust in the null space of the four
+controlled axes that produces roll and pitch moments: feedforward cancels the coupling of the controller's thrust, PD
+feedback levels the vehicle.
 
-The moments belong to inertia I and natural frequency w: M = -I (w^2 angle + 2 w rate) - tilt by thrust. The share of
-each thruster that this may take (:meth:`AttitudeStabilizer.reserve_n`) is not the controller's.
+M = -I (w^2 angle + 2 w rate) - coupling, with inertia I and natural frequency w (critically damped). The thrust
+reserved for it (:meth:`AttitudeStabilizer.reserve_n`) is not available to the controller.
 """
 
 import math
@@ -44,10 +44,10 @@ class AttitudeStabilizer:
         """Which way each turned last."""
 
     def reserve_n(self, limit_n: FloatArray) -> FloatArray:
-        """(n,) what of ``limit_n`` (n,), 0 for a dead thruster, is kept from the controller.
+        """(n,) part of ``limit_n`` (n,) [N], 0 for a failed thruster, that is reserved.
 
-        As much as cancels the tilt of all others at their limits, at most :data:`ATTITUDE_STABILISATION.most` of the
-        thruster's own.
+        Enough to cancel the roll and pitch moment of all others at their limits, at most
+        :data:`ATTITUDE_STABILISATION.most` of the thruster's own limit.
         """
         if not self.given:
             return np.zeros_like(limit_n)
@@ -60,8 +60,9 @@ class AttitudeStabilizer:
     def thrust_n(
         self, wanted_n: FloatArray, limit_n: FloatArray, rpy_rad: FloatArray, rate_frd_rad_s: FloatArray
     ) -> FloatArray:
-        """(n,) the controller's thrust ``wanted_n`` with that of levelling added, within ``limit_n``; when there is no
-        room for all of it as much as leaves the four controlled axes alone."""
+        """(n,) ``wanted_n`` plus the stabilising thrust, within ``limit_n`` [N]; at saturation the stabilising part is
+        scaled so that the four controlled axes are unaffected.
+        """
         ways = self._ways_of(limit_n) if self.given else None
         if ways is None or not ways.any():
             return wanted_n
@@ -82,8 +83,9 @@ class AttitudeStabilizer:
         return result
 
     def _unturned(self, wanted_n: FloatArray, more_n: FloatArray, result: FloatArray) -> FloatArray:
-        """(n,) with less of ``more_n`` (n,), so that it turns no thruster round for next to nothing: one that would be
-        rests, or does what the controller wants, which knows by itself what is worth it."""
+        """(n,) with ``more_n`` (n,) reduced where it would reverse a thruster within the dead band: that one is set to
+        zero or to the controller's thrust, which has its own dead band.
+        """
         for _ in more_n:
             back = (result * self._turned < 0.0) & (np.abs(result) < self._least_n) & (wanted_n * more_n <= 0.0)
             back &= (np.abs(result) > ATTITUDE_STABILISATION.small) & (result * more_n > 0.0)
@@ -94,14 +96,16 @@ class AttitudeStabilizer:
         return result
 
     def _ways_of(self, limit_n: FloatArray) -> FloatArray:
-        """(n, 2) thrust for 1 N m about roll and pitch by the thrusters that are alive; 0 for what they cannot push."""
+        """(n, 2) thrust for 1 N m about roll and pitch by the available thrusters; 0 for moments that they cannot
+        produce.
+        """
         key = (limit_n > 0.0).tobytes()
         if key not in self._ways:
             self._ways[key] = self._found(limit_n > 0.0) if self.given else np.zeros((len(limit_n), 2))
         return self._ways[key]
 
     def _found(self, alive: np.ndarray) -> FloatArray:
-        """By least squares: a tilt that comes only with another axis is left alone."""
+        """Least-squares solution; a tilt that needs force in another axis is not controlled."""
         ways = np.zeros((len(alive), 2))
         pushed = np.vstack([self._controlled, self._tilt]) * alive
         inverse = np.linalg.pinv(pushed, rcond=ATTITUDE_STABILISATION.small)

@@ -1,7 +1,8 @@
-"""Thrust without a position: a pilot's forces, the heading by the AHRS, the depth by the pressure sensor.
+"""Manual control without a position: forces from the pilot, heading hold by the AHRS, depth hold by the pressure
+sensor.
 
-What it does not know it does not hold: no fence, no limit of speed. Trim for the vehicle's buoyancy is part of neutral
-sticks, so that letting go does not make it rise.
+Unmeasured quantities are not controlled: no fence, no speed limit. Neutral sticks include the trim for the vehicle's
+buoyancy, so that it does not rise when they are released.
 """
 
 import math
@@ -17,8 +18,6 @@ from autopilot.core.frames import FloatArray, wrap_pi
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class ByHand:
-    """What is asked for."""
-
     force: FloatArray
     """(4,) X, Y, Z [N] and N [N m]."""
     yaw_rate_rad_s: float | None = None
@@ -29,7 +28,7 @@ class ByHand:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PositionlessState:
-    """What is known without a position; None = not (any more)."""
+    """Measurements available without a position; None = not available."""
 
     yaw_rad: float | None = None
     yaw_rate_rad_s: float = 0.0
@@ -45,7 +44,6 @@ class HandLaw:
         self.release()
 
     def release(self) -> None:
-        """Somebody else has the thrusters."""
         self._last_us: int | None = None
         self._yaw_rad: float | None = None
         self._depth_m: float | None = None
@@ -56,7 +54,7 @@ class HandLaw:
     def thrust_n(
         self, t_us: int, wish: ByHand, felt: PositionlessState, limit_n: FloatArray, now_n: FloatArray
     ) -> FloatArray:
-        """(n,) within ``limit_n``; ``now_n`` (n,) is what is commanded at the moment this begins."""
+        """(n,) thrust within ``limit_n`` [N]; ``now_n`` (n,) is the command at the start of this mode."""
         if self._last_us is None:
             self._last_us, self._thrust_n = t_us, np.array(now_n, dtype=float)
         elapsed_s = min(max((t_us - self._last_us) * 1e-6, 0.0), 0.1)
@@ -73,7 +71,7 @@ class HandLaw:
         return self._thrust_n.copy()
 
     def _moment(self, wish_rad_s: float, yaw_rad: float, rate_rad_s: float) -> float:
-        """Of the heading that is held, or of the turn that is asked for."""
+        """Yaw moment [N m] of heading hold or commanded yaw rate."""
         model = self._allocator.model
         if wish_rad_s or self._yaw_rad is None:
             self._yaw_rad = yaw_rad
@@ -84,7 +82,7 @@ class HandLaw:
         return drag + model.mass_kg[3] * BY_HAND.yaw_rate_gain_1_s * (turn - rate_rad_s)
 
     def _heave_n(self, wish_m_s: float, depth_m: float, elapsed_s: float, limit_n: FloatArray) -> float:
-        """Of the depth that is held, or of the rate that is asked for."""
+        """Heave force [N] of depth hold or commanded rate."""
         model = self._allocator.model
         if wish_m_s or self._depth_m is None:
             self._depth_m = depth_m

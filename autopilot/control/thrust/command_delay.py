@@ -1,4 +1,4 @@
-"""What the service knows of late commands: the delay that is found, and what acts of what was commanded."""
+"""Command latency in use: the estimated delay, and the part of past commands that acts now."""
 
 import math
 from collections import deque
@@ -22,7 +22,7 @@ SETTLE_S = 4.0
 
 
 class CommandDelay:
-    """Finds the delay of commands while armed (LAT_DETECT) and keeps the pulses that are under way."""
+    """Estimates the command latency while armed (LAT_DETECT) and holds the pulses that have not acted yet."""
 
     def __init__(self, vehicle: Vehicle, params: ParamSet) -> None:
         self._params = params
@@ -39,11 +39,13 @@ class CommandDelay:
 
     @property
     def prompt(self) -> bool:
-        """Whether commands act at once, as far as is known."""
+        """Whether the estimated latency is zero."""
         return self.delay_s == 0.0 and not self.doubtful
 
     def send(self, t_us: int, pulse_n: FloatArray) -> FloatArray:
-        """What acts now (n,). ``pulse_n`` (n,): what sound thrusters would give with the pulses since the last call."""
+        """(n,) thrust that acts now [N]. ``pulse_n`` (n,): thrust of healthy thrusters for the pulses since the last
+        call.
+        """
         self._sent.append((t_us, pulse_n))
         while self._sent[0][0] < t_us - self._kept_us:
             self._sent.popleft()

@@ -1,10 +1,9 @@
-"""Looks at the motion: ten times per second, what thrust and pushes have to explain, and how each could.
+"""Filtered equations of motion, ten times per second: the regressors for thruster faults and model errors.
 
-Everything that the 4-DoF model says of a motion, and everything that may be wrong with it, passes the same
-first-order filter of time constant T, so that nothing is differentiated: the filtered acceleration is
-(nu - filtered nu) / T. A look holds the filtered acceleration that the model without thrust does not explain, the
-filtered thrust, and the filtered derivatives of the model with respect to what it may not know: drag, Coriolis and
-Munk terms, the water's velocity.
+Each term of the 4-DoF model and each of its possible errors passes the same first-order filter of time constant T,
+which avoids differentiation: the filtered acceleration is (nu - filtered nu) / T. An update holds the filtered
+acceleration that the model without thrust does not explain, the filtered thrust, and the filtered derivatives of the
+model with respect to its uncertain parameters: drag, Coriolis and Munk terms, the current.
 """
 
 import math
@@ -23,31 +22,31 @@ class FilteredMotion:
     """Filtered accelerations, axes surge, sway, heave [m/s^2] and yaw [rad/s^2]."""
 
     dt_s: float
-    """Since the last look."""
+    """Time since the last update."""
     residual: FloatArray
-    """(4,) what the model without thrust leaves to be explained."""
+    """(4,) residual of the model without thrust."""
     thrust_n: FloatArray
     """(n,) of sound thrusters, lag included."""
     thrust_rate_n_s: FloatArray
     """(n,) its rate of change."""
     drag: FloatArray
-    """(4,) what drag makes."""
+    """(4,) acceleration by drag."""
     coriolis: FloatArray
-    """(3,) what added mass makes of turning (surge, sway) and of drifting (the Munk moment)."""
+    """(3,) Coriolis terms of added mass (surge, sway) and Munk moment (yaw)."""
     flow: FloatArray
     """(4, 2) derivative with respect to the water's velocity north and east [1/s, 1/(m s)]."""
     north: FloatArray
     """(2,) cosine and sine of the heading."""
     moved_ned_m_s: FloatArray
-    """(2,) by so much the current that the model goes by has changed since the last look."""
+    """(2,) change of the model's current since the last update."""
     tilt: FloatArray
     """(2, 3) roll and pitch: their acceleration [rad/s^2], the sine of the angle and its rate [rad/s]."""
     swing: FloatArray
-    """(4,) what rolling and pitching make of the velocity, which the 4-DoF model does not know."""
+    """(4,) change of the velocity by roll and pitch, absent in the 4-DoF model."""
 
 
 class MotionFilter:
-    """Makes looks of estimates and thrust. :meth:`step` at every tick."""
+    """Updates from estimates and thrust. :meth:`step` at every tick."""
 
     def __init__(
         self, model: Model4, response: Response, *, filter_s: float, interval_s: float, current_s: float
@@ -65,7 +64,7 @@ class MotionFilter:
         self._known = False
 
     def forget(self) -> None:
-        """The motion so far says nothing about the next; the current is kept."""
+        """Reset the filters of the motion; the current is kept."""
         self._t_us: int | None = None
         self._acting = [0.0] * self._model.thrusters
         self._filtered: FloatArray = np.zeros(0)
@@ -73,7 +72,7 @@ class MotionFilter:
         self._moved = (0.0, 0.0)
 
     def step(self, t_us: int, nav: NavState, thrust_n: FloatArray) -> FilteredMotion | None:
-        """``thrust_n`` (n,) is what sound thrusters would settle at with the pulses since the last call [N]."""
+        """``thrust_n`` (n,): steady thrust of healthy thrusters for the pulses since the last call [N]."""
         if not self._known:
             self._current = (float(nav.current_ned_m_s[0]), float(nav.current_ned_m_s[1]))
             self._known = True

@@ -1,25 +1,24 @@
-"""Which thruster explains the motion better by being lossy: a bank of Kalman filters and the evidence between them.
+"""Thruster fault detection and isolation by a bank of Kalman filters and their likelihood ratios.
 
-Filter 0 believes that the thrusters are as they have been declared. Filter 1 takes all of them for unknown: its
-standard deviations say what can be seen of a thruster at all. Every other filter is a story: one thruster changed
-when the story began, a sound one lost half of its thrust or nearly all, a lossy one is sound again.
+Filter 0 assumes that the effectiveness of each thruster is as declared. Filter 1 takes all of them as unknown; its
+standard deviations show how well each thruster is observable. Every other filter is a hypothesis: one thruster changed
+at the hypothesis' start, a healthy one to half or almost no thrust, a faulty one back to healthy.
 
-All of them estimate beside the effectiveness e of the thrusters what else may explain the motion, each with the
-spread that vehicles and waters have: thrust over mass and drag over mass of each axis, Coriolis and Munk terms, the
-lag, the arm of thrust to the side, a steady force from a fixed direction (a tether), a moment, the water's velocity,
-and pushes that last a second or two. A mistake of the model, a tug and a gust are therefore no loss: it is declared
-only where it is by far the likelier story.
+Beside the effectiveness e all of them estimate the other causes of the motion, each with a prior of realistic spread:
+thrust over mass and drag over mass of each axis, Coriolis and Munk terms, the lag, the lateral arm of the thrust, a
+steady force from a fixed direction (tether), a moment, the current, and disturbances of a second or two. Model errors,
+tugs and gusts are therefore not declared as faults: a fault has to be by far the more likely hypothesis.
 
-The water's velocity stands there twice, for drag and for the Munk moment. They feel the same water, but what the moment
-makes of an error of it is the product of two unknowns: a vehicle whose masses are 15 % from its file has a Munk moment
-of twice the file's. With one water for both, a current that is wrong by 0.1 m/s turns such a hull by what only a lost
-thruster can explain; with two that know nothing of each other, the Munk moment hides half a thruster. So they are two
-that go together as far as the masses do (``Beliefs.munk``). Filters that multiply the two come to
-rest in different wrong places.
+The current appears twice, in the drag and in the Munk moment. Both depend on the same water, but the effect of its
+error on the moment is a product of two unknowns: a vehicle whose masses are 15 % from its file has a Munk moment of
+twice the file's. With one current for both, an error of 0.1 m/s turns such a hull by an amount that only a thruster
+fault can explain; with two independent ones, the Munk moment hides half a thruster. They are therefore two states,
+correlated as far as the masses are known (``Beliefs.munk``). Filters that multiply the two converge to wrong
+equilibria.
 
-The evidence for a story over filter 0 is the sum of their log-likelihood ratios since it began (a generalised
-likelihood ratio test with the size of the change estimated: Willsky and Jones 1976). Each thruster has a few stories
-that began at different times; every other second the one that is believed least begins anew.
+The evidence for a hypothesis over filter 0 is the sum of their log-likelihood ratios since its start (generalised
+likelihood ratio test with estimated size of the change: Willsky and Jones 1976). Each thruster has a few hypotheses
+with different starts; every other second the least likely one is restarted.
 """
 
 import math
@@ -35,7 +34,7 @@ from autopilot.core.model4 import Model4
 
 
 class StateLayout:
-    """Where the states of a vehicle with ``n`` thrusters stand."""
+    """Indices of the states for ``n`` thrusters."""
 
     def __init__(self, n: int) -> None:
         self.e = slice(0, n)
@@ -67,7 +66,7 @@ class StateLayout:
         self.stories = np.arange(2, self.filters)
         """Their filters."""
         self.told_of = np.repeat(np.arange(n), LOSS_BANK.each)
-        """(n EACH,) thruster that a story tells of."""
+        """(n EACH,) thruster of each hypothesis."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -75,9 +74,9 @@ class Beliefs:
     """Standard deviations, axes surge, sway, heave [m/s^2] and yaw [rad/s^2]."""
 
     noise: tuple[float, float, float, float] = (0.008, 0.008, 0.008, 0.04)
-    """Of one look: estimate and model, looks ``independent_s`` apart being independent."""
+    """Of one update: estimate and model; updates ``independent_s`` apart are independent."""
     noise_share: float = 0.04
-    """Of the thrust's acceleration: lag, deadband and supply are not known better."""
+    """Relative error of the thrust's acceleration by lag, dead band and supply voltage."""
     independent_s: float = 0.3
     """Looks so far apart share no noise."""
     sound: float = 0.05
@@ -95,7 +94,7 @@ class Beliefs:
     common: float = 0.15
     """Errors of the thrust constant, of all thrusters alike."""
     least_gain: float = -0.45
-    """Smallest error of an axis in all: 0.3 less thrust and 0.2 more mass. What is less is a loss."""
+    """Smallest total error of an axis: 0.3 less thrust and 0.2 more mass. Below that it is a fault."""
     gain_wander: float = 0.003
     """Per square root of a second."""
     drag: float = 0.3
@@ -103,44 +102,42 @@ class Beliefs:
     turn: tuple[float, float, float] = (0.25, 0.25, 0.5)
     """Share of the Coriolis terms and of the Munk moment, a difference of masses."""
     arm: float = 0.1
-    """What thrust to the side turns [rad/s^2 per N]: an arm of some cm is not in T_A."""
+    """Yaw by lateral thrust [rad/s^2 per N]: an arm of some cm is not in T_A."""
     lag_s: float = 0.06
     """Of the thrusters and of what is measured."""
     pull_n: float = 1.0
     """Force from a fixed direction: a tether."""
     pull_s: float = 20.0
-    """It turns within this time."""
+    """Correlation time of its direction."""
     moment: float = 0.2
-    """What turns the hull besides, [rad/s^2]."""
+    """Yaw disturbance [rad/s^2]."""
     moment_s: float = 3.0
-    """It is another within this time."""
+    """Correlation time."""
     flow_m_s: float = 0.12
-    """The water's velocity against the estimated current, as drag feels it: explains what a lost thruster does not."""
+    """Error of the estimated current in the drag: separates it from a thruster fault."""
     flow_hit_m_s: float = 0.3
-    """The same after a collision: the estimator has taken what held the hull for water."""
+    """The same after a collision: the estimated current contains the contact force."""
     flow_s: float = 6.0
-    """It is another within this time."""
+    """Correlation time."""
     munk: tuple[float, float] = (1.5, 0.8)
     """Munk moment as a multiple of the file's, mean and standard deviation: so much more of the water it feels."""
     push: tuple[float, float, float, float] = (0.02, 0.02, 0.02, 0.07)
-    """What nobody knows."""
+    """Unmodelled disturbance of each axis [m/s^2, rad/s^2]."""
     push_s: float = 1.5
-    """It is another within this time."""
+    """Correlation time."""
     gate: float = 20.0
-    """Squared distance (4 axes) from all filters beyond which a look tells of a collision, not of thrusters."""
+    """Squared Mahalanobis distance (4 axes) from all filters above which an update is a collision."""
     begin_s: float = 2.0
-    """A new story of each thruster so often."""
+    """Interval of new hypotheses of each thruster."""
     grown_s: float = 3.0
-    """So long a story is listened to."""
+    """Age from which a hypothesis may be restarted."""
     most: tuple[float, float] = (1.0, 0.4)
-    """Evidence of one look at most, against and for a story [nats]: what one tug tells is not enough."""
+    """Largest evidence of one update, against and for a hypothesis [nats]: one tug is not enough."""
     most_evidence: float = 40.0
     """Evidence in all at most."""
 
 
 class Memory(NamedTuple):
-    """What a bank knows."""
-
     x: FloatArray
     p: FloatArray
     evidence: FloatArray
@@ -166,14 +163,14 @@ class LossBank:
         self.reset()
 
     def reset(self) -> None:
-        """All thrusters are sound, nothing is known."""
+        """All thrusters healthy, initial covariance."""
         self.lossy = (False,) * self._n
-        """What filter 0 believes."""
+        """Effectiveness assumed by filter 0."""
         self._x, self._p = self._prior()
         self._begin_all()
 
     def doubt(self) -> None:
-        """What was known of the vehicle does not hold any more; what was declared stays."""
+        """Reset the estimates of the vehicle; declared faults are kept."""
         x, p = self._prior()
         lossy = np.flatnonzero(self.lossy)
         x[0, lossy], p[0, lossy, lossy] = self._x[0, lossy], self._p[0, lossy, lossy]
@@ -181,7 +178,6 @@ class LossBank:
         self._begin_all()
 
     def _prior(self) -> tuple[FloatArray, FloatArray]:
-        """States and covariances when nothing is known."""
         b, at = self._beliefs, self._at
         x = np.zeros(at.size)
         x[at.e] = 1.0
@@ -196,12 +192,12 @@ class LossBank:
 
     @property
     def evidence(self) -> FloatArray:
-        """(n,) for a change of each thruster: of its best story [nats]."""
+        """(n,) log-likelihood ratio [nats] of the best hypothesis of each thruster over filter 0."""
         result: FloatArray = self._evidence.reshape(self._n, LOSS_BANK.each).max(axis=1)
         return result
 
     def _best(self) -> FloatArray:
-        """(n,) filters of the best stories."""
+        """(n,) filters of the best hypotheses."""
         best: FloatArray = (
             2 + LOSS_BANK.each * np.arange(self._n) + self._evidence.reshape(self._n, LOSS_BANK.each).argmax(axis=1)
         )
@@ -215,18 +211,18 @@ class LossBank:
 
     @property
     def declared(self) -> tuple[FloatArray, FloatArray]:
-        """(n,) effectiveness as filter 0 has it, and its standard deviation: what a lossy thruster gives."""
+        """(n,) effectiveness and its standard deviation in filter 0: that of faulty thrusters as declared."""
         at = self._at
         return self._x[0, at.e].copy(), np.sqrt(np.diag(self._p[0])[at.e])
 
     @property
     def free(self) -> tuple[FloatArray, FloatArray]:
-        """(n,) effectiveness of all thrusters without any belief, and its standard deviation: what can be seen."""
+        """(n,) effectiveness and its standard deviation in filter 1 (no prior): observability of each thruster."""
         at = self._at
         return self._x[LOSS_BANK.free, at.e].copy(), np.sqrt(np.diag(self._p[LOSS_BANK.free])[at.e])
 
     def sum_sigma(self, redundant: np.ndarray) -> FloatArray:
-        """(n,) standard deviation of what each thruster and its ``twins`` (n, n) give together, without any belief."""
+        """(n,) standard deviation of the total of each thruster and its ``twins`` (n, n), in filter 1."""
         of_e = self._p[LOSS_BANK.free][self._at.e, self._at.e]
         together = redundant.astype(float)
         result: FloatArray = np.sqrt(np.einsum("ij,jk,ik->i", together, of_e, together))
@@ -234,28 +230,27 @@ class LossBank:
 
     @property
     def memory(self) -> Memory:
-        """All that is known; nothing of it changes any more."""
+        """A snapshot of the bank, immutable."""
         return Memory(self._x, self._p, self._evidence, self._age_s, self._since_s, self.lossy)
 
     def recall(self, memory: Memory) -> None:
-        """Know only what was known then."""
         self._x, self._p, self._evidence, self._age_s, self._since_s, self.lossy = memory
 
     def accept(self, thruster: int) -> None:
-        """Filter 0 believes from now on what the best story of this thruster tells."""
+        """Replace filter 0 by the best hypothesis of this thruster."""
         best = int(self._best()[thruster])
         self._x, self._p = self._x.copy(), self._p.copy()
         self._x[0], self._p[0] = self._x[best], self._p[best]
         self._turn(thruster)
 
     def clear(self, thruster: int) -> None:
-        """Filter 0 believes from now on that the lossy thruster is sound."""
+        """Set the faulty thruster to healthy in filter 0."""
         self._x, self._p = self._x.copy(), self._p.copy()
         self._set(0, thruster, 1.0, self._beliefs.sound)
         self._turn(thruster)
 
     def swap(self, thruster: int, other: int) -> None:
-        """Filter 0 believes from now on that it is the other one of two that do the same which is lossy."""
+        """Exchange the faulty thruster with its redundant one in filter 0."""
         order = np.arange(self._at.size)
         order[[thruster, other]] = other, thruster
         self._x, self._p = self._x.copy(), self._p.copy()
@@ -270,7 +265,7 @@ class LossBank:
         self._begin_all()
 
     def forget_motion(self, *, hit: bool = False) -> None:
-        """What changes within seconds is not known any more; what ``hit`` the hull is in the estimated current."""
+        """Reset the fast states; after a collision (``hit``) also the current, whose estimate contains it."""
         at = self._at
         self._x, self._p = self._x.copy(), self._p.copy()
         self._x[:, at.motion] = 0.0
@@ -282,9 +277,11 @@ class LossBank:
             self._begin_all()
 
     def look(self, look: FilteredMotion, *, heave: bool, learn: bool) -> bool:
-        """Learn from a look, unless ``learn`` is false; False if no filter explains it: then nothing is learned.
+        """Measurement update, without learning if ``learn`` is false. False if no filter explains it: nothing is
+        changed then.
 
-        ``heave``: whether its third axis says anything (not at the surface)."""
+        ``heave``: whether the third axis is valid (not at the surface).
+        """
         b, at = self._beliefs, self._at
         self._predict(look)
         pull = self._pull(look)
@@ -312,14 +309,14 @@ class LossBank:
         return explained
 
     def _shrink(self, gain: FloatArray, cross: FloatArray) -> None:
-        """The covariances after a look, in place: they are a predicted look's, which nobody else has."""
+        """Covariances after an update, in place: they belong to the predicted ones, which nothing else uses."""
         p, work = self._p, self._work
         p -= np.matmul(gain, cross, out=work)
         np.add(p, p.transpose(0, 2, 1), out=work)
         np.multiply(work, 0.5, out=p)
 
     def _weigh(self, told: FloatArray, dt_s: float) -> None:
-        """Evidence of a look from the log-likelihoods (n,); stories begin in their time."""
+        """Add the log-likelihoods (n,) of an update to the evidence; restart hypotheses on schedule."""
         b, at = self._beliefs, self._at
         gained = np.clip(told[at.stories] - told[0], -b.most[0], b.most[1])
         self._evidence = np.minimum(self._evidence + gained, b.most_evidence)
@@ -330,14 +327,14 @@ class LossBank:
             self._begin_worst()
 
     def _begin_all(self) -> None:
-        """All stories anew; of those that begin at the same time the first is the best."""
+        """Restart all hypotheses; of those with equal start the first counts as the best."""
         self._evidence, self._age_s = np.zeros(len(self._at.stories)), np.zeros(len(self._at.stories))
         self._since_s = 0.0
         for story in range(len(self._at.stories)):
             self._begin(story)
 
     def _begin_worst(self) -> None:
-        """Of the stories of each thruster and each loss the one that is believed least begins anew, if it is grown."""
+        """Restart the least likely hypothesis of each thruster and each size of loss, if it is old enough."""
         grown = self._age_s >= self._beliefs.grown_s
         believed = np.where(grown, self._evidence, np.inf).reshape(self._n, LOSS_BANK.each // 2, 2)
         worst = LOSS_BANK.each * np.arange(self._n)[:, None] + 2 * believed.argmin(axis=1) + np.arange(2)
@@ -347,7 +344,7 @@ class LossBank:
                 self._begin(int(story))
 
     def _begin(self, story: int) -> None:
-        """A story anew: filter 0, with a change of its thruster now."""
+        """Restart a hypothesis: filter 0 with a change of its thruster now."""
         b, at = self._beliefs, self._at
         thruster = int(at.told_of[story])
         mean, sigma = (1.0, b.sound) if self.lossy[thruster] else (b.half, b.dead)[story % 2]
@@ -357,7 +354,7 @@ class LossBank:
         self._evidence[story] = self._age_s[story] = 0.0
 
     def _set(self, which: int, thruster: int, mean: float, sigma: float) -> None:
-        """Filter ``which`` knows so much of the thruster and no more."""
+        """Set the thruster's mean and variance in filter ``which``, without correlations."""
         self._x[which, thruster] = mean
         self._p[which, thruster, :] = self._p[which, :, thruster] = 0.0
         self._p[which, thruster, thruster] = sigma**2
@@ -371,7 +368,7 @@ class LossBank:
         return covariance
 
     def _waters(self, sigma_m_s: float) -> FloatArray:
-        """(n, n) covariance of an error of the water's velocity, of what drag and the Munk moment feel of it."""
+        """(n, n) covariance of the current's error in drag and in the Munk moment."""
         at, (mean, sigma) = self._at, self._beliefs.munk
         waters = np.zeros((at.size, at.size))
         waters[at.flow, at.flow] = np.eye(2) * sigma_m_s**2
@@ -416,7 +413,7 @@ class LossBank:
         return result
 
     def _derivatives(self, look: FilteredMotion, pull: FloatArray) -> FloatArray:
-        """(n, 4, states) of what is expected."""
+        """(n, 4, states) Jacobian of the predicted measurement."""
         x, at = self._x, self._at
         h = np.zeros((len(x), 4, at.size))
         axes = np.arange(4)
@@ -438,7 +435,7 @@ class LossBank:
         return h
 
     def _gain(self) -> FloatArray:
-        """(n, 4) thrust over mass of each axis, 1 = as the vehicle file says."""
+        """(n, 4) thrust over mass of each axis relative to the vehicle file."""
         at = self._at
         gain: FloatArray = 1.0 + self._x[:, at.gain] + self._x[:, at.common, None]
         return gain

@@ -1,4 +1,4 @@
-"""What the service knows of its thrusters: told and found losses, the thrust that is left, and what it still allows."""
+"""Thruster faults in use: declared and detected losses, the remaining thrust, and the modes that it still permits."""
 
 import numpy as np
 
@@ -14,7 +14,7 @@ from autopilot.core.vehicle import Vehicle
 
 
 class ThrusterLosses:
-    """Combines what operators tell (THRn_HEALTH) with what is found (THR_DETECT), the smaller counts."""
+    """Combines declared losses (THRn_HEALTH) with detected ones (THR_DETECT); the smaller effectiveness is used."""
 
     def __init__(self, vehicle: Vehicle, params: ParamSet) -> None:
         self._names = tuple(thruster.name for thruster in vehicle.thrusters)
@@ -28,17 +28,17 @@ class ThrusterLosses:
         )
         self._ticks = 0
         self._known: tuple[list[float], FloatArray] | None = None
-        """What is told and what is found, of the last look."""
+        """Declared and detected effectiveness at the last update."""
         self._revision = -1
-        """Of the parameters at the last look."""
+        """Of the parameters at the last update."""
         self.share = np.ones(len(self._names))
         """(n,) effectiveness that bounds and allocation go by; dead thrusters have 0. Another array when it changes."""
         self.shares = (1.0,) * len(self._names)
         """The same."""
         self.problem = ""
-        """What the thrusters that are left do not allow, "" while the vehicle can stay where it is."""
+        """Lost capability, "" while the vehicle can keep its position."""
         self.doubtful: tuple[tuple[str, ...], ...] = ()
-        """Thrusters that do the same of which one is lossy, nobody knows which."""
+        """Redundant thrusters with a fault that is not isolated."""
         self.unseen: tuple[str, ...] = ()
         """Thrusters that have been asked for too little so far: the loss of half of one would not show."""
 
@@ -52,10 +52,10 @@ class ThrusterLosses:
         *,
         armed: bool,
     ) -> ThrusterHealthState | None:
-        """``pulse_n`` (n,) is what sound thrusters would give with the pulses since the last call.
+        """``pulse_n`` (n,): thrust of healthy thrusters for the pulses since the last call [N].
 
-        ``capability_n`` (4,) is what sound ones can give, ``goal`` where the vehicle is to be. The result is
-        for the log: at times, and when something changes.
+        ``capability_n`` (4,): attainable force of healthy ones, ``goal``: position of the vehicle's goal. Returns a
+        record for the log, periodically and on changes.
         """
         self._find(t_us, nav, pulse_n, armed)
         changed = self._look()
@@ -86,7 +86,7 @@ class ThrusterLosses:
         before = self.share
         found, doubts = found.copy(), [list(redundant) for redundant in self._health.doubtful]
         for redundant in doubts:
-            # What is told of one of them is what was found of all.
+            # A declared loss of one of them explains the detected loss of all.
             if (
                 min(said[redundant_one] for redundant_one in redundant)
                 < lossy_share(found[redundant].tolist()) + LOSSES.same_loss

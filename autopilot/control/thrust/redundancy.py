@@ -1,15 +1,15 @@
-"""Thrusters that do the same in surge, sway, heave and yaw, and which of them it is that lost its thrust.
+"""Fault isolation among redundant thrusters: those with equal columns in the 4-DoF allocation matrix.
 
-The two verticals of a BlueROV2 have the same column in the 4-DoF model: the motion along its axes tells that one of
-them gives nothing, and never which. Such thrusters are twins. What tells them apart is the tilt: one pushes to
-starboard of the centre of gravity, the other to port. The righting moment, the trim and the damping about roll and
-pitch are not in a vehicle file, so they are fitted together with the loss, over some ten seconds before and after it:
+The two verticals of a BlueROV2 have the same column: the motion in the four axes shows that one of them has failed,
+but not which. The tilt isolates it: one pushes to starboard of the centre of gravity, the other to port. Restoring
+moment, trim and damping in roll and pitch are not in a vehicle file; they are fitted together with the loss, over some
+ten seconds before and after it:
 
-    rate of roll = g (sum of arm x thrust) - l (arm x thrust of the one that is suspected, since the loss)
-                   + k sin(roll) + d (roll rate) + b
+    roll rate = g (sum of arm x thrust) - l (arm x thrust of the suspect, since the loss)
+                + k sin(roll) + d (roll rate) + b
 
-The evidence for a suspect is the likelihood of what was seen under it, all that is fitted integrated out. It only
-chooses among twins; that there is a loss at all is not its to say.
+The evidence for a suspect is the marginal likelihood of the data, all fitted parameters integrated out. It only
+selects among redundant thrusters; detection is left to :mod:`autopilot.control.thrust.loss_bank`.
 """
 
 from collections import deque
@@ -25,7 +25,7 @@ from autopilot.core.thrusters import wrench_matrix
 from autopilot.core.vehicle import Vehicle
 
 BEGUN_S = np.arange(0.5, 25.0, 1.0)
-"""So long before it is declared a loss may have begun; the likeliest of these counts."""
+"""Possible starts of a loss before its declaration; the most likely one counts."""
 
 MEANS = np.array([0.75, 1.0, -5.0, -1.0, 0.0])
 SPREADS = np.array([0.4, 0.5, 10.0, 5.0, 3.0])
@@ -33,7 +33,7 @@ SPREADS = np.array([0.4, 0.5, 10.0, 5.0, 3.0])
 
 
 def alike(model: Model4) -> np.ndarray:
-    """(n, n) bool, whether thrusters are twins; each is its own. Those that push against each other can be twins."""
+    """(n, n) bool, pairs of redundant thrusters, diagonal included; columns of opposite sign count."""
     columns = np.array(model.allocation) / np.sqrt(np.array(model.mass_kg))[:, None]
     columns = columns / np.linalg.norm(columns, axis=0)
     sines = np.sqrt(np.maximum(1.0 - np.square(columns.T @ columns), 0.0))
@@ -42,8 +42,9 @@ def alike(model: Model4) -> np.ndarray:
 
 
 def tilt_of(vehicle: Vehicle) -> FloatArray:
-    """(2, n) what 1 N of each thruster accelerates roll and pitch by [rad/s^2]; the inertia is that of yaw where the
-    file has no other."""
+    """(2, n) roll and pitch acceleration per N of each thruster [rad/s^2]; with the inertia of yaw where the file has
+    no other.
+    """
     thrusters = vehicle.thrusters
     wrench = np.array(wrench_matrix([t.position_frd_m for t in thrusters], [t.direction_frd for t in thrusters]))
     yaw = vehicle.to_model().mass_kg[3]
@@ -53,12 +54,14 @@ def tilt_of(vehicle: Vehicle) -> FloatArray:
 
 
 def lossy_share(shares: Sequence[float]) -> float:
-    """What the one of several twins gives that is lossy, if they give that share each and the rest are sound."""
+    """Effectiveness of the faulty one of several redundant thrusters with that common effectiveness, the others
+    healthy.
+    """
     return max(0.0, sum(shares) - (len(shares) - 1))
 
 
 def weak_thrusters(names: Sequence[str], shares: Sequence[float], doubtful: Sequence[Sequence[str]]) -> list[str]:
-    """For a text: each that gives less than all of its thrust; of ``doubtful`` twins one does, nobody knows which."""
+    """Text: thrusters with reduced effectiveness; of ``doubtful`` redundant ones, that one of them is, not isolated."""
     share_of = dict(zip(names, shares, strict=True))
     alone = [name for name in names if share_of[name] < 1.0 and not any(name in redundant for redundant in doubtful)]
     left = [(", ".join(redundant), lossy_share([share_of[name] for name in redundant])) for redundant in doubtful]
@@ -68,23 +71,21 @@ def weak_thrusters(names: Sequence[str], shares: Sequence[float], doubtful: Sequ
 
 
 class TiltEvidence:
-    """What the tilt of the last looks says of twins. ``tilt`` (2, n) as :func:`tilt_of` has it."""
+    """Evidence among redundant thrusters from recent roll and pitch. ``tilt`` (2, n) as of :func:`tilt_of`."""
 
     def __init__(self, tilt: FloatArray) -> None:
         self._tilt = tilt
         self._looks: deque[tuple[float, FilteredMotion]] = deque(maxlen=REDUNDANCY.kept_looks)
         self.clock_s = 0.0
-        """Sum of the time of all looks."""
+        """Total time of all updates."""
         self.looks = 0
-        """So many there were."""
+        """Number of updates."""
 
     def forget(self, looks: int = REDUNDANCY.kept_looks) -> None:
-        """The last looks say nothing."""
         for _ in range(min(looks, len(self._looks))):
             self._looks.pop()
 
     def look(self, look: FilteredMotion) -> None:
-        """Remember it."""
         self.clock_s += look.dt_s
         self.looks += 1
         self._looks.append((self.clock_s, look))
@@ -94,8 +95,9 @@ class TiltEvidence:
         return bool((np.ptp(self._tilt[:, list(suspects)], axis=1) > REDUNDANCY.same_arm).any())
 
     def of(self, suspects: Sequence[int], by_s: float, others: FloatArray) -> FloatArray:
-        """(suspects,) evidence for each of them [nats], of the worst 0: it lost thrust before ``by_s`` on the clock,
-        and the rest give the share ``others`` (n,)."""
+        """(suspects,) evidence for each [nats], the worst 0: loss of thrust before the time ``by_s``, the others with
+        effectiveness ``others`` (n,).
+        """
         told, arms = np.zeros(len(suspects)), self._tilt[:, list(suspects)]
         axes = np.flatnonzero(np.ptp(arms, axis=1) > REDUNDANCY.same_arm)
         if not len(axes) or not self._looks:
@@ -118,9 +120,10 @@ class TiltEvidence:
 def _likelihoods(
     sound: FloatArray, lacking: FloatArray, begins: np.ndarray, seen: FloatArray, share: float
 ) -> FloatArray:
-    """(suspects, begins) log-likelihood of ``seen`` (m,), explained by ``sound`` (m, 4) and from the look ``begins`` on
-    by one column of ``lacking`` (m, suspects); with the noise of the best of them, of the looks the ``share`` being
-    independent."""
+    """(suspects, begins) log-likelihood of ``seen`` (m,), explained by ``sound`` (m, 4) and, from update ``begins``
+    on, by one column of ``lacking`` (m, suspects); noise from the best fit, with ``share`` the fraction of independent
+    updates.
+    """
     suspects, times = lacking.shape[1], len(begins)
     prior, rest = np.diag(1.0 / np.square(SPREADS)), seen - sound @ MEANS[1:]
 
@@ -134,7 +137,7 @@ def _likelihoods(
     gram[..., 0, 0] = squares
     gram[..., 1:, 1:] = sound.T @ sound
     gram[..., 0, 1:] = gram[..., 1:, 0] = since(lacking[:, :, None] * sound[:, None, :])
-    # What is seen beyond what is believed of everything.
+    # Right-hand side of the normal equations, relative to the prior means.
     moved = np.empty((suspects, times, 5))
     moved[..., 0] = since(lacking * rest[:, None]) - MEANS[0] * squares
     moved[..., 1:] = sound.T @ rest - MEANS[0] * gram[..., 0, 1:]

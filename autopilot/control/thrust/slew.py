@@ -1,4 +1,4 @@
-"""How fast thrust may change."""
+"""Rate limit of thrust."""
 
 import numpy as np
 

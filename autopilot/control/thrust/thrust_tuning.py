@@ -1,11 +1,11 @@
-"""Tuned numbers of thrust, its losses and delays, by module."""
+"""Constants of thrust, thruster faults and latency, by module."""
 
 from dataclasses import dataclass
 
 
 @dataclass(frozen=True, slots=True)
 class ByHandTuning:
-    """Of :mod:`autopilot.control.thrust.by_hand`."""
+    """Constants of :mod:`autopilot.control.thrust.by_hand`."""
 
     yaw_gain_1_s: float = 1.2
     yaw_rate_gain_1_s: float = 3.0
@@ -15,7 +15,7 @@ class ByHandTuning:
     """Cascades: error to rate, rate to acceleration; the trim takes up buoyancy that the vehicle file does not know."""
     yaw_rate_limit_rad_s: float = 0.4
     heave_limit_m_s: float = 0.15
-    """Of the way back to what is held."""
+    """Of the return to the held value."""
     trim_share: float = 0.5
     """Share of the vertical thrust that the trim may use."""
     depth_rate_s: float = 0.3
@@ -31,7 +31,7 @@ BY_HAND = ByHandTuning()
 
 @dataclass(frozen=True, slots=True)
 class AttitudeStabilisationTuning:
-    """Of :mod:`autopilot.control.thrust.attitude_stabilisation`."""
+    """Constants of :mod:`autopilot.control.thrust.attitude_stabilisation`."""
 
     most: float = 0.5
     """At most this share of a thruster's limit is kept for levelling."""
@@ -47,14 +47,14 @@ ATTITUDE_STABILISATION = AttitudeStabilisationTuning()
 
 @dataclass(frozen=True, slots=True)
 class LossBankTuning:
-    """Of :mod:`autopilot.control.thrust.loss_bank`."""
+    """Constants of :mod:`autopilot.control.thrust.loss_bank`."""
 
     free: int = 1
     """The filter to which all thrusters are unknown."""
     each: int = 6
     """Stories per thruster, one half of half a thruster, the other of a dead one."""
     unseen: float = 1e6
-    """Variance of an axis that says nothing."""
+    """Variance of an invalid axis."""
 
 
 LOSS_BANK = LossBankTuning()
@@ -62,14 +62,14 @@ LOSS_BANK = LossBankTuning()
 
 @dataclass(frozen=True, slots=True)
 class LossesTuning:
-    """Of :mod:`autopilot.control.thrust.losses`."""
+    """Constants of :mod:`autopilot.control.thrust.losses`."""
 
     report_every_ticks: int = 50
-    """Twice per second: for the log, and to look anew at what the thrusters allow."""
+    """Twice per second: for the log, and to re-evaluate the capability."""
     submerged: float = 1.5
-    """Above so many half heights of the hull below the surface heave tells nothing of what pushes down."""
+    """Depth in half heights of the hull above which heave is not used."""
     same_loss: float = 0.2
-    """What is told of a thruster that gives by so much more than what was found is still the same loss."""
+    """Tolerance within which a declared loss counts as the detected one."""
 
 
 LOSSES = LossesTuning()
@@ -77,18 +77,18 @@ LOSSES = LossesTuning()
 
 @dataclass(frozen=True, slots=True)
 class ThrusterHealthTuning:
-    """Of :mod:`autopilot.control.thrust.thruster_health`."""
+    """Constants of :mod:`autopilot.control.thrust.thruster_health`."""
 
     headings: int = 72
     """Headings tried for a hover; a multiple of four, so that abeam is exactly among them."""
     short_n: float = 0.3
-    """So much may lack: short pushes of the others make up for it."""
+    """Tolerated deficit: compensated by short pushes of the others."""
     dead: float = 0.2
-    """Below this a thruster is not used at all: five times the pulse for what little it gives, and that uncertain."""
+    """Effectiveness below which a thruster is not used: little and uncertain thrust for five times the pulse."""
     settled_every: int = 10
-    """After so many looks (1 s) it is asked anew which of several twins is lossy."""
+    """Updates (1 s) between attempts to isolate a fault among redundant thrusters."""
     unlearned_looks: int = 10
-    """So many looks (1 s) are taken back when the estimate ceases to be good."""
+    """Updates (1 s) that are reverted when the estimate degrades."""
 
 
 THRUSTER_HEALTH = ThrusterHealthTuning()
@@ -96,16 +96,16 @@ THRUSTER_HEALTH = ThrusterHealthTuning()
 
 @dataclass(frozen=True, slots=True)
 class RedundancyTuning:
-    """Of :mod:`autopilot.control.thrust.redundancy`."""
+    """Constants of :mod:`autopilot.control.thrust.redundancy`."""
 
     alike: float = 0.2
-    """Columns that differ by less than this share of them are hard to tell apart: 11 degrees."""
+    """Columns with a smaller relative difference are redundant: 11 degrees."""
     kept_looks: int = 400
     """40 s."""
     independent_s: float = 1.5
     """Looks so far apart share no noise: roll and pitch swing."""
     same_arm: float = 1e-3
-    """Arms that differ by less [rad/s^2 per N] tell nothing."""
+    """Smallest usable difference of arms [rad/s^2 per N]."""
     first_noise: float = 0.1
     least_noise: float = 0.03
     """Of the tilt's acceleration [rad/s^2]: guessed before the fit, and at the least after it."""

@@ -1,12 +1,12 @@
-"""How much of its thrust each thruster still gives, from the pulses and the motion.
+"""Effectiveness of each thruster, from pulses and motion.
 
-:mod:`autopilot.control.thrust.filtered_motion` says ten times per second what the model does not explain of the motion,
-and :mod:`autopilot.control.thrust.loss_bank` weighs whether a thruster that lost its thrust explains it, or an error
-of the model, a tether, the water, a tug. Here it is decided: a loss is declared when the evidence for it is beyond
-doubt and ahead of that for every other thruster, and revoked when there is as much evidence that the thruster is
-sound. Redundant thrusters (:mod:`autopilot.control.thrust.redundancy`) have the same evidence: where their tilt does
-not say which of them it is, they are declared together, each with its part of what they give. The parameters
-THR1_HEALTH to THR8_HEALTH hold at once; of parameter and finding the smaller counts.
+:mod:`autopilot.control.thrust.filtered_motion` gives the residual of the model ten times per second, and
+:mod:`autopilot.control.thrust.loss_bank` the likelihood of a thruster fault against model error, tether, current and
+disturbances. Decisions are made here: a fault is declared when its evidence exceeds a threshold and that of every
+other thruster by a margin, and revoked on equal evidence for a healthy thruster. Redundant thrusters
+(:mod:`autopilot.control.thrust.redundancy`) have equal evidence: where the tilt does not isolate the faulty one, they
+are declared together, each with its part of the remaining thrust. The parameters THR1_HEALTH to THR8_HEALTH act at
+once; the smaller of parameter and estimate is used.
 """
 
 import math
@@ -27,31 +27,31 @@ from autopilot.core.params import ParamSet
 from autopilot.core.response import Response
 
 HEALTH_PARAMS = tuple(f"THR{i + 1}_HEALTH" for i in range(MAX_THRUSTERS))
-"""What an operator or a speed controller's telemetry tells, in the order of the vehicle file."""
+"""Declared by an operator or an ESC's telemetry, in the order of the vehicle file."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Tuning:
-    """How looks are taken and what is beyond doubt."""
+    """Sampling of the updates and thresholds of the decision."""
 
     filter_s: float = 0.5
     """Time constant that both sides of the model pass: it quietens gyro and velocity, quick against a manoeuvre."""
     interval_s: float = 0.1
-    """Between two looks."""
+    """Interval of updates."""
     current_s: float = 1.0
     """The estimated current is followed within this time."""
     certain: float = 7.7
     """Evidence that a thruster has changed [nats]: two thousand to one."""
     plain: float = 4.5
-    """So far below 1 [sigma] the loss of a thruster with a pair shows without any belief in the others."""
+    """Distance below 1 [sigma] at which a loss of a redundant thruster is significant without a prior on the others."""
     certain_plain: float = 4.5
     """Evidence that is enough then [nats]."""
     ahead: float = 2.0
-    """So much less there is for any other."""
+    """Margin of the evidence over that of any other thruster."""
     settle_s: float = 15.0
-    """So long the tilt is waited for."""
+    """Timeout of the isolation by tilt."""
     which: float = 6.0
-    """So much less there is for any twin when it is said which of them it is [nats]."""
+    """Margin of the evidence over that of the redundant thrusters for isolation [nats]."""
     confirm_s: float = 0.5
     """For so long."""
     lost_below: float = 0.75
@@ -61,16 +61,16 @@ class Tuning:
     follow: float = 0.05
     """A declared value changes when the estimate is further away than this: bounds do not flutter."""
     hit_s: float = 4.0
-    """So long after a collision nothing is concluded."""
+    """Time after a collision without decisions."""
     stuck_s: float = 15.0
-    """When nothing has explained the motion for so long, what was known of the vehicle does not hold any more."""
+    """Time without an explanation of the motion after which the estimates are reset."""
     seen: float = 0.18
     """Half of a thruster is seen where the effectiveness is known that well (standard deviation)."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Doubt:
-    """One of several twins is lossy."""
+    """A fault among redundant thrusters that is not isolated yet."""
 
     redundant: tuple[int, ...]
     lossy: int
@@ -78,7 +78,7 @@ class _Doubt:
     by_s: float
     """When it was declared, on the clock of the tilt's evidence."""
     memory: Memory
-    """What the bank knew then."""
+    """Snapshot of the bank."""
 
 
 class ThrusterHealth:
@@ -94,8 +94,9 @@ class ThrusterHealth:
         tuning: Tuning | None = None,
         beliefs: Beliefs | None = None,
     ) -> None:
-        """Above the depth ``submerged_m`` the hull stands out of the water: heave tells nothing there. ``tilt`` (2, n)
-        is what thrusters do to roll and pitch (:func:`autopilot.control.thrust.redundancy.tilt_of`), None = unknown."""
+        """Above the depth ``submerged_m`` the hull emerges and heave is not used. ``tilt`` (2, n): roll and pitch
+        acceleration per N (:func:`autopilot.control.thrust.redundancy.tilt_of`), None = unknown.
+        """
         self._tuning = tuning = tuning or Tuning()
         self._submerged_m = submerged_m
         self._bank = LossBank(model, beliefs)
@@ -112,7 +113,7 @@ class ThrusterHealth:
         self.reset()
 
     def reset(self) -> None:
-        """All thrusters are sound, nothing is known."""
+        """All thrusters healthy, no evidence."""
         self._bank.reset()
         self._tilt.forget()
         self._past: deque[tuple[Memory, FloatArray, FloatArray, tuple[_Doubt, ...]]] = deque(
@@ -121,7 +122,7 @@ class ThrusterHealth:
         self._certain_s = np.zeros(self._n)
         self._doubts: tuple[_Doubt, ...] = ()
         self.found = np.ones(self._n)
-        """(n,) effectiveness as declared: 1 while a thruster is not beyond doubt lossy."""
+        """(n,) declared effectiveness: 1 until a fault is certain."""
         self.pause()
 
     @property
@@ -134,12 +135,12 @@ class ThrusterHealth:
 
     @property
     def doubtful(self) -> tuple[tuple[int, ...], ...]:
-        """Thrusters that do the same of which one is lossy; nobody knows which."""
+        """Redundant thrusters with a fault that is not isolated."""
         return tuple(doubt.redundant for doubt in self._doubts)
 
     @property
     def effectiveness(self) -> FloatArray:
-        """(n,) the running estimate: of lossy thrusters as declared, of the others as if nothing were known of any."""
+        """(n,) running estimate: of faulty thrusters as declared, of the others without a prior."""
         return np.where(self.lost, self._shared(self._bank.declared[0]), self._bank.free[0])
 
     @property
@@ -158,7 +159,7 @@ class ThrusterHealth:
         return tuple((self._bank.sum_sigma(self._twins) < self._tuning.seen).tolist())
 
     def pause(self) -> None:
-        """Disarmed, or without an estimate: what was learned stays, the motion is forgotten."""
+        """Disarmed, or without an estimate: keep the bank, reset the filters of the motion."""
         if not self._paused:
             self._bank.forget_motion()
             self._past.clear()
@@ -168,7 +169,7 @@ class ThrusterHealth:
         self._paused = True
 
     def step(self, t_us: int, nav: NavState, thrust_n: FloatArray) -> bool:
-        """``thrust_n`` (n,) is what sound thrusters would settle at with the pulses since the last call [N].
+        """``thrust_n`` (n,): steady thrust of healthy thrusters for the pulses since the last call [N].
 
         True when the declared effectiveness has changed.
         """
@@ -194,7 +195,7 @@ class ThrusterHealth:
         return self._hit_s <= 0.0 and self._declare(look.dt_s)
 
     def _hit(self, dt_s: float) -> bool:
-        """Something holds or pushes the hull: neither the last looks nor the next say anything of thrusters."""
+        """Collision or snag: discard the last and the next updates."""
         before = self.found
         if self._hit_s <= 0.0:
             self._unlearn()
@@ -207,7 +208,7 @@ class ThrusterHealth:
         return bool((self.found != before).any())
 
     def _unlearn(self) -> None:
-        """Back to what was known before the last looks: an estimate is bad for a moment before it is called bad."""
+        """Restore the state before the last updates: an estimate degrades before it is flagged."""
         if self._past:
             memory, self.found, self._certain_s, self._doubts = self._past[0]
             self._bank.recall(memory)
@@ -215,7 +216,7 @@ class ThrusterHealth:
             self._past.clear()
 
     def _declare(self, dt_s: float) -> bool:
-        """Accept what is beyond doubt; True when the declared effectiveness has changed."""
+        """Declare all faults above the threshold; True when the declared effectiveness has changed."""
         tuning, bank = self._tuning, self._bank
         self._certain_s = np.where(self._certain(), self._certain_s + dt_s, 0.0)
         best = int(self._certain_s.argmax())
@@ -233,7 +234,7 @@ class ThrusterHealth:
         return self._follow(self._shared(np.where(bank.lossy, np.minimum(bank.declared[0], 1.0), 1.0)))
 
     def _certain(self) -> np.ndarray:
-        """(n,) bool, thrusters of which it is beyond doubt now that they have changed."""
+        """(n,) bool, thrusters whose evidence of a change exceeds the threshold."""
         tuning, bank = self._tuning, self._bank
         evidence = bank.evidence
         if float(evidence.max()) <= min(tuning.certain, tuning.certain_plain):  # nearly always
@@ -244,8 +245,9 @@ class ThrusterHealth:
         return certain
 
     def _open(self) -> np.ndarray:
-        """(n,) bool, twins of which it is about to come out which one is lossy: that the other is as well would be the
-        same motion, told wrongly."""
+        """(n,) bool, redundant thrusters whose isolation is pending: a second fault among them would be the same
+        motion.
+        """
         result = np.zeros(self._n, dtype=bool)
         for doubt in self._doubts:
             if self._tilt.clock_s - doubt.by_s < self._tuning.settle_s and self._tilt.tells(doubt.redundant):
@@ -253,14 +255,14 @@ class ThrusterHealth:
         return result
 
     def _rivals(self, evidence: FloatArray) -> FloatArray:
-        """(n,) evidence of the best other story that is not the same of a twin."""
+        """(n,) evidence of the best other hypothesis that is not the same one of a redundant thruster."""
         lossy = np.array(self._bank.lossy)
         same = self._twins & (lossy[:, None] == lossy)
         result: FloatArray = np.where(same, -np.inf, evidence).max(axis=1, initial=-np.inf)
         return result
 
     def _accept(self, thruster: int) -> None:
-        """Declare the best story of this thruster, or of the twin that it is likelier of."""
+        """Declare the best hypothesis of this thruster, or of the redundant one that is more likely."""
         bank = self._bank
         others = np.where(bank.lossy, bank.declared[0], 1.0)
         redundant = np.flatnonzero(self._twins[thruster] & ~np.array(bank.lossy))
@@ -276,7 +278,7 @@ class ThrusterHealth:
             self._doubts = (*self._doubts, doubt)
 
     def _settled(self, doubt: _Doubt) -> bool:
-        """Whether it is clear by now which of the twins is lossy; then it is declared alone."""
+        """Whether the fault among redundant thrusters is isolated; it is then declared for that one."""
         bank = self._bank
         if sum(bank.lossy[redundant_one] for redundant_one in doubt.redundant) > 1:
             return False
@@ -289,14 +291,14 @@ class ThrusterHealth:
             return False
         if lossy != doubt.lossy:
             if bank.lossy == doubt.memory.lossy:
-                # What was learned since then was learned with the wrong one.
+                # Updates since then used the wrong one.
                 bank.recall(doubt.memory)
                 bank.forget_motion()
             bank.swap(doubt.lossy, lossy)
         return True
 
     def _shared(self, e: FloatArray) -> FloatArray:
-        """(n,) the same with what twins give shared out among those that one of is lossy."""
+        """(n,) effectiveness with the total of redundant thrusters distributed evenly while a fault is not isolated."""
         shared = e.copy()
         for doubt in self._doubts:
             redundant = list(doubt.redundant)
@@ -304,13 +306,13 @@ class ThrusterHealth:
         return shared
 
     def _needed(self) -> FloatArray:
-        """(n,) evidence that is enough: less where the filter that believes in no thruster sees the loss as well."""
+        """(n,) threshold of the evidence: lower where filter 1 also shows the loss."""
         tuning, (e, sigma) = self._tuning, self._bank.free
         plain = self._paired & ~np.array(self._bank.lossy) & (1.0 - e > tuning.plain * sigma)
         return np.where(plain, tuning.certain_plain, tuning.certain)
 
     def _follow(self, e: FloatArray) -> bool:
-        """Declare it where it is far enough from what was declared; True if it is anywhere."""
+        """Update the declared effectiveness where the estimate differs by more than the hysteresis; True on change."""
         far = (np.abs(e - self.found) > self._tuning.follow) | ((e == 1.0) & (self.found < 1.0))
         if not far.any():
             return False
@@ -319,7 +321,7 @@ class ThrusterHealth:
 
 
 def told(params: ParamSet, thrusters: int) -> list[float]:
-    """(n,) what the parameters say of the thrusters."""
+    """(n,) effectiveness by the parameters."""
     return [params[name] for name in HEALTH_PARAMS[:thrusters]]
 
 
@@ -331,9 +333,9 @@ def usable(effectiveness: FloatArray) -> FloatArray:
 def hover_problem(
     allocator: ControlAllocator, limit_n: FloatArray, current_ned_m_s: FloatArray, yaw_rad: float | None = None
 ) -> str:
-    """What a vehicle whose thrusters give up to ``limit_n`` (n,) cannot do any more in that current, "" if it can stay.
+    """Lost capability of a vehicle with thrust up to ``limit_n`` (n,) in that current, "" if it can keep its position.
 
-    Depth needs heave against the excess buoyancy, heading needs any thruster with an arm, and a place needs a heading
+    Depth needs heave against the excess buoyancy, heading needs any thruster with an arm, and position needs a heading
     (``yaw_rad``, None = any) at which the thrusters balance drag and Munk moment.
     """
     model = allocator.model

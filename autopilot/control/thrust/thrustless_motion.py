@@ -1,8 +1,7 @@
-"""What the 4-DoF model says of a motion without thrust: the measure of filters that ask what the thrusters do.
+"""Acceleration of the 4-DoF model without thrust, as reference of the filters that estimate thruster behaviour.
 
-Both :mod:`autopilot.control.thrust.thruster_health` and :mod:`autopilot.control.thrust.actuation_delay` compare the
-vehicle's acceleration with that of the model; what is left, thrust has to explain, or a push that the model does not
-know.
+Used by :mod:`autopilot.control.thrust.thruster_health` and :mod:`autopilot.control.thrust.actuation_delay`: the
+difference to the measured acceleration is thrust or an unmodelled disturbance.
 """
 
 import math
