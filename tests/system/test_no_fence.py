@@ -27,7 +27,7 @@ def harbour_fixture(session: OpenSession) -> Open:
     def make(scenario: str, **params: float) -> tuple[Harbour, WireClient]:
         client = WireClient()
         made = Harbour(session(scenario, sensors="pose", peers=(client,), params=params))
-        made.session.parts.server._dispatcher._ctx.patience = 1.0  # as in real time
+        made.session.parts.server._ctx.patience = 1.0  # as in real time
         made.run(1.5)
         return made, client
 
