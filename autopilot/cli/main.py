@@ -95,7 +95,9 @@ def run(command: Callable[[], object]) -> int:
     except click.ClickException as error:
         click.echo(f"error: {_one_line(error)}", err=True)
         return error.exit_code
-    except (click.Abort, KeyboardInterrupt):
+    except (click.Abort, KeyboardInterrupt) as end:
+        if isinstance(end.__cause__, EOFError):
+            raise end.__cause__ from None  # click takes a file that ends early for a closed terminal
         click.echo("interrupted", err=True)
         return EXIT_INTERRUPTED
     except AutopilotError as error:

@@ -12,6 +12,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
+import click
 import pytest
 from plan_text import PILLARS, WORKSPACE, pillar, waypoint
 from pymavlink.dialects.v20 import development as mav
@@ -380,6 +381,17 @@ def test_not_a_log(autopilot: Command, tmp_path: Path, command: str, content: by
     if done.code == 1:
         _assert_refused(done, str(file))
     assert _files(tmp_path) == [file]
+
+
+def test_a_file_that_ends_early_is_no_interrupt() -> None:
+    """click takes every EOFError for a closed terminal; a damaged module or pickle raises one, too."""
+
+    @click.command()
+    def command() -> None:
+        raise EOFError("marshal data too short")
+
+    with pytest.raises(EOFError, match="too short"):
+        run(lambda: command([], standalone_mode=False))
 
 
 # The service as a process
