@@ -45,7 +45,7 @@ class LoiterCircle:
         self._turned = 0.0
         self._off_m = 0.0
         self._goal: Goal | None = None
-        self._age = 0
+        self._made_us = 0
 
     def go(self, speed_m_s: float) -> None:
         """Another speed, as far as the limits allow."""
@@ -90,9 +90,8 @@ class LoiterCircle:
         if abs(off_m) < CIRCLING.join_m and self._bearing is not None:
             self._turned += wrap_pi(bearing - self._bearing)
         self._bearing = bearing
-        self._age += 1
-        if self._goal is None or self._age >= CIRCLING.fresh_ticks:
-            self._goal, self._age = self._made(nav, bearing, off_m), 0
+        if self._goal is None or nav.t_us - self._made_us >= CIRCLING.fresh_us:
+            self._goal, self._made_us = self._made(nav, bearing, off_m), nav.t_us
         return self._goal
 
     def _made(self, nav: NavState, bearing: float, off_m: float) -> Goal:

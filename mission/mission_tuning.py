@@ -11,7 +11,7 @@ class CirclingTuning:
     """Share of the speed that may go into it."""
     join_m: float = 0.25
     """Farther off, the circle's nearest point is a place to go to."""
-    fresh_ticks: int = 5
+    fresh_us: int = 50_000
     accept_yaw_rad: float = 0.15
     yaw_share: float = 0.5
     """Share of SPD_YAW_MAX that a circle on which the heading turns may use."""

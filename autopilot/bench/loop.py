@@ -20,7 +20,7 @@ import numpy as np
 from pymavlink.dialects.v20 import development as mav
 
 from autopilot.bench.live_service import Station
-from autopilot.bench.predict_clock import PredictClock
+from autopilot.bench.part_times import PartTimes
 from autopilot.core.errors import AutopilotError
 from autopilot.core.marks import LoopPart
 from autopilot.core.messages import Outputs
@@ -90,22 +90,24 @@ def bench_loop() -> list[LoopRow]:
         for name, value in given.items():
             settings.put(name, value, "benchmark")
         session = open_sitl(settings, {})
-        clock = PredictClock()
-        cpu_s, parts = _measure(session, clock)
+        times = PartTimes()
+        cpu_s, parts = _measure(session, times)
         code = f"from autopilot.bench.loop import client; client({port})"
         child = subprocess.Popen(python_command(code), stdout=subprocess.PIPE, text=True)
+        process_s, begin_s = time.process_time(), time.perf_counter()
         try:
             session.run(stop=lambda: child.poll() is not None)
         finally:
+            share = (time.process_time() - process_s) / (time.perf_counter() - begin_s)
             child.kill()
             text, _ = child.communicate()
     if not text.strip():
         raise AutopilotError("the client did not end: the service was too slow, or refused its plans")
     heard = json.loads(text)
-    return _rows(session, np.array(cpu_s), parts, heard) + _mean_rows(np.array(cpu_s), clock)
+    return _rows(session, np.array(cpu_s), parts, heard) + _mean_rows(np.array(cpu_s), times, share)
 
 
-def _measure(session: SitlSession, clock: PredictClock) -> tuple[list[float], list[tuple[float, tuple[float, ...]]]]:
+def _measure(session: SitlSession, times: PartTimes) -> tuple[list[float], list[tuple[float, tuple[float, ...]]]]:
     """CPU time of every tick [s], and of its stages."""
     cpu_s: list[float] = []
     parts: list[tuple[float, tuple[float, ...]]] = []
@@ -117,7 +119,7 @@ def _measure(session: SitlSession, clock: PredictClock) -> tuple[list[float], li
         outputs = whole(t_us)
         cpu_s.append(time.thread_time() - begin_s)
         parts.append((cpu_s[-1], tuple(runtime.watch.part_cpu_s)))
-        clock.tick(runtime.watch.part_cpu_s)
+        times.add(runtime.watch.part_cpu_s)
         return outputs
 
     setattr(runtime, "tick", timed)  # noqa: B010 - a method, which cannot be assigned
@@ -153,16 +155,15 @@ def _rows(
     ]
 
 
-def _mean_rows(cpu_s: np.ndarray, clock: PredictClock) -> list[LoopRow]:
-    """The mean tick, in ms and in the unit of :class:`PredictClock`, and its stages."""
-    mean_ms, unit_us = 1e3 * float(cpu_s.mean()), clock.predict_us
+def _mean_rows(cpu_s: np.ndarray, times: PartTimes, share: float) -> list[LoopRow]:
+    """Load of the process, and the mean tick with its stages."""
+    note = "of a core; plant, renderer and detection included"
     return [
-        LoopRow(what="tick CPU mean", value=mean_ms, unit="ms", asked=None),
-        LoopRow(what="filterpy's predict, 16 states", value=unit_us, unit="us", asked=None, note="in the same run"),
-        LoopRow(what="tick CPU mean / that", value=1e3 * mean_ms / unit_us, unit="", asked=None),
+        LoopRow(what="CPU, all threads", value=100.0 * share, unit="%", asked=None, note=note),
+        LoopRow(what="tick CPU mean", value=1e3 * float(cpu_s.mean()), unit="ms", asked=None),
         *(
             LoopRow(what=f"of it {part.name.lower()}", value=ms, unit="ms", asked=None)
-            for part, ms in clock.parts_ms.items()
+            for part, ms in times.mean_ms.items()
         ),
     ]
 

@@ -21,7 +21,7 @@ STUDIES = "tests.bench.studies"
 
 KNOWN_STUDIES = (
     *("alarms", "detection", "energy", "energy-latency", "faults", "fuzz", "kills", "modes", "picture-faults"),
-    *("pockets", "reference", "replay", "sensor-faults", "soak", "thruster-health", "vehicles"),
+    *("pockets", "reference", "replay", "sensor-faults", "soak", "thruster-health", "turns", "vehicles"),
 )
 """Studies of a source checkout."""
 
@@ -97,19 +97,20 @@ def _add_studies() -> None:
 @JSON
 @click.pass_context
 def bench(ctx: click.Context, short: bool, as_json: bool) -> None:
-    """Run a benchmark, or the seven of `make bench` one after the other when none is named.
+    """Run a benchmark, or the eight of `make bench` one after the other when none is named.
 
     `autopilot bench NAME --help` says what it measures and how long it takes. Without a name: nmpc, sitl, estimator and
-    loop; in a source checkout the short ones of pockets, energy and energy-latency, too.
+    loop; in a source checkout the short ones of pockets, energy, turns and energy-latency, too.
     """
     if ctx.invoked_subcommand is not None:
         return
-    results = {}
+    results: dict[str, dict[str, object]] = {}
     for name, (title, work) in ALL.items():
         heads = SITL_HEADS if name == "sitl" else None
         results[name] = bench_rows.measured(title, work, short=short or name in LONG, as_json=as_json, heads=heads)
     if as_json:
         emit_json(results)
+    bench_rows.end(results)
 
 
 for _name, (_title, _work) in ALL.items():

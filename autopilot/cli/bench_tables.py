@@ -22,8 +22,6 @@ SITL_HEADS = {
     "cpu_s_per_s": "cpu s/s",
     "beside_s_per_s": "beside",
     "tick_mean_ms": "tick ms",
-    "predict_us": "pred. us",
-    "tick_per_predict": "ratio",
     "tick_median_ms": "median",
     "tick_p99_ms": "p99",
     "step_median_ms": "step ms",

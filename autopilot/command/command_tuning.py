@@ -131,8 +131,6 @@ PHOTOGRAPHER = PhotographerTuning()
 
 @dataclass(frozen=True, slots=True)
 class ServiceTuning:
-    control_every_ticks: int = 5
-    """The NMPC runs at 20 Hz: counted in ticks, not timed."""
     warm_at_tick: int = 100
     """A second after the start, when the links are served, the controller has prepared what its first routes need."""
     counters_every_ticks: int = 100
@@ -144,8 +142,9 @@ SERVICE = ServiceTuning()
 
 @dataclass(frozen=True, slots=True)
 class FailsafeInputsTuning:
-    update_ticks: int = 10
-    """Interval of inputs that need geometry; energy at every tenth."""
+    update_us: int = 100_000
+    """Interval of inputs that need geometry."""
+    energy_us: int = 1_000_000
     slow_m_s: float = 0.05
     """Slower is not moving,"""
     pushed: float = 1.0 / 3.0

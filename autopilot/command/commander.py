@@ -40,10 +40,10 @@ from autopilot.mission.plan_check import PlanVerdict
 from autopilot.mission.sequencer import Position
 from autopilot.mission.store import Plans
 
-READINESS_EVERY_TICKS = 50
+READINESS_EVERY_US = 500_000
 """Arming checks run twice per second for telemetry, and again at an arming request."""
 
-END_AFTER_TICKS = 20
+END_AFTER_US = 200_000
 """Delay of a requested shutdown, for its answer to be sent."""
 
 
@@ -85,7 +85,7 @@ class Commander:
         self._check_news = PlanCheckNews(plans, self._operator)
         self._fence_guard = FenceGuard(vehicle, params, plans, self._goals)
         self._readiness: tuple[str, ...] = STARTING
-        self._ticks = 0
+        self._readiness_us = 0
         self._ending: tuple[int, RunEnd] | None = None
         """At which tick the run ends, and how."""
         plans.guard = self._guard_plans
@@ -372,14 +372,14 @@ class Commander:
     def end_run(self, end: RunEnd) -> CommandReply:
         if self._modes.armed:
             return CommandReply(result=CommandResult.TEMPORARILY_REJECTED, reason="Reboot refused: disarm first")
-        self._ending = self._ticks + END_AFTER_TICKS, end
+        self._ending = self._operator.t_us + END_AFTER_US, end
         self._operator.say(notices.RESTARTING() if end is RunEnd.AGAIN else notices.STOPPING())
         return ACCEPTED
 
     @property
     def run_end(self) -> RunEnd | None:
         """Requested end of the run, None = continue. Cancelled if the vehicle has been armed meanwhile."""
-        if self._ending is None or self._ticks < self._ending[0] or self._modes.armed:
+        if self._ending is None or self._operator.t_us < self._ending[0] or self._modes.armed:
             return None
         return self._ending[1]
 
@@ -404,9 +404,8 @@ class Commander:
             blind=modes.armed and not modes.active.needs_position,
         )
         modes.apply_failsafes(status)
-        if not modes.armed and self._ticks % READINESS_EVERY_TICKS == 0:
-            self._readiness = self.prearm_reasons()
-        self._ticks += 1
+        if not modes.armed and status.t_us >= self._readiness_us:
+            self._readiness, self._readiness_us = self.prearm_reasons(), status.t_us + READINESS_EVERY_US
         goal, reached = modes.advance(status)
         test = self._tests.step(status)
         self._disarm_flight_controller(status)
@@ -433,7 +432,7 @@ class Commander:
         if self._modes.disarms_flight_controller:
             self._modes.disarms_flight_controller = False
             self._disarming.begin()
-        self._disarming.step(status.below)
+        self._disarming.step(status.t_us, status.below)
 
     def _may_resume(self) -> bool:
         """Whether to resume a mission that a pilot has interrupted."""

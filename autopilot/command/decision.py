@@ -1,6 +1,6 @@
 """Decision of one tick: mode, arming and goal."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TypeAlias
 
 from autopilot.control.thrust.by_hand import ByHand
@@ -38,3 +38,8 @@ class Decision:
     """A failsafe has given the thrusters to the flight controller below."""
     disarm_flight_controller: bool = False
     """The flight controller below is to be disarmed, until its heartbeat shows it."""
+
+    @property
+    def lasting(self) -> "Decision":
+        """The same for the ticks until the next decision, without what happened on its tick only."""
+        return replace(self, reached=(), orders=()) if self.reached or self.orders else self

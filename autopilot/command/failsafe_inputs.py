@@ -29,7 +29,7 @@ class FailsafeInputs:
         self._plans = plans
         self._goals = goals
         self._sequencer = sequencer
-        self._ticks = 0
+        self._updated_us = self._energy_us = 0
         self._known = False
         self._fix_us = 0
         self._blind_us: int | None = None
@@ -75,9 +75,9 @@ class FailsafeInputs:
             self._begin(t_us)
         if nav is not None and nav.health is NavHealth.GOOD:
             self._fix_us = t_us
-        self._ticks += 1
-        if self._ticks % FAILSAFE_INPUTS.update_ticks:
+        if t_us - self._updated_us < FAILSAFE_INPUTS.update_us:
             return
+        self._updated_us = t_us
         self.no_fix_s = 1e-6 * (t_us - self._fix_us) if self._known else NEVER
         self._update_ascent(t_us, blind=armed and surfacing and not valid)
         self.silent_s, self.silent_sensor = status.silent(t_us)
@@ -133,7 +133,8 @@ class FailsafeInputs:
         home = self._plans.home_ned_m.tolist()
         self.tether_m = self._travelled_m if params["TETHER_COUNT"] else math.dist(place, home)
         self._update_motion(status)
-        if self._ticks % (10 * FAILSAFE_INPUTS.update_ticks) == 0:
+        if status.t_us - self._energy_us >= FAILSAFE_INPUTS.energy_us:
+            self._energy_us = status.t_us
             self._update_energy(status, on_mission=on_mission)
 
     def _update_motion(self, status: VehicleStatus) -> None:

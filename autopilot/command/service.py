@@ -20,6 +20,7 @@ from autopilot.command.fault_response import FaultResponse
 from autopilot.command.payload_orders import PayloadOrders
 from autopilot.command.service_parts import ServiceParts
 from autopilot.core.clients import ClientRecord
+from autopilot.core.clock import DECISION_TICKS
 from autopilot.core.frames import FloatArray
 from autopilot.core.marks import LoopPart, Marks, NoMarks
 from autopilot.core.messages import (
@@ -61,6 +62,7 @@ class TickState:
     tx: tuple[MavlinkFrame, ...] = ()
     thrusters: ThrusterHealthState | None = None
     decision: Decision | None = None
+    """Of this tick, or the last one's without what happened on that tick only."""
     shots: tuple[int, ...] = ()
     stills: tuple[StillRecord, ...] = ()
     control: ControlOutput | None = None
@@ -82,6 +84,8 @@ class Stage:
     """The loop's statistics count everything since the last mark as this part."""
     every: int = 1
     """Only on ticks that this divides."""
+    slow: bool = False
+    """Only on ticks that decide: every fifth, and those with something that cannot wait (:meth:`Autopilot._urgent`)."""
     given: Callable[[TickState], object] = attrgetter("inputs")
     """Input of a failing stage, for the description of its fault."""
 
@@ -114,10 +118,16 @@ class Autopilot:
         self._decision: Decision | None = None
         self._command: ThrusterCommand | None = None
         self._events: tuple[Event, ...] = ()
+        self._unsent: tuple[Event, ...] = ()
+        """Of the ticks since clients were last served, as :attr:`_reached`."""
+        self._reached: tuple[int, ...] = ()
         self._stages = self._stages_of_tick()
+        self._fast_stages = tuple(stage for stage in self._stages if not stage.slow)
 
     def _stages_of_tick(self) -> tuple[Stage, ...]:
-        """Stages of a tick, in order. The NMPC runs on every fifth tick of the stage ``controller``."""
+        """Stages of a tick, in order. What needs the rate of the inertial sensors and of the inner loop runs on every
+        tick; clients, detectors and decisions on every fifth, as the NMPC in the stage ``controller``.
+        """
         return (
             Stage("inputs", self._take_inputs),
             Stage("camera", self._note_exposures),
@@ -126,21 +136,21 @@ class Autopilot:
             Stage("message", self._take_tracks),
             Stage("", self._estimate, LoopPart.ESTIMATE),
             Stage("counters", self._count, every=SERVICE.counters_every_ticks),
-            Stage("view", self._refresh_view),
-            Stage("mavlink", self._serve_clients, LoopPart.MAVLINK),
-            Stage("thrusters", self._watch_thrusters, given=attrgetter("nav", "acting_n")),
-            Stage("", self._update_status),
-            Stage("commander", self._decide, given=lambda _: self._status),
+            Stage("view", self._refresh_view, slow=True),
+            Stage("mavlink", self._serve_clients, LoopPart.MAVLINK, slow=True),
+            Stage("thrusters", self._watch_thrusters, slow=True, given=attrgetter("nav", "acting_n")),
+            Stage("", self._update_status, slow=True),
+            Stage("commander", self._decide, slow=True, given=lambda _: self._status),
             Stage("", self._respond_to_faults, LoopPart.DECIDE),
             Stage("warming", self._warm_controller, every=SERVICE.warm_at_tick),
-            Stage("payload", self._carry_out_orders, given=attrgetter("decision")),
+            Stage("payload", self._carry_out_orders, slow=True, given=attrgetter("decision")),
             Stage("camera", self._photograph, given=attrgetter("nav")),
             Stage("controller", self._control, LoopPart.CONTROL, given=attrgetter("nav", "decision")),
             Stage("", self._hold_station_after_fault),
             Stage("allocation", self._allocate, given=lambda _: (self._motion.thrust_n, self._status.power)),
             Stage("", self._neutral_after_fault),
             Stage("commander", self._take_commander_events),
-            Stage("controller", self._take_controller_events),
+            Stage("controller", self._take_controller_events, slow=True),
             Stage("", self._collect_events),
             Stage("payload", self._step_equipment),
             Stage("telemetry", self._take_notices),
@@ -178,7 +188,10 @@ class Autopilot:
     def _step(self, inputs: Inputs) -> Outputs:
         tick = TickState(inputs, self._actuation.nothing())
         number, run_guarded, marks = self._tick, self._run_guarded, self.marks
-        for stage in self._stages:
+        stages = self._stages
+        if number % DECISION_TICKS and not self._urgent(inputs):
+            stages, tick.decision = self._fast_stages, self._decision
+        for stage in stages:
             if stage.every > 1 and number % stage.every:
                 continue
             if stage.part:
@@ -188,6 +201,12 @@ class Autopilot:
             if stage.mark is not None:
                 marks.mark(stage.mark)
         return self._outputs(tick)
+
+    def _urgent(self, inputs: Inputs) -> bool:
+        """Whether clients, detectors and commander have work that cannot wait for their turn."""
+        return bool(
+            inputs.mavlink_rx or inputs.notices or inputs.troubles or self._decision is None or self._parts.server.busy
+        )
 
     def _run_guarded(self, stage: Stage, tick: TickState) -> None:
         self._parts.guard.run(stage.part, lambda: stage.work(tick), None, lambda: stage.given(tick))
@@ -226,6 +245,7 @@ class Autopilot:
         self._motion.thrust_n = self._actuation.nothing()
         self._parts.guard.run("tick", self._faults.judge, None)
         self._events = tuple(self._take_events())
+        self._unsent += self._events
         return Outputs(
             t_us=t_us,
             command=self._actuation.neutral(t_us),
@@ -316,8 +336,8 @@ class Autopilot:
         inputs, view = tick.inputs, self._view
         if view is None:
             return
-        reached = () if self._decision is None else self._decision.reached
-        events = self._events + inputs.notices
+        reached, self._reached = self._reached, ()
+        events, self._unsent = self._unsent + inputs.notices, ()
         tick.tx = self._parts.server.step(inputs.t_us, inputs.mavlink_rx, view, events, reached)
 
     # Stages: decision
@@ -327,7 +347,6 @@ class Autopilot:
         tick.thrusters = self._actuation.learn(
             tick.inputs.t_us,
             tick.nav,
-            tick.acting_n,
             self._goal,
             armed=self._parts.commander.armed,
             reached=environment.acts,
@@ -368,6 +387,7 @@ class Autopilot:
 
     def _decide(self, tick: TickState) -> None:
         tick.decision = self._parts.commander.step(self._status)
+        self._reached += tick.decision.reached
 
     def _respond_to_faults(self, tick: TickState) -> None:
         """A commander that fails holds; a fault may have stopped the vehicle for good."""
@@ -426,7 +446,7 @@ class Autopilot:
         decision = tick.decision
         if self._faults.holding or decision is None:
             return
-        due = self._tick % SERVICE.control_every_ticks == 0
+        due = self._tick % DECISION_TICKS == 0
         fence = self._parts.commander.fence
         tick.control = self._motion.step(tick.inputs.t_us, tick.nav, decision, self._goal, fence, due=due)
 
@@ -453,7 +473,7 @@ class Autopilot:
         self._faults.judge()
         if tick.command is None or (tick.decision.armed and not self._faults.drives):
             tick.command = self._actuation.neutral(tick.inputs.t_us)
-        self._decision, self._command = tick.decision, tick.command
+        self._decision, self._command = tick.decision.lasting, tick.command
 
     # Stages: notices to operators
 
@@ -467,6 +487,7 @@ class Autopilot:
     def _collect_events(self, tick: TickState) -> None:
         self._faults.judge()
         self._events = (*tick.events, *self._take_events())
+        self._unsent += self._events
 
     def _step_equipment(self, tick: TickState) -> None:
         tick.payload = self._parts.equipment.step(tick.inputs.t_us)

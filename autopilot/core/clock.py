@@ -5,6 +5,9 @@ from typing import Protocol
 TICK_US = 10_000
 """Base tick: 100 Hz, the rate of the AHRS."""
 
+DECISION_TICKS = 5
+"""Interval of the NMPC, of decisions and of clients: 20 Hz, counted in ticks, not timed."""
+
 
 class Clock(Protocol):
     def now_us(self) -> int:

@@ -175,6 +175,11 @@ class FileTransfer:
         client.stop()
         self._begin(peer, client, request)
 
+    @property
+    def sending(self) -> bool:
+        """Whether a client is waiting for the disk or for the rest of a burst."""
+        return any(client.waiting or client.burst for client in self._clients.values())
+
     def tick(self) -> None:
         """Answer requests whose disk access is done, continue bursts."""
         for peer, client in tuple(self._clients.items()):

@@ -125,6 +125,11 @@ class MessageInbox:
         for address in [address for address in self._inboxes if address[0] == link]:
             self._let_go(self._inboxes.pop(address))
 
+    @property
+    def waiting(self) -> bool:
+        """Whether messages are left for the next tick."""
+        return bool(self._turns)
+
     def work(self) -> None:
         """A tick: turn by turn, until everything is handled or the tick's work is done."""
         for inbox in self._inboxes.values():

@@ -93,6 +93,11 @@ class LogDownload:
                 client.stop()
             self._erasing = peer, self._shelf.erase(self._tick)
 
+    @property
+    def sending(self) -> bool:
+        """Whether a client is waiting for entries or data."""
+        return any(client.entries or client.wanted for client in self._clients.values())
+
     def tick(self) -> None:
         self._go_on_erasing()
         for peer, client in tuple(self._clients.items()):

@@ -262,6 +262,11 @@ class Parameters:
                 request.reported = True
                 ctx.say(notices.PARAMETER_NOT_ON_DISK(name=name))
 
+    @property
+    def listing(self) -> bool:
+        """Whether a client is being sent a list."""
+        return bool(self._lists)
+
     def tick(self) -> None:
         """Report saved values, continue requested lists."""
         self._report_saved()

@@ -359,6 +359,18 @@ class MavlinkServer:
         return self.missions.uploading
 
     @property
+    def busy(self) -> bool:
+        """Whether a client waits for more than the next decision: a transfer, messages left over, a fast stream."""
+        return (
+            self.missions.uploading
+            or self._intake.waiting
+            or self.parameters.listing
+            or self._streams.fast
+            or self._files.sending
+            or self._logs.sending
+        )
+
+    @property
     def utc_offset_us(self) -> int | None:
         """Unix time minus service time [us] as a ground station gave it (SYSTEM_TIME), None before."""
         return self.utility.utc_offset_us

@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from functools import partial
 from types import MappingProxyType
 
-from autopilot.core.clock import TICK_US
+from autopilot.core.clock import DECISION_TICKS, TICK_US
 from autopilot.mavlink.budget import TELEMETRY
 from autopilot.mavlink.context import Context
 from autopilot.mavlink.dialect import extra, mav
@@ -84,6 +84,8 @@ SLOW_US = _S
 class LinkStreams:
     def __init__(self, t_us: int) -> None:
         self.interval_us = dict(DEFAULT_INTERVAL_US)
+        self.fast = False
+        """Whether a message goes more often than decisions are taken."""
         self.due_us: dict[int, int] = {}
         self.next_us = t_us
         self.spread(t_us)
@@ -98,10 +100,10 @@ class LinkStreams:
         if interval_us == _OFF:
             self.interval_us.pop(msg_id, None)
             self.due_us.pop(msg_id, None)
-            return
-        self.interval_us[msg_id] = interval_us
-        self.due_us[msg_id] = t_us
-        self.next_us = t_us
+        else:
+            self.interval_us[msg_id] = interval_us
+            self.due_us[msg_id] = self.next_us = t_us
+        self.fast = min(self.interval_us.values(), default=_S) < DECISION_TICKS * TICK_US
 
     def take_due(self, t_us: int) -> list[int]:
         due = self.due(t_us)
@@ -151,6 +153,11 @@ class Streams:
         if before is not None:
             before.spread(self._ctx.t_us)
             self._links[link] = before
+
+    @property
+    def fast(self) -> bool:
+        """Whether a link is to be served on every tick."""
+        return any(streams.fast for streams in self._links.values())
 
     def knows(self, msg_id: int) -> bool:
         """Whether a message can be streamed or requested."""

@@ -216,5 +216,26 @@ def modes_rows(short: bool) -> Rows:
     return [asdict(row) for row in bench_modes(short, tell)]
 
 
+@click.command()
+@SHORT
+@click.option("--base", metavar="REV", help="The other revision (default: where this one departed from origin/main).")
+@click.option("--turns", "count", type=click.IntRange(1), default=3, show_default=True, help="How often each flies.")
+@JSON
+def turns(short: bool, base: str | None, count: int, as_json: bool) -> None:
+    """CPU time per tick of two revisions in turns.
+
+    Each flies the missions of `autopilot bench sitl --short` in a process of its own, on this machine as it is now
+    (some minutes; one turn with --short).
+    """
+    work = partial(turns_rows, base=base, count=count)
+    run_one("turns", TITLES["turns"], work, short=short, as_json=as_json)
+
+
+def turns_rows(short: bool, base: str | None = None, count: int = 1) -> Rows:
+    from tests.bench.turns import base_revision, bench_turns
+
+    return [asdict(row) for row in bench_turns(base or base_revision(), 1 if short else count)]
+
+
 ROWS = {"pockets": pockets_rows, "energy-latency": latency_rows, "modes": modes_rows}
 """Studies without options of their own."""

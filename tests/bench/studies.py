@@ -12,6 +12,7 @@ COMMANDS: tuple[click.Command, ...] = (
     *(
         figures.estimator,
         figures.energy,
+        figures.turns,
         *(rows_command(name, TITLES[name], work) for name, work in figures.ROWS.items()),
     ),
     *(judged.faults, judged.fuzz, judged.sensor_faults, judged.detection, judged.vehicles, judged.kills, judged.soak),
@@ -22,6 +23,7 @@ AMONG_ALL: dict[str, tuple[str, Work]] = {
     "estimator": (TITLES["estimator"], figures.estimator_rows),
     "pockets": (TITLES["pockets"], figures.pockets_rows),
     "energy": (TITLES["energy"], figures.energy_rows),
+    "turns": (TITLES["turns"], figures.turns_rows),
     "energy-latency": (TITLES["energy-latency"], figures.latency_rows),
 }
 """Run, short, when no benchmark is named."""

@@ -38,6 +38,7 @@ TITLES = {
     "energy-latency": "Energy plans: CPU seconds per kind of request, and when answers are due in lockstep",
     "energy": "Energy per lap beside the optimum with the same freedom (laps, corridor, vehicle flown), or a rival's;"
     " flow known: MPC_MARGIN 0.02, MPC_SPEED_MARGIN 0.01, MPC_W_* 0",
+    "turns": "CPU time of two revisions in turns: medians, and the ratios of this one to the other",
     "modes": "Both costs in the service on the simulated vehicle, the water unknown; nearest = beyond what is to be"
     " kept; cpu_ms = of the whole process per control step",
     "pockets": "Local minima: goals reached in closed loop; nearest_m = clearance beyond the body radius",

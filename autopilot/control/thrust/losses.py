@@ -26,7 +26,7 @@ class ThrusterLosses:
             tilt=tilt_of(vehicle),
             submerged_m=LOSSES.submerged * vehicle.hull_half_height_m,
         )
-        self._ticks = 0
+        self._report_us = 0
         self._known: tuple[list[float], FloatArray] | None = None
         """Declared and detected effectiveness at the last update."""
         self._revision = -1
@@ -59,10 +59,10 @@ class ThrusterLosses:
         """
         self._find(t_us, nav, pulse_n, armed)
         changed = self._look()
-        due = self._ticks % LOSSES.report_every_ticks == 0
-        self._ticks += 1
-        if not changed and not due:
+        if not changed and t_us < self._report_us:
             return None
+        if t_us >= self._report_us:
+            self._report_us = t_us + LOSSES.report_every_us
         self.problem = self._problem(nav, goal, np.minimum(capability_n, self._params["THR_LIMIT"]))
         detects = int(self._params["THR_DETECT"])
         self.unseen = tuple(n for n, seen in zip(self._names, self._health.seen, strict=True) if detects and not seen)

@@ -64,7 +64,7 @@ LOSS_BANK = LossBankTuning()
 class LossesTuning:
     """Constants of :mod:`autopilot.control.thrust.losses`."""
 
-    report_every_ticks: int = 50
+    report_every_us: int = 500_000
     """Twice per second: for the log, and to re-evaluate the capability."""
     submerged: float = 1.5
     """Depth in half heights of the hull above which heave is not used."""
