@@ -160,7 +160,7 @@ class Signing:
             self.refused.unsigned += 1
             return False
         key = self.key
-        if key is None or not self._nondeterminism.ask("signature", True, lambda: is_signed_with(key, frame)):
+        if key is None or not self._nondeterminism.observe("signature", True, lambda: is_signed_with(key, frame)):
             self.refused.unknown_key += 1
             return False
         stream = (frame[-SIGNATURE_BYTES], frame[5], frame[6])

@@ -143,7 +143,7 @@ def _take_plans(log: Log, parts: ServiceParts, nondeterminism: NondeterminismRep
         parts.commander.restore_home(np.array(content.home_ned_m))
     if content.position is not None and content.mission:
         parts.commander.stand_at(content.position)
-    plans.watchdog = lambda: nondeterminism.ask(PLANS_KEPT, True, lambda: True)
+    plans.watchdog = lambda: nondeterminism.observe(PLANS_KEPT, True, lambda: True)
 
 
 class _Saving:

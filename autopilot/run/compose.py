@@ -94,13 +94,13 @@ def forecast_of(kind: str, basin: Basin | str, known: Callable[[], CurrentForeca
             return EstimatedFlow(Basin(basin))
 
 
-def end_slow_work(parts: ServiceParts, *desks: BackgroundWorker) -> None:
-    """Cancel pending background work on routes, plans and checks. ``desks``: more workers to close."""
+def end_slow_work(parts: ServiceParts, *more: BackgroundWorker) -> None:
+    """Cancel pending background work on routes, plans and checks. ``more``: further workers to close."""
     try:
         parts.plans.close()
         parts.controller.reset()
     finally:
-        for worker in (*parts.desks, *desks):
+        for worker in (*parts.workers, *more):
             worker.close()
 
 
@@ -135,7 +135,7 @@ def build_service(
         photographer=photographer,
         guard=guard,
         nondeterminism=nondeterminism,
-        desks=(*desks.executors, checks, *(() if setup.shelf is None else (setup.shelf.worker,))),
+        workers=(*desks.executors, checks, *(() if setup.shelf is None else (setup.shelf.worker,))),
         vehicle=vehicle,
         params=params,
         plans=plans,

@@ -86,7 +86,7 @@ class KeptPlans(NoticeQueue):
         """The same for the operator, "" while all is well."""
         self.losses: tuple[Loss, ...] = ()
         """Stored data that :meth:`load` could not restore."""
-        plans.watchdog = lambda: seen.ask(PLANS_KEPT, True, self._settled)
+        plans.watchdog = lambda: seen.observe(PLANS_KEPT, True, self._settled)
 
     def load(self) -> tuple[str, ...]:
         """Restore the stored plans before the loop runs. Returns a message to the operator."""

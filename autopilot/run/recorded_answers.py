@@ -21,7 +21,7 @@ class WitnessedSaving:
     nondeterminism: NondeterminismSource
 
     def save(self, tick: int, name: str) -> int | None:
-        return self.nondeterminism.ask("parameter saving", None, lambda: self.saving.save(tick, name))
+        return self.nondeterminism.observe("parameter saving", None, lambda: self.saving.save(tick, name))
 
     def saved(self, tick: int) -> Saved | None:
         return _saved(self.nondeterminism, "parameters saved", lambda: self.saving.saved(tick))
@@ -32,7 +32,7 @@ def _saved(nondeterminism: NondeterminismSource, kind: str, ask: Callable[[], Sa
         saved = ask()
         return None if saved is None else (saved.number, saved.failure)
 
-    fact = nondeterminism.ask(kind, None, found)
+    fact = nondeterminism.observe(kind, None, found)
     return None if fact is None else Saved(number=fact[0], failure=fact[1])
 
 
@@ -78,4 +78,4 @@ class RecordedLogDirectory:
         return self.shelf.erase(tick)
 
     def _note(self) -> None:
-        self.nondeterminism.ask(SHELF_ASKED, False, lambda: True)
+        self.nondeterminism.observe(SHELF_ASKED, False, lambda: True)

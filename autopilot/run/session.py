@@ -216,7 +216,7 @@ def open_session(
         answers=parts.nondeterminism.take,
         mishaps=world.mishaps,
     )
-    for worker in (*parts.desks, disk):
+    for worker in (*parts.workers, disk):
         worker.idle = runtime.attend
     return kind(
         world=world,
