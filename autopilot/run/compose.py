@@ -165,7 +165,7 @@ def build_service(
             guard=guard,
             saving=None if setup.saving is None else WitnessedSaving(setup.saving, nondeterminism),
             signing=None if setup.signing is None else WitnessedStore(setup.signing, nondeterminism),
-            shelf=None if setup.shelf is None else RecordedLogDirectory(setup.shelf, nondeterminism),
+            log_directory=None if setup.shelf is None else RecordedLogDirectory(setup.shelf, nondeterminism),
             nondeterminism=nondeterminism,
             rates=setup.rates,
             camera=photographer,
