@@ -27,9 +27,9 @@ class WitnessedSaving:
         return _saved(self.nondeterminism, "parameters saved", lambda: self.saving.saved(tick))
 
 
-def _saved(nondeterminism: NondeterminismSource, kind: str, ask: Callable[[], Saved | None]) -> Saved | None:
+def _saved(nondeterminism: NondeterminismSource, kind: str, poll: Callable[[], Saved | None]) -> Saved | None:
     def found() -> tuple[int, str] | None:
-        saved = ask()
+        saved = poll()
         return None if saved is None else (saved.number, saved.failure)
 
     fact = nondeterminism.observe(kind, None, found)
@@ -58,24 +58,24 @@ class WitnessedStore:
 class RecordedLogDirectory:
     """Log directory for clients; an access is recorded, its content is not."""
 
-    shelf: LogDirectory
+    log_directory: LogDirectory
     nondeterminism: NondeterminismSource
 
     def list(self, tick: int) -> BackgroundTask[tuple[LogDirectoryEntry, ...]]:
         self._note()
-        return self.shelf.list(tick)
+        return self.log_directory.list(tick)
 
     def read(self, tick: int, path: str, offset: int, size: int) -> BackgroundTask[bytes]:
         self._note()
-        return self.shelf.read(tick, path, offset, size)
+        return self.log_directory.read(tick, path, offset, size)
 
     def crc32(self, tick: int, path: str) -> BackgroundTask[int]:
         self._note()
-        return self.shelf.crc32(tick, path)
+        return self.log_directory.crc32(tick, path)
 
     def erase(self, tick: int) -> BackgroundTask[int]:
         self._note()
-        return self.shelf.erase(tick)
+        return self.log_directory.erase(tick)
 
     def _note(self) -> None:
         self.nondeterminism.observe(SHELF_ASKED, False, lambda: True)
