@@ -35,8 +35,8 @@ class FrameFilter:
                 t_us=frame.t_us,
                 verdict=verdict,
                 contrast=float(steps.std()) * math.sqrt(0.5),
-                white_share=int(self._levels[FRAME_FILTER.white_level :].sum()) / sparse.size,
-                black_share=int(self._levels[: FRAME_FILTER.black_level + 1].sum()) / sparse.size,
+                white_fraction=int(self._levels[FRAME_FILTER.white_level :].sum()) / sparse.size,
+                black_fraction=int(self._levels[: FRAME_FILTER.black_level + 1].sum()) / sparse.size,
             )
         self._reports.append(report)
         return verdict

@@ -49,8 +49,8 @@ class _Benchmarks(click.Group):
             raise click.UsageError(f"{args[0]} is a study: run it in a source checkout of this project", ctx)
         name, command, rest = super().resolve_command(ctx, args)
         taken = set() if command is None else _options(command)
-        for word in rest:
-            option = word.partition("=")[0]
+        for argument in rest:
+            option = argument.partition("=")[0]
             owners = [each for each, other in self.commands.items() if option in _options(other)]
             if owners and option not in taken:
                 plural = "s" if len(owners) > 1 else ""
@@ -61,10 +61,10 @@ class _Benchmarks(click.Group):
         """``--short nmpc`` as ``nmpc --short``."""
         valued = {option for command in self.commands.values() for option in _options(command, valued=True)}
         before = ""
-        for place, word in enumerate(args):
-            if before not in valued and not word.startswith("-"):
-                return [word, *args[:place], *args[place + 1 :]]
-            before = word
+        for place, argument in enumerate(args):
+            if before not in valued and not argument.startswith("-"):
+                return [argument, *args[:place], *args[place + 1 :]]
+            before = argument
         return args
 
 

@@ -123,7 +123,7 @@ def camera(
     images = live_images(made, source, views, save) if live else read_images(image_files(Path(source)))
     result = calibrate(collect_views(made, images, source), fix_k3=fix_k3)
     spread = coverage(result)
-    said = remarks(result, spread, expected, medium)
+    warnings = remarks(result, spread, expected, medium)
     into_water = medium == "air" and expected.model != "flat_port"
     values = camera_values(result, into_water=into_water)
     if plot is not None:
@@ -138,7 +138,7 @@ def camera(
         "values": dict(zip(NAMES, result.values.tolist(), strict=True)),
         "sigma": dict(zip(NAMES, result.sigma.tolist(), strict=True)),
         "coverage": spread.share,
-        "remarks": said,
+        "remarks": warnings,
         "keys": values,
     }
     if as_json:
@@ -158,11 +158,11 @@ def camera(
         print_table("Views", ("image", "corners", "rms px", "tilt deg"), _view_rows(result, spread))
         for name, why in result.left_out:
             click.echo(f"left out: {name}: {why}")
-        for remark in said:
+        for remark in warnings:
             click.echo(f"remark: {remark}")
     origin = f"autopilot calibrate camera: {len(result.views)} views in {medium}, rms {result.rms_px:.2f} px"
     _keep(values, origin, vehicle, out, as_json)
-    ctx.exit(EXIT_LOSS if said else 0)
+    ctx.exit(EXIT_LOSS if warnings else 0)
 
 
 def _view_rows(result: Any, spread: Any) -> list[tuple[str, str, str, str]]:

@@ -71,24 +71,24 @@ def _all(
     store = WorldStore(out, seed)
     try:
         finished = read_flights(out)
-        asked = [(room, mode) for room in range(runs) for mode in modes]
+        pairs = [(room, mode) for room in range(runs) for mode in modes]
         tasks = [
             WorldTask(room=room, mode=mode, seed=run_seed(seed, room))
-            for room, mode in asked
+            for room, mode in pairs
             if (room, mode) not in finished
         ]
-        done = len(asked) - len(tasks)
+        done = len(pairs) - len(tasks)
         with stoppable() as stop:
             for result in make_engine(engine, jobs).run(tasks, lambda: bool(stop)):
                 store.append(result)
                 done += 1
                 if not quiet:
-                    click.echo(f"{done}/{len(asked)} {_line(result)}")
+                    click.echo(f"{done}/{len(pairs)} {_line(result)}")
         if stop:
-            click.echo(f"{done} of {len(asked)} flights are kept in {out}; the same command resumes", err=True)
+            click.echo(f"{done} of {len(pairs)} flights are kept in {out}; the same command resumes", err=True)
             raise click.Abort
         results = read_flights(out)
-        return [results[key] for key in asked if key in results]
+        return [results[key] for key in pairs if key in results]
     finally:
         store.close()
 

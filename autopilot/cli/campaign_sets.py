@@ -69,14 +69,14 @@ def sets(
     if not only_table:
         overrides = parse_overrides(param)
         campaigns = {label: define(name, seed=seed, params=overrides) for label, name in chosen.items()}
-        asked = runs * len(campaigns)
+        total_runs = runs * len(campaigns)
         with stoppable() as stop:
             finished = [read_results(out / label) for label in campaigns if (out / label).is_dir()]
             done = sum(run < runs for results in finished for run in results)
             places = {label: (defined, out / label) for label, defined in campaigns.items()}
             for label, result in fly_sets(places, make_engine(engine, jobs), runs, lambda: bool(stop)):
                 done += 1
-                click.echo(f"{done} of {asked}: {label} {verdict(result)}", err=True)
+                click.echo(f"{done} of {total_runs}: {label} {verdict(result)}", err=True)
             stopped = bool(stop)
     folders = [out / label for label in chosen if (out / label / IDENTITY).is_file()]
     if not folders:

@@ -27,9 +27,9 @@ def check(file: str, plan: str | None, origin: tuple[float, float] | None, as_js
     from autopilot.core.geodesy import Origin
 
     where = None if origin is None else Origin(lat_deg=origin[0], lon_deg=origin[1])
-    water = open_map(Path(file), where)
-    rows = describe_map(water)
-    problem, warning = ("", "") if plan is None else plan_findings(water, Path(plan), where)
+    current_map = open_map(Path(file), where)
+    rows = describe_map(current_map)
+    problem, warning = ("", "") if plan is None else plan_findings(current_map, Path(plan), where)
     if as_json:
         emit_json({**dict(rows), "problem": problem, "warning": warning})
     else:

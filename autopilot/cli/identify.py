@@ -71,8 +71,13 @@ def _print(rows: "list[CoefficientRow]", truth: dict[str, float] | None) -> None
         columns += ["flown", "off %", "covered"]
     table = []
     for row in rows:
-        share = 100.0 * 0.5 * (row.high - row.low) / abs(row.value) if row.value else math.inf
-        cells = [row.name, row.unit, *(f"{v:.4g}" for v in (row.before, row.value, row.low, row.high)), f"{share:.1f}"]
+        half_width = 100.0 * 0.5 * (row.high - row.low) / abs(row.value) if row.value else math.inf
+        cells = [
+            row.name,
+            row.unit,
+            *(f"{v:.4g}" for v in (row.before, row.value, row.low, row.high)),
+            f"{half_width:.1f}",
+        ]
         cells.append("kept" if row.kept else "")
         if truth is not None:
             flown = truth[row.name]

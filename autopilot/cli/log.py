@@ -123,8 +123,8 @@ def programs(log_file: Path, as_json: bool) -> None:
         emit_json({"log": str(log_file), "programs": listed})
     elif not found:
         flown = opened.topics.get("/ctl/nmpc")
-        said = "every program was solved" if flown is not None and flown.count else "has no control steps (/ctl/nmpc)"
-        click.echo(f"{log_file}: {said}")
+        text = "every program was solved" if flown is not None and flown.count else "has no control steps (/ctl/nmpc)"
+        click.echo(f"{log_file}: {text}")
     else:
         rows = [
             (

@@ -34,17 +34,17 @@ def check(file: str, vehicle: str, as_json: bool) -> None:
     layout = load_marker_map(Path(file))
     boat = load_vehicle(vehicle)
     rows = describe_markers(layout)
-    shares = view_shares(layout, CameraModel.of_vehicle(boat)) if layout.level else []
+    fractions = view_shares(layout, CameraModel.of_vehicle(boat)) if layout.level else []
     warnings = map_warnings(layout)
     if as_json:
-        emit_json({**dict(rows), "view_shares": shares, "warnings": warnings})
+        emit_json({**dict(rows), "view_shares": fractions, "warnings": warnings})
     else:
         print_table(f"Marker map {file}", ("what", "value"), rows)
-        if shares:
+        if fractions:
             print_table(
                 f"Places over the floor from which {boat.name} sees whole markers",
                 ("camera height m", "one or more", "two or more"),
-                [(f"{h:g}", f"{100.0 * one:.0f} %", f"{100.0 * two:.0f} %") for h, one, two in shares],
+                [(f"{h:g}", f"{100.0 * one:.0f} %", f"{100.0 * two:.0f} %") for h, one, two in fractions],
             )
     for text in warnings:
         click.echo(f"warning: {text}", err=True)
@@ -54,10 +54,10 @@ def check(file: str, vehicle: str, as_json: bool) -> None:
 
 @markers.command()
 @click.argument("log", type=click.Path(exists=True, dir_okay=False))
-@click.option("--map", "told", type=click.Path(exists=True, dir_okay=False), help="Another map than the log's.")
+@click.option("--map", "map_path", type=click.Path(exists=True, dir_okay=False), help="Another map than the log's.")
 @click.option("--out", type=click.Path(dir_okay=False), required=True, help="The refined map (TOML).")
 @click.option("--json", "as_json", is_flag=True, help="Print as JSON.")
-def refine(log: str, told: str | None, out: str, as_json: bool) -> None:
+def refine(log: str, map_path: str | None, out: str, as_json: bool) -> None:
     """Where the sheets of the map really lie, as the estimator finds them in the flight LOG."""
     import numpy as np
 
@@ -67,7 +67,7 @@ def refine(log: str, told: str | None, out: str, as_json: bool) -> None:
     from autopilot.replay.estimator_replay import refined_by
 
     flight = open_log(Path(log))
-    rough = read_markers(flight.attachments) if told is None else load_marker_map(Path(told))
+    rough = read_markers(flight.attachments) if map_path is None else load_marker_map(Path(map_path))
     result = refined_by(flight, read_setup(flight), rough)
     assert rough is not None
     assert rough.errors is not None

@@ -126,7 +126,7 @@ def start(
     with _session(connection, patience, as_json) as session:
         if plan is not None and file is not None:
             _upload(session, plan, file, clear, quiet=as_json)
-        with _said_once(session):
+        with _once_each(session):
             if session.vehicle is None or not session.vehicle.armed:
                 session.arm()
             session.start_mission()
@@ -206,7 +206,7 @@ def _session(connection: str, patience_s: float, quiet: bool) -> Iterator[Vehicl
 
 
 @contextmanager
-def _said_once(session: VehicleConnection) -> Iterator[None]:
+def _once_each(session: VehicleConnection) -> Iterator[None]:
     """Filters the text of a refusal, which is in the error message too."""
     show = session.on_text
     held: list[VehicleText] = []
@@ -235,10 +235,10 @@ def _upload(session: VehicleConnection, plan: PlanFile, file: Path, clear: bool,
         kinds = (PlanKind.MISSION,)
     if clear:
         for kind in reversed(kinds):
-            with _said_once(session):
+            with _once_each(session):
                 session.upload(kind, ())
     for kind in kinds:
-        with _said_once(session), _bar(kind.name.lower(), quiet) as advance:
+        with _once_each(session), _bar(kind.name.lower(), quiet) as advance:
             session.upload(kind, plan.items(kind), advance)
     return {kind.name.lower(): len(plan.items(kind)) for kind in kinds}
 

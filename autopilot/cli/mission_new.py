@@ -116,7 +116,11 @@ def new(
     params, radius_m = ParamSet(), load_vehicle(vehicle).radius_m
     place = params_origin(params)
     lat_deg, lon_deg, alt_m = (*origin, 0.0)[:3] if origin else (place.lat_deg, place.lon_deg, place.alt_m)
-    stops = _told(waypoints, speed) if waypoints else _tour(tank or (0.0, 0.0), obstacles, depth, radius_m, speed)
+    stops = (
+        _waypoint_tables(waypoints, speed)
+        if waypoints
+        else _tour(tank or (0.0, 0.0), obstacles, depth, radius_m, speed)
+    )
     corners = _corners(tank) if tank else []
     plan = plan_of_local(
         LocalPlan(
@@ -151,19 +155,19 @@ def _corners(tank: tuple[float, ...]) -> list[tuple[float, float]]:
     return [(-north, -east), (north, -east), (north, east), (-north, east)]
 
 
-def _told(waypoints: tuple[tuple[float, ...], ...], speed: float | None) -> list[WaypointTable]:
+def _waypoint_tables(waypoints: tuple[tuple[float, ...], ...], speed: float | None) -> list[WaypointTable]:
     """The waypoints of the command line; the speed holds from the first one on."""
     from autopilot.mission.local_plan import WaypointTable
 
     return [
         WaypointTable(
-            x_m=told[0],
-            y_m=told[1],
-            depth_m=told[2],
-            yaw_rad=math.radians(told[3]) if len(told) > 3 else None,
+            x_m=point[0],
+            y_m=point[1],
+            depth_m=point[2],
+            yaw_rad=math.radians(point[3]) if len(point) > 3 else None,
             speed_m_s=speed if n == 0 else None,
         )
-        for n, told in enumerate(waypoints)
+        for n, point in enumerate(waypoints)
     ]
 
 
@@ -182,4 +186,4 @@ def _tour(
         for x, y in dict.fromkeys(_corners(inside))
         if all(math.hypot(x - ox, y - oy) >= r + keep_m for ox, oy, r in obstacles)
     ]
-    return _told(tuple((x, y, depth) for x, y in free), speed)
+    return _waypoint_tables(tuple((x, y, depth) for x, y in free), speed)

@@ -36,7 +36,7 @@ def motors(config: str, thruster: tuple[str, ...], level: float, seconds: float,
     with setup.make(vehicle) as output:
         for place, commands in tests:
             x, y, z = vehicle.thrusters[place].direction_frd
-            way = "" if level > 0.0 else "against "
-            click.echo(f"{vehicle.thrusters[place].name}: pushes {way}({x:g}, {y:g}, {z:g}) forward, right, down")
+            direction = "" if level > 0.0 else "against "
+            click.echo(f"{vehicle.thrusters[place].name}: pushes {direction}({x:g}, {y:g}, {z:g}) forward, right, down")
             if not turn(output, iter(commands), lambda: bool(stop)):
                 raise click.Abort

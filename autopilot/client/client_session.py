@@ -109,7 +109,7 @@ class VehicleConnection:
         self._timers = timers or Timers()
         self._clock_s = clock_s
         self._at_work = at_work
-        self._heard_s = clock_s()
+        self._received_s = clock_s()
         self._stamp: tuple[int, float] | None = None
         """The vehicle's last time_boot_ms and its time of arrival."""
         self._held_up_s = self._stood_s = 0.0
@@ -208,10 +208,10 @@ class VehicleConnection:
         """Update the time of the last message, the vehicle's clock and the time it was held up."""
         now_s = self._clock_s()
         if messages:
-            self._heard_s = now_s
-        elif self._at_work is not None and now_s - self._heard_s > _ASK_S and self._at_work():
-            silent_s = now_s - self._heard_s
-            self._heard_s = now_s
+            self._received_s = now_s
+        elif self._at_work is not None and now_s - self._received_s > _ASK_S and self._at_work():
+            silent_s = now_s - self._received_s
+            self._received_s = now_s
             self._held_up_s += silent_s
             if self._stamp is not None:
                 self._stamp = (self._stamp[0], self._stamp[1] + silent_s)
@@ -229,10 +229,10 @@ class VehicleConnection:
             self._stamp, self._stood_s = (boot_ms, now_s), 0.0
         self._note_standstill(bool(messages), now_s)
 
-    def _note_standstill(self, heard: bool, now_s: float) -> None:
+    def _note_standstill(self, received: bool, now_s: float) -> None:
         """A clock that stands still while messages arrive counts as held up, for at most ``_STANDSTILL_S``."""
         last = self._stamp
-        if heard and last is not None and now_s - last[1] > _ASK_S and self._stood_s < _STANDSTILL_S:
+        if received and last is not None and now_s - last[1] > _ASK_S and self._stood_s < _STANDSTILL_S:
             self._stood_s += now_s - last[1]
             self._held_up_s += now_s - last[1]
             self._stamp = (last[0], now_s)
@@ -254,7 +254,7 @@ class VehicleConnection:
     @property
     def _silent_s(self) -> float:
         """Time since the last message [s]."""
-        return self._clock_s() - self._heard_s
+        return self._clock_s() - self._received_s
 
     def _note(self, message: Message, now_s: float) -> None:
         """Handle messages that may arrive at any time: heartbeats, progress, texts."""
@@ -515,7 +515,7 @@ class VehicleConnection:
         """
         self._address()
         since = self.vehicle_s, self._clock_s()
-        self._heard_s = since[1]
+        self._received_s = since[1]
         shown: MissionStatus | None = None
         begun = False
         while True:

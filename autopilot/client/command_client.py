@@ -37,7 +37,7 @@ class CommandSend(BaseExchange):
         if not self._listens(message, t_s):
             return []
         if message.get_type() == "COMMAND_ACK" and message.command == self._command:
-            self._heard_s = t_s
+            self._received_s = t_s
             if message.result == mav.MAV_RESULT_IN_PROGRESS:
                 self._running = True
                 self._percent = message.progress if message.progress <= 100 else self._percent

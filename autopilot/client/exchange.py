@@ -83,7 +83,7 @@ class BaseExchange:
         self._target = target
         self._timers = timers
         self._what = what
-        self._heard_s = 0.0
+        self._received_s = 0.0
         self._sent_s = 0.0
         self._texts = TextCollector()
         self._complaints: list[VehicleText] = []
@@ -100,11 +100,11 @@ class BaseExchange:
         return self._texts.waiting
 
     def _start(self, t_s: float) -> None:
-        self._heard_s = self._sent_s = t_s
+        self._received_s = self._sent_s = t_s
 
     def grant(self, held_up_s: float) -> None:
         """Extend the timeout by the time in which the vehicle made no progress [s]."""
-        self._heard_s += held_up_s
+        self._received_s += held_up_s
 
     def _listens(self, message: Message, t_s: float) -> bool:
         """Collect STATUSTEXT; True while an answer of the vehicle is still expected."""
@@ -144,7 +144,7 @@ class BaseExchange:
             if t_s - self._refused[1] >= self._timers.reason_s:
                 self._finish_refusal(self._refused[0])
             return True
-        if t_s - self._heard_s >= self._timers.give_up_s:
+        if t_s - self._received_s >= self._timers.give_up_s:
             text = f"{self._what}: the vehicle did not answer for {self._timers.give_up_s:g} s; check the connection"
             self.outcome = ExchangeResult(result=None, reason=text)
             return True

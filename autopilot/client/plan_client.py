@@ -68,12 +68,12 @@ class PlanUpload(BaseExchange):
             return []
         kind = message.get_type()
         if kind in ("MISSION_REQUEST_INT", "MISSION_REQUEST") and 0 <= message.seq < len(self._items):
-            self._heard_s = self._sent_s = t_s
+            self._received_s = self._sent_s = t_s
             self._last_sent = message.seq
             self._highest = max(self._highest, message.seq)
             return [self._item(message.seq)]
         if kind == "MISSION_ACK":
-            self._heard_s = t_s
+            self._received_s = t_s
             return self._on_ack(message.type, t_s)
         return []
 
@@ -153,7 +153,7 @@ class PlanDownload(BaseExchange):
             self._items.append(item_of(message))
         else:
             return []
-        self._heard_s = self._sent_s = t_s
+        self._received_s = self._sent_s = t_s
         if len(self._items) < (self._count or 0):
             return [self._request()]
         self.outcome = ExchangeResult(result=0, reason="")

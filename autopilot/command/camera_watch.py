@@ -71,9 +71,9 @@ class CameraWatch:
             return str(picture.verdict.value)
         if self._markers_us is not None and t_us - self._markers_us < CAMERA_WATCH.markers_us:
             return None
-        if picture.white_share > CAMERA_WATCH.clipped_share:
+        if picture.white_fraction > CAMERA_WATCH.clipped_fraction:
             return FrameVerdict.BRIGHT.value
-        if picture.black_share > CAMERA_WATCH.clipped_share:
+        if picture.black_fraction > CAMERA_WATCH.clipped_fraction:
             return FrameVerdict.DARK.value
         if picture.contrast < CAMERA_WATCH.fog_contrast:
             self.foggy += 1

@@ -2,7 +2,7 @@
 
 from autopilot.command.command_tuning import WATCH
 from autopilot.command.vehicle_status import VehicleStatus
-from autopilot.control.thrust.redundancy import lossy_share
+from autopilot.control.thrust.redundancy import lossy_effectiveness
 from autopilot.core import operator_messages as notices
 from autopilot.core.messages import NavDoubt, NavHealth, NavState
 from autopilot.core.operator_messages import OperatorText
@@ -38,23 +38,23 @@ class ChangeWatch:
         self._goals = goals
         self._fence = goals.fence
         self._health = NavHealth.INVALID
-        self._doubts: frozenset[NavDoubt] = frozenset()
+        self._reported_doubts: frozenset[NavDoubt] = frozenset()
         """Reported since arming."""
         self._unreachable = False
         self._thrusters = tuple(thruster.name for thruster in vehicle.thrusters)
-        self._share: dict[str, float] = {}
-        self._shares: tuple[float, ...] | None = None
+        self._reported_effectiveness: dict[str, float] = {}
+        self._last_effectiveness: tuple[float, ...] | None = None
         self._doubtful: tuple[tuple[str, ...], ...] = ()
         self._armed_us: int | None = None
         self._delay_s = 0.0
 
-    def look(self, status: VehicleStatus, *, armed: bool) -> list[OperatorText]:
+    def update(self, status: VehicleStatus, *, armed: bool) -> list[OperatorText]:
         nav = status.nav
         texts: list[OperatorText] = []
         health = NavHealth.INVALID if nav is None else nav.health
-        new = status.nav_doubts - self._doubts if armed else frozenset()
+        new = status.nav_doubts - self._reported_doubts if armed else frozenset()
         texts += [_DOUBT_TEXTS[doubt]() for doubt in NavDoubt if doubt in new] if new else []
-        self._doubts = self._doubts | new if armed else frozenset()
+        self._reported_doubts = self._reported_doubts | new if armed else frozenset()
         # The text of that warning already says why the fixes are rejected.
         reported = health is NavHealth.DEAD_RECKONING and (bool(new) or NavDoubt.FIXES in status.nav_doubts)
         if armed and health is not self._health and not reported:
@@ -63,8 +63,8 @@ class ChangeWatch:
             texts.append(notices.NO_FREE_PATH())
         texts += self._of_commands(status.command_delay_s) if armed else []
         self._health, self._unreachable = health, status.unreachable
-        texts += self._of_redundant(status.thruster_share, status.thrusters_doubtful)
-        texts += self._of_thrusters(status.thruster_share)
+        texts += self._of_redundant(status.thruster_effectiveness, status.thrusters_doubtful)
+        texts += self._of_thrusters(status.thruster_effectiveness)
         texts += self._of_flight(status, armed)
         if self._goals.fence is not self._fence:
             self._fence = self._goals.fence
@@ -73,46 +73,52 @@ class ChangeWatch:
 
     def _of_commands(self, delay_s: float) -> list[OperatorText]:
         """Commands that act late, or again at once."""
-        said_s = self._delay_s
-        if abs(delay_s - said_s) < WATCH.delay_news_s and not (delay_s == 0.0 != said_s):
+        reported_s = self._delay_s
+        if abs(delay_s - reported_s) < WATCH.delay_news_s and not (delay_s == 0.0 != reported_s):
             return []
         self._delay_s = delay_s
         if delay_s == 0.0:
             return [notices.LATENCY_NORMAL()]
         return [notices.LATENCY(delay_s=delay_s)]
 
-    def _of_redundant(self, shares: tuple[float, ...], doubtful: tuple[tuple[str, ...], ...]) -> list[OperatorText]:
+    def _of_redundant(
+        self, effectiveness: tuple[float, ...], doubtful: tuple[tuple[str, ...], ...]
+    ) -> list[OperatorText]:
         """One of several thrusters that do the same gives less than it should, or none of them any more."""
         if doubtful == self._doubtful:
             return []
-        share_of = dict(zip(self._thrusters, shares, strict=False))
+        effectiveness_of = dict(zip(self._thrusters, effectiveness, strict=False))
         texts: list[OperatorText] = []
         for group in doubtful:
             if group not in self._doubtful:
-                left = 100.0 * lossy_share([share_of[name] for name in group])
+                left = 100.0 * lossy_effectiveness([effectiveness_of[name] for name in group])
                 texts.append(notices.REDUNDANT_LOSS(names=", ".join(group), percent=left))
-        sound = [group for group in self._doubtful if group not in doubtful and all(share_of[t] == 1.0 for t in group)]
-        texts += [notices.REDUNDANT_RESTORED(names=", ".join(group)) for group in sound]
+        restored = [
+            group
+            for group in self._doubtful
+            if group not in doubtful and all(effectiveness_of[t] == 1.0 for t in group)
+        ]
+        texts += [notices.REDUNDANT_RESTORED(names=", ".join(group)) for group in restored]
         self._doubtful = doubtful
         return texts
 
-    def _of_thrusters(self, shares: tuple[float, ...]) -> list[OperatorText]:
+    def _of_thrusters(self, effectiveness: tuple[float, ...]) -> list[OperatorText]:
         """Loss of effectiveness of a thruster, or its recovery."""
         texts: list[OperatorText] = []
-        if shares == self._shares:
+        if effectiveness == self._last_effectiveness:
             return texts
-        self._shares = shares
-        for name, share in zip(self._thrusters, shares, strict=False):
+        self._last_effectiveness = effectiveness
+        for name, value in zip(self._thrusters, effectiveness, strict=False):
             if any(name in group for group in self._doubtful):
                 continue
-            said = self._share.get(name, 1.0)
-            if abs(share - said) < WATCH.share_news and not (share == 1.0 != said):
+            reported = self._reported_effectiveness.get(name, 1.0)
+            if abs(value - reported) < WATCH.effectiveness_news and not (value == 1.0 != reported):
                 continue
-            self._share[name] = share
-            if share == 1.0:
+            self._reported_effectiveness[name] = value
+            if value == 1.0:
                 texts.append(notices.THRUSTER_RESTORED(name=name))
             else:
-                texts.append(notices.THRUSTER_LOSS(name=name, percent=100.0 * share))
+                texts.append(notices.THRUSTER_LOSS(name=name, percent=100.0 * value))
         return texts
 
     def _of_flight(self, status: VehicleStatus, armed: bool) -> list[OperatorText]:

@@ -33,8 +33,8 @@ class CollisionDetector:
             return False
         if self._began_us is None:
             if size < least_m_s2:
-                share = 0.01 / COLLISION.base_time_s
-                self._base = (bx + share * dx, by + share * dy)
+                factor = 0.01 / COLLISION.base_time_s
+                self._base = (bx + factor * dx, by + factor * dy)
                 return False
             self._began_us, self._peak = sample.t_us, 0.0
         self._peak = max(self._peak, size - self._commanded(thrust_n))

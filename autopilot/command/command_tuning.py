@@ -16,7 +16,7 @@ class CameraWatchTuning:
     fog_contrast: float = 6.0
     """Grey levels between neighbouring pixels of the coarse picture: a floor of markers has 20 and more in clear water,
     noise alone 3."""
-    clipped_share: float = 0.5
+    clipped_fraction: float = 0.5
     """Share of white or black pixels from which on a picture in which nothing is found is over- or under-exposed."""
 
 
@@ -44,7 +44,7 @@ class VehicleStatusTuning:
     """Averaging time of the share of late ticks."""
     jump_s: float = 0.5
     """A clock of day that is set by less than this is being kept in step, not set."""
-    felt_us: int = 1_000_000
+    fresh_us: int = 1_000_000
     """Age beyond which a heading or a depth is invalid."""
     shown_us: int = 10_000_000
     """Time for which a clock jump or a collision is reported."""
@@ -96,7 +96,7 @@ MISSION_RUN = MissionRunTuning()
 
 @dataclass(frozen=True, slots=True)
 class MotorTestsTuning:
-    most_share: float = 0.3
+    most_fraction: float = 0.3
     """Of the pulse's span."""
     most_s: float = 5.0
     """In one go, and of one word."""
@@ -116,9 +116,9 @@ class PhotographerTuning:
     min_interval_s: float = 0.2
     """Stills of full size are not taken faster."""
     min_distance_m: float = 0.01
-    max_under_way: int = 4
+    max_pending: int = 4
     """Stills that may be asked for and not there yet: a camera that does not follow gets no longer queue."""
-    lost_us: int = 10_000_000
+    answer_timeout_us: int = 10_000_000
     """A still without a result is given up after this time; the camera's driver gives up sooner, with a reason."""
     max_records: int = 10_000
     """Stills that can be requested again; beyond that the oldest is dropped."""
@@ -178,7 +178,7 @@ ENVIRONMENT = EnvironmentTuning()
 
 @dataclass(frozen=True, slots=True)
 class WatchTuning:
-    share_news: float = 0.15
+    effectiveness_news: float = 0.15
     """A change of a thruster's effectiveness that is worth a message."""
     flight_us: int = 20_000_000
     """A shorter time armed is no flight to summarise."""

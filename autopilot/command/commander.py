@@ -392,7 +392,7 @@ class Commander:
         self._plans.tick()
         self._watch_plan()
         self._watch_check(status.t_us)
-        for text in self._watch.look(status, armed=modes.armed):
+        for text in self._watch.update(status, armed=modes.armed):
             self._operator.say(text)
         modes.watch_flight_controller(status.below, self._may_resume)
         mode = modes.mode

@@ -8,7 +8,7 @@ import numpy as np
 from autopilot.command.decision import Decision, Pose
 from autopilot.command.modes.mode_table import STEERED
 from autopilot.control.constraints.tracks import Tracks
-from autopilot.control.protocol import Controller, sound, sound_thrust_n
+from autopilot.control.protocol import Controller, checked_output, checked_thrust_n
 from autopilot.control.robust.fallback import station_keeping_thrust
 from autopilot.control.thrust.actuation import Actuation
 from autopilot.control.thrust.by_hand import HandLaw, PositionlessState
@@ -46,7 +46,7 @@ class ControlStep:
         """Time and mode of the last tick that had a goal."""
         self._switched = False
         """The controller has not answered since such a mode began or ended."""
-        self.felt: Callable[[int], PositionlessState] = lambda _: PositionlessState()
+        self.measured: Callable[[int], PositionlessState] = lambda _: PositionlessState()
         """State known without a position, called only then."""
         self.thrust_n: FloatArray = actuation.nothing()
         """(n,) wanted now."""
@@ -60,11 +60,11 @@ class ControlStep:
         """(n, 8) the prediction of the last control step, None while nothing is controlled."""
         self.solver_failures = 0
         """Control steps in a row without a solution."""
-        self.way_left_m: float | None = None
+        self.path_left_m: float | None = None
         """Length of the controller's path to the goal, None without one."""
 
     def reset(self) -> None:
-        self.solver_failures, self.status, self.way_left_m, self.ahead = 0, None, None, None
+        self.solver_failures, self.status, self.path_left_m, self.ahead = 0, None, None, None
         self._controller.reset()
 
     def step(
@@ -95,7 +95,7 @@ class ControlStep:
                 self._hand.release()
             elif decision.by_hand is not None:
                 limit_n = actuation.command_limit_n
-                self.thrust_n = self._hand.thrust_n(t_us, decision.by_hand, self.felt(t_us), limit_n, before_n)
+                self.thrust_n = self._hand.thrust_n(t_us, decision.by_hand, self.measured(t_us), limit_n, before_n)
                 self._soft = (t_us, self.thrust_n)
             else:
                 self._hand.release()
@@ -114,7 +114,7 @@ class ControlStep:
         else:
             between = self._controller.tick(t_us, nav)
             kept_n = self.thrust_n if self._soft is None else self._wanted_n
-            self._wanted_n = kept_n if between is None else sound_thrust_n(between, self._limit_n)
+            self._wanted_n = kept_n if between is None else checked_thrust_n(between, self._limit_n)
         self.thrust_n = self._softened(t_us, self._wanted_n)
         return control
 
@@ -164,12 +164,12 @@ class ControlStep:
             self._tracks.round(t_us, nav.pos_ned_m),
             delay_s=None if actuation.doubtful else actuation.delay_s,
         )
-        control = sound(control, limit_n)
+        control = checked_output(control, limit_n)
         solved = control.status.status is SolveStatus.OK and control.status.fallback is Fallback.NONE
         self.solver_failures = 0 if solved or actuation.doubtful else self.solver_failures + 1
         self._wanted_n, self.status = control.thrust_n, control.status
         self.ahead = control.nominal if len(control.nominal) else None
-        self.way_left_m = _length_m(control.route_ned_m)
+        self.path_left_m = _length_m(control.route_ned_m)
         return control
 
 
@@ -181,7 +181,7 @@ def model_state(nav: NavState) -> FloatArray:
     return x
 
 
-def _length_m(way: FloatArray) -> float | None:
+def _length_m(route: FloatArray) -> float | None:
     """Length of a polyline (m, 2), None without one."""
-    step = way[1:] - way[:-1]
+    step = route[1:] - route[:-1]
     return float(np.hypot(step[:, 0], step[:, 1]).sum()) if len(step) else None

@@ -94,13 +94,13 @@ class Environment:
 
     def _note_power(self, t_us: int, sample: PowerSample) -> None:
         """One battery reading; an implausible one counts as missing."""
-        share = self._power_share(sample.t_us)
+        weight = self._power_weight(sample.t_us)
         if not self.power_watch.note(t_us, sample):
             self.status.note_implausible(t_us, "power monitor")
             return
         self.status.note_sample(t_us, sample)
         power_w, before_w = sample.voltage_v * sample.current_a, self.sensed.power_w
-        self.sensed.power_w = power_w if before_w is None else before_w + share * (power_w - before_w)
+        self.sensed.power_w = power_w if before_w is None else before_w + weight * (power_w - before_w)
 
     def _feel(self, t_us: int, sample: AhrsSample | ImuSample) -> None:
         status, sensed = self.status, self.sensed
@@ -111,9 +111,9 @@ class Environment:
         if self._collisions.update(sample, status.thrust_n, self._params["FS_COLL_ACC"]):
             status.collided_us = t_us
 
-    def note_others(self, t_us: int, tracks: Sequence[ObstacleTrack], gone: Sequence[int], fence: Fence) -> None:
+    def note_others(self, t_us: int, tracks: Sequence[ObstacleTrack], removed: Sequence[int], fence: Fence) -> None:
         """Take reported obstacles, without beam returns from the fence itself."""
-        for number in gone:
+        for number in removed:
             self.tracks.forget(number)
         beams = [track for track in tracks if track.track_id >= BEAM_TRACKS]
         free_m = clearance_m(fence, np.array([track.pos_ned_m for track in beams])) if beams else ()
@@ -143,7 +143,7 @@ class Environment:
         self.sensed.newest[LaserSample] = sample
         self.status.floor.note("laser", t_us, sample.range_m)
 
-    def _power_share(self, t_us: int) -> float:
+    def _power_weight(self, t_us: int) -> float:
         """Share that a new sample has of the mean power."""
         passed_s = 1e-6 * (t_us - (t_us if self.power is None else self.power.t_us))
         return min(max(passed_s / ENVIRONMENT.power_s, 0.0), 1.0)

@@ -89,10 +89,10 @@ class Equipment:
             if output.channel is not None and output.name not in self._unwired
         }
 
-    def light_shares(self) -> tuple[float, ...]:
+    def light_levels(self) -> tuple[float, ...]:
         """How bright the lights are that can be used, 0 to 1, in the order of the vehicle file."""
         lights = (index for index, output in enumerate(self.outputs) if output.kind == "light")
-        return tuple(self._share(index) for index in lights if not self._problem(index))
+        return tuple(self._level(index) for index in lights if not self._problem(index))
 
     # Orders
 
@@ -156,7 +156,7 @@ class Equipment:
         for number, value in values.items():
             index = self._of_actuator(number)
             if index is not None:
-                self._put(index, self._share_us(index, 0.5 + 0.5 * value))
+                self._put(index, self._pulse_us(index, 0.5 + 0.5 * value))
         return ACCEPTED
 
     def lights(self, change: float | None) -> CommandReply:
@@ -167,8 +167,8 @@ class Equipment:
             return _denied(self._problem(lights[0]) if lights else "There are no lights on this vehicle")
         on = any(self._is_on(index) for index in usable)
         for index in usable:
-            share = (0.0 if on else 1.0) if change is None else self._share(index) + change
-            self._put(index, self._share_us(index, share))
+            level = (0.0 if on else 1.0) if change is None else self._level(index) + change
+            self._put(index, self._pulse_us(index, level))
         return ACCEPTED
 
     # One tick
@@ -214,18 +214,18 @@ class Equipment:
         output = self.outputs[index]
         return output.max_us if high else output.min_us
 
-    def _share_us(self, index: int, share: float) -> int:
+    def _pulse_us(self, index: int, level: float) -> int:
         output = self.outputs[index]
-        return round(output.min_us + min(max(share, 0.0), 1.0) * (output.max_us - output.min_us))
+        return round(output.min_us + min(max(level, 0.0), 1.0) * (output.max_us - output.min_us))
 
-    def _share(self, index: int) -> float:
+    def _level(self, index: int) -> float:
         output = self.outputs[index]
         return (self._pulses_us[index] - output.min_us) / (output.max_us - output.min_us)
 
     def _is_on(self, index: int) -> bool:
         output = self.outputs[index]
         threshold = 0.5 if output.kind == "relay" else 0.0
-        return self._share(index) > threshold
+        return self._level(index) > threshold
 
     def _of_channel(self, channel: int) -> int | None:
         return _first(self.outputs, lambda output: output.channel == channel)

@@ -98,16 +98,16 @@ class Estimation:
         if nav is None or nav.health is NavHealth.INVALID:
             return True
         numbers = (nav.pos_ned_m, nav.rpy_rad, nav.vel_frd_m_s, nav.vel_water_frd_m_s, nav.rate_frd_rad_s)
-        sound = sum([sum(map(abs, part.tolist())) for part in (*numbers, nav.current_ned_m_s)]) < NO_STATE
-        sound = sound and sum(map(abs, nav.variance.tolist())) < NO_STATE**2
-        if not sound:
+        finite = sum([sum(map(abs, part.tolist())) for part in (*numbers, nav.current_ned_m_s)]) < NO_STATE
+        finite = finite and sum(map(abs, nav.variance.tolist())) < NO_STATE**2
+        if not finite:
             if self._not_finite_us is None:
                 self._remarks.append(notices.ESTIMATE_NOT_FINITE.event(t_us))
             self._not_finite, self._not_finite_us = self._not_finite + 1, t_us
         elif self._not_finite_us is not None and t_us - self._not_finite_us > FINITE_AGAIN_US:
             self._not_finite_us = None
             self._remarks.append(notices.ESTIMATE_FINITE.event(t_us))
-        return sound
+        return finite
 
     def _stand_in(self, t_us: int) -> Estimated:
         """After a fault of the estimator: the last estimate, for a limited time."""

@@ -22,7 +22,7 @@ class FailsafeText:
     over: str
     """When it ends, and whether it counts on the ground."""
     action: str
-    said: str
+    message: str
 
 
 def failsafe_texts() -> list[FailsafeText]:
@@ -35,7 +35,7 @@ def failsafe_markdown() -> str:
     """Generated part of docs/failsafes.md."""
     lines = ["| bit | failsafe | begins when; over | action | text |", "| --- | --- | --- | --- | --- |"]
     lines += [
-        f"| {text.bit} | {text.name} | {text.condition}{_ending(text.over)} | {_short(text.action)} | {text.said} |"
+        f"| {text.bit} | {text.name} | {text.condition}{_ending(text.over)} | {_short(text.action)} | {text.message} |"
         for text in failsafe_texts()
     ]
     lines += ["", "| effect, weakest first | as a number | |", "| --- | --- | --- |"]
@@ -68,7 +68,7 @@ def _text(row: FailsafeRow, params: ParamSet) -> FailsafeText:
         condition=_NAMED.sub(lambda found: _with_default(found[1], params), row.condition),
         over=_over(row),
         action=_action(row, params),
-        said=_FORMAT.sub(r"{\1}", row.text) + ("; no arming" if row.arming else ""),
+        message=_FORMAT.sub(r"{\1}", row.text) + ("; no arming" if row.arming else ""),
     )
 
 

@@ -138,7 +138,7 @@ class FailsafeInputs:
             self._update_energy(status, on_mission=on_mission)
 
     def _update_motion(self, status: VehicleStatus) -> None:
-        nav, thrust_n, left_m = status.nav, status.thrust_n, status.way_left_m
+        nav, thrust_n, left_m = status.nav, status.thrust_n, status.path_left_m
         assert nav is not None
         vx, vy, vz = nav.vel_frd_m_s.tolist()
         slow = vx * vx + vy * vy + vz * vz < FAILSAFE_INPUTS.slow_m_s * FAILSAFE_INPUTS.slow_m_s
@@ -159,25 +159,25 @@ class FailsafeInputs:
             return
         self._spent.append((status.t_us, power.energy_used_j, self._travelled_m))
         then_us, then_j, then_m = self._spent[0]
-        way_m = self._travelled_m - then_m
-        if status.t_us - then_us < FAILSAFE_INPUTS.least_s * 1e6 or way_m < FAILSAFE_INPUTS.least_m:
+        distance_m = self._travelled_m - then_m
+        if status.t_us - then_us < FAILSAFE_INPUTS.least_s * 1e6 or distance_m < FAILSAFE_INPUTS.least_m:
             return
-        j_m = (power.energy_used_j - then_j) / way_m
-        left_m = (status.way_left_m or 0.0) + self._rest_m()
+        j_m = (power.energy_used_j - then_j) / distance_m
+        left_m = (status.path_left_m or 0.0) + self._rest_m()
         self.energy_lack = left_m * j_m / self._capacity_j + self._params["FS_ENRG_RES"] - power.remaining
 
     def _rest_m(self) -> float:
         """Path length of the mission beyond the present goal, straight between waypoints, with jumps."""
         position, steps = self._sequencer.position, self._plans.steps()
         if self._rest is None or self._rest[:2] != (position, id(steps)):
-            self._rest = (position, id(steps), 0.0 if position is None else rest_of_way_m(steps, position))
+            self._rest = (position, id(steps), 0.0 if position is None else remaining_distance_m(steps, position))
         return self._rest[2]
 
 
-def rest_of_way_m(steps: Sequence[Step], position: Position) -> float:
+def remaining_distance_m(steps: Sequence[Step], position: Position) -> float:
     """Length of a mission from the goal of ``position`` on. Jumps without an end are not made."""
     done = dict(position.jumps_done)
-    cursor, last, way_m = position.cursor, None, 0.0
+    cursor, last, distance_m = position.cursor, None, 0.0
     for _ in range(FAILSAFE_INPUTS.max_steps):
         if not 0 <= cursor < len(steps):
             break
@@ -191,7 +191,7 @@ def rest_of_way_m(steps: Sequence[Step], position: Position) -> float:
         place = getattr(step, "pos_ned_m", None)
         if place is not None:
             here = tuple(place.tolist())
-            way_m += 0.0 if last is None else math.dist(here, last)
+            distance_m += 0.0 if last is None else math.dist(here, last)
             last = here
         cursor += 1
-    return way_m
+    return distance_m

@@ -341,7 +341,7 @@ ROWS: tuple[FailsafeRow, ...] = (
     FailsafeRow(
         rule=Failsafe.LOOP,
         condition="fraction of late ticks above `FS_LOOP_MAX` for 3 s",
-        level=lambda v, f: v.late_share,
+        level=lambda v, f: v.late_fraction,
         enter="FS_LOOP_MAX",
         enter_s=3.0,
         leave_s=2.0,

@@ -101,11 +101,11 @@ class FailsafeRules:
             reasons.append("AHRS readings are wrong: check range and mounting, restart it")
         reasons += status.refusals
         self._configure()
-        words = _Words(self._params, status, self._failsafe_inputs)
+        text_values = _TextValues(self._params, status, self._failsafe_inputs)
         for watch in self._watches:
             arming = watch.row.arming
             if arming and watch.sign * watch.level(status, self._failsafe_inputs) >= watch.enter:
-                reasons.append(words.put_in(arming))
+                reasons.append(text_values.put_in(arming))
         return tuple(reasons)
 
     def update(self, status: VehicleStatus, *, armed: bool) -> Sequence[Event]:
@@ -155,7 +155,7 @@ class FailsafeRules:
         self.bits ^= 1 << watch.row.rule
         self._judge = True
         if watch.active:
-            watch.text = _Words(self._params, status, self._failsafe_inputs).put_in(watch.row.text)
+            watch.text = _TextValues(self._params, status, self._failsafe_inputs).put_in(watch.row.text)
         if self._armed:
             row = notices.FAILSAFE_OVER
             if watch.active:
@@ -187,7 +187,7 @@ class FailsafeRules:
         self._overridden = overridden
 
 
-class _Words(Mapping[str, object]):
+class _TextValues(Mapping[str, object]):
     """Values of the placeholders in messages: parameters and inputs of the tick."""
 
     def __init__(self, params: ParamSet, status: VehicleStatus, inputs: FailsafeInputs) -> None:
@@ -216,13 +216,13 @@ class _Words(Mapping[str, object]):
         return text.format_map(self).replace("%", " %").replace("  %", " %")
 
 
-def _battery(power: PowerSample | None, inputs: FailsafeInputs, share: str) -> str:
+def _battery(power: PowerSample | None, inputs: FailsafeInputs, template: str) -> str:
     """Which battery quantity is low: voltage or state of charge."""
     if power is None:
         return "unknown"
     if inputs.low_voltage < 0.0:
         return f"at {power.voltage_v:.1f} V"
-    return share.format(remaining=power.remaining)
+    return template.format(remaining=power.remaining)
 
 
 def _override_event(t_us: int, bits: int) -> Event:

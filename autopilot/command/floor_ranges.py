@@ -23,7 +23,7 @@ _NOWHERE = (math.nan, math.nan, math.nan)
 class _Ranges:
     position_frd_m: tuple[float, float, float] = _NOWHERE
     direction_frd: tuple[float, float, float] = _NOWHERE
-    heard: deque[tuple[int, float]] = field(default_factory=lambda: deque(maxlen=READINGS))
+    readings: deque[tuple[int, float]] = field(default_factory=lambda: deque(maxlen=READINGS))
     """Time and range."""
 
 
@@ -44,15 +44,15 @@ class FloorRanges:
     def note(self, name: str, t_us: int, range_m: float) -> None:
         """One reading of a sensor, along its beam."""
         if math.isfinite(range_m) and range_m > 0.0:
-            self._ranges[name].heard.append((t_us, range_m))
+            self._ranges[name].readings.append((t_us, range_m))
 
     def height_m(self, t_us: int, rpy_rad: FloatArray | None) -> float | None:
         """Of the vehicle's centre over the floor, None = not known; ``rpy_rad`` (3,), None = level."""
         for name in SENSORS:
             ranges = self._ranges[name]
-            heard = [range_m for then_us, range_m in ranges.heard if t_us - then_us <= FRESH_US]
-            if heard:
-                below_m = median(heard) * _below(rpy_rad, ranges.direction_frd)
+            fresh = [range_m for then_us, range_m in ranges.readings if t_us - then_us <= FRESH_US]
+            if fresh:
+                below_m = median(fresh) * _below(rpy_rad, ranges.direction_frd)
                 height_m = below_m + _below(rpy_rad, ranges.position_frd_m)
                 return height_m if height_m > 0.0 else None
         return None

@@ -50,19 +50,19 @@ def parse_utc(text: str) -> datetime:
 class MapCheck:
     """Checks a map against workspaces, for :class:`autopilot.mission.store.Plans`."""
 
-    def __init__(self, water: CurrentMap, origin: Origin) -> None:
+    def __init__(self, current_map: CurrentMap, origin: Origin) -> None:
         """``origin``: the local origin that the map was read with."""
-        self._water = water
+        self._map = current_map
         self._origin = origin
 
     def problem(self, fence: Fence, steps: Sequence[Step], origin: Origin) -> str:
         """Why the map does not serve there, "" if it does."""
-        water, name = self._water, self._water.name
+        current_map, name = self._map, self._map.name
         moved_deg = max(abs(origin.lat_deg - self._origin.lat_deg), abs(origin.lon_deg - self._origin.lon_deg))
-        if water.nodes.geodetic and moved_deg > MAP_CHECK.same_origin_deg:
+        if current_map.nodes.geodetic and moved_deg > MAP_CHECK.same_origin_deg:
             return f"current map {name}: placed about another origin; set ORIGIN_LAT and ORIGIN_LON and start again"
         places = workspace_places(fence, steps)
-        outside = np.flatnonzero(water.beyond(places))
+        outside = np.flatnonzero(current_map.beyond(places))
         if len(outside):
             return f"current map {name}: does not cover {_at(places[outside[0]])}; use a larger map or a smaller fence"
         gaps = self._in_gaps(fence, places)
@@ -75,8 +75,8 @@ class MapCheck:
         places = workspace_places(fence, steps)
         if not len(places):
             return ""
-        fastest = _fastest_m_s(self._water, places, fence)
-        name = self._water.name
+        fastest = _fastest_m_s(self._map, places, fence)
+        name = self._map.name
         if fastest >= limit_m_s:
             return (
                 f"Current map {name}: up to {fastest:.2f} m/s, the vehicle swims {limit_m_s:g}: goals may be out of "
@@ -89,11 +89,14 @@ class MapCheck:
 
     def _slowest_leg(self, steps: Sequence[Step], limit_m_s: float) -> SlowLeg | None:
         """By the map's mean over time, at the depth of the first waypoint."""
-        water, depths = self._water, [s.pos_ned_m[2] for s in steps if isinstance(s, GoTo) and s.pos_ned_m is not None]
+        current_map, depths = (
+            self._map,
+            [s.pos_ned_m[2] for s in steps if isinstance(s, GoTo) and s.pos_ned_m is not None],
+        )
 
         def current_at(places: FloatArray) -> FloatArray:
             pos = np.column_stack([places, np.full(len(places), depths[0])])
-            frames = [water.velocity(pos, np.full(len(pos), t)) for t in water.nodes.time_s]
+            frames = [current_map.velocity(pos, np.full(len(pos), t)) for t in current_map.nodes.time_s]
             mean: FloatArray = np.mean(frames, axis=0)[:, :2]
             return mean
 
@@ -101,15 +104,15 @@ class MapCheck:
 
     def _in_gaps(self, fence: Fence, places: FloatArray) -> FloatArray:
         """(n, 2) points of the workspace in cells with unknown corners."""
-        unknown = self._water.unknown(fence.depth_min_m, fence.depth_max_m)
+        unknown = self._map.unknown(fence.depth_min_m, fence.depth_max_m)
         if not unknown.any():
             return np.zeros((0, 2))
-        found = places[unknown[self._water.cells(places)]]
+        found = places[unknown[self._map.cells(places)]]
         if len(found) or not fence.inclusions:
             return found
         # Cells that are finer than the lattice: their middles.
         i, j = np.nonzero(unknown)
-        nodes = self._water.nodes
+        nodes = self._map.nodes
         middles = np.stack(
             (0.5 * (nodes.north_m[i] + nodes.north_m[i + 1]), 0.5 * (nodes.east_m[j] + nodes.east_m[j + 1])), axis=1
         )
@@ -130,9 +133,9 @@ def workspace_places(fence: Fence, steps: Sequence[Step]) -> FloatArray:
     return candidates[Clearance.of(fence).near(candidates, MAP_CHECK.edge_m)[0] >= -1e-9]
 
 
-def describe_map(water: CurrentMap) -> list[tuple[str, object]]:
+def describe_map(current_map: CurrentMap) -> list[tuple[str, object]]:
     """Rows of a table that describes a map."""
-    nodes = water.nodes
+    nodes = current_map.nodes
     current = nodes.current_ned_m_s
     known = np.isfinite(current).all(axis=-1)
     speed = np.hypot(current[..., 0], current[..., 1])[known]
@@ -162,7 +165,7 @@ def _corners(shape: Shape) -> FloatArray:
     return points
 
 
-def plan_findings(water: CurrentMap, path: Path, origin: Origin | None) -> tuple[str, str]:
+def plan_findings(current_map: CurrentMap, path: Path, origin: Origin | None) -> tuple[str, str]:
     """Problem and warning of a map with the plan in a file, "" for none. PlanError if the plan itself is wrong."""
     params = ParamSet()
     where = origin or params_origin(params)
@@ -172,7 +175,7 @@ def plan_findings(water: CurrentMap, path: Path, origin: Origin | None) -> tuple
         rejection = plans.replace(kind, items) if items else None
         if rejection is not None:
             raise PlanError(f"{path}: {kind.name.lower()}: {rejection.reason}")
-    check = MapCheck(water, where)
+    check = MapCheck(current_map, where)
     fence, steps = plans.fence(), plans.steps()
     return check.problem(fence, steps, where), check.warning(fence, steps, params["SPD_PLANAR_MAX"])
 
@@ -181,14 +184,14 @@ def _at(place: FloatArray) -> str:
     return f"north {place[0]:.1f}, east {place[1]:.1f} m"
 
 
-def _fastest_m_s(water: CurrentMap, places: FloatArray, fence: Fence) -> float:
+def _fastest_m_s(current_map: CurrentMap, places: FloatArray, fence: Fence) -> float:
     """Largest horizontal speed over all frames and levels at points (n, 2)."""
-    nodes, fastest = water.nodes, 0.0
+    nodes, fastest = current_map.nodes, 0.0
     thinned = places[:: max(1, len(places) // 1000)]
     levels = [d for d in nodes.depth_m if fence.depth_min_m <= d <= fence.depth_max_m] or nodes.depth_m[:1]
     for time_s in nodes.time_s:
         for depth_m in levels:
             pos = np.column_stack((thinned, np.full(len(thinned), depth_m)))
-            flow = water.velocity(pos, np.full(len(thinned), time_s))
+            flow = current_map.velocity(pos, np.full(len(thinned), time_s))
             fastest = max(fastest, float(np.hypot(flow[:, 0], flow[:, 1]).max()))
     return fastest

@@ -136,15 +136,15 @@ class MissionRun:
         self._made_good.forget()
         self._given_up = False
 
-    def watch_way(self, status: VehicleStatus, goal: Goal, nav: NavState, *, flies: bool) -> bool:
+    def watch_progress(self, status: VehicleStatus, goal: Goal, nav: NavState, *, flies: bool) -> bool:
         """Detect a goal that the vehicle does not approach; WP_STUCK_ACT gives the action. ``flies``: a mission item,
         else home. True when the vehicle is to hold.
         """
         t_us, patience_s = status.t_us, self._params["WP_STUCK_TIME"]
         step_m = patience_s * self._params["SPD_GROUND_MIN"]
-        way_left_m = self.sequencer.circle_left_m if flies else None
-        way_left_m = status.way_left_m if way_left_m is None else way_left_m
-        idle_s = self._made_good.idle_s(t_us, goal, nav, way_left_m, step_m)
+        path_left_m = self.sequencer.circle_left_m if flies else None
+        path_left_m = status.path_left_m if path_left_m is None else path_left_m
+        idle_s = self._made_good.idle_s(t_us, goal, nav, path_left_m, step_m)
         if flies and t_us - self._upstream_us >= MISSION_RUN.upstream_us:
             self._upstream_us = t_us
             self._report_upstream(nav, only_this=True)

@@ -41,17 +41,17 @@ class MotorTests:
         place = test.number - 1
         thruster = self._thrusters[place]
         drive = thruster.drive
-        way = -1 if thruster.reversed else 1
+        sign = -1 if thruster.reversed else 1
         if test.pulse_us is None:
-            wanted_us = way * (test.share or 0.0) * drive.span_us
+            wanted_us = sign * (test.throttle or 0.0) * drive.span_us
         else:
             wanted_us = test.pulse_us - drive.neutral_us
-        most_us = round(MOTOR_TESTS.most_share * drive.span_us)
+        most_us = round(MOTOR_TESTS.most_fraction * drive.span_us)
         pulse_us = drive.neutral_us + round(min(max(wanted_us, -most_us), most_us))
         if self._now is None:
             self._began_us = t_us
         if self._now is None or self._now[0] != place:
-            held = f", at most {100.0 * MOTOR_TESTS.most_share:g} %" if abs(wanted_us) > most_us else ""
+            held = f", at most {100.0 * MOTOR_TESTS.most_fraction:g} %" if abs(wanted_us) > most_us else ""
             self._operator.say(notices.MOTOR_TEST(number=test.number, name=thruster.name, limit=held))
         self._now = (place, pulse_us)
         self._until_us = t_us + round(1e6 * min(test.seconds or MOTOR_TESTS.silence_s, MOTOR_TESTS.most_s))

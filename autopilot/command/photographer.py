@@ -61,7 +61,7 @@ class Photographer:
         self._survey: _Survey | None = None
         self._wanted: list[tuple[int, int]] = []
         """Numbers of stills to be asked for on this tick, and the mission items that want them."""
-        self._under_way: dict[int, tuple[int, int]] = {}
+        self._pending: dict[int, tuple[int, int]] = {}
         """Number -> when it was asked for, mission item."""
         self._count = 0
         self._nav: deque[NavState] = deque(maxlen=PHOTOGRAPHER.nav_kept)
@@ -77,7 +77,7 @@ class Photographer:
     def state(self) -> CameraState:
         sequence, survey = self._sequence, self._survey
         return CameraState(
-            exposing=bool(self._under_way or self._wanted),
+            exposing=bool(self._pending or self._wanted),
             interval_s=None if sequence is None else sequence.interval_us * 1e-6,
             distance_m=None if survey is None else survey.distance_m,
             count=self._count,
@@ -90,9 +90,9 @@ class Photographer:
         if refusal:
             return CommandReply(result=CommandResult.TEMPORARILY_REJECTED, reason=f"Photo refused: {refusal}")
         if count == 1:
-            if len(self._under_way) + len(self._wanted) >= PHOTOGRAPHER.max_under_way:
+            if len(self._pending) + len(self._wanted) >= PHOTOGRAPHER.max_pending:
                 return CommandReply(result=CommandResult.TEMPORARILY_REJECTED, reason="Photo refused: camera is busy")
-            self._ask(seq)
+            self._request(seq)
             return ACCEPTED
         if not PHOTOGRAPHER.min_interval_s <= interval_s < math.inf:
             reason = f"Photo refused: interval {interval_s:g} s, use {PHOTOGRAPHER.min_interval_s:g} s or more"
@@ -142,10 +142,12 @@ class Photographer:
         if inputs.camera is not None:
             self._report = inputs.camera
         for still in inputs.stills:
-            if still.index in self._under_way:
+            if still.index in self._pending:
                 self._conclude(still)
         for index in [
-            number for number, (asked_us, _) in self._under_way.items() if inputs.t_us - asked_us > PHOTOGRAPHER.lost_us
+            number
+            for number, (requested_us, _) in self._pending.items()
+            if inputs.t_us - requested_us > PHOTOGRAPHER.answer_timeout_us
         ]:
             self._conclude(StoredStill(index=index, exposure_us=inputs.t_us, problem="nothing heard of it"))
 
@@ -166,9 +168,9 @@ class Photographer:
                 self._sequence = self._survey = None
                 self._events.append(notices.PHOTOS_STOPPED.event(self._t_us, reason=refusal))
         self._by_time(t_us)
-        self._by_way()
+        self._by_distance()
         for index, seq in self._wanted:
-            self._under_way[index] = (t_us, seq)
+            self._pending[index] = (t_us, seq)
         wanted, self._wanted = tuple(index for index, _ in self._wanted), []
         fresh, self._fresh = tuple(self._fresh), []
         return wanted, fresh
@@ -183,26 +185,26 @@ class Photographer:
         if sequence is None or t_us < sequence.next_us:
             return
         sequence.next_us += sequence.interval_us
-        if self._may_ask():
-            self._ask(sequence.seq)
+        if self._may_request():
+            self._request(sequence.seq)
         if sequence.left is not None:
             sequence.left -= 1
             if sequence.left <= 0:
                 self._sequence = None
 
-    def _by_way(self) -> None:
+    def _by_distance(self) -> None:
         survey, here = self._survey, self._here()
         if survey is None or here is None:
             return
         last = survey.place_ned_m
         if last is None or float(np.linalg.norm(here - last)) >= survey.distance_m:
             survey.place_ned_m = here
-            if self._may_ask():
-                self._ask(survey.seq)
+            if self._may_request():
+                self._request(survey.seq)
 
-    def _may_ask(self) -> bool:
+    def _may_request(self) -> bool:
         """Whether the camera responds; reports once that it does not."""
-        if len(self._under_way) + len(self._wanted) < PHOTOGRAPHER.max_under_way:
+        if len(self._pending) + len(self._wanted) < PHOTOGRAPHER.max_pending:
             self._skipped = False
             return True
         if not self._skipped:
@@ -210,7 +212,7 @@ class Photographer:
             self._events.append(notices.PHOTOS_SKIPPED.event(self._t_us))
         return False
 
-    def _ask(self, seq: int) -> None:
+    def _request(self, seq: int) -> None:
         self._wanted.append((self._count, seq))
         self._count += 1
 
@@ -222,7 +224,7 @@ class Photographer:
         return nav.pos_ned_m
 
     def _conclude(self, still: StoredStill) -> None:
-        _, seq = self._under_way.pop(still.index)
+        _, seq = self._pending.pop(still.index)
         pose = None if still.problem else self._pose_at(still.exposure_us)
         pos, rpy, variance = (None, None, None) if pose is None else pose
         record = StillRecord(t_us=self._t_us, still=still, seq=seq, pos_ned_m=pos, rpy_rad=rpy, variance=variance)
@@ -247,8 +249,8 @@ class Photographer:
             return None
         if before is None or after.t_us == t_us or before.reset_count != after.reset_count:
             return after.pos_ned_m, after.rpy_rad, after.variance[:6]
-        share = (t_us - before.t_us) / (after.t_us - before.t_us)
-        pos = before.pos_ned_m + share * (after.pos_ned_m - before.pos_ned_m)
+        fraction = (t_us - before.t_us) / (after.t_us - before.t_us)
+        pos = before.pos_ned_m + fraction * (after.pos_ned_m - before.pos_ned_m)
         turn = [wrap_pi(b - a) for a, b in zip(before.rpy_rad.tolist(), after.rpy_rad.tolist(), strict=True)]
-        rpy = np.array([wrap_pi(a + share * d) for a, d in zip(before.rpy_rad.tolist(), turn, strict=True)])
+        rpy = np.array([wrap_pi(a + fraction * d) for a, d in zip(before.rpy_rad.tolist(), turn, strict=True)])
         return pos, rpy, np.maximum(before.variance[:6], after.variance[:6])

@@ -84,12 +84,12 @@ class FenceGuard:
             return None
         return PlanRejection(seq=None, result=MissionResult.DENIED, reason=f"{reason}; FENCE_ARMED_CHG 1 allows it")
 
-    def _lack(self, room: Clearance, nav: NavState | None, goal: Goal | None) -> str:
+    def _lack(self, free_space: Clearance, nav: NavState | None, goal: Goal | None) -> str:
         """Conflict of another workspace with the vehicle's position or goal, "" if none."""
         places: list[tuple[str, FloatArray]] = [] if nav is None else [("vehicle", nav.pos_ned_m)]
         places += [] if goal is None else [("vehicle's goal", goal.pos_ned_m)]
         for name, pos_ned_m in places:
-            have_m = float(room.clearance_m(pos_ned_m[None, :2])[0])
+            have_m = float(free_space.clearance_m(pos_ned_m[None, :2])[0])
             # Not worse than it is: a vehicle that was pushed to a boundary may get its fence again.
             need_m = min(self._radius_m, self._goals.clearance_m(pos_ned_m)) - VALIDATION.place_tolerance_m
             if have_m < need_m:

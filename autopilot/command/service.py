@@ -106,7 +106,7 @@ class Autopilot:
         self._motion = ControlStep(
             parts.vehicle, parts.controller, parts.actuation, parts.params, self._environment.tracks
         )
-        self._motion.felt = self._status.felt
+        self._motion.measured = self._status.measured
         self._faults = FaultResponse(parts.vehicle, parts.params, parts.guard, parts.commander, self._motion)
         self._orders = PayloadOrders(parts.equipment, parts.photographer)
         parts.plans.order_check = self._orders.refusal
@@ -281,12 +281,12 @@ class Autopilot:
 
     def _take_tracks(self, tick: TickState) -> None:
         """Obstacles and vehicles that clients have reported."""
-        tracks, gone = self._parts.server.take_tracks()
-        if tracks or gone:
-            self._environment.note_others(tick.inputs.t_us, tracks, gone, self._parts.commander.fence)
+        tracks, removed = self._parts.server.take_tracks()
+        if tracks or removed:
+            self._environment.note_others(tick.inputs.t_us, tracks, removed, self._parts.commander.fence)
 
     def _estimate(self, tick: TickState) -> None:
-        tick.given = EstimatorInputs(thrust_n=self._actuation.share * tick.acting_n, samples=tick.poses)
+        tick.given = EstimatorInputs(thrust_n=self._actuation.effectiveness * tick.acting_n, samples=tick.poses)
         tick.estimated = self._estimation.step(tick.inputs, tick.given)
         tick.nav = tick.estimated.nav
 
@@ -366,10 +366,10 @@ class Autopilot:
         status.ahrs_age_s = None if estimated.ahrs_us is None else (t_us - estimated.ahrs_us) * 1e-6
         status.solver_failures = motion.solver_failures
         status.unreachable = self._parts.controller.unreachable
-        status.way_left_m = motion.way_left_m
+        status.path_left_m = motion.path_left_m
         status.nav_disagrees = shadow is not None and shadow.disagrees
         status.nav_doubts = estimated.doubts
-        status.thruster_share = actuation.shares
+        status.thruster_effectiveness = actuation.effectiveness_values
         status.thrusters_doubtful = actuation.doubtful_thrusters
         status.thruster_problem = environment.thruster_problem or actuation.problem
         status.watchdog_problem = environment.devices.watchdog_problem

@@ -38,5 +38,5 @@ class ServiceParts:
     """None without a camera."""
     nondeterminism: NondeterminismSource
     """Recorder of nondeterministic results, for the log."""
-    desks: tuple[BackgroundWorker, ...] = ()
+    workers: tuple[BackgroundWorker, ...] = ()
     """Where slow work is asked for: while the loop waits there it attends to its links."""

@@ -61,13 +61,13 @@ class VehicleStatus:
     """NMPC steps in a row without a solution."""
     unreachable: bool = False
     """The controller finds no path to its goal."""
-    way_left_m: float | None = None
+    path_left_m: float | None = None
     """Length of the path to the goal as the controller flies it, None without one."""
     nav_doubts: frozenset[NavDoubt] = frozenset()
     """Evidence against the estimate or its sensors."""
     nav_disagrees: bool = False
     """The shadow estimator has been somewhere else for a while."""
-    thruster_share: tuple[float, ...] = ()
+    thruster_effectiveness: tuple[float, ...] = ()
     """Effectiveness of each thruster, in the order of the vehicle file; empty = not known."""
     thrusters_doubtful: tuple[tuple[str, ...], ...] = ()
     """Groups of redundant thrusters, one of which is weak: their loss is shared out equally."""
@@ -96,7 +96,7 @@ class VehicleStatus:
     """When a leak probe was last wet."""
     hull_pa: float = NEVER
     hull_c: float = NEVER
-    late_share: float = NEVER
+    late_fraction: float = NEVER
     """Of the ticks of the last second."""
     log_lost: bool = False
     jumped_us: float = NEVER
@@ -131,7 +131,7 @@ class VehicleStatus:
             self.jumped_us = t_us
         if t_us - self._late_us >= VEHICLE_STATUS.late_every_us:
             since_ticks = (t_us - self._late_us) * 1e-4
-            self.late_share = (inputs.overruns - self._late) / since_ticks
+            self.late_fraction = (inputs.overruns - self._late) / since_ticks
             self._late, self._late_us = inputs.overruns, t_us
 
     def note_ahrs(self, t_us: int, sample: AhrsSample) -> None:
@@ -139,10 +139,10 @@ class VehicleStatus:
         if math.isfinite(yaw + rate):
             self.yaw_rad, self.yaw_rate_rad_s, self.ahrs_us = yaw, rate, t_us
 
-    def felt(self, t_us: int) -> PositionlessState:
+    def measured(self, t_us: int) -> PositionlessState:
         """Attitude and depth that are known without a position, if not too old."""
-        yaw = self.yaw_rad if t_us - self.ahrs_us <= VEHICLE_STATUS.felt_us else None
-        depth = self.depth_m if t_us - self.depth_us <= VEHICLE_STATUS.felt_us else None
+        yaw = self.yaw_rad if t_us - self.ahrs_us <= VEHICLE_STATUS.fresh_us else None
+        depth = self.depth_m if t_us - self.depth_us <= VEHICLE_STATUS.fresh_us else None
         return PositionlessState(yaw_rad=yaw, yaw_rate_rad_s=self.yaw_rate_rad_s, depth_m=depth)
 
     def note_sample(self, t_us: int, sample: Sample) -> None:
@@ -187,18 +187,18 @@ class VehicleStatus:
         return self.sensors[name].last_us
 
     def _spoke(self, t_us: int, name: str) -> None:
-        heard = self.sensors.get(name)
-        if heard is None:
+        record = self.sensors.get(name)
+        if record is None:
             self.sensors[name] = _SensorRecord(t_us)
         else:
-            heard.last_us, heard.how = t_us, QUIET
+            record.last_us, record.how = t_us, QUIET
 
     def _read(self, t_us: int, name: str, reading: object) -> None:
         """A reading that repeats itself to the last digit is as good as none."""
-        heard = self.sensors.get(name)
-        if heard is None:
-            heard = self.sensors[name] = _SensorRecord(t_us)
-        heard.equal = heard.equal + 1 if reading == heard.reading else 0
-        heard.reading = reading
-        if heard.equal < VEHICLE_STATUS.frozen_readings:
-            heard.last_us = t_us
+        record = self.sensors.get(name)
+        if record is None:
+            record = self.sensors[name] = _SensorRecord(t_us)
+        record.equal = record.equal + 1 if reading == record.reading else 0
+        record.reading = reading
+        if record.equal < VEHICLE_STATUS.frozen_readings:
+            record.last_us = t_us

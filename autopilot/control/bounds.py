@@ -57,7 +57,7 @@ class ProgramBounds:
             thrusters=thrusters,
             radius_m=radius_m,
             slowest_m_s=SLOWEST_CAP_M_S,
-            largest_thrust_share=TUBE.largest_thrust_share,
+            largest_thrust_share=TUBE.largest_thrust_fraction,
             **{name: array.ctypes.data for name, array in zip((*_GIVEN, *_MADE), (*self._given, *made), strict=True)},
         )
         self._reference, self._call = ctypes.byref(self._struct), compiled.load(_Program).program_bounds
@@ -82,7 +82,7 @@ class ProgramBounds:
 
 def left_n(limit_n: FloatArray, back_off_n: FloatArray) -> FloatArray:
     """Thrust limits (n,) [N] minus the back-offs."""
-    left: FloatArray = limit_n - np.minimum(back_off_n, TUBE.largest_thrust_share * limit_n)
+    left: FloatArray = limit_n - np.minimum(back_off_n, TUBE.largest_thrust_fraction * limit_n)
     return left
 
 

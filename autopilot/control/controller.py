@@ -134,7 +134,7 @@ class MotionController:
         self._planner: Planner | None = None
         self._planner_key: tuple[object, ...] = ()
         self._fence: Fence | None = None
-        self._told_fence: Fence | None = None
+        self._forecast_fence: Fence | None = None
         self._obstructions = Obstructions()
         self._movers: Movers | None = None
         self.situation: GuidanceInputs | None = None
@@ -208,7 +208,7 @@ class MotionController:
         x, current = self._state(nav), nav.current_ned_m_s
         if nav.health is NavHealth.INVALID or delay_s is None:
             return self._neutral(t_us, nav, began)
-        if not _sound(x, current):
+        if not _all_finite(x, current):
             return self._void(t_us, nav, began)
         self._trim(nav, fence, params, limit_n)
         if delay_s:
@@ -221,12 +221,12 @@ class MotionController:
             self._reset_count, self._guidance = nav.reset_count, guidance
             guidance.reset()
             self._lag.jumped()
-        if fence is not self._told_fence:
-            self._told_fence = fence
+        if fence is not self._forecast_fence:
+            self._forecast_fence = fence
             self._forecast.within(fence)
         x0 = self._lag.ahead(x, current)
         # The model's drag grows with the square of the speed: a finite state may be none one lag later.
-        if not _sound(x0):
+        if not _all_finite(x0):
             return self._void(t_us, nav, began)
         self._numbers.watch(True)
         fence = self._go_round(t_us, fence, nav, goal, params, tracks)
@@ -289,10 +289,10 @@ class MotionController:
             return None
         nav = self._forecast.view(nav)
         x, current = self._state(nav), nav.current_ned_m_s
-        x0 = self._lag.ahead(x, current) if _sound(x, current) else None
-        sound = x0 is not None and _sound(x0)
-        self._numbers.watch(sound)
-        if x0 is None or not sound:
+        x0 = self._lag.ahead(x, current) if _all_finite(x, current) else None
+        finite = x0 is not None and _all_finite(x0)
+        self._numbers.watch(finite)
+        if x0 is None or not finite:
             self._command = np.zeros(self._model.thrusters)
             return self._command
         thrust = self._inner.thrust(t_us, x0, current, self._limit_n)
@@ -344,7 +344,7 @@ class MotionController:
     def _trim(self, nav: NavState, fence: Fence, params: ParamSet, limit_n: FloatArray) -> None:
         """Update the estimated vertical disturbance, which all plans and holds use."""
         low_m, high_m = max(fence.depth_min_m, params["DEPTH_MIN"]), min(fence.depth_max_m, params["DEPTH_MAX"])
-        self._lift.look(nav, low_m, high_m, limit_n)
+        self._lift.update(nav, low_m, high_m, limit_n)
         self._allocator.buoyancy_excess_n = self._lift.excess_n
         self._lag.trim(self._lift.excess_n)
 
@@ -352,8 +352,8 @@ class MotionController:
         yaw = float(nav.rpy_rad[2])
         if abs(yaw) < NO_STATE:
             self._yaw_rad = yaw = yaw if self._yaw_rad is None else unwrap_near(yaw, self._yaw_rad)
-        water = nav.vel_water_frd_m_s.tolist()
-        return np.array([*nav.pos_ned_m.tolist(), yaw, *water, nav.rate_frd_rad_s.item(2)])
+        velocity = nav.vel_water_frd_m_s.tolist()
+        return np.array([*nav.pos_ned_m.tolist(), yaw, *velocity, nav.rate_frd_rad_s.item(2)])
 
     def _go_round(
         self,
@@ -369,13 +369,13 @@ class MotionController:
             self._movers = None
             return fence
         here = np.array(nav.pos_ned_m[:2], dtype=float)
-        way = IntendedMotion(
+        motion = IntendedMotion(
             speed_m_s=math.hypot(*nav.vel_frd_m_s[:2]),
             route_ned_m=self._guidance.ahead(here) if tracks else here[None],
             goal_distance_m=math.hypot(*(goal.pos_ned_m[:2] - here)),
             keep_m=self._vehicle.radius_m + self.margins.clearance_m(params),
         )
-        fence, self._movers = self._obstructions.sort(t_us, fence, tracks, way)
+        fence, self._movers = self._obstructions.sort(t_us, fence, tracks, motion)
         return fence
 
     def _planner_for(self, fence: Fence, params: ParamSet) -> Planner:
@@ -471,7 +471,7 @@ class MotionController:
         )
 
 
-def _sound(*arrays: FloatArray) -> bool:
+def _all_finite(*arrays: FloatArray) -> bool:
     """Whether a state and a current are finite, and no larger than any of a vehicle."""
     return sum([sum(map(abs, array.tolist())) for array in arrays]) < NO_STATE
 

@@ -215,7 +215,7 @@ def simple_output(
     )
 
 
-def sound(control: ControlOutput, limit_n: FloatArray) -> ControlOutput:
+def checked_output(control: ControlOutput, limit_n: FloatArray) -> ControlOutput:
     """The output with its thrust clipped to ``limit_n`` (N,) [N].
 
     Raises
@@ -227,11 +227,11 @@ def sound(control: ControlOutput, limit_n: FloatArray) -> ControlOutput:
     """
     if not isinstance(control, ControlOutput):
         raise TypeError(f"step() must return a ControlOutput, not {type(control).__name__} (see simple_output)")
-    thrust_n = sound_thrust_n(control.thrust_n, limit_n)
+    thrust_n = checked_thrust_n(control.thrust_n, limit_n)
     return control if thrust_n is control.thrust_n else replace(control, thrust_n=thrust_n)
 
 
-def sound_thrust_n(thrust_n: FloatArray, limit_n: FloatArray) -> FloatArray:
+def checked_thrust_n(thrust_n: FloatArray, limit_n: FloatArray) -> FloatArray:
     """Thrust (N,) clipped to ``limit_n`` (N,) [N]. ValueError: another shape, not finite, or a limit that is NaN."""
     if np.shape(thrust_n) != limit_n.shape:
         raise ValueError(f"thrust_n has shape {np.shape(thrust_n)}, this vehicle needs {limit_n.shape}")

@@ -98,7 +98,7 @@ class StepProgram:
         self._plane_d = np.zeros((grid.n - 1, self.nmpc.planes))
         self._path = self.nmpc.x[: grid.n, :2]
         self._t_s = grid.t_s[: grid.n]
-        self._room = PlanClearance(self._path[1:], self._plane_n, self._plane_d)
+        self._plan_clearance = PlanClearance(self._path[1:], self._plane_n, self._plane_d)
         self._weights = Weights(model.thrusters)
         self._currents = np.zeros((grid.n, 3))
         self._unsolved: list[tuple[SolveStatus, NmpcProblem, FloatArray, FloatArray]] = []
@@ -134,7 +134,7 @@ class StepProgram:
         """
         nmpc, bounds = self.nmpc, self._bounds
         now.forecast.fill(now.nav, nmpc.x[: nmpc.grid.n, :3], self._t_s, self._currents)
-        self.margins.look(now.nav, now.params)
+        self.margins.update(now.nav, now.params)
         back_off = self.margins.back_offs(now.nav, nmpc.x, nmpc.u, now.params)
         bounds.fill(back_off, now, reference, nmpc.u, self._change_weight(start, now))
         self._speed_back_off_m_s = float(back_off.planar_speed_m_s[-1])
@@ -191,7 +191,7 @@ class StepProgram:
         """QPs around the plan, each with the half-planes of the one before, until the first thrust stands still.
         ``before``: QPs that have been solved in vain."""
         nmpc, keep_m = self.nmpc, self._bounds.keep_m
-        path, t_s, share, last_n = self._path, self._t_s, 1.0, math.inf
+        path, t_s, fraction, last_n = self._path, self._t_s, 1.0, math.inf
         last, grown, may_grow = np.zeros(nmpc.model.thrusters), False, True
         good: tuple[FloatArray, FloatArray, NmpcResult, float] | None = None
         for qps in range(1, MOST_QPS + 1):
@@ -213,16 +213,16 @@ class StepProgram:
             if result.status is not SolveStatus.OK or calm or qps == MOST_QPS:
                 break
             good = (nmpc.x.copy(), nmpc.u.copy(), result, margin)
-            if share < 1.0 and may_grow and float(change @ last) > 0.0:
-                share, grown = 2.0 * share, True
+            if fraction < 1.0 and may_grow and float(change @ last) > 0.0:
+                fraction, grown = 2.0 * fraction, True
             elif qps > FULL_STEPS and change_n > SHRINKING * last_n:
-                share, may_grow = max(0.5 * share, SHORTEST_STEP), not grown
-            if share < 1.0:
-                nmpc.set_plan(guess + share * (nmpc.x - guess), thrust + share * (nmpc.u - thrust))
+                fraction, may_grow = max(0.5 * fraction, SHORTEST_STEP), not grown
+            if fraction < 1.0:
+                nmpc.set_plan(guess + fraction * (nmpc.x - guess), thrust + fraction * (nmpc.u - thrust))
             last, last_n = change, change_n
         if result.status is SolveStatus.OK:
             # The half-planes certify the new plan, chords included; otherwise its clearance is recomputed.
-            margin = min(margin, self._room.least_m())
+            margin = min(margin, self._plan_clearance.least_m())
             if margin < 0.0:
                 margin = planner.features.margin_m(path, t_s, keep_m, movers)
         return Solution(result=result, margin_m=margin, qps=before + qps, anew=start)
@@ -241,9 +241,9 @@ class StepProgram:
             return reference.terminal
         place = goal.pos_ned_m[:2].tolist()
         if self._cleared is None or self._cleared[0] is not now.planner or self._cleared[1] != place:
-            room = float(now.planner.features.clearance_m(np.array([place]))[0])
-            self._cleared = (now.planner, place, room - self._radius_m - params["MPC_MARGIN"])
-        weights, free = self._weights.look(params), not int(params["MPC_COST"])
+            free_m = float(now.planner.features.clearance_m(np.array([place]))[0])
+            self._cleared = (now.planner, place, free_m - self._radius_m - params["MPC_MARGIN"])
+        weights, free = self._weights.update(params), not int(params["MPC_COST"])
 
         def limits() -> TerminalLimits:
             back_off = self.margins.settled(now.nav, params)
@@ -260,8 +260,8 @@ class StepProgram:
 
         clearance_m, end = self._cleared[2], reference.x[-1]
         away_m = math.hypot(float(now.x0[0]) - place[0], float(now.x0[1]) - place[1])
-        asked = goal, float(end[YAW]), now.nav.current_ned_m_s, clearance_m, limits, weights.x, weights.u, away_m
-        regions.follow(*asked, sampled=free)
+        arguments = goal, float(end[YAW]), now.nav.current_ned_m_s, clearance_m, limits, weights.x, weights.u, away_m
+        regions.follow(*arguments, sampled=free)
         cost = regions.cost_at(end, goal) if free else None
         return reference.terminal if cost is None else cost
 

@@ -107,7 +107,7 @@ class BackgroundWorker:
 
     def witnessed(self, name: str, nondeterminism: NondeterminismSource) -> "BackgroundWorker":
         """Record the times at which results are ready; returns this worker."""
-        self.ready = lambda future: nondeterminism.ask(f"{name} ready", False, lambda: _there(future))
+        self.ready = lambda future: nondeterminism.observe(f"{name} ready", False, lambda: _there(future))
         return self
 
     def submit(self, due: int, work: Callable[[Q, Cancel], A], request: Q) -> BackgroundTask[A]:

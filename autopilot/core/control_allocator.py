@@ -55,12 +55,12 @@ def least_in_box(h: FloatArray, g: FloatArray, bound: FloatArray) -> FloatArray:
             break
         step = np.zeros_like(x)
         step[free] = np.linalg.solve(h[np.ix_(free, free)], -slope[free])
-        share, now, gain = 1.0, value(x), float(slope @ step)
+        fraction, now, gain = 1.0, value(x), float(slope @ step)
         after = np.clip(x + step, -bound, bound)
-        while value(after) > now + 0.1 * float(slope @ (after - x)) and share > 1e-9:
-            share *= 0.5
-            after = np.clip(x + share * step, -bound, bound)
-        done = share > 0.99 and bool((np.abs(x + step) <= bound)[free].all()) and -gain < 1e-12 * (abs(now) + 1e-300)
+        while value(after) > now + 0.1 * float(slope @ (after - x)) and fraction > 1e-9:
+            fraction *= 0.5
+            after = np.clip(x + fraction * step, -bound, bound)
+        done = fraction > 0.99 and bool((np.abs(x + step) <= bound)[free].all()) and -gain < 1e-12 * (abs(now) + 1e-300)
         x = after
         if done:
             break
@@ -171,7 +171,7 @@ class ControlAllocator:
 
 def _inverse(allocation: FloatArray, watts: FloatArray, alive: NDArray[np.bool_]) -> FloatArray | None:
     kept = allocation[:, alive]
-    if kept.shape[1] < AXES or lost_axes(kept):
+    if kept.shape[1] < AXES or uncontrolled_axes(kept):
         return None
     if kept.shape[1] == AXES and bool(alive.all()):
         return np.array(np.linalg.inv(allocation).T, order="C", dtype=np.float64)
@@ -187,14 +187,14 @@ def _metric(allocation: FloatArray, watts: FloatArray) -> FloatArray:
     return np.asarray(cost, dtype=np.float64)
 
 
-def lost_axes(allocation: FloatArray) -> tuple[int, ...]:
+def uncontrolled_axes(allocation: FloatArray) -> tuple[int, ...]:
     """Axes of T_A (4, n) that no thrust pushes without pushing another as well, the most dependent one first."""
     size = np.abs(allocation).max(axis=1)
     left, stretch, _ = np.linalg.svd(allocation / np.where(size > 0.0, size, 1.0)[:, None])
     stretch = np.append(stretch, np.zeros(AXES - len(stretch)))
     part = np.abs(left[:, stretch <= SINGULAR * stretch[0]]).max(axis=1, initial=0.0)
-    lost = [axis for axis in range(AXES) if part[axis] > 1e-3]
-    return tuple(sorted(lost, key=lambda axis: (-round(float(part[axis]), 6), -axis)))
+    uncontrolled = [axis for axis in range(AXES) if part[axis] > 1e-3]
+    return tuple(sorted(uncontrolled, key=lambda axis: (-round(float(part[axis]), 6), -axis)))
 
 
 def lacking_thrust(model: Model4, limit_n: FloatArray) -> str:
@@ -206,13 +206,13 @@ def lacking_thrust(model: Model4, limit_n: FloatArray) -> str:
     none = [AXIS_NAMES[i] for i in range(AXES) if not (np.abs(allocation[i]) @ limit_n > 0.0)]
     if none:
         return f"no thrust in {' and '.join(none)}: no thruster pushes that way; add one"
-    axis, *others = [AXIS_NAMES[i] for i in lost_axes(allocation)] or ("",)
+    axis, *others = [AXIS_NAMES[i] for i in uncontrolled_axes(allocation)] or ("",)
     if axis:
         return f"no thrust in {axis} alone: it comes only with {' and '.join(others)}; turn a thruster or add one"
     reach = ControlAllocator(model).reach(limit_n)
     for i, (name, unit) in enumerate(zip(AXIS_NAMES, ("N", "N", "N", "N m"), strict=True)):
-        way = [SLOWEST[j] if j == i else 0.0 for j in range(AXES)]
-        needs = abs(float(steady_force(model, way, math)[i]))
+        velocity = [SLOWEST[j] if j == i else 0.0 for j in range(AXES)]
+        needs = abs(float(steady_force(model, velocity, math)[i]))
         if i == 2:
             needs += 2.0 * abs(model.buoyancy_excess_n)
         if reach[i] < needs:

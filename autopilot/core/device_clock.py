@@ -58,8 +58,8 @@ class DeviceClock:
         self.jumps = 0
         """Number of jumps of the device's clock."""
         self._notices: list[tuple[Severity, str]] = []
-        self._untold: list[int] = []
-        self._told_us: int | None = None
+        self._unreported: list[int] = []
+        self._reported_us: int | None = None
         self._emitted_us = -(1 << 62)
         self.begin()
 
@@ -112,7 +112,7 @@ class DeviceClock:
             self._steps.append(step_us)
         self._seen += 1
         error = difference - self._offset_us
-        if abs(error) > self._lost_us():
+        if abs(error) > self._jump_limit_us():
             arrived_us = arrival_us - self._arrival_us
             even = (known and self._even(step_us, usual_us)) or abs(arrived_us - step_us) < 0.5 * LOST_US
             if self._seen < SETTLED and (error < 0.0 or not even):  # samples buffered at the start are late as well
@@ -133,7 +133,7 @@ class DeviceClock:
         self._follow(difference - self._offset_us)
         return round(self._device_us + self._offset_us)
 
-    def _lost_us(self) -> float:
+    def _jump_limit_us(self) -> float:
         """From where on the difference is off; the limit depends on how the samples before were judged."""
         if self._trial is not None:
             return TOGETHER * LOST_US
@@ -201,7 +201,7 @@ class DeviceClock:
 
     def _note_jump(self, t_us: int, difference: float) -> None:
         self.jumps += 1
-        self._untold.append(round(self._offset_us - difference))
+        self._unreported.append(round(self._offset_us - difference))
         self._jumped_us.append(t_us)
 
     def _not_usable(self, t_us: int) -> bool:
@@ -215,11 +215,11 @@ class DeviceClock:
         return self._by_arrival
 
     def _tell(self, t_us: int) -> None:
-        if not self._untold or (self._told_us is not None and t_us - self._told_us < TELL_EVERY_US):
+        if not self._unreported or (self._reported_us is not None and t_us - self._reported_us < TELL_EVERY_US):
             return
-        self._told_us = t_us
-        last, times = f"{1e-6 * self._untold[-1]:+.3g} s", len(self._untold)
-        self._untold = []
+        self._reported_us = t_us
+        last, times = f"{1e-6 * self._unreported[-1]:+.3g} s", len(self._unreported)
+        self._unreported = []
         what = f"clock jumped {last}" if times == 1 else f"clock jumped {times} times, last {last}"
         used = ", not used" if self._by_arrival else ""
         self._notices.append(notices.CLOCK_JUMPED(what=what, used=used))

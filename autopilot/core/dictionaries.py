@@ -38,7 +38,7 @@ def resolve_dictionary(name: str, folder: Path, origin: str) -> str:
     if name in DICTIONARY_SIZES:
         return name
     if name.startswith(CUSTOM):
-        _words(name)
+        _codewords(name)
         return name
     if name.lower().endswith(FILE_ENDINGS):
         return read_dictionary(folder / name)
@@ -64,15 +64,15 @@ def read_dictionary(path: Path) -> str:
         raise ConfigError(
             f"{path}: {count} markers of {cells} x {cells} cells; use 1 to {MAX_WORDS} with {CELLS[0]} to {CELLS[1]}"
         )
-    words = []
+    codewords = []
     for k in range(count):
-        word = found.get(f"marker_{k}", "")
-        if len(word) != cells * cells:
+        bits = found.get(f"marker_{k}", "")
+        if len(bits) != cells * cells:
             raise ConfigError(
-                f"{path}: `marker_{k}` has {len(word)} cells of {cells * cells}; give one 0 or 1 for each, row by row"
+                f"{path}: `marker_{k}` has {len(bits)} cells of {cells * cells}; give one 0 or 1 for each, row by row"
             )
-        words.append(word)
-    name = f"{CUSTOM}{cells}:" + "".join(f"{int(word, 2):0{_digits(cells)}x}" for word in words)
+        codewords.append(bits)
+    name = f"{CUSTOM}{cells}:" + "".join(f"{int(bits, 2):0{_digits(cells)}x}" for bits in codewords)
     if least_distance(name) == 0:
         raise ConfigError(f"{path}: two markers are alike, or one looks the same turned; leave it out")
     return name
@@ -80,26 +80,26 @@ def read_dictionary(path: Path) -> str:
 
 def dictionary_size(name: str) -> int | None:
     """Number of ids of a dictionary, None if unknown."""
-    return len(_words(name)) if name.startswith(CUSTOM) else DICTIONARY_SIZES.get(name)
+    return len(_codewords(name)) if name.startswith(CUSTOM) else DICTIONARY_SIZES.get(name)
 
 
 def dictionary_label(name: str) -> str:
     if not name.startswith(CUSTOM):
         return name
-    words = _words(name)
-    return f"custom {len(words[0])}x{len(words[0])} of {len(words)}"
+    codewords = _codewords(name)
+    return f"custom {len(codewords[0])}x{len(codewords[0])} of {len(codewords)}"
 
 
 @lru_cache(maxsize=16)
-def _words(name: str) -> np.ndarray:
+def _codewords(name: str) -> np.ndarray:
     """(n, cells, cells) of 0 and 1."""
     cells_text, _, digits = name.removeprefix(CUSTOM).partition(":")
     cells = int(cells_text) if cells_text.isdecimal() else 0
     step = _digits(cells)
     if not CELLS[0] <= cells <= CELLS[1] or not digits or len(digits) % step or not re.fullmatch("[0-9a-f]+", digits):
         raise ConfigError(f"dictionary {name[:40]!r} is damaged; give its file again")
-    words = [int(digits[k : k + step], 16) for k in range(0, len(digits), step)]
-    bits = [[(word >> (cells * cells - 1 - b)) & 1 for b in range(cells * cells)] for word in words]
+    codewords = [int(digits[k : k + step], 16) for k in range(0, len(digits), step)]
+    bits = [[(codeword >> (cells * cells - 1 - b)) & 1 for b in range(cells * cells)] for codeword in codewords]
     return np.array(bits, dtype=np.uint8).reshape(-1, cells, cells)
 
 
@@ -112,11 +112,11 @@ def _digits(cells: int) -> int:
 def least_distance(name: str) -> int:
     """Cells by which two markers of a custom dictionary differ at least, however they are turned, and one from itself
     turned."""
-    words = _words(name)
-    signs = 2.0 * words.reshape(len(words), -1) - 1.0
+    codewords = _codewords(name)
+    signs = 2.0 * codewords.reshape(len(codewords), -1) - 1.0
     least = float(signs.shape[1])
     for turns in range(4):
-        turned = 2.0 * np.rot90(words, turns, axes=(1, 2)).reshape(len(words), -1) - 1.0
+        turned = 2.0 * np.rot90(codewords, turns, axes=(1, 2)).reshape(len(codewords), -1) - 1.0
         apart = 0.5 * (signs.shape[1] - signs @ turned.T)
         if turns == 0:
             np.fill_diagonal(apart, signs.shape[1])
@@ -131,9 +131,9 @@ def opencv_dictionary(name: str) -> Any:
     import cv2  # heavy, and only who prints or finds markers needs it
 
     if name.startswith(CUSTOM):
-        words = _words(name)
-        coded = np.concatenate([cv2.aruco.Dictionary.getByteListFromBits(word) for word in words])
-        return cv2.aruco.Dictionary(coded, words.shape[1], (least_distance(name) - 1) // 2)
+        codewords = _codewords(name)
+        coded = np.concatenate([cv2.aruco.Dictionary.getByteListFromBits(codeword) for codeword in codewords])
+        return cv2.aruco.Dictionary(coded, codewords.shape[1], (least_distance(name) - 1) // 2)
     if not name.startswith("DICT_") or not hasattr(cv2.aruco, name):
         raise ConfigError(f"marker dictionary {name!r} is not known to OpenCV; use e.g. DICT_4X4_1000")
     return cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, name))

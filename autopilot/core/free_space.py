@@ -140,8 +140,8 @@ class FreeSpace:
 
     def lengths_m(self, pairs: IntArray) -> FloatArray:
         """(m,) between the places of pairs (m, 2)."""
-        way = self.places_ned_m[pairs[:, 1]] - self.places_ned_m[pairs[:, 0]]
-        length: FloatArray = np.hypot(way[:, 0], way[:, 1])
+        offset = self.places_ned_m[pairs[:, 1]] - self.places_ned_m[pairs[:, 0]]
+        length: FloatArray = np.hypot(offset[:, 0], offset[:, 1])
         return length
 
     def regions(self) -> IntArray:
@@ -218,10 +218,10 @@ class FreeSpace:
         for _ in range(MAX_ROUNDS):
             self._join(touched)
             split = self._barred()
-            room = (MAX_CELLS - int(self._cells.alive.sum())) // 3
-            if not len(split) or room <= 0:
+            free_cells = (MAX_CELLS - int(self._cells.alive.sum())) // 3
+            if not len(split) or free_cells <= 0:
                 break
-            touched = self._halve(split[:room])
+            touched = self._halve(split[:free_cells])
 
     def _centers(self, level: IntArray, row: IntArray, column: IntArray) -> tuple[FloatArray, FloatArray]:
         """Middles (n, 2) and sizes (n,) of cells."""
@@ -232,13 +232,13 @@ class FreeSpace:
         """The cells that are free somewhere; those of which that is not sure are halved."""
         found = []
         while len(level):
-            cells, doubtful = self._look(level, row, column)
+            cells, doubtful = self._classify(level, row, column)
             found.append(cells)
             again = doubtful & (level < deepest)
             level, row, column = _quarters(level[again], row[again], column[again])
         return _Cells.joined(found)
 
-    def _look(self, level: IntArray, row: IntArray, column: IntArray) -> tuple["_Cells", BoolArray]:
+    def _classify(self, level: IntArray, row: IntArray, column: IntArray) -> tuple["_Cells", BoolArray]:
         """Cells with a place, and which of all others (n,) may have one all the same."""
         center, size = self._centers(level, row, column)
         half = math.sqrt(0.5) * size
@@ -261,13 +261,13 @@ class FreeSpace:
             place[maybe[better]], have[maybe[better]] = at[better], here[better]
             one_sided &= (uphill * slope[maybe]).sum(axis=1) > ONE_BOUNDARY
         enough = self.radius_m - SETTLED_M
-        lost = np.flatnonzero(have[maybe] < enough)
-        for corner in ((-0.5, -0.5), (-0.5, 0.5), (0.5, -0.5), (0.5, 0.5)) if len(lost) else ():
-            there = center[maybe[lost]] + size[maybe[lost], None] * np.array(corner)
+        unsettled = np.flatnonzero(have[maybe] < enough)
+        for corner in ((-0.5, -0.5), (-0.5, 0.5), (0.5, -0.5), (0.5, 0.5)) if len(unsettled) else ():
+            there = center[maybe[unsettled]] + size[maybe[unsettled], None] * np.array(corner)
             here, uphill = self._ground.near(there, reach)
-            better = here > have[maybe[lost]]
-            place[maybe[lost[better]]], have[maybe[lost[better]]] = there[better], here[better]
-            one_sided[lost] &= (uphill * slope[maybe[lost]]).sum(axis=1) > ONE_BOUNDARY
+            better = here > have[maybe[unsettled]]
+            place[maybe[unsettled[better]]], have[maybe[unsettled[better]]] = there[better], here[better]
+            one_sided[unsettled] &= (uphill * slope[maybe[unsettled]]).sum(axis=1) > ONE_BOUNDARY
         free = have >= enough
         doubtful = np.zeros(len(level), dtype=bool)
         doubtful[maybe] = ~one_sided
@@ -308,11 +308,11 @@ class FreeSpace:
             r, c = row + di, column + dj
             inside = (r >= 0) & (c >= 0)
             for up in range(int(level.max(initial=0)) + 1):
-                ask = np.flatnonzero(inside & (level >= up))
-                code = _code(level[ask] - up, r[ask] >> up, c[ask] >> up)
+                queried = np.flatnonzero(inside & (level >= up))
+                code = _code(level[queried] - up, r[queried] >> up, c[queried] >> up)
                 at = np.minimum(np.searchsorted(codes, code), len(codes) - 1)
                 hit = codes[at] == code
-                found.append(np.stack([touched[ask[hit]], alive[at[hit]]], axis=1))
+                found.append(np.stack([touched[queried[hit]], alive[at[hit]]], axis=1))
         pairs = np.sort(np.concatenate(found), axis=1) if found else np.zeros((0, 2), dtype=np.intp)
         pairs = pairs[(pairs[:, 0] != pairs[:, 1]) & (pairs >= fresh).any(axis=1)]
         return np.unique(pairs, axis=0)
@@ -370,9 +370,9 @@ class FreeSpace:
     def _halve(self, split: IntArray) -> IntArray:
         """Replace cells by their quarters; the cells whose neighbours are other ones now."""
         cells = self._cells
-        gone = np.zeros(len(cells.alive), dtype=bool)
-        gone[split] = True
-        beside = gone[self._pairs].any(axis=1)
+        removed = np.zeros(len(cells.alive), dtype=bool)
+        removed[split] = True
+        beside = removed[self._pairs].any(axis=1)
         around = np.unique(self._pairs[beside])
         self._pairs, self._clear = self._pairs[~beside], self._clear[~beside]
         cells.alive[split] = False

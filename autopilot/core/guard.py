@@ -98,8 +98,8 @@ class Guard:
 
     def _fault(self, part: str, error: Exception, given: Callable[[], object]) -> Fault:
         kind, place = type(error).__name__, place_of(error)
-        said_us = self._described_us.get((kind, place))
-        brief = said_us is not None and 0 <= self.t_us - said_us < DESCRIBE_EVERY_US
+        described_us = self._described_us.get((kind, place))
+        brief = described_us is not None and 0 <= self.t_us - described_us < DESCRIBE_EVERY_US
         if not brief:
             self._described_us.pop((kind, place), None)
             while len(self._described_us) >= MAX_DESCRIBED:

@@ -34,7 +34,7 @@ class LatestValueWriter(Generic[Q]):
 
     def __init__(self, worker: BackgroundWorker, write: Callable[[Q], None], ticks: int = KEEP_TICKS) -> None:
         self._worker, self._write, self._ticks = worker, write, ticks
-        self._number = self._asked = self._done = 0
+        self._number = self._submitted = self._done = 0
         self._newest: Q | None = None
         self._task: BackgroundTask[int] | None = None
         self._again_at: int | None = None
@@ -50,19 +50,19 @@ class LatestValueWriter(Generic[Q]):
         self._number += 1
         self._newest = state
         if self._task is None:
-            self._ask(tick)
+            self._submit(tick)
         return self._number
 
     def poll(self, tick: int) -> WriteResult | None:
         """Result of the last completed write, once."""
         if self._again_at is not None and tick >= self._again_at:
-            self._ask(tick)
+            self._submit(tick)
         answer = None if self._task is None else self._task.poll(tick)
         if answer is None:
             return None
-        number, self._task = self._asked, None
-        if self._asked < self._number:
-            self._ask(tick)
+        number, self._task = self._submitted, None
+        if self._submitted < self._number:
+            self._submit(tick)
         elif answer.error is not None:
             self._again_at = tick + RETRY_TICKS
         return WriteResult(number=number, error=answer.error)
@@ -93,7 +93,7 @@ class LatestValueWriter(Generic[Q]):
             return error
         return None
 
-    def _ask(self, tick: int) -> None:
+    def _submit(self, tick: int) -> None:
         assert self._newest is not None
         number, state = self._number, self._newest
 
@@ -102,5 +102,5 @@ class LatestValueWriter(Generic[Q]):
             self._done = number
             return number
 
-        self._asked, self._again_at = number, None
+        self._submitted, self._again_at = number, None
         self._task = self._worker.submit(tick + self._ticks, work, state)

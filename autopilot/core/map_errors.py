@@ -74,9 +74,9 @@ def map_errors(
     ``loose_sigma_m``: standard deviation of markers on no sheet without a stated one. A single sheet defines its own
     frame: its position in the tank is unobservable.
     """
-    said = any(entry.sigma_m is not None or entry.sigma_rad is not None for entry in laid)
+    stated = any(entry.sigma_m is not None or entry.sigma_rad is not None for entry in laid)
     groups = _groups(centers_ned_m, yaw_rad, laid)
-    if (len(groups) < 2 and not said) or all(entry.sigma_m == 0.0 for entry in laid):
+    if (len(groups) < 2 and not stated) or all(entry.sigma_m == 0.0 for entry in laid):
         return None
     sheet = np.full(len(laid), -1, dtype=np.int64)
     marker_sigma = np.full(len(laid), print_sigma_m)
@@ -96,8 +96,8 @@ def map_errors(
             # Each has an error of its own; common to all is its mean.
             cells.add(len(names))
             marker_sigma[members] = sigma_m
-            share = 2.0 / math.sqrt(len(members) + 3.0)
-            sigma_m, down_m = share * sigma_m, share * down_m
+            factor = 2.0 / math.sqrt(len(members) + 3.0)
+            sigma_m, down_m = factor * sigma_m, factor * down_m
             sigma_rad = min(sigma_rad, sigma_m / (0.3 * CELL_M))
         sheet[members] = len(names)
         names.append(name)

@@ -79,16 +79,16 @@ class TickTimer:
     def mark(self, part: LoopPart) -> None:
         """All since the last mark was ``part``."""
         now_s = self._wall_s()
-        took_s = now_s - self._at_s
-        self.part_s[part] += took_s
+        elapsed_s = now_s - self._at_s
+        self.part_s[part] += elapsed_s
         self._at_s = now_s
-        if took_s < SHORT_S:
-            self._short_s += took_s
-            self.part_cpu_s[part] += took_s
+        if elapsed_s < SHORT_S:
+            self._short_s += elapsed_s
+            self.part_cpu_s[part] += elapsed_s
             return
         now_cpu_s = self._cpu_s()
         cpu_s = now_cpu_s - self._at_cpu_s - self._short_s
-        self.part_cpu_s[part] += min(max(cpu_s, 0.0), took_s)
+        self.part_cpu_s[part] += min(max(cpu_s, 0.0), elapsed_s)
         self._at_cpu_s, self._short_s = now_cpu_s, 0.0
 
     def end(self) -> float:

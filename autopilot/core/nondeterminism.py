@@ -28,7 +28,7 @@ class Note:
 
 
 class NondeterminismSource(Protocol):
-    def ask(self, kind: str, usual: F, find: Callable[[], F]) -> F:
+    def observe(self, kind: str, usual: F, find: Callable[[], F]) -> F:
         """The answer to a question; ``find`` gets it in flight, ``usual`` is the one that need not be noted."""
         ...
 
@@ -39,21 +39,21 @@ class NondeterminismSource(Protocol):
 
 class NondeterminismRecorder:
     def __init__(self) -> None:
-        self._asked: dict[str, int] = {}
+        self._counts: dict[str, int] = {}
         self._notes: list[Note] = []
 
-    def ask(self, kind: str, usual: F, find: Callable[[], F]) -> F:
+    def observe(self, kind: str, usual: F, find: Callable[[], F]) -> F:
         """Find the answer, and note it where it is not the usual one."""
-        self._asked[kind] = self._asked.get(kind, 0) + 1
+        self._counts[kind] = self._counts.get(kind, 0) + 1
         fact = find()
         if fact != usual:
-            self._notes.append(Note(kind, self._asked[kind], fact))
+            self._notes.append(Note(kind, self._counts[kind], fact))
         return fact
 
     def take(self) -> tuple[Note, ...]:
         """The notes since the last call; counting begins anew."""
-        if self._asked:
-            self._asked.clear()
+        if self._counts:
+            self._counts.clear()
         if not self._notes:
             return ()
         notes, self._notes = tuple(self._notes), []
@@ -64,21 +64,21 @@ class NondeterminismReplay:
     """Returns the recorded answers in a replay."""
 
     def __init__(self) -> None:
-        self._asked: Counter[str] = Counter()
+        self._counts: Counter[str] = Counter()
         self._notes: tuple[Note, ...] = ()
         self._facts: dict[tuple[str, int], Fact] = {}
 
     def tell(self, notes: Iterable[Note]) -> None:
         """The answers of the tick that begins now."""
-        self._asked.clear()
+        self._counts.clear()
         self._notes = tuple(notes)
         self._facts = {(note.kind, note.number): note.fact for note in self._notes}
 
-    def ask(self, kind: str, usual: F, find: Callable[[], F]) -> F:
+    def observe(self, kind: str, usual: F, find: Callable[[], F]) -> F:
         del find
-        self._asked[kind] += 1
+        self._counts[kind] += 1
         # Notes of a kind are of the kind of its usual answer.
-        return cast(F, self._facts.get((kind, self._asked[kind]), usual))
+        return cast(F, self._facts.get((kind, self._counts[kind]), usual))
 
     def take(self) -> tuple[Note, ...]:
         return self._notes

@@ -38,9 +38,9 @@ def set_origin_deg(params: ParamSet, name: str, deg: float) -> None:
     """Set ORIGIN_LAT or ORIGIN_LON (``name``) and its rest to ``deg``, to 1e-7 degrees. ConfigError out of range."""
     params.spec(name)
     (wire,) = struct.unpack("<f", struct.pack("<f", deg)) if abs(deg) < 1e9 else (deg,)
-    told = shortest_decimal(wire)
-    params.set(name, told)
-    params.set(f"{name}_REST", round((deg - told) * _PER_DEG))
+    rounded = shortest_decimal(wire)
+    params.set(name, rounded)
+    params.set(f"{name}_REST", round((deg - rounded) * _PER_DEG))
 
 
 def _whole_deg(params: Mapping[str, float], name: str) -> float:

@@ -156,7 +156,7 @@ class PersistentParams:
         if mend:
             self._file.clean()
         found, problems = self._file.read(self._parse, set_aside=mend)
-        self.losses = self._lost(found, problems)
+        self.losses = self._loss_notices(found, problems)
         if found is None:
             return tuple(problems)
         self._wanted = {name: value for name, value in found.values.items() if self._params.spec(name).kept}
@@ -198,7 +198,7 @@ class PersistentParams:
         self._number = self._watchdog.put(tick, _check_line(text) + text)
         return self._number
 
-    def _lost(self, found: ParamText | None, problems: list[str]) -> tuple[Loss, ...]:
+    def _loss_notices(self, found: ParamText | None, problems: list[str]) -> tuple[Loss, ...]:
         """Notices to operators before arming."""
         if problems and found is None:
             text = "stored parameters not loaded, defaults in force"

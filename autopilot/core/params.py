@@ -41,8 +41,8 @@ class ParamSpec:
         """Labels of the values of an enumeration, parsed from ``help``; empty for other parameters."""
         if self.type is not ParamType.INT32 or self.maximum > MAX_CHOICES:
             return {}
-        told = {int(number): text.strip() for number, text in _MEANING.findall(self.help)}
-        return {number: told[number] for number in sorted(told)} if len(told) > 1 else {}
+        meanings = {int(number): text.strip() for number, text in _MEANING.findall(self.help)}
+        return {number: meanings[number] for number in sorted(meanings)} if len(meanings) > 1 else {}
 
     @property
     def restart(self) -> bool:

@@ -60,7 +60,7 @@ class Plugin:
         except AutopilotError:
             raise
         except Exception as error:
-            raise self._error(f"cannot be made: {_told(error)}; correct it there") from error
+            raise self._error(f"cannot be made: {_one_line(error)}; correct it there") from error
         for name in _members(protocol):
             self._hold_against(made, name, getattr(protocol, name), protocol)
         return made
@@ -82,8 +82,8 @@ class Plugin:
         try:
             inspect.signature(method).bind(*(None for _ in range(len(parameters) - len(keywords))), **keywords)
         except TypeError as error:
-            takes = ", ".join(f"{p.name}=" if p.name in keywords else p.name for p in parameters)
-            raise self._error(f"has a {name}() that must take ({takes}): {error}; see {PAGE}") from error
+            signature = ", ".join(f"{p.name}=" if p.name in keywords else p.name for p in parameters)
+            raise self._error(f"has a {name}() that must take ({signature}): {error}; see {PAGE}") from error
         except ValueError:
             pass  # as above
 
@@ -150,7 +150,7 @@ def _imported(target: str, who: str) -> Callable[..., Any]:
             raise ConfigError(f"{who}: there is no module {error.name!r}; {remedy}") from error
         raise ConfigError(f"{who}: needs the module {error.name!r}, which is not there; install it") from error
     except Exception as error:
-        raise ConfigError(f"{who}: cannot be imported: {_told(error)}; correct it there") from error
+        raise ConfigError(f"{who}: cannot be imported: {_one_line(error)}; correct it there") from error
     found: Any = module
     for part in path.split("."):
         if not hasattr(found, part):
@@ -182,7 +182,7 @@ def _digest(module: str) -> str:
     return "" if file is None else hashlib.sha256(Path(file).read_bytes()).hexdigest()
 
 
-def _told(error: Exception) -> str:
+def _one_line(error: Exception) -> str:
     """An exception in one line: kind, text and where it was raised."""
     text = " ".join(str(error).split())
     return f"{type(error).__name__}: {text} ({place_of(error)})"

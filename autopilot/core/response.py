@@ -22,7 +22,7 @@ class Response:
     def of(cls, thrusters: Iterable[Thruster]) -> "Response":
         return cls(thruster.drive.time_constant_s for thruster in thrusters)
 
-    def share(self, dt_s: float) -> float | FloatArray:
+    def fraction(self, dt_s: float) -> float | FloatArray:
         """1 - exp(-dt / T), the fraction of a step that is reached after ``dt_s``; scalar or (n,)."""
         if self._alike:
             return 1.0 - math.exp(-dt_s / self.mean_s)
@@ -30,6 +30,6 @@ class Response:
 
     def after(self, dt_s: float, acting: Sequence[float], command: Sequence[float]) -> list[float]:
         """Thrust (n,) after that time from the present (n,) and the command (n,); lists are faster than arrays here."""
-        share = self.share(dt_s)
-        shares = [share] * len(acting) if isinstance(share, float) else share.tolist()
-        return [f + s * (to - f) for f, to, s in zip(acting, command, shares, strict=True)]
+        fraction = self.fraction(dt_s)
+        fractions = [fraction] * len(acting) if isinstance(fraction, float) else fraction.tolist()
+        return [f + s * (to - f) for f, to, s in zip(acting, command, fractions, strict=True)]

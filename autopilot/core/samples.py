@@ -73,8 +73,8 @@ class PictureReport:
     verdict: FrameVerdict
     contrast: float = 0.0
     """Standard deviation of the steps between neighbours on a coarse grid, over the root of 2 [grey levels]."""
-    white_share: float = 0.0
-    black_share: float = 0.0
+    white_fraction: float = 0.0
+    black_fraction: float = 0.0
     """Shares of the pixels that are white, black."""
 
 

@@ -47,8 +47,8 @@ class EdgeArrays:
         rel_e = places[:, 1:] - self.start_e
         along_n, along_e = self.end_n - self.start_n, self.end_e - self.start_e
         length_sq = np.maximum(along_n**2 + along_e**2, _TINY)
-        share = np.clip((rel_n * along_n + rel_e * along_e) / length_sq, 0.0, 1.0)
-        return rel_n - share * along_n, rel_e - share * along_e
+        fraction = np.clip((rel_n * along_n + rel_e * along_e) / length_sq, 0.0, 1.0)
+        return rel_n - fraction * along_n, rel_e - fraction * along_e
 
     def crossed(self, places: FloatArray) -> BoolArray:
         """(n, m) whether the ray from each place to the north crosses each edge (even-odd rule)."""
@@ -83,8 +83,8 @@ def segment_distance_m(starts: FloatArray, ends: FloatArray, points: FloatArray)
     along = ends - starts
     rel = points[:, None, :] - starts[None, :, :]
     length_sq = np.maximum(np.sum(along * along, axis=1), 1e-300)
-    share = np.clip(np.einsum("nmk,mk->nm", rel, along) / length_sq, 0.0, 1.0)
-    off = rel - share[:, :, None] * along[None, :, :]
+    fraction = np.clip(np.einsum("nmk,mk->nm", rel, along) / length_sq, 0.0, 1.0)
+    off = rel - fraction[:, :, None] * along[None, :, :]
     distance: FloatArray = np.hypot(off[:, :, 0], off[:, :, 1])
     return distance
 
@@ -233,8 +233,10 @@ def _nearest_on_edges(vertices: FloatArray, point: FloatArray) -> FloatArray:
     ends = np.roll(vertices, -1, axis=0)
     best = int(np.argmin(segment_distance_m(vertices, ends, point[None, :])[0]))
     along = ends[best] - vertices[best]
-    share = float(np.clip(np.dot(point - vertices[best], along) / max(float(np.dot(along, along)), 1e-300), 0.0, 1.0))
-    nearest: FloatArray = vertices[best] + share * along
+    fraction = float(
+        np.clip(np.dot(point - vertices[best], along) / max(float(np.dot(along, along)), 1e-300), 0.0, 1.0)
+    )
+    nearest: FloatArray = vertices[best] + fraction * along
     return nearest
 
 

@@ -113,8 +113,8 @@ class CurveLaw(ThrustLaw):
                 table = self._thrusts[index] * (supply / end) ** 2
             else:
                 index = bisect.bisect_right(self._supplies, supply)
-                share = (supply - self._supplies[index - 1]) / (self._supplies[index] - self._supplies[index - 1])
-                table = (1.0 - share) * self._thrusts[index - 1] + share * self._thrusts[index]
+                fraction = (supply - self._supplies[index - 1]) / (self._supplies[index] - self._supplies[index - 1])
+                table = (1.0 - fraction) * self._thrusts[index - 1] + fraction * self._thrusts[index]
             self._table_v, self._table = supply, table.tolist()
         return self._table
 

@@ -46,8 +46,8 @@ def remedy(error: str, tables: dict[str, Any], kind: type) -> str:
     if found is not None:
         return f"add {found['name']}"
     found = _ANYWHERE.search(error)
-    told = "" if found is None else _told(tables, found["place"])
-    return f"{told}{choice('', ())}"
+    value_text = "" if found is None else _value_text(tables, found["place"])
+    return f"{value_text}{choice('', ())}"
 
 
 def with_entry(error: str, tables: dict[str, Any], kind: type) -> str:
@@ -101,7 +101,7 @@ def choice(name: str, names: Sequence[str]) -> str:
     return (f"did you mean {near[0]}? " if near else "") + f"use one of {', '.join(unique)}"
 
 
-def _told(tables: dict[str, Any], place: str) -> str:
+def _value_text(tables: dict[str, Any], place: str) -> str:
     """The value at a path as text before a remedy; "" if the path does not identify the entry."""
     value: Any = tables
     for step in _STEP.finditer(place):
@@ -110,8 +110,8 @@ def _told(tables: dict[str, Any], place: str) -> str:
             value = value[key]
         except (IndexError, KeyError, TypeError):
             return ""
-    words = repr(value)
-    return f"it is {words if len(words) <= MOST_LETTERS else words[: MOST_LETTERS - 3] + '...'}: "
+    shown = repr(value)
+    return f"it is {shown if len(shown) <= MOST_LETTERS else shown[: MOST_LETTERS - 3] + '...'}: "
 
 
 def _kinds(whole: inspect.Type, tables: dict[str, Any], place: str) -> list[str]:

@@ -58,8 +58,8 @@ def convert(tables: dict[str, Any], kind: type, origin: str) -> Any:
     except msgspec.ValidationError as error:
         from autopilot.core.toml_names import remedy, with_entry  # for errors only
 
-        told = with_entry(str(error), tables, kind)
-        raise ConfigError(f"{origin}: {told}; {remedy(str(error), tables, kind)}") from error
+        message = with_entry(str(error), tables, kind)
+        raise ConfigError(f"{origin}: {message}; {remedy(str(error), tables, kind)}") from error
 
 
 def _leaves(value: Any, place: str) -> Iterator[tuple[str, Any]]:

@@ -398,9 +398,9 @@ def _once(key: str, values: Sequence[object], thrusters: Sequence[Thruster]) -> 
     for index, value in enumerate(values):
         first = values.index(value)
         if first != index:
-            said = f"`thruster[{first}]` and `thruster[{index}]`"
+            pair = f"`thruster[{first}]` and `thruster[{index}]`"
             named = "" if key == "name" else f" ({thrusters[first].name}, {thrusters[index].name})"
-            raise ValueError(f"{said}{named}: both have `{key}` = {value!r}; each needs one of its own")
+            raise ValueError(f"{pair}{named}: both have `{key}` = {value!r}; each needs one of its own")
 
 
 def vehicle_names() -> list[str]:

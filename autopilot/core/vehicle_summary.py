@@ -99,20 +99,22 @@ def _power_w(vehicle: Vehicle, allocator: ControlAllocator, ahead_n: float) -> f
 
 
 def _missing(vehicle: Vehicle) -> list[str]:
-    said = []
+    remarks = []
     if vehicle.camera is None:
-        said.append("no [camera]: no markers are seen; a position has to come from outside (sitl --sensors pose)")
+        remarks.append("no [camera]: no markers are seen; a position has to come from outside (sitl --sensors pose)")
     if vehicle.laser is None:
-        said.append("no [laser]: no altitude by a dot; markers, depth sensor or DVL give it")
+        remarks.append("no [laser]: no altitude by a dot; markers, depth sensor or DVL give it")
     sources = vehicle.sources
     lacking = [key for key in _given(vehicle) if key not in sources and key.partition(".")[0] not in sources]
     if lacking:
         more = f" and {len(lacking) - NAMED} more" if len(lacking) > NAMED else ""
-        said.append(f"[sources] says nothing of {', '.join(lacking[:NAMED])}{more}")
+        remarks.append(f"[sources] says nothing of {', '.join(lacking[:NAMED])}{more}")
     assumed = sum(text.startswith("assumed") for text in sources.values())
     if assumed:
-        said.append(f'{assumed} values have "assumed" as their source: autopilot identify and calibrate replace some')
-    return said
+        remarks.append(
+            f'{assumed} values have "assumed" as their source: autopilot identify and calibrate replace some'
+        )
+    return remarks
 
 
 def _given(vehicle: Vehicle) -> list[str]:

@@ -129,7 +129,7 @@ def _acting(log: Log, sent: MessageTable, vehicle: Vehicle, t_s: FloatArray) -> 
             for row, volts in zip(sent["pwm_us"], supply, strict=True)
         ]
     )[held]
-    acting, share, level = np.empty_like(settled), response.share(LAG_STEP_S), np.zeros(count)
+    acting, share, level = np.empty_like(settled), response.fraction(LAG_STEP_S), np.zeros(count)
     for n, target in enumerate(settled):
         before = level
         level = level + share * (target - level)

@@ -81,7 +81,7 @@ class MotorTest:
 
     number: int
     """Of the thruster, from 1 in the order of the vehicle file."""
-    share: float | None = None
+    throttle: float | None = None
     """Of its pulse's span, positive along its direction."""
     pulse_us: float | None = None
     seconds: float = 0.0

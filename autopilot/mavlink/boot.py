@@ -132,7 +132,7 @@ class BootLink:
         left: dict[Hashable, bytes] = {}
         for msg in self._parser_of(client).feed(data):
             if not self._is_known(client, msg, reach) and not self._put_off(client, msg):
-                left[_asked(msg)] = bytes(msg.get_msgbuf())
+                left[_request_key(msg)] = bytes(msg.get_msgbuf())
         return [answer for _, answer in self._take_answers()], left
 
     def _is_known(self, client: int, msg: Message, reach: Reach) -> bool:
@@ -183,7 +183,7 @@ class BootLink:
         return kind in ("COMMAND_LONG", "COMMAND_INT") and msg.command not in _REQUESTS and self._is_for_us(msg)
 
 
-def _asked(msg: Message) -> Hashable:
+def _request_key(msg: Message) -> Hashable:
     """Key of a request: a repeated one replaces the first. Fields may be arrays, so that all are compared as text."""
     what = tuple(repr(getattr(msg, field, None)) for field in ("mission_type", "command", "param1", "param_id", "seq"))
     return msg.get_srcSystem(), msg.get_srcComponent(), msg.get_msgId(), what

@@ -102,6 +102,6 @@ class BootFiles:
     def send(self, to: MavlinkPeer, message: Message) -> None:
         self._send(to.client, message)
 
-    def has_room(self, link: int, share: float) -> bool:
+    def has_capacity(self, link: int, fraction: float) -> bool:
         """Always true: nothing else is sent during the start."""
         return True

@@ -35,6 +35,6 @@ class Budget:
     def spend(self, count: int) -> None:
         self._level = max(self._level - count, -self.bytes_per_s * DEBT_S)
 
-    def has_room(self, share: float) -> bool:
+    def has_capacity(self, fraction: float) -> bool:
         """Whether the budget allows a message of this priority share."""
-        return self._level >= share * self.bytes_per_s * DEPTH_S
+        return self._level >= fraction * self.bytes_per_s * DEPTH_S

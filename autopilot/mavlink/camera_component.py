@@ -97,7 +97,7 @@ class CameraComponent:
         """Commands that only the camera itself answers: from the autopilot its messages would be another camera's."""
 
         def fixed(msg_id: int) -> CommandRow:
-            return request(lambda call: self._if_asked(call, msg_id))
+            return request(lambda call: self._if_requested(call, msg_id))
 
         return {
             mav.MAV_CMD_REQUEST_MESSAGE: request(self.request_message),
@@ -175,7 +175,7 @@ class CameraComponent:
 
     def storage_request(self, call: Call) -> Reply:
         """REQUEST_STORAGE_INFORMATION: param1 which one, 0 = all; param2 = 1."""
-        return self._if_asked(call, mav.MAVLINK_MSG_ID_STORAGE_INFORMATION, which=1, asked=2)
+        return self._if_requested(call, mav.MAVLINK_MSG_ID_STORAGE_INFORMATION, which=1, selector=2)
 
     def _messages(self) -> Mapping[int, Handler]:
         def of(make: Callable[[], Message]) -> Handler:
@@ -196,9 +196,9 @@ class CameraComponent:
         status = self.settings(), self.capture_status(), self.storage_information()
         return Reply(ACCEPTED, (*status, self.information()))
 
-    def _if_asked(self, call: Call, msg_id: int, *, which: int | None = None, asked: int = 1) -> Reply:
+    def _if_requested(self, call: Call, msg_id: int, *, which: int | None = None, selector: int = 1) -> Reply:
         """The older request commands: a parameter of 1 requests the message."""
-        if call.param(asked) != 1.0:
+        if call.param(selector) != 1.0:
             return Reply(ACCEPTED)
         if which is not None:
             return self._storage(call, which=which)

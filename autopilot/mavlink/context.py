@@ -106,7 +106,7 @@ class Context:
     """Good frames so far, all links."""
     announce_place: bool = False
     """Send origin and home on all links once the vehicle's view is fresh."""
-    _said: RecentKeys[tuple[int, int, str]] = field(default_factory=lambda: RecentKeys(SAME_TEXT_US))
+    _recent_texts: RecentKeys[tuple[int, int, str]] = field(default_factory=lambda: RecentKeys(SAME_TEXT_US))
     """Texts of the last seconds by link and client."""
     _text_id: int = 0
 
@@ -160,10 +160,10 @@ class Context:
                 budget.spend(sum(len(frame.data) for frame in frames))
             self.tx += frames
 
-    def has_room(self, link: int, share: float) -> bool:
+    def has_capacity(self, link: int, fraction: float) -> bool:
         """Whether a link can carry a message that is less urgent than an answer (:mod:`autopilot.mavlink.budget`)."""
         budget = self.budgets.get(link)
-        return budget is None or budget.has_room(share)
+        return budget is None or budget.has_capacity(fraction)
 
     def frames(
         self, link: int, client: int, message: Message, *, counted: bool = True, source: int = COMPID
@@ -216,14 +216,14 @@ class Context:
     def _is_news(self, to: Receiver, text: str) -> bool:
         """Whether a receiver has not received this text lately, alone or with its whole link; marks it as sent."""
         link, client = (to, EVERYONE) if isinstance(to, int) else (to.link, to.client)
-        if any(self._said.knows((link, who, text), self.t_us) for who in (client, EVERYONE)):
+        if any(self._recent_texts.knows((link, who, text), self.t_us) for who in (client, EVERYONE)):
             return False
-        self._said.add((link, client, text), self.t_us)
+        self._recent_texts.add((link, client, text), self.t_us)
         return True
 
     def begin_anew(self) -> None:
         """Reset the duplicate filter after a new plan or request: repeated texts are sent again."""
-        self._said.clear()
+        self._recent_texts.clear()
 
     def _chunks(self, severity: int, text: str) -> Iterable[Message]:
         data = text.replace("\0", " ")[:MAX_TEXT_CHARS].encode("ascii", errors="replace")

@@ -18,7 +18,7 @@ class EquipmentOrders(Protocol):
         """Channel -> pulse [us] of the payload outputs, as of the last tick."""
         ...
 
-    def light_shares(self) -> tuple[float, ...]:
+    def light_levels(self) -> tuple[float, ...]:
         """How bright the lights are that can be used, 0 to 1, in the order of the vehicle file."""
         ...
 

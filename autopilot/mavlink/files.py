@@ -26,7 +26,7 @@ class OpenFile:
     path: str
     size: int
     content: bytes | None = None
-    shelf: LogDirectory | None = None
+    log_directory: LogDirectory | None = None
     failed: bool = False
     """The disk did not give what was there when it was opened."""
     _start: int = 0
@@ -39,7 +39,7 @@ class OpenFile:
         if self.content is not None:
             return self.content[offset : offset + size]
         size = min(size, self.size - offset)
-        if size <= 0 or self.shelf is None:
+        if size <= 0 or self.log_directory is None:
             return b""
         self._take(tick)
         at = offset - self._start
@@ -50,7 +50,7 @@ class OpenFile:
         if self._task is None or self._wanted != offset:
             self.close()
             self._wanted = offset
-            self._task = self.shelf.read(tick, self.path, offset, min(BLOCK_BYTES, self.size - offset))
+            self._task = self.log_directory.read(tick, self.path, offset, min(BLOCK_BYTES, self.size - offset))
         return None
 
     def close(self) -> None:

@@ -46,7 +46,7 @@ class Outlet(Protocol):
 
     def send(self, to: MavlinkPeer, message: Message) -> None: ...
 
-    def has_room(self, link: int, share: float) -> bool:
+    def has_capacity(self, link: int, fraction: float) -> bool:
         """Whether a link can carry low-priority messages."""
         ...
 
@@ -126,7 +126,7 @@ class _FtpClient:
     burst: FtpPacket | None = None
     """Active burst: offset and sequence number of its next packet."""
     burst_left: int = 0
-    burst_asked: int = 0
+    burst_request_seq: int = 0
     """The number of its request."""
 
     def stop(self) -> None:
@@ -146,18 +146,18 @@ class _FtpClient:
 class FileTransfer:
     """The file transfer microservice.
 
-    ``files``: files in memory, by name; ``shelf``: the log directory, None without; ``made``: files generated on
-    opening, by path, None = no such file.
+    ``files``: files in memory, by name; ``log_directory``: the log directory, None without; ``made``: files generated
+    on opening, by path, None = no such file.
     """
 
     def __init__(
         self,
         ctx: Outlet,
         files: Mapping[str, bytes],
-        shelf: LogDirectory | None,
+        log_directory: LogDirectory | None,
         made: Callable[[str], bytes | None] = lambda path: None,
     ) -> None:
-        self._ctx, self._files, self._shelf, self._made = ctx, files, shelf, made
+        self._ctx, self._files, self._log_directory, self._made = ctx, files, log_directory, made
         self._clients: LatestUsed[MavlinkPeer, _FtpClient] = LatestUsed(MAX_CLIENTS, _FtpClient.close)
 
     def on_message(self, peer: MavlinkPeer, msg: Message) -> None:
@@ -169,7 +169,7 @@ class FileTransfer:
         if before is not None and before[:2] == (request.seq, request.opcode) and client.burst is None:
             self._ctx.send(peer, before[2])
             return
-        running = client.burst is not None and request.opcode == Op.BURST and request.seq == client.burst_asked
+        running = client.burst is not None and request.opcode == Op.BURST and request.seq == client.burst_request_seq
         if running or client.waiting == request:
             return
         client.stop()
@@ -226,12 +226,12 @@ class FileTransfer:
                 self._open(peer, client, request, OpenFile(parts[0], len(content), content))
             else:
                 self._ack(peer, client, request, file_crc32(content).to_bytes(4, "little"))
-        elif parts and parts[0] == LOGS and self._shelf is not None:
+        elif parts and parts[0] == LOGS and self._log_directory is not None:
             client.waiting = request
             if request.opcode == Op.CRC32:
-                client.crc = self._shelf.crc32(self._tick, "/".join(parts[1:]))
+                client.crc = self._log_directory.crc32(self._tick, "/".join(parts[1:]))
             else:
-                client.listing = self._shelf.list(self._tick)
+                client.listing = self._log_directory.list(self._tick)
         elif parts == (LOGS,) and request.opcode == Op.LIST:
             self._answer_list(peer, client, request, ())
         else:
@@ -247,7 +247,7 @@ class FileTransfer:
             self._go_on(peer, client, request)
         else:
             client.burst, client.burst_left = replace(request, seq=request.seq + 1), BURST_PACKETS
-            client.burst_asked, client.answered = request.seq, None
+            client.burst_request_seq, client.answered = request.seq, None
 
     def _go_on(self, peer: MavlinkPeer, client: _FtpClient, request: FtpPacket) -> None:
         """Serve a request that waits for the disk."""
@@ -275,7 +275,7 @@ class FileTransfer:
         if found is None:
             self._nak(peer, client, request, Error.NOT_FOUND)
         else:
-            self._open(peer, client, request, OpenFile(found.path, found.size, shelf=self._shelf))
+            self._open(peer, client, request, OpenFile(found.path, found.size, log_directory=self._log_directory))
 
     def _go_on_read(self, peer: MavlinkPeer, client: _FtpClient, request: FtpPacket) -> None:
         file = client.file
@@ -291,7 +291,7 @@ class FileTransfer:
     def _go_on_burst(self, peer: MavlinkPeer, client: _FtpClient) -> None:
         for _ in range(PACKETS_PER_TICK):
             burst, file = client.burst, client.file
-            if burst is None or file is None or not self._ctx.has_room(peer.link, FILES):
+            if burst is None or file is None or not self._ctx.has_capacity(peer.link, FILES):
                 return
             data = file.data(self._tick, burst.offset, _wanted(burst))
             if data is None:

@@ -64,7 +64,7 @@ class HighLatency:
     ) -> None:
         self._ctx, self._streams, self._status = ctx, streams, status
         self._telemetry, self._progress = telemetry, progress
-        self._heard_us: LatestUsed[Address, int] = LatestUsed(MAX_ADDRESSES)
+        self._received_us: LatestUsed[Address, int] = LatestUsed(MAX_ADDRESSES)
         """Time of the last message of each client."""
         self._owners: dict[int, int] = {}
         """Client that made a link such a one."""
@@ -91,22 +91,24 @@ class HighLatency:
             self._ctx.log(notices.HIGH_LATENCY(link=link))
         return Reply(ACCEPTED)
 
-    def heard(self, address: Address) -> None:
+    def note_frame(self, address: Address) -> None:
         """A good frame of a client."""
         link, client = address
-        self._heard_us[address] = self._ctx.t_us
+        self._received_us[address] = self._ctx.t_us
         if self._owners.get(link, client) != client:
             self.end(link)
 
     def forget(self, link: int) -> None:
         self._owners.pop(link, None)
         self._ctx.quiet.discard(link)
-        for address in [address for address in self._heard_us if address[0] == link]:
-            del self._heard_us[address]
+        for address in [address for address in self._received_us if address[0] == link]:
+            del self._received_us[address]
 
     def _others(self, link: int, client: int) -> bool:
         since_us = self._ctx.t_us - OTHERS_US * self._ctx.patience
-        return any(at_us >= since_us for (its, who), at_us in self._heard_us.items() if its == link and who != client)
+        return any(
+            at_us >= since_us for (its, who), at_us in self._received_us.items() if its == link and who != client
+        )
 
     def end(self, link: int) -> None:
         """The link is a common one again, if it was not."""
@@ -132,12 +134,12 @@ class HighLatency:
         is HEARTBEAT.base_mode, custom1 the depth in decimetres, 127 = deeper."""
         ctx, view, beat = self._ctx, self._ctx.view, self._status.heartbeat()
         motion, here, target = self._telemetry.motion(), self._telemetry.here(), view.target_ned_m
-        lat_e7 = lon_e7 = alt_m = heading = ground = water = wind = wind_to = depth_dm = distance_dam = 0
+        lat_e7 = lon_e7 = alt_m = heading = ground = water_speed = wind = wind_to = depth_dm = distance_dam = 0
         eph = epv = 0xFF
         if motion is not None and here is not None and view.nav is not None:
             lat_e7, lon_e7, alt_m = i32(here.lat_deg * 1e7), i32(here.lon_deg * 1e7), limited(here.alt_m, -32768, 32767)
             heading = _half_deg(math.radians(motion.heading_deg))
-            ground, water = _speed(math.hypot(motion.vn, motion.ve)), _speed(motion.water_speed)
+            ground, water_speed = _speed(math.hypot(motion.vn, motion.ve)), _speed(motion.water_speed)
             north, east = (x if abs(x) < SANE else 0.0 for x in view.nav.current_ned_m_s[:2].tolist())
             wind, wind_to = _speed(math.hypot(north, east)), _half_deg(math.atan2(east, north))
             eph, epv = limited(10.0 * self._across_m, 0, 255), limited(10.0 * self._deep_m, 0, 255)
@@ -161,7 +163,7 @@ class HighLatency:
             self._target_heading(heading),
             distance_dam,
             self._telemetry.throttle_percent(),
-            water,
+            water_speed,
             0,
             ground,
             wind,

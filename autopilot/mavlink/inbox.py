@@ -72,9 +72,9 @@ class Flood:
 
     sender: str
     link: int
-    lost: int
+    dropped: int
     """Bytes since it was last named."""
-    lost_in_all: int
+    dropped_total: int
 
 
 @dataclass(slots=True)
@@ -86,13 +86,13 @@ class MessageInbox:
     handle: Handle
     admits: Callable[[bytes, Reach], bool] = lambda frame, reach: True
     """Whether valid frames are accepted from that distance."""
-    heard: Callable[[Address, bytes], None] = lambda address, frame: None
+    on_frame: Callable[[Address, bytes], None] = lambda address, frame: None
     """Every good frame that is."""
     _inboxes: LatestUsed[Address, Inbox] = field(init=False)
     _turns: deque[Inbox] = field(default_factory=deque)
     _served: int = 0
-    _dropped_of_gone: int = 0
-    _received_of_gone: int = 0
+    _dropped_closed: int = 0
+    _received_closed: int = 0
 
     def __post_init__(self) -> None:
         self._inboxes = LatestUsed(MAX_INBOXES, self._let_go)
@@ -100,11 +100,11 @@ class MessageInbox:
     @property
     def dropped(self) -> int:
         """Damaged stretches of input so far."""
-        return self._dropped_of_gone + sum(inbox.parser.dropped for inbox in self._inboxes.values())
+        return self._dropped_closed + sum(inbox.parser.dropped for inbox in self._inboxes.values())
 
     @property
     def received(self) -> int:
-        return self._received_of_gone + sum(inbox.parser.received for inbox in self._inboxes.values())
+        return self._received_closed + sum(inbox.parser.received for inbox in self._inboxes.values())
 
     def push(self, frame: MavlinkFrame) -> Inbox:
         address = (frame.link, frame.client)
@@ -164,15 +164,15 @@ class MessageInbox:
 
     def take_flood(self, t_us: int) -> Flood | None:
         """Of the clients not named lately the one that has lost most since; None if none has lost anything."""
-        worst, lost = None, 0
+        worst, dropped = None, 0
         for inbox in self._inboxes.values():
             since = inbox.parser.overflow - inbox.reported
-            if since > lost and (inbox.reported_us is None or t_us - inbox.reported_us >= FLOOD_AGAIN_US):
-                worst, lost = inbox, since
+            if since > dropped and (inbox.reported_us is None or t_us - inbox.reported_us >= FLOOD_AGAIN_US):
+                worst, dropped = inbox, since
         if worst is None:
             return None
         worst.reported, worst.reported_us = worst.parser.overflow, t_us
-        return Flood(worst.sender, worst.address[0], lost, worst.parser.overflow)
+        return Flood(worst.sender, worst.address[0], dropped, worst.parser.overflow)
 
     def _handle(self, inbox: Inbox, message: Message, work: Work) -> None:
         inbox.head = None
@@ -187,11 +187,11 @@ class MessageInbox:
     def _admit(self, address: Address, reach: Reach, frame: bytes) -> bool:
         if not self.admits(frame, reach):
             return False
-        self.heard(address, frame)
+        self.on_frame(address, frame)
         return True
 
-    def _let_go(self, gone: Inbox) -> None:
-        self._dropped_of_gone += gone.parser.dropped
-        self._received_of_gone += gone.parser.received
-        if gone.waiting:
-            self._turns.remove(gone)
+    def _let_go(self, closed: Inbox) -> None:
+        self._dropped_closed += closed.parser.dropped
+        self._received_closed += closed.parser.received
+        if closed.waiting:
+            self._turns.remove(closed)

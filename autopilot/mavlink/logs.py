@@ -51,8 +51,8 @@ class _LogClient:
 
 
 class LogDownload:
-    def __init__(self, ctx: Context, shelf: LogDirectory | None) -> None:
-        self._ctx, self._shelf = ctx, shelf
+    def __init__(self, ctx: Context, log_directory: LogDirectory | None) -> None:
+        self._ctx, self._log_directory = ctx, log_directory
         self._first = 1 if ctx.profile.home_is_item_0 else 0
         self._clients: LatestUsed[MavlinkPeer, _LogClient] = LatestUsed(MAX_CLIENTS, _LogClient.stop)
         self._erasing: tuple[MavlinkPeer, BackgroundTask[int]] | None = None
@@ -62,10 +62,10 @@ class LogDownload:
         client = self._clients.touch(peer, _LogClient)
         client.stop()
         client.entries = range(msg.start, msg.end + 1)
-        if self._shelf is None:
+        if self._log_directory is None:
             self._listed(client, ())
         else:
-            client.listing = self._shelf.list(self._tick)
+            client.listing = self._log_directory.list(self._tick)
 
     def on_request_data(self, peer: MavlinkPeer, msg: Message) -> None:
         """LOG_REQUEST_DATA: pieces of 90 bytes; a shorter one is the last of the log."""
@@ -74,8 +74,8 @@ class LogDownload:
             client.file.close()
             client.file = None
         client.wanted = (msg.id, msg.ofs, msg.count)
-        if client.logs is None and client.listing is None and self._shelf is not None:
-            client.listing = self._shelf.list(self._tick)  # numbers from before a restart, or of another link
+        if client.logs is None and client.listing is None and self._log_directory is not None:
+            client.listing = self._log_directory.list(self._tick)  # numbers from before a restart, or of another link
 
     def on_request_end(self, peer: MavlinkPeer) -> None:
         self._clients.touch(peer, _LogClient).stop()
@@ -85,13 +85,13 @@ class LogDownload:
         ctx = self._ctx
         if ctx.view.armed:
             ctx.say(notices.LOGS_ARMED(), peer)
-        elif self._shelf is None:
+        elif self._log_directory is None:
             ctx.say(notices.LOGS_NO_FOLDER(), peer)
         elif self._erasing is None:
             ctx.say(notices.LOGS_ERASING(client=peer.name))
             for client in self._clients.values():
                 client.stop()
-            self._erasing = peer, self._shelf.erase(self._tick)
+            self._erasing = peer, self._log_directory.erase(self._tick)
 
     @property
     def sending(self) -> bool:
@@ -129,7 +129,7 @@ class LogDownload:
     def _send_entries(self, peer: MavlinkPeer, client: _LogClient, logs: tuple[LogDirectoryEntry, ...]) -> None:
         count, last = len(logs), self._first + len(logs) - 1
         for _ in range(min(ENTRIES_PER_TICK, len(client.entries))):
-            if not self._ctx.has_room(peer.link, FILES):
+            if not self._ctx.has_capacity(peer.link, FILES):
                 return
             number, client.entries = client.entries[0], client.entries[1:]
             if number < 0:
@@ -142,7 +142,7 @@ class LogDownload:
     def _send_data(self, peer: MavlinkPeer, client: _LogClient, logs: tuple[LogDirectoryEntry, ...]) -> None:
         ctx = self._ctx
         for _ in range(PACKETS_PER_TICK):
-            if client.wanted is None or not ctx.has_room(peer.link, FILES):
+            if client.wanted is None or not ctx.has_capacity(peer.link, FILES):
                 return
             number, offset, count = client.wanted
             file = self._file(client, logs, number)
@@ -168,7 +168,7 @@ class LogDownload:
             return None
         log = logs[index]
         if client.file is None or client.file.path != log.path:
-            client.file = OpenFile(log.path, log.size, shelf=self._shelf)
+            client.file = OpenFile(log.path, log.size, log_directory=self._log_directory)
         return client.file
 
     def _go_on_erasing(self) -> None:

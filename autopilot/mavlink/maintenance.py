@@ -57,7 +57,7 @@ class Maintenance:
         if kind == mav.MOTOR_TEST_THROTTLE_PERCENT:
             if not 0.0 <= value <= 100.0:
                 return denied(f"Motor test denied: {value:g} %, use 0 to 100, 50 stands")
-            test = MotorTest(number=number, share=value / 50.0 - 1.0, seconds=seconds)
+            test = MotorTest(number=number, throttle=value / 50.0 - 1.0, seconds=seconds)
         elif kind == mav.MOTOR_TEST_THROTTLE_PWM:
             test = MotorTest(number=number, pulse_us=value, seconds=seconds)
         else:

@@ -52,9 +52,9 @@ class Upload:
     peer: MavlinkPeer
     kind: PlanKind
     count: int
-    asked_us: int
+    requested_us: int
     progress_us: int
-    asked: int | None = None
+    requested: int | None = None
     """The item that was asked for last."""
     wrong: int = 0
     items: list[PlanItem] = field(default_factory=list)
@@ -151,7 +151,7 @@ class Missions:
         if msg.count == 0:
             self._finish(self._upload)
         else:
-            self._ask(self._upload)
+            self._request_item(self._upload)
 
     def _is_late_duplicate(self, mark: tuple[MavlinkPeer, int, int]) -> bool:
         """Whether the network delivers a COUNT again, of whatever plan; a client's own retry has another number."""
@@ -180,7 +180,7 @@ class Missions:
         if len(upload.items) == upload.count:
             self._finish(upload)
         else:
-            self._ask(upload)
+            self._request_item(upload)
 
     def on_float_item(self, peer: MavlinkPeer, msg: Message) -> None:
         """MISSION_ITEM: its 32 bit degrees are a metre wide, too coarse for a vehicle among obstacles."""
@@ -204,7 +204,7 @@ class Missions:
                 f"item {msg.seq} sent again and again, item {len(upload.items)} was asked for",
             )
         elif upload.wrong == 1:
-            self._ask(upload)
+            self._request_item(upload)
 
     def _unasked_item(self, peer: MavlinkPeer, msg: Message) -> None:
         """An item outside an upload: a late one (repeat the answer, if there is one yet), or unrequested."""
@@ -221,10 +221,10 @@ class Missions:
                 self._request(peer, done.guilty, done.kind)
             self._ack(peer, done.result, done.kind, done.plan_id)
 
-    def _ask(self, upload: Upload, seq: int | None = None) -> None:
+    def _request_item(self, upload: Upload, seq: int | None = None) -> None:
         """For the next item, or for ``seq``."""
-        upload.asked_us, upload.asked = self._ctx.t_us, len(upload.items) if seq is None else seq
-        self._request(upload.peer, upload.asked, upload.kind)
+        upload.requested_us, upload.requested = self._ctx.t_us, len(upload.items) if seq is None else seq
+        self._request(upload.peer, upload.requested, upload.kind)
 
     def _request(self, peer: MavlinkPeer, seq: int, kind: PlanKind) -> None:
         self._ctx.send(peer, mav.MAVLink_mission_request_int_message(peer.sysid, peer.compid, seq, kind))
@@ -233,7 +233,7 @@ class Missions:
         """All items are there: hand the plan over."""
         items = home_item.received(self._ctx, upload.kind, upload.items)
         self._upload = None
-        upload.asked_us = self._ctx.t_us
+        upload.requested_us = self._ctx.t_us
         self._check(upload.peer, {upload.kind: items}, upload.kind, upload)
 
     def _check(
@@ -312,8 +312,8 @@ class Missions:
         plan_id = self._ctx.plans.checksum(upload.kind) if result is MissionResult.ACCEPTED else 0
         self._finished = Finished(upload.peer, upload.kind, upload.count, result, plan_id, now_us, now_us, guilty)
         self._ctx.begin_anew()
-        if guilty is not None and guilty != upload.asked and 0 <= guilty < upload.count:
-            self._ask(upload, guilty)
+        if guilty is not None and guilty != upload.requested and 0 <= guilty < upload.count:
+            self._request_item(upload, guilty)
         self._ack(upload.peer, result, upload.kind, plan_id)
         if reason:
             text = notices.PLAN_REFUSED(kind=upload.kind.name.capitalize(), reason=reason)
@@ -437,13 +437,13 @@ class Missions:
             if now_us - upload.progress_us > GIVE_UP_US * ctx.patience:
                 reason = f"item {len(upload.items)} of {upload.count} did not come; the plan in force stays"
                 self._end(upload, MissionResult.OPERATION_CANCELLED, reason)
-            elif now_us - upload.asked_us >= RETRY_US * ctx.patience:
-                self._ask(upload)
+            elif now_us - upload.requested_us >= RETRY_US * ctx.patience:
+                self._request_item(upload)
         checking = self._checking
         if checking is not None and checking.upload is not None:
-            asked = checking.upload
-            if now_us - asked.asked_us >= WORKING_US * ctx.patience:
-                self._ask(asked, asked.count - 1)
+            pending = checking.upload
+            if now_us - pending.requested_us >= WORKING_US * ctx.patience:
+                self._request_item(pending, pending.count - 1)
         if self._downloads:
             key = next(iter(self._downloads))
             if now_us - self._downloads[key].used_us > DOWNLOAD_US * ctx.patience:

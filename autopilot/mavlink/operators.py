@@ -79,7 +79,7 @@ class Operators:
         self._owner: MavlinkPeer | None = None
         """Last address of the owner."""
         self._takeover = False
-        self._heard_us = 0
+        self._last_received_us = 0
         self._shown: tuple[int, bool] | None = None
 
     @property
@@ -98,15 +98,15 @@ class Operators:
             flags |= extra.GCS_CONTROL_STATUS_FLAGS_TAKEOVER_ALLOWED
         return extra.MAVLink_control_status_message(flags, self.in_control, [0] * 10)
 
-    def heard(self, peer: MavlinkPeer) -> None:
+    def note_message(self, peer: MavlinkPeer) -> None:
         if peer.sysid == self.in_control:
-            self._owner, self._heard_us = peer, self._ctx.t_us
+            self._owner, self._last_received_us = peer, self._ctx.t_us
 
     def tick(self) -> None:
         """Release control of an owner that has timed out; changes are reported at once."""
         ctx = self._ctx
         if self._owner is not None:
-            age_s = (ctx.t_us - self._heard_us) * 1e-6
+            age_s = (ctx.t_us - self._last_received_us) * 1e-6
             if age_s > ctx.params["FS_GCS_TIMEOUT"] * ctx.patience:
                 ctx.say(notices.OPERATOR_SILENT(system=self.in_control))
                 self._owner, self._takeover = None, False
@@ -171,24 +171,24 @@ class Operators:
             self._owner, self._takeover = None, False
             return Reply(ACCEPTED)
         if self.keeps_out(call.peer) and not self._takeover:
-            self._ask_owner(call)
+            self._notify_owner(call)
             return Reply(
                 CommandReply(result=CommandResult.FAILED, reason=f"System {self.in_control} is in control: asked")
             )
         if call.peer.sysid != self.in_control:
             self._ctx.say(notices.OPERATOR_IN_CONTROL(system=call.peer.sysid))
-        self._owner, self._heard_us = call.peer, self._ctx.t_us
+        self._owner, self._last_received_us = call.peer, self._ctx.t_us
         self._takeover = call.param(2) == 1.0
         return Reply(ACCEPTED)
 
-    def _ask_owner(self, call: Call) -> None:
+    def _notify_owner(self, call: Call) -> None:
         """Forward the request to the owner, as the same command."""
         owner = self._owner
         assert owner is not None
         timeout_s = min(max(call.param(3), _LEAST_S), _MOST_S)
         params = (1.0, call.param(2), timeout_s, float(call.peer.sysid), 0.0, 0.0, 0.0)
-        ask = mav.MAVLink_command_long_message(owner.sysid, owner.compid, REQUEST, 0, *params)
-        self._ctx.send(owner, ask)
+        message = mav.MAVLink_command_long_message(owner.sysid, owner.compid, REQUEST, 0, *params)
+        self._ctx.send(owner, message)
         self._ctx.text(notices.OPERATOR_ASKS(system=call.peer.sysid), owner)
 
 
@@ -213,14 +213,14 @@ def rights(messages: Iterable[int], commands: Mapping[int, CommandRow]) -> Right
     called = {number: known.msgname for number, known in (*extra.mavlink_map.items(), *mav.mavlink_map.items())}
     ordered = {number: entry.name.removeprefix("MAV_CMD_") for number, entry in mav.enums["MAV_CMD"].items()}
     ordered[REQUEST] = "REQUEST_OPERATOR_CONTROL"
-    heard = set(messages)
+    handled = set(messages)
     open_commands = {number for number, entry in commands.items() if not entry.action}
     grave_commands = GRAVE_COMMANDS & set(commands)
     return Rights(
-        anyone=(names(called, heard & OPEN), names(ordered, open_commands)),
+        anyone=(names(called, handled & OPEN), names(ordered, open_commands)),
         control=(
-            names(called, heard - OPEN - GRAVE),
+            names(called, handled - OPEN - GRAVE),
             names(ordered, set(commands) - open_commands - grave_commands),
         ),
-        grave=(names(called, heard & GRAVE), names(ordered, grave_commands)),
+        grave=(names(called, handled & GRAVE), names(ordered, grave_commands)),
     )

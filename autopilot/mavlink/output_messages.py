@@ -79,8 +79,8 @@ class OutputMessages:
         """
         values = {"PilotGain": self._gain()}
         if self._equipment is not None:
-            shares = self._equipment.light_shares()[:LIGHTS]
-            values |= {f"Lights{n}": share for n, share in enumerate(shares, 1)}
+            levels = self._equipment.light_levels()[:LIGHTS]
+            values |= {f"Lights{n}": level for n, level in enumerate(levels, 1)}
         if self._yaw_rad is not None:
             values["TetherTrn"] = self._turned_rad / (2.0 * math.pi)
         return tuple(

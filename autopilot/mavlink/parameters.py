@@ -101,10 +101,10 @@ class Parameters:
         parameters as floats. MAVProxy and QGroundControl request ``?withdefaults=1``.
         """
         folder, _, file = path.partition("/")
-        name, _, wishes = file.partition("?")
+        name, _, options = file.partition("?")
         if folder != "@PARAM" or name != PACKED_FILE or self._ctx.profile.param_encoding is ParamEncoding.BYTEWISE:
             return None
-        return self.packed(defaults="withdefaults=1" in wishes.split("&"))
+        return self.packed(defaults="withdefaults=1" in options.split("&"))
 
     def packed(self, *, defaults: bool) -> bytes:
         """The content of ``@PARAM/param.pck``: per parameter its type (and, with a flag, that a default follows its
@@ -274,7 +274,7 @@ class Parameters:
             return
         for peer, start in tuple(self._lists.items()):
             stop = start
-            while stop < min(start + PER_TICK, len(self._names)) and self._ctx.has_room(peer.link, LISTS):
+            while stop < min(start + PER_TICK, len(self._names)) and self._ctx.has_capacity(peer.link, LISTS):
                 self._ctx.send(peer, self.value(self._names[stop]))
                 stop += 1
             if stop < len(self._names):

@@ -119,4 +119,6 @@ class PeriodicMessages:
             return
         self._flood_us = ctx.t_us
         ctx.say(notices.FLOODED(sender=flood.sender))
-        ctx.log(notices.FLOODED_BYTES(sender=flood.sender, link=flood.link, lost=flood.lost, total=flood.lost_in_all))
+        ctx.log(
+            notices.FLOODED_BYTES(sender=flood.sender, link=flood.link, lost=flood.dropped, total=flood.dropped_total)
+        )

@@ -65,7 +65,7 @@ class PilotInputs:
         self, ctx: Context, equipment: EquipmentOrders | None = None, camera: CameraOrders | None = None
     ) -> None:
         self._ctx, self._equipment, self._camera = ctx, equipment, camera
-        self._heard: _PilotRecord | None = None
+        self._record: _PilotRecord | None = None
         self._gain: float | None = None
         self.last_us: int | None = None
         """Time of the pilot's last message, None before the first."""
@@ -73,10 +73,10 @@ class PilotInputs:
     @property
     def sticks(self) -> Sticks | None:
         """Stick positions times gain; None = no pilot."""
-        heard = self._heard
-        if heard is None or self._ctx.t_us > heard.last_us + self._stale_us:
+        record = self._record
+        if record is None or self._ctx.t_us > record.last_us + self._stale_us:
             return None
-        return heard.sticks
+        return record.sticks
 
     @property
     def gain(self) -> float:
@@ -91,75 +91,75 @@ class PilotInputs:
         """MANUAL_CONTROL: x ahead, y and r to starboard, z up; s, t and aux are for axes that are not here."""
         if msg.target not in (0, self._ctx.sysid):
             return
-        heard = self._of(peer)
-        if heard is None:
+        record = self._of(peer)
+        if record is None:
             return
-        up = self._up(heard, msg.z)
-        self._take(heard, ahead=_axis(msg.x), starboard=_axis(msg.y), up=up, turn=_axis(msg.r))
+        up = self._up(record, msg.z)
+        self._take(record, ahead=_axis(msg.x), starboard=_axis(msg.y), up=up, turn=_axis(msg.r))
         extensions = getattr(msg, "enabled_extensions", 0)
         if extensions & 3 and (msg.s if extensions & 1 else 0) | (msg.t if extensions & 2 else 0):
             self._ctx.say(notices.STICKS_UNUSED(), peer)
-        self._press(heard, msg.buttons | getattr(msg, "buttons2", 0) << 16)
+        self._press(record, msg.buttons | getattr(msg, "buttons2", 0) << 16)
 
     def on_override(self, peer: MavlinkPeer, msg: Message) -> None:
         """RC_CHANNELS_OVERRIDE, channels as ArduSub has them: 3 up, 4 yaw, 5 ahead, 6 to starboard; no gain."""
         channels = (msg.chan5_raw, msg.chan6_raw, msg.chan3_raw, msg.chan4_raw)
         if not any(LEAST_US <= us <= MOST_US for us in channels):
             return
-        heard = self._of(peer)
-        if heard is None:
+        record = self._of(peer)
+        if record is None:
             return
         ahead, starboard, up, turn = (_channel(us) for us in channels)
-        heard.sticks = Sticks(ahead=ahead, starboard=starboard, up=up, turn=turn)
+        record.sticks = Sticks(ahead=ahead, starboard=starboard, up=up, turn=turn)
 
     def _of(self, peer: MavlinkPeer) -> _PilotRecord | None:
         """The pilot's record, if this client is the pilot."""
-        now_us, heard = self._ctx.t_us, self._heard
-        if heard is None or (heard.peer != peer and now_us > heard.last_us + self._stale_us):
-            heard = self._heard = _PilotRecord(peer=peer, last_us=now_us, sticks=Sticks())
-        if heard.peer != peer:
-            client = f"{heard.peer.sysid}/{heard.peer.compid}"
+        now_us, record = self._ctx.t_us, self._record
+        if record is None or (record.peer != peer and now_us > record.last_us + self._stale_us):
+            record = self._record = _PilotRecord(peer=peer, last_us=now_us, sticks=Sticks())
+        if record.peer != peer:
+            client = f"{record.peer.sysid}/{record.peer.compid}"
             self._ctx.say(notices.STICKS_OF_ANOTHER(client=client), peer)
             return None
-        if now_us > heard.last_us + self._stale_us:
-            heard.centred_us, heard.lifts = None, False
-        heard.last_us = self.last_us = now_us
-        return heard
+        if now_us > record.last_us + self._stale_us:
+            record.centred_us, record.lifts = None, False
+        record.last_us = self.last_us = now_us
+        return record
 
-    def _take(self, heard: _PilotRecord, *, ahead: float, starboard: float, up: float, turn: float) -> None:
+    def _take(self, record: _PilotRecord, *, ahead: float, starboard: float, up: float, turn: float) -> None:
         gain = self.gain
-        heard.sticks = Sticks(ahead=gain * ahead, starboard=gain * starboard, up=gain * up, turn=gain * turn)
+        record.sticks = Sticks(ahead=gain * ahead, starboard=gain * starboard, up=gain * up, turn=gain * turn)
 
-    def _up(self, heard: _PilotRecord, z: int) -> float:
+    def _up(self, record: _PilotRecord, z: int) -> float:
         """The vertical stick, by one of the two conventions: 0 to 1000 with 500 neutral, or -1000 to 1000."""
         if z == INVALID:
             return 0.0
         centred = bool(self._ctx.params["PILOT_Z"])
-        if z < 0 and not centred and not heard.spoken:
-            heard.spoken, heard.lifts, heard.centred_us = True, False, None
-            self._ctx.say(notices.STICK_BELOW_ZERO(), heard.peer)
-        value = _axis(z) if centred or heard.spoken else _axis(2 * z - 1000)
-        if heard.lifts:
+        if z < 0 and not centred and not record.spoken:
+            record.spoken, record.lifts, record.centred_us = True, False, None
+            self._ctx.say(notices.STICK_BELOW_ZERO(), record.peer)
+        value = _axis(z) if centred or record.spoken else _axis(2 * z - 1000)
+        if record.lifts:
             return value
         if abs(value) > CENTRED:
-            heard.centred_us = None
-            if not heard.reported:
-                heard.reported = True
-                neutral = 0 if centred or heard.spoken else 500
-                self._ctx.say(notices.STICK_NOT_CENTRED(neutral=neutral), heard.peer)
-        elif heard.centred_us is None:
-            heard.centred_us = self._ctx.t_us
-        heard.lifts = heard.centred_us is not None and self._ctx.t_us - heard.centred_us >= CENTRED_US
+            record.centred_us = None
+            if not record.reported:
+                record.reported = True
+                neutral = 0 if centred or record.spoken else 500
+                self._ctx.say(notices.STICK_NOT_CENTRED(neutral=neutral), record.peer)
+        elif record.centred_us is None:
+            record.centred_us = self._ctx.t_us
+        record.lifts = record.centred_us is not None and self._ctx.t_us - record.centred_us >= CENTRED_US
         return 0.0
 
     # Buttons
 
-    def _press(self, heard: _PilotRecord, buttons: int) -> None:
+    def _press(self, record: _PilotRecord, buttons: int) -> None:
         """Buttons pressed since the last message."""
-        pressed, heard.buttons = buttons & ~heard.buttons, buttons
+        pressed, record.buttons = buttons & ~record.buttons, buttons
         for n in range(16):
             if pressed >> n & 1:
-                self._act(heard.peer, int(self._ctx.params[f"BTN{n}_FUNCTION"]), n)
+                self._act(record.peer, int(self._ctx.params[f"BTN{n}_FUNCTION"]), n)
 
     def _act(self, peer: MavlinkPeer, function: int, button: int) -> None:
         vehicle, armed = self._ctx.vehicle, self._ctx.view.armed
@@ -201,8 +201,8 @@ def _axis(value: int) -> float:
     """-1000 to 1000 as -1 to 1; no axis and the middle are 0."""
     if value == INVALID:
         return 0.0
-    share = min(max(value / 1000.0, -1.0), 1.0)
-    return 0.0 if abs(share) < DEADZONE else share
+    deflection = min(max(value / 1000.0, -1.0), 1.0)
+    return 0.0 if abs(deflection) < DEADZONE else deflection
 
 
 def _channel(us: int) -> float:

@@ -42,7 +42,7 @@ class Router:
         self.forwarded = 0
         """Packets passed on so far."""
 
-    def heard(self, address: Address, frame: bytes) -> None:
+    def note_frame(self, address: Address, frame: bytes) -> None:
         """A complete packet with a valid checksum from an accepted sender."""
         ctx = self._ctx
         if ctx.params["MAV_FORWARD"] <= 0.0:
@@ -89,7 +89,7 @@ class Router:
 
     def _send(self, link: int, client: int, frame: bytes, *, old: bool, beside: frozenset[int] = frozenset()) -> None:
         ctx = self._ctx
-        if link not in ctx.links or not ctx.has_room(link, LISTS) or (client == EVERYONE and link in ctx.quiet):
+        if link not in ctx.links or not ctx.has_capacity(link, LISTS) or (client == EVERYONE and link in ctx.quiet):
             return
         if not old:
             speak_old = ctx.old.get(link, frozenset())

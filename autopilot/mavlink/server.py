@@ -146,7 +146,7 @@ class MavlinkServer:
         guard: Guard | None = None,
         saving: ParamSaving | None = None,
         signing: SigningStore | None = None,
-        shelf: LogDirectory | None = None,
+        log_directory: LogDirectory | None = None,
         rates: Mapping[int, float] | None = None,
         camera: CameraOrders | None = None,
         nondeterminism: NondeterminismSource | None = None,
@@ -169,8 +169,8 @@ class MavlinkServer:
         )
         self.parameters = Parameters(ctx)
         metadata = make_metadata(self.parameters.specs, name=identity.name, version=identity.version)
-        self._files = FileTransfer(ctx, metadata.files, shelf, self.parameters.packed_file)
-        self._logs = LogDownload(ctx, shelf)
+        self._files = FileTransfer(ctx, metadata.files, log_directory, self.parameters.packed_file)
+        self._logs = LogDownload(ctx, log_directory)
         self._operators = Operators(ctx, self.parameters.known_value)
         self.missions = Missions(ctx)
         self.utility = Utility(ctx)
@@ -227,7 +227,7 @@ class MavlinkServer:
         self._keys = SigningSetup(ctx, lambda address: self._intake.reach(address))
         self._handlers = self._table()
         self._router = Router(ctx, ours=self._ours.__contains__)
-        self._intake = MessageInbox(self._handlers.keys(), _HEAVY, self._handle, ctx.signing.admits, self._heard)
+        self._intake = MessageInbox(self._handlers.keys(), _HEAVY, self._handle, ctx.signing.admits, self._note_frame)
         self._valid_us: LatestUsed[Address, int] = LatestUsed(MAX_INBOXES)
         """When each client was last understood."""
         self._new: RecentKeys[Address] = RecentKeys(float("inf"))
@@ -515,13 +515,13 @@ class MavlinkServer:
             clients = {number for number in known if (link, number) in self._intake}
             ctx.old[link] = frozenset((*clients, client))
 
-    def _heard(self, address: Address, frame: bytes) -> None:
+    def _note_frame(self, address: Address, frame: bytes) -> None:
         """A valid frame, to us or to be forwarded."""
         self._valid_us[address] = self._ctx.t_us
 
         def note() -> None:
-            self._high_latency.heard(address)
-            self._router.heard(address, frame)
+            self._high_latency.note_frame(address)
+            self._router.note_frame(address, frame)
 
         self._ctx.guard.run("message", note, None)
 
@@ -545,7 +545,7 @@ class MavlinkServer:
 
     def _on_heartbeat(self, peer: MavlinkPeer, msg: Message) -> None:
         if msg.type in _OPERATORS:
-            self._operators.heard(peer)
+            self._operators.note_message(peer)
             self.last_gcs_t_us = self._ctx.t_us
 
     def _on_command(self, peer: MavlinkPeer, msg: Message) -> None:

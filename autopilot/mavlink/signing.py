@@ -80,9 +80,9 @@ class Signing:
         """The time that the disk has been asked to keep,"""
         self._safe = self._kept if found.key is not None else found.stamp
         """and the one that it has."""
-        self._asked = 0
+        self._requested = 0
         """Number of the last request to the disk,"""
-        self._asked_us: int | None = None
+        self._requested_us: int | None = None
         """since when it has been waited for, None = it is done,"""
         self._disk_fails = False
         """and whether it has refused."""
@@ -108,8 +108,8 @@ class Signing:
         if saved is None:
             return None
         self._disk_fails = bool(saved.failure)
-        if saved.number == self._asked:
-            self._asked_us = None
+        if saved.number == self._requested:
+            self._requested_us = None
             if not saved.failure:
                 self._safe = self._kept
         return saved.failure
@@ -131,9 +131,9 @@ class Signing:
         self._kept = stamp
         if self._store is None:
             return
-        self._asked += 1
-        if self._asked_us is None:
-            self._asked_us = self._t_us
+        self._requested += 1
+        if self._requested_us is None:
+            self._requested_us = self._t_us
         self._store.keep(self._t_us // TICK_US, SigningState(self.key, stamp))
 
     def _forget(self, stamp: int) -> None:
@@ -160,7 +160,7 @@ class Signing:
             self.refused.unsigned += 1
             return False
         key = self.key
-        if key is None or not self._nondeterminism.ask("signature", True, lambda: is_signed_with(key, frame)):
+        if key is None or not self._nondeterminism.observe("signature", True, lambda: is_signed_with(key, frame)):
             self.refused.unknown_key += 1
             return False
         stream = (frame[-SIGNATURE_BYTES], frame[5], frame[6])
@@ -186,7 +186,7 @@ class Signing:
         """
         if self._store is None or stamp <= self._safe or self._disk_fails:
             return True
-        return self._asked_us is not None and self._t_us - self._asked_us > SLOW_DISK_US
+        return self._requested_us is not None and self._t_us - self._requested_us > SLOW_DISK_US
 
 
 def signed(frame: bytes, crc_extra: int, key: bytes, number: int, stamp: int) -> bytes:

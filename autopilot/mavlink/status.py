@@ -197,7 +197,7 @@ class StatusMessages:
             present |= mav.MAV_SYS_STATUS_SENSOR_GPS
             enabled |= mav.MAV_SYS_STATUS_SENSOR_GPS
             health |= mav.MAV_SYS_STATUS_SENSOR_GPS
-        lost = 1e4 * view.dropped_rx / max(ctx.received + view.dropped_rx, 1)
+        drop_rate = 1e4 * view.dropped_rx / max(ctx.received + view.dropped_rx, 1)
         return mav.MAVLink_sys_status_message(
             present,
             enabled,
@@ -206,7 +206,7 @@ class StatusMessages:
             voltage_mv,
             current_ca,
             remaining,
-            u16(lost),
+            u16(drop_rate),
             u16(view.dropped_rx),
             *(u16(count) for count in view.nav_errors),
         )

@@ -224,7 +224,7 @@ class Streams:
         """Send as many due messages as the link can carry, the most overdue first; the rest stays due."""
         ctx, t_us = self._ctx, self._ctx.t_us
         for msg_id in sorted(streams.due(t_us), key=lambda due: streams.due_us[due]):
-            if not ctx.has_room(link, TELEMETRY):
+            if not ctx.has_capacity(link, TELEMETRY):
                 break
             streams.done(msg_id, t_us)
             ctx.guard.run("telemetry", partial(self._send, link, msg_id, built), None, lambda: ctx.view)

@@ -62,16 +62,16 @@ class TrafficReports:
     def __init__(self, ctx: Context) -> None:
         self._ctx = ctx
         self._tracks: list[ObstacleTrack] = []
-        self._gone: list[int] = []
+        self._removed: list[int] = []
         self._scans: dict[tuple[int, int, int], _Scan] = {}
 
     def take(self) -> tuple[tuple[ObstacleTrack, ...], tuple[int, ...]]:
         """Reports since the last call, and numbers of obstacles that have gone."""
-        if not self._tracks and not self._gone:
+        if not self._tracks and not self._removed:
             return (), ()
-        tracks, gone = tuple(self._tracks), tuple(self._gone)
-        self._tracks, self._gone = [], []
-        return tracks, gone
+        tracks, removed = tuple(self._tracks), tuple(self._removed)
+        self._tracks, self._removed = [], []
+        return tracks, removed
 
     def on_global_position_int(self, peer: MavlinkPeer, msg: Message) -> None:
         if peer.compid != COMPID or (msg.lat == 0 and msg.lon == 0):
@@ -206,12 +206,12 @@ class TrafficReports:
                 turned = abs(math.remainder(math.atan2(off.imag, off.real) - angle, 2.0 * math.pi))
                 if turned <= 0.5 * step and far_m > abs(off) + SAME_M:
                     del scan.places[number]
-                    self._gone.append(_BEAM | number)
+                    self._removed.append(_BEAM | number)
                     break
         while len(scan.places) > 2 * MAX_BLOBS:
             first = next(iter(scan.places))
             del scan.places[first]
-            self._gone.append(_BEAM | first)
+            self._removed.append(_BEAM | first)
 
 
 def _along(course_deg: float, speed_m_s: float) -> complex:

@@ -58,10 +58,10 @@ def service_again(
             raise LogError(f"{log.path}: {error}; replay it with the version that has written it") from error
     lat, lon, alt = record.origin
     origin = Origin(lat_deg=lat, lon_deg=lon, alt_m=alt)
-    water = _water(log, record, origin, folder)
+    current_map = _current_map(log, record, origin, folder)
     signing = record.signing
     store = None if signing is None else _Store(PLACEHOLDER_KEY if signing.key else None, signing.stamp)
-    shelf = LogDirectoryReader(folder / "none", BackgroundWorker()) if record.shelf else None
+    log_directory = LogDirectoryReader(folder / "none", BackgroundWorker()) if record.shelf else None
     setup = ServiceSetup(
         vehicle=read_vehicle(log),
         params=params,
@@ -77,15 +77,15 @@ def service_again(
         currents=forecast_of(
             record.currents.kind,
             record.currents.basin,
-            lambda: _formula(log) if water is None else MappedCurrent(water),
+            lambda: _formula(log) if current_map is None else MappedCurrent(current_map),
         ),
-        water=None if water is None else MapCheck(water, origin),
+        current_check=None if current_map is None else MapCheck(current_map, origin),
         links=record.links,
         rates={int(link): rate for link, rate in record.rates.items()},
         patience=record.patience,
         saving=_Saving() if record.saving else None,
         signing=store,
-        shelf=shelf,
+        log_directory=log_directory,
         pictures=record.pictures,
         waits_for_plans=record.waits_for_plans,
         git=record.git,
@@ -97,7 +97,7 @@ def service_again(
     return service, parts
 
 
-def _water(log: Log, record: ServiceRecord, origin: Origin, folder: Path) -> CurrentMap | None:
+def _current_map(log: Log, record: ServiceRecord, origin: Origin, folder: Path) -> CurrentMap | None:
     if not record.currents.map_suffix:
         return None
     data = log.attachments.get(CURRENTS_FILE)
@@ -143,7 +143,7 @@ def _take_plans(log: Log, parts: ServiceParts, nondeterminism: NondeterminismRep
         parts.commander.restore_home(np.array(content.home_ned_m))
     if content.position is not None and content.mission:
         parts.commander.stand_at(content.position)
-    plans.watchdog = lambda: nondeterminism.ask(PLANS_KEPT, True, lambda: True)
+    plans.watchdog = lambda: nondeterminism.observe(PLANS_KEPT, True, lambda: True)
 
 
 class _Saving:

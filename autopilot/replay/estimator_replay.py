@@ -168,15 +168,15 @@ def refined_by(log: Log, setup: EstimatorSetup, markers: MarkerMap | None = None
     LogError
         The run had no marker map, the map has no uncertainty to refine, or no marker was seen.
     """
-    told = read_markers(log.attachments) if markers is None else markers
-    if told is None:
+    known = read_markers(log.attachments) if markers is None else markers
+    if known is None:
         raise LogError(f"{log.path}: this run had no marker map; there is nothing to refine")
-    if told.errors is None:
+    if known.errors is None:
         raise LogError(
             f"{log.path}: the map is one sheet or said to be exact; give sheets or a sigma_m in the map file"
         )
     estimator = create_estimator(
-        "ekf", read_vehicle(log), told, floor_depth_m=setup.floor_depth_m, options=setup.options
+        "ekf", read_vehicle(log), known, floor_depth_m=setup.floor_depth_m, options=setup.options
     )
     located = False
     for tick in estimator_ticks(log):

@@ -119,12 +119,12 @@ def estimator_ticks(log: Log) -> Iterator[EstimatorTick]:
     topics = [TICK, THRUST, *(topic for topic in (*READERS, *OTHERS) if topic in log)]
     log.load(topics)
     tables = [log[topic] for topic in topics]
-    told = [0] * len(topics)
+    positions = [0] * len(topics)
     samples: list[Sample] = []
     thrust_n, t_us, promised, came = np.zeros(MAX_THRUSTERS), -1, 0, 0
     for number in log.order(topics):
-        row = tables[number][told[number]]
-        told[number] += 1
+        row = tables[number][positions[number]]
+        positions[number] += 1
         topic = topics[number]
         if topic == TICK:
             if t_us >= 0:

@@ -49,10 +49,10 @@ class ServiceInputs:
         samples: list[Sample] = []
         notes = EMPTY
         last_us = 0
-        told = [0] * len(self._topics)
+        positions = [0] * len(self._topics)
         for number in self._log.order(self._topics):
-            at, topic = told[number], self._topics[number]
-            told[number] += 1
+            at, topic = positions[number], self._topics[number]
+            positions[number] += 1
             if topic == NOTES:
                 text = self._notes[at].value["data"]
                 notes = unpack(text, f"{self._log.path}: {NOTES} at {1e-6 * self._notes[at].t_us:.2f} s")

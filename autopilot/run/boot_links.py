@@ -115,18 +115,20 @@ class BootLinks:
         for client, message in boot.tick(round(now_s * 1e6)):
             link.send(message, client)
         # A peer that listens on a port of ours gets the heartbeat at once when it has sent something.
-        first_word = bool(received) and index not in self._spoken_to
-        if first_word:
+        first_frame = bool(received) and index not in self._spoken_to
+        if first_frame:
             self._spoken_to.add(index)
-        if first_word or now_s - self._beat_s[index] >= HEARTBEAT_S:
+        if first_frame or now_s - self._beat_s[index] >= HEARTBEAT_S:
             self._beat_s[index] = now_s
             link.send(boot.heartbeat())
 
     def _answer(self, index: int, one: Received, now_s: float) -> None:
         data, client, sender, reach = one
         answers, left = self._boot[index].answer(data, client, reach)
-        for asked, message in left.items():
-            self._keep(asked, now_s, MavlinkFrame(link=index, client=client, sender=sender, reach=reach, data=message))
+        for request, message in left.items():
+            self._keep(
+                request, now_s, MavlinkFrame(link=index, client=client, sender=sender, reach=reach, data=message)
+            )
         for answer in answers:
             self.links[index].send(answer, client)
 
@@ -136,8 +138,8 @@ class BootLinks:
             self._shown.add(index)
             print(f"link {index}:\n{traceback.format_exc()}", file=sys.stderr)
 
-    def _keep(self, asked: Hashable, now_s: float, frame: MavlinkFrame) -> None:
-        key = (frame.link, frame.client, asked)
+    def _keep(self, request: Hashable, now_s: float, frame: MavlinkFrame) -> None:
+        key = (frame.link, frame.client, request)
         self._kept.pop(key, None)
         while len(self._kept) >= MAX_KEPT:
             del self._kept[next(iter(self._kept))]

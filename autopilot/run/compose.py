@@ -57,7 +57,7 @@ class ServiceSetup:
     instance: int
     currents: CurrentForecast
     """The controller's knowledge of the current."""
-    water: WaterCheck | None = None
+    current_check: WaterCheck | None = None
     """Judges workspaces by a current map, None without one."""
     links: int
     """Number of MAVLink links that are open from the start."""
@@ -69,7 +69,7 @@ class ServiceSetup:
     """Where parameters are kept that operators set, None = nowhere."""
     signing: SigningStore | None = None
     """Where the signing key is kept, None = nowhere."""
-    shelf: LogDirectoryReader | None = None
+    log_directory: LogDirectoryReader | None = None
     """The logs that clients may download, None = none."""
     pictures: bool = False
     """Whether there is a camera that delivers pictures."""
@@ -94,13 +94,13 @@ def forecast_of(kind: str, basin: Basin | str, known: Callable[[], CurrentForeca
             return EstimatedFlow(Basin(basin))
 
 
-def end_slow_work(parts: ServiceParts, *desks: BackgroundWorker) -> None:
-    """Cancel pending background work on routes, plans and checks. ``desks``: more workers to close."""
+def end_slow_work(parts: ServiceParts, *more: BackgroundWorker) -> None:
+    """Cancel pending background work on routes, plans and checks. ``more``: further workers to close."""
     try:
         parts.plans.close()
         parts.controller.reset()
     finally:
-        for worker in (*parts.desks, *desks):
+        for worker in (*parts.workers, *more):
             worker.close()
 
 
@@ -116,7 +116,7 @@ def build_service(
     checks = BackgroundWorker(ThreadPoolExecutor(1, thread_name_prefix="plans"), blocking=setup.waits_for_plans)
     for name, worker in zip((*desks.names, "plans"), (*desks.executors, checks), strict=True):
         worker.witnessed(name, nondeterminism)
-    plans = Plans(params, vehicle.radius_m, setup.origin, setup.water, checks)
+    plans = Plans(params, vehicle.radius_m, setup.origin, setup.current_check, checks)
     context = ControllerContext(
         vehicle=vehicle,
         model=vehicle.to_model(),
@@ -135,7 +135,7 @@ def build_service(
         photographer=photographer,
         guard=guard,
         nondeterminism=nondeterminism,
-        desks=(*desks.executors, checks, *(() if setup.shelf is None else (setup.shelf.worker,))),
+        workers=(*desks.executors, checks, *(() if setup.log_directory is None else (setup.log_directory.worker,))),
         vehicle=vehicle,
         params=params,
         plans=plans,
@@ -165,7 +165,9 @@ def build_service(
             guard=guard,
             saving=None if setup.saving is None else WitnessedSaving(setup.saving, nondeterminism),
             signing=None if setup.signing is None else WitnessedStore(setup.signing, nondeterminism),
-            shelf=None if setup.shelf is None else RecordedLogDirectory(setup.shelf, nondeterminism),
+            log_directory=None
+            if setup.log_directory is None
+            else RecordedLogDirectory(setup.log_directory, nondeterminism),
             nondeterminism=nondeterminism,
             rates=setup.rates,
             camera=photographer,

@@ -172,11 +172,11 @@ def _from_environment(name: str, variable: str, text: str) -> Any:
     return _allowed(name, value, f"{variable}={text!r}", "unset")
 
 
-def _allowed(name: str, value: Any, said: str, undo: str) -> Any:
+def _allowed(name: str, value: Any, text: str, undo: str) -> Any:
     """A setting's value; ConfigError if it cannot have it."""
     allowed, use = _ALLOWED.get(name, (lambda _: True, ""))
     if not allowed(value):
-        raise ConfigError(f"{said} is not valid; use {use}, or {undo} it")
+        raise ConfigError(f"{text} is not valid; use {use}, or {undo} it")
     return value
 
 
@@ -194,8 +194,8 @@ def gather(
     for name, value in defaults.items():
         settings.put(name, value, "default")
         if file is not None and name in file:
-            said = f"{file_name}: `$.service.{name}` = {file[name]!r}"
-            settings.put(name, _allowed(name, file[name], said, "remove"), f"file {file_name}")
+            text = f"{file_name}: `$.service.{name}` = {file[name]!r}"
+            settings.put(name, _allowed(name, file[name], text, "remove"), f"file {file_name}")
         variable = ENVIRONMENT_PREFIX + name.upper()
         if variable in env:
             settings.put(name, _from_environment(name, variable, env[variable]), f"environment {variable}")

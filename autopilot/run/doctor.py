@@ -106,17 +106,17 @@ def examine(
         except AutopilotError as error:
             findings.append(_failed("service", str(error)))
             return findings
-    session, look, devices = found
+    session, settled, devices = found
     findings += devices
-    findings += judge_samples(config, look.samples, max(_looked_s(look), 1e-6))
+    findings += judge_samples(config, settled.samples, max(_watched_s(settled), 1e-6))
     findings += _company(tuple(speakers.values()), system)
-    findings += _flight(session, look, config, settings)
-    findings += _arming(look.reasons)
+    findings += _flight(session, settled, config, settings)
+    findings += _arming(settled.reasons)
     return findings
 
 
-def _looked_s(look: _SettledOutputs) -> float:
-    return 0.0 if look.outputs is None else 1e-6 * look.outputs.t_us - SETTLE_S
+def _watched_s(settled: _SettledOutputs) -> float:
+    return 0.0 if settled.outputs is None else 1e-6 * settled.outputs.t_us - SETTLE_S
 
 
 def _run(
@@ -131,7 +131,7 @@ def _run(
 ) -> tuple[Session, _SettledOutputs, list[Finding]]:
     """Run the service for some seconds with neutral thrusters, then close it."""
     made: list[Session] = []
-    look = _SettledOutputs(lambda: made[0])
+    settled = _SettledOutputs(lambda: made[0])
     session = open_vehicle(
         settings,
         config,
@@ -140,13 +140,13 @@ def _run(
         links=links,
         speed=speed,
         on_tick=on_tick,
-        beside=look,
+        beside=settled,
     )
     made.append(session)
     devices: list[Finding] = []
     try:
         tick, end_us = 0, round(1e6 * (SETTLE_S + seconds))
-        while not look.settled(tick * TICK_US, end_us):
+        while not settled.settled(tick * TICK_US, end_us):
             tick += 1 + session.runtime.late_ticks(tick + 1)
             session.runtime.tick(tick * TICK_US)
         vehicle = session.device
@@ -154,7 +154,7 @@ def _run(
         devices = _devices(vehicle, config)
     finally:
         session.close()
-    return session, look, devices
+    return session, settled, devices
 
 
 def _machine() -> list[Finding]:
@@ -262,7 +262,7 @@ def _company(speakers: Sequence[Speaker], system: int) -> list[Finding]:
 
 
 def _flight(
-    session: Session, look: _SettledOutputs, config: VehicleConfig, settings: EffectiveSettings
+    session: Session, settled: _SettledOutputs, config: VehicleConfig, settings: EffectiveSettings
 ) -> list[Finding]:
     """Position, fence and limits."""
     plans, params = session.parts.plans, session.parts.params
@@ -272,7 +272,7 @@ def _flight(
     set_up = given or any(params[name] != params.spec(name).default for name in names)
     place = f"{plans.origin.lat_deg:.7f} N {plans.origin.lon_deg:.7f} E"
     return [
-        _position(look, config, settings),
+        _position(settled, config, settings),
         _thing(
             "origin",
             set_up,
@@ -292,9 +292,9 @@ def _thing(what: str, there: bool, found: str, remedy: str) -> Finding:
     )
 
 
-def _position(look: _SettledOutputs, config: VehicleConfig, settings: EffectiveSettings) -> Finding:
-    nav = None if look.outputs is None else look.outputs.nav
-    places = [name for name in ("markers", "external") if name in look.aids]
+def _position(settled: _SettledOutputs, config: VehicleConfig, settings: EffectiveSettings) -> Finding:
+    nav = None if settled.outputs is None else settled.outputs.nav
+    places = [name for name in ("markers", "external") if name in settled.aids]
     source = "markers in view" if config.has_camera else "VISION_POSITION_ESTIMATE or ODOMETRY"
     used = "it is used too rarely" if places else "nothing of it was used"
     remedy = f"{source}: {used}; " + (

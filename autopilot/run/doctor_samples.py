@@ -30,7 +30,7 @@ AHRS = "ahrs"
 
 Problem = tuple[FindingSeverity, str]
 """Severity and remedy."""
-Look = Callable[[Sequence[Any]], tuple[str, Problem | None]]
+SampleCheck = Callable[[Sequence[Any]], tuple[str, Problem | None]]
 """Finding about samples, and its problem."""
 
 
@@ -41,7 +41,11 @@ def judge_samples(config: VehicleConfig, samples: dict[type, list[Any]], seconds
     for row in SENSOR_ROWS:
         if not row.measures:
             continue
-        name, rate_hz, look = row.measures, _wanted_hz(config, row), _LOOKS.get(row.device, _reading)(config, row)
+        name, rate_hz, check = (
+            row.measures,
+            _wanted_hz(config, row),
+            _SAMPLE_CHECKS.get(row.device, _reading)(config, row),
+        )
         found = [sample for each in row.kinds for sample in samples.get(each, ())]
         rate = len(found) / seconds
         controlled = rate_hz is None and row.controller_message and FLIGHT_CONTROLLER in devices
@@ -51,12 +55,12 @@ def judge_samples(config: VehicleConfig, samples: dict[type, list[Any]], seconds
             continue
         if not found and rate_hz is None:
             continue
-        told, problem = look(found) if found else ("", None)
+        text, problem = check(found) if found else ("", None)
         if rate_hz is not None and (found or problem is None):
             setup = devices.get(row.device, devices.get(FLIGHT_CONTROLLER))
             problem = _rate_problem(rate, rate_hz, slow_remedy(setup)) or problem
         verdict, remedy = problem or (FindingSeverity.OK, "")
-        findings.append(Finding(verdict=verdict, what=name, found=f"{rate:.1f} Hz{told}", remedy=remedy))
+        findings.append(Finding(verdict=verdict, what=name, found=f"{rate:.1f} Hz{text}", remedy=remedy))
     return findings
 
 
@@ -77,10 +81,10 @@ def _wanted_hz(config: VehicleConfig, row: SensorRow) -> float | None:
     return float(getattr(config.vehicle, row.table).rate_hz)
 
 
-def _reading(_: VehicleConfig, row: SensorRow) -> Look:
+def _reading(_: VehicleConfig, row: SensorRow) -> SampleCheck:
     """Of a sensor of which no more is known: mean and noise of a reading that is one number."""
 
-    def look(found: Sequence[Any]) -> tuple[str, Problem | None]:
+    def check(found: Sequence[Any]) -> tuple[str, Problem | None]:
         readings = np.array([getattr(sample, row.reading) for sample in found] if row.reading else [])
         if readings.ndim != 1 or not len(readings):
             return "", None
@@ -88,7 +92,7 @@ def _reading(_: VehicleConfig, row: SensorRow) -> Look:
         stuck = len(readings) >= ENOUGH_EQUAL and readings.max() == readings.min()
         return text, (FindingSeverity.WARN, REPEATS) if stuck else None
 
-    return look
+    return check
 
 
 def _attitude(found: Sequence[Any]) -> tuple[str, Problem | None]:
@@ -108,11 +112,11 @@ def _attitude(found: Sequence[Any]) -> tuple[str, Problem | None]:
     return text, None
 
 
-def _depth(config: VehicleConfig) -> Look:
+def _depth(config: VehicleConfig) -> SampleCheck:
     floor_m = config.file.place.floor_depth_m
     deepest_m = DEEPEST_M if floor_m is None else floor_m + BELOW_FLOOR_M
 
-    def look(found: Sequence[Any]) -> tuple[str, Problem | None]:
+    def check(found: Sequence[Any]) -> tuple[str, Problem | None]:
         depths = np.array([sample.depth_m for sample in found])
         mean = float(depths.mean())
         text = f", {mean:.3f} m, noise {1e3 * depths.std():.1f} mm"
@@ -123,13 +127,13 @@ def _depth(config: VehicleConfig) -> Look:
             return text, (FindingSeverity.WARN, REPEATS)
         return text, None
 
-    return look
+    return check
 
 
-def _power(config: VehicleConfig) -> Look:
+def _power(config: VehicleConfig) -> SampleCheck:
     battery = config.vehicle.battery
 
-    def look(found: Sequence[Any]) -> tuple[str, Problem | None]:
+    def check(found: Sequence[Any]) -> tuple[str, Problem | None]:
         last = found[-1]
         text = f", {last.voltage_v:.1f} V, {last.current_a:.1f} A, {100.0 * last.remaining:.0f} % left"
         low_v, high_v = DEAD_SHARE * battery.empty_v, HIGHEST_CHARGE * battery.open_circuit_v
@@ -140,7 +144,7 @@ def _power(config: VehicleConfig) -> Look:
             return text, (FindingSeverity.WARN, f"empty is {battery.empty_v:g} V: charge it")
         return text, None
 
-    return look
+    return check
 
 
 def _leak(found: Sequence[Any]) -> tuple[str, Problem | None]:
@@ -149,7 +153,7 @@ def _leak(found: Sequence[Any]) -> tuple[str, Problem | None]:
     return ", dry", None
 
 
-_LOOKS: dict[str, Callable[[VehicleConfig, SensorRow], Look]] = {
+_SAMPLE_CHECKS: dict[str, Callable[[VehicleConfig, SensorRow], SampleCheck]] = {
     AHRS: lambda config, row: _attitude,
     "depth": lambda config, row: _depth(config),
     "battery": lambda config, row: _power(config),

@@ -139,7 +139,7 @@ class HardwareVehicle:
         if watched is not None and watched.watchdog_problem and not watched.watchdog_failed:
             found.append(f"thruster watchdog {watched.watchdog_problem}: wait")
         below = self.below(t_us)
-        return tuple(found) if below is None or not self._heard_below() else (*found, *below.refusals)
+        return tuple(found) if below is None or not self._lower_received() else (*found, *below.refusals)
 
     def watchdog(self, t_us: int) -> str:
         """Fault of the watchdog process that stops the thrusters when the service fails."""
@@ -155,14 +155,14 @@ class HardwareVehicle:
         away = [device for device in self.devices if device.state is not DeviceState.UP]
         return [device for device in away if device is not self._below or device.state is DeviceState.DOWN]
 
-    def _heard_below(self) -> bool:
+    def _lower_received(self) -> bool:
         return self._below is not None and self._below.state is not DeviceState.DOWN
 
     def take_notices(self) -> Sequence[tuple[Severity, str]]:
-        told = [notice for device in self.devices for notice in device.take_notices()]
+        notices = [notice for device in self.devices for notice in device.take_notices()]
         if self._below is not None:
-            told += self._below.device.take_notices()
-        return told
+            notices += self._below.device.take_notices()
+        return notices
 
     def close(self) -> None:
         """Thrusters to neutral first, whatever the others raise."""

@@ -75,7 +75,7 @@ class HardwareWorld(World):
         self.folder = state_folder(settings, config, instance)
         self.disk = BackgroundWorker(DaemonExecutor("disk"), blocking=speed == 0.0)
         self.params, self.persistent, self.warnings = vehicle_params(settings, config, overrides, instance, self.disk)
-        self.told = KnownEnvironment(
+        self.known = KnownEnvironment(
             vehicle=config.vehicle,
             origin=params_origin(self.params),
             markers=None if config.markers is None else load_marker_map(config.markers),
@@ -83,7 +83,7 @@ class HardwareWorld(World):
             currents=forecast_of(place.currents, place.basin, NoCurrent),
             pictures=config.has_camera,
         )
-        self.water = CurrentSource(kind=place.currents, basin=place.basin)
+        self.current_source = CurrentSource(kind=place.currents, basin=place.basin)
         self.plan = None if settings["plan"] is None else Path(settings["plan"])
         self.skips = speed > 0.0
         self.duration_s = settings["duration"]

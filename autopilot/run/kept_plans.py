@@ -86,17 +86,17 @@ class KeptPlans(NoticeQueue):
         """The same for the operator, "" while all is well."""
         self.losses: tuple[Loss, ...] = ()
         """Stored data that :meth:`load` could not restore."""
-        plans.watchdog = lambda: seen.ask(PLANS_KEPT, True, self._settled)
+        plans.watchdog = lambda: seen.observe(PLANS_KEPT, True, self._settled)
 
     def load(self) -> tuple[str, ...]:
         """Restore the stored plans before the loop runs. Returns a message to the operator."""
         self._file.clean()
         content, problems = self._file.read(decode)
-        lost = ""
+        loss_text = ""
         if problems:
-            lost = "stored plans damaged, the copy before is in force"
+            loss_text = "stored plans damaged, the copy before is in force"
         elif self._file.lost:
-            lost = "stored plans were damaged or refused in an earlier run"
+            loss_text = "stored plans were damaged or refused in an earlier run"
         home_ned_m = self._plans.home_ned_m
         self._note()
         if content is not None:
@@ -106,11 +106,11 @@ class KeptPlans(NoticeQueue):
             except (PlanError, ConfigError) as error:
                 self._take_none(home_ned_m)
                 problems.append(f"stored plans are not loaded{self._set_aside()}, upload them again: {error}")
-                lost = _NOT_LOADED
+                loss_text = _NOT_LOADED
         elif problems:
             problems.append("there is no plan on board, upload it again")
-            lost = _NOT_LOADED
-        self.losses = (Loss(lost, lambda tick: self._worker.run(self._file.accept)),) if lost else ()
+            loss_text = _NOT_LOADED
+        self.losses = (Loss(loss_text, lambda tick: self._worker.run(self._file.accept)),) if loss_text else ()
         return tuple(problems)
 
     def skip(self) -> None:

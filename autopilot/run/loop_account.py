@@ -79,14 +79,14 @@ class Pauses:
         """Register with the garbage collector; its callbacks are global, so there is one instance per process."""
         self._begun_s: float | None = None
         self._longest_s = 0.0
-        gc.callbacks.append(self._heard)
+        gc.callbacks.append(self._on_collection)
 
     def take(self) -> float:
         """Seconds, 0 without any."""
         longest_s, self._longest_s = self._longest_s, 0.0
         return longest_s
 
-    def _heard(self, phase: str, _: dict[str, int]) -> None:
+    def _on_collection(self, phase: str, _: dict[str, int]) -> None:
         if phase == "start":
             self._begun_s = time.perf_counter()
         elif self._begun_s is not None:

@@ -32,11 +32,11 @@ def pulses(vehicle: Vehicle, place: int, percent: float, seconds: float) -> Iter
         raise ConfigError(f"--seconds {seconds:g}: give more than 0 and at most {MOST_S:g}")
     rest = [thruster.drive.neutral_us for thruster in vehicle.thrusters]
     thruster = vehicle.thrusters[place]
-    way = -1.0 if thruster.reversed else 1.0
+    sign = -1.0 if thruster.reversed else 1.0
     for tick in range(round(seconds / TICK_S)):
-        share = min(1.0, (tick + 1) * TICK_S / RAMP_S)
+        fraction = min(1.0, (tick + 1) * TICK_S / RAMP_S)
         now = list(rest)
-        now[place] += round(way * share * percent / 100.0 * thruster.drive.span_us)
+        now[place] += round(sign * fraction * percent / 100.0 * thruster.drive.span_us)
         yield tuple(now)
 
 

@@ -40,10 +40,10 @@ def measure(config: VehicleConfig, *, speed: float = 1.0, on_step: Callable[[int
     finally:
         test.abort()
         wire.close()
-    return _told(test)
+    return _finding(test)
 
 
-def _told(test: SilenceTest) -> Finding:
+def _finding(test: SilenceTest) -> Finding:
     if test.problem:
         what, _, remedy = test.problem.rpartition(": ")
         return Finding(verdict=FindingSeverity.FAIL, what=WHAT, found=f"not measured, {what}", remedy=remedy)

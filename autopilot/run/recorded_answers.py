@@ -21,18 +21,18 @@ class WitnessedSaving:
     nondeterminism: NondeterminismSource
 
     def save(self, tick: int, name: str) -> int | None:
-        return self.nondeterminism.ask("parameter saving", None, lambda: self.saving.save(tick, name))
+        return self.nondeterminism.observe("parameter saving", None, lambda: self.saving.save(tick, name))
 
     def saved(self, tick: int) -> Saved | None:
         return _saved(self.nondeterminism, "parameters saved", lambda: self.saving.saved(tick))
 
 
-def _saved(nondeterminism: NondeterminismSource, kind: str, ask: Callable[[], Saved | None]) -> Saved | None:
+def _saved(nondeterminism: NondeterminismSource, kind: str, poll: Callable[[], Saved | None]) -> Saved | None:
     def found() -> tuple[int, str] | None:
-        saved = ask()
+        saved = poll()
         return None if saved is None else (saved.number, saved.failure)
 
-    fact = nondeterminism.ask(kind, None, found)
+    fact = nondeterminism.observe(kind, None, found)
     return None if fact is None else Saved(number=fact[0], failure=fact[1])
 
 
@@ -58,24 +58,24 @@ class WitnessedStore:
 class RecordedLogDirectory:
     """Log directory for clients; an access is recorded, its content is not."""
 
-    shelf: LogDirectory
+    log_directory: LogDirectory
     nondeterminism: NondeterminismSource
 
     def list(self, tick: int) -> BackgroundTask[tuple[LogDirectoryEntry, ...]]:
         self._note()
-        return self.shelf.list(tick)
+        return self.log_directory.list(tick)
 
     def read(self, tick: int, path: str, offset: int, size: int) -> BackgroundTask[bytes]:
         self._note()
-        return self.shelf.read(tick, path, offset, size)
+        return self.log_directory.read(tick, path, offset, size)
 
     def crc32(self, tick: int, path: str) -> BackgroundTask[int]:
         self._note()
-        return self.shelf.crc32(tick, path)
+        return self.log_directory.crc32(tick, path)
 
     def erase(self, tick: int) -> BackgroundTask[int]:
         self._note()
-        return self.shelf.erase(tick)
+        return self.log_directory.erase(tick)
 
     def _note(self) -> None:
-        self.nondeterminism.ask(SHELF_ASKED, False, lambda: True)
+        self.nondeterminism.observe(SHELF_ASKED, False, lambda: True)

@@ -82,7 +82,7 @@ class RunRecorder(NoticeQueue):
         self._ending: list[tuple[RunLog, bool]] = []
         """Logs being finished, and whether their problem has been reported to the operator."""
         self._dropped_before = 0
-        self._told_slow = False
+        self._slow_reported = False
         self._plan_revision = plan_revision
         self._described = plan_revision()
         self.lost = False
@@ -113,7 +113,7 @@ class RunRecorder(NoticeQueue):
 
     def record(self, inputs: Inputs, outputs: Outputs, frames: Sequence[CameraFrame]) -> None:
         self._describe_news(inputs.t_us, outputs.mode.armed)
-        self._look_after_ending()
+        self._close_ended()
         log = self._log
         if log is None:
             return
@@ -123,8 +123,8 @@ class RunRecorder(NoticeQueue):
         )
         if log.failure is not None:
             self._failed(log)
-        elif log.dropped and not self._told_slow:
-            self._told_slow = True
+        elif log.dropped and not self._slow_reported:
+            self._slow_reported = True
             self._tell(notices.LOG_DISK_SLOW(), f"log {log.path}: messages lost, the disk is too slow")
         if self._per_arming and not self._armed:
             self._end()
@@ -140,8 +140,8 @@ class RunRecorder(NoticeQueue):
         """Finish all files, with a bounded wait for the disk. ``failure`` names what is missing."""
         logs = self._ending + ([] if self._log is None else [(self._log, False)])
         self._log, self._ending = None, []
-        for log, told in logs:
-            self._close(log, CLOSE_S, told=told)
+        for log, reported in logs:
+            self._close(log, CLOSE_S, reported=reported)
 
     def _describe_news(self, t_us: int, armed: bool) -> None:
         """Write a description at every arming, and for every plan changed while armed."""
@@ -157,7 +157,7 @@ class RunRecorder(NoticeQueue):
             self._begin()
 
     def _begin(self) -> None:
-        self._told_slow = False
+        self._slow_reported = False
         try:
             self._log = self._open_log()
             self.lost = False
@@ -171,19 +171,19 @@ class RunRecorder(NoticeQueue):
         if log is None:
             return
         if self._waits:
-            self._close(log, None, told=False)
+            self._close(log, None, reported=False)
         else:
             log.end()
             self._ending.append((log, False))
 
-    def _look_after_ending(self) -> None:
+    def _close_ended(self) -> None:
         """Logs that were being finished beside the loop."""
         if not any(log.finished for log, _ in self._ending):
             return
-        done = [(log, told) for log, told in self._ending if log.finished]
-        self._ending = [(log, told) for log, told in self._ending if not log.finished]
-        for log, told in done:
-            self._close(log, None, told=told)
+        done = [(log, reported) for log, reported in self._ending if log.finished]
+        self._ending = [(log, reported) for log, reported in self._ending if not log.finished]
+        for log, reported in done:
+            self._close(log, None, reported=reported)
 
     def _failed(self, log: RunLog) -> None:
         """Continue without a log that has failed; the next arming tries again."""
@@ -193,11 +193,11 @@ class RunRecorder(NoticeQueue):
         log.end()
         self._ending.append((log, True))
 
-    def _close(self, log: RunLog, timeout_s: float | None, *, told: bool) -> None:
+    def _close(self, log: RunLog, timeout_s: float | None, *, reported: bool) -> None:
         try:
             log.close(timeout_s)
         except LogError as error:
-            if not told:
+            if not reported:
                 self._tell(notices.LOG_STOPPED(cause=log.cause or "disk does not answer"), str(error))
         missed = log.take_error()
         if missed is not None:

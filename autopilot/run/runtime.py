@@ -214,7 +214,9 @@ class Runtime:
         samples = list(self._try(t_us, DeviceRole.SENSORS, lambda: self._device.poll(t_us), NO_SAMPLES))
         watch.mark(LoopPart.DEVICE)
         if self._vision is not None:
-            samples += self._try(t_us, DeviceRole.CAMERA, partial(self._look, self._vision, t_us, frames), NO_SAMPLES)
+            samples += self._try(
+                t_us, DeviceRole.CAMERA, partial(self._detect_markers, self._vision, t_us, frames), NO_SAMPLES
+            )
             watch.mark(LoopPart.VISION)
         inputs = Inputs(
             t_us=t_us,
@@ -242,7 +244,7 @@ class Runtime:
         watch.mark(LoopPart.ALLOCATE)
         self._drive(t_us, outputs)
         if self._stills is not None and outputs.shots:
-            self._stills.ask(t_us, outputs.shots)
+            self._stills.request(t_us, outputs.shots)
         watch.mark(LoopPart.WRITE)
         outputs = self._with_faults(outputs)
         self._send(t_us, outputs.mavlink_tx)
@@ -268,7 +270,7 @@ class Runtime:
 
     # Devices
 
-    def _look(self, vision: VisionWorker, t_us: int, frames: Sequence[CameraFrame]) -> list[Sample]:
+    def _detect_markers(self, vision: VisionWorker, t_us: int, frames: Sequence[CameraFrame]) -> list[Sample]:
         """Sightings that are there, and the new pictures handed in."""
         failed = vision.failed
         found: list[Sample] = [*vision.collect(t_us)]

@@ -42,7 +42,7 @@ class ServiceManager:
             self.close()
 
     @property
-    def heard(self) -> bool:
+    def present(self) -> bool:
         """Whether there is a service manager."""
         return self._socket is not None
 

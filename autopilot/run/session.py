@@ -167,7 +167,7 @@ def open_session(
     ConfigError, PlanError, DriverError, LogError
         The message names the problem; nothing is left running.
     """
-    settings, told, disk = world.settings, world.told, world.disk
+    settings, known, disk = world.settings, world.known, world.disk
     signing = SigningFiles(world.folder, disk, now_s=now_s)
     setup = _service_setup(world, instance, signing)
     service, parts = build_service(setup)
@@ -190,16 +190,16 @@ def open_session(
 
     def start_notices() -> Sequence[tuple[Severity, str]]:
         kept_news = () if plans is None else plans.take_notices()
-        said = (*news, *state.take_notices(), *recorder.take_notices(), *kept_news, *world.notices())
+        texts = (*news, *state.take_notices(), *recorder.take_notices(), *kept_news, *world.notices())
         news.clear()
-        return said
+        return texts
 
     sys.setswitchinterval(THREAD_SWITCH_S)
     give_back_large_blocks()
     runtime = Runtime(
         service,
         world.device,
-        _marker_vision(told, paced=world.speed > 0.0),
+        _marker_vision(known, paced=world.speed > 0.0),
         open_links,
         recorder,
         clock,
@@ -212,15 +212,15 @@ def open_session(
         skips=world.skips,
         onlooker=beside or _onlooker(world, parts, clock, view, foxglove),
         hold=world.hold,
-        stills=StillStore(recorder, disk, Path(settings["log_dir"])) if told.pictures else None,
+        stills=StillStore(recorder, disk, Path(settings["log_dir"])) if known.pictures else None,
         answers=parts.nondeterminism.take,
         mishaps=world.mishaps,
     )
-    for worker in (*parts.desks, disk):
+    for worker in (*parts.workers, disk):
         worker.idle = runtime.attend
     return kind(
         world=world,
-        vehicle=told.vehicle,
+        vehicle=known.vehicle,
         service=service,
         parts=parts,
         device=world.device,
@@ -234,30 +234,30 @@ def open_session(
 
 def _service_setup(world: World, instance: int, signing: SigningFiles) -> ServiceSetup:
     """Setup of the service for that vehicle and site."""
-    settings, told, speed = world.settings, world.told, world.speed
-    controller, controller_by = chosen_part(settings, "controller", told.controller)
-    estimator, estimator_by = chosen_part(settings, "estimator", told.estimator)
+    settings, known, speed = world.settings, world.known, world.speed
+    controller, controller_by = chosen_part(settings, "controller", known.controller)
+    estimator, estimator_by = chosen_part(settings, "estimator", known.estimator)
     return ServiceSetup(
-        vehicle=told.vehicle,
+        vehicle=known.vehicle,
         params=world.params,
-        origin=told.origin,
-        markers=told.markers,
-        floor_depth_m=told.floor_depth_m,
+        origin=known.origin,
+        markers=known.markers,
+        floor_depth_m=known.floor_depth_m,
         estimator=estimator,
         estimator_asked_by=estimator_by,
         controller=controller,
         controller_asked_by=controller_by,
         profile=settings["profile"],
         instance=instance,
-        currents=told.currents,
-        water=told.water,
+        currents=known.currents,
+        current_check=known.current_check,
         links=len(settings["connect"]) + len(world.peers),
         patience=FASTEST if speed == 0.0 else max(1.0, speed),
         waits_for_plans=speed == 0.0,
-        pictures=told.pictures,
+        pictures=known.pictures,
         saving=world.persistent,
         signing=signing,
-        shelf=log_shelf(settings, blocking=speed == 0.0),
+        log_directory=open_log_directory(settings, blocking=speed == 0.0),
         rates=link_rates(settings["connect"]),
     )
 
@@ -270,11 +270,13 @@ def _onlooker(
     foxglove: FoxgloveServer | None,
 ) -> Onlooker | None:
     """The loop's ends of the live view and of other viewers, None without any."""
-    told, watched = world.told, world.watched(parts)
+    known, watched = world.known, world.watched(parts)
     found: list[Onlooker] = []
     if view is not None:
         found.append(
-            view.attach(watched, told.vehicle, world.controls(clock), simulated=world.simulated, pictures=told.pictures)
+            view.attach(
+                watched, known.vehicle, world.controls(clock), simulated=world.simulated, pictures=known.pictures
+            )
         )
     if foxglove is not None:
         found.append(foxglove.attach(watched.describe, watched.revision, world.truth))
@@ -333,17 +335,17 @@ def _opened(device: VehicleIo, connections: Sequence[str], links: Sequence[Link]
         raise
 
 
-def _marker_vision(told: KnownEnvironment, *, paced: bool) -> VisionWorker | None:
+def _marker_vision(known: KnownEnvironment, *, paced: bool) -> VisionWorker | None:
     """Detection beside the loop, None when there are no pictures."""
-    if told.markers is None:
+    if known.markers is None:
         return None
-    camera = told.vehicle.eye
-    detector = MarkerDetector(CameraModel.of(camera, told.vehicle.laser), told.markers)
+    camera = known.vehicle.eye
+    detector = MarkerDetector(CameraModel.of(camera, known.vehicle.laser), known.markers)
     frame_filter = FrameFilter(camera.width_px, camera.height_px)
     return VisionWorker(detector, delay_s=0.5 * camera.latency_s, frame_filter=frame_filter, paced=paced)
 
 
-def log_shelf(settings: EffectiveSettings, *, blocking: bool) -> LogDirectoryReader:
+def open_log_directory(settings: EffectiveSettings, *, blocking: bool) -> LogDirectoryReader:
     """Log directory of a run. ``patient``: in lockstep the loop waits for the disk."""
     single = None if settings["log"] is None else Path(settings["log"])
     return LogDirectoryReader(

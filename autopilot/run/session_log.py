@@ -39,7 +39,7 @@ class LogContents:
 
     def __init__(self, world: World, setup: ServiceSetup, parts: ServiceParts) -> None:
         self._world, self._parts = world, parts
-        told = world.told
+        known = world.known
         self._metadata = {
             "version": __version__,
             "revision": revision(),
@@ -49,12 +49,12 @@ class LogContents:
         self._attachments = {
             "config.json": msgspec.json.encode(world.settings.values(), enc_hook=str),
             "vehicle.json": msgspec.json.encode(parts.vehicle),
-            **estimator_attachments(setup.estimator, parts.params, told.markers, told.floor_depth_m),
+            **estimator_attachments(setup.estimator, parts.params, known.markers, known.floor_depth_m),
             **world.attachments(),
-            **service_attachments(setup, parts, world.water),
+            **service_attachments(setup, parts, world.current_source),
         }
-        if told.markers is not None and world.markers_from_file:
-            self._attachments["markers.toml"] = marker_file_text(told.markers).encode()
+        if known.markers is not None and world.markers_from_file:
+            self._attachments["markers.toml"] = marker_file_text(known.markers).encode()
 
     def description(self) -> RunDescription:
         return self._world.describe(self._parts)
@@ -71,13 +71,13 @@ class LogContents:
         items = plan_items(self._parts.plans)
 
         def made() -> LogHead:
-            gone = ", ".join(f"{log.parent.name}/{log.name}" for log in make_room())
+            removed = ", ".join(f"{log.parent.name}/{log.name}" for log in make_room())
             return LogHead(
                 path=path(),
                 metadata={
                     **self._metadata,
                     "started": datetime.now(UTC).isoformat(timespec="seconds"),
-                    **({"removed_logs": gone} if gone else {}),
+                    **({"removed_logs": removed} if removed else {}),
                 },
                 attachments={**self._attachments, "plans.json": plans_json(items)},
             )
@@ -102,7 +102,7 @@ def open_recorder(world: World, setup: ServiceSetup, parts: ServiceParts) -> Run
     period_us = round(1e6 / camera_hz) if camera_hz > 0.0 else None
     opened = 0
 
-    def room() -> Sequence[Path]:
+    def remove_old() -> Sequence[Path]:
         return make_room(folder, quota_bytes) if fixed is None and quota_bytes else ()
 
     def open_log() -> RunLog:
@@ -115,7 +115,7 @@ def open_recorder(world: World, setup: ServiceSetup, parts: ServiceParts) -> Run
                 return log_path(folder, time.time_ns())
             return fixed if at_start else free_path(fixed)
 
-        head, description = contents.head(path, room), contents.description()
+        head, description = contents.head(path, remove_old), contents.description()
         if not (lockstep or at_start):
             return open_run_log_beside(head, epoch_ns=epoch_ns, description=description, camera_period_us=period_us)
         given = head()
@@ -147,7 +147,7 @@ def _make_folder(folder: Path) -> None:
         raise LogError(f"log folder {folder}: cannot be made ({error.strerror}); choose another place") from error
 
 
-def service_attachments(setup: ServiceSetup, parts: ServiceParts, water: CurrentSource) -> dict[str, bytes]:
+def service_attachments(setup: ServiceSetup, parts: ServiceParts, current_source: CurrentSource) -> dict[str, bytes]:
     """Record of the service in its state before the first tick."""
     signing = None if setup.signing is None else setup.signing.state
     record = ServiceRecord(
@@ -158,17 +158,17 @@ def service_attachments(setup: ServiceSetup, parts: ServiceParts, water: Current
         origin=(setup.origin.lat_deg, setup.origin.lon_deg, setup.origin.alt_m),
         floor_depth_m=setup.floor_depth_m,
         currents=CurrentsRecord(
-            kind=water.kind,
-            basin=water.basin,
-            map_suffix="" if water.map_file is None else water.map_file.suffix,
-            map_start_utc=water.map_start,
+            kind=current_source.kind,
+            basin=current_source.basin,
+            map_suffix="" if current_source.map_file is None else current_source.map_file.suffix,
+            map_start_utc=current_source.map_start,
         ),
         links=setup.links,
         rates={str(link): rate for link, rate in setup.rates.items()},
         patience=setup.patience,
         waits_for_plans=setup.waits_for_plans,
         saving=setup.saving is not None,
-        shelf=setup.shelf is not None,
+        shelf=setup.log_directory is not None,
         pictures=setup.pictures,
         signing=None if signing is None else SigningRecord(key=signing.key is not None, stamp=signing.stamp),
         parameters=dict(setup.params),
@@ -185,5 +185,5 @@ def service_attachments(setup: ServiceSetup, parts: ServiceParts, water: Current
     return {
         SERVICE_FILE: msgspec.json.encode(record),
         START_PLANS_FILE: encode(start),
-        **({} if water.map_file is None else {CURRENTS_FILE: water.map_file.read_bytes()}),
+        **({} if current_source.map_file is None else {CURRENTS_FILE: current_source.map_file.read_bytes()}),
     }

@@ -47,10 +47,10 @@ class SigningFiles:
         self.unsaved = ""
         """Why the time is not on disk, "" while it is."""
         if key is not None and worker is not None:
-            self._begin(lost=bool(problems) or self._time.lost)
+            self._begin(damaged=bool(problems) or self._time.lost)
 
-    def _begin(self, *, lost: bool) -> None:
-        if lost:
+    def _begin(self, *, damaged: bool) -> None:
+        if damaged:
             text = "signing time damaged, the machine's clock is in force"
             self.losses = (Loss(text, lambda tick: self._worker.run(self._time.accept)),)
         try:

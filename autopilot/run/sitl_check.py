@@ -55,11 +55,11 @@ def check_scenario(name_or_path: str, scenario: Scenario) -> ScenarioFindings:
         return ScenarioFindings(facts=facts, problems=(str(error),), remarks=())
     steps: tuple[Step, ...] = ()
     try:
-        steps = _look_at_plan(name_or_path, scenario, vehicle, facts, problems, remarks)
+        steps = _check_plan(name_or_path, scenario, vehicle, facts, problems, remarks)
     except AutopilotError as error:
         problems.append(str(error))
-    remarks += _room_at_start(scenario, vehicle)
-    remarks += _look_at_water(scenario, vehicle, steps, facts)
+    remarks += _start_clearance(scenario, vehicle)
+    remarks += _check_current(scenario, vehicle, steps, facts)
     if scenario.spread:
         facts["spread"] = f"{len(scenario.spread)} keys: {', '.join(scenario.spread)}"
         if scenario.scenario.duration_s is None:
@@ -85,7 +85,7 @@ def _world_facts(scenario: Scenario) -> dict[str, str]:
     return facts
 
 
-def _look_at_plan(
+def _check_plan(
     name_or_path: str,
     scenario: Scenario,
     vehicle: Vehicle,
@@ -121,7 +121,7 @@ def _fence(shapes: tuple[FenceShape, ...], params: ParamSet) -> Fence:
     return build_fence(shapes, params)
 
 
-def _room_at_start(scenario: Scenario, vehicle: Vehicle) -> list[str]:
+def _start_clearance(scenario: Scenario, vehicle: Vehicle) -> list[str]:
     """Whether the vehicle's ball is free where it starts (the hull is, or there would be no plant)."""
     world = build_world(scenario)
     around = SolidGeometry(
@@ -135,7 +135,7 @@ def _room_at_start(scenario: Scenario, vehicle: Vehicle) -> list[str]:
     return [f"the vehicle's ball is {touch.depth_m:.2f} m inside {touch.what} at the start" for touch in found]
 
 
-def _look_at_water(scenario: Scenario, vehicle: Vehicle, steps: tuple[Step, ...], facts: dict[str, str]) -> list[str]:
+def _check_current(scenario: Scenario, vehicle: Vehicle, steps: tuple[Step, ...], facts: dict[str, str]) -> list[str]:
     """Compare the strongest current in the workspace with the vehicle's speed."""
     field = build_world(scenario).current
     start = np.array(scenario.vehicle.start_m)

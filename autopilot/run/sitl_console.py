@@ -40,9 +40,9 @@ class RunWatch:
 
     def step(self, outputs: Outputs) -> None:
         self._lines.step(outputs)
-        self._look_for_contacts(outputs.t_us)
+        self._report_contacts(outputs.t_us)
         armed, begins = outputs.mode.armed, outputs.mode.armed and not self._armed
-        self._look_at_the_fence(outputs.t_us, arming=begins)
+        self._check_fence(outputs.t_us, arming=begins)
         state = None if outputs.progress is None else outputs.progress.state
         self._was_active |= armed and state is ProgressState.ACTIVE
         self.complete |= self._was_active and state is ProgressState.COMPLETE
@@ -59,7 +59,7 @@ class RunWatch:
         """Whether a run that is to end with its mission ends now."""
         return self.complete or self.over
 
-    def _look_for_contacts(self, t_us: int) -> None:
+    def _report_contacts(self, t_us: int) -> None:
         truth = self._session.device.truth
         if truth.contact_count > self.contacts:
             self.contacts = truth.contact_count
@@ -69,7 +69,7 @@ class RunWatch:
                 t_us, f"! Contact {self.contacts}: {depth_mm:.0f} mm at north {x:.2f}, east {y:.2f}, depth {z:.2f} m"
             )
 
-    def _look_at_the_fence(self, t_us: int, *, arming: bool) -> None:
+    def _check_fence(self, t_us: int, *, arming: bool) -> None:
         """Report obstacles of the scenario that the fence does not contain: with every plan, and at arming at the
         latest."""
         plans = self._session.parts.plans
@@ -91,8 +91,8 @@ def unknown_obstacles(scenario: Scenario, fence: Fence) -> tuple[str, ...]:
             sensed = isinstance(obstacle, MovingObstacle) or (
                 isinstance(obstacle, CylinderObstacle) and obstacle.surprise
             )
-            told = "only the obstacle sensor may tell of it" if sensed else "the vehicle does not know it, add it"
-            texts.append(f"Obstacle {number} at north {x:.2f}, east {y:.2f} m is not in the fence: {told}")
+            text = "only the obstacle sensor may tell of it" if sensed else "the vehicle does not know it, add it"
+            texts.append(f"Obstacle {number} at north {x:.2f}, east {y:.2f} m is not in the fence: {text}")
     if scenario.tank is not None and _reachable(_walls(scenario.tank.polygon_m), fence).any():
         texts.append("The tank's walls are not in the fence: draw the area in which the vehicle may go")
     return tuple(texts)
@@ -115,7 +115,7 @@ def _outline(obstacle: Obstacle) -> FloatArray:
         return np.asarray(disc + np.array(obstacle.center_m[:2]), dtype=np.float64)
     corners = np.array(obstacle.path_m)
     steps: Sequence[FloatArray] = [
-        a + share * (b - a) for a, b in pairwise(corners) for share in np.linspace(0.0, 1.0, RIM_POINTS)
+        a + fraction * (b - a) for a, b in pairwise(corners) for fraction in np.linspace(0.0, 1.0, RIM_POINTS)
     ]
     return np.vstack([disc + step for step in steps])
 

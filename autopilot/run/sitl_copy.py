@@ -26,9 +26,9 @@ def copy_scenario(name: str, source: str, folder: Path) -> list[Path]:
         copies[folder / plan_name] = plan.read_bytes()
     tables = load_tables(source)
     for table, key in (*FILE_KEYS, ("vehicle", "model")):
-        told = tables.get(table, {}).get(key)
-        if isinstance(told, str) and Path(told).is_absolute() and Path(told).is_file():
-            copies[folder / Path(told).name] = Path(told).read_bytes()
+        value = tables.get(table, {}).get(key)
+        if isinstance(value, str) and Path(value).is_absolute() and Path(value).is_file():
+            copies[folder / Path(value).name] = Path(value).read_bytes()
     drawn = plan is not None and scenario.scenario.fence is None and (scenario.tank is not None or scenario.obstacle)
     edited = _edited(text, name, plan_name, drawn=bool(drawn))
     more = (resources.files("autopilot") / "data" / "templates" / "scenario-more.toml").read_text(encoding="utf-8")

@@ -38,11 +38,11 @@ def describe_run(
             for number, obstacle in enumerate(scenario.obstacle, start=1)
             if not isinstance(obstacle, PrismObstacle)
         ),
-        accept=replace(service.accept, **_asked(scenario)),
+        accept=replace(service.accept, **_accept_bounds(scenario)),
     )
 
 
-def _asked(scenario: Scenario) -> dict[str, Any]:
+def _accept_bounds(scenario: Scenario) -> dict[str, Any]:
     """Bounds that the scenario gives; the others are the run's own limits."""
     names = [field.name for field in fields(AcceptBounds) if field.name != "laps"]
     return {name: value for name in names if (value := getattr(scenario.accept, name)) is not None}
@@ -66,11 +66,11 @@ def _obstacle(obstacle: SolidTable, number: int) -> Obstacle:
 
 def part_origins(settings: EffectiveSettings, scenario: Scenario) -> dict[str, PartOrigin]:
     """By role. ConfigError for an unknown part."""
-    told = scenario.plugins
+    plugins = scenario.plugins
     return {
-        "controller": _origin(find_controller(*chosen_part(settings, "controller", told.controller))),
-        "estimator": _origin(find_estimator(*chosen_part(settings, "estimator", told.estimator))),
-        "plant": _origin(find_plant(*chosen_part(settings, "plant", told.plant))),
+        "controller": _origin(find_controller(*chosen_part(settings, "controller", plugins.controller))),
+        "estimator": _origin(find_estimator(*chosen_part(settings, "estimator", plugins.estimator))),
+        "plant": _origin(find_plant(*chosen_part(settings, "plant", plugins.plant))),
     }
 
 

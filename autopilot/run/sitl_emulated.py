@@ -23,7 +23,7 @@ class EmulatedFlight(msgspec.Struct, kw_only=True):
     contacts: int = 0
     max_penetration_m: float = 0.0
     energy_j: float = 0.0
-    longest_way_m: float = 0.0
+    max_distance_m: float = 0.0
     """Farthest from the start that it has been."""
 
 
@@ -58,13 +58,13 @@ def emulate(
             for data in vehicle.advance(t_us):
                 for link in ends:
                     link.send(data)
-            told = vehicle.pose(t_us)
-            for link in trackers if told is not None else ():
+            report = vehicle.pose(t_us)
+            for link in trackers if report is not None else ():
                 link.recv(t_us)
-                link.send(told or b"")
+                link.send(report or b"")
             truth = vehicle.truth
             away = float(((truth.pos_ned_m - start) ** 2).sum()) ** 0.5
-            flight.longest_way_m = max(flight.longest_way_m, away)
+            flight.max_distance_m = max(flight.max_distance_m, away)
             if track is not None and t_us % 100_000 == 0:
                 row = [1e-6 * t_us, *truth.pos_ned_m.tolist(), float(truth.rpy_rad[2]), *vehicle.controller.servos_us]
                 track.write(encoder.encode(row) + b"\n")

@@ -34,8 +34,8 @@ def sitl_params(
     set_origin_deg(params, "ORIGIN_LAT", scenario.origin.lat_deg)
     set_origin_deg(params, "ORIGIN_LON", scenario.origin.lon_deg)
     params.set("ORIGIN_ALT", scenario.origin.alt_m)
-    told = scenario.controller
-    for bound, value in (("MPC_W_FORCE", told.disturbance_n), ("MPC_W_MOMENT", told.disturbance_n_m)):
+    limits = scenario.controller
+    for bound, value in (("MPC_W_FORCE", limits.disturbance_n), ("MPC_W_MOMENT", limits.disturbance_n_m)):
         if value is not None:
             params.set(bound, value)
     if scenario.tank is not None:

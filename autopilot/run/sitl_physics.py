@@ -42,7 +42,7 @@ class PhysicsFlight(msgspec.Struct, kw_only=True):
     contacts: int = 0
     max_penetration_m: float = 0.0
     energy_j: float = 0.0
-    longest_way_m: float = 0.0
+    max_distance_m: float = 0.0
     position_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
     rpy_rad: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
@@ -82,7 +82,7 @@ def serve_physics(
     trackers = [open_link(text) for text in pose]
     track = None if truth_file is None else truth_file.open("w", encoding="utf-8")
     flight, end_us = PhysicsFlight(), None if duration_s is None else 1e6 * duration_s
-    heard_s = began_s = time.monotonic()
+    received_s = began_s = time.monotonic()
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as server:
         try:
             server.bind((host, port))
@@ -96,7 +96,7 @@ def serve_physics(
         try:
             while not stop() and (end_us is None or physics.t_us < end_us):
                 if not select.select((server,), (), (), LOOK_S)[0]:
-                    if spoke and not silent and time.monotonic() - heard_s > SILENT_S:
+                    if spoke and not silent and time.monotonic() - received_s > SILENT_S:
                         silent = True
                         tell("ArduPilot says nothing any more")
                     continue
@@ -104,23 +104,23 @@ def serve_physics(
                     data, peer = server.recvfrom(MAX_PACKET)
                 except ConnectionError:
                     continue  # the previous answer was lost
-                heard_s = time.monotonic()
+                received_s = time.monotonic()
                 before = physics.restarts
                 answer = physics.answer(data)
                 if answer is None or physics.truth is None:
                     continue
                 if not spoke or physics.restarts > before:
-                    began_s, next_track_us = heard_s, 0
+                    began_s, next_track_us = received_s, 0
                     tell(f"ArduPilot speaks from {peer[0]}:{peer[1]}" if not spoke else "ArduPilot began anew")
                 spoke, silent = True, False
                 server.sendto(answer, peer)
-                told = vehicles[-1].pose(physics.t_us)
-                for link in trackers if told is not None else ():
+                report = vehicles[-1].pose(physics.t_us)
+                for link in trackers if report is not None else ():
                     link.recv(physics.t_us)
-                    link.send(told or b"")
+                    link.send(report or b"")
                 start = scenario.vehicle.start_m
                 away_m = sum((a - b) ** 2 for a, b in zip(physics.truth.pos_ned_m, start, strict=True)) ** 0.5
-                flight.longest_way_m = max(flight.longest_way_m, float(away_m))
+                flight.max_distance_m = max(flight.max_distance_m, float(away_m))
                 if track is not None and physics.t_us >= next_track_us:
                     next_track_us += TRACK_US
                     row = [1e-6 * physics.t_us, *physics.truth.pos_ned_m.tolist(), *physics.truth.rpy_rad.tolist()]

@@ -23,8 +23,8 @@ from autopilot.sitl.backend import SimulatedVehicle
 from autopilot.sitl.contact import Prism, Sphere
 from autopilot.sitl.scenario_tables import Fault, Scenario
 from autopilot.view.controls import (
-    Ask,
     CallFault,
+    ControlRequest,
     DragCurrent,
     DragObstacle,
     Go,
@@ -84,7 +84,7 @@ class Steering(NoticeQueue):
     def __init__(self, scenario: Scenario, vehicle: SimulatedVehicle, clock: PacedClock | LockstepClock) -> None:
         super().__init__()
         self._scenario, self._vehicle, self._clock = scenario, vehicle, clock
-        self._asked: queue.SimpleQueue[tuple[Ask, Future[str]]] = queue.SimpleQueue()
+        self._requests: queue.SimpleQueue[tuple[ControlRequest, Future[str]]] = queue.SimpleQueue()
         self._speed = clock.speed if isinstance(clock, PacedClock) else 0.0
         self._paused = False
         self._flow_m_s = (0.0, 0.0)
@@ -139,12 +139,12 @@ class Steering(NoticeQueue):
                 arrows.append((round(north, 3), round(east, 3), round(u, 4), round(v, 4)))
         return FlowView(t_s=t_s, arrows=tuple(arrows))
 
-    def do(self, ask: Ask) -> str:
+    def do(self, request: ControlRequest) -> str:
         """Hand it to the loop and wait for its answer."""
         if self._over:
             raise ViewError("the run is over")
         answer: Future[str] = Future()
-        self._asked.put((ask, answer))
+        self._requests.put((request, answer))
         try:
             return answer.result(ANSWER_S)
         except NoAnswer:
@@ -155,12 +155,12 @@ class Steering(NoticeQueue):
 
     def hold(self, t_us: int) -> bool:
         """Execute requests since the last tick, at ``t_us``; whether the simulation is paused."""
-        while not self._asked.empty():
-            ask, answer = self._asked.get()
+        while not self._requests.empty():
+            request, answer = self._requests.get()
             if not answer.set_running_or_notify_cancel():
                 continue
             try:
-                answer.set_result(self._done(t_us, ask))
+                answer.set_result(self._done(t_us, request))
             except (ConfigError, ViewError) as error:
                 answer.set_exception(ViewError(str(error)))
         return self._paused
@@ -168,13 +168,13 @@ class Steering(NoticeQueue):
     def end(self) -> None:
         """The run is over: release threads that wait for an answer."""
         self._over = True
-        while not self._asked.empty():
-            _, answer = self._asked.get()
+        while not self._requests.empty():
+            _, answer = self._requests.get()
             if answer.set_running_or_notify_cancel():
                 answer.set_exception(ViewError("the run is over"))
 
-    def _done(self, t_us: int, ask: Ask) -> str:
-        match ask:
+    def _done(self, t_us: int, request: ControlRequest) -> str:
+        match request:
             case Pause():
                 text, self._paused = "Paused", True
             case Go():
@@ -229,8 +229,8 @@ class Steering(NoticeQueue):
         ]
         if self._vehicle.pictured:
             offers += [
-                (f"Pictures {looks} for 10 s", {"kind": "camera_picture", "duration_s": 10.0, "looks": looks})
-                for looks in ("black", "white", "fog", "frozen")
+                (f"Pictures {appearance} for 10 s", {"kind": "camera_picture", "duration_s": 10.0, "looks": appearance})
+                for appearance in ("black", "white", "fog", "frozen")
             ]
         if self._scenario.sensors.hull.enabled:
             offers.append(("Leak", {"kind": "leak"}))

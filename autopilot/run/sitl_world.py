@@ -115,9 +115,9 @@ class SimulatedWorld(World):
         self._parts = part_origins(settings, scenario)
         origin = params_origin(self.params)
         self._map = _map(settings, scenario, origin)
-        markers = _told_markers(settings, scenario, self._vehicle.markers)
+        markers = _known_markers(settings, scenario, self._vehicle.markers)
         kind, basin = knowledge(settings, scenario), settings["basin"] or scenario.controller.basin
-        self.told = KnownEnvironment(
+        self.known = KnownEnvironment(
             vehicle=vehicle,
             origin=origin,
             markers=markers,
@@ -126,12 +126,12 @@ class SimulatedWorld(World):
             currents=forecast_of(
                 kind, basin, lambda: formula(scenario) if self._map is None else MappedCurrent(self._map)
             ),
-            water=None if self._map is None else MapCheck(self._map, origin),
+            current_check=None if self._map is None else MapCheck(self._map, origin),
             pictures=self._vehicle.pictured,
             controller=scenario.plugins.controller,
             estimator=scenario.plugins.estimator,
         )
-        self.water = CurrentSource(
+        self.current_source = CurrentSource(
             kind=kind,
             basin=basin,
             map_file=None if self._map is None else map_path(settings, scenario),
@@ -154,7 +154,7 @@ class SimulatedWorld(World):
         self.steering: Steering | None = None
 
     def open_device(self, parts: ServiceParts) -> None:
-        self.device = self.truth_source = SimulatedDevice(self._vehicle, len(self.told.vehicle.thrusters))
+        self.device = self.truth_source = SimulatedDevice(self._vehicle, len(self.known.vehicle.thrusters))
 
     def epoch_ns(self) -> int:
         """Constant, for reproducible logs."""
@@ -173,8 +173,8 @@ class SimulatedWorld(World):
             "seed": str(self.seed),
             "speed": f"{self.speed:g}",
             **{kind: part.name for kind, part in self._parts.items()},
-            "currents": self.water.kind,
-            "basin": self.water.basin,
+            "currents": self.current_source.kind,
+            "basin": self.current_source.basin,
             "currents_map": "" if self._map is None else self._map.name,
             "currents_map_sha256": "" if self._map is None else self._map.nodes.digest,
         }
@@ -243,7 +243,7 @@ def _wires(settings: EffectiveSettings) -> frozenset[Wire]:
     return wires(settings["hil"])
 
 
-def _told_markers(settings: EffectiveSettings, scenario: Scenario, true: MarkerMap | None) -> MarkerMap | None:
+def _known_markers(settings: EffectiveSettings, scenario: Scenario, true: MarkerMap | None) -> MarkerMap | None:
     """Marker map of ``--markers``, else the one that the scenario gives to the vehicle. ConfigError if it cannot
     be used.
     """

@@ -80,7 +80,7 @@ class StateCheck(NoticeQueue):
         self._probe_at = RETRY_TICKS
         for loss in losses:
             self._begin(loss.text, loss)
-        self._look(0)
+        self._update(0)
 
     def refusals(self, t_us: int) -> tuple[str, ...]:
         """Reasons against arming, each with the parameter value that accepts it."""
@@ -88,14 +88,14 @@ class StateCheck(NoticeQueue):
         if self._disk:
             self._probe_again(tick)
         if self._failures() != self._failing or self._params[ACCEPT] != self._accepted:
-            self._look(tick)
+            self._update(tick)
         return self._reasons
 
     def _failures(self) -> list[str]:
-        found = [text for ask in self._unsaved if (text := ask())]
+        found = [text for failure_of in self._unsaved if (text := failure_of())]
         return [f"disk takes no writes ({self._disk})", *found] if self._disk else found
 
-    def _look(self, tick: int) -> None:
+    def _update(self, tick: int) -> None:
         self._failing = failing = self._failures()
         for text in [text for text, it in self._open.items() if it.loss is None and text not in failing]:
             del self._open[text]

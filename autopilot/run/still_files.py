@@ -56,7 +56,7 @@ class StillStore:
     def __init__(self, log: StillLog, worker: BackgroundWorker, folder: Path) -> None:
         """``folder``: of all logs; paths for clients are below it."""
         self._log, self._worker, self._folder = log, worker, folder
-        self._asked: deque[tuple[int, int]] = deque()
+        self._requested: deque[tuple[int, int]] = deque()
         """Number and time of what has been asked for and not been exposed."""
         self._writing: list[tuple[StoredStill, BackgroundTask[bytes]]] = []
         self._done: list[StoredStill] = []
@@ -68,20 +68,20 @@ class StillStore:
     def take(self, t_us: int, frames: Sequence[CameraFrame]) -> tuple[StoredStill, ...]:
         """Assign pictures to requests; returns the results of earlier stills."""
         tick = t_us // TICK_US
-        self._look_at_disk(tick)
+        self._check_disk(tick)
         for frame in frames:
             self._frame_us = frame.t_us
-            if self._asked and frame.t_us >= self._asked[0][1]:
-                self._store(tick, self._asked.popleft()[0], frame)
-        while self._asked and t_us - self._asked[0][1] > WAIT_US:
-            index, _ = self._asked.popleft()
+            if self._requested and frame.t_us >= self._requested[0][1]:
+                self._store(tick, self._requested.popleft()[0], frame)
+        while self._requested and t_us - self._requested[0][1] > WAIT_US:
+            index, _ = self._requested.popleft()
             self._fail(index, t_us, "camera delivers no picture")
         for still, task in self._writing:
             answer = task.poll(tick)
             if answer is None:
                 continue
             if answer.error is not None or answer.value is None:
-                self._fail(still.index, still.exposure_us, _said(answer.error))
+                self._fail(still.index, still.exposure_us, _reason(answer.error))
                 continue
             self._log.still(still.exposure_us, answer.value)
             self._done.append(replace(still, size=len(answer.value)))
@@ -89,9 +89,9 @@ class StillStore:
         done, self._done = tuple(self._done), []
         return done
 
-    def ask(self, t_us: int, shots: Sequence[int]) -> None:
+    def request(self, t_us: int, shots: Sequence[int]) -> None:
         """These are to be taken from now on."""
-        self._asked += [(index, t_us) for index in shots]
+        self._requested += [(index, t_us) for index in shots]
 
     def report(self) -> CameraReport:
         """How camera and disk are doing."""
@@ -136,7 +136,7 @@ class StillStore:
     def _fail(self, index: int, t_us: int, problem: str) -> None:
         self._done.append(StoredStill(index=index, exposure_us=t_us, problem=problem))
 
-    def _look_at_disk(self, tick: int) -> None:
+    def _check_disk(self, tick: int) -> None:
         if self._space is not None:
             answer = self._space.poll(tick)
             if answer is not None:
@@ -168,7 +168,7 @@ def _space(folder: Path, cancel: Cancel) -> tuple[int, int]:
     return usage.total, usage.free
 
 
-def _said(error: Exception | None) -> str:
+def _reason(error: Exception | None) -> str:
     if isinstance(error, OSError):
         return f"{error.strerror or error}"
     return str(error or "nothing came of it")

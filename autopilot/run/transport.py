@@ -185,8 +185,8 @@ class Transport:
 
     def _problem(self, index: int) -> str | None:
         """Present fault of a link: its driver's exception, else its driver's own report."""
-        said = self._try(index, "tell", lambda: self._links[index].problem, None)
-        return next(iter(self._failed[index].values()), said)
+        problem = self._try(index, "tell", lambda: self._links[index].problem, None)
+        return next(iter(self._failed[index].values()), problem)
 
     def _try(self, index: int, what: str, work: Callable[[], T], otherwise: T) -> T:
         """Use a link; no driver of a link ends the loop. A success takes back an earlier failure at the same."""

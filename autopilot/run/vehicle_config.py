@@ -59,11 +59,11 @@ class ServiceTable(Table, frozen=True, kw_only=True):
 
     def given(self, folder: Path) -> dict[str, Any]:
         """Keys set in the file, by name; folders relative to ``folder``."""
-        told = {name: value for name, value in msgspec.structs.asdict(self).items() if value is not None}
+        values = {name: value for name, value in msgspec.structs.asdict(self).items() if value is not None}
         for name in ("log_dir", "state_dir"):
-            if name in told:
-                told[name] = str(folder / Path(told[name]).expanduser())
-        return told
+            if name in values:
+                values[name] = str(folder / Path(values[name]).expanduser())
+        return values
 
 
 class ConfigFile(Table, frozen=True, kw_only=True):
@@ -151,8 +151,8 @@ def apply_parameters(config: VehicleConfig, params: ParamSet) -> None:
     place = config.file.place
     if place.basin == "closed":
         params.set("FENCE_REQUIRED", 1)
-    told = {"ORIGIN_LAT": place.origin_lat_deg, "ORIGIN_LON": place.origin_lon_deg, "ORIGIN_ALT": place.origin_alt_m}
-    for name, value in ({k: v for k, v in told.items() if v is not None} | config.file.parameters).items():
+    values = {"ORIGIN_LAT": place.origin_lat_deg, "ORIGIN_LON": place.origin_lon_deg, "ORIGIN_ALT": place.origin_alt_m}
+    for name, value in ({k: v for k, v in values.items() if v is not None} | config.file.parameters).items():
         try:
             if name in ("ORIGIN_LAT", "ORIGIN_LON"):
                 set_origin_deg(params, name, value)

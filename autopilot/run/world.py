@@ -45,7 +45,7 @@ class KnownEnvironment:
     markers: MarkerMap | None
     floor_depth_m: float | None
     currents: CurrentForecast
-    water: WaterCheck | None = None
+    current_check: WaterCheck | None = None
     pictures: bool
     controller: str = "nmpc"
     estimator: str = "ekf"
@@ -90,8 +90,8 @@ class World(ABC):
     """One world; used by one session."""
 
     settings: EffectiveSettings
-    told: KnownEnvironment
-    water: CurrentSource
+    known: KnownEnvironment
+    current_source: CurrentSource
     speed: float
     """1 on hardware, 0 = as fast as possible."""
     folder: Path

@@ -1,6 +1,6 @@
 """Requests of the page to the simulation. A real vehicle accepts none.
 
-The browser sends one of the ``Ask`` tables. The loop executes it between two ticks
+The browser sends one of the ``ControlRequest`` tables. The loop executes it between two ticks
 (:mod:`autopilot.run.sitl_view`); the browser gets the result.
 """
 
@@ -53,7 +53,7 @@ class CallFault(Table, frozen=True, kw_only=True, tag_field="do", tag="fault"):
     """A scenario's ``[[fault]]`` table without ``at_s``."""
 
 
-Ask: TypeAlias = Pause | Go | Speed | Reset | DragCurrent | DragObstacle | CallFault
+ControlRequest: TypeAlias = Pause | Go | Speed | Reset | DragCurrent | DragObstacle | CallFault
 
 
 class ViewError(AutopilotError):
@@ -81,7 +81,7 @@ class Controls(Protocol):
         """The simulated current, None on a real vehicle; from the view's thread."""
         ...
 
-    def do(self, ask: Ask) -> str:
+    def do(self, request: ControlRequest) -> str:
         """Execute a request on the loop and return the result. ViewError with the reason. Called by the page's
         threads.
         """
@@ -97,5 +97,5 @@ class ReadOnly:
     def flow(self, t_s: float, depth_m: float) -> FlowView | None:
         return None
 
-    def do(self, ask: Ask) -> str:
+    def do(self, request: ControlRequest) -> str:
         raise ViewError("this view is read-only: use a ground station")

@@ -118,8 +118,8 @@ def frame_of(snapshot: TickSnapshot, vehicle: Vehicle, steered: Steered, *, now_
             for aid in snapshot.aids.values()
         ),
         devices=tuple(
-            DeviceView(name=name, age_s=_age_s(t_us, heard_us), limit_s=limits_s.get(name, UNKNOWN_S))
-            for name, heard_us in snapshot.heard_us.items()
+            DeviceView(name=name, age_s=_age_s(t_us, received_us), limit_s=limits_s.get(name, UNKNOWN_S))
+            for name, received_us in snapshot.received_us.items()
         ),
         battery=_battery(snapshot),
         loop=_loop(snapshot),
@@ -171,7 +171,7 @@ def _age_s(t_us: int, since_us: int) -> float:
 
 def _newest_us(snapshot: TickSnapshot, nav: NavState) -> int:
     """Of when an estimate is: its attitude is no newer than the AHRS."""
-    return min(nav.t_us, snapshot.heard_us.get("ahrs", nav.t_us))
+    return min(nav.t_us, snapshot.received_us.get("ahrs", nav.t_us))
 
 
 def _numbers(values: Iterable[float]) -> tuple[float, ...]:
@@ -305,7 +305,7 @@ def _battery(snapshot: TickSnapshot) -> BatteryView | None:
     if power is None:
         return None
     return BatteryView(
-        age_s=_age_s(snapshot.outputs.t_us, snapshot.heard_us.get("battery", power.t_us)),
+        age_s=_age_s(snapshot.outputs.t_us, snapshot.received_us.get("battery", power.t_us)),
         voltage_v=_number(power.voltage_v),
         current_a=_number(power.current_a),
         energy_used_j=_number(power.energy_used_j),

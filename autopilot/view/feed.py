@@ -121,7 +121,7 @@ class TickSnapshot:
     plan_us: int
     """Time at which it came into force."""
     thrusters: ThrusterHealthState | None
-    heard_us: Mapping[str, int]
+    received_us: Mapping[str, int]
     """When each device delivered last, by :data:`DEVICES` and :data:`CAMERA`."""
     aids: Mapping[str, AidStatus]
     tracks: Mapping[int, ObstacleTrack]
@@ -142,7 +142,7 @@ class _Kept:
     thrusters: ThrusterHealthState | None = None
     loop: LoopStats | None = None
     power: PowerSample | None = None
-    heard_us: dict[str, int] = field(default_factory=dict)
+    received_us: dict[str, int] = field(default_factory=dict)
     aids: dict[str, AidStatus] = field(default_factory=dict)
     tracks: dict[int, ObstacleTrack] = field(default_factory=dict)
     readings: dict[str, bytes] = field(default_factory=dict)
@@ -164,7 +164,7 @@ class Feed:
         self._watched_run = watched
         self._kept = _Kept()
         self._messages: deque[tuple[int, Event]] = deque(maxlen=MESSAGES)
-        self._told = 0
+        self._message_count = 0
         self._trail: deque[FloatArray] = deque(maxlen=TRAIL_POINTS)
         self._trail_us = -TRAIL_US
         self._due_s = self._scene_due_s = self._picture_due_s = 0.0
@@ -183,8 +183,8 @@ class Feed:
     def tick(self, inputs: Inputs, outputs: Outputs, frames: Sequence[CameraFrame]) -> None:
         if outputs.events:
             for event in outputs.events:
-                self._told += 1
-                self._messages.append((self._told, event))
+                self._message_count += 1
+                self._messages.append((self._message_count, event))
         if outputs.nav is not None and outputs.t_us - self._trail_us >= TRAIL_US:
             self._trail_us = outputs.t_us
             self._trail.append(outputs.nav.pos_ned_m)
@@ -192,10 +192,10 @@ class Feed:
             return
         self._keep(inputs, outputs)
         if frames:
-            self._kept.heard_us[CAMERA] = inputs.t_us
+            self._kept.received_us[CAMERA] = inputs.t_us
         now_s = time.monotonic()
         if self.pictured:
-            self._look(now_s, inputs, frames)
+            self._queue_picture(now_s, inputs, frames)
         if now_s >= self._due_s:
             self._due_s = now_s + FRAME_S
             self._put(now_s, outputs)
@@ -218,13 +218,13 @@ class Feed:
         for sample in inputs.samples:
             row = DEVICES.get(type(sample))
             if row is not None and kept.news(row, sample):
-                kept.heard_us[row.device] = inputs.t_us
+                kept.received_us[row.device] = inputs.t_us
             if isinstance(sample, PowerSample):
                 kept.power = sample
             elif isinstance(sample, ObstacleTrack):
                 kept.tracks[sample.track_id] = sample
 
-    def _look(self, now_s: float, inputs: Inputs, frames: Sequence[CameraFrame]) -> None:
+    def _queue_picture(self, now_s: float, inputs: Inputs, frames: Sequence[CameraFrame]) -> None:
         """A picture waits until its detections are done, or the next one arrives."""
         waiting = self._unseen
         if waiting is not None:
@@ -282,7 +282,7 @@ class Feed:
             plan=kept.plan,
             plan_us=kept.plan_us,
             thrusters=kept.thrusters,
-            heard_us=dict(kept.heard_us),
+            received_us=dict(kept.received_us),
             aids=dict(kept.aids),
             tracks={number: track for number, track in kept.tracks.items() if t_us - track.t_us < TRACK_US},
             power=kept.power,

@@ -17,7 +17,7 @@ from urllib.parse import parse_qs, urlsplit
 import msgspec
 
 from autopilot.core.errors import AutopilotError, ConfigError
-from autopilot.view.controls import Ask
+from autopilot.view.controls import ControlRequest
 from autopilot.view.hub import MAX_VIEWERS, Hub
 
 DEFAULT_PORT = 8760
@@ -59,7 +59,7 @@ HEADERS = {
     "Cache-Control": "no-store",
 }
 
-_ask = msgspec.json.Decoder(Ask)
+_request = msgspec.json.Decoder(ControlRequest)
 
 
 class _Server(ThreadingHTTPServer):
@@ -71,12 +71,12 @@ class _Server(ThreadingHTTPServer):
         self.hub = hub
         self.token = secrets.token_urlsafe(24)
         self.version = _version()
-        self._room = threading.BoundedSemaphore(MAX_CONNECTIONS)
+        self._connection_slots = threading.BoundedSemaphore(MAX_CONNECTIONS)
         super().__init__(("127.0.0.1", port), _Handler)
 
     def process_request(self, request: object, client_address: object) -> None:
         """In a thread of its own, up to a maximum number."""
-        if not self._room.acquire(blocking=False):
+        if not self._connection_slots.acquire(blocking=False):
             self.shutdown_request(request)  # type: ignore[arg-type]
             return
         super().process_request(request, client_address)  # type: ignore[arg-type]
@@ -85,7 +85,7 @@ class _Server(ThreadingHTTPServer):
         try:
             super().process_request_thread(request, client_address)  # type: ignore[arg-type]
         finally:
-            self._room.release()
+            self._connection_slots.release()
 
     def handle_error(self, request: object, client_address: object) -> None:
         """Broken connections are ignored."""
@@ -118,9 +118,11 @@ class ViewServer:
             try:
                 return _Server(number, self.hub)
             except OSError as error:
-                said = error.strerror or str(error)
-        asked = f"ports {DEFAULT_PORT} to {number}" if port is None else f"port {port}"
-        raise ConfigError(f"--view: {asked} of 127.0.0.1 cannot be had ({said}); give another one, or 0 for any")
+                reason = error.strerror or str(error)
+        tried_ports = f"ports {DEFAULT_PORT} to {number}" if port is None else f"port {port}"
+        raise ConfigError(
+            f"--view: {tried_ports} of 127.0.0.1 cannot be had ({reason}); give another one, or 0 for any"
+        )
 
     @property
     def url(self) -> str:
@@ -173,7 +175,7 @@ class _Handler(BaseHTTPRequestHandler):
             self._say(409, "no run is under way; wait until the next has begun")
         else:
             try:
-                done = controls.do(_ask.decode(self.rfile.read(length)))
+                done = controls.do(_request.decode(self.rfile.read(length)))
             except (msgspec.MsgspecError, UnicodeDecodeError) as error:
                 self._say(400, f"not understood: {error}")
             except AutopilotError as error:

@@ -281,7 +281,7 @@ def _note(
     evidence = health.evidence
     for i, name in enumerate(names):
         lost = loss is not None and loss.thruster == i and t_s >= loss.at_s
-        if not lost and not health.lost[i]:
+        if not lost and not health.faulty[i]:
             flown.peak = max(flown.peak, float(evidence[i]))
         if flown.seen_s[i] is None and health.seen[i]:
             flown.seen_s[i] = t_s

@@ -8,7 +8,7 @@ import numpy as np
 
 from autopilot.control.bounds import SLOWEST_CAP_M_S
 from autopilot.control.current.current_learning import FlowFit
-from autopilot.control.current.currents import correction_share
+from autopilot.control.current.currents import correction_fraction
 from autopilot.control.energy.energy_tuning import TRACK
 from autopilot.control.energy.trajectory import Trajectory
 from autopilot.control.nmpc.grid import TimeGrid
@@ -32,7 +32,7 @@ def bounds(
     """The arrays of ``ProgramBounds``."""
     params, fence, depth_m = now.params, now.fence, now.x0[Z]
     shallow, deep = max(fence.depth_min_m, params["DEPTH_MIN"]), min(fence.depth_max_m, params["DEPTH_MAX"])
-    left = now.thrust_limit_n - np.minimum(off.thrust_n, TUBE.largest_thrust_share * now.thrust_limit_n)
+    left = now.thrust_limit_n - np.minimum(off.thrust_n, TUBE.largest_thrust_fraction * now.thrust_limit_n)
     weight = wished.weight_u + change
     wanted = np.minimum(np.maximum(wished.thrust_n, -left), left)
     limits = (
@@ -74,13 +74,13 @@ def variances_along(table: TubeTable, surge_m_s: FloatArray, variances: FloatArr
 
 
 def tube_back_offs(
-    tube: TubeMargins, grid: TimeGrid, nav: NavState, x: FloatArray, params: ParamSet, speed_share: float
+    tube: TubeMargins, grid: TimeGrid, nav: NavState, x: FloatArray, params: ParamSet, speed_fraction: float
 ) -> BackOffs:
     """Of the variances in the tube's table, mixed and read off at the planned surge."""
     spread = EstimateSpread.of(nav)
     rows = variances_along(tube.table, x[:, U], np.array(channel_variances(DisturbanceBound.of(params), spread)))
     inner, least = rows[1:-1], FixedMargins(grid, rows.shape[1] - TUBE.states_out).values(params)
-    band_m, most, speed = params["DEPTH_MAX"] - params["DEPTH_MIN"], TUBE.largest_share, SPEED_SHARE**2
+    band_m, most, speed = params["DEPTH_MAX"] - params["DEPTH_MIN"], TUBE.largest_fraction, SPEED_SHARE**2
 
     def kept(sigmas: float, variance: FloatArray, most: float, least: float) -> FloatArray:
         result: FloatArray = np.maximum(np.minimum(sigmas * np.sqrt(variance), most), least)
@@ -94,7 +94,7 @@ def tube_back_offs(
     return BackOffs(
         clearance_m=kept(TUBE.disc_sigmas, disc, TUBE.largest_clearance_m, least.clearance_m),
         depth_m=kept(sigmas, inner[:, 3] + spread.depth_m2, 0.5 * most * band_m, 0.0),
-        planar_speed_m_s=np.maximum(speed_share * planar, np.minimum(planar, params["MPC_SPEED_MARGIN"])),
+        planar_speed_m_s=np.maximum(speed_fraction * planar, np.minimum(planar, params["MPC_SPEED_MARGIN"])),
         heave_m_s=kept(sigmas, inner[:, 8] + heave_variance, heave_limit_m_s, least.heave_m_s),
         yaw_rate_rad_s=kept(sigmas, inner[:, 9], most * params["SPD_YAW_MAX"], least.yaw_rate_rad_s),
         thrust_n=sigmas * np.sqrt(rows[:-1, TUBE.states_out :]),
@@ -153,8 +153,8 @@ def currents(
     """(m, 3) the flow as far as it is trusted, corrected by what the estimate says it lacks here."""
     estimate = nav.current_ned_m_s
     lack = estimate[:2] - flow(fit, nav.pos_ned_m[None, :2])
-    share = correction_share(nav, places, t_s, scale_m)[:, None]
-    planar = estimate[:2] + trust * (flow(fit, places[:, :2]) - estimate[:2] + share * lack)
+    fraction = correction_fraction(nav, places, t_s, scale_m)[:, None]
+    planar = estimate[:2] + trust * (flow(fit, places[:, :2]) - estimate[:2] + fraction * lack)
     return np.column_stack([planar, np.full(len(places), estimate[2])])
 
 
@@ -176,9 +176,11 @@ def nearest_on_route(points: FloatArray, p: FloatArray, hint: float, window_m: f
 def ground_speed_m_s(cruise_m_s: float, tangent: FloatArray, current: FloatArray, limit_m_s: float) -> float:
     """Along a tangent (2,), as fast as is asked or the limit through the water allows."""
     along, rules = float(tangent @ current), REFERENCE
-    span = rules.fast_current_share - rules.slow_current_share
-    fast = np.clip((-along / np.maximum(limit_m_s, 1e-6) - rules.slow_current_share) / span, 0.0, 1.0)
-    water = limit_m_s * (rules.water_speed_share + fast * (rules.upstream_speed_share - rules.water_speed_share))
+    span = rules.fast_current_fraction - rules.slow_current_fraction
+    fast = np.clip((-along / np.maximum(limit_m_s, 1e-6) - rules.slow_current_fraction) / span, 0.0, 1.0)
+    water = limit_m_s * (
+        rules.water_speed_fraction + fast * (rules.upstream_speed_fraction - rules.water_speed_fraction)
+    )
     room = along * along - float(current @ current) + water * water
     reachable = 0.0 if room <= 0.0 else along + np.sqrt(room)
     return float(np.maximum(np.minimum(cruise_m_s, reachable), rules.slowest_m_s))
@@ -197,7 +199,7 @@ def references(t_s: FloatArray, x0: FloatArray, target: ReferenceTarget, current
     ahead = tangents[leg(target.s0_m + np.minimum(rules.corner_ahead_m, 0.5 * rest))]
     speed = ground_speed_m_s(target.cruise_m_s, ahead, current[:2], target.speed_limit_m_s)
     dz, turn = float(target.depth_m - x0[Z]), float(target.yaw_rad - x0[YAW])
-    climb = rules.heave_share * target.heave_limit_m_s
+    climb = rules.heave_fraction * target.heave_limit_m_s
     if not target.climb_at_once:
         needed = abs(dz) / np.maximum(rest / speed, rules.min_depth_time_s)
         climb = np.minimum(np.maximum(needed, rules.slowest_m_s), climb)
@@ -205,7 +207,7 @@ def references(t_s: FloatArray, x0: FloatArray, target: ReferenceTarget, current
     for distance, wanted, deceleration in (
         (rest, speed, rules.deceleration_m_s2),
         (abs(dz), climb, rules.heave_deceleration_m_s2),
-        (abs(turn), rules.yaw_rate_share * target.yaw_rate_limit_rad_s, rules.yaw_deceleration_rad_s2),
+        (abs(turn), rules.yaw_rate_fraction * target.yaw_rate_limit_rad_s, rules.yaw_deceleration_rad_s2),
     ):
         start = np.minimum(wanted, math.sqrt(2.0 * deceleration * distance))
         until = (distance / start - 0.5 * start / deceleration if start != 0.0 else 0.0) - t_s

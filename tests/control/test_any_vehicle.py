@@ -192,8 +192,8 @@ def test_a_lost_horizontal_thruster_of_a_bluerov2_is_found_in_any_order(lost: in
         rates = replace(nav, rate_frd_rad_s=nav.rate_frd_rad_s + np.array([0.0, 0.0, rng.normal(0.0, 0.006)]))
         health.step(nav.t_us, replace(rates, vel_frd_m_s=x[4:7] + rng.normal(0.0, 0.004, 3)), thrust)
         if t_s < 10.0:
-            assert not any(health.lost)
-    assert health.lost == tuple(i == at for i in range(6))
+            assert not any(health.faulty)
+    assert health.faulty == tuple(i == at for i in range(6))
     assert health.found[at] < 0.35
 
 

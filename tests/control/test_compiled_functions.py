@@ -179,7 +179,7 @@ def test_the_learned_flow(cells: int, value: float | None) -> None:
         along, t_s, here, mean, *cell = given.values()
         places, pull = cell or (np.zeros((0, 2)), np.zeros((2, 0)))
         fit = FlowFit(length_m=0.7, places_ned_m=places, pull=pull, mean_m_s=mean)
-        current._fit, current._trust.share, filled = fit, 0.7, np.zeros((21, 3))
+        current._fit, current._trust.weight, filled = fit, 0.7, np.zeros((21, 3))
         nav = nav_state(0, here, rng.normal(size=3))
         current.fill(nav, along, t_s, filled)
         meant = oracles.currents(fit, nav, along, t_s, current._length_m, 0.7)

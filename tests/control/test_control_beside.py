@@ -20,7 +20,7 @@ from autopilot.control.energy.patience import Kind
 from autopilot.control.energy.power import PowerModel
 from autopilot.control.energy.request import Plan, TrajectoryRequest
 from autopilot.control.energy.search import EnergyPlanner
-from autopilot.control.energy.trajectory import Ask, Program, Trajectory
+from autopilot.control.energy.trajectory import Program, ProgramInputs, Trajectory
 from autopilot.control.path.path_tuning import GUIDANCE
 from autopilot.control.path.planner import Planner
 from autopilot.control.path.workers import BackgroundWorkers
@@ -329,8 +329,8 @@ def test_no_plan_and_no_way_are_no_reason_to_stop_where_the_route_goes_on() -> N
 
 
 def test_a_trajectory_that_is_not_solved_is_not_flown(monkeypatch: pytest.MonkeyPatch) -> None:
-    def unsolved(self: Program, ask: Ask, *guess: object, rough: bool) -> Trajectory:
-        found: Trajectory = solve(self, ask, *guess, rough=rough)  # type: ignore[arg-type]
+    def unsolved(self: Program, inputs: ProgramInputs, *guess: object, rough: bool) -> Trajectory:
+        found: Trajectory = solve(self, inputs, *guess, rough=rough)  # type: ignore[arg-type]
         return replace(found, solved=False)
 
     solve = Program.solve

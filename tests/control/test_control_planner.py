@@ -13,7 +13,7 @@ from autopilot.control.constraints.obstacles import clearance_m
 from autopilot.control.nmpc.grid import geometric_grid
 from autopilot.control.path.path_tuning import PLANNER
 from autopilot.control.path.planner import Planner
-from autopilot.control.path.reference import ReferenceRollout, ReferenceTarget, Route, turn_target, water_speed_share
+from autopilot.control.path.reference import ReferenceRollout, ReferenceTarget, Route, turn_target, water_speed_fraction
 from autopilot.control.robust.fallback import station_keeping_thrust
 from autopilot.core.control_allocator import ControlAllocator
 from autopilot.core.frames import FloatArray
@@ -207,7 +207,7 @@ def test_ground_speed_respects_the_limit_through_the_water(cn: float, ce: float,
     if speed > 0.0201:
         assert abs(water) <= 0.46 or speed == pytest.approx(cruise)
         if speed < cruise - 1e-9:
-            asked = water_speed_share(-(tangent.conjugate() * current).real, 0.46)
+            asked = water_speed_fraction(-(tangent.conjugate() * current).real, 0.46)
             assert 0.95 <= asked <= 0.985
             assert abs(water) == pytest.approx(asked * 0.46)
 

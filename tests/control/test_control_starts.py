@@ -216,7 +216,7 @@ def test_the_first_thrust_of_a_start_has_converged() -> None:
                 x, u = controller.nmpc.x.copy(), controller.nmpc.u.copy()
                 thrust = controller.nmpc.solve(task).thrust_n[0]
                 if last is not None:
-                    most = BY_HAND.slew_share_1_s * one.limit_n * 0.05
+                    most = BY_HAND.slew_fraction_1_s * one.limit_n * 0.05
                     thrust = np.clip(thrust, last - most, last + most)
                 least_n = LEAST_SHARE * one.vehicle.drive.limit_n
                 thrust[(output.thrust_n == 0.0) & (np.abs(thrust) < least_n)] = 0.0  # not turned round for that

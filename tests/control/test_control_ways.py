@@ -66,8 +66,8 @@ def energy_way(made: Basin) -> FloatArray | None:
     flow = FlowField(sample_flow(EstimatedCurrent(), nav_state(0, x0), area, 0.5))
     field = EnergyField(FreeSpace(Features(made.fence), area, KEEP_M, long_moves=LONGEST_MOVE), flow, TABLE)
     to_go = field.to(made.goal)
-    way = None if to_go is None else to_go.way(made.start)
-    return None if way is None else way.points_ned_m
+    path = None if to_go is None else to_go.path(made.start)
+    return None if path is None else path.points_ned_m
 
 
 @pytest.mark.parametrize("size_m", [(6.0, 4.0), (30.0, 20.0), (100.0, 100.0), (300.0, 200.0)])
@@ -78,13 +78,13 @@ def test_a_door_that_an_upload_is_accepted_with_is_found_by_both_planners(size_m
         assert regions is not None
         accepted = regions[0] == regions[1]
         assert accepted is (made.narrowest_m > 2.0 * (KEEP_M + VALIDATION.passage_m))
-        for way in (Planner(made.fence, KEEP_M).path(made.start, made.goal), energy_way(made)):
-            assert way is not None or not accepted
-            if way is None:
+        for path in (Planner(made.fence, KEEP_M).path(made.start, made.goal), energy_way(made)):
+            assert path is not None or not accepted
+            if path is None:
                 continue
             assert made.narrowest_m > 2.0 * KEEP_M - 0.002
             share = np.linspace(0.0, 1.0, 200)[:, None, None]
-            dense = (way[:-1] + share * np.diff(way, axis=0)).reshape(-1, 2)
+            dense = (path[:-1] + share * np.diff(path, axis=0)).reshape(-1, 2)
             assert Features(made.fence).clearance_m(dense).min() > KEEP_M - 0.002
 
 

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from autopilot.control.constraints.obstacles import Features
 from autopilot.control.current.currents import EstimatedCurrent
-from autopilot.control.energy.field import LONGEST_MOVE, EnergyField, other_ways
+from autopilot.control.energy.field import LONGEST_MOVE, EnergyField, alternative_paths
 from autopilot.control.energy.flow import FlowField, FlowSamples, area_of, sample_flow
 from autopilot.control.energy.power import PowerModel, energy_per_metre, speed_table
 from autopilot.core.free_space import Area, FreeSpace
@@ -61,7 +61,7 @@ def test_open_water_costs_what_the_closed_form_says(north: float, east: float) -
     way = (
         EnergyField(FreeSpace(Features(OPEN), area, 0.3, long_moves=LONGEST_MOVE), uniform(north, east), TABLE)
         .to(goal)
-        .way(np.zeros(2))
+        .path(np.zeros(2))
     )
     expected = 40.0 * float(energy_per_metre(TABLE, np.array([north]), np.array([east]))[0])
     assert way is not None
@@ -73,9 +73,9 @@ def test_a_current_faster_than_the_vehicle_leaves_no_way_up_it() -> None:
     field = EnergyField(FreeSpace(Features(OPEN), area, 0.3, long_moves=LONGEST_MOVE), uniform(-0.6, 0.0), TABLE)
     up, down = field.to(np.array([40.0, 0.0])), field.to(np.array([0.0, 0.0]))
     assert up is not None
-    assert up.way(np.zeros(2)) is None
+    assert up.path(np.zeros(2)) is None
     assert down is not None
-    assert down.way(np.array([40.0, 0.0])) is not None
+    assert down.path(np.array([40.0, 0.0])) is not None
 
 
 def test_ways_keep_clear_and_offer_the_other_side() -> None:
@@ -84,8 +84,8 @@ def test_ways_keep_clear_and_offer_the_other_side() -> None:
         FreeSpace(features, area_of(TANK, goal[None]), 0.32, long_moves=LONGEST_MOVE), uniform(0.0, 0.0), TABLE
     )
     to_go = field.to(goal)
-    best = to_go.way(np.array([-1.6, -0.35]))
-    others = other_ways(field, to_go, best, features, 2)
+    best = to_go.path(np.array([-1.6, -0.35]))
+    others = alternative_paths(field, to_go, best, features, 2)
     for way in (best, *others):
         share = np.linspace(0.0, 1.0, 9)[:, None, None]
         dense = (way.points_ned_m[:-1] + share * np.diff(way.points_ned_m, axis=0)).reshape(-1, 2)
@@ -106,7 +106,7 @@ def test_a_closed_room_has_no_way_and_no_exception() -> None:
         FreeSpace(Features(fence), area_of(fence, goal[None]), 0.3, long_moves=LONGEST_MOVE), uniform(0.0, 0.0), TABLE
     ).to(goal)
     assert to_go is not None
-    assert to_go.way(np.array([-1.6, 0.0])) is None
+    assert to_go.path(np.array([-1.6, 0.0])) is None
     tiny = Fence(inclusions=(Circle(center_ned_m=np.zeros(2), radius_m=0.2),))
     assert (
         EnergyField(

@@ -11,7 +11,7 @@ from autopilot.control.energy.patience import Kind
 from autopilot.control.energy.power import PowerModel
 from autopilot.control.energy.request import Plan, TrajectoryRequest
 from autopilot.control.energy.search import EnergyPlanner
-from autopilot.control.energy.trajectory import Ask, Program, Trajectory
+from autopilot.control.energy.trajectory import Program, ProgramInputs, Trajectory
 from autopilot.core import compiled
 from autopilot.core.background import Cancel
 from autopilot.core.frames import FloatArray
@@ -72,9 +72,16 @@ def test_small_thrusts_do_not_swing_from_side_to_side(monkeypatch: pytest.Monkey
     solve = Program.solve
 
     def counted(
-        program: Program, ask: Ask, x: FloatArray, thrust: FloatArray, end_s: float, cancel: Cancel, *, rough: bool
+        program: Program,
+        inputs: ProgramInputs,
+        x: FloatArray,
+        thrust: FloatArray,
+        end_s: float,
+        cancel: Cancel,
+        *,
+        rough: bool,
     ) -> Trajectory:
-        found = solve(program, ask, x, thrust, end_s, cancel, rough=rough)
+        found = solve(program, inputs, x, thrust, end_s, cancel, rough=rough)
         counts.append(program.iterations)
         return found
 

@@ -101,12 +101,12 @@ def test_a_vehicle_that_goes_as_it_should_is_not_hurried(
 def test_the_lead_is_bounded_and_gone_once_the_vehicle_has_made_it_good(steps: list[tuple[float, float]]) -> None:
     route, lead, s_m, t_us = Route(np.array([[0.0, 0.0], [100.0, 0.0]])), ReferenceLookahead(), 40.0, 0
     for speed, asked in steps:
-        lead.ask(np.zeros(3), np.array([asked * 0.1, 0.0, 0.0]), 0.1)
+        lead.set_reference(np.zeros(3), np.array([asked * 0.1, 0.0, 0.0]), 0.1)
         s_m, t_us = s_m + 0.05 * speed, t_us + 50_000
-        lead.look(t_us, route, s_m)
+        lead.update(t_us, route, s_m)
         assert 0.0 <= lead.m <= LOOKAHEAD_M + 1e-12
-    lead.look(t_us + 50_000, route, s_m + BEHIND_M + LOOKAHEAD_M + 0.05 * GUIDANCE.least_progress_m_s)
+    lead.update(t_us + 50_000, route, s_m + BEHIND_M + LOOKAHEAD_M + 0.05 * GUIDANCE.least_progress_m_s)
     assert lead.m == 0.0
     other = Route(np.array([[0.0, 0.0], [50.0, 0.0]]))
-    lead.look(t_us + 100_000, other, 0.0)
+    lead.update(t_us + 100_000, other, 0.0)
     assert lead.m == 0.0, "another route is no step back"

@@ -83,7 +83,7 @@ def dive(
         rates = np.array([*(swing + rolling), nav.rate_frd_rad_s[2]])
         look(replace(nav, rpy_rad=np.array([*tilt, nav.rpy_rad[2]]), rate_frd_rad_s=rates), output.thrust_n)
         for _ in range(5):
-            acting = acting + response.share(0.01) * (output.thrust_n - acting)
+            acting = acting + response.fraction(0.01) * (output.thrust_n - acting)
             pushed = replace(model, buoyancy_excess_n=model.buoyancy_excess_n + push(t_s))
             x = rk4(pushed, x, gives * acting, still, 0.01)
             swing = swing + 0.01 * (tilting @ (gives * acting) - 8.0 * np.sin(tilt) - 1.5 * swing)
@@ -231,7 +231,7 @@ def test_what_is_learned_hides_no_lost_thruster(name: str, lost: int, left: floa
     dive(vehicle, lambda _: push_n, up_and_down, 40.0, share=gives, look=look, noise=rng)
     assert first
     assert at_s < first[0] < at_s + 25.0
-    assert health.lost == tuple(i == lost for i in range(len(vehicle.thrusters)))
+    assert health.faulty == tuple(i == lost for i in range(len(vehicle.thrusters)))
 
 
 @pytest.mark.parametrize("backend", [ocp.HPIPM, ocp.PIQP], ids=lambda backend: backend.plugin)

@@ -10,7 +10,7 @@ import pytest
 from control_loop import MODEL, TANK, VEHICLE, A, nav_state
 
 from autopilot.control.controller import MotionController
-from autopilot.control.protocol import sound_thrust_n
+from autopilot.control.protocol import checked_thrust_n
 from autopilot.control.thrust.actuation import Actuation
 from autopilot.core.frames import FloatArray
 from autopilot.core.messages import NavState
@@ -169,15 +169,15 @@ def test_other_inputs_give_thrust_within_limits_or_none(what: str, value: float)
 
 def test_no_answer_that_is_no_number_passes() -> None:
     limit_n, thrust_n = np.full(4, 9.0), np.array([1.0, 20.0, -20.0, 0.0])
-    assert sound_thrust_n(thrust_n, limit_n).tolist() == [1.0, 9.0, -9.0, 0.0]
+    assert checked_thrust_n(thrust_n, limit_n).tolist() == [1.0, 9.0, -9.0, 0.0]
     for value in (math.nan, math.inf, -math.inf):
         for place in range(4):
             wrong = thrust_n.copy()
             wrong[place] = value
             with pytest.raises(ValueError, match="thrust_n is not finite"):
-                sound_thrust_n(wrong, limit_n)
+                checked_thrust_n(wrong, limit_n)
     with pytest.raises(ValueError, match="limit_n is not a number"):
-        sound_thrust_n(thrust_n, np.array([9.0, math.nan, 9.0, 9.0]))
+        checked_thrust_n(thrust_n, np.array([9.0, math.nan, 9.0, 9.0]))
 
 
 @pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])

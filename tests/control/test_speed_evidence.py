@@ -33,56 +33,58 @@ def at_cap(evidence: SpeedEvidence, seconds: float, noise: float = 0.0, first: i
     rng = np.random.default_rng(seed)
     last = first + round(seconds / STEP_S)
     for k in range(first, last):
-        evidence.look(seen(k, 0.95 * (LIMIT - evidence.share * TUBE) + noise * rng.normal()), LIMIT, TUBE, LEAST)
+        evidence.update(
+            seen(k, 0.95 * (LIMIT - evidence.margin_fraction * TUBE) + noise * rng.normal()), LIMIT, TUBE, LEAST
+        )
     return last
 
 
 def test_a_speed_that_is_kept_earns_half_of_the_margin_slowly_and_a_gust_takes_it_back_at_once() -> None:
     evidence = SpeedEvidence()
     k = at_cap(evidence, 5.0, 0.004)
-    assert evidence.share > 0.75, "not within seconds"
+    assert evidence.margin_fraction > 0.75, "not within seconds"
     k = at_cap(evidence, 40.0, 0.004, k)
-    assert evidence.share == pytest.approx(EVIDENCE.least_share, abs=0.03)
+    assert evidence.margin_fraction == pytest.approx(EVIDENCE.least_fraction, abs=0.03)
     rng = np.random.default_rng(3)
     for i in range(40):
-        evidence.look(seen(k + i, 0.43 + 0.06 * rng.normal()), LIMIT, TUBE, LEAST)
-    assert evidence.share > 0.9, "two seconds later"
+        evidence.update(seen(k + i, 0.43 + 0.06 * rng.normal()), LIMIT, TUBE, LEAST)
+    assert evidence.margin_fraction > 0.9, "two seconds later"
 
 
 @pytest.mark.parametrize("current", [0.0, 0.25])
 def test_where_there_is_speed_enough_the_margin_stays(current: float) -> None:
     evidence = SpeedEvidence()
     for k in range(800):
-        evidence.look(seen(k, 0.35, np.array([-current, 0.0, 0.0])), LIMIT, TUBE, LEAST)
-    assert evidence.share == 1.0
+        evidence.update(seen(k, 0.35, np.array([-current, 0.0, 0.0])), LIMIT, TUBE, LEAST)
+    assert evidence.margin_fraction == 1.0
 
 
 @given(st.integers(0, 10_000), st.floats(0.0, 0.1))
 @settings(max_examples=20, deadline=None)
 def test_the_margin_never_jumps_never_falls_below_half_and_holds_what_is_seen(seed: int, noise: float) -> None:
     evidence, rng = SpeedEvidence(), np.random.default_rng(seed)
-    before = evidence.share
+    before = evidence.margin_fraction
     for k in range(600):
-        speed = abs(0.95 * (LIMIT - evidence.share * TUBE) + noise * rng.normal())
+        speed = abs(0.95 * (LIMIT - evidence.margin_fraction * TUBE) + noise * rng.normal())
         current = STRONG * rng.uniform(0.9, 1.1)
-        evidence.look(seen(k, speed, current), LIMIT, TUBE, LEAST)
-        assert EVIDENCE.least_share <= evidence.share <= 1.0
-        moved = (evidence.share - before) * TUBE
+        evidence.update(seen(k, speed, current), LIMIT, TUBE, LEAST)
+        assert EVIDENCE.least_fraction <= evidence.margin_fraction <= 1.0
+        moved = (evidence.margin_fraction - before) * TUBE
         assert -EVIDENCE.shrink_m_s2 * STEP_S - 1e-9 <= moved <= EVIDENCE.grow_m_s2 * STEP_S + 1e-9
-        before = evidence.share
-    assert evidence.share >= min(1.0, 2.0 * noise / TUBE) - 0.1
+        before = evidence.margin_fraction
+    assert evidence.margin_fraction >= min(1.0, 2.0 * noise / TUBE) - 0.1
 
 
 @pytest.mark.parametrize("what", ["lost", "jumped", "nan"])
 def test_credit_ends_with_the_estimate_that_earned_it(what: str) -> None:
     evidence = SpeedEvidence()
     k = at_cap(evidence, 40.0)
-    assert evidence.share < 0.6
+    assert evidence.margin_fraction < 0.6
     nav = seen(
         k, math.nan if what == "nan" else 0.4, health=NavHealth.DEAD_RECKONING if what == "lost" else NavHealth.GOOD
     )
-    evidence.look(replace(nav, reset_count=7) if what == "jumped" else nav, LIMIT, TUBE, LEAST)
-    assert evidence.share == 1.0
+    evidence.update(replace(nav, reset_count=7) if what == "jumped" else nav, LIMIT, TUBE, LEAST)
+    assert evidence.margin_fraction == 1.0
 
 
 def test_other_margins_know_nothing_of_it_and_clearance_stays() -> None:
@@ -90,7 +92,7 @@ def test_other_margins_know_nothing_of_it_and_clearance_stays() -> None:
     x, thrust = np.zeros((21, 8)), np.zeros((20, 4))
     nav = replace(seen(0, 0.4), variance=SPREAD)
     whole = margins.back_offs(nav, x, thrust, params)
-    margins.evidence.share = 0.5
+    margins.evidence.margin_fraction = 0.5
     half = margins.back_offs(nav, x, thrust, params)
     assert whole.planar_speed_m_s[-1] > 0.09
     assert np.allclose(half.planar_speed_m_s, np.maximum(0.5 * whole.planar_speed_m_s, params["MPC_SPEED_MARGIN"]))

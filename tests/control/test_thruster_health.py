@@ -8,7 +8,7 @@ import pytest
 from control_loop import rk4
 
 from autopilot.control.thrust.allocation import Allocation
-from autopilot.control.thrust.thruster_health import ThrusterHealth, hover_problem, told, usable
+from autopilot.control.thrust.thruster_health import ThrusterHealth, configured_effectiveness, hover_problem, usable
 from autopilot.core.control_allocator import ControlAllocator
 from autopilot.core.frames import FloatArray
 from autopilot.core.messages import NavHealth, NavState
@@ -88,7 +88,7 @@ def test_half_a_thruster_is_found_and_measured(thruster: int) -> None:
     health, first = _fly(MODEL, gain)
     assert first is not None
     assert FAULT_S < first < FAULT_S + 25.0
-    assert health.lost == tuple(i == thruster for i in range(4))
+    assert health.faulty == tuple(i == thruster for i in range(4))
     assert health.found[thruster] == pytest.approx(0.5, abs=0.15)
     assert abs(health.effectiveness[thruster] - 0.5) < 2.0 * health.sigma[thruster]
 
@@ -97,7 +97,7 @@ def test_a_dead_thruster_is_found_and_not_used() -> None:
     health, first = _fly(MODEL, np.array([1.0, 0.0, 1.0, 1.0]))
     assert first is not None
     assert first < FAULT_S + 10.0
-    assert health.lost == (False, True, False, False)
+    assert health.faulty == (False, True, False, False)
     assert health.found[1] < 0.35
     assert usable(np.array([1.0, 0.05, 0.5, 0.0])).tolist() == [1.0, 0.0, 0.5, 0.0]
 
@@ -130,7 +130,7 @@ def test_a_tether_that_pulls_and_a_wrong_munk_moment_are_no_loss(
 
 def test_a_thruster_that_comes_back_is_sound_again() -> None:
     health, _ = _fly(MODEL, np.array([0.5, 1.0, 1.0, 1.0]), seconds=32.0)
-    assert health.lost[0]
+    assert health.faulty[0]
     rng, x, acting = np.random.default_rng(2), np.zeros(8), np.zeros(4)
     health.pause()
     for tick in range(1400):
@@ -150,7 +150,7 @@ def test_without_a_good_estimate_and_at_rest_nothing_is_concluded() -> None:
     # A thruster that is never asked says nothing about itself.
     for tick in range(1000, 3000):
         health.step(tick * 20_000, _nav(np.zeros(8), rng, 0.0), np.zeros(4))
-    assert health.lost == (False,) * 4
+    assert health.faulty == (False,) * 4
     assert (health.sigma >= 0.15).all()
     assert health.seen == (False,) * 4
 
@@ -166,7 +166,7 @@ def test_a_vertical_thruster_that_only_holds_the_buoyancy_is_said_not_to_be_seen
 
 
 def test_told_values_and_compensated_pulses() -> None:
-    assert told(ParamSet({"THR2_HEALTH": 0.4}), 4) == [1.0, 0.4, 1.0, 1.0]
+    assert configured_effectiveness(ParamSet({"THR2_HEALTH": 0.4}), 4) == [1.0, 0.4, 1.0, 1.0]
     allocation = Allocation(VEHICLE.thrusters)
     share = np.array([0.5, 1.0, 0.5, 0.0])
     pulses = allocation.pulses_us([3.0, 3.0, -11.0, 4.0], 19.0, share)

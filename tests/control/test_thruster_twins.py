@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from vehicles import bluerov2, drawn
 
 from autopilot.control.thrust.actuation import Actuation
-from autopilot.control.thrust.redundancy import alike, lossy_share, tilt_of, weak_thrusters
+from autopilot.control.thrust.redundancy import alike, lossy_effectiveness, tilt_of, weak_thrusters
 from autopilot.core.control_allocator import ControlAllocator
 from autopilot.core.frames import FloatArray
 from autopilot.core.model4 import Model4
@@ -34,7 +34,7 @@ class Said:
     """When the first did."""
     doubtful: tuple[tuple[str, ...], ...] = ()
     """At the end."""
-    share: FloatArray = field(default_factory=lambda: np.zeros(0))
+    effectiveness: FloatArray = field(default_factory=lambda: np.zeros(0))
     limit_n: FloatArray = field(default_factory=lambda: np.zeros(0))
     heave_n: FloatArray = field(default_factory=lambda: np.zeros(0))
     """Per tick: what was wanted and what the thrusters gave of it."""
@@ -75,7 +75,7 @@ def manoeuvre(
         )
         actuation.send(t_us)
         actuation.learn(t_us, nav, None, armed=True, reached=True)
-        weak = frozenset(np.flatnonzero(actuation.share < 1.0).tolist())
+        weak = frozenset(np.flatnonzero(actuation.effectiveness < 1.0).tolist())
         if weak:
             said.named.add(weak)
             said.first_s = min(said.first_s, t_s)
@@ -92,7 +92,11 @@ def manoeuvre(
             gives[lost] = left
         heave.append((effect @ command.thrust_n[:n], effect @ (gives * actuation.allocation.thrusts_n(pulses))))
         plant.advance(t_us + TICK_US, pulses)
-    said.doubtful, said.share, said.limit_n = actuation.doubtful_thrusters, actuation.share, actuation.limit_n
+    said.doubtful, said.effectiveness, said.limit_n = (
+        actuation.doubtful_thrusters,
+        actuation.effectiveness,
+        actuation.limit_n,
+    )
     said.heave_n = np.array(heave)
     return said
 
@@ -117,7 +121,7 @@ def test_sound_twins_are_not_blamed(name: str) -> None:
 @pytest.mark.parametrize("lost", [4, 5])
 def test_which_vertical_of_a_bluerov2_is_dead_shows_in_its_roll(lost: int) -> None:
     said = manoeuvre(SHIPPED["bluerov2"], lost, 16.0, seed=lost)
-    assert np.flatnonzero(said.share < 1.0).tolist() == [lost]
+    assert np.flatnonzero(said.effectiveness < 1.0).tolist() == [lost]
     assert said.doubtful == ()
 
 
@@ -128,8 +132,8 @@ def test_where_nothing_tells_them_apart_both_are_named_and_heave_is_right_whiche
     said = manoeuvre(vehicle, lost, 18.0)
     assert said.named == {frozenset({4, 5})}
     assert said.doubtful == (("t5", "t6"),)
-    assert said.share[4] == said.share[5]
-    assert lossy_share(said.share[4:].tolist()) < 0.35
+    assert said.effectiveness[4] == said.effectiveness[5]
+    assert lossy_effectiveness(said.effectiveness[4:].tolist()) < 0.35
     # The one that is left is asked for all of it, and for no more than it can give.
     able_n = Actuation(vehicle, ParamSet()).allocation.capability_n(None)
     assert said.limit_n[4:].sum() < 1.35 * able_n[4]
@@ -143,7 +147,7 @@ def test_what_an_operator_tells_of_one_of_them_stands_for_it() -> None:
     """The other one is sound then."""
     assert manoeuvre(bluerov2(), 4, 14.0).doubtful
     said = manoeuvre(bluerov2(), 4, 14.5, tell=(14.0, "THR5_HEALTH", 0.0))
-    assert said.share.tolist() == [1.0, 1.0, 1.0, 1.0, 0.0, 1.0]
+    assert said.effectiveness.tolist() == [1.0, 1.0, 1.0, 1.0, 0.0, 1.0]
     assert said.doubtful == ()
 
 

@@ -9,7 +9,7 @@ import pytest
 
 from autopilot.control.current.currents import EstimatedCurrent
 from autopilot.control.path.workers import BackgroundWorkers
-from autopilot.control.protocol import Controller, ControllerContext, create_controller, sound
+from autopilot.control.protocol import Controller, ControllerContext, checked_output, create_controller
 from autopilot.core.frames import FloatArray, wrap_pi
 from autopilot.core.geometry import Circle, Fence, Polygon
 from autopilot.core.messages import ControlOutput, Goal, NavHealth, NavState
@@ -72,7 +72,7 @@ def make_controller(name: str) -> Controller:
 
 
 def ask(controller: Controller, t_us: int, nav: NavState, params: ParamSet, goal: Goal = GOAL) -> ControlOutput:
-    return sound(controller.step(t_us, nav, goal, TANK, params, LIMIT_N, (), delay_s=0.0), LIMIT_N)
+    return checked_output(controller.step(t_us, nav, goal, TANK, params, LIMIT_N, (), delay_s=0.0), LIMIT_N)
 
 
 def fly(controller: Controller, steps: int) -> tuple[FloatArray, FloatArray]:
@@ -127,7 +127,7 @@ def test_the_example_flies_vehicles_with_any_number_of_thrusters(name: str) -> N
     for step in range(160):
         t_us = step * 50_000
         control = controller.step(t_us, nav_at(t_us, x), GOAL, TANK, params, limit_n, (), delay_s=0.0)
-        thrust_n = sound(control, limit_n).thrust_n
+        thrust_n = checked_output(control, limit_n).thrust_n
         for _ in range(5):
             x = rk4(lambda y, n=thrust_n: np.array(state_derivative(given.model, y, n, CURRENT, np)), x, 0.01)
     assert math.hypot(*(GOAL.pos_ned_m[:2] - x[:2])) < begin_m - 1.0

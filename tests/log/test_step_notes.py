@@ -34,7 +34,9 @@ def test_every_input_comes_back_from_its_notes() -> None:
         mavlink_rx=(MavlinkFrame(link=1, data=b"abc", client=2, sender="gcs", reach=Reach.MACHINE),),
         notices=(event,),
         troubles=(DeviceTrouble(t_us=10_000, device=DeviceRole.CAMERA, text="gone"),),
-        pictures=(PictureReport(t_us=5, verdict=FrameVerdict.DARK, contrast=1.5, white_share=0.1, black_share=0.9),),
+        pictures=(
+            PictureReport(t_us=5, verdict=FrameVerdict.DARK, contrast=1.5, white_fraction=0.1, black_fraction=0.9),
+        ),
         log_lost=True,
         clock_jump_s=-0.5,
         frame_counts={"frames.ok": 7},

@@ -49,7 +49,7 @@ def folder_fixture(tmp_path: Path) -> Path:
 
 
 def world_with(folder: Path, profile: str = "px4", **kwargs: Any) -> World:
-    return World(profile, shelf=LogDirectoryReader(folder, BackgroundWorker()), **kwargs)
+    return World(profile, log_directory=LogDirectoryReader(folder, BackgroundWorker()), **kwargs)
 
 
 class Ftp:

@@ -293,8 +293,8 @@ def test_a_client_that_is_different_every_time_is_remembered_up_to_a_limit(told:
         client.send(mav.MAVLink_mission_count_message(1, 1, 10_000 + n if told == "a text each" else 1 + n % 200, 0))
         if n % 16 == 15:
             world.run(TICK_US * 1e-6)
-        assert len(context._said) <= MAX_RECENT and len(missions._counts) <= MAX_RECENT
-    assert len(context._said if told == "a text each" else missions._counts) > 100
+        assert len(context._recent_texts) <= MAX_RECENT and len(missions._counts) <= MAX_RECENT
+    assert len(context._recent_texts if told == "a text each" else missions._counts) > 100
 
 
 def test_what_was_said_lately_is_known_and_what_was_said_before_is_not() -> None:

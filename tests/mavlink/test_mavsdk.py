@@ -40,9 +40,9 @@ def link_fixture(request: pytest.FixtureRequest) -> Iterator[tuple[World, Any]]:
 
 
 @contextmanager
-def vehicle(profile: str, shelf: LogDirectoryReader | None = None) -> Iterator[tuple[World, Any]]:
+def vehicle(profile: str, log_directory: LogDirectoryReader | None = None) -> Iterator[tuple[World, Any]]:
     """One vehicle as MAVSDK finds it."""
-    world = World(profile, shelf=shelf)
+    world = World(profile, log_directory=log_directory)
     world.show(armed=False, mode=FlightMode.HOLD, intended_mode=FlightMode.HOLD)
     start_s = time.monotonic()
 

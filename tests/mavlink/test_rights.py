@@ -65,7 +65,7 @@ def disarmed(folder: Path) -> tuple[World, Client, Client, Client]:
     (folder / "2026-11-22").mkdir()
     log = folder / "2026-11-22" / "10_00_00.mcap"
     log.write_bytes(bytes(100))
-    world = World(links=(0, 1), signing=Store(), shelf=LogDirectoryReader(folder, BackgroundWorker()))
+    world = World(links=(0, 1), signing=Store(), log_directory=LogDirectoryReader(folder, BackgroundWorker()))
     world.show(armed=False, under_way=False)
     who = Near(world, sysid=66, compid=7, number=1)
     world.clients.append(who)

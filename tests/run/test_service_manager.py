@@ -48,7 +48,7 @@ def test_ready_once_then_alive_three_times_within_the_timeout(tmp_path: Path, ea
 @pytest.mark.parametrize("told", [{}, {"NOTIFY_SOCKET": ""}, {"NOTIFY_SOCKET": "/nobody/is/here"}])
 def test_without_a_manager_nothing_happens(told: dict[str, str]) -> None:
     manager = ServiceManager(told)
-    assert not manager.heard
+    assert not manager.present
     manager.tick()
     manager.stopping()
     manager.close()
@@ -71,12 +71,12 @@ def test_a_manager_that_does_not_read_or_goes_stops_nothing(tmp_path: Path, ear:
     for tick in range(2000):
         now_s = 2.0 * tick
         manager.tick()
-    assert manager.heard, "a full queue is no reason to give up"
+    assert manager.present, "a full queue is no reason to give up"
     ear.close()
     manager.tick()
     now_s += 2.0
     manager.tick()
-    assert not manager.heard
+    assert not manager.present
 
 
 def test_a_service_tells_when_it_is_ready_and_when_it_stops(tmp_path: Path, ear: socket.socket) -> None:

@@ -36,7 +36,7 @@ class Bench:
         self.remaining = 0.9
         self.vel_frd_m_s = np.zeros(3)
         self.current = np.zeros(3)
-        self.status = VehicleStatus(ahrs_age_s=0.01, thruster_share=(1.0,) * 4)
+        self.status = VehicleStatus(ahrs_age_s=0.01, thruster_effectiveness=(1.0,) * 4)
         self.texts: list[str] = []
 
     def nav(self) -> NavState | None:

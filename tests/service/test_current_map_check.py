@@ -148,7 +148,7 @@ def test_water_faster_than_the_vehicle_is_said_when_the_fence_arrives(tmp_path: 
     watch = ChangeWatch(vehicle, plans, Goals(vehicle, params, plans))
     assert plans.replace(PlanKind.FENCE, paper_plan().fence) is None
     conditions = VehicleStatus(t_us=0, nav=None, ahrs_age_s=0.01)
-    texts = watch.look(conditions, armed=False)
+    texts = watch.update(conditions, armed=False)
     assert (
         Severity.WARNING,
         "Current map m.npz: up to 0.80 m/s, the vehicle swims 0.5: goals may be out of reach",

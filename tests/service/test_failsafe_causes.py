@@ -402,7 +402,9 @@ CAUSES: tuple[Cause, ...] = (
         rule=Failsafe.TETHER, name="way", quantity="tether_m", not_before_s=1.0, within_s=30.0,
         params={"TETHER_LEN": 1.0, "TETHER_COUNT": 1.0}, act=_wander,
     ),
-    Cause(rule=Failsafe.LOOP, name="late ticks", quantity="late_share", act=_overload, not_before_s=2.9, within_s=6.0),
+    Cause(
+        rule=Failsafe.LOOP, name="late ticks", quantity="late_fraction", act=_overload, not_before_s=2.9, within_s=6.0,
+    ),
     Cause(
         rule=Failsafe.CAMERA, name="not believed", quantity="nav_doubts",
         act=lambda world: world.nav.fields.update(doubts=frozenset({NavDoubt.CAMERA})),

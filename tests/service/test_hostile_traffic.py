@@ -75,8 +75,8 @@ def test_strangers_and_sticks_and_a_key(tmp_path: Path) -> None:
 
 def test_logs_of_whoever_runs_the_fuzzer_are_not_its_clients_to_erase(fuzzer: Fuzzer, tmp_path: Path) -> None:
     """It had the folder of the user's own flights on its shelf, and LOG_ERASE among its messages."""
-    shelf = fuzzer.session.parts.server._logs._shelf
-    assert shelf.shelf._folder.is_relative_to(tmp_path.parent)
+    logs = fuzzer.session.parts.server._logs._log_directory
+    assert logs.log_directory._folder.is_relative_to(tmp_path.parent)
 
 
 def test_the_fuzzer_finds_what_is_broken(fuzzer: Fuzzer, monkeypatch: pytest.MonkeyPatch) -> None:

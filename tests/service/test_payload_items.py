@@ -45,7 +45,7 @@ class CameraWorld(MissionWorld):
 
     def tick(self, rx: Sequence[bytes] = (), samples: Sequence[Sample] | None = None) -> Outputs:
         outputs = super().tick(rx, samples)
-        self._store.ask(self.t_us, outputs.shots)
+        self._store.request(self.t_us, outputs.shots)
         self.stills += outputs.stills
         return outputs
 

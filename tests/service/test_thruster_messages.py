@@ -11,28 +11,34 @@ from autopilot.core.vehicle import load_vehicle
 
 def test_a_weak_thruster_is_named_once_and_the_vehicle_goes_on() -> None:
     bench = Bench().armed()
-    bench.status.thruster_share = (0.48, 1.0, 1.0, 1.0)
+    bench.status.thruster_effectiveness = (0.48, 1.0, 1.0, 1.0)
     decision = bench.run(5.0)
     assert [text for text in bench.texts if "Thruster" in text] == ["Thruster port gives 48 % of its thrust"]
     assert decision.failsafes == 0
-    bench.status.thruster_share = (1.0,) * 4
+    bench.status.thruster_effectiveness = (1.0,) * 4
     bench.run(1.0)
     assert bench.texts[-1] == "Thruster port gives its full thrust again"
 
 
 def test_one_of_several_is_named_with_its_twins_until_it_is_known_which() -> None:
     bench = Bench().armed()
-    bench.status.thruster_share, bench.status.thrusters_doubtful = (1.0, 1.0, 0.55, 0.55), (("vertical", "lateral"),)
+    bench.status.thruster_effectiveness, bench.status.thrusters_doubtful = (
+        (1.0, 1.0, 0.55, 0.55),
+        (("vertical", "lateral"),),
+    )
     bench.run(5.0)
     told = [text for text in bench.texts if "thrust" in text]
     assert told == ["One of vertical, lateral gives 10 % of its thrust"]
-    bench.status.thruster_share, bench.status.thrusters_doubtful = (1.0, 1.0, 1.0, 0.0), ()
+    bench.status.thruster_effectiveness, bench.status.thrusters_doubtful = (1.0, 1.0, 1.0, 0.0), ()
     bench.run(1.0)
     told = [text for text in bench.texts if "hrust" in text]
     assert told[1:] == ["Thruster lateral gives 0 % of its thrust"]
-    bench.status.thruster_share, bench.status.thrusters_doubtful = (0.6, 0.6, 1.0, 1.0), (("port", "starboard"),)
+    bench.status.thruster_effectiveness, bench.status.thrusters_doubtful = (
+        (0.6, 0.6, 1.0, 1.0),
+        (("port", "starboard"),),
+    )
     bench.run(1.0)
-    bench.status.thruster_share, bench.status.thrusters_doubtful = (1.0,) * 4, ()
+    bench.status.thruster_effectiveness, bench.status.thrusters_doubtful = (1.0,) * 4, ()
     bench.run(1.0)
     assert bench.texts[-1] == "port, starboard give their full thrust again"
 

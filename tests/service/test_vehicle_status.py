@@ -52,9 +52,9 @@ def test_late_ticks_are_a_share_of_the_last_second() -> None:
     status = VehicleStatus()
     status.note(Inputs(t_us=1_000_000, overruns=0))
     status.note(Inputs(t_us=2_000_000, overruns=30))
-    assert status.late_share == pytest.approx(0.3)
+    assert status.late_fraction == pytest.approx(0.3)
     status.note(Inputs(t_us=3_000_000, overruns=30, clock_jump_s=0.4))
-    assert status.late_share == 0.0 and not status.jumped_us >= 0.0
+    assert status.late_fraction == 0.0 and not status.jumped_us >= 0.0
     status.note(Inputs(t_us=3_010_000, clock_jump_s=-3600.0))
     assert status.jumped_us == 3_010_000
 

@@ -237,9 +237,9 @@ def test_a_loop_that_waits_at_a_desk_is_not_silent(opened: Open) -> None:
     def work(_: None, cancel: Cancel) -> bool:
         return heard.wait(PATIENCE_S)
 
-    for worker in session.parts.desks:
+    for worker in session.parts.workers:
         assert worker.blocking
-    task = session.parts.desks[0].submit(0, work, None)
+    task = session.parts.workers[0].submit(0, work, None)
     listener.start()
     answer = task.poll(0)
     stop.set()

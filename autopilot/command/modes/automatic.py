@@ -67,7 +67,7 @@ class MissionMode(FlightModeBehaviour):
     def watch(self, status: VehicleStatus, goal: Goal, nav: NavState) -> ModeStep:
         """An item that the vehicle gets no nearer to."""
         travels = self._mission.sequencer.travelling
-        return self._watch_way(status, goal, nav, flies=True) if travels else super().watch(status, goal, nav)
+        return self._watch_progress(status, goal, nav, flies=True) if travels else super().watch(status, goal, nav)
 
 
 class ReturnMode(FlightModeBehaviour):
@@ -87,7 +87,7 @@ class ReturnMode(FlightModeBehaviour):
     def watch(self, status: VehicleStatus, goal: Goal, nav: NavState) -> ModeStep:
         """A home that the vehicle gets no nearer to."""
         there = is_inside(goal, nav)
-        return super().watch(status, goal, nav) if there else self._watch_way(status, goal, nav, flies=False)
+        return super().watch(status, goal, nav) if there else self._watch_progress(status, goal, nav, flies=False)
 
 
 class SurfaceMode(FlightModeBehaviour):
@@ -116,16 +116,16 @@ class TakeoffMode(FlightModeBehaviour):
 
     def __init__(self, tools: ModeContext) -> None:
         super().__init__(tools)
-        self._asked_m: float | None = None
+        self._commanded_depth_m: float | None = None
         self._depth_m = 0.0
 
     def prepare(self, nav: NavState | None, *, armed: bool) -> str:
         """To the depth requested before arming, else TKOFF_DEPTH."""
-        return self.choose_depth(None if armed else self._asked_m)
+        return self.choose_depth(None if armed else self._commanded_depth_m)
 
     def choose_depth(self, depth_m: float | None) -> str:
         """Depth of the next dive, None = TKOFF_DEPTH. Returns the reason of a refusal, else ""."""
-        self._asked_m = depth_m
+        self._commanded_depth_m = depth_m
         wanted_m = self._params["TKOFF_DEPTH"] if depth_m is None else depth_m
         reason = self._goals.refuse_depth(wanted_m)
         if reason:

@@ -45,30 +45,30 @@ class CircleMode(FlightModeBehaviour):
             self._circle.depth_m = depth_m
         return reason
 
-    def choose(self, asked: Circling, nav: NavState | None) -> str:
+    def choose(self, request: Circling, nav: NavState | None) -> str:
         """Set the circle of a command. Returns the reason of a refusal, else ""."""
         params = self._params
         if nav is None:
             return "no position"
         centre_m, depth_m = nav.pos_ned_m[:2].tolist(), float(nav.pos_ned_m[2])
-        if asked.centre is not None:
-            place = asked.centre
+        if request.centre is not None:
+            place = request.centre
             refusal = refuse_place(self._plans.origin, place.lat_deg, place.lon_deg)
             if refusal:
                 return refusal
             local = self._plans.local_ned_m(place.lat_deg, place.lon_deg, place.alt_m)
-            centre_m, depth_m = local[:2].tolist(), depth_m if asked.depth_held else float(local[2])
-        radius_m = params["CIRCLE_RADIUS"] if asked.radius_m is None else asked.radius_m
-        speed = abs(params["CIRCLE_SPEED"]) if asked.speed_m_s is None else abs(asked.speed_m_s)
-        clockwise = params["CIRCLE_SPEED"] >= 0.0 if asked.clockwise is None else asked.clockwise
+            centre_m, depth_m = local[:2].tolist(), depth_m if request.depth_held else float(local[2])
+        radius_m = params["CIRCLE_RADIUS"] if request.radius_m is None else request.radius_m
+        speed = abs(params["CIRCLE_SPEED"]) if request.speed_m_s is None else abs(request.speed_m_s)
+        clockwise = params["CIRCLE_SPEED"] >= 0.0 if request.clockwise is None else request.clockwise
         circle = LoiterCircle(
             params,
             (centre_m[0], centre_m[1]),
             radius_m,
             speed if clockwise else -speed,
-            depth_m=self._goals.in_band(depth_m) if asked.depth_held else depth_m,
-            yaw=asked.yaw,
-            turns=asked.turns,
+            depth_m=self._goals.in_band(depth_m) if request.depth_held else depth_m,
+            yaw=request.yaw,
+            turns=request.turns,
         )
         return self._take(circle)
 

@@ -113,7 +113,7 @@ class FlightModeBehaviour:
         """Change depth within the mode. Returns the reason of a refusal, else ""; None = not supported by the mode."""
         return None
 
-    def _watch_way(self, status: VehicleStatus, goal: Goal, nav: NavState, *, flies: bool) -> ModeStep:
+    def _watch_progress(self, status: VehicleStatus, goal: Goal, nav: NavState, *, flies: bool) -> ModeStep:
         """A goal that is travelled to, ``flies``: an item of the mission, else home."""
-        stuck = self._mission.watch_way(status, goal, nav, flies=flies)
+        stuck = self._mission.watch_progress(status, goal, nav, flies=flies)
         return ModeStep(enter=FlightMode.HOLD) if stuck else GO_ON

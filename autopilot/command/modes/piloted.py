@@ -70,7 +70,7 @@ class PilotedMode(FlightModeBehaviour):
         """Hold the present values."""
         self._held = _Held()
         self._goal: Goal | None = None
-        self._asked: Sticks | None = None
+        self._last_sticks: Sticks | None = None
         self._age = 0
 
     def position_came_or_went(self) -> None:
@@ -84,9 +84,9 @@ class PilotedMode(FlightModeBehaviour):
     def _goal_of(self, sticks: Sticks, nav: NavState) -> Goal:
         """The same object while nothing changes."""
         self._age += 1
-        if self._goal is not None and self._asked == sticks and self._age < FRESH_TICKS:
+        if self._goal is not None and self._last_sticks == sticks and self._age < FRESH_TICKS:
             return self._goal
-        self._asked, self._age = sticks, 0
+        self._last_sticks, self._age = sticks, 0
         made = self._made(sticks, nav)
         old = self._goal
         if old is None or made.drive != old.drive or made.yaw_rad != old.yaw_rad or _moved(made, old):
@@ -98,9 +98,9 @@ class PilotedMode(FlightModeBehaviour):
         """Forces, and the depth and heading that can be held."""
         sticks = status.sticks or RELEASED
         reach = self._reach_n()
-        wish = np.array([sticks.ahead, sticks.starboard, -sticks.up, sticks.turn])
+        demand = np.array([sticks.ahead, sticks.starboard, -sticks.up, sticks.turn])
         return ByHand(
-            force=wish * reach,
+            force=demand * reach,
             yaw_rate_rad_s=sticks.turn * self._yaw_rate() if self.holds_heading else None,
             down_m_s=-sticks.up * self._params["PILOT_SPD_Z"] if self.holds_depth else None,
         )
@@ -128,12 +128,12 @@ class PilotedMode(FlightModeBehaviour):
             if not (ahead or starboard):
                 held.place = rest.pos_ned_m[:2].copy() if held.place is None else held.place
                 return VelocityGoal()
-            u, v = (self._params["PILOT_SPD"] * wish for wish in (ahead, starboard))
+            u, v = (self._params["PILOT_SPD"] * deflection for deflection in (ahead, starboard))
         else:
             model, reach = self._model, self._reach_n()
             u, v = (
-                steady_speed(wish * float(reach[axis]), model.linear_drag[axis], model.quadratic_drag[axis])
-                for axis, wish in enumerate((ahead, starboard))
+                steady_speed(deflection * float(reach[axis]), model.linear_drag[axis], model.quadratic_drag[axis])
+                for axis, deflection in enumerate((ahead, starboard))
             )
             north, east = float(nav.current_ned_m_s[0]), float(nav.current_ned_m_s[1])
         held.place = None
@@ -204,8 +204,8 @@ class DepthHoldMode(PilotedMode):
         """Refused while there is neither an estimate nor a depth."""
         if not armed or status is None or status.estimate is not None:
             return None
-        felt = status.felt(status.t_us)
-        return denied(f"{self.name.name} denied: no depth, use STABILIZE") if felt.depth_m is None else None
+        measured = status.measured(status.t_us)
+        return denied(f"{self.name.name} denied: no depth, use STABILIZE") if measured.depth_m is None else None
 
 
 class PositionMode(PilotedMode):

@@ -73,17 +73,17 @@ class SurftrakMode(DepthHoldMode):
 
     def by_hand(self, status: VehicleStatus) -> ByHand | None:
         """Without a position: the height by the rate of climb."""
-        wish = super().by_hand(status)
+        demand = super().by_hand(status)
         self._update_height(status, 0.0)
         up = (status.sticks or RELEASED).up
-        if wish is None or up or self._now_m is None:
+        if demand is None or up or self._now_m is None:
             self._height_m = None if up else self._height_m
-            return wish
+            return demand
         self._height_m = self._now_m if self._height_m is None else self._height_m
         most = self._params["PILOT_SPD_Z"]
         error_m = self._now_m - self._height_m
         sinks = max(-most, min(most, HEIGHT_GAIN_1_S * error_m)) if abs(error_m) > PLAY_M else 0.0
-        return replace(wish, down_m_s=sinks)
+        return replace(demand, down_m_s=sinks)
 
     def _update_height(self, status: VehicleStatus, depth_m: float) -> None:
         """Where the floor is, as fast as the vehicle may follow it."""
@@ -133,9 +133,9 @@ class SurftrakMode(DepthHoldMode):
     def _planar(self, sticks: Sticks, nav: NavState, rest: Goal) -> VelocityGoal:
         """Slows down when the floor comes near."""
         if self._height_m is not None and self._now_m is not None:
-            share = (self._now_m / self._height_m - STOPPED) / (SLOWED - STOPPED)
-            share = max(0.0, min(1.0, share))
-            sticks = replace(sticks, ahead=share * sticks.ahead, starboard=share * sticks.starboard)
+            fraction = (self._now_m / self._height_m - STOPPED) / (SLOWED - STOPPED)
+            fraction = max(0.0, min(1.0, fraction))
+            sticks = replace(sticks, ahead=fraction * sticks.ahead, starboard=fraction * sticks.starboard)
         return super()._planar(sticks, nav, rest)
 
     @staticmethod

@@ -82,7 +82,7 @@ class Path:
         self._crossing = self._first_crossing()
 
     def _see(self) -> None:
-        self._seen = self._features.look(self._points, self._keep[0])
+        self._seen = self._features.visible_edges(self._points, self._keep[0])
         self._rays = self._points[:, None] - self._center
         self._now = (np.abs(self._rays[0]) - self._rim[0]) * self._side
         self._met = self._meet()
@@ -148,7 +148,7 @@ class Path:
         """Half-planes of the nearest features: ``normals`` (m, slots), ``offsets`` (m, slots)."""
         seen, met = self._seen, self._met
         # Corners are handled by chords; an edge whose end a node is beyond adds nothing.
-        distance_e = np.where(seen.share[1:] <= 0.0, FEATURES.far_m, seen.distance[1:])
+        distance_e = np.where(seen.fraction[1:] <= 0.0, FEATURES.far_m, seen.distance[1:])
         distance_r = met.distance
         if seen.bad is not None:
             distance_e = np.where(seen.bad[1:], seen.distance[1:], distance_e)

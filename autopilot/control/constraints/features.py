@@ -65,7 +65,7 @@ class Rounds:
 class VisibleEdges:
     """Edges as points see them; (m, E)."""
 
-    share: FloatArray
+    fraction: FloatArray
     rho: FloatArray
     """Distance from the edge, never negative."""
     distance: FloatArray
@@ -112,23 +112,23 @@ class Boundaries:
         away = edges.keep_outside & (np.abs(edges.center - middle) - edges.reach > reach_m)
         return np.flatnonzero(near & ~away[edges.polygon]), kept_rounds
 
-    def look(self, points: ComplexArray, keep: IntArray) -> VisibleEdges:
+    def visible_edges(self, points: ComplexArray, keep: IntArray) -> VisibleEdges:
         """The edges ``keep`` as points see them."""
         edges = self.edges
         whole = len(keep) == len(edges.a)
         pick: IntArray | slice = slice(None) if whole else keep
         normal_of_edge = edges.normal[pick]
         ray = points[:, None] - edges.a[pick]
-        share = (ray * edges.along[pick]).real
-        gap = ray - np.minimum(np.maximum(share, 0.0), 1.0) * edges.ab[pick]
+        fraction = (ray * edges.along[pick]).real
+        gap = ray - np.minimum(np.maximum(fraction, 0.0), 1.0) * edges.ab[pick]
         rho = np.abs(gap)
         line = (ray * np.conj(normal_of_edge)).real
         if rho.min(initial=FEATURES.far_m) < FEATURES.tiny_m:
             normal = np.where(rho < FEATURES.tiny_m, normal_of_edge, gap / np.maximum(rho, FEATURES.tiny_m))
         else:
             normal = gap / rho
-        distance = np.where(share >= 1.0, FEATURES.far_m, rho)
-        bad = self._behind(keep, share, rho, line)
+        distance = np.where(fraction >= 1.0, FEATURES.far_m, rho)
+        bad = self._behind(keep, fraction, rho, line)
         if bad is not None:
             # Of a polygon with the point inside (outside) only the nearest edge is active, with the opposite sign
             # (but not from the line itself).
@@ -137,9 +137,11 @@ class Boundaries:
             distance[bad] = -rho[bad]
             normal[bad & (rho >= FEATURES.tiny_m)] *= -1.0
         offset = (np.conj(normal) * (points[:, None] - gap)).real
-        return VisibleEdges(share=share, rho=rho, distance=distance, normal=normal, offset=offset, line=line, bad=bad)
+        return VisibleEdges(
+            fraction=fraction, rho=rho, distance=distance, normal=normal, offset=offset, line=line, bad=bad
+        )
 
-    def _behind(self, keep: IntArray, share: FloatArray, rho: FloatArray, line: FloatArray) -> BoolArray | None:
+    def _behind(self, keep: IntArray, fraction: FloatArray, rho: FloatArray, line: FloatArray) -> BoolArray | None:
         """(m, E) nearest edges of a polygon that have the point on the wrong side; None if none has.
 
         A point is on the wrong side of a polygon by its nearest edge or its nearest corner.
@@ -152,9 +154,9 @@ class Boundaries:
         nearest = rho <= np.minimum.reduceat(rho, first, axis=1)[:, group]
         if not (nearest & (line < 0.0)).any():
             return None
-        corner = np.where(share < -FEATURES.on_edge, edges.begin_hides[pick], edges.end_hides[pick])
+        corner = np.where(fraction < -FEATURES.on_edge, edges.begin_hides[pick], edges.end_hides[pick])
         bad: BoolArray = nearest & np.where(
-            (share < -FEATURES.on_edge) | (share > 1.0 + FEATURES.on_edge), corner, line < 0.0
+            (fraction < -FEATURES.on_edge) | (fraction > 1.0 + FEATURES.on_edge), corner, line < 0.0
         )
         return bad if bad.any() else None
 

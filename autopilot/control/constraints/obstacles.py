@@ -47,7 +47,7 @@ class Features(Boundaries):
         ``far_m``.
         """
         edges, rounds = keep or self.everything
-        seen = self.look(points, edges)
+        seen = self.visible_edges(points, edges)
         circles = rounds[rounds < self.rounds.circles]
         if not len(circles):
             return seen.distance, seen.normal, seen.offset

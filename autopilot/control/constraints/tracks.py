@@ -49,8 +49,8 @@ class Tracks:
         kept: list[ObstacleTrack] = []
         over: list[ObstacleTrack] = []
         for track in self.at(t_us):
-            gone_m = track.vel_ned_m_s[:2] * (max(0, t_us - track.t_us) * 1e-6)
-            off_m = math.hypot(*(pos_ned_m[:2] - track.pos_ned_m[:2] - gone_m).tolist())
+            moved_m = track.vel_ned_m_s[:2] * (max(0, t_us - track.t_us) * 1e-6)
+            off_m = math.hypot(*(pos_ned_m[:2] - track.pos_ned_m[:2] - moved_m).tolist())
             (over if off_m < track.radius_m - TRACKS.deep_m else kept).append(track)
         self.over_m = max((track.radius_m for track in over), default=None)
         return tuple(kept)
@@ -113,28 +113,28 @@ class Obstructions:
         """Forget how long the vehicle has waited."""
         self._waits_since_us: int | None = None
         self._detour_until_us = -1
-        self._in_the_way: tuple[Circle, ...] = ()
+        self._blocking_circles: tuple[Circle, ...] = ()
 
     @property
     def idle(self) -> bool:
         """Nothing stands, blocks or has been waited for: a step without tracks leaves the fence as it is."""
-        return not self._standing and not self._in_the_way and self._waits_since_us is None
+        return not self._standing and not self._blocking_circles and self._waits_since_us is None
 
     def sort(
-        self, t_us: int, fence: Fence, tracks: Sequence[ObstacleTrack], way: IntendedMotion
+        self, t_us: int, fence: Fence, tracks: Sequence[ObstacleTrack], motion: IntendedMotion
     ) -> tuple[Fence, Movers | None]:
         """The fence with everything that routes have to go round (the same object while that is the same), and the
         moving obstacles now."""
         changed = self._note_standing([track for track in tracks if stands(track)])
         movers = movers_of([track for track in tracks if not stands(track)], t_us)
-        changed |= self._wait(t_us, movers, way)
-        if not self._standing and not self._in_the_way:
+        changed |= self._wait(t_us, movers, motion)
+        if not self._standing and not self._blocking_circles:
             self._fence = self._with_them = fence
         elif changed or fence is not self._fence or self._with_them is None:
             self._fence = fence
             self._with_them = Fence(
                 inclusions=fence.inclusions,
-                exclusions=(*fence.exclusions, *self._standing.values(), *self._in_the_way),
+                exclusions=(*fence.exclusions, *self._standing.values(), *self._blocking_circles),
                 depth_min_m=fence.depth_min_m,
                 depth_max_m=fence.depth_max_m,
             )
@@ -157,19 +157,19 @@ class Obstructions:
                 changed = True
         return changed
 
-    def _wait(self, t_us: int, movers: Movers | None, way: IntendedMotion) -> bool:
+    def _wait(self, t_us: int, movers: Movers | None, motion: IntendedMotion) -> bool:
         """Accumulate the time for which moving obstacles block the path. True if the planner's obstacles changed."""
-        if self._in_the_way:
+        if self._blocking_circles:
             if t_us < self._detour_until_us and movers is not None:
                 return False
-            self._in_the_way = ()
+            self._blocking_circles = ()
             return True
-        blocking = _blocking(movers, way)
+        blocking = _blocking(movers, motion)
         if (
             movers is None
             or not blocking.any()
-            or way.speed_m_s > TRACKS.waiting_m_s
-            or way.goal_distance_m < way.keep_m
+            or motion.speed_m_s > TRACKS.waiting_m_s
+            or motion.goal_distance_m < motion.keep_m
         ):
             self._waits_since_us = None
             return False
@@ -178,24 +178,24 @@ class Obstructions:
         if t_us - self._waits_since_us < TRACKS.waited_us:
             return False
         self._waits_since_us, self._detour_until_us = None, t_us + TRACKS.detour_us
-        self._in_the_way = tuple(
+        self._blocking_circles = tuple(
             Circle(center_ned_m=np.array([center.real, center.imag]), radius_m=float(radius))
             for center, radius in zip(movers.center[blocking], movers.radius_m[blocking], strict=True)
         )
         return True
 
 
-def _blocking(movers: Movers | None, way: IntendedMotion) -> BoolArray:
+def _blocking(movers: Movers | None, motion: IntendedMotion) -> BoolArray:
     """(K,) whether each moving obstacle is on the path now."""
     if movers is None:
         return np.zeros(0, dtype=bool)
-    z = np.ascontiguousarray(way.route_ned_m, dtype=float).view(np.complex128)[:, 0]
+    z = np.ascontiguousarray(motion.route_ned_m, dtype=float).view(np.complex128)[:, 0]
     if len(z) == 1:
         z = np.concatenate([z, z])
     a, ab = z[:-1, None], np.diff(z)[:, None]
-    share = (np.conj(ab) * (movers.center - a)).real / np.maximum(np.abs(ab) ** 2, 1e-12)
-    distance = np.abs(movers.center - a - np.clip(share, 0.0, 1.0) * ab).min(axis=0)
-    result: BoolArray = distance < movers.radius_m + way.keep_m
+    fraction = (np.conj(ab) * (movers.center - a)).real / np.maximum(np.abs(ab) ** 2, 1e-12)
+    distance = np.abs(movers.center - a - np.clip(fraction, 0.0, 1.0) * ab).min(axis=0)
+    result: BoolArray = distance < movers.radius_m + motion.keep_m
     return result
 
 

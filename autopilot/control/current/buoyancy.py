@@ -39,7 +39,7 @@ class BuoyancyEstimator(NoticeQueue):
         self.lift_n = 0.0
         """[N] beyond the vehicle file, positive pushes up."""
         self._learned_s = self._beyond_s = self._push_n = 0.0
-        self._told = ""
+        self._reported = ""
         self.forget()
 
     def forget(self) -> None:
@@ -58,7 +58,7 @@ class BuoyancyEstimator(NoticeQueue):
         self._impulse_ns += 0.5 * elapsed_s * (before_n + self._push_n)
         self._elapsed_s += elapsed_s
 
-    def look(self, nav: NavState, low_m: float, high_m: float, limit_n: FloatArray) -> None:
+    def update(self, nav: NavState, low_m: float, high_m: float, limit_n: FloatArray) -> None:
         """Update from the response to the thrust since the last call. ``low_m``, ``high_m``: depth band [m];
         ``limit_n`` (n,): thrust limits [N].
         """
@@ -74,8 +74,8 @@ class BuoyancyEstimator(NoticeQueue):
         drag_n = (linear + square * math.sqrt(rate * rate + ABS_SMOOTHING_M2_S2)) * rate
         # Residual of the heave equation, positive upwards.
         left_ns = impulse_ns - elapsed_s * (drag_n + self.excess_n) - self._mass_kg * (seen[0] - last[0])
-        share_1_s = max(1.0 / (self._learned_s + BUOYANCY_ESTIMATOR.first_s), 1.0 / BUOYANCY_ESTIMATOR.follow_s)
-        change_n = share_1_s * left_ns
+        rate_1_s = max(1.0 / (self._learned_s + BUOYANCY_ESTIMATOR.first_s), 1.0 / BUOYANCY_ESTIMATOR.follow_s)
+        change_n = rate_1_s * left_ns
         depth_m = float(nav.pos_ned_m[2])
         if not math.isfinite(change_n + depth_m):
             return
@@ -88,10 +88,10 @@ class BuoyancyEstimator(NoticeQueue):
 
     def _tell(self, most_n: float, elapsed_s: float) -> None:
         """Once per flight, and again if it becomes too much."""
-        too_much = abs(self.excess_n) > BUOYANCY_ESTIMATOR.most_share * most_n
+        too_much = abs(self.excess_n) > BUOYANCY_ESTIMATOR.most_fraction * most_n
         much = (
-            self._learned_s > BUOYANCY_ESTIMATOR.told_after_s
-            and abs(self.lift_n) > BUOYANCY_ESTIMATOR.told_share * most_n
+            self._learned_s > BUOYANCY_ESTIMATOR.reported_after_s
+            and abs(self.lift_n) > BUOYANCY_ESTIMATOR.reported_fraction * most_n
         )
         self._beyond_s = self._beyond_s + elapsed_s if too_much or much else 0.0
         if self._beyond_s < BUOYANCY_ESTIMATOR.stands_s:
@@ -99,11 +99,11 @@ class BuoyancyEstimator(NoticeQueue):
         if too_much:
             found = notices.BUOYANCY_BEYOND_THRUST(trim="light" if self.excess_n > 0.0 else "heavy")
         else:
-            way = "Lighter" if self.lift_n > 0.0 else "Heavier"
-            found = notices.BUOYANCY_OFF(way=way, force_n=abs(self.lift_n))
+            direction = "Lighter" if self.lift_n > 0.0 else "Heavier"
+            found = notices.BUOYANCY_OFF(way=direction, force_n=abs(self.lift_n))
         kind = found.text.split()[0]
-        if kind not in (self._told, "" if self._told != "Too" else kind):
-            self._told = kind
+        if kind not in (self._reported, "" if self._reported != "Too" else kind):
+            self._reported = kind
             self._notices.append(found)
 
 

@@ -121,18 +121,18 @@ class EstimatedFlow:
     @property
     def trust(self) -> float:
         """Share of the learned flow in the forecast; the rest is the estimate, the same everywhere."""
-        return self._trust.share
+        return self._trust.weight
 
     def _forget(self) -> None:
         self._cells: dict[tuple[int, int], _Cell] = {}
         self._fitted_us: int | None = None
         closed = CLOSED_SHARE[self._basin]
-        shares = np.column_stack([CURRENT_LEARNING.closed_flow_shares, CURRENT_LEARNING.open_flow_shares]) * [
+        prior = np.column_stack([CURRENT_LEARNING.closed_flow_prior, CURRENT_LEARNING.open_flow_prior]) * [
             closed,
             1.0 - closed,
         ]
-        self._belief: FloatArray = shares
-        self._log_prior: FloatArray = np.log(shares)
+        self._belief: FloatArray = prior
+        self._log_prior: FloatArray = np.log(prior)
         self._fit = FlowFit(
             length_m=self._length_m, places_ned_m=np.zeros((0, 2)), pull=np.zeros((2, 0)), mean_m_s=np.zeros(2)
         )
@@ -142,7 +142,7 @@ class EstimatedFlow:
     def within(self, fence: Fence) -> None:
         """Take the correlation length from the size of the workspace. Another one begins with nothing learned."""
         width = narrowest_width_m(fence)
-        length = CURRENT_LEARNING.open_length_m if width is None else CURRENT_LEARNING.length_share * width
+        length = CURRENT_LEARNING.open_length_m if width is None else CURRENT_LEARNING.length_fraction * width
         length = min(max(length, CURRENT_LEARNING.shortest_m), CURRENT_LEARNING.longest_m)
         if (length, width is not None) != (self._length_m, self._fenced):
             self._length_m, self._fenced = length, width is not None
@@ -158,7 +158,7 @@ class EstimatedFlow:
         if self._fitted_us is None or nav.t_us - self._fitted_us >= CURRENT_LEARNING.refresh_s * 1e6:
             self._fitted_us = nav.t_us
             self._refit(nav.t_us)
-        self._trust.look(nav, self._fit)
+        self._trust.update(nav, self._fit)
         return nav
 
     def fill(self, nav: NavState, pos_ned_m: FloatArray, t_s: FloatArray, out: FloatArray) -> None:
@@ -178,7 +178,7 @@ class EstimatedFlow:
         """Changes when the estimate differs from the learned flow here."""
         here = self._fit.flow(np.asarray(nav.pos_ned_m, dtype=float)[None, :2])[0]
         lack = np.array([nav.current_ned_m_s[0] - here[0], nav.current_ned_m_s[1] - here[1], 0.0])
-        return self._revision.look(lack, nav.t_us * 1e-6)
+        return self._revision.update(lack, nav.t_us * 1e-6)
 
     def _learn(self, nav: NavState, duration_s: float) -> None:
         size = self._length_m / CURRENT_LEARNING.cells_per_length
@@ -222,7 +222,7 @@ class EstimatedFlow:
         alpha = np.empty((*likely.shape, len(seen)))
         for i, flow in enumerate(CURRENT_LEARNING.flow_m_s):
             likely[i], alpha[i] = _weights(flow, varying, noise, seen)
-        belief = CURRENT_LEARNING.evidence_share * likely + self._log_prior
+        belief = CURRENT_LEARNING.evidence_fraction * likely + self._log_prior
         belief = np.exp(belief - belief.max())
         self._belief = belief = belief / belief.sum()
         pull = np.einsum("ij,i,ijk->k", belief, np.square(CURRENT_LEARNING.flow_m_s), alpha).reshape(2, -1)

@@ -75,27 +75,27 @@ class CurrentMap:
 
     def velocity(self, pos_ned_m: FloatArray, t_s: FloatArray) -> FloatArray:
         """(m, 3) NED [m/s] at places (m, 3) and times (m,) of the service's clock."""
-        values, shares, _ = self._cell(pos_ned_m, t_s)
-        for share in shares:
-            values = _between(values, share)
+        values, fractions, _ = self._cell(pos_ned_m, t_s)
+        for fraction in fractions:
+            values = _between(values, fraction)
         return values[:, 0]
 
     def gradient(self, pos_ned_m: FloatArray, t_s: FloatArray) -> FloatArray:
         """(m, 3, 3) d c_i / d x_j [1/s]: constant along an axis within a cell, zero beyond the border."""
-        values, shares, spacings = self._cell(pos_ned_m, t_s)
+        values, fractions, spacings = self._cell(pos_ned_m, t_s)
         out = np.zeros((len(values), 3, 3))
         for slot, axis in enumerate(self._active):
             if axis == 0:
                 continue
             along = values
-            for k, (share, spacing) in enumerate(zip(shares, spacings, strict=True)):
+            for k, (fraction, spacing) in enumerate(zip(fractions, spacings, strict=True)):
                 half = along.shape[1] // 2
                 if k == slot:
                     # Beyond the border the share is cut off and nothing changes.
-                    inside = np.where((share > 0.0) & (share < 1.0), 1.0 / spacing, 0.0)
+                    inside = np.where((fraction > 0.0) & (fraction < 1.0), 1.0 / spacing, 0.0)
                     along = (along[:, half:] - along[:, :half]) * inside[:, None, None]
                 else:
-                    along = _between(along, share)
+                    along = _between(along, fraction)
             # Axes are depth, north, east; components are north, east, down.
             out[:, :, (2, 0, 1)[axis - 1]] = along[:, 0]
         return out
@@ -136,20 +136,20 @@ class CurrentMap:
         """Values at the corners (m, 2^active, 3); place in the cell (0..1) and its length along each active axis."""
         coordinates = (t_s, pos_ned_m[:, 2], pos_ned_m[:, 0], pos_ned_m[:, 1])
         base = np.zeros(len(pos_ned_m), dtype=np.intp)
-        shares, spacings = [], []
+        fractions, spacings = [], []
         for i in self._active:
             axis, x = self._axes[i], coordinates[i]
             at = np.minimum(np.maximum(axis.searchsorted(x, side="right") - 1, 0), len(axis) - 2)
             spacing = axis[at + 1] - axis[at]
-            shares.append(np.minimum(np.maximum((x - axis[at]) / spacing, 0.0), 1.0))
+            fractions.append(np.minimum(np.maximum((x - axis[at]) / spacing, 0.0), 1.0))
             spacings.append(spacing)
             base += at * self._strides[i]
-        return self._flat[base[:, None] + self._corners], shares, spacings
+        return self._flat[base[:, None] + self._corners], fractions, spacings
 
 
-def _between(values: FloatArray, share: FloatArray) -> FloatArray:
+def _between(values: FloatArray, fraction: FloatArray) -> FloatArray:
     """Halve the corners (m, 2k, 3) along the first axis that is left: exact at both ends."""
     half = values.shape[1] // 2
-    weight = share[:, None, None]
+    weight = fraction[:, None, None]
     out: FloatArray = values[:, :half] * (1.0 - weight) + values[:, half:] * weight
     return out

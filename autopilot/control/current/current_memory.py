@@ -101,8 +101,8 @@ class CurrentMemory:
         north, east = corner.astype(np.int64)[:, None] + _BEFORE_AND_BEHIND
         near_n, near_e = np.stack((1.0 - ahead, ahead), axis=1)
         slot, place = _slot(north[:, None], east)
-        share = near_n[:, None] * near_e * self._kept(slot, place, t_us)
-        sums = (share[..., None] * self._sums[slot]).reshape(4, -1, 4).sum(axis=0)
+        weight = near_n[:, None] * near_e * self._kept(slot, place, t_us)
+        sums = (weight[..., None] * self._sums[slot]).reshape(4, -1, 4).sum(axis=0)
         out: FloatArray = (sums[:, 1:] + PRIOR_WEIGHT * prior_m_s) / (sums[:, :1] + PRIOR_WEIGHT)
         return out
 

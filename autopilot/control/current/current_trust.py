@@ -16,7 +16,7 @@ from typing import Protocol
 import numpy as np
 
 from autopilot.control.current.current_tuning import CURRENT_TRUST
-from autopilot.control.current.currents import correction_share
+from autopilot.control.current.currents import correction_fraction
 from autopilot.core.frames import FloatArray
 from autopilot.core.messages import NavState
 
@@ -42,34 +42,38 @@ class Trust:
 
     def __init__(self, length_m: float, *, sure: bool, tails: bool) -> None:
         self._length_m = length_m
-        self._step_m = max(CURRENT_TRUST.least_step_m, CURRENT_TRUST.step_share * length_m)
+        self._step_m = max(CURRENT_TRUST.least_step_m, CURRENT_TRUST.step_fraction * length_m)
         self._tails = tails
         self._balance = CURRENT_TRUST.sure if sure else CURRENT_TRUST.unsure
-        self._told: deque[_Prediction] = deque(maxlen=CURRENT_TRUST.kept)
+        self._predictions: deque[_Prediction] = deque(maxlen=CURRENT_TRUST.kept)
         self._last_us: int | None = None
-        self.share = _share(self._balance)
+        self.weight = _weight_of(self._balance)
         """0 = the estimate everywhere, 1 = the learned flow."""
 
-    def look(self, nav: NavState, flow: Flowing) -> None:
+    def update(self, nav: NavState, flow: Flowing) -> None:
         """At every control step: judge when the vehicle has come far enough."""
         elapsed_s = 0.0 if self._last_us is None else max(0.0, (nav.t_us - self._last_us) * 1e-6)
         self._last_us = nav.t_us
-        self.share += (_share(self._balance) - self.share) * min(1.0, elapsed_s / CURRENT_TRUST.ramp_s)
-        if self._told and _away_m(self._told[-1].nav, nav) < self._step_m:
+        self.weight += (_weight_of(self._balance) - self.weight) * min(1.0, elapsed_s / CURRENT_TRUST.ramp_s)
+        if self._predictions and _away_m(self._predictions[-1].nav, nav) < self._step_m:
             return
         self._judge(nav)
-        self._told.append(_Prediction(nav=nav, flow=flow))
+        self._predictions.append(_Prediction(nav=nav, flow=flow))
 
     def _judge(self, nav: NavState) -> None:
         here, seen = nav.pos_ned_m[None], nav.current_ned_m_s[:2]
         gains = []
-        for told in self._told:
-            if not CURRENT_TRUST.near_share <= _away_m(told.nav, nav) / self._length_m <= CURRENT_TRUST.far_share:
+        for prediction in self._predictions:
+            if (
+                not CURRENT_TRUST.near_fraction
+                <= _away_m(prediction.nav, nav) / self._length_m
+                <= CURRENT_TRUST.far_fraction
+            ):
                 continue
-            before = told.nav.current_ned_m_s[:2]
-            flow = told.flow.flow(np.stack([nav.pos_ned_m[:2], told.nav.pos_ned_m[:2]]))
-            share = float(correction_share(told.nav, here, np.zeros(1), self._length_m)[0])
-            learned = flow[0] + share * (before - flow[1])
+            before = prediction.nav.current_ned_m_s[:2]
+            flow = prediction.flow.flow(np.stack([nav.pos_ned_m[:2], prediction.nav.pos_ned_m[:2]]))
+            fraction = float(correction_fraction(prediction.nav, here, np.zeros(1), self._length_m)[0])
+            learned = flow[0] + fraction * (before - flow[1])
             gains.append(self._cost(before - seen) - self._cost(learned - seen))
         if gains:
             gain = float(np.mean(gains))
@@ -88,5 +92,5 @@ def _away_m(a: NavState, b: NavState) -> float:
     return math.dist(a.pos_ned_m[:2].tolist(), b.pos_ned_m[:2].tolist())
 
 
-def _share(balance: float) -> float:
+def _weight_of(balance: float) -> float:
     return 1.0 / (1.0 + math.exp(-2.0 * balance))

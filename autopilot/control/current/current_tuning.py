@@ -9,8 +9,8 @@ class CurrentLearningTuning:
 
     flow_m_s: tuple[float, float, float] = (0.2, 0.1, 0.03)
     """Standard deviations of the varying part of the flow that are weighed against each other ..."""
-    closed_flow_shares: tuple[float, float, float] = (0.6, 0.3, 0.1)
-    open_flow_shares: tuple[float, float, float] = (0.15, 0.25, 0.6)
+    closed_flow_prior: tuple[float, float, float] = (0.6, 0.3, 0.1)
+    open_flow_prior: tuple[float, float, float] = (0.15, 0.25, 0.6)
     """... and how likely each is beforehand: in a closed basin what flows must turn, in open water it mostly flows
     on."""
     closed_mean_m_s: float = 0.03
@@ -18,11 +18,11 @@ class CurrentLearningTuning:
     """Standard deviation of the uniform part: in a closed basin, and in open water."""
     noise_m_s: float = 0.03
     """Standard deviation of a cell's mean estimate: the estimate lags, and contains model errors."""
-    length_share: float = 0.25
+    length_fraction: float = 0.25
     """Correlation length over the narrowest width of the workspace: a jet and its return flow side by side need it."""
     open_length_m: float = 6.0
     """Without a workspace: eddies and jets that a small vehicle meets within minutes."""
-    evidence_share: float = 0.5
+    evidence_fraction: float = 0.5
     """Exponent of the likelihood: neighbouring estimates err alike, because they lag."""
     shortest_m: float = 0.3
     longest_m: float = 50.0
@@ -79,11 +79,11 @@ CURRENT_MEMORY = CurrentMemoryTuning()
 class CurrentTrustTuning:
     """Constants of :mod:`autopilot.control.current.current_trust`."""
 
-    step_share: float = 0.2
+    step_fraction: float = 0.2
     """Looks are so far apart, in lengths of the flow ..."""
     least_step_m: float = 0.1
-    near_share: float = 0.4
-    far_share: float = 2.5
+    near_fraction: float = 0.4
+    far_fraction: float = 2.5
     """... and a forecast is judged when it was made between so many lengths from here."""
     kept: int = 16
     """Forecasts on their way to be judged."""
@@ -142,11 +142,11 @@ class BuoyancyEstimatorTuning:
     submerged: float = 1.5
     """Above so many half heights of the hull below the surface the hull may lose buoyancy by coming out of the
     water."""
-    most_share: float = 0.7
+    most_fraction: float = 0.7
     """Beyond this share of the vertical thrust nothing is left to steer with: margins take 30 % of a thruster."""
-    told_share: float = 0.15
+    reported_fraction: float = 0.15
     """Fraction of the vertical thrust above which the operator is notified."""
-    told_after_s: float = 10.0
+    reported_after_s: float = 10.0
     """Once it has been learned from for so long ..."""
     stands_s: float = 3.0
     """... and has been beyond for so long."""

@@ -86,7 +86,7 @@ class Revision:
         self._seen_s = 0.0
         self.count = 0
 
-    def look(self, value_m_s: FloatArray, now_s: float) -> int:
+    def update(self, value_m_s: FloatArray, now_s: float) -> int:
         """The revision after comparison with a vector (3,)."""
         if self._seen_m_s is None:
             self._seen_m_s, self._seen_s = value_m_s.copy(), now_s
@@ -117,7 +117,7 @@ class EstimatedCurrent(_Anywhere):
         out[:] = nav.current_ned_m_s
 
     def revision(self, nav: NavState) -> int:
-        return self._revision.look(nav.current_ned_m_s, nav.t_us * 1e-6)
+        return self._revision.update(nav.current_ned_m_s, nav.t_us * 1e-6)
 
 
 class MappedCurrent(_Anywhere):
@@ -142,13 +142,13 @@ class MappedCurrent(_Anywhere):
         """Map and memory at each predicted place and time, plus the correction as far as it holds there and then."""
         forecast = self._forecast(nav, np.vstack((pos_ned_m, nav.pos_ned_m)), np.append(t_s, 0.0))
         out[:] = forecast[:-1]
-        share = correction_share(nav, pos_ned_m, t_s, self._field.scale_m)
-        out += share[:, None] * (nav.current_ned_m_s - forecast[-1])
+        fraction = correction_fraction(nav, pos_ned_m, t_s, self._field.scale_m)
+        out += fraction[:, None] * (nav.current_ned_m_s - forecast[-1])
 
     def revision(self, nav: NavState) -> int:
         """The estimate surprises by something else than at the last revision, or the map has moved on."""
         here = self._forecast(nav, nav.pos_ned_m[None], np.zeros(1))[0]
-        return self._revision.look(nav.current_ned_m_s - here, nav.t_us * 1e-6)
+        return self._revision.update(nav.current_ned_m_s - here, nav.t_us * 1e-6)
 
     def _forecast(self, nav: NavState, pos_ned_m: FloatArray, t_s: FloatArray) -> FloatArray:
         """(n, 3) map and memory at places, ``t_s`` after ``nav``."""
@@ -156,7 +156,7 @@ class MappedCurrent(_Anywhere):
         return on_map + self._memory.recall(nav.t_us, pos_ned_m, np.zeros(3))
 
 
-def correction_share(
+def correction_fraction(
     nav: NavState, pos_ned_m: FloatArray, t_s: FloatArray, scale_m: float = CURRENTS.tank_scale_m
 ) -> FloatArray:
     """(n,) how much of the present correction holds at places and times: all of it round the vehicle, within LASTING_S.
@@ -165,11 +165,11 @@ def correction_share(
     current that never comes, and the plan would lean against it: an offset from the goal. Hence no fading in time
     within the horizon, and none in space within the acceptance ball.
     """
-    way_m = np.maximum(np.sqrt(np.square(pos_ned_m - nav.pos_ned_m).sum(axis=1)) - CURRENTS.full_within_m, 0.0)
-    share: FloatArray = np.exp(
-        -0.5 * np.square(way_m / scale_m) - np.maximum(t_s - CURRENTS.lasting_s, 0.0) / CURRENTS.fade_s
+    distance_m = np.maximum(np.sqrt(np.square(pos_ned_m - nav.pos_ned_m).sum(axis=1)) - CURRENTS.full_within_m, 0.0)
+    fraction: FloatArray = np.exp(
+        -0.5 * np.square(distance_m / scale_m) - np.maximum(t_s - CURRENTS.lasting_s, 0.0) / CURRENTS.fade_s
     )
-    return share
+    return fraction
 
 
 class NoCurrent(_Anywhere):

@@ -46,7 +46,7 @@ class EnergyGuidance:
         self._t_s = grid.t_s
         self._last_s, self._stages = float(grid.t_s[-2]), np.diff(grid.t_s)[1:] / REFERENCE_DT_S
         self._reach_s = float(2.0 * grid.t_s[-1] - grid.t_s[-2])
-        """Time from which on the end of a trajectory is out of sight: see _shares."""
+        """Time from which on the end of a trajectory is out of sight: see _node_weights."""
         self._weights = Weights(allocator.model.thrusters)
         self._allocator = allocator
         self._worker, self._route = worker, route
@@ -54,7 +54,7 @@ class EnergyGuidance:
         self._plan = partial(planned, planner)
         self._task: BackgroundTask[Plan] | None = None
         self._request: TrajectoryRequest | None = None
-        self._mishaps = TaskFailures("energy planner", notices.NO_ENERGY_PLAN)
+        self._failures = TaskFailures("energy planner", notices.NO_ENERGY_PLAN)
         self.reset()
 
     @property
@@ -75,16 +75,16 @@ class EnergyGuidance:
         """How far from its goal the vehicle was when the leg was left to the route guidance, None = it is not."""
         self._first = Kind.QUICK
         self._taken_step = 0
-        self._asked_next = False
+        self._next_requested = False
         self._flow: FlowField | None = None
-        self._asked_step = 0
+        self._requested_step = 0
         self._patience = Patience()
         self._withdraw()
         self._by_route = False
         self._notices: EnergyPlan | None = None
 
     def take_notices(self) -> list[tuple[Severity, str]]:
-        return self._mishaps.take_notices() + self._route.take_notices()
+        return self._failures.take_notices() + self._route.take_notices()
 
     def reference(self, situation: GuidanceInputs) -> Reference:
         now = situation
@@ -124,7 +124,7 @@ class EnergyGuidance:
             after = self._t_s[:-1] >= rest_s
             steady = self._allocator.hold_n(x[:-1][after][:, U : R + 1], now.thrust_limit_n)
             thrust[after] += rest * (steady - thrust[after])
-        weights = self._weights.look(params, weight_u)
+        weights = self._weights.update(params, weight_u)
         nodes, terminal = weights.x, weights.terminal
         # The end of a trajectory weighs where the prediction reaches it.
         if track.complete and 0.0 < rest_s < self._reach_s:
@@ -143,30 +143,30 @@ class EnergyGuidance:
     def _end_weights(self, weight_x: FloatArray, track: TrackedTrajectory) -> tuple[FloatArray, FloatArray]:
         """(N-1, 8) and (8,) weights of the nodes and of the last one: more for the end of a trajectory that enters its
         goal's region, shared by the nodes before and after it, so that nothing jumps as it comes nearer."""
-        share, end = self._shares(track.rest_s), GUIDANCE.end_stages * weight_x[:U]
+        weights, end = self._node_weights(track.rest_s), GUIDANCE.end_stages * weight_x[:U]
         if track.goal.yaw_rad is not None:
             # Headings are normalised by their remaining tolerance, as positions are.
-            room = (
-                (1.0 - LEG_TASK.radius_share) * track.goal.accept_radius_m,
-                (1.0 - LEG_TASK.yaw_share) * track.goal.accept_yaw_rad,
+            tolerance = (
+                (1.0 - LEG_TASK.radius_fraction) * track.goal.accept_radius_m,
+                (1.0 - LEG_TASK.yaw_fraction) * track.goal.accept_yaw_rad,
             )
-            end[YAW] = max(end[YAW], end[0] * min(room[0] / max(room[1], 1e-3), 1.0) ** 2)
+            end[YAW] = max(end[YAW], end[0] * min(tolerance[0] / max(tolerance[1], 1e-3), 1.0) ** 2)
         nodes, terminal = np.tile(weight_x, (len(self._t_s) - 2, 1)), TERMINAL_STAGES * weight_x
-        nodes[:, :U] += (share[1:-1] / self._stages)[:, None] * end
-        terminal[:U] += float(share[-1]) * end
+        nodes[:, :U] += (weights[1:-1] / self._stages)[:, None] * end
+        terminal[:U] += float(weights[-1]) * end
         return nodes, terminal
 
-    def _shares(self, at_s: float) -> FloatArray:
+    def _node_weights(self, at_s: float) -> FloatArray:
         """(N+1,) interpolation weights of the nodes at a time, zero far behind the last node."""
-        t_s, share = self._t_s, np.zeros(len(self._t_s))
+        t_s, weights = self._t_s, np.zeros(len(self._t_s))
         last, length_s = len(t_s) - 1, float(t_s[-1] - t_s[-2])
         if at_s >= t_s[-1]:
-            share[last] = max(0.0, 1.0 - (at_s - t_s[-1]) / length_s)
-            return share
+            weights[last] = max(0.0, 1.0 - (at_s - t_s[-1]) / length_s)
+            return weights
         after = int(np.searchsorted(t_s, at_s, side="right"))
-        share[after] = (at_s - t_s[after - 1]) / (t_s[after] - t_s[after - 1])
-        share[after - 1] = 1.0 - share[after]
-        return share
+        weights[after] = (at_s - t_s[after - 1]) / (t_s[after] - t_s[after - 1])
+        weights[after - 1] = 1.0 - weights[after]
+        return weights
 
     def _update(self, now: GuidanceInputs, elapsed_s: float) -> bool:
         """Goals, answers and requests; whether the reference has nothing to do with the last one."""
@@ -187,11 +187,11 @@ class EnergyGuidance:
             else:
                 self._fail(request, answer.error)
         off_m = 0.0 if self._track is None else self._track.advance(elapsed_s, now.x0)
-        self._leave_if_lost(now, off_m)
+        self._leave_if_track_lost(now, off_m)
         if self._task is None:
-            self._ask_if_needed(now, off_m, elapsed_s)
-        elif self._track is None and self._step - self._asked_step == GUIDANCE.late_steps:
-            self._mishaps.failed(NoPlanError("late"), felt=not self._route.unreachable)
+            self._request_if_needed(now, off_m, elapsed_s)
+        elif self._track is None and self._step - self._requested_step == GUIDANCE.late_steps:
+            self._failures.failed(NoPlanError("late"), notify=not self._route.unreachable)
         return fresh
 
     def _lift_n(self, buoyancy_excess_n: float, limit_n: FloatArray) -> FloatArray:
@@ -199,7 +199,7 @@ class EnergyGuidance:
         force = np.array([0.0, 0.0, buoyancy_excess_n, 0.0])
         return self._allocator.thrust_n(force, np.where(limit_n > 0.0, np.inf, 0.0))
 
-    def _leave_if_lost(self, now: GuidanceInputs, off_m: float) -> None:
+    def _leave_if_track_lost(self, now: GuidanceInputs, off_m: float) -> None:
         """A trajectory that the vehicle is far from, or that has ended without its goal, is followed no more.
 
         Where one ends at a place to stay at, it is followed to the goal's centre. The little that is left of a leg when
@@ -210,7 +210,7 @@ class EnergyGuidance:
         if track is None:
             return
         ended = track.rest_s <= (-GUIDANCE.end_hold_s if track.complete else 0.0)
-        if off_m > GUIDANCE.lost_m or (ended and not (track.complete and self._next is None)):
+        if off_m > GUIDANCE.track_lost_m or (ended and not (track.complete and self._next is None)):
             self._track = None
             self._left_at_m = _away_m(now) if ended and track.complete else None
 
@@ -219,21 +219,21 @@ class EnergyGuidance:
         mine = _key(request.goal) == self._goal_key
         if mine:
             self._patience.failed()
-        self._mishaps.failed(error, felt=mine and self._track is None and not self._route.unreachable)
+        self._failures.failed(error, notify=mine and self._track is None and not self._route.unreachable)
 
     def _new_goal(self, now: GuidanceInputs, key: tuple[float, ...]) -> bool:
         """Take the plan that was made ahead for this goal, or begin without one."""
         left, ahead, same_fence = self._track, self._next, now.planner is self._planner
         self._goal_key, self._planner, self._goal_step = key, now.planner, self._step
         self._leg_depth_m = float(now.x0[Z])
-        self._track, self._next, self._asked_next = None, None, False
+        self._track, self._next, self._next_requested = None, None, False
         self._quick, self._left_at_m, self._first = False, None, Kind.QUICK
         self._patience.succeeded()
         if ahead is not None and left is None and ahead.locate(now.x0, 0.0) > GUIDANCE.off_track_m:
             ahead = None
         if ahead is not None and same_fence and _key(ahead.goal) == key:
             self._withdraw()
-            self._asked_step = self._step - GUIDANCE.replan_steps
+            self._requested_step = self._step - GUIDANCE.replan_steps
             # The region is entered a little before the trajectory ends: that much of it is still flown.
             onward = ahead.trajectory if left is None else joined(left.trajectory, left.clock_s, ahead.trajectory)
             self._track = TrackedTrajectory(onward, now.goal, ahead.complete)
@@ -254,7 +254,7 @@ class EnergyGuidance:
         lift_n = self._lift_n(request.buoyancy_excess_n, request.thrust_limit_n)
         moving = replace(plan.trajectory, thrust_n=plan.trajectory.thrust_n - lift_n)
         track = TrackedTrajectory(moving, plan.goal, plan.complete)
-        self._mishaps.succeeded()
+        self._failures.succeeded()
         if plan.stay and self._track is not None:
             self._quick = False
             self._patience.succeeded()
@@ -267,9 +267,9 @@ class EnergyGuidance:
             self._next = track
             return False
         self._patience.succeeded()
-        if track.locate(now.x0, 0.0) > GUIDANCE.lost_m:
+        if track.locate(now.x0, 0.0) > GUIDANCE.track_lost_m:
             return False
-        old, self._track, self._asked_next = self._track, track, False
+        old, self._track, self._next_requested = self._track, track, False
         self._quick, self._taken_step = request.kind is Kind.QUICK, self._step
         if old is None or np.hypot(*(track.trajectory.x[-1] - old.trajectory.x[-1])[:2]) > GUIDANCE.same_end_m:
             # The next leg was planned from where the last trajectory ended.
@@ -288,26 +288,26 @@ class EnergyGuidance:
         news, self._notices = self._notices, None
         return news
 
-    def _ask_if_needed(self, now: GuidanceInputs, off_m: float, elapsed_s: float) -> None:
+    def _request_if_needed(self, now: GuidanceInputs, off_m: float, elapsed_s: float) -> None:
         """Ask for a plan: the first, a better one for this leg (not of a short one), or the next leg's."""
-        track, since = self._track, self._step - self._asked_step
+        track, since = self._track, self._step - self._requested_step
         over = self._patience.over(now, since)
         if track is None:
-            if self._left_at_m is not None and _away_m(now) < self._left_at_m + GUIDANCE.lost_m:
+            if self._left_at_m is not None and _away_m(now) < self._left_at_m + GUIDANCE.track_lost_m:
                 return
             self._left_at_m = None
             begun = self._step - self._goal_step
             kind, at_once = self._first, self._first is Kind.COLD
             if (over or at_once) and begun > 0 and (not self._route.searching or begun >= GUIDANCE.route_steps):
                 self._first = Kind.QUICK
-                self._ask(now, kind, now.goal, self._coming(now, kind, elapsed_s), None)
+                self._submit(now, kind, now.goal, self._coming(now, kind, elapsed_s), None)
             return
         followed = self._step - self._taken_step >= GUIDANCE.followed_steps
         if self._quick and followed and over and track.rest_s > GUIDANCE.next_leg_s:
-            self._ask(now, Kind.COLD, now.goal, self._coming(now, Kind.COLD, elapsed_s), track)
+            self._submit(now, Kind.COLD, now.goal, self._coming(now, Kind.COLD, elapsed_s), track)
             return
         running_out = not track.complete and track.rest_s < min(
-            GUIDANCE.running_out_s, GUIDANCE.running_out_share * track.length_s
+            GUIDANCE.running_out_s, GUIDANCE.running_out_fraction * track.length_s
         )
         kind = Kind.COLD if running_out or off_m > 2.0 * GUIDANCE.off_track_m else Kind.WARM
         if (
@@ -316,21 +316,23 @@ class EnergyGuidance:
             and track.rest_s > GUIDANCE.last_update_s + ANSWER_STEPS[kind] * PATIENCE.step_s
         ):
             pushed = off_m > GUIDANCE.off_track_m or track.goal.speed_m_s != now.goal.speed_m_s
-            if pushed or running_out or (self._step % GUIDANCE.check_steps == 0 and self._water_changed(now, track)):
-                self._ask(now, kind, now.goal, self._coming(now, kind, elapsed_s), track if kind is Kind.WARM else None)
+            if pushed or running_out or (self._step % GUIDANCE.check_steps == 0 and self._current_changed(now, track)):
+                self._submit(
+                    now, kind, now.goal, self._coming(now, kind, elapsed_s), track if kind is Kind.WARM else None
+                )
                 return
         following = now.goal.following
         if following is None or following.speed_asked or following.facing_ned_m is not None:
             return
         far = float(np.hypot(*(following.pos_ned_m - now.goal.pos_ned_m)[:2])) > GUIDANCE.long_leg_m
         if (
-            not self._asked_next
+            not self._next_requested
             and track.complete
             and track.rest_s < (GUIDANCE.long_next_leg_s if far else GUIDANCE.next_leg_s)
         ):
-            self._asked_next = True
+            self._next_requested = True
             end = track.trajectory.x[-1].copy()
-            self._ask(now, Kind.NEXT, following, end, None)
+            self._submit(now, Kind.NEXT, following, end, None)
 
     def _coming(self, now: GuidanceInputs, kind: Kind, elapsed_s: float) -> FloatArray:
         """(8,) state predicted for the time of the answer, by the last plan."""
@@ -346,18 +348,20 @@ class EnergyGuidance:
         result: FloatArray = then + off
         return result
 
-    def _water_changed(self, now: GuidanceInputs, track: TrackedTrajectory) -> bool:
+    def _current_changed(self, now: GuidanceInputs, track: TrackedTrajectory) -> bool:
         """Whether the forecast along the next seconds is another one than the plan was made with."""
         if self._flow is None:
             return False
-        ahead = np.linspace(0.0, max(0.5, min(GUIDANCE.look_ahead_s, track.rest_s)), 16)
+        ahead = np.linspace(0.0, max(0.5, min(GUIDANCE.lookahead_s, track.rest_s)), 16)
         x, _ = track.sample(ahead, now.nav.current_ned_m_s)
         forecast = np.empty((len(x), 3))
         now.forecast.fill(now.nav, x[:, :3], ahead, forecast)
         assumed = self._flow.current(x[:, :2])
         return float(np.sqrt(((forecast - assumed)[:, :2] ** 2).sum(axis=1).mean())) > GUIDANCE.changed_m_s
 
-    def _ask(self, now: GuidanceInputs, kind: Kind, goal: Goal, x0: FloatArray, warm: TrackedTrajectory | None) -> None:
+    def _submit(
+        self, now: GuidanceInputs, kind: Kind, goal: Goal, x0: FloatArray, warm: TrackedTrajectory | None
+    ) -> None:
         params, fence = now.params, now.fence
         places = [x0[:2], np.asarray(goal.pos_ned_m[:2], dtype=float)]
         if goal.following is not None:
@@ -365,9 +369,9 @@ class EnergyGuidance:
         area = area_of(fence, np.stack(places))
         limits = np.array(
             [
-                GUIDANCE.speed_share * now.speed_cap_m_s,
-                GUIDANCE.bound_share * params["SPD_HEAVE_MAX"],
-                GUIDANCE.bound_share * params["SPD_YAW_MAX"],
+                GUIDANCE.speed_fraction * now.speed_cap_m_s,
+                GUIDANCE.bound_fraction * params["SPD_HEAVE_MAX"],
+                GUIDANCE.bound_fraction * params["SPD_YAW_MAX"],
                 max(fence.depth_min_m, params["DEPTH_MIN"]),
                 min(fence.depth_max_m, params["DEPTH_MAX"]),
             ]
@@ -386,7 +390,7 @@ class EnergyGuidance:
             extra_m=min(EXTRA_M, LEG_TASK.between_m + EXTRA_S * float(np.sqrt(now.nav.variance[9:11].max()))),
             flow=sample_flow(now.forecast, now.nav, area, float(x0[2])),
             limits=limits,
-            thrust_limit_n=GUIDANCE.bound_share * now.thrust_limit_n,
+            thrust_limit_n=GUIDANCE.bound_fraction * now.thrust_limit_n,
             buoyancy_excess_n=self._allocator.buoyancy_excess_n,
             cruise_m_s=goal.speed_m_s,
             leg_depth_m=None if kind is Kind.NEXT else self._leg_depth_m,
@@ -394,8 +398,8 @@ class EnergyGuidance:
             kind=kind,
         )
         if kind is not Kind.NEXT:
-            self._asked_step = self._step
-            self._patience.ask(now)
+            self._requested_step = self._step
+            self._patience.note_request(now)
         self._request = request
         self._task = self._worker.submit(self._step + steps, self._plan, request)
 

@@ -31,7 +31,7 @@ class FlowTuning:
     uniform_m_s: float = 1e-6
     """Samples that differ by less are the same everywhere."""
     open_water_border_m: float = 3.0
-    open_water_share: float = 0.45
+    open_water_fraction: float = 0.45
     """Without a workspace, lateral extent of the search area relative to the distance: half a circle would need 0.5."""
 
 
@@ -46,13 +46,13 @@ class EnergyGuidanceTuning:
     """Distance from the trajectory beyond which it is abandoned: the space between is not known to be free. A vehicle
     that has drifted that much farther from its goal since the rest of a leg was left to the route guidance gets a new
     plan."""
-    lost_m: float = 1.0
+    track_lost_m: float = 1.0
     """Distance from the trajectory beyond which it is abandoned: the space between is not known to be free. A vehicle
     that has drifted that much farther from its goal since the rest of a leg was left to the route guidance gets a new
     plan."""
     changed_m_s: float = 0.03
     """Currents along the next seconds that differ by so much (rms) from those of the plan make a new one."""
-    look_ahead_s: float = 10.0
+    lookahead_s: float = 10.0
     check_steps: int = 10
     """The water is compared every so many control steps (0.5 s)."""
     replan_steps: int = 40
@@ -76,7 +76,7 @@ class EnergyGuidanceTuning:
     counts as reached: for so long by the trajectory's clock (1.7 s), then the route guidance brings it to the goal's
     centre."""
     running_out_s: float = 20.0
-    running_out_share: float = 0.6
+    running_out_fraction: float = 0.6
     """A trajectory that does not reach its goal is continued when it has less than this time or share left."""
     following_thrust_weight: float = 0.2
     """Least weight on the difference to the planned thrust while a trajectory is followed: to be a little off it costs
@@ -97,9 +97,9 @@ class EnergyGuidanceTuning:
     set_out_steps: int = 20
     """Steps (1 s) with that reduced weight at departure: the lateral thrust's peak in the paper's tank is 7 N instead
     of 12."""
-    bound_share: float = 0.96
+    bound_fraction: float = 0.96
     """Fraction of the limits on heave, yaw rate and thrust used by plans: the rest is for tracking."""
-    speed_share: float = 0.98
+    speed_fraction: float = 0.98
     """The same for the planar speed, which has a margin of its own (MPC_SPEED_MARGIN)."""
 
 
@@ -119,8 +119,8 @@ class LegTaskTuning:
     longer_s: float = 3.0
     """A solution takes at most so many times as long as its guess, and so much more: RK4 steps must not grow
     unstable."""
-    radius_share: float = 0.93
-    yaw_share: float = 0.8
+    radius_fraction: float = 0.93
+    yaw_fraction: float = 0.8
     """Shares of the acceptance region that a trajectory aims at, so that it is surely reached in spite of small
     errors."""
     gate_radius_m: float = 0.5
@@ -128,7 +128,7 @@ class LegTaskTuning:
     screen_rounds: int = 1
     polish_rounds: int = 3
     """Rounds of linearisation for every candidate, and more for the best."""
-    settled_share: float = 1e-4
+    settled_fraction: float = 1e-4
     """A round that changes the cost by less than this share was the last."""
     slight_turn_rad: float = 0.8
     turned_within_m: float = 0.05
@@ -152,7 +152,7 @@ class LegTaskTuning:
     cheaper by some 0.3 %, and over 360 m it went 5 m deeper than anyone had drawn."""
     widening_m_s: float = 0.02
     """A vehicle that is nearer than that goes away from the boundary so fast."""
-    looks_between: int = 4
+    points_between: int = 4
     door_steps: int = 4
     """Search for passages that are too narrow for that, between the nodes: where both sides push positions."""
 
@@ -207,11 +207,11 @@ class SearchTuning:
     """Rounds for a plan that is only brought up to date."""
     stay_within: float = 1.1
     """A plan stays on its way while the energy field knows none that is cheaper by so much: near-ties would flip."""
-    cheaper_share: float = 0.95
+    cheaper_fraction: float = 0.95
     """A full search replaces an active quick plan if its energy is below this fraction of the remaining one."""
     keep_within: float = 1.15
     """Candidates with more than this multiple of the best path's energy are dropped."""
-    max_other_ways: int = 2
+    max_alternative_paths: int = 2
     tie_within: float = 1.15
     max_ties: int = 3
     """Among so many trajectories within so many times the best one's cost the leg after this one decides."""
@@ -269,7 +269,7 @@ class TrajectoryTuning:
     """Longest RK4 step: with longer ones the program makes a profit of integration errors in the unstable sway-yaw
     mode."""
     min_interval_s: float = 0.005
-    rough_share: float = 3e-3
+    rough_fraction: float = 3e-3
     rough_feasible: float = 1e-3
     """A rough solution is at hand when an iteration changes the cost by less than this share and dynamics and bounds
     are obeyed within so much: candidates differ by more, and the one that is flown is solved to the end."""

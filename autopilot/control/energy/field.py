@@ -50,11 +50,11 @@ class EnergyField:
         self.cell_m = space.base_cell_m
         pairs = np.concatenate([space.links, space.moves(OFFSETS)])
         a, b = np.concatenate([pairs, pairs[:, ::-1]]).T
-        way = self.places_ned_m[b] - self.places_ned_m[a]
-        length = np.maximum(np.hypot(way[:, 0], way[:, 1]), 1e-9)
+        step = self.places_ned_m[b] - self.places_ned_m[a]
+        length = np.maximum(np.hypot(step[:, 0], step[:, 1]), 1e-9)
         current = flow.current(0.5 * (self.places_ned_m[a] + self.places_ned_m[b]))[:, :2]
-        along = (current * way).sum(axis=1) / length
-        across = (current[:, 0] * way[:, 1] - current[:, 1] * way[:, 0]) / length
+        along = (current * step).sum(axis=1) / length
+        across = (current[:, 0] * step[:, 1] - current[:, 1] * step[:, 0]) / length
         cost = length * energy_per_metre(table, along, across)
         passable = np.isfinite(cost)
         self._edges = a[passable], b[passable], cost[passable]
@@ -88,8 +88,8 @@ class EnergyField:
 
 def _side(a: FloatArray, b: FloatArray, point: FloatArray) -> FloatArray:
     """On which side of the line from ``a`` to ``b`` a point is (> 0 on the right); arrays of places or one place."""
-    way, ray = b - a, point - a
-    result: FloatArray = way[..., 0] * ray[..., 1] - way[..., 1] * ray[..., 0]
+    edge, ray = b - a, point - a
+    result: FloatArray = edge[..., 0] * ray[..., 1] - edge[..., 1] * ray[..., 0]
     return result
 
 
@@ -105,7 +105,7 @@ class EnergyToGo:
         """(n,) inf where there is no way."""
         self._next = next_node
 
-    def way(self, start_ned_m: FloatArray) -> FieldPath | None:
+    def path(self, start_ned_m: FloatArray) -> FieldPath | None:
         """The minimum-energy path from a position (2,), None if there is none."""
         node = self._field.nearest(start_ned_m)
         if node is None or not math.isfinite(self.energy_j[node]):
@@ -140,10 +140,10 @@ class EnergyToGo:
         return fit
 
 
-def other_ways(
-    field: EnergyField, to_go: EnergyToGo, way: FieldPath, features: Features, limit: int
+def alternative_paths(
+    field: EnergyField, to_go: EnergyToGo, path: FieldPath, features: Features, limit: int
 ) -> list[FieldPath]:
-    """Alternative paths: those left after closing a gap that ``way`` uses (other homotopy classes).
+    """Alternative paths: those left after closing a gap that ``path`` uses (other homotopy classes).
 
     A gap is closed by a line from the nearest boundary through the narrowest point of the path to the next boundary;
     up to ``limit`` of the narrowest points, usually a metre apart, are tried.
@@ -151,11 +151,11 @@ def other_ways(
     if features.count == 0:
         return []
     steps = np.linspace(0.0, 1.0, 80)
-    s = np.concatenate(([0.0], np.cumsum(np.hypot(*np.diff(way.points_ned_m, axis=0).T))))
-    at = np.stack([np.interp(steps * s[-1], s, way.points_ned_m[:, i]) for i in range(2)], axis=1)
+    s = np.concatenate(([0.0], np.cumsum(np.hypot(*np.diff(path.points_ned_m, axis=0).T))))
+    at = np.stack([np.interp(steps * s[-1], s, path.points_ned_m[:, i]) for i in range(2)], axis=1)
     clearance = features.clearance_m(at)
     inner = np.flatnonzero((steps > 0.1) & (steps < 0.9) & (clearance < FIELD.gap_reach_m))
-    ways: list[FieldPath] = []
+    paths: list[FieldPath] = []
     tried: list[FloatArray] = []
     for i in inner[np.argsort(clearance[inner])]:
         if len(tried) >= limit:
@@ -164,11 +164,11 @@ def other_ways(
             continue
         tried.append(at[i])
         wall = _wall(features, at[i], at[min(i + 1, len(at) - 1)] - at[max(i - 1, 0)])
-        around = field.to(way.points_ned_m[-1], field.crossing(*wall))
-        other = None if around is None else around.way(way.points_ned_m[0])
+        around = field.to(path.points_ned_m[-1], field.crossing(*wall))
+        other = None if around is None else around.path(path.points_ned_m[0])
         if other is not None:
-            ways.append(other)
-    return ways
+            paths.append(other)
+    return paths
 
 
 def _wall(features: Features, place: FloatArray, tangent: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -26,7 +26,7 @@ def area_of(fence: Fence, places_ned_m: FloatArray) -> Area:
     if workspace is not None and bool((workspace.high_m > workspace.low_m).all()):
         return workspace
     span = float(np.hypot(*(places_ned_m.max(axis=0) - places_ned_m.min(axis=0))))
-    border = FLOW.open_water_border_m + FLOW.open_water_share * span
+    border = FLOW.open_water_border_m + FLOW.open_water_fraction * span
     points = np.concatenate([places_ned_m, *(np.stack(bounding_box(shape)) for shape in fence.exclusions)])
     return Area(low_m=points.min(axis=0) - border, high_m=points.max(axis=0) + border)
 

@@ -12,7 +12,7 @@ from autopilot.control.energy.field import EnergyToGo, FieldPath
 from autopilot.control.energy.flow import FlowField
 from autopilot.control.energy.power import SpeedTable, energy_per_metre, planar_limit_m_s
 from autopilot.control.energy.request import Plan, TrajectoryRequest, no_plan
-from autopilot.control.energy.trajectory import Ask, Program, Trajectory
+from autopilot.control.energy.trajectory import Program, ProgramInputs, Trajectory
 from autopilot.core.background import Cancel
 from autopilot.core.control_allocator import ControlAllocator
 from autopilot.core.frames import FloatArray, unwrap_near
@@ -58,38 +58,38 @@ class LegTask:
         rest = (np.zeros(2), self._program, self._allocator, self._cancel)
         return LegTask(request, self._features, self._flow, self._table, beyond, *rest)
 
-    def first(self, way: FieldPath) -> Plan:
+    def first(self, path: FieldPath) -> Plan:
         """The quick plan: the better of both directions of turning along the path. (The guesses do not show which that
         is.)
         """
         found = [
-            one for one in (self.refine(guess, LEG_TASK.screen_rounds) for guess in self.guesses(way)) if one.solved
+            one for one in (self.refine(guess, LEG_TASK.screen_rounds) for guess in self.guesses(path)) if one.solved
         ]
         if not found:
             return no_plan(self._request.goal, "no quick trajectory solved")
         return self.plan(min(found, key=lambda one: one.cost_j))
 
-    def ends_in_goal(self, way: FieldPath) -> bool:
+    def ends_in_goal(self, path: FieldPath) -> bool:
         """Whether a trajectory along a path reaches the goal region."""
-        return float(self._timed(way)[1][-1]) <= self.reach_s
+        return float(self._timed(path)[1][-1]) <= self.reach_s
 
-    def guesses(self, way: FieldPath) -> list[Trajectory]:
+    def guesses(self, path: FieldPath) -> list[Trajectory]:
         """Initial trajectories along a path, one per direction of turning, at the minimum-energy steady speed and its
         thrust.
         """
         request = self._request
-        points, times = self._timed(way)
+        points, times = self._timed(path)
         whole_s = float(times[-1])
         if whole_s > self.reach_s:
             cut = int(np.searchsorted(times, self.reach_s))
             points, times = points[: cut + 1], times[: cut + 1]
-            share = float(times[-1]) / whole_s
-            depth = request.x0[Z] + share * (request.goal.pos_ned_m[2] - request.x0[Z])
+            fraction = float(times[-1]) / whole_s
+            depth = request.x0[Z] + fraction * (request.goal.pos_ned_m[2] - request.x0[Z])
             self._gate = np.array([*points[-1], depth])
         else:
             self._gate = None
             away = np.hypot(*(points - points[-1]).T)
-            outside = away > LEG_TASK.radius_share * request.goal.accept_radius_m
+            outside = away > LEG_TASK.radius_fraction * request.goal.accept_radius_m
             last = min(int(np.flatnonzero(outside)[-1]) + 1 if outside.any() else 1, len(points) - 1)
             points, times = points[: last + 1], times[: last + 1]
         if times[-1] > LEG_TASK.linear_turn_s:
@@ -102,7 +102,7 @@ class LegTask:
             return LEG_TASK.shortest_guess_s
         start, goal = self._request.x0, self._request.goal
         heave, turn_rate = (float(limit) for limit in self._request.limits[1:3])
-        rise = abs(float(goal.pos_ned_m[2] - start[Z])) - LEG_TASK.radius_share * goal.accept_radius_m
+        rise = abs(float(goal.pos_ned_m[2] - start[Z])) - LEG_TASK.radius_fraction * goal.accept_radius_m
         turn = 0.0 if yaw_rad is None else abs(yaw_rad - float(start[YAW]))
         return max(LEG_TASK.shortest_guess_s, rise / heave, turn / turn_rate)
 
@@ -112,9 +112,9 @@ class LegTask:
         """
         ahead = min(int(np.searchsorted(times, times[0] + 2.0)), len(points) - 1)
         ground = (points[ahead] - points[0]) / max(float(times[ahead] - times[0]), 1e-9)
-        water = ground - self._flow.current(points[:1])[0, :2]
+        relative = ground - self._flow.current(points[:1])[0, :2]
         yaw = float(self._request.x0[YAW])
-        turn = abs(unwrap_near(math.atan2(water[1], water[0]), yaw) - yaw)
+        turn = abs(unwrap_near(math.atan2(relative[1], relative[0]), yaw) - yaw)
         if turn < LEG_TASK.slight_turn_rad:
             return points, times
         wait_s = turn / LEG_TASK.guess_turn_rad_s
@@ -131,18 +131,18 @@ class LegTask:
         x[:, X], x[:, Y] = np.interp(t, times, points[:, 0]), np.interp(t, times, points[:, 1])
         depth = float(request.goal.pos_ned_m[2] if self._gate is None else self._gate[2])
         x[:, Z] = np.linspace(request.x0[Z], depth, LEG_TASK.intervals + 1)
-        water = np.gradient(x[:, :2], t, axis=0) - self._flow.current(x[:, :2])[:, :2]
-        x[:, YAW] = self._headings(t, x, water, yaw_rad)
+        relative = np.gradient(x[:, :2], t, axis=0) - self._flow.current(x[:, :2])[:, :2]
+        x[:, YAW] = self._headings(t, x, relative, yaw_rad)
         c, s = np.cos(x[:, YAW]), np.sin(x[:, YAW])
-        x[:, U], x[:, V] = c * water[:, 0] + s * water[:, 1], c * water[:, 1] - s * water[:, 0]
+        x[:, U], x[:, V] = c * relative[:, 0] + s * relative[:, 1], c * relative[:, 1] - s * relative[:, 0]
         x[:, R] = np.gradient(x[:, YAW], t)
         thrust = self._allocator.hold_n(0.5 * (x[1:, U:] + x[:-1, U:]), request.thrust_limit_n)
         x[0] = request.x0
         energy = end_s * float(self._table.power_w.min())
         return Trajectory(t_s=t, x=x, thrust_n=thrust, energy_j=energy, cost_j=energy, solved=False)
 
-    def _headings(self, t: FloatArray, x: FloatArray, water: FloatArray, yaw_rad: float | None) -> FloatArray:
-        """(n + 1,) of a guess with places ``x`` and velocities ``water`` (n + 1, 2) through the water.
+    def _headings(self, t: FloatArray, x: FloatArray, relative: FloatArray, yaw_rad: float | None) -> FloatArray:
+        """(n + 1,) of a guess with places ``x`` and velocities ``relative`` (n + 1, 2) through the water.
 
         No guess may turn within an interval: from such a one no solution is found.
         """
@@ -151,7 +151,7 @@ class LegTask:
             return np.linspace(start, yaw_rad, len(t))
         if end_s < LEG_TASK.turnless_s:
             return np.full(len(t), start)
-        course = np.arctan2(water[1:, 1], water[1:, 0])
+        course = np.arctan2(relative[1:, 1], relative[1:, 0])
         here = np.hypot(*(x[1:, :2] - x[0, :2]).T) < LEG_TASK.turned_within_m
         if here.any() and not here.all():
             course[here] = course[int(here.argmin())]
@@ -176,16 +176,16 @@ class LegTask:
         current = self._flow.current(0.5 * (places[1:] + places[:-1]))[:, :2]
         along = (current * step).sum(axis=1) / ds
         across = (current[:, 0] * step[:, 1] - current[:, 1] * step[:, 0]) / ds
-        rest = self._to_go.way(places[-1])
+        rest = self._to_go.path(places[-1])
         energy = float((ds * energy_per_metre(self._table, along, across)).sum())
         return math.inf if rest is None else energy + rest.energy_j
 
-    def _timed(self, way: FieldPath) -> tuple[FloatArray, FloatArray]:
+    def _timed(self, path: FieldPath) -> tuple[FloatArray, FloatArray]:
         """Dense points (m, 2) along a path and their times at the minimum-energy speeds."""
-        length = np.hypot(*np.diff(way.points_ned_m, axis=0).T)
+        length = np.hypot(*np.diff(path.points_ned_m, axis=0).T)
         s = np.concatenate(([0.0], np.cumsum(length)))
         at = np.linspace(0.0, s[-1], max(200, int(s[-1] / 0.5)))
-        points = np.stack([np.interp(at, s, way.points_ned_m[:, i]) for i in range(2)], axis=1)
+        points = np.stack([np.interp(at, s, path.points_ned_m[:, i]) for i in range(2)], axis=1)
         step = np.diff(points, axis=0)
         ds = np.maximum(np.hypot(*step.T), 1e-9)
         current = self._flow.current(0.5 * (points[1:] + points[:-1]))[:, :2]
@@ -222,17 +222,17 @@ class LegTask:
             self._cancel.check()
             end_s, cost_j = float(trajectory.t_s[-1]), trajectory.cost_j if trajectory.solved else math.inf
             found = program.solve(
-                self._ask(trajectory, request), trajectory.x, trajectory.thrust_n, end_s, self._cancel, rough=rough
+                self._inputs(trajectory, request), trajectory.x, trajectory.thrust_n, end_s, self._cancel, rough=rough
             )
             if not found.solved:
                 self._cancel.check()
                 return trajectory if trajectory.solved else found
             trajectory = found
-            if abs(trajectory.cost_j - cost_j) < LEG_TASK.settled_share * cost_j:
+            if abs(trajectory.cost_j - cost_j) < LEG_TASK.settled_fraction * cost_j:
                 break
         return trajectory
 
-    def _ask(self, guess: Trajectory, request: TrajectoryRequest) -> Ask:
+    def _inputs(self, guess: Trajectory, request: TrajectoryRequest) -> ProgramInputs:
         goal, x = request.goal, guess.x
         n = len(x) - 1
         normals, offsets = np.zeros((n + 1, SHOOTING.planes, 2)), np.zeros((n + 1, SHOOTING.planes))
@@ -245,17 +245,17 @@ class LegTask:
             offsets,
         )
         gate = self._gate
-        yaw_band = goal.accept_yaw_rad * LEG_TASK.yaw_share if goal.yaw_rad is not None and gate is None else 1e3
+        yaw_band = goal.accept_yaw_rad * LEG_TASK.yaw_fraction if goal.yaw_rad is not None and gate is None else 1e3
         middle = float(x[-1, YAW]) if goal.yaw_rad is None else unwrap_near(goal.yaw_rad, float(x[-1, YAW]))
         place = np.asarray(goal.pos_ned_m, dtype=float)
         slope = self._end_slope
         if gate is not None:
             place = gate
             slope = self._to_go.slope(gate[:2], LEG_TASK.gate_radius_m)
-        return Ask(
+        return ProgramInputs(
             x0=request.x0,
             goal_ned_m=place,
-            radius_m=LEG_TASK.radius_share * goal.accept_radius_m if gate is None else LEG_TASK.gate_radius_m,
+            radius_m=LEG_TASK.radius_fraction * goal.accept_radius_m if gate is None else LEG_TASK.gate_radius_m,
             yaw_rad=middle,
             yaw_band_rad=yaw_band,
             current=self._flow.current(x[:, :2]),
@@ -274,11 +274,11 @@ class LegTask:
     def _planar_m_s(self, guess: Trajectory, request: TrajectoryRequest) -> FloatArray:
         """(n + 1,) limit of the planar speed along a guess; one that begins faster is given the time to slow down."""
         x = guess.x
-        way = np.gradient(x[:, :2], axis=0)
-        way /= np.maximum(np.hypot(*way.T), 1e-9)[:, None]
+        tangent = np.gradient(x[:, :2], axis=0)
+        tangent /= np.maximum(np.hypot(*tangent.T), 1e-9)[:, None]
         current = self._flow.current(x[:, :2])[:, :2]
-        across = current[:, 0] * way[:, 1] - current[:, 1] * way[:, 0]
-        limit = planar_limit_m_s(self._table, (current * way).sum(axis=1), across)
+        across = current[:, 0] * tangent[:, 1] - current[:, 1] * tangent[:, 0]
+        limit = planar_limit_m_s(self._table, (current * tangent).sum(axis=1), across)
         slowing = float(np.hypot(request.x0[U], request.x0[V])) - LEG_TASK.slowing_m_s2 * guess.t_s
         result: FloatArray = np.maximum(np.minimum(limit, request.limits[0]), slowing)
         return result
@@ -306,7 +306,7 @@ class LegTask:
         radius_m, features = self._request.radius_m, self._features
         if features.count == 0:
             return np.full(len(places), radius_m)
-        at = np.arange(0.0, len(places) - 1.0 + 1e-9, 1.0 / LEG_TASK.looks_between)
+        at = np.arange(0.0, len(places) - 1.0 + 1e-9, 1.0 / LEG_TASK.points_between)
         points = np.stack([np.interp(at, np.arange(len(places)), places[:, i]) for i in range(2)], axis=1)
         most = radius_m + self._request.extra_m
         for _ in range(LEG_TASK.door_steps):
@@ -322,10 +322,10 @@ class LegTask:
         """The answer that a trajectory makes."""
         energy, eta = trajectory.energy_j, float(trajectory.t_s[-1])
         if self._gate is not None:
-            way = self._to_go.way(self._gate[:2])
-            if way is not None:
-                energy += way.energy_j
-                eta += float(self._timed(way)[1][-1])
+            path = self._to_go.path(self._gate[:2])
+            if path is not None:
+                energy += path.energy_j
+                eta += float(self._timed(path)[1][-1])
         return Plan(
             goal=self._request.goal,
             trajectory=trajectory,

@@ -32,7 +32,7 @@ class NoPlanError(Exception):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Asked:
+class _RequestConditions:
     planner: Planner
     bounds: tuple[float, ...]
     """Speed cap and thrust limits."""
@@ -40,11 +40,11 @@ class _Asked:
     """(4,) north, east of the vehicle, current north, east."""
 
     @classmethod
-    def of(cls, now: GuidanceInputs) -> "_Asked":
+    def of(cls, now: GuidanceInputs) -> "_RequestConditions":
         flow = np.concatenate([now.x0[:2], now.nav.current_ned_m_s[:2]])
         return cls(now.planner, (now.speed_cap_m_s, *now.thrust_limit_n.tolist()), flow)
 
-    def differs(self, then: "_Asked") -> bool:
+    def differs(self, then: "_RequestConditions") -> bool:
         """Whether another answer is to be expected."""
         moved, changed = np.hypot(*(self.flow - then.flow).reshape(2, 2).T)
         known = self.planner is then.planner and self.bounds == then.bounds
@@ -56,10 +56,10 @@ class Patience:
 
     def __init__(self) -> None:
         self._failures = 0
-        self._asked: _Asked | None = None
+        self._requested: _RequestConditions | None = None
 
-    def ask(self, now: GuidanceInputs) -> None:
-        self._asked = _Asked.of(now)
+    def note_request(self, now: GuidanceInputs) -> None:
+        self._requested = _RequestConditions.of(now)
 
     def failed(self) -> None:
         self._failures += 1
@@ -76,4 +76,4 @@ class Patience:
             return False
         if since_steps >= min(PATIENCE.retry_steps * 2 ** (self._failures - 1), PATIENCE.longest_retry_steps):
             return True
-        return self._asked is not None and _Asked.of(now).differs(self._asked)
+        return self._requested is not None and _RequestConditions.of(now).differs(self._requested)

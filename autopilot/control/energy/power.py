@@ -46,8 +46,8 @@ class PowerModel:
         if not self.reverse_w_n15:
             return ahead
         astern = _like(thrust_n, self.reverse_w_n15)
-        way = thrust_n * (thrust_n * thrust_n + POWER.thrust_smoothing_n2) ** -0.5
-        return 0.5 * (ahead + astern) + 0.5 * (ahead - astern) * way
+        direction = thrust_n * (thrust_n * thrust_n + POWER.thrust_smoothing_n2) ** -0.5
+        return 0.5 * (ahead + astern) + 0.5 * (ahead - astern) * direction
 
 
 def _like(thrust_n: Any, values: Sequence[float]) -> Any:
@@ -104,8 +104,8 @@ def energy_per_metre(table: SpeedTable, along_m_s: FloatArray, across_m_s: Float
     for begin in range(0, len(least), POWER.together):
         part = slice(begin, begin + POWER.together)
         across, along = across_m_s[part], along_m_s[part]
-        room = u * u - across * across
-        ground = np.sqrt(np.maximum(room, 0.0)) + along
-        usable = (room >= 0.0) & (ground > POWER.slowest_ground_m_s) & table.allowed(along, across)
+        radicand = u * u - across * across
+        ground = np.sqrt(np.maximum(radicand, 0.0)) + along
+        usable = (radicand >= 0.0) & (ground > POWER.slowest_ground_m_s) & table.allowed(along, across)
         least[part] = np.where(usable, table.power_w[:, None] / np.where(usable, ground, 1.0), np.inf).min(axis=0)
     return least

@@ -7,7 +7,7 @@ import numpy as np
 
 from autopilot.control.constraints.obstacles import Features, fence_key
 from autopilot.control.energy.energy_tuning import FLOW, LEG_TASK, SEARCH, TRAJECTORY
-from autopilot.control.energy.field import LONGEST_MOVE, EnergyField, EnergyToGo, FieldPath, other_ways
+from autopilot.control.energy.field import LONGEST_MOVE, EnergyField, EnergyToGo, FieldPath, alternative_paths
 from autopilot.control.energy.flow import FlowField, FlowSamples, area_of
 from autopilot.control.energy.leg_task import LegTask
 from autopilot.control.energy.patience import Kind
@@ -78,7 +78,7 @@ class EnergyPlanner:
         if len(close) > 1 and beyond is not None and task.complete:
             onward = self._onward(task, close, field, beyond, features)
             winner = close[int(np.argmin(onward))]
-        if warm is not None and warm.solved and winner.cost_j > SEARCH.cheaper_share * warm.cost_j:
+        if warm is not None and warm.solved and winner.cost_j > SEARCH.cheaper_fraction * warm.cost_j:
             return replace(task.plan(warm), stay=True)
         for one in [winner, *(one for one in solved if one is not winner)]:
             # Candidates are approximate; the selected one is solved to convergence before it is flown.
@@ -96,12 +96,12 @@ class EnergyPlanner:
         if request.goal.following is not None:
             places.append(np.asarray(request.goal.following.pos_ned_m[:2], dtype=float))
         area = area_of(request.fence, np.stack(places))
-        for look, extra_m in enumerate((SEARCH.comfort_m, 0.0) if features.count else (0.0,)):
-            field = EnergyField(self._space_of(look, request.radius_m + extra_m, features, area), flow, table)
+        for index, extra_m in enumerate((SEARCH.comfort_m, 0.0) if features.count else (0.0,)):
+            field = EnergyField(self._space_of(index, request.radius_m + extra_m, features, area), flow, table)
             to_go = field.to(goal_at)
-            way = None if to_go is None else to_go.way(start)
-            if to_go is not None and way is not None:
-                return field, to_go, way
+            path = None if to_go is None else to_go.path(start)
+            if to_go is not None and path is not None:
+                return field, to_go, path
         return None
 
     def _candidates(
@@ -110,10 +110,10 @@ class EnergyPlanner:
         """One trajectory per candidate path and direction of turning."""
         guesses = task.guesses(best)
         # Ways to other gates cannot be compared.
-        others = other_ways(field, to_go, best, features, SEARCH.max_other_ways) if task.complete else []
-        for way in others:
-            if way.energy_j <= SEARCH.keep_within * best.energy_j:
-                guesses += task.guesses(way)
+        others = alternative_paths(field, to_go, best, features, SEARCH.max_alternative_paths) if task.complete else []
+        for path in others:
+            if path.energy_j <= SEARCH.keep_within * best.energy_j:
+                guesses += task.guesses(path)
         return [task.screened(guess) for guess in guesses]
 
     def _onward(
@@ -125,11 +125,11 @@ class EnergyPlanner:
         """
         totals = np.full(len(ends), np.inf)
         for i, end in enumerate(ends):
-            way = beyond.way(end.x[-1, :2])
-            if way is None:
+            path = beyond.path(end.x[-1, :2])
+            if path is None:
                 continue
             after = task.following(end, beyond)
-            legs = [leg for leg in self._candidates(after, field, beyond, way, features) if leg.solved]
+            legs = [leg for leg in self._candidates(after, field, beyond, path, features) if leg.solved]
             if legs:
                 totals[i] = end.energy_j + min(leg.cost_j for leg in legs)
         return totals if np.isfinite(totals).any() else np.array([end.cost_j for end in ends])
@@ -140,13 +140,13 @@ class EnergyPlanner:
             self._features = (key, Features(fence))
         return self._features[1]
 
-    def _space_of(self, look: int, radius_m: float, features: Features, area: Area) -> FreeSpace:
+    def _space_of(self, index: int, radius_m: float, features: Features, area: Area) -> FreeSpace:
         """The free space of a request; cached while only the current changes."""
         key = (radius_m, *area.low_m.tolist(), *area.high_m.tolist())
-        kept = self._spaces.get(look)
+        kept = self._spaces.get(index)
         if kept is None or kept[0] is not features or kept[1] != key:
             kept = (features, key, FreeSpace(features, area, radius_m, long_moves=LONGEST_MOVE))
-            self._spaces[look] = kept
+            self._spaces[index] = kept
         return kept[2]
 
     def _program(self, duration_s: float) -> Program:

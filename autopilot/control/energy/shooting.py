@@ -130,8 +130,8 @@ class Shooting:
         state = ca.horzcat(parts["x0"], following[:, : n - 1])
         length = z[-1] / (n * self._substeps)
         variables = ca.vertcat(state, ca.mtimes(ca.DM(self._matrix), thrusts), ca.repmat(length, 1, n))
-        told = ca.repmat(ca.vertcat(self._hull, parts["buoyancy"]), 1, n)
-        motion = [variables, *(parts[name][:, :n] for name in ("current", "gradient", "places")), told]
+        parameters = ca.repmat(ca.vertcat(self._hull, parts["buoyancy"]), 1, n)
+        motion = [variables, *(parts[name][:, :n] for name in ("current", "gradient", "places")), parameters]
         end = [following[:, n - 1], parts["goal"], parts["band"], parts["end"], parts["current"][:2, n]]
         return parts, following, thrusts, motion, end
 
@@ -170,7 +170,7 @@ class Shooting:
         matrix.add(
             self._slopes(*motion),
             [
-                [(ROWS * k + row, column, share) for column, share in columns]
+                [(ROWS * k + row, column, weight) for column, weight in columns]
                 for k in range(n)
                 for columns in self._columns(k)
                 for row in range(NX)
@@ -226,7 +226,9 @@ class Shooting:
     def _columns(self, k: int) -> list[list[tuple[int, float]]]:
         """Sources of the variables of an interval's motion: columns and factors; none for the first state."""
         state = [[(column, 1.0)] if (column := self._state(k, i)) >= 0 else [] for i in range(NX)]
-        force = [[(self._block * k + j, float(share)) for j, share in enumerate(row) if share] for row in self._matrix]
+        force = [
+            [(self._block * k + j, float(weight)) for j, weight in enumerate(row) if weight] for row in self._matrix
+        ]
         return [*state, *force, [(self._block * self._n, 1.0 / (self._n * self._substeps))]]
 
     def _state(self, node: int, i: int) -> int:
@@ -248,7 +250,7 @@ class _Sparse:
         self._values.append(ca.vec(values))
         assert self._values[-1].shape[0] == len(places)
         for source, found in enumerate(places, self._count):
-            self._entries += [(row, column, source, share) for row, column, share in found]
+            self._entries += [(row, column, source, weight) for row, column, weight in found]
         self._count += len(places)
 
     def filled(self) -> Any:
@@ -259,6 +261,6 @@ class _Sparse:
         # CasADi counts down the columns.
         order, place = np.unique(at[:, 1] * rows + at[:, 0], return_inverse=True)
         pattern = ca.Sparsity.triplet(rows, columns, (order % rows).tolist(), (order // rows).tolist())
-        shares = ca.DM([entry[3] for entry in entries])
-        choice = ca.DM.triplet(place.tolist(), at[:, 2].tolist(), shares, len(order), self._count)
+        weights = ca.DM([entry[3] for entry in entries])
+        choice = ca.DM.triplet(place.tolist(), at[:, 2].tolist(), weights, len(order), self._count)
         return ca.MX(pattern, ca.mtimes(choice, ca.vertcat(*self._values)))

@@ -23,7 +23,7 @@ from autopilot.core.model4 import NX, Model4
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class Ask:
+class ProgramInputs:
     """Data of one program: initial state, goal region, bounds. Arrays are per node (n + 1) unless noted otherwise."""
 
     x0: FloatArray
@@ -87,7 +87,7 @@ class Program:
 
     def solve(
         self,
-        ask: Ask,
+        inputs: ProgramInputs,
         x: FloatArray,
         thrust_n: FloatArray,
         end_s: float,
@@ -100,20 +100,20 @@ class Program:
         n, block = self.n, NX + self._thrusters
         self._stop.begin(cancel or Cancel(), rough)
         arguments = (
-            ask.x0,
-            ask.goal_ned_m,
-            np.array([ask.radius_m, ask.yaw_rad, ask.yaw_band_rad]),
-            ask.current,
-            ask.gradient,
-            ask.places,
-            ask.plane_n,
-            ask.plane_d,
-            ask.planar_m_s,
-            ask.limits,
-            ask.end_slope_j_m,
-            np.array([ask.buoyancy_excess_n]),
+            inputs.x0,
+            inputs.goal_ned_m,
+            np.array([inputs.radius_m, inputs.yaw_rad, inputs.yaw_band_rad]),
+            inputs.current,
+            inputs.gradient,
+            inputs.places,
+            inputs.plane_n,
+            inputs.plane_d,
+            inputs.planar_m_s,
+            inputs.limits,
+            inputs.end_slope_j_m,
+            np.array([inputs.buoyancy_excess_n]),
         )
-        lower, upper = self._bounds(ask)
+        lower, upper = self._bounds(inputs)
         guess = np.concatenate([np.hstack([thrust_n, x[1:]]).ravel(), [min(max(end_s, lower[-1]), upper[-1])]])
         answer = self._solver(
             x0=guess,
@@ -131,7 +131,7 @@ class Program:
             off = (self._lbg - g, g - self._ubg, lower - z, z - upper)
             solved = all(float(each.max()) < (TRAJECTORY.rough_feasible if rough else FEASIBLE) for each in off)
         table = z[:-1].reshape(n, block)
-        states = np.vstack([ask.x0, table[:, self._thrusters :]])
+        states = np.vstack([inputs.x0, table[:, self._thrusters :]])
         return Trajectory(
             t_s=np.linspace(0.0, z[-1], n + 1),
             x=states,
@@ -141,11 +141,11 @@ class Program:
             solved=solved and bool(np.isfinite(z).all()),
         )
 
-    def _bounds(self, ask: Ask) -> tuple[FloatArray, FloatArray]:
+    def _bounds(self, inputs: ProgramInputs) -> tuple[FloatArray, FloatArray]:
         n, thrusters = self.n, self._thrusters
         upper = np.full((n, thrusters + NX), np.inf)
-        upper[:, :thrusters] = ask.thrust_limit_n
-        return np.append(-upper, TRAJECTORY.min_interval_s * n), np.append(upper, ask.longest_s)
+        upper[:, :thrusters] = inputs.thrust_limit_n
+        return np.append(-upper, TRAJECTORY.min_interval_s * n), np.append(upper, inputs.longest_s)
 
     def _energy_j(self, end_s: float, thrust_n: FloatArray) -> float:
         return end_s * (self._power.hotel_w + float(self._power.thrust_w(thrust_n).sum()) / self.n)
@@ -195,7 +195,7 @@ class _Stop(ca.Callback):
         off = float(max((self._lower - rows).max(), (rows - self._upper).max()))
         if self._rough:
             cost = float(arg[1])
-            still, self._cost = abs(cost - self._cost) < TRAJECTORY.rough_share * abs(cost), cost
+            still, self._cost = abs(cost - self._cost) < TRAJECTORY.rough_fraction * abs(cost), cost
             self.settled = still and off < TRAJECTORY.rough_feasible
         return [int(self._cancel.requested or self.settled or self._stalled(off))]
 

@@ -72,9 +72,9 @@ def shift_matrices(grid: TimeGrid, delta_s: float) -> tuple[FloatArray, FloatArr
     states = np.zeros((n + 1, n + 1))
     for row, time in enumerate(t + delta_s):
         k = min(max(int(np.searchsorted(t, time, side="right")) - 1, 0), n - 1)
-        share = (time - t[k]) / grid.dt_s[k]
-        states[row, k] += 1.0 - share
-        states[row, k + 1] += share
+        fraction = (time - t[k]) / grid.dt_s[k]
+        states[row, k] += 1.0 - fraction
+        states[row, k + 1] += fraction
     ends = t.copy()
     ends[-1] = np.inf
     start, stop = t[:-1, None] + delta_s, t[1:, None] + delta_s

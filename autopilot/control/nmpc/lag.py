@@ -56,7 +56,7 @@ class ThrusterLag:
         self._lag_s = lag_s = response.mean_s
         self._x, self._u, self._c, self._out = np.zeros(NX), np.zeros(model.thrusters), np.zeros(3), np.zeros(NX)
         self._coefficients, self._allocation = np.array(coefficients(model)), np.array(model.allocation)
-        self._through_lag, self._under_way = self._integration(lag_s), self._integration(UNDER_WAY_S)
+        self._through_lag, self._through_pending = self._integration(lag_s), self._integration(UNDER_WAY_S)
         self._sent: deque[Sent] = deque()
         self.acting_n = np.zeros(model.thrusters)
         """(n,) thrust that acts now."""
@@ -117,13 +117,13 @@ class ThrusterLag:
         never corrects it. Predictions are therefore compared with later states (output disturbance model of MPC).
         """
         acting, begin_s = self.acting_n.copy(), self._now_s - self.delay_s
-        under_way = [sent for sent in self._sent if sent[1] > begin_s]
+        pending = [sent for sent in self._sent if sent[1] > begin_s]
         for i in range(1, round(self.delay_s / UNDER_WAY_S) + 1):
             before = acting.copy()
             end_s = min(begin_s + i * UNDER_WAY_S, self._now_s)
-            self._pass(acting, under_way, begin_s + (i - 1) * UNDER_WAY_S, end_s)
+            self._pass(acting, pending, begin_s + (i - 1) * UNDER_WAY_S, end_s)
             self._u[:] = 0.5 * (before + acting)
-            self._under_way()
+            self._through_pending()
             self._x[:] = self._out
         self._u[:] = acting
         self._through_lag()
@@ -150,7 +150,7 @@ class ThrusterLag:
                 self._respond(acting, command, min(until_s, end_s) - max(sent_s, begin_s))
 
     def _respond(self, acting: FloatArray, command_n: FloatArray, elapsed_s: float) -> None:
-        acting += self._response.share(elapsed_s) * (command_n - acting)
+        acting += self._response.fraction(elapsed_s) * (command_n - acting)
 
     def _integration(self, dt_s: float) -> Callable[[], None]:
         """Takes ``_x`` over ``dt_s`` to ``_out`` with ``_u`` and ``_c``."""

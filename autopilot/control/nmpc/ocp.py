@@ -145,8 +145,10 @@ def _fastest_rate_1_s(model: model4.Model4, scale: float) -> float:
     planar_m_s, heave_m_s, turn_rad_s = scale * np.array(ENVELOPE)
     munk_nm = 0.5 * abs(model.mass_kg[0] - model.mass_kg[1]) * planar_m_s**2
     turn_rad_s = max(turn_rad_s, min(math.sqrt(munk_nm / max(model.quadratic_drag[3], 1e-9)), FASTEST_TURN_RAD_S))
-    way, turn = (a.ravel() for a in np.meshgrid(np.linspace(-math.pi, math.pi, 17), turn_rad_s * np.linspace(-1, 1, 5)))
-    nu = np.stack([planar_m_s * np.cos(way), planar_m_s * np.sin(way), np.full_like(way, heave_m_s), turn])
+    course, turn = (
+        a.ravel() for a in np.meshgrid(np.linspace(-math.pi, math.pi, 17), turn_rad_s * np.linspace(-1, 1, 5))
+    )
+    nu = np.stack([planar_m_s * np.cos(course), planar_m_s * np.sin(course), np.full_like(course, heave_m_s), turn])
     slopes = []
     for axis in range(AXES):
         aside = nu.astype(complex)

@@ -20,19 +20,19 @@ class Reversals:
 
     def __init__(self, limit_n: FloatArray) -> None:
         self._least_n: list[float] = (LEAST_SHARE * limit_n).tolist()
-        self._way = [0.0] * len(limit_n)
+        self._direction = [0.0] * len(limit_n)
 
     def reset(self) -> None:
         """Thrusters at rest: either direction of rotation is allowed."""
-        self._way = [0.0] * len(self._way)
+        self._direction = [0.0] * len(self._direction)
 
     def worth(self, thrust_n: FloatArray, *, between: bool = False) -> FloatArray:
         """Thrust (n,) [N] after the dead band, which is wider ``between`` control steps (factor BETWEEN)."""
         worth: list[float] = thrust_n.tolist()
-        share = BETWEEN if between else 1.0
+        fraction = BETWEEN if between else 1.0
         for i, (thrust, least) in enumerate(zip(worth, self._least_n, strict=True)):
-            if thrust * self._way[i] < 0.0 and abs(thrust) < share * least:
+            if thrust * self._direction[i] < 0.0 and abs(thrust) < fraction * least:
                 worth[i] = 0.0
             elif thrust != 0.0:
-                self._way[i] = math.copysign(1.0, thrust)
+                self._direction[i] = math.copysign(1.0, thrust)
         return np.array(worth)

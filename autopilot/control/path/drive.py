@@ -32,21 +32,21 @@ class DriveGuidance:
     def reset(self) -> None:
         self._fresh = True
         self._yaw_target: float | None = None
-        self._way = np.zeros((1, 2))
+        self._path = np.zeros((1, 2))
 
     def take_notices(self) -> list[tuple[Severity, str]]:
         """None: the source of the velocity command has been notified."""
         return []
 
     def ahead(self, here: FloatArray) -> FloatArray:
-        return np.concatenate([here[None], self._way[1:]])
+        return np.concatenate([here[None], self._path[1:]])
 
     def reference(self, situation: GuidanceInputs) -> Reference:
         now, fresh, self._fresh = situation, self._fresh, False
         drive = now.goal.drive or VelocityGoal()
         target = self._target(now, drive)
         x, thrust = self._references(now.x0, target, now.nav.current_ned_m_s, now.thrust_limit_n)
-        weights = self._weights.look(now.params)
+        weights = self._weights.update(now.params)
         return Reference(
             x=x, thrust_n=thrust, weight_x=weights.x, weight_u=weights.u, terminal=weights.terminal, fresh=fresh
         )
@@ -57,8 +57,8 @@ class DriveGuidance:
         route, cruise_m_s = self._route(now, drive, horizon_s)
         depth_m, heave_m_s = float(now.goal.pos_ned_m[2]), params["SPD_HEAVE_MAX"]
         if drive.down_m_s is not None:
-            rate = min(abs(drive.down_m_s), REFERENCE.heave_share * heave_m_s)
-            heave_m_s = max(rate, 1e-3) / REFERENCE.heave_share
+            rate = min(abs(drive.down_m_s), REFERENCE.heave_fraction * heave_m_s)
+            heave_m_s = max(rate, 1e-3) / REFERENCE.heave_fraction
             far_m = rate * horizon_s + rate * rate / REFERENCE.heave_deceleration_m_s2
             depth_m = float(now.x0[Z]) + math.copysign(far_m, drive.down_m_s)
         low_m = max(now.fence.depth_min_m, params["DEPTH_MIN"])
@@ -86,9 +86,9 @@ class DriveGuidance:
             self._yaw_target = turn_target(here, wanted, self._yaw_target)
             return self._yaw_target, most
         self._yaw_target = None
-        rate = min(abs(drive.yaw_rate_rad_s), DRIVE.turn_share * most)
+        rate = min(abs(drive.yaw_rate_rad_s), DRIVE.turn_fraction * most)
         far = rate * horizon_s + rate * rate / REFERENCE.yaw_deceleration_rad_s2
-        return here + math.copysign(far, drive.yaw_rate_rad_s), max(rate, 1e-3) / REFERENCE.yaw_rate_share
+        return here + math.copysign(far, drive.yaw_rate_rad_s), max(rate, 1e-3) / REFERENCE.yaw_rate_fraction
 
     def _trend(
         self, here: float, wanted: float, trend_rad_s: float, horizon_s: float, most: float
@@ -99,8 +99,8 @@ class DriveGuidance:
         rate = trend_rad_s + lack / DRIVE.catch_up_s
         if abs(rate) < 1e-3:
             return here, most
-        rate = math.copysign(min(abs(rate), DRIVE.turn_share * most), rate)
-        return here + rate * horizon_s, abs(rate) / REFERENCE.yaw_rate_share
+        rate = math.copysign(min(abs(rate), DRIVE.turn_fraction * most), rate)
+        return here + rate * horizon_s, abs(rate) / REFERENCE.yaw_rate_fraction
 
     def _route(self, now: GuidanceInputs, drive: VelocityGoal, horizon_s: float) -> tuple[Route, float]:
         """The free path ahead and the speed along it."""
@@ -108,20 +108,20 @@ class DriveGuidance:
         speed = min(abs(velocity), now.speed_cap_m_s, now.goal.speed_m_s)
         if abs(velocity) < DRIVE.slowest_m_s:
             place = np.array(now.goal.pos_ned_m[:2], dtype=float)
-            way, speed = (
+            path, speed = (
                 (np.stack([start, place]) if now.planner.sees(start, place) else start[None]),
                 DRIVE.hold_speed_m_s,
             )
         else:
-            way, share = self._free_way(now, velocity / abs(velocity), speed, drive.turn_rad_s, horizon_s)
-            speed *= share
-        if len(way) < 2 or float(np.abs(way[-1] - start).max()) < 1e-6:
+            path, fraction = self._free_path(now, velocity / abs(velocity), speed, drive.turn_rad_s, horizon_s)
+            speed *= fraction
+        if len(path) < 2 or float(np.abs(path[-1] - start).max()) < 1e-6:
             out = now.planner.features.push_out(start[None], now.radius_m)
-            way = np.concatenate([start[None], start[None] + out])
-        self._way = way
-        return Route(way), speed
+            path = np.concatenate([start[None], start[None] + out])
+        self._path = path
+        return Route(path), speed
 
-    def _free_way(
+    def _free_path(
         self, now: GuidanceInputs, direction: complex, speed: float, turn_rad_s: float, horizon_s: float
     ) -> tuple[FloatArray, float]:
         """(m, 2) points from here on, and the share of the speed that boundaries leave."""
@@ -130,26 +130,26 @@ class DriveGuidance:
         step_m, here = length_m / count, complex(now.x0[0], now.x0[1])
         turn = turn_rad_s * step_m / max(speed, DRIVE.slowest_m_s)
         headings = direction * np.exp(1j * turn * (np.arange(count) + 0.5))
-        way = np.concatenate(([here], here + step_m * np.cumsum(headings)))
+        path = np.concatenate(([here], here + step_m * np.cumsum(headings)))
         features, keep_m = now.planner.features, now.radius_m + DRIVE.keep_extra_m
         if features.count == 0:
-            return way.view(float).reshape(-1, 2), 1.0
-        room = features.clearance_up_to_m(way.view(float).reshape(-1, 2), 2.0 * keep_m)
-        near = np.flatnonzero(room[1:] < keep_m)
+            return path.view(float).reshape(-1, 2), 1.0
+        clearance_m = features.clearance_up_to_m(path.view(float).reshape(-1, 2), 2.0 * keep_m)
+        near = np.flatnonzero(clearance_m[1:] < keep_m)
         if not len(near):
-            return way.view(float).reshape(-1, 2), 1.0
-        points, shares = way[: int(near[0]) + 1].tolist(), [1.0] * int(near[0])
+            return path.view(float).reshape(-1, 2), 1.0
+        points, fractions = path[: int(near[0]) + 1].tolist(), [1.0] * int(near[0])
         for heading in headings[int(near[0]) :].tolist():
-            ended, share = self._slide(now, points[-1], heading, step_m, keep_m)
-            if share < DRIVE.least_progress:
+            ended, fraction = self._slide(now, points[-1], heading, step_m, keep_m)
+            if fraction < DRIVE.least_progress:
                 break
             points.append(ended)
-            shares.append(share)
-        looked = max(1, round(DRIVE.share_over_m / step_m))
-        first = shares[:looked] + [0.0] * max(0, looked - len(shares))
+            fractions.append(fraction)
+        considered = max(1, round(DRIVE.fraction_over_m / step_m))
+        first = fractions[:considered] + [0.0] * max(0, considered - len(fractions))
         # A way that ends is braked on by itself; the share is of the part that slides.
-        share = sum(first) / looked if len(shares) >= looked else 1.0
-        return np.array(points).view(float).reshape(-1, 2), max(share, DRIVE.least_progress)
+        fraction = sum(first) / considered if len(fractions) >= considered else 1.0
+        return np.array(points).view(float).reshape(-1, 2), max(fraction, DRIVE.least_progress)
 
     @staticmethod
     def _slide(
@@ -157,8 +157,8 @@ class DriveGuidance:
     ) -> tuple[complex, float]:
         """End of a step after projection out of obstacles, and the fraction of it that goes ahead."""
         features = now.planner.features
-        wish = step_m * heading
-        place, along = here + wish, wish
+        wanted = step_m * heading
+        place, along = here + wanted, wanted
         for _ in range(DRIVE.pushes):
             out_m = complex(*features.push_out(_point(place), keep_m)[0].tolist())
             if not out_m:
@@ -167,8 +167,8 @@ class DriveGuidance:
             away = out_m / abs(out_m)
             into = min((along * away.conjugate()).real, 0.0)
             along -= into * away
-        room = features.clearance_up_to_m(np.concatenate([_point(here), _point(place)]), keep_m)
-        if room[1] < keep_m - DRIVE.too_near_m and room[1] <= room[0]:
+        clearance_m = features.clearance_up_to_m(np.concatenate([_point(here), _point(place)]), keep_m)
+        if clearance_m[1] < keep_m - DRIVE.too_near_m and clearance_m[1] <= clearance_m[0]:
             return place, 0.0
         return place, min(max((along * heading.conjugate()).real / step_m, 0.0), 1.0)
 

@@ -112,7 +112,7 @@ class Weights:
         self.terminal: FloatArray = np.zeros((NX, NX))
         """(8, 8) TERMINAL_STAGES of those of the states."""
 
-    def look(self, params: ParamSet, r: float | None = None) -> "Weights":
+    def update(self, params: ParamSet, r: float | None = None) -> "Weights":
         """As they are now; ``r``: weight on the thrust, None = the parameter's."""
         of, r = (params, params.revision), params["MPC_R_THRUST"] if r is None else r
         if of != self._of:
@@ -155,7 +155,7 @@ class ReferenceLookahead:
         self.reset()
 
     def reset(self) -> None:
-        self._behind_m = self._asked_m_s = 0.0
+        self._behind_m = self._reference_speed_m_s = 0.0
         self._last: tuple[Route, int, float] | None = None
 
     @property
@@ -163,17 +163,19 @@ class ReferenceLookahead:
         """Arc length along the route [m]."""
         return max(0.0, self._behind_m - BEHIND_M)
 
-    def look(self, t_us: int, route: Route, s_m: float) -> None:
+    def update(self, t_us: int, route: Route, s_m: float) -> None:
         """Once per step, with the arc length at which the vehicle is."""
         if self._last is not None and self._last[0] is route:
             elapsed_s = max(0.0, (t_us - self._last[1]) * 1e-6)
-            least_m = elapsed_s * min(GUIDANCE.least_progress_share * self._asked_m_s, GUIDANCE.least_progress_m_s)
+            least_m = elapsed_s * min(
+                GUIDANCE.least_progress_fraction * self._reference_speed_m_s, GUIDANCE.least_progress_m_s
+            )
             self._behind_m = min(max(self._behind_m + least_m - (s_m - self._last[2]), 0.0), BEHIND_M + LOOKAHEAD_M)
         self._last = route, t_us, s_m
 
-    def ask(self, begin_m: FloatArray, end_m: FloatArray, after_s: float) -> None:
+    def set_reference(self, begin_m: FloatArray, end_m: FloatArray, after_s: float) -> None:
         """Set the positions of the reference now and ``after_s`` later (each at least x and y)."""
-        self._asked_m_s = math.dist(begin_m[:2].tolist(), end_m[:2].tolist()) / after_s
+        self._reference_speed_m_s = math.dist(begin_m[:2].tolist(), end_m[:2].tolist()) / after_s
 
 
 class RouteGuidance:
@@ -189,36 +191,36 @@ class RouteGuidance:
         self._references = ReferenceRollout(allocator, grid.t_s)
         self._worker = worker
         self._task: BackgroundTask[FloatArray | None] | None = None
-        self._mishaps = TaskFailures("route search", notices.ROUTE_SEARCH_FAILED)
-        self._lead = ReferenceLookahead()
+        self._failures = TaskFailures("route search", notices.ROUTE_SEARCH_FAILED)
+        self._lookahead = ReferenceLookahead()
         self.unreachable = False
         self.reset()
 
     def reset(self) -> None:
         self._withdraw()
         self._step = 0
-        self._asked: RouteRequest | None = None
-        self._asked_first = 0
+        self._requested: RouteRequest | None = None
+        self._first_request_step = 0
         self._goal_key: tuple[float, ...] | None = None
         self._planner: Planner | None = None
         self._route: Route | None = None
         self._route_planner: Planner | None = None
         self._s = 0.0
-        self._lead.reset()
+        self._lookahead.reset()
         self._routed_us = 0
         self._yaw_target: float | None = None
         self._hold: FloatArray | None = None
         self.unreachable = False
 
     def take_notices(self) -> list[tuple[Severity, str]]:
-        return self._mishaps.take_notices()
+        return self._failures.take_notices()
 
     def reference(self, situation: GuidanceInputs) -> Reference:
         fresh, route = self._update(situation)
-        self._lead.look(situation.t_us, route, self._s)
+        self._lookahead.update(situation.t_us, route, self._s)
         x, thrust = self._rollout(situation, route)
-        self._lead.ask(x[0], x[1], float(self._t_s[1]))
-        weights = self._weights.look(situation.params)
+        self._lookahead.set_reference(x[0], x[1], float(self._t_s[1]))
+        weights = self._weights.update(situation.params)
         return Reference(
             x=x, thrust_n=thrust, weight_x=weights.x, weight_u=weights.u, terminal=weights.terminal, fresh=fresh
         )
@@ -245,7 +247,7 @@ class RouteGuidance:
             self._yaw_target = None
         if key != self._goal_key:
             self.unreachable = False
-            self._lead.reset()
+            self._lookahead.reset()
         changed = key != self._goal_key or now.planner is not self._planner
         self._goal_key, self._planner = key, now.planner
         fresh = self._answered(now)
@@ -254,13 +256,13 @@ class RouteGuidance:
             self._s, off = route.project(x0[:2], self._s)
             pushed = (off > GUIDANCE.replan_distance_m or self.unreachable) and self._task is None
             if not changed and pushed and now.t_us - self._routed_us >= GUIDANCE.replan_interval_us:
-                fresh = self._look(now)
+                fresh = self._search(now)
         if changed:
-            fresh |= self._look(now) or self._make_do(now)
+            fresh |= self._search(now) or self._fallback_route(now)
         assert self._route is not None
         return fresh, self._route
 
-    def _look(self, now: GuidanceInputs) -> bool:
+    def _search(self, now: GuidanceInputs) -> bool:
         """Use the straight line to the goal if it is free (True), else request a route."""
         start, goal = now.x0[:2].copy(), np.array(now.goal.pos_ned_m[:2], dtype=float)
         self._routed_us = now.t_us
@@ -269,35 +271,35 @@ class RouteGuidance:
             self._take(now, np.stack([start, goal]), now.planner)
             return True
         if self._task is None:
-            self._asked_first = self._step
-        elif self._step - self._asked_first >= GUIDANCE.patience_steps:
+            self._first_request_step = self._step
+        elif self._step - self._first_request_step >= GUIDANCE.patience_steps:
             return False
         self._withdraw()
         assert self._goal_key is not None
-        asked = RouteRequest(planner=now.planner, start_ned_m=start, goal_ned_m=goal, goal_key=self._goal_key)
-        self._asked = asked
-        self._task = self._worker.submit(self._step + GUIDANCE.answer_steps, search_route, asked)
+        requested = RouteRequest(planner=now.planner, start_ned_m=start, goal_ned_m=goal, goal_key=self._goal_key)
+        self._requested = requested
+        self._task = self._worker.submit(self._step + GUIDANCE.answer_steps, search_route, requested)
         return False
 
     def _answered(self, now: GuidanceInputs) -> bool:
         """Put the answer into force, if there is one. Whether the route is another one then."""
         answer = None if self._task is None else self._task.poll(self._step)
-        asked = self._asked
-        if answer is None or asked is None:
+        requested = self._requested
+        if answer is None or requested is None:
             return False
-        self._task = self._asked = None
+        self._task = self._requested = None
         path = answer.value
-        newest = asked.planner is now.planner and asked.goal_key == self._goal_key
+        newest = requested.planner is now.planner and requested.goal_key == self._goal_key
         if answer.error is None:
-            self._mishaps.succeeded()
+            self._failures.succeeded()
         else:
-            self._mishaps.failed(answer.error, felt=newest)
+            self._failures.failed(answer.error, notify=newest)
         if newest:
-            return self._take(now, path, asked.planner)
+            return self._take(now, path, requested.planner)
         # It has been overtaken, but it is the newest that there is.
         usable = path is not None and now.planner.free(path)
         fresh = usable and self._take(now, path, now.planner)
-        return self._look(now) or fresh
+        return self._search(now) or fresh
 
     def _take(self, now: GuidanceInputs, path: FloatArray | None, planner: Planner) -> bool:
         """Go along a path, or hold the place without one. Whether the route is another one."""
@@ -309,7 +311,7 @@ class RouteGuidance:
         self._s, _ = self._route.project(now.x0[:2], 0.0)
         return True
 
-    def _make_do(self, now: GuidanceInputs) -> bool:
+    def _fallback_route(self, now: GuidanceInputs) -> bool:
         """Fallback while a route is planned: the present route if it is free, else the position. Whether the route
         changed.
         """
@@ -336,10 +338,10 @@ class RouteGuidance:
 
     def _facing(self, place_ned_m: FloatArray, x0: FloatArray) -> float:
         """Heading towards a place (2,); a place that is under the vehicle has no direction."""
-        look = complex(*place_ned_m) - complex(x0[0], x0[1])
-        if abs(look) < GUIDANCE.facing_m:
+        ray = complex(*place_ned_m) - complex(x0[0], x0[1])
+        if abs(ray) < GUIDANCE.facing_m:
             return float(x0[YAW]) if self._yaw_target is None else self._yaw_target
-        return turn_target(float(x0[YAW]), cmath.phase(look), None)
+        return turn_target(float(x0[YAW]), cmath.phase(ray), None)
 
     def _rollout(self, now: GuidanceInputs, route: Route) -> tuple[FloatArray, FloatArray]:
         """References (N+1, 8) along the route and their thrust (N, n); chooses the direction of turning to the
@@ -353,14 +355,14 @@ class RouteGuidance:
         elif goal.yaw_rad is not None:
             self._yaw_target = turn_target(float(x0[YAW]), goal.yaw_rad, self._yaw_target)
         elif route.length_m - self._s > REFERENCE.turn_ahead_m or self._yaw_target is None:
-            look = route.point(min(self._s + REFERENCE.turn_ahead_m, route.length_m)) - complex(x0[0], x0[1])
-            if abs(look) > 0.5 * REFERENCE.turn_ahead_m:
-                self._yaw_target = unwrap_near(cmath.phase(look), float(x0[YAW]))
+            ray = route.point(min(self._s + REFERENCE.turn_ahead_m, route.length_m)) - complex(x0[0], x0[1])
+            if abs(ray) > 0.5 * REFERENCE.turn_ahead_m:
+                self._yaw_target = unwrap_near(cmath.phase(ray), float(x0[YAW]))
             elif self._yaw_target is None:
                 self._yaw_target = float(x0[YAW])
         target = ReferenceTarget(
             route=route,
-            s0_m=min(self._s + self._lead.m, route.length_m),
+            s0_m=min(self._s + self._lookahead.m, route.length_m),
             depth_m=float(goal.pos_ned_m[2] if hold is None else hold[2]),
             yaw_rad=self._yaw_target,
             cruise_m_s=goal.speed_m_s,

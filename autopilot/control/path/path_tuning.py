@@ -20,9 +20,9 @@ class DriveTuning:
     """Remaining distance to boundaries that is missing after that, above which the path ends."""
     least_progress: float = 0.15
     """Smallest remaining fraction of a step at a boundary (about a perpendicular approach); below it the path ends."""
-    share_over_m: float = 0.25
+    fraction_over_m: float = 0.25
     """Distance ahead over which the speed along a boundary is the component of the velocity along it."""
-    turn_share: float = 0.9
+    turn_fraction: float = 0.9
     """Share of the yaw rate limit that is asked for at most."""
     catch_up_s: float = 1.5
     """A heading that turns is caught up with in about so long."""
@@ -47,7 +47,7 @@ class GuidanceTuning:
     patience_steps: int = 20
     """Goals and fences that change faster than routes are found: after so many steps (1 s) without an answer the open
     search is left to end, and its route is taken if it is free."""
-    least_progress_share: float = 0.8
+    least_progress_fraction: float = 0.8
     least_progress_m_s: float = 0.05
     """Progress that is expected of the vehicle: this share of the speed over ground that is asked for, at most so
     much."""
@@ -65,13 +65,13 @@ class PlannerTuning:
     planning_extra_m: float = 0.04
     """Kept beyond the controller's own radius, so that the path lies where the controller can follow it with a margin,
     and a passage that is open by centimetres only is not chosen."""
-    look_step_m: float = 0.05
+    check_step_m: float = 0.05
     """Sampling distance of straight lines."""
     open_water_border_m: float = 3.0
     """Without a workspace the grid covers start, goal and obstacles and this much beyond ..."""
     open_water_step_m: float = 2.0
     """... up to the next multiple of this: a start that has moved a little has the same grid."""
-    look_back_m: float = 10.0
+    check_length_m: float = 10.0
     """Length of a path of an earlier fence that is checked before it is continued."""
     goal_snap_m: float = 0.3
     """A goal this near to free ground is approached as far as the constraints allow."""
@@ -101,21 +101,21 @@ class ReferenceTuning:
     heave_deceleration_m_s2: float = 0.1
     yaw_deceleration_rad_s2: float = 0.4
     """Deceleration of the approach to the goal: v = sqrt(2 a d)."""
-    yaw_rate_share: float = 0.55
+    yaw_rate_fraction: float = 0.55
     """Share of the yaw rate limit that a planned turn uses."""
-    heave_share: float = 0.6
+    heave_fraction: float = 0.6
     """Share of the heave limit that a planned change of depth uses."""
     min_depth_time_s: float = 1.0
     turn_ahead_m: float = 0.6
     """Lookahead distance of a free heading along the route."""
     corner_ahead_m: float = 0.2
     """The speed is chosen for the direction of the route this far ahead."""
-    water_speed_share: float = 0.95
-    upstream_speed_share: float = 0.985
+    water_speed_fraction: float = 0.95
+    upstream_speed_fraction: float = 0.985
     """Share of the planar speed limit that the reference asks for, and that it asks for against currents that are
     nearly as fast: there every centimetre per second of it is way that is made."""
-    slow_current_share: float = 0.78
-    fast_current_share: float = 0.88
+    slow_current_fraction: float = 0.78
+    fast_current_fraction: float = 0.88
     """Range of opposing current relative to the limit over which one is blended into the other."""
     slowest_m_s: float = 0.02
     turn_hysteresis_rad: float = 0.5

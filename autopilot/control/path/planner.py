@@ -85,8 +85,8 @@ class Planner:
             ``cancel`` was requested.
         """
         start, goal = np.asarray(start_ned_m[:2], dtype=float), np.asarray(goal_ned_m[:2], dtype=float)
-        for look in self._finders:
-            path = look.path(start, goal, cancel or Cancel())
+        for finder in self._finders:
+            path = finder.path(start, goal, cancel or Cancel())
             if path is not None:
                 return path
         return None
@@ -147,12 +147,12 @@ class _PathFinder:
         if self.features.count == 0:
             return True
         length = math.hypot(*(b - a))
-        steps = max(2, math.ceil(length / min(PLANNER.look_step_m, self.radius_m / 4.0)))
+        steps = max(2, math.ceil(length / min(PLANNER.check_step_m, self.radius_m / 4.0)))
         steps = min(steps, 4000)
-        share = np.linspace(0.0, 1.0, steps + 1)
-        clearance = self.features.clearance_up_to_m(a + share[:, None] * (b - a), 2.0 * self.radius_m)
+        fraction = np.linspace(0.0, 1.0, steps + 1)
+        clearance = self.features.clearance_up_to_m(a + fraction[:, None] * (b - a), 2.0 * self.radius_m)
         need = np.full(steps + 1, self._allowed_m)
-        for end, along in ((0, share), (-1, 1.0 - share)):
+        for end, along in ((0, fraction), (-1, 1.0 - fraction)):
             relief = along * length < PLANNER.endpoint_relief_m
             need[relief] = np.minimum(need[relief], clearance[end] - 1e-3)
         if clearance[0] < 0.0 or clearance[-1] < 0.0:
@@ -164,7 +164,7 @@ class _PathFinder:
         if self.features.count == 0:
             return True
         s = np.concatenate(([0.0], np.cumsum(np.hypot(*np.diff(path, axis=0).T))))
-        at = np.arange(0.0, min(float(s[-1]), PLANNER.look_back_m) + PLANNER.look_step_m, PLANNER.look_step_m)
+        at = np.arange(0.0, min(float(s[-1]), PLANNER.check_length_m) + PLANNER.check_step_m, PLANNER.check_step_m)
         points = np.stack([np.interp(at, s, path[:, 0]), np.interp(at, s, path[:, 1])], axis=1)
         clearance = self.features.clearance_up_to_m(points, 2.0 * self.radius_m)
         # Where the vehicle is it may be nearer.
@@ -202,8 +202,8 @@ class _PathFinder:
         return band
 
     def _keeps_clear(self, band: FloatArray) -> bool:
-        share = np.linspace(0.0, 1.0, 8, endpoint=False)[:, None, None]
-        between = (band[:-1] + share * np.diff(band, axis=0)).reshape(-1, 2)
+        fraction = np.linspace(0.0, 1.0, 8, endpoint=False)[:, None, None]
+        between = (band[:-1] + fraction * np.diff(band, axis=0)).reshape(-1, 2)
         needed = float(self.features.clearance_up_to_m(band, self.radius_m).min()) - self._slack_m
         return bool((self.features.clearance_up_to_m(between, self.radius_m) >= needed).all())
 
@@ -245,7 +245,7 @@ class _PathFinder:
             return self._field
         near = graph.space.place_near(goal)
         clearance = float(self.features.clearance_m(goal[None])[0])
-        if near is None or clearance < self.radius_m - PLANNER.goal_snap_m - PLANNER.look_step_m:
+        if near is None or clearance < self.radius_m - PLANNER.goal_snap_m - PLANNER.check_step_m:
             return None
         node, away_m = near
         if away_m > PLANNER.goal_snap_m + float(graph.space.cell_m[node]):

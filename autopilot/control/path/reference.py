@@ -53,12 +53,12 @@ class Route:
         return result
 
 
-def water_speed_share(against_m_s: float, water_limit_m_s: float) -> float:
+def water_speed_fraction(against_m_s: float, water_limit_m_s: float) -> float:
     """Fraction of the planar speed limit that is commanded in that opposing current."""
-    span = REFERENCE.fast_current_share - REFERENCE.slow_current_share
-    fast = (against_m_s / max(water_limit_m_s, 1e-6) - REFERENCE.slow_current_share) / span
-    return REFERENCE.water_speed_share + min(max(fast, 0.0), 1.0) * (
-        REFERENCE.upstream_speed_share - REFERENCE.water_speed_share
+    span = REFERENCE.fast_current_fraction - REFERENCE.slow_current_fraction
+    fast = (against_m_s / max(water_limit_m_s, 1e-6) - REFERENCE.slow_current_fraction) / span
+    return REFERENCE.water_speed_fraction + min(max(fast, 0.0), 1.0) * (
+        REFERENCE.upstream_speed_fraction - REFERENCE.water_speed_fraction
     )
 
 
@@ -98,13 +98,13 @@ class ReferenceTarget:
 _DOUBLES = ("s0_m", "depth_m", "yaw_rad", "cruise_m_s", "speed_limit_m_s", "heave_limit_m_s", "yaw_rate_limit_rad_s")
 _RULES = {
     "corner_ahead_m": REFERENCE.corner_ahead_m,
-    "water_share": REFERENCE.water_speed_share,
-    "upstream_share": REFERENCE.upstream_speed_share,
-    "slow_current_share": REFERENCE.slow_current_share,
-    "fast_current_share": REFERENCE.fast_current_share,
+    "water_share": REFERENCE.water_speed_fraction,
+    "upstream_share": REFERENCE.upstream_speed_fraction,
+    "slow_current_share": REFERENCE.slow_current_fraction,
+    "fast_current_share": REFERENCE.fast_current_fraction,
     "slowest_m_s": REFERENCE.slowest_m_s,
-    "heave_share": REFERENCE.heave_share,
-    "yaw_rate_share": REFERENCE.yaw_rate_share,
+    "heave_share": REFERENCE.heave_fraction,
+    "yaw_rate_share": REFERENCE.yaw_rate_fraction,
     "least_depth_time_s": REFERENCE.min_depth_time_s,
 }
 _DECELERATIONS = (

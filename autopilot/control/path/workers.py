@@ -39,22 +39,22 @@ class BackgroundWorkers:
 class TaskFailures(NoticeQueue):
     """Reports of tasks that raised: one notice to the operator until one succeeds, full traceback in the log."""
 
-    def __init__(self, work: str, told: notices.Row) -> None:
-        """``work``: name of the task for the log; ``told``: text for the operator."""
+    def __init__(self, work: str, text: notices.Row) -> None:
+        """``work``: name of the task for the log; ``text``: text for the operator."""
         super().__init__()
-        self._work, self._told_row = work, told
-        self._told = False
+        self._work, self._text = work, text
+        self._notified = False
         self._logged = False
 
-    def failed(self, error: Exception, *, felt: bool = True) -> None:
-        """Record a failure; the operator is notified if it affects the vehicle's behaviour (``felt``)."""
+    def failed(self, error: Exception, *, notify: bool = True) -> None:
+        """Record a failure; the operator is notified if it affects the vehicle's behaviour (``notify``)."""
         if not self._logged:
             self._logged = True
             self._notices.append(notices.WORK_FAILED(work=self._work, kind=type(error).__name__, error=error))
-        if felt and not self._told:
-            self._told = True
-            self._notices.append(self._told_row())
+        if notify and not self._notified:
+            self._notified = True
+            self._notices.append(self._text())
 
     def succeeded(self) -> None:
         """The next one is news again."""
-        self._told = self._logged = False
+        self._notified = self._logged = False

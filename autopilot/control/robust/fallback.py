@@ -26,22 +26,22 @@ class FallbackWatch(NoticeQueue):
 
     def __init__(self) -> None:
         super().__init__()
-        self._told: set[Fallback] = set()
+        self._reported: set[Fallback] = set()
         self._solved = 0
 
     def reset(self) -> None:
         """A new flight: the next fallback is news."""
-        self._told.clear()
+        self._reported.clear()
         self._solved = 0
 
     def watch(self, fallback: Fallback) -> None:
         row = TOLD.get(fallback)
         if row is not None:
             self._solved = 0
-            if fallback not in self._told:
-                self._told.add(fallback)
+            if fallback not in self._reported:
+                self._reported.add(fallback)
                 self._notices.append(row())
-        elif fallback is Fallback.NONE and self._told:
+        elif fallback is Fallback.NONE and self._reported:
             self._solved += 1
             if self._solved >= FALLBACK.over_steps:
                 self.reset()
@@ -55,17 +55,17 @@ class FiniteWatch(NoticeQueue):
         super().__init__()
         self.count = 0
         """Since the last one that was reported as over."""
-        self._sound = 0
+        self._finite_steps = 0
 
-    def watch(self, sound: bool) -> None:
-        if not sound:
-            self._sound = 0
+    def watch(self, finite: bool) -> None:
+        if not finite:
+            self._finite_steps = 0
             self.count += 1
             if self.count == 1:
                 self._notices.append(notices.CONTROL_NOT_FINITE())
         elif self.count:
-            self._sound += 1
-            if self._sound >= FALLBACK.over_steps:
+            self._finite_steps += 1
+            if self._finite_steps >= FALLBACK.over_steps:
                 self._notices.append(notices.CONTROL_FINITE(count=self.count))
                 self.count = 0
 

@@ -121,8 +121,8 @@ def lipschitz_report(
     if free_m is not None:
         limits["clearance"] = (X, free_m)
     first, name = grid.n + 1, ""
-    for label, (index, room) in limits.items():
-        beyond = np.flatnonzero(back_off[:, index] >= room)
+    for label, (index, available) in limits.items():
+        beyond = np.flatnonzero(back_off[:, index] >= available)
         if len(beyond) and int(beyond[0]) < first:
             first, name = int(beyond[0]), label
     return LipschitzReport(

@@ -10,7 +10,7 @@ from enum import IntEnum
 import numpy as np
 
 from autopilot.control.nmpc.grid import TimeGrid
-from autopilot.control.path.reference import water_speed_share
+from autopilot.control.path.reference import water_speed_fraction
 from autopilot.control.robust.ancillary import Ancillary
 from autopilot.control.robust.lipschitz import LipschitzMargins
 from autopilot.control.robust.mismatch_evidence import SpeedEvidence
@@ -45,29 +45,29 @@ class Margins(NoticeQueue):
         self.evidence = SpeedEvidence()
         """Reset by the controller at a restart."""
         self._fixed = fixed
-        self._told = False
+        self._reported = False
         self._rest = np.zeros((grid.n + 1, NX))
         self._idle = np.zeros((grid.n, model.thrusters))
 
     def back_offs(self, nav: NavState, x: FloatArray, thrust_n: FloatArray, params: ParamSet) -> BackOffs:
         mode = Tighten(int(params["MPC_TIGHTEN"]))
         if mode is Tighten.TUBE:
-            self._told = False
+            self._reported = False
             # The fixed margin stays: an error of the estimated speed through the water is not observable here.
-            return self.tube.back_offs(nav, x, thrust_n, params, self.evidence.share)
+            return self.tube.back_offs(nav, x, thrust_n, params, self.evidence.margin_fraction)
         if mode is Tighten.LIPSCHITZ:
-            if not self._told:
-                self._told = True
+            if not self._reported:
+                self._reported = True
                 self._notices.append(notices.LIPSCHITZ(text=self.lipschitz.report(nav, params).text))
             return self.lipschitz.back_offs(nav, x, thrust_n, params)
-        self._told = False
+        self._reported = False
         return self._fixed.back_offs(nav, x, thrust_n, params)
 
-    def look(self, nav: NavState, params: ParamSet) -> None:
+    def update(self, nav: NavState, params: ParamSet) -> None:
         """Once per control step, before :meth:`back_offs`: update the evidence for the planar speed margin."""
         if Tighten(int(params["MPC_TIGHTEN"])) is Tighten.TUBE:
             tube_m_s = self.tube.rest_speed_m_s(nav, params)
-            self.evidence.look(nav, params["SPD_PLANAR_MAX"], tube_m_s, params["MPC_SPEED_MARGIN"])
+            self.evidence.update(nav, params["SPD_PLANAR_MAX"], tube_m_s, params["MPC_SPEED_MARGIN"])
         else:
             self.evidence.reset()
 
@@ -89,7 +89,7 @@ class Margins(NoticeQueue):
         """
         back_off = self.back_offs(nav, self._rest, self._idle, params).planar_speed_m_s
         cap_m_s = max(0.0, params["SPD_PLANAR_MAX"] - float(back_off[-1]))
-        return cap_m_s * water_speed_share(math.hypot(*nav.current_ned_m_s[:2].tolist()), cap_m_s)
+        return cap_m_s * water_speed_fraction(math.hypot(*nav.current_ned_m_s[:2].tolist()), cap_m_s)
 
     def refusals(
         self, nav: NavState, goals: Sequence[tuple[str, float]], fence_half_m: float, params: ParamSet
@@ -105,7 +105,7 @@ class Margins(NoticeQueue):
         kind = Tighten(int(params["MPC_TIGHTEN"]))
         mode = kind.name.lower()
         # Tube margins settle and are cut at a share of the limit: one that has been cut is one that does not fit.
-        node, share = (-1, TUBE.largest_share) if kind is Tighten.TUBE else (0, 1.0)
+        node, fraction = (-1, TUBE.largest_fraction) if kind is Tighten.TUBE else (0, 1.0)
         reasons = [
             f"{name} limit {params[limit]:g} {unit} leaves too little beside the {mode} margin {margin[node]:.2f}: "
             f"smaller MPC_W_* or higher {limit}"
@@ -114,10 +114,10 @@ class Margins(NoticeQueue):
                 ("heave", "SPD_HEAVE_MAX", "m/s", margins.heave_m_s),
                 ("yaw rate", "SPD_YAW_MAX", "rad/s", margins.yaw_rate_rad_s),
             )
-            if float(margin[node]) >= share * params[limit]
+            if float(margin[node]) >= fraction * params[limit]
         ]
         band, depth = params["DEPTH_MAX"] - params["DEPTH_MIN"], float(margins.depth_m[node])
-        if band > 0.0 and share * band <= 2.0 * depth:
+        if band > 0.0 and fraction * band <= 2.0 * depth:
             reasons.append(f"depth band {band:.2f} m leaves too little beside the {mode} margin {depth:.2f} m")
         near = float(margins.clearance_m[0])
         if fence_half_m < near and math.isfinite(fence_half_m):

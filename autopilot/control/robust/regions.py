@@ -37,7 +37,7 @@ class _RegionRequest:
 def _certified(request: _RegionRequest, cancel: Cancel) -> Certificate:
     """The full certificate, or the level by the limits alone."""
     samples = unit_samples(TERMINAL.samples if request.sampled else 0)
-    return certify(request.model, request.law, request.goal, request.limits, samples, look=cancel.check)
+    return certify(request.model, request.law, request.goal, request.limits, samples, check=cancel.check)
 
 
 class TerminalRegions(NoticeQueue):
@@ -54,7 +54,7 @@ class TerminalRegions(NoticeQueue):
         self._step = 0
         self._key: tuple[object, ...] = ()
         self._goal: Goal | None = None
-        self._told = ""
+        self._reported = ""
         self._warned = ""
         self._current: list[float] = [0.0, 0.0, 0.0]
         self._buoyancy_n = 0.0
@@ -95,12 +95,14 @@ class TerminalRegions(NoticeQueue):
         moved |= abs(buoyancy_n - self._buoyancy_n) > REGIONS.buoyancy_step_n
         if key != self._key or (moved and self._task is None):
             self._key, self._goal, self._current, self._buoyancy_n = key, goal, current, buoyancy_n
-            told = limits()
-            self.law = terminal_law(self._allocator, yaw, current_ned_m_s, q, r, told.thrust_n)
+            terminal_limits = limits()
+            self.law = terminal_law(self._allocator, yaw, current_ned_m_s, q, r, terminal_limits.thrust_n)
             self._cost, self._nu = self.law.cost_ned(), self.law.nu.tolist()
             self.certificate = None
             self._withdraw()
-            request = _RegionRequest(model=self._allocator.model, law=self.law, goal=goal, limits=told, sampled=sampled)
+            request = _RegionRequest(
+                model=self._allocator.model, law=self.law, goal=goal, limits=terminal_limits, sampled=sampled
+            )
             self._task = self._worker.submit(self._step + REGIONS.answer_steps, _certified, request)
         answer = None if self._task is None else self._task.poll(self._step)
         if answer is None:
@@ -129,10 +131,10 @@ class TerminalRegions(NoticeQueue):
         """Report to the log, and to the operator if there is a remedy."""
         name = _name(goal)
         # A small change of the current gives a new certificate; it is reported only if its result differs.
-        story = f"{name} {certificate.binding} {certificate.fits} {goal.pos_ned_m.tolist()}"
-        if story == self._told:
+        summary = f"{name} {certificate.binding} {certificate.fits} {goal.pos_ned_m.tolist()}"
+        if summary == self._reported:
             return
-        self._told = story
+        self._reported = summary
         self._notices.append(notices.CERTIFICATE(name=name, text=certificate.text))
 
     def _warn(self, goal: Goal, certificate: Certificate, away_m: float) -> None:
@@ -142,10 +144,10 @@ class TerminalRegions(NoticeQueue):
         name, limit = _name(goal), certificate.binding
         if limit not in AT_PLACE and (goal.following is not None or away_m > REGIONS.here_m):
             return
-        story = f"{name} {limit} {goal.pos_ned_m.tolist()}"
-        if story == self._warned:
+        summary = f"{name} {limit} {goal.pos_ned_m.tolist()}"
+        if summary == self._warned:
             return
-        self._warned = story
+        self._warned = summary
         if limit in AT_PLACE:
             text = notices.GOAL_BEYOND_LIMIT(name=name, limit=limit)
         elif limit.endswith("thrust"):

@@ -45,7 +45,7 @@ DISTURBANCE = DisturbanceTuning()
 class MismatchTuning:
     """Constants of :mod:`autopilot.control.robust.mismatch_evidence`."""
 
-    near_share: float = 0.8
+    near_fraction: float = 0.8
     """Speeds above this fraction of the cap are used as evidence."""
     follow_s: float = 3.0
     """Faster changes of the speed are disturbances, not changes of the plan."""
@@ -53,10 +53,10 @@ class MismatchTuning:
     slow_s: float = 6.0
     forget_s: float = 60.0
     """Time constants of decrease, increase, and of forgetting without evidence."""
-    least_share: float = 0.5
+    least_fraction: float = 0.5
     """Of the margin, whatever has been seen."""
-    strong_share: float = 0.55
-    strongest_share: float = 0.7
+    strong_ratio: float = 0.55
+    strongest_ratio: float = 0.7
     """Credit is used in currents from such a share of the speed limit on, in full at the second: elsewhere there is
     speed enough."""
     shrink_m_s2: float = 0.005
@@ -161,9 +161,9 @@ class TubeTuning:
     estimate_speed_sigmas: float = 2.0
     """Fraction of the estimate's spread in speed limits: they concern performance, not safety, and the estimator is
     conservative (errors are about half of its standard deviation)."""
-    largest_share: float = 0.5
+    largest_fraction: float = 0.5
     """Back-offs never take more of a limit than this, however bad the estimate is: then failsafes act."""
-    largest_thrust_share: float = 0.3
+    largest_thrust_fraction: float = 0.3
     """Fraction of the thrust limit; applied by the controller."""
     largest_clearance_m: float = 0.3
     growth_step_s: float = 0.05

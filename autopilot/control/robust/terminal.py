@@ -81,7 +81,7 @@ class Certificate:
     """Level of the region, 0 = it is empty."""
     binding: str
     """The limit that decides alpha."""
-    rooms: dict[str, float]
+    alpha_by_limit: dict[str, float]
     """alpha that every limit alone would allow; negative = the goal itself is beyond the limit."""
     radius_m: float
     """Largest horizontal error in the region."""
@@ -92,7 +92,7 @@ class Certificate:
     """Radius of the goal's own region."""
     fits: bool
     """The goal's own ball lies inside the limits; else the region to be reached is smaller."""
-    fit_room_m: float
+    fit_radius_m: float
     """Largest ball round the goal that does."""
     fit_limit: str
     """Limiting constraint of that ball: clearance or depth."""
@@ -110,7 +110,7 @@ class Certificate:
         small = ""
         if not self.fits:
             ball = (
-                f"acceptance ball {self.accept_radius_m:g} m does not fit {self.fit_room_m:.3f} m of {self.fit_limit}"
+                f"acceptance ball {self.accept_radius_m:g} m does not fit {self.fit_radius_m:.3f} m of {self.fit_limit}"
             )
             small = f"; {ball}, region made smaller"
         looked = f"{self.violations} of {self.samples} violate" if self.samples else "not sampled"
@@ -187,21 +187,21 @@ def analytic_alpha(law: Terminal, goal: Goal, limits: TerminalLimits) -> tuple[f
     feedback = np.einsum("ij,jk,ik->i", law.k, spread, law.k)
     planar = float(np.linalg.eigvalsh(spread[:2, :2])[-1])
     ball = float(np.linalg.eigvalsh(spread[:3, :3])[-1])
-    water = float(np.linalg.eigvalsh(spread[U : V + 1, U : V + 1])[-1])
+    planar_speed = float(np.linalg.eigvalsh(spread[U : V + 1, U : V + 1])[-1])
     depth = float(goal.pos_ned_m[2])
-    yaw_room = TERMINAL.free_yaw_rad if goal.yaw_rad is None else goal.accept_yaw_rad
-    rooms = {
+    yaw_slack = TERMINAL.free_yaw_rad if goal.yaw_rad is None else goal.accept_yaw_rad
+    slacks = {
         "clearance": (limits.clearance_m, planar),
         "acceptance radius": (goal.accept_radius_m, ball),
-        "acceptance heading": (yaw_room, spread[YAW, YAW]),
+        "acceptance heading": (yaw_slack, spread[YAW, YAW]),
         "depth": (min(depth - limits.depth_min_m, limits.depth_max_m - depth), spread[Z, Z]),
-        "planar speed": (limits.planar_speed_m_s - math.hypot(law.nu[0], law.nu[1]), water),
+        "planar speed": (limits.planar_speed_m_s - math.hypot(law.nu[0], law.nu[1]), planar_speed),
         "heave speed": (limits.heave_m_s - abs(float(law.nu[2])), spread[W, W]),
         "yaw rate": (limits.yaw_rate_rad_s, spread[R, R]),
     }
     for i, name in enumerate(limits.thrusters or [f"thruster {i + 1}" for i in range(len(law.thrust_n))]):
-        rooms[f"{name} thrust"] = (float(limits.thrust_n[i] - abs(law.thrust_n[i])), feedback[i])
-    levels = {name: math.copysign(room * room, room) / float(size) for name, (room, size) in rooms.items()}
+        slacks[f"{name} thrust"] = (float(limits.thrust_n[i] - abs(law.thrust_n[i])), feedback[i])
+    levels = {name: math.copysign(slack * slack, slack) / float(size) for name, (slack, size) in slacks.items()}
     binding = min(levels, key=lambda name: levels[name])
     return max(levels[binding], 0.0), binding, levels
 
@@ -249,7 +249,7 @@ class CertificateJob:
 
     def __init__(self, model: Model4, law: Terminal, goal: Goal, limits: TerminalLimits, samples: FloatArray) -> None:
         self._model, self._law, self._goal, self._limits, self._samples = model, law, goal, limits, samples
-        self._alpha, self._binding, self._rooms = analytic_alpha(law, goal, limits)
+        self._alpha, self._binding, self._alpha_by_limit = analytic_alpha(law, goal, limits)
         self._to_error = np.linalg.inv(np.linalg.cholesky(law.p)).T
         self._done = 0
         self._shrunk = 0
@@ -281,19 +281,19 @@ class CertificateJob:
         spread = np.linalg.inv(self._law.p) * self._alpha
         goal, limits = self._goal, self._limits
         depth = float(goal.pos_ned_m[2])
-        room_z = min(depth - limits.depth_min_m, limits.depth_max_m - depth)
+        vertical_m = min(depth - limits.depth_min_m, limits.depth_max_m - depth)
         return Certificate(
             alpha=self._alpha,
             binding="decrease" if self._shrunk else self._binding,
-            rooms=self._rooms,
+            alpha_by_limit=self._alpha_by_limit,
             radius_m=math.sqrt(float(np.linalg.eigvalsh(spread[:2, :2])[-1])),
             depth_m=math.sqrt(float(spread[Z, Z])),
             yaw_rad=math.sqrt(float(spread[YAW, YAW])),
             planar_speed_m_s=math.sqrt(float(np.linalg.eigvalsh(spread[U : V + 1, U : V + 1])[-1])),
             accept_radius_m=goal.accept_radius_m,
-            fits=goal.accept_radius_m <= min(limits.clearance_m, room_z),
-            fit_room_m=min(limits.clearance_m, room_z),
-            fit_limit="clearance" if limits.clearance_m < room_z else "depth",
+            fits=goal.accept_radius_m <= min(limits.clearance_m, vertical_m),
+            fit_radius_m=min(limits.clearance_m, vertical_m),
+            fit_limit="clearance" if limits.clearance_m < vertical_m else "depth",
             samples=self._done,
             violations=0,
             shrunk=self._shrunk,
@@ -306,7 +306,7 @@ def certify(
     goal: Goal,
     limits: TerminalLimits,
     samples: FloatArray | None = None,
-    look: Callable[[], None] = lambda: None,
+    check: Callable[[], None] = lambda: None,
 ) -> Certificate:
     """Verify a terminal region by sampling the nonlinear model.
 
@@ -327,7 +327,7 @@ def certify(
     """
     job = CertificateJob(model, law, goal, limits, unit_samples() if samples is None else samples)
     while job.certificate is None:
-        look()
+        check()
         job.advance(2_000)
     return job.certificate
 

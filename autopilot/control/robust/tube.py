@@ -74,8 +74,8 @@ def _growth(model: Model4, grid: TimeGrid, ancillary: Ancillary) -> FloatArray:
         p = step @ p @ np.swapaxes(step, -1, -2) + news
     place = grid.t_s / TUBE.growth_step_s
     low = np.minimum(place.astype(np.intp), count - 1)
-    share = (place - low)[:, None, None, None]
-    at_nodes = rows[low] * (1.0 - share) + rows[low + 1] * share
+    fraction = (place - low)[:, None, None, None]
+    at_nodes = rows[low] * (1.0 - fraction) + rows[low + 1] * fraction
     return np.ascontiguousarray(at_nodes.transpose(1, 0, 3, 2))
 
 
@@ -109,39 +109,39 @@ class TubeMargins:
         self._spread = EstimateSpread(
             position_m2=0.0, depth_m2=0.0, yaw_rad2=0.0, planar_m2_s2=0.0, heave_m2_s2=0.0, current_m2_s2=0.0
         )
-        self._told: tuple[ParamSet, int] | None = None
+        self._params_seen: tuple[ParamSet, int] | None = None
         self._bound = DisturbanceBound(force_n=0.0, moment_n_m=0.0, current_m_s=0.0)
         self._mix = (0.0,) * TUBE.groups
         self._rest = self.table.at_rest()[-2, 5:8].tolist()
 
     def rest_speed_m_s(self, nav: NavState, params: ParamSet) -> float:
         """Back-off of the planar speed [m/s] at node N-1 for a vehicle at rest."""
-        self._look(nav, params)
+        self._refresh(nav, params)
         a, b, c = self._mix
         xx, xy, yy = (row[0] * a + row[1] * b + row[2] * c for row in self._rest)
         half = 0.5 * (xx - yy)
         size = 0.5 * (xx + yy) + math.sqrt(half * half + xy * xy)
         wanted = TUBE.band_sigmas * math.sqrt(size + SPEED_SHARE**2 * self._spread.planar_m2_s2)
-        return max(min(wanted, TUBE.largest_share * params["SPD_PLANAR_MAX"]), params["MPC_SPEED_MARGIN"])
+        return max(min(wanted, TUBE.largest_fraction * params["SPD_PLANAR_MAX"]), params["MPC_SPEED_MARGIN"])
 
     def back_offs(
-        self, nav: NavState, x: FloatArray, thrust_n: FloatArray, params: ParamSet, speed_share: float = 1.0
+        self, nav: NavState, x: FloatArray, thrust_n: FloatArray, params: ParamSet, speed_fraction: float = 1.0
     ) -> BackOffs:
         """See :meth:`autopilot.control.robust.tightening.Tightening.back_offs`.
 
-        ``speed_share``: fraction of the planar speed's back-off that is applied, at least the fixed margin. ValueError
-        if the plan has another grid.
+        ``speed_fraction``: fraction of the planar speed's back-off that is applied, at least the fixed margin.
+        ValueError if the plan has another grid.
         """
-        self._look(nav, params)
-        given, spread, share = self._given, self._spread, SPEED_SHARE**2
-        added = (spread.position_m2, spread.depth_m2, share * spread.planar_m2_s2, share * spread.heave_m2_s2)
+        self._refresh(nav, params)
+        given, spread, fraction = self._given, self._spread, SPEED_SHARE**2
+        added = (spread.position_m2, spread.depth_m2, fraction * spread.planar_m2_s2, fraction * spread.heave_m2_s2)
         given[:7] = (*self._mix, *added)
-        given[26] = speed_share
+        given[26] = speed_fraction
         if x is not self._plan:
             self._plan_address = compiled.fitting("x", x, self._n + 1, NX)
             self._plan = x
-        table, told, states, thrust = self._addresses
-        self._call(table, self._speeds, self._n, self._thrusters, told, self._plan_address, states, thrust)
+        table, inputs, states, thrust = self._addresses
+        self._call(table, self._speeds, self._n, self._thrusters, inputs, self._plan_address, states, thrust)
         clearance, depth, planar, heave, yaw_rate = self._states.copy()
         return BackOffs(
             clearance_m=clearance,
@@ -152,14 +152,14 @@ class TubeMargins:
             thrust_n=self._thrust.copy(),
         )
 
-    def _look(self, nav: NavState, params: ParamSet) -> None:
+    def _refresh(self, nav: NavState, params: ParamSet) -> None:
         """Update the mixture weights for the covariance of this estimate and for changed parameters."""
-        told = params, params.revision
-        same = told == self._told
+        params_seen = params, params.revision
+        same = params_seen == self._params_seen
         if nav is self._nav and same:
             return
         self._nav, self._spread = nav, EstimateSpread.of(nav)
-        self._told, self._bound = told, self._bound if same else DisturbanceBound.of(params)
+        self._params_seen, self._bound = params_seen, self._bound if same else DisturbanceBound.of(params)
         self._mix = channel_variances(self._bound, self._spread)
         if same:
             return
@@ -167,7 +167,11 @@ class TubeMargins:
         band = max(params["DEPTH_MAX"] - params["DEPTH_MIN"], 0.0)
         self._given[8:18] = (
             *(fixed.clearance_m, 0.0, fixed.planar_speed_m_s, fixed.heave_m_s, fixed.yaw_rate_rad_s),
-            *(TUBE.largest_clearance_m, 0.5 * TUBE.largest_share * band, TUBE.largest_share * params["SPD_PLANAR_MAX"]),
-            *(TUBE.largest_share * params["SPD_HEAVE_MAX"], TUBE.largest_share * params["SPD_YAW_MAX"]),
+            *(
+                TUBE.largest_clearance_m,
+                0.5 * TUBE.largest_fraction * band,
+                TUBE.largest_fraction * params["SPD_PLANAR_MAX"],
+            ),
+            *(TUBE.largest_fraction * params["SPD_HEAVE_MAX"], TUBE.largest_fraction * params["SPD_YAW_MAX"]),
         )
         self._given[27] = params["MPC_SPEED_MARGIN"]

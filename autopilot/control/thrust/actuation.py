@@ -52,13 +52,13 @@ class Actuation:
     # What is known
 
     @property
-    def share(self) -> FloatArray:
+    def effectiveness(self) -> FloatArray:
         """(n,) effectiveness of each thruster; 0 for a failed one."""
-        return self._losses.share
+        return self._losses.effectiveness
 
     @property
-    def shares(self) -> tuple[float, ...]:
-        return self._losses.shares
+    def effectiveness_values(self) -> tuple[float, ...]:
+        return self._losses.effectiveness_values
 
     @property
     def problem(self) -> str:
@@ -101,7 +101,7 @@ class Actuation:
     @property
     def _can_n(self) -> FloatArray:
         """(n,) attainable thrust [N]."""
-        return self.allocation.capability_n(self.supply_v) * self._losses.share
+        return self.allocation.capability_n(self.supply_v) * self._losses.effectiveness
 
     def nav_for_control(self, t_us: int, nav: NavState) -> NavState:
         """The estimate for the controller: just after a delay has been found with the current of before."""
@@ -152,7 +152,7 @@ class Actuation:
     def lift_n(self, limit_n: float) -> FloatArray:
         """(n,) straight up, the thruster that has to give most giving ``limit_n``; nothing when none can lift."""
         wanted = np.array([0.0, 0.0, -1.0, 0.0])
-        up = self._allocator.thrust_n(wanted, np.where(self._losses.share > 0.0, MUCH_N, 0.0))
+        up = self._allocator.thrust_n(wanted, np.where(self._losses.effectiveness > 0.0, MUCH_N, 0.0))
         most = float(np.abs(up).max())
         if most < NO_LIFT:
             return self.nothing()
@@ -164,23 +164,23 @@ class Actuation:
         not finite: no thruster turns for a command of which one part is no number."""
         if not armed:
             self._pulse_n = self.nothing()
-            return self._told(t_us, self._pulse_n, self.allocation.neutral_us)
+            return self._command(t_us, self._pulse_n, self.allocation.neutral_us)
         if self._nav is not None and self._levelling.given:
             tilt, turning = self._nav.rpy_rad, self._nav.rate_frd_rad_s
             thrust_n = self._levelling.thrust_n(thrust_n, self._can_n, tilt, turning)
         if not all(map(math.isfinite, thrust_n.tolist())):
             raise ValueError(f"thrust is not finite: {thrust_n.tolist()}")
-        pulses_us = self.allocation.pulses_us(thrust_n, self.supply_v, self._losses.share)
+        pulses_us = self.allocation.pulses_us(thrust_n, self.supply_v, self._losses.effectiveness)
         # Thrust of the pulses, dead band and saturation included: input of the estimator's model.
         self._pulse_n = self.allocation.thrusts_n(pulses_us, self.supply_v)
-        return self._told(t_us, thrust_n, pulses_us, armed=True)
+        return self._command(t_us, thrust_n, pulses_us, armed=True)
 
     def neutral(self, t_us: int) -> ThrusterCommand:
         """No thrust; needs nothing that could fail."""
         self._pulse_n = self.nothing()
-        return self._told(t_us, self._pulse_n, self.allocation.neutral_us)
+        return self._command(t_us, self._pulse_n, self.allocation.neutral_us)
 
-    def _told(
+    def _command(
         self, t_us: int, thrust_n: FloatArray, pulses_us: tuple[int, ...], *, armed: bool = False
     ) -> ThrusterCommand:
         padded_n = np.zeros(MAX_THRUSTERS)

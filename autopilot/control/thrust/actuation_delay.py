@@ -47,7 +47,7 @@ class DelayTuning:
     """T: slow enough to reduce the noise of gyro and velocity, fast enough to separate delays."""
     noise: tuple[float, float, float, float] = (0.03, 0.03, 0.03, 0.1)
     """Standard deviation of one update: estimate and model; updates T apart are independent."""
-    noise_share: float = 0.08
+    noise_fraction: float = 0.08
     """Relative error of the thrust's acceleration by lag, dead band and supply voltage."""
     push: tuple[float, float, float, float] = (0.06, 0.05, 0.06, 0.1)
     """Standard deviation of d at rest: 1 N of tether, a moment of 0.03 N m."""
@@ -71,7 +71,7 @@ class DelayTuning:
     """Evidence fades within this time."""
     normal_s: float = 0.2
     """Delays up to here are explained by lag, sensors and supply, and are not reported."""
-    doubt: float = 5.0
+    suspect_evidence: float = 5.0
     """Evidence [nats] against all normal delays that is a warning."""
     certain: float = 10.0
     """Evidence against all normal delays, and that of all but one neighbourhood of delays, that declares a delay."""
@@ -144,12 +144,12 @@ class ActuationDelay:
         """
         dt_s = 0.0 if self._t_us is None else (t_us - self._t_us) * 1e-6
         self._t_us = t_us
-        share = 1.0 - math.exp(-dt_s / self._tuning.filter_s)
+        fraction = 1.0 - math.exp(-dt_s / self._tuning.filter_s)
         self._acting = self._response.after(dt_s, self._acting, thrust_n.tolist())
-        self._thrust = _toward(self._thrust, self._acting, share)
+        self._thrust = _toward(self._thrust, self._acting, fraction)
         self._since_s += dt_s
         due = self._since_s >= self._tuning.interval_s - 1e-9
-        look_s = min(self._since_s, 1.0)
+        update_s = min(self._since_s, 1.0)
         if due:
             self._since_s = 0.0
             self._past[1:] = self._past[:-1]
@@ -167,16 +167,16 @@ class ActuationDelay:
             return False
         self._wait_s -= dt_s
         self._current = _toward(self._current, nav.current_ned_m_s.tolist(), dt_s / self._tuning.current_s)
-        self._followed = followed = _toward(followed, motion, share)
+        self._followed = followed = _toward(followed, motion, fraction)
         if not due or self._wait_s > 0.0:
             return False
         self._known.append((self._x, self._p, self._evidence))
-        self._look(
-            look_s,
+        self._update(
+            update_s,
             push_sigma(self._model, nav, self._tuning.push, self._tuning.flow_m_s),
             np.subtract(motion[:AXES], followed[:AXES]) / self._tuning.filter_s - followed[AXES:],
         )
-        return self._declare(look_s)
+        return self._declare(update_s)
 
     def _unlearn(self) -> None:
         """Restore the state before the last updates: an estimate degrades before it is flagged."""
@@ -186,7 +186,7 @@ class ActuationDelay:
             self._certain_s = 0.0
             self.doubtful = False
 
-    def _look(self, dt_s: float, push: FloatArray, residual: FloatArray) -> None:
+    def _update(self, dt_s: float, push: FloatArray, residual: FloatArray) -> None:
         """Predict and update all filters; ``residual`` (4,) is the acceleration that thrust and d have to explain."""
         tuning, n, nu = self._tuning, self._tuning.candidates, self._model.thrusters
         keep = math.exp(-dt_s / tuning.push_time_s)
@@ -202,7 +202,7 @@ class ActuationDelay:
         # Looks closer together than T share their noise: each counts for its part.
         part = dt_s / (2.0 * tuning.filter_s)
         spread = np.abs(self._effect) @ np.abs(self._past).max(axis=0)
-        noise = np.diag(np.square(tuning.noise) + np.square(tuning.noise_share * spread)) / part
+        noise = np.diag(np.square(tuning.noise) + np.square(tuning.noise_fraction * spread)) / part
         innovation = residual - np.einsum("nij,nj->ni", h, x)
         cross = h @ p
         s = cross @ h.transpose(0, 2, 1) + noise
@@ -212,9 +212,9 @@ class ActuationDelay:
         rest = np.eye(nu + BESIDES) - gain @ h
         self._x, self._p = x, rest @ p @ rest.transpose(0, 2, 1) + gain @ noise @ gain.transpose(0, 2, 1)
         distance2 = np.einsum("ni,ni->n", innovation, np.linalg.solve(s, innovation[..., None])[..., 0])
-        told = -0.5 * (distance2 + np.log(np.linalg.det(s)))
-        told = np.maximum(told - told.max(), -tuning.surprise)
-        self._evidence = self._evidence * math.exp(-dt_s / tuning.forget_s) + told
+        log_likelihood = -0.5 * (distance2 + np.log(np.linalg.det(s)))
+        log_likelihood = np.maximum(log_likelihood - log_likelihood.max(), -tuning.surprise)
+        self._evidence = self._evidence * math.exp(-dt_s / tuning.forget_s) + log_likelihood
         self._evidence = np.maximum(self._evidence - self._evidence.max(), -tuning.lead)
 
     def _declare(self, dt_s: float) -> bool:
@@ -234,10 +234,10 @@ class ActuationDelay:
                 self.delay_s = mean_s
         elif self.delay_s and float(evidence[self.delays_s > tuning.normal_s + 1e-9].max()) < -tuning.certain:
             self.delay_s = 0.0
-        self.doubtful = self.delay_s == 0.0 and normal < -tuning.doubt
+        self.doubtful = self.delay_s == 0.0 and normal < -tuning.suspect_evidence
         return self.delay_s != before
 
 
-def _toward(values: Sequence[float], goals: Sequence[float], share: float) -> list[float]:
+def _toward(values: Sequence[float], goals: Sequence[float], fraction: float) -> list[float]:
     """Linear interpolation by that fraction."""
-    return [value + share * (goal - value) for value, goal in zip(values, goals, strict=True)]
+    return [value + fraction * (goal - value) for value, goal in zip(values, goals, strict=True)]

@@ -46,8 +46,8 @@ class Allocation:
         pulse, up to its limit; a dead one (0) stands still."""
         wanted: list[float] = np.asarray(thrust_n, dtype=float).tolist()
         if effectiveness is not None:
-            shares = effectiveness.tolist()
-            wanted = [thrust / share if share > 0.0 else 0.0 for thrust, share in zip(wanted, shares, strict=True)]
+            factors = effectiveness.tolist()
+            wanted = [thrust / factor if factor > 0.0 else 0.0 for thrust, factor in zip(wanted, factors, strict=True)]
         return tuple(self.pulse_us(index, thrust, supply_v) for index, thrust in enumerate(wanted))
 
     def thrusts_n(self, pulses_us: Sequence[int], supply_v: float | None = None) -> FloatArray:

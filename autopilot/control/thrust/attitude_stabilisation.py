@@ -31,15 +31,15 @@ class AttitudeStabilizer:
 
     def __init__(self, vehicle: Vehicle) -> None:
         thrusters, table = vehicle.thrusters, vehicle.levelling
-        places, ways = [t.position_frd_m for t in thrusters], [t.direction_frd for t in thrusters]
-        wrench = np.array(wrench_matrix(places, ways))
+        places, directions = [t.position_frd_m for t in thrusters], [t.direction_frd for t in thrusters]
+        wrench = np.array(wrench_matrix(places, directions))
         self._controlled, self._tilt = wrench[list(CONTROLLED)], wrench[3:5]
         self._inertia = np.zeros(2) if table is None else np.array(table.inertia_kg_m2)
         self._rate_rad_s = 0.0 if table is None else table.natural_rad_s
         self.given = table is not None
         """Whether there is anything to do."""
-        self._ways: dict[bytes, FloatArray] = {}
-        self._least_n = ATTITUDE_STABILISATION.least_share * np.array([t.limit_n for t in thrusters])
+        self._patterns: dict[bytes, FloatArray] = {}
+        self._least_n = ATTITUDE_STABILISATION.least_fraction * np.array([t.limit_n for t in thrusters])
         self._turned = np.zeros(len(thrusters))
         """Which way each turned last."""
 
@@ -51,10 +51,10 @@ class AttitudeStabilizer:
         """
         if not self.given:
             return np.zeros_like(limit_n)
-        ways = self._ways_of(limit_n)
-        levels = np.abs(ways).max(axis=1) > 0.0
+        patterns = self._patterns_for(limit_n)
+        levels = np.abs(patterns).max(axis=1) > 0.0
         worst = np.abs(self._tilt) @ np.where(levels, 0.0, limit_n)
-        reserve: FloatArray = np.minimum(ATTITUDE_STABILISATION.most * limit_n, np.abs(ways) @ worst) * levels
+        reserve: FloatArray = np.minimum(ATTITUDE_STABILISATION.most * limit_n, np.abs(patterns) @ worst) * levels
         return reserve
 
     def thrust_n(
@@ -63,21 +63,21 @@ class AttitudeStabilizer:
         """(n,) ``wanted_n`` plus the stabilising thrust, within ``limit_n`` [N]; at saturation the stabilising part is
         scaled so that the four controlled axes are unaffected.
         """
-        ways = self._ways_of(limit_n) if self.given else None
-        if ways is None or not ways.any():
+        patterns = self._patterns_for(limit_n) if self.given else None
+        if patterns is None or not patterns.any():
             return wanted_n
         angle = np.clip(rpy_rad[:2], -MOST_TILT_RAD, MOST_TILT_RAD)
         w = self._rate_rad_s
         moment = -self._inertia * (w * w * angle + 2.0 * w * rate_frd_rad_s[:2]) - self._tilt @ wanted_n
-        more = ways @ moment
+        more = patterns @ moment
         used = np.abs(more) > ATTITUDE_STABILISATION.small
         if not used.any() or not np.isfinite(more).all():
             return wanted_n
-        room = (limit_n - wanted_n * np.sign(more))[used] / np.abs(more)[used]
-        share = min(1.0, max(0.0, float(room.min())))
-        result: FloatArray = wanted_n + share * more
-        if float(np.abs(angle * ways.any(axis=0)).max()) < LEVEL_RAD:
-            result = self._unturned(wanted_n, share * more, result)
+        capacity = (limit_n - wanted_n * np.sign(more))[used] / np.abs(more)[used]
+        fraction = min(1.0, max(0.0, float(capacity.min())))
+        result: FloatArray = wanted_n + fraction * more
+        if float(np.abs(angle * patterns.any(axis=0)).max()) < LEVEL_RAD:
+            result = self._unturned(wanted_n, fraction * more, result)
         turns = np.abs(result) > ATTITUDE_STABILISATION.small
         self._turned[turns] = np.sign(result[turns])
         return result
@@ -95,24 +95,24 @@ class AttitudeStabilizer:
             result = wanted_n + more_n
         return result
 
-    def _ways_of(self, limit_n: FloatArray) -> FloatArray:
+    def _patterns_for(self, limit_n: FloatArray) -> FloatArray:
         """(n, 2) thrust for 1 N m about roll and pitch by the available thrusters; 0 for moments that they cannot
         produce.
         """
         key = (limit_n > 0.0).tobytes()
-        if key not in self._ways:
-            self._ways[key] = self._found(limit_n > 0.0) if self.given else np.zeros((len(limit_n), 2))
-        return self._ways[key]
+        if key not in self._patterns:
+            self._patterns[key] = self._found(limit_n > 0.0) if self.given else np.zeros((len(limit_n), 2))
+        return self._patterns[key]
 
     def _found(self, alive: np.ndarray) -> FloatArray:
         """Least-squares solution; a tilt that needs force in another axis is not controlled."""
-        ways = np.zeros((len(alive), 2))
+        patterns = np.zeros((len(alive), 2))
         pushed = np.vstack([self._controlled, self._tilt]) * alive
         inverse = np.linalg.pinv(pushed, rcond=ATTITUDE_STABILISATION.small)
         for tilt in range(2):
-            way = inverse[:, 4 + tilt] * alive
-            effect = pushed @ way
+            pattern = inverse[:, 4 + tilt] * alive
+            effect = pushed @ pattern
             effect[4 + tilt] -= 1.0
             if float(np.abs(effect).max()) < 1e-3:
-                ways[:, tilt] = np.where(np.abs(way) > ATTITUDE_STABILISATION.small, way, 0.0)
-        return ways
+                patterns[:, tilt] = np.where(np.abs(pattern) > ATTITUDE_STABILISATION.small, pattern, 0.0)
+        return patterns

@@ -52,42 +52,42 @@ class HandLaw:
         self._trim_n = 0.0
 
     def thrust_n(
-        self, t_us: int, wish: ByHand, felt: PositionlessState, limit_n: FloatArray, now_n: FloatArray
+        self, t_us: int, demand: ByHand, measured: PositionlessState, limit_n: FloatArray, now_n: FloatArray
     ) -> FloatArray:
         """(n,) thrust within ``limit_n`` [N]; ``now_n`` (n,) is the command at the start of this mode."""
         if self._last_us is None:
             self._last_us, self._thrust_n = t_us, np.array(now_n, dtype=float)
         elapsed_s = min(max((t_us - self._last_us) * 1e-6, 0.0), 0.1)
         self._last_us = t_us
-        force = wish.force.copy()
+        force = demand.force.copy()
         force[2] += self._allocator.model.buoyancy_excess_n
-        self._feel_depth(felt.depth_m, elapsed_s)
-        if wish.yaw_rate_rad_s is not None and felt.yaw_rad is not None:
-            force[3] = self._moment(wish.yaw_rate_rad_s, felt.yaw_rad, felt.yaw_rate_rad_s)
-        if wish.down_m_s is not None and felt.depth_m is not None:
-            force[2] = self._heave_n(wish.down_m_s, felt.depth_m, elapsed_s, limit_n)
+        self._feel_depth(measured.depth_m, elapsed_s)
+        if demand.yaw_rate_rad_s is not None and measured.yaw_rad is not None:
+            force[3] = self._moment(demand.yaw_rate_rad_s, measured.yaw_rad, measured.yaw_rate_rad_s)
+        if demand.down_m_s is not None and measured.depth_m is not None:
+            force[2] = self._heave_n(demand.down_m_s, measured.depth_m, elapsed_s, limit_n)
         thrust = self._allocator.thrust_n(force, limit_n)
         self._thrust_n = slewed(thrust, self._thrust_n, limit_n, elapsed_s)
         return self._thrust_n.copy()
 
-    def _moment(self, wish_rad_s: float, yaw_rad: float, rate_rad_s: float) -> float:
+    def _moment(self, demand_rad_s: float, yaw_rad: float, rate_rad_s: float) -> float:
         """Yaw moment [N m] of heading hold or commanded yaw rate."""
         model = self._allocator.model
-        if wish_rad_s or self._yaw_rad is None:
+        if demand_rad_s or self._yaw_rad is None:
             self._yaw_rad = yaw_rad
-        turn = wish_rad_s or _limited(
+        turn = demand_rad_s or _limited(
             BY_HAND.yaw_gain_1_s * wrap_pi(self._yaw_rad - yaw_rad), BY_HAND.yaw_rate_limit_rad_s
         )
         drag = model.linear_drag[3] * turn + model.quadratic_drag[3] * abs(turn) * turn
         return drag + model.mass_kg[3] * BY_HAND.yaw_rate_gain_1_s * (turn - rate_rad_s)
 
-    def _heave_n(self, wish_m_s: float, depth_m: float, elapsed_s: float, limit_n: FloatArray) -> float:
+    def _heave_n(self, demand_m_s: float, depth_m: float, elapsed_s: float, limit_n: FloatArray) -> float:
         """Heave force [N] of depth hold or commanded rate."""
         model = self._allocator.model
-        if wish_m_s or self._depth_m is None:
+        if demand_m_s or self._depth_m is None:
             self._depth_m = depth_m
-        climb = wish_m_s or _limited(BY_HAND.depth_gain_1_s * (self._depth_m - depth_m), BY_HAND.heave_limit_m_s)
-        most = BY_HAND.trim_share * float(np.abs(np.array(model.allocation)[2]) @ limit_n)
+        climb = demand_m_s or _limited(BY_HAND.depth_gain_1_s * (self._depth_m - depth_m), BY_HAND.heave_limit_m_s)
+        most = BY_HAND.trim_fraction * float(np.abs(np.array(model.allocation)[2]) @ limit_n)
         trim = self._trim_n + model.mass_kg[2] * BY_HAND.trim_gain_1_s2 * (climb - self._rate_m_s) * elapsed_s
         self._trim_n = _limited(trim, most)
         drag = model.linear_drag[2] * climb + model.quadratic_drag[2] * abs(climb) * climb
@@ -105,10 +105,10 @@ class HandLaw:
             return
         if self._read_m is None:
             self._read_m = depth_m
-        share = elapsed_s / (BY_HAND.depth_rate_s + elapsed_s)
+        fraction = elapsed_s / (BY_HAND.depth_rate_s + elapsed_s)
         # The low-passed reading's rate is the low-passed rate.
         self._rate_m_s = (depth_m - self._read_m) / BY_HAND.depth_rate_s
-        self._read_m += share * (depth_m - self._read_m)
+        self._read_m += fraction * (depth_m - self._read_m)
 
 
 def _limited(value: float, most: float) -> float:

@@ -29,7 +29,7 @@ class CommandDelay:
         self._delay = ActuationDelay(vehicle.to_model(), Response.of(vehicle.thrusters))
         self._kept_us = round(float(self._delay.delays_s[-1]) * 1e6) + 1
         self._sent: deque[tuple[int, FloatArray]] = deque()
-        self._doubt_us: int | None = None
+        self._suspect_since_us: int | None = None
         self._looked = False
         self._found_us: int | None = None
         self.delay_s = 0.0
@@ -60,7 +60,7 @@ class CommandDelay:
         [N]. Disarmed, everything is forgotten.
         """
         if not armed or not int(self._params["LAT_DETECT"]):
-            self.delay_s, self.doubtful, self._doubt_us, self._found_us = 0.0, False, None, None
+            self.delay_s, self.doubtful, self._suspect_since_us, self._found_us = 0.0, False, None, None
             if self._looked:
                 self._delay.reset()
             self._looked = False
@@ -69,8 +69,8 @@ class CommandDelay:
         self._delay.step(t_us, nav, pulse_n)
         self.delay_s = self._delay.delay_s
         self._found_us = (t_us if self._found_us is None else self._found_us) if self.delay_s else None
-        self._doubt_us = (self._doubt_us or t_us) if self._delay.doubtful else None
-        self.doubtful = self._doubt_us is not None and t_us - self._doubt_us < LONGEST_DOUBT_S * 1e6
+        self._suspect_since_us = (self._suspect_since_us or t_us) if self._delay.doubtful else None
+        self.doubtful = self._suspect_since_us is not None and t_us - self._suspect_since_us < LONGEST_DOUBT_S * 1e6
 
     def nav_for_control(self, t_us: int, nav: NavState) -> NavState:
         """The estimate for the controller: just after a delay has been found with the current of before."""

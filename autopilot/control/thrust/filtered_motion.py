@@ -91,12 +91,12 @@ class MotionFilter:
         self._moving_s += dt_s
         if self._since_s < self._interval_s - 1e-9 or self._moving_s < 4.0 * self._filter_s:
             return None
-        return self._look(terms)
+        return self._motion_of(terms)
 
     def _follow_current(self, nav: NavState, dt_s: float) -> None:
-        share = 1.0 - math.exp(-dt_s / self._current_s)
+        fraction = 1.0 - math.exp(-dt_s / self._current_s)
         north, east = self._current
-        dn, de = share * (nav.current_ned_m_s.item(0) - north), share * (nav.current_ned_m_s.item(1) - east)
+        dn, de = fraction * (nav.current_ned_m_s.item(0) - north), fraction * (nav.current_ned_m_s.item(1) - east)
         self._current = (north + dn, east + de)
         self._moved = (self._moved[0] + dn, self._moved[1] + de)
 
@@ -139,13 +139,13 @@ class MotionFilter:
             ]
         )
 
-    def _look(self, terms: FloatArray) -> FilteredMotion:
+    def _motion_of(self, terms: FloatArray) -> FilteredMotion:
         past, rate = self._filtered, (terms - self._filtered) / self._filter_s
         u, v, w = past[:3].tolist()
         p, q = past.item(24), past.item(26)
         flow = np.zeros((4, 2))
         flow[[0, 1, 3]] = past[15:21].reshape(3, 2)
-        look = FilteredMotion(
+        motion = FilteredMotion(
             dt_s=min(self._since_s, 1.0),
             residual=rate[0:4] - past[4:8],
             thrust_n=past[27:],
@@ -159,4 +159,4 @@ class MotionFilter:
             swing=np.array([q * w, p * w, math.hypot(p * v, q * u), 0.0]),
         )
         self._since_s, self._moved = 0.0, (0.0, 0.0)
-        return look
+        return motion

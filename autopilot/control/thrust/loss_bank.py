@@ -63,9 +63,9 @@ class StateLayout:
         self.motion = np.array([*range(n + 13, n + 23), n + 24, n + 25])
         """States that change within seconds."""
         self.filters = 2 + n * LOSS_BANK.each
-        self.stories = np.arange(2, self.filters)
+        self.hypotheses = np.arange(2, self.filters)
         """Their filters."""
-        self.told_of = np.repeat(np.arange(n), LOSS_BANK.each)
+        self.thruster_of = np.repeat(np.arange(n), LOSS_BANK.each)
         """(n EACH,) thruster of each hypothesis."""
 
 
@@ -75,11 +75,11 @@ class Beliefs:
 
     noise: tuple[float, float, float, float] = (0.008, 0.008, 0.008, 0.04)
     """Of one update: estimate and model; updates ``independent_s`` apart are independent."""
-    noise_share: float = 0.04
+    noise_fraction: float = 0.04
     """Relative error of the thrust's acceleration by lag, dead band and supply voltage."""
     independent_s: float = 0.3
     """Looks so far apart share no noise."""
-    sound: float = 0.05
+    healthy: float = 0.05
     """e of a sound thruster: they are not all alike."""
     half: tuple[float, float] = (0.5, 0.1)
     """e of a thruster that has lost half of its thrust, mean and standard deviation."""
@@ -158,8 +158,8 @@ class LossBank:
         self._still = self._stationary()
         self._work = np.empty((self._at.filters, self._at.size, self._at.size))
         """Kept for :meth:`_shrink`: memory that is in use stays in the processor's cache."""
-        self._evidence: FloatArray = np.zeros(len(self._at.stories))
-        self._age_s: FloatArray = np.zeros(len(self._at.stories))
+        self._evidence: FloatArray = np.zeros(len(self._at.hypotheses))
+        self._age_s: FloatArray = np.zeros(len(self._at.hypotheses))
         self.reset()
 
     def reset(self) -> None:
@@ -169,7 +169,7 @@ class LossBank:
         self._x, self._p = self._prior()
         self._begin_all()
 
-    def doubt(self) -> None:
+    def restart_estimates(self) -> None:
         """Reset the estimates of the vehicle; declared faults are kept."""
         x, p = self._prior()
         lossy = np.flatnonzero(self.lossy)
@@ -182,7 +182,7 @@ class LossBank:
         x = np.zeros(at.size)
         x[at.e] = 1.0
         spread = np.zeros(at.size)
-        spread[at.e], spread[at.gain], spread[at.drag], spread[at.turn] = b.sound, b.gain, b.drag, b.turn
+        spread[at.e], spread[at.gain], spread[at.drag], spread[at.turn] = b.healthy, b.gain, b.drag, b.turn
         spread[at.arm], spread[at.lag], spread[at.common] = b.arm, b.lag_s, b.common
         p = np.diag(np.square(spread))
         p += self._still
@@ -246,7 +246,7 @@ class LossBank:
     def clear(self, thruster: int) -> None:
         """Set the faulty thruster to healthy in filter 0."""
         self._x, self._p = self._x.copy(), self._p.copy()
-        self._set(0, thruster, 1.0, self._beliefs.sound)
+        self._set(0, thruster, 1.0, self._beliefs.healthy)
         self._turn(thruster)
 
     def swap(self, thruster: int, other: int) -> None:
@@ -276,22 +276,22 @@ class LossBank:
             self._p += self._waters(self._beliefs.flow_hit_m_s)
             self._begin_all()
 
-    def look(self, look: FilteredMotion, *, heave: bool, learn: bool) -> bool:
+    def update(self, motion: FilteredMotion, *, heave: bool, learn: bool) -> bool:
         """Measurement update, without learning if ``learn`` is false. False if no filter explains it: nothing is
         changed then.
 
         ``heave``: whether the third axis is valid (not at the surface).
         """
         b, at = self._beliefs, self._at
-        self._predict(look)
-        pull = self._pull(look)
-        h = self._derivatives(look, pull)
-        thrust = np.square(self._effect) @ np.square(look.thrust_n)
-        known = np.square(b.noise) + b.noise_share**2 * thrust + np.square(look.swing)
-        noise = known * (b.independent_s / look.dt_s)
+        self._predict(motion)
+        pull = self._pull(motion)
+        h = self._derivatives(motion, pull)
+        thrust = np.square(self._effect) @ np.square(motion.thrust_n)
+        known = np.square(b.noise) + b.noise_fraction**2 * thrust + np.square(motion.swing)
+        noise = known * (b.independent_s / motion.dt_s)
         if not heave:
             noise[2] = LOSS_BANK.unseen
-        innovation = look.residual - self._expected(look, h, pull)
+        innovation = motion.residual - self._expected(motion, h, pull)
         cross = h @ self._p
         s = cross @ h.transpose(0, 2, 1) + np.diag(noise)
         inverse = np.linalg.inv(s)
@@ -305,7 +305,7 @@ class LossBank:
             x[:, at.gain] = np.maximum(x[:, at.gain], b.least_gain - x[:, at.common, None])
             self._x = x
             self._shrink(gain, cross)
-            self._weigh(-0.5 * (distance2 + np.log(np.linalg.det(s))), look.dt_s)
+            self._weigh(-0.5 * (distance2 + np.log(np.linalg.det(s))), motion.dt_s)
         return explained
 
     def _shrink(self, gain: FloatArray, cross: FloatArray) -> None:
@@ -315,10 +315,10 @@ class LossBank:
         np.add(p, p.transpose(0, 2, 1), out=work)
         np.multiply(work, 0.5, out=p)
 
-    def _weigh(self, told: FloatArray, dt_s: float) -> None:
+    def _weigh(self, log_likelihood: FloatArray, dt_s: float) -> None:
         """Add the log-likelihoods (n,) of an update to the evidence; restart hypotheses on schedule."""
         b, at = self._beliefs, self._at
-        gained = np.clip(told[at.stories] - told[0], -b.most[0], b.most[1])
+        gained = np.clip(log_likelihood[at.hypotheses] - log_likelihood[0], -b.most[0], b.most[1])
         self._evidence = np.minimum(self._evidence + gained, b.most_evidence)
         self._age_s = self._age_s + dt_s
         self._since_s += dt_s
@@ -328,30 +328,30 @@ class LossBank:
 
     def _begin_all(self) -> None:
         """Restart all hypotheses; of those with equal start the first counts as the best."""
-        self._evidence, self._age_s = np.zeros(len(self._at.stories)), np.zeros(len(self._at.stories))
+        self._evidence, self._age_s = np.zeros(len(self._at.hypotheses)), np.zeros(len(self._at.hypotheses))
         self._since_s = 0.0
-        for story in range(len(self._at.stories)):
-            self._begin(story)
+        for hypothesis in range(len(self._at.hypotheses)):
+            self._begin(hypothesis)
 
     def _begin_worst(self) -> None:
         """Restart the least likely hypothesis of each thruster and each size of loss, if it is old enough."""
         grown = self._age_s >= self._beliefs.grown_s
-        believed = np.where(grown, self._evidence, np.inf).reshape(self._n, LOSS_BANK.each // 2, 2)
-        worst = LOSS_BANK.each * np.arange(self._n)[:, None] + 2 * believed.argmin(axis=1) + np.arange(2)
+        evidence_of_old = np.where(grown, self._evidence, np.inf).reshape(self._n, LOSS_BANK.each // 2, 2)
+        worst = LOSS_BANK.each * np.arange(self._n)[:, None] + 2 * evidence_of_old.argmin(axis=1) + np.arange(2)
         self._evidence, self._age_s = self._evidence.copy(), self._age_s.copy()
-        for story in worst.ravel():
-            if grown[story]:
-                self._begin(int(story))
+        for hypothesis in worst.ravel():
+            if grown[hypothesis]:
+                self._begin(int(hypothesis))
 
-    def _begin(self, story: int) -> None:
+    def _begin(self, hypothesis: int) -> None:
         """Restart a hypothesis: filter 0 with a change of its thruster now."""
         b, at = self._beliefs, self._at
-        thruster = int(at.told_of[story])
-        mean, sigma = (1.0, b.sound) if self.lossy[thruster] else (b.half, b.dead)[story % 2]
-        here = int(at.stories[story])
+        thruster = int(at.thruster_of[hypothesis])
+        mean, sigma = (1.0, b.healthy) if self.lossy[thruster] else (b.half, b.dead)[hypothesis % 2]
+        here = int(at.hypotheses[hypothesis])
         self._x[here], self._p[here] = self._x[0], self._p[0]
         self._set(here, thruster, mean, sigma)
-        self._evidence[story] = self._age_s[story] = 0.0
+        self._evidence[hypothesis] = self._age_s[hypothesis] = 0.0
 
     def _set(self, which: int, thruster: int, mean: float, sigma: float) -> None:
         """Set the thruster's mean and variance in filter ``which``, without correlations."""
@@ -376,8 +376,8 @@ class LossBank:
         waters[at.swirl, at.swirl] = np.eye(2) * (mean**2 + sigma**2) * sigma_m_s**2
         return waters
 
-    def _predict(self, look: FilteredMotion) -> None:
-        b, at, dt_s = self._beliefs, self._at, look.dt_s
+    def _predict(self, motion: FilteredMotion) -> None:
+        b, at, dt_s = self._beliefs, self._at, motion.dt_s
         keep = np.ones(at.size)
         keep[at.pull], keep[at.moment] = math.exp(-dt_s / b.pull_s), math.exp(-dt_s / b.moment_s)
         keep[at.flow] = keep[at.swirl] = math.exp(-dt_s / b.flow_s)
@@ -386,51 +386,51 @@ class LossBank:
         p = self._p * kept
         p += (1.0 - kept) * self._still
         # The same water, against another belief.
-        x[:, at.flow] -= look.moved_ned_m_s
-        x[:, at.swirl] -= look.moved_ned_m_s
+        x[:, at.flow] -= motion.moved_ned_m_s
+        x[:, at.swirl] -= motion.moved_ned_m_s
         grow = np.zeros((at.filters, at.size))
         grow[:, at.gain] = b.gain_wander**2 * dt_s
         lossy = np.tile(self.lossy, (at.filters, 1))
         lossy[LOSS_BANK.free] = True
-        lossy[at.stories, at.told_of] ^= True
+        lossy[at.hypotheses, at.thruster_of] ^= True
         grow[:, at.e] = b.wander**2 * dt_s * lossy
         index = np.arange(at.size)
         p[:, index, index] += grow
         self._x, self._p = x, p
 
-    def _expected(self, look: FilteredMotion, h: FloatArray, pull: FloatArray) -> FloatArray:
+    def _expected(self, motion: FilteredMotion, h: FloatArray, pull: FloatArray) -> FloatArray:
         """(n, 4) residual that each filter expects, with its derivatives (n, 4, states)."""
         x, at = self._x, self._at
         ideal, rate = h[:, :, at.common], -h[:, :, at.lag]
         result: FloatArray = (
-            self._gain() * ideal - x[:, at.lag, None] * rate + x[:, at.drag] * look.drag + x[:, at.push]
+            self._gain() * ideal - x[:, at.lag, None] * rate + x[:, at.drag] * motion.drag + x[:, at.push]
         )
         result += x[:, at.pull] @ pull.T
-        result[:, :3] += x[:, at.flow] @ look.flow[:3].T
-        result[:, 3] += x[:, at.swirl] @ look.flow[3]
-        result[:, [0, 1, 3]] += x[:, at.turn] * look.coriolis
-        result[:, 3] += x[:, at.moment] + x[:, at.arm] * (look.thrust_n @ self._sway)
+        result[:, :3] += x[:, at.flow] @ motion.flow[:3].T
+        result[:, 3] += x[:, at.swirl] @ motion.flow[3]
+        result[:, [0, 1, 3]] += x[:, at.turn] * motion.coriolis
+        result[:, 3] += x[:, at.moment] + x[:, at.arm] * (motion.thrust_n @ self._sway)
         return result
 
-    def _derivatives(self, look: FilteredMotion, pull: FloatArray) -> FloatArray:
+    def _derivatives(self, motion: FilteredMotion, pull: FloatArray) -> FloatArray:
         """(n, 4, states) Jacobian of the predicted measurement."""
         x, at = self._x, self._at
         h = np.zeros((len(x), 4, at.size))
         axes = np.arange(4)
-        h[:, :, at.e] = self._gain()[:, :, None] * (self._effect * look.thrust_n) - x[:, at.lag, None, None] * (
-            self._effect * look.thrust_rate_n_s
+        h[:, :, at.e] = self._gain()[:, :, None] * (self._effect * motion.thrust_n) - x[:, at.lag, None, None] * (
+            self._effect * motion.thrust_rate_n_s
         )
         h[:, axes, at.gain.start + axes] = h[:, :, at.common] = np.einsum(
-            "ij,nj->ni", self._effect, look.thrust_n * x[:, at.e]
+            "ij,nj->ni", self._effect, motion.thrust_n * x[:, at.e]
         )
-        h[:, axes, at.drag.start + axes] = look.drag
-        h[:, [0, 1, 3], range(at.turn.start, at.turn.stop)] = look.coriolis
-        h[:, 3, at.arm] = look.thrust_n @ self._sway
-        h[:, :, at.lag] = -np.einsum("ij,nj->ni", self._effect, look.thrust_rate_n_s * x[:, at.e])
+        h[:, axes, at.drag.start + axes] = motion.drag
+        h[:, [0, 1, 3], range(at.turn.start, at.turn.stop)] = motion.coriolis
+        h[:, 3, at.arm] = motion.thrust_n @ self._sway
+        h[:, :, at.lag] = -np.einsum("ij,nj->ni", self._effect, motion.thrust_rate_n_s * x[:, at.e])
         h[:, :, at.pull] = pull
         h[:, 3, at.moment] = 1.0
-        h[:, :3, at.flow] = look.flow[:3]
-        h[:, 3, at.swirl] = look.flow[3]
+        h[:, :3, at.flow] = motion.flow[:3]
+        h[:, 3, at.swirl] = motion.flow[3]
         h[:, axes, at.push.start + axes] = 1.0
         return h
 
@@ -440,9 +440,9 @@ class LossBank:
         gain: FloatArray = 1.0 + self._x[:, at.gain] + self._x[:, at.common, None]
         return gain
 
-    def _pull(self, look: FilteredMotion) -> FloatArray:
+    def _pull(self, motion: FilteredMotion) -> FloatArray:
         """(4, 3) acceleration per newton of a force NED."""
-        c, s = look.north
+        c, s = motion.north
         pull = np.zeros((4, 3))
         pull[0, :2] = c, s
         pull[1, :2] = -s, c

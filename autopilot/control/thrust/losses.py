@@ -2,9 +2,9 @@
 
 import numpy as np
 
-from autopilot.control.thrust.redundancy import lossy_share, tilt_of, weak_thrusters
+from autopilot.control.thrust.redundancy import lossy_effectiveness, tilt_of, weak_thrusters
 from autopilot.control.thrust.thrust_tuning import LOSSES
-from autopilot.control.thrust.thruster_health import ThrusterHealth, hover_problem, told, usable
+from autopilot.control.thrust.thruster_health import ThrusterHealth, configured_effectiveness, hover_problem, usable
 from autopilot.core.control_allocator import ControlAllocator
 from autopilot.core.frames import FloatArray
 from autopilot.core.messages import Goal, NavState, ThrusterHealthState
@@ -31,9 +31,9 @@ class ThrusterLosses:
         """Declared and detected effectiveness at the last update."""
         self._revision = -1
         """Of the parameters at the last update."""
-        self.share = np.ones(len(self._names))
+        self.effectiveness = np.ones(len(self._names))
         """(n,) effectiveness that bounds and allocation go by; dead thrusters have 0. Another array when it changes."""
-        self.shares = (1.0,) * len(self._names)
+        self.effectiveness_values = (1.0,) * len(self._names)
         """The same."""
         self.problem = ""
         """Lost capability, "" while the vehicle can keep its position."""
@@ -58,7 +58,7 @@ class ThrusterLosses:
         record for the log, periodically and on changes.
         """
         self._find(t_us, nav, pulse_n, armed)
-        changed = self._look()
+        changed = self._changed()
         if not changed and t_us < self._report_us:
             return None
         if t_us >= self._report_us:
@@ -68,36 +68,36 @@ class ThrusterLosses:
         self.unseen = tuple(n for n, seen in zip(self._names, self._health.seen, strict=True) if detects and not seen)
         return ThrusterHealthState(
             t_us=t_us,
-            effectiveness=self.share.copy(),
+            effectiveness=self.effectiveness.copy(),
             estimate=self._health.effectiveness,
             sigma=self._health.sigma,
         )
 
-    def _look(self) -> bool:
-        """Whether :attr:`share` is another one than on the last tick."""
+    def _changed(self) -> bool:
+        """Whether :attr:`effectiveness` is another one than on the last tick."""
         revision, found = self._params.revision, self._health.found
         if revision == self._revision and self._known is not None and found is self._known[1]:
             return False
         self._revision = revision
-        said = told(self._params, len(self._names))
-        if self._known is not None and said == self._known[0] and found is self._known[1]:
+        configured = configured_effectiveness(self._params, len(self._names))
+        if self._known is not None and configured == self._known[0] and found is self._known[1]:
             return False
-        self._known = (said, found)
-        before = self.share
-        found, doubts = found.copy(), [list(redundant) for redundant in self._health.doubtful]
-        for redundant in doubts:
+        self._known = (configured, found)
+        before = self.effectiveness
+        found, ambiguous = found.copy(), [list(redundant) for redundant in self._health.doubtful]
+        for redundant in ambiguous:
             # A declared loss of one of them explains the detected loss of all.
             if (
-                min(said[redundant_one] for redundant_one in redundant)
-                < lossy_share(found[redundant].tolist()) + LOSSES.same_loss
+                min(configured[redundant_one] for redundant_one in redundant)
+                < lossy_effectiveness(found[redundant].tolist()) + LOSSES.same_loss
             ):
                 found[redundant] = 1.0
         self.doubtful = tuple(
-            tuple(self._names[i] for i in redundant) for redundant in doubts if found[redundant[0]] < 1.0
+            tuple(self._names[i] for i in redundant) for redundant in ambiguous if found[redundant[0]] < 1.0
         )
-        self.share = usable(np.minimum(said, found))
-        self.shares = tuple(self.share.tolist())
-        return bool((self.share != before).any())
+        self.effectiveness = usable(np.minimum(configured, found))
+        self.effectiveness_values = tuple(self.effectiveness.tolist())
+        return bool((self.effectiveness != before).any())
 
     def _find(self, t_us: int, nav: NavState | None, pulse_n: FloatArray, armed: bool) -> None:
         if not int(self._params["THR_DETECT"]):
@@ -112,10 +112,10 @@ class ThrusterLosses:
 
         With all thrusters alive a goal's heading may be met in passing; with a dead one it must be possible to stay.
         """
-        weak = weak_thrusters(self._names, self.share.tolist(), self.doubtful)
+        weak = weak_thrusters(self._names, self.effectiveness.tolist(), self.doubtful)
         if not weak:
             return ""
         current = np.zeros(3) if nav is None else nav.current_ned_m_s
-        yaw_rad = goal.yaw_rad if goal is not None and not self.share.all() else None
-        problem = hover_problem(self._allocator, capability_n * self.share, current, yaw_rad)
+        yaw_rad = goal.yaw_rad if goal is not None and not self.effectiveness.all() else None
+        problem = hover_problem(self._allocator, capability_n * self.effectiveness, current, yaw_rad)
         return f"{problem} (thruster {', '.join(weak)})" if problem else ""

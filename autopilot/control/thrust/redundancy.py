@@ -53,20 +53,27 @@ def tilt_of(vehicle: Vehicle) -> FloatArray:
     return result
 
 
-def lossy_share(shares: Sequence[float]) -> float:
+def lossy_effectiveness(effectivenesses: Sequence[float]) -> float:
     """Effectiveness of the faulty one of several redundant thrusters with that common effectiveness, the others
     healthy.
     """
-    return max(0.0, sum(shares) - (len(shares) - 1))
+    return max(0.0, sum(effectivenesses) - (len(effectivenesses) - 1))
 
 
-def weak_thrusters(names: Sequence[str], shares: Sequence[float], doubtful: Sequence[Sequence[str]]) -> list[str]:
+def weak_thrusters(
+    names: Sequence[str], effectivenesses: Sequence[float], doubtful: Sequence[Sequence[str]]
+) -> list[str]:
     """Text: thrusters with reduced effectiveness; of ``doubtful`` redundant ones, that one of them is, not isolated."""
-    share_of = dict(zip(names, shares, strict=True))
-    alone = [name for name in names if share_of[name] < 1.0 and not any(name in redundant for redundant in doubtful)]
-    left = [(", ".join(redundant), lossy_share([share_of[name] for name in redundant])) for redundant in doubtful]
-    return [f"{name} {100.0 * share_of[name]:.0f} %" for name in alone] + [
-        f"one of {redundant} {100.0 * share:.0f} %" for redundant, share in left
+    effectiveness_of = dict(zip(names, effectivenesses, strict=True))
+    alone = [
+        name for name in names if effectiveness_of[name] < 1.0 and not any(name in redundant for redundant in doubtful)
+    ]
+    left = [
+        (", ".join(redundant), lossy_effectiveness([effectiveness_of[name] for name in redundant]))
+        for redundant in doubtful
+    ]
+    return [f"{name} {100.0 * effectiveness_of[name]:.0f} %" for name in alone] + [
+        f"one of {redundant} {100.0 * left_effectiveness:.0f} %" for redundant, left_effectiveness in left
     ]
 
 
@@ -75,20 +82,20 @@ class TiltEvidence:
 
     def __init__(self, tilt: FloatArray) -> None:
         self._tilt = tilt
-        self._looks: deque[tuple[float, FilteredMotion]] = deque(maxlen=REDUNDANCY.kept_looks)
+        self._motions: deque[tuple[float, FilteredMotion]] = deque(maxlen=REDUNDANCY.kept_updates)
         self.clock_s = 0.0
         """Total time of all updates."""
-        self.looks = 0
+        self.updates = 0
         """Number of updates."""
 
-    def forget(self, looks: int = REDUNDANCY.kept_looks) -> None:
-        for _ in range(min(looks, len(self._looks))):
-            self._looks.pop()
+    def forget(self, updates: int = REDUNDANCY.kept_updates) -> None:
+        for _ in range(min(updates, len(self._motions))):
+            self._motions.pop()
 
-    def look(self, look: FilteredMotion) -> None:
-        self.clock_s += look.dt_s
-        self.looks += 1
-        self._looks.append((self.clock_s, look))
+    def update(self, motion: FilteredMotion) -> None:
+        self.clock_s += motion.dt_s
+        self.updates += 1
+        self._motions.append((self.clock_s, motion))
 
     def tells(self, suspects: Sequence[int]) -> bool:
         """Whether they tilt the hull differently at all."""
@@ -98,34 +105,37 @@ class TiltEvidence:
         """(suspects,) evidence for each [nats], the worst 0: loss of thrust before the time ``by_s``, the others with
         effectiveness ``others`` (n,).
         """
-        told, arms = np.zeros(len(suspects)), self._tilt[:, list(suspects)]
+        evidence, arms = np.zeros(len(suspects)), self._tilt[:, list(suspects)]
         axes = np.flatnonzero(np.ptp(arms, axis=1) > REDUNDANCY.same_arm)
-        if not len(axes) or not self._looks:
-            return told
-        clock_s, looks = zip(*self._looks, strict=True)
-        begins = np.unique(np.searchsorted(clock_s, by_s - BEGUN_S, side="right").clip(max=len(looks) - 1))
-        share = min(1.0, float(np.mean([look.dt_s for look in looks])) / REDUNDANCY.independent_s)
-        thrust_n, tilts = np.array([look.thrust_n for look in looks]), np.array([look.tilt for look in looks])
+        if not len(axes) or not self._motions:
+            return evidence
+        clock_s, motions = zip(*self._motions, strict=True)
+        begins = np.unique(np.searchsorted(clock_s, by_s - BEGUN_S, side="right").clip(max=len(motions) - 1))
+        independent_fraction = min(1.0, float(np.mean([motion.dt_s for motion in motions])) / REDUNDANCY.independent_s)
+        thrust_n, tilts = (
+            np.array([motion.thrust_n for motion in motions]),
+            np.array([motion.tilt for motion in motions]),
+        )
         likely = np.zeros((len(suspects), len(begins)))
         for axis in axes:
             seen, angle, rate = tilts[:, axis].T
-            sound = np.column_stack([thrust_n @ (self._tilt[axis] * others), angle, rate, np.ones(len(looks))])
+            healthy = np.column_stack([thrust_n @ (self._tilt[axis] * others), angle, rate, np.ones(len(motions))])
             lacking = -thrust_n[:, list(suspects)] * arms[axis]
-            likely += _likelihoods(sound, lacking, begins, seen, share)
-        told = likely.max(axis=1)
-        result: FloatArray = told - told.min()
+            likely += _likelihoods(healthy, lacking, begins, seen, independent_fraction)
+        evidence = likely.max(axis=1)
+        result: FloatArray = evidence - evidence.min()
         return result
 
 
 def _likelihoods(
-    sound: FloatArray, lacking: FloatArray, begins: np.ndarray, seen: FloatArray, share: float
+    healthy: FloatArray, lacking: FloatArray, begins: np.ndarray, seen: FloatArray, independent_fraction: float
 ) -> FloatArray:
-    """(suspects, begins) log-likelihood of ``seen`` (m,), explained by ``sound`` (m, 4) and, from update ``begins``
-    on, by one column of ``lacking`` (m, suspects); noise from the best fit, with ``share`` the fraction of independent
-    updates.
+    """(suspects, begins) log-likelihood of ``seen`` (m,), explained by ``healthy`` (m, 4) and, from update ``begins``
+    on, by one column of ``lacking`` (m, suspects); noise from the best fit, with
+    ``independent_fraction`` the fraction of independent updates.
     """
     suspects, times = lacking.shape[1], len(begins)
-    prior, rest = np.diag(1.0 / np.square(SPREADS)), seen - sound @ MEANS[1:]
+    prior, rest = np.diag(1.0 / np.square(SPREADS)), seen - healthy @ MEANS[1:]
 
     def since(terms: FloatArray) -> FloatArray:
         """Sum of ``terms`` (m, suspects, ...) from each of ``begins`` on, (suspects, begins, ...)."""
@@ -135,19 +145,19 @@ def _likelihoods(
     squares = since(np.square(lacking))
     gram = np.zeros((suspects, times, 5, 5))
     gram[..., 0, 0] = squares
-    gram[..., 1:, 1:] = sound.T @ sound
-    gram[..., 0, 1:] = gram[..., 1:, 0] = since(lacking[:, :, None] * sound[:, None, :])
+    gram[..., 1:, 1:] = healthy.T @ healthy
+    gram[..., 0, 1:] = gram[..., 1:, 0] = since(lacking[:, :, None] * healthy[:, None, :])
     # Right-hand side of the normal equations, relative to the prior means.
     moved = np.empty((suspects, times, 5))
     moved[..., 0] = since(lacking * rest[:, None]) - MEANS[0] * squares
-    moved[..., 1:] = sound.T @ rest - MEANS[0] * gram[..., 0, 1:]
+    moved[..., 1:] = healthy.T @ rest - MEANS[0] * gram[..., 0, 1:]
     total = float(rest @ rest) - 2.0 * MEANS[0] * since(lacking * rest[:, None]) + MEANS[0] ** 2 * squares
-    variance, told = REDUNDANCY.first_noise**2, np.zeros((suspects, times))
+    variance, evidence = REDUNDANCY.first_noise**2, np.zeros((suspects, times))
     for _ in range(3):
-        weight = share / variance
+        weight = independent_fraction / variance
         a, b = weight * gram + prior, weight * moved
         found = np.linalg.solve(a, b[..., None])[..., 0]
-        told = -0.5 * (weight * total - (b * found).sum(-1) + np.linalg.slogdet(a)[1])
+        evidence = -0.5 * (weight * total - (b * found).sum(-1) + np.linalg.slogdet(a)[1])
         missed = total - 2.0 * (found * moved).sum(-1) + np.einsum("...i,...ij,...j->...", found, gram, found)
         variance = max(float(missed.min()) / len(seen), REDUNDANCY.least_noise**2)
-    return told
+    return evidence

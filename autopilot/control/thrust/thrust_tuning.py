@@ -16,11 +16,11 @@ class ByHandTuning:
     yaw_rate_limit_rad_s: float = 0.4
     heave_limit_m_s: float = 0.15
     """Of the return to the held value."""
-    trim_share: float = 0.5
+    trim_fraction: float = 0.5
     """Share of the vertical thrust that the trim may use."""
     depth_rate_s: float = 0.3
     """Time constant of the rate of depth."""
-    slew_share_1_s: float = 4.5
+    slew_fraction_1_s: float = 4.5
     """Commands, the controller's as well, change by at most so many times the limit in force per second (of 12 N: 2.7 N
     from control step to control step; 0.44 s from full ahead to full astern, as the thrusters' own lag takes): a
     reference or a stick that jumps does not tear at the drive."""
@@ -37,7 +37,7 @@ class AttitudeStabilisationTuning:
     """At most this share of a thruster's limit is kept for levelling."""
     small: float = 1e-6
     """Less than this of a newton per newton metre is rounding."""
-    least_share: float = 0.0125
+    least_fraction: float = 0.0125
     """... for less than this share of its limit (0.4 N of 34 N): it would run to and fro with the noise of rates and of
     the controller's thrust, several times a second, where two thrusters share a weight of 1 N."""
 
@@ -87,7 +87,7 @@ class ThrusterHealthTuning:
     """Effectiveness below which a thruster is not used: little and uncertain thrust for five times the pulse."""
     settled_every: int = 10
     """Updates (1 s) between attempts to isolate a fault among redundant thrusters."""
-    unlearned_looks: int = 10
+    unlearned_updates: int = 10
     """Updates (1 s) that are reverted when the estimate degrades."""
 
 
@@ -100,7 +100,7 @@ class RedundancyTuning:
 
     alike: float = 0.2
     """Columns with a smaller relative difference are redundant: 11 degrees."""
-    kept_looks: int = 400
+    kept_updates: int = 400
     """40 s."""
     independent_s: float = 1.5
     """Looks so far apart share no noise: roll and pitch swing."""

@@ -54,9 +54,9 @@ class Tuning:
     """Margin of the evidence over that of the redundant thrusters for isolation [nats]."""
     confirm_s: float = 0.5
     """For so long."""
-    lost_below: float = 0.75
+    faulty_below: float = 0.75
     """A thruster with less than this share is lossy."""
-    sound_above: float = 0.9
+    healthy_above: float = 0.9
     """A lossy thruster that gives this share again is sound."""
     follow: float = 0.05
     """A declared value changes when the estimate is further away than this: bounds do not flutter."""
@@ -69,7 +69,7 @@ class Tuning:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Doubt:
+class _AmbiguousFault:
     """A fault among redundant thrusters that is not isolated yet."""
 
     redundant: tuple[int, ...]
@@ -103,9 +103,9 @@ class ThrusterHealth:
         self._n = model.thrusters
         # Those that push along several axes are measured against each other; the others have an axis each.
         self._paired = (np.array(model.allocation) != 0.0).sum(axis=0) > 1
-        self._twins = alike(model)
+        self._redundant = alike(model)
         self._tilt = TiltEvidence(np.zeros((2, self._n)) if tilt is None else tilt)
-        self._looks = MotionFilter(
+        self._motion_filter = MotionFilter(
             model, response, filter_s=tuning.filter_s, interval_s=tuning.interval_s, current_s=tuning.current_s
         )
         self._reset_count = -1
@@ -116,37 +116,37 @@ class ThrusterHealth:
         """All thrusters healthy, no evidence."""
         self._bank.reset()
         self._tilt.forget()
-        self._past: deque[tuple[Memory, FloatArray, FloatArray, tuple[_Doubt, ...]]] = deque(
-            maxlen=THRUSTER_HEALTH.unlearned_looks
+        self._past: deque[tuple[Memory, FloatArray, FloatArray, tuple[_AmbiguousFault, ...]]] = deque(
+            maxlen=THRUSTER_HEALTH.unlearned_updates
         )
         self._certain_s = np.zeros(self._n)
-        self._doubts: tuple[_Doubt, ...] = ()
+        self._ambiguous: tuple[_AmbiguousFault, ...] = ()
         self.found = np.ones(self._n)
         """(n,) declared effectiveness: 1 until a fault is certain."""
         self.pause()
 
     @property
-    def lost(self) -> tuple[bool, ...]:
+    def faulty(self) -> tuple[bool, ...]:
         """Whether each thruster is declared lossy, alone or as one of several (:attr:`doubtful`)."""
         lossy = list(self._bank.lossy)
-        for redundant_one in (redundant_one for doubt in self._doubts for redundant_one in doubt.redundant):
+        for redundant_one in (redundant_one for fault in self._ambiguous for redundant_one in fault.redundant):
             lossy[redundant_one] = True
         return tuple(lossy)
 
     @property
     def doubtful(self) -> tuple[tuple[int, ...], ...]:
         """Redundant thrusters with a fault that is not isolated."""
-        return tuple(doubt.redundant for doubt in self._doubts)
+        return tuple(fault.redundant for fault in self._ambiguous)
 
     @property
     def effectiveness(self) -> FloatArray:
         """(n,) running estimate: of faulty thrusters as declared, of the others without a prior."""
-        return np.where(self.lost, self._shared(self._bank.declared[0]), self._bank.free[0])
+        return np.where(self.faulty, self._shared(self._bank.declared[0]), self._bank.free[0])
 
     @property
     def sigma(self) -> FloatArray:
         """(n,) its standard deviation."""
-        return np.where(self.lost, self._bank.declared[1], self._bank.free[1])
+        return np.where(self.faulty, self._bank.declared[1], self._bank.free[1])
 
     @property
     def evidence(self) -> FloatArray:
@@ -156,7 +156,7 @@ class ThrusterHealth:
     @property
     def seen(self) -> tuple[bool, ...]:
         """Whether a thruster has been asked for enough that the loss of half of it would show."""
-        return tuple((self._bank.sum_sigma(self._twins) < self._tuning.seen).tolist())
+        return tuple((self._bank.sum_sigma(self._redundant) < self._tuning.seen).tolist())
 
     def pause(self) -> None:
         """Disarmed, or without an estimate: keep the bank, reset the filters of the motion."""
@@ -164,7 +164,7 @@ class ThrusterHealth:
             self._bank.forget_motion()
             self._past.clear()
             self._certain_s = np.zeros(self._n)
-        self._looks.forget()
+        self._motion_filter.forget()
         self._hit_s = self._stuck_s = 0.0
         self._paused = True
 
@@ -178,21 +178,21 @@ class ThrusterHealth:
             self.pause()
             self._reset_count = nav.reset_count
             return False
-        look = self._looks.step(t_us, nav, thrust_n)
+        motion = self._motion_filter.step(t_us, nav, thrust_n)
         self._paused = False
-        if look is None:
+        if motion is None:
             return False
         if self._hit_s <= 0.0:
-            self._past.append((self._bank.memory, self.found, self._certain_s, self._doubts))
-            self._tilt.look(look)
+            self._past.append((self._bank.memory, self.found, self._certain_s, self._ambiguous))
+            self._tilt.update(motion)
         submerged = float(nav.pos_ned_m[2]) > self._submerged_m
-        if self._bank.look(look, heave=submerged, learn=self._hit_s <= 0.0):
-            if 0.0 < self._hit_s <= look.dt_s:
+        if self._bank.update(motion, heave=submerged, learn=self._hit_s <= 0.0):
+            if 0.0 < self._hit_s <= motion.dt_s:
                 self._bank.forget_motion(hit=True)
-            self._hit_s = max(self._hit_s - look.dt_s, 0.0)
+            self._hit_s = max(self._hit_s - motion.dt_s, 0.0)
         else:
-            return self._hit(look.dt_s)
-        return self._hit_s <= 0.0 and self._declare(look.dt_s)
+            return self._hit(motion.dt_s)
+        return self._hit_s <= 0.0 and self._declare(motion.dt_s)
 
     def _hit(self, dt_s: float) -> bool:
         """Collision or snag: discard the last and the next updates."""
@@ -203,14 +203,14 @@ class ThrusterHealth:
         self._hit_s = self._tuning.hit_s
         self._stuck_s += dt_s
         if self._stuck_s > self._tuning.stuck_s:
-            self._bank.doubt()
+            self._bank.restart_estimates()
             self._stuck_s = 0.0
         return bool((self.found != before).any())
 
     def _unlearn(self) -> None:
         """Restore the state before the last updates: an estimate degrades before it is flagged."""
         if self._past:
-            memory, self.found, self._certain_s, self._doubts = self._past[0]
+            memory, self.found, self._certain_s, self._ambiguous = self._past[0]
             self._bank.recall(memory)
             self._tilt.forget(len(self._past))
             self._past.clear()
@@ -226,11 +226,11 @@ class ThrusterHealth:
         if any(bank.lossy):
             e, sigma = bank.declared
             for i in np.flatnonzero(bank.lossy):
-                if e[i] - sigma[i] > tuning.sound_above:
+                if e[i] - sigma[i] > tuning.healthy_above:
                     bank.clear(int(i))
-        self._doubts = tuple(doubt for doubt in self._doubts if bank.lossy[doubt.lossy])
-        if self._tilt.looks % THRUSTER_HEALTH.settled_every == 0:
-            self._doubts = tuple(doubt for doubt in self._doubts if not self._settled(doubt))
+        self._ambiguous = tuple(fault for fault in self._ambiguous if bank.lossy[fault.lossy])
+        if self._tilt.updates % THRUSTER_HEALTH.settled_every == 0:
+            self._ambiguous = tuple(fault for fault in self._ambiguous if not self._settled(fault))
         return self._follow(self._shared(np.where(bank.lossy, np.minimum(bank.declared[0], 1.0), 1.0)))
 
     def _certain(self) -> np.ndarray:
@@ -240,7 +240,7 @@ class ThrusterHealth:
         if float(evidence.max()) <= min(tuning.certain, tuning.certain_plain):  # nearly always
             return np.zeros(self._n, dtype=bool)
         certain = (evidence > self._needed()) & (evidence > self._rivals(evidence) + tuning.ahead)
-        certain &= np.array(bank.lossy) | (bank.changed_to < tuning.lost_below)
+        certain &= np.array(bank.lossy) | (bank.changed_to < tuning.faulty_below)
         certain &= ~self._open()
         return certain
 
@@ -249,15 +249,15 @@ class ThrusterHealth:
         motion.
         """
         result = np.zeros(self._n, dtype=bool)
-        for doubt in self._doubts:
-            if self._tilt.clock_s - doubt.by_s < self._tuning.settle_s and self._tilt.tells(doubt.redundant):
-                result[list(doubt.redundant)] = True
+        for fault in self._ambiguous:
+            if self._tilt.clock_s - fault.by_s < self._tuning.settle_s and self._tilt.tells(fault.redundant):
+                result[list(fault.redundant)] = True
         return result
 
     def _rivals(self, evidence: FloatArray) -> FloatArray:
         """(n,) evidence of the best other hypothesis that is not the same one of a redundant thruster."""
         lossy = np.array(self._bank.lossy)
-        same = self._twins & (lossy[:, None] == lossy)
+        same = self._redundant & (lossy[:, None] == lossy)
         result: FloatArray = np.where(same, -np.inf, evidence).max(axis=1, initial=-np.inf)
         return result
 
@@ -265,43 +265,43 @@ class ThrusterHealth:
         """Declare the best hypothesis of this thruster, or of the redundant one that is more likely."""
         bank = self._bank
         others = np.where(bank.lossy, bank.declared[0], 1.0)
-        redundant = np.flatnonzero(self._twins[thruster] & ~np.array(bank.lossy))
+        redundant = np.flatnonzero(self._redundant[thruster] & ~np.array(bank.lossy))
         if bank.lossy[thruster] or len(redundant) == 1:
             bank.accept(thruster)
             return
-        told = bank.evidence[redundant] + self._tilt.of(redundant.tolist(), self._tilt.clock_s, others)
-        lossy = int(redundant[told.argmax()])
+        evidence = bank.evidence[redundant] + self._tilt.of(redundant.tolist(), self._tilt.clock_s, others)
+        lossy = int(redundant[evidence.argmax()])
         bank.accept(lossy)
-        second, first = np.sort(told)[-2:]
+        second, first = np.sort(evidence)[-2:]
         if first - second < self._tuning.which:
-            doubt = _Doubt(tuple(redundant.tolist()), lossy, self._tilt.clock_s, bank.memory)
-            self._doubts = (*self._doubts, doubt)
+            fault = _AmbiguousFault(tuple(redundant.tolist()), lossy, self._tilt.clock_s, bank.memory)
+            self._ambiguous = (*self._ambiguous, fault)
 
-    def _settled(self, doubt: _Doubt) -> bool:
+    def _settled(self, fault: _AmbiguousFault) -> bool:
         """Whether the fault among redundant thrusters is isolated; it is then declared for that one."""
         bank = self._bank
-        if sum(bank.lossy[redundant_one] for redundant_one in doubt.redundant) > 1:
+        if sum(bank.lossy[redundant_one] for redundant_one in fault.redundant) > 1:
             return False
         others = np.where(bank.lossy, bank.declared[0], 1.0)
-        others[doubt.lossy] = 1.0
-        told = self._tilt.of(doubt.redundant, doubt.by_s, others)
-        second, first = np.sort(told)[-2:]
-        lossy = doubt.redundant[int(told.argmax())]
+        others[fault.lossy] = 1.0
+        evidence = self._tilt.of(fault.redundant, fault.by_s, others)
+        second, first = np.sort(evidence)[-2:]
+        lossy = fault.redundant[int(evidence.argmax())]
         if first - second < self._tuning.which:
             return False
-        if lossy != doubt.lossy:
-            if bank.lossy == doubt.memory.lossy:
+        if lossy != fault.lossy:
+            if bank.lossy == fault.memory.lossy:
                 # Updates since then used the wrong one.
-                bank.recall(doubt.memory)
+                bank.recall(fault.memory)
                 bank.forget_motion()
-            bank.swap(doubt.lossy, lossy)
+            bank.swap(fault.lossy, lossy)
         return True
 
     def _shared(self, e: FloatArray) -> FloatArray:
         """(n,) effectiveness with the total of redundant thrusters distributed evenly while a fault is not isolated."""
         shared = e.copy()
-        for doubt in self._doubts:
-            redundant = list(doubt.redundant)
+        for fault in self._ambiguous:
+            redundant = list(fault.redundant)
             shared[redundant] = e[redundant].mean()
         return shared
 
@@ -320,7 +320,7 @@ class ThrusterHealth:
         return True
 
 
-def told(params: ParamSet, thrusters: int) -> list[float]:
+def configured_effectiveness(params: ParamSet, thrusters: int) -> list[float]:
     """(n,) effectiveness by the parameters."""
     return [params[name] for name in HEALTH_PARAMS[:thrusters]]
 

@@ -135,7 +135,9 @@ def notes_of(inputs: Inputs, removed: list[Removed], standing: LatchedNotes) -> 
         between=tuple((call.t_us, call.frames) for call in inputs.between),
         notices=tuple((event.t_us, int(event.severity), event.text) for event in inputs.notices),
         troubles=tuple((trouble.t_us, int(trouble.device), trouble.text) for trouble in inputs.troubles),
-        pictures=tuple((p.t_us, p.verdict.value, p.contrast, p.white_share, p.black_share) for p in inputs.pictures),
+        pictures=tuple(
+            (p.t_us, p.verdict.value, p.contrast, p.white_fraction, p.black_fraction) for p in inputs.pictures
+        ),
         answers=tuple((note.kind, note.number, note.fact) for note in inputs.answers),
         faults=tuple((f.t_us, f.part, f.kind, f.place, f.text, f.traceback, f.inputs) for f in inputs.faults),
         camera=None if camera is None else (camera.frame_us, camera.total_bytes, camera.free_bytes, camera.refusal),
@@ -189,7 +191,9 @@ def inputs_with(inputs: Inputs, notes: StepNotes, datagrams: tuple[bytes, ...], 
         notices=tuple(Event(t_us=at, severity=severity, text=text) for at, severity, text in notes.notices),
         troubles=tuple(DeviceTrouble(t_us=at, device=DeviceRole(d), text=text) for at, d, text in notes.troubles),
         pictures=tuple(
-            PictureReport(t_us=at, verdict=FrameVerdict(verdict), contrast=c, white_share=white, black_share=black)
+            PictureReport(
+                t_us=at, verdict=FrameVerdict(verdict), contrast=c, white_fraction=white, black_fraction=black
+            )
             for at, verdict, c, white, black in notes.pictures
         ),
         answers=tuple(Note(kind, number, fact) for kind, number, fact in notes.answers),

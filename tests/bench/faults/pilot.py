@@ -188,7 +188,7 @@ def _measure(flight: PilotedFlight) -> None:
     flight.session.runtime.wrap_step(timed_step)
     for name in ("step", "tick"):
         setattr(controller, name, _timed(getattr(controller, name), flight))
-    for worker in flight.session.parts.desks:
+    for worker in flight.session.parts.workers:
         worker.wait = _not_counted(worker.wait, flight)  # type: ignore[method-assign, assignment]
 
 
