@@ -25,7 +25,6 @@ from autopilot.core.model4 import Model4, body_acceleration
 from autopilot.core.response import Response
 from autopilot.core.vehicle import Vehicle, load_vehicle
 from autopilot.sitl.current_fields import current_field
-from autopilot.sitl.environment import SimulatedWaters
 from autopilot.sitl.plant import Plant, Truth
 from autopilot.sitl.scenario_tables import (
     GyreCurrent,
@@ -36,6 +35,7 @@ from autopilot.sitl.scenario_tables import (
     UniformCurrent,
     VortexCurrent,
 )
+from autopilot.sitl.simulated_waters import SimulatedWaters
 
 STEP_US = 20_000
 """Of the loop."""

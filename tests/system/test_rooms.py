@@ -25,8 +25,8 @@ from autopilot.core.frames import FloatArray
 from autopilot.core.params import ParamSet
 from autopilot.mission.plan_check import judge_file
 from autopilot.mission.plan_files import read_plan
-from autopilot.sitl.environment import build_world
 from autopilot.sitl.scenario import load_scenario
+from autopilot.sitl.simulated_waters import build_world
 
 SEEDS = range(3_000, 3_024)
 HALL = ((0.0, -4.0), (12.0, -4.0), (12.0, 4.0), (0.0, 4.0))

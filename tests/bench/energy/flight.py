@@ -21,8 +21,8 @@ from autopilot.core.vehicle import Vehicle
 from autopilot.sitl import scenario_tables as sc
 from autopilot.sitl.contact import Cylinder
 from autopilot.sitl.current_fields import CurrentField, current_field
-from autopilot.sitl.environment import SimulatedWaters
 from autopilot.sitl.plant import Plant, Truth
+from autopilot.sitl.simulated_waters import SimulatedWaters
 from autopilot.sitl.thruster_models import wrench_of
 from tests.bench.energy.cases import (
     CYLINDERS,
