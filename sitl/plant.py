@@ -370,7 +370,7 @@ class Plant:
             change: State | CompiledHull
             if self._compiled is not None and not near:
                 change = self._compiled
-                change.look(self._state, water, self._external)
+                change.evaluate(self._state, water, self._external)
             else:
                 change = self._derivative(self._state, 0.0, self._external, water, force)
             self._instant = _Instant(near, water, force, change)

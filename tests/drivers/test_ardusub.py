@@ -71,7 +71,7 @@ class Bench:
         for received in self.wire.recv(self.t_us):
             self.heard.append(received.data)
             if not self.deaf:
-                self.below.hear(self.t_us, received.data)
+                self.below.receive(self.t_us, received.data)
 
     def run_down(self, ticks: int) -> None:
         """Ticks on which the driver may raise."""
@@ -103,7 +103,7 @@ class Bench:
 
     def says(self, message: Any) -> None:
         """The pilot, on a line of his own."""
-        self.below.hear(self.t_us, bytes(message.pack(self.pilot)), link=9)
+        self.below.receive(self.t_us, bytes(message.pack(self.pilot)), link=9)
 
     def set_mode(self, mode: int) -> None:
         self.says(self.pilot.command_long_encode(1, 1, 176, 0, 1, mode, 0, 0, 0, 0, 0))
@@ -474,7 +474,7 @@ def test_a_device_that_is_opened_anew_after_a_silence_is_not_disarmed(bench: Ben
     bench.driver.close()
     bench.below.mute = False  # what was on its way arrives after all
     for received in bench.wire.recv(bench.t_us):
-        bench.below.hear(bench.t_us, received.data)
+        bench.below.receive(bench.t_us, received.data)
     assert bench.below.armed
     bench.driver.open()
 
