@@ -55,7 +55,7 @@ class ServiceWorld:
     def samples(self) -> tuple[Sample, ...]:
         """What sound sensors say on this tick."""
         t_us, tick = self.t_us, self.t_us // TICK_US  # a device at rest whose last digits move: else it is frozen
-        said: list[Sample] = [
+        samples: list[Sample] = [
             AhrsSample(
                 t_us=t_us,
                 rpy_rad=1e-4 * np.sin([tick, 2.0 * tick, 0.3 * tick]),
@@ -65,12 +65,12 @@ class ServiceWorld:
         ]
         if t_us % 100_000 == 0:
             sigma = np.full(3, 0.01)
-            said.append(
+            samples.append(
                 PoseSample(t_us=t_us, pos_ned_m=self.pos_ned_m, yaw_rad=0.0, sigma_pos_m=sigma, sigma_yaw_rad=0.02)
             )
         if t_us % 1_000_000 == 0:
-            said.append(PowerSample(t_us=t_us, voltage_v=19.0, current_a=1.0, energy_used_j=0.0, remaining=0.9))
-        return tuple(said)
+            samples.append(PowerSample(t_us=t_us, voltage_v=19.0, current_a=1.0, energy_used_j=0.0, remaining=0.9))
+        return tuple(samples)
 
     def camera(self) -> dict[str, Any]:
         """What the camera says on this tick, as fields of Inputs."""

@@ -33,7 +33,7 @@ def test_loiter_turns_are_flown_round_the_centre_and_left() -> None:
     settled = slice(ring.start + 300, ring.stop)
     look = np.arctan2(-away[settled, 1], -away[settled, 0])
     assert np.abs(np.angle(np.exp(1j * (look - track[settled, 3])))).max() < 0.3
-    assert world.room_m() > 0.0
+    assert world.clearance_m() > 0.0
 
 
 def test_a_vehicle_stays_behind_its_last_turn() -> None:

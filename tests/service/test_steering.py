@@ -47,8 +47,8 @@ def test_a_pilot_at_full_stick_is_slowed_down_and_touches_nothing(
     world = afloat(start)
     assert world.mode(mode) == ACCEPTED
     world.steer(12.0, **sticks)
-    assert world.room_m() > 0.0
-    assert world.room_m() < 0.25, "kept away instead of slowed down"
+    assert world.clearance_m() > 0.0
+    assert world.clearance_m() < 0.25, "kept away instead of slowed down"
     assert np.hypot(*np.array(world.track)[:, 4:6].T).max() > 0.15
     assert np.hypot(*world.x[4:6]) < 0.03
 
@@ -332,13 +332,13 @@ def test_a_client_that_steers_at_a_pillar_by_velocities_is_slowed_down() -> None
     world.stream(0.3, velocity(0.4, 0.0, 0.0))
     world.mode(OFFBOARD)
     world.stream(8.0, velocity(0.4, 0.0, 0.0))
-    assert 0.0 < world.room_m() < 0.2
+    assert 0.0 < world.clearance_m() < 0.2
     place = mav.MAVLink_set_position_target_global_int_message(
         0, 1, 1, 6, 0b110111111000, round(37.9755e7), round(23.7790e7), -0.4, 0, 0, 0, 0, 0, 0, 0, 0
     )
     world.stream(6.0, place)
     assert np.linalg.norm(world.x[:3] - (0.0, 0.0, 0.4)) < 0.1
-    assert world.room_m() > 0.0
+    assert world.clearance_m() > 0.0
 
 
 # Circles, depths, dives
@@ -399,7 +399,7 @@ def test_random_sticks_modes_and_set_points_touch_nothing(seed: int) -> None:
         x, y, r = rng.integers(-1000, 1001, 3).tolist()
         world.steer(0.2)
         world.steer(1.5, x=x, y=y, z=int(rng.integers(0, 1001)), r=r)
-    assert world.room_m() > 0.0
+    assert world.clearance_m() > 0.0
     depths = np.array(world.track)[:, 2]
     assert depths.max() < 1.25
     assert world.step_n() <= 3.0

@@ -25,7 +25,7 @@ def test_a_survey_with_gates_is_flown_along_its_legs() -> None:
     off = np.minimum(np.abs(inside[:, 1] - 0.5), np.abs(inside[:, 1] - 0.9))
     assert off.max() < 0.2, "a turnaround is left at its acceptance radius, 0.3 m"
     assert np.abs(track[:, 2] - 0.5).max() < 0.06
-    assert world.room_m() > 0.0
+    assert world.clearance_m() > 0.0
 
 
 def test_a_corridor_is_flown_to_and_fro() -> None:
@@ -39,7 +39,7 @@ def test_a_corridor_is_flown_to_and_fro() -> None:
     world.heard.clear()
     world.run(22.0)
     assert world.reached[-5:] == [1, 2, 3, 4, 5]
-    assert world.room_m() > 0.0
+    assert world.clearance_m() > 0.0
 
 
 def test_the_longest_mission_is_taken_read_back_and_flown_from_its_middle() -> None:
