@@ -22,7 +22,7 @@ class PredictClock:
     def __init__(self) -> None:
         self._filter = ExtendedKalmanFilter(STATES, 4)
         self._filter.x = np.zeros(STATES)
-        self._took_s: list[float] = []
+        self._spent_s: list[float] = []
         self._parts_s = np.zeros(len(LoopPart))
         self._ticks = 0
 
@@ -33,13 +33,13 @@ class PredictClock:
             begin_s = time.thread_time()
             for _ in range(CALLS):
                 self._filter.predict()
-            self._took_s.append((time.thread_time() - begin_s) / CALLS)
+            self._spent_s.append((time.thread_time() - begin_s) / CALLS)
         self._ticks += 1
 
     @property
     def predict_us(self) -> float:
         """Mean CPU time of one ``predict()``."""
-        return 1e6 * float(np.mean(self._took_s))
+        return 1e6 * float(np.mean(self._spent_s))
 
     @property
     def parts_ms(self) -> dict[LoopPart, float]:
