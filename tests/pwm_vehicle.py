@@ -25,10 +25,10 @@ MANUAL_MODE = (1, 0)
 """Main and sub mode of the profile "px4"."""
 
 
-def until(look: Callable[[], bool], patience_s: float = 120.0) -> None:
+def until(condition: Callable[[], bool], patience_s: float = 120.0) -> None:
     """Wait for another process; the patience is a guard against hangs only."""
     end_s = time.monotonic() + patience_s
-    while not look():
+    while not condition():
         if time.monotonic() > end_s:
             raise AssertionError("it does not happen")
         time.sleep(0.005)

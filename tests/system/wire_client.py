@@ -70,19 +70,19 @@ class ArmingSchedule(WireClient):
             + [(round(t_s * 1e6), 1, functools.partial(self.send, order)) for t_s, order in orders.items()],
             key=lambda entry: entry[:2],
         )
-        self._said: list[tuple[float, int, str]] = []
+        self._texts: list[tuple[float, int, str]] = []
 
     def step(self, t_us: int, received: Sequence[bytes]) -> list[bytes]:
         while self._todo and self._todo[0][0] <= t_us:
             self._todo.pop(0)[2]()
         known = len(self.inbox)
         outbox = super().step(t_us, received)
-        self._said += [(t_us * 1e-6, m.severity, m.text) for m in self.inbox[known:] if m.get_type() == "STATUSTEXT"]
+        self._texts += [(t_us * 1e-6, m.severity, m.text) for m in self.inbox[known:] if m.get_type() == "STATUSTEXT"]
         return outbox
 
     def said(self, start: str) -> list[tuple[float, int, str]]:
         """Time [s], severity and text of those that begin so."""
-        return [text for text in self._said if text[2].startswith(start)]
+        return [text for text in self._texts if text[2].startswith(start)]
 
 
 class Harbour:
