@@ -185,8 +185,8 @@ def _draw_paths(axes: Any, records: dict[str, Record], flights: Sequence[EnergyF
     optima = dict.fromkeys(other.name for other in others.values())
     for name in optima:
         track = records[name].track_ned_m
-        label, style = OPTIMA[name != next(iter(optima))]
-        axes.plot(track[:, 1], track[:, 0], ls=style, color="k", lw=2.2, label=label, zorder=2.5)
+        caption, style = OPTIMA[name != next(iter(optima))]
+        axes.plot(track[:, 1], track[:, 0], ls=style, color="k", lw=2.2, label=caption, zorder=2.5)
     ordered = sorted(flights, key=lambda flight: GROUPS.index(group_of(flight)))
     for flight, (colour, style) in zip(ordered, itertools.cycle(LOOKS)):
         own = comparator(records, flight.case, flight.laps, flight.corridor, flight.drag)
