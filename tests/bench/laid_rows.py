@@ -66,7 +66,7 @@ def fly_laid(recording: Recording, seed: int) -> LaidRun:
         rigid=tuple(rigid),
         printed=printed,
         missing=tuple(
-            what for what, texts in faulty.asked.items() if not any(text.startswith(texts) for text in remarks)
+            what for what, texts in faulty.expected.items() if not any(text.startswith(texts) for text in remarks)
         ),
         false=tuple(text for text in remarks if not text.startswith(faulty.true)),
     )
