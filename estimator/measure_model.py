@@ -2,7 +2,7 @@
 
 This makes the current observable: drag depends on the velocity relative to the water, and the velocity over ground is
 known from vision. With M = m + M_A (rigid body and added mass) and a current that changes at the rate c' along the
-vehicle's path, the surge and sway equations are (Fossen 2011, eq. 6.113 and 8.1, neutral body)
+vehicle's path, the surge and sway equations are (Fossen 2011, ch. 6 and 8, neutral body)
 
     M dnu_r/dt = f(nu_r, thrust) - m R' c'   so that   R' a_ground = a_model(nu_r, thrust) + (M_A / M) R' c' .
 

@@ -118,7 +118,7 @@ def _to_body(to_ned: FloatArray, vectors: FloatArray) -> FloatArray:
 
 
 def _body_rates(motion: _Motion) -> FloatArray:
-    """(n, 3) of the Euler angles' derivatives (Fossen 2011, eq. 2.28)."""
+    """(n, 3) of the Euler angles' derivatives (Fossen 2011, section 2.2.1)."""
     sr, cr = np.sin(motion.roll.value), np.cos(motion.roll.value)
     sp, cp = np.sin(motion.pitch.value), np.cos(motion.pitch.value)
     p = motion.roll.slope - sp * motion.yaw.slope

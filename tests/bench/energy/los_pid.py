@@ -1,7 +1,7 @@
 """The usual way to fly a route: line of sight along the planner's way, and PID loops for speed, heading and depth.
 
 The vehicle points at a place on the way a look-ahead distance in front of it; the integral of the cross-track error
-moves that place against the drift (integral LOS, Fossen 2021, section 12.5). Near the goal it holds place and heading
+moves that place against the drift (integral LOS, Fossen 2011, ch. 10). Near the goal it holds place and heading
 with PID loops on both axes. Integrators stop while a thruster is at its limit.
 """
 
