@@ -109,7 +109,7 @@ class Tank:
     def stick(self, x: int) -> None:
         self.pilot(self._pilot.manual_control_encode(1, x, 0, 500, 0, 0))
 
-    def said(self, text: str) -> bool:
+    def reported(self, text: str) -> bool:
         return any(text in line for _, line in self.texts)
 
     def close(self) -> None:

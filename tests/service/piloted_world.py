@@ -115,9 +115,9 @@ class PilotedWorld(ServiceWorld):
     @property
     def custom_mode(self) -> int:
         """Of the last HEARTBEAT that came within the next second."""
-        self.heard.clear()
+        self.inbox.clear()
         self.run(1.05)
-        return int([m for m in self.heard if m.get_type() == "HEARTBEAT"][-1].custom_mode)
+        return int([m for m in self.inbox if m.get_type() == "HEARTBEAT"][-1].custom_mode)
 
     def clearance_m(self) -> float:
         """Least distance of the vehicle's ball from walls and pillars so far."""
