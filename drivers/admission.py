@@ -48,7 +48,7 @@ class AdmissionReply(Generic[K]):
 class _Seat:
     entered_us: int
     turn: int
-    heard_us: int
+    last_received_us: int
     expected: bool
 
 
@@ -78,8 +78,8 @@ class Admission(Generic[K]):
         """Another reading of the port: who has come in the one before had the time to be understood."""
         self._turn += 1
 
-    def heard(self, key: K, t_us: int) -> None:
-        self._places[key].heard_us = t_us
+    def note_received(self, key: K, t_us: int) -> None:
+        self._places[key].last_received_us = t_us
 
     def leave(self, key: K) -> None:
         self._places.pop(key, None)
@@ -108,12 +108,12 @@ class Admission(Generic[K]):
 
     def idle(self, t_us: int, unproven_us: int, proven_us: int) -> list[K]:
         """Clients silent for longer than these times, which depend on whether they have ever sent a valid frame."""
-        gone = []
+        removed = []
         for key, place in self._places.items():
-            silent_us = t_us - place.heard_us
+            silent_us = t_us - place.last_received_us
             if silent_us > unproven_us and (silent_us > proven_us or self._standing(key).valid_us is None):
-                gone.append(key)
-        return gone
+                removed.append(key)
+        return removed
 
     def _is_next(self, key: K, t_us: int) -> bool:
         """Whether no other waiting client has waited longer."""
@@ -138,7 +138,7 @@ class Admission(Generic[K]):
         for key, place, standing in known:
             age_us = t_us - place.entered_us
             if standing.valid_us is None and place.turn < self._turn and age_us >= self._grace_us:
-                yield place.entered_us, DisplacedClient(key, Why.UNPROVEN, t_us - place.heard_us)
+                yield place.entered_us, DisplacedClient(key, Why.UNPROVEN, t_us - place.last_received_us)
 
     def _silent(
         self, known: Iterable[tuple[K, _Seat, ClientRecord]], t_us: int
@@ -188,8 +188,8 @@ class AdmissionNotices:
         return taken
 
 
-def displaced_text(sender: str, gone: DisplacedClient[K]) -> str:
+def displaced_text(sender: str, removed: DisplacedClient[K]) -> str:
     """The line about who lost his place."""
-    seconds = gone.silent_us // 1_000_000
-    why = f"silent for {seconds} s" if gone.why is Why.SILENT else gone.why.value
+    seconds = removed.silent_us // 1_000_000
+    why = f"silent for {seconds} s" if removed.why is Why.SILENT else removed.why.value
     return f"{sender} lost its place: {why}"

@@ -52,21 +52,21 @@ class Ads1115(BatteryMonitor):
         self._options = options
         self._channels = (options.voltage_channel, options.current_channel)
         self._values_v = [0.0, 0.0]
-        self._asked: tuple[int, int] | None = None
+        self._pending: tuple[int, int] | None = None
 
     def open(self) -> None:
         """Set the device up. DriverError or OSError if it is not there."""
         self._bus.open()
-        self._asked = None
+        self._pending = None
         register(self._bus, self._options.address, CONFIG, 2)
 
     def poll(self, t_us: int) -> list[PowerSample]:
-        if self._asked is None:
+        if self._pending is None:
             if t_us >= self._next_us:
                 self._next_us = t_us + PERIOD_US
-                self._ask(0, t_us)
+                self._start_conversion(0, t_us)
             return []
-        index, since_us = self._asked
+        index, since_us = self._pending
         if t_us - since_us < CONVERSION_US:
             return []
         config = register(self._bus, self._options.address, CONFIG, 2)
@@ -74,14 +74,14 @@ class Ads1115(BatteryMonitor):
             return []
         if config & ~READY != self._setting(index) & ~READY:  # it has been without power meanwhile
             self.bad_samples += 1
-            self._asked = None
+            self._pending = None
             return []
         count = register(self._bus, self._options.address, CONVERSION, 2)
         self._values_v[index] = (count - ((count & 0x8000) << 1)) * COUNT_V
         if index == 0:
-            self._ask(1, t_us)
+            self._start_conversion(1, t_us)
             return []
-        self._asked = None
+        self._pending = None
         options = self._options
         volt = max(0.0, self._values_v[0]) * options.volt_per_volt
         ampere = (self._values_v[1] - options.current_offset_v) * options.ampere_per_volt
@@ -90,7 +90,7 @@ class Ads1115(BatteryMonitor):
     def _setting(self, index: int) -> int:
         return SINGLE_SHOT | RANGE_4V | self._channels[index] << 12
 
-    def _ask(self, index: int, t_us: int) -> None:
+    def _start_conversion(self, index: int, t_us: int) -> None:
         setting = self._setting(index).to_bytes(2, "big")
         self._bus.write(self._options.address, bytes([CONFIG]) + setting)
-        self._asked = index, t_us
+        self._pending = index, t_us

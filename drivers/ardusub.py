@@ -41,8 +41,8 @@ from autopilot.drivers.base import Closing
 from autopilot.drivers.links import open_link
 
 HEARTBEAT = 0
-ASK_EVERY_US = 500_000
-PARAMETERS_PER_ASK = 16
+REQUEST_EVERY_US = 500_000
+PARAMETERS_PER_REQUEST = 16
 READ_AGAIN_US = 30_000_000
 """Parameters act live and may be changed by the pilot: while disarmed they are read anew."""
 STALE_US = 500_000
@@ -112,10 +112,10 @@ class ArduSub(Closing):
         self._notices: list[tuple[Severity, str]] = []
         self._boot_ms = 0
         self._now_us = 0
-        self._heard_us: int | None = None
-        self._heard_of = dict.fromkeys(self._rates_hz, 0)
+        self._last_received_us: int | None = None
+        self._received_count = dict.fromkeys(self._rates_hz, 0)
         """How often each has come since it was last counted."""
-        self._beat_us = self._asked_us = self._read_us = -(1 << 62)
+        self._beat_us = self._last_request_us = self._read_us = -(1 << 62)
         self._again: deque[str] = deque()
         """Parameters that are to be read anew."""
         self._command_us: int | None = None
@@ -159,8 +159,8 @@ class ArduSub(Closing):
             self._telemetry = self._new_telemetry()
             self._watch.lose_sight()
             self._prearm = PrearmWatch()
-            self._heard_us, self._heard_of = None, dict.fromkeys(self._rates_hz, 0)
-            self._beat_us = self._asked_us = self._read_us = -(1 << 62)
+            self._last_received_us, self._received_count = None, dict.fromkeys(self._rates_hz, 0)
+            self._beat_us = self._last_request_us = self._read_us = -(1 << 62)
             self.settings.forget()
             self._wire = wire
 
@@ -172,7 +172,7 @@ class ArduSub(Closing):
         wire, self._wire = self._wire, None
         if wire is None:
             return
-        if self._watch.takes_commands or self._rest:
+        if self._watch.accepts_commands or self._rest:
             for _ in range(REST_SENDS):
                 wire.override(NEUTRAL)
             if self._watch.wanted and self._watch.armed and not self._silent(self._now_us):
@@ -188,25 +188,25 @@ class ArduSub(Closing):
         self._now_us = t_us
         samples: list[Sample] = []
         for message in wire.receive(t_us):
-            samples += self._hear(t_us, message)
-        if self._heard_us is not None:
+            samples += self._receive(t_us, message)
+        if self._last_received_us is not None:
             samples += self._telemetry.leak(t_us)
         if t_us - self._beat_us >= HEARTBEAT_US:
             self._beat_us = t_us
             wire.heartbeat()
-        self._ask_arming(wire, t_us)
-        if self._heard_us is not None and t_us - self._asked_us >= ASK_EVERY_US:
-            passed_s = 1e-6 * min(t_us - self._asked_us, 10 * ASK_EVERY_US)
-            self._asked_us = t_us
-            self._ask(wire, t_us, passed_s)
+        self._request_arming(wire, t_us)
+        if self._last_received_us is not None and t_us - self._last_request_us >= REQUEST_EVERY_US:
+            passed_s = 1e-6 * min(t_us - self._last_request_us, 10 * REQUEST_EVERY_US)
+            self._last_request_us = t_us
+            self._request_missing(wire, t_us, passed_s)
         return samples
 
-    def _ask_arming(self, wire: Wire, t_us: int) -> None:
-        asked = self._watch.due(t_us)
-        if asked is not None:
-            wire.arm(armed=asked)
+    def _request_arming(self, wire: Wire, t_us: int) -> None:
+        armed = self._watch.due(t_us)
+        if armed is not None:
+            wire.arm(armed=armed)
         if self._watch.beat_due(t_us):
-            wire.ask_for(HEARTBEAT)
+            wire.request_message(HEARTBEAT)
 
     def advice(self) -> tuple[tuple[str, str], ...]:
         """Settings with which it flies, and others that would be better."""
@@ -246,19 +246,19 @@ class ArduSub(Closing):
             raise DriverError("flight controller is closed; open it first")
         return self._wire
 
-    def _hear(self, t_us: int, message: Any) -> list[Sample]:
+    def _receive(self, t_us: int, message: Any) -> list[Sample]:
         kind = message.get_type()
         if self._silent(t_us):
-            self._ask_who_has_it()
-        self._heard_us = t_us
+            self._request_mode()
+        self._last_received_us = t_us
         if kind == "ATTITUDE":
             if message.time_boot_ms < self._boot_ms - REBOOT_MS:  # rebooted: its parameters may be others
                 self.settings.forget()
                 self._prearm = PrearmWatch()
                 self._payload.forget()
             self._boot_ms = message.time_boot_ms
-        if kind in self._heard_of:
-            self._heard_of[kind] += 1
+        if kind in self._received_count:
+            self._received_count[kind] += 1
         if kind == "PARAM_VALUE":
             if self.settings.take(message.param_id, float(message.param_value)):
                 self._telemetry.parameters = self.settings.values
@@ -270,21 +270,21 @@ class ArduSub(Closing):
         if kind == "COMMAND_ACK":
             self._note_payload(self._payload.acknowledge(message))
         self._prearm.take(t_us, message)
-        commanding, found = self._watch.takes_commands, self._watch.found_armed
+        commanding, found = self._watch.accepts_commands, self._watch.found_armed
         self._watch.take(t_us, message)
         if self._watch.found_armed and not found:
             self._notices.append(notices.FOUND_ARMED())
-        if commanding and not self._watch.takes_commands:
+        if commanding and not self._watch.accepts_commands:
             self._let_go()
         if kind == "STATUSTEXT" and message.severity <= SHOWN_SEVERITY:
             self._pass_on(message)
         return self._telemetry.take(t_us, message)
 
-    def _ask_who_has_it(self) -> None:
+    def _request_mode(self) -> None:
         """After a silence: request its mode, which may have changed; heartbeats come only once a second."""
         self._watch.lose_sight()
         if self._wire is not None:
-            self._wire.ask_for(HEARTBEAT)
+            self._wire.request_message(HEARTBEAT)
 
     def _pass_on(self, message: Any) -> None:
         text = message.text.strip()
@@ -292,12 +292,12 @@ class ArduSub(Closing):
         if not expected and len(self._notices) < MAX_NOTICES:
             self._notices.append((Severity(message.severity), f"FC: {text}"))
 
-    def _ask(self, wire: Wire, t_us: int, passed_s: float) -> None:
+    def _request_missing(self, wire: Wire, t_us: int, passed_s: float) -> None:
         """For messages that do not come as often as they should, and for parameters."""
         for kind, rate_hz in self._rates_hz.items():
-            if self._heard_of[kind] < int(ENOUGH * rate_hz * passed_s):
+            if self._received_count[kind] < int(ENOUGH * rate_hz * passed_s):
                 wire.interval(MESSAGE_IDS[kind], rate_hz)
-            self._heard_of[kind] = 0
+            self._received_count[kind] = 0
         if not self._watch.wanted and self._prearm.due(t_us):
             wire.interval(SYS_STATUS_ID, STATUS_HZ)
             wire.order(RUN_CHECKS, 0.0, 0.0)
@@ -306,11 +306,11 @@ class ArduSub(Closing):
         if t_us - self._read_us > READ_AGAIN_US and not self._watch.wanted:
             self._read_us = t_us
             self._again = deque(self.settings.names)
-        missing = self.settings.missing()[:PARAMETERS_PER_ASK]
+        missing = self.settings.missing()[:PARAMETERS_PER_REQUEST]
         for name in missing:
-            self.settings.ask(name)
+            self.settings.note_request(name)
             wire.read_parameter(name)
-        for _ in range(min(PARAMETERS_PER_ASK - len(missing), len(self._again))):
+        for _ in range(min(PARAMETERS_PER_REQUEST - len(missing), len(self._again))):
             wire.read_parameter(self._again.popleft())
 
     # Who has it
@@ -325,13 +325,13 @@ class ArduSub(Closing):
 
     def hand_back(self, t_us: int) -> None:
         """Neutral, then silence: it stays armed, subject to its pilot failsafe, until our next arming."""
-        if self._watch.takes_commands:
+        if self._watch.accepts_commands:
             self._let_go()
         self._watch.hand_back()
 
     def stop(self, t_us: int) -> None:
         """Neutral, and disarmed by force until its heartbeat confirms it, whoever armed it."""
-        if self._watch.takes_commands:
+        if self._watch.accepts_commands:
             self._let_go()
         self._watch.stop(t_us)
 
@@ -374,7 +374,7 @@ class ArduSub(Closing):
 
     def _refusals(self, t_us: int) -> tuple[str, ...]:
         if self._silent(t_us) or not self._watch.known:
-            return (self._unheard,)
+            return (self._silence_reason,)
         pilot = self._watch.authority is Authority.PILOT
         mode = (f"pilot has it in {self._watch.text}: switch it to MANUAL",) if pilot else ()
         return (*mode, *self._armed_refusal(), *self.settings.problems(), *self._prearm.refusals(t_us))
@@ -389,17 +389,17 @@ class ArduSub(Closing):
         return () if self._wire is None else tuple(sorted(self._wire.other_systems))
 
     @property
-    def _unheard(self) -> str:
+    def _silence_reason(self) -> str:
         """Reason for missing data."""
         others = self.other_systems
-        if self._heard_us is not None or not others:
+        if self._last_received_us is not None or not others:
             return "flight controller is silent: check cable and link"
-        told = ", ".join(map(str, others))
-        found = f"system {told} is heard, {self._options.system} expected"
+        listed = ", ".join(map(str, others))
+        found = f"system {listed} is heard, {self._options.system} expected"
         return f"flight controller: {found}: set `system` = {others[0]} in [devices]"
 
     def _silent(self, t_us: int) -> bool:
-        return self._heard_us is None or t_us - self._heard_us > STALE_US
+        return self._last_received_us is None or t_us - self._last_received_us > STALE_US
 
     def _let_go(self) -> None:
         """Nothing of ours is left standing in its channels."""
@@ -421,7 +421,7 @@ class ArduSub(Closing):
                 self._let_go()
             self._rest_of(t_us)
             raise DriverError("flight controller is silent: check cable and link")
-        if not self._watch.takes_commands:
+        if not self._watch.accepts_commands:
             self._rest_of(t_us)
             return
         self._command_us = t_us
@@ -461,6 +461,6 @@ class ArduSub(Closing):
         found = tuple(getattr(message, f"servo{motor}_raw") for motor in range(1, self._mixer.motors + 1))
         self._seen = (t_us, found)
         if self._watch.acts(t_us):
-            self._senders.look(t_us, message.time_usec, found, slow_heave=self._watch.slow_heave)
+            self._senders.check(t_us, message.time_usec, found, slow_heave=self._watch.slow_heave)
         else:
             self._senders.skip()

@@ -32,7 +32,7 @@ ARMED_FLAG = 128
 """MAV_MODE_FLAG_SAFETY_ARMED."""
 SPOOL_US = 1_050_000
 """From arming to full thrust: half a second of neutral, then half a second (MOT_SPOOL_TIME) in which heave grows."""
-ASK_EVERY_US = 1_000_000
+REQUEST_EVERY_US = 1_000_000
 GIVE_UP_US = 5_000_000
 """Timeout of arming."""
 DISARM_EVERY_US = 250_000
@@ -41,7 +41,7 @@ BEAT_EVERY_US = 100_000
 """and the heartbeat that shows it."""
 NO_ANSWER_US = 1_000_000
 """A heartbeat so long behind the first request counts without the answer to it, which may have been lost."""
-UNHEARD_US = 3_000_000
+SILENT_US = 3_000_000
 """So long a silent one is asked; later, when it is heard again: what lies in a buffer on the way may come late."""
 STALE_BEAT_US = 3_500_000
 """It sends a heartbeat a second: an older one does not say how it is now."""
@@ -69,12 +69,12 @@ class AuthorityWatch:
         """Since when a disarming is waited for, None = it is not."""
         self._answered = False
         """That it takes the disarming."""
-        self._beat_asked_us = -BEAT_EVERY_US
+        self._last_heartbeat_request_us = -BEAT_EVERY_US
         self.slow_heave = False
         """What its depth hold leaves behind: MANUAL's heave goes through a low-pass of 2 Hz until disarming."""
         self._armed_us = 0
         self._wanted_us = 0
-        self._asked_us = -ASK_EVERY_US
+        self._last_request_us = -REQUEST_EVERY_US
         self._had = False
         """Whether it has been armed since we wanted it."""
         self._stopped = ""
@@ -99,7 +99,7 @@ class AuthorityWatch:
         return ours and self.wanted and self.armed and t_us - self._armed_us > SPOOL_US
 
     @property
-    def takes_commands(self) -> bool:
+    def accepts_commands(self) -> bool:
         """Whether commands are to be sent: not before the authority is known."""
         return self.wanted and self.known and self.authority is Authority.OURS
 
@@ -110,7 +110,7 @@ class AuthorityWatch:
     def want(self, t_us: int, *, armed: bool) -> None:
         if armed != self.wanted:
             self.wanted = armed
-            self._wanted_us, self._asked_us = t_us, t_us - ASK_EVERY_US
+            self._wanted_us, self._last_request_us = t_us, t_us - REQUEST_EVERY_US
             self._stopped = self._refusal = ""
             if armed:
                 self._had = self.armed
@@ -126,8 +126,8 @@ class AuthorityWatch:
         """Disarm it, whoever armed it and whatever its mode; sent on every tick until :meth:`is_armed` is False."""
         if self._stop_us is None:
             self._stop_us, self._answered = t_us, False
-            self._asked_us = t_us - DISARM_EVERY_US
-            self._beat_asked_us = t_us - BEAT_EVERY_US
+            self._last_request_us = t_us - DISARM_EVERY_US
+            self._last_heartbeat_request_us = t_us - BEAT_EVERY_US
 
     def is_armed(self, t_us: int) -> bool | None:
         """By its heartbeat; None = unknown, or a disarming that is not confirmed yet."""
@@ -143,20 +143,24 @@ class AuthorityWatch:
 
     def beat_due(self, t_us: int) -> bool:
         """Whether it is to be asked for a heartbeat now."""
-        if self._stop_us is None or t_us - self._beat_asked_us < BEAT_EVERY_US or self._unheard(t_us, self._stop_us):
+        if (
+            self._stop_us is None
+            or t_us - self._last_heartbeat_request_us < BEAT_EVERY_US
+            or self._is_silent(t_us, self._stop_us)
+        ):
             return False
-        self._beat_asked_us = t_us
+        self._last_heartbeat_request_us = t_us
         return True
 
-    def _unheard(self, t_us: int, since_us: int) -> bool:
-        return not self.known and t_us - since_us > UNHEARD_US
+    def _is_silent(self, t_us: int, since_us: int) -> bool:
+        return not self.known and t_us - since_us > SILENT_US
 
     def due(self, t_us: int) -> bool | None:
         """Whether it is to be asked now to arm (True) or disarm (False)."""
         if self._stop_us is not None:
-            if t_us - self._asked_us < DISARM_EVERY_US or self._unheard(t_us, self._stop_us):
+            if t_us - self._last_request_us < DISARM_EVERY_US or self._is_silent(t_us, self._stop_us):
                 return None
-            self._asked_us = t_us
+            self._last_request_us = t_us
             return False
         if not self.known or self.mode != MANUAL or self._stopped or self.armed == self.wanted:
             return None
@@ -165,9 +169,9 @@ class AuthorityWatch:
         if self.wanted and t_us - self._wanted_us > GIVE_UP_US:
             self._stopped = f"does not arm: {self._refusal or 'no answer'}"
             return None
-        if t_us - self._asked_us < ASK_EVERY_US:
+        if t_us - self._last_request_us < REQUEST_EVERY_US:
             return None
-        self._asked_us = t_us
+        self._last_request_us = t_us
         return self.wanted
 
     def take(self, t_us: int, message: Any) -> None:

@@ -20,7 +20,7 @@ class Passing:
         self._done = [output.start_us for output in self._outputs]
         """What it has acknowledged (or refused)."""
         self._wanted = list(self._done)
-        self._asked: tuple[int, int, int] | None = None
+        self._pending: tuple[int, int, int] | None = None
         """Which one is under way, its pulse, and when it was sent."""
 
     def want(self, pulses_us: Sequence[int]) -> None:
@@ -29,18 +29,18 @@ class Passing:
 
     def forget(self) -> None:
         self._done = [output.start_us for output in self._outputs]
-        self._asked = None
+        self._pending = None
 
     def due(self, t_us: int) -> tuple[int, float, float] | None:
         """The command that is to be sent now: its number and two parameters."""
-        if self._asked is not None and t_us - self._asked[2] < AGAIN_US:
+        if self._pending is not None and t_us - self._pending[2] < AGAIN_US:
             return None
         index = next((n for n, (a, b) in enumerate(zip(self._wanted, self._done, strict=True)) if a != b), None)
         if index is None:
-            self._asked = None
+            self._pending = None
             return None
         output, pulse_us = self._outputs[index], self._wanted[index]
-        self._asked = (index, pulse_us, t_us)
+        self._pending = (index, pulse_us, t_us)
         if output.channel is not None:
             return SET_SERVO, float(output.channel), float(pulse_us)
         on = 2 * pulse_us > output.min_us + output.max_us
@@ -48,13 +48,13 @@ class Passing:
 
     def acknowledge(self, message: Any) -> str:
         """Process a COMMAND_ACK; returns a notice to operators, "" = none."""
-        if self._asked is None:
+        if self._pending is None:
             return ""
-        index, pulse_us, _ = self._asked
+        index, pulse_us, _ = self._pending
         output = self._outputs[index]
         if message.command != (SET_RELAY if output.channel is None else SET_SERVO):
             return ""
-        self._asked, self._done[index] = None, pulse_us
+        self._pending, self._done[index] = None, pulse_us
         if message.result == 0:
             return ""
         place = f"relay {output.relay}" if output.channel is None else f"SERVO{output.channel}_FUNCTION"

@@ -11,7 +11,7 @@ PREARM_BIT = 0x1000_0000
 SYS_STATUS_ID, RUN_CHECKS = 1, 401
 """MAV_CMD_RUN_PREARM_CHECKS."""
 PREFIX = "prearm:"
-ASK_AGAIN_US = 30_000_000
+REQUEST_AGAIN_US = 30_000_000
 STANDS_US = 40_000_000
 """A text that is not repeated for so long is over."""
 
@@ -22,20 +22,20 @@ class PrearmWatch:
         """None: it does not say."""
         self._text = ""
         self._text_us = 0
-        self._asked_us: int | None = None
+        self._last_request_us: int | None = None
 
     def take(self, t_us: int, message: Any) -> None:
         kind = message.get_type()
         if kind == "SYS_STATUS":
-            told = message.onboard_control_sensors_present & message.onboard_control_sensors_enabled & PREARM_BIT
-            self._passes = bool(message.onboard_control_sensors_health & PREARM_BIT) if told else None
+            reported = message.onboard_control_sensors_present & message.onboard_control_sensors_enabled & PREARM_BIT
+            self._passes = bool(message.onboard_control_sensors_health & PREARM_BIT) if reported else None
         elif kind == "STATUSTEXT" and message.text.lower().startswith(PREFIX):
             self._text, self._text_us = message.text[len(PREFIX) :].strip(), t_us
 
     def due(self, t_us: int) -> bool:
-        if self._asked_us is not None and t_us - self._asked_us < ASK_AGAIN_US:
+        if self._last_request_us is not None and t_us - self._last_request_us < REQUEST_AGAIN_US:
             return False
-        self._asked_us = t_us
+        self._last_request_us = t_us
         return True
 
     def refusals(self, t_us: int) -> tuple[str, ...]:

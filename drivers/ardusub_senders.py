@@ -72,7 +72,7 @@ class OutputWatch:
         self._wrong.clear()
         self._since_us, self.problem = None, ""
 
-    def look(self, t_us: int, stamp_us: int, found: tuple[int, ...], *, slow_heave: bool) -> None:
+    def check(self, t_us: int, stamp_us: int, found: tuple[int, ...], *, slow_heave: bool) -> None:
         """A report of the servo rail; ``stamp_us`` is SERVO_OUTPUT_RAW.time_usec."""
         meant = self._meant
         if not meant:

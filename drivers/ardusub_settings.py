@@ -7,7 +7,7 @@ sets them in the ground station.
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
-NAMES_GONE_AFTER = 4
+NAMES_MISSING_AFTER = 4
 """A parameter that has not been answered so often does not exist in this version."""
 
 
@@ -118,18 +118,20 @@ class ArduSubSettings:
         self.values: dict[str, float] = {}
         directions = [f"MOT_{motor}_DIRECTION" for motor in range(1, motors + 1)]
         rules = (rule.name for rule in self._rules)
-        self._asked = dict.fromkeys((*rules, *OTHERS, *GCS_IDS, LAST_GCS_ID, *directions), 0)
+        self._requests = dict.fromkeys((*rules, *OTHERS, *GCS_IDS, LAST_GCS_ID, *directions), 0)
         """Name -> how often it was asked for in vain."""
 
     @property
     def names(self) -> tuple[str, ...]:
-        return tuple(self._asked)
+        return tuple(self._requests)
 
     def missing(self) -> list[str]:
-        return [name for name, asked in self._asked.items() if name not in self.values and asked < NAMES_GONE_AFTER]
+        return [
+            name for name, count in self._requests.items() if name not in self.values and count < NAMES_MISSING_AFTER
+        ]
 
-    def ask(self, name: str) -> None:
-        self._asked[name] += 1
+    def note_request(self, name: str) -> None:
+        self._requests[name] += 1
 
     def advice(self) -> tuple[tuple[str, str], ...]:
         """Recommended changes and how to make them."""
@@ -141,11 +143,11 @@ class ArduSubSettings:
     def forget(self) -> None:
         """Everything is to be read anew, and nothing holds until then."""
         self.values.clear()
-        self._asked = dict.fromkeys(self._asked, 0)
+        self._requests = dict.fromkeys(self._requests, 0)
 
     def take(self, name: str, value: float) -> bool:
         """Note a value; whether it is news."""
-        if name not in self._asked:
+        if name not in self._requests:
             return False
         news = self.values.get(name) != value
         self.values[name] = value
@@ -164,8 +166,8 @@ class ArduSubSettings:
         found = []
         frame = values.get("FRAME_CONFIG")
         if frame is None or round(frame) != self._frame_number:
-            told = "is not answered" if frame is None else f"= {frame:g}"
-            found.append(f"FRAME_CONFIG {told}: set {self._frame_number}, or the other `frame` in [devices]")
+            state = "is not answered" if frame is None else f"= {frame:g}"
+            found.append(f"FRAME_CONFIG {state}: set {self._frame_number}, or the other `frame` in [devices]")
         found += [text for rule in self._rules if (text := _verdict(rule, values))]
         ids = [values[name] for name in GCS_IDS if name in values]
         if ids and round(ids[0]) != self._ours:

@@ -16,7 +16,7 @@ FORWARD, PUSH_US = 4, 80
 """Channel of the thrust ahead, and how far off neutral it is held [us]: a fifth of its range."""
 SHOWN_US, STILL_US = 20, 4
 """Off neutral by so much a motor turns; by less it stands."""
-ASK_EVERY_US = 1_000_000
+REQUEST_EVERY_US = 1_000_000
 CONTACT_US, ARM_US, PUSH_FOR_US = 10_000_000, 8_000_000, 1_000_000
 """Timeout of each step; thrust is held for the last."""
 SILENT_US = 10_000_000
@@ -42,7 +42,7 @@ class SilenceTest:
         self._motors = motors
         self._step = SilenceStep.CONTACT
         self._since_us: int | None = None
-        self._beat_us = self._asked_us = self._sent_us = -(1 << 62)
+        self._beat_us = self._last_request_us = self._sent_us = -(1 << 62)
         self._mode: int | None = None
         self._armed = False
         self._servos_us: tuple[int, ...] = ()
@@ -65,7 +65,7 @@ class SilenceTest:
             self._since_us = t_us
         self._servos_us = ()
         for message in self._wire.receive(t_us):
-            self._hear(message)
+            self._receive(message)
         passed_us = t_us - self._since_us
         steps = {
             SilenceStep.CONTACT: self._contact,
@@ -84,7 +84,7 @@ class SilenceTest:
                 self._wire.override(NEUTRAL)
             self._wire.arm(armed=False)
 
-    def _hear(self, message: Any) -> None:
+    def _receive(self, message: Any) -> None:
         match message.get_type():
             case "HEARTBEAT":
                 self._mode, self._armed = int(message.custom_mode), bool(message.base_mode & ARMED_FLAG)
@@ -98,16 +98,16 @@ class SilenceTest:
 
     def _go(self, t_us: int, step: SilenceStep) -> None:
         self._step, self._since_us = step, t_us
-        self._asked_us = t_us - ASK_EVERY_US
+        self._last_request_us = t_us - REQUEST_EVERY_US
 
     def _give_up(self, t_us: int, problem: str) -> None:
         self.problem, self._rest = problem, REST_SENDS
         self._go(t_us, SilenceStep.END)
 
     def _due(self, t_us: int) -> bool:
-        if t_us - self._asked_us < ASK_EVERY_US:
+        if t_us - self._last_request_us < REQUEST_EVERY_US:
             return False
-        self._asked_us = t_us
+        self._last_request_us = t_us
         return True
 
     def _beat(self, t_us: int) -> None:

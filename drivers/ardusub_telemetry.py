@@ -25,7 +25,7 @@ DOWNWARD = 25
 """MAV_SENSOR_ROTATION_PITCH_270."""
 LEAST_QUALITY = 70
 """Per cent (RNGFND_SQ_MIN of ArduSub)."""
-RANGE_SIGMA_M, RANGE_SHARE = 0.01, 0.005
+RANGE_SIGMA_M, RANGE_FRACTION = 0.01, 0.005
 """Of a range: it is told in centimetres, a Ping Sonar resolves half a per cent."""
 
 
@@ -124,7 +124,7 @@ class ArduSubTelemetry:
             return []
         stamp_us = t_us - round(1e6 * self._vehicle.altimeter.latency_s)
         range_m = 0.01 * range_cm
-        sigma_m = math.hypot(RANGE_SIGMA_M, RANGE_SHARE * range_m)
+        sigma_m = math.hypot(RANGE_SIGMA_M, RANGE_FRACTION * range_m)
         confidence = 0.01 * quality if quality else 1.0
         return [AltimeterSample(t_us=stamp_us, range_m=range_m, sigma_m=sigma_m, confidence=confidence)]
 

@@ -102,7 +102,7 @@ class Wire:
     def interval(self, message_id: int, rate_hz: float) -> None:
         self._command(SET_INTERVAL, float(message_id), 1e6 / rate_hz)
 
-    def ask_for(self, message_id: int) -> None:
+    def request_message(self, message_id: int) -> None:
         self._command(REQUEST_MESSAGE, float(message_id))
 
     def order(self, command: int, first: float, second: float) -> None:

@@ -65,9 +65,9 @@ def _device(kind: str, table: DeviceTable, origin: str) -> DeviceSetup:
     except ConfigError as error:
         raise ConfigError(f"{origin}: `{place}.driver`: {error}") from error
     options: type[Table] = back_end.Options
-    told = {key: value for key, value in table.items() if key != "driver"}
+    values = {key: value for key, value in table.items() if key != "driver"}
     try:
-        return DeviceSetup(kind=kind, driver=driver, options=msgspec.convert(told, options, strict=True))
+        return DeviceSetup(kind=kind, driver=driver, options=msgspec.convert(values, options, strict=True))
     except msgspec.ValidationError as error:
         text = str(error).replace("`$", f"`{place}")
         where = "" if f"`{place}" in text else f" - at `{place}`"

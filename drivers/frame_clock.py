@@ -26,11 +26,11 @@ step's delay may be a third of a beat more than the one's before."""
 LEAST_ORDER = 0.45
 """Phase coherence of periodic arrivals (1 = all at the same phase): arrivals without a period reach about 0.35 at
 best."""
-LEAST_SHARE = 0.65
+LEAST_FRACTION = 0.65
 """The longest beat that comes so near to the best is it: half of a beat and a third are beats, too."""
 CLIP = 2.5
 """Arrivals farther from the line than so many standard deviations pull it no more than that."""
-STRAY = 0.25
+SCATTER_MOST = 0.25
 """Standard deviation about the line, in beats, at which there is none: arrivals at any time have 0.29."""
 EARLY_SIGMAS, EARLY = 3.3, (0.05, 0.45)
 """Earliest arrival in standard deviations, and its bounds in periods; an arrival later than the rest of a period is
@@ -56,7 +56,7 @@ class LoopTime:
     def __init__(self, polls: int = 200) -> None:
         self._ahead_us: deque[int] = deque(maxlen=polls)
 
-    def hear(self, t_us: int, clock_us: int) -> None:
+    def observe(self, t_us: int, clock_us: int) -> None:
         """Add a pair: loop time ``t_us``, machine clock ``clock_us``."""
         self._ahead_us.append(t_us - clock_us)
 
@@ -133,7 +133,7 @@ class _Line:
         mean, slope = float(off.mean()), float(x @ off / max(float(x @ x), 1.0))
         rest = off - mean - slope * x
         sigma_us = max(math.sqrt(float(rest @ rest) / len(rest)) * 1.1, 0.005 * self.beat_us)  # 1.1: clipped
-        if sigma_us > STRAY * self.beat_us:
+        if sigma_us > SCATTER_MOST * self.beat_us:
             return None
         number = round(middle)
         at_us = self.at_us + number * self.beat_us + mean + slope * (number - middle)
@@ -149,7 +149,7 @@ def _find(times_us: FloatArray) -> _Line | None:
     phasors = np.cos(angles).mean(axis=0) + 1j * np.sin(angles).mean(axis=0)
     orders = np.abs(phasors)
     peak = np.r_[False, (orders[1:-1] >= orders[:-2]) & (orders[1:-1] >= orders[2:]), False]
-    good = np.flatnonzero(peak & (orders >= max(LEAST_ORDER, LEAST_SHARE * float(orders.max()))))
+    good = np.flatnonzero(peak & (orders >= max(LEAST_ORDER, LEAST_FRACTION * float(orders.max()))))
     if not len(good):
         return None
     beat_us, order = float(beats_us[good[-1]]), float(orders[good[-1]])

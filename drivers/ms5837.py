@@ -97,7 +97,7 @@ class Ms5837(I2cSensor):
         self._period_us = max(round(1e6 / vehicle.depth_sensor.rate_hz), 2 * CONVERSION_US)
         self._words: tuple[int, ...] = ()
         self._stage: Literal["idle", "pressure", "temperature"] = "idle"
-        self._asked_us = self._start_us = 0
+        self._requested_us = self._start_us = 0
         self._next_us: int | None = None
         self._d1 = 0
         self._bad = 0
@@ -124,7 +124,7 @@ class Ms5837(I2cSensor):
                 self._next_us = (t_us if behind or self._next_us is None else self._next_us) + self._period_us
                 self._start_us = t_us
                 self._convert(CONVERT_PRESSURE, "pressure", t_us)
-        elif t_us - self._asked_us >= CONVERSION_US:
+        elif t_us - self._requested_us >= CONVERSION_US:
             if self._stage == "pressure":
                 self._d1 = self._adc()
                 self._convert(CONVERT_TEMPERATURE, "temperature", t_us)
@@ -135,7 +135,7 @@ class Ms5837(I2cSensor):
 
     def _convert(self, command: int, stage: Literal["pressure", "temperature"], t_us: int) -> None:
         self._bus.write(ADDRESS, bytes([command]))
-        self._stage, self._asked_us = stage, t_us
+        self._stage, self._requested_us = stage, t_us
 
     def _adc(self) -> int:
         """A conversion; 0 when it was not ready."""

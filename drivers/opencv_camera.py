@@ -25,7 +25,7 @@ DEAD_US = 3_000_000
 TIMEOUT_MS = 3000
 """For opening and reading network streams."""
 JOIN_S = 0.5
-LATENCY_SHARE = 0.5
+LATENCY_FRACTION = 0.5
 """Part of the vehicle file's camera latency that passes before the grab; the rest is for finding the markers."""
 FFMPEG_OPTIONS = {
     "OPENCV_FFMPEG_CAPTURE_OPTIONS": "fflags;nobuffer|flags;low_delay|analyzeduration;200000|probesize;65536",
@@ -134,11 +134,11 @@ class OpenCvCamera(Closing):
         self._options = options
         self._size = eye.width_px, eye.height_px
         self._rate_hz = options.rate_hz or eye.rate_hz
-        latency_s = LATENCY_SHARE * eye.latency_s if options.latency_s is None else options.latency_s
+        latency_s = LATENCY_FRACTION * eye.latency_s if options.latency_s is None else options.latency_s
         self._latency_us = round(1e6 * latency_s)
         self._grabber: _Grabber | None = None
         self._time = LoopTime()
-        self._heard_us: int | None = None
+        self._last_frame_us: int | None = None
         self._last_us = -(1 << 62)
         self.remarks: list[str] = []
         """Settings refused by the camera."""
@@ -167,7 +167,7 @@ class OpenCvCamera(Closing):
         if not capture.isOpened():
             raise DriverError(f"{options.source} cannot be opened by {backend}; check name, cable and users of it")
         self.remarks = self._set_up(capture, cv2) if backend == "v4l2" else []
-        self._heard_us, self._grabber = None, _Grabber(capture)
+        self._last_frame_us, self._grabber = None, _Grabber(capture)
 
     def close(self) -> None:
         grabber, self._grabber = self._grabber, None
@@ -176,7 +176,7 @@ class OpenCvCamera(Closing):
 
     def poll(self, t_us: int) -> list[CameraFrame]:
         """The newest picture, if there is a new one. DriverError when the camera is gone."""
-        self._time.hear(t_us, machine_us())
+        self._time.observe(t_us, machine_us())
         grabber = self._grabber
         if grabber is None:
             return []
@@ -184,12 +184,12 @@ class OpenCvCamera(Closing):
         if newest is None:
             if grabber.failed:
                 raise DriverError(f"{self._options.source} {grabber.failed}; check cable and power")
-            self._heard_us = t_us if self._heard_us is None else self._heard_us
-            if t_us - self._heard_us > DEAD_US:
+            self._last_frame_us = t_us if self._last_frame_us is None else self._last_frame_us
+            if t_us - self._last_frame_us > DEAD_US:
                 raise DriverError(f"{self._options.source} hangs; check cable and power")
             return []
         grabbed_us, beat_us, image = newest
-        self._heard_us = t_us
+        self._last_frame_us = t_us
         taken_us = min(self._time.at(beat_us) - self._latency_us, self._time.at(grabbed_us))
         if taken_us <= self._last_us:
             return []

@@ -62,13 +62,13 @@ class Pca9685(KeptOutput):
     ) -> None:
         """``kept``: whether a watchdog process is used; None = on a real bus."""
         # The output enable line stays with its owner: the watchdog has the bus only.
-        told = msgspec.structs.replace(options, enable_line=None)
+        bus_options = msgspec.structs.replace(options, enable_line=None)
         spare = {
             output.channel: index
             for index, output in enumerate(vehicle.payload)
             if output.channel is not None and output.channel <= CHANNELS
         }
-        super().__init__(vehicle, told, kept=bus is None if kept is None else kept, spare=spare)
+        super().__init__(vehicle, bus_options, kept=bus is None if kept is None else kept, spare=spare)
         self._bus = LinuxI2c(options.bus) if bus is None else bus
         if enable is None and options.enable_line is not None:
             enable = LinuxGpio(options.enable_chip, options.enable_line, output=True, active_low=True)

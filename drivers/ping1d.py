@@ -14,13 +14,13 @@ from autopilot.drivers.protocols import BytePort
 from autopilot.drivers.serial_port import SerialPort
 from autopilot.drivers.serial_sensor import SerialSensor
 
-ASK_AGAIN_US = 1_000_000
+REQUEST_AGAIN_US = 1_000_000
 """After so long without a range the device is set up again: it has been without power, or was not there yet."""
 LEAST_INTERVAL_MS = 30
 """Between two pings."""
 LEAST_RANGE_M, MOST_RANGE_M = 0.3, 100.0
 """Of the device (its data sheet)."""
-RANGE_SHARE = 0.005
+RANGE_FRACTION = 0.005
 """Resolution: 0.5 % of the range."""
 
 
@@ -51,28 +51,28 @@ class Ping1d(SerialSensor[AltimeterSample]):
         self._options = options
         self._latency_us = round(1e6 * vehicle.altimeter.latency_s)
         self._interval_ms = max(LEAST_INTERVAL_MS, round(1e3 / vehicle.altimeter.rate_hz))
-        self._heard = False
+        self._received = False
         """Whether a range has come since the last poll, good or not."""
-        self._asked_us: int | None = None
+        self._last_request_us: int | None = None
         self._last_us = -(1 << 62)
         self.weak = 0
         """Echoes of which it was not sure enough."""
 
     def _begin(self) -> None:
-        self._asked_us = None
+        self._last_request_us = None
 
-    def _too_silent(self, t_us: int, *, heard: bool) -> bool:
-        heard, self._heard = self._heard, False
-        if not heard and self._asked_us is not None and t_us - self._asked_us < ASK_AGAIN_US:
+    def _too_silent(self, t_us: int, *, received: bool) -> bool:
+        received, self._received = self._received, False
+        if not received and self._last_request_us is not None and t_us - self._last_request_us < REQUEST_AGAIN_US:
             return False
-        silent = not heard and self._asked_us is not None
-        self._asked_us = t_us
+        silent = not received and self._last_request_us is not None
+        self._last_request_us = t_us
         return silent
 
     def _take(self, arrival_us: int, frame: wire.PingFrame) -> AltimeterSample | None:
         if frame.message != wire.DISTANCE_SIMPLE:
             return None
-        self._heard = True
+        self._received = True
         return self._sample(arrival_us, wire.decode_distance(frame.payload))
 
     def _configure(self) -> None:
@@ -99,6 +99,6 @@ class Ping1d(SerialSensor[AltimeterSample]):
         return AltimeterSample(
             t_us=taken_us,
             range_m=distance.range_m,
-            sigma_m=math.hypot(self._options.sigma_m, RANGE_SHARE * distance.range_m),
+            sigma_m=math.hypot(self._options.sigma_m, RANGE_FRACTION * distance.range_m),
             confidence=distance.confidence,
         )

@@ -70,7 +70,7 @@ class PingParser(FrameParser[PingFrame]):
         return HEADER.size + int(length) + CHECKSUM_BYTES
 
     def _frame(self, data: bytes) -> PingFrame | None:
-        body, told = data[:-CHECKSUM_BYTES], int.from_bytes(data[-CHECKSUM_BYTES:], "little")
-        if told != sum(body) & 0xFFFF:
+        body, checksum = data[:-CHECKSUM_BYTES], int.from_bytes(data[-CHECKSUM_BYTES:], "little")
+        if checksum != sum(body) & 0xFFFF:
             return None
         return PingFrame(message=HEADER.unpack_from(body)[2], payload=body[HEADER.size :])

@@ -16,7 +16,7 @@ from autopilot.core.samples import CameraFrame
 from autopilot.core.toml_table import Positive, Table
 from autopilot.core.vehicle import Vehicle
 from autopilot.drivers.base import Closing
-from autopilot.drivers.opencv_camera import LATENCY_SHARE
+from autopilot.drivers.opencv_camera import LATENCY_FRACTION
 
 IMAGES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff")
 TOPIC = "/in/camera"
@@ -45,7 +45,7 @@ class Playback(Closing):
         self._options = options
         self._path = Path(options.path)
         self._folder_hz = options.rate_hz or vehicle.eye.rate_hz
-        self._transport_us = round(1e6 * LATENCY_SHARE * vehicle.eye.latency_s)
+        self._transport_us = round(1e6 * LATENCY_FRACTION * vehicle.eye.latency_s)
         self._executor: DaemonExecutor | None = None
         self._pictures: Iterator[Picture] = iter(())
         self._next: Future[Picture | None] | None = None

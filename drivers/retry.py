@@ -49,7 +49,7 @@ class RetryingDevice(Generic[D]):
         self._opening: Future[None] | None = None
         self._up = False
         self._silent = False
-        self._heard_us = 0
+        self._last_received_us = 0
         self._retry_us = 0
         self._pause_us = FIRST_PAUSE_US
         self._notices: list[tuple[Severity, str]] = []
@@ -96,14 +96,14 @@ class RetryingDevice(Generic[D]):
             self.lose(t_us, f"internal fault ({type(error).__name__})")
             raise
 
-    def heard(self, t_us: int, something: object) -> None:
+    def note_received(self, t_us: int, something: object) -> None:
         """Record whether it has delivered data at ``t_us``."""
         if something:
-            self._heard_us = t_us
+            self._last_received_us = t_us
             if self._silent:
                 self._silent = False
                 self._notices.append(notices.DEVICE_HEARD(name=self.name))
-        elif self._up and not self._silent and t_us - self._heard_us > SILENT_US:
+        elif self._up and not self._silent and t_us - self._last_received_us > SILENT_US:
             self._silent = True
             self._notices.append(notices.DEVICE_SILENT(name=self.name))
 
@@ -119,7 +119,7 @@ class RetryingDevice(Generic[D]):
         self.device.close()
 
     def _begin(self, t_us: int) -> None:
-        self._up, self._silent, self._heard_us = True, False, t_us
+        self._up, self._silent, self._last_received_us = True, False, t_us
         self.opened_count += 1
         self.problem, self._pause_us = "", FIRST_PAUSE_US
         if self._reported or self.opened_count > 1:
@@ -135,7 +135,7 @@ class RetryingDevice(Generic[D]):
             self._reported = problem
             self._notices.append(notices.DEVICE_DOWN(name=self.name, problem=problem))
 
-    def _tell(self, severity: Severity, text: str) -> None:
+    def _notify(self, severity: Severity, text: str) -> None:
         self._notices.append((severity, f"{self.name}: {text}"))
 
 
@@ -149,10 +149,10 @@ class SteadySensor(RetryingDevice[Sensor[Any]]):
     def poll(self, t_us: int) -> list[Any]:
         nothing: list[Any] = []
         samples = self.use(t_us, lambda: self.device.poll(t_us), nothing)
-        self.heard(t_us, samples)
+        self.note_received(t_us, samples)
         if self._noticing is not None:
             for severity, text in self._noticing.take_notices():
-                self._tell(severity, text)
+                self._notify(severity, text)
         return samples
 
 
@@ -191,5 +191,5 @@ class SteadyController(SteadyOutput[FlightController]):
     def poll(self, t_us: int) -> list[Any]:
         nothing: list[Any] = []
         samples = self.use(t_us, lambda: self.device.poll(t_us), nothing)
-        self.heard(t_us, samples)
+        self.note_received(t_us, samples)
         return samples

@@ -24,8 +24,8 @@ FORWARD, BACKWARD = {1: 0, 2: 4}, {1: 1, 2: 5}
 """Motor -> command."""
 TIMEOUT = 14
 FULL = 127
-TELL_EVERY = 50
-"""Commands between two tellings of the timeout."""
+TIMEOUT_EVERY = 50
+"""Commands between two transmissions of the timeout."""
 TICKS_HZ, BITS = 100, 10
 """Commands per second, and bits per byte on the line."""
 
@@ -81,7 +81,7 @@ class Sabertooth(SafeThrusterOutput):
     def _put(self, pwm_us: tuple[int, ...]) -> None:
         self._puts += 1
         data = b"".join(self._speed(channel, pwm_us[channel - 1]) for channel in self._motors)
-        if self._puts % TELL_EVERY == 0:
+        if self._puts % TIMEOUT_EVERY == 0:
             data += self._timeouts()
         self._port.write(data)
 

@@ -10,7 +10,7 @@ from autopilot.drivers.protocols import BytePort
 
 S = TypeVar("S")
 
-ASK_AGAIN_POLLS = 100
+REQUEST_AGAIN_POLLS = 100
 """Polls without a good sample after which the device is configured again (1 s at the 100 Hz tick)."""
 
 
@@ -34,10 +34,10 @@ class SerialSensor(Closing, Generic[S]):
     def _begin(self) -> None:
         """Hook: the line has been opened."""
 
-    def _too_silent(self, t_us: int, *, heard: bool) -> bool:
+    def _too_silent(self, t_us: int, *, received: bool) -> bool:
         """Whether the device is to be configured again."""
-        self._silent_polls = 0 if heard else self._silent_polls + 1
-        if self._silent_polls < ASK_AGAIN_POLLS:
+        self._silent_polls = 0 if received else self._silent_polls + 1
+        if self._silent_polls < REQUEST_AGAIN_POLLS:
             return False
         self._silent_polls = 0
         return True
@@ -66,6 +66,6 @@ class SerialSensor(Closing, Generic[S]):
                     samples.append(sample)
         if getattr(self._port, "lost", False):
             raise DriverError("serial line gone, check the cable")
-        if self._too_silent(t_us, heard=bool(samples)):
+        if self._too_silent(t_us, received=bool(samples)):
             self._configure()
         return samples

@@ -144,7 +144,7 @@ class TcpServer:
             frames += client.recv()
             if client.spoke:
                 client.spoke = False
-                self._admission.heard(number, t_us)
+                self._admission.note_received(number, t_us)
         self._forget_closed()
         return frames
 
@@ -169,9 +169,9 @@ class TcpServer:
     def _forget_closed(self) -> None:
         for number in [number for number, client in self._clients.items() if not client.open]:
             self._admission.leave(number)
-            gone = self._clients.pop(number)
-            if gone.slow:
-                self._notices.note(f"{gone.sender} cut off: it does not read")
+            removed = self._clients.pop(number)
+            if removed.slow:
+                self._notices.note(f"{removed.sender} cut off: it does not read")
 
     def _accept(self, t_us: int) -> None:
         """Let in who waits, as far as there are places."""
@@ -197,9 +197,9 @@ class TcpServer:
         """Admit a connection, displacing another one if all places are taken."""
         entry = self._admission.enter(stream.client, t_us)
         if entry.displaced is not None:
-            gone = self._clients.pop(entry.displaced.key)
-            gone.close()
-            self._notices.note(displaced_text(gone.sender, entry.displaced), warning=False)
+            removed = self._clients.pop(entry.displaced.key)
+            removed.close()
+            self._notices.note(displaced_text(removed.sender, entry.displaced), warning=False)
         self._clients[stream.client] = stream
 
 

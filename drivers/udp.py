@@ -61,7 +61,7 @@ def bind_error(name: str, port: int, error: OSError) -> DriverError:
 class _Peer:
     client: int
     sender: str
-    heard_us: int
+    last_received_us: int
     reach: Reach
     numbering: Numbering = field(default_factory=Numbering)
 
@@ -132,8 +132,8 @@ class _Udp:
             peer = self._admit(t_us, address)
             if peer is None:
                 return None
-        peer.heard_us = t_us
-        self._admission.heard(address, t_us)
+        peer.last_received_us = t_us
+        self._admission.note_received(address, t_us)
         self._known[address] = peer
         return peer
 
@@ -142,9 +142,9 @@ class _Udp:
         sender = f"{address[0]}:{address[1]}"
         entry = self._admission.enter(address, t_us, always=self._expects(address))
         if entry.displaced is not None:
-            gone = self._known[entry.displaced.key]
+            removed = self._known[entry.displaced.key]
             self._drop(entry.displaced.key)
-            self._notices.note(displaced_text(gone.sender, entry.displaced), warning=False)
+            self._notices.note(displaced_text(removed.sender, entry.displaced), warning=False)
         if not entry.admitted:
             self._notices.note(f"{sender} turned away: {len(self._known)} clients are served")
             return None
@@ -241,7 +241,7 @@ class UdpBroadcast(_Directed):
         if client != EVERYONE:
             self._send_one(data, client)
             return
-        if _is_heartbeat(data) and all(self._now_us - peer.heard_us > KEEP_US for peer in self._known.values()):
+        if _is_heartbeat(data) and all(self._now_us - peer.last_received_us > KEEP_US for peer in self._known.values()):
             self._send_to(self._numbering(data), self._target)
         for address, peer in self._known.items():
             if peer.client not in beside:

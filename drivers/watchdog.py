@@ -19,7 +19,7 @@ from autopilot.core.toml_table import Table
 from autopilot.core.vehicle import Vehicle
 from autopilot.drivers.registry import load_backend
 from autopilot.drivers.thruster_output import SafeThrusterOutput
-from autopilot.drivers.watchdog_process import FAREWELL, HELLO, WatchdogState, hear, listen
+from autopilot.drivers.watchdog_process import FAREWELL, HELLO, WatchdogState, listen, receive
 
 TRIES, PAUSE_S = 20, 0.05
 """Attempts to set neutral."""
@@ -64,7 +64,7 @@ class KeptOutput(SafeThrusterOutput):
 
     def check(self, t_us: int) -> bool:
         if self.watchdog is not None:
-            self.watchdog.look(t_us)
+            self.watchdog.check(t_us)
         return super().check(t_us)
 
     def close(self) -> None:
@@ -88,13 +88,13 @@ def main() -> None:
     moving = False
     while True:
         ready, _, _ = select.select([line], [], [], timeout_s if moving else None)
-        heard = hear(line) if ready else b""
-        if FAREWELL in heard:
+        received = receive(line) if ready else b""
+        if FAREWELL in received:
             return
-        if heard:
-            moving = moving or any(number != HELLO for number in heard)
+        if received:
+            moving = moving or any(number != HELLO for number in received)
             with contextlib.suppress(OSError):  # it is not reading now, or has ended, which the next read shows
-                line.send(heard[-1:])
+                line.send(received[-1:])
             continue
         _stop(output)
         if ready:  # the line has ended

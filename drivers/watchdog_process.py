@@ -53,7 +53,7 @@ class WatchdogState:
         self._process: subprocess.Popen[bytes] | None = None
         self._line: socket.socket | None = None
         self._number = HELLO
-        self._asked_us: int | None = None
+        self._last_request_us: int | None = None
         """When the number that is on its way was first sent."""
         self._answered = False
         """This one has answered."""
@@ -85,9 +85,9 @@ class WatchdogState:
     def beat(self, t_us: int) -> None:
         if self._line is None:
             return
-        if self._asked_us is None or self._number == HELLO:
+        if self._last_request_us is None or self._number == HELLO:
             self._number = self._number % LAST_NUMBER + 1
-            self._asked_us = t_us
+            self._last_request_us = t_us
         self._send(t_us)
 
     def _send(self, t_us: int) -> None:
@@ -100,7 +100,7 @@ class WatchdogState:
         except OSError:
             self._lose(t_us, "has ended")
 
-    def look(self, t_us: int) -> None:
+    def check(self, t_us: int) -> None:
         """Once per tick: read replies, check the process, start another one when due."""
         if self._coming is not None and self._coming.done():
             self._take(t_us, self._coming)
@@ -109,15 +109,15 @@ class WatchdogState:
                 self.start()
             return
         try:
-            heard = self._line.recv(4096)
+            received = self._line.recv(4096)
         except BlockingIOError:
             self._wait_for_it(t_us)
             return
         except OSError:
-            heard = b""
-        if not heard:
+            received = b""
+        if not received:
             self._lose(t_us, "has ended")
-        elif heard[-1] == self._number:
+        elif received[-1] == self._number:
             self._note_answer(t_us)
 
     def end(self, *, neutral: bool) -> None:
@@ -140,12 +140,12 @@ class WatchdogState:
         except OSError as error:
             self._lose(t_us, f"cannot be started ({error.strerror or error})")
             return
-        self._answered, self._asked_us, self._well_us = False, t_us, None
+        self._answered, self._last_request_us, self._well_us = False, t_us, None
         self._number = HELLO
         self._send(t_us)
 
     def _note_answer(self, t_us: int) -> None:
-        self._asked_us, self._answered = None, True
+        self._last_request_us, self._answered = None, True
         self.problem, self.failed = "", False
         if self._well_us is None:
             self._well_us = t_us
@@ -153,7 +153,7 @@ class WatchdogState:
             self._pause_us = 0
 
     def _wait_for_it(self, t_us: int) -> None:
-        late_us = 0 if self._asked_us is None else t_us - self._asked_us
+        late_us = 0 if self._last_request_us is None else t_us - self._last_request_us
         if late_us <= (HANG_US if self._answered else START_US):
             return
         self.problem, self.failed, self._well_us = "hangs", True, None
@@ -216,14 +216,14 @@ def listen() -> tuple[socket.socket, bytes]:
     line = socket.socket(fileno=os.dup(0))
     request = b""
     while not request.endswith(b"\n"):
-        byte = hear(line, 1)
+        byte = receive(line, 1)
         if not byte:
             return line, b""
         request += byte
     return line, request
 
 
-def hear(line: socket.socket, size: int = 4096) -> bytes:
+def receive(line: socket.socket, size: int = 4096) -> bytes:
     """In the watchdog: data from the service, b"" when it has ended, with or without having read all replies."""
     try:
         return line.recv(size)

@@ -79,7 +79,7 @@ class WaterLinkedA50(Closing):
         self._turn = np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])
         self._socket: socket.socket | None = None
         self._buffer = b""
-        self._heard_us: int | None = None
+        self._last_received_us: int | None = None
         self._last_us = -(1 << 62)
         self._delays_us: deque[int] = deque(maxlen=USUAL_DELAYS)
         self.clock = DeviceClock()
@@ -104,7 +104,7 @@ class WaterLinkedA50(Closing):
         except OSError as error:
             why = error.strerror or str(error) or "no answer"
             raise DriverError(f"nobody answers at {host}:{port} ({why}); check address, cable and power") from error
-        self._buffer, self._heard_us = b"", None
+        self._buffer, self._last_received_us = b"", None
         self._delays_us.clear()
         self.clock.begin()
 
@@ -116,15 +116,15 @@ class WaterLinkedA50(Closing):
     def poll(self, t_us: int) -> list[VelocitySample]:
         if self._socket is None:
             return []
-        self._heard_us = t_us if self._heard_us is None else self._heard_us
+        self._last_received_us = t_us if self._last_received_us is None else self._last_received_us
         data = b""
         try:
             data = self._socket.recv(CHUNK)
             if not data:
                 raise DriverError("connection closed by the device")
-            self._heard_us = t_us
+            self._last_received_us = t_us
         except BlockingIOError:
-            if t_us - self._heard_us > DEAD_US:
+            if t_us - self._last_received_us > DEAD_US:
                 raise DriverError("connection is dead; check cable and power") from None
         *lines, self._buffer = (self._buffer + data).split(b"\n")
         if len(self._buffer) > MAX_LINE:

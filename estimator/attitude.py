@@ -118,7 +118,7 @@ class AttitudeFilter:
             since_s = dt_s if self._magnet_us < 0 else 1e-6 * (sample.t_us - self._magnet_us)
             self._turn_north(min(max(since_s, 0.0), MAX_GAP_S), rate, tuple(sample.mag_frd.tolist()))
             self._magnet_us = sample.t_us
-        self._bias.look(self._level, self._tuning.heading_s)
+        self._bias.update(self._level, self._tuning.heading_s)
         self._t_us, self._rate = sample.t_us, rate
         return self.rpy_rad
 
@@ -141,9 +141,9 @@ class AttitudeFilter:
     def _keep_level(self, dt_s: float, force: Three) -> None:
         """At first the mean of all there is, then a low-pass filter."""
         self._age_s += dt_s
-        share = max(1.0 - math.exp(-2.0 * dt_s / self._tuning.tilt_s), dt_s / (dt_s + self._age_s))
-        first = _nearer(self._slow[0], turned(self._carried, force), share)
-        second = _nearer(self._slow[1], first, share)
+        gain = max(1.0 - math.exp(-2.0 * dt_s / self._tuning.tilt_s), dt_s / (dt_s + self._age_s))
+        first = _nearer(self._slow[0], turned(self._carried, force), gain)
+        second = _nearer(self._slow[1], first, gain)
         self._slow = (first, second)
         north, east, down = turned(self._levelling, second)
         size = math.sqrt(north * north + east * east + down * down)
@@ -175,9 +175,9 @@ class AttitudeFilter:
             self._heading_age_s = max(dt_s, 1e-3)
             return
         self._heading_age_s += dt_s
-        share = max(trust * (1.0 - math.exp(-dt_s / self._tuning.heading_s)), dt_s / self._heading_age_s)
-        self._yaw_rad = wrap_pi(self._yaw_rad + share * error)
-        self._bias.add_heading(dt_s, share * error, share)
+        gain = max(trust * (1.0 - math.exp(-dt_s / self._tuning.heading_s)), dt_s / self._heading_age_s)
+        self._yaw_rad = wrap_pi(self._yaw_rad + gain * error)
+        self._bias.add_heading(dt_s, gain * error, gain)
 
 
 class AttitudeSource:
@@ -251,5 +251,5 @@ def _same(a: ImuSample, b: ImuSample) -> bool:
     return bool((a.rate_frd_rad_s == b.rate_frd_rad_s).all() and (a.accel_frd_m_s2 == b.accel_frd_m_s2).all())
 
 
-def _nearer(a: Three, b: Three, share: float) -> Three:
-    return a[0] + share * (b[0] - a[0]), a[1] + share * (b[1] - a[1]), a[2] + share * (b[2] - a[2])
+def _nearer(a: Three, b: Three, gain: float) -> Three:
+    return a[0] + gain * (b[0] - a[0]), a[1] + gain * (b[1] - a[1]), a[2] + gain * (b[2] - a[2])

@@ -49,10 +49,10 @@ def focal_estimate(
     power = float(pattern @ pattern)
     if power < CAMERA_MONITOR.least_power_px * CAMERA_MONITOR.least_power_px:
         return None
-    share = float(pattern @ rest) / power
-    noise = rest - share * pattern
+    focal_error = float(pattern @ rest) / power
+    noise = rest - focal_error * pattern
     sigma = math.sqrt(float(noise @ noise) / max(len(noise) - jacobian.shape[1] - 1, 1) / power)
-    return -share, CAMERA_MONITOR.pattern_noise * sigma
+    return -focal_error, CAMERA_MONITOR.pattern_noise * sigma
 
 
 def _of_mounting(camera: Camera) -> tuple[float, float, float, float] | None:
@@ -70,7 +70,7 @@ def _of_mounting(camera: Camera) -> tuple[float, float, float, float] | None:
 
 class CameraMonitor(Monitor):
     def __init__(
-        self, camera: Camera, stamps_every_s: float = STAMP_MONITOR.look_s, floor_m: float | None = None
+        self, camera: Camera, stamps_every_s: float = STAMP_MONITOR.evaluate_s, floor_m: float | None = None
     ) -> None:
         """``floor_m``: depth of the floor with the markers, None = there is none."""
         super().__init__()
@@ -84,7 +84,7 @@ class CameraMonitor(Monitor):
         self._pictures = False
         self._weight = self._sum = 0.0
         self._estimates = 0
-        self.focal_share = 0.0
+        self.focal_error = 0.0
         """By which the focal length is taken to be too long, 0 = it fits as far as is known."""
         self._found_focal_sigma = 0.0
         self._focal_pending = 0.0
@@ -97,17 +97,17 @@ class CameraMonitor(Monitor):
     def systematic_variance(self, t_us: int, newest: Node) -> FloatArray:
         """See :class:`Monitor`: position variance by the calibration's uncertainty at this height above the markers."""
         x, yaw_rate_rad_s = newest.state.x, newest.moment.inertial.yaw_rate_rad_s
-        share = math.hypot(self._found_focal_sigma or self._focal_sigma, self._focal_pending)
-        across = share * CAMERA_MONITOR.aside_m
+        focal_error = math.hypot(self._found_focal_sigma or self._focal_sigma, self._focal_pending)
+        across = focal_error * CAMERA_MONITOR.aside_m
         late_s = math.hypot(self.stamps.sigma_s or self._stamp_sigma_s, self.stamps.unsure_s)
-        if share == late_s == 0.0 and self._mounting is None:
+        if focal_error == late_s == 0.0 and self._mounting is None:
             return NOTHING
         north, east, down = x[VEL].tolist()
         more = np.array(
             [
                 across * across + (late_s * north) ** 2,
                 across * across + (late_s * east) ** 2,
-                (share * self.height_m(x)) ** 2 + (late_s * down) ** 2,
+                (focal_error * self.height_m(x)) ** 2 + (late_s * down) ** 2,
                 (late_s * yaw_rate_rad_s) ** 2,
             ]
         )
@@ -124,10 +124,10 @@ class CameraMonitor(Monitor):
 
     def check_stamps(self) -> bool:
         """Whether a latency of the stamps has been detected, or has changed."""
-        changed = self.stamps.look()
+        changed = self.stamps.evaluate()
         late_s = self.stamps.late_s
         jumped_s, reported_s = self.stamps.jumped_s, self._late_reported_s
-        sure = 0.0 < self.stamps.sigma_s < CAMERA_MONITOR.late_share * max(abs(late_s), 2.0 * CAMERA_MONITOR.late_s)
+        sure = 0.0 < self.stamps.sigma_s < CAMERA_MONITOR.late_fraction * max(abs(late_s), 2.0 * CAMERA_MONITOR.late_s)
         if jumped_s:
             if abs(jumped_s) >= max(CAMERA_MONITOR.late_s, CAMERA_MONITOR.jump_sigmas * self.stamps.sigma_s):
                 self.stamps.jumped_s, self._late_reported_s = 0.0, late_s
@@ -146,24 +146,29 @@ class CameraMonitor(Monitor):
     def note_picture(self) -> None:
         self._pictures = True
 
-    def update_focal(self, share: float, sigma: float) -> bool:
-        """One more picture's opinion of the focal length. True if :attr:`focal_share` has changed."""
+    def update_focal(self, focal_error: float, sigma: float) -> bool:
+        """One more picture's opinion of the focal length. True if :attr:`focal_error` has changed."""
         weight = sigma**-2
         keep = 1.0 - 1.0 / CAMERA_MONITOR.forget_estimates
-        self._weight, self._sum = keep * self._weight + weight, keep * self._sum + weight * (self.focal_share + share)
+        self._weight, self._sum = (
+            keep * self._weight + weight,
+            keep * self._sum + weight * (self.focal_error + focal_error),
+        )
         self._estimates += 1
         mean, spread = self._sum / self._weight, self._weight**-0.5
         prior, bend = max(self._focal_sigma, CAMERA_MONITOR.focal_prior) ** 2, CAMERA_MONITOR.bend_sigma**2 + spread**2
         known = mean * prior / (prior + bend)
-        self._focal_pending = known - self.focal_share if abs(mean) > CAMERA_MONITOR.focal_seems * spread else 0.0
+        self._focal_pending = known - self.focal_error if abs(mean) > CAMERA_MONITOR.focal_seems * spread else 0.0
         if self._estimates < CAMERA_MONITOR.focal_estimates or abs(mean) <= CAMERA_MONITOR.focal_sigmas * spread:
             return False
         if abs(known) >= CAMERA_MONITOR.focal_named and not self._focal_reported:
             self._focal_reported = True
             what = "long" if mean > 0.0 else "short"
             self._texts.append(notices.FOCAL_LENGTH_OFF(percent=100.0 * abs(mean), what=what).text)
-        if abs(self._focal_pending) < (CAMERA_MONITOR.focal_step if self.focal_share else CAMERA_MONITOR.focal_share):
+        if abs(self._focal_pending) < (
+            CAMERA_MONITOR.focal_step if self.focal_error else CAMERA_MONITOR.focal_threshold
+        ):
             return False
-        self.focal_share, self._focal_pending = known, 0.0
+        self.focal_error, self._focal_pending = known, 0.0
         self._found_focal_sigma = math.sqrt(prior * bend / (prior + bend))
         return True

@@ -159,12 +159,12 @@ class ObserverCore:
     def variance(self, state: FilterState, cos_yaw: float, sin_yaw: float) -> list[float]:
         """A constant for the current: the observer does not estimate it."""
         p = state.p.tolist()
-        water = max(p[VEL_NORTH], p[VEL_EAST]) + COMPLEMENTARY.current_variance
+        through_water = max(p[VEL_NORTH], p[VEL_EAST]) + COMPLEMENTARY.current_variance
         down = p[VEL_DOWN] + VERTICAL_CURRENT_VARIANCE
         return [
             *p[POSE],
-            water,
-            water,
+            through_water,
+            through_water,
             down,
             COMPLEMENTARY.current_variance,
             COMPLEMENTARY.current_variance,

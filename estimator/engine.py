@@ -242,12 +242,12 @@ class AidedEstimator(Estimator):
         newest = history.newest
         moment = Moment(inertial, self._thrust.at(inertial.t_us))
         heading, model = self._sources.heading, self._sources.model
-        model_tells = model.has_a_say(moment, newest.state.x)
+        model_informs = model.is_informative(moment, newest.state.x)
         anchored = self._sources.anchor_age_us(inertial.t_us) <= ENGINE.coast_after_us
         mode = ProcessNoiseMode.NOMINAL
         if not inertial.real:
             mode = ProcessNoiseMode.BLIND
-        elif not model_tells or not anchored:
+        elif not model_informs or not anchored:
             mode = ProcessNoiseMode.COASTING
         elif self._trim.fresh(inertial.t_us):
             mode = ProcessNoiseMode.TRIMMED
@@ -263,7 +263,7 @@ class AidedEstimator(Estimator):
         self._inertial_count += 1
         if heading.due(self._inertial_count):
             self._fusion.fuse_scalar(node, heading.measured(inertial), heading, fixed=True)
-        if model_tells and self._monitors.imu.accel.believed and model.due(self._inertial_count):
+        if model_informs and self._monitors.imu.accel.trusted and model.due(self._inertial_count):
             self._fusion.fuse_scalar(node, model.measured(inertial), model, fixed=True)
 
     def _watch_imu(self, history: History, before: Node, node: Node, raw: Inertial, *, anchored: bool) -> None:
@@ -273,7 +273,7 @@ class AidedEstimator(Estimator):
         elif self._anchored_since_us is None:
             self._anchored_since_us = node.t_us
         model, (evidence, imu, camera, *_) = self._sources.model, self._monitors
-        found = imu.look(
+        found = imu.check(
             before,
             node,
             raw,
@@ -359,7 +359,7 @@ class AidedEstimator(Estimator):
                     return
             if kind in sources.scalar_of:
                 aid = sources.scalar_of[kind]
-                believed = sources.markers.trust.believed or not aid.of_pictures
-                scalar = aid.measured(sample) if believed and aid.wanted(sample, node) else None
+                trusted = sources.markers.trust.trusted or not aid.of_pictures
+                scalar = aid.measured(sample) if trusted and aid.wanted(sample, node) else None
                 if scalar is not None:
                     self._fusion.fuse_scalar(node, scalar, aid, fixed=not sources.in_gap(scalar.t_us))

@@ -6,13 +6,13 @@ from dataclasses import dataclass
 @dataclass(frozen=True, slots=True)
 class CameraMonitorTuning:
     late_s: float = 0.005
-    late_share: float = 0.1
-    """Stamps are called late from here on, when it is known to this share of it,"""
+    late_fraction: float = 0.1
+    """Stamps are called late from here on, when it is known to this fraction of it,"""
     jump_sigmas: float = 3.0
     """A jump of stamps is reported from 5 ms and so many standard deviations on."""
     late_still_s: float = 0.0025
     """and until what is known of them comes down to this."""
-    focal_share: float = 0.003
+    focal_threshold: float = 0.003
     focal_named: float = 0.01
     focal_sigmas: float = 6.0
     focal_estimates: int = 10
@@ -128,7 +128,7 @@ ENGINE = EngineTuning()
 
 @dataclass(frozen=True, slots=True)
 class EvidenceTuning:
-    ratio_share: float = 0.2
+    ratio_gain: float = 0.2
     ratio_most: float = 2.0
     ratio_shows: float = 0.35
     ratio_denies: float = 0.6
@@ -146,8 +146,8 @@ class EvidenceTuning:
     """Time for which the estimate is not GOOD after a jump of fixes."""
     jump_fade_s: float = 10.0
     """A jump that nothing on board felt fades from the variance with this: what the fixes say now may be as wrong."""
-    jump_way_m: float = 0.5
-    """The position is off by the jump of the heading times this: the way within the seconds after it."""
+    jump_path_m: float = 0.5
+    """The position is off by the jump of the heading times this: the path within the seconds after it."""
     range_miss_m: float = 0.04
     """A laser that needs a larger offset denies the height: twice what a mounted laser is off by."""
     resets: int = 3
@@ -193,8 +193,8 @@ class FrameFilterTuning:
     most: float = 0.9
     flat_levels: int = 3
     """An image whose levels all lie within so many shows nothing, not even noise."""
-    torn_share: float = 0.05
-    """An image of which this share of rows, up from the bottom, is one single colour has not arrived whole."""
+    torn_fraction: float = 0.05
+    """An image of which this fraction of rows, up from the bottom, is one single colour has not arrived whole."""
 
 
 FRAME_FILTER = FrameFilterTuning()
@@ -226,9 +226,9 @@ LASER_DOT = LaserDotTuning()
 
 @dataclass(frozen=True, slots=True)
 class MagneticTuning:
-    size_share: float = 0.1
+    size_fraction: float = 0.1
     smooth_s: float = 0.05
-    most_share: float = 3.0
+    most_ratio: float = 3.0
     """More than so many times the known size counts as so many, so that one wild reading is soon forgotten."""
     known_s: float = 20.0
     """The known field follows slowly: that of another place in the same water."""
@@ -378,8 +378,8 @@ class StampMonitorTuning:
     """So long before its first fix a window needs inertial samples."""
     gap_us: int = 150_000
     """Inertial sensors that are silent for longer begin a new window."""
-    look_s: float = 0.5
-    """How often all is added up, unless told otherwise;"""
+    evaluate_s: float = 0.5
+    """How often all is added up, unless set otherwise;"""
     checks_soon: int = 30
     """while fixes miss with each of them, so many at most before the next that does not."""
     forget_s: float = 60.0
@@ -421,7 +421,7 @@ class StampMonitorTuning:
     """Pictures whose age at their arrival is off by so much have other stamps, or come later than they did: which of
     both is not known. From so many in a row on it is possible, and from so many evidence of before is of other
     stamps."""
-    age_share: float = 0.02
+    age_gain: float = 0.02
     """Of a new age in the usual one."""
     missed_us: int = 1_000_000
     """Fixes that have missed so long before the age was found to have changed missed for it."""

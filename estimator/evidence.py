@@ -56,15 +56,15 @@ class Evidence(Monitor):
             return
         self._heading_miss_rad = judged.y.item(3)
         heading = float(judged.y[3] ** 2 / judged.variance[3]) / CHI2_999[1]
-        self._fix_ratio += EVIDENCE.ratio_share * (min(judged.test_ratio, EVIDENCE.ratio_most) - self._fix_ratio)
-        self._fix_miss = self._fix_miss + EVIDENCE.ratio_share * (judged.y - self._fix_miss)
-        self._heading_ratio += EVIDENCE.ratio_share * (min(heading, EVIDENCE.ratio_most) - self._heading_ratio)
+        self._fix_ratio += EVIDENCE.ratio_gain * (min(judged.test_ratio, EVIDENCE.ratio_most) - self._fix_ratio)
+        self._fix_miss = self._fix_miss + EVIDENCE.ratio_gain * (judged.y - self._fix_miss)
+        self._heading_ratio += EVIDENCE.ratio_gain * (min(heading, EVIDENCE.ratio_most) - self._heading_ratio)
 
     def note_jump(self, t_us: int, miss: FloatArray) -> None:
         """Fixes that were used without a break have moved by ``miss`` (4,) [m, rad], and no sensor has felt it."""
         if float(np.linalg.norm(miss[:3])) > EVIDENCE.jump_m or float(miss[3]) > EVIDENCE.jump_rad:
             # A heading error grows into a position error along the further path.
-            across = math.hypot(miss.item(0), miss.item(1), EVIDENCE.jump_way_m * min(miss.item(3), 1.0))
+            across = math.hypot(miss.item(0), miss.item(1), EVIDENCE.jump_path_m * min(miss.item(3), 1.0))
             self._jump_us, self._jump_m_rad = t_us, np.array([across, across, miss.item(2), miss.item(3)])
             self.jumps += 1
 

@@ -94,8 +94,8 @@ class FixRun:
     @property
     def denies_gyro(self) -> bool:
         """Whether the fixes agree with the vehicle's translation, and contradict the gyro only."""
-        way = slice(0, 3)
-        squares = self._slope[way] ** 2 / (self._slope_variance[way] + self._drift[way])
+        translation = slice(0, 3)
+        squares = self._slope[translation] ** 2 / (self._slope_variance[translation] + self._drift[translation])
         return self.apart > 1.0 and float(squares.sum()) <= CHI2_999[3] and self.moves > FIX_MOTION.sure and self.fits
 
     def velocity(self, reckoned_ned_m_s: FloatArray) -> FloatArray:
@@ -143,11 +143,11 @@ def plausible(y: FloatArray, variance: FloatArray, drift: FloatArray, gap_s: flo
     return float((y**2 / (variance + drift * gap_s * gap_s)).sum()) <= CHI2_999[4]
 
 
-def _turned(way: FloatArray, by_rad: float) -> FloatArray:
+def _turned(path: FloatArray, by_rad: float) -> FloatArray:
     """Places or velocities NED in rows, turned about the vertical through the origin."""
     c, s = math.cos(by_rad), math.sin(by_rad)
-    result = way.copy()
-    result[:, 0], result[:, 1] = c * way[:, 0] - s * way[:, 1], s * way[:, 0] + c * way[:, 1]
+    result = path.copy()
+    result[:, 0], result[:, 1] = c * path[:, 0] - s * path[:, 1], s * path[:, 0] + c * path[:, 1]
     return result
 
 

@@ -41,9 +41,9 @@ class FixTrust(MonitorFinding):
 
     def doubtful(self, t_us: int) -> bool:
         """Whether they are not, or have not been a moment ago."""
-        return not self.believed or (self._back_us is not None and t_us - self._back_us <= PROBATION_US)
+        return not self.trusted or (self._back_us is not None and t_us - self._back_us <= PROBATION_US)
 
-    def witnessed(self, t_us: int) -> bool:
+    def can_isolate(self, t_us: int) -> bool:
         """Whether its fixes could isolate the faulty sensor at that time."""
         return self.since_us is None or t_us < self.since_us
 
@@ -69,7 +69,7 @@ class FixTrust(MonitorFinding):
     def _newest(self, count: int) -> FixRun | None:
         return self._run.last(count=max(FIX_MOTION.least, min(count, len(self._run))))
 
-    def believe(self, back_us: int | None = None) -> None:
+    def reinstate(self, back_us: int | None = None) -> None:
         """It has been right again for a while at ``back_us``; None: it may be as doubtful as it was."""
         self.since_us = None
         self._back_us = self._back_us if back_us is None else back_us

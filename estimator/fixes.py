@@ -41,14 +41,14 @@ class Fixes:
 
     def use(self, node: Node, fix: PoseFix, aid: FixAid[Any], health: NavHealth | None) -> None:
         """Process one fix at ``node``; ``health``: that of the last estimate."""
-        if not aid.trust.believed:
+        if not aid.trust.trusted:
             self._watch(node, fix, aid, lost=health is NavHealth.INVALID)
             return
         from_camera = aid is self._sources.markers
-        has_a_say = from_camera or not self._sources.markers_in_view(fix.t_us)  # markers know better
+        has_weight = from_camera or not self._sources.markers_in_view(fix.t_us)  # markers know better
         known = () if node.state.sheets is None else node.state.sheets.which
         judged = self._fusion.fuse(node, fix, aid)
-        if has_a_say:
+        if has_weight:
             self._evidence.weigh(judged, None if judged.passes else aid.relocation.agreeing_with(fix))
         if from_camera:
             self._camera.stamps.see(fix, missed=not judged.passes or self._evidence.shows)
@@ -65,7 +65,7 @@ class Fixes:
             return
         seen = self._against_reckoning(node, fix, judged)
         aid.trust.see(fix, seen)
-        if has_a_say:
+        if has_weight:
             self._consider_reset(fix, aid, judged, seen)
 
     def _consider_reset(self, fix: PoseFix, aid: FixAid[Any], missed: Innovation, seen: FixResidual) -> None:
@@ -106,7 +106,7 @@ class Fixes:
         if run is None:
             return
         self._imu.forgive_unwitnessed()
-        trust.believe(now_us)
+        trust.reinstate(now_us)
         aid.relocation.accepted()
         if judged.passes:
             return
@@ -120,8 +120,8 @@ class Fixes:
         drift = drift_variance(
             p if p.ndim == 1 else p.diagonal(),
             1e-6 * self._sources.anchor_age_us(fix.t_us),
-            accel=self._imu.accel.believed,
-            gyro=self._imu.gyro.believed,
+            accel=self._imu.accel.trusted,
+            gyro=self._imu.gyro.trusted,
         )
         return FixResidual(fix.t_us, fix.z, judged.y, fix.noise.diagonal(), drift, judged.passes)
 
@@ -129,7 +129,7 @@ class Fixes:
         if self._map is None:
             return
         if not rejected:
-            self._map.look(fix)
+            self._map.check_outliers(fix)
         for sheet in self._map.loosened(fix, rejected=rejected):
             laid = self._map.laid(sheet)
             self._fusion.history.forget(node, Loosening("sheets", fix.t_us, sheet, laid, MAP_MONITOR.loose_variance))
@@ -141,9 +141,9 @@ class Fixes:
         """
         if fix.ties is None or fix.ground is None:
             return
-        asked_of_late = abs(fix.t_us - self._learned_us) < LEARN_EVERY_US
+        learned_recently = abs(fix.t_us - self._learned_us) < LEARN_EVERY_US
         shows_a_new_one = not set(fix.ground.sheets) <= set(known)
-        if asked_of_late and not shows_a_new_one:
+        if learned_recently and not shows_a_new_one:
             return
         self._learned_us = fix.t_us
         ties = fix.ties()

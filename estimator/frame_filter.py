@@ -60,7 +60,7 @@ class FrameFilter:
         there = np.flatnonzero(levels)
         if int(there[-1]) - int(there[0]) <= FRAME_FILTER.flat_levels:
             return FrameVerdict.FLAT
-        tail = image[-max(2, round(FRAME_FILTER.torn_share * self._shape[0])) :: 2, :: FRAME_FILTER.step_px]
+        tail = image[-max(2, round(FRAME_FILTER.torn_fraction * self._shape[0])) :: 2, :: FRAME_FILTER.step_px]
         if (tail == tail[-1, -1]).all():
             return FrameVerdict.TORN
         alike = self._before is not None and np.array_equal(self._before, sparse)
@@ -68,10 +68,10 @@ class FrameFilter:
         return FrameVerdict.FROZEN if alike else FrameVerdict.OK
 
 
-def quantile(levels: NDArray[np.int64], share: float) -> float:
+def quantile(levels: NDArray[np.int64], fraction: float) -> float:
     """Quantile of pixel values from their histogram ``levels`` (256,), linear between two levels."""
     up_to = levels.cumsum()
-    place = share * (int(up_to[-1]) - 1)
+    place = fraction * (int(up_to[-1]) - 1)
     first = math.floor(place)
     below, above = np.searchsorted(up_to, (first, min(first + 1, int(up_to[-1]) - 1)), side="right").tolist()
     return float(below + (above - below) * (place - first))

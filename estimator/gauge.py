@@ -11,9 +11,9 @@ from autopilot.core.frames import FloatArray
 from autopilot.core.map_errors import STATES, MapErrors
 from autopilot.estimator.states import EAST, NORTH, SheetStates
 
-KNOWN_SHARE = 0.25
+KNOWN_FRACTION = 0.25
 """An offset is known when its variance is this share of its prior."""
-WORD_COUNT = 4.0
+STATED_COUNT = 4.0
 """The map's word on how well its sheets were laid counts as so many offsets."""
 KINDS = ((0, 1), (2,), (3,))
 """Components of an offset that are laid equally well: place, depth, heading."""
@@ -26,7 +26,7 @@ def known_sheets(errors: MapErrors, states: SheetStates) -> tuple[FloatArray, Fl
     which = list(states.which)
     sigma = np.maximum(errors.sigma[which], LEAST_SIGMA)
     variance = states.cov.diagonal().reshape(-1, STATES)
-    known = (variance[:, 3] < KNOWN_SHARE * sigma[:, 3] ** 2) & (variance[:, 0] < sigma[:, 0] ** 2)
+    known = (variance[:, 3] < KNOWN_FRACTION * sigma[:, 3] ** 2) & (variance[:, 0] < sigma[:, 0] ** 2)
     return errors.pivot_ned_m[which][known], states.offset.reshape(-1, STATES)[known], sigma[known]
 
 
@@ -52,7 +52,7 @@ def laid_scales(pivots: FloatArray, offsets: FloatArray, sigma: FloatArray) -> F
         part = list(kind)
         freedom = len(kind) * (len(pivots) - 1)
         squares = float((own[:, part] ** 2).sum())
-        scales[part] = np.sqrt((WORD_COUNT + squares) / (WORD_COUNT + freedom))
+        scales[part] = np.sqrt((STATED_COUNT + squares) / (STATED_COUNT + freedom))
     return scales
 
 
@@ -71,7 +71,7 @@ class Gauge:
         self._middle = np.zeros(3)
         self._more = np.zeros((STATES, STATES))
 
-    def look(self, states: SheetStates) -> None:
+    def update(self, states: SheetStates) -> None:
         """Update after new or more accurate offsets."""
         pivots, offsets, sigma = known_sheets(self._errors, states)
         if len(pivots) < 2:

@@ -72,7 +72,9 @@ def entered(states: SheetStates | None, sheets: tuple[int, ...], sigma: FloatArr
     return SheetStates(tuple(which), offset, cross, cov)
 
 
-def believed(states: SheetStates | None, sheets: tuple[int, ...], sigma: FloatArray) -> tuple[FloatArray, FloatArray]:
+def estimated_offsets(
+    states: SheetStates | None, sheets: tuple[int, ...], sigma: FloatArray
+) -> tuple[FloatArray, FloatArray]:
     """Offsets (4n,) and their covariance (4n, 4n)."""
     full = entered(states, sheets, sigma, len(sheets) + (0 if states is None else len(states.which)))
     columns = columns_of(full.which, sheets)

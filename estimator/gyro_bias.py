@@ -25,7 +25,7 @@ SIGMA_RAD_S = math.radians(0.5)
 WALK_RAD_S_RTS = math.radians(0.02)
 """How fast it may change; what nothing tells becomes no less known than at the start."""
 MAX_RAD_S = math.radians(2.0)
-UNTOLD = 1e6
+UNOBSERVED = 1e6
 """Variance [rad2/s2] of a correction that there was not."""
 
 
@@ -61,13 +61,13 @@ class GyroBias:
         self._north_rad += north_rad
         self._east_rad += east_rad
 
-    def add_heading(self, dt_s: float, down_rad: float, share: float) -> None:
-        """The heading was turned by so much: by that share of its error."""
+    def add_heading(self, dt_s: float, down_rad: float, gain: float) -> None:
+        """The heading was turned by so much: by that fraction of its error."""
         self._heading_s += dt_s
         self._heading_rad += down_rad
-        self._heading_keep *= 1.0 - share
+        self._heading_keep *= 1.0 - gain
 
-    def look(self, level_from_body: Four, heading_settled_s: float) -> None:
+    def update(self, level_from_body: Four, heading_settled_s: float) -> None:
         """Update from the accumulated corrections if they cover enough time. The heading is used from
         ``heading_settled_s`` on.
         """
@@ -77,12 +77,12 @@ class GyroBias:
         turn = np.array(rows(level_from_body))
         # Beside each row of the rotation its product with the subtracted bias.
         now = np.column_stack([turn, turn @ self.rad_s])
-        share = max(1.0 - math.exp(-self._time_s / self._stage_s), self._time_s / self._age_s)
+        gain = max(1.0 - math.exp(-self._time_s / self._stage_s), self._time_s / self._age_s)
         first, second = self._slow or (now[:2], now[:2])
-        first = first + share * (now[:2] - first)
-        self._slow = [first, second + share * (first - second)]
+        first = first + gain * (now[:2] - first)
+        self._slow = [first, second + gain * (first - second)]
         correction = np.array([self._north_rad / self._time_s, self._east_rad / self._time_s, 0.0])
-        variance = np.full(3, UNTOLD)
+        variance = np.full(3, UNOBSERVED)
         if self._age_s > self._wait_s:
             variance[:2] = self._tilt_noise**2 / self._time_s
         down = now[2] if self._slow_heading is None else self._slow_heading
@@ -97,8 +97,8 @@ class GyroBias:
 
     def _learn(self, slow: FloatArray, correction: FloatArray, variance: FloatArray) -> None:
         kalman = self._kalman
-        room = kalman.P.diagonal() < SIGMA_RAD_S**2
-        kalman.predict(Q=np.diag(WALK_RAD_S_RTS**2 * self._time_s * room))
+        below_limit = kalman.P.diagonal() < SIGMA_RAD_S**2
+        kalman.predict(Q=np.diag(WALK_RAD_S_RTS**2 * self._time_s * below_limit))
         h = slow[:, :3]
         expected = h @ kalman.x[:, 0]
         surprise = np.clip(slow[:, 3] - correction - expected, -MAX_RAD_S, MAX_RAD_S)

@@ -59,7 +59,7 @@ class ImuMonitor(Monitor):
     def doubts(self, t_us: int, newest: Node) -> Iterator[NavDoubt]:
         """See :class:`Monitor`: without isolation no sensor is named."""
         for sensor, name in ((self.accel, NavDoubt.ACCELEROMETER), (self.gyro, NavDoubt.GYRO)):
-            if sensor.since_us is not None and self._nondeterminism.witnessed(sensor.since_us):
+            if sensor.since_us is not None and self._nondeterminism.can_isolate(sensor.since_us):
                 yield name
 
     def counts(self) -> dict[str, int]:
@@ -70,14 +70,14 @@ class ImuMonitor(Monitor):
         }
 
     def forgive(self) -> None:
-        self.accel.believe()
-        self.gyro.believe()
+        self.accel.reinstate()
+        self.gyro.reinstate()
 
     def forgive_unwitnessed(self) -> None:
         """Fixes are available again: use sensors whose fault was not isolated."""
         for sensor in (self.accel, self.gyro):
-            if sensor.since_us is not None and not self._nondeterminism.witnessed(sensor.since_us):
-                sensor.believe()
+            if sensor.since_us is not None and not self._nondeterminism.can_isolate(sensor.since_us):
+                sensor.reinstate()
 
     def reopenings(self, found: Verdicts, t_us: int) -> Iterator[Reopening]:
         """States to be reset after these verdicts; recovered sensors are used again."""
@@ -87,10 +87,10 @@ class ImuMonitor(Monitor):
         if found.jump_rad:
             forgotten.append((one(HEADING_OFFSET), found.jump_rad**2, None))
         if found.accel_offset is not None:
-            self.accel.believe()
+            self.accel.reinstate()
             forgotten.append((ACCEL_BIAS, INERTIAL_MONITOR.steady_m_s2**2, found.accel_offset))
         if found.gyro_offset is not None:
-            self.gyro.believe()
+            self.gyro.reinstate()
             forgotten.append((one(GYRO_BIAS), INERTIAL_MONITOR.steady_rad_s**2, found.gyro_offset))
         for part, variance, value in forgotten:
             yield Reopening("imu", t_us, part, variance, value)
@@ -124,7 +124,7 @@ class ImuMonitor(Monitor):
         )
         return inertial, step_between(last, inertial, mode, slope)
 
-    def look(
+    def check(
         self,
         before: Node,
         node: Node,
@@ -147,7 +147,7 @@ class ImuMonitor(Monitor):
         turn = wrap_pi(raw.ahrs_yaw_rad - last.ahrs_yaw_rad)
         rate = raw.yaw_rate_rad_s - x.item(GYRO_BIAS)
         jump = self.gyro.jumped_rad(dt_s, turn, rate)
-        gyro = jump == 0.0 and self.gyro.look(
+        gyro = jump == 0.0 and self.gyro.check(
             node.t_us,
             dt_s,
             turn,
@@ -162,7 +162,7 @@ class ImuMonitor(Monitor):
         if model_dt_s > 0.0 and not idle(node.moment, x):
             expected = self._vehicle.at(x, node.moment)
             over = [a - e for a, e in zip(raw.accel_level_m_s2, expected, strict=False)]
-            accel = self.accel.look(
+            accel = self.accel.check(
                 node.t_us,
                 model_dt_s,
                 [o - b for o, b in zip(over, x[ACCEL_BIAS].tolist(), strict=True)],

@@ -57,7 +57,7 @@ class Inertial(NamedTuple):
     pitch_rad: float
     ahrs_yaw_rad: float
     yaw_rate_rad_s: float
-    """d yaw / dt from the gyros and the tilt (Fossen 2011, eq. 2.26)."""
+    """d yaw / dt from the gyros and the tilt (Fossen 2011, section 2.2.1)."""
     accel_level_m_s2: tuple[float, float, float]
     """Acceleration without gravity, forward/right/down in the level frame that turns with the heading."""
     rate_frd_rad_s: FloatArray

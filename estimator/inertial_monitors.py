@@ -44,10 +44,10 @@ class _InertialMonitor(MonitorFinding):
 
     def steady_offset(self, dt_s: float, unexplained: Sequence[float], *, anchored: bool) -> list[float] | None:
         """The offset with which it can be used again, once known. ``unexplained``: reading minus reference."""
-        share = min(1.0, dt_s / INERTIAL_MONITOR.steady_time_s)
+        gain = min(1.0, dt_s / INERTIAL_MONITOR.steady_time_s)
         for i, value in enumerate(unexplained):
-            self._mean[i] += share * (value - self._mean[i])
-            self._scatter[i] += share * (abs(value - self._mean[i]) - self._scatter[i])
+            self._mean[i] += gain * (value - self._mean[i])
+            self._scatter[i] += gain * (abs(value - self._mean[i]) - self._scatter[i])
         steady = anchored and max(self._scatter) < self._limit
         self._steady_s = self._steady_s + dt_s if steady else 0.0
         return list(self._mean) if self._steady_s >= INERTIAL_MONITOR.steady_s else None
@@ -61,18 +61,18 @@ class AccelMonitor(_InertialMonitor):
         self._smooth = [0.0, 0.0, 0.0]
         self._usual = [0.0, 0.0, 0.0]
 
-    def look(
+    def check(
         self, t_us: int, dt_s: float, residual: Sequence[float], *, anchored: bool, denied: bool, rejected: int
     ) -> bool:
         """True when it becomes suspect now. ``residual`` (3,): reading, offset taken off, minus the model's.
 
         ``anchored``: fixes or velocities over ground are being used; ``denied``: they are being rejected.
         """
-        share, slow = min(1.0, dt_s / INERTIAL_MONITOR.residual_time_s), min(1.0, dt_s / INERTIAL_MONITOR.usual_time_s)
+        gain, slow = min(1.0, dt_s / INERTIAL_MONITOR.residual_time_s), min(1.0, dt_s / INERTIAL_MONITOR.usual_time_s)
         (x, y, z), (now_x, now_y, now_z) = self._smooth, residual
-        x, y, z = x + share * (now_x - x), y + share * (now_y - y), z + share * (now_z - z)
+        x, y, z = x + gain * (now_x - x), y + gain * (now_y - y), z + gain * (now_z - z)
         self._smooth = [x, y, z]
-        if not self.believed:
+        if not self.trusted:
             return False
         absurd = max(abs(x), abs(y), abs(z)) > INERTIAL_MONITOR.absurd_m_s2
         if anchored and not denied and not absurd:
@@ -86,7 +86,7 @@ class AccelMonitor(_InertialMonitor):
         self._cease(t_us, residual)
         return True
 
-    def believe(self) -> None:
+    def reinstate(self) -> None:
         self.since_us = None
         self._smooth, self._usual = [0.0, 0.0, 0.0], [0.0, 0.0, 0.0]
 
@@ -117,7 +117,7 @@ class GyroMonitor(_InertialMonitor):
             return jump
         return 0.0
 
-    def look(
+    def check(
         self,
         t_us: int,
         dt_s: float,
@@ -136,7 +136,7 @@ class GyroMonitor(_InertialMonitor):
         self._quick += apart - min(1.0, dt_s / INERTIAL_MONITOR.quick_turn_time_s) * self._quick
         self._apart += apart - min(1.0, dt_s / INERTIAL_MONITOR.turn_time_s) * self._apart
         self._slow += apart - min(1.0, dt_s / INERTIAL_MONITOR.slow_turn_time_s) * self._slow
-        if not self.believed:
+        if not self.trusted:
             return False
         if anchored:
             wrong = heading_denied and abs(self._quick) > QUICK_TURN_LIMIT_RAD
@@ -148,6 +148,6 @@ class GyroMonitor(_InertialMonitor):
         self._cease(t_us, (rate_rad_s,))
         return True
 
-    def believe(self) -> None:
+    def reinstate(self) -> None:
         self.since_us = None
         self._quick = self._apart = self._slow = 0.0

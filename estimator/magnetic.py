@@ -39,15 +39,15 @@ class FieldWatch:
         """1 for the reference field, 0 for another one; ``rate_rad_s``: angular rate of the device."""
         if self._now is None:
             self._now = self._known = (size, dip_rad)
-        reading = (min(size, MAGNETIC.most_share * self._known[0]), dip_rad)
+        reading = (min(size, MAGNETIC.most_ratio * self._known[0]), dip_rad)
         now = self._now = _nearer(self._now, reading, 1.0 - math.exp(-dt_s / MAGNETIC.smooth_s))
         self._same_s = self._same_s + dt_s if _alike(now, self._known) else 0.0
         if self.disturbed:
             return self._other(dt_s, now, rate_rad_s)
         self._candidate = None
         self._known_s += dt_s
-        share = max(1.0 - math.exp(-dt_s / MAGNETIC.known_s), dt_s / max(self._known_s, dt_s, 1e-9))
-        self._known = _nearer(self._known, now, share)
+        gain = max(1.0 - math.exp(-dt_s / MAGNETIC.known_s), dt_s / max(self._known_s, dt_s, 1e-9))
+        self._known = _nearer(self._known, now, gain)
         self._other_s = max(0.0, self._other_s - 2.0 * dt_s)
         return 1.0
 
@@ -64,8 +64,8 @@ class FieldWatch:
 
 
 def _alike(a: Field, b: Field) -> bool:
-    return abs(a[0] - b[0]) <= MAGNETIC.size_share * b[0] and abs(a[1] - b[1]) <= DIP_RAD
+    return abs(a[0] - b[0]) <= MAGNETIC.size_fraction * b[0] and abs(a[1] - b[1]) <= DIP_RAD
 
 
-def _nearer(a: Field, b: Field, share: float) -> Field:
-    return a[0] + share * (b[0] - a[0]), a[1] + share * (b[1] - a[1])
+def _nearer(a: Field, b: Field, gain: float) -> Field:
+    return a[0] + gain * (b[0] - a[0]), a[1] + gain * (b[1] - a[1])

@@ -12,7 +12,7 @@ from autopilot.core.map_errors import STATES
 from autopilot.core.markers import ID_SPAN, MarkerMap
 from autopilot.core.messages import NavDoubt
 from autopilot.estimator.estimator_tuning import MAP_MONITOR
-from autopilot.estimator.gauge import KNOWN_SHARE, Gauge
+from autopilot.estimator.gauge import KNOWN_FRACTION, Gauge
 from autopilot.estimator.history import Node
 from autopilot.estimator.measure_pose import MarkerOutlier, PoseFix
 from autopilot.estimator.monitor import Monitor
@@ -27,7 +27,7 @@ class _MisplacedMarker:
     north_m: float = 0.0
     east_m: float = 0.0
     scatter_m2: float = 0.0
-    told: bool = False
+    reported: bool = False
 
     def add(self, north_m: float, east_m: float) -> None:
         """One more sighting; begins anew when the place is another one."""
@@ -35,10 +35,10 @@ class _MisplacedMarker:
         if self.count and off > 5.0 * MAP_MONITOR.same_m:
             self.count, self.scatter_m2 = 0, 0.0
         self.count += 1
-        share = 1.0 / min(self.count, 50)
-        self.scatter_m2 += share * ((off * off if self.count > 1 else 0.0) - self.scatter_m2)
-        self.north_m += share * (north_m - self.north_m)
-        self.east_m += share * (east_m - self.east_m)
+        gain = 1.0 / min(self.count, 50)
+        self.scatter_m2 += gain * ((off * off if self.count > 1 else 0.0) - self.scatter_m2)
+        self.north_m += gain * (north_m - self.north_m)
+        self.east_m += gain * (east_m - self.east_m)
 
     @property
     def steady(self) -> bool:
@@ -78,14 +78,14 @@ class MapMonitor(Monitor):
         found_of_late = self._found_us is not None and t_us - self._found_us <= MAP_MONITOR.held_us
         return (NavDoubt.MAP,) if found_of_late else ()
 
-    def look(self, fix: PoseFix) -> None:
+    def check_outliers(self, fix: PoseFix) -> None:
         """One pose that was used, with the markers that did not fit to it."""
         for outlier in fix.outliers:
             place = self._misplaced.setdefault((outlier.code, outlier.marker), _MisplacedMarker())
             place.add(outlier.north_m, outlier.east_m)
             if place.steady:
                 self._found_us = fix.t_us
-                if not place.told:
+                if not place.reported:
                     self._judge(outlier, place)
 
     def loosened(self, fix: PoseFix, *, rejected: bool) -> list[int]:
@@ -114,7 +114,7 @@ class MapMonitor(Monitor):
         if errors is None or states is None:
             return
         if self._gauge is not None:
-            self._gauge.look(states)
+            self._gauge.update(states)
         for sheet in sheets:
             if sheet in self._reported_sheets or sheet not in states.which:
                 continue
@@ -122,13 +122,13 @@ class MapMonitor(Monitor):
             offset, variance = states.offset[k : k + STATES], states.cov.diagonal()[k : k + STATES]
             prior = errors.sigma[sheet] ** 2
             # Its heading is known from the first pictures on; its place is never known better than the map's frame.
-            known = variance[3] < KNOWN_SHARE * prior[3]
+            known = variance[3] < KNOWN_FRACTION * prior[3]
             if known and float((offset * offset / (prior + variance)).sum()) > MAP_MONITOR.off_distance2:
                 self._reported_sheets.add(sheet)
                 off_mm = 1e3 * math.hypot(float(offset[0]), float(offset[1]))
                 turn_deg = math.degrees(float(offset[3]))
                 found = notices.SHEET_OFF(name=errors.names[sheet], off_mm=off_mm, turn_deg=turn_deg)
-                self._tell(t_us, found.text)
+                self._notify(t_us, found.text)
 
     def _judge(self, outlier: MarkerOutlier, place: _MisplacedMarker) -> None:
         markers = self._markers
@@ -139,21 +139,21 @@ class MapMonitor(Monitor):
             other = int(markers.ids[nearest])
             partner = self._at(other, outlier.marker)
             if partner is not None:
-                partner.told = place.told = True
-                self._tell(self._found_us, notices.MARKERS_SWAPPED(number=name, other=other % ID_SPAN).text)
+                partner.reported = place.reported = True
+                self._notify(self._found_us, notices.MARKERS_SWAPPED(number=name, other=other % ID_SPAN).text)
             elif place.count >= MAP_MONITOR.alone:
-                place.told = True
-                self._tell(self._found_us, notices.MARKER_TAKES_PLACE(number=name, other=other % ID_SPAN).text)
+                place.reported = True
+                self._notify(self._found_us, notices.MARKER_TAKES_PLACE(number=name, other=other % ID_SPAN).text)
             return
-        place.told = True
+        place.reported = True
         if outlier.marker < 0:
-            self._tell(self._found_us, notices.MARKER_UNKNOWN(number=name).text)
+            self._notify(self._found_us, notices.MARKER_UNKNOWN(number=name).text)
             return
         north_m = place.north_m - float(markers.centers_ned_m[outlier.marker, 0])
         east_m = place.east_m - float(markers.centers_ned_m[outlier.marker, 1])
-        way = _way(north_m, east_m)
+        direction = _direction(north_m, east_m)
         off_cm = 100.0 * math.hypot(north_m, east_m)
-        self._tell(self._found_us, notices.MARKER_OFF(number=name, off_cm=off_cm, way=way).text)
+        self._notify(self._found_us, notices.MARKER_OFF(number=name, off_cm=off_cm, way=direction).text)
 
     def _at(self, code: int, index: int) -> _MisplacedMarker | None:
         """Strays of a marker seen where the map has marker ``index``."""
@@ -166,11 +166,11 @@ class MapMonitor(Monitor):
                 return place
         return None
 
-    def _tell(self, t_us: int | None, text: str) -> None:
+    def _notify(self, t_us: int | None, text: str) -> None:
         self._found_us = t_us
         self._texts.append(text)
 
 
-def _way(north_m: float, east_m: float) -> str:
+def _direction(north_m: float, east_m: float) -> str:
     eighth = round(math.atan2(east_m, north_m) / (math.pi / 4.0)) % 8
     return ("north", "NE", "east", "SE", "south", "SW", "west", "NW")[eighth]

@@ -62,12 +62,12 @@ def misread_cells(grey: Any, quads: FloatArray, patterns: FloatArray) -> IntArra
     return np.asarray(wrong.sum(axis=(1, 2)), dtype=np.int64)
 
 
-def corner_sigma_px(looks: MarkerImages, half_px: IntArray) -> FloatArray:
+def corner_sigma_px(images: MarkerImages, half_px: IntArray) -> FloatArray:
     """(n,) standard deviation along an axis of corners that were refined in windows of these half widths (n,).
 
     Noise moves an edge by its width times noise over contrast, and a corner is where two edges cross, each averaged
     over the window."""
-    blurred = np.minimum(looks.width_px, MARKER_IMAGE.widest_px) * looks.noise / np.maximum(looks.contrast, 1.0)
+    blurred = np.minimum(images.width_px, MARKER_IMAGE.widest_px) * images.noise / np.maximum(images.contrast, 1.0)
     sigma = MARKER_IMAGE.sigma_factor * blurred * np.sqrt((2.0 * MARKER_IMAGE.window_px + 1.0) / (2.0 * half_px + 1.0))
     return np.asarray(np.maximum(sigma, MARKER_IMAGE.min_sigma_px), dtype=np.float64)
 
@@ -135,6 +135,6 @@ def patterns_of(dictionary: str) -> FloatArray:
     known = opencv_dictionary(dictionary)
     cells = int(known.markerSize)
     result = np.zeros((len(known.bytesList), cells + 2, cells + 2))
-    for k, word in enumerate(known.bytesList):
-        result[k, 1:-1, 1:-1] = cv2.aruco.Dictionary.getBitsFromByteList(word[None], cells)
+    for k, codeword in enumerate(known.bytesList):
+        result[k, 1:-1, 1:-1] = cv2.aruco.Dictionary.getBitsFromByteList(codeword[None], cells)
     return result

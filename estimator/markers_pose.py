@@ -22,7 +22,7 @@ from autopilot.core.messages import MarkerFit
 from autopilot.core.samples import MarkerSighting
 from autopilot.estimator.camera_monitor import focal_estimate
 from autopilot.estimator.estimator_tuning import CAMERA_MONITOR, MARKERS_POSE
-from autopilot.estimator.ground import SheetTies, believed
+from autopilot.estimator.ground import SheetTies, estimated_offsets
 from autopilot.estimator.measure_pose import MarkerOutlier, PoseFix, SheetDependence
 from autopilot.estimator.pnp import inward_of, linearise_corners, solve_pose
 from autopilot.estimator.sheet_fit import SheetCorners, SheetPose, fit_on_sheets
@@ -85,10 +85,10 @@ class MarkerSolver:
             self._candidates[row, : len(of_id)] = of_id
             self._candidate_centers[row, : len(of_id)] = [self._centers[j] for j in of_id]
 
-    def set_focal(self, share: float) -> None:
+    def set_focal(self, focal_error: float) -> None:
         """Set the relative excess of the focal length to be corrected."""
         given = self._given_camera
-        fx, fy = (f / (1.0 + share) for f in given.focal_px)
+        fx, fy = (f / (1.0 + focal_error) for f in given.focal_px)
         self._camera = replace(given, focal_px=(fx, fy))
 
     def well_formed(self, sighting: MarkerSighting) -> bool:
@@ -384,7 +384,7 @@ class MarkerSolver:
             best = fit_on_sheets(
                 self._camera,
                 corners,
-                believed(sheets, which, sigma),
+                estimated_offsets(sheets, which, sigma),
                 pos if best is None else best.pos_ned_m,
                 rpy,
                 max_rms_px=MARKERS_POSE.final_rms_px if round_left == 0 else MARKERS_POSE.first_rms_px,

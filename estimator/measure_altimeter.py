@@ -23,17 +23,17 @@ from autopilot.estimator.measure_range import LEAST_COSINE, FloorRange, unit
 from autopilot.estimator.measurement import MAX_SIGMA_M
 from autopilot.estimator.states import DOWN
 
-MIN_SIGMA_M, SIGMA_SHARE = 0.03, 0.02
+MIN_SIGMA_M, SIGMA_FRACTION = 0.03, 0.02
 """Least standard deviation: what lies on the floor, and the share of the range that a speed of sound is wrong by."""
-KNOWN_SHARE = 0.7
+KNOWN_FRACTION = 0.7
 """While the depth is known better than to this share of an echo's standard deviation by something else, it is left
 out: many echoes with one and the same error would make a sure and wrong depth."""
 MAX_RANGE_M = 200.0
 LEAST_CONFIDENCE = 0.5
-HEARD, HEARD_MOST, HEARD_US = 5, 8, 4_000_000
+ECHOES, ECHOES_MOST, ECHOES_US = 5, 8, 4_000_000
 """Echoes, of so long, that must have been heard before one is used, and that it is held against: with one in five
 coming back twice, all of them are multiples once in three thousand times."""
-TWICE_SHARE = 0.2
+TWICE_FRACTION = 0.2
 """An echo is a multiple when it lies this near to twice another one: share of its range, for noise and what the vehicle
 has climbed in between."""
 STEEPEST = 0.5
@@ -65,7 +65,7 @@ class AltimeterAid(ScalarAid[AltimeterSample]):
         self._mount_frd_m = mount.position_frd_m
         self._beam_frd = unit(mount.direction_frd)
         self._half_beam_rad = 0.5 * mount.beam_width_rad
-        self._heard: deque[tuple[int, float]] = deque(maxlen=HEARD_MOST)
+        self._received: deque[tuple[int, float]] = deque(maxlen=ECHOES_MOST)
         """Time and range of the last echoes."""
 
     def wanted(self, sample: AltimeterSample, node: Node) -> bool:
@@ -76,17 +76,17 @@ class AltimeterAid(ScalarAid[AltimeterSample]):
         depth_variance = p.item(DOWN) if p.ndim == 1 else p.item(DOWN, DOWN)
         floor_known = self._floor_depth_m is not None
         sure_enough = sample.confidence >= LEAST_CONFIDENCE
-        looks_down = down_of(node.moment.inertial, self._beam_frd) > STEEPEST
-        depth_unsure = depth_variance > (KNOWN_SHARE * _sigma_m(sample)) ** 2
+        points_down = down_of(node.moment.inertial, self._beam_frd) > STEEPEST
+        depth_unsure = depth_variance > (KNOWN_FRACTION * _sigma_m(sample)) ** 2
         once = self._came_back_once(sample) if sure_enough else False
-        return floor_known and sure_enough and once and looks_down and depth_unsure
+        return floor_known and sure_enough and once and points_down and depth_unsure
 
     def _came_back_once(self, sample: AltimeterSample) -> bool:
         """Whether it is a first echo by comparison with the preceding ones, to which it is added."""
-        lately = [range_m for t_us, range_m in self._heard if 0 <= sample.t_us - t_us <= HEARD_US]
-        self._heard.append((sample.t_us, sample.range_m))
-        near_m = TWICE_SHARE * sample.range_m
-        return len(lately) >= HEARD and not any(abs(sample.range_m - 2.0 * range_m) < near_m for range_m in lately)
+        lately = [range_m for t_us, range_m in self._received if 0 <= sample.t_us - t_us <= ECHOES_US]
+        self._received.append((sample.t_us, sample.range_m))
+        near_m = TWICE_FRACTION * sample.range_m
+        return len(lately) >= ECHOES and not any(abs(sample.range_m - 2.0 * range_m) < near_m for range_m in lately)
 
     def measured(self, sample: AltimeterSample) -> AltimeterRange | None:
         if self._floor_depth_m is None or not _sane(sample):
@@ -111,4 +111,4 @@ def _sane(sample: AltimeterSample) -> bool:
 
 
 def _sigma_m(sample: AltimeterSample) -> float:
-    return max(sample.sigma_m, math.hypot(MIN_SIGMA_M, SIGMA_SHARE * sample.range_m))
+    return max(sample.sigma_m, math.hypot(MIN_SIGMA_M, SIGMA_FRACTION * sample.range_m))

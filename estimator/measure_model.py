@@ -2,7 +2,7 @@
 
 This makes the current observable: drag depends on the velocity relative to the water, and the velocity over ground is
 known from vision. With M = m + M_A (rigid body and added mass) and a current that changes at the rate c' along the
-vehicle's path, the surge and sway equations are (Fossen 2011, eq. 6.113 and 8.1, neutral body)
+vehicle's path, the surge and sway equations are (Fossen 2011, ch. 6 and 8, neutral body)
 
     M dnu_r/dt = f(nu_r, thrust) - m R' c'   so that   R' a_ground = a_model(nu_r, thrust) + (M_A / M) R' c' .
 
@@ -107,14 +107,14 @@ class VehicleAcceleration:
     """
 
     def __init__(self, model: Model4, follow: tuple[float, float]) -> None:
-        """``follow``: :func:`added_share` of the vehicle."""
+        """``follow``: :func:`added_mass_ratio` of the vehicle."""
         self._model, self._follow = model, follow
         self._work = np.zeros(_JACOBIAN_AT + 3 * NX)
         self._address, self._buffer = self._work.ctypes.data, self._work.data
         self._compiled_jacobian = self._work[_JACOBIAN_AT:].reshape(3, NX)
         self._jacobian: FloatArray | None = None
         self._acceleration = (0.0, 0.0, 0.0, 0.0)
-        self._asked: tuple[FloatArray | None, Moment | None] = (None, None)
+        self._evaluated: tuple[FloatArray | None, Moment | None] = (None, None)
         fits = model.thrusters <= _THRUSTERS
         compiled = library(_ModelStruct) if fits else None
         self._compiled = None if compiled is None else compiled.model_look
@@ -126,11 +126,11 @@ class VehicleAcceleration:
         self._none = (0.0,) * (_THRUSTERS - model.thrusters)
 
     def at(self, x: FloatArray, moment: Moment) -> tuple[float, float, float, float]:
-        self._ask(x, moment)
+        self._evaluate(x, moment)
         return self._acceleration
 
     def jacobian(self, x: FloatArray, moment: Moment) -> FloatArray:
-        self._ask(x, moment)
+        self._evaluate(x, moment)
         if self._jacobian is None:
             self._jacobian = acceleration_jacobian(self._model, self._follow, x, moment)
         return self._jacobian
@@ -141,10 +141,10 @@ class VehicleAcceleration:
         slope[:, ACCEL_BIAS] = 0.0
         return slope
 
-    def _ask(self, x: FloatArray, moment: Moment) -> None:
-        if x is self._asked[0] and moment is self._asked[1]:
+    def _evaluate(self, x: FloatArray, moment: Moment) -> None:
+        if x is self._evaluated[0] and moment is self._evaluated[1]:
             return
-        self._asked = x, moment
+        self._evaluated = x, moment
         if self._compiled is None:
             self._acceleration = expected_acceleration(self._model, self._follow, x, moment)
             self._jacobian = None
@@ -247,7 +247,7 @@ def model_aid_of(inertial: Inertial, vehicle: VehicleAcceleration, *, vertical: 
     return ModelAcceleration(sensor="model", t_us=inertial.t_us, z=np.array(accel), noise=noise, vehicle=vehicle)
 
 
-def added_share(vehicle: Vehicle) -> tuple[float, float]:
+def added_mass_ratio(vehicle: Vehicle) -> tuple[float, float]:
     """Share of a change of current that the vehicle follows at once, surge and sway: added mass over whole mass."""
     m11, m22 = vehicle.model4.mass_kg[:2]
     mass = min(vehicle.model4.dry_mass_kg, m11, m22)
@@ -275,14 +275,14 @@ class ModelAid(ScalarAid[Inertial]):
 
     def __init__(self, vehicle: Vehicle, options: EstimatorOptions) -> None:
         super().__init__()
-        self.vehicle = VehicleAcceleration(vehicle.to_model(), added_share(vehicle))
+        self.vehicle = VehicleAcceleration(vehicle.to_model(), added_mass_ratio(vehicle))
         self._options = options
 
     def due(self, count: int) -> bool:
         """Whether the AHRS's sample of that number is held against the model."""
         return count % MODEL_EVERY == 0
 
-    def has_a_say(self, moment: Moment, x: FloatArray) -> bool:
+    def is_informative(self, moment: Moment, x: FloatArray) -> bool:
         """Whether the vehicle is driven, and may move."""
         return self._options.model_aid and not idle(moment, x)
 

@@ -20,8 +20,8 @@ def chi2_999(freedom: int) -> float:
     known = CHI2_999.get(freedom)
     if known is not None:
         return known
-    share = 2.0 / (9.0 * freedom)
-    return float(freedom * (1.0 - share + 3.0902 * share**0.5) ** 3)
+    variance = 2.0 / (9.0 * freedom)
+    return float(freedom * (1.0 - variance + 3.0902 * variance**0.5) ** 3)
 
 
 class Moment(NamedTuple):

@@ -54,7 +54,7 @@ class MonitorFinding(Monitor):
         """How often it has."""
 
     @property
-    def believed(self) -> bool:
+    def trusted(self) -> bool:
         """Whether the sensor is used."""
         return self.since_us is None
 

@@ -34,7 +34,7 @@ class Pictures:
         self._made.clear()
         return made
 
-    def set_focal(self, share: float) -> None:
+    def set_focal(self, focal_error: float) -> None:
         """From now on take the camera's focal length for too long by that share."""
         if self.solver is not None:
-            self.solver.set_focal(share)
+            self.solver.set_focal(focal_error)

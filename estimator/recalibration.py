@@ -21,7 +21,7 @@ class Recalibration:
     def __init__(self, fusion: Fusion, sources: Sources, intake: SampleBuffer, monitors: Monitors) -> None:
         self._fusion, self._sources, self._intake = fusion, sources, intake
         self._evidence, self._imu, self._camera, *_ = monitors
-        self._focal_share = 0.0
+        self._focal_error = 0.0
         self.counts = dict.fromkeys(("stamps.retimed", "focal.rescaled"), 0)
 
     def retime(self) -> None:
@@ -49,12 +49,12 @@ class Recalibration:
     def rescale(self) -> None:
         """If the focal length is another than was thought: pictures and the estimate come nearer to the markers, or go
         away from them."""
-        before, share = self._focal_share, self._camera.focal_share
-        if share == before:
+        before, focal_error = self._focal_error, self._camera.focal_error
+        if focal_error == before:
             return
-        self._focal_share = share
-        self._sources.pictures.set_focal(share)
-        more = (1.0 + share) / (1.0 + before) - 1.0
+        self._focal_error = focal_error
+        self._sources.pictures.set_focal(focal_error)
+        more = (1.0 + focal_error) / (1.0 + before) - 1.0
         height_m = self._camera.height_m(self._fusion.history.newest.state.x)
         self._carry(np.array([0.0, 0.0, height_m * more, 0.0]), np.zeros(3))
         self.counts["focal.rescaled"] += 1
@@ -70,5 +70,5 @@ class Recalibration:
         self._imu.forgive()
         self._sources.restart()
         for aid in self._sources.fixes:
-            aid.trust.believe(None if aid.trust.believed else self._fusion.now_us)
+            aid.trust.reinstate(None if aid.trust.trusted else self._fusion.now_us)
         self._evidence.forgive()

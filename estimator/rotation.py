@@ -33,8 +33,8 @@ def rotation_by(vector_rad: Three) -> Four:
     """About the vector's direction by its length."""
     x, y, z = vector_rad
     angle = math.sqrt(x * x + y * y + z * z)
-    share = 0.5 if angle < 1e-9 else math.sin(0.5 * angle) / angle
-    return math.cos(0.5 * angle), share * x, share * y, share * z
+    factor = 0.5 if angle < 1e-9 else math.sin(0.5 * angle) / angle
+    return math.cos(0.5 * angle), factor * x, factor * y, factor * z
 
 
 def turn_between(before: Three, after: Three, dt_s: float) -> Three:

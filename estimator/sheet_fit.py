@@ -23,9 +23,9 @@ TILT_INFORMATION = 0.009**-2
 TIE_FLOOR = (2e-4, 2e-4, 2e-4, 3e-4)
 """m, rad: what one picture says of a sheet among others is never taken as better. Tilt and lens are off in the same way
 in the next one."""
-LEAST_SHARE = 1e-7
+LEAST_EIGENVALUE = 1e-7
 """Directions of which the picture knows less than this share of the best known one are left out."""
-BELIEF_FLOOR = 1e-5
+PRIOR_FLOOR = 1e-5
 """Of the offsets in the fit [m, rad]: keeps the inverse of their covariance finite."""
 PRINT_COUNT = 6.0
 """What the map says of its markers' print counts as so many residuals of markers."""
@@ -51,7 +51,7 @@ class SheetPose(NamedTuple):
     alone: tuple[FloatArray, FloatArray]
     """(4n, 4n), (4n,) information and gradient of the offsets alone, about ``at``; see :meth:`ties`."""
     strain: FloatArray
-    """(n,) squared distance of each sheet's offset from the belief, of 4."""
+    """(n,) squared distance of each sheet's offset from the prior, of 4."""
     sigma_tilt_rad: float
     jacobian: FloatArray
     """(8m, 7 + 4n) of the pixels by pose, blur and offsets."""
@@ -62,10 +62,10 @@ class SheetPose(NamedTuple):
     def ties(self) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Measurement of the offsets alone: rows (r, 4n), values (r,), covariance (r, r)."""
         alone, toward = self.alone
-        share, rows = np.linalg.eigh(0.5 * (alone + alone.T))
-        known = share > LEAST_SHARE * max(float(share[-1]), 1.0)
-        ties = np.sqrt(share[known])[:, None] * rows[:, known].T
-        z = ties @ self.at + rows[:, known].T @ toward / np.sqrt(share[known])
+        eigenvalues, rows = np.linalg.eigh(0.5 * (alone + alone.T))
+        known = eigenvalues > LEAST_EIGENVALUE * max(float(eigenvalues[-1]), 1.0)
+        ties = np.sqrt(eigenvalues[known])[:, None] * rows[:, known].T
+        z = ties @ self.at + rows[:, known].T @ toward / np.sqrt(eigenvalues[known])
         floor = np.tile(np.array(TIE_FLOOR) ** 2, len(self.at) // STATES)
         return ties, z, np.eye(len(ties)) + (ties * floor) @ ties.T
 
@@ -100,15 +100,15 @@ class SheetCorners(NamedTuple):
 def fit_on_sheets(
     camera: CameraModel,
     seen: SheetCorners,
-    belief: tuple[FloatArray, FloatArray],
+    prior: tuple[FloatArray, FloatArray],
     pos_ned_m: FloatArray,
     rpy_rad: FloatArray,
     max_rms_px: float,
 ) -> SheetPose | None:
-    """Pose of the corners ``seen``, the sheets' offsets being ``belief`` (4n,), (4n, 4n), near a rough pose.
+    """Pose of the corners ``seen``, the sheets' offsets being ``prior`` (4n,), (4n, 4n), near a rough pose.
 
     None if it does not converge or the residuals' root mean square is above ``max_rms_px``."""
-    fit = _SheetFit(camera, seen, belief, pos_ned_m, rpy_rad)
+    fit = _SheetFit(camera, seen, prior, pos_ned_m, rpy_rad)
     return fit.pose(max_rms_px) if fit.converges() else None
 
 
@@ -119,17 +119,17 @@ class _SheetFit(CornerFit):
         self,
         camera: CameraModel,
         seen: SheetCorners,
-        belief: tuple[FloatArray, FloatArray],
+        prior: tuple[FloatArray, FloatArray],
         pos_ned_m: FloatArray,
         rpy_rad: FloatArray,
     ) -> None:
-        size = len(belief[0])
+        size = len(prior[0])
         sigma_px = None if seen.sigma_px is None else np.repeat(seen.sigma_px, 4)
         pixels = seen.pixels.reshape(-1, 2)
         super().__init__(camera, pixels, sigma_px, pos_ned_m, rpy_rad, PNP.shrink_px, 7 + size)
-        self._sheets, self._belief = seen, belief
-        self._prior = np.linalg.inv(belief[1] + np.eye(size) * BELIEF_FLOOR**2)
-        self._offset = belief[0].copy()
+        self._sheets, self._prior_offsets = seen, prior
+        self._prior = np.linalg.inv(prior[1] + np.eye(size) * PRIOR_FLOOR**2)
+        self._offset = prior[0].copy()
         self._places = _places(seen, 7 + size)
 
     def _points_ned_m(self) -> FloatArray:
@@ -146,7 +146,7 @@ class _SheetFit(CornerFit):
         add_priors(self._information, gradient, self._lean, TILT_INFORMATION, self._shrink_prior - self._shrink)
         self._full = self._information.copy()
         self._full[7:, 7:] += self._prior
-        gradient[7:] += self._prior @ (self._belief[0] - self._offset)
+        gradient[7:] += self._prior @ (self._prior_offsets[0] - self._offset)
         return self._full, gradient
 
     def _move(self, delta: FloatArray) -> None:
@@ -159,8 +159,8 @@ class _SheetFit(CornerFit):
         away_m = np.maximum(self._points[:, 0, 2] - self._pos[2], 0.05)
         print_px = self._sheets.sigma_m * self._camera.focal_water_px / away_m
         expected = self._expected[::8]
-        scale, share = scatter(self._left / self._expected, self._keep, print_px / expected, self._jac.shape[1])
-        result: FloatArray = np.repeat(1.0 / ((scale * expected) ** 2 + 4.0 * share * print_px**2), 8)
+        scale, ratio = scatter(self._left / self._expected, self._keep, print_px / expected, self._jac.shape[1])
+        result: FloatArray = np.repeat(1.0 / ((scale * expected) ** 2 + 4.0 * ratio * print_px**2), 8)
         return result
 
     def pose(self, max_rms_px: float) -> SheetPose | None:
@@ -172,8 +172,8 @@ class _SheetFit(CornerFit):
         gradient = self._weighted @ left
         add_priors(None, gradient, self._lean, TILT_INFORMATION, self._shrink_prior - self._shrink)
         posterior: FloatArray = np.asarray(np.linalg.inv(self._full), dtype=np.float64)
-        pos, rotation, offset, belief = self._pos, self._rotation, self._offset, self._belief
-        return _pieces(self._information, gradient, posterior, pos, rotation, offset, belief, left, rms, self._jac)
+        pos, rotation, offset, prior = self._pos, self._rotation, self._offset, self._prior_offsets
+        return _pieces(self._information, gradient, posterior, pos, rotation, offset, prior, left, rms, self._jac)
 
 
 def _points(seen: SheetCorners, offset: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -227,9 +227,9 @@ def scatter(residual: FloatArray, keep: FloatArray, print_sigma: FloatArray, unk
     if freedom <= 0:
         return math.sqrt(corner2), 1.0
     excess = float((shared**2).sum()) - 0.25 * corner2 * freedom
-    said = float((print_sigma[whole] ** 2).mean())
-    share = (PRINT_COUNT + excess / max(said, LEAST_PRINT)) / (PRINT_COUNT + freedom)
-    return math.sqrt(corner2), max(share, 0.0)
+    stated_m2 = float((print_sigma[whole] ** 2).mean())
+    ratio = (PRINT_COUNT + excess / max(stated_m2, LEAST_PRINT)) / (PRINT_COUNT + freedom)
+    return math.sqrt(corner2), max(ratio, 0.0)
 
 
 def _pieces(
@@ -239,7 +239,7 @@ def _pieces(
     pos: FloatArray,
     rotation: FloatArray,
     offset: FloatArray,
-    belief: tuple[FloatArray, FloatArray],
+    prior: tuple[FloatArray, FloatArray],
     residual: FloatArray,
     rms: float,
     jacobian: FloatArray,
@@ -259,10 +259,10 @@ def _pieces(
     alone = less[4:, 4:] - less[4:, :4] @ by_offsets
     alone_toward = toward[4:] - by_offsets.T @ toward[:4]
     floored(noise)
-    believed, covariance = belief
-    off = (offset - believed).reshape(-1, STATES)
+    expected, covariance = prior
+    off = (offset - expected).reshape(-1, STATES)
     blocks = covariance.reshape(-1, STATES, len(off), STATES)[range(len(off)), :, range(len(off))]
-    held_by = np.linalg.solve(blocks + np.eye(STATES) * BELIEF_FLOOR**2, off[..., None])[..., 0]
+    held_by = np.linalg.solve(blocks + np.eye(STATES) * PRIOR_FLOOR**2, off[..., None])[..., 0]
     return SheetPose(
         pos_ned_m=pos,
         rpy_rad=rpy,

@@ -34,7 +34,7 @@ GRID_S = np.arange(-0.25, 0.2501, 0.005)
 
 
 class StampMonitor:
-    def __init__(self, every_s: float = STAMP_MONITOR.look_s) -> None:
+    def __init__(self, every_s: float = STAMP_MONITOR.evaluate_s) -> None:
         self._every_us = round(1e6 * every_s)
         self.late_s = 0.0
         """By which stamps are late as far as is known: what is to be taken off."""
@@ -118,7 +118,7 @@ class StampMonitor:
         while self._fixes[0][0] < stamp_us - STAMP_MONITOR.window_us:
             self._fixes.popleft()
 
-    def look(self) -> bool:
+    def evaluate(self) -> bool:
         """Add all up when it is due. True if :attr:`late_s` has changed."""
         if not self._fixes or not self._imu:
             return False
@@ -228,14 +228,14 @@ class StampMonitor:
         heading = _Fit(np.column_stack((one, since)), np.column_stack((by_delay, yaw)))
         psi = turned + float(np.median(yaw - np.interp(known_s, t_s, turned)))
         c, s = np.cos(psi), np.sin(psi)
-        way_n = _summed(_summed(c * imu[:, 2] - s * imu[:, 3], dt_s), dt_s)
-        way_e = _summed(_summed(s * imu[:, 2] + c * imu[:, 3], dt_s), dt_s)
+        travel_n = _summed(_summed(c * imu[:, 2] - s * imu[:, 3], dt_s), dt_s)
+        travel_e = _summed(_summed(s * imu[:, 2] + c * imu[:, 3], dt_s), dt_s)
         by_c, by_s = (np.interp(known_s, t_s, _summed(_summed(part, dt_s), dt_s)) for part in (c, s))
         none = np.zeros(len(at_s))
         north = np.column_stack((one, none, since, none, by_c, -by_s))
         east = np.column_stack((none, one, none, since, by_s, by_c))
         off = np.concatenate(
-            (fixes[:, 1, None] - np.interp(true_s, t_s, way_n), fixes[:, 2, None] - np.interp(true_s, t_s, way_e))
+            (fixes[:, 1, None] - np.interp(true_s, t_s, travel_n), fixes[:, 2, None] - np.interp(true_s, t_s, travel_e))
         )
         alone = np.concatenate((fixes[:, 1] - fixes[0, 1], fixes[:, 2] - fixes[0, 2]))
         place = _Fit(np.concatenate((north, east)), np.column_stack((off, alone)))
@@ -276,26 +276,26 @@ class _Usual:
     """Typical residual of windows relative to the fixes' stated variance."""
 
     def __init__(self) -> None:
-        self._shares: deque[float] = deque(maxlen=STAMP_MONITOR.usual_count)
-        self._share = 0.0
+        self._ratios: deque[float] = deque(maxlen=STAMP_MONITOR.usual_count)
+        self._ratio = 0.0
 
     @property
     def count(self) -> int:
-        return len(self._shares)
+        return len(self._ratios)
 
-    def fits(self, found: _Goodness, told: float) -> bool:
-        """Whether a window fits as well as others, fixes telling this variance. The first one does."""
-        self._share = found.variance / told
-        if not self._shares:
+    def fits(self, found: _Goodness, stated: float) -> bool:
+        """Whether a window fits as well as others, fixes stating this variance. The first one does."""
+        self._ratio = found.variance / stated
+        if not self._ratios:
             return True
-        usual = median(self._shares) * told
+        usual = median(self._ratios) * stated
         return (
             found.variance <= usual * _chance(found.freedom) + STAMP_MONITOR.scale * STAMP_MONITOR.scale * found.shown
         )
 
     def learn(self) -> None:
         """Add the last queried window."""
-        self._shares.append(self._share)
+        self._ratios.append(self._ratio)
 
 
 class Ages:
@@ -322,7 +322,7 @@ class Ages:
         off_us = age_us - self._usual_us
         if abs(off_us) <= STAMP_MONITOR.age_step_us:
             self._off = 0
-            self._usual_us += STAMP_MONITOR.age_share * off_us
+            self._usual_us += STAMP_MONITOR.age_gain * off_us
             return 0.0
         side = 1 if off_us > 0.0 else -1
         self._off = self._off + side if self._off * side > 0 else side
@@ -368,10 +368,10 @@ class _Fit:
         a, b, c = (np.einsum("ij,ij->j", x, y) for x, y in ((both, both), (both, second), (second, second)))
         by_first, by_second = both.T @ rest, second.T @ rest
         det = a * c - b * b
-        felt = det > np.maximum(1e-6 * a * c, 1e-18)
-        if not felt.any():
+        observable = det > np.maximum(1e-6 * a * c, 1e-18)
+        if not observable.any():
             return False
-        gain = (by_first**2 * c - 2.0 * by_first * by_second * b + by_second**2 * a)[felt] / det[felt]
+        gain = (by_first**2 * c - 2.0 * by_first * by_second * b + by_second**2 * a)[observable] / det[observable]
         left = max(0.0, float(self._squares[known] - gain.max())) + n * floor * floor
         return bool(0.5 / STAMP_MONITOR.alike * (n - p) * math.log(least / left) > STAMP_MONITOR.suspected)
 
@@ -397,8 +397,8 @@ class _Fit:
         n, p = self._by.shape
         *_, shown = squares = self._squares + n * floor * floor
         squares = squares[:-1]
-        told = min(1.0, max(0.0, 2.0 - 2.0 * squares.min() / (STAMP_MONITOR.unexplained * shown)))
-        result: FloatArray = 0.5 / STAMP_MONITOR.alike * (n - p) * told * np.log(squares / squares.min())
+        weight = min(1.0, max(0.0, 2.0 - 2.0 * squares.min() / (STAMP_MONITOR.unexplained * shown)))
+        result: FloatArray = 0.5 / STAMP_MONITOR.alike * (n - p) * weight * np.log(squares / squares.min())
         return result
 
 

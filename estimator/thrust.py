@@ -16,7 +16,7 @@ class ThrustLag:
         self._limits_n = [thruster.limit_n for thruster in thrusters]
         self._none = (0.0,) * len(thrusters)
         self._held_us = 0
-        self._shares = [0.0] * len(thrusters)
+        self._gains = [0.0] * len(thrusters)
         """By which a force comes nearer to its command within ``_held_us``, per thruster."""
         self._track: deque[tuple[int, tuple[float, ...]]] = deque([(-1, self._none)], maxlen=64)
         self.malformed = 0
@@ -32,11 +32,11 @@ class ThrustLag:
             values = self._none
         if t_us - last_us != self._held_us:
             self._held_us = t_us - last_us
-            self._shares = [1.0 - math.exp(-1e-6 * self._held_us / tau) for tau in self._time_constants_s]
+            self._gains = [1.0 - math.exp(-1e-6 * self._held_us / tau) for tau in self._time_constants_s]
         acting = tuple(
             [
-                a + share * (min(limit, max(-limit, value)) - a)
-                for a, value, share, limit in zip(before, values, self._shares, self._limits_n, strict=True)
+                a + gain * (min(limit, max(-limit, value)) - a)
+                for a, value, gain, limit in zip(before, values, self._gains, self._limits_n, strict=True)
             ]
         )
         self._track.append((t_us, acting))

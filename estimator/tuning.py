@@ -70,7 +70,7 @@ TILTED_GYRO_NOISE = 0.01
 COMPASS_NOISE = 0.03
 """rad/s/sqrt(Hz) when the turning is the AHRS heading's: its slow error of a degree and the steel of the tank."""
 
-COAST_CURRENT_SHARE = 0.5
+COAST_CURRENT_FRACTION = 0.5
 """Without vision the current cannot be told from the accelerometer's bias: its states wander by this share only."""
 DRAG_WALK = 0.004
 """1/sqrt(s): drag changes over minutes."""
@@ -84,7 +84,7 @@ DEPTH_OFFSET_WALK = 3e-4
 
 def process_noise(mode: ProcessNoiseMode, *, current_3d: bool = False) -> FloatArray:
     """Covariance per second (21, 21), diagonal."""
-    coast = 1.0 if mode in (ProcessNoiseMode.NOMINAL, ProcessNoiseMode.TRIMMED) else COAST_CURRENT_SHARE
+    coast = 1.0 if mode in (ProcessNoiseMode.NOMINAL, ProcessNoiseMode.TRIMMED) else COAST_CURRENT_FRACTION
     blind = mode is ProcessNoiseMode.BLIND
     by_model = mode in (ProcessNoiseMode.MODEL, ProcessNoiseMode.MODEL_COMPASS)
     sigma = np.zeros(NX)

@@ -106,8 +106,8 @@ class MarkerDetector:
 
     def _track(self, grey: Any, hazy: bool, ids: IntArray, predicted: FloatArray) -> "_Seen":
         """Markers of those (n,) that should lie at ``predicted`` (n, 4, 2), all of one dictionary."""
-        words = np.unique(ids)
-        dictionary = self._words(words)
+        unique_ids = np.unique(ids)
+        dictionary = self._dictionary_of(unique_ids)
         cells = dictionary.markerSize + 2
         sides_px = _perimeters_px(predicted) / 4.0
         least_px, most_px = (
@@ -122,24 +122,24 @@ class MarkerDetector:
         found = _quads(
             smaller, dictionary, _tracking(least_px / scale, most_px / scale, max(smaller.shape), hazy, scale)
         )
-        found = _Found(words[found.ids], found.quads * np.float32(scale))
+        found = _Found(unique_ids[found.ids], found.quads * np.float32(scale))
         for left, top, right, bottom in _missing_areas(ids, predicted, found, grey.shape):
             part = np.ascontiguousarray(smooth[top:bottom, left:right])
             again = _quads(part, dictionary, _second_pass(least_px, most_px, max(part.shape), hazy, smooth is not grey))
-            found = found.with_new(_Found(words[again.ids], again.quads + np.array([left, top], dtype=np.float32)))
+            found = found.with_new(_Found(unique_ids[again.ids], again.quads + np.array([left, top], dtype=np.float32)))
         return self._accepted(smooth, dictionary, found)
 
     def _search(self, grey: Any, hazy: bool, ids: IntArray) -> "_Seen":
         """Markers whose id is one of ``ids``, all of one dictionary."""
-        words = np.unique(ids)
-        dictionary = self._words(words)
+        unique_ids = np.unique(ids)
+        dictionary = self._dictionary_of(unique_ids)
         smooth = _smoothed(grey, VISION.hazy_smooth_px[0][0]) if hazy else cv2.GaussianBlur(grey, (3, 3), 0.0)
         found = _quads(smooth, dictionary, _acquiring(max(grey.shape), hazy))
         # Smoothing removes small or pale markers. Those found need not be identified again.
         rest = cv2.fillPoly(grey.copy(), np.round(found.quads).astype(np.int32), 255.0) if len(found.ids) else grey
         again = _quads(rest, dictionary, _acquiring_small(max(grey.shape), hazy))
         found = found.with_new(again)
-        return self._accepted(smooth if hazy else grey, dictionary, _Found(words[found.ids], found.quads))
+        return self._accepted(smooth if hazy else grey, dictionary, _Found(unique_ids[found.ids], found.quads))
 
     def _accepted(self, grey: Any, dictionary: Any, found: "_Found") -> "_Seen":
         """Detections with subpixel corners, without those whose appearance does not match their id."""
@@ -153,7 +153,7 @@ class MarkerDetector:
         sigma = corner_sigma_px(images, halves).astype(np.float32).astype(np.float64)
         return _Seen(found.ids[sure], quads[sure], sigma[sure])
 
-    def _words(self, ids: IntArray) -> Any:
+    def _dictionary_of(self, ids: IntArray) -> Any:
         """OpenCV's dictionary of these ids alone, all of one dictionary."""
         kind = int(ids[0]) // ID_SPAN
         whole = self._dictionaries[kind]

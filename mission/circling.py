@@ -49,18 +49,18 @@ class LoiterCircle:
 
     def go(self, speed_m_s: float) -> None:
         """Another speed, as far as the limits allow."""
-        turning_m_s = CIRCLING.yaw_share * self._params["SPD_YAW_MAX"] * self.radius_m
+        turning_m_s = CIRCLING.yaw_fraction * self._params["SPD_YAW_MAX"] * self.radius_m
         self._speed_m_s = min(speed_m_s, self._params["SPD_PLANAR_MAX"], turning_m_s)
 
-    def refusal(self, room: Clearance, keep_m: float) -> str:
+    def refusal(self, boundaries: Clearance, keep_m: float) -> str:
         """Reason why it cannot be flown, "" if it can. ``keep_m``: the controller's margin to every boundary."""
         low, high = self._params["DEPTH_MIN"], self._params["DEPTH_MAX"]
         if not low <= self.depth_m <= high:
             return f"depth {self.depth_m:.2f} m is outside {low:g} to {high:g} m"
-        worst = worst_on_ring(room, (self._centre.real, self._centre.imag), self.radius_m, keep_m)
+        worst = worst_on_ring(boundaries, (self._centre.real, self._centre.imag), self.radius_m, keep_m)
         if worst is None:
             return ""
-        clearance_m = float(room.clearance_m(worst[None])[0])
+        clearance_m = float(boundaries.clearance_m(worst[None])[0])
         return f"circle comes within {clearance_m:.2f} m of the fence, keep {keep_m:.2f} m"
 
     @property
@@ -111,7 +111,7 @@ class LoiterCircle:
             near = old is not None and old.drive is None and _near(old.pos_ned_m, joining.pos_ned_m)
             return old if near and old is not None else joining
         speed = self._speed_m_s
-        pull = min(max(CIRCLING.pull_1_s * off_m, -CIRCLING.pull_share * speed), CIRCLING.pull_share * speed)
+        pull = min(max(CIRCLING.pull_1_s * off_m, -CIRCLING.pull_fraction * speed), CIRCLING.pull_fraction * speed)
         along = math.sqrt(speed * speed - pull * pull)
         velocity = out * complex(pull, sense * along)
         turn = sense * along / self.radius_m
@@ -149,7 +149,9 @@ def _near(a: FloatArray, b: FloatArray) -> bool:
     return math.dist(a.tolist(), b.tolist()) < 0.15
 
 
-def worst_on_ring(room: Clearance, centre_m: tuple[float, float], radius_m: float, need_m: float) -> FloatArray | None:
+def worst_on_ring(
+    boundaries: Clearance, centre_m: tuple[float, float], radius_m: float, need_m: float
+) -> FloatArray | None:
     """A point (2,) on a circle with less clearance than ``need_m``, None if there is none. Clearance is Lipschitz
     with constant 1: an arc whose middle exceeds the need by half its length is free, others are bisected.
     """
@@ -157,7 +159,7 @@ def worst_on_ring(room: Clearance, centre_m: tuple[float, float], radius_m: floa
     angles = np.arange(CIRCLING.ring_arcs) * step
     while len(angles):
         places = np.array(centre_m) + radius_m * np.stack([np.cos(angles), np.sin(angles)], axis=1)
-        clearance = room.clearance_m(places)
+        clearance = boundaries.clearance_m(places)
         least = int(np.argmin(clearance))
         if clearance[least] < need_m:
             place: FloatArray = places[least]

@@ -92,8 +92,8 @@ def _pillar_pairs(shapes: Sequence[FenceShape], pairs: NDArray[np.intp], width_m
     distance = np.hypot(off[:, 0], off[:, 1])
     gap = distance - radius[first] - radius[second]
     near = (gap > TOUCH_M) & (gap < width_m)
-    share = (radius[first] + 0.5 * gap)[near] / distance[near]
-    middle = center[first[near]] + off[near] * share[:, None]
+    fraction = (radius[first] + 0.5 * gap)[near] / distance[near]
+    middle = center[first[near]] + off[near] * fraction[:, None]
     return _PillarPairs(pairs[gap <= TOUCH_M], pairs[near], gap[near], middle)
 
 

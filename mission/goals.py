@@ -27,7 +27,7 @@ class Goals:
         self._params = params
         self._plans = plans
         self._fence = plans.fence()
-        self._room = Clearance.of(self._fence)
+        self._boundaries = Clearance.of(self._fence)
         self._fence_key = self._key()
 
     @property
@@ -36,14 +36,14 @@ class Goals:
         key = self._key()
         if key != self._fence_key:
             self._fence_key, self._fence = key, self._plans.fence()
-            self._room = Clearance.of(self._fence)
+            self._boundaries = Clearance.of(self._fence)
         return self._fence
 
     @property
-    def room(self) -> Clearance:
+    def boundaries(self) -> Clearance:
         """The workspace in force, prepared for clearance queries."""
         _ = self.fence
-        return self._room
+        return self._boundaries
 
     @property
     def top_m(self) -> float:
@@ -52,7 +52,7 @@ class Goals:
 
     def clearance_m(self, pos_ned_m: FloatArray) -> float:
         """Signed distance of a point (3,) to the forbidden area: negative = inside it, inf = open water."""
-        return float(self.room.clearance_m(pos_ned_m[None, :2])[0])
+        return float(self.boundaries.clearance_m(pos_ned_m[None, :2])[0])
 
     def at(self, pos_ned_m: FloatArray, yaw_rad: float | None) -> Goal:
         """Goal at a position (3,) at cruise speed, with a heading or without."""
@@ -115,15 +115,15 @@ class Goals:
         """Whether the vehicle is ``more_m`` further than the controller's margin from every boundary, also where
         it comes to rest without control.
         """
-        way_m = self._way_m(nav)
-        places = nav.pos_ned_m + np.linspace(0.0, 1.0, GOALS.stop_samples + 1)[:, None] * way_m
-        return bool((self.room.clearance_m(places[:, :2]) >= self._keep_m() + more_m).all())
+        stopping_m = self._stopping_m(nav)
+        places = nav.pos_ned_m + np.linspace(0.0, 1.0, GOALS.stop_samples + 1)[:, None] * stopping_m
+        return bool((self.boundaries.clearance_m(places[:, :2]) >= self._keep_m() + more_m).all())
 
-    def _way_m(self, nav: NavState) -> FloatArray:
+    def _stopping_m(self, nav: NavState) -> FloatArray:
         """(3,) braking distance v^2 / 2a over ground."""
         vel_ned_m_s = r_ned_from_frd(nav.rpy_rad) @ nav.vel_frd_m_s
-        way_m: FloatArray = vel_ned_m_s * (math.hypot(*vel_ned_m_s) / (2.0 * GOALS.stop_deceleration_m_s2))
-        return way_m
+        stopping_m: FloatArray = vel_ned_m_s * (math.hypot(*vel_ned_m_s) / (2.0 * GOALS.stop_deceleration_m_s2))
+        return stopping_m
 
     def _key(self) -> tuple[float, ...]:
         return (self._plans.revision, self._params["DEPTH_MIN"], self._params["DEPTH_MAX"])
@@ -134,9 +134,9 @@ class Goals:
 
     def _stopping_place(self, nav: NavState) -> FloatArray:
         """(3,) end of the braking distance v^2 / 2a over ground, or the last permitted point before it."""
-        way_m = self._way_m(nav)
-        places = nav.pos_ned_m + np.linspace(0.0, 1.0, GOALS.stop_samples + 1)[:, None] * way_m
-        forbidden = np.flatnonzero(self.room.clearance_m(places[1:, :2]) < self._keep_m())
+        stopping_m = self._stopping_m(nav)
+        places = nav.pos_ned_m + np.linspace(0.0, 1.0, GOALS.stop_samples + 1)[:, None] * stopping_m
+        forbidden = np.flatnonzero(self.boundaries.clearance_m(places[1:, :2]) < self._keep_m())
         last = int(forbidden[0]) if len(forbidden) else GOALS.stop_samples
         place: FloatArray = places[last].copy()
         return place

@@ -107,7 +107,7 @@ _ROWS = (
     ItemType(Command.IMAGE_STOP_CAPTURE, payload_items.stop_capture, "ends stills by time and by distance"),
     ItemType(
         Command.DO_SET_CAM_TRIGG_DIST,
-        payload_items.trigger_by_way,
+        payload_items.trigger_by_distance,
         "p1 distance between stills [m], 0 = stop; p3 1 = the first at once",
     ),
     ItemType(Command.DO_SET_CAM_TRIGG_INTERVAL, payload_items.trigger_by_time, "p1 time between stills [ms], 0 = stop"),

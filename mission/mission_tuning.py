@@ -7,13 +7,13 @@ from dataclasses import dataclass
 class CirclingTuning:
     pull_1_s: float = 0.6
     """How fast a distance from the circle is made good."""
-    pull_share: float = 0.7
+    pull_fraction: float = 0.7
     """Share of the speed that may go into it."""
     join_m: float = 0.25
     """Farther off, the circle's nearest point is a place to go to."""
     fresh_us: int = 50_000
     accept_yaw_rad: float = 0.15
-    yaw_share: float = 0.5
+    yaw_fraction: float = 0.5
     """Share of SPD_YAW_MAX that a circle on which the heading turns may use."""
     ring_step_m: float = 0.01
     """Minimum length to which arcs of a circle are bisected."""
@@ -71,7 +71,7 @@ class StepGoalsTuning:
     goals_ahead: int = 2
     """A leg is planned with the next one's beginning in view, and the next leg while this one is flown."""
     sure_sigmas: float = 3.0
-    doubt_share: float = 0.1
+    uncertainty_fraction: float = 0.1
     """Acceptance shrinks by this number of standard deviations of the estimate, but by this share at most."""
     yaw_variance: int = 5
     """Index in NavState.variance."""
@@ -103,7 +103,7 @@ class ValidationTuning:
     """Altitudes arrive as 32-bit floats."""
     place_tolerance_m: float = 0.012
     """Rounding of a waypoint and of a fence point to 1e-7 degrees (11 mm) together."""
-    approach_share: float = 0.6
+    approach_fraction: float = 0.6
     """The controller keeps MPC_MARGIN beyond the body radius, so that a position nearer to a boundary is only
     approached: the distance missing may be this share of the acceptance radius (two walls at once make it 1.41
     times as much) ..."""

@@ -92,7 +92,7 @@ def stop_capture(item: PlanItem, origin: Origin) -> Step:
     return StopShooting(seq=item.seq)
 
 
-def trigger_by_way(item: PlanItem, origin: Origin) -> Step:
+def trigger_by_distance(item: PlanItem, origin: Origin) -> Step:
     """DO_SET_CAM_TRIGG_DIST: p1 distance between stills [m], 0 = stop; p3 1 = one at once."""
     return ShootEvery(seq=item.seq, distance_m=_least(item, 1, "distance", 0.0), now=number(item, 3, "trigger") == 1.0)
 

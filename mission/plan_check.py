@@ -42,7 +42,7 @@ Plans3 = Mapping[PlanKind, tuple[PlanItem, ...]]
 EMPTY: Plans3 = MappingProxyType(dict.fromkeys(PlanKind, ()))
 
 
-class WaterCheck(Protocol):
+class CurrentCheck(Protocol):
     """Immutable check of workspaces against the known current (a current map has to cover them)."""
 
     def problem(self, fence: Fence, steps: Sequence[Step], origin: Origin) -> str:
@@ -63,7 +63,7 @@ class PlanCheckInputs:
     limits: tuple[float, ...]
     """Values of :data:`PLAN_PARAMETERS`."""
     radius_m: float
-    water: WaterCheck | None = None
+    current_check: CurrentCheck | None = None
 
     def same(self, other: "PlanCheckInputs") -> bool:
         """Whether the answer to both is the same (plans are compared as objects)."""
@@ -92,7 +92,7 @@ class PlanVerdict:
     """Warnings: tolerated and reported."""
     steps: tuple[Step, ...] = ()
     shapes: tuple[FenceShape, ...] = ()
-    goal_room: tuple[tuple[str, float], ...] = ()
+    goal_clearance_m: tuple[tuple[str, float], ...] = ()
     """Name and clearance [m] of every position of the mission, less the vehicle's radius."""
     widest_m: float = field(default=math.inf)
     """Clearance of the widest place of the workspace, less the vehicle's radius."""
@@ -135,13 +135,13 @@ def judge(question: PlanCheckInputs, cancel: Cancel) -> PlanVerdict:
         gaps = narrow_gaps(shapes, 2.0 * ctx.radius_m, check_cancel)
         warnings += [gap_text(gap, ctx.radius_m) for gap in islice(gaps, VALIDATION.max_gaps)]
     check_cancel()
-    if question.water is not None and (steps or shapes):
-        reason = question.water.problem(fence, steps, ctx.origin)
+    if question.current_check is not None and (steps or shapes):
+        reason = question.current_check.problem(fence, steps, ctx.origin)
         if reason:
             kind = PlanKind.FENCE if shapes else PlanKind.MISSION
             joint.append(PlanProblem(kind=kind, seq=0, result=MissionResult.INVALID, reason=reason))
         check_cancel()
-        warning = question.water.warning(fence, steps, ctx.params["SPD_PLANAR_MAX"])
+        warning = question.current_check.warning(fence, steps, ctx.params["SPD_PLANAR_MAX"])
         warnings += [warning] if warning else []
     goals = [step for step in steps if isinstance(step, GoTo) and step.pos_ned_m is not None]
     places = np.array([step.pos_ned_m[:2] for step in goals if step.pos_ned_m is not None]).reshape(-1, 2)
@@ -153,7 +153,7 @@ def judge(question: PlanCheckInputs, cancel: Cancel) -> PlanVerdict:
         warnings=tuple(warnings),
         steps=steps,
         shapes=shapes,
-        goal_room=tuple((f"item {step.seq}", float(c)) for step, c in zip(goals, clearance, strict=True)),
+        goal_clearance_m=tuple((f"item {step.seq}", float(c)) for step, c in zip(goals, clearance, strict=True)),
         widest_m=widest_m(fence) - ctx.radius_m,
     )
 

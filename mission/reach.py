@@ -27,7 +27,7 @@ def free_regions(fence: Fence, points_ned_m: FloatArray, radius_m: float) -> tup
     return found
 
 
-def has_room(fence: Fence, radius_m: float) -> bool:
+def has_free_space(fence: Fence, radius_m: float) -> bool:
     """Whether any point in the workspace of a fence is ``radius_m`` from every boundary."""
     if widest_m(fence) >= radius_m:
         return True  # visible in the samples; a narrow part has to be searched

@@ -98,8 +98,8 @@ class StepGoals:
         centre = last if step.centre_ned_m is None else step.centre_ned_m
         if centre is None or here is None:
             return None
-        params, asked = self._params, run.speed_m_s
-        speed = (abs(params["CIRCLE_SPEED"]) or params["SPD_CRUISE"]) if asked is None else asked
+        params, commanded = self._params, run.speed_m_s
+        speed = (abs(params["CIRCLE_SPEED"]) or params["SPD_CRUISE"]) if commanded is None else commanded
         run.circle = LoiterCircle(
             params,
             (float(centre[0]), float(centre[1])),
@@ -174,8 +174,8 @@ class StepGoals:
         else:
             begin = here if self.run.leg_from_ned_m is None else self.run.leg_from_ned_m
             axes = 2 if step.upright else 3
-            way = (goal.pos_ned_m - begin)[:axes]
-            reached = float(way @ way) > 0.0 and float(way @ (here - step.pos_ned_m)[:axes]) >= 0.0
+            leg = (goal.pos_ned_m - begin)[:axes]
+            reached = float(leg @ leg) > 0.0 and float(leg @ (here - step.pos_ned_m)[:axes]) >= 0.0
         return reached or is_inside(goal, nav)
 
     def of(self, step: Travel | Wait, pos_ned_m: FloatArray) -> Goal:
@@ -203,8 +203,8 @@ class StepGoals:
     @property
     def _speed_m_s(self) -> float:
         """Speed set by the mission, else the cruise speed."""
-        asked = self.run.speed_m_s
-        return self._params["SPD_CRUISE"] if asked is None else asked
+        commanded = self.run.speed_m_s
+        return self._params["SPD_CRUISE"] if commanded is None else commanded
 
     def _leading_on(self, goal: Goal, cursor: int) -> Goal:
         """The goal of a step with those that follow it without a stop."""
@@ -234,8 +234,8 @@ class StepGoals:
         if self.run.circle is not None and self.run.speed_m_s is not None:
             self.run.circle.go(self.run.speed_m_s)
         elif self.run.goal is not None:
-            asked = self.run.speed_m_s is not None
-            self.run.goal = replace(self.run.goal, speed_m_s=self._speed_m_s, speed_asked=asked)
+            commanded = self.run.speed_m_s is not None
+            self.run.goal = replace(self.run.goal, speed_m_s=self._speed_m_s, speed_asked=commanded)
 
 
 def is_inside(goal: Goal, nav: NavState) -> bool:
@@ -254,5 +254,5 @@ def is_inside(goal: Goal, nav: NavState) -> bool:
 
 def _shrunk(limit: float, variance: float) -> float:
     """Acceptance limit minus the uncertainty of the estimate."""
-    doubt = STEP_GOALS.sure_sigmas * math.sqrt(variance) if variance >= 0.0 else math.inf
-    return limit - min(doubt, STEP_GOALS.doubt_share * limit)
+    uncertainty = STEP_GOALS.sure_sigmas * math.sqrt(variance) if variance >= 0.0 else math.inf
+    return limit - min(uncertainty, STEP_GOALS.uncertainty_fraction * limit)

@@ -25,15 +25,23 @@ from autopilot.core.plan import MissionResult, PlanChange, PlanItem, PlanKind, P
 from autopilot.mission.fence import FenceShape, build_fence
 from autopilot.mission.item_types import parse_step
 from autopilot.mission.items import Order, Step
-from autopilot.mission.plan_check import EMPTY, PLAN_PARAMETERS, PlanCheckInputs, Plans3, PlanVerdict, WaterCheck, judge
+from autopilot.mission.plan_check import (
+    EMPTY,
+    PLAN_PARAMETERS,
+    CurrentCheck,
+    PlanCheckInputs,
+    Plans3,
+    PlanVerdict,
+    judge,
+)
 from autopilot.mission.plan_model import PlanFile
 from autopilot.mission.validation import check_item
 
-__all__ = ["Change", "Plans", "WaterCheck", "load_plan", "plan_checksum"]
+__all__ = ["Change", "CurrentCheck", "Plans", "load_plan", "plan_checksum"]
 
 CHECK_CALLS = 1
 """Calls of :meth:`Plans.tick` after which the result of a check is taken."""
-MAX_ASKED = 10
+MAX_ATTEMPTS = 10
 """Number of checks after which a change is refused whose parameters keep changing."""
 
 Guard = Callable[[Sequence[PlanKind], PlanVerdict], PlanRejection | None]
@@ -59,7 +67,7 @@ class Change(PlanChange):
 
     def __init__(self, plans: Mapping[PlanKind, tuple[PlanItem, ...]]) -> None:
         self.plans = dict(plans)
-        self.asked = 0
+        self.attempts = 0
         self._done = False
         self._rejection: PlanRejection | None = None
 
@@ -96,12 +104,12 @@ class Plans(PlanStore):
         params: Mapping[str, float],
         radius_m: float,
         origin: Origin | None = None,
-        water: WaterCheck | None = None,
+        current_check: CurrentCheck | None = None,
         worker: BackgroundWorker | None = None,
     ) -> None:
         self._params = params
         self._live = params.live if isinstance(params, ParamSet) else params
-        self._water = water
+        self._current_check = current_check
         self._radius_m = radius_m
         self._origin = origin or params_origin(params)
         self._home_ned_m: FloatArray = np.zeros(3)
@@ -112,7 +120,7 @@ class Plans(PlanStore):
         self._worker = worker
         self._now = 0
         self._task: BackgroundTask[PlanVerdict] | None = None
-        self._asked: PlanCheckInputs | None = None
+        self._submitted: PlanCheckInputs | None = None
         self._change: Change | None = None
         self._wanted: PlanCheckInputs | None = None
         self._verdict = PlanVerdict(question=self._question())
@@ -227,7 +235,7 @@ class Plans(PlanStore):
         if self._worker is None:
             self._decide(change, judge(self._question(change), Cancel()))
         else:
-            self._ask()
+            self._submit_check()
         return change
 
     def replace(self, kind: PlanKind, items: tuple[PlanItem, ...]) -> PlanRejection | None:
@@ -268,31 +276,31 @@ class Plans(PlanStore):
             if answer is not None:
                 self._task = None
                 if answer.error is None:
-                    self._hear(answer.get())
+                    self._take_verdict(answer.get())
                 else:
-                    self._hear(_failed(self._asked or self._question(self._change), answer.error))
+                    self._take_verdict(_failed(self._submitted or self._question(self._change), answer.error))
         wanted = self._question(self._change)
         needed = self._change is not None or not wanted.same(self._verdict.question)
-        if not needed or (self._task is not None and self._asked is not None and wanted.same(self._asked)):
+        if not needed or (self._task is not None and self._submitted is not None and wanted.same(self._submitted)):
             return
-        if self._change is not None and self._change.asked >= MAX_ASKED:
+        if self._change is not None and self._change.attempts >= MAX_ATTEMPTS:
             text = "parameters or origin change faster than plans are checked; try again"
             self._change.end(PlanRejection(seq=None, result=MissionResult.ERROR, reason=text))
             self._drop()
         else:
-            self._ask()
+            self._submit_check()
 
-    def _ask(self) -> None:
+    def _submit_check(self) -> None:
         """Start a check of the intended plans, in place of a pending one."""
         assert self._worker is not None
         if self._task is not None:
             self._task.cancel()
         if self._change is not None:
-            self._change.asked += 1
-        self._asked = self._question(self._change)
-        self._task = self._worker.submit(self._now + CHECK_CALLS, judge, self._asked)
+            self._change.attempts += 1
+        self._submitted = self._question(self._change)
+        self._task = self._worker.submit(self._now + CHECK_CALLS, judge, self._submitted)
 
-    def _hear(self, verdict: PlanVerdict) -> None:
+    def _take_verdict(self, verdict: PlanVerdict) -> None:
         """An answer: to the open change, or about the plans in force."""
         change = self._change
         if not verdict.question.same(self._question(change)):
@@ -338,7 +346,7 @@ class Plans(PlanStore):
             self._task.cancel()
         if self._change is not None:
             self._change.cancel()
-        self._task = self._asked = self._change = None
+        self._task = self._submitted = self._change = None
 
     def _is_current(self) -> bool:
         return self._verdict.question.same(self._question())
@@ -347,15 +355,15 @@ class Plans(PlanStore):
         """Inputs of the check; without a change the same object as before."""
         limits = _limits(self._live)
         known = self._wanted
-        asked_before = known is not None and known.plans is self._plans and known.origin is self._origin
-        if change is None and known is not None and asked_before and known.limits == limits:
+        already_checked = known is not None and known.plans is self._plans and known.origin is self._origin
+        if change is None and known is not None and already_checked and known.limits == limits:
             return known
         wanted = PlanCheckInputs(
             plans=self._plans if change is None else {**self._plans, **change.plans},
             origin=self._origin,
             limits=limits,
             radius_m=self._radius_m,
-            water=self._water,
+            current_check=self._current_check,
         )
         if change is None:
             self._wanted = wanted

@@ -43,17 +43,17 @@ class SlowLeg:
         if self.out_of_reach(least_m_s):
             return f"Item {self.seq} is out of reach: current {self.current_m_s:.2f} m/s"
         minutes = self.time_s / 60.0
-        took = f"{minutes:.0f} min" if minutes >= 1.5 else f"{self.time_s:.0f} s"
-        return f"Item {self.seq} is upstream: {self.left_m_s:.3f} m/s left, {took}"
+        duration = f"{minutes:.0f} min" if minutes >= 1.5 else f"{self.time_s:.0f} s"
+        return f"Item {self.seq} is upstream: {self.left_m_s:.3f} m/s left, {duration}"
 
 
-def ground_speed_m_s(way: FloatArray, current: FloatArray, speed_m_s: float) -> FloatArray:
+def ground_speed_m_s(direction: FloatArray, current: FloatArray, speed_m_s: float) -> FloatArray:
     """(n,) along a unit vector (2,) in currents (n, 2) for a vehicle with ``speed_m_s`` through the water; -inf
     where it cannot stay on the path.
     """
-    along = current @ way
-    room = speed_m_s**2 - (np.square(current).sum(axis=1) - along**2)
-    result: FloatArray = np.where(room >= 0.0, along + np.sqrt(np.maximum(room, 0.0)), -np.inf)
+    along = current @ direction
+    radicand = speed_m_s**2 - (np.square(current).sum(axis=1) - along**2)
+    result: FloatArray = np.where(radicand >= 0.0, along + np.sqrt(np.maximum(radicand, 0.0)), -np.inf)
     return result
 
 
@@ -80,8 +80,8 @@ def _leg(seq: int, a: FloatArray, b: FloatArray, speed_m_s: float, current_at: C
     length = float(np.hypot(*(b - a)))
     if not length > 0.0:
         return None
-    share = (np.arange(UPSTREAM.samples) + 0.5) / UPSTREAM.samples
-    current = current_at(a + share[:, None] * (b - a))
+    fractions = (np.arange(UPSTREAM.samples) + 0.5) / UPSTREAM.samples
+    current = current_at(a + fractions[:, None] * (b - a))
     left = ground_speed_m_s((b - a) / length, current, speed_m_s)
     least = float(left.min())
     time_s = float((length / UPSTREAM.samples / left).sum()) if least > 0.0 else math.inf
@@ -113,18 +113,18 @@ class MadeGood:
         """Reset: there is no goal to travel to, or it has been reached."""
         self._goal = None
 
-    def idle_s(self, t_us: int, goal: Goal, nav: NavState, way_m: float | None, step_m: float) -> float:
-        """Time since the path left last decreased by ``step_m`` below its minimum. ``way_m``: from the guidance
+    def idle_s(self, t_us: int, goal: Goal, nav: NavState, path_left_m: float | None, step_m: float) -> float:
+        """Time since the path left last decreased by ``step_m`` below its minimum. ``path_left_m``: from the guidance
         (horizontal), None = straight line. Time without a good position does not count.
         """
         north, east, down = goal.pos_ned_m.tolist()
         here_n, here_e, here_d = nav.pos_ned_m.tolist()
-        left_m = math.hypot(north - here_n, east - here_e) if way_m is None else way_m
+        left_m = math.hypot(north - here_n, east - here_e) if path_left_m is None else path_left_m
         left_m += abs(down - here_d)
         key: tuple[float, ...] = (goal.seq, north, east, down)
         if goal.drive is not None:
             key = (goal.seq,)  # on a circle the place moves along
-        self._look(t_us, left_m, same=key == self._goal and nav.health is NavHealth.GOOD)
+        self._update(t_us, left_m, same=key == self._goal and nav.health is NavHealth.GOOD)
         if key != self._goal:
             self._goal, self._anew = key, 0
             self._best_m, self._us = left_m, t_us
@@ -138,7 +138,7 @@ class MadeGood:
         self._left_m, self._last_us = left_m, t_us
         return (t_us - self._us) * 1e-6
 
-    def _look(self, t_us: int, left_m: float, *, same: bool) -> None:
+    def _update(self, t_us: int, left_m: float, *, same: bool) -> None:
         """Update the speed; a path whose length jumps is another one."""
         elapsed_s, nearer_m = (t_us - self._last_us) * 1e-6, self._left_m - left_m
         if not same or abs(nearer_m) > UPSTREAM.jump_m:

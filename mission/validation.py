@@ -35,7 +35,7 @@ from autopilot.mission.items import (
     Wait,
 )
 from autopilot.mission.mission_tuning import VALIDATION
-from autopilot.mission.reach import free_regions, has_room
+from autopilot.mission.reach import free_regions, has_free_space
 
 RALLY_LABEL = "rally point"
 
@@ -203,7 +203,7 @@ def fence_problems(
         yield from (_gap_rejection(gap, ctx.radius_m) for gap in islice(gaps, VALIDATION.max_gaps))
     check_cancel()
     fence = build_fence(shapes, ctx.params)
-    if fence.inclusions and not has_room(fence, ctx.keep_m - VALIDATION.place_tolerance_m):
+    if fence.inclusions and not has_free_space(fence, ctx.keep_m - VALIDATION.place_tolerance_m):
         first = next(s for s in shapes if s.inclusion)
         text = (
             f"fence item {first.seq}: no room for the vehicle, which keeps {ctx.keep_m:g} m: enlarge it or remove "
@@ -277,7 +277,7 @@ def joint_problems(
                 name=f"home of item {step.seq}" if isinstance(step, SetHome) else f"item {step.seq}",
                 north_m=float(step.pos_ned_m[0]),
                 east_m=float(step.pos_ned_m[1]),
-                need_m=_room_needed_m(step, ctx),
+                need_m=_clearance_needed_m(step, ctx),
             )
             places.append(place)
             if not isinstance(step, SetHome):
@@ -333,8 +333,8 @@ def _ring_places(
     for (step, centre), away in zip(circles, from_centre, strict=True):
         radius_m = ctx.params["CIRCLE_RADIUS"] if step.radius_m is None else step.radius_m
         within = np.flatnonzero(away < radius_m + need_m)
-        room, middle = Clearance([both[i] for i in within.tolist()]), (float(centre[0]), float(centre[1]))
-        worst = worst_on_ring(room, middle, radius_m, need_m) if len(within) else None
+        boundaries, middle = Clearance([both[i] for i in within.tolist()]), (float(centre[0]), float(centre[1]))
+        worst = worst_on_ring(boundaries, middle, radius_m, need_m) if len(within) else None
         north, east = (middle[0] + radius_m, middle[1]) if worst is None else worst.tolist()
         check_cancel()
         yield _PointToClear(
@@ -347,12 +347,12 @@ def _ring_places(
         )
 
 
-def _room_needed_m(step: GoTo | Surface | SetHome, ctx: PlanContext) -> float:
+def _clearance_needed_m(step: GoTo | Surface | SetHome, ctx: PlanContext) -> float:
     """Clearance required of a position: no contact, and within reach of the controller."""
     accept_m = step.accept_radius_m if isinstance(step, GoTo) else None
     if accept_m is None:
         accept_m = ctx.params["WP_ACCEPT_RADIUS"]
-    return max(ctx.radius_m, ctx.keep_m - min(VALIDATION.approach_share * accept_m, VALIDATION.approach_m))
+    return max(ctx.radius_m, ctx.keep_m - min(VALIDATION.approach_fraction * accept_m, VALIDATION.approach_m))
 
 
 def _place_conflicts(places: Sequence[_PointToClear], shapes: Sequence[FenceShape]) -> list[PlanProblem]:
@@ -362,22 +362,22 @@ def _place_conflicts(places: Sequence[_PointToClear], shapes: Sequence[FenceShap
     if not places:
         return []
     points = np.array([(p.north_m, p.east_m) for p in places])
-    room = Clearance([(s.shape, s.inclusion) for s in shapes]).of_shapes_m(points)
+    clearances = Clearance([(s.shape, s.inclusion) for s in shapes]).of_shapes_m(points)
     need_m = np.array([p.need_m for p in places])
-    worst = np.argmin(room, axis=1)
-    least = room[np.arange(len(places)), worst]
+    worst = np.argmin(clearances, axis=1)
+    least = clearances[np.arange(len(places)), worst]
     bad = np.flatnonzero(least < need_m - VALIDATION.place_tolerance_m)
     return [_place_conflict(places[i], shapes[int(worst[i])], float(least[i])) for i in bad.tolist()]
 
 
-def _place_conflict(place: _PointToClear, shape: FenceShape, room_m: float) -> PlanProblem:
-    """One line about a position with clearance ``room_m``, less than it needs."""
+def _place_conflict(place: _PointToClear, shape: FenceShape, clearance_m: float) -> PlanProblem:
+    """One line about a position with clearance ``clearance_m``, less than it needs."""
     if shape.inclusion:
-        state = f"{-room_m:.2f} m outside" if room_m < 0.0 else f"only {room_m:.2f} m inside"
+        state = f"{-clearance_m:.2f} m outside" if clearance_m < 0.0 else f"only {clearance_m:.2f} m inside"
     else:
-        state = f"{-room_m:.2f} m inside" if room_m < 0.0 else f"only {room_m:.2f} m from"
+        state = f"{-clearance_m:.2f} m inside" if clearance_m < 0.0 else f"only {clearance_m:.2f} m from"
     text = (
-        f"{place.name} is {state} {shape.name}: move it {place.need_m - room_m:.2f} m "
+        f"{place.name} is {state} {shape.name}: move it {place.need_m - clearance_m:.2f} m "
         f"(at north {place.north_m:.2f}, east {place.east_m:.2f} m; the vehicle keeps {place.need_m:.2f} m)"
     )
     return PlanProblem(kind=place.kind, seq=place.seq, result=MissionResult.INVALID_PARAM5_X, reason=text)

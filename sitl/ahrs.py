@@ -120,8 +120,8 @@ class Ig500Emulator(DelayedSensor[bytes]):
     def _measured(self, truth: Truth, noise: list[float]) -> dict[OutputField, tuple[float, ...]]:
         self._bias = [b + w * n for b, w, n in zip(self._bias, self._walk, noise[0:6], strict=True)]
         true = truth.rate_frd_rad_s.tolist() + truth.accel_frd_m_s2.tolist()
-        felt = [t + b + w * n for t, b, w, n in zip(true, self._bias, self._white, noise[6:12], strict=True)]
-        felt = self._faults.felt(truth.t_us, felt)
+        measured = [t + b + w * n for t, b, w, n in zip(true, self._bias, self._white, noise[6:12], strict=True)]
+        measured = self._faults.with_inertial(truth.t_us, measured)
         more_roll, more_pitch, more_yaw = self._faults.attitude_rad(truth.t_us)
         roll, pitch, yaw = truth.rpy_rad.tolist()
         roll += self._roll.step(noise[12]) + more_roll
@@ -131,8 +131,8 @@ class Ig500Emulator(DelayedSensor[bytes]):
         values: dict[OutputField, tuple[float, ...]] = {
             OutputField.QUATERNION: tuple(quat_from_rpy((roll, pitch, yaw)).tolist()),
             OutputField.EULER: (roll, pitch, yaw),
-            OutputField.GYRO: tuple(felt[0:3]),
-            OutputField.ACCEL: tuple(felt[3:6]),
+            OutputField.GYRO: tuple(measured[0:3]),
+            OutputField.ACCEL: tuple(measured[3:6]),
             OutputField.STATUS: (STATUS_GOOD,),
             OutputField.ATTITUDE_ACCURACY: (AHRS.accuracy_rad,),
         }

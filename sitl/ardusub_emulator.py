@@ -45,7 +45,7 @@ READ_US = 20_000
 """Channels are read so often."""
 STILL_US = 510_000
 """Neutral after arming."""
-DISARM_HEARD_US = 400_000
+DISARM_SHOWN_US = 400_000
 """A heartbeat that shows a disarming comes up to so much later."""
 
 GROUND_PA, WATER_KG_M3, G = 101_325.0, 998.0, PLANT.gravity_m_s2
@@ -194,14 +194,14 @@ class ArduSubEmulator:
         wired = []
         for motor, (row, direction) in enumerate(zip(self._rows, directions, strict=True), 1):
             force = wrench[:3, by_motor[motor]]
-            told = np.array([row[CHANNEL_OF["F"]], row[CHANNEL_OF["L"]], -row[CHANNEL_OF["T"]]])
+            commanded = np.array([row[CHANNEL_OF["F"]], row[CHANNEL_OF["L"]], -row[CHANNEL_OF["T"]]])
             turned = -1 if vehicle.thrusters[by_motor[motor]].reversed else 1
-            wired.append(int(math.copysign(1.0, float(force @ told))) * direction * turned)
+            wired.append(int(math.copysign(1.0, float(force @ commanded))) * direction * turned)
         return wired
 
     # The wire's side
 
-    def hear(self, t_us: int, data: bytes, link: int = 0) -> None:
+    def receive(self, t_us: int, data: bytes, link: int = 0) -> None:
         if self.mute:
             return
         reader = self._readers.get(link)
@@ -232,9 +232,9 @@ class ArduSubEmulator:
             self._slow_heave = False
         elif self.mode in (DEPTH_HOLD, SURFACE, POSITION_HOLD):
             self._slow_heave = True
-        told, passed_s = self._read[CHANNEL_OF["T"]], 1e-6 * (t_us - self._heave_us)
-        share = 1.0 - math.exp(-SLOW_HEAVE_RAD_S * passed_s) if self._slow_heave else 1.0
-        self._heave, self._heave_us = self._heave + share * (told - self._heave), t_us
+        commanded, passed_s = self._read[CHANNEL_OF["T"]], 1e-6 * (t_us - self._heave_us)
+        gain = 1.0 - math.exp(-SLOW_HEAVE_RAD_S * passed_s) if self._slow_heave else 1.0
+        self._heave, self._heave_us = self._heave + gain * (commanded - self._heave), t_us
 
     def _mixed(self, t_us: int) -> tuple[int, ...]:
         still = not self.armed or t_us - self._armed_us < STILL_US
@@ -265,7 +265,7 @@ class ArduSubEmulator:
 
     def _watch(self, t_us: int) -> None:
         values = self.parameters
-        self._hear_receiver(t_us)
+        self._read_receiver(t_us)
         if self.armed and self._input_us is not None:
             late = t_us - self._input_us > 1e6 * values["FS_PILOT_TIMEOUT"]
             if late and not self._failed and values["FS_PILOT_INPUT"] >= 1.0:
@@ -293,7 +293,7 @@ class ArduSubEmulator:
         """RC_OVERRIDE_TIME 0 and bit 1 of RC_OPTIONS switch overrides off, a joystick's as well."""
         return self.parameters["RC_OVERRIDE_TIME"] != 0.0 and not round(self.parameters["RC_OPTIONS"]) & 2
 
-    def _hear_receiver(self, t_us: int) -> None:
+    def _read_receiver(self, t_us: int) -> None:
         """A radio receiver with centred sticks, where one is enabled."""
         if self._override_us is None or round(self.parameters["RC_PROTOCOLS"]) == 0:
             return
@@ -310,7 +310,7 @@ class ArduSubEmulator:
 
     def _disarm(self, t_us: int) -> None:
         if self.armed:
-            self.armed, self._show_us = False, t_us + DISARM_HEARD_US
+            self.armed, self._show_us = False, t_us + DISARM_SHOWN_US
             self._text(6, "Disarming motors")
 
     def _set_mode(self, mode: int) -> bool:
@@ -343,10 +343,10 @@ class ArduSubEmulator:
             case "COMMAND_LONG":
                 self._command(t_us, message, source)
             case "PARAM_REQUEST_READ":
-                self._tell_parameter(message.param_id)
+                self._send_parameter(message.param_id)
             case "PARAM_SET" if message.param_id in self.parameters:
                 self.parameters[message.param_id] = float(message.param_value)
-                self._tell_parameter(message.param_id)
+                self._send_parameter(message.param_id)
             case _:
                 return
 
@@ -397,17 +397,17 @@ class ArduSubEmulator:
             result = 0
         elif message.command in (181, 183):
             result = 4
-        self._say(self._mav.command_ack_encode(message.command, result, 0, 0, source, message.get_srcComponent()))
+        self._send(self._mav.command_ack_encode(message.command, result, 0, 0, source, message.get_srcComponent()))
 
-    def _tell_parameter(self, name: str) -> None:
+    def _send_parameter(self, name: str) -> None:
         if name in self.parameters:
             count = len(self.parameters)
-            self._say(self._mav.param_value_encode(name.encode(), self.parameters[name], 9, count, 65535))
+            self._send(self._mav.param_value_encode(name.encode(), self.parameters[name], 9, count, 65535))
 
     def _text(self, severity: int, text: str) -> None:
-        self._say(self._mav.statustext_encode(severity, text.encode()))
+        self._send(self._mav.statustext_encode(severity, text.encode()))
 
-    def _say(self, message: Any) -> None:
+    def _send(self, message: Any) -> None:
         self._out.append(bytes(message.pack(self._mav)))
 
     def _stream(self, name: str, t_us: int, truth: Truth) -> None:
@@ -415,36 +415,36 @@ class ArduSubEmulator:
         match name:
             case "HEARTBEAT":
                 flags = 1 | 64 | (128 if self._shown_armed else 0)
-                self._say(mav.heartbeat_encode(12, 3, flags, self.mode, 4 if self._shown_armed else 3))
+                self._send(mav.heartbeat_encode(12, 3, flags, self.mode, 4 if self._shown_armed else 3))
             case "SYS_STATUS":
-                sound = 0 if self.objection else PREARM_BIT
-                known = (PREARM_BIT, PREARM_BIT, sound)
-                self._say(mav.sys_status_encode(*known, 100, round(1e3 * truth.voltage_v), 0, -1, 0, 0, 0, 0, 0, 0))
+                healthy = 0 if self.objection else PREARM_BIT
+                known = (PREARM_BIT, PREARM_BIT, healthy)
+                self._send(mav.sys_status_encode(*known, 100, round(1e3 * truth.voltage_v), 0, -1, 0, 0, 0, 0, 0, 0))
             case "ATTITUDE":
                 rpy = (truth.rpy_rad + self._slow_errors(t_us)).tolist()
                 rate = (truth.rate_frd_rad_s + RATE_NOISE_RAD_S * self._rng.standard_normal(3)).tolist()
                 yaw = math.remainder(rpy[2], 2.0 * math.pi)
-                self._say(mav.attitude_encode(ms, rpy[0], rpy[1], yaw, *rate))
+                self._send(mav.attitude_encode(ms, rpy[0], rpy[1], yaw, *rate))
             case "RAW_IMU":
                 accel = truth.accel_frd_m_s2 + ACCEL_NOISE_M_S2 * self._rng.standard_normal(3)
                 mg = [round(1e3 * part / G) for part in accel.tolist()]
                 turn = [round(1e3 * part) for part in truth.rate_frd_rad_s.tolist()]
-                self._say(mav.raw_imu_encode(t_us, *mg, *turn, 0, 0, 0))
+                self._send(mav.raw_imu_encode(t_us, *mg, *turn, 0, 0, 0))
             case "SCALED_PRESSURE2":
                 if t_us - self._pressure_us >= 1e6 / self.pressure_hz - 1000.0:
                     depth_m = float(truth.pos_ned_m[2])
                     noise = PRESSURE_NOISE_PA * float(self._rng.standard_normal())
                     self._pressure_hpa = 0.01 * (GROUND_PA + WATER_KG_M3 * G * depth_m + noise)
                     self._pressure_us = t_us
-                self._say(mav.scaled_pressure2_encode(ms, self._pressure_hpa, 0.0, 2000))
+                self._send(mav.scaled_pressure2_encode(ms, self._pressure_hpa, 0.0, 2000))
             case "SERVO_OUTPUT_RAW":
                 servos = (*self.servos_us, *([0] * (16 - len(self.servos_us))))
-                self._say(mav.servo_output_raw_encode(t_us & 0xFFFFFFFF, 0, *servos[:8], *servos[8:]))
+                self._send(mav.servo_output_raw_encode(t_us & 0xFFFFFFFF, 0, *servos[:8], *servos[8:]))
             case _:
                 cells = [round(1e3 * truth.voltage_v), *([65535] * 9)]
                 used = round(truth.energy_used_j / 100.0)
                 left = round(100.0 * truth.energy_remaining)
-                self._say(
+                self._send(
                     mav.battery_status_encode(0, 0, 1, 32767, cells, round(100.0 * truth.current_a), -1, used, left)
                 )
 

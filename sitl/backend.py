@@ -80,20 +80,20 @@ class CommandLine:
         self._latency_us = round(latency_s * 1e6)
         self._late = [fault for fault in faults if isinstance(fault, LateCommands)]
         self._sent = self._now = neutral_us
-        self._under_way: deque[tuple[int, tuple[int, ...]]] = deque()
+        self._in_transit: deque[tuple[int, tuple[int, ...]]] = deque()
 
     def send(self, t_us: int, pwm_us: tuple[int, ...]) -> None:
         """From ``t_us`` on the service holds these pulses."""
         if pwm_us != self._sent:
             self._sent = pwm_us
             late_s = sum(fault.latency_s for fault in self._late if fault.holds(t_us))
-            last_us = self._under_way[-1][0] if self._under_way else 0
-            self._under_way.append((max(last_us, t_us + self._latency_us + round(late_s * 1e6)), pwm_us))
+            last_us = self._in_transit[-1][0] if self._in_transit else 0
+            self._in_transit.append((max(last_us, t_us + self._latency_us + round(late_s * 1e6)), pwm_us))
 
     def until(self, begin_us: int, end_us: int) -> Iterator[tuple[int, tuple[int, ...]]]:
         """Pulses at the amplifiers between two times: ends of intervals and the pulses held until then."""
-        while self._under_way and self._under_way[0][0] <= end_us:
-            arrival_us, pulses = self._under_way.popleft()
+        while self._in_transit and self._in_transit[0][0] <= end_us:
+            arrival_us, pulses = self._in_transit.popleft()
             if arrival_us > begin_us:
                 yield arrival_us, self._now
             self._now = pulses

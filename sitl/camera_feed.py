@@ -37,11 +37,11 @@ class CameraFeed(LossySensor[CameraFrame]):
     ) -> None:
         faults = list(faults)
         super().__init__(settings, (camera.rate_hz, camera.latency_s), faults, (seed, 30), sensor="camera")
-        self._latency_s *= CAMERA_FEED.transport_share
+        self._latency_s *= CAMERA_FEED.transport_fraction
         self._renderers: dict[tuple[LensFault | Mounting, ...], SimCamera] = {(): renderer}
         self._faults = OpticalFaults(faults)
         self._stamp_error_us = round(settings.stamp_error_s * 1e6)
-        self._spoilt = [fault for fault in faults if isinstance(fault, CameraPicture)]
+        self._degrading = [fault for fault in faults if isinstance(fault, CameraPicture)]
         self._pictures = PictureFaults(faults)
         self._before: Image | None = None
         self._rendered: deque[tuple[int, int, int, Future[Image]]] = deque()
@@ -62,7 +62,7 @@ class CameraFeed(LossySensor[CameraFrame]):
     def add(self, fault: Fault) -> bool:
         """A fault that begins while the simulation runs; whether it is one of this sensor."""
         if isinstance(fault, CameraPicture):
-            self._spoilt.append(fault)
+            self._degrading.append(fault)
             return True
         return self._pictures.add(fault) or super().add(fault)
 
@@ -111,14 +111,14 @@ class CameraFeed(LossySensor[CameraFrame]):
 
     def _sent(self, image: Image, t_s: float) -> Image:
         """The image after the camera's faults."""
-        looks = next((f.looks for f in self._spoilt if f.at_s <= t_s < f.at_s + f.duration_s), None)
-        if looks is None:
+        kind = next((f.looks for f in self._degrading if f.at_s <= t_s < f.at_s + f.duration_s), None)
+        if kind is None:
             return image
-        if looks == "frozen":
+        if kind == "frozen":
             return image if self._before is None else self._before
-        gain, level = {"black": (0.01, 0.0), "white": (0.05, 250.0), "fog": (0.03, CAMERA_FEED.fog_level)}[looks]
-        blurred = cv2.GaussianBlur(image, (0, 0), CAMERA_FEED.fog_blur_px) if looks == "fog" else image
-        noise = np.random.default_rng((self._count, 32)).normal(0.0, CAMERA_FEED.spoilt_noise, image.shape[:2])
-        spoilt = gain * blurred + level + noise[..., None]
-        result: Image = np.clip(spoilt, 0.0, 255.0).astype(np.uint8)
+        gain, level = {"black": (0.01, 0.0), "white": (0.05, 250.0), "fog": (0.03, CAMERA_FEED.fog_level)}[kind]
+        blurred = cv2.GaussianBlur(image, (0, 0), CAMERA_FEED.fog_blur_px) if kind == "fog" else image
+        noise = np.random.default_rng((self._count, 32)).normal(0.0, CAMERA_FEED.degraded_noise, image.shape[:2])
+        degraded = gain * blurred + level + noise[..., None]
+        result: Image = np.clip(degraded, 0.0, 255.0).astype(np.uint8)
         return result

@@ -28,14 +28,14 @@ from autopilot.sitl.sitl_tuning import CAMERA_TUNED
 class SimCamera:
     """Renderer for one camera, one floor and one appearance."""
 
-    def __init__(self, camera: CameraModel, floor: Floor, look: ImageModel, seed: int, laser: bool = True) -> None:
+    def __init__(self, camera: CameraModel, floor: Floor, imaging: ImageModel, seed: int, laser: bool = True) -> None:
         """``camera`` is the true one; ``seed`` chooses the noise. Sets OpenCV to one thread (others only spin)."""
         cv2.setNumThreads(1)
         self._camera = camera
         self._floor = floor
-        self._look = look
+        self._imaging = imaging
         self._seed = seed
-        self._laser = laser and look.laser_brightness > 0.0
+        self._laser = laser and imaging.laser_brightness > 0.0
         columns = (
             np.arange(-1, camera.width_px // CAMERA_TUNED.step_px + 1) * CAMERA_TUNED.step_px
             + (CAMERA_TUNED.step_px - 1) / 2
@@ -51,10 +51,10 @@ class SimCamera:
         self._starts_cam_m = np.ascontiguousarray(starts.reshape(-1, 3).T)
         corner_px = math.hypot(camera.width_px, camera.height_px) / 2
         off_centre = (grid_px - [camera.width_px / 2, camera.height_px / 2]) / corner_px
-        self._vignette = (1.0 - look.vignetting * (off_centre**2).sum(axis=-1)).astype(np.float32)
+        self._vignette = (1.0 - imaging.vignetting * (off_centre**2).sum(axis=-1)).astype(np.float32)
         rng = np.random.default_rng((seed, 0))
         shape = (3, camera.height_px + CAMERA_TUNED.noise_pad, camera.width_px + CAMERA_TUNED.noise_pad)
-        noise = np.rint(rng.standard_normal(shape, dtype=np.float32) * np.float32(look.noise_levels))
+        noise = np.rint(rng.standard_normal(shape, dtype=np.float32) * np.float32(imaging.noise_levels))
         self._noise = np.clip(noise + CAMERA_TUNED.noise_zero, 0, 255).astype(np.uint8)
         self._caustic_phases = rng.uniform(0.0, 2.0 * math.pi, len(CAMERA_TUNED.caustic_waves_1_m))
 
@@ -64,7 +64,7 @@ class SimCamera:
 
     def with_faults(self, faults: Sequence[LensFault | Mounting]) -> "SimCamera":
         """A copy with these additional faults."""
-        return SimCamera(faulty(self._camera, faults), self._floor, self._look, self._seed, self._laser)
+        return SimCamera(faulty(self._camera, faults), self._floor, self._imaging, self._seed, self._laser)
 
     def render(self, truth: Truth, index: int) -> Image:
         """The picture number ``index``, BGR (rows, columns, 3), exposed around ``truth.t_us``."""
@@ -124,8 +124,8 @@ class SimCamera:
 
     def _brightness(self, north_m: FloatArray, east_m: FloatArray, t_s: float) -> Image:
         """Light on the grid's rays: lamp, vignetting and caustics, in units of 1 / MASK_UNIT."""
-        mask = np.float32(CAMERA_TUNED.mask_unit * self._look.light) * self._vignette
-        if self._look.caustics > 0.0:
+        mask = np.float32(CAMERA_TUNED.mask_unit * self._imaging.light) * self._vignette
+        if self._imaging.caustics > 0.0:
             shift = np.array(CAMERA_TUNED.caustic_rates_1_s) * t_s + self._caustic_phases
             wave = np.array(CAMERA_TUNED.caustic_waves_1_m, dtype=np.float32) @ np.stack(
                 (north_m.ravel(), east_m.ravel())
@@ -135,7 +135,7 @@ class SimCamera:
                 CAMERA_TUNED.mean_exp_sin ** len(CAMERA_TUNED.caustic_waves_1_m)
             )
             gain = np.clip(
-                crest * np.float32(self._look.caustics / 3.0), -self._look.caustics, 3.0 * self._look.caustics
+                crest * np.float32(self._imaging.caustics / 3.0), -self._imaging.caustics, 3.0 * self._imaging.caustics
             )
             mask = mask * (1.0 + gain.reshape(self._grid_shape))
         result: Image = np.clip(np.rint(mask), 0, 255).astype(np.uint8)
@@ -145,9 +145,13 @@ class SimCamera:
         """Optical blur, and motion during the exposure by its variance along its direction."""
         vx, vy, _ = self._camera.r_frd_from_cam.T @ truth.vel_frd_m_s
         wx, wy, _ = self._camera.r_frd_from_cam.T @ truth.rate_frd_rad_s
-        scale = self._camera.focal_water_px * self._look.exposure_s
+        scale = self._camera.focal_water_px * self._imaging.exposure_s
         mx, my = scale * (vx / height_m + wy), scale * (vy / height_m - wx)
-        xx, yy, xy = self._look.blur_px**2 + mx * mx / 12.0, self._look.blur_px**2 + my * my / 12.0, mx * my / 12.0
+        xx, yy, xy = (
+            self._imaging.blur_px**2 + mx * mx / 12.0,
+            self._imaging.blur_px**2 + my * my / 12.0,
+            mx * my / 12.0,
+        )
         if max(xx, yy) < CAMERA_TUNED.min_blur_px2:
             return grey
         if max(xx, yy) < CAMERA_TUNED.small_blur_px2 and abs(xy) < CAMERA_TUNED.min_skew_px2:
@@ -166,8 +170,8 @@ class SimCamera:
         for channel, (veil, fade, tint) in enumerate(
             zip(CAMERA_TUNED.veil_bgr, CAMERA_TUNED.fade_bgr, CAMERA_TUNED.tint_bgr, strict=True)
         ):
-            kept = math.exp(-fade * self._look.turbidity_1_m * height_m)
-            scattered = veil * min(1.0, self._look.light) * (1.0 - kept)
+            kept = math.exp(-fade * self._imaging.turbidity_1_m * height_m)
+            scattered = veil * min(1.0, self._imaging.light) * (1.0 - kept)
             planes.append(cv2.addWeighted(grey, tint * kept, noise[channel], 1.0, scattered - CAMERA_TUNED.noise_zero))
         picture: Image = cv2.merge(planes)
         return picture
@@ -191,7 +195,7 @@ class SimCamera:
         top, bottom = max(0, round(y) - radius), min(self._camera.height_px, round(y) + radius + 1)
         if left >= right or top >= bottom:
             return
-        strength = self._look.laser_brightness * math.exp(-2.0 * self._look.turbidity_1_m * range_m)
+        strength = self._imaging.laser_brightness * math.exp(-2.0 * self._imaging.turbidity_1_m * range_m)
         across = np.exp(-0.5 * ((np.arange(left, right) - x) / sigma) ** 2)
         along = np.exp(-0.5 * ((np.arange(top, bottom) - y) / sigma) ** 2)
         glow = strength * along[:, None, None] * across[None, :, None] * np.array(CAMERA_TUNED.laser_bgr)
@@ -225,16 +229,16 @@ def faulty(camera: CameraModel, faults: Sequence[LensFault | Mounting]) -> Camer
     return camera
 
 
-def true_camera(model: CameraModel, look: ImageModel, laser: LaserSensor) -> CameraModel:
+def true_camera(model: CameraModel, imaging: ImageModel, laser: LaserSensor) -> CameraModel:
     """The camera and the beam of a scenario that differ from ``model``, the vehicle file's, by its errors."""
     laser_frd_m = model.position_frd_m + model.r_frd_from_cam @ model.laser_offset_cam_m + laser.position_error_m
     beam_frd = r_ned_from_frd(np.array([*laser.tilt_error_rad, 0.0])) @ model.r_frd_from_cam @ model.laser_direction_cam
-    r_frd_from_cam = r_ned_from_frd(np.array(look.mounting_error_rad)) @ model.r_frd_from_cam
-    position_frd_m = model.position_frd_m + np.array(look.position_error_m)
-    (cx, cy), (dx, dy) = model.center_px, look.principal_error_px
-    lens = replace(camera_of(model, look.focal_factor), center_px=(cx + dx, cy + dy))
+    r_frd_from_cam = r_ned_from_frd(np.array(imaging.mounting_error_rad)) @ model.r_frd_from_cam
+    position_frd_m = model.position_frd_m + np.array(imaging.position_error_m)
+    (cx, cy), (dx, dy) = model.center_px, imaging.principal_error_px
+    lens = replace(camera_of(model, imaging.focal_factor), center_px=(cx + dx, cy + dy))
     return replace(
-        lens if look.port is None else lens.behind(look.port.to_port()),
+        lens if imaging.port is None else lens.behind(imaging.port.to_port()),
         position_frd_m=position_frd_m,
         r_frd_from_cam=r_frd_from_cam,
         laser_offset_cam_m=r_frd_from_cam.T @ (laser_frd_m - position_frd_m),

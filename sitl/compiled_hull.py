@@ -113,7 +113,7 @@ class CompiledHull:
         self._water: Any = (ctypes.c_double * WATER).from_buffer(hull, Hull.current.offset)
         self._numbers = np.frombuffer(hull.numbers)
         self._both = ctypes.byref(coefficients), ctypes.byref(hull)
-        self._look, self._turn = library.plant_look, library.plant_turn
+        self._evaluate, self._turn = library.plant_look, library.plant_turn
         self._step, self._measure = library.plant_step, library.plant_measure
         self.motor_n, self.gain, self.goal_n, self.mean_n = hull.motor, hull.gain, hull.goal, hull.mean
         """Per thruster, unused ones 0; read and written."""
@@ -124,7 +124,7 @@ class CompiledHull:
         power: float = self._hull.power
         return power
 
-    def look(self, state: Sequence[float], water: Water, external: Wrench) -> None:
+    def evaluate(self, state: Sequence[float], water: Water, external: Wrench) -> None:
         """The hull is here, the water like this, and nothing is touched."""
         (cn, ce, cd), (x0, y0, _), change = water
         if change is None:
@@ -133,7 +133,7 @@ class CompiledHull:
             self._water[:] = (cn, ce, cd, x0, y0, 1.0, *change[0], *change[1])
         self._state[:] = state
         self._external[:] = external
-        self._look(*self._both)
+        self._evaluate(*self._both)
 
     def turn(self, dt_s: float) -> None:
         """The thrusters turn for a while towards ``goal_n``."""

@@ -91,9 +91,9 @@ def given_markers(scenario: Scenario) -> MarkerMap | None:
     planned, laid = _planned(scenario), scenario.markers.laid
     if planned is None:
         return None
-    told = planned if laid is None else replace(planned, errors=_errors(planned, laid))
+    known = planned if laid is None else replace(planned, errors=_errors(planned, laid))
     deeper_m = scenario.markers.told_deeper_m
-    return told if deeper_m == 0.0 else deeper(told, deeper_m)
+    return known if deeper_m == 0.0 else deeper(known, deeper_m)
 
 
 def given_floor_m(scenario: Scenario) -> float | None:
@@ -255,8 +255,8 @@ def _coverage(start_px: float, cell_px: float, cells: int, limit: int) -> tuple[
     last = min(limit, int(np.ceil(round(start_px + cells * cell_px, 6))))
     pixels = np.arange(first, last)[:, None]
     edges = start_px + cell_px * np.arange(cells + 1)
-    share = np.minimum(pixels + 1, edges[1:]) - np.maximum(pixels, edges[:-1])
-    return first, np.clip(share, 0.0, 1.0)
+    coverage = np.minimum(pixels + 1, edges[1:]) - np.maximum(pixels, edges[:-1])
+    return first, np.clip(coverage, 0.0, 1.0)
 
 
 def _scatter_sand(picture: Image, rng: np.random.Generator) -> None:

@@ -99,7 +99,7 @@ class GridField:
         return False
 
     def velocity(self, pos_ned_m: Sequence[float], t_s: float) -> Vec3:
-        f, g = self._shares(pos_ned_m)
+        f, g = self._cell_fractions(pos_ned_m)
         c = [
             (c00 * (1.0 - g) + c01 * g) * (1.0 - f) + (c10 * (1.0 - g) + c11 * g) * f
             for c00, c01, c10, c11 in self._corners(pos_ned_m, t_s)
@@ -108,7 +108,7 @@ class GridField:
 
     def gradient(self, pos_ned_m: Sequence[float], t_s: float) -> tuple[float, float, float, float]:
         """See :class:`autopilot.sitl.current_fields.CurrentField`; zero across a border that lies behind."""
-        f, g = self._shares(pos_ned_m)
+        f, g = self._cell_fractions(pos_ned_m)
         spacing = [self._spacing(axis, pos_ned_m[axis - 2]) for axis in (2, 3)]
         rows = [
             (
@@ -144,7 +144,7 @@ class GridField:
         k, _ = self._place(axis, x)
         return 1.0 / (nodes[k + 1] - nodes[k])
 
-    def _shares(self, pos_ned_m: Sequence[float]) -> tuple[float, float]:
+    def _cell_fractions(self, pos_ned_m: Sequence[float]) -> tuple[float, float]:
         return self._place(2, pos_ned_m[0])[1], self._place(3, pos_ned_m[1])[1]
 
     def _corners(self, pos_ned_m: Sequence[float], t_s: float) -> list[tuple[float, float, float, float]]:

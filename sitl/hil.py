@@ -68,7 +68,7 @@ class NetworkCamera(Closing):
         self._feed, self._vehicle = feed, vehicle
         self.server = MjpegServer()
         """The camera's end: may be closed and opened again."""
-        self._way_us = round(1e6 * CAMERA_FEED.transport_share * vehicle.eye.latency_s) + STREAM_US
+        self._transport_us = round(1e6 * CAMERA_FEED.transport_fraction * vehicle.eye.latency_s) + STREAM_US
         self._time = LoopTime()
         self._due: SimpleQueue[tuple[int, CameraFrame] | None] = SimpleQueue()
         self._steady: SteadySensor | None = None
@@ -77,7 +77,7 @@ class NetworkCamera(Closing):
         self._feed.open()
         self.server.open()
         threading.Thread(target=self._send, name="stream", daemon=True).start()
-        options = OpenCvCameraOptions(source=self.server.url, latency_s=1e-6 * self._way_us)
+        options = OpenCvCameraOptions(source=self.server.url, latency_s=1e-6 * self._transport_us)
         self._steady = SteadySensor(OpenCvCamera(self._vehicle, options), "Camera")
 
     def close(self) -> None:
@@ -88,9 +88,9 @@ class NetworkCamera(Closing):
         self._feed.close()
 
     def poll(self, t_us: int) -> list[CameraFrame]:
-        self._time.hear(t_us, machine_us())
+        self._time.observe(t_us, machine_us())
         for frame in self._feed.poll(t_us):
-            self._due.put((self._time.clock_at(frame.t_us + self._way_us), frame))
+            self._due.put((self._time.clock_at(frame.t_us + self._transport_us), frame))
         return [] if self._steady is None else self._steady.poll(t_us)
 
     def _send(self) -> None:

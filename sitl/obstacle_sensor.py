@@ -11,11 +11,11 @@ import numpy as np
 
 from autopilot.core.samples import ObstacleTrack
 from autopilot.sitl.delayed import DelayedSensor
-from autopilot.sitl.environment import moving_path
 from autopilot.sitl.moving import MotionSample, MovingPath
 from autopilot.sitl.plant import Truth
 from autopilot.sitl.scenario_tables import CylinderObstacle, MovingObstacle, Obstacle
 from autopilot.sitl.sensor_tables import ObstacleSensor
+from autopilot.sitl.simulated_waters import moving_path
 
 
 class SimObstacleSensor(DelayedSensor[ObstacleTrack]):

@@ -40,7 +40,7 @@ class ScriptedOperator:
         if self._todo:
             for data in received:
                 for message in self._mav.parse_buffer(data) or ():
-                    self._hear(message)
+                    self._receive(message)
         out: list[bytes] = []
         if self._sent_us is None:
             self._sent_us = t_us  # the vehicle needs a second until its sensors have reported
@@ -55,7 +55,7 @@ class ScriptedOperator:
             out.append(self._pack(self._mav.manual_control_encode(self._target, 0, 0, 500, 0, 0)))
         return out
 
-    def _hear(self, message: Any) -> None:
+    def _receive(self, message: Any) -> None:
         answered = message.get_type() == "COMMAND_ACK" and self._todo and message.command == self._todo[0][0]
         if answered and message.result == 0:
             self._todo.pop(0)

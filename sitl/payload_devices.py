@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 from autopilot.core.vehicle import Vehicle
 
-SHARE_PER_S = {"servo": 4.0, "gripper": 0.5, "relay": 1e6, "light": 1e6}
+LEVEL_PER_S = {"servo": 4.0, "gripper": 0.5, "relay": 1e6, "light": 1e6}
 """Of the whole way: a servo takes 0.25 s for it, a gripper 2 s; relays and lights need no time."""
 
 
@@ -13,35 +13,35 @@ class SimPayload:
 
     def __init__(self, vehicle: Vehicle) -> None:
         self._outputs = vehicle.payload
-        self._wanted = [self._share(index, output.start_us) for index, output in enumerate(self._outputs)]
-        self._shares = list(self._wanted)
-        self._heard_us: tuple[int, ...] = ()
+        self._wanted = [self._level(index, output.start_us) for index, output in enumerate(self._outputs)]
+        self._levels = list(self._wanted)
+        self._pulses_us: tuple[int, ...] = ()
         self._t_us = 0
 
     @property
-    def shares(self) -> tuple[float, ...]:
+    def levels(self) -> tuple[float, ...]:
         """Positions of all devices: 0 dark, off, closed; 1 bright, on, open."""
-        return tuple(self._shares)
+        return tuple(self._levels)
 
     def set(self, pulses_us: Sequence[int]) -> None:
         """The commanded pulses from now on [us]; a relay switches by threshold."""
-        heard_us = tuple(pulses_us)
-        if heard_us == self._heard_us:
+        commanded_us = tuple(pulses_us)
+        if commanded_us == self._pulses_us:
             return
-        self._heard_us = heard_us
+        self._pulses_us = commanded_us
         for index, pulse_us in enumerate(pulses_us[: len(self._outputs)]):
-            share = self._share(index, pulse_us)
-            self._wanted[index] = float(share > 0.5) if self._outputs[index].kind == "relay" else share
+            level = self._level(index, pulse_us)
+            self._wanted[index] = float(level > 0.5) if self._outputs[index].kind == "relay" else level
 
     def advance(self, t_us: int) -> None:
         passed_s, self._t_us = (t_us - self._t_us) * 1e-6, t_us
-        if self._shares == self._wanted:
+        if self._levels == self._wanted:
             return
         for index, output in enumerate(self._outputs):
-            step = SHARE_PER_S[output.kind] * passed_s
-            left = self._wanted[index] - self._shares[index]
-            self._shares[index] += min(max(left, -step), step)
+            step = LEVEL_PER_S[output.kind] * passed_s
+            left = self._wanted[index] - self._levels[index]
+            self._levels[index] += min(max(left, -step), step)
 
-    def _share(self, index: int, pulse_us: int) -> float:
+    def _level(self, index: int, pulse_us: int) -> float:
         output = self._outputs[index]
         return (min(max(pulse_us, output.min_us), output.max_us) - output.min_us) / (output.max_us - output.min_us)

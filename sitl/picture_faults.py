@@ -135,9 +135,9 @@ def _elsewhere(first: Truth, truth: Truth, fault: Elsewhere) -> Truth:
     seen = truth if fault.follows else first
     c, s = math.cos(fault.yaw_rad), math.sin(fault.yaw_rad)
     north, east, down = (seen.pos_ned_m - first.pos_ned_m).tolist()
-    way = np.array([c * north - s * east, s * north + c * east, down])
+    offset = np.array([c * north - s * east, s * north + c * east, down])
     turned = seen.rpy_rad + np.array([0.0, 0.0, fault.yaw_rad])
-    return replace(seen, t_us=truth.t_us, pos_ned_m=first.pos_ned_m + fault.offset_m + way, rpy_rad=turned)
+    return replace(seen, t_us=truth.t_us, pos_ned_m=first.pos_ned_m + fault.offset_m + offset, rpy_rad=turned)
 
 
 def _noisy(image: Image, levels: float, index: int) -> Image:

@@ -21,12 +21,12 @@ from autopilot.sitl.battery import SimulatedBattery
 from autopilot.sitl.compiled_hull import STRUCTS, CompiledHull
 from autopilot.sitl.contact import ContactLog, ContactRecord, Cylinder, Prism, SolidGeometry, Sphere, moved_to
 from autopilot.sitl.current_fields import WithFlow
-from autopilot.sitl.environment import SimulatedWaters, build_world
 from autopilot.sitl.fault_tables import BatterySag, Mishap, Shove, Snag
 from autopilot.sitl.mishaps import ScheduledFaults
 from autopilot.sitl.mismatch import mismatched
 from autopilot.sitl.rigid_body import ForceNed, State, Water, Wrench, make_derivative, rk4_step
 from autopilot.sitl.scenario_tables import Scenario, ThrusterLoss
+from autopilot.sitl.simulated_waters import SimulatedWaters, build_world
 from autopilot.sitl.sitl_tuning import CONTACT, PLANT
 from autopilot.sitl.tether import make_tether
 from autopilot.sitl.thruster_models import Thrusters, wrench_of
@@ -370,7 +370,7 @@ class Plant:
             change: State | CompiledHull
             if self._compiled is not None and not near:
                 change = self._compiled
-                change.look(self._state, water, self._external)
+                change.evaluate(self._state, water, self._external)
             else:
                 change = self._derivative(self._state, 0.0, self._external, water, force)
             self._instant = _Instant(near, water, force, change)

@@ -1,4 +1,4 @@
-"""Equations of motion of the hull in 6 degrees of freedom (Fossen 2011, ch. 6 to 8), in plain floats for speed.
+"""Equations of motion of the hull in 6 degrees of freedom (Fossen 2011, ch. 3, 4, 6 and 8), in plain floats for speed.
 
     M_RB v' + C_RB(v) v + M_A v_r' + C_A(v_r) v_r + D(v_r) v_r + g(eta) = tau
 

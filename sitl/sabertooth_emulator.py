@@ -23,7 +23,7 @@ class SabertoothEmulator(AlwaysOpen):
         """(address, motor) -> duty now, -1 to 1."""
         self.timeout_s: dict[int, float] = dict.fromkeys(self._addresses, 0.0)
         """Address -> after so long without a packet the motors stop; 0 = never."""
-        self._heard_us: dict[int, int] = dict.fromkeys(self._addresses, self._t_us)
+        self._last_received_us: dict[int, int] = dict.fromkeys(self._addresses, self._t_us)
         self._buffer = b""
 
     def write(self, data: bytes) -> None:
@@ -47,14 +47,14 @@ class SabertoothEmulator(AlwaysOpen):
         """No data; stops motors after the timeout."""
         self._t_us = t_us
         for address, timeout_s in self.timeout_s.items():
-            if timeout_s > 0.0 and t_us - self._heard_us[address] > 1e6 * timeout_s:
+            if timeout_s > 0.0 and t_us - self._last_received_us[address] > 1e6 * timeout_s:
                 self.duty[address, 1] = self.duty[address, 2] = 0.0
         return []
 
     def _obey(self, address: int, command: int, data: int) -> None:
         if address not in self._addresses:
             return
-        self._heard_us[address] = self._t_us
+        self._last_received_us[address] = self._t_us
         if command == TIMEOUT:
             self.timeout_s[address] = 0.1 * data
         elif command in COMMANDS:

@@ -34,7 +34,7 @@ class ImuFaults:
         self._attitude = [f for f in faults if isinstance(f, AhrsAttitude)]
         self._stuck: dict[int, float] = {}
 
-    def felt(self, t_us: int, six: list[float]) -> list[float]:
+    def with_inertial(self, t_us: int, six: list[float]) -> list[float]:
         """Faulty gyro and accelerometer readings from the true ones."""
         for index, fault in enumerate(self._inertial):
             if not fault.holds(t_us):
@@ -99,7 +99,7 @@ class OpticalFaults:
                 continue
             # The camera's pose is measured correctly; the vehicle's follows by the assumed mounting.
             lens = camera_frd_m + np.array(fault.position_m)
-            believed = r @ r_ned_from_frd(np.array(fault.rpy_rad))
-            position = position + r @ lens - believed @ camera_frd_m
-            yaw = math.atan2(believed[1, 0], believed[0, 0])
+            assumed = r @ r_ned_from_frd(np.array(fault.rpy_rad))
+            position = position + r @ lens - assumed @ camera_frd_m
+            yaw = math.atan2(assumed[1, 0], assumed[0, 0])
         return position, yaw

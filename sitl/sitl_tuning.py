@@ -95,9 +95,9 @@ CAMERA_TUNED = CameraTuning()
 class CameraFeedTuning:
     fog_level: float = 130.0
     fog_blur_px: float = 25.0
-    spoilt_noise: float = 2.0
+    degraded_noise: float = 2.0
     """Grey level and blur of a lens that has fogged up, and noise of spoilt pictures [grey levels]."""
-    transport_share: float = 0.5
+    transport_fraction: float = 0.5
     """Part of the camera's latency that passes before the picture arrives; the rest is for finding the markers in
     it."""
 

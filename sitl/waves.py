@@ -55,7 +55,7 @@ class Component:
     depth_m: float
     """Depth of the floor; infinite = deep water."""
 
-    def _shares(self, z: float) -> tuple[float, float, float]:
+    def _depth_factors(self, z: float) -> tuple[float, float, float]:
         """cosh(k (h - z)) / sinh(k h), sinh(k (h - z)) / sinh(k h), cosh(k (h - z)) / cosh(k h)."""
         kh = self.k_1_m * self.depth_m
         if kh > WAVES.deep:
@@ -69,27 +69,27 @@ class Component:
         return self.omega_rad_s * t_s - self.k_1_m * along + self.phase_rad
 
     def velocity(self, pos_ned_m: Sequence[float], t_s: float) -> Vec3:
-        ahead, down, _ = self._shares(pos_ned_m[2])
+        ahead, down, _ = self._depth_factors(pos_ned_m[2])
         theta, scale = self._theta(pos_ned_m, t_s), self.amplitude_m * self.omega_rad_s
         u = scale * ahead * math.cos(theta)
         return (self.north * u, self.east * u, scale * down * math.sin(theta))
 
     def gradient(self, pos_ned_m: Sequence[float], t_s: float) -> Gradient:
-        ahead, _, _ = self._shares(pos_ned_m[2])
+        ahead, _, _ = self._depth_factors(pos_ned_m[2])
         slope = self.amplitude_m * self.omega_rad_s * self.k_1_m * ahead * math.sin(self._theta(pos_ned_m, t_s))
         cross = slope * self.north * self.east
         return (slope * self.north * self.north, cross, cross, slope * self.east * self.east)
 
     def rate(self, pos_ned_m: Sequence[float], t_s: float) -> Vec3:
         """d c / d t at a fixed place [m/s^2]."""
-        ahead, down, _ = self._shares(pos_ned_m[2])
+        ahead, down, _ = self._depth_factors(pos_ned_m[2])
         theta, scale = self._theta(pos_ned_m, t_s), self.amplitude_m * self.omega_rad_s * self.omega_rad_s
         u = -scale * ahead * math.sin(theta)
         return (self.north * u, self.east * u, scale * down * math.cos(theta))
 
     def pressed_m(self, pos_ned_m: Sequence[float], t_s: float) -> float:
         """Error of a pressure sensor's depth there, positive deeper [m]."""
-        return self.amplitude_m * self._shares(pos_ned_m[2])[2] * math.cos(self._theta(pos_ned_m, t_s))
+        return self.amplitude_m * self._depth_factors(pos_ned_m[2])[2] * math.cos(self._theta(pos_ned_m, t_s))
 
     def elevation_m(self, pos_ned_m: Sequence[float], t_s: float) -> float:
         """Elevation of the surface, positive up [m]."""

@@ -10,12 +10,12 @@ def make_hostile(folder: Path, names: tuple[str, ...] = (*PACKAGES, *MODULES)) -
     """``folder``, made: whatever imports from it ends, and leaves the name of what it imported in ``imported.txt``."""
     folder.mkdir(parents=True)
     trap = (
-        "import builtins\nwith builtins.open({told!r}, 'a') as told:\n    told.write('{name}\\n')\n"
+        "import builtins\nwith builtins.open({report!r}, 'a') as told:\n    told.write('{name}\\n')\n"
         "raise SystemExit('the {name} of the current folder was imported')\n"
     )
-    told = str(folder / "imported.txt")
+    report = str(folder / "imported.txt")
     for name in names:
-        text = trap.format(told=told, name=name)
+        text = trap.format(report=report, name=name)
         if name in PACKAGES:
             (folder / name).mkdir()
             (folder / name / "__init__.py").write_text(text, encoding="utf-8")
@@ -26,5 +26,5 @@ def make_hostile(folder: Path, names: tuple[str, ...] = (*PACKAGES, *MODULES)) -
 
 def imported_from(folder: Path) -> list[str]:
     """What has been imported from it."""
-    told = folder / "imported.txt"
-    return told.read_text(encoding="utf-8").split() if told.exists() else []
+    report = folder / "imported.txt"
+    return report.read_text(encoding="utf-8").split() if report.exists() else []

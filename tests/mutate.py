@@ -46,7 +46,7 @@ class Copy:
         for name in [*names.splitlines(), *built]:
             (self._root / name).parent.mkdir(parents=True, exist_ok=True)
             shutil.copy2(ROOT / name, self._root / name, follow_symlinks=False)
-        self._sound: dict[Path, bool] = {}
+        self._passing: dict[Path, bool] = {}
 
     def write(self, path: Path, source: bytes) -> None:
         """Another content: with a time of its own, else compiled code of the last one would be taken for it."""
@@ -67,11 +67,11 @@ class Copy:
             return None
         return done.returncode == 0
 
-    def sound(self, test: Path) -> bool:
+    def passing(self, test: Path) -> bool:
         """Whether it passes without a change: else it says nothing. Asked before the change is made."""
-        if test not in self._sound:
-            self._sound[test] = self._trusted or bool(self.passes(test))
-        return self._sound[test]
+        if test not in self._passing:
+            self._passing[test] = self._trusted or bool(self.passes(test))
+        return self._passing[test]
 
 
 LATE = "not in time"
@@ -79,12 +79,12 @@ LATE = "not in time"
 
 def verdict(copy: Copy, place: Place, tests: list[Path]) -> str:
     """Which test noticed, "" when none did, LATE when none did and one did not end."""
-    sound = [test for test in tests if copy.sound(test)]
+    passing = [test for test in tests if copy.passing(test)]
     source = (ROOT / place.path).read_bytes()
     copy.write(place.path, place.applied(source))
     try:
         late = False
-        for test in sound:
+        for test in passing:
             passed = copy.passes(test)
             if passed is False:
                 return str(test)
@@ -128,11 +128,11 @@ def main() -> int:
                 continue
             noticed, missed = noticed + bool(by), missed + (not by)
             print(f"noticed  {place.name} by {by}" if by else f"MISSED   {place.name}\n         {key}", flush=True)
-    share = noticed / max(noticed + missed, 1)
+    caught = noticed / max(noticed + missed, 1)
     print(
-        f"{noticed} of {noticed + missed} noticed ({share:.0%}), {same} equivalent, {late} not known; goal {GOAL:.0%}"
+        f"{noticed} of {noticed + missed} noticed ({caught:.0%}), {same} equivalent, {late} not known; goal {GOAL:.0%}"
     )
-    return 0 if share >= GOAL and not late else 1
+    return 0 if caught >= GOAL and not late else 1
 
 
 if __name__ == "__main__":

@@ -25,10 +25,10 @@ MANUAL_MODE = (1, 0)
 """Main and sub mode of the profile "px4"."""
 
 
-def until(look: Callable[[], bool], patience_s: float = 120.0) -> None:
+def until(condition: Callable[[], bool], patience_s: float = 120.0) -> None:
     """Wait for another process; the patience is a guard against hangs only."""
     end_s = time.monotonic() + patience_s
-    while not look():
+    while not condition():
         if time.monotonic() > end_s:
             raise AssertionError("it does not happen")
         time.sleep(0.005)
@@ -105,8 +105,8 @@ class PwmVehicle:
         """What the amplifiers see."""
 
         def pulse(number: int) -> float:
-            said = (self.chip / f"pwm{number}" / "duty_cycle").read_text().split()
-            return int(said[0]) / 1000 if said else 0.0
+            duty = (self.chip / f"pwm{number}" / "duty_cycle").read_text().split()
+            return int(duty[0]) / 1000 if duty else 0.0
 
         return tuple(pulse(number) for number in range(4))
 
@@ -119,7 +119,7 @@ class PwmVehicle:
         """What the operator was told, whole texts and pieces of longer ones."""
         return [message.text for message in self.inbox if message.get_type() == "STATUSTEXT"]
 
-    def said(self, text: str) -> bool:
+    def reported(self, text: str) -> bool:
         """Whether the operator was told something with that in it."""
         return any(text in line for line in self.texts())
 

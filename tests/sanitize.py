@@ -40,8 +40,8 @@ def build(folder: Path) -> Path:
 def runtime() -> str:
     """Where the compiler has the library that has to be loaded first. FileNotFoundError if nowhere."""
     compiler = shlex.split(os.environ.get("CC") or sysconfig.get_config_var("CC") or "cc")[0]
-    asked = [compiler, "-print-file-name=libasan.so"]
-    found = subprocess.run(asked, capture_output=True, text=True, check=True).stdout.strip()
+    command = [compiler, "-print-file-name=libasan.so"]
+    found = subprocess.run(command, capture_output=True, text=True, check=True).stdout.strip()
     if not Path(found).is_absolute():
         raise FileNotFoundError(f"{compiler} has no libasan.so: install the compiler's sanitizer libraries")
     return found

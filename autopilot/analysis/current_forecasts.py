@@ -18,7 +18,7 @@ from autopilot.core.frames import FloatArray
 from autopilot.core.messages import NavHealth, NavState
 from autopilot.log.reader import Log, open_log
 
-LOOK_S = 0.05
+STEP_S = 0.05
 """Update interval of the controller."""
 JUDGE_EVERY = 16
 """Number of updates from one evaluated forecast to the next."""
@@ -98,7 +98,7 @@ def _judge(name: str, forecast: CurrentForecast, flight: _Flight) -> list[Foreca
     errors: dict[int, list[tuple[float, float]]] = {}
     revisions: dict[int, list[int]] = {}
     nav_s = flight.nav["t_us"] * 1e-6
-    for look, now_s in enumerate(np.arange(nav_s[0], flight.goal_s[-1] - LOOK_S, LOOK_S)):
+    for index, now_s in enumerate(np.arange(nav_s[0], flight.goal_s[-1] - STEP_S, STEP_S)):
         nav = _nav(flight, min(int(np.searchsorted(nav_s, now_s)), len(nav_s) - 1))
         forecast.view(nav)
         leg = int(np.searchsorted(flight.goal_s, now_s, side="right")) - 1
@@ -106,7 +106,7 @@ def _judge(name: str, forecast: CurrentForecast, flight: _Flight) -> list[Foreca
             continue
         lap = int(flight.lap[leg])
         revisions.setdefault(lap, []).append(forecast.revision(nav))
-        if look % JUDGE_EVERY:
+        if index % JUDGE_EVERY:
             continue
         ends_s = (min(now_s + AHEAD_S, flight.goal_s[-1]), flight.goal_s[leg + 1])
         pair = [_error_m_s(forecast, nav, flight, now_s, end_s) for end_s in ends_s]

@@ -37,7 +37,7 @@ class Moved:
         return self.before == self.after
 
     @property
-    def share(self) -> float | None:
+    def relative_change(self) -> float | None:
         """Relative change."""
         if self.before is None or self.after is None or not self.before:
             return None

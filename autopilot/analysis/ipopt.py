@@ -98,7 +98,7 @@ class IpoptNmpc:
             inner = {"print_level": 0, "sb": "yes", "tol": tolerance, "max_iter": 200, "warm_start_init_point": "yes"}
             options["ipopt"] = inner
         program: Any = {"x": z, "f": COST_SCALE * cost, "g": ca.vertcat(*rows), "p": p}
-        self._look: Any = ca.Function("look", [z, p], [cost, program["g"]])
+        self._evaluate: Any = ca.Function("look", [z, p], [cost, program["g"]])
         self._solver: Any = ca.nlpsol(plugin, plugin, program, options)
         self._ubg = np.zeros(len(is_gap))
         self._lbg = np.where(is_gap, 0.0, -np.inf)
@@ -133,14 +133,14 @@ class IpoptNmpc:
         z = np.zeros(len(self._guess))
         z[self._at_x], z[self._at_u] = x[1:], thrust_n
         parameters = self._parameters(problem)
-        rows = self._look(z, parameters)[1].full().ravel()
+        rows = self._evaluate(z, parameters)[1].full().ravel()
         slack = np.zeros(self._at_s.shape)
         for (node, name), over in zip(self.rows, rows.tolist(), strict=True):
             if name and over > 0.0:
                 kind = 0 if name in SOFT_ROWS[:5] else 1
                 slack[node - 1, kind] = max(slack[node - 1, kind], over)
         z[self._at_s] = slack
-        return float(self._look(z, parameters)[0])
+        return float(self._evaluate(z, parameters)[0])
 
     def _parameters(self, problem: NmpcProblem) -> FloatArray:
         values = (

@@ -16,7 +16,7 @@ from autopilot.core.model4 import YAW, U, V
 from autopilot.log.figure_parts import BOUND, LAP_COLORS, STYLE
 from autopilot.log.figures import DPI
 
-PLAN, BEST, WAY, OTHER = "#1f77b4", "#d62728", "#2ca02c", "#9467bd"
+PLAN, BEST, PATH, OTHER = "#1f77b4", "#d62728", "#2ca02c", "#9467bd"
 AROUND_M = 0.8
 """Margin drawn beyond route and prediction."""
 
@@ -29,10 +29,10 @@ def write_step_figure(view: ControlStepView, path: Path) -> Path:
         _draw_plan(figure.add_subplot(grid[:, 0]), view)
         speed = figure.add_subplot(grid[0, 1])
         thrust = figure.add_subplot(grid[1, 1], sharex=speed)
-        room = figure.add_subplot(grid[2, 1], sharex=speed)
+        limits = figure.add_subplot(grid[2, 1], sharex=speed)
         _draw_speed(speed, view)
         _draw_thrust(thrust, view)
-        _draw_limits(room, view)
+        _draw_limits(limits, view)
         figure.suptitle(f"control step at {view.t_s:.2f} s", x=0.01, ha="left")
         try:
             figure.savefig(path, dpi=DPI, format="png")
@@ -54,8 +54,8 @@ def _draw_plan(ax: Axes, view: ControlStepView) -> None:
         if len(side.route_ned_m):
             ax.plot(side.route_ned_m[:, 1], side.route_ned_m[:, 0], color=OTHER, ls=":", lw=1.4, label=label)
     route = view.output.route_ned_m
-    ax.plot(route[:, 1], route[:, 0], color=WAY, lw=1.2, label="route")
-    ax.plot(view.problem.x_ref[:, 1], view.problem.x_ref[:, 0], color=WAY, ls="", marker=".", ms=4, label="reference")
+    ax.plot(route[:, 1], route[:, 0], color=PATH, lw=1.2, label="route")
+    ax.plot(view.problem.x_ref[:, 1], view.problem.x_ref[:, 0], color=PATH, ls="", marker=".", ms=4, label="reference")
     ax.plot(view.plan_x[:, 1], view.plan_x[:, 0], color=PLAN, marker="o", ms=3, lw=1.4, label="plan flown")
     ax.plot(view.best_x[:, 1], view.best_x[:, 0], color=BEST, ls="--", lw=1.2, label="converged (IPOPT)")
     north, east, yaw = view.plan_x[0, 0], view.plan_x[0, 1], view.plan_x[0, YAW]
@@ -68,7 +68,7 @@ def _draw_plan(ax: Axes, view: ControlStepView) -> None:
     )
     goal = view.goal.pos_ned_m
     ax.add_patch(
-        RoundPatch((float(goal[1]), float(goal[0])), view.goal.accept_radius_m, facecolor=WAY, alpha=0.2, lw=0)
+        RoundPatch((float(goal[1]), float(goal[0])), view.goal.accept_radius_m, facecolor=PATH, alpha=0.2, lw=0)
     )
     ax.plot(goal[1], goal[0], "k+", ms=8)
     seen = np.vstack([route[:, :2], view.plan_x[:, :2], goal[None, :2], *(side.route_ned_m for side in view.others)])
@@ -94,7 +94,7 @@ def _draw_speed(ax: Axes, view: ControlStepView) -> None:
     for x, color, style, label in (
         (view.plan_x, PLAN, "-", "plan flown"),
         (view.best_x, BEST, "--", "converged"),
-        (view.problem.x_ref, WAY, ":", "reference"),
+        (view.problem.x_ref, PATH, ":", "reference"),
     ):
         ax.plot(t_s, np.hypot(x[:, U], x[:, V]), color=color, ls=style, label=label)
     limits = np.broadcast_to(view.problem.limits, (len(t_s) - 2, 5))

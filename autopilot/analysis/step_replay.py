@@ -32,7 +32,7 @@ BESIDE_M = 1.5
 """An obstacle closer than this to route or prediction is analysed."""
 WALL_M = 0.02
 """Half the thickness of the wall that closes one side of an obstacle."""
-WALL_ROOM_M = 0.08
+WALL_CLEARANCE_M = 0.08
 """Distance of the barrier, with the clearance of routes, from the ends of the route."""
 OPEN_WALL_M = 20.0
 """Its length where there is no workspace."""
@@ -259,14 +259,14 @@ def other_sides(
     """For every obstacle near route (m, 2) or prediction (n, 2) the route from ``start`` to ``goal`` (2,) around
     its other side. ``radius_m``: clearance of routes.
     """
-    way = np.vstack([start, goal]) if len(route) < 2 else route[:, :2]
-    line = np.vstack([_sampled(way), plan])
+    path = np.vstack([start, goal]) if len(route) < 2 else route[:, :2]
+    line = np.vstack([_sampled(path), plan])
     found = []
     for name, shape in _named(fence)[: len(fence.exclusions)]:
         near = clearance_m(shape, line)
         if float(near.min()) > BESIDE_M:
             continue
-        center, points = _middle(shape), _sampled(way)
+        center, points = _middle(shape), _sampled(path)
         at = _crossing(center, points, clearance_m(shape, points), radius_m)
         if at is None:
             continue  # one end of the route lies beside it: it is passed already, or not at all
@@ -281,7 +281,7 @@ def other_sides(
                 obstacle=name,
                 center_ned_m=center,
                 side=side,
-                way_m=_length_m(way),
+                way_m=_length_m(path),
                 other_m=None if other is None else _length_m(other),
                 route_ned_m=np.zeros((0, 2)) if other is None else other,
             )
@@ -297,7 +297,7 @@ def _crossing(center: FloatArray, points: FloatArray, near_m: FloatArray, radius
         ends = points[[0, -1]] - center
         ahead = np.maximum(ends @ along, 0.0)
         off_m = np.hypot(*(ends - ahead[:, None] * along).T)
-        if float(off_m.min()) > radius_m + WALL_ROOM_M:
+        if float(off_m.min()) > radius_m + WALL_CLEARANCE_M:
             return int(at)
     return None
 
@@ -317,14 +317,14 @@ def _wall(fence: Fence, center: FloatArray, towards: FloatArray) -> Polygon:
     return Polygon(vertices_ned_m=np.stack([center - across, end - across, end + across, center + across]))
 
 
-def _sampled(way: FloatArray, step_m: float = 0.05) -> FloatArray:
-    s = np.concatenate(([0.0], np.cumsum(np.hypot(*np.diff(way, axis=0).T))))
+def _sampled(path: FloatArray, step_m: float = 0.05) -> FloatArray:
+    s = np.concatenate(([0.0], np.cumsum(np.hypot(*np.diff(path, axis=0).T))))
     at = np.linspace(0.0, float(s[-1]), max(2, int(float(s[-1]) / step_m)))
-    return np.stack([np.interp(at, s, way[:, 0]), np.interp(at, s, way[:, 1])], axis=1)
+    return np.stack([np.interp(at, s, path[:, 0]), np.interp(at, s, path[:, 1])], axis=1)
 
 
-def _length_m(way: FloatArray) -> float:
-    return float(np.hypot(*np.diff(way, axis=0).T).sum())
+def _length_m(path: FloatArray) -> float:
+    return float(np.hypot(*np.diff(path, axis=0).T).sum())
 
 
 def worst(view: ControlStepView) -> dict[str, float]:

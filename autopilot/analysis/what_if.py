@@ -118,38 +118,38 @@ def _named(record: ServiceRecord, changes: Sequence[tuple[str, float]]) -> tuple
     return tuple((name, record.parameters.get(name, float("nan")), value) for name, value in changes)
 
 
-class _Said:
+class _RecordedLink:
     """A client that repeats the logged messages of a client at the same times, regardless of answers."""
 
-    def __init__(self, said: dict[int, list[bytes]]) -> None:
-        self._said = said
+    def __init__(self, sent: dict[int, list[bytes]]) -> None:
+        self._sent = sent
 
     def step(self, t_us: int, received: Sequence[bytes]) -> list[bytes]:
         """Data sent in a tick are received on the next."""
         del received
-        return self._said.get(t_us + 10_000, [])
+        return self._sent.get(t_us + 10_000, [])
 
 
-def _clients(log: Log, links: int) -> list[_Said]:
-    said: list[dict[int, list[bytes]]] = [{} for _ in range(links)]
+def _clients(log: Log, links: int) -> list[_RecordedLink]:
+    sent: list[dict[int, list[bytes]]] = [{} for _ in range(links)]
     for inputs in ServiceInputs(log):
         for frame in inputs.mavlink_rx:
             if 0 <= frame.link < links:
-                said[frame.link].setdefault(inputs.t_us, []).append(frame.data)
-    return [_Said(one) for one in said]
+                sent[frame.link].setdefault(inputs.t_us, []).append(frame.data)
+    return [_RecordedLink(one) for one in sent]
 
 
 def _simulate(
     log: Log, record: ServiceRecord, changes: Sequence[tuple[str, float]], folder: Path, path: Path
 ) -> tuple[str, ...]:
-    told = log.attachments.get("config.json")
+    config = log.attachments.get("config.json")
     scene = log.attachments.get("scenario.json")
-    if scene is None or told is None:
+    if scene is None or config is None:
         raise LogError(
             f"{log.path}: is of no simulation (no attachment scenario.json): its world cannot be asked again; "
             "compare commands on the recorded inputs (--open-loop)"
         )
-    values: dict[str, Any] = msgspec.json.decode(told)
+    values: dict[str, Any] = msgspec.json.decode(config)
     settings = gather(sitl_defaults(record.instance), {}, {})
     for name in settings.table:
         if values.get(name) is not None:

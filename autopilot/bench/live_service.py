@@ -106,13 +106,13 @@ class Station:
                 self.texts.append(message.text)
         return found
 
-    def wait(self, service: LiveService, *names: str, ask: Message | None = None) -> Message:
-        """The next message of these names, as long as the service works; ``ask`` is repeated until it arrives."""
-        asked_s, working = 0.0, True
+    def wait(self, service: LiveService, *names: str, request: Message | None = None) -> Message:
+        """The next message of these names, as long as the service works; ``request`` is repeated until it arrives."""
+        requested_s, working = 0.0, True
         while working:
-            if ask is not None and time.monotonic() - asked_s > 1.0:
-                asked_s = time.monotonic()
-                self.send(ask)
+            if request is not None and time.monotonic() - requested_s > 1.0:
+                requested_s = time.monotonic()
+                self.send(request)
             found = self.receive(0.2)
             for message in found:
                 if message.get_type() in names:
@@ -123,7 +123,7 @@ class Station:
     def meet(self, service: LiveService) -> None:
         """Wait until the service has answered."""
         hello = mav.MAVLink_ping_message(0, 0, 0, 0)
-        self.wait(service, "PING", ask=hello)
+        self.wait(service, "PING", request=hello)
         self.beat()
 
     def watch(self, seconds: float) -> float:

@@ -103,8 +103,8 @@ def bench_loop() -> list[LoopRow]:
             text, _ = child.communicate()
     if not text.strip():
         raise AutopilotError("the client did not end: the service was too slow, or refused its plans")
-    heard = json.loads(text)
-    return _rows(session, np.array(cpu_s), parts, heard) + _mean_rows(np.array(cpu_s), times, share)
+    measured = json.loads(text)
+    return _rows(session, np.array(cpu_s), parts, measured) + _mean_rows(np.array(cpu_s), times, share)
 
 
 def _measure(session: SitlSession, times: PartTimes) -> tuple[list[float], list[tuple[float, tuple[float, ...]]]]:
@@ -130,7 +130,7 @@ def _rows(
     session: SitlSession,
     cpu_s: np.ndarray,
     parts: Sequence[tuple[float, tuple[float, ...]]],
-    heard: dict[str, float],
+    measured: dict[str, float],
 ) -> list[LoopRow]:
     cpu_ms = 1e3 * cpu_s
     log_ms = [1e3 * each[LoopPart.RECORD] for _, each in parts]
@@ -148,10 +148,12 @@ def _rows(
         ),
         LoopRow(what="longest tick, wall", value=1e3 * counters.worst_tick_s, unit="ms", asked=None),
         LoopRow(what="late ticks", value=counters.overruns, unit=f"of {counters.ticks}", asked=None),
-        LoopRow(what="longest heartbeat gap", value=heard["gap_s"], unit="s", asked=GAP_S, note="as the client saw it"),
-        LoopRow(what=f"upload of {ITEMS} items", value=heard["mission_s"], unit="s", asked=None),
-        LoopRow(what=f"upload of {OCTAGONS} octagons", value=heard["fence_s"], unit="s", asked=None),
-        LoopRow(what="refused uploads", value=heard["refused"], unit="", asked=0.0),
+        LoopRow(
+            what="longest heartbeat gap", value=measured["gap_s"], unit="s", asked=GAP_S, note="as the client saw it"
+        ),
+        LoopRow(what=f"upload of {ITEMS} items", value=measured["mission_s"], unit="s", asked=None),
+        LoopRow(what=f"upload of {OCTAGONS} octagons", value=measured["fence_s"], unit="s", asked=None),
+        LoopRow(what="refused uploads", value=measured["refused"], unit="", asked=0.0),
     ]
 
 
@@ -203,15 +205,15 @@ def station_watch(station: Station, seconds: float) -> None:
 
 def _arm(station: Station) -> None:
     """Until the vehicle is armed; by force when its checks take long."""
-    begin_s = asked_s = time.monotonic()
+    begin_s = sent_s = time.monotonic()
     while True:
         for message in station.receive(0.05):
             armed = message.get_type() == "HEARTBEAT" and message.base_mode & mav.MAV_MODE_FLAG_SAFETY_ARMED
             if armed:
                 return
         now_s = time.monotonic()
-        if now_s - asked_s > 1.0:
-            asked_s = now_s
+        if now_s - sent_s > 1.0:
+            sent_s = now_s
             force = FORCE_ARM if now_s - begin_s > 20.0 else 0.0
             arm = mav.MAV_CMD_COMPONENT_ARM_DISARM
             station.send(mav.MAVLink_command_long_message(1, 1, arm, 0, 1.0, force, 0, 0, 0, 0, 0))
@@ -219,11 +221,11 @@ def _arm(station: Station) -> None:
 
 def _upload(station: Station, kind: PlanKind, items: Sequence[PlanItem]) -> tuple[int, float]:
     """Whether it was refused, and how long it took [s]."""
-    begin_s, asked_s, begun = time.monotonic(), 0.0, False
+    begin_s, sent_s, begun = time.monotonic(), 0.0, False
     while True:
         now_s = time.monotonic()
-        if not begun and now_s - asked_s > 1.0:
-            asked_s = now_s
+        if not begun and now_s - sent_s > 1.0:
+            sent_s = now_s
             station.send(mav.MAVLink_mission_count_message(1, 1, len(items), kind))
         for message in station.receive(0.05):
             if getattr(message, "mission_type", None) != kind:

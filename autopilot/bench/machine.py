@@ -38,7 +38,7 @@ class Pace:
         self._kalman = _yardstick(ExtendedKalmanFilter)
         self._spent_s, self._calls = 0.0, 0
 
-    def look(self, calls: int = 20) -> None:
+    def measure(self, calls: int = 20) -> None:
         begin_s = time.thread_time()
         for _ in range(calls):
             self._kalman.predict()

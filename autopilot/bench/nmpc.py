@@ -29,11 +29,11 @@ from autopilot.run.children import python_command
 
 __all__ = ["NmpcBenchRow", "bench_nmpc", "standard_grids"]
 
-ASKED_MS = {("geometric", 20): (1.0, 0.5), ("uniform", 20): (0.55, 0.33), ("uniform", 40): (1.2, 0.74)}
-ASKED_MS |= {("uniform", 80): (2.3, 1.34)}
+LIMITS_MS = {("geometric", 20): (1.0, 0.5), ("uniform", 20): (0.55, 0.33), ("uniform", 40): (1.2, 0.74)}
+LIMITS_MS |= {("uniform", 80): (2.3, 1.34)}
 """Bar and goal of the median: 1.25 and 0.75 times a tuned acados called from Python on such a machine."""
 
-ASKED_RATIO = {20: (2.4, 1.8), 40: (2.2, 1.5), 80: (1.5, 1.2)}
+LIMITS_RATIO = {20: (2.4, 1.8), 40: (2.2, 1.5), 80: (1.5, 1.2)}
 """Bar and goal of the whole step over its QP, uniform grids: 5.5, 3.8 and 2.2 when they were set."""
 
 START = np.array([*WAYPOINTS[1], 0.0, 0.0, 0.0, 0.0])
@@ -118,12 +118,12 @@ def _bench_grid(
 
     flight = fly(controller, vehicle, START, steps, watch=compare)
     costs[name, grid.n] = flight.cost
-    asked = ASKED_MS.get((name, grid.n))
-    rows = [_step_row(name, grid.n, controller.nmpc.solver, flight, slowness, asked, others[0].gap_n())]
+    limits = LIMITS_MS.get((name, grid.n))
+    rows = [_step_row(name, grid.n, controller.nmpc.solver, flight, slowness, limits, others[0].gap_n())]
     if controller.nmpc.solver == ocp.NATIVE.plugin:
         wheel = MotionController(vehicle, grid=grid, cpu_clock=cpu_clock, backends=(ocp.HPIPM, ocp.PIQP))
         again = fly(wheel, vehicle, START, steps)
-        rows.append(_step_row(name, grid.n, wheel.nmpc.solver, again, slowness, asked, math.nan))
+        rows.append(_step_row(name, grid.n, wheel.nmpc.solver, again, slowness, limits, math.nan))
         flights = np.concatenate([flight.planning_s, again.planning_s])
     else:
         flights = flight.planning_s
@@ -147,8 +147,8 @@ def _part_rows(
     controller = MotionController(vehicle, grid=grid, cpu_clock=cpu_clock)
     flight, parts = parts_of(controller, vehicle, START, steps, cpu_clock)
     whole = float(np.median(flight.solve_s))
-    ratio, asked = whole / parts[QP], ASKED_RATIO.get(grid.n) if name == "uniform" else None
-    wanted = f" (bar {asked[0]}, goal {asked[1]})" if asked else ""
+    ratio, limits = whole / parts[QP], LIMITS_RATIO.get(grid.n) if name == "uniform" else None
+    wanted = f" (bar {limits[0]}, goal {limits[1]})" if limits else ""
     parts["rest"] = whole - sum(parts.values())
     return [
         NmpcBenchRow(
@@ -203,14 +203,20 @@ class _Other:
 
 
 def _step_row(
-    name: str, n: int, solver: str, flight: LoopFlight, slowness: float, asked: tuple[float, float] | None, gap_n: float
+    name: str,
+    n: int,
+    solver: str,
+    flight: LoopFlight,
+    slowness: float,
+    limits: tuple[float, float] | None,
+    gap_n: float,
 ) -> NmpcBenchRow:
     times = flight.solve_s
     tail = float(np.percentile(times, 99) / np.median(times)) if len(times) else math.nan
     note = f"p99 = {tail:.2f} medians (bar 2)"
     if math.isfinite(gap_n):
         note += f", thrust within {gap_n:.2g} N of IPOPT's (median)"
-    return _row(f"{name}, whole step", n, solver, times, slowness, note, asked)
+    return _row(f"{name}, whole step", n, solver, times, slowness, note, limits)
 
 
 def _row(
@@ -220,7 +226,7 @@ def _row(
     seconds: FloatArray,
     slowness: float,
     note: str = "",
-    asked: tuple[float, float] | None = None,
+    limits: tuple[float, float] | None = None,
 ) -> NmpcBenchRow:
     times = 1e3 * seconds if len(seconds) else np.array([math.nan])
     return NmpcBenchRow(
@@ -232,8 +238,8 @@ def _row(
         p99_ms=float(np.percentile(times, 99)),
         max_ms=float(times.max()),
         normal_ms=float(np.median(times)) / slowness,
-        bar_ms=asked[0] if asked else None,
-        goal_ms=asked[1] if asked else None,
+        bar_ms=limits[0] if limits else None,
+        goal_ms=limits[1] if limits else None,
         note=note,
     )
 

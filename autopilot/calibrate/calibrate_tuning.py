@@ -59,7 +59,7 @@ class IntrinsicsTuning:
     reject_factor: float = 2.5
     reject_floor_px: float = 0.3
     """A view whose rms is above both the factor times the median and this is left out."""
-    reject_share: float = 0.4
+    reject_fraction: float = 0.4
     """No more views than these are left out for their misfit."""
     cells: tuple[int, int] = (8, 6)
     """The image is divided so for the coverage."""
@@ -68,7 +68,7 @@ class IntrinsicsTuning:
     good_coverage: float = 0.7
     good_radius: float = 0.85
     """Share of the half diagonal that corners should reach."""
-    good_tilted_share: float = 0.3
+    good_tilted_fraction: float = 0.3
     focal_band: float = 0.1
     """A focal length this far from the expected one is worth a word."""
     good_rms_px: float = 0.6
@@ -96,7 +96,7 @@ class LaserDotsTuning:
     min_excess: float = 6.0
     edge_px: int = 6
     stamp_slack_s: float = 0.002
-    own_share: float = 0.7
+    own_fraction: float = 0.7
     """A lower detection rate means that the detector looks in the wrong place."""
     moved_m: float = 0.01
     """Least motion between samples: print under the dot shifts it, and a vehicle at rest would repeat the error."""
@@ -173,7 +173,7 @@ POSE_FIT = PoseFitTuning()
 @dataclass(frozen=True, slots=True)
 class ThrustCurveTuning:
     least_rows: int = 6
-    still_share: float = 0.01
+    still_fraction: float = 0.01
     """Thrusts below this part of the largest are none: a load cell's zero is never quite 0."""
     same_voltage: float = 0.03
     """Readings whose supply differs by no more than this share belong to one curve."""
@@ -184,7 +184,7 @@ THRUST_CURVE = ThrustCurveTuning()
 
 @dataclass(frozen=True, slots=True)
 class ViewsTuning:
-    new_view_share: float = 0.06
+    new_view_fraction: float = 0.06
     """A live view is taken when the board's corners have moved by this share of the image's width since every other
     one."""
     still_px: float = 2.0

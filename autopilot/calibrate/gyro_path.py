@@ -40,8 +40,8 @@ class GyroPath:
         """Attitudes at times that are covered."""
         n = np.clip(np.searchsorted(self._t_s, t_s, side="right") - 1, 0, len(self._t_s) - 2)
         after_s = t_s - self._t_s[n]
-        share = after_s / (self._t_s[n + 1] - self._t_s[n])
-        mean_rate = self._rate[n] + 0.5 * share[:, None] * (self._rate[n + 1] - self._rate[n])
+        fraction = after_s / (self._t_s[n + 1] - self._t_s[n])
+        mean_rate = self._rate[n] + 0.5 * fraction[:, None] * (self._rate[n + 1] - self._rate[n])
         return self._path[n] * Rotation.from_rotvec(mean_rate * after_s[:, None])
 
     def increments(self, begin_s: FloatArray, end_s: FloatArray) -> FloatArray:

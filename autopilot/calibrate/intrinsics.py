@@ -56,7 +56,7 @@ def calibrate(found: Views, *, fix_k3: bool = False) -> Intrinsics:
     camera, or if another focal length fits as well (its sigma would then be meaningless).
     """
     views, left_out = list(found.views), list(found.left_out)
-    most = round(INTRINSICS.reject_share * len(views))
+    most = round(INTRINSICS.reject_fraction * len(views))
     while True:
         if len(views) < INTRINSICS.min_views:
             raise ConfigError(
@@ -155,7 +155,7 @@ class Coverage:
 
     cells: FloatArray
     """(rows, columns) corners found in each cell of the image."""
-    radius_share: float
+    radius_fraction: float
     """Distance of the outermost corner from the image centre over half the diagonal (99th percentile)."""
     tilt_rad: FloatArray
     """(v,) angle between the board's normal and the optical axis."""
@@ -163,7 +163,7 @@ class Coverage:
     """Standard deviation of the tilt about the image's x and y axes."""
 
     @property
-    def share(self) -> float:
+    def coverage(self) -> float:
         """Of the cells in which corners were found."""
         return float((self.cells > 0).mean())
 
@@ -180,7 +180,7 @@ def coverage(result: Intrinsics) -> Coverage:
     about_x, about_y = np.arctan2(normal[:, 1], normal[:, 2]), np.arctan2(normal[:, 0], normal[:, 2])
     return Coverage(
         cells=cells,
-        radius_share=float(np.percentile(radius, 99.0)),
+        radius_fraction=float(np.percentile(radius, 99.0)),
         tilt_rad=np.arccos(np.clip(normal[:, 2], -1.0, 1.0)),
         tilt_spread_rad=(float(about_x.std()), float(about_y.std())),
     )
@@ -189,15 +189,17 @@ def coverage(result: Intrinsics) -> Coverage:
 def remarks(result: Intrinsics, spread: Coverage, expected: Camera | None, medium: str) -> list[str]:
     """Notes on the quality of the result; ``medium``: "water" or "air", where the pictures were taken."""
     out = []
-    if spread.share < INTRINSICS.good_coverage:
+    if spread.coverage < INTRINSICS.good_coverage:
         out.append(
-            f"corners in {spread.share:.0%} of the image's {INTRINSICS.cells[0]} x {INTRINSICS.cells[1]}"
+            f"corners in {spread.coverage:.0%} of the image's {INTRINSICS.cells[0]} x {INTRINSICS.cells[1]}"
             " cells: fill the empty ones"
         )
-    if spread.radius_share < INTRINSICS.good_radius:
-        out.append(f"nothing beyond {spread.radius_share:.0%} of the half diagonal: the corners' distortion is a guess")
+    if spread.radius_fraction < INTRINSICS.good_radius:
+        out.append(
+            f"nothing beyond {spread.radius_fraction:.0%} of the half diagonal: the corners' distortion is a guess"
+        )
     tilted = float((spread.tilt_rad > GOOD_TILT_RAD).mean())
-    if tilted < INTRINSICS.good_tilted_share or min(spread.tilt_spread_rad) < 0.5 * GOOD_TILT_RAD:
+    if tilted < INTRINSICS.good_tilted_fraction or min(spread.tilt_spread_rad) < 0.5 * GOOD_TILT_RAD:
         out.append(
             f"{tilted:.0%} of the views tilted by more than {math.degrees(GOOD_TILT_RAD):.0f} deg: tilt the board about"
             " both axes, or focal length and distance cannot be told apart"
@@ -246,8 +248,10 @@ def _medium_remarks(result: Intrinsics, expected: Camera | None, medium: str) ->
 
 def focal_sigma(result: Intrinsics, *, into_water: bool = False) -> float:
     """Relative standard deviation of the focal length: twice the fit's, because errors of views are correlated."""
-    share = 2.0 * float((result.sigma[:2] / result.values[:2]).max())
-    return math.hypot(max(share, INTRINSICS.least_focal_sigma), INTRINSICS.air_focal_sigma if into_water else 0.0)
+    relative_sigma = 2.0 * float((result.sigma[:2] / result.values[:2]).max())
+    return math.hypot(
+        max(relative_sigma, INTRINSICS.least_focal_sigma), INTRINSICS.air_focal_sigma if into_water else 0.0
+    )
 
 
 def camera_values(result: Intrinsics, *, into_water: bool = False) -> dict[str, Any]:

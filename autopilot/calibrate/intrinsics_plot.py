@@ -25,7 +25,7 @@ def write_plot(result: Intrinsics, spread: Coverage, target: Path) -> Path:
     times *= 5.0 if ARROW_PX / max(result.rms_px, 1e-4) > 5.0 * times else 1.0
     figure, axes = plt.subplots(2, 2, figsize=(11.0, 8.6), layout="constrained")
     figure.suptitle(
-        f"{len(result.views)} views, {len(pixels)} corners, rms {result.rms_px:.3f} px, coverage {spread.share:.0%}"
+        f"{len(result.views)} views, {len(pixels)} corners, rms {result.rms_px:.3f} px, coverage {spread.coverage:.0%}"
     )
     image = axes[0, 0]
     image.set_title(f"corners and residuals, drawn {times:.0f} times too large")

@@ -150,6 +150,6 @@ def _joined(parts: list[tuple[int, FloatArray, FloatArray]]) -> Dots:
 
 def log_dots(path: Path, flight: CameraFlight) -> Dots:
     """The dots of a log: the flight's own if its detector found them most of the time, else those in its pictures."""
-    if float(np.isfinite(flight.laser_px[:, 0]).mean()) > LASER_DOTS.own_share:
+    if float(np.isfinite(flight.laser_px[:, 0]).mean()) > LASER_DOTS.own_fraction:
         return logged_dots(flight)
     return picture_dots(open_log(path), flight)

@@ -96,25 +96,25 @@ def _number(path: Path, line: int, name: str, text: str | None) -> float:
 def fit_brushed(readings: Readings, drive: ThrusterDrive, origin: str) -> BrushedFit:
     """The three parameters of a brushed drive. ConfigError if the readings do not determine them."""
     duty = np.clip((readings.pulse_us - drive.neutral_us) / drive.span_us, -1.0, 1.0)
-    moving = np.abs(readings.thrust_n) > THRUST_CURVE.still_share * float(np.abs(readings.thrust_n).max())
-    _right_way(readings, moving, drive, origin)
+    moving = np.abs(readings.thrust_n) > THRUST_CURVE.still_fraction * float(np.abs(readings.thrust_n).max())
+    _check_polarity(readings, moving, drive, origin)
     square = (duty * readings.supply_v) ** 2
-    told: dict[int, float] = {}
-    for way, name in ((1, "ahead"), (-1, "astern")):
-        rows = moving & (np.sign(duty) == way)
+    slope: dict[int, float] = {}
+    for sign, name in ((1, "ahead"), (-1, "astern")):
+        rows = moving & (np.sign(duty) == sign)
         if rows.sum() < 2:
             raise ConfigError(f"{origin}: {rows.sum()} readings {name} of neutral push; give 2 or more each way")
-        told[way] = float((np.abs(readings.thrust_n[rows]) * square[rows]).sum() / (square[rows] ** 2).sum())
+        slope[sign] = float((np.abs(readings.thrust_n[rows]) * square[rows]).sum() / (square[rows] ** 2).sum())
     still = np.abs(duty[~moving])
     first = float(np.abs(duty[moving]).min())
     inside = still[still < first]
     deadband = 0.5 * (float(inside.max(initial=0.0)) + first)
-    believed = np.where(duty > 0.0, told[1], -told[-1]) * square * (np.abs(duty) > deadband)
-    rms_n = float(np.sqrt(np.mean((readings.thrust_n - believed) ** 2)))
+    modelled = np.where(duty > 0.0, slope[1], -slope[-1]) * square * (np.abs(duty) > deadband)
+    rms_n = float(np.sqrt(np.mean((readings.thrust_n - modelled) ** 2)))
     return BrushedFit(
         deadband_duty=round(deadband, 4),
-        forward_n_v2=float(f"{told[1]:.4g}"),
-        reverse_n_v2=float(f"{told[-1]:.4g}"),
+        forward_n_v2=float(f"{slope[1]:.4g}"),
+        reverse_n_v2=float(f"{slope[-1]:.4g}"),
         rms_n=rms_n,
     )
 
@@ -131,8 +131,8 @@ def fit_curves(readings: Readings, drive: ThrusterDrive, origin: str) -> CurveFi
         part = Readings(readings.pulse_us[rows], readings.thrust_n[rows], readings.supply_v[rows])
         supply_v = round(float(part.supply_v.mean()), 2)
         where = f"{origin}: {supply_v:g} V"
-        moving = np.abs(part.thrust_n) > THRUST_CURVE.still_share * float(np.abs(part.thrust_n).max())
-        _right_way(part, moving, drive, where)
+        moving = np.abs(part.thrust_n) > THRUST_CURVE.still_fraction * float(np.abs(part.thrust_n).max())
+        _check_polarity(part, moving, drive, where)
         # One voltage's thrusts to its mean supply: they grow with its square.
         thrust = np.where(moving, part.thrust_n * (supply_v / part.supply_v) ** 2, 0.0)
         pulses, inverse = np.unique(np.round(part.pulse_us).astype(int), return_inverse=True)
@@ -169,7 +169,7 @@ def curves_text(curves: Sequence[ThrustCurve]) -> str:
     )
 
 
-def _right_way(readings: Readings, moving: NDArray[np.bool_], drive: ThrusterDrive, origin: str) -> None:
+def _check_polarity(readings: Readings, moving: NDArray[np.bool_], drive: ThrusterDrive, origin: str) -> None:
     """ConfigError if most thrusts have the wrong sign: load cell or thruster is mounted in reverse."""
     sides = np.sign(readings.pulse_us - drive.neutral_us) * np.sign(readings.thrust_n) * moving
     if (sides < 0).sum() > (sides > 0).sum():

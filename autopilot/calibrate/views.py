@@ -74,8 +74,8 @@ def collect_views(board: CalibrationBoard, images: Iterable[tuple[str, Any]], or
         else:
             views.append(BoardView(name=name, points_m=found[0], pixels=found[1]))
     if size is None or not views:
-        words = "" if board.spec.kind == "chessboard" else f" {board.spec.dictionary}"
-        shape = f"{board.spec.kind} {board.spec.columns}x{board.spec.rows}{words}"
+        dictionary = "" if board.spec.kind == "chessboard" else f" {board.spec.dictionary}"
+        shape = f"{board.spec.kind} {board.spec.columns}x{board.spec.rows}{dictionary}"
         raise ConfigError(
             f"{origin}: the board ({shape}) is seen in none of {len(left_out)} images; check --board, --shape,"
             " --dictionary and --legacy against the print"
@@ -103,7 +103,7 @@ def live_images(board: CalibrationBoard, source: str, wanted: int, folder: Path 
             found = board.find(grey)
             place = None if found is None else _place(board, *found)
             if place is not None and before is not None and _apart(place, before) < VIEWS.still_px:
-                far = VIEWS.new_view_share * grey.shape[1]
+                far = VIEWS.new_view_fraction * grey.shape[1]
                 if all(_apart(place, other) > far for other in taken):
                     taken.append(place)
                     name = f"frame{number:05d}.png"

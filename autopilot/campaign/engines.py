@@ -20,7 +20,7 @@ from autopilot import THREAD_VARIABLES, __version__
 from autopilot.core.errors import AutopilotError, ConfigError
 from autopilot.core.own_python import safe_path
 
-LOOK_S = 0.2
+POLL_S = 0.2
 """Interval at which a waiting engine polls ``stop``."""
 SUSPECT = 2
 """Deaths of processes during a run after which it is flown alone."""
@@ -30,7 +30,7 @@ WORKER = "autopilot.campaign.worker"
 """Imports all that a run needs."""
 CONNECT_S = 10.0
 FIRST_WORKER_S = 30.0
-NOBODY_S = 300.0
+NO_WORKER_S = 300.0
 """How long a cluster may be without any worker before the campaign ends."""
 CHATTY = ("distributed", "tornado", "asyncio")
 """Loggers of a cluster's client; those below them have levels of their own."""
@@ -191,7 +191,7 @@ class LocalPool:
                 min(self._jobs, len(tasks)), mp_context=context, initializer=_begin_worker, initargs=(halt,)
             ) as pool,
         ):
-            under_way: set[int] = set()
+            running: set[int] = set()
             waiting = deque(tasks.items())
             pending: dict[cf.Future[Result | None], int] = {}
             try:
@@ -200,22 +200,22 @@ class LocalPool:
                         while waiting and len(pending) < AHEAD * self._jobs:
                             key, task = waiting.popleft()
                             pending[pool.submit(_fly_in_worker, task)] = key
-                    under_way = {key for future, key in pending.items() if future.running()} or under_way
-                    done, _ = cf.wait(pending, LOOK_S, cf.FIRST_COMPLETED)
+                    running = {key for future, key in pending.items() if future.running()} or running
+                    done, _ = cf.wait(pending, POLL_S, cf.FIRST_COMPLETED)
                     for future in done:
                         key = pending[future]
                         error = future.exception()
                         if isinstance(error, cf.process.BrokenProcessPool):
                             continue
                         del pending[future]
-                        under_way.discard(key)
+                        running.discard(key)
                         yield key, future.result() if error is None else tasks[key].failed(_what(error))
                     if any(future in pending for future in done):
                         # All pending runs have the same error; the dead one was among those under way.
-                        broken += [key for key in pending.values() if key in under_way] or list(pending.values())[:1]
+                        broken += [key for key in pending.values() if key in running] or list(pending.values())[:1]
                         return
             except cf.process.BrokenProcessPool:
-                broken += sorted(under_way) or list(tasks)[:1]
+                broken += sorted(running) or list(tasks)[:1]
             finally:
                 halt.value = 1
                 pool.shutdown(wait=True, cancel_futures=True)
@@ -322,18 +322,18 @@ class DaskCluster:
                         if result is not None:
                             yield result
                 except (OSError, TimeoutError, cf.CancelledError, asyncio.CancelledError) as error:
-                    raise AutopilotError(self._gone("does not answer any more")) from error
+                    raise AutopilotError(self._unreachable("does not answer any more")) from error
                 if client.status != "running":
-                    raise AutopilotError(self._gone("does not answer any more"))
+                    raise AutopilotError(self._unreachable("does not answer any more"))
                 now_s = time.monotonic()
                 missed_s = None if threads else now_s if missed_s is None else missed_s
-                if missed_s is not None and now_s - missed_s > NOBODY_S:
-                    raise AutopilotError(self._gone(f"has had no worker for {NOBODY_S:g} s"))
+                if missed_s is not None and now_s - missed_s > NO_WORKER_S:
+                    raise AutopilotError(self._unreachable(f"has had no worker for {NO_WORKER_S:g} s"))
             client.cancel(list(pending))
 
     def _finished(self, pending: "dict[Any, Flyable[Result]]") -> list[Any]:
         try:
-            done: set[Any] = self._distributed.wait(list(pending), timeout=LOOK_S, return_when="FIRST_COMPLETED").done
+            done: set[Any] = self._distributed.wait(list(pending), timeout=POLL_S, return_when="FIRST_COMPLETED").done
         except TimeoutError:
             return []
         return list(done)
@@ -349,7 +349,7 @@ class DaskCluster:
         result: Result | None = future.result()
         return result
 
-    def _gone(self, what: str) -> str:
+    def _unreachable(self, what: str) -> str:
         return (
             f"--engine dask: the scheduler{f' at {self._address}' if self._address else ''} {what};"
             " finished runs are kept, the same command resumes"

@@ -28,7 +28,7 @@ from autopilot.sitl.toml_text import toml_text
 PLANS = {"paper-tank": "paper.plan", "harbour": "harbour.mission.toml"}
 """Scenarios that are flown, and what is flown in them."""
 
-LOOK_TICKS = 10
+CHECK_TICKS = 10
 STILL_M_S = 0.08
 AT_SURFACE_M = 0.12
 """Below where it floats."""
@@ -92,10 +92,10 @@ class _FlightWatch:
         self.handed_back |= outputs.hand_back
         self.texts.update({event.text: None for event in outputs.events if event.severity <= 4})
         self._ticks += 1
-        if self._ticks % LOOK_TICKS == 1:
+        if self._ticks % CHECK_TICKS == 1:
             here = self._session.device.truth.pos_ned_m
-            room = Clearance.of(commander.fence)
-            self.closest_m = min(self.closest_m, float(room.clearance_m(here[None, :2])[0]))
+            boundaries = Clearance.of(commander.fence)
+            self.closest_m = min(self.closest_m, float(boundaries.clearance_m(here[None, :2])[0]))
 
 
 def fly_fault_case(case: FaultCase, scenario: str, seed: int, at_s: float) -> FaultResult:

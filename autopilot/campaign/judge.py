@@ -49,7 +49,7 @@ def judge(task: Task, scenario: Scenario, run: RunDescription, watch: TickWatch,
         slack_max=watch.slack_max,
         failsafes=watch.failsafe_names,
         events=watch.events,
-        tube_shares=[share for share in map(watch.tube.share, AHEAD_S) if share is not None],
+        tube_shares=[fraction for fraction in map(watch.tube.fraction, AHEAD_S) if fraction is not None],
         smoothness=measure(watch.commands(run.parameters["THR_LIMIT"])),
     )
     spans = lap_spans(visits(watch.track, run), run, watch.mission.start_s)

@@ -12,7 +12,7 @@ from autopilot.log.smoothness import BARS
 
 CONFIDENCE = 0.95
 PERCENTILES = (0.0, 1.0, 5.0, 50.0, 95.0, 100.0)
-TUBE_SHARE = 0.999
+TUBE_FRACTION = 0.999
 """Share of nodes that has to lie inside the announced tube."""
 TUBE_BAR = 0
 """Which of :data:`AHEAD_S` the bar is for."""
@@ -47,7 +47,7 @@ class Distribution:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Summary:
-    asked: int
+    planned: int
     """Runs that were asked for."""
     finished: int
     bars: tuple[Bar, ...]
@@ -86,12 +86,12 @@ def failure_interval(failures: int, runs: int) -> tuple[float, float]:
     return low, high
 
 
-def summarise(results: Sequence[RunResult], asked: int) -> Summary:
+def summarise(results: Sequence[RunResult], planned: int) -> Summary:
     """All figures of the finished runs."""
     flown = [result for result in results if result.error is None]
     failed = tuple(result for result in results if result.failed)
     return Summary(
-        asked=asked,
+        planned=planned,
         finished=len(results),
         bars=tuple(_bars(results, flown)),
         margins=tuple(_margins(flown)),
@@ -139,15 +139,15 @@ def _which(runs: Sequence[RunResult]) -> str:
 
 
 def _tube(flown: Sequence[RunResult], strict: bool) -> Bar:
-    name, bar = f"nodes up to {AHEAD_S[TUBE_BAR]:g} s ahead inside the announced tube", f">= {TUBE_SHARE:.1%}"
-    shares = np.array([result.tube_shares for result in flown if len(result.tube_shares) == len(AHEAD_S)])
-    if not len(shares):
+    name, bar = f"nodes up to {AHEAD_S[TUBE_BAR]:g} s ahead inside the announced tube", f">= {TUBE_FRACTION:.1%}"
+    fractions = np.array([result.tube_shares for result in flown if len(result.tube_shares) == len(AHEAD_S)])
+    if not len(fractions):
         return Bar(name=name, bar=bar, value="", held=None, note="the controller announced none")
-    mean = shares.mean(axis=0)
+    mean = fractions.mean(axis=0)
     reach = [f"up to {ahead_s:g} s" if math.isfinite(ahead_s) else "of all" for ahead_s in AHEAD_S]
-    other = [f"{share:.2%} {words}" for words, share in zip(reach, mean.tolist(), strict=True)]
+    other = [f"{fraction:.2%} {label}" for label, fraction in zip(reach, mean.tolist(), strict=True)]
     value = float(mean[TUBE_BAR])
-    held = value >= TUBE_SHARE if strict else None
+    held = value >= TUBE_FRACTION if strict else None
     return Bar(name=name, bar=bar if strict else "", value=f"{value:.3%}", held=held, note=", ".join(other))
 
 

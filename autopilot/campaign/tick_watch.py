@@ -45,7 +45,7 @@ class TickWatch:
         self._commands: list[tuple[float, Fallback, FloatArray]] = []
         self._starts_s: list[float] = []
         self._thrusters = 0
-        self._told_s: list[float] = []
+        self._reported_s: list[float] = []
         self._goal: tuple[float, ...] | None = None
 
     def tick(self, outputs: Outputs) -> None:
@@ -70,7 +70,7 @@ class TickWatch:
             row[24] = wrap_pi(float(nav.rpy_rad[2] - truth.rpy_rad[2]))
             row[25:27] = nav.current_ned_m_s[:2] - truth.current_ned_m_s[:2]
         if self._complete_s is None:
-            self.tube.look(t_s, float(row[1]), float(row[2]))
+            self.tube.update(t_s, float(row[1]), float(row[2]))
         self._note_control(outputs)
 
     @property
@@ -123,7 +123,7 @@ class TickWatch:
             thrust_n=np.array([thrust_n for _, _, thrust_n in kept]).reshape(len(kept), self._thrusters),
             fallback=np.array([fallback for _, fallback, _ in kept], dtype=np.uint8),
             starts_s=np.array([self._armed_s or 0.0, *self._starts_s]),
-            reported_s=np.array(self._told_s),
+            reported_s=np.array(self._reported_s),
             limit_n=limit_n,
         )
 
@@ -145,7 +145,7 @@ class TickWatch:
         if outputs.events:
             for event in outputs.events:
                 self._note_event(event, t_s)
-            self._told_s += [t_s] * int(is_reported([event.text for event in outputs.events]).sum())
+            self._reported_s += [t_s] * int(is_reported([event.text for event in outputs.events]).sum())
 
     def _note_event(self, event: Event, t_s: float) -> None:
         if event.severity > Severity.WARNING:

@@ -20,14 +20,14 @@ class TubeCheck:
         """Heap of time [s], north, east, distance [m], how far ahead [s]."""
         self._before: tuple[float, float, float] | None = None
         """Time, north and east of the last call."""
-        self._looked = dict.fromkeys(AHEAD_S, 0)
+        self._compared = dict.fromkeys(AHEAD_S, 0)
         self._inside = dict.fromkeys(AHEAD_S, 0)
 
-    def share(self, ahead_s: float) -> float | None:
+    def fraction(self, ahead_s: float) -> float | None:
         """Share of the nodes at most ``ahead_s`` (of :data:`AHEAD_S`) ahead with the vehicle inside. None if no
         node has come due.
         """
-        return self._inside[ahead_s] / self._looked[ahead_s] if self._looked[ahead_s] else None
+        return self._inside[ahead_s] / self._compared[ahead_s] if self._compared[ahead_s] else None
 
     def announce(self, control: ControlOutput) -> None:
         """Add the prediction of a control step."""
@@ -38,7 +38,7 @@ class TubeCheck:
         for after_s, place, distance_m in zip(times, control.nominal[:, :2].tolist(), tube, strict=True):
             heapq.heappush(self._due, (begin_s + after_s, place[0], place[1], distance_m, after_s))
 
-    def look(self, t_s: float, north_m: float, east_m: float) -> None:
+    def update(self, t_s: float, north_m: float, east_m: float) -> None:
         """Add the present position; nodes since the last call are compared with the linear interpolation."""
         before_s, from_n, from_e = self._before or (t_s, north_m, east_m)
         self._before = (t_s, north_m, east_m)
@@ -46,9 +46,11 @@ class TubeCheck:
             due_s, north, east, distance_m, after_s = heapq.heappop(self._due)
             if due_s < before_s:
                 continue
-            share = (due_s - before_s) / (t_s - before_s) if t_s > before_s else 1.0
-            off_m = math.hypot(from_n + share * (north_m - from_n) - north, from_e + share * (east_m - from_e) - east)
+            fraction = (due_s - before_s) / (t_s - before_s) if t_s > before_s else 1.0
+            off_m = math.hypot(
+                from_n + fraction * (north_m - from_n) - north, from_e + fraction * (east_m - from_e) - east
+            )
             for ahead_s in AHEAD_S:
                 if after_s <= ahead_s:
-                    self._looked[ahead_s] += 1
+                    self._compared[ahead_s] += 1
                     self._inside[ahead_s] += off_m <= distance_m

@@ -53,7 +53,7 @@ def logs_of(
     folder: Path,
     task: Callable[[int], Task],
     stop: Callable[[], bool],
-    tell: Callable[[str], None],
+    notify: Callable[[str], None],
 ) -> dict[int, Path]:
     """Logs of the ``count`` worst runs, those that are missing flown now. Run -> file."""
     for result in worst_first(results)[:count]:
@@ -66,6 +66,6 @@ def logs_of(
         except AutopilotError as error:
             odd = f"run {result.run} could not be flown again: {error}"
         if odd:
-            tell(odd)
+            notify(odd)
     found = (result.run for result in results)
     return {run: log_file(folder, run) for run in found if log_file(folder, run).exists()}

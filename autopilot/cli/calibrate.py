@@ -137,7 +137,7 @@ def camera(
         "view_rms_px": dict(zip((view.name for view in result.views), result.view_rms_px.tolist(), strict=True)),
         "values": dict(zip(NAMES, result.values.tolist(), strict=True)),
         "sigma": dict(zip(NAMES, result.sigma.tolist(), strict=True)),
-        "coverage": spread.share,
+        "coverage": spread.coverage,
         "remarks": warnings,
         "keys": values,
     }
@@ -151,7 +151,7 @@ def camera(
         across, down = result.field_of_view_deg
         print_table(
             f"{source}: {len(result.views)} views, {len(result.left_out)} left out, rms {result.rms_px:.3f} px,"
-            f" view {across:.1f} x {down:.1f} deg in {medium}, corners in {spread.share:.0%} of the image",
+            f" view {across:.1f} x {down:.1f} deg in {medium}, corners in {spread.coverage:.0%} of the image",
             ("", "value", "sigma"),
             rows,
         )

@@ -240,7 +240,7 @@ def _plain(summary: Summary) -> dict[str, Any]:
         return {"run": result.run, "seed": result.seed, "what": what_broke(result)}
 
     return {
-        "asked": summary.asked,
+        "asked": summary.planned,
         "finished": summary.finished,
         "bars": [asdict(bar) for bar in summary.bars],
         "percentiles": PERCENTILES,
@@ -257,7 +257,7 @@ def _print(summary: Summary, name: str, out: Path, logs: Mapping[int, Path]) -> 
 
     held = {True: "pass", False: "FAIL", None: ""}
     print_table(
-        f"{name}: {summary.finished} of {summary.asked} runs",
+        f"{name}: {summary.finished} of {summary.planned} runs",
         ("quantity", "bound", "value", "verdict", "note"),
         [(bar.name, bar.bar, bar.value, held[bar.held], bar.note) for bar in summary.bars],
     )

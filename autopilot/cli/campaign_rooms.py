@@ -98,11 +98,11 @@ def _alone(out: Path, seed: int, room: int, mode: int, *, quiet: bool) -> WorldR
     import msgspec
 
     from autopilot.campaign.worlds.picture import draw
-    from autopilot.campaign.worlds.random_world import make_room, write_files
+    from autopilot.campaign.worlds.random_world import make_world, write_files
     from autopilot.campaign.worlds.world_flight import fly_world
     from autopilot.sitl.spread import run_seed
 
-    made = make_room(run_seed(seed, room))
+    made = make_world(run_seed(seed, room))
     name = next(name for name, number in MODE_NAMES.items() if number == mode)
     folder = out / f"room-{room:04d}-{name}"
     folder.mkdir(parents=True, exist_ok=True)

@@ -180,7 +180,7 @@ def moved_rows(moved: "Sequence[Moved]") -> list[tuple[str, str, str, str]]:
             one.figure,
             "-" if one.before is None else f"{one.before:.6g}",
             "-" if one.after is None else f"{one.after:.6g}",
-            "" if one.same else "new" if one.share is None else f"{100.0 * one.share:+.2f} %",
+            "" if one.same else "new" if one.relative_change is None else f"{100.0 * one.relative_change:+.2f} %",
         )
         for one in moved
     ]

@@ -29,12 +29,12 @@ def check(file: str, vehicle: str, as_json: bool) -> None:
     from autopilot.core.camera import CameraModel
     from autopilot.core.marker_files import load_marker_map
     from autopilot.core.vehicle import load_vehicle
-    from autopilot.markermaps.check_markers import describe_markers, map_warnings, view_shares
+    from autopilot.markermaps.check_markers import describe_markers, map_warnings, view_fractions
 
     layout = load_marker_map(Path(file))
     boat = load_vehicle(vehicle)
     rows = describe_markers(layout)
-    fractions = view_shares(layout, CameraModel.of_vehicle(boat)) if layout.level else []
+    fractions = view_fractions(layout, CameraModel.of_vehicle(boat)) if layout.level else []
     warnings = map_warnings(layout)
     if as_json:
         emit_json({**dict(rows), "view_shares": fractions, "warnings": warnings})

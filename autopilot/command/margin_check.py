@@ -21,7 +21,7 @@ class MarginCheck:
     def __call__(self, nav: NavState) -> tuple[str, ...]:
         """Why the vehicle must not be armed with this estimate; empty when it may."""
         verdict = self._plans.verdict
-        reasons = self._controller.refusals(nav, verdict.goal_room, verdict.widest_m, self._params)
+        reasons = self._controller.refusals(nav, verdict.goal_clearance_m, verdict.widest_m, self._params)
         current = float(np.hypot(*nav.current_ned_m_s[:2]))
         limit = self._params["SPD_PLANAR_MAX"]
         if current >= limit:

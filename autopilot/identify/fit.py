@@ -36,7 +36,7 @@ EVERY = 2
 PRIOR = 3.0
 """Standard deviation of every coefficient before the flight, in its own scale: keeps finite what was not excited."""
 
-LEAST_SHARE = 0.05
+LEAST_FRACTION = 0.05
 """Masses stay above this share of the base's."""
 
 ROUNDS = 25
@@ -169,6 +169,6 @@ def _bounded(theta: FloatArray, step: FloatArray, around: CoefficientScale) -> F
     """The step, cut so that masses stay positive, and drags nearly so."""
     result = step.copy()
     mass, drag = slice(0, AXES), slice(AXES, 3 * AXES)
-    result[mass] = np.maximum(result[mass], LEAST_SHARE - 1.0 - theta[mass])
+    result[mass] = np.maximum(result[mass], LEAST_FRACTION - 1.0 - theta[mass])
     result[drag] = np.maximum(result[drag], -around.base[drag] / around.scale[drag] - theta[drag])
     return result

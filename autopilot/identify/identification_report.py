@@ -11,7 +11,7 @@ from autopilot.core.vehicle import Body, Vehicle
 from autopilot.identify.fit import IdentificationFit
 from autopilot.identify.prediction import AXES, N_COMMON
 
-THRUST_SHARE = 0.015
+THRUST_FRACTION = 0.015
 """Standard deviation of the thrust curve itself: masses and drags are only as well known as the force that they are
 compared with. (A bollard test with a spring balance; supply voltage between two readings.)"""
 
@@ -127,7 +127,7 @@ def _figure(fit: IdentificationFit, weights: FloatArray) -> tuple[float, float]:
     """A sum of coefficients and half the width of its 95 % interval."""
     value = float(weights @ fit.values[:-1])
     variance = float(weights @ fit.covariance[:-1, :-1] @ weights)
-    return value, fit.student * math.sqrt(variance + (THRUST_SHARE * value) ** 2)
+    return value, fit.student * math.sqrt(variance + (THRUST_FRACTION * value) ** 2)
 
 
 def _row(

@@ -129,10 +129,10 @@ def _acting(log: Log, sent: MessageTable, vehicle: Vehicle, t_s: FloatArray) -> 
             for row, volts in zip(sent["pwm_us"], supply, strict=True)
         ]
     )[held]
-    acting, share, level = np.empty_like(settled), response.fraction(LAG_STEP_S), np.zeros(count)
+    acting, gain, level = np.empty_like(settled), response.fraction(LAG_STEP_S), np.zeros(count)
     for n, target in enumerate(settled):
         before = level
-        level = level + share * (target - level)
+        level = level + gain * (target - level)
         acting[n] = 0.5 * (before + level)
     per_step = round(STEP_S / LAG_STEP_S)
     whole = acting[: len(t_s) * per_step]

@@ -354,11 +354,11 @@ def distance_to_obstacle(track: VehicleTrack, obstacle: Obstacle) -> FloatArray:
 
 def obstacle_limit_m(obstacle: Obstacle, run: RunDescription) -> float | None:
     """Least distance of the vehicle's centre from an obstacle's axis; None = not judged."""
-    asked = run.accept.cylinder_clearance_m
-    if asked is None:
+    required_m = run.accept.cylinder_clearance_m
+    if required_m is None:
         return None
     touch = obstacle.radius_m + run.body_radius_m
-    return touch if obstacle.path_m else max(asked, touch)
+    return touch if obstacle.path_m else max(required_m, touch)
 
 
 def waypoint_errors(track: VehicleTrack, waypoint: Waypoint) -> tuple[FloatArray, FloatArray]:

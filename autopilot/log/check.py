@@ -306,13 +306,13 @@ def flown_commands(flight: FlightRecord) -> ThrustCommands | None:
         moved = (np.diff(goals["pos_ned_m"], axis=0) != 0.0).any(axis=1) | (np.diff(goals["seq"]) != 0)
         starts_s.append(seconds(goals)[1:][moved])
     events = flight.log.messages("/rosout") if "/rosout" in flight.log else []
-    told = is_reported([event.value["msg"] for event in events])
+    reported = is_reported([event.value["msg"] for event in events])
     return ThrustCommands(
         t_s=seconds(nmpc),
         thrust_n=rows["thrust_n"][:, : thruster_count(commands)],
         fallback=nmpc["fallback"],
         starts_s=np.concatenate(starts_s),
-        reported_s=np.array([event.t_us * 1e-6 for event in events])[told],
+        reported_s=np.array([event.t_us * 1e-6 for event in events])[reported],
         limit_n=flight.run.parameters.get("THR_LIMIT", math.inf) if flight.run is not None else math.inf,
     )
 
@@ -351,9 +351,9 @@ def _health_rows(flight: FlightRecord) -> list[BoundRow]:
     nmpc = flight.table("/ctl/nmpc")
     if nmpc is not None:
         solved = nmpc["solve_s"][nmpc["solve_s"] > 0.0]
-        for name, share in (("p50", 50.0), ("p95", 95.0), ("p99", 99.0), ("max", 100.0)):
+        for name, percent in (("p50", 50.0), ("p95", 95.0), ("p99", 99.0), ("max", 100.0)):
             if len(solved):
-                rows.append(info(f"solve time {name}", "ms", 1000.0 * float(np.percentile(solved, share))))
+                rows.append(info(f"solve time {name}", "ms", 1000.0 * float(np.percentile(solved, percent))))
         mine = flight.armed.holds(seconds(nmpc))
         rows.append(counted("NMPC fallbacks", int(np.sum(nmpc["fallback"][mine] != 0)), f"of {int(mine.sum())} steps"))
     status = flight.table("/nav/status")

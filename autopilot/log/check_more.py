@@ -68,17 +68,21 @@ def more_rows(flight: FlightRecord) -> list[BoundRow]:
         *_inertial(flight),
         *link_rows(flight),
         *process_rows(flight),
-        *_told(flight),
+        *_events(flight),
     ]
 
 
-def way_m(track: VehicleTrack) -> float:
+def path_length_m(track: VehicleTrack) -> float:
     return float(np.linalg.norm(np.diff(track.pos_ned_m, axis=0), axis=1).sum())
 
 
 def _mission(flight: FlightRecord) -> list[BoundRow]:
     track = flight.judged.between(flight.armed)
-    rows = [row("Mission", "path length", "m", way_m(track), f"in {flight.armed.end_s - flight.armed.start_s:.1f} s")]
+    rows = [
+        row(
+            "Mission", "path length", "m", path_length_m(track), f"in {flight.armed.end_s - flight.armed.start_s:.1f} s"
+        )
+    ]
     rows += _detour(flight)
     progress, mode = flight.table("/mission/progress"), flight.table("/sys/mode")
     if progress is not None and mode is not None and len(progress) and len(mode):
@@ -96,7 +100,7 @@ def _detour(flight: FlightRecord) -> list[BoundRow]:
     straight = sum(math.dist(a.pos_ned_m, b.pos_ned_m) for (a, _), (b, _) in pairwise(came))
     if not straight > 0.0:
         return []
-    flown = way_m(flight.judged.between(Span(came[0][1], came[-1][1])))
+    flown = path_length_m(flight.judged.between(Span(came[0][1], came[-1][1])))
     return [row("Mission", "path length / straight-line length", "", flown / straight)]
 
 
@@ -129,10 +133,10 @@ def _delay_s(flight: FlightRecord, commands: MessageTable, acting: MessageTable)
         return None
     best, delay = 0.0, None
     moving = int(np.argmax(commands["thrust_n"][:, :count].std(axis=0)))
-    told = np.interp(t_s, seconds(commands), commands["thrust_n"][:, moving])
+    commanded = np.interp(t_s, seconds(commands), commands["thrust_n"][:, moving])
     done = np.interp(t_s, seconds(acting), acting["thrust_n"][:, moving])
     for shift in range(60):
-        a, b = told[: len(told) - shift or None], done[shift:]
+        a, b = commanded[: len(commanded) - shift or None], done[shift:]
         if a.std() > 0.05 and b.std() > 0.05:
             alike = float(np.corrcoef(a, b)[0, 1])
             if alike > best:
@@ -281,12 +285,12 @@ def _thrusters(flight: FlightRecord) -> list[BoundRow]:
     thrust = np.abs(mine["thrust_n"][:, : len(names)])
     limit = math.inf if flight.run is None else flight.run.paper_bounds.get("thrust_n", math.inf)
     full = thrust >= 0.999 * limit
-    share = 100.0 * float(full.any(axis=1).mean())
+    percent = 100.0 * float(full.any(axis=1).mean())
     hits = np.diff(full.astype(np.int8), axis=0, prepend=0) > 0
     by_name = ", ".join(f"{name} {count}" for name, count in zip(names, hits.sum(axis=0).tolist(), strict=False))
     means = ", ".join(f"{name} {value:.2f}" for name, value in zip(names, thrust.mean(axis=0), strict=False))
     return [
-        row("Thrust", "time at the thrust limit", "%", share),
+        row("Thrust", "time at the thrust limit", "%", percent),
         row("Thrust", "thruster saturations", "", float(hits.sum()), by_name),
         row("Thrust", "mean total thrust", "N", float(thrust.sum(axis=1).mean()), means),
         *_balance(names, thrust.mean(axis=0)),
@@ -302,13 +306,13 @@ def _balance(names: Sequence[str], mean_n: FloatArray) -> list[BoundRow]:
     port, starboard = sides
     if not port + starboard > 0.0:
         return []
-    share = 100.0 * (port - starboard) / (port + starboard)
+    percent = 100.0 * (port - starboard) / (port + starboard)
     return [
         row(
             "Thrust",
             "thrust imbalance, port over starboard",
             "%",
-            share,
+            percent,
             f"{port:.2f} and {starboard:.2f} N on average",
         )
     ]
@@ -322,9 +326,9 @@ def _current(flight: FlightRecord) -> list[BoundRow]:
         rows.append(row("Current", "path with a following current", "%", 100.0 * float((along > 0.0).mean())))
     worked = drag_work(flight)
     if worked is not None:
-        share = 100.0 * worked.flown_j / worked.still_j
+        percent = 100.0 * worked.flown_j / worked.still_j
         note = f"{worked.flown_j:.0f} of {worked.still_j:.0f} J: same path and ground speed, drag of the vehicle file"
-        rows.append(row("Current", "drag work relative to still water", "%", share, note))
+        rows.append(row("Current", "drag work relative to still water", "%", percent, note))
     if flight.truth is not None and flight.nav is not None:
         error = estimate_error(flight.truth, flight.nav.between(flight.mission))
         if error is not None:
@@ -335,9 +339,9 @@ def _current(flight: FlightRecord) -> list[BoundRow]:
 
 def _power(flight: FlightRecord) -> list[BoundRow]:
     rows = []
-    used, way = energy_j(flight, flight.armed), way_m(flight.judged.between(flight.armed))
+    used, length_m = energy_j(flight, flight.armed), path_length_m(flight.judged.between(flight.armed))
     if used is not None:
-        rows.append(row("Power", "energy", "J", used, f"{used / way:.1f} J/m" if way > 0.1 else ""))
+        rows.append(row("Power", "energy", "J", used, f"{used / length_m:.1f} J/m" if length_m > 0.1 else ""))
     rows += _energy_of_waypoints(flight)
     rows += _energy_of_thrusters(flight, used)
     battery = flight.table("/in/power_raw")
@@ -422,7 +426,7 @@ def _clipping(samples: MessageTable) -> BoundRow:
     return under("Motion sensor", counted("saturated samples", rates + forces, note))
 
 
-def _told(flight: FlightRecord) -> list[BoundRow]:
+def _events(flight: FlightRecord) -> list[BoundRow]:
     """Warnings to the operator, and parameters."""
     rows = []
     if "/rosout" in flight.log:

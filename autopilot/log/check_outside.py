@@ -30,7 +30,7 @@ def link_rows(flight: FlightRecord) -> list[BoundRow]:
     rows = []
     received = flight.table("/in/mavlink")
     if received is not None and len(received):
-        missing = lost_share(received)
+        missing = lost_fraction(received)
         if missing is not None:
             rows.append(at_most("Links", "inbound MAVLink messages lost", "%", 100.0 * MOST_LOST, 100.0 * missing))
         mine = seconds(received)[flight.armed.holds(seconds(received))]
@@ -61,10 +61,12 @@ def _round_trips(flight: FlightRecord, received: MessageTable, sent: MessageTabl
 
 def round_trips(received: MessageTable, sent: MessageTable) -> tuple[FloatArray, FloatArray]:
     """(n,) times at which our TIMESYNC requests were answered and (n,) how long that took; they return our stamp."""
-    asked = {ours for answer, ours, _ in _timesyncs(sent) if answer == 0}
-    came = [(1e-6 * t_us, 1e-9 * ours) for answer, ours, t_us in _timesyncs(received) if answer != 0 and ours in asked]
-    at_s, asked_s = np.array(came, dtype=float).reshape(-1, 2).T
-    return at_s, at_s - asked_s
+    requested = {ours for answer, ours, _ in _timesyncs(sent) if answer == 0}
+    came = [
+        (1e-6 * t_us, 1e-9 * ours) for answer, ours, t_us in _timesyncs(received) if answer != 0 and ours in requested
+    ]
+    at_s, requested_s = np.array(came, dtype=float).reshape(-1, 2).T
+    return at_s, at_s - requested_s
 
 
 def _timesyncs(frames: MessageTable) -> list[tuple[int, int, int]]:
@@ -107,7 +109,7 @@ def _memory(t_s: FloatArray, rss: FloatArray) -> BoundRow:
     return at_most("Service", "memory", "MB", 1e-6 * MOST_GROWTH * middle, 1e-6 * end, note)
 
 
-def lost_share(frames: MessageTable) -> float | None:
+def lost_fraction(frames: MessageTable) -> float | None:
     """Share of messages missing by the sequence numbers of their senders; None with too few messages."""
     data = frames["data"]
     mine = (data[:, 0] == MAVLINK2) & (frames["length"] > 10)

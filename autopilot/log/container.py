@@ -162,7 +162,7 @@ def _walk_file(file: IO[bytes], size: int, contents: Contents) -> Counter[int] |
     if not contents.finished:
         contents.problems.append("the file was not closed (the service was killed or is still writing)")
         return None
-    if not _summary_is_sound(file, offset):
+    if not _summary_is_intact(file, offset):
         contents.problems.append("the index at the end of the file is damaged")
         contents.schemas.clear()
         contents.channels.clear()
@@ -172,7 +172,7 @@ def _walk_file(file: IO[bytes], size: int, contents: Contents) -> Counter[int] |
     return statistics
 
 
-def _summary_is_sound(file: IO[bytes], footer: int) -> bool:
+def _summary_is_intact(file: IO[bytes], footer: int) -> bool:
     """Check the CRC of everything between the data and the end, which the footer at an offset holds."""
     file.seek(footer + PREFIX_BYTES)
     summary, _, crc = struct.unpack("<QQI", file.read(20))

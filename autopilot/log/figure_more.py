@@ -11,9 +11,9 @@ from autopilot.log.figure_parts import (
     TRUTH,
     WIDTH_IN,
     FigureScene,
+    extend_limits,
     lap_colors,
     legend_above,
-    make_room,
     stacked_axes,
     time_axis,
 )
@@ -81,7 +81,7 @@ def solve_time(scene: FigureScene) -> Figure | None:
     right.hist(solve_ms, bins=edges, color="#1f77b4")
     right.set_xscale("log")
     right.set_yscale("log")
-    p50, p99 = (float(np.percentile(solve_ms, share)) for share in (50, 99))
+    p50, p99 = (float(np.percentile(solve_ms, percent)) for percent in (50, 99))
     for value, name, color, style in (
         (p50, f"p50 {p50:.2f}", "#444444", "-"),
         (p99, f"p99 {p99:.2f}", "#ff7f0e", "--"),
@@ -114,8 +114,8 @@ def energy(scene: FigureScene) -> Figure | None:
     known = {number: joules for number, joules in used.items() if joules is not None}
     for (number, joules), color in zip(known.items(), lap_colors(len(known)), strict=True):
         right.bar(number, joules, color=color, width=0.6)
-    told = set(known) if len(known) <= LISTED_LAPS else {min(known, key=known.__getitem__)}
-    for number in told | ({max(known, key=known.__getitem__)} if known else set()):
+    labelled = set(known) if len(known) <= LISTED_LAPS else {min(known, key=known.__getitem__)}
+    for number in labelled | ({max(known, key=known.__getitem__)} if known else set()):
         place = (number, known[number])
         right.annotate(f"{known[number]:.0f} J", place, ha="center", va="bottom", fontsize=8)
     if len(scene.laps) <= LISTED_LAPS:
@@ -139,7 +139,7 @@ def current(scene: FigureScene) -> Figure | None:
             ax.plot(truth.t_s, truth.current_ned_m_s[:, index], label="truth", **TRUTH)
         ax.plot(nav.t_s, nav.current_ned_m_s[:, index], color="#ff7f0e", linewidth=1.0, label="estimate")
         ax.set_ylabel(f"current {label}")
-        make_room(ax, -SLIGHT_CURRENT_M_S, SLIGHT_CURRENT_M_S)
+        extend_limits(ax, -SLIGHT_CURRENT_M_S, SLIGHT_CURRENT_M_S)
     legend_above(axes[0])
     time_axis(scene, axes)
     return figure

@@ -20,9 +20,9 @@ from autopilot.log.figure_parts import (
     WIDTH_IN,
     FigureScene,
     draw_bounds,
+    extend_limits,
     lap_colors,
     legend_above,
-    make_room,
     named_laps,
     stacked_axes,
     time_axis,
@@ -79,9 +79,9 @@ def _direction(ax: Axes, plane_m: FloatArray, color: str) -> None:
     along = np.concatenate(([0.0], np.cumsum(steps)))
     if along[-1] <= 0.0:
         return
-    for share in (np.arange(HEADS) + 0.5) / HEADS:
-        at = min(int(np.searchsorted(along, share * along[-1])), len(plane_m) - 2)
-        ahead = min(int(np.searchsorted(along, share * along[-1] + HEAD_M)), len(plane_m) - 1)
+    for fraction in (np.arange(HEADS) + 0.5) / HEADS:
+        at = min(int(np.searchsorted(along, fraction * along[-1])), len(plane_m) - 2)
+        ahead = min(int(np.searchsorted(along, fraction * along[-1] + HEAD_M)), len(plane_m) - 1)
         if ahead > at:
             style = {"arrowstyle": "-|>", "color": color, "linewidth": 0.0, "mutation_scale": 11.0}
             ax.annotate("", plane_m[ahead], plane_m[at], arrowprops=style)
@@ -105,8 +105,8 @@ def _current(ax: Axes, scene: FigureScene, height_in: float) -> None:
         zorder=1.5,
     )
     low = KEY_ABOVE_IN / height_in  # beside the label of the axis
-    words = f"current {met.told_m_s:g} m/s"
-    ax.quiverkey(arrows, 0.08, low, met.told_m_s, words, labelpos="E", coordinates="figure", color="#17a2b8")
+    label = f"current {met.key_m_s:g} m/s"
+    ax.quiverkey(arrows, 0.08, low, met.key_m_s, label, labelpos="E", coordinates="figure", color="#17a2b8")
 
 
 def depth_and_yaw(scene: FigureScene) -> Figure | None:
@@ -117,7 +117,7 @@ def depth_and_yaw(scene: FigureScene) -> Figure | None:
     _bands(scene, top, lambda v: (v.waypoint.pos_ned_m[2], v.waypoint.accept_radius_m))
     limits = (run.accept.depth_min_m, run.accept.depth_max_m) if run is not None else (None, None)
     draw_bounds(top, *limits)
-    make_room(top, *limits)
+    extend_limits(top, *limits)
     legend_above(top)
     top.yaxis.set_inverted(True)
     top.set_ylabel("z, depth [m]")
@@ -173,7 +173,7 @@ def planar_speed(scene: FigureScene) -> Figure | None:
     ax.plot(scene.track.t_s, scene.track.literal_speed_m_s, color="#bbbbbb", linewidth=0.7, label="|u + v|", zorder=1)
     draw_bounds(ax, limit)
     legend_above(ax)
-    make_room(ax, limit, 0.0)
+    extend_limits(ax, limit, 0.0)
     ax.set_ylabel("planar speed [m/s]")
     time_axis(scene, [ax])
     return figure
@@ -190,7 +190,7 @@ def heave_and_yaw_rate(scene: FigureScene) -> Figure | None:
         both = () if limit is None else (-limit, limit)
         ax.plot(scene.track.t_s, values, label=scene.basis, **TRUTH)
         draw_bounds(ax, *both)
-        make_room(ax, *both)
+        extend_limits(ax, *both)
         ax.set_ylabel(label)
     legend_above(top)
     time_axis(scene, [top, bottom])
@@ -208,7 +208,7 @@ def thrusters(scene: FigureScene) -> Figure | None:
     for index, (ax, name) in enumerate(zip(axes, names, strict=True)):
         ax.step(seconds(table), table["thrust_n"][:, index], where="post", label="command", **TRUTH)
         draw_bounds(ax, *both)
-        make_room(ax, *both)
+        extend_limits(ax, *both)
         ax.set_ylabel(f"{name} [N]")
     legend_above(axes[0])
     time_axis(scene, axes)

@@ -79,7 +79,7 @@ def named_laps(count: int) -> set[int]:
     """Which laps (from 0) a legend names."""
     if count <= LISTED_LAPS:
         return set(range(count))
-    return {round(share * (count - 1)) for share in np.linspace(0.0, 1.0, NAMED_LAPS)}
+    return {round(fraction * (count - 1)) for fraction in np.linspace(0.0, 1.0, NAMED_LAPS)}
 
 
 def stacked_axes(rows: int, height_in: float) -> tuple[Figure, list[Axes]]:
@@ -103,7 +103,7 @@ def draw_bounds(ax: Axes, *values: float | None) -> None:
         ax.axhline(value, label="bound" if index == 0 else None, **BOUND)
 
 
-def make_room(ax: Axes, *values: float | None) -> None:
+def extend_limits(ax: Axes, *values: float | None) -> None:
     """Widen the y range so that bounds do not lie on the frame."""
     low, high = ax.get_ylim()
     lower, upper = min(low, high), max(low, high)

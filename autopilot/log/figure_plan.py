@@ -53,12 +53,12 @@ def draw_plan(ax: Axes, run: RunDescription, moved: Sequence[MovedObstacle]) -> 
 def _draw_moved(ax: Axes, moved: MovedObstacle, run: RunDescription, label: str | None) -> None:
     """A moving obstacle: solid at the vehicle's closest approach, outlines at its first and last position."""
     radius = moved.obstacle.radius_m
-    ax.plot(*moved.way_m.T, color=MOVED, linestyle=":", linewidth=1.0)
-    for place, style, side, word in ((moved.way_m[0], "--", -1, "start "), (moved.way_m[-1], "-", 1, " end")):
+    ax.plot(*moved.path_m.T, color=MOVED, linestyle=":", linewidth=1.0)
+    for place, style, side, text in ((moved.path_m[0], "--", -1, "start "), (moved.path_m[-1], "-", 1, " end")):
         center = (float(place[0]), float(place[1]))
         ax.add_patch(Circle(center, radius, fill=False, edgecolor=MOVED, linestyle=style, linewidth=0.8))
         beside = (center[0] + side * radius, center[1])
-        ax.annotate(word, beside, ha="right" if side < 0 else "left", va="center", fontsize=7, color=MOVED)
+        ax.annotate(text, beside, ha="right" if side < 0 else "left", va="center", fontsize=7, color=MOVED)
     ax.add_patch(Circle(moved.nearest_m, radius, facecolor="#777777", edgecolor="black", linewidth=0.8))
     zone = radius + run.body_radius_m
     ax.add_patch(Circle(moved.nearest_m, zone, fill=False, edgecolor="red", linestyle="--", linewidth=1.0, label=label))

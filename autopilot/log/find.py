@@ -43,12 +43,12 @@ def find_logs(folder: Path, wanted: Mapping[str, str] | None = None) -> Iterator
     if not folder.is_dir():
         raise LogError(f"{folder}: is no folder; give one that holds logs")
     for path in sorted(folder.rglob("*.mcap")):
-        found = _look(path)
+        found = _inspect(path)
         if all(found.facts.get(key, "").lower().startswith(value.lower()) for key, value in (wanted or {}).items()):
             yield found
 
 
-def _look(path: Path) -> Found:
+def _inspect(path: Path) -> Found:
     try:
         size = path.stat().st_size
         log = open_log(path)

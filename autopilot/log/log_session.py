@@ -128,7 +128,7 @@ class SimulationRecord:
     """Ground truth of a simulated vehicle."""
 
     truth: LoggedTruth
-    payload_shares: tuple[float, ...]
+    payload_levels: tuple[float, ...]
     """Where each thing that it carries is, 0 to 1; in the order of the vehicle file."""
 
 
@@ -214,10 +214,10 @@ class RunLog:
                 truth = world.truth
                 packer.truth(t_us, truth)
                 packer.contact(t_us, truth.contact_count, truth.contact_depth_m)
-                packer.payload_truth(t_us, world.payload_shares)
+                packer.payload_truth(t_us, world.payload_levels)
             packer.outputs(outputs)
 
-        messages, size = _room(len(inputs.samples), len(inputs.mavlink_rx) + len(outputs.mavlink_tx))
+        messages, size = _queue_size(len(inputs.samples), len(inputs.mavlink_rx) + len(outputs.mavlink_tx))
         messages += TICK_MESSAGES
         if outputs.control is not None:
             messages, size = messages + CONTROL_MESSAGES, size + CONTROL_BYTES
@@ -226,7 +226,7 @@ class RunLog:
         self._hand_over("/in/tick", t_us, pack, messages, size)
 
     def inputs(self, inputs: Inputs) -> None:
-        messages, size = _room(len(inputs.samples), len(inputs.mavlink_rx))
+        messages, size = _queue_size(len(inputs.samples), len(inputs.mavlink_rx))
         self._hand_over("/in/tick", inputs.t_us, lambda: self._packer.inputs(inputs), 1 + messages, size)
 
     def camera(self, frame: CameraFrame) -> None:
@@ -245,9 +245,9 @@ class RunLog:
         """Contacts of the simulated hull begun so far and the deepest penetration of now, once per tick."""
         self._hand_over("/sim/contact", t_us, lambda: self._packer.contact(t_us, count, penetration_m))
 
-    def payload_truth(self, t_us: int, shares: tuple[float, ...]) -> None:
+    def payload_truth(self, t_us: int, levels: tuple[float, ...]) -> None:
         """Where the simulated vehicle's equipment is, once per tick."""
-        self._hand_over("", t_us, lambda: self._packer.payload_truth(t_us, shares))
+        self._hand_over("", t_us, lambda: self._packer.payload_truth(t_us, levels))
 
     def loop(self, stats: LoopStats) -> None:
         self._hand_over("/sys/loop", stats.t_us, lambda: self._packer.loop(stats))
@@ -257,7 +257,7 @@ class RunLog:
         self._hand_over("/rosout", event.t_us, lambda: self._packer.event(event))
 
     def outputs(self, outputs: Outputs) -> None:
-        messages, size = _room(0, len(outputs.mavlink_tx))
+        messages, size = _queue_size(0, len(outputs.mavlink_tx))
         size += 0 if outputs.control is None else CONTROL_BYTES
         self._hand_over(
             "/nav/state", outputs.t_us, lambda: self._packer.outputs(outputs), TICK_MESSAGES + messages, size
@@ -278,7 +278,7 @@ class RunLog:
         self._lost = not self._writer.defer(topic, t_us, work, messages, size)
 
 
-def _room(samples: int, datagrams: int) -> tuple[int, int]:
+def _queue_size(samples: int, datagrams: int) -> tuple[int, int]:
     """Messages and bytes that a tick with these inputs takes in the queue, beside those of the tick itself."""
     messages = SAMPLE_MESSAGES * samples + FRAME_MESSAGES * datagrams
     return messages, TICK_BYTES + SAMPLE_BYTES * samples + FRAME_BYTES * datagrams

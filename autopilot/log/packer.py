@@ -133,10 +133,10 @@ class Packer:
         if self._changed("/sim/contact", t_us, (count, penetration_m)):
             self._on_change("/sim/contact", t_us, (count, penetration_m))
 
-    def payload_truth(self, t_us: int, shares: tuple[float, ...]) -> None:
+    def payload_truth(self, t_us: int, levels: tuple[float, ...]) -> None:
         """Where the simulated vehicle's equipment is, once per tick."""
-        if shares and self._changed("/sim/payload", t_us, shares):
-            self._on_change("/sim/payload", t_us, shares)
+        if levels and self._changed("/sim/payload", t_us, levels):
+            self._on_change("/sim/payload", t_us, levels)
 
     def loop(self, stats: LoopStats) -> None:
         self._record("/sys/loop", stats.t_us, stats)

@@ -20,7 +20,7 @@ BELOW = 0.07
 LEAST_CURRENT_M_S = 0.005
 """Slower is still water."""
 ROUND_FIGURES = (1.0, 2.0, 5.0)
-WAY_POINTS = 200
+PATH_POINTS = 200
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -33,7 +33,7 @@ class MetCurrent:
     """(n, 2)"""
     scale_m: float
     """Length of the arrow of 1 m/s."""
-    told_m_s: float
+    key_m_s: float
     """A round figure, of the size of the fastest: for the key,"""
     key_m: tuple[float, float]
     """and a free area of the plan for it, north and east."""
@@ -44,7 +44,7 @@ class MovedObstacle:
     """Where a moving obstacle was during a flight."""
 
     obstacle: Obstacle
-    way_m: FloatArray
+    path_m: FloatArray
     """(n, 2) north, east, from its place at the start to that at the end."""
     nearest_m: tuple[float, float]
     """Its position at the vehicle's closest approach,"""
@@ -79,7 +79,7 @@ def met_current(track: VehicleTrack, run: RunDescription | None) -> MetCurrent |
         place_m=track.pos_ned_m[rows, :2],
         flow_m_s=flow,
         scale_m=LONGEST_ARROW * size_m / fastest,
-        told_m_s=round_figure(fastest),
+        key_m_s=round_figure(fastest),
         key_m=(float(low[0]), float(high[1] + BELOW * size_m)),
     )
 
@@ -98,12 +98,12 @@ def moved_obstacles(track: VehicleTrack, run: RunDescription) -> list[MovedObsta
             continue
         nearest = int(np.argmin(distance_to_obstacle(track, obstacle)))
         where = obstacle_position(obstacle, track.t_s)
-        rows = np.unique(np.linspace(0, len(track.t_s) - 1, WAY_POINTS).astype(int))
+        rows = np.unique(np.linspace(0, len(track.t_s) - 1, PATH_POINTS).astype(int))
         north, east = where[nearest].tolist()
         found.append(
             MovedObstacle(
                 obstacle=obstacle,
-                way_m=where[rows],
+                path_m=where[rows],
                 nearest_m=(north, east),
                 nearest_s=float(track.t_s[nearest]),
             )

@@ -45,7 +45,7 @@ def flights(folder: Path) -> list[FlightFiles]:
     return sorted(found, key=lambda flight: flight.order)
 
 
-def make_room(folder: Path, quota_bytes: int, *, keep_free_bytes: int = KEEP_FREE_BYTES) -> list[Path]:
+def remove_old_logs(folder: Path, quota_bytes: int, *, keep_free_bytes: int = KEEP_FREE_BYTES) -> list[Path]:
     """Delete the oldest flights until all take ``quota_bytes`` at most and the disk has free space. Returns the
     deleted logs. Files that cannot be deleted (locked, no permission) are left; nothing raises, because a new
     log is started in any case.

@@ -392,7 +392,7 @@ uint16[16] pulse_us  # of [[payload]] in the order of the vehicle file, unused =
         fields="""
 float64[16] share  # where each really is: 0 dark, off, closed; 1 bright, on, open; unused = 0
 """,
-        values=lambda shares: padded(shares, MAX_PAYLOAD),
+        values=lambda levels: padded(levels, MAX_PAYLOAD),
     ),
     RecordRow(
         type="Still",

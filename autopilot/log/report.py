@@ -65,7 +65,7 @@ _JPEG = b"\xff\xd8\xff"
 _ATTACHED_BYTES = 100_000
 """Larger attachments stay in the log."""
 _EVENTS_SHOWN = 500
-_TOLD_LEVEL = 20
+_REPORTED_LEVEL = 20
 """Events below this level of rcl_interfaces/Log are no operator's business."""
 _LEVEL_NAMES = {50: "fatal", 40: "error", 30: "warning", 20: "info", 10: "debug"}
 
@@ -285,10 +285,10 @@ def _events(log: Log) -> str:
     if "/rosout" not in log:
         return "<p>none</p>"
     messages = log.messages("/rosout")
-    told = [message for message in messages if message.value["level"] >= _TOLD_LEVEL]
-    notes = [message for message in messages if message.value["level"] < _TOLD_LEVEL]
+    reported = [message for message in messages if message.value["level"] >= _REPORTED_LEVEL]
+    notes = [message for message in messages if message.value["level"] < _REPORTED_LEVEL]
     inner = f"<details><summary>{len(notes)} notes for developers</summary>{_event_table(notes)}</details>"
-    return _event_table(told) + (inner if notes else "")
+    return _event_table(reported) + (inner if notes else "")
 
 
 def _event_table(messages: Sequence[DecodedMessage]) -> str:

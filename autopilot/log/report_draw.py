@@ -19,7 +19,7 @@ LEFT_PX, RIGHT_PX = 104, 24
 COLORS = ("#1f77b4", "#ff7f0e", "#2ca02c", "#d62728", "#9467bd", "#8c564b", "#e377c2", "#17becf")
 TOOLS = "xpan,xwheel_zoom,box_zoom,crosshair,reset,save"
 BOUND_COLOR, EVENT_COLOR, PARAMETER_COLOR = "#c62828", "#d08700", "#7b3fa0"
-NAME_SHARE = 0.08
+NAME_FRACTION = 0.08
 """Width of a mode's name, as a share of the sheet."""
 EDGE = 0.06
 """Share of a plot's height that stays free above and below the curves."""
@@ -80,7 +80,7 @@ class TimeSheet:
         margin = 0.02 * max(end_s - start_s, 1.0)
         self.start_s, self.end_s = start_s - margin, end_s + margin
         self._range = Range1d(self.start_s, self.end_s)
-        self._late_s = self.end_s - NAME_SHARE * (self.end_s - self.start_s)
+        self._late_s = self.end_s - NAME_FRACTION * (self.end_s - self.start_s)
         self._bands, self._marks = bands, marks
         self._mark_source = ColumnDataSource(
             {"t": [mark.t_s for mark in marks], "color": [mark.color for mark in marks]}, name="marks"

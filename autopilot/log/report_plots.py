@@ -78,7 +78,7 @@ LAPS_NAMED = 4
 """Maximum number of these that the plan names."""
 HEADS = 8
 """Arrow heads of the last lap, which show its direction;"""
-HEAD_SHARE, HEAD_M = 0.018, 0.05
+HEAD_FRACTION, HEAD_M = 0.018, 0.05
 """half their length as a share of the plan's, and the distance over which their direction is taken."""
 
 
@@ -181,7 +181,7 @@ class Plots:
             Curve(name=name, t_s=t_s, values=table[name].astype(float), steps=True) for name in ("status", "fallback")
         ]
         fields = (("clearance", "margin_m"), ("tube", "tube_m"))
-        room = [Curve(name=name, t_s=t_s, values=table[field]) for name, field in fields]
+        margins = [Curve(name=name, t_s=t_s, values=table[field]) for name, field in fields]
         plan = self._flight.table("/ctl/plan")
         energy = (
             []
@@ -204,7 +204,7 @@ class Plots:
             ),
             "Cost": one("cost", "cost"),
             "Largest slack of soft limits": one("slack_max", "slack"),
-            "Smallest clearance in the prediction, and tube": self._sheet.plot("distance [m]", room),
+            "Smallest clearance in the prediction, and tube": self._sheet.plot("distance [m]", margins),
             "Predicted energy to the goal": self._sheet.plot("energy [J]", energy),
         }
 
@@ -293,11 +293,11 @@ class Plots:
         plots["Spectra of the thrust commands"] = spectrum("N²/Hz", spectra)
         health = self._flight.table("/ctl/thrusters")
         if health is not None:
-            shares = [
+            effectiveness = [
                 Curve(name=name, t_s=seconds(health), values=100.0 * health["effectiveness"][:, index], steps=True)
                 for index, name in enumerate(names)
             ]
-            plots["Thruster effectiveness"] = self._sheet.plot("effectiveness [%]", shares)
+            plots["Thruster effectiveness"] = self._sheet.plot("effectiveness [%]", effectiveness)
         return plots
 
     def _current(self) -> Subject:
@@ -424,15 +424,15 @@ class Plots:
                 _draw_moved(plot, one, run)
         rows = np.arange(0, len(track.t_s), max(1, len(track.t_s) // (4 * BUCKETS)))
         x, y = track.pos_ned_m[rows, 0].astype(np.float32), track.pos_ned_m[rows, 1].astype(np.float32)
-        items = [("path", [_draw_way(plot, "path", x, y, line_color="#333333", line_width=1.5)])]
+        items = [("path", [_draw_path(plot, "path", x, y, line_color="#333333", line_width=1.5)])]
         laps = lap_spans(visits(track, run), run, self._flight.armed.start_s) if run is not None else []
         colors = COLORS if len(laps) <= MOST_LAPS else viridis(len(laps))
         named = set(range(len(laps)))
         if len(laps) > MOST_LAPS:
-            named = {round(share * (len(laps) - 1)) for share in np.linspace(0.0, 1.0, LAPS_NAMED)}
+            named = {round(fraction * (len(laps) - 1)) for fraction in np.linspace(0.0, 1.0, LAPS_NAMED)}
         for number, lap in enumerate(laps):
             keep = lap.holds(track.t_s[rows])
-            line = _draw_way(plot, f"lap {number + 1}", x[keep], y[keep], line_color=colors[number], line_width=2)
+            line = _draw_path(plot, f"lap {number + 1}", x[keep], y[keep], line_color=colors[number], line_width=2)
             if number in named:
                 used = energy_j(self._flight, lap)
                 items.append((f"lap {number + 1}" + ("" if used is None else f": {used:.0f} J"), [line]))
@@ -454,7 +454,7 @@ CHI2_3 = (0.216, 9.348)
 """95 % band of chi square with 3 degrees of freedom."""
 
 
-def _draw_way(plot: Any, name: str, north: FloatArray, east: FloatArray, **style: Any) -> Any:
+def _draw_path(plot: Any, name: str, north: FloatArray, east: FloatArray, **style: Any) -> Any:
     """A line of the plan, which can be saved as CSV."""
     source = ColumnDataSource({"t": north, "y": east}, name=name)
     return plot.line("t", "y", source=source, **style)
@@ -475,24 +475,24 @@ def _draw_heads(plot: Any, track: VehicleTrack) -> Any | None:
         return None
     at = np.searchsorted(along, (np.arange(HEADS) + 0.5) / HEADS * along[-1])
     ahead = np.minimum(np.searchsorted(along, along[at] + HEAD_M), len(along) - 1)
-    way = plane[ahead] - plane[at]
-    length = np.hypot(*way.T)[:, None]
-    along_way = np.divide(way, length, out=np.zeros_like(way), where=length > 0.0)
-    size_m = HEAD_SHARE * max(float(np.ptp(plane, axis=0).max()), HEAD_M)
-    across = np.column_stack((-along_way[:, 1], along_way[:, 0]))  # slender: an even triangle has three points
-    corners = [plane[at] + size_m * along_way]
-    corners += [plane[at] + size_m * (side * 0.45 * across - along_way) for side in (1.0, -1.0)]
+    step = plane[ahead] - plane[at]
+    length = np.hypot(*step.T)[:, None]
+    direction = np.divide(step, length, out=np.zeros_like(step), where=length > 0.0)
+    size_m = HEAD_FRACTION * max(float(np.ptp(plane, axis=0).max()), HEAD_M)
+    across = np.column_stack((-direction[:, 1], direction[:, 0]))  # slender: an even triangle has three points
+    corners = [plane[at] + size_m * direction]
+    corners += [plane[at] + size_m * (side * 0.45 * across - direction) for side in (1.0, -1.0)]
     xs, ys = (np.stack([corner[:, i] for corner in corners], axis=1).round(4).tolist() for i in (0, 1))
     return plot.patches(xs, ys, fill_color="#111111", line_color="white")
 
 
 def _draw_current(plot: Any, met: MetCurrent) -> list[Any]:
     """Arrows where the current was met, to scale with the plan, and one of a round figure as their key."""
-    key, key_m = np.array(met.key_m), met.scale_m * met.told_m_s
+    key, key_m = np.array(met.key_m), met.scale_m * met.key_m_s
     start = np.vstack((met.place_m, key))
-    way = np.vstack((met.scale_m * met.flow_m_s, (key_m, 0.0)))
-    tip, length = start + way, np.hypot(*way.T)[:, None]
-    along = np.divide(way, length, out=np.zeros_like(way), where=length > 0.0)
+    arrows = np.vstack((met.scale_m * met.flow_m_s, (key_m, 0.0)))
+    tip, length = start + arrows, np.hypot(*arrows.T)[:, None]
+    along = np.divide(arrows, length, out=np.zeros_like(arrows), where=length > 0.0)
     barb = np.minimum(0.3 * length, 0.12 * length.max())
     across = np.column_stack((-along[:, 1], along[:, 0]))
     corners = [tip, *(tip - barb * (along + side * 0.45 * across) for side in (1.0, -1.0))]
@@ -500,16 +500,16 @@ def _draw_current(plot: Any, met: MetCurrent) -> list[Any]:
     color = {"line_color": CURRENT_COLOR, "line_alpha": 0.8}
     lines = plot.segment(start[:, 0], start[:, 1], tip[:, 0], tip[:, 1], **color)
     heads = plot.patches(xs, ys, fill_color=CURRENT_COLOR, fill_alpha=0.8, line_color=None)
-    words = plot.text(
+    label = plot.text(
         [tip[-1, 0]],
         [tip[-1, 1]],
-        text=[f"current {met.told_m_s:g} m/s"],
+        text=[f"current {met.key_m_s:g} m/s"],
         x_offset=6,
         text_baseline="middle",
         text_font_size="9pt",
         text_color=CURRENT_COLOR,
     )
-    return [lines, heads, words]
+    return [lines, heads, label]
 
 
 def clearances(flight: FlightRecord) -> list[Curve]:
@@ -578,22 +578,22 @@ def _draw_world(plot: Any, run: RunDescription) -> None:
 
 def _draw_moved(plot: Any, moved: MovedObstacle, run: RunDescription) -> None:
     """A moving obstacle: solid at the vehicle's closest approach, outlines at its first and last position."""
-    radius, way = moved.obstacle.radius_m, moved.way_m
-    plot.line(way[:, 0], way[:, 1], line_color=MOVED_COLOR, line_dash="dotted")
-    for place, dash, word in ((way[0], "dashed", "start"), (way[-1], "solid", "end")):
+    radius, path = moved.obstacle.radius_m, moved.path_m
+    plot.line(path[:, 0], path[:, 1], line_color=MOVED_COLOR, line_dash="dotted")
+    for place, dash, text in ((path[0], "dashed", "start"), (path[-1], "solid", "end")):
         plot.circle([place[0]], [place[1]], radius=radius, fill_color=None, line_color=MOVED_COLOR, line_dash=dash)
-        _word(plot, place, word, MOVED_COLOR)
+        _draw_text(plot, place, text, MOVED_COLOR)
     north, east = moved.nearest_m
     plot.circle([north], [east], radius=radius, fill_color="#777777", line_color="black")
     plot.circle(
         [north], [east], radius=radius + run.body_radius_m, fill_color=None, line_color="red", line_dash="dashed"
     )
-    _word(plot, moved.nearest_m, f"{moved.nearest_s:.0f} s", "white")
+    _draw_text(plot, moved.nearest_m, f"{moved.nearest_s:.0f} s", "white")
 
 
-def _word(plot: Any, place: Sequence[float] | FloatArray, word: str, color: str) -> None:
+def _draw_text(plot: Any, place: Sequence[float] | FloatArray, text: str, color: str) -> None:
     style = {"text_align": "center", "text_baseline": "middle", "text_font_size": "8pt", "text_color": color}
-    plot.text([place[0]], [place[1]], text=[word], **style)
+    plot.text([place[0]], [place[1]], text=[text], **style)
 
 
 def mode_bands(flight: FlightRecord) -> list[Band]:

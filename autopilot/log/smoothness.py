@@ -12,7 +12,7 @@ between them. Over N steps with the commands u_k of one thruster and their diffe
 * *largest step*: the largest |d_k| that neither begins nor ends at the thrust limit and is no start. Starts are the
   differences to commands within START_S after arming and after a goal that is another place
 * *reversals*: changes of sign per second, of the worst thruster; what is smaller than REVERSAL_N is no thrust
-* *silent*: steps flown by a fallback of which the operator has not heard within TOLD_S before or ANSWER_S after
+* *silent*: steps flown by a fallback of which the operator has not heard within REPORTED_S before or ANSWER_S after
 """
 
 import math
@@ -29,7 +29,7 @@ ALTERNATION_N = 2.0
 LOW_PASS_HZ = 2.0
 START_S = 0.25
 REVERSAL_N = 0.1
-TOLD_S = 30.0
+REPORTED_S = 30.0
 ANSWER_S = 1.0
 LEAST_SLOW_1_S = 1.0 / 12.0
 """Share of the limit per second: 1 N/s of 12 N. Twice that is the variation of white noise of 0.7 % of the limit."""
@@ -167,9 +167,9 @@ def _reversals(thrust_n: FloatArray) -> int:
 def _silent(commands: ThrustCommands) -> int:
     """A neutral command has its own texts: there is no estimate, or it is not known whether commands act."""
     flown = (commands.fallback == Fallback.SHIFTED_PLAN) | (commands.fallback == Fallback.STATION_KEEPING)
-    when, told = commands.t_s[flown], commands.reported_s
-    heard = (told[None] >= when[:, None] - TOLD_S) & (told[None] <= when[:, None] + ANSWER_S)
-    return int(np.count_nonzero(~heard.any(axis=1)))
+    when, reported = commands.t_s[flown], commands.reported_s
+    explained = (reported[None] >= when[:, None] - REPORTED_S) & (reported[None] <= when[:, None] + ANSWER_S)
+    return int(np.count_nonzero(~explained.any(axis=1)))
 
 
 def is_reported(texts: Sequence[str]) -> NDArray[np.bool_]:

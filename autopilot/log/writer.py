@@ -152,7 +152,7 @@ class LogWriter:
         self._failure: str | None = None
         self._cause = ""
         self._closing = self._stopped = self._waiting = False
-        self._wake, self._room = threading.Event(), threading.Event()
+        self._wake, self._space = threading.Event(), threading.Event()
         self._tlog: IO[bytes] | None = None
         self._channels: dict[str, int] = {}
         self._schemas: dict[str, int] = {}
@@ -227,7 +227,7 @@ class LogWriter:
         return self._errors.popleft() if self._errors else None
 
     def _queue_up(self, topic: str, t_us: int, payload: Payload, work: Work | None, messages: int, size: int) -> bool:
-        if self._closing or self._stopped or (self._is_full() and not self._wait_for_room()):
+        if self._closing or self._stopped or (self._is_full() and not self._wait_for_space()):
             self._dropped += messages
             self._missed[topic] = self._missed.get(topic, 0) + 1
             return False
@@ -273,16 +273,16 @@ class LogWriter:
             or self._bytes_in - self._bytes_out >= self._limit_bytes
         )
 
-    def _wait_for_room(self) -> bool:
+    def _wait_for_space(self) -> bool:
         """False = the message is to be dropped."""
         self._wake.set()
         while self._lossless and not self._stopped:
-            self._room.clear()
+            self._space.clear()
             self._waiting = True
             if not self._is_full():
                 self._waiting = False
                 return True
-            self._room.wait(POLL_S)
+            self._space.wait(POLL_S)
         return False
 
     def _run(self) -> None:
@@ -335,7 +335,7 @@ class LogWriter:
             self._count_out += messages
             self._bytes_out += size
             if self._waiting:
-                self._room.set()
+                self._space.set()
 
     def _do(self, work: Work) -> None:
         """Run deferred work. Only disk errors end a log: others lose the rest of that work."""

@@ -162,7 +162,7 @@ class _World:
         if not candidates:
             return None, best
         corners = np.array([self._corners_m(index) for _, index in candidates])
-        enough = BOOTSTRAP.enough_share * len({k for k, _ in candidates})
+        enough = BOOTSTRAP.enough_fraction * len({k for k, _ in candidates})
         for k, index in candidates[:: max(1, len(candidates) // BOOTSTRAP.most_hypotheses)]:
             # The pose that one marker alone gives is rough: ask the others in proportion to how far off they may be.
             pose = self._pose(view, {k: index})
@@ -242,7 +242,7 @@ class _World:
     def _near_known(self, seen: Placed) -> bool:
         """Whether a marker of this id lies so close that the new one must be a mistake."""
         places = [self.markers[index].center_ned_m for index in self._by_id.get(seen.id, ())]
-        return any(float(np.linalg.norm(p - seen.center_ned_m)) < BOOTSTRAP.same_share * AMBIGUITY_M for p in places)
+        return any(float(np.linalg.norm(p - seen.center_ned_m)) < BOOTSTRAP.same_fraction * AMBIGUITY_M for p in places)
 
     def _seen(self, tied: TiedView, k: int, marker_id: int) -> Placed | None:
         """Position of a marker from one view alone."""
@@ -271,9 +271,9 @@ class _World:
 
 def _average(marker: Placed, seen: Placed) -> None:
     """Move a marker to the mean of its sights, this one included."""
-    share = 1.0 / (marker.sights + 1)
-    marker.center_ned_m = marker.center_ned_m + share * (seen.center_ned_m - marker.center_ned_m)
-    mean = (1.0 - share) * marker.r_ned_from_marker + share * seen.r_ned_from_marker
+    weight = 1.0 / (marker.sights + 1)
+    marker.center_ned_m = marker.center_ned_m + weight * (seen.center_ned_m - marker.center_ned_m)
+    mean = (1.0 - weight) * marker.r_ned_from_marker + weight * seen.r_ned_from_marker
     u, _, vt = np.linalg.svd(mean)
     marker.r_ned_from_marker = u @ np.diag([1.0, 1.0, np.linalg.det(u @ vt)]) @ vt
     marker.sights += 1

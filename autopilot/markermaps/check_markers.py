@@ -32,7 +32,7 @@ def describe_markers(markers: MarkerMap) -> list[tuple[str, object]]:
     return rows
 
 
-def view_shares(markers: MarkerMap, camera: CameraModel) -> list[tuple[float, float, float]]:
+def view_fractions(markers: MarkerMap, camera: CameraModel) -> list[tuple[float, float, float]]:
     """Visibility by height of the camera over a level floor: height [m], share of positions over the floor with
     one whole marker in view, share with two. Level vehicle, any heading.
     """
@@ -47,8 +47,8 @@ def view_shares(markers: MarkerMap, camera: CameraModel) -> list[tuple[float, fl
             r = np.array([[math.cos(yaw), -math.sin(yaw), 0.0], [math.sin(yaw), math.cos(yaw), 0.0], [0.0, 0.0, 1.0]])
             eye = np.array([place[0], place[1], markers.floor_m - height_m])
             counts.append(len(markers.visible(camera, eye - r @ camera.position_frd_m, r, 2.0)))
-        share = np.array(counts)
-        rows.append((height_m, float((share >= 1).mean()), float((share >= 2).mean())))
+        counted = np.array(counts)
+        rows.append((height_m, float((counted >= 1).mean()), float((counted >= 2).mean())))
     return rows
 
 

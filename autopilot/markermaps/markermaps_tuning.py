@@ -33,11 +33,11 @@ ADJUSTMENT = AdjustmentTuning()
 class BootstrapTuning:
     agree_px: float = 12.0
     """Corners of a known marker lie this close to where the pose of the others puts them."""
-    same_share: float = 0.5
+    same_fraction: float = 0.5
     """A marker within this share of :data:`AMBIGUITY_M` of a known one of its id is that one."""
     most_hypotheses: int = 12
     """Markers of a view whose own poses are tried."""
-    enough_share: float = 0.6
+    enough_fraction: float = 0.6
     """Share of agreeing known markers after which the search ends."""
     certain: int = 4
     """Number of agreeing markers that excludes coincidence; fewer are enough with a unique id."""
@@ -76,7 +76,7 @@ class SheetsTuning:
     label_mm: float = 2.5
     """Largest height of a marker's label."""
     label_place: float = 0.42
-    label_share: float = 0.3
+    label_fraction: float = 0.3
     """Baseline and height of a label in shares of the gap below its marker."""
     min_label_mm: float = 0.8
     max_pages: int = 2000
@@ -105,9 +105,9 @@ class SurveyTuning:
     """A marker that fewer views show is left out of the map: nothing checks it."""
     fixed_sigma: tuple[float, float] = (0.0001, 0.0005)
     """Place [m] and angle [rad] of markers whose pose is given."""
-    misread_share: float = 1.0 / 3.0
-    """A marker whose cells are wrong in this share of its sights is worth a word."""
-    believed: float = 0.25
+    misread_fraction: float = 1.0 / 3.0
+    """A marker whose cells are wrong in this fraction of its sights is worth a word."""
+    used_weight: float = 0.25
     """A sight whose corners weigh less than this on average was rejected."""
 
 

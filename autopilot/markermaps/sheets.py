@@ -174,11 +174,11 @@ def _page(
         kind, marker_id = divmod(int(markers.ids[n]), ID_SPAN)
         page.shapes.append(_marker_shape(markers.dictionaries[kind], marker_id, corners_mm))
         gap_mm = (
-            SHEETS.label_mm / SHEETS.label_share
+            SHEETS.label_mm / SHEETS.label_fraction
             if plane.pitch_m is None
             else 1e3 * (plane.pitch_m - float(markers.sizes_m[n]))
         )
-        height_mm = min(SHEETS.label_mm, SHEETS.label_share * gap_mm)
+        height_mm = min(SHEETS.label_mm, SHEETS.label_fraction * gap_mm)
         if height_mm >= SHEETS.min_label_mm:
             north, east, _ = markers.centers_ned_m[n]
             baseline = float(corners_mm[:, 1].max()) + SHEETS.label_place * gap_mm

@@ -232,7 +232,7 @@ def _report(
     scaled: bool,
 ) -> Survey:
     placed = bootstrap.markers
-    trust = result.weight.mean(axis=1) >= SURVEY.believed
+    trust = result.weight.mean(axis=1) >= SURVEY.used_weight
     sights = np.bincount(network.marker[trust], minlength=len(placed))
     square = np.where(trust, (result.residual_px**2).mean(axis=(1, 2)), 0.0)
     rms = np.sqrt(np.bincount(network.marker, square, len(placed)) / np.maximum(sights, 1))
@@ -305,7 +305,7 @@ def _misread(rough: MarkerMap, views: Sequence[SheetView]) -> list[str]:
     shown = Counter(marker_id for view in views for marker_id in view.ids.tolist())
     wrong = Counter(marker_id for view in views for marker_id in view.misread)
     often = sorted(
-        marker_id for marker_id, count in wrong.items() if count >= SURVEY.misread_share * max(shown[marker_id], 1)
+        marker_id for marker_id, count in wrong.items() if count >= SURVEY.misread_fraction * max(shown[marker_id], 1)
     )
     return [_name(rough, marker_id) for marker_id in often]
 

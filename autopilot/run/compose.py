@@ -28,7 +28,7 @@ from autopilot.estimator.create import create_estimator
 from autopilot.log.directory_reader import LogDirectoryReader
 from autopilot.mavlink.api import SigningStore
 from autopilot.mavlink.server import MavlinkServer
-from autopilot.mission.store import Plans, WaterCheck
+from autopilot.mission.store import CurrentCheck, Plans
 from autopilot.record.estimator_setup import options_of
 from autopilot.run.config import system_id, vehicle_uid
 from autopilot.run.provenance import revision
@@ -57,7 +57,7 @@ class ServiceSetup:
     instance: int
     currents: CurrentForecast
     """The controller's knowledge of the current."""
-    current_check: WaterCheck | None = None
+    current_check: CurrentCheck | None = None
     """Judges workspaces by a current map, None without one."""
     links: int
     """Number of MAVLink links that are open from the start."""

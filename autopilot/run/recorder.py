@@ -30,7 +30,7 @@ class TruthSource(Protocol):
     def truth(self) -> LoggedTruth: ...
 
     @property
-    def payload_shares(self) -> tuple[float, ...]:
+    def payload_levels(self) -> tuple[float, ...]:
         """Where each thing that it carries is, 0 to 1; in the order of the vehicle file."""
         ...
 
@@ -119,7 +119,7 @@ class RunRecorder(NoticeQueue):
             return
         source = self._truth
         log.tick(
-            inputs, outputs, frames, None if source is None else SimulationRecord(source.truth, source.payload_shares)
+            inputs, outputs, frames, None if source is None else SimulationRecord(source.truth, source.payload_levels)
         )
         if log.failure is not None:
             self._failed(log)

@@ -14,7 +14,7 @@ from autopilot.core.marker_files import marker_file_text
 from autopilot.core.plan import PlanKind
 from autopilot.log.description import RunDescription
 from autopilot.log.log_session import RunLog, free_path, log_path, open_run_log, open_run_log_beside
-from autopilot.log.quota import make_room
+from autopilot.log.quota import remove_old_logs
 from autopilot.log.recover import recover_unfinished
 from autopilot.log.writer import LogHead, Payload
 from autopilot.record.estimator_setup import estimator_attachments
@@ -103,7 +103,7 @@ def open_recorder(world: World, setup: ServiceSetup, parts: ServiceParts) -> Run
     opened = 0
 
     def remove_old() -> Sequence[Path]:
-        return make_room(folder, quota_bytes) if fixed is None and quota_bytes else ()
+        return remove_old_logs(folder, quota_bytes) if fixed is None and quota_bytes else ()
 
     def open_log() -> RunLog:
         nonlocal opened

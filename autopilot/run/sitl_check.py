@@ -18,10 +18,10 @@ from autopilot.mission.plan_files import read_plan
 from autopilot.run.sitl_console import unknown_obstacles
 from autopilot.run.sitl_fence import scenario_plan
 from autopilot.sitl.contact import SolidGeometry
-from autopilot.sitl.environment import build_world
 from autopilot.sitl.plant import build_plant
 from autopilot.sitl.scenario import plan_path
 from autopilot.sitl.scenario_tables import Scenario
+from autopilot.sitl.simulated_waters import build_world
 from autopilot.sitl.waves import breaking_height_m
 
 GRID = 21

@@ -54,7 +54,7 @@ def emulate(
             flight.late_steps += clock.wait_until(t_us) - t_us > STEP_US
             for index, link in enumerate(ends):
                 for received in link.recv(t_us):
-                    vehicle.controller.hear(t_us, received.data, index)
+                    vehicle.controller.receive(t_us, received.data, index)
             for data in vehicle.advance(t_us):
                 for link in ends:
                     link.send(data)

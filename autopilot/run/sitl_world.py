@@ -63,9 +63,9 @@ class SimulatedDevice:
         return self._vehicle.truth
 
     @property
-    def payload_shares(self) -> tuple[float, ...]:
+    def payload_levels(self) -> tuple[float, ...]:
         """Positions of the payload (0 to 1), for the log only."""
-        return self._vehicle.payload.shares
+        return self._vehicle.payload.levels
 
     def actuate(self, t_us: int, state: PayloadState) -> None:
         self._vehicle.payload.set(state.pulses_us)

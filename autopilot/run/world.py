@@ -22,7 +22,7 @@ from autopilot.core.vehicle import Vehicle
 from autopilot.log.description import RunDescription
 from autopilot.log.record_table import TruthLike
 from autopilot.mission.plan_files import PlanFile
-from autopilot.mission.store import WaterCheck
+from autopilot.mission.store import CurrentCheck
 from autopilot.run.clocks import LockstepClock, PacedClock
 from autopilot.run.config import EffectiveSettings
 from autopilot.run.outside import InProcessClient, VehicleIo
@@ -45,7 +45,7 @@ class KnownEnvironment:
     markers: MarkerMap | None
     floor_depth_m: float | None
     currents: CurrentForecast
-    current_check: WaterCheck | None = None
+    current_check: CurrentCheck | None = None
     pictures: bool
     controller: str = "nmpc"
     estimator: str = "ekf"

@@ -80,21 +80,21 @@ def fly_quietly(
 ) -> Quiet:
     """One flight of so many simulated seconds; not ``armed``: disarmed to the end."""
     plan = plan_path(scenario, load_scenario(scenario)) if armed and vehicle is None else None
-    heard: list[Event] = []
+    warnings: list[Event] = []
     armed_us, last_us = 0, 0
 
     def hear(outputs: Outputs) -> None:
         nonlocal armed_us, last_us
         armed_us += (outputs.t_us - last_us) * outputs.mode.armed
         last_us = outputs.t_us
-        heard.extend(event for event in outputs.events if event.severity <= Severity.WARNING)
+        warnings.extend(event for event in outputs.events if event.severity <= Severity.WARNING)
 
     with tempfile.TemporaryDirectory(prefix="autopilot-") as name:
         given = {"scenario": scenario, "speed": 0.0, "sensors": sensors, "duration": duration_s, "seed": seed}
         settings = flight_settings(name, {**given, "vehicle": vehicle, "plan": plan and str(plan)})
         operator = PatientOperator(duration_s / PHASES, mission=plan is not None)
         open_sitl(settings, {}, log=False, peers=[operator] if armed else [], on_tick=hear).run()
-    alarms = tuple(f"{1e-6 * event.t_us:.1f} s: {event.text}" for event in heard)
+    alarms = tuple(f"{1e-6 * event.t_us:.1f} s: {event.text}" for event in warnings)
     flown_s, armed_s = 1e-6 * last_us, 1e-6 * armed_us
     return Quiet(scenario=scenario, vehicle=vehicle or "", seed=seed, flown_s=flown_s, armed_s=armed_s, alarms=alarms)
 

@@ -79,14 +79,14 @@ def vehicle_tables(seed: int) -> dict[str, Any]:
     tables["thruster"], tables["body"]["thruster_offset_frd_m"] = [], {}
     for index in range(count):
         if square:
-            way, place = np.zeros(3), rng.integers(-1, 2, 3) * [0.15, 0.12, 0.0]
-            way[rng.integers(3)] = rng.choice([-1.0, 1.0])
+            direction, place = np.zeros(3), rng.integers(-1, 2, 3) * [0.15, 0.12, 0.0]
+            direction[rng.integers(3)] = rng.choice([-1.0, 1.0])
         else:
-            way, place = rng.normal(size=3), rng.uniform(-1.0, 1.0, 3) * [0.2, 0.15, 0.02]
+            direction, place = rng.normal(size=3), rng.uniform(-1.0, 1.0, 3) * [0.2, 0.15, 0.02]
         thruster = {
             "name": f"t{index}",
             "position_frd_m": place.tolist(),
-            "direction_frd": way.tolist(),
+            "direction_frd": direction.tolist(),
             "channel": int(channels[index]),
             "reversed": bool(rng.uniform() < 0.3),
             "limit_n": float(rng.uniform(7.0, 12.0)),
@@ -120,12 +120,12 @@ def fly(seed: int, seconds: float = FLOWN_S) -> Outcome:
         faults: list[str] = []
         tilt_rad = 0.0
 
-        def look(outputs: Outputs) -> None:
+        def on_tick(outputs: Outputs) -> None:
             nonlocal tilt_rad
             faults.extend(fault.line for fault in outputs.faults)
             tilt_rad = max(tilt_rad, float(np.abs(session.device.truth.rpy_rad[:2]).max()))
 
-        session = open_sitl(settings, {}, log=False, on_tick=look)
+        session = open_sitl(settings, {}, log=False, on_tick=on_tick)
         session.run()
         place = session.device.truth.pos_ned_m
     return Outcome(

@@ -95,7 +95,7 @@ class AttitudeRow:
 
 def errors_of(recording: Recording, attitude: Attitude) -> AttitudeErrors:
     """Run a filter over a recording."""
-    said = []
+    estimates = []
     for n in range(len(recording.rate_frd_rad_s)):
         place, rest = divmod(n, recording.mag_every)
         sample = ImuSample(
@@ -106,9 +106,9 @@ def errors_of(recording: Recording, attitude: Attitude) -> AttitudeErrors:
         )
         rpy_rad = attitude.step(sample)
         if n % recording.true_every == 0:
-            said.append(rpy_rad)
+            estimates.append(rpy_rad)
     keep = recording.counts
-    off = recording.true[keep] @ rotations(np.array(said[: len(keep)]))[keep].transpose(0, 2, 1)
+    off = recording.true[keep] @ rotations(np.array(estimates[: len(keep)]))[keep].transpose(0, 2, 1)
     return AttitudeErrors(
         inclination=_rms_deg(np.arccos(np.clip(off[:, 2, 2], -1.0, 1.0))),
         heading=_rms_deg(np.arctan2(off[:, 1, 0] - off[:, 0, 1], off[:, 0, 0] + off[:, 1, 1])),
@@ -200,12 +200,12 @@ def _row(folder: Path, seeds: tuple[int, ...], group: str, tuning: AttitudeTunin
         vqf_inclination=vqf[0],
         vqf_heading=vqf[1],
         vqf_total=vqf[2],
-        chosen=f"{_told(tuning)} | {_told(gains)}",
+        chosen=f"{_listed(tuning)} | {_listed(gains)}",
         missed=", ".join(too_much),
     )
 
 
-def _told(parameters: AttitudeTuning | FixedGains) -> str:
+def _listed(parameters: AttitudeTuning | FixedGains) -> str:
     if isinstance(parameters, FixedGains):
         return f"{parameters.tilt:g} {parameters.heading:g} {parameters.bias:g}"
     return f"{parameters.tilt_s:g} {parameters.heading_s:g} {math.degrees(parameters.heading_noise_rad_s):.3g}"

@@ -78,9 +78,9 @@ class FixedGainFilter:
         size = math.sqrt(force[0] ** 2 + force[1] ** 2 + force[2] ** 2)
         w, x, y, z = self._q
         down = turned((w, -x, -y, -z), (0.0, 0.0, 1.0))
-        felt = (-force[0] / size, -force[1] / size, -force[2] / size)
+        measured = (-force[0] / size, -force[1] / size, -force[2] / size)
         gain = dt_s * (QUICK_GAIN_S if quick else gains.tilt)
-        ex, ey, ez = cross(felt, down)
+        ex, ey, ez = cross(measured, down)
         about = 0.0
         if magnet is not None:
             since_s = 1e-6 * (t_us - self._magnet_us)

@@ -57,7 +57,7 @@ class _Signal:
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class _Way:
+class _Motion:
     """How the device moves: angles [rad], velocity over ground [m/s] and acceleration [m/s2] NED, thrust as a share."""
 
     roll: _Signal
@@ -68,7 +68,7 @@ class _Way:
     thrust: FloatArray
 
 
-Field = Callable[[np.random.Generator, FloatArray, _Way, FloatArray], tuple[FloatArray, FloatArray]]
+Field = Callable[[np.random.Generator, FloatArray, _Motion, FloatArray], tuple[FloatArray, FloatArray]]
 """(random numbers, times, way, positions) -> disturbance of the field (n, 3) in NED and (n, 3) in body axes, as shares
 of the earth's field."""
 
@@ -78,20 +78,20 @@ def record(family: str, seed: int, duration_s: float = DURATION_S) -> Recording:
     move, disturb = FAMILIES[family]
     rng = np.random.default_rng((seed, list(FAMILIES).index(family)))
     t_s = np.arange(1, round(duration_s * RATE_HZ) + 1) / RATE_HZ
-    way = move(rng, t_s)
-    position = np.cumsum(way.velocity, axis=0) / RATE_HZ
-    to_ned = rotations(np.column_stack([way.roll.value, way.pitch.value, way.yaw.value]))
+    motion = move(rng, t_s)
+    position = np.cumsum(motion.velocity, axis=0) / RATE_HZ
+    to_ned = rotations(np.column_stack([motion.roll.value, motion.pitch.value, motion.yaw.value]))
     dip = rng.uniform(math.radians(40.0), math.radians(75.0))
-    outside, inside = disturb(rng, t_s, way, position)
+    outside, inside = disturb(rng, t_s, motion, position)
     field = np.array([math.cos(dip), 0.0, math.sin(dip)]) + outside
-    force = way.acceleration - np.array([0.0, 0.0, GRAVITY_M_S2])
-    felt = _felt(rng, _body_rates(way), _to_body(to_ned, force))
+    force = motion.acceleration - np.array([0.0, 0.0, GRAVITY_M_S2])
+    measured = _measured(rng, _body_rates(motion), _to_body(to_ned, force))
     magnet = _to_body(to_ned, field) + inside + rng.normal(0.0, 0.02, 3) + rng.normal(0.0, 0.005, field.shape)
     return Recording(
         name=f"{family}, seed {seed}",
         rate_hz=RATE_HZ,
-        rate_frd_rad_s=felt[0],
-        accel_frd_m_s2=felt[1],
+        rate_frd_rad_s=measured[0],
+        accel_frd_m_s2=measured[1],
         mag_frd=rng.uniform(0.5, 60.0) * magnet,
         mag_every=1,
         true=to_ned[::5],
@@ -117,17 +117,17 @@ def _to_body(to_ned: FloatArray, vectors: FloatArray) -> FloatArray:
     return result
 
 
-def _body_rates(way: _Way) -> FloatArray:
-    """(n, 3) of the Euler angles' derivatives (Fossen 2011, eq. 2.28)."""
-    sr, cr = np.sin(way.roll.value), np.cos(way.roll.value)
-    sp, cp = np.sin(way.pitch.value), np.cos(way.pitch.value)
-    p = way.roll.slope - sp * way.yaw.slope
-    q = cr * way.pitch.slope + sr * cp * way.yaw.slope
-    r = -sr * way.pitch.slope + cr * cp * way.yaw.slope
+def _body_rates(motion: _Motion) -> FloatArray:
+    """(n, 3) of the Euler angles' derivatives (Fossen 2011, section 2.2.1)."""
+    sr, cr = np.sin(motion.roll.value), np.cos(motion.roll.value)
+    sp, cp = np.sin(motion.pitch.value), np.cos(motion.pitch.value)
+    p = motion.roll.slope - sp * motion.yaw.slope
+    q = cr * motion.pitch.slope + sr * cp * motion.yaw.slope
+    r = -sr * motion.pitch.slope + cr * cp * motion.yaw.slope
     return np.column_stack([p, q, r])
 
 
-def _felt(rng: np.random.Generator, rate: FloatArray, force: FloatArray) -> tuple[FloatArray, FloatArray]:
+def _measured(rng: np.random.Generator, rate: FloatArray, force: FloatArray) -> tuple[FloatArray, FloatArray]:
     """What cheap gyros and accelerometers make of it: bias that walks, scale, noise."""
     walk = np.cumsum(rng.normal(0.0, math.radians(0.003) / math.sqrt(RATE_HZ), rate.shape), axis=0)
     bias = rng.normal(0.0, math.radians(0.3), 3) + walk
@@ -143,20 +143,20 @@ def _waves(
     rng: np.random.Generator, t_s: FloatArray, size: float, periods_s: tuple[float, float], count: int = 3
 ) -> _Signal:
     """Sinusoids of random phases whose amplitudes add up to ``size``."""
-    shares = rng.dirichlet(np.ones(count)) * size
+    amplitudes = rng.dirichlet(np.ones(count)) * size
     omega = 2.0 * math.pi / rng.uniform(*periods_s, count)
     phase = rng.uniform(0.0, 2.0 * math.pi, count)
     angle = omega[:, None] * t_s + phase[:, None]
-    return _Signal(shares @ np.sin(angle), (shares * omega) @ np.cos(angle))
+    return _Signal(amplitudes @ np.sin(angle), (amplitudes * omega) @ np.cos(angle))
 
 
-def _steps(rng: np.random.Generator, t_s: FloatArray, sizes: FloatArray, every_s: float, takes_s: float) -> _Signal:
+def _steps(rng: np.random.Generator, t_s: FloatArray, sizes: FloatArray, every_s: float, rise_s: float) -> _Signal:
     """Smooth steps one after the other at random times, ``every_s`` apart on average."""
     value, slope = np.zeros_like(t_s), np.zeros_like(t_s)
     for n, size in enumerate(sizes):
-        x = (t_s - (n + rng.uniform(0.2, 0.8)) * every_s) / (0.25 * takes_s)
+        x = (t_s - (n + rng.uniform(0.2, 0.8)) * every_s) / (0.25 * rise_s)
         value += 0.5 * size * (1.0 + np.tanh(x))
-        slope += 0.5 * size / np.cosh(np.clip(x, -300.0, 300.0)) ** 2 / (0.25 * takes_s)
+        slope += 0.5 * size / np.cosh(np.clip(x, -300.0, 300.0)) ** 2 / (0.25 * rise_s)
     return _Signal(value, slope)
 
 
@@ -169,7 +169,7 @@ def _cruise(yaw: _Signal, ahead: _Signal) -> tuple[FloatArray, FloatArray]:
     return velocity, np.column_stack([ahead.slope * c - side * s, ahead.slope * s + side * c, nothing])
 
 
-def _tour(rng: np.random.Generator, t_s: FloatArray, sea: float = 0.0) -> _Way:
+def _tour(rng: np.random.Generator, t_s: FloatArray, sea: float = 0.0) -> _Motion:
     """Legs at some speed with turns between them, on the spot or under way; ``sea`` m/s2 of swell."""
     yaw = _steps(rng, t_s, rng.uniform(-2.0, 2.0, 9), DURATION_S / 9, rng.uniform(2.0, 6.0))
     yaw += _Signal(np.full_like(t_s, rng.uniform(-3.0, 3.0)), np.zeros_like(t_s))
@@ -178,7 +178,7 @@ def _tour(rng: np.random.Generator, t_s: FloatArray, sea: float = 0.0) -> _Way:
     velocity, acceleration = _cruise(yaw, ahead)
     swell = [_waves(rng, t_s, sea * rng.uniform(0.3, 1.0), (2.5, 8.0)) for _ in range(3)]
     tilt_rad = math.radians(rng.uniform(1.0, 4.0) + 6.0 * sea)
-    return _Way(
+    return _Motion(
         roll=_waves(rng, t_s, tilt_rad, (1.5, 8.0)),
         pitch=_waves(rng, t_s, tilt_rad, (1.5, 8.0)),
         yaw=yaw + _waves(rng, t_s, 0.5 * tilt_rad, (2.0, 10.0)),
@@ -188,18 +188,18 @@ def _tour(rng: np.random.Generator, t_s: FloatArray, sea: float = 0.0) -> _Way:
     )
 
 
-def _swell(rng: np.random.Generator, t_s: FloatArray) -> _Way:
+def _swell(rng: np.random.Generator, t_s: FloatArray) -> _Motion:
     return _tour(rng, t_s, rng.uniform(0.5, 1.5))
 
 
-def _circles(rng: np.random.Generator, t_s: FloatArray) -> _Way:
+def _circles(rng: np.random.Generator, t_s: FloatArray) -> _Motion:
     """Round and round at one speed: in body axes the acceleration never changes."""
     turn = rng.choice([-1.0, 1.0]) * rng.uniform(0.2, 0.8)
     tilt_rad = math.radians(2.0)
     yaw = _Signal(turn * t_s, np.full_like(t_s, turn))
     ahead = _Signal(np.full_like(t_s, rng.uniform(0.3, 0.8)), np.zeros_like(t_s))
     velocity, acceleration = _cruise(yaw, ahead)
-    return _Way(
+    return _Motion(
         roll=_waves(rng, t_s, tilt_rad, (1.5, 8.0)),
         pitch=_waves(rng, t_s, tilt_rad, (1.5, 8.0)),
         yaw=yaw,
@@ -209,12 +209,12 @@ def _circles(rng: np.random.Generator, t_s: FloatArray) -> _Way:
     )
 
 
-def _hovering(rng: np.random.Generator, t_s: FloatArray) -> _Way:
+def _hovering(rng: np.random.Generator, t_s: FloatArray) -> _Motion:
     """Nearly still, turning at a degree per second or so all the time: not a device at rest."""
     turn = rng.choice([-1.0, 1.0]) * math.radians(rng.uniform(0.5, 2.0))
     nothing = np.zeros((len(t_s), 3))
     tilt_rad = math.radians(0.3)
-    return _Way(
+    return _Motion(
         roll=_waves(rng, t_s, tilt_rad, (4.0, 12.0)),
         pitch=_waves(rng, t_s, tilt_rad, (4.0, 12.0)),
         yaw=_Signal(turn * t_s, np.full_like(t_s, turn)),
@@ -224,13 +224,13 @@ def _hovering(rng: np.random.Generator, t_s: FloatArray) -> _Way:
     )
 
 
-def _handled(rng: np.random.Generator, t_s: FloatArray) -> _Way:
+def _handled(rng: np.random.Generator, t_s: FloatArray) -> _Motion:
     """Swung about by hand: large angles, accelerations of some m/s2."""
     periods_s = (rng.uniform(0.7, 1.5), rng.uniform(3.0, 6.0))
     push = rng.uniform(1.0, 5.0)
     pushes = [_waves(rng, t_s, push * rng.uniform(0.3, 1.0), periods_s, 5) for _ in range(3)]
     tilt_rad = math.radians(rng.uniform(10.0, 50.0))
-    return _Way(
+    return _Motion(
         roll=_waves(rng, t_s, tilt_rad, (2.0, 6.0)),
         pitch=_waves(rng, t_s, tilt_rad, (2.0, 6.0)),
         yaw=_waves(rng, t_s, 2.0, (4.0, 20.0)),
@@ -243,12 +243,14 @@ def _handled(rng: np.random.Generator, t_s: FloatArray) -> _Way:
 # What disturbs the field.
 
 
-def _clean(rng: np.random.Generator, t_s: FloatArray, way: _Way, position: FloatArray) -> tuple[FloatArray, FloatArray]:
+def _clean(
+    rng: np.random.Generator, t_s: FloatArray, motion: _Motion, position: FloatArray
+) -> tuple[FloatArray, FloatArray]:
     return np.zeros_like(position), np.zeros_like(position)
 
 
 def _steel_walls(
-    rng: np.random.Generator, t_s: FloatArray, way: _Way, position: FloatArray
+    rng: np.random.Generator, t_s: FloatArray, motion: _Motion, position: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     """Another field at every place, more of it beside the walls."""
     place = WALL_M * np.sin(position / WALL_M)
@@ -261,7 +263,7 @@ def _steel_walls(
 
 
 def _passing_magnet(
-    rng: np.random.Generator, t_s: FloatArray, way: _Way, position: FloatArray
+    rng: np.random.Generator, t_s: FloatArray, motion: _Motion, position: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     """Something magnetic beside the vehicle for a while, twice."""
     outside = np.zeros_like(position)
@@ -273,7 +275,7 @@ def _passing_magnet(
 
 
 def _attached_magnet(
-    rng: np.random.Generator, t_s: FloatArray, way: _Way, position: FloatArray
+    rng: np.random.Generator, t_s: FloatArray, motion: _Motion, position: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     """Iron that turns with the device, from the start on."""
     towards = rng.normal(size=3)
@@ -281,12 +283,12 @@ def _attached_magnet(
 
 
 def _motors(
-    rng: np.random.Generator, t_s: FloatArray, way: _Way, position: FloatArray
+    rng: np.random.Generator, t_s: FloatArray, motion: _Motion, position: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    return np.zeros_like(position), way.thrust[:, None] * rng.normal(0.0, 0.15, 3)
+    return np.zeros_like(position), motion.thrust[:, None] * rng.normal(0.0, 0.15, 3)
 
 
-FAMILIES: Mapping[str, tuple[Callable[[np.random.Generator, FloatArray], _Way], Field]] = {
+FAMILIES: Mapping[str, tuple[Callable[[np.random.Generator, FloatArray], _Motion], Field]] = {
     "tour": (_tour, _clean),
     "swell": (_swell, _clean),
     "circles": (_circles, _clean),

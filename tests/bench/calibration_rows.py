@@ -33,7 +33,7 @@ class Case:
     """By which stamps are late; the pictures come so much later as well."""
 
     @property
-    def asked(self) -> tuple[str, float] | None:
+    def expected(self) -> tuple[str, float] | None:
         """Beginning of what has to be told, and its figure."""
         if self.focal:
             return "Focal length ", 100.0 * abs(self.focal)
@@ -41,15 +41,15 @@ class Case:
 
     def names(self, text: str) -> bool:
         """Whether a remark tells it."""
-        if self.asked is None or not text.startswith(self.asked[0]):
+        if self.expected is None or not text.startswith(self.expected[0]):
             return False
-        told, true = float(text.split()[2]), self.asked[1]
+        told, true = float(text.split()[2]), self.expected[1]
         return abs(told - true) <= max(FIGURE_OFF * true, FIGURE_OFF_LEAST if self.late_s else 0.0)
 
 
 CASES = (
     Case(name="as it is"),
-    *(Case(name=f"focal length {share:+.0%}", focal=share) for share in (0.03, -0.02, 0.05)),
+    *(Case(name=f"focal length {error:+.0%}", focal=error) for error in (0.03, -0.02, 0.05)),
     *(Case(name=f"stamps {ms} ms late", late_s=1e-3 * ms) for ms in (10, 30, 60, 100)),
 )
 
@@ -93,7 +93,7 @@ def calibration_rows(runs: Sequence[Sequence[OverFloor]], cases: Sequence[Case] 
             high = nees_band(columns.stop - columns.start, count).high
             rows.append(row(f"{name}NEES, {what}", values, "", bar=Limit(high=high), pool=mean))
         rows.append(whole(f"{name}resets", sum(run.resets for run in flown), "", count, Limit(high=0.0)))
-        if case.asked is not None:
+        if case.expected is not None:
             rows.append(whole(f"{name}named with its figure, of {count}", true, "", count, Limit(low=count)))
         rows.append(whole(f"{name}named wrongly", len(told) - true, "", count, Limit(high=0.0)))
     return rows

@@ -140,8 +140,8 @@ def _rendered(dictionary: str, count: int, seed: int) -> Iterator[_Picture]:
     rng = np.random.default_rng(seed)
     for k in range(count):
         if k % LOOK_EVERY == 0:
-            look = ImageModel(turbidity_1_m=float(rng.uniform(*TURBIDITY_1_M)))
-            renderer = SimCamera(camera, floor, look, int(rng.integers(1 << 30)))
+            imaging = ImageModel(turbidity_1_m=float(rng.uniform(*TURBIDITY_1_M)))
+            renderer = SimCamera(camera, floor, imaging, int(rng.integers(1 << 30)))
         below_m = float(camera.position_frd_m[2]) + rng.uniform(*HEIGHT_M)
         pos = np.array([*(rng.uniform(-1.0, 1.0, 2) * [2.4, 1.4]), floor.depth_m - below_m])
         rpy = np.array([*rng.normal(0.0, TILT_SIGMA_RAD, 2), rng.uniform(-math.pi, math.pi)])

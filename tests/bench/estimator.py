@@ -25,12 +25,12 @@ from tests.bench.estimator_figures import (
     far_fixes,
     far_fixes_used,
     growth,
-    inside_share,
+    inside_fraction,
     mean,
     mean_nees,
     mean_nis,
     nees_band,
-    nis_share,
+    nis_fraction,
     recovery_s,
     row,
     whiteness,
@@ -174,7 +174,7 @@ def _steady(prefix: str, runs: Flights) -> list[EstimatorBenchRow]:
             pool=mean,
         ),
         average("NIS of fixes, 4 components", mean_nis, "", Limit(low=2.0, high=5.0)),
-        average("NIS beyond the 95 % point", nis_share, "%", Limit(high=10.0)),
+        average("NIS beyond the 95 % point", nis_fraction, "%", Limit(high=10.0)),
         average("correlation of residuals", whiteness, "", Limit(high=0.2)),
     ]
 
@@ -215,13 +215,13 @@ def _gaps(runs: Runs) -> list[EstimatorBenchRow]:
         flown = by_name(runs[flight], SAME)
         for (start_s, end_s), bar, goal in zip(gaps_s, (40.0, 80.0, 250.0), (20.0, 41.0, 60.0), strict=True):
             rows.append(drift(f"gap of {end_s - start_s:g} s, {name}", flown, end_s, bar, goal))
-        inside = inside_share(flown, gaps_s)
+        inside = inside_fraction(flown, gaps_s)
         rows.append(whole(f"gaps, {name}: inside 3 sigma", inside, "%", len(flown), Limit(low=95.0)))
     aided = by_name(runs["gaps dvl"], SAME)
     for start_s, end_s in JET_GAPS_S:
         figure = f"gap of {end_s - start_s:g} s, jet, Doppler log and depth"
         rows.append(drift(figure, aided, end_s, 40.0, 20.0))
-    inside = inside_share(aided, JET_GAPS_S)
+    inside = inside_fraction(aided, JET_GAPS_S)
     rows.append(whole("gaps, jet, Doppler log and depth: inside 3 sigma", inside, "%", len(aided), Limit(low=95.0)))
     less_drag, no_model = by_name(runs["gaps drag"], SAME), by_name(runs["gaps uniform"], NO_MODEL)
     return [

@@ -43,7 +43,7 @@ class _Timed:
     def step(self, t_us: int, samples: Sequence[Sample], thrust_n: FloatArray, *, keep: bool) -> None:
         self._ticks += 1
         if self._ticks % PACE_EVERY == 1:
-            self.pace.look()
+            self.pace.measure()
         begin_s = time.thread_time()
         self.nav = self._estimator.step(t_us, samples, thrust_n)
         self._estimator.take_aids()
@@ -61,15 +61,17 @@ def bench_cost(duration_s: float = COST_S) -> list[EstimatorBenchRow]:
     both_s = pictures.estimator_s + pictures.vision_s
     pace = "real time" if slow <= 1.0 else f"real time / {slow:.1f}"
     return [
-        *_shares("cost: estimator, poses, share of a core", poses.estimator_s, poses, ESTIMATOR_BAR_PCT),
-        *_shares("cost: estimator, pictures, share of a core", pictures.estimator_s, pictures, ESTIMATOR_BAR_PCT),
-        *_shares("cost: estimator, pictures of sheets, share of a core", sheets.estimator_s, sheets, ESTIMATOR_BAR_PCT),
-        *_shares("cost: estimator and vision at 30 Hz, share of a core", both_s, pictures, VISION_BAR_PCT),
+        *_fractions("cost: estimator, poses, share of a core", poses.estimator_s, poses, ESTIMATOR_BAR_PCT),
+        *_fractions("cost: estimator, pictures, share of a core", pictures.estimator_s, pictures, ESTIMATOR_BAR_PCT),
+        *_fractions(
+            "cost: estimator, pictures of sheets, share of a core", sheets.estimator_s, sheets, ESTIMATOR_BAR_PCT
+        ),
+        *_fractions("cost: estimator and vision at 30 Hz, share of a core", both_s, pictures, VISION_BAR_PCT),
         _row(f"cost: ticks more than 10 ms late with camera, {pace}", late_pct, LATE_BAR_PCT),
     ]
 
 
-def _shares(figure: str, cpu_s: float, spent: _Timed, bar: float) -> list[EstimatorBenchRow]:
+def _fractions(figure: str, cpu_s: float, spent: _Timed, bar: float) -> list[EstimatorBenchRow]:
     """At the reference speed, and as measured."""
     raw, slow = 100.0 * cpu_s / spent.simulated_s, spent.pace.slowness
     return [_row(figure, raw / slow, bar), _row(f"{figure}, raw (machine {slow:.2f} times slower)", raw, None)]

@@ -179,7 +179,7 @@ def mean_nis(run: Watched, span_s: tuple[float, float]) -> float:
     return float(run.fix_distance[_within(run.fix_t_s, span_s)].mean())
 
 
-def nis_share(run: Watched, span_s: tuple[float, float]) -> float:
+def nis_fraction(run: Watched, span_s: tuple[float, float]) -> float:
     """Share of the fixes [%] beyond the 95 % point."""
     return float(100.0 * (run.fix_distance[_within(run.fix_t_s, span_s)] > FIX_POINT_95).mean())
 
@@ -196,7 +196,7 @@ def drift_m(run: Watched, end_s: float) -> float:
     return float(np.linalg.norm(run.error[k, :2]))
 
 
-def inside_share(runs: Flights, gaps_s: Sequence[tuple[float, float]]) -> float:
+def inside_fraction(runs: Flights, gaps_s: Sequence[tuple[float, float]]) -> float:
     """Share of north and east errors [%] inside three standard deviations, during gaps."""
     inside = []
     for run in runs:

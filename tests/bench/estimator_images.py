@@ -235,7 +235,7 @@ def missed(row: ImageRow) -> list[str]:
         limit_m = CLEAR_BAR_M if row.turbidity_1_m <= CLEAR_1_M else TURBID_BAR_M
     clear = near <= row.height_m <= far and row.turbidity_1_m <= CLEAR_1_M
     at_laser = row.height_m == LASER_HEIGHT_M and row.turbidity_1_m <= CLEAR_1_M
-    asked = (
+    limits = (
         ("xy", row.xy_mm, Limit(high=1e3 * limit_m), math.isfinite(limit_m)),
         ("z", row.z_mm, Limit(high=1e3 * limit_m), math.isfinite(limit_m)),
         ("yaw", row.yaw_deg, Limit(high=math.degrees(YAW_BAR_RAD)), clear),
@@ -244,4 +244,4 @@ def missed(row: ImageRow) -> list[str]:
         ("laser", row.laser_mm, Limit(high=1e3 * LASER_BAR_M), at_laser),
         ("time", row.normal_ms, Limit(high=1e3 * TIME_BAR_S), row.height_m <= TIME_HEIGHT_M),
     )
-    return [name for name, value, bar, applies in asked if applies and not bar.holds(value)]
+    return [name for name, value, bar, applies in limits if applies and not bar.holds(value)]

@@ -117,7 +117,7 @@ def run(runs: int, seed: int, progress: Callable[[int], None] = lambda _: None) 
             with _vehicle(folder) as vehicle:
                 _compare(vehicle, known, result)
                 result.start_cpu_s.append(vehicle.child.cpu_s() or 0.0)
-                _look_at_logs(folder, armed, result)
+                _check_logs(folder, armed, result)
                 if number == runs:
                     return result
                 armed = _live_and_die(vehicle, known, rng, result)
@@ -178,8 +178,8 @@ def _change(vehicle: _Vehicle, name: str, thing: Known, rng: random.Random) -> N
     if name in PARAMETERS:
         value = rng.uniform(*PARAMETERS[name])
         thing.under_way = f"{mav_float(value):.6g}"
-        told = vehicle.parameter(name, value)
-        thing.accepted, thing.under_way = told, None
+        confirmed = vehicle.parameter(name, value)
+        thing.accepted, thing.under_way = confirmed, None
         return
     kind = PlanKind[name]
     items = _draw(kind, rng)
@@ -219,7 +219,7 @@ def _text(items: Sequence[PlanItem]) -> str:
     )
 
 
-def _look_at_logs(folder: Path, armed: tuple[float, float] | None, result: Kills) -> None:
+def _check_logs(folder: Path, armed: tuple[float, float] | None, result: Kills) -> None:
     """Logs that the new service has repaired; the last one against the times that its vehicle told."""
     logs = sorted((folder / "logs").rglob("*.mcap"), key=lambda path: path.stat().st_mtime)
     for path in logs:

@@ -128,7 +128,7 @@ def record(seed: int, duration_s: float = RECORDED_S) -> Recording:
     )
 
 
-def told_plan(plan: MarkerMap, sigma: tuple[float, float] | None) -> MarkerMap:
+def plan_with_errors(plan: MarkerMap, sigma: tuple[float, float] | None) -> MarkerMap:
     """The plan with its sheets by name, said to be laid so well (place, heading); None: nothing is said."""
     place_m, turn_rad = (None, None) if sigma is None else sigma
     laid = [Laid(sheet=f"{k + 1}", sigma_m=place_m, sigma_rad=turn_rad) for k in sheets_of(plan, SHEET_M).tolist()]
@@ -193,10 +193,10 @@ class Camera:
         return MarkerSighting(t_us=t_us, ids=tuple(floor.ids[seen].tolist()), corners_px=corners, laser_px=None)
 
 
-def over(recording: Recording, camera: Camera, floor: MarkerMap, told: MarkerMap, seed: int) -> OverFloor:
+def over(recording: Recording, camera: Camera, floor: MarkerMap, known: MarkerMap, seed: int) -> OverFloor:
     """The recorded flight over another floor, by an estimator that is told a map."""
     rng = np.random.default_rng((seed, 3))
-    estimator = create_estimator("ekf", recording.vehicle, told, floor_depth_m=recording.floor_depth_m)
+    estimator = create_estimator("ekf", recording.vehicle, known, floor_depth_m=recording.floor_depth_m)
     truth = recording.truth
     rows: list[list[float]] = []
     remarks: list[str] = []
@@ -229,17 +229,17 @@ def over(recording: Recording, camera: Camera, floor: MarkerMap, told: MarkerMap
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class Spoilt:
+class FaultyFloor:
     """A floor on which three things are not where the plan has them, and what has to be told of each."""
 
     floor: MarkerMap
-    asked: Mapping[str, tuple[str, ...]]
+    expected: Mapping[str, tuple[str, ...]]
     """What is wrong -> beginnings of texts of which one has to come."""
     true: tuple[str, ...]
     """Beginnings of all texts that are true."""
 
 
-def spoilt_floor(recording: Recording, camera: Camera, plan: MarkerMap, floor: MarkerMap, seed: int) -> Spoilt:
+def faulty_floor(recording: Recording, camera: Camera, plan: MarkerMap, floor: MarkerMap, seed: int) -> FaultyFloor:
     """A marker moved by 3 cm, a sheet turned by 5 degrees, two ids swapped: on sheets that lie apart."""
     rng = np.random.default_rng((seed, 4))
     sheet = sheets_of(plan, SHEET_M)
@@ -259,8 +259,8 @@ def spoilt_floor(recording: Recording, camera: Camera, plan: MarkerMap, floor: M
         chosen.append(int(eligible[apart.argmax()]))
     corners, ids = floor.corners_ned_m.copy(), floor.ids.copy()
     moved = int(rng.choice(np.flatnonzero(often & (sheet == chosen[0]))))
-    way = rng.uniform(0.0, 2.0 * math.pi)
-    corners[moved, :, :2] += MOVED_M * np.array([math.cos(way), math.sin(way)])
+    direction = rng.uniform(0.0, 2.0 * math.pi)
+    corners[moved, :, :2] += MOVED_M * np.array([math.cos(direction), math.sin(direction)])
     turned = sheet == chosen[1]
     turn = r_ned_from_frd(np.array([0.0, 0.0, TURNED_RAD * rng.choice([-1.0, 1.0])]))
     pivot = corners[turned].mean(axis=(0, 1))
@@ -268,16 +268,16 @@ def spoilt_floor(recording: Recording, camera: Camera, plan: MarkerMap, floor: M
     pair = rng.choice(np.flatnonzero(often & (sheet == chosen[2])), 2, replace=False)
     ids[pair] = ids[pair[::-1]]
     a, b = (int(code) % ID_SPAN for code in ids[pair])
-    asked = {
+    expected = {
         "marker moved": (f"Marker {int(ids[moved]) % ID_SPAN} lies ",),
         "sheet turned": (f"Sheet {chosen[1] + 1} lies ",),
         "ids swapped": (f"Markers {a} and {b} are swapped", f"Markers {b} and {a} are swapped"),
     }
     each = tuple(f"Marker {one} lies where the map has {other}" for one, other in ((a, b), (b, a)))
-    return Spoilt(
+    return FaultyFloor(
         floor=dataclasses.replace(floor, corners_ned_m=corners, ids=ids),
-        asked=asked,
-        true=(*(text for texts in asked.values() for text in texts), *each),
+        expected=expected,
+        true=(*(text for texts in expected.values() for text in texts), *each),
     )
 
 

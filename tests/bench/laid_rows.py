@@ -12,12 +12,12 @@ from tests.bench.laid_maps import (
     Camera,
     OverFloor,
     Recording,
+    faulty_floor,
     laid_floor,
     over,
+    plan_with_errors,
     record,
     sigma_of,
-    spoilt_floor,
-    told_plan,
 )
 
 LEVELS_M = ((0.0014, 0.004), (0.0028, 0.006), (0.0069, 0.010))
@@ -49,26 +49,26 @@ def bench_laid(seeds: Sequence[int], pool: Executor) -> list[EstimatorBenchRow]:
 
 def fly_laid(recording: Recording, seed: int) -> LaidRun:
     camera = Camera(recording)
-    plan, nothing_said = recording.plan, told_plan(recording.plan, None)
+    plan, without_errors = recording.plan, plan_with_errors(recording.plan, None)
     rigid = []
     for rms_m, _ in LEVELS_M:
         floor = laid_floor(plan, np.random.default_rng((seed, 5)), sigma_of(rms_m))
-        first = over(recording, camera, floor, nothing_said, seed)
+        first = over(recording, camera, floor, without_errors, seed)
         again = over(recording, camera, floor, first.refined, seed + AGAIN)
         rigid.append((first, again))
     sigma = sigma_of(PRINTED_RMS_M)
     floor = laid_floor(plan, np.random.default_rng((seed, 6)), sigma, printed=True)
-    printed = over(recording, camera, floor, told_plan(plan, sigma), seed)
+    printed = over(recording, camera, floor, plan_with_errors(plan, sigma), seed)
     floor = laid_floor(plan, np.random.default_rng((seed, 7)), sigma_of(SPOILT_RMS_M))
-    spoilt = spoilt_floor(recording, camera, plan, floor, seed)
-    remarks = over(recording, camera, spoilt.floor, nothing_said, seed).remarks
+    faulty = faulty_floor(recording, camera, plan, floor, seed)
+    remarks = over(recording, camera, faulty.floor, without_errors, seed).remarks
     return LaidRun(
         rigid=tuple(rigid),
         printed=printed,
         missing=tuple(
-            what for what, texts in spoilt.asked.items() if not any(text.startswith(texts) for text in remarks)
+            what for what, texts in faulty.expected.items() if not any(text.startswith(texts) for text in remarks)
         ),
-        false=tuple(text for text in remarks if not text.startswith(spoilt.true)),
+        false=tuple(text for text in remarks if not text.startswith(faulty.true)),
     )
 
 

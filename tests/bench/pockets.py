@@ -117,13 +117,13 @@ def fly_to_goal(
     """Time to the goal [s] (inf = missed), smallest clearance beyond the body radius [m], steps without a way."""
     params, goal = ParamSet({"MPC_COST": 0}), _goal()
     x, acting = np.array([start[0], start[1], DEPTH_M, start[2], 0.0, 0.0, 0.0, 0.0]), np.zeros(4)
-    share = 1.0 - math.exp(-STEP_US * 1e-6 / vehicle.drive.time_constant_s)
+    gain = 1.0 - math.exp(-STEP_US * 1e-6 / vehicle.drive.time_constant_s)
     track, waits, reached_s = [x[:2].copy()], 0, math.inf
     controller.reset()
     for step in range(round(LIMIT_S * 1e6 / STEP_US)):
         thrust = controller.step(step * STEP_US, estimate_of(step * STEP_US, x), goal, fence, params).thrust_n
         waits += controller.unreachable
-        acting = acting + (thrust - acting) * share
+        acting = acting + (thrust - acting) * gain
         x = move(x, acting)
         track.append(x[:2].copy())
         if float(np.linalg.norm(x[:3] - goal.pos_ned_m)) < goal.accept_radius_m:

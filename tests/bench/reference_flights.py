@@ -117,4 +117,4 @@ def changes(before: Release, after: Release) -> dict[str, Sequence[Moved]]:
 
 
 def _as_good_as_same(one: Moved) -> bool:
-    return one.same or (one.share is not None and abs(one.share) < SAME)
+    return one.same or (one.relative_change is not None and abs(one.relative_change) < SAME)

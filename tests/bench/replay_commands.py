@@ -10,7 +10,7 @@ import click
 from autopilot.cli.console_output import print_table
 from autopilot.cli.log_replay import moved_rows
 from autopilot.cli.shared_options import JSON
-from tests.bench.tables import TITLES, judge, told_one_by_one
+from tests.bench.tables import TITLES, judge, printed_one_by_one
 
 if TYPE_CHECKING:
     from tests.bench.replays import ReplayRow
@@ -32,7 +32,7 @@ def replay(only: tuple[str, ...], short: bool, whole: bool, as_json: bool) -> No
     if short and whole:
         raise click.UsageError("--short and --whole: give one of them")
     flights = planned_flights(short=short, whole=whole, only=only)
-    rows = told_one_by_one(flights, flown_and_replayed, _outcome)
+    rows = printed_one_by_one(flights, flown_and_replayed, _outcome)
     table = [
         (r.flight, r.sensors, f"{r.speed:g}", r.ticks, r.messages, r.differences, r.first or "all the same")
         for r in rows

@@ -90,7 +90,7 @@ class _Longest:
         self.most_s = 0.0
         self._since_s: float | None = None
 
-    def look(self, t_s: float, *, holds: bool) -> None:
+    def update(self, t_s: float, *, holds: bool) -> None:
         self._since_s = (t_s if self._since_s is None else self._since_s) if holds else None
         if self._since_s is not None:
             self.most_s = max(self.most_s, t_s - self._since_s)
@@ -137,8 +137,8 @@ class _Watch:
             self._worst = (off_m, float(bound[:3].max()))
         self._worst_yaw = max(self._worst_yaw, float(error[3]))
         claimed = not inside and nav.health is NavHealth.GOOD
-        self._outside.look(t_s, holds=claimed)
-        self._unflagged.look(t_s, holds=claimed and (off_m > FAR_M or error[3] > FAR_RAD))
+        self._outside.update(t_s, holds=claimed)
+        self._unflagged.update(t_s, holds=claimed and (off_m > FAR_M or error[3] > FAR_RAD))
         if outputs.thrusters is not None:
             self._blamed = self._blamed or bool((outputs.thrusters.effectiveness < 1.0).any())
         self._blamed = self._blamed or bool(outputs.mode.failsafes >> Failsafe.LATENCY & 1)

@@ -95,7 +95,7 @@ def tell(line: str) -> None:
     click.echo(line, err=True)
 
 
-def told_one_by_one(
+def printed_one_by_one(
     parts: Sequence[_Part], work: Callable[[_Part], _Result], outcome: Callable[[_Result], str]
 ) -> list[_Result]:
     """What ``work`` makes of the parts of a long benchmark, each told on stderr as soon as it is done.

@@ -101,7 +101,7 @@ def test_each_part_of_a_long_benchmark_is_told_before_the_next_begins(capsys: py
         told.append(capsys.readouterr().err)
         return len(part)
 
-    assert tables.told_one_by_one(("one", "three"), work, lambda length: f"{length} letters") == [3, 5]
+    assert tables.printed_one_by_one(("one", "three"), work, lambda length: f"{length} letters") == [3, 5]
     assert told == ["", "1 of 2  one: 3 letters\n"]
     assert capsys.readouterr() == ("", "2 of 2  three: 5 letters\n")
 

@@ -45,7 +45,7 @@ def test_optimum_of_a_straight_leg_is_speed_to_fly(along_m_s: float) -> None:
     for length in (6.0, 9.0):
         case = leg(along_m_s, length)
         program = LeastEnergy(MODEL, POWER, case, 45, 5)
-        guess = Guess(label="straight", ways_ned_m=((),), yaw_rad=(None,))
+        guess = Guess(label="straight", paths_ned_m=((),), yaw_rad=(None,))
         optimum = program.solve(guess, start_state(case))
         assert optimum.solved
         assert worst_gap_m(MODEL, case, optimum, 0.05) < 1e-3
@@ -154,7 +154,7 @@ def test_turns_of_laps_add_up() -> None:
     north = tank_legs(False)[0]
     assert tank_guess([north] * 4).yaw_rad == pytest.approx([math.pi, 2 * math.pi, 3 * math.pi, 4 * math.pi])
     again = tank_guess([north] * 2)
-    assert again.ways_ned_m[1] == again.ways_ned_m[0][::-1]
+    assert again.paths_ned_m[1] == again.paths_ned_m[0][::-1]
 
 
 def test_a_pilot_who_has_flown_before_keeps_his_clock() -> None:

@@ -42,12 +42,12 @@ from tests.bench.estimator_flights import SAME, SHIFTED, FlightSpec, fly, overla
 from tests.bench.laid_maps import (
     Camera,
     OverFloor,
+    faulty_floor,
     laid_floor,
     over,
+    plan_with_errors,
     record,
     sigma_of,
-    spoilt_floor,
-    told_plan,
 )
 from tests.bench.laid_rows import LaidRun, laid_rows
 
@@ -329,11 +329,11 @@ def test_a_recorded_flight_over_another_floor() -> None:
         off = 1e3 * np.sqrt(((floor.centers_ned_m - recording.plan.centers_ned_m) ** 2).sum(axis=1).mean())
         assert off == pytest.approx(6.9, rel=0.25)
         unaware = over(recording, camera, floor, recording.plan, 1)
-        aware = over(recording, camera, floor, told_plan(recording.plan, None), 1)
+        aware = over(recording, camera, floor, plan_with_errors(recording.plan, None), 1)
         assert unaware.xy_mm() > 10.0 * aware.xy_mm()
         ignorant.append(unaware.nees(slice(0, 2)))
         told.append(aware.nees(slice(0, 2)))
     # A single floor may be kind to one flight.
     assert np.mean(ignorant) > 6.0 > np.mean(told)
     with pytest.raises(ValueError, match="record a longer one"):
-        spoilt_floor(recording, camera, recording.plan, floor, 1)
+        faulty_floor(recording, camera, recording.plan, floor, 1)

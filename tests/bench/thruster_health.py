@@ -83,13 +83,13 @@ class Row:
     asked_s: float | None = None
 
 
-def planned(sound: int, lossy: int) -> list[HealthFlight]:
+def planned(healthy: int, lossy: int) -> list[HealthFlight]:
     """Flights in the order in which they are worth most: sets, modes and thrusters in turn, a random one after each."""
     flights: list[HealthFlight] = []
-    for k in range(max(sound, lossy)):
+    for k in range(max(healthy, lossy)):
         kind, run = SETS[k % 4], k // 4
         cost = (run + k) % 2
-        if k < sound:
+        if k < healthy:
             flights.append(HealthFlight(kind=kind, run=run, cost=cost, seconds=90.0))
             flights.append(HealthFlight(kind=RANDOM, run=k, cost=0, seconds=60.0))
         if k < lossy:
@@ -106,10 +106,10 @@ def fly_flight(flight: HealthFlight) -> Outcome:
 
 
 def bench_thruster_health(
-    sound: int, lossy: int, folder: Path | None, show: Callable[[str], None] = lambda line: None
+    healthy: int, lossy: int, folder: Path | None, show: Callable[[str], None] = lambda line: None
 ) -> Iterator[Row]:
     """Fly what is missing in ``folder`` (None: everything), then sum up."""
-    flights = planned(sound, lossy)
+    flights = planned(healthy, lossy)
     done = {outcome.name: outcome for outcome in _kept(folder)}
     for number, flight in enumerate(flights):
         if flight.name in done:
@@ -119,8 +119,8 @@ def bench_thruster_health(
             folder.mkdir(parents=True, exist_ok=True)
             with (folder / "flights.jsonl").open("a", encoding="utf-8") as file:
                 file.write(json.dumps(asdict(outcome)) + "\n")
-        said = "; ".join(outcome.false) or ("" if flight.thruster is None else f"found after {outcome.found_s} s")
-        show(f"{number + 1} of {len(flights)}: {flight.name} {said}")
+        text = "; ".join(outcome.false) or ("" if flight.thruster is None else f"found after {outcome.found_s} s")
+        show(f"{number + 1} of {len(flights)}: {flight.name} {text}")
     yield from _rows([(flight, done[flight.name]) for flight in flights])
 
 
@@ -223,7 +223,7 @@ class _Watch:
         self._flight = flight
         self._armed_us = 0
         self._last_us = 0
-        self._said: dict[int, float] = {}
+        self._reported: dict[int, float] = {}
         self._false: list[str] = []
         self._found_s: float | None = None
 
@@ -236,8 +236,8 @@ class _Watch:
             return
         t_s = 1e-6 * outputs.t_us
         for i, share in enumerate(outputs.thrusters.effectiveness[: len(NAMES)].tolist()):
-            before = self._said.get(i, 1.0)
-            self._said[i] = share
+            before = self._reported.get(i, 1.0)
+            self._reported[i] = share
             if share == 1.0 or before < 1.0:
                 continue
             if i != self._flight.thruster or t_s < self._flight.at_s:

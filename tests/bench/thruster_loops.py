@@ -25,7 +25,6 @@ from autopilot.core.model4 import Model4, body_acceleration
 from autopilot.core.response import Response
 from autopilot.core.vehicle import Vehicle, load_vehicle
 from autopilot.sitl.current_fields import current_field
-from autopilot.sitl.environment import SimulatedWaters
 from autopilot.sitl.plant import Plant, Truth
 from autopilot.sitl.scenario_tables import (
     GyreCurrent,
@@ -36,6 +35,7 @@ from autopilot.sitl.scenario_tables import (
     UniformCurrent,
     VortexCurrent,
 )
+from autopilot.sitl.simulated_waters import SimulatedWaters
 
 STEP_US = 20_000
 """Of the loop."""
@@ -98,13 +98,13 @@ def drawn_vehicle(rng: np.random.Generator, vehicle: Vehicle, spread: float = 0.
 
 
 def drawn_current(rng: np.random.Generator) -> Any:
-    speed, way = float(rng.uniform(0.05, 0.35)), float(rng.uniform(-math.pi, math.pi))
+    speed, heading = float(rng.uniform(0.05, 0.35)), float(rng.uniform(-math.pi, math.pi))
     place = (float(rng.uniform(-1.0, 1.0)), float(rng.uniform(-1.0, 1.0)))
     tables = (
         NoCurrentTable(),
-        UniformCurrent(velocity_m_s=(speed * math.cos(way), speed * math.sin(way), 0.0)),
+        UniformCurrent(velocity_m_s=(speed * math.cos(heading), speed * math.sin(heading), 0.0)),
         UniformCurrent(
-            velocity_m_s=(0.5 * speed * math.cos(way), 0.5 * speed * math.sin(way), 0.0),
+            velocity_m_s=(0.5 * speed * math.cos(heading), 0.5 * speed * math.sin(heading), 0.0),
             tide_m_s=(0.5 * speed, 0.0, 0.0),
             tide_period_s=float(rng.uniform(8.0, 40.0)),
         ),
@@ -223,12 +223,12 @@ def fly(
 ) -> Flown:
     """One flight with the detector in the loop, as the service has it; ``factors`` replace those that are drawn."""
     rng = np.random.default_rng(seed)
-    believed = load_vehicle("lbv150")
-    model, drive = believed.to_model(), believed.drive
-    vehicle, mismatch = drawn_vehicle(rng, believed, spread)
+    assumed = load_vehicle("lbv150")
+    model, drive = assumed.to_model(), assumed.drive
+    vehicle, mismatch = drawn_vehicle(rng, assumed, spread)
     mismatch |= factors or {}
     tether = (float(rng.uniform(-4.0, 4.0)), float(rng.uniform(-4.0, 4.0)), 0.0) if rng.uniform() < 0.6 else None
-    names = [thruster.name for thruster in believed.thrusters]
+    names = [thruster.name for thruster in assumed.thrusters]
     world = SimulatedWaters(
         polygon_ned_m=WALLS_M, floor_m=FLOOR_M, current=drawn_current(rng), tether_entry_ned_m=tether
     )
@@ -245,9 +245,9 @@ def fly(
         losses=losses,
     )
     health = ThrusterHealth(
-        model, Response.of(believed.thrusters), submerged_m=LOSSES.submerged * believed.hull_half_height_m
+        model, Response.of(assumed.thrusters), submerged_m=LOSSES.submerged * assumed.hull_half_height_m
     )
-    pilot, estimator, allocation = _Pilot(rng, model), _Estimator(rng, model), Allocation(believed.thrusters)
+    pilot, estimator, allocation = _Pilot(rng, model), _Estimator(rng, model), Allocation(assumed.thrusters)
     acting, pulse_n, flown, used = np.zeros(THRUSTERS), np.zeros(THRUSTERS), Flown(), []
     tug_s = float(rng.uniform(8.0, 30.0))
     for tick in range(round(seconds * 1e6 / STEP_US)):

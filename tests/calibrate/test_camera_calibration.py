@@ -65,7 +65,7 @@ def test_a_view_that_does_not_fit_is_left_out_and_named(views: Views) -> None:
 def test_remarks_name_what_is_missing(views: Views, tmp_path: Path) -> None:
     result = calibrate(views)
     spread = coverage(result)
-    assert 0.5 < spread.share <= 1.0
+    assert 0.5 < spread.coverage <= 1.0
     expected = load_vehicle("lbv150").camera
     as_flown = type(expected)(
         **{**{f: getattr(expected, f) for f in expected.__struct_fields__}, "focal_px": (520.0 * 1.333, 522.0 * 1.333)}

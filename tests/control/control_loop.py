@@ -111,21 +111,21 @@ def fly(
     """Fly to the goals one after the other (``hold``: stay at the last until the time is up)."""
     params = params or ParamSet()
     rng = np.random.default_rng(seed)
-    x, acting, believed = np.array(start, dtype=float), np.zeros(model.thrusters), np.zeros(3)
+    x, acting, lagged = np.array(start, dtype=float), np.zeros(model.thrusters), np.zeros(3)
     states, thrusts, outputs, reached, index = [], [], [], [], 0
     for step in range(int(limit_s * 1e6 / STEP_US)):
         t_us = step * STEP_US
         truth = current(x[:2])
-        believed = believed + (truth - believed) * min(1.0, 0.05 / current_lag_s)
+        lagged = lagged + (truth - lagged) * min(1.0, 0.05 / current_lag_s)
         jitter = rng.normal(size=8) * noise
-        told = believed + np.array([jitter[0], jitter[1], 0.0])
+        reported = lagged + np.array([jitter[0], jitter[1], 0.0])
         seen = x + np.concatenate([0.5 * jitter[2:6], np.zeros(4)])
         c, s = math.cos(x[3]), math.sin(x[3])
-        error = truth - told
+        error = truth - reported
         seen[4] += c * error[0] + s * error[1]
         seen[5] += c * error[1] - s * error[0]
         seen[7] += jitter[6]
-        output = controller.step(t_us, nav_state(t_us, seen, told), goals[index], fence, params)
+        output = controller.step(t_us, nav_state(t_us, seen, reported), goals[index], fence, params)
         outputs.append(output)
         thrusts.append(output.thrust_n)
         for _ in range(5):

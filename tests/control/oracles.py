@@ -52,7 +52,7 @@ def bounds(
     }
 
 
-def least_room_m(path: FloatArray, normals: FloatArray, offsets: FloatArray) -> float:
+def least_clearance_m(path: FloatArray, normals: FloatArray, offsets: FloatArray) -> float:
     """How much room a path (m, 2) has beyond its half-planes."""
     return float((normals[..., 0] * path[:, :1] + normals[..., 1] * path[:, 1:] - offsets).min())
 
@@ -181,8 +181,8 @@ def ground_speed_m_s(cruise_m_s: float, tangent: FloatArray, current: FloatArray
     water = limit_m_s * (
         rules.water_speed_fraction + fast * (rules.upstream_speed_fraction - rules.water_speed_fraction)
     )
-    room = along * along - float(current @ current) + water * water
-    reachable = 0.0 if room <= 0.0 else along + np.sqrt(room)
+    radicand = along * along - float(current @ current) + water * water
+    reachable = 0.0 if radicand <= 0.0 else along + np.sqrt(radicand)
     return float(np.maximum(np.minimum(cruise_m_s, reachable), rules.slowest_m_s))
 
 

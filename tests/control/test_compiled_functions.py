@@ -80,7 +80,7 @@ def test_room_of_a_plan_and_gaps_between_tables(value: float | None) -> None:
         given = {name: rng.normal(size=each.shape) for name, each in (("x", x), ("n", normals), ("d", offsets))}
         hostile = _spoil(rng, given, turn, value)
         x[:], normals[:], offsets[:] = given.values()
-        assert agree(room.least_m(), oracles.least_room_m(x[1:, :2], normals, offsets), 1e-12), hostile
+        assert agree(room.least_m(), oracles.least_clearance_m(x[1:, :2], normals, offsets), 1e-12), hostile
         other = rng.normal(size=x.shape)
         for b, first, width in ((None, 0, 2), (None, 4, 4), (other, 1, 3)):
             gap = (x if b is None else x - b)[:, first : first + width]

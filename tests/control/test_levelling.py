@@ -19,8 +19,8 @@ from autopilot.core.messages import NavState
 from autopilot.core.params import ParamSet
 from autopilot.core.thrusters import wrench_matrix
 from autopilot.core.vehicle import Vehicle, load_vehicle
-from autopilot.sitl.environment import SimulatedWaters
 from autopilot.sitl.plant import Plant, Truth
+from autopilot.sitl.simulated_waters import SimulatedWaters
 from tests.bench.energy.flight import nav_state
 
 HEAVY = load_vehicle("bluerov2-heavy")

@@ -16,8 +16,8 @@ from autopilot.core.frames import FloatArray
 from autopilot.core.model4 import Model4
 from autopilot.core.params import ParamSet
 from autopilot.core.vehicle import Vehicle, load_vehicle
-from autopilot.sitl.environment import SimulatedWaters
 from autopilot.sitl.plant import Plant
+from autopilot.sitl.simulated_waters import SimulatedWaters
 from tests.bench.energy.flight import nav_state
 
 SHIPPED = {name: load_vehicle(name) for name in ("lbv150", "bluerov2", "bluerov2-heavy")}

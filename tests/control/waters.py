@@ -13,7 +13,7 @@ from autopilot.core.geometry import Fence, Polygon
 from autopilot.sitl.current_fields import Bickley, CurrentField, Gyre, Shear, TankJet, Uniform
 from tests.control.control_loop import nav_state
 
-LOOK_S = 0.2
+STEP_S = 0.2
 AHEAD_S = 8.0
 ESTIMATE_LAG_S, NOISE_M_S, NOISE_S, BIAS_M_S = 1.2, 0.02, 2.0, 0.01
 """Estimates follow the water with the lag and carry noise that lasts, and what the model lacks."""
@@ -32,7 +32,7 @@ class World:
     pos: FloatArray
     leg: FloatArray
     truth: FloatArray
-    told: FloatArray
+    estimated: FloatArray
 
 
 def room(length_m: float, width_m: float) -> Fence:
@@ -69,21 +69,21 @@ def world_of(kind: str, seed: int, legs: int = 4, limit_s: float = 300.0) -> Wor
     pos, leg, here = [], [], places[0].copy()
     for k in range(1, legs + 1):
         goal = places[k % 3]
-        while float(np.hypot(*(goal - here))) > 0.1 and len(pos) * LOOK_S < limit_s:
-            c, way = water(here, len(pos) * LOOK_S), (goal - here) / np.hypot(*(goal - here))
-            along = float(c @ way)
+        while float(np.hypot(*(goal - here))) > 0.1 and len(pos) * STEP_S < limit_s:
+            c, direction = water(here, len(pos) * STEP_S), (goal - here) / np.hypot(*(goal - here))
+            along = float(c @ direction)
             speed = along + math.sqrt(max(0.0, along**2 - float(c @ c) + 0.45**2))
-            here = here + way * max(0.08, min(0.35, speed)) * LOOK_S
+            here = here + direction * max(0.08, min(0.35, speed)) * STEP_S
             pos.append(here)
             leg.append(k)
-    truth = np.array([water(p, i * LOOK_S) for i, p in enumerate(pos)])
-    told, lagging, noise = np.zeros((len(pos), 3)), truth[0].copy(), rng.normal(size=2) * NOISE_M_S
-    bias, fade = rng.normal(size=2) * BIAS_M_S, math.exp(-LOOK_S / NOISE_S)
+    truth = np.array([water(p, i * STEP_S) for i, p in enumerate(pos)])
+    estimated, lagging, noise = np.zeros((len(pos), 3)), truth[0].copy(), rng.normal(size=2) * NOISE_M_S
+    bias, fade = rng.normal(size=2) * BIAS_M_S, math.exp(-STEP_S / NOISE_S)
     for i, seen in enumerate(truth):
-        lagging += (seen - lagging) * LOOK_S / ESTIMATE_LAG_S
+        lagging += (seen - lagging) * STEP_S / ESTIMATE_LAG_S
         noise = fade * noise + NOISE_M_S * math.sqrt(1.0 - fade**2) * rng.normal(size=2)
-        told[i, :2] = lagging + noise + bias
-    return World(fence=room(length, width), pos=np.array(pos), leg=np.array(leg), truth=truth, told=told)
+        estimated[i, :2] = lagging + noise + bias
+    return World(fence=room(length, width), pos=np.array(pos), leg=np.array(leg), truth=truth, estimated=estimated)
 
 
 def errors_of(world: World, forecasts: Mapping[str, CurrentForecast]) -> dict[str, tuple[float, float]]:
@@ -96,15 +96,15 @@ def errors_of(world: World, forecasts: Mapping[str, CurrentForecast]) -> dict[st
         errors = []
         for i in range(n):
             state = np.array([*world.pos[i], 0.5, 0.0, 0.0, 0.0, 0.0, 0.0])
-            nav = nav_state(round(i * LOOK_S * 1e6), state, world.told[i])
+            nav = nav_state(round(i * STEP_S * 1e6), state, world.estimated[i])
             forecast.view(nav)
             if i % 8 or i >= n - 2:
                 continue
             row = []
-            for end in (min(n - 1, i + round(AHEAD_S / LOOK_S)), max(int(last[i]), i + 1)):
+            for end in (min(n - 1, i + round(AHEAD_S / STEP_S)), max(int(last[i]), i + 1)):
                 at = np.unique(np.linspace(i, end, 10).astype(int))
                 out = np.empty((len(at), 3))
-                forecast.fill(nav, np.column_stack([world.pos[at], np.full(len(at), 0.5)]), (at - i) * LOOK_S, out)
+                forecast.fill(nav, np.column_stack([world.pos[at], np.full(len(at), 0.5)]), (at - i) * STEP_S, out)
                 row.append(float(np.hypot(*(out[:, :2] - world.truth[at]).T).mean()))
             errors.append(row)
         near, far = np.mean(errors, axis=0)

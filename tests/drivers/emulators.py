@@ -38,9 +38,9 @@ class EllipseEmulator(AlwaysOpen):
         for frame in self._parser.feed(data):
             if (frame.kind, frame.message) != (ellipse.COMMANDS, ellipse.OUTPUT_CONF):
                 continue
-            told = ellipse.decode_output(frame.data)
-            if told is not None:
-                self._modes[told[0]] = told[1]
+            decoded = ellipse.decode_output(frame.data)
+            if decoded is not None:
+                self._modes[decoded[0]] = decoded[1]
                 acknowledged = struct.pack("<BBH", frame.message, frame.kind, 0)
                 self._queue.append(ellipse.encode_frame(ellipse.ACKNOWLEDGE, ellipse.COMMANDS, acknowledged))
             elif len(frame.data) == 3:
@@ -270,14 +270,14 @@ class A50Server:
         """As the maker's manual shows it."""
         vx, vy, vz = VELOCITY_M_S
         beam = {"id": 0, "velocity": 0.1, "distance": 0.54, "rssi": -30.5, "nsd": -88.3, "beam_valid": True}
-        told = {
+        decoded = {
             "time": 106.3, "vx": vx, "vy": vy, "vz": vz, "fom": 0.004,
             "covariance": [[1.6e-5, 0, 0], [0, 1.6e-5, 0], [0, 0, 4e-6]],
             "altitude": 0.49, "transducers": [{**beam, "id": n} for n in range(4)], "velocity_valid": True, "status": 0,
             "format": "json_v3.1", "type": "velocity",
             "time_of_validity": 1638191471000000 + t_us, "time_of_transmission": 1638191471000000 + t_us + 120_000,
         }  # fmt: skip
-        return json.dumps({**told, **other}).encode() + b"\r\n"
+        return json.dumps({**decoded, **other}).encode() + b"\r\n"
 
 
 def close_to(seen: object, true: object, tolerance: float) -> bool:

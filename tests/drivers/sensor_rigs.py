@@ -118,7 +118,7 @@ class Rig(ABC):
         self.unplug()
 
 
-class SpoiltPort(AlwaysOpen):
+class FaultyPort(AlwaysOpen):
     """Between an emulator and the line: what it says may be cut, or lost."""
 
     def __init__(self, port: BytePort) -> None:
@@ -127,11 +127,13 @@ class SpoiltPort(AlwaysOpen):
         self.silent = self.half = False
 
     def read(self, t_us: int) -> list[tuple[int, bytes]]:
-        said = self._port.read(t_us)
+        received = self._port.read(t_us)
         if self.half:
-            self._count += len(said)
-            said = [(at_us, data[: len(data) // (1 + (self._count + n) % 3)]) for n, (at_us, data) in enumerate(said)]
-        return [] if self.silent else said
+            self._count += len(received)
+            received = [
+                (at_us, data[: len(data) // (1 + (self._count + n) % 3)]) for n, (at_us, data) in enumerate(received)
+            ]
+        return [] if self.silent else received
 
     def write(self, data: bytes) -> None:
         self._port.write(data)
@@ -145,13 +147,13 @@ class SerialRig(Rig):
 
     def __init__(self, emulator: Any, make: Callable[[str], Any]) -> None:
         self.emulator = emulator
-        self._spoilt = SpoiltPort(emulator)
-        self.line = PtyLine(self._spoilt)
+        self._faulty = FaultyPort(emulator)
+        self.line = PtyLine(self._faulty)
         self.line.open()
         super().__init__(make(str(self.line.path)))
 
     def emit(self) -> None:
-        self._spoilt.silent = self.silent
+        self._faulty.silent = self.silent
         self.observe()
         self.line.pump(self.t_us)
 
@@ -170,7 +172,7 @@ class SerialRig(Rig):
         self.line.send(data)
 
     def halve(self, on: bool) -> None:
-        self._spoilt.half = on
+        self._faulty.half = on
 
     def close(self) -> None:
         super().close()
@@ -204,7 +206,7 @@ class Ig500Rig(SerialRig):
         self._times = factor
 
     def plug(self) -> None:
-        self.emulator = self._spoilt._port = self.fresh()
+        self.emulator = self._faulty._port = self.fresh()
         super().plug()
 
 

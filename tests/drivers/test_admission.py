@@ -81,9 +81,9 @@ def test_nobody_who_counts_is_displaced_before_one_who_counts_less(
             room = port.admission.has_place(port.t_us)
             assert port.enter(key) == room
         elif what == "bytes" and there:
-            port.admission.heard(key, port.t_us)
+            port.admission.note_received(key, port.t_us)
         elif what == "valid" and there:
-            port.admission.heard(key, port.t_us)
+            port.admission.note_received(key, port.t_us)
             port.standing[key] = ClientRecord(port.t_us, port.standing.get(key, ClientRecord()).in_control)
         elif what == "control" and there:
             port.standing = {other: ClientRecord(s.valid_us) for other, s in port.standing.items()}

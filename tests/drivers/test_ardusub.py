@@ -38,7 +38,7 @@ class Bench:
         self.wire = open_link(f"udpout:127.0.0.1:{port}")
         self.t_us = 0
         self.samples: list[Any] = []
-        self.heard: list[bytes] = []
+        self.inbox: list[bytes] = []
         """What the driver has said on the last tick."""
         self.armed = False
         self.pulses = NEUTRAL
@@ -61,7 +61,7 @@ class Bench:
         self.t_us += TICK_US
         for data in self.world.advance(self.t_us):
             self.wire.send(data)
-        self.heard = []
+        self.inbox = []
         if not self.silent:
             self.driver.check(self.t_us)
             self.samples += self.driver.poll(self.t_us)
@@ -69,9 +69,9 @@ class Bench:
             self.driver.command(self.t_us, armed=self.armed)
             self.driver.write(self.t_us, self.pulses)
         for received in self.wire.recv(self.t_us):
-            self.heard.append(received.data)
+            self.inbox.append(received.data)
             if not self.deaf:
-                self.below.hear(self.t_us, received.data)
+                self.below.receive(self.t_us, received.data)
 
     def run_down(self, ticks: int) -> None:
         """Ticks on which the driver may raise."""
@@ -98,12 +98,12 @@ class Bench:
     def overrides(self) -> list[Any]:
         """Of the last tick."""
         reader: Any = self.below.codec(1, 1)
-        messages = [message for data in self.heard for message in reader.parse_buffer(data) or ()]
+        messages = [message for data in self.inbox for message in reader.parse_buffer(data) or ()]
         return [message for message in messages if message.get_type() == "RC_CHANNELS_OVERRIDE"]
 
     def says(self, message: Any) -> None:
         """The pilot, on a line of his own."""
-        self.below.hear(self.t_us, bytes(message.pack(self.pilot)), link=9)
+        self.below.receive(self.t_us, bytes(message.pack(self.pilot)), link=9)
 
     def set_mode(self, mode: int) -> None:
         self.says(self.pilot.command_long_encode(1, 1, 176, 0, 1, mode, 0, 0, 0, 0, 0))
@@ -474,7 +474,7 @@ def test_a_device_that_is_opened_anew_after_a_silence_is_not_disarmed(bench: Ben
     bench.driver.close()
     bench.below.mute = False  # what was on its way arrives after all
     for received in bench.wire.recv(bench.t_us):
-        bench.below.hear(bench.t_us, received.data)
+        bench.below.receive(bench.t_us, received.data)
     assert bench.below.armed
     bench.driver.open()
 

@@ -110,5 +110,5 @@ def test_late_ticks_do_not_move_the_time_of_a_picture() -> None:
     told = LoopTime()
     rng = np.random.default_rng(5)
     for tick in range(300):
-        told.hear(10_000 * tick, 7_000_000 + 10_000 * tick + round(rng.exponential(6000.0)))
+        told.observe(10_000 * tick, 7_000_000 + 10_000 * tick + round(rng.exponential(6000.0)))
     assert told.at(7_000_000 + 3_000_000) == pytest.approx(3_000_000, abs=300)

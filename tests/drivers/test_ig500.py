@@ -23,7 +23,7 @@ from autopilot.drivers.ig500_protocol import (
     OutputField,
     encode_frame,
 )
-from autopilot.drivers.serial_sensor import ASK_AGAIN_POLLS
+from autopilot.drivers.serial_sensor import REQUEST_AGAIN_POLLS
 
 CODEC = OutputCodec(AHRS_MASK)
 
@@ -138,10 +138,10 @@ def test_configures_again_when_the_device_falls_silent() -> None:
     port = ScriptedPort()
     driver = Ig500(port, latency_s=0.0)
     driver.open()
-    for k in range(ASK_AGAIN_POLLS - 1):
+    for k in range(REQUEST_AGAIN_POLLS - 1):
         driver.poll(k)
     assert driver.configured_count == 1
-    driver.poll(ASK_AGAIN_POLLS)
+    driver.poll(REQUEST_AGAIN_POLLS)
     assert driver.configured_count == 2
     assert len(Ig500Parser().feed(port.written)) == 6
 
@@ -155,7 +155,7 @@ def test_measurements_count_only_once_the_device_has_said_its_mask() -> None:
     port.chunks = [(1, frame(10)), (2, frame(20))]
     assert driver.poll(5) == []
     port.mask = AHRS_MASK
-    for k in range(ASK_AGAIN_POLLS):
+    for k in range(REQUEST_AGAIN_POLLS):
         driver.poll(10 + k)
     port.chunks = [(200, frame(30))]
     assert len(driver.poll(200)) == 1

@@ -12,7 +12,7 @@ from autopilot.core.errors import ConfigError, DriverError
 from autopilot.core.thrusters import ThrusterTable
 from autopilot.core.vehicle import load_vehicle
 from autopilot.drivers.pca9685 import Pca9685, Pca9685Options
-from autopilot.drivers.sabertooth import TELL_EVERY, Sabertooth, SabertoothOptions, packet
+from autopilot.drivers.sabertooth import TIMEOUT_EVERY, Sabertooth, SabertoothOptions, packet
 from autopilot.drivers.sysfs_pwm import SysfsPwm, SysfsPwmOptions
 from autopilot.drivers.thruster_output import INSPECT_EVERY
 from autopilot.sitl.i2c_bus import EmulatedI2c, Pca9685Chip
@@ -128,7 +128,7 @@ def test_amplifiers_learn_their_timeout_again_after_a_loss_of_power() -> None:
     line = SabertoothEmulator()
     with Sabertooth(VEHICLE, SabertoothOptions(port="none"), port=line) as output:
         line.power_up()
-        for k in range(TELL_EVERY):
+        for k in range(TIMEOUT_EVERY):
             output.write(k, (1900,) * 4)
         assert line.timeout_s == {128: 0.5, 129: 0.5}
 

@@ -40,15 +40,15 @@ def turned(corners: FloatArray, turn_rad: float, shift_m: FloatArray) -> FloatAr
     return result
 
 
-def laid(told: MarkerMap, rng: np.random.Generator, place_m: float, turn_rad: float) -> MarkerMap:
+def laid(remarks: MarkerMap, rng: np.random.Generator, place_m: float, turn_rad: float) -> MarkerMap:
     """Where the markers of the plan lie after somebody has laid its sheets."""
-    assert told.errors is not None
-    corners = told.corners_ned_m.copy()
-    for k in range(len(told.errors.names)):
-        mine = told.errors.sheet == k
+    assert remarks.errors is not None
+    corners = remarks.corners_ned_m.copy()
+    for k in range(len(remarks.errors.names)):
+        mine = remarks.errors.sheet == k
         shift = np.append(rng.normal(0.0, place_m, 2), 0.0)
         corners[mine] = turned(corners[mine], rng.normal(0.0, turn_rad), shift)
-    return dataclasses.replace(told, corners_ned_m=corners, errors=None)
+    return dataclasses.replace(remarks, corners_ned_m=corners, errors=None)
 
 
 def off_mm(a: MarkerMap, b: MarkerMap, some: FloatArray | None = None) -> float:
@@ -107,14 +107,14 @@ class LaidWorld(World):
 
 def flown(estimator: AidedEstimator, world: World, seconds: float) -> tuple[Track, list[str]]:
     """A flight, and what the operator was told."""
-    track, told = Track([], [], []), []
+    track, remarks = Track([], [], []), []
     for truth, samples, command in world.run(seconds):
         nav = estimator.step(truth.t_us, samples, command)
-        told += estimator.take_remarks()
+        remarks += estimator.take_remarks()
         if nav is not None:
             track.truth.append(truth)
             track.nav.append(nav)
-    return track, told
+    return track, remarks
 
 
 __all__ = ["CAMERA", "LaidWorld", "flown", "laid", "off_mm", "see", "sheets_of", "turned"]

@@ -169,7 +169,7 @@ def test_iron_that_turns_with_the_device_is_not_taken_for_a_field(
 ) -> None:
     """Its size and dip change as the device turns, so it is never alike for long enough."""
     if believed:
-        monkeypatch.setattr("autopilot.estimator.magnetic.MAGNETIC", replace(MAGNETIC, size_share=1e9))
+        monkeypatch.setattr("autopilot.estimator.magnetic.MAGNETIC", replace(MAGNETIC, size_fraction=1e9))
         monkeypatch.setattr("autopilot.estimator.magnetic.DIP_RAD", math.pi)
     attitude = AttitudeFilter()
     errors = []

@@ -84,7 +84,7 @@ def test_model_aid_is_what_carries_through_a_gap(make_ekf: Make) -> None:
 def test_current_and_speed_through_the_water(make_ekf: Make, field: CurrentField, limit: float) -> None:
     track = fly(make_ekf(), World(field), 30.0).after(12.0)
     assert rms(track.current_error()[:, :2]) < limit
-    assert rms(track.water_error()[:, :2]) < limit
+    assert rms(track.water_velocity_error()[:, :2]) < limit
 
 
 def test_wrong_drag_and_a_tether_are_borne(make_ekf: Make) -> None:

@@ -285,7 +285,7 @@ class Track:
             [r_ned_from_frd(n.rpy_rad) @ n.vel_frd_m_s - t.vel for t, n in zip(self.truth, self.nav, strict=True)]
         )
 
-    def water_error(self) -> FloatArray:
+    def water_velocity_error(self) -> FloatArray:
         return np.array([n.vel_water_frd_m_s - t.vel_water_frd for t, n in zip(self.truth, self.nav, strict=True)])
 
     def current_error(self) -> FloatArray:

@@ -119,15 +119,15 @@ class Truth:
     power_w: float
 
 
-def smooth(share: float) -> tuple[float, float]:
+def smooth(fraction: float) -> tuple[float, float]:
     """A blend 0..1 without speed at its ends, and its slope."""
-    return share * share * (3.0 - 2.0 * share), 6.0 * share * (1.0 - share)
+    return fraction * fraction * (3.0 - 2.0 * fraction), 6.0 * fraction * (1.0 - fraction)
 
 
 def pose(t_s: float) -> tuple[FloatArray, float]:
     """Position (3,) and yaw at a time: to and fro along VIA, one way per LEG_S."""
-    leg, share = divmod(t_s / LEG_S, 1.0)
-    blend = smooth(share)[0]
+    leg, fraction = divmod(t_s / LEG_S, 1.0)
+    blend = smooth(fraction)[0]
     if int(leg) % 2:
         blend = 1.0 - blend
     lengths = np.r_[0.0, np.cumsum(np.linalg.norm(np.diff(VIA, axis=0), axis=1))]

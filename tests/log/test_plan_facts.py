@@ -63,7 +63,7 @@ def test_arrows_are_to_scale_with_the_field(size_m: float, flow_m_s: float) -> N
     assert met is not None
     longest = met.scale_m * float(np.hypot(*met.flow_m_s.T).max())
     assert longest == pytest.approx(LONGEST_ARROW * size_m)
-    assert 0.39 * flow_m_s <= met.told_m_s <= 1.0001 * flow_m_s
+    assert 0.39 * flow_m_s <= met.key_m_s <= 1.0001 * flow_m_s
     assert 5 <= len(met.place_m) <= 100
 
 
@@ -77,8 +77,8 @@ def test_a_moving_obstacle_is_drawn_where_it_was(flight: FlightRecord) -> None:
     assert flight.run is not None
     track = flight.judged.between(flight.armed)
     (moved,) = moved_obstacles(track, flight.run)
-    np.testing.assert_allclose(moved.way_m[0], obstacle_position(MOVING, track.t_s[:1])[0])
-    np.testing.assert_allclose(moved.way_m[-1], obstacle_position(MOVING, track.t_s[-1:])[0])
+    np.testing.assert_allclose(moved.path_m[0], obstacle_position(MOVING, track.t_s[:1])[0])
+    np.testing.assert_allclose(moved.path_m[-1], obstacle_position(MOVING, track.t_s[-1:])[0])
     apart = np.hypot(*(track.pos_ned_m[:, :2] - obstacle_position(MOVING, track.t_s)).T)
     nearest = track.pos_ned_m[np.searchsorted(track.t_s, moved.nearest_s), :2]
     assert np.hypot(*(nearest - moved.nearest_m)) == pytest.approx(apart.min())
@@ -110,7 +110,7 @@ def test_the_lap_of_one_waypoint_is_the_way_to_it(flight: FlightRecord) -> None:
 def test_the_key_and_every_arrow_are_in_the_plan(flight: FlightRecord) -> None:
     track = flight.judged.between(flight.armed)
     met = met_current(track, flight.run)
-    assert met is not None and met.told_m_s == pytest.approx(EAST_M_S)
+    assert met is not None and met.key_m_s == pytest.approx(EAST_M_S)
     low, high = plan_box(track, flight.run)
     assert met.key_m[0] == pytest.approx(low[0]) and met.key_m[1] > high[1]
     words = [

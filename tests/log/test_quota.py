@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from autopilot.log.lock import lock_exclusive
-from autopilot.log.quota import flights, make_room
+from autopilot.log.quota import flights, remove_old_logs
 
 
 def fly(folder: Path, day: str, time: str, size: int) -> Path:
@@ -26,7 +26,7 @@ def test_the_oldest_go_first_with_what_stands_beside_them(tmp_path: Path) -> Non
     foreign.parent.mkdir()
     foreign.write_bytes(bytes(5000))
     assert [flight.log for flight in flights(tmp_path)] == [old, second, third, last]
-    assert make_room(tmp_path, 2600, keep_free_bytes=0) == [old, second]
+    assert remove_old_logs(tmp_path, 2600, keep_free_bytes=0) == [old, second]
     assert not old.parent.exists(), "a day without flights goes as well"
     assert not second.with_suffix(".tlog").exists()
     assert third.exists() and last.exists() and foreign.exists()
@@ -37,24 +37,24 @@ def test_a_log_that_is_being_written_stays(tmp_path: Path) -> None:
     idle = fly(tmp_path, "2026-02-01", "11_00_00", 1000)
     with busy.open("r+b") as file:
         assert lock_exclusive(file)
-        assert make_room(tmp_path, 0, keep_free_bytes=0) == [idle]
+        assert remove_old_logs(tmp_path, 0, keep_free_bytes=0) == [idle]
     assert busy.exists()
 
 
 def test_a_full_disk_counts_though_the_quota_is_kept(tmp_path: Path) -> None:
     log = fly(tmp_path, "2026-02-01", "10_00_00", 10)
-    assert make_room(tmp_path, 10**9, keep_free_bytes=2**62) == [log]
+    assert remove_old_logs(tmp_path, 10**9, keep_free_bytes=2**62) == [log]
 
 
 def test_a_folder_that_is_not_there_needs_no_room(tmp_path: Path) -> None:
-    assert make_room(tmp_path / "none", 0) == []
+    assert remove_old_logs(tmp_path / "none", 0) == []
 
 
 @given(sizes=st.lists(st.integers(0, 400), max_size=8), quota=st.integers(0, 1500))
 def test_what_is_left_is_the_newest_that_fit(tmp_path_factory, sizes, quota) -> None:  # type: ignore[no-untyped-def]
     folder = tmp_path_factory.mktemp("logs")
     logs = [fly(folder, "2026-02-01", f"10_00_{n:02}", size) for n, size in enumerate(sizes)]
-    make_room(folder, quota, keep_free_bytes=0)
+    remove_old_logs(folder, quota, keep_free_bytes=0)
     whole = [size + size // 4 for size in sizes]
     first_kept = next(n for n in range(len(sizes) + 1) if sum(whole[n:]) <= quota)
     assert [log.exists() for log in logs] == [n >= first_kept for n in range(len(logs))]

@@ -56,8 +56,8 @@ def test_the_answer_brings_what_the_vehicle_needs_of_the_plans() -> None:
     assert verdict.problem == "" and verdict.own == verdict.joint == verdict.warnings == ()
     assert [step.seq for step in verdict.steps] == [0, 1]
     assert len(verdict.shapes) == 2
-    assert [name for name, _ in verdict.goal_room] == ["item 0", "item 1"]
-    assert verdict.goal_room[0][1] == pytest.approx(1.0 - 0.2 - RADIUS_M)
+    assert [name for name, _ in verdict.goal_clearance_m] == ["item 0", "item 1"]
+    assert verdict.goal_clearance_m[0][1] == pytest.approx(1.0 - 0.2 - RADIUS_M)
     assert 0.5 < verdict.widest_m < 1.2
 
 

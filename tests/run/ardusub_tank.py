@@ -81,7 +81,7 @@ class Tank:
         """Water, vehicle and flight controller."""
         for received in self._wire.recv(t_us):
             if not self.deaf:
-                self.below.hear(t_us, received.data)
+                self.below.receive(t_us, received.data)
         for data in self.world.advance(t_us + self.late_us):
             if not self.unheard:
                 self._wire.send(data)
@@ -101,7 +101,7 @@ class Tank:
         self._client.send(bytes(message.pack(self._pilot)))
 
     def pilot(self, message: Any) -> None:
-        self.below.hear(self._t_us, bytes(message.pack(self._pilot)), link=9)
+        self.below.receive(self._t_us, bytes(message.pack(self._pilot)), link=9)
 
     def pilot_mode(self, mode: int) -> None:
         self.pilot(self._pilot.command_long_encode(1, 1, 176, 0, 1, mode, 0, 0, 0, 0, 0))
@@ -109,7 +109,7 @@ class Tank:
     def stick(self, x: int) -> None:
         self.pilot(self._pilot.manual_control_encode(1, x, 0, 500, 0, 0))
 
-    def said(self, text: str) -> bool:
+    def reported(self, text: str) -> bool:
         return any(text in line for _, line in self.texts)
 
     def close(self) -> None:

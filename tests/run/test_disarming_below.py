@@ -148,10 +148,10 @@ def test_what_is_not_confirmed_is_said_to_have_failed_and_is_asked_for_until_it_
     result, _ = tank.answered()
     assert result == FAILED
     assert IN_PROGRESS in {answer for answer, _ in tank.answers}
-    assert tank.said(DISARM_NOT_CONFIRMED.template)
+    assert tank.reported(DISARM_NOT_CONFIRMED.template)
     assert not tank.session.parts.commander.armed
     tank.deaf = tank.unheard = False
-    tank.run(lambda _: tank.said("Flight controller is disarmed now"), 5.0)
+    tank.run(lambda _: tank.reported("Flight controller is disarmed now"), 5.0)
     assert not tank.below.armed
     tank.tick(150)
     assert not tank.shown_armed
@@ -182,7 +182,7 @@ def test_what_is_found_armed_is_said_and_shown_and_can_be_disarmed(make: Callabl
     """A service that died armed is started again."""
     tank = make()
     tank.below._arm(0)
-    tank.run(lambda _: tank.said(FOUND_ARMED.template), 3.0)
+    tank.run(lambda _: tank.reported(FOUND_ARMED.template), 3.0)
     tank.tick(300)
     commander = tank.session.parts.commander
     assert ARMED in commander.prearm_reasons()
@@ -248,7 +248,7 @@ def test_a_failsafe_that_disarms_is_not_content_with_asking(make: Callable[..., 
     tank.deaf = False
     tank.tick(120)
     assert not tank.below.armed and not tank.shown_armed
-    assert tank.said(DISARM_NOT_CONFIRMED.template) == (lost > CONFIRM_TICKS)
+    assert tank.reported(DISARM_NOT_CONFIRMED.template) == (lost > CONFIRM_TICKS)
 
 
 @pytest.mark.parametrize(("hz", "stick"), [(20, 500), (25, -700)])
@@ -274,7 +274,7 @@ def test_a_second_sender_is_told_and_acted_on_and_nothing_else_is_blamed(
     assert noticed and noticed[0] - 1e-6 * began_us <= 0.35  # of simulated time: fifteen reports, and the ticks there
     assert not [text for _, text in said if "late" in text or "wrong" in text or "Surfac" in text], said
     assert tank.session.parts.commander.mode is FlightMode.HOLD
-    tank.run(lambda _: tank.said("Failsafe over: another sender"), 3.0)
+    tank.run(lambda _: tank.reported("Failsafe over: another sender"), 3.0)
 
 
 @pytest.mark.parametrize(("protocols", "lasts_s"), [(0.0, 3.0), (1.0, 3.0), (1.0, -1.0)])

@@ -81,15 +81,15 @@ def test_a_pilot_takes_the_vehicle_in_a_mission_gives_it_back_and_stops_it(tank:
     flight.stick(0)
     flight.pilot_mode(19)
     flight.run(lambda _: commander.mode is FlightMode.MISSION, 0.1)
-    assert flight.said("Pilot returned control: mission resumes")
+    assert flight.reported("Pilot returned control: mission resumes")
     touched = flight.world.truth.contact_count  # by his hand
-    assert not flight.said("Failsafe")
+    assert not flight.reported("Failsafe")
     # Once more: without the parameter it holds.
     flight.session.parts.params.set("PILOT_BACK", 0.0)
     flight.pilot_mode(2)
-    flight.run(lambda _: flight.said("Pilot has control (ALT_HOLD)"), 0.1)
+    flight.run(lambda _: flight.reported("Pilot has control (ALT_HOLD)"), 0.1)
     flight.pilot_mode(19)
-    flight.run(lambda _: flight.said("Pilot returned control: holding"), 0.1)
+    flight.run(lambda _: flight.reported("Pilot returned control: holding"), 0.1)
     assert commander.mode is FlightMode.HOLD and commander.armed
     where, end_us = flight.world.truth.pos_ned_m, flight._t_us + 3_000_000
     flight.run(lambda outputs: outputs.t_us >= end_us, 4.0)
@@ -97,7 +97,7 @@ def test_a_pilot_takes_the_vehicle_in_a_mission_gives_it_back_and_stops_it(tank:
     # And stopped below: the end of the flight, for the service too.
     flight.pilot(flight._pilot.command_long_encode(1, 1, 400, 0, 0, 0, 0, 0, 0, 0, 0))
     flight.run(lambda outputs: not outputs.mode.armed, 0.1)
-    flight.run(lambda _: flight.said("Flight controller disarmed"), 0.1)
+    flight.run(lambda _: flight.reported("Flight controller disarmed"), 0.1)
     assert flight.world.truth.contact_count == touched
 
 
@@ -119,7 +119,7 @@ def test_a_loop_that_was_held_for_half_a_second_goes_on_with_the_present(tank: C
     assert max(later - one for one, later in pairwise(ticks)) > 500_000
     assert runtime.counters.overruns - before >= 50
     assert flight.outputs is not None and flight.outputs.mode.armed
-    assert not flight.said("AHRS silent"), flight.texts[-10:]
+    assert not flight.reported("AHRS silent"), flight.texts[-10:]
 
 
 def test_a_flight_controller_that_is_not_heard_for_a_while_is_not_disarmed(tank: Callable[..., Tank]) -> None:
@@ -129,13 +129,13 @@ def test_a_flight_controller_that_is_not_heard_for_a_while_is_not_disarmed(tank:
     end_us = flight._t_us + 1_700_000  # longer than it takes until the link is opened anew, too
     flight.run(lambda outputs: not flight.below.armed or outputs.t_us >= end_us, 2.0)
     assert flight.below.armed and flight.session.parts.commander.armed
-    assert flight.said("Thrusters failed: flight controller is silent")
+    assert flight.reported("Thrusters failed: flight controller is silent")
     assert sorted(set(flight.below.servos_us[:4])) == [1500]
     flight.unheard = False
-    flight.run(lambda _: flight.said("Thrusters: working again"), 3.0)
+    flight.run(lambda _: flight.reported("Thrusters: working again"), 3.0)
     # The failsafe of the AHRS, which comes by the same line, may have brought it up meanwhile.
-    assert flight.said("Surfaced") or (flight.below.armed and flight.session.parts.commander.armed)
-    assert not flight.said("Flight controller disarmed")
+    assert flight.reported("Surfaced") or (flight.below.armed and flight.session.parts.commander.armed)
+    assert not flight.reported("Flight controller disarmed")
 
 
 def test_what_a_late_tick_finds_ahead_of_its_time_is_kept_for_the_next(tank: Callable[..., Tank]) -> None:
@@ -161,7 +161,7 @@ def test_what_the_pilot_does_with_the_thrusters_is_not_taken_for_a_current(tank:
     flight = tank()
     flight.run(_flies, 60.0)
     flight.pilot_mode(0)
-    flight.run(lambda _: flight.said("Pilot has control"), 0.1)
+    flight.run(lambda _: flight.reported("Pilot has control"), 0.1)
     off_m_s = []
     for turn in range(400):
         flight.stick(350 if turn // 100 % 2 else -350)

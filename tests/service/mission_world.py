@@ -24,16 +24,16 @@ class MissionWorld(PilotedWorld):
 
     def upload(self, items: Sequence[PlanItem], kind: int = 0) -> Any:
         """COUNT, items as they are asked for; the final MISSION_ACK."""
-        self.heard.clear()
+        self.inbox.clear()
         self._mav.seq = (self._mav.seq + 1) % 256
         rx = [self.pack(mav.MAVLink_mission_count_message(1, 1, len(items), kind))]
         for _ in range(100 + 3 * len(items)):
             self.tick(rx)
-            rx, news = [], list(self.heard)
-            self.heard.clear()
+            rx, news = [], list(self.inbox)
+            self.inbox.clear()
             for message in news:
                 if message.get_type() == "MISSION_ACK":
-                    self.heard.extend(news)
+                    self.inbox.extend(news)
                     self.run(0.03)
                     return message
                 if message.get_type() == "MISSION_REQUEST_INT":
@@ -47,13 +47,13 @@ class MissionWorld(PilotedWorld):
         assert ack.type == 0, self.texts()
         self.arm()
         assert self.command(300, 0.0, 0.0) == 0, self.texts()
-        self.heard.clear()
+        self.inbox.clear()
         self.run(seconds)
 
     @property
     def reached(self) -> list[int]:
         """MISSION_ITEM_REACHED since the start."""
-        return [m.seq for m in self.heard if m.get_type() == "MISSION_ITEM_REACHED"]
+        return [m.seq for m in self.inbox if m.get_type() == "MISSION_ITEM_REACHED"]
 
     def since(self, seconds: float) -> Any:
         """The track (n, 8) of the last seconds."""

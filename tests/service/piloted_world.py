@@ -49,7 +49,7 @@ class PilotedWorld(ServiceWorld):
     def samples(self) -> tuple[Sample, ...]:
         t_us, x, tick = self.t_us, self.x, self.t_us // TICK_US
         dither = 1e-5 * np.sin([tick, 2.0 * tick, 0.3 * tick])
-        said: list[Sample] = [
+        samples: list[Sample] = [
             AhrsSample(
                 t_us=t_us,
                 rpy_rad=dither + np.array([0.0, 0.0, wrap_pi(float(x[3]))]),
@@ -59,7 +59,7 @@ class PilotedWorld(ServiceWorld):
         ]
         if self.fixes and t_us % 50_000 == 0:
             sigma = np.full(3, 0.005)
-            said.append(
+            samples.append(
                 PoseSample(
                     t_us=t_us,
                     pos_ned_m=x[:3] + dither,
@@ -69,10 +69,10 @@ class PilotedWorld(ServiceWorld):
                 )
             )
         if self.depth and t_us % 100_000 == 0:
-            said.append(DepthSample(t_us=t_us, depth_m=float(x[2] + dither[0]), sigma_m=0.005))
+            samples.append(DepthSample(t_us=t_us, depth_m=float(x[2] + dither[0]), sigma_m=0.005))
         if t_us % 1_000_000 == 0:
-            said.append(PowerSample(t_us=t_us, voltage_v=19.0, current_a=1.0, energy_used_j=0.0, remaining=0.9))
-        return tuple(said)
+            samples.append(PowerSample(t_us=t_us, voltage_v=19.0, current_a=1.0, energy_used_j=0.0, remaining=0.9))
+        return tuple(samples)
 
     def tick(self, rx: Sequence[bytes] = (), samples: Sequence[Sample] | None = None) -> Outputs:
         outputs = super().tick(rx, samples)
@@ -115,11 +115,11 @@ class PilotedWorld(ServiceWorld):
     @property
     def custom_mode(self) -> int:
         """Of the last HEARTBEAT that came within the next second."""
-        self.heard.clear()
+        self.inbox.clear()
         self.run(1.05)
-        return int([m for m in self.heard if m.get_type() == "HEARTBEAT"][-1].custom_mode)
+        return int([m for m in self.inbox if m.get_type() == "HEARTBEAT"][-1].custom_mode)
 
-    def room_m(self) -> float:
+    def clearance_m(self) -> float:
         """Least distance of the vehicle's ball from walls and pillars so far."""
         track = np.array(self.track)
         wall = np.minimum(2.5 - np.abs(track[:, 0]), 1.5 - np.abs(track[:, 1])).min()

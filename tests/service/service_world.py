@@ -50,12 +50,12 @@ class ServiceWorld:
         self.pos_ned_m = np.array([0.0, 0.0, 0.4])
         self._mav = mav.MAVLink(None, srcSystem=255, srcComponent=190)
         self._mav.robust_parsing = True
-        self.heard: list[Any] = []
+        self.inbox: list[Any] = []
 
     def samples(self) -> tuple[Sample, ...]:
         """What sound sensors say on this tick."""
         t_us, tick = self.t_us, self.t_us // TICK_US  # a device at rest whose last digits move: else it is frozen
-        said: list[Sample] = [
+        samples: list[Sample] = [
             AhrsSample(
                 t_us=t_us,
                 rpy_rad=1e-4 * np.sin([tick, 2.0 * tick, 0.3 * tick]),
@@ -65,12 +65,12 @@ class ServiceWorld:
         ]
         if t_us % 100_000 == 0:
             sigma = np.full(3, 0.01)
-            said.append(
+            samples.append(
                 PoseSample(t_us=t_us, pos_ned_m=self.pos_ned_m, yaw_rad=0.0, sigma_pos_m=sigma, sigma_yaw_rad=0.02)
             )
         if t_us % 1_000_000 == 0:
-            said.append(PowerSample(t_us=t_us, voltage_v=19.0, current_a=1.0, energy_used_j=0.0, remaining=0.9))
-        return tuple(said)
+            samples.append(PowerSample(t_us=t_us, voltage_v=19.0, current_a=1.0, energy_used_j=0.0, remaining=0.9))
+        return tuple(samples)
 
     def camera(self) -> dict[str, Any]:
         """What the camera says on this tick, as fields of Inputs."""
@@ -83,7 +83,7 @@ class ServiceWorld:
         given = self.samples() if samples is None else tuple(samples)
         outputs = self.service.step(Inputs(t_us=self.t_us, samples=given, mavlink_rx=frames, **self.camera()))
         for frame in outputs.mavlink_tx:
-            self.heard += self._mav.parse_buffer(frame.data) or ()
+            self.inbox += self._mav.parse_buffer(frame.data) or ()
         return outputs
 
     def run(self, seconds: float) -> Outputs:
@@ -98,10 +98,10 @@ class ServiceWorld:
 
     def ask(self, message: Any, seconds: float = 0.03) -> list[Any]:
         """Send; what came back."""
-        self.heard.clear()
+        self.inbox.clear()
         self.tick([self.pack(message)])
         self.run(seconds)
-        return list(self.heard)
+        return list(self.inbox)
 
     def command_int(self, command: int, lat: float, lon: float, alt: float, param1: float = 0.0, frame: int = 0) -> int:
         """COMMAND_INT with a place; its result."""
@@ -117,4 +117,4 @@ class ServiceWorld:
 
     def texts(self) -> str:
         """What the operator was told."""
-        return "".join(m.text for m in self.heard if m.get_type() == "STATUSTEXT")
+        return "".join(m.text for m in self.inbox if m.get_type() == "STATUSTEXT")

@@ -79,8 +79,8 @@ def corridor(
     """A path to and fro, shifted sideways: its inner corners are plain waypoints."""
     items: list[PlanItem] = []
     for k, offset in enumerate(offsets_m):
-        way = np.diff(path)
-        side = 1j * np.array([*way, way[-1]]) / np.abs([*way, way[-1]])
+        step = np.diff(path)
+        side = 1j * np.array([*step, step[-1]]) / np.abs([*step, step[-1]])
         places = list(np.array(path) + offset * side)[:: 1 if k % 2 == 0 else -1]
         for n, place in enumerate(places):
             items.append(_placed(len(items), 16, origin, complex(place), depth, NAN))

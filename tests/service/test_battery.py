@@ -84,9 +84,9 @@ def test_a_voltage_that_cannot_be_is_refused_counted_and_told_and_scales_no_thru
     assert sum(text.startswith("Battery ") for text in mad.said) == 1
     assert mad.counted["power.malformed"] >= 4
     assert not any(text.startswith("Battery ") for text in sound.said) and "power.malformed" not in sound.counted
-    mad.heard.clear()
+    mad.inbox.clear()
     mad.run(1.1)
-    status = [m for m in mad.heard if m.get_type() == "SYS_STATUS"]
+    status = [m for m in mad.inbox if m.get_type() == "SYS_STATUS"]
     assert {m.voltage_battery for m in status} == {65535}
     mad.volts = 19.0
     outputs = mad.run(1.5)

@@ -459,7 +459,7 @@ def test_a_cause_raises_its_row_in_its_time_and_is_told(cause: Cause) -> None:
     world.take_off()
     world.run(1.0)
     assert not world.bits & bit, "not without its cause"
-    world.heard.clear()
+    world.inbox.clear()
     cause.act(world)
     begun: int | None = None
     for tick in range(round(cause.within_s * 100)):

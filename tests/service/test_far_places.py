@@ -17,7 +17,7 @@ WORLD = ServiceWorld()
 
 def _shown(world: ServiceWorld, name: str) -> object:
     world.run(10.1 if name == "GPS_GLOBAL_ORIGIN" else 2.1)
-    return next(m for m in reversed(world.heard) if m.get_type() == name)
+    return next(m for m in reversed(world.inbox) if m.get_type() == name)
 
 
 @given(lat=st.floats(-214.0, 214.0), lon=st.floats(-214.0, 214.0), alt=st.floats(width=32))

@@ -36,7 +36,7 @@ class Client:
         self._mav = mav.MAVLink(None, srcSystem=255, srcComponent=190)
         self._mav.robust_parsing = True
         self.out: list[bytes] = []
-        self.heard: list[Any] = []
+        self.inbox: list[Any] = []
 
     def send(self, message: Any) -> None:
         self.out.append(bytes(message.pack(self._mav)))
@@ -46,13 +46,13 @@ class Client:
 
     def step(self, t_us: int, received: Sequence[bytes]) -> list[bytes]:
         for data in received:
-            self.heard += self._mav.parse_buffer(data) or ()
+            self.inbox += self._mav.parse_buffer(data) or ()
         out, self.out = self.out, []
         return out
 
     def texts(self) -> list[str]:
         whole: list[str] = []
-        for m in self.heard:
+        for m in self.inbox:
             if m.get_type() == "STATUSTEXT" and m.chunk_seq:
                 whole[-1] += m.text
             elif m.get_type() == "STATUSTEXT":
@@ -60,7 +60,7 @@ class Client:
         return whole
 
     def count(self, kind: str) -> int:
-        return sum(m.get_type() == kind for m in self.heard)
+        return sum(m.get_type() == kind for m in self.inbox)
 
 
 class Flight:
@@ -175,7 +175,7 @@ def test_a_message_that_cannot_be_handled_is_answered_and_nothing_else_happens(f
     for _ in range(3):
         made.client.command(mav.MAV_CMD_DO_CHANGE_SPEED, 1.0, 0.2)
         made.fly(0.3)
-    acks = [m.result for m in made.client.heard if m.get_type() == "COMMAND_ACK" and m.command == 178]
+    acks = [m.result for m in made.client.inbox if m.get_type() == "COMMAND_ACK" and m.command == 178]
     assert acks == [mav.MAV_RESULT_FAILED] * 3
     assert made.outputs[-1].mode.armed
     assert made.outputs[-1].control is not None or any(tick.control is not None for tick in made.outputs[-5:])
@@ -186,9 +186,9 @@ def test_telemetry_that_cannot_be_built_costs_that_message(flight: Callable[...,
     made = flight()
     streams = made.session.parts.server._streams
     streams._builders = {**streams._builders, mav.MAVLINK_MSG_ID_VFR_HUD: broken}
-    made.client.heard.clear()
+    made.client.inbox.clear()
     made.fly(2.2)
-    kinds = {m.get_type() for m in made.client.heard}
+    kinds = {m.get_type() for m in made.client.inbox}
     assert "VFR_HUD" not in kinds
     assert {"HEARTBEAT", "ATTITUDE", "SYS_STATUS", "ESTIMATOR_STATUS", "BATTERY_STATUS"} <= kinds
     assert made.outputs[-1].mode.armed
@@ -251,7 +251,7 @@ class Unplugged:
 def test_sensors_that_disappear_are_said_and_come_back(flight: Callable[..., Flight], error: Exception) -> None:
     made = flight()
     device = Unplugged(made, poll=error)
-    made.client.heard.clear()
+    made.client.inbox.clear()
     after = made.fly(1.5)
     assert after[-1].mode.failsafes >> Failsafe.AHRS_STALE & 1
     texts = made.client.texts()

@@ -57,11 +57,11 @@ def test_home_is_numbered_and_not_flown(profile: str) -> None:
     assert back[3].param1 == 1.0
     world.arm()
     assert world.command(300, 0.0, 0.0) == 0
-    world.heard.clear()
+    world.inbox.clear()
     world.run(10.0)
     assert world.reached == [1, 2, 1, 2, 3]
     assert "Reached item 2" in world.texts()
-    current = [m for m in world.heard if m.get_type() == "MISSION_CURRENT"][-1]
+    current = [m for m in world.inbox if m.get_type() == "MISSION_CURRENT"][-1]
     assert current.total == 3
 
 

@@ -132,9 +132,9 @@ def test_any_command_is_answered_and_a_refused_one_changes_nothing(
     command: int, params: list[float], frame: int, place: tuple[int, int, float]
 ) -> None:
     before = _digest(WORLD)
-    WORLD.heard.clear()
+    WORLD.inbox.clear()
     WORLD.tick([WORLD.pack(mav.MAVLink_command_int_message(1, 1, frame, command, 0, 0, *params, *place))])
-    acks = [m for m in WORLD.heard if m.get_type() == "COMMAND_ACK"]
+    acks = [m for m in WORLD.inbox if m.get_type() == "COMMAND_ACK"]
     assert [ack.command for ack in acks] == [command]
     if acks[0].result != mav.MAV_RESULT_ACCEPTED:
         assert _digest(WORLD) == before

@@ -35,9 +35,9 @@ class Flight:
 
     def step(self, received: Sequence[bytes]) -> list[bytes]:
         """A tick."""
-        self.world.heard.clear()
+        self.world.inbox.clear()
         sent = [frame.data for frame in self.world.tick(list(received)).mavlink_tx]
-        self.texts += [m.text for m in self.world.heard if m.get_type() == "STATUSTEXT"]
+        self.texts += [m.text for m in self.world.inbox if m.get_type() == "STATUSTEXT"]
         return sent
 
     def until(self, done: Callable[[], bool], seconds: float = 20.0) -> bool:

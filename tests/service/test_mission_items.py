@@ -33,7 +33,7 @@ def test_loiter_turns_are_flown_round_the_centre_and_left() -> None:
     settled = slice(ring.start + 300, ring.stop)
     look = np.arctan2(-away[settled, 1], -away[settled, 0])
     assert np.abs(np.angle(np.exp(1j * (look - track[settled, 3])))).max() < 0.3
-    assert world.room_m() > 0.0
+    assert world.clearance_m() > 0.0
 
 
 def test_a_vehicle_stays_behind_its_last_turn() -> None:
@@ -145,9 +145,9 @@ def test_waypoints_close_together_do_not_flood_the_operator() -> None:
     items = [waypoint(k, -1.2 + 1e-4 * k, 0.6) for k in range(60)]
     world.fly([*items, plain(60, 177, 0.0, -1.0)], 10.0)
     assert 90 < len(world.reached) <= 121, "20 at once, and ten a second"
-    said = [m.text for m in world.heard if m.get_type() == "STATUSTEXT"]
+    said = [m.text for m in world.inbox if m.get_type() == "STATUSTEXT"]
     assert len(said) <= 13 and any("Reached 1" in text and "items, the last is" in text for text in said)
-    assert len([m for m in world.heard if m.get_type() == "MISSION_CURRENT"]) <= 115
+    assert len([m for m in world.inbox if m.get_type() == "MISSION_CURRENT"]) <= 115
 
 
 def test_of_many_that_are_reached_at_once_the_last_is_told() -> None:
@@ -156,7 +156,7 @@ def test_of_many_that_are_reached_at_once_the_last_is_told() -> None:
     reached = world.reached
     assert reached[:15] == list(range(reached[0], reached[0] + 15)), "one by one at first"
     assert reached[-1] == 399 and reached == sorted(set(reached)) and len(reached) <= 20 + 42
-    said = [m.text for m in world.heard if m.get_type() == "STATUSTEXT"]
+    said = [m.text for m in world.inbox if m.get_type() == "STATUSTEXT"]
     assert "the last is 399" in said[-2] and "Mission complete" in said[-1]
 
 
@@ -165,7 +165,7 @@ def test_what_was_reached_is_told_although_the_mission_is_paused_meanwhile() -> 
     world.fly([waypoint(0, -1.2, 0.6), waypoint(1, -1.2, 0.6), waypoint(2, 1.5, 0.6)], 0.5)
     assert world.command(193, 0.0) == 0
     texts = world.texts()
-    world.heard.clear()
+    world.inbox.clear()
     world.run(2.0)
     assert "Reached item 1" in texts + world.texts()
 
@@ -201,11 +201,11 @@ def test_plan_ids_tell_what_is_in_force() -> None:
     assert again.opaque_id not in (0, ack.opaque_id)
     assert world.upload([], 0).opaque_id == 0
     assert ids() == (0, fence, point.opaque_id)
-    world.heard.clear()
+    world.inbox.clear()
     world.tick([world.pack(mav.MAVLink_mission_clear_all_message(1, 1, 255))])
     world.run(0.2)
     assert ids() == (0, 0, 0)
-    assert [m for m in world.heard if m.id == 42]
+    assert [m for m in world.inbox if m.id == 42]
 
 
 def test_a_fence_is_not_switched_off_by_command() -> None:

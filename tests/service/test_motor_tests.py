@@ -31,7 +31,7 @@ def manual(start: tuple[float, ...] = (-1.0, 0.5, 0.5, 0.0), *, fixes: bool = Tr
     assert world.mode(MANUAL) == 0
     world.arm()
     world.run(0.3)
-    world.heard.clear()
+    world.inbox.clear()
     return world
 
 

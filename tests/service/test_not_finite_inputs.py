@@ -55,7 +55,7 @@ def _pulses(outputs: Outputs) -> tuple[int, ...]:
 
 def test_a_moment_without_a_number_is_bridged_by_the_last_estimate(world: Any) -> None:
     """Each field, each kind, on ticks of the controller and between them: thrust goes on, finite, nothing is blamed."""
-    world.heard.clear()
+    world.inbox.clear()
     lies = [(field, value) for field in FIELDS for value in (math.nan, math.inf, -math.inf, 1e308)]
     for number, (field, value) in enumerate(lies):
         world.liar.lie = (field, number % 3, value)
@@ -91,7 +91,7 @@ def test_an_estimate_that_stays_no_number_is_a_position_lost(world: Any) -> None
 
 def test_a_speed_that_no_prediction_can_follow_is_no_thrust(world: Any) -> None:
     """Finite, and infinite one thruster lag later: full reverse on all thrusters in a compiled clamp that drops NaN."""
-    world.heard.clear()
+    world.inbox.clear()
     world.liar.lie = ("vel_frd_m_s", 0, 500.0)  # without a current the same as through the water
     ticks = [world.tick() for _ in range(40)]
     world.liar.lie = None

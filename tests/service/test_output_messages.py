@@ -39,9 +39,9 @@ class TurningWorld(ServiceWorld):
 
 def named(world: ServiceWorld) -> dict[str, float]:
     """What the last second of NAMED_VALUE_FLOAT says."""
-    world.heard.clear()
+    world.inbox.clear()
     world.run(1.05)
-    return {m.name: m.value for m in world.heard if m.get_type() == "NAMED_VALUE_FLOAT"}
+    return {m.name: m.value for m in world.inbox if m.get_type() == "NAMED_VALUE_FLOAT"}
 
 
 def press(world: ServiceWorld, buttons: int) -> None:
@@ -52,10 +52,10 @@ def press(world: ServiceWorld, buttons: int) -> None:
 
 def servos(world: ServiceWorld) -> dict[int, int]:
     """Channel -> pulse of the newest SERVO_OUTPUT_RAW of each port."""
-    world.heard.clear()
+    world.inbox.clear()
     world.run(0.3)
     found: dict[int, int] = {}
-    for message in world.heard:
+    for message in world.inbox:
         if message.get_type() == "SERVO_OUTPUT_RAW":
             for n in range(1, 17):
                 found[16 * message.port + n] = getattr(message, f"servo{n}_raw")
@@ -135,4 +135,4 @@ def asked(world: ServiceWorld, number: int) -> list[Any]:
     for message in (mav.MAVLINK_MSG_ID_SERVO_OUTPUT_RAW, mav.MAVLINK_MSG_ID_NAMED_VALUE_FLOAT, number):
         world.command(mav.MAV_CMD_SET_MESSAGE_INTERVAL, message, -1)
     assert world.command(mav.MAV_CMD_REQUEST_MESSAGE, number) == 0
-    return [m for m in world.heard if m.get_msgId() == number]
+    return [m for m in world.inbox if m.get_msgId() == number]

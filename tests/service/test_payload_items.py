@@ -80,7 +80,7 @@ def test_a_survey_photographs_by_the_way_with_the_pose_of_each_exposure(tmp_path
         true = track[exposure_us // 10_000 - 1]
         assert np.linalg.norm(still.pos_ned_m - true[:3]) < 0.02
         assert abs(still.rpy_rad[2] - true[3]) < 0.05
-    captured = [m for m in world.heard if m.get_type() == "CAMERA_IMAGE_CAPTURED"]
+    captured = [m for m in world.inbox if m.get_type() == "CAMERA_IMAGE_CAPTURED"]
     assert [m.image_index for m in captured] == list(range(len(places)))
     assert len(list(tmp_path.glob("run.still-*.png"))) == len(places)
 

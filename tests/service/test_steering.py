@@ -47,8 +47,8 @@ def test_a_pilot_at_full_stick_is_slowed_down_and_touches_nothing(
     world = afloat(start)
     assert world.mode(mode) == ACCEPTED
     world.steer(12.0, **sticks)
-    assert world.room_m() > 0.0
-    assert world.room_m() < 0.25, "kept away instead of slowed down"
+    assert world.clearance_m() > 0.0
+    assert world.clearance_m() < 0.25, "kept away instead of slowed down"
     assert np.hypot(*np.array(world.track)[:, 4:6].T).max() > 0.15
     assert np.hypot(*world.x[4:6]) < 0.03
 
@@ -100,7 +100,7 @@ def test_a_joystick_that_falls_silent_is_released() -> None:
     world.mode(POSITION)
     world.steer(0.5)
     world.steer(2.0, x=1000)
-    world.heard.clear()
+    world.inbox.clear()
     world.run(4.5)
     assert np.hypot(*world.x[4:6]) < 0.02
     assert "pilot input lost" in world.texts()
@@ -111,7 +111,7 @@ def test_both_conventions_of_the_vertical_stick() -> None:
     world = afloat()
     world.mode(ALTITUDE)
     depth = world.x[2]
-    world.heard.clear()
+    world.inbox.clear()
     world.steer(2.0, z=0)
     assert abs(world.x[2] - depth) < 0.05
     assert "rests at 500" in world.texts()
@@ -131,7 +131,7 @@ def test_a_negative_vertical_stick_tells_its_convention() -> None:
     world = afloat()
     world.mode(ALTITUDE)
     depth = world.x[2]
-    world.heard.clear()
+    world.inbox.clear()
     world.steer(0.3, z=-300)
     world.steer(1.0, z=0)
     assert "PILOT_Z 1" in world.texts() and abs(world.x[2] - depth) < 0.05
@@ -149,7 +149,7 @@ def test_channels_are_sticks_and_one_pilot_steers_at_a_time() -> None:
     assert world.x[0] > north + 0.2
     other = mav.MAVLink(None, srcSystem=200, srcComponent=190)
     back = mav.MAVLink_manual_control_message(1, -1000, 0, 500, 0, 0)
-    world.heard.clear()
+    world.inbox.clear()
     north = world.x[0]
     for _ in range(60):
         world.tick([world.pack(ahead), bytes(back.pack(other))])
@@ -171,7 +171,7 @@ def test_buttons_do_what_their_parameters_say() -> None:
         }
     )
     world.run(1.5)
-    world.heard.clear()
+    world.inbox.clear()
     world.steer(0.4, buttons=1)
     assert world.parts.commander.armed, world.texts()
     world.steer(0.4, buttons=2)
@@ -246,7 +246,7 @@ def test_a_position_that_is_lost_does_not_take_the_sticks_away_and_one_that_come
     depth, since = world.x[2], len(world.thrust)
     lost = False
     for _ in range(80):
-        world.heard.clear()
+        world.inbox.clear()
         outputs = world.steer(1.0, x=200 if lost else 0)
         lost = lost or "Position lost" in world.texts()
         if lost and outputs.goal is None:
@@ -256,7 +256,7 @@ def test_a_position_that_is_lost_does_not_take_the_sticks_away_and_one_that_come
     assert world.parts.commander.armed and world.parts.commander.mode.name == "ALT_HOLD"
     assert abs(world.x[2] - depth) < 0.1
     world.fixes = True
-    world.heard.clear()
+    world.inbox.clear()
     world.steer(4.0)
     assert "Position is back" in world.texts()
     assert abs(world.x[2] - depth) < 0.15
@@ -277,7 +277,7 @@ def test_set_points_are_flown_and_their_end_is_told() -> None:
     assert world.x[3] == pytest.approx(0.5, abs=0.1)
     world.stream(4.0, velocity(0.0, -0.15, 0.0))
     assert world.x[5] == pytest.approx(-0.15 * math.cos(world.x[3]), abs=0.05)
-    world.heard.clear()
+    world.inbox.clear()
     world.run(1.5)
     assert "Set points stopped" in world.texts()
     assert world.custom_mode == HOLD
@@ -319,7 +319,7 @@ def test_a_set_point_that_is_not_followed_is_refused_by_a_text_and_ends_the_mode
     for message, text in REFUSED:
         world.stream(0.3, velocity(0.0, 0.0, 0.0))
         assert world.mode(OFFBOARD) == ACCEPTED
-        world.heard.clear()
+        world.inbox.clear()
         world.stream(0.2, message)
         assert "Set point refused" in world.texts() and text in world.texts()
         assert world.parts.commander.mode is FlightMode.HOLD
@@ -332,13 +332,13 @@ def test_a_client_that_steers_at_a_pillar_by_velocities_is_slowed_down() -> None
     world.stream(0.3, velocity(0.4, 0.0, 0.0))
     world.mode(OFFBOARD)
     world.stream(8.0, velocity(0.4, 0.0, 0.0))
-    assert 0.0 < world.room_m() < 0.2
+    assert 0.0 < world.clearance_m() < 0.2
     place = mav.MAVLink_set_position_target_global_int_message(
         0, 1, 1, 6, 0b110111111000, round(37.9755e7), round(23.7790e7), -0.4, 0, 0, 0, 0, 0, 0, 0, 0
     )
     world.stream(6.0, place)
     assert np.linalg.norm(world.x[:3] - (0.0, 0.0, 0.4)) < 0.1
-    assert world.room_m() > 0.0
+    assert world.clearance_m() > 0.0
 
 
 # Circles, depths, dives
@@ -377,7 +377,7 @@ def test_taking_off_is_a_dive_from_the_surface_that_can_be_cancelled() -> None:
     world.run(1.5)
     assert world.command(22, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 2.5) == ACCEPTED
     world.arm()
-    world.heard.clear()
+    world.inbox.clear()
     world.run(8.0)
     assert "Dived to 0.50 m" in world.texts()
     assert world.x[2] == pytest.approx(0.5, abs=0.06)
@@ -399,7 +399,7 @@ def test_random_sticks_modes_and_set_points_touch_nothing(seed: int) -> None:
         x, y, r = rng.integers(-1000, 1001, 3).tolist()
         world.steer(0.2)
         world.steer(1.5, x=x, y=y, z=int(rng.integers(0, 1001)), r=r)
-    assert world.room_m() > 0.0
+    assert world.clearance_m() > 0.0
     depths = np.array(world.track)[:, 2]
     assert depths.max() < 1.25
     assert world.step_n() <= 3.0

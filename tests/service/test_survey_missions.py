@@ -25,7 +25,7 @@ def test_a_survey_with_gates_is_flown_along_its_legs() -> None:
     off = np.minimum(np.abs(inside[:, 1] - 0.5), np.abs(inside[:, 1] - 0.9))
     assert off.max() < 0.2, "a turnaround is left at its acceptance radius, 0.3 m"
     assert np.abs(track[:, 2] - 0.5).max() < 0.06
-    assert world.room_m() > 0.0
+    assert world.clearance_m() > 0.0
 
 
 def test_a_corridor_is_flown_to_and_fro() -> None:
@@ -36,10 +36,10 @@ def test_a_corridor_is_flown_to_and_fro() -> None:
     world.run(0.2)
     assert world.command(400, 1.0) == 0, world.texts()
     assert world.command(300, 0.0, 0.0) == 0
-    world.heard.clear()
+    world.inbox.clear()
     world.run(22.0)
     assert world.reached[-5:] == [1, 2, 3, 4, 5]
-    assert world.room_m() > 0.0
+    assert world.clearance_m() > 0.0
 
 
 def test_the_longest_mission_is_taken_read_back_and_flown_from_its_middle() -> None:
@@ -53,7 +53,7 @@ def test_the_longest_mission_is_taken_read_back_and_flown_from_its_middle() -> N
     world.arm()
     assert world.command(224, 1990.0) == 0
     assert world.command(300, 1990.0, 0.0) == 0
-    world.heard.clear()
+    world.inbox.clear()
     world.run(12.0)
     assert world.reached[:3] == [1990, 1991, 1992]
 

@@ -7,8 +7,8 @@ import msgspec
 import numpy as np
 
 from autopilot.core.vehicle import Vehicle, load_vehicle
-from autopilot.sitl.environment import SimulatedWaters
 from autopilot.sitl.plant import Plant, Truth
+from autopilot.sitl.simulated_waters import SimulatedWaters
 
 VEHICLE = load_vehicle("lbv150")
 NEUTRAL = (1500,) * 4 + (0,) * 4

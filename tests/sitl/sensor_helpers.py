@@ -79,6 +79,6 @@ def floor() -> Floor:
     return built
 
 
-def renderer(look: ImageModel = SCENARIO.camera, seed: int = 1, **changes: Any) -> SimCamera:
+def renderer(imaging: ImageModel = SCENARIO.camera, seed: int = 1, **changes: Any) -> SimCamera:
     """A camera over that floor."""
-    return SimCamera(CAMERA, floor(), msgspec.structs.replace(look, **changes), seed)
+    return SimCamera(CAMERA, floor(), msgspec.structs.replace(imaging, **changes), seed)

@@ -10,9 +10,9 @@ from autopilot.control.thrust.allocation import Allocation
 from autopilot.core.thrusters import thrusters_of
 from autopilot.core.vehicle import Vehicle, load_vehicle
 from autopilot.sitl.backend import SimThrusterOutput
-from autopilot.sitl.environment import SimulatedWaters
 from autopilot.sitl.mismatch import mismatched
 from autopilot.sitl.plant import Plant
+from autopilot.sitl.simulated_waters import SimulatedWaters
 from autopilot.sitl.thruster_models import Thrusters, held
 
 LBV150, BLUEROV2 = load_vehicle("lbv150"), load_vehicle("bluerov2")

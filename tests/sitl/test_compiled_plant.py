@@ -10,9 +10,9 @@ from autopilot.core import compiled
 from autopilot.core.vehicle import Vehicle, load_vehicle
 from autopilot.sitl.contact import Cylinder
 from autopilot.sitl.current_fields import CurrentField, Gyre, Shear, TankJet, Uniform, Vortex
-from autopilot.sitl.environment import SimulatedWaters
 from autopilot.sitl.plant import Plant
 from autopilot.sitl.scenario_tables import ThrusterLoss
+from autopilot.sitl.simulated_waters import SimulatedWaters
 from tests.hostile_numbers import HOSTILE
 
 FLOWS: tuple[CurrentField, ...] = (

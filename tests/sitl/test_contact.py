@@ -10,8 +10,8 @@ from plant_helpers import NEUTRAL, VEHICLE, body_with, kinetic_energy_j, plant
 
 from autopilot.core.errors import ConfigError
 from autopilot.sitl.contact import Cylinder, Prism, SolidGeometry, Sphere, is_inside
-from autopilot.sitl.environment import SimulatedWaters
 from autopilot.sitl.plant import Plant
+from autopilot.sitl.simulated_waters import SimulatedWaters
 from autopilot.sitl.sitl_tuning import CONTACT
 
 TRIMMED = body_with(buoyancy_excess_n=0.0)

@@ -13,10 +13,10 @@ from autopilot.log.analysis import obstacle_position
 from autopilot.log.description import Obstacle
 from autopilot.sitl.backend import SimulatedVehicle, simulated_vehicle
 from autopilot.sitl.contact import MovingCylinder, SolidGeometry
-from autopilot.sitl.environment import SimulatedWaters
 from autopilot.sitl.moving import MovingPath
 from autopilot.sitl.plant import Plant
 from autopilot.sitl.scenario import load_scenario
+from autopilot.sitl.simulated_waters import SimulatedWaters
 
 VEHICLE = load_vehicle("lbv150")
 CORNERS = [(0.0, 0.0), (3.0, 0.0), (3.0, 4.0)]

@@ -10,7 +10,7 @@ from plant_helpers import DEEP, NEUTRAL, NO_DRAG, VEHICLE, body_with, kinetic_en
 
 from autopilot.core.frames import r_ned_from_frd
 from autopilot.sitl.current_fields import Shear, Uniform, Vortex
-from autopilot.sitl.environment import SimulatedWaters
+from autopilot.sitl.simulated_waters import SimulatedWaters
 from autopilot.sitl.sitl_tuning import PLANT
 from autopilot.sitl.thruster_models import wrench_of
 

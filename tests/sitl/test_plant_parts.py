@@ -12,7 +12,7 @@ from plant_helpers import NEUTRAL, VEHICLE, plant
 from autopilot.core.errors import ConfigError
 from autopilot.core.thrusters import thrusters_of
 from autopilot.sitl.battery import SimulatedBattery
-from autopilot.sitl.environment import SimulatedWaters
+from autopilot.sitl.simulated_waters import SimulatedWaters
 from autopilot.sitl.tether import WATER_DENSITY_KG_M3, make_tether
 from autopilot.sitl.thruster_models import Thrusters, duty_from_pwm, steady_thrust_n
 

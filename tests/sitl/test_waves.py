@@ -11,10 +11,10 @@ from plant_helpers import VEHICLE
 
 from autopilot.core.errors import ConfigError
 from autopilot.sitl.backend import simulated_vehicle
-from autopilot.sitl.environment import SimulatedWaters, water_field
 from autopilot.sitl.plant import Plant, build_plant
 from autopilot.sitl.scenario import load_scenario
 from autopilot.sitl.scenario_tables import Waves
+from autopilot.sitl.simulated_waters import SimulatedWaters, water_field
 from autopilot.sitl.sitl_tuning import PLANT
 from autopilot.sitl.waves import WithWaves, wave_number, wave_train
 

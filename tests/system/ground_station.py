@@ -158,7 +158,7 @@ class GroundStation:
     # Questions
 
     def hear(
-        self, ask: Message | None, wanted: Callable[[Message], bool], timer_s: float, tries: int
+        self, message: Message | None, wanted: Callable[[Message], bool], timer_s: float, tries: int
     ) -> Message | None:
         """What answers; None when it has not come after so many tries, each with its timer."""
         found: list[Message] = []
@@ -170,8 +170,8 @@ class GroundStation:
         self._listeners.append(listen)
         try:
             for _ in range(tries):
-                if ask is not None:
-                    self.send(ask)
+                if message is not None:
+                    self.send(message)
                 self._wait(found, timer_s)
                 if found:
                     return found[0]
@@ -225,11 +225,14 @@ class GroundStation:
         """COMMAND_LONG (COMMAND_INT with ``place``), and its result; a refusal is a popup unless ``silent``."""
         filled = (*params, *(0.0,) * (7 - len(params)))
         if place is None:
-            ask = mav.MAVLink_command_long_message(1, 1, command, 0, *filled)
+            message = mav.MAVLink_command_long_message(1, 1, command, 0, *filled)
         else:
-            ask = mav.MAVLink_command_int_message(1, 1, frame, command, 0, 0, *filled[:4], *place)
+            message = mav.MAVLink_command_int_message(1, 1, frame, command, 0, 0, *filled[:4], *place)
         ack = self.hear(
-            ask, lambda m: m.get_type() == "COMMAND_ACK" and m.command == command and m.result != 5, COMMAND_S, tries
+            message,
+            lambda m: m.get_type() == "COMMAND_ACK" and m.command == command and m.result != 5,
+            COMMAND_S,
+            tries,
         )
         if ack is None:
             self.trouble.append(f"popup: no response to command {command}")
@@ -480,8 +483,8 @@ class GroundStation:
 
     def download(self, kind: PlanKind) -> list[Message]:
         """A plan, and the closing ACK."""
-        ask = mav.MAVLink_mission_request_list_message(1, 1, int(kind))
-        count = self.hear(ask, lambda m: m.get_type() == "MISSION_COUNT" and m.mission_type == kind, GENERAL_S, 6)
+        message = mav.MAVLink_mission_request_list_message(1, 1, int(kind))
+        count = self.hear(message, lambda m: m.get_type() == "MISSION_COUNT" and m.mission_type == kind, GENERAL_S, 6)
         if count is None:
             self.trouble.append(f"popup: {kind.name} download: no response")
             return []
@@ -508,13 +511,13 @@ class GroundStation:
             moved = (replace(item, param1=item.param1 + 1.0) if item.command == jump else item for item in items)
             items = (home, *moved)
         sent = [0]
-        asked: list[int] = []
+        requested: list[int] = []
         done: list[int] = []
 
         def listen(message: Message) -> None:
             name = message.get_type()
             if name in ("MISSION_REQUEST_INT", "MISSION_REQUEST") and message.mission_type == kind:
-                asked.append(message.seq)
+                requested.append(message.seq)
                 item = items[message.seq]
                 current = kind is PlanKind.MISSION and message.seq == 0
                 self.send(item_message(replace(item, seq=message.seq), kind, current=current))
@@ -530,7 +533,7 @@ class GroundStation:
                 while not done and sent[0] != before:
                     before = sent[0]
                     self._wait_for(lambda before=before: bool(done) or sent[0] > before, GENERAL_S)
-                if done or asked:
+                if done or requested:
                     break
         finally:
             self._listeners.remove(listen)
@@ -538,9 +541,9 @@ class GroundStation:
             self.trouble.append(f"popup: {kind.name} upload: the vehicle did not request all items")
             return None
         if done[0] != mav.MAV_MISSION_ACCEPTED:
-            guilty = asked[-1] if asked else -1
+            guilty = requested[-1] if requested else -1
             self.trouble.append(f"popup: {kind.name} transfer failed: {done[0]}, blamed on item {guilty}")
-        elif set(asked) != set(range(len(items))):
+        elif set(requested) != set(range(len(items))):
             self.trouble.append(f"popup: {kind.name} accepted before its last item")
         return done[0]
 
@@ -661,8 +664,8 @@ class GroundStation:
                 return True
             return message.get_type() == "PARAM_VALUE" and message.param_id == name
 
-        ask = mav.MAVLink_param_set_message(1, 1, name.encode(), wire, kind)
-        answer = self.hear(ask, answers, PARAM_S, 3)
+        message = mav.MAVLink_param_set_message(1, 1, name.encode(), wire, kind)
+        answer = self.hear(message, answers, PARAM_S, 3)
         self.poll()
         if answer is None:
             self.trouble.append(f"popup: parameter write failed: {name}")
@@ -671,8 +674,8 @@ class GroundStation:
 
     def read(self, name: str) -> Message:
         """The value in force."""
-        ask = mav.MAVLink_param_request_read_message(1, 1, name.encode(), -1)
-        return self.hear(ask, lambda m: m.get_type() == "PARAM_VALUE" and m.param_id == name, PARAM_S, 3)
+        message = mav.MAVLink_param_request_read_message(1, 1, name.encode(), -1)
+        return self.hear(message, lambda m: m.get_type() == "PARAM_VALUE" and m.param_id == name, PARAM_S, 3)
 
     # Logs
 

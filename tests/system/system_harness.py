@@ -22,11 +22,11 @@ def fly_to_the_end(session: OpenSession, *arguments: Any, **given: Any) -> SitlS
     at the latest at its ``duration``."""
     complete: list[int] = []
 
-    def look(outputs: Outputs) -> None:
+    def on_tick(outputs: Outputs) -> None:
         if outputs.progress is not None and outputs.progress.state is ProgressState.COMPLETE:
             complete.append(outputs.t_us)
 
-    run = session(*arguments, start=True, on_tick=look, **given)
+    run = session(*arguments, start=True, on_tick=on_tick, **given)
     run.run(stop=lambda: len(complete) >= 100)
     return run
 

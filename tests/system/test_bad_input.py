@@ -182,12 +182,12 @@ def _assert_not_flown(made: Harbour, client: WireClient, *named: str) -> None:
     made.run(1.0)
     assert made.command(client, mav.MAV_CMD_COMPONENT_ARM_DISARM, 1.0) == mav.MAV_RESULT_DENIED
     _assert_one_line(client, "Arming denied: plan: ", *named)
-    assert not client.heard("SYS_STATUS") or not _ready(client)
+    assert not client.received("SYS_STATUS") or not _ready(client)
     assert made.command(client, mav.MAV_CMD_MISSION_START) == mav.MAV_RESULT_DENIED
 
 
 def _ready(client: WireClient) -> bool:
-    return bool(client.heard("SYS_STATUS")[-1].onboard_control_sensors_health & mav.MAV_SYS_STATUS_PREARM_CHECK)
+    return bool(client.received("SYS_STATUS")[-1].onboard_control_sensors_health & mav.MAV_SYS_STATUS_PREARM_CHECK)
 
 
 @pytest.mark.parametrize("name", FORBIDDEN_WAYPOINTS)
@@ -239,7 +239,7 @@ def test_unknown_plan_type(unmoved: tuple[Harbour, WireClient]) -> None:
     client.inbox.clear()
     client.send(mav.MAVLink_mission_count_message(1, 1, 3, 7))
     made.run(0.3)
-    assert [(m.type, m.mission_type) for m in client.heard("MISSION_ACK")] == [(MissionResult.UNSUPPORTED, 7)]
+    assert [(m.type, m.mission_type) for m in client.received("MISSION_ACK")] == [(MissionResult.UNSUPPORTED, 7)]
     _assert_unchanged(made, client)
 
 
@@ -305,19 +305,19 @@ def test_second_client_uploads_at_the_same_time(harbour: MakeHarbour) -> None:
     first.inbox.clear()
     new = (GOOD, _local(1, 1.75, 0.0))
     first.send(mav.MAVLink_mission_count_message(1, 1, len(new), 0))
-    made.until(lambda: bool(first.heard("MISSION_REQUEST_INT")))
+    made.until(lambda: bool(first.received("MISSION_REQUEST_INT")))
     for kind in PlanKind:
         assert made.offer(second, kind, PLAN.fence) == MissionResult.DENIED
         _assert_one_line(second, "denied", "255/190", "try again later")
     second.inbox.clear()
     second.send(mav.MAVLink_mission_clear_all_message(1, 1, 255))
-    made.until(lambda: bool(second.heard("MISSION_ACK")))
-    assert second.heard("MISSION_ACK")[0].type == MissionResult.DENIED
+    made.until(lambda: bool(second.received("MISSION_ACK")))
+    assert second.received("MISSION_ACK")[0].type == MissionResult.DENIED
     _assert_unchanged(made, second)
     for item in new:
         first.send(item_message(item, PlanKind.MISSION))
         made.run(0.1)
-    assert [m.type for m in first.heard("MISSION_ACK")] == [MissionResult.ACCEPTED]
+    assert [m.type for m in first.received("MISSION_ACK")] == [MissionResult.ACCEPTED]
     assert first.texts() == []
     assert _keys(made.download(second, PlanKind.MISSION)) == _keys(new)
     assert made.offer(second, PlanKind.MISSION, PLAN.mission) == MissionResult.ACCEPTED
@@ -425,7 +425,7 @@ def test_good_messages_between_garbage_are_heard(harbour: MakeHarbour) -> None:
     made.run(2.1)
     counted = made.session.parts.server.dropped_rx
     assert counted > 0
-    assert client.heard("SYS_STATUS")[-1].errors_comm == counted
+    assert client.received("SYS_STATUS")[-1].errors_comm == counted
 
 
 def test_well_formed_nonsense_never_stops_the_service(harbour: MakeHarbour) -> None:
@@ -457,7 +457,7 @@ def test_well_formed_nonsense_never_stops_the_service(harbour: MakeHarbour) -> N
             client.send(mav.MAVLink_param_set_message(1, 1, rng.choice(names).encode(), params[0], 9))
         made.tick()
     made.run(0.5)
-    assert client.heard("HEARTBEAT")
+    assert client.received("HEARTBEAT")
 
 
 def _frame(rng: random.Random, msg_id: int, crc_extra: int, payload: bytes) -> bytes:

@@ -29,7 +29,7 @@ class CameraClient(WireClient):
         self.send(mav.MAVLink_command_long_message(1, component, command, 0, *filled))
 
         def acks() -> list[Any]:
-            return [m for m in self.heard("COMMAND_ACK") if m.command == command]
+            return [m for m in self.received("COMMAND_ACK") if m.command == command]
 
         harbour.until(lambda: bool(acks()))
         harbour.tick()
@@ -37,14 +37,14 @@ class CameraClient(WireClient):
         return acks()[0].result, acks()[0].get_srcComponent()
 
     def pictures(self) -> list[Any]:
-        return self.heard("CAMERA_IMAGE_CAPTURED")
+        return self.received("CAMERA_IMAGE_CAPTURED")
 
 
 def test_a_client_finds_the_camera_and_gets_every_message(session: OpenSession, tmp_path: Path) -> None:
     client = CameraClient()
     harbour = Harbour(session(sensors="camera", peers=(client,), log=tmp_path / "run.mcap"))
     harbour.run(1.1)
-    beats = [m for m in client.heard("HEARTBEAT") if m.get_srcComponent() == CAMERA]
+    beats = [m for m in client.received("HEARTBEAT") if m.get_srcComponent() == CAMERA]
     assert len(beats) == 2
     assert (beats[0].type, beats[0].autopilot) == (mav.MAV_TYPE_CAMERA, mav.MAV_AUTOPILOT_INVALID)
 
@@ -58,19 +58,19 @@ def test_a_client_finds_the_camera_and_gets_every_message(session: OpenSession, 
         number = getattr(mav, f"MAVLINK_MSG_ID_{name}")
         for component in (CAMERA, 0):
             assert client.ask(harbour, mav.MAV_CMD_REQUEST_MESSAGE, number, component=component) == (0, CAMERA)
-            (message,) = client.heard(name)
+            (message,) = client.received(name)
             assert message.get_srcComponent() == CAMERA
         for component in (CAMERA, 0):
             assert client.ask(harbour, int(legacy[0]), *legacy[1:], component=component) == (0, CAMERA)
-            assert [m.get_srcComponent() for m in client.heard(name)] == [CAMERA]
+            assert [m.get_srcComponent() for m in client.received(name)] == [CAMERA]
         # The autopilot does not say it as its own: clients would take it for another camera.
         assert client.ask(harbour, int(legacy[0]), *legacy[1:], component=1) == (mav.MAV_RESULT_UNSUPPORTED, 1)
     client.ask(harbour, 521, 1.0)
-    (about,) = client.heard("CAMERA_INFORMATION")
+    (about,) = client.received("CAMERA_INFORMATION")
     assert (about.resolution_h, about.resolution_v) == (640, 480)
     assert about.flags == mav.CAMERA_CAP_FLAGS_CAPTURE_IMAGE
     client.ask(harbour, 525, 1.0, 1.0)
-    (storage,) = client.heard("STORAGE_INFORMATION")
+    (storage,) = client.received("STORAGE_INFORMATION")
     assert storage.total_capacity > storage.available_capacity > 0.0
 
 
@@ -168,7 +168,7 @@ def test_sequences_by_time_end_by_count_and_by_order(session: OpenSession, tmp_p
     assert np.abs(steps - 500).max() <= 100
     assert client.ask(harbour, mav.MAV_CMD_IMAGE_START_CAPTURE, 0.0, 0.5, 0.0)[0] == 0
     client.ask(harbour, 527, 1.0)
-    (status,) = client.heard("CAMERA_CAPTURE_STATUS")
+    (status,) = client.received("CAMERA_CAPTURE_STATUS")
     assert status.image_status in (2, 3) and status.image_interval == 0.5
     harbour.run(1.2)
     assert client.ask(harbour, mav.MAV_CMD_IMAGE_STOP_CAPTURE, 0.0)[0] == 0
@@ -177,7 +177,7 @@ def test_sequences_by_time_end_by_count_and_by_order(session: OpenSession, tmp_p
     harbour.run(1.0)
     assert not client.pictures()
     client.ask(harbour, 527, 1.0)
-    (status,) = client.heard("CAMERA_CAPTURE_STATUS")
+    (status,) = client.received("CAMERA_CAPTURE_STATUS")
     assert status.image_status == 0 and 5 <= status.image_count <= 7
 
 
@@ -204,7 +204,7 @@ def test_without_pictures_there_is_no_camera_and_nothing_hangs(session: OpenSess
     client = CameraClient()
     harbour = Harbour(session(sensors="pose", peers=(client,)))
     harbour.run(1.5)
-    assert {m.get_srcComponent() for m in client.heard("HEARTBEAT")} == {1}
+    assert {m.get_srcComponent() for m in client.received("HEARTBEAT")} == {1}
     for command in (521, 527, mav.MAV_CMD_IMAGE_START_CAPTURE, mav.MAV_CMD_VIDEO_START_CAPTURE):
         assert client.ask(harbour, command, 1.0, component=1) == (mav.MAV_RESULT_UNSUPPORTED, 1)
 

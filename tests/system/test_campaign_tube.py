@@ -39,13 +39,13 @@ def plan(t_s: float, places: list[tuple[float, float]], tube_m: list[float], **c
 
 def fly_north(check: TubeCheck, begin_s: float, end_s: float, speed_m_s: float = 0.4) -> None:
     for tick in range(round(begin_s * 100), round(end_s * 100) + 1):
-        check.look(tick / 100, speed_m_s * tick / 100, 0.0)
+        check.update(tick / 100, speed_m_s * tick / 100, 0.0)
 
 
 def test_nothing_announced_is_no_share() -> None:
     check = TubeCheck()
     fly_north(check, 0.0, 1.0)
-    assert [check.share(ahead_s) for ahead_s in AHEAD_S] == [None] * len(AHEAD_S)
+    assert [check.fraction(ahead_s) for ahead_s in AHEAD_S] == [None] * len(AHEAD_S)
 
 
 def test_nodes_are_looked_at_when_their_time_has_come() -> None:
@@ -53,28 +53,28 @@ def test_nodes_are_looked_at_when_their_time_has_come() -> None:
     # On the way north at 0.4 m/s: exact, 0.05 m beside within 0.06, 0.05 m beside and not within 0.04, 0.05 m late.
     check.announce(plan(1.0, [(0.44, 0.0), (0.64, 0.05), (0.84, 0.05), (0.99, 0.0)], [0.001, 0.06, 0.04, 0.049]))
     fly_north(check, 1.0, 1.05)
-    assert check.share(ALL) is None
+    assert check.fraction(ALL) is None
     fly_north(check, 1.05, 1.7)
-    assert check.share(ALL) == 1.0
+    assert check.fraction(ALL) == 1.0
     fly_north(check, 1.7, 3.0)
-    assert check.share(ALL) == pytest.approx(2 / 4)
-    assert check.share(0.5) == check.share(1.0) == 1.0
-    assert check.share(2.0) == check.share(ALL)
+    assert check.fraction(ALL) == pytest.approx(2 / 4)
+    assert check.fraction(0.5) == check.fraction(1.0) == 1.0
+    assert check.fraction(2.0) == check.fraction(ALL)
 
 
 def test_between_two_looks_the_way_is_straight() -> None:
     check = TubeCheck()
     check.announce(plan(0.9, [(0.25, 0.25)], [1e-9]))
-    check.look(0.5, 0.0, 0.0)
-    check.look(1.5, 0.5, 0.5)
-    assert check.share(ALL) == 1.0
+    check.update(0.5, 0.0, 0.0)
+    check.update(1.5, 0.5, 0.5)
+    assert check.fraction(ALL) == 1.0
 
 
 def test_a_plan_that_began_anew_takes_back_what_was_said() -> None:
     check = TubeCheck()
     check.announce(plan(0.0, [(9.0, 9.0), (9.0, 9.0)], [0.1, 0.1]))
     fly_north(check, 0.0, 0.3)
-    assert check.share(ALL) == 0.0
+    assert check.fraction(ALL) == 0.0
     check.announce(plan(0.3, [(0.16, 0.0)], [0.01], restarted=True))
     fly_north(check, 0.3, 2.0)
-    assert check.share(ALL) == pytest.approx(1 / 2)
+    assert check.fraction(ALL) == pytest.approx(1 / 2)

@@ -183,8 +183,8 @@ def test_the_guilty_item_is_asked_for_last(vehicle: tuple[Harbour, WireClient], 
         made.run(0.3)
         client.send(item_message(items[-1], kind))
         made.run(0.1)
-        asked = [m.seq for m in client.heard("MISSION_REQUEST_INT")]
-        if client.heard("MISSION_ACK")[0].type != mav.MAV_MISSION_ERROR and guilty != len(items) - 1:
+        asked = [m.seq for m in client.received("MISSION_REQUEST_INT")]
+        if client.received("MISSION_ACK")[0].type != mav.MAV_MISSION_ERROR and guilty != len(items) - 1:
             assert asked == [guilty]
 
 
@@ -192,4 +192,4 @@ def test_a_plan_that_is_taken_asks_for_every_item_once(vehicle: tuple[Harbour, W
     made, client = vehicle
     for kind, items in ((KIND.MISSION, PLAN.mission), (KIND.FENCE, PLAN.fence)):
         assert made.offer(client, kind, items) == MissionResult.ACCEPTED
-        assert [m.seq for m in client.heard("MISSION_REQUEST_INT")] == list(range(len(items)))
+        assert [m.seq for m in client.received("MISSION_REQUEST_INT")] == list(range(len(items)))

@@ -38,7 +38,7 @@ def shown(made: Harbour, client: WireClient) -> tuple[bool, bool, bool]:
     """SYS_STATUS: fence enabled, fence healthy, ready to arm."""
     client.inbox.clear()
     made.run(1.2)
-    status = client.heard("SYS_STATUS")[-1]
+    status = client.received("SYS_STATUS")[-1]
     assert status.onboard_control_sensors_present & FENCE_BIT
     health = status.onboard_control_sensors_health
     enabled = status.onboard_control_sensors_enabled & FENCE_BIT

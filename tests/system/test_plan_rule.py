@@ -49,9 +49,9 @@ def _upload(made: Harbour, client: WireClient, *plans: tuple[PlanKind, tuple[Pla
 
 def _state(client: WireClient) -> tuple[bool, int, bool, int]:
     """Armed, custom mode, whether the arming checks pass, landed state: as telemetry says."""
-    beat = client.heard("HEARTBEAT")[-1]
-    checks = client.heard("SYS_STATUS")[-1].onboard_control_sensors_health & mav.MAV_SYS_STATUS_PREARM_CHECK
-    landed = client.heard("EXTENDED_SYS_STATE")[-1].landed_state
+    beat = client.received("HEARTBEAT")[-1]
+    checks = client.received("SYS_STATUS")[-1].onboard_control_sensors_health & mav.MAV_SYS_STATUS_PREARM_CHECK
+    landed = client.received("EXTENDED_SYS_STATE")[-1].landed_state
     return bool(beat.base_mode & mav.MAV_MODE_FLAG_SAFETY_ARMED), beat.custom_mode, bool(checks), landed
 
 
@@ -166,8 +166,8 @@ def test_an_armed_vehicle_keeps_its_fence(harbour: Open) -> None:
     for kind in (int(PlanKind.FENCE), 255):
         client.inbox.clear()
         client.send(mav.MAVLink_mission_clear_all_message(1, 1, kind))
-        made.until(lambda: bool(client.heard("MISSION_ACK")))
-        assert client.heard("MISSION_ACK")[0].type == MissionResult.DENIED
+        made.until(lambda: bool(client.received("MISSION_ACK")))
+        assert client.received("MISSION_ACK")[0].type == MissionResult.DENIED
         made.run(0.1)
         assert client.texts()[0].startswith("Not cleared (")
     assert plans.items(PlanKind.FENCE) is in_force and plans.items(PlanKind.MISSION)
@@ -186,16 +186,18 @@ def test_a_long_check_is_waited_for_and_its_answer_is_given_once(
         client.send(item_message(item, PlanKind.FENCE))
     for _ in range(5):
         made.run(0.5)
-        assert not client.heard("MISSION_ACK")
+        assert not client.received("MISSION_ACK")
         client.send(item_message(PLAN.fence[-1], PlanKind.FENCE))
         client.send(mav.MAVLink_mission_request_list_message(1, 1, 1))
-    assert [m.count for m in client.heard("MISSION_COUNT")] == [0] * 4, "the plan in force is still the old one"
+    assert [m.count for m in client.received("MISSION_COUNT")] == [0] * 4, "the plan in force is still the old one"
     made.run(1.0)
-    assert [m.type for m in client.heard("MISSION_ACK")] == [MissionResult.ACCEPTED]
-    assert len(client.heard("MISSION_REQUEST_INT")) == len(PLAN.fence)
+    assert [m.type for m in client.received("MISSION_ACK")] == [MissionResult.ACCEPTED]
+    assert len(client.received("MISSION_REQUEST_INT")) == len(PLAN.fence)
     client.send(item_message(PLAN.fence[-1], PlanKind.FENCE))
     made.run(0.1)
-    assert [m.type for m in client.heard("MISSION_ACK")] == [MissionResult.ACCEPTED] * 2, "said again when asked again"
+    assert [m.type for m in client.received("MISSION_ACK")] == [MissionResult.ACCEPTED] * 2, (
+        "said again when asked again"
+    )
 
 
 def test_go_to_outside_of_the_fence_says_how_far(harbour: Open) -> None:
@@ -206,7 +208,7 @@ def test_go_to_outside_of_the_fence_says_how_far(harbour: Open) -> None:
     frame, command = mav.MAV_FRAME_LOCAL_NED, mav.MAV_CMD_DO_REPOSITION
     client.send(mav.MAVLink_command_int_message(1, 1, frame, command, 0, 0, -1, 1, 0, 0, 164_400, 0, 0.5))
     made.run(0.1)
-    assert [m.result for m in client.heard("COMMAND_ACK")] == [DENIED]
+    assert [m.result for m in client.received("COMMAND_ACK")] == [DENIED]
     assert client.texts() == ["Go-to denied: target 13.9 m outside of the fence, keep 0.33 m"]
 
 
@@ -268,7 +270,7 @@ def test_a_submerged_vehicle_from_arming_to_landing_with_what_a_ground_station_o
     frame, command = mav.MAV_FRAME_LOCAL_NED, mav.MAV_CMD_DO_REPOSITION
     client.send(mav.MAVLink_command_int_message(1, 1, frame, command, 0, 0, -1, 1, 0, 0, -15_000, -3_000, 0.5))
     made.run(1.5)
-    assert [m.result for m in client.heard("COMMAND_ACK")] == [ACCEPTED]
+    assert [m.result for m in client.received("COMMAND_ACK")] == [ACCEPTED]
     assert "continue" in station.offers()
     press("return", mav.MAV_CMD_DO_SET_MODE, 1.0, 4.0, 5.0)
     press("land", mav.MAV_CMD_DO_SET_MODE, 1.0, 4.0, 6.0)
@@ -285,11 +287,11 @@ def test_starting_a_disarmed_vehicle_the_way_a_ground_station_does(harbour: Open
     made.run(1.1)
     assert "start" in GroundStation(client, len(PLAN.mission)).offers()
     assert made.command(client, ARM, 1.0) == ACCEPTED
-    made.until(lambda: bool(client.heard("HEARTBEAT")) and _armed(client))
+    made.until(lambda: bool(client.received("HEARTBEAT")) and _armed(client))
     client.send(mav.MAVLink_set_mode_message(1, 1 | mav.MAV_MODE_FLAG_SAFETY_ARMED, 4 << 24 | 4 << 16))
     made.run(0.5)
     assert made.session.parts.commander.mode.name == "MISSION"
 
 
 def _armed(client: WireClient) -> bool:
-    return bool(client.heard("HEARTBEAT")[-1].base_mode & mav.MAV_MODE_FLAG_SAFETY_ARMED)
+    return bool(client.received("HEARTBEAT")[-1].base_mode & mav.MAV_MODE_FLAG_SAFETY_ARMED)

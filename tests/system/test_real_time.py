@@ -142,7 +142,7 @@ def test_a_queue_that_is_full_drops_counts_and_says_so(tmp_path: Path, monkeypat
     session.run()
     assert not progress.stuck
     assert session.recorder.dropped > 0 and session.recorder.failure is not None
-    assert len(operator.said("Log loses messages: disk too slow")) == 1
+    assert len(operator.texts_from("Log loses messages: disk too slow")) == 1
 
 
 @pytest.mark.parametrize("speed", [0.0, 20.0])
@@ -157,7 +157,7 @@ def test_a_log_folder_that_is_gone_is_said_at_once_and_tried_again(tmp_path: Pat
     session = _session(tmp_path, speed=speed, duration=6.0, peers=[operator])
     session.run()
     assert session.runtime.counters.ticks == 600
-    ((said_s, severity, text),) = operator.said("Log stopped")
+    ((said_s, severity, text),) = operator.texts_from("Log stopped")
     assert (severity, text) == (4, "Log stopped: folder gone")
     assert 2.0 < said_s < 3.0
     (path,) = sorted(logs.rglob("*.mcap"))

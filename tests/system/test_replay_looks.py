@@ -115,7 +115,7 @@ def test_reference_figures_that_move_are_named(tmp_path: Path) -> None:
     after = Release(version="2", revision="b", flights={"harbour": {"laps": 3.0, "armed, s": 11.0, "new": 1.0}})
     found = changes(read_release(table), after)["harbour"]
     assert [(one.figure, one.before, one.after) for one in found] == [("armed, s", 10.0, 11.0), ("new", None, 1.0)]
-    assert found[0].share == pytest.approx(0.1)
+    assert found[0].relative_change == pytest.approx(0.1)
     table.write_text("{")
     with pytest.raises(ConfigError, match=r"reference\.json"):
         read_release(table)

@@ -94,7 +94,7 @@ def run_before(folder: Path, state: str, end: str) -> tuple[Path, list[bytes]]:
     for kind, items in PLANS.items():
         assert vehicle.offer(vehicle.client, kind, items) == 0
     vehicle.client.send(mav.MAVLink_param_set_message(1, 1, b"SPD_CRUISE", 0.30, mav.MAV_PARAM_TYPE_REAL32))
-    vehicle.until(lambda: any(m.param_id == "SPD_CRUISE" for m in vehicle.client.heard("PARAM_VALUE")))
+    vehicle.until(lambda: any(m.param_id == "SPD_CRUISE" for m in vehicle.client.received("PARAM_VALUE")))
     recorded = [vehicle.signed(ARM, 1.0)]
     vehicle.client.send_bytes(recorded[0])
     vehicle.until(lambda: vehicle.armed)

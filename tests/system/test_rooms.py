@@ -13,7 +13,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from autopilot.campaign.worlds.distance_map import DistanceMap
-from autopilot.campaign.worlds.random_world import KINDS, RandomWorld, files_of, make_room, write_files
+from autopilot.campaign.worlds.random_world import KINDS, RandomWorld, files_of, make_world, write_files
 from autopilot.campaign.worlds.reachability import prospect
 from autopilot.campaign.worlds.world_flight import Flown, WorldTask, fly_world
 from autopilot.campaign.worlds.world_judge import judge_flight, judge_refusal
@@ -25,8 +25,8 @@ from autopilot.core.frames import FloatArray
 from autopilot.core.params import ParamSet
 from autopilot.mission.plan_check import judge_file
 from autopilot.mission.plan_files import read_plan
-from autopilot.sitl.environment import build_world
 from autopilot.sitl.scenario import load_scenario
+from autopilot.sitl.simulated_waters import build_world
 
 SEEDS = range(3_000, 3_024)
 HALL = ((0.0, -4.0), (12.0, -4.0), (12.0, 4.0), (0.0, 4.0))
@@ -70,8 +70,8 @@ def stream(places: FloatArray) -> FloatArray:
 def test_a_seed_gives_the_same_files_each_time_and_files_that_the_service_reads(tmp_path: Path) -> None:
     kinds, waters = set(), set()
     for seed in SEEDS:
-        room = make_room(seed)
-        assert files_of(room, mode=1, duration_s=9.0) == files_of(make_room(seed), mode=1, duration_s=9.0)
+        room = make_world(seed)
+        assert files_of(room, mode=1, duration_s=9.0) == files_of(make_world(seed), mode=1, duration_s=9.0)
         folder = written(room, tmp_path, mode=1)
         scenario = load_scenario(str(folder / "scenario.toml"))
         build_world(scenario)
@@ -87,14 +87,14 @@ def test_a_seed_gives_the_same_files_each_time_and_files_that_the_service_reads(
 
 def test_a_vehicle_begins_with_more_room_than_it_keeps() -> None:
     for seed in SEEDS:
-        room = make_room(seed)
+        room = make_world(seed)
         assert clearance_m(room.layout, room.start_m) > room.vehicle.radius_m + 0.03
 
 
 @settings(max_examples=12, deadline=None)
 @given(st.integers(0, 10**6))
 def test_the_chart_and_the_shapes_agree_on_clearances(seed: int) -> None:
-    room = make_room(seed)
+    room = make_world(seed)
     chart = DistanceMap(room.layout, [room.start_m])
     rng = np.random.default_rng(seed)
     for _ in range(40):
@@ -111,7 +111,7 @@ def test_a_door_lets_through_what_it_is_wide_enough_for(width_m: float, open_: b
     chart = DistanceMap(hall_with_door(width_m), [here, there])
     regions = chart.regions(0.33)
     assert bool(chart.regions_near(regions, here, 0.1) & chart.regions_near(regions, there, 0.1)) is open_
-    way = chart.ways(0.33, [here, there]).quickest(here, there, 0.2, still, water_m_s=0.5, ground_m_s=0.4, worst=True)
+    way = chart.paths(0.33, [here, there]).quickest(here, there, 0.2, still, water_m_s=0.5, ground_m_s=0.4, worst=True)
     assert math.isfinite(way.time_s) is open_
 
 
@@ -121,12 +121,12 @@ def test_a_door_lets_through_what_it_is_wide_enough_for(width_m: float, open_: b
 def test_ways_in_a_stream_take_as_long_as_the_triangle_of_speeds_says(goal: Point, expected_m_s: float) -> None:
     here = (6.0, -3.0) if goal[1] else (5.5, 0.0)
     chart = DistanceMap(WorldLayout(HALL), [here, goal])
-    way = chart.ways(0.33, [here, goal]).quickest(here, goal, 0.16, stream, water_m_s=0.5, ground_m_s=9.0, worst=True)
+    way = chart.paths(0.33, [here, goal]).quickest(here, goal, 0.16, stream, water_m_s=0.5, ground_m_s=9.0, worst=True)
     assert way.time_s == pytest.approx(math.dist(here, goal) / expected_m_s, rel=0.08)
 
 
 def test_water_faster_than_the_vehicle_leaves_no_way_up() -> None:
-    ways = DistanceMap(WorldLayout(HALL), []).ways(0.33, [(5.0, 0.0), (10.0, 0.0)])
+    ways = DistanceMap(WorldLayout(HALL), []).paths(0.33, [(5.0, 0.0), (10.0, 0.0)])
     assert math.isinf(
         ways.quickest((5.0, 0.0), (10.0, 0.0), 0.2, stream, water_m_s=0.29, ground_m_s=1.0, worst=False).time_s
     )
@@ -136,7 +136,7 @@ def refused_rooms() -> list[tuple[RandomWorld, str]]:
     """Rooms whose plans the service's own check refuses, with its reasons."""
     found = []
     for seed in range(5_000, 5_030):
-        room = make_room(seed)
+        room = make_world(seed)
         params = ParamSet(room.scenario["params"])
         plan = read_local(room)
         problem = judge_file(plan, plan.home, params, room.vehicle.radius_m).problem
@@ -154,7 +154,7 @@ def read_local(room: RandomWorld) -> Any:
 def test_the_services_refusals_are_found_right_and_the_same_words_about_other_rooms_wrong() -> None:
     refused = refused_rooms()
     assert len(refused) >= 3
-    empty = next(room for room in map(make_room, range(100)) if all(leg.sure for leg in prospect(room).legs))
+    empty = next(room for room in map(make_world, range(100)) if all(leg.sure for leg in prospect(room).legs))
     empty = replace(empty, layout=replace(empty.layout, solids=()))
     for room, reason in refused:
         assert judge_refusal(room, prospect(room), reason).outcome is WorldOutcome.REFUSED, reason
@@ -167,7 +167,7 @@ def test_the_services_refusals_are_found_right_and_the_same_words_about_other_ro
     ["", "no", "fence item 3: is not nice", "item 0: depth 1.00 m, DEPTH_MAX 9.00 m", "item 0: current is too strong"],
 )
 def test_a_reason_that_is_none_is_a_wrong_refusal(reason: str) -> None:
-    room = next(r for r in map(make_room, range(100)) if r.scenario["current"]["kind"] == "none")
+    room = next(r for r in map(make_world, range(100)) if r.scenario["current"]["kind"] == "none")
     assert all(leg.sure for leg in prospect(room).legs)
     assert judge_refusal(room, prospect(room), reason).outcome is WorldOutcome.MISREFUSED
 
@@ -190,7 +190,7 @@ def test_every_shape_of_fault_is_held_against_a_flight() -> None:
 def test_finished_flights_are_kept_and_the_folder_holds_one_campaign(tmp_path: Path) -> None:
     """The rooms of this seed begin with one that is refused, so that nothing has to fly."""
     seed = 3
-    assert refusal_of(make_room(1_000_000 * seed))
+    assert refusal_of(make_world(1_000_000 * seed))
     arguments = ["--runs", "1", "--seed", str(seed), "--jobs", "1", "--out", str(tmp_path), "--json"]
     code, printed = rooms_command(*arguments)
     assert code == 0
@@ -218,7 +218,7 @@ def test_a_disc_and_a_block_are_as_far_apart_as_their_rims() -> None:
 @pytest.fixture(scope="module")
 def flown() -> tuple[RandomWorld, Flown]:
     """A tank with twelve obstacles, a wall with two doors and a jet, in the energy mode: 17 s of flight."""
-    room = make_room(1_000_003)
+    room = make_world(1_000_003)
     result = fly_world(room, 1)
     assert result is not None
     return room, result

@@ -76,8 +76,8 @@ class Flight:
         self.pilot.inbox.clear()
         self.pilot.send(mav.MAVLink_command_long_message(1, 1, number, 0, *(*params, *[0.0] * 7)[:7]))
         self.run(0.05, self.pilot.sticks)
-        acks = [m.result for m in self.pilot.heard("COMMAND_ACK")]
-        texts = [m.text for m in self.pilot.heard("STATUSTEXT")]
+        acks = [m.result for m in self.pilot.received("COMMAND_ACK")]
+        texts = [m.text for m in self.pilot.received("STATUSTEXT")]
         assert (acks == [0]) is accepted, (number, acks, texts)
 
     def mode(self, custom_mode: int) -> None:

@@ -85,7 +85,7 @@ class Onlooker:
         self._codec: Any = mav.MAVLink(None, srcSystem=255, srcComponent=190)
         self._idle: Any = mav.MAVLink(None, srcSystem=254, srcComponent=191)
         self._codec.robust_parsing = self._idle.robust_parsing = True
-        self.heard: list[Any] = []
+        self.inbox: list[Any] = []
         self.least_m = np.inf
 
     def close(self) -> None:
@@ -122,7 +122,7 @@ class Onlooker:
         vehicle = self.vehicles.get(message.get_srcSystem())
         if vehicle is None or message.get_srcComponent() != 1:
             return
-        self.heard.append(message)
+        self.inbox.append(message)
         match message.get_type():
             case "GLOBAL_POSITION_INT":
                 place = (deg_from_e7(message.lat), deg_from_e7(message.lon), message.alt * 1e-3)
@@ -143,13 +143,13 @@ class Onlooker:
         """COMMAND_LONG until it is accepted."""
         values = [*params, *[0.0] * 7][:7]
         for _ in range(400):
-            self.heard.clear()
+            self.inbox.clear()
             self.send(mav.MAVLink_command_long_message(vehicle.sysid, 1, number, 0, *values))
             self.look(paced=False)
-            for ack in (m for m in self.heard if m.get_type() == "COMMAND_ACK" and m.command == number):
+            for ack in (m for m in self.inbox if m.get_type() == "COMMAND_ACK" and m.command == number):
                 if ack.get_srcSystem() == vehicle.sysid and ack.result == 0:
                     return
-        pytest.fail(f"command {number} to vehicle {vehicle.sysid}: no ACCEPTED; it said {self.heard}")
+        pytest.fail(f"command {number} to vehicle {vehicle.sysid}: no ACCEPTED; it said {self.inbox}")
 
 
 @pytest.fixture

@@ -38,14 +38,14 @@ class WireClient:
     def send_bytes(self, data: bytes) -> None:
         self._outbox.append(data)
 
-    def heard(self, *names: str) -> list[Any]:
+    def received(self, *names: str) -> list[Any]:
         return [message for message in self.inbox if message.get_type() in names]
 
     def texts(self, worst: int = 0, least: int = mav.MAV_SEVERITY_WARNING) -> list[str]:
         """Whole texts of these severities, chunks put together, in order."""
         whole: list[str] = []
         parts: dict[int, str] = defaultdict(str)
-        for message in self.heard("STATUSTEXT"):
+        for message in self.received("STATUSTEXT"):
             if not worst <= message.severity <= least:
                 continue
             if message.id == 0:
@@ -70,19 +70,19 @@ class ArmingSchedule(WireClient):
             + [(round(t_s * 1e6), 1, functools.partial(self.send, order)) for t_s, order in orders.items()],
             key=lambda entry: entry[:2],
         )
-        self._said: list[tuple[float, int, str]] = []
+        self._texts: list[tuple[float, int, str]] = []
 
     def step(self, t_us: int, received: Sequence[bytes]) -> list[bytes]:
         while self._todo and self._todo[0][0] <= t_us:
             self._todo.pop(0)[2]()
         known = len(self.inbox)
         outbox = super().step(t_us, received)
-        self._said += [(t_us * 1e-6, m.severity, m.text) for m in self.inbox[known:] if m.get_type() == "STATUSTEXT"]
+        self._texts += [(t_us * 1e-6, m.severity, m.text) for m in self.inbox[known:] if m.get_type() == "STATUSTEXT"]
         return outbox
 
-    def said(self, start: str) -> list[tuple[float, int, str]]:
+    def texts_from(self, start: str) -> list[tuple[float, int, str]]:
         """Time [s], severity and text of those that begin so."""
-        return [text for text in self._said if text[2].startswith(start)]
+        return [text for text in self._texts if text[2].startswith(start)]
 
 
 class Harbour:
@@ -108,7 +108,7 @@ class Harbour:
         raise AssertionError(f"nothing came in {timeout_s:g} s")
 
     def _hear(self, client: WireClient, count: int, *names: str) -> None:
-        self.until(lambda: len(client.heard(*names)) >= count)
+        self.until(lambda: len(client.received(*names)) >= count)
 
     # Exchanges that every client has
 
@@ -118,7 +118,7 @@ class Harbour:
         client.send(mav.MAVLink_command_long_message(1, 1, command, 0, *filled))
 
         def answers() -> list[int]:
-            return [m.result for m in client.heard("COMMAND_ACK") if m.command == command]
+            return [m.result for m in client.received("COMMAND_ACK") if m.command == command]
 
         self.until(lambda: bool(answers()))
         return answers()[0]
@@ -128,13 +128,13 @@ class Harbour:
         client.inbox.clear()
         client.send(mav.MAVLink_mission_count_message(1, 1, len(items) if count is None else count, int(kind)))
         answered = 0
-        while not (acks := client.heard("MISSION_ACK")):
+        while not (acks := client.received("MISSION_ACK")):
             self._hear(client, answered + 1, "MISSION_REQUEST_INT", "MISSION_ACK")
-            for request in client.heard("MISSION_REQUEST_INT")[answered:]:
+            for request in client.received("MISSION_REQUEST_INT")[answered:]:
                 client.send(item_message(items[request.seq], kind))
                 answered += 1
         self.run(0.3)  # more than one answer, or a text late
-        assert len(client.heard("MISSION_ACK")) == 1
+        assert len(client.received("MISSION_ACK")) == 1
         assert acks[0].mission_type == kind
         return int(acks[0].type)
 
@@ -142,10 +142,10 @@ class Harbour:
         client.inbox.clear()
         client.send(mav.MAVLink_mission_request_list_message(1, 1, int(kind)))
         self._hear(client, 1, "MISSION_COUNT")
-        count = client.heard("MISSION_COUNT")[0].count
+        count = client.received("MISSION_COUNT")[0].count
         for seq in range(count):
             client.send(mav.MAVLink_mission_request_int_message(1, 1, seq, int(kind)))
             self._hear(client, seq + 1, "MISSION_ITEM_INT")
         client.send(mav.MAVLink_mission_ack_message(1, 1, mav.MAV_MISSION_ACCEPTED, int(kind)))
         self.tick()
-        return [item_of(message) for message in client.heard("MISSION_ITEM_INT")]
+        return [item_of(message) for message in client.received("MISSION_ITEM_INT")]

@@ -28,11 +28,11 @@ FINEST_M = 0.02
 _SUBPIXEL_BITS = 6
 OPEN_MARGIN_M = 8.0
 """Ground round everything in open water."""
-WAY_CELL_M = 0.16
+PATH_CELL_M = 0.16
 """Cells of ways: less than the walls are thick once the vehicle's radius is added on both sides."""
-WAY_MARGIN_M = 12.0
+PATH_MARGIN_M = 12.0
 """Paths are searched within this distance of the points that they connect."""
-WAY_CELLS = 160_000
+PATH_CELLS = 160_000
 KEPT_GRAPHS = 3
 
 
@@ -43,7 +43,7 @@ class QuickestPath:
     length_m: float
 
 
-NO_WAY = QuickestPath(math.inf, math.inf)
+NO_PATH = QuickestPath(math.inf, math.inf)
 
 
 class DistanceMap:
@@ -113,15 +113,15 @@ class DistanceMap:
         window = regions[max(0, north - r) : north + r + 1, max(0, east - r) : east + r + 1]
         return {int(number) for number in np.unique(window)} - {0}
 
-    def ways(self, keep_m: float, places: list[Point]) -> "QuickestPaths":
+    def paths(self, keep_m: float, places: list[Point]) -> "QuickestPaths":
         """Cells near these points with clearance ``keep_m``."""
         points = np.array(places)
-        low = np.maximum(points.min(axis=0) - WAY_MARGIN_M, self.low)
-        high = np.minimum(points.max(axis=0) + WAY_MARGIN_M, self.low + self.pixel_m * np.array(self.distance_m.shape))
+        low = np.maximum(points.min(axis=0) - PATH_MARGIN_M, self.low)
+        high = np.minimum(points.max(axis=0) + PATH_MARGIN_M, self.low + self.pixel_m * np.array(self.distance_m.shape))
         first = np.maximum(np.floor((low - self.low) / self.pixel_m).astype(int), 0)
         last = np.minimum(np.ceil((high - self.low) / self.pixel_m).astype(int), np.array(self.distance_m.shape))
         free = self.distance_m[first[0] : last[0], first[1] : last[1]] >= keep_m
-        cell_m = max(WAY_CELL_M, math.sqrt(float(np.prod(high - low)) / WAY_CELLS))
+        cell_m = max(PATH_CELL_M, math.sqrt(float(np.prod(high - low)) / PATH_CELLS))
         block = max(1, math.floor(cell_m / self.pixel_m))
         return QuickestPaths(_any_of(free, block), self.low + first * self.pixel_m, block * self.pixel_m)
 
@@ -141,7 +141,7 @@ class QuickestPaths:
         at most ``ground_m_s`` over ground, in the worst (or the best) of the phases of the flow.
         """
         path = self._path(start, goal, reach_m, self._graph_of(flow, water_m_s, ground_m_s, worst=worst))
-        return NO_WAY if path is None else QuickestPath(path[1], self._length(path[0]))
+        return NO_PATH if path is None else QuickestPath(path[1], self._length(path[0]))
 
     def shortest(
         self, start: Point, goal: Point, reach_m: float, flow: Flow, *, water_m_s: float, ground_m_s: float
@@ -149,7 +149,7 @@ class QuickestPaths:
         """The same along the shortest path over ground, in the worst of the phases of the flow."""
         path = self._path(start, goal, reach_m, self._graph_of(still, ground_m_s, ground_m_s, worst=True))
         if path is None:
-            return NO_WAY
+            return NO_PATH
         cells = path[0]
         graph = self._graph_of(flow, water_m_s, ground_m_s, worst=True)
         times = [float(graph[a, b]) for a, b in itertools.pairwise(cells)]

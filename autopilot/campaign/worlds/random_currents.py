@@ -51,7 +51,7 @@ def _drawn(
     rng: np.random.Generator, kind: str, size_m: tuple[float, float], middle: tuple[float, float], limit_m_s: float
 ) -> dict[str, Any]:
     what = rng.choice(["none", "uniform", "tide", "jet", "gyre", "vortex", "shear", "bickley"], p=_WEIGHTS)
-    speed = round(limit_m_s * _share(rng, closed=kind != "open"), 3)
+    speed = round(limit_m_s * _speed_ratio(rng, closed=kind != "open"), 3)
     angle = rng.uniform(-math.pi, math.pi)
     flow = [round(speed * math.cos(angle), 3), round(speed * math.sin(angle), 3), 0.0]
     match what:
@@ -97,7 +97,7 @@ def _drawn(
 _WEIGHTS = (0.22, 0.2, 0.1, 0.18, 0.14, 0.06, 0.05, 0.05)
 
 
-def _share(rng: np.random.Generator, *, closed: bool) -> float:
+def _speed_ratio(rng: np.random.Generator, *, closed: bool) -> float:
     """Current speed over the vehicle's speed: mostly well below 1, sometimes near, rarely beyond."""
     sort = rng.random()
     if sort < 0.55:

@@ -43,7 +43,7 @@ START_CLEARANCE_M = 0.03
 FLIGHT_S = (15.0, 50.0)
 """Range of mission times: straight legs at cruise speed; detours, turns and delays are added."""
 TRIES = 300
-START_SHARE = 0.75
+START_FRACTION = 0.75
 """Of what the vehicle swims: the water where it begins is slower."""
 
 
@@ -76,13 +76,13 @@ class RandomWorld:
     @property
     def title(self) -> str:
         """One-line description."""
-        rooms = f"{self.kind}, {len(self.layout.solids)} solids"
+        shape = f"{self.kind}, {len(self.layout.solids)} solids"
         doors = "".join(f", door {width:.2f} m" for width in self.layout.doors_m)
-        water = self.scenario["current"]["kind"]
-        return f"{rooms}{doors}, {water}, {len(self.waypoints)} waypoints, vehicle {self.vehicle_number}"
+        current = self.scenario["current"]["kind"]
+        return f"{shape}{doors}, {current}, {len(self.waypoints)} waypoints, vehicle {self.vehicle_number}"
 
 
-def make_room(seed: int) -> RandomWorld:
+def make_world(seed: int) -> RandomWorld:
     rng = np.random.default_rng((seed, 10))
     kind = str(rng.choice(KINDS, p=_KIND_WEIGHTS))
     number = 0 if kind == "tank" and rng.random() < 0.4 else int(rng.integers(VEHICLES))
@@ -246,7 +246,7 @@ def _current(
     for _ in range(20):
         table = draw_current(rng, kind, size, middle, limit_m_s)
         there = current_field(current_table(table)).velocity((*start, 1.0), 0.0)
-        if math.hypot(there[0], there[1]) <= START_SHARE * limit_m_s or (kind == "open" and rng.random() < 0.3):
+        if math.hypot(there[0], there[1]) <= START_FRACTION * limit_m_s or (kind == "open" and rng.random() < 0.3):
             return table
     return {"kind": "none"}
 
@@ -375,7 +375,7 @@ def _scenario(
         sensors["depth"] = {}
     if rng.random() < 0.2:
         sensors["dvl"] = {}
-    told = str(rng.choice(["estimate", "map", "uniform"], p=[0.68, 0.18, 0.14]))
+    source = str(rng.choice(["estimate", "map", "uniform"], p=[0.68, 0.18, 0.14]))
     tables: dict[str, Any] = {
         "scenario": {"name": f"room-{seed}", "description": f"room {seed}: {kind}", "seed": seed},
         "obstacle": [_solid_table(solid) for solid in layout.solids],
@@ -387,7 +387,7 @@ def _scenario(
             "mismatch": _mismatch(rng),
         },
         "sensors": sensors,
-        "controller": {"currents": told},
+        "controller": {"currents": source},
         "params": dict(params),
         "accept": _accept(vehicle, params),
     }
@@ -446,22 +446,22 @@ def _polygon(corners: Corners, *, inclusion: bool) -> dict[str, Any]:
     return {"points_m": [list(corner) for corner in corners], "inclusion": inclusion}
 
 
-def files_of(room: RandomWorld, *, mode: int, duration_s: float) -> dict[str, bytes]:
+def files_of(world: RandomWorld, *, mode: int, duration_s: float) -> dict[str, bytes]:
     """Scenario, vehicle and plan as files of one folder, for a mode (MPC_COST)."""
-    scenario = dict(room.scenario)
+    scenario = dict(world.scenario)
     scenario["scenario"] = {**scenario["scenario"], "plan": PLAN_FILE, "duration_s": round(duration_s, 1)}
-    scenario["vehicle"] = {**scenario["vehicle"], "model": "lbv150" if not room.vehicle_number else VEHICLE_FILE}
+    scenario["vehicle"] = {**scenario["vehicle"], "model": "lbv150" if not world.vehicle_number else VEHICLE_FILE}
     scenario["params"] = {**scenario["params"], "MPC_COST": mode}
-    files = {SCENARIO_FILE: toml_text(scenario).encode(), PLAN_FILE: toml_text(room.plan).encode()}
-    if room.vehicle_number:
-        files[VEHICLE_FILE] = toml_text(vehicle_tables(room.vehicle_number)).encode()
+    files = {SCENARIO_FILE: toml_text(scenario).encode(), PLAN_FILE: toml_text(world.plan).encode()}
+    if world.vehicle_number:
+        files[VEHICLE_FILE] = toml_text(vehicle_tables(world.vehicle_number)).encode()
     return files
 
 
 SCENARIO_FILE, PLAN_FILE, VEHICLE_FILE = "scenario.toml", "plan.toml", "vehicle.toml"
 
 
-def write_files(room: RandomWorld, folder: Path, *, mode: int, duration_s: float) -> None:
+def write_files(world: RandomWorld, folder: Path, *, mode: int, duration_s: float) -> None:
     """Write scenario, plan and vehicle of a world into an existing folder, for ``autopilot sitl``."""
-    for name, data in files_of(room, mode=mode, duration_s=duration_s).items():
+    for name, data in files_of(world, mode=mode, duration_s=duration_s).items():
         (folder / name).write_bytes(data)

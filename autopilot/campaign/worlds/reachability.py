@@ -10,13 +10,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from autopilot.campaign.worlds.distance_map import NO_WAY, DistanceMap, Flow, QuickestPath, still
+from autopilot.campaign.worlds.distance_map import NO_PATH, DistanceMap, Flow, QuickestPath, still
 from autopilot.campaign.worlds.random_currents import flow_of
 from autopilot.campaign.worlds.random_world import MARGIN_M, RandomWorld, current_table
 from autopilot.campaign.worlds.vehicles import speed_held_m_s
 from autopilot.campaign.worlds.world_shapes import Point
 
-SURE_SHARE = 0.75
+SURE_FRACTION = 0.75
 """Of what the vehicle swims; a goal that needs more of it may be declined."""
 ROUNDING_M = 0.015
 """Fence and waypoints are rounded to 1e-7 degrees on the wire."""
@@ -76,44 +76,44 @@ class Prospect:
         return next((leg.must(mode) for leg in self.legs if leg.seq > seq), False)
 
 
-def item_seqs(room: RandomWorld) -> list[int]:
+def item_seqs(world: RandomWorld) -> list[int]:
     """Mission item of every waypoint: changes of speed are items of their own."""
     found, seq = [], 0
-    for waypoint in room.waypoints:
+    for waypoint in world.waypoints:
         seq += "speed_m_s" in waypoint
         found.append(seq)
         seq += 1
     return found
 
 
-def swims_m_s(room: RandomWorld) -> float:
+def swims_m_s(world: RandomWorld) -> float:
     """Fastest through the water: the limit, or less with these thrusters and the drag that the plant has."""
-    params, mismatch = room.scenario["params"], room.scenario["vehicle"]["mismatch"]
+    params, mismatch = world.scenario["params"], world.scenario["vehicle"]["mismatch"]
     force = 2.0 * params["THR_LIMIT"] * min(1.0, mismatch.get("thrust", 1.0)) / max(1.0, mismatch.get("drag", 1.0))
-    return min(float(params["SPD_PLANAR_MAX"]), speed_held_m_s(room.vehicle, 0, 0.85 * force))
+    return min(float(params["SPD_PLANAR_MAX"]), speed_held_m_s(world.vehicle, 0, 0.85 * force))
 
 
-def prospect(room: RandomWorld) -> Prospect:
+def prospect(world: RandomWorld) -> Prospect:
     """Prospects of all goals in mission order, including the return path if the mission ends with it."""
-    keep, swims = room.vehicle.radius_m + MARGIN_M, swims_m_s(room)
-    flow = flow_of(current_table(room.scenario["current"]))
-    places = [(float(w["x_m"]), float(w["y_m"])) for w in room.waypoints]
-    chart = DistanceMap(room.layout, [room.start_m, *places])
-    judge = _Judge(room, chart, flow, keep, swims)
-    legs, here, speed = [], room.start_m, float(room.scenario["params"]["SPD_CRUISE"])
-    depth = float(room.scenario["vehicle"]["start_m"][2])
-    for seq, waypoint, place in zip(item_seqs(room), room.waypoints, places, strict=True):
+    keep, swims = world.vehicle.radius_m + MARGIN_M, swims_m_s(world)
+    flow = flow_of(current_table(world.scenario["current"]))
+    places = [(float(w["x_m"]), float(w["y_m"])) for w in world.waypoints]
+    chart = DistanceMap(world.layout, [world.start_m, *places])
+    judge = _Judge(world, chart, flow, keep, swims)
+    legs, here, speed = [], world.start_m, float(world.scenario["params"]["SPD_CRUISE"])
+    depth = float(world.scenario["vehicle"]["start_m"][2])
+    for seq, waypoint, place in zip(item_seqs(world), world.waypoints, places, strict=True):
         speed = float(waypoint.get("speed_m_s", speed))
         extra = float(waypoint.get("hold_s", 0.0)) + (TURN_S if "yaw_rad" in waypoint else 0.0)
-        extra += abs(waypoint["depth_m"] - depth) / (0.5 * room.scenario["params"]["SPD_HEAVE_MAX"])
-        accept = float(waypoint.get("accept_m", room.scenario["params"]["WP_ACCEPT_RADIUS"]))
+        extra += abs(waypoint["depth_m"] - depth) / (0.5 * world.scenario["params"]["SPD_HEAVE_MAX"])
+        accept = float(waypoint.get("accept_m", world.scenario["params"]["WP_ACCEPT_RADIUS"]))
         legs.append(judge.leg(seq, here, place, accept, min(speed, swims), extra, yaw=waypoint.get("yaw_rad")))
         here, depth = place, waypoint["depth_m"]
     after = legs[-1].seq + 1
-    if room.plan["end"]["action"] == "return":
-        accept = float(room.scenario["params"]["WP_ACCEPT_RADIUS"])
-        legs.append(judge.leg(after, here, room.start_m, accept, min(speed, swims), 0.0, yaw=None))
-    elif room.plan["end"]["action"] == "surface":
+    if world.plan["end"]["action"] == "return":
+        accept = float(world.scenario["params"]["WP_ACCEPT_RADIUS"])
+        legs.append(judge.leg(after, here, world.start_m, accept, min(speed, swims), 0.0, yaw=None))
+    elif world.plan["end"]["action"] == "surface":
         legs.append(judge.up(after, legs[-1], depth))
     return Prospect(legs=tuple(legs), swims_m_s=swims, keep_m=keep)
 
@@ -123,11 +123,11 @@ TURN_S = 8.0
 
 
 class _Judge:
-    def __init__(self, room: RandomWorld, chart: DistanceMap, flow: Flow, keep: float, swims: float) -> None:
-        self._room, self._chart, self._flow, self._swims, self._keep = room, chart, flow, swims, keep
+    def __init__(self, world: RandomWorld, chart: DistanceMap, flow: Flow, keep: float, swims: float) -> None:
+        self._world, self._chart, self._flow, self._swims, self._keep = world, chart, flow, swims, keep
         slack = 1.5 * chart.pixel_m + ROUNDING_M
-        places = [room.start_m, *((float(w["x_m"]), float(w["y_m"])) for w in room.waypoints)]
-        self._strict, self._loose = chart.ways(keep + slack, places), chart.ways(keep - slack, places)
+        places = [world.start_m, *((float(w["x_m"]), float(w["y_m"])) for w in world.waypoints)]
+        self._strict, self._loose = chart.paths(keep + slack, places), chart.paths(keep - slack, places)
         self._regions = chart.regions(keep + slack), chart.regions(keep - slack)
 
     def leg(
@@ -139,13 +139,13 @@ class _Judge:
             bool(self._chart.regions_near(regions, here, 0.35) & self._chart.regions_near(regions, there, reach))
             for regions, reach in zip(self._regions, (near, accept_m + 0.3), strict=True)
         )
-        water = self._water(there)
-        sure_m_s = SURE_SHARE * self._swims
-        way = self._quickest(here, there, near, sure_m_s, speed, worst=True) if strict else NO_WAY
-        holdable = water <= sure_m_s and (yaw is None or self._holds(there, yaw))
-        possible = loose and (math.isfinite(way.time_s) or self._perhaps(here, there, accept_m + 0.3))
+        current_m_s = self._current_m_s(there)
+        sure_m_s = SURE_FRACTION * self._swims
+        path = self._quickest(here, there, near, sure_m_s, speed, worst=True) if strict else NO_PATH
+        holdable = current_m_s <= sure_m_s and (yaw is None or self._holds(there, yaw))
+        possible = loose and (math.isfinite(path.time_s) or self._perhaps(here, there, accept_m + 0.3))
         straight = self._strict.shortest(here, there, near, self._flow, water_m_s=sure_m_s, ground_m_s=speed)
-        bound = BOUND_FACTOR * way.time_s + BOUND_PER_GOAL_S + extra_s
+        bound = BOUND_FACTOR * path.time_s + BOUND_PER_GOAL_S + extra_s
         sure = strict and holdable and bound < LONGEST_LEG_S
         if not sure:
             bound = TELLING_S + min(math.dist(here, there) / max(0.5 * speed, 0.05), LONGEST_LEG_S)
@@ -156,8 +156,8 @@ class _Judge:
             possible=possible,
             ground=strict,
             no_ground=not loose,
-            water_m_s=water,
-            length_m=way.length_m,
+            water_m_s=current_m_s,
+            length_m=path.length_m,
             bound_s=bound,
         )
 
@@ -167,14 +167,14 @@ class _Judge:
         """
 
         def found(swims: float, flow: Flow) -> bool:
-            way = self._loose.quickest(here, there, reach, flow, water_m_s=swims, ground_m_s=swims, worst=False)
-            return math.isfinite(way.time_s)
+            path = self._loose.quickest(here, there, reach, flow, water_m_s=swims, ground_m_s=swims, worst=False)
+            return math.isfinite(path.time_s)
 
         return found(1.02 * self._swims, self._flow) or not found(self._swims, still)
 
     def up(self, seq: int, before: Leg, depth_m: float) -> Leg:
         """The ascent at the end: as sure as the goal before it."""
-        bound = 20.0 + depth_m / (0.4 * self._room.scenario["params"]["SPD_HEAVE_MAX"])
+        bound = 20.0 + depth_m / (0.4 * self._world.scenario["params"]["SPD_HEAVE_MAX"])
         return Leg(
             seq=seq,
             sure=before.sure,
@@ -192,13 +192,13 @@ class _Judge:
     ) -> QuickestPath:
         return self._strict.quickest(here, there, reach, self._flow, water_m_s=water, ground_m_s=ground, worst=worst)
 
-    def _water(self, place: Point) -> float:
+    def _current_m_s(self, place: Point) -> float:
         flow = self._flow(np.array([place]))[:, 0]
         return float(np.hypot(flow[:, 0], flow[:, 1]).max())
 
     def _holds(self, place: Point, yaw: float) -> bool:
         """Whether the thrusters can hold that position and heading with a margin."""
-        model, params = self._room.vehicle.model4, self._room.scenario["params"]
+        model, params = self._world.vehicle.model4, self._world.scenario["params"]
         for north, east in self._flow(np.array([place]))[:, 0]:
             ahead = north * math.cos(yaw) + east * math.sin(yaw)
             aside = east * math.cos(yaw) - north * math.sin(yaw)

@@ -11,7 +11,7 @@ import msgspec
 
 from autopilot.campaign.flight import run_watched
 from autopilot.campaign.tick_watch import TickWatch
-from autopilot.campaign.worlds.random_world import SCENARIO_FILE, RandomWorld, make_room, write_files
+from autopilot.campaign.worlds.random_world import SCENARIO_FILE, RandomWorld, make_world, write_files
 from autopilot.campaign.worlds.reachability import Prospect, prospect
 from autopilot.campaign.worlds.world_judge import is_hopeless, judge_flight, judge_refusal
 from autopilot.campaign.worlds.world_results import WorldResult
@@ -32,7 +32,7 @@ class WorldWatch(TickWatch):
 
     def __init__(self, truth: Callable[[], Truth]) -> None:
         super().__init__(truth)
-        self.told: list[tuple[float, int, str]] = []
+        self.reported: list[tuple[float, int, str]] = []
         """Time, severity and text of every message to the operator."""
         self.reached_seq = -1
         self.hopeless_s = math.inf
@@ -44,8 +44,8 @@ class WorldWatch(TickWatch):
         super().tick(outputs)
         t_s = outputs.t_us * 1e-6
         for event in outputs.events:
-            if event.severity <= Severity.NOTICE and len(self.told) < MOST_EVENTS:
-                self.told.append((t_s, event.severity, event.text))
+            if event.severity <= Severity.NOTICE and len(self.reported) < MOST_EVENTS:
+                self.reported.append((t_s, event.severity, event.text))
             if self._armed_s is not None and is_hopeless(event.text):
                 self.hopeless_s = t_s
         if outputs.progress is not None and outputs.progress.reached_seq > self.reached_seq:
@@ -75,12 +75,14 @@ class WorldTask:
 
     def fly(self, stop: Callable[[], bool] = lambda: False) -> WorldResult | None:
         """The result, None if ``stop`` ended the run."""
-        flown = fly_world(make_room(self.seed), self.mode, stop)
+        flown = fly_world(make_world(self.seed), self.mode, stop)
         return None if flown is None else msgspec.structs.replace(flown.result, room=self.room)
 
     def failed(self, error: str) -> WorldResult:
         """The result of a flight that raised."""
-        return WorldResult(room=self.room, mode=self.mode, seed=self.seed, what=error, title=make_room(self.seed).title)
+        return WorldResult(
+            room=self.room, mode=self.mode, seed=self.seed, what=error, title=make_world(self.seed).title
+        )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -96,29 +98,29 @@ class Flown:
 
 
 def fly_world(
-    room: RandomWorld, mode: int, stop: Callable[[], bool] = lambda: False, *, log: str | None = None
+    world: RandomWorld, mode: int, stop: Callable[[], bool] = lambda: False, *, log: str | None = None
 ) -> Flown | None:
     """Fly a world in a mode (MPC_COST); None if ``stop`` ended the run. AutopilotError if it cannot be flown at all."""
     begun_s = time.process_time()
-    chances = prospect(room)
+    chances = prospect(world)
     duration_s = chances.bound_s(mode)
     with tempfile.TemporaryDirectory(prefix="room-") as folder:
-        write_files(room, Path(folder), mode=mode, duration_s=duration_s)
-        given = {"scenario": str(Path(folder) / SCENARIO_FILE), "seed": room.seed, "start": True, "log": log}
+        write_files(world, Path(folder), mode=mode, duration_s=duration_s)
+        given = {"scenario": str(Path(folder) / SCENARIO_FILE), "seed": world.seed, "start": True, "log": log}
         settings = flight_settings(folder, given)
         try:
             flown = run_watched(settings, {}, WorldWatch, stop, lambda watch: _over(watch, chances, mode))
         except PlanError as error:
-            result = judge_refusal(room, chances, str(error))
-            return Flown(_timed(result, room, mode, begun_s), None, chances)
+            result = judge_refusal(world, chances, str(error))
+            return Flown(_timed(result, world, mode, begun_s), None, chances)
         if flown is None:
             return None
         session, watch = flown
         if watch.never_armed or not len(watch.rows):
-            result = judge_refusal(room, chances, watch.not_armed or "not armed, and nothing was said")
+            result = judge_refusal(world, chances, watch.not_armed or "not armed, and nothing was said")
         else:
-            result = judge_flight(room, chances, mode, watch, session.device.truth)
-        return Flown(_timed(result, room, mode, begun_s), watch, chances, session.device.truth)
+            result = judge_flight(world, chances, mode, watch, session.device.truth)
+        return Flown(_timed(result, world, mode, begun_s), watch, chances, session.device.truth)
 
 
 def _over(watch: WorldWatch, chances: Prospect, mode: int) -> bool:
@@ -126,6 +128,6 @@ def _over(watch: WorldWatch, chances: Prospect, mode: int) -> bool:
     return hopeless or watch.over or watch.never_armed
 
 
-def _timed(result: WorldResult, room: RandomWorld, mode: int, begun_s: float) -> WorldResult:
+def _timed(result: WorldResult, world: RandomWorld, mode: int, begun_s: float) -> WorldResult:
     cpu_s = round(time.process_time() - begun_s, 2)
-    return msgspec.structs.replace(result, cpu_s=cpu_s, mode=mode, seed=room.seed, title=room.title)
+    return msgspec.structs.replace(result, cpu_s=cpu_s, mode=mode, seed=world.seed, title=world.title)

@@ -38,7 +38,7 @@ SPEED_M_S = 0.02
 HEAVE_M_S = 0.015
 YAW_RATE_RAD_S = 0.05
 THRUST_N = 1e-6
-MOST_TOLD = 16
+MOST_REPORTED = 16
 _WATER = re.compile(r"current|upstream|water|out of reach", re.IGNORECASE)
 _GROUND = re.compile(r"no free (way|path)", re.IGNORECASE)
 _HOPELESS = re.compile(r"out of reach|no free (way|path)", re.IGNORECASE)
@@ -49,14 +49,14 @@ def is_hopeless(text: str) -> bool:
     return bool(_HOPELESS.search(text))
 
 
-def judge_refusal(room: RandomWorld, chances: Prospect, reason: str) -> WorldResult:
+def judge_refusal(world: RandomWorld, chances: Prospect, reason: str) -> WorldResult:
     """Whether the reason of a refusal before the flight is right."""
-    right, why = _refusal(room, chances, reason)
+    right, why = _refusal(world, chances, reason)
     outcome = WorldOutcome.REFUSED if right else WorldOutcome.MISREFUSED
     return WorldResult(
         room=0,
         mode=0,
-        seed=room.seed,
+        seed=world.seed,
         outcome=outcome,
         what=_short(reason) if right else f"{_short(reason)} ({why})",
         goals=len(chances.legs),
@@ -68,10 +68,10 @@ def _short(reason: str) -> str:
     return re.sub(r"^.*?\.toml: (cannot be flown: )?", "", reason).split("; mend the plan")[0]
 
 
-def _refusal(room: RandomWorld, chances: Prospect, reason: str) -> tuple[bool, str]:
+def _refusal(world: RandomWorld, chances: Prospect, reason: str) -> tuple[bool, str]:
     """Whether a refusal is right, and if not why not."""
     if "gap of" in reason:
-        return _narrow_gap(room), "no two shapes are nearer than the vehicle is wide"
+        return _narrow_gap(world), "no two shapes are nearer than the vehicle is wide"
     found = re.search(r"no free path from item (\d+) to item (\d+)", reason)
     if found:
         leg = _leg(chances, int(found[2]))
@@ -80,14 +80,14 @@ def _refusal(room: RandomWorld, chances: Prospect, reason: str) -> tuple[bool, s
         return not any(leg.ground for leg in chances.legs), "there is room"
     found = re.search(r"item (\d+)\b.*\b(inside|outside|from)\b", reason)
     if found and "fence item" in reason:
-        waypoint = _waypoint(room, int(found[1]))
+        waypoint = _waypoint(world, int(found[1]))
         if waypoint is None:
             return False, "there is no such item"
-        have = clearance_m(room.layout, (waypoint["x_m"], waypoint["y_m"]))
+        have = clearance_m(world.layout, (waypoint["x_m"], waypoint["y_m"]))
         return have < chances.keep_m + GAP_M, f"it has {have:.2f} m"
     found = re.search(r"item (\d+)", reason)
-    waypoint = None if found is None else _waypoint(room, int(found[1]), before=True)
-    params = room.scenario["params"]
+    waypoint = None if found is None else _waypoint(world, int(found[1]), before=True)
+    params = world.scenario["params"]
     if waypoint is not None and "DEPTH_M" in reason:
         inside = params["DEPTH_MIN"] <= waypoint["depth_m"] <= params["DEPTH_MAX"]
         return not inside, "its depth is in the band"
@@ -99,9 +99,9 @@ def _refusal(room: RandomWorld, chances: Prospect, reason: str) -> tuple[bool, s
     return False, "the judge does not know this reason"
 
 
-def _waypoint(room: RandomWorld, seq: int, *, before: bool = False) -> dict[str, float] | None:
+def _waypoint(world: RandomWorld, seq: int, *, before: bool = False) -> dict[str, float] | None:
     """The waypoint of a mission item; ``before``: its change of speed counts as it."""
-    for number, waypoint in zip(item_seqs(room), room.waypoints, strict=True):
+    for number, waypoint in zip(item_seqs(world), world.waypoints, strict=True):
         if number == seq or (before and "speed_m_s" in waypoint and number == seq + 1):
             return waypoint
     return None
@@ -111,13 +111,13 @@ def _leg(chances: Prospect, seq: int) -> Leg | None:
     return next((leg for leg in chances.legs if leg.seq == seq), None)
 
 
-def _narrow_gap(room: RandomWorld) -> bool:
+def _narrow_gap(world: RandomWorld) -> bool:
     """Whether any two shapes leave less than the vehicle's width between them."""
-    width = 2.0 * room.vehicle.radius_m + GAP_M
-    solids = room.layout.solids
+    width = 2.0 * world.vehicle.radius_m + GAP_M
+    solids = world.layout.solids
     if any(0.0 < _gap_m(a, b) < width for a, b in combinations(solids, 2)):
         return True
-    outline = room.layout.outline_m
+    outline = world.layout.outline_m
     if outline is None:
         return False
     return any(0.0 < min(-polygon_clearance_m(outline, place) for place in _rim(solid)) < width for solid in solids)
@@ -132,8 +132,8 @@ def _rim(solid: Solid) -> list[tuple[float, float]]:
     points, after = np.array(solid.corners_m), np.roll(np.array(solid.corners_m), -1, axis=0)
     rim = []
     for a, b in zip(points, after, strict=True):
-        for share in np.linspace(0.0, 1.0, max(2, int(math.dist(a, b) / 0.05)), endpoint=False):
-            north, east = a + share * (b - a)
+        for fraction in np.linspace(0.0, 1.0, max(2, int(math.dist(a, b) / 0.05)), endpoint=False):
+            north, east = a + fraction * (b - a)
             rim.append((float(north), float(east)))
     return rim
 
@@ -149,18 +149,18 @@ def _gap_m(a: Solid, b: Solid) -> float:
     )
 
 
-def judge_flight(room: RandomWorld, chances: Prospect, mode: int, watch: WorldWatch, end: Truth) -> WorldResult:
-    visited = _visits(room, watch)
-    goals = len(room.waypoints)
+def judge_flight(world: RandomWorld, chances: Prospect, mode: int, watch: WorldWatch, end: Truth) -> WorldResult:
+    visited = _visits(world, watch)
+    goals = len(world.waypoints)
     done = visited == goals and watch.completed
     swept = _swept(chances, watch)
-    outcome, what = _outcome(room, chances, mode, watch, visited, done=done, swept=swept)
+    outcome, what = _outcome(world, chances, mode, watch, visited, done=done, swept=swept)
     track = watch.rows
     steps = np.diff(track[:, 1:3], axis=0)
     return WorldResult(
         room=0,
         mode=mode,
-        seed=room.seed,
+        seed=world.seed,
         outcome=outcome,
         what=what,
         goals=goals,
@@ -171,21 +171,21 @@ def judge_flight(room: RandomWorld, chances: Prospect, mode: int, watch: WorldWa
         energy_j=round(float(np.sum(watch.column("power_w")) * 0.01), 1),
         contacts=0 if swept else end.contact_count,
         failsafes=[] if swept else [f"{name} at {watch.first_failsafe_s:.1f} s" for name in watch.failsafe_names],
-        alarms=[text for _, _, text in watch.told if text.startswith("Thruster ")],
+        alarms=[text for _, _, text in watch.reported if text.startswith("Thruster ")],
         fallbacks=watch.fallbacks,
         steps=watch.steps,
-        broken={} if swept else _broken(room, watch),
-        smoothness=measure(watch.commands(room.scenario["params"]["THR_LIMIT"])),
+        broken={} if swept else _broken(world, watch),
+        smoothness=measure(watch.commands(world.scenario["params"]["THR_LIMIT"])),
         first_fallback_s=watch.first_fallback_s,
-        events=[f"{t_s:.1f} s {text}" for t_s, _, text in watch.told][:MOST_TOLD],
+        events=[f"{t_s:.1f} s {text}" for t_s, _, text in watch.reported][:MOST_REPORTED],
     )
 
 
-def _visits(room: RandomWorld, watch: WorldWatch) -> int:
+def _visits(world: RandomWorld, watch: WorldWatch) -> int:
     """Number of waypoints that the plant reached in order."""
-    rows, params = watch.rows, room.scenario["params"]
+    rows, params = watch.rows, world.scenario["params"]
     at, visited = 0, 0
-    for waypoint in room.waypoints:
+    for waypoint in world.waypoints:
         place = np.array((waypoint["x_m"], waypoint["y_m"], waypoint["depth_m"]))
         accept = waypoint.get("accept_m", params["WP_ACCEPT_RADIUS"]) + SEEN_M
         near = np.sqrt(np.sum((rows[at:, 1:4] - place) ** 2, axis=1)) <= accept
@@ -205,31 +205,31 @@ ACCEPT_YAW_RAD = 0.15
 
 def _swept(chances: Prospect, watch: WorldWatch) -> bool:
     """The water was faster than the vehicle where it was."""
-    water = np.hypot(watch.column("c_n"), watch.column("c_e"))
-    return bool((water > 0.97 * chances.swims_m_s).any())
+    current_m_s = np.hypot(watch.column("c_n"), watch.column("c_e"))
+    return bool((current_m_s > 0.97 * chances.swims_m_s).any())
 
 
 def _outcome(
-    room: RandomWorld, chances: Prospect, mode: int, watch: WorldWatch, visited: int, *, done: bool, swept: bool
+    world: RandomWorld, chances: Prospect, mode: int, watch: WorldWatch, visited: int, *, done: bool, swept: bool
 ) -> tuple[WorldOutcome, str]:
     if done:
         return WorldOutcome.REACHED, ""
     stuck = chances.legs[min(visited, len(chances.legs) - 1)]
-    ground = [text for _, _, text in watch.told if _GROUND.search(text)]
-    said = [text for _, _, text in watch.told if _WATER.search(text) or _GROUND.search(text)]
-    said = [text for text in said if _names(text, stuck.seq)]
-    about = f"item {stuck.seq} ({visited} of {len(room.waypoints)} visited, {_away(room, watch, visited)})"
+    ground = [text for _, _, text in watch.reported if _GROUND.search(text)]
+    texts = [text for _, _, text in watch.reported if _WATER.search(text) or _GROUND.search(text)]
+    texts = [text for text in texts if _names(text, stuck.seq)]
+    about = f"item {stuck.seq} ({visited} of {len(world.waypoints)} visited, {_away(world, watch, visited)})"
     if ground and visited and not stuck.ground:
         return WorldOutcome.NOT_REACHED, f"accepted though there is no way, and told on it: {about}"
     if not stuck.must(mode) or swept:
-        if said:
-            return WorldOutcome.TOLD, f"{said[-1]} at {about}"
+        if texts:
+            return WorldOutcome.TOLD, f"{texts[-1]} at {about}"
         if not stuck.possible or swept:
             return WorldOutcome.NOT_REACHED, f"cannot be reached and nothing was said: {about}"
         return WorldOutcome.NOT_REACHED, f"hardly to be reached and nothing was said: {about}"
     if watch.completed:
         return WorldOutcome.NOT_REACHED, f"says complete without having been there: {about}"
-    last = f", said: {watch.told[-1][2]}" if watch.told else ""
+    last = f", said: {watch.reported[-1][2]}" if watch.reported else ""
     return WorldOutcome.NOT_REACHED, f"{about} in {chances.bound_s(mode):.0f} s{last}"
 
 
@@ -239,20 +239,20 @@ def _names(text: str, seq: int) -> bool:
     return found is None or int(found[1]) == seq
 
 
-def _away(room: RandomWorld, watch: WorldWatch, visited: int) -> str:
+def _away(world: RandomWorld, watch: WorldWatch, visited: int) -> str:
     row = watch.rows[-1]
-    if visited >= len(room.waypoints):
+    if visited >= len(world.waypoints):
         return "mission not complete"
-    waypoint = room.waypoints[visited]
+    waypoint = world.waypoints[visited]
     distance = math.hypot(row[1] - waypoint["x_m"], row[2] - waypoint["y_m"])
     deep = row[3] - waypoint["depth_m"]
     turn = f", {abs(wrap_pi(row[6] - waypoint['yaw_rad'])):.2f} rad off" if "yaw_rad" in waypoint else ""
     return f"{distance:.2f} m away, {deep:+.2f} m deep{turn}"
 
 
-def _broken(room: RandomWorld, watch: WorldWatch) -> dict[str, float]:
+def _broken(world: RandomWorld, watch: WorldWatch) -> dict[str, float]:
     """Bounds that were broken by more than their tolerance."""
-    params, vehicle = room.scenario["params"], room.vehicle
+    params, vehicle = world.scenario["params"], world.vehicle
     rows = watch.rows[watch.mission.holds(watch.column("t_s"))]
     found: dict[str, float] = {}
 
@@ -261,13 +261,13 @@ def _broken(room: RandomWorld, watch: WorldWatch) -> dict[str, float]:
             found[name] = round(beyond, 4)
 
     every = watch.rows[::5]
-    least = min(clearance_m(room.layout, (float(row[1]), float(row[2]))) for row in every)
+    least = min(clearance_m(world.layout, (float(row[1]), float(row[2]))) for row in every)
     hold("clearance", vehicle.radius_m - least, CLEARANCE_M)
     hold("planar speed", float(np.max(np.hypot(rows[:, 10], rows[:, 11]))) - params["SPD_PLANAR_MAX"], SPEED_M_S)
     hold("heave", float(np.max(np.abs(rows[:, 12]))) - params["SPD_HEAVE_MAX"], HEAVE_M_S)
     hold("yaw rate", float(np.max(np.abs(rows[:, 15]))) - params["SPD_YAW_MAX"], YAW_RATE_RAD_S)
     hold("thrust", float(np.max(rows[:, 19])) - params["THR_LIMIT"], THRUST_N)
     hold("depth", float(np.max(rows[:, 3])) - params["DEPTH_MAX"], DEPTH_M)
-    if room.plan["end"]["action"] != "surface":
+    if world.plan["end"]["action"] != "surface":
         hold("depth above", params["DEPTH_MIN"] - float(np.min(rows[:, 3])), DEPTH_M)
     return found

@@ -102,7 +102,7 @@ def wall_pieces(
             return []
         # A little into the rim on both sides, so that nothing passes there.
         low, high = found[0] - 0.05, found[1] + 0.05
-    cuts = sorted((low + share * (high - low) - 0.5 * width, width) for share, width in doors)
+    cuts = sorted((low + fraction * (high - low) - 0.5 * width, width) for fraction, width in doors)
     pieces, at = [], low
     for begin, width in [*cuts, (high, 0.0)]:
         if begin - at > 0.08:
@@ -124,6 +124,6 @@ def _chord(outline: FloatArray, foot: FloatArray, unit: FloatArray) -> tuple[flo
     along = rel @ unit
     after, along_after = np.roll(across, -1), np.roll(along, -1)
     crosses = (across > 0.0) != (after > 0.0)
-    share = across[crosses] / (across[crosses] - after[crosses])
-    hits = along[crosses] + share * (along_after[crosses] - along[crosses])
+    fraction = across[crosses] / (across[crosses] - after[crosses])
+    hits = along[crosses] + fraction * (along_after[crosses] - along[crosses])
     return float(np.max(hits[hits <= 0.0], initial=-1e3)), float(np.min(hits[hits > 0.0], initial=1e3))

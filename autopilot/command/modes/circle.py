@@ -84,7 +84,7 @@ class CircleMode(FlightModeBehaviour):
 
     def _take(self, circle: LoiterCircle) -> str:
         keep_m = self._vehicle.radius_m + self._params["MPC_MARGIN"]
-        reason = circle.refusal(self._goals.room, keep_m)
+        reason = circle.refusal(self._goals.boundaries, keep_m)
         if not reason:
             self._circle = circle
         return reason

@@ -1,4 +1,5 @@
-"""Constraint tightening by Lipschitz growth of the open-loop prediction error (Marruedo, Alamo, Camacho 2002).
+"""Constraint tightening by Lipschitz growth of the open-loop prediction error (Limon Marruedo, Alamo and Camacho
+2002).
 
 gamma_{j+1} = L_j gamma_j + w_j; for equal steps gamma_j = w (L^j - 1)/(L - 1). The tightened set X_j is X eroded by
 gamma_j. L is the largest norm of the transition matrix on the set of allowed velocities, in the Euclidean or a scaled

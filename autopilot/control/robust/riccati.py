@@ -40,7 +40,7 @@ def discretise(a: FloatArray, b: FloatArray, h_s: float) -> tuple[FloatArray, Fl
 def dare(a: FloatArray, b: FloatArray, q: FloatArray, r: FloatArray) -> FloatArray:
     """Stabilising solution P of P = a'P a - a'P b (r + b'P b)^-1 b'P a + q.
 
-    Structured doubling (Chu, Fan, Lin 2005): quadratic convergence. All arguments may be stacks.
+    Structured doubling (Chu, Fan, Lin and Wang 2004): quadratic convergence. All arguments may be stacks.
     """
     n = a.shape[-1]
     eye = np.eye(n)

@@ -3,9 +3,9 @@
 In the frame of the goal (error ahead, to starboard, ... of the goal's heading) the vehicle is linearised at rest over
 ground: velocity through the water -R^T c, with the thrust that holds it. With the discrete Riccati gain K, P solves
 (A + B K)^T P (A + B K) - P = -kappa (Q + K^T R K), kappa > 1, so that E(e) = e^T P e decreases by more than the stage
-cost, with a margin for the linearisation error (Chen and Allgower 1998). The level alpha is the largest for which the
-ellipsoid E <= alpha satisfies every limit; it is then reduced until no sample of the nonlinear model violates the
-decrease.
+cost, with a margin for the linearisation error (Chen and Allgower 1998, quasi-infinite horizon, here in discrete
+time). The level alpha is the largest for which the ellipsoid E <= alpha satisfies every limit; it is then reduced until
+no sample of the nonlinear model violates the decrease.
 """
 
 import math

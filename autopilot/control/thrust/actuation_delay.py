@@ -1,7 +1,7 @@
 """Estimation of the command latency: a bank of Kalman filters, one per candidate delay.
 
 Candidate k assumes that the thrust commanded k intervals ago acts now. Per axis the 4-DoF model reads (Fossen 2011,
-eq. 6.113 with the thrust split by thruster)
+ch. 6, with the thrust split by thruster)
 
     nu'(t) = M^-1 T_A diag(F(t - delay_k)) e + f(nu) + d ,
 

@@ -96,10 +96,10 @@ def _flights(vehicle: Vehicle, short: bool, names: Sequence[str]) -> Iterator[tu
             fenced = "energy, flow known, corridor fenced off"
             yield fly(case, again, fenced, vehicle, laps=1 if short else 0, corridor=False), KNOWN
     for name in () if short else [name for name in FELT_CASES if name in names]:
-        case, felt = CASES[name], EstimatedFlow()
-        for number, told in enumerate(("energy, flow felt", "energy, flow felt, second flight")):
-            pilot = nmpc_pilot(vehicle, case, ENERGY_PARAMS, felt)
-            yield fly(case, pilot, told, vehicle, clock_us=number * SECOND_FLIGHT_US), ESTIMATED
+        case, flow = CASES[name], EstimatedFlow()
+        for number, label in enumerate(("energy, flow felt", "energy, flow felt, second flight")):
+            pilot = nmpc_pilot(vehicle, case, ENERGY_PARAMS, flow)
+            yield fly(case, pilot, label, vehicle, clock_us=number * SECOND_FLIGHT_US), ESTIMATED
     for name, scenario in () if short else [row for row in SERVICE_CASES.items() if row[0] in names]:
         for currents in ("estimate", "map"):
             for drag in DRAGS:

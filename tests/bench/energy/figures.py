@@ -19,7 +19,7 @@ class Group:
     """Flights whose pilots knew the same: one colour in every figure (Okabe and Ito, safe for the colour-blind)."""
 
     name: str
-    words: tuple[str, ...]
+    names: tuple[str, ...]
     """One of them is in the names of its pilots."""
     colour: str
 
@@ -55,9 +55,9 @@ OPTIMA: tuple[tuple[str, Any], ...] = (
 HEIGHT_IN, HEAD_IN, FOOT_IN, SIDE_IN = 7.2, 0.75, 1.7, 0.35
 PANEL_IN = (2.7, 4.5)
 """Bounds of a map's width; a legend is as wide as the first."""
-ARROWS, LEAST_SHARE = 16, 0.04
+ARROWS, LEAST_FRACTION = 16, 0.04
 """Arrows of the current along the longer side, and the share of the fastest that is worth one."""
-HEADS, HEAD_SHARE = 6, 0.02
+HEADS, HEAD_FRACTION = 6, 0.02
 """Arrow heads on a lap, and how much of its way one takes."""
 DPI = 110
 
@@ -107,11 +107,11 @@ def _maps(case: Case, records: dict[str, Record], flights: Sequence[EnergyFlight
         squeeze=False,
         gridspec_kw={"bottom": FOOT_IN / HEIGHT_IN, "top": 1.0 - HEAD_IN / HEIGHT_IN, "left": 0.07, "right": 0.99},
     )
-    figure.suptitle(_told(case), fontsize=11)
+    figure.suptitle(_title(case), fontsize=11)
     for axes, (title, found) in zip(row[0], panels, strict=True):
-        arrows = _water(axes, case, low, high)
+        arrows = _draw_current(axes, case, low, high)
         _places(axes, case)
-        _ways(axes, records, found)
+        _draw_paths(axes, records, found)
         axes.set(title=title, xlabel="east [m]", aspect="equal")
         axes.set_xlim(low[1], high[1])
         axes.set_ylim(low[0], high[0])
@@ -123,7 +123,7 @@ def _maps(case: Case, records: dict[str, Record], flights: Sequence[EnergyFlight
     return figure
 
 
-def _told(case: Case) -> str:
+def _title(case: Case) -> str:
     """What a case is, for whoever has not read of it."""
     laps = f", {case.laps} laps of which the last is thick" if case.laps > 1 else ""
     place = "the paper's tank" if case.tank else "open water"
@@ -139,13 +139,13 @@ def _extent(case: Case, records: dict[str, Record], flights: Sequence[EnergyFlig
     return everything.min(axis=0) - 1.5, everything.max(axis=0) + 1.5
 
 
-def _water(axes: Any, case: Case, low: FloatArray, high: FloatArray) -> Any:
+def _draw_current(axes: Any, case: Case, low: FloatArray, high: FloatArray) -> Any:
     """The current as arrows, where it flows."""
     every = float((high - low).max()) / ARROWS
     north, east = np.meshgrid(*(np.arange(a + every / 2.0, b, every) for a, b in zip(low, high, strict=True)))
     flow = np.stack(np.broadcast_arrays(*case.flow(north, east, np)))
     speed = np.hypot(*flow)
-    seen = speed > LEAST_SHARE * float(speed.max())
+    seen = speed > LEAST_FRACTION * float(speed.max())
     if not seen.any():
         return None
     return axes.quiver(
@@ -179,14 +179,14 @@ def _places(axes: Any, case: Case) -> None:
         axes.annotate(name, (y, x), (5, 4), textcoords="offset points", fontsize=9, fontweight="bold", zorder=6)
 
 
-def _ways(axes: Any, records: dict[str, Record], flights: Sequence[EnergyFlight]) -> None:
+def _draw_paths(axes: Any, records: dict[str, Record], flights: Sequence[EnergyFlight]) -> None:
     """The optima that the flights of a panel are compared with, and above them the flights."""
     others = {flight.pilot: comparator(records, flight.case, flight.laps, flight.corridor, None) for flight in flights}
     optima = dict.fromkeys(other.name for other in others.values())
     for name in optima:
         track = records[name].track_ned_m
-        told, style = OPTIMA[name != next(iter(optima))]
-        axes.plot(track[:, 1], track[:, 0], ls=style, color="k", lw=2.2, label=told, zorder=2.5)
+        caption, style = OPTIMA[name != next(iter(optima))]
+        axes.plot(track[:, 1], track[:, 0], ls=style, color="k", lw=2.2, label=caption, zorder=2.5)
     ordered = sorted(flights, key=lambda flight: GROUPS.index(group_of(flight)))
     for flight, (colour, style) in zip(ordered, itertools.cycle(LOOKS)):
         own = comparator(records, flight.case, flight.laps, flight.corridor, flight.drag)
@@ -208,20 +208,20 @@ def _last_lap(flight: EnergyFlight) -> int:
     return int(len(flight.track) * sum(flight.leg_s[:-legs]) / sum(flight.leg_s))
 
 
-def _heads(axes: Any, way: FloatArray, colour: str) -> None:
+def _heads(axes: Any, path: FloatArray, colour: str) -> None:
     """Arrow heads along a way (n, 2), evenly by its length: the direction of travel."""
-    along = np.concatenate(([0.0], np.cumsum(np.hypot(*np.diff(way, axis=0).T))))
-    for share in (np.arange(HEADS) + 0.5) / HEADS:
-        at = int(np.searchsorted(along, share * along[-1]))
-        before = int(np.searchsorted(along, (share - HEAD_SHARE) * along[-1]))
+    along = np.concatenate(([0.0], np.cumsum(np.hypot(*np.diff(path, axis=0).T))))
+    for fraction in (np.arange(HEADS) + 0.5) / HEADS:
+        at = int(np.searchsorted(along, fraction * along[-1]))
+        before = int(np.searchsorted(along, (fraction - HEAD_FRACTION) * along[-1]))
         if at > before:
             style = {"arrowstyle": "-|>", "color": colour, "linewidth": 0.0, "mutation_scale": 11.0}
-            axes.annotate("", way[at, ::-1], way[before, ::-1], arrowprops=style, zorder=4)
+            axes.annotate("", path[at, ::-1], path[before, ::-1], arrowprops=style, zorder=4)
 
 
 def group_of(flight: EnergyFlight) -> Group:
     """What the pilot of a flight knew; the first group that its name speaks of."""
-    return next(group for group in GROUPS if any(word in flight.pilot for word in group.words))
+    return next(group for group in GROUPS if any(name in flight.pilot for name in group.names))
 
 
 def _by_case(flights: Sequence[EnergyFlight]) -> dict[str, list[EnergyFlight]]:

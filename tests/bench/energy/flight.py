@@ -21,8 +21,8 @@ from autopilot.core.vehicle import Vehicle
 from autopilot.sitl import scenario_tables as sc
 from autopilot.sitl.contact import Cylinder
 from autopilot.sitl.current_fields import CurrentField, current_field
-from autopilot.sitl.environment import SimulatedWaters
 from autopilot.sitl.plant import Plant, Truth
+from autopilot.sitl.simulated_waters import SimulatedWaters
 from autopilot.sitl.thruster_models import wrench_of
 from tests.bench.energy.cases import (
     CYLINDERS,
@@ -124,8 +124,8 @@ def nmpc_pilot(
     """The controller of this repository, the flow known unless ``currents`` says otherwise."""
 
     drive = msgspec.structs.replace(vehicle.drive, time_constant_s=NO_LAG_S)
-    told = currents or known_current(case)
-    controller = MotionController(msgspec.structs.replace(vehicle, drive=drive), currents=told, cpu_clock=lambda: 0.0)
+    source = currents or known_current(case)
+    controller = MotionController(msgspec.structs.replace(vehicle, drive=drive), currents=source, cpu_clock=lambda: 0.0)
     depth = {} if case.tank else {"DEPTH_MAX": OPEN_WATER.depth_max_m}
     given = ParamSet({**params, **depth})
 
@@ -186,8 +186,8 @@ def fly(
             leg_j.append(spent - sum(leg_j))
             leg_s.append((t_us - begin_us) * 1e-6)
             index, begin_us = index + 1, t_us
-    way = np.array(track)
-    near = float(clearance_m(TANK, way).min()) - vehicle.radius_m if case.tank else math.inf
+    path = np.array(track)
+    near = float(clearance_m(TANK, path).min()) - vehicle.radius_m if case.tank else math.inf
     return EnergyFlight(
         case=case.name,
         pilot=name,
@@ -197,7 +197,7 @@ def fly(
         leg_s=tuple(leg_s),
         nearest_m=near,
         top_m_s=top,
-        track=way,
+        track=path,
         laps=laps or case.laps,
         corridor=corridor,
     )

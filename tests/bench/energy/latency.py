@@ -48,7 +48,7 @@ SEED = 7
 class LatencyRow:
     """One kind of request in one kind of water, CPU seconds."""
 
-    water: str
+    situation: str
     kind: str
     plans: int
     """How many requests were answered with a trajectory."""
@@ -63,7 +63,7 @@ class LatencyRow:
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class _Water:
+class _Situation:
     name: str
     fence: Fence
     forecast: CurrentForecast
@@ -76,30 +76,30 @@ def bench_latency(runs: int = RUNS, slowness: float = 1.0) -> Iterator[LatencyRo
     vehicle = load_vehicle("lbv150")
     planner = EnergyPlanner(vehicle.to_model(), PowerModel.of(vehicle))
     planner.warm()
-    for water in _waters(runs):
-        took: dict[Kind, list[float]] = {kind: [] for kind in Kind}
+    for situation in _situations(runs):
+        spent_s: dict[Kind, list[float]] = {kind: [] for kind in Kind}
         solved = dict.fromkeys(Kind, 0)
-        for x0, goal in water.legs:
-            request = _request(water, x0, goal)
-            quick = _timed(planner, request, Kind.QUICK, took, solved).trajectory
+        for x0, goal in situation.legs:
+            request = _request(situation, x0, goal)
+            quick = _timed(planner, request, Kind.QUICK, spent_s, solved).trajectory
             if quick is not None:
                 request = replace(request, warm=shifted(quick, 0.0, x0))
-            plan = _timed(planner, request, Kind.COLD, took, solved)
+            plan = _timed(planner, request, Kind.COLD, spent_s, solved)
             found = plan.trajectory
             if found is None:
                 continue
             by_s = UPDATE_AFTER * float(found.t_s[-1])
             here = np.array([np.interp(by_s, found.t_s, column) for column in found.x.T])
             here[:2] += OFF_M / math.sqrt(2.0)
-            again = replace(_request(water, here, goal), warm=shifted(found, by_s, here))
-            _timed(planner, again, Kind.WARM, took, solved)
+            again = replace(_request(situation, here, goal), warm=shifted(found, by_s, here))
+            _timed(planner, again, Kind.WARM, spent_s, solved)
             if goal.following is not None:
-                _timed(planner, _request(water, found.x[-1], goal.following), Kind.NEXT, took, solved)
-        for kind, seconds in took.items():
+                _timed(planner, _request(situation, found.x[-1], goal.following), Kind.NEXT, spent_s, solved)
+        for kind, seconds in spent_s.items():
             if seconds:
                 p50, p90 = np.quantile(seconds, (0.5, 0.9))
                 yield LatencyRow(
-                    water=water.name,
+                    situation=situation.name,
                     kind=kind.value,
                     plans=solved[kind],
                     asked=len(seconds),
@@ -115,32 +115,32 @@ def _timed(
     planner: EnergyPlanner,
     request: TrajectoryRequest,
     kind: Kind,
-    took: dict[Kind, list[float]],
+    spent_s: dict[Kind, list[float]],
     solved: dict[Kind, int],
 ) -> Plan:
     begin_s = time.thread_time()
     plan = planner.plan(replace(request, kind=kind))
-    took[kind].append(time.thread_time() - begin_s)
+    spent_s[kind].append(time.thread_time() - begin_s)
     solved[kind] += plan.trajectory is not None
     return plan
 
 
-def _request(water: _Water, x0: FloatArray, goal: Goal) -> TrajectoryRequest:
+def _request(situation: _Situation, x0: FloatArray, goal: Goal) -> TrajectoryRequest:
     places = [x0[:2], goal.pos_ned_m[:2]] + ([] if goal.following is None else [goal.following.pos_ned_m[:2]])
-    area = area_of(water.fence, np.stack(places))
+    area = area_of(situation.fence, np.stack(places))
     return TrajectoryRequest(
         x0=x0,
         goal=goal,
-        fence=water.fence,
+        fence=situation.fence,
         radius_m=KEEP_M,
-        flow=sample_flow(water.forecast, water.nav, area, float(x0[2])),
+        flow=sample_flow(situation.forecast, situation.nav, area, float(x0[2])),
         limits=LIMITS,
         thrust_limit_n=np.full(4, THRUST_N),
         buoyancy_excess_n=BUOYANCY_N,
     )
 
 
-def _waters(runs: int) -> Iterator[_Water]:
+def _situations(runs: int) -> Iterator[_Situation]:
     rng, vehicle = np.random.default_rng(SEED), load_vehicle("lbv150")
     still = nav_state(plant_of(CASES["b1"], vehicle).truth)
     there, back = _goal(EnergyGoal(pos_ned_m=B[:3], yaw_rad=B[3])), _goal(EnergyGoal(pos_ned_m=A[:3], yaw_rad=A[3]))
@@ -150,7 +150,7 @@ def _waters(runs: int) -> Iterator[_Water]:
         x0 = np.array([*begin, *rng.normal(0.0, 0.05, 3), rng.normal(0.0, 0.1)])
         x0[:2] += rng.uniform(-0.2, 0.2, 2)
         legs.append((x0, replace(to, following=replace(then, following=to))))
-    yield _Water(name="tank", fence=TANK, forecast=known_current(CASES["b1"]), nav=still, legs=legs)
+    yield _Situation(name="tank", fence=TANK, forecast=known_current(CASES["b1"]), nav=still, legs=legs)
     flowing = replace(still, current_ned_m_s=np.array([0.12, -0.08, 0.0]))
     edge = np.array([[0.0, 0.0], [40.0, 0.0], [40.0, 25.0], [0.0, 25.0]])
     grid = np.stack(np.meshgrid(np.linspace(8.0, 32.0, 5), (8.0, 17.0), indexing="ij"), axis=-1).reshape(-1, 2)
@@ -161,13 +161,13 @@ def _waters(runs: int) -> Iterator[_Water]:
     ]
     for place in corners[1::2]:
         place[0] += 33.0
-    yield _Water(name="basin", fence=basin, forecast=EstimatedCurrent(), nav=flowing, legs=_tour(corners))
+    yield _Situation(name="basin", fence=basin, forecast=EstimatedCurrent(), nav=flowing, legs=_tour(corners))
     places = [np.zeros(3)]
     for _ in range(runs + 1):
         course = rng.uniform(-math.pi, math.pi)
         step = rng.uniform(60.0, 85.0) * np.array([math.cos(course), math.sin(course)])
         places.append(np.array([*(places[-1][:2] + step), rng.uniform(10.0, 50.0)]))
-    yield _Water(
+    yield _Situation(
         name="open water", fence=Fence(depth_max_m=60.0), forecast=EstimatedCurrent(), nav=flowing, legs=_tour(places)
     )
 

@@ -1,7 +1,7 @@
 """The usual way to fly a route: line of sight along the planner's way, and PID loops for speed, heading and depth.
 
 The vehicle points at a place on the way a look-ahead distance in front of it; the integral of the cross-track error
-moves that place against the drift (integral LOS, Fossen 2021, section 12.5). Near the goal it holds place and heading
+moves that place against the drift (integral LOS, Fossen 2011, ch. 10). Near the goal it holds place and heading
 with PID loops on both axes. Integrators stop while a thruster is at its limit.
 """
 
@@ -30,7 +30,7 @@ class LosGains:
     that touched or were late refused)."""
 
     cruise_m_s: float = 0.3
-    look_ahead_m: float = 1.536
+    lookahead_m: float = 1.536
     speed_1_s: float = 2.4
     speed_integral_1_s2: float = 0.64
     yaw_1_s2: float = 4.0
@@ -75,16 +75,16 @@ class LosPid:
         c, s = math.cos(yaw), math.sin(yaw)
         if distance < NEAR_M:
             aim = yaw if goal.yaw_rad is None else goal.yaw_rad
-            wish = gains.place_1_s * (goal.pos_ned_m[:2] - place)
-            wish_u, wish_v = c * wish[0] + s * wish[1], c * wish[1] - s * wish[0]
+            demand = gains.place_1_s * (goal.pos_ned_m[:2] - place)
+            demand_u, demand_v = c * demand[0] + s * demand[1], c * demand[1] - s * demand[0]
         else:
             self._track += gains.track_1_s * error * self._dt_s if abs(error) < 0.3 else 0.0
             self._track = max(-0.5, min(0.5, self._track))
-            aim = ahead - math.atan2(error + self._track, gains.look_ahead_m)
+            aim = ahead - math.atan2(error + self._track, gains.lookahead_m)
             turn = wrap_pi(aim - yaw)
-            wish_u = gains.cruise_m_s * max(0.0, math.cos(turn)) ** 2
-            wish_v = -gains.across_1_s * error * math.cos(ahead - yaw)
-        errors = np.array([wish_u - u, wish_v - v, float(goal.pos_ned_m[2] - nav.pos_ned_m[2]), wrap_pi(aim - yaw)])
+            demand_u = gains.cruise_m_s * max(0.0, math.cos(turn)) ** 2
+            demand_v = -gains.across_1_s * error * math.cos(ahead - yaw)
+        errors = np.array([demand_u - u, demand_v - v, float(goal.pos_ned_m[2] - nav.pos_ned_m[2]), wrap_pi(aim - yaw)])
         proportional = np.array(
             [
                 gains.speed_1_s * errors[0],
@@ -111,13 +111,13 @@ class LosPid:
         """Cross-track error [m], positive to starboard of the way, and direction of the way [rad] there."""
         begin, step = self._route[:-1], np.diff(self._route, axis=0)
         length2 = np.maximum((step * step).sum(axis=1), 1e-12)
-        share = np.clip(((place - begin) * step).sum(axis=1) / length2, 0.0, 1.0)
-        off = place - (begin + share[:, None] * step)
+        fraction = np.clip(((place - begin) * step).sum(axis=1) / length2, 0.0, 1.0)
+        off = place - (begin + fraction[:, None] * step)
         k = int((off * off).sum(axis=1).argmin())
         direction = math.atan2(step[k, 1], step[k, 0])
         # The next piece of the way counts when the look-ahead distance reaches into it.
-        rest = (1.0 - share[k]) * math.sqrt(float(length2[k]))
-        if rest < 0.5 * self._gains.look_ahead_m and k + 1 < len(step):
+        rest = (1.0 - fraction[k]) * math.sqrt(float(length2[k]))
+        if rest < 0.5 * self._gains.lookahead_m and k + 1 < len(step):
             direction = math.atan2(step[k + 1, 1], step[k + 1, 0])
         error = -math.sin(direction) * off[k, 0] + math.cos(direction) * off[k, 1]
         return float(error), direction

@@ -47,7 +47,7 @@ cheapest speed in still water."""
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Guess:
     label: str
-    ways_ned_m: tuple[tuple[tuple[float, float], ...], ...]
+    paths_ned_m: tuple[tuple[tuple[float, float], ...], ...]
     """Places between start and goal, per leg."""
     yaw_rad: tuple[float | None, ...]
     """Heading at the end of each leg on the turn by which it is reached; None = free."""
@@ -202,7 +202,7 @@ class LeastEnergy:
         case, n = self._case, self._n
         begin, states, times = x0.copy(), [], []
         for leg, goal in enumerate(case.goals):
-            points = np.array([begin[:2], *guess.ways_ned_m[leg], goal.pos_ned_m[:2]])
+            points = np.array([begin[:2], *guess.paths_ned_m[leg], goal.pos_ned_m[:2]])
             s = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(points, axis=0).T))])
             at = np.linspace(0.0, s[-1] - 0.5 * REGION_M, n + 1)
             path = np.stack([np.interp(at, s, points[:, i]) for i in range(2)], axis=1)
@@ -300,14 +300,14 @@ def tank_legs(corridor: bool) -> list[TankLeg]:
 
 def tank_guess(legs: Sequence[TankLeg]) -> Guess:
     """Legs out and back in turn, as many as there are; the turns add up."""
-    ways, turned, heading = [], [], 0.0
+    paths, turned, heading = [], [], 0.0
     for number, leg in enumerate(legs):
         y1 = -0.625 + (0.56 if leg.sides[0] == "N" else -0.515)
-        way = ((-0.625, y1), (0.9375, SIDES[leg.sides[1]] * 0.56))
-        ways.append(way if number % 2 == 0 else way[::-1])
+        path = ((-0.625, y1), (0.9375, SIDES[leg.sides[1]] * 0.56))
+        paths.append(path if number % 2 == 0 else path[::-1])
         heading += math.pi if leg.clockwise else -math.pi
         turned.append(heading)
-    return Guess(label=" ".join(leg.label for leg in legs), ways_ned_m=tuple(ways), yaw_rad=tuple(turned))
+    return Guess(label=" ".join(leg.label for leg in legs), paths_ned_m=tuple(paths), yaw_rad=tuple(turned))
 
 
 def tank_guesses(corridor: bool) -> list[Guess]:
@@ -320,7 +320,7 @@ def solve_laps(program: LeastEnergy, x0: FloatArray, laps: Sequence[str], count:
     They begin with the best of ``laps`` (labels of single laps) flown ``count`` times; then one leg after the other is
     flown in every other way that those laps have, as long as that is cheaper."""
     known = {leg.label: leg for leg in tank_legs(True)}
-    ways = [tuple(known[label] for label in lap.split()) for lap in laps]
+    paths = [tuple(known[label] for label in lap.split()) for lap in laps]
     found: dict[tuple[TankLeg, ...], Optimum] = {}
 
     def solve(legs: tuple[TankLeg, ...]) -> float:
@@ -328,12 +328,12 @@ def solve_laps(program: LeastEnergy, x0: FloatArray, laps: Sequence[str], count:
             found[legs] = program.solve(tank_guess(legs), x0)
         return found[legs].energy_j if found[legs].solved else math.inf
 
-    best = min((way * count for way in ways), key=solve)
+    best = min((path * count for path in paths), key=solve)
     improved = True
     while improved:
         before = solve(best)
         for place in range(len(best)):
-            others = dict.fromkeys(way[place % len(way)] for way in ways)
+            others = dict.fromkeys(path[place % len(path)] for path in paths)
             best = min(((*best[:place], leg, *best[place + 1 :]) for leg in others), key=solve)
         improved = solve(best) < before
     return sorted((each for each in found.values() if each.solved), key=lambda each: each.energy_j)
@@ -344,16 +344,19 @@ def open_guesses(case: Case) -> list[Guess]:
     start, goal = np.array(case.start[:2]), np.array(case.goals[0].pos_ned_m[:2])
     along = goal - start
     side = np.array([-along[1], along[0]])
-    guesses = [Guess(label="straight", ways_ned_m=((),), yaw_rad=(None,))]
+    guesses = [Guess(label="straight", paths_ned_m=((),), yaw_rad=(None,))]
     if case.flow_name == "uniform":
         return guesses
     for name, bend in (("right", 0.2), ("left", -0.2)):
-        way = [start + share * along + 4.0 * share * (1.0 - share) * bend * side for share in (0.2, 0.4, 0.6, 0.8)]
-        points = tuple((float(p[0]), float(p[1])) for p in way)
-        guesses.append(Guess(label=name, ways_ned_m=(points,), yaw_rad=(None,)))
+        path = [
+            start + fraction * along + 4.0 * fraction * (1.0 - fraction) * bend * side
+            for fraction in (0.2, 0.4, 0.6, 0.8)
+        ]
+        points = tuple((float(p[0]), float(p[1])) for p in path)
+        guesses.append(Guess(label=name, paths_ned_m=(points,), yaw_rad=(None,)))
     if case.flow_name == "taylor-green":
         half = ((12.0, 3.5), (20.0, 10.0), (28.0, 16.5))
-        guesses.append(Guess(label="left-right", ways_ned_m=(half,), yaw_rad=(None,)))
+        guesses.append(Guess(label="left-right", paths_ned_m=(half,), yaw_rad=(None,)))
         other = tuple((x, 20.0 - y) for x, y in half)
-        guesses.append(Guess(label="right-left", ways_ned_m=(other,), yaw_rad=(None,)))
+        guesses.append(Guess(label="right-left", paths_ned_m=(other,), yaw_rad=(None,)))
     return guesses

@@ -232,10 +232,10 @@ def grid_energy_j(vehicle: Vehicle, case: Case) -> float:
     for goal in case.goals:
         end = np.array(goal.pos_ned_m[:2])
         to_go = field.to(end)
-        way = None if to_go is None else to_go.path(begin)
-        if way is None:
+        path = None if to_go is None else to_go.path(begin)
+        if path is None:
             return float("nan")
-        length = float(np.hypot(*np.diff(way.points_ned_m, axis=0).T).sum())
-        total += way.energy_j * (length - REGION_M) / length
+        length = float(np.hypot(*np.diff(path.points_ned_m, axis=0).T).sum())
+        total += path.energy_j * (length - REGION_M) / length
         begin = end
     return total

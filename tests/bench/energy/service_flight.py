@@ -91,7 +91,7 @@ def fly_service(case: Case, scenario: str, drag: float, currents: str = "estimat
         session = open_sitl(settings, {}, log=False, on_tick=score.tick)
         score.session = session
         session.run(stop=lambda: score.finished)
-    way = np.array(score.track)
+    path = np.array(score.track)
     return EnergyFlight(
         case=case.name,
         pilot=f"service, {currents}, drag {drag:g}",
@@ -99,9 +99,9 @@ def fly_service(case: Case, scenario: str, drag: float, currents: str = "estimat
         energy_j=score.spent_j,
         leg_j=tuple(score.leg_j),
         leg_s=tuple(score.leg_s),
-        nearest_m=float(clearance_m(TANK, way).min()) - session.vehicle.radius_m if case.tank else math.inf,
+        nearest_m=float(clearance_m(TANK, path).min()) - session.vehicle.radius_m if case.tank else math.inf,
         top_m_s=score.top_m_s,
-        track=way,
+        track=path,
         laps=case.laps,
         drag=drag,
     )

@@ -47,13 +47,13 @@ def by_pymavlink(service: LiveService, items: int) -> float:
     """An upload by pymavlink's own connection and a loop as scripts write it; the real time that it took [s]."""
     os.environ["MAVLINK20"] = "1"  # else pymavlink's connections speak MAVLink 1 only, and do not hear what follows
     link = mavutil.mavlink_connection(f"udpout:{LOCAL}:{service.udp}", source_system=255, dialect="development")
-    asked, done = ["MISSION_REQUEST_INT", "MISSION_REQUEST"], "MISSION_ACK"
+    requests, done = ["MISSION_REQUEST_INT", "MISSION_REQUEST"], "MISSION_ACK"
     try:
         Station.udp(service.udp, 254).meet(service)
         begin_s = time.perf_counter()
         link.mav.mission_count_send(1, 1, items, 0)
         while service.child.at_work():
-            message = link.recv_match(type=[*asked, done], blocking=True, timeout=1.0)
+            message = link.recv_match(type=[*requests, done], blocking=True, timeout=1.0)
             if message is None:
                 continue
             if message.get_type() == done:
@@ -79,7 +79,7 @@ def by_mavsdk(service: LiveService, items: int, times: int) -> list[float]:
         MissionItem(*(int(seq == 0) if n == "current" else getattr(row, n) for n in names))
         for seq, row in enumerate(rows)
     ]
-    took_s = []
+    spent_s = []
     component = mavsdk.ComponentType.GROUND_STATION
     with mavsdk.Mavsdk(mavsdk.Configuration.create_with_component_type(component)) as sdk:
         sdk.add_any_connection(f"udpout://{LOCAL}:{service.udp}")
@@ -89,8 +89,8 @@ def by_mavsdk(service: LiveService, items: int, times: int) -> list[float]:
         for _ in range(times):
             begin_s = time.perf_counter()
             plugin.upload_mission(plan)
-            took_s.append(time.perf_counter() - begin_s)
-    return took_s
+            spent_s.append(time.perf_counter() - begin_s)
+    return spent_s
 
 
 def _upload_pymavlink() -> Measured:
@@ -112,15 +112,15 @@ def _in_flight() -> Measured:
             station.meet(service)
         asker.watch(10.0)
         asker.beats_s.clear()
-        begin_s = asked_s = time.monotonic()
+        begin_s = requested_s = time.monotonic()
         loader.send(mav.MAVLink_mission_count_message(1, 1, ITEMS, 0))
         loader.socket.setblocking(False)
         sent_s: float | None = None
         taken_s: float | None = None
         while (taken_s is None or len(waits) < 50) and service.child.at_work():
             now_s = time.monotonic()
-            if sent_s is None and now_s - asked_s >= (ASK_S if taken_s is not None else 0.01):
-                asked_s = sent_s = now_s
+            if sent_s is None and now_s - requested_s >= (ASK_S if taken_s is not None else 0.01):
+                requested_s = sent_s = now_s
                 asker.send(mav.MAVLink_command_long_message(1, 1, 512, 0, 148.0, 0, 0, 0, 0, 0, 0))
             for message in asker.receive(0.001):
                 if message.get_type() == "COMMAND_ACK" and sent_s is not None:

@@ -45,9 +45,9 @@ def _long_check(waypoints: int) -> Measured:
         since, begin_us = len(flight.step_s), flight.t_us
         for kind in (PlanKind.FENCE, PlanKind.MISSION):
             flight.upload(kind, plan.items(kind))
-        took_s = (flight.t_us - begin_us) * 1e-6
+        spent_s = (flight.t_us - begin_us) * 1e-6
         flight.fly(0.5)
-        text = f"CPU of a tick: {flight.figures(flight.step_s, since)}; taken after {took_s:.1f} s of vehicle time"
+        text = f"CPU of a tick: {flight.figures(flight.step_s, since)}; taken after {spent_s:.1f} s of vehicle time"
         return Measured(text=text, kept=1e3 * max(flight.step_s[since:]) <= MAX_MS)
 
 

@@ -52,7 +52,7 @@ class Pilot:
         self._out: list[Any] = []
         self._upload: PlanUpload | None = None
         self._last_s = -1.0
-        self.heard: list[Any] = []
+        self.inbox: list[Any] = []
         """Every message of the vehicle but its telemetry's most frequent."""
 
     def command(self, command: int, *params: float) -> None:
@@ -72,7 +72,7 @@ class Pilot:
         for data in received:
             for message in self._mav.parse_buffer(data) or ():
                 if message.get_type() in ("STATUSTEXT", "COMMAND_ACK", "MISSION_ACK", "HEARTBEAT"):
-                    self.heard.append(message)
+                    self.inbox.append(message)
                 if self._upload is not None and self._upload.outcome is None:
                     self._out += self._upload.handle(message, t_s)
         if self._upload is not None and self._upload.outcome is None:
@@ -85,7 +85,7 @@ class Pilot:
 
     def texts(self) -> list[str]:
         """STATUSTEXTs so far (first chunks of long ones)."""
-        return [m.text for m in self.heard if m.get_type() == "STATUSTEXT" and not m.chunk_seq]
+        return [m.text for m in self.inbox if m.get_type() == "STATUSTEXT" and not m.chunk_seq]
 
 
 @dataclass(slots=True, kw_only=True)
@@ -138,14 +138,14 @@ class PilotedFlight:
         self.until(lambda: nav.nav is not None, "a position")
         self.fly(2.0)
         for command, param in ((ARM, 1.0), (START, 0.0)):
-            asked = len(self.pilot.heard)
+            before = len(self.pilot.inbox)
             self.pilot.command(command, param)
-            self.until(lambda c=command, n=asked: self._answered(c, n) is not None, f"answer to command {command}")  # type: ignore[misc]
-            if self._answered(command, asked) != 0:
+            self.until(lambda c=command, n=before: self._answered(c, n) is not None, f"answer to command {command}")  # type: ignore[misc]
+            if self._answered(command, before) != 0:
                 raise RuntimeError(f"command {command} refused: {self.pilot.texts()[-3:]}")
 
     def _answered(self, command: int, since: int) -> int | None:
-        acks = [m for m in self.pilot.heard[since:] if m.get_type() == "COMMAND_ACK" and m.command == command]
+        acks = [m for m in self.pilot.inbox[since:] if m.get_type() == "COMMAND_ACK" and m.command == command]
         return acks[-1].result if acks else None
 
     def figures(self, of: Sequence[float], since: int = 0) -> str:

@@ -130,7 +130,7 @@ class Fuzzer:
             raise BrokenRuleError(f"pulses {pulses} are beyond the drive")
         ctx = self._observer._inside._ctx
         silent = ctx.quiet.issuperset(ctx.links)  # clients have asked for high latency on every link
-        if silent or any(message.get_type() == "HEARTBEAT" for message in self._observer.heard):
+        if silent or any(message.get_type() == "HEARTBEAT" for message in self._observer.inbox):
             self._beat_us = self._t_us
         if self._t_us - self._beat_us > LONGEST_GAP_US:
             raise BrokenRuleError(f"no heartbeat for {1e-6 * (self._t_us - self._beat_us):.2f} s")
@@ -168,8 +168,8 @@ class Fuzzer:
                 frames.append(self._order(mav.MAVLink_heartbeat_message(6, 8, 0, 0, 0, 3)))
             outputs = self.step(frames, wild=wild)
             if mood is Mood.STRANGERS and not outputs.mode.armed:
-                said = [event.text for event in outputs.events]
-                raise BrokenRuleError(f"disarmed while its operator is in control: {outputs.mode}, {said}")
+                texts = [event.text for event in outputs.events]
+                raise BrokenRuleError(f"disarmed while its operator is in control: {outputs.mode}, {texts}")
             self.result.moods[mood] += 1
         self._keeps_fence = False
         return True

@@ -37,7 +37,7 @@ class MessageObserver:
         self._answers = mav.MAVLink(None)
         self._reader.robust_parsing = self._answers.robust_parsing = True
         self.accepted: Counter[str] = Counter()
-        self.heard: list[Any] = []
+        self.inbox: list[Any] = []
         """Of this tick and since the one before."""
         self._served: list[Any] = []
         inside = self._inside
@@ -56,10 +56,10 @@ class MessageObserver:
     ) -> tuple[MavlinkFrame, ...]:
         """As the server's; what it sends is read."""
         sent = self._server.step(t_us, rx, view, events, reached)
-        self.heard, self._served = self._served + self._read(sent), []
-        for message in self.heard:
+        self.inbox, self._served = self._served + self._read(sent), []
+        for message in self.inbox:
             self._count(message)
-        self._look_at_plans()
+        self._check_plans()
         return sent
 
     def serve(self, t_us: int, rx: Sequence[MavlinkFrame]) -> tuple[MavlinkFrame, ...]:
@@ -69,8 +69,8 @@ class MessageObserver:
 
     def _read(self, sent: Sequence[MavlinkFrame]) -> list[Any]:
         """What the vehicle says; what is passed on of others is no word of its."""
-        said = [message for frame in sent for message in self._reader.parse_buffer(frame.data) or ()]
-        return [m for m in said if (m.get_srcSystem(), m.get_srcComponent()) == (1, 1)]
+        messages = [message for frame in sent for message in self._reader.parse_buffer(frame.data) or ()]
+        return [m for m in messages if (m.get_srcSystem(), m.get_srcComponent()) == (1, 1)]
 
     def _plans_now(self) -> dict[PlanKind, object]:
         return {kind: self._session.parts.plans.items(kind) for kind in PlanKind}
@@ -79,19 +79,19 @@ class MessageObserver:
         """The plans are as they are for a reason that no client gave."""
         self._plans = self._plans_now()
 
-    def _look_at_plans(self) -> None:
+    def _check_plans(self) -> None:
         """A plan is another one only if its transfer or its removal has been accepted on this tick."""
         now, before = self._plans_now(), self._plans
         self._plans = now
-        said = [m for m in self.heard if m.get_type() in ("MISSION_ACK", "STATUSTEXT")]
-        taken = {m.mission_type for m in said if m.get_type() == "MISSION_ACK" and m.type == 0}
-        text = "".join(m.text for m in said if m.get_type() == "STATUSTEXT")
+        messages = [m for m in self.inbox if m.get_type() in ("MISSION_ACK", "STATUSTEXT")]
+        taken = {m.mission_type for m in messages if m.get_type() == "MISSION_ACK" and m.type == 0}
+        text = "".join(m.text for m in messages if m.get_type() == "STATUSTEXT")
         for kind in PlanKind:
-            told = f"{kind.name.capitalize()} plan accepted" in text
-            if now[kind] != before[kind] and not told and not taken & {int(kind), mav.MAV_MISSION_TYPE_ALL}:
+            reported = f"{kind.name.capitalize()} plan accepted" in text
+            if now[kind] != before[kind] and not reported and not taken & {int(kind), mav.MAV_MISSION_TYPE_ALL}:
                 raise BrokenRuleError(f"the {kind.name.lower()} has changed, and no transfer was accepted")
 
-    def _look_at_sender(self, message: Any) -> None:
+    def _check_sender(self, message: Any) -> None:
         """A frame is heard only with the signature that is in force, and once."""
         frame, key, t_us = bytes(message.get_msgbuf()), self._inside._ctx.signing.key, self._inside._ctx.t_us
         if key != self._key:
@@ -116,7 +116,7 @@ class MessageObserver:
         operators = self._inside._operators
 
         def handle(peer: Any, message: Any) -> None:
-            self._look_at_sender(message)
+            self._check_sender(message)
             before, sent, kept_out = self._state(), len(ctx.tx), operators.keeps_out(peer)
             handler(peer, message)
             answers = [a for frame in ctx.tx[sent:] for a in self._answers.parse_buffer(frame.data) or ()]

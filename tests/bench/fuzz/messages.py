@@ -156,10 +156,10 @@ class Traffic:
                 self._talk, self._talker = self._upload(), rng.choice(self._senders)
             return self._talker, self._talk.pop(0)
         dice -= CONVERSATIONS
-        for share, make in kinds:
-            if dice < share:
+        for weight, make in kinds:
+            if dice < weight:
                 return rng.choice(self._senders), make()
-            dice -= share
+            dice -= weight
         return rng.choice(self._senders), self._any(rng.choice(HANDLED))
 
     def _spoken_by(self, sender: Sender, message: Any) -> bytes:
@@ -402,11 +402,11 @@ class Traffic:
         rng = self._rng
         items: list[tuple[int, int, Sequence[float], int, int, float]] = []
         for _ in range(rng.randint(1, 8)):
-            way = rng.random()
-            if way < 0.75:
+            draw = rng.random()
+            if draw < 0.75:
                 yaw = rng.choice((math.nan, rng.uniform(-180.0, 180.0)))
                 items.append((16, 3, (rng.choice((0.0, 0.5)), 0.3, 0.0, yaw), *self._place(), -rng.uniform(0.1, 1.1)))
-            elif way < 0.8:
+            elif draw < 0.8:
                 items.append(
                     rng.choice(
                         (
@@ -417,7 +417,7 @@ class Traffic:
                         )
                     )
                 )
-            elif way < 0.9:
+            elif draw < 0.9:
                 items.append((178, 2, (1.0, rng.uniform(0.05, 0.5), -1.0, 0.0), 0, 0, 0.0))
             else:
                 target = float(rng.randrange(max(len(items), 1)))

@@ -41,10 +41,10 @@ class Noise:
         self._rng = random.Random(seed)
         self._before: list[Sample] = []
 
-    def samples(self, t_us: int, sound: Sequence[Sample]) -> tuple[Sample, ...]:
+    def samples(self, t_us: int, healthy: Sequence[Sample]) -> tuple[Sample, ...]:
         """What comes on a tick beside or in place of what sound sensors say."""
         rng = self._rng
-        given: list[Sample] = [sample for sample in sound if rng.random() > 0.05]
+        given: list[Sample] = [sample for sample in healthy if rng.random() > 0.05]
         count = rng.choice((0, 0, 1, 1, 2, 4))
         given.extend(self._any(rng.choice(SAMPLE_ROWS), self._time(t_us)) for _ in range(count))
         if given and rng.random() < 0.2:
