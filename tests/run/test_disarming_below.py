@@ -289,7 +289,7 @@ def test_a_service_that_dies_leaves_neutral_thrusters_where_arming_is_allowed(
     if not refused:
         tank.fly()
     tank.below._arm(tank._t_us)
-    tank.below.hear(
+    tank.below.receive(
         tank._t_us, bytes(tank._pilot.rc_channels_override_encode(1, 1, *[1600] * 6, 65535, 65535).pack(tank._pilot))
     )
     for _ in range(60):  # the world goes on without the service

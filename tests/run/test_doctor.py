@@ -115,7 +115,7 @@ class Bench:
     def world_goes_on(self, t_us: int) -> None:
         """Water, vehicle and flight controller."""
         for received in self._wire.recv(t_us):
-            self.below.hear(t_us, received.data)
+            self.below.receive(t_us, received.data)
         for data in (*self.world.advance(t_us), *self.beside(t_us)):
             message = self._reader.decode(bytearray(data))
             if message.get_type() in self.drops:
