@@ -39,8 +39,8 @@ from autopilot.mission.validation import check_item
 
 __all__ = ["Change", "CurrentCheck", "Plans", "load_plan", "plan_checksum"]
 
-CHECK_CALLS = 1
-"""Calls of :meth:`Plans.tick` after which the result of a check is taken."""
+CHECK_TICKS = 5
+"""Ticks after which the result of a check is taken: 50 ms, which a plan of fifty polygons needs."""
 MAX_ATTEMPTS = 10
 """Number of checks after which a change is refused whose parameters keep changing."""
 
@@ -265,7 +265,7 @@ class Plans(PlanStore):
     # Beside the loop
 
     def tick(self) -> None:
-        """With every decision: take a verdict that is ready, start a check after a change."""
+        """Once per tick: take a verdict that is ready, start a check after a change."""
         self._now += 1
         if self._worker is None:
             return
@@ -298,7 +298,7 @@ class Plans(PlanStore):
         if self._change is not None:
             self._change.attempts += 1
         self._submitted = self._question(self._change)
-        self._task = self._worker.submit(self._now + CHECK_CALLS, judge, self._submitted)
+        self._task = self._worker.submit(self._now + CHECK_TICKS, judge, self._submitted)
 
     def _take_verdict(self, verdict: PlanVerdict) -> None:
         """An answer: to the open change, or about the plans in force."""

@@ -389,7 +389,6 @@ class Commander:
         modes = self._modes
         self._operator.t_us = status.t_us
         modes.status = status
-        self._plans.tick()
         self._watch_plan()
         self._watch_check(status.t_us)
         for text in self._watch.update(status, armed=modes.armed):

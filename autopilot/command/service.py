@@ -139,6 +139,7 @@ class Autopilot:
             Stage("view", self._refresh_view, slow=True),
             Stage("mavlink", self._serve_clients, LoopPart.MAVLINK, slow=True),
             Stage("thrusters", self._watch_thrusters, slow=True, given=attrgetter("nav", "acting_n")),
+            Stage("plans", self._take_verdicts),
             Stage("", self._update_status, slow=True),
             Stage("commander", self._decide, slow=True, given=lambda _: self._status),
             Stage("", self._respond_to_faults, LoopPart.DECIDE),
@@ -204,9 +205,8 @@ class Autopilot:
 
     def _urgent(self, inputs: Inputs) -> bool:
         """Whether clients, detectors and commander have work that cannot wait for their turn."""
-        return bool(
-            inputs.mavlink_rx or inputs.notices or inputs.troubles or self._decision is None or self._parts.server.busy
-        )
+        news = inputs.mavlink_rx or inputs.notices or inputs.troubles or self._unsent
+        return bool(news) or self._decision is None or self._parts.server.busy
 
     def _run_guarded(self, stage: Stage, tick: TickState) -> None:
         self._parts.guard.run(stage.part, lambda: stage.work(tick), None, lambda: stage.given(tick))
@@ -384,6 +384,9 @@ class Autopilot:
         if server.last_pilot_t_us is not None:
             status.pilot_us = server.last_pilot_t_us
         status.thrust_n = motion.thrust_n
+
+    def _take_verdicts(self, _: TickState) -> None:
+        self._parts.plans.tick()
 
     def _decide(self, tick: TickState) -> None:
         tick.decision = self._parts.commander.step(self._status)

@@ -14,7 +14,7 @@ from autopilot.mavlink.api import CommandReply, FlightMode, SetPoint
 
 NONE_YET = "send set points first"
 
-FRESH_TICKS = 5
+FRESH_US = 50_000
 """Interval at which body velocities are rotated by the heading."""
 
 
@@ -37,7 +37,7 @@ class GuidedMode(FlightModeBehaviour):
         self._yaw_rad: float | None = None
         self._goal: Goal | None = None
         self._made_of: SetPoint | None = None
-        self._age = 0
+        self._made_us = 0
 
     def refusal(self, status: VehicleStatus | None, *, armed: bool) -> CommandReply | None:
         """No position, or nothing to follow."""
@@ -75,11 +75,11 @@ class GuidedMode(FlightModeBehaviour):
     def _followed(self, nav: NavState) -> Goal:
         """Of the newest set point; the same object while nothing changes."""
         point, made_of = self._point, self._made_of
-        self._age += 1
         same = point is not None and made_of is not None and replace(point, until_us=made_of.until_us) == made_of
         turns = point is not None and point.vel_m_s is not None and point.body
-        if self._goal is None or not same or (turns and self._age >= FRESH_TICKS):
-            self._goal, self._made_of, self._age = self._made(point or SetPoint(until_us=0), nav), point, 0
+        if self._goal is None or not same or (turns and nav.t_us - self._made_us >= FRESH_US):
+            self._goal, self._made_of = self._made(point or SetPoint(until_us=0), nav), point
+            self._made_us = nav.t_us
         return self._goal
 
     def _made(self, point: SetPoint, nav: NavState) -> Goal:

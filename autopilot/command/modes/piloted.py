@@ -19,7 +19,7 @@ from autopilot.core.frames import FloatArray
 from autopilot.core.messages import Goal, NavState, VelocityGoal
 from autopilot.mavlink.api import CommandReply, FlightMode, Sticks
 
-FRESH_TICKS = 5
+FRESH_US = 50_000
 """Interval at which a moving goal is updated for heading and current: once a control step."""
 
 TURN_STOP_RAD_S2 = 0.6
@@ -71,7 +71,7 @@ class PilotedMode(FlightModeBehaviour):
         self._held = _Held()
         self._goal: Goal | None = None
         self._last_sticks: Sticks | None = None
-        self._age = 0
+        self._made_us = 0
 
     def position_came_or_went(self) -> None:
         """Reset the held values: they differ with and without a position."""
@@ -83,10 +83,9 @@ class PilotedMode(FlightModeBehaviour):
 
     def _goal_of(self, sticks: Sticks, nav: NavState) -> Goal:
         """The same object while nothing changes."""
-        self._age += 1
-        if self._goal is not None and self._last_sticks == sticks and self._age < FRESH_TICKS:
+        if self._goal is not None and self._last_sticks == sticks and nav.t_us - self._made_us < FRESH_US:
             return self._goal
-        self._last_sticks, self._age = sticks, 0
+        self._last_sticks, self._made_us = sticks, nav.t_us
         made = self._made(sticks, nav)
         old = self._goal
         if old is None or made.drive != old.drive or made.yaw_rad != old.yaw_rad or _moved(made, old):

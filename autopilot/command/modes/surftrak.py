@@ -8,7 +8,6 @@ from autopilot.command.modes.piloted import DepthHoldMode
 from autopilot.command.vehicle_status import VehicleStatus
 from autopilot.control.thrust.by_hand import ByHand
 from autopilot.core import operator_messages as notices
-from autopilot.core.clock import TICK_US
 from autopilot.core.frames import FloatArray
 from autopilot.core.messages import Goal, NavState, VelocityGoal
 from autopilot.mavlink.api import CommandReply, FlightMode, Sticks
@@ -43,6 +42,8 @@ class SurftrakMode(DepthHoldMode):
         """Altitude held, None = stick deflected, or floor not seen yet."""
         self._floor_m: float | None = None
         """Depth of the floor below, None = not known."""
+        self._floor_us = 0
+        """When that was last updated."""
         self._now_m: float | None = None
         """Height of now, None = not known."""
         self._reported: bool | None = None
@@ -96,14 +97,16 @@ class SurftrakMode(DepthHoldMode):
             return
         seen_m = depth_m + self._now_m
         if self._floor_m is None:
-            self._floor_m = seen_m
+            self._floor_m, self._floor_us = seen_m, status.t_us
             return
-        off_m, most_m = seen_m - self._floor_m, self._params["PILOT_SPD_Z"] * TICK_US * 1e-6
+        passed_s, self._floor_us = (status.t_us - self._floor_us) * 1e-6, status.t_us
+        if passed_s <= 0.0:
+            return
+        off_m, most_m = seen_m - self._floor_m, self._params["PILOT_SPD_Z"] * passed_s
         beyond_m = off_m - math.copysign(min(abs(off_m), PLAY_M), off_m)
         moved_m = max(-most_m, min(most_m, beyond_m))
         self._floor_m += moved_m
-        tick_s = TICK_US * 1e-6
-        self._floor_m_s += tick_s / FLOOR_RATE_S * (moved_m / tick_s - self._floor_m_s)
+        self._floor_m_s += min(passed_s / FLOOR_RATE_S, 1.0) * (moved_m / passed_s - self._floor_m_s)
 
     def _held_depth_m(self, rest: Goal) -> float:
         """Over the floor; the pilot's stick has moved the height."""
