@@ -75,7 +75,7 @@ def _all(
         tasks = [
             WorldTask(room=room, mode=mode, seed=run_seed(seed, room))
             for room, mode in asked
-            if (room, mode) not in finished
+            if (room, mode) not in finished or not finished[room, mode].flown
         ]
         done = len(asked) - len(tasks)
         with stoppable() as stop:
@@ -136,6 +136,7 @@ def _plain(result: WorldResult) -> dict[str, Any]:
 
 
 def _report(results: list[WorldResult], modes: list[int], out: Path, seed: int, *, as_json: bool) -> None:
+    from autopilot.campaign.summary import not_flown
     from autopilot.campaign.worlds.world_summary import summarise
 
     rows = [summarise(results, mode) for mode in modes]
@@ -150,6 +151,9 @@ def _report(results: list[WorldResult], modes: list[int], out: Path, seed: int, 
         ["", *(names[row.mode] for row in rows)],
         [(_title(key), *(_cell(key, asdict(row)[key]) for row in rows)) for key in keys],
     )
+    lost = not_flown([result.what for result in results if not result.flown], len(results), "flights")
+    if lost:
+        click.echo(lost)
     for result in failed:
         click.echo(_line(result))
         click.echo(
