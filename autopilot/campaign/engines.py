@@ -166,6 +166,8 @@ class LocalPool:
         """See :class:`CampaignEngine`. If a process dies its runs are repeated; a run that kills its process again
         when it is flown alone has failed. AutopilotError if no process can start.
         """
+        if tasks:
+            self._check_start(stop)
         left = dict(enumerate(tasks))
         deaths: Counter[int] = Counter()
         while left and not stop():
@@ -186,22 +188,14 @@ class LocalPool:
         self, tasks: dict[int, Flyable[Result]], stop: Stop, broken: list[int]
     ) -> Iterator[tuple[int, Result | None]]:
         """Results until all are there or a process dies; ``broken``: the runs that were under way then."""
-        context = self._context
         self._prepare()
         # One byte without a lock, unlike an Event: a process killed while it holds the lock would never release it.
-        halt = context.RawValue("b", 0)
-        with (
-            safe_path(),
-            _single_threaded(),
-            cf.ProcessPoolExecutor(
-                min(self._jobs, len(tasks)), mp_context=context, initializer=_begin_worker, initargs=(halt,)
-            ) as pool,
-        ):
+        halt = self._context.RawValue("b", 0)
+        with self._pool(min(self._jobs, len(tasks)), halt) as pool:
             under_way: set[int] = set()
             waiting = deque(tasks.items())
             pending: dict[cf.Future[Result | None], int] = {}
             try:
-                self._start(pool, stop)
                 while (waiting or pending) and not stop():
                     with interrupt_later():
                         while waiting and len(pending) < AHEAD * self._jobs:
@@ -227,15 +221,23 @@ class LocalPool:
                 halt.value = 1
                 pool.shutdown(wait=True, cancel_futures=True)
 
-    def _start(self, pool: cf.ProcessPoolExecutor, stop: Stop) -> None:
-        """Wait for the first process. AutopilotError if it cannot start: no run could be flown."""
+    @contextmanager
+    def _pool(self, processes: int, halt: Any) -> Iterator[cf.ProcessPoolExecutor]:
+        given = (processes, self._context, _begin_worker, (halt,))
+        with safe_path(), _single_threaded(), cf.ProcessPoolExecutor(*given) as pool:
+            yield pool
+
+    def _check_start(self, stop: Stop) -> None:
+        """Start a process that flies nothing. AutopilotError if it cannot start: no run could be flown."""
+        self._prepare()
         try:
-            with interrupt_later():
-                started = pool.submit(_settle)
-            while not stop() and not cf.wait([started], LOOK_S).done:
-                pass
-            if started.done():
-                started.result()
+            with self._pool(1, None) as pool:
+                with interrupt_later():
+                    started = pool.submit(_settle)
+                while not stop() and not cf.wait([started], LOOK_S).done:
+                    pass
+                if started.done():
+                    started.result()
         except (Exception, SystemExit) as error:
             raise AutopilotError(f"--engine local: a worker process cannot start: {_what(error)}") from error
 
