@@ -35,7 +35,7 @@ class Task:
 
     def failed(self, error: str) -> "RunResult":
         """The result of a run that could not be flown."""
-        return failure(self, error)
+        return RunResult(run=self.run, seed=self.seed, drawn=self.drawn, error=error)
 
 
 NO_DISTANCES = frozenset(("planar speed", "heave", "yaw rate", "thrust"))
@@ -142,8 +142,3 @@ class RunResult(msgspec.Struct, frozen=True, kw_only=True):
         if not self.flown or self.contacts > 0:
             return True
         return self.judged == "bounds" and (bool(self.beyond) or self.laps_missing)
-
-
-def failure(task: Task, error: str) -> RunResult:
-    """A run that could not be flown."""
-    return RunResult(run=task.run, seed=task.seed, drawn=task.drawn, error=error)
