@@ -293,9 +293,8 @@ class MarkerSolver:
         pixels, points = sighting.corners_px[seen], self._corners_ned_m[placed]
         sigma_px = None if sighting.sigma_px is None else sighting.sigma_px[seen]
         good = np.ones(len(seen), dtype=bool)
-        used, best = good, None
+        best = None
         for round_left in reversed(range(MARKERS_POSE.reject_rounds)):
-            used = good.copy()
             best = solve_pose(
                 self._camera,
                 points[good].reshape(-1, 3),
@@ -310,14 +309,14 @@ class MarkerSolver:
                 return None
             off_px = _worst_px(best.residual_px.reshape(-1, 4, 2))
             fits = _fitting(off_px)
-            if fits.all():
+            if fits.all() or round_left == 0:
                 break
             good[np.flatnonzero(good)[~fits]] = False
         if best is None or not self._good(best.rms_px, best.rpy_rad, rpy):
             return None
         focal = None
         if self._focal_due(sighting.t_us, len(best.residual_px) // 4):
-            corners, at = pixels[used].reshape(-1, 2), points[used].reshape(-1, 3)
+            corners, at = pixels[good].reshape(-1, 2), points[good].reshape(-1, 3)
             linear = linearise_corners(self._camera, at, corners, best.pos_ned_m, r_ned_from_frd(best.rpy_rad))
             if linear is not None:
                 jacobian = np.column_stack((linear[1], inward_of(corners)))

@@ -10,9 +10,7 @@ import pytest
 from hostile_folder import imported_from, make_hostile
 
 from autopilot.campaign.run_store import read_results
-from autopilot.mission.paper import paper_plan
-from autopilot.mission.plan_files import write_plan
-from autopilot.sitl.scenario import scenario_path
+from tests.short_campaign import scenario_in
 
 ROOT = Path(__file__).resolve().parents[1]
 FOLDERS = ("autopilot", "drivers", "estimator", "mission", "sitl", "docs")
@@ -27,7 +25,7 @@ PLACES: dict[tuple[str, str], str] = {
     ("tests/bench/kills.py", "_vehicle"): "ours",
     ("autopilot/bench/loop.py", "bench_loop"): "ours",
     ("autopilot/bench/nmpc.py", "_process"): "ours",
-    ("autopilot/campaign/engines.py", "_batch"): "pool",
+    ("autopilot/campaign/engines.py", "_pool"): "pool",
     ("autopilot/campaign/engines.py", "_client"): "pool",
     ("autopilot/campaign/engines.py", "_prepare"): "pool",
     ("autopilot/run/children.py", "__init__"): "given",
@@ -130,13 +128,10 @@ def test_processes_of_a_campaign_import_nothing_from_the_current_folder(engine: 
     hostile, programs = make_hostile(tmp_path / "project"), tmp_path / "bin"
     programs.mkdir()
     (programs / "autopilot").write_text(SCRIPT, encoding="utf-8")
-    text = scenario_path("r1").read_text(encoding="utf-8")
-    head = text[: text.index("[spread]")].replace("duration_s = 150.0", "duration_s = 0.5")
-    (tmp_path / "short.toml").write_text(head + '[spread]\n"vehicle.mismatch.drag" = { low = 0.7, high = 1.3 }\n')
-    write_plan(tmp_path / "paper.plan", paper_plan(1))
+    scenario = scenario_in(tmp_path, seconds=0.5)
     done = subprocess.run(
         [
-            *(sys.executable, str(programs / "autopilot"), "campaign", str(tmp_path / "short.toml"), "--runs", "2"),
+            *(sys.executable, str(programs / "autopilot"), "campaign", scenario, "--runs", "2"),
             *("--jobs", "2", "--engine", engine, "--out", str(tmp_path / "out"), "--no-figures", "--logs", "0"),
         ],
         cwd=hostile,

@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 
 from autopilot.calibrate.calibrate_tuning import BOARDS
-from autopilot.core.dictionaries import opencv_dictionary, resolve_dictionary
+from autopilot.core.dictionaries import black_runs, opencv_dictionary, resolve_dictionary
 from autopilot.core.errors import ConfigError
 from autopilot.core.frames import FloatArray
 
@@ -140,11 +140,8 @@ class CalibrationBoard:
                         out.append(square)
         for quad, number in zip(corners, np.asarray(self.pattern.getIds()).ravel(), strict=True):
             left, top = quad[:, :2].min(axis=0)
-            black = cv2.aruco.generateImageMarker(self.dictionary, int(number), cells) == 0
-            for row in range(cells):
-                edges = np.flatnonzero(np.diff(np.concatenate(([0], black[row].astype(int), [0]))))
-                for start, end in edges.reshape(-1, 2).tolist():
-                    out.append((left + start * cell_m, top + row * cell_m, (end - start) * cell_m, cell_m))
+            for row, start, end in black_runs(self.dictionary, int(number)):
+                out.append((left + start * cell_m, top + row * cell_m, (end - start) * cell_m, cell_m))
         return out
 
     def svg(self) -> str:

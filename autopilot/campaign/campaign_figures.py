@@ -1,5 +1,6 @@
 """Figures of a campaign: histograms of margins and energy, and failures over the drawn values."""
 
+import math
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -27,7 +28,7 @@ SHOWN = (
 
 def write_figures(results: Sequence[RunResult], title: str, folder: Path) -> list[Path]:
     """``margins.png``, ``energy.png`` and ``failures.png`` in ``folder``; a figure without data is not written."""
-    flown = [result for result in results if result.error is None]
+    flown = [result for result in results if result.flown]
     written = []
     with mpl.rc_context(STYLE):
         for name, figure in (
@@ -87,7 +88,7 @@ def _failure_map(results: Sequence[RunResult], title: str) -> Figure | None:
     ]
     if not keys:
         return None
-    clearance = np.array([_clearance_mm(result) for result in results])
+    clearance = np.array([math.nan if result.least_m is None else 1000.0 * result.least_m for result in results])
     failed = np.array([result.failed for result in results])
     lowest = float(np.nanmin(clearance)) if np.isfinite(clearance).any() else 0.0
     shown = np.where(np.isnan(clearance), min(lowest, 0.0) - 5.0, clearance)
@@ -113,13 +114,6 @@ def _failure_map(results: Sequence[RunResult], title: str) -> Figure | None:
 
 PANELS = 12
 """Of the failure map: numbers that were drawn."""
-SPEEDS = ("planar speed", "heave", "yaw rate", "thrust")
-"""Margins that are no distances."""
-
-
-def _clearance_mm(result: RunResult) -> float:
-    """Least distance that a run kept beyond a bound, not a number if it was not flown."""
-    return min((1000.0 * m.margin for name, m in result.margins.items() if name not in SPEEDS), default=float("nan"))
 
 
 def _rank_correlation(one: FloatArray, other: FloatArray) -> float:

@@ -13,6 +13,7 @@ import time
 from collections import Counter, deque
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from functools import cache
 from multiprocessing import resource_tracker
 from typing import Any, Protocol, TypeVar
 
@@ -119,6 +120,14 @@ def make_engine(name: str, jobs: int | None) -> CampaignEngine:
     raise ConfigError(f"--engine {name!r}: use local, dask or dask+tcp://HOST:PORT")
 
 
+def flown_or_failed(task: Flyable[Result], stop: Stop) -> Result | None:
+    """The result of a run, also of one that raises; None if ``stop`` ended it."""
+    try:
+        return task.fly(stop)
+    except Exception as error:  # noqa: BLE001 - one run that cannot be flown ends no campaign
+        return task.failed(_what(error))
+
+
 class InProcess:
     """Runs tasks one after the other in this process."""
 
@@ -126,10 +135,7 @@ class InProcess:
         for task in tasks:
             if stop():
                 return
-            try:
-                result = task.fly(stop)
-            except AutopilotError as error:
-                result = task.failed(str(error))
+            result = flown_or_failed(task, stop)
             if result is not None:
                 yield result
 
@@ -158,8 +164,10 @@ class LocalPool:
 
     def run(self, tasks: Sequence[Flyable[Result]], stop: Stop) -> Iterator[Result]:
         """See :class:`CampaignEngine`. If a process dies its runs are repeated; a run that kills its process again
-        when it is flown alone has failed.
+        when it is flown alone has failed. AutopilotError if no process can start.
         """
+        if tasks:
+            self._check_start(stop)
         left = dict(enumerate(tasks))
         deaths: Counter[int] = Counter()
         while left and not stop():
@@ -180,17 +188,10 @@ class LocalPool:
         self, tasks: dict[int, Flyable[Result]], stop: Stop, broken: list[int]
     ) -> Iterator[tuple[int, Result | None]]:
         """Results until all are there or a process dies; ``broken``: the runs that were under way then."""
-        context = self._context
         self._prepare()
         # One byte without a lock, unlike an Event: a process killed while it holds the lock would never release it.
-        halt = context.RawValue("b", 0)
-        with (
-            safe_path(),
-            _single_threaded(),
-            cf.ProcessPoolExecutor(
-                min(self._jobs, len(tasks)), mp_context=context, initializer=_begin_worker, initargs=(halt,)
-            ) as pool,
-        ):
+        halt = self._context.RawValue("b", 0)
+        with self._pool(min(self._jobs, len(tasks)), halt) as pool:
             running: set[int] = set()
             waiting = deque(tasks.items())
             pending: dict[cf.Future[Result | None], int] = {}
@@ -220,10 +221,31 @@ class LocalPool:
                 halt.value = 1
                 pool.shutdown(wait=True, cancel_futures=True)
 
+    @contextmanager
+    def _pool(self, processes: int, halt: Any) -> Iterator[cf.ProcessPoolExecutor]:
+        given = (processes, self._context, _begin_worker, (halt,))
+        with safe_path(), _single_threaded(), cf.ProcessPoolExecutor(*given) as pool:
+            yield pool
+
+    def _check_start(self, stop: Stop) -> None:
+        """Start a process that flies nothing. AutopilotError if it cannot start: no run could be flown."""
+        self._prepare()
+        try:
+            with self._pool(1, None) as pool:
+                with interrupt_later():
+                    started = pool.submit(_settle)
+                while not stop() and not cf.wait([started], POLL_S).done:
+                    pass
+                if started.done():
+                    started.result()
+        except (Exception, SystemExit) as error:
+            raise AutopilotError(f"--engine local: a worker process cannot start: {_what(error)}") from error
+
 
 def _what(error: BaseException) -> str:
-    """An error of a run in one line."""
-    return " ".join(f"{type(error).__name__}: {error}".split())
+    """An error in one line; those raised on purpose need no name."""
+    named = str(error) if isinstance(error, AutopilotError) else f"{type(error).__name__}: {error}"
+    return " ".join(named.split())
 
 
 _halt: Any = None
@@ -231,23 +253,24 @@ _halt: Any = None
 
 
 def _begin_worker(halt: Any) -> None:
-    """Initialiser of a worker process: ignores SIGINT (the parent handles it) and freezes the imports (gc)."""
+    """Initialiser of a worker process, which ignores SIGINT: the parent handles it."""
     global _halt
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
     _halt = halt
-    _settle()
 
 
+@cache
 def _settle() -> None:
-    """Import the modules of a run and exclude them from garbage collection."""
+    """Import the modules of a run and exclude them from garbage collection, once in a process."""
     importlib.import_module(WORKER)
     gc.collect()
     gc.freeze()
 
 
 def _fly_in_worker(task: Flyable[Result]) -> Result | None:
-    return task.fly(lambda: _halt is not None and bool(_halt.value))
+    _settle()
+    return flown_or_failed(task, lambda: _halt is not None and bool(_halt.value))
 
 
 @contextmanager
@@ -293,6 +316,7 @@ class DaskCluster:
         self._distributed: Any = distributed
         self._settings: Any = settings
         self._address = address
+        self._option = f"--engine dask{'' if address is None else f'+{address}'}"
         self._jobs = jobs
 
     def run(self, tasks: Sequence[Flyable[Result]], stop: Stop) -> Iterator[Result]:
@@ -305,7 +329,6 @@ class DaskCluster:
             return
         with safe_path(), self._quiet(), self._unsampled(), self._client() as client:
             self._see_workers(client)
-            client.register_worker_callbacks(_settle)  # of those submitted later, too
             waiting = deque(tasks)
             pending: dict[Any, Flyable[Result]] = {}
             missed_s: float | None = None
@@ -350,10 +373,7 @@ class DaskCluster:
         return result
 
     def _unreachable(self, what: str) -> str:
-        return (
-            f"--engine dask: the scheduler{f' at {self._address}' if self._address else ''} {what};"
-            " finished runs are kept, the same command resumes"
-        )
+        return f"{self._option}: the scheduler {what}; finished runs are kept, the same command resumes"
 
     def _see_workers(self, client: Any) -> None:
         """ConfigError if there is no worker, or one with another version of this package."""
@@ -361,19 +381,19 @@ class DaskCluster:
             client.wait_for_workers(1, timeout=FIRST_WORKER_S)
         except TimeoutError as error:
             raise ConfigError(
-                f"--engine dask+{self._address}: no worker is there after {FIRST_WORKER_S:g} s;"
+                f"{self._option}: no worker is there after {FIRST_WORKER_S:g} s;"
                 f" start some: dask worker {self._address} --nthreads 1"
             ) from error
         try:
             versions: dict[str, str] = client.run(_version)
         except ImportError as error:
             raise ConfigError(
-                f"--engine dask+{self._address}: a worker cannot import this package ({error}); install it there"
+                f"{self._option}: a worker cannot import this package ({error}); install it there"
             ) from error
         for worker, version in versions.items():
             if version != __version__:
                 raise ConfigError(
-                    f"--engine dask+{self._address}: worker {worker} has version {version}, this is {__version__};"
+                    f"{self._option}: worker {worker} has version {version}, this is {__version__};"
                     " install the same there"
                 )
 
@@ -409,11 +429,12 @@ class DaskCluster:
             return self._distributed.Client(self._address, timeout=f"{CONNECT_S:g}s")
         except (OSError, ValueError) as error:
             raise ConfigError(
-                f"--engine dask+{self._address}: no scheduler answers ({' '.join(str(error).split())});"
+                f"{self._option}: no scheduler answers ({' '.join(str(error).split())});"
                 " start it with dask scheduler, or check the address"
             ) from error
 
 
 def _version() -> str:
-    """Version of this package in the process that calls it."""
+    """Version of this package in the process that calls it, which can fly runs. ImportError if it cannot."""
+    _settle()
     return __version__

@@ -5,10 +5,11 @@ campaign. The draws of flight k of a row depend on row, scenario and k alone.
 """
 
 import random
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from autopilot.campaign.engines import Flyable, InProcess
 from autopilot.campaign.fault_cases import CASES, FaultCase
 from autopilot.campaign.fault_flights import PLANS, FaultResult, fly_fault_case
 from autopilot.campaign.run_store import ResultStore, read_lines
@@ -26,6 +27,12 @@ class FaultTask:
     run: int
     seed: int
     at_s: float
+
+    def fly(self, stop: Callable[[], bool]) -> FaultResult:
+        return fly_fault_case(self.case, self.scenario, self.seed, self.at_s)
+
+    def failed(self, error: str) -> str:
+        return f"{self.case.rule.name} {self.scenario} at {self.at_s:g} s: {error}"
 
     @property
     def key(self) -> tuple[str, str, int]:
@@ -53,20 +60,20 @@ def _task(case: FaultCase, scenario: str, run: int) -> FaultTask:
     return FaultTask(case=case, scenario=scenario, run=run, seed=seed, at_s=at_s)
 
 
-def fly_campaign(folder: Path, wanted: Sequence[FaultTask]) -> Iterator[FaultResult]:
-    """Fly the flights missing in the folder; results are stored before they are yielded. ConfigError: the folder
-    is in use.
+def fly_campaign(folder: Path, wanted: Sequence[FaultTask]) -> Iterator[FaultResult | str]:
+    """Fly the flights missing in the folder; results are stored before they are yielded. Of a flight that could not
+    be flown the error is yielded; it stays missing. ConfigError: the folder is in use.
     """
     store: ResultStore[FaultResult] = ResultStore(
         folder / FILE, lambda flight: f"{flight.rule} of {flight.scenario}", option="--out"
     )
     try:
         done = results(folder)
-        for task in wanted:
-            if task.key not in done:
-                result = fly_fault_case(task.case, task.scenario, task.seed, task.at_s)
+        missing: list[Flyable[FaultResult | str]] = [task for task in wanted if task.key not in done]
+        for result in InProcess().run(missing, lambda: False):
+            if isinstance(result, FaultResult):
                 store.append(result)
-                yield result
+            yield result
     finally:
         store.close()
 

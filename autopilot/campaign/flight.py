@@ -64,7 +64,7 @@ def fly(task: Task, stop: Callable[[], bool] = lambda: False, *, log: Path | Non
     """
     cpu_s = time.process_time()
     with tempfile.TemporaryDirectory(prefix="campaign-") as folder:
-        settings = _settings(task, Path(folder), log)
+        settings = settings_of(task, Path(folder), log)
         flown = run_watched(settings, task.params, TickWatch, stop, lambda watch: watch.over)
         if flown is None:
             return None
@@ -73,7 +73,8 @@ def fly(task: Task, stop: Callable[[], bool] = lambda: False, *, log: Path | Non
         return judge(task, session.scenario, run, watch, session.device.truth, time.process_time() - cpu_s)
 
 
-def _settings(task: Task, folder: Path, log: Path | None) -> EffectiveSettings:
+def settings_of(task: Task, folder: Path, log: Path | None = None) -> EffectiveSettings:
+    """The settings of a run, whose files are written into the folder."""
     scenario = folder / "scenario.toml"
     scenario.write_text(task.scenario_toml, encoding="utf-8")
     (folder / task.plan_name).write_bytes(task.plan)

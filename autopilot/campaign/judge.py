@@ -5,18 +5,15 @@ from dataclasses import asdict
 import msgspec
 import numpy as np
 
-from autopilot.campaign.results import Margin, RunResult, Task, failure
+from autopilot.campaign.results import Margin, RunResult, Task
 from autopilot.campaign.tick_watch import TickWatch
 from autopilot.campaign.tube_study import AHEAD_S
 from autopilot.core.frames import FloatArray
 from autopilot.log.analysis import (
     Span,
     VehicleTrack,
-    distance_to_fence,
-    distance_to_obstacle,
-    distance_to_polygon,
+    clearances,
     lap_spans,
-    obstacle_limit_m,
     visits,
 )
 from autopilot.log.description import RunDescription
@@ -31,7 +28,7 @@ THRUST_TOLERANCE_N = 1e-6
 def judge(task: Task, scenario: Scenario, run: RunDescription, watch: TickWatch, end: Truth, cpu_s: float) -> RunResult:
     """The result of a run; ``end`` is the truth at its end. One that was never armed has failed."""
     if not len(watch.rows):
-        return failure(task, f"was never armed: {watch.not_armed or 'nobody asked for it'}")
+        return task.failed(f"was never armed: {watch.not_armed or 'nobody asked for it'}")
     flown = RunResult(
         run=task.run,
         seed=task.seed,
@@ -78,15 +75,8 @@ def _margins(run: RunDescription, watch: TickWatch) -> dict[str, Margin]:
             )
 
     near = accept["tolerance_m"]
-    for obstacle in run.obstacles:
-        limit = obstacle_limit_m(obstacle, run)
-        if limit is not None:
-            add(obstacle.name, distance_to_obstacle(track, obstacle) - limit, track, near)
-    plane = track.pos_ned_m[:, :2]
-    if run.tank_polygon_m:
-        add("walls", distance_to_polygon(plane, run.tank_polygon_m) - accept["wall_clearance_m"], track, near)
-    if run.fence:
-        add("fence", distance_to_fence(plane, run.fence) - run.body_radius_m, track, near)
+    for name, distance_m, limit in clearances(track, run):
+        add(name, distance_m - limit, track, near)
     depth = judged.pos_ned_m[:, 2]
     add("shallowest", depth - accept["depth_min_m"], judged, near)
     add("deepest", accept["depth_max_m"] - depth, judged, near)

@@ -35,7 +35,11 @@ class Task:
 
     def failed(self, error: str) -> "RunResult":
         """The result of a run that could not be flown."""
-        return failure(self, error)
+        return RunResult(run=self.run, seed=self.seed, drawn=self.drawn, error=error)
+
+
+NO_DISTANCES = frozenset(("planar speed", "heave", "yaw rate", "thrust"))
+"""Margins that are no distances."""
 
 
 class Margin(msgspec.Struct, frozen=True, kw_only=True):
@@ -60,7 +64,7 @@ class RunResult(msgspec.Struct, frozen=True, kw_only=True):
     seed: int
     drawn: dict[str, float | str]
     error: str | None = None
-    """Why it was not flown to its end; everything below is empty then."""
+    """Why it was not flown to its end; everything below is empty then, and the same command flies it again."""
     simulated_s: float = 0.0
     cpu_s: float = 0.0
     judged: str = "bounds"
@@ -98,6 +102,21 @@ class RunResult(msgspec.Struct, frozen=True, kw_only=True):
     """Of the commands; None if there were too few of them."""
 
     @property
+    def flown(self) -> bool:
+        """Whether it was flown to its end."""
+        return self.error is None
+
+    @property
+    def arrived(self) -> bool:
+        """Whether it flew all laps, or completed a mission without laps."""
+        return self.flown and not self.laps_missing
+
+    @property
+    def least_m(self) -> float | None:
+        """Least distance beyond what has to be kept to a cylinder, a wall, the fence or the depth band."""
+        return min((margin.margin for name, margin in self.margins.items() if name not in NO_DISTANCES), default=None)
+
+    @property
     def rough(self) -> list[str]:
         """Bars of smooth commands that are not kept."""
         return [] if self.smoothness is None else BARS.broken(self.smoothness)
@@ -120,11 +139,6 @@ class RunResult(msgspec.Struct, frozen=True, kw_only=True):
     @property
     def failed(self) -> bool:
         """Whether the run breaks an acceptance bound of the scenario."""
-        if self.error is not None or self.contacts > 0:
+        if not self.flown or self.contacts > 0:
             return True
         return self.judged == "bounds" and (bool(self.beyond) or self.laps_missing)
-
-
-def failure(task: Task, error: str) -> RunResult:
-    """A run that could not be flown."""
-    return RunResult(run=task.run, seed=task.seed, drawn=task.drawn, error=error)

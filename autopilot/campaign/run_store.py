@@ -152,7 +152,9 @@ def read_results(folder: Path) -> dict[int, RunResult]:
 
 
 def read_lines(paths: Iterable[Path], kind: type[Result], key: Callable[[Result], Key]) -> dict[Key, Result]:
-    """The results in files of lines, as far as there are: the first of each key. LogError names a damaged line."""
+    """The results in files of lines, as far as there are: the last of each key, because a run that could not be
+    flown is flown again. LogError names a damaged line.
+    """
     found: dict[Key, Result] = {}
     for path in paths:
         whole, _, _ = path.read_bytes().rpartition(b"\n") if path.exists() else (b"", b"", b"")
@@ -163,7 +165,7 @@ def read_lines(paths: Iterable[Path], kind: type[Result], key: Callable[[Result]
                 result = msgspec.json.decode(line, type=kind)
             except msgspec.MsgspecError as error:
                 raise LogError(f"{path}:{number}: damaged ({error}); delete that line to fly its run again") from error
-            found.setdefault(key(result), result)
+            found[key(result)] = result
     return found
 
 

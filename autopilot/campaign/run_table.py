@@ -119,8 +119,7 @@ def median_interval(values: Sequence[float]) -> MedianInterval:
 def row_of(identity: CampaignIdentity, results: Iterable[RunResult]) -> TableRow:
     """Statistics of one campaign so far."""
     runs = list(results)
-    flown = [each for each in runs if each.error is None]
-    kept = [margin.margin for each in flown for name, margin in each.margins.items() if name not in SPEEDS]
+    flown = [each for each in runs if each.flown]
     return TableRow(
         scenario=identity.scenario["scenario"]["name"],
         mode=MODES.get(_mode(identity), f"{MODE} {_mode(identity):g}"),
@@ -128,12 +127,12 @@ def row_of(identity: CampaignIdentity, results: Iterable[RunResult]) -> TableRow
         revision=identity.revision,
         runs=len(runs),
         errors=len(runs) - len(flown),
-        arrived=proportion(sum(_arrived(each) for each in runs), len(runs)),
+        arrived=proportion(sum(each.arrived for each in runs), len(runs)),
         failed=proportion(sum(each.failed for each in runs), len(runs)),
         alarmed=proportion(sum(any(ALARM in event for event in each.events) for each in flown), len(flown)),
         contacts=sum(each.contacts > 0 for each in flown),
         beyond=sum(bool(each.beyond) for each in flown),
-        least_m=min(kept, default=None),
+        least_m=min((each.least_m for each in flown if each.least_m is not None), default=None),
         failsafes=tuple(sorted({name for each in flown for name in each.failsafes})),
         rough=proportion(sum(bool(each.rough) for each in flown), len(flown)),
         lap_j=_laps(flown, lambda each: each.energy_j),
@@ -145,16 +144,12 @@ def row_of(identity: CampaignIdentity, results: Iterable[RunResult]) -> TableRow
     )
 
 
-SPEEDS = frozenset(("planar speed", "heave", "yaw rate", "thrust"))
-"""Margins that are no distances."""
-
-
 def pairing(scenario: str, quadratic: dict[int, RunResult], least: dict[int, RunResult]) -> Pairing | None:
     """Runs that arrived in both modes and flew the same draw; None without any."""
     ratios = [
         float(np.mean(least[run].energy_j) / np.mean(quadratic[run].energy_j))
         for run in sorted({*quadratic} & {*least})
-        if _arrived(quadratic[run]) and _arrived(least[run]) and quadratic[run].energy_j and least[run].energy_j
+        if all(each.arrived and each.energy_j for each in (quadratic[run], least[run]))
         if (quadratic[run].seed, quadratic[run].drawn) == (least[run].seed, least[run].drawn)
     ]
     if not ratios:
@@ -228,10 +223,6 @@ def pair_text(pair: Pairing) -> str:
 
 def _line(texts: Iterable[str]) -> str:
     return f"| {' | '.join(texts)} |"
-
-
-def _arrived(result: RunResult) -> bool:
-    return result.error is None and not result.laps_missing
 
 
 def _mode(identity: CampaignIdentity) -> float:

@@ -49,7 +49,7 @@ def fly_sets(
             for run in range(runs)
             if shard.holds(run)
             for name, (campaign, _) in sets.items()
-            if run not in finished[name]
+            if run not in finished[name] or not finished[name][run].flown
         ]
         for each in tasks:
             stores[each.name].begin(each.task)

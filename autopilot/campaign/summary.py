@@ -1,6 +1,7 @@
 """Summary of a campaign: proportions with confidence intervals, percentiles of margins, acceptance bars."""
 
 import math
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -11,6 +12,8 @@ from autopilot.campaign.tube_study import AHEAD_S
 from autopilot.log.smoothness import BARS
 
 CONFIDENCE = 0.95
+TO_THE_END = "runs flown to their end"
+"""Name of the bar that counts them."""
 PERCENTILES = (0.0, 1.0, 5.0, 50.0, 95.0, 100.0)
 TUBE_FRACTION = 0.999
 """Share of nodes that has to lie inside the announced tube."""
@@ -53,6 +56,8 @@ class Summary:
     bars: tuple[Bar, ...]
     margins: tuple[Distribution, ...]
     figures: tuple[Distribution, ...]
+    not_flown: str
+    """``2 of 10 runs could not be flown: CAUSE``; empty if all were."""
     failed: tuple[RunResult, ...]
     """Runs that break what the scenario holds against a run."""
     within_tolerance: tuple[RunResult, ...]
@@ -60,7 +65,17 @@ class Summary:
 
     @property
     def passed(self) -> bool:
-        return all(bar.held is not False for bar in self.bars)
+        return not self.not_flown and self._kept
+
+    @property
+    def _kept(self) -> bool:
+        return all(bar.held is not False for bar in self.bars if bar.name != TO_THE_END)
+
+    @property
+    def verdict(self) -> str:
+        """What the campaign has shown, in one line: a run that could not be flown breaks no bound."""
+        kept = "" if self._kept else "A BOUND IS BROKEN"
+        return "; ".join(filter(None, (kept, self.not_flown))) or "all bounds hold"
 
 
 def failure_bound(failures: int, runs: int) -> float:
@@ -86,14 +101,25 @@ def failure_interval(failures: int, runs: int) -> tuple[float, float]:
     return low, high
 
 
+def not_flown(errors: Sequence[str], count: int, flights: str = "runs") -> str:
+    """``2 of 10 runs could not be flown: CAUSE (and 1 other cause)``, the most frequent one; empty without errors."""
+    if not errors:
+        return ""
+    (cause, _), *others = Counter(errors).most_common()
+    more = f" (and {len(others)} other cause{'s' * (len(others) > 1)})" if others else ""
+    return f"{len(errors)} of {count} {flights} could not be flown: {cause}{more}"
+
+
 def summarise(results: Sequence[RunResult], planned: int) -> Summary:
     """All figures of the finished runs."""
-    flown = [result for result in results if result.error is None]
+    flown = [result for result in results if result.flown]
     failed = tuple(result for result in results if result.failed)
+    errors = [result.error for result in results if result.error is not None]
     return Summary(
         planned=planned,
         finished=len(results),
         bars=tuple(_bars(results, flown)),
+        not_flown=not_flown(errors, len(results)),
         margins=tuple(_margins(flown)),
         figures=tuple(_figures(flown)),
         failed=failed,
@@ -104,9 +130,10 @@ def summarise(results: Sequence[RunResult], planned: int) -> Summary:
 def _bars(results: Sequence[RunResult], flown: Sequence[RunResult]) -> list[Bar]:
     count = len(results)
     strict = any(result.judged == "bounds" for result in flown)
-    errors = count - len(flown)
-    bars = [Bar(name="runs flown to their end", bar="all", value=f"{len(flown)} of {count}", held=not errors)]
-    with_laps = [result for result in flown if not result.laps_missing]
+    lost = [result for result in results if not result.flown]
+    done = f"{len(flown)} of {count}"
+    bars = [Bar(name=TO_THE_END, bar="all", value=done, held=not lost, note=_which(lost))]
+    with_laps = [result for result in flown if result.arrived]
     done = f"{len(with_laps)} of {len(flown)}"
     laps_held = len(with_laps) == len(flown) if strict else None
     bars.append(Bar(name="laps done", bar="all" if strict else "not asked", value=done, held=laps_held))
@@ -123,6 +150,7 @@ def _bars(results: Sequence[RunResult], flown: Sequence[RunResult]) -> list[Bar]
         bound, (low, high) = failure_bound(failures, count), failure_interval(failures, count)
         note = (
             f"{failures} failed of {count} = {failures / count:.2%}; 95 % confidence; between {low:.2%} and {high:.2%}"
+            f"{f'; {len(lost)} of them were not flown' if lost else ''}"
         )
         bars.append(Bar(name="failure rate", bar="", value=f"<= {bound:.2%}", held=None, note=note))
     return bars
@@ -193,7 +221,7 @@ def _figures(flown: Sequence[RunResult]) -> list[Distribution]:
     laps = [energy for result in flown for energy in result.energy_j]
     rows = [
         _spread("energy per lap", "J", laps),
-        _spread("energy of a run's laps", "J", [sum(result.energy_j) for result in flown if not result.laps_missing]),
+        _spread("energy of a run's laps", "J", [sum(result.energy_j) for result in flown if result.arrived]),
         _spread("time per lap", "s", [lap for result in flown for lap in result.lap_s]),
         _spread("estimate position rms", "mm", [1000.0 * result.pos_rms_m for result in flown]),
         _spread("estimate position worst", "mm", [1000.0 * result.pos_max_m for result in flown]),

@@ -6,7 +6,6 @@ from pathlib import Path
 
 import msgspec
 
-from autopilot.campaign.flight import fly
 from autopilot.campaign.results import RunResult, Task
 from autopilot.core.errors import AutopilotError
 
@@ -16,7 +15,7 @@ UNRANKED = ("thrust",)
 
 def worst_first(results: Sequence[RunResult]) -> list[RunResult]:
     """Runs that flew: the failed ones, then by their least margin in tolerances of its bound."""
-    return sorted((result for result in results if result.error is None), key=_rank)
+    return sorted((result for result in results if result.flown), key=_rank)
 
 
 def _rank(result: RunResult) -> tuple[bool, float, int]:
@@ -33,6 +32,8 @@ def fly_logged(task: Task, known: RunResult, folder: Path, stop: Callable[[], bo
     """Repeat a run with a log. Returns a deviation from the first result, "" if none. AutopilotError if it cannot
     be flown.
     """
+    from autopilot.campaign.flight import fly  # the whole service
+
     path = log_file(folder, task.run)
     path.parent.mkdir(parents=True, exist_ok=True)
     unfinished = path.with_suffix(".part.mcap")

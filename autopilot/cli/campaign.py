@@ -162,7 +162,7 @@ def fly(
         emit_json({"passed": summary.passed, "scenario": name, **_plain(summary), **places})
     else:
         _print(summary, name, out, logged)
-        click.echo(f"{name}: {'all bounds hold' if summary.passed else 'A BOUND IS BROKEN'}; runs in {out}")
+        click.echo(f"{name}: {summary.verdict}; runs in {out}")
     if not summary.passed:
         raise click.exceptions.Exit(EXIT_FAILED)
 
@@ -174,9 +174,9 @@ def _fly(
     from autopilot.campaign.run_store import read_results
     from autopilot.campaign.sets import fly_sets
 
-    name, finished = defined.scenario.scenario.name, read_results(out)
+    name, kept = defined.scenario.scenario.name, read_results(out)
     mine = [run for run in range(runs) if shard.holds(run)]
-    done = sum(run in finished for run in mine)
+    done = sum(run in kept and kept[run].flown for run in mine)
     with stoppable() as stop, _progress(name, quiet=quiet) as show:
         show(None, done, len(mine))
         for _, result in fly_sets({name: (defined, out)}, engine, runs, lambda: bool(stop), shard):
@@ -242,6 +242,7 @@ def _plain(summary: Summary) -> dict[str, Any]:
     return {
         "asked": summary.planned,
         "finished": summary.finished,
+        "not_flown": summary.not_flown,
         "bars": [asdict(bar) for bar in summary.bars],
         "percentiles": PERCENTILES,
         "margins": [asdict(row) for row in summary.margins],

@@ -31,14 +31,19 @@ def faults(
     """Fly a fault scenario of every failsafe RUNS times each: reaction, end state, closest approach in one table.
 
     Finished flights are kept in OUT, one line each; the same command resumes where it was stopped. Exit code 1 if a
-    failsafe came late, did not end as promised, or something was touched.
+    failsafe came late, did not end as promised, or something was touched, or if a flight could not be flown.
     """
     from autopilot.campaign.fault_campaign import fly_campaign, results, table, tasks
     from autopilot.campaign.fault_flights import PLANS
+    from autopilot.campaign.summary import not_flown
 
     wanted = tasks(runs, rows, scenarios or tuple(PLANS))
-    if not only_table:
-        for result in fly_campaign(out, wanted):
+    lost: list[str] = []
+    for result in () if only_table else fly_campaign(out, wanted):
+        if isinstance(result, str):
+            lost.append(result)
+            click.echo(result, err=True)
+        else:
             click.echo(
                 f"{result.rule} {result.scenario} at {result.at_s:g} s: failsafe after {result.raised_s} s, "
                 f"{result.end}, closest {result.closest_m:g} m{'' if result.kept else ', NOT KEPT'}",
@@ -54,5 +59,7 @@ def faults(
             click.echo(f"| {' | '.join(str(cell) for cell in asdict(line).values())} |")
     else:
         print_table("faults", HEADS, [tuple(asdict(line).values()) for line in lines])
-    if any(line.kept < line.flights or line.contacts for line in lines):
+    if lost:
+        click.echo(not_flown(lost, len(wanted), "flights"), err=True)
+    if lost or any(line.kept < line.flights or line.contacts for line in lines):
         raise click.exceptions.Exit(EXIT_FAILED)

@@ -15,7 +15,8 @@ from autopilot.core.extras import need_analysis
 if TYPE_CHECKING:
     from autopilot.campaign.worlds.world_results import WorldResult
 
-MODE_NAMES = {"quadratic": 0, "energy": 1}
+MODES = ("quadratic", "energy")
+"""Names of the values of MPC_COST."""
 
 
 @click.command("rooms")
@@ -24,7 +25,7 @@ MODE_NAMES = {"quadratic": 0, "energy": 1}
 )
 @CAMPAIGN_OUT
 @click.option("--seed", type=click.IntRange(min=0), default=1, show_default=True, help="Seed of the campaign.")
-@click.option("--modes", type=click.Choice(("both", *MODE_NAMES)), default="both", show_default=True)
+@click.option("--modes", type=click.Choice(("both", *MODES)), default="both", show_default=True)
 @click.option("--only", type=click.IntRange(min=0), multiple=True, help="Fly this room alone, with log and picture.")
 @ENGINE
 @JOBS
@@ -46,7 +47,7 @@ def rooms(
     """
     if only:
         need_analysis()
-    wanted = list(MODE_NAMES.values()) if modes == "both" else [MODE_NAMES[modes]]
+    wanted = [mode for mode, name in enumerate(MODES) if modes in (name, "both")]
     if only:
         results = [_alone(out, seed, room, mode, quiet=as_json) for room in only for mode in wanted]
         if as_json:
@@ -75,7 +76,7 @@ def _all(
         tasks = [
             WorldTask(room=room, mode=mode, seed=run_seed(seed, room))
             for room, mode in pairs
-            if (room, mode) not in finished
+            if (room, mode) not in finished or not finished[room, mode].flown
         ]
         done = len(pairs) - len(tasks)
         with stoppable() as stop:
@@ -103,8 +104,7 @@ def _alone(out: Path, seed: int, room: int, mode: int, *, quiet: bool) -> WorldR
     from autopilot.sitl.spread import run_seed
 
     made = make_world(run_seed(seed, room))
-    name = next(name for name, number in MODE_NAMES.items() if number == mode)
-    folder = out / f"room-{room:04d}-{name}"
+    folder = out / f"room-{room:04d}-{MODES[mode]}"
     folder.mkdir(parents=True, exist_ok=True)
     log = folder / "run.mcap"
     log.unlink(missing_ok=True)
@@ -122,10 +122,9 @@ def _alone(out: Path, seed: int, room: int, mode: int, *, quiet: bool) -> WorldR
 
 
 def _line(result: WorldResult) -> str:
-    mode = next(name for name, number in MODE_NAMES.items() if number == result.mode)
     faults = f"  FAILED: {'; '.join(result.faults)}" if result.failed else f"  {result.what}" if result.what else ""
     cost = f"{result.simulated_s:.0f} s, {result.cpu_s:.0f} s CPU"
-    return f"room {result.room} {mode}: {result.outcome} ({cost}; {result.title}){faults}"
+    return f"room {result.room} {MODES[result.mode]}: {result.outcome} ({cost}; {result.title}){faults}"
 
 
 def _plain(result: WorldResult) -> dict[str, Any]:
@@ -136,6 +135,7 @@ def _plain(result: WorldResult) -> dict[str, Any]:
 
 
 def _report(results: list[WorldResult], modes: list[int], out: Path, seed: int, *, as_json: bool) -> None:
+    from autopilot.campaign.summary import not_flown
     from autopilot.campaign.worlds.world_summary import summarise
 
     rows = [summarise(results, mode) for mode in modes]
@@ -143,17 +143,19 @@ def _report(results: list[WorldResult], modes: list[int], out: Path, seed: int, 
     if as_json:
         emit_json({"modes": [asdict(row) for row in rows], "failed": [_plain(result) for result in failed]})
         return
-    names = {number: name for name, number in MODE_NAMES.items()}
     keys = [key for key in asdict(rows[0]) if key != "mode"]
     print_table(
         f"rooms of seed {seed}",
-        ["", *(names[row.mode] for row in rows)],
+        ["", *(MODES[row.mode] for row in rows)],
         [(_title(key), *(_cell(key, asdict(row)[key]) for row in rows)) for key in keys],
     )
+    lost = not_flown([result.what for result in results if not result.flown], len(results), "flights")
+    if lost:
+        click.echo(lost)
     for result in failed:
         click.echo(_line(result))
         click.echo(
-            f"    autopilot campaign rooms --seed {seed} --only {result.room} --modes {names[result.mode]} --out {out}"
+            f"    autopilot campaign rooms --seed {seed} --only {result.room} --modes {MODES[result.mode]} --out {out}"
         )
 
 

@@ -72,7 +72,7 @@ def sets(
         total_runs = runs * len(campaigns)
         with stoppable() as stop:
             finished = [read_results(out / label) for label in campaigns if (out / label).is_dir()]
-            done = sum(run < runs for results in finished for run in results)
+            done = sum(run < runs and kept.flown for results in finished for run, kept in results.items())
             places = {label: (defined, out / label) for label, defined in campaigns.items()}
             for label, result in fly_sets(places, make_engine(engine, jobs), runs, lambda: bool(stop)):
                 done += 1
@@ -85,12 +85,15 @@ def sets(
     results = {folder.name: [r for r in read_results(folder).values() if r.run < runs] for folder in folders}
     logged: dict[str, dict[int, Path]] = {}
     passed = True
+    not_flown: list[str] = []
     with stoppable() as stop:
         for folder in folders:
             label, flown = folder.name, results[folder.name]
             ended = None if stopped or stop else campaigns.get(label)
             _, logged[label] = keep(flown, ended, folder, lambda: bool(stop), figures=figures, logs=logs)
-            passed &= summarise(flown, runs).passed
+            summary = summarise(flown, runs)
+            passed &= summary.passed
+            not_flown += [f"{label}: {summary.not_flown}"] if summary.not_flown else []
         stopped |= bool(stop)
     if as_json:
         logs_of = {label: {str(run): str(path) for run, path in found.items()} for label, found in logged.items()}
@@ -107,6 +110,8 @@ def sets(
         ]
         if looked:
             print_table("runs to look at (OUT/SET/logs)", ("set", "run", "seed", "what", "log"), looked)
+        for line in not_flown:
+            click.echo(line)
     if stopped:
         click.echo(f"stopped; finished runs are kept in {out}, the same command resumes", err=True)
         raise click.Abort

@@ -92,8 +92,8 @@ def _run(
         session.run(stop=lambda: bool(flights.stop) or lines.run_end is not None)
         counters = session.runtime.counters
         show(
-            f"{0.01 * counters.ticks:.1f} s, {counters.overruns} overruns"
-            f" ({100.0 * counters.overruns / max(counters.ticks, 1):.2f} % of ticks),"
+            f"{0.01 * counters.due:.1f} s, {counters.overruns} overruns"
+            f" ({100.0 * counters.overruns / max(counters.due, 1):.2f} % of ticks),"
             f" longest tick {1e3 * counters.worst_tick_s:.0f} ms"
         )
     return session, lines.run_end

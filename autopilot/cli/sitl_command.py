@@ -126,7 +126,7 @@ def _run(
                 )
             )
             counters = session.runtime.counters
-            ran_s = counters.ticks * 0.01
+            ran_s = counters.due * 0.01
             show(
                 f"{ran_s:.1f} s simulated in {wall_s:.1f} s ({ran_s / max(wall_s, 1e-9):.1f} x real time), "
                 f"{counters.overruns} overruns, longest tick {1e3 * counters.worst_tick_s:.0f} ms, "

@@ -58,9 +58,10 @@ class Commander:
         *,
         controller_check: ControllerCheck = lambda _: (),
         speed_m_s: Callable[[NavState], float] | None = None,
+        has_markers: bool = True,
     ) -> None:
         """``controller_check``: the controller's reasons against arming with an estimate; ``speed_m_s``: planar speed
-        left by its margins (None = SPD_PLANAR_MAX).
+        left by its margins (None = SPD_PLANAR_MAX); ``has_markers``: whether the position comes from markers.
         """
         self._params = params
         self._plans = plans
@@ -68,6 +69,7 @@ class Commander:
         self._goals = Goals(vehicle, params, plans)
         self._mission = MissionRun(params, plans, self._operator, speed_m_s or (lambda _: params["SPD_PLANAR_MAX"]))
         self._failsafe_inputs = FailsafeInputs(vehicle, params, plans, self._goals, self._mission.sequencer)
+        self._failsafe_inputs.has_markers = has_markers
         self._failsafes = FailsafeRules(params, self._failsafe_inputs)
         tools = ModeContext(
             vehicle=vehicle,

@@ -75,8 +75,8 @@ class Estimation:
         elif not self._finite(inputs.t_us, found.nav):
             found = replace(found, nav=self._stand_in(inputs.t_us).nav)
         else:
-            self._estimated_us, self.doubts = inputs.t_us, found.doubts
-        self.nav, self._ahrs_us = found.nav, found.ahrs_us
+            self._estimated_us = inputs.t_us
+        self.nav, self.doubts, self._ahrs_us = found.nav, found.doubts, found.ahrs_us
         self.aid_ratio.update((aid.sensor, aid.test_ratio) for aid in found.aids)
         return found
 

@@ -7,7 +7,16 @@ from autopilot.command.failsafe_table import ACTIONS, EFFECTS, ROWS, FailsafeRow
 from autopilot.core.params import ParamSet
 
 _NAMED = re.compile(r"`([A-Z0-9_]+)`")
-_FORMAT = re.compile(r"\{(\w+):[^}]*\}")
+_EXAMPLES = {
+    "battery_low": "below 10 %",
+    "thruster_problem": "heading cannot be held (thruster port)",
+    "fault": "internal fault in controller",
+    "silent_sensor": "depth sensor",
+    "silence": "silent or frozen",
+    "watchdog_problem": "hangs",
+    "fix_remedy": "go to markers",
+}
+"""What is put into messages."""
 _ALL_ACTIONS = re.compile(", ".join(rf"(?:{n} {effect}|\*\*{n} {effect}\*\*)" for n, effect in enumerate(ACTIONS)))
 _DEFAULT = re.compile(r"\*\*.+?\*\*")
 
@@ -68,7 +77,7 @@ def _text(row: FailsafeRow, params: ParamSet) -> FailsafeText:
         condition=_NAMED.sub(lambda found: _with_default(found[1], params), row.condition),
         over=_over(row),
         action=_action(row, params),
-        message=_FORMAT.sub(r"{\1}", row.text) + ("; no arming" if row.arming else ""),
+        message=row.text.format_map({**params, **_EXAMPLES}) + ("; no arming" if row.arming else ""),
     )
 
 

@@ -40,6 +40,8 @@ class FailsafeInputs:
         self._rest: tuple[Position | None, int, float] | None = None
         self._low_us: int | None = None
         self._critical_us: int | None = None
+        self.has_markers = True
+        """Whether the position comes from markers, not from another source of poses."""
         self.armed_us: float = math.inf
         """When it was armed; inf = it is not."""
         self.nav_lost = 0.0

@@ -187,7 +187,7 @@ ROWS: tuple[FailsafeRow, ...] = (
         enter="FS_DR_TIME",
         action="FS_DR_ACT",
         severity=Severity.WARNING,
-        text="no fix for {FS_DR_TIME:.0f} s: go to markers",
+        text="no fix for {FS_DR_TIME:.0f} s: {fix_remedy}",
         flying=True,
     ),
     FailsafeRow(

@@ -20,6 +20,9 @@ AHRS_TIMEOUT_S = 0.5
 """50 AHRS frames missing: attitude is no longer known."""
 
 
+POSE_REMEDY = "check the pose source"
+
+
 class _RowState:
     __slots__ = (
         *("active", "effect", "enter", "enter_us", "leave", "leave_us"),
@@ -91,12 +94,13 @@ class FailsafeRules:
         reasons = []
         if status.ahrs_age_s is None or status.ahrs_age_s > AHRS_TIMEOUT_S:
             reasons.append("AHRS is silent or frozen: check cable and port")
+        remedy = "markers must be in view" if self._failsafe_inputs.has_markers else POSE_REMEDY
         if blind:
             pass
         elif status.nav is None:
-            reasons.append("no position yet: markers must be in view")
+            reasons.append(f"no position yet: {remedy}")
         elif status.nav.health is not NavHealth.GOOD:
-            reasons.append("position is not good: markers must be in view")
+            reasons.append(f"position is not good: {remedy}")
         if NavDoubt.ACCELEROMETER in status.nav_doubts or NavDoubt.GYRO in status.nav_doubts:
             reasons.append("AHRS readings are wrong: check range and mounting, restart it")
         reasons += status.refusals
@@ -198,6 +202,7 @@ class _TextValues(Mapping[str, object]):
             "fault": status.fault,
             "silent_sensor": inputs.silent_sensor,
             "silence": inputs.silent_how,
+            "fix_remedy": "go to markers" if inputs.has_markers else POSE_REMEDY,
             "battery_now": _battery(power, inputs, "at {remaining:.0%}"),
             "battery_low": _battery(power, inputs, f"below {params['FS_BATT_LOW']:.0%}"),
         }

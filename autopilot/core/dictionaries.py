@@ -32,6 +32,16 @@ FILE_ENDINGS = (".yml", ".yaml")
 _LINE = re.compile(r'^\s*(nmarkers|markersize|marker_(\d+))\s*:\s*"?([01]+|\d+)"?\s*$')
 
 
+def black_runs(dictionary: Any, marker_id: int) -> list[tuple[int, int, int]]:
+    """Runs of black cells of a marker with its border: row, first column, column behind the last."""
+    import cv2
+
+    cells = dictionary.markerSize + 2
+    black = cv2.aruco.generateImageMarker(dictionary, marker_id, cells) == 0
+    rows, edges = np.nonzero(np.diff(np.pad(black.astype(np.int8), ((0, 0), (1, 1)))))
+    return list(zip(rows[::2].tolist(), edges[::2].tolist(), edges[1::2].tolist(), strict=True))
+
+
 def resolve_dictionary(name: str, folder: Path, origin: str) -> str:
     """The name under which a dictionary goes everywhere: of a predefined one its own, of a file (relative to
     ``folder``) one that holds its patterns. ConfigError begins with ``origin``."""

@@ -10,6 +10,8 @@ from dataclasses import dataclass
 from typing import Generic, TypeVar
 
 from autopilot.core.background import BackgroundTask, BackgroundWorker, Cancel
+from autopilot.core.disk import cause_of
+from autopilot.core.params import Saved
 
 KEEP_TICKS = 5
 """In lockstep a write is done so many ticks after it was asked for: 50 ms, what a flash disk needs for an fsync."""
@@ -66,6 +68,14 @@ class LatestValueWriter(Generic[Q]):
         elif answer.error is not None:
             self._again_at = tick + RETRY_TICKS
         return WriteResult(number=number, error=answer.error)
+
+    def saved(self, tick: int, note: Callable[[Exception | None], None]) -> Saved | None:
+        """Result of the last completed write, once, for who asked for it; ``note`` gets its error."""
+        kept = self.poll(tick)
+        if kept is None:
+            return None
+        note(kept.error)
+        return Saved(number=kept.number, failure="" if kept.error is None else cause_of(kept.error))
 
     def finish(self, timeout_s: float = FINISH_S) -> Exception | None:
         """End of a run: write the pending state. Returns the reason of a failure, or None.

@@ -180,11 +180,7 @@ class PersistentParams:
 
     def saved(self, tick: int) -> Saved | None:
         """Result of a write, once."""
-        kept = self._watchdog.poll(tick)
-        if kept is None:
-            return None
-        self._note(kept.error)
-        return Saved(number=kept.number, failure="" if kept.error is None else cause_of(kept.error))
+        return self._watchdog.saved(tick, self._note)
 
     def finish(self) -> None:
         self._note(self._watchdog.finish())

@@ -361,6 +361,24 @@ def obstacle_limit_m(obstacle: Obstacle, run: RunDescription) -> float | None:
     return touch if obstacle.path_m else max(required_m, touch)
 
 
+def clearances(track: VehicleTrack, run: RunDescription) -> list[tuple[str, FloatArray, float]]:
+    """Name of each obstacle, the walls and the fence that are judged, the distance (n,) of the vehicle's centre from
+    it, and the least that is asked for.
+    """
+    limits = [(obstacle, obstacle_limit_m(obstacle, run)) for obstacle in run.obstacles]
+    found = [
+        (obstacle.name or f"obstacle {number}", distance_to_obstacle(track, obstacle), limit)
+        for number, (obstacle, limit) in enumerate(limits, 1)
+        if limit is not None
+    ]
+    plane, wall_m = track.pos_ned_m[:, :2], run.accept.wall_clearance_m
+    if run.tank_polygon_m and wall_m is not None:
+        found.append(("walls", distance_to_polygon(plane, run.tank_polygon_m), wall_m))
+    if run.fence and wall_m is not None:
+        found.append(("fence", distance_to_fence(plane, run.fence), run.body_radius_m))
+    return found
+
+
 def waypoint_errors(track: VehicleTrack, waypoint: Waypoint) -> tuple[FloatArray, FloatArray]:
     """(n,) distance and (n,) absolute yaw error (0 for a free heading) to a waypoint."""
     distance = distance_to_center(track, waypoint.pos_ned_m)

@@ -20,14 +20,11 @@ from autopilot.log.analysis import (
     FlightRecord,
     Span,
     Visit,
-    distance_to_fence,
-    distance_to_obstacle,
-    distance_to_polygon,
+    clearances,
     energy_j,
     estimate_error,
     lap_spans,
     load_flight,
-    obstacle_limit_m,
     seconds,
     sequence_gaps,
     thruster_count,
@@ -233,17 +230,8 @@ def _clearance_rows(flight: FlightRecord, run: RunDescription) -> list[BoundRow]
     """Distances from cylinders, walls and fence while armed."""
     track, accept = flight.judged.between(flight.armed), run.accept
     rows: list[BoundRow] = []
-    for number, obstacle in enumerate(run.obstacles, 1):
-        limit = obstacle_limit_m(obstacle, run)
-        name = f"distance to {obstacle.name or f'obstacle {number}'}"
-        rows += _at_least(name, "m", limit, accept.tolerance_m, track.t_s, distance_to_obstacle(track, obstacle))
-    plane = track.pos_ned_m[:, :2]
-    if run.tank_polygon_m:
-        values = distance_to_polygon(plane, run.tank_polygon_m)
-        rows += _at_least("distance to walls", "m", accept.wall_clearance_m, accept.tolerance_m, track.t_s, values)
-    if run.fence and accept.wall_clearance_m is not None:
-        values = distance_to_fence(plane, run.fence)
-        rows += _at_least("distance to fence", "m", run.body_radius_m, accept.tolerance_m, track.t_s, values)
+    for name, values, limit in clearances(track, run):
+        rows += _at_least(f"distance to {name}", "m", limit, accept.tolerance_m, track.t_s, values)
     return rows
 
 

@@ -9,19 +9,16 @@ from bokeh.models import ColumnDataSource, Legend
 from bokeh.palettes import viridis
 
 from autopilot.core.frames import FloatArray
+from autopilot.log import analysis
 from autopilot.log.analysis import (
     FlightRecord,
     Prediction,
     VehicleTrack,
     along_track,
-    distance_to_fence,
-    distance_to_obstacle,
-    distance_to_polygon,
     energy_j,
     estimate_error,
     foreseen,
     lap_spans,
-    obstacle_limit_m,
     position_nees,
     predictions,
     seconds,
@@ -517,18 +514,11 @@ def clearances(flight: FlightRecord) -> list[Curve]:
     run, track = flight.run, flight.judged
     if run is None:
         return []
-    accept, t_s, plane = run.accept, track.t_s, track.pos_ned_m[:, :2]
-    curves = []
-    for number, obstacle in enumerate(run.obstacles, 1):
-        limit = obstacle_limit_m(obstacle, run)
-        if limit is not None:
-            values = distance_to_obstacle(track, obstacle) - limit
-            curves.append(Curve(name=obstacle.name or f"obstacle {number}", t_s=t_s, values=values))
-    if run.tank_polygon_m and accept.wall_clearance_m is not None:
-        values = distance_to_polygon(plane, run.tank_polygon_m) - accept.wall_clearance_m
-        curves.append(Curve(name="walls", t_s=t_s, values=values))
-    if run.fence and accept.wall_clearance_m is not None:
-        curves.append(Curve(name="fence", t_s=t_s, values=distance_to_fence(plane, run.fence) - run.body_radius_m))
+    accept, t_s = run.accept, track.t_s
+    curves = [
+        Curve(name=name, t_s=t_s, values=distance_m - limit)
+        for name, distance_m, limit in analysis.clearances(track, run)
+    ]
     for name, limit, sign in (("shallowest", accept.depth_min_m, 1.0), ("deepest", accept.depth_max_m, -1.0)):
         if limit is not None:
             curves.append(Curve(name=name, t_s=t_s, values=sign * (track.pos_ned_m[:, 2] - limit)))

@@ -9,10 +9,9 @@ import math
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
-import cv2
 import numpy as np
 
-from autopilot.core.dictionaries import opencv_dictionary
+from autopilot.core.dictionaries import black_runs, opencv_dictionary
 from autopilot.core.errors import ConfigError
 from autopilot.core.frames import FloatArray
 from autopilot.core.map_errors import Laid, map_errors
@@ -195,14 +194,11 @@ def _marker_shape(dictionary: str, marker_id: int, corners_mm: FloatArray) -> li
     """The black cells of a marker with these corners (4, 2), joined along rows."""
     patterns = opencv_dictionary(dictionary)
     cells = patterns.markerSize + 2
-    black = cv2.aruco.generateImageMarker(patterns, marker_id, cells) == 0
     across, down = (corners_mm[1] - corners_mm[0]) / cells, (corners_mm[3] - corners_mm[0]) / cells
     shape = []
-    for row in range(cells):
-        edges = np.flatnonzero(np.diff(np.concatenate(([0], black[row].astype(np.int8), [0]))))
-        for first, last in zip(edges[0::2], edges[1::2], strict=True):
-            left, right = corners_mm[0] + first * across, corners_mm[0] + last * across
-            shape.append(np.array([left, right, right + down, left + down]) + row * down)
+    for row, first, last in black_runs(patterns, marker_id):
+        left, right = corners_mm[0] + first * across, corners_mm[0] + last * across
+        shape.append(np.array([left, right, right + down, left + down]) + row * down)
     return shape
 
 

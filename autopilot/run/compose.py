@@ -126,7 +126,14 @@ def build_service(
     )
     controller = create_controller(setup.controller, context, setup.controller_asked_by)
     check = MarginCheck(controller, params, plans)
-    commander = Commander(vehicle, params, plans, controller_check=check, speed_m_s=check.planar_speed_m_s)
+    commander = Commander(
+        vehicle,
+        params,
+        plans,
+        controller_check=check,
+        speed_m_s=check.planar_speed_m_s,
+        has_markers=setup.markers is not None,
+    )
     guard = Guard()
     photographer = Photographer(vehicle) if setup.pictures else None
     equipment = Equipment(vehicle)

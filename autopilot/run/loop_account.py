@@ -19,10 +19,18 @@ STATS_EVERY_TICKS = 100
 @dataclass(slots=True)
 class LoopCounters:
     ticks: int = 0
+    skipped: int = 0
+    """Ticks that were due and not taken, because the loop was late."""
     overruns: int = 0
+    """Those, and ticks that began more than one late."""
     worst_tick_s: float = 0.0
     """Wall time of the longest tick."""
     cpu_load: float = 0.0
+
+    @property
+    def due(self) -> int:
+        """All ticks until now, taken or skipped."""
+        return self.ticks + self.skipped
 
 
 class LoopAccount:

@@ -195,6 +195,7 @@ class Runtime:
         if late <= SKIP_TICKS:
             return 0
         self.counters.overruns += late
+        self.counters.skipped += late
         return late
 
     def tick(self, t_us: int) -> Outputs:

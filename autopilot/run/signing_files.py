@@ -83,11 +83,7 @@ class SigningFiles:
         self._watchdog.put(tick, state)
 
     def poll(self, tick: int) -> Saved | None:
-        kept = self._watchdog.poll(tick)
-        if kept is None:
-            return None
-        self._note(kept.error)
-        return Saved(number=kept.number, failure="" if kept.error is None else cause_of(kept.error))
+        return self._watchdog.saved(tick, self._note)
 
     def finish(self) -> None:
         self._note(self._watchdog.finish())

@@ -14,7 +14,7 @@ import numpy as np
 
 from autopilot.campaign.flight import fly
 from autopilot.campaign.results import RunResult, Task
-from autopilot.campaign.run_table import MODE, MODES, SPEEDS
+from autopilot.campaign.run_table import MODE, MODES
 from autopilot.mission.local_plan import LocalPlan, RepeatTable, WaypointTable, plan_of_local
 from autopilot.mission.paper import ORIGIN, paper_plan
 from autopilot.mission.plan_files import write_plan
@@ -136,7 +136,6 @@ def task_of(water: Water, cost: float) -> Task:
 
 
 def row_of(water: Water, cost: float, result: RunResult) -> ModeRow:
-    kept = [margin.margin for name, margin in result.margins.items() if name not in SPEEDS]
     steps, smooth = max(result.steps, 1), result.smoothness
     return ModeRow(
         water=water.name,
@@ -144,7 +143,7 @@ def row_of(water: Water, cost: float, result: RunResult) -> ModeRow:
         laps=f"{result.laps} of {result.laps_asked}",
         lap_j=float(np.mean(result.energy_j)) if result.energy_j else None,
         lap_s=float(np.mean(result.lap_s)) if result.lap_s else None,
-        nearest_mm=1000.0 * min(kept) if kept else None,
+        nearest_mm=None if result.least_m is None else 1000.0 * result.least_m,
         contacts=result.contacts,
         alternating_pct=None if smooth is None else 100.0 * smooth.alternating,
         variation_n_s=None if smooth is None else smooth.variation_n_s,

@@ -4,18 +4,19 @@ Flights are the whole service on the drawn vehicle of a campaign run, in both co
 :mod:`tests.bench.thruster_loops`. What has been flown is kept in a folder, one line a flight, and not flown again.
 """
 
-import json
 import math
 import tempfile
-from collections.abc import Callable, Iterable, Iterator
-from dataclasses import asdict, dataclass, replace
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
 from autopilot.campaign.definition import define
+from autopilot.campaign.flight import settings_of
+from autopilot.campaign.run_store import ResultStore, read_lines
+from autopilot.campaign.summary import failure_bound
 from autopilot.core.messages import Outputs
-from autopilot.run.config import flight_settings
 from autopilot.run.provenance import revision
 from autopilot.run.sitl_session import open_sitl
 from tests.bench.thruster_loops import Loss, fly
@@ -30,9 +31,6 @@ RANDOM = "random"
 
 ASKED_S = {0.5: 15.0, 0.0: 5.0}
 """Time to find that is asked for [s], by share."""
-
-SURE = 0.95
-"""Of the bound on false alarms."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -110,28 +108,21 @@ def bench_thruster_health(
 ) -> Iterator[Row]:
     """Fly what is missing in ``folder`` (None: everything), then sum up."""
     flights = planned(healthy, lossy)
-    done = {outcome.name: outcome for outcome in _kept(folder)}
+    paths = [] if folder is None else [folder / "flights.jsonl"]
+    kept = read_lines(paths, Outcome, lambda outcome: (outcome.name, outcome.revision))
+    done = {name: outcome for (name, code), outcome in kept.items() if code == revision()}
+    stores = [ResultStore[Outcome](path, lambda outcome: outcome.name, option="--out") for path in paths]
     for number, flight in enumerate(flights):
         if flight.name in done:
             continue
         outcome = done[flight.name] = fly_flight(flight)
-        if folder is not None:
-            folder.mkdir(parents=True, exist_ok=True)
-            with (folder / "flights.jsonl").open("a", encoding="utf-8") as file:
-                file.write(json.dumps(asdict(outcome)) + "\n")
+        for store in stores:
+            store.append(outcome)
         text = "; ".join(outcome.false) or ("" if flight.thruster is None else f"found after {outcome.found_s} s")
         show(f"{number + 1} of {len(flights)}: {flight.name} {text}")
+    for store in stores:
+        store.close()
     yield from _rows([(flight, done[flight.name]) for flight in flights])
-
-
-def _kept(folder: Path | None) -> Iterable[Outcome]:
-    path = None if folder is None else folder / "flights.jsonl"
-    if path is None or not path.exists():
-        return
-    for line in path.read_text(encoding="utf-8").splitlines():
-        outcome = Outcome(**json.loads(line))
-        if outcome.revision == revision():
-            yield outcome
 
 
 def _rows(flown: list[tuple[HealthFlight, Outcome]]) -> Iterator[Row]:
@@ -154,7 +145,7 @@ def _row(what: str, flown: list[tuple[HealthFlight, Outcome]], asked_s: float | 
         flights=len(outcomes),
         minutes=sum(outcome.armed_s for outcome in outcomes) / 60.0,
         false=false,
-        false_below=upper_bound(false, len(outcomes)),
+        false_below=failure_bound(false, len(outcomes)),
     )
     if asked_s is None:
         return row
@@ -173,18 +164,6 @@ def _row(what: str, flown: list[tuple[HealthFlight, Outcome]], asked_s: float | 
     )
 
 
-def upper_bound(bad: int, runs: int) -> float:
-    """Share that the true one is below with confidence SURE, after ``bad`` of ``runs`` (Clopper and Pearson 1934)."""
-    if bad >= runs:
-        return 1.0
-    low, high = bad / runs, 1.0
-    for _ in range(50):
-        p = 0.5 * (low + high)
-        at_most = sum(math.comb(runs, k) * p**k * (1.0 - p) ** (runs - k) for k in range(bad + 1))
-        low, high = (p, high) if at_most > 1.0 - SURE else (low, p)
-    return high
-
-
 def _fly_random(flight: HealthFlight) -> Outcome:
     loss = None
     if flight.thruster is not None:
@@ -201,19 +180,13 @@ def _fly_random(flight: HealthFlight) -> Outcome:
 
 def _fly_campaign(flight: HealthFlight) -> Outcome:
     task = define(flight.kind, duration_s=flight.seconds).task(flight.run)
-    toml = task.scenario_toml
     if flight.thruster is not None:
         loss = f"at_s = {flight.at_s}\nthruster = {NAMES[flight.thruster]!r}\nloss = {1.0 - flight.share}\n"
-        toml += f'\n[[fault]]\nkind = "thruster_loss"\n{loss}'
+        task = replace(task, scenario_toml=f'{task.scenario_toml}\n[[fault]]\nkind = "thruster_loss"\n{loss}')
     with tempfile.TemporaryDirectory(prefix="bench-") as name:
-        folder = Path(name)
-        scenario = folder / "scenario.toml"
-        scenario.write_text(toml, encoding="utf-8")
-        (folder / task.plan_name).write_bytes(task.plan)
-        given = {"scenario": str(scenario), "speed": 0.0, "seed": task.seed, "start": True, "duration": flight.seconds}
-        settings = flight_settings(folder, given)
         watch = _Watch(flight)
-        session = open_sitl(settings, {"MPC_COST": float(flight.cost)}, log=False, on_tick=watch.tick)
+        params = {"MPC_COST": float(flight.cost)}
+        session = open_sitl(settings_of(task, Path(name)), params, log=False, on_tick=watch.tick)
         session.run(lambda: False)
     return watch.outcome()
 

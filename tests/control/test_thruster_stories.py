@@ -2,7 +2,7 @@
 
 import pytest
 
-from tests.bench.thruster_health import NAMES, planned, upper_bound
+from tests.bench.thruster_health import NAMES, planned
 from tests.bench.thruster_loops import Loss, fly
 
 
@@ -30,12 +30,6 @@ def test_a_dead_thruster_of_a_vehicle_far_from_its_file_is_found(thruster: int, 
     assert flown.first_s is not None
     assert flown.first_s - 15.0 < 10.0
     assert flown.found[thruster] < 0.35
-
-
-def test_the_bound_on_false_alarms() -> None:
-    assert upper_bound(0, 300) == pytest.approx(0.01, rel=0.01)
-    assert upper_bound(1, 30) == pytest.approx(0.1489, rel=0.01)
-    assert upper_bound(3, 3) == 1.0
 
 
 def test_flights_of_the_bench_have_names_of_their_own_and_cover_sets_modes_and_thrusters() -> None:

@@ -8,9 +8,11 @@ import numpy as np
 import pytest
 from commander_bench import OK, Bench
 
+from autopilot.command.commander import Commander
 from autopilot.core.geodesy import GeodeticPosition, geodetic_from_ned
 from autopilot.core.messages import Failsafe, NavHealth
 from autopilot.core.plan import PlanKind
+from autopilot.core.vehicle import load_vehicle
 from autopilot.mavlink.api import CommandResult, FlightMode
 from autopilot.mission.paper import paper_plan
 
@@ -38,6 +40,15 @@ def test_arming_is_refused_with_a_reason(change: dict[str, Any], word: str) -> N
     assert not bench.run().armed
     assert bench.commander.arm(force=True).result is OK
     assert bench.run().armed
+
+
+def test_a_vehicle_without_markers_is_not_sent_to_them() -> None:
+    for has_markers, remedy in ((True, "markers must be in view"), (False, "check the pose source")):
+        bench = Bench()
+        bench.commander = Commander(load_vehicle("lbv150"), bench.params, bench.plans, has_markers=has_markers)
+        bench.health = None
+        bench.run(0.1)
+        assert f"no position yet: {remedy}" in bench.commander.prearm_reasons()
 
 
 def test_arming_outside_the_fence_is_refused() -> None:

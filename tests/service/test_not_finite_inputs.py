@@ -9,7 +9,7 @@ import pytest
 from piloted_world import PilotedWorld
 from pymavlink.dialects.v20 import development as mav
 
-from autopilot.core.messages import Failsafe, NavHealth, NavState, Outputs
+from autopilot.core.messages import Failsafe, NavDoubt, NavHealth, NavState, Outputs
 from autopilot.core.operator_messages import CONTROL_NOT_FINITE, ESTIMATE_FINITE, ESTIMATE_NOT_FINITE
 from autopilot.core.samples import AhrsSample, PoseSample, PowerSample
 
@@ -87,6 +87,12 @@ def test_an_estimate_that_stays_no_number_is_a_position_lost(world: Any) -> None
     assert all(tick.nav.health is NavHealth.INVALID for tick in ticks[30:])
     world.liar.lie = None
     assert np.isfinite(world.run(3.0).command.thrust_n).all()
+
+
+def test_evidence_is_of_now_while_the_estimate_is_no_number(world: Any) -> None:
+    world.liar.lie, world.liar.doubts = ("vel_water_frd_m_s", 0, math.nan), frozenset({NavDoubt.GYRO})
+    world.tick()
+    assert world.service._estimation.doubts == {NavDoubt.GYRO}
 
 
 def test_a_speed_that_no_prediction_can_follow_is_no_thrust(world: Any) -> None:

@@ -235,18 +235,6 @@ def test_arming_and_starting_wait_for_the_check_of_new_parameters() -> None:
     assert yard.commander.arm(False).result is OK
 
 
-def test_parameters_that_forbid_a_running_mission_make_it_hold() -> None:
-    yard = Yard()
-    yard.load()
-    yard.armed()
-    assert yard.commander.start_mission(None).result is OK
-    assert yard.run(0.1).mode is FlightMode.MISSION
-    yard.params.set("DEPTH_MAX", 0.4)
-    assert yard.run(0.01 * CHECK_TICKS + 0.01).mode is FlightMode.HOLD
-    assert yard.texts[-1].startswith("Holding: item 0: depth 0.45 m")
-    assert yard.commander.resume().result is CommandResult.DENIED
-
-
 def test_parameters_that_never_rest_do_not_keep_a_client_waiting_for_ever() -> None:
     yard = Yard()
     change = yard.plans.propose({PlanKind.FENCE: tuple(box(0, 0.0, 0.0, HALF_N, HALF_E, True))})

@@ -10,7 +10,7 @@ from typing import Any, TypeAlias
 import pytest
 from pymavlink.dialects.v20 import development as mav
 from system_harness import OpenSession
-from wire_client import Harbour, WireClient
+from wire_client import REMEDIES, Harbour, WireClient
 
 from autopilot.core.messages import Outputs
 from autopilot.core.plan import MAX_ITEMS, MissionResult, PlanItem, PlanKind
@@ -24,7 +24,6 @@ INVALID = 2**31 - 1
 """INT32_MAX: the protocol's own "no coordinate"."""
 
 PLAN = paper_plan(1)
-REMEDIES = ("move", "use", "give", "send", "widen", "try again", "make", "set", "split")
 
 
 def _local(seq: int, north_m: float, east_m: float, depth_m: float = 0.4) -> PlanItem:
@@ -99,72 +98,6 @@ def _assert_unchanged(made: Harbour, client: WireClient) -> None:
 
 
 GOOD = _local(0, -1.6, -0.35)
-
-BAD_WAYPOINTS = {
-    "kilometres away": (
-        replace(PLAN.mission[0], seq=1, x=PLAN.mission[0].x + 10**7),
-        MissionResult.INVALID_PARAM5_X,
-        ("item 1", "km from the local origin"),
-    ),
-    "above the surface": (
-        replace(PLAN.mission[0], seq=1, z=0.5),
-        MissionResult.INVALID_PARAM7,
-        ("item 1", "0.50 m above the surface", "altitude must be <= 0", "depth 0.4 m is -0.4"),
-    ),
-    "above the surface, local": (_local(1, 0.0, 0.0, -0.2), MissionResult.INVALID_PARAM7, ("item 1", "above")),
-    "too deep": (_local(1, 0.0, 0.0, 3.0), MissionResult.INVALID_PARAM7, ("item 1", "3.00 m", "DEPTH_MAX")),
-    "NaN altitude": (_local(1, 0.0, 0.0, math.nan), MissionResult.INVALID_PARAM7, ("item 1", "altitude", "nan")),
-    "infinite altitude": (_local(1, 0.0, 0.0, math.inf), MissionResult.INVALID_PARAM7, ("item 1", "altitude")),
-    "NaN latitude": (
-        replace(PLAN.mission[0], seq=1, x=NO_NUMBER),
-        MissionResult.INVALID_PARAM5_X,
-        ("item 1", "latitude"),
-    ),
-    "no longitude": (replace(PLAN.mission[0], seq=1, y=INVALID), MissionResult.INVALID_PARAM6_Y, ("item 1", "longit")),
-    "latitude and longitude 0": (
-        replace(PLAN.mission[0], seq=1, x=0, y=0),
-        MissionResult.INVALID_PARAM5_X,
-        ("item 1", "both 0"),
-    ),
-    "altitude above terrain": (
-        replace(PLAN.mission[0], seq=1, frame=mav.MAV_FRAME_GLOBAL_TERRAIN_ALT),
-        MissionResult.UNSUPPORTED_FRAME,
-        ("item 1", "frame 10"),
-    ),
-    "body frame": (
-        replace(GOOD, seq=1, frame=mav.MAV_FRAME_BODY_FRD),
-        MissionResult.UNSUPPORTED_FRAME,
-        ("item 1", "frame 12"),
-    ),
-    "local landing": (replace(GOOD, seq=1, command=23), MissionResult.UNSUPPORTED, ("item 1", "command 23")),
-    "a command that does not exist": (
-        replace(GOOD, seq=1, command=65535),
-        MissionResult.UNSUPPORTED,
-        ("item 1", "command 65535"),
-    ),
-    "negative hold time": (replace(GOOD, seq=1, param1=-3.0), MissionResult.INVALID_PARAM1, ("item 1", "hold time")),
-    "infinite yaw": (replace(GOOD, seq=1, param4=math.inf), MissionResult.INVALID_PARAM4, ("item 1", "yaw")),
-    "a jump out of the plan": (
-        PlanItem(seq=1, frame=2, command=177, param1=7.0, param2=1.0),
-        MissionResult.INVALID_PARAM1,
-        ("item 1", "jump target 7"),
-    ),
-    "too fast": (
-        PlanItem(seq=1, frame=2, command=178, param1=1.0, param2=5.0),
-        MissionResult.INVALID_PARAM2,
-        ("item 1", "5 m/s", "SPD_PLANAR_MAX"),
-    ),
-}
-
-
-@pytest.mark.parametrize("name", BAD_WAYPOINTS)
-def test_bad_waypoint(unmoved: tuple[Harbour, WireClient], name: str) -> None:
-    item, result, named = BAD_WAYPOINTS[name]
-    made, client = unmoved
-    assert made.offer(client, PlanKind.MISSION, (GOOD, item, _local(2, 1.75, 0.0))) == result
-    _assert_one_line(client, "Mission refused", *named)
-    _assert_unchanged(made, client)
-
 
 FORBIDDEN_WAYPOINTS = {
     "inside an obstacle": (_local(1, 0.9375, 0.1), ("item 1", "north 0.94, east 0.10 m", "inside", "circle")),
@@ -244,46 +177,6 @@ def test_unknown_plan_type(unmoved: tuple[Harbour, WireClient]) -> None:
 
 
 FENCE = PLAN.fence
-
-BAD_FENCES = {
-    "a gap narrower than the vehicle": (
-        (*FENCE, _circle(len(FENCE), 0.3, 0.45, 0.1)),
-        MissionResult.INVALID,
-        ("fence item 6", "gap of", "north", "east", "vehicle is 0.60 m: widen or close it"),
-    ),
-    "no room at all": (
-        tuple(replace(corner, x=FENCE[0].x + (corner.x - FENCE[0].x) // 20) for corner in FENCE[:4]),
-        MissionResult.INVALID,
-        ("fence item 0", "no room for the vehicle"),
-    ),
-    "a polygon of two points": (
-        tuple(replace(item, param1=2.0) for item in FENCE[:2]),
-        MissionResult.INVALID_PARAM1,
-        ("fence item 0",),
-    ),
-    "a polygon that crosses itself": (
-        (FENCE[0], replace(FENCE[2], seq=1), replace(FENCE[1], seq=2), FENCE[3]),
-        MissionResult.INVALID,
-        ("fence item 0",),
-    ),
-    "a circle without radius": ((*FENCE[:4], _circle(4, 0.0, 0.0, 0.0)), MissionResult.INVALID_PARAM1, ("item 4",)),
-    "a NaN radius": ((*FENCE[:4], _circle(4, 0.0, 0.0, math.nan)), MissionResult.INVALID_PARAM1, ("item 4",)),
-    "a NaN centre": (
-        (*FENCE[:4], replace(FENCE[4], x=NO_NUMBER)),
-        MissionResult.INVALID_PARAM5_X,
-        ("item 4", "latitude"),
-    ),
-    "a waypoint among fences": ((replace(GOOD, seq=0),), MissionResult.UNSUPPORTED, ("item 0", "command 16")),
-}
-
-
-@pytest.mark.parametrize("name", BAD_FENCES)
-def test_bad_fence(unmoved: tuple[Harbour, WireClient], name: str) -> None:
-    fence, result, named = BAD_FENCES[name]
-    made, client = unmoved
-    assert made.offer(client, PlanKind.FENCE, fence) == result
-    _assert_one_line(client, "Fence refused", *named)
-    _assert_unchanged(made, client)
 
 
 def test_rally_point_in_an_obstacle(harbour: MakeHarbour) -> None:

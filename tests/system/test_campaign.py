@@ -26,52 +26,19 @@ from autopilot.campaign.summary import failure_bound, failure_interval, summaris
 from autopilot.campaign.tabular import write_tables
 from autopilot.campaign.worst import logs_of, worst_first
 from autopilot.cli.campaign import stoppable
-from autopilot.cli.main import cli, run
+from autopilot.cli.main import cli
 from autopilot.core.errors import ConfigError, LogError, PlanError
 from autopilot.log.check import acceptance_table
 from autopilot.log.reader import open_log
-from autopilot.mission.paper import paper_plan
-from autopilot.mission.plan_files import write_plan
 from autopilot.run.children import autopilot_command, free_port, python_command
-from autopilot.sitl.scenario import scenario_path
-
-SHORT_S = 2.5
-SPREAD = '[spread]\n"vehicle.mismatch.drag" = { low = 0.7, high = 1.3 }\n'
-"""Few seconds of the paper's tour: enough to arm and to move."""
-
-
-def scenario_in(folder: Path, spread: str = SPREAD, name: str = "short.toml") -> str:
-    folder.mkdir(parents=True, exist_ok=True)
-    text = scenario_path("r1").read_text(encoding="utf-8")
-    path = folder / name
-    head = text[: text.index("[spread]")].replace("duration_s = 150.0", f"duration_s = {SHORT_S}")
-    path.write_text(head + spread, encoding="utf-8")
-    write_plan(folder / "paper.plan", paper_plan(1))
-    return str(path)
+from tests.short_campaign import SHORT_S, SPREAD, command, lines, scenario_in
 
 
 def campaign(out: Path, scenario: str, *arguments: str, runs: int = 2) -> tuple[int, Any]:
     """Exit code and what --json printed."""
-    command = ["campaign", scenario, "--runs", str(runs), "--out", str(out), "--json", "--jobs", "1", "--logs", "0"]
-    command += arguments
-    printed: list[str] = []
-    runner = CliRunner()
-
-    def call() -> object:
-        done = runner.invoke(cli, command, standalone_mode=False)
-        printed.append(done.output)
-        if done.exception is not None:
-            raise done.exception
-        return done.return_value
-
-    code = run(call)
-    return code, json.loads(printed[0]) if printed[0].startswith("{") else None
-
-
-def lines(out: Path) -> list[dict[str, Any]]:
-    """What is kept of every run, but for the time it took."""
-    found = [msgspec.to_builtins(result) for result in read_results(out).values()]
-    return [{key: value for key, value in each.items() if key != "cpu_s"} for each in found]
+    fixed = ("--runs", str(runs), "--out", str(out), "--json", "--jobs", "1", "--logs", "0")
+    code, printed = command(scenario, *fixed, *arguments)
+    return code, json.loads(printed) if printed.startswith("{") else None
 
 
 @pytest.fixture(scope="module")
@@ -410,7 +377,7 @@ def test_a_run_that_is_never_armed_is_a_failed_one(tmp_path: Path) -> None:
     (result,) = InProcess().run([define(str(scenario), duration_s=2.0).task(0)], lambda: False)
     assert result.failed
     assert result.error is not None
-    assert result.error.startswith("was never armed: Arming denied: no position yet")
+    assert result.error.startswith("was never armed: Arming denied: no position yet: check the pose source")
 
 
 def test_engines_are_chosen_by_name() -> None:

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from scipy.stats import binom
 
 from autopilot.campaign.definition import define
-from autopilot.campaign.results import Margin, RunResult, failure
+from autopilot.campaign.results import Margin, RunResult
 from autopilot.campaign.run_store import Shard, Store
 from autopilot.campaign.run_table import median_interval, proportion
 from autopilot.cli.main import cli
@@ -77,7 +77,7 @@ def both(tmp_path: Path) -> tuple[str, str]:
     least.append(flown(7, 107, 500.0, events=["3.50 s Thruster port gives 62 % of its thrust"]))
     least.append(flown(8, 108, 500.0, laps=2, contacts=1, failsafes=["geofence"]))
     broken = define("r1").task(9)
-    return str(quadratic), str(keep(tmp_path / "r1-1", 1.0, [*least, failure(broken, "no thrust")]))
+    return str(quadratic), str(keep(tmp_path / "r1-1", 1.0, [*least, broken.failed("no thrust")]))
 
 
 def test_rows_say_what_the_runs_did(both: tuple[str, str]) -> None:

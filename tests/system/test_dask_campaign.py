@@ -12,25 +12,13 @@ from pathlib import Path
 import pytest
 
 from autopilot.campaign.run_store import read_results
-from autopilot.mission.paper import paper_plan
-from autopilot.mission.plan_files import write_plan
 from autopilot.run.children import ROOT, autopilot_command, free_port
-from autopilot.sitl.scenario import scenario_path
+from tests.short_campaign import lines, scenario_in
 
 pytest.importorskip("distributed")
 
 RUNS = 8
 ENVIRONMENT = {**os.environ, "OMP_NUM_THREADS": "1", "PYTHONPATH": str(ROOT)}
-
-
-def scenario_in(folder: Path) -> str:
-    """Runs of 1.5 s: armed, and a little way."""
-    text = scenario_path("r1").read_text(encoding="utf-8")
-    head = text[: text.index("[spread]")].replace("duration_s = 150.0", "duration_s = 1.5")
-    path = folder / "short.toml"
-    path.write_text(head + '[spread]\n"vehicle.mismatch.drag" = { low = 0.7, high = 1.3 }\n', encoding="utf-8")
-    write_plan(folder / "paper.plan", paper_plan(1))
-    return str(path)
 
 
 class Cluster:
@@ -77,7 +65,7 @@ def cluster(tmp_path: Path) -> Iterator[Cluster]:
 def begin(folder: Path, out: Path, engine: str, runs: int = RUNS) -> subprocess.Popen[str]:
     return subprocess.Popen(
         [
-            *autopilot_command("campaign", scenario_in(folder), "--runs", str(runs), "--out", str(out)),
+            *autopilot_command("campaign", scenario_in(folder, seconds=1.5), "--runs", str(runs), "--out", str(out)),
             *("--engine", engine, "--no-figures", "--logs", "0"),
         ],
         stdout=subprocess.DEVNULL,
@@ -85,13 +73,6 @@ def begin(folder: Path, out: Path, engine: str, runs: int = RUNS) -> subprocess.
         text=True,
         env=ENVIRONMENT,
     )
-
-
-def lines(out: Path) -> list[dict[str, object]]:
-    import msgspec
-
-    found = [msgspec.to_builtins(result) for result in read_results(out).values()]
-    return [{key: value for key, value in each.items() if key != "cpu_s"} for each in found]
 
 
 def test_every_run_once_though_a_worker_is_killed(cluster: Cluster, tmp_path: Path) -> None:

@@ -8,7 +8,7 @@ from dataclasses import replace
 import pytest
 from pymavlink.dialects.v20 import development as mav
 from system_harness import OpenSession
-from wire_client import Harbour, WireClient
+from wire_client import REMEDIES, Harbour, WireClient
 
 from autopilot.core.plan import MissionResult, PlanItem, PlanKind
 from autopilot.core.plan_wire import item_message
@@ -16,9 +16,9 @@ from autopilot.mission.items import Command, MavFrame
 from autopilot.mission.paper import paper_plan
 
 PLAN = paper_plan(1)
-KIND = PlanKind
-Case = tuple[PlanKind, list[PlanItem], int, str]
-"""A plan, the item that is wrong with it, and a word of the reason."""
+KIND, R = PlanKind, MissionResult
+Case = tuple[PlanKind, list[PlanItem], int]
+"""A plan, and the item that is wrong with it."""
 
 
 def at(command: int, north: float, east: float, down: float, *params: float) -> PlanItem:
@@ -78,82 +78,122 @@ def above_water(draw: random.Random) -> Case:
     """A ground station's first waypoint at its default height: it could have been home until the others came."""
     items = [replace(item, frame=MavFrame.GLOBAL_INT, z=-0.5) for item in PLAN.mission[:3]]
     first = replace(items[0], z=50.0, param1=0.0, param2=0.0, param3=0.0, param4=math.nan)
-    return KIND.MISSION, numbered([first, *items[1:]]), 0, "above the surface"
+    return KIND.MISSION, numbered([first, *items[1:]]), 0
 
 
 def the_far_end(draw: random.Random) -> Case:
     items, guilty = mission(draw, order(Command.DO_JUMP, 0, 1))
     items[guilty] = replace(items[guilty], param1=float(len(items) + draw.randint(0, 5)))
-    return KIND.MISSION, items, guilty, "does not exist"
+    return KIND.MISSION, items, guilty
 
 
 def for_ever(draw: random.Random) -> Case:
     items, guilty = mission(draw, order(Command.DO_JUMP, 0, -1))
     items[guilty] = replace(items[guilty], param1=float(guilty - 1))
     items[guilty - 1] = replace(order(Command.DO_CHANGE_SPEED, 1, 0.2), seq=guilty - 1)
-    return KIND.MISSION, items, guilty, "for ever"
+    return KIND.MISSION, items, guilty
 
 
 def two_obstacles(draw: random.Random) -> Case:
     """The second of the two that are too near to each other."""
     items, first = fence(draw, [cylinder(0.0, 0.0, 0.5), cylinder(1.4, 0.0, 0.5)])
-    return KIND.FENCE, items, first + 1, "gap of"
+    return KIND.FENCE, items, first + 1
 
 
-def in_mission(word: str, *made: PlanItem, last: bool = False) -> Callable[[random.Random], Case]:
+def in_mission(*made: PlanItem, last: bool = False) -> Callable[[random.Random], Case]:
     def make(draw: random.Random) -> Case:
-        return KIND.MISSION, *mission(draw, *made, last=last), word
+        return KIND.MISSION, *mission(draw, *made, last=last)
 
     return make
 
 
-def in_fence(word: str, *made: PlanItem) -> Callable[[random.Random], Case]:
+def in_fence(*made: PlanItem) -> Callable[[random.Random], Case]:
     def make(draw: random.Random) -> Case:
-        return KIND.FENCE, *fence(draw, made), word
+        return KIND.FENCE, *fence(draw, made)
 
     return make
 
 
-def in_rally(word: str, made: PlanItem) -> Callable[[random.Random], Case]:
+def in_rally(made: PlanItem) -> Callable[[random.Random], Case]:
     def make(draw: random.Random) -> Case:
         points = [at(Command.RALLY_POINT, 0.1 * k, 0.0, 0.5) for k in range(draw.randint(2, 6))]
         guilty = draw.randrange(len(points))
         points[guilty] = made
-        return KIND.RALLY, numbered(points), guilty, word
+        return KIND.RALLY, numbered(points), guilty
 
     return make
 
 
 WAYPOINT = at(Command.NAV_WAYPOINT, 0.0, 0.9, 0.5, 0, 0, 0, math.nan)
+GLOBAL = replace(PLAN.mission[0], seq=0)
 SQUARE = [(0.0, 0.0), (2.0, 0.0), (2.0, 2.0), (0.0, 2.0)]
 CASES = {
-    "too deep": in_mission("DEPTH_MAX", replace(WAYPOINT, z=1.4)),
-    "too shallow": in_mission("DEPTH_MIN", replace(WAYPOINT, z=0.0)),
-    "too deep, taking off": in_mission("DEPTH_MAX", at(Command.NAV_TAKEOFF, 0.0, 0.0, 3.0, 0, 0, 0, math.nan)),
-    "no depth": in_mission("", replace(WAYPOINT, z=math.nan)),
-    "too fast": in_mission("SPD_PLANAR_MAX", order(Command.DO_CHANGE_SPEED, 1, 0.9)),
-    "jump out": the_far_end,
-    "endless jump": for_ever,
-    "condition without a place": in_mission(
-        "no place comes", order(Command.CONDITION_DISTANCE, 1.0), order(Command.DO_CHANGE_SPEED, 1, 0.2), last=True
+    "too deep": (R.INVALID_PARAM7, "DEPTH_MAX 1.2 m: use 0.05 to 1.2 m", in_mission(replace(WAYPOINT, z=1.4))),
+    "too shallow": (R.INVALID_PARAM7, "DEPTH_MIN", in_mission(replace(WAYPOINT, z=0.0))),
+    "too deep, taking off": (
+        R.INVALID_PARAM7,
+        "DEPTH_MAX",
+        in_mission(at(Command.NAV_TAKEOFF, 0.0, 0.0, 3.0, 0, 0, 0, math.nan)),
     ),
-    "first item in the air": above_water,
-    "unknown command": in_mission("", order(31999)),
-    "unknown frame": in_mission("", replace(WAYPOINT, frame=21)),
-    "too far away": in_mission("", replace(WAYPOINT, frame=MavFrame.GLOBAL_INT, x=10_000_000, z=-0.5)),
-    "infinite hold": in_mission("infinite", replace(WAYPOINT, param1=math.inf)),
-    "polygon of other vertices": in_fence("of 4 vertices", *polygon(SQUARE)[:3]),
-    "polygon that crosses itself": in_fence("intersects", *polygon([(0, 0), (2, 2), (2, 0), (0, 2)])),
-    "polygon without area": in_fence("no area", *polygon([(0, 0), (1, 1), (1, 1.0005)])),
-    "two near obstacles": two_obstacles,
-    "workspace without room": in_fence(
-        "no room", *polygon([(-0.2, -0.2), (0.2, -0.2), (0.2, 0.2), (-0.2, 0.2)], inside=True)
+    "above the surface": (R.INVALID_PARAM7, "altitude must be <= 0", in_mission(replace(GLOBAL, z=0.5))),
+    "above the surface, local": (R.INVALID_PARAM7, "above", in_mission(replace(WAYPOINT, z=-0.2))),
+    "first item in the air": (R.INVALID_PARAM7, "above the surface", above_water),
+    "NaN altitude": (R.INVALID_PARAM7, "altitude", in_mission(replace(WAYPOINT, z=math.nan))),
+    "infinite altitude": (R.INVALID_PARAM7, "altitude", in_mission(replace(WAYPOINT, z=math.inf))),
+    "NaN latitude": (R.INVALID_PARAM5_X, "latitude", in_mission(replace(GLOBAL, x=-(2**31)))),
+    "no longitude": (R.INVALID_PARAM6_Y, "longit", in_mission(replace(GLOBAL, y=2**31 - 1))),
+    "latitude and longitude 0": (R.INVALID_PARAM5_X, "both 0", in_mission(replace(GLOBAL, x=0, y=0))),
+    "too far away": (R.INVALID_PARAM5_X, "km from the local origin", in_mission(replace(GLOBAL, x=GLOBAL.x + 10**7))),
+    "altitude above terrain": (
+        R.UNSUPPORTED_FRAME,
+        "frame 10",
+        in_mission(replace(GLOBAL, frame=mav.MAV_FRAME_GLOBAL_TERRAIN_ALT)),
     ),
-    "circle without radius": in_fence("radius", cylinder(0.0, 0.0, 0.0)),
-    "unknown shape": in_fence("", order(5999)),
-    "no rally point": in_rally("not supported", WAYPOINT),
-    "rally point in the air": in_rally("", at(Command.RALLY_POINT, 0.0, 0.0, -3.0)),
+    "body frame": (R.UNSUPPORTED_FRAME, "frame 12", in_mission(replace(WAYPOINT, frame=mav.MAV_FRAME_BODY_FRD))),
+    "too fast": (
+        R.INVALID_PARAM2,
+        "0.9 m/s is above SPD_PLANAR_MAX",
+        in_mission(order(Command.DO_CHANGE_SPEED, 1, 0.9)),
+    ),
+    "negative hold": (R.INVALID_PARAM1, "hold time", in_mission(replace(WAYPOINT, param1=-3.0))),
+    "infinite hold": (R.INVALID_PARAM1, "infinite", in_mission(replace(WAYPOINT, param1=math.inf))),
+    "infinite yaw": (R.INVALID_PARAM4, "yaw", in_mission(replace(WAYPOINT, param4=math.inf))),
+    "jump out": (R.INVALID_PARAM1, "does not exist", the_far_end),
+    "endless jump": (R.INVALID, "for ever", for_ever),
+    "condition without a place": (
+        R.INVALID,
+        "no place comes",
+        in_mission(order(Command.CONDITION_DISTANCE, 1.0), order(Command.DO_CHANGE_SPEED, 1, 0.2), last=True),
+    ),
+    "local landing": (R.UNSUPPORTED, "command 23", in_mission(replace(WAYPOINT, command=23))),
+    "unknown command": (R.UNSUPPORTED, "command 65535", in_mission(order(65535))),
+    "polygon of two vertices": (R.INVALID_PARAM1, "has 3 or more", in_fence(*polygon(SQUARE[:2]))),
+    "polygon of other vertices": (R.INVALID_PARAM1, "of 4 vertices", in_fence(*polygon(SQUARE)[:3])),
+    "polygon that crosses itself": (R.INVALID, "intersects", in_fence(*polygon([(0, 0), (2, 2), (2, 0), (0, 2)]))),
+    "polygon without area": (R.INVALID, "no area", in_fence(*polygon([(0, 0), (1, 1), (1, 1.0005)]))),
+    "two near obstacles": (R.INVALID, "gap of", two_obstacles),
+    "workspace without room": (
+        R.INVALID,
+        "no room",
+        in_fence(*polygon([(-0.2, -0.2), (0.2, -0.2), (0.2, 0.2), (-0.2, 0.2)], inside=True)),
+    ),
+    "circle without radius": (R.INVALID_PARAM1, "radius", in_fence(cylinder(0.0, 0.0, 0.0))),
+    "NaN radius": (R.INVALID_PARAM1, "radius", in_fence(cylinder(0.0, 0.0, math.nan))),
+    "NaN centre": (
+        R.INVALID_PARAM5_X,
+        "latitude",
+        in_fence(replace(cylinder(0.0, 0.0, 0.2), frame=MavFrame.GLOBAL_INT, x=-(2**31))),
+    ),
+    "a waypoint among fences": (R.UNSUPPORTED, "command 16", in_fence(WAYPOINT)),
+    "unknown shape": (R.UNSUPPORTED, "command 5999", in_fence(order(5999))),
+    "no rally point": (R.UNSUPPORTED, "not supported", in_rally(WAYPOINT)),
+    "rally point in the air": (
+        R.INVALID_PARAM7,
+        "above the surface",
+        in_rally(at(Command.RALLY_POINT, 0.0, 0.0, -3.0)),
+    ),
 }
+"""Name -> result, words of the reason, and what makes the plan."""
 
 
 @pytest.fixture(scope="module", name="vehicle")
@@ -161,19 +201,23 @@ def vehicle_fixture(module_session: OpenSession) -> tuple[Harbour, WireClient]:
     """A vehicle in the tank, and a client."""
     client = WireClient()
     made = Harbour(module_session(sensors="pose", peers=(client,)))
-    made.run(1.5)
+    made.run(0.5)
+    assert made.offer(client, KIND.FENCE, PLAN.fence) == MissionResult.ACCEPTED
+    assert made.offer(client, KIND.MISSION, PLAN.mission) == MissionResult.ACCEPTED
     return made, client
 
 
 @pytest.mark.parametrize("name", CASES)
 def test_the_guilty_item_is_asked_for_last(vehicle: tuple[Harbour, WireClient], name: str) -> None:
     made, client = vehicle
+    result, words, make = CASES[name]
     for seed in range(4):
-        kind, items, guilty, word = CASES[name](random.Random(f"{name} {seed}"))
+        kind, items, guilty = make(random.Random(f"{name} {seed}"))
         before = made.session.parts.plans.items(kind)
-        assert made.offer(client, kind, items) != MissionResult.ACCEPTED
+        assert made.offer(client, kind, items) == result
         (text,) = client.texts()
-        assert f" {guilty}: " in text and word in text
+        assert text.startswith(f"{kind.name.capitalize()} refused: ") and f" {guilty}: " in text and words in text
+        assert any(remedy in text for remedy in REMEDIES) and "\n" not in text
         said = [m for m in client.inbox if m.get_type() in ("MISSION_REQUEST_INT", "MISSION_ACK")]
         assert (said[-1].get_type(), said[-2].get_type()) == ("MISSION_ACK", "MISSION_REQUEST_INT")
         assert said[-2].seq == guilty, text

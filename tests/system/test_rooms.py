@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -20,30 +19,16 @@ from autopilot.campaign.worlds.world_judge import judge_flight, judge_refusal
 from autopilot.campaign.worlds.world_results import WorldOutcome, WorldResult
 from autopilot.campaign.worlds.world_shapes import Block, Disc, Point, WorldLayout, box, clearance_m
 from autopilot.campaign.worlds.world_store import read_flights
-from autopilot.cli.main import cli, run
 from autopilot.core.frames import FloatArray
 from autopilot.core.params import ParamSet
 from autopilot.mission.plan_check import judge_file
 from autopilot.mission.plan_files import read_plan
 from autopilot.sitl.scenario import load_scenario
 from autopilot.sitl.simulated_waters import build_world
+from tests.short_campaign import command
 
 SEEDS = range(3_000, 3_024)
 HALL = ((0.0, -4.0), (12.0, -4.0), (12.0, 4.0), (0.0, 4.0))
-
-
-def rooms_command(*arguments: str) -> tuple[int, str]:
-    """Exit code and output of ``autopilot campaign rooms``."""
-    printed: list[str] = []
-
-    def call() -> object:
-        done = CliRunner().invoke(cli, ["campaign", "rooms", *arguments], standalone_mode=False)
-        printed.append(done.output)
-        if done.exception is not None:
-            raise done.exception
-        return done.return_value
-
-    return run(call), printed[0]
 
 
 def written(room: RandomWorld, folder: Path, mode: int = 0) -> Path:
@@ -192,14 +177,14 @@ def test_finished_flights_are_kept_and_the_folder_holds_one_campaign(tmp_path: P
     seed = 3
     assert refusal_of(make_world(1_000_000 * seed))
     arguments = ["--runs", "1", "--seed", str(seed), "--jobs", "1", "--out", str(tmp_path), "--json"]
-    code, printed = rooms_command(*arguments)
+    code, printed = command("rooms", *arguments)
     assert code == 0
     assert [row["refused"] for row in json.loads(printed)["modes"]] == [1, 1]
     before = (tmp_path / "flights.jsonl").read_bytes()
     assert len(read_flights(tmp_path)) == 2
-    assert rooms_command(*arguments)[0] == 0
+    assert command("rooms", *arguments)[0] == 0
     assert (tmp_path / "flights.jsonl").read_bytes() == before
-    code, printed = rooms_command("--runs", "1", "--seed", str(seed + 1), "--out", str(tmp_path))
+    code, printed = command("rooms", "--runs", "1", "--seed", str(seed + 1), "--out", str(tmp_path))
     assert code == 1
 
 

@@ -17,6 +17,10 @@ _CHUNK_CHARS = 50
 """STATUSTEXT.text; a chunk that is not full ends a text."""
 
 
+REMEDIES = ("move", "use", "give", "send", "widen", "try again", "make", "set", "split", "put", "ask for")
+"""One of them is in what a refusal says."""
+
+
 class WireClient:
     """A ground station of a few lines: sends what it is told, keeps everything that it hears."""
 

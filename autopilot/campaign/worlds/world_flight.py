@@ -80,9 +80,7 @@ class WorldTask:
 
     def failed(self, error: str) -> WorldResult:
         """The result of a flight that raised."""
-        return WorldResult(
-            room=self.room, mode=self.mode, seed=self.seed, what=error, title=make_world(self.seed).title
-        )
+        return WorldResult(room=self.room, mode=self.mode, seed=self.seed, what=error)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -62,6 +62,11 @@ class WorldResult(msgspec.Struct, frozen=True, kw_only=True):
     """Notices and worse, the first ones."""
 
     @property
+    def flown(self) -> bool:
+        """Whether it could be flown, or was refused."""
+        return self.outcome is not WorldOutcome.ERROR
+
+    @property
     def faults(self) -> list[str]:
         """All that is held against it."""
         found = [] if self.outcome in GOOD else [f"{self.outcome}: {self.what}"]

@@ -1,0 +1,156 @@
+"""Campaigns whose runs cannot be set up: the cause is named and no bound called broken; mended, they are flown."""
+
+import json
+import os
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from click.testing import CliRunner, Result
+
+from autopilot.campaign import engines, fault_campaign
+from autopilot.campaign.engines import InProcess
+from autopilot.campaign.run_store import read_results
+from autopilot.campaign.worlds import vehicles
+from autopilot.campaign.worlds.world_store import read_flights
+from autopilot.cli.main import cli
+from autopilot.mission.paper import paper_plan
+from autopilot.mission.plan_files import write_plan
+from autopilot.run.children import autopilot_command
+from autopilot.sitl.scenario import scenario_path
+
+SHORT_S = 2.0
+VEHICLE = scenario_path("r1").parents[2] / "data" / "vehicles" / "lbv150.toml"
+
+
+def command(*arguments: str) -> Result:
+    return CliRunner().invoke(cli, ["campaign", *arguments])
+
+
+def short(folder: Path, name: str) -> str:
+    """The shipped scenario with a short flight of a vehicle file beside it."""
+    text = scenario_path(name).read_text(encoding="utf-8").replace("duration_s = 150.0", f"duration_s = {SHORT_S}")
+    (folder / f"{name}.toml").write_text(text.replace('model = "lbv150"', 'model = "mine.toml"'), encoding="utf-8")
+    (folder / "mine.toml").write_bytes(VEHICLE.read_bytes())
+    write_plan(folder / "paper.plan", paper_plan(1))
+    return str(folder / f"{name}.toml")
+
+
+def no_import(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "autopilot.campaign.flight", None)
+
+
+def later(spoil: Callable[[Path], object]) -> Callable[[Path, pytest.MonkeyPatch], None]:
+    """Something happens to the vehicle file after the campaign was defined, before its runs."""
+
+    def when_flown(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+        def make(*_: object) -> InProcess:
+            spoil(folder / "mine.toml")
+            return InProcess()
+
+        monkeypatch.setattr(engines, "make_engine", make)
+
+    return when_flown
+
+
+CAUSES: dict[str, tuple[Callable[[Path, pytest.MonkeyPatch], None], str]] = {
+    "a module that cannot be imported": (no_import, "ModuleNotFoundError: import of autopilot.campaign.flight halted"),
+    "a missing file": (later(Path.unlink), "mine.toml: cannot be read"),
+    "an unreadable vehicle file": (later(lambda path: path.write_text("name = ")), "mine.toml: is not valid TOML"),
+}
+
+
+@pytest.mark.parametrize("name", ["r1", "by-hand"])
+@pytest.mark.parametrize("cause", CAUSES)
+def test_runs_that_cannot_be_set_up_break_no_bound(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, cause: str, name: str
+) -> None:
+    scenario, out = short(tmp_path, name), tmp_path / "out"
+    spoil, text = CAUSES[cause]
+    spoil(tmp_path, monkeypatch)
+    arguments = (scenario, "--runs", "2", "--out", str(out), "--jobs", "1", "--no-figures", "--logs", "0")
+    done = command(*arguments)
+    assert done.exit_code == 1
+    (verdict,) = [line for line in done.stdout.splitlines() if line.startswith(f"{name}: ") and "runs in" in line]
+    assert verdict.startswith(f"{name}: 2 of 2 runs could not be flown: ") and text in verdict
+    assert "A BOUND" not in done.output
+    assert len(read_results(out)) == 2
+
+
+def test_once_mended_the_same_command_flies_them(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    arguments = [short(tmp_path, "r1"), "--runs", "1", "--out", str(tmp_path / "out"), "--jobs", "1", "--no-figures"]
+    arguments += ["--logs", "0"]
+    with monkeypatch.context() as patch:
+        no_import(tmp_path, patch)
+        printed = json.loads(command(*arguments, "--json").stdout)
+    assert printed["passed"] is False and printed["not_flown"].startswith("1 of 1 runs could not be flown: ")
+    assert [bar["name"] for bar in printed["bars"] if bar["held"] is False] == ["runs flown to their end"]
+    done = command(*arguments)
+    (result,) = read_results(tmp_path / "out").values()
+    assert result.flown and result.simulated_s == SHORT_S
+    assert "A BOUND IS BROKEN; runs in" in done.stdout, "nobody finishes laps in that time"
+
+
+def test_sets_name_the_set_and_the_cause(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    no_import(tmp_path, monkeypatch)
+    sets = [part for name in ("r1", "by-hand") for part in ("--set", short(tmp_path, name))]
+    done = command("sets", *sets, "--runs", "1", "--out", str(tmp_path / "out"), "--jobs", "1", "--no-figures")
+    assert done.exit_code == 1
+    for name in ("r1", "by-hand"):
+        assert f"{name}: 1 of 1 runs could not be flown: ModuleNotFoundError: import of" in done.stdout
+
+
+def test_random_worlds_name_the_cause_and_are_flown_later(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The first world of this seed is refused, so that nothing has to fly."""
+    arguments = ("rooms", "--runs", "1", "--seed", "3", "--jobs", "1", "--out", str(tmp_path))
+    with monkeypatch.context() as patch:
+        patch.setattr(vehicles, "SHIPPED", "nobody")
+        done = command(*arguments)
+        assert done.exit_code == 1
+        assert "2 of 2 flights could not be flown: " in done.stdout and "nobody.toml: cannot be read" in done.stdout
+        assert not any(flight.flown for flight in read_flights(tmp_path).values())
+    done = command(*arguments)
+    assert done.exit_code == 0 and "could not be flown" not in done.stdout
+    assert all(flight.flown for flight in read_flights(tmp_path).values())
+
+
+def test_fault_flights_name_the_cause_and_are_not_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(fault_campaign, "fly_fault_case", lambda *_: Path("/nowhere/at-all").read_text())
+    done = command("faults", "--runs", "1", "--row", "LEAK", "--out", str(tmp_path), "--json")
+    assert done.exit_code == 1 and json.loads(done.stdout) == []
+    assert "2 of 2 flights could not be flown: LEAK paper-tank at " in done.stderr
+    assert "FileNotFoundError: [Errno 2]" in done.stderr
+    assert fault_campaign.results(tmp_path) == {}
+
+
+SITE = """
+import os, sys
+class Broken:
+    def find_spec(self, name, *more):
+        if name == "autopilot.campaign.worker":
+            {what}
+sys.meta_path.insert(0, Broken())
+"""
+
+
+@pytest.mark.parametrize(
+    ("what", "cause"), [("raise ImportError('numpy is damaged')", "ImportError: numpy is damaged"), ("os._exit(9)", "")]
+)
+def test_processes_that_cannot_start_end_it_at_once(tmp_path: Path, what: str, cause: str) -> None:
+    """No run is blamed, and the next command finds none finished."""
+    (tmp_path / "sitecustomize.py").write_text(SITE.format(what=what), encoding="utf-8")
+    done = subprocess.run(
+        [
+            *autopilot_command("campaign", short(tmp_path, "r1"), "--runs", "20", "--jobs", "2"),
+            *("--out", str(tmp_path / "out"), "--no-figures", "--logs", "0"),
+        ],
+        env={**os.environ, "PYTHONPATH": f"{tmp_path}{os.pathsep}{os.environ.get('PYTHONPATH', '')}"},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 1, done.stderr
+    assert done.stderr.splitlines()[-1].startswith(f"error: --engine local: a worker process cannot start: {cause}")
+    assert read_results(tmp_path / "out") == {}
