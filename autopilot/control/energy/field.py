@@ -166,9 +166,21 @@ def other_ways(
         wall = _wall(features, at[i], at[min(i + 1, len(at) - 1)] - at[max(i - 1, 0)])
         around = field.to(way.points_ned_m[-1], field.crossing(*wall))
         other = None if around is None else around.way(way.points_ned_m[0])
-        if other is not None:
+        if other is not None and not any(_same_side(other, known, field.space.radius_m) for known in ways):
             ways.append(other)
     return ways
+
+
+def _same_side(way: FieldPath, other: FieldPath, radius_m: float) -> bool:
+    """Whether two paths are near each other all along. On both sides of an obstacle they are two radii apart."""
+    ways = [one.points_ned_m for one in (way, other)]
+    lengths = [np.concatenate(([0.0], np.cumsum(np.hypot(*np.diff(points, axis=0).T)))) for points in ways]
+    shares = np.linspace(0.0, 1.0, 2 + int(max(s[-1] for s in lengths) / radius_m))
+    at = [
+        np.stack([np.interp(shares * s[-1], s, column) for column in points.T])
+        for points, s in zip(ways, lengths, strict=True)
+    ]
+    return bool(np.hypot(*(at[0] - at[1])).max() < radius_m)
 
 
 def _wall(features: Features, place: FloatArray, tangent: FloatArray) -> tuple[FloatArray, FloatArray]:
