@@ -205,6 +205,17 @@ def latency_rows(short: bool) -> Rows:
     return [asdict(row) for row in bench_latency(SHORT_RUNS if short else RUNS, slowness=slowness())]
 
 
+def legs_rows(short: bool) -> Rows:
+    """Time per energy plan on random legs, and legs without a plan.
+
+    300 legs in basins of 5 to 500 m with pillars and uniform currents, quick plan and full search (five minutes; 20
+    legs with --short).
+    """
+    from tests.bench.energy.legs import LEGS, SHORT_LEGS, bench_legs
+
+    return [asdict(row) for row in bench_legs(SHORT_LEGS if short else LEGS)]
+
+
 def modes_rows(short: bool) -> Rows:
     """Both costs of the controller (MPC_COST 0 and 1).
 
@@ -237,5 +248,5 @@ def turns_rows(short: bool, base: str | None = None, count: int = 1) -> Rows:
     return [asdict(row) for row in bench_turns(base or base_revision(), 1 if short else count)]
 
 
-ROWS = {"pockets": pockets_rows, "energy-latency": latency_rows, "modes": modes_rows}
+ROWS = {"pockets": pockets_rows, "energy-latency": latency_rows, "energy-legs": legs_rows, "modes": modes_rows}
 """Studies without options of their own."""

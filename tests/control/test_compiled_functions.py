@@ -252,6 +252,35 @@ def test_half_planes(value: float | None) -> None:
     assert quick > (150 if value is None else 10) or not np.isfinite(value or 0.0)
 
 
+def test_half_planes_of_many_features() -> None:
+    """Beside the path without the compiled library, which leaves out what is a metre away."""
+    rng, quick = np.random.default_rng(4), 0
+    room = Polygon(vertices_ned_m=np.array([[-9.0, -9.0], [9.0, -9.0], [9.0, 9.0], [-9.0, 9.0]]))
+    square = np.array([[0.0, 0.0], [0.5, 0.1], [0.4, 0.6], [0.2, 0.3]])
+    for squares in (0, 5, 20, 30, 40) * 4:
+        angle, away_m = rng.uniform(0.0, 2.0 * np.pi, 70), rng.uniform(1.2, 5.0, 70)
+        places = np.stack([away_m * np.cos(angle), away_m * np.sin(angle)], axis=1)
+        pillars = tuple(Circle(center_ned_m=place, radius_m=0.1) for place in places[:30])
+        islands = tuple(Polygon(vertices_ned_m=place + square) for place in places[30 : 30 + squares])
+        features = Features(Fence(inclusions=(room,), exclusions=(*pillars, *islands)))
+        assert features.many and features._quick is not None
+        path = np.cumsum(rng.normal(size=(16, 2)) * 0.05, axis=0)
+        given = path, np.linspace(0.0, 4.0, 16), np.full(15, 0.3)
+        ours, theirs = ((np.zeros((15, 16, 2)), np.zeros((15, 16))) for _ in range(2))
+        quick += features._quick.margin_m(*given, 16, *ours) is not None
+        margin = features.half_planes(*given, 16, *ours)
+        features._quick = None
+        assert margin == pytest.approx(features.half_planes(*given, 16, *theirs), abs=1e-9)
+        for k in range(15):
+            near = [
+                _in_order(n[k][chosen], d[k][chosen])
+                for n, d in (ours, theirs)
+                for chosen in [n[k] @ path[k + 1] - d[k] < 0.9]
+            ]
+            assert near[0].shape == near[1].shape and np.allclose(*near, atol=1e-9)
+    assert quick >= 4
+
+
 def _in_order(normals: FloatArray, offsets: FloatArray) -> FloatArray:
     """Half-planes of a node (slots, 3), sorted: solvers do not care which is first."""
     rows = np.concatenate([normals, offsets[:, None]], axis=1)

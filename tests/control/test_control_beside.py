@@ -6,6 +6,7 @@ import threading
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -20,7 +21,7 @@ from autopilot.control.energy.patience import Kind
 from autopilot.control.energy.power import PowerModel
 from autopilot.control.energy.request import Plan, TrajectoryRequest
 from autopilot.control.energy.search import EnergyPlanner
-from autopilot.control.energy.trajectory import Program, ProgramInputs, Trajectory
+from autopilot.control.energy.trajectory import Program, Trajectory
 from autopilot.control.path.path_tuning import GUIDANCE
 from autopilot.control.path.planner import Planner
 from autopilot.control.path.workers import BackgroundWorkers
@@ -211,21 +212,25 @@ def test_superseded_plans_are_not_made() -> None:
         assert planner.withdrawn >= 1, "the one in work is given up"
 
 
-def test_a_plan_in_work_is_given_up_within_an_iteration() -> None:
+def test_a_plan_in_work_is_given_up_before_its_next_program(monkeypatch: pytest.MonkeyPatch) -> None:
     planner, cancel = EnergyPlanner(MODEL, PowerModel.of(VEHICLE)), Cancel()
     controller = MotionController(VEHICLE, trajectories=planner, cpu_clock=lambda: 0.0)
     loop = Loop(controller, MPC_COST=1)
     loop.fly(6, B, TANK)
     energy = controller._guidances[1]
     request = energy._request  # type: ignore[attr-defined]
-    cancel.requested = True
-    with pytest.raises(WithdrawnError):
-        planner.plan(request, cancel)
-    task_iterations = []
-    program = planner._program(0.0)
-    program._stop.eval = lambda _: task_iterations.append(1) or [1]  # type: ignore[method-assign, func-returns-value]
-    assert "solved" in planner.plan(request).why, "a solver that stops has not solved"
-    assert task_iterations, "IPOPT asks after every iteration"
+    solve, solved = Program.solve, []
+
+    def withdrawn(self: Program, *program: Any, **more: Any) -> Trajectory:
+        cancel.requested = True
+        solved.append(solve(self, *program, **more))
+        return solved[-1]
+
+    monkeypatch.setattr(Program, "solve", withdrawn)
+    for count in (1, 1):  # in work, and before it
+        with pytest.raises(WithdrawnError):
+            planner.plan(replace(request, kind=Kind.COLD), cancel)
+        assert len(solved) == count
 
 
 class Hostile:
@@ -329,9 +334,8 @@ def test_no_plan_and_no_way_are_no_reason_to_stop_where_the_route_goes_on() -> N
 
 
 def test_a_trajectory_that_is_not_solved_is_not_flown(monkeypatch: pytest.MonkeyPatch) -> None:
-    def unsolved(self: Program, inputs: ProgramInputs, *guess: object, rough: bool) -> Trajectory:
-        found: Trajectory = solve(self, inputs, *guess, rough=rough)  # type: ignore[arg-type]
-        return replace(found, solved=False)
+    def unsolved(self: Program, *program: Any, **more: Any) -> Trajectory:
+        return replace(solve(self, *program, **more), solved=False)
 
     solve = Program.solve
     monkeypatch.setattr(Program, "solve", unsolved)

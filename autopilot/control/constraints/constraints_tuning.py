@@ -11,7 +11,7 @@ class FeaturesTuning:
     far_m: float = 1e6
     """Stands for "no boundary anywhere near"."""
     many_features: int = 16
-    """With more features than this, distant ones are left out."""
+    """With more features than this, distant ones are left out (not by the compiled half-planes)."""
     on_edge: float = 1e-9
     """A projection beyond an edge by this share still counts as on the edge."""
 

@@ -11,7 +11,7 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from autopilot.control.constraints.chords import Movers, Path
+from autopilot.control.constraints.chords import NEAR_M, Movers, Path
 from autopilot.control.constraints.compiled_planes import STRUCTS, CompiledHalfPlanes
 from autopilot.control.constraints.constraints_tuning import FEATURES
 from autopilot.control.constraints.features import Boundaries, ComplexArray, IntArray, as_complex, unit_rays
@@ -33,7 +33,7 @@ class Features(Boundaries):
 
     def __init__(self, fence: Fence) -> None:
         super().__init__(fence)
-        library = compiled.library(*STRUCTS) if self.count > 0 and not self.many else None
+        library = compiled.library(*STRUCTS) if self.count > 0 else None
         self._quick = None if library is None else CompiledHalfPlanes(library, self.edges, self.rounds)
 
     def nearest(
@@ -160,7 +160,7 @@ class Features(Boundaries):
         if self._quick is not None and movers is None:
             margin = self._quick.margin_m(points_ned_m, t_s, radius_m, slots, normals, offsets)
             if margin is not None:
-                return margin
+                return min(margin, NEAR_M) if self.many else margin
         normals[:], offsets[:] = 0.0, -1.0
         if self.count == 0 and movers is None:
             return FEATURES.far_m
@@ -178,7 +178,9 @@ class Features(Boundaries):
         margin = None
         if self._quick is not None and movers is None:
             margin = self._quick.margin_m(points_ned_m, t_s, radius_m)
-        return Path(self, points_ned_m, t_s, radius_m, movers).margin_m() if margin is None else margin
+        if margin is None:
+            return Path(self, points_ned_m, t_s, radius_m, movers).margin_m()
+        return min(margin, NEAR_M) if self.many else margin
 
 
 def clearance_m(fence: Fence, points_ned_m: Sequence[Sequence[float]] | FloatArray) -> FloatArray:

@@ -128,6 +128,8 @@ class LegTaskTuning:
     screen_rounds: int = 1
     polish_rounds: int = 3
     """Rounds of linearisation for every candidate, and more for the best."""
+    second_start: float = 1.3
+    """A program that is not solved from its guess is begun once more from one that takes so many times as long."""
     settled_fraction: float = 1e-4
     """A round that changes the cost by less than this share was the last."""
     slight_turn_rad: float = 0.8
@@ -215,6 +217,8 @@ class SearchTuning:
     tie_within: float = 1.15
     max_ties: int = 3
     """Among so many trajectories within so many times the best one's cost the leg after this one decides."""
+    alike: float = 0.2
+    """Trajectories that differ by less at every node [m, rad] are taken for the same."""
     slope_reach_m: float = 0.25
     comfort_m: float = 0.03
     """Kept beyond the radius by ways, if there are such: a passage that is open by centimetres only is not chosen."""
@@ -273,11 +277,12 @@ class TrajectoryTuning:
     rough_feasible: float = 1e-3
     """A rough solution is at hand when an iteration changes the cost by less than this share and dynamics and bounds
     are obeyed within so much: candidates differ by more, and the one that is flown is solved to the end."""
-    stalled_iterations: int = 25
-    nearer: float = 0.9
-    """A program is abandoned when the constraint violation has not fallen below this fraction for that many iterations.
-    Without a solution (a current too fast for a leg's time) each iteration takes 20 times as long: a plan was answered
-    after 25 s."""
+    fine_share: float = 1e-4
+    feasible: float = 1e-4
+    """The same of a trajectory that is flown, in three iterations one after the other (SI units)."""
+    wide: float = 2.0
+    """Velocities are bounded to so many times their limits at every iteration: far beyond them RK4 steps are unstable,
+    and from there no way leads back (iterations of 100 ms, without a solution)."""
 
 
 TRAJECTORY = TrajectoryTuning()

@@ -166,9 +166,21 @@ def alternative_paths(
         wall = _wall(features, at[i], at[min(i + 1, len(at) - 1)] - at[max(i - 1, 0)])
         around = field.to(path.points_ned_m[-1], field.crossing(*wall))
         other = None if around is None else around.path(path.points_ned_m[0])
-        if other is not None:
+        if other is not None and not any(_same_side(other, known, field.space.radius_m) for known in paths):
             paths.append(other)
     return paths
+
+
+def _same_side(path: FieldPath, other: FieldPath, radius_m: float) -> bool:
+    """Whether two paths are near each other all along. On both sides of an obstacle they are two radii apart."""
+    paths = [one.points_ned_m for one in (path, other)]
+    lengths = [np.concatenate(([0.0], np.cumsum(np.hypot(*np.diff(points, axis=0).T)))) for points in paths]
+    fractions = np.linspace(0.0, 1.0, 2 + int(max(s[-1] for s in lengths) / radius_m))
+    at = [
+        np.stack([np.interp(fractions * s[-1], s, column) for column in points.T])
+        for points, s in zip(paths, lengths, strict=True)
+    ]
+    return bool(np.hypot(*(at[0] - at[1])).max() < radius_m)
 
 
 def _wall(features: Features, place: FloatArray, tangent: FloatArray) -> tuple[FloatArray, FloatArray]:

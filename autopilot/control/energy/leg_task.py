@@ -216,21 +216,26 @@ class LegTask:
 
     def refine(self, guess: Trajectory, rounds: int, *, rough: bool = False) -> Trajectory:
         """Solve, linearise anew around the solution, and so on; the last solution, solved if any was."""
-        request, trajectory = self._request, guess
+        trajectory = guess
         program = self._program(1.1 * float(guess.t_s[-1]))
         for _ in range(rounds):
-            self._cancel.check()
-            end_s, cost_j = float(trajectory.t_s[-1]), trajectory.cost_j if trajectory.solved else math.inf
-            found = program.solve(
-                self._inputs(trajectory, request), trajectory.x, trajectory.thrust_n, end_s, self._cancel, rough=rough
-            )
+            cost_j = trajectory.cost_j if trajectory.solved else math.inf
+            found = self._solved(program, trajectory, rough)
+            if not found.solved and trajectory.multipliers is None:
+                found = self._solved(program, _slower(trajectory), rough)
+            elif not found.solved:
+                found = self._solved(program, replace(trajectory, multipliers=None), rough)
             if not found.solved:
-                self._cancel.check()
                 return trajectory if trajectory.solved else found
             trajectory = found
             if abs(trajectory.cost_j - cost_j) < LEG_TASK.settled_fraction * cost_j:
                 break
         return trajectory
+
+    def _solved(self, program: Program, guess: Trajectory, rough: bool) -> Trajectory:
+        self._cancel.check()
+        inputs, end_s = self._inputs(guess, self._request), float(guess.t_s[-1])
+        return program.solve(inputs, guess.x, guess.thrust_n, end_s, rough=rough, multipliers=guess.multipliers)
 
     def _inputs(self, guess: Trajectory, request: TrajectoryRequest) -> ProgramInputs:
         goal, x = request.goal, guess.x
@@ -336,6 +341,13 @@ class LegTask:
         )
 
 
+def _slower(guess: Trajectory) -> Trajectory:
+    """The same path in more time: the second start of a program that was not solved from the first."""
+    x = guess.x.copy()
+    x[1:, U:] /= LEG_TASK.second_start
+    return replace(guess, t_s=LEG_TASK.second_start * guess.t_s, x=x, thrust_n=guess.thrust_n / LEG_TASK.second_start)
+
+
 def shifted(trajectory: Trajectory, by_s: float, x0: FloatArray) -> Trajectory:
     """The part of a trajectory after ``by_s``, resampled to INTERVALS intervals, from the state ``x0``."""
     n = LEG_TASK.intervals
@@ -344,4 +356,4 @@ def shifted(trajectory: Trajectory, by_s: float, x0: FloatArray) -> Trajectory:
     x[:, YAW] += unwrap_near(float(x[0, YAW]), float(x0[YAW])) - x[0, YAW]
     index = np.clip(np.searchsorted(trajectory.t_s, 0.5 * (t[1:] + t[:-1])) - 1, 0, len(trajectory.thrust_n) - 1)
     x[0] = x0
-    return replace(trajectory, t_s=t - t[0], x=x, thrust_n=trajectory.thrust_n[index], solved=False)
+    return replace(trajectory, t_s=t - t[0], x=x, thrust_n=trajectory.thrust_n[index], solved=False, multipliers=None)

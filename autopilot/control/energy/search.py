@@ -20,7 +20,7 @@ from autopilot.core.frames import FloatArray
 from autopilot.core.free_space import Area, FreeSpace
 from autopilot.core.geometry import Fence
 from autopilot.core.messages import Goal
-from autopilot.core.model4 import Model4
+from autopilot.core.model4 import YAW, Model4, X, Y
 
 
 class EnergyPlanner:
@@ -74,9 +74,13 @@ class EnergyPlanner:
         else:
             return no_plan(request.goal, f"none of {len(candidates)} trajectories solved")
         winner = solved[0]
-        close = [one for one in solved if one.cost_j < SEARCH.tie_within * winner.cost_j][: SEARCH.max_ties]
+        close: list[Trajectory] = []
+        for one in solved:
+            if one.cost_j < SEARCH.tie_within * winner.cost_j and not any(_alike(one, known) for known in close):
+                close.append(one)
+        del close[SEARCH.max_ties :]
         if len(close) > 1 and beyond is not None and task.complete:
-            onward = self._onward(task, close, field, beyond, features)
+            onward = self._onward(task, close, beyond)
             winner = close[int(np.argmin(onward))]
         if warm is not None and warm.solved and winner.cost_j > SEARCH.cheaper_fraction * warm.cost_j:
             return replace(task.plan(warm), stay=True)
@@ -116,10 +120,9 @@ class EnergyPlanner:
                 guesses += task.guesses(path)
         return [task.screened(guess) for guess in guesses]
 
-    def _onward(
-        self, task: LegTask, ends: Sequence[Trajectory], field: EnergyField, beyond: EnergyToGo, features: Features
-    ) -> FloatArray:
-        """(len(ends),) energy of each trajectory plus the best next leg, inf where none was found.
+    @staticmethod
+    def _onward(task: LegTask, ends: Sequence[Trajectory], beyond: EnergyToGo) -> FloatArray:
+        """(len(ends),) energy of each trajectory plus the next leg along its cheapest path, inf where none was found.
 
         Trajectories with different paths or turns differ more in the next leg than in themselves.
         """
@@ -129,7 +132,7 @@ class EnergyPlanner:
             if path is None:
                 continue
             after = task.following(end, beyond)
-            legs = [leg for leg in self._candidates(after, field, beyond, path, features) if leg.solved]
+            legs = [leg for leg in map(after.screened, after.guesses(path)) if leg.solved]
             if legs:
                 totals[i] = end.energy_j + min(leg.cost_j for leg in legs)
         return totals if np.isfinite(totals).any() else np.array([end.cost_j for end in ends])
@@ -156,6 +159,11 @@ class EnergyPlanner:
         if substeps not in self._programs:
             self._programs[substeps] = Program(self._allocator.model, self._power, LEG_TASK.intervals, substeps)
         return self._programs[substeps]
+
+
+def _alike(one: Trajectory, other: Trajectory) -> bool:
+    """Whether two trajectories to the same goal take the same path and the same turns."""
+    return bool(np.abs(one.x[:, [X, Y, YAW]] - other.x[:, [X, Y, YAW]]).max() < SEARCH.alike)
 
 
 def _field_beyond(field: EnergyField, goal: Goal) -> EnergyToGo | None:

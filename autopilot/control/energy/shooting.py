@@ -35,8 +35,8 @@ SMALL_THRUST_N = 0.3
 
 
 def shapes_of(n: int) -> dict[str, tuple[int, int]]:
-    """Parameters of the program and their shapes (rows, columns), in order; see ``trajectory.Ask``. ``band``: radius,
-    heading and half width of the heading's band."""
+    """Parameters of the program and their shapes (rows, columns), in order; see ``trajectory.ProgramInputs``.
+    ``band``: radius, heading and half width of the heading's band."""
     return {
         "x0": (NX, 1),
         "goal": (3, 1),

@@ -7,7 +7,7 @@ nearest; both are renewed around the solution a fixed number of times (successiv
 convex obstacles lie in the free space, so every iteration starts feasible).
 """
 
-import math
+import enum
 from dataclasses import dataclass
 from typing import Any
 
@@ -17,9 +17,8 @@ import numpy as np
 from autopilot.control.energy.energy_tuning import SHOOTING, TRAJECTORY
 from autopilot.control.energy.power import PowerModel
 from autopilot.control.energy.shooting import Shooting
-from autopilot.core.background import Cancel
 from autopilot.core.frames import FloatArray
-from autopilot.core.model4 import NX, Model4
+from autopilot.core.model4 import NX, Model4, U
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -58,6 +57,16 @@ class ProgramInputs:
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class Multipliers:
+    """Lagrange multipliers of a solution."""
+
+    bounds: FloatArray
+    """(variables,)"""
+    rows: FloatArray
+    """(rows of constraints,)"""
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Trajectory:
     t_s: FloatArray
     """(n + 1,) from its beginning."""
@@ -70,6 +79,16 @@ class Trajectory:
     cost_j: float
     """With it."""
     solved: bool
+    multipliers: Multipliers | None = None
+    """Of a solution, for a warm start."""
+
+
+class Start(enum.Enum):
+    """A configuration of IPOPT."""
+
+    ROUGH = "from a guess, to be compared"
+    COLD = "from a guess, to be flown"
+    WARM = "from a solution of nearly the same program"
 
 
 class Program:
@@ -79,9 +98,12 @@ class Program:
         self.n, self.substeps, self._power, self._thrusters = n, substeps, power, model.thrusters
         shooting = Shooting(model, power, n, substeps)
         self._lbg, self._ubg = shooting.lower, shooting.upper
-        self._stop = _Stop(shooting)
-        options = {**OPTIONS, **shooting.derivatives, "iteration_callback": self._stop}
-        self._solver = ca.nlpsol("energy", "ipopt", shooting.program, options)
+        self._solvers = {
+            start: ca.nlpsol(
+                "energy", "ipopt", shooting.program, {**OPTIONS, **shooting.derivatives, "ipopt": IPOPT | options}
+            )
+            for start, options in IPOPT_BY_START.items()
+        }
         self.iterations = 0
         """Of the last solution."""
 
@@ -91,14 +113,15 @@ class Program:
         x: FloatArray,
         thrust_n: FloatArray,
         end_s: float,
-        cancel: Cancel | None = None,
         *,
         rough: bool = False,
+        multipliers: Multipliers | None = None,
     ) -> Trajectory:
-        """From a guess: states (n + 1, 8), thrust (n, thrusters), end time. Given up once ``cancel`` is requested.
-        A ``rough`` solution is there to be compared, not to be flown."""
+        """From a guess: states (n + 1, 8), thrust (n, thrusters), end time, and its ``multipliers`` if it is a
+        solution. A ``rough`` solution is there to be compared, not to be flown."""
         n, block = self.n, NX + self._thrusters
-        self._stop.begin(cancel or Cancel(), rough)
+        solver = self._solvers[Start.ROUGH if rough else Start.COLD if multipliers is None else Start.WARM]
+        known = {} if multipliers is None else {"lam_x0": multipliers.bounds, "lam_g0": multipliers.rows}
         arguments = (
             inputs.x0,
             inputs.goal_ned_m,
@@ -115,21 +138,24 @@ class Program:
         )
         lower, upper = self._bounds(inputs)
         guess = np.concatenate([np.hstack([thrust_n, x[1:]]).ravel(), [min(max(end_s, lower[-1]), upper[-1])]])
-        answer = self._solver(
+        answer = solver(
             x0=guess,
             lbx=lower,
             ubx=upper,
             lbg=self._lbg,
             ubg=self._ubg,
             p=np.concatenate([np.ravel(a) for a in arguments]),
+            **known,
         )
-        stats = self._solver.stats()
+        stats = solver.stats()
         self.iterations = int(stats["iter_count"])
         z, g = answer["x"].full().ravel(), answer["g"].full().ravel()
         solved = bool(stats["success"])
-        if stats["return_status"] in STOPPED_SHORT or self._stop.settled:
+        if stats["return_status"] in STOPPED_SHORT:
             off = (self._lbg - g, g - self._ubg, lower - z, z - upper)
-            solved = all(float(each.max()) < (TRAJECTORY.rough_feasible if rough else FEASIBLE) for each in off)
+            solved = all(
+                float(each.max()) < (TRAJECTORY.rough_feasible if rough else TRAJECTORY.feasible) for each in off
+            )
         table = z[:-1].reshape(n, block)
         states = np.vstack([inputs.x0, table[:, self._thrusters :]])
         return Trajectory(
@@ -139,77 +165,24 @@ class Program:
             energy_j=self._energy_j(float(z[-1]), table[:, : self._thrusters]),
             cost_j=float(answer["f"]) / SHOOTING.cost_scale,
             solved=solved and bool(np.isfinite(z).all()),
+            multipliers=Multipliers(bounds=answer["lam_x"].full().ravel(), rows=answer["lam_g"].full().ravel()),
         )
 
     def _bounds(self, inputs: ProgramInputs) -> tuple[FloatArray, FloatArray]:
         n, thrusters = self.n, self._thrusters
         upper = np.full((n, thrusters + NX), np.inf)
         upper[:, :thrusters] = inputs.thrust_limit_n
+        speeds = inputs.planar_m_s, inputs.limits[:, 0], inputs.limits[:, 1]
+        planar, heave, turn = (float(limit.max()) for limit in speeds)
+        upper[:, thrusters + U :] = TRAJECTORY.wide * np.array([planar, planar, heave, turn])
         return np.append(-upper, TRAJECTORY.min_interval_s * n), np.append(upper, inputs.longest_s)
 
     def _energy_j(self, end_s: float, thrust_n: FloatArray) -> float:
         return end_s * (self._power.hotel_w + float(self._power.thrust_w(thrust_n).sum()) / self.n)
 
 
-class _Stop(ca.Callback):
-    """Iteration callback of IPOPT that decides on early termination: an iteration takes up to 12 ms, a solution up to
-    150.
-    """
-
-    def __init__(self, shooting: Shooting) -> None:
-        ca.Callback.__init__(self)
-        program = shooting.program
-        count, rows, parameters = (program[name].shape[0] for name in ("x", "g", "p"))
-        self._sizes = {"x": count, "f": 1, "g": rows, "lam_x": count, "lam_g": rows, "lam_p": parameters}
-        self._lower, self._upper = shooting.lower, shooting.upper
-        self.begin(Cancel(), False)
-        self.construct("stop", {})
-
-    def begin(self, cancel: Cancel, rough: bool) -> None:
-        """A new program is to be solved."""
-        self._cancel, self._rough = cancel, rough
-        self._cost = self._least_off = math.inf
-        self._since = 0
-        """Iterations since the constraint violation was that small."""
-        self.settled = False
-        """Whether a rough solution was good enough."""
-
-    def get_n_in(self) -> int:
-        return int(ca.nlpsol_n_out())
-
-    def get_n_out(self) -> int:
-        return 1
-
-    def get_name_in(self, i: int) -> str:
-        return str(ca.nlpsol_out(i))
-
-    def get_name_out(self, i: int) -> str:
-        return "ret"
-
-    def get_sparsity_in(self, i: int) -> Any:
-        return ca.Sparsity.dense(self._sizes[self.get_name_in(i)])
-
-    def eval(self, arg: Any) -> list[int]:
-        """Return 1 to stop the solver."""
-        rows = arg[2].full().ravel()
-        off = float(max((self._lower - rows).max(), (rows - self._upper).max()))
-        if self._rough:
-            cost = float(arg[1])
-            still, self._cost = abs(cost - self._cost) < TRAJECTORY.rough_fraction * abs(cost), cost
-            self.settled = still and off < TRAJECTORY.rough_feasible
-        return [int(self._cancel.requested or self.settled or self._stalled(off))]
-
-    def _stalled(self, off: float) -> bool:
-        """Whether the largest constraint violation has not decreased for STALLED_ITERATIONS."""
-        if off < TRAJECTORY.nearer * self._least_off:
-            self._least_off, self._since = off, 0
-        self._since += 1
-        return self._since > TRAJECTORY.stalled_iterations and self._least_off > TRAJECTORY.rough_feasible
-
-
-STOPPED_SHORT, FEASIBLE = ("Maximum_Iterations_Exceeded", "Search_Direction_Becomes_Too_Small"), 1e-5
-"""Such a program may have been at its optimum for long, without proof. A result that satisfies dynamics and bounds to
-this tolerance (SI units) can be flown."""
+STOPPED_SHORT = ("Maximum_Iterations_Exceeded", "Search_Direction_Becomes_Too_Small")
+"""Such a program may have been at its optimum for long, without proof: see TrajectoryTuning.feasible."""
 
 OPTIONS: dict[str, Any] = {
     "print_time": False,
@@ -218,16 +191,59 @@ OPTIONS: dict[str, Any] = {
     # Nobody wants them, and after a program that was not solved they are warned about.
     "calc_lam_p": False,
     "no_nlp_grad": True,
-    "ipopt": {
-        "print_level": 0,
-        "sb": "yes",
-        "tol": 1e-5,
-        "acceptable_tol": 1e-4,
-        "max_iter": 150,
-        "mu_strategy": "adaptive",
-        # These programs are scaled well and nearly banded: the plainest ordering is the quickest.
-        "mumps_scaling": 0,
-        "mumps_permuting_scaling": 0,
-        "mumps_pivot_order": 0,
+}
+
+IPOPT: dict[str, Any] = {
+    "print_level": 0,
+    "sb": "yes",
+    "tol": 1e-5,
+    "mu_strategy": "adaptive",
+    # The strategy chooses up to 1 on its own, which leads away from guesses that are good.
+    "mu_max": 0.1,
+    # Programs that are solved need up to 1. Where it grows an iteration takes 20 times as long, and leads nowhere.
+    "max_hessian_perturbation": 1e2,
+    # These programs are scaled well and nearly banded: the plainest ordering is the quickest.
+    "mumps_scaling": 0,
+    "mumps_permuting_scaling": 0,
+    "mumps_pivot_order": 0,
+}
+
+
+def _acceptable(feasible: float, share: float, iterations: int, **more: float) -> dict[str, Any]:
+    """Ends when the cost has changed by less than ``share`` in each of so many iterations, constraints kept within
+    ``feasible``: near the optimum thrusts of some 0.1 N are moved from one interval to the next without end."""
+    return {
+        "acceptable_tol": 1e10,
+        "acceptable_dual_inf_tol": 1e10,
+        "acceptable_compl_inf_tol": 1e10,
+        "acceptable_constr_viol_tol": feasible,
+        "acceptable_obj_change_tol": share,
+        "acceptable_iter": iterations,
+        **more,
+    }
+
+
+_FLOWN = _acceptable(
+    TRAJECTORY.feasible, TRAJECTORY.fine_share, 3, acceptable_dual_inf_tol=2e-3, acceptable_compl_inf_tol=1e-5
+)
+
+IPOPT_BY_START: dict[Start, dict[str, Any]] = {
+    Start.ROUGH: {
+        # With a larger dual infeasibility short steps would pass for a settled cost.
+        **_acceptable(TRAJECTORY.rough_feasible, TRAJECTORY.rough_fraction, 1, acceptable_dual_inf_tol=0.03),
+        "max_iter": 40,
+    },
+    Start.COLD: {**_FLOWN, "max_iter": 80},
+    Start.WARM: {
+        **_FLOWN,
+        "max_iter": 40,
+        "mu_strategy": "monotone",
+        "mu_init": 1e-4,
+        "warm_start_init_point": "yes",
+        **{
+            f"warm_start_{name}": 1e-6
+            for name in ("bound_push", "bound_frac", "slack_bound_push", "slack_bound_frac", "mult_bound_push")
+        },
     },
 }
+"""All limits count iterations: with one on time a flight could not be repeated."""
