@@ -6,7 +6,7 @@ under a guard (:mod:`autopilot.core.guard`); :mod:`autopilot.command.fault_respo
 others.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass, replace
 from operator import attrgetter
 from typing import TypeAlias
@@ -52,6 +52,8 @@ class TickState:
     """Data passed between the stages of one tick. If a stage fails, the values here stay: none, or neutral."""
 
     inputs: Inputs
+    scheduled: bool
+    """A fifth tick: clients are served and decisions are taken."""
     acting_n: FloatArray
     """(n,) what sound thrusters give of the thrust that acts now."""
     poses: tuple[ExternalPoseSample, ...] = ()
@@ -61,6 +63,7 @@ class TickState:
     counters: NavCounters | None = None
     tx: tuple[MavlinkFrame, ...] = ()
     thrusters: ThrusterHealthState | None = None
+    decides: bool | None = None
     decision: Decision | None = None
     """Of this tick, or the last one's without what happened on that tick only."""
     shots: tuple[int, ...] = ()
@@ -84,8 +87,8 @@ class Stage:
     """The loop's statistics count everything since the last mark as this part."""
     every: int = 1
     """Only on ticks that this divides."""
-    slow: bool = False
-    """Only on ticks that decide: every fifth, and those with something that cannot wait (:meth:`Autopilot._urgent`)."""
+    when: Callable[[TickState], bool] | None = None
+    """Only on ticks on which this holds."""
     given: Callable[[TickState], object] = attrgetter("inputs")
     """Input of a failing stage, for the description of its fault."""
 
@@ -121,13 +124,16 @@ class Autopilot:
         self._unsent: tuple[Event, ...] = ()
         """Of the ticks since clients were last served, as :attr:`_reached`."""
         self._reached: tuple[int, ...] = ()
+        self._decided_orders: Hashable = None
+        """:meth:`_given_orders` of the last decision."""
         self._stages = self._stages_of_tick()
-        self._fast_stages = tuple(stage for stage in self._stages if not stage.slow)
 
     def _stages_of_tick(self) -> tuple[Stage, ...]:
         """Stages of a tick, in order. What needs the rate of the inertial sensors and of the inner loop runs on every
-        tick; clients, detectors and decisions on every fifth, as the NMPC in the stage ``controller``.
+        tick; clients, detectors and decisions on every fifth, as the NMPC in the stage ``controller``, or when they
+        cannot wait.
         """
+        serves, decides = self._serves, self._decides
         return (
             Stage("inputs", self._take_inputs),
             Stage("camera", self._note_exposures),
@@ -136,22 +142,22 @@ class Autopilot:
             Stage("message", self._take_tracks),
             Stage("", self._estimate, LoopPart.ESTIMATE),
             Stage("counters", self._count, every=SERVICE.counters_every_ticks),
-            Stage("view", self._refresh_view, slow=True),
-            Stage("mavlink", self._serve_clients, LoopPart.MAVLINK, slow=True),
-            Stage("thrusters", self._watch_thrusters, slow=True, given=attrgetter("nav", "acting_n")),
+            Stage("view", self._refresh_view, when=serves),
+            Stage("mavlink", self._serve_clients, LoopPart.MAVLINK, when=serves),
+            Stage("thrusters", self._watch_thrusters, when=decides, given=attrgetter("nav", "acting_n")),
             Stage("plans", self._take_verdicts),
-            Stage("", self._update_status, slow=True),
-            Stage("commander", self._decide, slow=True, given=lambda _: self._status),
+            Stage("", self._update_status, when=decides),
+            Stage("commander", self._decide, when=decides, given=lambda _: self._status),
             Stage("", self._respond_to_faults, LoopPart.DECIDE),
             Stage("warming", self._warm_controller, every=SERVICE.warm_at_tick),
-            Stage("payload", self._carry_out_orders, slow=True, given=attrgetter("decision")),
+            Stage("payload", self._carry_out_orders, when=decides, given=attrgetter("decision")),
             Stage("camera", self._photograph, given=attrgetter("nav")),
             Stage("controller", self._control, LoopPart.CONTROL, given=attrgetter("nav", "decision")),
             Stage("", self._hold_station_after_fault),
             Stage("allocation", self._allocate, given=lambda _: (self._motion.thrust_n, self._status.power)),
             Stage("", self._neutral_after_fault),
             Stage("commander", self._take_commander_events),
-            Stage("controller", self._take_controller_events, slow=True),
+            Stage("controller", self._take_controller_events, when=decides),
             Stage("", self._collect_events),
             Stage("payload", self._step_equipment),
             Stage("telemetry", self._take_notices),
@@ -187,13 +193,12 @@ class Autopilot:
         return replace(outputs, faults=faults) if faults else outputs
 
     def _step(self, inputs: Inputs) -> Outputs:
-        tick = TickState(inputs, self._actuation.nothing())
         number, run_guarded, marks = self._tick, self._run_guarded, self.marks
-        stages = self._stages
-        if number % DECISION_TICKS and not self._urgent(inputs):
-            stages, tick.decision = self._fast_stages, self._decision
-        for stage in stages:
+        tick = TickState(inputs, number % DECISION_TICKS == 0, self._actuation.nothing(), decision=self._decision)
+        for stage in self._stages:
             if stage.every > 1 and number % stage.every:
+                continue
+            if stage.when is not None and not stage.when(tick):
                 continue
             if stage.part:
                 run_guarded(stage, tick)
@@ -203,10 +208,22 @@ class Autopilot:
                 marks.mark(stage.mark)
         return self._outputs(tick)
 
-    def _urgent(self, inputs: Inputs) -> bool:
-        """Whether clients, detectors and commander have work that cannot wait for their turn."""
-        news = inputs.mavlink_rx or inputs.notices or inputs.troubles or self._unsent
-        return bool(news) or self._decision is None or self._parts.server.busy
+    def _serves(self, tick: TickState) -> bool:
+        """Whether clients are served: a message, a notice or a transfer under way does not wait."""
+        news = tick.inputs.mavlink_rx or tick.inputs.notices or self._unsent
+        return tick.scheduled or bool(news) or self._parts.server.busy
+
+    def _decides(self, tick: TickState) -> bool:
+        """Whether decisions are taken: a client's order or a device that fails does not wait. Traffic alone does not
+        change when: a flight is the same with it."""
+        if tick.decides is None:
+            news = tick.inputs.troubles or self._given_orders() != self._decided_orders
+            tick.decides = tick.scheduled or self._decision is None or bool(news)
+        return tick.decides
+
+    def _given_orders(self) -> Hashable:
+        commander = self._parts.commander
+        return commander.armed, commander.mode, commander.orders, self._parts.plans.revision
 
     def _run_guarded(self, stage: Stage, tick: TickState) -> None:
         self._parts.guard.run(stage.part, lambda: stage.work(tick), None, lambda: stage.given(tick))
@@ -389,6 +406,7 @@ class Autopilot:
         self._parts.plans.tick()
 
     def _decide(self, tick: TickState) -> None:
+        tick.decision, self._decided_orders = None, self._given_orders()
         tick.decision = self._parts.commander.step(self._status)
         self._reached += tick.decision.reached
 

@@ -9,7 +9,7 @@ from pymavlink.dialects.v20 import development as mav
 from autopilot.command.commander import Commander
 from autopilot.command.vehicle_status import VehicleStatus
 from autopilot.core.clock import DECISION_TICKS
-from autopilot.core.messages import DeviceRole, DeviceTrouble, Event, Inputs, Severity
+from autopilot.core.messages import DeviceRole, DeviceTrouble, Inputs
 from tests.plan_items import waypoint
 
 PHASES = range(DECISION_TICKS)
@@ -59,15 +59,20 @@ def test_a_request_is_answered_and_acts_on_its_tick(phase: int) -> None:
 
 
 @pytest.mark.parametrize("phase", PHASES)
-def test_notices_and_troubles_are_decided_at_once(phase: int, decided_us: list[int]) -> None:
-    for given in (
-        {"notices": (Event(t_us=0, severity=Severity.WARNING, text="link 2 is gone"),)},
-        {"troubles": (DeviceTrouble(t_us=0, device=DeviceRole.SENSORS, text="cable"),)},
-    ):
-        world = afloat(phase)
-        world.t_us += 10_000
-        world.service.step(Inputs(t_us=world.t_us, samples=world.samples(), **given))
-        assert decided_us[-1] == world.t_us
+def test_a_device_that_fails_is_decided_upon_at_once(phase: int, decided_us: list[int]) -> None:
+    world = afloat(phase)
+    world.t_us += 10_000
+    trouble = DeviceTrouble(t_us=0, device=DeviceRole.SENSORS, text="cable")
+    world.service.step(Inputs(t_us=world.t_us, samples=world.samples(), troubles=(trouble,)))
+    assert decided_us[-1] == world.t_us
+
+
+def test_traffic_does_not_change_when_decisions_are_taken(decided_us: list[int]) -> None:
+    world = afloat()
+    decided_us.clear()
+    for _ in range(100):
+        world.tick([world.pack(mav.MAVLink_heartbeat_message(6, 8, 0, 0, 0, 3))])
+    assert len(decided_us) == 20
 
 
 def test_every_item_that_is_reached_is_reported_once() -> None:
