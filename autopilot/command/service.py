@@ -130,8 +130,8 @@ class Autopilot:
 
     def _stages_of_tick(self) -> tuple[Stage, ...]:
         """Stages of a tick, in order. What needs the rate of the inertial sensors and of the inner loop runs on every
-        tick; clients, detectors and decisions on every fifth, as the NMPC in the stage ``controller``, or when they
-        cannot wait.
+        tick; clients and decisions on every fifth, as the NMPC in the stage ``controller``, or when they cannot wait.
+        The monitors of the thrusters need every tick: with a fifth of them half a thruster is not found.
         """
         serves, decides = self._serves, self._decides
         return (
@@ -144,7 +144,7 @@ class Autopilot:
             Stage("counters", self._count, every=SERVICE.counters_every_ticks),
             Stage("view", self._refresh_view, when=serves),
             Stage("mavlink", self._serve_clients, LoopPart.MAVLINK, when=serves),
-            Stage("thrusters", self._watch_thrusters, when=decides, given=attrgetter("nav", "acting_n")),
+            Stage("thrusters", self._watch_thrusters, given=attrgetter("nav", "acting_n")),
             Stage("plans", self._take_verdicts),
             Stage("", self._update_status, when=decides),
             Stage("commander", self._decide, when=decides, given=lambda _: self._status),

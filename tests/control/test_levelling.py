@@ -12,7 +12,6 @@ from hypothesis import strategies as st
 from autopilot.control.thrust.actuation import Actuation
 from autopilot.control.thrust.attitude_stabilisation import AttitudeStabilizer
 from autopilot.control.thrust.thrust_tuning import ATTITUDE_STABILISATION
-from autopilot.core.clock import DECISION_TICKS
 from autopilot.core.control_allocator import ControlAllocator
 from autopilot.core.frames import FloatArray
 from autopilot.core.messages import NavState
@@ -47,8 +46,7 @@ def tilts(vehicle: Vehicle, force: FloatArray, seconds: float = 12.0, lost: int 
         t_us, truth = tick * TICK_US, plant.truth
         nav = nav_of(truth)
         actuation.send(t_us)
-        if tick % DECISION_TICKS == 0:
-            actuation.learn(t_us, nav, None, armed=True, reached=True)
+        actuation.learn(t_us, nav, None, armed=True, reached=True)
         thrust = allocator.thrust_n(force, actuation.limit_n) if tick % 5 == 0 else thrust
         command = actuation.command(t_us, thrust, armed=True)
         plant.advance(t_us + TICK_US, command.pwm_us[: len(vehicle.thrusters)])
@@ -119,8 +117,7 @@ def test_the_noise_of_rates_and_of_the_controller_turns_no_thruster_to_and_fro(n
         t_us, nav = tick * TICK_US, nav_of(plant.truth)
         nav = replace(nav, rate_frd_rad_s=nav.rate_frd_rad_s + rng.normal(0.0, 0.008, 3))
         actuation.send(t_us)
-        if tick % DECISION_TICKS == 0:
-            actuation.learn(t_us, nav, None, armed=True, reached=True)
+        actuation.learn(t_us, nav, None, armed=True, reached=True)
         force = np.array([2.0, 2.0 * math.sin(0.006 * tick), 1.0 + math.sin(0.002 * tick), 0.0])
         wanted = allocator.thrust_n(force, actuation.limit_n) + rng.normal(0.0, 0.1, count)
         command = actuation.command(t_us, wanted, armed=True)

@@ -27,7 +27,7 @@ def test_every_failsafe_has_one_row() -> None:
 def test_the_page_holds_the_programs_table() -> None:
     text = PAGE.read_text(encoding="utf-8")
     assert text == with_table(text), "autopilot failsafes --write docs/failsafes.md"
-    assert not [row.said for row in failsafe_texts() if "{" in row.said]
+    assert not [row.message for row in failsafe_texts() if "{" in row.message]
 
 
 @pytest.mark.parametrize("row", ROWS, ids=lambda row: row.rule.name)

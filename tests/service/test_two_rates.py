@@ -1,4 +1,4 @@
-"""Decisions, clients and monitors run at 20 Hz; what cannot wait is decided on the tick on which it comes."""
+"""Decisions are taken and clients are served at 20 Hz; what cannot wait is decided on the tick on which it comes."""
 
 import itertools
 
