@@ -63,6 +63,7 @@ class Bench:
             status.power = PowerSample(
                 t_us=self.t_us, voltage_v=18.0, current_a=1.0, energy_used_j=0.0, remaining=self.remaining
             )
+            self.plans.tick()
             decision = self.commander.step(status)
             self.texts += [event.text for event in self.commander.drain_events()]
         return decision
