@@ -107,7 +107,7 @@ class VehicleAcceleration:
     """
 
     def __init__(self, model: Model4, follow: tuple[float, float]) -> None:
-        """``follow``: :func:`added_mass_ratio` of the vehicle."""
+        """``follow``: :func:`planar_mass_ratios` of the vehicle."""
         self._model, self._follow = model, follow
         self._work = np.zeros(_JACOBIAN_AT + 3 * NX)
         self._address, self._buffer = self._work.ctypes.data, self._work.data
@@ -247,7 +247,7 @@ def model_aid_of(inertial: Inertial, vehicle: VehicleAcceleration, *, vertical: 
     return ModelAcceleration(sensor="model", t_us=inertial.t_us, z=np.array(accel), noise=noise, vehicle=vehicle)
 
 
-def added_mass_ratio(vehicle: Vehicle) -> tuple[float, float]:
+def planar_mass_ratios(vehicle: Vehicle) -> tuple[float, float]:
     """Share of a change of current that the vehicle follows at once, surge and sway: added mass over whole mass."""
     m11, m22 = vehicle.model4.mass_kg[:2]
     mass = min(vehicle.model4.dry_mass_kg, m11, m22)
@@ -275,7 +275,7 @@ class ModelAid(ScalarAid[Inertial]):
 
     def __init__(self, vehicle: Vehicle, options: EstimatorOptions) -> None:
         super().__init__()
-        self.vehicle = VehicleAcceleration(vehicle.to_model(), added_mass_ratio(vehicle))
+        self.vehicle = VehicleAcceleration(vehicle.to_model(), planar_mass_ratios(vehicle))
         self._options = options
 
     def due(self, count: int) -> bool:

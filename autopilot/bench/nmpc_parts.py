@@ -23,7 +23,7 @@ PARTS: tuple[tuple[str, type, tuple[str, ...]], ...] = (
     (QP, Nmpc, ("shift", "solve")),
     ("reference", RouteGuidance, ("reference",)),
     ("half-planes", Features, ("half_planes", "margin_m")),
-    ("margins", Margins, ("look", "back_offs")),
+    ("margins", Margins, ("update", "back_offs")),
     ("terminal", TerminalRegions, ("follow", "cost_at")),
 )
 """Name and the calls that make it up; none of them calls another one's."""

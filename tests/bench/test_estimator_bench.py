@@ -28,11 +28,11 @@ from tests.bench.estimator_figures import (
     far_fixes,
     far_fixes_used,
     growth,
-    inside_share,
+    inside_fraction,
     mean_nees,
     mean_nis,
     nees_band,
-    nis_share,
+    nis_fraction,
     pooled_rms,
     recovery_s,
     verdict,
@@ -79,13 +79,13 @@ def test_consistent_estimator_has_the_figures_of_the_chi_square_distribution() -
     run = made_up()
     assert mean_nees(run, SPAN_S) == pytest.approx(7.0, abs=0.3)
     assert mean_nis(run, SPAN_S) == pytest.approx(4.0, abs=0.2)
-    assert nis_share(run, SPAN_S) == pytest.approx(5.0, abs=1.2)
+    assert nis_fraction(run, SPAN_S) == pytest.approx(5.0, abs=1.2)
     assert whiteness(run, SPAN_S) < 0.06
-    assert inside_share([run], [SPAN_S]) == pytest.approx(99.7, abs=0.3)
+    assert inside_fraction([run], [SPAN_S]) == pytest.approx(99.7, abs=0.3)
     sure = made_up(scale=2.0)
     assert mean_nees(sure, SPAN_S) == pytest.approx(28.0, abs=1.2)
-    assert nis_share(sure, SPAN_S) > 40.0
-    assert inside_share([sure], [SPAN_S]) < 90.0
+    assert nis_fraction(sure, SPAN_S) > 40.0
+    assert inside_fraction([sure], [SPAN_S]) < 90.0
 
 
 def test_band_narrows_with_the_number_of_runs() -> None:

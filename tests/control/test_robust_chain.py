@@ -62,7 +62,7 @@ class Rig:
             elif self.inner:
                 between = self.controller.tick(t_us, nav)
                 self.command = self.command if between is None else between
-            self.audit.look(t_us * 1e-6, *self.x[:2].tolist())
+            self.audit.update(t_us * 1e-6, *self.x[:2].tolist())
             self.acting = self.acting + (self.command - self.acting) * (1.0 - math.exp(-0.01 / 0.15))
             self.x = rk4(MODEL, self.x, self.acting + self.push_n, lambda _: self.water, 0.01)
             self.states.append(self.x)
@@ -203,6 +203,6 @@ def test_the_vehicle_is_where_its_plans_said_within_the_tube() -> None:
         w = np.clip(0.8 * w + 0.6 * rng.normal(size=4) / 3.0, -1.0, 1.0)
         rig.push_n = mixing @ (w * np.array([1.0, 1.0, 1.0, 0.1]))
         rig.fly(B if rig.tick < 1000 else A, 0.25)
-    assert (rig.audit.share(0.5) or 0.0) >= 0.999
+    assert (rig.audit.fraction(0.5) or 0.0) >= 0.999
     assert set(rig.fallbacks()) == {Fallback.NONE}
     assert still(rig.x).any() == 0.0

@@ -18,7 +18,7 @@ from autopilot.estimator.kalman import LEANING_M_S2, KalmanCore
 from autopilot.estimator.measure_depth import Depth
 from autopilot.estimator.measure_heading import heading_of
 from autopilot.estimator.measure_laser import LaserRange
-from autopilot.estimator.measure_model import ModelAcceleration, VehicleAcceleration, added_mass_ratio, model_aid_of
+from autopilot.estimator.measure_model import ModelAcceleration, VehicleAcceleration, model_aid_of, planar_mass_ratios
 from autopilot.estimator.measure_pose import PoseFix
 from autopilot.estimator.measure_velocity import BodyVelocity
 from autopilot.estimator.measurement import CHI2_999, Measurement, Moment
@@ -27,7 +27,7 @@ from autopilot.estimator.states import NX, YAW, FilterState
 from autopilot.estimator.tuning import TILTED_GYRO_NOISE, process_noise
 
 VEHICLE = load_vehicle("lbv150")
-ACCELERATION = VehicleAcceleration(VEHICLE.to_model(), added_mass_ratio(VEHICLE))
+ACCELERATION = VehicleAcceleration(VEHICLE.to_model(), planar_mass_ratios(VEHICLE))
 unit = st.floats(-1.0, 1.0, allow_subnormal=False)
 SCALE = np.array([2, 2, 1, 4, 0.5, 0.5, 0.2, 0.05, 0.1, 0.1, 0.1, 0.3, 0.3, 0.1, 0.1, 0.2, 0.02, 0.3, 0.1, 0.1, 0.3])
 

@@ -1,6 +1,7 @@
 """Missions made by a machine, of all item types, sound and not: refused by name, or flown to their end."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 from hypothesis import example, given, settings
@@ -103,7 +104,8 @@ def fly(plans: Plans, params: ParamSet) -> tuple[ProgressState, list[int], bool]
     sequencer.load(steps)
     sequencer.start()
     for tick in range(TICKS):
-        out = sequencer.step(round(tick * STEP_S * 1e6), nav(*puppet.pos, yaw=puppet.yaw))
+        t_us = round(tick * STEP_S * 1e6)
+        out = sequencer.step(t_us, replace(nav(*puppet.pos, yaw=puppet.yaw), t_us=t_us))
         reached += out.reached
         surfaced |= out.action is Action.SURFACE
         if out.goal is not None:  # a mission of orders alone has none: the vehicle holds

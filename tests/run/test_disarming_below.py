@@ -12,12 +12,14 @@ import numpy as np
 import pytest
 from ardusub_tank import Tank
 
-from autopilot.command.disarming import CONFIRM_TICKS
+from autopilot.command.disarming import CONFIRM_US
+from autopilot.core.clock import TICK_US
 from autopilot.core.messages import MavlinkFrame, Outputs
 from autopilot.core.operator_messages import DISARM_NOT_CONFIRMED, FOUND_ARMED
 from autopilot.drivers.ardusub import ARMED
 from autopilot.mavlink.api import CommandResult, FlightMode
 
+CONFIRM_TICKS = CONFIRM_US // TICK_US
 DISARM, FORCED, TERMINATE = (400, 0.0, 0.0), (400, 0.0, 21196.0), (185, 1.0, 0.0)
 COMMANDS = {"disarm": DISARM, "forced": FORCED, "terminate": TERMINATE}
 ARMED_FLAG = 128
