@@ -217,13 +217,15 @@ class Autopilot:
         """Whether decisions are taken: a client's order or a device that fails does not wait. Traffic alone does not
         change when: a flight is the same with it."""
         if tick.decides is None:
-            news = tick.inputs.troubles or self._given_orders() != self._decided_orders
+            news = tick.inputs.troubles or self._given_orders(tick.inputs) != self._decided_orders
             tick.decides = tick.scheduled or self._decision is None or bool(news)
         return tick.decides
 
-    def _given_orders(self) -> Hashable:
-        commander = self._parts.commander
-        return commander.armed, commander.mode, commander.orders, self._parts.plans.revision
+    def _given_orders(self, inputs: Inputs) -> Hashable:
+        """By clients, and by a pilot through the flight controller."""
+        commander, below = self._parts.commander, inputs.below
+        pilot = None if below is None else (below.authority, below.acts, below.armed, below.text, below.rival)
+        return commander.armed, commander.mode, commander.orders, self._parts.plans.revision, pilot
 
     def _run_guarded(self, stage: Stage, tick: TickState) -> None:
         self._parts.guard.run(stage.part, lambda: stage.work(tick), None, lambda: stage.given(tick))
@@ -406,7 +408,7 @@ class Autopilot:
         self._parts.plans.tick()
 
     def _decide(self, tick: TickState) -> None:
-        tick.decision, self._decided_orders = None, self._given_orders()
+        tick.decision, self._decided_orders = None, self._given_orders(tick.inputs)
         tick.decision = self._parts.commander.step(self._status)
         self._reached += tick.decision.reached
 

@@ -17,10 +17,12 @@ SAFE_PATH = "PYTHONSAFEPATH"
 """The variable that stands for ``-P`` where the command line is not ours."""
 
 
-def python_command(code: str) -> list[str]:
-    """Command that runs ``code`` with our packages and nothing from the current folder."""
-    root = str(ROOT)
-    door = f"import os, sys; sys.path[:0] = [] if {root!r} in map(os.path.realpath, sys.path) else [{root!r}]\n"
+def python_command(code: str, checkout: Path | None = None) -> list[str]:
+    """Command that runs ``code`` with our packages, or those of another ``checkout``, and nothing from the current
+    folder."""
+    root = str(checkout or ROOT)
+    known = f"{root!r} in map(os.path.realpath, sys.path)" if checkout is None else "False"
+    door = f"import os, sys; sys.path[:0] = [] if {known} else [{root!r}]\n"
     return [sys.executable, "-P", "-c", door + code]
 
 

@@ -6,9 +6,7 @@ turns, each in a process of its own.
 
 import io
 import json
-import os
 import subprocess
-import sys
 import tarfile
 import tempfile
 from collections import defaultdict
@@ -20,6 +18,7 @@ from pathlib import Path
 import numpy as np
 
 from autopilot.core.errors import AutopilotError
+from autopilot.core.own_python import python_command
 
 ROOT = Path(__file__).resolve().parents[2]
 FIGURES = ("tick_mean_ms", "step_median_ms", "cpu_s_per_s")
@@ -75,8 +74,9 @@ def _row(flight: str, figure: str, pairs: np.ndarray) -> TurnsRow:
 
 def _rows(tree: Path) -> dict[str, dict[str, float]]:
     """Rows of ``bench sitl --short`` of a tree, by flight; exit code 1 only says that a bar is missed."""
-    command = [sys.executable, "-m", "autopilot", "bench", "sitl", "--short", "--json"]
-    done = subprocess.run(command, cwd=tree, env=_environment(tree), capture_output=True, text=True, check=False)
+    code = "from autopilot.cli.main import main; sys.argv[1:] = ['bench', 'sitl', '--short', '--json']; main()"
+    command = python_command(code, tree)
+    done = subprocess.run(command, cwd=tree, capture_output=True, text=True, check=False)
     if done.returncode not in (0, 1) or not done.stdout.strip():
         raise AutopilotError(f"the benchmark of {tree} failed: {done.stderr.strip()[-300:]}")
     rows = json.loads(done.stdout)["sitl"]["rows"]
@@ -89,13 +89,9 @@ def _checked_out(revision: str) -> Iterator[Path]:
         tree = Path(folder)
         with tarfile.open(fileobj=io.BytesIO(_git_bytes("archive", revision))) as files:
             files.extractall(tree, filter="tar")
-        build = [sys.executable, "setup.py", "--quiet", "build_ext", "--inplace"]
-        subprocess.run(build, cwd=tree, env=_environment(tree), check=True, capture_output=True)
+        code = "__file__ = 'setup.py'; sys.argv = ['setup.py', '--quiet', 'build_ext', '--inplace']; exec(open('setup.py').read())"
+        subprocess.run(python_command(code, tree), cwd=tree, check=True, capture_output=True)
         yield tree
-
-
-def _environment(tree: Path) -> dict[str, str]:
-    return {**os.environ, "PYTHONPATH": str(tree)}
 
 
 def _git(*arguments: str) -> str:
