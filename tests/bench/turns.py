@@ -89,7 +89,7 @@ def _checked_out(revision: str) -> Iterator[Path]:
         tree = Path(folder)
         with tarfile.open(fileobj=io.BytesIO(_git_bytes("archive", revision))) as files:
             files.extractall(tree, filter="tar")
-        code = "__file__ = 'setup.py'; sys.argv = ['setup.py', '--quiet', 'build_ext', '--inplace']; exec(open('setup.py').read())"
+        code = "__file__ = 'setup.py'; sys.argv = [__file__, 'build_ext', '--inplace']; exec(open(__file__).read())"
         subprocess.run(python_command(code, tree), cwd=tree, check=True, capture_output=True)
         yield tree
 
