@@ -366,6 +366,7 @@ class Autopilot:
         tick.thrusters = self._actuation.learn(
             tick.inputs.t_us,
             tick.nav,
+            tick.acting_n,
             self._goal,
             armed=self._parts.commander.armed,
             reached=environment.acts,

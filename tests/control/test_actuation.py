@@ -13,8 +13,7 @@ LIMIT_N = 4.0
 def _actuation(name: str, **params: float) -> Actuation:
     """After a tick, in which it has read what operators tell of the thrusters."""
     made = Actuation(load_vehicle(name), ParamSet(params))
-    made.send(10_000)
-    made.learn(10_000, None, None, armed=False, reached=True)
+    made.learn(10_000, None, made.send(10_000), None, armed=False, reached=True)
     return made
 
 

@@ -139,9 +139,8 @@ def test_thrusters_that_never_respond_are_doubted_for_a_while_only() -> None:
     thrust, doubted_us = np.array([4.0, 4.0, 1.0, 2.0]), 0
     for tick in range(1500):
         t_us = tick * 10_000
-        sent = np.zeros(4) if care.doubtful or tick < 100 else thrust
-        care.send(t_us, sent)
-        care.step(t_us, nav_state(t_us, np.zeros(8)), sent, armed=True)
+        care.send(t_us, np.zeros(4) if care.doubtful or tick < 100 else thrust)
+        care.step(t_us, nav_state(t_us, np.zeros(8)), armed=True)
         doubted_us += 10_000 * care.doubtful
     assert 0 < doubted_us <= LONGEST_DOUBT_S * 1e6
     assert care.delay_s == 0.0
@@ -158,8 +157,8 @@ def test_pulses_under_way_reach_estimator_and_thrusters_when_they_act() -> None:
         assert off.send(t_us, thrust) is thrust
         line.acting += (1.0 - math.exp(-0.01 / LAG_S)) * (_thrust(tick * 0.01 - 1.0) - line.acting)
         line.x = rk4(MODEL, line.x, line.acting, still, 0.01)
-        care.step(t_us, nav_state(t_us, line.x), thrust, armed=True)
-        off.step(t_us, nav_state(t_us, line.x), thrust, armed=True)
+        care.step(t_us, nav_state(t_us, line.x), armed=True)
+        off.step(t_us, nav_state(t_us, line.x), armed=True)
     assert care.delay_s == pytest.approx(1.0, abs=0.07)
     assert not care.prompt
     assert (acting[-1] == thrusts[-1 - math.ceil(care.delay_s * 100)]).all()
@@ -171,7 +170,7 @@ def test_pulses_under_way_reach_estimator_and_thrusters_when_they_act() -> None:
     assert believed.current_ned_m_s == pytest.approx([0.0, 0.0, 0.0])
     assert believed.vel_water_frd_m_s == pytest.approx(nav.vel_frd_m_s)
     assert care.nav_for_control(15_000_000, nav) is nav
-    care.step(5_010_000, None, np.zeros(4), armed=False)
+    care.step(5_010_000, None, armed=False)
     assert care.nav_for_control(5_010_000, nav) is nav
     assert care.prompt
 

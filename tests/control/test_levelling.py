@@ -45,8 +45,7 @@ def tilts(vehicle: Vehicle, force: FloatArray, seconds: float = 12.0, lost: int 
     for tick in range(round(seconds * 1e6 / TICK_US)):
         t_us, truth = tick * TICK_US, plant.truth
         nav = nav_of(truth)
-        actuation.send(t_us)
-        actuation.learn(t_us, nav, None, armed=True, reached=True)
+        actuation.learn(t_us, nav, actuation.send(t_us), None, armed=True, reached=True)
         thrust = allocator.thrust_n(force, actuation.limit_n) if tick % 5 == 0 else thrust
         command = actuation.command(t_us, thrust, armed=True)
         plant.advance(t_us + TICK_US, command.pwm_us[: len(vehicle.thrusters)])
@@ -116,8 +115,7 @@ def test_the_noise_of_rates_and_of_the_controller_turns_no_thruster_to_and_fro(n
     for tick in range(round(100 * seconds)):
         t_us, nav = tick * TICK_US, nav_of(plant.truth)
         nav = replace(nav, rate_frd_rad_s=nav.rate_frd_rad_s + rng.normal(0.0, 0.008, 3))
-        actuation.send(t_us)
-        actuation.learn(t_us, nav, None, armed=True, reached=True)
+        actuation.learn(t_us, nav, actuation.send(t_us), None, armed=True, reached=True)
         force = np.array([2.0, 2.0 * math.sin(0.006 * tick), 1.0 + math.sin(0.002 * tick), 0.0])
         wanted = allocator.thrust_n(force, actuation.limit_n) + rng.normal(0.0, 0.1, count)
         command = actuation.command(t_us, wanted, armed=True)

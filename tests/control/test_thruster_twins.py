@@ -73,8 +73,7 @@ def manoeuvre(
             vel_frd_m_s=truth.vel_frd_m_s + rng.normal(0.0, 0.005, 3),
             rate_frd_rad_s=truth.rate_frd_rad_s + rng.normal(0.0, 0.006, 3),
         )
-        actuation.send(t_us)
-        actuation.learn(t_us, nav, None, armed=True, reached=True)
+        actuation.learn(t_us, nav, actuation.send(t_us), None, armed=True, reached=True)
         weak = frozenset(np.flatnonzero(actuation.effectiveness < 1.0).tolist())
         if weak:
             said.named.add(weak)

@@ -39,8 +39,6 @@ class Actuation:
         self._count = self._allocator.model.thrusters
         self._pulse_n = self.nothing()
         """Thrust of healthy thrusters for the pulses of the last command."""
-        self._sent, self._pulse_sum_n, self._acting_sum_n = 0, self.nothing(), self.nothing()
-        """Calls of :meth:`send` since the last :meth:`learn`, and sums of what was sent and of what acted."""
         self.allocation = Allocation(vehicle.thrusters)
         self.supply_v: float | None = None
         """Measured voltage, None = nominal."""
@@ -120,31 +118,27 @@ class Actuation:
 
     def send(self, t_us: int) -> FloatArray:
         """Register the last command as sent. Returns (n,) the thrust of healthy thrusters that acts now [N]."""
-        acting_n = self._delay.send(t_us, self._pulse_n)
-        self._sent += 1
-        self._pulse_sum_n, self._acting_sum_n = self._pulse_sum_n + self._pulse_n, self._acting_sum_n + acting_n
-        return acting_n
+        return self._delay.send(t_us, self._pulse_n)
 
     def learn(
         self,
         t_us: int,
         nav: NavState | None,
+        acting_n: FloatArray,
         goal: Goal | None,
         *,
         armed: bool,
         reached: bool,
         alone: bool = True,
     ) -> ThrusterHealthState | None:
-        """Update latency and effectiveness from the present estimate and the mean thrust since the last call.
+        """Update latency and effectiveness from the present estimate and the result of :meth:`send`.
 
         ``reached``: the device accepts commands. ``alone``: no other source commands the thrusters, so that motion
         shows the latency. Returns a record for the log, periodically.
         """
         self._nav = nav
         capability_n = self.allocation.capability_n(self.supply_v)
-        pulse_n, acting_n = self._pulse_sum_n / max(self._sent, 1), self._acting_sum_n / max(self._sent, 1)
-        self._sent, self._pulse_sum_n, self._acting_sum_n = 0, self.nothing(), self.nothing()
-        self._delay.step(t_us, nav, pulse_n, armed=armed and alone)
+        self._delay.step(t_us, nav, armed=armed and alone)
         # Commands that never reached the thrusters are no evidence.
         prompt = armed and self._delay.prompt and reached
         return self._losses.step(t_us, nav, acting_n, capability_n, goal, armed=prompt)

@@ -55,10 +55,8 @@ class CommandDelay:
                 return sent_n
         return np.zeros_like(pulse_n)
 
-    def step(self, t_us: int, nav: NavState | None, pulse_n: FloatArray, *, armed: bool) -> None:
-        """Learn from the estimate of now. ``pulse_n`` (n,): mean of what :meth:`send` was given since the last call
-        [N]. Disarmed, everything is forgotten.
-        """
+    def step(self, t_us: int, nav: NavState | None, *, armed: bool) -> None:
+        """Learn from the estimate of now, after :meth:`send`. Disarmed, everything is forgotten."""
         if not armed or not int(self._params["LAT_DETECT"]):
             self.delay_s, self.doubtful, self._suspect_since_us, self._found_us = 0.0, False, None, None
             if self._looked:
@@ -66,7 +64,7 @@ class CommandDelay:
             self._looked = False
             return
         self._looked = True
-        self._delay.step(t_us, nav, pulse_n)
+        self._delay.step(t_us, nav, self._sent[-1][1])
         self.delay_s = self._delay.delay_s
         self._found_us = (t_us if self._found_us is None else self._found_us) if self.delay_s else None
         self._suspect_since_us = (self._suspect_since_us or t_us) if self._delay.doubtful else None
