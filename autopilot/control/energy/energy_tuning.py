@@ -277,7 +277,7 @@ class TrajectoryTuning:
     rough_feasible: float = 1e-3
     """A rough solution is at hand when an iteration changes the cost by less than this share and dynamics and bounds
     are obeyed within so much: candidates differ by more, and the one that is flown is solved to the end."""
-    fine_share: float = 1e-4
+    fine_fraction: float = 1e-4
     feasible: float = 1e-4
     """The same of a trajectory that is flown, in three iterations one after the other (SI units)."""
     wide: float = 2.0

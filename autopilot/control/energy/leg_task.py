@@ -221,10 +221,10 @@ class LegTask:
         for _ in range(rounds):
             cost_j = trajectory.cost_j if trajectory.solved else math.inf
             found = self._solved(program, trajectory, rough)
-            if not found.solved and trajectory.multipliers is None:
-                found = self._solved(program, _slower(trajectory), rough)
-            elif not found.solved:
-                found = self._solved(program, replace(trajectory, multipliers=None), rough)
+            if not found.solved:
+                warm = trajectory.multipliers is not None
+                second = replace(trajectory, multipliers=None) if warm else _slower(trajectory)
+                found = self._solved(program, second, rough)
             if not found.solved:
                 return trajectory if trajectory.solved else found
             trajectory = found

@@ -224,7 +224,7 @@ def _acceptable(feasible: float, share: float, iterations: int, **more: float) -
 
 
 _FLOWN = _acceptable(
-    TRAJECTORY.feasible, TRAJECTORY.fine_share, 3, acceptable_dual_inf_tol=2e-3, acceptable_compl_inf_tol=1e-5
+    TRAJECTORY.feasible, TRAJECTORY.fine_fraction, 3, acceptable_dual_inf_tol=2e-3, acceptable_compl_inf_tol=1e-5
 )
 
 IPOPT_BY_START: dict[Start, dict[str, Any]] = {
