@@ -15,7 +15,7 @@ from autopilot.control.nmpc.solver import PLANES, NmpcProblem
 from autopilot.control.path.planner import Planner
 from autopilot.core.errors import LogError
 from autopilot.core.frames import FloatArray
-from autopilot.core.geometry import Circle, Fence, Polygon, Shape
+from autopilot.core.geometry import Circle, Fence, Polygon, Shape, lengths_m, points_at
 from autopilot.core.messages import ControlOutput, Goal
 from autopilot.core.model4 import R, U, V, W, Z
 from autopilot.core.shapes import clearance_m
@@ -318,9 +318,9 @@ def _wall(fence: Fence, center: FloatArray, towards: FloatArray) -> Polygon:
 
 
 def _sampled(path: FloatArray, step_m: float = 0.05) -> FloatArray:
-    s = np.concatenate(([0.0], np.cumsum(np.hypot(*np.diff(path, axis=0).T))))
+    s = lengths_m(path)
     at = np.linspace(0.0, float(s[-1]), max(2, int(float(s[-1]) / step_m)))
-    return np.stack([np.interp(at, s, path[:, 0]), np.interp(at, s, path[:, 1])], axis=1)
+    return points_at(path, s, at)
 
 
 def _length_m(path: FloatArray) -> float:

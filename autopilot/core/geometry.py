@@ -3,6 +3,8 @@
 from dataclasses import dataclass, field
 from typing import TypeAlias
 
+import numpy as np
+
 from autopilot.core.frames import FloatArray
 
 
@@ -37,3 +39,13 @@ class Fence:
     depth_min_m: float = 0.0
     depth_max_m: float = 1000.0
     """Depth band of the vehicle's centre."""
+
+
+def lengths_m(points: FloatArray) -> FloatArray:
+    """(n,) length along a polyline (n, 2) up to each of its points [m]."""
+    return np.concatenate(([0.0], np.cumsum(np.hypot(*np.diff(points, axis=0).T))))
+
+
+def points_at(points: FloatArray, along_m: FloatArray, at_m: FloatArray) -> FloatArray:
+    """(m, 2) points of a polyline (n, 2) at lengths (m,) along it; ``along_m`` (n,): its :func:`lengths_m`."""
+    return np.stack([np.interp(at_m, along_m, points[:, 0]), np.interp(at_m, along_m, points[:, 1])], axis=1)

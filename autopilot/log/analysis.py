@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from autopilot.core.errors import LogError
 from autopilot.core.frames import FloatArray
+from autopilot.core.geometry import lengths_m
 from autopilot.core.messages import ProgressState
 from autopilot.log.description import FenceItemDescription, Obstacle, Point2, RunDescription, Waypoint
 from autopilot.log.packing.record_values import COUNTER_NAMES, LAST_NAMES
@@ -336,7 +337,7 @@ def obstacle_position(obstacle: Obstacle, t_s: FloatArray) -> FloatArray:
     if not obstacle.path_m:
         return np.broadcast_to(np.array(obstacle.center_m), (len(t_s), len(obstacle.center_m)))
     corners = np.array([*obstacle.path_m, *(obstacle.path_m[:1] if obstacle.ends == "loop" else ())])
-    s = np.concatenate(([0.0], np.cumsum(np.hypot(*np.diff(corners, axis=0).T))))
+    s = lengths_m(corners)
     travelled = obstacle.speed_m_s * np.maximum(t_s - obstacle.start_s, 0.0)
     if obstacle.ends == "loop":
         travelled = travelled % s[-1]

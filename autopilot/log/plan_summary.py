@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from autopilot.core.frames import FloatArray
+from autopilot.core.geometry import lengths_m
 from autopilot.log.analysis import VehicleTrack, distance_to_obstacle, obstacle_position
 from autopilot.log.description import Obstacle, RunDescription
 from autopilot.log.scene import outline
@@ -65,7 +66,7 @@ def plan_box(track: VehicleTrack, run: RunDescription | None) -> tuple[FloatArra
 
 def met_current(track: VehicleTrack, run: RunDescription | None) -> MetCurrent | None:
     """Arrows for the plan of a flight; None where nothing is known, nothing flowed or nothing moved."""
-    along = np.concatenate(([0.0], np.cumsum(np.hypot(*np.diff(track.pos_ned_m[:, :2], axis=0).T))))
+    along = lengths_m(track.pos_ned_m[:, :2])
     if len(track.t_s) < 2 or not along[-1] > 0.0:
         return None
     low, high = plan_box(track, run)

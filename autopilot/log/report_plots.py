@@ -9,6 +9,7 @@ from bokeh.models import ColumnDataSource, Legend
 from bokeh.palettes import viridis
 
 from autopilot.core.frames import FloatArray
+from autopilot.core.geometry import lengths_m
 from autopilot.log import analysis
 from autopilot.log.analysis import (
     FlightRecord,
@@ -467,7 +468,7 @@ def _draw_predictions(plot: Any, made: Sequence[Prediction]) -> Any:
 def _draw_heads(plot: Any, track: VehicleTrack) -> Any | None:
     """Arrow heads along a path, evenly spaced; none on a path of zero length."""
     plane = track.pos_ned_m[:, :2]
-    along = np.concatenate(([0.0], np.cumsum(np.hypot(*np.diff(plane, axis=0).T))))
+    along = lengths_m(plane)
     if len(plane) < 2 or along[-1] <= 0.0:
         return None
     at = np.searchsorted(along, (np.arange(HEADS) + 0.5) / HEADS * along[-1])

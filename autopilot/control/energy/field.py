@@ -21,6 +21,7 @@ from autopilot.control.energy.power import SpeedTable, energy_per_metre
 from autopilot.control.path.shortest import lengths_from
 from autopilot.core.frames import FloatArray
 from autopilot.core.free_space import FreeSpace
+from autopilot.core.geometry import lengths_m, points_at
 
 OFFSETS = tuple(
     (di, dj)
@@ -151,8 +152,8 @@ def alternative_paths(
     if features.count == 0:
         return []
     steps = np.linspace(0.0, 1.0, 80)
-    s = np.concatenate(([0.0], np.cumsum(np.hypot(*np.diff(path.points_ned_m, axis=0).T))))
-    at = np.stack([np.interp(steps * s[-1], s, path.points_ned_m[:, i]) for i in range(2)], axis=1)
+    s = lengths_m(path.points_ned_m)
+    at = points_at(path.points_ned_m, s, steps * s[-1])
     clearance = features.clearance_m(at)
     inner = np.flatnonzero((steps > 0.1) & (steps < 0.9) & (clearance < FIELD.gap_reach_m))
     paths: list[FieldPath] = []
@@ -174,13 +175,10 @@ def alternative_paths(
 def _same_side(path: FieldPath, other: FieldPath, radius_m: float) -> bool:
     """Whether two paths are near each other all along. On both sides of an obstacle they are two radii apart."""
     paths = [one.points_ned_m for one in (path, other)]
-    lengths = [np.concatenate(([0.0], np.cumsum(np.hypot(*np.diff(points, axis=0).T)))) for points in paths]
+    lengths = [lengths_m(points) for points in paths]
     fractions = np.linspace(0.0, 1.0, 2 + int(max(s[-1] for s in lengths) / radius_m))
-    at = [
-        np.stack([np.interp(fractions * s[-1], s, column) for column in points.T])
-        for points, s in zip(paths, lengths, strict=True)
-    ]
-    return bool(np.hypot(*(at[0] - at[1])).max() < radius_m)
+    at = [points_at(points, s, fractions * s[-1]) for points, s in zip(paths, lengths, strict=True)]
+    return bool(np.hypot(*(at[0] - at[1]).T).max() < radius_m)
 
 
 def _wall(features: Features, place: FloatArray, tangent: FloatArray) -> tuple[FloatArray, FloatArray]:

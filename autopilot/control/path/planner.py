@@ -21,7 +21,7 @@ from autopilot.control.path.shortest import lengths_from
 from autopilot.core.background import Cancel
 from autopilot.core.frames import FloatArray
 from autopilot.core.free_space import CHORD_LOSS_M, Area, FreeSpace, workspace_of
-from autopilot.core.geometry import Fence
+from autopilot.core.geometry import Fence, lengths_m, points_at
 from autopilot.core.shapes import bounding_box
 
 
@@ -163,9 +163,9 @@ class _PathFinder:
         """:meth:`Planner.free`."""
         if self.features.count == 0:
             return True
-        s = np.concatenate(([0.0], np.cumsum(np.hypot(*np.diff(path, axis=0).T))))
+        s = lengths_m(path)
         at = np.arange(0.0, min(float(s[-1]), PLANNER.check_length_m) + PLANNER.check_step_m, PLANNER.check_step_m)
-        points = np.stack([np.interp(at, s, path[:, 0]), np.interp(at, s, path[:, 1])], axis=1)
+        points = points_at(path, s, at)
         clearance = self.features.clearance_up_to_m(points, 2.0 * self.radius_m)
         # Where the vehicle is it may be nearer.
         need = np.where(
