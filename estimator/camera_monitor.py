@@ -2,7 +2,8 @@
 
 Latency: :mod:`.estimator.stamp_monitor`. Focal length: in a level image an error is equivalent to another height and
 unobservable; the lens distortion separates the two, because it scales with the focal length and not with the height.
-Every image gives the scale factor that fits its residuals best, and the average of hundreds is significant.
+Every image gives the scale factor that fits its residuals best, and the average of hundreds is significant. A wrong
+distortion looks the same: what is found is divided between both by how well each is known.
 """
 
 import math
@@ -76,16 +77,16 @@ class CameraMonitor(Monitor):
         super().__init__()
         self._floor_m, self._camera_down_m = floor_m, camera.position_frd_m[2]
         self.stamps = StampMonitor(stamps_every_s)
-        self._focal_sigma = camera.focal_sigma
+        self._focal_sigma, self._bend_sigma = camera.focal_sigma, CAMERA_MONITOR.bend * camera.distortion_sigma
         self._stamp_sigma_s = camera.time_offset_sigma_s
         self._mounting = _of_mounting(camera)
         self._late_reported_s: float | None = None
-        self._focal_reported = False
+        self._lens_reported = self._lens_doubted = False
         self._pictures = False
         self._weight = self._sum = 0.0
         self._estimates = 0
-        self.focal_error = 0.0
-        """By which the focal length is taken to be too long, 0 = it fits as far as is known."""
+        self.focal_error = self.distortion_error = 0.0
+        """Shares by which focal length and distortion are taken to be too large, 0 = they fit as far as is known."""
         self._found_focal_sigma = 0.0
         self._focal_pending = 0.0
         """What else it seems to be off, not yet surely or not worth correcting."""
@@ -96,6 +97,8 @@ class CameraMonitor(Monitor):
 
     def systematic_variance(self, t_us: int, newest: Node) -> FloatArray:
         """See :class:`Monitor`: position variance by the calibration's uncertainty at this height above the markers."""
+        if not self._pictures:
+            return NOTHING
         x, yaw_rate_rad_s = newest.state.x, newest.moment.inertial.yaw_rate_rad_s
         focal_error = math.hypot(self._found_focal_sigma or self._focal_sigma, self._focal_pending)
         across = focal_error * CAMERA_MONITOR.aside_m
@@ -119,8 +122,9 @@ class CameraMonitor(Monitor):
 
     def doubts(self, t_us: int, newest: Node) -> tuple[NavDoubt, ...]:
         """See :class:`Monitor`: that the calibration is wrong, as has been reported to the operator."""
-        still_late = self._late_reported_s is not None and abs(self.stamps.late_s) >= CAMERA_MONITOR.late_still_s
-        return (NavDoubt.CALIBRATION,) if self._focal_reported or still_late else ()
+        least_s = max(CAMERA_MONITOR.late_still_s, CAMERA_MONITOR.doubted * self._stamp_sigma_s)
+        still_late = self._late_reported_s is not None and abs(self.stamps.late_s) >= least_s
+        return (NavDoubt.CALIBRATION,) if self._lens_doubted or still_late else ()
 
     def check_stamps(self) -> bool:
         """Whether a latency of the stamps has been detected, or has changed."""
@@ -150,25 +154,28 @@ class CameraMonitor(Monitor):
         """One more picture's opinion of the focal length. True if :attr:`focal_error` has changed."""
         weight = sigma**-2
         keep = 1.0 - 1.0 / CAMERA_MONITOR.forget_estimates
-        self._weight, self._sum = (
-            keep * self._weight + weight,
-            keep * self._sum + weight * (self.focal_error + focal_error),
-        )
+        applied = self.focal_error - CAMERA_MONITOR.bend * self.distortion_error
+        self._weight, self._sum = keep * self._weight + weight, keep * self._sum + weight * (applied + focal_error)
         self._estimates += 1
         mean, spread = self._sum / self._weight, self._weight**-0.5
-        prior, bend = max(self._focal_sigma, CAMERA_MONITOR.focal_prior) ** 2, CAMERA_MONITOR.bend_sigma**2 + spread**2
-        known = mean * prior / (prior + bend)
-        self._focal_pending = known - self.focal_error if abs(mean) > CAMERA_MONITOR.focal_seems * spread else 0.0
+        prior, bend = self._focal_sigma**2, self._bend_sigma**2 + spread**2
+        of_focal = prior / (prior + bend)
+        self._focal_pending = (
+            of_focal * mean - self.focal_error if abs(mean) > CAMERA_MONITOR.focal_seems * spread else 0.0
+        )
         if self._estimates < CAMERA_MONITOR.focal_estimates or abs(mean) <= CAMERA_MONITOR.focal_sigmas * spread:
             return False
-        if abs(known) >= CAMERA_MONITOR.focal_named and not self._focal_reported:
-            self._focal_reported = True
+        known = CAMERA_MONITOR.doubted * math.sqrt(prior + bend)
+        self._lens_doubted = abs(mean) > max(CAMERA_MONITOR.focal_named, known)
+        if abs(mean) >= CAMERA_MONITOR.focal_named and not self._lens_reported:
+            self._lens_reported = True
             what = "long" if mean > 0.0 else "short"
-            self._texts.append(notices.FOCAL_LENGTH_OFF(percent=100.0 * abs(mean), what=what).text)
-        if abs(self._focal_pending) < (
-            CAMERA_MONITOR.focal_step if self.focal_error else CAMERA_MONITOR.focal_threshold
-        ):
+            percent = 100.0 * abs(mean)
+            focal = notices.FOCAL_LENGTH_OFF(percent=percent, what=what)
+            self._texts.append((focal if of_focal > 0.5 else notices.LENS_OFF(percent=percent)).text)
+        if abs(mean - applied) < (CAMERA_MONITOR.focal_step if applied else CAMERA_MONITOR.focal_threshold):
             return False
-        self.focal_error, self._focal_pending = known, 0.0
-        self._found_focal_sigma = math.sqrt(prior * bend / (prior + bend))
+        self.focal_error, self._focal_pending = of_focal * mean, 0.0
+        self.distortion_error = (self.focal_error - mean) / CAMERA_MONITOR.bend
+        self._found_focal_sigma = math.sqrt(of_focal * bend)
         return True

@@ -88,7 +88,7 @@ class AidedEstimator(Estimator):
         camera = vehicle.camera or NO_CAMERA
         self._latency_s = camera.latency_s
         self._monitors = monitors = Monitors(
-            Evidence(),
+            Evidence(self._sources.laser),
             ImuMonitor(self._sources.model.vehicle, trust),
             CameraMonitor(camera, options.stamps_every_s, None if markers is None else markers.floor_m),
             None if markers is None else MapMonitor(markers),

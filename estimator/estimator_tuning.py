@@ -22,13 +22,16 @@ class CameraMonitorTuning:
     """What is known less surely than that does not even count as error."""
     focal_step: float = 0.001
     """Smaller changes of the estimate are not applied."""
-    focal_prior: float = 0.04
-    bend_sigma: float = 0.004
-    """The bend shows how far focal length and distortion together are off. What is seen is divided between them by how
-    far either may be off (share, one standard deviation); the height hangs on the first only."""
+    bend: float = 0.5
+    """A distortion that is off by a share bends a picture as a focal length does that is off by this times it. What is
+    seen is divided between them by how far either may be off; the height hangs on the focal length only."""
+    doubted: float = 3.0
+    """Times what both may be off by together, from where on the calibration is in doubt."""
     aside_m: float = 0.1
     """A picture whose scale is wrong is off sideways by that share of this: its middle is not below the vehicle."""
     focal_every_us: int = 200_000
+    focal_soon: int = 15
+    """So many of the first pictures are all asked: a wrong lens is found before the vehicle moves."""
     pattern_noise: float = 3.0
     """Corner errors of one place and of one lens are alike: a picture's own standard deviation counts so many times."""
     forget_estimates: int = 600
@@ -149,7 +152,9 @@ class EvidenceTuning:
     jump_path_m: float = 0.5
     """The position is off by the jump of the heading times this: the path within the seconds after it."""
     range_miss_m: float = 0.04
-    """A laser that needs a larger offset denies the height: twice what a mounted laser is off by."""
+    range_sigmas: float = 3.0
+    """A laser that needs a larger offset denies the height: twice what a mounted laser is off by, and so many of the
+    standard deviations that it states."""
     resets: int = 3
     resets_us: int = 30_000_000
     """Number of resets within a time that is a finding: map, camera or stamps are wrong."""

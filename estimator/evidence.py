@@ -10,6 +10,7 @@ from autopilot.core.messages import NavDoubt
 from autopilot.estimator.estimator_tuning import EVIDENCE, INERTIAL_MONITOR
 from autopilot.estimator.filter_core import Innovation
 from autopilot.estimator.history import Node
+from autopilot.estimator.measure_laser import LaserAid
 from autopilot.estimator.measurement import CHI2_999
 from autopilot.estimator.monitor import NOTHING, Monitor
 from autopilot.estimator.states import LASER_BIAS
@@ -18,8 +19,9 @@ from autopilot.estimator.states import LASER_BIAS
 class Evidence(Monitor):
     """Judges every fix that met its gate."""
 
-    def __init__(self) -> None:
+    def __init__(self, laser: LaserAid) -> None:
         super().__init__()
+        self._laser = laser
         self.denied = 0
         """Fixes rejected in a row that agree among themselves."""
         self.jumps = 0
@@ -83,11 +85,16 @@ class Evidence(Monitor):
             found.add(NavDoubt.FIXES)
         if jumped:  # and gyro and vehicle model have felt nothing
             found.add(NavDoubt.CAMERA)
-        if abs(newest.state.x.item(LASER_BIAS)) > EVIDENCE.range_miss_m:
+        if self._denies_height(newest):
             found.add(NavDoubt.RANGE)
         if len(self._resets_us) == EVIDENCE.resets and t_us - self._resets_us[0] <= EVIDENCE.resets_us:
             found.add(NavDoubt.RESETS)
         return found
+
+    def _denies_height(self, newest: Node) -> bool:
+        """Whether the laser needs a larger offset than its mounting and its calibration explain."""
+        least_m = max(EVIDENCE.range_miss_m, EVIDENCE.range_sigmas * self._laser.sigma_m)
+        return abs(newest.state.x.item(LASER_BIAS)) > least_m
 
     def counts(self) -> dict[str, int]:
         return {"doubt.jumps": self.jumps}
@@ -95,7 +102,7 @@ class Evidence(Monitor):
     def systematic_variance(self, t_us: int, newest: Node) -> FloatArray:
         """See :class:`Monitor`: variance for contradictions between sensors that no state explains."""
         laser_bias_m = newest.state.x.item(LASER_BIAS)
-        far = abs(laser_bias_m) > EVIDENCE.range_miss_m
+        far = self._denies_height(newest)
         if self._jump_us is None and self._fix_ratio <= EVIDENCE.ratio_shows and not far:
             return NOTHING
         more = np.zeros(4)

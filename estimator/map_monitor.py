@@ -16,7 +16,7 @@ from autopilot.estimator.gauge import KNOWN_FRACTION, Gauge
 from autopilot.estimator.history import Node
 from autopilot.estimator.measure_pose import MarkerOutlier, PoseFix
 from autopilot.estimator.monitor import Monitor
-from autopilot.estimator.states import EAST, NORTH, SheetStates
+from autopilot.estimator.states import DOWN, EAST, NORTH, SheetStates
 
 
 @dataclass
@@ -54,6 +54,7 @@ class MapMonitor(Monitor):
         self._frame = None if errors is None or not any(errors.frame_sigma) else errors.frame_sigma
         self._gauge = None if errors is None else Gauge(errors)
         self._middle = markers.centers_ned_m.mean(axis=0).tolist()
+        self._depth_variance_m2, self._scale_sigma = markers.depth_sigma_m**2, markers.scale_sigma
         self._misplaced: dict[tuple[int, int], _MisplacedMarker] = {}
         self._strained: dict[int, deque[int]] = {}
         self._reported_sheets: set[int] = set()
@@ -65,6 +66,7 @@ class MapMonitor(Monitor):
         """
         x = newest.state.x
         more = np.zeros(4) if self._gauge is None else self._gauge.more_variance(x)
+        more[2] += self._depth_variance_m2 + (self._scale_sigma * (self._middle[2] - x.item(DOWN))) ** 2
         if self._frame is None:
             return more
         across, down, turn = self._frame

@@ -66,7 +66,7 @@ class MarkerSolver:
         """Markers that the map does not have; fits that are bad, or that lean off the AHRS's tilt."""
         self._errors = markers.errors
         self._centers_m = markers.centers_ned_m[:, :2]
-        self._focal_us = -CAMERA_MONITOR.focal_every_us
+        self._focal_us, self._focal_looks = -CAMERA_MONITOR.focal_every_us, 0
         self._level = markers.level
         self._floor_m = markers.floor_m
         lean_m = np.ptp(markers.corners_ned_m[..., 2], axis=1)
@@ -85,11 +85,12 @@ class MarkerSolver:
             self._candidates[row, : len(of_id)] = of_id
             self._candidate_centers[row, : len(of_id)] = [self._centers[j] for j in of_id]
 
-    def set_focal(self, focal_error: float) -> None:
-        """Set the relative excess of the focal length to be corrected."""
+    def set_lens(self, focal_error: float, distortion_error: float) -> None:
+        """Set the relative excess of focal length and distortion to be corrected."""
         given = self._given_camera
         fx, fy = (f / (1.0 + focal_error) for f in given.focal_px)
-        self._camera = replace(given, focal_px=(fx, fy))
+        k1, k2, k3, k4, k5 = (k / (1.0 + distortion_error) for k in given.distortion)
+        self._camera = replace(given, focal_px=(fx, fy), distortion=(k1, k2, k3, k4, k5))
 
     def well_formed(self, sighting: MarkerSighting) -> bool:
         """Whether the arrays have the right shapes and hold pixels that an image can have."""
@@ -346,9 +347,10 @@ class MarkerSolver:
 
     def _focal_due(self, t_us: int, markers: int) -> bool:
         """Whether this picture is to be asked for the focal length."""
-        if markers < CAMERA_MONITOR.least_markers or abs(t_us - self._focal_us) < CAMERA_MONITOR.focal_every_us:
+        every_us = CAMERA_MONITOR.focal_every_us if self._focal_looks >= CAMERA_MONITOR.focal_soon else 0
+        if markers < CAMERA_MONITOR.least_markers or abs(t_us - self._focal_us) < every_us:
             return False
-        self._focal_us = t_us
+        self._focal_us, self._focal_looks = t_us, self._focal_looks + 1
         return True
 
     def _refine_on_sheets(

@@ -79,6 +79,8 @@ class LaserAid(ScalarAid[LaserSample | MarkerSighting]):
         """``floor_depth_m``: depth of the floor [m]; None = unknown, ranges are not used."""
         super().__init__()
         self._pictures, self._floor_depth_m = pictures, floor_depth_m
+        self.sigma_m = 0.0
+        """Standard deviation of the newest range, its calibration included."""
         laser = vehicle.laser or NO_LASER
         self._mount_frd_m = laser.position_frd_m
         self._beam_frd = unit(laser.direction_frd)
@@ -92,7 +94,10 @@ class LaserAid(ScalarAid[LaserSample | MarkerSighting]):
         floor_m = self._floor_depth_m
         if shown is None or floor_m is None:
             return None
-        return self.counted(range_from_sample(shown, floor_m, self._mount_frd_m, self._beam_frd))
+        found = self.counted(range_from_sample(shown, floor_m, self._mount_frd_m, self._beam_frd))
+        if found is not None:
+            self.sigma_m = math.sqrt(found.noise.item())
+        return found
 
     def _of_picture(self, sighting: MarkerSighting) -> LaserSample | None:
         """The range by the dot in a picture, None = it shows none."""

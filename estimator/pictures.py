@@ -34,7 +34,7 @@ class Pictures:
         self._made.clear()
         return made
 
-    def set_focal(self, focal_error: float) -> None:
-        """From now on take the camera's focal length for too long by that share."""
+    def set_lens(self, focal_error: float, distortion_error: float) -> None:
+        """From now on take the camera's focal length and distortion for too large by these shares."""
         if self.solver is not None:
-            self.solver.set_focal(focal_error)
+            self.solver.set_lens(focal_error, distortion_error)

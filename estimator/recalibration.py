@@ -47,13 +47,13 @@ class Recalibration:
         self.counts["stamps.retimed"] += 1
 
     def rescale(self) -> None:
-        """If the focal length is another than was thought: pictures and the estimate come nearer to the markers, or go
-        away from them."""
+        """If the lens is another than was thought: pictures and the estimate come nearer to the markers, or go away
+        from them."""
         before, focal_error = self._focal_error, self._camera.focal_error
         if focal_error == before:
             return
         self._focal_error = focal_error
-        self._sources.pictures.set_focal(focal_error)
+        self._sources.pictures.set_lens(focal_error, self._camera.distortion_error)
         more = (1.0 + focal_error) / (1.0 + before) - 1.0
         height_m = self._camera.height_m(self._fusion.history.newest.state.x)
         self._carry(np.array([0.0, 0.0, height_m * more, 0.0]), np.zeros(3))

@@ -31,10 +31,10 @@ class Sources:
         self.pictures = Pictures(vehicle, solver)
         self.markers, self.external = MarkersAid(self.pictures), ExternalAid(vehicle)
         self.heading, self.model = HeadingAid(), ModelAid(vehicle, options)
-        self.velocity = VelocityAid(vehicle)
+        self.velocity, self.laser = VelocityAid(vehicle), LaserAid(vehicle, self.pictures, floor_depth_m)
         self.all: tuple[Aid, ...] = (
             self.markers,
-            LaserAid(vehicle, self.pictures, floor_depth_m),
+            self.laser,
             self.heading,
             self.model,
             *_of_table(vehicle, floor_depth_m),

@@ -81,6 +81,9 @@ class IntrinsicsTuning:
     least_focal_sigma: float = 5e-4
     air_focal_sigma: float = 0.02
     """Of a focal length, as a share: no calibration is better than the first; one in air is off by the second."""
+    least_distortion_sigma: float = 0.008
+    air_distortion_sigma: float = 0.1
+    """The same of the distortion."""
 
 
 INTRINSICS = IntrinsicsTuning()

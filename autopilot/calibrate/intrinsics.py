@@ -254,6 +254,17 @@ def focal_sigma(result: Intrinsics, *, into_water: bool = False) -> float:
     )
 
 
+def distortion_sigma(result: Intrinsics, *, into_water: bool = False) -> float:
+    """The same of the distortion: of the shift of a point at the edge of the view, its terms taken as independent."""
+    k1, k2, _, _, k3 = result.values[4:].tolist()
+    r2 = math.tan(math.radians(0.5 * max(result.field_of_view_deg))) ** 2
+    terms = r2 ** np.arange(1, 4)
+    bent = abs(float(terms @ (k1, k2, k3)))
+    of_fit = 2.0 * float(np.hypot.reduce(result.sigma[[4, 5, 8]] * terms)) / max(bent, 1e-9)
+    usual = INTRINSICS.air_distortion_sigma
+    return max(min(of_fit, usual), INTRINSICS.least_distortion_sigma, usual if into_water else 0.0)
+
+
 def camera_values(result: Intrinsics, *, into_water: bool = False) -> dict[str, Any]:
     """The keys of ``[camera]``; ``into_water`` converts a calibration in air to water for rays near the axis:
     behind a flat port they are n times flatter, so that x becomes n x in the air's formulas.
@@ -266,6 +277,7 @@ def camera_values(result: Intrinsics, *, into_water: bool = False) -> dict[str, 
         "camera.height_px": result.height_px,
         "camera.focal_px": [round(n * fx, 3), round(n * fy, 3)],
         "camera.focal_sigma": round(focal_sigma(result, into_water=into_water), 6),
+        "camera.distortion_sigma": round(distortion_sigma(result, into_water=into_water), 4),
         "camera.center_px": [round(cx, 3), round(cy, 3)],
         "camera.distortion": [round(k, 6) for k in distortion],
     }

@@ -8,6 +8,7 @@ may be assumed neither is that a dot is the laser's: markers' print and caustics
 
 import math
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -160,7 +161,7 @@ def _agreed(dots: Dots, w: FloatArray, inlier: float) -> np.ndarray:
     return best
 
 
-def beam_values(beam: Beam, camera: CameraModel, vehicle: Vehicle) -> dict[str, list[float]]:
+def beam_values(beam: Beam, camera: CameraModel, vehicle: Vehicle) -> dict[str, Any]:
     """The keys of ``[laser]``. Where on the beam it starts does not matter; the depth of the file is kept."""
     r = camera.r_frd_from_cam
     direction = r @ np.append(beam.slope, 1.0)
@@ -168,7 +169,10 @@ def beam_values(beam: Beam, camera: CameraModel, vehicle: Vehicle) -> dict[str, 
     depth_m = 0.0 if vehicle.laser is None else vehicle.laser.position_frd_m[2]
     start = point + direction * (depth_m - point[2]) / direction[2]
     unit = direction / direction[2]
+    middle_m = 0.5 * sum(beam.depth_m)
+    sigma_rad = beam.sigma_range_m(middle_m) * float(np.linalg.norm(beam.base_m)) / middle_m**2
     return {
         "laser.position_frd_m": [round(v, 5) for v in start.tolist()],
         "laser.direction_frd": [round(v, 6) for v in unit.tolist()],
+        "laser.direction_sigma_rad": round(sigma_rad, 6),
     }

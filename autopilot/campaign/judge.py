@@ -21,6 +21,7 @@ from autopilot.log.smoothness import measure
 from autopilot.sitl.plant import Truth
 from autopilot.sitl.scenario_tables import Scenario
 
+SIGMAS = 3.0
 THRUST_TOLERANCE_N = 1e-6
 """Rounding: a command at its limit is not beyond it."""
 
@@ -102,13 +103,17 @@ def _energy_j(watch: TickWatch, span: Span) -> float:
 def _estimate(watch: TickWatch) -> dict[str, float]:
     """Errors of the estimate until the mission is complete."""
     rows = watch.rows[watch.mission.holds(watch.column("t_s"))]
-    errors = rows[:, 21:27][~np.isnan(rows[:, 21])]
-    if not len(errors):
+    rows = rows[~np.isnan(rows[:, 21])]
+    if not len(rows):
         return {}
+    errors, sigma = rows[:, 21:27], rows[:, 27:31]
+    in_sigmas = errors[:, :4] / sigma
     distance2 = np.sum(errors[:, :3] ** 2, axis=1)
     return {
         "pos_rms_m": round(float(np.sqrt(np.mean(distance2))), 6),
         "pos_max_m": round(float(np.sqrt(np.max(distance2))), 6),
         "yaw_rms_rad": round(float(np.sqrt(np.mean(errors[:, 3] ** 2))), 6),
         "current_rms_m_s": round(float(np.sqrt(np.mean(np.sum(errors[:, 4:6] ** 2, axis=1)))), 6),
+        "inside_share": round(float(np.mean((np.abs(in_sigmas) <= SIGMAS).all(axis=1))), 5),
+        "nees": round(float(np.mean(in_sigmas**2)), 4),
     }

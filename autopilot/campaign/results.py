@@ -82,10 +82,14 @@ class RunResult(msgspec.Struct, frozen=True, kw_only=True):
     """Per lap, everything on board."""
     lap_s: list[float] = []
     pos_rms_m: float = 0.0
-    """Estimate against truth, as the next three."""
+    """Estimate against truth, as the next five."""
     pos_max_m: float = 0.0
     yaw_rms_rad: float = 0.0
     current_rms_m_s: float = 0.0
+    inside_share: float | None = None
+    """Share of the time in which north, east, depth and yaw all were within three stated standard deviations."""
+    nees: float | None = None
+    """Mean square of these errors in standard deviations: 1 if the estimator knows how good it is."""
     steps: int = 0
     """Of the controller."""
     fallbacks: int = 0

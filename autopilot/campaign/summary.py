@@ -17,6 +17,8 @@ TO_THE_END = "runs flown to their end"
 PERCENTILES = (0.0, 1.0, 5.0, 50.0, 95.0, 100.0)
 TUBE_FRACTION = 0.999
 """Share of nodes that has to lie inside the announced tube."""
+INSIDE_SHARE = 0.95
+"""Share of the time that the truth lies within three standard deviations of the estimate."""
 TUBE_BAR = 0
 """Which of :data:`AHEAD_S` the bar is for."""
 
@@ -144,7 +146,7 @@ def _bars(results: Sequence[RunResult], flown: Sequence[RunResult]) -> list[Bar]
     note = _which(at_all) or ("goal" if strict else "")
     bars.append(Bar(name="a bound broken at all", bar="goal: no run", value=str(len(at_all)), held=None, note=note))
     bars.append(_tube(flown, strict))
-    bars += _smooth(flown)
+    bars += _honest(flown) + _smooth(flown)
     failures = sum(result.failed for result in results)
     if count:
         bound, (low, high) = failure_bound(failures, count), failure_interval(failures, count)
@@ -189,6 +191,17 @@ SMOOTH = (
 """Figure of :class:`autopilot.log.smoothness.Smoothness`, how it is called, factor to its unit, unit."""
 
 
+def _honest(flown: Sequence[RunResult]) -> list[Bar]:
+    """Goal: the truth lies within the estimate's three standard deviations."""
+    runs = [(result.inside_share, result) for result in flown if result.inside_share is not None]
+    if not runs:
+        return []
+    out = [result for share, result in runs if share < INSIDE_SHARE]
+    value = f"{min(share for share, _ in runs):.1%}"
+    name, bar = "estimate within 3 sigma, worst run", f"goal: >= {INSIDE_SHARE:.0%} of the time"
+    return [Bar(name=name, bar=bar, value=value, held=None, note=_which(out))]
+
+
 def _smooth(flown: Sequence[RunResult]) -> list[Bar]:
     """Goals: a run does not fail by them."""
     runs = [result for result in flown if result.smoothness is not None]
@@ -227,6 +240,8 @@ def _figures(flown: Sequence[RunResult]) -> list[Distribution]:
         _spread("estimate position worst", "mm", [1000.0 * result.pos_max_m for result in flown]),
         _spread("estimate yaw rms", "deg", [math.degrees(result.yaw_rms_rad) for result in flown]),
         _spread("estimate current rms", "m/s", [result.current_rms_m_s for result in flown]),
+        _spread("estimate within 3 sigma", "%", [100.0 * r.inside_share for r in flown if r.inside_share is not None]),
+        _spread("mean squared error / variance", "", [r.nees for r in flown if r.nees is not None]),
         _spread("controller fallbacks", "%", [100.0 * r.fallbacks / r.steps for r in flown if r.steps]),
         _spread("largest slack", "", [result.slack_max for result in flown]),
         _spread("CPU time of a run", "s", [result.cpu_s for result in flown]),

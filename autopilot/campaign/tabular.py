@@ -33,6 +33,8 @@ def rows_of(results: Sequence[RunResult]) -> list[dict[str, Cell]]:
             "pos_max_m": result.pos_max_m,
             "yaw_rms_rad": result.yaw_rms_rad,
             "current_rms_m_s": result.current_rms_m_s,
+            "inside_share": result.inside_share,
+            "nees": result.nees,
             "steps": result.steps,
             "fallbacks": result.fallbacks,
             "slack_max": result.slack_max,

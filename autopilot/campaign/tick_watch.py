@@ -15,6 +15,7 @@ from autopilot.sitl.plant import Truth
 COLUMNS = (
     *("t_s", "x", "y", "z", "roll", "pitch", "yaw", "u", "v", "w", "u_r", "v_r", "w_r", "p", "q", "r"),
     *("c_n", "c_e", "c_d", "thrust_n", "power_w", "e_x", "e_y", "e_z", "e_yaw", "e_cn", "e_ce"),
+    *("s_x", "s_y", "s_z", "s_yaw"),
 )
 FIRST_ROWS = 8192
 MOST_EVENTS = 12
@@ -69,6 +70,7 @@ class TickWatch:
             row[21:24] = nav.pos_ned_m - truth.pos_ned_m
             row[24] = wrap_pi(float(nav.rpy_rad[2] - truth.rpy_rad[2]))
             row[25:27] = nav.current_ned_m_s[:2] - truth.current_ned_m_s[:2]
+            row[27:31] = np.sqrt(nav.variance[[0, 1, 2, 5]])
         if self._complete_s is None:
             self.tube.update(t_s, float(row[1]), float(row[2]))
         self._note_control(outputs)

@@ -45,6 +45,8 @@ class CameraModel:
     """(3,) where the laser beam starts, in the camera frame."""
     laser_direction_cam: FloatArray = field(default_factory=lambda: _STRAIGHT)
     """(3,) unit vector along the beam, in the camera frame."""
+    laser_sigma_rad: float = 0.0
+    """Standard deviation of that direction."""
     r_frd_from_cam: FloatArray = field(default_factory=lambda: R_FRD_FROM_CAM)
     """(3, 3) mounting."""
     fisheye: bool = False
@@ -94,6 +96,7 @@ class CameraModel:
             position_frd_m=position,
             laser_offset_cam_m=r_frd_from_cam.T @ (np.array(laser.position_frd_m) - position),
             laser_direction_cam=r_frd_from_cam.T @ (direction / np.linalg.norm(direction)),
+            laser_sigma_rad=laser.direction_sigma_rad,
             r_frd_from_cam=r_frd_from_cam,
             fisheye=camera.model == "fisheye",
             has_laser=has_laser,

@@ -33,4 +33,5 @@ def dot_range(camera: CameraModel, pixel: FloatArray) -> tuple[float, float] | N
     depth = base2 / along
     if (depth - oz) / dz < LASER_MIN_RANGE_M:
         return None
-    return (depth - oz) / dz, depth * depth * LASER_SIGMA_PX / (focal * math.sqrt(base2) * dz)
+    sigma_rad = math.hypot(LASER_SIGMA_PX / focal, camera.laser_sigma_rad)
+    return (depth - oz) / dz, depth * depth * sigma_rad / (math.sqrt(base2) * dz)

@@ -21,6 +21,10 @@ SHEET_SIGMA_DOWN_M = 0.001
 """Standard deviation of a sheet's depth: uneven floor."""
 PRINT_SIGMA_M = 0.0001
 """Standard deviation of a marker on its sheet."""
+SCALE_SIGMA = 0.003
+"""Of the printed size, as a share of it: printers that make 99.7 % of 100 %."""
+DEPTH_SIGMA_M = 0.005
+"""Of the depth of the whole map, measured from the surface with a folding rule."""
 SAME_M, SAME_RAD = 5e-5, 1e-4
 """Neighbours that fit one grid so well were printed together."""
 REACH = 1.6

@@ -8,7 +8,7 @@ angles zero it lies face up with its top to the north.
 import json
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -18,7 +18,7 @@ import numpy as np
 from autopilot.core.dictionaries import dictionary_label, dictionary_size, resolve_dictionary
 from autopilot.core.errors import ConfigError
 from autopilot.core.frames import FloatArray, r_ned_from_frd, rpy_from_r
-from autopilot.core.map_errors import PRINT_SIGMA_M, SHEET_SIGMA_M, Laid, map_errors
+from autopilot.core.map_errors import DEPTH_SIGMA_M, PRINT_SIGMA_M, SCALE_SIGMA, SHEET_SIGMA_M, Laid, map_errors
 from autopilot.core.markers import CORNER_SIGNS, ID_SPAN, MarkerMap
 from autopilot.core.toml_table import Table, Vec3, convert, read_toml
 
@@ -51,6 +51,8 @@ class Defaults(Table, frozen=True, kw_only=True):
     """and of their heading."""
     print_sigma_m: NonNegative = PRINT_SIGMA_M
     """Standard deviation of a marker's position on its sheet."""
+    scale_sigma: NonNegative = SCALE_SIGMA
+    """The same of the printed size, as a share of it: heights are off by that share. Measure the sheet's scale bar."""
 
 
 class MapFrame(Table, frozen=True, kw_only=True):
@@ -58,7 +60,7 @@ class MapFrame(Table, frozen=True, kw_only=True):
 
     sigma_m: NonNegative = 0.0
     """Horizontally, per axis."""
-    sigma_down_m: NonNegative = 0.0
+    sigma_down_m: NonNegative = DEPTH_SIGMA_M
     sigma_rad: NonNegative = 0.0
 
 
@@ -163,10 +165,11 @@ class PlacedMarker:
 def load_marker_map(path: Path) -> MarkerMap:
     """The map of a file. ConfigError names marker, value and remedy."""
     file: MarkerFile = convert(read_toml(path), MarkerFile, str(path))
-    frame = (file.frame.sigma_m, file.frame.sigma_down_m, file.frame.sigma_rad)
+    frame = (file.frame.sigma_m, 0.0, file.frame.sigma_rad)
     placed = _placed(file, path.parent, str(path))
     print_sigma_m = file.defaults.print_sigma_m
-    return make_map(placed, str(path), frame_sigma=frame, print_sigma_m=print_sigma_m, loose_sigma_m=SHEET_SIGMA_M)
+    result = make_map(placed, str(path), frame_sigma=frame, print_sigma_m=print_sigma_m, loose_sigma_m=SHEET_SIGMA_M)
+    return replace(result, depth_sigma_m=file.frame.sigma_down_m, scale_sigma=file.defaults.scale_sigma)
 
 
 def make_map(
@@ -421,11 +424,11 @@ def marker_file_text(markers: MarkerMap, notes: Sequence[str] = (), remarks: Seq
     size_m = round(markers.size_m, 6)
     lines = [*(f"# {note}" for note in notes), "", "[defaults]", f'dictionary = "{markers.dictionary}"']
     lines.append(f"size_m = {size_m!r}")
-    errors = markers.errors
-    if errors is not None and any(errors.frame_sigma):
-        across, down, turn = errors.frame_sigma
-        lines += ["", "[frame]", f"sigma_m = {_number(across, 6)}", f"sigma_down_m = {_number(down, 6)}"]
-        lines.append(f"sigma_rad = {_number(turn, 7)}")
+    lines.append(f"scale_sigma = {_number(markers.scale_sigma, 6)}")
+    across, down, turn = (0.0, 0.0, 0.0) if markers.errors is None else markers.errors.frame_sigma
+    down = math.hypot(down, markers.depth_sigma_m)
+    lines += ["", "[frame]", f"sigma_m = {_number(across, 6)}", f"sigma_down_m = {_number(down, 6)}"]
+    lines.append(f"sigma_rad = {_number(turn, 7)}")
     for n, marker in enumerate(placed):
         lines += ["", "[[marker]]" + (f" # {remarks[n]}" if remarks else ""), f"id = {marker.id}"]
         if marker.dictionary != markers.dictionary:

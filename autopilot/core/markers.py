@@ -16,7 +16,7 @@ from autopilot.core.camera import CameraModel
 from autopilot.core.dictionaries import DICTIONARY_SIZES, dictionary_size
 from autopilot.core.errors import ConfigError
 from autopilot.core.frames import FloatArray
-from autopilot.core.map_errors import MapErrors
+from autopilot.core.map_errors import DEPTH_SIGMA_M, SCALE_SIGMA, MapErrors
 from autopilot.core.shapes import inside_polygon
 
 IntArray: TypeAlias = NDArray[np.int64]
@@ -54,7 +54,11 @@ class MarkerMap:
     more_dictionaries: tuple[str, ...] = ()
     """Dictionaries number 1 and on."""
     errors: MapErrors | None = None
-    """Its error model; None = exact, or it defines the frame."""
+    """How its sheets were laid; None = exactly, or it defines the frame."""
+    depth_sigma_m: float = DEPTH_SIGMA_M
+    """Standard deviation of the depth of the whole map."""
+    scale_sigma: float = SCALE_SIGMA
+    """The same of the printed size, as a share of it."""
     centers_ned_m: FloatArray = field(init=False)
     """(n, 3)"""
     sizes_m: FloatArray = field(init=False)

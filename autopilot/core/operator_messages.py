@@ -151,7 +151,10 @@ STAMPS_OFF = _warning(
     "{name} stamps {off_ms:.0f} ms {what}: calibrate latency", "Images disagree with the gyro in time."
 )
 FOCAL_LENGTH_OFF = _warning(
-    "Focal length {percent:.1f} % too {what}: recalibrate camera", "Laser and markers disagree."
+    "Focal length {percent:.1f} % too {what}: recalibrate camera", "The markers' images fit another lens better."
+)
+LENS_OFF = _warning(
+    "Focal length or distortion {percent:.1f} % off: calibrate camera", "The markers' images fit another lens better."
 )
 SHEET_OFF = _warning(
     "Sheet {name} lies {off_mm:.0f} mm, {turn_deg:.1f} deg off the map", "", "Run `autopilot markers survey`."

@@ -150,6 +150,14 @@ class Tether(Table, frozen=True, kw_only=True):
     pull_n: NonNegative
 
 
+RULER_SIGMA_M = 0.005
+HAND_SIGMA_RAD = 0.0175
+FOCAL_SIGMA, DISTORTION_SIGMA = 0.01, 0.1
+STAMP_SIGMA_S = 0.01
+"""Of a camera that nobody has calibrated: its place by a ruler, its turn by eye (1 deg), its lens as that of another
+one of the same kind, its stamps to a third of a picture at 30 Hz. ``autopilot calibrate`` writes smaller ones."""
+
+
 class Port(Table, frozen=True, kw_only=True):
     """A flat pane before the camera's lens (:class:`autopilot.core.flat_port.FlatPort`)."""
 
@@ -186,14 +194,16 @@ class Camera(Table, frozen=True, kw_only=True):
     """Exposure to the arrival of the detection."""
     time_offset_s: float = 0.0
     """Added to the times that pictures come with: negative when these are too late."""
-    time_offset_sigma_s: NonNegative = 0.0
+    time_offset_sigma_s: NonNegative = STAMP_SIGMA_S
     """Standard deviation of that: positions are off by so much times the velocity."""
-    focal_sigma: NonNegative = 0.0
+    focal_sigma: NonNegative = FOCAL_SIGMA
     """Standard deviation of the focal length, as a share of it: heights are off by that share."""
+    distortion_sigma: NonNegative = DISTORTION_SIGMA
+    """The same of the distortion. A level picture shows both together only."""
     mounting_rpy_rad: Vec3 = (0.0, 0.0, 0.0)
     """How the camera is turned from looking straight down: roll, pitch, yaw about the body's axes."""
-    position_sigma_m: tuple[NonNegative, NonNegative, NonNegative] = (0.0, 0.0, 0.0)
-    mounting_sigma_rad: tuple[NonNegative, NonNegative, NonNegative] = (0.0, 0.0, 0.0)
+    position_sigma_m: tuple[NonNegative, NonNegative, NonNegative] = (RULER_SIGMA_M,) * 3
+    mounting_sigma_rad: tuple[NonNegative, NonNegative, NonNegative] = (HAND_SIGMA_RAD,) * 3
     """Standard deviations of place and turn: positions and headings are off by them."""
     model: Literal["pinhole", "fisheye", "flat_port"] = "pinhole"
     """What focal length, centre and distortion belong to: a calibration in water, or with "flat_port" one in air."""
@@ -220,6 +230,8 @@ class Laser(Table, frozen=True, kw_only=True):
     position_frd_m: Vec3
     direction_frd: Vec3 = (0.0, 0.0, 1.0)
     """Where the beam goes, of any length; straight down by default."""
+    direction_sigma_rad: NonNegative = HAND_SIGMA_RAD
+    """Standard deviation of its direction against the camera: ranges are off by range^2 / offset times that."""
 
     def __post_init__(self) -> None:
         _goes_down(self.direction_frd)

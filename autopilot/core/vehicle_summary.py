@@ -104,6 +104,9 @@ def _missing(vehicle: Vehicle) -> list[str]:
         remarks.append("no [camera]: no markers are seen; a position has to come from outside (sitl --sensors pose)")
     if vehicle.laser is None:
         remarks.append("no [laser]: no altitude by a dot; markers, depth sensor or DVL give it")
+    open_ = _uncalibrated(vehicle)
+    if open_:
+        remarks.append(f"not calibrated, so as good as a ruler: {', '.join(open_)}")
     sources = vehicle.sources
     lacking = [key for key in _given(vehicle) if key not in sources and key.partition(".")[0] not in sources]
     if lacking:
@@ -115,6 +118,18 @@ def _missing(vehicle: Vehicle) -> list[str]:
             f'{assumed} values have "assumed" as their source: autopilot identify and calibrate replace some'
         )
     return remarks
+
+
+def _uncalibrated(vehicle: Vehicle) -> list[str]:
+    """Keys of camera and laser whose standard deviation is the default."""
+    tables = {"camera": vehicle.camera, "laser": vehicle.laser}
+    return [
+        f"{name}.{field.name}"
+        for name, table in tables.items()
+        if table is not None
+        for field in msgspec.structs.fields(table)
+        if "_sigma" in field.name and getattr(table, field.name) == field.default
+    ]
 
 
 def _given(vehicle: Vehicle) -> list[str]:

@@ -51,6 +51,8 @@ def estimator_attachments(
             size_m=markers.size_m,
             ids=markers.ids,
             corners_ned_m=markers.corners_ned_m,
+            depth_sigma_m=markers.depth_sigma_m,
+            scale_sigma=markers.scale_sigma,
             **({} if markers.errors is None else error_arrays(markers.errors)),
         )
         result[MARKERS_FILE] = buffer.getvalue()
@@ -83,6 +85,8 @@ def read_markers(attachments: Mapping[str, bytes]) -> MarkerMap | None:
             corners_ned_m=file["corners_ned_m"],
             more_dictionaries=tuple(more),
             errors=errors_of_arrays(file) if "sheet_sigma" in file else None,
+            depth_sigma_m=float(file["depth_sigma_m"]) if "depth_sigma_m" in file else 0.0,
+            scale_sigma=float(file["scale_sigma"]) if "scale_sigma" in file else 0.0,
         )
 
 

@@ -1,12 +1,14 @@
 """What the estimator tests share: the vehicle, and both estimators by name."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
-from makers import Make
+from makers import Make, calibrated
 
 from autopilot.core.camera import CameraModel
 from autopilot.core.markers import MarkerMap, grid_floor
-from autopilot.core.vehicle import Vehicle, load_vehicle
+from autopilot.core.vehicle import Vehicle
 from autopilot.estimator.complementary import create_complementary
 from autopilot.estimator.ekf import create_ekf
 from autopilot.estimator.engine import AidedEstimator
@@ -18,14 +20,15 @@ from autopilot.sitl.scenario import load_scenario
 
 @pytest.fixture(scope="session")
 def vehicle() -> Vehicle:
-    return load_vehicle("lbv150")
+    return calibrated()
 
 
 @pytest.fixture(scope="session")
 def floor() -> MarkerMap:
     """A tank floor with the layout of the shipped scenario."""
     polygon = np.array([[-2.5, -1.5], [2.5, -1.5], [2.5, 1.5], [-2.5, 1.5]])
-    return grid_floor(polygon_m=polygon, depth_m=1.5, pitch_m=0.08, size_m=0.06, seed=7)
+    made = grid_floor(polygon_m=polygon, depth_m=1.5, pitch_m=0.08, size_m=0.06, seed=7)
+    return replace(made, depth_sigma_m=0.0, scale_sigma=0.0)
 
 
 @pytest.fixture(scope="session")

@@ -4,6 +4,7 @@ import dataclasses
 import math
 
 import numpy as np
+from makers import calibrated
 from truth import Faults, Track, World, no_current
 
 from autopilot.core.camera import CameraModel
@@ -11,10 +12,9 @@ from autopilot.core.frames import FloatArray, r_ned_from_frd
 from autopilot.core.map_errors import Laid, map_errors
 from autopilot.core.markers import MarkerMap
 from autopilot.core.samples import MarkerSighting
-from autopilot.core.vehicle import load_vehicle
 from autopilot.estimator.engine import AidedEstimator
 
-VEHICLE = load_vehicle("lbv150")
+VEHICLE = calibrated()
 CAMERA = CameraModel.of_vehicle(VEHICLE)
 CORNER_PX, SHRINK_PX = 0.12, 0.25
 LATENCY_US = 60_000

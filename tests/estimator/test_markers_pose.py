@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from makers import Make
+from makers import Make, calibrated
 from truth import Faults, World, no_current, tank_jet
 
 from autopilot.core.camera import CameraModel
@@ -15,11 +15,11 @@ from autopilot.core.frames import FloatArray, r_ned_from_frd, wrap_pi
 from autopilot.core.markers import MarkerMap
 from autopilot.core.messages import NavHealth
 from autopilot.core.samples import MarkerSighting, Sample
-from autopilot.core.vehicle import Vehicle, load_vehicle
+from autopilot.core.vehicle import Vehicle
 from autopilot.estimator.markers_pose import MarkerSolver
 from autopilot.estimator.pnp import solve_pose
 
-VEHICLE = load_vehicle("lbv150")
+VEHICLE = calibrated()
 CAMERA = CameraModel.of_vehicle(VEHICLE)
 
 
