@@ -7,6 +7,7 @@ distortion looks the same: what is found is divided between both by how well eac
 """
 
 import math
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -69,6 +70,31 @@ def _of_mounting(camera: Camera) -> tuple[float, float, float, float] | None:
     return (forward, right, down, yaw) if forward + right + down + yaw > 0.0 else None
 
 
+@dataclass(slots=True)
+class _Average:
+    """Weighted mean of numbers that forgets old ones."""
+
+    keep: float
+    """Share of its weight that an older number has at each new one."""
+    weight: float = 0.0
+    total: float = 0.0
+    count: int = 0
+
+    def add(self, value: float, sigma: float) -> None:
+        weight = sigma**-2
+        self.weight, self.total = self.keep * self.weight + weight, self.keep * self.total + weight * value
+        self.count += 1
+
+    @property
+    def mean(self) -> float:
+        return self.total / self.weight
+
+    @property
+    def sigma(self) -> float:
+        """Standard deviation of the mean."""
+        return float(self.weight**-0.5)
+
+
 class CameraMonitor(Monitor):
     def __init__(
         self, camera: Camera, stamps_every_s: float = STAMP_MONITOR.evaluate_s, floor_m: float | None = None
@@ -83,8 +109,11 @@ class CameraMonitor(Monitor):
         self._late_reported_s: float | None = None
         self._lens_reported = self._lens_doubted = False
         self._pictures = False
-        self._weight = self._sum = 0.0
-        self._estimates = 0
+        self._lens = _Average(keep=1.0 - 1.0 / CAMERA_MONITOR.forget_estimates)
+        self._lens_lately = _Average(keep=1.0 - 1.0 / CAMERA_MONITOR.lately_estimates)
+        """What pictures say of focal length and distortion together, since the start and lately."""
+        self._lens_before: float | None = None
+        """What they said until it changed in flight, None = it has not."""
         self.focal_error = self.distortion_error = 0.0
         """Shares by which focal length and distortion are taken to be too large, 0 = they fit as far as is known."""
         self._found_focal_sigma = 0.0
@@ -152,30 +181,44 @@ class CameraMonitor(Monitor):
 
     def update_focal(self, focal_error: float, sigma: float) -> bool:
         """One more picture's opinion of the focal length. True if :attr:`focal_error` has changed."""
-        weight = sigma**-2
-        keep = 1.0 - 1.0 / CAMERA_MONITOR.forget_estimates
         applied = self.focal_error - CAMERA_MONITOR.bend * self.distortion_error
-        self._weight, self._sum = keep * self._weight + weight, keep * self._sum + weight * (applied + focal_error)
-        self._estimates += 1
-        mean, spread = self._sum / self._weight, self._weight**-0.5
+        for mean in (self._lens, self._lens_lately):
+            mean.add(applied + focal_error, sigma)
+        self._note_change()
+        found, spread = self._lens.mean, self._lens.sigma
         prior, bend = self._focal_sigma**2, self._bend_sigma**2 + spread**2
         of_focal = prior / (prior + bend)
-        self._focal_pending = (
-            of_focal * mean - self.focal_error if abs(mean) > CAMERA_MONITOR.focal_seems * spread else 0.0
-        )
-        if self._estimates < CAMERA_MONITOR.focal_estimates or abs(mean) <= CAMERA_MONITOR.focal_sigmas * spread:
+        change = 0.0 if self._lens_before is None else found - self._lens_before
+        focal = change + of_focal * (found - change)
+        self._focal_pending = focal - self.focal_error if abs(found) > CAMERA_MONITOR.focal_seems * spread else 0.0
+        if self._lens.count < CAMERA_MONITOR.focal_estimates or abs(found) <= CAMERA_MONITOR.focal_sigmas * spread:
             return False
         known = CAMERA_MONITOR.doubted * math.sqrt(prior + bend)
-        self._lens_doubted = abs(mean) > max(CAMERA_MONITOR.focal_named, known)
-        if abs(mean) >= CAMERA_MONITOR.focal_named and not self._lens_reported:
+        self._lens_doubted = change != 0.0 or abs(found) > max(CAMERA_MONITOR.focal_named, known)
+        if abs(found) >= CAMERA_MONITOR.focal_named and not self._lens_reported:
             self._lens_reported = True
-            what = "long" if mean > 0.0 else "short"
-            percent = 100.0 * abs(mean)
-            focal = notices.FOCAL_LENGTH_OFF(percent=percent, what=what)
-            self._texts.append((focal if of_focal > 0.5 else notices.LENS_OFF(percent=percent)).text)
-        if abs(mean - applied) < (CAMERA_MONITOR.focal_step if applied else CAMERA_MONITOR.focal_threshold):
+            percent, what = 100.0 * abs(found), "long" if found > 0.0 else "short"
+            by_focal = change != 0.0 or of_focal > 0.5
+            text = (
+                notices.FOCAL_LENGTH_OFF(percent=percent, what=what) if by_focal else notices.LENS_OFF(percent=percent)
+            )
+            self._texts.append(text.text)
+        if abs(found - applied) < (CAMERA_MONITOR.focal_step if applied else CAMERA_MONITOR.focal_threshold):
             return False
-        self.focal_error, self._focal_pending = of_focal * mean, 0.0
-        self.distortion_error = (self.focal_error - mean) / CAMERA_MONITOR.bend
+        self.focal_error, self._focal_pending = focal, 0.0
+        self.distortion_error = (focal - found) / CAMERA_MONITOR.bend
         self._found_focal_sigma = math.sqrt(of_focal * bend)
         return True
+
+    def _note_change(self) -> None:
+        """A lens that is another one than before: no calibration was wrong, its focal length has changed."""
+        change, lately = self._lens_lately.mean - self._lens.mean, self._lens_lately
+        least = max(
+            CAMERA_MONITOR.focal_named,
+            CAMERA_MONITOR.changed_share * abs(self._lens.mean),
+            CAMERA_MONITOR.focal_sigmas * lately.sigma,
+        )
+        if lately.count >= 2 * CAMERA_MONITOR.focal_soon and abs(change) > least:
+            if self._lens_before is None:
+                self._lens_before, self._lens_reported = self._lens.mean, False
+            self._lens = replace(lately, keep=self._lens.keep)

@@ -35,7 +35,10 @@ class CameraMonitorTuning:
     pattern_noise: float = 3.0
     """Corner errors of one place and of one lens are alike: a picture's own standard deviation counts so many times."""
     forget_estimates: int = 600
-    """Looks (two minutes) after which older ones count for less."""
+    lately_estimates: int = 10
+    """Looks (two minutes, two seconds) after which older ones count for less."""
+    changed_share: float = 0.25
+    """A change of what the looks say counts from 1 % of the focal length and this share of what they said on."""
     least_markers: int = 6
     """Fewer show no pattern,"""
     least_power_px: float = 1.0

@@ -194,6 +194,38 @@ def test_a_distortion_that_is_off_is_not_taken_for_a_focal_length(
     assert [text.split(" % ")[1] for text in told] == (["off: calibrate camera"] if abs(share) > 0.1 else [])
 
 
+class ZoomingWorld(LaidWorld):
+    """The focal length grows by a share in flight."""
+
+    share = 0.0
+
+    def _look(self, t: float) -> None:
+        before = len(self.pending)
+        super()._look(t)
+        if self.t_us >= JUMP_US // 2:
+            center = np.array(VEHICLE.eye.center_px)
+            for n in range(before, len(self.pending)):
+                due_us, seen = self.pending[n]
+                grown = center + (1.0 + self.share) * (seen.corners_px - center)
+                self.pending[n] = (due_us, replace(seen, corners_px=grown))
+
+
+@pytest.mark.parametrize("share", [0.03, -0.05])
+def test_a_lens_that_changes_in_flight_is_in_doubt_and_followed(floor: MarkerMap, share: float) -> None:
+    """However little of its calibration is known: that is no error of it."""
+    world = ZoomingWorld(floor, 17)
+    world.share = share
+    track, told = flown(create_ekf(load_vehicle("lbv150"), floor, 1.5), world, 12.0)
+    changed_us = JUMP_US // 2
+    before = [nav for nav in track.nav if nav.t_us < changed_us]
+    assert not any(nav.doubts for nav in before)
+    doubted = [nav.t_us for nav in track.nav if NavDoubt.CALIBRATION in nav.doubts]
+    assert doubted[0] - changed_us < 4_000_000
+    assert track.nav[-1].t_us == doubted[-1]
+    assert told[-1].startswith("Focal length ")
+    assert np.abs(track.after(11.0).pos_error()[:, 2]).max() < 0.02, "3 to 5 % of the height are 30 to 50 mm"
+
+
 @pytest.mark.parametrize("percent", [-2.0, 3.0])
 def test_a_lens_that_is_not_what_its_file_says_is_in_doubt(floor: MarkerMap, percent: float) -> None:
     focal = tuple((1.0 + 0.01 * percent) * f for f in VEHICLE.camera.focal_px)
