@@ -234,6 +234,8 @@ def _some(names: list[str]) -> str:
 
 def _survey_warnings(result: "Survey", *, known: bool) -> list[str]:
     """Warnings about a survey. ``known``: there was a rough map, of markers that should be there."""
+    from autopilot.markermaps.markermaps_tuning import ADJUSTMENT, SURVEY
+
     found = []
     if not result.converged:
         found.append("the adjustment has not converged; take more views from more places")
@@ -256,6 +258,11 @@ def _survey_warnings(result: "Survey", *, known: bool) -> list[str]:
     if result.misread:
         found.append(
             f"two or more cells of these are wrong: {_some(result.misread)}; bad print, something on it, or none"
+        )
+    if abs(result.shrink_px - ADJUSTMENT.shrink_px) > SURVEY.shrink_sigmas * ADJUSTMENT.shrink_sigma_px:
+        found.append(
+            f"corners are drawn inwards by {result.shrink_px:.2f} px, which blur does not do: marker size, given places"
+            " and camera do not fit together; measure a black square and two places again"
         )
     if not result.scaled:
         found.append("the scale is that of the printed size alone: measure between two markers and give --length")

@@ -122,6 +122,8 @@ class SurveyTuning:
     """Place [m] and angle [rad] of markers whose pose is given."""
     misread_fraction: float = 1.0 / 3.0
     """A marker whose cells are wrong in this fraction of its sights is worth a word."""
+    shrink_sigmas: float = 5.0
+    """Blur draws corners inwards by no more than so many sigmas of the prior: what is beyond is a wrong size."""
     used_weight: float = 0.25
     """A sight whose corners weigh less than this on average was rejected."""
 

@@ -230,6 +230,12 @@ def _report(
     placed = bootstrap.markers
     trust = result.weight.mean(axis=1) >= SURVEY.used_weight
     sights = np.bincount(network.marker[trust], minlength=len(placed))
+    contradicted = [_name(rough, placed[k].id) for k in sorted(anchors) if sights[k] < SURVEY.min_sights]
+    if len(anchors) > 1 and contradicted:
+        raise ConfigError(
+            f"--fix: views do not show {', '.join(contradicted)} where the rough map has it; correct its pose there, or"
+            " fix another one"
+        )
     square = np.where(trust, (result.residual_px**2).mean(axis=(1, 2)), 0.0)
     rms = np.sqrt(np.bincount(network.marker, square, len(placed)) / np.maximum(sights, 1))
     rows, kept = [], []
