@@ -35,10 +35,10 @@ class BoardSpec:
         smallest = {"charuco": 3, "chessboard": 4}.get(self.kind, 1)
         if min(self.columns, self.rows) < smallest:
             raise ConfigError(f"board of {self.columns} x {self.rows}: too small; use at least {smallest} x {smallest}")
-        if self.kind == "chessboard":
-            if not self.pitch_m > 0.0:
-                raise ConfigError(f"squares of {self.pitch_m:g} m; measure the print and give --square")
-        elif not 0.0 < self.marker_m < self.pitch_m:
+        least_m, most_m = BOARDS.pitch_m
+        if not least_m <= self.pitch_m <= most_m:
+            raise ConfigError(f"squares of {self.pitch_m:g} m; give --square in metres, {least_m:g} to {most_m:g}")
+        if self.kind != "chessboard" and not 0.0 < self.marker_m < self.pitch_m:
             raise ConfigError(
                 f"marker of {self.marker_m:g} m must lie between 0 and the pitch, {self.pitch_m:g} m; measure the print"
             )

@@ -10,6 +10,8 @@ class BoardsTuning:
     refine_cells: float = 0.7
     """Half width of the refinement window in cells of a marker: OpenCV's 0.3 leaves 0.7 px of noise on small markers,
     more than 1 would take in the next cell's corner."""
+    pitch_m: tuple[float, float] = (0.002, 1.0)
+    """Least and most: what is beyond was not given in metres."""
     quiet_mm: float = 8.0
     """White round the pattern on the sheet."""
     scale_bar_mm: float = 100.0
@@ -176,6 +178,8 @@ POSE_FIT = PoseFitTuning()
 @dataclass(frozen=True, slots=True)
 class ThrustCurveTuning:
     least_rows: int = 6
+    most_v: float = 1000.0
+    """Supply voltages above were given in millivolts."""
     still_fraction: float = 0.01
     """Thrusts below this part of the largest are none: a load cell's zero is never quite 0."""
     same_voltage: float = 0.03

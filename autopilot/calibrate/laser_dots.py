@@ -13,7 +13,7 @@ from autopilot.calibrate.boards import CalibrationBoard
 from autopilot.calibrate.calibrate_tuning import LASER_DOTS
 from autopilot.calibrate.laser_fit import Dots, floor_depths
 from autopilot.calibrate.recorded_flight import CameraFlight
-from autopilot.calibrate.views import image_files, read_images
+from autopilot.calibrate.views import image_files, none_readable, read_images
 from autopilot.core.camera import CameraModel
 from autopilot.core.errors import ConfigError, LogError
 from autopilot.core.frames import FloatArray
@@ -103,8 +103,11 @@ def board_dots(board: CalibrationBoard, camera: CameraModel, folder: Path) -> Do
     if camera.port is not None or camera.fisheye:
         raise ConfigError('calibration from pictures needs camera.model = "pinhole"; use a log instead')
     parts = []
-    for number, (name, image) in enumerate(read_images(image_files(folder), cv2.IMREAD_COLOR)):
+    torn = []
+    files = image_files(folder, ", or a log")
+    for number, (name, image) in enumerate(read_images(files, cv2.IMREAD_COLOR)):
         if image is None:
+            torn.append(name)
             continue
         if image.shape[:2] != (camera.height_px, camera.width_px):
             raise ConfigError(
@@ -124,6 +127,8 @@ def board_dots(board: CalibrationBoard, camera: CameraModel, folder: Path) -> Do
         _, rays = camera.rays(pixels)
         depth = float(normal @ np.asarray(shift, dtype=float).ravel()) / (rays @ normal)
         parts.append((number, camera.normalized(pixels), depth))
+    if len(torn) == len(files):
+        raise none_readable(folder, torn)
     if not parts:
         raise ConfigError(f"{folder}: no image shows both the board and a green dot; check --board and the laser")
     return _joined(parts)

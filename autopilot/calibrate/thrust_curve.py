@@ -78,8 +78,10 @@ def read_table(path: Path, thruster: str | None = None) -> Readings:
             f"{path}: {len(values)} readings are too few; give {THRUST_CURVE.least_rows} or more, both ways"
         )
     columns = np.array(values).T
-    if not (columns[2] > 0.0).all():
-        raise ConfigError(f"{path}: `supply_v` must be above 0; give the voltage at the amplifier")
+    if not ((columns[2] > 0.0) & (columns[2] <= THRUST_CURVE.most_v)).all():
+        raise ConfigError(
+            f"{path}: `supply_v` must be above 0, at most {THRUST_CURVE.most_v:g}; give volts at the amplifier"
+        )
     return Readings(*columns)
 
 

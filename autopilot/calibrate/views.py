@@ -1,6 +1,6 @@
 """Views of a calibration board: from a folder of images, or from a camera or video of a moving board."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -10,7 +10,7 @@ import numpy as np
 
 from autopilot.calibrate.boards import CalibrationBoard
 from autopilot.calibrate.calibrate_tuning import VIEWS
-from autopilot.core.errors import ConfigError, DriverError
+from autopilot.core.errors import ConfigError, DriverError, SourceError
 from autopilot.core.frames import FloatArray
 
 SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".pgm", ".webp")
@@ -34,14 +34,22 @@ class Views:
     """Image and why."""
 
 
-def image_files(folder: Path) -> list[Path]:
-    """Images of a folder by name. ConfigError without any."""
+def image_files(folder: Path, instead: str = "") -> list[Path]:
+    """Images of a folder by name. SourceError without any. ``instead``: what else would do, e.g. "or a film"."""
+    wanted = f"give the folder that holds the images{instead}"
     if not folder.is_dir():
-        raise ConfigError(f"{folder}: is not a folder; give the folder that holds the images")
-    files = sorted(path for path in folder.iterdir() if path.suffix.lower() in SUFFIXES)
+        kind = "is not a folder" if folder.exists() else "does not exist"
+        kind = "is one image" if is_image(folder) else kind
+        raise SourceError(f"{folder}: {kind}; {wanted}")
+    files = sorted(path for path in folder.iterdir() if is_image(path))
     if not files:
-        raise ConfigError(f"{folder}: holds no images; put {', '.join(SUFFIXES[:3])} files there")
+        raise SourceError(f"{folder}: holds no images ({', '.join(SUFFIXES[:3])}); {wanted}")
     return files
+
+
+def is_image(path: Path) -> bool:
+    """Whether it is a file with the ending of an image."""
+    return path.suffix.lower() in SUFFIXES and path.is_file()
 
 
 def read_images(files: Iterable[Path], flag: int = cv2.IMREAD_GRAYSCALE) -> Iterable[tuple[str, Any]]:
@@ -52,7 +60,8 @@ def read_images(files: Iterable[Path], flag: int = cv2.IMREAD_GRAYSCALE) -> Iter
 
 
 def collect_views(board: CalibrationBoard, images: Iterable[tuple[str, Any]], origin: str) -> Views:
-    """Find the board in images. ConfigError if their sizes differ or no image shows the board."""
+    """Find the board in images. ConfigError if their sizes differ or no image shows the board, SourceError if none can
+    be read."""
     size: tuple[int, int] | None = None
     first = ""
     views, left_out = [], []
@@ -73,21 +82,34 @@ def collect_views(board: CalibrationBoard, images: Iterable[tuple[str, Any]], or
             left_out.append((name, "board not found"))
         else:
             views.append(BoardView(name=name, points_m=found[0], pixels=found[1]))
-    if size is None or not views:
+    if left_out and size is None:
+        raise none_readable(origin, [name for name, _ in left_out])
+    if not views:
         dictionary = "" if board.spec.kind == "chessboard" else f" {board.spec.dictionary}"
         shape = f"{board.spec.kind} {board.spec.columns}x{board.spec.rows}{dictionary}"
+        where = f"none of {len(left_out)} images" if left_out else "no frame, sharp and at rest"
         raise ConfigError(
-            f"{origin}: the board ({shape}) is seen in none of {len(left_out)} images; check --board, --shape,"
+            f"{origin}: the board ({shape}) is seen in {where}; check --board, --shape,"
             " --dictionary and --legacy against the print"
         )
+    assert size is not None
     return Views(width_px=size[0], height_px=size[1], views=tuple(views), left_out=tuple(left_out))
+
+
+def none_readable(origin: object, names: Sequence[str]) -> SourceError:
+    some = ", ".join(names[:3])
+    return SourceError(f"{origin}: OpenCV reads none of {len(names)} images ({some}); give JPEG or PNG files")
 
 
 def live_images(board: CalibrationBoard, source: str, wanted: int, folder: Path | None) -> Iterable[tuple[str, Any]]:
     """Different, unblurred views from a V4L2 device (``/dev/video0``) or a film; saved into ``folder`` if given.
 
-    DriverError if it cannot be opened."""
+    DriverError if it cannot be opened, SourceError if it is no film."""
     capture = cv2.VideoCapture(source, cv2.CAP_V4L2 if source.startswith("/dev/") else cv2.CAP_ANY)
+    if not capture.isOpened() and not source.startswith("/dev/"):
+        raise SourceError(
+            f"{source}: is not a film that OpenCV reads; give a film, or the folder that holds the images"
+        )
     if not capture.isOpened():
         raise DriverError(f"camera {source}: cannot be opened; check the name (ls /dev/video*) and who else uses it")
     if folder is not None:

@@ -76,6 +76,8 @@ def calibrate() -> None:
 @click.argument("sheet", type=click.Path(path_type=Path, dir_okay=False))
 def board(sheet: Path, board: str, **spec: Any) -> None:
     """Write SHEET (.svg): a calibration board to print at true scale."""
+    if sheet.suffix.lower() != ".svg":
+        raise click.UsageError(f"{sheet}: a sheet is an SVG file; name it .svg")
     made = _board(board, **spec)
     _write(sheet, made.svg())
     width_m, height_m = made.spec.size_m
@@ -111,7 +113,7 @@ def camera(
 ) -> None:
     """Intrinsics from SOURCE: a folder of images of a board, a camera (/dev/video0) or a film. Exit 3 with remarks."""
     from autopilot.calibrate.intrinsics import NAMES, calibrate, camera_values, coverage, remarks
-    from autopilot.calibrate.views import collect_views, image_files, live_images, read_images
+    from autopilot.calibrate.views import collect_views, image_files, is_image, live_images, read_images
     from autopilot.core.extras import need_analysis
     from autopilot.core.vehicle import load_vehicle
 
@@ -119,8 +121,9 @@ def camera(
         need_analysis()
     expected = load_vehicle(vehicle).eye
     made = _board(board, **spec)
-    live = source.startswith("/dev/") or Path(source).is_file()
-    images = live_images(made, source, views, save) if live else read_images(image_files(Path(source)))
+    path = Path(source)
+    live = source.startswith("/dev/") or (path.is_file() and not is_image(path))
+    images = live_images(made, source, views, save) if live else read_images(image_files(path, ", or a film of it"))
     result = calibrate(collect_views(made, images, source), fix_k3=fix_k3)
     spread = coverage(result)
     warnings = remarks(result, spread, expected, medium)
@@ -287,10 +290,11 @@ def laser(
     from autopilot.calibrate.laser_dots import board_dots, log_dots
     from autopilot.calibrate.laser_fit import beam_values, fit_beam
     from autopilot.calibrate.recorded_flight import read_flight
+    from autopilot.calibrate.views import is_image
     from autopilot.core.camera import CameraModel
     from autopilot.core.vehicle import load_vehicle
 
-    if source.is_dir():
+    if source.is_dir() or is_image(source):
         known = load_vehicle(vehicle or "lbv150")
         model = CameraModel.of_vehicle(known)
         dots = board_dots(_board(board, **spec), model, source)

@@ -9,7 +9,7 @@ import click
 
 from autopilot import __version__
 from autopilot.cli.console_output import EXIT_FAILED
-from autopilot.core.errors import AutopilotError
+from autopilot.core.errors import AutopilotError, SourceError
 from autopilot.core.extras import ANALYSIS, without
 
 _COMMANDS: dict[str, tuple[str, str]] = {
@@ -102,7 +102,7 @@ def run(command: Callable[[], object]) -> int:
         return EXIT_INTERRUPTED
     except AutopilotError as error:
         click.echo(f"error: {error}", err=True)
-        return EXIT_FAILED
+        return click.UsageError.exit_code if isinstance(error, SourceError) else EXIT_FAILED
     except ModuleNotFoundError as error:
         library = str(error.name).partition(".")[0]
         if library not in ANALYSIS:

@@ -6,10 +6,16 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from autopilot.cli.console_output import EXIT_LOSS
 from autopilot.cli.finite import Finite, FiniteRange
 
 if TYPE_CHECKING:
     from autopilot.core.markers import MarkerMap
+
+
+MOST_M = 5.0
+"""As in map files: a larger number is in millimetres."""
+MARKER_SIZE = FiniteRange(min=0.002, max=MOST_M)
 
 
 @click.command()
@@ -19,10 +25,10 @@ if TYPE_CHECKING:
 @click.option(
     "--floor", nargs=2, type=FiniteRange(min=0.0, min_open=True), metavar="NORTH EAST", help="or metres to fill."
 )
+@click.option("--size", type=MARKER_SIZE, default=0.06, show_default=True, help="Black square [m].")
 @click.option(
-    "--size", type=FiniteRange(min=0.0, min_open=True), default=0.06, show_default=True, help="Black square [m]."
+    "--gap", type=FiniteRange(min=0.0, max=MOST_M), default=0.02, show_default=True, help="White between them [m]."
 )
-@click.option("--gap", type=FiniteRange(min=0.0), default=0.02, show_default=True, help="White between them [m].")
 @click.option("--dictionary", default="DICT_4X4_1000", show_default=True, help="OpenCV's name, AprilTags too.")
 @click.option("--first-id", type=click.IntRange(min=0), default=0, show_default=True, help="Of the grid.")
 @click.option("--seed", type=click.IntRange(min=0), default=7, show_default=True, help="Order of ids of a floor.")
@@ -35,8 +41,11 @@ if TYPE_CHECKING:
 @click.option("--margin", type=FiniteRange(min=0.0), default=8.0, show_default=True, help="The printer's, mm.")
 @click.option("--out", type=click.Path(file_okay=False), required=True, help="Folder for board.pdf, sheets, map.toml.")
 def board(file: str | None, **options: Any) -> None:
-    """Make printable sheets in true size (PDF and SVG) and the map file, of a grid, a whole floor or the map FILE."""
+    """Make printable sheets in true size (PDF and SVG) and the map file, of a grid, a whole floor or the map FILE.
+
+    Exit 3 with warnings."""
     from autopilot.core.marker_files import load_marker_map, marker_file_text
+    from autopilot.markermaps.check_markers import map_warnings
     from autopilot.markermaps.page import pdf_bytes, svg_text
     from autopilot.markermaps.sheets import make_sheets, on_sheets, paper_of, plane_of
 
@@ -70,6 +79,11 @@ def board(file: str | None, **options: Any) -> None:
     (folder / "map.toml").write_text(marker_file_text(on_sheets(plane, paper), notes), encoding="utf-8")
     click.echo(f"{folder}: {len(layout.ids)} markers on {len(pages)} sheets (board.pdf, sheet-NNN.svg), map.toml")
     click.echo("print at 100 % and measure the scale bar")
+    warnings = map_warnings(layout)
+    for text in warnings:
+        click.echo(f"warning: {text}", err=True)
+    if warnings:
+        raise click.exceptions.Exit(EXIT_LOSS)
 
 
 def _grid(*, heading_rad: float, **options: Any) -> "MarkerMap":
@@ -79,17 +93,24 @@ def _grid(*, heading_rad: float, **options: Any) -> "MarkerMap":
     from autopilot.core.dictionaries import dictionary_size, resolve_dictionary
     from autopilot.core.errors import ConfigError
     from autopilot.core.frames import r_ned_from_frd
+    from autopilot.core.marker_files import MAX_MARKERS, PlacedMarker, board_offsets, make_map, placed_markers
     from autopilot.core.marker_files import BoardEntry as BoardTable
-    from autopilot.core.marker_files import PlacedMarker, board_offsets, make_map, placed_markers
     from autopilot.core.markers import grid_floor
 
     options["dictionary"] = resolve_dictionary(options["dictionary"], Path(), "--dictionary")
     r = r_ned_from_frd(np.array([0.0, 0.0, heading_rad]))
     middle = np.array(options["at"])
+    pitch_m = options["size"] + options["gap"]
+    rows, columns = options["rows"] or 1, options["columns"] or 1
+    if options["floor"] is not None:
+        rows, columns = (int(metres / pitch_m) for metres in options["floor"])
+    if rows * columns > MAX_MARKERS:
+        raise ConfigError(
+            f"{rows} x {columns} markers are more than the {MAX_MARKERS} of a map; make it smaller, or the gap larger"
+        )
     if options["floor"] is not None:
         half = 0.5 * np.array(options["floor"])
         corners = np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]]) * half
-        pitch_m = options["size"] + options["gap"]
         flat = grid_floor(
             polygon_m=corners,
             depth_m=0.0,
@@ -100,7 +121,6 @@ def _grid(*, heading_rad: float, **options: Any) -> "MarkerMap":
         )
         places = [(m.id, m.center_ned_m) for m in placed_markers(flat)]
     else:
-        rows, columns = options["rows"] or 1, options["columns"] or 1
         table = BoardTable(
             rows=rows, columns=columns, gap_m=options["gap"], first_id=options["first_id"], center_m=(0.0, 0.0, 0.0)
         )

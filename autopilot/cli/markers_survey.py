@@ -8,11 +8,13 @@ import click
 
 from autopilot.cli.console_output import EXIT_LOSS, emit_json, print_table
 from autopilot.cli.finite import Finite, FiniteRange
+from autopilot.cli.markers_board import MARKER_SIZE
 from autopilot.cli.shared_options import JSON
 
 if TYPE_CHECKING:
     from autopilot.core.camera import CameraModel
     from autopilot.core.markers import MarkerMap
+    from autopilot.markermaps.scale import Length
     from autopilot.markermaps.survey import Survey
 
 
@@ -35,13 +37,17 @@ if TYPE_CHECKING:
 )
 @click.option("--fix", multiple=True, metavar="ID", help="Marker whose pose in the rough map is right; repeatable.")
 @click.option("--dictionary", help="Without a map: what to look for,")
-@click.option("--size", type=FiniteRange(min=0.0, min_open=True), help="the black squares' side [m],")
+@click.option("--size", type=MARKER_SIZE, help="the black squares' side [m],")
 @click.option("--depth", type=Finite(), default=0.0, show_default=True, help="and the floor's depth [m].")
 @click.option(
     "--anywhere", is_flag=True, help="Markers on walls and boxes, in any pose, not face up on one level floor."
 )
 @click.option(
-    "--length", nargs=3, metavar="ID ID M", help="Two markers and how far apart their middles are: fixes the scale."
+    "--length",
+    nargs=3,
+    multiple=True,
+    metavar="ID ID M",
+    help="Two markers and how far apart their middles are: fixes the scale; repeatable.",
 )
 @click.option("--vehicle", help="Vehicle file with the camera (images; default for logs: the log's),")
 @click.option(
@@ -71,8 +77,8 @@ def survey(sources: tuple[str, ...], as_json: bool, **options: Any) -> None:
     if options["rough"] is None and len(fixed) > 1:
         raise click.UsageError("without a map one marker can be fixed; use --length for the scale")
     level = False if options["anywhere"] else None
-    length = _length(rough, options["length"])
-    result = survey_map(camera, views, rough, fixed=fixed, rough_sigma=sigma, level=level, length=length)
+    lengths = [_length(rough, given) for given in options["length"]]
+    result = survey_map(camera, views, rough, fixed=fixed, rough_sigma=sigma, level=level, lengths=lengths)
     if options["out"] is not None:
         notes = [
             f"surveyed from {len(sources)} file(s), {result.views} views, corners good to {result.sigma_px:.2f} px"
@@ -117,19 +123,19 @@ def _rough_map(**options: Any) -> "MarkerMap":
     return MarkerMap(dictionary=dictionary, size_m=size, ids=np.arange(count), corners_ned_m=corners)
 
 
-def _length(rough: "MarkerMap", given: tuple[str, str, str] | None) -> tuple[int, int, float] | None:
+def _length(rough: "MarkerMap", given: tuple[str, str, str]) -> "Length":
     """Two ids and a distance. UsageError if they are none."""
-    if given is None:
-        return None
+    from autopilot.markermaps.scale import Length
+
     first, second, text = given
     try:
         length_m = float(text)
     except ValueError:
         length_m = math.nan
-    if not 0.0 < length_m < math.inf or first == second:
-        raise click.UsageError(f"--length {' '.join(given)}: give two markers and metres between their middles")
     a, b = (int(rough.ids[_index_of(rough, text, "--length")]) for text in (first, second))
-    return a, b, length_m
+    if not 0.0 < length_m < math.inf or a == b:
+        raise click.UsageError(f"--length {' '.join(given)}: give two markers and metres between their middles")
+    return Length(first=a, second=b, metres=length_m)
 
 
 def _views(sources: tuple[str, ...], wanted: "MarkerMap", **options: Any) -> "tuple[CameraModel, list[Any]]":
@@ -197,6 +203,12 @@ def _print_survey(result: "Survey", out: str | None) -> None:
             for r in result.rows
         ],
     )
+    if result.dropped:
+        print_table(
+            "Seen, but not in the map",
+            ("marker", "views", "reason"),
+            [(marker.name, marker.views, marker.reason) for marker in result.dropped],
+        )
     sigmas = np.array([r.sigma_m for r in result.rows])
     print_table(
         "Survey",
@@ -208,6 +220,7 @@ def _print_survey(result: "Survey", out: str | None) -> None:
             ("corner noise", f"{result.sigma_px:.3f} px"),
             ("corners drawn inwards by", f"{result.shrink_px:.3f} px"),
             ("sigma of places, median and largest", f"{mm(float(np.median(sigmas)))} mm, {mm(float(sigmas.max()))} mm"),
+            ("scale by --length", f"{result.scale:.4f}"),
             ("steps", result.steps),
         ],
     )
@@ -221,12 +234,19 @@ def _some(names: list[str]) -> str:
 
 def _survey_warnings(result: "Survey", *, known: bool) -> list[str]:
     """Warnings about a survey. ``known``: there was a rough map, of markers that should be there."""
+    from autopilot.markermaps.markermaps_tuning import ADJUSTMENT, SURVEY
+
     found = []
     if not result.converged:
         found.append("the adjustment has not converged; take more views from more places")
     if known and result.unseen and len(result.unseen) < 10 * len(result.rows):
         some = _some(result.unseen)
-        found.append(f"{len(result.unseen)} markers of the rough map were not seen twice and are left out: {some}")
+        found.append(f"{len(result.unseen)} markers of the rough map were not seen: {some}")
+    # Without a rough map one view may be a mistake: no marker is known to be there.
+    dropped = [marker.name for marker in result.dropped if known or marker.views > 1]
+    if dropped:
+        names = _some(dropped)
+        found.append(f"{len(dropped)} markers were seen and are not in the map, for the reasons listed: {names}")
     if result.left_out_views > 0.1 * (result.views + result.left_out_views):
         found.append(f"{result.left_out_views} views show too little of the rest; fly lanes that overlap")
     if result.disbelieved > 0.05 * result.sights:
@@ -238,6 +258,11 @@ def _survey_warnings(result: "Survey", *, known: bool) -> list[str]:
     if result.misread:
         found.append(
             f"two or more cells of these are wrong: {_some(result.misread)}; bad print, something on it, or none"
+        )
+    if abs(result.shrink_px - ADJUSTMENT.shrink_px) > SURVEY.shrink_sigmas * ADJUSTMENT.shrink_sigma_px:
+        found.append(
+            f"corners are drawn inwards by {result.shrink_px:.2f} px, which blur does not do: marker size, given places"
+            " and camera do not fit together; measure a black square and two places again"
         )
     if not result.scaled:
         found.append("the scale is that of the printed size alone: measure between two markers and give --length")
@@ -252,6 +277,7 @@ def _survey_json(result: "Survey") -> dict[str, Any]:
         "views": result.views,
         "left_out_views": result.left_out_views,
         "unseen": result.unseen,
+        "dropped": [asdict(marker) for marker in result.dropped],
         "sights": result.sights,
         "disbelieved": result.disbelieved,
         "sigma_px": result.sigma_px,
@@ -260,4 +286,5 @@ def _survey_json(result: "Survey") -> dict[str, Any]:
         "repeated": result.repeated,
         "misread": result.misread,
         "scaled": result.scaled,
+        "scale": result.scale,
     }

@@ -55,8 +55,9 @@ class ChangeWatch:
         new = status.nav_doubts - self._reported_doubts if armed else frozenset()
         texts += [_DOUBT_TEXTS[doubt]() for doubt in NavDoubt if doubt in new] if new else []
         self._reported_doubts = self._reported_doubts | new if armed else frozenset()
-        # The text of that warning already says why the fixes are rejected.
-        reported = health is NavHealth.DEAD_RECKONING and (bool(new) or NavDoubt.FIXES in status.nav_doubts)
+        # The text of that warning already says why the fixes are rejected; with fixes another sensor is at fault.
+        told = bool(new) or NavDoubt.FIXES in status.nav_doubts or status.fixed
+        reported = health is NavHealth.DEAD_RECKONING and told
         if armed and health is not self._health and not reported:
             texts.append(_HEALTH_TEXTS[health]())
         if armed and status.unreachable and not self._unreachable:

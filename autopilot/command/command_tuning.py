@@ -135,6 +135,8 @@ class ServiceTuning:
     """A second after the start, when the links are served, the controller has prepared what its first routes need."""
     counters_every_ticks: int = 100
     """The estimator's counts go to the log once per second."""
+    fixed_us: int = 1_000_000
+    """Age of the newest fix beyond which the estimate is dead reckoning, as the estimator has it."""
 
 
 SERVICE = ServiceTuning()

@@ -22,6 +22,8 @@ from autopilot.estimator.protocol import Estimator
 LAST_ESTIMATE_US = 200_000
 """Time for which the last estimate is used after a fault of the estimator; then there is none."""
 
+FIXES = ("markers", "external")
+"""Aiding sensors that measure the position."""
 GOOD_FRAMES = ("frames.ok", "frames.late", "frames.foggy")
 """Counts of pictures that are not of refused ones."""
 UNUSED_COUNTS = ("rejected", "late", "duplicate", "future", "malformed")
@@ -64,6 +66,8 @@ class Estimation:
         """Evidence against it or its sensors."""
         self.aid_ratio: dict[str, float] = {}
         """Test ratio of the newest measurement of each aiding sensor."""
+        self.fix_us: int | None = None
+        """Of the newest fix that met its gate: it agreed with the estimate within their sigmas."""
         self.errors = (0, 0, 0, 0)
         """AHRS samples refused, fixes not used, other aiding measurements not used, resets."""
 
@@ -78,6 +82,7 @@ class Estimation:
             self._estimated_us = inputs.t_us
         self.nav, self.doubts, self._ahrs_us = found.nav, found.doubts, found.ahrs_us
         self.aid_ratio.update((aid.sensor, aid.test_ratio) for aid in found.aids)
+        self.fix_us = max((aid.t_us for aid in found.aids if aid.fused and aid.sensor in FIXES), default=self.fix_us)
         return found
 
     def _estimate(self, inputs: Inputs, given: EstimatorInputs) -> Estimated:
@@ -126,7 +131,7 @@ class Estimation:
         """Its counts and those of the ``pictures``, for the log; in short they are :attr:`errors`."""
         counts = self._estimator.counters()
         unused = {sensor: sum(counts.get(f"{sensor}.{what}", 0) for what in UNUSED_COUNTS) for sensor in AID_SENSORS}
-        fixes = unused["markers"] + unused["external"]
+        fixes = sum(unused[sensor] for sensor in FIXES)
         refused = sum(count for name, count in pictures.items() if name not in GOOD_FRAMES)
         self.errors = (
             sum(counts.get(f"ahrs.{what}", 0) for what in (*UNUSED_COUNTS, "old", "stuck")),

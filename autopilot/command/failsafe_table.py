@@ -45,12 +45,14 @@ EFFECTS: dict[Effect, str] = {
 ACTIONS: tuple[Effect, ...] = ("warn", "hold", "surface", "return", "disarm", "drop", "hand back")
 """Values of most FS_..._ACT parameters, from 0."""
 
+Known: TypeAlias = Callable[[VehicleStatus], bool]
 Level: TypeAlias = Callable[[VehicleStatus, FailsafeInputs], float]
 Bound: TypeAlias = str | float
 """A parameter's name or a number."""
 
 _NAN = math.nan
 _DOUBTS = frozenset({NavDoubt.FIXES, NavDoubt.RANGE, NavDoubt.MAP, NavDoubt.CALIBRATION, NavDoubt.RESETS})
+_AGAINST_PLACE = _DOUBTS | {NavDoubt.CAMERA}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -72,6 +74,10 @@ class FailsafeRow:
     action: str = ""
     """Parameter that chooses among ``effects``, "" = the only one."""
     effects: tuple[Effect, ...] = ACTIONS
+    hold_s: Bound = 0.0
+    """A stronger action waits so long in HOLD,"""
+    hold_while: Known = lambda _: False
+    """but only while this is so."""
     severity: Severity = Severity.CRITICAL
     """Severity of the message when it is raised."""
     text: str
@@ -84,6 +90,11 @@ class FailsafeRow:
 
 def _age(t_us: int, since_us: float) -> float:
     return 1e-6 * (t_us - since_us)
+
+
+def _placed(v: VehicleStatus) -> bool:
+    """Whether the position is known without the AHRS: fixes agree with the estimate, and nothing speaks against it."""
+    return v.estimate is not None and v.fixed and v.nav_doubts.isdisjoint(_AGAINST_PLACE)
 
 
 ROWS: tuple[FailsafeRow, ...] = (
@@ -118,10 +129,12 @@ ROWS: tuple[FailsafeRow, ...] = (
     ),
     FailsafeRow(
         rule=Failsafe.AHRS_STALE,
-        condition="no new AHRS sample for 0.5 s",
+        condition="no new AHRS sample for 0.5 s; HOLD for `FS_AHRS_TIME` first, while fixes agree with the estimate",
         level=lambda v, f: _NAN if v.ahrs_age_s is None else v.ahrs_age_s,
         enter=0.5,
-        effects=("surface",),
+        action="FS_AHRS_ACT",
+        hold_s="FS_AHRS_TIME",
+        hold_while=_placed,
         text="AHRS silent or frozen",
     ),
     FailsafeRow(

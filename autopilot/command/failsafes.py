@@ -25,8 +25,8 @@ POSE_REMEDY = "check the pose source"
 
 class _RowState:
     __slots__ = (
-        *("active", "effect", "enter", "enter_us", "leave", "leave_us"),
-        *("level", "row", "sign", "since_us", "text"),
+        *("action", "active", "enter", "enter_us", "hold_us", "leave", "leave_us"),
+        *("level", "raised_us", "row", "sign", "since_us", "text", "waits"),
     )
 
     def __init__(self, row: FailsafeRow) -> None:
@@ -34,9 +34,12 @@ class _RowState:
         self.level = row.level
         self.sign = -1.0 if row.below else 1.0
         self.enter = self.leave = math.inf
-        self.enter_us = 0.0
+        self.enter_us = self.hold_us = 0.0
         self.leave_us = row.leave_s * 1e6
-        self.effect: Effect = "off"
+        self.action: Effect = "off"
+        self.waits = False
+        """In HOLD, before its action."""
+        self.raised_us = 0
         self.active = False
         self.since_us = -1
         """Since when it is about to change, -1 = it is not."""
@@ -46,12 +49,21 @@ class _RowState:
     def configure(self, params: Mapping[str, float]) -> None:
         row = self.row
         bound, self.enter_us = _value(row.enter, params), _value(row.enter_s, params) * 1e6
-        self.effect = row.effects[int(params[row.action])] if row.action else row.effects[0]
-        off = self.effect == "off" or (row.zero_is_off and bound == 0.0)
+        self.hold_us = _value(row.hold_s, params) * 1e6
+        self.action = row.effects[int(params[row.action])] if row.action else row.effects[0]
+        off = self.action == "off" or (row.zero_is_off and bound == 0.0)
         self.enter = math.inf if off else self.sign * bound
         self.leave = self.enter - row.gap
-        if int(params["FS_OVERRIDE"]) >> row.rule & 1 and RANK[self.effect] > 0:
-            self.effect = "warn"
+        if int(params["FS_OVERRIDE"]) >> row.rule & 1 and RANK[self.action] > 0:
+            self.action = "warn"
+
+    @property
+    def effect(self) -> Effect:
+        """Of now."""
+        return "hold" if self.waits and RANK[self.action] > RANK["hold"] else self.action
+
+    def may_wait(self, status: VehicleStatus) -> bool:
+        return status.t_us - self.raised_us < self.hold_us and self.row.hold_while(status)
 
 
 class FailsafeRules:
@@ -130,6 +142,8 @@ class FailsafeRules:
         for watch in self._watches if armed else self._grounded:
             level = watch.sign * watch.level(status, inputs)
             if watch.active:
+                if watch.waits and not watch.may_wait(status):
+                    watch.waits, self._judge = False, True
                 if level >= watch.leave:
                     watch.since_us = -1
                     continue
@@ -155,7 +169,8 @@ class FailsafeRules:
         return max(effects, key=RANK.__getitem__, default=None)
 
     def _turn(self, watch: _RowState, status: VehicleStatus, events: list[Event]) -> None:
-        watch.active, watch.since_us = not watch.active, -1
+        watch.active, watch.since_us, watch.raised_us = not watch.active, -1, status.t_us
+        watch.waits = watch.active and watch.may_wait(status)
         self.bits ^= 1 << watch.row.rule
         self._judge = True
         if watch.active:

@@ -384,6 +384,8 @@ class Autopilot:
         status.nav = estimated.nav
         status.power = environment.power
         status.ahrs_age_s = None if estimated.ahrs_us is None else (t_us - estimated.ahrs_us) * 1e-6
+        fix_us = self._estimation.fix_us
+        status.fixed = fix_us is not None and t_us - fix_us < SERVICE.fixed_us
         status.solver_failures = motion.solver_failures
         status.unreachable = self._parts.controller.unreachable
         status.path_left_m = motion.path_left_m

@@ -57,6 +57,8 @@ class VehicleStatus:
     """The newest reading of the battery that is plausible."""
     ahrs_age_s: float | None = None
     """Since the last good sample (a frozen device sends none), None before the first."""
+    fixed: bool = False
+    """A fix has agreed with the estimate of late."""
     solver_failures: int = 0
     """NMPC steps in a row without a solution."""
     unreachable: bool = False

@@ -2,6 +2,7 @@
 
 ``AutopilotError``
   ``ConfigError``   invalid configuration, scenario, vehicle or parameter file; nothing was changed
+    ``SourceError``  a file or folder of another kind than the command reads
   ``PlanError``     invalid plan or plan file; the active plan stays
   ``DriverError``   a device or link cannot be opened or has failed
   ``LogError``      a log cannot be read or written
@@ -17,6 +18,10 @@ class AutopilotError(Exception):
 
 class ConfigError(AutopilotError):
     """A configuration file or value is invalid. Nothing has been changed."""
+
+
+class SourceError(ConfigError):
+    """What was given is no folder of images, no film, ...: a usage error."""
 
 
 class PlanError(AutopilotError):

@@ -136,6 +136,8 @@ PARAMETERS: tuple[ParamSpec, ...] = (
     ),
     _int("FENCE_GAP_CHK", 1, 0, 1, "Gap narrower than the vehicle: 0 = warn, 1 = refuse the fence."),
     _int("FENCE_REQUIRED", 0, 0, 1, "Without a fence: 0 = warn, 1 = no arming."),
+    _int("FS_AHRS_ACT", 2, 0, 6, f"AHRS silent or frozen: {_ACTIONS}."),
+    _real("FS_AHRS_TIME", 5.0, 0.0, 600.0, "s", "Time in HOLD before FS_AHRS_ACT, while fixes agree."),
     _int("FS_ASCENT_ACT", 0, 0, 6, f"Surfacing without a position for FS_ASCENT_TIME: {_ACTIONS}."),
     _real("FS_ASCENT_TIME", 300.0, 1.0, 7200.0, "s", "Longest ascent without a position."),
     _int("FS_BATT_ACT", 2, 0, 6, f"Battery below FS_BATT_LOW or BATT_LOW_VOLT: {_ACTIONS}."),

@@ -67,6 +67,21 @@ CHECK = CheckTuning()
 
 
 @dataclass(frozen=True, slots=True)
+class ScaleTuning:
+    print_fraction: float = 0.003
+    """Standard deviation of a print's scale, and of the blur at its edges."""
+    tape_m: float = 0.001
+    """Standard deviation of a measured length."""
+    network_factor: float = 2.0
+    """By so much the sigmas of a network without fixed markers are too small."""
+    sigmas: float = 3.0
+    """Lengths that are farther off are refused."""
+
+
+SCALE = ScaleTuning()
+
+
+@dataclass(frozen=True, slots=True)
 class SheetsTuning:
     footer_mm: float = 9.0
     """Below the cut area, for the scale bar and the sheet's name."""
@@ -107,6 +122,8 @@ class SurveyTuning:
     """Place [m] and angle [rad] of markers whose pose is given."""
     misread_fraction: float = 1.0 / 3.0
     """A marker whose cells are wrong in this fraction of its sights is worth a word."""
+    shrink_sigmas: float = 5.0
+    """Blur draws corners inwards by no more than so many sigmas of the prior: what is beyond is a wrong size."""
     used_weight: float = 0.25
     """A sight whose corners weigh less than this on average was rejected."""
 

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from autopilot.core.camera import CameraModel
-from autopilot.core.errors import ConfigError, LogError
+from autopilot.core.errors import ConfigError, LogError, SourceError
 from autopilot.core.frames import FloatArray
 from autopilot.core.markers import ID_SPAN, IntArray, MarkerMap
 from autopilot.core.samples import CameraFrame
@@ -103,7 +103,7 @@ def _images(paths: Sequence[Path], most: int) -> Iterator[tuple[str, Path, Any]]
             continue
         image = cv2.imread(str(path), cv2.IMREAD_COLOR)
         if image is None:
-            raise ConfigError(f"{path}: is not an image that OpenCV reads; give JPEG or PNG files, or a film")
+            raise SourceError(f"{path}: is not an image that OpenCV reads; give JPEG or PNG files, or a film")
         yield path.name, path, image
 
 
@@ -113,7 +113,7 @@ def _frames(path: Path, most: int) -> Iterator[tuple[int, Any]]:
     try:
         total = int(film.get(cv2.CAP_PROP_FRAME_COUNT)) if film.isOpened() else 0
         if total < 1:
-            raise ConfigError(f"{path}: is not a film that OpenCV reads; give its frames as JPEG or PNG files")
+            raise SourceError(f"{path}: is not a film that OpenCV reads; give its frames as JPEG or PNG files")
         wanted = set(np.linspace(0, total - 1, min(most, total)).round().astype(int).tolist())
         for number in range(total):
             if not film.grab():

@@ -16,6 +16,7 @@ from autopilot.core.markers import ID_SPAN, IntArray, MarkerMap
 from autopilot.markermaps.adjustment import Adjusted, Network, adjust
 from autopilot.markermaps.bootstrap import Bootstrap, Placed, network_indices, recognise, tie_together
 from autopilot.markermaps.markermaps_tuning import SURVEY
+from autopilot.markermaps.scale import Length, apply_lengths
 from autopilot.markermaps.sightings import SheetView
 
 
@@ -34,6 +35,16 @@ class SurveyedMarker:
     """Distance from where the rough map has it; NaN where that has none."""
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DroppedMarker:
+    """Seen, but not in the surveyed map."""
+
+    name: str
+    views: int
+    """Views that show it."""
+    reason: str
+
+
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Survey:
     markers: MarkerMap
@@ -44,7 +55,9 @@ class Survey:
     left_out_views: int
     """and those that could not be tied to the rest."""
     unseen: list[str]
-    """Markers of the rough map that no two views show; not in the map."""
+    """Markers of the rough map that no view shows,"""
+    dropped: list[DroppedMarker]
+    """and markers that were seen and are not in the map."""
     disbelieved: int
     """Rejected sightings of markers."""
     sights: int
@@ -58,6 +71,8 @@ class Survey:
     """and those whose cells were wrong in a third of their sights."""
     scaled: bool
     """Whether a known length, two given poses or rough places fix the scale; else the markers' printed size does."""
+    scale: float
+    """By which factor the lengths changed it."""
 
 
 def survey_map(
@@ -68,15 +83,14 @@ def survey_map(
     fixed: IntArray,
     rough_sigma: tuple[float, float] = (math.inf, math.inf),
     level: bool | None = None,
-    length: tuple[int, int, float] | None = None,
+    lengths: Sequence[Length] = (),
 ) -> Survey:
     """Survey the markers of ``rough``, which has all ids and sizes that may be seen.
 
     ``fixed`` are the indices of markers whose poses are right as they stand there. The places of the others are known
     to ``rough_sigma`` (metres, radians); infinite: not at all. Without any fixed marker and without rough places the
     marker that most views show stays where it is. ``level``: whether all lie face up at one depth; None = as in the
-    rough map. ``length``: ids of two markers and how far apart their middles are [m]; everything is scaled to that.
-    ConfigError if too little hangs together.
+    rough map. Everything is scaled to the ``lengths``. ConfigError if too little hangs together, or if they disagree.
     """
     level = rough.level if level is None else level
     ids, count = np.unique(rough.ids, return_counts=True)
@@ -103,10 +117,9 @@ def survey_map(
             " others; fix a marker that was seen, or record views that overlap"
         )
     network, result, nominal, anchors = _adjusted(camera, bootstrap, rough, fixed, list(seeds), rough_sigma, level)
-    if length is not None:
-        _scale(network, result, [marker.id for marker in bootstrap.markers], length)
-    scaled = length is not None or len(anchors) > 1 or math.isfinite(rough_sigma[0])
-    return _report(network, result, bootstrap, rough, nominal, anchors, views, unique, scaled)
+    scale = apply_lengths(network, result, [marker.id for marker in bootstrap.markers], lengths)
+    scaled = bool(lengths) or len(anchors) > 1 or math.isfinite(rough_sigma[0])
+    return _report(network, result, bootstrap, rough, nominal, anchors, views, unique, scaled, scale)
 
 
 def _seeds(views: Sequence[SheetView], rough: MarkerMap, fixed: IntArray, unique: set[int]) -> list[int]:
@@ -168,24 +181,6 @@ def _adjusted(
     return network, adjust(network), nominal, set(anchors)
 
 
-def _scale(network: Network, result: Adjusted, ids: list[int], length: tuple[int, int, float]) -> None:
-    """Make everything larger or smaller until two markers are so far apart. ConfigError if they were not seen."""
-    first, second, wanted_m = length
-    for marker_id in (first, second):
-        if ids.count(marker_id) != 1:
-            raise ConfigError(
-                f"--length: marker {marker_id % ID_SPAN} is {ids.count(marker_id)} times in the survey; name two that"
-                " are there once"
-            )
-    a, b = (network.centers_ned_m[ids.index(marker_id)] for marker_id in (first, second))
-    factor = wanted_m / float(np.linalg.norm(a - b))
-    origin = network.centers_ned_m[0]
-    network.centers_ned_m = origin + factor * (network.centers_ned_m - origin)
-    network.eyes_ned_m = origin + factor * (network.eyes_ned_m - origin)
-    network.sizes_m = factor * network.sizes_m
-    result.sigma_m[:] *= factor
-
-
 def _match(
     rough: MarkerMap, placed: Sequence[Placed], centers: FloatArray, fixed: IntArray, seeds: list[int]
 ) -> IntArray:
@@ -230,14 +225,22 @@ def _report(
     views: Sequence[SheetView],
     unique: set[int],
     scaled: bool,
+    scale: float,
 ) -> Survey:
     placed = bootstrap.markers
     trust = result.weight.mean(axis=1) >= SURVEY.used_weight
     sights = np.bincount(network.marker[trust], minlength=len(placed))
+    contradicted = [_name(rough, placed[k].id) for k in sorted(anchors) if sights[k] < SURVEY.min_sights]
+    if len(anchors) > 1 and contradicted:
+        raise ConfigError(
+            f"--fix: views do not show {', '.join(contradicted)} where the rough map has it; correct its pose there, or"
+            " fix another one"
+        )
     square = np.where(trust, (result.residual_px**2).mean(axis=(1, 2)), 0.0)
     rms = np.sqrt(np.bincount(network.marker, square, len(placed)) / np.maximum(sights, 1))
     rows, kept = [], []
-    order = sorted(_without_conflicts(network, placed, sights), key=lambda k: (int(nominal[k]) < 0, int(nominal[k]), k))
+    chosen, hidden = _without_conflicts(network, placed, sights)
+    order = sorted(chosen, key=lambda k: (int(nominal[k]) < 0, int(nominal[k]), k))
     for k in order:
         kind, marker_id = divmod(placed[k].id, ID_SPAN)
         one = PlacedMarker(
@@ -264,16 +267,23 @@ def _report(
                 moved_m=moved,
             )
         )
-    in_map = {(row.dictionary, row.id) for row in rows}
-    unseen = [
-        f"{dictionary_label(m.dictionary)} {m.id}" for m in placed_markers(rough) if (m.dictionary, m.id) not in in_map
-    ]
+    shown = Counter(marker_id for view in views for marker_id in (*view.ids.tolist(), *view.repeated))
+    over = {placed[k].id: _name(rough, placed[c].id) for k, c in hidden.items()}
+    in_map = {placed[k].id for k in chosen}
+    tied = Counter(marker_id for one in bootstrap.views for marker_id in one.view.ids.tolist())
     return Survey(
         markers=make_map(kept, "survey"),
         rows=rows,
         views=len(bootstrap.views),
         left_out_views=bootstrap.left_out,
-        unseen=unseen,
+        unseen=[_name(rough, marker_id) for marker_id in rough.ids.tolist() if marker_id not in shown],
+        dropped=[
+            DroppedMarker(
+                name=_name(rough, marker_id), views=count, reason=_why_dropped(rough, marker_id, count, tied, over)
+            )
+            for marker_id, count in sorted(shown.items())
+            if marker_id not in in_map
+        ],
         disbelieved=int((~trust).sum()),
         sights=len(trust),
         sigma_px=result.sigma_px,
@@ -285,12 +295,28 @@ def _report(
         ),
         misread=_misread(rough, views),
         scaled=scaled,
+        scale=scale,
     )
+
+
+def _why_dropped(rough: MarkerMap, marker_id: int, views: int, tied: Counter[int], over: dict[int, str]) -> str:
+    """Why a marker that was seen is not in the map. ``tied``: in how many connected views it is; ``over``: who is seen
+    more often where it lies."""
+    if marker_id not in rough.ids:
+        return "not in the rough map: its size is not known"
+    if marker_id in over:
+        return f"lies on {over[marker_id]}, which more views show"
+    if views < SURVEY.min_sights:
+        return f"{SURVEY.min_sights} views are needed"
+    if tied[marker_id] < SURVEY.min_sights:
+        return f"{tied[marker_id]} of these views show enough of the rest; {SURVEY.min_sights} are needed"
+    return "its views disagree about its place or shape: has it moved, is it flat?"
 
 
 def _name(rough: MarkerMap, marker_id: int) -> str:
     kind, number = divmod(marker_id, ID_SPAN)
-    return f"{dictionary_label(rough.dictionaries[kind])} {number}"
+    known = kind < len(rough.dictionaries)
+    return f"{dictionary_label(rough.dictionaries[kind]) if known else 'dictionary ' + str(kind)} {number}"
 
 
 def _repeated(rough: MarkerMap, views: Sequence[SheetView], in_map: list[int], unique: set[int]) -> list[str]:
@@ -310,9 +336,12 @@ def _misread(rough: MarkerMap, views: Sequence[SheetView]) -> list[str]:
     return [_name(rough, marker_id) for marker_id in often]
 
 
-def _without_conflicts(network: Network, placed: Sequence[Placed], sights: IntArray) -> list[int]:
-    """Markers seen often enough; of two at one position the one in more views."""
+def _without_conflicts(
+    network: Network, placed: Sequence[Placed], sights: IntArray
+) -> tuple[list[int], dict[int, int]]:
+    """Markers seen often enough; of two at one position the one in more views. And who was left out for which."""
     chosen: list[int] = []
+    hidden: dict[int, int] = {}
     for k in np.argsort(-sights, kind="stable").tolist():
         if sights[k] < SURVEY.min_sights:
             break
@@ -321,6 +350,7 @@ def _without_conflicts(network: Network, placed: Sequence[Placed], sights: IntAr
             same = np.array([placed[c].id == placed[k].id for c in chosen])
             reach = np.where(same, AMBIGUITY_M, 0.5 * (network.sizes_m[chosen] + network.sizes_m[k]))
             if (apart < reach).any():
+                hidden[k] = chosen[int(np.argmin(apart - reach))]
                 continue
         chosen.append(k)
-    return chosen
+    return chosen, hidden

@@ -44,7 +44,6 @@ def test_board_sheet(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (("camera", "no-such-folder"), "is not a folder"),
         (("camera", "/dev/video96"), "cannot be opened"),
         (("camera", ".", "--shape", "9by6"), "COLUMNSxROWS"),
         (("board", "no-such-folder/x.svg"), "choose another place"),
@@ -61,6 +60,73 @@ def test_errors_are_one_line(
     assert words in error
     assert error.startswith("error: ")
     assert len(error.splitlines()) == 1
+
+
+@pytest.fixture(scope="module")
+def sources(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """What people give instead of a folder of images."""
+    folder = tmp_path_factory.mktemp("sources")
+    rng = np.random.default_rng(1)
+    for name in ("empty", "notes", "torn", "one"):
+        (folder / name).mkdir()
+    for path in ("notes/read.txt", "torn/a.png", "torn/b.jpg", "words.txt", "torn.png"):
+        (folder / path).write_bytes(b"words")
+    for path in ("one/a.png", "single.png"):
+        cv2.imwrite(str(folder / path), rng.integers(0, 255, (480, 640), dtype=np.uint8))
+    film = cv2.VideoWriter(str(folder / "film.avi"), cv2.VideoWriter.fourcc(*"MJPG"), 5.0, (640, 480))
+    for _ in range(4):
+        film.write(rng.integers(0, 255, (480, 640, 3), dtype=np.uint8))
+    film.release()
+    return folder
+
+
+FOLDER = "give the folder that holds the images"
+
+
+@pytest.mark.parametrize(
+    ("command", "source", "words", "code"),
+    [
+        ("camera", "single.png", f"is one image; {FOLDER}, or a film", 2),
+        ("camera", "torn.png", f"is one image; {FOLDER}, or a film", 2),
+        ("camera", "words.txt", f"is not a film that OpenCV reads; give a film, or {FOLDER[5:]}", 2),
+        ("camera", "empty", f"holds no images (.png, .jpg, .jpeg); {FOLDER}", 2),
+        ("camera", "notes", f"holds no images (.png, .jpg, .jpeg); {FOLDER}", 2),
+        ("camera", "torn", "OpenCV reads none of 2 images (a.png, b.jpg)", 2),
+        ("camera", "none", f"does not exist; {FOLDER}", 2),
+        ("camera", "one", "is seen in none of 1 images", 1),
+        ("camera", "film.avi", "is seen in no frame", 1),
+        ("laser", "single.png", f"is one image; {FOLDER}, or a log", 2),
+        ("laser", "empty", f"holds no images (.png, .jpg, .jpeg); {FOLDER}, or a log", 2),
+        ("laser", "torn", "OpenCV reads none of 2 images (a.png, b.jpg)", 2),
+        ("laser", "one", "no image shows both the board and a green dot", 1),
+        ("laser", "film.avi", "is not an MCAP log", 1),
+    ],
+)
+def test_what_is_no_folder_of_images_is_named(
+    command: str, source: str, words: str, code: int, sources: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A single image was taken for a film, and the board sought in "none of 0 images"."""
+    assert call(command, str(sources / source)) == code
+    error = capsys.readouterr().err.splitlines()[-1]
+    assert error.startswith(f"error: {sources / source}: ") and words in error
+
+
+@pytest.mark.parametrize(
+    ("options", "words", "code"),
+    [
+        (("b.svg", "--square", "30", "--marker", "22"), "squares of 30 m; give --square in metres, 0.002 to 1", 1),
+        (("b.svg", "--square", "1e-6", "--marker", "1e-7"), "give --square in metres", 1),
+        (("b.svg", "--board", "chessboard", "--square", "0"), "give --square in metres", 1),
+        (("b.png",), "name it .svg", 2),
+    ],
+)
+def test_a_board_that_cannot_be_is_not_written(
+    options: tuple[str, ...], words: str, code: int, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A sheet of 270 m was written."""
+    sheet = tmp_path / options[0]
+    assert call("board", str(sheet), *options[1:]) == code
+    assert words in capsys.readouterr().err and not sheet.exists()
 
 
 def test_all_four_are_there() -> None:

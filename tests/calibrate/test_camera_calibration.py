@@ -102,7 +102,7 @@ def test_wrong_input_is_one_line(printed: Printed, pictures: list[tuple[str, Any
     small = cv2.resize(pictures[1][1], (320, 240))
     with pytest.raises(ConfigError, match="has 320 x 240 pixels"):
         collect_views(board, [pictures[0], ("small.png", small)], "mixed")
-    with pytest.raises(ConfigError, match="is not a folder"):
+    with pytest.raises(ConfigError, match="does not exist; give the folder"):
         image_files(tmp_path / "none")
     with pytest.raises(ConfigError, match="holds no images"):
         image_files(tmp_path)

@@ -81,6 +81,7 @@ def test_any_table_gives_a_curve_that_can_be_flown_or_is_refused(thrusts: list[f
         ("pulse_us,thrust_n,supply_v\n1500,zero,16\n", "line 2: `thrust_n` = 'zero' is not a number"),
         ("pulse_us,thrust_n,supply_v\n1500,0,16\n", "1 readings are too few"),
         ("pulse_us,thrust_n,supply_v\n" + "1900,5,0\n" * 6, "`supply_v` must be above 0"),
+        ("pulse_us,thrust_n,supply_v\n" + "1900,5,16000\n" * 6, "`supply_v` must be above 0, at most 1000; give volts"),
         ("pulse_us,thrust_n,supply_v\n" + "1900,5,16\n" * 6, "0 readings astern of neutral push"),
         (
             "thruster,pulse_us,thrust_n,supply_v\n" + "port,1900,5,16\nstarboard,1900,5,16\n" * 6,

@@ -4,6 +4,7 @@ import json
 import re
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -16,7 +17,10 @@ from autopilot.core.camera import CameraModel
 from autopilot.core.errors import ConfigError
 from autopilot.core.marker_files import load_marker_map, make_map, placed_markers
 from autopilot.core.markers import CORNER_SIGNS, MarkerMap
+from autopilot.markermaps import sightings
 from autopilot.markermaps.camera_files import load_camera
+from autopilot.markermaps.scale import Length
+from autopilot.markermaps.sightings import SheetView
 from autopilot.markermaps.survey import Survey, survey_map
 
 DICTIONARY, SIZE_M = "DICT_5X5_250", 0.08
@@ -33,11 +37,11 @@ def error_m(found: MarkerMap, true: MarkerMap) -> float:
     return fitted(found.centers_ned_m, true.centers_ned_m[found.ids])[1]
 
 
-def surveyed(model: CameraModel, seed: int, length: tuple[int, int, float] | None = None) -> tuple[MarkerMap, Survey]:
+def surveyed(model: CameraModel, seed: int, *lengths: Length) -> tuple[MarkerMap, Survey]:
     true = room()
     views = walk_round(true, model, np.random.default_rng(seed))
     fixed = np.empty(0, dtype=np.int64)
-    return true, survey_map(model, views, nothing_known(), fixed=fixed, level=False, length=length)
+    return true, survey_map(model, views, nothing_known(), fixed=fixed, level=False, lengths=lengths)
 
 
 def command_of(sources: list[str], lens: Path, dictionary: str = DICTIONARY) -> list[str]:
@@ -78,16 +82,109 @@ def test_walls_boxes_and_floor_from_a_walk_round(fisheye: bool, seed: int) -> No
 
 
 def test_a_length_fixes_the_scale() -> None:
-    """The printed size is 2 % off: the map is too, and not when somebody measured."""
+    """The printed size is 0.6 % off: the map is too, and not when somebody measured."""
     true = room()
     far = float(np.linalg.norm(true.centers_ned_m[0] - true.centers_ned_m[20]))
-    _, result = surveyed(camera(), 3, (0, 20, 1.02 * far))
+    _, result = surveyed(camera(), 3, Length(first=0, second=20, metres=1.006 * far))
     assert result.scaled
+    assert result.scale == pytest.approx(1.006, abs=0.003)
     first, second = (result.markers.centers_ned_m[result.markers.ids == number][0] for number in (0, 20))
-    assert np.linalg.norm(first - second) == pytest.approx(1.02 * far, rel=1e-6)
-    assert result.markers.sizes_m[0] == pytest.approx(1.02 * SIZE_M, rel=0.002)
+    assert np.linalg.norm(first - second) == pytest.approx(1.006 * far, rel=1e-6)
+    assert result.markers.sizes_m[0] == pytest.approx(result.scale * SIZE_M, rel=1e-6)
     with pytest.raises(ConfigError, match="marker 200 is 0 times in the survey"):
-        surveyed(camera(), 3, (0, 200, 1.0))
+        surveyed(camera(), 3, Length(first=0, second=200, metres=1.0))
+
+
+class Walk:
+    """The command, on corners of a walk round the room instead of pictures."""
+
+    def __init__(self, folder: Path, patch: pytest.MonkeyPatch, views: list[SheetView]) -> None:
+        patch.setattr(sightings, "views_of_images", lambda *_: views)
+        self.out = folder / "map.toml"
+        picture = folder / "0.png"
+        picture.write_bytes(b"")
+        lens = camera_file(folder / "camera.yml", camera(), ros=False)
+        self._command = [*command_of([str(picture)], lens), "--out", str(self.out)]
+
+    def survey(self, *more: str) -> Any:
+        self.out.unlink(missing_ok=True)
+        return CliRunner().invoke(commands, [*self._command, *more])
+
+
+def lengths_of(true: MarkerMap, *given: tuple[int, int, float]) -> list[str]:
+    """``--length`` of pairs, each off by a factor."""
+    result = []
+    for a, b, factor in given:
+        metres = factor * float(np.linalg.norm(true.centers_ned_m[a] - true.centers_ned_m[b]))
+        result += ["--length", str(a), str(b), f"{metres:.4f}"]
+    return result
+
+
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize(
+    ("given", "words"),
+    [
+        ([(2, 14, 1.0)], ""),
+        ([(2, 14, 1.005), (0, 20, 1.005)], ""),
+        ([(2, 14, 0.995)], ""),
+        (
+            [(2, 14, 5.0 / 0.72)],
+            r"--length 2 14 [\d.]+: markers of 80.\d mm are [\d.]+ m apart here.* 55\d.\d mm: measure",
+        ),
+        ([(2, 14, 1000.0)], "--length 2 14"),
+        ([(2, 14, 1.03)], "--length 2 14"),
+        ([(2, 14, 0.1)], "--length 2 14"),
+        ([(0, 20, 1.0), (2, 14, 1.2)], "--length 2 14"),
+        ([(0, 20, 1.007), (2, 14, 0.993)], r"--length 0 20 [\d.]+ and --length 2 14 [\d.]+ disagree by 1.\d%"),
+    ],
+)
+def test_a_length_that_cannot_be_is_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, given: list[tuple[int, int, float]], words: str, seed: int
+) -> None:
+    """5 m for 0.72 m made markers of 417 mm out of 60 mm, with exit 0."""
+    true = room()
+    walk = Walk(tmp_path, monkeypatch, walk_round(true, camera(), np.random.default_rng(seed)))
+    done = walk.survey(*lengths_of(true, *given))
+    if words:
+        assert isinstance(done.exception, ConfigError) and re.search(words, str(done.exception)), done.exception
+        assert not walk.out.exists()
+    else:
+        assert done.exit_code == 0 and walk.out.exists(), done.output
+
+
+def test_a_length_of_one_marker_is_none(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    walk = Walk(tmp_path, monkeypatch, walk_round(room(), camera(), np.random.default_rng(1)))
+    for given in (("2", f"{DICTIONARY}:2", "1.0"), ("2", "3", "nan"), ("2", "3", "-1")):
+        done = walk.survey("--length", *given)
+        assert done.exit_code == 2 and "give two markers and metres" in done.output and not walk.out.exists()
+
+
+def test_markers_that_were_seen_and_left_out_are_listed_with_the_reason(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    true, rng = room(), np.random.default_rng(2)
+    views = walk_round(true, camera(), rng)
+    often = [n for n in range(16) if sum(n in view.ids for view in views) >= 6]
+    once, moving, hidden = often[:3]
+    at = next(n for n, view in enumerate(views) if once in view.ids)
+    changed = []
+    for n, view in enumerate(views):
+        corners, ids = view.corners_px.copy(), view.ids.copy()
+        corners[ids == moving] += rng.uniform(60.0, 200.0, 2) * rng.choice([-1.0, 1.0], 2)
+        if n % 3 == 0:
+            ids[ids == hidden] = 240
+        keep = (ids != once) | (n == at)
+        changed.append(replace(view, ids=ids[keep], corners_px=corners[keep]))
+    lengths = lengths_of(true, (20, 22, 1.0))
+    done = Walk(tmp_path, monkeypatch, changed).survey("--json", *lengths)
+    assert done.exit_code == 3, done.output
+    dropped = {row["name"].split()[1]: row for row in json.loads(done.stdout)["dropped"]}
+    assert dropped[str(once)]["views"] == 1 and "2 views are needed" in dropped[str(once)]["reason"]
+    assert "disagree" in dropped[str(moving)]["reason"]
+    assert dropped["240"]["reason"].startswith("lies on") and str(hidden) in dropped["240"]["reason"]
+    assert "2 markers were seen and are not in the map" in done.stderr
+    done = Walk(tmp_path, monkeypatch, changed).survey(*lengths)
+    assert "Seen, but not in the map" in done.stdout
 
 
 @pytest.mark.parametrize(("fisheye", "film"), [(False, False), (True, True)])
@@ -112,7 +209,7 @@ def test_pictures_and_films_by_the_command(tmp_path: Path, fisheye: bool, film: 
         commands,
         [*command_of(sources, lens), "--out", str(out), "--json", *given],
     )
-    assert result.exit_code == (3 if film else 0), result.output
+    assert result.exit_code == (3 if film else 0), result.stderr
     assert json.loads(result.stdout)["scaled"] is not film
     assert ("the scale is that of the printed size alone" in result.stderr) is film
     assert "same id" not in result.stderr

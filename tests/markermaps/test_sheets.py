@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
+from autopilot.cli.main import cli, run
 from autopilot.cli.markers_command import markers as command
 from autopilot.core.errors import ConfigError
 from autopilot.core.frames import FloatArray
@@ -97,10 +98,10 @@ def read(image: np.ndarray, dictionary: str) -> dict[int, FloatArray]:
     return dict(zip(np.asarray(ids).ravel().tolist(), corners, strict=True))
 
 
-def board(folder: Path, *arguments: str) -> MarkerMap:
+def board(folder: Path, *arguments: str, code: int = 0) -> MarkerMap:
     """Run ``autopilot markers board``; the map that it wrote."""
     done = CliRunner().invoke(command, ["board", *arguments, "--out", str(folder)], catch_exceptions=False)
-    assert done.exit_code == 0, done.output
+    assert done.exit_code == code, done.output
     return load_marker_map(folder / "map.toml")
 
 
@@ -181,7 +182,7 @@ def test_a_map_of_mixed_kinds_is_printed_too(tmp_path: Path) -> None:
         '[[marker]]\nid = 4\ndictionary = "DICT_APRILTAG_25h9"\nsize_m = 0.08\ncenter_m = [0.25, 0.1, 1.0]\n'
     )
     (tmp_path / "mixed.toml").write_text(text, encoding="utf-8")
-    layout = board(tmp_path / "out", str(tmp_path / "mixed.toml"))
+    layout = board(tmp_path / "out", str(tmp_path / "mixed.toml"), code=3)  # two dictionaries of 7 x 7 cells
     found = set()
     for path in sorted((tmp_path / "out").glob("sheet-*.svg")):
         image = raster(*svg_shapes(path.read_text(encoding="utf-8")))
@@ -213,3 +214,25 @@ def test_what_cannot_be_printed_is_refused(tmp_path: Path, arguments: tuple[str,
     with pytest.raises(ConfigError, match=message):
         CliRunner().invoke(command, ["board", *arguments, "--out", str(tmp_path)], catch_exceptions=False)
     assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words", "code"),
+    [
+        (("--rows", "1", "--columns", "2", "--size", "60"), "'--size': 60.0 is not in the range", 2),
+        (("--rows", "1", "--columns", "2", "--size", "0.0005"), "'--size': 0.0005 is not in the range", 2),
+        (("--rows", "1", "--columns", "2", "--gap", "20"), "'--gap': 20.0 is not in the range", 2),
+        (("--floor", "1000", "1000"), "12500 x 12500 markers are more than the 20000 of a map", 1),
+        (("--rows", "1000", "--columns", "1000"), "1000 x 1000 markers are more than the 20000 of a map", 1),
+        (("--rows", "1", "--columns", "2", "--gap", "0"), "less than one cell of white", 3),
+    ],
+)
+def test_numbers_that_cannot_be_meant(
+    tmp_path: Path, arguments: tuple[str, ...], words: str, code: int, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Millimetres for metres made sheets with exit 0, and a floor of 1 km took minutes."""
+    out = tmp_path / "out"
+    command = ["markers", "board", *arguments, "--out", str(out)]
+    assert run(lambda: cli(command, standalone_mode=False)) == code
+    assert words in capsys.readouterr().err
+    assert out.exists() is (code == 3)

@@ -9,13 +9,14 @@ import pytest
 from click.testing import CliRunner
 from survey_world import CAMERA, VEHICLE, look_around, small_floor
 
+from autopilot.cli.main import cli, run
 from autopilot.cli.markers_command import markers as command
 from autopilot.core.errors import ConfigError, LogError
 from autopilot.core.flat_port import FlatPort
 from autopilot.core.frames import FloatArray
-from autopilot.core.marker_files import load_marker_map, marker_file_text, placed_markers
+from autopilot.core.marker_files import load_marker_map, make_map, marker_file_text, placed_markers
 from autopilot.core.markers import MarkerMap, grid_floor
-from autopilot.markermaps import adjustment
+from autopilot.markermaps import adjustment, sightings
 from autopilot.markermaps.adjustment import Network
 from autopilot.markermaps.sightings import SheetView, views_of_log
 from autopilot.markermaps.survey import Survey, survey_map
@@ -233,3 +234,60 @@ def test_a_log_without_sightings_is_refused(tmp_path: Path) -> None:
     with pytest.raises(LogError):
         (tmp_path / "x.mcap").write_bytes(b"nothing")
         views_of_log(tmp_path / "x.mcap", 10)
+
+
+NEAR, FAR = 126, 831
+FIXED = ("--fix", str(NEAR), "--fix", str(FAR))
+
+
+def kept_of(view: SheetView, ids: list[int]) -> SheetView:
+    kept = np.isin(view.ids, ids)
+    return replace(view, ids=view.ids[kept], corners_px=view.corners_px[kept])
+
+
+@pytest.mark.parametrize(
+    ("size", "shift_m", "options", "words", "code"),
+    [
+        (1.0, 0.0, FIXED, "", 0),
+        (1.02, 0.0, FIXED, "px, which blur does not do: marker size", 3),
+        (1.2, 0.0, ("--rough-sigma", "0.002"), "px, which blur does not do: marker size", 3),
+        (1.0, 0.05, FIXED, f"error: --fix: views do not show DICT_4X4_1000 {FAR} where", 1),
+        (1.4, 0.0, FIXED, f"error: --fix: views do not show DICT_4X4_1000 {FAR} where", 1),
+    ],
+)
+def test_given_places_that_contradict_size_or_views(
+    laid: tuple[MarkerMap, MarkerMap, list[SheetView]],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    size: float,
+    shift_m: float,
+    options: tuple[str, ...],
+    words: str,
+    code: int,
+) -> None:
+    """A fixed marker that no view had there was passed over, and the scale said to be known."""
+    _, true, views = laid
+    seen = np.concatenate([view.ids for view in views])
+    known = [marker for marker in placed_markers(true) if (seen == marker.id).sum() >= 3]
+    views = [kept_of(view, [marker.id for marker in known]) for view in views]
+    known = [replace(marker, size_m=size * marker.size_m) for marker in known]
+    n = next(n for n, marker in enumerate(known) if marker.id == FAR)
+    known[n] = replace(known[n], center_ned_m=known[n].center_ned_m + np.array([shift_m, 0.0, 0.0]))
+    (tmp_path / "rough.toml").write_text(marker_file_text(make_map(known, "test")), encoding="utf-8")
+    (tmp_path / "0.png").write_bytes(b"")
+    monkeypatch.setattr(sightings, "views_of_images", lambda *_: views)
+    out = tmp_path / "map.toml"
+    command = [
+        "markers",
+        "survey",
+        str(tmp_path / "0.png"),
+        "--vehicle",
+        "lbv150",
+        "--map",
+        str(tmp_path / "rough.toml"),
+    ]
+    assert run(lambda: cli([*command, "--out", str(out), *options], standalone_mode=False)) == code
+    said = capsys.readouterr().err
+    assert words in said and ("blur" in said) is ("blur" in words)
+    assert out.exists() is (code != 1)

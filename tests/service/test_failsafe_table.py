@@ -182,3 +182,43 @@ def test_doubts_raise_their_row_and_a_wrong_sensor_does_not() -> None:
     assert bench.run(1.2).failsafes == 0
     bench.status.nav_doubts = frozenset({NavDoubt.MAP})
     assert bench.run(1.2).failsafes == 1 << Failsafe.DOUBT
+
+
+@pytest.mark.parametrize(
+    ("params", "fixed", "doubts", "modes"),
+    [
+        ({}, True, (), ("HOLD", "HOLD", "SURFACE")),
+        ({"FS_AHRS_TIME": 20.0}, True, (), ("HOLD", "HOLD", "HOLD")),
+        ({"FS_AHRS_TIME": 0.0}, True, (), ("SURFACE",) * 3),
+        ({}, False, (), ("SURFACE",) * 3),
+        *(({}, True, (doubt,), ("SURFACE",) * 3) for doubt in (NavDoubt.FIXES, NavDoubt.RESETS, NavDoubt.CAMERA)),
+        ({}, True, (NavDoubt.GYRO,), ("HOLD", "HOLD", "SURFACE")),
+        ({"FS_AHRS_ACT": 0.0}, True, (), ("MISSION",) * 3),
+        ({"FS_AHRS_ACT": 1.0}, False, (), ("HOLD",) * 3),
+        ({"FS_AHRS_ACT": 3.0}, True, (), ("HOLD", "HOLD", "RETURN")),
+        ({"FS_OVERRIDE": float(1 << Failsafe.AHRS_STALE)}, False, (), ("MISSION",) * 3),
+    ],
+)
+def test_without_the_ahrs_it_holds_first_where_the_position_is_known(
+    params: dict[str, float], fixed: bool, doubts: tuple[NavDoubt, ...], modes: tuple[str, ...]
+) -> None:
+    bench = Bench(**params)
+    bench.load()
+    bench.armed()
+    assert bench.commander.start_mission(None).result is OK
+    bench.status.fixed, bench.status.nav_doubts = fixed, frozenset(doubts)
+    bench.status.ahrs_age_s = 0.6
+    assert tuple(bench.run(seconds).mode.name for seconds in (0.02, 4.9, 0.2)) == modes
+
+
+def test_without_the_ahrs_it_surfaces_when_the_fixes_end_and_a_new_time_counts_at_once() -> None:
+    bench = Bench(FS_AHRS_TIME=60.0).armed()
+    bench.status.fixed, bench.status.ahrs_age_s = True, 0.6
+    assert bench.run(10.0).mode is FlightMode.HOLD
+    bench.params.set("FS_AHRS_ACT", 0.0)
+    bench.params.set("FS_AHRS_ACT", 2.0)
+    assert bench.run(0.02).mode is FlightMode.HOLD
+    bench.status.fixed = False
+    assert bench.run(0.02).mode is FlightMode.SURFACE
+    bench.status.fixed = True
+    assert bench.run(1.0).mode is FlightMode.SURFACE
