@@ -87,6 +87,7 @@ class AidedEstimator(Estimator):
         trust = self._sources.markers.trust
         camera = vehicle.camera or NO_CAMERA
         self._latency_s = camera.latency_s
+        self._mounting_rad2 = max(camera.mounting_sigma_rad[:2]) ** 2
         self._monitors = monitors = Monitors(
             Evidence(self._sources.laser),
             ImuMonitor(self._sources.model.vehicle, trust),
@@ -140,7 +141,7 @@ class AidedEstimator(Estimator):
             doubted=bool(doubts) and not self._harmless(doubts, t_us),
         )
         more = self._monitors.systematic_variance(t_us, newest)
-        return nav_state(core, newest, t_us, health, self._fusion.resets, more, doubts)
+        return nav_state(core, newest, t_us, health, self._fusion.resets, more, doubts, self._mounting_rad2)
 
     def _harmless(self, doubts: frozenset[NavDoubt], t_us: int) -> bool:
         """Whether fixes hold the position in spite of suspect sensors: only inertial ones or the range."""

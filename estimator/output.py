@@ -37,10 +37,12 @@ def nav_state(
     resets: int,
     more: FloatArray,
     doubts: frozenset[NavDoubt],
+    mounting_rad2: float = 0.0,
 ) -> NavState:
     """The newest node carried on to ``t_us`` with the last rates.
 
-    ``more`` (4,): variance of north, east, down and yaw beyond the filter's, or less than that."""
+    ``more`` (4,): variance of north, east, down and yaw beyond the filter's, or less than that. ``mounting_rad2``: how
+    uncertain the tilt of the camera is that trims roll and pitch."""
     inertial = node.moment.inertial
     after_s = 1e-6 * (t_us - node.t_us)
     x = node.state.x.tolist() if after_s <= 0.0 else moved(node.state.x, hold(inertial, t_us, ProcessNoiseMode.NOMINAL))
@@ -68,7 +70,8 @@ def nav_state(
     pe += max(more_e, LEAST_LESS * pe)
     pd += max(more_d, LEAST_LESS * pd)
     pyaw += max(more_yaw, LEAST_LESS * pyaw)
-    tilt = _TILT_VARIANCE_RAD2[node.step.mode if node.step is not None else ProcessNoiseMode.NOMINAL]
+    mode = node.step.mode if node.step is not None else ProcessNoiseMode.NOMINAL
+    tilt = _TILT_VARIANCE_RAD2[mode] + (mounting_rad2 if mode is ProcessNoiseMode.TRIMMED else 0.0)
     # One array and parts of it: seven arrays would take three times as long.
     place, velocities = [n, e, d, roll, pitch, wrap_pi(yaw)], body(vn, ve, vd) + body(vn - cn, ve - ce, vd - cd)
     variances = [pn, pe, pd, tilt, tilt, pyaw, pu, pv, pw, pcn, pce, pcd]
