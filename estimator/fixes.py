@@ -48,6 +48,7 @@ class Fixes:
         has_weight = from_camera or not self._sources.markers_in_view(fix.t_us)  # markers know better
         known = () if node.state.sheets is None else node.state.sheets.which
         judged = self._fusion.fuse(node, fix, aid)
+        self._imu.gyro.see_fix(judged.y.item(3))
         if has_weight:
             self._evidence.weigh(judged, None if judged.passes else aid.relocation.agreeing_with(fix))
         if from_camera:
