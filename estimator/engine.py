@@ -51,10 +51,13 @@ from autopilot.estimator.recalibration import Recalibration
 from autopilot.estimator.refined import refined_map
 from autopilot.estimator.sources import Sources
 from autopilot.estimator.startup import StartUp
-from autopilot.estimator.states import BIAS_AHEAD, BIAS_DOWN, BIAS_RIGHT, initial_state
+from autopilot.estimator.states import BIAS_AHEAD, BIAS_DOWN, BIAS_RIGHT, YAW, initial_state
 from autopilot.estimator.thrust import ThrustLag
 from autopilot.estimator.tilt import TiltTrim
+from autopilot.estimator.water import WaterVariation
 
+FIXED = (ProcessNoiseMode.NOMINAL, ProcessNoiseMode.TRIMMED)
+"""Modes in which fixes and the vehicle model show the current."""
 INERTIAL = (AhrsSample, ImuSample)
 PICTURES = (PoseSample, MarkerSighting)
 """Kinds of samples that make a node, and that give a pose by a picture."""
@@ -83,6 +86,7 @@ class AidedEstimator(Estimator):
         self._ahrs_offset_us = round(1e6 * vehicle.ahrs.time_offset_s)
         self._trim = TiltTrim()
         self._thrust = ThrustLag(vehicle.thrusters)
+        self._water = WaterVariation()
         # Monitors.
         trust = self._sources.markers.trust
         camera = vehicle.camera or NO_CAMERA
@@ -90,7 +94,7 @@ class AidedEstimator(Estimator):
         self._mounting_rad2 = max(camera.mounting_sigma_rad[:2]) ** 2
         self._monitors = monitors = Monitors(
             Evidence(self._sources.laser),
-            ImuMonitor(self._sources.model.vehicle, trust),
+            ImuMonitor(self._sources.model.vehicle, trust, self._water),
             CameraMonitor(camera, options.stamps_every_s, None if markers is None else markers.floor_m),
             None if markers is None else MapMonitor(markers),
             trust,
@@ -101,6 +105,8 @@ class AidedEstimator(Estimator):
         self._last: NavState | None = None
         self._against: frozenset[NavDoubt] = frozenset()
         """:meth:`_doubts` of the last step."""
+        self._foreseen_yaw_rad = 0.0
+        """Heading of the newest node before its measurements."""
         self._inertial_count = 0
         self._ahrs_us: int | None = None
         self._anchored_since_us: int | None = None
@@ -244,7 +250,8 @@ class AidedEstimator(Estimator):
         moment = Moment(inertial, self._thrust.at(inertial.t_us))
         heading, model = self._sources.heading, self._sources.model
         model_informs = model.is_informative(moment, newest.state.x)
-        anchored = self._sources.anchor_age_us(inertial.t_us) <= ENGINE.coast_after_us
+        anchor_age_us = self._sources.anchor_age_us(inertial.t_us)
+        anchored = anchor_age_us <= ENGINE.coast_after_us
         mode = ProcessNoiseMode.NOMINAL
         if not inertial.real:
             mode = ProcessNoiseMode.BLIND
@@ -252,11 +259,24 @@ class AidedEstimator(Estimator):
             mode = ProcessNoiseMode.COASTING
         elif self._trim.fresh(inertial.t_us):
             mode = ProcessNoiseMode.TRIMMED
-        if inertial.real and self._monitors.imu.since_us is not None:
-            driven, step = self._monitors.imu.drive(newest, inertial)
-            node = history.append(inertial.t_us, moment._replace(inertial=driven), step)
-        else:
-            node = history.append(inertial.t_us, moment, step_between(newest.moment.inertial, inertial, mode))
+        imu, before, x = self._monitors.imu, newest.moment.inertial, newest.state.x
+        if inertial.real and imu.since_us is not None:
+            self._water.lose()
+            driven, step = imu.drive(newest, inertial)
+            moment = moment._replace(inertial=driven)
+        elif mode in FIXED:
+            self._water.meet(inertial.t_us, 1e-6 * (inertial.t_us - newest.t_us), x)
+            step = step_between(before, inertial, mode)
+        else:  # at rest with fixes the current is not seen either, but what it does matters to nothing
+            self._water.lose()
+            step = step_between(before, inertial, mode, None, 0.0 if anchored else self._water.variance_per_s(x))
+        if anchor_age_us <= ENGINE.alone_after_us:
+            imu.gyro.anchor()
+        elif imu.gyro.trusted:
+            grown = imu.gyro.coast(step.dt_s, x.item(YAW) - self._foreseen_yaw_rad)
+            step = step._replace(yaw_variance_rad2=grown)
+        node = history.append(inertial.t_us, moment, step)
+        self._foreseen_yaw_rad = node.state.x.item(YAW)
         if not inertial.real:
             return
         if self._options.model_aid:

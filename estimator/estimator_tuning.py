@@ -1,5 +1,6 @@
 """Constants of the estimator, by module; those of the filter itself are in :mod:`.tuning`."""
 
+import math
 from dataclasses import dataclass
 
 
@@ -83,6 +84,8 @@ class InertialMonitorTuning:
     residual_limit_m_s2: tuple[float, float, float] = (0.15, 0.15, 0.12)
     """Forward, right, down: twice what models were wrong by in healthy flights, thruster losses among them. Six degrees
     of tilt let in 1."""
+    explained_sigmas: float = 3.0
+    """The water and a velocity that has drifted explain so many standard deviations of the model more."""
     absurd_m_s2: float = 2.0
     """Beyond what thrusters and a bump at cruise speed make of a hull, smoothed: whatever the fixes say so far."""
     usual_time_s: float = 3.0
@@ -93,6 +96,15 @@ class InertialMonitorTuning:
     slow_turn_time_s: float = 3.0
     quick_turn_time_s: float = 0.3
     """The same over a shorter time, when fixes deny the heading as well."""
+    coast_share: float = 0.5
+    """In a gap this share of what gyro and compass have come apart counts as error of the heading: 3 sigma are half
+    more than a gyro that is wrong turns it by, since the compass errs as well."""
+    coast_free_rad: float = math.radians(3.0)
+    """What is beyond that, twice what the steel of a tank does, lets the compass turn the estimate."""
+    coast_denied_rad: float = math.radians(3.0)
+    coast_denied_rad_s: float = math.radians(0.3)
+    """The first fixes after a gap deny a gyro whose turning in it they miss by more than this, and a bias of so much
+    more, if the compass misses it likewise."""
     jump_rad: float = 0.1
     """From one sample to the next a compass that turns by so much more than the gyro has jumped."""
     contradictions: int = 3
@@ -117,6 +129,9 @@ class EngineTuning:
     """At most so many steps without AHRS data per tick; they get longer when the gap is longer."""
     blind_tilt_decay: float = 0.99
     """Per blind step: roll and pitch fade to level within 2 s."""
+    alone_after_us: int = 150_000
+    """Time without either after which gyro and compass are held against each other: a gyro that begins to be wrong
+    soon turns the heading beyond its sigma. Fixes come twice as often, latency included."""
     coast_after_us: int = 300_000
     """Time without a fix or a velocity over ground after which the current is held."""
     tracked_us: int = 1_000_000
@@ -130,6 +145,24 @@ class EngineTuning:
 
 
 ENGINE = EngineTuning()
+
+
+@dataclass(frozen=True, slots=True)
+class WaterTuning:
+    """Chosen with ``python -m tests.bench.gaps --seed 92001 --gaps 8``."""
+
+    span_us: int = 2_000_000
+    """The current is compared with itself over this: what the vehicle crosses changes within a second or two."""
+    least_m_s: float = 0.1
+    """Added to the speed: water changes at a vehicle that stands still."""
+    first_per_m: float = 0.01
+    first_spans: float = 2.0
+    """Expected before anything was met [m^2/s^2 / m], and worth so many spans."""
+    most_spans: float = 15.0
+    """Older ones are forgotten."""
+
+
+WATER = WaterTuning()
 
 
 @dataclass(frozen=True, slots=True)

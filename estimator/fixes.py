@@ -26,6 +26,8 @@ from autopilot.estimator.tilt import TiltTrim
 
 LEARN_EVERY_US = 200_000
 """How often a picture is asked how sheets lie to each other: in between its errors are nearly the same."""
+REGAINED_US = 1_000_000
+"""So long after a gap fixes that disagree are no jump: the first of them may have been used with a wrong velocity."""
 RELOCATED_VARIANCE = 1e-3
 """Added to the variance of the fix that a reset goes to (m^2, rad^2): it has been carried on to now."""
 ASTRAY = (ACCEL_BIAS, CURRENT, CURRENT_RATE)
@@ -37,6 +39,8 @@ class Fixes:
         self._fusion, self._sources, self._trim = fusion, sources, trim
         self._evidence, self._imu, self._camera, self._map, _ = monitors
         self._learned_us = -LEARN_EVERY_US
+        self._regained_us = -REGAINED_US
+        """When the first fix after a gap was used."""
         self.counts = dict.fromkeys(("sheets.fused", "sheets.rejected", "sheets.loosened"), 0)
 
     def use(self, node: Node, fix: PoseFix, aid: FixAid[Any], health: NavHealth | None) -> None:
@@ -47,7 +51,9 @@ class Fixes:
         from_camera = aid is self._sources.markers
         has_weight = from_camera or not self._sources.markers_in_view(fix.t_us)  # markers know better
         known = () if node.state.sheets is None else node.state.sheets.which
+        gap = self._sources.in_gap(fix.t_us)
         judged = self._fusion.fuse(node, fix, aid)
+        self._imu.gyro.see_fix(judged.y.item(3))
         if has_weight:
             self._evidence.weigh(judged, None if judged.passes else aid.relocation.agreeing_with(fix))
         if from_camera:
@@ -56,6 +62,8 @@ class Fixes:
                 self._camera.update_focal(*fix.focal)
             self._watch_map(node, fix, rejected=not judged.passes)
         if judged.passes:
+            if gap:
+                self._regained_us = fix.t_us
             aid.relocation.accepted()
             aid.trust.restart()
             aid.jumped = False
@@ -72,13 +80,14 @@ class Fixes:
         """After a fix that was rejected: relocate to where fixes are, or suspect them."""
         trust, now_us = aid.trust, self._fusion.now_us
         gap = self._sources.in_gap(fix.t_us)
-        lost = gap or self._imu.since_us is not None or aid.jumped
+        regained = fix.t_us - self._regained_us <= REGAINED_US
+        lost = gap or self._imu.since_us is not None or aid.jumped or regained
         agreeing = 1 + aid.relocation.agreeing_with(fix)
         velocity = aid.relocation.rejected(fix, lost)
         if velocity is None:
             return
         from_camera = aid is self._sources.markers
-        denied = trust.denied(agreeing)
+        denied = trust.denied(agreeing) and not regained
         if denied:
             wrong = agreeing >= DENYING
         else:

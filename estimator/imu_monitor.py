@@ -5,10 +5,12 @@ heading. When a sensor is rejected, the recent history is recomputed without it:
 """
 
 import math
-from collections.abc import Iterator
-from typing import NamedTuple
+from collections.abc import Iterator, Sequence
+from typing import NamedTuple, cast
 
-from autopilot.core.frames import wrap_pi
+import numpy as np
+
+from autopilot.core.frames import FloatArray, wrap_pi
 from autopilot.core.messages import NavDoubt
 from autopilot.estimator.estimator_tuning import INERTIAL_MONITOR
 from autopilot.estimator.fix_trust import FixTrust
@@ -16,8 +18,9 @@ from autopilot.estimator.history import Node, Reopening
 from autopilot.estimator.inertial import Inertial, InertialStep, ProcessNoiseMode, step_between
 from autopilot.estimator.inertial_monitors import AccelMonitor, GyroMonitor
 from autopilot.estimator.measure_model import VehicleAcceleration, idle
-from autopilot.estimator.monitor import Monitor
+from autopilot.estimator.monitor import NOTHING, Monitor
 from autopilot.estimator.states import ACCEL_BIAS, GYRO_BIAS, HEADING_OFFSET, YAW, one
+from autopilot.estimator.water import WaterVariation
 
 TURN_MAX_RAD_S = 2.0
 """No vehicle of this class turns faster: beyond it the compass has jumped."""
@@ -41,9 +44,10 @@ NOTHING_NEW = Verdicts()
 class ImuMonitor(Monitor):
     """Both inertial monitors of one estimator."""
 
-    def __init__(self, vehicle: VehicleAcceleration, nondeterminism: FixTrust) -> None:
-        """``witness``: the fixes that isolate the faulty sensor."""
+    def __init__(self, vehicle: VehicleAcceleration, nondeterminism: FixTrust, water: WaterVariation) -> None:
+        """``witness``: the fixes that isolate the faulty sensor; ``water``: what may explain a difference."""
         super().__init__()
+        self._water = water
         self._vehicle, self._nondeterminism = vehicle, nondeterminism
         self.accel = AccelMonitor()
         self.gyro = GyroMonitor()
@@ -61,6 +65,11 @@ class ImuMonitor(Monitor):
         for sensor, name in ((self.accel, NavDoubt.ACCELEROMETER), (self.gyro, NavDoubt.GYRO)):
             if sensor.since_us is not None and self._nondeterminism.can_isolate(sensor.since_us):
                 yield name
+
+    def systematic_variance(self, t_us: int, newest: Node) -> FloatArray:
+        """See :class:`Monitor`."""
+        yaw = self.gyro.heading_variance
+        return np.array((0.0, 0.0, 0.0, yaw)) if yaw else NOTHING
 
     def counts(self) -> dict[str, int]:
         return {
@@ -99,7 +108,9 @@ class ImuMonitor(Monitor):
         """The moment after ``before`` without the suspect sensors, and the step to it."""
         last = before.moment.inertial
         if not inertial.real:
-            return inertial, step_between(last, inertial, ProcessNoiseMode.BLIND)
+            return inertial, step_between(
+                last, inertial, ProcessNoiseMode.BLIND, None, self._water.variance_per_s(before.state.x)
+            )
         x, slope = before.state.x, None
         by_model, by_compass = self.accel.since_us is not None, self.gyro.since_us is not None
         if by_compass:
@@ -122,7 +133,7 @@ class ImuMonitor(Monitor):
             if by_model
             else ProcessNoiseMode.COMPASS
         )
-        return inertial, step_between(last, inertial, mode, slope)
+        return inertial, step_between(last, inertial, mode, slope, self._water.variance_per_s(x))
 
     def check(
         self,
@@ -166,6 +177,7 @@ class ImuMonitor(Monitor):
                 node.t_us,
                 model_dt_s,
                 [o - b for o, b in zip(over, x[ACCEL_BIAS].tolist(), strict=True)],
+                lambda: self._model_variance(node),
                 anchored=anchored,
                 denied=denied,
                 rejected=model_rejected,
@@ -184,6 +196,12 @@ class ImuMonitor(Monitor):
             accel_offset=None if accel_offset is None else tuple(accel_offset),
             gyro_offset=None if gyro_offset is None else tuple(gyro_offset),
         )
+
+    def _model_variance(self, node: Node) -> Sequence[float]:
+        """(3,) of the model's acceleration by what is not known of velocity and current [m^2/s^4]."""
+        slope, p = self._vehicle.slope(node.state.x, node.moment), node.state.p
+        spread: FloatArray = slope**2 @ p if p.ndim == 1 else ((slope @ p) * slope).sum(axis=1)
+        return cast("list[float]", spread.tolist())
 
     def _compass_rate(self, last: Inertial, inertial: Inertial) -> float:
         """Turning by the AHRS's heading [rad/s]; none when it jumps."""

@@ -77,6 +77,10 @@ class InertialStep(NamedTuple):
     mode: ProcessNoiseMode
     slope: FloatArray | None = None
     """(3, 21) d acceleration / d state when the vehicle model makes it, None when it is measured."""
+    current_variance_per_s: float = 0.0
+    """By which north and east of the current become uncertain beyond the mode's process noise [m^2/s^2 / s]."""
+    yaw_variance_rad2: float = 0.0
+    """By which the heading becomes uncertain beyond it."""
 
 
 class SampleVerdict(StrEnum):
@@ -138,7 +142,13 @@ def made_up(
     )
 
 
-def step_between(a: Inertial, b: Inertial, mode: ProcessNoiseMode, slope: FloatArray | None = None) -> InertialStep:
+def step_between(
+    a: Inertial,
+    b: Inertial,
+    mode: ProcessNoiseMode,
+    slope: FloatArray | None = None,
+    current_variance_per_s: float = 0.0,
+) -> InertialStep:
     """The step from ``a`` to ``b`` with the means of both ends."""
     (ax, ay, az), (bx, by, bz) = a.accel_level_m_s2, b.accel_level_m_s2
     return InertialStep(
@@ -147,6 +157,7 @@ def step_between(a: Inertial, b: Inertial, mode: ProcessNoiseMode, slope: FloatA
         (0.5 * (ax + bx), 0.5 * (ay + by), 0.5 * (az + bz)),
         mode,
         slope,
+        current_variance_per_s,
     )
 
 

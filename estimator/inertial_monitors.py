@@ -11,7 +11,7 @@ its reference with fixes available.
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 from autopilot.core.frames import wrap_pi
 from autopilot.estimator.estimator_tuning import INERTIAL_MONITOR
@@ -62,9 +62,19 @@ class AccelMonitor(_InertialMonitor):
         self._usual = [0.0, 0.0, 0.0]
 
     def check(
-        self, t_us: int, dt_s: float, residual: Sequence[float], *, anchored: bool, denied: bool, rejected: int
+        self,
+        t_us: int,
+        dt_s: float,
+        residual: Sequence[float],
+        model_variance: Callable[[], Sequence[float]],
+        *,
+        anchored: bool,
+        denied: bool,
+        rejected: int,
     ) -> bool:
         """True when it becomes suspect now. ``residual`` (3,): reading, offset taken off, minus the model's.
+
+        ``model_variance`` (3,): of the model's, by what is not known of current and velocity.
 
         ``anchored``: fixes or velocities over ground are being used; ``denied``: they are being rejected.
         """
@@ -79,8 +89,14 @@ class AccelMonitor(_InertialMonitor):
             u, v, w = self._usual
             self._usual = [u + slow * (x - u), v + slow * (y - v), w + slow * (z - w)]
             return False
-        pairs = zip(self._smooth, self._usual, INERTIAL_MONITOR.residual_limit_m_s2, strict=True)
+        pairs = list(zip(self._smooth, self._usual, INERTIAL_MONITOR.residual_limit_m_s2, strict=True))
         over = any(abs(smooth - usual) > limit for smooth, usual, limit in pairs)
+        if over and not absurd:
+            sigmas2 = INERTIAL_MONITOR.explained_sigmas**2
+            over = any(
+                (smooth - usual) ** 2 > limit**2 + sigmas2 * variance
+                for (smooth, usual, limit), variance in zip(pairs, model_variance(), strict=True)
+            )
         if not (absurd or over or (rejected >= INERTIAL_MONITOR.rejections and not anchored)):
             return False
         self._cease(t_us, residual)
@@ -98,6 +114,10 @@ class GyroMonitor(_InertialMonitor):
         super().__init__(1, INERTIAL_MONITOR.steady_rad_s)
         self.jumps = 0
         self._quick = self._apart = self._slow = 0.0
+        self._gap_s = self._gap = self._pulled = self._worst = 0.0
+        """Length of the gap in the fixes; compass minus gyro within it [rad], the part of it that the estimate has
+        followed, and the most of it beyond what is usual, squared."""
+        self._denied = False
 
     @property
     def apart_rad(self) -> float:
@@ -108,6 +128,31 @@ class GyroMonitor(_InertialMonitor):
     def quick_rad(self) -> float:
         """Difference within a third of a second, compass minus gyro [rad]."""
         return self._quick
+
+    def coast(self, dt_s: float, pulled_rad: float) -> float:
+        """Growth of the heading's variance [rad^2] by the last sample, in a gap; ``pulled_rad``: by which the estimate
+        has been turned since."""
+        self._gap_s += dt_s
+        self._pulled += pulled_rad
+        over = max(0.0, abs(self._gap) - INERTIAL_MONITOR.coast_free_rad) ** 2
+        grown, self._worst = max(0.0, over - self._worst), max(over, self._worst)
+        return INERTIAL_MONITOR.coast_share**2 * grown
+
+    @property
+    def heading_variance(self) -> float:
+        """Of the heading beyond the filter's [rad^2]: gyro and compass have come apart, and it follows the gyro."""
+        return (INERTIAL_MONITOR.coast_share * (self._gap - self._pulled)) ** 2 if self._gap_s and self.trusted else 0.0
+
+    def anchor(self) -> None:
+        """No gap, or its end."""
+        self._gap_s = self._pulled = self._worst = 0.0
+
+    def see_fix(self, miss_rad: float) -> None:
+        """A fix whose heading misses the estimate by that: does it deny how the gyro has turned in the gap before?"""
+        miss = miss_rad + self._pulled
+        limit = INERTIAL_MONITOR.coast_denied_rad + INERTIAL_MONITOR.coast_denied_rad_s * self._gap_s
+        alike = miss * self._gap > 0.0 and abs(self._gap) > 0.5 * abs(miss)
+        self._denied = self._denied or (self._gap_s > 0.0 and alike and abs(miss) > limit)
 
     def jumped_rad(self, dt_s: float, turn_rad: float, rate_rad_s: float) -> float:
         """Jump of the compass in one sample [rad]: ``turn_rad`` by the compass, ``rate_rad_s`` by the gyro."""
@@ -136,10 +181,12 @@ class GyroMonitor(_InertialMonitor):
         self._quick += apart - min(1.0, dt_s / INERTIAL_MONITOR.quick_turn_time_s) * self._quick
         self._apart += apart - min(1.0, dt_s / INERTIAL_MONITOR.turn_time_s) * self._apart
         self._slow += apart - min(1.0, dt_s / INERTIAL_MONITOR.slow_turn_time_s) * self._slow
+        self._gap = self._gap + apart if self._gap_s else self._quick
+        denied, self._denied = self._denied, False
         if not self.trusted:
             return False
-        if anchored:
-            wrong = heading_denied and abs(self._quick) > QUICK_TURN_LIMIT_RAD
+        if anchored or denied:
+            wrong = denied or (heading_denied and abs(self._quick) > QUICK_TURN_LIMIT_RAD)
         else:
             wrong = abs(self._apart) > TURN_LIMIT_RAD
             wrong = wrong or (compass_rejected >= 2 and abs(self._slow) > SLOW_TURN_LIMIT_RAD)

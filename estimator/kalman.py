@@ -90,6 +90,11 @@ class KalmanCore:
         kf, sheets = self._kf, state.sheets
         kf.x, kf.P = state.x, state.p
         np.multiply(self._noise[step.mode], step.dt_s, out=kf.Q)
+        if step.current_variance_per_s:
+            more = step.current_variance_per_s * step.dt_s
+            kf.Q[CURRENT_NORTH, CURRENT_NORTH] += more
+            kf.Q[CURRENT_EAST, CURRENT_EAST] += more
+        kf.Q[YAW, YAW] += step.yaw_variance_rad2
         if math.hypot(state.x.item(8), state.x.item(9)) > LEANING_M_S2:
             kf.Q[YAW, YAW] += TILTED_GYRO_NOISE**2 * step.dt_s
         kf.predict(step)

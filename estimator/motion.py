@@ -90,7 +90,7 @@ class MotionModel:
             after = np.array(moved(x, step))
         else:
             self._x[:] = x
-            dt_s, rate, accel, mode, _ = step
+            dt_s, rate, accel, mode, *_ = step
             _INPUTS.pack_into(self._buffer, _Motion.dt_s.offset, dt_s, rate, *accel, CURRENT_RATE_TIME_S[mode])
             self._compiled(self._address)
             after = self._moved.copy()

@@ -70,8 +70,9 @@ TILTED_GYRO_NOISE = 0.01
 COMPASS_NOISE = 0.03
 """rad/s/sqrt(Hz) when the turning is the AHRS heading's: its slow error of a degree and the steel of the tank."""
 
-COAST_CURRENT_FRACTION = 0.5
-"""Without vision the current cannot be told from the accelerometer's bias: its states wander by this share only."""
+COAST_FRACTION = 0.5
+"""Without vision current, drag and thrust cannot be told from the accelerometer's bias: their states wander by this
+share only. What the current may do unseen comes on top (:mod:`.water`)."""
 DRAG_WALK = 0.004
 """1/sqrt(s): drag changes over minutes."""
 THRUST_WALK = 0.002
@@ -84,7 +85,7 @@ DEPTH_OFFSET_WALK = 3e-4
 
 def process_noise(mode: ProcessNoiseMode, *, current_3d: bool = False) -> FloatArray:
     """Covariance per second (21, 21), diagonal."""
-    coast = 1.0 if mode in (ProcessNoiseMode.NOMINAL, ProcessNoiseMode.TRIMMED) else COAST_CURRENT_FRACTION
+    coast = 1.0 if mode in (ProcessNoiseMode.NOMINAL, ProcessNoiseMode.TRIMMED) else COAST_FRACTION
     blind = mode is ProcessNoiseMode.BLIND
     by_model = mode in (ProcessNoiseMode.MODEL, ProcessNoiseMode.MODEL_COMPASS)
     sigma = np.zeros(NX)

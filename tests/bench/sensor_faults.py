@@ -83,7 +83,7 @@ class FaultResult:
         return honest and self.contacts == 0 and not self.thrusters_blamed
 
 
-class _Longest:
+class Longest:
     """The longest time in a row for which something holds."""
 
     def __init__(self) -> None:
@@ -107,8 +107,8 @@ class _Watch:
         self._from_s = from_s
         self._until_s = until_s
         self._back_s: float | None = None
-        self._outside = _Longest()
-        self._unflagged = _Longest()
+        self._outside = Longest()
+        self._unflagged = Longest()
         self._inside: list[bool] = []
         self._good: list[bool] = []
         self._worst = (0.0, 0.0)
