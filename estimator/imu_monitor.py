@@ -6,7 +6,7 @@ heading. When a sensor is rejected, the recent history is recomputed without it:
 
 import math
 from collections.abc import Iterator, Sequence
-from typing import NamedTuple, cast
+from typing import NamedTuple
 
 import numpy as np
 
@@ -201,7 +201,8 @@ class ImuMonitor(Monitor):
         """(3,) of the model's acceleration by what is not known of velocity and current [m^2/s^4]."""
         slope, p = self._vehicle.slope(node.state.x, node.moment), node.state.p
         spread: FloatArray = slope**2 @ p if p.ndim == 1 else ((slope @ p) * slope).sum(axis=1)
-        return cast("list[float]", spread.tolist())
+        variance: list[float] = spread.tolist()
+        return variance
 
     def _compass_rate(self, last: Inertial, inertial: Inertial) -> float:
         """Turning by the AHRS's heading [rad/s]; none when it jumps."""
