@@ -1,6 +1,6 @@
 """The manoeuvre that a calibration from a flight needs (docs/calibration.md), made for a fence and its depth band.
 
-At three heights over the floor: legs along both axes with a quarter turn on each, and a full circle on the spot.
+At two heights over the floor: legs along both axes with a quarter turn on each, then a full circle in the middle.
 """
 
 import math
@@ -31,6 +31,7 @@ def calibration_mission(
     radius_m: float,
     floor_m: float,
     near_ned_m: FloatArray,
+    laps: int,
 ) -> tuple[PlanItem, ...]:
     """The mission, which ends at the surface.
 
@@ -48,6 +49,8 @@ def calibration_mission(
         Depth of the floor.
     near_ned_m
         (2,) where the markers are: of several places with room the nearest one to it is taken.
+    laps
+        How often both heights are flown.
 
     Raises
     ------
@@ -74,10 +77,10 @@ def calibration_mission(
                     yaw_rad=math.remainder(turn_rad, 2.0 * math.pi),
                     accept_m=CALIBRATION.accept_fraction * reach_m,
                 )
-                for depth_m, sign in zip(depths, (1.0, -1.0, 1.0), strict=True)
+                for depth_m, sign in zip(depths, (1.0, -1.0), strict=True)
                 for north, east, turn_rad in _level(sign)
             ],
-            repeat=RepeatTable(laps=CALIBRATION.laps),
+            repeat=RepeatTable(laps=laps) if laps > 1 else None,
             end=EndTable(action="surface"),
         )
     ).mission
@@ -89,12 +92,12 @@ def _level(sign: float) -> list[tuple[float, float, float]]:
     legs = [(1.0, 0.0), (-1.0, 0.0), (0.0, 1.0), (0.0, -1.0)]
     return [
         *((north, east, n * quarter) for n, (north, east) in enumerate(legs)),
-        *((0.0, 0.0, n * third) for n in range(4)),
+        *((0.0, 0.0, -quarter + n * third) for n in (1, 2, 3)),
     ]
 
 
-def _depths_m(fence: Fence, floor_m: float, keep_m: float) -> tuple[float, float, float]:
-    """Greatest, least and a middle depth: heights over the floor that differ by a factor of two, if the band has it."""
+def _depths_m(fence: Fence, floor_m: float, keep_m: float) -> tuple[float, float]:
+    """Greatest and least depth: heights over the floor that differ by a factor of two, if the band has it."""
     top_m = fence.depth_min_m + CALIBRATION.margin_m
     bottom_m = min(fence.depth_max_m, floor_m - keep_m) - CALIBRATION.margin_m
     low_m = max(floor_m - bottom_m, CALIBRATION.least_height_m)
@@ -106,7 +109,7 @@ def _depths_m(fence: Fence, floor_m: float, keep_m: float) -> tuple[float, float
             f" {CALIBRATION.least_factor:g};"
             " change these parameters, or calibrate where the water is deeper"
         )
-    return floor_m - low_m, floor_m - high_m, floor_m - math.sqrt(low_m * high_m)
+    return floor_m - low_m, floor_m - high_m
 
 
 def _room(fence: Fence, keep_m: float, near_ned_m: FloatArray) -> tuple[tuple[float, float], float]:

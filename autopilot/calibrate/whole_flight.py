@@ -141,14 +141,15 @@ def _laser(log: Path, flight: CameraFlight) -> Step:
     if before is None:
         raise LogError("the vehicle has no [laser]")
     values = beam_values(beam, flight.camera, flight.vehicle)
-    across = np.abs(flight.camera.r_frd_from_cam[:2, :2]) @ beam.sigma_base_m
+    across = np.abs(flight.camera.r_frd_from_cam[:2, :2])
+    slope_sigma, base_sigma_m = across @ beam.sigma_slope, across @ beam.sigma_base_m
     findings = []
     for n, axis in enumerate("xy"):
         findings.append(
             Finding(
                 name=f"beam towards {axis}",
                 value=math.degrees(values["laser.direction_frd"][n]),
-                sigma=math.degrees(values["laser.direction_sigma_rad"]),
+                sigma=math.degrees(slope_sigma[n]),
                 unit="deg",
                 before=math.degrees(before.direction_frd[n] / before.direction_frd[2]),
             )
@@ -157,7 +158,7 @@ def _laser(log: Path, flight: CameraFlight) -> Step:
             Finding(
                 name=f"laser {axis}",
                 value=1e3 * values["laser.position_frd_m"][n],
-                sigma=1e3 * float(across[n]),
+                sigma=1e3 * float(base_sigma_m[n]),
                 unit="mm",
                 before=1e3 * before.position_frd_m[n],
             )

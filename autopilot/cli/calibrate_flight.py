@@ -46,6 +46,7 @@ CLOSED_S = 15.0
 @click.option(
     "--floor", type=Finite(), metavar="M", help="With --connect: depth of the floor (default: by map or laser)."
 )
+@click.option("--laps", type=click.IntRange(1, 20), default=2, show_default=True, help="How often it is flown.")
 @click.option("--yes", is_flag=True, help="With --connect: arm and start without asking.")
 @click.option(
     "--timeout", type=FiniteRange(min=0.0), default=900.0, show_default=True, metavar="S", help="Longest flight."
@@ -61,6 +62,7 @@ def flight(
     connection: str | None,
     written: Path | None,
     floor: float | None,
+    laps: int,
     yes: bool,
     timeout: float,
     as_json: bool,
@@ -78,7 +80,7 @@ def flight(
     if connection is not None:
         if written is None:
             raise click.UsageError("--connect: name by --log the file that the service logs to, or its folder of logs")
-        places = vehicle, map_file, floor
+        places = vehicle, map_file, floor, laps
         log_file = _fly(connection, written, *places, yes=yes, timeout_s=timeout, quiet=as_json)
     assert log_file is not None
     found = calibrate_flight(log_file, vehicle, map_file)
@@ -125,6 +127,7 @@ def _fly(
     vehicle: str | None,
     map_file: Path | None,
     floor_m: float | None,
+    laps: int,
     *,
     yes: bool,
     timeout_s: float,
@@ -135,11 +138,13 @@ def _fly(
     from autopilot.core.messages import ProgressState
     from autopilot.core.plan import PlanKind
 
+    if not log.exists():
+        raise ConfigError(f"--log {log}: is not there; name the file that the service logs to, or its folder of logs")
     with vehicle_session(connection, PATIENCE_S, quiet) as session:
         if session.vehicle is not None and session.vehicle.armed:
             raise ConfigError("the vehicle is armed; let it end what it does and disarm it")
         before = session.download(PlanKind.MISSION)
-        items = _manoeuvre(session, vehicle, map_file, floor_m)
+        items = _manoeuvre(session, vehicle, map_file, floor_m, laps)
         if not yes:
             question = f"The vehicle will arm and fly {len(items)} items within its fence. Start?"
             click.confirm(question, abort=True, err=True)
@@ -160,7 +165,7 @@ def _fly(
 
 
 def _manoeuvre(
-    session: VehicleConnection, vehicle: str | None, map_file: Path | None, floor_m: float | None
+    session: VehicleConnection, vehicle: str | None, map_file: Path | None, floor_m: float | None, laps: int
 ) -> tuple[PlanItem, ...]:
     """The mission for the fence, the depth band and the floor that the vehicle has."""
     import numpy as np
@@ -194,6 +199,7 @@ def _manoeuvre(
         radius_m=load_vehicle(vehicle or "lbv150").radius_m,
         floor_m=floor_m,
         near_ned_m=near,
+        laps=laps,
     )
 
 
@@ -237,7 +243,7 @@ def _closed_log(place: Path, since_s: float) -> Path:
 
     end_s = time.monotonic() + CLOSED_S
     while True:
-        files = [place] if place.is_file() else [f for f in place.rglob("*.mcap") if f.stat().st_mtime >= since_s]
+        files = [f for f in (place, *place.rglob("*.mcap")) if f.is_file() and f.stat().st_mtime >= since_s]
         newest = max(files, key=lambda file: file.stat().st_mtime, default=None)
         late = time.monotonic() > end_s
         if newest is None and late:
