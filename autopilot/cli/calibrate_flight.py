@@ -5,7 +5,7 @@ from __future__ import annotations
 import signal
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -158,10 +158,14 @@ def _fly(
                 session.arm()
                 session.start_mission()
             status = session.watch_mission(None if quiet else MissionLines(), timeout_s)
-            if status.state is not ProgressState.COMPLETE:
+            # At its last item the vehicle surfaces, and may be disarmed before it tells that the mission is complete.
+            at_last = 0 < status.total <= status.seq + 1
+            if status.state is not ProgressState.COMPLETE and not at_last:
                 raise DriverError(f"the flight ended at item {status.seq} of {status.total}; nothing is calibrated")
             session.wait_disarmed(SURFACED_S)
-    return _closed_log(log, since_s)
+    found = _closed_log(log, since_s)
+    click.echo(f"the flight is in {found}", err=True)
+    return found
 
 
 def _manoeuvre(
@@ -248,6 +252,7 @@ def _closed_log(place: Path, since_s: float) -> Path:
         late = time.monotonic() > end_s
         if newest is None and late:
             raise LogError(f"--log {place}: holds no log of this flight; name what the service logs to")
-        if newest is not None and (late or not open_log(newest).problems):
-            return newest
+        with suppress(LogError):
+            if newest is not None and (late or not open_log(newest).problems):
+                return newest
         time.sleep(0.5)
