@@ -4,6 +4,27 @@ from dataclasses import dataclass
 
 
 @dataclass(frozen=True, slots=True)
+class CalibrationTuning:
+    margin_m: float = 0.05
+    """Beyond the controller's own margin, to boundaries and to the ends of the depth band."""
+    least_reach_m: float = 0.3
+    most_reach_m: float = 0.5
+    """Of the legs from their middle: shorter ones have no room to accelerate, longer ones take time."""
+    accept_fraction: float = 0.5
+    """Acceptance radius as a share of the reach."""
+    least_height_m: float = 0.6
+    """Over the floor: lower down the camera sees too few markers."""
+    height_factor: float = 2.0
+    least_factor: float = 1.25
+    grid: int = 40
+    """Places per axis in the search for room."""
+    refinements: int = 3
+
+
+CALIBRATION = CalibrationTuning()
+
+
+@dataclass(frozen=True, slots=True)
 class CirclingTuning:
     pull_1_s: float = 0.6
     """How fast a distance from the circle is made good."""

@@ -121,6 +121,8 @@ class LaserFitTuning:
     """Least range of 1/Z over its mean: else position and direction of the beam are not separable."""
     min_dots: int = 15
     max_sigma_slope: float = 0.004
+    sigma_factor: float = 2.0
+    """As in the fit of the motion: simulated beams were off by up to 2.7 of the residuals' own."""
     rounds: int = 8
     lags: int = 3
 

@@ -125,8 +125,8 @@ def fit_beam(dots: Dots, camera: CameraModel) -> Beam:
     return Beam(
         slope=x[:2],
         base_m=x[2:],
-        sigma_slope=sigma[:2],
-        sigma_base_m=sigma[2:],
+        sigma_slope=LASER_FIT.sigma_factor * sigma[:2],
+        sigma_base_m=LASER_FIT.sigma_factor * sigma[2:],
         correlation=np.array([spread[k, k + 2] / (sigma[k] * sigma[k + 2]) for k in (0, 1)]),
         rms_px=focal * math.sqrt(float((residual**2).sum(axis=1).mean())),
         used=len(w),
@@ -169,8 +169,8 @@ def beam_values(beam: Beam, camera: CameraModel, vehicle: Vehicle) -> dict[str, 
     depth_m = 0.0 if vehicle.laser is None else vehicle.laser.position_frd_m[2]
     start = point + direction * (depth_m - point[2]) / direction[2]
     unit = direction / direction[2]
-    middle_m = 0.5 * sum(beam.depth_m)
-    sigma_rad = beam.sigma_range_m(middle_m) * float(np.linalg.norm(beam.base_m)) / middle_m**2
+    # The dot's direction as the camera sees it, where it is known worst: at the ends of the heights flown.
+    sigma_rad = max(beam.sigma_range_m(m) * float(np.linalg.norm(beam.base_m)) / m**2 for m in beam.depth_m)
     return {
         "laser.position_frd_m": [round(v, 5) for v in start.tolist()],
         "laser.direction_frd": [round(v, 6) for v in unit.tolist()],

@@ -22,6 +22,9 @@ from autopilot.calibrate.recorded_flight import CameraFlight
 from autopilot.core.errors import LogError
 from autopilot.core.frames import FloatArray
 
+LEAST_SIGMA_S = 0.0005
+"""Of the stamps: drivers jitter."""
+
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class MotionFit:
@@ -111,6 +114,14 @@ def fit_motion(flight: CameraFlight) -> MotionFit:
         turned_rad=turned,
         correlation=scan,
     )
+
+
+def latency_values(flight: CameraFlight, fit: MotionFit) -> dict[str, float]:
+    """The keys of ``[camera]``."""
+    return {
+        "camera.time_offset_s": round(flight.vehicle.eye.time_offset_s - fit.late_s, 5),
+        "camera.time_offset_sigma_s": round(max(fit.sigma_late_s, LEAST_SIGMA_S), 5),
+    }
 
 
 def _pairs(t_s: FloatArray) -> tuple[np.ndarray, np.ndarray]:

@@ -1,7 +1,7 @@
 """Calibration data from a log: camera poses from the recorded corners alone, AHRS samples, laser dots."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -52,6 +52,11 @@ class CameraFlight:
     """Depth of the floor on which the markers lie."""
     sightings: int
     """In the log, usable or not."""
+
+    def with_vehicle(self, vehicle: Vehicle) -> "CameraFlight":
+        """The same flight for another vehicle file; its poses come from the corners alone."""
+        later_s = vehicle.eye.time_offset_s - self.vehicle.eye.time_offset_s
+        return replace(self, vehicle=vehicle, camera=CameraModel.of_vehicle(vehicle), t_s=self.t_s + later_s)
 
 
 def read_flight(path: Path, vehicle: str | None = None, markers: Path | None = None) -> CameraFlight:

@@ -42,30 +42,35 @@ def edited(text: str, changes: Changes, source: str, origin: str, notes: Mapping
 
 def write_updated(vehicle: str, changes: Changes, source: str, target: Path) -> None:
     """Copy the vehicle (a shipped name or a file) to ``target`` with the changes made. ConfigError if that fails."""
-    try:
-        path, text = _read(vehicle)
-        target.write_text(edited(text, changes, source, str(path)), encoding="utf-8")
-    except OSError as error:
-        raise ConfigError(f"{error.filename}: {error.strerror}; choose another place with --out") from error
+    origin, text = vehicle_text(vehicle)
+    write_vehicle(target, edited(text, changes, source, origin))
 
 
 def write_curves(vehicle: str, curves: str, source: str, target: Path) -> None:
     """Copy the vehicle to ``target`` with these ``[[drive.curve]]`` tables for its own. ConfigError if that fails."""
+    origin, text = vehicle_text(vehicle)
+    document = _parsed(text, origin)
+    document["drive"]["curve"] = _parsed(curves, "curves")["drive"]["curve"]
+    write_vehicle(target, edited(document.as_string(), {}, source, origin, notes={"drive.curve": source}))
+
+
+def write_vehicle(target: Path, text: str) -> None:
+    """Write a vehicle file. ConfigError if that fails."""
     try:
-        path, text = _read(vehicle)
-        document = _parsed(text, str(path))
-        document["drive"]["curve"] = _parsed(curves, "curves")["drive"]["curve"]
-        text = edited(document.as_string(), {}, source, str(path), notes={"drive.curve": source})
         target.write_text(text, encoding="utf-8")
     except OSError as error:
-        raise ConfigError(f"{error.filename}: {error.strerror}; choose another place with --out") from error
+        raise ConfigError(f"{target}: {error.strerror}; choose another place with --out") from error
 
 
-def _read(vehicle: str) -> tuple[Path, str]:
+def vehicle_text(vehicle: str) -> tuple[str, str]:
+    """Path and text of a vehicle, a shipped name or a file. ConfigError if it cannot be read."""
     path = Path(vehicle)
     if vehicle in vehicle_names():
         path = Path(str(resources.files("autopilot") / "data" / "vehicles" / f"{vehicle}.toml"))
-    return path, path.read_text(encoding="utf-8")
+    try:
+        return str(path), path.read_text(encoding="utf-8")
+    except OSError as error:
+        raise ConfigError(f"vehicle {vehicle}: {error.strerror}; name its file by --vehicle") from error
 
 
 def _parsed(text: str, origin: str) -> Any:

@@ -1,4 +1,4 @@
-"""``autopilot calibrate``: camera, laser, extrinsics, latency, thrusters. Results are printed or written."""
+"""``autopilot calibrate``: camera, flight, laser, extrinsics, latency, thrusters. Results are printed or written."""
 
 import math
 from collections.abc import Mapping
@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from autopilot.cli.calibrate_flight import flight
 from autopilot.cli.console_output import EXIT_LOSS, emit_json, make_console, print_table
 from autopilot.cli.finite import Finite
 from autopilot.cli.shared_options import JSON_NOT_TABLES, LOG_FILE
@@ -16,8 +17,6 @@ if TYPE_CHECKING:
     from autopilot.calibrate.recorded_flight import CameraFlight
 
 
-LEAST_SIGMA_S = 0.0005
-"""Of the stamps: drivers jitter."""
 _OUT = click.option(
     "--out", type=click.Path(path_type=Path, dir_okay=False), help="Vehicle file to write (default: print the keys)."
 )
@@ -69,6 +68,9 @@ def _board(board: str, shape: str, square: float, marker: float, dictionary: str
 @click.group()
 def calibrate() -> None:
     """Calibrate camera, laser, mounting and latency (docs/calibration.md)."""
+
+
+calibrate.add_command(flight)
 
 
 @calibrate.command()
@@ -183,17 +185,14 @@ def _view_rows(result: Any, spread: Any) -> list[tuple[str, str, str, str]]:
 @JSON_NOT_TABLES
 def latency(log_file: Path, vehicle: str | None, map_file: Path | None, out: Path | None, as_json: bool) -> None:
     """How late pictures are stamped, from how camera and gyros saw the vehicle turn."""
-    from autopilot.calibrate.motion_fit import fit_motion
+    from autopilot.calibrate.motion_fit import fit_motion, latency_values
     from autopilot.calibrate.recorded_flight import read_flight
 
     flight = read_flight(log_file, vehicle, map_file)
     fit = fit_motion(flight)
-    offset_s = flight.vehicle.eye.time_offset_s - fit.late_s
+    values = latency_values(flight, fit)
+    offset_s = values["camera.time_offset_s"]
     total_s = flight.vehicle.eye.latency_s + fit.late_s
-    values = {
-        "camera.time_offset_s": round(offset_s, 5),
-        "camera.time_offset_sigma_s": round(max(fit.sigma_late_s, LEAST_SIGMA_S), 5),
-    }
     if as_json:
         emit_json({"late_s": fit.late_s, "sigma_s": fit.sigma_late_s, "latency_s": total_s, "keys": values})
     else:

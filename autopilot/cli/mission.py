@@ -62,7 +62,7 @@ def upload(file: Path, clear: bool, connection: str, patience: float, as_json: b
     from autopilot.mission.plan_files import read_plan
 
     plan = read_plan(file)
-    with _session(connection, patience, as_json) as session:
+    with vehicle_session(connection, patience, as_json) as session:
         counts = _upload(session, plan, file, clear, quiet=as_json)
         problem = session.plan_problem()
         if as_json:
@@ -84,7 +84,7 @@ def download(file: Path, connection: str, patience: float, as_json: bool) -> Non
     from autopilot.core.plan import PlanKind
     from autopilot.mission.plan_files import PlanFile, write_plan
 
-    with _session(connection, patience, as_json) as session:
+    with vehicle_session(connection, patience, as_json) as session:
         plans = {}
         for kind in PlanKind:
             with _bar(kind.name.lower(), quiet=as_json) as advance:
@@ -123,10 +123,10 @@ def start(
     from autopilot.mission.plan_files import read_plan
 
     plan = None if file is None else read_plan(file)
-    with _session(connection, patience, as_json) as session:
+    with vehicle_session(connection, patience, as_json) as session:
         if plan is not None and file is not None:
             _upload(session, plan, file, clear, quiet=as_json)
-        with _once_each(session):
+        with once_each(session):
             if session.vehicle is None or not session.vehicle.armed:
                 session.arm()
             session.start_mission()
@@ -136,7 +136,7 @@ def start(
             else:
                 click.echo("mission started")
             return
-        status = session.watch_mission(None if as_json else _StatusLine(), timeout)
+        status = session.watch_mission(None if as_json else MissionLines(), timeout)
     complete = status.state is ProgressState.COMPLETE
     if as_json:
         emit_json({"state": status.state.name, "seq": status.seq, "total": status.total, "reached": status.reached})
@@ -188,7 +188,7 @@ mission.add_command(new)
 
 
 @contextmanager
-def _session(connection: str, patience_s: float, quiet: bool) -> Iterator[VehicleConnection]:
+def vehicle_session(connection: str, patience_s: float, quiet: bool) -> Iterator[VehicleConnection]:
     """Connection to a vehicle whose heartbeat has arrived; warnings of the vehicle go to stderr."""
     from autopilot.client.client_session import VehicleConnection
     from autopilot.client.texts import WARNING
@@ -206,7 +206,7 @@ def _session(connection: str, patience_s: float, quiet: bool) -> Iterator[Vehicl
 
 
 @contextmanager
-def _once_each(session: VehicleConnection) -> Iterator[None]:
+def once_each(session: VehicleConnection) -> Iterator[None]:
     """Filters the text of a refusal, which is in the error message too."""
     show = session.on_text
     held: list[VehicleText] = []
@@ -235,10 +235,10 @@ def _upload(session: VehicleConnection, plan: PlanFile, file: Path, clear: bool,
         kinds = (PlanKind.MISSION,)
     if clear:
         for kind in reversed(kinds):
-            with _once_each(session):
+            with once_each(session):
                 session.upload(kind, ())
     for kind in kinds:
-        with _once_each(session), _bar(kind.name.lower(), quiet) as advance:
+        with once_each(session), _bar(kind.name.lower(), quiet) as advance:
             session.upload(kind, plan.items(kind), advance)
     return {kind.name.lower(): len(plan.items(kind)) for kind in kinds}
 
@@ -259,7 +259,7 @@ def _bar(name: str, quiet: bool) -> Iterator[Callable[[int, int], None] | None]:
         yield lambda done, total: bar.update(task, completed=done, total=total)
 
 
-class _StatusLine:
+class MissionLines:
     """One line per event of the mission."""
 
     def __init__(self) -> None:

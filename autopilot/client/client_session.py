@@ -16,6 +16,7 @@ from autopilot.client.client_links import ClientLink, open_link
 from autopilot.client.command_client import CommandSend
 from autopilot.client.exchange import Exchange, ExchangeResult, Message, Timers, VehicleAddress
 from autopilot.client.plan_client import PlanDownload, PlanUpload, same_on_the_wire
+from autopilot.client.question import Question, message_question, parameter_question
 from autopilot.client.texts import TextCollector, VehicleText
 from autopilot.core.errors import AutopilotError, DriverError, PlanError
 from autopilot.core.messages import ProgressState
@@ -435,6 +436,32 @@ class VehicleConnection:
         if not outcome.accepted:
             raise CommandRefusedError(outcome.reason)
 
+    def parameter(self, name: str) -> float:
+        """Read a real parameter.
+
+        Raises
+        ------
+        CommandRefusedError
+            The vehicle does not send it.
+        """
+        return float(self._ask(parameter_question(name, self._address(), self._timers)).param_value)
+
+    def message(self, message_id: int) -> Message:
+        """Ask for one message by its number.
+
+        Raises
+        ------
+        CommandRefusedError
+            The vehicle's reason, or that it does not answer.
+        """
+        return self._ask(message_question(message_id, self._address(), self._timers))
+
+    def _ask(self, question: Question) -> Message:
+        outcome = self.run(question)
+        if not outcome.accepted:
+            raise CommandRefusedError(outcome.reason)
+        return question.answer
+
     def arm(self, force: bool = False) -> None:
         """Arm and wait until the heartbeat shows it.
 
@@ -537,6 +564,20 @@ class VehicleConnection:
                 raise DriverError(f"the vehicle on {self._name} has been silent for {silence_s:g} s; check the link")
             if passed_s > timeout_s:
                 raise DriverError(f"the mission is at item {seq} after {timeout_s:g} s; give it more time (--timeout)")
+
+    def wait_disarmed(self, timeout_s: float) -> None:
+        """Wait until the vehicle is disarmed, at most ``timeout_s`` [s] of its time.
+
+        Raises
+        ------
+        DriverError
+            It stays armed, or falls silent.
+        """
+        since = self.vehicle_s, self._clock_s()
+        while self.vehicle is not None and self.vehicle.armed:
+            self.poll()
+            if self._since(*since) > timeout_s or self._silent_s > SILENCE_S:
+                raise DriverError(f"the vehicle on {self._name} is still armed after {timeout_s:g} s; look after it")
 
 
 def _state(value: int) -> ProgressState:

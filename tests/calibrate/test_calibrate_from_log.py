@@ -1,5 +1,6 @@
 """From a recorded log to a vehicle file: corners and dots of a camera that sits otherwise than the file says."""
 
+import json
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -28,12 +29,19 @@ MOUNTING, LATE_S = (0.02, -0.015, 0.03), 0.030
 BEAM_FRD = np.array([0.004, -0.006, 1.0])
 
 
-def record(path: Path, *, markers: bool = True, sightings: bool = True) -> Path:
+class Level(Motion):
+    """At one depth."""
+
+    def pos(self, t: np.ndarray) -> np.ndarray:
+        return super().pos(t) * [1.0, 1.0, 0.0] + [0.0, 0.0, 0.6]
+
+
+def record(path: Path, motion: Motion | None = None, *, markers: bool = True, sightings: bool = True) -> Path:
     """A log of a made-up flight over a floor of markers."""
     vehicle = load_vehicle("lbv150")
     square = np.array([[-1.2, -1.2], [1.2, -1.2], [1.2, 1.2], [-1.2, 1.2]])
     floor = grid_floor(polygon_m=square, depth_m=FLOOR_M, pitch_m=0.08, size_m=0.06, seed=7)
-    motion, rng = Motion(), np.random.default_rng(5)
+    motion, rng = motion or Motion(), np.random.default_rng(5)
     flight = make_flight(motion, duration_s=DURATION_S)
     true = CameraModel.of(
         msgspec.structs.replace(vehicle.camera, mounting_rpy_rad=MOUNTING),
@@ -97,12 +105,66 @@ def test_one_after_the_other(recorded: Path, tmp_path: Path, capsys: pytest.Capt
     assert call("extrinsics", str(recorded), "--vehicle", files[0], "--out", files[1]) == 0
     assert call("laser", str(recorded), "--vehicle", files[1], "--out", files[2]) == 0
     capsys.readouterr()
-    found = load_vehicle(files[2])
+    judge(files[2])
+
+
+def judge(file: str) -> None:
+    found = load_vehicle(file)
     assert found.camera.time_offset_s == pytest.approx(-LATE_S, abs=0.002)
     assert found.camera.mounting_rpy_rad == pytest.approx(MOUNTING, abs=0.004)
     assert found.laser.direction_frd == pytest.approx(tuple(BEAM_FRD.tolist()), abs=0.005)
     offset = np.subtract(found.laser.position_frd_m, found.camera.position_frd_m)
     assert offset == pytest.approx([0.0, 0.05, 0.0], abs=0.002)
+
+
+def test_all_at_once(recorded: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = str(tmp_path / "new.toml")
+    assert call("flight", str(recorded), "--out", out) == 0
+    judge(out)
+    told = capsys.readouterr().out
+    assert all(word in told for word in ("camera time offset", "camera yaw", "beam towards x", "before"))
+    sources = load_vehicle(out).sources
+    for step, key in (("latency", "camera.time_offset_s"), ("laser", "laser.direction_sigma_rad")):
+        assert sources[key] == f"autopilot calibrate flight, {step}: flight.mcap"
+    # The new file on the same log finds that nothing is left.
+    assert call("flight", str(recorded), "--vehicle", out, "--out", str(tmp_path / "again.toml"), "--json") == 0
+    for row in json.loads(capsys.readouterr().out)["found"]:
+        assert abs(row["value"] - row["before"]) < row["sigma"], row
+
+
+def test_a_step_that_fails_leaves_its_keys(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    log, out = record(tmp_path / "level.mcap", Level(tilt=0.0)), tmp_path / "new.toml"
+    assert call("flight", str(log), "--out", str(out), "--json") == 3
+    facts = json.loads(capsys.readouterr().out)
+    assert facts["failed"][-1]["step"] == "laser"
+    assert "change the height by a quarter" in facts["failed"][-1]["reason"]
+    assert load_vehicle(str(out)).laser == load_vehicle("lbv150").laser
+    assert load_vehicle(str(out)).camera.time_offset_s == pytest.approx(-LATE_S, abs=0.002)
+
+
+def test_nothing_is_written_if_nothing_is_found(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    log, out = record(tmp_path / "still.mcap", Level(yaw=0.0, tilt=0.0)), tmp_path / "new.toml"
+    assert call("flight", str(log), "--out", str(out)) == 1
+    told = capsys.readouterr()
+    assert "the vehicle hardly turned" in " ".join(told.out.split())
+    assert told.err == f"error: {log}: no step succeeded; nothing is written\n"
+    assert not out.exists()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code", "words"),
+    [
+        ((), 2, "give either LOG, or --connect and --log"),
+        (("no.mcap", "--connect", "udpout:127.0.0.1:1"), 2, "give either LOG, or --connect"),
+        (("--connect", "udpout:127.0.0.1:1"), 2, "name by --log the file that the service logs to"),
+        (("no-such.mcap",), 1, "cannot be read"),
+    ],
+)
+def test_what_is_missing_is_named(
+    arguments: tuple[str, ...], code: int, words: str, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    assert call("flight", *arguments, "--out", str(tmp_path / "new.toml")) == code
+    assert words in capsys.readouterr().err
 
 
 def test_logs_that_cannot_be_used(tmp_path: Path, recorded: Path) -> None:

@@ -67,7 +67,7 @@ def test_command_lines_are_understood(page: Path) -> None:
 def test_lines_are_found() -> None:
     lines = {page.name: list(command_lines(page)) for page in PAGES}
     assert "mission download FILE --connect udpout:127.0.0.1:14540" in lines["mavlink.md"]
-    assert "calibrate latency cal.mcap --out v1.toml" in lines["calibration.md"]
+    assert "calibrate flight LOG --out NEW.toml" in lines["calibration.md"]
     assert sum(map(len, lines.values())) > 150
 
 
