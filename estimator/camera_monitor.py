@@ -179,9 +179,27 @@ class CameraMonitor(Monitor):
     def note_picture(self) -> None:
         self._pictures = True
 
+    @property
+    def lens_fits(self) -> bool:
+        """Whether pictures fit the lens as it is taken to be: what they say of the tilt is off otherwise."""
+        return not self._lens.count or abs(self._lens.mean - self._lens_applied) < CAMERA_MONITOR.focal_named
+
+    def lens_variance(self, x: FloatArray) -> tuple[float, float, float, float]:
+        """Variance (4,) of a picture's pose by a distortion that is not known yet: which of its markers fit changes
+        from picture to picture, and with them the pose."""
+        if self.lens_fits and self._lens.count >= CAMERA_MONITOR.focal_soon:
+            return 0.0, 0.0, 0.0, 0.0
+        aside_m = CAMERA_MONITOR.bent_share * self._bend_sigma / CAMERA_MONITOR.bend * self.height_m(x)
+        return aside_m**2, aside_m**2, aside_m**2, 0.0
+
+    @property
+    def _lens_applied(self) -> float:
+        """What of their opinion is applied."""
+        return self.focal_error - CAMERA_MONITOR.bend * self.distortion_error
+
     def update_focal(self, focal_error: float, sigma: float) -> bool:
         """One more picture's opinion of the focal length. True if :attr:`focal_error` has changed."""
-        applied = self.focal_error - CAMERA_MONITOR.bend * self.distortion_error
+        applied = self._lens_applied
         for mean in (self._lens, self._lens_lately):
             mean.add(applied + focal_error, sigma)
         self._note_change()

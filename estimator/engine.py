@@ -84,7 +84,6 @@ class AidedEstimator(Estimator):
         self._attitude = AttitudeSource()
         self._mount = AhrsMount(vehicle.ahrs.position_frd_m)
         self._ahrs_offset_us = round(1e6 * vehicle.ahrs.time_offset_s)
-        self._trim = TiltTrim()
         self._thrust = ThrustLag(vehicle.thrusters)
         self._water = WaterVariation()
         # Monitors.
@@ -92,6 +91,7 @@ class AidedEstimator(Estimator):
         camera = vehicle.camera or NO_CAMERA
         self._latency_s = camera.latency_s
         self._mounting_rad2 = max(camera.mounting_sigma_rad[:2]) ** 2
+        self._trim = TiltTrim(max(camera.mounting_sigma_rad[:2]))
         self._monitors = monitors = Monitors(
             Evidence(self._sources.laser),
             ImuMonitor(self._sources.model.vehicle, trust, self._water),

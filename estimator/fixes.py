@@ -5,6 +5,7 @@ is the more reliable; then their source is only monitored until it is consistent
 """
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -52,6 +53,8 @@ class Fixes:
         has_weight = from_camera or not self._sources.markers_in_view(fix.t_us)  # markers know better
         known = () if node.state.sheets is None else node.state.sheets.which
         gap = self._sources.in_gap(fix.t_us)
+        if fix.focal is not None:
+            fix = replace(fix, noise=fix.noise + np.diag(self._camera.lens_variance(node.state.x)))
         judged = self._fusion.fuse(node, fix, aid)
         self._imu.gyro.see_fix(judged.y.item(3))
         if has_weight:
@@ -68,7 +71,7 @@ class Fixes:
             aid.trust.restart()
             aid.jumped = False
             self._learn_sheets(node, fix, known)
-            if fix.tilt_rad is not None and node.moment.inertial.real:
+            if fix.tilt_rad is not None and node.moment.inertial.real and self._camera.lens_fits:
                 self._trim.learn(node.moment.inertial, *fix.tilt_rad, fix.sigma_tilt_rad, fix.t_us)
             return
         seen = self._against_reckoning(node, fix, judged)

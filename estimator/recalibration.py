@@ -5,6 +5,7 @@ import math
 import numpy as np
 
 from autopilot.core.frames import FloatArray
+from autopilot.estimator.estimator_tuning import CAMERA_MONITOR
 from autopilot.estimator.fusion import Fusion
 from autopilot.estimator.intake import SampleBuffer
 from autopilot.estimator.monitors import Monitors
@@ -21,7 +22,7 @@ class Recalibration:
     def __init__(self, fusion: Fusion, sources: Sources, intake: SampleBuffer, monitors: Monitors) -> None:
         self._fusion, self._sources, self._intake = fusion, sources, intake
         self._evidence, self._imu, self._camera, *_ = monitors
-        self._focal_error = 0.0
+        self._focal_error = self._distortion_error = 0.0
         self.counts = dict.fromkeys(("stamps.retimed", "focal.rescaled"), 0)
 
     def retime(self) -> None:
@@ -56,15 +57,22 @@ class Recalibration:
         self._sources.pictures.set_lens(focal_error, self._camera.distortion_error)
         more = (1.0 + focal_error) / (1.0 + before) - 1.0
         height_m = self._camera.height_m(self._fusion.history.newest.state.x)
-        self._carry(np.array([0.0, 0.0, height_m * more, 0.0]), np.zeros(3))
+        bent, self._distortion_error = (
+            self._camera.distortion_error - self._distortion_error,
+            self._camera.distortion_error,
+        )
+        self._carry(
+            np.array([0.0, 0.0, height_m * more, 0.0]), np.zeros(3), CAMERA_MONITOR.bent_share * height_m * bent
+        )
         self.counts["focal.rescaled"] += 1
 
-    def _carry(self, along: FloatArray, velocity: FloatArray) -> None:
+    def _carry(self, along: FloatArray, velocity: FloatArray, aside_m: float = 0.0) -> None:
         """Move the estimate by ``along`` (4,) [m, rad] and set its ``velocity`` (3,), and reset everything derived
-        from it: inertial biases, findings, history.
+        from it: inertial biases, findings, history. It is unsure by ``aside_m`` besides.
         """
         x = self._fusion.history.newest.state.x
-        noise = np.diag(CARRIED_SIGMA**2 + along**2)
+        aside = np.array([aside_m, aside_m, aside_m, 0.0])
+        noise = np.diag(CARRIED_SIGMA**2 + along**2 + aside**2)
         pose = np.append(x[POS], x[YAW]) + along
         self._fusion.move(pose, noise, x[VEL] + velocity, (one(GYRO_BIAS), ACCEL_BIAS))
         self._imu.forgive()

@@ -2,7 +2,8 @@
 
 An AHRS of this class has a slowly varying error of half a degree, which leaks 0.09 m/s^2 of gravity into the
 horizontal acceleration: more than drag and thrust errors together. A pose from many markers gives the tilt to a
-twentieth of a degree. The low-pass filtered difference is subtracted from later samples; without vision it decays.
+twentieth of a degree against the camera's mounting. The low-pass filtered difference, by the share that the mounting is
+surer than the AHRS, is subtracted from later samples; without vision it decays.
 """
 
 import math
@@ -10,6 +11,7 @@ import math
 from autopilot.core.samples import AhrsSample
 from autopilot.estimator.inertial import Inertial
 
+AHRS_SIGMA_RAD = math.radians(0.5)
 GAIN = 0.1
 """Share of the difference per fix (30 Hz): follows within 0.3 s and averages the noise of ten fixes."""
 MAX_SIGMA_RAD = math.radians(0.4)
@@ -25,7 +27,8 @@ HELD_US = 500_000
 class TiltTrim:
     """Correction of roll and pitch of the AHRS [rad]."""
 
-    def __init__(self) -> None:
+    def __init__(self, mounting_sigma_rad: float = 0.0) -> None:
+        self._share = AHRS_SIGMA_RAD**2 / (AHRS_SIGMA_RAD**2 + mounting_sigma_rad**2)
         self._roll = 0.0
         self._pitch = 0.0
         self._at_us = -1
@@ -42,8 +45,8 @@ class TiltTrim:
         if not (sigma_rad <= MAX_SIGMA_RAD and max(abs(d_roll), abs(d_pitch)) <= MAX_DIFFERENCE_RAD):
             return
         gain = GAIN if self.fresh(t_us) else 0.5
-        self._roll += gain * (d_roll - self._roll)
-        self._pitch += gain * (d_pitch - self._pitch)
+        self._roll += gain * (self._share * d_roll - self._roll)
+        self._pitch += gain * (self._share * d_pitch - self._pitch)
         self.last_fix_us = t_us
 
     def at(self, sample: AhrsSample) -> tuple[float, float]:

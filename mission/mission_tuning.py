@@ -91,9 +91,6 @@ QGC_PLAN = QgcPlanTuning()
 class StepGoalsTuning:
     goals_ahead: int = 2
     """A leg is planned with the next one's beginning in view, and the next leg while this one is flown."""
-    sure_sigmas: float = 3.0
-    uncertainty_fraction: float = 0.1
-    """Acceptance shrinks by this number of standard deviations of the estimate, but by this share at most."""
     yaw_variance: int = 5
     """Index in NavState.variance."""
 

@@ -6,6 +6,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from autopilot.core.acceptance import sure_limit
 from autopilot.core.frames import FloatArray, wrap_pi
 from autopilot.core.messages import Goal, NavHealth, NavState, ProgressState
 from autopilot.mission.circling import LoiterCircle
@@ -246,13 +247,7 @@ def is_inside(goal: Goal, nav: NavState) -> bool:
     if not away_m <= goal.accept_radius_m:  # nearly always
         return False
     variance = nav.variance.tolist()
-    if not away_m <= _shrunk(goal.accept_radius_m, sum(variance[:3])):
+    if not away_m <= sure_limit(goal.accept_radius_m, sum(variance[:3])):
         return False
-    band_rad = _shrunk(goal.accept_yaw_rad, variance[STEP_GOALS.yaw_variance])
+    band_rad = sure_limit(goal.accept_yaw_rad, variance[STEP_GOALS.yaw_variance])
     return goal.yaw_rad is None or abs(wrap_pi(float(nav.rpy_rad[2]) - goal.yaw_rad)) <= band_rad
-
-
-def _shrunk(limit: float, variance: float) -> float:
-    """Acceptance limit minus the uncertainty of the estimate."""
-    uncertainty = STEP_GOALS.sure_sigmas * math.sqrt(variance) if variance >= 0.0 else math.inf
-    return limit - min(uncertainty, STEP_GOALS.uncertainty_fraction * limit)

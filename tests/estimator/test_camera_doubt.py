@@ -305,7 +305,7 @@ def as_a_person_has_it(floor: MarkerMap, rng: np.random.Generator) -> tuple[Vehi
 def test_nobodys_calibration_is_perfect(floor: MarkerMap) -> None:
     """The truth is where the estimate says that it may be, whatever a person with a ruler did."""
     inside, squares = [], []
-    for seed in range(6):
+    for seed in range(10):
         vehicle, told, late_us = as_a_person_has_it(floor, np.random.default_rng(1000 + seed))
         track, _ = flown(create_ekf(vehicle, told, 1.5), LaidWorld(floor, seed, stamped_late_us=late_us), 4.0)
         error = np.column_stack((track.pos_error(), track.yaw_error()))

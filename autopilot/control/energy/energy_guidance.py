@@ -26,10 +26,11 @@ from autopilot.control.nmpc.ocp import TERMINAL_STAGES
 from autopilot.control.path.guidance import GuidanceInputs, Reference, RouteGuidance, Weights
 from autopilot.control.path.workers import TaskFailures
 from autopilot.core import operator_messages as notices
+from autopilot.core.acceptance import LARGEST_SHARE, sure_limit
 from autopilot.core.background import BackgroundTask, BackgroundWorker, Cancel
 from autopilot.core.control_allocator import ControlAllocator
 from autopilot.core.frames import FloatArray
-from autopilot.core.messages import EnergyPlan, Goal, Severity
+from autopilot.core.messages import EnergyPlan, Goal, NavState, Severity
 from autopilot.core.model4 import YAW, R, U, Z
 
 
@@ -396,6 +397,7 @@ class EnergyGuidance:
             leg_depth_m=None if kind is Kind.NEXT else self._leg_depth_m,
             warm=begun,
             kind=kind,
+            uncertainty=_uncertainty(goal, now.nav),
         )
         if kind is not Kind.NEXT:
             self._requested_step = self._step
@@ -427,3 +429,11 @@ def _key(goal: Goal) -> tuple[float, ...]:
     """Position and heading, as a key of goals."""
     yaw = goal.yaw_rad
     return (*(float(p) for p in goal.pos_ned_m), 0.0 if yaw is None else yaw, float(yaw is None))
+
+
+def _uncertainty(goal: Goal, nav: NavState) -> float:
+    """Share of the goal's acceptance that the estimate's uncertainty takes: nothing or the most that it may, so that
+    plans do not change with every tick's variance."""
+    limits = ((goal.accept_radius_m, float(nav.variance[:3].sum())), (goal.accept_yaw_rad, float(nav.variance[5])))
+    sure = all(sure_limit(limit, variance) >= LEG_TASK.sure_fraction * limit for limit, variance in limits)
+    return 0.0 if sure else LARGEST_SHARE

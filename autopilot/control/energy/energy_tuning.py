@@ -123,6 +123,9 @@ class LegTaskTuning:
     yaw_fraction: float = 0.8
     """Shares of the acceptance region that a trajectory aims at, so that it is surely reached in spite of small
     errors."""
+    sure_fraction: float = 0.95
+    """Where the estimate's uncertainty leaves less than this share of the acceptance, a trajectory aims at the least
+    that it may leave."""
     gate_radius_m: float = 0.5
     """Region in which a trajectory ends that does not reach its goal within longest_s."""
     screen_rounds: int = 1

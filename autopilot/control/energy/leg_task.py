@@ -89,12 +89,18 @@ class LegTask:
         else:
             self._gate = None
             away = np.hypot(*(points - points[-1]).T)
-            outside = away > LEG_TASK.radius_fraction * request.goal.accept_radius_m
+            outside = away > self._region_m
             last = min(int(np.flatnonzero(outside)[-1]) + 1 if outside.any() else 1, len(points) - 1)
             points, times = points[: last + 1], times[: last + 1]
         if times[-1] > LEG_TASK.linear_turn_s:
             points, times = self._turned_first(points, times)
         return [self._guess(points, times, yaw) for yaw in self._turns()]
+
+    @property
+    def _region_m(self) -> float:
+        """Radius about the goal in which the trajectory ends."""
+        request = self._request
+        return (LEG_TASK.radius_fraction - request.uncertainty) * request.goal.accept_radius_m
 
     def _least_s(self, yaw_rad: float | None) -> float:
         """Lower bound of the duration [s] from the change of depth to the goal region and the turn to its heading."""
@@ -102,7 +108,7 @@ class LegTask:
             return LEG_TASK.shortest_guess_s
         start, goal = self._request.x0, self._request.goal
         heave, turn_rate = (float(limit) for limit in self._request.limits[1:3])
-        rise = abs(float(goal.pos_ned_m[2] - start[Z])) - LEG_TASK.radius_fraction * goal.accept_radius_m
+        rise = abs(float(goal.pos_ned_m[2] - start[Z])) - self._region_m
         turn = 0.0 if yaw_rad is None else abs(yaw_rad - float(start[YAW]))
         return max(LEG_TASK.shortest_guess_s, rise / heave, turn / turn_rate)
 
@@ -250,7 +256,8 @@ class LegTask:
             offsets,
         )
         gate = self._gate
-        yaw_band = goal.accept_yaw_rad * LEG_TASK.yaw_fraction if goal.yaw_rad is not None and gate is None else 1e3
+        aimed = goal.yaw_rad is not None and gate is None
+        yaw_band = (LEG_TASK.yaw_fraction - request.uncertainty) * goal.accept_yaw_rad if aimed else 1e3
         middle = float(x[-1, YAW]) if goal.yaw_rad is None else unwrap_near(goal.yaw_rad, float(x[-1, YAW]))
         place = np.asarray(goal.pos_ned_m, dtype=float)
         slope = self._end_slope
@@ -260,7 +267,7 @@ class LegTask:
         return ProgramInputs(
             x0=request.x0,
             goal_ned_m=place,
-            radius_m=LEG_TASK.radius_fraction * goal.accept_radius_m if gate is None else LEG_TASK.gate_radius_m,
+            radius_m=self._region_m if gate is None else LEG_TASK.gate_radius_m,
             yaw_rad=middle,
             yaw_band_rad=yaw_band,
             current=self._flow.current(x[:, :2]),

@@ -36,6 +36,8 @@ class TrajectoryRequest:
     """(4,)"""
     buoyancy_excess_n: float
     """Buoyancy minus weight, as it has proved to be."""
+    uncertainty: float = 0.0
+    """Share of the goal's acceptance that the estimate's uncertainty takes."""
     leg_depth_m: float | None = None
     """Depth at which the leg to the goal was begun, None = here."""
     cruise_m_s: float = math.inf
