@@ -319,8 +319,11 @@ class MarkersPoseTuning:
     first_rms_px: float = 40.0
     final_rms_px: float = 3.0
     """A fit may be this bad before and after markers have been left out."""
-    outliers_from: int = 4
-    """Markers that a pose must stand on before others are called outliers by it,"""
+    few: int = 8
+    """Among so few, one that is off gives the others residuals that hide its own (of four, 1 part against 3): each is
+    left out in turn."""
+    outliers_from: int = 3
+    """Markers of the map in a picture in which one may be called an outlier: two against one,"""
     outlier_m: float = 0.012
     """and how far off those are."""
     strain_most: float = 30.0
