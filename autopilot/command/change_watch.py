@@ -16,7 +16,7 @@ _HEALTH_TEXTS = {
     NavHealth.INVALID: notices.POSITION_LOST,
 }
 
-_DOUBT_TEXTS = {
+DOUBT_TEXTS = {
     NavDoubt.ACCELEROMETER: notices.ACCELEROMETER_WRONG,
     NavDoubt.GYRO: notices.GYRO_WRONG,
     NavDoubt.FIXES: notices.FIXES_DISAGREE,
@@ -28,11 +28,30 @@ _DOUBT_TEXTS = {
 }
 """Remedy for a sensor that contradicts the other evidence."""
 
+_HEALTH_TEXTS_POSES = _HEALTH_TEXTS | {
+    NavHealth.DEAD_RECKONING: notices.DEAD_RECKONING_POSES,
+    NavHealth.INVALID: notices.POSITION_LOST_POSES,
+}
+
+DOUBT_TEXTS_POSES = DOUBT_TEXTS | {
+    NavDoubt.ACCELEROMETER: notices.ACCELEROMETER_WRONG_POSES,
+    NavDoubt.GYRO: notices.GYRO_WRONG_POSES,
+    NavDoubt.FIXES: notices.POSES_DISAGREE,
+    NavDoubt.RANGE: notices.POSE_RANGE_DISAGREES,
+    NavDoubt.CALIBRATION: notices.POSE_LATENCY_SUSPECT,
+    NavDoubt.RESETS: notices.REPEATED_RESETS_POSES,
+    NavDoubt.CAMERA: notices.POSES_WRONG,
+}
+"""The same where the position comes from a source of poses and nobody has markers."""
+
 
 class ChangeWatch:
     """Reports changes since the last tick."""
 
-    def __init__(self, vehicle: Vehicle, plans: Plans, goals: Goals) -> None:
+    def __init__(self, vehicle: Vehicle, plans: Plans, goals: Goals, *, has_markers: bool = True) -> None:
+        """``has_markers``: whether the position comes from markers, not from another source of poses."""
+        self._health_texts = _HEALTH_TEXTS if has_markers else _HEALTH_TEXTS_POSES
+        self._doubt_texts = DOUBT_TEXTS if has_markers else DOUBT_TEXTS_POSES
         self._radius_m = vehicle.radius_m
         self._plans = plans
         self._goals = goals
@@ -40,6 +59,8 @@ class ChangeWatch:
         self._health = NavHealth.INVALID
         self._reported_doubts: frozenset[NavDoubt] = frozenset()
         """Reported since arming."""
+        self._fixes_us: int | None = None
+        """Since when fixes disagree and nothing was said of it: their cause may yet be found."""
         self._unreachable = False
         self._thrusters = tuple(thruster.name for thruster in vehicle.thrusters)
         self._reported_effectiveness: dict[str, float] = {}
@@ -52,13 +73,15 @@ class ChangeWatch:
         nav = status.nav
         texts: list[OperatorText] = []
         health = NavHealth.INVALID if nav is None else nav.health
-        new = status.nav_doubts - self._reported_doubts if armed else frozenset()
-        texts += [_DOUBT_TEXTS[doubt]() for doubt in NavDoubt if doubt in new] if new else []
+        new = self._new_doubts(status) if armed else frozenset()
+        texts += [self._doubt_texts[doubt]() for doubt in NavDoubt if doubt in new] if new else []
         self._reported_doubts = self._reported_doubts | new if armed else frozenset()
-        # The text of that warning already says why the fixes are rejected.
-        reported = health is NavHealth.DEAD_RECKONING and (bool(new) or NavDoubt.FIXES in status.nav_doubts)
+        self._fixes_us = self._fixes_us if armed else None
+        # The text of that warning already says why the fixes are rejected; an AHRS that is silent has its own.
+        silent = status.ahrs_age_s is not None and status.ahrs_age_s > WATCH.ahrs_age_s
+        reported = health is NavHealth.DEAD_RECKONING and (silent or bool(new) or NavDoubt.FIXES in status.nav_doubts)
         if armed and health is not self._health and not reported:
-            texts.append(_HEALTH_TEXTS[health]())
+            texts.append(self._health_texts[health]())
         if armed and status.unreachable and not self._unreachable:
             texts.append(notices.NO_FREE_PATH())
         texts += self._of_commands(status.command_delay_s) if armed else []
@@ -70,6 +93,22 @@ class ChangeWatch:
             self._fence = self._goals.fence
             texts += self._of_fence(nav if armed and health is not NavHealth.INVALID else None)
         return texts
+
+    def _new_doubts(self, status: VehicleStatus) -> frozenset[NavDoubt]:
+        """Doubts to be reported: that fixes disagree only if no doubt says why within a while."""
+        new = status.nav_doubts - self._reported_doubts
+        symptom = frozenset((NavDoubt.FIXES,))
+        if symptom <= new and self._fixes_us is None:
+            self._fixes_us = status.t_us
+        if self._fixes_us is None:
+            return new
+        if status.nav_doubts - symptom:
+            self._fixes_us = None
+            self._reported_doubts |= symptom
+        elif status.t_us - self._fixes_us >= WATCH.cause_us:
+            self._fixes_us = None
+            return new | symptom
+        return new - symptom
 
     def _of_commands(self, delay_s: float) -> list[OperatorText]:
         """Commands that act late, or again at once."""

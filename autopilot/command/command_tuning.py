@@ -182,6 +182,10 @@ class WatchTuning:
     """A change of a thruster's effectiveness that is worth a message."""
     flight_us: int = 20_000_000
     """A shorter time armed is no flight to summarise."""
+    ahrs_age_s: float = 0.1
+    """Ten missing samples: the estimate is dead reckoning for want of the AHRS, not of fixes."""
+    cause_us: int = 3_000_000
+    """Time within which a cause is named of fixes that disagree: a window of the stamps' watch, and some."""
     delay_news_s: float = 0.25
     """A change of the commands' delay that is worth a message."""
 

@@ -210,7 +210,7 @@ ROWS: tuple[FailsafeRow, ...] = (
         leave_s=1.0,
         action="FS_DOUBT_ACT",
         severity=Severity.WARNING,
-        text="map or calibration suspect: check both",
+        text="{suspect}",
         flying=True,
     ),
     FailsafeRow(
@@ -314,7 +314,7 @@ ROWS: tuple[FailsafeRow, ...] = (
         enter=1.0,
         action="FS_COLL_ACT",
         severity=Severity.WARNING,
-        text="collision detected: check the camera",
+        text="collision detected: check the {struck}",
         flying=True,
     ),
     FailsafeRow(
@@ -394,7 +394,7 @@ ROWS: tuple[FailsafeRow, ...] = (
         enter=1.0,
         leave_s=1.0,
         action="FS_CAM_ACT",
-        text="camera rejected: check its pictures",
+        text="{rejected}",
         flying=True,
     ),
     FailsafeRow(
