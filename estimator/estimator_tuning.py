@@ -27,6 +27,11 @@ class CameraMonitorTuning:
     seen is divided between them by how far either may be off; the height hangs on the focal length only."""
     doubted: float = 3.0
     """Times what both may be off by together, from where on the calibration is in doubt."""
+    ahrs_tilt_rad: float = 0.0145
+    """Standard deviation of the tilt of an AHRS that is to be heard of: 0.83 degrees, of which three are five of the
+    usual 0.5, so that hours pass without."""
+    tilted_us: int = 3_000_000
+    """Tilt of the camera against the AHRS is reported after it has lasted so long."""
     aside_m: float = 0.1
     """A picture whose scale is wrong is off sideways by that share of this: its middle is not below the vehicle."""
     focal_every_us: int = 200_000

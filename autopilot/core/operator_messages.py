@@ -165,6 +165,11 @@ FOCAL_LENGTH_OFF = _warning(
 LENS_OFF = _warning(
     "Focal length or distortion {percent:.1f} % off: calibrate camera", "The markers' images fit another lens better."
 )
+CAMERA_TILTED = _warning(
+    "Camera and AHRS tilt differ {off_deg:.1f} deg: check both",
+    "More than their uncertainties explain.",
+    "Correct the mounting of the one that is off.",
+)
 SHEET_OFF = _warning(
     "Sheet {name} lies {off_mm:.0f} mm, {turn_deg:.1f} deg off the map", "", "Run `autopilot markers survey`."
 )
