@@ -45,6 +45,9 @@ DOUBT_TEXTS_POSES = DOUBT_TEXTS | {
 """The same where the position comes from a source of poses and nobody has markers."""
 
 
+_SYMPTOMS = (NavDoubt.FIXES, NavDoubt.ACCELEROMETER)
+
+
 class ChangeWatch:
     """Reports changes since the last tick."""
 
@@ -59,8 +62,8 @@ class ChangeWatch:
         self._health = NavHealth.INVALID
         self._reported_doubts: frozenset[NavDoubt] = frozenset()
         """Reported since arming."""
-        self._fixes_us: int | None = None
-        """Since when fixes disagree and nothing was said of it: their cause may yet be found."""
+        self._held_us: dict[NavDoubt, int] = {}
+        """Symptoms and since when: their cause may yet be found."""
         self._unreachable = False
         self._thrusters = tuple(thruster.name for thruster in vehicle.thrusters)
         self._reported_effectiveness: dict[str, float] = {}
@@ -76,7 +79,8 @@ class ChangeWatch:
         new = self._new_doubts(status) if armed else frozenset()
         texts += [self._doubt_texts[doubt]() for doubt in NavDoubt if doubt in new] if new else []
         self._reported_doubts = self._reported_doubts | new if armed else frozenset()
-        self._fixes_us = self._fixes_us if armed else None
+        if not armed:
+            self._held_us.clear()
         # The text of that warning already says why the fixes are rejected; an AHRS that is silent has its own.
         silent = status.ahrs_age_s is not None and status.ahrs_age_s > WATCH.ahrs_age_s
         reported = health is NavHealth.DEAD_RECKONING and (silent or bool(new) or NavDoubt.FIXES in status.nav_doubts)
@@ -95,20 +99,28 @@ class ChangeWatch:
         return texts
 
     def _new_doubts(self, status: VehicleStatus) -> frozenset[NavDoubt]:
-        """Doubts to be reported: that fixes disagree only if no doubt says why within a while."""
+        """Doubts to be reported: that fixes disagree only if no doubt says why within a while, an accelerometer only if
+        it is no blow that it has felt.
+        """
         new = status.nav_doubts - self._reported_doubts
-        symptom = frozenset((NavDoubt.FIXES,))
-        if symptom <= new and self._fixes_us is None:
-            self._fixes_us = status.t_us
-        if self._fixes_us is None:
-            return new
-        if status.nav_doubts - symptom:
-            self._fixes_us = None
-            self._reported_doubts |= symptom
-        elif status.t_us - self._fixes_us >= WATCH.cause_us:
-            self._fixes_us = None
-            return new | symptom
-        return new - symptom
+        for doubt in _SYMPTOMS:
+            if doubt in new:
+                self._held_us.setdefault(doubt, status.t_us)
+            since_us = self._held_us.get(doubt)
+            if since_us is None:
+                continue
+            new -= {doubt}
+            why = status.nav_doubts - {doubt} if doubt is NavDoubt.FIXES else frozenset()
+            struck = doubt is NavDoubt.ACCELEROMETER and status.collided_us >= since_us - WATCH.jolt_us
+            hold_us = WATCH.cause_us if doubt is NavDoubt.FIXES or struck else WATCH.jolt_us
+            if why:
+                self._reported_doubts |= {doubt}
+            elif status.t_us - since_us >= hold_us:
+                new |= {doubt} if doubt in status.nav_doubts or not struck else frozenset()
+            else:
+                continue
+            del self._held_us[doubt]
+        return new
 
     def _of_commands(self, delay_s: float) -> list[OperatorText]:
         """Commands that act late, or again at once."""

@@ -81,6 +81,19 @@ def test_fixes_that_disagree_are_reported_if_nothing_says_why() -> None:
         assert sum("Markers disagree" in text for text in bench.texts) == said, (cause, after_s)
 
 
+def test_a_blow_is_not_called_a_wrong_accelerometer_unless_it_stays_wrong() -> None:
+    for struck, lasts_s, said in ((False, 0.3, 1), (True, 0.3, 0), (True, 6.0, 1)):
+        bench = Bench().armed()
+        bench.status.nav_doubts = frozenset({NavDoubt.ACCELEROMETER})
+        bench.run(0.2)
+        if struck:
+            bench.status.collided_us = bench.status.t_us
+        bench.run(lasts_s - 0.2)
+        bench.status.nav_doubts = frozenset()
+        bench.run(6.0)
+        assert sum("Accelerometer wrong" in text for text in bench.texts) == said, (struck, lasts_s)
+
+
 def test_arming_outside_the_fence_is_refused() -> None:
     bench = Bench()
     bench.load()
