@@ -83,7 +83,9 @@ class ChangeWatch:
             self._held_us.clear()
         # The text of that warning already says why the fixes are rejected; an AHRS that is silent has its own.
         silent = status.ahrs_age_s is not None and status.ahrs_age_s > WATCH.ahrs_age_s
-        reported = health is NavHealth.DEAD_RECKONING and (silent or bool(new) or NavDoubt.FIXES in status.nav_doubts)
+        reported = health is NavHealth.DEAD_RECKONING and (
+            silent or bool(new or self._held_us) or NavDoubt.FIXES in status.nav_doubts
+        )
         if armed and health is not self._health and not reported:
             texts.append(self._health_texts[health]())
         if armed and status.unreachable and not self._unreachable:
