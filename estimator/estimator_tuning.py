@@ -31,6 +31,11 @@ class CameraMonitorTuning:
     another tilt. Found with distortions of +-20 % over a floor of markers."""
     doubted: float = 3.0
     """Times what both may be off by together, from where on the calibration is in doubt."""
+    ahrs_tilt_rad: float = 0.0145
+    """Standard deviation of the tilt of an AHRS that is to be heard of: 0.83 degrees, of which three are five of the
+    usual 0.5, so that hours pass without."""
+    tilted_us: int = 3_000_000
+    """Tilt of the camera against the AHRS is reported after it has lasted so long."""
     aside_m: float = 0.1
     """A picture whose scale is wrong is off sideways by that share of this: its middle is not below the vehicle."""
     focal_every_us: int = 200_000
@@ -358,8 +363,11 @@ class MarkersPoseTuning:
     first_rms_px: float = 40.0
     final_rms_px: float = 3.0
     """A fit may be this bad before and after markers have been left out."""
-    outliers_from: int = 4
-    """Markers that a pose must stand on before others are called outliers by it,"""
+    few: int = 8
+    """Among so few, one that is off gives the others residuals that hide its own (of four, 1 part against 3): each is
+    left out in turn."""
+    outliers_from: int = 3
+    """Markers of the map in a picture in which one may be called an outlier: two against one,"""
     outlier_m: float = 0.012
     """and how far off those are."""
     strain_most: float = 30.0

@@ -85,10 +85,10 @@ class MapMonitor(Monitor):
         for outlier in fix.outliers:
             place = self._misplaced.setdefault((outlier.code, outlier.marker), _MisplacedMarker())
             place.add(outlier.north_m, outlier.east_m)
-            if place.steady:
+            if place.steady and not place.reported:
+                self._judge(fix.t_us, outlier, place)
+            if place.steady and place.reported:  # in doubt once it has a name
                 self._found_us = fix.t_us
-                if not place.reported:
-                    self._judge(outlier, place)
 
     def loosened(self, fix: PoseFix, *, rejected: bool) -> list[int]:
         """Sheets whose places become suspect by one picture more."""
@@ -132,7 +132,7 @@ class MapMonitor(Monitor):
                 found = notices.SHEET_OFF(name=errors.names[sheet], off_mm=off_mm, turn_deg=turn_deg)
                 self._notify(t_us, found.text)
 
-    def _judge(self, outlier: MarkerOutlier, place: _MisplacedMarker) -> None:
+    def _judge(self, t_us: int, outlier: MarkerOutlier, place: _MisplacedMarker) -> None:
         markers = self._markers
         apart = np.hypot(markers.centers_ned_m[:, 0] - place.north_m, markers.centers_ned_m[:, 1] - place.east_m)
         nearest = int(apart.argmin())
@@ -142,20 +142,20 @@ class MapMonitor(Monitor):
             partner = self._at(other, outlier.marker)
             if partner is not None:
                 partner.reported = place.reported = True
-                self._notify(self._found_us, notices.MARKERS_SWAPPED(number=name, other=other % ID_SPAN).text)
+                self._notify(t_us, notices.MARKERS_SWAPPED(number=name, other=other % ID_SPAN).text)
             elif place.count >= MAP_MONITOR.alone:
                 place.reported = True
-                self._notify(self._found_us, notices.MARKER_TAKES_PLACE(number=name, other=other % ID_SPAN).text)
+                self._notify(t_us, notices.MARKER_TAKES_PLACE(number=name, other=other % ID_SPAN).text)
             return
         place.reported = True
         if outlier.marker < 0:
-            self._notify(self._found_us, notices.MARKER_UNKNOWN(number=name).text)
+            self._notify(t_us, notices.MARKER_UNKNOWN(number=name).text)
             return
         north_m = place.north_m - float(markers.centers_ned_m[outlier.marker, 0])
         east_m = place.east_m - float(markers.centers_ned_m[outlier.marker, 1])
         direction = _direction(north_m, east_m)
         off_cm = 100.0 * math.hypot(north_m, east_m)
-        self._notify(self._found_us, notices.MARKER_OFF(number=name, off_cm=off_cm, way=direction).text)
+        self._notify(t_us, notices.MARKER_OFF(number=name, off_cm=off_cm, way=direction).text)
 
     def _at(self, code: int, index: int) -> _MisplacedMarker | None:
         """Strays of a marker seen where the map has marker ``index``."""
@@ -168,7 +168,7 @@ class MapMonitor(Monitor):
                 return place
         return None
 
-    def _notify(self, t_us: int | None, text: str) -> None:
+    def _notify(self, t_us: int, text: str) -> None:
         self._found_us = t_us
         self._texts.append(text)
 

@@ -7,6 +7,7 @@ have any position and attitude: association is at each marker's own depth, and v
 """
 
 import math
+from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 from typing import NamedTuple
@@ -24,7 +25,7 @@ from autopilot.estimator.camera_monitor import focal_estimate
 from autopilot.estimator.estimator_tuning import CAMERA_MONITOR, MARKERS_POSE
 from autopilot.estimator.ground import SheetTies, estimated_offsets
 from autopilot.estimator.measure_pose import MarkerOutlier, PoseFix, SheetDependence
-from autopilot.estimator.pnp import inward_of, linearise_corners, solve_pose
+from autopilot.estimator.pnp import Pose, inward_of, linearise_corners, solve_pose
 from autopilot.estimator.sheet_fit import SheetCorners, SheetPose, fit_on_sheets
 from autopilot.estimator.states import SheetStates
 
@@ -130,7 +131,7 @@ class MarkerSolver:
         if solved is None:
             return None
         away_m = self._floor_m - float(pos_ned_m[2])
-        if count < MARKERS_POSE.outliers_from or (
+        if len(match.known) < MARKERS_POSE.outliers_from or (
             count == len(match.known)
             and solved.worst_px * away_m < 0.5 * MARKERS_POSE.outlier_m * self._camera.focal_water_px
         ):
@@ -184,16 +185,29 @@ class MarkerSolver:
                 mine = (taken >= 0) & (self._errors.sheet[taken] == sheet)
                 arm = self._centers_m[taken[mine]] - self._errors.pivot_ned_m[sheet, :2]
                 moved[mine] = offset[k, :2] + offset[k, 3] * np.column_stack((-arm[:, 1], arm[:, 0]))
-            # No information about sheets that are not in the pose.
-            unknown = (taken >= 0) & ~np.isin(self._errors.sheet[taken], (-1, *fix.ground.sheets))
-        else:
-            unknown = np.zeros(len(taken), dtype=bool)
         seen = seen - moved
         off = np.where(taken >= 0, np.hypot(*(seen - self._centers_m[taken]).T), np.inf)
+        far = off > MARKERS_POSE.outlier_m
+        if self._errors is not None:
+            far &= self._is_the_marker(taken, off, np.hypot(*moved.T), () if fix.ground is None else fix.ground.sheets)
         return tuple(
             MarkerOutlier(sighting.ids[int(match.known[n])], int(taken[n]), float(seen[n, 0]), float(seen[n, 1]))
-            for n in np.flatnonzero((off > MARKERS_POSE.outlier_m) & ~unknown)
+            for n in np.flatnonzero(far)
         )
+
+    def _is_the_marker(
+        self, taken: IntArray, off_m: FloatArray, moved_m: FloatArray, sheets: tuple[int, ...]
+    ) -> np.ndarray:
+        """(n,) whether the marker is off by ``off_m``, and not its sheet, which was found ``moved_m`` from the map (by
+        another marker that is off, perhaps).
+        """
+        assert self._errors is not None
+        sheet = np.where(taken >= 0, self._errors.sheet[taken], -1)
+        alike = ((sheet[:, None] == sheet) & (off_m <= MARKERS_POSE.outlier_m)).sum(axis=1)
+        in_pose = (alike >= 2) | (moved_m < 0.25 * off_m)
+        beyond = off_m > MARKERS_POSE.outlier_m + 3.0 * self._errors.sigma[sheet, 0]
+        result: np.ndarray = (sheet < 0) | np.where(np.isin(sheet, sheets), in_pose, (alike >= 1) & beyond)
+        return result
 
     def _miss(self, j: int, eye_ned_m: FloatArray, ray_ned: FloatArray) -> tuple[float, int, complex]:
         """Distance of a camera ray from the centre of marker j: distance, j, north + i east."""
@@ -291,25 +305,28 @@ class MarkerSolver:
         """Least squares over the corners; markers that do not fit are left out and it is done again."""
         if self._errors is not None and (self._errors.sheet[placed] >= 0).any():
             return self._refine_on_sheets(sighting, seen, placed, pos, rpy, self._errors, sheets)
-        pixels, points = sighting.corners_px[seen], self._corners_ned_m[placed]
-        sigma_px = None if sighting.sigma_px is None else sighting.sigma_px[seen]
         good = np.ones(len(seen), dtype=bool)
         best = None
+
+        def fit(some: np.ndarray, start_ned_m: FloatArray, max_rms_px: float) -> Pose | None:
+            return self._fit_exact(sighting, seen[some], placed[some], start_ned_m, rpy, max_rms_px)
+
         for round_left in reversed(range(MARKERS_POSE.reject_rounds)):
-            best = solve_pose(
-                self._camera,
-                points[good].reshape(-1, 3),
-                pixels[good].reshape(-1, 2),
-                pos if best is None else best.pos_ned_m,
-                rpy,
-                max_rms_px=MARKERS_POSE.final_rms_px if round_left == 0 else MARKERS_POSE.first_rms_px,
-                sigma_px=None if sigma_px is None else np.repeat(sigma_px[good], 4),
-            )
+            best = fit(good, pos if best is None else best.pos_ned_m, _max_rms_px(round_left))
             if best is None:
-                self.counts["misfit"] += 1
-                return None
+                odd = _odd_one(good, np.arange(int(good.sum())), partial(fit, start_ned_m=pos)) if round_left else None
+                if odd is None:
+                    self.counts["misfit"] += 1
+                    return None
+                good[np.flatnonzero(good)[odd]] = False
+                continue
             off_px = _worst_px(best.residual_px.reshape(-1, 4, 2))
             fits = _fitting(off_px)
+            if round_left:
+                no_sheets = np.full(len(fits), -1)
+                odd = _odd_one(good, _suspects(fits, off_px, no_sheets), partial(fit, start_ned_m=best.pos_ned_m))
+                if odd is not None:
+                    fits = np.arange(len(fits)) != odd
             if fits.all() or round_left == 0:
                 break
             good[np.flatnonzero(good)[~fits]] = False
@@ -317,7 +334,8 @@ class MarkerSolver:
             return None
         focal = None
         if self._focal_due(sighting.t_us, len(best.residual_px) // 4):
-            corners, at = pixels[good].reshape(-1, 2), points[good].reshape(-1, 3)
+            corners = sighting.corners_px[seen[good]].reshape(-1, 2)
+            at = self._corners_ned_m[placed[good]].reshape(-1, 3)
             linear = linearise_corners(self._camera, at, corners, best.pos_ned_m, r_ned_from_frd(best.rpy_rad))
             if linear is not None:
                 jacobian = np.column_stack((linear[1], inward_of(corners)))
@@ -333,6 +351,26 @@ class MarkerSolver:
             fit=_fit(len(seen), best.rms_px, off_px),
         )
         return _Solved(fix, float(off_px.max()) if good.all() else math.inf)
+
+    def _fit_exact(
+        self,
+        sighting: MarkerSighting,
+        seen: IntArray,
+        placed: IntArray,
+        pos_ned_m: FloatArray,
+        rpy_rad: FloatArray,
+        max_rms_px: float,
+    ) -> Pose | None:
+        """Pose of these markers if they lie where the map has them."""
+        return solve_pose(
+            self._camera,
+            self._corners_ned_m[placed].reshape(-1, 3),
+            sighting.corners_px[seen].reshape(-1, 2),
+            pos_ned_m,
+            rpy_rad,
+            max_rms_px=max_rms_px,
+            sigma_px=None if sighting.sigma_px is None else np.repeat(sighting.sigma_px[seen], 4),
+        )
 
     def _good(self, rms_px: float, found_rpy_rad: FloatArray, rpy_rad: FloatArray) -> bool:
         """Whether a fit is acceptable as a fix; the reason for a rejection is counted. ``rpy_rad``: the initial
@@ -366,35 +404,55 @@ class MarkerSolver:
         strained: list[int] = []
         good = np.ones(len(seen), dtype=bool)
         best = None
-        for round_left in reversed(range(MARKERS_POSE.reject_rounds)):
-            numbers, place = np.unique(errors.sheet[placed[good]], return_inverse=True)
+
+        def corners_of(some: np.ndarray) -> tuple[SheetCorners, tuple[int, ...]]:
+            numbers, place = np.unique(errors.sheet[placed[some]], return_inverse=True)
             exact = int(numbers[0] < 0)
-            if len(numbers) == exact:  # all sheets have been left out
-                solved = self._refine(sighting, seen[good], placed[good], pos, rpy, sheets)
-                return None if solved is None else _Solved(replace(solved.fix, strained=tuple(strained)), math.inf)
             which = tuple(numbers[exact:].tolist())
-            sigma = errors.sigma[list(which)]
             corners = SheetCorners(
-                corners_ned_m=self._corners_ned_m[placed[good]],
-                pixels=sighting.corners_px[seen[good]],
+                corners_ned_m=self._corners_ned_m[placed[some]],
+                pixels=sighting.corners_px[seen[some]],
                 sheet=place - exact,
                 pivot_ned_m=errors.pivot_ned_m[list(which)],
-                sigma_m=errors.marker_sigma_m[placed[good]],
-                sigma_px=None if sighting.sigma_px is None else sighting.sigma_px[seen[good]],
+                sigma_m=errors.marker_sigma_m[placed[some]],
+                sigma_px=None if sighting.sigma_px is None else sighting.sigma_px[seen[some]],
             )
+            return corners, which
+
+        def fit(some: np.ndarray, start_ned_m: FloatArray, max_rms_px: float) -> SheetPose | Pose | None:
+            corners, which = corners_of(some)
+            if not which:
+                return self._fit_exact(sighting, seen[some], placed[some], start_ned_m, rpy, max_rms_px)
+            prior = estimated_offsets(sheets, which, errors.sigma[list(which)])
+            return fit_on_sheets(self._camera, corners, prior, start_ned_m, rpy, max_rms_px=max_rms_px)
+
+        for round_left in reversed(range(MARKERS_POSE.reject_rounds)):
+            corners, which = corners_of(good)
+            if not which:  # all sheets have been left out
+                solved = self._refine(sighting, seen[good], placed[good], pos, rpy, sheets)
+                return None if solved is None else _Solved(replace(solved.fix, strained=tuple(strained)), math.inf)
+            sigma = errors.sigma[list(which)]
             best = fit_on_sheets(
                 self._camera,
                 corners,
                 estimated_offsets(sheets, which, sigma),
                 pos if best is None else best.pos_ned_m,
                 rpy,
-                max_rms_px=MARKERS_POSE.final_rms_px if round_left == 0 else MARKERS_POSE.first_rms_px,
+                max_rms_px=_max_rms_px(round_left),
             )
             if best is None:
-                self.counts["misfit"] += 1
-                return None
+                odd = _odd_one(good, np.arange(int(good.sum())), partial(fit, start_ned_m=pos)) if round_left else None
+                if odd is None:
+                    self.counts["misfit"] += 1
+                    return None
+                good[np.flatnonzero(good)[odd]] = False
+                continue
             off_px = _worst_px(best.residual_px)
             fits = _fitting(off_px)
+            if round_left:
+                odd = _odd_one(good, _suspects(fits, off_px, corners.sheet), partial(fit, start_ned_m=best.pos_ned_m))
+                if odd is not None:
+                    fits = np.arange(len(fits)) != odd
             k = int(best.strain.argmax())
             mine = corners.sheet == k
             if fits.all() and best.strain[k] > MARKERS_POSE.strain_most and int((~mine).sum()) >= 2:
@@ -453,6 +511,37 @@ def _fitting(worst_px: FloatArray) -> np.ndarray:
         MARKERS_POSE.reject_floor_px, MARKERS_POSE.reject_sigmas * _median(worst_px.tolist())
     )
     return result
+
+
+def _max_rms_px(round_left: int) -> float:
+    return MARKERS_POSE.first_rms_px if round_left else MARKERS_POSE.final_rms_px
+
+
+def _suspects(fits: np.ndarray, worst_px: FloatArray, sheet: IntArray) -> IntArray:
+    """Markers of which one may be wrong and have dragged the pose, or the sheet that no marker fits, along."""
+    if fits.all():
+        return np.arange(len(fits) if float(worst_px.max()) > MARKERS_POSE.reject_floor_px else 0)
+    for k in np.unique(sheet[~fits]).tolist():
+        mine = sheet == k
+        if k >= 0 and not fits[mine].any():
+            return np.flatnonzero(mine)
+    return np.arange(0)
+
+
+def _odd_one(good: np.ndarray, suspects: IntArray, fit: Callable[..., Pose | SheetPose | None]) -> int | None:
+    """The one of the ``suspects`` among the markers ``good`` without which, and only without which, the others fit."""
+    if not 3 <= len(suspects) <= MARKERS_POSE.few:
+        return None
+    left_px = np.full(len(suspects), math.inf)
+    for k, marker in enumerate(np.flatnonzero(good)[suspects]):
+        some = good.copy()
+        some[marker] = False
+        found = fit(some, max_rms_px=MARKERS_POSE.first_rms_px)
+        if found is not None:
+            left_px[k] = _worst_px(found.residual_px.reshape(-1, 4, 2)).max()
+    odd, (first_px, second_px) = int(left_px.argmin()), np.sort(left_px)[:2].tolist()
+    clear = first_px <= MARKERS_POSE.reject_floor_px and second_px > MARKERS_POSE.reject_sigmas * first_px
+    return int(suspects[odd]) if clear else None
 
 
 def _median(values: list[float]) -> float:

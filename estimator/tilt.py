@@ -24,11 +24,16 @@ HELD_US = 500_000
 """After so long without a fix the trim does not count as fresh."""
 
 
+def trimmed_share(mounting_sigma_rad: float) -> float:
+    """Share of the difference between AHRS and camera that is the AHRS's, as far as is known."""
+    return AHRS_SIGMA_RAD**2 / (AHRS_SIGMA_RAD**2 + mounting_sigma_rad**2)
+
+
 class TiltTrim:
     """Correction of roll and pitch of the AHRS [rad]."""
 
     def __init__(self, mounting_sigma_rad: float = 0.0) -> None:
-        self._share = AHRS_SIGMA_RAD**2 / (AHRS_SIGMA_RAD**2 + mounting_sigma_rad**2)
+        self._share = trimmed_share(mounting_sigma_rad)
         self._roll = 0.0
         self._pitch = 0.0
         self._at_us = -1

@@ -16,7 +16,7 @@ _HEALTH_TEXTS = {
     NavHealth.INVALID: notices.POSITION_LOST,
 }
 
-_DOUBT_TEXTS = {
+DOUBT_TEXTS = {
     NavDoubt.ACCELEROMETER: notices.ACCELEROMETER_WRONG,
     NavDoubt.GYRO: notices.GYRO_WRONG,
     NavDoubt.FIXES: notices.FIXES_DISAGREE,
@@ -28,11 +28,33 @@ _DOUBT_TEXTS = {
 }
 """Remedy for a sensor that contradicts the other evidence."""
 
+_HEALTH_TEXTS_POSES = _HEALTH_TEXTS | {
+    NavHealth.DEAD_RECKONING: notices.DEAD_RECKONING_POSES,
+    NavHealth.INVALID: notices.POSITION_LOST_POSES,
+}
+
+DOUBT_TEXTS_POSES = DOUBT_TEXTS | {
+    NavDoubt.ACCELEROMETER: notices.ACCELEROMETER_WRONG_POSES,
+    NavDoubt.GYRO: notices.GYRO_WRONG_POSES,
+    NavDoubt.FIXES: notices.POSES_DISAGREE,
+    NavDoubt.RANGE: notices.POSE_RANGE_DISAGREES,
+    NavDoubt.CALIBRATION: notices.POSE_LATENCY_SUSPECT,
+    NavDoubt.RESETS: notices.REPEATED_RESETS_POSES,
+    NavDoubt.CAMERA: notices.POSES_WRONG,
+}
+"""The same where the position comes from a source of poses and nobody has markers."""
+
+
+_SYMPTOMS = (NavDoubt.FIXES, NavDoubt.ACCELEROMETER)
+
 
 class ChangeWatch:
     """Reports changes since the last tick."""
 
-    def __init__(self, vehicle: Vehicle, plans: Plans, goals: Goals) -> None:
+    def __init__(self, vehicle: Vehicle, plans: Plans, goals: Goals, *, has_markers: bool = True) -> None:
+        """``has_markers``: whether the position comes from markers, not from another source of poses."""
+        self._health_texts = _HEALTH_TEXTS if has_markers else _HEALTH_TEXTS_POSES
+        self._doubt_texts = DOUBT_TEXTS if has_markers else DOUBT_TEXTS_POSES
         self._radius_m = vehicle.radius_m
         self._plans = plans
         self._goals = goals
@@ -40,6 +62,8 @@ class ChangeWatch:
         self._health = NavHealth.INVALID
         self._reported_doubts: frozenset[NavDoubt] = frozenset()
         """Reported since arming."""
+        self._held_us: dict[NavDoubt, int] = {}
+        """Symptoms and since when: their cause may yet be found."""
         self._unreachable = False
         self._thrusters = tuple(thruster.name for thruster in vehicle.thrusters)
         self._reported_effectiveness: dict[str, float] = {}
@@ -52,14 +76,16 @@ class ChangeWatch:
         nav = status.nav
         texts: list[OperatorText] = []
         health = NavHealth.INVALID if nav is None else nav.health
-        new = status.nav_doubts - self._reported_doubts if armed else frozenset()
-        texts += [_DOUBT_TEXTS[doubt]() for doubt in NavDoubt if doubt in new] if new else []
+        new = self._new_doubts(status) if armed else frozenset()
+        texts += [self._doubt_texts[doubt]() for doubt in NavDoubt if doubt in new] if new else []
         self._reported_doubts = self._reported_doubts | new if armed else frozenset()
+        if not armed:
+            self._held_us.clear()
         # The text of that warning already says why the fixes are rejected; with fixes another sensor is at fault.
-        told = bool(new) or NavDoubt.FIXES in status.nav_doubts or status.fixed
+        told = bool(new or self._held_us) or NavDoubt.FIXES in status.nav_doubts or status.fixed
         reported = health is NavHealth.DEAD_RECKONING and told
         if armed and health is not self._health and not reported:
-            texts.append(_HEALTH_TEXTS[health]())
+            texts.append(self._health_texts[health]())
         if armed and status.unreachable and not self._unreachable:
             texts.append(notices.NO_FREE_PATH())
         texts += self._of_commands(status.command_delay_s) if armed else []
@@ -71,6 +97,30 @@ class ChangeWatch:
             self._fence = self._goals.fence
             texts += self._of_fence(nav if armed and health is not NavHealth.INVALID else None)
         return texts
+
+    def _new_doubts(self, status: VehicleStatus) -> frozenset[NavDoubt]:
+        """Doubts to be reported: that fixes disagree only if no doubt says why within a while, an accelerometer only if
+        it is no blow that it has felt.
+        """
+        new = status.nav_doubts - self._reported_doubts
+        for doubt in _SYMPTOMS:
+            if doubt in new:
+                self._held_us.setdefault(doubt, status.t_us)
+            since_us = self._held_us.get(doubt)
+            if since_us is None:
+                continue
+            new -= {doubt}
+            why = status.nav_doubts - {doubt} if doubt is NavDoubt.FIXES else frozenset()
+            struck = doubt is NavDoubt.ACCELEROMETER and status.collided_us >= since_us - WATCH.jolt_us
+            hold_us = WATCH.cause_us if doubt is NavDoubt.FIXES or struck else WATCH.jolt_us
+            if why:
+                self._reported_doubts |= {doubt}
+            elif status.t_us - since_us >= hold_us:
+                new |= {doubt} if doubt in status.nav_doubts or not struck else frozenset()
+            else:
+                continue
+            del self._held_us[doubt]
+        return new
 
     def _of_commands(self, delay_s: float) -> list[OperatorText]:
         """Commands that act late, or again at once."""

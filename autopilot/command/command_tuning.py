@@ -184,6 +184,10 @@ class WatchTuning:
     """A change of a thruster's effectiveness that is worth a message."""
     flight_us: int = 20_000_000
     """A shorter time armed is no flight to summarise."""
+    cause_us: int = 3_000_000
+    """Time within which a cause is named of fixes that disagree: a window of the stamps' watch, and some."""
+    jolt_us: int = 500_000
+    """Time within which a collision is found that an accelerometer in doubt has felt: a jolt of 0.3 s, and some."""
     delay_news_s: float = 0.25
     """A change of the commands' delay that is worth a message."""
 

@@ -4,6 +4,7 @@ import re
 from dataclasses import dataclass
 
 from autopilot.command.failsafe_table import ACTIONS, EFFECTS, ROWS, FailsafeRow
+from autopilot.command.failsafes import MARKER_FACTS
 from autopilot.core.params import ParamSet
 
 _NAMED = re.compile(r"`([A-Z0-9_]+)`")
@@ -14,7 +15,7 @@ _EXAMPLES = {
     "silent_sensor": "depth sensor",
     "silence": "silent or frozen",
     "watchdog_problem": "hangs",
-    "fix_remedy": "go to markers",
+    **MARKER_FACTS,
 }
 """What is put into messages."""
 _ALL_ACTIONS = re.compile(", ".join(rf"(?:{n} {effect}|\*\*{n} {effect}\*\*)" for n, effect in enumerate(ACTIONS)))

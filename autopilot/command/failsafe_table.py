@@ -223,7 +223,7 @@ ROWS: tuple[FailsafeRow, ...] = (
         leave_s=1.0,
         action="FS_DOUBT_ACT",
         severity=Severity.WARNING,
-        text="map or calibration suspect: check both",
+        text="{suspect}",
         flying=True,
     ),
     FailsafeRow(
@@ -327,7 +327,7 @@ ROWS: tuple[FailsafeRow, ...] = (
         enter=1.0,
         action="FS_COLL_ACT",
         severity=Severity.WARNING,
-        text="collision detected: check the camera",
+        text="collision detected: check the {struck}",
         flying=True,
     ),
     FailsafeRow(
@@ -407,7 +407,7 @@ ROWS: tuple[FailsafeRow, ...] = (
         enter=1.0,
         leave_s=1.0,
         action="FS_CAM_ACT",
-        text="camera rejected: check its pictures",
+        text="{rejected}",
         flying=True,
     ),
     FailsafeRow(

@@ -21,6 +21,20 @@ AHRS_TIMEOUT_S = 0.5
 
 
 POSE_REMEDY = "check the pose source"
+MARKER_FACTS = {
+    "fix_remedy": "go to markers",
+    "suspect": "map or calibration suspect: check both",
+    "rejected": "camera rejected: check its pictures",
+    "struck": "camera",
+}
+"""What failsafes say of the source of the position where it is markers,"""
+POSE_FACTS = {
+    "fix_remedy": POSE_REMEDY,
+    "suspect": "position source suspect: check it",
+    "rejected": "poses rejected: check their source",
+    "struck": "vehicle",
+}
+"""and where it is not."""
 
 
 class _RowState:
@@ -217,7 +231,7 @@ class _TextValues(Mapping[str, object]):
             "fault": status.fault,
             "silent_sensor": inputs.silent_sensor,
             "silence": inputs.silent_how,
-            "fix_remedy": "go to markers" if inputs.has_markers else POSE_REMEDY,
+            **(MARKER_FACTS if inputs.has_markers else POSE_FACTS),
             "battery_now": _battery(power, inputs, "at {remaining:.0%}"),
             "battery_low": _battery(power, inputs, f"below {params['FS_BATT_LOW']:.0%}"),
         }

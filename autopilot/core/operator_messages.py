@@ -132,11 +132,20 @@ DEAD_RECKONING = _warning(
     "Dead reckoning: no position fix, look for markers",
     "Position comes from vehicle model, AHRS and velocity log; its error grows.",
 )
+DEAD_RECKONING_POSES = _warning(
+    "Dead reckoning: no position fix, check its source",
+    "No poses from outside arrive, or all are rejected. Position comes from vehicle model, AHRS and velocity log.",
+)
+POSITION_LOST_POSES = _error(
+    "Position lost, drifting: check its source", "The estimate is not valid.", "Steer by hand."
+)
 POSITION_LOST = _error(
     "Position lost, drifting: bring markers into view", "The estimate is not valid.", "Steer by hand."
 )
 POSITION_LOST_PILOTED = _critical(
-    "Position lost: no fence, no limits, steer by hand", "", "Keep clear of walls; bring markers into view."
+    "Position lost: no fence, no limits, steer by hand",
+    "",
+    "Keep clear of walls; bring markers into view or restart the source of poses.",
 )
 POSITION_BACK_PILOTED = _info("Position is back: fence and limits apply")
 ESTIMATE_NOT_FINITE = _error(
@@ -155,6 +164,11 @@ FOCAL_LENGTH_OFF = _warning(
 )
 LENS_OFF = _warning(
     "Focal length or distortion {percent:.1f} % off: calibrate camera", "The markers' images fit another lens better."
+)
+CAMERA_TILTED = _warning(
+    "Camera and AHRS tilt differ {off_deg:.1f} deg: check both",
+    "More than their uncertainties explain.",
+    "Correct the mounting of the one that is off.",
 )
 SHEET_OFF = _warning(
     "Sheet {name} lies {off_mm:.0f} mm, {turn_deg:.1f} deg off the map", "", "Run `autopilot markers survey`."
@@ -179,6 +193,23 @@ MAP_DISAGREES = _warning(
 CALIBRATION_SUSPECT = _warning("Camera calibration suspect: see messages", "Pictures fit another calibration better.")
 REPEATED_RESETS = _warning(
     "Position reset repeatedly: check map, camera", "The estimate jumped to the fixes several times."
+)
+ACCELEROMETER_WRONG_POSES = _warning(
+    "Accelerometer wrong: keep position fixes", "It contradicts fixes or depth.", "Check the AHRS's range."
+)
+GYRO_WRONG_POSES = _warning(
+    "Gyro wrong: check AHRS, keep position fixes", "It contradicts fixes or attitude.", "Restart the AHRS."
+)
+POSES_DISAGREE = _warning("Poses disagree with dead reckoning: check source")
+POSE_RANGE_DISAGREES = _warning("Laser and pose height disagree: check both")
+POSE_LATENCY_SUSPECT = _warning("Pose latency suspect: see messages", "Poses fit the gyro at another time better.")
+REPEATED_RESETS_POSES = _warning(
+    "Position reset repeatedly: check its source", "The estimate jumped to the poses several times."
+)
+POSES_WRONG = _warning(
+    "Poses wrong: they show another place or time",
+    "They do not follow gyro and vehicle model.",
+    "Check their source and its clock.",
 )
 CAMERA_WRONG = _warning(
     "Camera wrong: it shows another place or time",

@@ -165,8 +165,9 @@ def laid_floor(
 class Camera:
     """What the vehicle's camera shows of a floor during a recording."""
 
-    def __init__(self, recording: Recording) -> None:
-        self._camera = CameraModel.of_vehicle(recording.vehicle)
+    def __init__(self, recording: Recording, model: CameraModel | None = None) -> None:
+        """``model``: the true one, None = the vehicle file's."""
+        self._camera = CameraModel.of_vehicle(recording.vehicle) if model is None else model
         truth = recording.truth
         times = [sample.t_us for _, samples, _ in recording.ticks for sample in samples if _is_pose(sample)]
         t_s = 1e-6 * np.array(times)

@@ -75,7 +75,9 @@ class FaultResult:
     thrusters_blamed: bool
     """A sound thruster was declared weak, or commands late."""
     texts: tuple[str, ...]
-    """What the operator was told, notices left out."""
+    """What the operator was told, notices left out,"""
+    said_s: tuple[float, ...]
+    """and how long after the beginning of the fault."""
 
     @property
     def kept(self) -> bool:
@@ -116,16 +118,20 @@ class _Watch:
         self._blamed = False
         self._contacts = 0
         self._resets: list[int] = []
-        self._texts: dict[str, None] = {}
+        self._texts: dict[str, float] = {}
 
     def tick(self, outputs: Outputs) -> None:
         t_s, nav, truth = 1e-6 * outputs.t_us, outputs.nav, self._truth.truth
         self._contacts = truth.contact_count
         if self._back_s is None and any(_seen_after(aid, self._until_s) for aid in outputs.aids):
             self._back_s = t_s - self._until_s
-        if t_s < self._from_s or nav is None or not outputs.mode.armed:
+        if t_s < self._from_s:
             return
-        self._texts.update({e.text: None for e in outputs.events if e.severity <= Severity.WARNING})
+        for event in outputs.events:
+            if event.severity <= Severity.WARNING:
+                self._texts.setdefault(event.text, t_s - self._from_s)
+        if nav is None or not outputs.mode.armed:
+            return
         error = np.abs([*(nav.pos_ned_m - truth.pos_ned_m), wrap_pi(float(nav.rpy_rad[2] - truth.rpy_rad[2]))])
         bound = SIGMAS * np.sqrt(nav.variance[[0, 1, 2, 5]])
         inside = bool((error <= bound).all())
@@ -157,6 +163,7 @@ class _Watch:
             good=float(np.mean(self._good)) if self._good else math.nan,
             thrusters_blamed=self._blamed,
             texts=tuple(self._texts),
+            said_s=tuple(self._texts.values()),
         )
 
 

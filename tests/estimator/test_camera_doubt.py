@@ -11,6 +11,7 @@ from makers import Make, with_camera
 from truth import Track, rms
 
 from autopilot.core.camera import CameraModel
+from autopilot.core.frames import r_ned_from_frd
 from autopilot.core.map_errors import DEPTH_SIGMA_M, SCALE_SIGMA
 from autopilot.core.markers import MarkerMap
 from autopilot.core.messages import NavDoubt, NavHealth
@@ -32,6 +33,15 @@ def nees(track: Track, columns: slice) -> float:
     """Mean squared distance per coordinate, by the variance that is told."""
     variance = np.array([nav.variance[columns] for nav in track.nav])
     return float((track.pos_error()[:, columns] ** 2 / variance).mean())
+
+
+@pytest.mark.parametrize("tilt_deg", [0.0, 3.5])
+def test_a_tilted_camera_is_named(make_ekf: Make, floor: MarkerMap, tilt_deg: float) -> None:
+    camera = CameraModel.of_vehicle(VEHICLE)
+    tilted = camera.r_frd_from_cam @ r_ned_from_frd(np.array([math.radians(tilt_deg), 0.0, 0.0]))
+    world = LaidWorld(floor, 9, camera=replace(camera, r_frd_from_cam=tilted))
+    _, remarks = flown(make_ekf(markers=floor), world, 6.0)
+    assert [text.startswith("Camera and AHRS tilt differ") for text in remarks] == [True] * (tilt_deg > 0.0)
 
 
 @pytest.mark.parametrize("late_ms", [*(round(float(ms), 1) for ms in SOME.uniform(8.0, 130.0, 2)), -25.0])

@@ -94,6 +94,27 @@ def test_a_moved_marker_is_named(make_ekf: Make, floor: MarkerMap) -> None:
         assert 1e3 * np.abs(track.after(3.0).pos_error()[:, :2]).max() < 10.0
 
 
+@pytest.mark.parametrize("depth_m", [0.65, 0.75, 0.85])
+@pytest.mark.parametrize("sigma", [None, (0.002, 0.006)], ids=["exact", "sheets"])
+def test_a_moved_marker_among_few_is_named_and_costs_nothing(
+    make_ekf: Make, floor: MarkerMap, sigma: tuple[float, float] | None, depth_m: float
+) -> None:
+    """Three to eight are in view of a vehicle that holds still: one that is off drags the pose, or prevents a start."""
+    some = np.arange(len(floor.ids)) % 2 == 0
+    sparse = dataclasses.replace(floor, ids=floor.ids[some], corners_ned_m=floor.corners_ned_m[some])
+    told = sparse if sigma is None else sheets_of(sparse, sigma)
+    near = np.hypot(floor.centers_ned_m[some, 0] + 1.6, floor.centers_ned_m[some, 1] + 0.35).argsort()
+    for moved in near[:2].tolist():
+        corners = told.corners_ned_m.copy()
+        corners[moved, :, :2] += (0.024, 0.018)
+        estimator = make_ekf(markers=told)
+        world = LaidWorld(dataclasses.replace(told, corners_ned_m=corners, errors=None), 5, rest_us=10_000_000)
+        world.d = depth_m
+        track, remarks = flown(estimator, world, 3.0)
+        assert len(remarks) == 1 and remarks[0].startswith(f"Marker {told.ids[moved]} lies 3.")
+        assert 1e3 * np.abs(track.after(1.0).pos_error()[:, :2]).max() < 8.0
+
+
 def test_swapped_ids_are_named(make_ekf: Make, floor: MarkerMap) -> None:
     a, b = np.argsort(np.hypot(floor.centers_ned_m[:, 0] + 1.2, floor.centers_ned_m[:, 1] + 0.3))[[0, 6]]
     ids = floor.ids.copy()

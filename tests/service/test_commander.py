@@ -10,7 +10,7 @@ from commander_bench import OK, Bench
 
 from autopilot.command.commander import Commander
 from autopilot.core.geodesy import GeodeticPosition, geodetic_from_ned
-from autopilot.core.messages import Failsafe, NavHealth
+from autopilot.core.messages import Failsafe, NavDoubt, NavHealth
 from autopilot.core.plan import PlanKind
 from autopilot.core.vehicle import load_vehicle
 from autopilot.mavlink.api import CommandResult, FlightMode
@@ -49,6 +49,49 @@ def test_a_vehicle_without_markers_is_not_sent_to_them() -> None:
         bench.health = None
         bench.run(0.1)
         assert f"no position yet: {remedy}" in bench.commander.prearm_reasons()
+
+
+def test_a_vehicle_without_markers_hears_of_none() -> None:
+    """Nor of a camera: health, doubts and failsafes alike."""
+    bench = Bench()
+    bench.commander = Commander(load_vehicle("lbv150"), bench.params, bench.plans, has_markers=False)
+    bench.armed()
+    for health in (NavHealth.DEAD_RECKONING, NavHealth.INVALID):
+        bench.health = health
+        bench.run(0.1)
+    bench.status.nav_doubts = frozenset({NavDoubt.FIXES})
+    bench.run(4.0)
+    bench.status.nav_doubts = frozenset(NavDoubt) - {NavDoubt.MAP}
+    bench.run(2.0)
+    assert any("lost, drifting" in text for text in bench.texts)
+    assert any("Poses disagree" in text for text in bench.texts)
+    assert any("source suspect" in text for text in bench.texts)
+    assert not [text for text in bench.texts if "arker" in text or "amera" in text]
+
+
+def test_fixes_that_disagree_are_reported_if_nothing_says_why() -> None:
+    for cause, after_s, said in ((None, 0.0, 1), (NavDoubt.CALIBRATION, 1.0, 0), (NavDoubt.CALIBRATION, 4.0, 1)):
+        bench = Bench().armed()
+        bench.status.nav_doubts = frozenset({NavDoubt.FIXES})
+        bench.run(0.5)
+        assert not [text for text in bench.texts if "disagree" in text]
+        bench.run(after_s)
+        bench.status.nav_doubts = frozenset() if cause is None else frozenset({NavDoubt.FIXES, cause})
+        bench.run(4.0)
+        assert sum("Markers disagree" in text for text in bench.texts) == said, (cause, after_s)
+
+
+def test_a_blow_is_not_called_a_wrong_accelerometer_unless_it_stays_wrong() -> None:
+    for struck, lasts_s, said in ((False, 0.3, 1), (True, 0.3, 0), (True, 6.0, 1)):
+        bench = Bench().armed()
+        bench.status.nav_doubts = frozenset({NavDoubt.ACCELEROMETER})
+        bench.run(0.2)
+        if struck:
+            bench.status.collided_us = bench.status.t_us
+        bench.run(lasts_s - 0.2)
+        bench.status.nav_doubts = frozenset()
+        bench.run(6.0)
+        assert sum("Accelerometer wrong" in text for text in bench.texts) == said, (struck, lasts_s)
 
 
 def test_arming_outside_the_fence_is_refused() -> None:

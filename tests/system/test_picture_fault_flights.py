@@ -7,7 +7,8 @@ import pytest
 from tests.bench.picture_faults import DEADLINE_S
 from tests.bench.sensor_faults import FaultFlight, FaultResult, fly_fault
 
-CAMERA_WRONG, HOLDS = "Camera wrong", "Failsafe HOLD: camera rejected"
+CAMERA_WRONG, POSES_WRONG, HOLDS = "Camera wrong", "Poses wrong", "Failsafe HOLD: poses rejected"
+"""With rendered pictures, and with the pose sensor."""
 AT_S, LASTS_S, END_S = 8.4, 3.0, 14.0
 
 
@@ -42,7 +43,7 @@ def test_fixes_that_do_not_move_as_the_vehicle_name_the_camera(kind: str, seed: 
     result = fly(kind, seed, **keys)
     assert honest(result), result
     assert result.resets <= 2, "there and back at most"
-    assert blamed(result, CAMERA_WRONG) and blamed(result, HOLDS)
+    assert blamed(result, POSES_WRONG) and blamed(result, HOLDS)
     assert not blamed(result, "Accelerometer", "Gyro"), result.texts
     assert result.back_s is not None and result.back_s < 2.0
 

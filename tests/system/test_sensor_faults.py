@@ -69,8 +69,8 @@ def test_a_mended_accelerometer_is_believed_again() -> None:
 
 def test_moved_markers_are_told_and_a_wrong_lens_shows_in_sigma() -> None:
     moved = fly_fault(flight("markers moved by 0.3 m", 0.0, 69))
-    assert any(text.startswith("Markers disagree") for text in moved.texts)
+    assert any(text.startswith(("Poses disagree", "Poses wrong")) for text in moved.texts)
     assert moved.unflagged_s <= 1.0 and moved.good < 0.5
     lens = fly_fault(flight("lens 0.9", 0.0, 70))
     assert lens.inside >= 0.95 and lens.unflagged_s <= 1.0, lens
-    assert any(text.startswith("Laser and marker height") for text in lens.texts)
+    assert any(text.startswith("Laser and pose height") for text in lens.texts)
