@@ -132,13 +132,14 @@ class CameraMonitor(Monitor):
 
     def systematic_variance(self, t_us: int, newest: Node) -> FloatArray:
         """See :class:`Monitor`: position variance by the calibration's uncertainty at this height above the markers."""
-        if not self._pictures:
-            return NOTHING
         x, yaw_rate_rad_s = newest.state.x, newest.moment.inertial.yaw_rate_rad_s
-        focal_error = math.hypot(self._found_focal_sigma or self._focal_sigma, self._focal_pending)
+        focal_error, stamp_sigma_s, mounting = 0.0, 0.0, None
+        if self._pictures:  # poses from elsewhere know nothing of the camera but that they may be late as well
+            focal_error = math.hypot(self._found_focal_sigma or self._focal_sigma, self._focal_pending)
+            stamp_sigma_s, mounting = self._stamp_sigma_s, self._mounting
         across = focal_error * CAMERA_MONITOR.aside_m
-        late_s = math.hypot(self.stamps.sigma_s or self._stamp_sigma_s, self.stamps.unsure_s)
-        if focal_error == late_s == 0.0 and self._mounting is None:
+        late_s = math.hypot(self.stamps.sigma_s or stamp_sigma_s, self.stamps.unsure_s)
+        if focal_error == late_s == 0.0 and mounting is None:
             return NOTHING
         north, east, down = x[VEL].tolist()
         more = np.array(
@@ -149,8 +150,8 @@ class CameraMonitor(Monitor):
                 (late_s * yaw_rate_rad_s) ** 2,
             ]
         )
-        if self._mounting is not None:
-            forward, right, down, yaw = self._mounting
+        if mounting is not None:
+            forward, right, down, yaw = mounting
             c2 = math.cos(x.item(YAW)) ** 2
             more += forward * c2 + right * (1.0 - c2), forward * (1.0 - c2) + right * c2, down, yaw
         return more
