@@ -5,6 +5,7 @@ through a jet, a vortex or a shear current anywhere. The estimator is told nothi
 """
 
 import math
+import multiprocessing
 import tempfile
 import tomllib
 from collections.abc import Sequence
@@ -19,6 +20,7 @@ import numpy as np
 from autopilot.cli.console_output import print_table
 from autopilot.core.frames import wrap_pi
 from autopilot.core.messages import NavDoubt, NavHealth, Outputs
+from autopilot.core.own_python import safe_path
 from autopilot.mission.local_plan import FenceTable, LocalPlan, PolygonTable, WaypointTable, plan_of_local
 from autopilot.mission.paper import ORIGIN
 from autopilot.mission.plan_files import write_plan
@@ -214,7 +216,8 @@ def main(count: int, seed: int, jobs: int, kinds: Sequence[str], fault: str | No
     # A sensor that is wrong is so to the end: it has a flight of its own for each gap.
     orders = [(length_s,) for length_s in GAPS_S] if fault else [GAPS_S]
     flights = [(kind, number, order) for kind in kinds for number in range(seed, seed + count) for order in orders]
-    with ProcessPoolExecutor(jobs) as pool:
+    spawn = multiprocessing.get_context("spawn")
+    with safe_path(), ProcessPoolExecutor(jobs, mp_context=spawn) as pool:
         flown = list(pool.map(fly_gaps, *zip(*flights, strict=True), [fault or ""] * len(flights)))
     found: dict[tuple[str, float], list[Gap]] = {}
     for (kind, _, _), gaps in zip(flights, flown, strict=True):

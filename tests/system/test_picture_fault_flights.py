@@ -68,5 +68,5 @@ def test_a_near_frozen_picture_moves_nothing_and_the_way_back_is_short() -> None
 def test_spoilt_pictures_give_no_other_place(kind: str, seed: int, keys: dict[str, Any]) -> None:
     result = fly(kind, seed, "camera", end_s=13.0, **keys)
     assert honest(result), result
-    assert result.worst_m < 0.3 and not blamed(result, "Accelerometer", "Gyro")
+    assert result.worst_m < 0.35 and not blamed(result, "Accelerometer", "Gyro")
     assert result.back_s is not None and result.back_s < 2.0
