@@ -436,4 +436,4 @@ def _uncertainty(goal: Goal, nav: NavState) -> float:
     plans do not change with every tick's variance."""
     limits = ((goal.accept_radius_m, float(nav.variance[:3].sum())), (goal.accept_yaw_rad, float(nav.variance[5])))
     sure = all(sure_limit(limit, variance) >= LEG_TASK.sure_fraction * limit for limit, variance in limits)
-    return 0.0 if sure else LARGEST_SHARE
+    return 0.0 if sure else LARGEST_SHARE + LEG_TASK.spare

@@ -125,7 +125,9 @@ class LegTaskTuning:
     errors."""
     sure_fraction: float = 0.95
     """Where the estimate's uncertainty leaves less than this share of the acceptance, a trajectory aims at the least
-    that it may leave."""
+    that it may leave,"""
+    spare: float = 0.05
+    """and at this share less: it is followed to 2 cm, which is as much as that would leave of the paper's 0.3 m."""
     gate_radius_m: float = 0.5
     """Region in which a trajectory ends that does not reach its goal within longest_s."""
     screen_rounds: int = 1
