@@ -44,11 +44,11 @@ NOTHING_NEW = Verdicts()
 class ImuMonitor(Monitor):
     """Both inertial monitors of one estimator."""
 
-    def __init__(self, vehicle: VehicleAcceleration, nondeterminism: FixTrust, water: WaterVariation) -> None:
+    def __init__(self, vehicle: VehicleAcceleration, witness: FixTrust, water: WaterVariation) -> None:
         """``witness``: the fixes that isolate the faulty sensor; ``water``: what may explain a difference."""
         super().__init__()
         self._water = water
-        self._vehicle, self._nondeterminism = vehicle, nondeterminism
+        self._vehicle, self._witness = vehicle, witness
         self.accel = AccelMonitor()
         self.gyro = GyroMonitor()
 
@@ -63,7 +63,7 @@ class ImuMonitor(Monitor):
     def doubts(self, t_us: int, newest: Node) -> Iterator[NavDoubt]:
         """See :class:`Monitor`: without isolation no sensor is named."""
         for sensor, name in ((self.accel, NavDoubt.ACCELEROMETER), (self.gyro, NavDoubt.GYRO)):
-            if sensor.since_us is not None and self._nondeterminism.can_isolate(sensor.since_us):
+            if sensor.since_us is not None and self._witness.can_isolate(sensor.since_us):
                 yield name
 
     def systematic_variance(self, t_us: int, newest: Node) -> FloatArray:
@@ -85,7 +85,7 @@ class ImuMonitor(Monitor):
     def forgive_unwitnessed(self) -> None:
         """Fixes are available again: use sensors whose fault was not isolated."""
         for sensor in (self.accel, self.gyro):
-            if sensor.since_us is not None and not self._nondeterminism.can_isolate(sensor.since_us):
+            if sensor.since_us is not None and not self._witness.can_isolate(sensor.since_us):
                 sensor.reinstate()
 
     def reopenings(self, found: Verdicts, t_us: int) -> Iterator[Reopening]:

@@ -11,14 +11,15 @@ from autopilot.estimator.history import Node
 from autopilot.estimator.inertial import ProcessNoiseMode, hold
 from autopilot.estimator.motion import moved
 from autopilot.estimator.options import EstimatorOptions
+from autopilot.estimator.tilt import AHRS_SIGMA_RAD
 
 TILT_VARIANCE_RAD2 = {
-    ProcessNoiseMode.NOMINAL: math.radians(0.5) ** 2,
-    ProcessNoiseMode.COASTING: math.radians(0.5) ** 2,
+    ProcessNoiseMode.NOMINAL: AHRS_SIGMA_RAD**2,
+    ProcessNoiseMode.COASTING: AHRS_SIGMA_RAD**2,
     ProcessNoiseMode.TRIMMED: math.radians(0.1) ** 2,
     ProcessNoiseMode.BLIND: math.radians(5.0) ** 2,
     ProcessNoiseMode.MODEL: math.radians(5.0) ** 2,
-    ProcessNoiseMode.COMPASS: math.radians(0.5) ** 2,
+    ProcessNoiseMode.COMPASS: AHRS_SIGMA_RAD**2,
     ProcessNoiseMode.MODEL_COMPASS: math.radians(5.0) ** 2,
 }
 """Roll and pitch: of the AHRS, trimmed by vision, or without AHRS level as the righting moment keeps the vehicle. An

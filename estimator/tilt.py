@@ -12,6 +12,7 @@ from autopilot.core.samples import AhrsSample
 from autopilot.estimator.inertial import Inertial
 
 AHRS_SIGMA_RAD = math.radians(0.5)
+"""Standard deviation of roll and pitch of an AHRS of this class."""
 GAIN = 0.1
 """Share of the difference per fix (30 Hz): follows within 0.3 s and averages the noise of ten fixes."""
 MAX_SIGMA_RAD = math.radians(0.4)
