@@ -31,8 +31,10 @@ _SHOWN_S = 3.0
 """Vehicle time by which its telemetry may lag behind its answer to a command."""
 SILENCE_S = 30.0
 """Silence after which a vehicle is given up."""
-_ASK_S = 1.0
-"""Silence after which it is asked whether the vehicle is at work."""
+_ASK_S = 0.5
+"""Silence after which it is asked whether the vehicle is at work; shorter than any silence that ends something."""
+_STILL_S = 1.0
+"""Time without a new time stamp after which the vehicle's clock stands still."""
 _START_S = 300.0
 """Longest start of the vehicle that is waited for."""
 _STANDSTILL_S = 300.0
@@ -111,6 +113,8 @@ class VehicleConnection:
         self._clock_s = clock_s
         self._at_work = at_work
         self._received_s = clock_s()
+        self._polled_s = self._received_s
+        """When messages were last looked for: silence and timeouts are judged by it, not by what passed since."""
         self._stamp: tuple[int, float] | None = None
         """The vehicle's last time_boot_ms and its time of arrival."""
         self._held_up_s = self._stood_s = 0.0
@@ -161,7 +165,7 @@ class VehicleConnection:
         """
         end_s = self._clock_s() + timeout_s
         latest_s, starting = end_s + _START_S, False
-        while self._clock_s() < end_s:
+        while self._polled_s < end_s:
             for message in self.poll():
                 is_autopilot = message.get_type() == "HEARTBEAT" and message.autopilot != mav.MAV_AUTOPILOT_INVALID
                 if is_autopilot and message.get_srcComponent() == 1 and system in (None, message.get_srcSystem()):
@@ -207,7 +211,7 @@ class VehicleConnection:
 
     def _note_life(self, messages: Sequence[Message]) -> None:
         """Update the time of the last message, the vehicle's clock and the time it was held up."""
-        now_s = self._clock_s()
+        now_s = self._polled_s = self._clock_s()
         if messages:
             self._received_s = now_s
         elif self._at_work is not None and now_s - self._received_s > _ASK_S and self._at_work():
@@ -233,7 +237,7 @@ class VehicleConnection:
     def _note_standstill(self, received: bool, now_s: float) -> None:
         """A clock that stands still while messages arrive counts as held up, for at most ``_STANDSTILL_S``."""
         last = self._stamp
-        if received and last is not None and now_s - last[1] > _ASK_S and self._stood_s < _STANDSTILL_S:
+        if received and last is not None and now_s - last[1] > _STILL_S and self._stood_s < _STANDSTILL_S:
             self._stood_s += now_s - last[1]
             self._held_up_s += now_s - last[1]
             self._stamp = (last[0], now_s)
@@ -254,8 +258,8 @@ class VehicleConnection:
 
     @property
     def _silent_s(self) -> float:
-        """Time since the last message [s]."""
-        return self._clock_s() - self._received_s
+        """Silence that the last poll found [s]: one of a vehicle at work is 0 there, however late it is read."""
+        return self._polled_s - self._received_s
 
     def _note(self, message: Message, now_s: float) -> None:
         """Handle messages that may arrive at any time: heartbeats, progress, texts."""
@@ -334,7 +338,7 @@ class VehicleConnection:
                 return exchange.outcome
             pending = [answer for m in self.poll() for answer in exchange.handle(m, self._clock_s())]
             exchange.grant(self._take_held_up())
-            pending += exchange.tick(self._clock_s())
+            pending += exchange.tick(self._polled_s)
 
     @property
     def _home_is_item_0(self) -> bool:

@@ -298,6 +298,34 @@ def test_silence_of_a_process_that_is_at_work_is_waited_out() -> None:
         client.connect(3.0)
 
 
+@pytest.mark.parametrize("seed", range(8))
+def test_a_client_that_is_itself_held_up_outlasts_a_process_at_work(seed: int) -> None:
+    """Its clock jumps at any reading, also between looking for messages and judging the silence."""
+    link = MemoryLink()
+    rng = random.Random(seed)
+    jumped_s, cut_until = 0.0, 0
+
+    def clock_s() -> float:
+        nonlocal jumped_s
+        jumped_s += rng.choice((0.0, 0.0, 0.1, 0.4, 0.9, 2.0)) * link.cut
+        return link.clock_s() + jumped_s
+
+    def at_work() -> bool:
+        nonlocal cut_until
+        cut_until -= 1
+        link.cut = cut_until > 0
+        return True
+
+    client = VehicleConnection(link, Timers(give_up_s=1.0), clock_s=clock_s, at_work=at_work)
+    link.cut, cut_until = True, 10
+    client.connect(1.0)
+    for _ in range(5):
+        link.cut, cut_until = True, 10
+        client.upload(PlanKind.MISSION, long_mission(2))
+        link.cut, cut_until = True, 10
+        assert not client.watch_mission(silence_s=1.0).armed
+
+
 def test_a_vehicle_that_never_ends_its_start_is_given_up() -> None:
     class Starting(MemoryLink):
         def receive(self, timeout_s: float) -> bytes:
