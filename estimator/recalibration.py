@@ -22,7 +22,8 @@ class Recalibration:
     def __init__(self, fusion: Fusion, sources: Sources, intake: SampleBuffer, monitors: Monitors) -> None:
         self._fusion, self._sources, self._intake = fusion, sources, intake
         self._evidence, self._imu, self._camera, *_ = monitors
-        self._focal_error = self._distortion_error = 0.0
+        self._lens = 0.0, 0.0
+        """Focal and distortion error that pictures are read with."""
         self.counts = dict.fromkeys(("stamps.retimed", "focal.rescaled"), 0)
 
     def retime(self) -> None:
@@ -50,17 +51,15 @@ class Recalibration:
     def rescale(self) -> None:
         """If the lens is another than was thought: pictures and the estimate come nearer to the markers, or go away
         from them."""
-        before, focal_error = self._focal_error, self._camera.focal_error
-        if focal_error == before:
+        focal_error, distortion_error = lens = self._camera.focal_error, self._camera.distortion_error
+        if lens == self._lens:
             return
-        self._focal_error = focal_error
-        self._sources.pictures.set_lens(focal_error, self._camera.distortion_error)
-        more = (1.0 + focal_error) / (1.0 + before) - 1.0
+        focal_before, distortion_before = self._lens
+        self._lens = lens
+        self._sources.pictures.set_lens(focal_error, distortion_error)
+        more = (1.0 + focal_error) / (1.0 + focal_before) - 1.0
+        bent = distortion_error - distortion_before
         height_m = self._camera.height_m(self._fusion.history.newest.state.x)
-        bent, self._distortion_error = (
-            self._camera.distortion_error - self._distortion_error,
-            self._camera.distortion_error,
-        )
         self._carry(
             np.array([0.0, 0.0, height_m * more, 0.0]), np.zeros(3), CAMERA_MONITOR.bent_share * height_m * bent
         )

@@ -14,6 +14,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from autopilot.core.frames import FloatArray, r_ned_from_frd
+from autopilot.core.marker_files import marker_file_text
 from autopilot.core.messages import AidStatus, Inputs, NavState, Outputs
 from autopilot.core.samples import PoseSample, PowerSample, Sample
 from autopilot.estimator.engine import AidedEstimator
@@ -28,8 +29,9 @@ from autopilot.mission.plan_files import write_plan
 from autopilot.run.config import flight_settings
 from autopilot.run.sitl_session import SitlSession, open_sitl
 from autopilot.sitl.floor import given_markers
-from autopilot.sitl.scenario import scenario_path
+from autopilot.sitl.scenario import load_scenario, scenario_path
 from autopilot.sitl.toml_text import toml_text
+from tests.bench.calibrations import exact_map, exact_text
 from tests.bench.estimator_figures import Watched
 
 BASE = "paper-tank"
@@ -161,12 +163,22 @@ def fly(spec: FlightSpec, on_tick: Callable[[Outputs, NavState | None], None] | 
 
 
 def open_flight(spec: FlightSpec, folder: Path, log: Path) -> SitlSession:
-    """The paper's tour in the varied scenario, with a scripted operator and no sockets."""
-    tables = overlaid(tomllib.loads(scenario_path(BASE).read_text(encoding="utf-8")), spec.changes)
-    scenario, plan = folder / "scenario.toml", folder / "tour.plan"
+    """The paper's tour in the varied scenario, with a scripted operator and no sockets. The vehicle file leaves nothing
+    open, and neither does the map: the simulated camera has no errors."""
+    changes = dict(spec.changes)
+    scenario, plan, vehicle, floor = (
+        folder / name for name in ("scenario.toml", "tour.plan", "exact.toml", "floor.toml")
+    )
+    vehicle.write_text(exact_text(), encoding="utf-8")
+    planned = given_markers(load_scenario(BASE))
+    assert planned is not None
+    floor.write_text(marker_file_text(exact_map(planned)), encoding="utf-8")
+    changes["markers"] = {"file": str(floor), **changes.get("markers", {})}
+    tables = overlaid(tomllib.loads(scenario_path(BASE).read_text(encoding="utf-8")), changes)
     scenario.write_text(toml_text(tables), encoding="utf-8")
     write_plan(plan, paper_plan())
     given = {"scenario": str(scenario), "speed": spec.speed, "sensors": spec.sensors, "duration": spec.duration_s}
+    given["vehicle"] = str(vehicle)
     settings = flight_settings(folder, {**given, "seed": spec.seed, "plan": str(plan), "start": True, "log": str(log)})
     return open_sitl(settings, {})
 

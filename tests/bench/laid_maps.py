@@ -22,12 +22,14 @@ from autopilot.core.map_errors import PRINT_SIGMA_M, SHEET_SIGMA_DOWN_M, Laid, m
 from autopilot.core.markers import ID_SPAN, MarkerMap
 from autopilot.core.messages import NavState
 from autopilot.core.samples import LaserSample, MarkerSighting, PoseSample, Sample
-from autopilot.core.vehicle import Vehicle, load_vehicle
+from autopilot.core.vehicle import Vehicle
 from autopilot.estimator.create import create_estimator
 from autopilot.log.analysis import VehicleTrack, load_flight
 from autopilot.log.reader import open_log
 from autopilot.sitl.floor import given_markers, sheets_moved, sheets_of
 from autopilot.sitl.scenario import load_scenario
+from tests.bench.calibrations import calibrated, exact_map
+from tests.bench.estimator_figures import GAUSS_3_SIGMA
 from tests.bench.estimator_flights import BASE, FlightSpec, open_flight, watch
 
 RECORDED_S = 32.0
@@ -54,7 +56,7 @@ class Recording:
     truth: VehicleTrack
     vehicle: Vehicle
     plan: MarkerMap
-    """The floor as it was meant to be, nothing said of its errors."""
+    """The floor as it was meant to be, without errors, as is the vehicle's calibration."""
     floor_depth_m: float
 
 
@@ -96,6 +98,10 @@ class OverFloor:
         """Mean squared error over variance, summed over ``columns``."""
         return float((self.error[:, columns] ** 2 / self.variance[:, columns]).sum(axis=1).mean())
 
+    def inside_pct(self) -> float:
+        """Share of the time within three standard deviations in all of position and heading [%]."""
+        return 100.0 * float((np.abs(self.error) <= GAUSS_3_SIGMA * np.sqrt(self.variance)).all(axis=1).mean())
+
 
 def record(seed: int, duration_s: float = RECORDED_S) -> Recording:
     """Fly the paper's tour with the pose sensor."""
@@ -122,8 +128,8 @@ def record(seed: int, duration_s: float = RECORDED_S) -> Recording:
     return Recording(
         ticks=ticks,
         truth=truth,
-        vehicle=load_vehicle(scenario.vehicle.model),
-        plan=plan,
+        vehicle=calibrated(),
+        plan=exact_map(plan),
         floor_depth_m=scenario.tank.depth_m,
     )
 

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from makers import Make, calibrated
+from makers import Make
 
 from autopilot.core.camera import CameraModel
 from autopilot.core.markers import MarkerMap, grid_floor
@@ -16,6 +16,7 @@ from autopilot.estimator.options import DEFAULT_OPTIONS, EstimatorOptions
 from autopilot.estimator.vision import MarkerDetector
 from autopilot.sitl.floor import Floor, build_floor
 from autopilot.sitl.scenario import load_scenario
+from tests.bench.calibrations import calibrated
 
 
 @pytest.fixture(scope="session")

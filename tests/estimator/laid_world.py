@@ -4,7 +4,6 @@ import dataclasses
 import math
 
 import numpy as np
-from makers import calibrated
 from truth import Faults, Track, World, no_current
 
 from autopilot.core.camera import CameraModel
@@ -13,6 +12,7 @@ from autopilot.core.map_errors import Laid, map_errors
 from autopilot.core.markers import MarkerMap
 from autopilot.core.samples import MarkerSighting
 from autopilot.estimator.engine import AidedEstimator
+from tests.bench.calibrations import calibrated
 
 VEHICLE = calibrated()
 CAMERA = CameraModel.of_vehicle(VEHICLE)

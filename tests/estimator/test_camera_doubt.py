@@ -7,22 +7,22 @@ import msgspec
 import numpy as np
 import pytest
 from laid_world import VEHICLE, LaidWorld, flown
-from makers import Make, with_camera
+from makers import Make
 from truth import Track, rms
 
 from autopilot.core.camera import CameraModel
 from autopilot.core.frames import r_ned_from_frd
-from autopilot.core.map_errors import DEPTH_SIGMA_M, SCALE_SIGMA
 from autopilot.core.markers import MarkerMap
 from autopilot.core.messages import NavDoubt, NavHealth
 from autopilot.core.samples import MarkerSighting, PoseSample
-from autopilot.core.vehicle import DISTORTION_SIGMA, FOCAL_SIGMA, Vehicle, load_vehicle
+from autopilot.core.vehicle import DISTORTION_SIGMA, FOCAL_SIGMA, load_vehicle
 from autopilot.estimator.camera_monitor import CameraMonitor, focal_estimate
 from autopilot.estimator.ekf import create_ekf
 from autopilot.estimator.history import Node
 from autopilot.estimator.inertial import Inertial
 from autopilot.estimator.measurement import Moment
 from autopilot.estimator.states import NX, FilterState
+from tests.bench.calibrations import drawn, uncertain_map, with_camera
 
 SOME = np.random.default_rng(20261122)
 JUMP_US = 8_000_000
@@ -189,14 +189,22 @@ def test_a_wrong_focal_length_is_named_and_put_right(floor: MarkerMap, percent: 
 
 
 @pytest.mark.parametrize(
-    ("share", "stated"), [(-0.01, 0.008), (0.015, 0.008), (-0.2, DISTORTION_SIGMA), (0.2, DISTORTION_SIGMA)]
+    ("share", "stated", "focal_sigma"),
+    [
+        (-0.01, 0.008, FOCAL_SIGMA),
+        (0.015, 0.008, FOCAL_SIGMA),
+        (-0.2, DISTORTION_SIGMA, FOCAL_SIGMA),
+        (0.2, DISTORTION_SIGMA, FOCAL_SIGMA),
+        (0.2, DISTORTION_SIGMA, 0.0),
+        (-0.2, DISTORTION_SIGMA, 0.0),
+    ],
 )
 def test_a_distortion_that_is_off_is_not_taken_for_a_focal_length(
-    floor: MarkerMap, share: float, stated: float
+    floor: MarkerMap, share: float, stated: float, focal_sigma: float
 ) -> None:
     """It leaves the pattern of a wrong focal length: the height is off by no more than the variance says."""
     distortion = tuple((1.0 + share) * k for k in VEHICLE.camera.distortion)
-    vehicle = with_camera(VEHICLE, distortion=distortion, distortion_sigma=stated, focal_sigma=FOCAL_SIGMA)
+    vehicle = with_camera(VEHICLE, distortion=distortion, distortion_sigma=stated, focal_sigma=focal_sigma)
     track, told = flown(create_ekf(vehicle, floor, 1.5), LaidWorld(floor, 15), 5.0)
     assert nees(track.after(1.0), slice(2, 3)) < 9.0
     assert rms(track.after(4.5).pos_error()) < 0.02, "20 % of distortion were 90 mm of height"
@@ -293,31 +301,13 @@ def test_what_calibration_leaves_open_is_in_the_variance(floor: MarkerMap) -> No
     assert more[5] > 0.03**2
 
 
-def as_a_person_has_it(floor: MarkerMap, rng: np.random.Generator) -> tuple[Vehicle, MarkerMap, int]:
-    """The file of a vehicle that nobody has calibrated, a map of its floor, and how late pictures are stamped [us]:
-    off by what the defaults state."""
-    plain = load_vehicle("lbv150").eye
-    lens = 1.0 + rng.normal(0.0, (plain.focal_sigma, plain.distortion_sigma))
-    vehicle = with_camera(
-        load_vehicle("lbv150"),
-        position_frd_m=tuple(plain.position_frd_m + rng.normal(0.0, plain.position_sigma_m)),
-        mounting_rpy_rad=tuple(rng.normal(0.0, plain.mounting_sigma_rad)),
-        focal_px=tuple(lens[0] * np.array(plain.focal_px)),
-        distortion=tuple(lens[1] * np.array(plain.distortion)),
-    )
-    middle = floor.centers_ned_m[:, None, :]
-    corners = middle + (1.0 + rng.normal(0.0, SCALE_SIGMA)) * (floor.corners_ned_m - middle)
-    corners = corners + np.array([0.0, 0.0, rng.normal(0.0, DEPTH_SIGMA_M)])
-    told = replace(floor, corners_ned_m=corners, scale_sigma=SCALE_SIGMA, depth_sigma_m=DEPTH_SIGMA_M)
-    return vehicle, told, round(1e6 * rng.normal(0.0, plain.time_offset_sigma_s))
-
-
 def test_nobodys_calibration_is_perfect(floor: MarkerMap) -> None:
     """The truth is where the estimate says that it may be, whatever a person with a ruler did."""
     inside, squares = [], []
     for seed in range(10):
-        vehicle, told, late_us = as_a_person_has_it(floor, np.random.default_rng(1000 + seed))
-        track, _ = flown(create_ekf(vehicle, told, 1.5), LaidWorld(floor, seed, stamped_late_us=late_us), 4.0)
+        told = drawn(uncertain_map(floor), np.random.default_rng(1000 + seed))
+        world = LaidWorld(floor, seed, stamped_late_us=told.late_us)
+        track, _ = flown(create_ekf(told.vehicle, told.markers, 1.5), world, 4.0)
         error = np.column_stack((track.pos_error(), track.yaw_error()))
         in_sigmas = error / np.sqrt([nav.variance[[0, 1, 2, 5]] for nav in track.nav])
         inside.append((np.abs(in_sigmas) < 3.0).all(axis=1).mean())

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from makers import Make, calibrated
+from makers import Make
 from truth import Faults, World, no_current, tank_jet
 
 from autopilot.core.camera import CameraModel
@@ -18,6 +18,7 @@ from autopilot.core.samples import MarkerSighting, Sample
 from autopilot.core.vehicle import Vehicle
 from autopilot.estimator.markers_pose import MarkerSolver
 from autopilot.estimator.pnp import solve_pose
+from tests.bench.calibrations import calibrated
 
 VEHICLE = calibrated()
 CAMERA = CameraModel.of_vehicle(VEHICLE)
