@@ -64,10 +64,16 @@ CASES = (
 )
 
 
-def bench_calibration(seeds: Sequence[int], pool: Executor) -> list[EstimatorBenchRow]:
-    """One recorded flight, and for each seed pictures of their own noise."""
+def bench_calibration(seeds: Sequence[int], pool: Executor, figures: str | None = None) -> list[EstimatorBenchRow]:
+    """One recorded flight, and for each seed pictures of their own noise; ``figures``: folder for a figure."""
     recording = pool.submit(record, seeds[0]).result()
-    return calibration_rows(list(pool.map(partial(fly_cases, recording), seeds)))
+    runs = list(pool.map(partial(fly_cases, recording), seeds))
+    if figures is not None:
+        from tests.bench.estimator_plots import draw_honesty
+
+        drawn_case = next(k for k, case in enumerate(CASES) if case.drawn)
+        draw_honesty([run[drawn_case] for run in runs], figures)
+    return calibration_rows(runs)
 
 
 def fly_cases(recording: Recording, seed: int, cases: Sequence[Case] = CASES) -> tuple[OverFloor, ...]:

@@ -110,9 +110,11 @@ def bench_estimator(
     camera_seeds: Sequence[int] = CAMERA_SEEDS,
     workers: int = WORKERS,
     groups: Sequence[str] | None = None,
+    figures: str | None = None,
 ) -> list[EstimatorBenchRow]:
     """Fly everything with these seeds (what has rendered pictures with the second ones), in so many processes, and
-    judge it. ``groups``: only these of :data:`GROUPS`, and :data:`LAID`, :data:`CALIBRATION`."""
+    judge it. ``groups``: only these of :data:`GROUPS`, and :data:`LAID`, :data:`CALIBRATION`; ``figures``: folder for
+    the figure of :data:`CALIBRATION`."""
     wanted = [name for name in GROUPS if groups is None or name in groups]
     needed = {flight for name in wanted for flight in GROUPS[name][0]}
     specs = [spec for spec in flight_specs(seeds, camera_seeds) if spec.name in needed]
@@ -120,7 +122,7 @@ def bench_estimator(
     with safe_path(), ProcessPoolExecutor(max_workers=workers, mp_context=spawn) as pool:
         flown = list(pool.map(fly, specs))
         laid = bench_laid(seeds, pool) if groups is None or LAID in groups else []
-        off = bench_calibration(seeds, pool) if groups is None or CALIBRATION in groups else []
+        off = bench_calibration(seeds, pool, figures) if groups is None or CALIBRATION in groups else []
     runs: dict[str, list[Mapping[str, Watched]]] = {name: [] for name in needed}
     for spec, watched in zip(specs, flown, strict=True):
         runs[spec.name].append(watched)

@@ -1,4 +1,5 @@
-"""Figures of the picture benchmark: accuracy, losses and cost against height, one line per water."""
+"""Figures of the estimator's benchmark: accuracy, losses and cost of pictures against height, one line per water;
+errors of flights that nobody has calibrated, in standard deviations."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -6,6 +7,7 @@ from pathlib import Path
 import matplotlib
 import numpy as np
 
+from tests.bench.estimator_figures import GAUSS_3_SIGMA
 from tests.bench.estimator_images import (
     CLEAR_BAR_M,
     GOOD_HEIGHTS_M,
@@ -14,6 +16,7 @@ from tests.bench.estimator_images import (
     YAW_BAR_RAD,
     ImageRow,
 )
+from tests.bench.laid_maps import OverFloor
 
 matplotlib.use("Agg")
 
@@ -29,6 +32,32 @@ PANELS = (
     ("normal_ms", "detection at reference speed, median [ms]", False),
 )
 """Field, label, logarithmic."""
+STATES = (("north [mm]", 1e3), ("east [mm]", 1e3), ("down [mm]", 1e3), ("heading [deg]", 180.0 / np.pi))
+SHOWN_FLIGHTS = 6
+"""Lines beyond that cannot be told apart."""
+
+
+def draw_honesty(runs: Sequence[OverFloor], folder: str) -> str:
+    """Write ``estimator-honesty.png`` (error of each state over time, with its three standard deviations) into the
+    folder and return its path."""
+    Path(folder).mkdir(parents=True, exist_ok=True)
+    path = Path(folder) / "estimator-honesty.png"
+    figure, axes = plt.subplots(2, 2, figsize=(9.0, 5.5), sharex=True)
+    for column, (axis, (label, scale)) in enumerate(zip(axes.flat, STATES, strict=True)):
+        for number, run in enumerate(runs[:SHOWN_FLIGHTS]):
+            sigma = GAUSS_3_SIGMA * scale * np.sqrt(run.variance[:, column])
+            axis.plot(run.t_s, scale * run.error[:, column], color=f"C{number}", linewidth=1.0)
+            for side in (-1.0, 1.0):
+                axis.plot(run.t_s, side * sigma, color=f"C{number}", linestyle="--", linewidth=0.7)
+        axis.set_ylabel(f"error {label}")
+        axis.grid(alpha=0.3)
+    for axis in axes[1]:
+        axis.set_xlabel("time [s]")
+    figure.suptitle("Estimate minus truth, and three standard deviations (dashed); one colour per flight", fontsize=9)
+    figure.tight_layout()
+    figure.savefig(path, dpi=110)
+    plt.close(figure)
+    return str(path)
 
 
 def draw_images(rows: Sequence[ImageRow], folder: str) -> str:

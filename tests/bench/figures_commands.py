@@ -29,7 +29,7 @@ from tests.bench.tables import HEADS, TITLES, judge, seed_range, tell
     type=click.Path(file_okay=False, exists=True, path_type=Path),
     help="--attitude: folder of recorded trials (default: those of a checkout's tests).",
 )
-@click.option("--figures", type=click.Path(file_okay=False), help="--images: write figures into this folder.")
+@click.option("--figures", type=click.Path(file_okay=False), help="--images, calibration: figures here.")
 @JSON
 def estimator(
     short: bool,
@@ -59,7 +59,7 @@ def estimator(
         (seeds is not None, "--seeds", not images),
         (bool(only), "--only", not images and not attitude),
         (data is not None, "--data", attitude),
-        (figures is not None, "--figures", images),
+        (figures is not None, "--figures", images or "calibration" in only),
     ):
         if given and not wanted:
             raise click.UsageError(f"{option} belongs to {_WITH[option]}")
@@ -76,7 +76,7 @@ def estimator(
         run_one(
             "estimator",
             TITLES["estimator"],
-            partial(estimator_rows, seeds=seeds, groups=only),
+            partial(estimator_rows, seeds=seeds, groups=only, figures=figures),
             short=short,
             as_json=as_json,
         )
@@ -87,12 +87,14 @@ _WITH = {
     "--seeds": "the benchmark estimator without --images",
     "--only": "the benchmark estimator without --images and --attitude",
     "--data": "the benchmark estimator with --attitude",
-    "--figures": "the benchmarks energy and estimator --images",
+    "--figures": "the benchmarks energy, estimator --images and estimator --only calibration",
 }
 """Where an option of the benchmark has a meaning."""
 
 
-def estimator_rows(short: bool, seeds: range | None = None, groups: tuple[str, ...] = ()) -> Rows:
+def estimator_rows(
+    short: bool, seeds: range | None = None, groups: tuple[str, ...] = (), figures: str | None = None
+) -> Rows:
     from tests.bench.estimator import (
         CAMERA_SEEDS,
         COST,
@@ -108,7 +110,7 @@ def estimator_rows(short: bool, seeds: range | None = None, groups: tuple[str, .
         if name not in group_names():
             raise click.UsageError(f"--only {name}: there is {', '.join(group_names())}")
     poses, pictures = (SHORT_SEEDS, SHORT_CAMERA_SEEDS) if short else (SEEDS, CAMERA_SEEDS)
-    rows = bench_estimator(seeds or poses, seeds or pictures, groups=groups or None)
+    rows = bench_estimator(seeds or poses, seeds or pictures, groups=groups or None, figures=figures)
     if not groups or COST in groups:
         rows += bench_cost(SHORT_COST_S if short else COST_S)
     return [asdict(row) for row in rows]

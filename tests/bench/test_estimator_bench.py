@@ -3,6 +3,7 @@
 import math
 import tomllib
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -39,6 +40,7 @@ from tests.bench.estimator_figures import (
     whiteness,
 )
 from tests.bench.estimator_flights import SAME, SHIFTED, FlightSpec, fly, overlaid
+from tests.bench.estimator_plots import draw_honesty
 from tests.bench.laid_maps import (
     Camera,
     OverFloor,
@@ -252,7 +254,7 @@ def test_the_watching_filter_is_the_flown_one() -> None:
 def test_command_prints_the_table(monkeypatch: pytest.MonkeyPatch) -> None:
     asked, chosen = [], []
 
-    def fake(*seeds: range, groups: tuple[str, ...] | None) -> list[Any]:
+    def fake(*seeds: range, groups: tuple[str, ...] | None, figures: str | None) -> list[Any]:
         chosen.append(groups)
         asked.append(seeds)
         runs = {name: [{watcher: made_up() for watcher in watchers}] for name, (_, _, _, watchers) in PLAN.items()}
@@ -315,6 +317,12 @@ def test_laid_floors_are_judged_by_every_bar() -> None:
     assert len(unjudged) == 6
     assert all("worst" in figure or "but for one shift" in figure for figure in unjudged)
     assert bad.form_mm() < 1e-6, "all of it is one shift"
+
+
+def test_flights_that_nobody_has_calibrated_are_drawn(tmp_path: Path) -> None:
+    path = Path(draw_honesty([over_floor(0.001, 0.001), over_floor(0.02, 0.01)], str(tmp_path / "new")))
+    assert path.name == "estimator-honesty.png"
+    assert path.stat().st_size > 10_000
 
 
 def test_a_recorded_flight_over_another_floor() -> None:
