@@ -93,6 +93,7 @@ class ObserverCore:
         p = state.p + ((10.0 if made_up else 1.0) * step.dt_s) * self._growth
         if made_up or step.mode is ProcessNoiseMode.COASTING:
             p[POS] += 2.0 * step.dt_s * np.sqrt(p[POS] * p[VEL])
+        p[POS] += step.position_variance_m2
         return FilterState(np.array(moved(state.x, step)), p)
 
     def transition(self) -> FloatArray | None:

@@ -275,6 +275,11 @@ class AidedEstimator(Estimator):
         elif imu.gyro.trusted:
             grown = imu.gyro.coast(step.dt_s, x.item(YAW) - self._foreseen_yaw_rad)
             step = step._replace(yaw_variance_rad2=grown)
+        drift = self._sources.velocity.drift
+        if self._sources.fix_age_us(inertial.t_us) <= ENGINE.alone_after_us:
+            drift.fixed(inertial.t_us, x)
+        elif anchored:
+            step = step._replace(position_variance_m2=drift.growth(inertial.t_us, step.dt_s, x))
         node = history.append(inertial.t_us, moment, step)
         self._foreseen_yaw_rad = node.state.x.item(YAW)
         if not inertial.real:

@@ -80,7 +80,9 @@ class InertialStep(NamedTuple):
     current_variance_per_s: float = 0.0
     """By which north and east of the current become uncertain beyond the mode's process noise [m^2/s^2 / s]."""
     yaw_variance_rad2: float = 0.0
-    """By which the heading becomes uncertain beyond it."""
+    """By which the heading becomes uncertain beyond it,"""
+    position_variance_m2: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """and north, east and down."""
 
 
 class SampleVerdict(StrEnum):

@@ -51,6 +51,10 @@ RELOCATED_SIGMA_VEL_M_S = 0.1
 """Of the velocity after a reset, which is the mean over the last fixes."""
 
 
+_POSITION = (range(3), range(3))
+"""Variances of north, east and down among those of the state."""
+
+
 class _Filter(ExtendedKalmanFilter):  # type: ignore[misc]  # filterpy has no type hints
     """filterpy's filter with our motion: ``u`` of predict() is the step."""
 
@@ -94,6 +98,8 @@ class KalmanCore:
             more = step.current_variance_per_s * step.dt_s
             kf.Q[CURRENT_NORTH, CURRENT_NORTH] += more
             kf.Q[CURRENT_EAST, CURRENT_EAST] += more
+        if any(step.position_variance_m2):
+            kf.Q[_POSITION] += step.position_variance_m2
         kf.Q[YAW, YAW] += step.yaw_variance_rad2
         if math.hypot(state.x.item(8), state.x.item(9)) > LEANING_M_S2:
             kf.Q[YAW, YAW] += TILTED_GYRO_NOISE**2 * step.dt_s

@@ -6,9 +6,10 @@ import numpy as np
 
 from autopilot.core.frames import FloatArray, r_ned_from_frd
 from autopilot.core.samples import VelocityLock, VelocitySample
-from autopilot.core.vehicle import Vehicle
+from autopilot.core.vehicle import DvlMount, Vehicle
 from autopilot.estimator.aiding import ScalarAid
 from autopilot.estimator.inertial import Inertial, cross
+from autopilot.estimator.log_drift import LogDrift
 from autopilot.estimator.measurement import Measurement, Moment
 from autopilot.estimator.states import (
     ACCEL_BIAS,
@@ -29,8 +30,8 @@ from autopilot.estimator.states import (
 MIN_SIGMA_M_S = 0.002
 MAX_SIGMA_M_S = 5.0
 MAX_SPEED_M_S = 20.0
-SCALE_ERROR = 0.005
-"""Share of the velocity by which a DVL may be off (speed of sound, beam angles): the usual specification."""
+ALIKE_S = 1.0
+"""Errors that stay are taken for noise of so many more samples: the filter's memory of a velocity between fixes."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -93,7 +94,7 @@ def _frd_from_level(inertial: Inertial) -> FloatArray:
     return r_ned_from_frd(np.array([inertial.roll_rad, inertial.pitch_rad, 0.0])).T
 
 
-def velocity_from_sample(sample: VelocitySample, mount_frd_m: tuple[float, float, float]) -> BodyVelocity | None:
+def velocity_from_sample(sample: VelocitySample, dvl: DvlMount) -> BodyVelocity | None:
     """The measurement of a DVL's sample; None if it is malformed."""
     vel, sigma = np.asarray(sample.vel_frd_m_s, dtype=float), np.asarray(sample.sigma_m_s, dtype=float)
     if vel.shape != (3,) or sigma.shape != (3,):
@@ -103,9 +104,11 @@ def velocity_from_sample(sample: VelocitySample, mount_frd_m: tuple[float, float
         return None
     if sample.lock not in tuple(VelocityLock):
         return None
-    noise = np.diag(np.maximum(sigma, MIN_SIGMA_M_S) ** 2 + (SCALE_ERROR * vel) ** 2)
+    across = dvl.heading_sigma_rad**2 * (float(vel @ vel) - vel**2)
+    constant = dvl.bias_sigma_m_s**2 + (dvl.scale_sigma * vel) ** 2 + across
+    noise = np.diag(np.maximum(sigma, MIN_SIGMA_M_S) ** 2 + ALIKE_S * dvl.rate_hz * constant)
     lock = VelocityLock(sample.lock)
-    return BodyVelocity(sensor="velocity", t_us=sample.t_us, z=vel, noise=noise, lock=lock, mount_frd_m=mount_frd_m)
+    return BodyVelocity(sensor="velocity", t_us=sample.t_us, z=vel, noise=noise, lock=lock, mount_frd_m=dvl.position_frd_m)
 
 
 class VelocityAid(ScalarAid[VelocitySample]):
@@ -115,12 +118,13 @@ class VelocityAid(ScalarAid[VelocitySample]):
 
     def __init__(self, vehicle: Vehicle) -> None:
         super().__init__(vehicle.dvl.time_offset_s)
-        self._mount_frd_m = vehicle.dvl.position_frd_m
+        self._dvl = vehicle.dvl
+        self.drift = LogDrift(vehicle.dvl)
         self.ground_us: int | None = None
         """Time of validity of the newest velocity over ground that has been used, None before the first."""
 
     def measured(self, sample: VelocitySample) -> BodyVelocity | None:
-        return self.counted(velocity_from_sample(sample, self._mount_frd_m))
+        return self.counted(velocity_from_sample(sample, self._dvl))
 
     def reopened(self, measurement: BodyVelocity, *, fixed: bool) -> slice | None:
         """See :class:`ScalarAid`: through the water the current is reset; over ground fixes determine the velocity

@@ -23,6 +23,7 @@ class SimDvl(OptionalSensor[VelocitySample, FloatArray]):
     ) -> None:
         super().__init__(table, mount, world, faults, seed)
         self._bias_m_s = table.bias_m_s * self._rng.standard_normal(3)
+        self._r_dvl_from_frd = r_ned_from_frd(np.array([0.0, 0.0, table.heading_error_rad])).T
         self._scale = 1.0 + table.scale_error * float(self._rng.standard_normal())
 
     def observe(self, truth: Truth) -> None:
@@ -35,7 +36,7 @@ class SimDvl(OptionalSensor[VelocitySample, FloatArray]):
             return
         vel = truth.vel_frd_m_s if bottom else truth.vel_water_frd_m_s
         vel = vel + np.cross(truth.rate_frd_rad_s, self._mount_frd_m)
-        vel = self._scale * vel + self._bias_m_s + self._sensor.sigma_m_s * noise[:3]
+        vel = self._scale * (self._r_dvl_from_frd @ vel) + self._bias_m_s + self._sensor.sigma_m_s * noise[:3]
         if chance[1] < self._sensor.outlier_probability:
             vel = vel + self._sensor.outlier_m_s * (2.0 * chance[2:5] - 1.0)
         sample = VelocitySample(

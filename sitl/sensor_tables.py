@@ -164,6 +164,8 @@ class DvlSensor(Table, frozen=True, kw_only=True):
     """Standard deviation of a constant error of each axis, drawn once per run."""
     scale_error: NonNegative = 0.003
     """Standard deviation of the relative error, drawn once per run."""
+    heading_error_rad: float = 0.0
+    """By which it is turned to starboard of the body's axes."""
     outlier_probability: Probability = 0.0
     outlier_m_s: NonNegative = 0.5
     drop_probability: Probability = 0.02

@@ -154,8 +154,10 @@ RULER_SIGMA_M = 0.005
 HAND_SIGMA_RAD = 0.0175
 FOCAL_SIGMA, DISTORTION_SIGMA = 0.01, 0.1
 STAMP_SIGMA_S = 0.01
+LOG_SCALE_SIGMA, LOG_BIAS_SIGMA_M_S = 0.005, 0.002
 """Of a camera that nobody has calibrated: its place by a ruler, its turn by eye (1 deg), its lens as that of another
-one of the same kind, its stamps to a third of a picture at 30 Hz. ``autopilot calibrate`` writes smaller ones."""
+one of the same kind, its stamps to a third of a picture at 30 Hz. A Doppler log has its usual specification. Smaller
+ones are written by ``autopilot calibrate``."""
 
 
 class Port(Table, frozen=True, kw_only=True):
@@ -265,6 +267,12 @@ class DvlMount(SensorMount, frozen=True, kw_only=True):
 
     rate_hz: Positive = 8.0
     latency_s: NonNegative = 0.1
+    heading_sigma_rad: NonNegative = HAND_SIGMA_RAD
+    """Standard deviation of its heading, roll and pitch against the body's,"""
+    scale_sigma: NonNegative = LOG_SCALE_SIGMA
+    """of its velocities, as a share of them (speed of sound, beam angles),"""
+    bias_sigma_m_s: NonNegative = LOG_BIAS_SIGMA_M_S
+    """and of a constant error of each axis."""
 
 
 class AltimeterMount(SensorMount, frozen=True, kw_only=True):

@@ -9,7 +9,7 @@ import numpy as np
 from autopilot.core.control_allocator import ControlAllocator
 from autopilot.core.model4 import AXES, AXIS_NAMES
 from autopilot.core.thrusters import CONTROLLED, wrench_matrix
-from autopilot.core.vehicle import Vehicle
+from autopilot.core.vehicle import DvlMount, Vehicle
 
 CRUISE_M_S = 0.3
 """Ahead, where the power of cruising is told."""
@@ -121,8 +121,9 @@ def _missing(vehicle: Vehicle) -> list[str]:
 
 
 def _uncalibrated(vehicle: Vehicle) -> list[str]:
-    """Keys of camera and laser whose standard deviation is the default."""
-    tables = {"camera": vehicle.camera, "laser": vehicle.laser}
+    """Keys of camera, laser and Doppler log whose standard deviation is the default."""
+    dvl = None if vehicle.dvl == DvlMount() else vehicle.dvl
+    tables: dict[str, msgspec.Struct | None] = {"camera": vehicle.camera, "laser": vehicle.laser, "dvl": dvl}
     return [
         f"{name}.{field.name}"
         for name, table in tables.items()

@@ -23,7 +23,7 @@ from autopilot.core.samples import (
     VelocityLock,
     VelocitySample,
 )
-from autopilot.core.vehicle import Vehicle
+from autopilot.core.vehicle import DvlMount, Vehicle
 from autopilot.estimator.complementary import create_complementary
 from autopilot.estimator.ekf import create_ekf
 from autopilot.estimator.engine import AidedEstimator
@@ -358,3 +358,38 @@ def test_what_no_altimeter_says_is_counted_as_malformed(
     run(estimator, World(no_current), 2.0, extra)
     counts = estimator.counters()
     assert counts["altimeter.malformed"] > 10 and counts["altimeter.fused"] == 0
+
+
+def drawn_log(rng: np.random.Generator) -> Callable[[Look], list[Sample]]:
+    """A Doppler log at 10 Hz as it comes from the shop, turned by as much as somebody sees by eye."""
+    stated = DvlMount()
+    turn = r_ned_from_frd(rng.normal(0.0, stated.heading_sigma_rad, 3))
+    scale, bias = 1.0 + rng.normal(0.0, stated.scale_sigma), rng.normal(0.0, stated.bias_sigma_m_s, 3)
+
+    def samples(now: Look) -> list[Sample]:
+        if now.t_us % 100_000:
+            return []
+        exact = velocity_of(now)
+        measured = scale * (turn @ exact.vel_frd_m_s) + bias + rng.normal(0.0, 0.005, 3)
+        return [replace(exact, vel_frd_m_s=measured)]
+
+    return samples
+
+
+@pytest.mark.parametrize("create", [create_ekf, create_complementary])
+def test_a_doppler_log_is_as_good_as_its_mounting(vehicle: Vehicle, create: Callable[..., AidedEstimator]) -> None:
+    """On it alone for a while: the truth is where the estimate says that it may be, and fixes find it again."""
+    inside, squares = [], []
+    for seed in range(8):
+        world = World(no_current, Faults(seed=seed, vision_gap_s=(4.0, 16.0)))
+        estimator = create(vehicle, None, None)
+        track = run(estimator, world, 17.0, drawn_log(np.random.default_rng((seed, 1))))
+        gap = [(now, nav) for now, nav in track if 4.0 < 1e-6 * now.t_us < 16.0]
+        error = np.array([nav.pos_ned_m - now.pos for now, nav in gap])
+        in_sigmas = error / np.sqrt([nav.variance[:3] for _, nav in gap])
+        inside.append((np.abs(in_sigmas) < 3.0).all(axis=1).mean())
+        squares.append((in_sigmas**2).mean())
+        assert estimator.counters()["resets"] == 0
+        assert np.linalg.norm(track[-1][1].pos_ned_m - track[-1][0].pos) < 0.02
+    assert np.mean(inside) > 0.95, inside
+    assert np.mean(squares) < 2.0, squares
