@@ -28,6 +28,7 @@ from autopilot.core.samples import MAX_SIGHTED, CameraFrame, MarkerSighting
 from autopilot.estimator.estimator_tuning import VISION
 from autopilot.estimator.laser_detector import find_dot
 from autopilot.estimator.marker_image import corner_sigma_px, marker_images, patterns_of
+from autopilot.estimator.second_look import near_predicted, read_again
 
 EXACT = ("DICT_APRILTAG_16h5",)
 """Families that are not corrected: thirty words of 16 cells with one cell wrong, each in four directions, are one in
@@ -119,27 +120,50 @@ class MarkerDetector:
         halved = least_px >= VISION.half_cell_px * cells
         scale = 2.0 if halved else 1.0
         smaller = cv2.pyrDown(smooth) if halved else smooth
-        found = _quads(
+        found, rejected = _quads(
             smaller, dictionary, _tracking(least_px / scale, most_px / scale, max(smaller.shape), hazy, scale)
         )
-        found = _Found(unique_ids[found.ids], found.quads * np.float32(scale))
-        for left, top, right, bottom in _missing_areas(ids, predicted, found, grey.shape):
-            part = np.ascontiguousarray(smooth[top:bottom, left:right])
-            again = _quads(part, dictionary, _second_pass(least_px, most_px, max(part.shape), hazy, smooth is not grey))
-            found = found.with_new(_Found(unique_ids[again.ids], again.quads + np.array([left, top], dtype=np.float32)))
-        return self._accepted(smooth, dictionary, found)
+        found, nearly = _Found(unique_ids[found.ids], found.quads * np.float32(scale)), [rejected * np.float32(scale)]
+        left = _left(ids, predicted, found, grey.shape)
+        if not len(left.places):
+            return self._accepted(smooth, dictionary, found)
+        for x, y, right, bottom in _areas(left, found, grey.shape):
+            part = np.ascontiguousarray(smooth[y:bottom, x:right])
+            parameters = _second_pass(least_px, most_px, max(part.shape), hazy, smooth is not grey)
+            again, rejected = _quads(part, dictionary, parameters)
+            corner_px = np.array([x, y], dtype=np.float32)
+            found = found.with_new(_Found(unique_ids[again.ids], again.quads + corner_px))
+            nearly.append(rejected + corner_px)
+        quads = found.elsewhere(np.concatenate((*nearly, left.places)))
+        allowed = near_predicted(quads, left.places, left.spread_px)
+        return self._accepted(smooth, dictionary, self._with_nearly(smooth, dictionary, found, quads, left.ids, allowed))
 
     def _search(self, grey: Any, hazy: bool, ids: IntArray) -> "_Seen":
         """Markers whose id is one of ``ids``, all of one dictionary."""
         unique_ids = np.unique(ids)
         dictionary = self._dictionary_of(unique_ids)
         smooth = _smoothed(grey, VISION.hazy_smooth_px[0][0]) if hazy else cv2.GaussianBlur(grey, (3, 3), 0.0)
-        found = _quads(smooth, dictionary, _acquiring(max(grey.shape), hazy))
+        found, rejected = _quads(smooth, dictionary, _acquiring(max(grey.shape), hazy))
         # Smoothing removes small or pale markers. Those found need not be identified again.
         rest = cv2.fillPoly(grey.copy(), np.round(found.quads).astype(np.int32), 255.0) if len(found.ids) else grey
-        again = _quads(rest, dictionary, _acquiring_small(max(grey.shape), hazy))
+        again, nearly = _quads(rest, dictionary, _acquiring_small(max(grey.shape), hazy))
         found = found.with_new(again)
-        return self._accepted(smooth if hazy else grey, dictionary, _Found(unique_ids[found.ids], found.quads))
+        found = _Found(unique_ids[found.ids], found.quads)
+        seen = smooth if hazy else grey
+        quads = found.elsewhere(np.concatenate((rejected, nearly)))
+        allowed = np.ones((len(quads), 4, len(unique_ids)), dtype=np.bool_)
+        return self._accepted(seen, dictionary, self._with_nearly(seen, dictionary, found, quads, unique_ids, allowed))
+
+    def _with_nearly(
+        self, grey: Any, dictionary: Any, found: "_Found", quads: Any, ids: IntArray, allowed: Any
+    ) -> "_Found":
+        """Found markers and those that are read at a second look: ``quads`` and ``allowed`` as it takes them."""
+        patterns = self._patterns[int(ids[0]) // ID_SPAN][ids % ID_SPAN]
+        correct = int(VISION.correction * dictionary.maxCorrectionBits)
+        second = read_again(grey, quads, patterns, allowed, correct)
+        return _Found(
+            np.append(found.ids, ids[second.which]), np.concatenate((found.quads, second.quads.astype(np.float32)))
+        )
 
     def _accepted(self, grey: Any, dictionary: Any, found: "_Found") -> "_Seen":
         """Detections with subpixel corners, without those whose appearance does not match their id."""
@@ -172,10 +196,18 @@ class _Found(NamedTuple):
         """Both, without those of ``more`` that are here already."""
         if not len(self.ids) or not len(more.ids):
             return more if len(more.ids) else self
-        apart = more.quads.mean(axis=1)[:, None, :] - self.quads.mean(axis=1)[None, :, :]
-        near = (apart * apart).sum(axis=2) < np.square(VISION.same * _perimeters_px(more.quads) / 4.0)[:, None]
-        new = ~(near & (more.ids[:, None] == self.ids[None, :])).any(axis=1)
+        new = ~(self._near(more.quads) & (more.ids[:, None] == self.ids[None, :])).any(axis=1)
         return _Found(np.append(self.ids, more.ids[new]), np.concatenate((self.quads, more.quads[new])))
+
+    def elsewhere(self, quads: Any) -> Any:
+        """Those quadrilaterals (m, 4, 2), largest first, that are not where a marker was found."""
+        quads = quads[np.argsort(-_perimeters_px(quads), kind="stable")]
+        return quads[~self._near(quads).any(axis=1)]
+
+    def _near(self, quads: Any) -> Any:
+        """(m, n) whether quadrilaterals (m, 4, 2) are where the markers are."""
+        apart = quads.mean(axis=1)[:, None, :] - self.quads.mean(axis=1)[None, :, :]
+        return (apart * apart).sum(axis=2) < np.square(VISION.same * _perimeters_px(quads) / 4.0)[:, None]
 
 
 class _Seen(NamedTuple):
@@ -187,12 +219,13 @@ class _Seen(NamedTuple):
     """(n,) of the corners."""
 
 
-def _quads(grey: Any, dictionary: Any, parameters: Any) -> _Found:
-    """Markers in an image, with their places in the dictionary for ids and corners in whole pixels (float32)."""
-    quads, indices, _ = cv2.aruco.ArucoDetector(dictionary, parameters).detectMarkers(grey)
-    if indices is None or len(quads) == 0:
-        return _Found(np.empty(0, dtype=np.int64), np.empty((0, 4, 2), dtype=np.float32))
-    return _Found(np.asarray(indices, dtype=np.int64).ravel(), np.array(quads, dtype=np.float32).reshape(-1, 4, 2))
+def _quads(grey: Any, dictionary: Any, parameters: Any) -> tuple[_Found, Any]:
+    """Markers in an image, with their places in the dictionary for ids and corners in whole pixels (float32), and the
+    quadrilaterals (m, 4, 2) that are none."""
+    quads, indices, rejected = cv2.aruco.ArucoDetector(dictionary, parameters).detectMarkers(grey)
+    ids = np.empty(0, dtype=np.int64) if indices is None else np.asarray(indices, dtype=np.int64).ravel()
+    found, rest = (np.array(some, dtype=np.float32).reshape(-1, 4, 2) for some in (quads, rejected))
+    return _Found(ids, found), rest
 
 
 def _perimeters_px(quads: Any) -> FloatArray:
@@ -201,16 +234,21 @@ def _perimeters_px(quads: Any) -> FloatArray:
     return np.asarray(np.sqrt((steps * steps).sum(axis=2)).sum(axis=1), dtype=np.float64)
 
 
-def _missing_areas(
-    ids: IntArray, predicted: FloatArray, found: _Found, shape: tuple[int, ...]
-) -> list[tuple[int, int, int, int]]:
-    """Left, top, right, bottom of the image regions with expected markers that were not found.
+class _Left(NamedTuple):
+    """Expected markers that were not found."""
 
-    The markers that were found give the error of the prediction; without any, the region is the whole image.
-    """
-    height, width = shape
+    ids: IntArray
+    """(n,)"""
+    places: FloatArray
+    """(n, 4, 2) where they should be [px],"""
+    spread_px: float
+    """and the error of that."""
+
+
+def _left(ids: IntArray, predicted: FloatArray, found: _Found, shape: tuple[int, ...]) -> _Left:
+    """The markers that were found give the error of the prediction."""
     if not len(found.ids):
-        return [(0, 0, width, height)]
+        return _Left(ids, predicted, VISION.hint_margin_px)
     # Associate each found marker with the nearest predicted one of its id.
     apart = found.quads.mean(axis=1)[:, None, :] - predicted.mean(axis=1)[None, :, :]
     far = np.where(found.ids[:, None] == ids[None, :], (apart * apart).sum(axis=2), np.inf)
@@ -218,19 +256,23 @@ def _missing_areas(
     here, spread_px = _moved(predicted, nearest, found.quads)
     missing = np.ones(len(ids), dtype=bool)
     missing[nearest] = False
-    inside = ((here >= VISION.whole_px) & (here <= np.array([width, height]) - 1.0 - VISION.whole_px)).all(axis=(1, 2))
-    missing = here[inside & missing]
-    if not len(missing):
-        return []
-    low, high = missing.min(axis=1), missing.max(axis=1)
-    around = np.maximum(VISION.around * (high - low).max(axis=1, keepdims=True), VISION.around_px) + spread_px
+    last_px = np.array(shape[::-1]) - 1.0 - VISION.whole_px
+    missing &= ((here >= VISION.whole_px) & (here <= last_px)).all(axis=(1, 2))
+    return _Left(ids[missing], here[missing], spread_px)
+
+
+def _areas(left: _Left, found: _Found, shape: tuple[int, ...]) -> list[tuple[int, int, int, int]]:
+    """Left, top, right, bottom of the image regions with missing markers; where none was found, of the image."""
+    height, width = shape
+    if not len(found.ids):
+        return [(0, 0, width, height)]
+    low, high = left.places.min(axis=1), left.places.max(axis=1)
+    around = np.maximum(VISION.around * (high - low).max(axis=1, keepdims=True), VISION.around_px) + left.spread_px
     low = np.maximum(np.floor(low - around), 0.0).astype(int)
     high = np.minimum(np.ceil(high + around) + 1.0, [width, height]).astype(int)
     if len(low) > VISION.most_areas or (high - low).prod(axis=1).sum() > (high.max(axis=0) - low.min(axis=0)).prod():
         low, high = low.min(axis=0)[None], high.max(axis=0)[None]
-    return [
-        (left, top, right, bottom) for (left, top), (right, bottom) in zip(low.tolist(), high.tolist(), strict=True)
-    ]
+    return [(x, y, right, bottom) for (x, y), (right, bottom) in zip(low.tolist(), high.tolist(), strict=True)]
 
 
 def _moved(predicted: FloatArray, which: IntArray, quads: Any) -> tuple[FloatArray, float]:
