@@ -553,6 +553,8 @@ class SecondLookTuning:
     """Quadrilaterals of one image that are read again."""
     least_fit: float = 0.75
     """Smallest correlation of the cells with the pattern."""
+    least_rise: float = 0.4
+    """Across each side it grows brighter by this share of white minus black."""
     chance: float = 1e-4
     """Of a random word to be read as a marker."""
     reach: float = 0.35
@@ -564,7 +566,6 @@ class SecondLookTuning:
     across_cells: float = 0.9
     across_px: tuple[float, float] = (1.5, 4.0)
     """and how far they reach to both sides: cells, and bounds in pixels."""
-    rounds: int = 1
     same: float = 0.5
     """Two markers whose centres are nearer than this share of their half are one."""
 

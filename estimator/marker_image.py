@@ -54,7 +54,8 @@ def cell_levels(grey: Any, quads: FloatArray, cells: int) -> FloatArray:
     """(n, s, s) grey levels of the cells of markers at ``quads`` (n, 4, 2) with so many along a side."""
     # Near the middle, where slanted cells are not blurred into each other.
     inside = _around_centers(cells, MARKER_IMAGE.misread_center / cells)
-    return _sample(grey, _homographies(quads), inside).reshape(len(quads), 4, cells, cells).mean(axis=1)
+    sampled = _sample(grey, _homographies(quads), inside).reshape(len(quads), 4, cells, cells)
+    return np.asarray(sampled.mean(axis=1), dtype=np.float64)
 
 
 def misread_cells(grey: Any, quads: FloatArray, patterns: FloatArray) -> IntArray:

@@ -37,12 +37,11 @@ def read_again(grey: Any, quads: FloatArray, patterns: FloatArray, allowed: Bool
     """
     cells = patterns.shape[1]
     words = allowed.sum(axis=(1, 2))
-    bits = (cells - 2) ** 2
-    most = np.array([correctable(bits, count, correct) for count in words.tolist()], dtype=np.int64)
-    useful = np.flatnonzero((words > 0) & (most >= 0))[: SECOND_LOOK.most]
-    if not len(useful):
+    most = np.array([correctable((cells - 2) ** 2, count, correct) for count in words.tolist()], dtype=np.int64)
+    if not (most >= 0).any():
         return SecondLook(np.empty(0, dtype=np.int64), np.empty((0, 4, 2)))
-    quads, allowed, most = along_sides(grey, quads[useful], cells), allowed[useful], most[useful]
+    quads, rise = along_sides(grey, quads[most >= 0], cells)
+    allowed, most = allowed[most >= 0], most[most >= 0]
     level = cell_levels(grey, quads, cells).reshape(len(quads), -1)
     # (4 k, s * s): a quadrilateral that begins with the marker's second corner shows it turned by a quarter.
     turned = np.stack([np.rot90(patterns, turn, axes=(1, 2)) for turn in range(4)]).reshape(-1, cells * cells)
@@ -54,28 +53,42 @@ def read_again(grey: Any, quads: FloatArray, patterns: FloatArray, allowed: Bool
     wrong = ((level > 0.5 * (white + black)[:, None]) != (word > 0.5)).sum(axis=1)
     last_px = np.array(grey.shape[::-1]) - 1.0 - VISION.border_px
     inside = ((quads >= VISION.border_px) & (quads <= last_px)).all(axis=(1, 2))
-    read = np.flatnonzero(inside & (fit >= SECOND_LOOK.least_fit) & (wrong <= most))
+    # A marker that the image cuts off shows its cells and not all of its sides.
+    whole = inside & (rise >= SECOND_LOOK.least_rise * (white - black)[:, None]).all(axis=1)
+    read = np.flatnonzero(whole & (fit >= SECOND_LOOK.least_fit) & (wrong <= most))
     read = _apart(read[np.argsort(-fit[read], kind="stable")], quads)
     turn, which = np.divmod(best[read], len(patterns))
     corners = (np.arange(4)[None, :] - turn[:, None]) % 4
     return SecondLook(which, quads[read[:, None], corners])
 
 
-def near_predicted(quads: FloatArray, predicted: FloatArray, reach_px: float) -> BoolArray:
-    """(n, 4, k) as :func:`read_again` takes it: corners (n, 4, 2) that lie near those of markers (k, 4, 2)."""
-    starts = (np.arange(4)[None, :] - np.arange(4)[:, None]) % 4
-    apart = quads[:, starts, None, :] - predicted.transpose(1, 0, 2)[None, None]
-    far = np.sqrt((apart * apart).sum(axis=-1)).max(axis=2)
+def near_predicted(quads: FloatArray, predicted: FloatArray, reach_px: float) -> tuple[FloatArray, BoolArray]:
+    """The first of ``quads`` (n, 4, 2) that lie near markers (k, 4, 2), and which may be which: (m, 4, k) as
+    :func:`read_again` takes it."""
     sides = predicted - np.roll(predicted, -1, axis=1)
-    side_px = np.sqrt((sides * sides).sum(axis=2)).mean(axis=1)
-    return np.asarray(far <= SECOND_LOOK.reach * side_px + reach_px, dtype=np.bool_)
+    reach_px = SECOND_LOOK.reach * np.sqrt((sides * sides).sum(axis=2)).mean(axis=1) + reach_px
+    # The middles first: noise makes thousands of quadrilaterals.
+    near = _far(quads.mean(axis=1)[:, None], predicted.mean(axis=1)) <= reach_px
+    quads = quads[near.any(axis=1)][: SECOND_LOOK.most]
+    starts = (np.arange(4)[None, :] - np.arange(4)[:, None]) % 4
+    far = _far(quads[:, starts, None], predicted.transpose(1, 0, 2)).max(axis=2)
+    return quads, np.asarray(far <= reach_px, dtype=np.bool_)
+
+
+def _far(some: FloatArray, others: FloatArray) -> FloatArray:
+    """Distances of points, (..., 2) both."""
+    apart = some - others
+    return np.asarray(np.sqrt((apart * apart).sum(axis=-1)))
 
 
 @lru_cache(maxsize=256)
 def correctable(bits: int, words: int, correct: int) -> int:
-    """Misread cells, at most ``correct``, with which noise of so many bits is one of so many words rarely enough; -1
-    if it would be one too often even without."""
+    """Misread cells, at most ``correct``, with which noise of so many bits is one of so many words rarely enough.
+
+    -1 if there is no word, or noise would be one too often even without any."""
     taken = -1
+    if words == 0:
+        return taken
     chance = 0.0
     for wrong in range(correct + 1):
         chance += words * math.comb(bits, wrong) / 2.0**bits
@@ -84,44 +97,45 @@ def correctable(bits: int, words: int, correct: int) -> int:
     return taken
 
 
-def along_sides(grey: Any, quads: FloatArray, cells: int) -> FloatArray:
-    """Corners (n, 4, 2), clockwise, moved to where lines along the steepest slopes from black to white cross."""
+def along_sides(grey: Any, quads: FloatArray, cells: int) -> tuple[FloatArray, FloatArray]:
+    """Corners (n, 4, 2), clockwise, moved to where lines along the steepest slopes from black to white cross, and how
+    much brighter it is outside of each side (n, 4)."""
     along = (np.arange(SECOND_LOOK.places) + 1.0) / (SECOND_LOOK.places + 1.0) - 0.5
     across = np.linspace(-1.0, 1.0, SECOND_LOOK.steps)
     corners = np.asarray(quads, dtype=np.float64)
-    for _ in range(SECOND_LOOK.rounds):
-        side = np.roll(corners, -1, axis=1) - corners
-        long_px = np.maximum(np.sqrt((side * side).sum(axis=2)), 1.0)
-        outward = np.stack((side[..., 1], -side[..., 0]), axis=-1) / long_px[..., None]
-        reach_px = np.clip(SECOND_LOOK.across_cells * long_px / cells, *SECOND_LOOK.across_px)
-        middle = corners + 0.5 * side
-        x, y = (
-            middle[..., axis, None, None]
-            + side[..., axis, None, None] * along[:, None]
-            + (outward[..., axis] * reach_px)[..., None, None] * across
-            for axis in range(2)
-        )
-        shape = (len(corners), -1)
-        seen = cv2.remap(
-            grey,
-            x.astype(np.float32).reshape(shape),
-            y.astype(np.float32).reshape(shape),
-            cv2.INTER_LINEAR,
-            borderMode=cv2.BORDER_REPLICATE,
-        )
-        slope = np.maximum(np.diff(np.asarray(seen, dtype=np.float64).reshape(x.shape), axis=-1), 0.0)
-        weight = np.square(slope)
-        total = weight.sum(axis=-1) + 1e-6
-        off = (weight * (across[1:] + across[:-1]) * 0.5).sum(axis=-1) / total * reach_px[..., None]
-        # Least squares of off = shift + tilt * along, each place with its own weight.
-        sums = [(total * along**power).sum(axis=-1) for power in range(3)]
-        first, second = (total * off).sum(axis=-1), (total * along * off).sum(axis=-1)
-        tilt = (sums[0] * second - sums[1] * first) / np.maximum(sums[0] * sums[2] - sums[1] ** 2, 1e-9)
-        shift = (first - sums[1] * tilt) / sums[0]
-        moved = _crossings(middle + outward * shift[..., None], side + outward * tilt[..., None])
-        jump = np.abs(moved - corners).max(axis=(1, 2)) <= 2.0 * reach_px.max(axis=1)
-        corners = np.where(jump[:, None, None], moved, corners)
-    return corners
+    side = np.roll(corners, -1, axis=1) - corners
+    long_px = np.maximum(np.sqrt((side * side).sum(axis=2)), 1.0)
+    outward = np.stack((side[..., 1], -side[..., 0]), axis=-1) / long_px[..., None]
+    reach_px = np.clip(SECOND_LOOK.across_cells * long_px / cells, *SECOND_LOOK.across_px)
+    middle = corners + 0.5 * side
+    x, y = (
+        middle[..., axis, None, None]
+        + side[..., axis, None, None] * along[:, None]
+        + (outward[..., axis] * reach_px)[..., None, None] * across
+        for axis in range(2)
+    )
+    shape = (len(corners), -1)
+    seen = cv2.remap(
+        grey,
+        x.astype(np.float32).reshape(shape),
+        y.astype(np.float32).reshape(shape),
+        cv2.INTER_LINEAR,
+        borderMode=cv2.BORDER_REPLICATE,
+    )
+    level = np.asarray(seen, dtype=np.float64).reshape(x.shape)
+    slope = np.maximum(np.diff(level, axis=-1), 0.0)
+    weight = np.square(slope)
+    total = weight.sum(axis=-1) + 1e-6
+    off = (weight * (across[1:] + across[:-1]) * 0.5).sum(axis=-1) / total * reach_px[..., None]
+    # Least squares of off = shift + tilt * along, each place with its own weight.
+    sums = [(total * along**power).sum(axis=-1) for power in range(3)]
+    first, second = (total * off).sum(axis=-1), (total * along * off).sum(axis=-1)
+    tilt = (sums[0] * second - sums[1] * first) / np.maximum(sums[0] * sums[2] - sums[1] ** 2, 1e-9)
+    shift = (first - sums[1] * tilt) / sums[0]
+    moved = _crossings(middle + outward * shift[..., None], side + outward * tilt[..., None])
+    jump = np.abs(moved - corners).max(axis=(1, 2)) <= 2.0 * reach_px.max(axis=1)
+    corners = np.where(jump[:, None, None], moved, corners)
+    return corners, (level[..., -1] - level[..., 0]).mean(axis=2)
 
 
 def _crossings(points: FloatArray, along: FloatArray) -> FloatArray:
