@@ -553,7 +553,7 @@ class SecondLookTuning:
     """Quadrilaterals of one image that are read again."""
     least_fit: float = 0.75
     """Smallest correlation of the cells with the pattern."""
-    least_rise: float = 0.4
+    least_rise: float = 0.25
     """Across each side it grows brighter by this share of white minus black."""
     chance: float = 1e-4
     """Of a random word to be read as a marker."""
