@@ -550,7 +550,7 @@ VISION = VisionTuning()
 @dataclass(frozen=True, slots=True)
 class SecondLookTuning:
     most: int = 64
-    """Quadrilaterals of one image that are read again."""
+    """Quadrilaterals that are read again in one image, for each dictionary: bounds what it costs."""
     least_fit: float = 0.75
     """Smallest correlation of the cells with the pattern."""
     least_rise: float = 0.25
@@ -558,7 +558,7 @@ class SecondLookTuning:
     chance: float = 1e-4
     """Of a random word to be read as a marker."""
     reach: float = 0.35
-    """With a prediction, corners lie this share of the side from theirs at most."""
+    """With a prediction, corners lie at most this share of the side from theirs, and the error of the prediction."""
     places: int = 8
     """Profiles across each side,"""
     steps: int = 9

@@ -3,8 +3,8 @@
 With a pose prior (a hint), the detector knows ids, positions and sizes of the visible markers: a dictionary of these
 ids and one threshold window make it several times as fast (the cost of identification grows with the dictionary in
 OpenCV 5.0) and exclude most false ids. Where an expected marker is missing, that part of the image is searched again
-with OpenCV's own windows. Without a hint the whole dictionary is searched; that is slow and meant for initialisation,
-at a rate limited by the caller.
+with OpenCV's own windows, and what was nearly a marker there is read again (``second_look``). Without a hint the whole
+dictionary is searched; that is slow and meant for initialisation, at a rate limited by the caller.
 
 Misread cells are corrected as far as the dictionary's distances allow (``VISION.correction``).
 
