@@ -545,3 +545,29 @@ class VisionTuning:
 
 
 VISION = VisionTuning()
+
+
+@dataclass(frozen=True, slots=True)
+class SecondLookTuning:
+    most: int = 64
+    """Quadrilaterals that are read again in one image, for each dictionary: bounds what it costs."""
+    least_fit: float = 0.75
+    """Smallest correlation of the cells with the pattern."""
+    least_rise: float = 0.25
+    """Across each side it grows brighter by this share of white minus black."""
+    chance: float = 1e-4
+    """Of a random word to be read as a marker."""
+    reach: float = 0.35
+    """With a prediction, corners lie at most this share of the side from theirs, and the error of the prediction."""
+    places: int = 8
+    """Profiles across each side,"""
+    steps: int = 9
+    """so many pixels of each,"""
+    across_cells: float = 0.9
+    across_px: tuple[float, float] = (1.5, 4.0)
+    """and how far they reach to both sides: cells, and bounds in pixels."""
+    same: float = 0.5
+    """Two markers whose centres are nearer than this share of their half are one."""
+
+
+SECOND_LOOK = SecondLookTuning()

@@ -50,12 +50,17 @@ def marker_images(grey: Any, quads: FloatArray, patterns: FloatArray) -> MarkerI
     return MarkerImages(along / power, noise, fit, _widths_px(grey, to_px, sides_px.mean(axis=1), cells))
 
 
-def misread_cells(grey: Any, quads: FloatArray, patterns: FloatArray) -> IntArray:
-    """(n,) how many cells of markers at ``quads`` (n, 4, 2) are not as in ``patterns`` (n, s, s)."""
-    n, cells = patterns.shape[:2]
+def cell_levels(grey: Any, quads: FloatArray, cells: int) -> FloatArray:
+    """(n, s, s) grey levels of the cells of markers at ``quads`` (n, 4, 2) with so many along a side."""
     # Near the middle, where slanted cells are not blurred into each other.
     inside = _around_centers(cells, MARKER_IMAGE.misread_center / cells)
-    level = _sample(grey, _homographies(quads), inside).reshape(n, 4, cells, cells).mean(axis=1)
+    sampled = _sample(grey, _homographies(quads), inside).reshape(len(quads), 4, cells, cells)
+    return np.asarray(sampled.mean(axis=1), dtype=np.float64)
+
+
+def misread_cells(grey: Any, quads: FloatArray, patterns: FloatArray) -> IntArray:
+    """(n,) how many cells of markers at ``quads`` (n, 4, 2) are not as in ``patterns`` (n, s, s)."""
+    level = cell_levels(grey, quads, patterns.shape[1])
     white = (level * patterns).sum(axis=(1, 2)) / np.maximum(patterns.sum(axis=(1, 2)), 1.0)
     black = (level * (1.0 - patterns)).sum(axis=(1, 2)) / np.maximum((1.0 - patterns).sum(axis=(1, 2)), 1.0)
     wrong = (level > 0.5 * (white + black)[:, None, None]) != (patterns > 0.5)

@@ -3,8 +3,8 @@
 With a pose prior (a hint), the detector knows ids, positions and sizes of the visible markers: a dictionary of these
 ids and one threshold window make it several times as fast (the cost of identification grows with the dictionary in
 OpenCV 5.0) and exclude most false ids. Where an expected marker is missing, that part of the image is searched again
-with OpenCV's own windows. Without a hint the whole dictionary is searched; that is slow and meant for initialisation,
-at a rate limited by the caller.
+with OpenCV's own windows, and what was nearly a marker there is read again (``second_look``). Without a hint the whole
+dictionary is searched; that is slow and meant for initialisation, at a rate limited by the caller.
 
 Misread cells are corrected as far as the dictionary's distances allow (``VISION.correction``).
 
@@ -25,9 +25,11 @@ from autopilot.core.dictionaries import opencv_dictionary
 from autopilot.core.frames import FloatArray, r_ned_from_frd
 from autopilot.core.markers import ID_SPAN, IntArray, MarkerMap
 from autopilot.core.samples import MAX_SIGHTED, CameraFrame, MarkerSighting
-from autopilot.estimator.estimator_tuning import VISION
+from autopilot.estimator.estimator_tuning import SECOND_LOOK, VISION
 from autopilot.estimator.laser_detector import find_dot
 from autopilot.estimator.marker_image import corner_sigma_px, marker_images, patterns_of
+from autopilot.estimator.missing_markers import Found, areas_of, missing_markers, perimeters_px
+from autopilot.estimator.second_look import BoolArray, near_predicted, read_again
 
 EXACT = ("DICT_APRILTAG_16h5",)
 """Families that are not corrected: thirty words of 16 cells with one cell wrong, each in four directions, are one in
@@ -109,7 +111,7 @@ class MarkerDetector:
         unique_ids = np.unique(ids)
         dictionary = self._dictionary_of(unique_ids)
         cells = dictionary.markerSize + 2
-        sides_px = _perimeters_px(predicted) / 4.0
+        sides_px = perimeters_px(predicted) / 4.0
         least_px, most_px = (
             max(float(sides_px.min()), VISION.min_side_px),
             max(float(sides_px.max()), VISION.min_side_px),
@@ -119,29 +121,54 @@ class MarkerDetector:
         halved = least_px >= VISION.half_cell_px * cells
         scale = 2.0 if halved else 1.0
         smaller = cv2.pyrDown(smooth) if halved else smooth
-        found = _quads(
+        found, rejected = _quads(
             smaller, dictionary, _tracking(least_px / scale, most_px / scale, max(smaller.shape), hazy, scale)
         )
-        found = _Found(unique_ids[found.ids], found.quads * np.float32(scale))
-        for left, top, right, bottom in _missing_areas(ids, predicted, found, grey.shape):
-            part = np.ascontiguousarray(smooth[top:bottom, left:right])
-            again = _quads(part, dictionary, _second_pass(least_px, most_px, max(part.shape), hazy, smooth is not grey))
-            found = found.with_new(_Found(unique_ids[again.ids], again.quads + np.array([left, top], dtype=np.float32)))
-        return self._accepted(smooth, dictionary, found)
+        found, nearly = Found(unique_ids[found.ids], found.quads * np.float32(scale)), [rejected * np.float32(scale)]
+        left = missing_markers(ids, predicted, found, grey.shape)
+        if not len(left.places):
+            return self._accepted(smooth, dictionary, found)
+        for x, y, right, bottom in areas_of(left, found, grey.shape):
+            part = np.ascontiguousarray(smooth[y:bottom, x:right])
+            parameters = _second_pass(least_px, most_px, max(part.shape), hazy, smooth is not grey)
+            again, rejected = _quads(part, dictionary, parameters)
+            corner_px = np.array([x, y], dtype=np.float32)
+            found = found.with_new(Found(unique_ids[again.ids], again.quads + corner_px))
+            nearly.append(rejected + corner_px)
+        left = missing_markers(ids, predicted, found, grey.shape)
+        if len(found.ids):
+            nearly.append(left.places)
+        nearby = near_predicted(found.elsewhere(np.concatenate(nearly)), left.places, left.spread_px)
+        return self._accepted(smooth, dictionary, self._with_nearly(smooth, dictionary, found, left.ids, *nearby))
 
     def _search(self, grey: Any, hazy: bool, ids: IntArray) -> "_Seen":
         """Markers whose id is one of ``ids``, all of one dictionary."""
         unique_ids = np.unique(ids)
         dictionary = self._dictionary_of(unique_ids)
         smooth = _smoothed(grey, VISION.hazy_smooth_px[0][0]) if hazy else cv2.GaussianBlur(grey, (3, 3), 0.0)
-        found = _quads(smooth, dictionary, _acquiring(max(grey.shape), hazy))
+        found, rejected = _quads(smooth, dictionary, _acquiring(max(grey.shape), hazy))
         # Smoothing removes small or pale markers. Those found need not be identified again.
         rest = cv2.fillPoly(grey.copy(), np.round(found.quads).astype(np.int32), 255.0) if len(found.ids) else grey
-        again = _quads(rest, dictionary, _acquiring_small(max(grey.shape), hazy))
+        again, nearly = _quads(rest, dictionary, _acquiring_small(max(grey.shape), hazy))
         found = found.with_new(again)
-        return self._accepted(smooth if hazy else grey, dictionary, _Found(unique_ids[found.ids], found.quads))
+        found = Found(unique_ids[found.ids], found.quads)
+        seen = smooth if hazy else grey
+        quads = found.elsewhere(np.concatenate((rejected, nearly)))[: SECOND_LOOK.most]
+        allowed = np.ones((len(quads), 4, len(unique_ids)), dtype=np.bool_)
+        return self._accepted(seen, dictionary, self._with_nearly(seen, dictionary, found, unique_ids, quads, allowed))
 
-    def _accepted(self, grey: Any, dictionary: Any, found: "_Found") -> "_Seen":
+    def _with_nearly(
+        self, grey: Any, dictionary: Any, found: Found, ids: IntArray, quads: Any, allowed: BoolArray
+    ) -> Found:
+        """Found markers, and those of ``ids`` (k,) that a second look finds (:func:`read_again`)."""
+        if not len(quads):
+            return found
+        patterns = self._patterns[int(ids[0]) // ID_SPAN][ids % ID_SPAN]
+        correct = int(VISION.correction * dictionary.maxCorrectionBits)
+        second = read_again(grey, quads, patterns, allowed, correct)
+        return Found(np.append(found.ids, ids[second.which]), np.concatenate((found.quads, second.quads)))
+
+    def _accepted(self, grey: Any, dictionary: Any, found: Found) -> "_Seen":
         """Detections with subpixel corners, without those whose appearance does not match their id."""
         if not len(found.ids):
             return _Seen(found.ids, np.empty((0, 4, 2)), np.empty(0))
@@ -162,22 +189,6 @@ class MarkerDetector:
         return cv2.aruco.Dictionary(whole.bytesList[ids % ID_SPAN], whole.markerSize, correct)
 
 
-class _Found(NamedTuple):
-    ids: IntArray
-    """(n,)"""
-    quads: Any
-    """(n, 4, 2) corners [px]"""
-
-    def with_new(self, more: "_Found") -> "_Found":
-        """Both, without those of ``more`` that are here already."""
-        if not len(self.ids) or not len(more.ids):
-            return more if len(more.ids) else self
-        apart = more.quads.mean(axis=1)[:, None, :] - self.quads.mean(axis=1)[None, :, :]
-        near = (apart * apart).sum(axis=2) < np.square(VISION.same * _perimeters_px(more.quads) / 4.0)[:, None]
-        new = ~(near & (more.ids[:, None] == self.ids[None, :])).any(axis=1)
-        return _Found(np.append(self.ids, more.ids[new]), np.concatenate((self.quads, more.quads[new])))
-
-
 class _Seen(NamedTuple):
     ids: IntArray
     """(n,)"""
@@ -187,67 +198,13 @@ class _Seen(NamedTuple):
     """(n,) of the corners."""
 
 
-def _quads(grey: Any, dictionary: Any, parameters: Any) -> _Found:
-    """Markers in an image, with their places in the dictionary for ids and corners in whole pixels (float32)."""
-    quads, indices, _ = cv2.aruco.ArucoDetector(dictionary, parameters).detectMarkers(grey)
-    if indices is None or len(quads) == 0:
-        return _Found(np.empty(0, dtype=np.int64), np.empty((0, 4, 2), dtype=np.float32))
-    return _Found(np.asarray(indices, dtype=np.int64).ravel(), np.array(quads, dtype=np.float32).reshape(-1, 4, 2))
-
-
-def _perimeters_px(quads: Any) -> FloatArray:
-    """(n,) of quadrilaterals (n, 4, 2)."""
-    steps = quads - np.roll(quads, -1, axis=1)
-    return np.asarray(np.sqrt((steps * steps).sum(axis=2)).sum(axis=1), dtype=np.float64)
-
-
-def _missing_areas(
-    ids: IntArray, predicted: FloatArray, found: _Found, shape: tuple[int, ...]
-) -> list[tuple[int, int, int, int]]:
-    """Left, top, right, bottom of the image regions with expected markers that were not found.
-
-    The markers that were found give the error of the prediction; without any, the region is the whole image.
-    """
-    height, width = shape
-    if not len(found.ids):
-        return [(0, 0, width, height)]
-    # Associate each found marker with the nearest predicted one of its id.
-    apart = found.quads.mean(axis=1)[:, None, :] - predicted.mean(axis=1)[None, :, :]
-    far = np.where(found.ids[:, None] == ids[None, :], (apart * apart).sum(axis=2), np.inf)
-    nearest = far.argmin(axis=1)
-    here, spread_px = _moved(predicted, nearest, found.quads)
-    missing = np.ones(len(ids), dtype=bool)
-    missing[nearest] = False
-    inside = ((here >= VISION.whole_px) & (here <= np.array([width, height]) - 1.0 - VISION.whole_px)).all(axis=(1, 2))
-    missing = here[inside & missing]
-    if not len(missing):
-        return []
-    low, high = missing.min(axis=1), missing.max(axis=1)
-    around = np.maximum(VISION.around * (high - low).max(axis=1, keepdims=True), VISION.around_px) + spread_px
-    low = np.maximum(np.floor(low - around), 0.0).astype(int)
-    high = np.minimum(np.ceil(high + around) + 1.0, [width, height]).astype(int)
-    if len(low) > VISION.most_areas or (high - low).prod(axis=1).sum() > (high.max(axis=0) - low.min(axis=0)).prod():
-        low, high = low.min(axis=0)[None], high.max(axis=0)[None]
-    return [
-        (left, top, right, bottom) for (left, top), (right, bottom) in zip(low.tolist(), high.tolist(), strict=True)
-    ]
-
-
-def _moved(predicted: FloatArray, which: IntArray, quads: Any) -> tuple[FloatArray, float]:
-    """Predicted corners (n, 4, 2), shifted, turned and scaled to where those of ``which`` (m,) were found, and how far
-    most of these are then off [px]."""
-    have = (predicted[..., 0] + 1j * predicted[..., 1])[which]
-    want = (quads[..., 0] + 1j * quads[..., 1]).astype(np.complex128)
-    good = np.ones(len(have), dtype=bool)
-    for _ in range(2):  # the second time without outliers
-        origin, target = have[good].mean(), want[good].mean()
-        power = np.square(np.abs(have[good] - origin)).sum()
-        turn = (np.conj(have[good] - origin) * (want[good] - target)).sum() / power
-        off = np.abs(want - target - turn * (have - origin)).max(axis=1)
-        usual = float(np.median(off))
-        good = off <= 3.0 * usual + 1.0
-    all_of_them = target + turn * (predicted[..., 0] + 1j * predicted[..., 1] - origin)
-    return np.stack((all_of_them.real, all_of_them.imag), axis=-1), 3.0 * usual
+def _quads(grey: Any, dictionary: Any, parameters: Any) -> tuple[Found, Any]:
+    """Markers in an image, with their places in the dictionary for ids and corners in whole pixels (float32), and the
+    quadrilaterals (m, 4, 2) that are none."""
+    quads, indices, rejected = cv2.aruco.ArucoDetector(dictionary, parameters).detectMarkers(grey)
+    ids = np.empty(0, dtype=np.int64) if indices is None else np.asarray(indices, dtype=np.int64).ravel()
+    found, rest = (np.array(some, dtype=np.float32).reshape(-1, 4, 2) for some in (quads, rejected))
+    return Found(ids, found), rest
 
 
 def _window_px(quads: Any, cells: int) -> IntArray:
