@@ -15,6 +15,7 @@ from autopilot.core.camera import CameraModel
 from autopilot.core.frames import FloatArray, rpy_from_r
 from autopilot.core.map_errors import STATES
 from autopilot.core.markers import IntArray
+from autopilot.estimator.compiled_fit import LEAST_PRINT, PRINT_COUNT, CompiledFit, Fitted, OnSheets
 from autopilot.estimator.estimator_tuning import PNP
 from autopilot.estimator.pnp import CornerFit, add_priors, floored, rms_of
 
@@ -27,10 +28,6 @@ LEAST_EIGENVALUE = 1e-7
 """Directions of which the picture knows less than this share of the best known one are left out."""
 PRIOR_FLOOR = 1e-5
 """Of the offsets in the fit [m, rad]: keeps the inverse of their covariance finite."""
-PRINT_COUNT = 6.0
-"""What the map says of its markers' print counts as so many residuals of markers."""
-LEAST_PRINT = 1e-6
-"""Of the print's variance over the corners': keeps shares finite."""
 KEPT = [0, 1, 2, 5]
 NUISANCE = [3, 4, 6]
 
@@ -130,7 +127,21 @@ class _SheetFit(CornerFit):
         self._sheets, self._prior_offsets = seen, prior
         self._prior = np.linalg.inv(prior[1] + np.eye(size) * PRIOR_FLOOR**2)
         self._offset = prior[0].copy()
-        self._places = _places(seen, 7 + size)
+
+    def _begin(self) -> None:
+        super()._begin()
+        self._places = _places(self._sheets, self._unknowns)
+
+    def _compiled(self, steps: CompiledFit) -> Fitted | None:
+        seen = self._sheets
+        on = OnSheets(seen.sheet, seen.pivot_ned_m, seen.sigma_m, self._offset, self._prior)
+        pose = self._pos, self._rotation
+        corners = seen.corners_ned_m
+        fitted = steps.converged(corners, self._pixels, self._expected, pose, TILT_INFORMATION, self._shrink, on)
+        if fitted is not None:
+            self._information, self._full, self._offset = fitted.information, fitted.full, fitted.offset
+            self._weight = fitted.weight
+        return fitted
 
     def _points_ned_m(self) -> FloatArray:
         self._points, self._arm = _points(self._sheets, self._offset)
@@ -141,8 +152,9 @@ class _SheetFit(CornerFit):
         self._jac.reshape(-1)[self._places] = _by_offsets(jac, self._arm)[self._sheets.sheet >= 0]
 
     def _normal_equations(self, residual: FloatArray) -> tuple[FloatArray, FloatArray]:
-        self._weighted = self._jac.T * (self._weights() * self._keep)
-        self._information, gradient = self._weighted @ self._jac, self._weighted @ residual
+        self._weight = self._weights() * self._keep
+        weighted = self._jac.T * self._weight
+        self._information, gradient = weighted @ self._jac, weighted @ residual
         add_priors(self._information, gradient, self._lean, TILT_INFORMATION, self._shrink_prior - self._shrink)
         self._full = self._information.copy()
         self._full[7:, 7:] += self._prior
@@ -169,7 +181,7 @@ class _SheetFit(CornerFit):
         rms = rms_of(left)
         if not rms <= max_rms_px:
             return None
-        gradient = self._weighted @ left
+        gradient = (self._weight * left) @ self._jac
         add_priors(None, gradient, self._lean, TILT_INFORMATION, self._shrink_prior - self._shrink)
         posterior: FloatArray = np.asarray(np.linalg.inv(self._full), dtype=np.float64)
         pos, rotation, offset, prior = self._pos, self._rotation, self._offset, self._prior_offsets

@@ -31,7 +31,7 @@ typedef struct {
     long markers, sheets;                      /* m, s; no sheets: the map is exact. d = 7 + 4 s unknowns */
     double tilt, shrink_prior;
     double pos[3], rotation[9], up[3], shrink; /* changed, but for up */
-    const double *corners, *pixels, *expected; /* (m, 4, 3), (m, 4, 2), (m, 4) */
+    const double *corners, *pixels, *expected; /* (m, 4, 3), (m, 4, 2), (m, 4, 2) */
     const long *sheet;                         /* (m), -1 = none */
     const double *pivot, *print_sigma, *prior; /* (s, 3), (m), (4 s, 4 s) information */
     const double *prior_offset;                /* (4 s) */
@@ -138,18 +138,18 @@ static void scatter(const FitLimits *limits, const FitStruct *t, const double *p
     double within = 0.0, shared2 = 0.0, stated2 = 0.0;
     long whole = 0;
     for (long m = 0; m < t->markers; m++) {
-        const double *left = t->left + PIXELS * m, *keep = t->keep + PIXELS * m, *expected = t->expected + CORNERS * m;
+        const double *left = t->left + PIXELS * m, *keep = t->keep + PIXELS * m, *expected = t->expected + PIXELS * m;
         int all = 1;
         for (int i = 0; i < PIXELS; i++) all = all && keep[i] > 0.0;
         if (!all) continue;
         whole++;
         for (int axis = 0; axis < 2; axis++) {
             double mean = 0.0;
-            for (int i = 0; i < CORNERS; i++) mean += left[2 * i + axis] / expected[i];
+            for (int i = 0; i < CORNERS; i++) mean += left[2 * i + axis] / expected[2 * i + axis];
             mean /= CORNERS;
             shared2 += mean * mean;
             for (int i = 0; i < CORNERS; i++) {
-                const double off = left[2 * i + axis] / expected[i] - mean;
+                const double off = left[2 * i + axis] / expected[2 * i + axis] - mean;
                 within += off * off;
             }
         }
@@ -169,7 +169,7 @@ static void scatter(const FitLimits *limits, const FitStruct *t, const double *p
 /* Inverse variances of the pixel coordinates that are kept, 0 of the others. */
 static void weigh(const LensStruct *lens, const FitLimits *limits, const FitStruct *t, const double *depth, double *print_px) {
     if (!t->sheets) {
-        for (long i = 0; i < PIXELS * t->markers; i++) t->weight[i] = t->keep[i] / (t->expected[i / 2] * t->expected[i / 2]);
+        for (long i = 0; i < PIXELS * t->markers; i++) t->weight[i] = t->keep[i] / (t->expected[i] * t->expected[i]);
         return;
     }
     double ratios[2];
@@ -177,7 +177,7 @@ static void weigh(const LensStruct *lens, const FitLimits *limits, const FitStru
         print_px[m] = t->print_sigma[m] * lens->focal_water / at_least(depth[m] - t->pos[2], 0.05);
     scatter(limits, t, print_px, ratios);
     for (long m = 0; m < t->markers; m++) {
-        const double corner = ratios[0] * t->expected[CORNERS * m];
+        const double corner = ratios[0] * t->expected[PIXELS * m];
         const double weight = 1.0 / (corner * corner + 4.0 * ratios[1] * print_px[m] * print_px[m]);
         for (int i = 0; i < PIXELS; i++) t->weight[PIXELS * m + i] = weight * t->keep[PIXELS * m + i];
     }
@@ -218,7 +218,7 @@ static void normal_equations(const FitLimits *limits, const FitStruct *t, const 
     if (!t->sheets) {
         double squares = limits->prior_count, count = 0.0;
         for (long i = 0; i < PIXELS * t->markers; i++) {
-            const double off = t->left[i] / t->expected[i / 2];
+            const double off = t->left[i] / t->expected[i];
             squares += t->keep[i] > 0.0 ? off * off : 0.0;
             count += t->keep[i];
         }
@@ -292,7 +292,7 @@ static double median_of(long n, double *values) {
 static int same_fit(const FitLimits *limits, const FitStruct *t, double *off, double *sorted) {
     const long n = CORNERS * t->markers;
     for (long i = 0; i < n; i++) {
-        const double x = t->left[2 * i] / t->expected[i], y = t->left[2 * i + 1] / t->expected[i];
+        const double x = t->left[2 * i] / t->expected[2 * i], y = t->left[2 * i + 1] / t->expected[2 * i + 1];
         off[i] = sorted[i] = sqrt(x * x + y * y);
     }
     const double most = at_least(limits->corner_ratio * median_of(n, sorted), limits->corner_floor);
