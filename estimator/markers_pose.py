@@ -22,6 +22,7 @@ from autopilot.core.markers import IntArray, MarkerMap
 from autopilot.core.messages import MarkerFit
 from autopilot.core.samples import MarkerSighting
 from autopilot.estimator.camera_monitor import focal_estimate
+from autopilot.estimator.compiled_fit import compiled_fit
 from autopilot.estimator.estimator_tuning import CAMERA_MONITOR, MARKERS_POSE
 from autopilot.estimator.ground import SheetTies, estimated_offsets
 from autopilot.estimator.measure_pose import MarkerOutlier, PoseFix, SheetDependence
@@ -147,6 +148,13 @@ class MarkerSolver:
             return None
         r_ned = r_ned_from_frd(rpy_rad)
         eye = pos_ned_m + r_ned @ self._camera.position_frd_m
+        compiled = compiled_fit(self._camera) if self._level else None
+        if compiled is not None:
+            row, turn = np.array(rows)[known], r_ned @ self._camera.r_frd_from_cam
+            candidates = self._candidates, self._candidate_centers
+            taken, shift, rays_cam = compiled.nearest(sighting.corners_px[known], row, candidates, eye, turn, self._floor_m)
+            taken = np.where(np.abs(shift) <= MARKERS_POSE.nearest_m, taken, -1)
+            return _Match(known, taken, shift, rays_cam) if (taken >= 0).any() else None
         rays_cam = np.ones((len(known), 3))
         rays_cam[:, :2] = self._camera.normalized(0.25 * sighting.corners_px[known].sum(axis=1))
         rays_ned = rays_cam @ (r_ned @ self._camera.r_frd_from_cam).T

@@ -133,7 +133,7 @@ class CornerFit(ABC):
         if fitted is None:
             return False
         self._pos, self._rotation, self._jac = fitted.pos_ned_m, fitted.rotation, fitted.jacobian
-        self._shrink, self._left, self._keep = fitted.shrink_px, fitted.left, fitted.keep > 0.0
+        self._left, self._keep = fitted.left, fitted.keep > 0.0
         return True
 
     def _steps(self) -> bool:

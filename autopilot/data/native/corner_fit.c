@@ -29,20 +29,46 @@ LAYOUT(FitLimits, steps, converged, shrink_information, min_scale, prior_count, 
 
 typedef struct {
     long markers, sheets;                      /* m, s; no sheets: the map is exact. d = 7 + 4 s unknowns */
-    double tilt, shrink_prior;
+    double tilt, shrink_prior, offset_floor;
     double pos[3], rotation[9], up[3], shrink; /* changed, but for up */
+    double z[4], noise[16], tilt_variance;     /* of sheets: what the corners say of the pose given the offsets */
     const double *corners, *pixels, *expected; /* (m, 4, 3), (m, 4, 2), (m, 4, 2) */
     const long *sheet;                         /* (m), -1 = none */
-    const double *pivot, *print_sigma, *prior; /* (s, 3), (m), (4 s, 4 s) information */
+    const double *pivot, *print_sigma, *prior; /* (s, 3), (m), (4 s, 4 s) covariance of the offsets */
     const double *prior_offset;                /* (4 s) */
     double *offset;                            /* (4 s), changed */
     double *jacobian;                          /* (8 m, d), zero at first */
-    double *information, *full;                /* (d, d) without and with the offsets' prior */
-    double *left, *weight, *keep;              /* (8 m) */
-    double *work;                              /* (25 m + d + d d) */
+    double *information;                       /* (d, d) without the offsets' prior */
+    double *left, *keep;                       /* (8 m) */
+    double *by_offsets, *alone, *toward, *strain; /* (4, 4 s), (4 s, 4 s), (4 s), (s) */
+    double *work;                              /* (33 m + d + 3 d d) */
 } FitStruct;
-LAYOUT(FitStruct, markers, sheets, tilt, shrink_prior, pos, rotation, up, shrink, corners, pixels, expected, sheet,
-       pivot, print_sigma, prior, prior_offset, offset, jacobian, information, full, left, weight, keep, work)
+LAYOUT(FitStruct, markers, sheets, tilt, shrink_prior, offset_floor, pos, rotation, up, shrink, z, noise, tilt_variance,
+       corners, pixels, expected, sheet, pivot, print_sigma, prior, prior_offset, offset, jacobian, information, left,
+       keep, by_offsets, alone, toward, strain, work)
+
+/* Parts of the work space. */
+typedef struct {
+    double *residual, *inward, *weight; /* (8 m) */
+    double *off, *sorted, *depth;       /* (4 m), (4 m), (m) */
+    double *delta, *full, *factor, *prior; /* (d), (d, d) with all priors, its root, (4 s, 4 s) information */
+} Room;
+
+static Room room_of(const FitStruct *t) {
+    const long n = PIXELS * t->markers, d = POSE + OFFSETS * t->sheets;
+    Room r;
+    r.residual = t->work;
+    r.inward = r.residual + n;
+    r.weight = r.inward + n;
+    r.off = r.weight + n;
+    r.sorted = r.off + n / 2;
+    r.depth = r.sorted + n / 2;
+    r.delta = r.depth + t->markers;
+    r.full = r.delta + d;
+    r.factor = r.full + d * d;
+    r.prior = r.factor + d * d;
+    return r;
+}
 
 /* Brown's distortion of an image point, and its derivatives xx, yy, xy. */
 static void bend(const double *k, double x, double y, double bent[2], double slope[3]) {
@@ -75,7 +101,7 @@ EXPORT void unbend(const LensStruct *lens, long n, long steps, const double *pix
 }
 
 /* Residuals without blur, derivatives, and the depths of the markers' first corners; 0 if a corner is too near. */
-static int linearise(const LensStruct *lens, const FitStruct *t, double *residual, double *depth) {
+static int linearise(const LensStruct *lens, const FitStruct *t, const Room *r) {
     const long d = POSE + OFFSETS * t->sheets;
     double cam_from_ned[3][3], lever[3];
     for (int i = 0; i < 3; i++) {
@@ -102,7 +128,7 @@ static int linearise(const LensStruct *lens, const FitStruct *t, double *residua
                 point[1] += move[1] + (turned[1] - east);
                 point[2] += move[2];
             }
-            if (corner == 0) depth[m] = point[2];
+            if (corner == 0) r->depth[m] = point[2];
             for (int i = 0; i < 3; i++) arm[i] = point[i] - t->pos[i];
             for (int i = 0; i < 3; i++)
                 cam[i] = arm[0] * cam_from_ned[i][0] + arm[1] * cam_from_ned[i][1] + arm[2] * cam_from_ned[i][2] - lever[i];
@@ -112,7 +138,7 @@ static int linearise(const LensStruct *lens, const FitStruct *t, double *residua
             bend(lens->distortion, x, y, bent, slope);
             for (int axis = 0; axis < 2; axis++) {
                 const double f = lens->focal[axis];
-                residual[2 * row + axis] = t->pixels[2 * row + axis] - (f * bent[axis] + lens->center[axis]);
+                r->residual[2 * row + axis] = t->pixels[2 * row + axis] - (f * bent[axis] + lens->center[axis]);
                 const double by_x = f * slope[axis ? 2 : 0] / cam[2], by_y = f * slope[axis ? 1 : 2] / cam[2];
                 const double by_z = -(by_x * x + by_y * y);
                 double g[3], *jac = t->jacobian + d * (2 * row + axis);
@@ -167,54 +193,84 @@ static void scatter(const FitLimits *limits, const FitStruct *t, const double *p
 }
 
 /* Inverse variances of the pixel coordinates that are kept, 0 of the others. */
-static void weigh(const LensStruct *lens, const FitLimits *limits, const FitStruct *t, const double *depth, double *print_px) {
+static void weigh(const LensStruct *lens, const FitLimits *limits, const FitStruct *t, const Room *r) {
     if (!t->sheets) {
-        for (long i = 0; i < PIXELS * t->markers; i++) t->weight[i] = t->keep[i] / (t->expected[i] * t->expected[i]);
+        for (long i = 0; i < PIXELS * t->markers; i++) r->weight[i] = t->keep[i] / (t->expected[i] * t->expected[i]);
         return;
     }
-    double ratios[2];
+    double ratios[2], *print_px = r->off;
     for (long m = 0; m < t->markers; m++)
-        print_px[m] = t->print_sigma[m] * lens->focal_water / at_least(depth[m] - t->pos[2], 0.05);
+        print_px[m] = t->print_sigma[m] * lens->focal_water / at_least(r->depth[m] - t->pos[2], 0.05);
     scatter(limits, t, print_px, ratios);
     for (long m = 0; m < t->markers; m++) {
         const double corner = ratios[0] * t->expected[PIXELS * m];
         const double weight = 1.0 / (corner * corner + 4.0 * ratios[1] * print_px[m] * print_px[m]);
-        for (int i = 0; i < PIXELS; i++) t->weight[PIXELS * m + i] = weight * t->keep[PIXELS * m + i];
+        for (int i = 0; i < PIXELS; i++) r->weight[PIXELS * m + i] = weight * t->keep[PIXELS * m + i];
     }
 }
 
-/* J' W J and J' W r. */
-static void sums(const FitStruct *t, const double *residual, double *gradient) {
+/* Columns of the Jacobian that a marker's pixels depend on; returns how many. */
+static int columns_of(const FitStruct *t, long marker, long columns[OWN]) {
+    const long sheet = t->sheets ? t->sheet[marker] : -1;
+    for (int i = 0; i < OWN; i++) columns[i] = i < POSE ? i : i + OFFSETS * sheet;
+    return sheet < 0 ? POSE : OWN;
+}
+
+/* J' W r. */
+static void gradient_of(const FitStruct *t, const Room *r, const double *residual, double *gradient) {
     const long d = POSE + OFFSETS * t->sheets;
-    memset(t->information, 0, sizeof(double) * (size_t)(d * d));
+    long columns[OWN];
     memset(gradient, 0, sizeof(double) * (size_t)d);
     for (long m = 0; m < t->markers; m++) {
-        const long sheet = t->sheets ? t->sheet[m] : -1;
-        const int own = sheet < 0 ? POSE : OWN;
-        double block[OWN][OWN] = {{0.0}}, toward[OWN] = {0.0};
-        for (int i = 0; i < PIXELS; i++) {
-            const double *jac = t->jacobian + d * (PIXELS * m + i), weight = t->weight[PIXELS * m + i];
-            double row[OWN];
-            memcpy(row, jac, sizeof(double) * POSE);
-            if (sheet >= 0) memcpy(row + POSE, jac + POSE + OFFSETS * sheet, sizeof(double) * OFFSETS);
+        const int own = columns_of(t, m, columns);
+        for (long i = PIXELS * m; i < PIXELS * (m + 1); i++) {
+            const double by = r->weight[i] * residual[i];
+            for (int a = 0; a < own; a++) gradient[columns[a]] += t->jacobian[d * i + columns[a]] * by;
+        }
+    }
+}
+
+/* J' W J, the lower triangle. */
+static void sums(const FitStruct *t, const Room *r) {
+    const long d = POSE + OFFSETS * t->sheets;
+    long columns[OWN];
+    memset(t->information, 0, sizeof(double) * (size_t)(d * d));
+    for (long m = 0; m < t->markers; m++) {
+        const int own = columns_of(t, m, columns);
+        double block[OWN][OWN] = {{0.0}}, row[OWN];
+        for (long i = PIXELS * m; i < PIXELS * (m + 1); i++) {
+            for (int a = 0; a < own; a++) row[a] = t->jacobian[d * i + columns[a]];
             for (int a = 0; a < own; a++) {
-                const double weighted = row[a] * weight;
-                toward[a] += weighted * residual[PIXELS * m + i];
+                const double weighted = row[a] * r->weight[i];
                 for (int b = 0; b <= a; b++) block[a][b] += weighted * row[b];
             }
         }
-        for (int a = 0; a < own; a++) {
-            const long row = a < POSE ? a : a + OFFSETS * sheet;
-            gradient[row] += toward[a];
-            for (int b = 0; b <= a; b++) t->information[d * row + (b < POSE ? b : b + OFFSETS * sheet)] += block[a][b];
-        }
+        for (int a = 0; a < own; a++)
+            for (int b = 0; b <= a; b++) t->information[d * columns[a] + columns[b]] += block[a][b];
     }
 }
 
-/* Information with and without the offsets' prior, and the gradient of everything. */
-static void normal_equations(const FitLimits *limits, const FitStruct *t, const double *residual, double *gradient) {
+static void add_priors(const FitLimits *limits, const FitStruct *t, double *information, double *gradient) {
+    const long d = POSE + OFFSETS * t->sheets;
+    double lean[2];
+    for (int i = 0; i < 2; i++)
+        lean[i] = t->rotation[3 * i] * t->up[0] + t->rotation[3 * i + 1] * t->up[1] + t->rotation[3 * i + 2] * t->up[2];
+    if (information) {
+        information[d * 3 + 3] += t->tilt;
+        information[d * 4 + 4] += t->tilt;
+        information[d * BLUR + BLUR] += limits->shrink_information;
+    }
+    gradient[3] += t->tilt * lean[1];
+    gradient[4] -= t->tilt * lean[0];
+    gradient[BLUR] += limits->shrink_information * (t->shrink_prior - t->shrink);
+}
+
+/* Information of everything with all priors, and the gradient. */
+static void normal_equations(const FitLimits *limits, const FitStruct *t, const Room *r) {
     const long d = POSE + OFFSETS * t->sheets, s = d - POSE;
-    sums(t, residual, gradient);
+    double *gradient = r->delta;
+    sums(t, r);
+    gradient_of(t, r, r->residual, gradient);
     if (!t->sheets) {
         double squares = limits->prior_count, count = 0.0;
         for (long i = 0; i < PIXELS * t->markers; i++) {
@@ -224,55 +280,54 @@ static void normal_equations(const FitLimits *limits, const FitStruct *t, const 
         }
         const double scale = at_least(sqrt(squares / at_least(count - POSE + limits->prior_count, 1.0)), limits->min_scale);
         for (long i = 0; i < d; i++) gradient[i] /= scale * scale;
-        for (long i = 0; i < d * d; i++) t->full[i] = t->information[i] / (scale * scale);
+        for (long i = 0; i < d * d; i++) r->full[i] = t->information[i] / (scale * scale);
+        add_priors(limits, t, r->full, gradient);
     } else {
-        memcpy(t->full, t->information, sizeof(double) * (size_t)(d * d));
+        add_priors(limits, t, t->information, gradient);
+        memcpy(r->full, t->information, sizeof(double) * (size_t)(d * d));
     }
-    double *with_prior[2] = {t->full, t->sheets ? t->information : NULL}, lean[2];
-    for (int i = 0; i < 2; i++)
-        lean[i] = t->rotation[3 * i] * t->up[0] + t->rotation[3 * i + 1] * t->up[1] + t->rotation[3 * i + 2] * t->up[2];
-    for (int i = 0; i < 2; i++) {
-        if (!with_prior[i]) continue;
-        with_prior[i][d * 3 + 3] += t->tilt;
-        with_prior[i][d * 4 + 4] += t->tilt;
-        with_prior[i][d * BLUR + BLUR] += limits->shrink_information;
-    }
-    gradient[3] += t->tilt * lean[1];
-    gradient[4] -= t->tilt * lean[0];
-    gradient[BLUR] += limits->shrink_information * (t->shrink_prior - t->shrink);
     for (long i = 0; i < s; i++)
         for (long j = 0; j < s; j++) {
-            if (j <= i) t->full[d * (POSE + i) + POSE + j] += t->prior[s * i + j];
-            gradient[POSE + i] += t->prior[s * i + j] * (t->prior_offset[j] - t->offset[j]);
+            if (j <= i) r->full[d * (POSE + i) + POSE + j] += r->prior[s * i + j];
+            gradient[POSE + i] += r->prior[s * i + j] * (t->prior_offset[j] - t->offset[j]);
         }
     for (long i = 0; i < d; i++)
-        for (long j = 0; j < i; j++) {
-            t->information[d * j + i] = t->information[d * i + j];
-            t->full[d * j + i] = t->full[d * i + j];
-        }
+        for (long j = 0; j < i; j++) t->information[d * j + i] = t->information[d * i + j];
 }
 
-/* The solution in place of b, by Cholesky; 0 if the matrix is not positive definite. */
-static int solve(long n, const double *a, double *factor, double *b) {
-    for (long i = 0; i < n; i++) {
-        double *row = factor + n * i;
+/* L with L L' = A from the lower triangle of A; 0 if it is not positive definite. */
+static int root_of(long n, const double *a, double *root) {
+    for (long i = 0; i < n; i++)
         for (long j = 0; j <= i; j++) {
-            const double *other = factor + n * j;
             double sum = a[n * i + j];
-            for (long k = 0; k < j; k++) sum -= row[k] * other[k];
+            for (long k = 0; k < j; k++) sum -= root[n * i + k] * root[n * j + k];
             if (j < i)
-                row[j] = sum / other[j];
+                root[n * i + j] = sum / root[n * j + j];
             else if (sum > 0.0)
-                row[i] = sqrt(sum);
+                root[n * i + i] = sqrt(sum);
             else
                 return 0;
         }
-        for (long k = 0; k < i; k++) b[i] -= row[k] * b[k];
-        b[i] /= row[i];
+    return 1;
+}
+
+/* The solution of L L' x = b in place of b. */
+static void solve(long n, const double *root, double *b) {
+    for (long i = 0; i < n; i++) {
+        for (long k = 0; k < i; k++) b[i] -= root[n * i + k] * b[k];
+        b[i] /= root[n * i + i];
     }
     for (long i = n - 1; i >= 0; i--) {
-        b[i] /= factor[n * i + i];
-        for (long k = 0; k < i; k++) b[k] -= factor[n * i + k] * b[i];
+        b[i] /= root[n * i + i];
+        for (long k = 0; k < i; k++) b[k] -= root[n * i + k] * b[i];
+    }
+}
+
+static int invert(long n, const double *a, double *root, double *inverse) {
+    if (!root_of(n, a, root)) return 0;
+    for (long i = 0; i < n; i++) { /* symmetric: rows are columns */
+        for (long j = 0; j < n; j++) inverse[n * i + j] = i == j;
+        solve(n, root, inverse + n * i);
     }
     return 1;
 }
@@ -326,54 +381,158 @@ static void move(FitStruct *t, const double *delta) {
             t->rotation[3 * i + j] = turn[i][0] * before[j] + turn[i][1] * before[3 + j] + turn[i][2] * before[6 + j];
 }
 
+/* Pose given the offsets, and the offsets alone: two independent pieces. Tilt and blur are marginalised, and how
+ * unsure the tilt is follows with the offsets' prior. 0 if the corners do not determine the pose. */
+static int pieces(const FitLimits *limits, FitStruct *t, const Room *r) {
+    static const long nuisance[3] = {3, 4, BLUR}, kept[4] = {0, 1, 2, 5};
+    const long d = POSE + OFFSETS * t->sheets, s = d - POSE;
+    double *g = r->delta, *a = r->full, own[16], root[16];
+    t->tilt_variance = 0.0;
+    for (int k = 3; k < 5; k++) {
+        for (long i = 0; i < d; i++) g[i] = i == k;
+        solve(d, r->factor, g);
+        t->tilt_variance = at_least(g[k], t->tilt_variance);
+    }
+    gradient_of(t, r, t->left, g);
+    add_priors(limits, t, NULL, g);
+    memcpy(a, t->information, sizeof(double) * (size_t)(d * d));
+    for (int n = 0; n < 3; n++) {
+        const double *pivot = a + d * nuisance[n], by = pivot[nuisance[n]], toward = g[nuisance[n]];
+        for (long i = 0; i < d; i++) {
+            if (i == nuisance[n]) continue;
+            const double share = a[d * i + nuisance[n]] / by;
+            g[i] -= share * toward;
+            for (long j = 0; j < d; j++) a[d * i + j] -= share * pivot[j];
+        }
+    }
+    for (int i = 0; i < 4; i++)
+        for (int j = 0; j < 4; j++) own[4 * i + j] = a[d * kept[i] + kept[j]];
+    if (!invert(4, own, root, t->noise)) return 0;
+    for (int i = 0; i < 4; i++) {
+        t->z[i] = 0.0;
+        for (int k = 0; k < 4; k++) t->z[i] += t->noise[4 * i + k] * g[kept[k]];
+        for (long j = 0; j < s; j++) {
+            double sum = 0.0;
+            for (int k = 0; k < 4; k++) sum += t->noise[4 * i + k] * a[d * kept[k] + POSE + j];
+            t->by_offsets[s * i + j] = sum;
+        }
+    }
+    for (long i = 0; i < s; i++) {
+        t->toward[i] = g[POSE + i];
+        for (int k = 0; k < 4; k++) t->toward[i] -= t->by_offsets[s * k + i] * g[kept[k]];
+        for (long j = 0; j < s; j++) {
+            double sum = a[d * (POSE + i) + POSE + j];
+            for (int k = 0; k < 4; k++) sum -= a[d * (POSE + i) + kept[k]] * t->by_offsets[s * k + j];
+            t->alone[s * i + j] = sum;
+        }
+    }
+    for (long k = 0; k < t->sheets; k++) {
+        double off[4], held[4];
+        for (int i = 0; i < 4; i++) {
+            const long row = OFFSETS * k + i;
+            for (int j = 0; j < 4; j++) own[4 * i + j] = t->prior[s * row + OFFSETS * k + j];
+            own[5 * i] += t->offset_floor * t->offset_floor;
+            off[i] = held[i] = t->offset[row] - t->prior_offset[row];
+        }
+        if (!root_of(4, own, root)) return 0;
+        solve(4, root, held);
+        t->strain[k] = off[0] * held[0] + off[1] * held[1] + off[2] * held[2] + off[3] * held[3];
+    }
+    return 1;
+}
+
 /* Whether it converges: nothing moves any more, and the outliers stay the same. */
 EXPORT long corner_fit(const LensStruct *lens, const FitLimits *limits, FitStruct *t) {
-    const long m = t->markers, n = PIXELS * m, d = POSE + OFFSETS * t->sheets;
-    double *residual = t->work, *inward = residual + n, *off = inward + n, *sorted = off + n / 2;
-    double *depth = sorted + n / 2, *delta = depth + m, *factor = delta + d;
-    for (long k = 0; k < m; k++) {
+    const long n = PIXELS * t->markers, d = POSE + OFFSETS * t->sheets, s = d - POSE;
+    const Room r = room_of(t);
+    for (long k = 0; k < t->markers; k++) {
         const double *pixel = t->pixels + PIXELS * k;
         double center[2] = {0.0, 0.0};
         for (int i = 0; i < PIXELS; i++) center[i % 2] += pixel[i] / CORNERS;
         for (int i = 0; i < CORNERS; i++) {
             const double x = center[0] - pixel[2 * i], y = center[1] - pixel[2 * i + 1];
             const double length = at_least(sqrt(x * x + y * y), 1e-6);
-            inward[PIXELS * k + 2 * i] = x / length;
-            inward[PIXELS * k + 2 * i + 1] = y / length;
+            r.inward[PIXELS * k + 2 * i] = x / length;
+            r.inward[PIXELS * k + 2 * i + 1] = y / length;
         }
     }
     for (long i = 0; i < n; i++) {
         t->keep[i] = 1.0;
-        t->jacobian[d * i + BLUR] = inward[i];
+        t->jacobian[d * i + BLUR] = r.inward[i];
+    }
+    if (s) {
+        memcpy(r.full, t->prior, sizeof(double) * (size_t)(s * s));
+        for (long i = 0; i < s; i++) r.full[(s + 1) * i] += t->offset_floor * t->offset_floor;
+        if (!invert(s, r.full, r.factor, r.prior)) return 0;
+        memcpy(t->offset, t->prior_offset, sizeof(double) * (size_t)s);
     }
     int moved = 1;
     for (long step = 0; step < limits->steps; step++) {
         if (moved) {
-            if (!linearise(lens, t, residual, depth)) return 0;
-            for (long i = 0; i < n; i++) t->left[i] = residual[i] -= t->shrink * inward[i];
+            if (!linearise(lens, t, &r)) return 0;
+            for (long i = 0; i < n; i++) t->left[i] = r.residual[i] -= t->shrink * r.inward[i];
         }
-        weigh(lens, limits, t, depth, off);
-        normal_equations(limits, t, residual, delta);
-        if (!solve(d, t->full, factor, delta)) return 0;
+        weigh(lens, limits, t, &r);
+        normal_equations(limits, t, &r);
+        if (!root_of(d, r.full, r.factor)) return 0;
+        solve(d, r.factor, r.delta);
         int settled = 1;
-        for (long i = 0; i < d; i++) settled = settled && (i == BLUR || fabs(delta[i]) < limits->converged);
-        for (long i = 0; i < n; i++) {
-            const double *jac = t->jacobian + d * i;
-            const long sheet = t->sheets ? t->sheet[i / PIXELS] : -1;
-            double by = 0.0;
-            for (int k = 0; k < POSE; k++) by += jac[k] * delta[k];
-            for (int k = 0; sheet >= 0 && k < OFFSETS; k++)
-                by += jac[POSE + OFFSETS * sheet + k] * delta[POSE + OFFSETS * sheet + k];
-            t->left[i] = residual[i] - by;
+        for (long i = 0; i < d; i++) settled = settled && (i == BLUR || fabs(r.delta[i]) < limits->converged);
+        long columns[OWN];
+        for (long k = 0; k < t->markers; k++) {
+            const int own = columns_of(t, k, columns);
+            for (long i = PIXELS * k; i < PIXELS * (k + 1); i++) {
+                double by = 0.0;
+                for (int a = 0; a < own; a++) by += t->jacobian[d * i + columns[a]] * r.delta[columns[a]];
+                t->left[i] = r.residual[i] - by;
+            }
         }
-        moved = 1;
-        if (settled && !same_fit(limits, t, off, sorted) && step < limits->steps - 1) moved = 0;
-        if (!moved) {
-            for (long i = 0; i < n; i++) t->keep[i] = off[i / 2];
+        moved = !(settled && !same_fit(limits, t, r.off, r.sorted) && step < limits->steps - 1);
+        if (!moved) { /* the derivatives have not changed */
+            for (long i = 0; i < n; i++) t->keep[i] = r.off[i / 2];
             continue;
         }
-        move(t, delta);
-        if (settled) return 1;
+        move(t, r.delta);
+        if (settled) return s ? pieces(limits, t, &r) : 1;
     }
     return 0;
+}
+
+typedef struct {
+    long markers, most;                           /* n of the picture; markers of one id */
+    double eye[3], turn[9];                       /* of the camera; NED from camera */
+    double floor_m;
+    const double *pixels;                         /* (n, 4, 2) */
+    const long *row, *candidates;                 /* (n) of the id, (ids, most) of the map, -1 = no more */
+    const double *centers;                        /* (ids, most, 2) */
+    long *taken;                                  /* (n) the nearest */
+    double *shift, *rays;                         /* (n, 2) to its centre, (n, 3) in the camera's frame, z = 1 */
+} MatchStruct;
+LAYOUT(MatchStruct, markers, most, eye, turn, floor_m, pixels, row, candidates, centers, taken, shift, rays)
+
+/* The nearest marker of its id to where each marker of a picture of a level floor lies. */
+EXPORT void nearest_markers(const LensStruct *lens, long steps, const MatchStruct *t) {
+    for (long k = 0; k < t->markers; k++) {
+        double *ray = t->rays + 3 * k, center[2] = {0.0, 0.0}, down[3];
+        for (int i = 0; i < PIXELS; i++) center[i % 2] += 0.25 * t->pixels[PIXELS * k + i];
+        unbend(lens, 1, steps, center, ray);
+        ray[2] = 1.0;
+        for (int i = 0; i < 3; i++)
+            down[i] = t->turn[3 * i] * ray[0] + t->turn[3 * i + 1] * ray[1] + t->turn[3 * i + 2];
+        const double scale = (t->floor_m - t->eye[2]) / at_least(down[2], 0.1);
+        const double north = t->eye[0] + scale * down[0], east = t->eye[1] + scale * down[1];
+        const long *candidate = t->candidates + t->most * t->row[k];
+        double nearest2 = HUGE_VAL;
+        t->taken[k] = -1;
+        t->shift[2 * k] = t->shift[2 * k + 1] = HUGE_VAL;
+        for (long j = 0; j < t->most && candidate[j] >= 0; j++) {
+            const double *at = t->centers + 2 * (t->most * t->row[k] + j);
+            const double n = at[0] - north, e = at[1] - east, off2 = n * n + e * e;
+            if (!(off2 < nearest2)) continue;
+            nearest2 = off2;
+            t->taken[k] = candidate[j];
+            t->shift[2 * k] = n;
+            t->shift[2 * k + 1] = e;
+        }
+    }
 }
