@@ -100,7 +100,7 @@ class KalmanCore:
             kf.predict()
             p = kf.P
         if sheets is not None:  # they lie where they lie
-            sheets = sheets._replace(cross=self._motion.jacobian.dot(sheets.cross))
+            sheets = SheetStates(sheets.which, sheets.offset, self._motion.jacobian.dot(sheets.cross), sheets.cov)
         return FilterState(x, p, sheets)
 
     def transition(self) -> FloatArray | None:
@@ -121,7 +121,8 @@ class KalmanCore:
         done = self._updated(state, y, h, measurement.noise)
         ratio = done.distance2 / CHI2_999[len(y)]
         if sheets is not None:  # consider states, not updated: almost no information about them
-            sheets = sheets._replace(cross=sheets.cross - done.gain.dot(h.dot(sheets.cross)))
+            cross = sheets.cross - done.gain.dot(h.dot(sheets.cross))
+            sheets = SheetStates(sheets.which, sheets.offset, cross, sheets.cov)
         after = FilterState(done.x, done.p, sheets)
         update = None if sheets is not None else PastUpdate(done.gain, h, done.spread, y)
         return Innovation(y, done.spread.diagonal(), ratio, done.gain, None, after, update)

@@ -68,6 +68,8 @@ class MarkerSolver:
         """Markers that the map does not have; fits that are bad, or that lean off the AHRS's tilt."""
         self._errors = markers.errors
         self._centers_m = markers.centers_ned_m[:, :2]
+        self._formed: MarkerSighting | None = None
+        """The newest one that is: it is asked for its pose, and for its laser dot."""
         self._focal_us, self._focal_looks = -CAMERA_MONITOR.focal_every_us, 0
         self._level = markers.level
         self._floor_m = markers.floor_m
@@ -96,6 +98,8 @@ class MarkerSolver:
 
     def well_formed(self, sighting: MarkerSighting) -> bool:
         """Whether the arrays have the right shapes and hold pixels that an image can have."""
+        if sighting is self._formed:
+            return True
         corners = np.asarray(sighting.corners_px)
         # Comparisons with NaN are false.
         if corners.shape != (len(sighting.ids), 4, 2) or not (np.abs(corners) < MARKERS_POSE.max_pixel).all():
@@ -106,7 +110,10 @@ class MarkerSolver:
         ):
             return False
         laser = sighting.laser_px
-        return laser is None or (np.shape(laser) == (2,) and bool((np.abs(laser) < MARKERS_POSE.max_pixel).all()))
+        if laser is not None and (np.shape(laser) != (2,) or not (np.abs(laser) < MARKERS_POSE.max_pixel).all()):
+            return False
+        self._formed = sighting
+        return True
 
     def track(
         self,
@@ -414,16 +421,17 @@ class MarkerSolver:
         best = None
 
         def corners_of(some: np.ndarray) -> tuple[SheetCorners, tuple[int, ...]]:
-            numbers, place = np.unique(errors.sheet[placed[some]], return_inverse=True)
-            exact = int(numbers[0] < 0)
-            which = tuple(numbers[exact:].tolist())
+            of_map, of_image = placed[some], seen[some]
+            numbers = errors.sheet[of_map].tolist()
+            which = tuple(sorted({number for number in numbers if number >= 0}))
+            place = {number: k for k, number in enumerate(which)}
             corners = SheetCorners(
-                corners_ned_m=self._corners_ned_m[placed[some]],
-                pixels=sighting.corners_px[seen[some]],
-                sheet=place - exact,
+                corners_ned_m=self._corners_ned_m[of_map],
+                pixels=sighting.corners_px[of_image],
+                sheet=np.array([place.get(number, -1) for number in numbers]),
                 pivot_ned_m=errors.pivot_ned_m[list(which)],
-                sigma_m=errors.marker_sigma_m[placed[some]],
-                sigma_px=None if sighting.sigma_px is None else sighting.sigma_px[seen[some]],
+                sigma_m=errors.marker_sigma_m[of_map],
+                sigma_px=None if sighting.sigma_px is None else sighting.sigma_px[of_image],
             )
             return corners, which
 
