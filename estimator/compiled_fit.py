@@ -57,7 +57,7 @@ class _FitLimits(Mirror):
 
 
 _INPUTS = ("corners", "pixels", "expected", "sheet", "pivot", "print_sigma", "prior", "prior_offset")
-_OUTPUTS = ("offset", "jacobian", "information", "left", "keep", "by_offsets", "alone", "toward", "strain", "work")
+_OUTPUTS = ("offset", "rows", "information", "left", "keep", "by_offsets", "alone", "toward", "strain", "work")
 
 
 class _FitStruct(Mirror):
@@ -128,10 +128,10 @@ class Fitted(NamedTuple):
     """(3,)"""
     rotation: FloatArray
     """(3, 3)"""
-    jacobian: FloatArray
-    """(8m, d) at the last step,"""
+    rows: FloatArray
+    """(8m, 12) at the last step the derivatives of the pixels by pose, blur and the offset of their own sheet,"""
     information: FloatArray
-    """(d, d) and what follows from it: of an exact map in expected pixels and without priors, of sheets without the
+    """(d, d) and what follows from them: of an exact map in expected pixels and without priors, of sheets without the
     offsets' prior."""
     left: FloatArray
     """(8m,) residuals,"""
@@ -211,9 +211,9 @@ class CompiledFit:
         n, s = 8 * m, 0 if on is None else len(on.pivot_ned_m)
         size = STATES * s
         d = POSE + size
-        shapes = (size,), (n, d), (d, d), (n,), (n,), (4, size), (size, size), (size,), (s,), (33 * m + d + 3 * d * d,)
+        shapes = (size,), (n, 12), (d, d), (n,), (n,), (4, size), (size, size), (size,), (s,), (25 * m + d + 3 * d * d,)
         ends = list(accumulate(map(math.prod, shapes), initial=0))
-        room = np.zeros(ends[-1])
+        room = np.empty(ends[-1])
         given: list[Any] = [corners_ned_m, pixels, expected_px]
         if on is not None:
             given += [on.sheet, on.pivot_ned_m, on.sigma_m, on.covariance, on.offset]
@@ -242,7 +242,7 @@ class CompiledFit:
         )
         if not self._fit(self._at, ctypes.addressof(_TUNING), ctypes.addressof(fit)):
             return None
-        offset, jacobian, information, left, keep, *sheets = (
+        offset, rows, information, left, keep, *sheets = (
             room[begin:end].reshape(shape) for begin, end, shape in zip(ends, ends[1:], shapes, strict=False)
         )
         pos, rotation, z, noise = (np.array(each[:]) for each in (fit.pos, fit.rotation, fit.z, fit.noise))
@@ -251,7 +251,7 @@ class CompiledFit:
         return Fitted(
             pos,
             rotation,
-            jacobian,
+            rows,
             information,
             left,
             keep,

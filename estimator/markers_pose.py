@@ -482,7 +482,7 @@ class MarkerSolver:
         focal = None
         if self._focal_due(sighting.t_us, len(corners.sheet)):
             residual = best.residual_px.reshape(-1)
-            focal = focal_estimate(self._camera, corners.pixels.reshape(-1, 2), residual, best.jacobian)
+            focal = focal_estimate(self._camera, corners.pixels.reshape(-1, 2), residual, best.jacobian())
         fix = PoseFix(
             sensor="markers",
             t_us=sighting.t_us,

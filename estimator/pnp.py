@@ -132,7 +132,7 @@ class CornerFit(ABC):
         fitted = self._compiled(compiled)
         if fitted is None:
             return False
-        self._pos, self._rotation, self._jac = fitted.pos_ned_m, fitted.rotation, fitted.jacobian
+        self._pos, self._rotation = fitted.pos_ned_m, fitted.rotation
         self._left, self._keep = fitted.left, fitted.keep > 0.0
         return True
 

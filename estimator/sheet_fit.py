@@ -7,6 +7,7 @@ offsets.
 """
 
 import math
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -15,7 +16,7 @@ from autopilot.core.camera import CameraModel
 from autopilot.core.frames import FloatArray, rpy_from_r
 from autopilot.core.map_errors import STATES
 from autopilot.core.markers import IntArray
-from autopilot.estimator.compiled_fit import LEAST_PRINT, PRINT_COUNT, PRIOR_FLOOR, CompiledFit, Fitted, OnSheets
+from autopilot.estimator.compiled_fit import LEAST_PRINT, POSE, PRINT_COUNT, PRIOR_FLOOR, CompiledFit, Fitted, OnSheets
 from autopilot.estimator.estimator_tuning import PNP
 from autopilot.estimator.pnp import CornerFit, add_priors, floored, rms_of
 
@@ -48,8 +49,8 @@ class SheetPose(NamedTuple):
     strain: FloatArray
     """(n,) squared distance of each sheet's offset from the prior, of 4."""
     sigma_tilt_rad: float
-    jacobian: FloatArray
-    """(8m, 7 + 4n) of the pixels by pose, blur and offsets."""
+    jacobian: Callable[[], FloatArray]
+    """(8m, 7 + 4n) of the pixels by pose, blur and offsets; seldom asked for."""
     residual_px: FloatArray
     """(m, 4, 2)"""
     rms_px: float
@@ -191,10 +192,19 @@ class _SheetFit(CornerFit):
             alone=(found.alone, found.toward),
             strain=found.strain,
             sigma_tilt_rad=math.sqrt(found.tilt_variance),
-            jacobian=self._jac,
+            jacobian=self._jacobian,
             residual_px=left.reshape(-1, 4, 2),
             rms_px=rms,
         )
+
+    def _jacobian(self) -> FloatArray:
+        if self._fitted is None:
+            return self._jac
+        rows, seen = self._fitted.rows, self._sheets
+        jac = np.zeros((len(rows), self._unknowns))
+        jac[:, :POSE] = rows[:, :POSE]
+        jac.reshape(-1)[_places(seen, self._unknowns)] = rows.reshape(-1, 8, 12)[seen.sheet >= 0, :, POSE : POSE + STATES]
+        return jac
 
     def _pieces(self) -> Fitted:
         """The two independent pieces: pose given the offsets, and the offsets alone."""
@@ -216,7 +226,7 @@ class _SheetFit(CornerFit):
         return Fitted(
             pos_ned_m=self._pos,
             rotation=self._rotation,
-            jacobian=self._jac,
+            rows=self._jac,
             information=information,
             left=self._left,
             keep=self._keep,

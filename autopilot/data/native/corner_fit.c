@@ -11,7 +11,11 @@
 
 #include "common.h"
 
-enum { POSE = 7, BLUR = 6, OFFSETS = 4, OWN = POSE + OFFSETS, CORNERS = 4, PIXELS = 2 * CORNERS };
+#if defined(__GNUC__) && !defined(__clang__)
+#pragma GCC optimize("O3") /* unrolls the many short loops: half of the time */
+#endif
+
+enum { POSE = 7, BLUR = 6, OFFSETS = 4, OWN = POSE + OFFSETS, WIDTH = OWN + 1, CORNERS = 4, PIXELS = 2 * CORNERS };
 
 typedef struct {
     double focal[2], center[2], distortion[5]; /* k1 k2 p1 p2 k3 */
@@ -37,19 +41,19 @@ typedef struct {
     const double *pivot, *print_sigma, *prior; /* (s, 3), (m), (4 s, 4 s) covariance of the offsets */
     const double *prior_offset;                /* (4 s) */
     double *offset;                            /* (4 s), changed */
-    double *jacobian;                          /* (8 m, d), zero at first */
+    double *rows;                              /* (8 m, 12) derivatives by pose, blur and own sheet, and the residual */
     double *information;                       /* (d, d) without the offsets' prior */
     double *left, *keep;                       /* (8 m) */
     double *by_offsets, *alone, *toward, *strain; /* (4, 4 s), (4 s, 4 s), (4 s), (s) */
-    double *work;                              /* (33 m + d + 3 d d) */
+    double *work;                              /* (25 m + d + 3 d d) */
 } FitStruct;
 LAYOUT(FitStruct, markers, sheets, tilt, shrink_prior, offset_floor, pos, rotation, up, shrink, z, noise, tilt_variance,
-       corners, pixels, expected, sheet, pivot, print_sigma, prior, prior_offset, offset, jacobian, information, left,
+       corners, pixels, expected, sheet, pivot, print_sigma, prior, prior_offset, offset, rows, information, left,
        keep, by_offsets, alone, toward, strain, work)
 
 /* Parts of the work space. */
 typedef struct {
-    double *residual, *inward, *weight; /* (8 m) */
+    double *inward, *weight;            /* (8 m) */
     double *off, *sorted, *depth;       /* (4 m), (4 m), (m) */
     double *delta, *full, *factor, *prior; /* (d), (d, d) with all priors, its root, (4 s, 4 s) information */
 } Room;
@@ -57,8 +61,7 @@ typedef struct {
 static Room room_of(const FitStruct *t) {
     const long n = PIXELS * t->markers, d = POSE + OFFSETS * t->sheets;
     Room r;
-    r.residual = t->work;
-    r.inward = r.residual + n;
+    r.inward = t->work;
     r.weight = r.inward + n;
     r.off = r.weight + n;
     r.sorted = r.off + n / 2;
@@ -100,9 +103,8 @@ EXPORT void unbend(const LensStruct *lens, long n, long steps, const double *pix
     }
 }
 
-/* Residuals without blur, derivatives, and the depths of the markers' first corners; 0 if a corner is too near. */
+/* Residuals, derivatives, and the depths of the markers' first corners; 0 if a corner is too near. */
 static int linearise(const LensStruct *lens, const FitStruct *t, const Room *r) {
-    const long d = POSE + OFFSETS * t->sheets;
     double cam_from_ned[3][3], lever[3];
     for (int i = 0; i < 3; i++) {
         lever[i] = 0.0;
@@ -138,21 +140,21 @@ static int linearise(const LensStruct *lens, const FitStruct *t, const Room *r) 
             bend(lens->distortion, x, y, bent, slope);
             for (int axis = 0; axis < 2; axis++) {
                 const double f = lens->focal[axis];
-                r->residual[2 * row + axis] = t->pixels[2 * row + axis] - (f * bent[axis] + lens->center[axis]);
                 const double by_x = f * slope[axis ? 2 : 0] / cam[2], by_y = f * slope[axis ? 1 : 2] / cam[2];
                 const double by_z = -(by_x * x + by_y * y);
-                double g[3], *jac = t->jacobian + d * (2 * row + axis);
+                double g[3], *jac = t->rows + WIDTH * (2 * row + axis);
+                const double inward = r->inward[2 * row + axis];
                 for (int i = 0; i < 3; i++)
                     g[i] = by_x * cam_from_ned[0][i] + by_y * cam_from_ned[1][i] + by_z * cam_from_ned[2][i];
                 for (int i = 0; i < 3; i++) jac[i] = -g[i];
                 jac[3] = g[1] * arm[2] - g[2] * arm[1];
                 jac[4] = g[2] * arm[0] - g[0] * arm[2];
                 jac[5] = g[0] * arm[1] - g[1] * arm[0];
-                if (move) {
-                    double *own = jac + POSE + OFFSETS * sheet;
-                    for (int i = 0; i < 3; i++) own[i] = g[i];
-                    own[3] = g[1] * turned[0] - g[0] * turned[1];
-                }
+                jac[BLUR] = inward;
+                for (int i = 0; i < 3; i++) jac[POSE + i] = move ? g[i] : 0.0;
+                jac[POSE + 3] = move ? g[1] * turned[0] - g[0] * turned[1] : 0.0;
+                jac[OWN] = t->pixels[2 * row + axis] - (f * bent[axis] + lens->center[axis]) - t->shrink * inward;
+                t->left[2 * row + axis] = jac[OWN];
             }
         }
     }
@@ -209,44 +211,48 @@ static void weigh(const LensStruct *lens, const FitLimits *limits, const FitStru
     }
 }
 
-/* Columns of the Jacobian that a marker's pixels depend on; returns how many. */
+/* Unknowns that the columns of a marker's rows belong to; how many there are. */
 static int columns_of(const FitStruct *t, long marker, long columns[OWN]) {
     const long sheet = t->sheets ? t->sheet[marker] : -1;
     for (int i = 0; i < OWN; i++) columns[i] = i < POSE ? i : i + OFFSETS * sheet;
     return sheet < 0 ? POSE : OWN;
 }
 
-/* J' W r. */
+/* J' W of the residuals (8 m). */
 static void gradient_of(const FitStruct *t, const Room *r, const double *residual, double *gradient) {
-    const long d = POSE + OFFSETS * t->sheets;
     long columns[OWN];
-    memset(gradient, 0, sizeof(double) * (size_t)d);
+    memset(gradient, 0, sizeof(double) * (size_t)(POSE + OFFSETS * t->sheets));
     for (long m = 0; m < t->markers; m++) {
         const int own = columns_of(t, m, columns);
+        double sum[WIDTH] = {0.0};
         for (long i = PIXELS * m; i < PIXELS * (m + 1); i++) {
-            const double by = r->weight[i] * residual[i];
-            for (int a = 0; a < own; a++) gradient[columns[a]] += t->jacobian[d * i + columns[a]] * by;
+            const double by = r->weight[i] * residual[i], *row = t->rows + WIDTH * i;
+            for (int a = 0; a < WIDTH; a++) sum[a] += row[a] * by;
         }
+        for (int a = 0; a < own; a++) gradient[columns[a]] += sum[a];
     }
 }
 
-/* J' W J, the lower triangle. */
-static void sums(const FitStruct *t, const Room *r) {
+/* J' W J, the lower triangle, and J' W r. */
+static void sums(const FitStruct *t, const Room *r, double *gradient) {
     const long d = POSE + OFFSETS * t->sheets;
     long columns[OWN];
     memset(t->information, 0, sizeof(double) * (size_t)(d * d));
+    memset(gradient, 0, sizeof(double) * (size_t)d);
     for (long m = 0; m < t->markers; m++) {
         const int own = columns_of(t, m, columns);
-        double block[OWN][OWN] = {{0.0}}, row[OWN];
+        double block[OWN][WIDTH] = {{0.0}};
         for (long i = PIXELS * m; i < PIXELS * (m + 1); i++) {
-            for (int a = 0; a < own; a++) row[a] = t->jacobian[d * i + columns[a]];
-            for (int a = 0; a < own; a++) {
-                const double weighted = row[a] * r->weight[i];
-                for (int b = 0; b <= a; b++) block[a][b] += weighted * row[b];
+            const double *row = t->rows + WIDTH * i, weight = r->weight[i];
+            for (int a = 0; a < OWN; a++) {
+                const double weighted = row[a] * weight;
+                for (int b = 0; b < WIDTH; b++) block[a][b] += weighted * row[b];
             }
         }
-        for (int a = 0; a < own; a++)
+        for (int a = 0; a < own; a++) {
+            gradient[columns[a]] += block[a][OWN];
             for (int b = 0; b <= a; b++) t->information[d * columns[a] + columns[b]] += block[a][b];
+        }
     }
 }
 
@@ -269,8 +275,7 @@ static void add_priors(const FitLimits *limits, const FitStruct *t, double *info
 static void normal_equations(const FitLimits *limits, const FitStruct *t, const Room *r) {
     const long d = POSE + OFFSETS * t->sheets, s = d - POSE;
     double *gradient = r->delta;
-    sums(t, r);
-    gradient_of(t, r, r->residual, gradient);
+    sums(t, r, gradient);
     if (!t->sheets) {
         double squares = limits->prior_count, count = 0.0;
         for (long i = 0; i < PIXELS * t->markers; i++) {
@@ -456,10 +461,7 @@ EXPORT long corner_fit(const LensStruct *lens, const FitLimits *limits, FitStruc
             r.inward[PIXELS * k + 2 * i + 1] = y / length;
         }
     }
-    for (long i = 0; i < n; i++) {
-        t->keep[i] = 1.0;
-        t->jacobian[d * i + BLUR] = r.inward[i];
-    }
+    for (long i = 0; i < n; i++) t->keep[i] = 1.0;
     if (s) {
         memcpy(r.full, t->prior, sizeof(double) * (size_t)(s * s));
         for (long i = 0; i < s; i++) r.full[(s + 1) * i] += t->offset_floor * t->offset_floor;
@@ -468,10 +470,7 @@ EXPORT long corner_fit(const LensStruct *lens, const FitLimits *limits, FitStruc
     }
     int moved = 1;
     for (long step = 0; step < limits->steps; step++) {
-        if (moved) {
-            if (!linearise(lens, t, &r)) return 0;
-            for (long i = 0; i < n; i++) t->left[i] = r.residual[i] -= t->shrink * r.inward[i];
-        }
+        if (moved && !linearise(lens, t, &r)) return 0;
         weigh(lens, limits, t, &r);
         normal_equations(limits, t, &r);
         if (!root_of(d, r.full, r.factor)) return 0;
@@ -482,9 +481,10 @@ EXPORT long corner_fit(const LensStruct *lens, const FitLimits *limits, FitStruc
         for (long k = 0; k < t->markers; k++) {
             const int own = columns_of(t, k, columns);
             for (long i = PIXELS * k; i < PIXELS * (k + 1); i++) {
+                const double *row = t->rows + WIDTH * i;
                 double by = 0.0;
-                for (int a = 0; a < own; a++) by += t->jacobian[d * i + columns[a]] * r.delta[columns[a]];
-                t->left[i] = r.residual[i] - by;
+                for (int a = 0; a < own; a++) by += row[a] * r.delta[columns[a]];
+                t->left[i] = row[OWN] - by;
             }
         }
         moved = !(settled && !same_fit(limits, t, r.off, r.sorted) && step < limits->steps - 1);
