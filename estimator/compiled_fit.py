@@ -3,7 +3,7 @@
 import ctypes
 import math
 from functools import lru_cache
-from itertools import accumulate
+from itertools import accumulate, pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -25,9 +25,10 @@ PRIOR_FLOOR = 1e-5
 """Of the offsets in the fit [m, rad]: keeps the inverse of their covariance finite."""
 POSE = 7
 """Unknowns without sheets: position, rotation, blur."""
-SHEET = 3
-"""Which of the inputs holds whole numbers."""
+WIDTH = 12
+"""Columns of :attr:`Fitted.rows`."""
 _LONG = np.dtype("l")
+_NO_SHEETS: IntArray = np.zeros(1, dtype=_LONG)
 
 
 class _LensStruct(Mirror):
@@ -56,28 +57,47 @@ class _FitLimits(Mirror):
     )
 
 
-_INPUTS = ("corners", "pixels", "expected", "sheet", "pivot", "print_sigma", "prior", "prior_offset")
-_OUTPUTS = ("offset", "rows", "information", "left", "keep", "by_offsets", "alone", "toward", "strain", "work")
+class _Parts(NamedTuple):
+    """Parts of the array that a fit is done in, in the order of corner_fit.c: what is given,"""
+
+    pos: FloatArray
+    rotation: FloatArray
+    up: FloatArray
+    numbers: FloatArray
+    corners: FloatArray
+    pixels: FloatArray
+    expected: FloatArray
+    pivot: FloatArray
+    print_sigma: FloatArray
+    prior_offset: FloatArray
+    prior: FloatArray
+    offset: FloatArray
+    """what is found,"""
+    rows: FloatArray
+    information: FloatArray
+    left: FloatArray
+    keep: FloatArray
+    z: FloatArray
+    noise: FloatArray
+    tilt_variance: FloatArray
+    by_offsets: FloatArray
+    alone: FloatArray
+    toward: FloatArray
+    strain: FloatArray
+    work: FloatArray
+    """and work space."""
 
 
-class _FitStruct(Mirror):
-    """ctypes layout of the struct in corner_fit.c."""
-
-    _fields_ = (
-        ("markers", ctypes.c_long),
-        ("sheets", ctypes.c_long),
-        ("tilt", ctypes.c_double),
-        ("shrink_prior", ctypes.c_double),
-        ("offset_floor", ctypes.c_double),
-        ("pos", ctypes.c_double * 3),
-        ("rotation", ctypes.c_double * 9),
-        ("up", ctypes.c_double * 3),
-        ("shrink", ctypes.c_double),
-        ("z", ctypes.c_double * 4),
-        ("noise", ctypes.c_double * 16),
-        ("tilt_variance", ctypes.c_double),
-        *((name, ctypes.c_void_p) for name in (*_INPUTS, *_OUTPUTS)),
-    )
+@lru_cache(maxsize=256)
+def _layout(m: int, s: int) -> tuple[int, list[tuple[slice, tuple[int, ...]]]]:
+    """Length of the array for m markers on s sheets, and place and shape of each of its parts."""
+    n, size = 8 * m, STATES * s
+    d = POSE + size
+    given = (3,), (3, 3), (3,), (4,), (4 * m, 3), (4 * m, 2), (n,), (s, 3), (m,), (size,), (size, size)
+    found = (size,), (n, WIDTH), (d, d), (n,), (n,), (4,), (4, 4), (1,), (4, size), (size, size), (size,), (s,)
+    shapes: list[tuple[int, ...]] = [*given, *found, (25 * m + d + 2 * d * d + size * size,)]
+    ends = list(accumulate(map(math.prod, shapes), initial=0))
+    return ends[-1], [(slice(*places), shape) for places, shape in zip(pairwise(ends), shapes, strict=True)]
 
 
 class _MatchStruct(Mirror):
@@ -104,6 +124,7 @@ _TUNING = _FitLimits(
     PRINT_COUNT,
     LEAST_PRINT,
 )
+_TUNING_AT = ctypes.addressof(_TUNING)
 
 
 class OnSheets(NamedTuple):
@@ -208,67 +229,45 @@ class CompiledFit:
         and a rotation (3, 3) whose vertical is the tilt's prior; None if it does not converge. ``on``: None = an exact
         map."""
         m = len(pixels) // 4
-        n, s = 8 * m, 0 if on is None else len(on.pivot_ned_m)
-        size = STATES * s
-        d = POSE + size
-        shapes = (size,), (n, 12), (d, d), (n,), (n,), (4, size), (size, size), (size,), (s,), (25 * m + d + 3 * d * d,)
-        ends = list(accumulate(map(math.prod, shapes), initial=0))
-        room = np.empty(ends[-1])
-        given: list[Any] = [corners_ned_m, pixels, expected_px]
+        s = 0 if on is None else len(on.pivot_ned_m)
+        length, places = _layout(m, s)
+        room = np.empty(length)
+        parts = _Parts(*[room[place].reshape(shape) for place, shape in places])
+        parts.pos[:], parts.rotation[:] = pose
+        parts.up[:] = parts.rotation[2]
+        parts.numbers[:] = tilt_information, shrink_px, shrink_px, PRIOR_FLOOR
+        parts.corners[:], parts.pixels[:], parts.expected[:] = corners_ned_m.reshape(-1, 3), pixels, expected_px
+        sheet = _NO_SHEETS
         if on is not None:
-            given += [on.sheet, on.pivot_ned_m, on.sigma_m, on.covariance, on.offset]
-        given = [np.ascontiguousarray(each, _LONG if k == SHEET else np.float64) for k, each in enumerate(given)]
-        sizes = [12 * m, n, n, m, 3 * s, m, size * size, size]
-        if [array.size for array in given] != sizes[: len(given)]:
-            raise ValueError(f"arrays of {[array.size for array in given]} for {m} markers on {s} sheets")
-        at = room.ctypes.data
-        pos, rotation = pose
-        fit = _FitStruct(
-            m,
-            s,
-            tilt_information,
-            shrink_px,
-            PRIOR_FLOOR,
-            tuple(pos.tolist()),
-            tuple(rotation.ravel().tolist()),
-            tuple(rotation[2].tolist()),
-            shrink_px,
-            (),
-            (),
-            0.0,
-            *(array.ctypes.data for array in given),
-            *(None,) * (len(_INPUTS) - len(given)),
-            *(at + 8 * end for end in ends[:-1]),
-        )
-        if not self._fit(self._at, ctypes.addressof(_TUNING), ctypes.addressof(fit)):
+            sheet = np.ascontiguousarray(on.sheet, dtype=_LONG)
+            if sheet.shape != (m,) or not -1 <= sheet.min() <= sheet.max() < s:
+                raise ValueError(f"sheets {sheet} of {m} markers on {s}")
+            parts.pivot[:], parts.print_sigma[:] = on.pivot_ned_m, on.sigma_m
+            parts.prior_offset[:], parts.prior[:] = on.offset, on.covariance
+        found = self._fit(self._at, _TUNING_AT, m, s, sheet.ctypes.data, room.ctypes.data)
+        if not found:
             return None
-        offset, rows, information, left, keep, *sheets = (
-            room[begin:end].reshape(shape) for begin, end, shape in zip(ends, ends[1:], shapes, strict=False)
-        )
-        pos, rotation, z, noise = (np.array(each[:]) for each in (fit.pos, fit.rotation, fit.z, fit.noise))
-        rotation, noise = rotation.reshape(3, 3), noise.reshape(4, 4)
-        by_offsets, alone, toward, strain, _ = sheets
         return Fitted(
-            pos,
-            rotation,
-            rows,
-            information,
-            left,
-            keep,
-            offset,
-            z,
-            noise,
-            by_offsets,
-            alone,
-            toward,
-            strain,
-            fit.tilt_variance,
+            parts.pos,
+            parts.rotation,
+            parts.rows,
+            parts.information,
+            parts.left,
+            parts.keep,
+            parts.offset,
+            parts.z,
+            parts.noise,
+            parts.by_offsets,
+            parts.alone,
+            parts.toward,
+            parts.strain,
+            parts.tilt_variance.item(),
         )
 
 
 @lru_cache(maxsize=8)
 def compiled_fit(camera: CameraModel) -> CompiledFit | None:
     """None without the library, and for cameras that it has no model of."""
-    compiled = library(_LensStruct, _FitLimits, _FitStruct, _MatchStruct)
+    compiled = library(_LensStruct, _FitLimits, _MatchStruct)
     brown = camera.port is None and not camera.fisheye
     return CompiledFit(compiled, camera) if compiled is not None and brown else None

@@ -46,7 +46,7 @@ SIGNATURES: dict[str, tuple[Any, ...]] = {
     "spread_step": (None, *[_ADDRESS] * 4),
     "kalman_update": (_WHOLE, _ADDRESS),
     "unbend": (None, _ADDRESS, _WHOLE, _WHOLE, _ADDRESS, _ADDRESS),
-    "corner_fit": (_WHOLE, *[_ADDRESS] * 3),
+    "corner_fit": (_WHOLE, _ADDRESS, _ADDRESS, _WHOLE, _WHOLE, _ADDRESS, _ADDRESS),
     "nearest_markers": (None, _ADDRESS, _WHOLE, _ADDRESS),
     "plant_look": (None, _ADDRESS, _ADDRESS),
     "plant_turn": (None, _ADDRESS, _ADDRESS, _REAL),

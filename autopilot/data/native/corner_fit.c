@@ -31,46 +31,46 @@ typedef struct {
 LAYOUT(FitLimits, steps, converged, shrink_information, min_scale, prior_count, corner_floor, corner_ratio, print_count,
        least_print)
 
+/* One fit, all of it in one array: what is given, what is found, and work space, in the order of compiled_fit.py. */
 typedef struct {
     long markers, sheets;                      /* m, s; no sheets: the map is exact. d = 7 + 4 s unknowns */
-    double tilt, shrink_prior, offset_floor;
-    double pos[3], rotation[9], up[3], shrink; /* changed, but for up */
-    double z[4], noise[16], tilt_variance;     /* of sheets: what the corners say of the pose given the offsets */
-    const double *corners, *pixels, *expected; /* (m, 4, 3), (m, 4, 2), (m, 4, 2) */
     const long *sheet;                         /* (m), -1 = none */
-    const double *pivot, *print_sigma, *prior; /* (s, 3), (m), (4 s, 4 s) covariance of the offsets */
-    const double *prior_offset;                /* (4 s) */
-    double *offset;                            /* (4 s), changed */
+    double *pos, *rotation, *up;               /* (3), (3, 3), (3): changed, but for up */
+    double *tilt, *shrink_prior, *shrink, *offset_floor; /* numbers; the blur is changed */
+    double *corners, *pixels, *expected;       /* (m, 4, 3), (m, 4, 2), (m, 4, 2) */
+    double *pivot, *print_sigma;               /* (s, 3), (m) */
+    double *prior_offset, *prior;              /* (4 s), (4 s, 4 s) covariance */
+    double *offset;                            /* (4 s), and so on: found */
     double *rows;                              /* (8 m, 12) derivatives by pose, blur and own sheet, and the residual */
     double *information;                       /* (d, d) without the offsets' prior */
     double *left, *keep;                       /* (8 m) */
-    double *by_offsets, *alone, *toward, *strain; /* (4, 4 s), (4 s, 4 s), (4 s), (s) */
-    double *work;                              /* (25 m + d + 3 d d) */
-} FitStruct;
-LAYOUT(FitStruct, markers, sheets, tilt, shrink_prior, offset_floor, pos, rotation, up, shrink, z, noise, tilt_variance,
-       corners, pixels, expected, sheet, pivot, print_sigma, prior, prior_offset, offset, rows, information, left,
-       keep, by_offsets, alone, toward, strain, work)
+    double *z, *noise, *tilt_variance;         /* (4), (4, 4), one: of sheets, what the corners say of the pose given */
+    double *by_offsets, *alone, *toward, *strain; /* the offsets: (4, 4 s), (4 s, 4 s), (4 s), (s) */
+    double *inward, *weight;                   /* (8 m), and so on: work space */
+    double *off, *sorted, *depth;              /* (4 m), (4 m), (m) */
+    double *delta, *full, *factor, *known;     /* (d), (d, d) with all priors, its root, (4 s, 4 s) the prior's inverse */
+} Fit;
 
-/* Parts of the work space. */
-typedef struct {
-    double *inward, *weight;            /* (8 m) */
-    double *off, *sorted, *depth;       /* (4 m), (4 m), (m) */
-    double *delta, *full, *factor, *prior; /* (d), (d, d) with all priors, its root, (4 s, 4 s) information */
-} Room;
-
-static Room room_of(const FitStruct *t) {
-    const long n = PIXELS * t->markers, d = POSE + OFFSETS * t->sheets;
-    Room r;
-    r.inward = t->work;
-    r.weight = r.inward + n;
-    r.off = r.weight + n;
-    r.sorted = r.off + n / 2;
-    r.depth = r.sorted + n / 2;
-    r.delta = r.depth + t->markers;
-    r.full = r.delta + d;
-    r.factor = r.full + d * d;
-    r.prior = r.factor + d * d;
-    return r;
+static Fit fit_of(long m, long s, const long *sheet, double *at) {
+    const long n = PIXELS * m, d = POSE + OFFSETS * s, size = OFFSETS * s;
+    Fit t = {m, s, sheet};
+    struct {
+        double **place;
+        long count;
+    } parts[] = {
+        {&t.pos, 3}, {&t.rotation, 9}, {&t.up, 3}, {&t.tilt, 1}, {&t.shrink_prior, 1}, {&t.shrink, 1},
+        {&t.offset_floor, 1}, {&t.corners, 12 * m}, {&t.pixels, n}, {&t.expected, n}, {&t.pivot, 3 * s},
+        {&t.print_sigma, m}, {&t.prior_offset, size}, {&t.prior, size * size}, {&t.offset, size},
+        {&t.rows, WIDTH * n}, {&t.information, d * d}, {&t.left, n}, {&t.keep, n}, {&t.z, 4}, {&t.noise, 16},
+        {&t.tilt_variance, 1}, {&t.by_offsets, 4 * size}, {&t.alone, size * size}, {&t.toward, size}, {&t.strain, s},
+        {&t.inward, n}, {&t.weight, n}, {&t.off, n / 2}, {&t.sorted, n / 2}, {&t.depth, m}, {&t.delta, d},
+        {&t.full, d * d}, {&t.factor, d * d}, {&t.known, size * size},
+    };
+    for (size_t i = 0; i < sizeof parts / sizeof parts[0]; i++) {
+        *parts[i].place = at;
+        at += parts[i].count;
+    }
+    return t;
 }
 
 /* Brown's distortion of an image point, and its derivatives xx, yy, xy. */
@@ -104,7 +104,7 @@ EXPORT void unbend(const LensStruct *lens, long n, long steps, const double *pix
 }
 
 /* Residuals, derivatives, and the depths of the markers' first corners; 0 if a corner is too near. */
-static int linearise(const LensStruct *lens, const FitStruct *t, const Room *r) {
+static int linearise(const LensStruct *lens, const Fit *t) {
     double cam_from_ned[3][3], lever[3];
     for (int i = 0; i < 3; i++) {
         lever[i] = 0.0;
@@ -130,7 +130,7 @@ static int linearise(const LensStruct *lens, const FitStruct *t, const Room *r) 
                 point[1] += move[1] + (turned[1] - east);
                 point[2] += move[2];
             }
-            if (corner == 0) r->depth[m] = point[2];
+            if (corner == 0) t->depth[m] = point[2];
             for (int i = 0; i < 3; i++) arm[i] = point[i] - t->pos[i];
             for (int i = 0; i < 3; i++)
                 cam[i] = arm[0] * cam_from_ned[i][0] + arm[1] * cam_from_ned[i][1] + arm[2] * cam_from_ned[i][2] - lever[i];
@@ -143,7 +143,7 @@ static int linearise(const LensStruct *lens, const FitStruct *t, const Room *r) 
                 const double by_x = f * slope[axis ? 2 : 0] / cam[2], by_y = f * slope[axis ? 1 : 2] / cam[2];
                 const double by_z = -(by_x * x + by_y * y);
                 double g[3], *jac = t->rows + WIDTH * (2 * row + axis);
-                const double inward = r->inward[2 * row + axis];
+                const double inward = t->inward[2 * row + axis];
                 for (int i = 0; i < 3; i++)
                     g[i] = by_x * cam_from_ned[0][i] + by_y * cam_from_ned[1][i] + by_z * cam_from_ned[2][i];
                 for (int i = 0; i < 3; i++) jac[i] = -g[i];
@@ -153,7 +153,7 @@ static int linearise(const LensStruct *lens, const FitStruct *t, const Room *r) 
                 jac[BLUR] = inward;
                 for (int i = 0; i < 3; i++) jac[POSE + i] = move ? g[i] : 0.0;
                 jac[POSE + 3] = move ? g[1] * turned[0] - g[0] * turned[1] : 0.0;
-                jac[OWN] = t->pixels[2 * row + axis] - (f * bent[axis] + lens->center[axis]) - t->shrink * inward;
+                jac[OWN] = t->pixels[2 * row + axis] - (f * bent[axis] + lens->center[axis]) - *t->shrink * inward;
                 t->left[2 * row + axis] = jac[OWN];
             }
         }
@@ -162,7 +162,7 @@ static int linearise(const LensStruct *lens, const FitStruct *t, const Room *r) 
 }
 
 /* Ratios of measured to expected standard deviation of corners, and of the variances of markers on their sheets. */
-static void scatter(const FitLimits *limits, const FitStruct *t, const double *print_px, double ratios[2]) {
+static void scatter(const FitLimits *limits, const Fit *t, const double *print_px, double ratios[2]) {
     double within = 0.0, shared2 = 0.0, stated2 = 0.0;
     long whole = 0;
     for (long m = 0; m < t->markers; m++) {
@@ -195,38 +195,38 @@ static void scatter(const FitLimits *limits, const FitStruct *t, const double *p
 }
 
 /* Inverse variances of the pixel coordinates that are kept, 0 of the others. */
-static void weigh(const LensStruct *lens, const FitLimits *limits, const FitStruct *t, const Room *r) {
+static void weigh(const LensStruct *lens, const FitLimits *limits, const Fit *t) {
     if (!t->sheets) {
-        for (long i = 0; i < PIXELS * t->markers; i++) r->weight[i] = t->keep[i] / (t->expected[i] * t->expected[i]);
+        for (long i = 0; i < PIXELS * t->markers; i++) t->weight[i] = t->keep[i] / (t->expected[i] * t->expected[i]);
         return;
     }
-    double ratios[2], *print_px = r->off;
+    double ratios[2], *print_px = t->off;
     for (long m = 0; m < t->markers; m++)
-        print_px[m] = t->print_sigma[m] * lens->focal_water / at_least(r->depth[m] - t->pos[2], 0.05);
+        print_px[m] = t->print_sigma[m] * lens->focal_water / at_least(t->depth[m] - t->pos[2], 0.05);
     scatter(limits, t, print_px, ratios);
     for (long m = 0; m < t->markers; m++) {
         const double corner = ratios[0] * t->expected[PIXELS * m];
         const double weight = 1.0 / (corner * corner + 4.0 * ratios[1] * print_px[m] * print_px[m]);
-        for (int i = 0; i < PIXELS; i++) r->weight[PIXELS * m + i] = weight * t->keep[PIXELS * m + i];
+        for (int i = 0; i < PIXELS; i++) t->weight[PIXELS * m + i] = weight * t->keep[PIXELS * m + i];
     }
 }
 
 /* Unknowns that the columns of a marker's rows belong to; how many there are. */
-static int columns_of(const FitStruct *t, long marker, long columns[OWN]) {
+static int columns_of(const Fit *t, long marker, long columns[OWN]) {
     const long sheet = t->sheets ? t->sheet[marker] : -1;
     for (int i = 0; i < OWN; i++) columns[i] = i < POSE ? i : i + OFFSETS * sheet;
     return sheet < 0 ? POSE : OWN;
 }
 
 /* J' W of the residuals (8 m). */
-static void gradient_of(const FitStruct *t, const Room *r, const double *residual, double *gradient) {
+static void gradient_of(const Fit *t, const double *residual, double *gradient) {
     long columns[OWN];
     memset(gradient, 0, sizeof(double) * (size_t)(POSE + OFFSETS * t->sheets));
     for (long m = 0; m < t->markers; m++) {
         const int own = columns_of(t, m, columns);
         double sum[WIDTH] = {0.0};
         for (long i = PIXELS * m; i < PIXELS * (m + 1); i++) {
-            const double by = r->weight[i] * residual[i], *row = t->rows + WIDTH * i;
+            const double by = t->weight[i] * residual[i], *row = t->rows + WIDTH * i;
             for (int a = 0; a < WIDTH; a++) sum[a] += row[a] * by;
         }
         for (int a = 0; a < own; a++) gradient[columns[a]] += sum[a];
@@ -234,7 +234,7 @@ static void gradient_of(const FitStruct *t, const Room *r, const double *residua
 }
 
 /* J' W J, the lower triangle, and J' W r. */
-static void sums(const FitStruct *t, const Room *r, double *gradient) {
+static void sums(const Fit *t, double *gradient) {
     const long d = POSE + OFFSETS * t->sheets;
     long columns[OWN];
     memset(t->information, 0, sizeof(double) * (size_t)(d * d));
@@ -243,7 +243,7 @@ static void sums(const FitStruct *t, const Room *r, double *gradient) {
         const int own = columns_of(t, m, columns);
         double block[OWN][WIDTH] = {{0.0}};
         for (long i = PIXELS * m; i < PIXELS * (m + 1); i++) {
-            const double *row = t->rows + WIDTH * i, weight = r->weight[i];
+            const double *row = t->rows + WIDTH * i, weight = t->weight[i];
             for (int a = 0; a < OWN; a++) {
                 const double weighted = row[a] * weight;
                 for (int b = 0; b < WIDTH; b++) block[a][b] += weighted * row[b];
@@ -256,26 +256,26 @@ static void sums(const FitStruct *t, const Room *r, double *gradient) {
     }
 }
 
-static void add_priors(const FitLimits *limits, const FitStruct *t, double *information, double *gradient) {
+static void add_priors(const FitLimits *limits, const Fit *t, double *information, double *gradient) {
     const long d = POSE + OFFSETS * t->sheets;
     double lean[2];
     for (int i = 0; i < 2; i++)
         lean[i] = t->rotation[3 * i] * t->up[0] + t->rotation[3 * i + 1] * t->up[1] + t->rotation[3 * i + 2] * t->up[2];
     if (information) {
-        information[d * 3 + 3] += t->tilt;
-        information[d * 4 + 4] += t->tilt;
+        information[d * 3 + 3] += *t->tilt;
+        information[d * 4 + 4] += *t->tilt;
         information[d * BLUR + BLUR] += limits->shrink_information;
     }
-    gradient[3] += t->tilt * lean[1];
-    gradient[4] -= t->tilt * lean[0];
-    gradient[BLUR] += limits->shrink_information * (t->shrink_prior - t->shrink);
+    gradient[3] += *t->tilt * lean[1];
+    gradient[4] -= *t->tilt * lean[0];
+    gradient[BLUR] += limits->shrink_information * (*t->shrink_prior - *t->shrink);
 }
 
 /* Information of everything with all priors, and the gradient. */
-static void normal_equations(const FitLimits *limits, const FitStruct *t, const Room *r) {
+static void normal_equations(const FitLimits *limits, const Fit *t) {
     const long d = POSE + OFFSETS * t->sheets, s = d - POSE;
-    double *gradient = r->delta;
-    sums(t, r, gradient);
+    double *gradient = t->delta;
+    sums(t, gradient);
     if (!t->sheets) {
         double squares = limits->prior_count, count = 0.0;
         for (long i = 0; i < PIXELS * t->markers; i++) {
@@ -285,16 +285,16 @@ static void normal_equations(const FitLimits *limits, const FitStruct *t, const 
         }
         const double scale = at_least(sqrt(squares / at_least(count - POSE + limits->prior_count, 1.0)), limits->min_scale);
         for (long i = 0; i < d; i++) gradient[i] /= scale * scale;
-        for (long i = 0; i < d * d; i++) r->full[i] = t->information[i] / (scale * scale);
-        add_priors(limits, t, r->full, gradient);
+        for (long i = 0; i < d * d; i++) t->full[i] = t->information[i] / (scale * scale);
+        add_priors(limits, t, t->full, gradient);
     } else {
         add_priors(limits, t, t->information, gradient);
-        memcpy(r->full, t->information, sizeof(double) * (size_t)(d * d));
+        memcpy(t->full, t->information, sizeof(double) * (size_t)(d * d));
     }
     for (long i = 0; i < s; i++)
         for (long j = 0; j < s; j++) {
-            if (j <= i) r->full[d * (POSE + i) + POSE + j] += r->prior[s * i + j];
-            gradient[POSE + i] += r->prior[s * i + j] * (t->prior_offset[j] - t->offset[j]);
+            if (j <= i) t->full[d * (POSE + i) + POSE + j] += t->known[s * i + j];
+            gradient[POSE + i] += t->known[s * i + j] * (t->prior_offset[j] - t->offset[j]);
         }
     for (long i = 0; i < d; i++)
         for (long j = 0; j < i; j++) t->information[d * j + i] = t->information[d * i + j];
@@ -349,7 +349,7 @@ static double median_of(long n, double *values) {
 }
 
 /* Which corners fit to the others; whether these are those that did before. `off`, `sorted`: (4 m) each. */
-static int same_fit(const FitLimits *limits, const FitStruct *t, double *off, double *sorted) {
+static int same_fit(const FitLimits *limits, const Fit *t, double *off, double *sorted) {
     const long n = CORNERS * t->markers;
     for (long i = 0; i < n; i++) {
         const double x = t->left[2 * i] / t->expected[2 * i], y = t->left[2 * i + 1] / t->expected[2 * i + 1];
@@ -367,10 +367,10 @@ static int same_fit(const FitLimits *limits, const FitStruct *t, double *off, do
     return same;
 }
 
-static void move(FitStruct *t, const double *delta) {
+static void move(const Fit *t, const double *delta) {
     const double a = delta[3], b = delta[4], c = delta[5], angle = sqrt(a * a + b * b + c * c);
     for (int i = 0; i < 3; i++) t->pos[i] += delta[i];
-    t->shrink += delta[BLUR];
+    *t->shrink += delta[BLUR];
     for (long i = 0; i < OFFSETS * t->sheets; i++) t->offset[i] += delta[POSE + i];
     if (angle < 1e-12) return;
     const double x = a / angle, y = b / angle, z = c / angle, s = sin(angle), v = 1.0 - cos(angle);
@@ -388,17 +388,17 @@ static void move(FitStruct *t, const double *delta) {
 
 /* Pose given the offsets, and the offsets alone: two independent pieces. Tilt and blur are marginalised, and how
  * unsure the tilt is follows with the offsets' prior. 0 if the corners do not determine the pose. */
-static int pieces(const FitLimits *limits, FitStruct *t, const Room *r) {
+static int pieces(const FitLimits *limits, const Fit *t) {
     static const long nuisance[3] = {3, 4, BLUR}, kept[4] = {0, 1, 2, 5};
     const long d = POSE + OFFSETS * t->sheets, s = d - POSE;
-    double *g = r->delta, *a = r->full, own[16], root[16];
-    t->tilt_variance = 0.0;
+    double *g = t->delta, *a = t->full, own[16], root[16];
+    *t->tilt_variance = 0.0;
     for (int k = 3; k < 5; k++) {
         for (long i = 0; i < d; i++) g[i] = i == k;
-        solve(d, r->factor, g);
-        t->tilt_variance = at_least(g[k], t->tilt_variance);
+        solve(d, t->factor, g);
+        *t->tilt_variance = at_least(g[k], *t->tilt_variance);
     }
-    gradient_of(t, r, t->left, g);
+    gradient_of(t, t->left, g);
     add_priors(limits, t, NULL, g);
     memcpy(a, t->information, sizeof(double) * (size_t)(d * d));
     for (int n = 0; n < 3; n++) {
@@ -436,7 +436,7 @@ static int pieces(const FitLimits *limits, FitStruct *t, const Room *r) {
         for (int i = 0; i < 4; i++) {
             const long row = OFFSETS * k + i;
             for (int j = 0; j < 4; j++) own[4 * i + j] = t->prior[s * row + OFFSETS * k + j];
-            own[5 * i] += t->offset_floor * t->offset_floor;
+            own[5 * i] += *t->offset_floor * *t->offset_floor;
             off[i] = held[i] = t->offset[row] - t->prior_offset[row];
         }
         if (!root_of(4, own, root)) return 0;
@@ -447,9 +447,9 @@ static int pieces(const FitLimits *limits, FitStruct *t, const Room *r) {
 }
 
 /* Whether it converges: nothing moves any more, and the outliers stay the same. */
-EXPORT long corner_fit(const LensStruct *lens, const FitLimits *limits, FitStruct *t) {
+EXPORT long corner_fit(const LensStruct *lens, const FitLimits *limits, long markers, long sheets, const long *sheet, double *given) {
+    const Fit fit = fit_of(markers, sheets, sheet, given), *t = &fit;
     const long n = PIXELS * t->markers, d = POSE + OFFSETS * t->sheets, s = d - POSE;
-    const Room r = room_of(t);
     for (long k = 0; k < t->markers; k++) {
         const double *pixel = t->pixels + PIXELS * k;
         double center[2] = {0.0, 0.0};
@@ -457,43 +457,43 @@ EXPORT long corner_fit(const LensStruct *lens, const FitLimits *limits, FitStruc
         for (int i = 0; i < CORNERS; i++) {
             const double x = center[0] - pixel[2 * i], y = center[1] - pixel[2 * i + 1];
             const double length = at_least(sqrt(x * x + y * y), 1e-6);
-            r.inward[PIXELS * k + 2 * i] = x / length;
-            r.inward[PIXELS * k + 2 * i + 1] = y / length;
+            t->inward[PIXELS * k + 2 * i] = x / length;
+            t->inward[PIXELS * k + 2 * i + 1] = y / length;
         }
     }
     for (long i = 0; i < n; i++) t->keep[i] = 1.0;
     if (s) {
-        memcpy(r.full, t->prior, sizeof(double) * (size_t)(s * s));
-        for (long i = 0; i < s; i++) r.full[(s + 1) * i] += t->offset_floor * t->offset_floor;
-        if (!invert(s, r.full, r.factor, r.prior)) return 0;
+        memcpy(t->full, t->prior, sizeof(double) * (size_t)(s * s));
+        for (long i = 0; i < s; i++) t->full[(s + 1) * i] += *t->offset_floor * *t->offset_floor;
+        if (!invert(s, t->full, t->factor, t->known)) return 0;
         memcpy(t->offset, t->prior_offset, sizeof(double) * (size_t)s);
     }
     int moved = 1;
     for (long step = 0; step < limits->steps; step++) {
-        if (moved && !linearise(lens, t, &r)) return 0;
-        weigh(lens, limits, t, &r);
-        normal_equations(limits, t, &r);
-        if (!root_of(d, r.full, r.factor)) return 0;
-        solve(d, r.factor, r.delta);
+        if (moved && !linearise(lens, t)) return 0;
+        weigh(lens, limits, t);
+        normal_equations(limits, t);
+        if (!root_of(d, t->full, t->factor)) return 0;
+        solve(d, t->factor, t->delta);
         int settled = 1;
-        for (long i = 0; i < d; i++) settled = settled && (i == BLUR || fabs(r.delta[i]) < limits->converged);
+        for (long i = 0; i < d; i++) settled = settled && (i == BLUR || fabs(t->delta[i]) < limits->converged);
         long columns[OWN];
         for (long k = 0; k < t->markers; k++) {
             const int own = columns_of(t, k, columns);
             for (long i = PIXELS * k; i < PIXELS * (k + 1); i++) {
                 const double *row = t->rows + WIDTH * i;
                 double by = 0.0;
-                for (int a = 0; a < own; a++) by += row[a] * r.delta[columns[a]];
+                for (int a = 0; a < own; a++) by += row[a] * t->delta[columns[a]];
                 t->left[i] = row[OWN] - by;
             }
         }
-        moved = !(settled && !same_fit(limits, t, r.off, r.sorted) && step < limits->steps - 1);
+        moved = !(settled && !same_fit(limits, t, t->off, t->sorted) && step < limits->steps - 1);
         if (!moved) { /* the derivatives have not changed */
-            for (long i = 0; i < n; i++) t->keep[i] = r.off[i / 2];
+            for (long i = 0; i < n; i++) t->keep[i] = t->off[i / 2];
             continue;
         }
-        move(t, r.delta);
-        if (settled) return s ? pieces(limits, t, &r) : 1;
+        move(t, t->delta);
+        if (settled) return s ? pieces(limits, t) : 1;
     }
     return 0;
 }
