@@ -1,4 +1,4 @@
-"""The Gauss-Newton steps of :mod:`.estimator.pnp` and :mod:`.estimator.sheet_fit` in C, for Brown's lens without a port."""
+"""The Gauss-Newton steps of :mod:`.pnp` and :mod:`.sheet_fit`, and the nearest markers, in C, for Brown's lens."""
 
 import ctypes
 import math

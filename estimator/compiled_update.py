@@ -22,8 +22,8 @@ class _Update(Mirror):
         ("p", ctypes.c_double * (NX * NX)),
         ("residual", ctypes.c_double * MOST),
         ("jacobian", ctypes.c_double * (MOST * NX)),
-        ("noise", ctypes.c_double * (MOST * MOST)),
         ("shared", ctypes.c_double * (NX * MOST)),
+        ("noise", ctypes.c_double * (MOST * MOST)),
         ("inverse", ctypes.c_double * (MOST * MOST)),
         ("distance2", ctypes.c_double),
     )

@@ -1,7 +1,6 @@
 """The extended Kalman filter: filterpy's, with our motion model, gating, and pure functions around it.
 
-Where the library is available the same is computed in C (:mod:`.compiled_update`): a hundred predictions and two hundred
-updates a second.
+Where there is the library the same is computed in C (:mod:`.compiled_update`), two hundred times a second each.
 """
 
 import math
@@ -59,7 +58,7 @@ RELOCATED_SIGMA_VEL_M_S = 0.1
 
 
 class KalmanCore:
-    """:class:`autopilot.estimator.filter_core.FilterCore` by filterpy: predict() and update() are its own, or compiled."""
+    """:class:`autopilot.estimator.filter_core.FilterCore` by filterpy's predict() and update(), or as they are in C."""
 
     def __init__(self, *, current_3d: bool = False) -> None:
         """``current_3d``: the vertical current is a state."""

@@ -70,7 +70,12 @@ class MapMonitor(Monitor):
         if self._frame is not None:
             across, down, turn = self._frame
             north, east = x.item(NORTH) - self._middle[0], x.item(EAST) - self._middle[1]
-            frame = (across * across + (turn * east) ** 2, across * across + (turn * north) ** 2, down * down, turn * turn)
+            frame = (
+                across * across + (turn * east) ** 2,
+                across * across + (turn * north) ** 2,
+                down * down,
+                turn * turn,
+            )
             more = [each + of_frame for each, of_frame in zip(more, frame, strict=True)]
         return np.array(more)
 

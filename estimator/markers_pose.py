@@ -159,7 +159,9 @@ class MarkerSolver:
         if compiled is not None:
             row, turn = np.array(rows)[known], r_ned @ self._camera.r_frd_from_cam
             candidates = self._candidates, self._candidate_centers
-            taken, shift, rays_cam = compiled.nearest(sighting.corners_px[known], row, candidates, eye, turn, self._floor_m)
+            taken, shift, rays_cam = compiled.nearest(
+                sighting.corners_px[known], row, candidates, eye, turn, self._floor_m
+            )
             taken = np.where(np.abs(shift) <= MARKERS_POSE.nearest_m, taken, -1)
             return _Match(known, taken, shift, rays_cam) if (taken >= 0).any() else None
         rays_cam = np.ones((len(known), 3))

@@ -137,9 +137,7 @@ class _SheetFit(CornerFit):
         seen = self._sheets
         on = OnSheets(seen.sheet, seen.pivot_ned_m, seen.sigma_m, *self._prior_offsets)
         corners, pose = seen.corners_ned_m, (self._pos, self._rotation)
-        self._fitted = steps.converged(
-            corners, self._pixels, self._expected, pose, TILT_INFORMATION, self._shrink, on
-        )
+        self._fitted = steps.converged(corners, self._pixels, self._expected, pose, TILT_INFORMATION, self._shrink, on)
         return self._fitted
 
     def _points_ned_m(self) -> FloatArray:
@@ -203,7 +201,9 @@ class _SheetFit(CornerFit):
         rows, seen = self._fitted.rows, self._sheets
         jac = np.zeros((len(rows), self._unknowns))
         jac[:, :POSE] = rows[:, :POSE]
-        jac.reshape(-1)[_places(seen, self._unknowns)] = rows.reshape(-1, 8, 12)[seen.sheet >= 0, :, POSE : POSE + STATES]
+        jac.reshape(-1)[_places(seen, self._unknowns)] = rows.reshape(-1, 8, 12)[
+            seen.sheet >= 0, :, POSE : POSE + STATES
+        ]
         return jac
 
     def _pieces(self) -> Fitted:

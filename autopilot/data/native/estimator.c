@@ -92,12 +92,12 @@ typedef struct {
     double x[NX], p[NX * NX];                       /* before and after */
     double residual[MOST_RESIDUALS];                /* (m) and so on: the first entries are used */
     double jacobian[MOST_RESIDUALS * NX];           /* (m, NX) */
-    double noise[MOST_RESIDUALS * MOST_RESIDUALS];  /* (m, m) that the state has no part in; afterwards of the residual */
-    double shared[NX * MOST_RESIDUALS];             /* (NX, m) covariance of the state with that noise; afterwards the gain */
+    double shared[NX * MOST_RESIDUALS];             /* (NX, m) covariance of the state with the noise; then the gain */
+    double noise[MOST_RESIDUALS * MOST_RESIDUALS];  /* (m, m) that the state has no part in; then of the residual */
     double inverse[MOST_RESIDUALS * MOST_RESIDUALS]; /* (m, m) of the residual's covariance */
     double distance2;
 } Update;
-LAYOUT(Update, m, x, p, residual, jacobian, noise, shared, inverse, distance2)
+LAYOUT(Update, m, x, p, residual, jacobian, shared, noise, inverse, distance2)
 
 /* Kalman's update with Joseph's covariance, P - K (P H')' - (P H') K' + K S K'; 0 if S is not positive definite. */
 EXPORT long kalman_update(Update *t) {
