@@ -76,9 +76,11 @@ def test_a_fit_is_the_same(monkeypatch: pytest.MonkeyPatch, seed: int) -> None:
         for name, mine, other in zip(ours._fields, ours, theirs, strict=True):
             if name == "jacobian":
                 mine, other = mine(), other()
-            scale = float(np.abs(other[0] if name == "alone" else other).max())
-            if name == "alone":  # information and gradient; of one sheet there is none
-                mine, other, scale = np.column_stack(mine), np.column_stack(other), max(scale, 1.0)
+            if name == "alone":  # information and gradient
+                mine, other = np.column_stack(mine), np.column_stack(other)
+            scale = float(np.abs(other).max())
+            if name in ("alone", "strain"):  # of a single sheet there is none
+                scale = max(scale, 100.0)
             np.testing.assert_allclose(mine, other, rtol=1e-6, atol=1e-8 * scale, err_msg=name)
 
 
