@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from autopilot.core.camera import CameraModel
-from autopilot.core.compiled import Mirror, library
+from autopilot.core.compiled import Mirror, address, library
 from autopilot.core.frames import FloatArray
 from autopilot.core.lens import NEWTON_STEPS
 from autopilot.core.map_errors import STATES
@@ -210,7 +210,7 @@ class CompiledFit:
             tuple(eye_ned_m.tolist()),
             tuple(r_ned_from_cam.ravel().tolist()),
             floor_m,
-            *(array.ctypes.data for array in arrays),
+            *map(address, arrays),
         )
         self._nearest(self._at, NEWTON_STEPS, ctypes.addressof(task))
         return taken, shift, rays
@@ -244,7 +244,7 @@ class CompiledFit:
                 raise ValueError(f"sheets {sheet} of {m} markers on {s}")
             parts.pivot[:], parts.print_sigma[:] = on.pivot_ned_m, on.sigma_m
             parts.prior_offset[:], parts.prior[:] = on.offset, on.covariance
-        found = self._fit(self._at, _TUNING_AT, m, s, sheet.ctypes.data, room.ctypes.data)
+        found = self._fit(self._at, _TUNING_AT, m, s, address(sheet), address(room))
         if not found:
             return None
         return Fitted(

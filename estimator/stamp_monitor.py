@@ -220,7 +220,9 @@ class StampMonitor:
         dt_s = np.diff(t_s)
         turned = _summed(rate, dt_s)
         true_s = at_s[:, None] - GRID_S
-        yaw = np.unwrap(fixes[:, 3])
+        yaw = fixes[:, 3]
+        if (np.abs(np.diff(yaw)) >= math.pi).any():
+            yaw = np.unwrap(yaw)
         known_s = at_s - self.late_s
         one, since = np.ones(len(at_s)), at_s - at_s.mean()
         # The last column is without any delay: the motion in the fixes themselves.
