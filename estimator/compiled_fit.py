@@ -27,8 +27,9 @@ POSE = 7
 """Unknowns without sheets: position, rotation, blur."""
 WIDTH = 12
 """Columns of :attr:`Fitted.rows`."""
-_LONG = np.dtype("l")
-_NO_SHEETS: IntArray = np.zeros(1, dtype=_LONG)
+LONG = np.dtype("l")
+"""C's whole numbers."""
+_NO_SHEETS: IntArray = np.zeros(1, dtype=LONG)
 
 
 class _LensStruct(Mirror):
@@ -200,9 +201,9 @@ class CompiledFit:
 
         ``candidates``: numbers of the markers of each row (ids, most), -1 = no more, and their complex places."""
         n, (numbers, centers) = len(row), candidates
-        given = np.ascontiguousarray(pixels, dtype=np.float64), np.ascontiguousarray(row, dtype=_LONG)
-        assert given[0].size == 8 * n and numbers.dtype == _LONG and centers.dtype == np.complex128
-        taken, shift, rays = np.empty(n, dtype=_LONG), np.empty(n, dtype=np.complex128), np.empty((n, 3))
+        given = np.ascontiguousarray(pixels, dtype=np.float64), np.ascontiguousarray(row, dtype=LONG)
+        assert given[0].size == 8 * n and numbers.dtype == LONG and centers.dtype == np.complex128
+        taken, shift, rays = np.empty(n, dtype=LONG), np.empty(n, dtype=np.complex128), np.empty((n, 3))
         arrays = *given, numbers, centers, taken, shift, rays
         task = _MatchStruct(
             n,
@@ -239,7 +240,7 @@ class CompiledFit:
         parts.corners[:], parts.pixels[:], parts.expected[:] = corners_ned_m.reshape(-1, 3), pixels, expected_px
         sheet = _NO_SHEETS
         if on is not None:
-            sheet = np.ascontiguousarray(on.sheet, dtype=_LONG)
+            sheet = np.ascontiguousarray(on.sheet, dtype=LONG)
             if sheet.shape != (m,) or not -1 <= sheet.min() <= sheet.max() < s:
                 raise ValueError(f"sheets {sheet} of {m} markers on {s}")
             parts.pivot[:], parts.print_sigma[:] = on.pivot_ned_m, on.sigma_m

@@ -22,7 +22,7 @@ from autopilot.core.markers import IntArray, MarkerMap
 from autopilot.core.messages import MarkerFit
 from autopilot.core.samples import MarkerSighting
 from autopilot.estimator.camera_monitor import focal_estimate
-from autopilot.estimator.compiled_fit import compiled_fit
+from autopilot.estimator.compiled_fit import LONG, compiled_fit
 from autopilot.estimator.estimator_tuning import CAMERA_MONITOR, MARKERS_POSE
 from autopilot.estimator.ground import SheetTies, estimated_offsets
 from autopilot.estimator.measure_pose import MarkerOutlier, PoseFix, SheetDependence
@@ -81,7 +81,7 @@ class MarkerSolver:
             self._by_id.setdefault(i, []).append(j)
         self._row = {i: row for row, i in enumerate(self._by_id)}
         most = max(map(len, self._by_id.values()), default=1)
-        self._candidates = np.full((len(self._by_id), most), -1)
+        self._candidates = np.full((len(self._by_id), most), -1, dtype=LONG)
         """(ids, most) markers of each id, -1 = no more,"""
         self._candidate_centers = np.full(self._candidates.shape, complex(math.inf, 0.0))
         """and where they lie, north + i east [m]."""
