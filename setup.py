@@ -18,7 +18,7 @@ from setuptools.errors import CCompilerError, CompileError, ExecError, PlatformE
 HERE = Path(__file__).resolve().parent
 SOURCES = HERE / "autopilot" / "data" / "native"
 THRUSTERS = range(4, 9)
-ONCE = ("surroundings", "reference", "program", "follow", "water", "estimator", "plant", "interval")
+ONCE = ("surroundings", "reference", "program", "follow", "water", "estimator", "corner_fit", "plant", "interval")
 """Sources that are the same for all vehicles and processors."""
 
 GENERATED = {

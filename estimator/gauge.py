@@ -19,6 +19,7 @@ KINDS = ((0, 1), (2,), (3,))
 """Components of an offset that are laid equally well: place, depth, heading."""
 LEAST_SIGMA = 1e-6
 """m, rad: keeps weights finite."""
+_ENTRIES = ((0, 0), (1, 1), (2, 2), (3, 3), (0, 3), (1, 3))
 
 
 def known_sheets(errors: MapErrors, states: SheetStates) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -68,8 +69,9 @@ class Gauge:
 
     def __init__(self, errors: MapErrors) -> None:
         self._errors = errors
-        self._middle = np.zeros(3)
-        self._more = np.zeros((STATES, STATES))
+        self._middle = [0.0, 0.0, 0.0]
+        self._more = [0.0] * len(_ENTRIES)
+        """Entries of the difference of the two covariances (4, 4)."""
 
     def update(self, states: SheetStates) -> None:
         """Update after new or more accurate offsets."""
@@ -77,15 +79,19 @@ class Gauge:
         if len(pivots) < 2:
             return
         scales = laid_scales(pivots, offsets, sigma)
-        self._middle = pivots.mean(axis=0)
-        self._more = common_covariance(pivots, sigma * scales) - common_covariance(pivots, sigma)
+        self._middle = pivots.mean(axis=0).tolist()
+        more = common_covariance(pivots, sigma * scales) - common_covariance(pivots, sigma)
+        self._more = [more.item(entry) for entry in _ENTRIES]
 
-    def more_variance(self, x: FloatArray) -> FloatArray:
+    def more_variance(self, x: FloatArray) -> list[float]:
         """(4,) variance of north, east, down, yaw at the state's position in addition to the filter's; negative where
         sheets were laid better than stated.
         """
-        north, east = float(x[NORTH] - self._middle[0]), float(x[EAST] - self._middle[1])
-        turn = np.eye(STATES)
-        turn[0, 3], turn[1, 3] = -east, north
-        result: FloatArray = np.einsum("ij,jk,ik->i", turn, self._more, turn)
-        return result
+        north, east = x.item(NORTH) - self._middle[0], x.item(EAST) - self._middle[1]
+        across, along, down, turn, across_turn, along_turn = self._more
+        return [
+            across - 2.0 * east * across_turn + east * east * turn,
+            along + 2.0 * north * along_turn + north * north * turn,
+            down,
+            turn,
+        ]

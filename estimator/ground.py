@@ -78,4 +78,4 @@ def estimated_offsets(
     """Offsets (4n,) and their covariance (4n, 4n)."""
     full = entered(states, sheets, sigma, len(sheets) + (0 if states is None else len(states.which)))
     columns = columns_of(full.which, sheets)
-    return full.offset[columns], full.cov[np.ix_(columns, columns)]
+    return full.offset[columns], full.cov[columns][:, columns]

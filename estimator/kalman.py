@@ -1,14 +1,17 @@
-"""The extended Kalman filter: filterpy's, with our motion model, gating, and pure functions around it."""
+"""The extended Kalman filter: filterpy's, with our motion model, gating, and pure functions around it.
+
+Where there is the library the same is computed in C (:mod:`.compiled_update`), two hundred times a second each.
+"""
 
 import math
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 from filterpy.kalman import ExtendedKalmanFilter
 
 from autopilot.core.frames import FloatArray
 from autopilot.estimator.carry import PastUpdate, symmetric
+from autopilot.estimator.compiled_update import MOST, CompiledUpdate, Updated
 from autopilot.estimator.filter_core import Innovation
 from autopilot.estimator.ground import columns_of, entered, ground_of
 from autopilot.estimator.inertial import InertialStep, ProcessNoiseMode
@@ -16,6 +19,9 @@ from autopilot.estimator.measure_pose import SheetDependence
 from autopilot.estimator.measurement import CHI2_999, Measurement, Moment, chi2_999
 from autopilot.estimator.motion import MotionModel
 from autopilot.estimator.states import (
+    BIAS_AHEAD,
+    BIAS_RIGHT,
+    CURRENT,
     CURRENT_DOWN,
     CURRENT_EAST,
     CURRENT_NORTH,
@@ -51,133 +57,130 @@ RELOCATED_SIGMA_VEL_M_S = 0.1
 """Of the velocity after a reset, which is the mean over the last fixes."""
 
 
-_POSITION = (range(3), range(3))
-"""Variances of north, east and down among those of the state."""
-
-
-class _Filter(ExtendedKalmanFilter):  # type: ignore[misc]  # filterpy has no type hints
-    """filterpy's filter with our motion: ``u`` of predict() is the step."""
-
-    x: FloatArray
-    P: FloatArray
-
-    def __init__(self, dim_x: int, dim_z: int) -> None:
-        super().__init__(dim_x, dim_z)
-        self._motion = MotionModel()
-        self.F = self._motion.jacobian
-
-    def predict_x(self, u: Any = 0) -> None:
-        """Move the state and linearise about where it was."""
-        self.x = self._motion.step(self.x, u)
-
-
 class KalmanCore:
-    """:class:`autopilot.estimator.filter_core.FilterCore` by filterpy: predict() and update() are its own."""
+    """:class:`autopilot.estimator.filter_core.FilterCore` by filterpy's predict() and update(), or as they are in C."""
 
     def __init__(self, *, current_3d: bool = False) -> None:
         """``current_3d``: the vertical current is a state."""
-        self._kf = _Filter(NX, 4)
-        self._noise = [process_noise(mode, current_3d=current_3d) for mode in sorted(ProcessNoiseMode)]
+        self._motion = MotionModel()
+        self._rates = [process_noise(mode, current_3d=current_3d).diagonal() for mode in sorted(ProcessNoiseMode)]
         self._sigma = INITIAL_SIGMA.copy()
         self._down_variance = VERTICAL_CURRENT_VARIANCE
         if current_3d:
             self._sigma[CURRENT_DOWN] = INITIAL_SIGMA_CURRENT_DOWN_M_S
             self._down_variance = 0.0
-        self._kf.Q = np.zeros((NX, NX))
-        self._wider: dict[int, ExtendedKalmanFilter] = {}
+        self._noise = np.zeros(NX)
+        self._addresses = self._motion.jacobian.ctypes.data, self._noise.ctypes.data
+        self._compiled = CompiledUpdate.of_library()
+        self._filters: dict[int, ExtendedKalmanFilter] = {}
+        """filterpy's, by the number of states that the sheets of a measurement add."""
 
     def start(self, x: FloatArray) -> FilterState:
         return FilterState(x, np.diag(self._sigma**2))
 
     def predict(self, state: FilterState, step: InertialStep) -> FilterState:
         """P = F P F' + Q dt"""
-        kf, sheets = self._kf, state.sheets
-        kf.x, kf.P = state.x, state.p
-        np.multiply(self._noise[step.mode], step.dt_s, out=kf.Q)
+        sheets, noise = state.sheets, self._noise
+        np.multiply(self._rates[step.mode], step.dt_s, out=noise)
         if step.current_variance_per_s:
-            more = step.current_variance_per_s * step.dt_s
-            kf.Q[CURRENT_NORTH, CURRENT_NORTH] += more
-            kf.Q[CURRENT_EAST, CURRENT_EAST] += more
+            noise[CURRENT] += step.current_variance_per_s * step.dt_s
         if any(step.position_variance_m2):
-            kf.Q[_POSITION] += step.position_variance_m2
-        kf.Q[YAW, YAW] += step.yaw_variance_rad2
-        if math.hypot(state.x.item(8), state.x.item(9)) > LEANING_M_S2:
-            kf.Q[YAW, YAW] += TILTED_GYRO_NOISE**2 * step.dt_s
-        kf.predict(step)
+            noise[POS] += step.position_variance_m2
+        more = step.yaw_variance_rad2
+        if math.hypot(state.x.item(BIAS_AHEAD), state.x.item(BIAS_RIGHT)) > LEANING_M_S2:
+            more += TILTED_GYRO_NOISE**2 * step.dt_s
+        if more:
+            noise[YAW] += more
+        x = self._motion.step(state.x, step)
+        if self._compiled is not None:
+            p = self._compiled.spread(self._addresses[0], state.p, self._addresses[1])
+        else:
+            kf = self._filter(0)
+            kf.x, kf.P, kf.F, kf.Q = x, state.p, self._motion.jacobian, np.diag(noise)
+            kf.predict_x = lambda u: None  # it has been moved
+            kf.predict()
+            p = kf.P
         if sheets is not None:  # they lie where they lie
-            sheets = sheets._replace(cross=kf.F.dot(sheets.cross))
-        return FilterState(kf.x, kf.P, sheets)
+            sheets = SheetStates(sheets.which, sheets.offset, self._motion.jacobian.dot(sheets.cross), sheets.cov)
+        return FilterState(x, p, sheets)
 
     def transition(self) -> FloatArray | None:
-        return self._kf.F.copy()
+        return self._motion.jacobian.copy()
 
     def innovation(self, state: FilterState, measurement: Measurement, moment: Moment, after_s: float) -> Innovation:
         """filterpy's update (Joseph form), and a joint chi-square gate at 99.9 %.
 
-        filterpy has no gate: the Mahalanobis distance is known only after the update. States are never changed in
-        place, so a rejected one is simply discarded.
+        The Mahalanobis distance is known only after the update. States are never changed in place, so a rejected one is
+        simply discarded.
         """
-        kf, sheets = self._kf, state.sheets
+        x, sheets = state.x, state.sheets
         ground = ground_of(measurement)
+        y = measurement.residual(measurement.z, measurement.predicted(x, moment, after_s))
+        h = measurement.jacobian(x, moment, after_s)
         if ground is not None:
-            return self._on_sheets(state, measurement, ground, moment, after_s)
-        kf.x, kf.P = state.x, state.p
-        kf.R = measurement.noise
-        h = measurement.jacobian(state.x, moment, after_s)
-        kf.update(
-            measurement.z,
-            lambda _: h,
-            measurement.predicted,
-            hx_args=(moment, after_s),
-            residual=measurement.residual,
-        )
-        ratio = kf.mahalanobis**2 / CHI2_999[len(kf.y)]
+            return self._on_sheets(state, measurement.noise, ground, y, h)
+        done = self._updated(state, y, h, measurement.noise)
+        ratio = done.distance2 / CHI2_999[len(y)]
         if sheets is not None:  # consider states, not updated: almost no information about them
-            sheets = sheets._replace(cross=sheets.cross - kf.K.dot(h.dot(sheets.cross)))
-        after = FilterState(kf.x, symmetric(kf.P), sheets)
-        update = None if sheets is not None else PastUpdate(kf.K, h, kf.S, kf.y)
-        return Innovation(kf.y, kf.S.diagonal(), ratio, kf.K, None, after, update)
+            cross = sheets.cross - done.gain.dot(h.dot(sheets.cross))
+            sheets = SheetStates(sheets.which, sheets.offset, cross, sheets.cov)
+        after = FilterState(done.x, done.p, sheets)
+        update = None if sheets is not None else PastUpdate(done.gain, h, done.spread, y)
+        return Innovation(y, done.spread.diagonal(), ratio, done.gain, None, after, update)
 
     def _on_sheets(
-        self, state: FilterState, measurement: Measurement, ground: SheetDependence, moment: Moment, after_s: float
+        self, state: FilterState, noise: FloatArray, ground: SheetDependence, y: FloatArray, h: FloatArray
     ) -> Innovation:
         """Update with the sheets' effect on the measurement as additional states, one per row.
 
         This is exact: the measurement depends on the offsets through these sums only. The offsets follow by their
-        covariance with the residual; filterpy's update on all of them (two hundred) would take 50 times as long.
+        covariance with the residual; an update of all of them (two hundred) would take 50 times as long.
         """
         sheets = entered(state.sheets, ground.sheets, ground.sigma, MAX_SHEETS)
         columns = columns_of(sheets.which, ground.sheets)
         g = ground.jacobian
-        m = len(g)
-        bent = g.dot(sheets.offset[columns] - ground.at)
+        y = y - g.dot(sheets.offset[columns] - ground.at)
         to_offsets = sheets.cov[:, columns].dot(g.T)
         to_states = sheets.cross[:, columns].dot(g.T)
-        kf = self._wider.setdefault(m, ExtendedKalmanFilter(NX + m, m))
-        kf.x = np.concatenate((state.x, bent))
-        kf.P = np.empty((NX + m, NX + m))
-        kf.P[:NX, :NX], kf.P[:NX, NX:] = state.p, to_states
-        kf.P[NX:, :NX], kf.P[NX:, NX:] = to_states.T, g.dot(to_offsets[columns])
-        h = np.empty((m, NX + m))
-        h[:, :NX], h[:, NX:] = measurement.jacobian(state.x, moment, after_s), np.eye(m)
-        kf.update(
-            measurement.z,
-            lambda _: h,
-            lambda x: measurement.predicted(x[:NX], moment, after_s) + x[NX:],
-            R=measurement.noise,
-            residual=measurement.residual,
-        )
-        ratio = kf.mahalanobis**2 / chi2_999(m)
-        spread = h[:, :NX].dot(sheets.cross) + to_offsets.T
-        gain = kf.K[:NX]
+        done = self._updated(state, y, h, noise, (to_states, g.dot(to_offsets[columns])))
+        spread = h.dot(sheets.cross) + to_offsets.T
         offset, cov = sheets.offset, sheets.cov
         if ground.learns:
-            pull = spread.T.dot(kf.SI)
-            offset = offset + pull.dot(kf.y)
+            pull = spread.T.dot(done.inverse)
+            offset = offset + pull.dot(y)
             cov = symmetric(cov - pull.dot(spread))
-        sheets = SheetStates(sheets.which, offset, sheets.cross - gain.dot(spread), cov)
-        after = FilterState(kf.x[:NX], symmetric(kf.P[:NX, :NX]), sheets)
-        return Innovation(kf.y, kf.S.diagonal(), ratio, gain, None, after)
+        sheets = SheetStates(sheets.which, offset, sheets.cross - done.gain.dot(spread), cov)
+        after = FilterState(done.x, done.p, sheets)
+        return Innovation(y, done.spread.diagonal(), done.distance2 / chi2_999(len(y)), done.gain, None, after)
+
+    def _updated(
+        self,
+        state: FilterState,
+        y: FloatArray,
+        h: FloatArray,
+        noise: FloatArray,
+        bent: tuple[FloatArray, FloatArray] | None = None,
+    ) -> Updated:
+        """The update by residuals (m,). ``bent``: of the sheets' effects on them the covariance with the states
+        (21, m), and their own (m, m)."""
+        if self._compiled is not None and len(y) <= MOST:
+            if bent is None:
+                return self._compiled.update(state.x, state.p, y, h, noise)
+            seen = h.dot(bent[0])
+            return self._compiled.update(state.x, state.p, y, h, noise + bent[1] + seen.T, bent[0])
+        m = 0 if bent is None else len(y)
+        kf = self._filter(m)
+        kf.x, kf.P = state.x, state.p
+        if bent is not None:
+            kf.x = np.concatenate((state.x, np.zeros(m)))
+            kf.P = np.block([[state.p, bent[0]], [bent[0].T, bent[1]]])
+            h = np.hstack((h, np.eye(m)))
+        kf.update(y, lambda _: h, lambda _: 0.0, R=noise)
+        distance2 = kf.mahalanobis**2
+        return Updated(kf.x[:NX], symmetric(kf.P[:NX, :NX]), kf.K[:NX], kf.S, kf.SI, distance2)
+
+    def _filter(self, more: int) -> ExtendedKalmanFilter:
+        return self._filters.setdefault(more, ExtendedKalmanFilter(NX + more, 1))
 
     def correct(self, state: FilterState, innovation: Innovation) -> FilterState:
         assert innovation.after is not None

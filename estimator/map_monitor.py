@@ -65,16 +65,19 @@ class MapMonitor(Monitor):
         negative where sheets were laid better than stated.
         """
         x = newest.state.x
-        more = np.zeros(4) if self._gauge is None else self._gauge.more_variance(x)
+        more = [0.0] * 4 if self._gauge is None else self._gauge.more_variance(x)
         more[2] += self._depth_variance_m2 + (self._scale_sigma * (self._middle[2] - x.item(DOWN))) ** 2
-        if self._frame is None:
-            return more
-        across, down, turn = self._frame
-        north, east = x.item(NORTH) - self._middle[0], x.item(EAST) - self._middle[1]
-        swing = turn * turn * np.array([east * east, north * north])
-        frame = [across * across + swing[0], across * across + swing[1], down * down, turn * turn]
-        result: FloatArray = more + np.array(frame)
-        return result
+        if self._frame is not None:
+            across, down, turn = self._frame
+            north, east = x.item(NORTH) - self._middle[0], x.item(EAST) - self._middle[1]
+            frame = (
+                across * across + (turn * east) ** 2,
+                across * across + (turn * north) ** 2,
+                down * down,
+                turn * turn,
+            )
+            more = [each + of_frame for each, of_frame in zip(more, frame, strict=True)]
+        return np.array(more)
 
     def doubts(self, t_us: int, newest: Node) -> tuple[NavDoubt, ...]:
         found_of_late = self._found_us is not None and t_us - self._found_us <= MAP_MONITOR.held_us

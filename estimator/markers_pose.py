@@ -22,6 +22,7 @@ from autopilot.core.markers import IntArray, MarkerMap
 from autopilot.core.messages import MarkerFit
 from autopilot.core.samples import MarkerSighting
 from autopilot.estimator.camera_monitor import focal_estimate
+from autopilot.estimator.compiled_fit import LONG, compiled_fit
 from autopilot.estimator.estimator_tuning import CAMERA_MONITOR, MARKERS_POSE
 from autopilot.estimator.ground import SheetTies, estimated_offsets
 from autopilot.estimator.measure_pose import MarkerOutlier, PoseFix, SheetDependence
@@ -67,6 +68,8 @@ class MarkerSolver:
         """Markers that the map does not have; fits that are bad, or that lean off the AHRS's tilt."""
         self._errors = markers.errors
         self._centers_m = markers.centers_ned_m[:, :2]
+        self._formed: MarkerSighting | None = None
+        """The newest one that is: it is asked for its pose, and for its laser dot."""
         self._focal_us, self._focal_looks = -CAMERA_MONITOR.focal_every_us, 0
         self._level = markers.level
         self._floor_m = markers.floor_m
@@ -78,7 +81,7 @@ class MarkerSolver:
             self._by_id.setdefault(i, []).append(j)
         self._row = {i: row for row, i in enumerate(self._by_id)}
         most = max(map(len, self._by_id.values()), default=1)
-        self._candidates = np.full((len(self._by_id), most), -1)
+        self._candidates = np.full((len(self._by_id), most), -1, dtype=LONG)
         """(ids, most) markers of each id, -1 = no more,"""
         self._candidate_centers = np.full(self._candidates.shape, complex(math.inf, 0.0))
         """and where they lie, north + i east [m]."""
@@ -95,6 +98,8 @@ class MarkerSolver:
 
     def well_formed(self, sighting: MarkerSighting) -> bool:
         """Whether the arrays have the right shapes and hold pixels that an image can have."""
+        if sighting is self._formed:
+            return True
         corners = np.asarray(sighting.corners_px)
         # Comparisons with NaN are false.
         if corners.shape != (len(sighting.ids), 4, 2) or not (np.abs(corners) < MARKERS_POSE.max_pixel).all():
@@ -105,7 +110,10 @@ class MarkerSolver:
         ):
             return False
         laser = sighting.laser_px
-        return laser is None or (np.shape(laser) == (2,) and bool((np.abs(laser) < MARKERS_POSE.max_pixel).all()))
+        if laser is not None and (np.shape(laser) != (2,) or not (np.abs(laser) < MARKERS_POSE.max_pixel).all()):
+            return False
+        self._formed = sighting
+        return True
 
     def track(
         self,
@@ -147,6 +155,15 @@ class MarkerSolver:
             return None
         r_ned = r_ned_from_frd(rpy_rad)
         eye = pos_ned_m + r_ned @ self._camera.position_frd_m
+        compiled = compiled_fit(self._camera) if self._level else None
+        if compiled is not None:
+            row, turn = np.array(rows)[known], r_ned @ self._camera.r_frd_from_cam
+            candidates = self._candidates, self._candidate_centers
+            taken, shift, rays_cam = compiled.nearest(
+                sighting.corners_px[known], row, candidates, eye, turn, self._floor_m
+            )
+            taken = np.where(np.abs(shift) <= MARKERS_POSE.nearest_m, taken, -1)
+            return _Match(known, taken, shift, rays_cam) if (taken >= 0).any() else None
         rays_cam = np.ones((len(known), 3))
         rays_cam[:, :2] = self._camera.normalized(0.25 * sighting.corners_px[known].sum(axis=1))
         rays_ned = rays_cam @ (r_ned @ self._camera.r_frd_from_cam).T
@@ -406,16 +423,17 @@ class MarkerSolver:
         best = None
 
         def corners_of(some: np.ndarray) -> tuple[SheetCorners, tuple[int, ...]]:
-            numbers, place = np.unique(errors.sheet[placed[some]], return_inverse=True)
-            exact = int(numbers[0] < 0)
-            which = tuple(numbers[exact:].tolist())
+            of_map, of_image = placed[some], seen[some]
+            numbers = errors.sheet[of_map].tolist()
+            which = tuple(sorted({number for number in numbers if number >= 0}))
+            place = {number: k for k, number in enumerate(which)}
             corners = SheetCorners(
-                corners_ned_m=self._corners_ned_m[placed[some]],
-                pixels=sighting.corners_px[seen[some]],
-                sheet=place - exact,
+                corners_ned_m=self._corners_ned_m[of_map],
+                pixels=sighting.corners_px[of_image],
+                sheet=np.array([place.get(number, -1) for number in numbers]),
                 pivot_ned_m=errors.pivot_ned_m[list(which)],
-                sigma_m=errors.marker_sigma_m[placed[some]],
-                sigma_px=None if sighting.sigma_px is None else sighting.sigma_px[seen[some]],
+                sigma_m=errors.marker_sigma_m[of_map],
+                sigma_px=None if sighting.sigma_px is None else sighting.sigma_px[of_image],
             )
             return corners, which
 
@@ -466,7 +484,7 @@ class MarkerSolver:
         focal = None
         if self._focal_due(sighting.t_us, len(corners.sheet)):
             residual = best.residual_px.reshape(-1)
-            focal = focal_estimate(self._camera, corners.pixels.reshape(-1, 2), residual, best.jacobian)
+            focal = focal_estimate(self._camera, corners.pixels.reshape(-1, 2), residual, best.jacobian())
         fix = PoseFix(
             sensor="markers",
             t_us=sighting.t_us,

@@ -108,7 +108,8 @@ def velocity_from_sample(sample: VelocitySample, dvl: DvlMount) -> BodyVelocity 
     constant = dvl.bias_sigma_m_s**2 + (dvl.scale_sigma * vel) ** 2 + across
     noise = np.diag(np.maximum(sigma, MIN_SIGMA_M_S) ** 2 + ALIKE_S * dvl.rate_hz * constant)
     lock = VelocityLock(sample.lock)
-    return BodyVelocity(sensor="velocity", t_us=sample.t_us, z=vel, noise=noise, lock=lock, mount_frd_m=dvl.position_frd_m)
+    mount_frd_m = dvl.position_frd_m
+    return BodyVelocity(sensor="velocity", t_us=sample.t_us, z=vel, noise=noise, lock=lock, mount_frd_m=mount_frd_m)
 
 
 class VelocityAid(ScalarAid[VelocitySample]):

@@ -30,15 +30,15 @@ class Monitors(NamedTuple):
 
     def doubts(self, t_us: int, newest: Node) -> frozenset[NavDoubt]:
         """Findings against the estimate or its sensors."""
-        return frozenset(doubt for each in self.all for doubt in each.doubts(t_us, newest))
+        return frozenset([doubt for each in self if each is not None for doubt in each.doubts(t_us, newest)])
 
     def systematic_variance(self, t_us: int, newest: Node) -> FloatArray:
         """(4,) variance of north, east, down, yaw in addition to the filter's; negative where more is known than the
         filter holds.
         """
         more = NOTHING
-        for each in self.all:
-            found = each.systematic_variance(t_us, newest)
+        for each in self:
+            found = NOTHING if each is None else each.systematic_variance(t_us, newest)
             if found is not NOTHING:
                 more = more + found
         return more

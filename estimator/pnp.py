@@ -20,6 +20,7 @@ import numpy as np
 from autopilot.core.camera import CameraModel
 from autopilot.core.frames import FloatArray, r_ned_from_frd, rpy_from_r
 from autopilot.core.robust import PLANAR_MEDIAN
+from autopilot.estimator.compiled_fit import CompiledFit, Fitted, compiled_fit
 from autopilot.estimator.estimator_tuning import PNP
 from autopilot.estimator.measure_pose import MIN_SIGMA_POS_M, MIN_SIGMA_YAW_RAD
 
@@ -83,14 +84,22 @@ class CornerFit(ABC):
         self._pos = np.array(pos_ned_m, dtype=float)
         self._rotation = r_ned_from_frd(rpy_rad)
         self._up_prior = self._rotation.T[:, 2].copy()
-        self._inward, self._expected = inward_of(pixels), expected_px(sigma_px, len(pixels))
+        self._expected, self._unknowns = expected_px(sigma_px, len(pixels)), unknowns
         self._shrink = self._shrink_prior = shrink_px
-        self._keep = np.ones(2 * len(pixels), dtype=bool)
+
+    def _begin(self) -> None:
+        """Before the first step."""
+        self._inward = inward_of(self._pixels)
+        self._keep = np.ones(2 * len(self._pixels), dtype=bool)
         """Pixel coordinates that are no outliers."""
-        self._jac = np.zeros((2 * len(pixels), unknowns))
+        self._jac = np.zeros((2 * len(self._pixels), self._unknowns))
         self._jac[:, 6] = self._inward
         self._left = self._inward
         """(2k,) residuals after the last step."""
+
+    @abstractmethod
+    def _compiled(self, steps: CompiledFit) -> Fitted | None:
+        """All steps in C."""
 
     @abstractmethod
     def _points_ned_m(self) -> FloatArray:
@@ -116,6 +125,18 @@ class CornerFit(ABC):
 
     def converges(self) -> bool:
         """Step until nothing moves and the outliers stay the same; False if it does not come to that."""
+        compiled = compiled_fit(self._camera)
+        if compiled is None:
+            self._begin()
+            return self._steps()
+        fitted = self._compiled(compiled)
+        if fitted is None:
+            return False
+        self._pos, self._rotation = fitted.pos_ned_m, fitted.rotation
+        self._left, self._keep = fitted.left, fitted.keep > 0.0
+        return True
+
+    def _steps(self) -> bool:
         linear = None
         for step in range(PNP.steps):
             if linear is None:
@@ -159,18 +180,25 @@ class _PoseFit(CornerFit):
         self._few = len(points_ned_m) <= PNP.few_points
         self._tilt = (PNP.tilt_sigma_few_rad if self._few else PNP.tilt_sigma_many_rad) ** -2
 
+    def _compiled(self, steps: CompiledFit) -> Fitted | None:
+        pose = self._pos, self._rotation
+        fitted = steps.converged(self._points, self._pixels, self._expected, pose, self._tilt, self._shrink)
+        if fitted is not None:
+            self._seen = fitted.information
+        return fitted
+
     def _points_ned_m(self) -> FloatArray:
         return self._points
 
     def _normal_equations(self, residual: FloatArray) -> tuple[FloatArray, FloatArray]:
         weighted = self._jac.T * (self._keep / (self._expected * self._expected))
-        self._seen, self._toward = weighted @ self._jac, weighted @ residual
-        return self._with_priors(self._shrink_prior - self._shrink)
+        self._seen = weighted @ self._jac
+        return self._with_priors(weighted @ residual, self._shrink_prior - self._shrink)
 
-    def _with_priors(self, shrink_off_px: float) -> tuple[FloatArray, FloatArray]:
+    def _with_priors(self, toward: FloatArray, shrink_off_px: float) -> tuple[FloatArray, FloatArray]:
         """Information (7, 7) and gradient (7,) of pixels whose errors are as the residuals show, and of the priors."""
         scale = corner_scale((self._left / self._expected)[self._keep])
-        information, gradient = self._seen / (scale * scale), self._toward / (scale * scale)
+        information, gradient = self._seen / (scale * scale), toward / (scale * scale)
         add_priors(information, gradient, self._lean, self._tilt, shrink_off_px)
         return information, gradient
 
@@ -181,7 +209,7 @@ class _PoseFit(CornerFit):
             self._few and math.acos(min(1.0, float(self._rotation[2] @ self._up_prior))) > LEAN_MAX_RAD
         ):
             return None
-        information, _ = self._with_priors(0.0)
+        information, _ = self._with_priors(np.zeros(7), 0.0)
         covariance: FloatArray = PNP.inflation * np.asarray(np.linalg.inv(information), dtype=np.float64)
         noise = floored(covariance[_POSE])
         sigma_tilt_rad = float(np.sqrt(max(covariance[3, 3], covariance[4, 4])))

@@ -7,6 +7,7 @@ offsets.
 """
 
 import math
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -15,6 +16,7 @@ from autopilot.core.camera import CameraModel
 from autopilot.core.frames import FloatArray, rpy_from_r
 from autopilot.core.map_errors import STATES
 from autopilot.core.markers import IntArray
+from autopilot.estimator.compiled_fit import LEAST_PRINT, POSE, PRINT_COUNT, PRIOR_FLOOR, CompiledFit, Fitted, OnSheets
 from autopilot.estimator.estimator_tuning import PNP
 from autopilot.estimator.pnp import CornerFit, add_priors, floored, rms_of
 
@@ -25,12 +27,6 @@ TIE_FLOOR = (2e-4, 2e-4, 2e-4, 3e-4)
 in the next one."""
 LEAST_EIGENVALUE = 1e-7
 """Directions of which the picture knows less than this share of the best known one are left out."""
-PRIOR_FLOOR = 1e-5
-"""Of the offsets in the fit [m, rad]: keeps the inverse of their covariance finite."""
-PRINT_COUNT = 6.0
-"""What the map says of its markers' print counts as so many residuals of markers."""
-LEAST_PRINT = 1e-6
-"""Of the print's variance over the corners': keeps shares finite."""
 KEPT = [0, 1, 2, 5]
 NUISANCE = [3, 4, 6]
 
@@ -53,8 +49,8 @@ class SheetPose(NamedTuple):
     strain: FloatArray
     """(n,) squared distance of each sheet's offset from the prior, of 4."""
     sigma_tilt_rad: float
-    jacobian: FloatArray
-    """(8m, 7 + 4n) of the pixels by pose, blur and offsets."""
+    jacobian: Callable[[], FloatArray]
+    """(8m, 7 + 4n) of the pixels by pose, blur and offsets; seldom asked for."""
     residual_px: FloatArray
     """(m, 4, 2)"""
     rms_px: float
@@ -128,9 +124,21 @@ class _SheetFit(CornerFit):
         pixels = seen.pixels.reshape(-1, 2)
         super().__init__(camera, pixels, sigma_px, pos_ned_m, rpy_rad, PNP.shrink_px, 7 + size)
         self._sheets, self._prior_offsets = seen, prior
-        self._prior = np.linalg.inv(prior[1] + np.eye(size) * PRIOR_FLOOR**2)
-        self._offset = prior[0].copy()
-        self._places = _places(seen, 7 + size)
+        self._fitted: Fitted | None = None
+
+    def _begin(self) -> None:
+        super()._begin()
+        offset, covariance = self._prior_offsets
+        self._prior = np.linalg.inv(covariance + np.eye(len(offset)) * PRIOR_FLOOR**2)
+        self._offset = offset.copy()
+        self._places = _places(self._sheets, self._unknowns)
+
+    def _compiled(self, steps: CompiledFit) -> Fitted | None:
+        seen = self._sheets
+        on = OnSheets(seen.sheet, seen.pivot_ned_m, seen.sigma_m, *self._prior_offsets)
+        corners, pose = seen.corners_ned_m, (self._pos, self._rotation)
+        self._fitted = steps.converged(corners, self._pixels, self._expected, pose, TILT_INFORMATION, self._shrink, on)
+        return self._fitted
 
     def _points_ned_m(self) -> FloatArray:
         self._points, self._arm = _points(self._sheets, self._offset)
@@ -141,8 +149,9 @@ class _SheetFit(CornerFit):
         self._jac.reshape(-1)[self._places] = _by_offsets(jac, self._arm)[self._sheets.sheet >= 0]
 
     def _normal_equations(self, residual: FloatArray) -> tuple[FloatArray, FloatArray]:
-        self._weighted = self._jac.T * (self._weights() * self._keep)
-        self._information, gradient = self._weighted @ self._jac, self._weighted @ residual
+        self._weight = self._weights() * self._keep
+        weighted = self._jac.T * self._weight
+        self._information, gradient = weighted @ self._jac, weighted @ residual
         add_priors(self._information, gradient, self._lean, TILT_INFORMATION, self._shrink_prior - self._shrink)
         self._full = self._information.copy()
         self._full[7:, 7:] += self._prior
@@ -165,15 +174,71 @@ class _SheetFit(CornerFit):
 
     def pose(self, max_rms_px: float) -> SheetPose | None:
         """The converged result, if it is acceptable."""
-        left = self._left
+        left, rotation = self._left, self._rotation
         rms = rms_of(left)
         if not rms <= max_rms_px:
             return None
-        gradient = self._weighted @ left
+        found = self._pieces() if self._fitted is None else self._fitted
+        rpy = rpy_from_r(rotation)
+        return SheetPose(
+            pos_ned_m=self._pos,
+            rpy_rad=rpy,
+            z=np.append(self._pos, rpy[2]) + found.z,
+            noise=floored(found.noise),
+            by_offsets=found.by_offsets,
+            at=found.offset,
+            alone=(found.alone, found.toward),
+            strain=found.strain,
+            sigma_tilt_rad=math.sqrt(found.tilt_variance),
+            jacobian=self._jacobian,
+            residual_px=left.reshape(-1, 4, 2),
+            rms_px=rms,
+        )
+
+    def _jacobian(self) -> FloatArray:
+        if self._fitted is None:
+            return self._jac
+        rows, seen = self._fitted.rows, self._sheets
+        jac = np.zeros((len(rows), self._unknowns))
+        jac[:, :POSE] = rows[:, :POSE]
+        jac.reshape(-1)[_places(seen, self._unknowns)] = rows.reshape(-1, 8, 12)[
+            seen.sheet >= 0, :, POSE : POSE + STATES
+        ]
+        return jac
+
+    def _pieces(self) -> Fitted:
+        """The two independent pieces: pose given the offsets, and the offsets alone."""
+        information, offset, (expected, covariance) = self._information, self._offset, self._prior_offsets
+        gradient = (self._weight * self._left) @ self._jac
         add_priors(None, gradient, self._lean, TILT_INFORMATION, self._shrink_prior - self._shrink)
         posterior: FloatArray = np.asarray(np.linalg.inv(self._full), dtype=np.float64)
-        pos, rotation, offset, prior = self._pos, self._rotation, self._offset, self._prior_offsets
-        return _pieces(self._information, gradient, posterior, pos, rotation, offset, prior, left, rms, self._jac)
+        rest = np.array([*KEPT, *range(7, len(information))])
+        # Tilt and blur are nuisance parameters: marginalised with their priors.
+        mixed = information[np.array(NUISANCE)[:, None], rest]
+        held = np.linalg.solve(information[_NUISANCE], mixed)
+        less = information[rest[:, None], rest] - mixed.T @ held
+        toward = gradient[rest] - held.T @ gradient[NUISANCE]
+        noise: FloatArray = np.asarray(np.linalg.inv(less[:4, :4]), dtype=np.float64)
+        by_offsets = noise @ less[:4, 4:]
+        off = (offset - expected).reshape(-1, STATES)
+        blocks = covariance.reshape(-1, STATES, len(off), STATES)[range(len(off)), :, range(len(off))]
+        held_by = np.linalg.solve(blocks + np.eye(STATES) * PRIOR_FLOOR**2, off[..., None])[..., 0]
+        return Fitted(
+            pos_ned_m=self._pos,
+            rotation=self._rotation,
+            rows=self._jac,
+            information=information,
+            left=self._left,
+            keep=self._keep,
+            offset=offset,
+            z=noise @ toward[:4],
+            noise=noise,
+            by_offsets=by_offsets,
+            alone=less[4:, 4:] - less[4:, :4] @ by_offsets,
+            toward=toward[4:] - by_offsets.T @ toward[:4],
+            strain=(off * held_by).sum(axis=1),
+            tilt_variance=max(posterior[3, 3], posterior[4, 4]),
+        )
 
 
 def _points(seen: SheetCorners, offset: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -230,53 +295,6 @@ def scatter(residual: FloatArray, keep: FloatArray, print_sigma: FloatArray, unk
     stated_m2 = float((print_sigma[whole] ** 2).mean())
     ratio = (PRINT_COUNT + excess / max(stated_m2, LEAST_PRINT)) / (PRINT_COUNT + freedom)
     return math.sqrt(corner2), max(ratio, 0.0)
-
-
-def _pieces(
-    information: FloatArray,
-    gradient: FloatArray,
-    posterior: FloatArray,
-    pos: FloatArray,
-    rotation: FloatArray,
-    offset: FloatArray,
-    prior: tuple[FloatArray, FloatArray],
-    residual: FloatArray,
-    rms: float,
-    jacobian: FloatArray,
-) -> SheetPose:
-    """The two independent pieces: pose given the offsets, and the offsets alone."""
-    size = len(offset)
-    rest = np.array([*KEPT, *range(7, 7 + size)])
-    # Tilt and blur are nuisance parameters: marginalised with their priors.
-    mixed = information[np.array(NUISANCE)[:, None], rest]
-    held = np.linalg.solve(information[_NUISANCE], mixed)
-    less = information[rest[:, None], rest] - mixed.T @ held
-    toward = gradient[rest] - held.T @ gradient[NUISANCE]
-    noise: FloatArray = np.asarray(np.linalg.inv(less[:4, :4]), dtype=np.float64)
-    rpy = rpy_from_r(rotation)
-    by_offsets = noise @ less[:4, 4:]
-    z = np.append(pos, rpy[2]) + noise @ toward[:4]
-    alone = less[4:, 4:] - less[4:, :4] @ by_offsets
-    alone_toward = toward[4:] - by_offsets.T @ toward[:4]
-    floored(noise)
-    expected, covariance = prior
-    off = (offset - expected).reshape(-1, STATES)
-    blocks = covariance.reshape(-1, STATES, len(off), STATES)[range(len(off)), :, range(len(off))]
-    held_by = np.linalg.solve(blocks + np.eye(STATES) * PRIOR_FLOOR**2, off[..., None])[..., 0]
-    return SheetPose(
-        pos_ned_m=pos,
-        rpy_rad=rpy,
-        z=z,
-        noise=noise,
-        by_offsets=by_offsets,
-        at=offset,
-        alone=(alone, alone_toward),
-        strain=(off * held_by).sum(axis=1),
-        sigma_tilt_rad=float(np.sqrt(max(posterior[3, 3], posterior[4, 4]))),
-        jacobian=jacobian,
-        residual_px=residual.reshape(-1, 4, 2),
-        rms_px=rms,
-    )
 
 
 _NUISANCE = np.ix_(NUISANCE, NUISANCE)

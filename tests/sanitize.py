@@ -20,7 +20,7 @@ PATH_VARIABLE = "TESTS_COMPILED_LIBRARY"
 TESTS = (
     *("control/test_compiled.py", "control/test_compiled_layout.py", "control/test_compiled_functions.py"),
     "control/test_not_finite.py",
-    *("sitl/test_compiled_plant.py", "estimator/test_compiled_models.py"),
+    *("sitl/test_compiled_plant.py", "estimator/test_compiled_models.py", "estimator/test_compiled_fit.py"),
 )
 NOT_HERE = "a_library or without_the_library or switched_off or not_made_for or stripped"
 """Tests of the file itself are about the ordinary library; other solvers than ours are loaded in a

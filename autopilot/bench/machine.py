@@ -29,28 +29,6 @@ def slowness() -> float:
     return 1e6 * best_s / REFERENCE_US
 
 
-class Pace:
-    """Interleaves the reference task with the work: load on a shared core slows both alike."""
-
-    def __init__(self) -> None:
-        from filterpy.kalman import ExtendedKalmanFilter
-
-        self._kalman = _yardstick(ExtendedKalmanFilter)
-        self._spent_s, self._calls = 0.0, 0
-
-    def measure(self, calls: int = 20) -> None:
-        begin_s = time.thread_time()
-        for _ in range(calls):
-            self._kalman.predict()
-        self._spent_s += time.thread_time() - begin_s
-        self._calls += calls
-
-    @property
-    def slowness(self) -> float:
-        """Over all measurements so far; at least one."""
-        return 1e6 * self._spent_s / self._calls / REFERENCE_US
-
-
 def _yardstick(kind: type) -> Any:
     kalman = kind(16, 3)
     kalman.x = np.zeros(16)

@@ -82,7 +82,7 @@ class BrownLens:
                 x - (dyy * error_x - dxy * error_y) / determinant,
                 y - (dxx * error_y - dxy * error_x) / determinant,
             )
-        return np.stack([x, y], axis=-1)
+        return np.array((x, y)) if bent.ndim == 1 else np.stack([x, y], axis=-1)
 
 
 class FisheyeLens:

@@ -1,8 +1,8 @@
 /* What the estimator computes a hundred times a second: the motion of its state and the vehicle model as a sensor, each
- * with its Jacobian.
+ * with its Jacobian, and the covariance of the Kalman filter.
  *
- * The same numbers as estimator/motion.py and estimator/measure_model.py, which say what they mean and stand in where
- * there is no library. tests/estimator/test_compiled_models.py holds them against each other.
+ * The same numbers as estimator/motion.py, estimator/measure_model.py and filterpy, which say what they mean and stand
+ * in where there is no library. tests/estimator/test_compiled_models.py holds them against each other.
  */
 #include <math.h>
 #include <string.h>
@@ -63,6 +63,112 @@ EXPORT void motion_step(Motion *t) {
     f[VEL_DOWN][BIAS_DOWN] = -dt;
     f[CURRENT_NORTH][CURRENT_RATE_NORTH] = f[CURRENT_EAST][CURRENT_RATE_EAST] = dt;
     f[CURRENT_RATE_NORTH][CURRENT_RATE_NORTH] = f[CURRENT_RATE_EAST][CURRENT_RATE_EAST] = fade;
+}
+
+/* F P F' + Q, all (NX, NX) but for the diagonal Q: F is sparse. */
+EXPORT void spread_step(const double *f, const double *p, const double *noise, double *after) {
+    double fp[NX][NX] = {{0.0}};
+    for (int i = 0; i < NX; i++)
+        for (int k = 0; k < NX; k++) {
+            const double by = f[NX * i + k];
+            if (by == 0.0) continue;
+            for (int j = 0; j < NX; j++) fp[i][j] += by * p[NX * k + j];
+        }
+    memset(after, 0, sizeof fp);
+    for (int j = 0; j < NX; j++) {
+        for (int k = 0; k < NX; k++) {
+            const double by = f[NX * j + k];
+            if (by == 0.0) continue;
+            for (int i = 0; i < NX; i++) after[NX * i + j] += fp[i][k] * by;
+        }
+        after[NX * j + j] += noise[j];
+    }
+}
+
+enum { MOST_RESIDUALS = 24 };
+
+typedef struct {
+    long m;
+    double x[NX], p[NX * NX];                       /* before and after */
+    double residual[MOST_RESIDUALS];                /* (m) and so on: the first entries are used */
+    double jacobian[MOST_RESIDUALS * NX];           /* (m, NX) */
+    double shared[NX * MOST_RESIDUALS];             /* (NX, m) covariance of the state with the noise; then the gain */
+    double noise[MOST_RESIDUALS * MOST_RESIDUALS];  /* (m, m) that the state has no part in; then of the residual */
+    double inverse[MOST_RESIDUALS * MOST_RESIDUALS]; /* (m, m) of the residual's covariance */
+    double distance2;
+} Update;
+LAYOUT(Update, m, x, p, residual, jacobian, shared, noise, inverse, distance2)
+
+/* Kalman's update with Joseph's covariance, P - K (P H')' - (P H') K' + K S K'; 0 if S is not positive definite. */
+EXPORT long kalman_update(Update *t) {
+    const long m = t->m;
+    double spread[NX * MOST_RESIDUALS], root[MOST_RESIDUALS * MOST_RESIDUALS], half[NX * MOST_RESIDUALS];
+    for (int i = 0; i < NX; i++)
+        for (long a = 0; a < m; a++) {
+            double sum = t->shared[m * i + a];
+            for (int k = 0; k < NX; k++) sum += t->p[NX * i + k] * t->jacobian[NX * a + k];
+            spread[m * i + a] = sum;
+        }
+    for (long a = 0; a < m; a++)
+        for (long b = 0; b < m; b++) {
+            double sum = t->noise[m * a + b];
+            for (int k = 0; k < NX; k++)
+                sum += t->jacobian[NX * a + k] * spread[m * k + b];
+            t->inverse[m * a + b] = sum;
+        }
+    for (long i = 0; i < m * m; i++) t->noise[i] = t->inverse[i];
+    for (long i = 0; i < m; i++) /* S = L L', then the inverse of L in its place */
+        for (long j = 0; j <= i; j++) {
+            double sum = 0.5 * (t->noise[m * i + j] + t->noise[m * j + i]);
+            for (long k = 0; k < j; k++) sum -= root[m * i + k] * root[m * j + k];
+            if (i != j)
+                root[m * i + j] = sum / root[m * j + j];
+            else if (sum > 0.0)
+                root[m * i + i] = sqrt(sum);
+            else
+                return 0;
+        }
+    for (long j = 0; j < m; j++) {
+        root[m * j + j] = 1.0 / root[m * j + j];
+        for (long i = j + 1; i < m; i++) {
+            double sum = 0.0;
+            for (long k = j; k < i; k++) sum -= root[m * i + k] * root[m * k + j];
+            root[m * i + j] = sum / root[m * i + i];
+        }
+    }
+    t->distance2 = 0.0;
+    for (long i = 0; i < m; i++) {
+        double off = 0.0;
+        for (long j = 0; j <= i; j++) off += root[m * i + j] * t->residual[j];
+        t->distance2 += off * off;
+        for (long j = 0; j <= i; j++) {
+            double sum = 0.0;
+            for (long k = i; k < m; k++) sum += root[m * k + i] * root[m * k + j];
+            t->inverse[m * i + j] = t->inverse[m * j + i] = sum;
+        }
+    }
+    for (int i = 0; i < NX; i++) {
+        double *gain = t->shared + m * i;
+        for (long a = 0; a < m; a++) {
+            double sum = 0.0;
+            for (long b = 0; b < m; b++) sum += spread[m * i + b] * t->inverse[m * b + a];
+            gain[a] = sum;
+        }
+        for (long a = 0; a < m; a++) {
+            double sum = 0.0;
+            for (long b = 0; b < m; b++) sum += gain[b] * t->noise[m * b + a];
+            half[m * i + a] = spread[m * i + a] - 0.5 * sum;
+            t->x[i] += gain[a] * t->residual[a];
+        }
+    }
+    for (int i = 0; i < NX; i++)
+        for (int j = 0; j <= i; j++) {
+            double less = 0.0;
+            for (long a = 0; a < m; a++)
+                less += t->shared[m * i + a] * half[m * j + a] + half[m * i + a] * t->shared[m * j + a];
+            t->p[NX * i + j] = t->p[NX * j + i] = 0.5 * (t->p[NX * i + j] + t->p[NX * j + i]) - less;
+        }
+    return 1;
 }
 
 typedef struct {
