@@ -47,7 +47,7 @@ OTHERS = (("ipopt", "IPOPT, warm", 1e-6), ("fatrop", "fatrop, warm", 1e-4))
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class NmpcBenchRow:
-    """One figure; times in CPU milliseconds of this machine, ``normal_ms`` the median at the reference speed."""
+    """One figure; times in CPU milliseconds of this machine."""
 
     what: str
     n: int | None = None
@@ -56,7 +56,6 @@ class NmpcBenchRow:
     median_ms: float | None = None
     p99_ms: float | None = None
     max_ms: float | None = None
-    normal_ms: float | None = None
     bar_ms: float | None = None
     goal_ms: float | None = None
     note: str = ""
@@ -74,15 +73,14 @@ def bench_nmpc(
     grids: Sequence[tuple[str, TimeGrid]] | None = None,
     vehicle: Vehicle | None = None,
     cpu_clock: Callable[[], float] = time.thread_time,
-    slowness: float = 1.0,
     starts: int = STARTS,
 ) -> list[NmpcBenchRow]:
-    """Fly ``steps`` steps (50 ms each) per row; ``slowness`` of the machine divides into ``normal_ms``."""
+    """Fly ``steps`` steps (50 ms each) per row."""
     vehicle = vehicle or load_vehicle("lbv150")
     rows: list[NmpcBenchRow] = []
     costs: dict[tuple[str, int], float] = {}
     for name, grid in grids or standard_grids():
-        rows += _bench_grid(name, grid, steps, others_every, vehicle, cpu_clock, slowness, costs)
+        rows += _bench_grid(name, grid, steps, others_every, vehicle, cpu_clock, costs)
     if ("geometric", 20) in costs and ("uniform", 80) in costs:
         ratio = costs["geometric", 20] / costs["uniform", 80]
         note = f"cost of the closed loop over that of 80 uniform nodes: {ratio:.4f}"
@@ -90,10 +88,10 @@ def bench_nmpc(
     for obstacles in OBSTACLES:
         controller = MotionController(vehicle, cpu_clock=cpu_clock)
         flight = fly(controller, vehicle, START, steps, fence=basin(obstacles))
-        rows.append(_row(f"{obstacles} obstacles, geometric", 20, controller.nmpc.solver, flight.solve_s, slowness))
+        rows.append(_row(f"{obstacles} obstacles, geometric", 20, controller.nmpc.solver, flight.solve_s))
     if starts:
         rows.append(_random_starts(vehicle, starts))
-    rows.append(_process(slowness))
+    rows.append(_process())
     return rows
 
 
@@ -104,7 +102,6 @@ def _bench_grid(
     others_every: int,
     vehicle: Vehicle,
     cpu_clock: Callable[[], float],
-    slowness: float,
     costs: dict[tuple[str, int], float],
 ) -> list[NmpcBenchRow]:
     """The controller with its default solver and with those of PyPI wheels, and converged solvers."""
@@ -119,19 +116,19 @@ def _bench_grid(
     flight = fly(controller, vehicle, START, steps, watch=compare)
     costs[name, grid.n] = flight.cost
     limits = LIMITS_MS.get((name, grid.n))
-    rows = [_step_row(name, grid.n, controller.nmpc.solver, flight, slowness, limits, others[0].gap_n())]
+    rows = [_step_row(name, grid.n, controller.nmpc.solver, flight, limits, others[0].gap_n())]
     if controller.nmpc.solver == ocp.NATIVE.plugin:
         wheel = MotionController(vehicle, grid=grid, cpu_clock=cpu_clock, backends=(ocp.HPIPM, ocp.PIQP))
         again = fly(wheel, vehicle, START, steps)
-        rows.append(_step_row(name, grid.n, wheel.nmpc.solver, again, slowness, limits, math.nan))
+        rows.append(_step_row(name, grid.n, wheel.nmpc.solver, again, limits, math.nan))
         flights = np.concatenate([flight.planning_s, again.planning_s])
     else:
         flights = flight.planning_s
-    rows += _part_rows(name, grid, steps, vehicle, cpu_clock, slowness)
+    rows += _part_rows(name, grid, steps, vehicle, cpu_clock)
     for other, (_, title, _) in zip(others, OTHERS, strict=True):
         note = f"{other.failed} of {len(other.seconds)} not solved" if other.failed else ""
-        rows.append(_row(f"{name}, the same problems", grid.n, title, np.array(other.seconds), slowness, note))
-    rows.append(_row(f"{name}, steps with a new route", grid.n, "", flights, slowness))
+        rows.append(_row(f"{name}, the same problems", grid.n, title, np.array(other.seconds), note))
+    rows.append(_row(f"{name}, steps with a new route", grid.n, "", flights))
     return rows
 
 
@@ -141,7 +138,6 @@ def _part_rows(
     steps: int,
     vehicle: Vehicle,
     cpu_clock: Callable[[], float],
-    slowness: float,
 ) -> list[NmpcBenchRow]:
     """CPU time of the step by parts, and of the whole step over its QP, in a flight of their own."""
     controller = MotionController(vehicle, grid=grid, cpu_clock=cpu_clock)
@@ -157,7 +153,6 @@ def _part_rows(
             solver=controller.nmpc.solver if part == QP else "",
             samples=len(flight.solve_s),
             median_ms=1e3 * seconds,
-            normal_ms=1e3 * seconds / slowness,
             note=f"{100.0 * seconds / whole:.0f} % of {1e3 * whole:.3f} ms"
             + (f"; whole step / QP {ratio:.2f}{wanted}" if part == QP else ""),
         )
@@ -207,7 +202,6 @@ def _step_row(
     n: int,
     solver: str,
     flight: LoopFlight,
-    slowness: float,
     limits: tuple[float, float] | None,
     gap_n: float,
 ) -> NmpcBenchRow:
@@ -216,7 +210,7 @@ def _step_row(
     note = f"p99 = {tail:.2f} medians (bar 2)"
     if math.isfinite(gap_n):
         note += f", thrust within {gap_n:.2g} N of IPOPT's (median)"
-    return _row(f"{name}, whole step", n, solver, times, slowness, note, limits)
+    return _row(f"{name}, whole step", n, solver, times, note, limits)
 
 
 def _row(
@@ -224,7 +218,6 @@ def _row(
     n: int,
     solver: str,
     seconds: FloatArray,
-    slowness: float,
     note: str = "",
     limits: tuple[float, float] | None = None,
 ) -> NmpcBenchRow:
@@ -237,7 +230,6 @@ def _row(
         median_ms=float(np.median(times)),
         p99_ms=float(np.percentile(times, 99)),
         max_ms=float(times.max()),
-        normal_ms=float(np.median(times)) / slowness,
         bar_ms=limits[0] if limits else None,
         goal_ms=limits[1] if limits else None,
         note=note,
@@ -271,7 +263,7 @@ def _random_starts(vehicle: Vehicle, starts: int, seed: int = 42) -> NmpcBenchRo
     )
 
 
-def _process(slowness: float) -> NmpcBenchRow:
+def _process() -> NmpcBenchRow:
     """Start-up and memory of a process that holds nothing but the controller (and the model it flies)."""
     command = python_command("from autopilot.bench.controller_process import main; main()")
     values = json.loads(subprocess.run(command, capture_output=True, text=True, check=True).stdout)
@@ -280,7 +272,6 @@ def _process(slowness: float) -> NmpcBenchRow:
         n=20,
         samples=1,
         median_ms=values["build_ms"],
-        normal_ms=values["build_ms"] / slowness,
         bar_ms=500.0,
         note=f"imports {values['import_ms']:.0f} ms, memory {values['rss_mb']:.0f} MB (bar 80)",
     )

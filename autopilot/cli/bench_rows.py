@@ -70,7 +70,7 @@ def nmpc_rows(short: bool) -> Rows:
     """
     from autopilot.bench.nmpc import STARTS, bench_nmpc
 
-    rows = bench_nmpc(steps=100 if short else 400, slowness=_slowness(), starts=STARTS // 10 if short else STARTS)
+    rows = bench_nmpc(steps=100 if short else 400, starts=STARTS // 10 if short else STARTS)
     return [asdict(row) for row in rows]
 
 

@@ -11,7 +11,7 @@ SHORT = click.option("--short", is_flag=True, help="Fewer samples, for a quick l
 
 TITLES = {
     "loop": "The loop in real time with a camera, 500 items and 50 octagons uploaded in flight; asked = at most",
-    "nmpc": "One control step, CPU time; normal_ms = the median at the reference speed, bar and goal are for that",
+    "nmpc": "One control step, CPU time; bar and goal are for the median",
     "sitl": "The paper's mission with its log; speed = simulated over wall time, asked = what the project asks for",
     "estimator": "Estimate against truth in the paper's tank, one lap per seed; asked as in `autopilot log check`",
 }

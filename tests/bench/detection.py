@@ -17,7 +17,6 @@ import cv2
 import numpy as np
 from msgspec.structs import replace as replace_struct
 
-from autopilot.bench.machine import slowness
 from autopilot.core.camera import CameraModel
 from autopilot.core.dictionaries import opencv_dictionary
 from autopilot.core.frames import FloatArray, r_ned_from_frd
@@ -78,9 +77,7 @@ class DetectionRow:
     cpu_ms: float
     """Median CPU time with a prediction,"""
     opencv_ms: float
-    """and that of OpenCV's detector,"""
-    normal_ms: float
-    """``cpu_ms`` at the reference speed."""
+    """and that of OpenCV's detector."""
 
 
 @dataclass(slots=True, eq=False, kw_only=True)
@@ -122,7 +119,7 @@ def totals(rows: Sequence[DetectionRow]) -> DetectionRow:
     """All together; times are means over the frames."""
     frames = sum(row.frames for row in rows)
     counted = {f.name: sum(getattr(row, f.name) for row in rows) for f in fields(DetectionRow) if f.type is int}
-    times = ("cpu_ms", "opencv_ms", "normal_ms")
+    times = ("cpu_ms", "opencv_ms")
     means = {name: sum(getattr(row, name) * row.frames for row in rows) / max(frames, 1) for name in times}
     return DetectionRow(source="all", **counted, **means)
 
@@ -222,7 +219,6 @@ def _row(source: str, count: int, pictures: Iterator[_Picture]) -> DetectionRow:
         blind_false_ids=values[8],
         cpu_ms=1e3 * float(ours_s),
         opencv_ms=1e3 * float(theirs_s),
-        normal_ms=1e3 * float(ours_s) / slowness(),
     )
 
 

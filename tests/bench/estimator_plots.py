@@ -29,7 +29,7 @@ PANELS = (
     ("yaw_deg", "heading error, rms [deg]", True),
     ("lost_pct", "lost of the pictures with a marker [%]", False),
     ("laser_mm", "laser range, rms [mm]", True),
-    ("normal_ms", "detection at reference speed, median [ms]", False),
+    ("cpu_ms", "detection, median CPU time [ms]", False),
 )
 """Field, label, logarithmic."""
 STATES = (("north [mm]", 1e3), ("east [mm]", 1e3), ("down [mm]", 1e3), ("heading [deg]", 180.0 / np.pi))

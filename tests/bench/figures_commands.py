@@ -6,7 +6,6 @@ from pathlib import Path
 
 import click
 
-from autopilot.bench.machine import slowness
 from autopilot.cli.bench_rows import run_one
 from autopilot.cli.bench_tables import SHORT, Rows, print_rows
 from autopilot.cli.shared_options import JSON
@@ -204,7 +203,7 @@ def latency_rows(short: bool) -> Rows:
     """
     from tests.bench.energy.latency import RUNS, SHORT_RUNS, bench_latency
 
-    return [asdict(row) for row in bench_latency(SHORT_RUNS if short else RUNS, slowness=slowness())]
+    return [asdict(row) for row in bench_latency(SHORT_RUNS if short else RUNS)]
 
 
 def legs_rows(short: bool) -> Rows:

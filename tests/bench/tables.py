@@ -27,11 +27,11 @@ TITLES = {
     "soak": "Laps without end: memory after the warm-up, its growth per hour, descriptors",
     "vehicles": "Vehicles made at random, 20 s in open water each: flown or refused with the axis that lacks thrust",
     "detection": "Markers shown and found with a prediction, by OpenCV's defaults, by these and not by us, false ids;"
-    " the same without a prediction; median CPU time [ms] of ours, of OpenCV's, of ours at the reference speed",
+    " the same without a prediction; median CPU time [ms] of ours and of OpenCV's",
     "estimator": "Estimate against truth in the paper's tank, rms unless said otherwise; measured = over all"
     " seeds; low, median, high = of the single ones",
     "images": "Poses from rendered pictures, rms of the fixes; asked: 0.45 to 1.2 m: 2 mm and 0.05 deg up to 1 1/m,"
-    " 5 mm at 2; none lost up to turbidity x height 2; laser 10 mm at 0.8 m; normal_ms <= 8 up to 0.8 m; missed = not"
+    " 5 mm at 2; none lost up to turbidity x height 2; laser 10 mm at 0.8 m; cpu_ms <= 8 up to 0.8 m; missed = not"
     " kept",
     "attitude": "Attitude from raw sensors, deg rms; asked: at most 10 % above the filter with fixed gains;"
     " missed = not kept; chosen = tilt s, heading s, noise deg/s | gains of tilt, heading, bias",
@@ -69,7 +69,6 @@ HEADS = {
     "vqf_total": "total",
     "cpu_ms": "cpu ms",
     "search_ms": "start ms",
-    "normal_ms": "norm. ms",
     "cpu_s_per_s": "cpu s/s",
 }
 """Heads of the columns of ``images`` and ``attitude``, whose names are long."""

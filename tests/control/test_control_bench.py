@@ -8,15 +8,12 @@ from autopilot.control.nmpc.grid import uniform_grid
 
 def test_bench_gives_rows_per_grid_and_solutions_that_agree() -> None:
     ticks = iter(range(1_000_000))
-    rows = bench_nmpc(
-        30, 10, [("uniform", uniform_grid(8))], cpu_clock=lambda: next(ticks) * 1e-3, slowness=2.0, starts=2
-    )
+    rows = bench_nmpc(30, 10, [("uniform", uniform_grid(8))], cpu_clock=lambda: next(ticks) * 1e-3, starts=2)
     by_name = {(row.what, row.solver): row for row in rows}
     whole = [row for row in rows if row.what == "uniform, whole step"]
     assert {row.solver for row in whole} in ({"native", "hpipm"}, {"hpipm"})
     assert all(row.n == 8 and row.samples is not None and 25 <= row.samples < 30 for row in whole)
     assert whole[0].median_ms == pytest.approx(1.0)
-    assert whole[0].normal_ms == pytest.approx(0.5)
     assert float(whole[0].note.split("within ")[1].split(" N")[0]) < 0.3
     parts = [row for row in rows if "part:" in row.what]
     assert len(parts) == 6

@@ -56,8 +56,6 @@ class LatencyRow:
     p50_s: float
     p90_s: float
     max_s: float
-    normal_p90_s: float
-    """Divided by how slow the machine is just now."""
     due_s: float
     """When the answer is taken in lockstep."""
 
@@ -72,7 +70,7 @@ class _Situation:
     """Where from (8,), where to."""
 
 
-def bench_latency(runs: int = RUNS, slowness: float = 1.0) -> Iterator[LatencyRow]:
+def bench_latency(runs: int = RUNS) -> Iterator[LatencyRow]:
     vehicle = load_vehicle("lbv150")
     planner = EnergyPlanner(vehicle.to_model(), PowerModel.of(vehicle))
     planner.warm()
@@ -106,7 +104,6 @@ def bench_latency(runs: int = RUNS, slowness: float = 1.0) -> Iterator[LatencyRo
                     p50_s=float(p50),
                     p90_s=float(p90),
                     max_s=max(seconds),
-                    normal_p90_s=float(p90) / slowness,
                     due_s=ANSWER_STEPS[kind] * PATIENCE.step_s,
                 )
 
