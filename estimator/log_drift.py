@@ -7,9 +7,11 @@ velocity adds itself times the time. White noise, which the filter holds, averag
 
 import math
 
+import numpy as np
+
 from autopilot.core.frames import FloatArray
 from autopilot.core.vehicle import DvlMount
-from autopilot.estimator.states import POS, VEL_EAST, VEL_NORTH
+from autopilot.estimator.states import EAST, NORTH, NX, VEL_EAST, VEL_NORTH
 
 Variance3 = tuple[float, float, float]
 
@@ -19,8 +21,8 @@ class LogDrift:
 
     def __init__(self, dvl: DvlMount) -> None:
         self._turn, self._scale, self._bias_m_s = dvl.heading_sigma_rad, dvl.scale_sigma, dvl.bias_sigma_m_s
-        self._start: tuple[int, list[float]] = (0, [0.0, 0.0, 0.0])
-        """Time and position of the last fix,"""
+        self._start: tuple[int, FloatArray] = (0, np.zeros(NX))
+        """Time and state at the last fix,"""
         self._path_m = 0.0
         """the way since,"""
         self._grown: Variance3 = (0.0, 0.0, 0.0)
@@ -28,14 +30,13 @@ class LogDrift:
 
     def fixed(self, t_us: int, x: FloatArray) -> None:
         """Fixes show the position."""
-        self._start, self._path_m, self._grown = (t_us, x[POS].tolist()), 0.0, (0.0, 0.0, 0.0)
+        self._start, self._path_m, self._grown = (t_us, x), 0.0, (0.0, 0.0, 0.0)
 
     def growth(self, t_us: int, dt_s: float, x: FloatArray) -> Variance3:
         """By which north, east and down become uncertain in the step of ``dt_s`` to ``t_us`` with state (21,) [m^2]. A
         vehicle that comes back undoes what the turn has done, which is not counted: its path is not known that well."""
-        place = x[POS].tolist()
         start_us, start = self._start
-        north, east, _ = (now - then for now, then in zip(place, start, strict=True))
+        north, east = x.item(NORTH) - start.item(NORTH), x.item(EAST) - start.item(EAST)
         self._path_m += dt_s * math.hypot(x.item(VEL_NORTH), x.item(VEL_EAST))
         along, across = self._scale**2, self._turn**2
         steady = (1e-6 * (t_us - start_us) * self._bias_m_s) ** 2

@@ -1,5 +1,6 @@
 """Vehicle files and marker maps with stated errors: exact ones, and ones that are off by what they state."""
 
+import tomllib
 from dataclasses import dataclass, replace
 
 import msgspec
@@ -9,6 +10,7 @@ from autopilot.calibrate.vehicle_edit import Changes, edited, vehicle_text
 from autopilot.core.frames import FloatArray
 from autopilot.core.map_errors import DEPTH_SIGMA_M, SCALE_SIGMA
 from autopilot.core.markers import MarkerMap
+from autopilot.core.toml_table import convert
 from autopilot.core.vehicle import Vehicle, load_vehicle
 
 VEHICLE = "lbv150"
@@ -46,12 +48,8 @@ def exact_text() -> str:
 
 def calibrated() -> Vehicle:
     """The vehicle with :data:`EXACT`."""
-    plain = load_vehicle(VEHICLE)
-    for place, value in EXACT.items():
-        table, key = place.split(".")
-        changed = msgspec.structs.replace(getattr(plain, table), **{key: value})
-        plain = msgspec.structs.replace(plain, **{table: changed})
-    return plain
+    vehicle: Vehicle = convert(tomllib.loads(exact_text()), Vehicle, VEHICLE)
+    return vehicle
 
 
 def exact_map(plan: MarkerMap) -> MarkerMap:
