@@ -30,10 +30,15 @@ class NarrowPassage:
 
 
 def narrow_gaps(
-    shapes: Sequence[FenceShape], width_m: float, check_cancel: Callable[[], None] = lambda: None
+    shapes: Sequence[FenceShape],
+    width_m: float,
+    check_cancel: Callable[[], None] = lambda: None,
+    *,
+    pockets: bool = False,
 ) -> Iterator[NarrowPassage]:
-    """Gaps narrower than ``width_m`` between shapes that are not joined, in the order of the plan; a generator, so
-    that the first few are cheap. ``look`` is called between the steps (it may raise, to end the work).
+    """Gaps narrower than ``width_m`` between shapes, in the order of the plan; a generator, so that the first few are
+    cheap. ``check_cancel`` is called between the steps (it may raise, to end the work). ``pockets``: also between
+    shapes that are joined, by each other or by a third.
     """
     obstacle = _Union(len(shapes))
     pairs = _near_pairs(shapes, width_m)
@@ -44,7 +49,7 @@ def narrow_gaps(
         obstacle.join(i, j)
     found: list[tuple[int, int, float, FloatArray]] = []
     for i, j in pairs[~both].tolist():
-        if obstacle.of(i) == obstacle.of(j):
+        if not pockets and obstacle.of(i) == obstacle.of(j):
             continue
         check_cancel()
         relation = _relate(shapes[i], shapes[j])
@@ -59,7 +64,7 @@ def narrow_gaps(
     low, high = (np.array([box[k] for box in boxes]).reshape(-1, 2) for k in range(2))
     always = np.array([s.inclusion for s in shapes], dtype=bool)
     for i, j, gap, middle in merge(found, pillars.gaps(), key=lambda each: each[:2]):
-        if obstacle.of(i) == obstacle.of(j):
+        if not pockets and obstacle.of(i) == obstacle.of(j):
             continue
         check_cancel()
         others = np.flatnonzero(always | np.all((low <= middle) & (middle <= high), axis=1)).tolist()

@@ -132,6 +132,10 @@ class ValidationTuning:
     it. A narrower one is refused here: the controller would not enter it."""
     max_gaps: int = 20
     """Narrow gaps of a fence are named up to this number."""
+    max_candidates: int = 500
+    """Of gaps that may keep a leg's ends apart."""
+    max_bottlenecks: int = 3
+    """For so many legs without a path the gap is searched that would have to be wider (0.1 to 0.5 s each)."""
 
 
 VALIDATION = ValidationTuning()

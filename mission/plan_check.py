@@ -10,6 +10,7 @@ from typing import Protocol
 import numpy as np
 
 from autopilot.core.background import Cancel
+from autopilot.core.frames import FloatArray
 from autopilot.core.geodesy import Origin
 from autopilot.core.geometry import Fence
 from autopilot.core.plan import MissionResult, PlanItem, PlanKind, PlanProblem, PlanRejection
@@ -19,7 +20,7 @@ from autopilot.mission.gaps import narrow_gaps
 from autopilot.mission.items import GoTo, Step
 from autopilot.mission.mission_tuning import VALIDATION
 from autopilot.mission.plan_model import PlanFile
-from autopilot.mission.reach import widest_m
+from autopilot.mission.reach import FreeRegions, widest_m
 from autopilot.mission.validation import (
     PlanContext,
     fence_problems,
@@ -63,12 +64,15 @@ class PlanCheckInputs:
     limits: tuple[float, ...]
     """Values of :data:`PLAN_PARAMETERS`."""
     radius_m: float
+    goal_margin_m: float
+    """Clearance beyond the radius that the controller keeps where it stays."""
     current_check: CurrentCheck | None = None
 
     def same(self, other: "PlanCheckInputs") -> bool:
         """Whether the answer to both is the same (plans are compared as objects)."""
         return self is other or (
             self.limits == other.limits
+            and self.goal_margin_m == other.goal_margin_m
             and self.origin == other.origin
             and all(self.plans[kind] is other.plans[kind] for kind in PlanKind)
         )
@@ -76,7 +80,7 @@ class PlanCheckInputs:
     @property
     def context(self) -> PlanContext:
         params = dict(zip(PLAN_PARAMETERS, self.limits, strict=True))
-        return PlanContext(origin=self.origin, params=params, radius_m=self.radius_m)
+        return PlanContext(origin=self.origin, params=params, radius_m=self.radius_m, goal_margin_m=self.goal_margin_m)
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -92,6 +96,10 @@ class PlanVerdict:
     """Warnings: tolerated and reported."""
     steps: tuple[Step, ...] = ()
     shapes: tuple[FenceShape, ...] = ()
+    regions: FreeRegions | None = None
+    """Free space of the fence; None without a fence, or a mission in it."""
+    region_of: Mapping[int, int] = field(default_factory=dict)
+    """Item -> the region that its place is in."""
     goal_clearance_m: tuple[tuple[str, float], ...] = ()
     """Name and clearance [m] of every position of the mission, less the vehicle's radius."""
     widest_m: float = field(default=math.inf)
@@ -102,6 +110,18 @@ class PlanVerdict:
         """The first reason not to fly, "" without any."""
         first = next(iter((*self.own, *self.joint)), None)
         return "" if first is None else first.reason
+
+    def path_problem(self, pos_ned_m: FloatArray, first_seq: int) -> str:
+        """Why a vehicle at ``pos_ned_m`` (3,) does not get to the first place from item ``first_seq`` on, "" if it
+        does."""
+        seq = min((seq for seq in self.region_of if seq >= first_seq), default=None)
+        if self.regions is None or seq is None or self.regions.of(pos_ned_m[:2]) == self.region_of[seq]:
+            return ""
+        keep_m = self.question.context.keep_m
+        return (
+            f"no free path from the vehicle to item {seq}: move the vehicle or open the fence (it keeps "
+            f"{keep_m:.2f} m from every boundary)"
+        )
 
     def refusal(self, kinds: Sequence[PlanKind]) -> PlanRejection | None:
         """The first thing that is wrong with these plans by themselves."""
@@ -119,7 +139,7 @@ def judge(question: PlanCheckInputs, cancel: Cancel) -> PlanVerdict:
         PlanProblem(kind=kind, seq=p.seq, result=p.result, reason=p.reason)
         for kind, problems in (
             (PlanKind.MISSION, mission_problems(steps, broken_steps, ctx.params)),
-            (PlanKind.FENCE, fence_problems(shapes, broken_shapes, ctx, check_cancel)),
+            (PlanKind.FENCE, fence_problems(shapes, broken_shapes, ctx)),
             (PlanKind.RALLY, broken_points),
         )
         for p in chain(sequence_problems(kind, plans[kind]), problems)
@@ -127,11 +147,11 @@ def judge(question: PlanCheckInputs, cancel: Cancel) -> PlanVerdict:
     check_cancel()
     if broken_steps or broken_shapes or broken_points:
         return PlanVerdict(question=question, own=own)
-    joint = list(joint_problems(steps, shapes, rally, ctx, check_cancel))
+    joint, regions, region_of = joint_problems(steps, shapes, rally, ctx, check_cancel)
     check_cancel()
     fence = build_fence(shapes, ctx.params)
     warnings: list[str] = []
-    if not ctx.params["FENCE_GAP_CHK"]:
+    if ctx.params["FENCE_GAP_CHK"]:
         gaps = narrow_gaps(shapes, 2.0 * ctx.radius_m, check_cancel)
         warnings += [gap_text(gap, ctx.radius_m) for gap in islice(gaps, VALIDATION.max_gaps)]
     check_cancel()
@@ -153,17 +173,22 @@ def judge(question: PlanCheckInputs, cancel: Cancel) -> PlanVerdict:
         warnings=tuple(warnings),
         steps=steps,
         shapes=shapes,
+        regions=regions,
+        region_of=region_of,
         goal_clearance_m=tuple((f"item {step.seq}", float(c)) for step, c in zip(goals, clearance, strict=True)),
         widest_m=widest_m(fence) - ctx.radius_m,
     )
 
 
-def judge_file(plan: PlanFile, origin: Origin, params: Mapping[str, float], radius_m: float) -> PlanVerdict:
+def judge_file(
+    plan: PlanFile, origin: Origin, params: Mapping[str, float], *, radius_m: float, goal_margin_m: float
+) -> PlanVerdict:
     """All that is wrong with a plan file, each finding once."""
     question = PlanCheckInputs(
         plans={kind: plan.items(kind) for kind in PlanKind},
         origin=origin,
         limits=tuple(params[name] for name in PLAN_PARAMETERS),
         radius_m=radius_m,
+        goal_margin_m=goal_margin_m,
     )
     return judge(question, Cancel())

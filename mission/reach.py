@@ -15,16 +15,26 @@ WIDEST_GRID = 24
 """Sample points per axis in the search for the widest part of a workspace."""
 
 
-def free_regions(fence: Fence, points_ned_m: FloatArray, radius_m: float) -> tuple[int, ...] | None:
-    """Connected region of free space that contains each point (n, 2) or is nearest to it; None when nothing is
-    free. ``radius_m``: distance that the vehicle's centre keeps from every boundary.
-    """
-    space = _free_space(fence, points_ned_m, radius_m)
-    if space is None or not len(space.places_ned_m):
-        return None
-    region = space.regions()
-    found: tuple[int, ...] = tuple(region[space.places_near(points_ned_m)].tolist())
-    return found
+class FreeRegions:
+    """Connected regions of the free space of a fence. Immutable, so that a verdict may be asked later."""
+
+    def __init__(self, fence: Fence, points_ned_m: FloatArray, radius_m: float) -> None:
+        """``points_ned_m`` (n, 2): places of a mission; ``radius_m``: distance that the vehicle's centre keeps from
+        every boundary.
+        """
+        space = _free_space(fence, points_ned_m, radius_m)
+        self._space = space if space is not None and len(space.places_ned_m) else None
+        self.of_points: tuple[int, ...] = (-1,) * len(points_ned_m)
+        """Region that contains each point or is nearest to it; -1 when nothing is free."""
+        self._region = np.zeros(0, dtype=np.intp)
+        if self._space is not None:
+            self._region = self._space.regions()
+            self.of_points = tuple(self._region[self._space.places_near(points_ned_m)].tolist())
+
+    def of(self, point_ned_m: FloatArray) -> int:
+        """The same of another point (2,)."""
+        near = None if self._space is None else self._space.place_near(point_ned_m)
+        return -1 if near is None else int(self._region[near[0]])
 
 
 def has_free_space(fence: Fence, radius_m: float) -> bool:

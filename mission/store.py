@@ -106,11 +106,13 @@ class Plans(PlanStore):
         origin: Origin | None = None,
         current_check: CurrentCheck | None = None,
         worker: BackgroundWorker | None = None,
+        goal_margin_m: Callable[[], float] | None = None,
     ) -> None:
         self._params = params
         self._live = params.live if isinstance(params, ParamSet) else params
         self._current_check = current_check
         self._radius_m = radius_m
+        self._goal_margin_m = goal_margin_m or (lambda: params["MPC_MARGIN"])
         self._origin = origin or params_origin(params)
         self._home_ned_m: FloatArray = np.zeros(3)
         self._home: GeodeticPosition | None = None
@@ -212,7 +214,7 @@ class Plans(PlanStore):
         return build_fence(self.shapes(), self._params)
 
     def warnings(self) -> tuple[str, ...]:
-        """Fence problems tolerated by FENCE_GAP_CHK = 0, and warnings about the current there."""
+        """Narrow gaps of the fence (FENCE_GAP_CHK 1), and warnings about the current there."""
         return self.verdict.warnings
 
     def check_item(self, kind: PlanKind, item: PlanItem) -> PlanRejection | None:
@@ -353,16 +355,18 @@ class Plans(PlanStore):
 
     def _question(self, change: Change | None = None) -> PlanCheckInputs:
         """Inputs of the check; without a change the same object as before."""
-        limits = _limits(self._live)
+        limits, goal_margin_m = _limits(self._live), self._goal_margin_m()
         known = self._wanted
-        already_checked = known is not None and known.plans is self._plans and known.origin is self._origin
-        if change is None and known is not None and already_checked and known.limits == limits:
+        same_plans = known is not None and known.plans is self._plans and known.origin is self._origin
+        same_limits = known is not None and known.limits == limits and known.goal_margin_m == goal_margin_m
+        if change is None and known is not None and same_plans and same_limits:
             return known
         wanted = PlanCheckInputs(
             plans=self._plans if change is None else {**self._plans, **change.plans},
             origin=self._origin,
             limits=limits,
             radius_m=self._radius_m,
+            goal_margin_m=goal_margin_m,
             current_check=self._current_check,
         )
         if change is None:

@@ -6,6 +6,7 @@ forbid flying. Every finding is a :class:`PlanRejection`: item, MAV_MISSION_RESU
 characters give problem and remedy (ground stations cut at 100).
 """
 
+from bisect import bisect_left
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import islice
@@ -35,7 +36,7 @@ from autopilot.mission.items import (
     Wait,
 )
 from autopilot.mission.mission_tuning import VALIDATION
-from autopilot.mission.reach import free_regions, has_free_space
+from autopilot.mission.reach import FreeRegions, has_free_space
 
 RALLY_LABEL = "rally point"
 
@@ -48,10 +49,12 @@ class PlanContext:
     params: Mapping[str, float]
     radius_m: float
     """Ball round the vehicle's centre that covers it."""
+    goal_margin_m: float
+    """Clearance beyond it that the controller keeps where it stays."""
 
     @property
     def keep_m(self) -> float:
-        """The controller's margin to every boundary."""
+        """Distance of a route from every boundary."""
         return self.radius_m + self.params["MPC_MARGIN"]
 
 
@@ -194,14 +197,10 @@ def _spins(steps: Sequence[Step], start: Jump) -> bool:
 
 
 def fence_problems(
-    shapes: Sequence[FenceShape], broken: Sequence[PlanRejection], ctx: PlanContext, check_cancel: Callable[[], None]
+    shapes: Sequence[FenceShape], broken: Sequence[PlanRejection], ctx: PlanContext
 ) -> Iterator[PlanRejection]:
-    """Problems of a fence by itself, as parsed. ``look`` is called between the steps, and may raise."""
+    """Problems of a fence by itself, as parsed."""
     yield from broken
-    if ctx.params["FENCE_GAP_CHK"]:
-        gaps = narrow_gaps(shapes, 2.0 * ctx.radius_m, check_cancel)
-        yield from (_gap_rejection(gap, ctx.radius_m) for gap in islice(gaps, VALIDATION.max_gaps))
-    check_cancel()
     fence = build_fence(shapes, ctx.params)
     if fence.inclusions and not has_free_space(fence, ctx.keep_m - VALIDATION.place_tolerance_m):
         first = next(s for s in shapes if s.inclusion)
@@ -213,17 +212,12 @@ def fence_problems(
 
 
 def gap_text(gap: NarrowPassage, radius_m: float) -> str:
-    """One line about a narrow gap."""
+    """One line about a narrow gap that no leg needs."""
     north, east = gap.middle_ned_m
     return (
         f"fence item {gap.second.seq}: gap of {gap.width_m:.2f} m to item {gap.first.seq}, vehicle is "
-        f"{2.0 * radius_m:.2f} m: widen or close it (at north {north:.2f}, east {east:.2f} m)"
+        f"{2.0 * radius_m:.2f} m: it does not pass there (at north {north:z.2f}, east {east:z.2f} m)"
     )
-
-
-def _gap_rejection(gap: NarrowPassage, radius_m: float) -> PlanRejection:
-    text = gap_text(gap, radius_m) + ", or set FENCE_GAP_CHK to 0"
-    return PlanRejection(seq=gap.second.seq, result=MissionResult.INVALID, reason=text)
 
 
 def read_rally(
@@ -260,10 +254,12 @@ def joint_problems(
     rally: Sequence[tuple[int, float, float]],
     ctx: PlanContext,
     check_cancel: Callable[[], None] = lambda: None,
-) -> Iterator[PlanProblem]:
-    """Conflicts of mission and rally points with the fence: positions; if there are none, legs without a free path."""
+) -> tuple[list[PlanProblem], FreeRegions | None, dict[int, int]]:
+    """Conflicts of mission and rally points with the fence: positions; if there are none, legs without a free path.
+    With them the free space of a mission whose positions are free, and the region of every item with a place.
+    """
     if not shapes:
-        return
+        return [], None, {}
     places: list[_PointToClear] = []
     route: list[_PointToClear] = []
     for ring in _ring_places(tuple(_circles(steps)), shapes, ctx, check_cancel):
@@ -285,10 +281,13 @@ def joint_problems(
     route.sort(key=lambda place: place.seq)
     places.sort(key=lambda place: place.seq)
     found = _place_conflicts(places, shapes)
-    yield from found
     check_cancel()
+    regions, region_of = None, dict[int, int]()
     if not found and route:
-        yield from _path_conflicts(route, shapes, ctx)
+        keep_m = ctx.keep_m + VALIDATION.passage_m
+        regions = FreeRegions(build_fence(shapes, ctx.params), np.array([(p.north_m, p.east_m) for p in route]), keep_m)
+        region_of = dict(zip((p.seq for p in route), regions.of_points, strict=True))
+        found += _path_conflicts(route, regions, shapes, ctx, check_cancel)
     check_cancel()
     points = [
         _PointToClear(
@@ -301,7 +300,7 @@ def joint_problems(
         )
         for seq, north, east in rally
     ]
-    yield from _place_conflicts(points, shapes)
+    return found + _place_conflicts(points, shapes), regions, region_of
 
 
 def _circles(steps: Sequence[Step]) -> Iterator[tuple[LoiterTurns, FloatArray]]:
@@ -352,7 +351,8 @@ def _clearance_needed_m(step: GoTo | Surface | SetHome, ctx: PlanContext) -> flo
     accept_m = step.accept_radius_m if isinstance(step, GoTo) else None
     if accept_m is None:
         accept_m = ctx.params["WP_ACCEPT_RADIUS"]
-    return max(ctx.radius_m, ctx.keep_m - min(VALIDATION.approach_fraction * accept_m, VALIDATION.approach_m))
+    short_m = min(VALIDATION.approach_fraction * accept_m, VALIDATION.approach_m)
+    return ctx.radius_m + max(0.0, ctx.goal_margin_m - short_m)
 
 
 def _place_conflicts(places: Sequence[_PointToClear], shapes: Sequence[FenceShape]) -> list[PlanProblem]:
@@ -384,18 +384,53 @@ def _place_conflict(place: _PointToClear, shape: FenceShape, clearance_m: float)
 
 
 def _path_conflicts(
-    route: Sequence[_PointToClear], shapes: Sequence[FenceShape], ctx: PlanContext
+    route: Sequence[_PointToClear],
+    regions: FreeRegions,
+    shapes: Sequence[FenceShape],
+    ctx: PlanContext,
+    check_cancel: Callable[[], None],
 ) -> Iterator[PlanProblem]:
-    """Neighbours in the order of the plan that stand in different parts of the free space."""
-    fence = build_fence(shapes, ctx.params)
-    points = np.array([(p.north_m, p.east_m) for p in route])
-    regions = free_regions(fence, points, ctx.keep_m + VALIDATION.passage_m)
-    if regions is None:
-        regions = (0,) * len(route)
-    for before, after, a, b in zip(regions, regions[1:], route, route[1:], strict=False):
-        if before != after:
-            text = (
-                f"no free path from item {a.seq} to item {b.seq}: move item {b.seq} or open the fence "
-                f"(the vehicle keeps {ctx.keep_m:.2f} m from every boundary)"
+    """Neighbours in the order of the plan that stand in different parts of the free space; the first ones with the
+    gap that would have to be wider.
+    """
+    found = regions.of_points
+    apart = [(a, b) for a, b, i, j in zip(route, route[1:], found, found[1:], strict=False) if i != j]
+    needed_m = 2.0 * (ctx.keep_m + VALIDATION.passage_m)
+    every = narrow_gaps(shapes, needed_m, check_cancel, pockets=True) if apart else iter(())
+    gaps = sorted(islice(every, VALIDATION.max_candidates), key=lambda gap: -gap.width_m)
+    for number, (a, b) in enumerate(apart):
+        gap = _bottleneck(a, b, gaps, shapes, ctx, check_cancel) if number < VALIDATION.max_bottlenecks else None
+        if gap is None:
+            remedy = f"move item {b.seq} or open the fence (the vehicle keeps {ctx.keep_m:.2f} m from every boundary)"
+        else:
+            north, east = gap.middle_ned_m
+            remedy = (
+                f"widen the gap of fence items {gap.first.seq} and {gap.second.seq} ({gap.width_m:.2f} m, needs "
+                f"{needed_m:.2f} m; at north {north:z.2f}, east {east:z.2f} m)"
             )
-            yield PlanProblem(kind=PlanKind.MISSION, seq=b.seq, result=MissionResult.INVALID_PARAM5_X, reason=text)
+        text = f"no free path from item {a.seq} to item {b.seq}: {remedy}"
+        yield PlanProblem(kind=PlanKind.MISSION, seq=b.seq, result=MissionResult.INVALID_PARAM5_X, reason=text)
+
+
+def _bottleneck(
+    a: _PointToClear,
+    b: _PointToClear,
+    gaps: Sequence[NarrowPassage],
+    shapes: Sequence[FenceShape],
+    ctx: PlanContext,
+    check_cancel: Callable[[], None],
+) -> NarrowPassage | None:
+    """The first of ``gaps`` (widest first) at whose width two points are connected; None if it is no gap that keeps
+    them apart.
+    """
+    fence = build_fence(shapes, ctx.params)
+    ends = np.array([(p.north_m, p.east_m) for p in (a, b)])
+
+    def passes(gap: NarrowPassage) -> bool:
+        check_cancel()
+        half_m = max(0.5 * gap.width_m - VALIDATION.passage_m, 0.0)
+        one, other = FreeRegions(fence, ends, half_m).of_points
+        return one == other
+
+    at = bisect_left(gaps, True, key=passes)
+    return gaps[at] if at < len(gaps) else None

@@ -18,7 +18,8 @@ NAN = math.nan
 
 
 def context(**overrides: float) -> PlanContext:
-    return PlanContext(origin=ORIGIN, params=ParamSet(overrides), radius_m=RADIUS_M)
+    params = ParamSet(overrides)
+    return PlanContext(origin=ORIGIN, params=params, radius_m=RADIUS_M, goal_margin_m=params["MPC_MARGIN"])
 
 
 def local(seq: int, command: int, x: float, y: float, z: float = 0.0, p: Sequence[float] = (0, 0, 0, NAN)) -> PlanItem:

@@ -156,6 +156,7 @@ def check(file: Path, vehicle: str, overrides: tuple[str, ...], as_json: bool) -
 
     Exit code 1: a vehicle would refuse it. 3: it would be stored, but could not be flown.
     """
+    from autopilot.control.robust.margins import goal_margin_m
     from autopilot.core.params import ParamSet
     from autopilot.core.plan import PlanKind
     from autopilot.core.vehicle import load_vehicle
@@ -164,9 +165,10 @@ def check(file: Path, vehicle: str, overrides: tuple[str, ...], as_json: bool) -
     from autopilot.run.config import parse_overrides
 
     params = ParamSet(parse_overrides(overrides))
-    radius_m = load_vehicle(vehicle).radius_m
+    body = load_vehicle(vehicle)
     plan = read_plan(file)
-    verdict = judge_file(plan, plan.drawing_origin(), params, radius_m)
+    margin_m = goal_margin_m(body, params)
+    verdict = judge_file(plan, plan.drawing_origin(), params, radius_m=body.radius_m, goal_margin_m=margin_m)
     problems = [(p, "refused") for p in verdict.own] + [(p, "not flown") for p in verdict.joint]
     counts = {kind.name.lower(): len(plan.items(kind)) for kind in PlanKind}
     if as_json:

@@ -86,6 +86,7 @@ def new(
     QGroundControl draws a tank of 5 m at 130 pixels at most and plans no depth: make the plan here, open it there.
     The origin is the middle of the tank. Exit code 3: written, but a vehicle would not fly it (the reasons are told).
     """
+    from autopilot.control.robust.margins import goal_margin_m
     from autopilot.core.errors import ConfigError
     from autopilot.core.origin_params import params_origin
     from autopilot.core.params import ParamSet
@@ -113,7 +114,8 @@ def new(
         raise ConfigError(f"--tank {tank[0]:g}x{tank[1]:g}: both lengths have to be positive")
     if any(not circle[2] > 0.0 for circle in obstacles):
         raise ConfigError("--obstacle: the radius has to be positive")
-    params, radius_m = ParamSet(), load_vehicle(vehicle).radius_m
+    params, body = ParamSet(), load_vehicle(vehicle)
+    radius_m = body.radius_m
     place = params_origin(params)
     lat_deg, lon_deg, alt_m = (*origin, 0.0)[:3] if origin else (place.lat_deg, place.lon_deg, place.alt_m)
     stops = (
@@ -135,7 +137,8 @@ def new(
         ),
         "plan",
     )
-    verdict = judge_file(plan, plan.drawing_origin(), params, radius_m)
+    margin_m = goal_margin_m(body, params)
+    verdict = judge_file(plan, plan.drawing_origin(), params, radius_m=radius_m, goal_margin_m=margin_m)
     problems = [p.reason for p in (*verdict.own, *verdict.joint)]
     write_plan(out, plan)
     counts = {"mission": len(plan.mission), "fence": len(plan.fence)}

@@ -25,13 +25,21 @@ ControllerCheck = Callable[[NavState], tuple[str, ...]]
 
 class ArmingChecks:
     def __init__(
-        self, params: ParamSet, plans: Plans, goals: Goals, failsafes: FailsafeRules, controller_check: ControllerCheck
+        self,
+        params: ParamSet,
+        plans: Plans,
+        goals: Goals,
+        failsafes: FailsafeRules,
+        controller_check: ControllerCheck,
+        path_check: Callable[[NavState], str],
     ) -> None:
+        """``path_check``: why the mission's next place cannot be reached from an estimate, "" if it can."""
         self._params = params
         self._plans = plans
         self._goals = goals
         self._failsafes = failsafes
         self._controller_check = controller_check
+        self._path_check = path_check
 
     def reasons(self, status: VehicleStatus | None, *, blind: bool = False) -> tuple[str, ...]:
         """Reasons against arming, one line each, empty when ready. ``blind``: for a mode that needs no position;
@@ -51,7 +59,8 @@ class ArmingChecks:
         if self._plans.checking:
             reasons.append(CHECKING)
         else:
-            reasons += self.of_plans
+            path = "" if self.of_plans or nav is None else self._path_check(nav)
+            reasons += (PLAN_REASON + path,) if path else self.of_plans
         if nav is not None and nav.health is not NavHealth.INVALID:
             reasons += self._controller_check(nav)
         return tuple(reasons)

@@ -181,7 +181,7 @@ class ChangeWatch:
         return [notices.THRUSTERS_UNJUDGED(names=", ".join(status.thrusters_unseen))]
 
     def _of_fence(self, nav: NavState | None) -> list[OperatorText]:
-        """Gaps that FENCE_GAP_CHK only warns of, and a vehicle that the new fence finds where it must not be."""
+        """Narrow gaps, and a vehicle that the new fence finds where it must not be."""
         texts = [notices.FENCE_GAP(text=text) for text in self._plans.warnings()]
         lack_m = 0.0 if nav is None else self._radius_m - self._goals.clearance_m(nav.pos_ned_m)
         if lack_m > 0.0:

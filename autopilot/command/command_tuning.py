@@ -89,6 +89,8 @@ class MissionRunTuning:
     """Interval between reports of items reached: a hundred may be close together."""
     reached_named: int = 5
     """Maximum number of them named."""
+    path_moved_m: float = 0.02
+    """A vehicle that has moved by so much is asked again whether it gets to the mission's next place (1 to 5 ms)."""
 
 
 MISSION_RUN = MissionRunTuning()

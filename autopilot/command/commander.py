@@ -83,7 +83,9 @@ class Commander:
         self._disarming = Disarming(self._operator)
         self._tests = MotorTests(vehicle, self._goals, self._modes, self._operator)
         self._watch = ChangeWatch(vehicle, plans, self._goals, has_markers=has_markers)
-        self._arming = ArmingChecks(params, plans, self._goals, self._failsafes, controller_check)
+        self._arming = ArmingChecks(
+            params, plans, self._goals, self._failsafes, controller_check, self._mission.path_problem
+        )
         self._check_news = PlanCheckNews(plans, self._operator)
         self._fence_guard = FenceGuard(vehicle, params, plans, self._goals)
         self._readiness: tuple[str, ...] = STARTING

@@ -15,6 +15,7 @@ from autopilot.core.messages import Goal, NavState, ProgressState
 from autopilot.core.params import ParamSet
 from autopilot.mission.items import Step, Timed
 from autopilot.mission.mission_tuning import UPSTREAM
+from autopilot.mission.plan_check import PlanVerdict
 from autopilot.mission.sequencer import Sequencer, SequencerOutput
 from autopilot.mission.store import Plans
 from autopilot.mission.upstream import MadeGood, SlowLeg, slowest_leg
@@ -43,6 +44,8 @@ class MissionRun:
         self._speed_m_s = speed_m_s
         self._steps: tuple[Step, ...] = ()
         self._made_good = MadeGood()
+        self._path_judged: tuple[PlanVerdict, int, tuple[float, float], str] | None = None
+        """By which plans, from which item and place, the path to the next place was judged; and what was found."""
         self._given_up = False
         """The present goal has been reported as unreachable."""
         self._reported_upstream: set[tuple[int, bool]] = set()
@@ -124,8 +127,21 @@ class MissionRun:
 
     # Goals that are not reached
 
+    def path_problem(self, nav: NavState) -> str:
+        """Why there is no path from the vehicle to the next place of the mission, "" if there is one."""
+        verdict, position = self._plans.verdict, self.sequencer.position
+        first_seq, known = 0 if position is None else position.cursor, self._path_judged
+        moved_m = math.inf if known is None else math.dist(known[2], nav.pos_ned_m[:2])
+        if known is None or known[:2] != (verdict, first_seq) or moved_m > MISSION_RUN.path_moved_m:
+            place = (float(nav.pos_ned_m[0]), float(nav.pos_ned_m[1]))
+            self._path_judged = known = verdict, first_seq, place, verdict.path_problem(nav.pos_ned_m, first_seq)
+        return known[3]
+
     def refusal(self, nav: NavState | None) -> str:
-        """Why WP_STUCK_ACT forbids to start in the current of now, "" when it does not."""
+        """Why it must not be started: no path to the next place, or WP_STUCK_ACT in the current of now."""
+        reason = "" if nav is None else self.path_problem(nav)
+        if reason:
+            return reason
         if int(self._params["WP_STUCK_ACT"]) != StuckAction.REFUSE:
             return ""
         leg, least_m_s = self._slowest_leg(nav), self._params["SPD_GROUND_MIN"]

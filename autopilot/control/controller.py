@@ -303,11 +303,17 @@ class MotionController:
         """Planar speed limit minus its back-off, with this estimate [m/s]."""
         return self.margins.planar_speed_m_s(nav, params)
 
+    def goal_margin_m(self, params: ParamSet) -> float:
+        """See :meth:`autopilot.control.robust.margins.Margins.goal_margin_m`."""
+        return self.margins.goal_margin_m(params)
+
     def refusals(
         self, nav: NavState, goals: Sequence[tuple[str, float]], fence_half_m: float, params: ParamSet
     ) -> tuple[str, ...]:
-        """See :meth:`autopilot.control.robust.margins.Margins.refusals`."""
-        return self.margins.refusals(nav, goals, fence_half_m, params)
+        """See :meth:`autopilot.control.robust.margins.Margins.refusals`; goals are judged with the plan, by
+        :meth:`goal_margin_m`.
+        """
+        return self.margins.refusals(nav, fence_half_m, params)
 
     def take_news(self) -> list[tuple[Severity, str]]:
         """Severity and text of notices to the operator since the last call."""

@@ -129,6 +129,12 @@ class Controller(Protocol):
         """Largest commanded speed through the water [m/s]; used to judge legs against the current."""
         return params["SPD_PLANAR_MAX"]
 
+    def goal_margin_m(self, params: ParamSet) -> float:
+        """Clearance beyond the body radius [m] that is kept where the vehicle stays: positions of a mission need it,
+        less what their acceptance radius allows. A function of the parameters alone.
+        """
+        return params["MPC_MARGIN"]
+
     def refusals(
         self, nav: NavState, goals: Sequence[tuple[str, float]], fence_half_m: float, params: ParamSet
     ) -> tuple[str, ...]:

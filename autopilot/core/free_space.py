@@ -165,7 +165,10 @@ class FreeSpace:
         count = min(ATTACH, len(away))
         near = np.argpartition(away, count - 1)[:count]
         near = near[np.lexsort((near, away[near]))]
-        sees = self.in_sight(point_ned_m, near)
+        for some in (near[:FIRST_ATTACH], near):
+            sees = self.in_sight(point_ned_m, some)
+            if sees.any():
+                break
         best = int(near[int(sees.argmax())])
         return best, float(away[best])
 

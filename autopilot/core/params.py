@@ -134,7 +134,7 @@ PARAMETERS: tuple[ParamSpec, ...] = (
         1,
         "Removing the fence while armed, or one that vehicle or mission would break: 0 = denied, 1 = allowed.",
     ),
-    _int("FENCE_GAP_CHK", 1, 0, 1, "Gap narrower than the vehicle: 0 = warn, 1 = refuse the fence."),
+    _int("FENCE_GAP_CHK", 1, 0, 1, "Gap in the fence narrower than the vehicle: 0 = not reported, 1 = warn."),
     _int("FENCE_REQUIRED", 0, 0, 1, "Without a fence: 0 = warn, 1 = no arming."),
     _int("FS_AHRS_ACT", 2, 0, 6, f"AHRS silent or frozen: {_ACTIONS}."),
     _real("FS_AHRS_TIME", 5.0, 0.0, 600.0, "s", "Time in HOLD before FS_AHRS_ACT, while fixes agree."),

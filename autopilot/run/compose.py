@@ -116,7 +116,6 @@ def build_service(
     checks = BackgroundWorker(ThreadPoolExecutor(1, thread_name_prefix="plans"), blocking=setup.waits_for_plans)
     for name, worker in zip((*desks.names, "plans"), (*desks.executors, checks), strict=True):
         worker.witnessed(name, nondeterminism)
-    plans = Plans(params, vehicle.radius_m, setup.origin, setup.current_check, checks)
     context = ControllerContext(
         vehicle=vehicle,
         model=vehicle.to_model(),
@@ -125,6 +124,9 @@ def build_service(
         trajectories=trajectories,
     )
     controller = create_controller(setup.controller, context, setup.controller_asked_by)
+    plans = Plans(
+        params, vehicle.radius_m, setup.origin, setup.current_check, checks, lambda: controller.goal_margin_m(params)
+    )
     check = MarginCheck(controller, params, plans)
     commander = Commander(
         vehicle,

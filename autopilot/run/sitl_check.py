@@ -5,6 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from autopilot.control.robust.margins import goal_margin_m
 from autopilot.core.errors import AutopilotError
 from autopilot.core.geodesy import Origin
 from autopilot.core.geometry import Fence
@@ -109,8 +110,11 @@ def _check_plan(
         params.set(name, value)
     place = scenario.origin
     origin = Origin(lat_deg=place.lat_deg, lon_deg=place.lon_deg, alt_m=place.alt_m)
-    verdict = judge_file(plan, origin, params, vehicle.radius_m)
+    margin_m = goal_margin_m(vehicle, params)
+    verdict = judge_file(plan, origin, params, radius_m=vehicle.radius_m, goal_margin_m=margin_m)
     problems += [problem.reason for problem in (*verdict.own, *verdict.joint)]
+    no_path = verdict.path_problem(np.array(scenario.vehicle.start_m), 0)
+    problems += [no_path] if no_path else []
     remarks += verdict.warnings
     if not verdict.own:
         remarks += unknown_obstacles(scenario, _fence(verdict.shapes, params))

@@ -20,7 +20,7 @@ from autopilot.core.frames import FloatArray
 from autopilot.core.geometry import Circle, Fence, Polygon
 from autopilot.core.model4 import state_derivative
 from autopilot.mission.mission_tuning import VALIDATION
-from autopilot.mission.reach import free_regions
+from autopilot.mission.reach import FreeRegions
 
 RADIUS_M = 0.33
 A, B = np.array([-1.6, -0.35]), np.array([1.75, 0.0])
@@ -101,9 +101,8 @@ def test_upload_check_and_planner_agree_on_doors(seed: int) -> None:
         east = [(thick, high), (thick, 1.0), (2.0, 1.0), (2.0, -1.0), (thick, -1.0), (thick, low)]
         corners = np.array([*west, *east, (-thick, low), (-thick, -1.0)]) @ turned.T
         fence = Fence(inclusions=(Polygon(vertices_ned_m=corners),))
-        regions = free_regions(fence, ends, RADIUS_M + VALIDATION.passage_m)
-        assert regions is not None
-        accepted = regions[0] == regions[1]
+        here, there = FreeRegions(fence, ends, RADIUS_M + VALIDATION.passage_m).of_points
+        accepted = here == there
         assert accepted is (door_m > 2.0 * (RADIUS_M + VALIDATION.passage_m))
         found = Planner(fence, RADIUS_M).path(*ends)
         assert not accepted or found is not None

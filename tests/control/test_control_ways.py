@@ -19,7 +19,7 @@ from autopilot.core.frames import FloatArray
 from autopilot.core.free_space import MAX_CELLS, FreeSpace
 from autopilot.core.geometry import Circle, Fence, Polygon
 from autopilot.mission.mission_tuning import VALIDATION
-from autopilot.mission.reach import free_regions
+from autopilot.mission.reach import FreeRegions
 
 KEEP_M = 0.33
 TABLE = speed_table(MODEL, PowerModel.of(VEHICLE), 0.5)
@@ -74,9 +74,9 @@ def energy_way(made: Basin) -> FloatArray | None:
 def test_a_door_that_an_upload_is_accepted_with_is_found_by_both_planners(size_m: tuple[float, float]) -> None:
     for seed, doors in enumerate(([0.667], [0.657], [0.7, 0.668, 1.2], [3.0, 0.64])):
         made = basin(np.random.default_rng(seed), *size_m, doors if size_m[0] > 10.0 else doors[-1:])
-        regions = free_regions(made.fence, np.stack([made.start, made.goal]), KEEP_M + VALIDATION.passage_m)
-        assert regions is not None
-        accepted = regions[0] == regions[1]
+        ends = np.stack([made.start, made.goal])
+        here, there = FreeRegions(made.fence, ends, KEEP_M + VALIDATION.passage_m).of_points
+        accepted = here == there
         assert accepted is (made.narrowest_m > 2.0 * (KEEP_M + VALIDATION.passage_m))
         for path in (Planner(made.fence, KEEP_M).path(made.start, made.goal), energy_way(made)):
             assert path is not None or not accepted

@@ -277,13 +277,11 @@ def test_the_lipschitz_mode_says_how_far_it_reaches_when_it_comes_into_force() -
 
 def test_refusals_name_what_is_used_up() -> None:
     nav = nav_with()
-    assert MARGINS.refusals(nav, [("item 1", 0.3)], 1.0, ParamSet()) == ()
-    near = MARGINS.refusals(nav, [("item 1", 0.3), ("item 2", 0.001)], 1.0, ParamSet())
-    assert len(near) == 1 and near[0].startswith("item 2 is 0.00 m from the fence")
+    assert MARGINS.refusals(nav, 1.0, ParamSet()) == ()
     rough = ParamSet({"MPC_TIGHTEN": 2, "MPC_W_FORCE": 100.0, "SPD_PLANAR_MAX": 0.2})
-    reasons = MARGINS.refusals(nav, [], math.inf, rough)
+    reasons = MARGINS.refusals(nav, math.inf, rough)
     assert any(reason.startswith("Lipschitz sets are empty from node 1") for reason in reasons)
-    narrow = MARGINS.refusals(nav, [], 0.001, ParamSet())
+    narrow = MARGINS.refusals(nav, 0.001, ParamSet())
     assert len(narrow) == 1 and "fence leaves nothing" in narrow[0]
 
 

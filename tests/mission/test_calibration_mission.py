@@ -88,7 +88,9 @@ def test_all_items_are_inside_with_the_margin_or_an_error_says_why(
     assert places[:, 2].max() <= min(top_m + band_m, floor_m - RADIUS_M) - CALIBRATION.margin_m + 1e-6
     heights_m = floor_m - places[:, 2]
     assert heights_m.max() >= CALIBRATION.least_factor * heights_m.min() - 1e-6
-    verdict = judge_file(PlanFile(mission=items, fence=fence), ORIGIN, params, RADIUS_M)
+    verdict = judge_file(
+        PlanFile(mission=items, fence=fence), ORIGIN, params, radius_m=RADIUS_M, goal_margin_m=params["MPC_MARGIN"]
+    )
     assert not [problem.reason for problem in (*verdict.own, *verdict.joint) if problem.kind == 0]
 
 

@@ -32,6 +32,7 @@ def question(mission: list[PlanItem], fence: list[PlanItem], rally: list[PlanIte
         origin=ORIGIN,
         limits=tuple(values[name] for name in PLAN_PARAMETERS),
         radius_m=RADIUS_M,
+        goal_margin_m=values["MPC_MARGIN"],
     )
 
 
@@ -106,6 +107,7 @@ def test_a_plan_that_is_made_to_take_long_is_answered(name: str) -> None:
     assert len(verdict.own) + len(verdict.joint) + len(verdict.warnings) <= 2 * MOST
 
 
+ACROSS = [waypoint(0, -1.5, 0.0)] * 11 + [waypoint(0, 1.5, 0.0)]
 PILLARS = [circle(k, 9.0, 3.0 * k, 0.2) for k in range(99)]
 """Far off: they make item numbers long."""
 
@@ -116,9 +118,9 @@ PILLARS = [circle(k, 9.0, 3.0 * k, 0.2) for k in range(99)]
         judged([waypoint(0, 0.0, 0.0)] * 100 + [waypoint(0, -9.0, 0.0)], tank()),
         judged([waypoint(0, 0.0, 0.0)] * 100 + [waypoint(0, -2.3, 0.0)], [*PILLARS, *tank()]),
         judged([waypoint(0, 0.0, 0.0)] * 100 + [waypoint(0, 0.0, 0.0, depth=1.3)], tank()),
-        judged([waypoint(0, -1.5, 0.0)] * 11 + [waypoint(0, 1.5, 0.0)], [*tank(), *box(4, 0.0, 0.0, 0.1, 1.6, False)]),
+        judged(ACROSS, [*tank(), *box(4, 0.0, 0.0, 0.1, 1.6, False)]),
         judged([waypoint(0, 0.0, 0.0)], tank(), [local(0, 5100, 0.0, 0.0)] * 12 + [local(0, 5100, 9.0, 0.0)]),
-        judged([], [*PILLARS, *tank(), circle(0, 0.0, 1.0, 0.16)]),
+        judged([*ACROSS[:11], *ACROSS], [*PILLARS, *tank(), *box(4, 0.0, 0.2, 0.1, 1.2, False)]),
         judged([], box(0, 0.0, 0.0, 0.2, 0.2, True)),
     ],
     ids=["outside", "too near", "too deep", "no way", "rally point", "gap", "no room"],

@@ -14,6 +14,7 @@ from autopilot.core.geometry import Circle, Polygon
 from autopilot.core.params import ParamSet
 from autopilot.core.plan import MAX_ITEMS, MissionResult, PlanItem, PlanKind
 from autopilot.mission.fence import fence_clearance_m
+from autopilot.mission.mission_tuning import VALIDATION
 from autopilot.mission.paper import paper_plan
 from autopilot.mission.store import Plans, plan_checksum
 from tests.plan_items import NAN, ORIGIN, RADIUS_M, box, circle, local, nav, plain, polygon, tank, waypoint
@@ -141,14 +142,6 @@ def test_too_many_items() -> None:
         (polygon(0, [(0, 0), (2, 2), (2, 0), (0, 2)]), 0, R.INVALID, "intersects itself"),
         (polygon(0, [(0, 0), (0, 0), (2, 2)]), 0, R.INVALID, "intersects itself"),
         (polygon(0, [(0, 0), (1, 1), (1, 1.0005)]), 0, R.INVALID, "no area"),
-        ([*tank(), circle(4, 0.0, 1.0, 0.16)], 4, R.INVALID, "vehicle is 0.60 m"),
-        (
-            [circle(0, 0, 0, 0.5), circle(1, 1.4, 0, 0.5)],
-            1,
-            R.INVALID,
-            "gap of 0.40 m to item 0, vehicle is 0.60 m: widen",
-        ),
-        ([*box(0, 0, 0, 1, 1, False), *box(4, 2.5, 0, 1, 1, False)], 4, R.INVALID, "gap of 0.50 m"),
         (box(0, 0, 0, 0.25, 0.25, True), 0, R.INVALID, "no room"),
         ([*tank(), circle(4, 0, 0, 3.5)], 0, R.INVALID, "no room"),
         ([circle(0, -2, 0, 1.0, True), circle(1, 2, 0, 1.0, True)], 0, R.INVALID, "no room"),
@@ -168,11 +161,17 @@ def test_bad_fences_are_refused_and_the_old_one_stays(
     assert len(store.items(PlanKind.FENCE)) == 4
 
 
-def test_narrow_gaps_only_warn_when_the_parameter_says_so() -> None:
-    store = fenced([circle(0, 0, 0, 0.5), circle(1, 1.4, 0, 0.5)], FENCE_GAP_CHK=0)
-    (warning,) = store.warnings()
-    assert "gap of 0.40 m to item 0, vehicle is 0.60 m" in warning
-    assert "at north 0.70, east 0.00 m" in warning
+def test_narrow_gaps_that_no_leg_needs_are_reported_unless_the_parameter_says_otherwise() -> None:
+    for fence, width in (
+        ([circle(0, 0, 0, 0.5), circle(1, 1.4, 0, 0.5)], "0.40"),
+        ([*box(0, 0, 0, 1, 1, False), *box(4, 2.5, 0, 1, 1, False)], "0.50"),
+        ([*tank(), circle(4, 0.0, 1.0, 0.16)], "0.34"),
+    ):
+        store = fenced(fence)
+        (warning,) = store.warnings()
+        assert f"gap of {width} m to item 0, vehicle is 0.60 m: it does not pass there (at north " in warning
+        assert store.problem == ""
+        assert fenced(fence, FENCE_GAP_CHK=0).warnings() == ()
 
 
 @pytest.mark.parametrize(
@@ -189,8 +188,10 @@ def test_narrow_gaps_only_warn_when_the_parameter_says_so() -> None:
     ],
     ids=["overlap", "touch", "nested", "at the wall", "outside", "through the wall", "bridged", "two workspaces"],
 )
-def test_what_is_no_gap_is_taken(fence: list[PlanItem]) -> None:
-    assert plans().replace(PlanKind.FENCE, tuple(fence)) is None
+def test_what_is_no_gap_is_not_reported(fence: list[PlanItem]) -> None:
+    store = plans()
+    assert store.replace(PlanKind.FENCE, tuple(fence)) is None
+    assert store.warnings() == ()
 
 
 def test_a_fence_that_forbids_the_mission_in_force_names_the_waypoint() -> None:
@@ -353,3 +354,58 @@ def test_the_shipped_plan_is_its_generators_output() -> None:
     assert shipped == write_qgc_plan(paper_plan())
     toml = (folder / "paper.mission.toml").read_text(encoding="utf-8")
     assert write_qgc_plan(read_local_plan(toml, "paper.mission.toml")) == shipped
+
+
+def doors(*widths_m: float) -> list[PlanItem]:
+    """A basin of rooms in a row along north, 2 m each, with doors of these widths in the walls between."""
+    items, half = box(0, float(len(widths_m)), 0.0, len(widths_m) + 1.0, 1.5, True), 1.5
+    for k, width_m in enumerate(widths_m):
+        wall = 0.5 * (half + 0.1 - 0.5 * width_m)
+        for side in (-1.0, 1.0):
+            items += box(len(items), 2.0 * k + 1.0, side * (0.5 * width_m + wall), 0.05, wall, False)
+    return items
+
+
+@pytest.mark.parametrize(
+    ("widths_m", "goal", "says"),
+    [
+        ((0.5,), 0.0, ""),
+        ((0.7,), 2.0, ""),
+        ((0.5,), 2.0, "widen the gap of fence items 4 and 8 (0.50 m, needs 0.66 m; at north "),
+        ((0.5, 0.4, 0.9), 6.0, "widen the gap of fence items 12 and 16 (0.40 m, needs 0.66 m; at north 2.95, east"),
+        ((0.5, 0.4, 0.9), 2.0, "widen the gap of fence items 4 and 8 (0.50 m"),
+        ((0.0,), 2.0, "move item 1 or open the fence"),
+    ],
+    ids=["no leg needs it", "wide enough", "one", "narrowest of two", "the one on the way", "no gap"],
+)
+def test_a_gap_matters_where_a_leg_needs_it(widths_m: tuple[float, ...], goal: float, says: str) -> None:
+    store = plans()
+    fence, mission = numbered(doors(*widths_m)), (waypoint(0, 0.0, 0.4), waypoint(1, goal, 0.5))
+    assert store.replace(PlanKind.FENCE, tuple(fence)) is None
+    assert store.replace(PlanKind.MISSION, mission) is None
+    assert store.problem.startswith(f"no free path from item 0 to item 1: {says}" if says else "")
+    assert bool(store.problem) is bool(says)
+
+
+def test_the_way_to_the_first_place_is_one_of_the_mission() -> None:
+    store = plans()
+    store.replace(PlanKind.FENCE, tuple(numbered(doors(0.5, 0.8))))
+    store.replace(PlanKind.MISSION, (waypoint(0, 2.0, 0.0), waypoint(1, 4.0, 0.0)))
+    verdict = store.verdict
+    assert verdict.problem == ""
+    assert verdict.path_problem(np.array([0.0, 0.0, 0.3]), 0).startswith(
+        "no free path from the vehicle to item 0: move"
+    )
+    for north, first in ((2.5, 0), (4.5, 0), (4.5, 1)):
+        assert verdict.path_problem(np.array([north, 0.0, 0.3]), first) == ""
+
+
+@pytest.mark.parametrize("margin_m", [0.0, 0.03, 0.2])
+def test_a_place_needs_the_controllers_margin_less_what_its_acceptance_allows(margin_m: float) -> None:
+    wall, accept_m = 2.5, 0.1
+    for spare_m in (-0.02, 0.02):
+        north = wall - RADIUS_M - max(0.0, margin_m - VALIDATION.approach_fraction * accept_m) - spare_m
+        store = Plans(ParamSet({"WP_ACCEPT_RADIUS": accept_m}), RADIUS_M, ORIGIN, goal_margin_m=lambda: margin_m)
+        store.replace(PlanKind.FENCE, tuple(numbered(tank())))
+        store.replace(PlanKind.MISSION, (waypoint(0, north, 0.0),))
+        assert bool(store.problem) is (spare_m < 0.0), store.problem

@@ -9,8 +9,7 @@ from commander_bench import OK, Bench
 
 from autopilot.command.commander import Commander
 from autopilot.command.margin_check import MarginCheck
-from autopilot.control.nmpc.grid import geometric_grid
-from autopilot.control.robust.margins import Margins
+from autopilot.control.controller import MotionController
 from autopilot.core.geometry import Circle, Fence, Polygon
 from autopilot.core.vehicle import load_vehicle
 from autopilot.mission.reach import widest_m
@@ -21,7 +20,7 @@ VEHICLE = load_vehicle("lbv150")
 def checked(**params: float) -> tuple[Bench, MarginCheck]:
     """A commander that asks the margins, with the paper's plan."""
     bench = Bench(**params)
-    check = MarginCheck(Margins(VEHICLE.to_model(), geometric_grid()), bench.params, bench.plans)
+    check = MarginCheck(MotionController(VEHICLE), bench.params, bench.plans)
     bench.commander = Commander(VEHICLE, bench.params, bench.plans, controller_check=check)
     bench.load()
     return bench, check

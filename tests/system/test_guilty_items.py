@@ -94,12 +94,6 @@ def for_ever(draw: random.Random) -> Case:
     return KIND.MISSION, items, guilty
 
 
-def two_obstacles(draw: random.Random) -> Case:
-    """The second of the two that are too near to each other."""
-    items, first = fence(draw, [cylinder(0.0, 0.0, 0.5), cylinder(1.4, 0.0, 0.5)])
-    return KIND.FENCE, items, first + 1
-
-
 def in_mission(*made: PlanItem, last: bool = False) -> Callable[[random.Random], Case]:
     def make(draw: random.Random) -> Case:
         return KIND.MISSION, *mission(draw, *made, last=last)
@@ -171,7 +165,6 @@ CASES = {
     "polygon of other vertices": (R.INVALID_PARAM1, "of 4 vertices", in_fence(*polygon(SQUARE)[:3])),
     "polygon that crosses itself": (R.INVALID, "intersects", in_fence(*polygon([(0, 0), (2, 2), (2, 0), (0, 2)]))),
     "polygon without area": (R.INVALID, "no area", in_fence(*polygon([(0, 0), (1, 1), (1, 1.0005)]))),
-    "two near obstacles": (R.INVALID, "gap of", two_obstacles),
     "workspace without room": (
         R.INVALID,
         "no room",

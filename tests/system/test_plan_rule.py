@@ -295,3 +295,21 @@ def test_starting_a_disarmed_vehicle_the_way_a_ground_station_does(harbour: Open
 
 def _armed(client: WireClient) -> bool:
     return bool(client.received("HEARTBEAT")[-1].base_mode & mav.MAV_MODE_FLAG_SAFETY_ARMED)
+
+
+def test_a_wall_between_the_vehicle_and_the_first_place_forbids_arming_and_starting(harbour: Open) -> None:
+    """It once armed, started, and held for want of a path."""
+    made, client = harbour()
+    mission = tuple(replace(INTO_THE_PILLAR, seq=k, x=17500, y=6000 * k) for k in range(2))
+    corners = ((-500, -16000), (500, -16000), (500, 16000), (-500, 16000))
+    wall = tuple(PlanItem(seq=4 + k, frame=1, command=5002, param1=4.0, x=x, y=y) for k, (x, y) in enumerate(corners))
+    assert not _upload(made, client, (PlanKind.FENCE, (*PLAN.fence[:4], *wall)), (PlanKind.MISSION, mission))
+    made.run(1.1)
+    assert made.command(client, ARM, 1.0) == DENIED
+    assert client.texts()[0].startswith(
+        "Arming denied: plan: no free path from the vehicle to item 0: move the vehicle"
+    )
+    assert made.command(client, ARM, 1.0, FORCE) == ACCEPTED
+    assert set(_every_way_to_start(made, client).values()) == {DENIED}
+    assert made.offer(client, PlanKind.FENCE, PLAN.fence) == MissionResult.ACCEPTED
+    assert made.command(client, START) == ACCEPTED

@@ -49,13 +49,15 @@ NO_PATH = QuickestPath(math.inf, math.inf)
 class DistanceMap:
     """Clearance everywhere, to within a pixel."""
 
-    def __init__(self, layout: WorldLayout, places: list[Point]) -> None:
+    def __init__(
+        self, layout: WorldLayout, places: list[Point], *, finest_m: float = FINEST_M, most_pixels: int = MOST_PIXELS
+    ) -> None:
         """``places``: points that the grid has to contain beside the layout (by default it is as large as the
         outline).
         """
         low, high = _extent(layout, places)
         area = float(np.prod(high - low))
-        self.pixel_m = max(FINEST_M, math.sqrt(area / MOST_PIXELS))
+        self.pixel_m = max(finest_m, math.sqrt(area / most_pixels))
         self.low = low - self.pixel_m
         shape = np.ceil((high - low) / self.pixel_m).astype(int) + 3
         self.distance_m = self._clearance(layout, (int(shape[0]), int(shape[1])))

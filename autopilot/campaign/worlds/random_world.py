@@ -106,7 +106,7 @@ def make_world(seed: int) -> RandomWorld:
 
 
 def _params(rng: np.random.Generator, vehicle: Vehicle, *, stock: bool) -> dict[str, float]:
-    """``[params]``: speed limits that the thrusters can hold, acceptance, whether narrow gaps refuse a fence."""
+    """``[params]``: speed limits that the thrusters can hold, acceptance, whether narrow gaps are reported."""
     gaps = {"FENCE_GAP_CHK": float(rng.random() < 0.22)}
     limit = vehicle.drive.limit_n
     if stock:

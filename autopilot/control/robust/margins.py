@@ -3,13 +3,12 @@ it.
 """
 
 import math
-from collections.abc import Sequence
 from dataclasses import replace
 from enum import IntEnum
 
 import numpy as np
 
-from autopilot.control.nmpc.grid import TimeGrid
+from autopilot.control.nmpc.grid import TimeGrid, geometric_grid
 from autopilot.control.path.reference import water_speed_fraction
 from autopilot.control.robust.ancillary import Ancillary
 from autopilot.control.robust.lipschitz import LipschitzMargins
@@ -19,10 +18,24 @@ from autopilot.control.robust.tightening import BackOffs, FixedMargins
 from autopilot.control.robust.tube import TubeMargins
 from autopilot.core import operator_messages as notices
 from autopilot.core.frames import FloatArray
-from autopilot.core.messages import NavState
+from autopilot.core.messages import NavHealth, NavState
 from autopilot.core.model4 import NX, Model4
 from autopilot.core.notice_queue import NoticeQueue
 from autopilot.core.params import ParamSet
+from autopilot.core.vehicle import Vehicle
+
+AT_REST = NavState(
+    t_us=0,
+    health=NavHealth.GOOD,
+    pos_ned_m=np.zeros(3),
+    rpy_rad=np.zeros(3),
+    vel_frd_m_s=np.zeros(3),
+    vel_water_frd_m_s=np.zeros(3),
+    rate_frd_rad_s=np.zeros(3),
+    current_ned_m_s=np.zeros(3),
+    variance=np.zeros(12),
+)
+"""The best estimate of a vehicle at rest."""
 
 
 class Tighten(IntEnum):
@@ -46,6 +59,7 @@ class Margins(NoticeQueue):
         """Reset by the controller at a restart."""
         self._fixed = fixed
         self._reported = False
+        self._goal_margin: tuple[ParamSet, int, float] | None = None
         self._rest = np.zeros((grid.n + 1, NX))
         self._idle = np.zeros((grid.n, model.thrusters))
 
@@ -91,13 +105,18 @@ class Margins(NoticeQueue):
         cap_m_s = max(0.0, params["SPD_PLANAR_MAX"] - float(back_off[-1]))
         return cap_m_s * water_speed_fraction(math.hypot(*nav.current_ned_m_s[:2].tolist()), cap_m_s)
 
-    def refusals(
-        self, nav: NavState, goals: Sequence[tuple[str, float]], fence_half_m: float, params: ParamSet
-    ) -> tuple[str, ...]:
-        """Why the vehicle must not be armed: limits of which the margins leave nothing at node 1 or at a goal.
+    def goal_margin_m(self, params: ParamSet) -> float:
+        """Clearance beyond the body radius [m] that is kept where the vehicle stays, by the parameters alone."""
+        seen = params, params.revision
+        if self._goal_margin is None or self._goal_margin[:2] != seen:
+            node = 0 if Tighten(int(params["MPC_TIGHTEN"])) is Tighten.LIPSCHITZ else -1
+            self._goal_margin = *seen, float(self.settled(AT_REST, params).clearance_m[node])
+        return self._goal_margin[2]
 
-        ``goals``: name and clearance [m] beyond the body radius of every place of the mission; ``fence_half_m``:
-        largest clearance beyond the body radius anywhere (inf = open water).
+    def refusals(self, nav: NavState, fence_half_m: float, params: ParamSet) -> tuple[str, ...]:
+        """Why the vehicle must not be armed: limits of which the margins leave nothing at node 1.
+
+        ``fence_half_m``: largest clearance beyond the body radius anywhere (inf = open water).
         """
         # A vehicle that lies still cannot know the current yet, and the estimate gets better once it moves. That there
         # is a position at all is asked for elsewhere.
@@ -122,15 +141,13 @@ class Margins(NoticeQueue):
         near = float(margins.clearance_m[0])
         if fence_half_m < near and math.isfinite(fence_half_m):
             reasons.append(f"the fence leaves nothing of the {mode} margin {near:.2f} m: widen it")
-        # The vehicle stays at a goal: the margin there is that of the end of the prediction.
-        far = float(margins.clearance_m[-1]) if mode != "lipschitz" else near
-        reasons += [
-            f"{name} is {clearance:.2f} m from the fence beyond the body, needs {far:.2f} m ({mode} margin)"
-            for name, clearance in goals
-            if clearance < far
-        ]
         if mode == "lipschitz":
             report = self.lipschitz.report(nav, params)
             if report.empty_node is not None and report.empty_node <= 1:
                 reasons.append(f"{report.text}: set MPC_TIGHTEN 1 or smaller MPC_W_*")
         return tuple(reasons)
+
+
+def goal_margin_m(vehicle: Vehicle, params: ParamSet) -> float:
+    """:meth:`Margins.goal_margin_m` of the shipped controller, for checks without a flight."""
+    return Margins(vehicle.to_model(), geometric_grid()).goal_margin_m(params)
