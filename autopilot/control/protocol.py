@@ -24,7 +24,7 @@ from autopilot.core.plugins import Plugin, find_plugin
 from autopilot.core.samples import ObstacleTrack
 from autopilot.core.vehicle import Vehicle
 
-CONTROLLERS = {"nmpc": "autopilot.control.controller:of_context"}
+CONTROLLERS = {"nmpc": "autopilot.control.controller:of_context", "los-pid": "autopilot.control.los_pid:LosPid"}
 """Shipped controllers: name -> factory."""
 
 STEP_S = 0.05

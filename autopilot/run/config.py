@@ -19,7 +19,7 @@ ENVIRONMENT_PREFIX = "AUTOPILOT_"
 """AUTOPILOT_STATE_DIR and so on: every setting's name in capitals."""
 
 PROFILES = ("generic", "px4", "ardusub")
-CONTROLLERS = ("nmpc",)
+CONTROLLERS = ("nmpc", "los-pid")
 ESTIMATORS = ("ekf", "complementary")
 PLANTS = ("rigid-body",)
 SENSORS = ("camera", "pose")

@@ -217,6 +217,17 @@ def legs_rows(short: bool) -> Rows:
     return [asdict(row) for row in bench_legs(SHORT_LEGS if short else LEGS)]
 
 
+def rivals_rows(short: bool) -> Rows:
+    """Short legs at shipped defaults: minimum energy, quadratic cost and los-pid.
+
+    Beside the optimum of the vehicle that is flown: a jet beside the way, and upstream, with and without more drag and
+    less thrust (ten minutes; one leg with --short).
+    """
+    from tests.bench.energy.rivals import bench_rivals
+
+    return [asdict(row) for row in bench_rivals(short, tell)]
+
+
 def modes_rows(short: bool) -> Rows:
     """Both costs of the controller (MPC_COST 0 and 1).
 
@@ -249,5 +260,11 @@ def turns_rows(short: bool, base: str | None = None, count: int = 1) -> Rows:
     return [asdict(row) for row in bench_turns(base or base_revision(), 1 if short else count)]
 
 
-ROWS = {"pockets": pockets_rows, "energy-latency": latency_rows, "energy-legs": legs_rows, "modes": modes_rows}
+ROWS = {
+    "pockets": pockets_rows,
+    "energy-latency": latency_rows,
+    "energy-legs": legs_rows,
+    "energy-rivals": rivals_rows,
+    "modes": modes_rows,
+}
 """Studies without options of their own."""

@@ -37,6 +37,8 @@ TITLES = {
     " missed = not kept; chosen = tilt s, heading s, noise deg/s | gains of tilt, heading, bias",
     "energy-latency": "Energy plans: CPU seconds per kind of request, and when answers are due in lockstep",
     "energy-legs": "Energy plans of random legs, seconds of CPU and by the clock; slow = more than 1 s of CPU",
+    "energy-rivals": "Legs at shipped defaults in the service on the simulated vehicle: J of its thrusters beside the"
+    " optimum with the same drag and thrust; s = until the acceptance ball is entered",
     "energy": "Energy per lap beside the optimum with the same freedom (laps, corridor, vehicle flown), or a rival's;"
     " flow known: MPC_MARGIN 0.02, MPC_SPEED_MARGIN 0.01, MPC_W_* 0",
     "turns": "CPU time of two revisions in turns: medians, and the ratios of this one to the other",

@@ -60,7 +60,7 @@ def nav_at(t_us: int, x: FloatArray, health: NavHealth = NavHealth.GOOD) -> NavS
     )
 
 
-@pytest.fixture(params=["nmpc", "my_controller:Follower"])
+@pytest.fixture(params=["nmpc", "los-pid", "my_controller:Follower"])
 def controller(request: pytest.FixtureRequest) -> Controller:
     return make_controller(request.param)
 
@@ -100,7 +100,7 @@ def test_a_controller_reaches_its_goal_round_a_pillar_within_the_limits(controll
     assert isinstance(controller.take_news(), list)
 
 
-@pytest.mark.parametrize("name", ["nmpc", "my_controller:Follower"])
+@pytest.mark.parametrize("name", ["nmpc", "los-pid", "my_controller:Follower"])
 def test_a_controller_is_deterministic_and_forgets_at_reset(name: str) -> None:
     first, again = make_controller(name), make_controller(name)
     wanted = fly(first, 40)[1]
@@ -115,13 +115,14 @@ def test_a_controller_says_what_it_has_against_arming(controller: Controller) ->
     assert 0.0 < controller.planar_speed_m_s(nav, params) <= params["SPD_PLANAR_MAX"]
 
 
+@pytest.mark.parametrize("spec", ["los-pid", "my_controller:Follower"])
 @pytest.mark.parametrize("name", ["lbv150", "bluerov2", "bluerov2-heavy"])
-def test_the_example_flies_vehicles_with_any_number_of_thrusters(name: str) -> None:
+def test_a_controller_on_the_model_flies_vehicles_with_any_number_of_thrusters(name: str, spec: str) -> None:
     vehicle = load_vehicle(name)
     given = ControllerContext(
         vehicle=vehicle, model=vehicle.to_model(), currents=EstimatedCurrent(), desks=BackgroundWorkers()
     )
-    controller, params = create_controller("my_controller:Follower", given), ParamSet()
+    controller, params = create_controller(spec, given), ParamSet()
     limit_n = np.full(len(vehicle.thrusters), 9.0)
     x, begin_m = np.array(START), math.hypot(*(GOAL.pos_ned_m[:2] - START[:2]))
     for step in range(160):

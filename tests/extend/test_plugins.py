@@ -77,7 +77,7 @@ def test_an_installed_package_offers_a_name_and_its_version_is_kept(lab: Callabl
     assert type(create_controller("quiet", context())).__name__ == "Quiet"
     # What ships under a name stays what it is.
     assert find_controller("nmpc").target == CONTROLLERS["nmpc"]
-    with pytest.raises(ConfigError, match=r"'loud' is not known; use one of nmpc, quiet, or package:Class"):
+    with pytest.raises(ConfigError, match=r"'loud' is not known; use one of nmpc, los-pid, quiet, or package:Class"):
         find_controller("loud")
 
 

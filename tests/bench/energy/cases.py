@@ -67,9 +67,17 @@ def tank_jet(x: Any, y: Any, ops: Any) -> tuple[Any, Any]:
     return -scale * ops.cos(phase) * xi * (1.0 - xi), scale * ops.sin(phase) * (1.0 - 3.0 * xi) * aspect
 
 
-def bickley_jet(x: Any, y: Any, ops: Any) -> tuple[Any, Any]:
-    """Jet of 0.30 m/s along +x at y = 10 m, half-width 3 m."""
-    return 0.30 / ops.cosh((y - 10.0) / 3.0) ** 2, 0.0 * x
+def bickley(speed_m_s: float, width_m: float, center_y_m: float) -> Flow:
+    """Jet along +x about y = ``center_y_m``."""
+
+    def flow(x: Any, y: Any, ops: Any) -> tuple[Any, Any]:
+        return speed_m_s / ops.cosh((y - center_y_m) / width_m) ** 2, 0.0 * x
+
+    return flow
+
+
+bickley_jet = bickley(0.30, 3.0, 10.0)
+"""0.30 m/s at y = 10 m, half-width 3 m."""
 
 
 def taylor_green(x: Any, y: Any, ops: Any) -> tuple[Any, Any]:

@@ -83,8 +83,17 @@ def grid_of(case: Case) -> tuple[int, int]:
 class LeastEnergy:
     """The program of one case from one start."""
 
-    def __init__(self, model: Model4, power: PowerModel, case: Case, intervals: int, substeps: int) -> None:
-        self._case, self._n, self._power, self._model = case, intervals, power, model
+    def __init__(
+        self,
+        model: Model4,
+        power: PowerModel,
+        case: Case,
+        intervals: int,
+        substeps: int,
+        *,
+        thrust_n: float = THRUST_N,
+    ) -> None:
+        self._case, self._n, self._power, self._model, self._thrust_n = case, intervals, power, model, thrust_n
         self._thrusters = model.thrusters
         n, legs = intervals, len(case.goals)
         self._longest_s = SUBSTEP_S * n * substeps
@@ -145,7 +154,7 @@ class LeastEnergy:
         if self._case.tank:
             top[[X, Y, Z]] = TANK_X_M - BODY_RADIUS_M, TANK_Y_M - BODY_RADIUS_M, TANK_DEPTH_M
             bottom[[X, Y, Z]] = -top[X], -top[Y], 0.0
-        thrust = np.full(self._thrusters * n * legs, THRUST_N)
+        thrust = np.full(self._thrusters * n * legs, self._thrust_n)
         upper = np.concatenate([np.tile(top, n * legs), thrust, np.full(legs, self._longest_s)])
         lower = np.concatenate([np.tile(bottom, n * legs), -thrust, np.full(legs, 0.5)])
         return lower, upper
@@ -195,7 +204,7 @@ class LeastEnergy:
             wrench[:, 0] = (model.linear_drag[0] + model.quadratic_drag[0] * np.abs(u)) * u
             wrench[:, 2] = model.buoyancy_excess_n
         thrust: FloatArray = ControlAllocator(model).thrust_n(wrench, np.full(model.thrusters, np.inf))
-        return np.clip(thrust, -0.9 * THRUST_N, 0.9 * THRUST_N)
+        return np.clip(thrust, -0.9 * self._thrust_n, 0.9 * self._thrust_n)
 
     def _first(self, guess: Guess, x0: FloatArray) -> tuple[FloatArray, FloatArray]:
         """States (legs n, 8) and durations (legs,): steady motion along the way, turning evenly in a tank."""
@@ -273,6 +282,15 @@ def _rk4(model: Model4, case: Case, x: FloatArray, thrust: FloatArray, h: float)
 def start_state(case: Case) -> FloatArray:
     """(8,) at rest in the water."""
     return np.array([*case.start, 0.0, 0.0, 0.0, 0.0])
+
+
+def rest_over_ground(case: Case) -> FloatArray:
+    """(8,) at rest over ground."""
+    state = start_state(case)
+    north, east = case.flow(case.start[0], case.start[1], math)
+    c, s = math.cos(case.start[3]), math.sin(case.start[3])
+    state[U], state[V] = -c * north - s * east, s * north - c * east
+    return state
 
 
 SIDES = {"N": 1.0, "S": -1.0}

@@ -202,17 +202,23 @@ def _solve(model: Model4, power: PowerModel, name: str, records: dict[str, Recor
     return sorted((each for each in solved if each.solved), key=lambda each: each.energy_j)
 
 
-def _heavier_j(vehicle: Vehicle, case: Case, drag: float, found: list[Optimum]) -> float:
-    """What the best classes take with the vehicle that is flown where the controller's model is wrong."""
-    model, (intervals, substeps) = vehicle.to_model(), grid_of(case)
+def flown_model(vehicle: Vehicle, *, mass: float = 1.0, drag: float = 1.0) -> Model4:
+    """The model of a vehicle with factors on the hull's mass and on quadratic drag, as the plant's mismatch."""
+    model = vehicle.to_model()
     surge, sway, heave, yaw = model.mass_kg
-    more_kg = (MASS - 1.0) * vehicle.body.mass_kg
+    more_kg = (mass - 1.0) * vehicle.body.mass_kg
     d1, d2, d3, d4 = model.quadratic_drag
-    flown = replace(
+    return replace(
         model,
         mass_kg=(surge + more_kg, sway + more_kg, heave + more_kg, yaw),
         quadratic_drag=(drag * d1, drag * d2, drag * d3, drag * d4),
     )
+
+
+def _heavier_j(vehicle: Vehicle, case: Case, drag: float, found: list[Optimum]) -> float:
+    """What the best classes take with the vehicle that is flown where the controller's model is wrong."""
+    intervals, substeps = grid_of(case)
+    flown = flown_model(vehicle, mass=MASS, drag=drag)
     program = LeastEnergy(flown, PowerModel.of(vehicle), case, intervals, substeps)
     solved = [program.solve(near.guess, start_state(case), near) for near in found[:3]]
     return min(optimum.energy_j for optimum in solved if optimum.solved)

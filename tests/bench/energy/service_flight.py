@@ -2,7 +2,9 @@
 
 import math
 import tempfile
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -13,24 +15,13 @@ from autopilot.core.frames import FloatArray, wrap_pi
 from autopilot.core.messages import Outputs
 from autopilot.run.config import flight_settings
 from autopilot.run.sitl_session import SitlSession, open_sitl
-from autopilot.sitl.scenario import scenario_path
+from autopilot.sitl.scenario import load_scenario, load_tables, plan_path
+from autopilot.sitl.toml_text import toml_text
 from tests.bench.energy.cases import REGION_M, REGION_YAW_RAD, Case
 from tests.bench.energy.flight import EnergyFlight
-from tests.bench.energy.record import DRAGS, MASS
+from tests.bench.energy.record import MASS
 
 LEG_LIMIT_S = 300.0
-
-
-def _mismatch(drag: float) -> str:
-    """The line of a scenario file."""
-    return f"mismatch = {{ mass = {MASS:g}, drag = {drag:g} }}"
-
-
-SHIPPED = _mismatch(DRAGS[0])
-"""As the scenarios ship; the bench flies other drags too."""
-
-ESTIMATE = 'currents = "estimate"'
-"""As the scenarios ship; the bench flies with a map too."""
 
 
 class _Score:
@@ -77,24 +68,37 @@ def fly_service(case: Case, scenario: str, drag: float, currents: str = "estimat
 
     ``currents``: what it knows of the flow, "estimate" or "map" (a map of the true flow, corrected by the estimate).
     """
+    tables = load_tables(scenario)
+    tables["vehicle"]["mismatch"] = {"mass": MASS, "drag": drag}
+    tables["controller"]["currents"] = currents
+    plan = plan_path(scenario, load_scenario(scenario))
+    assert plan is not None
+    flight = fly_tables(case, tables, plan, f"service, {currents}, drag {drag:g}")
+    return replace(flight, drag=drag)
+
+
+def fly_tables(
+    case: Case, tables: dict[str, Any], plan: Path, pilot: str, controller: str | None = None
+) -> EnergyFlight:
+    """Fly the plan in the scenario of ``tables`` with the pose sensor; ``case`` has its goals.
+
+    ``controller``: as ``--controller``, None = the scenario's.
+    """
     score = _Score(case)
     with tempfile.TemporaryDirectory() as folder:
-        source = scenario_path(scenario)
-        text = source.read_text().replace(SHIPPED, _mismatch(drag)).replace(ESTIMATE, f'currents = "{currents}"')
-        for plan in (*source.parent.glob("*.plan"), *source.parent.glob("*.mission.toml")):
-            (Path(folder) / plan.name).write_text(plan.read_text())
-        altered = Path(folder) / source.name
-        altered.write_text(text)
+        tables["scenario"]["plan"] = str(plan)
+        altered = Path(folder) / "altered.toml"
+        altered.write_text(toml_text(tables))
         limit_s = LEG_LIMIT_S * len(case.goals) * case.laps
         given = {"speed": 0.0, "sensors": "pose", "duration": limit_s, "start": True, "scenario": str(altered)}
-        settings = flight_settings(folder, given)
+        settings = flight_settings(folder, {**given, **({"controller": controller} if controller else {})})
         session = open_sitl(settings, {}, log=False, on_tick=score.tick)
         score.session = session
         session.run(stop=lambda: score.finished)
     path = np.array(score.track)
     return EnergyFlight(
         case=case.name,
-        pilot=f"service, {currents}, drag {drag:g}",
+        pilot=pilot,
         finished=score.finished,
         energy_j=score.spent_j,
         leg_j=tuple(score.leg_j),
@@ -103,5 +107,4 @@ def fly_service(case: Case, scenario: str, drag: float, currents: str = "estimat
         top_m_s=score.top_m_s,
         track=path,
         laps=case.laps,
-        drag=drag,
     )
