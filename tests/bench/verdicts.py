@@ -22,8 +22,8 @@ from autopilot.mission.local_plan import read_local_plan
 from autopilot.mission.mission_tuning import VALIDATION
 from autopilot.mission.plan_check import judge_file
 
-BAND_M = 0.01
-"""Fence and waypoints are rounded to 11 mm on the wire."""
+BAND_M = 0.022
+"""1 cm, and 12 mm by which fence and waypoints are rounded on the wire."""
 FINE_M, FINE_PIXELS = 0.004, 25_000_000
 """Of the second picture, for worlds near the limit."""
 BISECTIONS = 12
@@ -40,9 +40,13 @@ class VerdictRow:
     """By which the tightest place or path of the mission is wider than the vehicle needs, by the search."""
     pixel_m: float
     """Of the picture."""
+    begins_free: bool
+    """The vehicle fits where it starts."""
 
     @property
     def kind(self) -> str:
+        if not self.begins_free:
+            return "begins in a wall"
         if bool(self.reason) is (self.spare_m < 0.0):
             return "refused by both" if self.reason else "accepted by both"
         if abs(self.spare_m) <= BAND_M:
@@ -63,7 +67,10 @@ def judged(seed: int) -> VerdictRow:
     spare_m, pixel_m = _spare(world, params, radius_m, margin_m, {})
     if abs(spare_m) < 2.0 * pixel_m:
         spare_m, pixel_m = _spare(world, params, radius_m, margin_m, {"finest_m": FINE_M, "most_pixels": FINE_PIXELS})
-    return VerdictRow(seed=seed, reason=reason, spare_m=round(spare_m, 4), pixel_m=round(pixel_m, 4))
+    begins_free = clearance_m(world.layout, world.start_m) >= radius_m
+    return VerdictRow(
+        seed=seed, reason=reason, spare_m=round(spare_m, 4), pixel_m=round(pixel_m, 4), begins_free=begins_free
+    )
 
 
 def _spare(
