@@ -26,14 +26,14 @@ from autopilot.control.path.drive import DriveGuidance
 from autopilot.control.path.guidance import Guidance, GuidanceInputs, Reference, RouteGuidance
 from autopilot.control.path.planner import Planner
 from autopilot.control.path.workers import BackgroundWorkers
-from autopilot.control.protocol import Controller, ControllerContext
+from autopilot.control.protocol import STEP_S, Controller, ControllerContext
 from autopilot.control.robust.fallback import FallbackWatch, FiniteWatch
 from autopilot.control.robust.inner import InnerLoop, plan_error
 from autopilot.control.robust.margins import Tighten
 from autopilot.control.robust.penalty import PenaltyWatch
 from autopilot.control.robust.station import StationKeeper
 from autopilot.control.step_program import StepProgram
-from autopilot.control.thrust.slew import slewed
+from autopilot.control.thrust.slew import SlewWindow, slewed
 from autopilot.core import operator_messages as notices
 from autopilot.core.control_allocator import ControlAllocator, lacking_thrust
 from autopilot.core.errors import ConfigError
@@ -119,7 +119,7 @@ class MotionController:
         self._forecast = currents or EstimatedCurrent()
         self._inner = InnerLoop(self.margins.ancillary, grid)
         self._station = StationKeeper(allocator)
-        self._reversals = Reversals(self._most_n)
+        self._reversals, self._window = Reversals(self._most_n), SlewWindow(STEP_S)
         self._penalty = PenaltyWatch()
         self._fallbacks, self._numbers = FallbackWatch(), FiniteWatch()
         self._nominal_t_s = response.mean_s + grid.t_s
@@ -175,6 +175,7 @@ class MotionController:
         self._inner.stop()
         self._station.release()
         self._reversals.reset()
+        self._window.clear()
         self._program.reset()
         self._guidance.reset()
         self._obstructions.reset()
@@ -251,7 +252,7 @@ class MotionController:
         found = self._program.solve(start, now, reference, self._movers)
         result = found.result
         thrust, fallback = self._choose(result, now, now.x0 if delay_s else x, limit_n, elapsed_s)
-        thrust = self._reversals.worth(thrust)
+        thrust = self._window.limited(t_us, self._reversals.worth(thrust), limit_n)
         self._command = self._stepped = thrust
         self._fallbacks.watch(fallback)
         self._penalty.watch(result.penalty_use if result.status is SolveStatus.OK else 0.0)
@@ -294,9 +295,10 @@ class MotionController:
         self._numbers.watch(finite)
         if x0 is None or not finite:
             self._command = np.zeros(self._model.thrusters)
+            self._window.clear()
             return self._command
         thrust = self._inner.thrust(t_us, x0, current, self._limit_n)
-        self._command = self._reversals.worth(thrust, between=True)
+        self._command = self._window.limited(t_us, self._reversals.worth(thrust, between=True), self._limit_n)
         return self._command
 
     def planar_speed_m_s(self, nav: NavState, params: ParamSet) -> float:
@@ -457,6 +459,7 @@ class MotionController:
         self._inner.stop()
         self._station.release()
         self._reversals.reset()
+        self._window.clear()
         self._guidance.reset()
         status = NmpcStatus(
             t_us=t_us,
