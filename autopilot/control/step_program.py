@@ -136,6 +136,9 @@ class StepProgram:
         now.forecast.fill(now.nav, nmpc.x[: nmpc.grid.n, :3], self._t_s, self._currents)
         self.margins.update(now.nav, now.params)
         back_off = self.margins.back_offs(now.nav, nmpc.x, nmpc.u, now.params)
+        if now.least_cap_m_s:
+            most = now.params["SPD_PLANAR_MAX"] - now.least_cap_m_s
+            back_off = replace(back_off, planar_speed_m_s=np.minimum(back_off.planar_speed_m_s, most))
         bounds.fill(back_off, now, reference, nmpc.u, self._change_weight(start, now))
         self._speed_back_off_m_s = float(back_off.planar_speed_m_s[-1])
         terminal = self._terminal(now, reference)
