@@ -141,6 +141,8 @@ class MissionRun:
         else home. True when the vehicle is to hold.
         """
         t_us, patience_s = status.t_us, self._params["WP_STUCK_TIME"]
+        if status.shortfall:
+            patience_s = min(patience_s, MISSION_RUN.shortfall_s)
         step_m = patience_s * self._params["SPD_GROUND_MIN"]
         path_left_m = self.sequencer.circle_left_m if flies else None
         path_left_m = status.path_left_m if path_left_m is None else path_left_m
@@ -159,7 +161,7 @@ class MissionRun:
     def _give_up(self, status: VehicleStatus, goal: Goal, nav: NavState, flies: bool) -> bool:
         """Report it and act; True when the vehicle is to hold."""
         current = math.hypot(*nav.current_ned_m_s[:2].tolist())
-        why = "no free way" if status.unreachable else f"current {current:.2f} m/s"
+        why = "no free way" if status.unreachable else status.shortfall or f"current {current:.2f} m/s"
         action = int(self._params["WP_STUCK_ACT"]) if flies else StuckAction.WARN
         if action == StuckAction.WARN:
             name = f"Item {goal.seq}" if flies else "Home"

@@ -152,6 +152,7 @@ class MotionController:
 
     @property
     def shortfall(self) -> str:
+        """See :attr:`autopilot.control.protocol.Controller.shortfall`."""
         return self._stream.shortfall
 
     def warm(self, params: ParamSet) -> None:
@@ -310,8 +311,8 @@ class MotionController:
         return self._command
 
     def planar_speed_m_s(self, nav: NavState, params: ParamSet) -> float:
-        """Planar speed limit minus its back-off, with this estimate [m/s]."""
-        return self.margins.planar_speed_m_s(nav, params)
+        """Planar speed limit minus its back-off, with this estimate, or what is made in a strong stream [m/s]."""
+        return self._stream.can_m_s or self.margins.planar_speed_m_s(nav, params)
 
     def refusals(
         self, nav: NavState, goals: Sequence[tuple[str, float]], fence_half_m: float, params: ParamSet

@@ -5,23 +5,27 @@ import math
 from dataclasses import dataclass, replace
 
 import numpy as np
-from control_loop import rk4
+from control_loop import inside, rk4
 
+from autopilot.command.command_tuning import MISSION_RUN
 from autopilot.control.controller import MotionController
 from autopilot.core import model4
+from autopilot.core.control_allocator import ControlAllocator
 from autopilot.core.frames import FloatArray, wrap_pi
 from autopilot.core.geometry import Circle, Fence, Polygon
 from autopilot.core.messages import ControlOutput, Goal, NavHealth, NavState
 from autopilot.core.model4 import Model4
 from autopilot.core.params import ParamSet
 from autopilot.core.vehicle import load_vehicle
+from autopilot.mission.upstream import MadeGood
 
 VEHICLES = ("lbv150", "bluerov2", "bluerov2-heavy")
 STEP_US, SUBSTEPS = 50_000, 5
 LAG_S, CURRENT_LAG_S = 0.15, 1.2
 SPREAD = np.square([1e-3, 1e-3, 1e-3, 1e-3, 1e-3, 1e-2, 0.045, 0.04, 0.02, 0.045, 0.04, 0.02])
 """Variances of the estimate, as in flight with the camera."""
-HALF_M = np.array([5.0, 3.0])
+UP_M, BESIDE_M, LEE_M, OPEN_M = 4.0, 2.5, 4.0, 60.0
+"""Distances of the fence upstream, on both sides and in the lee: a wall there if the vehicle can hold, else open."""
 PILLAR_M = 0.16
 
 
@@ -29,58 +33,82 @@ PILLAR_M = 0.16
 class Draw:
     vehicle: str
     stream_m_s: FloatArray
+    """(3,)"""
+    made_m_s: float
+    """What the vehicle makes, bow on."""
     thrust: float
     drag: float
     start: FloatArray
     """(8,)"""
     goal: Goal
     pillar_m: FloatArray
+    lee_m: float
+
+    @property
+    def along(self) -> FloatArray:
+        """(2, 2) unit vectors along the stream and across."""
+        north, east = self.stream_m_s[:2] / np.hypot(*self.stream_m_s[:2])
+        return np.array([[north, east], [-east, north]])
 
     @property
     def fence(self) -> Fence:
-        x, y = HALF_M
-        corners = np.array([[-x, -y], [x, -y], [x, y], [-x, y]])
+        corners = [[-UP_M, -BESIDE_M], [self.lee_m, -BESIDE_M], [self.lee_m, BESIDE_M], [-UP_M, BESIDE_M]]
         pillar = Circle(center_ned_m=self.pillar_m, radius_m=PILLAR_M)
-        return Fence(
-            inclusions=(Polygon(vertices_ned_m=corners),), exclusions=(pillar,), depth_min_m=0.0, depth_max_m=1.2
-        )
+        basin = Polygon(vertices_ned_m=np.array(corners) @ self.along)
+        return Fence(inclusions=(basin,), exclusions=(pillar,), depth_min_m=0.0, depth_max_m=1.2)
+
+    def clearance_m(self, places: FloatArray) -> float:
+        """Least distance of places (n, 2) from wall and pillar."""
+        x, y = (places @ self.along.T).T
+        wall = np.min([x + UP_M, self.lee_m - x, BESIDE_M - np.abs(y)])
+        return float(min(wall, np.hypot(*(places - self.pillar_m).T).min() - PILLAR_M))
 
 
-def made_m_s(params: ParamSet) -> float:
-    """What is made with the fixed margin."""
-    return params["SPD_PLANAR_MAX"] - params["MPC_SPEED_MARGIN"]
+def fastest_m_s(real: Model4, params: ParamSet) -> float:
+    """Speed ahead with all the thrust."""
+    allocator, low, high = ControlAllocator(real), 0.0, 3.0
+    for _ in range(20):
+        middle = 0.5 * (low + high)
+        thrust = allocator.hold_n(np.array([[middle, 0.0, 0.0, 0.0]]), np.full(real.thrusters, np.inf))
+        low, high = (middle, high) if np.abs(thrust).max() <= params["THR_LIMIT"] else (low, middle)
+    return low
 
 
 def draw(seed: int) -> Draw:
-    """0.8 to 1.2 of that, any heading, thrust 0.8 to 1, drag 1 to 1.25, a pillar in the lee or beside the way."""
-    rng = np.random.default_rng((301, seed))
-    vehicle = VEHICLES[seed % len(VEHICLES)]
-    speed, to = rng.uniform(0.8, 1.2) * made_m_s(ParamSet()), rng.uniform(-math.pi, math.pi)
+    """0.8 to 1.2 of what can be made, any heading, thrust 0.8 to 1, drag 1 to 1.25, a pillar in the lee."""
+    rng, params = np.random.default_rng((301, seed)), ParamSet()
+    vehicle = load_vehicle(VEHICLES[seed % len(VEHICLES)])
+    thrust, drag = float(rng.uniform(0.8, 1.0)), float(rng.uniform(1.0, 1.25))
+    fastest = fastest_m_s(worse(vehicle.to_model(), thrust, drag), params)
+    made = min(params["SPD_PLANAR_MAX"] - params["MPC_SPEED_MARGIN"], fastest)
+    speed, to = rng.uniform(0.8, 1.2) * made, rng.uniform(-math.pi, math.pi)
     stream = speed * np.array([math.cos(to), math.sin(to), 0.0])
-    keep = load_vehicle(vehicle).radius_m + 0.15
-    here = rng.uniform(-1.0, 1.0, 2) * (HALF_M - keep)
-    place = rng.uniform(-1.0, 1.0, 2) * (HALF_M - keep)
-    pillar = here + rng.uniform(1.1, 2.0) * np.array([math.cos(to + (a := rng.normal() * 0.5)), math.sin(to + a)])
+    along = np.array([[math.cos(to), math.sin(to)], [-math.sin(to), math.cos(to)]])
+    keep, half = vehicle.radius_m + 0.15, np.array([UP_M, BESIDE_M])
+    pillar = np.array([rng.uniform(-1.4, 3.0), rng.uniform(-1.5, 1.5)])
+    # The pillar is in the lee of the start, more or less.
+    here = np.clip(pillar - [rng.uniform(1.1, 2.0), 0.4 * rng.normal()], keep - half, half - keep)
+    place = rng.uniform(-1.0, 1.0, 2) * (half - keep)
     if np.hypot(*(place - pillar)) < keep + PILLAR_M:
-        place = 2.0 * here - place if (np.abs(2.0 * here - place) < HALF_M - keep).all() else here.copy()
-    facing = rng.uniform(-math.pi, math.pi)
-    yaw = wrap_pi(to + math.pi)
+        place = here
     goal = Goal(
-        pos_ned_m=np.array([*place, 0.5]),
-        yaw_rad=None if rng.uniform() < 0.2 else float(facing),
+        pos_ned_m=np.array([*(place @ along), 0.5]),
+        yaw_rad=None if rng.uniform() < 0.2 else float(rng.uniform(-math.pi, math.pi)),
         speed_m_s=0.35,
         accept_radius_m=0.3,
         accept_yaw_rad=0.15,
         seq=0,
     )
     return Draw(
-        vehicle=vehicle,
+        vehicle=vehicle.name,
         stream_m_s=stream,
-        thrust=float(rng.uniform(0.8, 1.0)),
-        drag=float(rng.uniform(1.0, 1.25)),
-        start=np.array([*here, 0.5, yaw, speed, 0.0, 0.0, 0.0]),
+        made_m_s=made,
+        thrust=thrust,
+        drag=drag,
+        start=np.array([*(here @ along), 0.5, wrap_pi(to + math.pi), speed, 0.0, 0.0, 0.0]),
         goal=goal,
-        pillar_m=pillar,
+        pillar_m=pillar @ along,
+        lee_m=LEE_M if speed < 0.95 * fastest else OPEN_M,
     )
 
 
@@ -93,8 +121,11 @@ class StreamFlight:
     current: FloatArray
     """(n, 2) estimated"""
     reached_s: float
-    short: list[str]
-    """Per step what is missing, "" nothing."""
+    given_up_s: float
+    idle_s: float
+    """Longest time without progress before."""
+    why: str
+    """What was missing when the goal was given up."""
     clearance_m: float
     """Least, of the hull."""
 
@@ -116,7 +147,9 @@ def fly_stream(case: Draw, limit_s: float = 40.0, params: ParamSet | None = None
     controller, rng = MotionController(vehicle, cpu_clock=lambda: 0.0), np.random.default_rng(1)
     x, acting = case.start.copy(), np.zeros(known.thrusters)
     estimate, water = case.stream_m_s.copy(), case.start[4:6].copy()
-    states, thrusts, outputs, currents, short, reached = [], [], [], [], [], math.inf
+    states, thrusts, outputs, currents = [], [], [], []
+    goal, reached, given_up, longest, why = case.goal, math.inf, math.inf, 0.0, ""
+    made_good = MadeGood()
     h = STEP_US * 1e-6 / SUBSTEPS
 
     def flow(_: FloatArray) -> FloatArray:
@@ -139,12 +172,19 @@ def fly_stream(case: Draw, limit_s: float = 40.0, params: ParamSet | None = None
             current_ned_m_s=estimate.copy(),
             variance=SPREAD,
         )
-        out = controller.step(nav.t_us, nav, case.goal, fence, params)
+        out = controller.step(nav.t_us, nav, goal, fence, params)
         outputs.append(out)
         thrusts.append(out.thrust_n)
         states.append(x)
         currents.append(estimate[:2].copy())
-        short.append(getattr(controller, "shortfall", ""))
+        if not math.isfinite(min(reached, given_up)):
+            patience_s = MISSION_RUN.shortfall_s if controller.shortfall else params["WP_STUCK_TIME"]
+            path = np.hypot(*np.diff(out.route_ned_m, axis=0).T).sum() if len(out.route_ned_m) > 1 else None
+            idle_s = made_good.idle_s(nav.t_us, goal, nav, path, patience_s * params["SPD_GROUND_MIN"])
+            longest = max(longest, idle_s)
+            if idle_s >= patience_s:
+                given_up, why = nav.t_us * 1e-6, controller.shortfall
+                goal = replace(goal, pos_ned_m=nav.pos_ned_m.copy(), yaw_rad=float(nav.rpy_rad[2]), seq=-1)
         for _ in range(SUBSTEPS):
             acting = acting + (out.thrust_n - acting) * (1.0 - math.exp(-h / LAG_S))
             # The estimator's velocity through the water is that of the model ...
@@ -157,19 +197,17 @@ def fly_stream(case: Draw, limit_s: float = 40.0, params: ParamSet | None = None
         turn = np.array([[c, -s], [s, c]])
         lacks = turn @ x[4:6] + case.stream_m_s[:2] - turn @ water
         estimate[:2] += (lacks - estimate[:2]) * STEP_US * 1e-6 / CURRENT_LAG_S
-        away = float(np.linalg.norm(x[:3] - case.goal.pos_ned_m))
-        turned = 0.0 if case.goal.yaw_rad is None else abs(wrap_pi(float(x[3]) - case.goal.yaw_rad))
-        if away < case.goal.accept_radius_m and turned < case.goal.accept_yaw_rad:
+        if not math.isfinite(given_up) and inside(x, case.goal):
             reached = min(reached, (step + 1) * STEP_US * 1e-6)
     track = np.array(states)
-    pillar = np.hypot(*(track[:, :2] - case.pillar_m).T).min() - PILLAR_M
-    wall = (HALF_M - np.abs(track[:, :2])).min()
     return StreamFlight(
         x=track,
         thrust_n=np.array(thrusts),
         outputs=outputs,
         current=np.array(currents),
         reached_s=reached,
-        short=short,
-        clearance_m=float(min(pillar, wall)) - vehicle.radius_m,
+        given_up_s=given_up,
+        idle_s=longest,
+        why=why,
+        clearance_m=case.clearance_m(track[:, :2]) - vehicle.radius_m,
     )

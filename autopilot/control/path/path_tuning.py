@@ -133,11 +133,12 @@ class StrongStreamTuning:
 
     enter_ratio: float = 0.8
     leave_ratio: float = 0.7
-    """A stream is strong from the first share of the planar speed limit less MPC_SPEED_MARGIN on, down to the second."""
+    """A stream is strong from the first share of the planar speed limit less MPC_SPEED_MARGIN on, and no more below the
+    second."""
     follow_s: float = 1.0
     """Time constant on the estimated current, whose noise must not move the speed limit from step to step."""
-    thrust_fraction: float = 0.8
-    regained_fraction: float = 0.7
+    thrust_fraction: float = 0.9
+    regained_fraction: float = 0.8
     """A heading that needs more than this share of a thruster's limit is given up, and comes back below the second: the
     rest is for control and for thrust weaker than the vehicle file says."""
     left_radii: float = 2.0
@@ -153,6 +154,8 @@ class StrongStreamTuning:
     near_m: float = 0.15
     far_m: float = 0.5
     """Clearances of the hull between which the speed limit gives way to the escape."""
+    unlimited_n: float = 1e4
+    """Thrust that no vehicle needs, to see how much a speed would take."""
     halvings: int = 10
     """The speed that can be made is known to a thousandth."""
 

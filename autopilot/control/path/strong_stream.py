@@ -8,12 +8,12 @@ import math
 
 import numpy as np
 
-from autopilot.control.path.path_tuning import STRONG_STREAM
+from autopilot.control.path.path_tuning import REFERENCE, STRONG_STREAM
 from autopilot.control.path.planner import Planner
 from autopilot.core.control_allocator import ControlAllocator
-from autopilot.core.frames import FloatArray, wrap_pi
+from autopilot.core.frames import FloatArray
 from autopilot.core.messages import Goal, NavState
-from autopilot.core.model4 import YAW, R, U
+from autopilot.core.model4 import AXES
 from autopilot.core.params import ParamSet
 
 
@@ -27,13 +27,14 @@ class StrongStream:
     def reset(self) -> None:
         self._t_us: int | None = None
         self._current = np.zeros(2)
-        self._goal: tuple[float, ...] | None = None
         self._arrived = False
         self.active = False
         self.bow_rad: float | None = None
         """Heading into the stream that replaces the goal's, None = the goal's can be held."""
         self.cap_m_s = 0.0
         """Least planar speed through the water that the optimiser may use."""
+        self.can_m_s = 0.0
+        """Speed through the water that can be made, bow on."""
         self.shortfall = ""
         """What is missing to reach the goal, "" = nothing."""
 
@@ -48,7 +49,7 @@ class StrongStream:
         made_m_s = limit_m_s - params["MPC_SPEED_MARGIN"]
         self.active = current_m_s > (tuning.leave_ratio if self.active else tuning.enter_ratio) * made_m_s
         if not self.active:
-            self.bow_rad, self.cap_m_s, self.shortfall = None, 0.0, ""
+            self.bow_rad, self.cap_m_s, self.can_m_s, self.shortfall = None, 0.0, 0.0, ""
             return
         here, place = x0[:2], np.asarray(goal.pos_ned_m[:2], dtype=float)
         away = place - here
@@ -64,21 +65,24 @@ class StrongStream:
         self.bow_rad = bow if free or max(needed, travel) > most else None
         own_m_s = min(current_m_s + tuning.headway_m_s, tuning.limit_fraction * limit_m_s)
         self.cap_m_s = own_m_s + self._near(here, planner) * max(0.0, current_m_s + tuning.escape_m_s - own_m_s)
-        can_m_s = self._speed_m_s(0.0, tuning.limit_fraction * limit_m_s, limit_n)
-        self.shortfall = self._missing(away / max(away_m, 1e-6), can_m_s, params["SPD_GROUND_MIN"])
-        if not self.shortfall and not free and needed > most:
-            self.shortfall = f"heading, needs {needed:.0%} of thrust"
-        if goal.drive is not None:
-            self.shortfall = ""
+        most_m_s = REFERENCE.upstream_speed_fraction * tuning.limit_fraction * limit_m_s
+        self.can_m_s = self._fastest_m_s(most_m_s, limit_n)
+        self.shortfall = ""
+        if goal.drive is None:
+            self.shortfall = self._missing(away / max(away_m, 1e-6), current_m_s, params["SPD_GROUND_MIN"])
+            if not self.shortfall and not free and needed > most:
+                self.shortfall = f"heading needs {100.0 * needed:.0f} % of the thrust"
 
-    def _missing(self, direction: FloatArray, can_m_s: float, least_m_s: float) -> str:
+    def _missing(self, direction: FloatArray, current_m_s: float, least_m_s: float) -> str:
         """What is missing to get nearer along a unit vector (2,), or to stay."""
-        current_m_s, along = math.hypot(*self._current.tolist()), float(self._current @ direction)
-        radicand = can_m_s**2 - current_m_s**2 + along**2
-        left_m_s = -math.inf if radicand < 0.0 else along + math.sqrt(radicand)
-        if self._arrived:
-            left_m_s = can_m_s - current_m_s + least_m_s
-        return "" if left_m_s >= least_m_s else f"current {current_m_s:.2f} m/s, {can_m_s:.2f} can be made"
+        along = float(self._current @ direction)
+        across = math.sqrt(max(current_m_s**2 - along**2, 0.0))
+        needed_m_s = current_m_s if self._arrived else math.hypot(across, max(least_m_s - along, 0.0))
+        missing_m_s = needed_m_s - self.can_m_s
+        if missing_m_s <= 0.0:
+            return ""
+        missing_m_s = 0.01 * math.ceil(100.0 * missing_m_s)
+        return f"current {current_m_s:.2f} m/s, {self.can_m_s:.2f} can be made, {missing_m_s:.2f} missing"
 
     def _near(self, here: FloatArray, planner: Planner) -> float:
         """0 to 1: how near boundaries are, here and a little downstream."""
@@ -89,18 +93,20 @@ class StrongStream:
         return min(max((far_m - free_m) / (far_m - near_m), 0.0), 1.0)
 
     def _thrust_fraction(self, off_rad: float, speed_m_s: float, limit_n: FloatArray) -> float:
-        """Share of the thrust limits that holds a vehicle with its bow ``off_rad`` off the stream of that speed."""
-        nu = np.array([[speed_m_s * math.cos(off_rad), -speed_m_s * math.sin(off_rad), 0.0, 0.0]])
-        thrust_n = self._allocator.hold_n(nu, np.full(len(limit_n), math.inf))[0]
-        return float((np.abs(thrust_n) / np.maximum(limit_n, 1e-3)).max())
+        """Share of the thrust limits that holds a vehicle with its bow ``off_rad`` off a stream, buoyancy aside."""
+        nu = np.zeros((2, AXES))
+        nu[0, :2] = speed_m_s * math.cos(off_rad), -speed_m_s * math.sin(off_rad)
+        alive = np.ones(len(limit_n)) if self._allocator.square else limit_n > 0.0
+        thrust_n = self._allocator.hold_n(nu, STRONG_STREAM.unlimited_n * alive)
+        return float((np.abs(thrust_n[0] - thrust_n[1]) / np.maximum(limit_n, 1e-3)).max())
 
-    def _speed_m_s(self, off_rad: float, most_m_s: float, limit_n: FloatArray) -> float:
-        """Largest speed that can be held so."""
-        low_m_s, high_m_s = 0.0, most_m_s
-        if self._thrust_fraction(off_rad, most_m_s, limit_n) <= 1.0:
-            return most_m_s
-        for _ in range(STRONG_STREAM.halvings):
-            middle = 0.5 * (low_m_s + high_m_s)
-            good = self._thrust_fraction(off_rad, middle, limit_n) <= 1.0
-            low_m_s, high_m_s = (middle, high_m_s) if good else (low_m_s, middle)
+    def _fastest_m_s(self, most_m_s: float, limit_n: FloatArray) -> float:
+        """Speed up to ``most_m_s`` that the thrust makes, bow on."""
+        low_m_s, high_m_s = most_m_s, most_m_s
+        if self._thrust_fraction(0.0, most_m_s, limit_n) > 1.0:
+            low_m_s = 0.0
+            for _ in range(STRONG_STREAM.halvings):
+                middle = 0.5 * (low_m_s + high_m_s)
+                good = self._thrust_fraction(0.0, middle, limit_n) <= 1.0
+                low_m_s, high_m_s = (middle, high_m_s) if good else (low_m_s, middle)
         return low_m_s
