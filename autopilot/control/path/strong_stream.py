@@ -96,8 +96,11 @@ class StrongStream:
         """Share of the thrust limits that holds a vehicle with its bow ``off_rad`` off a stream, buoyancy aside."""
         nu = np.zeros((2, AXES))
         nu[0, :2] = speed_m_s * math.cos(off_rad), -speed_m_s * math.sin(off_rad)
-        alive = np.ones(len(limit_n)) if self._allocator.square else limit_n > 0.0
-        thrust_n = self._allocator.hold_n(nu, STRONG_STREAM.unlimited_n * alive)
+        # A square allocation has no other thruster for one that is lost.
+        bound_n = np.full(len(limit_n), STRONG_STREAM.unlimited_n)
+        if not self._allocator.square:
+            bound_n[limit_n <= 0.0] = 0.0
+        thrust_n = self._allocator.hold_n(nu, bound_n)
         return float((np.abs(thrust_n[0] - thrust_n[1]) / np.maximum(limit_n, 1e-3)).max())
 
     def _fastest_m_s(self, most_m_s: float, limit_n: FloatArray) -> float:
