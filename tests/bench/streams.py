@@ -189,9 +189,10 @@ def fly_stream(case: Draw, limit_s: float = 60.0, noise: float = 0.003) -> Strea
             if left_m < nearest_m - IDLE_M:
                 nearest_m, nearest_step = left_m, step
             idle_s = max(idle_s, 1e-6 * STEP_US * (step - nearest_step))
-            patience_s = MISSION_RUN.shortfall_s if controller.shortfall else params["WP_STUCK_TIME"]
             path_m = float(np.hypot(*np.diff(out.route_ned_m, axis=0).T).sum())
-            if made_good.idle_s(nav.t_us, goal, nav, path_m, patience_s * params["SPD_GROUND_MIN"]) >= patience_s:
+            least_m = MISSION_RUN.shortfall_s * params["SPD_GROUND_MIN"]
+            stuck = made_good.idle_s(nav.t_us, goal, nav, path_m, least_m) >= MISSION_RUN.shortfall_s
+            if controller.shortfall and stuck:
                 given_up_s, shortfall = nav.t_us * 1e-6, controller.shortfall
                 goal = replace(goal, pos_ned_m=nav.pos_ned_m.copy(), yaw_rad=float(nav.rpy_rad[2]), seq=-1)
         for _ in range(SUBSTEPS):
