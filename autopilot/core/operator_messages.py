@@ -280,12 +280,11 @@ MISSION_CHANGED = _warning("Mission changed while it ran: holding, start again")
 REACHED = _info("Reached item {seq}")
 REACHED_SEVERAL = _info("Reached items {seqs}")
 REACHED_MANY = _info("Reached {count} items, the last is {seq}")
-NO_PROGRESS = "No progress for WP_STUCK_TIME, or for 10 s in a current that is too strong."
-OUT_OF_REACH = _warning("{name} out of reach: {reason}", NO_PROGRESS)
-ITEM_SKIPPED = _warning("Skipped item {seq}, out of reach: {reason}", NO_PROGRESS)
+OUT_OF_REACH = _warning("{name} out of reach: {reason}", "No progress for WP_STUCK_TIME.")
+ITEM_SKIPPED = _warning("Skipped item {seq}, out of reach: {reason}", "No progress for WP_STUCK_TIME.")
 ITEM_HELD = _warning(
     "Holding: item {seq} out of reach, {reason}",
-    NO_PROGRESS,
+    "No progress for WP_STUCK_TIME.",
     "Move the item or wait for less current.",
 )
 UPSTREAM = _warning(

@@ -135,6 +135,8 @@ class StrongStreamTuning:
     leave_ratio: float = 0.7
     """A stream is strong from the first share of the planar speed limit less MPC_SPEED_MARGIN on, and no more below the
     second."""
+    least_made_m_s: float = 0.1
+    """Taken for that difference at least: slower streams have no direction."""
     follow_s: float = 1.0
     """Time constant on the estimated current, whose noise must not move the speed limit from step to step."""
     thrust_fraction: float = 0.9

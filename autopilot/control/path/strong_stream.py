@@ -46,7 +46,7 @@ class StrongStream:
         elapsed_s = math.inf if self._t_us is None else max(0.0, (nav.t_us - self._t_us) * 1e-6)
         self._current = self._current + (estimated - self._current) * min(1.0, elapsed_s / tuning.follow_s)
         self._t_us, current_m_s = nav.t_us, math.hypot(*self._current.tolist())
-        made_m_s = limit_m_s - params["MPC_SPEED_MARGIN"]
+        made_m_s = max(limit_m_s - params["MPC_SPEED_MARGIN"], tuning.least_made_m_s)
         self.active = current_m_s > (tuning.leave_ratio if self.active else tuning.enter_ratio) * made_m_s
         if not self.active:
             self.bow_rad, self.cap_m_s, self.can_m_s, self.shortfall = None, 0.0, 0.0, ""
