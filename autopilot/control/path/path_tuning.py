@@ -145,7 +145,7 @@ class StrongStreamTuning:
     rest is for control and for thrust weaker than the vehicle file says."""
     left_radii: float = 2.0
     """A goal that has been reached is left beyond so many acceptance radii."""
-    headway_m_s: float = 0.08
+    headway_m_s: float = 0.15
     """Speed over ground that the margin of the planar speed makes way for."""
     limit_fraction: float = 0.96
     """Of the planar speed limit that is used at most: the rest is the error of the estimate, seen in flight."""
