@@ -267,7 +267,7 @@ def rows(seeds: range) -> Iterator[list[str]]:
             f"{100.0 * smooth.alternating:.2f}",
             f"{smooth.reversals_1_s:.2f}",
             f"{smooth.step_n:.2f}",
-            flight.shortfall,
+            flight.shortfall.split(" ")[0],
             flight.problem,
         ]
 
