@@ -43,7 +43,8 @@ class MissionRun:
         self._operator = operator
         self._speed_m_s = speed_m_s
         self._steps: tuple[Step, ...] = ()
-        self._made_good = MadeGood()
+        self._made_good, self._made_lately = MadeGood(), MadeGood()
+        """By WP_STUCK_TIME, and by the shorter patience with a goal that the current puts out of reach."""
         self._path_judged: tuple[PlanVerdict, int, tuple[float, float], str] | None = None
         """By which plans, from which item and place, the path to the next place was judged; and what was found."""
         self._given_up = False
@@ -150,21 +151,23 @@ class MissionRun:
     def forget_progress(self) -> None:
         """Reset the detection of a stuck vehicle: there is no goal to travel to."""
         self._made_good.forget()
+        self._made_lately.forget()
         self._given_up = False
 
     def watch_progress(self, status: VehicleStatus, goal: Goal, nav: NavState, *, flies: bool) -> bool:
         """Detect a goal that the vehicle does not approach; WP_STUCK_ACT gives the action. ``flies``: a mission item,
         else home. True when the vehicle is to hold.
         """
-        t_us, patience_s = status.t_us, self._params["WP_STUCK_TIME"]
-        step_m = patience_s * self._params["SPD_GROUND_MIN"]
+        t_us, patience_s, least_m_s = status.t_us, self._params["WP_STUCK_TIME"], self._params["SPD_GROUND_MIN"]
+        short_s = min(patience_s, MISSION_RUN.shortfall_s)
         path_left_m = self.sequencer.circle_left_m if flies else None
         path_left_m = status.path_left_m if path_left_m is None else path_left_m
-        idle_s = self._made_good.idle_s(t_us, goal, nav, path_left_m, step_m)
+        idle_s = self._made_good.idle_s(t_us, goal, nav, path_left_m, patience_s * least_m_s)
+        short_idle_s = self._made_lately.idle_s(t_us, goal, nav, path_left_m, short_s * least_m_s)
         if flies and t_us - self._upstream_us >= MISSION_RUN.upstream_us:
             self._upstream_us = t_us
             self._report_upstream(nav, only_this=True)
-        if idle_s < patience_s:
+        if idle_s < patience_s and not (status.shortfall and short_idle_s >= short_s):
             self._given_up = False
             return False
         if self._given_up:
@@ -175,7 +178,7 @@ class MissionRun:
     def _give_up(self, status: VehicleStatus, goal: Goal, nav: NavState, flies: bool) -> bool:
         """Report it and act; True when the vehicle is to hold."""
         current = math.hypot(*nav.current_ned_m_s[:2].tolist())
-        why = "no free way" if status.unreachable else f"current {current:.2f} m/s"
+        why = "no free way" if status.unreachable else status.shortfall or f"current {current:.2f} m/s"
         action = int(self._params["WP_STUCK_ACT"]) if flies else StuckAction.WARN
         if action == StuckAction.WARN:
             name = f"Item {goal.seq}" if flies else "Home"

@@ -388,6 +388,7 @@ class Autopilot:
         status.fixed = fix_us is not None and t_us - fix_us < SERVICE.fixed_us
         status.solver_failures = motion.solver_failures
         status.unreachable = self._parts.controller.unreachable
+        status.shortfall = self._parts.controller.shortfall
         status.path_left_m = motion.path_left_m
         status.nav_disagrees = shadow is not None and shadow.disagrees
         status.nav_doubts = estimated.doubts

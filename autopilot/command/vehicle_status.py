@@ -63,6 +63,8 @@ class VehicleStatus:
     """NMPC steps in a row without a solution."""
     unreachable: bool = False
     """The controller finds no path to its goal."""
+    shortfall: str = ""
+    """What is missing to reach it in the present current, "" = nothing."""
     path_left_m: float | None = None
     """Length of the path to the goal as the controller flies it, None without one."""
     nav_doubts: frozenset[NavDoubt] = frozenset()

@@ -25,6 +25,7 @@ from autopilot.control.path import shortest
 from autopilot.control.path.drive import DriveGuidance
 from autopilot.control.path.guidance import Guidance, GuidanceInputs, Reference, RouteGuidance
 from autopilot.control.path.planner import Planner
+from autopilot.control.path.strong_stream import StrongStream
 from autopilot.control.path.workers import BackgroundWorkers
 from autopilot.control.protocol import STEP_S, Controller, ControllerContext
 from autopilot.control.robust.fallback import FallbackWatch, FiniteWatch
@@ -119,6 +120,7 @@ class MotionController:
         self._forecast = currents or EstimatedCurrent()
         self._inner = InnerLoop(self.margins.ancillary, grid)
         self._station = StationKeeper(allocator)
+        self._stream = StrongStream(allocator, vehicle.radius_m)
         self._reversals, self._window = Reversals(self._most_n), SlewWindow(STEP_S)
         self._penalty = PenaltyWatch()
         self._fallbacks, self._numbers = FallbackWatch(), FiniteWatch()
@@ -148,6 +150,11 @@ class MotionController:
         """True while the planner finds no path to the goal; the vehicle keeps its position."""
         return self._guidance.unreachable
 
+    @property
+    def shortfall(self) -> str:
+        """See :attr:`autopilot.control.protocol.Controller.shortfall`."""
+        return self._stream.shortfall
+
     def warm(self, params: ParamSet) -> None:
         """Import and build in the background what the first steps need; otherwise they would be a second late."""
         routes, trajectories = self.desks.routes, self.desks.trajectories
@@ -174,6 +181,7 @@ class MotionController:
         self._lift.reset()
         self._inner.stop()
         self._station.release()
+        self._stream.reset()
         self._reversals.reset()
         self._window.clear()
         self._program.reset()
@@ -232,6 +240,7 @@ class MotionController:
         self._numbers.watch(True)
         fence = self._go_round(t_us, fence, nav, goal, params, tracks)
         planner = self._planner_for(fence, params)
+        self._stream.update(nav, x0, goal, planner, params, limit_n)
         now = GuidanceInputs(
             t_us=t_us,
             x0=x0,
@@ -242,9 +251,11 @@ class MotionController:
             planner=planner,
             radius_m=self._vehicle.radius_m + self.margins.clearance_m(params),
             forecast=self._forecast,
-            speed_cap_m_s=self._program.speed_cap_m_s(params),
+            speed_cap_m_s=max(self._program.speed_cap_m_s(params), math.floor(100.0 * self._stream.cap_m_s) / 100.0),
             thrust_limit_n=limit_n,
             last_plan=self.nmpc.x if self._plan_age_s == 0.0 else None,
+            bow_rad=self._stream.bow_rad,
+            least_cap_m_s=self._stream.cap_m_s,
         )
         reference = self._guidance.reference(now)
         self.situation, self.reference = now, reference
@@ -302,8 +313,8 @@ class MotionController:
         return self._command
 
     def planar_speed_m_s(self, nav: NavState, params: ParamSet) -> float:
-        """Planar speed limit minus its back-off, with this estimate [m/s]."""
-        return self.margins.planar_speed_m_s(nav, params)
+        """Planar speed limit minus its back-off, with this estimate, or what is made in a strong stream [m/s]."""
+        return self._stream.can_m_s or self.margins.planar_speed_m_s(nav, params)
 
     def goal_margin_m(self, params: ParamSet) -> float:
         """See :meth:`autopilot.control.robust.margins.Margins.goal_margin_m`."""

@@ -125,6 +125,13 @@ class Controller(Protocol):
         """Whether no path to the goal exists. Reported to mission and operator; WP_STUCK_ACT sets the reaction."""
         return False
 
+    @property
+    def shortfall(self) -> str:
+        """What is missing to reach the goal in the present current, "" = nothing. Missions then wait for progress only
+        10 s.
+        """
+        return ""
+
     def planar_speed_m_s(self, nav: NavState, params: ParamSet) -> float:
         """Largest commanded speed through the water [m/s]; used to judge legs against the current."""
         return params["SPD_PLANAR_MAX"]

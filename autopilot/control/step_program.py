@@ -55,6 +55,12 @@ STANDS_AFTER_S = 1.0
 CHANGE_STEP_S = 0.05
 """Interval between steps for which MPC_R_CHANGE holds; the longer it is, the less the last plan counts."""
 
+DAMPING_GROWS = 4.0
+DAMPING_FADES = 0.97
+MOST_DAMPING = 256.0
+"""Factors of MPC_R_CHANGE after a step whose iteration has not converged and after another one, and their largest
+product."""
+
 PLAUSIBLE = 4.0
 """m/s, rad/s: no vehicle that this controller is for moves or turns faster."""
 
@@ -102,7 +108,7 @@ class StepProgram:
         self._weights = Weights(model.thrusters)
         self._currents = np.zeros((grid.n, 3))
         self._unsolved: list[tuple[SolveStatus, NmpcProblem, FloatArray, FloatArray]] = []
-        self._speed_back_off_m_s = 0.0
+        self._speed_back_off_m_s, self._damping = 0.0, 1.0
         self._last_us = 0
         self._cleared: tuple[Planner, list[float], float] | None = None
 
@@ -113,7 +119,7 @@ class StepProgram:
 
     def reset(self) -> None:
         """Discard the state of previous steps."""
-        self._speed_back_off_m_s = 0.0
+        self._speed_back_off_m_s, self._damping = 0.0, 1.0
         self.margins.evidence.reset()
         self.regions.reset()
 
@@ -136,6 +142,9 @@ class StepProgram:
         now.forecast.fill(now.nav, nmpc.x[: nmpc.grid.n, :3], self._t_s, self._currents)
         self.margins.update(now.nav, now.params)
         back_off = self.margins.back_offs(now.nav, nmpc.x, nmpc.u, now.params)
+        if now.least_cap_m_s:
+            most = now.params["SPD_PLANAR_MAX"] - now.least_cap_m_s
+            back_off = replace(back_off, planar_speed_m_s=np.minimum(back_off.planar_speed_m_s, most))
         bounds.fill(back_off, now, reference, nmpc.u, self._change_weight(start, now))
         self._speed_back_off_m_s = float(back_off.planar_speed_m_s[-1])
         terminal = self._terminal(now, reference)
@@ -170,6 +179,7 @@ class StepProgram:
             found = self._iterate(True, problem(*free), now.planner, movers, found.qps)
         if found.result.status is not SolveStatus.OK:
             nmpc.set_plan(states, thrusts)
+        self._damp(now, found.qps)
         if not self._unsolved:
             return found
         return replace(found, unsolved=tuple(saved(now.t_us, nmpc, *one) for one in self._unsolved))
@@ -227,12 +237,18 @@ class StepProgram:
                 margin = planner.features.margin_m(path, t_s, keep_m, movers)
         return Solution(result=result, margin_m=margin, qps=before + qps, anew=start)
 
+    def _damp(self, now: GuidanceInputs, qps: int) -> None:
+        """In a strong stream, where thrust and limits saturate, iterations that do not converge raise the weight on the
+        change of thrust (Levenberg-Marquardt) for the next steps."""
+        grown = self._damping * (DAMPING_GROWS if qps >= MOST_QPS else DAMPING_FADES)
+        self._damping = min(max(grown, 1.0), MOST_DAMPING) if now.least_cap_m_s else 1.0
+
     def _change_weight(self, start: bool, now: GuidanceInputs) -> float:
         """Weight on the change of thrust relative to the last plan."""
         if start:
             return 0.0
         elapsed_s, self._last_us = (now.t_us - self._last_us) * 1e-6, now.t_us
-        return now.params["MPC_R_CHANGE"] * min(1.0, CHANGE_STEP_S / max(elapsed_s, 1e-3))
+        return self._damping * now.params["MPC_R_CHANGE"] * min(1.0, CHANGE_STEP_S / max(elapsed_s, 1e-3))
 
     def _terminal(self, now: GuidanceInputs, reference: Reference) -> FloatArray:
         """Terminal Hessian (8, 8): the goal's own if the reference ends there, else guidance's."""

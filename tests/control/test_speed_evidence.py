@@ -101,7 +101,7 @@ def test_other_margins_know_nothing_of_it_and_clearance_stays() -> None:
     assert (margins.back_offs(nav, x, thrust, fixed).planar_speed_m_s == fixed["MPC_SPEED_MARGIN"]).all()
 
 
-def test_up_a_stream_near_the_limit_the_way_made_grows_and_the_limit_holds() -> None:
+def test_up_a_stream_near_the_limit_way_is_made_and_the_limit_holds() -> None:
     """0.35 m/s of 0.5 against the bow, the estimator's spread as in flight: the whole margin leaves nothing of it."""
     controller, params, fence = MotionController(VEHICLE), ParamSet({"MPC_COST": 0}), Fence(depth_max_m=1.2)
     stream = np.array([-0.35, 0.0, 0.0])
@@ -117,5 +117,5 @@ def test_up_a_stream_near_the_limit_the_way_made_grows_and_the_limit_holds() -> 
         fastest = max(fastest, math.hypot(x[4], x[5]))
         made.append(float(x[0]))
     early, late = (made[200] - made[100]) / 5.0, (made[-1] - made[-101]) / 5.0
-    assert late > early + 0.01 and late > 0.05, (early, late)
+    assert min(early, late) > 0.08, (early, late)
     assert fastest < 0.5

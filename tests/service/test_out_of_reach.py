@@ -110,6 +110,32 @@ def test_no_free_way_is_named_as_such() -> None:
     assert any(text == "Skipped item 0, out of reach: no free way" for text in bench.texts)
 
 
+def test_a_goal_that_the_current_puts_out_of_reach_is_given_up_in_10_s_with_what_is_missing() -> None:
+    bench = Bench()
+    bench.load()
+    bench.armed()
+    assert bench.commander.set_mode(FlightMode.MISSION).result is OK
+    bench.run(15.0)
+    assert not any(text.startswith("Skipped") for text in bench.texts), "WP_STUCK_TIME is 60 s"
+    bench.status.shortfall = "heading needs 98 % of the thrust"
+    bench.run(0.5)
+    assert "Skipped item 0, out of reach: heading needs 98 % of the thrust" in bench.texts
+
+
+def test_a_slow_approach_is_no_reason_to_give_up_a_goal_once_the_current_seems_too_strong() -> None:
+    bench = Bench()
+    bench.pos = np.array([2.0, -1.0, 0.45])
+    bench.load()
+    bench.armed()
+    assert bench.commander.set_mode(FlightMode.MISSION).result is OK
+    way = np.array([-3.6, 0.65, 0.0]) / math.hypot(3.6, 0.65)
+    for tenth in range(400):
+        bench.status.shortfall = "current" if tenth > 150 else ""
+        bench.run(0.1)
+        bench.pos = bench.pos + 0.003 * way
+    assert not any(text.startswith("Skipped") for text in bench.texts)
+
+
 def test_an_item_that_is_got_nearer_to_is_not_said_to_be_out_of_reach() -> None:
     """What margins and estimate leave is a prediction; the way that is made good is not."""
     bench = Bench()

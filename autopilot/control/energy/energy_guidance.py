@@ -175,7 +175,7 @@ class EnergyGuidance:
         key = _key(now.goal)
         if key != self._goal_key or now.planner is not self._planner:
             fresh = self._new_goal(now, key)
-        if now.goal.speed_asked or now.goal.facing_ned_m is not None:
+        if now.goal.speed_asked or now.goal.facing_ned_m is not None or now.bow_rad is not None:
             # A minimum-energy plan would choose another speed or heading: the route guidance keeps the commanded ones.
             self._withdraw()
             self._track = self._next = None

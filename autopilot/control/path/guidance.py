@@ -53,6 +53,10 @@ class GuidanceInputs:
     """(n,)"""
     last_plan: FloatArray | None = None
     """(N+1, 8) prediction of the last step; None without a plan."""
+    bow_rad: float | None = None
+    """Heading into a strong stream, instead of the goal's; None = the goal's."""
+    least_cap_m_s: float = 0.0
+    """Planar speed below which margins do not lower the optimiser's limit."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -348,7 +352,9 @@ class RouteGuidance:
         heading.
         """
         hold, goal, x0, params = self._hold, now.goal, now.x0, now.params
-        if hold is not None:
+        if now.bow_rad is not None:
+            self._yaw_target = unwrap_near(now.bow_rad, float(x0[YAW]))
+        elif hold is not None:
             self._yaw_target = float(hold[YAW])
         elif goal.facing_ned_m is not None:
             self._yaw_target = self._facing(goal.facing_ned_m, x0)

@@ -125,3 +125,41 @@ class ReferenceTuning:
 
 
 REFERENCE = ReferenceTuning()
+
+
+@dataclass(frozen=True, slots=True)
+class StrongStreamTuning:
+    """Constants of :mod:`autopilot.control.path.strong_stream`."""
+
+    enter_ratio: float = 0.8
+    leave_ratio: float = 0.7
+    """A stream is strong from the first share of the planar speed limit less MPC_SPEED_MARGIN on, and no more below the
+    second."""
+    least_made_m_s: float = 0.1
+    """Taken for that difference at least: slower streams have no direction."""
+    follow_s: float = 1.0
+    """Time constant on the estimated current, whose noise must not move the speed limit from step to step."""
+    thrust_fraction: float = 0.9
+    regained_fraction: float = 0.8
+    """A heading that needs more than this share of a thruster's limit is given up, and comes back below the second: the
+    rest is for control and for thrust weaker than the vehicle file says."""
+    left_radii: float = 2.0
+    """A goal that has been reached is left beyond so many acceptance radii."""
+    headway_m_s: float = 0.15
+    """Speed over ground that the margin of the planar speed makes way for."""
+    limit_fraction: float = 0.96
+    """Of the planar speed limit that is used at most: the rest is the error of the estimate, seen in flight."""
+    escape_m_s: float = 0.05
+    """Headway near a boundary, beyond the limit if need be."""
+    lee_m: float = 0.5
+    """Boundaries so far downstream count as near."""
+    near_m: float = 0.15
+    far_m: float = 0.5
+    """Clearances of the hull between which the speed limit gives way to the escape."""
+    unlimited_n: float = 1e4
+    """Thrust that no vehicle needs, to see how much a speed would take."""
+    halvings: int = 10
+    """The speed that can be made is known to a thousandth."""
+
+
+STRONG_STREAM = StrongStreamTuning()
