@@ -189,7 +189,7 @@ def test_start_needs_a_plan(autopilot: Command, tmp_path: Path) -> None:
     ("variable", "text", "use"),
     [
         ("ESTIMATOR", "ukf", "use ekf or complementary"),
-        ("CONTROLLER", "pid", "use nmpc, or package:Class"),
+        ("CONTROLLER", "pid", "use nmpc or los-pid, or package:Class"),
         ("SENSORS", "sonar", "use camera or pose"),
         ("PROFILE", "apm", "use generic, px4, ardusub"),
         ("SPEED", "-3", "use 0 or more"),
