@@ -107,7 +107,8 @@ class Frames(NullRecorder):
 @pytest.mark.parametrize("kind", ["udpin", "udpout", "tcpin"])
 def test_a_transfer_goes_on_between_ticks_and_is_logged(opened: Open, kind: str) -> None:
     """At revision 0501193 every item cost a tick each way."""
-    session, count = opened(speed=1.0), 500 if kind == "udpin" else 120
+    session = opened(f"udpin:{LOCAL}:{free_port(socket.SOCK_DGRAM)}", speed=1.0)
+    count = 500 if kind == "udpin" else 120
     if kind == "udpout":
         end = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         end.bind((LOCAL, 0))
