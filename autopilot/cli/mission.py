@@ -156,19 +156,16 @@ def check(file: Path, vehicle: str, overrides: tuple[str, ...], as_json: bool) -
 
     Exit code 1: a vehicle would refuse it. 3: it would be stored, but could not be flown.
     """
-    from autopilot.control.robust.margins import goal_margin_m
     from autopilot.core.params import ParamSet
     from autopilot.core.plan import PlanKind
     from autopilot.core.vehicle import load_vehicle
-    from autopilot.mission.plan_check import judge_file
     from autopilot.mission.plan_files import read_plan
     from autopilot.run.config import parse_overrides
+    from autopilot.run.plan_verdict import verdict_of
 
     params = ParamSet(parse_overrides(overrides))
-    body = load_vehicle(vehicle)
     plan = read_plan(file)
-    margin_m = goal_margin_m(body, params)
-    verdict = judge_file(plan, plan.drawing_origin(), params, radius_m=body.radius_m, goal_margin_m=margin_m)
+    verdict = verdict_of(plan, plan.drawing_origin(), params, load_vehicle(vehicle))
     problems = [(p, "refused") for p in verdict.own] + [(p, "not flown") for p in verdict.joint]
     counts = {kind.name.lower(): len(plan.items(kind)) for kind in PlanKind}
     if as_json:

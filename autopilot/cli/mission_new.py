@@ -86,7 +86,6 @@ def new(
     QGroundControl draws a tank of 5 m at 130 pixels at most and plans no depth: make the plan here, open it there.
     The origin is the middle of the tank. Exit code 3: written, but a vehicle would not fly it (the reasons are told).
     """
-    from autopilot.control.robust.margins import goal_margin_m
     from autopilot.core.errors import ConfigError
     from autopilot.core.origin_params import params_origin
     from autopilot.core.params import ParamSet
@@ -101,8 +100,8 @@ def new(
         RepeatTable,
         plan_of_local,
     )
-    from autopilot.mission.plan_check import judge_file
     from autopilot.mission.plan_files import write_plan
+    from autopilot.run.plan_verdict import verdict_of
 
     if out.suffix != ".plan":
         raise ConfigError(f"--out {out}: give a name that ends in .plan")
@@ -137,8 +136,7 @@ def new(
         ),
         "plan",
     )
-    margin_m = goal_margin_m(body, params)
-    verdict = judge_file(plan, plan.drawing_origin(), params, radius_m=radius_m, goal_margin_m=margin_m)
+    verdict = verdict_of(plan, plan.drawing_origin(), params, body)
     problems = [p.reason for p in (*verdict.own, *verdict.joint)]
     write_plan(out, plan)
     counts = {"mission": len(plan.mission), "fence": len(plan.fence)}

@@ -9,7 +9,7 @@ import numpy as np
 
 from autopilot.control.bounds import largest_gap
 from autopilot.control.constraints.obstacles import Movers, fence_key
-from autopilot.control.constraints.tracks import IntendedMotion, Obstructions
+from autopilot.control.constraints.tracks import Obstructions
 from autopilot.control.current.buoyancy import BuoyancyEstimator
 from autopilot.control.current.currents import CurrentForecast, EstimatedCurrent
 from autopilot.control.energy.energy_guidance import EnergyGuidance
@@ -238,8 +238,11 @@ class MotionController:
         if not _all_finite(x0):
             return self._void(t_us, nav, began)
         self._numbers.watch(True)
-        fence = self._go_round(t_us, fence, nav, goal, params, tracks)
-        planner = self._planner_for(fence, params)
+        radius_m = self._vehicle.radius_m + self.margins.clearance_m(params)
+        fence, self._movers = self._obstructions.go_round(
+            t_us, fence, tracks, nav, goal, radius_m, self._guidance.ahead
+        )
+        planner = self._planner_for(fence, radius_m)
         self._stream.update(nav, x0, goal, planner, params, limit_n)
         now = GuidanceInputs(
             t_us=t_us,
@@ -249,9 +252,9 @@ class MotionController:
             params=params,
             fence=fence,
             planner=planner,
-            radius_m=self._vehicle.radius_m + self.margins.clearance_m(params),
+            radius_m=radius_m,
             forecast=self._forecast,
-            speed_cap_m_s=max(self._program.speed_cap_m_s(params), math.floor(100.0 * self._stream.cap_m_s) / 100.0),
+            speed_cap_m_s=self._program.speed_cap_m_s(params, self._stream.cap_m_s),
             thrust_limit_n=limit_n,
             last_plan=self.nmpc.x if self._plan_age_s == 0.0 else None,
             bow_rad=self._stream.bow_rad,
@@ -374,32 +377,9 @@ class MotionController:
         velocity = nav.vel_water_frd_m_s.tolist()
         return np.array([*nav.pos_ned_m.tolist(), yaw, *velocity, nav.rate_frd_rad_s.item(2)])
 
-    def _go_round(
-        self,
-        t_us: int,
-        fence: Fence,
-        nav: NavState,
-        goal: Goal,
-        params: ParamSet,
-        tracks: Sequence[ObstacleTrack],
-    ) -> Fence:
-        """The fence with the tracks that routes have to go round; takes note of those that move."""
-        if not tracks and self._obstructions.idle:
-            self._movers = None
-            return fence
-        here = np.array(nav.pos_ned_m[:2], dtype=float)
-        motion = IntendedMotion(
-            speed_m_s=math.hypot(*nav.vel_frd_m_s[:2]),
-            route_ned_m=self._guidance.ahead(here) if tracks else here[None],
-            goal_distance_m=math.hypot(*(goal.pos_ned_m[:2] - here)),
-            keep_m=self._vehicle.radius_m + self.margins.clearance_m(params),
-        )
-        fence, self._movers = self._obstructions.sort(t_us, fence, tracks, motion)
-        return fence
-
-    def _planner_for(self, fence: Fence, params: ParamSet) -> Planner:
+    def _planner_for(self, fence: Fence, radius: float) -> Planner:
         """The planner of this fence; another one when fence or margin have changed."""
-        planner, radius = self._planner, self._vehicle.radius_m + self.margins.clearance_m(params)
+        planner = self._planner
         if planner is not None and fence is self._fence and self._planner_key[0] == radius:
             return planner
         key = (radius, *fence_key(fence))

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from autopilot.control.constraints.tracks import IntendedMotion, Obstructions
+from autopilot.control.constraints.tracks import Obstructions
 from autopilot.control.nmpc.grid import geometric_grid
 from autopilot.control.path import shortest
 from autopilot.control.path.drive import DriveGuidance
@@ -140,14 +140,7 @@ class LosPid(Controller):
         tracks: Sequence[ObstacleTrack],
     ) -> GuidanceInputs:
         """Inputs of guidance; detected obstacles that stand become part of the fence."""
-        if tracks or not self._obstructions.idle:
-            motion = IntendedMotion(
-                speed_m_s=math.hypot(*nav.vel_frd_m_s[:2]),
-                route_ned_m=self._route.ahead(x[:2]),
-                goal_distance_m=math.hypot(*(goal.pos_ned_m[:2] - x[:2])),
-                keep_m=self._keep_m,
-            )
-            fence, _ = self._obstructions.sort(t_us, fence, tracks, motion)
+        fence, _ = self._obstructions.go_round(t_us, fence, tracks, nav, goal, self._keep_m, self._route.ahead)
         if self._planner is None or self._planner[0] is not fence:
             self._planner = fence, Planner(fence, self._keep_m)
         return GuidanceInputs(

@@ -123,10 +123,11 @@ class StepProgram:
         self.margins.evidence.reset()
         self.regions.reset()
 
-    def speed_cap_m_s(self, params: ParamSet) -> float:
-        """Largest planar speed for guidance: the limit minus the last step's back-off, in steps of 1 cm/s."""
+    def speed_cap_m_s(self, params: ParamSet, least_m_s: float) -> float:
+        """Largest planar speed for guidance: the limit minus the last step's back-off, at least ``least_m_s``, in steps
+        of 1 cm/s."""
         back_off = max(params["MPC_SPEED_MARGIN"], math.ceil(100.0 * self._speed_back_off_m_s - 1e-6) / 100.0)
-        return max(SLOWEST_CAP_M_S, params["SPD_PLANAR_MAX"] - back_off)
+        return max(SLOWEST_CAP_M_S, params["SPD_PLANAR_MAX"] - back_off, math.floor(100.0 * least_m_s) / 100.0)
 
     def begin(self, now: GuidanceInputs, reference: Reference) -> None:
         """Begin from the reference with its thrust, as far as the thrusters can."""

@@ -5,7 +5,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from autopilot.control.robust.margins import goal_margin_m
 from autopilot.core.errors import AutopilotError
 from autopilot.core.geodesy import Origin
 from autopilot.core.geometry import Fence
@@ -14,8 +13,8 @@ from autopilot.core.vehicle import Vehicle, load_vehicle
 from autopilot.core.vehicle_summary import facts_of
 from autopilot.mission.fence import FenceShape, build_fence
 from autopilot.mission.items import GoTo, Step
-from autopilot.mission.plan_check import judge_file
 from autopilot.mission.plan_files import read_plan
+from autopilot.run.plan_verdict import verdict_of
 from autopilot.run.sitl_console import unknown_obstacles
 from autopilot.run.sitl_fence import scenario_plan
 from autopilot.sitl.contact import SolidGeometry
@@ -110,8 +109,7 @@ def _check_plan(
         params.set(name, value)
     place = scenario.origin
     origin = Origin(lat_deg=place.lat_deg, lon_deg=place.lon_deg, alt_m=place.alt_m)
-    margin_m = goal_margin_m(vehicle, params)
-    verdict = judge_file(plan, origin, params, radius_m=vehicle.radius_m, goal_margin_m=margin_m)
+    verdict = verdict_of(plan, origin, params, vehicle)
     problems += [problem.reason for problem in (*verdict.own, *verdict.joint)]
     no_path = verdict.path_problem(np.array(scenario.vehicle.start_m), 0)
     problems += [no_path] if no_path else []

@@ -19,11 +19,10 @@ from autopilot.campaign.worlds.world_judge import judge_flight, judge_refusal
 from autopilot.campaign.worlds.world_results import WorldOutcome, WorldResult
 from autopilot.campaign.worlds.world_shapes import Block, Disc, Point, WorldLayout, box, clearance_m
 from autopilot.campaign.worlds.world_store import read_flights
-from autopilot.control.robust.margins import goal_margin_m
 from autopilot.core.frames import FloatArray
 from autopilot.core.params import ParamSet
-from autopilot.mission.plan_check import judge_file
 from autopilot.mission.plan_files import read_plan
+from autopilot.run.plan_verdict import verdict_of
 from autopilot.sitl.scenario import load_scenario
 from autopilot.sitl.simulated_waters import build_world
 from tests.short_campaign import command
@@ -188,9 +187,8 @@ def test_finished_flights_are_kept_and_the_folder_holds_one_campaign(tmp_path: P
 
 
 def refusal_of(room: RandomWorld) -> str:
-    plan, params, vehicle = read_local(room), ParamSet(room.scenario["params"]), room.vehicle
-    margin_m = goal_margin_m(vehicle, params)
-    verdict = judge_file(plan, plan.home, params, radius_m=vehicle.radius_m, goal_margin_m=margin_m)
+    plan = read_local(room)
+    verdict = verdict_of(plan, plan.home, ParamSet(room.scenario["params"]), room.vehicle)
     return verdict.problem or verdict.path_problem(np.array(room.scenario["vehicle"]["start_m"]), 0)
 
 

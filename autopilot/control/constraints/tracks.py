@@ -7,7 +7,7 @@ waited for them for long.
 """
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -17,6 +17,7 @@ from autopilot.control.constraints.constraints_tuning import TRACKS
 from autopilot.control.constraints.features import BoolArray
 from autopilot.core.frames import FloatArray
 from autopilot.core.geometry import Circle, Fence
+from autopilot.core.messages import Goal, NavState
 from autopilot.core.samples import ObstacleTrack
 
 
@@ -119,6 +120,30 @@ class Obstructions:
     def idle(self) -> bool:
         """Nothing stands, blocks or has been waited for: a step without tracks leaves the fence as it is."""
         return not self._standing and not self._blocking_circles and self._waits_since_us is None
+
+    def go_round(
+        self,
+        t_us: int,
+        fence: Fence,
+        tracks: Sequence[ObstacleTrack],
+        nav: NavState,
+        goal: Goal,
+        keep_m: float,
+        ahead: Callable[[FloatArray], FloatArray],
+    ) -> tuple[Fence, Movers | None]:
+        """:meth:`sort` for a vehicle on its way to a goal. ``keep_m``: what routes keep from every boundary; ``ahead``:
+        the rest of its route (m, 2) from a place (2,).
+        """
+        if not tracks and self.idle:
+            return fence, None
+        here = np.array(nav.pos_ned_m[:2], dtype=float)
+        motion = IntendedMotion(
+            speed_m_s=math.hypot(*nav.vel_frd_m_s[:2]),
+            route_ned_m=ahead(here) if tracks else here[None],
+            goal_distance_m=math.hypot(*(goal.pos_ned_m[:2] - here)),
+            keep_m=keep_m,
+        )
+        return self.sort(t_us, fence, tracks, motion)
 
     def sort(
         self, t_us: int, fence: Fence, tracks: Sequence[ObstacleTrack], motion: IntendedMotion
