@@ -4,7 +4,7 @@ The route is that of MPC_COST 0: the shortest free path at cruise speed. Course 
 (Fossen 2021, chapter 12), chi = pi_p - atan(y_e / Delta); heading along the motion through the water unless the goal
 gives one. Surge, sway, heave and yaw have cascaded loops, P on the position and PI on the velocity, which is a PID with
 the measured velocity as derivative, and the model's steady force as feed-forward. Nothing is predicted, so nothing is
-promised: an obstacle is missed by the clearance of the route only.
+promised: the route clears what stands by its margin, nothing that moves is evaded.
 """
 
 import math
