@@ -80,8 +80,9 @@ def test_mavsdk_flies_set_points_and_hears_of_those_that_are_refused(flight: tup
     offboard.set_velocity_ned(VelocityNedYaw(0.0, 0.0, 0.0, 0.0))
     offboard.start()
     offboard.set_acceleration_ned(AccelerationNed(0.1, 0.0, 0.0))
+    refused = "Set point refused: no accelerations"
+    assert vehicle.until(lambda: any(refused in text for text in vehicle.texts)), vehicle.texts
     assert vehicle.until(lambda: commander.mode is FlightMode.HOLD)
-    assert any("Set point refused: no accelerations" in text for text in vehicle.texts), vehicle.texts
     assert vehicle.until(lambda: not offboard.is_active())
     offboard.set_acceleration_ned(AccelerationNed(0.1, 0.0, 0.0))
     vehicle.until(lambda: False, 0.3)
