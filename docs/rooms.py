@@ -2,7 +2,7 @@
 
 The drawing is a Mermaid diagram in ``docs/architecture.md``, between the lines ``rooms:begin`` and ``rooms:end``. The
 packages of ``autopilot/control`` are drawn as one. ``core``, which all import, and those that import everything
-(command line, benchmarks, campaigns) are left out, and so are arrows that follow from others.
+(command line, benchmarks, campaigns, the front door) are left out, and so are arrows that follow from others.
 """
 
 import argparse
@@ -18,7 +18,10 @@ TOPS = ("autopilot", "drivers", "estimator", "mission", "sitl")
 SPLIT = ("autopilot", "autopilot.control")
 """Packages whose folders are rooms of their own."""
 
-UNDRAWN = tuple("autopilot" + part for part in ("", ".core", ".cli", ".bench", ".analysis", ".campaign"))
+FRONT_DOOR = ROOT / "autopilot" / "__init__.py"
+"""Lends the names of ``autopilot.api``; importing it imports none of them."""
+
+UNDRAWN = tuple("autopilot" + part for part in ("", ".core", ".cli", ".bench", ".analysis", ".campaign", ".api"))
 
 
 def modules() -> dict[str, Path]:
@@ -42,6 +45,8 @@ def room_of(module: str, path: Path) -> str:
 
 def imports_of(path: Path, known: dict[str, Path]) -> set[str]:
     """Modules of ours that a file imports, wherever in it."""
+    if path == FRONT_DOOR:
+        return set()
     found = {full if full in known else module for full, module in _names(path)}
     return found & known.keys()
 

@@ -11,21 +11,29 @@ from autopilot.sitl.fault_tables import LinkLoss, PilotFault
 from autopilot.sitl.scenario_tables import Fault
 from autopilot.sitl.sitl_tuning import OPERATOR
 
+Order = tuple[int, tuple[float, ...]]
+"""A command (MAV_CMD) and its first parameters, the others are 0."""
+
+ARM: Order = (OPERATOR.arm, (1.0,))
+START: Order = (OPERATOR.start, ())
+
 
 class ScriptedOperator:
-    """Arms until accepted, starts the mission until accepted, then only keeps its heartbeat going."""
+    """Gives its orders one after the other, each until accepted, and keeps its heartbeat going."""
 
-    def __init__(self, target_system: int, faults: Iterable[Fault] = ()) -> None:
+    def __init__(
+        self, target_system: int, faults: Iterable[Fault] = (), *, orders: Sequence[Order] = (ARM, START)
+    ) -> None:
         from pymavlink.dialects.v20 import development
 
         self._dialect = development
         self._mav = development.MAVLink(None, srcSystem=OPERATOR.gcs_system, srcComponent=OPERATOR.gcs_component)
         self._mav.robust_parsing = True
-        self._target = target_system
+        self.target_system = target_system
         faults = list(faults)
         self._lost = [fault for fault in faults if isinstance(fault, LinkLoss)]
         self._steers = [fault for fault in faults if isinstance(fault, PilotFault)]
-        self._todo = [(OPERATOR.arm, 1.0), (OPERATOR.start, 0.0)]
+        self._todo = list(orders)
         self._sent_us: int | None = None
         self._heartbeat_us = -OPERATOR.heartbeat_us
 
@@ -49,10 +57,11 @@ class ScriptedOperator:
             out.append(self._pack(self._mav.heartbeat_encode(6, 8, 0, 0, 4)))
         if self._todo and t_us - self._sent_us >= OPERATOR.retry_us:
             self._sent_us = t_us
-            command, param1 = self._todo[0]
-            out.append(self._pack(self._mav.command_long_encode(self._target, 1, command, 0, param1, 0, 0, 0, 0, 0, 0)))
+            command, given = self._todo[0]
+            params = (*given, *(0.0,) * (7 - len(given)))
+            out.append(self._pack(self._mav.command_long_encode(self.target_system, 1, command, 0, *params)))
         if t_us % OPERATOR.stick_us == 0 and any(fault.holds(t_us) for fault in self._steers):
-            out.append(self._pack(self._mav.manual_control_encode(self._target, 0, 0, 500, 0, 0)))
+            out.append(self._pack(self._mav.manual_control_encode(self.target_system, 0, 0, 500, 0, 0)))
         return out
 
     def _receive(self, message: Any) -> None:

@@ -15,7 +15,7 @@ from autopilot.control.current.current_learning import Basin, EstimatedFlow
 from autopilot.control.current.currents import CurrentForecast, EstimatedCurrent, NoCurrent
 from autopilot.control.energy.request import TrajectoryPlanner
 from autopilot.control.path.workers import BackgroundWorkers
-from autopilot.control.protocol import ControllerContext, create_controller
+from autopilot.control.protocol import Controller, ControllerContext, create_controller
 from autopilot.control.thrust.actuation import Actuation
 from autopilot.core.background import BackgroundWorker
 from autopilot.core.geodesy import Origin
@@ -105,11 +105,15 @@ def end_slow_work(parts: ServiceParts, *more: BackgroundWorker) -> None:
 
 
 def build_service(
-    setup: ServiceSetup, *, desks: BackgroundWorkers | None = None, trajectories: TrajectoryPlanner | None = None
+    setup: ServiceSetup,
+    *,
+    desks: BackgroundWorkers | None = None,
+    trajectories: TrajectoryPlanner | None = None,
+    around: Callable[[Controller], Controller] | None = None,
 ) -> tuple[Autopilot, ServiceParts]:
     """The service and its parts (the runtime needs some of them for persistence and the log). ``desks``: workers
     for the controller's background work, by default a thread per kind of work; ``trajectories``: energy-optimal
-    planner, by default the shipped one.
+    planner, by default the shipped one; ``around``: puts something round the controller.
     """
     params, vehicle, nondeterminism = setup.params, setup.vehicle, setup.nondeterminism
     desks = desks or BackgroundWorkers.beside(blocking=setup.waits_for_plans)
@@ -124,6 +128,7 @@ def build_service(
         trajectories=trajectories,
     )
     controller = create_controller(setup.controller, context, setup.controller_asked_by)
+    controller = controller if around is None else around(controller)
     plans = Plans(
         params, vehicle.radius_m, setup.origin, setup.current_check, checks, lambda: controller.goal_margin_m(params)
     )

@@ -11,6 +11,7 @@ from typing import TypedDict, TypeVar
 
 from autopilot.command.service import Autopilot
 from autopilot.command.service_parts import ServiceParts
+from autopilot.control.protocol import Controller
 from autopilot.core import operator_messages as notices
 from autopilot.core.background import BackgroundWorker
 from autopilot.core.camera import CameraModel
@@ -134,6 +135,8 @@ class SessionOptions(TypedDict, total=False):
     """Unix time at which signatures begin, None = the machine's."""
     beside: Onlooker | None
     """Observer in place of ``view`` and ``foxglove``."""
+    around: Callable[[Controller], Controller] | None
+    """Puts something round the controller."""
 
 
 def open_session(
@@ -148,6 +151,7 @@ def open_session(
     foxglove: FoxgloveServer | None = None,
     now_s: float | None = None,
     beside: Onlooker | None = None,
+    around: Callable[[Controller], Controller] | None = None,
 ) -> SomeSession:
     """Open all parts of a run.
 
@@ -159,7 +163,7 @@ def open_session(
         Vehicle or simulation with its environment.
     instance
         Number of the vehicle on this machine, from 0.
-    log, links, on_tick, view, foxglove, now_s, beside
+    log, links, on_tick, view, foxglove, now_s, beside, around
         See :class:`SessionOptions`.
 
     Raises
@@ -170,7 +174,7 @@ def open_session(
     settings, known, disk = world.settings, world.known, world.disk
     signing = SigningFiles(world.folder, disk, now_s=now_s)
     setup = _service_setup(world, instance, signing)
-    service, parts = build_service(setup)
+    service, parts = build_service(setup, around=around)
     plans = None
     if world.keeps_plans:
         plans = KeptPlans(world.folder / "plans.json", parts.plans, parts.commander, disk, parts.nondeterminism)

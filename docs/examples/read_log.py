@@ -8,8 +8,8 @@ import sys
 
 import numpy as np
 
+from autopilot import open_log
 from autopilot.core.errors import AutopilotError
-from autopilot.log.reader import open_log
 
 log = open_log(sys.argv[1] if len(sys.argv) > 1 else "out/demo/run.mcap")
 print(log.run.get("scenario"), f"{log.duration_s:.1f} s,", log.message_count, "messages")

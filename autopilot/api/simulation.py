@@ -1,0 +1,335 @@
+"""Fly a simulated vehicle from a program: whole missions (:func:`fly`) or step by step (:class:`Simulation`).
+
+Between program and plant is the whole service, as ``autopilot sitl`` runs it: the estimator knows what sensors tell it,
+failsafes and fence act, the thrusters get pulses. Time is that of the simulation; the same calls give the same results.
+"""
+
+import math
+import shutil
+import tempfile
+import weakref
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from types import TracebackType
+from typing import Self, Unpack
+
+import numpy as np
+
+from autopilot.api.set_points import SetPointClient
+from autopilot.api.settings import FlightOptions, settings_of
+from autopilot.api.stepped import Stepped
+from autopilot.control.protocol import STEP_S
+from autopilot.core.clock import TICK_US
+from autopilot.core.errors import AutopilotError, ConfigError
+from autopilot.core.frames import FloatArray
+from autopilot.core.messages import Goal, NavState, Outputs, ProgressState
+from autopilot.core.vehicle import Vehicle, load_vehicle
+from autopilot.log.log_session import free_path
+from autopilot.log.reader import Log, open_log
+from autopilot.run.config import system_id
+from autopilot.run.sitl_console import RunWatch
+from autopilot.run.sitl_params import sitl_params
+from autopilot.run.sitl_session import SitlSession, open_sitl
+from autopilot.sitl.plant import Truth
+from autopilot.sitl.scenario import load_scenario
+
+STEP_TICKS = round(STEP_S * 1e6) // TICK_US
+
+ARMED_WITHIN_S = 60.0
+"""Simulated time in which a vehicle has to be armed: poses are there after two seconds, pictures after five."""
+
+SETTLED_S = 3.0
+"""A flight goes on for so long after its mission is complete."""
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class StepInfo:
+    """What a step has shown beside the estimate."""
+
+    t_s: float
+    """Since the start of the simulation [s]."""
+    truth: Truth
+    """The plant's true state: for rewards and plots, a vehicle does not have it."""
+    thrust_n: FloatArray
+    """(N,) commanded thrust of the last tick [N]."""
+    goal: Goal | None
+    """What the service is going to."""
+    armed: bool
+    mode: str
+    mission: ProgressState
+    contacts: int
+    """Contacts with walls, floor and obstacles so far."""
+    energy_j: float
+    """Since the start of the simulation, electrical, everything [J]."""
+    events: tuple[str, ...]
+    """Messages to the operator during this step."""
+
+    @property
+    def over(self) -> bool:
+        """Nothing more will happen: disarmed, or the mission is complete."""
+        return not self.armed or self.mission is ProgressState.COMPLETE
+
+
+class Simulation:
+    """A simulated vehicle in steps of 50 ms.
+
+    Parameters
+    ----------
+    scenario
+        Name of a shipped scenario, or a file.
+    start
+        Whether its mission is started; else it holds where it was armed.
+    log
+        File to record in; a second :meth:`reset` writes a file with a number. None = no log.
+    options
+        See :class:`autopilot.api.settings.FlightOptions`.
+
+    Raises
+    ------
+    ConfigError, PlanError
+        The message names what cannot be. A class that cannot be made is found at :meth:`reset`.
+    """
+
+    def __init__(
+        self,
+        scenario: str | Path = "paper-tank",
+        *,
+        start: bool = False,
+        log: str | Path | None = None,
+        **options: Unpack[FlightOptions],
+    ) -> None:
+        self._scenario, self._start, self._options = scenario, start, options
+        self._log = None if log is None else Path(log)
+        folder = tempfile.mkdtemp(prefix="simulation-")
+        self._clean = weakref.finalize(self, shutil.rmtree, folder, ignore_errors=True)
+        self._settings, self._params = settings_of(scenario, Path(folder), options, start=start or None)
+        self.vehicle, self.thrust_limit_n = self._actuators()
+        """The vehicle file (names and order of the thrusters, masses, drag), and (N,) the largest thrust that is
+        commanded, either way [N]."""
+        self._session: SitlSession | None = None
+        self._nav: NavState | None = None
+        self._client: SetPointClient | None = None
+        self._tick = 0
+        self._outputs: list[Outputs] = []
+        self.log_path: Path | None = None
+        """Log of the flight since the last :meth:`reset`; whole after :meth:`close`."""
+
+    # Flying
+
+    def reset(self, seed: int | None = None) -> NavState:
+        """Begin anew and arm.
+
+        Parameters
+        ----------
+        seed
+            Of noise and faults; None = the scenario's.
+
+        Returns
+        -------
+        NavState
+            The estimate, 10 ms before the controller's next step.
+
+        Raises
+        ------
+        AutopilotError
+            It cannot be armed; the message has the reason.
+        """
+        self._end()
+        self._settings.put("seed", seed, "reset(seed)")
+        if self._log is not None:
+            self.log_path = free_path(self._log)
+            self._settings.put("log", str(self.log_path), "Simulation(log)")
+        client = self._client = SetPointClient(arms=not self._start)
+        session = self._session = open_sitl(
+            self._settings,
+            self._params,
+            peers=(client,),
+            log=self._log is not None,
+            on_tick=self._outputs.append,
+            around=Stepped,
+        )
+        client.target_system = system_id(session.world.params, 0)
+        self._tick, self._nav = 0, None
+        return self._until_armed(session)
+
+    def step(
+        self, thrust_n: Sequence[float] | FloatArray | None = None, *, goal: Sequence[float] | FloatArray | None = None
+    ) -> tuple[NavState, StepInfo]:
+        """50 ms: one step of the controller.
+
+        Parameters
+        ----------
+        thrust_n
+            (N,) thrust of every thruster in the order of the vehicle file [N], for this step, instead of the
+            controller's; cut to what the thrusters can and how fast they may change it.
+        goal
+            (3,) or (4,) north, east, depth [m] and yaw [rad] (left out or NaN = free) to go to from now on, in mode
+            GUIDED by set points, with the controller that was chosen. It holds until the next one.
+
+        Without either, the vehicle goes on with what it does.
+
+        Returns
+        -------
+        NavState, StepInfo
+            The estimate at the end of the step, and everything else.
+
+        Raises
+        ------
+        ConfigError
+            Thrust or goal of another shape, or not finite.
+        AutopilotError
+            There has been no :meth:`reset`.
+        """
+        session = self._open()
+        stepped = session.parts.controller
+        assert isinstance(stepped, Stepped) and self._client is not None
+        count = len(session.vehicle.thrusters)
+        if goal is not None:
+            self._client.go_to(_goal(goal))
+        stepped.thrust_n = None if thrust_n is None else _finite("thrust_n", thrust_n, (count,))
+        nav, info = self._go_on(session, STEP_TICKS)
+        assert nav is not None, "there is one from arming on"
+        return nav, info
+
+    def close(self) -> None:
+        """End the flight, with its log whole."""
+        self._end()
+        self._clean()
+
+    # Inside
+
+    def _actuators(self) -> tuple[Vehicle, FloatArray]:
+        """The vehicle file, and (N,) what is commanded of its thrusters at most."""
+        scenario = load_scenario(self._settings["scenario"])
+        vehicle = load_vehicle(self._settings["vehicle"] or scenario.vehicle.model)
+        params, _, _ = sitl_params(self._settings, scenario, self._params, 0)
+        return vehicle, np.array([min(params["THR_LIMIT"], each.limit_n) for each in vehicle.thrusters])
+
+    def _open(self) -> SitlSession:
+        if self._session is None:
+            raise AutopilotError("the simulation has not begun, or is closed; call reset() first")
+        return self._session
+
+    def _end(self) -> None:
+        session, self._session = self._session, None
+        if session is not None:
+            session.close()
+
+    def _until_armed(self, session: SitlSession) -> NavState:
+        """Tick until the vehicle is armed and a step of the controller is due."""
+        said: list[str] = []
+        while self._tick * TICK_US < ARMED_WITHIN_S * 1e6:
+            _, info = self._go_on(session, 1)
+            said += info.events
+            if info.armed and self._outputs[-1].control is not None:
+                nav, _ = self._go_on(session, STEP_TICKS - 1)
+                assert nav is not None, "the controller ran on it"
+                return nav
+        self._end()
+        reasons = "; ".join(dict.fromkeys(said[-3:])) or "no reason was given"
+        raise AutopilotError(f"not armed within {ARMED_WITHIN_S:.0f} s: {reasons}")
+
+    def _go_on(self, session: SitlSession, ticks: int) -> tuple[NavState | None, StepInfo]:
+        self._outputs.clear()
+        for _ in range(ticks):
+            self._tick += 1
+            session.runtime.tick(self._tick * TICK_US)
+        last, truth = self._outputs[-1], session.device.truth
+        info = StepInfo(
+            t_s=1e-6 * last.t_us,
+            truth=truth,
+            thrust_n=last.command.thrust_n[: len(session.vehicle.thrusters)].copy(),
+            goal=last.goal,
+            armed=last.mode.armed,
+            mode=session.parts.commander.mode.name,
+            mission=ProgressState.NO_MISSION if last.progress is None else last.progress.state,
+            contacts=truth.contact_count,
+            energy_j=truth.energy_used_j,
+            events=tuple(event.text for outputs in self._outputs for event in outputs.events),
+        )
+        self._nav = self._nav if last.nav is None else last.nav
+        return self._nav, info
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+
+def _finite(name: str, given: Sequence[float] | FloatArray, shape: tuple[int, ...]) -> FloatArray:
+    """(shape) ConfigError unless it is that."""
+    try:
+        values = np.array(given, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise ConfigError(f"{name}={given!r} is no array of numbers ({error})") from error
+    if values.shape != shape or not np.isfinite(values).all():
+        raise ConfigError(f"{name}={given!r} must have shape {shape} and be finite")
+    return values
+
+
+def _goal(given: Sequence[float] | FloatArray) -> tuple[float, float, float, float]:
+    values = list(given)
+    yaw_rad = float(values.pop()) if len(values) == 4 else math.nan
+    north_m, east_m, depth_m = _finite("goal", values, (3,)).tolist()
+    return north_m, east_m, depth_m, yaw_rad
+
+
+def fly(
+    scenario: str | Path = "paper-tank",
+    *,
+    seed: int | None = None,
+    duration_s: float | None = None,
+    log: str | Path | None = None,
+    **options: Unpack[FlightOptions],
+) -> Log:
+    """Fly a scenario's mission, as fast as the machine allows.
+
+    Parameters
+    ----------
+    scenario
+        Name of a shipped scenario, or a file.
+    seed
+        Of noise and faults; None = the scenario's.
+    duration_s
+        At most so long [s]; None = the scenario's.
+    log
+        File to record in; None = one that is deleted with the last reference to the result.
+    options
+        See :class:`autopilot.api.settings.FlightOptions`.
+
+    Returns
+    -------
+    Log
+        The flight, open for reading: ``log["/nav/state"]["pos_ned_m"]`` (docs/log.md).
+
+    Raises
+    ------
+    AutopilotError
+        It cannot be flown or recorded; the message says why. A mission that ends otherwise than it should is no
+        error: ``log`` tells of it.
+    """
+    folder = tempfile.mkdtemp(prefix="flight-")
+    path = Path(folder) / "run.mcap" if log is None else Path(log)
+    try:
+        given = {"start": True, "seed": seed, "duration": duration_s, "log": str(path)}
+        settings, params = settings_of(scenario, Path(folder), options, **given)
+        session = open_sitl(settings, params, on_tick=lambda outputs: watch.step(outputs))
+        watch = RunWatch(session, lambda _: None)
+        ended_us: list[int] = []
+
+        def enough() -> bool:
+            if watch.ended and not ended_us:
+                ended_us.append(session.device.truth.t_us)
+            return bool(ended_us) and session.device.truth.t_us >= ended_us[0] + SETTLED_S * 1e6
+
+        session.run(enough)
+        flown = open_log(path)
+        weakref.finalize(flown, shutil.rmtree, folder, ignore_errors=True)
+    except BaseException:
+        shutil.rmtree(folder, ignore_errors=True)
+        raise
+    return flown
