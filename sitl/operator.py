@@ -35,6 +35,8 @@ class ScriptedOperator:
         self._steers = [fault for fault in faults if isinstance(fault, PilotFault)]
         self._todo = list(orders)
         self._sent_us: int | None = None
+        self._ready: bool | None = None
+        """Whether arming would be accepted, as the vehicle said last."""
         self._heartbeat_us = -OPERATOR.heartbeat_us
 
     @property
@@ -52,19 +54,25 @@ class ScriptedOperator:
         out: list[bytes] = []
         if self._sent_us is None:
             self._sent_us = t_us  # the vehicle needs a second until its sensors have reported
+            out.append(self._command(OPERATOR.set_interval, (OPERATOR.sys_status, OPERATOR.ready_us)))
         if t_us - self._heartbeat_us >= OPERATOR.heartbeat_us:
             self._heartbeat_us = t_us
             out.append(self._pack(self._mav.heartbeat_encode(6, 8, 0, 0, 4)))
-        if self._todo and t_us - self._sent_us >= OPERATOR.retry_us:
+        waits = bool(self._todo) and self._todo[0] is ARM and self._ready is False
+        if self._todo and not waits and t_us - self._sent_us >= OPERATOR.retry_us:
             self._sent_us = t_us
-            command, given = self._todo[0]
-            params = (*given, *(0.0,) * (7 - len(given)))
-            out.append(self._pack(self._mav.command_long_encode(self.target_system, 1, command, 0, *params)))
+            out.append(self._command(*self._todo[0]))
         if t_us % OPERATOR.stick_us == 0 and any(fault.holds(t_us) for fault in self._steers):
             out.append(self._pack(self._mav.manual_control_encode(self.target_system, 0, 0, 500, 0, 0)))
         return out
 
+    def _command(self, command: int, given: tuple[float, ...]) -> bytes:
+        params = (*given, *(0.0,) * (7 - len(given)))
+        return self._pack(self._mav.command_long_encode(self.target_system, 1, command, 0, *params))
+
     def _receive(self, message: Any) -> None:
+        if message.get_type() == "SYS_STATUS":
+            self._ready = bool(message.onboard_control_sensors_health & self._dialect.MAV_SYS_STATUS_PREARM_CHECK)
         answered = message.get_type() == "COMMAND_ACK" and self._todo and message.command == self._todo[0][0]
         if answered and message.result == 0:
             self._todo.pop(0)

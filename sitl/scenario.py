@@ -11,8 +11,9 @@ from pathlib import Path
 import msgspec
 
 from autopilot.core.errors import ConfigError
+from autopilot.core.names import unknown
 from autopilot.core.params import ParamSet
-from autopilot.core.toml_table import convert, read_toml
+from autopilot.core.toml_table import convert, mistaken, read_toml
 from autopilot.core.vehicle import load_vehicle
 from autopilot.sitl.mismatch import mismatched
 from autopilot.sitl.scenario_tables import Scenario, ThrusterLoss
@@ -35,9 +36,7 @@ def scenario_path(name_or_path: str) -> Path:
         return Path(str(resources.files("autopilot") / "sitl" / "scenarios" / f"{name_or_path}.toml"))
     path = Path(name_or_path)
     if path.suffix != ".toml":
-        raise ConfigError(
-            f"scenario {name_or_path!r} is not known; use one of {', '.join(scenario_names())} or a .toml file"
-        )
+        raise unknown("scenario", name_or_path, scenario_names(), more=" or a .toml file")
     return path
 
 
@@ -91,13 +90,15 @@ def plan_path(name_or_path: str, scenario: Scenario) -> Path | None:
 
 
 def _check_params(scenario: Scenario, origin: str) -> None:
-    """ConfigError for a parameter that does not exist or a value out of its range."""
-    params = ParamSet()
+    """ConfigError for parameters that do not exist and values out of their range."""
+    params, found = ParamSet(), []
     for name, value in scenario.params.items():
         try:
             params.set(name, value)
         except ConfigError as error:
-            raise ConfigError(f"{origin}: `$.params.{name}`: {error}") from error
+            found.append(f"`$.params.{name}`: {error}")
+    if found:
+        raise mistaken(origin, found)
 
 
 def with_vehicle(scenario: Scenario, vehicle: str, origin: str) -> Scenario:

@@ -170,9 +170,13 @@ class OperatorTuning:
     """A refused or unanswered command is sent again after this time."""
     stick_us: int = 100_000
     """A joystick sends ten times per second."""
+    ready_us: int = 100_000
+    """Interval of SYS_STATUS, which says whether arming would be accepted."""
+    sys_status: int = 1
+    set_interval: int = 511
     arm: int = 400
     start: int = 300
-    """MAV_CMD_COMPONENT_ARM_DISARM, MAV_CMD_MISSION_START (common.xml)."""
+    """SYS_STATUS; MAV_CMD_SET_MESSAGE_INTERVAL, MAV_CMD_COMPONENT_ARM_DISARM, MAV_CMD_MISSION_START (common.xml)."""
 
 
 OPERATOR = OperatorTuning()

@@ -13,7 +13,7 @@ from autopilot.campaign.engines import Flyable, InProcess
 from autopilot.campaign.fault_cases import CASES, FaultCase
 from autopilot.campaign.fault_flights import PLANS, FaultResult, fly_fault_case
 from autopilot.campaign.run_store import ResultStore, read_lines
-from autopilot.core.errors import ConfigError
+from autopilot.core.names import unknown
 
 FILE = "faults.jsonl"
 BETWEEN_S = {"paper-tank": (9.0, 40.0), "harbour": (9.0, 90.0)}
@@ -43,13 +43,13 @@ class FaultTask:
 def tasks(runs: int, rows: Sequence[str] = (), scenarios: Sequence[str] = tuple(PLANS)) -> list[FaultTask]:
     """All flights of a campaign, run by run so that one that is stopped has something of every row.
 
-    ConfigError for a row or scenario that does not exist.
+    UnknownNameError for a row or scenario that does not exist.
     """
     names = [case.rule.name for case in CASES]
     for what, given, known in (("row", rows, names), ("scenario", scenarios, tuple(PLANS))):
         for name in given:
             if name not in known:
-                raise ConfigError(f"{what} {name!r} does not exist; use one of {', '.join(known)}")
+                raise unknown(what, name, known)
     wanted = [case for case in CASES if not rows or case.rule.name in rows]
     return [_task(case, scenario, run) for run in range(runs) for scenario in scenarios for case in wanted]
 

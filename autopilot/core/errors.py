@@ -3,6 +3,7 @@
 ``AutopilotError``
   ``ConfigError``   invalid configuration, scenario, vehicle or parameter file; nothing was changed
     ``SourceError``  a file or folder of another kind than the command reads
+      ``UnknownNameError``  no scenario, vehicle, parameter ... has that name
   ``PlanError``     invalid plan or plan file; the active plan stays
   ``DriverError``   a device or link cannot be opened or has failed
   ``LogError``      a log cannot be read or written
@@ -22,6 +23,10 @@ class ConfigError(AutopilotError):
 
 class SourceError(ConfigError):
     """What was given is no folder of images, no film, ...: a usage error."""
+
+
+class UnknownNameError(SourceError):
+    """There is nothing of that name: a usage error."""
 
 
 class PlanError(AutopilotError):

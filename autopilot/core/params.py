@@ -13,6 +13,7 @@ from types import MappingProxyType
 from typing import Protocol
 
 from autopilot.core.errors import ConfigError
+from autopilot.core.names import unknown
 
 
 class ParamType(Enum):
@@ -345,7 +346,7 @@ class ParamSet(Mapping[str, float]):
     def spec(self, name: str) -> ParamSpec:
         """Declaration of a parameter. ConfigError if there is none of that name."""
         if name not in self._specs:
-            raise ConfigError(f"parameter {name!r} does not exist; `autopilot params list` shows all names")
+            raise unknown("parameter", name, tuple(self._specs), list_by="`autopilot params list` shows all names")
         return self._specs[name]
 
     def set(self, name: str, value: float) -> None:

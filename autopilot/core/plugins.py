@@ -18,6 +18,7 @@ from typing import Any
 
 from autopilot.core.errors import AutopilotError, ConfigError
 from autopilot.core.guard import place_of
+from autopilot.core.names import unknown
 
 GROUP = "underwater_autopilot.{kind}s"
 """Group of entry points: underwater_autopilot.controllers, .estimators, .plants."""
@@ -118,8 +119,7 @@ def find_plugin(kind: str, name: str, shipped: Mapping[str, str], asked_by: str 
     entry = None if name in shipped else _installed(kind).get(name)
     target = shipped.get(name) or (name if entry is None else entry.value)
     if _SPEC.fullmatch(target) is None:
-        known = ", ".join(plugin_names(kind, shipped))
-        raise ConfigError(f"{asked_by} {name!r} is not known; use one of {known}, or package:Class for your own")
+        raise unknown(asked_by, name, plugin_names(kind, shipped), more=", or package:Class for your own")
     call = _imported(target, f"{asked_by} {name!r}")
     module = target.partition(":")[0]
     distribution = "" if name in shipped else _distribution(entry, module)

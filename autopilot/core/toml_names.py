@@ -1,13 +1,14 @@
 """Checks of names in TOML files: unknown keys, kinds and values, with the allowed ones in the message."""
 
 import copy
-import difflib
 import re
 from collections.abc import Iterator, Sequence
 from typing import Any
 
 import msgspec
 from msgspec import inspect
+
+from autopilot.core.names import choice, did_you_mean
 
 _STEP = re.compile(r"\.(?P<key>[^.\[\]]+)|\[(?P<index>\d+|\.\.\.)\]")
 _PLACE = r"(?: - at `(?P<place>\$[^`]*)`)?"
@@ -16,12 +17,83 @@ _NO_VALUE = re.compile(rf"Invalid (?:enum )?value '(?P<name>[^']*)'{_PLACE}")
 _NO_KIND = re.compile(rf"missing required field `(?P<name>kind)`{_PLACE}")
 _MISSING = re.compile(r"missing required field `(?P<name>[^`]*)`")
 _ENTRY = re.compile(r" - at `(?P<place>\$[^`]*?)\[\.\.\.\]")
+_LAST_INDEX = re.compile(r"(?P<array>\$.*)\[(?P<index>\d+)\]")
+_BY_TYPE = re.compile(r"Object |Expected |Invalid ")
+"""Errors of msgspec itself; others are those of a table's own rules."""
 _BARE = re.compile(r"[A-Za-z0-9_-]+")
 _ANYWHERE = re.compile(r" - at `(?P<place>\$[^`]*)`")
+MOST_MISTAKES = 20
 MOST_LETTERS = 40
 """Of a wrong value that is shown."""
-CLOSE = 0.6
-"""Likeness (difflib) from which a name is taken for a slip of the pen."""
+
+
+def mistakes(tables: dict[str, Any], kind: type) -> list[str]:
+    """Every mistake of the tables as a ``kind`` with its remedy, MOST_MISTAKES at most: msgspec names the first, and is
+    asked again without the key that it names.
+    """
+    left, removed = copy.deepcopy(tables), set[tuple[str, str]]()
+    taken: dict[str, list[int]] = {}
+    """Indices of the entries that were taken out of an array."""
+    found: list[str] = []
+    while len(found) < MOST_MISTAKES:
+        refused = _refused(left, kind)
+        error = with_entry(refused, left, kind)
+        missing, where = _MISSING.search(error), _ANYWHERE.search(error)
+        place = "$" if where is None else where["place"]
+        if not error:
+            break
+        # A key that was taken out, or that another was probably meant to be, is not missing; a table without it may
+        # break rules of the table.
+        if missing is not None:
+            follows = (place, missing["name"]) in removed
+        else:
+            follows = not _BY_TYPE.match(error) and any(table.startswith(place) for table, _ in removed)
+        if not follows:
+            found.append(_renumbered(f"{error}; {remedy(refused, left, kind)}", taken))
+        unknown, entry = _NO_KEY.search(error), _LAST_INDEX.fullmatch(place)
+        if missing is not None and entry is not None:
+            rows = _value_at(left, entry["array"])
+            del rows[int(entry["index"])]
+            taken.setdefault(entry["array"], []).append(int(entry["index"]))
+            continue
+        table, key = (place, unknown["name"]) if unknown else _holder(place)
+        if not key or _at(left, table).pop(key, None) is None:
+            break
+        removed.add((table, key))
+        if unknown:
+            names = [
+                each.encode_name for here in _types_at(inspect.type_info(kind), left, table) for each in _fields(here)
+            ]
+            removed.update((table, name) for name in names if did_you_mean(key, names) == f"did you mean {name}? ")
+    return found
+
+
+def _renumbered(text: str, taken: dict[str, list[int]]) -> str:
+    """The text with indices of arrays as they were before entries were taken out."""
+
+    def number(found: re.Match[str]) -> str:
+        index = int(found["index"])
+        for gone in reversed(taken[found["array"]]):
+            index += gone <= index
+        return f"{found['array']}[{index}]"
+
+    for array in taken:
+        text = re.sub(rf"(?P<array>{re.escape(array)})\[(?P<index>\d+)\]", number, text)
+    return text
+
+
+def _fields(here: inspect.Type) -> tuple[inspect.Field, ...]:
+    return here.fields if isinstance(here, inspect.StructType) else ()
+
+
+def _holder(place: str) -> tuple[str, str]:
+    """Path of the table that holds the value at a path, directly or in arrays, and its key there; no key for the whole.
+
+    ``$.obstacle[0].center_m[1]`` is held by ``$.obstacle[0]`` as ``center_m``.
+    """
+    steps = list(_STEP.finditer(place))
+    last = next((step for step in reversed(steps) if step["key"] is not None), None)
+    return ("$", "") if last is None else (place[: last.start()], last["key"])
 
 
 def remedy(error: str, tables: dict[str, Any], kind: type) -> str:
@@ -65,13 +137,19 @@ def with_entry(error: str, tables: dict[str, Any], kind: type) -> str:
 
 def _at(tables: dict[str, Any], place: str) -> dict[str, Any]:
     """The table at a path; an empty one where there is none."""
+    value = _value_at(tables, place)
+    return value if isinstance(value, dict) else {}
+
+
+def _value_at(tables: dict[str, Any], place: str) -> Any:
+    """The value at a path, None where there is none."""
     value: Any = tables
     for step in _STEP.finditer(place):
         try:
             value = value[step["key"] if step["index"] is None else int(step["index"])]
         except (IndexError, KeyError, TypeError, ValueError):
-            return {}
-    return value if isinstance(value, dict) else {}
+            return None
+    return value
 
 
 def _only(tables: dict[str, Any], place: str, key: str) -> dict[str, Any]:
@@ -90,15 +168,6 @@ def _refused(tables: dict[str, Any], kind: type) -> str:
     except msgspec.ValidationError as error:
         return str(error)
     return ""
-
-
-def choice(name: str, names: Sequence[str]) -> str:
-    """``use one of A, B, C``; the one that ``name`` was probably meant to be comes before."""
-    if not names:
-        return "correct or remove that key"
-    unique = list(dict.fromkeys(names))
-    near = difflib.get_close_matches(name, unique, 1, CLOSE)
-    return (f"did you mean {near[0]}? " if near else "") + f"use one of {', '.join(unique)}"
 
 
 def _value_text(tables: dict[str, Any], place: str) -> str:

@@ -2,7 +2,7 @@
 
 import math
 import tomllib
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Annotated, Any, TypeAlias
 
@@ -48,18 +48,29 @@ def convert(tables: dict[str, Any], kind: type, origin: str) -> Any:
     Raises
     ------
     ConfigError
-        Names the path of the key, the problem, the allowed values, and the file.
+        Names the path of the key, the problem, the allowed values, and the file; of several mistakes each on a line
+        of its own.
     """
-    for place, value in _leaves(tables, "$"):
-        if isinstance(value, float) and not math.isfinite(value):
-            raise ConfigError(f"{origin}: `{place}` = {value} is not a finite number; correct or remove that key")
+    found = [
+        f"`{place}` = {value} is not a finite number; correct or remove that key"
+        for place, value in _leaves(tables, "$")
+        if isinstance(value, float) and not math.isfinite(value)
+    ]
     try:
-        return msgspec.convert(tables, kind, strict=True)
-    except msgspec.ValidationError as error:
-        from autopilot.core.toml_names import remedy, with_entry  # for errors only
+        if not found:
+            return msgspec.convert(tables, kind, strict=True)
+    except msgspec.ValidationError:
+        from autopilot.core.toml_names import mistakes  # for errors only
 
-        message = with_entry(str(error), tables, kind)
-        raise ConfigError(f"{origin}: {message}; {remedy(str(error), tables, kind)}") from error
+        found = mistakes(tables, kind)
+    raise mistaken(origin, found)
+
+
+def mistaken(origin: str, found: Sequence[str]) -> ConfigError:
+    """The error about these mistakes, at least one, in the file ``origin``."""
+    if len(found) == 1:
+        return ConfigError(f"{origin}: {found[0]}")
+    return ConfigError(f"{origin}: {len(found)} mistakes:\n" + "\n".join(f"  {text}" for text in found))
 
 
 def _leaves(value: Any, place: str) -> Iterator[tuple[str, Any]]:

@@ -16,6 +16,7 @@ from autopilot.core.control_allocator import lacking_thrust
 from autopilot.core.errors import ConfigError
 from autopilot.core.flat_port import FlatPort
 from autopilot.core.model4 import Model4
+from autopilot.core.names import unknown
 from autopilot.core.payload import MAX_PAYLOAD
 from autopilot.core.thrusters import (
     MAX_THRUSTERS,
@@ -436,9 +437,7 @@ def load_vehicle(name_or_path: str) -> Vehicle:
     else:
         path = Path(name_or_path)
         if path.suffix != ".toml":
-            raise ConfigError(
-                f"vehicle {name_or_path!r} is not known; use one of {', '.join(vehicle_names())} or a .toml file"
-            )
+            raise unknown("vehicle", name_or_path, vehicle_names(), more=" or a .toml file")
     return checked(convert(read_toml(path), Vehicle, str(path)), str(path))
 
 

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from enum import Enum
 from types import MappingProxyType
 
-from autopilot.core.errors import ConfigError
+from autopilot.core.names import unknown
 from autopilot.mavlink.flight_modes import MODE_ROWS, FlightMode, px4_mode
 
 CUSTOM_MODE_FLAG = 1
@@ -116,5 +116,5 @@ PROFILES: Mapping[str, Profile] = MappingProxyType(
 def profile_by_name(name: str) -> Profile:
     """Profile by name; ConfigError if it is unknown."""
     if name not in PROFILES:
-        raise ConfigError(f"profile {name!r} does not exist; use one of {', '.join(PROFILES)}")
+        raise unknown("profile", name, tuple(PROFILES))
     return PROFILES[name]

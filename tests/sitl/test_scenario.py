@@ -160,7 +160,7 @@ def test_a_good_file_is_taken_with_defaults(tmp_path: Path) -> None:
         ("[vehicle]", "[markers]\nsize_m = 0.1\n[vehicle]", r"`size_m` = 0\.1 must be smaller than `pitch_m`"),
         ("[vehicle]", "[accept]\ndepth_max_m = -1.0\n[vehicle]", "must be greater than `depth_min_m`"),
         ("[vehicle]", "[origin]\nlat_deg = 91.0\n[vehicle]", r"`\$\.origin\.lat_deg`"),
-        ("[vehicle]", "[params]\nNO_SUCH = 1\n[vehicle]", r"`\$\.params\.NO_SUCH`.*does not exist"),
+        ("[vehicle]", "[params]\nNO_SUCH = 1\n[vehicle]", r"`\$\.params\.NO_SUCH`.*is not known"),
         ("[vehicle]", "[params]\nMPC_COST = 7\n[vehicle]", r"`\$\.params\.MPC_COST`.*out of range"),
         (
             "[vehicle]",
@@ -175,7 +175,8 @@ def test_a_wrong_file_is_refused_with_the_name_of_the_key_and_the_valid_ones(
     assert old in GOOD
     with pytest.raises(ConfigError, match=message) as error:
         load(tmp_path, GOOD.replace(old, new))
-    assert "\n" not in str(error.value)
+    lines = str(error.value).splitlines()
+    assert len(lines) == 1 or (lines[0].endswith(f": {len(lines) - 1} mistakes:") and len(lines) < 4)
 
 
 def test_a_camera_without_a_floor_is_refused(tmp_path: Path) -> None:
