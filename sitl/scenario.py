@@ -10,7 +10,7 @@ from pathlib import Path
 
 import msgspec
 
-from autopilot.core.errors import ConfigError
+from autopilot.core.errors import ConfigError, UnknownNameError
 from autopilot.core.names import unknown
 from autopilot.core.params import ParamSet
 from autopilot.core.toml_table import convert, mistaken, read_toml
@@ -119,9 +119,11 @@ def with_vehicle(scenario: Scenario, vehicle: str, origin: str) -> Scenario:
 
 def _check_vehicle(scenario: Scenario, origin: str) -> None:
     """ConfigError if the vehicle or a mismatch is unknown, or a fault names a thruster that it does not have."""
-    vehicle = mismatched(
-        load_vehicle(scenario.vehicle.model), scenario.vehicle.mismatch, f"{origin}: `$.vehicle.mismatch`"
-    )
+    try:
+        vehicle = load_vehicle(scenario.vehicle.model)
+    except UnknownNameError as error:
+        raise ConfigError(f"{origin}: `$.vehicle.model`: {error}") from error
+    vehicle = mismatched(vehicle, scenario.vehicle.mismatch, f"{origin}: `$.vehicle.mismatch`")
     names = [thruster.name for thruster in vehicle.thrusters]
     for index, fault in enumerate(scenario.fault):
         if isinstance(fault, ThrusterLoss) and fault.thruster not in names:

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from autopilot.cli.calibrate_flight import flight
+from autopilot.cli.completion import VEHICLE_NAME
 from autopilot.cli.console_output import EXIT_LOSS, emit_json, make_console, print_table
 from autopilot.cli.finite import Finite
 from autopilot.cli.shared_options import JSON_NOT_TABLES, LOG_FILE
@@ -20,7 +21,7 @@ if TYPE_CHECKING:
 _OUT = click.option(
     "--out", type=click.Path(path_type=Path, dir_okay=False), help="Vehicle file to write (default: print the keys)."
 )
-_VEHICLE = click.option("--vehicle", help="Vehicle (shipped name or file) instead of the log's own.")
+_VEHICLE = click.option("--vehicle", type=VEHICLE_NAME, help="Vehicle (shipped name or file) instead of the log's own.")
 _MAP = click.option("--map", "map_file", type=click.Path(path_type=Path), help="Marker map instead of the log's own.")
 
 
@@ -89,7 +90,7 @@ def board(sheet: Path, board: str, **spec: Any) -> None:
 @calibrate.command()
 @_board_options
 @click.argument("source")
-@click.option("--vehicle", default="lbv150", show_default=True, help="Vehicle whose camera it is.")
+@click.option("--vehicle", type=VEHICLE_NAME, default="lbv150", show_default=True, help="Vehicle whose camera it is.")
 @click.option("--medium", type=click.Choice(["water", "air"]), default="water", show_default=True)
 @click.option("--fix-k3", is_flag=True, help="k3 = 0: for narrow lenses.")
 @click.option("--views", type=click.IntRange(8, 200), default=30, show_default=True, help="Live: views to take.")
@@ -346,7 +347,7 @@ def laser(
 
 @calibrate.command()
 @click.argument("table", metavar="TABLE", type=click.Path(path_type=Path, dir_okay=False))
-@click.option("--vehicle", default="lbv150", show_default=True, help="Vehicle whose drive it is.")
+@click.option("--vehicle", type=VEHICLE_NAME, default="lbv150", show_default=True, help="Vehicle whose drive it is.")
 @click.option("--thruster", help="Which one, if the table holds several.")
 @_OUT
 @JSON_NOT_TABLES

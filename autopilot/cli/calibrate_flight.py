@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+from autopilot.cli.completion import VEHICLE_NAME
 from autopilot.cli.console_output import EXIT_LOSS, emit_json, print_table
 from autopilot.cli.finite import Finite, FiniteRange
 from autopilot.cli.shared_options import JSON_NOT_TABLES
@@ -31,7 +32,7 @@ CLOSED_S = 15.0
 
 @click.command()
 @click.argument("log_file", metavar="[LOG]", required=False, type=click.Path(path_type=Path))
-@click.option("--vehicle", help="Vehicle (shipped name or file) instead of the log's own.")
+@click.option("--vehicle", type=VEHICLE_NAME, help="Vehicle (shipped name or file) instead of the log's own.")
 @click.option("--map", "map_file", type=click.Path(path_type=Path), help="Marker map instead of the log's own.")
 @click.option(
     "--out", type=click.Path(path_type=Path, dir_okay=False), required=True, help="Vehicle file to write (.toml)."

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 import click
 
+from autopilot.cli.completion import SCENARIO_NAME
 from autopilot.cli.console_output import EXIT_FAILED, emit_json, print_table, progress_bar
 from autopilot.cli.finite import FiniteRange
 from autopilot.cli.service_options import part_name
@@ -86,7 +87,7 @@ def table(folders: tuple[Path, ...], markdown: bool, as_json: bool) -> None:
 @campaign.command(
     FLY, epilog="Also: campaign table DIR..., campaign rooms, campaign faults; each has a --help of its own."
 )
-@click.argument("scenario")
+@click.argument("scenario", type=SCENARIO_NAME)
 @click.option(
     "--runs", type=click.IntRange(min=1), required=True, help="Total number of runs; a larger one than before resumes."
 )

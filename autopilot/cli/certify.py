@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from autopilot.cli.completion import VEHICLE_NAME
 from autopilot.cli.console_output import emit_json, print_table
 from autopilot.cli.shared_options import JSON
 
@@ -23,7 +24,9 @@ CURRENTS = ("0,0", "0.15,0", "0,0.15", "-0.25,0", "0,-0.3")
 
 @click.command()
 @click.argument("plan", type=click.Path(path_type=Path), required=False)
-@click.option("--vehicle", default="lbv150", show_default=True, help="Vehicle file or shipped vehicle.")
+@click.option(
+    "--vehicle", type=VEHICLE_NAME, default="lbv150", show_default=True, help="Vehicle file or shipped vehicle."
+)
 @click.option("--param", "overrides", multiple=True, metavar="NAME=VALUE", help="With another parameter value.")
 @click.option("--current", "currents", multiple=True, metavar="NORTH,EAST", help="Current [m/s]; several may be given.")
 @click.option("--short", is_flag=True, help="2,000 samples instead of 20,000, short flights.")

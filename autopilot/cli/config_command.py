@@ -1,10 +1,13 @@
 """``autopilot config``: settings of a run with their sources; a configuration to edit."""
 
+import contextlib
+import shlex
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
 
+from autopilot.cli.completion import CONFIG_NAME, SCENARIO_NAME
 from autopilot.cli.console_output import emit_json, print_table
 from autopilot.cli.shared_options import JSON
 
@@ -18,8 +21,10 @@ def config() -> None:
 
 
 @config.command()
-@click.argument("scenario", required=False)
-@click.option("--config", "file", metavar="FILE", help="What `autopilot run --config FILE` would use instead.")
+@click.argument("scenario", type=SCENARIO_NAME, required=False)
+@click.option(
+    "--config", "file", type=CONFIG_NAME, metavar="FILE", help="What `autopilot run --config FILE` would use instead."
+)
 @click.option("--instance", default=0, show_default=True, help="Instance number (sysid 1 + N).")
 @JSON
 def show(scenario: str | None, file: str | None, instance: int, as_json: bool) -> None:
@@ -45,23 +50,60 @@ def show(scenario: str | None, file: str | None, instance: int, as_json: bool) -
 @config.command()
 @click.argument("name")
 @click.option(
-    "--from", "source", default="bluerov2-ardusub", show_default=True, help="Shipped configuration or file to copy."
+    "--from",
+    "source",
+    type=CONFIG_NAME,
+    default="bluerov2-ardusub",
+    show_default=True,
+    help="Shipped configuration or file to copy.",
 )
-@click.option("--out", type=click.Path(file_okay=False, path_type=Path), default=Path(), help="Folder (default: here).")
-def new(name: str, source: str, out: Path) -> None:
+@click.option("--out", type=click.Path(path_type=Path), help="File to write, or its folder (default: NAME.toml).")
+def new(name: str, source: str, out: Path | None) -> None:
     """Write NAME.toml, a commented configuration for `autopilot run` to edit, with its marker map beside it."""
-    from autopilot.run.sitl_copy import write_copies
+    from autopilot.run.sitl_copy import copy_target, write_copies
     from autopilot.run.vehicle_config import load_config
 
     loaded = load_config(source)
-    target = out / f"{name}.toml"
+    target = copy_target(name, out)
     copies = {target: loaded.path.read_bytes()}
     if loaded.markers is not None and loaded.file.place.markers is not None:
-        copies[out / loaded.file.place.markers] = loaded.markers.read_bytes()
-    write_copies(copies, out)
+        copies[target.parent / loaded.file.place.markers] = loaded.markers.read_bytes()
+    write_copies(copies, target.parent)
     for path in copies:
         click.echo(str(path))
     click.echo(f"edit it, then: autopilot doctor --config {target}")
+
+
+@config.command()
+@click.option("--config", "file", type=CONFIG_NAME, metavar="FILE", help="Of `autopilot run --config FILE` instead.")
+@JSON
+def paths(file: str | None, as_json: bool) -> None:
+    """Where state and logs of `autopilot sitl` lie, how large they are, and how to remove them."""
+    from autopilot.run.config import gather, sitl_defaults
+
+    settings = gather(sitl_defaults(0), {}) if file is None else _of_vehicle(file, 0)[0]
+    rows = []
+    for name, holds in (("state_dir", "parameters, plans, signing keys, by instance"), ("log_dir", "logs, stills")):
+        folder = Path(settings[name]).expanduser().absolute()
+        rows.append((name, holds, str(folder), _size_mb(folder), settings.table[name].origin))
+    if as_json:
+        emit_json([dict(zip(("name", "holds", "folder", "size_mb", "origin"), row, strict=True)) for row in rows])
+        return
+    for name, holds, folder_text, size_mb, origin in rows:
+        click.echo(f"{name} ({origin}): {holds}, {size_mb:.1f} MB")
+        click.echo(f"    {folder_text}")
+        click.echo(
+            f"    remove: rm -r {shlex.quote(folder_text)}" if Path(folder_text).exists() else "    not there yet"
+        )
+
+
+def _size_mb(folder: Path) -> float:
+    """Of all files in there; some may go meanwhile."""
+    size = 0
+    for each in folder.rglob("*"):
+        with contextlib.suppress(OSError):
+            size += each.lstat().st_size
+    return 1e-6 * size
 
 
 def _of_sitl(scenario: str | None, instance: int) -> "tuple[EffectiveSettings, dict[str, object]]":

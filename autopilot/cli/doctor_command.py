@@ -4,6 +4,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+from autopilot.cli.completion import PARAM_VALUE
 from autopilot.cli.console_output import EXIT_FAILED, EXIT_LOSS, emit_json, print_table
 from autopilot.cli.finite import FiniteRange
 from autopilot.cli.shared_options import CONFIG, INSTANCE, JSON
@@ -18,7 +19,9 @@ WARNING = "The thrusters are armed and turn for two seconds. Take all propellers
 @CONFIG
 @click.option("--plan", type=click.Path(exists=True, dir_okay=False), help="Plan to fly instead of the one on board.")
 @click.option("--connect", multiple=True, help="MAVLink connection; repeatable, replaces the file's.")
-@click.option("--param", multiple=True, metavar="NAME=VALUE", help="Set a parameter for this look; repeatable.")
+@click.option(
+    "--param", type=PARAM_VALUE, multiple=True, metavar="NAME=VALUE", help="Set a parameter for this look; repeatable."
+)
 @INSTANCE
 @click.option("--seconds", type=FiniteRange(1.0, 600.0), default=5.0, show_default=True, help="So long it looks.")
 @click.option(

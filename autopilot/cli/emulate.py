@@ -4,14 +4,17 @@ from pathlib import Path
 
 import click
 
+from autopilot.cli.completion import SCENARIO_NAME, VEHICLE_NAME
 from autopilot.cli.console_output import emit_json
 from autopilot.cli.finite import FiniteRange
 from autopilot.cli.service_run import StopSignals
 
 
 @click.command()
-@click.argument("scenario", default="paper-tank")
-@click.option("--vehicle", default="bluerov2", show_default=True, help="A shipped vehicle or a vehicle file.")
+@click.argument("scenario", type=SCENARIO_NAME, default="paper-tank")
+@click.option(
+    "--vehicle", type=VEHICLE_NAME, default="bluerov2", show_default=True, help="A shipped vehicle or a vehicle file."
+)
 @click.option("--frame", type=click.Choice(["vectored", "vectored_6dof"]), default="vectored", show_default=True)
 @click.option(
     "--link",

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+from autopilot.cli.completion import VEHICLE_NAME
 from autopilot.cli.console_output import EXIT_LOSS, emit_json, print_table
 from autopilot.cli.shared_options import JSON
 
@@ -17,7 +18,11 @@ if TYPE_CHECKING:
 
 @click.command()
 @click.argument("logs", nargs=-1, required=True, type=click.Path(exists=True, dir_okay=False, path_type=Path))
-@click.option("--vehicle", help="Vehicle to begin with, a name or a file (default: what the first log was flown with).")
+@click.option(
+    "--vehicle",
+    type=VEHICLE_NAME,
+    help="Vehicle to begin with, a name or a file (default: what the first log was flown with).",
+)
 @click.option(
     "--out", type=click.Path(dir_okay=False, path_type=Path), help="Write a vehicle file with the new values."
 )

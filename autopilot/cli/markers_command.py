@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from autopilot.cli.completion import VEHICLE_NAME
 from autopilot.cli.console_output import EXIT_LOSS, emit_json, print_table
 from autopilot.cli.markers_board import board
 from autopilot.cli.markers_survey import survey
@@ -22,7 +23,9 @@ def markers() -> None:
 
 @markers.command()
 @click.argument("file", type=click.Path(exists=True, dir_okay=False))
-@click.option("--vehicle", default="lbv150", show_default=True, help="Whose camera looks at it: name or file.")
+@click.option(
+    "--vehicle", type=VEHICLE_NAME, default="lbv150", show_default=True, help="Whose camera looks at it: name or file."
+)
 @JSON
 def check(file: str, vehicle: str, as_json: bool) -> None:
     """What the map FILE holds, and how much of it the camera sees. Exit 1 if it is wrong, 3 with warnings."""

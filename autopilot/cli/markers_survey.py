@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from autopilot.cli.completion import VEHICLE_NAME
 from autopilot.cli.console_output import EXIT_LOSS, emit_json, print_table
 from autopilot.cli.finite import Finite, FiniteRange
 from autopilot.cli.markers_board import MARKER_SIZE
@@ -49,7 +50,9 @@ if TYPE_CHECKING:
     metavar="ID ID M",
     help="Two markers and how far apart their middles are: fixes the scale; repeatable.",
 )
-@click.option("--vehicle", help="Vehicle file with the camera (images; default for logs: the log's),")
+@click.option(
+    "--vehicle", type=VEHICLE_NAME, help="Vehicle file with the camera (images; default for logs: the log's),"
+)
 @click.option(
     "--camera", type=click.Path(exists=True, dir_okay=False), help="or a camera file (OpenCV's or ROS's YAML)."
 )

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+from autopilot.cli.completion import VEHICLE_NAME
 from autopilot.cli.console_output import EXIT_FAILED, EXIT_LOSS, emit_json, print_table, progress_bar
 from autopilot.cli.finite import FiniteRange
 from autopilot.cli.mission_new import new
@@ -148,7 +149,13 @@ def start(
 
 @mission.command()
 @click.argument("file", type=click.Path(path_type=Path))
-@click.option("--vehicle", default="lbv150", show_default=True, help="Vehicle file or shipped vehicle, for its radius.")
+@click.option(
+    "--vehicle",
+    type=VEHICLE_NAME,
+    default="lbv150",
+    show_default=True,
+    help="Vehicle file or shipped vehicle, for its radius.",
+)
 @click.option("--param", "overrides", multiple=True, metavar="NAME=VALUE", help="Judge with another parameter value.")
 @JSON
 def check(file: Path, vehicle: str, overrides: tuple[str, ...], as_json: bool) -> None:

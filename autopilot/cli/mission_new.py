@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+from autopilot.cli.completion import VEHICLE_NAME
 from autopilot.cli.console_output import EXIT_LOSS, emit_json
 from autopilot.cli.finite import Finite
 from autopilot.cli.shared_options import JSON
@@ -63,7 +64,9 @@ class Numbers(_NumbersType):
 @click.option("--end", "end", type=click.Choice(["hold", "return", "surface"]), default="hold", show_default=True)
 @click.option("--speed", type=Finite(), metavar="M_S", help="Over ground (default: the vehicle's SPD_CRUISE).")
 @click.option("--origin", type=Numbers("LAT,LON[,ALT]", 2, 3), help="Of the local frame (default: the parameters').")
-@click.option("--vehicle", default="lbv150", show_default=True, help="Vehicle that the plan is checked for.")
+@click.option(
+    "--vehicle", type=VEHICLE_NAME, default="lbv150", show_default=True, help="Vehicle that the plan is checked for."
+)
 @click.option("--out", "out", required=True, type=click.Path(path_type=Path, dir_okay=False), help="FILE.plan")
 @click.option("--force", is_flag=True, help="Replace FILE.")
 @JSON

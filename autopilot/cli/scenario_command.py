@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+from autopilot.cli.completion import SCENARIO_NAME
 from autopilot.cli.console_output import EXIT_LOSS, emit_json, print_table
 from autopilot.cli.shared_options import JSON, SCENARIO_VEHICLE
 
@@ -62,7 +63,7 @@ def _where(known: Scenario) -> str:
 
 
 @scenario.command()
-@click.argument("file")
+@click.argument("file", type=SCENARIO_NAME)
 @SCENARIO_VEHICLE
 @JSON
 def check(file: str, vehicle: str | None, as_json: bool) -> None:
@@ -92,20 +93,27 @@ def check(file: str, vehicle: str | None, as_json: bool) -> None:
 
 @scenario.command()
 @click.argument("name")
-@click.option("--from", "source", default="paper-tank", show_default=True, help="Shipped scenario or file to copy.")
-@click.option("--out", type=click.Path(file_okay=False, path_type=Path), default=Path(), help="Folder (default: here).")
-def new(name: str, source: str, out: Path) -> None:
+@click.option(
+    "--from",
+    "source",
+    type=SCENARIO_NAME,
+    default="paper-tank",
+    show_default=True,
+    help="Shipped scenario or file to copy.",
+)
+@click.option("--out", type=click.Path(path_type=Path), help="File to write, or its folder (default: NAME.toml).")
+def new(name: str, source: str, out: Path | None) -> None:
     """Write NAME.toml, a commented copy to edit, with its plan and what else it needs beside it."""
-    from autopilot.run.sitl_copy import copy_scenario
+    from autopilot.run.sitl_copy import copy_scenario, copy_target
 
-    for path in copy_scenario(name, source, out):
+    target = copy_target(name, out)
+    for path in copy_scenario(name, source, target):
         click.echo(str(path))
-    target = out / f"{name}.toml"
     click.echo(f"edit it, then: autopilot scenario check {target}; autopilot sitl {target} --start")
 
 
 @scenario.command()
-@click.argument("file")
+@click.argument("file", type=SCENARIO_NAME)
 @click.option("--out", required=True, type=click.Path(dir_okay=False, path_type=Path), help="FILE.plan")
 @click.option("--force", is_flag=True, help="Replace FILE.")
 def plan(file: str, out: Path, force: bool) -> None:

@@ -4,24 +4,32 @@ from pathlib import Path
 
 import click
 
+from autopilot.cli.completion import CONFIG_NAME, PARAM_VALUE, VEHICLE_NAME
+
 JSON = click.option("--json", "as_json", is_flag=True, help="Machine-readable output.")
 JSON_NOT_TABLES = click.option("--json", "as_json", is_flag=True, help="Print JSON instead of tables.")
 LOG_FILE = click.argument("log_file", metavar="LOG", type=click.Path(path_type=Path))
 SCENARIO_VEHICLE = click.option(
-    "--vehicle", help="Another vehicle than the scenario's: a shipped name or a vehicle file."
+    "--vehicle", type=VEHICLE_NAME, help="Another vehicle than the scenario's: a shipped name or a vehicle file."
 )
 CONFIG = click.option(
-    "--config", required=True, metavar="FILE", help="Vehicle configuration: a TOML file, or a shipped name."
+    "--config",
+    type=CONFIG_NAME,
+    required=True,
+    metavar="FILE",
+    help="Vehicle configuration: a TOML file, or a shipped name.",
 )
 INSTANCE = click.option("--instance", type=click.IntRange(0, 99), default=0, show_default=True, help="Instance number.")
 SEED = click.option("--seed", type=click.IntRange(min=0), help="Seed of all randomness (default: the scenario's).")
-PARAM = click.option("--param", multiple=True, metavar="NAME=VALUE", help="Set a parameter for this run; repeatable.")
+PARAM = click.option(
+    "--param", type=PARAM_VALUE, multiple=True, metavar="NAME=VALUE", help="Set a parameter for this run; repeatable."
+)
 QUIET = click.option("--quiet", is_flag=True, help="Print only errors.")
 CAMPAIGN_OUT = click.option(
     "--out", type=click.Path(path_type=Path, file_okay=False), required=True, help="Folder of the campaign."
 )
 CAMPAIGN_PARAM = click.option(
-    "--param", multiple=True, metavar="NAME=VALUE", help="Set a parameter in all runs; repeatable."
+    "--param", type=PARAM_VALUE, multiple=True, metavar="NAME=VALUE", help="Set a parameter in all runs; repeatable."
 )
 ENGINE = click.option("--engine", default="local", show_default=True, help="local, dask or dask+tcp://HOST:PORT.")
 JOBS = click.option("--jobs", type=click.IntRange(min=1), help="Runs at a time (default: one per core).")

@@ -4,6 +4,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from autopilot.cli.completion import SCENARIO_NAME
 from autopilot.cli.console_output import EXIT_LOSS
 from autopilot.cli.finite import FiniteRange
 from autopilot.cli.service_options import (
@@ -30,7 +31,7 @@ if TYPE_CHECKING:
 
 
 @click.command()
-@click.argument("scenario", required=False)
+@click.argument("scenario", type=SCENARIO_NAME, required=False)
 @SCENARIO_VEHICLE
 @PLAN
 @click.option("--speed", type=FiniteRange(min=0.0), help="1 = real time (default), 0 = as fast as possible.")

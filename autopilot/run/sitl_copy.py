@@ -11,10 +11,11 @@ _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]*")
 DRAWN = 'fence = "from tank and obstacles" # the plan\'s fence follows what stands below'
 
 
-def copy_scenario(name: str, source: str, folder: Path) -> list[Path]:
-    """Write ``NAME.toml`` and the files that it needs into the folder; returns the files. ConfigError: invalid
+def copy_scenario(name: str, source: str, target: Path) -> list[Path]:
+    """Write a copy as ``target`` and the files that it needs beside it; returns the files. ConfigError: invalid
     name, unknown or invalid source, or a file exists already.
     """
+    folder = target.parent
     if _NAME.fullmatch(name) is None or name.endswith(".toml"):
         raise ConfigError(f"{name!r} is no name for a scenario; use letters, digits and dashes")
     scenario = load_scenario(source)
@@ -32,9 +33,16 @@ def copy_scenario(name: str, source: str, folder: Path) -> list[Path]:
     drawn = plan is not None and scenario.scenario.fence is None and (scenario.tank is not None or scenario.obstacle)
     edited = _edited(text, name, plan_name, drawn=bool(drawn))
     more = (resources.files("autopilot") / "data" / "templates" / "scenario-more.toml").read_text(encoding="utf-8")
-    copies[folder / f"{name}.toml"] = f"{edited.rstrip()}\n\n{more}".encode()
+    copies[target] = f"{edited.rstrip()}\n\n{more}".encode()
     write_copies(copies, folder)
     return list(copies)
+
+
+def copy_target(name: str, out: Path | None) -> Path:
+    """File of a copy: ``out``, or NAME.toml in it if that is a folder, or here."""
+    if out is not None and out.suffix == ".toml" and not out.is_dir():
+        return out
+    return (out or Path()) / f"{name}.toml"
 
 
 def write_copies(copies: dict[Path, bytes], folder: Path) -> None:

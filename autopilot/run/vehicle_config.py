@@ -13,6 +13,7 @@ from typing import Annotated, Any, Literal
 import msgspec
 
 from autopilot.core.errors import ConfigError
+from autopilot.core.names import unknown
 from autopilot.core.origin_params import set_origin_deg
 from autopilot.core.params import ParamSet
 from autopilot.core.toml_table import NonNegative, Positive, Table, convert, read_toml
@@ -102,7 +103,7 @@ def load_config(name_or_path: str) -> VehicleConfig:
     if not path.exists() and shipped in config_names():
         path = Path(str(resources.files("autopilot") / "data" / "configs" / f"{shipped}.toml"))
     elif not path.exists():
-        raise ConfigError(f"{name_or_path}: there is no such file; shipped are {', '.join(config_names())}")
+        raise unknown("configuration", name_or_path, config_names(), more=" or a file that is there")
     file: ConfigFile = convert(read_toml(path), ConfigFile, str(path))
     vehicle = load_vehicle(_vehicle_of(file.vehicle, path))
     config = VehicleConfig(
