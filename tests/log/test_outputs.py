@@ -12,15 +12,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from log_synthetic import DESCRIPTION, EPOCH_NS, Run, shifted, write_run
+from log_synthetic import DESCRIPTION, EPOCH_NS, Run, call, shifted, write_run
 from mcap.writer import Writer
 
 from autopilot.cli.log import log as log_command
 from autopilot.core.disk import write_whole
 from autopilot.core.errors import LogError
+from autopilot.log.check import BoundRow, acceptance_table, format_figure, short_form
 from autopilot.log.description import AcceptBounds
 from autopilot.log.figures import FIGURES, write_figures
 from autopilot.log.reader import open_log
@@ -42,18 +42,6 @@ def bad_log(tmp_path_factory: pytest.TempPathFactory) -> Path:
     change = shifted(9.0, 0.3, vel_water_frd_m_s=np.array([0.6, 0.0, 0.0]))
     run = Run(laps=1, step_us=200_000, description=ONE_LAP, change_truth=change)
     return write_run(tmp_path_factory.mktemp("outputs") / "bad.mcap", run)
-
-
-def call(*args: object) -> tuple[int, str]:
-    """Run a command in this process as the console script does."""
-    from autopilot.cli.main import cli, run
-
-    runner = CliRunner()
-    codes: list[int] = []
-    with runner.isolation() as streams:
-        codes.append(run(lambda: cli(["log", *map(str, args)], standalone_mode=False)))
-        out = streams[0].getvalue().decode() + streams[1].getvalue().decode()
-    return codes[0], out
 
 
 def bare(path: Path) -> Path:
@@ -229,12 +217,36 @@ def test_check(run_log: Path, bad_log: Path, tmp_path: Path) -> None:
     assert code == 3 and "log damage" in out
 
 
+@pytest.mark.parametrize("everything", [(), ("--all",)], ids=["short", "all"])
+@pytest.mark.parametrize("columns", [80, 140])
+def test_the_verdict_and_what_broke_come_first_and_nothing_is_cut(
+    bad_log: Path, monkeypatch: pytest.MonkeyPatch, columns: int, everything: tuple[str, ...]
+) -> None:
+    monkeypatch.setenv("COLUMNS", str(columns))
+    _, out = call("check", bad_log, *everything)
+    lines = out.splitlines()
+    rows = [row for row in acceptance_table(open_log(bad_log)) if everything or row in short_form_of(bad_log)]
+    assert max(map(len, lines)) <= columns and "…" not in out
+    assert next(line for line in lines if "verdict" in line).startswith("verdict: fail (")
+    for row in rows:
+        for word in f"{row.name} {row.note} {format_figure(row.worst)} {format_figure(row.limit)} {row.unit}".split():
+            assert word in out, row
+    if not everything:
+        below = lines[lines.index(next(line for line in lines if "───" in line)) + 1]
+        assert below.split()[:2] == ["planar", "speed"] and " fail" in below
+        assert len(rows) == 12 and "more rows: autopilot log check LOG --all" in out
+
+
+def short_form_of(path: Path) -> list[BoundRow]:
+    return short_form(acceptance_table(open_log(path)))
+
+
 def test_a_log_has_to_be_named() -> None:
     assert call("report")[0] == call("plot")[0] == 2
 
 
 def test_group_lists_its_commands_without_heavy_imports() -> None:
-    looks = {"info", "check", "report", "plot", "replay", "programs", "tlog"}
+    looks = {"info", "check", "compare", "report", "plot", "replay", "programs", "tlog"}
     assert set(log_command.commands) == looks | {"export", "diff", "find", "recover"}
     heavy = "{'numpy', 'mcap', 'matplotlib', 'bokeh', 'rich'}"
     code = f"import sys, autopilot.cli.log; sys.exit(','.join({heavy} & set(sys.modules)) or 0)"
