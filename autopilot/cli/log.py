@@ -84,18 +84,27 @@ def report(log_file: Path, out: Path | None) -> None:
 
 
 @log.command()
-@LOG_FILE
+@click.argument("logs", metavar="LOG...", nargs=-1, required=True, type=click.Path(path_type=Path))
 @click.option("--out", type=click.Path(path_type=Path), help="Folder to write into (default: LOG without its ending).")
-def plot(log_file: Path, out: Path | None) -> None:
-    """Draw LOG as PNG and PDF figures: the paper's five, errors of the estimate, solve time, energy, current."""
-    from autopilot.log.figures import write_figures
+@click.option("--only", multiple=True, metavar="NAME", help="Only this figure, e.g. 1_trajectory; repeatable.")
+@click.option("--paper", type=click.Choice(("ieee", "elsevier")), help="Width and text of this publisher's papers.")
+@click.option("--columns", type=click.IntRange(1, 2), default=1, show_default=True, help="--paper: of text.")
+def plot(logs: tuple[Path, ...], out: Path | None, only: tuple[str, ...], paper: str | None, columns: int) -> None:
+    """Draw LOG as PNG and PDF figures: the paper's five, errors of the estimate, solve time, energy, current.
+
+    Several logs are drawn into the same figures: trajectory, depth and yaw, speeds, energy.
+    """
+    from autopilot.log.figures import PAPERS, write_figures
     from autopilot.log.reader import open_log
 
-    target = out if out is not None else log_file.with_suffix("")
-    opened = open_log(log_file)
-    for path in write_figures(opened, target):
+    more = f"_and_{len(logs) - 1}_more" if len(logs) > 1 else ""
+    target = out if out is not None else logs[0].with_name(logs[0].stem + more)
+    opened = [open_log(path) for path in logs]
+    style = None if paper is None else PAPERS[paper].style(columns)
+    for path in write_figures(opened, target, only=only, style=style):
         click.echo(str(path))
-    _tell_loss(opened)
+    for each in opened:
+        _tell_loss(each)
 
 
 @log.command()

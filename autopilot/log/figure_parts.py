@@ -24,9 +24,17 @@ TRUTH: dict[str, Any] = {"color": "#1f77b4", "linewidth": 1.2}
 ESTIMATE: dict[str, Any] = {"color": "#444444", "linewidth": 0.8, "linestyle": ":"}
 BAND: dict[str, Any] = {"color": "#2ca02c", "alpha": 0.18, "linewidth": 0.0}
 WIDTH_IN = 7.0
+NARROW_IN = 5.0
+"""Narrower figures have their pairs of axes below each other."""
+LEAST_HEIGHT = 0.7
+"""Of the height at WIDTH_IN."""
+LEGEND_COLUMN_IN = 1.35
 STYLE: Any = {
     "font.size": 9.0,
     "font.family": "DejaVu Sans",
+    "figure.figsize": (WIDTH_IN, 4.8),
+    "pdf.fonttype": 42,
+    "ps.fonttype": 42,
     "axes.grid": True,
     "axes.axisbelow": True,
     "grid.alpha": 0.3,
@@ -48,6 +56,10 @@ class FigureScene:
     """The truth (or the estimate if there is none), while armed."""
     tour: tuple[Visit, ...]
     laps: tuple[Span, ...]
+
+    @property
+    def name(self) -> str:
+        return self.flight.log.path.stem
 
     @property
     def basis(self) -> str:
@@ -82,8 +94,26 @@ def named_laps(count: int) -> set[int]:
     return {round(fraction * (count - 1)) for fraction in np.linspace(0.0, 1.0, NAMED_LAPS)}
 
 
+def width_in() -> float:
+    """Width of figures by the style in force."""
+    return float(mpl.rcParams["figure.figsize"][0])
+
+
+def figure_of(height_in: float) -> Figure:
+    """A figure of a height at WIDTH_IN, as wide as the style has it."""
+    return Figure(figsize=(width_in(), height_in * min(max(width_in() / WIDTH_IN, LEAST_HEIGHT), 1.0)))
+
+
+def pair_of_axes(height_in: float) -> tuple[Figure, Axes, Axes]:
+    """A wide one and a narrow one beside it, or below it in a narrow figure."""
+    wide = width_in() >= NARROW_IN
+    figure = figure_of(height_in if wide else 2.2 * height_in)
+    first, second = figure.subplots(1, 2, width_ratios=(2.0, 1.0)) if wide else figure.subplots(2, 1)
+    return figure, first, second
+
+
 def stacked_axes(rows: int, height_in: float) -> tuple[Figure, list[Axes]]:
-    figure = Figure(figsize=(WIDTH_IN, height_in))
+    figure = figure_of(height_in)
     grid = figure.subplots(rows, 1, sharex=True, squeeze=False)
     return figure, [row[0] for row in grid]
 
@@ -116,5 +146,6 @@ def extend_limits(ax: Axes, *values: float | None) -> None:
 def legend_above(ax: Axes, columns: int = 3) -> None:
     """Put a legend above the axes, once everything is drawn."""
     handles, labels = ax.get_legend_handles_labels()
+    columns = max(1, min(columns, int(width_in() / LEGEND_COLUMN_IN)))
     if labels:
         ax.legend(handles, labels, loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=columns, borderaxespad=0.1)

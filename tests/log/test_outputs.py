@@ -22,7 +22,7 @@ from autopilot.core.disk import write_whole
 from autopilot.core.errors import LogError
 from autopilot.log.check import BoundRow, acceptance_table, format_figure, short_form
 from autopilot.log.description import AcceptBounds
-from autopilot.log.figures import FIGURES, write_figures
+from autopilot.log.figures import FIGURES, OVERLAID, write_figures
 from autopilot.log.reader import open_log
 from autopilot.log.report import write_report
 from autopilot.log.report_draw import decimate
@@ -112,6 +112,33 @@ def test_figures_of_poor_logs(tmp_path: Path) -> None:
         write_figures(open_log(bare(tmp_path / "bare.mcap")), tmp_path)
     with pytest.raises(LogError, match="cannot be written"):
         write_figures(open_log(tmp_path / "poor.mcap"), tmp_path / "poor.mcap")
+
+
+@pytest.mark.parametrize(
+    ("paper", "columns", "width_in"),
+    [("ieee", 1, 3.5), ("ieee", 2, 7.16), ("elsevier", 1, 3.54), ("elsevier", 2, 7.48)],
+)
+def test_figures_for_papers(run_log: Path, tmp_path: Path, paper: str, columns: int, width_in: float) -> None:
+    """As wide as asked, with TrueType fonts (Type 42) in the file."""
+    names = ("1_trajectory", "7_solve_time")
+    asked = [word for name in names for word in ("--only", name)]
+    code, out = call("plot", run_log, "--out", tmp_path, "--paper", paper, "--columns", columns, *asked)
+    assert code == 0 and [Path(line).name for line in out.splitlines()[1::2]] == [f"{name}.pdf" for name in names]
+    for path in map(Path, out.splitlines()[1::2]):
+        data = path.read_bytes()
+        box = re.search(rb"/MediaBox \[ 0 0 ([\d.]+)", data)
+        assert box is not None and float(box[1]) / 72.0 == pytest.approx(width_in, abs=0.01)
+        assert b"/FontFile2" in data and b"/Type3" not in data
+
+
+def test_several_logs_are_drawn_into_the_same_figures(run_log: Path, bad_log: Path, tmp_path: Path) -> None:
+    poor = Run(laps=1, step_us=500_000, with_truth=False, description=replace(DESCRIPTION, waypoints=(), obstacles=()))
+    other = write_run(tmp_path / "poor.mcap", poor)
+    code, out = call("plot", run_log, bad_log, other, "--out", tmp_path / "all")
+    assert code == 0
+    assert [Path(line).stem for line in out.splitlines()[::2]] == list(OVERLAID)
+    code, out = call("plot", run_log, other, "--only", "7_solve_time", "--out", tmp_path / "none")
+    assert code == 1 and "7_solve_time" in out and "1_trajectory" in out and not (tmp_path / "none").exists()
 
 
 class Loads(HTMLParser):
