@@ -52,16 +52,15 @@ def compare(logs: tuple[Path, ...], figure: Path | None, as_json: bool) -> None:
 def _print(shown: "Sequence[Column]") -> None:
     from rich.text import Text
 
-    from autopilot.log.flight_comparison import differences, headline, not_comparable
+    from autopilot.log.flight_comparison import differences, headline, not_comparable, own
 
     console = make_console()
     if answer := headline(shown):
         console.print(Text(answer, style="bold"))
     for text in not_comparable(shown):
         console.print(Text.assemble(("not comparable: ", "yellow"), text))
-    for column in shown:
-        if column.name != "mean":
-            console.print(Text(f"{column.name:3} {_members(column)}"), overflow="fold")
+    for column in own(shown):
+        console.print(Text(f"{column.name:3} {_members(column)}"), overflow="fold")
     for text in differences(shown):
         console.print(Text(f"    {text}"))
     _print_figures(shown)

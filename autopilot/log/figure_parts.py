@@ -10,7 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from autopilot.core.errors import LogError
-from autopilot.log.analysis import FlightRecord, Span, VehicleTrack, Visit, lap_spans, load_flight, visits
+from autopilot.log.analysis import FlightRecord, Span, VehicleTrack, Visit, flown_laps, load_flight, visits
 from autopilot.log.reader import Log
 
 LAP_COLORS = ("#1f77b4", "#ff7f0e", "#2ca02c", "#9467bd", "#8c564b", "#17becf")
@@ -76,8 +76,7 @@ def make_scene(log: Log) -> FigureScene:
     if not len(track.t_s):
         raise LogError(f"{log.path}: the vehicle's track is empty; there is nothing to draw")
     tour = visits(track, flight.run) if flight.run is not None else []
-    laps = lap_spans(tour, flight.run, flight.armed.start_s) if flight.run is not None else []
-    return FigureScene(flight=flight, track=track, tour=tuple(tour), laps=tuple(laps))
+    return FigureScene(flight=flight, track=track, tour=tuple(tour), laps=tuple(flown_laps(flight)))
 
 
 def lap_colors(count: int) -> list[str]:

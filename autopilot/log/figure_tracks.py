@@ -24,7 +24,7 @@ from autopilot.log.figure_parts import (
     stacked_axes,
 )
 from autopilot.log.figure_plan import draw_plan
-from autopilot.log.flight_comparison import Column
+from autopilot.log.flight_comparison import Column, own
 from autopilot.log.plan_summary import moved_obstacles
 
 HEIGHT_IN = 4.6
@@ -38,7 +38,7 @@ def write_tracks(shown: Sequence[Column], path: Path) -> Path:
 
     LogError if no flight has a track, or the file cannot be written.
     """
-    drawn = [(c, [one.track for one in c.flights if one.track is not None]) for c in shown if c.name != "mean"]
+    drawn = [(c, [one.track for one in c.flights if one.track is not None]) for c in own(shown)]
     known = [(column, tracks) for column, tracks in drawn if tracks]
     if not known:
         raise LogError("none of the logs has a track; there is nothing to draw")

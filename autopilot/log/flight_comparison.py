@@ -1,5 +1,6 @@
 """Flights beside each other: the figures of ``log check`` and per lap, mean and spread over seeds, and what differs."""
 
+import math
 import statistics
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
@@ -10,7 +11,7 @@ import msgspec
 
 from autopilot.core.errors import LogError
 from autopilot.core.params import PARAMETERS
-from autopilot.log.analysis import FlightRecord, VehicleTrack, energy_j, lap_spans, load_flight, visits
+from autopilot.log.analysis import FlightRecord, VehicleTrack, energy_j, flown_laps, load_flight
 from autopilot.log.check import acceptance_table, overall
 from autopilot.log.check_more import LEAST_LENGTH_M, path_length_m
 from autopilot.log.description import RunDescription
@@ -55,6 +56,7 @@ COMPARED: Mapping[str, str] = {
 _OF_THE_RUN = ("seed", "started", "epoch_ns", "speed", "recovered", "currents_map")
 """Metadata in which flights of one group differ."""
 _OF_THE_SCENARIO = ("current", "waves", "fault")
+_MEAN = "mean"
 _NAMED = 6
 """Settings or parameters of a difference that are named."""
 
@@ -128,8 +130,8 @@ def read_flight(path: Path) -> ComparedFlight:
     figures |= _worst_of_several(rows)
     if rows:
         figures |= _of_the_mission(flight)
-    if run is not None and run.waypoints and track is not None and len(track.t_s):
-        laps = lap_spans(visits(track, run), run, flight.armed.start_s)
+    if run is not None and run.waypoints and rows:
+        laps = flown_laps(flight)
         figures["laps"] = float(len(laps))
         if laps:
             figures[LAP_TIME] = statistics.median(lap.end_s - lap.start_s for lap in laps)
@@ -145,11 +147,7 @@ def read_flight(path: Path) -> ComparedFlight:
         rows=rows,
         track=track if rows else None,
         basis="" if not rows else "truth" if flight.truth is not None else "estimate",
-        metered=""
-        if "energy of the mission" not in figures
-        else "simulated power"
-        if "/sim/thrusters" in log
-        else "battery monitor",
+        metered="simulated power" if "/sim/thrusters" in log else "battery monitor" if "/in/power_raw" in log else "",
         problems=log.problems,
     )
 
@@ -187,7 +185,7 @@ def _group(log: Log, run: RunDescription | None) -> dict[str, Any]:
         "settings": settings,
         "parameters": {} if run is None else run.parameters,
         "scenario": scenario,
-        "vehicle": _attached(log, "vehicle.json") or log.run.get("vehicle"),
+        "vehicle": _attached(log, "vehicle.json"),
         "task": {
             **({} if run is None else {"tank": run.tank_polygon_m, "obstacles": run.obstacles, "plan": run.waypoints}),
             **{name: scenario[name] for name in _OF_THE_SCENARIO if name in scenario},
@@ -216,8 +214,13 @@ def columns(flights: Sequence[ComparedFlight]) -> list[Column]:
         else:
             mine.append(flight)
     if len(groups) == 1 < len(flights):
-        return [*_named([[flight] for flight in flights]), Column(name="mean", flights=flights)]
+        return [*_named([[flight] for flight in flights]), Column(name=_MEAN, flights=flights)]
     return _named(groups)
+
+
+def own(shown: Sequence[Column]) -> list[Column]:
+    """All but the mean of all flights."""
+    return [column for column in shown if column.name != _MEAN]
 
 
 def _named(groups: Sequence[Sequence[ComparedFlight]]) -> list[Column]:
@@ -245,7 +248,7 @@ def differences(shown: Sequence[Column]) -> list[str]:
     """What was set otherwise than in the first column, of what both logs name."""
     found = []
     first = shown[0].flights[0].group
-    for column in (one for one in shown[1:] if one.name != "mean"):
+    for column in own(shown)[1:]:
         one = column.flights[0].group
         changed = []
         for kind in ("settings", "parameters"):
@@ -263,14 +266,15 @@ def _meant(name: str, value: float | str) -> str:
     if isinstance(value, str):
         return value or "none"
     values = next((spec.values for spec in PARAMETERS if spec.name == name), {})
-    return f"{value:g} ({values[int(value)]})" if int(value) in values else f"{value:g}"
+    meaning = values.get(int(value)) if math.isfinite(value) else None
+    return f"{value:g}" if meaning is None else f"{value:g} ({meaning})"
 
 
 def not_comparable(shown: Sequence[Column]) -> list[str]:
     """What makes figures of different columns incomparable, or missing."""
     first, a = shown[0].flights[0], shown[0].name
     found = []
-    for column in (one for one in shown[1:] if one.name != "mean"):
+    for column in own(shown)[1:]:
         one, b = column.flights[0], column.name
         ours, theirs = first.group["task"], one.group["task"]
         other = [name for name in ours if name in theirs and ours[name] != theirs[name]]
@@ -279,17 +283,17 @@ def not_comparable(shown: Sequence[Column]) -> list[str]:
             where = f"scenarios {names[0]} and {names[1]}" if names[0] != names[1] else f"both {names[0]}"
             what = f"different {', '.join(other)}" if other else "other names"
             found.append(f"{a} and {b} have {what} ({where}): laps, times, energy and distances are of two tasks")
-        vehicles = [flight.group["vehicle"] for flight in (first, one)]
-        if all(vehicles) and vehicles[0] != vehicles[1]:
-            names = [flight.facts.get("vehicle", "") for flight in (first, one)]
+        names = [flight.facts.get("vehicle", "") for flight in (first, one)]
+        files = [flight.group["vehicle"] for flight in (first, one)]
+        if any(all(pair) and pair[0] != pair[1] for pair in (files, names)):
             what = f"{names[0]} and {names[1]}" if names[0] != names[1] else f"{names[0]} with different vehicle files"
             found.append(f"{a} and {b} are {what}: energy and thrust are of two vehicles")
         if first.basis and one.basis and first.basis != one.basis:
             found.append(f"{a} is judged on the {first.basis}, {b} on the {one.basis}: distances differ by its error")
         if first.metered and one.metered and first.metered != one.metered:
             found.append(f"energy of {a} is by the {first.metered}, of {b} by the {one.metered}")
-    for column in shown:
-        for flight in column.flights if column.name != "mean" else ():
+    for column in own(shown):
+        for flight in column.flights:
             found += [f"{flight.path.name}: {text}" for text in _lacks(flight)]
     return list(dict.fromkeys(found))
 
@@ -310,7 +314,7 @@ def _lacks(flight: ComparedFlight) -> list[str]:
 
 def headline(shown: Sequence[Column]) -> str:
     """Energy and time of a lap, or energy as a whole where no two columns have laps; "" without energy."""
-    known = [column for column in shown if column.name != "mean"]
+    known = own(shown)
     parts = _against(known, LAP_ENERGY, "J a lap") + _against(known, LAP_TIME, "s a lap")
     parts = parts or _against(known, "energy per path length", "J/m")
     return ", ".join(parts or _against(known, "energy of the mission", "J"))
@@ -349,8 +353,7 @@ def as_json(shown: Sequence[Column]) -> dict[str, Any]:
             }
             for one in column.flights
         ]
-        for column in shown
-        if column.name != "mean"
+        for column in own(shown)
     }
     return {
         "headline": headline(shown),

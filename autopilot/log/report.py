@@ -21,13 +21,13 @@ from autopilot.log.analysis import (
     TOPICS_OF_INTEREST,
     FlightRecord,
     energy_j,
-    lap_spans,
+    flown_laps,
     last_counts,
     load_flight,
     seconds,
-    visits,
 )
 from autopilot.log.check import BoundRow, BoundVerdict, acceptance_table, format_figure, overall, short_form
+from autopilot.log.check_more import path_length_m
 from autopilot.log.reader import DecodedMessage, Log
 from autopilot.log.topics import AID_PREFIX
 from autopilot.log.visuals import ROS_LEVEL
@@ -196,8 +196,7 @@ def _in_short(rows: Sequence[BoundRow]) -> str:
 
 def _laps(flight: FlightRecord) -> str:
     """Time and energy of every lap, empty without laps."""
-    run, track = flight.run, flight.judged.between(flight.armed)
-    laps = lap_spans(visits(track, run), run, flight.armed.start_s) if run is not None else []
+    laps = flown_laps(flight)
     if not laps:
         return ""
     used = [energy_j(flight, lap) for lap in laps]
@@ -279,7 +278,6 @@ def _header(flight: FlightRecord, rows: Sequence[BoundRow]) -> str:
     """Description of the run, in pairs."""
     run, log, armed = flight.run, flight.log, flight.armed
     track = flight.judged.between(armed)
-    steps = track.pos_ned_m[1:] - track.pos_ned_m[:-1]
     pairs: list[tuple[str, str]] = [(key, value) for key, value in log.run.items() if key != "epoch_ns"]
     if run is not None:
         seed = "" if run.seed is None else str(run.seed)
@@ -287,7 +285,7 @@ def _header(flight: FlightRecord, rows: Sequence[BoundRow]) -> str:
     pairs += [
         ("judged on", "truth" if flight.truth is not None else "estimate"),
         ("armed", f"{armed.start_s:.1f} s to {armed.end_s:.1f} s"),
-        ("path length", f"{float(((steps**2).sum(axis=1) ** 0.5).sum()):.1f} m in {armed.end_s - armed.start_s:.1f} s"),
+        ("path length", f"{path_length_m(track):.1f} m in {armed.end_s - armed.start_s:.1f} s"),
         ("fastest", f"{float(track.planar_speed_m_s.max(initial=0.0)):.2f} m/s in the water"),
         ("messages", f"{log.message_count} on {len(log.topics)} topics"),
     ]

@@ -18,13 +18,12 @@ from autopilot.log.analysis import (
     along_track,
     energy_j,
     estimate_error,
+    flown_laps,
     foreseen,
-    lap_spans,
     position_nees,
     predictions,
     seconds,
     thruster_names,
-    visits,
 )
 from autopilot.log.check_more import MOST_REPROJECTION_PX
 from autopilot.log.check_outside import round_trips
@@ -431,7 +430,7 @@ class Plots:
         rows = np.arange(0, len(track.t_s), max(1, len(track.t_s) // (4 * BUCKETS)))
         x, y = track.pos_ned_m[rows, 0].astype(np.float32), track.pos_ned_m[rows, 1].astype(np.float32)
         items: Items = [("path", [_draw_path(plot, "path", x, y, line_color="#333333", line_width=1.5)])]
-        laps = lap_spans(visits(track, run), run, self._flight.armed.start_s) if run is not None else []
+        laps = flown_laps(self._flight)
         colors = COLORS if len(laps) <= MOST_LAPS else viridis(len(laps))
         named = set(range(len(laps)))
         if len(laps) > MOST_LAPS:
