@@ -88,7 +88,13 @@ def report(log_file: Path, out: Path | None) -> None:
 @click.option("--out", type=click.Path(path_type=Path), help="Folder to write into (default: LOG without its ending).")
 @click.option("--only", multiple=True, metavar="NAME", help="Only this figure, e.g. 1_trajectory; repeatable.")
 @click.option("--paper", type=click.Choice(("ieee", "elsevier")), help="Width and text of this publisher's papers.")
-@click.option("--columns", type=click.IntRange(1, 2), default=1, show_default=True, help="--paper: of text.")
+@click.option(
+    "--columns",
+    type=click.IntRange(1, 2),
+    default=1,
+    show_default=True,
+    help="--paper: columns of text that a figure spans.",
+)
 def plot(logs: tuple[Path, ...], out: Path | None, only: tuple[str, ...], paper: str | None, columns: int) -> None:
     """Draw LOG as PNG and PDF figures: the paper's five, errors of the estimate, solve time, energy, current.
 

@@ -24,9 +24,9 @@ _LABEL = 28
 @click.option("--figure", type=_PATH, help="Draw all tracks in one plan: a PNG, PDF or SVG file.")
 @JSON_NOT_TABLES
 def compare(logs: tuple[Path, ...], figure: Path | None, as_json: bool) -> None:
-    """Figures of flights beside each other, with ratios to the first: laps, energy, distances, errors, thrust.
+    """Laps, energy, distances and thrust of flights side by side.
 
-    Flights that differ only in their seed are one column: mean and standard deviation. Exit code 3 if part of a log
+    Ratios are to the first. Flights that differ only in their seed are one column: mean and standard deviation. Exit code 3 if part of a log
     could not be read.
     """
     from autopilot.log import flight_comparison

@@ -157,7 +157,8 @@ def _page(flight: FlightRecord, rows: Sequence[BoundRow]) -> str:
         button = f"<button onclick=\"saveCsv('{plot.id}', '{file}')\">CSV</button>"
         figures[name] = f"<h3>{html.escape(name.partition(': ')[2])}{button}</h3>\n{parts[name]}\n"
     overview = [figures.pop(f"Overview: {title}") for title in subjects.pop("Overview")]
-    title = f"{flight.run.scenario if flight.run is not None else flight.log.path.stem}: {flight.log.path.name}"
+    scenario = "" if flight.run is None else flight.run.scenario
+    title = f"{scenario or flight.log.path.stem}: {flight.log.path.name}"
     folded = {"Verdicts": _acceptance(rows), "Run": _header(flight, rows), "Modes": _modes(flight)}
     for subject, found in subjects.items():
         pictures = _pictures(flight.log) if subject == "Camera" else ""
