@@ -26,8 +26,8 @@ _LABEL = 28
 def compare(logs: tuple[Path, ...], figure: Path | None, as_json: bool) -> None:
     """Laps, energy, distances and thrust of flights side by side.
 
-    Ratios are to the first. Flights that differ only in their seed are one column: mean and standard deviation. Exit code 3 if part of a log
-    could not be read.
+    Ratios are to the first. Flights that differ only in their seed are one column: mean and standard deviation. Exit
+    code 3 if part of a log could not be read.
     """
     from autopilot.log import flight_comparison
 
