@@ -65,7 +65,7 @@ def reported(log: Path) -> None:
         html = Path(folder) / "report.html"
         command = autopilot_command("log", "report", str(log.resolve()), "--out", str(html))
         subprocess.run(command, check=True, stdout=subprocess.DEVNULL)
-        page.size(1280, 1500)
+        page.size(1280, 1100)
         page.open(html.as_uri())
         page.wait("document.readyState === 'complete' && document.body.scrollHeight > 600")
         page.wait("new Promise((done) => setTimeout(() => done(true), 3000))")  # bokeh draws after that

@@ -2,6 +2,7 @@
 
 import json
 import math
+import os
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
@@ -36,11 +37,12 @@ FILE_WIDTH = 140
 
 
 def make_console() -> "Console":
-    """A console as wide as the terminal, with a default width without one."""
+    """A console as wide as the terminal or COLUMNS, with a default width without either."""
     from rich.console import Console
 
     console = Console()
-    return console if console.is_terminal else Console(width=FILE_WIDTH)
+    asked = os.environ.get("COLUMNS", "").isdigit()
+    return console if console.is_terminal or asked else Console(width=FILE_WIDTH)
 
 
 def print_table(title: str, columns: Sequence[str], rows: Sequence[Sequence[object]]) -> None:

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from autopilot.cli.console_output import EXIT_FAILED, EXIT_LOSS, emit_json, make_console, print_table
+from autopilot.cli.log_compare import compare
 from autopilot.cli.log_replay import replay
 from autopilot.cli.log_tlog import tlog
 from autopilot.cli.log_tools import diff, export, find, recover
@@ -17,13 +18,16 @@ if TYPE_CHECKING:
     from autopilot.log.check import BoundRow
     from autopilot.log.reader import Log
 
+NOTES_BESIDE = 110
+"""Columns of a terminal from which on notes stand beside their rows instead of below the quantity."""
+
 
 @click.group()
 def log() -> None:
-    """Look into logs: info, check, report, plot, export, diff, find, recover, replay, programs, tlog."""
+    """Look into logs: info, check, compare, report, plot, export, diff, find, recover, replay, programs, tlog."""
 
 
-for _command in (tlog, export, diff, recover, find, replay):
+for _command in (tlog, compare, export, diff, recover, find, replay):
     log.add_command(_command)
 
 
@@ -47,9 +51,10 @@ def info(ctx: click.Context, log_file: Path, as_json: bool) -> None:
 
 @log.command()
 @LOG_FILE
+@click.option("--all", "everything", is_flag=True, help="Print every row, by subject (default: the most important).")
 @JSON_NOT_TABLES
 @click.pass_context
-def check(ctx: click.Context, log_file: Path, as_json: bool) -> None:
+def check(ctx: click.Context, log_file: Path, everything: bool, as_json: bool) -> None:
     """Judge LOG by the bounds of its run. Exit 1 if one is broken, 3 if there are warnings."""
     from autopilot.log.check import BoundVerdict, acceptance_table, overall
     from autopilot.log.reader import open_log
@@ -60,7 +65,7 @@ def check(ctx: click.Context, log_file: Path, as_json: bool) -> None:
         listed = [{**asdict(row), "verdict": row.verdict.value} for row in rows]
         emit_json({"log": str(log_file), "verdict": verdict.value, "rows": listed})
     else:
-        print_rows(rows, str(log_file))
+        print_rows(rows, str(log_file), everything=everything)
     ctx.exit({BoundVerdict.FAIL: EXIT_FAILED, BoundVerdict.WARN: EXIT_LOSS}.get(verdict, 0))
 
 
@@ -79,18 +84,33 @@ def report(log_file: Path, out: Path | None) -> None:
 
 
 @log.command()
-@LOG_FILE
+@click.argument("logs", metavar="LOG...", nargs=-1, required=True, type=click.Path(path_type=Path))
 @click.option("--out", type=click.Path(path_type=Path), help="Folder to write into (default: LOG without its ending).")
-def plot(log_file: Path, out: Path | None) -> None:
-    """Draw LOG as PNG and PDF figures: the paper's five, errors of the estimate, solve time, energy, current."""
-    from autopilot.log.figures import write_figures
+@click.option("--only", multiple=True, metavar="NAME", help="Only this figure, e.g. 1_trajectory; repeatable.")
+@click.option("--paper", type=click.Choice(("ieee", "elsevier")), help="Width and text of this publisher's papers.")
+@click.option(
+    "--columns",
+    type=click.IntRange(1, 2),
+    default=1,
+    show_default=True,
+    help="--paper: columns of text that a figure spans.",
+)
+def plot(logs: tuple[Path, ...], out: Path | None, only: tuple[str, ...], paper: str | None, columns: int) -> None:
+    """Draw LOG as PNG and PDF figures: the paper's five, errors of the estimate, solve time, energy, current.
+
+    Several logs are drawn into the same figures: trajectory, depth and yaw, speeds, energy.
+    """
+    from autopilot.log.figures import PAPERS, write_figures
     from autopilot.log.reader import open_log
 
-    target = out if out is not None else log_file.with_suffix("")
-    opened = open_log(log_file)
-    for path in write_figures(opened, target):
+    more = f"_and_{len(logs) - 1}_more" if len(logs) > 1 else ""
+    target = out if out is not None else logs[0].with_name(logs[0].stem + more)
+    opened = [open_log(path) for path in logs]
+    style = None if paper is None else PAPERS[paper].style(columns)
+    for path in write_figures(opened, target, only=only, style=style):
         click.echo(str(path))
-    _tell_loss(opened)
+    for each in opened:
+        _tell_loss(each)
 
 
 @log.command()
@@ -158,12 +178,13 @@ def _tell_loss(opened: "Log", done: str = "drawn") -> None:
         raise click.exceptions.Exit(EXIT_LOSS)
 
 
-def print_rows(rows: "list[BoundRow]", title: str) -> None:
+def print_rows(rows: "list[BoundRow]", title: str, *, everything: bool = False) -> None:
+    """The verdict, and the rows that fail, warn or matter most; with ``everything`` all of them, by subject."""
     from rich.box import SIMPLE
     from rich.table import Table
     from rich.text import Text
 
-    from autopilot.log.check import BoundVerdict, format_figure, overall
+    from autopilot.log.check import BoundVerdict, format_figure, overall, short_form
 
     styles = {
         BoundVerdict.PASS: "green",
@@ -171,23 +192,32 @@ def print_rows(rows: "list[BoundRow]", title: str) -> None:
         BoundVerdict.FAIL: "bold red",
         BoundVerdict.INFO: "dim",
     }
-    table = Table(title=Text(title), title_justify="left", caption_justify="left", box=SIMPLE, padding=(0, 1, 0, 0))
-    table.add_column("quantity", no_wrap=True)
-    for column in ("limit", "worst", "margin"):
+    console = make_console()
+    verdict, counts = overall(rows), [(kind, sum(row.verdict is kind for row in rows)) for kind in styles]
+    summary = ", ".join(f"{count} {kind.value}" for kind, count in counts if count)
+    console.print(Text.assemble(f"{title}\n", (f"verdict: {verdict.value}", styles[verdict]), f" ({summary})"))
+    shown = rows if everything else short_form(rows)
+    beside = console.width >= NOTES_BESIDE
+    table = Table(box=SIMPLE, padding=(0, 1, 0, 0), pad_edge=False)
+    table.add_column("quantity", overflow="fold")
+    for column in ("worst", "limit", "margin"):
         table.add_column(column, justify="right", no_wrap=True)
     table.add_column("unit", no_wrap=True)
     table.add_column("verdict", no_wrap=True)
-    table.add_column("note")
+    if beside:
+        table.add_column("note", overflow="fold")
     subject = ""
-    for row in rows:
-        if row.subject != subject:
+    for row in shown:
+        if everything and row.subject != subject:
             subject = row.subject
             table.add_row(Text(subject, style="bold"))
-        figures = [format_figure(value) for value in (row.limit, row.worst, row.margin)]
-        verdict = Text(row.verdict.value, style=styles[row.verdict])
-        table.add_row(Text(row.name), *figures, row.unit, verdict, Text(row.note))
-    table.caption = f"verdict: {overall(rows).value}"
-    make_console().print(table)
+        figures = [format_figure(value) for value in (row.worst, row.limit, row.margin)]
+        below = f"\n  {row.note}" if row.note and not beside else ""
+        name, note = Text.assemble(row.name, (below, "dim")), [Text(row.note)] if beside else []
+        table.add_row(name, *figures, row.unit, Text(row.verdict.value, style=styles[row.verdict]), *note)
+    console.print(table)
+    if len(rows) > len(shown):
+        console.print(Text(f"{len(rows) - len(shown)} more rows: autopilot log check LOG --all"))
 
 
 def _facts(opened: "Log") -> dict[str, Any]:

@@ -441,6 +441,12 @@ def lap_spans(tour: Sequence[Visit], run: RunDescription, begun_s: float) -> lis
     return spans
 
 
+def flown_laps(flight: FlightRecord) -> list[Span]:
+    """Completed laps, by the track that is judged."""
+    run, track = flight.run, flight.judged.between(flight.armed)
+    return [] if run is None else lap_spans(visits(track, run), run, flight.armed.start_s)
+
+
 def energy_j(flight: FlightRecord, span: Span) -> float | None:
     """Energy [J] that thrusters and hotel load took in a span; None if the log holds no power."""
     thrusters = flight.table("/sim/thrusters")

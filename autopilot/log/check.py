@@ -36,7 +36,16 @@ from autopilot.log.reader import Log, MessageTable
 from autopilot.log.rows import BoundRow, BoundVerdict, counted, info
 from autopilot.log.smoothness import BARS, ThrustCommands, is_reported, measure
 
-__all__ = ("BoundRow", "BoundVerdict", "acceptance_table", "flown_commands", "format_figure", "overall", "slowest_part")
+__all__ = (
+    "BoundRow",
+    "BoundVerdict",
+    "acceptance_table",
+    "flown_commands",
+    "format_figure",
+    "overall",
+    "short_form",
+    "slowest_part",
+)
 
 
 def acceptance_table(log: Log) -> list[BoundRow]:
@@ -72,6 +81,27 @@ def overall(rows: Iterable[BoundRow]) -> BoundVerdict:
         if verdict in verdicts:
             return verdict
     return BoundVerdict.PASS
+
+
+SHORT_ROWS = 12
+"""Rows of the short form, if not more of them fail or warn."""
+_FIRST: Sequence[tuple[str, ...]] = (
+    *(("laps",), ("time of a lap", "time lap"), ("energy of a lap", "energy lap"), ("distance to",), ("contacts",)),
+    *(("planar speed",), ("thrust command",), ("estimate position rms",), ("estimate yaw rms",), ("waypoint",)),
+    *(("largest step of thrust",), ("NMPC fallbacks",), ("energy",), ("path length",), ("judged on", "bounds")),
+)
+"""How the rows of the short form begin, in order, each with what stands in for it."""
+
+
+def short_form(rows: Sequence[BoundRow]) -> list[BoundRow]:
+    """Rows that fail, rows that warn, and the most important of the others: of several the one of the least margin."""
+    found = [row for verdict in (BoundVerdict.FAIL, BoundVerdict.WARN) for row in rows if row.verdict is verdict]
+    for starts in _FIRST:
+        by_start = ([row for row in rows if row.name.startswith(start) and row not in found] for start in starts)
+        mine = next(filter(None, by_start), [])
+        if mine and len(found) < SHORT_ROWS:
+            found.append(min(mine, key=lambda row: math.inf if row.margin is None else row.margin))
+    return found
 
 
 def format_figure(value: float | None) -> str:

@@ -34,6 +34,8 @@ from autopilot.log.thruster_energy import thruster_power
 from autopilot.log.topics import AID_PREFIX
 
 CONTROL_PERIOD_S = 0.05
+LEAST_LENGTH_M = 0.1
+"""Of a path with an energy per length."""
 AHEAD_S = 1.0
 CHI2_95 = (3.841, 5.991, 7.815)
 """95 % of chi square, by degrees of freedom from 1."""
@@ -341,7 +343,9 @@ def _power(flight: FlightRecord) -> list[BoundRow]:
     rows = []
     used, length_m = energy_j(flight, flight.armed), path_length_m(flight.judged.between(flight.armed))
     if used is not None:
-        rows.append(row("Power", "energy", "J", used, f"{used / length_m:.1f} J/m" if length_m > 0.1 else ""))
+        rows.append(
+            row("Power", "energy", "J", used, f"{used / length_m:.1f} J/m" if length_m > LEAST_LENGTH_M else "")
+        )
     rows += _energy_of_waypoints(flight)
     rows += _energy_of_thrusters(flight, used)
     battery = flight.table("/in/power_raw")

@@ -2,7 +2,7 @@
 
 One file per topic, one row per message: ``t_us`` and ``t_s`` on the service's clock, then the fields; arrays
 element by element (``pos_ned_m[0]``), nested fields by their path (``orientation.x``). Topics of variable size
-(paths, markers, pictures) are one column of JSON, bytes as their length. Numbers keep full precision.
+(paths, markers, pictures) have their lists as JSON, bytes as their length. Numbers keep full precision.
 """
 
 import csv
@@ -93,8 +93,20 @@ def columns_of(log: Log, topic: str) -> Columns:
     except LogError:
         messages = log.messages(topic)
         t_us = np.array([message.t_us for message in messages], dtype=np.int64)
-        values = [msgspec.json.encode(message.value, enc_hook=_plain).decode() for message in messages]
-        return {"t_us": t_us, "t_s": t_us * 1e-6, "message": values}
+        rows = [dict(_leaves("", message.value)) for message in messages]
+        names = dict.fromkeys(name for row in rows for name in row)
+        return {"t_us": t_us, "t_s": t_us * 1e-6, **{name: [row.get(name) for row in rows] for name in names}}
+
+
+def _leaves(path: str, value: Any) -> Iterator[tuple[str, Any]]:
+    """Numbers and texts of a message by their paths; what is no single value as JSON."""
+    if isinstance(value, dict):
+        for name, inner in value.items():
+            yield from _leaves(f"{path}.{name}".lstrip("."), inner)
+    elif isinstance(value, bool | int | float | str):
+        yield path, value
+    else:
+        yield path, msgspec.json.encode(value, enc_hook=_plain).decode()
 
 
 def _plain(value: object) -> object:

@@ -8,14 +8,16 @@ from autopilot.core.frames import FloatArray
 from autopilot.log.analysis import energy_j, estimate_error, seconds
 from autopilot.log.figure_parts import (
     LISTED_LAPS,
+    NARROW_IN,
     TRUTH,
-    WIDTH_IN,
     FigureScene,
     extend_limits,
     lap_colors,
     legend_above,
+    pair_of_axes,
     stacked_axes,
     time_axis,
+    width_in,
 )
 
 SIGMAS = 3.0
@@ -47,7 +49,11 @@ def estimate_errors(scene: FigureScene) -> Figure | None:
             _limit_to(ax, scene, t_s, sigma)
         ax.set_ylabel(label)
     legend_above(axes[0])
-    axes[0].set_title(f"rms {1000.0 * error.pos_rms_m:.1f} mm, {np.degrees(error.yaw_rms_rad):.2f} deg", loc="left")
+    rms = f"rms {1000.0 * error.pos_rms_m:.1f} mm, {np.degrees(error.yaw_rms_rad):.2f} deg"
+    if width_in() < NARROW_IN:  # no room beside the legend
+        figure.suptitle(rms, fontsize="medium")
+    else:
+        axes[0].set_title(rms, loc="left")
     time_axis(scene, axes)
     return figure
 
@@ -66,8 +72,7 @@ def solve_time(scene: FigureScene) -> Figure | None:
     table = scene.flight.table("/ctl/nmpc")
     if table is None or not (table["solve_s"] > 0.0).any():
         return None
-    figure = Figure(figsize=(WIDTH_IN, 2.8))
-    left, right = figure.subplots(1, 2, width_ratios=(2.0, 1.0))
+    figure, left, right = pair_of_axes(2.8)
     keep = table["solve_s"] > 0.0
     t_s, solve_ms = seconds(table)[keep], 1000.0 * table["solve_s"][keep]
     left.plot(t_s, solve_ms, ".", markersize=2, color="#1f77b4")
@@ -78,7 +83,7 @@ def solve_time(scene: FigureScene) -> Figure | None:
     left.set_ylim(bottom=0.0)
     longest = float(solve_ms.max())
     edges = np.geomspace(0.8 * float(solve_ms.min()), 1.25 * max(longest, CONTROL_PERIOD_MS), 61)
-    right.hist(solve_ms, bins=edges, color="#1f77b4")
+    right.hist(solve_ms, bins=edges.tolist(), color="#1f77b4")
     right.set_xscale("log")
     right.set_yscale("log")
     p50, p99 = (float(np.percentile(solve_ms, percent)) for percent in (50, 99))
@@ -100,8 +105,7 @@ def energy(scene: FigureScene) -> Figure | None:
     table = scene.flight.table("/sim/thrusters")
     if table is None:
         return None
-    figure = Figure(figsize=(WIDTH_IN, 2.8))
-    left, right = figure.subplots(1, 2, width_ratios=(2.0, 1.0))
+    figure, left, right = pair_of_axes(2.8)
     hotel_w = scene.flight.run.hotel_power_w if scene.flight.run is not None else 0.0
     left.plot(seconds(table), table["power_w"] + hotel_w, label="electrical power", **TRUTH)
     if hotel_w > 0.0:

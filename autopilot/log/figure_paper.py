@@ -17,7 +17,6 @@ from autopilot.log.figure_parts import (
     LISTED_LAPS,
     MOST_TURNS_RAD,
     TRUTH,
-    WIDTH_IN,
     FigureScene,
     draw_bounds,
     extend_limits,
@@ -26,12 +25,13 @@ from autopilot.log.figure_parts import (
     named_laps,
     stacked_axes,
     time_axis,
+    width_in,
 )
 from autopilot.log.figure_plan import draw_plan
 from autopilot.log.plan_summary import met_current, moved_obstacles, plan_box
 
-PLAN_IN, AROUND_PLAN_IN, PLAN_HEIGHTS_IN = 5.7, 1.25, (2.6, 9.0)
-"""Width of a plan without its axes, what its legend and axes need above and below it, how high it may be with them."""
+BESIDE_PLAN_IN, AROUND_PLAN_IN, PLAN_HEIGHTS_IN = 1.3, 1.25, (2.6, 9.0)
+"""What the axes of a plan need beside it, what its legend and axes need above and below it, how high it may be."""
 KEY_ABOVE_IN = 0.13
 """The key of the current, above the figure's lower edge."""
 LEAST_OUTSIDE = 0.01
@@ -44,8 +44,9 @@ def trajectory(scene: FigureScene) -> Figure | None:
     """The path in the horizontal plane, one colour per lap."""
     low, high = plan_box(scene.track, scene.flight.run)
     north_m, east_m = high - low
-    height_in = float(np.clip(PLAN_IN * east_m / max(north_m, 1e-9) + AROUND_PLAN_IN, *PLAN_HEIGHTS_IN))
-    figure = Figure(figsize=(WIDTH_IN, height_in))
+    plan_in = width_in() - BESIDE_PLAN_IN
+    height_in = float(np.clip(plan_in * east_m / max(north_m, 1e-9) + AROUND_PLAN_IN, *PLAN_HEIGHTS_IN))
+    figure = Figure(figsize=(width_in(), height_in))
     ax = figure.subplots()
     if scene.flight.run is not None:
         draw_plan(ax, scene.flight.run, moved_obstacles(scene.track, scene.flight.run))

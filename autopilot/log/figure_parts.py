@@ -10,7 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from autopilot.core.errors import LogError
-from autopilot.log.analysis import FlightRecord, Span, VehicleTrack, Visit, lap_spans, load_flight, visits
+from autopilot.log.analysis import FlightRecord, Span, VehicleTrack, Visit, flown_laps, load_flight, visits
 from autopilot.log.reader import Log
 
 LAP_COLORS = ("#1f77b4", "#ff7f0e", "#2ca02c", "#9467bd", "#8c564b", "#17becf")
@@ -24,9 +24,17 @@ TRUTH: dict[str, Any] = {"color": "#1f77b4", "linewidth": 1.2}
 ESTIMATE: dict[str, Any] = {"color": "#444444", "linewidth": 0.8, "linestyle": ":"}
 BAND: dict[str, Any] = {"color": "#2ca02c", "alpha": 0.18, "linewidth": 0.0}
 WIDTH_IN = 7.0
+NARROW_IN = 5.0
+"""Narrower figures have their pairs of axes below each other."""
+LEAST_HEIGHT = 0.7
+"""Of the height at WIDTH_IN."""
+LEGEND_COLUMN_IN = 1.35
 STYLE: Any = {
     "font.size": 9.0,
     "font.family": "DejaVu Sans",
+    "figure.figsize": (WIDTH_IN, 4.8),
+    "pdf.fonttype": 42,
+    "ps.fonttype": 42,
     "axes.grid": True,
     "axes.axisbelow": True,
     "grid.alpha": 0.3,
@@ -50,6 +58,10 @@ class FigureScene:
     laps: tuple[Span, ...]
 
     @property
+    def name(self) -> str:
+        return self.flight.log.path.stem
+
+    @property
     def basis(self) -> str:
         return "truth" if self.flight.truth is not None else "estimate"
 
@@ -64,8 +76,7 @@ def make_scene(log: Log) -> FigureScene:
     if not len(track.t_s):
         raise LogError(f"{log.path}: the vehicle's track is empty; there is nothing to draw")
     tour = visits(track, flight.run) if flight.run is not None else []
-    laps = lap_spans(tour, flight.run, flight.armed.start_s) if flight.run is not None else []
-    return FigureScene(flight=flight, track=track, tour=tuple(tour), laps=tuple(laps))
+    return FigureScene(flight=flight, track=track, tour=tuple(tour), laps=tuple(flown_laps(flight)))
 
 
 def lap_colors(count: int) -> list[str]:
@@ -82,8 +93,26 @@ def named_laps(count: int) -> set[int]:
     return {round(fraction * (count - 1)) for fraction in np.linspace(0.0, 1.0, NAMED_LAPS)}
 
 
+def width_in() -> float:
+    """Width of figures by the style in force."""
+    return float(mpl.rcParams["figure.figsize"][0])
+
+
+def figure_of(height_in: float) -> Figure:
+    """A figure of a height at WIDTH_IN, as wide as the style has it."""
+    return Figure(figsize=(width_in(), height_in * min(max(width_in() / WIDTH_IN, LEAST_HEIGHT), 1.0)))
+
+
+def pair_of_axes(height_in: float) -> tuple[Figure, Axes, Axes]:
+    """A wide one and a narrow one beside it, or below it in a narrow figure."""
+    wide = width_in() >= NARROW_IN
+    figure = figure_of(height_in if wide else 2.2 * height_in)
+    first, second = figure.subplots(1, 2, width_ratios=(2.0, 1.0)) if wide else figure.subplots(2, 1)
+    return figure, first, second
+
+
 def stacked_axes(rows: int, height_in: float) -> tuple[Figure, list[Axes]]:
-    figure = Figure(figsize=(WIDTH_IN, height_in))
+    figure = figure_of(height_in)
     grid = figure.subplots(rows, 1, sharex=True, squeeze=False)
     return figure, [row[0] for row in grid]
 
@@ -116,5 +145,6 @@ def extend_limits(ax: Axes, *values: float | None) -> None:
 def legend_above(ax: Axes, columns: int = 3) -> None:
     """Put a legend above the axes, once everything is drawn."""
     handles, labels = ax.get_legend_handles_labels()
+    columns = max(1, min(columns, int(width_in() / LEGEND_COLUMN_IN)))
     if labels:
         ax.legend(handles, labels, loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=columns, borderaxespad=0.1)

@@ -1,19 +1,21 @@
 """Figures of a run as PNG and PDF files: the five of the paper (section IV), and further ones."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Collection, Sequence
+from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 import matplotlib as mpl
 from matplotlib.figure import Figure
 
 from autopilot.core.disk import make_folder
 from autopilot.core.errors import LogError
-from autopilot.log import figure_more, figure_paper
+from autopilot.log import figure_more, figure_paper, figure_tracks
 from autopilot.log.figure_parts import STYLE, FigureScene, make_scene
 from autopilot.log.reader import Log
 
-DPI = 150
+DPI, PAPER_DPI = 150, 600
 
 Drawing: TypeAlias = Callable[[FigureScene], Figure | None]
 
@@ -29,17 +31,54 @@ FIGURES: dict[str, Drawing] = {
     "9_current": figure_more.current,
 }
 """File name -> what draws it; 1 to 5 are the paper's."""
+OVERLAID: dict[str, Callable[[Sequence[FigureScene]], Figure | None]] = {
+    "1_trajectory": figure_tracks.trajectories,
+    **{name: partial(figure_tracks.overlaid, name) for name in figure_tracks.PANELS},
+}
+"""The same of several logs."""
 
 
-def write_figures(log: Log, folder: Path) -> list[Path]:
+@dataclass(frozen=True, slots=True)
+class Paper:
+    """What a publisher asks of figures."""
+
+    widths_in: tuple[float, float]
+    """Of one column of text, and of two."""
+    font: str
+    size_pt: float
+
+    def style(self, columns: int) -> dict[str, Any]:
+        sizes = ("font.size", "axes.labelsize", "axes.titlesize", "xtick.labelsize", "ytick.labelsize")
+        return {
+            **dict.fromkeys((*sizes, "legend.fontsize"), self.size_pt),
+            "font.family": self.font,
+            "mathtext.fontset": "stix",
+            "figure.figsize": (self.widths_in[columns - 1], 4.0),
+            "savefig.dpi": PAPER_DPI,
+        }
+
+
+PAPERS = {
+    "ieee": Paper((3.5, 7.16), "STIXGeneral", 8.0),
+    "elsevier": Paper((3.54, 7.48), "DejaVu Sans", 7.0),
+}
+
+
+def write_figures(
+    logs: Log | Sequence[Log], folder: Path, *, only: Collection[str] = (), style: Any = None
+) -> list[Path]:
     """Write every figure that the log has data for.
 
     Parameters
     ----------
-    log
-        The log.
+    logs
+        One log, or several that are drawn into the same figures (those of OVERLAID).
     folder
         Created if it is missing.
+    only
+        Names of the figures, empty = all.
+    style
+        Dictionary of Matplotlib's settings beside the common ones, as of :meth:`Paper.style`.
 
     Returns
     -------
@@ -51,16 +90,19 @@ def write_figures(log: Log, folder: Path) -> list[Path]:
     LogError
         There are no data, or a file cannot be written.
     """
-    scene = make_scene(log)
+    scenes = [make_scene(log) for log in ([logs] if isinstance(logs, Log) else logs)]
+    known = FIGURES if len(scenes) == 1 else OVERLAID
+    if missing := [name for name in only if name not in known]:
+        raise LogError(f"{folder}: no figure {', '.join(missing)} of {len(scenes)} logs; there are {', '.join(known)}")
     written = []
     try:
         make_folder(folder)
-        with mpl.rc_context(STYLE):
-            for name, draw in FIGURES.items():
-                figure = draw(scene)
+        with mpl.rc_context({**STYLE, "savefig.dpi": DPI, **(style or {})}):
+            for name in only or known:
+                figure = FIGURES[name](scenes[0]) if len(scenes) == 1 else OVERLAID[name](scenes)
                 if figure is not None:
                     path = folder / f"{name}.png"
-                    figure.savefig(path, dpi=DPI)
+                    figure.savefig(path)
                     figure.savefig(path.with_suffix(".pdf"))
                     written += [path, path.with_suffix(".pdf")]
     except OSError as error:

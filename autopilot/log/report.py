@@ -1,6 +1,7 @@
 """The HTML report: one self-contained file, no network needed.
 
-Header, verdicts, linked interactive plots, events, parameters and topics. The plotting scripts are inlined.
+Plan, main figures and laps first; verdicts, linked interactive plots, events, parameters and topics are folded. The
+plotting scripts are inlined.
 """
 
 import base64
@@ -16,31 +17,45 @@ from pathlib import Path
 from autopilot.core.disk import make_folder, write_whole
 from autopilot.core.errors import LogError
 from autopilot.core.params import PARAMETERS
-from autopilot.log.analysis import TOPICS_OF_INTEREST, FlightRecord, energy_j, last_counts, load_flight, seconds
-from autopilot.log.check import BoundRow, BoundVerdict, acceptance_table, format_figure, overall
+from autopilot.log.analysis import (
+    TOPICS_OF_INTEREST,
+    FlightRecord,
+    energy_j,
+    flown_laps,
+    last_counts,
+    load_flight,
+    seconds,
+)
+from autopilot.log.check import BoundRow, BoundVerdict, acceptance_table, format_figure, overall, short_form
+from autopilot.log.check_more import path_length_m
 from autopilot.log.reader import DecodedMessage, Log
 from autopilot.log.topics import AID_PREFIX
 from autopilot.log.visuals import ROS_LEVEL
 
 _STYLE = """
 body { font: 14px/1.45 system-ui, sans-serif; margin: 0 auto; max-width: 1180px; padding: 0 16px 48px; color: #222; }
-h1 { font-size: 22px; margin: 20px 0 8px; } h2 { font-size: 18px; margin: 32px 0 8px; }
+h1 { font-size: 22px; margin: 20px 0 8px; }
 h3 { font-size: 14px; margin: 18px 0 0; } h3 button { font: 11px system-ui, sans-serif; margin-left: 8px; }
 table { border-collapse: collapse; } td, th { padding: 2px 12px 2px 4px; text-align: left; vertical-align: top; }
 th { border-bottom: 1px solid #999; } td.n { text-align: right; font-variant-numeric: tabular-nums; }
 .facts { columns: 2; } .facts div { break-inside: avoid; } .facts b { display: inline-block; width: 11em; }
 .facts b { font-weight: normal; color: #666; }
 .badge { display: inline-block; padding: 0 9px; border-radius: 9px; color: #fff; font-weight: 600; font-size: 12px; }
-h1 .badge { font-size: 16px; }
+.badge { white-space: nowrap; } h1 .badge { font-size: 16px; }
 .badge.pass { background: #2e8b57; } .badge.warn { background: #b36b00; } .badge.fail { background: #c62828; }
 .badge.info { background: #8a8a8a; }
 tr.row-fail td { background: #fdecea; } tr.row-warn td { background: #fff6e0; } tr.subject th { padding-top: 12px; }
 td.note { color: #555; }
 .problem { border-left: 4px solid #c62828; padding: 4px 10px; background: #fdecea; }
 .strip { display: flex; flex-wrap: wrap; gap: 8px; } .strip figure { margin: 0; font-size: 12px; color: #555; }
-nav a { margin-right: 12px; white-space: nowrap; } details { margin: 8px 0; } summary { cursor: pointer; }
-@media (max-width: 640px) { .facts { columns: 1; } table { display: block; overflow-x: auto; }
-nav a { white-space: normal; } }
+.top { display: grid; grid-template-columns: minmax(0, 1fr) minmax(0, 1fr); gap: 24px; } div.note { font-size: 12px; }
+.top td, .top th { padding-right: 6px; } .top table { margin-bottom: 16px; } div.note { color: #555; }
+nav { margin: 20px 0; } nav a { margin-right: 12px; white-space: nowrap; }
+details { margin: 8px 0; } summary { cursor: pointer; }
+details.section { border-top: 1px solid #ddd; margin: 0; } .section > summary { font-size: 18px; padding: 8px 0; }
+@media (max-width: 860px) { .top { grid-template-columns: minmax(0, 1fr); } }
+@media (max-width: 640px) { .facts { columns: 1; } .section table { display: block; overflow-x: auto; }
+body { padding: 0 8px 32px; } h1, td:first-child { overflow-wrap: anywhere; } }
 """
 _SCRIPT = """
 function saveCsv(id, name) {
@@ -57,14 +72,26 @@ function saveCsv(id, name) {
   link.download = name + ".csv";
   link.click();
 }
+function unfold(only) {
+  for (const part of document.querySelectorAll("details")) if (!only || part == only) part.open = true;
+}
+function goTo() {
+  const part = document.getElementById(location.hash.slice(1));
+  if (part) { unfold(part); part.scrollIntoView(); }
+}
+addEventListener("hashchange", goTo);
+addEventListener("load", goTo);
+addEventListener("beforeprint", () => unfold());
 """
-"""Plots save themselves as PNG (their toolbar); this saves what they show."""
+"""Plots save themselves as PNG (their toolbar); this saves what they show, and opens what a link leads to."""
 _PICTURES, _PICTURE_PX = 10, 220
 _JPEG = b"\xff\xd8\xff"
 """How a JPEG begins."""
 _ATTACHED_BYTES = 100_000
 """Larger attachments stay in the log."""
 _EVENTS_SHOWN = 500
+_LAPS_SHOWN = 8
+"""More are folded."""
 _REPORTED_LEVEL = 20
 """Events below this level of rcl_interfaces/Log are no operator's business."""
 _LEVEL_NAMES = {50: "fatal", 40: "error", 30: "warning", 20: "info", 10: "debug"}
@@ -124,30 +151,63 @@ def _page(flight: FlightRecord, rows: Sequence[BoundRow]) -> str:
             document.add_root(plot)
     script, parts = components(plots)
     scripts = Resources(mode="inline", components=["bokeh"], log_level="warn").render_js()
-    drawn = ""
+    figures = {name: parts[name] for name in plots}
+    for name, plot in plots.items():
+        file = _anchor(f"{flight.log.path.stem} {name.partition(': ')[2]}")
+        button = f"<button onclick=\"saveCsv('{plot.id}', '{file}')\">CSV</button>"
+        figures[name] = f"<h3>{html.escape(name.partition(': ')[2])}{button}</h3>\n{parts[name]}\n"
+    overview = [figures.pop(f"Overview: {title}") for title in subjects.pop("Overview")]
+    scenario = "" if flight.run is None else flight.run.scenario
+    title = f"{scenario or flight.log.path.stem}: {flight.log.path.name}"
+    folded = {"Verdicts": _acceptance(rows), "Run": _header(flight, rows), "Modes": _modes(flight)}
     for subject, found in subjects.items():
-        drawn += f'<h2 id="{_anchor(subject)}">{html.escape(subject)}</h2>\n'
-        if subject == "Camera":
-            drawn += _pictures(flight.log)
-        for title, plot in found.items():
-            name = _anchor(f"{flight.log.path.stem} {title}")
-            button = f"<button onclick=\"saveCsv('{plot.id}', '{name}')\">CSV</button>"
-            drawn += f"<h3>{html.escape(title)}{button}</h3>\n{parts[f'{subject}: {title}']}\n"
-    title = f"{flight.run.scenario if flight.run is not None else flight.log.path.stem}: {flight.log.path.name}"
-    tables = ("Verdicts", *subjects, "Events", "Counters", "Parameters", "Topics", "Downloads")
-    links = " ".join(f'<a href="#{_anchor(name)}">{html.escape(name)}</a>' for name in tables)
+        pictures = _pictures(flight.log) if subject == "Camera" else ""
+        folded[subject] = pictures + "".join(figures[f"{subject}: {title}"] for title in found)
+    folded |= {"Events": _events(flight.log), "Counters": _counters(flight), "Parameters": _parameters(flight)}
+    folded |= {"Topics": _topics(flight.log), "Downloads": _downloads(flight, rows)}
+    sections = "".join(
+        f'<details class="section" id="{_anchor(name)}"><summary>{html.escape(name)}</summary>\n{content}</details>\n'
+        for name, content in folded.items()
+        if content
+    )
+    links = " ".join(f'<a href="#{_anchor(name)}">{html.escape(name)}</a>' for name in folded if folded[name])
     return (
         f'<!DOCTYPE html>\n<html lang="en"><head><meta charset="utf-8"><title>{html.escape(title)}</title>\n'
-        f'<meta name="viewport" content="width=device-width">\n'
+        f'<meta name="viewport" content="width=device-width, initial-scale=1">\n'
         f"<style>{_STYLE}</style>\n{scripts}<script>{_SCRIPT}</script></head>\n<body>\n"
-        f"<h1>{html.escape(title)} {_badge(overall(rows))}</h1>\n{_problems(flight.log)}{_header(flight, rows)}\n"
-        f'<nav>{links}</nav>\n<h2 id="verdicts">Verdicts</h2>\n{_acceptance(rows)}\n{_modes(flight)}\n{drawn}\n'
-        f'<h2 id="events">Events</h2>\n{_events(flight.log)}\n'
-        f'<h2 id="counters">Counters</h2>\n{_counters(flight)}\n'
-        f'<h2 id="parameters">Parameters</h2>\n{_parameters(flight)}\n'
-        f'<h2 id="topics">Topics</h2>\n{_topics(flight.log)}\n'
-        f'<h2 id="downloads">Downloads</h2>\n{_downloads(flight, rows)}\n{script}\n</body></html>\n'
+        f"<h1>{html.escape(title)} {_badge(overall(rows))}</h1>\n{_problems(flight.log)}"
+        f'<div class="top"><div>{overview[-1]}</div>\n<div>{_in_short(rows)}\n{_laps(flight)}</div></div>\n'
+        f'{"".join(overview[:-1])}<nav>{links} <button onclick="unfold()">unfold all</button></nav>\n'
+        f"{sections}{script}\n</body></html>\n"
     )
+
+
+def _in_short(rows: Sequence[BoundRow]) -> str:
+    """What fails, what warns, and the most important rows."""
+    out = ["<table><tr><th>quantity</th><th>worst</th><th>limit</th><th></th></tr>\n"]
+    for row in short_form(rows):
+        note = f'<div class="note">{html.escape(row.note)}</div>' if row.note else ""
+        worst = f"{format_figure(row.worst)} {row.unit}"
+        out.append(
+            f'<tr class="row-{row.verdict.value}"><td>{html.escape(row.name)}{note}</td><td class="n">{worst}</td>'
+            f'<td class="n">{format_figure(row.limit)}</td><td>{_badge(row.verdict)}</td></tr>\n'
+        )
+    return "".join(out) + "</table>"
+
+
+def _laps(flight: FlightRecord) -> str:
+    """Time and energy of every lap, empty without laps."""
+    laps = flown_laps(flight)
+    if not laps:
+        return ""
+    used = [energy_j(flight, lap) for lap in laps]
+    cells = [
+        (str(number), f"{lap.end_s - lap.start_s:.1f}", "-" if joules is None else f"{joules:.0f}")
+        for number, (lap, joules) in enumerate(zip(laps, used, strict=True), 1)
+    ]
+    table = _table(("lap", "time [s]", "energy [J]"), cells)
+    more = len(laps) > _LAPS_SHOWN
+    return f"<details><summary>{len(laps)} laps</summary>{table}</details>" if more else table
 
 
 def _anchor(title: str) -> str:
@@ -219,7 +279,6 @@ def _header(flight: FlightRecord, rows: Sequence[BoundRow]) -> str:
     """Description of the run, in pairs."""
     run, log, armed = flight.run, flight.log, flight.armed
     track = flight.judged.between(armed)
-    steps = track.pos_ned_m[1:] - track.pos_ned_m[:-1]
     pairs: list[tuple[str, str]] = [(key, value) for key, value in log.run.items() if key != "epoch_ns"]
     if run is not None:
         seed = "" if run.seed is None else str(run.seed)
@@ -227,7 +286,7 @@ def _header(flight: FlightRecord, rows: Sequence[BoundRow]) -> str:
     pairs += [
         ("judged on", "truth" if flight.truth is not None else "estimate"),
         ("armed", f"{armed.start_s:.1f} s to {armed.end_s:.1f} s"),
-        ("path length", f"{float(((steps**2).sum(axis=1) ** 0.5).sum()):.1f} m in {armed.end_s - armed.start_s:.1f} s"),
+        ("path length", f"{path_length_m(track):.1f} m in {armed.end_s - armed.start_s:.1f} s"),
         ("fastest", f"{float(track.planar_speed_m_s.max(initial=0.0)):.2f} m/s in the water"),
         ("messages", f"{log.message_count} on {len(log.topics)} topics"),
     ]
@@ -272,7 +331,7 @@ def _modes(flight: FlightRecord) -> str:
             rows.append((f"{t_s:.2f}", text))
         last = text
     table = _table(("at [s]", "mode"), rows)
-    return f"<details><summary>Modes ({len(rows)} changes, shaded in the plots)</summary>{table}</details>"
+    return f"<p>{len(rows)} changes, shaded in the plots</p>{table}"
 
 
 def _counters(flight: FlightRecord) -> str:
@@ -319,7 +378,7 @@ def _parameters(flight: FlightRecord) -> str:
 
 def _topics(log: Log) -> str:
     rows = [(topic, info.type, str(info.count)) for topic, info in log.topics.items()]
-    return f"<details><summary>{len(rows)} topics</summary>{_table(('topic', 'type', 'messages'), rows)}</details>"
+    return _table(("topic", "type", "messages"), rows)
 
 
 assert set(ROS_LEVEL) == set(_LEVEL_NAMES), "every level that events are written with has a name"

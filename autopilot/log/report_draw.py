@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 from bokeh.models import BoxAnnotation, ColumnDataSource, HoverTool, Legend, Range1d, Span
@@ -14,7 +14,9 @@ from autopilot.core.frames import FloatArray
 BUCKETS = 400
 """Slices of time; each curve keeps the smallest and the largest value of each."""
 HEIGHT_PX = 250
-LEFT_PX, RIGHT_PX = 104, 24
+LEGEND_PX, LEGEND_ROW_PX, KEY_PX, LETTER_PX = 320, 20, 32, 6
+"""Width of a legend on a phone, height of its rows, width of a key and of a letter."""
+LEFT_PX, RIGHT_PX = 76, 12
 """Margin beside the frame of every plot, the same for all, so that time axes are aligned."""
 COLORS = ("#1f77b4", "#ff7f0e", "#2ca02c", "#d62728", "#9467bd", "#8c564b", "#e377c2", "#17becf")
 TOOLS = "xpan,xwheel_zoom,box_zoom,crosshair,reset,save"
@@ -23,6 +25,10 @@ NAME_FRACTION = 0.08
 """Width of a mode's name, as a share of the sheet."""
 EDGE = 0.06
 """Share of a plot's height that stays free above and below the curves."""
+
+
+Items: TypeAlias = list[tuple[str, list[Any]]]
+"""Of a legend: name and what is drawn."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -89,8 +95,8 @@ class TimeSheet:
     def plot(
         self, label: str, curves: Sequence[Curve], bounds: Sequence[float] = (), *, log_scale: bool = False
     ) -> Any | None:
-        """A plot over time; None without a curve that has values. Bounds are within the vertical range."""
-        shown = [curve for curve in curves if np.isfinite(curve.values).any()]
+        """A plot over time, with its bounds in view; None without a curve that has values within its time."""
+        shown = [curve for curve in curves if self._is_seen(curve, positive=log_scale)]
         if not shown:
             return None
         plot = self._figure(label, self._height(shown, bounds, log_scale=log_scale), log_scale=log_scale)
@@ -109,10 +115,14 @@ class TimeSheet:
             draw = plot.step if curve.steps else plot.line
             mode = {"mode": "after"} if curve.steps else {}
             items.append((curve.name, [draw("t", "y", source=source, **mode, **style)]))
-        legend = Legend(items=items, orientation="horizontal", label_text_font_size="9pt", padding=2, margin=2)
-        legend.click_policy = "hide"
-        plot.add_layout(legend, "above")
+        add_legend(plot, items)
         return plot
+
+    def _is_seen(self, curve: Curve, *, positive: bool) -> bool:
+        """Whether it has at least the two points of a line."""
+        known = np.isfinite(curve.values) & ((curve.values > 0.0) | (not positive))
+        inside = (curve.t_s >= self.start_s) & (curve.t_s <= self.end_s)
+        return int((known & inside).sum()) > 1
 
     def timeline(self) -> Any | None:
         """Modes by name and everything that is marked in the other plots, with its text."""
@@ -203,6 +213,16 @@ class TimeSheet:
         return Range1d(low - margin, high + margin)
 
 
+def add_legend(plot: Any, items: Items, place: str = "above") -> None:
+    """A legend in as many columns as a phone has room for; the plot grows by its rows."""
+    widest = max(len(name) for name, _ in items)
+    columns = max(1, min(len(items), LEGEND_PX // (KEY_PX + LETTER_PX * widest)))
+    legend = Legend(items=items, orientation="horizontal", ncols=columns, click_policy="hide", padding=2, margin=2)
+    legend.label_text_font_size = "9pt"
+    plot.height += LEGEND_ROW_PX * (-(-len(items) // columns) - 1)
+    plot.add_layout(legend, place)
+
+
 def plain_figure(x_label: str, y_label: str, *, height_px: int = 260, **more: Any) -> Any:
     """A plot that is not over time."""
     plot = figure(
@@ -232,7 +252,7 @@ def spectrum(label: str, curves: Sequence[tuple[str, tuple[FloatArray, FloatArra
             {"t": hz[keep].astype(np.float32), "y": power[keep].astype(np.float32)}, name=f"{name} (over Hz)"
         )
         items.append((name, [plot.line("t", "y", source=source, line_color=COLORS[index % len(COLORS)])]))
-    plot.add_layout(Legend(items=items, orientation="horizontal", click_policy="hide", padding=2, margin=2), "above")
+    add_legend(plot, items)
     return plot
 
 
@@ -245,7 +265,9 @@ def histogram(label: str, values: FloatArray, limit: float, limit_name: str) -> 
     edges = np.geomspace(low, high, 61)
     counts, _ = np.histogram(values, edges)
     top = 2.0 * float(counts.max())
-    plot = plain_figure(label, "steps", x_axis_type="log", y_axis_type="log", x_range=(low, high), y_range=(0.5, top))
+    plot = plain_figure(
+        label, "steps [-]", x_axis_type="log", y_axis_type="log", x_range=(low, high), y_range=(0.5, top)
+    )
     some = counts > 0
     bars = {"t": edges[:-1][some], "right": edges[1:][some], "y": counts[some]}
     source = ColumnDataSource(bars, name="steps from here to the next")
@@ -260,5 +282,5 @@ def histogram(label: str, values: FloatArray, limit: float, limit_name: str) -> 
     for name, at, color in marks:
         line = plot.line([at, at], [0.5, top], line_color=color, line_width=2, line_dash="dashed")
         items.append((name, [line]))
-    plot.add_layout(Legend(items=items, orientation="horizontal", padding=2, margin=2), "above")
+    add_legend(plot, items)
     return plot

@@ -5,7 +5,7 @@ from dataclasses import replace
 from typing import Any, TypeAlias
 
 import numpy as np
-from bokeh.models import ColumnDataSource, Legend
+from bokeh.models import ColumnDataSource
 from bokeh.palettes import viridis
 
 from autopilot.core.frames import FloatArray
@@ -18,13 +18,12 @@ from autopilot.log.analysis import (
     along_track,
     energy_j,
     estimate_error,
+    flown_laps,
     foreseen,
-    lap_spans,
     position_nees,
     predictions,
     seconds,
     thruster_names,
-    visits,
 )
 from autopilot.log.check_more import MOST_REPROJECTION_PX
 from autopilot.log.check_outside import round_trips
@@ -37,8 +36,10 @@ from autopilot.log.report_draw import (
     PARAMETER_COLOR,
     Band,
     Curve,
+    Items,
     Mark,
     TimeSheet,
+    add_legend,
     histogram,
     plain_figure,
     spectrum,
@@ -70,6 +71,8 @@ MARKED_LEVEL = 20
 MOST_MARKS = 300
 MOST_TURNS_DEG = 1080.0
 """Beyond so many turns the axis is wrapped to -180 to 180 degrees."""
+PLAN_ASPECT = 1.15
+"""Width over height of the plan with its legend."""
 MOST_LAPS = 8
 """Maximum number of laps with a colour of their own; more use a colour scale."""
 LAPS_NAMED = 4
@@ -125,7 +128,8 @@ class Plots:
             if len(then_s):
                 curves.append(Curve(name=planned, t_s=then_s, values=then_m[:, index], dashed=True))
             plots[title] = self._sheet.plot(f"{title} [m]", curves)
-        yaw = [Curve(name=n, t_s=t.t_s, values=_unwrapped(t.rpy_rad[:, 2])) for n, t in self._known]
+        yaw = [Curve(name=n, t_s=t.t_s, values=unwrapped_deg(t.rpy_rad[:, 2])) for n, t in self._known]
+        yaw = yaw[:1] + [replace(curve, values=same_turn(curve, yaw[0])) for curve in yaw[1:]]
         if goal is not None and yaw:
             near = np.interp(seconds(goal), yaw[0].t_s, yaw[0].values)
             aimed = aimed_yaw(np.where(goal["yaw_free"] != 0, np.nan, np.degrees(goal["yaw_rad"])), near)
@@ -196,12 +200,12 @@ class Plots:
             "Distribution of control step times": histogram(
                 "CPU time of a step [ms]", solve_ms, CONTROL_PERIOD_MS, "deadline"
             ),
-            "Quadratic programs solved": one("iterations", "iterations"),
+            "Quadratic programs solved": one("iterations", "iterations [-]"),
             "Status (0 ok) and fallback (1 shifted plan, 2 station keeping, 3 neutral)": self._sheet.plot(
-                "code", flags
+                "code [-]", flags
             ),
-            "Cost": one("cost", "cost"),
-            "Largest slack of soft limits": one("slack_max", "slack"),
+            "Cost": one("cost", "cost [-]"),
+            "Largest slack of soft limits": one("slack_max", "slack [-]"),
             "Smallest clearance in the prediction, and tube": self._sheet.plot("distance [m]", margins),
             "Predicted energy to the goal": self._sheet.plot("energy [J]", energy),
         }
@@ -228,7 +232,7 @@ class Plots:
         if error is not None and covariance is not None:
             nees = position_nees(error.t_s, error.pos_ned_m, seconds(covariance), covariance["variance"])
             plots["NEES of the position (3 degrees of freedom, 95 % band)"] = self._sheet.plot(
-                "NEES", [Curve(name="NEES", t_s=error.t_s, values=nees)], CHI2_3, log_scale=True
+                "NEES [-]", [Curve(name="NEES", t_s=error.t_s, values=nees)], CHI2_3, log_scale=True
             )
         ratios = []
         for topic in (name for name in flight.log.topics if name.startswith(AID_PREFIX)):
@@ -243,12 +247,14 @@ class Plots:
                 Curve(name=f"{sensor} {i + 1}", t_s=t_s, values=_ratio(table["innovation"][:, i], sigma[:, i]))
                 for i in used
             ]
-            plots[f"Innovations of {sensor} over their sigma"] = self._sheet.plot("sigma", over, (-3.0, -2.0, 2.0, 3.0))
-        plots["Aiding: test ratio (above 1 = rejected)"] = self._sheet.plot("test ratio", ratios, (1.0,))
+            plots[f"Innovations of {sensor} over their sigma"] = self._sheet.plot(
+                "innovation / sigma [-]", over, (-3.0, -2.0, 2.0, 3.0)
+            )
+        plots["Aiding: test ratio (above 1 = rejected)"] = self._sheet.plot("test ratio [-]", ratios, (1.0,))
         shadow = flight.table("/nav/shadow")
         if shadow is not None:
             curves = [Curve(name="largest difference over its bound", t_s=seconds(shadow), values=shadow["ratio"])]
-            plots["Shadow estimator"] = self._sheet.plot("ratio", curves, (1.0,))
+            plots["Shadow estimator"] = self._sheet.plot("ratio [-]", curves, (1.0,))
         return plots
 
     def _camera(self) -> Subject:
@@ -260,7 +266,7 @@ class Plots:
         decode = Curve(name="detection", t_s=t_s, values=1e-3 * table["decode_us"])
         return {
             "Markers in the picture": self._sheet.plot(
-                "markers", [Curve(name="markers", t_s=t_s, values=table["count"].astype(float))]
+                "markers [-]", [Curve(name="markers", t_s=t_s, values=table["count"].astype(float))]
             ),
             "Time between pictures and of detection": self._sheet.plot("time [ms]", [gap, decode]),
             "Reprojection error": self._reprojection(),
@@ -288,7 +294,7 @@ class Plots:
                 curves.append(Curve(name="acting", t_s=seconds(acting), values=acting["thrust_n"][:, index]))
             plots[f"Thruster {name}"] = self._sheet.plot("thrust [N]", curves, bounds)
         spectra = [(name, density(t_s, thrust[:, index])) for index, name in enumerate(names)]
-        plots["Spectra of the thrust commands"] = spectrum("N²/Hz", spectra)
+        plots["Spectra of the thrust commands"] = spectrum("density [N²/Hz]", spectra)
         health = self._flight.table("/ctl/thrusters")
         if health is not None:
             effectiveness = [
@@ -347,12 +353,12 @@ class Plots:
         rates = [(axis, density(t_s, table["rate_frd_rad_s"][:, i])) for i, axis in enumerate("pqr")]
         forces = [(axis, density(t_s, table["accel_frd_m_s2"][:, i])) for i, axis in enumerate("xyz")]
         return {
-            "Specific force": self._sheet.plot("[m/s²]", [Curve(name="norm", t_s=t_s, values=norm)]),
+            "Specific force": self._sheet.plot("specific force [m/s²]", [Curve(name="norm", t_s=t_s, values=norm)]),
             "Time between samples": self._sheet.plot(
                 "interval [ms]", [Curve(name="since the sample before", t_s=t_s[1:], values=1e3 * np.diff(t_s))]
             ),
-            "Spectra of the rates": spectrum("(rad/s)²/Hz", rates),
-            "Spectra of the specific force": spectrum("(m/s²)²/Hz", forces),
+            "Spectra of the rates": spectrum("density [(rad/s)²/Hz]", rates),
+            "Spectra of the specific force": spectrum("density [(m/s²)²/Hz]", forces),
         }
 
     def _system(self) -> Subject:
@@ -365,7 +371,7 @@ class Plots:
                 rates.append(
                     Curve(name=name, t_s=np.arange(len(counts), dtype=float), values=counts.astype(float), steps=True)
                 )
-        plots["MAVLink messages per second"] = self._sheet.plot("1/s", rates)
+        plots["MAVLink messages per second"] = self._sheet.plot("messages [1/s]", rates)
         loop = flight.table("/sys/loop")
         if loop is not None:
             t_s = seconds(loop)
@@ -382,7 +388,7 @@ class Plots:
                     ("pictures", "dropped_frames"),
                 )
             ]
-            plots["Overruns, lost messages of the log, lost pictures"] = self._sheet.plot("so far", lost)
+            plots["Overruns, lost messages of the log, lost pictures"] = self._sheet.plot("total [-]", lost)
         received, sent = flight.table("/in/mavlink"), flight.table("/out/mavlink")
         if received is not None and sent is not None:
             at_s, trip_s = round_trips(received, sent)
@@ -393,7 +399,7 @@ class Plots:
             t_s = seconds(process)
             for title, label, name, field, scale in (
                 ("Memory", "memory [MB]", "in memory", "rss", 1e-6),
-                ("Log queue", "messages", "waiting", "log_queue", 1.0),
+                ("Log queue", "messages [-]", "waiting", "log_queue", 1.0),
                 ("Longest garbage collection of a second", "time [ms]", "longest", "collect_s", 1e3),
             ):
                 curve = Curve(name=name, t_s=t_s, values=scale * process[field].astype(float), steps=True)
@@ -412,18 +418,19 @@ class Plots:
 
     def _plan(self) -> Any:
         """The tank from above: x to the right, y down. Path by lap, predictions, current."""
-        plot = plain_figure("x, north [m]", "y, east [m]", height_px=520, match_aspect=True)
-        plot.y_range.flipped = True
         run = self._flight.run
         track = self._track.between(self._flight.armed)
+        plot = plain_figure("x, north [m]", "y, east [m]", match_aspect=True)
+        plot.sizing_mode, plot.aspect_ratio = "scale_width", PLAN_ASPECT
+        plot.y_range.flipped = True
         if run is not None:
             _draw_world(plot, run)
             for one in moved_obstacles(track, run):
                 _draw_moved(plot, one, run)
         rows = np.arange(0, len(track.t_s), max(1, len(track.t_s) // (4 * BUCKETS)))
         x, y = track.pos_ned_m[rows, 0].astype(np.float32), track.pos_ned_m[rows, 1].astype(np.float32)
-        items = [("path", [_draw_path(plot, "path", x, y, line_color="#333333", line_width=1.5)])]
-        laps = lap_spans(visits(track, run), run, self._flight.armed.start_s) if run is not None else []
+        items: Items = [("path", [_draw_path(plot, "path", x, y, line_color="#333333", line_width=1.5)])]
+        laps = flown_laps(self._flight)
         colors = COLORS if len(laps) <= MOST_LAPS else viridis(len(laps))
         named = set(range(len(laps)))
         if len(laps) > MOST_LAPS:
@@ -442,8 +449,8 @@ class Plots:
             items.append(("predictions", [_draw_predictions(plot, made)]))
         met = met_current(track, run)
         if met is not None:
-            items.append(("current", _draw_current(plot, met)))
-        plot.add_layout(Legend(items=items, click_policy="hide", padding=4), "right")
+            items.append(("current", [_draw_current(plot, met)]))
+        add_legend(plot, items, "below")
         return plot
 
 
@@ -481,10 +488,14 @@ def _draw_heads(plot: Any, track: VehicleTrack) -> Any | None:
     corners = [plane[at] + size_m * direction]
     corners += [plane[at] + size_m * (side * 0.45 * across - direction) for side in (1.0, -1.0)]
     xs, ys = (np.stack([corner[:, i] for corner in corners], axis=1).round(4).tolist() for i in (0, 1))
-    return plot.patches(xs, ys, fill_color="#111111", line_color="white")
+    drawn = plot.patches(xs, ys, fill_color="#111111", line_color="white")
+    # The legend would show a patch as a square: it shows this triangle, which is nowhere in the plot.
+    key = plot.scatter([np.nan], [np.nan], marker="triangle", angle=-np.pi / 2, size=10, color="#111111")
+    key.js_link("visible", drawn, "visible")
+    return key
 
 
-def _draw_current(plot: Any, met: MetCurrent) -> list[Any]:
+def _draw_current(plot: Any, met: MetCurrent) -> Any:
     """Arrows where the current was met, to scale with the plan, and one of a round figure as their key."""
     key, key_m = np.array(met.key_m), met.scale_m * met.key_m_s
     start = np.vstack((met.place_m, key))
@@ -507,7 +518,9 @@ def _draw_current(plot: Any, met: MetCurrent) -> list[Any]:
         text_font_size="9pt",
         text_color=CURRENT_COLOR,
     )
-    return [lines, heads, label]
+    for other in (heads, label):
+        lines.js_link("visible", other, "visible")
+    return lines
 
 
 def clearances(flight: FlightRecord) -> list[Curve]:
@@ -527,16 +540,30 @@ def clearances(flight: FlightRecord) -> list[Curve]:
 
 
 def aimed_yaw(aimed_deg: FloatArray, yaw_deg: FloatArray) -> FloatArray:
-    """(n,) headings that were aimed at, on the turn on which the vehicle (n,) was when each was given."""
+    """(n,) headings that were aimed at, on the turn on which the vehicle (n,) was at the end of each, when it had
+    reached it.
+    """
     new = np.ones(len(aimed_deg), dtype=bool)
     new[1:] = np.diff(np.nan_to_num(aimed_deg, nan=1e9)) != 0.0
-    since = np.maximum.accumulate(np.where(new, np.arange(len(aimed_deg)), 0))
-    result: FloatArray = aimed_deg + 360.0 * np.round((yaw_deg - aimed_deg) / 360.0)[since]
+    ends = np.append(np.flatnonzero(new)[1:], len(aimed_deg) - 1)
+    result: FloatArray = aimed_deg + 360.0 * np.round((yaw_deg[ends[np.cumsum(new) - 1]] - aimed_deg) / 360.0)
     return result
 
 
-def _unwrapped(yaw_rad: FloatArray) -> FloatArray:
-    result: FloatArray = np.degrees(np.unwrap(yaw_rad))
+def unwrapped_deg(yaw_rad: FloatArray) -> FloatArray:
+    """(n,) without jumps; NaN stays NaN."""
+    result, known = np.full(len(yaw_rad), np.nan), np.isfinite(yaw_rad)
+    result[known] = np.degrees(np.unwrap(yaw_rad[known]))
+    return result
+
+
+def same_turn(curve: Curve, other: Curve) -> FloatArray:
+    """(n,) an unwrapped heading on the turn of another."""
+    known = np.isfinite(other.values)
+    if not known.any() or not np.isfinite(curve.values).any():
+        return curve.values
+    apart = curve.values - np.interp(curve.t_s, other.t_s[known], other.values[known])
+    result: FloatArray = curve.values - 360.0 * np.round(np.nanmedian(apart) / 360.0)
     return result
 
 

@@ -25,7 +25,7 @@ def test_the_api_reference_names_what_exists(name: str) -> None:
     assert pydoc.locate(name) is not None
 
 
-@pytest.mark.parametrize("page", ["examples/my_controller.py", "log.md", "first-hour.md", "python.md"])
+@pytest.mark.parametrize("page", ["examples/my_controller.py", "log.md", "python.md"])
 def test_what_a_page_imports_is_in_the_api_reference(page: str) -> None:
     """``page``: with Python blocks, or an example that a page links."""
     path = DOCS / page

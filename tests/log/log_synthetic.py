@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
+from click.testing import CliRunner
 
 from autopilot.core.frames import FloatArray, wrap_pi
 from autopilot.core.messages import (
@@ -201,7 +202,13 @@ def write_run(path: Path, run: Run | None = None, epoch_ns: int = EPOCH_NS) -> P
         path,
         epoch_ns=epoch_ns,
         description=run.description,
-        metadata={"version": "0.1.0", "revision": "abc", "scenario": "paper-tank", "seed": "1", "speed": "0"},
+        metadata={
+            "version": "0.1.0",
+            "revision": "abc",
+            "speed": "0",
+            "scenario": run.description.scenario,
+            "seed": str(run.description.seed),
+        },
         attachments={"config.toml": b"[a]\nb = 1\n"},
         lossless=True,
     )
@@ -390,3 +397,15 @@ def shifted(at_s: float, for_s: float, **changes: object) -> Callable[[float, Tr
         return replace(truth, **changes) if at_s <= t_s < at_s + for_s else truth  # type: ignore[arg-type]
 
     return change
+
+
+def call(*args: object) -> tuple[int, str]:
+    """Run ``autopilot log ...`` in this process as the console script does: exit code and output."""
+    from autopilot.cli.main import cli, run
+
+    runner = CliRunner()
+    codes: list[int] = []
+    with runner.isolation() as streams:
+        codes.append(run(lambda: cli(["log", *map(str, args)], standalone_mode=False)))
+        out = streams[0].getvalue().decode() + streams[1].getvalue().decode()
+    return codes[0], out

@@ -12,17 +12,17 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from log_synthetic import DESCRIPTION, EPOCH_NS, Run, shifted, write_run
+from log_synthetic import DESCRIPTION, EPOCH_NS, Run, call, shifted, write_run
 from mcap.writer import Writer
 
 from autopilot.cli.log import log as log_command
 from autopilot.core.disk import write_whole
 from autopilot.core.errors import LogError
+from autopilot.log.check import BoundRow, acceptance_table, format_figure, short_form
 from autopilot.log.description import AcceptBounds
-from autopilot.log.figures import FIGURES, write_figures
+from autopilot.log.figures import FIGURES, OVERLAID, write_figures
 from autopilot.log.reader import open_log
 from autopilot.log.report import write_report
 from autopilot.log.report_draw import decimate
@@ -42,18 +42,6 @@ def bad_log(tmp_path_factory: pytest.TempPathFactory) -> Path:
     change = shifted(9.0, 0.3, vel_water_frd_m_s=np.array([0.6, 0.0, 0.0]))
     run = Run(laps=1, step_us=200_000, description=ONE_LAP, change_truth=change)
     return write_run(tmp_path_factory.mktemp("outputs") / "bad.mcap", run)
-
-
-def call(*args: object) -> tuple[int, str]:
-    """Run a command in this process as the console script does."""
-    from autopilot.cli.main import cli, run
-
-    runner = CliRunner()
-    codes: list[int] = []
-    with runner.isolation() as streams:
-        codes.append(run(lambda: cli(["log", *map(str, args)], standalone_mode=False)))
-        out = streams[0].getvalue().decode() + streams[1].getvalue().decode()
-    return codes[0], out
 
 
 def bare(path: Path) -> Path:
@@ -124,6 +112,33 @@ def test_figures_of_poor_logs(tmp_path: Path) -> None:
         write_figures(open_log(bare(tmp_path / "bare.mcap")), tmp_path)
     with pytest.raises(LogError, match="cannot be written"):
         write_figures(open_log(tmp_path / "poor.mcap"), tmp_path / "poor.mcap")
+
+
+@pytest.mark.parametrize(
+    ("paper", "columns", "width_in"),
+    [("ieee", 1, 3.5), ("ieee", 2, 7.16), ("elsevier", 1, 3.54), ("elsevier", 2, 7.48)],
+)
+def test_figures_for_papers(run_log: Path, tmp_path: Path, paper: str, columns: int, width_in: float) -> None:
+    """As wide as asked, with TrueType fonts (Type 42) in the file."""
+    names = ("1_trajectory", "7_solve_time")
+    asked = [word for name in names for word in ("--only", name)]
+    code, out = call("plot", run_log, "--out", tmp_path, "--paper", paper, "--columns", columns, *asked)
+    assert code == 0 and [Path(line).name for line in out.splitlines()[1::2]] == [f"{name}.pdf" for name in names]
+    for path in map(Path, out.splitlines()[1::2]):
+        data = path.read_bytes()
+        box = re.search(rb"/MediaBox \[ 0 0 ([\d.]+)", data)
+        assert box is not None and float(box[1]) / 72.0 == pytest.approx(width_in, abs=0.01)
+        assert b"/FontFile2" in data and b"/Type3" not in data
+
+
+def test_several_logs_are_drawn_into_the_same_figures(run_log: Path, bad_log: Path, tmp_path: Path) -> None:
+    poor = Run(laps=1, step_us=500_000, with_truth=False, description=replace(DESCRIPTION, waypoints=(), obstacles=()))
+    other = write_run(tmp_path / "poor.mcap", poor)
+    code, out = call("plot", run_log, bad_log, other, "--out", tmp_path / "all")
+    assert code == 0
+    assert [Path(line).stem for line in out.splitlines()[::2]] == list(OVERLAID)
+    code, out = call("plot", run_log, other, "--only", "7_solve_time", "--out", tmp_path / "none")
+    assert code == 1 and "7_solve_time" in out and "1_trajectory" in out and not (tmp_path / "none").exists()
 
 
 class Loads(HTMLParser):
@@ -229,12 +244,36 @@ def test_check(run_log: Path, bad_log: Path, tmp_path: Path) -> None:
     assert code == 3 and "log damage" in out
 
 
+@pytest.mark.parametrize("everything", [(), ("--all",)], ids=["short", "all"])
+@pytest.mark.parametrize("columns", [80, 140])
+def test_the_verdict_and_what_broke_come_first_and_nothing_is_cut(
+    bad_log: Path, monkeypatch: pytest.MonkeyPatch, columns: int, everything: tuple[str, ...]
+) -> None:
+    monkeypatch.setenv("COLUMNS", str(columns))
+    _, out = call("check", bad_log, *everything)
+    lines = out.splitlines()
+    rows = [row for row in acceptance_table(open_log(bad_log)) if everything or row in short_form_of(bad_log)]
+    assert max(map(len, lines)) <= columns and "…" not in out
+    assert next(line for line in lines if "verdict" in line).startswith("verdict: fail (")
+    for row in rows:
+        for word in f"{row.name} {row.note} {format_figure(row.worst)} {format_figure(row.limit)} {row.unit}".split():
+            assert word in out, row
+    if not everything:
+        below = lines[lines.index(next(line for line in lines if "───" in line)) + 1]
+        assert below.split()[:2] == ["planar", "speed"] and " fail" in below
+        assert len(rows) == 12 and "more rows: autopilot log check LOG --all" in out
+
+
+def short_form_of(path: Path) -> list[BoundRow]:
+    return short_form(acceptance_table(open_log(path)))
+
+
 def test_a_log_has_to_be_named() -> None:
     assert call("report")[0] == call("plot")[0] == 2
 
 
 def test_group_lists_its_commands_without_heavy_imports() -> None:
-    looks = {"info", "check", "report", "plot", "replay", "programs", "tlog"}
+    looks = {"info", "check", "compare", "report", "plot", "replay", "programs", "tlog"}
     assert set(log_command.commands) == looks | {"export", "diff", "find", "recover"}
     heavy = "{'numpy', 'mcap', 'matplotlib', 'bokeh', 'rich'}"
     code = f"import sys, autopilot.cli.log; sys.exit(','.join({heavy} & set(sys.modules)) or 0)"

@@ -20,7 +20,8 @@ from autopilot.log.reader import open_log
 
 @pytest.fixture(scope="module")
 def flown(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return write_run(tmp_path_factory.mktemp("tools") / "flown.mcap", Run(laps=1, step_us=500_000))
+    """With every topic."""
+    return write_run(tmp_path_factory.mktemp("tools") / "flown.mcap", Run(laps=1, step_us=500_000, full_inputs=True))
 
 
 def call(*arguments: object) -> Result:
@@ -39,8 +40,11 @@ def test_export_holds_every_digit(flown: Path, tmp_path: Path) -> None:
     for axis in range(3):
         assert np.array_equal([float(row[f"pos_ned_m[{axis}]"]) for row in rows], nav["pos_ned_m"][:, axis])
     with (tmp_path / "ctl_horizon.csv").open(newline="") as file:
-        paths = [json.loads(row["message"]) for row in csv.DictReader(file)]
-    assert len(paths) == log.topics["/ctl/horizon"].count and paths[0]["poses"]
+        paths = [json.loads(row["poses"]) for row in csv.DictReader(file)]
+    assert len(paths) == log.topics["/ctl/horizon"].count and paths[0][0]["pose"]
+    with (tmp_path / "rosout.csv").open(newline="") as file:
+        events = list(csv.DictReader(file))
+    assert [row["msg"] for row in events] == [event.value["msg"] for event in log.messages("/rosout")]
 
 
 def test_export_of_some_topics_and_of_none_such(flown: Path, tmp_path: Path) -> None:

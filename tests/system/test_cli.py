@@ -333,6 +333,9 @@ def test_log_that_is_whole(autopilot: Command, flown: Path) -> None:
     done = autopilot("log", "info", str(flown))
     assert (done.code, done.err) == (0, "")
     assert "loss" not in done.out
+    done = autopilot("log", "compare", str(flown), str(flown))
+    assert (done.code, done.err) == (0, "") and "not comparable: flown.mcap: 0 of 3 laps are complete" in done.out
+    assert "J/m (1.00 times)" in done.out.splitlines()[0]
 
 
 @pytest.mark.parametrize("share", [0.97, 0.5, 0.1])

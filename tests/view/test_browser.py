@@ -1,27 +1,14 @@
 """The live view in a real browser, where there is one: no word on its console, on a desk and on a phone."""
 
-import importlib.util
 import signal
 import time
 from collections.abc import Iterator
 from pathlib import Path
-from types import ModuleType
 
 import pytest
+from browser_module import browser
 from viewers import Run, run
 
-ROOT = Path(__file__).resolve().parents[2]
-
-
-def loaded() -> ModuleType:
-    spec = importlib.util.spec_from_file_location("browser", ROOT / "docs" / "browser.py")
-    assert spec is not None and spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
-
-
-browser = loaded()
 pytestmark = pytest.mark.skipif(browser.found() is None, reason="no Chromium here; CHROMIUM names one")
 
 
