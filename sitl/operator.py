@@ -58,7 +58,8 @@ class ScriptedOperator:
         if t_us - self._heartbeat_us >= OPERATOR.heartbeat_us:
             self._heartbeat_us = t_us
             out.append(self._pack(self._mav.heartbeat_encode(6, 8, 0, 0, 4)))
-        waits = bool(self._todo) and self._todo[0] is ARM and self._ready is False
+        # A refusal tells the reason: after a while it is asked for.
+        waits = bool(self._todo) and self._todo[0] is ARM and self._ready is False and t_us < OPERATOR.patience_us
         if self._todo and not waits and t_us - self._sent_us >= OPERATOR.retry_us:
             self._sent_us = t_us
             out.append(self._command(*self._todo[0]))

@@ -172,6 +172,8 @@ class OperatorTuning:
     """A joystick sends ten times per second."""
     ready_us: int = 100_000
     """Interval of SYS_STATUS, which says whether arming would be accepted."""
+    patience_us: int = 5_000_000
+    """So long after the start it waits until arming would be accepted."""
     sys_status: int = 1
     set_interval: int = 511
     arm: int = 400

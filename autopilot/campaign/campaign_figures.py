@@ -11,19 +11,13 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
 from autopilot.campaign.results import RunResult
+from autopilot.campaign.summary import margin_unit
 from autopilot.core.frames import FloatArray
 from autopilot.log.figure_parts import BOUND, STYLE, legend_above
 
 BINS = 40
-SHOWN = (
-    ("cylinder 1", "cylinder 1 [mm]", 1000.0),
-    ("cylinder 2", "cylinder 2 [mm]", 1000.0),
-    ("fence", "fence [mm]", 1000.0),
-    ("walls", "walls [mm]", 1000.0),
-    ("planar speed", "planar speed [mm/s]", 1000.0),
-    ("yaw rate", "yaw rate [mrad/s]", 1000.0),
-)
-"""Margins that are drawn when runs have them."""
+FINER = {"m": ("mm", 1000.0), "m/s": ("mm/s", 1000.0), "rad/s": ("mrad/s", 1000.0)}
+"""Unit of a margin -> unit in which it is drawn, and factor."""
 
 
 def write_figures(results: Sequence[RunResult], title: str, folder: Path) -> list[Path]:
@@ -45,15 +39,16 @@ def write_figures(results: Sequence[RunResult], title: str, folder: Path) -> lis
 
 def _margins(flown: Sequence[RunResult], title: str) -> Figure | None:
     """Worst margin of every run, one panel per bound."""
-    shown = [entry for entry in SHOWN if any(entry[0] in result.margins for result in flown)]
+    shown = list(dict.fromkeys(name for result in flown for name in result.margins))
     if not shown:
         return None
     rows = (len(shown) + 1) // 2
     figure = Figure(figsize=(7.0, 1.9 * rows))
-    for ax, (name, label, scale) in zip(figure.subplots(rows, 2, squeeze=False).flat, shown, strict=False):
+    for ax, name in zip(figure.subplots(rows, 2, squeeze=False).flat, shown, strict=False):
+        unit, scale = FINER.get(margin_unit(name), (margin_unit(name), 1.0))
         found = [result.margins[name] for result in flown if name in result.margins]
         values, tolerance = [scale * margin.margin for margin in found], scale * found[0].tolerance
-        _histogram(ax, values, (min(*values, -1.5 * tolerance), max(*values, tolerance)), label)
+        _histogram(ax, values, (min(*values, -1.5 * tolerance), max(*values, tolerance)), f"{name} [{unit}]")
         ax.axvline(0.0, **BOUND)
         ax.axvspan(-tolerance, 0.0, color="red", alpha=0.12, linewidth=0.0)
     if len(shown) % 2:

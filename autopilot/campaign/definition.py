@@ -8,10 +8,13 @@ import msgspec
 
 from autopilot import __version__
 from autopilot.campaign.results import Task
+from autopilot.control.protocol import find_controller
 from autopilot.core.errors import ConfigError
 from autopilot.core.params import ParamSet
+from autopilot.estimator.create import find_estimator
 from autopilot.mission.plan_files import read_plan
 from autopilot.run.provenance import revision
+from autopilot.sitl.protocol import find_plant
 from autopilot.sitl.scenario import load_scenario, load_tables, plan_path, with_vehicle
 from autopilot.sitl.scenario_tables import Scenario
 from autopilot.sitl.spread import Tables, drawn_tables, drawn_values, run_seed
@@ -67,7 +70,9 @@ def define(
     name_or_path: str,
     *,
     seed: int | None = None,
+    controller: str | None = None,
     estimator: str | None = None,
+    plant: str | None = None,
     sensors: str | None = None,
     duration_s: float | None = None,
     params: dict[str, float] | None = None,
@@ -81,8 +86,8 @@ def define(
         Shipped scenario, or a scenario file.
     seed
         Base seed of all runs, None = the scenario's.
-    estimator
-        Name of the estimator, None = the scenario's.
+    controller, estimator, plant
+        Their names (docs/extend.md), None = the scenario's.
     sensors
         Sensor set, None = the scenario's.
     duration_s
@@ -105,6 +110,14 @@ def define(
     if vehicle is not None:
         scenario = with_vehicle(scenario, vehicle, "--vehicle")
         tables = _flown_by(vehicle, scenario, tables)
+    parts = {"controller": controller, "estimator": estimator, "plant": plant}
+    given = {kind: name for kind, name in parts.items() if name is not None}
+    if given:
+        scenario = msgspec.structs.replace(scenario, plugins=msgspec.structs.replace(scenario.plugins, **given))
+        tables = {**tables, "plugins": {**tables.get("plugins", {}), **given}}
+    find_controller(scenario.plugins.controller, "--controller")
+    find_estimator(scenario.plugins.estimator, "--estimator")
+    find_plant(scenario.plugins.plant, "--plant")
     plan = plan_path(name_or_path, scenario)
     if plan is None:
         raise ConfigError(f"scenario {scenario.scenario.name!r} has no plan; name one in scenario.plan")
@@ -124,7 +137,7 @@ def define(
         plan_name=plan.name,
         plan=plan.read_text(encoding="utf-8"),
         seed=scenario.scenario.seed if seed is None else seed,
-        estimator=estimator or scenario.plugins.estimator,
+        estimator=scenario.plugins.estimator,
         sensors=sensors,
         duration_s=duration_s,
         params=params or {},

@@ -215,13 +215,17 @@ def _smooth(flown: Sequence[RunResult]) -> list[Bar]:
     return bars
 
 
+def margin_unit(name: str) -> str:
+    """Unit of the margin to a bound of a run."""
+    return {"planar speed": "m/s", "heave": "m/s", "yaw rate": "rad/s", "thrust": "N"}.get(name, "m")
+
+
 def _margins(flown: Sequence[RunResult]) -> list[Distribution]:
     names = list(dict.fromkeys(name for result in flown for name in result.margins))
-    units = {"planar speed": "m/s", "heave": "m/s", "yaw rate": "rad/s", "thrust": "N"}
     return [
         _spread(
             name,
-            units.get(name, "m"),
+            margin_unit(name),
             [result.margins[name].margin for result in flown if name in result.margins],
             broken=sum(name in result.broken for result in flown),
             beyond=sum(name in result.beyond for result in flown),

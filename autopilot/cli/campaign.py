@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib
 import signal
+import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import asdict
@@ -98,7 +99,9 @@ def table(folders: tuple[Path, ...], markdown: bool, as_json: bool) -> None:
 @click.option("--seed", type=click.IntRange(min=0), help="Seed of the campaign (default: the scenario's).")
 @SCENARIO_VEHICLE
 @click.option("--duration", type=FiniteRange(min=0.0, min_open=True), help="End every run after so many seconds.")
+@click.option("--controller", callback=part_name, help="Default: the scenario's, else nmpc.")
 @click.option("--estimator", callback=part_name, help="Default: the scenario's, else ekf.")
+@click.option("--plant", callback=part_name, help="Default: the scenario's, else rigid-body.")
 @click.option("--sensors", type=click.Choice(SENSORS), help="Default: the scenario's.")
 @CAMPAIGN_PARAM
 @click.option("--figures/--no-figures", default=True, show_default=True, help="Figures in the folder.")
@@ -116,7 +119,9 @@ def fly(
     seed: int | None,
     vehicle: str | None,
     duration: float | None,
+    controller: str | None,
     estimator: str | None,
+    plant: str | None,
     sensors: str | None,
     param: tuple[str, ...],
     figures: bool,
@@ -143,7 +148,9 @@ def fly(
     defined = define(
         scenario,
         seed=seed,
+        controller=controller,
         estimator=estimator,
+        plant=plant,
         sensors=sensors,
         duration_s=duration,
         params=parse_overrides(param),
@@ -315,21 +322,32 @@ def verdict(result: RunResult) -> str:
     return f"run {result.run}, seed {result.seed}: {f'FAILED: {broke}' if result.failed else broke or 'good'}"
 
 
+def _span(seconds: float) -> str:
+    """A span of time as far as an estimate is worth."""
+    for unit, length in (("h", 3600.0), ("min", 60.0)):
+        if seconds >= 1.5 * length:
+            return f"{seconds / length:.0f} {unit}"
+    return f"{seconds:.0f} s"
+
+
 @contextmanager
 def _progress(name: str, *, quiet: bool) -> Iterator[_Show]:
-    """A bar on a terminal, a line per run elsewhere."""
-    failures = 0
+    """A bar on a terminal, a line per run elsewhere; both with the time that is left."""
+    failures, begun_s, first = 0, time.monotonic(), -1
     with progress_bar("{task.description}", elapsed=True, remaining=True, quiet=quiet) as bar:
         task = None if bar is None else bar.add_task(name, total=None)
 
         def show(result: RunResult | None, done: int, total: int) -> None:
-            nonlocal failures
+            nonlocal failures, first
+            first = done if first < 0 else first
             failures += result is not None and result.failed
             if bar is not None and task is not None:
                 if result is not None and result.failed:
                     bar.console.print(verdict(result), highlight=False)
                 bar.update(task, completed=done, total=total, description=f"{name}: {failures} failed")
             elif result is not None and not quiet:
-                click.echo(f"{name}: {done} of {total}: {verdict(result)}", err=True)
+                left_s = (time.monotonic() - begun_s) / max(done - first, 1) * (total - done)
+                left = f", about {_span(left_s)} left" if done < total else ""
+                click.echo(f"{name}: {done} of {total}{left}: {verdict(result)}", err=True)
 
         yield show

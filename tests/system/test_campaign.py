@@ -3,6 +3,7 @@
 import csv
 import json
 import os
+import re
 import signal
 import subprocess
 import threading
@@ -10,13 +11,14 @@ import time
 from pathlib import Path
 from typing import Any
 
+import matplotlib as mpl
 import msgspec
 import numpy as np
 import pytest
 from click.testing import CliRunner, Result
 from deadly_runs import Deadly, Spinning
 
-from autopilot.campaign.campaign_figures import write_figures
+from autopilot.campaign.campaign_figures import _margins, write_figures
 from autopilot.campaign.definition import Campaign, define, first_difference
 from autopilot.campaign.engines import DaskCluster, InProcess, LocalPool, interrupt_later, make_engine
 from autopilot.campaign.flight import fly
@@ -186,14 +188,14 @@ def test_a_damaged_line_is_named(tmp_path: Path) -> None:
         (("r1", "--shard", "3/2"), "--shard '3/2': write I/N"),
         (("r1", "--shard", "x"), "--shard 'x': write I/N"),
         (("r1", "--engine", "abacus"), "--engine 'abacus': use local, dask or dask+tcp://HOST:PORT"),
-        (("r1", "--param", "NO_SUCH=1"), "NO_SUCH"),
+        (("r1", "--param", "NO_SUCH=1"), "parameter 'NO_SUCH' is not known"),
     ],
 )
 def test_bad_input_is_refused_in_one_line(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], arguments: tuple[str, ...], message: str
 ) -> None:
     scenario, *rest = arguments
-    assert campaign(tmp_path / "out", scenario, *rest)[0] == 1
+    assert campaign(tmp_path / "out", scenario, *rest)[0] == (2 if "is not known" in message else 1)
     error = capsys.readouterr().err
     assert message in error
     assert error.count("\n") == 1
@@ -324,7 +326,7 @@ def test_an_interrupted_campaign_can_go_on(tmp_path: Path) -> None:
         try:
             assert process.stderr is not None
             first = process.stderr.readline()
-            assert first.startswith("r1: 1 of 40: run ")
+            assert re.match(r"r1: 1 of 40, about \d+ (s|min|h) left: run ", first)
             process.send_signal(signal.SIGINT)
             rest = process.stderr.read()
             assert process.wait() == 130
@@ -368,13 +370,30 @@ def test_a_run_that_cannot_be_flown_is_a_failed_one(tmp_path: Path) -> None:
     assert summary.bars[0].value == f"{4 - sum(inside)} of 4"
 
 
+def test_parts_of_a_campaign_are_those_of_the_options(tmp_path: Path) -> None:
+    """Runs of `los-pid` announce no prediction; every bound of the runs has its panel."""
+    defined = define(scenario_in(tmp_path), controller="los-pid", estimator="complementary", duration_s=3.0)
+    task = defined.task(0)
+    assert 'controller = "los-pid"' in task.scenario_toml and task.estimator == "complementary"
+    (result,) = InProcess().run([task], lambda: False)
+    assert result.error is None and not any(result.tube_shares)
+    with mpl.rc_context():
+        figure = _margins([result], "one")
+    assert figure is not None
+    assert [ax.get_xlabel().partition(" [")[0] for ax in figure.axes if ax.get_visible()] == list(result.margins)
+    assert len(result.margins) == 10
+    for kind, name in (("controller", "nmcp"), ("plant", "nowhere:Plant"), ("estimator", "kf")):
+        with pytest.raises(ConfigError, match=name):
+            define(scenario_in(tmp_path), **{kind: name})
+
+
 def test_a_run_that_is_never_armed_is_a_failed_one(tmp_path: Path) -> None:
     scenario = Path(scenario_in(tmp_path, '[accept]\ncampaign = "contact"\n' + SPREAD))
     text = scenario.read_text(encoding="utf-8").replace(
         'position = "pose"', 'position = "pose"\npose = { drop_probability = 1.0 }'
     )
     scenario.write_text(text, encoding="utf-8")
-    (result,) = InProcess().run([define(str(scenario), duration_s=2.0).task(0)], lambda: False)
+    (result,) = InProcess().run([define(str(scenario), duration_s=6.5).task(0)], lambda: False)
     assert result.failed
     assert result.error is not None
     assert result.error.startswith("was never armed: Arming denied: no position yet: check the pose source")
