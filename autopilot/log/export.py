@@ -14,7 +14,8 @@ import msgspec
 import numpy as np
 
 from autopilot.core.disk import make_folder
-from autopilot.core.errors import LogError
+from autopilot.core.errors import LogError, UnknownNameError
+from autopilot.core.names import did_you_mean
 from autopilot.log.message_table import Columns, flat_columns
 from autopilot.log.reader import Log
 
@@ -48,7 +49,9 @@ def export_log(log: Log, folder: Path, *, topics: Sequence[str] = (), kind: Kind
     """
     unknown = [topic for topic in topics if topic not in log.topics]
     if unknown:
-        raise LogError(f"{log.path}: has no topic {', '.join(unknown)}; it has {', '.join(log.topics)}")
+        meant = did_you_mean(unknown[0], log.topics)
+        text = f"{log.path}: has no topic {', '.join(unknown)}; {meant}it has {', '.join(log.topics)}"
+        raise UnknownNameError(text)
     writer = _writer(kind)
     try:
         make_folder(folder)

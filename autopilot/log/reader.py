@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from autopilot.core.errors import LogError
+from autopilot.core.names import did_you_mean
 from autopilot.log.cdr import CdrLayout, Types, decode, fixed_layout, parse_definition, short_name
 from autopilot.log.container import (
     MESSAGE,
@@ -416,7 +417,8 @@ class Log:
     def _types(self, topic: str) -> tuple[Types, str]:
         channel = next((c for c in self._contents.channels.values() if c.topic == topic), None)
         if channel is None:
-            raise LogError(f"{self.path}: has no topic {topic}; it has {', '.join(self.topics) or 'none'}")
+            meant = did_you_mean(topic, self.topics)
+            raise LogError(f"{self.path}: has no topic {topic}; {meant}it has {', '.join(self.topics) or 'none'}")
         schema = self._contents.schemas.get(channel.schema_id)
         if schema is None or schema.encoding != "ros2msg" or channel.encoding != "cdr":
             raise LogError(f"{self.path}: {topic} is not CDR with a ros2msg schema; only such topics can be decoded")

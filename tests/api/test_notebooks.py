@@ -15,6 +15,7 @@ SHORTER: dict[str, dict[str, Any]] = {
     "own_controller": {"SECONDS": 12.0},
     "monte_carlo": {"RUNS": 3, "SECONDS": 6.0},
     "current_map": {"SECONDS": 12.0},
+    "parts": {"STEPS": 80},
 }
 """Values instead of those in the cell that is tagged ``parameters``."""
 
