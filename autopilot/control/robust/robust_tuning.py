@@ -108,6 +108,9 @@ class WaterSpeedTuning:
     current_sigma_m_s: float = 0.25
     excess_sigma: float = 0.2
     """Before anything is known; the second is that of 20 % in drag or thrust."""
+    known_sigma: float = 0.1
+    """Standard deviation of the excess from which on it is used: half of the first one. Above, the result would be the
+    assumption that 36 % are rare, and not what was seen."""
     excess_walk: float = 0.002
     """1/sqrt(s): growth, wear and supply change over minutes (estimator/tuning.py)."""
     inertia_error: float = 0.2

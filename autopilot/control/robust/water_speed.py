@@ -195,7 +195,7 @@ class WaterSpeed:
             likely, most = self._ratios
             self._ratios = likely + part * (now[0] - likely), most + part * (now[1] - most)
         shown = uniform > tuning.uniform and 1.0 - mild < tuning.varying and self._age_s > tuning.least_age_s
-        if shown and self._ratios is not None:
+        if shown and self.excess_sigma < tuning.known_sigma and self._ratios is not None:
             self.likely, self.bound = self._ratios
         else:
             self.likely = self.bound = None
