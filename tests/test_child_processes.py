@@ -22,6 +22,7 @@ PLACES: dict[tuple[str, str], str] = {
     ("tests/bench/estimator.py", "bench_estimator"): "pool",
     ("tests/bench/faults/bench.py", "_tested"): "ours",
     ("tests/bench/gaps.py", "main"): "pool",
+    ("tests/bench/speed_bound.py", "main"): "pool",
     ("autopilot/bench/live_service.py", "live_service"): "ours",
     ("tests/bench/kills.py", "_vehicle"): "ours",
     ("autopilot/bench/loop.py", "bench_loop"): "ours",

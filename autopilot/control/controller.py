@@ -62,6 +62,9 @@ LONGEST_SHIFT_S = 1.0
 JUMP_M = 0.5
 """A reference that moves by so much between two steps has nothing to do with the last one."""
 
+LOST_SHARE = 0.8
+"""A thrust limit that falls below this share of itself from one step to the next is a loss: supplies sag slowly."""
+
 BLIND_WAY_M = 0.15
 """Way over ground that guidance asks for within the delay of late commands."""
 
@@ -211,6 +214,9 @@ class MotionController:
             if not limit_n.min() >= 0.0:
                 raise ValueError(f"thruster_limit_n has to be 0 or more: {limit_n.tolist()}")
         elapsed_s = 0.0 if self._last_us is None else (t_us - self._last_us) * 1e-6
+        if delay_s or bool((limit_n < LOST_SHARE * self._limit_n).any()):
+            # What a thruster with a loss or a late command gives is not the drag's.
+            self.margins.water_speed.reset()
         self._last_us, self._limit_n = t_us, limit_n
         self._follow_lag(t_us)
         nav = self._forecast.view(nav)
@@ -284,6 +290,9 @@ class MotionController:
                 tube_m=max(self._program.tube_m.tolist()),
                 penalty_use=result.penalty_use if math.isfinite(result.penalty_use) else 0.0,
                 lift_n=self._lift.lift_n,
+                speed_margin_m_s=self._program.speed_back_off_m_s,
+                drag_excess=self.margins.water_speed.excess,
+                drag_excess_sigma=self.margins.water_speed.excess_sigma,
             ),
             horizon_ned_m=self.nmpc.x[:, :3].copy(),
             route_ned_m=self._guidance.ahead(np.array(nav.pos_ned_m[:2], dtype=float)),
@@ -362,6 +371,7 @@ class MotionController:
         self._followed_us = t_us
         self._lag.follow(self._command, elapsed_s)
         self._lift.push(self._lag.acting_n, elapsed_s)
+        self.margins.water_speed.push(self._lag.acting_n, elapsed_s)
 
     def _trim(self, nav: NavState, fence: Fence, params: ParamSet, limit_n: FloatArray) -> None:
         """Update the estimated vertical disturbance, which all plans and holds use."""

@@ -108,7 +108,7 @@ class StepProgram:
         self._weights = Weights(model.thrusters)
         self._currents = np.zeros((grid.n, 3))
         self._unsolved: list[tuple[SolveStatus, NmpcProblem, FloatArray, FloatArray]] = []
-        self._speed_back_off_m_s, self._damping = 0.0, 1.0
+        self.speed_back_off_m_s, self._damping = 0.0, 1.0
         self._last_us = 0
         self._cleared: tuple[Planner, list[float], float] | None = None
 
@@ -119,14 +119,16 @@ class StepProgram:
 
     def reset(self) -> None:
         """Discard the state of previous steps."""
-        self._speed_back_off_m_s, self._damping = 0.0, 1.0
-        self.margins.evidence.reset()
+        self.speed_back_off_m_s, self._damping = 0.0, 1.0
+        self.margins.restart()
         self.regions.reset()
 
     def speed_cap_m_s(self, params: ParamSet, least_m_s: float) -> float:
         """Largest planar speed for guidance: the limit minus the last step's back-off, at least ``least_m_s``, in steps
         of 1 cm/s."""
-        back_off = max(params["MPC_SPEED_MARGIN"], math.ceil(100.0 * self._speed_back_off_m_s - 1e-6) / 100.0)
+        back_off = math.ceil(100.0 * self.speed_back_off_m_s - 1e-6) / 100.0
+        if self.margins.speed_margin_m_s is None:
+            back_off = max(params["MPC_SPEED_MARGIN"], back_off)
         return max(SLOWEST_CAP_M_S, params["SPD_PLANAR_MAX"] - back_off, math.floor(100.0 * least_m_s) / 100.0)
 
     def begin(self, now: GuidanceInputs, reference: Reference) -> None:
@@ -143,11 +145,14 @@ class StepProgram:
         now.forecast.fill(now.nav, nmpc.x[: nmpc.grid.n, :3], self._t_s, self._currents)
         self.margins.update(now.nav, now.params)
         back_off = self.margins.back_offs(now.nav, nmpc.x, nmpc.u, now.params)
+        if self.margins.speed_margin_m_s is not None:
+            planar = np.full_like(back_off.planar_speed_m_s, self.margins.speed_margin_m_s)
+            back_off = replace(back_off, planar_speed_m_s=planar)
         if now.least_cap_m_s:
             most = now.params["SPD_PLANAR_MAX"] - now.least_cap_m_s
             back_off = replace(back_off, planar_speed_m_s=np.minimum(back_off.planar_speed_m_s, most))
         bounds.fill(back_off, now, reference, nmpc.u, self._change_weight(start, now))
-        self._speed_back_off_m_s = float(back_off.planar_speed_m_s[-1])
+        self.speed_back_off_m_s = float(back_off.planar_speed_m_s[-1])
         terminal = self._terminal(now, reference)
 
         def problem(thrust_ref_n: FloatArray, weight_u: FloatArray) -> NmpcProblem:

@@ -398,6 +398,11 @@ class NmpcStatus:
     """Largest multiplier of a soft limit over the slope of its penalty: at 1 the penalty is no longer exact."""
     lift_n: float = 0.0
     """Estimated vertical force beyond the vehicle file's buoyancy, positive up."""
+    speed_margin_m_s: float = 0.0
+    """Back-off of the planar speed limit at the end of the prediction; negative where drag is higher than believed."""
+    drag_excess: float = 0.0
+    drag_excess_sigma: float = 0.0
+    """Logarithm of the true ratio of drag to thrust over the vehicle file's, and its standard deviation."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)

@@ -265,6 +265,9 @@ float64 margin_m  # smallest tightened clearance in the prediction
 float64 tube_m  # largest distance kept from boundaries beyond the body
 float64 penalty_use  # largest multiplier of a soft limit over its penalty
 float64 lift_n  # learned vertical force beyond the vehicle file's buoyancy, positive pushes up
+float64 speed_margin_m_s  # of the planar speed; negative where drag is higher than believed
+float64 drag_excess  # logarithm of drag over thrust, relative to the vehicle file
+float64 drag_excess_sigma  # its standard deviation
 """,
     ),
     RecordRow(

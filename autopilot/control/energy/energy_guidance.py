@@ -78,6 +78,7 @@ class EnergyGuidance:
         self._taken_step = 0
         self._next_requested = False
         self._flow: FlowField | None = None
+        self._planned_cap_m_s = 0.0
         self._requested_step = 0
         self._patience = Patience()
         self._withdraw()
@@ -276,6 +277,7 @@ class EnergyGuidance:
             # The next leg was planned from where the last trajectory ended.
             self._next = None
         self._flow = plan.flow
+        self._planned_cap_m_s = float(request.limits[0]) / GUIDANCE.speed_fraction
         self._notices = EnergyPlan(
             seq=plan.goal.seq,
             eta_s=plan.eta_s,
@@ -317,7 +319,8 @@ class EnergyGuidance:
             and track.rest_s > GUIDANCE.last_update_s + ANSWER_STEPS[kind] * PATIENCE.step_s
         ):
             pushed = off_m > GUIDANCE.off_track_m or track.goal.speed_m_s != now.goal.speed_m_s
-            if pushed or running_out or (self._step % GUIDANCE.check_steps == 0 and self._current_changed(now, track)):
+            checked = self._step % GUIDANCE.check_steps == 0
+            if pushed or running_out or (checked and (self._cap_changed(now) or self._current_changed(now, track))):
                 self._submit(
                     now, kind, now.goal, self._coming(now, kind, elapsed_s), track if kind is Kind.WARM else None
                 )
@@ -348,6 +351,13 @@ class EnergyGuidance:
         off[U:] = 0.0
         result: FloatArray = then + off
         return result
+
+    def _cap_changed(self, now: GuidanceInputs) -> bool:
+        """Whether the plan was made with another limit of the planar speed, and one of them is higher than without
+        knowledge of the drag."""
+        usual_m_s = now.params["SPD_PLANAR_MAX"] - now.params["MPC_SPEED_MARGIN"]
+        caps = now.speed_cap_m_s, self._planned_cap_m_s
+        return max(caps) > usual_m_s + GUIDANCE.other_cap_m_s and abs(caps[0] - caps[1]) > GUIDANCE.other_cap_m_s
 
     def _current_changed(self, now: GuidanceInputs, track: TrackedTrajectory) -> bool:
         """Whether the forecast along the next seconds is another one than the plan was made with."""

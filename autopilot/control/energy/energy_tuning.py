@@ -101,6 +101,8 @@ class EnergyGuidanceTuning:
     """Fraction of the limits on heave, yaw rate and thrust used by plans: the rest is for tracking."""
     speed_fraction: float = 0.98
     """The same for the planar speed, which has a margin of its own (MPC_SPEED_MARGIN)."""
+    other_cap_m_s: float = 0.015
+    """A limit of the planar speed that has moved by more is worth another plan."""
 
 
 GUIDANCE = EnergyGuidanceTuning()

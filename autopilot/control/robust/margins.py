@@ -13,9 +13,10 @@ from autopilot.control.path.reference import water_speed_fraction
 from autopilot.control.robust.ancillary import Ancillary
 from autopilot.control.robust.lipschitz import LipschitzMargins
 from autopilot.control.robust.mismatch_evidence import SpeedEvidence
-from autopilot.control.robust.robust_tuning import TUBE
+from autopilot.control.robust.robust_tuning import TUBE, WATER_SPEED
 from autopilot.control.robust.tightening import BackOffs, FixedMargins
 from autopilot.control.robust.tube import TubeMargins
+from autopilot.control.robust.water_speed import WaterSpeed
 from autopilot.core import operator_messages as notices
 from autopilot.core.frames import FloatArray
 from autopilot.core.messages import NavHealth, NavState
@@ -23,6 +24,9 @@ from autopilot.core.model4 import NX, Model4
 from autopilot.core.notice_queue import NoticeQueue
 from autopilot.core.params import ParamSet
 from autopilot.core.vehicle import Vehicle
+
+STEP_LIMIT_S = 0.2
+"""A step counts for no more than this."""
 
 AT_REST = NavState(
     t_us=0,
@@ -57,6 +61,11 @@ class Margins(NoticeQueue):
         self.lipschitz = LipschitzMargins(model, grid, fixed)
         self.evidence = SpeedEvidence()
         """Reset by the controller at a restart."""
+        self.water_speed = WaterSpeed(model)
+        """The same."""
+        self._speed_margin_m_s: float | None = None
+        """Back-off of the planar speed by :attr:`water_speed`, None = the tube's."""
+        self._margin_us: int | None = None
         self._fixed = fixed
         self._reported = False
         self._goal_margin: tuple[ParamSet, int, float] | None = None
@@ -79,11 +88,48 @@ class Margins(NoticeQueue):
 
     def update(self, nav: NavState, params: ParamSet) -> None:
         """Once per control step, before :meth:`back_offs`: update the evidence for the planar speed margin."""
+        self.water_speed.update(nav)
         if Tighten(int(params["MPC_TIGHTEN"])) is Tighten.TUBE:
             tube_m_s = self.tube.rest_speed_m_s(nav, params)
             self.evidence.update(nav, params["SPD_PLANAR_MAX"], tube_m_s, params["MPC_SPEED_MARGIN"])
+            unknown_m_s = max(self.evidence.margin_fraction * tube_m_s, params["MPC_SPEED_MARGIN"])
+            self._move_speed_margin(nav.t_us, unknown_m_s, params["SPD_PLANAR_MAX"])
         else:
             self.evidence.reset()
+            self._speed_margin_m_s = None
+
+    def _move_speed_margin(self, t_us: int, unknown_m_s: float, limit_m_s: float) -> None:
+        """Move the planar speed margin towards what is known of the true speed, or back to ``unknown_m_s``."""
+        elapsed_s = 0.0 if self._margin_us is None else min(max((t_us - self._margin_us) * 1e-6, 0.0), STEP_LIMIT_S)
+        self._margin_us, tuning = t_us, WATER_SPEED
+        bound, likely = self.water_speed.bound, self.water_speed.likely
+        target_m_s = unknown_m_s
+        if bound is not None and likely is not None:
+            left_m_s = limit_m_s - min(tuning.floor_m_s, limit_m_s)
+            # Little knowledge is no reason to go slower than without any.
+            target_m_s = min(limit_m_s - left_m_s / bound, max(unknown_m_s, limit_m_s - left_m_s / likely))
+            target_m_s = min(target_m_s, TUBE.largest_fraction * limit_m_s)
+        if self._speed_margin_m_s is None:
+            if bound is None:
+                return
+            self._speed_margin_m_s = unknown_m_s
+        change_m_s = target_m_s - self._speed_margin_m_s
+        step_m_s = min(max(change_m_s, -tuning.shrink_m_s2 * elapsed_s), tuning.grow_m_s2 * elapsed_s)
+        self._speed_margin_m_s += step_m_s
+        if bound is None and step_m_s == change_m_s:
+            self._speed_margin_m_s = None
+
+    @property
+    def speed_margin_m_s(self) -> float | None:
+        """Back-off of the planar speed limit where drag and thrust have been told apart from the current; negative if
+        the true speed is lower than the estimated one. None = the tube's."""
+        return self._speed_margin_m_s
+
+    def restart(self) -> None:
+        """Discard what has been learned, for a restart of the controller."""
+        self.evidence.reset()
+        self.water_speed.reset()
+        self._speed_margin_m_s = self._margin_us = None
 
     def settled(self, nav: NavState, params: ParamSet) -> BackOffs:
         """Back-offs by the parameters alone, for a vehicle at rest with the best estimate: checks of positions must

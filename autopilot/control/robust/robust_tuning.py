@@ -73,6 +73,77 @@ EVIDENCE = MismatchTuning()
 
 
 @dataclass(frozen=True, slots=True)
+class WaterSpeedTuning:
+    """Constants of :mod:`autopilot.control.robust.water_speed`."""
+
+    models: tuple[tuple[float, float], ...] = (
+        (0.002, 0.0025),
+        (0.002, 0.007),
+        (0.002, 0.02),
+        (0.01, 0.0025),
+        (0.01, 0.007),
+        (0.01, 0.02),
+        (0.01, 0.05),
+        (0.03, 0.01),
+        (0.1, 0.015),
+        (0.3, 0.02),
+        (0.1, 0.05),
+    )
+    """Change of the current per root metre of way [m/s] and unmodelled acceleration [m/s^2/sqrt(Hz)] of each filter:
+    from still basins to jets of a tank, and from calm water to 2 N that change within a second."""
+    uniform_per_root_m: float = 0.002
+    mild_per_root_m: float = 0.01
+    """Filters up to these changes stand for uniform water, and for water that is nearly so."""
+    uniform: float = 0.5
+    varying: float = 0.01
+    refuted: float = 0.05
+    """Probabilities. The result is used while that of uniform water is above the first and that of water that is not
+    even nearly uniform below the second; below the third for uniform water the filters begin anew."""
+    velocity_sigma_m_s: float = 0.01
+    """Error of the estimated velocity over ground in one correction: twice that in simulated flights."""
+    step_s: float = 0.09
+    every_s: float = 0.19
+    """Least time between predictions (two control steps) and between corrections: errors of the estimated velocity are
+    correlated over about as long."""
+    current_sigma_m_s: float = 0.25
+    excess_sigma: float = 0.2
+    """Before anything is known; the second is that of 20 % in drag or thrust."""
+    known_sigma: float = 0.1
+    """Standard deviation of the excess from which on it is used: half of the first one. Above, the result would be the
+    assumption that 36 % are rare, and not what was seen."""
+    excess_walk: float = 0.002
+    """1/sqrt(s): growth, wear and supply change over minutes (estimator/tuning.py)."""
+    inertia_error: float = 0.2
+    inertia_s: float = 1.0
+    """An acceleration is wrong by such a share for so long: errors of mass, thrust and lag."""
+    at_rest_m_s: float = 0.02
+    """Added to the way per second: water changes at a vehicle that stands still."""
+    evidence_fraction: float = 0.5
+    """Of every correction: consecutive ones are not independent."""
+    largest_square: float = 16.0
+    largest_odds: float = 8.0
+    forget_s: float = 30.0
+    """Bounds on one squared error and on the logarithm of the odds, and the time in which evidence is forgotten."""
+    least_age_s: float = 6.0
+    least_speed_m_s: float = 0.2
+    """The speeds are compared from here on: below, small errors make a large ratio."""
+    follow_s: float = 2.0
+    """Low-pass on the ratio of the speeds."""
+    likely_sigmas: float = 1.0
+    sigmas: float = 2.0
+    floor_m_s: float = 0.02
+    """Always left of the limit: short disturbances, and what neither filter nor estimate knows."""
+    shrink_m_s2: float = 0.02
+    grow_m_s2: float = 0.05
+    """The margin moves by no more than this."""
+    longest_s: float = 0.3
+    """After a longer pause the filters begin anew."""
+
+
+WATER_SPEED = WaterSpeedTuning()
+
+
+@dataclass(frozen=True, slots=True)
 class FallbackTuning:
     """Constants of :mod:`autopilot.control.robust.fallback`."""
 
