@@ -20,8 +20,9 @@ SECONDS = 15.0
 
 
 def reward(nav, info):
-    """Less the further away [m], less the more it turns [rad/s]."""
-    return -float(np.linalg.norm(info.truth.pos_ned_m - PLACE)) - 0.2 * abs(float(nav.rate_frd_rad_s[2]))
+    """1 at the place, less further away and when turning; never negative, else an early end would pay."""
+    away_m, turn_rad_s = np.linalg.norm(info.truth.pos_ned_m - PLACE), abs(nav.rate_frd_rad_s[2])
+    return float(np.exp(-2.0 * away_m) / (1.0 + turn_rad_s))
 
 
 class Repeat(gymnasium.Wrapper):
@@ -54,6 +55,8 @@ def distance_m(env, act, seeds=(101, 102, 103)):
             over = terminated or truncated
             if info["t_s"] - begin_s > SECONDS - 5.0:
                 found.append(np.linalg.norm(info["true_pos_ned_m"] - PLACE))
+        if terminated:
+            print(f"  seed {seed}: ended after {info['t_s'] - begin_s:.1f} s, contacts {info['contacts']}")
     return float(np.mean(found)) if found else float("nan")
 
 
