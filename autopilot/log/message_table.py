@@ -36,13 +36,51 @@ class MessageTable(np.ndarray[Any, np.dtype[np.void]]):
         LogError
             pandas is not installed.
         """
-        try:
-            pandas = importlib.import_module("pandas")
-        except ImportError as error:
-            raise LogError(
-                "to_pandas() needs pandas: pip install pandas; without it tables are numpy arrays"
-            ) from error
-        return pandas.DataFrame(flat_columns(self)).set_index("t_s")
+        return _library("pandas").DataFrame(flat_columns(self)).set_index("t_s")
+
+    def to_xarray(self) -> Any:
+        """The table for xarray.
+
+        Returns
+        -------
+        xarray.Dataset
+            Dimension ``t_s`` [s]; fields of fixed length keep their shape, with dimensions ``NAME_0``, ...; nested
+            fields by their path (``orientation.x``).
+
+        Raises
+        ------
+        LogError
+            xarray is not installed.
+        """
+        xarray = _library("xarray")
+        variables = {}
+        for name, column in self._leaves():
+            dimensions = ("t_s", *(f"{name}_{axis}" for axis in range(column.ndim - 1)))
+            variables[name] = (
+                dimensions,
+                np.char.decode(column, errors="replace") if column.dtype.kind == "S" else column,
+            )
+        return xarray.Dataset(variables, coords={"t_s": self["t_us"] * 1e-6})
+
+    def _leaves(self) -> Iterator[tuple[str, np.ndarray[Any, Any]]]:
+        """Fields that are not tables themselves, with their path."""
+
+        def below(name: str, column: np.ndarray[Any, Any]) -> Iterator[tuple[str, np.ndarray[Any, Any]]]:
+            if column.dtype.names is None:
+                yield name, column
+            else:
+                for inner in column.dtype.names:
+                    yield from below(f"{name}.{inner}", column[inner])
+
+        for name in self.dtype.names or ():
+            yield from below(name, self[name])
+
+
+def _library(name: str) -> Any:
+    try:
+        return importlib.import_module(name)
+    except ImportError as error:
+        raise LogError(f"to_{name}() needs {name}: pip install {name}; without it tables are numpy arrays") from error
 
 
 def flat_columns(table: MessageTable) -> Columns:

@@ -53,6 +53,19 @@ def test_pandas(log: Log) -> None:
     np.testing.assert_array_equal(frame["pos_ned_m[2]"], log["/nav/state"]["pos_ned_m"][:, 2])
 
 
+def test_xarray(log: Log) -> None:
+    if importlib.util.find_spec("xarray") is None:
+        with pytest.raises(LogError, match="pip install xarray"):
+            log["/nav/state"].to_xarray()
+        return
+    data = log["/nav/state"].to_xarray()
+    assert data["pos_ned_m"].dims == ("t_s", "pos_ned_m_0")
+    np.testing.assert_array_equal(data["pos_ned_m"].values, log["/nav/state"]["pos_ned_m"])
+    assert data.sel(t_s=data["t_s"][-1])["sequence"] == log["/nav/state"]["sequence"][-1]
+    for topic in ("/sim/truth", "/out/thrusters", "/ctl/nmpc", "/in/ahrs_raw", "/nav/fit", "/sys/mode"):
+        assert log[topic].to_xarray().sizes["t_s"] == len(log[topic])
+
+
 def test_the_example_of_the_docs_runs(
     log: Log, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
