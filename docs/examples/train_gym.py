@@ -3,7 +3,7 @@
 #
 # Soft actor-critic against the whole service: the agent sees the estimate, commands every thruster, and is
 # compared with doing nothing and with the shipped controller. Needs `pip install 'underwater-autopilot[gym]'
-# stable-baselines3`; `python docs/examples/train_gym.py 6000` takes some ten minutes.
+# stable-baselines3`; `python docs/examples/train_gym.py 5000` takes some 15 minutes.
 
 # %%
 import sys
@@ -64,7 +64,7 @@ def distance_m(env, act, seeds=(101, 102, 103)):
 if __name__ == "__main__":
     from stable_baselines3 import SAC
 
-    steps = int(sys.argv[1]) if len(sys.argv) > 1 else 6000
+    steps = int(sys.argv[1]) if len(sys.argv) > 1 else 5000
     env = RescaleAction(Repeat(make()), -1.0, 1.0)
     agent = SAC("MlpPolicy", env, learning_starts=300, seed=1, gamma=0.97, verbose=0)
     print(f"{steps} steps of 0.25 s; mean distance in the last 5 s of {SECONDS:g}:")
