@@ -41,6 +41,9 @@ Reward = Callable[[NavState, StepInfo], float]
 class UnderwaterEnv(gymnasium.Env[Observed, Observed]):
     """A vehicle under the service, 20 steps per second.
 
+    An episode is terminated by a contact, by disarming (a failsafe, the end of a mission that was started) and by a
+    complete mission.
+
     Parameters
     ----------
     scenario
@@ -55,9 +58,6 @@ class UnderwaterEnv(gymnasium.Env[Observed, Observed]):
         Length of an episode [s], which truncates it.
     start, options
         As :class:`~autopilot.api.simulation.Simulation`'s.
-
-    An episode is terminated by a contact, by disarming (a failsafe, the end of a mission that was started) and by a
-    complete mission.
     """
 
     metadata = {"render_modes": [], "render_fps": 20}  # noqa: RUF012 - declared so by Gymnasium

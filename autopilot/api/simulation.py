@@ -156,7 +156,7 @@ class Simulation:
     def step(
         self, thrust_n: Sequence[float] | FloatArray | None = None, *, goal: Sequence[float] | FloatArray | None = None
     ) -> tuple[NavState, StepInfo]:
-        """50 ms: one step of the controller.
+        """50 ms: one step of the controller. Without arguments the vehicle goes on with what it does.
 
         Parameters
         ----------
@@ -166,8 +166,6 @@ class Simulation:
         goal
             (3,) or (4,) north, east, depth [m] and yaw [rad] (left out or NaN = free) to go to from now on, in mode
             GUIDED by set points, with the controller that was chosen. It holds until the next one.
-
-        Without either, the vehicle goes on with what it does.
 
         Returns
         -------
