@@ -79,7 +79,7 @@ globalThis.document = {
   activeElement: null,
 };
 globalThis.window = { devicePixelRatio: 1, addEventListener() {} };
-globalThis.matchMedia = () => ({ matches: dark, addEventListener() {} });
+globalThis.matchMedia = (query) => ({ matches: dark && !query.includes("motion"), addEventListener() {} });
 globalThis.requestAnimationFrame = (work) => frames.push(work);
 globalThis.setInterval = (work) => intervals.push(work);
 globalThis.performance = { now: () => clock.ms };
@@ -117,7 +117,7 @@ for await (const line of createInterface({ input: process.stdin })) {
   else if (refuse) refused = refuse;
   else if (stream !== undefined) { streams.at(-1).readyState = stream; tried(() => (event === "error" ? streams.at(-1).onerror() : streams.at(-1).listeners[event]({}))); }
   else if (note) await new Promise((done) => setImmediate(done));
-  else if (event) tried(() => found[name].listeners[event]({ ...data, target: found[name] }));
+  else if (event) tried(() => found[name].listeners[event]({ preventDefault() {}, ...data, target: found[name] }));
   else tried(() => streams.at(to ?? -1).listeners[name]({ data: JSON.stringify(data) }));
   for (const work of frames.splice(0)) tried(work);
   if (note) notes[note] = shown();
