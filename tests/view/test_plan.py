@@ -148,7 +148,7 @@ def test_the_keys_and_buttons_of_the_plan(events: list[dict[str, Any]]) -> None:
         svg = page([scene, frame, *asked])["svg"]["plan"]
         xs = [x for x, _ in numbers(svg, wall)]
         metres = re.findall(r">([\d.]+ m)</text>", svg)
-        return max(xs) - min(xs), f'stroke="{wall}" stroke-width="1.5"' in svg, metres[-1]
+        return max(xs) - min(xs), 'stroke="#1b2733" stroke-width="2.0"' in svg, metres[-1]
 
     whole, mini, scale = extent_px()
     assert 300 < whole <= 700 and not mini

@@ -143,13 +143,13 @@ function miniMap(ctx, width, height, scene, frame, view, colors) {
   ctx.save();
   path(ctx, frameOf(e0, n1, n0, e1).map(at), true);
   ctx.clip();
-  if (scene.tank_m.length) stroke(ctx, scene.tank_m.map(at), colors.wall, 1.5, true);
+  if (scene.tank_m.length) stroke(ctx, scene.tank_m.map(at), colors.weak, 1, true);
   for (const shape of scene.fence) stroke(ctx, shape.corners_m.map(at), colors.fence, 1, true, [3, 2]);
   for (const solid of frame ? frame.solids : []) circle(ctx, at(solid.center_m), Math.max(solid.radius_m * scale, 1.5), colors.solid, 1, true);
   for (const place of scene.places) circle(ctx, at(place.pos_ned_m), 2, colors.place, 1, true);
   if (frame && frame.estimate) circle(ctx, at(frame.estimate.pos_ned_m), 3, colors.body, 1, true);
   const seen = view.box;
-  stroke(ctx, frameOf(seen.e0, seen.n1, seen.n0, seen.e1).map(at), colors.ink, 1.5, true);
+  stroke(ctx, frameOf(seen.e0, seen.n1, seen.n0, seen.e1).map(at), colors.ink, 2, true);
   ctx.restore();
   stroke(ctx, frameOf(e0, n1, n0, e1).map(at), colors.weak, 1, true);
 }

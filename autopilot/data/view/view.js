@@ -463,9 +463,10 @@ $("plan").addEventListener("touchstart", (event) => {
 $("plan").addEventListener("wheel", (event) => {
   if (event.deltaY > 0 && !seen.camera) return; // nothing to zoom out of: the page scrolls
   event.preventDefault();
-  zoom(Math.exp(-0.002 * event.deltaY * (event.deltaMode ? 20 : 1)), spot(event));
+  zoom(Math.exp(-0.002 * event.deltaY * (event.deltaMode ? 20 : event.ctrlKey ? 5 : 1)), spot(event)); // ctrl: a touchpad's pinch
 }, { passive: false });
 $("plan").addEventListener("pointerdown", (event) => {
+  if (event.button > 0) return;
   const hit = pointers.size ? undefined : grasped(event);
   pointers.set(event.pointerId, spot(event));
   if (hit) {
