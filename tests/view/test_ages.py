@@ -28,6 +28,8 @@ LIVE = {
     "sensors",
     "messages",
     "camera",
+    "pwm",
+    "pace",
 }
 """Everything that is grey once nothing comes any more."""
 GREEN = "#27d07d"

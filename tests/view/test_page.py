@@ -39,9 +39,11 @@ def events(tmp_path_factory: pytest.TempPathFactory) -> Any:
         return heard
 
 
-def page(heard: list[dict[str, Any]], width: int = 700, height: int = 600, theme: str = "light") -> dict[str, Any]:
+def page(
+    heard: list[dict[str, Any]], width: int = 700, height: int = 600, theme: str = "light", *options: str
+) -> dict[str, Any]:
     """What the page makes of it."""
-    command = ["node", str(ROOT / "docs" / "view_page.mjs"), str(width), str(height), theme]
+    command = ["node", str(ROOT / "docs" / "view_page.mjs"), str(width), str(height), theme, *options]
     text = "\n".join(json.dumps(event) for event in heard)
     done = subprocess.run(command, input=text, capture_output=True, text=True, check=True)
     made: dict[str, Any] = json.loads(done.stdout)

@@ -182,6 +182,20 @@ def test_two_fingers_zoom_and_a_drag_pans(events: list[dict[str, Any]]) -> None:
     assert same == width and [dragged[0] - start[0], dragged[1] - start[1]] == pytest.approx([40, -10], abs=0.2)
 
 
+def test_a_followed_vehicle_moves_the_plan_unless_motion_is_unwelcome(events: list[dict[str, Any]]) -> None:  # noqa: F811
+    scene, frame = next(event for event in events if event["name"] == "scene"), events[-1]
+    ahead = copy.deepcopy(frame)
+    ahead["data"]["estimate"]["pos_ned_m"][0] += 0.3
+
+    def wall(sent: dict[str, Any], *options: str) -> tuple[float, float]:
+        clicks = [{"event": "click", "name": name, "data": {}} for name in ("nearer", "follow")]
+        made = page([scene, frame, *clicks, sent], 700, 600, "light", *options)
+        return numbers(made["svg"]["plan"], "#33414e")[0]
+
+    assert math.dist(wall(frame), wall(ahead)) > 20
+    assert wall(frame, "calm") == wall(ahead, "calm")
+
+
 def test_an_open_water_of_360_m_shows_a_vehicle_and_few_arrows(events: list[dict[str, Any]]) -> None:  # noqa: F811
     scene, frame = copy.deepcopy(next(event for event in events if event["name"] == "scene")), copy.deepcopy(events[-1])
     scene["data"] |= {"tank_m": [], "fence": []}

@@ -14,7 +14,7 @@ const ARROW_PX = 20; // least distance of two arrows of the current
 const ARROW_SHARE = 0.07, TANK_M_S = 0.2, STILL_M_S = 0.005;
 
 // The largest of 1, 2 and 5 times a power of ten that is not above a value.
-export function roundFigure(value) {
+function roundFigure(value) {
   const power = 10 ** Math.floor(Math.log10(value) + 1e-9);
   return power * Math.max(...[1, 2, 5].filter((figure) => figure * power <= value * (1 + 1e-9)));
 }

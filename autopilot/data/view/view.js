@@ -88,7 +88,7 @@ function showAges() {
   const told = (age, old) => (old ? `${ageText(age)} old` : ageText(age)), frames = told(behind, dead);
   const place = !nav ? "no estimate" : nav.health === "INVALID" && !dead ? "estimate invalid" : told(nav.age_s + behind, dead || lost(frame));
   const noPlace = dead || lost(frame), old = pictureOld(now);
-  mark("frameage", frames, dead, "now", "alarms", "plan", "side", "legend", "flow", "state");
+  mark("frameage", frames, dead, "now", "alarms", "plan", "side", "legend", "flow", "state", "pwm", "pace");
   for (const id of ["planage", "sideage", "stateage"]) mark(id, place, noPlace);
   mark("barsage", place, noPlace, "bars");
   for (const id of ["thrusters", "sensors", "messages"]) mark(`${id}age`, frames, dead, id);
