@@ -205,8 +205,16 @@ def test_an_open_water_of_360_m_shows_a_vehicle_and_few_arrows(events: list[dict
     made = page([scene, flow, frame])["svg"]["plan"]
     arrows = made.count('stroke="#5689ab" stroke-width="1.2"') / 2
     assert 1 <= arrows <= 4
-    body = numbers(made, "#0b6fa4")
-    assert max(x for x, _ in body) - min(x for x, _ in body) >= 8
+    follow = {"event": "click", "name": "follow", "data": {}}
+
+    def size(svg: str) -> float:
+        """Of the vehicle, in pixels."""
+        xs = [x for x, _ in numbers(svg, "#0b6fa4")]
+        return max(xs) - min(xs)
+
+    assert size(made) >= 8
+    sides = [page([scene, flow, frame, *asked])["svg"]["side"] for asked in ([], [follow])]
+    assert size(sides[1]) > 10 * size(sides[0]), "the side view goes with the plan"
 
 
 def test_everything_is_shown_at_first(events: list[dict[str, Any]]) -> None:  # noqa: F811

@@ -243,13 +243,15 @@ function drawWorld(ctx, view, told, reach, { scene, frame, flow, trail, moving, 
   }
 }
 
-export function drawSide(ctx, width, height, { scene, frame, trail, lost }, colors) {
-  const box = extent(scene, frame), turned = planView(2, 1, box).turned;
-  const [a0, a1, axis] = turned ? [box.n0, box.n1, 0] : [box.e0, box.e1, 1];
+// `view`: of the plan. Zoomed in, the side view shows the part along its axis that the plan shows.
+export function drawSide(ctx, width, height, { scene, frame, trail, lost, camera, view }, colors) {
+  const all = extent(scene, frame), turned = planView(2, 1, all).turned, box = camera ? view.box : all;
+  let [a0, a1, axis] = turned ? [box.n0, box.n1, 0] : [box.e0, box.e1, 1];
   const depths = [...scene.places.map((p) => p.pos_ned_m[2]), frame && frame.estimate ? frame.estimate.pos_ned_m[2] : 0];
   const floor = scene.tank_depth_m === null ? Math.max(1, 1.3 * Math.max(...depths)) : scene.tank_depth_m;
   const scale = Math.min(width / (a1 - a0), (height - 16) / (1.12 * floor));
   const middle = 0.5 * (a0 + a1), top = 8 + 0.04 * floor * scale;
+  if (camera) [a0, a1] = [middle - width / 2 / scale, middle + width / 2 / scale];
   const at = (p) => [width / 2 + (p[axis] - middle) * scale, top + p[2] * scale];
   const flat = (along, z) => [width / 2 + (along - middle) * scale, top + z * scale];
   ctx.fillStyle = colors.back;

@@ -57,7 +57,7 @@ function draw() {
     }
     seen.view = drawPlan(ctx, width, height, shown, palette);
     showHandles(width, height);
-    drawSide(...context($("side")), shown, palette);
+    drawSide(...context($("side")), { ...shown, view: seen.view }, palette);
     if (seen.scene.steerable.current) {
       drawFlow(...context($("flow")), drag && drag.flow ? drag.flow : seen.frame && seen.frame.extra_current_ned_m_s, seen.view && seen.view.turned, palette);
     }
