@@ -1,4 +1,4 @@
-// Runs the live view's page without a browser: node docs/view_page.mjs WIDTH HEIGHT light|dark < events.jsonl
+// Runs the live view's page without a browser: node docs/view_page.mjs WIDTH HEIGHT light|dark [calm] < events.jsonl
 // Events are what the process sends, one {"name", "data"} a line. Printed is JSON: what the page drew, as SVG by canvas,
 // what stands in it, what it asked for, and errors. {"wait": seconds} lets time pass, {"sleep": seconds}
 // with nothing done meanwhile; "to" is the number of the stream that an event comes by (default: the newest), {"event": "error" | "open", "stream": state}
@@ -79,7 +79,7 @@ globalThis.document = {
   activeElement: null,
 };
 globalThis.window = { devicePixelRatio: 1, addEventListener() {} };
-globalThis.matchMedia = () => ({ matches: dark, addEventListener() {} });
+globalThis.matchMedia = (query) => ({ matches: query.includes("motion") ? process.argv[5] === "calm" : dark, addEventListener() {} });
 globalThis.requestAnimationFrame = (work) => frames.push(work);
 globalThis.setInterval = (work) => intervals.push(work);
 globalThis.performance = { now: () => clock.ms };
@@ -117,7 +117,7 @@ for await (const line of createInterface({ input: process.stdin })) {
   else if (refuse) refused = refuse;
   else if (stream !== undefined) { streams.at(-1).readyState = stream; tried(() => (event === "error" ? streams.at(-1).onerror() : streams.at(-1).listeners[event]({}))); }
   else if (note) await new Promise((done) => setImmediate(done));
-  else if (event) tried(() => found[name].listeners[event]({ ...data, target: found[name] }));
+  else if (event) tried(() => found[name].listeners[event]({ preventDefault() {}, ...data, target: found[name] }));
   else tried(() => streams.at(to ?? -1).listeners[name]({ data: JSON.stringify(data) }));
   for (const work of frames.splice(0)) tried(work);
   if (note) notes[note] = shown();

@@ -71,8 +71,8 @@ def figure(page: dict[str, Any]) -> str:
         line(name, x)
         line(value, x + PANEL - 28, anchor="end")
         left, span = (float(bar["rod"][key].rstrip("%")) / 100 for key in ("left", "width"))
-        color = "#c4262e" if bar["full"] else "#7fb8d8"
-        parts.append(f'<rect x="{x + 110}" y="{y - 9}" width="180" height="10" fill="#d4dce3"/>')
+        color = "#c4262e" if bar["full"] else "#1f7fb4"
+        parts.append(f'<rect x="{x + 110}" y="{y - 9}" width="180" height="10" fill="#e8edf2"/>')
         parts.append(f'<rect x="{x + 110 + 180 * left}" y="{y - 9}" width="{180 * span}" height="10" fill="{color}"/>')
     parts.append(placed("camera", x, y + 12))
     across, high = WIDTH + PANEL, HEIGHT

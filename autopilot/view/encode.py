@@ -262,6 +262,7 @@ def _goal(out: Outputs) -> GoalView | None:
         accept_radius_m=_number(goal.accept_radius_m),
         accept_yaw_rad=_number(goal.accept_yaw_rad),
         speed_m_s=_number(goal.speed_m_s),
+        speed_asked=goal.speed_asked,
         item=goal.seq,
     )
 

@@ -150,6 +150,8 @@ class GoalView(msgspec.Struct, frozen=True, kw_only=True):
     accept_radius_m: float
     accept_yaw_rad: float
     speed_m_s: float
+    speed_asked: bool
+    """False = an upper bound."""
     item: int
 
 

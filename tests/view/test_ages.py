@@ -28,6 +28,8 @@ LIVE = {
     "sensors",
     "messages",
     "camera",
+    "pwm",
+    "pace",
 }
 """Everything that is grey once nothing comes any more."""
 GREEN = "#27d07d"
@@ -219,7 +221,7 @@ def test_each_group_goes_grey_by_its_own_limit(seen: Page, heard: dict[str, Even
     seen.note("none")
     notes = seen.made()["notes"]
     assert notes["state fresh"]["stale"] == [] and notes["state fresh"]["rows"] == 0
-    assert notes["state old"]["stale"] == ["bars"] and notes["state old"]["rows"] == 4
+    assert notes["state old"]["stale"] == ["bars"] and notes["state old"]["rows"] == 5
     assert notes["row fresh"]["rows"] == 0 and notes["row old"]["rows"] == 1
     body = "#0b6fa4"
     vehicle = f'stroke="{body}" stroke-width="2.0"'

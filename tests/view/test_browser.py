@@ -125,7 +125,7 @@ def test_what_is_pressed_is_done(flight: Run) -> None:
     with browser.page(browser.found()) as page:
         page.size(1200, 800)
         page.open(f"http://127.0.0.1:{flight.port}/")
-        page.wait("document.getElementById('mode')?.textContent")
+        page.wait("document.getElementById('armed')?.textContent")
         page.ask("document.getElementById('pause').click()")
         page.wait("document.getElementById('clock').textContent.includes('paused')")
         page.ask("document.getElementById('pause').click()")

@@ -39,9 +39,11 @@ def events(tmp_path_factory: pytest.TempPathFactory) -> Any:
         return heard
 
 
-def page(heard: list[dict[str, Any]], width: int = 700, height: int = 600, theme: str = "light") -> dict[str, Any]:
+def page(
+    heard: list[dict[str, Any]], width: int = 700, height: int = 600, theme: str = "light", *options: str
+) -> dict[str, Any]:
     """What the page makes of it."""
-    command = ["node", str(ROOT / "docs" / "view_page.mjs"), str(width), str(height), theme]
+    command = ["node", str(ROOT / "docs" / "view_page.mjs"), str(width), str(height), theme, *options]
     text = "\n".join(json.dumps(event) for event in heard)
     done = subprocess.run(command, input=text, capture_output=True, text=True, check=True)
     made: dict[str, Any] = json.loads(done.stdout)
@@ -68,7 +70,7 @@ def test_the_page_shows_what_it_is_sent(events: list[dict[str, Any]], width: int
     assert float(rods["port"]["rod"]["width"].rstrip("%")) == pytest.approx(50 * min(abs(port) / 12, 1), abs=0.1)
     for name in ("plan", "side"):
         assert made["svg"][name].count("<path") > 5
-    fence, tube = ("#c4262e", "rgba(208,124,0,.35)") if theme == "light" else ("#ff6b6b", "rgba(240,168,60,.35)")
+    fence, tube = ("#c4262e", "rgba(184,106,0,.3)") if theme == "light" else ("#ff6b6b", "rgba(240,168,60,.35)")
     assert made["svg"]["side"].count(fence) >= 3, "two ends of the fence and the deepest place"
     assert tube in made["svg"]["side"] and tube in made["svg"]["plan"]
     assert ">A</text>" in made["svg"]["plan"] and ">B</text>" in made["svg"]["plan"]
@@ -79,7 +81,7 @@ def test_the_page_shows_what_it_is_sent(events: list[dict[str, Any]], width: int
 
 
 PLANS = """
-import { drawPlan, extent, flowScale, planView } from "%s";
+import { extent, flowScale, planView } from "%s";
 const made = [];
 for (const [width, height] of [[720, 440], [360, 500], [500, 500], [900, 300]]) {
   for (const [north, east, speed] of [[5, 3, 0.25], [3, 5, 0.004], [12, 6, 0.021], [400, 120, 0.7], [4, 4, 1.9]]) {
@@ -97,7 +99,7 @@ console.log(JSON.stringify(made));
 @needs_node
 def test_the_plan_leaves_room_for_its_margins_and_shows_every_current() -> None:
     """North, scale and key stand in strips that no wall reaches; arrows are to scale with the field."""
-    code = PLANS % (PAGE / "draw.js").as_uri()
+    code = PLANS % (PAGE / "plan.js").as_uri()
     done = subprocess.run(["node", "--input-type=module", "-e", code], capture_output=True, text=True, check=True)
     made = json.loads(done.stdout)
     assert len(made) == 20
@@ -130,7 +132,7 @@ def test_what_is_old_is_no_news(events: list[dict[str, Any]]) -> None:
     silent["age_s"], frame["data"]["control"]["age_s"] = 7.2, 6.0
     frame["data"]["estimate"]["health"] = "INVALID"
     made = page([scene, frame])
-    horizon = "#d07c00"
+    horizon = "#b86a00"
     assert horizon in fresh["svg"]["plan"] and horizon not in made["svg"]["plan"] + made["svg"]["side"]
     facts = dict(zip(made["state"][::2], made["state"][1::2], strict=True))
     assert facts["Controller"] == "at rest for 6 s" and "Predicted margin" not in facts

@@ -3,6 +3,7 @@
 // what the loop has been silent for, what the frame was delayed by on its way, and since then. Limits: scene.ages.
 
 export const ASLEEP_S = 4; // of silence on an open stream: what comes first after it may have lain in a buffer
+const PACE_S = 3; // over which the speed of a simulation is taken
 export const REOPEN_S = 8; // of silence: the stream is as good as gone
 
 // What the stream says about itself. Times in s, `now` on the page's monotonic clock, `sent` on the process's.
@@ -19,6 +20,21 @@ export class Link {
   // Of the newest frame; null before the first.
   age(now) { return this.arrived === null ? null : this.delay + this.loop + now - this.arrived; }
   since(now) { return this.arrived === null ? Infinity : now - this.arrived; }
+}
+
+// How fast the vehicle's time has gone lately in real time, null while that is not known.
+export class Pace {
+  constructor() { this.frames = []; }
+  take(frame) {
+    const last = this.frames[this.frames.length - 1];
+    if (frame.paused || (last && (frame.t_s < last.t_s || frame.speed !== last.speed))) this.frames = [];
+    if (!frame.paused) this.frames.push({ t_s: frame.t_s, sent_s: frame.sent_s - frame.stale_s, speed: frame.speed });
+    while (this.frames.length > 2 && frame.sent_s - this.frames[1].sent_s > PACE_S) this.frames.shift();
+  }
+  reached() {
+    const [first, last] = [this.frames[0], this.frames[this.frames.length - 1]];
+    return first && last.sent_s - first.sent_s > 0.5 * PACE_S ? (last.t_s - first.t_s) / (last.sent_s - first.sent_s) : null;
+  }
 }
 
 // A picture comes less often in the vehicle's time the faster that goes: old is what is old by both clocks.

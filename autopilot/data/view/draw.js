@@ -1,17 +1,19 @@
 // Drawing on 2D contexts. Nothing here knows the page: a context, a size, the data and colours go in.
 // World: north up, east to the right in the plan; east to the right, depth down in the side view.
+import { ageText } from "./ages.js";
+import { STRIP, extent, flowScale, gridStep, planView, thinned } from "./plan.js";
 
 export const DARK = {
   back: "#18222c", ink: "#e4ebf1", weak: "#93a4b3", wall: "#c3d0db", fence: "#ff6b6b", margin: "rgba(255,107,107,.16)",
   water: "#1d2c39", solid: "#7d8a96", place: "#4cc38a", goal: "#4cc38a", route: "#c79bff", horizon: "#f0a83c",
   tube: "rgba(240,168,60,.35)", trail: "#4fb3e8", truth: "#f5f7fa", body: "#4fb3e8", flow: "#5d86a6", felt: "#2fd6c8", track: "#ff9de0",
-  pillar: "rgba(125,138,150,.55)", nose: "rgba(79,179,232,.75)",
+  grid: "#2a3946", pillar: "rgba(125,138,150,.4)", nose: "rgba(79,179,232,.75)",
 };
 export const LIGHT = {
-  back: "#ffffff", ink: "#1b2733", weak: "#5b6b7a", wall: "#33414e", fence: "#c4262e", margin: "rgba(196,38,46,.12)",
-  water: "#eef5fa", solid: "#8b98a4", place: "#1a7f4b", goal: "#1a7f4b", route: "#7a3fc0", horizon: "#d07c00",
-  tube: "rgba(208,124,0,.35)", trail: "#0b6fa4", truth: "#111111", body: "#0b6fa4", flow: "#8fb3cc", felt: "#00857c", track: "#b3128a",
-  pillar: "rgba(139,152,165,.55)", nose: "rgba(11,111,164,.75)",
+  back: "#ffffff", ink: "#1b2733", weak: "#566573", wall: "#33414e", fence: "#c4262e", margin: "rgba(196,38,46,.12)",
+  water: "#eef5fa", solid: "#66737f", place: "#157344", goal: "#157344", route: "#7a3fc0", horizon: "#b86a00",
+  tube: "rgba(184,106,0,.3)", trail: "#0b6fa4", truth: "#111111", body: "#0b6fa4", flow: "#5689ab", felt: "#00857c", track: "#b3128a",
+  grid: "#dde5eb", pillar: "rgba(102,115,127,.4)", nose: "rgba(11,111,164,.75)",
 };
 // What stands for what: words, colour, and how it is drawn (line, dashed, dotted, area).
 export const LEGEND = [
@@ -20,55 +22,6 @@ export const LEGEND = [
   ["kept free", "margin", "area"], ["obstacle", "solid", "area"], ["waypoint, acceptance, heading", "place", "dashed"],
   ["goal", "goal", "line"], ["current", "flow", "line"], ["estimated current", "felt", "line"], ["reported obstacle", "track", "dotted"],
 ];
-
-// Arrows of the current: a round figure, of the size of the fastest there is, is drawn as long as this share of the
-// plan's longer side, and stands beside the plan as the key. Where no water is shown to flow it is that of a tank.
-const ARROW_SHARE = 0.07, TANK_M_S = 0.2, STILL_M_S = 0.005;
-
-// The largest of 1, 2 and 5 times a power of ten that is not above a value.
-function roundFigure(value) {
-  const power = 10 ** Math.floor(Math.log10(value) + 1e-9);
-  return power * Math.max(...[1, 2, 5].filter((figure) => figure * power <= value * (1 + 1e-9)));
-}
-
-// The speed that the key tells, and the way (m) that 1 m/s is drawn as.
-export function flowScale(flow, box) {
-  const fastest = Math.max(0, ...(flow ? flow.arrows : []).map(([, , u, v]) => Math.hypot(u, v)));
-  const told = fastest < STILL_M_S ? TANK_M_S : roundFigure(fastest);
-  return { told, reach: (ARROW_SHARE * Math.max(box.n1 - box.n0, box.e1 - box.e0)) / told };
-}
-
-// Strips above and below the plan: for north, the key of the current and the scale.
-const STRIP = 26;
-
-// What the plan shows: tank, fence, waypoints, the vehicle; never less than a metre.
-export function extent(scene, frame) {
-  const points = [...scene.tank_m, ...scene.places.map((p) => p.pos_ned_m)];
-  for (const shape of scene.fence) points.push(...shape.corners_m);
-  for (const solid of frame ? frame.solids : []) points.push(solid.center_m);
-  if (frame && frame.estimate) points.push(frame.estimate.pos_ned_m);
-  if (!points.length) points.push([0, 0]);
-  const norths = points.map((p) => p[0]), easts = points.map((p) => p[1]);
-  let [n0, n1, e0, e1] = [Math.min(...norths), Math.max(...norths), Math.min(...easts), Math.max(...easts)];
-  const pad = Math.max(0.06 * Math.max(n1 - n0, e1 - e0), 0.5 - 0.5 * Math.max(n1 - n0, e1 - e0), 0.1);
-  return { n0: n0 - pad, n1: n1 + pad, e0: e0 - pad, e1: e1 + pad };
-}
-
-// North is up, or to the right where the water is longer that way than the canvas is high.
-export function planView(width, height, box) {
-  const north = box.n1 - box.n0, east = box.e1 - box.e0;
-  const high = Math.max(height - 2 * STRIP, 1);
-  const upright = Math.min(width / east, high / north), lying = Math.min(width / north, high / east);
-  const turned = lying > 1.2 * upright, scale = turned ? lying : upright;
-  const n = 0.5 * (box.n0 + box.n1), e = 0.5 * (box.e0 + box.e1);
-  return {
-    scale, turned,
-    at: ([pn, pe]) => (turned ? [width / 2 + (pn - n) * scale, height / 2 + (pe - e) * scale]
-      : [width / 2 + (pe - e) * scale, height / 2 - (pn - n) * scale]),
-    back: (x, y) => (turned ? [n + (x - width / 2) / scale, e + (y - height / 2) / scale]
-      : [n - (y - height / 2) / scale, e + (x - width / 2) / scale]),
-  };
-}
 
 function path(ctx, points, close) {
   ctx.beginPath();
@@ -120,6 +73,7 @@ function arrow(ctx, [x0, y0], [x1, y1], color, width) {
   stroke(ctx, [side(0.5), [x1, y1], side(-0.5)], color, width);
 }
 
+const LEAST_PX = 7; // radius of the vehicle, at least
 function hull(place, yaw, radius) {
   const [n, e] = place, c = Math.cos(yaw), s = Math.sin(yaw);
   const corner = (f, r) => [n + radius * (f * c - r * s), e + radius * (f * s + r * c)];
@@ -144,34 +98,88 @@ function fillTube(ctx, points, radii, color) {
   ctx.fill();
 }
 
-// North in the strip above the plan; in that below the key of the current and the scale.
-function margins(ctx, width, height, view, told, reach, colors) {
+// The same with its two edges, which can be told from the ground.
+function drawTube(ctx, points, radii, colors) {
+  fillTube(ctx, points, radii, colors.tube);
+  const edges = [[], []];
+  points.forEach(([x, y], index) => {
+    const [x0, y0] = points[Math.max(index - 1, 0)], [x1, y1] = points[Math.min(index + 1, points.length - 1)];
+    const length = Math.hypot(x1 - x0, y1 - y0), r = radii[index];
+    if (length < 0.5) return;
+    const [u, v] = [(r * (y1 - y0)) / length, (r * (x0 - x1)) / length];
+    edges[0].push([x + u, y + v]);
+    edges[1].push([x - u, y - v]);
+  });
+  for (const edge of edges) stroke(ctx, edge, colors.horizon, 0.8);
+}
+
+// North in the strip above the plan; in that below the key of the current and the scale, which is one square of the grid.
+function margins(ctx, width, height, view, { told, reach, old }, colors) {
   const at = view.turned ? [12, STRIP / 2] : [18, STRIP - 4], up = view.turned ? [34, STRIP / 2] : [18, 4];
   arrow(ctx, at, up, colors.ink, 1.5);
   text(ctx, "N", view.turned ? 40 : 26, STRIP / 2, colors.ink);
   const low = height - STRIP / 2, key = told * reach * view.scale;
-  arrow(ctx, [12, low], [12 + key, low], colors.flow, 1.5);
-  text(ctx, `${Number(told.toPrecision(1))} m/s`, 18 + key, low, colors.weak);
-  let metres = 10 ** Math.floor(Math.log10(0.3 * width / view.scale));
-  if (metres * view.scale < 0.06 * width) metres *= 5;
-  const length = metres * view.scale, x = width - 12 - length;
+  arrow(ctx, [12, low], [12 + key, low], old ? colors.solid : colors.flow, 1.5);
+  text(ctx, `${Number(told.toPrecision(1))} m/s${old ? `, ${old} old` : ""}`, 18 + key, low, colors.weak);
+  const metres = gridStep(view.scale), length = metres * view.scale, x = width - 12 - length;
   stroke(ctx, [[x, low - 4], [x, low], [x + length, low], [x + length, low - 4]], colors.ink, 1.5);
-  text(ctx, `${metres} m`, x - 6, low, colors.ink, "right");
+  text(ctx, `${Number(metres.toPrecision(1))} m`, x - 6, low, colors.ink, "right");
+}
+
+function drawGrid(ctx, view, colors) {
+  const step = gridStep(view.scale), { n0, n1, e0, e1 } = view.box;
+  for (let n = Math.ceil(n0 / step) * step; n <= n1; n += step) stroke(ctx, [[n, e0], [n, e1]].map(view.at), colors.grid, 1);
+  for (let e = Math.ceil(e0 / step) * step; e <= e1; e += step) stroke(ctx, [[n0, e], [n1, e]].map(view.at), colors.grid, 1);
+}
+
+// Everything in small, with what the plan shows of it.
+function miniMap(ctx, width, height, scene, frame, view, colors) {
+  const { n0, n1, e0, e1 } = view.all, [across, high] = view.turned ? [n1 - n0, e1 - e0] : [e1 - e0, n1 - n0];
+  const scale = Math.min((0.3 * width) / across, (0.3 * (height - 2 * STRIP)) / high, 160 / Math.max(across, high));
+  const [w, h] = [scale * across, scale * high], [x, y] = [width - w - 8, STRIP + 4];
+  const at = ([n, e]) => (view.turned ? [x + (n - n0) * scale, y + (e - e0) * scale] : [x + (e - e0) * scale, y + (n1 - n) * scale]);
+  const frameOf = (left, right, low, high) => [[right, left], [right, high], [low, high], [low, left]];
+  fill(ctx, frameOf(e0, n1, n0, e1).map(at), colors.back);
+  ctx.save();
+  path(ctx, frameOf(e0, n1, n0, e1).map(at), true);
+  ctx.clip();
+  if (scene.tank_m.length) stroke(ctx, scene.tank_m.map(at), colors.weak, 1, true);
+  for (const shape of scene.fence) stroke(ctx, shape.corners_m.map(at), colors.fence, 1, true, [3, 2]);
+  for (const solid of frame ? frame.solids : []) circle(ctx, at(solid.center_m), Math.max(solid.radius_m * scale, 1.5), colors.solid, 1, true);
+  for (const place of scene.places) circle(ctx, at(place.pos_ned_m), 2, colors.place, 1, true);
+  if (frame && frame.estimate) circle(ctx, at(frame.estimate.pos_ned_m), 3, colors.body, 1, true);
+  const seen = view.box;
+  stroke(ctx, frameOf(seen.e0, seen.n1, seen.n0, seen.e1).map(at), colors.ink, 2, true);
+  ctx.restore();
+  stroke(ctx, frameOf(e0, n1, n0, e1).map(at), colors.weak, 1, true);
 }
 
 // Colours of a vehicle that is not where it is drawn any more.
 export const faded = (colors) => ({ ...colors, body: colors.weak, nose: colors.weak, felt: colors.weak, tube: "rgba(128,128,128,.2)" });
 
-export function drawPlan(ctx, width, height, { scene, frame, flow, trail, moving, lost, flowOld }, colors) {
-  const box = extent(scene, frame), view = planView(width, height, box), { at, scale } = view;
-  const { told, reach } = flowScale(flow, box);
-  const many = (points) => points.map(at);
+// `camera`: of plan.js. `flowOld`: how old the field of the current is in words, "" while it is of now.
+export function drawPlan(ctx, width, height, { scene, frame, flow, trail, moving, lost, flowOld, camera }, colors) {
+  const view = planView(width, height, extent(scene, frame), camera), { at, scale } = view;
+  const { told, reach: whole } = flowScale(flow, view.all), reach = (whole * view.fit) / scale; // as long at any zoom
   ctx.fillStyle = colors.back;
   ctx.fillRect(0, 0, width, height);
+  ctx.save();
+  path(ctx, [[0, STRIP], [width, STRIP], [width, height - STRIP], [0, height - STRIP]], true);
+  ctx.clip();
+  drawWorld(ctx, view, told, reach, { scene, frame, flow, trail, moving, lost, flowOld }, colors);
+  ctx.restore();
+  margins(ctx, width, height, view, { told, reach, old: flowOld }, colors);
+  if (scale > 1.05 * view.fit) miniMap(ctx, width, height, scene, frame, view, colors);
+  return view;
+}
+
+function drawWorld(ctx, view, told, reach, { scene, frame, flow, trail, moving, lost, flowOld }, colors) {
+  const { at, scale } = view, many = (points) => points.map(at);
   if (scene.tank_m.length) fill(ctx, many(scene.tank_m), colors.water);
-  for (const [n, e, u, v] of flow ? flow.arrows : []) {
+  drawGrid(ctx, view, colors);
+  for (const [n, e, u, v] of flow ? thinned(flow.arrows, view, 0.9 * told * reach * scale) : []) {
     const [dn, de] = [0.5 * reach * u, 0.5 * reach * v];
-    arrow(ctx, at([n - dn, e - de]), at([n + dn, e + de]), flowOld ? colors.margin : colors.flow, 1.2);
+    arrow(ctx, at([n - dn, e - de]), at([n + dn, e + de]), flowOld ? colors.solid : colors.flow, 1.2);
   }
   // The vehicle's centre stays out of what is kept free, and with it the tube round the prediction.
   for (const shape of scene.fence) {
@@ -196,6 +204,7 @@ export function drawPlan(ctx, width, height, { scene, frame, flow, trail, moving
     const [n, e] = track.pos_ned_m, [u, v] = track.vel_ned_m_s, color = track.age_s > scene.ages.track_s ? colors.weak : colors.track;
     circle(ctx, at([n, e]), track.radius_m * scale, color, 1.5, false, [3, 3]);
     arrow(ctx, at([n, e]), at([n + 2 * u, e + 2 * v]), color, 1.5);
+    if (track.age_s > scene.ages.track_s) text(ctx, `${ageText(track.age_s)} old`, at([n, e])[0], at([n, e])[1], color, "center");
   }
   for (const place of scene.places) {
     const here = at(place.pos_ned_m);
@@ -207,14 +216,13 @@ export function drawPlan(ctx, width, height, { scene, frame, flow, trail, moving
     }
     text(ctx, place.name, here[0] + 8, here[1] - 9, colors.place);
   }
-  margins(ctx, width, height, view, told, reach, colors);
-  if (!frame) return view;
+  if (!frame) return;
   stroke(ctx, many(trail), colors.trail, 1.5);
   const control = frame.control;
   if (control) {
     stroke(ctx, many(control.route_ned_m), colors.route, 1.5, false, [2, 3]);
     if (control.tube_m.length) {
-      fillTube(ctx, many(control.horizon_ned_m), control.tube_m.map((r) => r * scale), colors.tube);
+      drawTube(ctx, many(control.horizon_ned_m), control.tube_m.map((r) => r * scale), colors);
     }
     stroke(ctx, many(control.horizon_ned_m), colors.horizon, 2);
     for (const point of many(control.horizon_ned_m)) circle(ctx, point, 1.6, colors.horizon, 1, true);
@@ -224,24 +232,26 @@ export function drawPlan(ctx, width, height, { scene, frame, flow, trail, moving
   if (frame.estimate) {
     const { pos_ned_m: place, rpy_rad: rpy, sigma_pos_m: sigma, current_ned_m_s: current } = frame.estimate;
     const paint = lost ? faded(colors) : colors;
+    const size = Math.max(scene.body_radius_m, LEAST_PX / scale); // seen from far away still a vehicle
     circle(ctx, at(place), scene.body_radius_m * scale, paint.body, 1.2);
     circle(ctx, at(place), 3 * Math.max(sigma[0], sigma[1]) * scale, paint.body, 1, false, [2, 2]);
-    const shape = many(hull(place, rpy[2], 0.9 * scene.body_radius_m));
+    const shape = many(hull(place, rpy[2], 0.9 * size));
     fill(ctx, shape, paint.tube);
     fill(ctx, [shape[0], shape[1], shape[4]], paint.nose);
     stroke(ctx, shape, paint.body, 2, true);
     arrow(ctx, at(place), at([place[0] + reach * current[0], place[1] + reach * current[1]]), paint.felt, 2.5);
   }
-  return view;
 }
 
-export function drawSide(ctx, width, height, { scene, frame, trail, lost }, colors) {
-  const box = extent(scene, frame), turned = planView(2, 1, box).turned;
-  const [a0, a1, axis] = turned ? [box.n0, box.n1, 0] : [box.e0, box.e1, 1];
+// `view`: of the plan. Zoomed in, the side view shows the part along its axis that the plan shows.
+export function drawSide(ctx, width, height, { scene, frame, trail, lost, camera, view }, colors) {
+  const all = extent(scene, frame), turned = planView(2, 1, all).turned, box = camera ? view.box : all;
+  let [a0, a1, axis] = turned ? [box.n0, box.n1, 0] : [box.e0, box.e1, 1];
   const depths = [...scene.places.map((p) => p.pos_ned_m[2]), frame && frame.estimate ? frame.estimate.pos_ned_m[2] : 0];
   const floor = scene.tank_depth_m === null ? Math.max(1, 1.3 * Math.max(...depths)) : scene.tank_depth_m;
   const scale = Math.min(width / (a1 - a0), (height - 16) / (1.12 * floor));
   const middle = 0.5 * (a0 + a1), top = 8 + 0.04 * floor * scale;
+  if (camera) [a0, a1] = [middle - width / 2 / scale, middle + width / 2 / scale];
   const at = (p) => [width / 2 + (p[axis] - middle) * scale, top + p[2] * scale];
   const flat = (along, z) => [width / 2 + (along - middle) * scale, top + z * scale];
   ctx.fillStyle = colors.back;
@@ -255,7 +265,11 @@ export function drawSide(ctx, width, height, { scene, frame, trail, lost }, colo
   for (const solid of frame ? frame.solids : []) {
     const along = solid.center_m[axis], r = solid.radius_m;
     if (solid.depth_m !== null) circle(ctx, flat(along, solid.depth_m), r * scale, colors.solid, 1, true);
-    else fill(ctx, [flat(along - r, 0), flat(along + r, 0), flat(along + r, floor), flat(along - r, floor)], colors.pillar);
+    else {
+      const pillar = [flat(along - r, 0), flat(along + r, 0), flat(along + r, floor), flat(along - r, floor)];
+      fill(ctx, pillar, colors.pillar);
+      stroke(ctx, pillar, colors.solid, 1, true);
+    }
   }
   // The fence as seen from here: where the vehicle's centre may be along this axis, and between which depths.
   for (const shape of scene.fence) {
@@ -277,7 +291,7 @@ export function drawSide(ctx, width, height, { scene, frame, trail, lost }, colo
   stroke(ctx, trail.map(at), colors.trail, 1.2);
   if (frame.control) {
     const ahead = frame.control.horizon_ned_m.map(at);
-    if (frame.control.tube_m.length) fillTube(ctx, ahead, frame.control.tube_m.map((r) => r * scale), colors.tube);
+    if (frame.control.tube_m.length) drawTube(ctx, ahead, frame.control.tube_m.map((r) => r * scale), colors);
     stroke(ctx, ahead, colors.horizon, 2);
   }
   const { pos_ned_m: place, rpy_rad: rpy } = frame.estimate, r = scene.body_radius_m, h = scene.half_height_m;
@@ -297,7 +311,7 @@ export function drawPicture(ctx, width, height, picture, image, old, colors) {
   ctx.fillStyle = colors.back;
   ctx.fillRect(0, 0, width, height);
   if (!picture) { text(ctx, "no picture", width / 2, height / 2, colors.weak, "center"); return; }
-  const found = old ? [colors.weak, colors.weak] : ["#27d07d", "#ff4d4d"];
+  const found = old ? [DARK.weak, DARK.weak] : ["#27d07d", "#ff4d4d"];
   const scale = Math.min(width / picture.width_px, height / picture.height_px);
   const x = (width - scale * picture.width_px) / 2, y = (height - scale * picture.height_px) / 2;
   ctx.globalAlpha = old ? 0.4 : 1;
@@ -305,8 +319,12 @@ export function drawPicture(ctx, width, height, picture, image, old, colors) {
   ctx.globalAlpha = 1;
   const at = ([px, py]) => [x + scale * px, y + scale * py];
   for (const [id, corners] of picture.markers) {
+    const name = String(id), [left, up] = at(corners[0]);
+    stroke(ctx, corners.map(at), DARK.back, 3.5, true);
     stroke(ctx, corners.map(at), found[0], 1.5, true);
-    text(ctx, String(id), at(corners[0])[0] + 2, at(corners[0])[1] - 6, found[0]);
+    ctx.fillStyle = DARK.back;
+    ctx.fillRect(left, up - 13, 4 + 7 * name.length, 14);
+    text(ctx, name, left + 2, up - 6, found[0]);
   }
   if (picture.laser_px) circle(ctx, at(picture.laser_px), 6, found[1], 2);
   if (!old) return;

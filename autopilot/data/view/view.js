@@ -1,14 +1,16 @@
 // The page: takes the stream, draws when there is something new, sends what is asked for.
-import { ASLEEP_S, Link, REOPEN_S, ageText, pictureAge } from "./ages.js";
+import { ASLEEP_S, Link, Pace, REOPEN_S, ageText, pictureAge } from "./ages.js";
 import { DARK, LEGEND, LIGHT, drawFlow, drawPicture, drawPlan, drawSide, flowAt } from "./draw.js";
+import { ZOOM_STEP, extent, followed, following, gridStep, panned, planView, zoomed } from "./plan.js";
 
 const $ = (id) => document.getElementById(id);
 const meta = (name) => document.querySelector(`meta[name=view-${name}]`).content;
 const version = meta("version");
-const dark = matchMedia("(prefers-color-scheme: dark)");
-const seen = { scene: null, frame: null, flow: null, picture: null, image: null, trail: [], view: null, moving: null, pictureOld: false, other: false, wall_s: 0 };
+const dark = matchMedia("(prefers-color-scheme: dark)"), calm = matchMedia("(prefers-reduced-motion: reduce)");
+const seen = { scene: null, frame: null, flow: null, picture: null, image: null, trail: [], view: null, camera: null, moving: null, pictureOld: false, other: false, wall_s: 0 };
 const TRAIL = 1500;
 const link = new Link();
+let pace = new Pace();
 let token = meta("token"), source = null, opened = 0, heard = 0, trouble = "", asked = false, messages = 0, drag = null;
 
 const colors = () => (dark.matches ? DARK : LIGHT);
@@ -46,9 +48,16 @@ function draw() {
   if (seen.scene) {
     const { frame, flow } = seen, now = seconds();
     const shown = { ...seen, frame: frame && { ...frame, control: current(frame) }, lost: frame && lost(frame) };
-    shown.flowOld = flow && frame && pictureAge(flow, frame, now).old(ages().flow_s);
-    seen.view = drawPlan(...context($("plan")), shown, palette);
-    drawSide(...context($("side")), shown, palette);
+    const water = flow && frame && pictureAge(flow, frame, now);
+    shown.flowOld = water && water.old(ages().flow_s) ? ageText(water.age) : "";
+    const [ctx, width, height] = context($("plan"));
+    if (seen.camera && seen.camera.follow && frame && frame.estimate) {
+      const view = planView(width, height, extent(seen.scene, frame), seen.camera);
+      shown.camera = seen.camera = followed(seen.camera, view, frame.estimate.pos_ned_m, calm.matches);
+    }
+    seen.view = drawPlan(ctx, width, height, shown, palette);
+    showHandles(width, height);
+    drawSide(...context($("side")), { ...shown, view: seen.view }, palette);
     if (seen.scene.steerable.current) {
       drawFlow(...context($("flow")), drag && drag.flow ? drag.flow : seen.frame && seen.frame.extra_current_ned_m_s, seen.view && seen.view.turned, palette);
     }
@@ -79,17 +88,17 @@ function showAges() {
   const told = (age, old) => (old ? `${ageText(age)} old` : ageText(age)), frames = told(behind, dead);
   const place = !nav ? "no estimate" : nav.health === "INVALID" && !dead ? "estimate invalid" : told(nav.age_s + behind, dead || lost(frame));
   const noPlace = dead || lost(frame), old = pictureOld(now);
-  mark("frameage", frames, dead, "now", "alarms", "plan", "side", "legend", "flow", "state");
+  mark("frameage", frames, dead, "now", "alarms", "plan", "side", "legend", "flow", "state", "pwm", "pace");
   for (const id of ["planage", "sideage", "stateage"]) mark(id, place, noPlace);
   mark("barsage", place, noPlace, "bars");
   for (const id of ["thrusters", "sensors", "messages"]) mark(`${id}age`, frames, dead, id);
   mark("cameraage", picture ? told(pictureAge(picture, frame, now).age + behind, old) : "", old, "camera");
   const silence = link.since(now);
-  $("link").textContent = !dead ? trouble
+  put("link", !dead ? trouble
     : source && source.readyState !== 1 ? `no connection to the vehicle's process; all this is ${ageText(behind)} old`
     : silence > limits.link_s ? `no news from the vehicle's process for ${ageText(silence)}`
     : link.loop > limits.link_s ? `the loop has been silent for ${ageText(link.loop)}`
-    : `the connection is slow: all this is ${ageText(behind)} old`;
+    : `the connection is slow: all this is ${ageText(behind)} old`);
   if (old || seen.pictureOld) soon();
   seen.pictureOld = Boolean(old);
 }
@@ -98,6 +107,11 @@ function soon() {
   if (asked) return;
   asked = true;
   requestAnimationFrame(draw);
+}
+
+// What stands in an element, where a reader of the screen hears every change.
+function put(id, words) {
+  if ($(id).textContent !== words) $(id).textContent = words;
 }
 
 // Panels
@@ -130,6 +144,8 @@ function showState(frame) {
     rows.push(["Roll, pitch, yaw", nav.rpy_rad.map(degrees).join(", "), kind]);
     const [north, east, down] = nav.sigma_pos_m.map((v) => (1e3 * v).toFixed(1));
     rows.push(["Sigma", `${north}, ${east}, ${down} mm, ${degrees(nav.sigma_yaw_rad)}`, kind]);
+    const asked = goal ? (goal.speed_asked ? `, ${fixed(goal.speed_m_s)} asked` : `, at most ${fixed(goal.speed_m_s)}`) : "";
+    rows.push(["Speed over ground", `${fixed(Math.hypot(...nav.vel_frd_m_s))} m/s${asked}`, kind]);
     rows.push(["Estimated current", `${nav.current_ned_m_s.slice(0, 2).map((v) => fixed(v)).join(", ")} m/s`, kind]);
   } else rows.push(["Estimate", "none"]);
   if (truth && nav) {
@@ -138,7 +154,7 @@ function showState(frame) {
   }
   if (truth) rows.push(["Contacts", `${truth.contacts}`], ["Power", `${fixed(truth.power_w, 0)} W`]);
   if (progress) rows.push(["Mission", `${progress.state}, item ${progress.item}, lap ${progress.lap + 1}`]);
-  if (goal) rows.push(["Goal", `${goal.pos_ned_m.map((v) => fixed(v)).join(", ")} m, ${fixed(goal.speed_m_s)} m/s`]);
+  if (goal) rows.push(["Goal", `${goal.pos_ned_m.map((v) => fixed(v)).join(", ")} m`]);
   if (control && !current(frame)) rows.push(["Controller", `at rest for ${fixed(control.age_s, 0)} s`]);
   else if (control) {
     rows.push(["Controller", `${control.status}${control.fallback === "NONE" ? "" : ", fallback " + control.fallback}`]);
@@ -161,18 +177,15 @@ function showBars(scene, frame) {
   if (current(frame)) rows.push(bar("Solve time", control.solve_ms, limits.solve_ms, `${fixed(control.solve_ms, 1)} / ${limits.solve_ms} ms`));
   if (frame.clearance_m !== null) {
     const room = frame.clearance_m - radius;
-    const row = bar("Clearance", Math.max(0, 1 - room), 1, `${fixed(room)} m`);
-    row.title = "Body to the fence; full = touching";
-    rows.push(row);
+    rows.push(bar("Body to fence", Math.max(0, 1 - room), 1, `${fixed(room)} m`)); // full = touching
   }
   $("bars").replaceChildren(...rows);
   $("thrusters").replaceChildren(...scene.thrusters.map((name, index) => {
     const thrust = frame.thrust_n[index] ?? 0, weak = frame.effectiveness[index] ?? 1;
     const acting = frame.truth ? ` (${fixed(frame.truth.thrust_n[index], 1)})` : "";
-    const row = bar(name + (weak < 0.95 ? ` ${(100 * weak).toFixed(0)} %` : ""), thrust, limits.thrust_n, `${fixed(thrust, 1)}${acting} N`, true);
-    row.title = `${name}: ${frame.pwm_us[index]} us; bound ${limits.thrust_n} N; in brackets: acting`;
-    return row;
+    return bar(name + (weak < 0.95 ? ` ${(100 * weak).toFixed(0)} %` : ""), thrust, limits.thrust_n, `${fixed(thrust, 1)}${acting} N`, true);
   }));
+  $("pwm").textContent = `PWM ${frame.pwm_us.join(", ")} µs; bound ${limits.thrust_n} N${frame.truth ? "; in brackets: acting" : ""}`;
 }
 
 function showSensors(frame) {
@@ -214,7 +227,9 @@ function showFrame(frame) {
   $("control").textContent = lost ? `control: ${plain(steered.fallback)}` : "";
   $("control").className = "badge warn";
   $("clock").textContent = `${frame.t_s.toFixed(1)} s${frame.paused ? ", paused" : ""}`;
-  $("alarms").textContent = frame.failsafes.length ? `Failsafe: ${frame.failsafes.map(plain).join(", ")}` : "";
+  const reached = pace.reached();
+  $("pace").textContent = reached === null ? "" : `${fixed(reached, 1)} × reached`;
+  put("alarms", frame.failsafes.length ? `Failsafe: ${frame.failsafes.map(plain).join(", ")}` : "");
   showState(frame);
   showBars(scene, frame);
   showSensors(frame);
@@ -239,7 +254,7 @@ function showScene(scene) {
   $("fault").replaceChildren(...can.faults.map((offer, index) => Object.assign(element("option", offer.label), { value: String(index) })));
   $("fault").parentElement.parentElement.hidden = !can.faults.length;
   $("flow").parentElement.hidden = !can.current;
-  $("hint").textContent = [can.obstacles ? "Drag an obstacle on the plan; the fence stays where it is." : "", ...can.missing].join(" ").trim();
+  $("hint").textContent = [can.obstacles ? "Drag an obstacle on the plan, or Tab to it: arrow keys, then Enter. The fence stays where it is." : "", ...can.missing].join(" ").trim();
   $("camerabox").hidden = scene.camera_px === null;
 }
 
@@ -265,7 +280,7 @@ function listen(anew = false) {
   stream.addEventListener("open", () => { if (stream === source) link.opened(); });
   on("hello", hello);
   on("scene", (scene) => {
-    if (seen.other) { forget(); seen.frame = null; }
+    if (seen.other) { forget(); seen.frame = null; look(null); }
     seen.scene = scene; seen.trail = scene.trail_ned_m; messages = 0; $("messages").replaceChildren();
     showScene(scene);
   });
@@ -276,6 +291,7 @@ function listen(anew = false) {
     trouble = "";
     seen.other = false;
     link.take(frame, seconds());
+    pace.take(frame);
     const nav = frame.estimate, last = seen.trail[seen.trail.length - 1];
     if (nav && (!last || Math.hypot(last[0] - nav.pos_ned_m[0], last[1] - nav.pos_ned_m[1], last[2] - nav.pos_ned_m[2]) > 0.01)) {
       seen.trail = [...seen.trail.slice(1 - TRAIL), nav.pos_ned_m];
@@ -297,6 +313,7 @@ const wall = () => Date.now() / 1e3; // goes on while the machine sleeps
 // Of another run: nothing of the one before is shown beside it.
 function forget() {
   Object.assign(seen, { trail: [], picture: null, image: null, flow: null, moving: null });
+  pace = new Pace();
   drag = null;
 }
 
@@ -316,6 +333,8 @@ function tick() {
   if (now - Math.max(heard, opened) > (gone ? 1 : REOPEN_S)) listen(true);
   showAges();
 }
+
+function say(words) { put("said", words); $("said").className = ""; }
 
 async function ask(table) {
   const said = $("said");
@@ -353,26 +372,142 @@ function grasped(event) {
   return seen.frame.solids.find((solid) => Math.hypot(solid.center_m[0] - north, solid.center_m[1] - east) <= solid.radius_m + 8 / seen.view.scale);
 }
 
-// A finger scrolls the page, also from the plan, which fills a phone; on an obstacle it drags.
+function look(camera) { seen.camera = camera; $("follow").ariaPressed = String(Boolean(camera && camera.follow)); soon(); }
+
+function zoom(factor, place) {
+  const { view, camera } = seen, canvas = $("plan");
+  if (view) look(zoomed(view, Boolean(camera && camera.follow), factor, place ?? [canvas.clientWidth / 2, canvas.clientHeight / 2]));
+}
+
+function pan(way) { if (seen.view) look(panned(seen.view, way)); }
+
+function follow() {
+  const { view, camera, frame, scene } = seen;
+  if (camera && camera.follow) look({ ...camera, follow: false });
+  else if (view && frame && frame.estimate) look(following(view, frame.estimate.pos_ned_m, scene.body_radius_m));
+}
+
+$("nearer").addEventListener("click", () => zoom(ZOOM_STEP));
+$("farther").addEventListener("click", () => zoom(1 / ZOOM_STEP));
+$("fit").addEventListener("click", () => look(null));
+$("follow").addEventListener("click", follow);
+
+// As the arrow keys point: pixels to the right and down.
+const ARROWS = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, -1], ArrowDown: [0, 1] };
+const PAN_PX = 60;
+const KEYS = { "+": () => zoom(ZOOM_STEP), "=": () => zoom(ZOOM_STEP), "-": () => zoom(1 / ZOOM_STEP), 0: () => look(null), f: follow, F: follow };
+
+function onPlanKey(event) {
+  if (event.ctrlKey || event.metaKey || event.altKey) return;
+  const way = ARROWS[event.key], work = way ? () => pan(way.map((part) => -PAN_PX * part)) : KEYS[event.key];
+  if (!work) return;
+  event.preventDefault();
+  work();
+}
+$("plan").addEventListener("keydown", onPlanKey);
+
+// A handle for each obstacle that can be moved, for the keyboard; the pointer drags on the plan itself.
+function showHandles(width, height) {
+  const solids = seen.frame && seen.scene.steerable.obstacles ? seen.frame.solids : [], box = $("handles");
+  if (box.children.length !== solids.length) box.replaceChildren(...solids.map((_, index) => handle(index)));
+  solids.forEach((solid, index) => {
+    const one = box.children[index], held = seen.moving && seen.moving.number === solid.number;
+    const [x, y] = seen.view.at(held ? seen.moving.place : solid.center_m);
+    one.style.left = `${Math.min(Math.max(x, 0), width)}px`;
+    one.style.top = `${Math.min(Math.max(y, 0), height)}px`;
+    const name = `Obstacle ${solid.number} at ${fixed(solid.center_m[0])} m north, ${fixed(solid.center_m[1])} m east: arrow keys, then Enter`;
+    if (one.ariaLabel !== name) one.ariaLabel = name;
+  });
+}
+
+function handle(index) {
+  const one = element("button"), solid = () => seen.frame.solids[index];
+  one.type = "button";
+  one.addEventListener("focus", () => {
+    const { view, camera } = seen, [n, e] = solid().center_m, { n0, n1, e0, e1 } = view.box;
+    if (n < n0 || n > n1 || e < e0 || e > e1) look({ ...camera, n, e, follow: false });
+  });
+  one.addEventListener("blur", () => { if (!drag) { seen.moving = null; soon(); } });
+  one.addEventListener("keydown", (event) => onHandleKey(event, solid()));
+  return one;
+}
+
+// Arrow keys carry an obstacle by tenths of the grid, Enter puts it down, Escape leaves it where it was.
+function onHandleKey(event, { number, center_m, radius_m }) {
+  const way = ARROWS[event.key], { view } = seen;
+  if (way && !event.ctrlKey && !event.metaKey && !event.altKey) {
+    event.preventDefault();
+    const [x, y] = view.at(seen.moving ? seen.moving.place : center_m), step = 0.1 * gridStep(view.scale) * view.scale;
+    const place = view.back(x + step * way[0], y + step * way[1]);
+    seen.moving = { number, place, radius_m };
+    say(`Obstacle ${number} to ${fixed(place[0])} m north, ${fixed(place[1])} m east: Enter moves it, Escape does not`);
+  } else if (event.key === "Enter" && seen.moving) {
+    event.preventDefault();
+    const [north_m, east_m] = seen.moving.place;
+    seen.moving = null;
+    ask({ do: "obstacle", number, north_m, east_m });
+  } else if (event.key === "Escape" && seen.moving) {
+    seen.moving = null;
+    say("");
+  } else onPlanKey(event);
+  soon();
+}
+
+// On the plan a pointer drags an obstacle or the plan, two zoom. A finger scrolls the page, also from the plan, which
+// fills a phone: it drags an obstacle, and the plan once that is zoomed in.
+const pointers = new Map();
 $("plan").addEventListener("touchstart", (event) => {
   const finger = event.touches[0];
-  if (grasped({ target: event.target, clientX: finger.clientX, clientY: finger.clientY })) event.preventDefault();
+  if (event.touches.length > 1 || seen.camera || grasped({ target: event.target, clientX: finger.clientX, clientY: finger.clientY })) event.preventDefault();
+}, { passive: false });
+$("plan").addEventListener("wheel", (event) => {
+  if (event.deltaY > 0 && !seen.camera) return; // nothing to zoom out of: the page scrolls
+  event.preventDefault();
+  zoom(Math.exp(-0.002 * event.deltaY * (event.deltaMode ? 20 : event.ctrlKey ? 5 : 1)), spot(event)); // ctrl: a touchpad's pinch
 }, { passive: false });
 $("plan").addEventListener("pointerdown", (event) => {
-  const hit = grasped(event);
-  if (hit) { seen.moving = { place: hit.center_m, radius_m: hit.radius_m }; drag = { number: hit.number }; event.target.setPointerCapture(event.pointerId); }
+  if (event.button > 0) return;
+  const hit = pointers.size ? undefined : grasped(event);
+  pointers.set(event.pointerId, spot(event));
+  if (hit) {
+    seen.moving = { number: hit.number, place: hit.center_m, radius_m: hit.radius_m };
+    drag = { number: hit.number };
+  } else {
+    if (drag) seen.moving = null;
+    drag = { plan: true };
+  }
+  event.target.setPointerCapture(event.pointerId);
 });
 $("plan").addEventListener("pointermove", (event) => {
-  if (!seen.moving) return;
-  const [x, y] = spot(event);
-  seen.moving = { ...seen.moving, place: seen.view.back(x, y) };
-  soon();
+  if (!drag || !pointers.has(event.pointerId)) return;
+  const before = pointers.get(event.pointerId), now = spot(event);
+  pointers.set(event.pointerId, now);
+  if (drag.number) {
+    seen.moving = { ...seen.moving, place: seen.view.back(now[0], now[1]) };
+    soon();
+    return;
+  }
+  const other = [...pointers].find(([id]) => id !== event.pointerId);
+  if (other) pinch(other[1], before, now);
+  else if (event.pointerType !== "touch" || seen.camera) pan([now[0] - before[0], now[1] - before[1]]);
 });
+
+// One of two fingers moves: the plan is zoomed as their distance, and goes with the point between them.
+function pinch([x, y], [x0, y0], [x1, y1]) {
+  const apart = (px, py) => Math.max(Math.hypot(px - x, py - y), 1);
+  zoom(apart(x1, y1) / apart(x0, y0), [(x + x0) / 2, (y + y0) / 2]);
+  if (!seen.camera || seen.camera.follow) return;
+  const canvas = $("plan");
+  look(panned(planView(canvas.clientWidth, canvas.clientHeight, seen.view.all, seen.camera), [(x1 - x0) / 2, (y1 - y0) / 2]));
+}
+
 $("plan").addEventListener("pointerup", (event) => {
-  if (!drag || !drag.number) return;
-  seen.moving = null;
-  const [x, y] = spot(event), [north_m, east_m] = seen.view.back(x, y), number = drag.number;
-  drag = null;
+  pointers.delete(event.pointerId);
+  const number = drag && drag.number;
+  if (!pointers.size) drag = null;
+  if (!number) return;
+  seen.moving = drag = null;
+  const [x, y] = spot(event), [north_m, east_m] = seen.view.back(x, y);
   ask({ do: "obstacle", number, north_m, east_m });
 });
 const pull = (event) => { drag = { flow: flowAt(...spot(event), seen.view && seen.view.turned) }; soon(); };
@@ -384,7 +519,30 @@ $("flow").addEventListener("pointerup", () => {
   drag = null;
   ask({ do: "current", north_m_s, east_m_s });
 });
-for (const name of ["plan", "flow"]) $(name).addEventListener("pointercancel", () => { drag = seen.moving = null; soon(); });
+for (const name of ["plan", "flow"]) $(name).addEventListener("pointercancel", () => { pointers.clear(); drag = seen.moving = null; soon(); });
+
+// Arrow keys turn and lengthen the arrow of the added flow, as the plan lies; Enter adds it, Escape does not.
+const FLOW_STEP_M_S = 0.05;
+$("flow").addEventListener("keydown", (event) => {
+  const way = ARROWS[event.key], flow = (drag && drag.flow) || (seen.frame && seen.frame.extra_current_ned_m_s);
+  if (!flow || event.ctrlKey || event.metaKey || event.altKey) return;
+  if (way) {
+    const [dn, de] = seen.view && seen.view.turned ? way : [-way[1], way[0]];
+    const part = (value, step) => Math.max(-1, Math.min(1, Math.round(100 * (value + FLOW_STEP_M_S * step)) / 100));
+    drag = { flow: [part(flow[0], dn), part(flow[1], de)] };
+    say(`Flow ${fixed(drag.flow[0])} m/s north, ${fixed(drag.flow[1])} m/s east: Enter adds it, Escape does not`);
+  } else if (event.key === "Enter" && drag && drag.flow) {
+    const [north_m_s, east_m_s] = drag.flow;
+    drag = null;
+    ask({ do: "current", north_m_s, east_m_s });
+  } else if (event.key === "Escape" && drag && drag.flow) {
+    drag = null;
+    say("");
+  } else return;
+  event.preventDefault();
+  soon();
+});
+$("flow").addEventListener("blur", () => { if (drag && drag.flow) { drag = null; soon(); } });
 window.addEventListener("resize", soon);
 dark.addEventListener("change", () => { legend(); soon(); });
 setInterval(tick, 250);
