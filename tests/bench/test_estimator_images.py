@@ -80,6 +80,7 @@ def test_each_bar_can_be_missed() -> None:
 
 def test_command_prints_and_draws(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     rows = [replace(GOOD, turbidity_1_m=c, height_m=h) for c in (0.0, 1.0) for h in (0.3, 0.8)]
+    monkeypatch.delenv("COLUMNS", raising=False)  # which pytest-xdist sets
     monkeypatch.setattr(estimator_images, "bench_images", lambda short: iter(rows))
     monkeypatch.setattr("autopilot.bench.machine.slowness", lambda: 1.0)
     done = CliRunner().invoke(bench_command, ["estimator", "--images", "--figures", str(tmp_path / "new")])

@@ -138,7 +138,9 @@ def test_what_is_wrong_is_told_in_one_line(lab: Callable[[str], None], name: str
 
 
 def test_estimator_and_plant_are_named_by_their_options() -> None:
-    with pytest.raises(ConfigError, match=r"--estimator 'ukf' is not known; use one of ekf, complementary, or"):
+    with pytest.raises(
+        ConfigError, match=r"--estimator 'ukf' is not known; did you mean ekf\? use one of ekf, complementary, or"
+    ):
         create_estimator("ukf", VEHICLE, None)
     given = PlantContext(scenario=load_scenario("open-water"), vehicle=VEHICLE, seed=1)
     with pytest.raises(ConfigError, match=r"--plant 'gazebo' is not known; use one of rigid-body, or package:Class"):

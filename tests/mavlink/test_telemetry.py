@@ -88,7 +88,7 @@ def test_version_numbers() -> None:
 
 
 def test_unknown_profiles_are_refused() -> None:
-    with pytest.raises(ConfigError, match="profile 'apm' does not exist; use one of generic, px4, ardusub"):
+    with pytest.raises(ConfigError, match="profile 'apm' is not known; use one of generic, px4, ardusub"):
         World("apm")
 
 

@@ -49,7 +49,7 @@ def test_what_a_flight_draws_depends_on_nothing_but_its_name() -> None:
     assert len(some) == 2 * len(ROWS) * len(PLANS) and more[: len(some)] == some
     assert [task.key for task in tasks(2, ["LEAK"])] == [task.key for task in some if task.case.rule.name == "LEAK"]
     assert len({task.at_s for task in more}) > len(more) // 2
-    with pytest.raises(ConfigError, match="row 'LEEK' does not exist"):
+    with pytest.raises(ConfigError, match="row 'LEEK' is not known; did you mean LEAK"):
         tasks(1, ["LEEK"])
 
 
