@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from autopilot.api.arrays import finite, thrust_limit_n
 from autopilot.control.constraints.obstacles import Features
 from autopilot.control.nmpc.grid import TimeGrid, geometric_grid
 from autopilot.control.nmpc.solver import Nmpc, NmpcProblem, NmpcResult
@@ -96,10 +97,7 @@ class GoalMpc:
         ConfigError
             State, goal or current of another shape, or no solution from there.
         """
-        x0, end, flow = np.array(x, float), np.array(goal, float), np.array(current_ned_m_s, float)
-        for name, given, size in (("x", x0, NX), ("goal", end, 4), ("current_ned_m_s", flow, 3)):
-            if given.shape != (size,) or not np.isfinite(given).all():
-                raise ConfigError(f"{name}={given.tolist()!r} must be {size} finite numbers")
+        x0, end, flow = finite("x", x, NX), finite("goal", goal, 4), finite("current_ned_m_s", current_ned_m_s, 3)
         nmpc = self.nmpc
         if self._begun:
             nmpc.shift(STEP_S)
@@ -157,7 +155,6 @@ class GoalMpc:
             *(params["SPD_PLANAR_MAX"], params["SPD_HEAVE_MAX"], params["SPD_YAW_MAX"]),
             *(self._fence.depth_min_m, self._fence.depth_max_m),
         )
-        limit_n = np.array([min(params["THR_LIMIT"], each.limit_n) for each in self.vehicle.thrusters])
         return nmpc.solve(
             NmpcProblem(
                 x0=x0,
@@ -168,7 +165,7 @@ class GoalMpc:
                 weight_u=weights.u,
                 terminal=weights.terminal,
                 limits=np.array(limits),
-                thrust_limit_n=limit_n,
+                thrust_limit_n=thrust_limit_n(self.vehicle, params),
                 plane_n=plane_n,
                 plane_d_m=plane_d,
                 buoyancy_excess_n=np.array([model.buoyancy_excess_n]),

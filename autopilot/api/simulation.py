@@ -14,14 +14,13 @@ from pathlib import Path
 from types import TracebackType
 from typing import Self, Unpack
 
-import numpy as np
-
+from autopilot.api.arrays import finite, thrust_limit_n
 from autopilot.api.set_points import SetPointClient
 from autopilot.api.settings import FlightOptions, settings_of
 from autopilot.api.stepped import Stepped
 from autopilot.control.protocol import STEP_S
 from autopilot.core.clock import TICK_US
-from autopilot.core.errors import AutopilotError, ConfigError
+from autopilot.core.errors import AutopilotError
 from autopilot.core.frames import FloatArray
 from autopilot.core.messages import Goal, NavState, Outputs, ProgressState
 from autopilot.core.vehicle import Vehicle, load_vehicle
@@ -99,7 +98,7 @@ class Simulation:
         log: str | Path | None = None,
         **options: Unpack[FlightOptions],
     ) -> None:
-        self._scenario, self._start, self._options = scenario, start, options
+        self._start = start
         self._log = None if log is None else Path(log)
         folder = tempfile.mkdtemp(prefix="simulation-")
         self._clean = weakref.finalize(self, shutil.rmtree, folder, ignore_errors=True)
@@ -182,10 +181,9 @@ class Simulation:
         session = self._open()
         stepped = session.parts.controller
         assert isinstance(stepped, Stepped) and self._client is not None
-        count = len(session.vehicle.thrusters)
         if goal is not None:
             self._client.go_to(_goal(goal))
-        stepped.thrust_n = None if thrust_n is None else _finite("thrust_n", thrust_n, (count,))
+        stepped.thrust_n = None if thrust_n is None else finite("thrust_n", thrust_n, len(self.vehicle.thrusters))
         nav, info = self._go_on(session, STEP_TICKS)
         assert nav is not None, "there is one from arming on"
         return nav, info
@@ -202,7 +200,7 @@ class Simulation:
         scenario = load_scenario(self._settings["scenario"])
         vehicle = load_vehicle(self._settings["vehicle"] or scenario.vehicle.model)
         params, _, _ = sitl_params(self._settings, scenario, self._params, 0)
-        return vehicle, np.array([min(params["THR_LIMIT"], each.limit_n) for each in vehicle.thrusters])
+        return vehicle, thrust_limit_n(vehicle, params)
 
     def _open(self) -> SitlSession:
         if self._session is None:
@@ -237,7 +235,7 @@ class Simulation:
         info = StepInfo(
             t_s=1e-6 * last.t_us,
             truth=truth,
-            thrust_n=last.command.thrust_n[: len(session.vehicle.thrusters)].copy(),
+            thrust_n=last.command.thrust_n[: len(self.vehicle.thrusters)].copy(),
             goal=last.goal,
             armed=last.mode.armed,
             mode=session.parts.commander.mode.name,
@@ -258,21 +256,10 @@ class Simulation:
         self.close()
 
 
-def _finite(name: str, given: Sequence[float] | FloatArray, shape: tuple[int, ...]) -> FloatArray:
-    """(shape) ConfigError unless it is that."""
-    try:
-        values = np.array(given, dtype=np.float64)
-    except (TypeError, ValueError) as error:
-        raise ConfigError(f"{name}={given!r} is no array of numbers ({error})") from error
-    if values.shape != shape or not np.isfinite(values).all():
-        raise ConfigError(f"{name}={given!r} must have shape {shape} and be finite")
-    return values
-
-
 def _goal(given: Sequence[float] | FloatArray) -> tuple[float, float, float, float]:
     values = list(given)
     yaw_rad = float(values.pop()) if len(values) == 4 else math.nan
-    north_m, east_m, depth_m = _finite("goal", values, (3,)).tolist()
+    north_m, east_m, depth_m = finite("goal", values, 3).tolist()
     return north_m, east_m, depth_m, yaw_rad
 
 

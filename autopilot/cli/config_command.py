@@ -9,7 +9,7 @@ import click
 
 from autopilot.cli.completion import CONFIG_NAME, SCENARIO_NAME
 from autopilot.cli.console_output import emit_json, print_table
-from autopilot.cli.shared_options import JSON
+from autopilot.cli.shared_options import COPY_OUT, JSON
 
 if TYPE_CHECKING:
     from autopilot.run.config import EffectiveSettings
@@ -57,7 +57,7 @@ def show(scenario: str | None, file: str | None, instance: int, as_json: bool) -
     show_default=True,
     help="Shipped configuration or file to copy.",
 )
-@click.option("--out", type=click.Path(path_type=Path), help="File to write, or its folder (default: NAME.toml).")
+@COPY_OUT
 def new(name: str, source: str, out: Path | None) -> None:
     """Write NAME.toml, a commented configuration for `autopilot run` to edit, with its marker map beside it."""
     from autopilot.run.sitl_copy import copy_target, write_copies

@@ -9,7 +9,7 @@ import click
 
 from autopilot.cli.completion import SCENARIO_NAME
 from autopilot.cli.console_output import EXIT_LOSS, emit_json, print_table
-from autopilot.cli.shared_options import JSON, SCENARIO_VEHICLE
+from autopilot.cli.shared_options import COPY_OUT, JSON, SCENARIO_VEHICLE
 
 if TYPE_CHECKING:
     from autopilot.sitl.scenario_tables import Scenario
@@ -101,7 +101,7 @@ def check(file: str, vehicle: str | None, as_json: bool) -> None:
     show_default=True,
     help="Shipped scenario or file to copy.",
 )
-@click.option("--out", type=click.Path(path_type=Path), help="File to write, or its folder (default: NAME.toml).")
+@COPY_OUT
 def new(name: str, source: str, out: Path | None) -> None:
     """Write NAME.toml, a commented copy to edit, with its plan and what else it needs beside it."""
     from autopilot.run.sitl_copy import copy_scenario, copy_target

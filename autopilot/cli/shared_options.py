@@ -31,6 +31,9 @@ CAMPAIGN_OUT = click.option(
 CAMPAIGN_PARAM = click.option(
     "--param", type=PARAM_VALUE, multiple=True, metavar="NAME=VALUE", help="Set a parameter in all runs; repeatable."
 )
+COPY_OUT = click.option(
+    "--out", type=click.Path(path_type=Path), help="File to write, or its folder (default: NAME.toml)."
+)
 ENGINE = click.option("--engine", default="local", show_default=True, help="local, dask or dask+tcp://HOST:PORT.")
 JOBS = click.option("--jobs", type=click.IntRange(min=1), help="Runs at a time (default: one per core).")
 MARKDOWN_TABLE = click.option("--markdown", is_flag=True, help="As a Markdown table.")
