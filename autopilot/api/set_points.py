@@ -29,8 +29,9 @@ class SetPointClient(ScriptedOperator):
         self._sent_goal_us = -PERIOD_US
         self._asked = False
 
-    def go_to(self, goal: tuple[float, float, float, float]) -> None:
-        """North, east, depth [m], yaw [rad] (NaN = free), from the next tick on."""
+    def go_to(self, goal: tuple[float, float, float, float], *, guided: bool) -> None:
+        """North, east, depth [m], yaw [rad] (NaN = free), from the next tick on. ``guided``: the mode is GUIDED."""
+        self._asked = guided  # a refused set point or a failsafe has ended it, or it has not begun
         if goal != self._goal:
             self._goal, self._sent_goal_us = goal, -PERIOD_US
 

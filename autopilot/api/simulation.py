@@ -26,6 +26,7 @@ from autopilot.core.messages import Goal, NavState, Outputs, ProgressState
 from autopilot.core.vehicle import Vehicle, load_vehicle
 from autopilot.log.log_session import free_path
 from autopilot.log.reader import Log, open_log
+from autopilot.mavlink.api import FlightMode
 from autopilot.run.config import system_id
 from autopilot.run.sitl_console import RunWatch
 from autopilot.run.sitl_params import sitl_params
@@ -182,7 +183,7 @@ class Simulation:
         stepped = session.parts.controller
         assert isinstance(stepped, Stepped) and self._client is not None
         if goal is not None:
-            self._client.go_to(_goal(goal))
+            self._client.go_to(_goal(goal), guided=session.parts.commander.mode is FlightMode.GUIDED)
         stepped.thrust_n = None if thrust_n is None else finite("thrust_n", thrust_n, len(self.vehicle.thrusters))
         nav, info = self._go_on(session, STEP_TICKS)
         assert nav is not None, "there is one from arming on"

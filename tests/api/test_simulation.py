@@ -139,6 +139,21 @@ def test_thrust_acts_for_its_step_and_goals_until_the_next() -> None:
         assert abs(info.truth.rpy_rad[2] - 0.5) < 0.1 and info.contacts == 0 and info.energy_j > 0.0
 
 
+def test_a_goal_after_a_refused_one_is_flown_to() -> None:
+    with quick() as sim:
+        sim.reset(seed=2)
+        _, info = sim.step(goal=[9.0, 9.0, 99.0])
+        said = list(info.events)
+        for _ in range(60):
+            _, info = sim.step()
+            said += info.events
+        assert any("Set point refused: depth 99.00 m" in text for text in said) and info.mode == "HOLD"
+        goal = [-1.4, 0.4, 0.7]
+        for _ in range(300):
+            _, info = sim.step(goal=goal)
+        assert info.mode == "GUIDED" and np.linalg.norm(info.truth.pos_ned_m - goal) < 0.05
+
+
 def test_the_same_seed_and_steps_give_the_same() -> None:
     def flown(sim: Simulation, seed: int) -> tuple[Any, Any]:
         sim.reset(seed)
