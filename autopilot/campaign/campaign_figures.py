@@ -1,8 +1,10 @@
 """Figures of a campaign: histograms of margins and energy, and failures over the drawn values."""
 
 import math
+import textwrap
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import matplotlib as mpl
 import numpy as np
@@ -13,27 +15,46 @@ from matplotlib.ticker import MaxNLocator
 from autopilot.campaign.results import RunResult
 from autopilot.campaign.summary import margin_unit
 from autopilot.core.frames import FloatArray
-from autopilot.log.figure_parts import BOUND, STYLE, legend_above
+from autopilot.log.figure_parts import (
+    BAND,
+    BOUND,
+    LEAST_FOR_BAND,
+    NARROW_IN,
+    SPREAD,
+    STYLE,
+    TRUTH,
+    band_label,
+    figure_of,
+    legend_above,
+    stacked_axes,
+    width_in,
+)
+from autopilot.log.figures import DPI, save
 
 BINS = 40
+LETTERS_AN_IN = 14.0
+"""Of a title."""
+FEWEST_LAPS = 2
+"""Of a curve over laps."""
 FINER = {"m": ("mm", 1000.0), "m/s": ("mm/s", 1000.0), "rad/s": ("mrad/s", 1000.0)}
 """Unit of a margin -> unit in which it is drawn, and factor."""
 
 
-def write_figures(results: Sequence[RunResult], title: str, folder: Path) -> list[Path]:
-    """``margins.png``, ``energy.png`` and ``failures.png`` in ``folder``; a figure without data is not written."""
+def write_figures(results: Sequence[RunResult], title: str, folder: Path, style: Any = None) -> list[Path]:
+    """``margins``, ``energy``, ``laps`` and ``failures`` in ``folder``, each as PNG and PDF; one without data is not
+    written. ``style``: Matplotlib's settings, as of :func:`autopilot.log.figures.paper_style`.
+    """
     flown = [result for result in results if result.flown]
     written = []
-    with mpl.rc_context(STYLE):
+    with mpl.rc_context({**STYLE, "savefig.dpi": DPI, **(style or {})}):
         for name, figure in (
             ("margins", _margins(flown, title)),
             ("energy", _energy(flown, title)),
+            ("laps", _laps(flown, title)),
             ("failures", _failure_map(results, title)),
         ):
             if figure is not None:
-                path = folder / f"{name}.png"
-                figure.savefig(path, dpi=150)
-                written.append(path)
+                written += save(figure, folder / f"{name}.png")
     return written
 
 
@@ -43,7 +64,7 @@ def _margins(flown: Sequence[RunResult], title: str) -> Figure | None:
     if not shown:
         return None
     rows = (len(shown) + 1) // 2
-    figure = Figure(figsize=(7.0, 1.9 * rows))
+    figure = figure_of(1.9 * rows)
     for ax, name in zip(figure.subplots(rows, 2, squeeze=False).flat, shown, strict=False):
         unit, scale = FINER.get(margin_unit(name), (margin_unit(name), 1.0))
         found = [result.margins[name] for result in flown if name in result.margins]
@@ -53,7 +74,7 @@ def _margins(flown: Sequence[RunResult], title: str) -> Figure | None:
         ax.axvspan(-tolerance, 0.0, color="red", alpha=0.12, linewidth=0.0)
     if len(shown) % 2:
         figure.axes[-1].set_visible(False)
-    figure.suptitle(f"{title}: worst margin of each of {len(flown)} runs (red = the bound, shaded = its tolerance)")
+    _title(figure, f"{title}: worst margin of each of {len(flown)} runs (red = the bound, shaded = its tolerance)")
     return figure
 
 
@@ -61,13 +82,36 @@ def _energy(flown: Sequence[RunResult], title: str) -> Figure | None:
     laps = [energy for result in flown for energy in result.energy_j]
     if not laps:
         return None
-    figure = Figure(figsize=(7.0, 2.8))
+    figure = figure_of(2.8)
     ax = figure.subplots()
     _histogram(ax, laps, (0.0, max(laps)), "energy of a lap, everything on board [J]")
     median = float(np.median(laps))
     ax.axvline(median, color="#444444", linewidth=1.0, linestyle=":", label=f"median {median:.0f} J")
     legend_above(ax)
-    figure.suptitle(f"{title}: {len(laps)} laps of {len(flown)} runs")
+    _title(figure, f"{title}: {len(laps)} laps of {len(flown)} runs")
+    return figure
+
+
+def _laps(flown: Sequence[RunResult], title: str) -> Figure | None:
+    """Median and band of SPREAD over the runs that flew as many laps."""
+    laps = max((len(result.energy_j) for result in flown), default=0)
+    if laps < FEWEST_LAPS or len(flown) < LEAST_FOR_BAND:
+        return None
+    figure, axes = stacked_axes(2, 4.2)
+    numbers = np.arange(1, laps + 1)
+    for ax, label, runs in (
+        (axes[0], "energy of a lap [J]", [result.energy_j for result in flown]),
+        (axes[1], "time of a lap [s]", [result.lap_s for result in flown]),
+    ):
+        of_lap = [[values[lap] for values in runs if len(values) > lap] for lap in range(laps)]
+        low, middle, high = np.array([np.quantile(values, (SPREAD[0], 0.5, SPREAD[1])) for values in of_lap]).T
+        ax.fill_between(numbers, low, high, label=band_label(len(flown), "runs"), **BAND)
+        ax.plot(numbers, middle, marker=".", label="median", **TRUTH)
+        ax.set_ylabel(label)
+        ax.xaxis.set_major_locator(MaxNLocator(integer=True))
+    legend_above(axes[0])
+    axes[1].set_xlabel("lap")
+    _title(figure, title)
     return figure
 
 
@@ -89,9 +133,9 @@ def _failure_map(results: Sequence[RunResult], title: str) -> Figure | None:
     shown = np.where(np.isnan(clearance), min(lowest, 0.0) - 5.0, clearance)
     drawn = {key: np.array([float(result.drawn[key]) for result in results]) for key in keys}
     ranked = sorted(keys, key=lambda key: -abs(_rank_correlation(drawn[key], shown)))[:PANELS]
-    columns = min(3, len(ranked))
+    columns = min(3 if width_in() >= NARROW_IN else 2, len(ranked))
     rows = -(-len(ranked) // columns)
-    figure = Figure(figsize=(7.0, 0.6 + 1.9 * rows))
+    figure = figure_of(0.6 + 1.9 * rows)
     panels = figure.subplots(rows, columns, squeeze=False, sharey=True)
     for ax in panels.flat[len(ranked) :]:
         ax.set_visible(False)
@@ -99,11 +143,12 @@ def _failure_map(results: Sequence[RunResult], title: str) -> Figure | None:
         ax.plot(drawn[key][~failed], shown[~failed], ".", color="#1f77b4", markersize=3.0)
         ax.plot(drawn[key][failed], shown[failed], "x", color="red", markersize=5.0)
         ax.axhline(0.0, **BOUND)
-        ax.set_xlabel(f"{key.removeprefix('vehicle.')} (rank correlation {_rank_correlation(drawn[key], shown):+.2f})")
+        correlation = _rank_correlation(drawn[key], shown)
+        ax.set_xlabel(f"{key.removeprefix('vehicle.')}\n(rank correlation {correlation:+.2f})")
         ax.xaxis.label.set_size(6.0)
     for ax in panels[:, 0]:
         ax.set_ylabel("least clearance [mm]")
-    figure.suptitle(f"{title}: {int(failed.sum())} of {len(results)} runs failed (x)")
+    _title(figure, f"{title}: {int(failed.sum())} of {len(results)} runs failed (x)")
     return figure
 
 
@@ -117,6 +162,10 @@ def _rank_correlation(one: FloatArray, other: FloatArray) -> float:
     if len(one) < 3 or np.ptp(one) == 0.0 or np.ptp(other) == 0.0:
         return 0.0
     return float(np.corrcoef(ranks[0], ranks[1])[0, 1])
+
+
+def _title(figure: Figure, text: str) -> None:
+    figure.suptitle(textwrap.fill(text, int(LETTERS_AN_IN * width_in())), fontsize=mpl.rcParams["font.size"])
 
 
 def _histogram(ax: Axes, values: Sequence[float], span: tuple[float, float], label: str) -> None:

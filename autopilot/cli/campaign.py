@@ -18,7 +18,16 @@ from autopilot.cli.completion import SCENARIO_NAME
 from autopilot.cli.console_output import EXIT_FAILED, emit_json, print_table, progress_bar
 from autopilot.cli.finite import FiniteRange
 from autopilot.cli.service_options import part_name
-from autopilot.cli.shared_options import CAMPAIGN_OUT, CAMPAIGN_PARAM, ENGINE, JOBS, JSON, SCENARIO_VEHICLE
+from autopilot.cli.shared_options import (
+    CAMPAIGN_OUT,
+    CAMPAIGN_PARAM,
+    COLUMNS,
+    ENGINE,
+    JOBS,
+    JSON,
+    PAPER,
+    SCENARIO_VEHICLE,
+)
 from autopilot.run.config import SENSORS
 
 if TYPE_CHECKING:
@@ -105,6 +114,8 @@ def table(folders: tuple[Path, ...], markdown: bool, as_json: bool) -> None:
 @click.option("--sensors", type=click.Choice(SENSORS), help="Default: the scenario's.")
 @CAMPAIGN_PARAM
 @click.option("--figures/--no-figures", default=True, show_default=True, help="Figures in the folder.")
+@PAPER
+@COLUMNS
 @click.option(
     "--logs", type=click.IntRange(min=0), default=3, show_default=True, help="Fly the N worst runs again with a log."
 )
@@ -125,6 +136,8 @@ def fly(
     sensors: str | None,
     param: tuple[str, ...],
     figures: bool,
+    paper: str | None,
+    columns: int,
     logs: int,
     as_json: bool,
 ) -> None:
@@ -164,7 +177,8 @@ def fly(
     flown = list(results.values())
     summary = summarise(flown, runs)
     with stoppable() as stop:
-        written, logged = keep(flown, defined, out, lambda: bool(stop), figures=figures, logs=logs)
+        drawn = (paper, columns) if figures else None
+        written, logged = keep(flown, defined, out, lambda: bool(stop), figures=drawn, logs=logs)
     if as_json:
         places = {"files": [str(path) for path in written], "logs": {str(run): str(p) for run, p in logged.items()}}
         emit_json({"passed": summary.passed, "scenario": name, **_plain(summary), **places})
@@ -216,11 +230,11 @@ def keep(
     out: Path,
     stop: Callable[[], bool],
     *,
-    figures: bool,
+    figures: tuple[str | None, int] | None,
     logs: int,
 ) -> tuple[list[Path], dict[int, Path]]:
-    """Write the tables and, for a complete campaign (else None), figures and logs of its worst runs. LogError if
-    they cannot be written.
+    """Write the tables and, for a complete campaign (else None), figures (for a paper and its columns) and logs of
+    its worst runs. LogError if they cannot be written.
     """
     from autopilot.campaign.run_store import GO_ON
     from autopilot.campaign.tabular import write_tables
@@ -231,10 +245,11 @@ def keep(
         written = write_tables(results, out)
         if defined is None:
             return written, {}
-        if figures:
+        if figures is not None:
             from autopilot.campaign.campaign_figures import write_figures
+            from autopilot.log.figures import paper_style
 
-            written += write_figures(results, defined.scenario.scenario.name, out)
+            written += write_figures(results, defined.scenario.scenario.name, out, paper_style(*figures))
         found = logs_of(results, logs, out, defined.task, stop, lambda text: click.echo(f"warning: {text}", err=True))
     except OSError as error:
         raise LogError(f"{out}: cannot be written ({error.strerror}); {GO_ON}") from error

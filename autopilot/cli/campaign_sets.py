@@ -90,7 +90,9 @@ def sets(
         for folder in folders:
             label, flown = folder.name, results[folder.name]
             ended = None if stopped or stop else campaigns.get(label)
-            _, logged[label] = keep(flown, ended, folder, lambda: bool(stop), figures=figures, logs=logs)
+            _, logged[label] = keep(
+                flown, ended, folder, lambda: bool(stop), figures=(None, 1) if figures else None, logs=logs
+            )
             summary = summarise(flown, runs)
             passed &= summary.passed
             not_flown += [f"{label}: {summary.not_flown}"] if summary.not_flown else []

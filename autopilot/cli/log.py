@@ -11,7 +11,7 @@ from autopilot.cli.log_compare import compare
 from autopilot.cli.log_replay import replay
 from autopilot.cli.log_tlog import tlog
 from autopilot.cli.log_tools import diff, export, find, recover
-from autopilot.cli.shared_options import JSON_NOT_TABLES, LOG_FILE
+from autopilot.cli.shared_options import COLUMNS, JSON_NOT_TABLES, LOG_FILE, PAPER
 
 if TYPE_CHECKING:
     from autopilot.control.nmpc.unsolved import Trial
@@ -87,27 +87,23 @@ def report(log_file: Path, out: Path | None) -> None:
 @click.argument("logs", metavar="LOG...", nargs=-1, required=True, type=click.Path(path_type=Path))
 @click.option("--out", type=click.Path(path_type=Path), help="Folder to write into (default: LOG without its ending).")
 @click.option("--only", multiple=True, metavar="NAME", help="Only this figure, e.g. 1_trajectory; repeatable.")
-@click.option("--paper", type=click.Choice(("ieee", "elsevier")), help="Width and text of this publisher's papers.")
-@click.option(
-    "--columns",
-    type=click.IntRange(1, 2),
-    default=1,
-    show_default=True,
-    help="--paper: columns of text that a figure spans.",
-)
-def plot(logs: tuple[Path, ...], out: Path | None, only: tuple[str, ...], paper: str | None, columns: int) -> None:
+@PAPER
+@COLUMNS
+@click.option("--band", is_flag=True, help="Three logs or more: median and 5 to 95 % of them, no curve each.")
+def plot(
+    logs: tuple[Path, ...], out: Path | None, only: tuple[str, ...], paper: str | None, columns: int, band: bool
+) -> None:
     """Draw LOG as PNG and PDF figures: the paper's five, errors of the estimate, solve time, energy, current.
 
     Several logs are drawn into the same figures: trajectory, depth and yaw, speeds, energy.
     """
-    from autopilot.log.figures import PAPERS, write_figures
+    from autopilot.log.figures import paper_style, write_figures
     from autopilot.log.reader import open_log
 
     more = f"_and_{len(logs) - 1}_more" if len(logs) > 1 else ""
     target = out if out is not None else logs[0].with_name(logs[0].stem + more)
     opened = [open_log(path) for path in logs]
-    style = None if paper is None else PAPERS[paper].style(columns)
-    for path in write_figures(opened, target, only=only, style=style):
+    for path in write_figures(opened, target, only=only, style=paper_style(paper, columns), band=band):
         click.echo(str(path))
     for each in opened:
         _tell_loss(each)

@@ -38,3 +38,13 @@ ENGINE = click.option("--engine", default="local", show_default=True, help="loca
 JOBS = click.option("--jobs", type=click.IntRange(min=1), help="Runs at a time (default: one per core).")
 MARKDOWN_TABLE = click.option("--markdown", is_flag=True, help="As a Markdown table.")
 ONLY_TABLE = click.option("--table", "only_table", is_flag=True, help="Fly nothing, print what is there.")
+PAPER = click.option(
+    "--paper", type=click.Choice(("ieee", "elsevier")), help="Width and text of figures in this publisher's papers."
+)
+COLUMNS = click.option(
+    "--columns",
+    type=click.IntRange(1, 2),
+    default=1,
+    show_default=True,
+    help="--paper: columns of text that a figure spans.",
+)

@@ -23,6 +23,10 @@ BOUND: dict[str, Any] = {"color": "red", "linestyle": "--", "linewidth": 1.0}
 TRUTH: dict[str, Any] = {"color": "#1f77b4", "linewidth": 1.2}
 ESTIMATE: dict[str, Any] = {"color": "#444444", "linewidth": 0.8, "linestyle": ":"}
 BAND: dict[str, Any] = {"color": "#2ca02c", "alpha": 0.18, "linewidth": 0.0}
+LEAST_FOR_BAND = 3
+"""Flights; of fewer a band says nothing."""
+SPREAD = (0.05, 0.95)
+"""Quantiles between which a band lies."""
 WIDTH_IN = 7.0
 NARROW_IN = 5.0
 """Narrower figures have their pairs of axes below each other."""
@@ -124,6 +128,10 @@ def time_axis(scene: FigureScene, axes: list[Axes]) -> None:
     for ax in axes:
         for lap in scene.laps:
             ax.axvline(lap.end_s, color="#999999", linewidth=0.6)
+
+
+def band_label(count: int, of: str) -> str:
+    return f"{100.0 * SPREAD[0]:.0f} to {100.0 * SPREAD[1]:.0f} % of {count} {of}"
 
 
 def draw_bounds(ax: Axes, *values: float | None) -> None:

@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from autopilot.core.disk import make_folder
 from autopilot.core.errors import LogError
 from autopilot.log import figure_more, figure_paper, figure_tracks
-from autopilot.log.figure_parts import STYLE, FigureScene, make_scene
+from autopilot.log.figure_parts import LEAST_FOR_BAND, STYLE, FigureScene, make_scene
 from autopilot.log.reader import Log
 
 DPI, PAPER_DPI = 150, 600
@@ -36,6 +36,11 @@ OVERLAID: dict[str, Callable[[Sequence[FigureScene]], Figure | None]] = {
     **{name: partial(figure_tracks.overlaid, name) for name in figure_tracks.PANELS},
 }
 """The same of several logs."""
+BANDS: dict[str, Callable[[Sequence[FigureScene]], Figure | None]] = {
+    "1_trajectory": figure_tracks.tracks_and_median,
+    **{name: partial(figure_tracks.banded, name) for name in figure_tracks.PANELS},
+}
+"""The same as median and spread."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,8 +69,26 @@ PAPERS = {
 }
 
 
+def paper_style(name: str | None, columns: int = 1) -> dict[str, Any]:
+    """Matplotlib's settings for figures of PAPERS, none for None."""
+    return {} if name is None else PAPERS[name].style(columns)
+
+
+def save(figure: Figure, path: Path) -> list[Path]:
+    """Write a PNG file and a PDF file of the same name."""
+    paths = [path, path.with_suffix(".pdf")]
+    for each in paths:
+        figure.savefig(each)
+    return paths
+
+
 def write_figures(
-    logs: Log | Sequence[Log], folder: Path, *, only: Collection[str] = (), style: Any = None
+    logs: Log | Sequence[Log],
+    folder: Path,
+    *,
+    only: Collection[str] = (),
+    style: Any = None,
+    band: bool = False,
 ) -> list[Path]:
     """Write every figure that the log has data for.
 
@@ -78,7 +101,9 @@ def write_figures(
     only
         Names of the figures, empty = all.
     style
-        Dictionary of Matplotlib's settings beside the common ones, as of :meth:`Paper.style`.
+        Matplotlib's settings beside the common ones, as of :func:`paper_style`.
+    band
+        Several logs as median and spread instead of a curve each.
 
     Returns
     -------
@@ -91,7 +116,10 @@ def write_figures(
         There are no data, or a file cannot be written.
     """
     scenes = [make_scene(log) for log in ([logs] if isinstance(logs, Log) else logs)]
-    known = FIGURES if len(scenes) == 1 else OVERLAID
+    several = BANDS if band else OVERLAID
+    known = FIGURES if len(scenes) == 1 else several
+    if band and len(scenes) < LEAST_FOR_BAND:
+        raise LogError(f"{folder}: a band needs {LEAST_FOR_BAND} logs or more, not {len(scenes)}")
     if missing := [name for name in only if name not in known]:
         raise LogError(f"{folder}: no figure {', '.join(missing)} of {len(scenes)} logs; there are {', '.join(known)}")
     written = []
@@ -99,12 +127,9 @@ def write_figures(
         make_folder(folder)
         with mpl.rc_context({**STYLE, "savefig.dpi": DPI, **(style or {})}):
             for name in only or known:
-                figure = FIGURES[name](scenes[0]) if len(scenes) == 1 else OVERLAID[name](scenes)
+                figure = FIGURES[name](scenes[0]) if len(scenes) == 1 else several[name](scenes)
                 if figure is not None:
-                    path = folder / f"{name}.png"
-                    figure.savefig(path)
-                    figure.savefig(path.with_suffix(".pdf"))
-                    written += [path, path.with_suffix(".pdf")]
+                    written += save(figure, folder / f"{name}.png")
     except OSError as error:
         raise LogError(f"{folder}: figures cannot be written ({error.strerror}); choose another place") from error
     return written

@@ -9,20 +9,25 @@ import sys
 from dataclasses import replace
 from html.parser import HTMLParser
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from log_synthetic import DESCRIPTION, EPOCH_NS, Run, call, shifted, write_run
+from matplotlib.figure import Figure
 from mcap.writer import Writer
 
 from autopilot.cli.log import log as log_command
 from autopilot.core.disk import write_whole
 from autopilot.core.errors import LogError
+from autopilot.log import figure_tracks
+from autopilot.log.analysis import Span
 from autopilot.log.check import BoundRow, acceptance_table, format_figure, short_form
 from autopilot.log.description import AcceptBounds
-from autopilot.log.figures import FIGURES, OVERLAID, write_figures
+from autopilot.log.figures import BANDS, FIGURES, OVERLAID, write_figures
 from autopilot.log.reader import open_log
 from autopilot.log.report import write_report
 from autopilot.log.report_draw import decimate
@@ -139,6 +144,32 @@ def test_several_logs_are_drawn_into_the_same_figures(run_log: Path, bad_log: Pa
     assert [Path(line).stem for line in out.splitlines()[::2]] == list(OVERLAID)
     code, out = call("plot", run_log, other, "--only", "7_solve_time", "--out", tmp_path / "none")
     assert code == 1 and "7_solve_time" in out and "1_trajectory" in out and not (tmp_path / "none").exists()
+
+
+def test_median_and_spread_of_several_logs(run_log: Path, bad_log: Path, tmp_path: Path) -> None:
+    """The band holds what is drawn as a curve each, whichever way round a flight turned."""
+    others = [write_run(tmp_path / f"{laps}.mcap", Run(laps=laps, step_us=100_000)) for laps in (1, 2)]
+    code, out = call("plot", run_log, bad_log, *others, "--band", "--paper", "ieee", "--out", tmp_path / "band")
+    assert code == 0 and [Path(line).stem for line in out.splitlines()[::2]] == list(BANDS)
+    code, out = call("plot", run_log, bad_log, "--band", "--out", tmp_path / "few")
+    assert code == 1 and "3 logs or more, not 2" in out and not (tmp_path / "few").exists()
+
+
+def test_a_band_takes_headings_of_either_turn_as_the_same() -> None:
+    scenes: Any = [
+        SimpleNamespace(
+            track=SimpleNamespace(t_s=np.linspace(0.0, 10.0, 101)), flight=SimpleNamespace(armed=Span(0.0, 10.0))
+        )
+        for _ in range(4)
+    ]
+    heading = np.linspace(0.0, 6.0, 101)
+    ax = Figure().subplots()
+    panel = figure_tracks.PANELS["2_depth_and_yaw"][1]
+    figure_tracks._draw_band(ax, panel, scenes, [heading + 2.0 * np.pi * turns for turns in (-1, 0, 0, 1)])
+    median = np.asarray(ax.lines[0].get_ydata())
+    assert np.ptp(median) == pytest.approx(6.0, abs=0.1)
+    (band,) = ax.collections
+    assert np.ptp(np.asarray(band.get_paths()[0].vertices)[:, 1]) == pytest.approx(6.0, abs=0.1)
 
 
 class Loads(HTMLParser):

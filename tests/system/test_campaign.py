@@ -471,6 +471,7 @@ def made_up(run: int, margin: float = 0.05, **changes: Any) -> RunResult:
         completed=True,
         margins={"cylinder 1": Margin(margin=margin, at_s=3.0, tolerance=0.010)},
         energy_j=[400.0 + run] * 3,
+        lap_s=[25.0 + 0.1 * run] * 3,
         **changes,
     )
 
@@ -546,7 +547,8 @@ def test_failure_rates_that_a_result_still_allows() -> None:
 
 def test_figures_of_made_up_runs(tmp_path: Path) -> None:
     runs = [made_up(run, 0.001 * run - 0.005) for run in range(30)]
-    assert {path.name for path in write_figures(runs, "made up", tmp_path)} == {"margins.png", "energy.png"}
+    drawn_files = {path.name for path in write_figures(runs, "made up", tmp_path)}
+    assert drawn_files == {f"{name}.{ending}" for name in ("margins", "energy", "laps") for ending in ("png", "pdf")}
     drawn = [msgspec.structs.replace(run, drawn={"vehicle.mismatch.drag": 0.9 + 0.01 * run.run}) for run in runs]
     drawn.append(msgspec.structs.replace(made_up(30, error="no"), drawn={"vehicle.mismatch.drag": 1.3}))
     assert "failures.png" in {path.name for path in write_figures(drawn, "made up", tmp_path)}
