@@ -19,7 +19,7 @@ from autopilot.drivers.ardusub_mixing import NEUTRAL_US, SPAN_US
 from autopilot.drivers.ardusub_prearm import PREARM_BIT
 from autopilot.sitl.plant import Truth
 from autopilot.sitl.sitl_tuning import PLANT
-from autopilot.sitl.thruster_models import wrench_of
+from autopilot.sitl.thruster_models import OFF_US, wrench_of
 
 SYSTEM, COMPONENT = 1, 1
 MANUAL, STABILIZE = 19, 0
@@ -184,7 +184,7 @@ class ArduSubEmulator:
         """Pulses per channel as the plant has them: along ``direction_frd`` above neutral."""
         pulses = [NEUTRAL_US] * max(thruster.channel for thruster in vehicle.thrusters)
         for motor, (servo, wired) in enumerate(zip(self.servos_us, self._wiring, strict=True)):
-            pulses[motor] = NEUTRAL_US + wired * (servo - NEUTRAL_US)
+            pulses[motor] = OFF_US if servo == OFF_US else NEUTRAL_US + wired * (servo - NEUTRAL_US)
         return tuple(pulses)
 
     def _wired(self, vehicle: Vehicle, directions: Sequence[int]) -> list[int]:

@@ -4,7 +4,6 @@ from collections import deque
 from collections.abc import Iterator, Sequence
 from typing import Literal, Protocol
 
-from autopilot.core.camera import CameraModel
 from autopilot.core.errors import ConfigError
 from autopilot.core.markers import MarkerMap
 from autopilot.core.messages import FlightControllerState
@@ -15,11 +14,11 @@ from autopilot.drivers.base import AlwaysOpen, Closing
 from autopilot.drivers.ig500 import Ig500
 from autopilot.drivers.thruster_output import SafeThrusterOutput
 from autopilot.sitl.ahrs import Ig500Emulator
-from autopilot.sitl.camera_feed import CameraFeed
-from autopilot.sitl.camera_sensor import SimCamera, true_camera
+from autopilot.sitl.camera_feed import CameraFeed, simulated_camera
+from autopilot.sitl.camera_process import CameraProcess
 from autopilot.sitl.contact import Prism
 from autopilot.sitl.fault_tables import BatterySag, LateCommands, Shove, Snag
-from autopilot.sitl.floor import build_floor
+from autopilot.sitl.floor import build_markers
 from autopilot.sitl.hil import BoardOutput, NetworkCamera, SerialAhrs, Wire
 from autopilot.sitl.hull_sensor import SimHullSensor
 from autopilot.sitl.obstacle_sensor import SimObstacleSensor
@@ -177,27 +176,21 @@ class SimulatedVehicle(Closing):
         if self._hull is not None:
             self._observers.append(self._hull)
         self._observers += self._optional
-        feed: CameraFeed | None = None
+        pictures: CameraFeed | CameraProcess | None = None
         if position == "pose":
             self._pose = SimPoseSensor(sensors.pose, sensors.laser, vehicle, depth_m, faults, seed)
             self._observers.append(self._pose)
         else:
-            floor = build_floor(scenario)
-            if floor is None:
-                raise ConfigError(
-                    f"scenario {scenario.scenario.name!r} has no [tank], so there is no floor for the camera;"
-                    " use --sensors pose"
-                )
-            model = true_camera(CameraModel.of_vehicle(vehicle), scenario.camera, sensors.laser)
-            shines = sensors.laser.enabled and vehicle.laser is not None
-            renderer = SimCamera(model, floor, scenario.camera, seed, laser=shines)
-            feed = CameraFeed(renderer, sensors.camera, vehicle.eye, faults, seed)
-            feed.paced = paced
-            self._camera = NetworkCamera(feed, vehicle) if "camera" in hil else feed
-            self._observers.append(feed)
-            self.markers = floor.markers
+            if "camera" in hil:
+                pictures = CameraProcess(scenario, vehicle, seed)
+                self._camera = NetworkCamera(pictures, vehicle)
+            else:
+                self._camera = pictures = simulated_camera(scenario, vehicle, seed)
+                pictures.paced = paced
+            self._observers.append(pictures)
+            self.markers = build_markers(scenario)
         self._due_us = 0
-        own: tuple[FaultySensor | None, ...] = (feed, self._pose, self._hull, *self._optional)
+        own: tuple[FaultySensor | None, ...] = (pictures, self._pose, self._hull, *self._optional)
         self._faulty = [sensor for sensor in own if sensor is not None]
 
     def open(self) -> None:

@@ -7,15 +7,17 @@ from concurrent.futures import Future, ThreadPoolExecutor
 import cv2
 import numpy as np
 
+from autopilot.core.camera import CameraModel
+from autopilot.core.errors import ConfigError
 from autopilot.core.samples import CameraFrame
-from autopilot.core.vehicle import Camera
-from autopilot.sitl.camera_sensor import SimCamera
+from autopilot.core.vehicle import Camera, Vehicle
+from autopilot.sitl.camera_sensor import SimCamera, true_camera
 from autopilot.sitl.delayed import LossySensor
-from autopilot.sitl.fault_tables import LensFault, Mounting
-from autopilot.sitl.floor import Image
+from autopilot.sitl.fault_tables import LensFault, Mounting, PictureFault
+from autopilot.sitl.floor import Image, build_floor
 from autopilot.sitl.picture_faults import Exposure, PictureFaults, reflected
 from autopilot.sitl.plant import Truth
-from autopilot.sitl.scenario_tables import CameraPicture, Fault
+from autopilot.sitl.scenario_tables import CameraBlackout, CameraPicture, Fault, Scenario
 from autopilot.sitl.sensor_faults import OpticalFaults
 from autopilot.sitl.sensor_tables import CameraSensor
 from autopilot.sitl.sitl_tuning import CAMERA_FEED
@@ -122,3 +124,22 @@ class CameraFeed(LossySensor[CameraFrame]):
         degraded = gain * blurred + level + noise[..., None]
         result: Image = np.clip(degraded, 0.0, 255.0).astype(np.uint8)
         return result
+
+
+def simulated_camera(scenario: Scenario, vehicle: Vehicle, seed: int) -> CameraFeed:
+    """The camera of a vehicle over a scenario's floor. ConfigError without a camera or a floor."""
+    floor, eye = build_floor(scenario), vehicle.eye
+    if floor is None:
+        raise ConfigError(
+            f"scenario {scenario.scenario.name!r} has no [tank], so there is no floor for the camera;"
+            " use --sensors pose"
+        )
+    laser = scenario.sensors.laser
+    model = true_camera(CameraModel.of_vehicle(vehicle), scenario.camera, laser)
+    renderer = SimCamera(model, floor, scenario.camera, seed, laser=laser.enabled and vehicle.laser is not None)
+    return CameraFeed(renderer, scenario.sensors.camera, eye, scenario.fault, seed)
+
+
+def is_of_camera(fault: Fault) -> bool:
+    """Whether a :class:`CameraFeed` takes it while it runs."""
+    return isinstance(fault, CameraPicture | PictureFault | CameraBlackout)

@@ -19,9 +19,9 @@ SEND_S = 1.0
 class MjpegServer(Closing):
     """Serves the newest picture to every client, each on a thread of its own; a slow client misses pictures."""
 
-    def __init__(self, port: int = 0) -> None:
+    def __init__(self, port: int = 0, host: str = "127.0.0.1") -> None:
         """``port`` 0: any that is free."""
-        self.port = port
+        self.port, self._host = port, host
         self._listener: socket.socket | None = None
         self._newest: tuple[int, CameraFrame | None] = (0, None)
         self._fresh = threading.Condition()
@@ -30,7 +30,7 @@ class MjpegServer(Closing):
     @property
     def url(self) -> str:
         """URL for a camera driver."""
-        return f"http://127.0.0.1:{self.port}/video.mjpg"
+        return f"http://{self._host}:{self.port}/video.mjpg"
 
     @property
     def clients(self) -> int:
@@ -38,7 +38,7 @@ class MjpegServer(Closing):
 
     def open(self) -> None:
         if self._listener is None:
-            self._listener = socket.create_server(("127.0.0.1", self.port))
+            self._listener = socket.create_server((self._host, self.port))
             self.port = self._listener.getsockname()[1]
             threading.Thread(target=self._accept, args=(self._listener,), name="mjpeg", daemon=True).start()
 

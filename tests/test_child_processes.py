@@ -43,6 +43,7 @@ PLACES: dict[tuple[str, str], str] = {
     ("docs/view_picture.py", "drawn"): "node",
     ("docs/viewed_flight.py", "viewed_flight"): "ours",
     ("drivers/watchdog_process.py", "_start"): "ours",
+    ("sitl/camera_process.py", "open"): "ours",
 }
 """File and function -> what is started: Python by a command of ours, a library's pool of processes, another program.
 What :class:`autopilot.run.children.Child` is given is looked at where it is made."""

@@ -8,6 +8,7 @@ from autopilot.cli.completion import SCENARIO_NAME, VEHICLE_NAME
 from autopilot.cli.console_output import emit_json
 from autopilot.cli.finite import FiniteRange
 from autopilot.cli.service_run import StopSignals
+from autopilot.cli.shared_options import CAMERA
 
 
 @click.command()
@@ -30,6 +31,7 @@ from autopilot.cli.service_run import StopSignals
     show_default=True,
     help="Where a tracking system sends the vehicle's pose; repeatable.",
 )
+@CAMERA
 @click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True)
 @click.option("--duration", type=FiniteRange(min=0.0, min_open=True), help="End after so many seconds.")
 @click.option("--truth", type=click.Path(dir_okay=False, path_type=Path), help="File for true poses, a JSON line each.")
@@ -39,6 +41,7 @@ def emulate(
     frame: str,
     link: tuple[str, ...],
     pose: tuple[str, ...],
+    camera: tuple[str, int] | None,
     seed: int,
     duration: float | None,
     truth: Path | None,
@@ -58,9 +61,11 @@ def emulate(
         frame,
         links=link,
         pose=pose,
+        camera=camera,
         seed=seed,
         duration_s=duration,
         truth_file=truth,
         stop=lambda: bool(stop),
+        tell=lambda text: click.echo(text, err=True),
     )
     emit_json(structs.asdict(flight))

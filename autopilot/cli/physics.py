@@ -8,7 +8,7 @@ from autopilot.cli.completion import SCENARIO_NAME, VEHICLE_NAME
 from autopilot.cli.console_output import emit_json
 from autopilot.cli.finite import FiniteRange
 from autopilot.cli.service_run import StopSignals
-from autopilot.cli.shared_options import JSON
+from autopilot.cli.shared_options import CAMERA, JSON, host_and_port
 
 
 @click.command()
@@ -17,8 +17,16 @@ from autopilot.cli.shared_options import JSON
     "--vehicle", type=VEHICLE_NAME, default="bluerov2", show_default=True, help="A shipped vehicle or a vehicle file."
 )
 @click.option("--frame", type=click.Choice(["vectored", "vectored_6dof"]), default="vectored", show_default=True)
-@click.option("--listen", default="127.0.0.1:9002", show_default=True, metavar="HOST:PORT", help="For ArduPilot.")
+@click.option(
+    "--listen",
+    default="127.0.0.1:9002",
+    callback=host_and_port,
+    show_default=True,
+    metavar="HOST:PORT",
+    help="For ArduPilot.",
+)
 @click.option("--pose", multiple=True, help="Where a tracking system sends the vehicle's pose; repeatable.")
+@CAMERA
 @click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True)
 @click.option("--duration", type=FiniteRange(min=0.0, min_open=True), help="End after so many simulated seconds.")
 @click.option("--truth", type=click.Path(dir_okay=False, path_type=Path), help="File for true poses, a JSON line each.")
@@ -27,8 +35,9 @@ def physics(
     scenario: str,
     vehicle: str,
     frame: str,
-    listen: str,
+    listen: tuple[str, int],
     pose: tuple[str, ...],
+    camera: tuple[str, int] | None,
     seed: int,
     duration: float | None,
     truth: Path | None,
@@ -41,13 +50,10 @@ def physics(
     stop = StopSignals()
     import msgspec
 
-    from autopilot.core.errors import ConfigError
     from autopilot.run.sitl_physics import home_of, serve_physics
     from autopilot.sitl.scenario import load_scenario
 
-    host, _, port = listen.rpartition(":")
-    if not host or not port.isdecimal() or int(port) > 65535:
-        raise ConfigError(f"--listen {listen!r}: write HOST:PORT, such as 127.0.0.1:9002")
+    host, port = listen
     if not as_json:
         click.echo(f"ardusub --model JSON:{host} --home {home_of(load_scenario(scenario))}")
     flight = serve_physics(
@@ -55,8 +61,9 @@ def physics(
         vehicle,
         frame,
         host=host,
-        port=int(port),
+        port=port,
         pose=pose,
+        camera=camera,
         seed=seed,
         duration_s=duration,
         truth_file=truth,

@@ -114,6 +114,27 @@ def new(name: str, source: str, out: Path | None) -> None:
 
 @scenario.command()
 @click.argument("file", type=SCENARIO_NAME)
+@click.option("--out", required=True, type=click.Path(dir_okay=False, path_type=Path), help="FILE.toml")
+@click.option("--force", is_flag=True, help="Replace FILE.")
+def markers(file: str, out: Path, force: bool) -> None:
+    """Write the marker map of a scenario's floor as the vehicle knows it, for a configuration's place.markers."""
+    from autopilot.core.disk import write_whole
+    from autopilot.core.errors import ConfigError
+    from autopilot.core.marker_files import marker_file_text
+    from autopilot.sitl.floor import given_markers
+    from autopilot.sitl.scenario import load_scenario
+
+    known = load_scenario(file)
+    given = given_markers(known)
+    if given is None:
+        raise ConfigError(f"scenario {known.scenario.name!r} has no [tank], so there is no floor with markers")
+    _must_be_new(out, force)
+    write_whole(out, marker_file_text(given, (f"Floor of the scenario {known.scenario.name}.",)))
+    click.echo(f"{out}: {len(given.ids)} markers")
+
+
+@scenario.command()
+@click.argument("file", type=SCENARIO_NAME)
 @click.option("--out", required=True, type=click.Path(dir_okay=False, path_type=Path), help="FILE.plan")
 @click.option("--force", is_flag=True, help="Replace FILE.")
 def plan(file: str, out: Path, force: bool) -> None:
@@ -127,10 +148,17 @@ def plan(file: str, out: Path, force: bool) -> None:
     source = plan_path(file, known)
     if source is None:
         raise ConfigError(f"scenario {known.scenario.name!r} has no plan; name one in scenario.plan")
-    if out.exists() and not force:
-        raise ConfigError(f"--out {out}: is there already; choose another name, or --force to replace it")
+    _must_be_new(out, force)
     finished, warnings = scenario_plan(read_plan(source), known)
     write_plan(out, finished)
     for text in warnings:
         click.echo(f"warning: {text}", err=True)
     click.echo(f"{out}: mission {len(finished.mission)} items, fence {len(finished.fence)} items")
+
+
+def _must_be_new(out: Path, force: bool) -> None:
+    """ConfigError for a file that is there, without ``force``."""
+    from autopilot.core.errors import ConfigError
+
+    if out.exists() and not force:
+        raise ConfigError(f"--out {out}: is there already; choose another name, or --force to replace it")

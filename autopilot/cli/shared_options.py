@@ -5,6 +5,18 @@ from pathlib import Path
 import click
 
 from autopilot.cli.completion import CONFIG_NAME, PARAM_VALUE, VEHICLE_NAME
+from autopilot.core.errors import ConfigError
+
+
+def host_and_port(ctx: click.Context, option: click.Parameter, value: str | None) -> tuple[str, int] | None:
+    """The two parts of HOST:PORT. ConfigError for another text."""
+    if value is None:
+        return None
+    host, _, port = value.rpartition(":")
+    if not host or not port.isdecimal() or int(port) > 65535:
+        raise ConfigError(f"{option.opts[0]} {value!r}: write HOST:PORT, such as 127.0.0.1:9002")
+    return host, int(port)
+
 
 JSON = click.option("--json", "as_json", is_flag=True, help="Machine-readable output.")
 JSON_NOT_TABLES = click.option("--json", "as_json", is_flag=True, help="Print JSON instead of tables.")
@@ -23,6 +35,12 @@ INSTANCE = click.option("--instance", type=click.IntRange(0, 99), default=0, sho
 SEED = click.option("--seed", type=click.IntRange(min=0), help="Seed of all randomness (default: the scenario's).")
 PARAM = click.option(
     "--param", type=PARAM_VALUE, multiple=True, metavar="NAME=VALUE", help="Set a parameter for this run; repeatable."
+)
+CAMERA = click.option(
+    "--camera",
+    callback=host_and_port,
+    metavar="HOST:PORT",
+    help="Where a camera serves pictures of the floor (MJPEG over HTTP), e.g. 127.0.0.1:8090.",
 )
 QUIET = click.option("--quiet", is_flag=True, help="Print only errors.")
 CAMPAIGN_OUT = click.option(

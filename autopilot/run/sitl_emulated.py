@@ -9,6 +9,7 @@ from autopilot.core.vehicle import load_vehicle
 from autopilot.drivers.links import open_link
 from autopilot.run.clocks import make_clock
 from autopilot.sitl.ardusub_vehicle import ArduSubVehicle
+from autopilot.sitl.camera_process import opened_camera
 from autopilot.sitl.scenario import load_scenario, with_vehicle
 
 STEP_US = 5_000
@@ -34,14 +35,20 @@ def emulate(
     *,
     links: Sequence[str],
     pose: Sequence[str],
+    camera: tuple[str, int] | None,
     seed: int,
     duration_s: float | None,
     truth_file: Path | None,
     stop: Callable[[], bool],
+    tell: Callable[[str], None],
 ) -> EmulatedFlight:
-    """Run until ``stop``. ``links``: of the flight controller; ``pose``: link of the tracking system's reports."""
+    """Run until ``stop``. ``links``: of the flight controller; ``pose``: of the tracking system's reports; ``camera``:
+    host and port of one that serves pictures.
+    """
     scenario = with_vehicle(load_scenario(scenario_name), vehicle_name, "--vehicle")
-    vehicle = ArduSubVehicle(scenario, load_vehicle(vehicle_name), frame, seed=seed)
+    hull = load_vehicle(vehicle_name)
+    vehicle = ArduSubVehicle(scenario, hull, frame, seed=seed)
+    pictures = opened_camera(scenario, hull, seed, camera, tell)
     ends = [open_link(text) for text in links]
     trackers = [open_link(text) for text in pose]
     clock, flight, t_us = make_clock(1.0), EmulatedFlight(), 0
@@ -63,6 +70,8 @@ def emulate(
                 link.recv(t_us)
                 link.send(report or b"")
             truth = vehicle.truth
+            if pictures is not None:
+                pictures.observe(truth)
             away = float(((truth.pos_ned_m - start) ** 2).sum()) ** 0.5
             flight.max_distance_m = max(flight.max_distance_m, away)
             if track is not None and t_us % 100_000 == 0:
@@ -72,8 +81,8 @@ def emulate(
         truth = vehicle.truth
         flight.seconds, flight.contacts = 1e-6 * t_us, truth.contact_count
         flight.max_penetration_m, flight.energy_j = truth.max_penetration_m, truth.energy_used_j
-        for link in (*ends, *trackers):
-            link.close()
+        for device in (*ends, *trackers, *(() if pictures is None else (pictures,))):
+            device.close()
         if track is not None:
             track.close()
     return flight

@@ -14,6 +14,7 @@ from autopilot.core.vehicle import load_vehicle
 from autopilot.drivers.links import open_link
 from autopilot.sitl.ardupilot_json import JsonPhysics
 from autopilot.sitl.ardusub_vehicle import ArduSubVehicle
+from autopilot.sitl.camera_process import opened_camera
 from autopilot.sitl.plant import Truth
 from autopilot.sitl.scenario import load_scenario, with_vehicle
 from autopilot.sitl.scenario_tables import Scenario
@@ -61,6 +62,7 @@ def serve_physics(
     host: str,
     port: int,
     pose: Sequence[str],
+    camera: tuple[str, int] | None,
     seed: int,
     duration_s: float | None,
     truth_file: Path | None,
@@ -68,7 +70,7 @@ def serve_physics(
     tell: Callable[[str], None],
 ) -> PhysicsFlight:
     """Answer ArduPilot until ``stop`` or for a simulated duration. ``pose``: link of the tracking system's
-    reports. ConfigError if the port cannot be opened.
+    reports; ``camera``: host and port of one that serves pictures. ConfigError if a port cannot be opened.
     """
     scenario = with_vehicle(load_scenario(scenario_name), vehicle_name, "--vehicle")
     hull = load_vehicle(vehicle_name)
@@ -80,6 +82,7 @@ def serve_physics(
 
     physics = JsonPhysics(fresh, None if scenario.tank is None else scenario.tank.depth_m)
     trackers = [open_link(text) for text in pose]
+    pictures = opened_camera(scenario, hull, seed, camera, tell)
     track = None if truth_file is None else truth_file.open("w", encoding="utf-8")
     flight, end_us = PhysicsFlight(), None if duration_s is None else 1e6 * duration_s
     received_s = began_s = time.monotonic()
@@ -114,6 +117,10 @@ def serve_physics(
                     tell(f"ArduPilot speaks from {peer[0]}:{peer[1]}" if not spoke else "ArduPilot began anew")
                 spoke, silent = True, False
                 server.sendto(answer, peer)
+                if pictures is not None:
+                    if physics.restarts > before:
+                        pictures.restart()
+                    pictures.observe(physics.truth)
                 report = vehicles[-1].pose(physics.t_us)
                 for link in trackers if report is not None else ():
                     link.recv(physics.t_us)
@@ -126,8 +133,8 @@ def serve_physics(
                     row = [1e-6 * physics.t_us, *physics.truth.pos_ned_m.tolist(), *physics.truth.rpy_rad.tolist()]
                     track.write(json.dumps([*row, *vehicles[-1].controller.servos_us]) + "\n")
         finally:
-            for link in trackers:
-                link.close()
+            for device in (*trackers, *(() if pictures is None else (pictures,))):
+                device.close()
             if track is not None:
                 track.close()
     return _account(flight, physics, time.monotonic() - began_s)

@@ -149,6 +149,16 @@ def test_a_change_of_rate_changes_the_step(tmp_path: Path) -> None:
     assert told(flown.answer(packet(1, rate_hz=1200)))["timestamp"] == pytest.approx(1 / 400 + 1 / 1200)
 
 
+def test_without_pulses_only_the_other_loads_draw_power(tmp_path: Path) -> None:
+    """ArduPilot starts with its servo outputs off, 0 us."""
+    power_w = load_vehicle("bluerov2").hotel_power_w
+    flown = physics(tmp_path)
+    for frame in range(2000):
+        flown.answer(packet(frame, (0,) * 6))
+    assert flown.truth is not None and not flown.truth.thrust_n.any()
+    assert flown.truth.energy_used_j == pytest.approx(power_w * 1e-6 * flown.t_us, rel=0.02)
+
+
 def test_over_udp_as_a_process(tmp_path: Path) -> None:
     """A scripted peer: what it gets is bit for bit what the same packets give in here."""
     (tmp_path / "still.toml").write_text(STILL, encoding="utf-8")

@@ -1,0 +1,230 @@
+"""A simulated camera in a process of its own: renders what the vehicle sees and serves it as a network camera does.
+
+Rendering and packing take most of a core; what simulates or flies the vehicle must not lack it. The parent sends the
+truth of every exposure through a pipe and never waits: what the process cannot follow is a lost picture.
+"""
+
+import contextlib
+import json
+import os
+import pickle
+import signal
+import subprocess
+import sys
+import threading
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from queue import Empty, SimpleQueue
+from typing import IO
+
+from autopilot.core.errors import ConfigError
+from autopilot.core.frames import r_ned_from_frd, rpy_from_r
+from autopilot.core.own_python import python_command
+from autopilot.core.vehicle import Vehicle
+from autopilot.drivers.base import Closing
+from autopilot.drivers.frame_clock import LoopTime, machine_us
+from autopilot.sitl.camera_feed import CameraFeed, is_of_camera, simulated_camera
+from autopilot.sitl.mjpeg import MjpegServer
+from autopilot.sitl.plant import Truth
+from autopilot.sitl.scenario_tables import Fault, Scenario
+from autopilot.sitl.sitl_tuning import CAMERA_FEED
+
+STREAM_US = 50_000
+"""What encoder and network of an IP camera add at least."""
+LOOK_S = 0.004
+"""The process looks for pictures that are due this often."""
+NICER = 5
+"""On a busy computer pictures are lost, not control steps."""
+END_S = 5.0
+
+
+@dataclass(frozen=True, slots=True)
+class CameraSetup:
+    """What the process is told first."""
+
+    scenario: Scenario
+    vehicle: Vehicle
+    seed: int
+    host: str
+    port: int
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Exposure:
+    clock_us: int
+    """Time by :func:`machine_us`."""
+    truth: Truth
+
+
+class CameraProcess(Closing):
+    """The parent's end."""
+
+    def __init__(
+        self, scenario: Scenario, vehicle: Vehicle, seed: int, *, host: str = "127.0.0.1", port: int = 0
+    ) -> None:
+        """``port`` 0: any that is free. ConfigError if the scenario has no floor or the vehicle no camera."""
+        if scenario.tank is None:
+            raise ConfigError(f"scenario {scenario.scenario.name!r} has no [tank], so there is no floor for the camera")
+        sensor, eye = scenario.sensors.camera, vehicle.eye
+        self._setup = CameraSetup(scenario, vehicle, seed, host, port)
+        self._rate_hz = sensor.rate_hz or eye.rate_hz
+        latency_s = eye.latency_s if sensor.latency_s is None else sensor.latency_s
+        self.latency_s = CAMERA_FEED.transport_fraction * latency_s + 1e-6 * STREAM_US
+        """Mean time from exposure to arrival, as a camera driver is told."""
+        self._count = 0
+        self.lost = 0
+        """Exposures that the process could not take."""
+        self._child: subprocess.Popen[bytes] | None = None
+
+    @property
+    def next_us(self) -> int:
+        """When the next picture is exposed."""
+        return int(self._count * 1e6 / self._rate_hz)
+
+    @property
+    def url(self) -> str:
+        """For a camera driver; the port is known once it is open."""
+        return f"http://{self._setup.host}:{self._setup.port}/video.mjpg"
+
+    def open(self) -> None:
+        """Start it and wait until it serves. ConfigError if it cannot."""
+        if self._child is not None:
+            return
+        child = subprocess.Popen(
+            python_command("from autopilot.sitl.camera_process import serve; serve()"),
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+        )
+        self._child = child
+        said = b""
+        with contextlib.suppress(BrokenPipeError):
+            to_child = _pipe(child.stdin)
+            pickle.dump(self._setup, to_child)
+            to_child.flush()
+            said = _pipe(child.stdout).readline()
+        answer = json.loads(said or '{"error": "it ended; its message is above"}')
+        if "error" in answer:
+            self.close()
+            raise ConfigError(f"camera at {self._setup.host}:{self._setup.port}: {answer['error']}")
+        os.set_blocking(_pipe(child.stdin).fileno(), False)
+        self._setup = replace(self._setup, port=answer["port"])
+
+    def close(self) -> None:
+        child, self._child = self._child, None
+        if child is None:
+            return
+        for end in (child.stdin, child.stdout):
+            with contextlib.suppress(OSError):
+                _pipe(end).close()
+        try:
+            child.wait(END_S)
+        except subprocess.TimeoutExpired:
+            child.kill()
+            child.wait()
+
+    def restart(self) -> None:
+        """Time begins anew."""
+        self.close()
+        self._count = 0
+        self.open()
+
+    def observe(self, truth: Truth) -> None:
+        """Expose what is due at ``truth.t_us`` or was since the truth before. ConfigError if the process has ended."""
+        while truth.t_us >= self.next_us:
+            exposed_us = self.next_us
+            self._count += 1
+            if truth.t_us < self.next_us:  # of several only the last: the others were due while nobody looked
+                self._send(Exposure(machine_us() + exposed_us - truth.t_us, _moved(truth, exposed_us)))
+
+    def add(self, fault: Fault) -> bool:
+        """A fault that begins while the simulation runs; whether it is one of this sensor."""
+        if is_of_camera(fault):
+            self._send(fault)
+        return is_of_camera(fault)
+
+    def _send(self, message: Exposure | Fault) -> None:
+        if self._child is None:
+            return
+        data = pickle.dumps(message)
+        try:
+            os.write(_pipe(self._child.stdin).fileno(), data)  # less than PIPE_BUF: all of it or nothing
+        except BlockingIOError:
+            self.lost += 1
+        except BrokenPipeError as error:
+            raise ConfigError(f"the camera at {self.url} has ended; its message is above") from error
+
+
+def opened_camera(
+    scenario: Scenario, vehicle: Vehicle, seed: int, place: tuple[str, int] | None, tell: Callable[[str], None]
+) -> CameraProcess | None:
+    """One that serves at host and port, None for None; ``tell`` is told what a configuration needs to know."""
+    if place is None:
+        return None
+    camera = CameraProcess(scenario, vehicle, seed, host=place[0], port=place[1])
+    camera.open()
+    tell(f'[devices.camera] driver = "opencv", source = "{camera.url}", latency_s = {camera.latency_s:g}')
+    return camera
+
+
+def serve() -> None:
+    """The process: reads its set-up and exposures from standard input, until that ends."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent ends it
+    os.nice(NICER)
+    stream = sys.stdin.buffer
+    setup: CameraSetup = pickle.load(stream)
+    feed = simulated_camera(setup.scenario, setup.vehicle, setup.seed)
+    feed.paced = True
+    server = MjpegServer(setup.port, setup.host)
+    try:
+        server.open()
+    except OSError as error:
+        print(json.dumps({"error": f"cannot listen there ({error.strerror}); choose another"}), flush=True)
+        return
+    messages: SimpleQueue[Exposure | Fault | None] = SimpleQueue()
+    threading.Thread(target=_read, args=(stream, messages.put), name="messages", daemon=True).start()
+    with feed:
+        print(json.dumps({"port": server.port}), flush=True)
+        _run(feed, server, messages)
+    server.close()
+
+
+def _run(feed: CameraFeed, server: MjpegServer, messages: "SimpleQueue[Exposure | Fault | None]") -> None:
+    """Serve what is exposed, each picture at the end of its latency, until there are no more messages."""
+    time: LoopTime | None = None
+    while True:
+        try:
+            message = messages.get(timeout=LOOK_S)
+        except Empty:
+            pass
+        else:
+            if message is None:
+                return
+            if isinstance(message, Exposure):
+                time = time or LoopTime()
+                time.observe(message.truth.t_us, message.clock_us)
+                feed.observe(message.truth)
+            else:
+                feed.add(message)
+        for frame in () if time is None else feed.poll(time.at(machine_us()) - STREAM_US):
+            server.show(frame)
+
+
+def _read(stream: IO[bytes], put: Callable[[Exposure | Fault | None], None]) -> None:
+    """Every message, then None at the end of the stream."""
+    with contextlib.suppress(EOFError, pickle.UnpicklingError, OSError):
+        while True:
+            put(pickle.load(stream))
+    put(None)
+
+
+def _pipe(end: IO[bytes] | None) -> IO[bytes]:
+    assert end is not None, "made with PIPE"
+    return end
+
+
+def _moved(truth: Truth, t_us: int) -> Truth:
+    """The truth a little before, at constant velocity and turn rate."""
+    seconds = 1e-6 * (t_us - truth.t_us)
+    r = r_ned_from_frd(truth.rpy_rad)
+    rpy_rad = rpy_from_r(r @ r_ned_from_frd(seconds * truth.rate_frd_rad_s))  # the turn is small
+    return replace(truth, t_us=t_us, pos_ned_m=truth.pos_ned_m + seconds * (r @ truth.vel_frd_m_s), rpy_rad=rpy_rad)

@@ -1,0 +1,140 @@
+"""The simulated camera as a process of its own: what it serves, how it begins and ends."""
+
+import contextlib
+import json
+import signal
+import socket
+import subprocess
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import numpy as np
+import psutil
+import pytest
+
+from autopilot.core.errors import ConfigError
+from autopilot.core.marker_files import load_marker_map
+from autopilot.core.samples import CameraFrame
+from autopilot.core.vehicle import load_vehicle
+from autopilot.drivers.opencv_camera import OpenCvCamera, OpenCvCameraOptions
+from autopilot.drivers.retry import SteadySensor
+from autopilot.run.children import autopilot_command, free_port
+from autopilot.sitl.ardusub_vehicle import ArduSubVehicle
+from autopilot.sitl.camera_feed import simulated_camera
+from autopilot.sitl.camera_process import CameraProcess, _moved
+from autopilot.sitl.floor import given_markers
+from autopilot.sitl.scenario import load_scenario, with_vehicle
+
+SCENARIO = with_vehicle(load_scenario("paper-tank"), "bluerov2", "test")
+VEHICLE = load_vehicle("bluerov2")
+
+
+class Watched:
+    """A vehicle at rest and its camera, over the time that the machine has."""
+
+    def __init__(self, camera: CameraProcess) -> None:
+        self.camera = camera
+        self.world = ArduSubVehicle(SCENARIO, VEHICLE, "vectored", seed=1)
+        self.frames: list[CameraFrame] = []
+
+    def until(self, look: Callable[[], bool]) -> None:
+        begin_s, t_us = time.monotonic(), 0
+        options = OpenCvCameraOptions(source=self.camera.url, latency_s=self.camera.latency_s)
+        driver = SteadySensor(OpenCvCamera(VEHICLE, options), "Camera")  # opens beside: it waits for a picture
+        with contextlib.closing(driver):
+            for _ in range(3000):
+                t_us = max(t_us + 5_000, round(1e6 * (time.monotonic() - begin_s)))
+                self.world.advance(t_us)
+                self.camera.observe(self.world.truth)
+                self.frames += driver.poll(t_us)
+                if look():
+                    return
+                time.sleep(0.005)
+        raise AssertionError("it does not happen")
+
+
+@pytest.fixture
+def watched() -> Iterator[Watched]:
+    with CameraProcess(SCENARIO, VEHICLE, 1) as camera:
+        yield Watched(camera)
+
+
+def test_it_serves_what_the_vehicle_sees_and_begins_anew(watched: Watched) -> None:
+    watched.until(lambda: len(watched.frames) >= 5)
+    with simulated_camera(SCENARIO, VEHICLE, 1) as feed:
+        feed.observe(watched.world.truth)
+        while not (rendered := feed.poll(watched.world.truth.t_us + 10_000_000)):
+            feed.observe(watched.world.truth)  # one was lost
+    seen, expected = watched.frames[-1].image_bgr.astype(float), rendered[0].image_bgr.astype(float)
+    assert seen.shape == expected.shape and expected.std() > 20.0
+    # The compression, the caustics of another time, and some millimetres of drift.
+    assert np.corrcoef(seen.ravel(), expected.ravel())[0, 1] > 0.8
+    watched.camera.restart()
+    again = Watched(watched.camera)
+    again.until(lambda: len(again.frames) >= 2)
+
+
+def test_a_place_that_is_taken_is_told_and_nothing_is_left_behind() -> None:
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        port = taken.getsockname()[1]
+        before = set(psutil.Process().children())
+        with pytest.raises(ConfigError, match=f"127.0.0.1:{port}: cannot listen there .*choose another"):
+            CameraProcess(SCENARIO, VEHICLE, 1, port=port).open()
+        assert set(psutil.Process().children()) == before
+
+
+def test_one_that_has_ended_is_told(watched: Watched) -> None:
+    assert watched.camera._child is not None
+    watched.camera._child.kill()
+    with pytest.raises(ConfigError, match="has ended"):
+        watched.until(lambda: False)
+
+
+def test_a_scenario_without_a_floor_has_no_camera() -> None:
+    with pytest.raises(ConfigError, match=r"no \[tank\]"):
+        CameraProcess(load_scenario("open-water"), VEHICLE, 1)
+
+
+def test_an_exposure_between_two_steps_is_where_the_vehicle_was() -> None:
+    world = ArduSubVehicle(SCENARIO, VEHICLE, "vectored", seed=1)
+    world.controller.servos_us = (1600, 1650, 1400, 1400, 1600, 1600)
+    truths = [world.driven(t_us, world.controller.servos_us) for t_us in (3_000_000, 3_003_000, 3_005_000)]
+    guessed = _moved(truths[2], truths[1].t_us)
+    assert np.abs(truths[2].pos_ned_m - truths[1].pos_ned_m).max() > 2e-4
+    assert np.abs(guessed.pos_ned_m - truths[1].pos_ned_m).max() < 1e-5
+    assert np.abs(guessed.rpy_rad - truths[1].rpy_rad).max() < 1e-4
+
+
+def test_an_emulated_vehicle_has_a_camera(tmp_path: Path) -> None:
+    link = f"udpout:127.0.0.1:{free_port()}"
+    places = ("--link", link, "--pose", link, "--camera", "127.0.0.1:0")
+    command = autopilot_command("emulate", "paper-tank", *places)
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+        assert process.stderr is not None and process.stdout is not None
+        told = process.stderr.readline()
+        url = told.split('source = "')[1].split('"')[0]
+        with OpenCvCamera(VEHICLE, OpenCvCameraOptions(source=url)) as camera:
+            for tick in range(3000):
+                if frames := camera.poll(10_000 * tick):
+                    break
+                time.sleep(0.01)
+            assert frames[0].image_bgr.shape == (480, 640, 3)
+        process.send_signal(signal.SIGINT)
+        assert json.loads(process.stdout.read())["contacts"] == 0
+        assert process.wait() == 0
+
+
+def test_a_place_of_a_camera_that_is_none_is_refused() -> None:
+    done = subprocess.run(autopilot_command("emulate", "--camera", "8090"), capture_output=True, text=True, check=False)
+    assert done.returncode != 0 and "--camera '8090': write HOST:PORT" in done.stderr
+
+
+def test_the_floor_of_a_scenario_is_a_map_for_a_configuration(tmp_path: Path) -> None:
+    command = autopilot_command("scenario", "markers", "paper-tank", "--out", str(tmp_path / "floor.toml"))
+    subprocess.run(command, check=True)
+    again = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert again.returncode != 0 and "--force" in again.stderr
+    read, meant = load_marker_map(tmp_path / "floor.toml"), given_markers(load_scenario("paper-tank"))
+    assert meant is not None and read.ids.tolist() == meant.ids.tolist()
+    assert np.abs(read.corners_ned_m - meant.corners_ned_m).max() < 2e-6
