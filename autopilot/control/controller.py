@@ -33,7 +33,7 @@ from autopilot.control.robust.inner import InnerLoop, plan_error
 from autopilot.control.robust.margins import Tighten
 from autopilot.control.robust.penalty import PenaltyWatch
 from autopilot.control.robust.station import StationKeeper
-from autopilot.control.step_program import StepProgram
+from autopilot.control.step_program import Solution, StepProgram
 from autopilot.control.thrust.slew import SlewWindow, slewed
 from autopilot.core import operator_messages as notices
 from autopilot.core.control_allocator import ControlAllocator, lacking_thrust
@@ -61,6 +61,9 @@ LONGEST_SHIFT_S = 1.0
 
 JUMP_M = 0.5
 """A reference that moves by so much between two steps has nothing to do with the last one."""
+
+WORSE_M = 0.05
+"""A new plan that breaks a bound by so much more than the last one is not taken."""
 
 LOST_SHARE = 0.8
 """A thrust limit that falls below this share of itself from one step to the next is a loss: supplies sag slowly."""
@@ -268,8 +271,7 @@ class MotionController:
         )
         reference = self._guidance.reference(now)
         self.situation, self.reference = now, reference
-        start = self._warm_start(now, reference, elapsed_s)
-        found = self._program.solve(start, now, reference, self._movers)
+        found = self._solve(now, reference, elapsed_s)
         result = found.result
         thrust, fallback = self._choose(result, now, now.x0 if delay_s else x, limit_n, elapsed_s)
         thrust = self._window.limited(t_us, self._reversals.worth(thrust), limit_n)
@@ -399,22 +401,42 @@ class MotionController:
         self._fence = fence
         return planner
 
-    def _warm_start(self, now: GuidanceInputs, reference: Reference, elapsed_s: float) -> bool:
-        """The plan to begin with: the last one moved on, or (True) the reference."""
+    def _solve(self, now: GuidanceInputs, reference: Reference, elapsed_s: float) -> Solution:
+        """The last plan moved on and improved; or a new one from the reference, unless that breaks bounds that the
+        last one keeps: in a stream that it cannot hold against, a vehicle does not come to the other side of what is
+        in its lee.
+        """
         meant, self._reference = self._reference, reference.x
+        moved_on = self._moved_on(now, elapsed_s)
         # A Gauss-Newton step cannot move a plan to the other side of an obstacle: restart from the reference.
         jumped = meant is not None and largest_gap(reference.x, meant, X, 2) > JUMP_M
-        if reference.fresh or jumped or self._plan_age_s is None or not 0.0 <= elapsed_s <= LONGEST_SHIFT_S:
-            self._plan_age_s = self._planned = None
-            self._program.begin(now, reference)
-            return True
+        if moved_on and not reference.fresh and not jumped:
+            return self._program.solve(False, now, reference, self._movers)
+        kept = (self.nmpc.x.copy(), self.nmpc.u.copy()) if moved_on else None
+        kept_from, self._plan_age_s, self._planned = self._planned, None, None
+        self._program.begin(now, reference)
+        found = self._program.solve(True, now, reference, self._movers)
+        if kept is None or found.result.slack_max <= WORSE_M:
+            return found
+        anew = self.nmpc.x.copy(), self.nmpc.u.copy()
+        self.nmpc.set_plan(*kept)
+        other = self._program.solve(False, now, reference, self._movers)
+        if other.result.status is SolveStatus.OK and other.result.slack_max < found.result.slack_max - WORSE_M:
+            self._reference, self._planned = meant, kept_from
+            return other
+        self.nmpc.set_plan(*anew)
+        return self._program.solve(True, now, reference, self._movers)
+
+    def _moved_on(self, now: GuidanceInputs, elapsed_s: float) -> bool:
+        """Move the last plan on; False = there is none that can be."""
+        if self._plan_age_s is None or not 0.0 <= elapsed_s <= LONGEST_SHIFT_S:
+            return False
         self.nmpc.shift(elapsed_s)
-        self._planned = self.nmpc.x[0].copy()
         turn = 2.0 * math.pi * round((now.x0[YAW] - self.nmpc.x[0, YAW]) / (2.0 * math.pi))
         if turn:
             self.nmpc.x[:, YAW] += turn
-            self._planned[YAW] += turn
-        return False
+        self._planned = self.nmpc.x[0].copy()
+        return True
 
     def _choose(
         self, result: NmpcResult, now: GuidanceInputs, x: FloatArray, limit_n: FloatArray, elapsed_s: float
