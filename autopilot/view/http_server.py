@@ -41,7 +41,10 @@ PAGES = {
     "/view.css": ("view.css", "text/css; charset=utf-8"),
     "/view.js": ("view.js", "text/javascript; charset=utf-8"),
     "/draw.js": ("draw.js", "text/javascript; charset=utf-8"),
+    "/ink.js": ("ink.js", "text/javascript; charset=utf-8"),
+    "/margins.js": ("margins.js", "text/javascript; charset=utf-8"),
     "/plan.js": ("plan.js", "text/javascript; charset=utf-8"),
+    "/attitude.js": ("attitude.js", "text/javascript; charset=utf-8"),
     "/ages.js": ("ages.js", "text/javascript; charset=utf-8"),
     "/icon.svg": ("icon.svg", "image/svg+xml"),
 }

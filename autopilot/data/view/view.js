@@ -1,5 +1,6 @@
 // The page: takes the stream, draws when there is something new, sends what is asked for.
 import { ASLEEP_S, Link, Pace, REOPEN_S, ageText, pictureAge } from "./ages.js";
+import { attitudeOf, attitudeWords, drawCompass, drawHorizon } from "./attitude.js";
 import { DARK, LEGEND, LIGHT, drawFlow, drawPicture, drawPlan, drawSide, flowAt } from "./draw.js";
 import { ZOOM_STEP, extent, followed, following, gridStep, panned, planView, zoomed } from "./plan.js";
 
@@ -7,7 +8,7 @@ const $ = (id) => document.getElementById(id);
 const meta = (name) => document.querySelector(`meta[name=view-${name}]`).content;
 const version = meta("version");
 const dark = matchMedia("(prefers-color-scheme: dark)"), calm = matchMedia("(prefers-reduced-motion: reduce)");
-const seen = { scene: null, frame: null, flow: null, picture: null, image: null, trail: [], view: null, camera: null, moving: null, pictureOld: false, other: false, wall_s: 0 };
+const seen = { scene: null, frame: null, flow: null, picture: null, image: null, trail: [], view: null, camera: null, moving: null, pictureOld: false, other: false, wall_s: 0, margins: true };
 const TRAIL = 1500;
 const link = new Link();
 let pace = new Pace();
@@ -58,11 +59,24 @@ function draw() {
     seen.view = drawPlan(ctx, width, height, shown, palette);
     showHandles(width, height);
     drawSide(...context($("side")), { ...shown, view: seen.view }, palette);
+    if (frame && $("attitude").open) showAttitude(shown.frame, palette);
     if (seen.scene.steerable.current) {
       drawFlow(...context($("flow")), drag && drag.flow ? drag.flow : seen.frame && seen.frame.extra_current_ned_m_s, seen.view && seen.view.turned, palette);
     }
   }
   if ($("camerabox").open) drawPicture(...context($("camera")), seen.picture, seen.image, pictureOld(seconds()), palette);
+}
+
+const DIALS = { horizon: [drawHorizon, "Artificial horizon, roll positive with the right side down, pitch with the nose up"], compass: [drawCompass, "Compass, north up"] };
+function showAttitude(frame, palette) {
+  const facts = attitudeOf(frame), words = attitudeWords(facts);
+  for (const [id, [drawn, name]] of Object.entries(DIALS)) {
+    drawn(...context($(id)), facts, palette);
+    const told = `${name}: ${words[id].map(([line]) => line).join("; ")}`;
+    if ($(id).ariaLabel === told) continue;
+    $(id).ariaLabel = told;
+    $(`${id}key`).replaceChildren(...keyed(words[id]));
+  }
 }
 
 // How old the picture is that is shown, in words; "" while it is of now.
@@ -90,6 +104,7 @@ function showAges() {
   const noPlace = dead || lost(frame), old = pictureOld(now);
   mark("frameage", frames, dead, "now", "alarms", "plan", "side", "legend", "flow", "state", "pwm", "pace");
   for (const id of ["planage", "sideage", "stateage"]) mark(id, place, noPlace);
+  mark("attitudeage", place, noPlace, "dials");
   mark("barsage", place, noPlace, "bars");
   for (const id of ["thrusters", "sensors", "messages"]) mark(`${id}age`, frames, dead, id);
   mark("cameraage", picture ? told(pictureAge(picture, frame, now).age + behind, old) : "", old, "camera");
@@ -544,18 +559,35 @@ $("flow").addEventListener("keydown", (event) => {
 });
 $("flow").addEventListener("blur", () => { if (drag && drag.flow) { drag = null; soon(); } });
 window.addEventListener("resize", soon);
-dark.addEventListener("change", () => { legend(); soon(); });
+dark.addEventListener("change", () => { legend(); for (const id in DIALS) $(id).ariaLabel = ""; soon(); });
 setInterval(tick, 250);
 document.addEventListener("visibilitychange", showAges);
 
-function legend() {
-  $("legend").replaceChildren(...LEGEND.map(([words, name, kind]) => {
-    const item = element("li"), mark = element("i", undefined, kind);
-    mark.style.color = colors()[name];
-    item.append(mark, words);
+// Items of a list: words, and the colour and kind of the mark before them.
+function keyed(rows) {
+  return rows.map(([words, name, kind]) => {
+    const item = element("li");
+    if (kind) {
+      const mark = element("i", undefined, kind);
+      mark.style.color = colors()[name];
+      item.append(mark);
+    }
+    item.append(words);
     return item;
-  }));
+  });
 }
+
+function legend() { $("legend").replaceChildren(...keyed(LEGEND), margins); }
+
+// The last item of the legend is a switch.
+const margins = element("li"), margin = element("button", "⟼ distances");
+margins.append(margin);
+Object.assign(margin, { type: "button", ariaPressed: "true", title: "From the body, and from the prediction's tube, to the nearest boundary" });
+margin.addEventListener("click", () => {
+  seen.margins = !seen.margins;
+  margin.ariaPressed = String(seen.margins);
+  soon();
+});
 
 // What there is room for: a picture on a desk, the plan first on a phone.
 if (matchMedia("(min-width: 801px)").matches) $("camerabox").open = true;
