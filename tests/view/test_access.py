@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from browser_module import browser
+from browser_module import browser, needs_browser
 from viewers import Run, run
 
 PAGE = Path(__file__).resolve().parents[2] / "autopilot" / "data" / "view"
@@ -71,8 +71,6 @@ def test_contrast_of_the_drawings(theme: str) -> None:
 
 
 # In a browser
-
-needs_browser = pytest.mark.skipif(browser.found() is None, reason="no Chromium here; CHROMIUM names one")
 
 POOR = """((stale) => {
     const parts = (color) => color.match(/[\\d.]+/g).map(Number);

@@ -64,7 +64,7 @@ export function drawHorizon(ctx, width, height, facts, colors) {
   for (const mark of LADDER_DEG) {
     const half = mark % 20 ? 0.07 : 0.13;
     stroke(ctx, [[-half, rad(mark)], [half, rad(mark)]].map(at), colors.ink, 1.2);
-    if (mark % 20 === 0) text(ctx, String(mark), ...at([half + 0.1, rad(mark)]), colors.ink, "center");
+    if (mark % 20 === 0) text(ctx, String(mark), ...at([half + 0.04, rad(mark)]), colors.ink);
   }
   ctx.restore();
   circle(ctx, middle, reach, colors.weak, 1);
@@ -77,12 +77,12 @@ export function drawHorizon(ctx, width, height, facts, colors) {
 
 // North is up.
 export function drawCompass(ctx, width, height, facts, colors) {
-  const middle = [width / 2, height / 2], rim = 0.5 * Math.min(width, height) - 2, inner = rim - 18;
+  const middle = [width / 2, height / 2], rim = 0.5 * Math.min(width, height) - 7, inner = rim - 19;
   clear(ctx, width, height, colors);
   circle(ctx, middle, rim, colors.weak, 1);
   const at = (angle, r) => [middle[0] + r * Math.sin(angle), middle[1] - r * Math.cos(angle)];
   for (let mark = 0; mark < 360; mark += 10) stroke(ctx, [at(rad(mark), rim), at(rad(mark), rim - (mark % 30 ? 3 : 6))], colors.weak, 1);
-  ["N", "E", "S", "W"].forEach((name, index) => text(ctx, name, ...at(rad(90 * index), rim - 12), colors.ink, "center"));
+  ["N", "E", "S", "W"].forEach((name, index) => text(ctx, name, ...at(rad(90 * index), rim - 13), colors.ink, "center"));
   if (!facts) return;
   const { heading, goal, route, current } = facts;
   if (route !== null) stroke(ctx, [at(route, 0.34 * rim), at(route, inner)], colors.route, 2, false, [2, 3]);
@@ -91,7 +91,7 @@ export function drawCompass(ctx, width, height, facts, colors) {
   fill(ctx, shape, colors.tube);
   fill(ctx, [shape[0], shape[1], shape[4]], colors.nose);
   stroke(ctx, shape, colors.body, 1.5, true);
-  if (goal) circle(ctx, at(goal.bearing, rim - 6), 5, colors.goal, 2);
+  if (goal) circle(ctx, at(goal.bearing, rim), 5, colors.goal, 2);
   if (current.speed_m_s >= STILL_M_S) arrow(ctx, at(current.bearing + Math.PI, 0.5 * rim), at(current.bearing, 0.62 * rim), colors.felt, 2.5);
 }
 

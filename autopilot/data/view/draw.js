@@ -3,7 +3,7 @@
 import { ageText } from "./ages.js";
 import { arrow, circle, fill, hull, path, stroke, text } from "./ink.js";
 import { drawDimensions } from "./margins.js";
-import { STRIP, extent, flowScale, gridStep, planView, thinned } from "./plan.js";
+import { STRIP, extent, floorDepth, flowArrows, flowScale, gridStep, planView } from "./plan.js";
 
 export const DARK = {
   back: "#18222c", ink: "#e4ebf1", weak: "#93a4b3", wall: "#c3d0db", fence: "#ff6b6b", margin: "rgba(255,107,107,.16)",
@@ -125,7 +125,7 @@ function drawWorld(ctx, view, told, reach, { scene, frame, flow, trail, moving, 
   const { at, scale } = view, many = (points) => points.map(at);
   if (scene.tank_m.length) fill(ctx, many(scene.tank_m), colors.water);
   drawGrid(ctx, view, colors);
-  for (const [n, e, u, v] of flow ? thinned(flow.arrows, view, 0.9 * told * reach * scale) : []) {
+  for (const [n, e, u, v] of flow ? flowArrows(flow, view, 0.9 * told * reach * scale) : []) {
     const [dn, de] = [0.5 * reach * u, 0.5 * reach * v];
     arrow(ctx, at([n - dn, e - de]), at([n + dn, e + de]), flowOld ? colors.solid : colors.flow, 1.2);
   }
@@ -195,8 +195,7 @@ function drawWorld(ctx, view, told, reach, { scene, frame, flow, trail, moving, 
 export function drawSide(ctx, width, height, { scene, frame, trail, lost, camera, view }, colors) {
   const all = extent(scene, frame), turned = planView(2, 1, all).turned, box = camera ? view.box : all;
   let [a0, a1, axis] = turned ? [box.n0, box.n1, 0] : [box.e0, box.e1, 1];
-  const depths = [...scene.places.map((p) => p.pos_ned_m[2]), frame && frame.estimate ? frame.estimate.pos_ned_m[2] : 0];
-  const floor = scene.tank_depth_m === null ? Math.max(1, 1.3 * Math.max(...depths)) : scene.tank_depth_m;
+  const floor = floorDepth(scene, frame);
   const scale = Math.min(width / (a1 - a0), (height - 16) / (1.12 * floor));
   const middle = 0.5 * (a0 + a1), top = 8 + 0.04 * floor * scale;
   if (camera) [a0, a1] = [middle - width / 2 / scale, middle + width / 2 / scale];

@@ -2,6 +2,7 @@
 import { ASLEEP_S, Link, Pace, REOPEN_S, ageText, pictureAge } from "./ages.js";
 import { attitudeOf, attitudeWords, drawCompass, drawHorizon } from "./attitude.js";
 import { DARK, LEGEND, LIGHT, drawFlow, drawPicture, drawPlan, drawSide, flowAt } from "./draw.js";
+import { SpaceView } from "./space.js";
 import { ZOOM_STEP, extent, followed, following, gridStep, panned, planView, zoomed } from "./plan.js";
 
 const $ = (id) => document.getElementById(id);
@@ -59,6 +60,7 @@ function draw() {
     seen.view = drawPlan(ctx, width, height, shown, palette);
     showHandles(width, height);
     drawSide(...context($("side")), { ...shown, view: seen.view }, palette);
+    space.draw({ ...shown, view: seen.view }, palette);
     if (frame && $("attitude").open) showAttitude(shown.frame, palette);
     if (seen.scene.steerable.current) {
       drawFlow(...context($("flow")), drag && drag.flow ? drag.flow : seen.frame && seen.frame.extra_current_ned_m_s, seen.view && seen.view.turned, palette);
@@ -102,7 +104,7 @@ function showAges() {
   const told = (age, old) => (old ? `${ageText(age)} old` : ageText(age)), frames = told(behind, dead);
   const place = !nav ? "no estimate" : nav.health === "INVALID" && !dead ? "estimate invalid" : told(nav.age_s + behind, dead || lost(frame));
   const noPlace = dead || lost(frame), old = pictureOld(now);
-  mark("frameage", frames, dead, "now", "alarms", "plan", "side", "legend", "flow", "state", "pwm", "pace");
+  mark("frameage", frames, dead, "now", "alarms", "plan", "side", "legend", "flow", "state", "space", "pwm", "pace");
   for (const id of ["planage", "sideage", "stateage"]) mark(id, place, noPlace);
   mark("attitudeage", place, noPlace, "dials");
   mark("barsage", place, noPlace, "bars");
@@ -391,10 +393,16 @@ function look(camera) { seen.camera = camera; $("follow").ariaPressed = String(B
 
 function zoom(factor, place) {
   const { view, camera } = seen, canvas = $("plan");
-  if (view) look(zoomed(view, Boolean(camera && camera.follow), factor, place ?? [canvas.clientWidth / 2, canvas.clientHeight / 2]));
+  if (space.on) space.zoom(factor);
+  else if (view) look(zoomed(view, Boolean(camera && camera.follow), factor, place ?? [canvas.clientWidth / 2, canvas.clientHeight / 2]));
 }
 
 function pan(way) { if (seen.view) look(panned(seen.view, way)); }
+
+function fit() {
+  look(null);
+  space.fit();
+}
 
 function follow() {
   const { view, camera, frame, scene } = seen;
@@ -404,13 +412,14 @@ function follow() {
 
 $("nearer").addEventListener("click", () => zoom(ZOOM_STEP));
 $("farther").addEventListener("click", () => zoom(1 / ZOOM_STEP));
-$("fit").addEventListener("click", () => look(null));
+$("fit").addEventListener("click", fit);
 $("follow").addEventListener("click", follow);
+const space = new SpaceView({ canvas: $("space"), button: $("solid"), chart: $("chart"), words: $("spacesaid") }, meta("nothree"), { redraw: soon, fit, follow });
 
 // As the arrow keys point: pixels to the right and down.
 const ARROWS = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, -1], ArrowDown: [0, 1] };
 const PAN_PX = 60;
-const KEYS = { "+": () => zoom(ZOOM_STEP), "=": () => zoom(ZOOM_STEP), "-": () => zoom(1 / ZOOM_STEP), 0: () => look(null), f: follow, F: follow };
+const KEYS = { "+": () => zoom(ZOOM_STEP), "=": () => zoom(ZOOM_STEP), "-": () => zoom(1 / ZOOM_STEP), 0: fit, f: follow, F: follow };
 
 function onPlanKey(event) {
   if (event.ctrlKey || event.metaKey || event.altKey) return;
