@@ -23,19 +23,19 @@ export class SpaceView {
       if (way) this.turn(way[0] * TURN_KEY_RAD, way[1] * TURN_KEY_RAD);
       else work();
     });
-    on("webglcontextlost", () => this.stop("3-D: the graphics driver has reset; press 3-D again"));
+    // three.js asks for the context again, and takes up the one that comes.
+    on("webglcontextlost", () => { this.words.textContent = "3-D: the graphics driver has reset; wait, or reload the page"; });
+    on("webglcontextrestored", () => this.show(""));
   }
 
   async toggle() {
-    if (this.on) { this.stop(""); return; }
     try {
-      this.world ??= await this.made();
+      if (!this.on) this.world ??= await this.made();
+      this.on = !this.on;
+      this.show("");
     } catch (error) {
-      this.stop(error.message);
-      return;
+      this.show(error.message);
     }
-    this.on = true;
-    this.show("");
   }
 
   async made() {
@@ -44,12 +44,6 @@ export class SpaceView {
     if (!context) throw new Error("3-D needs WebGL, which this browser does not offer");
     const [{ World }] = await Promise.all([import("./space_world.js"), window.THREE ?? loaded("/three.js")]);
     return new World(window.THREE, this.canvas, context);
-  }
-
-  stop(words) {
-    if (words) this.world = null;
-    this.on = false;
-    this.show(words);
   }
 
   show(words) {
