@@ -86,22 +86,24 @@ def served() -> Iterator[str]:
 
 
 PAINTED = """(async () => {
-    const [{ attitudeOf, drawCompass, drawHorizon }, { LIGHT }] = await Promise.all([import("/attitude.js"), import("/draw.js")]);
+    const { attitudeOf, drawCompass, drawHorizon } = await import("/attitude.js"), { LIGHT } = await import("/draw.js");
     const canvas = Object.assign(document.createElement("canvas"), { width: 200, height: 200 });
     const ctx = canvas.getContext("2d", { willReadFrequently: true });
     const estimate = { pos_ned_m: [0, 0, 0], rpy_rad: %s, current_ned_m_s: [0, 0.2, 0] };
     const facts = attitudeOf({ estimate, goal: { pos_ned_m: [-5, 0, 0] }, control: null });
-    const color = ([x, y]) => "#" + [...ctx.getImageData(x, y, 1, 1).data].slice(0, 3).map((v) => v.toString(16).padStart(2, "0")).join("");
+    const hex = (value) => value.toString(16).padStart(2, "0");
+    const color = ([x, y]) => "#" + [...ctx.getImageData(x, y, 1, 1).data].slice(0, 3).map(hex).join("");
     drawHorizon(ctx, 200, 200, facts, LIGHT);
     const name = { [LIGHT.above]: "above", [LIGHT.below]: "below" };
     const horizon = [[100, 40], [170, 100], [100, 160], [30, 100]].map((place) => name[color(place)] ?? color(place));
     drawCompass(ctx, 200, 200, facts, LIGHT);
     const ring = (degrees, r, wanted) => {
         const x = 100 + r * Math.sin(degrees * Math.PI / 180), y = 100 - r * Math.cos(degrees * Math.PI / 180);
-        const near = [-2, -1, 0, 1, 2].flatMap((dx) => [-2, -1, 0, 1, 2].map((dy) => color([Math.round(x) + dx, Math.round(y) + dy])));
-        return near.includes(wanted);
+        const at = [Math.round(x), Math.round(y)], steps = [-2, -1, 0, 1, 2];
+        return steps.some((dx) => steps.some((dy) => color([at[0] + dx, at[1] + dy]) === wanted));
     };
-    const found = [0, 90, 180, 270].map((degrees) => [ring(degrees, 75, LIGHT.body), ring(degrees, 40, LIGHT.felt), ring(degrees, 98, LIGHT.goal)]);
+    const marks = [[75, LIGHT.body], [40, LIGHT.felt], [98, LIGHT.goal]];
+    const found = [0, 90, 180, 270].map((degrees) => marks.map((mark) => ring(degrees, ...mark)));
     return { horizon, found };
 })()"""
 
@@ -120,7 +122,7 @@ PAINTED = """(async () => {
 def test_what_is_painted_at_known_attitudes(
     served: str, rpy_rad: tuple[float, float, float], horizon: list[str]
 ) -> None:
-    """Top, right, bottom and left of the dial: nose up = more of what is above, right side down = below to the right."""
+    """Top, right, bottom and left of the dial: nose up = more is above, right side down = below to the right."""
     with browser.page(browser.found()) as tab:
         tab.open(served)
         made = tab.ask(PAINTED % json.dumps([*rpy_rad[:2], math.pi]))

@@ -13,16 +13,16 @@ import pytest
 from test_page import events, page  # noqa: F401 - the fixture
 
 MARGINS = (Path(__file__).resolve().parents[2] / "autopilot" / "data" / "view" / "margins.js").as_uri()
-INK, HORIZON, FENCE = "#1b2733", "#b86a00", "#c4262e"
+INK, FENCE = "#1b2733", "#c4262e"
 
 pytestmark = pytest.mark.skipif(shutil.which("node") is None, reason="node runs the page's code")
 
 
 def drawn(scene: Any, frame: Any, *asked: Any) -> dict[str, list[str]]:
-    """Figures beside dimension lines by their colour, and how many of these lines there are."""
+    """Figures beside dimension lines, by their colour: of the body, then of the prediction."""
     svg = page([scene, frame, *asked])["svg"]["plan"]
     texts = re.findall(r'<text [^>]*fill="([^"]*)"[^>]*>(-?\d+\.\d\d m)</text>', svg)
-    return {color: [words for kind, words in texts if kind == color] for color in (INK, HORIZON, FENCE)}
+    return {color: [words for kind, words in texts if kind == color] for color in (INK, FENCE)}
 
 
 def test_the_body_is_as_far_from_the_fence_as_the_gauge_says(events: list[dict[str, Any]]) -> None:  # noqa: F811
@@ -31,7 +31,7 @@ def test_the_body_is_as_far_from_the_fence_as_the_gauge_says(events: list[dict[s
     radius, control = scene["data"]["body_radius_m"], frame["data"]["control"]
     free_m = frame["data"]["clearance_m"] - radius
     told = drawn(scene, frame)
-    assert told[INK] == [f"{free_m:.2f} m"] and len(told[HORIZON] + told[FENCE]) == 1
+    assert told[INK][0] == f"{free_m:.2f} m" and len(told[INK] + told[FENCE]) == 2
     code = f"""import {{ dimensions, nearestFence }} from "{MARGINS}";
         const scene = {json.dumps(scene["data"])}, frame = {json.dumps(frame["data"])};
         const gaps = frame.control.horizon_ned_m.map((place) => nearestFence(scene.fence, place).gap_m);
@@ -43,9 +43,7 @@ def test_the_body_is_as_far_from_the_fence_as_the_gauge_says(events: list[dict[s
     assert math.dist(now["point"], place[:2]) == pytest.approx(now["free_m"] + radius)
     least = min(gap - radius - tube for gap, tube in zip(gaps, control["tube_m"], strict=True))
     assert ahead["free_m"] == pytest.approx(least)
-    assert ahead["free_m"] >= control["margin_m"] - 0.005, (
-        "the controller's figure is a bound for what lies between too"
-    )
+    assert ahead["free_m"] >= control["margin_m"] - 0.005, "the controller's holds between nodes too"
 
 
 def test_a_nearer_reported_obstacle_is_told_instead_and_an_old_one_is_not(events: list[dict[str, Any]]) -> None:  # noqa: F811
@@ -55,16 +53,16 @@ def test_a_nearer_reported_obstacle_is_told_instead_and_an_old_one_is_not(events
     track = {"number": 1, "vel_ned_m_s": [0, 0], "radius_m": 0.1, "age_s": 0.1}
     track["pos_ned_m"] = [north, east + radius + 0.1 + 0.03]
     frame["data"]["tracks"] = [track]
-    assert drawn(scene, frame)[INK] == ["0.03 m"]
+    assert drawn(scene, frame)[INK][0] == "0.03 m"
     track["pos_ned_m"] = [north, east + radius]
     assert "-0.10 m" in drawn(scene, frame)[FENCE], "overlap is negative and red"
     track["age_s"] = 60.0
-    assert drawn(scene, frame)[INK] == [f"{frame['data']['clearance_m'] - radius:.2f} m"]
+    assert drawn(scene, frame)[INK][0] == f"{frame['data']['clearance_m'] - radius:.2f} m"
 
 
 def test_distances_can_be_switched_off_and_give_way_far_from_above(events: list[dict[str, Any]]) -> None:  # noqa: F811
     scene, frame = copy.deepcopy(next(event for event in events if event["name"] == "scene")), copy.deepcopy(events[-1])
-    nothing: dict[str, list[str]] = {INK: [], HORIZON: [], FENCE: []}
+    nothing: dict[str, list[str]] = {INK: [], FENCE: []}
     assert drawn(scene, frame) != nothing
     frame["data"]["estimate"]["health"] = "INVALID"
     assert drawn(scene, frame) == nothing, "nobody knows how far it is"
@@ -73,5 +71,8 @@ def test_distances_can_be_switched_off_and_give_way_far_from_above(events: list[
     assert drawn(scene, frame) == nothing
     follow = {"event": "click", "name": "follow", "data": {}}
     assert drawn(scene, frame, follow) != nothing
+    switch = {"event": "click", "name": "distances", "data": {}}
+    assert drawn(scene, frame, follow, switch) == nothing
+    assert drawn(scene, frame, follow, switch, switch) == drawn(scene, frame, follow)
     scene["data"]["fence"] = frame["data"]["tracks"] = []
     assert drawn(scene, frame, follow) == nothing

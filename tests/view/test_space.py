@@ -25,7 +25,10 @@ CANVAS = "document.getElementById('space')"
 COUNTED = """(() => {
     const draw = WebGLRenderingContext.prototype.clear;
     window.pictures = 0;
-    WebGLRenderingContext.prototype.clear = function (...given) { window.pictures += 1; return draw.apply(this, given); };
+    WebGLRenderingContext.prototype.clear = function (...given) {
+        window.pictures += 1;
+        return draw.apply(this, given);
+    };
 })()"""
 
 
@@ -117,7 +120,8 @@ def test_it_is_loaded_when_switched_on_shows_the_world_and_turns_by_keys_and_mou
 
 
 def test_nothing_is_drawn_while_it_is_off_or_out_of_sight(flight: Run) -> None:
-    frames = "new Promise((done) => { const begin = window.pictures; setTimeout(() => done(window.pictures - begin), 1500); })"
+    later = "const begin = window.pictures; setTimeout(() => done(window.pictures - begin), 1500);"
+    frames = f"new Promise((done) => {{ {later} }})"
     with opened(flight) as tab:
         tab.ask(COUNTED)
         tab.ask(SWITCH)

@@ -73,6 +73,6 @@ export function drawDimensions(ctx, view, scene, frame, colors) {
     for (const [x, y] of [edge, to]) stroke(ctx, [[x - TICK_PX * v, y + TICK_PX * u], [x + TICK_PX * v, y - TICK_PX * u]], paint, 1);
     const along = Math.min(0.5 * Math.abs(free_m) * view.scale, FAR_PX), side = u > 0.7 || u < -0.7 ? 0 : 1;
     const beside = [edge[0] + u * along + 6 * side, edge[1] + v * along - (side ? 0 : 9)];
-    text(ctx, `${free_m.toFixed(2).replace(/^-(0\.00)$/, "$1")} m`, ...beside, paint, side ? "left" : "center", colors.back);
+    text(ctx, `${free_m.toFixed(2).replace(/^-(0\.00)$/, "$1")} m`, ...beside, colors[free_m < 0 ? "fence" : "ink"], side ? "left" : "center");
   }
 }

@@ -586,15 +586,12 @@ function keyed(rows) {
   });
 }
 
-function legend() { $("legend").replaceChildren(...keyed(LEGEND), margins); }
-
 // The last item of the legend is a switch.
-const margins = element("li"), margin = element("button", "⟼ distances");
-margins.append(margin);
-Object.assign(margin, { type: "button", ariaPressed: "true", title: "From the body, and from the prediction's tube, to the nearest boundary" });
-margin.addEventListener("click", () => {
+function legend() { $("legend").replaceChildren(...keyed(LEGEND), $("switch")); }
+
+$("distances").addEventListener("click", () => {
   seen.margins = !seen.margins;
-  margin.ariaPressed = String(seen.margins);
+  $("distances").ariaPressed = String(seen.margins);
   soon();
 });
 
