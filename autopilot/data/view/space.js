@@ -8,7 +8,7 @@ export class SpaceView {
   // `parts`: canvas, button, chart and words of the page; `missing`: how to get three.js where it is not there;
   // `redraw` asks for a picture, `fit` and `follow` are what the plan's keys do.
   constructor(parts, missing, { redraw, fit, follow }) {
-    Object.assign(this, parts, { missing, redraw, on: false, world: null, angles: null, nearness: 1, following: false, pointers: new Map() });
+    Object.assign(this, parts, { missing, redraw, on: false, world: null, angles: null, nearness: 1, following: false, last: null, asked: false, pointers: new Map() });
     this.button.addEventListener("click", () => this.toggle());
     const canvas = this.canvas, on = (name, work) => canvas.addEventListener(name, work, { passive: false });
     on("pointerdown", (event) => { this.pointers.set(event.pointerId, [event.clientX, event.clientY]); canvas.setPointerCapture(event.pointerId); });
@@ -70,23 +70,34 @@ export class SpaceView {
     if (!this.angles) return;
     const [azimuth, elevation] = this.angles;
     this.angles = [azimuth - right, Math.min(Math.max(elevation + down, 0.02), 1.55)];
-    this.redraw();
+    this.again();
   }
 
   zoom(factor) {
     this.nearness = Math.min(Math.max(this.nearness * factor, 0.3), MOST_NEAR);
-    this.redraw();
+    this.again();
   }
 
   fit() {
     this.angles = null;
     this.nearness = 1;
-    this.redraw();
+    this.again();
+  }
+
+  // The same from elsewhere: nothing but this is drawn for it.
+  again() {
+    if (this.asked || !this.last) return;
+    this.asked = true;
+    requestAnimationFrame(() => {
+      this.asked = false;
+      this.draw(...this.last);
+    });
   }
 
   // `shown`: what the plan is drawn from.
   draw(shown, palette) {
     if (!this.on || !this.world) return;
+    this.last = [shown, palette];
     const box = this.canvas.getBoundingClientRect();
     if (box.bottom < 0 || box.top > window.innerHeight) return;
     // At first as the plan lies: from the south, or from the east where north is to the right.

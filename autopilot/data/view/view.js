@@ -53,11 +53,11 @@ function draw() {
     const water = flow && frame && pictureAge(flow, frame, now);
     shown.flowOld = water && water.old(ages().flow_s) ? ageText(water.age) : "";
     const [ctx, width, height] = context($("plan"));
+    const view = () => planView(width, height, extent(seen.scene, frame), seen.camera);
     if (seen.camera && seen.camera.follow && frame && frame.estimate) {
-      const view = planView(width, height, extent(seen.scene, frame), seen.camera);
-      shown.camera = seen.camera = followed(seen.camera, view, frame.estimate.pos_ned_m, calm.matches);
+      shown.camera = seen.camera = followed(seen.camera, view(), frame.estimate.pos_ned_m, calm.matches);
     }
-    seen.view = drawPlan(ctx, width, height, shown, palette);
+    seen.view = space.on ? view() : drawPlan(ctx, width, height, shown, palette); // in 3-D the plan is hidden
     showHandles(width, height);
     drawSide(...context($("side")), { ...shown, view: seen.view }, palette);
     space.draw({ ...shown, view: seen.view }, palette);
