@@ -48,7 +48,7 @@ def test_bearings_of_goal_route_and_current() -> None:
         "goal": {"pos_ned_m": [1, 5, 0.5]},
         "control": {"route_ned_m": [[1, 2], [1.1, 2.1], [-1, 0], [1, 5]]},
     }
-    still = copy.deepcopy(frame) | {"goal": None, "control": None}
+    still = copy.deepcopy(frame) | {"goal": {"pos_ned_m": [1.02, 2, 0.5]}, "control": None}
     still["estimate"]["current_ned_m_s"] = [0.001, 0, 0]
     code = "made.push(attitude.attitudeWords(attitude.attitudeOf(frame)));"
     words, none = made(f"for (const frame of {json.dumps([frame, still])}) {code}")
@@ -59,7 +59,7 @@ def test_bearings_of_goal_route_and_current() -> None:
         "route 225°",
         "current to 270°, 0.12 m/s",
     ]
-    assert [line for line, *_ in none["compass"]] == ["heading 303°", "current 0.00 m/s"]
+    assert [line for line, *_ in none["compass"]] == ["heading 303°", "goal 0.02 m", "current 0.00 m/s"]
     assert made("made.push(attitude.bearingText(-1e-4), attitude.bearingText(2 * Math.PI))") == ["000°", "000°"]
 
 

@@ -5,7 +5,7 @@ import { arrow, circle, fill, hull, path, stroke, text } from "./ink.js";
 const SPAN_RAD = 0.6; // from the middle of the horizon to its rim
 const LADDER_DEG = [-30, -20, -10, 10, 20, 30];
 const BANK_DEG = [-60, -30, -20, -10, 0, 10, 20, 30, 60];
-const STILL_M_S = 0.005; // a slower current has no direction
+const STILL_M_S = 0.005, CLOSE_M = 0.05; // a slower current and a nearer goal have no direction
 const AHEAD_M = 0.3; // the route's bearing is to its first point that is farther away
 
 const rad = (degrees) => (degrees * Math.PI) / 180;
@@ -23,7 +23,7 @@ export function attitudeOf({ estimate, goal, control }) {
   const next = control && control.route_ned_m.find((place) => far(place) > AHEAD_M);
   return {
     roll, pitch, heading,
-    goal: goal && { bearing: bearing(here, goal.pos_ned_m), distance_m: far(goal.pos_ned_m) },
+    goal: goal && { bearing: far(goal.pos_ned_m) < CLOSE_M ? null : bearing(here, goal.pos_ned_m), distance_m: far(goal.pos_ned_m) },
     route: next ? bearing(here, next) : null,
     current: { bearing: Math.atan2(v, u), speed_m_s: Math.hypot(u, v) },
   };
@@ -34,7 +34,7 @@ export function attitudeWords(facts) {
   if (!facts) return { horizon: [["no estimate"]], compass: [["no estimate"]] };
   const turn = (angle) => `${figure((angle * 180) / Math.PI, 1)}°`, { goal, route, current } = facts;
   const compass = [[`heading ${bearingText(facts.heading)}`, "body", "line"]];
-  if (goal) compass.push([`goal ${bearingText(goal.bearing)}, ${figure(goal.distance_m, 2)} m`, "goal", "line"]);
+  if (goal) compass.push([`goal ${goal.bearing === null ? "" : `${bearingText(goal.bearing)}, `}${figure(goal.distance_m, 2)} m`, "goal", "line"]);
   if (route !== null) compass.push([`route ${bearingText(route)}`, "route", "dotted"]);
   const { speed_m_s: speed } = current;
   compass.push([`current ${speed < STILL_M_S ? "" : `to ${bearingText(current.bearing)}, `}${figure(speed, 2)} m/s`, "felt", "line"]);
@@ -91,7 +91,7 @@ export function drawCompass(ctx, width, height, facts, colors) {
   fill(ctx, shape, colors.tube);
   fill(ctx, [shape[0], shape[1], shape[4]], colors.nose);
   stroke(ctx, shape, colors.body, 1.5, true);
-  if (goal) circle(ctx, at(goal.bearing, rim), 5, colors.goal, 2);
+  if (goal && goal.bearing !== null) circle(ctx, at(goal.bearing, rim), 5, colors.goal, 2);
   if (current.speed_m_s >= STILL_M_S) arrow(ctx, at(current.bearing + Math.PI, 0.5 * rim), at(current.bearing, 0.62 * rim), colors.felt, 2.5);
 }
 

@@ -4,6 +4,7 @@ import { stroke, text } from "./ink.js";
 
 const LEAST_BODY_PX = 8; // radius of the body below which there is no room for dimensions
 const TICK_PX = 4, FAR_PX = 70; // of a line's ends, and of its figure from the body at most
+const APART_PX = [44, 14]; // of two figures; the second is left out where it would cover the first
 
 // The nearest point of an edge.
 function nearestOf([n, e], [n0, e0], [n1, e1]) {
@@ -65,14 +66,17 @@ export function dimensions(scene, frame) {
 // Thin dimension lines with their lengths, while the plan is near enough.
 export function drawDimensions(ctx, view, scene, frame, colors) {
   if (scene.body_radius_m * view.scale < LEAST_BODY_PX) return;
+  const figures = [];
   for (const { place, point, keep_m, free_m, color } of dimensions(scene, frame)) {
     const [from, to] = [view.at(place), view.at(point)], inside = free_m + keep_m < 0 ? -1 : 1;
     const apart = Math.hypot(to[0] - from[0], to[1] - from[1]) || 1, [u, v] = [(inside * (to[0] - from[0])) / apart, (inside * (to[1] - from[1])) / apart];
     const edge = [from[0] + u * keep_m * view.scale, from[1] + v * keep_m * view.scale], paint = colors[free_m < 0 ? "fence" : color];
-    stroke(ctx, [edge, to], paint, 1);
-    for (const [x, y] of [edge, to]) stroke(ctx, [[x - TICK_PX * v, y + TICK_PX * u], [x + TICK_PX * v, y - TICK_PX * u]], paint, 1);
     const along = Math.min(0.5 * Math.abs(free_m) * view.scale, FAR_PX), side = u > 0.7 || u < -0.7 ? 0 : 1;
     const beside = [edge[0] + u * along + 6 * side, edge[1] + v * along - (side ? 0 : 9)];
+    if (figures.some((other) => Math.abs(other[0] - beside[0]) < APART_PX[0] && Math.abs(other[1] - beside[1]) < APART_PX[1])) continue;
+    figures.push(beside);
+    stroke(ctx, [edge, to], paint, 1);
+    for (const [x, y] of [edge, to]) stroke(ctx, [[x - TICK_PX * v, y + TICK_PX * u], [x + TICK_PX * v, y - TICK_PX * u]], paint, 1);
     text(ctx, `${free_m.toFixed(2).replace(/^-(0\.00)$/, "$1")} m`, ...beside, colors[free_m < 0 ? "fence" : "ink"], side ? "left" : "center");
   }
 }
