@@ -76,7 +76,7 @@ export class World {
       renderer.setSize(width, height, false);
     }
     const radius = halfOf(all, this.floor);
-    const far = (0.76 * radius) / (tan * Math.min(1, width / height)) / nearness;
+    const far = (radius / tan) * Math.max(0.76, (1.05 * height) / width) / nearness; // flat: less high than wide
     camera.aspect = width / height;
     camera.near = far / 50;
     camera.far = far + 4 * radius;
