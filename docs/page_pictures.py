@@ -40,9 +40,7 @@ def view() -> None:
 
 def photographed(port: int) -> None:
     """Desk and phone, one after the other."""
-    program = browser.found()
-    assert program is not None
-    with browser.page(program) as page:
+    with browser.page(browser.found()) as page:
         page.size(*DESK)
         page.open(f"http://127.0.0.1:{port}/")
         page.wait("document.getElementById('state')?.children.length > 4")
@@ -59,9 +57,7 @@ def photographed(port: int) -> None:
 
 def reported(log: Path) -> None:
     """The head of the report."""
-    program = browser.found()
-    assert program is not None
-    with tempfile.TemporaryDirectory() as folder, browser.page(program) as page:
+    with tempfile.TemporaryDirectory() as folder, browser.page(browser.found()) as page:
         html = Path(folder) / "report.html"
         command = autopilot_command("log", "report", str(log.resolve()), "--out", str(html))
         subprocess.run(command, check=True, stdout=subprocess.DEVNULL)

@@ -1,8 +1,11 @@
-"""docs/browser.py, which is in no package, as a module."""
+"""docs/browser.py, which is in no package, as a module; and the mark of tests that need a Chromium."""
 
 import importlib.util
+import os
 from pathlib import Path
 from types import ModuleType
+
+import pytest
 
 
 def _loaded() -> ModuleType:
@@ -15,3 +18,8 @@ def _loaded() -> ModuleType:
 
 
 browser = _loaded()
+
+needs_browser = pytest.mark.skipif(
+    browser.found() is None and not os.environ.get("CI"), reason="no Chromium here; CHROMIUM names one"
+)
+"""Skipped without one, but not where the environment variable CI is set: there these tests fail."""

@@ -15,6 +15,7 @@ import numpy as np
 from autopilot.command.service_parts import ServiceParts
 from autopilot.core import operator_messages as notices
 from autopilot.core.errors import ConfigError
+from autopilot.core.frames import FloatArray
 from autopilot.core.notice_queue import NoticeQueue
 from autopilot.log.description import RunDescription
 from autopilot.run.clocks import LockstepClock, PacedClock
@@ -35,14 +36,16 @@ from autopilot.view.controls import (
     ViewError,
 )
 from autopilot.view.feed import TruthSeen
-from autopilot.view.page_state import FaultOffer, FlowView, Solid, Steerable
+from autopilot.view.page_state import Arrow, FaultOffer, FlowView, Solid, Steerable
 
 ANSWER_S = 5.0
 """The loop answers an ask in that time, or is busy."""
 ARROWS = 13
 """Arrows of the current along the longer side."""
-OPEN_WATER_M = 10.0
-"""Radius around the start that is displayed in open water."""
+NEAR_M = 10.0
+"""Half the side of the finer grid round the vehicle in open water."""
+WIDE_ARROWS, WIDE = 21, 1.6
+"""Of the grid over all that the plan shows there: along a side, which is so many times as long, as screens are wide."""
 
 
 class WatchedSitl(WatchedService):
@@ -118,26 +121,40 @@ class Steering(NoticeQueue):
         flow = None if self._vehicle.steerable is None else self._flow_m_s
         return Steered(paused=self._paused, speed=self._speed, extra_current_ned_m_s=flow)
 
-    def flow(self, t_s: float, depth_m: float) -> FlowView | None:
-        """The current on a grid over the tank, or round the start."""
+    def flow(self, t_s: float, pos_ned_m: FloatArray, shown_m: FloatArray) -> FlowView | None:
+        """The current on a grid over the tank; in open water over what the plan shows, and finer round the vehicle."""
         plant, tank = self._vehicle.steerable, self._scenario.tank
         if plant is None:
             return None
+
+        def field(low: FloatArray, high: FloatArray, most: int) -> tuple[Arrow, ...]:
+            """On a grid with so many arrows along the longer side."""
+            step = float((high - low).max()) / most
+            counts = np.maximum(np.round((high - low) / step).astype(int), 1)
+            sides = zip(low, high, counts, strict=True)
+            norths, easts = ((a + (np.arange(n) + 0.5) * (b - a) / n).tolist() for a, b, n in sides)
+            arrows = []
+            for north in norths:
+                for east in easts:
+                    u, v, _ = plant.current_at((north, east, float(pos_ned_m[2])), t_s)
+                    arrows.append((round(north, 3), round(east, 3), round(u, 4), round(v, 4)))
+            return tuple(arrows)
+
         if tank is not None:
-            low, high = np.min(tank.polygon_m, axis=0), np.max(tank.polygon_m, axis=0)
-        else:
-            start = np.array(self._scenario.vehicle.start_m[:2])
-            low, high = start - OPEN_WATER_M, start + OPEN_WATER_M
-        step = float((high - low).max()) / ARROWS
-        counts = np.maximum(np.round((high - low) / step).astype(int), 1)
-        sides = zip(low, high, counts, strict=True)
-        norths, easts = ((a + (np.arange(n) + 0.5) * (b - a) / n).tolist() for a, b, n in sides)
-        arrows = []
-        for north in norths:
-            for east in easts:
-                u, v, _ = plant.current_at((north, east, depth_m), t_s)
-                arrows.append((round(north, 3), round(east, 3), round(u, 4), round(v, 4)))
-        return FlowView(t_s=t_s, arrows=tuple(arrows))
+            return FlowView(
+                t_s=t_s, arrows=field(np.min(tank.polygon_m, axis=0), np.max(tank.polygon_m, axis=0), ARROWS)
+            )
+        # Centres on a lattice: the arrows stand still while the vehicle moves.
+        step = 2.0 * NEAR_M / ARROWS
+        middle = np.round(pos_ned_m[:2] / step) * step
+        near = field(middle - NEAR_M, middle + NEAR_M, ARROWS)
+        low, high = np.min(shown_m, axis=0), np.max(shown_m, axis=0)
+        half = 0.5 * WIDE * float((high - low).max())
+        if half <= NEAR_M:
+            return FlowView(t_s=t_s, arrows=near)
+        step = 2.0 * half / WIDE_ARROWS
+        middle = np.round(0.5 * (low + high) / step) * step
+        return FlowView(t_s=t_s, arrows=field(middle - half, middle + half, WIDE_ARROWS), near=near)
 
     def do(self, request: ControlRequest) -> str:
         """Hand it to the loop and wait for its answer."""

@@ -9,6 +9,7 @@ from typing import Annotated, Protocol, TypeAlias
 import msgspec
 
 from autopilot.core.errors import AutopilotError
+from autopilot.core.frames import FloatArray
 from autopilot.core.toml_table import Table
 from autopilot.view.page_state import FlowView, Point2, Steerable
 
@@ -77,8 +78,9 @@ class Controls(Protocol):
     @property
     def steered(self) -> Steered: ...
 
-    def flow(self, t_s: float, depth_m: float) -> FlowView | None:
-        """The simulated current, None on a real vehicle; from the view's thread."""
+    def flow(self, t_s: float, pos_ned_m: FloatArray, shown_m: FloatArray) -> FlowView | None:
+        """The simulated current at the vehicle's depth, round the vehicle (3,) and over the places (n, 2) that the
+        plan shows; None on a real vehicle. From the view's thread."""
         ...
 
     def do(self, request: ControlRequest) -> str:
@@ -94,7 +96,7 @@ class ReadOnly:
     steerable = Steerable(missing=("This is a real vehicle: the page only shows. Fly it from a ground station.",))
     steered = Steered()
 
-    def flow(self, t_s: float, depth_m: float) -> FlowView | None:
+    def flow(self, t_s: float, pos_ned_m: FloatArray, shown_m: FloatArray) -> FlowView | None:
         return None
 
     def do(self, request: ControlRequest) -> str:

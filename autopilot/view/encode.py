@@ -135,6 +135,14 @@ def frame_of(snapshot: TickSnapshot, vehicle: Vehicle, steered: Steered, *, now_
     )
 
 
+def plan_points_m(run: RunDescription, pos_ned_m: FloatArray) -> FloatArray:
+    """(n, 2) what the plan has to show: the vehicle, walls, fence and waypoints."""
+    points = [tuple(pos_ned_m[:2]), *run.tank_polygon_m, *(place.pos_ned_m[:2] for place in run.waypoints)]
+    for shape in run.fence:
+        points += outline(shape)
+    return np.array(points, dtype=float)
+
+
 def picture_of(taken: TakenPicture) -> PictureView:
     """A camera picture as JPEG with its detections. AutopilotError if it cannot be compressed."""
     import cv2  # expensive: imported only while pictures are viewed

@@ -1,4 +1,4 @@
-"""HTTP server of the page on loopback: four files, a stream of server-sent events, and requests.
+"""HTTP server of the page on loopback: its files, a stream of server-sent events, and requests.
 
 Local access only. The socket is bound to 127.0.0.1; the Host of a request has to be a name of loopback, which
 rejects DNS rebinding; cross-site requests are rejected by Origin or Sec-Fetch-Site; and requests that change
@@ -7,11 +7,14 @@ answer either.
 """
 
 import hashlib
+import importlib.util
 import secrets
 import socket
 import threading
+from html import escape
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from importlib.resources import files
+from pathlib import Path
 from urllib.parse import parse_qs, urlsplit
 
 import msgspec
@@ -41,11 +44,18 @@ PAGES = {
     "/view.css": ("view.css", "text/css; charset=utf-8"),
     "/view.js": ("view.js", "text/javascript; charset=utf-8"),
     "/draw.js": ("draw.js", "text/javascript; charset=utf-8"),
+    "/ink.js": ("ink.js", "text/javascript; charset=utf-8"),
+    "/margins.js": ("margins.js", "text/javascript; charset=utf-8"),
+    "/space.js": ("space.js", "text/javascript; charset=utf-8"),
+    "/space_world.js": ("space_world.js", "text/javascript; charset=utf-8"),
     "/plan.js": ("plan.js", "text/javascript; charset=utf-8"),
+    "/attitude.js": ("attitude.js", "text/javascript; charset=utf-8"),
     "/ages.js": ("ages.js", "text/javascript; charset=utf-8"),
     "/icon.svg": ("icon.svg", "image/svg+xml"),
 }
 """Path -> file of the package, type."""
+THREE_PATH = "/three.js"
+NO_THREE = "3-D needs three.js, which comes with the package pythreejs: pip install 'underwater-autopilot[view3d]'"
 
 POLICY = (
     "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' data:; connect-src 'self';"
@@ -95,6 +105,13 @@ class _Server(ThreadingHTTPServer):
 def _file(name: str) -> bytes:
     """A packaged file of the page."""
     return (files("autopilot") / "data" / "view" / name).read_bytes()
+
+
+def _three_js() -> Path | None:
+    """three.js as it comes with pythreejs, found without importing that; None without it."""
+    spec = importlib.util.find_spec("pythreejs")
+    folders = [] if spec is None else spec.submodule_search_locations or []
+    return next((file for folder in folders if (file := Path(folder) / "static" / "three.js").is_file()), None)
 
 
 def _version() -> str:
@@ -152,11 +169,18 @@ class _Handler(BaseHTTPRequestHandler):
             self._stream(pictures=parse_qs(url.query).get("pictures") == ["1"])
         elif url.path in PAGES:
             name, kind = PAGES[url.path]
-            marked = {b"@TOKEN@": self.server.token, b"@VERSION@": self.server.version}
+            missing = "" if _three_js() else escape(NO_THREE)
+            marked = {b"@TOKEN@": self.server.token, b"@VERSION@": self.server.version, b"@NOTHREE@": missing}
             data = _file(name)
             for mark, text in marked.items() if name == "index.html" else ():
                 data = data.replace(mark, text.encode())
             self._answer(200, data, kind)
+        elif url.path == THREE_PATH:
+            three = _three_js()
+            if three is None:
+                self._say(404, NO_THREE)
+            else:
+                self._answer(200, three.read_bytes(), "text/javascript; charset=utf-8")
         else:
             self._say(404, "there is no such page; the view is at /")
 

@@ -10,11 +10,12 @@ import time
 from collections.abc import Mapping
 
 import msgspec
+import numpy as np
 
 from autopilot.core.vehicle import Vehicle
 from autopilot.view.ages import FLOW_S
 from autopilot.view.controls import Controls
-from autopilot.view.encode import frame_of, picture_of, scene_of
+from autopilot.view.encode import frame_of, picture_of, plan_points_m, scene_of
 from autopilot.view.feed import Feed, TickSnapshot, Watched
 
 POLL_S = 0.05
@@ -180,7 +181,9 @@ class Hub:
         if now_s - self._flow_s >= FLOW_S:
             self._flow_s = now_s
             nav = snapshot.outputs.nav
-            flow = run.controls.flow(1e-6 * snapshot.outputs.t_us, 0.5 if nav is None else float(nav.pos_ned_m[2]))
+            place = np.array((0.0, 0.0, 0.5)) if nav is None else nav.pos_ned_m
+            shown_m = plan_points_m(snapshot.description, place)
+            flow = run.controls.flow(1e-6 * snapshot.outputs.t_us, place, shown_m)
             if flow is not None:
                 self._all("flow", flow)
         taken = snapshot.picture

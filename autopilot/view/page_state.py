@@ -10,6 +10,8 @@ import msgspec
 
 Point2: TypeAlias = tuple[float, float]
 Point3: TypeAlias = tuple[float, float, float]
+Arrow: TypeAlias = tuple[float, float, float, float]
+"""North, east [m], northward, eastward [m/s]."""
 
 
 class Outline(msgspec.Struct, frozen=True, kw_only=True):
@@ -289,8 +291,10 @@ class PictureView(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class FlowView(msgspec.Struct, frozen=True, kw_only=True):
-    """The simulated current on a grid."""
+    """The simulated current on a grid, at the vehicle's depth."""
 
     t_s: float
-    arrows: tuple[tuple[float, float, float, float], ...]
-    """North, east [m], northward, eastward [m/s], at half the vehicle's depth."""
+    arrows: tuple[Arrow, ...]
+    """Over all that the plan shows."""
+    near: tuple[Arrow, ...] = ()
+    """A finer grid round the vehicle, in open water."""

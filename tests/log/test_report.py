@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 from bokeh.models import BoxAnnotation, Plot, Range1d, Span
-from browser_module import browser
+from browser_module import browser, needs_browser
 from log_synthetic import Run, shifted, write_run
 
 from autopilot.log.analysis import FlightRecord, load_flight
@@ -146,13 +146,11 @@ def test_plan_laps_and_failures_come_first_and_the_rest_is_folded(page: Path, fl
     assert names[0] == "verdicts" and [f"#{name}" for name in names] == re.findall(r'<a href="(#[^"]+)"', body)
 
 
+@needs_browser
 @pytest.mark.parametrize("width_px", [390, 1440])
 def test_the_page_is_as_wide_as_its_screen(page: Path, width_px: int) -> None:
     """In a browser: a link opens its section, every plot is drawn and fits, and nothing is wrong on the console."""
-    program = browser.found()
-    if program is None:
-        pytest.skip("no Chromium on this machine")
-    with browser.page(program) as shown:
+    with browser.page(browser.found()) as shown:
         shown.size(width_px, 844, phone=width_px < 600)
         shown.open(f"{page.as_uri()}#thrusters")
         shown.wait("document.readyState === 'complete' && document.getElementById('thrusters')?.open")

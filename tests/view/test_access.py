@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from browser_module import browser
+from browser_module import browser, needs_browser
 from viewers import Run, run
 
 PAGE = Path(__file__).resolve().parents[2] / "autopilot" / "data" / "view"
@@ -65,14 +65,14 @@ def test_contrast_of_the_drawings(theme: str) -> None:
     done = subprocess.run(["node", "--input-type=module", "-e", code], capture_output=True, text=True, check=True)
     palette = json.loads(done.stdout)[theme]
     texts = [(text, ground) for text in ("ink", "weak", "place", "track") for ground in ("back", "water")]
-    lines = set(palette) - {"back", "water", "margin", "tube", "pillar", "nose", "grid"}
+    texts += [("fence", "back"), ("fence", "water"), ("ink", "above"), ("ink", "below")]
+    lines = set(palette) - {"back", "water", "margin", "tube", "pillar", "nose", "grid", "above", "below"}
     graphics = [(name, ground) for name in lines for ground in ("back", "water")]
+    graphics += [("body", "above"), ("body", "below")]
     assert poor(palette, [*texts, ("back", "solid")], TEXT) == {} and poor(palette, graphics, GRAPHIC) == {}
 
 
 # In a browser
-
-needs_browser = pytest.mark.skipif(browser.found() is None, reason="no Chromium here; CHROMIUM names one")
 
 POOR = """((stale) => {
     const parts = (color) => color.match(/[\\d.]+/g).map(Number);
@@ -171,6 +171,7 @@ def test_every_control_has_a_name_and_is_reached_by_tab_with_its_focus_seen(flig
             "farther",
             "fit",
             "follow",
+            "solid",
             "plan",
             "pause",
             "speed",

@@ -221,7 +221,7 @@ def test_each_group_goes_grey_by_its_own_limit(seen: Page, heard: dict[str, Even
     seen.note("none")
     notes = seen.made()["notes"]
     assert notes["state fresh"]["stale"] == [] and notes["state fresh"]["rows"] == 0
-    assert notes["state old"]["stale"] == ["bars"] and notes["state old"]["rows"] == 5
+    assert notes["state old"]["stale"] == ["dials", "bars"] and notes["state old"]["rows"] == 5
     assert notes["row fresh"]["rows"] == 0 and notes["row old"]["rows"] == 1
     body = "#0b6fa4"
     vehicle = f'stroke="{body}" stroke-width="2.0"'

@@ -6,10 +6,10 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from browser_module import browser
+from browser_module import browser, needs_browser
 from viewers import Run, run
 
-pytestmark = pytest.mark.skipif(browser.found() is None, reason="no Chromium here; CHROMIUM names one")
+pytestmark = needs_browser
 
 
 @pytest.fixture(scope="module")

@@ -128,6 +128,26 @@ def test_arrows_of_the_current_are_bounded_apart_and_do_not_jump_at_any_zoom() -
     assert max(count for count, *_ in made) > 100
 
 
+def test_a_fine_grid_of_the_current_stands_in_the_place_of_the_coarse_one() -> None:
+    made = geometry(
+        """const grid = (step, count, from) => Array.from({ length: count * count }, (_, k) =>
+            [from + step * Math.floor(k / count), from + step * (k % count), 0.1, 0]);
+        const field = { arrows: grid(15, 21, -150), near: grid(1.5, 13, -9) };
+        const all = {n0: -180, n1: 180, e0: -180, e1: 180};
+        for (const scale of [1, 6, 40, 300]) {
+            const view = plan.planView(700, 430, all, { n: 0, e: 0, scale }), { n0, n1, e0, e1 } = view.box;
+            const shown = plan.flowArrows(field, view, 20), is = (a) => field.near.includes(a);
+            const inside = (a) => Math.abs(a[0]) <= 9 && Math.abs(a[1]) <= 9;
+            made.push([shown.filter(is).length, shown.filter((a) => !is(a)).length,
+                shown.filter((a) => !is(a) && inside(a)).length]);
+        }"""
+    )
+    far, middle, near, nearest = made
+    assert far[0] == 0 and far[1] > 100, "from far above a fine grid would be a blot"
+    assert middle[0] >= 9 and middle[1] > 10 and middle[2] == 0
+    assert near[0] > 60 and near[2] == nearest[2] == 0 and nearest[0] >= 1
+
+
 def numbers(svg: str, color: str) -> list[tuple[float, float]]:
     """Points of everything drawn in a colour."""
     found = re.findall(rf'<path d="([^"]*)" fill="[^"]*"(?: stroke="{re.escape(color)}")', svg)

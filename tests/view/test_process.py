@@ -2,6 +2,7 @@
 
 import socket
 import time
+from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
@@ -73,6 +74,26 @@ def test_the_stream_has_every_field(sitl: Run) -> None:
     flow = msgspec.convert(stream.until("flow"), FlowView)
     assert {arrow[2:] for arrow in flow.arrows} == {(0.05, 0.0)}
     stream.close()
+
+
+def test_the_current_of_open_water_is_shown_wherever_the_plan_can_show(tmp_path: Path) -> None:
+    plan = tmp_path / "far.mission.toml"
+    text = (files("autopilot") / "sitl" / "scenarios" / "open-water.mission.toml").read_text(encoding="utf-8")
+    plan.write_text(text.replace(" = 6.0", " = 180.0"), encoding="utf-8")
+    with run(tmp_path, "open-water", "--start", "--plan", str(plan)) as made:
+        stream = Stream(made.port)
+        frame = msgspec.convert(stream.until("frame", lambda data: data["estimate"]), ViewFrame)
+        flow = msgspec.convert(stream.until("flow", lambda data: data["near"]), FlowView)
+        stream.close()
+        made.end()
+    assert frame.estimate is not None
+    for axis in (0, 1):
+        values = [arrow[axis] for arrow in flow.arrows]
+        assert min(values) < 0 and max(values) > 180 and len(set(values)) > 15
+        near = sorted({arrow[axis] for arrow in flow.near})
+        assert near[0] < frame.estimate.pos_ned_m[axis] - 5 and near[-1] > frame.estimate.pos_ned_m[axis] + 5
+        assert near[1] - near[0] < 2
+    assert {arrow[2:] for arrow in (*flow.arrows, *flow.near)} == {(0.13, 0.075)}
 
 
 def test_strangers_are_refused(sitl: Run) -> None:

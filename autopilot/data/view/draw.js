@@ -1,19 +1,21 @@
 // Drawing on 2D contexts. Nothing here knows the page: a context, a size, the data and colours go in.
 // World: north up, east to the right in the plan; east to the right, depth down in the side view.
 import { ageText } from "./ages.js";
-import { STRIP, extent, flowScale, gridStep, planView, thinned } from "./plan.js";
+import { arrow, circle, fill, hull, path, stroke, text } from "./ink.js";
+import { drawDimensions } from "./margins.js";
+import { STRIP, extent, floorDepth, flowArrows, flowScale, gridStep, planView } from "./plan.js";
 
 export const DARK = {
   back: "#18222c", ink: "#e4ebf1", weak: "#93a4b3", wall: "#c3d0db", fence: "#ff6b6b", margin: "rgba(255,107,107,.16)",
   water: "#1d2c39", solid: "#7d8a96", place: "#4cc38a", goal: "#4cc38a", route: "#c79bff", horizon: "#f0a83c",
   tube: "rgba(240,168,60,.35)", trail: "#4fb3e8", truth: "#f5f7fa", body: "#4fb3e8", flow: "#5d86a6", felt: "#2fd6c8", track: "#ff9de0",
-  grid: "#2a3946", pillar: "rgba(125,138,150,.4)", nose: "rgba(79,179,232,.75)",
+  grid: "#2a3946", pillar: "rgba(125,138,150,.4)", nose: "rgba(79,179,232,.75)", above: "#1f4a68", below: "#4a3a26",
 };
 export const LIGHT = {
   back: "#ffffff", ink: "#1b2733", weak: "#566573", wall: "#33414e", fence: "#c4262e", margin: "rgba(196,38,46,.12)",
   water: "#eef5fa", solid: "#66737f", place: "#157344", goal: "#157344", route: "#7a3fc0", horizon: "#b86a00",
   tube: "rgba(184,106,0,.3)", trail: "#0b6fa4", truth: "#111111", body: "#0b6fa4", flow: "#5689ab", felt: "#00857c", track: "#b3128a",
-  grid: "#dde5eb", pillar: "rgba(102,115,127,.4)", nose: "rgba(11,111,164,.75)",
+  grid: "#dde5eb", pillar: "rgba(102,115,127,.4)", nose: "rgba(11,111,164,.75)", above: "#cfe6f5", below: "#ead9c0",
 };
 // What stands for what: words, colour, and how it is drawn (line, dashed, dotted, area).
 export const LEGEND = [
@@ -23,62 +25,7 @@ export const LEGEND = [
   ["goal", "goal", "line"], ["current", "flow", "line"], ["estimated current", "felt", "line"], ["reported obstacle", "track", "dotted"],
 ];
 
-function path(ctx, points, close) {
-  ctx.beginPath();
-  points.forEach(([x, y], index) => (index ? ctx.lineTo(x, y) : ctx.moveTo(x, y)));
-  if (close) ctx.closePath();
-}
-
-function stroke(ctx, points, color, width, close = false, dash = []) {
-  if (points.length < 2) return;
-  path(ctx, points, close);
-  ctx.setLineDash(dash);
-  ctx.lineWidth = width;
-  ctx.strokeStyle = color;
-  ctx.stroke();
-  ctx.setLineDash([]);
-}
-
-function fill(ctx, points, color) {
-  path(ctx, points, true);
-  ctx.fillStyle = color;
-  ctx.fill();
-}
-
-function circle(ctx, [x, y], radius, color, width, filled = false, dash = []) {
-  ctx.beginPath();
-  ctx.arc(x, y, Math.max(radius, 0.5), 0, 2 * Math.PI);
-  if (filled) { ctx.fillStyle = color; ctx.fill(); return; }
-  ctx.setLineDash(dash);
-  ctx.lineWidth = width;
-  ctx.strokeStyle = color;
-  ctx.stroke();
-  ctx.setLineDash([]);
-}
-
-function text(ctx, words, x, y, color, align = "left") {
-  ctx.fillStyle = color;
-  ctx.textAlign = align;
-  ctx.textBaseline = "middle";
-  ctx.font = "12px system-ui, sans-serif";
-  ctx.fillText(words, x, y);
-}
-
-function arrow(ctx, [x0, y0], [x1, y1], color, width) {
-  const angle = Math.atan2(y1 - y0, x1 - x0), length = Math.hypot(x1 - x0, y1 - y0);
-  if (length < 1) return;
-  const head = Math.min(7, 0.45 * length);
-  stroke(ctx, [[x0, y0], [x1, y1]], color, width);
-  const side = (turn) => [x1 - head * Math.cos(angle + turn), y1 - head * Math.sin(angle + turn)];
-  stroke(ctx, [side(0.5), [x1, y1], side(-0.5)], color, width);
-}
-
 const LEAST_PX = 7; // radius of the vehicle, at least
-function hull(place, yaw, radius) {
-  const [n, e] = place, c = Math.cos(yaw), s = Math.sin(yaw);
-  const corner = (f, r) => [n + radius * (f * c - r * s), e + radius * (f * s + r * c)];
-  return [corner(1, 0), corner(0.35, 0.62), corner(-0.85, 0.62), corner(-0.85, -0.62), corner(0.35, -0.62)];
-}
 
 // Everything within its radius of a way, as one shape: circles and what lies between them, all turned the same way.
 function fillTube(ctx, points, radii, color) {
@@ -158,7 +105,7 @@ function miniMap(ctx, width, height, scene, frame, view, colors) {
 export const faded = (colors) => ({ ...colors, body: colors.weak, nose: colors.weak, felt: colors.weak, tube: "rgba(128,128,128,.2)" });
 
 // `camera`: of plan.js. `flowOld`: how old the field of the current is in words, "" while it is of now.
-export function drawPlan(ctx, width, height, { scene, frame, flow, trail, moving, lost, flowOld, camera }, colors) {
+export function drawPlan(ctx, width, height, { scene, frame, flow, trail, moving, lost, flowOld, camera, margins: dimensioned }, colors) {
   const view = planView(width, height, extent(scene, frame), camera), { at, scale } = view;
   const { told, reach: whole } = flowScale(flow, view.all), reach = (whole * view.fit) / scale; // as long at any zoom
   ctx.fillStyle = colors.back;
@@ -167,6 +114,7 @@ export function drawPlan(ctx, width, height, { scene, frame, flow, trail, moving
   path(ctx, [[0, STRIP], [width, STRIP], [width, height - STRIP], [0, height - STRIP]], true);
   ctx.clip();
   drawWorld(ctx, view, told, reach, { scene, frame, flow, trail, moving, lost, flowOld }, colors);
+  if (dimensioned && frame && !lost) drawDimensions(ctx, view, scene, frame, colors);
   ctx.restore();
   margins(ctx, width, height, view, { told, reach, old: flowOld }, colors);
   if (scale > 1.05 * view.fit) miniMap(ctx, width, height, scene, frame, view, colors);
@@ -177,7 +125,7 @@ function drawWorld(ctx, view, told, reach, { scene, frame, flow, trail, moving, 
   const { at, scale } = view, many = (points) => points.map(at);
   if (scene.tank_m.length) fill(ctx, many(scene.tank_m), colors.water);
   drawGrid(ctx, view, colors);
-  for (const [n, e, u, v] of flow ? thinned(flow.arrows, view, 0.9 * told * reach * scale) : []) {
+  for (const [n, e, u, v] of flow ? flowArrows(flow, view, 0.9 * told * reach * scale) : []) {
     const [dn, de] = [0.5 * reach * u, 0.5 * reach * v];
     arrow(ctx, at([n - dn, e - de]), at([n + dn, e + de]), flowOld ? colors.solid : colors.flow, 1.2);
   }
@@ -247,8 +195,7 @@ function drawWorld(ctx, view, told, reach, { scene, frame, flow, trail, moving, 
 export function drawSide(ctx, width, height, { scene, frame, trail, lost, camera, view }, colors) {
   const all = extent(scene, frame), turned = planView(2, 1, all).turned, box = camera ? view.box : all;
   let [a0, a1, axis] = turned ? [box.n0, box.n1, 0] : [box.e0, box.e1, 1];
-  const depths = [...scene.places.map((p) => p.pos_ned_m[2]), frame && frame.estimate ? frame.estimate.pos_ned_m[2] : 0];
-  const floor = scene.tank_depth_m === null ? Math.max(1, 1.3 * Math.max(...depths)) : scene.tank_depth_m;
+  const floor = floorDepth(scene, frame);
   const scale = Math.min(width / (a1 - a0), (height - 16) / (1.12 * floor));
   const middle = 0.5 * (a0 + a1), top = 8 + 0.04 * floor * scale;
   if (camera) [a0, a1] = [middle - width / 2 / scale, middle + width / 2 / scale];

@@ -7,6 +7,7 @@ export const ZOOM_STEP = 1.5; // of a key or a button
 const MOST_PX_M = 1000; // 1 mm per pixel
 const FOLLOW_RADIUS_PX = 12; // of the vehicle, at least, when following begins
 const LINE_PX = 56; // least distance of two grid lines
+const LEAST_FINE = 4; // arrows along a side of a fine grid that is shown
 const ARROW_PX = 20; // least distance of two arrows of the current
 
 // Arrows of the current: a round figure, of the size of the fastest there is, is drawn as long as this share of the
@@ -27,7 +28,7 @@ export function gridStep(scale) {
 
 // The speed that the key tells, and the way (m) that 1 m/s is drawn as.
 export function flowScale(flow, box) {
-  const fastest = Math.max(0, ...(flow ? flow.arrows : []).map(([, , u, v]) => Math.hypot(u, v)));
+  const fastest = Math.max(0, ...(flow ? [...flow.arrows, ...(flow.near ?? [])] : []).map(([, , u, v]) => Math.hypot(u, v)));
   const told = fastest < STILL_M_S ? TANK_M_S : roundFigure(fastest);
   return { told, reach: (ARROW_SHARE * Math.max(box.n1 - box.n0, box.e1 - box.e0)) / told };
 }
@@ -63,6 +64,22 @@ export function extent(scene, frame) {
   let [n0, n1, e0, e1] = [Math.min(...norths), Math.max(...norths), Math.min(...easts), Math.max(...easts)];
   const pad = Math.max(0.06 * Math.max(n1 - n0, e1 - e0), 0.5 - 0.5 * Math.max(n1 - n0, e1 - e0), 0.1);
   return { n0: n0 - pad, n1: n1 + pad, e0: e0 - pad, e1: e1 + pad };
+}
+
+// Of the two grids of a field the fine one in its place, where that can be seen, the other one elsewhere.
+export function flowArrows({ arrows, near = [] }, view, least) {
+  if (!near.length) return thinned(arrows, view, least);
+  const [norths, easts] = [0, 1].map((axis) => near.map((arrow) => arrow[axis]));
+  const [n0, n1, e0, e1] = [Math.min(...norths), Math.max(...norths), Math.min(...easts), Math.max(...easts)];
+  if (Math.min(n1 - n0, e1 - e0) * view.scale < LEAST_FINE * Math.max(ARROW_PX, least)) return thinned(arrows, view, least);
+  const outside = arrows.filter(([n, e]) => n < n0 || n > n1 || e < e0 || e > e1);
+  return [...thinned(outside, view, least), ...thinned(near, view, least)];
+}
+
+// Depth of the water [m]; where it is not known, what leaves room below waypoints and vehicle.
+export function floorDepth(scene, frame) {
+  const depths = [...scene.places.map((p) => p.pos_ned_m[2]), frame && frame.estimate ? frame.estimate.pos_ned_m[2] : 0];
+  return scene.tank_depth_m === null ? Math.max(1, 1.3 * Math.max(...depths)) : scene.tank_depth_m;
 }
 
 // North is up, or to the right where the water is longer that way than the canvas is high.

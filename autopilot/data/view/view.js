@@ -1,13 +1,15 @@
 // The page: takes the stream, draws when there is something new, sends what is asked for.
 import { ASLEEP_S, Link, Pace, REOPEN_S, ageText, pictureAge } from "./ages.js";
+import { attitudeOf, attitudeWords, drawCompass, drawHorizon } from "./attitude.js";
 import { DARK, LEGEND, LIGHT, drawFlow, drawPicture, drawPlan, drawSide, flowAt } from "./draw.js";
+import { SpaceView } from "./space.js";
 import { ZOOM_STEP, extent, followed, following, gridStep, panned, planView, zoomed } from "./plan.js";
 
 const $ = (id) => document.getElementById(id);
 const meta = (name) => document.querySelector(`meta[name=view-${name}]`).content;
 const version = meta("version");
 const dark = matchMedia("(prefers-color-scheme: dark)"), calm = matchMedia("(prefers-reduced-motion: reduce)");
-const seen = { scene: null, frame: null, flow: null, picture: null, image: null, trail: [], view: null, camera: null, moving: null, pictureOld: false, other: false, wall_s: 0 };
+const seen = { scene: null, frame: null, flow: null, picture: null, image: null, trail: [], view: null, camera: null, moving: null, pictureOld: false, other: false, wall_s: 0, margins: true };
 const TRAIL = 1500;
 const link = new Link();
 let pace = new Pace();
@@ -51,18 +53,32 @@ function draw() {
     const water = flow && frame && pictureAge(flow, frame, now);
     shown.flowOld = water && water.old(ages().flow_s) ? ageText(water.age) : "";
     const [ctx, width, height] = context($("plan"));
+    const view = () => planView(width, height, extent(seen.scene, frame), seen.camera);
     if (seen.camera && seen.camera.follow && frame && frame.estimate) {
-      const view = planView(width, height, extent(seen.scene, frame), seen.camera);
-      shown.camera = seen.camera = followed(seen.camera, view, frame.estimate.pos_ned_m, calm.matches);
+      shown.camera = seen.camera = followed(seen.camera, view(), frame.estimate.pos_ned_m, calm.matches);
     }
-    seen.view = drawPlan(ctx, width, height, shown, palette);
+    seen.view = space.on ? view() : drawPlan(ctx, width, height, shown, palette); // in 3-D the plan is hidden
     showHandles(width, height);
     drawSide(...context($("side")), { ...shown, view: seen.view }, palette);
+    space.draw({ ...shown, view: seen.view }, palette);
+    if (frame && $("attitude").open) showAttitude(shown.frame, palette);
     if (seen.scene.steerable.current) {
       drawFlow(...context($("flow")), drag && drag.flow ? drag.flow : seen.frame && seen.frame.extra_current_ned_m_s, seen.view && seen.view.turned, palette);
     }
   }
   if ($("camerabox").open) drawPicture(...context($("camera")), seen.picture, seen.image, pictureOld(seconds()), palette);
+}
+
+const DIALS = { horizon: [drawHorizon, "Artificial horizon, roll positive with the right side down, pitch with the nose up"], compass: [drawCompass, "Compass, north up"] };
+function showAttitude(frame, palette) {
+  const facts = attitudeOf(frame), words = attitudeWords(facts);
+  for (const [id, [drawn, name]] of Object.entries(DIALS)) {
+    drawn(...context($(id)), facts, palette);
+    const told = `${name}: ${words[id].map(([line]) => line).join("; ")}`;
+    if ($(id).ariaLabel === told) continue;
+    $(id).ariaLabel = told;
+    $(`${id}key`).replaceChildren(...keyed(words[id]));
+  }
 }
 
 // How old the picture is that is shown, in words; "" while it is of now.
@@ -88,8 +104,9 @@ function showAges() {
   const told = (age, old) => (old ? `${ageText(age)} old` : ageText(age)), frames = told(behind, dead);
   const place = !nav ? "no estimate" : nav.health === "INVALID" && !dead ? "estimate invalid" : told(nav.age_s + behind, dead || lost(frame));
   const noPlace = dead || lost(frame), old = pictureOld(now);
-  mark("frameage", frames, dead, "now", "alarms", "plan", "side", "legend", "flow", "state", "pwm", "pace");
+  mark("frameage", frames, dead, "now", "alarms", "plan", "side", "legend", "flow", "state", "space", "pwm", "pace");
   for (const id of ["planage", "sideage", "stateage"]) mark(id, place, noPlace);
+  mark("attitudeage", place, noPlace, "dials");
   mark("barsage", place, noPlace, "bars");
   for (const id of ["thrusters", "sensors", "messages"]) mark(`${id}age`, frames, dead, id);
   mark("cameraage", picture ? told(pictureAge(picture, frame, now).age + behind, old) : "", old, "camera");
@@ -376,10 +393,16 @@ function look(camera) { seen.camera = camera; $("follow").ariaPressed = String(B
 
 function zoom(factor, place) {
   const { view, camera } = seen, canvas = $("plan");
-  if (view) look(zoomed(view, Boolean(camera && camera.follow), factor, place ?? [canvas.clientWidth / 2, canvas.clientHeight / 2]));
+  if (space.on) space.zoom(factor);
+  else if (view) look(zoomed(view, Boolean(camera && camera.follow), factor, place ?? [canvas.clientWidth / 2, canvas.clientHeight / 2]));
 }
 
 function pan(way) { if (seen.view) look(panned(seen.view, way)); }
+
+function fit() {
+  look(null);
+  space.fit();
+}
 
 function follow() {
   const { view, camera, frame, scene } = seen;
@@ -389,13 +412,14 @@ function follow() {
 
 $("nearer").addEventListener("click", () => zoom(ZOOM_STEP));
 $("farther").addEventListener("click", () => zoom(1 / ZOOM_STEP));
-$("fit").addEventListener("click", () => look(null));
+$("fit").addEventListener("click", fit);
 $("follow").addEventListener("click", follow);
+const space = new SpaceView({ canvas: $("space"), button: $("solid"), chart: $("chart"), words: $("spacesaid") }, meta("nothree"), { redraw: soon, fit, follow });
 
 // As the arrow keys point: pixels to the right and down.
 const ARROWS = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, -1], ArrowDown: [0, 1] };
 const PAN_PX = 60;
-const KEYS = { "+": () => zoom(ZOOM_STEP), "=": () => zoom(ZOOM_STEP), "-": () => zoom(1 / ZOOM_STEP), 0: () => look(null), f: follow, F: follow };
+const KEYS = { "+": () => zoom(ZOOM_STEP), "=": () => zoom(ZOOM_STEP), "-": () => zoom(1 / ZOOM_STEP), 0: fit, f: follow, F: follow };
 
 function onPlanKey(event) {
   if (event.ctrlKey || event.metaKey || event.altKey) return;
@@ -544,18 +568,32 @@ $("flow").addEventListener("keydown", (event) => {
 });
 $("flow").addEventListener("blur", () => { if (drag && drag.flow) { drag = null; soon(); } });
 window.addEventListener("resize", soon);
-dark.addEventListener("change", () => { legend(); soon(); });
+dark.addEventListener("change", () => { legend(); for (const id in DIALS) $(id).ariaLabel = ""; soon(); });
 setInterval(tick, 250);
 document.addEventListener("visibilitychange", showAges);
 
-function legend() {
-  $("legend").replaceChildren(...LEGEND.map(([words, name, kind]) => {
-    const item = element("li"), mark = element("i", undefined, kind);
-    mark.style.color = colors()[name];
-    item.append(mark, words);
+// Items of a list: words, and the colour and kind of the mark before them.
+function keyed(rows) {
+  return rows.map(([words, name, kind]) => {
+    const item = element("li");
+    if (kind) {
+      const mark = element("i", undefined, kind);
+      mark.style.color = colors()[name];
+      item.append(mark);
+    }
+    item.append(words);
     return item;
-  }));
+  });
 }
+
+// The last item of the legend is a switch.
+function legend() { $("legend").replaceChildren(...keyed(LEGEND), $("switch")); }
+
+$("distances").addEventListener("click", () => {
+  seen.margins = !seen.margins;
+  $("distances").ariaPressed = String(seen.margins);
+  soon();
+});
 
 // What there is room for: a picture on a desk, the plan first on a phone.
 if (matchMedia("(min-width: 801px)").matches) $("camerabox").open = true;
