@@ -279,7 +279,7 @@ MISSION_COMPLETE = _info("Mission complete, laps: {laps}{skipped}")
 MISSION_CHANGED = _warning("Mission changed while it ran: holding, start again")
 REACHED = _info("Reached item {seq}")
 REACHED_SEVERAL = _info("Reached items {seqs}")
-REACHED_MANY = _info("Reached {count} items, the last is {seq}")
+REACHED_MANY = _info("Reached {count} items, the last is item {seq}")
 OUT_OF_REACH = _warning("{name} out of reach: {reason}", "No progress for WP_STUCK_TIME.")
 ITEM_SKIPPED = _warning("Skipped item {seq}, out of reach: {reason}", "No progress for WP_STUCK_TIME.")
 ITEM_HELD = _warning(
@@ -340,7 +340,9 @@ PLAN_NOT_ON_DISK = _warning("Plan in force, not on disk yet", "The disk is slow;
 PLAN_CLEARED = _info("cleared: {names}", "For the log.")
 PLAN_NOT_CLEARED = _warning("Not cleared ({names}): {reason}", "The plan in force stays.")
 UPLOAD_CANCELLED = _info("{kind} upload cancelled by the client", "For the log.")
-MISSION_UNFENCED = _warning(f"Mission with {NO_FENCE}: upload its fence, or keep clear of walls")
+MISSION_UNFENCED = _warning(
+    f"Mission{{size}} with {NO_FENCE}: upload its fence, or keep clear of walls",
+)
 PARAMETER_SET = _info("parameter {name} = {value:g} (was {before:g})", "For the log.")
 PARAMETER_STUB = _warning("{name} has no effect here and is unchanged", "It exists for ground stations only.")
 PARAMETER_TYPE = _warning("parameter {name} is {type}: other types are refused")
