@@ -344,7 +344,7 @@ MISSION_UNFENCED = _warning(
     f"Mission{{size}} with {NO_FENCE}: upload its fence, or keep clear of walls",
 )
 PARAMETER_SET = _info("parameter {name} = {value:g} (was {before:g})", "For the log.")
-PARAMETER_STUB = _warning("{name} has no effect here and is unchanged", "It exists for ground stations only.")
+PARAMETER_STUB = _warning("{name} is read only: {remedy}", "It exists for ground stations only.")
 PARAMETER_TYPE = _warning("parameter {name} is {type}: other types are refused")
 PARAMETERS_RESET = _warning("Parameters set to defaults by {client}: {count}")
 PARAMETERS_SAVED = _info("Parameters are saved now")

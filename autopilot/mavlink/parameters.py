@@ -14,7 +14,7 @@ from autopilot.core.params import ParamSpec, ParamType
 from autopilot.mavlink.budget import LISTS
 from autopilot.mavlink.context import Context, MavlinkPeer
 from autopilot.mavlink.profiles import ParamEncoding
-from autopilot.mavlink.stubs import stubs_of
+from autopilot.mavlink.stubs import Stubs, VehicleFacts
 from autopilot.mavlink.wire import Message
 
 PER_TICK = 6
@@ -65,10 +65,10 @@ class _ParameterWrite:
 
 
 class Parameters:
-    def __init__(self, ctx: Context) -> None:
+    def __init__(self, ctx: Context, vehicle: VehicleFacts) -> None:
         self._ctx = ctx
-        self._stubs = stubs_of(ctx.profile)
-        self._names = tuple(sorted((*ctx.params, *self._stubs)))
+        self._stubs = Stubs(ctx.profile, ctx.params, vehicle)
+        self._names = tuple(sorted((*ctx.params, *self._stubs.table)))
         self._index = {name: i for i, name in enumerate(self._names)}
         self._lists: dict[MavlinkPeer, int] = {}
         self._saving: dict[str, _ParameterWrite] = {}
@@ -82,10 +82,11 @@ class Parameters:
         return tuple(self._spec(name) for name in self._names)
 
     def _spec(self, name: str) -> ParamSpec:
-        return self._stubs[name] if name in self._stubs else self._ctx.params.spec(name)
+        stub = self._stubs.table.get(name)
+        return self._ctx.params.spec(name) if stub is None else stub.spec
 
     def _now(self, name: str) -> float:
-        return self._stubs[name].default if name in self._stubs else self._ctx.params[name]
+        return self._stubs.value(name) if name in self._stubs.table else self._ctx.params[name]
 
     def hash(self) -> int:
         """_HASH_CHECK: hash over names and values, as PX4 and QGroundControl compute it."""
@@ -168,9 +169,11 @@ class Parameters:
         if name not in self._index:
             self._refuse(peer, name, -1, _MISSING)
             return
-        if name in self._stubs:
+        if name in self._stubs.table:
             self._refuse(peer, name, self._index[name], _READ_ONLY)
-            ctx.say(notices.PARAMETER_STUB(name=name), peer)
+            decides = self._stubs.table[name].follows
+            remedy = f"set {decides}" if decides else "it has no effect here"
+            ctx.say(notices.PARAMETER_STUB(name=name, remedy=remedy), peer)
             ctx.broadcast(self.value(name))
             return
         number: int | None = None
@@ -232,6 +235,8 @@ class Parameters:
             return False
         if ctx.params[name] != before:
             ctx.log(notices.PARAMETER_SET(name=name, value=ctx.params[name], before=before))
+            for follower in self._stubs.followers(name):
+                ctx.broadcast(self.value(follower))
         return True
 
     def _refuse(self, peer: MavlinkPeer, name: str, index: int, error: int) -> None:

@@ -61,6 +61,7 @@ from autopilot.mavlink.signing import Signing
 from autopilot.mavlink.signing_setup import SigningSetup
 from autopilot.mavlink.status import StatusMessages
 from autopilot.mavlink.streams import Streams
+from autopilot.mavlink.stubs import VehicleFacts
 from autopilot.mavlink.telemetry import Builder, NavigationMessages
 from autopilot.mavlink.traffic import TrafficReports
 from autopilot.mavlink.utility import Utility
@@ -128,6 +129,8 @@ class MavlinkServer:
         Bytes per second of slow links.
     nondeterminism
         Recorder of results that depend on a signing key.
+    facts
+        What parameters of other firmwares say of the vehicle.
     """
 
     def __init__(
@@ -151,6 +154,7 @@ class MavlinkServer:
         camera: CameraOrders | None = None,
         nondeterminism: NondeterminismSource | None = None,
         equipment: EquipmentOrders | None = None,
+        facts: VehicleFacts | None = None,
     ) -> None:
         identity = VehicleIdentity(name=NAME, version=version, git=git, uid=uid)
         self._ctx = ctx = Context(
@@ -167,7 +171,7 @@ class MavlinkServer:
             signing=Signing(signing, patience, nondeterminism),
             budgets={link: Budget(rate / patience) for link, rate in (rates or {}).items()},
         )
-        self.parameters = Parameters(ctx)
+        self.parameters = Parameters(ctx, facts or VehicleFacts(sysid=sysid))
         metadata = make_metadata(self.parameters.specs, name=identity.name, version=identity.version)
         self._files = FileTransfer(ctx, metadata.files, log_directory, self.parameters.packed_file)
         self._logs = LogDownload(ctx, log_directory)

@@ -220,7 +220,7 @@ def test_long_reasons_survive_doubled_and_swapped_chunks(seed: int) -> None:
     high = PlanItem(seq=0, frame=3, command=16, x=379755000, y=237790000, z=50.0)
     with pytest.raises(PlanError) as refusal:
         client.upload(PlanKind.MISSION, (high,))
-    said = "item 0 (QGC 1): 50.00 m above the surface; altitude must be <= 0: depth 0.4 m is -0.4"
+    said = "item 0 (QGC 1): 50.00 m above the surface; altitude must be <= 0, -0.4 at 0.4 m"
     assert str(refusal.value).endswith(said)
 
 
