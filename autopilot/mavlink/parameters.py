@@ -97,13 +97,16 @@ class Parameters:
             crc = file_crc32(name.encode("ascii") + value, crc)
         return crc
 
-    def packed_file(self, path: str) -> bytes | None:
+    def packed_file(self, peer: MavlinkPeer, path: str) -> bytes | None:
         """``@PARAM/param.pck`` for profiles whose integers are C casts (ardusub): clients that have read it set all
-        parameters as floats. MAVProxy and QGroundControl request ``?withdefaults=1``.
+        parameters as floats, which others refuse. MAVProxy and QGroundControl request ``?withdefaults=1``.
         """
         folder, _, file = path.partition("/")
         name, _, options = file.partition("?")
-        if folder != "@PARAM" or name != PACKED_FILE or self._ctx.profile.param_encoding is ParamEncoding.BYTEWISE:
+        if folder != "@PARAM" or name != PACKED_FILE:
+            return None
+        if self._ctx.profile.param_encoding is ParamEncoding.BYTEWISE:
+            self._ctx.text(notices.PACKED_PARAMETERS(), peer)
             return None
         return self.packed(defaults="withdefaults=1" in options.split("&"))
 
@@ -187,6 +190,15 @@ class Parameters:
             ctx.broadcast(self.value(name))
         else:
             self._saving[name] = _ParameterWrite(number=number, since_us=ctx.t_us)
+
+    def on_extended(self, peer: MavlinkPeer, msg: Message) -> None:
+        """PARAM_EXT_REQUEST_READ, _LIST, _SET: for parameters longer than 32 bits, which there are none of. Only a
+        change has an answer that refuses it."""
+        self._ctx.text(notices.EXTENDED_PARAMETERS(), peer)
+        if msg.get_msgId() == mav.MAVLINK_MSG_ID_PARAM_EXT_SET:
+            name, value = (text.encode("ascii", errors="replace") for text in (msg.param_id, msg.param_value))
+            refused = mav.PARAM_ACK_VALUE_UNSUPPORTED
+            self._ctx.send(peer, mav.MAVLink_param_ext_ack_message(name, value, msg.param_type, refused))
 
     def reset(self) -> int:
         """Set every parameter to its default and save; returns the number changed. Parameters with joint checks are

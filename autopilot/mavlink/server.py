@@ -173,7 +173,9 @@ class MavlinkServer:
         )
         self.parameters = Parameters(ctx, facts or VehicleFacts(sysid=sysid))
         metadata = make_metadata(self.parameters.specs, name=identity.name, version=identity.version)
-        self._files = FileTransfer(ctx, metadata.files, log_directory, self.parameters.packed_file)
+        self._files = FileTransfer(
+            ctx, metadata.files, log_directory, self.parameters.packed_file, lambda: not ctx.view.armed
+        )
         self._logs = LogDownload(ctx, log_directory)
         self._operators = Operators(ctx, self.parameters.known_value)
         self.missions = Missions(ctx)
@@ -286,6 +288,9 @@ class MavlinkServer:
             mav.MAVLINK_MSG_ID_PARAM_REQUEST_LIST: lambda peer, msg: parameters.on_request_list(peer),
             mav.MAVLINK_MSG_ID_PARAM_REQUEST_READ: parameters.on_request_read,
             mav.MAVLINK_MSG_ID_PARAM_SET: parameters.on_set,
+            mav.MAVLINK_MSG_ID_PARAM_EXT_REQUEST_READ: parameters.on_extended,
+            mav.MAVLINK_MSG_ID_PARAM_EXT_REQUEST_LIST: parameters.on_extended,
+            mav.MAVLINK_MSG_ID_PARAM_EXT_SET: parameters.on_extended,
             mav.MAVLINK_MSG_ID_MISSION_COUNT: missions.on_count,
             mav.MAVLINK_MSG_ID_MISSION_ITEM_INT: missions.on_item,
             mav.MAVLINK_MSG_ID_MISSION_ITEM: missions.on_float_item,

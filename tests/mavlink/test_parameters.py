@@ -108,6 +108,19 @@ def test_a_plug_ins_parameter_says_what_ours_decides(ours: str, value: float, th
     assert world.params[ours] == pytest.approx(value)
 
 
+def test_parameters_longer_than_32_bits_are_refused_in_words(world: World) -> None:
+    client = world.client()
+    client.send(mav.MAVLink_param_ext_request_list_message(1, 1))
+    world.run(0.1)
+    assert "PARAM_EXT is not served: use PARAM_REQUEST_LIST" in client.texts()
+    real = mav.MAV_PARAM_EXT_TYPE_REAL32
+    (ack,) = client.ask(
+        mav.MAVLink_param_ext_set_message(1, 1, b"SPD_CRUISE", struct.pack("<f", 0.3), real), "PARAM_EXT_ACK", 0.1
+    )
+    assert (ack.param_id, ack.param_type, ack.param_result) == ("SPD_CRUISE", real, mav.PARAM_ACK_VALUE_UNSUPPORTED)
+    assert world.params["SPD_CRUISE"] == world.params.spec("SPD_CRUISE").default
+
+
 def test_every_action_of_a_failsafe_has_a_number_that_is_explained() -> None:
     for name, stub in STUBS["px4"].items():
         ours = stub.follows
