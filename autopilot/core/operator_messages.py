@@ -344,9 +344,9 @@ MISSION_UNFENCED = _warning(
     f"Mission{{size}} with {NO_FENCE}: upload its fence, or keep clear of walls",
 )
 PARAMETER_SET = _info("parameter {name} = {value:g} (was {before:g})", "For the log.")
-PARAMETER_STUB = _warning("{name} is read only: {remedy}", "It exists for ground stations only.")
-PACKED_PARAMETERS = _info("param.pck is there under profile ardusub: fetch the list (MAVProxy: param fetch)")
-EXTENDED_PARAMETERS = _info("PARAM_EXT is not served: use PARAM_REQUEST_LIST, PARAM_SET")
+PARAMETER_STUB = _warning("{name} is read only: {remedy}")
+PACKED_PARAMETERS = _info("param.pck: only under profile ardusub, use param fetch")
+EXTENDED_PARAMETERS = _info("PARAM_EXT is not served: use PARAM_REQUEST_LIST")
 PARAMETER_TYPE = _warning("parameter {name} is {type}: other types are refused")
 PARAMETERS_RESET = _warning("Parameters set to defaults by {client}: {count}")
 PARAMETERS_SAVED = _info("Parameters are saved now")
