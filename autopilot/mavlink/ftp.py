@@ -1,10 +1,10 @@
 """MAVFTP: clients read metadata and logs. https://mavlink.io/en/services/ftp.html
 
 Read-only. One open file per client; a retransmitted request (same sequence number) gets the same answer. A burst is
-limited to a number of packets per tick: few at first, twice as many with every burst that has arrived whole, few again
-when the client asks for a part again, and while the vehicle is armed: its control comes first. It pauses while the
-link's budget is used up, and ends until the client requests more, so that a client that has left is not sent a whole
-log.
+limited to a number of packets per tick: few at first, twice as many with every burst that has arrived whole, half as
+many while the loop is busy, few again when the client asks for a part again, and while the vehicle is armed: its
+control comes first. It pauses while the link's budget is used up, and ends until the client requests more, so that a
+client that has left is not sent a whole log.
 """
 
 import struct
@@ -24,8 +24,13 @@ from autopilot.mavlink.dialect import mav
 from autopilot.mavlink.files import LOGS, OpenFile, folder_entries, parts_of
 from autopilot.mavlink.wire import Message, RawMessage
 
-FIRST_PACE, MOST_PACE = 16, 128
-"""Packets of a burst per tick and client: 380 kB/s to 3 MB/s, at 13 us of a tick each."""
+FIRST_PACE, MOST_PACE = 16, 96
+"""Packets of a burst per tick and client: 380 kB/s to 2.3 MB/s, at about 40 us of a tick each, half of that in the
+socket."""
+BUSY = 0.6
+"""Load of the loop above which a burst gets fewer packets per tick."""
+LOAD_US = 1_000_000
+"""Time in which the load shows what a change of pace costs."""
 BURST_PACKETS, BURST_TICKS = 256, 4
 """Packets per burst (60 kB), but at least so many ticks of them; the client requests the next one."""
 MAX_CLIENTS = 16
@@ -103,6 +108,17 @@ class FtpPacket:
     offset: int
     data: bytes
 
+    def following(self, sent: int) -> "FtpPacket":
+        """The next packet of a burst; made ten thousand times a second."""
+        return FtpPacket(
+            seq=self.seq + 1,
+            session=self.session,
+            opcode=self.opcode,
+            size=self.size,
+            offset=self.offset + sent,
+            data=self.data,
+        )
+
     @property
     def path(self) -> str:
         return self.data.split(b"\0", 1)[0].decode("utf-8", errors="replace")
@@ -133,6 +149,8 @@ class _FtpClient:
     """The number of its request."""
     pace: int = FIRST_PACE
     """Packets per tick."""
+    eased_us: int | None = None
+    """When it was lowered for the load last."""
     arrived: int | None = None
     """Where the last burst ended, and the next one begins if it has arrived; None = it was held up by the link."""
     sent_tick: int = 0
@@ -157,7 +175,7 @@ class FileTransfer:
     """The file transfer microservice.
 
     ``files``: files in memory, by name; ``log_directory``: the log directory, None without; ``made``: files generated
-    on opening, by client and path, None = no such file; ``hurries``: whether transfers may take time of a tick.
+    on opening, by client and path, None = no such file; ``load``: of the loop, 0 to 1 (no time to spare).
     """
 
     def __init__(
@@ -166,10 +184,10 @@ class FileTransfer:
         files: Mapping[str, bytes],
         log_directory: LogDirectory | None,
         made: Callable[[MavlinkPeer, str], bytes | None] = lambda peer, path: None,
-        hurries: Callable[[], bool] = lambda: False,
+        load: Callable[[], float] = lambda: 1.0,
     ) -> None:
         self._ctx, self._files, self._log_directory, self._made = ctx, files, log_directory, made
-        self._hurries = hurries
+        self._load = load
         self._clients: LatestUsed[MavlinkPeer, _FtpClient] = LatestUsed(MAX_CLIENTS, _FtpClient.close)
 
     def on_message(self, peer: MavlinkPeer, msg: Message) -> None:
@@ -258,12 +276,23 @@ class FileTransfer:
             client.waiting, client.pace = request, FIRST_PACE
             self._go_on(peer, client, request)
         else:
-            whole = client.arrived == request.offset and self._hurries()
-            client.pace = min(2 * client.pace, MOST_PACE) if whole else FIRST_PACE
+            client.pace = self._pace(client, request.offset)
             client.burst, client.arrived = replace(request, seq=request.seq + 1), request.offset
             client.burst_left = max(BURST_PACKETS, BURST_TICKS * client.pace)
             client.burst_request_seq, client.answered = request.seq, None
             self._go_on_burst(peer, client)
+
+    def _pace(self, client: _FtpClient, offset: int) -> int:
+        """Packets per tick of the burst that begins at ``offset``."""
+        load, now_us = self._load(), self._ctx.t_us
+        if client.arrived != offset or load >= 1.0:
+            return FIRST_PACE
+        if client.eased_us is not None and now_us - client.eased_us < LOAD_US:
+            return client.pace
+        if load <= BUSY:
+            return min(2 * client.pace, MOST_PACE)
+        client.eased_us = now_us
+        return max(client.pace // 2, FIRST_PACE)
 
     def _go_on(self, peer: MavlinkPeer, client: _FtpClient, request: FtpPacket) -> None:
         """Serve a request that waits for the disk."""
@@ -327,8 +356,7 @@ class FileTransfer:
                 client.arrived = burst.offset + len(data)
             last = client.burst_left == 0
             self._send(peer, burst.seq, Op.ACK, burst, data, last=last)
-            following = replace(burst, seq=burst.seq + 1, offset=burst.offset + len(data))
-            client.burst = None if last else following
+            client.burst = None if last else burst.following(len(data))
 
     def _open(self, peer: MavlinkPeer, client: _FtpClient, request: FtpPacket, file: OpenFile) -> None:
         client.close()

@@ -174,7 +174,11 @@ class MavlinkServer:
         self.parameters = Parameters(ctx, facts or VehicleFacts(sysid=sysid))
         metadata = make_metadata(self.parameters.specs, name=identity.name, version=identity.version)
         self._files = FileTransfer(
-            ctx, metadata.files, log_directory, self.parameters.packed_file, lambda: not ctx.view.armed
+            ctx,
+            metadata.files,
+            log_directory,
+            self.parameters.packed_file,
+            load=lambda: 1.0 if ctx.view.armed else ctx.view.cpu_load,
         )
         self._logs = LogDownload(ctx, log_directory)
         self._operators = Operators(ctx, self.parameters.known_value)
