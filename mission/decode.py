@@ -152,7 +152,7 @@ def depth_m(item: PlanItem, origin: Origin, label: str = "item") -> float:
         depth = origin.alt_m - item.z
         rule = f"altitude must be <= {origin.alt_m:g} AMSL: depth 0.4 m is {origin.alt_m - 0.4:g}"
     else:
-        depth, rule = -item.z, "altitude must be <= 0: depth 0.4 m is -0.4"
+        depth, rule = -item.z, "altitude must be <= 0, -0.4 at 0.4 m"
     if depth < -SURFACE_TOLERANCE_M:
         raise refuse(item, MissionResult.INVALID_PARAM7, f"{-depth:.2f} m above the surface; {rule}", label)
     return max(0.0, depth)

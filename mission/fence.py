@@ -88,7 +88,7 @@ def _polygon(group: Sequence[PlanItem], count: int, origin: Origin) -> Polygon:
     crossing = crossing_edges(vertices)
     if crossing is not None:
         a, b = (group[i].seq for i in crossing)
-        text = f"polygon intersects itself (edges after items {a} and {b}); put the vertices in order, without repeats"
+        text = f"polygon intersects itself (edges after fence items {a} and {b}); put them in order, without repeats"
         raise refuse(first, MissionResult.INVALID, text, LABEL)
     area = abs(signed_area_m2(vertices))
     if area < MIN_AREA_M2:

@@ -145,6 +145,9 @@ _ROWS = (
 ITEM_TYPES: dict[int, ItemType] = {int(row.command): row for row in _ROWS}
 """By MAV_CMD, in the order of the documentation."""
 
+_KNOWN = "NAV_WAYPOINT 16, NAV_DELAY 93"
+"""What most plans need, for refusals."""
+
 
 def parse_step(item: PlanItem, origin: Origin) -> Step:
     """Typed step of a mission item; ItemRefusedError if it cannot be flown."""
@@ -152,8 +155,7 @@ def parse_step(item: PlanItem, origin: Origin) -> Step:
         return NoOp(seq=item.seq)
     found = ITEM_TYPES.get(item.command)
     if found is None:
-        known = ", ".join(str(number) for number in ITEM_TYPES)
-        text = f"command {item.command} is not supported in a mission; use one of {known}"
+        text = f"command {item.command} is not supported in a mission; use {_KNOWN}, ... (docs/mavlink.md)"
         raise refuse(item, MissionResult.UNSUPPORTED, text)
     if not found.placed and item.frame not in GLOBAL_FRAMES | {MavFrame.LOCAL_NED, MavFrame.MISSION}:
         text = f"frame {item.frame} is not supported for command {item.command}; use frame 2 (MISSION)"

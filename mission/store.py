@@ -22,6 +22,7 @@ from autopilot.core.geometry import Fence
 from autopilot.core.origin_params import params_origin
 from autopilot.core.params import ParamSet
 from autopilot.core.plan import MissionResult, PlanChange, PlanItem, PlanKind, PlanProblem, PlanRejection, PlanStore
+from autopilot.mission.extent import extent_of
 from autopilot.mission.fence import FenceShape, build_fence
 from autopilot.mission.item_types import parse_step
 from autopilot.mission.items import Order, Step
@@ -169,6 +170,10 @@ class Plans(PlanStore):
 
     def items(self, kind: PlanKind) -> tuple[PlanItem, ...]:
         return self._plans[kind]
+
+    def size_text(self) -> str:
+        """Size of a mission that is far, for texts; "" for others."""
+        return extent_of(self.steps(), self._home_ned_m).text
 
     def checksum(self, kind: PlanKind) -> int:
         """Opaque id of a plan (MAVLink mission protocol), 0 = empty."""

@@ -95,7 +95,7 @@ def sequence_problems(kind: PlanKind, items: Sequence[PlanItem]) -> Iterator[Pla
         yield _too_many(kind, count)
     for index, item in enumerate(items):
         if item.seq != index:
-            text = f"{kind.name.lower()}: item {item.seq} stands at place {index}; number the items from 0 without gaps"
+            text = f"{kind.name.lower()} item {item.seq} stands at place {index}; number the items from 0 without gaps"
             yield PlanRejection(seq=item.seq, result=MissionResult.INVALID_SEQUENCE, reason=text)
             return
 
@@ -215,7 +215,7 @@ def gap_text(gap: NarrowPassage, radius_m: float) -> str:
     """One line about a narrow gap that no leg needs."""
     north, east = gap.middle_ned_m
     return (
-        f"fence item {gap.second.seq}: gap of {gap.width_m:.2f} m to item {gap.first.seq}, vehicle is "
+        f"fence item {gap.second.seq}: gap of {gap.width_m:.2f} m to fence item {gap.first.seq}, vehicle is "
         f"{2.0 * radius_m:.2f} m: it does not pass there (at north {north:z.2f}, east {east:z.2f} m)"
     )
 

@@ -65,6 +65,7 @@ def upload(file: Path, clear: bool, connection: str, patience: float, as_json: b
     plan = read_plan(file)
     with vehicle_session(connection, patience, as_json) as session:
         counts = _upload(session, plan, file, clear, quiet=as_json)
+        _warn_of_size(plan, quiet=as_json)
         problem = session.plan_problem()
         if as_json:
             emit_json({"vehicle": _vehicle(session), **counts, "problem": problem})
@@ -163,6 +164,7 @@ def check(file: Path, vehicle: str, overrides: tuple[str, ...], as_json: bool) -
 
     Exit code 1: a vehicle would refuse it. 3: it would be stored, but could not be flown.
     """
+    from autopilot.core.item_numbers import counted
     from autopilot.core.params import ParamSet
     from autopilot.core.plan import PlanKind
     from autopilot.core.vehicle import load_vehicle
@@ -175,14 +177,18 @@ def check(file: Path, vehicle: str, overrides: tuple[str, ...], as_json: bool) -
     verdict = verdict_of(plan, plan.drawing_origin(), params, load_vehicle(vehicle))
     problems = [(p, "refused") for p in verdict.own] + [(p, "not flown") for p in verdict.joint]
     counts = {kind.name.lower(): len(plan.items(kind)) for kind in PlanKind}
+    warning = _warn_of_size(plan, quiet=as_json)
     if as_json:
         found = [
             {"plan": p.kind.name.lower(), "item": p.seq, "result": p.result.name, "means": means, "reason": p.reason}
             for p, means in problems
         ]
-        emit_json({"file": str(file), "ok": not found, "items": counts, "problems": found})
+        emit_json({"file": str(file), "ok": not found, "items": counts, "problems": found, "warning": warning})
     elif problems:
-        rows = [(p.kind.name.lower(), p.seq, p.result.name, means, p.reason) for p, means in problems]
+        ahead = 0 if plan.mission and plan.mission[0].is_home else 1
+        rows = [
+            (p.kind.name.lower(), p.seq, p.result.name, means, counted(p.reason, ahead=ahead)) for p, means in problems
+        ]
         print_table(f"{file}: {len(problems)} problems", ("plan", "item", "result", "means", "what is wrong"), rows)
     else:
         click.echo(f"{file}: fit to fly: " + ", ".join(f"{name} {count} items" for name, count in counts.items()))
@@ -247,6 +253,20 @@ def _upload(session: VehicleConnection, plan: PlanFile, file: Path, clear: bool,
         with once_each(session), _bar(kind.name.lower(), quiet) as advance:
             session.upload(kind, plan.items(kind), advance)
     return {kind.name.lower(): len(plan.items(kind)) for kind in kinds}
+
+
+def _warn_of_size(plan: PlanFile, quiet: bool) -> str:
+    """Warn of a large mission without a fence, as the vehicle does; the text, "" if there is nothing to say."""
+    from autopilot.core.operator_messages import MISSION_UNFENCED
+    from autopilot.mission.extent import unfenced_extent
+
+    extent = unfenced_extent(plan.mission, plan.fence, plan.drawing_origin())
+    if extent is None:
+        return ""
+    text = MISSION_UNFENCED(size=extent.text).text
+    if not quiet:
+        click.echo(f"warning: {text}", err=True)
+    return text
 
 
 def _vehicle(session: VehicleConnection) -> dict[str, int] | None:

@@ -128,6 +128,10 @@ class PlanStore(Protocol):
 
     def items(self, kind: PlanKind) -> tuple[PlanItem, ...]: ...
 
+    def size_text(self) -> str:
+        """Size of a mission that is far, for texts; "" for others."""
+        ...
+
     def checksum(self, kind: PlanKind) -> int:
         """Opaque id of the plan in force (MAVLink mission protocol): another one whenever it changes, 0 = empty."""
         ...

@@ -39,7 +39,7 @@ class BootIdentity:
         """Files about the parameters; as the service has them."""
         params, stubs = ParamSet(), stubs_of(self._profile)
         names = sorted((*params, *stubs))
-        specs = [stubs[name] if name in stubs else params.spec(name) for name in names]
+        specs = [stubs[name].spec if name in stubs else params.spec(name) for name in names]
         return make_metadata(specs, name=self._identity.name, version=self._identity.version)
 
     def answer(self, msg: Message) -> Sequence[Message]:

@@ -7,10 +7,11 @@ from typing import NamedTuple, TypeAlias
 
 from autopilot.core.clients import EVERYONE
 from autopilot.core.guard import Guard
+from autopilot.core.item_numbers import counted
 from autopilot.core.messages import Event, MavlinkFrame, Severity
 from autopilot.core.operator_messages import OperatorText
 from autopilot.core.params import ParamSaving, ParamSet
-from autopilot.core.plan import PlanStore
+from autopilot.core.plan import PlanKind, PlanStore
 from autopilot.core.samples import ExternalPoseSample
 from autopilot.mavlink.api import VehicleCommands, VehicleView
 from autopilot.mavlink.budget import Budget
@@ -189,10 +190,17 @@ class Context:
             if spoken or index not in self.quiet:
                 self.send(index, message, source)
 
-    def say(self, text: OperatorText, to: Receiver | None = None) -> None:
-        """Send a text to the operator (STATUSTEXT to a client, a link or all, and an entry in the log)."""
+    @property
+    def wire_shift(self) -> int:
+        """How many items the wire has before the first one of the mission in the store: ArduPilot's home."""
+        items = self.plans.items(PlanKind.MISSION)
+        return int(self.profile.home_is_item_0 and not (items and items[0].is_home))
+
+    def say(self, text: OperatorText, to: Receiver | None = None, *, on_wire: bool = False) -> None:
+        """Send a text to the operator (STATUSTEXT to a client, a link or all, and an entry in the log). ``on_wire``:
+        it counts mission items as an upload does, not as the plan in force."""
         self.log(text)
-        self.text(text, to)
+        self.relay(text.severity, text.text, to, on_wire=on_wire)
 
     def log(self, text: OperatorText) -> None:
         self.notices.append(text.event(self.t_us))
@@ -201,10 +209,13 @@ class Context:
         """STATUSTEXT, chunked if it is long. DEBUG goes to the log only; a repetition within 5 s is dropped."""
         self.relay(message.severity, message.text, to)
 
-    def relay(self, severity: int, text: str, to: Receiver | None = None) -> None:
+    def relay(self, severity: int, text: str, to: Receiver | None = None, *, on_wire: bool = False) -> None:
         """The same for an event of another part."""
         if severity >= Severity.DEBUG:
             return
+        # Where home is item 0, the wire's numbers are those that ground stations show.
+        shift, ahead = 0 if on_wire else self.wire_shift, 0 if self.profile.home_is_item_0 else 1
+        text = counted(text, shift=shift, ahead=ahead)
         urgent = severity <= Severity.CRITICAL
         everywhere = [link for link in self.links if urgent or link not in self.quiet]
         receivers: Iterable[Receiver] = everywhere if to is None else (to,)

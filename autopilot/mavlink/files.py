@@ -11,6 +11,8 @@ LOGS = "@MAV_LOG"
 """The folder of logs that clients ask for by this name, whatever it is called on the disk."""
 BLOCK_BYTES = 1 << 16
 """A file on the disk is read in pieces of this size."""
+MOST_READ = 256
+"""More than a client gets in one message: blocks overlap by this, so that each message is from one block."""
 
 
 class FolderEntry(NamedTuple):
@@ -33,24 +35,32 @@ class OpenFile:
     _block: bytes = b""
     _task: BackgroundTask[bytes] | None = None
     _wanted: int = 0
+    """Where the block that is being read begins."""
+    _ahead: bytes | None = None
+    """That block, once it is there."""
 
     def data(self, tick: int, offset: int, size: int) -> bytes | None:
-        """``size`` bytes from ``offset``, fewer at the end only; None while the read is pending."""
+        """``size`` bytes from ``offset``, fewer at the end only; None while the read is pending. Of a file on the disk
+        the next block is read ahead."""
         if self.content is not None:
             return self.content[offset : offset + size]
         size = min(size, self.size - offset)
         if size <= 0 or self.log_directory is None:
             return b""
         self._take(tick)
-        at = offset - self._start
-        if at >= 0 and at + size <= len(self._block):
+        if not self._holds(offset, size) and self._ahead is not None:
+            self._start, self._block, self._ahead = self._wanted, self._ahead, None
+        if self._holds(offset, size):
+            following = self._start + len(self._block) - MOST_READ
+            if self._task is None and self._ahead is None and 0 < following < self.size - MOST_READ:
+                self._read(tick, self.log_directory, following)
+            at = offset - self._start
             return self._block[at : at + size]
         if self.failed:
             return b""
-        if self._task is None or self._wanted != offset:
+        if self._task is None or not self._wanted <= offset <= self._wanted + BLOCK_BYTES - size:
             self.close()
-            self._wanted = offset
-            self._task = self.log_directory.read(tick, self.path, offset, min(BLOCK_BYTES, self.size - offset))
+            self._read(tick, self.log_directory, offset)
         return None
 
     def close(self) -> None:
@@ -58,14 +68,19 @@ class OpenFile:
             self._task.cancel()
             self._task = None
 
+    def _holds(self, offset: int, size: int) -> bool:
+        return self._start <= offset and offset + size <= self._start + len(self._block)
+
+    def _read(self, tick: int, log_directory: LogDirectory, offset: int) -> None:
+        self._wanted, self._ahead = offset, None
+        self._task = log_directory.read(tick, self.path, offset, min(BLOCK_BYTES, self.size - offset))
+
     def _take(self, tick: int) -> None:
         answer = None if self._task is None else self._task.poll(tick)
         if answer is None:
             return
-        self._task = None
-        self._start, self._block = self._wanted, answer.value or b""
-        expected = min(BLOCK_BYTES, self.size - self._start)
-        self.failed = answer.error is not None or len(self._block) < expected
+        self._task, self._ahead = None, answer.value or b""
+        self.failed = answer.error is not None or len(self._ahead) < min(BLOCK_BYTES, self.size - self._wanted)
 
 
 def parts_of(path: str) -> tuple[str, ...] | None:

@@ -16,10 +16,7 @@ from autopilot.mavlink.context import Context, i32
 
 def shift(ctx: Context, kind: PlanKind) -> int:
     """How many items the wire has before the store's first one."""
-    if kind is not PlanKind.MISSION or not ctx.profile.home_is_item_0:
-        return 0
-    items = ctx.plans.items(kind)
-    return 0 if items and items[0].is_home else 1
+    return ctx.wire_shift if kind is PlanKind.MISSION else 0
 
 
 def may_be(ctx: Context, kind: PlanKind, item: PlanItem) -> bool:

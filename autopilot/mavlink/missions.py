@@ -44,6 +44,7 @@ MAX_DOWNLOADS = 16
 """Snapshots kept at once; beyond that the oldest is dropped."""
 
 _KINDS = {int(kind): kind for kind in PlanKind}
+_LABELS = {PlanKind.MISSION: "item", PlanKind.FENCE: "fence item", PlanKind.RALLY: "rally point"}
 CLEAR_ORDER = (PlanKind.MISSION, PlanKind.FENCE, PlanKind.RALLY)
 
 
@@ -201,7 +202,7 @@ class Missions:
             self._end(
                 upload,
                 MissionResult.INVALID_SEQUENCE,
-                f"item {msg.seq} sent again and again, item {len(upload.items)} was asked for",
+                f"{_LABELS[upload.kind]} {msg.seq} sent again and again, {len(upload.items)} was asked for",
             )
         elif upload.wrong == 1:
             self._request_item(upload)
@@ -317,7 +318,7 @@ class Missions:
         self._ack(upload.peer, result, upload.kind, plan_id)
         if reason:
             text = notices.PLAN_REFUSED(kind=upload.kind.name.capitalize(), reason=reason)
-            self._ctx.say(text, upload.peer)
+            self._ctx.say(text, upload.peer, on_wire=True)
 
     def _denied(self, peer: MavlinkPeer, kind: PlanKind) -> bool:
         """Whether another client's open upload blocks this one; answers it with DENIED."""
@@ -423,19 +424,18 @@ class Missions:
         elif ctx.t_us >= due_us:
             self._fence_due_us = None
             if ctx.plans.items(PlanKind.MISSION) and not has_shapes(ctx.plans.items(PlanKind.FENCE)):
-                ctx.say(notices.MISSION_UNFENCED())
+                ctx.say(notices.MISSION_UNFENCED(size=ctx.plans.size_text()))
 
     # Time
 
     def tick(self) -> None:
         self.answer()
         self._miss_fence()
-        ctx = self._ctx
-        now_us = ctx.t_us
-        upload = self._upload
+        ctx, upload, now_us = self._ctx, self._upload, self._ctx.t_us
         if upload is not None:
             if now_us - upload.progress_us > GIVE_UP_US * ctx.patience:
-                reason = f"item {len(upload.items)} of {upload.count} did not come; the plan in force stays"
+                label = _LABELS[upload.kind]
+                reason = f"{label} {len(upload.items)} of {upload.count} did not come; the plan in force stays"
                 self._end(upload, MissionResult.OPERATION_CANCELLED, reason)
             elif now_us - upload.requested_us >= RETRY_US * ctx.patience:
                 self._request_item(upload)

@@ -14,7 +14,7 @@ from autopilot.core.params import ParamSpec, ParamType
 from autopilot.mavlink.budget import LISTS
 from autopilot.mavlink.context import Context, MavlinkPeer
 from autopilot.mavlink.profiles import ParamEncoding
-from autopilot.mavlink.stubs import stubs_of
+from autopilot.mavlink.stubs import Stubs, VehicleFacts
 from autopilot.mavlink.wire import Message
 
 PER_TICK = 6
@@ -65,10 +65,10 @@ class _ParameterWrite:
 
 
 class Parameters:
-    def __init__(self, ctx: Context) -> None:
+    def __init__(self, ctx: Context, vehicle: VehicleFacts) -> None:
         self._ctx = ctx
-        self._stubs = stubs_of(ctx.profile)
-        self._names = tuple(sorted((*ctx.params, *self._stubs)))
+        self._stubs = Stubs(ctx.profile, ctx.params, vehicle)
+        self._names = tuple(sorted((*ctx.params, *self._stubs.table)))
         self._index = {name: i for i, name in enumerate(self._names)}
         self._lists: dict[MavlinkPeer, int] = {}
         self._saving: dict[str, _ParameterWrite] = {}
@@ -82,10 +82,11 @@ class Parameters:
         return tuple(self._spec(name) for name in self._names)
 
     def _spec(self, name: str) -> ParamSpec:
-        return self._stubs[name] if name in self._stubs else self._ctx.params.spec(name)
+        stub = self._stubs.table.get(name)
+        return self._ctx.params.spec(name) if stub is None else stub.spec
 
     def _now(self, name: str) -> float:
-        return self._stubs[name].default if name in self._stubs else self._ctx.params[name]
+        return self._stubs.value(name) if name in self._stubs.table else self._ctx.params[name]
 
     def hash(self) -> int:
         """_HASH_CHECK: hash over names and values, as PX4 and QGroundControl compute it."""
@@ -96,13 +97,16 @@ class Parameters:
             crc = file_crc32(name.encode("ascii") + value, crc)
         return crc
 
-    def packed_file(self, path: str) -> bytes | None:
+    def packed_file(self, peer: MavlinkPeer, path: str) -> bytes | None:
         """``@PARAM/param.pck`` for profiles whose integers are C casts (ardusub): clients that have read it set all
-        parameters as floats. MAVProxy and QGroundControl request ``?withdefaults=1``.
+        parameters as floats, which others refuse. MAVProxy and QGroundControl request ``?withdefaults=1``.
         """
         folder, _, file = path.partition("/")
         name, _, options = file.partition("?")
-        if folder != "@PARAM" or name != PACKED_FILE or self._ctx.profile.param_encoding is ParamEncoding.BYTEWISE:
+        if folder != "@PARAM" or name != PACKED_FILE:
+            return None
+        if self._ctx.profile.param_encoding is ParamEncoding.BYTEWISE:
+            self._ctx.text(notices.PACKED_PARAMETERS(), peer)
             return None
         return self.packed(defaults="withdefaults=1" in options.split("&"))
 
@@ -168,9 +172,11 @@ class Parameters:
         if name not in self._index:
             self._refuse(peer, name, -1, _MISSING)
             return
-        if name in self._stubs:
+        if name in self._stubs.table:
             self._refuse(peer, name, self._index[name], _READ_ONLY)
-            ctx.say(notices.PARAMETER_STUB(name=name), peer)
+            decides = self._stubs.table[name].follows
+            remedy = f"set {decides}" if decides else "it has no effect here"
+            ctx.say(notices.PARAMETER_STUB(name=name, remedy=remedy), peer)
             ctx.broadcast(self.value(name))
             return
         number: int | None = None
@@ -184,6 +190,15 @@ class Parameters:
             ctx.broadcast(self.value(name))
         else:
             self._saving[name] = _ParameterWrite(number=number, since_us=ctx.t_us)
+
+    def on_extended(self, peer: MavlinkPeer, msg: Message) -> None:
+        """PARAM_EXT_REQUEST_READ, _LIST, _SET: for parameters longer than 32 bits, which there are none of. Only a
+        change has an answer that refuses it."""
+        self._ctx.text(notices.EXTENDED_PARAMETERS(), peer)
+        if msg.get_msgId() == mav.MAVLINK_MSG_ID_PARAM_EXT_SET:
+            name, value = (text.encode("ascii", errors="replace") for text in (msg.param_id, msg.param_value))
+            refused = mav.PARAM_ACK_VALUE_UNSUPPORTED
+            self._ctx.send(peer, mav.MAVLink_param_ext_ack_message(name, value, msg.param_type, refused))
 
     def reset(self) -> int:
         """Set every parameter to its default and save; returns the number changed. Parameters with joint checks are
@@ -232,6 +247,8 @@ class Parameters:
             return False
         if ctx.params[name] != before:
             ctx.log(notices.PARAMETER_SET(name=name, value=ctx.params[name], before=before))
+            for follower in self._stubs.followers(name):
+                ctx.broadcast(self.value(follower))
         return True
 
     def _refuse(self, peer: MavlinkPeer, name: str, index: int, error: int) -> None:

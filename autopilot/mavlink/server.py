@@ -61,6 +61,7 @@ from autopilot.mavlink.signing import Signing
 from autopilot.mavlink.signing_setup import SigningSetup
 from autopilot.mavlink.status import StatusMessages
 from autopilot.mavlink.streams import Streams
+from autopilot.mavlink.stubs import VehicleFacts
 from autopilot.mavlink.telemetry import Builder, NavigationMessages
 from autopilot.mavlink.traffic import TrafficReports
 from autopilot.mavlink.utility import Utility
@@ -128,6 +129,8 @@ class MavlinkServer:
         Bytes per second of slow links.
     nondeterminism
         Recorder of results that depend on a signing key.
+    facts
+        What parameters of other firmwares say of the vehicle.
     """
 
     def __init__(
@@ -151,6 +154,7 @@ class MavlinkServer:
         camera: CameraOrders | None = None,
         nondeterminism: NondeterminismSource | None = None,
         equipment: EquipmentOrders | None = None,
+        facts: VehicleFacts | None = None,
     ) -> None:
         identity = VehicleIdentity(name=NAME, version=version, git=git, uid=uid)
         self._ctx = ctx = Context(
@@ -167,9 +171,15 @@ class MavlinkServer:
             signing=Signing(signing, patience, nondeterminism),
             budgets={link: Budget(rate / patience) for link, rate in (rates or {}).items()},
         )
-        self.parameters = Parameters(ctx)
+        self.parameters = Parameters(ctx, facts or VehicleFacts(sysid=sysid))
         metadata = make_metadata(self.parameters.specs, name=identity.name, version=identity.version)
-        self._files = FileTransfer(ctx, metadata.files, log_directory, self.parameters.packed_file)
+        self._files = FileTransfer(
+            ctx,
+            metadata.files,
+            log_directory,
+            self.parameters.packed_file,
+            load=lambda: 1.0 if ctx.view.armed else ctx.view.cpu_load,
+        )
         self._logs = LogDownload(ctx, log_directory)
         self._operators = Operators(ctx, self.parameters.known_value)
         self.missions = Missions(ctx)
@@ -282,6 +292,9 @@ class MavlinkServer:
             mav.MAVLINK_MSG_ID_PARAM_REQUEST_LIST: lambda peer, msg: parameters.on_request_list(peer),
             mav.MAVLINK_MSG_ID_PARAM_REQUEST_READ: parameters.on_request_read,
             mav.MAVLINK_MSG_ID_PARAM_SET: parameters.on_set,
+            mav.MAVLINK_MSG_ID_PARAM_EXT_REQUEST_READ: parameters.on_extended,
+            mav.MAVLINK_MSG_ID_PARAM_EXT_REQUEST_LIST: parameters.on_extended,
+            mav.MAVLINK_MSG_ID_PARAM_EXT_SET: parameters.on_extended,
             mav.MAVLINK_MSG_ID_MISSION_COUNT: missions.on_count,
             mav.MAVLINK_MSG_ID_MISSION_ITEM_INT: missions.on_item,
             mav.MAVLINK_MSG_ID_MISSION_ITEM: missions.on_float_item,

@@ -4,7 +4,9 @@ They have no acknowledgement: a rejected one is reported by a rate-limited STATU
 """
 
 import math
+import re
 from collections.abc import Callable
+from dataclasses import dataclass
 
 from pymavlink.dialects.v20 import development as mav
 
@@ -13,6 +15,7 @@ from autopilot.core.frames import rpy_from_quat
 from autopilot.core.geodesy import ned_from_geodetic, place_from_ned, refuse_place
 from autopilot.core.messages import NavHealth, NavState
 from autopilot.mavlink.api import CommandReply, CommandResult, FlightMode, SetPoint
+from autopilot.mavlink.bounded_table import LatestUsed
 from autopilot.mavlink.context import Context, MavlinkPeer
 from autopilot.mavlink.vehicle_commands import RELATIVE
 from autopilot.mavlink.wire import Message
@@ -39,8 +42,25 @@ THRUST_DEADZONE = 0.05
 """SET_ATTITUDE_TARGET.thrust: 0 down, 0.5 holds the depth, 1 up."""
 
 
+TELL_AGAIN_US = 10_000_000
+"""Interval at which a stream of set points that is refused is reported; after a pause as long it is another one."""
+_NUMBERS = re.compile(r"[-\d.]+")
+"""What differs between the refusals of a stream."""
+MAX_REFUSED = 32
+"""Clients and reasons that are remembered for that; beyond that the oldest is dropped."""
+
+
 class _NotFollowedError(Exception):
     """A set point that makes no sense here, and why."""
+
+
+@dataclass(slots=True)
+class _Refused:
+    """Set points of one client that were refused for one reason."""
+
+    count: int = 0
+    last_us: int = 0
+    told_us: int = 0
 
 
 class SetPoints:
@@ -48,6 +68,7 @@ class SetPoints:
 
     def __init__(self, ctx: Context) -> None:
         self._ctx = ctx
+        self._refused: LatestUsed[tuple[MavlinkPeer, str], _Refused] = LatestUsed(MAX_REFUSED)
 
     def on_local(self, peer: MavlinkPeer, msg: Message) -> None:
         self._take(peer, msg, self._of_local)
@@ -77,11 +98,23 @@ class SetPoints:
             if ctx.profile.guided_in_hold and ctx.view.mode is FlightMode.HOLD and ctx.view.armed and not answer.reason:
                 answer = ctx.vehicle.set_mode(FlightMode.GUIDED)
         if answer.result is not CommandResult.ACCEPTED and answer.reason:
-            ctx.say(notices.REFUSED(reason=answer.reason), peer)
+            self._tell(peer, answer.reason)
 
     def _refuse(self, peer: MavlinkPeer, reason: str) -> None:
-        answer = self._ctx.vehicle.refuse_set_point(reason)
-        self._ctx.say(notices.REFUSED(reason=answer.reason), peer)
+        self._tell(peer, self._ctx.vehicle.refuse_set_point(reason).reason)
+
+    def _tell(self, peer: MavlinkPeer, reason: str) -> None:
+        """A refusal in words: of a stream the first, then how many there were."""
+        now_us, again_us = self._ctx.t_us, TELL_AGAIN_US * self._ctx.patience
+        stream = self._refused.touch((peer, _NUMBERS.sub("", reason)), _Refused)
+        if now_us - stream.last_us > again_us:
+            stream.count = 0
+        stream.count, stream.last_us = stream.count + 1, now_us
+        if stream.count > 1 and now_us - stream.told_us < again_us:
+            return
+        stream.told_us = now_us
+        so_far = f" ({stream.count} so far)" if stream.count > 1 else ""
+        self._ctx.say(notices.REFUSED(reason=f"{reason}{so_far}"), peer)
 
     def _go_to(self, point: SetPoint) -> CommandReply:
         """ArduPilot's GUIDED takes a position once and for all, without a stream."""

@@ -239,9 +239,9 @@ class VehicleService:
         count = len(self._ctx.plans.items(PlanKind.MISSION))
         first, last = call.whole(1), call.whole(2)
         if first is None or first < 0:
-            return denied(f"mission start: first item {call.param(1):g} does not exist")
+            return denied(f"mission start: param1 {call.param(1):g} is no item, use 0 for the current one")
         if last is None or (last > 0 and last < count - 1 + by):
-            return denied(f"mission start: last item {call.param(2):g} is not supported, use 0 for all")
+            return denied(f"mission start: param2 {call.param(2):g} ends too early, use 0 for all")
         return Reply(self._ctx.vehicle.start_mission(max(first - by, 0) if first else None))
 
     def pause_continue(self, call: Call) -> Reply:

@@ -28,6 +28,7 @@ from autopilot.estimator.create import create_estimator
 from autopilot.log.directory_reader import LogDirectoryReader
 from autopilot.mavlink.api import SigningStore
 from autopilot.mavlink.server import MavlinkServer
+from autopilot.mavlink.stubs import VehicleFacts
 from autopilot.mission.store import CurrentCheck, Plans
 from autopilot.record.estimator_setup import options_of
 from autopilot.run.config import system_id, vehicle_uid
@@ -142,6 +143,7 @@ def build_service(
         has_markers=setup.markers is not None,
     )
     guard = Guard()
+    sysid = system_id(params, setup.instance)
     photographer = Photographer(vehicle) if setup.pictures else None
     equipment = Equipment(vehicle)
     parts = ServiceParts(
@@ -166,7 +168,7 @@ def build_service(
         actuation=Actuation(vehicle, params),
         commander=commander,
         server=MavlinkServer(
-            sysid=system_id(params, setup.instance),
+            sysid=sysid,
             profile=setup.profile,
             params=params,
             plans=plans,
@@ -186,6 +188,12 @@ def build_service(
             rates=setup.rates,
             camera=photographer,
             equipment=equipment,
+            facts=VehicleFacts(
+                sysid=sysid,
+                thrusters=len(vehicle.thrusters),
+                full_v=vehicle.battery.open_circuit_v,
+                empty_v=vehicle.battery.empty_v,
+            ),
         ),
     )
     return Autopilot(parts), parts

@@ -86,7 +86,7 @@ def test_a_refusal_comes_with_the_vehicles_reason(loss: dict[str, float]) -> Non
     with pytest.raises(PlanError) as refusal:
         client.upload(PlanKind.MISSION, bad)
     if not loss:
-        assert "item 3: 50.00 m above the surface; altitude must be <= 0" in str(refusal.value)
+        assert "item 3 (QGC 4): 50.00 m above the surface; altitude must be <= 0" in str(refusal.value)
     assert same_on_the_wire(link.plans.items(PlanKind.MISSION), good)
 
 
@@ -99,7 +99,9 @@ def test_a_plan_that_is_stored_and_not_flown_names_the_obstacle() -> None:
     assert client.plan_problem() == ""
     client.upload(PlanKind.MISSION, (inside,))
     for _ in range(2):  # who asks again is answered again
-        assert client.plan_problem().startswith("item 0 is 0.16 m inside exclusion circle (fence item 5): move it")
+        assert client.plan_problem().startswith(
+            "item 0 (QGC 1) is 0.16 m inside exclusion circle (fence item 5): move it"
+        )
     assert same_on_the_wire(link.plans.items(PlanKind.MISSION), (inside,))
 
 
@@ -113,7 +115,7 @@ def test_an_armed_vehicle_says_what_is_wrong_with_its_plans_to_every_client_and_
     for _ in range(2):
         client = session(link)
         client.upload(PlanKind.MISSION, (inside,))
-        assert client.plan_problem().startswith("item 0 is 0.16 m inside exclusion circle")
+        assert client.plan_problem().startswith("item 0 (QGC 1) is 0.16 m inside exclusion circle")
     client.upload(PlanKind.MISSION, paper_plan().mission)
     assert client.plan_problem() == ""
 
@@ -218,7 +220,7 @@ def test_long_reasons_survive_doubled_and_swapped_chunks(seed: int) -> None:
     high = PlanItem(seq=0, frame=3, command=16, x=379755000, y=237790000, z=50.0)
     with pytest.raises(PlanError) as refusal:
         client.upload(PlanKind.MISSION, (high,))
-    said = "item 0: 50.00 m above the surface; altitude must be <= 0: depth 0.4 m is -0.4"
+    said = "item 0 (QGC 1): 50.00 m above the surface; altitude must be <= 0, -0.4 at 0.4 m"
     assert str(refusal.value).endswith(said)
 
 

@@ -53,6 +53,21 @@ def test_check_shows_every_problem(tmp_path: Path) -> None:
     assert "what is wrong" in table.output
 
 
+def test_check_warns_of_kilometres_without_a_fence(tmp_path: Path) -> None:
+    path = tmp_path / "far.toml"
+    rows = "[origin]\nlat_deg = 37.9755\nlon_deg = 23.7790\n" + "".join(
+        f"[[waypoint]]\nx_m = {x_m}\ny_m = {x_m}\ndepth_m = 0.5\n" for x_m in (0.0, 900.0)
+    )
+    path.write_text(rows, encoding="utf-8")
+    result = run("check", path)
+    assert result.exit_code == 0, result.output
+    assert "warning: Mission of 1.3 km, 1.3 km from home, with no fence in force" in result.output
+    assert json.loads(run("check", path, "--json").output)["warning"].startswith("Mission of 1.3 km")
+    path.write_text(rows.replace("900", "90"), encoding="utf-8")
+    assert "warning" not in run("check", path).output
+    assert json.loads(run("check", PAPER, "--json").output)["warning"] == ""
+
+
 def test_check_judges_with_other_parameters_and_vehicles() -> None:
     result = run("check", PAPER, "--param", "DEPTH_MAX=0.4", "--json")
     assert result.exit_code == 1
@@ -116,12 +131,12 @@ def test_a_plan_that_does_not_fit_together_is_stored_and_the_exit_code_says_so(
     other.write_text(OTHER.format(x_m=1.5, depth_m=0.5), encoding="utf-8")
     stored = run("upload", other)
     assert stored.exit_code == 3
-    assert stored.output.count("item 0 is 0.24 m inside exclusion circle (fence item 0): move it 0.54 m") == 1
+    assert stored.output.count("item 0 (QGC 1) is 0.24 m inside exclusion circle (fence item 0): move it 0.54 m") == 1
     assert "neither arms nor starts" in stored.output
     assert [len(link.plans.items(kind)) for kind in (PlanKind.MISSION, PlanKind.FENCE)] == [1, 1]
     told = run("upload", other, "--json")
     assert told.exit_code == 3
-    assert "item 0 is 0.24 m inside" in told.output
+    assert "item 0 (QGC 1) is 0.24 m inside" in told.output
     offline = run("check", other, "--json")
     assert offline.exit_code == 3
     assert [(p["plan"], p["item"], p["means"]) for p in json.loads(offline.output)["problems"]] == [

@@ -51,6 +51,9 @@ class MemoryPlans:
     def items(self, kind: PlanKind) -> tuple[PlanItem, ...]:
         return self.stored[kind]
 
+    def size_text(self) -> str:
+        return ""
+
     def checksum(self, kind: PlanKind) -> int:
         return plan_checksum(self.stored[kind])
 

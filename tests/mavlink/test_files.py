@@ -6,6 +6,7 @@ import json
 import lzma
 import random
 import struct
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -334,6 +335,47 @@ def test_logs_are_erased_when_disarmed_only(folder: Path) -> None:
     assert [path.name for path in folder.rglob("*") if path.is_file()] == ["mine.txt"]
 
 
+def test_a_burst_grows_with_what_arrives_and_leaves_the_ticks_of_an_armed_vehicle(folder: Path) -> None:
+    sent = a_log(folder, "2026-11-22/10_00_00.mcap", 1_500_000)
+    world = world_with(folder)
+    world.view = replace(world.view, armed=False, cpu_load=0.3)
+    client = world.client()
+    path = b"@MAV_LOG/2026-11-22/10_00_00.mcap"
+
+    def read(start: int, ticks: int) -> tuple[int, int, int]:
+        """Where the client is after so many ticks, the most packets of one, and bytes that were not the file's."""
+        assert Ftp(client).ask(Op.OPEN_READ, data=path)[0] == Op.ACK
+        ftp, at, most, wrong = Ftp(client), start, 0, 0
+        client.rx.clear()
+        ftp.send(Op.BURST, offset=at, size=239)
+        for _ in range(ticks):
+            world.tick()
+            answers = ftp.answers()
+            client.rx.clear()
+            most = max(most, len(answers))
+            for opcode, complete, offset, data in answers:
+                assert (opcode, offset) == (Op.ACK, at)
+                wrong += data != sent[offset : offset + len(data)]
+                at += len(data)
+                if complete:
+                    ftp.seq += 1000
+                    ftp.send(Op.BURST, offset=at, size=239)
+        return at, most, wrong
+
+    at, most, wrong = read(0, 60)
+    assert (most, wrong) == (96, 0) and at > 700_000, (at, most)
+    begun = at
+    world.view = replace(world.view, armed=True)
+    at, most, wrong = read(begun, 30)
+    assert most == 16 and at > begun and wrong == 0
+    world.view = replace(world.view, armed=False)
+    world.view = replace(world.view, cpu_load=0.9)
+    assert read(at, 40)[1] == 16, "the loop is busy"
+    world.view = replace(world.view, cpu_load=0.3)
+    at, most, wrong = read(0, 10)
+    assert most == 16, "from another place: what it has been sent has not all arrived"
+
+
 def test_all_parameters_come_in_one_file_where_clients_of_ardupilot_ask_for_it(folder: Path) -> None:
     world = world_with(folder, "ardusub")
     world.params.set("SPD_CRUISE", 0.25)
@@ -354,5 +396,7 @@ def test_all_parameters_come_in_one_file_where_clients_of_ardupilot_ask_for_it(f
         assert list(found) == sorted({*(spec.name for spec in PARAMETERS), *STUBS["ardusub"]})
         assert found["SPD_CRUISE"] == pytest.approx((0.25, 0.35) if wish else (0.25,))
         assert found["FS_SOLVER_N"] == (40,)
-    assert Ftp(World("px4").client()).ask(Op.OPEN_READ, data=b"@PARAM/param.pck") == (Op.NAK, bytes((Error.NOT_FOUND,)))
+    other = World("px4").client()
+    assert Ftp(other).ask(Op.OPEN_READ, data=b"@PARAM/param.pck") == (Op.NAK, bytes((Error.NOT_FOUND,)))
+    assert "param fetch" in other.texts()
     assert ftp.ask(Op.OPEN_READ, data=b"@PARAM/../param.pck") == (Op.NAK, bytes((Error.NOT_FOUND,)))

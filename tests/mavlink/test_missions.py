@@ -159,7 +159,7 @@ def test_a_refused_plan_is_explained(world: World) -> None:
     assert upload(client, plan(3)) == R.INVALID_PARAM6_Y
     world.run(0.1)
     chunks = [m for m in client.got("STATUSTEXT") if m.id]
-    assert reason in "".join(m.text for m in chunks)
+    assert reason.replace("item 1", "item 1 (QGC 2)") in "".join(m.text for m in chunks)
     assert len(world.plans.items(PlanKind.MISSION)) == 5
     (ack,) = client.ask(mav.MAVLink_mission_clear_all_message(1, 1, 0), "MISSION_ACK", 0.1)
     assert ack.type == R.INVALID_PARAM6_Y and len(world.plans.items(PlanKind.MISSION)) == 5
@@ -213,7 +213,7 @@ def test_a_missing_item_is_asked_for_again_and_then_given_up(world: World) -> No
     assert asked[:3] == [0, 1, 2] and 8 <= asked.count(2) <= 14
     world.run(6.0)
     assert uploader.results == [R.OPERATION_CANCELLED]
-    assert "item 2 of 4" in client.texts()
+    assert "item 2 (QGC 3) of 4" in client.texts()
     assert len(world.plans.items(PlanKind.MISSION)) == 2 and not world.server.uploading
 
 

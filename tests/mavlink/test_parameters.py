@@ -10,8 +10,8 @@ from mavlink_harness import NAN, Client, World, mav
 
 from autopilot.core.crc import file_crc32
 from autopilot.core.origin_params import params_origin, set_origin_deg, shortest_decimal
-from autopilot.core.params import PARAMETERS, ParamType, Saved
-from autopilot.mavlink.stubs import STUBS
+from autopilot.core.params import PARAMETERS, ParamSet, ParamType, Saved
+from autopilot.mavlink.stubs import STUBS, VehicleFacts
 
 INT32, REAL32 = mav.MAV_PARAM_TYPE_INT32, mav.MAV_PARAM_TYPE_REAL32
 PROFILES = ("generic", "px4", "ardusub")
@@ -50,8 +50,9 @@ def test_the_list_is_complete_typed_and_stable(world: World) -> None:
         assert {m.param_count for m in got} == {count}
         assert {m.param_id for m in got} == {spec.name for spec in PARAMETERS} | set(stubs)
         for m in got:
-            spec = stubs.get(m.param_id) or world.params.spec(m.param_id)
-            value = spec.default if m.param_id in stubs else world.params[m.param_id]
+            stub = stubs.get(m.param_id)
+            spec = world.params.spec(m.param_id) if stub is None else stub.spec
+            value = world.params[m.param_id] if stub is None else stub.value(world.params, VehicleFacts())
             assert m.param_type == (INT32 if spec.type is ParamType.INT32 else REAL32)
             assert from_wire(world, m) == pytest.approx(value, rel=1e-6)
 
@@ -60,21 +61,75 @@ QGC_WANTS = """
     SYS_AUTOSTART CAL_GYRO0_ID COM_RC_IN_MODE SYS_AUTOCONFIG MAV_SYS_ID CAL_ACC0_ID CAL_MAG0_ID CAL_MAG1_ID CAL_MAG2_ID
     COM_FLTMODE1 COM_FLTMODE6 BAT1_N_CELLS BAT1_V_EMPTY BAT1_V_CHARGED RTL_LAND_DELAY RTL_DESCEND_ALT RTL_RETURN_ALT
     NAV_DLL_ACT COM_RC_LOSS_T NAV_RCL_ACT COM_LOW_BAT_ACT SYS_HAS_MAG RC_MAP_ROLL RC_MAP_THROTTLE
+    CAL_MAG0_ROT CAL_MAG1_ROT CAL_MAG2_ROT SENS_BOARD_ROT SENS_BOARD_X_OFF SENS_BOARD_Y_OFF SENS_BOARD_Z_OFF
+    SENS_DPRES_OFF RC_CHAN_CNT RC1_MIN RC1_TRIM RC1_MAX RC1_REV RC18_MIN RC18_TRIM RC18_MAX RC18_REV RC_MAP_PARAM3
+    RC_MAP_FLTMODE RC_MAP_ARM_SW RC_MAP_GEAR_SW RC_MAP_KILL_SW RC_MAP_LOITER_SW RC_MAP_OFFB_SW RC_MAP_RETURN_SW
+    RC_ARMSWITCH_TH RC_KILLSWITCH_TH BAT1_SOURCE BAT1_V_LOAD_DROP FRAME_CONFIG SDLOG_MODE GF_ACTION GF_MAX_HOR_DIST
+    GF_MAX_VER_DIST COM_DISARM_LAND CP_DIST COM_OBS_AVOID BAT_LOW_THR BAT_CRIT_THR BAT_EMERGEN_THR COM_DL_LOSS_T
 """
 
 
-def test_what_a_plug_in_wants_is_there_and_does_nothing() -> None:
-    """QGroundControl's PX4 plug-in opens popups without them."""
+def test_what_a_plug_in_wants_is_there_and_read_only() -> None:
+    """QGroundControl's PX4 plug-in opens popups without them, at connect and on its setup pages."""
     client = World("px4").client()
     for name in QGC_WANTS.split():
         assert client.ask(mav.MAVLink_param_request_read_message(1, 1, name.encode(), -1), "PARAM_VALUE", 0.05), name
-    before = from_wire(client.world, client.got("PARAM_VALUE")[0])
     client.rx.clear()
     set_param(client, "SYS_AUTOSTART", 4001, INT32)
     (error,) = client.got("PARAM_ERROR")
-    assert error.error == 5 and "SYS_AUTOSTART has no effect here" in client.texts()
-    read = client.ask(mav.MAVLink_param_request_read_message(1, 1, b"RC_MAP_THROTTLE", -1), "PARAM_VALUE", 0.05)
-    assert from_wire(client.world, read[0]) == before
+    assert error.error == 5 and "SYS_AUTOSTART is read only: it has no effect here" in client.texts()
+    read = client.ask(mav.MAVLink_param_request_read_message(1, 1, b"SYS_AUTOSTART", -1), "PARAM_VALUE", 0.05)
+    assert from_wire(client.world, read[0]) == 60_000
+
+
+@pytest.mark.parametrize(
+    ("ours", "value", "theirs", "shown"),
+    [
+        ("FS_GCS_ENABLE", 5.0, "NAV_DLL_ACT", 2),
+        ("FS_GCS_ENABLE", 2.0, "NAV_DLL_ACT", 6),
+        ("FS_GCS_TIMEOUT", 12.4, "COM_DL_LOSS_T", 12),
+        ("FS_PILOT_INPUT", 3.0, "NAV_RCL_ACT", 1),
+        ("FS_PILOT_TIMEOUT", 1.5, "COM_RC_LOSS_T", 1.5),
+        ("FS_BATT_ACT", 3.0, "COM_LOW_BAT_ACT", 1),
+        ("FS_BATT_LOW", 0.25, "BAT_CRIT_THR", 0.25),
+        ("FS_BATT_CRT", 0.02, "BAT_EMERGEN_THR", 0.02),
+        ("FS_CAGE_ACT", 1.0, "GF_ACTION", 2),
+        ("MPC_MARGIN", 0.1, "CP_DIST", 0.1),
+    ],
+)
+def test_a_plug_ins_parameter_says_what_ours_decides(ours: str, value: float, theirs: str, shown: float) -> None:
+    world = World("px4")
+    client = world.client()
+    kind = INT32 if world.params.spec(ours).type is ParamType.INT32 else REAL32
+    told = [m for m in set_param(client, ours, value, kind) if m.param_id == theirs]
+    assert told and from_wire(world, told[-1]) == pytest.approx(shown)
+    set_param(client, theirs, 0, told[-1].param_type)
+    assert f"{theirs} is read only: set {ours}" in client.texts()
+    assert world.params[ours] == pytest.approx(value)
+
+
+def test_parameters_longer_than_32_bits_are_refused_in_words(world: World) -> None:
+    client = world.client()
+    client.send(mav.MAVLink_param_ext_request_list_message(1, 1))
+    world.run(0.1)
+    assert "PARAM_EXT is not served: use PARAM_REQUEST_LIST" in client.texts()
+    real = mav.MAV_PARAM_EXT_TYPE_REAL32
+    (ack,) = client.ask(
+        mav.MAVLink_param_ext_set_message(1, 1, b"SPD_CRUISE", struct.pack("<f", 0.3), real), "PARAM_EXT_ACK", 0.1
+    )
+    assert (ack.param_id, ack.param_type, ack.param_result) == ("SPD_CRUISE", real, mav.PARAM_ACK_VALUE_UNSUPPORTED)
+    assert world.params["SPD_CRUISE"] == world.params.spec("SPD_CRUISE").default
+
+
+def test_every_action_of_a_failsafe_has_a_number_that_is_explained() -> None:
+    for name, stub in STUBS["px4"].items():
+        ours = stub.follows
+        if stub.spec.type is not ParamType.INT32 or ours == "FS_GCS_TIMEOUT" or not ours:
+            continue
+        params = ParamSet()
+        for choice in params.spec(ours).values:
+            params.set(ours, choice)
+            assert stub.value(params, VehicleFacts()) in stub.spec.values, (name, ours, choice)
 
 
 def test_a_client_that_has_the_list_need_not_load_it(world: World) -> None:

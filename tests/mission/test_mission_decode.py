@@ -38,7 +38,7 @@ R = MissionResult
         (replace(GOOD, x=-379755000, y=-1562210000), R.INVALID_PARAM5_X, "km from"),
         (replace(GOOD, z=NAN), R.INVALID_PARAM7, "altitude"),
         (replace(GOOD, z=-math.inf), R.INVALID_PARAM7, "altitude"),
-        (replace(GOOD, z=50.0), R.INVALID_PARAM7, "altitude must be <= 0: depth 0.4 m is -0.4"),
+        (replace(GOOD, z=50.0), R.INVALID_PARAM7, "altitude must be <= 0, -0.4 at 0.4 m"),
         (replace(GOOD, frame=0, z=0.5), R.INVALID_PARAM7, "AMSL"),
         (replace(GOOD, frame=1, x=0, y=0, z=-1.0), R.INVALID_PARAM7, "z in LOCAL_NED is depth"),
         (replace(GOOD, param1=-1.0), R.INVALID_PARAM1, "hold time"),

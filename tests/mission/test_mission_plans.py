@@ -169,7 +169,7 @@ def test_narrow_gaps_that_no_leg_needs_are_reported_unless_the_parameter_says_ot
     ):
         store = fenced(fence)
         (warning,) = store.warnings()
-        assert f"gap of {width} m to item 0, vehicle is 0.60 m: it does not pass there (at north " in warning
+        assert f"gap of {width} m to fence item 0, vehicle is 0.60 m: it does not pass there (at north " in warning
         assert store.problem == ""
         assert fenced(fence, FENCE_GAP_CHK=0).warnings() == ()
 

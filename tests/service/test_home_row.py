@@ -69,14 +69,15 @@ def test_home_is_numbered_and_not_flown(profile: str) -> None:
 def test_refusals_have_the_numbers_of_the_file(profile: str) -> None:
     world = afloat(profile)
     assert world.upload(wire(file_of(world, (-0.5, 0.4)))).type == 12
-    assert "item 2: 0.40 m above the surface" in world.texts()
+    shown = (lambda seq: f"item {seq}") if profile == "ardusub" else (lambda seq: f"item {seq} (QGC {seq + 1})")
+    assert f"{shown(2)}: 0.40 m above the surface" in world.texts()
     assert world.upload(wire(file_of(world, (-0.5, -2.5)))).type == 12
-    assert "item 2: depth 2.50 m" in world.texts()
+    assert f"{shown(2)}: depth 2.50 m" in world.texts()
     outside = wire(file_of(world, (-0.5, -0.5, -0.5)))
     outside[3] = replace(outside[3], y=outside[3].y + 1000)
     assert world.upload(outside).type == 0
     world.run(0.3)
-    assert "No start: item 3 is" in world.texts()
+    assert f"No start: {shown(3)} is" in world.texts()
 
 
 @pytest.mark.parametrize("profile", ["px4", "generic"])
@@ -86,6 +87,6 @@ def test_a_first_waypoint_in_the_water_is_flown(profile: str) -> None:
     assert world.upload(wire(file_of(world, (-0.5, -0.5), home_alt=-0.5))).type == 0
     assert not world.parts.plans.items(PlanKind.MISSION)[0].is_home
     assert world.upload(wire(file_of(world, (-0.5,), home_alt=30.0))[:1]).type == 12
-    assert "item 0: 30.00 m above the surface" in world.texts()
+    assert "item 0 (QGC 1): 30.00 m above the surface" in world.texts()
     amsl = [replace(item, frame=0) for item in wire(file_of(world, (-0.5,), home_alt=30.0))]
     assert world.upload(amsl).type == 12

@@ -148,7 +148,7 @@ def test_waypoints_close_together_do_not_flood_the_operator() -> None:
     world.fly([*items, plain(60, 177, 0.0, -1.0)], 10.0)
     assert 90 < len(world.reached) <= 121, "20 at once, and ten a second"
     said = [m.text for m in world.inbox if m.get_type() == "STATUSTEXT"]
-    assert len(said) <= 13 and any(re.match(r"Reached \d+ items, the last is", text) for text in said)
+    assert len(said) <= 13 and any(re.match(r"Reached \d+ items, the last is item", text) for text in said)
     assert len([m for m in world.inbox if m.get_type() == "MISSION_CURRENT"]) <= 115
 
 
@@ -159,7 +159,7 @@ def test_of_many_that_are_reached_at_once_the_last_is_told() -> None:
     assert reached[:15] == list(range(reached[0], reached[0] + 15)), "one by one at first"
     assert reached[-1] == 399 and reached == sorted(set(reached)) and len(reached) <= 20 + 10 * 22
     said = [m.text for m in world.inbox if m.get_type() == "STATUSTEXT"]
-    assert "the last is 399" in said[-2] and "Mission complete" in said[-1]
+    assert "the last is item 399 (QGC 400)" in said[-2] and "Mission complete" in said[-1]
 
 
 def test_what_was_reached_is_told_although_the_mission_is_paused_meanwhile() -> None:

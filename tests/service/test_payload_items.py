@@ -108,7 +108,7 @@ def test_without_a_camera_a_survey_is_flown_and_that_is_told_once() -> None:
     assert world.command(300, 0.0, 0.0) == 0
     world.run(19.0)
     assert 4 in world.reached
-    assert world.texts().count("Item 1: no camera here, no photos") == 1
+    assert world.texts().count("Item 1 (QGC 2): no camera here, no photos") == 1
 
 
 def test_a_mission_grips_and_switches() -> None:

@@ -1,6 +1,7 @@
 """Pilots, set points, circles and dives, by the bytes that ground stations and clients send, through Autopilot.step."""
 
 import math
+import re
 
 import numpy as np
 import pytest
@@ -325,6 +326,17 @@ def test_a_set_point_that_is_not_followed_is_refused_by_a_text_and_ends_the_mode
         assert world.parts.commander.mode is FlightMode.HOLD
         world.run(0.3)
         assert world.mode(OFFBOARD) == DENIED
+
+
+def test_a_stream_that_is_refused_is_told_once_and_counted() -> None:
+    world = afloat()
+    actuators = mav.MAVLink_set_actuator_control_target_message(0, 0, 1, 1, [0.0] * 8)
+    world.inbox.clear()
+    world.stream(8.0, actuators)
+    assert world.texts().count("no actuator control") == 1 and "so far" not in world.texts()
+    world.inbox.clear()
+    world.stream(8.0, actuators)
+    assert world.texts().count("no actuator control") == 1 and re.search(r"\(\d{2,} so far\)", world.texts())
 
 
 def test_a_client_that_steers_at_a_pillar_by_velocities_is_slowed_down() -> None:

@@ -36,7 +36,12 @@ NEEDED = {
         RC_MAP_ROLL RC_MAP_PITCH RC_MAP_YAW RC_MAP_THROTTLE RC_MAP_FLAPS RC_MAP_AUX1 RC_MAP_AUX2 SYS_AUTOCONFIG
         MAV_SYS_ID COM_FLTMODE1 COM_FLTMODE2 COM_FLTMODE3 COM_FLTMODE4 COM_FLTMODE5 COM_FLTMODE6 BAT1_N_CELLS
         BAT1_V_EMPTY BAT1_V_CHARGED RTL_LAND_DELAY RTL_DESCEND_ALT RTL_RETURN_ALT NAV_DLL_ACT COM_RC_LOSS_T
-        NAV_RCL_ACT COM_LOW_BAT_ACT""",
+        NAV_RCL_ACT COM_LOW_BAT_ACT CAL_MAG0_ROT CAL_MAG1_ROT CAL_MAG2_ROT SENS_BOARD_ROT SENS_BOARD_X_OFF
+        SENS_BOARD_Y_OFF SENS_BOARD_Z_OFF SENS_DPRES_OFF RC_MAP_FLTMODE RC_MAP_ARM_SW RC_MAP_GEAR_SW RC_MAP_KILL_SW
+        RC_MAP_LOITER_SW RC_MAP_OFFB_SW RC_MAP_RETURN_SW RC_ARMSWITCH_TH RC_GEAR_TH RC_KILLSWITCH_TH RC_LOITER_TH
+        RC_OFFB_TH RC_RETURN_TH BAT1_SOURCE BAT1_V_LOAD_DROP FRAME_CONFIG SDLOG_MODE GF_ACTION GF_MAX_HOR_DIST
+        GF_MAX_VER_DIST COM_DISARM_LAND CP_DIST COM_OBS_AVOID BAT_LOW_THR BAT_CRIT_THR BAT_EMERGEN_THR COM_DL_LOSS_T """
+    + " ".join(f"RC{channel}_{name}" for channel in range(1, 19) for name in ("MIN", "TRIM", "MAX", "REV")),
     "ardusub": """COMPASS_DEV_ID COMPASS_DEV_ID2 COMPASS_DEV_ID3 COMPASS_USE COMPASS_USE2 COMPASS_USE3 COMPASS_OFS_X
         COMPASS_OFS_Y COMPASS_OFS_Z COMPASS_OFS2_X COMPASS_OFS2_Y COMPASS_OFS2_Z COMPASS_OFS3_X COMPASS_OFS3_Y
         COMPASS_OFS3_Z COMPASS_DEC INS_ACCOFFS_X INS_ACCOFFS_Y INS_ACCOFFS_Z BATT_CAPACITY BATT_MONITOR BATT_FS_LOW_ACT
@@ -676,6 +681,14 @@ class GroundStation:
         """The value in force."""
         message = mav.MAVLink_param_request_read_message(1, 1, name.encode(), -1)
         return self.hear(message, lambda m: m.get_type() == "PARAM_VALUE" and m.param_id == name, PARAM_S, 3)
+
+    def value(self, name: str) -> float:
+        """The value in force as its pages show it."""
+        message = self.read(name)
+        if message.param_type == mav.MAV_PARAM_TYPE_REAL32 or self.profile == "ardusub":
+            return float(message.param_value)
+        (whole,) = struct.unpack("<i", struct.pack("<f", message.param_value))
+        return float(whole)
 
     # Logs
 

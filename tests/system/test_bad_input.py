@@ -154,7 +154,7 @@ def test_no_path_between_waypoints(harbour: MakeHarbour) -> None:
     _assert_unchanged(made, client)
     door = tuple(replace(corner, seq=4 + i) for i, corner in enumerate(_box(0.0, 0.0, 0.1, 1.6)))
     assert made.offer(client, PlanKind.FENCE, (*FENCE[:4], *door)) == MissionResult.ACCEPTED
-    _assert_not_flown(made, client, "no free path from item 0 to item 1", "open the fence")
+    _assert_not_flown(made, client, "no free path from item 0 (QGC 1) to item 1 (QGC 2)", "open the fence")
 
 
 def test_too_many_items(unmoved: tuple[Harbour, WireClient]) -> None:
@@ -189,7 +189,7 @@ def test_rally_point_in_an_obstacle(harbour: MakeHarbour) -> None:
 def test_fence_over_a_waypoint_of_the_mission_in_force(harbour: MakeHarbour) -> None:
     made, client = harbour()
     assert made.offer(client, PlanKind.FENCE, (*FENCE[:4], _circle(4, 1.75, 0.0, 0.1))) == MissionResult.ACCEPTED
-    _assert_not_flown(made, client, "fence item 4", "item 1 is")
+    _assert_not_flown(made, client, "fence item 4", "item 1 (QGC 2) is")
 
 
 def test_second_client_uploads_at_the_same_time(harbour: MakeHarbour) -> None:

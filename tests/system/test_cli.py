@@ -433,7 +433,7 @@ def test_refused_upload_is_one_line(service: Callable[..., RunningService], auto
     bad.write_text(re.sub(r"37\.97551\d*", "37.9755084", PLAN_TEXT))
     done = autopilot("mission", "upload", str(bad), *vehicle)
     assert done.code == 3
-    assert done.err.count("item 1 is 0.16 m inside exclusion circle (fence item 5): move it") == 1
+    assert done.err.count("item 1 (QGC 2) is 0.16 m inside exclusion circle (fence item 5): move it") == 1
     bad.write_text(re.sub(r"-0\.3\b", "-30.0", PLAN_TEXT))
     done = autopilot("mission", "upload", str(bad), *vehicle)
     _assert_refused(done, "Mission refused", "item 1", "DEPTH_MAX", "use 0.05 to 1.2 m")

@@ -209,7 +209,8 @@ def test_the_guilty_item_is_asked_for_last(vehicle: tuple[Harbour, WireClient], 
         before = made.session.parts.plans.items(kind)
         assert made.offer(client, kind, items) == result
         (text,) = client.texts()
-        assert text.startswith(f"{kind.name.capitalize()} refused: ") and f" {guilty}: " in text and words in text
+        shown = f"{guilty} (QGC {guilty + 1})" if kind is KIND.MISSION else f"{guilty}"
+        assert text.startswith(f"{kind.name.capitalize()} refused: ") and f" {shown}: " in text and words in text
         assert any(remedy in text for remedy in REMEDIES) and "\n" not in text
         said = [m for m in client.inbox if m.get_type() in ("MISSION_REQUEST_INT", "MISSION_ACK")]
         assert (said[-1].get_type(), said[-2].get_type()) == ("MISSION_ACK", "MISSION_REQUEST_INT")

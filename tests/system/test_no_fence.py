@@ -3,6 +3,7 @@
 from collections.abc import Callable
 
 import pytest
+from plan_items import local
 from pymavlink.dialects.v20 import development as mav
 from system_harness import OpenSession
 from wire_client import Harbour, WireClient
@@ -66,6 +67,17 @@ def test_a_tank_needs_a_fence_before_arming(harbour: Open) -> None:
     assert shown(made, client) == (True, True, True)
     assert made.command(client, ARM, 1.0) == ACCEPTED
     assert not said(client)
+
+
+def test_a_mission_of_kilometres_without_a_fence_is_taken_and_named_with_its_size(harbour: Open) -> None:
+    made, client = harbour("open-water")
+    rows = tuple(local(seq, 16, 100.0 * seq, 1200.0 * (seq % 2), 0.5, (0, 0, 0, 0)) for seq in range(12))
+    assert made.offer(client, PlanKind.MISSION, rows) == MissionResult.ACCEPTED
+    made.run(WAIT_S)
+    assert said(client) == [
+        "Mission of 13.2 km, 1.6 km from home, with no fence in force: upload its fence, or keep clear of walls"
+    ]
+    assert made.command(client, ARM, 1.0) == ACCEPTED
 
 
 def test_the_order_of_a_ground_station_is_no_alarm_and_a_fence_that_goes_is(harbour: Open) -> None:

@@ -76,11 +76,13 @@ def test_a_mission_into_an_obstacle_in_the_order_of_a_ground_station(harbour: Op
     made, client = harbour()
     kinds = ((PlanKind.MISSION, BAD_MISSION), (PlanKind.FENCE, PLAN.fence), (PlanKind.RALLY, ()))
     (text,) = _upload(made, client, *kinds)
-    assert text.startswith("No start: item 1 is 0.1") and "exclusion circle (fence item 5): move it" in text[:90]
+    assert (
+        text.startswith("No start: item 1 (QGC 2) is 0.1") and "exclusion circle (fence item 5): move it" in text[:90]
+    )
     made.run(1.1)
     assert _state(client)[:3] == (False, _state(client)[1], False)
     assert made.command(client, ARM, 1.0) == DENIED
-    assert client.texts()[0].startswith("Arming denied: plan: item 1 is")
+    assert client.texts()[0].startswith("Arming denied: plan: item 1 (QGC 2) is")
     assert set(_every_way_to_start(made, client).values()) == {DENIED}
     # Forced arming is the operator's right; what he forces is a vehicle that holds, not the mission.
     assert made.command(client, ARM, 1.0, FORCE) == ACCEPTED
@@ -102,7 +104,7 @@ def test_mode_chosen_before_arming_does_not_start_what_became_unfit(harbour: Ope
     _upload(made, client, (PlanKind.FENCE, PLAN.fence), (PlanKind.MISSION, PLAN.mission))
     assert made.command(client, mav.MAV_CMD_DO_SET_MODE, *PX4_MISSION) == ACCEPTED
     (text,) = _upload(made, client, (PlanKind.FENCE, (*PLAN.fence[:4], replace(PLAN.fence[4], param1=1.0))))
-    assert "item 0 is" in text
+    assert "item 0 (QGC 1) is" in text
     assert made.command(client, ARM, 1.0) == DENIED
     assert made.command(client, ARM, 1.0, FORCE) == ACCEPTED
     made.run(0.5)
@@ -118,7 +120,7 @@ def test_a_paused_mission_does_not_go_on_when_its_fence_has_changed(harbour: Ope
     assert made.command(client, PAUSE_CONTINUE, 0.0) == ACCEPTED
     over_item_1 = replace(PLAN.mission[1], seq=4, command=5004, param1=0.1, z=0.0)
     (text,) = _upload(made, client, (PlanKind.FENCE, (*PLAN.fence[:4], over_item_1)))
-    assert "item 1 is" in text
+    assert "item 1 (QGC 2) is" in text
     assert set(_every_way_to_start(made, client).values()) == {DENIED}
     assert made.offer(client, PlanKind.FENCE, PLAN.fence) == MissionResult.ACCEPTED
     assert "Plan ok" in client.texts(least=mav.MAV_SEVERITY_INFO)
@@ -137,7 +139,7 @@ def test_parameters_in_flight_and_on_the_ground(harbour: Open) -> None:
     made.run(0.3)
     assert made.session.parts.commander.mode.name == "HOLD"
     (text,) = client.texts()
-    assert text.startswith("Holding: item 0: depth 0.45 m, DEPTH_MAX 0.4 m: use 0.05 to 0.4 m")
+    assert text.startswith("Holding: item 0 (QGC 1): depth 0.45 m, DEPTH_MAX 0.4 m: use 0.05 to 0.4 m")
     assert set(_every_way_to_start(made, client).values()) == {DENIED}
     assert made.command(client, ARM, 0.0) == ACCEPTED
     assert made.command(client, ARM, 1.0) == DENIED
@@ -307,7 +309,7 @@ def test_a_wall_between_the_vehicle_and_the_first_place_forbids_arming_and_start
     made.run(1.1)
     assert made.command(client, ARM, 1.0) == DENIED
     assert client.texts()[0].startswith(
-        "Arming denied: plan: no free path from the vehicle to item 0: move the vehicle"
+        "Arming denied: plan: no free path from the vehicle to item 0 (QGC 1): move the vehicle"
     )
     assert made.command(client, ARM, 1.0, FORCE) == ACCEPTED
     assert set(_every_way_to_start(made, client).values()) == {DENIED}

@@ -62,6 +62,7 @@ def test_an_evening_with_a_ground_station(profile: str, tmp_path: Path) -> None:
         fly(station, profile)
         edit(station)
         if profile == "px4":
+            summary(station)
             files(station)
             absence(station)
         if profile == "generic":
@@ -121,6 +122,18 @@ def edit(station: GroundStation) -> None:
     station.allowed.append("SPD_CRUISE")
     assert not station.edit("SPD_CRUISE", 50.0)
     station.until(lambda: any("SPD_CRUISE" in text for _, text in station.texts), "the reason of a refusal", 2.0)
+
+
+def summary(station: GroundStation) -> None:
+    """Rows of the summary and the power page, as the plug-in makes them of parameters."""
+    shown = {name: station.value(name) for name in ("RTL_LAND_DELAY", "CAL_MAG0_ID", "BAT1_N_CELLS", "BAT1_V_CHARGED")}
+    assert shown["RTL_LAND_DELAY"] < 0.0, "Return, then: loiter and do not land"
+    assert shown["CAL_MAG0_ID"] != 0, "Compass 0: ready"
+    assert shown["BAT1_N_CELLS"] * shown["BAT1_V_CHARGED"] == pytest.approx(19.0), "Battery Max"
+    assert station.value("FRAME_CONFIG") == 5, "four thrusters"
+    assert station.edit("FS_GCS_ENABLE", 3)
+    assert station.value("NAV_DLL_ACT") == 1, "hold, as FS_GCS_ENABLE says"
+    assert station.edit("FS_GCS_ENABLE", 1)
 
 
 def files(station: GroundStation) -> None:
