@@ -294,3 +294,22 @@ class FlowView(msgspec.Struct, frozen=True, kw_only=True):
     t_s: float
     arrows: tuple[tuple[float, float, float, float], ...]
     """North, east [m], northward, eastward [m/s], at half the vehicle's depth."""
+
+
+class LogView(msgspec.Struct, frozen=True, kw_only=True):
+    """A log that the page plays."""
+
+    name: str
+    begin_s: float
+    end_s: float
+    events: tuple[MessageView, ...]
+    """All messages of the run."""
+    problems: tuple[str, ...]
+
+
+class LogFramesView(msgspec.Struct, frozen=True, kw_only=True):
+    """Frames at regular times, without messages."""
+
+    frames: tuple[ViewFrame, ...]
+    trail_ned_m: tuple[Point3, ...]
+    """Where the vehicle had been at the time of the first one, oldest first."""
