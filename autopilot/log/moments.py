@@ -64,7 +64,7 @@ class LogMoments:
     @property
     def span_us(self) -> tuple[int, int]:
         """First and last time of ticks on the service's clock; of all messages in a log without them."""
-        ticks = next((topic for topic in ("/nav/state", "/in/tick", "/sys/mode") if topic in self._numbers), None)
+        ticks = next((topic for topic in ("/in/tick", "/nav/state", "/sys/mode") if topic in self._numbers), None)
         topics = self._numbers if ticks is None else (ticks,)
         begins = [self._first_ns[topic][0] for topic in topics]
         if not begins:

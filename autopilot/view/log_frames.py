@@ -3,6 +3,7 @@
 import base64
 import time
 from collections.abc import Iterator, Mapping
+from dataclasses import replace
 from functools import cached_property
 from types import SimpleNamespace
 from typing import Any
@@ -39,15 +40,17 @@ from autopilot.log.reader import Log
 from autopilot.log.sample_table import SAMPLE_ROWS
 from autopilot.log.topics import AID_PREFIX
 from autopilot.log.visuals import ROS_LEVEL, read_path
-from autopilot.view.controls import Steered
+from autopilot.view.controls import Steered, ViewError
 from autopilot.view.encode import frame_of, message_of, picture_view, scene_of
 from autopilot.view.feed import CAMERA, DEVICES, TRACK_US, TickSnapshot, TruthSeen
-from autopilot.view.page_state import LogView, PictureView, Point3, SceneView, Solid, Steerable, ViewFrame
+from autopilot.view.page_state import LogFramesView, LogView, PictureView, Point3, SceneView, Solid, Steerable, ViewFrame
 
 NAV_US = 2_000_000
 """An estimate that is older has ended: the topic has one for each tick."""
 SEVERITY = {level: severity for severity, level in reversed(list(enumerate(ROS_LEVEL)))}
 """Of a rcl_interfaces/Log level: the most severe."""
+MAX_FRAMES = 200
+"""Frames in one answer."""
 MAX_TRACKS = 200
 """Reports of obstacles that are looked at for one frame."""
 _status, _plan, _progress, _mode, _health, _power, _track = (
@@ -83,21 +86,24 @@ class LogFrames:
             row.topic: DEVICES[row.of].device for row in SAMPLE_ROWS if row.of in DEVICES and row.topic in topics
         }
 
-    @cached_property
     def about(self) -> LogView:
         """The log as a whole."""
+        return self._about
+
+    @cached_property
+    def _about(self) -> LogView:
         return LogView(
             name=self._log.path.name,
             begin_s=1e-6 * self._begin_us,
             end_s=1e-6 * self._end_us,
+            scene=self._scene(),
             events=tuple(message_of(number, event) for number, event in enumerate(self._events(), start=1)),
-            problems=self._log.problems,
         )
 
-    def scene(self) -> SceneView:
+    def _scene(self) -> SceneView:
         missing = ("This is a log: the page only shows.", *(f"{problem}." for problem in self._log.problems))
         return scene_of(
-            self.snapshot(self._begin_us),
+            self._snapshot(self._begin_us),
             self._vehicle,
             Steerable(missing=missing),
             simulated="/sim/truth" in self._moments.topics,
@@ -107,10 +113,22 @@ class LogFrames:
     def frame(self, t_s: float) -> ViewFrame:
         """The page's state at that time, or at the nearest that the log has. Its messages are in :attr:`about`."""
         t_us = min(max(round(1e6 * t_s), self._begin_us), self._end_us)
-        snapshot = self.snapshot(t_us)
+        snapshot = self._snapshot(t_us)
         return frame_of(snapshot, self._vehicle, Steered(), now_s=snapshot.wall_s, viewers=1)
 
-    def trail(self, t_s: float) -> tuple[Point3, ...]:
+    def frames(self, from_s: float, to_s: float, step_s: float) -> LogFramesView:
+        """Frames at regular times, no more than :data:`MAX_FRAMES`. ViewError for times that are none."""
+        asked = {"from": from_s, "to": to_s, "step": step_s}
+        for name, value in asked.items():
+            if not np.isfinite(value):
+                raise ViewError(f"{name}={value:g} is no time; give seconds")
+        if to_s < from_s or step_s <= 0.0 or (to_s - from_s) / step_s >= MAX_FRAMES:
+            raise ViewError(f"{asked} is not 1 to {MAX_FRAMES} frames; give from <= to, and a longer step")
+        count = int((to_s - from_s) / step_s + 1e-6) + 1
+        frames = tuple(self.frame(from_s + index * step_s) for index in range(count))
+        return LogFramesView(frames=frames, trail_ned_m=self._trail(from_s))
+
+    def _trail(self, t_s: float) -> tuple[Point3, ...]:
         """Where it had been in the minutes before, oldest first."""
         found = self._moments.latest_raw("/viz/path", round(1e6 * t_s))
         points = () if found is None else _path(found[1]).tolist()
@@ -136,7 +154,7 @@ class LogFrames:
         for t_us, value in self._moments.every("/rosout"):
             yield Event(t_us=t_us, severity=SEVERITY.get(value.get("level", 0), 6), text=str(value.get("msg", "")))
 
-    def snapshot(self, t_us: int) -> TickSnapshot:
+    def _snapshot(self, t_us: int) -> TickSnapshot:
         """As :class:`~autopilot.view.feed.Feed` would have made it."""
         latest = self._latest
         nav_row = latest("/nav/state", t_us)
@@ -169,7 +187,7 @@ class LogFrames:
             control=control,
             plan=None if plan is None else _plan(plan),
             plan_us=0 if plan is None else plan["t_us"],
-            thrusters=None if health is None else _health(health),
+            thrusters=None if health is None else self._effective(health),
             received_us=self._received_us(t_us),
             aids={aid.sensor: aid for topic in self._aids if (aid := self._aid(topic, t_us)) is not None},
             tracks=self._tracks(t_us),
@@ -219,6 +237,10 @@ class LogFrames:
         return ControlOutput(
             thrust_n=np.zeros(0), status=_status(status), horizon_ned_m=horizon, route_ned_m=route[:, :2]
         )
+
+    def _effective(self, row: Fields) -> ThrusterHealthState:
+        health: ThrusterHealthState = _health(row)
+        return replace(health, effectiveness=health.effectiveness[: len(self._vehicle.thrusters)])
 
     def _aid(self, topic: str, t_us: int) -> AidStatus | None:
         row = self._latest(topic, t_us)

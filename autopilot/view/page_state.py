@@ -302,9 +302,9 @@ class LogView(msgspec.Struct, frozen=True, kw_only=True):
     name: str
     begin_s: float
     end_s: float
+    scene: SceneView
     events: tuple[MessageView, ...]
     """All messages of the run."""
-    problems: tuple[str, ...]
 
 
 class LogFramesView(msgspec.Struct, frozen=True, kw_only=True):
